@@ -1,0 +1,1 @@
+"""One arm's process and the tools around its log."""

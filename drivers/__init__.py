@@ -1,0 +1,1 @@
+"""What moves an arm: the seam (`interface`), the clock, and the Dynamixel driver."""

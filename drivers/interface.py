@@ -1,0 +1,140 @@
+"""The seam between control and arms: what every driver promises.  Imports nothing of ours and never touches hardware."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Vector = NDArray[np.float64]
+
+
+class Refusal(Exception):
+    """Something is not as it must be; says what was found, what was expected and what to do.
+
+    Every error of this project that is meant for a person derives from it.  Decisions are made on the
+    type and the attributes, never on the text.
+    """
+
+    exit_code = 2
+
+    def __init__(self, what: str, *, found: object, expected: object, remedy: str) -> None:
+        super().__init__(f"{what}: found {found}, expected {expected}; {remedy}")
+        self.what = what
+        self.found = found
+        self.expected = expected
+        self.remedy = remedy
+
+
+class DriverError(Refusal):
+    """Base of all errors a driver raises."""
+
+    exit_code = 3
+
+
+class ConnectError(DriverError):
+    """The arm cannot be reached, or is not the arm the cell file describes; torque was never on."""
+
+
+class StaleStateError(DriverError):
+    """This cycle brought no fresh state; the caller must not reuse the last one as new."""
+
+
+class ServoFault(DriverError):
+    """A servo reported an error, lost torque or rebooted."""
+
+
+@dataclass(frozen=True, slots=True)
+class ArmInfo:
+    """What `connect` found; all sequences in the joint order of the cell file (controlled joints only)."""
+
+    arm: str
+    joints: tuple[str, ...]
+    tau_max_Nm: Vector  # (n,) largest torque the driver will ever send per joint
+    description: str  # one line for logs: "simulated plant at …", "U2D2 FT3WJ… 9 servos, firmware 45"
+
+
+@dataclass(frozen=True, slots=True)
+class JointState:
+    """One fresh sample of the controlled joints.  Arrays belong to the receiver and are not reused by the driver."""
+
+    stamp_ns: int  # driver clock at sampling
+    q: Vector  # (n,) rad
+    dq: Vector  # (n,) rad/s, as the servos report it
+    tau: Vector  # (n,) N·m estimated from present current; NaN where the servo cannot tell
+
+
+@dataclass(frozen=True, slots=True)
+class ServoHealth:
+    """Slow quantities, per controlled joint; NaN or 0 where not known yet."""
+
+    stamp_ns: int
+    temperature_C: Vector
+    voltage_V: Vector
+    error_bits: NDArray[np.uint8]
+
+
+@dataclass(slots=True)
+class BusCounters:
+    """Cumulative since `connect`; read every cycle, so plain integers."""
+
+    timeouts: int = 0
+    corrupt: int = 0  # wrong CRC, wrong length, wrong ID
+    alerts: int = 0
+    retries: int = 0
+    per_servo: dict[int, int] = field(default_factory=dict)
+
+
+class Clock(Protocol):
+    """The only time an agent knows.  Real: CLOCK_MONOTONIC.  Simulated: the plant's time."""
+
+    def now_ns(self) -> int:
+        """Nanoseconds; never goes back."""
+        ...
+
+    def sleep_until(self, deadline_ns: int) -> None:
+        """Return at or after `deadline_ns`; at once when it has passed."""
+        ...
+
+
+class Driver(Protocol):
+    """One arm.  N·m, rad, rad/s, joint order of the cell file.
+
+    Order of calls: `connect`, `enable`, then per cycle `read` and `write`, then `disable`, `close`.
+    No implementation ever replaces another silently.
+    """
+
+    counters: BusCounters
+
+    def connect(self) -> ArmInfo:
+        """Open the bus, check that this is the arm the cell describes.  Torque stays as it is.
+
+        Raises ConnectError.
+        """
+        ...
+
+    def enable(self) -> None:
+        """Write zero goal torque, then torque on, then arm the servo watchdog.  Raises DriverError."""
+        ...
+
+    def read(self) -> JointState:
+        """Return a fresh, stamped state, or raise StaleStateError; never an old value as new."""
+        ...
+
+    def write(self, tau_Nm: Vector) -> Vector:
+        """Command joint torques (n,); return what was really commanded after quantisation and limits."""
+        ...
+
+    def health(self) -> ServoHealth:
+        """Return the latest slow quantities; never waits for the bus."""
+        ...
+
+    def disable(self) -> None:
+        """Torque off.  Safe in any state, twice, and on a dead bus."""
+        ...
+
+    def close(self) -> None:
+        """Give the port back.  Safe in any state and twice."""
+        ...

@@ -1,0 +1,1 @@
+"""The simulated cell: plant, actuators, server and the driver that reaches it; never imports `agent`."""
