@@ -16,6 +16,7 @@ MAX_JOINTS: Final = 7  # arms with fewer joints leave the rest at zero
 MAX_ARMS: Final = 8
 ARM_PARAMETERS: Final = MAX_JOINTS * 13  # per joint: 10 inertial, rotor inertia, viscous, Coulomb friction
 OBJECT_PARAMETERS: Final = 10
+MEMORY_LENGTH: Final = 5 * MAX_JOINTS + 8  # agent.control.memory.Memory, flattened
 
 CDR_LITTLE_ENDIAN: Final = 0x00000100  # the encapsulation header 00 01 00 00, read as a little-endian u4
 
@@ -41,7 +42,7 @@ def _f(name: str, length: int, unit: str, doc: str, *, timing: bool = False) -> 
 J: Final = MAX_JOINTS
 
 AGENT_FIELDS: Final[tuple[Field, ...]] = (
-    Field("sequence", "uint64", 0, "", "tick number since the trajectory's zero"),
+    Field("sequence", "uint64", 0, "", "row number, without gaps as long as no row is lost"),
     Field("stamp_ns", "int64", 0, "ns", "driver clock when the joints were sampled"),
     Field("utc_ns", "int64", 0, "ns", "UTC at the same instant, mapped once at start", timing=True),
     Field("mode", "uint32", 0, "", "agent.modes.Mode"),
@@ -85,7 +86,7 @@ AGENT_FIELDS: Final[tuple[Field, ...]] = (
     _f("wrench_internal", 6, "N, N·m", "internal-force part of it"),
     _f("lyapunov", 0, "J", "the part of the Lyapunov function this agent can compute"),
     _f("sigma_min", 0, "", "lower bound of the smallest singular value of the object Jacobian"),
-    _f("memory", 2 * J + 6, "", "estimator state before this tick (agent.control.memory)"),
+    _f("memory", MEMORY_LENGTH, "", "what the agent carried into this tick (agent.control.memory)"),
     _f("theta_arm", ARM_PARAMETERS, "", "adaptive arm estimate before this tick"),
     _f("theta_object", OBJECT_PARAMETERS, "", "adaptive object estimate before this tick"),
     _f("late_s", 0, "s", "how late this tick began", timing=True),

@@ -1,0 +1,302 @@
+"""A validated cell: the files, the arms' models, the offline data of each agent; opens no bus and moves nothing."""
+
+from __future__ import annotations
+
+import difflib
+import hashlib
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import pinocchio as pin
+import tomli_w
+from pydantic import BaseModel, ValidationError
+
+import configs
+from agent.config.schema import Arm as ArmEntry
+from agent.config.schema import ArmFile, CellFile, ServoJoint
+from agent.control.errors import Gains
+from agent.control.friction import Friction
+from agent.control.law import Offline
+from agent.control.models import ArmModel
+from agent.control.trajectory import Sinusoid, Trajectory
+from drivers.dynamixel.table import SERVOS, ServoModel
+from drivers.interface import Refusal, Vector
+
+M = TypeVar("M", bound=BaseModel)
+
+
+class ConfigError(Refusal):
+    """A cell file or arm file says something that cannot be used."""
+
+
+@dataclass(frozen=True)
+class Arm:
+    """One arm of the cell with everything its files say, resolved."""
+
+    entry: ArmEntry
+    file: ArmFile
+    urdf_xml: str
+    servos: tuple[ServoJoint, ...]  # of the controlled joints, in order
+
+    @property
+    def name(self) -> str:
+        """Name in the cell."""
+        return self.entry.name
+
+    @property
+    def n(self) -> int:
+        """Number of controlled joints."""
+        return len(self.entry.controlled)
+
+    @property
+    def servo_models(self) -> tuple[ServoModel, ...]:
+        """Servo type of each controlled joint."""
+        return tuple(SERVOS[s.servo] for s in self.servos)
+
+    @property
+    def tau_stall_Nm(self) -> Vector:
+        """(n,) stall torque of each joint, all its servos together."""
+        return np.array([SERVOS[s.servo].stall_torque_Nm * len(s.ids) for s in self.servos])
+
+    @property
+    def rotor_inertia(self) -> Vector:
+        """(n,) reflected rotor inertia, kg·m²."""
+        return np.array([s.rotor_inertia_kg_m2.value for s in self.servos])
+
+    @property
+    def T_world_base(self) -> pin.SE3:
+        """Base pose in the world."""
+        return placement(self.entry.p_world_base_m, self.entry.quat_world_base)
+
+    @property
+    def T_object_ee(self) -> pin.SE3:
+        """Grasp pose: end effector in the object frame."""
+        return placement(self.entry.p_object_ee_m, self.entry.quat_object_ee)
+
+
+@dataclass(frozen=True)
+class Cell:
+    """The whole cell, with the exact bytes it came from."""
+
+    file: CellFile
+    arms: tuple[Arm, ...]
+    toml: bytes
+    fingerprint: str  # SHA-256 of the cell file, the arm files and the URDFs
+
+    @property
+    def config_id(self) -> int:
+        """First 32 bits of the fingerprint; stands in every log row."""
+        return int(self.fingerprint[:8], 16)
+
+    @property
+    def gravity(self) -> Vector:
+        """(3,) m/s², world axes."""
+        return np.array(self.file.world.gravity_m_per_s2)
+
+    @property
+    def period_ns(self) -> int:
+        """Control period."""
+        return round(1e9 / self.file.rate_hz)
+
+    @property
+    def T_world_object_start(self) -> pin.SE3:
+        """Pose of the object before the run."""
+        return placement(self.file.object.p_start_m, self.file.object.quat_start)
+
+    def arm(self, name: str) -> Arm:
+        """The arm of that name.  Raises ConfigError."""
+        for arm in self.arms:
+            if arm.name == name:
+                return arm
+        raise ConfigError(
+            f"arm of cell {self.file.name}",
+            found=repr(name),
+            expected=" or ".join(a.name for a in self.arms),
+            remedy="name one of the cell's arms",
+        )
+
+    def trajectory(self) -> Trajectory:
+        """The desired motion of the object."""
+        t = self.file.trajectory
+        return Sinusoid(t.p_centre_m, t.p_amplitude_m, t.quat_centre, t.axis, t.angle_rad, t.period_s)
+
+    def model(self, arm: Arm) -> ArmModel:
+        """A new rigid-body model of the arm, with its own scratch memory.  Raises ModelError."""
+        return ArmModel(
+            arm.urdf_xml,
+            arm.entry.controlled,
+            arm.entry.locked_rad,
+            arm.T_world_base,
+            arm.file.ee_frame,
+            arm.T_object_ee,
+            arm.rotor_inertia,
+            self.gravity,
+        )
+
+    def offline(self, arm: Arm) -> Offline:
+        """What the agent of this arm knows beside its own joints."""
+        c, entry, obj = self.file.controller, arm.entry, self.file.object
+        gains = Gains(
+            k_p=c.k_p_per_s,
+            k_eps=c.k_eps_rad_per_s,
+            k_p_rate=c.k_p_rate_per_s or c.k_p_per_s,
+            k_eps_rate=c.k_eps_rate_rad_per_s or c.k_eps_rad_per_s,
+            k_v=(*entry.k_v_N_s_per_m, *(entry.k_v_Nm_s_per_rad or entry.k_v_N_s_per_m)),
+        )
+        friction = None
+        if c.friction_feedforward:
+            friction = Friction(
+                coulomb_Nm=tuple(s.coulomb_Nm.value for s in arm.servos),
+                viscous_Nm_s_per_rad=tuple(s.viscous_Nm_s_per_rad.value for s in arm.servos),
+                smooth_rad_per_s=c.friction_smooth_rad_per_s,
+            )
+        return Offline(
+            gains=gains,
+            load_share=entry.load_share,
+            object_mass_kg=obj.mass_kg,
+            object_inertia=tuple(x for row in obj.inertia_kg_m2.matrix() for x in row),  # type: ignore[arg-type]
+            gravity=self.file.world.gravity_m_per_s2,
+            friction=friction,
+        )
+
+
+def placement(p_m: Sequence[float], quat: Sequence[float]) -> pin.SE3:
+    """SE3 of a position and a scalar-first unit quaternion."""
+    return pin.SE3(pin.Quaternion(*quat), np.array(p_m))
+
+
+def load_cell(path: Path, overrides: Sequence[str] = ()) -> Cell:
+    """Read and validate a cell file; `overrides` are "key.path=value" with TOML values.
+
+    Raises ConfigError, whose text names key, value found, what is allowed and what to do.
+    """
+    raw = _read(path)
+    if overrides:
+        document = _parse(raw, path)
+        for text in overrides:
+            _override(document, text)
+        raw = tomli_w.dumps(document).encode()
+    return cell_from_toml(raw, path.name)
+
+
+def cell_from_toml(raw: bytes, source: str, arms_dir: Path = configs.ARMS_DIR) -> Cell:
+    """Validate the bytes of a cell file; arm files are taken from `arms_dir`.  Raises ConfigError."""
+    file = _validate(CellFile, _parse(raw, Path(source)), source)
+    digest = hashlib.sha256(raw)
+    arms = []
+    for entry in file.arms:
+        toml_path = arms_dir / f"{entry.model}.toml"
+        if not toml_path.is_file():
+            raise ConfigError(
+                f"model of arm {entry.name} in {source}",
+                found=repr(entry.model),
+                expected=" or ".join(sorted(p.stem for p in arms_dir.glob("*.toml"))),
+                remedy="name a described arm, or describe yours beside them",
+            )
+        arm_bytes = _read(toml_path)
+        arm_file = _validate(ArmFile, _parse(arm_bytes, toml_path), toml_path.name)
+        urdf = _read(arms_dir / arm_file.urdf)
+        digest.update(arm_bytes)
+        digest.update(urdf)
+        by_name = {j.name: j for j in arm_file.joints}
+        unknown = [j for j in (*entry.controlled, *entry.locked_rad) if j not in by_name]
+        if unknown:
+            raise ConfigError(
+                f"joints of arm {entry.name} in {source}",
+                found=", ".join(unknown),
+                expected=f"joints of {entry.model}: {', '.join(by_name)}",
+                remedy="correct `controlled` or `locked_rad`",
+            )
+        arms.append(Arm(entry, arm_file, urdf.decode(), tuple(by_name[j] for j in entry.controlled)))
+    return Cell(file, tuple(arms), raw, digest.hexdigest())
+
+
+def _read(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        shipped = ", ".join(sorted(f"configs/cells/{p.name}" for p in configs.CELLS_DIR.glob("*.toml")))
+        raise ConfigError(
+            f"file {path}", found=error.strerror, expected="a readable file", remedy=f"cells that ship: {shipped}"
+        ) from error
+
+
+def _parse(raw: bytes, path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(raw.decode())
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path.name}", found=str(error), expected="TOML", remedy="correct that line") from error
+
+
+def _override(document: dict[str, Any], text: str) -> None:
+    key, separator, value = text.partition("=")
+    try:
+        parsed = tomllib.loads(f"value = {value}")["value"] if separator else None
+    except tomllib.TOMLDecodeError:
+        parsed = value
+    if parsed is None:
+        raise ConfigError("override", found=repr(text), expected="key.path=value", remedy="e.g. duration_s=20")
+    *parents, last = key.strip().split(".")
+    node: Any = document
+    for name in parents:
+        if isinstance(node, list):
+            node = next((x for x in node if isinstance(x, dict) and x.get("name") == name), None)
+        else:
+            node = node.setdefault(name, {})
+        if not isinstance(node, (dict, list)):
+            raise ConfigError("override", found=repr(key), expected="a table of the cell", remedy="see the cell file")
+    node[last] = parsed
+
+
+def _validate(model: type[M], document: Mapping[str, Any], source: str) -> M:
+    try:
+        return model.model_validate(document)
+    except ValidationError as error:
+        problems = error.errors()
+        first = problems[0]
+        key = ".".join(str(part) for part in first["loc"]) or "the whole file"
+        more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+        raise ConfigError(f"{key} in {source}{more}", **_explain(model, dict(first))) from error
+
+
+def _explain(model: type[BaseModel], problem: dict[str, Any]) -> dict[str, str]:
+    """Found, expected and remedy of one pydantic problem."""
+    kind, found = problem["type"], repr(problem["input"])
+    if kind == "missing":
+        return {"found": "nothing", "expected": "a value", "remedy": "add the key"}
+    if kind == "extra_forbidden":
+        known = _keys_at(model, problem["loc"][:-1])
+        near = difflib.get_close_matches(str(problem["loc"][-1]), known, n=1)
+        remedy = f"did you mean {near[0]}?" if near else f"known keys: {', '.join(known)}"
+        return {"found": "an unknown key", "expected": "only known keys", "remedy": remedy}
+    message = problem["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
+    if isinstance(problem["input"], dict):
+        found = "not that"
+    return {"found": found, "expected": message, "remedy": "correct the value and its unit (the key carries it)"}
+
+
+def _keys_at(model: type[BaseModel], location: tuple[str | int, ...]) -> list[str]:
+    """Keys allowed at a place in the file, following nested models."""
+    current: Any = model
+    for part in location:
+        if isinstance(part, int) or not (isinstance(current, type) and issubclass(current, BaseModel)):
+            continue
+        info = current.model_fields.get(part)
+        if info is None:
+            continue
+        current = _model_in(info.annotation)
+    return sorted(current.model_fields) if isinstance(current, type) and issubclass(current, BaseModel) else []
+
+
+def _model_in(annotation: Any) -> Any:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    for inner in getattr(annotation, "__args__", ()):
+        found = _model_in(inner)
+        if found is not None:
+            return found
+    return None

@@ -1,0 +1,247 @@
+"""What must hold before anything moves: a cell examined along its whole trajectory; computes, never commands."""
+
+from __future__ import annotations
+
+import enum
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from agent.config.cell import Arm, Cell, ConfigError, placement
+from agent.control import ik, known
+from agent.control.errors import attitude_error
+from agent.control.inverse import SingularJacobian
+from agent.control.models import ArmModel, ModelError
+from agent.control.stability import SampledLoop, coupled_inertia, spectral_radius
+from drivers.interface import Vector
+
+SAMPLES = 48  # points along the trajectory
+
+
+class Verdict(enum.StrEnum):
+    """Outcome of one check."""
+
+    OK = "ok"
+    WARNING = "warning"
+    REFUSED = "refused"
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One line of the table."""
+
+    what: str
+    where: str  # arm or "cell"
+    found: str
+    limit: str
+    verdict: Verdict
+    remedy: str = ""
+
+
+@dataclass(frozen=True)
+class CheckReport:
+    """All findings, and the start configuration of each arm."""
+
+    findings: tuple[Finding, ...]
+    q_start: tuple[Vector, ...]
+
+    @property
+    def ok(self) -> bool:
+        """Whether the cell may run."""
+        return all(f.verdict is not Verdict.REFUSED for f in self.findings)
+
+    def require(self) -> None:
+        """Raise ConfigError with the first refusal."""
+        for f in self.findings:
+            if f.verdict is Verdict.REFUSED:
+                raise ConfigError(f"{f.what} ({f.where})", found=f.found, expected=f.limit, remedy=f.remedy)
+
+
+@dataclass(frozen=True)
+class _Path:
+    """One arm along the trajectory."""
+
+    q: list[Vector]
+    sigma_min: float
+    sigma_min_t: float
+    tau_peak: Vector
+    limit_margin: Vector
+
+
+def start_configurations(cell: Cell, models: Sequence[ArmModel]) -> tuple[Vector, ...]:
+    """Joint angles (n,) of each arm with the object at its start pose, nearest to q_near_rad.
+
+    Raises ConfigError naming the arm when its grasp cannot be reached.
+    """
+    return tuple(
+        _solve(arm, model, cell.T_world_object_start, np.array(arm.entry.q_near_rad), "at the start")
+        for arm, model in zip(cell.arms, models, strict=True)
+    )
+
+
+def examine(cell: Cell) -> CheckReport:
+    """Examine the whole cell.  Raises ConfigError where nothing further can be computed (an unreachable grasp)."""
+    try:
+        models = [cell.model(arm) for arm in cell.arms]
+    except ModelError as error:
+        raise ConfigError(error.what, found=error.found, expected=error.expected, remedy=error.remedy) from error
+    findings: list[Finding] = []
+    _same_task_space(cell, models)
+    q_start = start_configurations(cell, models)
+    findings += _start(cell)
+    paths = []
+    for arm, model, q0 in zip(cell.arms, models, q_start, strict=True):
+        path = _along_trajectory(cell, arm, model, q0)
+        findings += _arm_findings(cell, arm, path)
+        paths.append(path)
+    share = math.fsum(a.entry.load_share for a in cell.arms)
+    findings.append(_judge("sum of load shares", "cell", f"{share:.6f}", "1", abs(share - 1.0) < 1e-9, ""))
+    findings += _stability(cell, models, paths)
+    return CheckReport(tuple(findings), q_start)
+
+
+def _solve(arm: Arm, model: ArmModel, T: pin.SE3, q_near: Vector, when: str) -> Vector:
+    try:
+        return ik.solve(model, T, q_near)
+    except ik.Unreachable as error:
+        remedy = (
+            "the rest lies outside the plane of the controlled joints: align base and grasp poses"
+            if error.out_of_task
+            else "move the base, the grasp or the trajectory, or give q_near_rad nearer to the solution"
+        )
+        raise ConfigError(
+            f"grasp of arm {arm.name} {when}",
+            found=f"unreachable by {error.distance_m * 1e3:.3g} mm and {error.angle_rad * 1e3:.3g} mrad",
+            expected="a pose the arm reaches",
+            remedy=remedy,
+        ) from error
+
+
+def _same_task_space(cell: Cell, models: Sequence[ArmModel]) -> None:
+    first = models[0].plane_normal
+    for arm, model in zip(cell.arms[1:], models[1:], strict=True):
+        other = model.plane_normal
+        if (first is None) != (other is None) or (
+            first is not None and other is not None and abs(first.dot(other)) < 1.0 - 1e-9
+        ):
+            raise ConfigError(
+                f"motion plane of arm {arm.name}",
+                found="none (six-dimensional)" if other is None else f"normal {other.tolist()}",
+                expected="the same as of arm " + cell.arms[0].name,
+                remedy="make all arms planar in one plane, or all six-dimensional",
+            )
+
+
+def _start(cell: Cell) -> list[Finding]:
+    safety, desired = cell.file.safety, cell.trajectory().at(0.0)
+    obj = cell.file.object
+    distance = math.dist(obj.p_start_m, desired.p)
+    e_eta, e_eps = attitude_error(obj.quat_start, desired.quat)
+    angle = 2.0 * math.atan2(math.hypot(*e_eps), abs(e_eta))
+    axis = np.round(np.array(e_eps) / max(math.hypot(*e_eps), 1e-12), 3).tolist()
+    return [
+        _judge(
+            "start position error", "cell", f"{distance * 1e3:.2f} mm", f"≤ {safety.start_error_max_m * 1e3:g} mm",
+            distance <= safety.start_error_max_m, "start nearer to the trajectory, or raise start_error_max_m",
+        ),
+        _judge(
+            "e_η(0)", "cell", f"{e_eta:.6f}", f"|e_η| ≥ {safety.e_eta_min:g}", abs(e_eta) >= safety.e_eta_min,
+            f"the object is turned by {math.degrees(angle):.1f}° about {axis} from its desired attitude",
+        ),
+        _judge(
+            "start attitude error", "cell", f"{angle * 1e3:.2f} mrad", f"≤ {safety.start_error_max_rad * 1e3:g} mrad",
+            angle <= safety.start_error_max_rad, "turn the object, or raise start_error_max_rad",
+        ),
+    ]  # fmt: skip
+
+
+def _along_trajectory(cell: Cell, arm: Arm, model: ArmModel, q_start: Vector) -> _Path:
+    trajectory, offline = cell.trajectory(), cell.offline(arm)
+    end = min(trajectory.period_s, cell.file.duration_s)
+    q, qs = q_start, []
+    sigma, sigma_t = math.inf, 0.0
+    tau_peak = np.zeros(arm.n)
+    lower, upper = model.model.lowerPositionLimit, model.model.upperPositionLimit
+    margin = np.minimum(q_start - lower, upper - q_start)
+    for t in np.linspace(0.0, end, SAMPLES):
+        desired = trajectory.at(float(t))
+        q = _solve(arm, model, placement(desired.p, desired.quat), q, f"at t = {t:.2f} s")
+        qs.append(q)
+        J = model.jacobian(q)
+        s = float(np.linalg.svd(J, compute_uv=False)[-1])
+        if s < sigma:
+            sigma, sigma_t = s, float(t)
+        dq = np.linalg.pinv(J) @ (model.task_basis @ np.array(desired.v))
+        try:
+            tau_peak = np.maximum(tau_peak, np.abs(known.torque(model, offline, q, dq, desired).tau_cmd))
+        except SingularJacobian:
+            sigma, sigma_t = 0.0, float(t)
+        margin = np.minimum(margin, np.minimum(q - lower, upper - q))
+    return _Path(qs, sigma, sigma_t, tau_peak, margin)
+
+
+def _arm_findings(cell: Cell, arm: Arm, path: _Path) -> list[Finding]:
+    safety = cell.file.safety
+    findings = [
+        _judge(
+            "smallest singular value of J", arm.name, f"{path.sigma_min:.4f} at t = {path.sigma_min_t:.2f} s",
+            f"≥ {safety.sigma_min:g}", path.sigma_min >= safety.sigma_min,
+            "stay away from stretched or folded poses",
+        )
+    ]  # fmt: skip
+    bound = safety.tau_max_fraction_of_stall
+    for joint, tau, stall, room in zip(
+        arm.entry.controlled, path.tau_peak, arm.tau_stall_Nm, path.limit_margin, strict=True
+    ):
+        findings.append(
+            _judge(
+                f"torque along the trajectory, {joint}", arm.name,
+                f"{tau:.3f} N·m, {tau / stall:.0%} of stall", f"≤ {bound:.0%} of {stall:g} N·m", tau <= bound * stall,
+                "use a stronger arm, a lighter object or a pose with less load",
+            )
+        )  # fmt: skip
+        findings.append(
+            _judge(
+                f"distance to joint limit, {joint}", arm.name, f"{room:.3f} rad", "> 0", room > 0.0,
+                "move the base or the trajectory, or take the other elbow solution (q_near_rad)",
+            )
+        )  # fmt: skip
+    return findings
+
+
+def _stability(cell: Cell, models: Sequence[ArmModel], paths: Sequence[_Path]) -> list[Finding]:
+    safety, obj, rate = cell.file.safety, cell.file.object, cell.file.rate_hz
+    delay = cell.file.simulation.effects.delay_cycles
+    loop = SampledLoop(1.0 / rate, delay, [cell.offline(a).gains for a in cell.arms])
+    P = models[0].task_basis
+    radii: dict[float, float] = {}
+    inertia_object = np.array(obj.inertia_kg_m2.matrix())
+    for i in range(0, SAMPLES, 4):
+        q = [p.q[i] for p in paths]
+        R = models[0].object_pose(q[0]).rotation
+        I_world = R @ inertia_object @ R.T
+        believed = coupled_inertia(models, q, obj.mass_kg, I_world)
+        for error in (0.0, -safety.inertia_error, safety.inertia_error):
+            true = coupled_inertia(models, q, obj.mass_kg, I_world, 1.0 + error)
+            radii[error] = max(radii.get(error, 0.0), spectral_radius(true, believed, P, loop))
+    label = f"spectral radius at {rate:g} Hz, {delay} cycle{'s' if delay != 1 else ''} delay"
+    findings = []
+    for error, radius in radii.items():
+        stable = radius <= safety.spectral_radius_max
+        nominal = error == 0.0
+        verdict = Verdict.OK if stable else Verdict.REFUSED if nominal else Verdict.WARNING
+        findings.append(
+            Finding(
+                label if nominal else f"the same, arms' inertia {error:+.0%}",
+                "cell", f"{radius:.4f}", f"≤ {safety.spectral_radius_max:g}", verdict,
+                "" if stable else "raise rate_hz, or lower k_p_per_s, k_eps_rad_per_s or their _rate_ forms",
+            )
+        )  # fmt: skip
+    return findings
+
+
+def _judge(what: str, where: str, found: str, limit: str, ok: bool, remedy: str) -> Finding:
+    return Finding(what, where, found, limit, Verdict.OK if ok else Verdict.REFUSED, "" if ok else remedy)

@@ -1,0 +1,97 @@
+"""Pose errors and the reference velocity of the paper; pure, no state.
+
+Two printed signs do not hold and are not used: the middle row of `eq:reference signals` (the reference is
+v_d − K e, so the attitude part is ω_d + k_ε e_η e_ε) and the Lyapunov functions (the attitude part is
+1 − e_η², not e_η² − 1).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from agent.control.quaternion import Quat, Vec3, cross
+from agent.control.trajectory import Desired, Vec6
+
+
+@dataclass(frozen=True, slots=True)
+class Gains:
+    """Controller gains in world axes; the paper's scalars are the special case of equal entries."""
+
+    k_p: Vec3  # 1/s
+    k_eps: Vec3  # rad/s
+    k_p_rate: Vec3  # the same in the derivative of the reference velocity (the paper: equal to k_p)
+    k_eps_rate: Vec3
+    k_v: Vec6  # N·s/m, N·m·s/rad
+
+
+@dataclass(frozen=True, slots=True)
+class Errors:
+    """All errors of one tick, world axes, linear first."""
+
+    e_p: Vec3
+    e_eta: float
+    e_eps: Vec3
+    e: Vec6  # [e_p; −e_η e_ε]
+    v_ref: Vec6
+    dv_ref: Vec6
+    e_v: Vec6
+
+
+def attitude_error(quat: Quat, quat_des: Quat) -> tuple[float, Vec3]:
+    """Attitude error (e_η, e_ε) of e_ξ = ξ_d ⊗ ξ* (`eq:quat_error`)."""
+    n, x, y, z = quat
+    nd, xd, yd, zd = quat_des
+    e_eta = n * nd + x * xd + y * yd + z * zd
+    e_eps = (
+        n * xd - nd * x + y * zd - z * yd,
+        n * yd - nd * y + z * xd - x * zd,
+        n * zd - nd * z + x * yd - y * xd,
+    )
+    return e_eta, e_eps
+
+
+def evaluate(p: Vec3, quat: Quat, v: Vec6, des: Desired, gains: Gains) -> Errors:
+    """Errors, reference twist v_r = v_d − K e and its analytic derivative.
+
+    p, quat, v: object pose and twist (world axes, linear first) by this arm's own kinematics.
+    """
+    pd, vd, ad = des.p, des.v, des.a
+    e_p = (p[0] - pd[0], p[1] - pd[1], p[2] - pd[2])
+    e_eta, e_eps = attitude_error(quat, des.quat)
+    ex, ey, ez = e_eps
+    dp = (v[0] - vd[0], v[1] - vd[1], v[2] - vd[2])
+    wx, wy, wz = v[3] - vd[3], v[4] - vd[4], v[5] - vd[5]
+    # ė_η = ½ e_εᵀ e_ω;  ė_ε = −½ (e_η I + S(e_ε)) e_ω − S(e_ε) ω_d
+    de_eta = 0.5 * (ex * wx + ey * wy + ez * wz)
+    s_w = cross(e_eps, (wx, wy, wz))
+    s_d = cross(e_eps, (vd[3], vd[4], vd[5]))
+    dex = -0.5 * (e_eta * wx + s_w[0]) - s_d[0]
+    dey = -0.5 * (e_eta * wy + s_w[1]) - s_d[1]
+    dez = -0.5 * (e_eta * wz + s_w[2]) - s_d[2]
+    rx, ry, rz = -e_eta * ex, -e_eta * ey, -e_eta * ez
+    kp, ke, kpr, ker = gains.k_p, gains.k_eps, gains.k_p_rate, gains.k_eps_rate
+    v_ref = (  # v_r = v_d − K e
+        vd[0] - kp[0] * e_p[0],
+        vd[1] - kp[1] * e_p[1],
+        vd[2] - kp[2] * e_p[2],
+        vd[3] - ke[0] * rx,
+        vd[4] - ke[1] * ry,
+        vd[5] - ke[2] * rz,
+    )
+    dv_ref = (  # v̇_r = v̇_d − K ė,  ė = [ė_p; −ė_η e_ε − e_η ė_ε]
+        ad[0] - kpr[0] * dp[0],
+        ad[1] - kpr[1] * dp[1],
+        ad[2] - kpr[2] * dp[2],
+        ad[3] + ker[0] * (de_eta * ex + e_eta * dex),
+        ad[4] + ker[1] * (de_eta * ey + e_eta * dey),
+        ad[5] + ker[2] * (de_eta * ez + e_eta * dez),
+    )
+    e_v = (
+        v[0] - v_ref[0],
+        v[1] - v_ref[1],
+        v[2] - v_ref[2],
+        v[3] - v_ref[3],
+        v[4] - v_ref[4],
+        v[5] - v_ref[5],
+    )
+    return Errors(e_p, e_eta, e_eps, (*e_p, rx, ry, rz), v_ref, dv_ref, e_v)

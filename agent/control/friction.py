@@ -1,0 +1,33 @@
+"""Joint friction feed-forward: Coulomb with a smooth sign, and viscous; pure.
+
+The velocity it is given is the reference velocity, never the measured one: measured velocity is quantised
+to 0.024 rad/s, and its sign would chatter.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.interface import Vector
+
+
+@dataclass(frozen=True, slots=True)
+class Friction:
+    """Friction of the controlled joints; sequences of length n."""
+
+    coulomb_Nm: tuple[float, ...]
+    viscous_Nm_s_per_rad: tuple[float, ...]
+    smooth_rad_per_s: float  # speed at which the smooth sign reaches tanh(1) = 0.76
+
+    def torque(self, dq: Vector) -> Vector:
+        """Torque (n,) that friction takes at joint velocity dq (n,)."""
+        s = 1.0 / self.smooth_rad_per_s
+        return np.array(
+            [
+                c * math.tanh(v * s) + d * v
+                for c, d, v in zip(self.coulomb_Nm, self.viscous_Nm_s_per_rad, dq.tolist(), strict=True)
+            ]
+        )

@@ -1,0 +1,48 @@
+"""Joint angles for a given object pose: Gauss–Newton from a given start; used before a run, never in it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from agent.control.models import ArmModel
+from drivers.interface import Vector
+
+
+class Unreachable(ArithmeticError):
+    """No joint angles bring the grasped object to the wanted pose; says how near the search came."""
+
+    def __init__(self, distance_m: float, angle_rad: float, out_of_task: bool) -> None:
+        super().__init__(f"{distance_m * 1e3:.3g} mm and {angle_rad * 1e3:.3g} mrad short")
+        self.distance_m = distance_m
+        self.angle_rad = angle_rad
+        self.out_of_task = out_of_task  # the rest lies outside the plane this arm can move in
+
+
+def solve(model: ArmModel, T_world_object: pin.SE3, q_near: Vector, tolerance: float = 1e-11) -> Vector:
+    """Joint angles (n,) with the object at T_world_object, the solution nearest to q_near (n,).
+
+    Damped Gauss–Newton on the six-dimensional pose error (m and rad alike).  Raises Unreachable when 1e-8 is
+    not reached.
+    """
+    q = np.array(q_near, dtype=np.float64)
+    P = model.task_basis
+    best = np.inf
+    for _ in range(200):
+        T = model.object_pose(q)
+        error = np.concatenate(
+            [T_world_object.translation - T.translation, pin.log3(T_world_object.rotation @ T.rotation.T)]
+        )
+        task_error = P @ error
+        size = float(np.linalg.norm(task_error))
+        best = min(best, size)
+        if size < tolerance:
+            break
+        J = model.jacobian(q)
+        damping = min(1e-4, size * size) * np.eye(J.shape[0])
+        dq = J.T @ np.linalg.solve(J @ J.T + damping, task_error)
+        q += dq * min(1.0, 0.3 / max(float(np.abs(dq).max()), 1e-12))
+    distance, angle = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
+    if max(distance, angle) > 1e-8:
+        raise Unreachable(distance, angle, out_of_task=size < 1e-8)
+    return (q + np.pi) % (2.0 * np.pi) - np.pi

@@ -1,0 +1,41 @@
+"""Inverse of the task-space Jacobian; square arms by LU, redundant arms by the dynamically consistent inverse."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.linalg import lapack
+
+from agent.control.models import Matrix
+
+
+class SingularJacobian(ArithmeticError):
+    """The object Jacobian cannot be inverted at this configuration."""
+
+
+def invert_jacobian(J: Matrix, B: Matrix) -> tuple[Matrix, float]:
+    """J̄ (n, m) with J J̄ = I, and a lower bound 1/‖J̄‖_F of the smallest singular value of J (m, n).
+
+    Square J: J⁻¹.  More joints than task rows: B⁻¹Jᵀ(J B⁻¹ Jᵀ)⁻¹, which keeps null-space torques from
+    accelerating the object.  LAPACK is called directly: numpy's wrapper costs four times the inversion.
+    Raises SingularJacobian when no inverse exists.
+    """
+    m, n = J.shape
+    if m == n:
+        inverse = _invert(J)
+    else:
+        B_inv_Jt = lapack.dposv(B, J.T)[1]
+        inverse = B_inv_Jt.dot(_invert(J.dot(B_inv_Jt)))
+    flat = inverse.ravel(order="K")
+    return inverse, 1.0 / math.sqrt(flat.dot(flat))
+
+
+def _invert(A: Matrix) -> Matrix:
+    lu, pivots, info = lapack.dgetrf(A)
+    if info == 0:
+        inverse, info = lapack.dgetri(lu, pivots)
+    if info != 0 or not np.isfinite(inverse[0, 0]):
+        raise SingularJacobian
+    result: Matrix = inverse
+    return result

@@ -1,0 +1,98 @@
+"""What both control laws share: offline data of one agent, the terms of one tick, and the object's dynamics.
+
+Pure: everything here is a function of the agent's own (q, dq), the time and offline data.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from agent.control.errors import Errors, Gains
+from agent.control.friction import Friction
+from agent.control.models import Kinematics
+from agent.control.quaternion import Mat3, Vec3, cross, rotate, rotate_back, to_matrix
+from agent.control.trajectory import Desired, Vec6
+from drivers.interface import Vector
+
+
+@dataclass(frozen=True, slots=True)
+class Offline:
+    """All that one agent knows beside its own arm: identical data on every host, fixed before the start."""
+
+    gains: Gains
+    load_share: float  # c_i
+    object_mass_kg: float
+    object_inertia: Mat3  # about the centre of mass, object axes, kg·m²
+    gravity: Vec3  # world axes
+    friction: Friction | None = None  # feed-forward, None = off
+    internal_wrench: Vec6 | None = None  # f_int,i about the object's centre, object axes; None = none wanted
+
+
+@dataclass(frozen=True, slots=True)
+class Terms:
+    """Every intermediate result of one tick; the torque is the sum of the named terms."""
+
+    desired: Desired
+    kinematics: Kinematics
+    errors: Errors
+    dq_ref: Vector
+    ddq_ref: Vector
+    tau_inertia: Vector | None
+    tau_coriolis: Vector | None
+    tau_gravity: Vector | None
+    tau_adaptive: Vector | None
+    tau_feedback: Vector
+    tau_object: Vector
+    tau_internal: Vector | None
+    tau_friction: Vector | None
+    tau_posture: Vector | None
+    tau_cmd: Vector
+    wrench_cmd: Vec6  # u_i at the end effector
+    wrench_internal: Vec6  # at the end effector
+    lyapunov: float
+    sigma_min: float
+
+
+def object_wrench(offline: Offline, k: Kinematics, errors: Errors) -> tuple[Vec6, Mat3]:
+    """M_O v̇_r + C_O v_r + g_O about the object's centre, world axes (`eq:object dynamics`); and R_world_object."""
+    R = to_matrix(k.quat_object)
+    v_ref, dv_ref, m, g = errors.v_ref, errors.dv_ref, offline.object_mass_kg, offline.gravity
+    inertia = offline.object_inertia
+    I_alpha = rotate(R, rotate(inertia, rotate_back(R, (dv_ref[3], dv_ref[4], dv_ref[5]))))
+    I_omega = rotate(R, rotate(inertia, rotate_back(R, (v_ref[3], v_ref[4], v_ref[5]))))
+    gyro = cross((k.v_object[3], k.v_object[4], k.v_object[5]), I_omega)  # C_O = blockdiag(0, S(ω) I_O)
+    return (
+        m * (dv_ref[0] - g[0]),
+        m * (dv_ref[1] - g[1]),
+        m * (dv_ref[2] - g[2]),
+        I_alpha[0] + gyro[0],
+        I_alpha[1] + gyro[1],
+        I_alpha[2] + gyro[2],
+    ), R
+
+
+def rotate_wrench(R: Mat3, w: Vec6) -> Vec6:
+    """Wrench in world axes of a wrench in object axes."""
+    return (*rotate(R, (w[0], w[1], w[2])), *rotate(R, (w[3], w[4], w[5])))
+
+
+def shift_to_ee(k: Kinematics, w: Vec6) -> Vec6:
+    """J_O⁻ᵀ w: the wrench at the end effector with the same effect as w at the object's centre."""
+    force = (w[0], w[1], w[2])
+    moment = cross(k.p_ee_object, force)
+    return (*force, w[3] + moment[0], w[4] + moment[1], w[5] + moment[2])
+
+
+def lyapunov_share(offline: Offline, k: Kinematics, errors: Errors, dq_error: Vector) -> float:
+    """This agent's part of the paper's V, such that the parts of all agents sum to V.
+
+    c_i (½‖e_p‖² + 1 − e_η²) + ½ (dq − dq_r)ᵀ B (dq − dq_r) + ½ c_i e_vᵀ M_O e_v.
+    """
+    e_p, e_eta, e_v = errors.e_p, errors.e_eta, errors.e_v
+    R = to_matrix(k.quat_object)
+    w = rotate_back(R, (e_v[3], e_v[4], e_v[5]))
+    Iw = rotate(offline.object_inertia, w)
+    kinetic = offline.object_mass_kg * (e_v[0] * e_v[0] + e_v[1] * e_v[1] + e_v[2] * e_v[2])
+    kinetic += w[0] * Iw[0] + w[1] * Iw[1] + w[2] * Iw[2]
+    pose = 0.5 * (e_p[0] * e_p[0] + e_p[1] * e_p[1] + e_p[2] * e_p[2]) + 1.0 - e_eta * e_eta
+    return offline.load_share * (pose + 0.5 * kinetic) + 0.5 * float(dq_error.dot(k.B.dot(dq_error)))

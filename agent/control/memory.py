@@ -1,0 +1,49 @@
+"""What an agent carries from one tick to the next; in every log row, so that a replay may begin anywhere."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.interface import Vector
+
+MEMORY_JOINTS = 7  # room per joint array in the flattened form
+
+
+@dataclass(frozen=True, slots=True)
+class Memory:
+    """State of the agent between two ticks; arrays are (n,) and never written to again."""
+
+    q: Vector  # observer: last estimate
+    dq: Vector
+    ddq: Vector  # reference acceleration of the last tick
+    ddq_before: Vector  # of the tick before it, for arms whose torque acts one cycle late
+    tau: Vector  # last limited torque, for the rate limit
+    primed: bool  # the observer has seen a measurement
+    hold: tuple[float, ...] | None = None  # object pose (p, quat) to hold, once holding
+
+    def flatten(self) -> list[float]:
+        """The numbers of the log field `memory`: five joint arrays padded to seven, the pose, the flag."""
+        pad = [0.0] * (MEMORY_JOINTS - len(self.q))
+        flat: list[float] = []
+        for array in (self.q, self.dq, self.ddq, self.ddq_before, self.tau):
+            flat += array.tolist()
+            flat += pad
+        hold = self.hold if self.hold is not None else (0.0,) * 7
+        return [*flat, *hold, float(self.primed)]
+
+
+def initial(n: int) -> Memory:
+    """Memory before the first tick of an arm with n joints."""
+    zero = np.zeros(n)
+    return Memory(zero, zero, zero, zero, zero, primed=False)
+
+
+def restore(flat: Vector, n: int) -> Memory:
+    """The memory that a log row holds; inverse of `Memory.flatten`."""
+    joints = np.array(flat[: 5 * MEMORY_JOINTS]).reshape(5, MEMORY_JOINTS)[:, :n]
+    tail = flat[5 * MEMORY_JOINTS :].tolist()
+    hold = tuple(tail[:7]) if any(tail[3:7]) else None
+    q, dq, ddq, ddq_before, tau = (row.copy() for row in joints)
+    return Memory(q, dq, ddq, ddq_before, tau, bool(tail[7]), hold)

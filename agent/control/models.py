@@ -1,0 +1,206 @@
+"""Rigid-body model of one arm (pinocchio) with the object's frame attached; owns scratch memory, never any state.
+
+The object is rigidly grasped, so its frame is a frame of the arm.  With J the Jacobian of that frame,
+J = J_O⁻¹ J_E, the paper's J_O never appears in the running law: J⁻¹ v_r is its J_E⁻¹ J_O v_r, and Jᵀ f is
+its J_Eᵀ J_O⁻ᵀ f.  The tests hold the printed form against this one.
+
+Planar arms (three parallel joint axes) use the same code: the task space is then the plane's two directions
+and the rotation about its normal, by an orthonormal basis P (3, 6); with six joints P is the identity.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from agent.control.quaternion import Quat, Vec3
+from drivers.interface import Refusal, Vector
+
+Matrix = NDArray[np.float64]
+_WORLD_AXES = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+
+
+class ModelError(Refusal):
+    """The described arm cannot be controlled in this cell."""
+
+
+@dataclass(frozen=True, slots=True)
+class Kinematics:
+    """Everything one tick needs from the model at (q, dq).  World axes, linear first; own memory."""
+
+    p_object: Vec3
+    quat_object: Quat
+    v_object: tuple[float, float, float, float, float, float]
+    J: Matrix  # (m, n) task-space Jacobian of the object frame
+    dJ: Matrix  # (m, n) its time derivative
+    B: Matrix  # (n, n) joint-space inertia with reflected rotor inertia
+    C: Matrix  # (n, n) Christoffel-consistent Coriolis matrix
+    g: Vector  # (n,)
+    p_ee_object: Vec3  # p_O − p_E
+
+
+class ArmModel:
+    """One arm in the world frame: controlled joints free, all others locked.
+
+    urdf_xml: text of the arm's URDF; controlled: joint names in the order used everywhere; locked_rad: angles
+    of the other joints; T_world_base, T_object_ee: placements; rotor_inertia: (n,) kg·m² reflected to the
+    joint; gravity: (3,) m/s², world axes.
+
+    Raises ModelError for unknown joints or frames, for a controlled set that is neither planar nor six
+    joints, and for one that is not full rank anywhere near zero.
+    """
+
+    def __init__(
+        self,
+        urdf_xml: str,
+        controlled: Sequence[str],
+        locked_rad: Mapping[str, float],
+        T_world_base: pin.SE3,
+        ee_frame: str,
+        T_object_ee: pin.SE3,
+        rotor_inertia: Vector,
+        gravity: Vector,
+    ) -> None:
+        self.model = _reduced_model(urdf_xml, controlled, locked_rad, T_world_base)
+        self.model.gravity = pin.Motion(np.asarray(gravity, dtype=np.float64), np.zeros(3))
+        self.model.armature = np.asarray(rotor_inertia, dtype=np.float64)
+        self.joints = tuple(controlled)
+        self.n = self.model.nv
+        if not self.model.existFrame(ee_frame):
+            raise ModelError(
+                "end-effector frame",
+                found=repr(ee_frame),
+                expected=f"one of {sorted(f.name for f in self.model.frames if f.type == pin.FrameType.BODY)}",
+                remedy="name a link of the arm's URDF",
+            )
+        self.ee_id = self.model.getFrameId(ee_frame)
+        ee = self.model.frames[self.ee_id]
+        self.object_id = self.model.addFrame(
+            pin.Frame(
+                "grasped_object",
+                ee.parentJoint,
+                self.ee_id,
+                ee.placement * T_object_ee.inverse(),
+                pin.FrameType.OP_FRAME,
+            )
+        )
+        self.data = self.model.createData()
+        self.plane_normal, self.task_basis = _task_space(self.model, self.data)
+        self.p_object_ee = T_object_ee.translation.copy()
+        self._identity_task = self.plane_normal is None
+
+    @property
+    def task_dimension(self) -> int:
+        """3 for a planar arm, 6 otherwise."""
+        return int(self.task_basis.shape[0])
+
+    def evaluate(self, q: Vector, dq: Vector) -> Kinematics:
+        """Kinematics and dynamics terms at (q, dq), both (n,), as copies."""
+        model, data, frame = self.model, self.data, self.object_id
+        pin.computeJointJacobiansTimeVariation(model, data, q, dq)
+        pin.updateFramePlacement(model, data, frame)
+        pin.updateFramePlacement(model, data, self.ee_id)
+        J6 = pin.getFrameJacobian(model, data, frame, _WORLD_AXES)
+        dJ6 = pin.getFrameJacobianTimeVariation(model, data, frame, _WORLD_AXES)
+        v_object = J6.dot(dq).tolist()
+        x, y, z, qx, qy, qz, qw = pin.SE3ToXYZQUATtuple(data.oMf[frame])
+        ex, ey, ez = data.oMf[self.ee_id].translation.tolist()
+        B = pin.crba(model, data, q).copy()
+        g = pin.computeGeneralizedGravity(model, data, q).copy()
+        C = pin.computeCoriolisMatrix(model, data, q, dq).copy()
+        if self._identity_task:
+            J, dJ = J6, dJ6
+        else:
+            J, dJ = self.task_basis.dot(J6), self.task_basis.dot(dJ6)
+        return Kinematics((x, y, z), (qw, qx, qy, qz), tuple(v_object), J, dJ, B, C, g, (x - ex, y - ey, z - ez))
+
+    def object_pose(self, q: Vector) -> pin.SE3:
+        """Pose of the object frame in the world when this arm is at q (n,)."""
+        pin.framesForwardKinematics(self.model, self.data, q)
+        return pin.SE3(self.data.oMf[self.object_id])
+
+    def jacobian(self, q: Vector) -> Matrix:
+        """Task-space Jacobian of the object frame (m, n) at q."""
+        pin.computeJointJacobians(self.model, self.data, q)
+        pin.updateFramePlacement(self.model, self.data, self.object_id)
+        J6: Matrix = pin.getFrameJacobian(self.model, self.data, self.object_id, _WORLD_AXES)
+        return self.task_basis.dot(J6)
+
+    def inertia(self, q: Vector) -> Matrix:
+        """Joint-space inertia (n, n) with reflected rotor inertia."""
+        B: Matrix = pin.crba(self.model, self.data, q).copy()
+        return B
+
+
+def _reduced_model(
+    urdf_xml: str, controlled: Sequence[str], locked_rad: Mapping[str, float], T_world_base: pin.SE3
+) -> pin.Model:
+    full = pin.buildModelFromXML(urdf_xml)
+    names = [name for name in full.names if name != "universe"]
+    unknown = [j for j in (*controlled, *locked_rad) if j not in names]
+    if unknown:
+        raise ModelError(
+            "joint names",
+            found=", ".join(unknown),
+            expected=f"names among {', '.join(names)}",
+            remedy="correct the cell",
+        )
+    rest = [j for j in names if j not in controlled]
+    missing = [j for j in rest if j not in locked_rad]
+    if missing:
+        raise ModelError(
+            "joints that are neither controlled nor locked",
+            found=", ".join(missing),
+            expected="an angle for every joint that is not controlled",
+            remedy="add them to locked_rad",
+        )
+    q = pin.neutral(full)
+    for joint in rest:
+        q[full.joints[full.getJointId(joint)].idx_q] = locked_rad[joint]
+    model = pin.buildReducedModel(full, [full.getJointId(j) for j in rest], q)
+    order = [name for name in model.names if name != "universe"]
+    if order != list(controlled):
+        raise ModelError(
+            "order of controlled joints", found=list(controlled), expected=order, remedy="list them from base to tip"
+        )
+    for j in range(1, model.njoints):
+        if model.parents[j] == 0:
+            model.jointPlacements[j] = T_world_base * model.jointPlacements[j]
+    for frame in model.frames:
+        if frame.parentJoint == 0:
+            frame.placement = T_world_base * frame.placement
+    return model
+
+
+def _task_space(model: pin.Model, data: pin.Data) -> tuple[Vector | None, Matrix]:
+    """Plane normal (3,) or None, and the orthonormal task basis P (m, 6) of the controlled joints."""
+    pin.computeJointJacobians(model, data, pin.neutral(model))
+    axes = np.stack([pin.getJointJacobian(model, data, j, _WORLD_AXES)[3:, j - 1] for j in range(1, model.njoints)])
+    if model.nv >= 6:
+        return None, np.eye(6)
+    normal = axes[0]
+    parallel = np.abs(np.abs(axes.dot(normal)) - 1.0) < 1e-6
+    if model.nv != 3 or not parallel.all():
+        raise ModelError(
+            "controlled joints",
+            found=f"{model.nv} joints, {int(parallel.sum())} of them parallel to the first",
+            expected="three joints with parallel axes (planar) or at least six",
+            remedy="choose the controlled joints so that the task rows are square and full rank",
+        )
+    # Adding zero turns -0.0 into 0.0, so equal cells print equal.
+    normal = np.where(np.abs(normal) < 1e-9, 0.0, normal) + 0.0
+    if normal[np.argmax(np.abs(normal))] < 0.0:
+        normal = 0.0 - normal
+    first = np.eye(3)[int(np.argmin(np.abs(normal)))]
+    u = first - normal * normal.dot(first)
+    u /= np.linalg.norm(u)
+    w = np.array(
+        [normal[1] * u[2] - normal[2] * u[1], normal[2] * u[0] - normal[0] * u[2], normal[0] * u[1] - normal[1] * u[0]]
+    )
+    basis = np.zeros((3, 6))
+    basis[0, :3], basis[1, :3], basis[2, 3:] = u, w, normal
+    return normal, basis + 0.0

@@ -1,0 +1,198 @@
+"""The control loop of one arm.  `step` is pure; `run` reads, steps, limits, writes, logs and sleeps.
+
+Nothing here opens anything, knows the wall clock, or learns anything from another agent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from agent.control import known
+from agent.control.estimator import Observer
+from agent.control.inverse import SingularJacobian
+from agent.control.law import Offline, Terms
+from agent.control.memory import Memory, initial
+from agent.control.models import ArmModel
+from agent.control.trajectory import Desired, Trajectory
+from agent.modes import Event, Mode, next_mode
+from agent.safety import Flag, Limits, limit
+from agent.telemetry.row import AgentRow
+from drivers.interface import Clock, Driver, JointState, StaleStateError, Vector
+
+
+@dataclass(frozen=True, slots=True)
+class Agent:
+    """Everything that determines one arm's torque, apart from its own state, the time and its memory."""
+
+    name: str
+    model: ArmModel
+    offline: Offline
+    trajectory: Trajectory
+    limits: Limits
+    observer: Observer | None  # None: the servos' own values are used as they are
+    sigma_min: float  # stop below this smallest singular value
+    period_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """Result of one tick."""
+
+    q: Vector  # what the law used
+    dq: Vector
+    terms: Terms | None  # None when the law gave nothing
+    tau: Vector  # after the limits
+    flags: Flag
+    memory: Memory
+
+
+def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) -> Outcome:
+    """Torque of one tick: a function of the arm's own state, the time, offline data and memory, bit for bit.
+
+    state: measured joints; t: time since the trajectory's zero, s; memory: as the last tick left it.
+    """
+    if agent.observer is None:
+        q, dq = state.q, state.dq
+    else:
+        q, dq = agent.observer.correct(memory, state.q, state.dq)
+    try:
+        terms = known.torque(agent.model, agent.offline, q, dq, _desired(agent, t, mode, memory))
+    except SingularJacobian:
+        return Outcome(q, dq, None, memory.tau, Flag.SINGULAR, replace(memory, primed=False))
+    wanted = terms.tau_cmd.tolist()
+    tau, flags = limit(wanted, memory.tau.tolist(), agent.limits)
+    if terms.sigma_min < agent.sigma_min:
+        flags |= Flag.SINGULAR
+    limited = np.array(tau)
+    carried = Memory(q, dq, terms.ddq_ref, memory.ddq, limited, True, memory.hold)
+    return Outcome(q, dq, terms, limited, flags, carried)
+
+
+def _desired(agent: Agent, t: float, mode: Mode, memory: Memory) -> Desired:
+    if mode is Mode.TRACK or memory.hold is None:
+        return agent.trajectory.at(t)
+    still = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    p, quat = memory.hold[:3], memory.hold[3:]
+    return Desired(p, quat, still, still)  # type: ignore[arg-type]
+
+
+def hold_here(agent: Agent, q: Vector, memory: Memory) -> Memory:
+    """Memory with the object's present pose (by this arm at q) as the one to hold."""
+    k = agent.model.evaluate(q, np.zeros_like(q))
+    return replace(memory, hold=(*k.p_object, *k.quat_object))
+
+
+class RowSink(Protocol):
+    """Where rows go; the control thread only ever fills and commits."""
+
+    def commit(self) -> None:
+        """Make the filled row visible to readers; never blocks."""
+        ...
+
+    def wait_for_space(self) -> None:
+        """Lockstep simulation only: let time wait for the reader, so that nothing is lost."""
+        ...
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """When the ticks are."""
+
+    zero_ns: int  # driver clock at the trajectory's zero
+    zero_utc_ns: int
+    period_ns: int
+    ticks: int
+    lockstep: bool
+
+
+@dataclass
+class RunSummary:
+    """What `run` did."""
+
+    ticks: int = 0
+    late_cycles: int = 0
+    stale_cycles: int = 0
+    mode: Mode = Mode.READY
+    reason: str = ""
+
+
+MAX_STALE_IN_A_ROW = 3
+
+
+def run(
+    agent: Agent,
+    driver: Driver,
+    clock: Clock,
+    schedule: Schedule,
+    row: AgentRow,
+    sink: RowSink,
+    wall_ns: Callable[[], int],
+    events: Callable[[], Event],
+    heartbeat: Callable[[], None],
+) -> RunSummary:
+    """Run the loop on an enabled driver until the last tick or a stop; leaves the torque as it is.
+
+    wall_ns measures durations for the log and nothing else.  events() tells of operator requests.  heartbeat
+    is called after every cycle with a fresh state.
+    """
+    memory = initial(agent.model.n)
+    summary = RunSummary(mode=Mode.TRACK)
+    stale_in_a_row = 0
+    tick = 0
+    while tick < schedule.ticks:
+        deadline_ns = schedule.zero_ns + tick * schedule.period_ns
+        clock.sleep_until(deadline_ns)
+        if schedule.lockstep:
+            sink.wait_for_space()
+        begin = wall_ns()
+        late_ns = clock.now_ns() - deadline_ns
+        try:
+            state = driver.read()
+        except StaleStateError as error:
+            summary.stale_cycles += 1
+            stale_in_a_row += 1
+            if stale_in_a_row > MAX_STALE_IN_A_ROW:
+                summary.mode, summary.reason = Mode.FAULT, str(error)
+                break
+            driver.write(memory.tau)
+            tick += 1
+            continue
+        stale_in_a_row = 0
+        after_read = wall_ns()
+        t = (state.stamp_ns - schedule.zero_ns) * 1e-9
+        outcome = step(agent, state, t, summary.mode, memory)
+        after_step = wall_ns()
+        tau_sent = driver.write(outcome.tau)
+        after_write = wall_ns()
+
+        row.fill_state(summary.ticks, t, schedule.zero_utc_ns + state.stamp_ns - schedule.zero_ns, summary.mode, state)
+        if outcome.terms is not None:
+            row.fill_terms(outcome.q, outcome.dq, outcome.terms, memory)
+        row.fill_output(outcome.flags, outcome.tau, tau_sent)
+        row.fill_timing(
+            late_ns * 1e-9,
+            (after_read - begin) * 1e-9,
+            (after_step - after_read) * 1e-9,
+            (after_write - after_step) * 1e-9,
+            driver.counters,
+        )
+        sink.commit()
+        heartbeat()
+
+        memory = outcome.memory
+        happened = events()
+        if outcome.flags & (Flag.NOT_FINITE | Flag.SINGULAR):
+            happened |= Event.TROUBLE
+            summary.reason = summary.reason or f"tick {tick}: {outcome.flags!r}"
+        mode = next_mode(summary.mode, happened)
+        if mode is Mode.HOLD and summary.mode is not Mode.HOLD:
+            memory = hold_here(agent, outcome.q, memory)
+        summary.mode = mode
+        summary.ticks += 1
+        summary.late_cycles += late_ns > schedule.period_ns
+        tick += 1 if schedule.lockstep else 1 + max(0, (clock.now_ns() - deadline_ns) // schedule.period_ns)
+    return summary

@@ -1,0 +1,47 @@
+"""Operating modes and the only rules by which they change; pure, enumerable, no way from HOLD back to TRACK."""
+
+from __future__ import annotations
+
+import enum
+
+
+class Mode(enum.IntEnum):
+    """What the agent is doing; logged in every row."""
+
+    OFF = 0  # torque off
+    READY = 1  # torque on and zero, waiting for the common start
+    TRACK = 2  # the object follows the trajectory
+    HOLD = 3  # the object is held where it was when the hold began; latched
+    LOWER = 4  # the object is lowered to its support
+    FAULT = 5  # the arm cannot be commanded; torque off
+
+
+class Event(enum.IntFlag):
+    """What can change a mode; several may come at once."""
+
+    NONE = 0
+    ENABLED = 1
+    STARTED = 2  # the common start instant has passed
+    STOP = 4  # an operator or the service manager asked for a stop
+    TROUBLE = 8  # something is wrong, the servos still obey
+    SERVO_LOST = 16  # the arm does not obey any more
+    RELEASED = 32  # an operator confirmed that the object is supported
+
+
+def next_mode(mode: Mode, events: Event) -> Mode:
+    """Mode of the next tick.  The worst event wins; HOLD and FAULT are latched until an operator releases."""
+    if mode is Mode.OFF:
+        return Mode.READY if Event.ENABLED in events and not events & (Event.TROUBLE | Event.SERVO_LOST) else Mode.OFF
+    if Event.SERVO_LOST in events:
+        return Mode.FAULT
+    if mode is Mode.FAULT:
+        return Mode.OFF if Event.RELEASED in events else Mode.FAULT
+    if mode is Mode.READY:
+        if events & (Event.TROUBLE | Event.STOP):
+            return Mode.OFF
+        return Mode.TRACK if Event.STARTED in events else Mode.READY
+    if mode is Mode.TRACK:
+        return Mode.HOLD if events & (Event.TROUBLE | Event.STOP) else Mode.TRACK
+    if Event.RELEASED in events:  # HOLD or LOWER
+        return Mode.OFF
+    return mode

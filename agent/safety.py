@@ -1,0 +1,52 @@
+"""The last word on every torque: finite, bounded, rate-limited.  Small, and never clever.
+
+Finiteness comes first, because clipping lets NaN through.  Nothing here may raise: a torque always comes out.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+
+class Flag(enum.IntFlag):
+    """What happened on this tick; bits of the log field `flags`."""
+
+    NONE = 0
+    NOT_FINITE = 1  # the law gave no number: the last torque was kept
+    SATURATED = 2  # at least one joint hit its torque bound
+    RATE_LIMITED = 4  # at least one joint hit its torque step bound
+    SINGULAR = 8  # the object Jacobian was not safely invertible
+    STALE = 16  # no fresh state this tick: the last torque was kept
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Bounds of one arm; sequences of length n."""
+
+    tau_max_Nm: tuple[float, ...]
+    tau_step_max_Nm: tuple[float, ...]  # largest change from one tick to the next
+
+
+def limit(tau_cmd: Sequence[float], tau_last: Sequence[float], limits: Limits) -> tuple[list[float], Flag]:
+    """Torque that may be sent, from the commanded one and the last one sent (all length n, N·m)."""
+    flags = Flag.NONE
+    tau: list[float] = []
+    for wanted, last, bound, step in zip(tau_cmd, tau_last, limits.tau_max_Nm, limits.tau_step_max_Nm, strict=True):
+        if not math.isfinite(wanted):
+            flags |= Flag.NOT_FINITE
+            tau.append(last)
+            continue
+        allowed = wanted
+        if allowed > last + step:
+            allowed, flags = last + step, flags | Flag.RATE_LIMITED
+        elif allowed < last - step:
+            allowed, flags = last - step, flags | Flag.RATE_LIMITED
+        if allowed > bound:
+            allowed, flags = bound, flags | Flag.SATURATED
+        elif allowed < -bound:
+            allowed, flags = -bound, flags | Flag.SATURATED
+        tau.append(allowed)
+    return tau, flags
