@@ -211,8 +211,21 @@ def cell_from_toml(raw: bytes, source: str, arms_dir: Path = configs.ARMS_DIR) -
                 expected=f"joints of {entry.model}: {', '.join(by_name)}",
                 remedy="correct `controlled` or `locked_rad`",
             )
-        arms.append(Arm(entry, arm_file, urdf.decode(), tuple(by_name[j] for j in entry.controlled)))
+        servos = tuple(by_name[j] for j in entry.controlled)
+        _refuse_weak_servos(entry, servos, source)
+        arms.append(Arm(entry, arm_file, urdf.decode(), servos))
     return Cell(file, tuple(arms), raw, digest.hexdigest())
+
+
+def _refuse_weak_servos(entry: ArmEntry, servos: Sequence[ServoJoint], source: str) -> None:
+    for servo in servos:
+        if not SERVOS[servo.servo].modes:
+            raise ConfigError(
+                f"controlled joint {servo.name} of arm {entry.name} in {source}",
+                found=f"a {servo.servo}, which takes no torque, current or PWM command",
+                expected="a servo with current or PWM mode",
+                remedy="lock this joint instead (locked_rad)",
+            )
 
 
 def _read(path: Path) -> bytes:
@@ -256,7 +269,8 @@ def _validate(model: type[M], document: Mapping[str, Any], source: str) -> M:
     try:
         return model.model_validate(document)
     except ValidationError as error:
-        problems = error.errors()
+        # a misspelt key is both unknown and missing; the first of the two tells more
+        problems = sorted(error.errors(), key=lambda problem: problem["type"] != "extra_forbidden")
         first = problems[0]
         key = ".".join(str(part) for part in first["loc"]) or "the whole file"
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""

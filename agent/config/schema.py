@@ -136,6 +136,7 @@ class Safety(Strict):
 
     e_eta_min: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.1
     sigma_min: Positive = 0.02
+    tau_step_max_fraction: Annotated[float, Field(gt=0.0, le=2.0)] = 0.5  # of tau_max, from one tick to the next
     tau_max_fraction_of_stall: Annotated[float, Field(gt=0.0, le=1.0)] = 0.5
     start_error_max_m: Positive = 0.02
     start_error_max_rad: Positive = 0.1
