@@ -1,0 +1,192 @@
+"""Time series of a run as plain arrays: attitude arithmetic, rows matched by sequence.  Never changes a row."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.modes import Mode
+from agent.telemetry.sample import MAX_ARMS, MAX_JOINTS
+
+if TYPE_CHECKING:
+    from agent.telemetry.runinfo import Plane, RunInfo
+
+Array = NDArray[np.float64]
+
+TIME_AGREEMENT: Final = 0.5  # of a period: plant and agent rows of one sequence number are of the same tick
+
+
+# ------------------------------------------------------------------------------------------------ attitude, row by row
+
+
+def attitude_error(quat_des: Array, quat: Array) -> Array:
+    """e_ξ = ξ_d ⊗ ξ_O*, `(k, 4)` scalar first, normalised, from two `(k, 4)`.  Source: eq:quat_error."""
+    eta_d, eps_d = quat_des[:, :1], quat_des[:, 1:]
+    eta, eps = quat[:, :1], quat[:, 1:]
+    e_eta = eta * eta_d + np.sum(eps * eps_d, axis=1, keepdims=True)
+    e_eps = eta * eps_d - eta_d * eps + np.cross(eps, eps_d)
+    e = np.hstack([e_eta, e_eps])
+    return np.asarray(e / np.linalg.norm(e, axis=1, keepdims=True))
+
+
+def rotation_angle(quat: Array) -> Array:
+    """Angle of each rotation, `(k,)` rad in [0, π].
+
+    2 atan2(‖ε‖, |η|) and not 2 acos |η|, which is blind below 1e-8 rad and wrong by percents at 1e-7.
+    """
+    return np.asarray(2.0 * np.arctan2(np.linalg.norm(quat[:, 1:], axis=1), np.abs(quat[:, 0])))
+
+
+def rotation_vector(quat: Array) -> Array:
+    """Axis times angle of each rotation, `(k, 3)` rad, the shorter way round."""
+    sine = np.linalg.norm(quat[:, 1:], axis=1)
+    angle = rotation_angle(quat)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        gain = np.where(sine > 0.0, angle / sine, 2.0) * np.where(quat[:, 0] < 0.0, -1.0, 1.0)
+    return np.asarray(quat[:, 1:] * gain[:, None])
+
+
+def angle_about(quat: Array, plane: Plane) -> Array:
+    """Angle about the plane's normal, `(k,)` rad in (−π, π]: φ_O of the paper's figure."""
+    half = np.arctan2(plane.sign * quat[:, 1 + plane.normal], quat[:, 0])
+    return np.asarray(np.pi - np.mod(np.pi - 2.0 * half, 2.0 * np.pi))
+
+
+def rotate(quat: Array, vector: Array) -> Array:
+    """R(ξ) v for each row of `quat` `(k, 4)` and one `vector` `(3,)`."""
+    w, u = quat[:, :1], quat[:, 1:]
+    t = 2.0 * np.cross(u, vector)
+    return np.asarray(vector + w * t + np.cross(u, t))
+
+
+# ------------------------------------------------------------------------------------------------------------ poses
+
+
+@dataclass(frozen=True, slots=True)
+class PoseSeries:
+    """A pose against the desired one; all arrays have one row per tick and rows are in time order."""
+
+    source: str  # "plant" or the arm's name
+    sequence: NDArray[np.uint64]
+    t: Array
+    p_des: Array
+    quat_des: Array
+    p: Array
+    quat: Array
+    e_p: Array  # eq:position error
+    e_xi: Array  # eq:quat_error, of the representative whose sign the arms' own e_η has
+    tracking: NDArray[np.bool_]  # the desired pose is the trajectory's, not one that an arm holds
+
+    @property
+    def position_error(self) -> Array:
+        """‖e_p‖, m."""
+        return np.asarray(np.linalg.norm(self.e_p, axis=1))
+
+    @property
+    def attitude_error(self) -> Array:
+        """Angle of e_ξ, rad."""
+        return rotation_angle(self.e_xi)
+
+
+def column(rows: NDArray[np.void], name: str) -> Array:
+    """One float field of the rows as a contiguous array."""
+    return np.ascontiguousarray(rows[name], dtype=np.float64)
+
+
+def joint_columns(rows: NDArray[np.void], name: str, joints: int) -> Array:
+    """A joint field without its padding, `(k, joints)`."""
+    return np.ascontiguousarray(rows[name][:, :joints], dtype=np.float64)
+
+
+def plant_joints(plant: NDArray[np.void], name: str, arm: int, joints: int) -> Array:
+    """A joint field of the plant for one arm, `(k, joints)`."""
+    block = plant[name].reshape(len(plant), MAX_ARMS, MAX_JOINTS)
+    return np.ascontiguousarray(block[:, arm, :joints])
+
+
+def grasp_wrenches(plant: NDArray[np.void], arms: int) -> Array:
+    """Wrench of each arm on the object at its end effector, `(k, arms, 6)`, world axes."""
+    return np.ascontiguousarray(plant["grasp_wrench"].reshape(len(plant), MAX_ARMS, 6)[:, :arms])
+
+
+def in_run(rows: NDArray[np.void], info: RunInfo) -> NDArray[np.void]:
+    """The rows of the run itself, without what was logged after its duration was over."""
+    return rows[: int(np.searchsorted(rows["sequence"], info.ticks))]
+
+
+def pose_by_arm(name: str, rows: NDArray[np.void]) -> PoseSeries:
+    """The object's pose as one arm's own kinematics see it."""
+    p, p_des = column(rows, "p_object"), column(rows, "p_object_des")
+    quat, quat_des = column(rows, "quat_object"), column(rows, "quat_object_des")
+    e_xi = _with_sign_of(column(rows, "e_eta"), attitude_error(quat_des, quat))
+    tracking = np.asarray(rows["mode"] == Mode.TRACK)
+    t, sequence = column(rows, "t"), rows["sequence"].copy()
+    return PoseSeries(name, sequence, t, p_des, quat_des, p, quat, p - p_des, e_xi, tracking)
+
+
+def pose_by_plant(poses: list[PoseSeries], plant: NDArray[np.void], period_s: float) -> PoseSeries | None:
+    """The true pose against the desired one of whichever arm logged that tick; None when no tick is in both logs.
+
+    Rows are matched by sequence number.  Raises ValueError when the numbers do not mean the same instants.
+    """
+    if not poses:
+        return None
+    every = np.concatenate([s.sequence for s in poses])
+    wanted, where, number = np.unique(every, return_index=True, return_inverse=True)
+    common, at, rows = np.intersect1d(wanted, plant["sequence"], assume_unique=True, return_indices=True)
+    if not len(common):
+        return None
+    pick = where[at]
+
+    def of_arms(name: str) -> Array:
+        return np.concatenate([getattr(s, name) for s in poses])[pick]
+
+    t, true = of_arms("t"), plant[rows]
+    apart = np.abs(t - true["t"])
+    if not np.nanmax(apart, initial=0.0) < TIME_AGREEMENT * period_s:
+        raise ValueError(f"plant and agent rows of one sequence number are up to {np.nanmax(apart):.6f} s apart")
+    p_des, quat_des = of_arms("p_des"), of_arms("quat_des")
+    p, quat = column(true, "p_object"), column(true, "quat_object")
+    e_xi = _with_sign_of(of_arms("e_xi")[:, 0], attitude_error(quat_des, quat))
+    tracking = np.ones(len(wanted), dtype=bool)  # of all arms that logged the tick
+    np.logical_and.at(tracking, number, np.concatenate([s.tracking for s in poses]))
+    return PoseSeries("plant", common, t, p_des, quat_des, p, quat, p - p_des, e_xi, tracking[at])
+
+
+def _with_sign_of(e_eta: Array, e_xi: Array) -> Array:
+    # e_ξ and −e_ξ are one rotation; the figures show the one the law worked with
+    return np.where((e_eta * e_xi[:, 0] < 0.0)[:, None], -e_xi, e_xi)
+
+
+# ------------------------------------------------------------------------------------------------- rows that are absent
+
+
+def missing_ranges(sequence: NDArray[np.uint64], ticks: int) -> list[tuple[int, int]]:
+    """First and last number of every stretch of 0 … ticks−1 that is not in the sorted, unique `sequence`."""
+    edges = np.concatenate([[-1], sequence[sequence < ticks].astype(np.int64), [ticks]])
+    jumps = np.flatnonzero(np.diff(edges) > 1)
+    return [(int(edges[i]) + 1, int(edges[i + 1]) - 1) for i in jumps]
+
+
+def internal_wrenches(wrenches: Array, quat: Array, p_object_ee: Array | None) -> Array:
+    """Internal part of the grasp wrenches, (I − G* Gᵀ) f, `(k, N, 6)`; moments are NaN without the grasp offsets.
+
+    G* = (1/N) [J_O1⁻¹ … J_ON⁻¹]ᵀ, the paper's equal-share generalised inverse: every arm is charged 1/N of the
+    wrench on the object's centre of mass, carried to its own end effector; what is left moves nothing.
+    With J_O = [[I, S(p)], [0, I]] and p = p_O/E:  Jᵀ[f; m] = [f; m − p × f],  J⁻ᵀ[F; M] = [F; M + p × F].
+    `wrenches` `(k, N, 6)` at the end effectors in world axes, `quat` `(k, 4)` of the object, `p_object_ee` `(N, 3)`.
+    """
+    internal = np.full_like(wrenches, np.nan)
+    force, moment = wrenches[:, :, :3], wrenches[:, :, 3:]
+    share_force = force.mean(axis=1, keepdims=True)
+    internal[:, :, :3] = force - share_force
+    if p_object_ee is None:
+        return internal
+    arm_count = wrenches.shape[1]
+    p = np.stack([-rotate(quat, p_object_ee[i]) for i in range(arm_count)], axis=1)
+    share_moment = (moment - np.cross(p, force)).mean(axis=1, keepdims=True)
+    internal[:, :, 3:] = moment - (share_moment + np.cross(p, share_force))
+    return internal
