@@ -1,0 +1,252 @@
+"""The ring's file: header, geometry, lock.  Knows nothing of who writes or reads rows, and never repairs a file.
+
+    0     static header: magic, version, geometry, layout hash, ring id, writer pid, creation time, CRC32, label (JSON)
+    1024  rows written          \\
+    1088  finished flag          > one cache line each, native 64-bit words
+    1152  rows acknowledged     /
+    4096  slots: row index + 1 (u8), CRC32 (u4), message; the message's payload lies on a multiple of 8 bytes
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import json
+import mmap
+import os
+import struct
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Protocol
+
+import numpy as np
+
+from drivers.interface import Refusal
+
+MAGIC: Final = b"COOPRING"
+VERSION: Final = 1
+SLOTS_OFFSET: Final = 4096
+WRITTEN_WORD: Final = 1024 // 8
+FINISHED_WORD: Final = 1088 // 8
+ACKNOWLEDGED_WORD: Final = 1152 // 8
+MESSAGE_IN_SLOT: Final = 12  # index (8) + CRC (4); with a 4-byte encapsulation header the payload starts at 16
+MAX_FILE_BYTES: Final = 1 << 30
+
+_STATIC: Final = struct.Struct("<8sIIII32sQqI")  # magic version row_bytes stride slots layout ring_id created_ns pid
+_LABEL_OFFSET: Final = _STATIC.size + 8  # CRC32 and label length lie between
+_LABEL_MAX: Final = 1024 - _LABEL_OFFSET
+_CACHE_LINE: Final = 64
+
+
+class RingError(Refusal):
+    """The ring file cannot be used as it is."""
+
+
+class RowFormat(Protocol):
+    """What a ring needs to know of its rows; `sample.Layout` is one."""
+
+    @property
+    def ros_name(self) -> str:
+        """Name of the message."""
+        ...
+
+    @property
+    def dtype(self) -> np.dtype[np.void]:
+        """Packed dtype of one row, a 4-byte encapsulation header first."""
+        ...
+
+    @property
+    def definition(self) -> str:
+        """Text that changes whenever the layout does."""
+        ...
+
+
+def layout_hash(row_format: RowFormat) -> bytes:
+    """SHA-256 (32 bytes) of the name and definition of a layout: equal exactly when rows are exchangeable."""
+    return hashlib.sha256(f"{row_format.ros_name}\n{row_format.definition}".encode()).digest()
+
+
+@dataclass(frozen=True, slots=True)
+class RingHeader:
+    """The static part of the file, written once before the file gets its name."""
+
+    row_bytes: int
+    stride: int
+    slots: int
+    layout: bytes
+    ring_id: int  # random; tells two runs of the same agent apart
+    created_ns: int  # UTC
+    pid: int
+    name: str  # arm, or "plant"
+    joints: tuple[str, ...]
+
+    @property
+    def file_bytes(self) -> int:
+        """Size of the whole file."""
+        return SLOTS_OFFSET + self.slots * self.stride
+
+    def pack(self) -> bytes:
+        """The bytes of the header.  Raises RingError when the label is too long."""
+        static = _STATIC.pack(
+            MAGIC, VERSION, self.row_bytes, self.stride, self.slots,
+            self.layout, self.ring_id, self.created_ns, self.pid,
+        )  # fmt: skip
+        label = json.dumps({"name": self.name, "joints": self.joints}).encode()
+        if len(label) > _LABEL_MAX:
+            raise RingError(
+                "ring label too long",
+                found=f"{len(label)} bytes",
+                expected=f"at most {_LABEL_MAX}",
+                remedy="use shorter joint names",
+            )
+        return static + struct.pack("<II", zlib.crc32(label, zlib.crc32(static)), len(label)) + label
+
+    @classmethod
+    def unpack(cls, path: Path, data: bytes) -> RingHeader:
+        """Header of `data`, the first bytes of the file.  Raises RingError on anything that is not a ring of ours."""
+        if len(data) < SLOTS_OFFSET or data[:8] != MAGIC:
+            raise RingError(
+                f"{path} is not a telemetry ring",
+                found=f"{len(data)} bytes starting {data[:8]!r}",
+                expected=f"{MAGIC!r}",
+                remedy="give the path the agent printed at its start",
+            )
+        _, version, row_bytes, stride, slots, layout, ring_id, created_ns, pid = _STATIC.unpack_from(data)
+        crc, label_bytes = struct.unpack_from("<II", data, _STATIC.size)
+        label = data[_LABEL_OFFSET : _LABEL_OFFSET + min(label_bytes, _LABEL_MAX)]
+        if version != VERSION:
+            raise RingError(
+                f"{path} has another version",
+                found=version,
+                expected=VERSION,
+                remedy="run agent and telemetry from one release",
+            )
+        try:
+            if zlib.crc32(label, zlib.crc32(data[: _STATIC.size])) != crc:
+                raise ValueError("checksum")
+            described = json.loads(label)
+            name, joints = str(described["name"]), tuple(str(joint) for joint in described["joints"])
+        except (ValueError, KeyError, TypeError) as error:
+            raise RingError(
+                f"{path} has a damaged header",
+                found=repr(error),
+                expected="the header of a ring",
+                remedy="restart the agent",
+            ) from error
+        return cls(row_bytes, stride, slots, layout, ring_id, created_ns, pid, name, joints)
+
+
+def make_header(
+    row_format: RowFormat, *, slots: int, name: str, joints: tuple[str, ...], created_ns: int
+) -> RingHeader:
+    """Header for a new ring of `slots` rows.  Raises RingError when the size is out of bounds."""
+    row_bytes = row_format.dtype.itemsize
+    stride = -(-(MESSAGE_IN_SLOT + row_bytes) // _CACHE_LINE) * _CACHE_LINE
+    if not 2 <= slots <= (MAX_FILE_BYTES - SLOTS_OFFSET) // stride:
+        raise RingError(
+            "ring size out of bounds",
+            found=f"{slots} slots",
+            expected=f"2 to {(MAX_FILE_BYTES - SLOTS_OFFSET) // stride}",
+            remedy="change the number of slots",
+        )
+    ring_id = int.from_bytes(os.urandom(8), "little") | 1  # never 0, which means "none" on the wire
+    return RingHeader(row_bytes, stride, slots, layout_hash(row_format), ring_id, created_ns, os.getpid(), name, joints)
+
+
+def check_format(path: Path, header: RingHeader, row_format: RowFormat, file_bytes: int) -> None:
+    """Raise RingError unless the file holds whole slots of exactly this format."""
+    if header.layout != layout_hash(row_format) or header.row_bytes != row_format.dtype.itemsize:
+        raise RingError(
+            f"{path} has another layout",
+            found=f"{header.layout.hex()[:12]}, {header.row_bytes} bytes",
+            expected=f"{layout_hash(row_format).hex()[:12]}, {row_format.dtype.itemsize} bytes ({row_format.ros_name})",
+            remedy="run agent and telemetry from one release",
+        )
+    if file_bytes < header.file_bytes or header.stride < MESSAGE_IN_SLOT + header.row_bytes or header.slots < 1:
+        raise RingError(
+            f"{path} is cut short",
+            found=f"{file_bytes} bytes",
+            expected=f"{header.file_bytes}",
+            remedy="free memory where the ring lies and restart the agent",
+        )
+
+
+def claim(path: Path, header: RingHeader) -> int:
+    """Descriptor of a new, locked, ready ring that already has its name.  Raises RingError, OSError."""
+    while True:
+        old = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o640)
+        try:
+            if not lock(old):
+                raise RingError(
+                    f"{path} has a writer already",
+                    found="its lock held by another process",
+                    expected="one agent per arm",
+                    remedy="stop that agent first",
+                )
+            if not _is_file(path, old):
+                continue  # replaced between open and lock: look again at what is there now
+            if _is_unfinished(old):
+                path.with_name(path.name + ".previous").unlink(missing_ok=True)
+                os.link(path, path.with_name(path.name + ".previous"))
+            return _create_over(path, header)
+        finally:
+            os.close(old)
+
+
+def lock(fd: int) -> bool:
+    """Take the writer's lock; False when another process holds it.  The kernel frees it when its holder dies."""
+    try:
+        fcntl.fcntl(fd, fcntl.F_OFD_SETLK, _lock_request(fcntl.F_WRLCK))
+    except BlockingIOError:
+        return False
+    return True
+
+
+def is_locked(fd: int) -> bool:
+    """Whether a writer holds the lock.  Asks without taking it, so it cannot disturb a writer that starts."""
+    answer: bytes = fcntl.fcntl(fd, fcntl.F_OFD_GETLK, _lock_request(fcntl.F_RDLCK))
+    return int(struct.unpack_from("h", answer)[0]) != fcntl.F_UNLCK
+
+
+def map_file(fd: int, size: int, *, writable: bool) -> mmap.mmap:
+    """Shared mapping of the first `size` bytes."""
+    return mmap.mmap(fd, size, access=mmap.ACCESS_WRITE if writable else mmap.ACCESS_READ)
+
+
+def _lock_request(kind: int) -> bytes:
+    return struct.pack("hhqqi4x", kind, os.SEEK_SET, 0, 0, 0)  # struct flock on 64-bit Linux: the whole file
+
+
+def _create_over(path: Path, header: RingHeader) -> int:
+    """Write a new ring beside `path` and move it there whole, so that no reader sees half a header."""
+    temporary = path.with_name(f"{path.name}.{os.getpid()}.new")
+    temporary.unlink(missing_ok=True)
+    fd = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o640)
+    try:
+        os.fchmod(fd, 0o640)
+        os.posix_fallocate(fd, 0, header.file_bytes)  # full memory is an error here, not a SIGBUS in the loop
+        os.pwrite(fd, header.pack(), 0)
+        if not lock(fd):
+            raise AssertionError("nobody else knows this file")
+        temporary.rename(path)
+    except BaseException:
+        os.close(fd)
+        temporary.unlink(missing_ok=True)
+        raise
+    return fd
+
+
+def _is_file(path: Path, fd: int) -> bool:
+    try:
+        return path.stat().st_ino == os.fstat(fd).st_ino
+    except FileNotFoundError:
+        return False
+
+
+def _is_unfinished(fd: int) -> bool:
+    head = os.pread(fd, SLOTS_OFFSET, 0)
+    if len(head) < SLOTS_OFFSET or head[:8] != MAGIC:
+        return False
+    written, finished = (struct.unpack_from("=Q", head, 8 * word)[0] for word in (WRITTEN_WORD, FINISHED_WORD))
+    return bool(written and not finished)
