@@ -107,6 +107,7 @@ class Schedule:
     period_ns: int
     ticks: int
     lockstep: bool
+    hold_at_end: bool  # after the last tick hold the object until an operator releases it (real arms)
 
 
 @dataclass
@@ -121,6 +122,7 @@ class RunSummary:
 
 
 MAX_STALE_IN_A_ROW = 3
+_COMMANDING = frozenset({Mode.TRACK, Mode.HOLD, Mode.LOWER})
 
 
 def run(
@@ -143,7 +145,7 @@ def run(
     summary = RunSummary(mode=Mode.TRACK)
     stale_in_a_row = 0
     tick = 0
-    while tick < schedule.ticks:
+    while summary.mode in _COMMANDING and (tick < schedule.ticks or schedule.hold_at_end):
         deadline_ns = schedule.zero_ns + tick * schedule.period_ns
         clock.sleep_until(deadline_ns)
         if schedule.lockstep:
@@ -184,7 +186,7 @@ def run(
         heartbeat()
 
         memory = outcome.memory
-        happened = events()
+        happened = events() | (Event.STOP if tick + 1 >= schedule.ticks and schedule.hold_at_end else Event.NONE)
         if outcome.flags & (Flag.NOT_FINITE | Flag.SINGULAR):
             happened |= Event.TROUBLE
             summary.reason = summary.reason or f"tick {tick}: {outcome.flags!r}"

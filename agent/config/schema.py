@@ -160,6 +160,7 @@ class Simulation(Strict):
     """The simulated cell; means nothing on real arms."""
 
     substeps_per_cycle: Annotated[int, Field(ge=1, le=200)] = 5
+    observe_rate_hz: Positive = 50.0  # of the truth in the log
     friction_smooth_rad_per_s: Positive = 0.01
     effects: Effects = Effects()
 

@@ -1,0 +1,92 @@
+"""A process of ours started by `coop run`: ready line, log file, end; leaves nothing running."""
+
+from __future__ import annotations
+
+import os
+import selectors
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from drivers.interface import Refusal
+
+READY = "READY "
+
+
+class ChildFailed(Refusal):
+    """A process of the run ended by itself, or did not get ready."""
+
+    exit_code = 5
+
+
+class Child:
+    """One process of the run, in a session of its own so that Ctrl-C reaches only `coop run`."""
+
+    def __init__(self, name: str, arguments: Sequence[str], log_dir: Path) -> None:
+        self.name = name
+        self.log = log_dir / f"{name}.log"
+        with self.log.open("wb") as log:
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", "agent.cli", *arguments, "--with-parent"],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=log,
+                start_new_session=True,
+            )
+
+    def wait_ready(self, timeout_s: float) -> dict[str, str]:
+        """Key-value pairs of the child's ready line.  Raises ChildFailed when it ends or stays silent."""
+        out = self.process.stdout
+        assert out is not None
+        deadline = time.monotonic() + timeout_s
+        received = b""
+        with selectors.DefaultSelector() as selector:
+            selector.register(out, selectors.EVENT_READ)
+            while b"\n" not in received:
+                if not selector.select(max(0.0, deadline - time.monotonic())):
+                    raise self.failed(f"not ready after {timeout_s:g} s")
+                chunk = os.read(out.fileno(), 4096)
+                if not chunk:
+                    self.process.wait()
+                    raise self.failed("ended before it was ready")
+                received += chunk
+        line = received.partition(b"\n")[0].decode()
+        return dict(pair.split("=", 1) for pair in line.removeprefix(READY).split())
+
+    def failed(self, what: str) -> ChildFailed:
+        """The error that tells of this child's end, with its last words."""
+        last = self.last_words()
+        return ChildFailed(
+            self.name,
+            found=f"{what} (exit code {self.process.poll()})" + (f": {last}" if last else ""),
+            expected="a process that runs to the end",
+            remedy=f"its log is {self.log}",
+        )
+
+    def last_words(self) -> str:
+        """Last line that the child wrote to its log, without the program's own prefix."""
+        lines = self.log.read_text(errors="replace").strip().splitlines()
+        return lines[-1].removeprefix("coop: ") if lines else ""
+
+    def terminate(self) -> None:
+        """Ask for an end; nothing happens when it has ended."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGTERM)
+
+    def wait(self, timeout_s: float) -> int | None:
+        """Exit code, or None when it still runs after the time."""
+        try:
+            return self.process.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            return None
+
+    def kill(self) -> None:
+        """End it at once, whatever it is doing."""
+        if self.process.poll() is None:
+            self.process.kill()
+        self.process.wait()
+        if self.process.stdout is not None:
+            self.process.stdout.close()

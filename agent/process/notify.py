@@ -1,0 +1,43 @@
+"""Readiness and life signs to the service manager (sd_notify); does nothing where there is none, never blocks."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+
+
+class Notifier:
+    """Datagrams to $NOTIFY_SOCKET; silent outside systemd."""
+
+    def __init__(self, address: str | None = None) -> None:
+        path = address if address is not None else os.environ.get("NOTIFY_SOCKET", "")
+        self._socket: socket.socket | None = None
+        if path:
+            self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
+            self._socket.connect("\0" + path[1:] if path.startswith("@") else path)
+            self._socket.setblocking(False)
+
+    def send(self, state: str) -> None:
+        """Send one state line, e.g. "READY=1"; a full queue loses it, which the watchdog interval allows for."""
+        if self._socket is not None:
+            with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
+                self._socket.send(state.encode())
+
+    def ready(self, status: str) -> None:
+        """Tell that start-up is over, with a line for `systemctl status`."""
+        self.send(f"READY=1\nSTATUS={status}")
+
+    def alive(self) -> None:
+        """Stroke the watchdog."""
+        self.send("WATCHDOG=1")
+
+    def stopping(self, status: str) -> None:
+        """Tell that the process is on its way out."""
+        self.send(f"STOPPING=1\nSTATUS={status}")
+
+    def close(self) -> None:
+        """Give the socket back; twice is fine."""
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None

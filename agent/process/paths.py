@@ -1,0 +1,25 @@
+"""Where the processes of one host meet when nobody says otherwise; names only, creates nothing."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+
+def runtime_dir(cell: str) -> Path:
+    """$RUNTIME_DIRECTORY of the service, else /run/user/UID or /tmp, one folder per cell."""
+    service = os.environ.get("RUNTIME_DIRECTORY")
+    if service:
+        return Path(service.split(":")[0])
+    base = os.environ.get("XDG_RUNTIME_DIR") or f"/tmp/coop-{os.getuid()}"
+    return Path(base) / "coop" / cell
+
+
+def ring_path(cell: str, name: str) -> Path:
+    """Ring of an arm or of the plant."""
+    return runtime_dir(cell) / f"{name}.ring"
+
+
+def plant_socket_path(cell: str) -> Path:
+    """Socket of the simulated cell."""
+    return runtime_dir(cell) / "plant.sock"

@@ -1,0 +1,40 @@
+"""Signals as flags that a loop can ask for; never acts inside a handler."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+from types import FrameType
+
+PR_SET_PDEATHSIG = 1
+
+
+class StopFlag:
+    """Remembers that a stop (SIGTERM, SIGINT) or a release (SIGUSR1) was asked for; install it before opening anything."""
+
+    def __init__(self) -> None:
+        self.stopped = False
+        self.released = False
+        signal.signal(signal.SIGTERM, self._stop)
+        signal.signal(signal.SIGINT, self._stop)
+        signal.signal(signal.SIGUSR1, self._release)
+
+    def _stop(self, number: int, frame: FrameType | None) -> None:
+        del number, frame
+        self.stopped = True
+
+    def _release(self, number: int, frame: FrameType | None) -> None:
+        del number, frame
+        self.released = True
+
+    def __call__(self) -> bool:
+        """Whether a stop was asked for."""
+        return self.stopped
+
+
+def die_with_parent() -> None:
+    """Ask the kernel for SIGTERM when the parent dies, so that `coop run` never leaves a process behind."""
+    if os.getppid() == 1:
+        raise SystemExit("the process that started this one is gone")
+    ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)

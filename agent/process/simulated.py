@@ -1,0 +1,77 @@
+"""The simulated cell's description, built from the cell file; the plant loads its own models from it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from agent.config.cell import Arm, Cell
+from agent.config.schema import Effects
+from drivers.dynamixel.table import PWM_UNIT_DUTY, RATED_VOLTAGE_V, TICK_RAD, VELOCITY_UNIT_RAD_PER_S
+from drivers.interface import Vector
+from sim_backend.actuator import ActuatorSpec
+from sim_backend.spec import ArmSpec, ObjectSpec, PlantSpec
+
+
+def plant_spec(cell: Cell, q_start: Sequence[Vector]) -> PlantSpec:
+    """Plant of the cell with all arms at q_start and the object at its start pose."""
+    obj = cell.file.object
+    return PlantSpec(
+        arms=tuple(_arm_spec(cell, arm, q) for arm, q in zip(cell.arms, q_start, strict=True)),
+        object=ObjectSpec(
+            obj.mass_kg, np.array(obj.inertia_kg_m2.matrix()), np.array(obj.p_start_m), np.array(obj.quat_start)
+        ),
+        gravity=cell.gravity,
+        substep_s=1.0 / cell.file.rate_hz / cell.file.simulation.substeps_per_cycle,
+    )
+
+
+def _arm_spec(cell: Cell, arm: Arm, q_start: Vector) -> ArmSpec:
+    return ArmSpec(
+        name=arm.name,
+        urdf_xml=arm.urdf_xml,
+        controlled=tuple(arm.entry.controlled),
+        locked_rad=arm.entry.locked_rad,
+        T_world_base=arm.T_world_base,
+        ee_frame=arm.file.ee_frame,
+        T_object_ee=arm.T_object_ee,
+        q_start=q_start,
+        rotor_inertia=arm.rotor_inertia,
+        actuator=actuator_spec(cell, arm),
+    )
+
+
+def actuator_spec(cell: Cell, arm: Arm) -> ActuatorSpec:
+    """What the arm's servos add, as far as the cell switches it on."""
+    effects: Effects = cell.file.simulation.effects
+    n, zero = arm.n, np.zeros(arm.n)
+    infinite = np.full(n, np.inf)
+    return ActuatorSpec.of(
+        n,
+        delay_cycles=effects.delay_cycles,
+        tau_max_Nm=arm.tau_stall_Nm * cell.file.safety.tau_max_fraction_of_stall,
+        torque_lsb_Nm=_torque_lsb(arm) if effects.torque_quantisation else zero,
+        torque_scale=1.0 + effects.torque_constant_error,
+        stall_Nm=arm.tau_stall_Nm if effects.saturation else infinite,
+        no_load_rad_s=np.array([m.no_load_rad_per_s for m in arm.servo_models]) if effects.saturation else infinite,
+        coulomb_Nm=np.array([s.coulomb_Nm.value for s in arm.servos]) if effects.friction else zero,
+        viscous_Nms_rad=np.array([s.viscous_Nm_s_per_rad.value for s in arm.servos]) if effects.friction else zero,
+        coulomb_speed_rad_s=cell.file.simulation.friction_smooth_rad_per_s,
+        position_lsb_rad=TICK_RAD if effects.position_quantisation else 0.0,
+        velocity_lsb_rad_s=VELOCITY_UNIT_RAD_PER_S if effects.velocity_quantisation else 0.0,
+    )
+
+
+def _torque_lsb(arm: Arm) -> Vector:
+    """(n,) N·m per step of goal current, or of goal PWM where a servo has no current mode."""
+    steps = []
+    for servo, model in zip(arm.servos, arm.servo_models, strict=True):
+        if model.current_unit_mA is not None and model.has_current_mode:
+            constant = servo.torque_constant_Nm_per_A
+            per_ampere = constant.value if constant is not None else model.torque_constant_Nm_per_A
+            step = model.current_unit_mA * 1e-3 * per_ampere
+        else:
+            step = PWM_UNIT_DUTY * RATED_VOLTAGE_V * model.stall_torque_Nm_per_V
+        steps.append(step * len(servo.ids))
+    return np.array(steps)
