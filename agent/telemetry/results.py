@@ -180,6 +180,11 @@ class Results:
         return Verdict.NOT_SHOWN if partial or math.isnan(value) else Verdict.MET
 
     @property
+    def within_bounds(self) -> bool:
+        """True when every bound that the cell sets is shown to be met; also true where it sets none."""
+        return all(self.verdict(bounded) is Verdict.MET for bounded in self.info.bounds)
+
+    @property
     def worst_torque(self) -> tuple[float, str, str]:
         """Largest peak torque as a fraction of stall, with its arm and joint; (NaN, "", "") without any."""
         every = [
@@ -209,7 +214,7 @@ class Results:
         """Every figure by its dotted name, such as `arms.left.joints.elbow.peak_torque_Nm`."""
         found = dict(flatten(self))
         units = units_of(PoseErrors)
-        for name in _HEADLINE:
+        for name in HEADLINE:
             found[name] = Quantity(self.headline(name), units[name].unit, units[name].better)
         found["peak_torque_fraction.worst"] = Quantity(self.worst_torque[0], "", Better.LOWER)
         found["late_cycles"] = Quantity(float(self.late_cycles), "", Better.LOWER)
@@ -234,7 +239,7 @@ class Results:
             "duration_s": info.duration_s,
             "transient_s": info.transient_s,
             "error_source": self.error_source,
-            **{name: self.headline(name) for name in _HEADLINE},
+            **{name: self.headline(name) for name in HEADLINE},
             "bounds": {b.value: bound for b, bound in info.bounds.items()},
             "verdicts": {name: v.value for name, v in verdicts.items() if v},
             "peak_torque_fraction": torque | {"worst": {"value": value, "arm": arm, "joint": joint}},
@@ -256,7 +261,7 @@ class Results:
         return out
 
 
-_HEADLINE: Final = (
+HEADLINE: Final = (
     "max_position_error_m",
     "max_attitude_error_rad",
     "rms_position_error_m",
