@@ -27,7 +27,7 @@ from agent.telemetry.series import Array, PoseSeries, column, joint_columns, mis
 if TYPE_CHECKING:
     from agent.telemetry.read import RunLog
 
-LATE_FRACTION: Final = 0.1  # of a period: a cycle that begins later than this is counted as late
+LATE_PERIODS: Final = 1.0  # a cycle that begins later than this many periods is late, as agent.loop counts them
 LIMITED_Nm: Final = 1e-9  # safety changed a torque when it differs from the command by more than rounding
 AT_LIMIT_FRACTION: Final = 0.999  # of tau_max: a torque above it is at its limit
 NAN: Final = float("nan")
@@ -52,6 +52,7 @@ def summarise_prepared(run: Prepared) -> Results:
     for errors in [*by_arm.values(), *([by_plant] if by_plant else [])]:
         missing += _complaints(errors, info)
     rows = {arm.name: _completeness(run, arm.name) for arm in info.arms}
+    factor = _real_time_factor(run, missing)
     return Results(
         info=info,
         complete=run.log.complete and all(not c.gaps for c in rows.values()),
@@ -60,7 +61,7 @@ def summarise_prepared(run: Prepared) -> Results:
         arms={arm.name: _arm(arm, run) for arm in run.arms},
         rows=rows,
         arm_disagreement_m=_disagreement(list(run.poses.values()), info),
-        real_time_factor=_real_time_factor(list(run.rows.values())),
+        real_time_factor=factor,
         events=len(run.log.events),
         missing=tuple(missing),
     )
@@ -155,7 +156,7 @@ def _arm(arm: RunArm, run: Prepared) -> ArmResults:
         modes=_modes(rows),
         flags={flag.name or "": int(np.sum(rows["flags"] & flag.value != 0)) for flag in Flag if flag},
         joints=_joints(arm, rows, period_s),
-        late_cycles=int(np.sum(late > LATE_FRACTION * period_s)),
+        late_cycles=int(np.sum(late > LATE_PERIODS * period_s)),
         overruns=int(np.sum(late + work > period_s)),
         timing={f: Spread.of(column(rows, f)) for f in ("late_s", "read_s", "step_s", "write_s")},
         bus={f: int(rows[f][-1]) for f in ("bus_timeouts", "bus_corrupt", "bus_alerts", "bus_retries")},
@@ -233,12 +234,27 @@ def _modes(rows: NDArray[np.void]) -> tuple[tuple[float, str], ...]:
     return tuple((float(rows["t"][i]), known.get(int(rows["mode"][i]), f"mode {rows['mode'][i]}")) for i in changes)
 
 
-def _real_time_factor(every: list[NDArray[np.void]]) -> float:
+def _real_time_factor(run: Prepared, missing: list[str]) -> float:
+    """Time of the run over wall time, of the slowest arm.
+
+    From the recorder's `wall_s` where the log has it, otherwise from the rows' UTC.  In simulation that UTC may be
+    mapped from the simulated clock; then it says nothing of the wall, and the factor is not known.
+    """
+    spans = {name: float(rows["t"][-1] - rows["t"][0]) for name, rows in run.rows.items() if len(rows) > 1}
+    if not spans:
+        return NAN
+    wall = run.log.metadata.get("run", {}).get("wall_s")
+    if wall is not None:
+        return max(spans.values()) / float(wall)
     factors = []
-    for rows in every:
-        wall_ns = int(rows["utc_ns"][-1]) - int(rows["utc_ns"][0]) if len(rows) > 1 else 0
-        if wall_ns > 0:
-            factors.append(float(rows["t"][-1] - rows["t"][0]) / (wall_ns * 1e-9))
+    for name, span in spans.items():
+        rows = run.rows[name]
+        utc_ns, stamp_ns = (int(rows[f][-1]) - int(rows[f][0]) for f in ("utc_ns", "stamp_ns"))
+        if run.info.driver == "sim" and utc_ns == stamp_ns:
+            missing.append("the real-time factor is not known: UTC in the rows follows the simulated clock")
+            return NAN
+        if utc_ns > 0:
+            factors.append(span / (utc_ns * 1e-9))
     return min(factors, default=NAN)
 
 

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import base64
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
+from datetime import UTC, datetime
 from html import escape
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from agent.telemetry.gallery import Picture
 from agent.telemetry.results import Results, Verdict
 from agent.telemetry.tables import Line, Table, lines, tables
+
+if TYPE_CHECKING:
+    from agent.telemetry.event import Event
 
 STYLE: Final = """
 :root { color-scheme: light; --ink: #1d2125; --dim: #5c636b; --rule: #dfe3e8; --good: #1c6b32; --bad: #b3261e; }
@@ -39,8 +43,8 @@ code { font: .86em ui-monospace, "DejaVu Sans Mono", monospace; overflow-wrap: a
 WORDS: Final = {Verdict.MET: "✓ met", Verdict.NOT_MET: "✗ not met", Verdict.NOT_SHOWN: "? not shown"}
 
 
-def render(results: Results, images: Sequence[tuple[Picture, bytes]], events: Iterable[Mapping[str, Any]]) -> str:
-    """The whole page; `images` are the PNGs in their order, `events` the log's events as plain mappings."""
+def render(results: Results, images: Sequence[tuple[Picture, bytes]], events: Sequence[Event]) -> str:
+    """The whole page; `images` are the PNGs in their order, `events` those of the log."""
     info = results.info
     title = f"Run of {info.cell}"
     body = [
@@ -51,7 +55,7 @@ def render(results: Results, images: Sequence[tuple[Picture, bytes]], events: It
         "<h2>Figures</h2>" if images else "",
         *(_figure(picture, png) for picture, png in images),
         *(_table(table) for table in tables(results)),
-        _events(list(events)),
+        _events(events),
         _provenance(results),
     ]
     return (
@@ -117,12 +121,17 @@ def _symbols(text: str) -> str:
     return re.sub(r"\b([eu])_(\w)\b", r"<i>\1</i><sub>\2</sub>", escape(text))
 
 
-def _events(events: Sequence[Mapping[str, Any]]) -> str:
+def _events(events: Sequence[Event]) -> str:
     if not events:
         return "<h2>Events</h2><p>None.</p>"
-    columns = tuple(dict.fromkeys(key for event in events for key in event))
-    rows = tuple(tuple(_cell(event.get(key)) for key in columns) for event in events)
-    return _table(Table("Events", tuple(c.replace("_", " ") for c in columns), rows, words=True))
+
+    def row(event: Event) -> tuple[str, ...]:
+        utc = datetime.fromtimestamp(event.utc_ns * 1e-9, UTC).isoformat(" ", "milliseconds").removesuffix("+00:00")
+        data = ", ".join(f"{k} {_cell(v)}" for k, v in event.data.items())
+        return utc, event.source, event.level.name, event.text, data
+
+    header = ("UTC", "source", "level", "what", "figures")
+    return _table(Table("Events", header, tuple(row(event) for event in events), words=True))
 
 
 def _provenance(results: Results) -> str:

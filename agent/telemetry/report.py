@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from rich import box
 from rich.table import Table
@@ -58,7 +57,7 @@ def write_report(log: RunLog, out_dir: Path) -> ReportFiles:
         with tempfile.TemporaryDirectory(prefix=".report-", dir=out_dir) as name:
             draft = Path(name)
             images = [(p, save_png(p.draw(), draft / f"{p.stem}.png")) for p in pictures(run)]
-            page = render(results, images, [_plain_event(e) for e in log.events])
+            page = render(results, images, log.events)
             (draft / PAGE).write_text(page, encoding="utf-8")
             content = json.dumps(results.to_json(), indent=2, ensure_ascii=False, allow_nan=False)
             (draft / RESULTS).write_text(content + "\n", encoding="utf-8")
@@ -86,7 +85,3 @@ def terminal_table(results: Results) -> Table:
         verdict = "" if row.verdict is None else f"[{COLOURS[row.verdict]}]{WORDS[row.verdict]}[/]"
         table.add_row(row.what, row.figure, row.bound, verdict)
     return table
-
-
-def _plain_event(event: Any) -> Mapping[str, Any]:
-    return dataclasses.asdict(event)

@@ -156,7 +156,10 @@ def test_bounds_give_verdicts() -> None:
     results = summarise(log)
     assert results.verdict(Bounded.POSITION) is Verdict.NOT_MET
     assert results.verdict(Bounded.ATTITUDE) is Verdict.MET
-    assert summarise(small_run(bounds={})).verdict(Bounded.POSITION) is None
+    assert not results.within_bounds
+    unbounded = summarise(small_run(bounds={}))
+    assert unbounded.verdict(Bounded.POSITION) is None
+    assert unbounded.within_bounds
 
 
 def test_rows_that_are_no_numbers_are_said_and_leave_the_bound_open() -> None:
@@ -288,11 +291,11 @@ def test_flags_are_counted_by_name() -> None:
 def test_late_cycles_and_overruns() -> None:
     log = small_run()
     rows = log.agents["left"]
-    rows["late_s"][:3] = 0.11 / RATE_HZ
+    rows["late_s"][:3], rows["late_s"][3] = 1.01 / RATE_HZ, 0.99 / RATE_HZ
     rows["step_s"][10:12] = 1.5 / RATE_HZ
     results = summarise(log)
     assert results.arms["left"].late_cycles == results.late_cycles == 3
-    assert results.arms["left"].overruns == 2
+    assert results.arms["left"].overruns == 5
 
 
 def test_percentiles_of_the_loop() -> None:
@@ -306,6 +309,21 @@ def test_percentiles_of_the_loop() -> None:
 
 def test_real_time_factor_is_run_time_over_wall_time() -> None:
     assert summarise(small_run()).real_time_factor == pytest.approx(2.0)
+
+
+def test_real_time_factor_of_simulated_utc_is_not_known_and_said() -> None:
+    log = small_run()
+    for rows in log.agents.values():
+        rows["utc_ns"] = 1_800_000_000_000_000_000 + rows["stamp_ns"]
+    results = summarise(log)
+    assert math.isnan(results.real_time_factor)
+    assert any("follows the simulated clock" in text for text in results.missing)
+
+
+def test_real_time_factor_of_the_recorder_comes_first() -> None:
+    log = small_run()
+    log.metadata["run"] = {"wall_s": "0.1"}
+    assert summarise(log).real_time_factor == pytest.approx((TICKS - 1) / RATE_HZ / 0.1)
 
 
 def test_unwinding_is_seen_in_the_sign_of_e_eta() -> None:

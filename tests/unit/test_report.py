@@ -5,13 +5,13 @@ from __future__ import annotations
 import base64
 import json
 import resource
-from dataclasses import dataclass
 from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
 from rich.console import Console
 
+from agent.telemetry.event import Event, Level
 from agent.telemetry.report import ReportError, ReportFiles, terminal_table, write_report
 from tests.unit.synthetic_run import Log, paper_run, spatial_run
 
@@ -53,21 +53,12 @@ def read_page(path: Path) -> Page:
     return page
 
 
-@dataclass(frozen=True)
-class Trouble:
-    """Stands for the log's event record: any dataclass is shown."""
-
-    arm: str
-    what: str
-    value: float
-    limit: float
-    remedy: str
-
-
 @pytest.fixture(scope="module")
 def written(tmp_path_factory: pytest.TempPathFactory) -> ReportFiles:
     log = paper_run(Path("run.mcap"), duration_s=25.0, adaptive=True)
-    log.events.append(Trouble("left", "torque <limited>", 3.25, 3.0, "lower k_p & wait"))
+    log.events.append(
+        Event(1_800_000_001_500_000_000, "left", Level.WARN, "torque <limited>: lower k_p & wait", {"tau_Nm": 3.25})
+    )
     return write_report(log, tmp_path_factory.mktemp("report") / "new" / "folder")
 
 
