@@ -1,0 +1,55 @@
+"""The cell's plant as the world of emulated servos.  Must never add physics of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from sim_backend.actuator import ActuatorSpec
+from sim_backend.plant import Plant
+from sim_backend.spec import PlantSpec
+
+
+def without_servo_electronics(spec: PlantSpec) -> PlantSpec:
+    """Return the plant's specification with friction kept and all else that emulated servos bring themselves removed.
+
+    Delay, command resolution, torque limit, back-EMF and quantised readings come from the servos; a wrong torque
+    constant (`torque_scale`) and friction stay with the plant.
+    """
+
+    def bare(actuator: ActuatorSpec) -> ActuatorSpec:
+        return ActuatorSpec.of(
+            actuator.joint_count,
+            torque_scale=actuator.torque_scale,
+            coulomb_Nm=actuator.coulomb_Nm,
+            viscous_Nms_rad=actuator.viscous_Nms_rad,
+            coulomb_speed_rad_s=actuator.coulomb_speed_rad_s,
+        )
+
+    return replace(spec, arms=tuple(replace(arm, actuator=bare(arm.actuator)) for arm in spec.arms))
+
+
+class PlantWorld:
+    """The closed chain of sim_backend.plant.  Build the plant from `without_servo_electronics`."""
+
+    def __init__(self, plant: Plant) -> None:
+        self.plant = plant
+        self.substep_s = plant.spec.substep_s
+        self.tau_Nm = np.zeros(plant.joint_count)
+
+    def state(self, arm: int) -> tuple[Sequence[float], Sequence[float]]:
+        """Positions and velocities of an arm's controlled joints, in the order of its specification."""
+        joints = self.plant.slices[arm]
+        q: list[float] = self.plant.q[joints].tolist()
+        dq: list[float] = self.plant.dq[joints].tolist()
+        return q, dq
+
+    def apply(self, arm: int, tau_Nm: Sequence[float]) -> None:
+        """Set the torques of an arm's servos."""
+        self.tau_Nm[self.plant.slices[arm]] = tau_Nm
+
+    def advance(self) -> None:
+        """Let one substep pass.  Raises PlantError when the motion is no longer finite."""
+        self.plant.advance(self.tau_Nm, 1)

@@ -1,0 +1,195 @@
+"""Serve emulated arms on pseudo terminals in real time: `coop emulate CELL`.
+
+One loop for the whole cell: wait for bytes or the next due time, let physics catch up, answer.  It must never hold up
+one arm for another, and never runs servos faster or slower than the clock.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import select
+import socket
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from drivers.interface import Refusal
+from sim_backend.wire.cell import EmulatedCell
+from sim_backend.wire.faults import parse_lines
+from sim_backend.wire.injector import Injector, by_arm
+from sim_backend.wire.pty import PtyPort
+
+log = logging.getLogger(__name__)
+
+TICK_NS = 1_000_000  # physics and watchdogs are looked after at least this often
+STALL_NS = 20_000_000  # a loop later than this was not running itself: bytes that wait count before watchdogs do
+COMMAND_BYTES = 65536
+CLEAR = "clear"  # ends all faults
+
+
+class Stop(Protocol):
+    """Tells the loop to end."""
+
+    def is_set(self) -> bool:
+        """True when it must end."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class ServeOptions:
+    """Where the ports appear and where faults come from."""
+
+    ports: Mapping[str, Path]  # arm -> path of its port
+    faults_file: Path | None = None  # JSON lines, times from the start of serving
+    control_socket: Path | None = None  # Unix datagram socket: JSON lines or "clear", times from arrival
+    seed: int = 0
+
+
+class _Endpoint:
+    """One arm on its port."""
+
+    def __init__(self, cell: EmulatedCell, index: int, port: PtyPort, seed: int) -> None:
+        self.arm = cell.arms[index]
+        self.port = port
+        self.injector = Injector(self.arm, port, seed)
+
+    def receive(self, now_ns: int) -> None:
+        """Take what the client wrote."""
+        port = self.port
+        if port.present and not self.injector.stalled:
+            data = port.read()
+            if data:
+                self.arm.bus.receive(data, now_ns, port.baud())
+
+    def send(self, now_ns: int) -> None:
+        """Give the client what is due."""
+        data = self.arm.bus.take(now_ns)
+        if data and self.port.present:
+            self.port.write(data)
+
+
+class Server:
+    """The loop's state.  Use as a context: ports exist inside it."""
+
+    def __init__(self, cell: EmulatedCell, options: ServeOptions, clock_ns: Callable[[], int]) -> None:
+        self.cell = cell
+        self.options = options
+        self.laps = 0
+        self._clock_ns = clock_ns
+        self._endpoints = [
+            _Endpoint(cell, index, PtyPort(options.ports[arm.name]), options.seed + index)
+            for index, arm in enumerate(cell.arms)
+        ]
+        self._injectors = {endpoint.arm.name: endpoint.injector for endpoint in self._endpoints}
+        self._control: socket.socket | None = None
+        self._last_tick_ns = clock_ns()
+
+    def __enter__(self) -> Server:
+        """Create the ports.  Raises OSError, FaultError."""
+        faults = parse_lines(self.options.faults_file.read_text()) if self.options.faults_file else []
+        with contextlib.ExitStack() as undo:
+            undo.callback(self.close)
+            for endpoint in self._endpoints:
+                endpoint.port.appear()
+            path = self.options.control_socket
+            if path is not None:
+                path.unlink(missing_ok=True)
+                self._control = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+                self._control.setblocking(False)
+                self._control.bind(str(path))
+            by_arm(self._injectors, faults, self._clock_ns())
+            undo.pop_all()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Remove ports and socket.  Safe twice."""
+        for endpoint in self._endpoints:
+            endpoint.port.vanish()
+        if self._control is not None and self.options.control_socket is not None:
+            self._control.close()
+            self.options.control_socket.unlink(missing_ok=True)
+            self._control = None
+
+    def lap(self) -> None:
+        """Wait for bytes or the next due time, then do all that is due."""
+        self.laps += 1
+        self._wait()
+        now_ns = self._clock_ns()
+        self.cell.advance_to(now_ns)
+        ticking = now_ns - self._last_tick_ns >= TICK_NS
+        stalled = now_ns - self._last_tick_ns > STALL_NS
+        if ticking:
+            self._last_tick_ns = now_ns
+            self._tick(now_ns)
+        for endpoint in self._endpoints:
+            if ticking and not stalled:
+                self._watchdogs(endpoint, now_ns)
+            endpoint.receive(now_ns)
+            endpoint.send(now_ns)
+
+    def command(self, text: str) -> None:
+        """Carry out fault commands now.  Raises FaultError."""
+        now_ns = self._clock_ns()
+        if text.strip() == CLEAR:
+            for injector in self._injectors.values():
+                injector.clear(now_ns)
+        else:
+            by_arm(self._injectors, parse_lines(text), now_ns)
+
+    def _tick(self, now_ns: int) -> None:
+        for endpoint in self._endpoints:
+            endpoint.injector.tick(now_ns)
+            if endpoint.port.present:
+                endpoint.port.forget_exclusive()
+        if self._control is not None:
+            self._read_commands(self._control)
+
+    def _watchdogs(self, endpoint: _Endpoint, now_ns: int) -> None:
+        fired = endpoint.arm.bus.tick(now_ns)
+        if fired:
+            log.warning("arm %s: the bus watchdog of %d servos fired", endpoint.arm.name, fired)
+
+    def _wait(self) -> None:
+        """Sleep until a client writes, a reply is due or the next tick."""
+        due_ns = self._last_tick_ns + TICK_NS
+        files: list[PtyPort] = []
+        for endpoint in self._endpoints:
+            reply_ns = endpoint.arm.bus.due_ns()
+            if reply_ns is not None and reply_ns < due_ns:
+                due_ns = reply_ns
+            if endpoint.port.present and not endpoint.injector.stalled:
+                files.append(endpoint.port)
+        remaining_ns = due_ns - self._clock_ns()
+        select.select(files, (), (), max(0, remaining_ns) * 1e-9)
+
+    def _read_commands(self, control: socket.socket) -> None:
+        while True:
+            try:
+                data, sender = control.recvfrom(COMMAND_BYTES)
+            except BlockingIOError:
+                return
+            try:
+                self.command(data.decode(errors="replace"))
+                answer = "ok"
+            except Refusal as refusal:
+                answer = str(refusal)
+                log.warning("%s", answer)
+            if sender:
+                with contextlib.suppress(OSError):  # the sender may be gone
+                    control.sendto(answer.encode(), sender)
+
+
+def serve(cell: EmulatedCell, options: ServeOptions, stop: Stop) -> Server:
+    """Serve until `stop` is set; return the server for its counters.  Raises OSError, FaultError, PlantError."""
+    clock_ns = time.monotonic_ns
+    cell.time_ns = clock_ns()
+    with Server(cell, options, clock_ns) as server:
+        while not stop.is_set():
+            server.lap()
+    return server
