@@ -141,7 +141,6 @@ class TorqueCommand:
         self._largest = np.array(tau_largest_Nm)
         self._lowest = -self._largest
         self._grid = Grid(torque_lsb_Nm)
-        self._ones = np.ones_like(self._largest)
 
     @classmethod
     def of(cls, spec: ActuatorSpec) -> TorqueCommand:
@@ -150,12 +149,12 @@ class TorqueCommand:
 
     def __call__(self, tau_Nm: Vector) -> Vector:
         """Torques (n,) that the servos will be told.  Raises TorqueCommandError on NaN, infinity or a wrong length."""
-        # A clip lets NaN through, so finiteness comes first; a sum of finite torques is finite.
-        if tau_Nm.shape != self._ones.shape or not math.isfinite(tau_Nm.dot(self._ones)):
+        # A clip lets NaN through, so finiteness comes first.
+        if tau_Nm.shape != self._largest.shape or not all(map(math.isfinite, tau_Nm.tolist())):
             raise TorqueCommandError(
                 "torque command",
                 found=tau_Nm.tolist(),
-                expected=f"{len(self._ones)} finite numbers, N·m",
+                expected=f"{len(self._largest)} finite numbers, N·m",
                 remedy="find the first term of the control law that is not finite",
             )
         sent = self._grid(tau_Nm)

@@ -10,6 +10,11 @@ Integration, one evaluation of the dynamics per substep h (drift, kick, drift):
 D(v_p) ≥ 0 is the coefficient of joint friction, so its torque is −D (v + v⁺)/2: it takes energy out at any step
 size and any speed scale of the Coulomb sign.  The grasps are 6D constraints; on planar arms they are rank deficient and
 pinocchio's proximal solver returns the wrench of least norm (out of plane: none).
+
+Measured on the paper's cell swinging freely for 2 s without friction at up to 14 rad/s, twice the no-load speed of its
+servos: energy error 350, 92, 23 µJ of 1.5 J and grasps open by 22, 5.5, 1.4 µm at h = 2, 1, 0.5 ms, second order, also
+when the torques step every 5 ms; semi-implicit Euler, at the same cost, has 52, 26, 13 mJ and 790, 390, 195 µm.  Driven
+for 100 s with the friction of the servos, h = 1 ms: grasps within 4 µm.
 """
 
 from __future__ import annotations

@@ -15,6 +15,7 @@ from drivers.interface import Refusal, Vector
 from sim_backend.actuator import ActuatorSpec
 
 QUATERNION_TOLERANCE: Final = 1e-9
+MAX_BAUMGARTE_STEP: Final = 0.5
 WHOLE_SUBSTEPS_TOLERANCE: Final = 1e-9
 
 
@@ -148,7 +149,7 @@ class PlantSpec:
     substep_s: float = 1e-3
     baumgarte_p_per_s2: float = 2000.0  # pulls a grasp that has drifted back to zero …
     baumgarte_d_per_s: float = 90.0  # … critically damped: 2 √2000 = 89.4
-    proximal_mu: float = 1e-8
+    proximal_mu: float = 1e-3  # a smaller one lets rounding grow in the wrenches that planar arms leave undetermined
     proximal_accuracy: float = 1e-10
     proximal_iterations: int = 20
     start_tolerance_m: float = 1e-5
@@ -168,6 +169,13 @@ class PlantSpec:
         if not 0 < self.substep_s <= 0.01:
             raise PlantError(
                 "substep_s", found=self.substep_s, expected="0 < substep_s <= 0.01", remedy="use substep_of(1 / rate)"
+            )
+        if not (0 <= self.substep_s * self.baumgarte_d_per_s <= MAX_BAUMGARTE_STEP):
+            raise PlantError(
+                "baumgarte_d_per_s",
+                found=f"{self.baumgarte_d_per_s:g} with substep_s {self.substep_s:g}",
+                expected=f"a product of at most {MAX_BAUMGARTE_STEP}, above which the correction itself oscillates",
+                remedy="shorten substep_s",
             )
         if len(set(self.names)) != len(self.names):
             raise PlantError("arms", found=self.names, expected="different names", remedy="rename one of the arms")
