@@ -1,0 +1,102 @@
+"""Mode changes, over every mode and every combination of events."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import pytest
+
+from agent.modes import Event, Mode, next_mode
+
+ALL_EVENTS = [Event(bits) for bits in range(1 << len(Event))]
+ALL = list(product(Mode, ALL_EVENTS))
+BAD = (Event.STOP, Event.TROUBLE, Event.SERVO_LOST)
+# how far a mode is from rest: a bad event may never lead further out
+ACTIVITY = {Mode.OFF: 0, Mode.FAULT: 0, Mode.READY: 1, Mode.LOWER: 2, Mode.HOLD: 2, Mode.TRACK: 3}
+
+# mode, events that decide it (any of them, none of the others decides before), next mode
+TABLE = [
+    (Mode.OFF, Event.NONE, Mode.OFF),
+    (Mode.OFF, Event.ENABLED, Mode.READY),
+    (Mode.OFF, Event.ENABLED | Event.TROUBLE, Mode.OFF),
+    (Mode.OFF, Event.ENABLED | Event.SERVO_LOST, Mode.OFF),
+    (Mode.OFF, Event.STARTED, Mode.OFF),
+    (Mode.READY, Event.NONE, Mode.READY),
+    (Mode.READY, Event.STARTED, Mode.TRACK),
+    (Mode.READY, Event.STARTED | Event.STOP, Mode.OFF),
+    (Mode.READY, Event.STARTED | Event.TROUBLE, Mode.OFF),
+    (Mode.READY, Event.SERVO_LOST, Mode.FAULT),
+    (Mode.TRACK, Event.NONE, Mode.TRACK),
+    (Mode.TRACK, Event.STOP, Mode.HOLD),
+    (Mode.TRACK, Event.TROUBLE, Mode.HOLD),
+    (Mode.TRACK, Event.RELEASED, Mode.TRACK),
+    (Mode.TRACK, Event.SERVO_LOST, Mode.FAULT),
+    (Mode.HOLD, Event.NONE, Mode.HOLD),
+    (Mode.HOLD, Event.STARTED, Mode.HOLD),
+    (Mode.HOLD, Event.RELEASED, Mode.OFF),
+    (Mode.HOLD, Event.SERVO_LOST | Event.RELEASED, Mode.FAULT),
+    (Mode.LOWER, Event.NONE, Mode.LOWER),
+    (Mode.LOWER, Event.RELEASED, Mode.OFF),
+    (Mode.LOWER, Event.SERVO_LOST, Mode.FAULT),
+    (Mode.FAULT, Event.ENABLED | Event.STARTED, Mode.FAULT),
+    (Mode.FAULT, Event.RELEASED, Mode.OFF),
+]
+
+
+@pytest.mark.parametrize(("mode", "events", "expected"), TABLE)
+def test_named_transitions(mode: Mode, events: Event, expected: Mode) -> None:
+    assert next_mode(mode, events) is expected
+
+
+def test_the_table_names_every_mode() -> None:
+    assert {mode for mode, _, _ in TABLE} == set(Mode)
+
+
+@pytest.mark.parametrize("mode", Mode)
+def test_every_combination_of_events_has_an_answer(mode: Mode) -> None:
+    assert {type(next_mode(mode, events)) for events in ALL_EVENTS} == {Mode}
+
+
+@pytest.mark.parametrize("origin", [Mode.HOLD, Mode.LOWER, Mode.FAULT, Mode.OFF])
+def test_track_is_entered_from_ready_only(origin: Mode) -> None:
+    assert all(next_mode(origin, events) is not Mode.TRACK for events in ALL_EVENTS)
+
+
+def test_no_way_from_hold_or_fault_to_track_without_off() -> None:
+    """Reachability over any number of ticks, with OFF (torque off, an operator's release) taken out."""
+    for origin in (Mode.HOLD, Mode.LOWER, Mode.FAULT):
+        reached, frontier = {origin}, [origin]
+        while frontier:
+            mode = frontier.pop()
+            for after in {next_mode(mode, events) for events in ALL_EVENTS} - reached - {Mode.OFF}:
+                reached.add(after)
+                frontier.append(after)
+        assert Mode.TRACK not in reached
+
+
+def test_torque_is_never_switched_off_while_the_object_is_carried() -> None:
+    """TRACK ends in HOLD, or in FAULT when the arm does not obey any more."""
+    assert {next_mode(Mode.TRACK, events) for events in ALL_EVENTS} == {Mode.TRACK, Mode.HOLD, Mode.FAULT}
+
+
+@pytest.mark.parametrize(("mode", "events"), [(m, e) for m, e in ALL if m in (Mode.HOLD, Mode.LOWER)])
+def test_a_held_object_is_let_go_only_when_an_operator_confirms_its_support(mode: Mode, events: Event) -> None:
+    if next_mode(mode, events) is Mode.OFF:
+        assert Event.RELEASED in events
+
+
+@pytest.mark.parametrize("mode", [m for m in Mode if m is not Mode.OFF])
+def test_a_lost_servo_is_a_fault_in_every_mode_with_torque(mode: Mode) -> None:
+    assert all(next_mode(mode, e) is Mode.FAULT for e in ALL_EVENTS if Event.SERVO_LOST in e)
+
+
+def test_fault_is_left_by_release_only() -> None:
+    for events in ALL_EVENTS:
+        free = Event.RELEASED in events and Event.SERVO_LOST not in events
+        assert next_mode(Mode.FAULT, events) is (Mode.OFF if free else Mode.FAULT)
+
+
+@pytest.mark.parametrize("bad", BAD)
+def test_one_more_bad_event_never_leads_to_a_more_active_mode(bad: Event) -> None:
+    for mode, events in ALL:
+        assert ACTIVITY[next_mode(mode, events | bad)] <= ACTIVITY[next_mode(mode, events)]

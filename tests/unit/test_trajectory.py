@@ -1,0 +1,59 @@
+"""The desired motion: the paper's numbers, and derivatives against central differences."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from agent.control.quaternion import angle_between, conjugate, multiply
+from agent.control.trajectory import Sinusoid
+
+IDENTITY = (1.0, 0.0, 0.0, 0.0)
+PAPER = Sinusoid((0.3, 0.12, 0.0), (0.05, 0.0, 0.0), IDENTITY, (0.0, 0.0, 1.0), -math.pi / 30, 15.0)
+TILTED = Sinusoid((0.1, -0.2, 0.3), (0.02, 0.05, -0.03), (0.5, 0.5, -0.5, 0.5), (0.36, 0.48, 0.8), 0.7, 4.0)
+TIMES = (0.0, 0.3, 1.7, 3.75, 7.9, 14.999, 40.0, 99.5)
+
+
+def rate(f: Callable[[float], np.ndarray], t: float, h: float = 1e-4) -> np.ndarray:
+    return (8.0 * (f(t + h) - f(t - h)) - (f(t + 2 * h) - f(t - 2 * h))) / (12.0 * h)
+
+
+@pytest.mark.parametrize("t", TIMES)
+def test_paper_motion_is_the_printed_one(t: float) -> None:
+    s = math.sin(2 * math.pi * t / 15)
+    a = math.pi / 60 * s
+    desired = PAPER.at(t)
+    assert desired.p == pytest.approx((0.3 + 0.05 * s, 0.12, 0.0), abs=1e-15)
+    assert desired.quat == pytest.approx((math.cos(a), 0.0, 0.0, -math.sin(a)), abs=1e-15)
+
+
+@pytest.mark.parametrize("trajectory", [PAPER, TILTED])
+@pytest.mark.parametrize("t", TIMES)
+def test_twist_is_the_derivative_of_the_pose(trajectory: Sinusoid, t: float) -> None:
+    desired = trajectory.at(t)
+    assert rate(lambda s: np.array(trajectory.at(s).p), t) == pytest.approx(desired.v[:3], abs=1e-9)
+
+    def small_rotation(s: float) -> np.ndarray:
+        """Twice the vector part of the rotation from time t to time s: its rate at t is ω, world axes."""
+        return 2.0 * np.array(multiply(trajectory.at(s).quat, conjugate(desired.quat))[1:])
+
+    assert rate(small_rotation, t) == pytest.approx(desired.v[3:], abs=1e-9)
+
+
+@pytest.mark.parametrize("trajectory", [PAPER, TILTED])
+@pytest.mark.parametrize("t", TIMES)
+def test_acceleration_is_the_derivative_of_the_twist(trajectory: Sinusoid, t: float) -> None:
+    assert rate(lambda s: np.array(trajectory.at(s).v), t) == pytest.approx(trajectory.at(t).a, abs=1e-9)
+
+
+@pytest.mark.parametrize("trajectory", [PAPER, TILTED])
+def test_motion_repeats_after_its_period_and_keeps_unit_attitudes(trajectory: Sinusoid) -> None:
+    for t in TIMES:
+        now, later = trajectory.at(t), trajectory.at(t + 3 * trajectory.period_s)
+        assert later.p == pytest.approx(now.p, abs=1e-12)
+        assert later.a == pytest.approx(now.a, abs=1e-12)
+        assert angle_between(later.quat, now.quat) < 1e-12
+        assert math.hypot(*now.quat) == pytest.approx(1.0, abs=1e-14)
