@@ -6,7 +6,7 @@ A damaged block does not void the later ones: a block's own checksum field, as r
 and gives the checksum state from which the next block is judged.
 
 A reply that belongs to an earlier request must never pass as this cycle's.  Two marks make requests differ at no or
-little cost: the order of the IDs is rotated by one per request (`rotations`), and where that is not enough the number
+little cost: the order of the IDs is rotated by one per request, and where that is not enough the number
 of bytes read.
 """
 
@@ -132,12 +132,8 @@ class GroupRead:
             last = place
             error = reply.error | (ALERT_BIT if reply.alert else 0)
             rows[place] = (error, *self._fields.unpack(reply.params))
-        return GroupReply(rows, final or None not in rows, scanner.damaged, late)
-
-
-def rotations(address: int, fields: str, ids: Sequence[int], *, fast: bool) -> list[GroupRead]:
-    """One group read per rotation of the IDs, to be used in turn."""
-    return [GroupRead(address, fields, [*ids[r:], *ids[:r]], fast=fast) for r in range(len(ids))]
+        # the last servo asked answers last, whoever is missing before it
+        return GroupReply(rows, final or last == len(rows) - 1, scanner.damaged, late)
 
 
 class GroupWrite:

@@ -1,0 +1,156 @@
+"""From a limp arm to one that holds zero torque, and back, in an order that cannot jerk.  Never used inside a cycle.
+
+EEPROM only where it differs; then goals, because a mode change sets them to their limits; then the pose; then the
+watchdog; then torque.  Whatever fails on the way ends with torque off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from drivers.dynamixel.arm_map import ArmMap, JointRole, ServoSlot
+from drivers.dynamixel.bus import Bus
+from drivers.dynamixel.errors import DxlServoFault, FaultCause
+from drivers.dynamixel.events import DriverEvent, EventKind, EventSink
+from drivers.dynamixel.identify import IdentityError, ServoFound
+from drivers.dynamixel.monitor import status_bytes
+from drivers.dynamixel.table import (
+    BUS_WATCHDOG,
+    GOAL_CURRENT,
+    GOAL_POSITION,
+    GOAL_PWM,
+    INDIRECT_ADDRESSES,
+    LED,
+    MAX_POSITION_LIMIT,
+    MIN_POSITION_LIMIT,
+    PRESENT_POSITION,
+    TORQUE_ENABLE,
+    OperatingMode,
+    Register,
+)
+from drivers.dynamixel.units import AngleScale, watchdog_count
+from drivers.interface import DriverError
+
+
+class PoseError(IdentityError):
+    """The arm is not where the cell file says it starts."""
+
+
+def effort_register(slot: ServoSlot) -> Register:
+    """Goal register that carries this servo's torque, or bounds it where it is held."""
+    return GOAL_CURRENT if slot.model.has_current_mode else GOAL_PWM
+
+
+def effort_at_rest(servo: ServoFound) -> int:
+    """Goal count before torque comes on: none for a controlled joint, the holding limit for a held one."""
+    joint = servo.slot.joint
+    if joint.role is JointRole.CONTROLLED:
+        return 0
+    return round(joint.hold_effort * servo.limit_count)
+
+
+class BringUp:
+    """Brings one identified arm up and down."""
+
+    def __init__(self, bus: Bus, arm: ArmMap, servos: Sequence[ServoFound], tell: EventSink) -> None:
+        self._bus = bus
+        self._arm = arm
+        self._servos = tuple(servos)
+        self._commanded = tuple(servo for servo in self._servos if not servo.slot.shadow)
+        self._tell = tell
+
+    def configure(self) -> None:
+        """Write EEPROM where it differs, and read it back.  Raises IdentityError while a servo holds torque."""
+        for servo in self._servos:
+            if self._bus.read(servo.slot.servo_id, TORQUE_ENABLE):
+                raise IdentityError(
+                    servo.slot.servo_id,
+                    f"servo {servo.slot.servo_id} ({servo.slot.joint.name})",
+                    found="its torque is on already",
+                    expected="off",
+                    remedy="another program may hold this arm: support it, stop that program, release the torque",
+                )
+        for servo in self._servos:
+            servo_id = servo.slot.servo_id
+            for change in servo.changes:
+                if self._bus.read(servo_id, change.register) == change.wanted:
+                    continue  # written by an earlier `enable`
+                self._bus.write(servo_id, change.register, change.wanted)
+                self._verify(servo, change.register, change.wanted)
+                text = f"{change.register.name} {change.found} → {change.wanted}"
+                self._tell(DriverEvent(EventKind.EEPROM_WRITTEN, text, servo_id, servo.slot.joint.name))
+
+    def zero_goals(self) -> None:
+        """Goals that move nothing: zero effort, or the present place with limited effort.  Shadows follow."""
+        for servo in self._servos:
+            servo_id = servo.slot.servo_id
+            self._bus.write(servo_id, BUS_WATCHDOG, 0)  # a tripped one would refuse the goals
+            for indirect, address in zip(INDIRECT_ADDRESSES, status_bytes(effort_register(servo.slot)), strict=False):
+                self._bus.write(servo_id, indirect, address)
+            self._bus.write(servo_id, LED, 1)
+        for servo in self._commanded:
+            self._bus.write(servo.slot.servo_id, effort_register(servo.slot), effort_at_rest(servo))
+            if servo.slot.joint.role is not JointRole.CONTROLLED:
+                self._goal_here(servo)
+        for servo in self._servos:
+            self._verify(servo, effort_register(servo.slot), effort_at_rest(servo))
+
+    def _goal_here(self, servo: ServoFound) -> None:
+        servo_id = servo.slot.servo_id
+        here = self._bus.read(servo_id, PRESENT_POSITION)
+        if servo.slot.joint.mode is OperatingMode.POSITION:  # this mode refuses goals outside the servo's limits
+            low, high = (self._bus.read(servo_id, r) for r in (MIN_POSITION_LIMIT, MAX_POSITION_LIMIT))
+            here = max(low, min(high, here))
+        self._bus.write(servo_id, GOAL_POSITION, here)
+
+    def check_pose(self) -> None:
+        """Every joint within its limits and near its start.  Raises PoseError."""
+        for servo in self._commanded:
+            joint = servo.slot.joint
+            angle = AngleScale(joint).angle_rad(self._bus.read(servo.slot.servo_id, PRESENT_POSITION))
+            low, high = joint.limits_rad
+            if joint.start_rad is not None:
+                low = max(low, joint.start_rad - joint.start_tolerance_rad)
+                high = min(high, joint.start_rad + joint.start_tolerance_rad)
+            if joint.role is not JointRole.GRIPPER and not low <= angle <= high:
+                raise PoseError(
+                    servo.slot.servo_id,
+                    f"arm {self._arm.arm}: start pose of joint {joint.name}",
+                    found=f"{angle:.3f} rad",
+                    expected=f"{low:.3f} to {high:.3f} rad",
+                    remedy="move the arm by hand to the start pose of the cell (`coop doctor` prints both)",
+                )
+
+    def torque_on(self) -> None:
+        """Watchdog, then torque, then proof that every servo has both.  Raises DxlServoFault."""
+        watchdog = watchdog_count(self._arm.watchdog_s)
+        for servo in self._commanded:
+            self._bus.write(servo.slot.servo_id, BUS_WATCHDOG, watchdog)
+        try:
+            self._bus.write_blind(TORQUE_ENABLE, {servo.slot.servo_id: 1 for servo in self._commanded})
+            for servo in self._servos:
+                self._verify(servo, TORQUE_ENABLE, 1)
+                self._verify(servo, BUS_WATCHDOG, watchdog)
+        except DriverError:
+            torque_off(self._bus, self._arm)
+            raise
+
+    def _verify(self, servo: ServoFound, register: Register, wanted: int) -> None:
+        value = self._bus.read(servo.slot.servo_id, register)
+        if value != wanted:
+            raise DxlServoFault(
+                FaultCause.REFUSED_TORQUE if register is TORQUE_ENABLE else FaultCause.GOAL_IGNORED,
+                servo_id=servo.slot.servo_id,
+                joint=servo.slot.joint.name,
+                found=f"{register.name} {value}",
+                expected=str(wanted),
+            )
+
+
+def torque_off(bus: Bus, arm: ArmMap) -> None:
+    """Torque off everywhere, blind and twice.  Raises DriverError when the port is gone."""
+    ids = [slot.servo_id for slot in arm.slots if not slot.shadow]
+    for _ in range(2):  # nobody answers a sync write, so a damaged one goes unnoticed
+        bus.write_blind(TORQUE_ENABLE, dict.fromkeys(ids, 0))
+    bus.write_blind(BUS_WATCHDOG, dict.fromkeys(ids, 0))
+    bus.write_blind(LED, dict.fromkeys(ids, 0))

@@ -1,0 +1,154 @@
+"""What one cycle's rows say about the servos: silent, jumping, without effect, at odds.  Never touches the bus.
+
+Thresholds are set so that no healthy arm reaches them: a false alarm lets N arms hold a load in mid-air.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import ceil
+
+from drivers.dynamixel.arm_map import ArmMap, JointRole, ServoSlot
+from drivers.dynamixel.errors import FaultCause
+from drivers.dynamixel.events import DriverEvent, EventKind, OncePerServo
+from drivers.dynamixel.group import Row
+from drivers.dynamixel.table import TICK_RAD, VELOCITY_UNIT_RAD_PER_S, OperatingMode
+from drivers.dynamixel.units import AngleScale, current_unit_A
+
+FAULT_WITHIN_S = 0.05
+NO_EFFECT_AFTER_S = 0.04
+GOAL_WORTH_A = 0.15  # smaller goals may drown in what the servo does not resolve
+ANSWER_WORTH_A = 0.01  # three counts: less is no current at all
+JUMP_SPEED = 1.5  # of the no-load speed: faster than the servo can turn, even driven from outside
+JUMP_TICKS = 4
+PAIR_FIGHT_A = 0.2
+PAIR_FIGHT_S = 0.1
+PAIR_APART_TICKS = 40  # 3.5 degrees; backlash is 0.25
+
+
+@dataclass(frozen=True, slots=True)
+class Complaint:
+    """A fault seen in a cycle's rows."""
+
+    cause: FaultCause
+    slot: ServoSlot
+    found: str
+    expected: str
+
+
+class SilenceCheck:
+    """Counts cycles without an answer, per servo."""
+
+    def __init__(self, slots: Sequence[ServoSlot], rate_hz: float) -> None:
+        self._slots = tuple(slots)
+        self._limit = max(3, int(FAULT_WITHIN_S * rate_hz))
+        self._missed = [0] * len(self._slots)
+
+    def check(self, rows: Sequence[Row | None]) -> list[Complaint]:
+        """Complaints about servos that have been silent for too long."""
+        missed = self._missed
+        if None not in rows:
+            if any(missed):
+                self._missed = [0] * len(missed)
+            return []
+        found = []
+        for place, row in enumerate(rows):
+            missed[place] = missed[place] + 1 if row is None else 0
+            if missed[place] >= self._limit:
+                text = f"{missed[place]} cycles without an answer"
+                found.append(Complaint(FaultCause.SILENT, self._slots[place], text, "an answer every cycle"))
+        return found
+
+
+class JumpCheck:
+    """Position steps that the joint cannot make, for one joint."""
+
+    def __init__(self, slot: ServoSlot) -> None:
+        self.slot = slot
+        self._speed = JUMP_SPEED * slot.model.no_load_rad_per_s
+        self._last: tuple[int, float] | None = None
+        self.in_a_row = 0
+
+    def is_jump(self, stamp_ns: int, angle_rad: float) -> bool:
+        """True when the angle cannot follow the last believed one; the angle is then not believed either."""
+        if self._last is not None:
+            last_ns, last_rad = self._last
+            reach = self._speed * (stamp_ns - last_ns) * 1e-9 + JUMP_TICKS * TICK_RAD
+            if abs(angle_rad - last_rad) > reach:
+                self.in_a_row += 1
+                return True
+        self.in_a_row = 0
+        self._last = (stamp_ns, angle_rad)
+        return False
+
+    def complaint(self, angle_rad: float) -> Complaint:
+        """What to say when it happens again."""
+        text = f"a step to {angle_rad:.3f} rad, {self.in_a_row} times in a row"
+        return Complaint(FaultCause.POSITION_JUMP, self.slot, text, f"at most {self._speed:.1f} rad/s")
+
+
+class EffectCheck:
+    """Commanded against present current, for one servo in current mode."""
+
+    def __init__(self, slot: ServoSlot, rate_hz: float) -> None:
+        unit_A = current_unit_A(slot.model)
+        self._slot = slot
+        self._unit_A = unit_A
+        self._worth = ceil(GOAL_WORTH_A / unit_A)
+        self._none = int(ANSWER_WORTH_A / unit_A)
+        self._slow = int(0.4 * slot.model.no_load_rad_per_s / VELOCITY_UNIT_RAD_PER_S)
+        self._limit = max(2, ceil(NO_EFFECT_AFTER_S * rate_hz))
+        self._count = 0
+
+    def check(self, goal: int, row: Row) -> Complaint | None:
+        """Compare the goal this servo had when it answered; near its no-load speed it cannot reach a goal."""
+        if abs(goal) >= self._worth and abs(row[1]) <= self._none and abs(row[2]) <= self._slow:
+            self._count += 1
+            if self._count >= self._limit:
+                found = f"{row[1] * self._unit_A:.3f} A for {self._count} cycles"
+                return Complaint(FaultCause.NO_EFFECT, self._slot, found, f"{goal * self._unit_A:.3f} A")
+        else:
+            self._count = 0
+        return None
+
+
+class PairCheck:
+    """A servo and its shadow: same direction of effort, same way travelled."""
+
+    def __init__(self, followed: ServoSlot, shadow: ServoSlot, rate_hz: float) -> None:
+        self._shadow = shadow
+        self._scale = AngleScale(followed.joint)
+        self._fight = ceil(PAIR_FIGHT_A / current_unit_A(shadow.model)) if shadow.model.has_current_mode else None
+        self._limit = max(2, ceil(PAIR_FIGHT_S * rate_hz))
+        self._fought = 0
+        self._first_gap_rad: float | None = None
+
+    def check(self, followed: Row, shadow: Row, tell: OncePerServo) -> None:
+        """Compare two fresh rows; tells events, never a fault: the joint still has torque."""
+        slot = self._shadow
+        gap = self._scale.angle_rad(shadow[3]) - self._scale.angle_rad(followed[3])
+        if self._first_gap_rad is None:
+            self._first_gap_rad = gap
+        moved = abs(gap - self._first_gap_rad)
+        apart = PAIR_APART_TICKS * TICK_RAD < moved < 6.0  # a whole turn is the encoder's seam
+        if apart or tell.is_active(EventKind.PAIR_APART, slot.servo_id):
+            text = f"{moved:.3f} rad since the first reading"
+            tell.tell(DriverEvent(EventKind.PAIR_APART, text, slot.servo_id, slot.joint.name), active=apart)
+        if self._fight is None:
+            return
+        opposed = followed[1] * shadow[1] < 0 and min(abs(followed[1]), abs(shadow[1])) >= self._fight
+        self._fought = self._fought + 1 if opposed else 0
+        fighting = self._fought >= self._limit
+        if fighting or tell.is_active(EventKind.PAIR_FIGHTING, slot.servo_id):
+            text = f"{followed[1]} against {shadow[1]} counts of current"
+            tell.tell(DriverEvent(EventKind.PAIR_FIGHTING, text, slot.servo_id, slot.joint.name), active=fighting)
+
+
+def effect_checks(arm: ArmMap) -> dict[int, EffectCheck]:
+    """Checks of the servos whose current is commanded, by place in `ArmMap.slots`."""
+    return {
+        place: EffectCheck(slot, arm.rate_hz)
+        for place, slot in enumerate(arm.slots)
+        if slot.joint.role is JointRole.CONTROLLED and slot.joint.mode is OperatingMode.CURRENT
+    }

@@ -1,0 +1,263 @@
+"""The driver of one arm of Dynamixel servos: N·m and radians on one side, packets on the other.
+
+It never gives an old value as new, never commands a shadow servo, and never switches torque on but in `enable`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import enum
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.dynamixel.arm_map import ArmMap
+from drivers.dynamixel.bringup import BringUp, torque_off
+from drivers.dynamixel.budget import LinkTiming
+from drivers.dynamixel.bus import Bus, DxlCounters
+from drivers.dynamixel.errors import DxlServoFault, NotEnabledError, PortError, StaleJointsError, TorqueError
+from drivers.dynamixel.events import DriverEvent, EventKind, EventSink, ignore
+from drivers.dynamixel.identify import IdentityError, ServoFound, identify
+from drivers.dynamixel.interpret import Reading, servo_names
+from drivers.dynamixel.pace import Pace, check_pace, check_rate
+from drivers.dynamixel.port import Port, SerialPort
+from drivers.dynamixel.running import Running
+from drivers.interface import ArmInfo, Clock, DriverError, JointState, ServoHealth, Vector
+
+MAX_LATENCY_TIMER_MS = 2
+
+
+class Phase(enum.Enum):
+    """What the driver may be asked."""
+
+    CLOSED = enum.auto()
+    CONNECTED = enum.auto()  # may be read
+    ENABLED = enum.auto()  # may be commanded
+
+
+@dataclass(slots=True)
+class CycleTimes:
+    """Where the last cycle's time went, ns."""
+
+    exchange: int = 0  # request sent, answer waited for and parsed
+    interpret: int = 0
+    write: int = 0
+
+
+class DynamixelDriver:
+    """`drivers.interface.Driver` on a serial bus.
+
+    port: None for the serial port that the map names.  scan_s: how long `connect` waits for servos not in the map.
+    problems: everything `connect` found wrong, the first of which it raised.
+    faults: servo faults since `enable`; while there is one, `read` raises it, with the fresh state in `state`.
+    """
+
+    def __init__(
+        self,
+        arm: ArmMap,
+        clock: Clock,
+        *,
+        on_event: EventSink = ignore,
+        link: LinkTiming | None = None,
+        scan_s: float = 0.8,
+        port: Port | None = None,
+    ) -> None:
+        self.arm = arm
+        self.counters = DxlCounters()
+        self.times = CycleTimes()
+        self.problems: list[IdentityError] = []
+        self.faults: list[DxlServoFault] = []
+        self._clock = clock
+        self._on_event = on_event
+        self._link = link or LinkTiming()
+        self._scan_s = scan_s
+        self._phase = Phase.CLOSED
+        self._port = port or SerialPort(arm.port, arm.baud, clock)
+        self._bus = Bus(self._port, clock, self.counters)
+        self._found: list[ServoFound] = []
+        self._running: Running | None = None
+        self._begin_ns = 0
+        self._joints = tuple(joint.name for joint in arm.controlled)
+        self._slots = arm.slots
+
+    # --- coming and going -----------------------------------------------------------------------------------------
+
+    def connect(self) -> ArmInfo:
+        """Open the bus and check that this is the arm of the map; torque, modes and goals stay as they are.
+
+        Raises PortError, IdentityError, PaceError (all ConnectError).  The port is closed again when it raises.
+        """
+        self.close()
+        with contextlib.ExitStack() as undo:
+            undo.callback(self.close)
+            self._port.open()
+            info = self._connect()
+            undo.pop_all()
+        return info
+
+    def _connect(self) -> ArmInfo:
+        self._check_latency_timer()
+        self._found, self.problems = identify(self._bus, self.arm, self._scan_s)
+        if self.problems:
+            raise self.problems[0]
+        fast = all(servo.fast for servo in self._found)
+        if not fast:
+            slow = [f"{s.slot.servo_id} ({s.slot.joint.servo}, {s.firmware})" for s in self._found if not s.fast]
+            text = f"servo {', '.join(slow)}: one status packet per servo instead"
+            self._on_event(DriverEvent(EventKind.SLOW_SYNC_READ, text))
+        check_rate(self.arm, fast=fast, link=self._link)
+        pace = None
+        if not any(change for servo in self._found for change in servo.changes):  # else after they are made
+            pace = check_pace(self._bus, self.arm, self._clock, fast=fast, link=self._link)
+        self._running = Running(self._bus, self.arm, self._found, self._clock, self._on_event, self._link, fast=fast)
+        self._phase = Phase.CONNECTED
+        tau_max = np.array([joint.tau_max_Nm for joint in self.arm.controlled])
+        tau_max.flags.writeable = False
+        return ArmInfo(self.arm.arm, self._joints, tau_max, self._describe(fast, pace))
+
+    def _check_latency_timer(self) -> None:
+        timer = self._port.latency_timer_ms
+        if timer is not None and timer > MAX_LATENCY_TIMER_MS:
+            raise PortError(
+                f"port {self.arm.port}: USB latency timer",
+                found=f"{timer} ms",
+                expected="1 ms",
+                remedy="install the udev rule shipped in systemd/, then unplug and plug the adapter",
+            )
+
+    def _describe(self, fast: bool, pace: Pace | None) -> str:
+        firmware = sorted({servo.firmware for servo in self._found})
+        read = f", read {pace.median_s * 1e3:.2f} ms of {1e3 / self.arm.rate_hz:.2f} ms" if pace else ""
+        return (
+            f"{self.arm.port} at {self.arm.baud} bit/s, {len(self._found)} servos, "
+            f"firmware {'/'.join(map(str, firmware))}, {'fast' if fast else 'plain'} sync read{read}"
+        )
+
+    def enable(self) -> None:
+        """Configure, zero the goals, check the pose, arm the watchdog, torque on; in this order.
+
+        The watchdog runs from here on: a gap of `watchdog_s` without `read` or `write` stops the servos.
+        Raises IdentityError (torque is on already, wrong pose), PaceError, DxlServoFault; torque is then off.
+        """
+        running = self._need(Phase.CONNECTED)
+        self.faults.clear()
+        steps = BringUp(self._bus, self.arm, self._found, self._on_event)
+        steps.configure()
+        steps.zero_goals()
+        check_pace(self._bus, self.arm, self._clock, fast=running.fast, link=self._link)
+        steps.check_pose()
+        steps.torque_on()
+        self._running = Running(
+            self._bus, self.arm, self._found, self._clock, self._on_event, self._link, fast=running.fast
+        )
+        self._phase = Phase.ENABLED
+
+    def disable(self) -> None:
+        """Torque off.  Safe in any state, twice, and on a dead bus."""
+        if self._port.is_open:
+            with contextlib.suppress(DriverError):  # a dead bus has no torque to switch off from here
+                torque_off(self._bus, self.arm)
+        if self._phase is Phase.ENABLED:
+            self._phase = Phase.CONNECTED
+
+    def close(self) -> None:
+        """Give the port back; torque stays as it is until the servos' watchdog fires.  Safe in any state and twice."""
+        self._port.close()
+        self._phase = Phase.CLOSED
+        self._running = None
+
+    def reopen(self) -> None:
+        """After PortLostError: open the port again and make sure it is the same arm, without writing to it.
+
+        Raises PortError, IdentityError.  Torque is as the servos have kept it; the next reads tell.
+        """
+        running = self._need(Phase.CONNECTED)
+        self._port.close()
+        with contextlib.ExitStack() as undo:
+            undo.callback(self._port.close)
+            self._port.open()
+            running.recognise()
+            undo.pop_all()
+        self._on_event(DriverEvent(EventKind.PORT_REOPENED, self.arm.port))
+
+    def _need(self, phase: Phase) -> Running:
+        running = self._running
+        if running is None or (phase is Phase.ENABLED and self._phase is not Phase.ENABLED):
+            raise NotEnabledError(
+                f"arm {self.arm.arm}",
+                found=self._phase.name.lower(),
+                expected=phase.name.lower(),
+                remedy="call connect(), then enable() first",
+            )
+        return running
+
+    # --- the cycle ------------------------------------------------------------------------------------------------
+
+    def read(self) -> JointState:
+        """Fresh state of the controlled joints.
+
+        Raises:
+            StaleJointsError: a controlled joint has no fresh value; `partial` has the others.
+            DxlServoFault: a servo does not do its part; raised every cycle from then on, with the state in `state`.
+            PortLostError: the adapter is gone; see `reopen`.
+
+        """
+        running = self._need(Phase.CONNECTED)
+        clock = self._clock
+        begin_ns = self._begin_ns = clock.now_ns()
+        running.hear_health(begin_ns)
+        cycle = running.reader.read()
+        answered_ns = clock.now_ns()
+        reading = running.interpret(cycle, answered_ns)
+        self.times.exchange = answered_ns - begin_ns
+        if self._phase is Phase.ENABLED:
+            self.faults += running.new_faults(reading)
+        self.counters.health_misses = running.monitor.misses
+        self.times.interpret = clock.now_ns() - answered_ns
+        if self.faults:
+            fault = self.faults[0]
+            fault.state = reading.state
+            raise fault.with_traceback(None)  # or it would grow from cycle to cycle
+        if reading.stale:
+            raise self._stale(reading, cycle.rows, late=cycle.late, damaged=cycle.damaged)
+        return reading.state
+
+    def _stale(
+        self, reading: Reading, rows: Sequence[tuple[int, ...] | None], *, late: bool, damaged: bool
+    ) -> StaleJointsError:
+        reason = "no reply"
+        if reading.jumped:
+            reason = "a position it cannot have reached"
+        elif late:
+            reason = "only a late reply to an earlier request"
+        elif damaged:
+            reason = "a damaged reply"
+        partial = reading.state if len(reading.stale) < len(self._joints) else None
+        servos = servo_names(self._slots, rows)
+        return StaleJointsError(joints=reading.stale, servo_ids=servos, partial=partial, reason=reason)
+
+    def write(self, tau_Nm: Vector) -> Vector:
+        """Command joint torques (n,); returns those that the sent counts stand for.
+
+        Raises TorqueError for a torque that is no number (nothing is sent then), NotEnabledError, PortLostError,
+        WriteTimeoutError.
+        """
+        running = self._need(Phase.ENABLED)
+        begin_ns = self._clock.now_ns()
+        wanted = tau_Nm.tolist()
+        if len(wanted) != len(self._joints) or not all(map(math.isfinite, wanted)):
+            raise TorqueError(
+                f"arm {self.arm.arm}: torque",
+                found=wanted,
+                expected=f"{len(self._joints)} finite numbers",
+                remedy="this is a defect of the caller: the safety layer must not let it through",
+            )
+        sent = running.write(wanted, begin_ns, self._begin_ns)
+        self.times.write = self._clock.now_ns() - begin_ns
+        return np.array(sent)
+
+    def health(self) -> ServoHealth:
+        """Latest temperatures, voltages and error bits, worst servo of each joint; never touches the bus."""
+        return self._need(Phase.CONNECTED).health(self._clock.now_ns())

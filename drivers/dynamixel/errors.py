@@ -1,0 +1,129 @@
+"""What can go wrong on a servo bus, as types with the facts in attributes.  Never decides anything."""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Sequence
+
+from drivers.dynamixel.table import HardwareError, StatusError
+from drivers.interface import ConnectError, DriverError, JointState, ServoFault, StaleStateError
+
+NO_ERROR = HardwareError(0)
+
+
+def hardware_names(bits: HardwareError) -> str:
+    """Error bits in words."""
+    return ", ".join(bit.name or hex(bit) for bit in bits) or f"{int(bits):#04x}"
+
+
+class PortError(ConnectError):
+    """The serial port cannot be used as asked."""
+
+
+class PortLostError(DriverError):
+    """The port was there and is gone: unplugged, or the other end of the pty closed."""
+
+
+class WriteTimeoutError(DriverError):
+    """The port took no more bytes before the deadline."""
+
+
+class NoReplyError(DriverError):
+    """A servo did not answer, or never intact, in all attempts."""
+
+    def __init__(self, servo_id: int, what: str, *, attempts: int, heard: str) -> None:
+        super().__init__(
+            f"servo {servo_id}: {what}",
+            found=f"{heard} in {attempts} attempts",
+            expected="an intact reply",
+            remedy="check the servo's cable, its 12 V supply, the baud rate and that its ID is unique",
+        )
+        self.servo_id = servo_id
+
+
+class RejectedError(DriverError):
+    """A servo answered that it will not do what it was told."""
+
+    def __init__(self, servo_id: int, what: str, code: int) -> None:
+        name = StatusError(code).name if code in StatusError.__members__.values() else f"code {code}"
+        super().__init__(
+            f"servo {servo_id}: {what}",
+            found=f"refused with {name}",
+            expected="accepted",
+            remedy="ACCESS: torque is on or the register is read-only; DATA_RANGE: outside the servo's own limits, "
+            "or its bus watchdog has fired",
+        )
+        self.servo_id = servo_id
+        self.code = code
+
+
+class NotEnabledError(DriverError):
+    """A call that needs another state of the driver."""
+
+
+class TorqueError(DriverError):
+    """A torque that is no number, or a joint that cannot be torque-controlled."""
+
+
+class StaleJointsError(StaleStateError):
+    """Some joints brought no fresh state this cycle.
+
+    joints: names of the controlled joints without a fresh value, in order; servo_ids: all servos that gave none;
+    partial: the fresh part, NaN for the joints in `joints` (None when nothing at all is fresh).
+    """
+
+    def __init__(
+        self, *, joints: Sequence[str], servo_ids: Sequence[int], partial: JointState | None, reason: str
+    ) -> None:
+        servos = ", ".join(map(str, servo_ids))
+        super().__init__(
+            "joint state",
+            found=f"{reason} from servo {servos} (joint {', '.join(joints) or 'none controlled'})",
+            expected="a fresh value of every joint in this cycle",
+            remedy="single ones are noise; if they persist check cable and supply, and run `coop doctor`",
+        )
+        self.joints = tuple(joints)
+        self.servo_ids = tuple(servo_ids)
+        self.partial = partial
+
+
+class FaultCause(enum.Enum):
+    """What a servo fault is."""
+
+    HARDWARE_ERROR = "hardware error"
+    TORQUE_LOST = "torque is off"
+    REBOOTED = "rebooted: its RAM registers are back at their defaults"
+    WATCHDOG_TRIPPED = "its bus watchdog has fired and it ignores goals"
+    GOAL_IGNORED = "its goal register does not hold what was sent"
+    NO_EFFECT = "its current does not follow the goal"
+    POSITION_JUMP = "its position moved faster than the joint can"
+    PAIR_APART = "the servos of one joint disagree"
+    SILENT = "does not answer"
+    REFUSED_TORQUE = "torque could not be switched on"
+
+
+class DxlServoFault(ServoFault):
+    """A servo of this arm does not do its part; `state` is this cycle's fresh state if there is one."""
+
+    def __init__(
+        self,
+        cause: FaultCause,
+        *,
+        servo_id: int,
+        joint: str,
+        found: str,
+        expected: str,
+        state: JointState | None = None,
+        hardware: HardwareError = NO_ERROR,
+    ) -> None:
+        super().__init__(
+            f"servo {servo_id} ({joint}): {cause.value}",
+            found=found,
+            expected=expected,
+            remedy="hold or lower the arm, then read the servo with `coop doctor`; a hardware error needs a reboot",
+        )
+        self.cause = cause
+        self.servo_id = servo_id
+        self.joint = joint
+        self.state = state
+        self.hardware = hardware

@@ -1,0 +1,109 @@
+"""One cycle's rows to the state of the joints, and what is wrong with them.  Never fills a hole with an old value."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.dynamixel.arm_map import ArmMap, JointMap, ServoSlot
+from drivers.dynamixel.checks import Complaint, JumpCheck, PairCheck, SilenceCheck, effect_checks
+from drivers.dynamixel.cycle import CycleRows
+from drivers.dynamixel.events import OncePerServo
+from drivers.dynamixel.group import Row
+from drivers.dynamixel.torque import TorqueDrive
+from drivers.dynamixel.units import AngleScale, velocity_rad_per_s
+from drivers.interface import JointState
+
+
+@dataclass(slots=True)
+class _Joint:
+    joint: JointMap
+    places: tuple[int, ...]  # of its servos in `ArmMap.slots`, the followed one first
+    scale: AngleScale
+    drive: TorqueDrive
+    jump: JumpCheck
+
+
+@dataclass(slots=True)
+class Reading:
+    """What a cycle brought: NaN in `state` for each joint in `stale`."""
+
+    state: JointState
+    stale: list[str]
+    jumped: bool
+    complaints: list[Complaint]
+
+
+class Interpreter:
+    """Keeps what must be remembered between cycles: the last speed, and the counts of the checks."""
+
+    def __init__(self, arm: ArmMap, drives: Sequence[TorqueDrive], tell: OncePerServo) -> None:
+        slots = arm.slots
+        place_of = {slot.servo_id: place for place, slot in enumerate(slots)}
+        self.dq = [0.0] * len(drives)  # last fresh speed of each joint, for back-EMF
+        self._joints = []
+        for joint, drive in zip(arm.controlled, drives, strict=True):
+            places = tuple(place_of[servo_id] for servo_id in joint.ids)
+            self._joints.append(_Joint(joint, places, AngleScale(joint), drive, JumpCheck(slots[places[0]])))
+        self._silence = SilenceCheck(slots, arm.rate_hz)
+        self._effects = effect_checks(arm)
+        self._pairs = [
+            (place_of[a], place_of[b], PairCheck(slots[place_of[a]], slots[place_of[b]], arm.rate_hz))
+            for a, b in arm.pairs
+        ]
+        self._tell = tell
+
+    def read(self, cycle: CycleRows, goals: Sequence[int]) -> Reading:
+        """State and complaints of one cycle; goals: count each servo was last sent, by place."""
+        rows = cycle.rows
+        count = len(self._joints)
+        q, dq, tau = [math.nan] * count, [math.nan] * count, [math.nan] * count
+        stale: list[str] = []
+        complaints = self._silence.check(rows)
+        jumped = False
+        for index, entry in enumerate(self._joints):
+            row = rows[entry.places[0]]
+            if row is None:
+                stale.append(entry.joint.name)
+                continue
+            angle = entry.scale.angle_rad(row[3])
+            if entry.jump.is_jump(cycle.stamp_ns, angle):
+                jumped = True
+                stale.append(entry.joint.name)
+                if entry.jump.in_a_row > 1:
+                    complaints.append(entry.jump.complaint(angle))
+                continue
+            q[index] = angle
+            dq[index] = self.dq[index] = velocity_rad_per_s(row[2])
+            present = self._currents(entry, rows)
+            if present is not None:
+                tau[index] = entry.drive.measured_Nm(present, dq[index])
+        for place, check in self._effects.items():
+            row = rows[place]
+            if row is not None and (complaint := check.check(goals[place], row)) is not None:
+                complaints.append(complaint)
+        for first, second, pair in self._pairs:
+            followed, shadow = rows[first], rows[second]
+            if followed is not None and shadow is not None:
+                pair.check(followed, shadow, self._tell)
+        state = JointState(cycle.stamp_ns, np.array(q), np.array(dq), np.array(tau))
+        return Reading(state, stale, jumped, complaints)
+
+    @staticmethod
+    def _currents(entry: _Joint, rows: Sequence[Row | None]) -> list[int] | None:
+        """Currents of all servos of a joint; None when one is missing, for half a torque is no torque."""
+        present = []
+        for place in entry.places:
+            row = rows[place]
+            if row is None:
+                return None
+            present.append(row[1])
+        return present
+
+
+def servo_names(slots: Sequence[ServoSlot], rows: Sequence[Row | None]) -> list[int]:
+    """IDs of the servos that gave no row."""
+    return [slot.servo_id for slot, row in zip(slots, rows, strict=True) if row is None]

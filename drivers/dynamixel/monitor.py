@@ -1,0 +1,212 @@
+"""Slow checks in the gaps of the cycle: torque flags, goals, errors, temperature, voltage, one group read per gap.
+
+The request goes out together with the torque and is not waited for; the answer is picked up when the next cycle begins.
+A gap that is too short is skipped, so a cycle is never lengthened.  What is found is recorded and judged here; the
+driver raises it.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from drivers.dynamixel.arm_map import ServoSlot
+from drivers.dynamixel.errors import NO_ERROR, FaultCause, hardware_names
+from drivers.dynamixel.events import DriverEvent, EventKind, OncePerServo
+from drivers.dynamixel.group import GroupRead, Row
+from drivers.dynamixel.table import (
+    BUS_WATCHDOG,
+    HARDWARE_ERROR_STATUS,
+    INDIRECT_DATA,
+    LED,
+    PRESENT_INPUT_VOLTAGE,
+    TORQUE_ENABLE,
+    WATCHDOG_TRIPPED,
+    HardwareError,
+    Register,
+)
+from drivers.dynamixel.thermal import ThermalWatch
+from drivers.dynamixel.units import volts
+
+SLOW_EVERY = 8  # every eighth gap asks for temperature and voltage
+VOLTAGE_MARGIN_V = 0.5
+
+
+class Page(enum.Enum):
+    """What one health read asks for: address and fields (after the error byte)."""
+
+    STATUS = (INDIRECT_DATA[0].address, "BBBbh")  # the bytes that bring-up mapped there: see `status_bytes`
+    SLOW = (PRESENT_INPUT_VOLTAGE.address, "HB")  # 144 Present Input Voltage, 146 Present Temperature
+
+
+def status_bytes(goal: Register) -> tuple[int, ...]:
+    """Addresses that bring-up maps to Indirect Data 1 and following, so that one short read tells all that can fail.
+
+    A servo that restarts forgets the mapping; it then reads as zeros, which is what a restart should look like.
+    """
+    registers = (TORQUE_ENABLE, LED, HARDWARE_ERROR_STATUS, BUS_WATCHDOG, goal)
+    return tuple(register.address + place for register in registers for place in range(register.length))
+
+
+@dataclass(slots=True)
+class ServoRecord:
+    """Last known slow values of one servo, and what they should be."""
+
+    slot: ServoSlot
+    goal: Register  # the register that carries this servo's effort
+    watchdog: int  # expected Bus Watchdog value
+    shutdown: HardwareError  # error bits that switch its torque off
+    voltage_limits_V: tuple[float, float]
+    thermal: ThermalWatch
+    voltage_V: float
+    temperature_C: float
+    hardware: HardwareError = NO_ERROR
+    sent: int = 0  # last goal sent
+    sent_before: int = 0
+    goal_doubts: int = 0
+    seen_ns: int = 0  # when its torque flag was last read
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """A servo that does not do its part."""
+
+    cause: FaultCause
+    record: ServoRecord
+    found: str
+    expected: str
+
+
+@dataclass(frozen=True, slots=True)
+class _Question:
+    page: Page
+    read: GroupRead
+    records: tuple[ServoRecord, ...]
+    wire_ns: int
+
+
+class GapMonitor:
+    """Round robin over pages and groups of servos, one question per gap; a doubt is asked about again at once."""
+
+    def __init__(
+        self, records: Sequence[ServoRecord], per_gap: int, byte_ns: float, turnaround_ns: float, tell: OncePerServo,
+        *, fast: bool,
+    ) -> None:  # fmt: skip
+        self.findings: list[Finding] = []
+        self.misses = 0
+        self._records = tuple(records)
+        self._tell = tell
+        self._pending: _Question | None = None
+        self._urgent: deque[_Question] = deque()
+        self._turn = 0
+
+        def ask(page: Page, some: Sequence[ServoRecord]) -> list[_Question]:
+            size = max(1, per_gap)
+            questions = []
+            for first in range(0, len(some), size):
+                group = tuple(some[first : first + size])
+                read = GroupRead(*page.value, [r.slot.servo_id for r in group], fast=fast)
+                turns = 1 if fast else len(group)
+                wire = (len(read.request) + read.reply_bytes) * byte_ns + turns * turnaround_ns
+                questions.append(_Question(page, read, group, round(wire)))
+            return questions
+
+        self._often = ask(Page.STATUS, self._records)
+        self._seldom = ask(Page.SLOW, self._records)
+
+    @property
+    def round_gaps(self) -> int:
+        """Gaps until every torque flag and goal has been read once."""
+        return -(-len(self._often) * SLOW_EVERY // (SLOW_EVERY - 1))
+
+    def question(self, gap_ns: int) -> bytes:
+        """Request for this gap; empty when the gap is too short or an answer is still awaited."""
+        if self._pending is not None:
+            return b""
+        if self._urgent:
+            question = self._urgent[0]
+        elif self._turn % SLOW_EVERY == SLOW_EVERY - 1:
+            question = self._seldom[self._turn // SLOW_EVERY % len(self._seldom)]
+        else:
+            question = self._often[(self._turn - self._turn // SLOW_EVERY) % len(self._often)]
+        if question.wire_ns > gap_ns:
+            return b""
+        if self._urgent:
+            self._urgent.popleft()
+        else:
+            self._turn += 1
+        self._pending = question
+        return question.read.request
+
+    def answer(self, heard: bytes, now_ns: int, *, final: bool) -> None:
+        """Look for the awaited answer in what was heard; final: it will not come any more."""
+        question = self._pending
+        if question is None:
+            return
+        reply = question.read.parse(heard, final=final)
+        if not reply.complete and not final:
+            return
+        self._pending = None
+        self.misses += not reply.complete
+        for record, row in zip(question.records, reply.rows, strict=True):
+            if row is not None and not row[0] & 0x7F:
+                self._judge(question, record, row, now_ns)
+
+    def alert(self, servo_id: int) -> None:
+        """A servo's alert bit was seen: read its status in the next gap."""
+        for question in self._often:
+            if servo_id in question.read.ids and question not in self._urgent:
+                self._urgent.append(question)
+
+    def _judge(self, question: _Question, record: ServoRecord, row: Row, now_ns: int) -> None:
+        if question.page is Page.SLOW:
+            self._judge_slow(record, row, now_ns)
+        else:
+            self._judge_status(record, row, now_ns)
+
+    def _judge_status(self, record: ServoRecord, row: Row, now_ns: int) -> None:
+        _, torque, led, hardware, watchdog, goal = row
+        record.seen_ns = now_ns
+        record.hardware = HardwareError(hardware)
+        if record.hardware & record.shutdown:
+            self._find(FaultCause.HARDWARE_ERROR, record, hardware_names(record.hardware), "no error")
+        elif torque == 0 and led == 0:  # bring-up lights the LED, a restart darkens it
+            self._find(FaultCause.REBOOTED, record, "Torque Enable 0, LED 0", "1, 1")
+        elif torque == 0:
+            self._find(FaultCause.TORQUE_LOST, record, "Torque Enable 0", "1")
+        elif watchdog == WATCHDOG_TRIPPED:
+            self._find(FaultCause.WATCHDOG_TRIPPED, record, "Bus Watchdog -1", str(record.watchdog))
+        elif watchdog != record.watchdog:
+            self._find(FaultCause.REBOOTED, record, f"Bus Watchdog {watchdog}", str(record.watchdog))
+        elif goal in (record.sent, record.sent_before):
+            record.goal_doubts = 0
+        else:
+            record.goal_doubts += 1  # a lost write explains one, not two
+            self.alert(record.slot.servo_id)
+            if record.goal_doubts > 1:
+                self._find(FaultCause.GOAL_IGNORED, record, f"{record.goal.name} {goal}", str(record.sent))
+        if record.hardware or self._tell.is_active(EventKind.HARDWARE_WARNING, record.slot.servo_id):
+            active = bool(record.hardware)
+            self._say(EventKind.HARDWARE_WARNING, record, hardware_names(record.hardware), active=active)
+
+    def _judge_slow(self, record: ServoRecord, row: Row, now_ns: int) -> None:
+        record.voltage_V = volts(row[1])
+        record.temperature_C = float(row[2])
+        record.thermal.add(now_ns * 1e-9, record.temperature_C)
+        thermal, (low, high) = record.thermal, record.voltage_limits_V
+        limit = f"{record.temperature_C:.0f} °C of {thermal.limit_C:.0f} °C"
+        self._say(EventKind.HOT, record, limit, active=thermal.hot)
+        heating = thermal.heating and not thermal.hot
+        self._say(EventKind.HEATING, record, limit, active=heating)
+        close = not low + VOLTAGE_MARGIN_V <= record.voltage_V <= high - VOLTAGE_MARGIN_V
+        self._say(EventKind.VOLTAGE, record, f"{record.voltage_V:.1f} V of {low:.1f} to {high:.1f} V", active=close)
+
+    def _say(self, kind: EventKind, record: ServoRecord, text: str, *, active: bool) -> None:
+        slot = record.slot
+        self._tell.tell(DriverEvent(kind, text, slot.servo_id, slot.joint.name), active=active)
+
+    def _find(self, cause: FaultCause, record: ServoRecord, found: str, expected: str) -> None:
+        if not any(f.record is record and f.cause is cause for f in self.findings):
+            self.findings.append(Finding(cause, record, found, expected))

@@ -1,0 +1,213 @@
+"""What a connected arm needs from cycle to cycle, built once from what `connect` found.  Never switches torque."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from drivers.dynamixel.arm_map import ArmMap, ServoSlot
+from drivers.dynamixel.bringup import effort_at_rest, effort_register
+from drivers.dynamixel.budget import LinkTiming, cycle_budget, health_servos_per_gap
+from drivers.dynamixel.bus import Bus
+from drivers.dynamixel.checks import FAULT_WITHIN_S, Complaint
+from drivers.dynamixel.cycle import CycleReader, CycleRows
+from drivers.dynamixel.errors import NO_ERROR, DxlServoFault, FaultCause
+from drivers.dynamixel.events import DriverEvent, EventKind, EventSink, OncePerServo
+from drivers.dynamixel.group import GroupWrite
+from drivers.dynamixel.identify import IdentityError, ServoFound
+from drivers.dynamixel.interpret import Interpreter, Reading
+from drivers.dynamixel.monitor import Finding, GapMonitor, ServoRecord
+from drivers.dynamixel.port import Now
+from drivers.dynamixel.table import (
+    ALERT_BIT,
+    GOAL_CURRENT,
+    GOAL_PWM,
+    MAX_VOLTAGE_LIMIT,
+    MIN_VOLTAGE_LIMIT,
+    PRESENT_INPUT_VOLTAGE,
+    PRESENT_TEMPERATURE,
+    SHUTDOWN,
+    TEMPERATURE_LIMIT,
+    HardwareError,
+)
+from drivers.dynamixel.thermal import ThermalWatch
+from drivers.dynamixel.torque import torque_drive
+from drivers.dynamixel.units import volts, watchdog_count
+from drivers.interface import ServoHealth
+
+
+def _record(servo: ServoFound, watchdog: int) -> ServoRecord:
+    values = servo.values
+    rest = effort_at_rest(servo)
+    return ServoRecord(
+        slot=servo.slot,
+        goal=effort_register(servo.slot),
+        watchdog=watchdog,
+        shutdown=HardwareError(values[SHUTDOWN]),
+        voltage_limits_V=(volts(values[MIN_VOLTAGE_LIMIT]), volts(values[MAX_VOLTAGE_LIMIT])),
+        thermal=ThermalWatch(float(values[TEMPERATURE_LIMIT])),
+        voltage_V=volts(values[PRESENT_INPUT_VOLTAGE]),
+        temperature_C=float(values[PRESENT_TEMPERATURE]),
+        sent=rest,
+        sent_before=rest,
+    )
+
+
+class Running:
+    """Reader, monitor, checks and writers of one arm, and the goals last sent."""
+
+    def __init__(
+        self,
+        bus: Bus,
+        arm: ArmMap,
+        found: Sequence[ServoFound],
+        clock: Now,
+        on_event: EventSink,
+        link: LinkTiming,
+        *,
+        fast: bool,
+    ) -> None:
+        self.fast = fast
+        self._bus = bus
+        self._arm = arm
+        self._clock = clock
+        self._found = tuple(found)
+        tell = OncePerServo(on_event)
+        self._records = [_record(servo, watchdog_count(arm.watchdog_s)) for servo in found]
+        self._place_of = {record.slot.servo_id: place for place, record in enumerate(self._records)}
+        limits = {servo.slot.servo_id: servo.limit_count for servo in found}
+        self._drives = [torque_drive(joint, limits[joint.ids[0]]) for joint in arm.controlled]
+        self._joint_records = [[self._records[self._place_of[i]] for i in joint.ids] for joint in arm.controlled]
+        self.reader = CycleReader(bus, arm, clock, bus.counters, fast=fast, link=link)
+        self._interpreter = Interpreter(arm, self._drives, tell)
+        budget = cycle_budget(arm, fast=fast, link=link)
+        per_gap = health_servos_per_gap(arm, budget, fast=fast, link=link)
+        self.monitor = GapMonitor(self._records, per_gap, 1e10 / arm.baud, 1e9 * link.turnaround_s, tell, fast=fast)
+        self._write_ns = round(1e9 * budget.write_s)
+        self._writers = [
+            (GroupWrite(register.address, "h", [arm.controlled[j].ids[0] for j in joints]), joints)
+            for register in (GOAL_CURRENT, GOAL_PWM)
+            if (joints := [j for j, drive in enumerate(self._drives) if drive.register is register])
+        ]
+        self._goals = [record.sent for record in self._records]
+        self._health_heard = b""
+        self._known: set[tuple[FaultCause, int]] = set()
+        seconds = (self.monitor.round_gaps + 2) / arm.rate_hz
+        if seconds > FAULT_WITHIN_S:
+            text = f"all servos once in {seconds * 1e3:.0f} ms, should be {FAULT_WITHIN_S * 1e3:.0f} ms"
+            on_event(DriverEvent(EventKind.SLOW_CHECKS, text))
+
+    # --- read -----------------------------------------------------------------------------------------------------
+
+    def hear_health(self, now_ns: int) -> None:
+        """Take what came since the last cycle: the health read's answer, or something to throw away."""
+        port, heard = self._bus.port, b""
+        while len(heard) < 1024 and (more := port.read_now()):
+            heard += more
+        self._health_heard = heard
+        if heard:
+            self.monitor.answer(heard, now_ns, final=False)
+            if len(heard) >= 1024:
+                self._bus.counters.stray_bytes += len(heard) + port.discard_input()
+
+    def interpret(self, cycle: CycleRows, now_ns: int) -> Reading:
+        """State of the joints, with the alerts and the last chance of a late health answer looked after."""
+        self.monitor.answer(self._health_heard + cycle.heard, now_ns, final=True)
+        for record, row in zip(self._records, cycle.rows, strict=True):
+            if row is not None and row[0] & ALERT_BIT:
+                self._bus.counters.alerts += 1
+                self.monitor.alert(record.slot.servo_id)
+        return self._interpreter.read(cycle, self._goals)
+
+    def new_faults(self, reading: Reading) -> list[DxlServoFault]:
+        """Faults that were not known before."""
+        findings = self.monitor.findings
+        if not findings and not reading.complaints:
+            return []
+        faults = [_fault_of_finding(finding) for finding in findings]
+        faults += [_fault_of_complaint(complaint) for complaint in reading.complaints]
+        findings.clear()
+        fresh = [fault for fault in faults if (fault.cause, fault.servo_id) not in self._known]
+        self._known.update((fault.cause, fault.servo_id) for fault in fresh)
+        return fresh
+
+    # --- write ----------------------------------------------------------------------------------------------------
+
+    def write(self, tau_Nm: Sequence[float], now_ns: int, cycle_begin_ns: int) -> list[float]:
+        """Send goals for joint torques, and a health request if the gap has room; returns the torques sent."""
+        sent = [0.0] * len(tau_Nm)
+        packets = b""
+        for writer, joints in self._writers:
+            counts = []
+            for j in joints:
+                records = self._joint_records[j]
+                dq = self._interpreter.dq[j]
+                count, sent[j] = self._drives[j].command(tau_Nm[j], dq, records[0].voltage_V)
+                counts.append(count)
+                for record in records:
+                    record.sent_before, record.sent = record.sent, count
+                    self._goals[self._place_of[record.slot.servo_id]] = count
+            packets += writer.packet(counts)
+        gap_ns = cycle_begin_ns + self._arm.period_ns - now_ns - self._write_ns
+        packets += self.monitor.question(gap_ns)
+        self._bus.port.write(packets, now_ns + self._arm.period_ns)
+        return sent
+
+    # --- the rest -------------------------------------------------------------------------------------------------
+
+    def health(self, now_ns: int) -> ServoHealth:
+        """Worst servo of each controlled joint."""
+        joints = self._joint_records
+        errors = [0] * len(joints)
+        for j, records in enumerate(joints):
+            for record in records:
+                errors[j] |= int(record.hardware)
+        return ServoHealth(
+            now_ns,
+            np.array([max(r.temperature_C for r in records) for records in joints]),
+            np.array([min(r.voltage_V for r in records) for records in joints]),
+            np.array(errors, dtype=np.uint8),
+        )
+
+    def recognise(self) -> None:
+        """Ping every servo of the map.  Raises IdentityError unless all are the models that were there before."""
+        for servo in self._found:
+            slot = servo.slot
+            model = self._bus.ping(slot.servo_id, attempts=2).model_number
+            if model != slot.model.model_number:
+                raise _stranger(slot, model)
+
+
+def _stranger(slot: ServoSlot, model_number: int) -> IdentityError:
+    return IdentityError(
+        slot.servo_id,
+        f"servo {slot.servo_id} ({slot.joint.name}) after the port came back",
+        found=f"model number {model_number}",
+        expected=f"{slot.model.model_number} ({slot.model.name})",
+        remedy="another arm is plugged in here: put the plug back",
+    )
+
+
+def _fault_of_finding(finding: Finding) -> DxlServoFault:
+    record = finding.record
+    hardware = record.hardware if finding.cause is FaultCause.HARDWARE_ERROR else NO_ERROR
+    return DxlServoFault(
+        finding.cause,
+        servo_id=record.slot.servo_id,
+        joint=record.slot.joint.name,
+        found=finding.found,
+        expected=finding.expected,
+        hardware=hardware,
+    )
+
+
+def _fault_of_complaint(complaint: Complaint) -> DxlServoFault:
+    slot = complaint.slot
+    return DxlServoFault(
+        complaint.cause,
+        servo_id=slot.servo_id,
+        joint=slot.joint.name,
+        found=complaint.found,
+        expected=complaint.expected,
+    )
