@@ -1,0 +1,117 @@
+"""Motion through timed poses, smooth to the fourth derivative and at rest at both ends; pure.
+
+Position and quaternion are quintic splines in R³ and R⁴; the quaternion is normalised where it is used.  The
+spline is linear in its poses, so it does not depend on where the world frame is put: turning all poses turns the
+motion.  With s the spline of the quaternion, q = s/|s| and, in world axes,
+
+    ω = 2 vec(s' s*) / |s|²,    dω/dt = 2 vec(s'' s*) / |s|² − 2 (s·s') ω / |s|² .
+
+Two poses alone give the minimum-jerk line.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+
+from agent.control.models import Matrix
+from agent.control.quaternion import Quat, Vec3
+from agent.control.trajectory import Desired
+from drivers.interface import Refusal
+
+SMALLEST_NORM = 0.5  # of the quaternion spline; below it neighbouring attitudes are too far apart
+_PER_SEGMENT = 4
+
+
+class TrajectoryError(Refusal):
+    """The described motion cannot be used."""
+
+
+class PoseSpline:
+    """The motion through poses (p, quat) at strictly increasing times (s); before and after, at rest.
+
+    Raises TrajectoryError when times do not increase or neighbouring attitudes are too far apart.
+    """
+
+    def __init__(self, times_s: Sequence[float], positions: Sequence[Vec3], quats: Sequence[Quat]) -> None:
+        for k, (before, after) in enumerate(pairwise(times_s)):
+            if not after > before:
+                raise TrajectoryError(
+                    f"time of pose {k + 2}",
+                    found=f"{after:g} s after {before:g} s",
+                    expected="times that increase",
+                    remedy="put the poses in order, one per instant",
+                )
+        self._times = [float(t) for t in times_s]
+        values = np.hstack([np.array(positions), same_hemisphere(np.array(quats))])
+        still = [(1, np.zeros(7)), (2, np.zeros(7))]
+        spline = make_interp_spline(self._times, values, k=5, bc_type=(still, still))
+        # (segment, power of time since its start; value of p and s, then their rates, then their second rates)
+        starts = self._times[:-1]
+        coefficients = np.stack([spline(starts, nu=k) / math.factorial(k) for k in range(6)], axis=1)
+        power = np.arange(6.0)[None, :, None]
+        rates, accelerations = np.zeros_like(coefficients), np.zeros_like(coefficients)
+        rates[:, :5] = (power * coefficients)[:, 1:]
+        accelerations[:, :4] = (power * (power - 1.0) * coefficients)[:, 2:]
+        self._segments = list(np.concatenate([coefficients, rates, accelerations], axis=2))
+        self._refuse_far_attitudes()
+
+    @property
+    def period_s(self) -> float:
+        """Time of the last pose."""
+        return self._times[-1]
+
+    def at(self, t: float) -> Desired:
+        """Desired motion at time t (s)."""
+        times = self._times
+        t = min(max(t, times[0]), times[-1])
+        k = min(bisect_right(times, t), len(times) - 1) - 1
+        x = t - times[k]
+        x2 = x * x
+        x3 = x2 * x
+        numbers = np.array((1.0, x, x2, x3, x2 * x2, x2 * x3)).dot(self._segments[k]).tolist()
+        px, py, pz, w, i, j, l, vx, vy, vz, dw, di, dj, dl, ax, ay, az, ddw, ddi, ddj, ddl = numbers  # noqa: E741
+        square = w * w + i * i + j * j + l * l
+        n, f = 1.0 / math.sqrt(square), 2.0 / square
+        g = f * (w * dw + i * di + j * dj + l * dl)
+        wx = f * (w * di - i * dw + j * dl - l * dj)
+        wy = f * (w * dj - j * dw + l * di - i * dl)
+        wz = f * (w * dl - l * dw + i * dj - j * di)
+        return Desired(
+            p=(px, py, pz),
+            quat=(n * w, n * i, n * j, n * l),
+            v=(vx, vy, vz, wx, wy, wz),
+            a=(
+                ax,
+                ay,
+                az,
+                f * (w * ddi - i * ddw + j * ddl - l * ddj) - g * wx,
+                f * (w * ddj - j * ddw + l * ddi - i * ddl) - g * wy,
+                f * (w * ddl - l * ddw + i * ddj - j * ddi) - g * wz,
+            ),
+        )
+
+    def _refuse_far_attitudes(self) -> None:
+        times = self._times
+        for k, segment in enumerate(self._segments):
+            x = np.linspace(0.0, times[k + 1] - times[k], _PER_SEGMENT, endpoint=False)
+            norm = np.linalg.norm(np.vander(x, 6, increasing=True) @ segment[:, 3:7], axis=1).min()
+            if norm < SMALLEST_NORM:
+                raise TrajectoryError(
+                    f"attitudes between {times[k]:g} s and {times[k + 1]:g} s",
+                    found=f"so far apart that their interpolation shrinks to {norm:.2f}",
+                    expected=f"at least {SMALLEST_NORM:g}: well below half a turn from pose to pose",
+                    remedy="add a pose in between",
+                )
+
+
+def same_hemisphere(quats: Matrix) -> Matrix:
+    """Quaternions (k, 4) of the same attitudes with no sign flip from one to the next."""
+    flips = np.where(np.einsum("ij,ij->i", quats[1:], quats[:-1]) < 0.0, -1.0, 1.0)
+    signed: Matrix = quats * np.concatenate([[1.0], np.cumprod(flips)])[:, None]
+    return signed
