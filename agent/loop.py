@@ -11,7 +11,8 @@ from typing import Protocol
 
 import numpy as np
 
-from agent.control import known
+from agent.control import adaptive, known
+from agent.control.adaptation import Estimate
 from agent.control.estimator import Observer
 from agent.control.inverse import SingularJacobian
 from agent.control.law import Offline, Terms
@@ -60,16 +61,40 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
     else:
         q, dq = agent.observer.correct(memory, state.q, state.dq)
     try:
-        terms = known.torque(agent.model, agent.offline, q, dq, _desired(agent, t, mode, memory))
+        terms, estimate, held = _law(agent, t, mode, memory, q, dq)
     except SingularJacobian:
         return Outcome(q, dq, None, memory.tau, Flag.SINGULAR, replace(memory, primed=False))
     wanted = terms.tau_cmd.tolist()
     tau, flags = limit(wanted, memory.tau.tolist(), agent.limits)
     if terms.sigma_min < agent.sigma_min:
         flags |= Flag.SINGULAR
+    if held:
+        flags |= Flag.ADAPTATION_SATURATED
     limited = np.array(tau)
-    carried = Memory(q, dq, terms.ddq_ref, memory.ddq, limited, True, memory.hold)
+    carried = Memory(q, dq, terms.ddq_ref, memory.ddq, limited, True, memory.hold, t, estimate)
     return Outcome(q, dq, terms, limited, flags, carried)
+
+
+def _law(
+    agent: Agent, t: float, mode: Mode, memory: Memory, q: Vector, dq: Vector
+) -> tuple[Terms, Estimate | None, bool]:
+    """Terms of this tick's law, the estimate it leaves, and whether a bound held the estimate back."""
+    desired, adaptation, estimate = _desired(agent, t, mode, memory), agent.offline.adaptation, memory.estimate
+    if adaptation is None:
+        return known.torque(agent.model, agent.offline, q, dq, desired), None, False
+    if estimate is None:
+        raise TypeError("the adaptive law needs the estimate that its memory began with (initial_memory)")
+    terms, gradient = adaptive.torque(agent.model, agent.offline, adaptation, estimate, q, dq, desired)
+    if not memory.primed or mode not in _COMMANDING:
+        return terms, estimate, False
+    advanced, held = adaptation.advance(estimate, gradient, t - memory.t)
+    return terms, advanced, held
+
+
+def initial_memory(agent: Agent) -> Memory:
+    """Memory before the agent's first tick."""
+    adaptation = agent.offline.adaptation
+    return initial(agent.model.n, None if adaptation is None else adaptation.start)
 
 
 def _desired(agent: Agent, t: float, mode: Mode, memory: Memory) -> Desired:
@@ -141,7 +166,7 @@ def run(
     wall_ns measures durations for the log and nothing else.  events() tells of operator requests.  heartbeat
     is called after every cycle with a fresh state.
     """
-    memory = initial(agent.model.n)
+    memory = initial_memory(agent)
     summary = RunSummary(mode=Mode.TRACK)
     stale_in_a_row = 0
     tick = 0

@@ -20,6 +20,7 @@ class Flag(enum.IntFlag):
     RATE_LIMITED = 4  # at least one joint hit its torque step bound
     SINGULAR = 8  # the object Jacobian was not safely invertible
     STALE = 16  # no fresh state this tick: the last torque was kept
+    ADAPTATION_SATURATED = 32  # an estimate of the adaptive law was held at its bound
 
 
 @dataclass(frozen=True, slots=True)

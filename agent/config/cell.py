@@ -16,13 +16,15 @@ import tomli_w
 from pydantic import BaseModel, ValidationError
 
 import configs
+from agent.config import adaptive, trajectory
 from agent.config.schema import Arm as ArmEntry
-from agent.config.schema import ArmFile, CellFile, ServoJoint
+from agent.config.schema import ArmFile, CellFile, ControllerKind, ServoJoint
+from agent.control.adaptation import Adaptation
 from agent.control.errors import Gains
 from agent.control.friction import Friction
 from agent.control.law import Offline
 from agent.control.models import ArmModel
-from agent.control.trajectory import Sinusoid, Trajectory
+from agent.control.trajectory import Trajectory
 from drivers.dynamixel.table import SERVOS, ServoModel
 from drivers.interface import Refusal, Vector
 
@@ -121,8 +123,7 @@ class Cell:
 
     def trajectory(self) -> Trajectory:
         """The desired motion of the object."""
-        t = self.file.trajectory
-        return Sinusoid(t.p_centre_m, t.p_amplitude_m, t.quat_centre, t.axis, t.angle_rad, t.period_s)
+        return trajectory.build(self.file)
 
     def model(self, arm: Arm) -> ArmModel:
         """A new rigid-body model of the arm, with its own scratch memory.  Raises ModelError."""
@@ -138,7 +139,7 @@ class Cell:
         )
 
     def offline(self, arm: Arm) -> Offline:
-        """What the agent of this arm knows beside its own joints."""
+        """What the agent of this arm knows beside its own joints.  Raises AdaptationError."""
         c, entry, obj = self.file.controller, arm.entry, self.file.object
         gains = Gains(
             k_p=c.k_p_per_s,
@@ -161,7 +162,14 @@ class Cell:
             object_inertia=tuple(x for row in obj.inertia_kg_m2.matrix() for x in row),  # type: ignore[arg-type]
             gravity=self.file.world.gravity_m_per_s2,
             friction=friction,
+            adaptation=self._adaptation(arm),
         )
+
+    def _adaptation(self, arm: Arm) -> Adaptation | None:
+        if self.file.controller.kind is not ControllerKind.ADAPTIVE:
+            return None
+        period_s = 1.0 / self.file.rate_hz
+        return adaptive.build(self.file.controller, self.model(arm), arm.servos, self.file.object, arm.name, period_s)
 
 
 def placement(p_m: Sequence[float], quat: Sequence[float]) -> pin.SE3:
@@ -175,17 +183,21 @@ def load_cell(path: Path, overrides: Sequence[str] = ()) -> Cell:
     Raises ConfigError, whose text names key, value found, what is allowed and what to do.
     """
     raw = _read(path)
+    document = _parse(raw, path)
     if overrides:
-        document = _parse(raw, path)
         for text in overrides:
             _override(document, text)
         raw = tomli_w.dumps(document).encode()
-    return cell_from_toml(raw, path.name)
+    return cell_from_toml(trajectory.embed(raw, document, path), path.name)
 
 
 def cell_from_toml(raw: bytes, source: str, arms_dir: Path = configs.ARMS_DIR) -> Cell:
-    """Validate the bytes of a cell file; arm files are taken from `arms_dir`.  Raises ConfigError."""
+    """Validate the bytes of a cell file; arm files are taken from `arms_dir`.
+
+    Raises ConfigError, and TrajectoryError for a motion that is none.
+    """
     file = _validate(CellFile, _parse(raw, Path(source)), source)
+    trajectory.build(file)
     digest = hashlib.sha256(raw)
     arms = []
     for entry in file.arms:

@@ -7,34 +7,11 @@ import math
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Vec3 = tuple[Finite, Finite, Finite]
-Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,31}$")]
-
-
-def _unit_quaternion(value: tuple[float, ...]) -> tuple[float, ...]:
-    norm = math.sqrt(sum(x * x for x in value))
-    if abs(norm - 1.0) > 1e-6:
-        raise ValueError(f"norm 1 to 1e-6 (its norm is {norm:.9g})")
-    return tuple(x / norm for x in value)
-
-
-def _three(value: Any) -> Any:
-    return [value] * 3 if isinstance(value, (int, float)) else value
-
-
-Quaternion = Annotated[tuple[Finite, Finite, Finite, Finite], AfterValidator(_unit_quaternion)]
-PerAxis = Annotated[tuple[Positive, Positive, Positive], BeforeValidator(_three)]
-
-
-class Strict(BaseModel):
-    """Unknown keys fail, values are frozen and never coerced from text."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=False)
+from agent.config.schema_adaptive import Adaptive
+from agent.config.schema_trajectory import TrajectorySpec
+from agent.config.schema_types import Finite, Name, NonNegative, PerAxis, Positive, Quaternion, Strict, Vec3
 
 
 class DriverKind(enum.StrEnum):
@@ -85,25 +62,6 @@ class Object(Strict):
     quat_start: Quaternion
 
 
-class SinusoidSpec(Strict):
-    """`agent.control.trajectory.Sinusoid`."""
-
-    kind: Literal["sinusoid"]
-    p_centre_m: Vec3
-    p_amplitude_m: Vec3
-    quat_centre: Quaternion = (1.0, 0.0, 0.0, 0.0)
-    axis: Vec3
-    angle_rad: Finite
-    period_s: Positive
-
-    @model_validator(mode="after")
-    def _unit_axis(self) -> SinusoidSpec:
-        norm = math.sqrt(sum(x * x for x in self.axis))
-        if abs(norm - 1.0) > 1e-6:
-            raise ValueError(f"an axis of norm 1 (its norm is {norm:.9g})")
-        return self
-
-
 class ControllerKind(enum.StrEnum):
     """Which of the paper's laws runs."""
 
@@ -129,6 +87,7 @@ class Controller(Strict):
     friction_feedforward: bool = False
     friction_smooth_rad_per_s: Positive = 0.05
     velocity: VelocitySource = VelocitySource.SERVO
+    adaptive: Adaptive = Adaptive()  # used when kind is "adaptive"
 
 
 class Safety(Strict):
@@ -208,11 +167,12 @@ class CellFile(Strict):
     duration_s: Positive
     world: World
     object: Object
-    trajectory: SinusoidSpec
+    trajectory: TrajectorySpec
     controller: Controller
     safety: Safety = Safety()
     simulation: Simulation = Simulation()
     report: Report
+    embedded: dict[str, str] = Field(default_factory=dict)  # text of the files the cell names, added while loading
     arms: Annotated[list[Arm], Field(min_length=1, max_length=8)]
 
     @model_validator(mode="after")

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from agent.control.adaptation import Adaptation
 from agent.control.errors import Errors, Gains
 from agent.control.friction import Friction
 from agent.control.models import Kinematics
@@ -26,6 +27,7 @@ class Offline:
     gravity: Vec3  # world axes
     friction: Friction | None = None  # feed-forward, None = off
     internal_wrench: Vec6 | None = None  # f_int,i about the object's centre, object axes; None = none wanted
+    adaptation: Adaptation | None = None  # the adaptive law's own data; None = the non-adaptive law runs
 
 
 @dataclass(frozen=True, slots=True)

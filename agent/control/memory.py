@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from agent.control.adaptation import Estimate
 from drivers.interface import Vector
 
 MEMORY_JOINTS = 7  # room per joint array in the flattened form
@@ -22,28 +23,33 @@ class Memory:
     tau: Vector  # last limited torque, for the rate limit
     primed: bool  # the observer has seen a measurement
     hold: tuple[float, ...] | None = None  # object pose (p, quat) to hold, once holding
+    t: float = 0.0  # time of the last tick, s; the adaptation integrates over the real interval
+    estimate: Estimate | None = None  # of the adaptive law; logged in fields of its own
 
     def flatten(self) -> list[float]:
-        """The numbers of the log field `memory`: five joint arrays padded to seven, the pose, the flag."""
+        """The numbers of the log field `memory`: five joint arrays padded to seven, the pose, the flag, the time."""
         pad = [0.0] * (MEMORY_JOINTS - len(self.q))
         flat: list[float] = []
         for array in (self.q, self.dq, self.ddq, self.ddq_before, self.tau):
             flat += array.tolist()
             flat += pad
         hold = self.hold if self.hold is not None else (0.0,) * 7
-        return [*flat, *hold, float(self.primed)]
+        return [*flat, *hold, float(self.primed), self.t]
 
 
-def initial(n: int) -> Memory:
-    """Memory before the first tick of an arm with n joints."""
+def initial(n: int, estimate: Estimate | None = None) -> Memory:
+    """Memory before the first tick of an arm with n joints; estimate: where the adaptive law starts."""
     zero = np.zeros(n)
-    return Memory(zero, zero, zero, zero, zero, primed=False)
+    return Memory(zero, zero, zero, zero, zero, primed=False, estimate=estimate)
 
 
-def restore(flat: Vector, n: int) -> Memory:
-    """The memory that a log row holds; inverse of `Memory.flatten`."""
+def restore(flat: Vector, n: int, estimate: Estimate | None = None) -> Memory:
+    """The memory that a log row holds; inverse of `Memory.flatten`.
+
+    estimate: of the adaptive law before that row (`agent.control.adaptation.from_row`), None without it.
+    """
     joints = np.array(flat[: 5 * MEMORY_JOINTS]).reshape(5, MEMORY_JOINTS)[:, :n]
     tail = flat[5 * MEMORY_JOINTS :].tolist()
     hold = tuple(tail[:7]) if any(tail[3:7]) else None
     q, dq, ddq, ddq_before, tau = (row.copy() for row in joints)
-    return Memory(q, dq, ddq, ddq_before, tau, bool(tail[7]), hold)
+    return Memory(q, dq, ddq, ddq_before, tau, bool(tail[7]), hold, tail[8], estimate)

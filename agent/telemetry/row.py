@@ -12,6 +12,7 @@ from agent.control.memory import Memory
 from agent.telemetry.sample import AGENT_STATE, CDR_LITTLE_ENDIAN, MAX_JOINTS
 from drivers.interface import BusCounters, JointState, Vector
 
+_ESTIMATE_FIELDS = ("theta_arm", "theta_object")
 _JOINT_FIELDS = tuple(f.name for f in AGENT_STATE.fields if f.length == MAX_JOINTS)
 
 
@@ -28,6 +29,8 @@ class AgentRow:
             if field.name in _JOINT_FIELDS:
                 view[...] = 0.0
                 view = view[:joint_count]
+            elif field.name in _ESTIMATE_FIELDS:
+                view[...] = 0.0
             setattr(self, "v_" + field.name, view)
         base["encapsulation"] = CDR_LITTLE_ENDIAN
         base["joint_count"] = joint_count
@@ -87,6 +90,9 @@ class AgentRow:
         self.v_lyapunov[()] = terms.lyapunov
         self.v_sigma_min[()] = terms.sigma_min
         self.v_memory[:] = memory.flatten()
+        if memory.estimate is not None:
+            self.v_theta_arm[: len(memory.estimate.arm)] = memory.estimate.arm
+            self.v_theta_object[:] = memory.estimate.object
 
     def fill_output(self, flags: int, tau_limited: Vector, tau_sent: Vector) -> None:
         """What left the agent."""

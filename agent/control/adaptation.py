@@ -1,0 +1,89 @@
+"""The estimates of the adaptive law: their layout, gains and bounds, and one step of adaptation; pure.
+
+Layout of the arm's vector (13 n), as logged: ten inertial parameters of each body, then reflected rotor inertia,
+viscous and Coulomb friction of each joint.  A parameter that is not estimated has gain zero and keeps its
+configured value, so the law has one form whatever is unknown.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from agent.control.projection import to_box, to_physical
+from agent.control.regressor import BODY_PARAMETERS
+from drivers.interface import Vector
+
+ARM_PARAMETERS_PER_JOINT = BODY_PARAMETERS + 3
+MAX_INTERVALS = 4.0  # adaptation over a longer pause than this many periods is not made up for
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """θ̂ of one agent between two ticks; arrays are never written to again."""
+
+    arm: Vector  # (13 n,)
+    object: Vector  # (10,)
+
+
+@dataclass(frozen=True, slots=True)
+class Gradient:
+    """What the adaptation laws (`eq:adaptation laws`) follow downhill, before the gains."""
+
+    arm: Vector  # (13 n,) Y_qᵀ (dq − dq_r)
+    object: Vector  # (10,) c_i Y_Oᵀ e_v
+
+
+@dataclass(frozen=True, slots=True)
+class Adaptation:
+    """Offline data of the adaptive law of one agent.  lower ≤ start ≤ upper, and gains of zero pin a parameter."""
+
+    start: Estimate
+    nominal: Estimate  # as configured; what the logged Lyapunov value calls the truth
+    lower: Estimate
+    upper: Estimate
+    gain: Estimate  # Γ: γ_i on the arm, γ_O on the object
+    smooth_rad_per_s: float  # of the sign in the Coulomb column
+    friction: bool  # whether any friction parameter can be other than zero
+    physical: bool  # keep principal moments physical
+    period_s: float
+    weight: Estimate = field(init=False)  # Γ⁻¹, zero where nothing is estimated
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "weight", Estimate(_inverse(self.gain.arm), _inverse(self.gain.object)))
+
+    def advance(self, estimate: Estimate, gradient: Gradient, dt: float) -> tuple[Estimate, bool]:
+        """θ̂ after dt seconds of θ̂̇ = −Γ gradient, projected; and whether a bound held it back.
+
+        A gradient that is not finite changes nothing and is reported as held back.
+        """
+        dt = min(max(dt, 0.0), MAX_INTERVALS * self.period_s)
+        arm = estimate.arm - dt * self.gain.arm * gradient.arm
+        body = estimate.object - dt * self.gain.object * gradient.object
+        if not math.isfinite(float(arm.sum()) + float(body.sum())):
+            return estimate, True
+        arm, arm_held = to_box(arm, self.lower.arm, self.upper.arm)
+        body, object_held = to_box(body, self.lower.object, self.upper.object)
+        if self.physical:
+            split = len(arm) // ARM_PARAMETERS_PER_JOINT * BODY_PARAMETERS
+            bodies = np.concatenate((arm[:split], body)).reshape(-1, BODY_PARAMETERS)
+            possible = to_physical(bodies)
+            if possible is not bodies:
+                arm[:split], body = possible[:-1].ravel(), possible[-1]
+        return Estimate(arm, body), arm_held or object_held
+
+    def parameter_error(self, estimate: Estimate) -> float:
+        """½ e_θᵀ Γ⁻¹ e_θ with e_θ = nominal − θ̂, over the parameters that are estimated."""
+        arm, body = self.nominal.arm - estimate.arm, self.nominal.object - estimate.object
+        return 0.5 * float((arm * arm).dot(self.weight.arm) + (body * body).dot(self.weight.object))
+
+
+def from_row(theta_arm: Vector, theta_object: Vector, n: int) -> Estimate:
+    """The estimate in the fields `theta_arm` and `theta_object` of a log row of an arm with n joints."""
+    return Estimate(np.array(theta_arm[: ARM_PARAMETERS_PER_JOINT * n]), np.array(theta_object))
+
+
+def _inverse(gain: Vector) -> Vector:
+    return np.divide(1.0, gain, out=np.zeros_like(gain), where=gain > 0.0)

@@ -1,0 +1,112 @@
+"""The adaptive law (`eq:adaptive control vector form`) in joint space; pure, knows no mass of arm or object.
+
+    τ   = Y_q(q, dq, dq_r, ddq_r) θ̂_i + Jᵀ( −k_v e_v − c_i e + c_i Y_O θ̂_O ) + τ_int
+    θ̂̇_i = −γ_i Y_qᵀ (dq − dq_r),   θ̂̇_O = −γ_O c_i Y_Oᵀ e_v          (`eq:adaptation laws`)
+
+because Y_iᵀ e_v = Y_qᵀ J⁻¹ e_v = Y_qᵀ (dq − dq_r).  J is the Jacobian of the object frame, as in
+agent.control.known.  Y_q has three more columns per joint than the inertial ones: reflected rotor inertia
+(ddq_r), viscous friction (dq_r) and Coulomb friction (a smooth sign of dq_r); the last two make `tau_friction`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from agent.control import errors as error_terms
+from agent.control.adaptation import Adaptation, Estimate, Gradient
+from agent.control.inverse import invert_jacobian
+from agent.control.law import Offline, Terms, lyapunov_share, rotate_wrench, shift_to_ee
+from agent.control.models import ArmModel, Matrix
+from agent.control.quaternion import Mat3, Vec3, rotate_back, to_matrix
+from agent.control.regressor import BODY_PARAMETERS, joint_regressor, object_regressor
+from agent.control.trajectory import Desired, Vec6
+from drivers.interface import Vector
+
+_NO_WRENCH = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def torque(
+    model: ArmModel,
+    offline: Offline,
+    adaptation: Adaptation,
+    estimate: Estimate,
+    q: Vector,
+    dq: Vector,
+    desired: Desired,
+) -> tuple[Terms, Gradient]:
+    """One tick of the law at this arm's (q, dq), each (n,), with the estimate of before this tick.
+
+    The second result is what `Adaptation.advance` takes.  Raises SingularJacobian.
+    """
+    k = model.evaluate(q, dq)
+    e = error_terms.evaluate(k.p_object, k.quat_object, k.v_object, desired, offline.gains)
+    J, P = k.J, model.task_basis
+    J_inv, sigma_min = invert_jacobian(J, k.B)
+    dq_ref = J_inv.dot(P.dot(e.v_ref))
+    ddq_ref = J_inv.dot(P.dot(e.dv_ref) - k.dJ.dot(dq_ref))
+    dq_error = dq - dq_ref
+
+    n = model.n
+    inertial, joints = BODY_PARAMETERS * n, estimate.arm[BODY_PARAMETERS * n :]
+    Y = joint_regressor(model, q, dq, dq_ref, ddq_ref)
+    tau_adaptive = Y.dot(estimate.arm[:inertial]) + joints[:n] * ddq_ref
+    direction = np.tanh(dq_ref / adaptation.smooth_rad_per_s)
+    tau_friction = joints[n : 2 * n] * dq_ref + joints[2 * n :] * direction if adaptation.friction else None
+    arm_gradient = np.concatenate((Y.T.dot(dq_error), ddq_ref * dq_error, dq_ref * dq_error, direction * dq_error))
+
+    c, k_v, e_v, e_pose = offline.load_share, offline.gains.k_v, e.e_v, e.e
+    R = to_matrix(k.quat_object)
+    Y_object = _object_regressor(offline, R, k.v_object, e.v_ref, e.dv_ref)
+    load = rotate_wrench(R, (c * Y_object.dot(estimate.object)).tolist())
+    # only what lies in the task space does work on this arm's side
+    e_v_task = e_v if len(P) == 6 else P.T.dot(P.dot(e_v)).tolist()
+    e_v_object = (*rotate_back(R, e_v_task[:3]), *rotate_back(R, e_v_task[3:]))
+    object_gradient = Y_object.T.dot([c * x for x in e_v_object])
+
+    Jt_P = J.T.dot(P)
+    tau_feedback = Jt_P.dot([-k_v[i] * e_v[i] - c * e_pose[i] for i in range(6)])
+    tau_object = Jt_P.dot(load)
+    tau_law = tau_adaptive + tau_feedback + tau_object
+    tau_internal, wrench_internal = None, _NO_WRENCH
+    if offline.internal_wrench is not None:
+        internal = rotate_wrench(R, offline.internal_wrench)
+        tau_internal = Jt_P.dot(internal)
+        wrench_internal = shift_to_ee(k, internal)
+        tau_law += tau_internal
+    u_object = P.T.dot(J_inv.T.dot(tau_law)).tolist()
+    terms = Terms(
+        desired=desired,
+        kinematics=k,
+        errors=e,
+        dq_ref=dq_ref,
+        ddq_ref=ddq_ref,
+        tau_inertia=None,
+        tau_coriolis=None,
+        tau_gravity=None,
+        tau_adaptive=tau_adaptive,
+        tau_feedback=tau_feedback,
+        tau_object=tau_object,
+        tau_internal=tau_internal,
+        tau_friction=tau_friction,
+        tau_posture=None,
+        tau_cmd=tau_law if tau_friction is None else tau_law + tau_friction,
+        wrench_cmd=shift_to_ee(k, u_object),
+        wrench_internal=wrench_internal,
+        lyapunov=lyapunov_share(offline, k, e, dq_error) + adaptation.parameter_error(estimate),
+        sigma_min=sigma_min,
+    )
+    return terms, Gradient(arm_gradient, object_gradient)
+
+
+def _object_regressor(offline: Offline, R: Mat3, v: Vec6, v_ref: Vec6, dv_ref: Vec6) -> Matrix:
+    """Y_O (6, 10) in object axes from world axes."""
+    g = offline.gravity
+    a: Vec3 = (dv_ref[0] - g[0], dv_ref[1] - g[1], dv_ref[2] - g[2])
+    return object_regressor(
+        rotate_back(R, v[:3]),
+        rotate_back(R, v[3:]),
+        rotate_back(R, v_ref[:3]),
+        rotate_back(R, v_ref[3:]),
+        rotate_back(R, a),
+        rotate_back(R, dv_ref[3:]),
+    )

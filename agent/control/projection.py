@@ -1,0 +1,52 @@
+"""Keeps parameter estimates inside their bounds and physically possible; pure, never unbounded, never NaN in.
+
+Two convex sets.  The box is the exact projection in the norm of the Lyapunov function (any diagonal gain), so it
+never raises V.  The cone keeps every body's second moment Σ = ½ tr(I) E − I positive semidefinite, which says
+that the principal moments are not negative and that none exceeds the sum of the others; it is the nearest point
+in the norm of Σ, not in that of the gain.  The first moment is left out of the cone on purpose: from an empty
+estimate it would buy every newton of weight with invented inertia, and invented inertia makes the loop unstable.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from agent.control.models import Matrix
+from drivers.interface import Vector
+
+CONE_TOLERANCE = 1e-12  # kg·m², below any body's second moment
+
+# Σ row by row from (Ixx, Ixy, Iyy, Ixz, Iyz, Izz), and back
+_SIGMA_OF_INERTIA = np.zeros((6, 9))
+_SIGMA_OF_INERTIA[[0, 2, 5], 0] = -0.5, 0.5, 0.5
+_SIGMA_OF_INERTIA[[0, 2, 5], 4] = 0.5, -0.5, 0.5
+_SIGMA_OF_INERTIA[[0, 2, 5], 8] = 0.5, 0.5, -0.5
+_SIGMA_OF_INERTIA[1, [1, 3]] = _SIGMA_OF_INERTIA[3, [2, 6]] = _SIGMA_OF_INERTIA[4, [5, 7]] = -1.0
+_INERTIA_OF_SIGMA = np.zeros((9, 6))
+_INERTIA_OF_SIGMA[[4, 8], 0] = _INERTIA_OF_SIGMA[[0, 8], 2] = _INERTIA_OF_SIGMA[[0, 4], 5] = 1.0
+_INERTIA_OF_SIGMA[1, 1] = _INERTIA_OF_SIGMA[2, 3] = _INERTIA_OF_SIGMA[5, 4] = -1.0
+
+
+def to_box(theta: Vector, lower: Vector, upper: Vector) -> tuple[Vector, bool]:
+    """Nearest point (k,) with lower ≤ theta ≤ upper, and whether it is another one than theta."""
+    inside = np.minimum(np.maximum(theta, lower), upper)
+    return inside, not np.array_equal(inside, theta)
+
+
+def second_moments(bodies: Matrix) -> Matrix:
+    """Σ (b, 3, 3) of bodies (b, 10) about their frames' origins, kg·m²."""
+    sigma: Matrix = bodies[:, 4:].dot(_SIGMA_OF_INERTIA).reshape(-1, 3, 3)
+    return sigma
+
+
+def to_physical(bodies: Matrix) -> Matrix:
+    """Bodies (b, 10) with every Σ positive semidefinite; the same array when nothing had to change."""
+    sigma = second_moments(bodies)
+    bad = np.flatnonzero(np.linalg.eigvalsh(sigma)[:, 0] < -CONE_TOLERANCE)
+    if not len(bad):
+        return bodies
+    moments, axes = np.linalg.eigh(sigma[bad])
+    nearest = (axes * np.maximum(moments, 0.0)[:, None, :]) @ axes.transpose(0, 2, 1)
+    physical = bodies.copy()
+    physical[bad, 4:] = nearest.reshape(-1, 9).dot(_INERTIA_OF_SIGMA)
+    return physical
