@@ -2,7 +2,7 @@
 
 With exact feed-forward the object's error x and its rate w obey, between two samples,
 
-    ẋ = H w,   M ẇ = u,   u_k = −(M̂ K' + k_v) w_k − (k_v K + I) x_k,
+    ẋ = H w,   M ẇ = u,   u_k = −(M̂ K' H + k_v) w_k − (k_v K + I) x_k,
 
 with M the true and M̂ the believed inertia of object and arms together (`eq:coupled M`), K and K' the gains in
 v_r and v̇_r, k_v the sum over the agents, H = I for position and ½ I for attitude (e = −e_η e_ε is half the
@@ -66,7 +66,7 @@ def spectral_radius(M_true: Matrix, M_believed: Matrix, P: Matrix, loop: Sampled
     K_rate = P @ np.diag([*first.k_p_rate, *first.k_eps_rate]) @ P.T
     K_v = P @ np.diag(np.sum([g.k_v for g in loop.gains], axis=0)) @ P.T
     H = P @ np.diag([1.0, 1.0, 1.0, 0.5, 0.5, 0.5]) @ P.T
-    u_w = -(M_believed @ K_rate + K_v)
+    u_w = -(M_believed @ K_rate @ H + K_v)  # dv_r = −K' de, de = H w
     u_x = -(K_v @ K + np.eye(m))
     accelerate = np.linalg.inv(M_true)
     size = m * (2 + d)
