@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from drivers.dynamixel.table import Instruction, StatusError
 from sim_backend.wire.options import BusOptions, SilentPredecessor
-from sim_backend.wire.packet import BROADCAST_ID, Command, Damaged, FastBlock, fast_status, status_packet
+from sim_backend.wire.packet import BROADCAST_ID, MAX_LENGTH, Command, Damaged, FastBlock, fast_status, status_packet
 from sim_backend.wire.servo import Servo
 
 STATUS_OVERHEAD = 11  # bytes of a status packet without parameters
@@ -73,10 +73,11 @@ class Responder:
         for servo in listeners:
             if servo.id == target:
                 level = servo.status_return_level
+                alerted = servo.error_byte(StatusError.NONE)  # a reboot clears it after the answer
                 error, data = _execute(servo, command, now_ns)
                 needed = 0 if instruction == Instruction.PING else 1 if instruction == Instruction.READ else 2
                 if level >= needed:
-                    turns.append(_status(servo, target, error, data))
+                    turns.append(_status(servo, target, error, data, alerted))
             elif servo.secondary_id == target:
                 _execute_as_shadow(servo, command)
         return _overlaid(turns)
@@ -125,6 +126,10 @@ class Responder:
 
     def _read_merged(self, items: list[Item], listeners: Sequence[Servo], now_ns: int) -> list[Turn]:
         """One merged status packet; a servo that does not take part ends it."""
+        announced = sum(length + FAST_OVERHEAD for _, _, length in items)
+        if announced >= MAX_LENGTH:
+            self.malformed += 1
+            return []
         blocks, senders = [], []
         by_id = {servo.id: servo for servo in listeners}
         for servo_id, address, length in items:
@@ -134,7 +139,6 @@ class Responder:
             error, data = _found(servo.read(address, length, now_ns))
             blocks.append(FastBlock(servo_id, servo.error_byte(error), data or bytes(length)))
             senders.append(servo)
-        announced = sum(length + FAST_OVERHEAD for _, _, length in items)
         pieces = fast_status(blocks, announced)
         return [Turn(s, piece, merged=i > 0) for i, (s, piece) in enumerate(zip(senders, pieces, strict=True))]
 
@@ -170,8 +174,8 @@ def _found(result: bytes | StatusError) -> tuple[StatusError, bytes]:
     return (result, b"") if isinstance(result, StatusError) else (StatusError.NONE, result)
 
 
-def _status(servo: Servo, servo_id: int, error: StatusError, data: bytes = b"") -> Turn:
-    return Turn(servo, status_packet(servo_id, servo.error_byte(error), data))
+def _status(servo: Servo, servo_id: int, error: StatusError, data: bytes = b"", alerted: int = 0) -> Turn:
+    return Turn(servo, status_packet(servo_id, servo.error_byte(error) | alerted, data))
 
 
 def _execute(servo: Servo, command: Command, now_ns: int, *, broadcast: bool = False) -> tuple[StatusError, bytes]:

@@ -141,6 +141,8 @@ class Server:
                 injector.clear(now_ns)
         else:
             by_arm(self._injectors, parse_lines(text), now_ns)
+            for injector in self._injectors.values():
+                injector.tick(now_ns)  # a fault without delay has begun when its sender hears "ok"
 
     def _tick(self, now_ns: int) -> None:
         for endpoint in self._endpoints:
