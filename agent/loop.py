@@ -5,6 +5,7 @@ Nothing here opens anything, knows the wall clock, or learns anything from anoth
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Protocol
@@ -60,6 +61,8 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
         q, dq = state.q, state.dq
     else:
         q, dq = agent.observer.correct(memory, state.q, state.dq)
+    if not math.isfinite(sum(q.tolist()) + sum(dq.tolist())):
+        return Outcome(q, dq, None, memory.tau, Flag.NOT_FINITE, replace(memory, primed=False))
     try:
         terms, estimate, held = _law(agent, t, mode, memory, q, dq)
     except SingularJacobian:
@@ -71,6 +74,8 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
     if held:
         flags |= Flag.ADAPTATION_SATURATED
     limited = np.array(tau)
+    if Flag.NOT_FINITE in flags:  # nothing that is no number may live on in the memory
+        return Outcome(q, dq, terms, limited, flags, replace(memory, tau=limited, primed=False))
     carried = Memory(q, dq, terms.ddq_ref, memory.ddq, limited, True, memory.hold, t, estimate)
     return Outcome(q, dq, terms, limited, flags, carried)
 
@@ -106,7 +111,9 @@ def _desired(agent: Agent, t: float, mode: Mode, memory: Memory) -> Desired:
 
 
 def hold_here(agent: Agent, q: Vector, memory: Memory) -> Memory:
-    """Memory with the object's present pose (by this arm at q) as the one to hold."""
+    """Memory with the object's present pose (by this arm at q) as the one to hold; no pose while q is no number."""
+    if not np.isfinite(q).all():
+        return replace(memory, hold=None)
     k = agent.model.evaluate(q, np.zeros_like(q))
     return replace(memory, hold=(*k.p_object, *k.quat_object))
 
@@ -216,7 +223,7 @@ def run(
             happened |= Event.TROUBLE
             summary.reason = summary.reason or f"tick {tick}: {outcome.flags!r}"
         mode = next_mode(summary.mode, happened)
-        if mode is Mode.HOLD and summary.mode is not Mode.HOLD:
+        if mode is Mode.HOLD and (summary.mode is not Mode.HOLD or memory.hold is None):
             memory = hold_here(agent, outcome.q, memory)
         summary.mode = mode
         summary.ticks += 1
