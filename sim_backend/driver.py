@@ -141,7 +141,7 @@ class SimDriver:
             self._ask(link)
         else:
             if self._answer_due:
-                link.send(self._out.buffer)
+                link.say_and_forget(self._out.buffer)  # whether it arrived, the next state tells
                 self._answer_due = False
             while link.receive() is not Kind.STATE:
                 pass  # the answer to a question given up

@@ -129,12 +129,12 @@ class PlantLink:
             f"plant at {self._path}, arm {self._arm}", found=found, expected="a fresh state", remedy=remedy
         )
 
-    def say_and_forget(self, message: bytes) -> None:
+    def say_and_forget(self, message: bytes | bytearray) -> None:
         """Send if that can be done at once; nothing happens otherwise."""
         try:
             self._socket.send(message, socket.MSG_NOSIGNAL | socket.MSG_DONTWAIT)
         except OSError:
-            return  # nobody is there to hear it, and nothing is lost: without this arm the plant has no torque of it
+            return  # nobody is there to hear it
 
     def close(self) -> None:
         """Close the connection."""
