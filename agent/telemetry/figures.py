@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -24,7 +26,7 @@ from agent.telemetry.plotting import (
     time_axis,
 )
 from agent.telemetry.prepared import Prepared
-from agent.telemetry.runinfo import RunArm
+from agent.telemetry.runinfo import Bounded, RunArm
 from agent.telemetry.series import Array, PoseSeries, angle_about, column, joint_columns, rotation_vector
 
 NEAR_LIMIT = 0.8  # of tau_max: torques above it are drawn with their limits
@@ -117,6 +119,8 @@ def _errors(run: Prepared, until_s: float, when: str) -> Figure:
     axes[1].set_ylabel("quaternion error [10⁻³]")
     axes[0].set_title(f"Position error{when} ({'true pose' if run.true else label.removeprefix('actual, ')})")
     axes[1].set_title(f"Attitude error{when}")
+    _mark_bound(axes[0], run, until_s, 1e3 * run.info.bounds.get(Bounded.POSITION, math.nan))
+    _mark_bound(axes[1], run, until_s, 1e3 * math.sin(0.5 * run.info.bounds.get(Bounded.ATTITUDE, math.nan)))
     for ax in axes:
         _mark_transient(ax, run, until_s)
         legend(ax)
@@ -129,6 +133,16 @@ def _worth(run: Prepared, vectors: Array, axis: int, *, rotation: bool = False) 
     if plane is None or (axis == plane.normal) is rotation:
         return True
     return bool(np.nanmax(np.abs(vectors[:, axis]), initial=0.0) > OFF_PLANE_SHOWN)
+
+
+def _mark_bound(ax: Axes, run: Prepared, until_s: float, bound: float) -> None:
+    """Dotted lines that no component leaves where the bound is met; none where they would dwarf the errors."""
+    low, high = ax.get_ylim()
+    if run.info.transient_s < until_s and bound <= max(-low, high):
+        span = [run.info.transient_s, until_s]
+        for signed in (-bound, bound):
+            label = "bound" if signed > 0 else None
+            ax.plot(span, [signed, signed], color="black", linestyle=":", linewidth=1.0, label=label)
 
 
 def _mark_transient(ax: Axes, run: Prepared, until_s: float) -> None:

@@ -45,7 +45,9 @@ def loop_timing(run: Prepared) -> Figure:
             x, fraction = tail_of(1e3 * column(rows, name))
             tail.plot(x, fraction, color=CYCLE[j], linestyle=style, label=label if i == 0 else None)
         t, values = column(rows, "t"), 1e3 * column(rows, "late_s")
-        line(late, t, values, color=CYCLE[i % len(CYCLE)], linestyle=style, label=arm.name, linewidth=0.8)
+        line(
+            late, t, values, color=CYCLE[i % len(CYCLE)], linestyle=style, label=arm.name, linewidth=0.8, clip_on=False
+        )
     tail.margins(x=0.03)
     tail.axvline(1e3 / run.info.rate_hz, color=GREY, linestyle="--", linewidth=0.9, label="period")
     tail.set(xscale="log", yscale="log", xlabel="duration [ms]", ylabel="fraction longer [1]", title="Loop timing")

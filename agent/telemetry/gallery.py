@@ -41,7 +41,7 @@ def _paper(run: Prepared) -> list[Picture]:
             "errors",
             "Errors",
             "Above: position error e_p. Below: e_η − 1 and e_ε of the attitude error quaternion, in thousandths. "
-            "Shaded: the transient, which counts in no bound.",
+            "Shaded: the transient, which counts in no bound. Dotted: the bound, where the errors come near it.",
             partial(figures.errors, run),
         ),
         Picture(

@@ -243,7 +243,7 @@ def _real_time_factor(run: Prepared, missing: list[str]) -> float:
     spans = {name: float(rows["t"][-1] - rows["t"][0]) for name, rows in run.rows.items() if len(rows) > 1}
     if not spans:
         return NAN
-    wall = run.log.metadata.get("run", {}).get("wall_s")
+    wall = run.log.metadata.get("completeness", {}).get("wall_s")
     if wall is not None:
         return max(spans.values()) / float(wall)
     factors = []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
 from typing import Any, Final, Literal, ParamSpec
@@ -23,7 +24,8 @@ DPI: Final = 120
 WIDTH_IN: Final = 8.4  # 1008 pixels: the width of a page that shows a README
 PANEL_IN: Final = 1.75
 HEADER_IN: Final = 0.62  # room above panels with titles for `header_line`
-COLUMNS: Final = 1000  # an envelope has one lowest and one highest point per column of this many
+COLUMNS: Final = 900  # a long series is drawn as mean, lowest and highest value of this many stretches
+RANGE_ALPHA: Final = 0.3
 
 BLUE: Final = "#1f5fbf"
 LIGHT_BLUE: Final = "#6ea8fe"
@@ -167,39 +169,68 @@ def _thicken(box: Legend) -> None:
 
 
 def line(ax: Axes, t: Array, values: Array, **style: Any) -> None:
-    """Draw a series, long or short, with every peak in it and a break where rows are missing."""
-    x, y = envelope(*with_breaks(t, values))
-    ax.plot(x, y, **style)
+    """Draw a series: short ones as they are, long ones as mean and range of each column of pixels.
 
-
-def with_breaks(t: Array, values: Array) -> tuple[Array, Array]:
-    """The series with a NaN wherever time jumps by more than one and a half of its usual step."""
-    if len(t) < 3:
-        return t, values
-    steps = np.diff(t)
-    jumps = np.flatnonzero(steps > 1.5 * np.median(steps)) + 1
-    if not len(jumps):
-        return t, values
-    return np.insert(t, jumps, t[jumps - 1]), np.insert(values, jumps, np.nan)
-
-
-def envelope(t: Array, values: Array, columns: int = COLUMNS) -> tuple[Array, Array]:
-    """Lowest and highest value of each of `columns` equal stretches, in the order in which they came.
-
-    Returns the series itself when it is short.  First and last point are kept; a stretch that holds a NaN
-    keeps a NaN as well, so that a gap stays visible.
+    The range is a shade of the same colour, so a single peak is seen and noise hides no other curve.  Where rows
+    are missing the line is broken.
     """
-    if len(t) <= 4 * columns:
-        return t, values
+    spans = unbroken(t, values)
+    if sum(len(x) for x, _ in spans) <= 4 * COLUMNS:
+        ax.plot(*_joined(spans), **style)
+        return
+    share = COLUMNS / max(sum(len(x) for x, _ in spans), 1)
+    parts = [in_columns(x, y, max(1, round(share * len(x)))) for x, y in spans]
+    mean_t, mean = _joined([(c.t, c.mean) for c in parts])
+    ax.plot(mean_t, mean, **style)
+    lowest = _joined([(c.t, c.lowest) for c in parts])[1]
+    highest = _joined([(c.t, c.highest) for c in parts])[1]
+    ax.fill_between(mean_t, lowest, highest, color=style.get("color"), alpha=RANGE_ALPHA, linewidth=0)
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """A series in columns of pixels: where each is, and mean, lowest and highest value in it."""
+
+    t: Array
+    mean: Array
+    lowest: Array
+    highest: Array
+
+
+def in_columns(t: Array, values: Array, columns: int) -> Columns:
+    """The series in about so many stretches of equal length; no value of it lies outside their range.
+
+    `t` and `values` (k,) without a gap, k > 0.  First and last column stand at the first and last time.
+    """
     each = -(-len(t) // columns)
-    padded = np.full(each * columns, np.nan)
-    padded[: len(t)] = values
-    block = padded.reshape(columns, each)
-    absent = np.isnan(block)
-    lowest = np.argmin(np.where(absent, np.inf, block), axis=1)
-    highest = np.argmax(np.where(absent, -np.inf, block), axis=1)
-    start = np.arange(columns) * each
-    hole = np.where(absent.any(axis=1), np.argmax(absent, axis=1), lowest)
-    keep = np.unique(np.concatenate([start + lowest, start + highest, start + hole, [0, len(t) - 1]]))
-    keep = keep[keep < len(t)]
-    return t[keep], values[keep]
+    starts = np.arange(0, len(t), each)
+    counts = np.diff(np.append(starts, len(t)))
+    centre = np.add.reduceat(t, starts) / counts
+    centre[0], centre[-1] = t[0], t[-1]
+    mean = np.add.reduceat(values, starts) / counts
+    lowest, highest = np.minimum.reduceat(values, starts), np.maximum.reduceat(values, starts)
+    return Columns(centre, np.clip(mean, lowest, highest), lowest, highest)
+
+
+def unbroken(t: Array, values: Array) -> list[tuple[Array, Array]]:
+    """The stretches of a series in which no row is missing and every value is a number.
+
+    A row is missing where time goes on by more than one and a half of its usual step.
+    """
+    if not len(t):
+        return []
+    steps = np.diff(t)
+    jump = np.append(steps > 1.5 * np.median(steps), False) if len(t) > 2 else np.zeros(len(t), dtype=bool)
+    good = np.isfinite(values)
+    ends = np.flatnonzero(jump | (good != np.append(good[1:], good[-1]))) + 1
+    spans = zip(np.split(t, ends), np.split(values, ends), strict=True)
+    return [(x, y) for x, y in spans if len(x) and np.isfinite(y[0])]
+
+
+def _joined(spans: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
+    if not spans:
+        return np.empty(0), np.empty(0)
+    gap = np.array([np.nan])
+    t = np.concatenate([part for x, _ in spans for part in (gap, x)])
+    values = np.concatenate([part for _, y in spans for part in (gap, y)])
+    return t[1:], values[1:]

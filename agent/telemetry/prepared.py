@@ -55,7 +55,7 @@ class Prepared:
 def prepare(log: RunLog) -> Prepared:
     """Work out every series that the report needs.  Never raises for a poor log: `missing` says what is absent."""
     info = read_info(log)
-    missing = list(info.notes)
+    missing = [*info.notes, *log.problems, *_losses(log)]
     described = [arm.name for arm in info.arms]
     found = {name: in_run(log.agents[name], info) for name in described if name in log.agents}
     rows = {name: own for name, own in found.items() if len(own)}
@@ -66,22 +66,18 @@ def prepare(log: RunLog) -> Prepared:
         missing.append("no simulation in the log: no true object pose, realised internal force or realised load share")
     else:
         plant = in_run(log.plant, info)
-        true = _true_pose(plant, info, list(poses.values()), missing)
+        true, note = pose_by_plant([(poses[name], rows[name]) for name in rows], plant, 1.0 / info.rate_hz)
+        missing += [note] if note else []
         grasps = _grasp_forces(plant, info, missing)
     return Prepared(log, info, rows, poses, true, grasps, tuple(missing))
 
 
-def _true_pose(
-    plant: NDArray[np.void], info: RunInfo, poses: list[PoseSeries], missing: list[str]
-) -> PoseSeries | None:
-    try:
-        series = pose_by_plant(poses, plant, 1.0 / info.rate_hz)
-    except ValueError as mismatch:
-        missing.append(f"the true object pose cannot be used: {mismatch}")
-        return None
-    if series is None and poses:
-        missing.append("no tick is in both the plant's and an arm's log: errors are by the arms' own kinematics")
-    return series
+def _losses(log: RunLog) -> list[str]:
+    """What the recorder says was lost, and where."""
+    told = log.metadata.get("completeness", {})
+    places = {"lost_in_ring": "in the ring", "lost_on_the_way": "on the way", "lost_on_disk": "on the disk"}
+    counts = {(member, place): told.get(f"{member}.{key}", "0") for member in log.gaps for key, place in places.items()}
+    return [f"{count} rows of {member} were lost {place}" for (member, place), count in counts.items() if count != "0"]
 
 
 def _grasp_forces(plant: NDArray[np.void], info: RunInfo, missing: list[str]) -> GraspForces:

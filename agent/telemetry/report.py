@@ -37,7 +37,7 @@ class ReportError(Refusal):
 class ReportFiles:
     """What a report consists of, and the figures it shows."""
 
-    page: Path
+    html: Path
     results_file: Path
     figures: Mapping[str, Path]
     results: Results

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from drivers.interface import Refusal
+
 if TYPE_CHECKING:
     from agent.telemetry.read import RunLog
 
@@ -92,17 +94,15 @@ class RunInfo:
 def read_info(log: RunLog) -> RunInfo:
     """Typed view of run.json; whatever it does not hold is taken from the rows and said in `notes`."""
     notes: list[str] = []
-    if RUN_FILE not in log.attachments:
-        notes.append(
-            f"the log has no {RUN_FILE}: rate, duration and joint names are taken from the rows, no bound is known"
-        )
-        raw: dict[str, Any] = {}
-    else:
+    raw: dict[str, Any] = {}
+    try:
         raw = log.run_info()
+    except Refusal as refusal:
+        notes.append(f"{refusal.what}: rate, duration and joint names are taken from the rows, no bound is known")
     rate_hz = _number(raw, "rate_hz", notes) or _rate_of(log)
     transient_s = _number(raw, "transient_s", notes)
     return RunInfo(
-        cell=str(raw.get("cell", log.path.stem)),
+        cell=str(raw.get("cell", log.cell)),
         fingerprint=str(raw.get("fingerprint", "unknown")),
         driver=str(raw.get("driver", "unknown")),
         controller=dict(raw.get("controller", {"kind": "unknown"})),

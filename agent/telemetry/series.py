@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-TIME_AGREEMENT: Final = 0.5  # of a period: plant and agent rows of one sequence number are of the same tick
+SAME_CLOCK_NS: Final = 5_000_000_000  # stamps whose UTC is further apart are of different clocks
 
 
 # ------------------------------------------------------------------------------------------------ attitude, row by row
@@ -127,33 +128,59 @@ def pose_by_arm(name: str, rows: NDArray[np.void]) -> PoseSeries:
     return PoseSeries(name, sequence, t, p_des, quat_des, p, quat, p - p_des, e_xi, tracking)
 
 
-def pose_by_plant(poses: list[PoseSeries], plant: NDArray[np.void], period_s: float) -> PoseSeries | None:
-    """The true pose against the desired one of whichever arm logged that tick; None when no tick is in both logs.
+def pose_by_plant(
+    arms: Sequence[tuple[PoseSeries, NDArray[np.void]]], plant: NDArray[np.void], period_s: float
+) -> tuple[PoseSeries | None, str]:
+    """The true pose against the desired one of the same tick, and a note for the reader, empty when all is well.
 
-    Rows are matched by sequence number.  Raises ValueError when the numbers do not mean the same instants.
+    `arms`: each arm's series with its rows.  Rows are matched by sequence number, unless their time stamps tell
+    that plant and arms count from different instants; then by the stamps, or by UTC where the stamps are of
+    different clocks.
     """
-    if not poses:
-        return None
-    every = np.concatenate([s.sequence for s in poses])
-    wanted, where, number = np.unique(every, return_index=True, return_inverse=True)
-    common, at, rows = np.intersect1d(wanted, plant["sequence"], assume_unique=True, return_indices=True)
-    if not len(common):
-        return None
-    pick = where[at]
+    half_ns = round(0.5e9 * period_s)
+    for clock, tolerance, witness, allowed_ns in (
+        ("sequence", 0, "stamp_ns", half_ns),
+        ("stamp_ns", half_ns, "utc_ns", SAME_CLOCK_NS),
+        ("utc_ns", half_ns, "utc_ns", half_ns),
+    ):
+        at = [nearest(rows[clock], plant[clock], tolerance) for _, rows in arms]
+        if not any((i >= 0).any() for i in at):
+            continue
+        apart_ns = [plant[witness][i >= 0] - rows[witness][i[i >= 0]] for (_, rows), i in zip(arms, at, strict=True)]
+        if np.median(np.abs(np.concatenate(apart_ns))) > allowed_ns:
+            continue
+        held = np.any([i >= 0 for i in at], axis=0)
+        note = f"plant rows are matched by {clock}: their sequence numbers are of other instants than the arms'"
+        return _true_pose(arms, [i[held] for i in at], plant[held]), "" if clock == "sequence" else note
+    return None, "no tick is in both the plant's and an arm's log: errors are by the arms' own kinematics"
+
+
+def _true_pose(
+    arms: Sequence[tuple[PoseSeries, NDArray[np.void]]], at: list[NDArray[np.intp]], true: NDArray[np.void]
+) -> PoseSeries:
+    """`at`: for each arm and plant row the index of the arm's row, −1 where it has none; some arm has one."""
+    rows = np.arange(len(true))
+    first = np.argmax(np.array(at) >= 0, axis=0)  # the first arm that logged the tick
 
     def of_arms(name: str) -> Array:
-        return np.concatenate([getattr(s, name) for s in poses])[pick]
+        return np.asarray(np.array([getattr(s, name)[i] for (s, _), i in zip(arms, at, strict=True)])[first, rows])
 
-    t, true = of_arms("t"), plant[rows]
-    apart = np.abs(t - true["t"])
-    if not np.nanmax(apart, initial=0.0) < TIME_AGREEMENT * period_s:
-        raise ValueError(f"plant and agent rows of one sequence number are up to {np.nanmax(apart):.6f} s apart")
     p_des, quat_des = of_arms("p_des"), of_arms("quat_des")
     p, quat = column(true, "p_object"), column(true, "quat_object")
     e_xi = _with_sign_of(of_arms("e_xi")[:, 0], attitude_error(quat_des, quat))
-    tracking = np.ones(len(wanted), dtype=bool)  # of all arms that logged the tick
-    np.logical_and.at(tracking, number, np.concatenate([s.tracking for s in poses]))
-    return PoseSeries("plant", common, t, p_des, quat_des, p, quat, p - p_des, e_xi, tracking[at])
+    tracking = np.all([s.tracking[i] | (i < 0) for (s, _), i in zip(arms, at, strict=True)], axis=0)
+    return PoseSeries(
+        "plant", true["sequence"].copy(), of_arms("t"), p_des, quat_des, p, quat, p - p_des, e_xi, tracking
+    )
+
+
+def nearest(keys: NDArray[np.generic], wanted: NDArray[np.generic], tolerance: int) -> NDArray[np.intp]:
+    """Index of the nearest of the sorted `keys` for each of `wanted`, −1 where none is within `tolerance`."""
+    have, want = keys.astype(np.int64), wanted.astype(np.int64)
+    above = np.minimum(np.searchsorted(have, want), len(have) - 1)
+    below = np.maximum(above - 1, 0)
+    index = np.where(np.abs(have[below] - want) < np.abs(have[above] - want), below, above)
+    return np.asarray(np.where(np.abs(have[index] - want) <= tolerance, index, -1))
 
 
 def _with_sign_of(e_eta: Array, e_xi: Array) -> Array:

@@ -10,6 +10,7 @@ from agent.telemetry.results import PoseErrors, Results, Verdict, WrenchSize
 from agent.telemetry.runinfo import Bounded
 
 ABSENT = "–"  # not measured
+SMALLEST = 1e-6  # what is smaller is shown as that
 SPACE = "\N{NO-BREAK SPACE}"  # a figure and its unit stay on one line
 
 
@@ -38,6 +39,8 @@ def number(value: float, unit: str = "", scale: float = 1.0, digits: int = 3) ->
     if not math.isfinite(value):
         return ABSENT
     scaled = value * scale
+    if 0.0 < abs(scaled) < SMALLEST:
+        return f"< {SMALLEST:f}{SPACE}{unit}".rstrip()
     decimals = max(0, min(6, digits - 1 - math.floor(math.log10(abs(scaled))))) if scaled else 0
     return f"{scaled:.{decimals}f}{SPACE}{unit}".rstrip()
 

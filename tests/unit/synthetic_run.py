@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.modes import Mode
+from agent.telemetry.read import RunLog
 from agent.telemetry.sample import AGENT_STATE, CDR_LITTLE_ENDIAN, PLANT_STATE
 
 POSITION_0 = np.array([0.001, 0.003, 0.0])  # initial error of the paper's experiment, m
@@ -22,20 +22,13 @@ SQUEEZE_N = 1.5
 WEIGHT_N = 0.062 * 9.81
 
 
-@dataclass(frozen=True)
-class Log:
-    """The same attributes as agent.telemetry.read.RunLog."""
-
-    path: Path
-    agents: dict[str, NDArray[np.void]]
-    plant: NDArray[np.void] | None
-    events: list[Any] = field(default_factory=list)
-    attachments: dict[str, bytes] = field(default_factory=dict)
-    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
-    complete: bool = True
-
-    def run_info(self) -> dict[str, Any]:
-        return json.loads(self.attachments["run.json"])
+def as_log(
+    path: Path, agents: dict[str, NDArray[np.void]], plant: NDArray[np.void] | None, run: dict[str, Any]
+) -> RunLog:
+    """A complete log of these rows; unlike those of a file they can be written to."""
+    attachments = {"run.json": json.dumps(run).encode()}
+    members = [*agents, *(["plant"] if plant is not None else [])]
+    return RunLog(path, run["cell"], agents, plant, [], attachments, {}, True, dict.fromkeys(members, ()))
 
 
 def run_file(duration_s: float = 100.0, rate_hz: float = 200.0, **changes: Any) -> dict[str, Any]:
@@ -133,7 +126,7 @@ def _set_torques(rows: NDArray[np.void], side: float, noise: np.random.Generator
         rows[f] = scale * (1.0 + 0.2 * noise.standard_exponential(len(t)))
 
 
-def paper_run(path: Path, *, duration_s: float = 100.0, plant: bool = True, adaptive: bool = False) -> Log:
+def paper_run(path: Path, *, duration_s: float = 100.0, plant: bool = True, adaptive: bool = False) -> RunLog:
     """Two planar arms on the paper's trajectory, with the start error decaying and a small ripple."""
     noise = np.random.default_rng(7)
     ticks = round(duration_s * 200.0)
@@ -150,7 +143,7 @@ def paper_run(path: Path, *, duration_s: float = 100.0, plant: bool = True, adap
         agents[name] = rows
     controller = {"kind": "adaptive"} if adaptive else {"kind": "known", "k_p_per_s": 150.0}
     content = run_file(duration_s, controller=controller)
-    return Log(path, agents, _plant(agents) if plant else None, attachments={"run.json": json.dumps(content).encode()})
+    return as_log(path, agents, _plant(agents) if plant else None, content)
 
 
 def _plant(agents: dict[str, NDArray[np.void]]) -> NDArray[np.void]:
@@ -166,7 +159,7 @@ def _plant(agents: dict[str, NDArray[np.void]]) -> NDArray[np.void]:
     return rows
 
 
-def spatial_run(path: Path, *, duration_s: float = 40.0, arms: int = 3) -> Log:
+def spatial_run(path: Path, *, duration_s: float = 40.0, arms: int = 3) -> RunLog:
     """Six-joint arms and a motion about all axes, without a plant."""
     ticks, noise = round(duration_s * 200.0), np.random.default_rng(3)
     agents, described = {}, []
@@ -188,4 +181,4 @@ def spatial_run(path: Path, *, duration_s: float = 40.0, arms: int = 3) -> Log:
             }
         )
     content = run_file(duration_s, cell="three_wx250s", plane_normal=None, arms=described, bounds={})
-    return Log(path, agents, None, attachments={"run.json": json.dumps(content).encode()})
+    return as_log(path, agents, None, content)

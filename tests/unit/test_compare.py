@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,7 @@ from rich.console import Console
 from agent.telemetry.compare import Change, compare, comparison_table
 from agent.telemetry.metrics import summarise
 from agent.telemetry.results import Results
-from tests.unit.synthetic_run import Log, paper_run
+from tests.unit.synthetic_run import paper_run
 
 
 def results(*, offset_m: float = 0.0, plant: bool = True, keep: int = 5000) -> Results:
@@ -19,7 +20,7 @@ def results(*, offset_m: float = 0.0, plant: bool = True, keep: int = 5000) -> R
     for rows in [*log.agents.values(), *([log.plant] if log.plant is not None else [])]:
         rows["p_object"][:, 1] += offset_m
     agents = {name: rows[:keep] for name, rows in log.agents.items()}
-    return summarise(Log(log.path, agents, log.plant, attachments=log.attachments))
+    return summarise(replace(log, agents=agents))
 
 
 def test_a_run_compared_with_itself_has_no_difference() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import matplotlib as mpl
@@ -14,9 +16,10 @@ from hypothesis.extra.numpy import arrays
 from agent.telemetry import figures
 from agent.telemetry.figures_more import tail_of
 from agent.telemetry.gallery import pictures
-from agent.telemetry.plotting import COLUMNS, envelope, with_breaks
+from agent.telemetry.plotting import in_columns, panels, unbroken
+from agent.telemetry.plotting import line as draw_line
 from agent.telemetry.prepared import Prepared, prepare
-from tests.unit.synthetic_run import Log, paper_run, spatial_run
+from tests.unit.synthetic_run import paper_run, spatial_run
 
 RUNS = {
     "paper": lambda: paper_run(Path("run.mcap"), duration_s=25.0),
@@ -57,7 +60,7 @@ def test_figures_leave_the_settings_of_matplotlib_alone(run: Prepared) -> None:
 
 def test_a_run_without_rows_has_no_figures() -> None:
     log = paper_run(Path("run.mcap"), duration_s=25.0)
-    assert pictures(prepare(Log(log.path, {}, None, attachments=log.attachments))) == []
+    assert pictures(prepare(replace(log, agents={}, plant=None))) == []
 
 
 def test_desired_is_blue_and_actual_red_as_in_the_paper() -> None:
@@ -70,12 +73,13 @@ def test_desired_is_blue_and_actual_red_as_in_the_paper() -> None:
         assert red[0] == max(red)
 
 
-def test_the_pose_figure_shows_the_pose_at_every_peak() -> None:
-    run = prepare(RUNS["paper"]())
-    x = np.asarray(figures.pose(run).axes[0].lines[1].get_ydata(), dtype=float)
-    assert run.true is not None
-    assert x.min() == run.true.p[:, 0].min()
-    assert x.max() == run.true.p[:, 0].max()
+def test_a_single_peak_of_a_long_run_is_in_the_figure() -> None:
+    log = RUNS["paper"]()
+    assert log.plant is not None
+    log.plant["p_object"][3001, 0] = 0.5
+    top = figures.pose(prepare(log)).axes[0]
+    assert top.dataLim.y1 == 0.5
+    assert top.get_ylim()[1] > 0.5
 
 
 def test_limits_are_drawn_only_when_a_torque_comes_near_them() -> None:
@@ -88,38 +92,44 @@ def test_limits_are_drawn_only_when_a_torque_comes_near_them() -> None:
     assert all(line.get_linestyle() == "-" for line in right.lines)
 
 
-# --------------------------------------------------------------------------------------------------------- envelope
+# ------------------------------------------------------------------------------------------------------ long series
 
-long_series = arrays(float, st.integers(0, 30_000), elements=st.floats(-1e6, 1e6), fill=st.floats(-1e6, 1e6))
+series = arrays(float, st.integers(1, 3000), elements=st.floats(-1e6, 1e6), fill=st.floats(-1e6, 1e6))
 
 
-@given(long_series, st.lists(st.integers(0, 29_999), max_size=5))
-def test_envelope_keeps_extremes_ends_and_order(values: np.ndarray, spikes: list[int]) -> None:
-    for i in spikes:
-        values[i % max(len(values), 1) : i % max(len(values), 1) + 1] = 1e9
+@given(series, st.integers(1, 100))
+def test_columns_hold_every_value_and_keep_the_ends(values: np.ndarray, columns: int) -> None:
     t = np.arange(len(values), dtype=float)
-    t_kept, kept = envelope(t, values)
-    assert len(kept) <= max(len(values) if len(values) <= 4 * COLUMNS else 0, 3 * COLUMNS + 2)
-    assert np.all(np.diff(t_kept) > 0)
-    np.testing.assert_array_equal(kept, values[t_kept.astype(int)])
-    if len(values):
-        assert (kept.min(), kept.max()) == (values.min(), values.max())
-        assert (kept[0], kept[-1]) == (values[0], values[-1])
+    drawn = in_columns(t, values, columns)
+    assert len(drawn.t) <= columns
+    assert np.all(np.diff(drawn.t) > 0)
+    assert drawn.t[-1] == t[-1]
+    assert (drawn.lowest.min(), drawn.highest.max()) == (values.min(), values.max())
+    assert np.all(drawn.lowest <= drawn.mean)
+    assert np.all(drawn.mean <= drawn.highest)
 
 
-def test_envelope_keeps_a_peak_beside_a_value_that_is_no_number() -> None:
-    values = np.zeros(20_000)
-    values[5_000], values[5_001] = np.nan, 9.0
-    _, kept = envelope(np.arange(20_000.0), values)
-    assert np.isnan(kept).sum() == 1
-    assert np.nanmax(kept) == 9.0
+@given(arrays(float, st.integers(0, 60), elements=st.one_of(st.floats(-1, 1), st.just(np.nan))))
+def test_unbroken_stretches_hold_every_number_once_and_no_other(values: np.ndarray) -> None:
+    t = np.arange(len(values), dtype=float)
+    spans = unbroken(t, values)
+    np.testing.assert_array_equal(np.concatenate([y for _, y in spans] or [[]]), values[np.isfinite(values)])
+    for x, _ in spans:
+        assert np.all(np.diff(x) == 1.0)
+    for (before, _), (after, _) in pairwise(spans):
+        assert np.isnan(values[int(before[-1]) + 1 : int(after[0])]).all()
 
 
-def test_missing_rows_break_the_line() -> None:
-    t = np.delete(np.arange(100) * 0.005, np.arange(40, 60))
-    t_broken, values = with_breaks(t, np.ones_like(t))
-    assert np.isnan(values).sum() == 1
-    assert len(t_broken) == len(values) == 81
+@pytest.mark.parametrize("rows", [100, 20_000])
+def test_missing_rows_break_the_line(rows: int) -> None:
+    t = np.delete(np.arange(rows) * 0.005, np.arange(rows // 2, rows // 2 + 20))
+    _, (ax,) = panels(1)
+    draw_line(ax, t, np.ones_like(t))
+    x, y = (np.asarray(a, dtype=float) for a in ax.lines[0].get_data())
+    assert np.isnan(y).sum() == 1
+    (gap,) = np.flatnonzero(np.isnan(y))
+    assert x[gap - 1] == t[rows // 2 - 1]
+    assert x[gap + 1] == t[rows // 2]
 
 
 def test_tail_is_the_fraction_that_is_at_least_as_long() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,23 +17,24 @@ from agent.modes import Mode
 from agent.safety import Flag
 from agent.telemetry.metrics import summarise
 from agent.telemetry.quantity import Better
+from agent.telemetry.read import RunLog
 from agent.telemetry.results import Results, Verdict
 from agent.telemetry.runinfo import Bounded
 from agent.telemetry.series import attitude_error, internal_wrenches, rotate, rotation_angle, rotation_vector
-from tests.unit.synthetic_run import OFFSETS, Log, agent_rows, paper_run, plant_rows, product, run_file, turn
+from tests.unit.synthetic_run import OFFSETS, agent_rows, as_log, paper_run, plant_rows, product, run_file, turn
 
 TICKS, RATE_HZ = 400, 200.0
 
 
-def small_run(*, plant: bool = True, transient_s: float = 0.5, **changes: object) -> Log:
+def small_run(*, plant: bool = True, transient_s: float = 0.5, **changes: object) -> RunLog:
     """Two arms, two seconds, no error at all."""
     content = run_file(TICKS / RATE_HZ, RATE_HZ, transient_s=transient_s, **changes)
     agents = {name: agent_rows(TICKS, RATE_HZ) for name in OFFSETS}
     rows = plant_rows(agents["left"]) if plant else None
-    return Log(Path("run.mcap"), agents, rows, attachments={"run.json": json.dumps(content).encode()})
+    return as_log(Path("run.mcap"), agents, rows, content)
 
 
-def keep(log: Log, arm: str, rows: object) -> Log:
+def keep(log: RunLog, arm: str, rows: object) -> RunLog:
     log.agents[arm] = log.agents[arm][rows]
     return log
 
@@ -113,8 +115,7 @@ def test_true_pose_is_matched_by_sequence_number_and_not_by_place() -> None:
         rows[field][:, 0] = ramp
     log.agents["left"] = log.agents["left"][50:]
     log.agents["right"] = log.agents["right"][60:]
-    shuffled = Log(log.path, log.agents, log.plant[7:], attachments=log.attachments)
-    assert summarise(shuffled).headline("max_position_error_m") == 0.0
+    assert summarise(replace(log, plant=log.plant[7:])).headline("max_position_error_m") == 0.0
 
 
 def test_one_arm_fills_the_ticks_that_the_other_did_not_log() -> None:
@@ -122,12 +123,27 @@ def test_one_arm_fills_the_ticks_that_the_other_did_not_log() -> None:
     assert summarise(log).by_plant.rows == 300
 
 
+@pytest.mark.parametrize("common", ["stamp_ns", "utc_ns"])
+def test_plant_that_began_before_the_trajectory_is_matched_by_a_common_clock(common: str) -> None:
+    log, ticks_before = small_run(), 10  # the plant's own zero, of number and time, is ten ticks before the arms'
+    ramp = 0.01 * np.arange(TICKS)
+    for rows in log.agents.values():
+        rows["p_object_des"][:, 0] = ramp
+    log.plant["p_object"][:, 0] = ramp - 0.01 * ticks_before
+    log.plant["stamp_ns"] -= ticks_before * 5_000_000 if common == "stamp_ns" else 10**15
+    log.plant["utc_ns"] -= ticks_before * 2_500_000
+    results = summarise(log)
+    assert results.headline("max_position_error_m") == pytest.approx(0.0, abs=1e-12)
+    assert any(f"matched by {common}" in text for text in results.missing)
+
+
 def test_plant_rows_of_other_instants_are_refused_and_said() -> None:
     log = small_run()
-    log.plant["t"] += 0.1
+    for clock in ("t", "stamp_ns", "utc_ns"):
+        log.plant[clock] += 10**12
     results = summarise(log)
     assert results.by_plant is None
-    assert any("cannot be used" in text for text in results.missing)
+    assert any("no tick is in both" in text for text in results.missing)
 
 
 def test_decay_of_the_initial_error_is_that_of_the_closed_form() -> None:
@@ -191,16 +207,14 @@ def test_a_held_object_counts_in_no_error_and_leaves_the_bound_open() -> None:
 
 def test_a_log_that_ends_in_the_transient_has_no_errors_and_says_so() -> None:
     log = small_run()
-    short = Log(log.path, {n: r[:50] for n, r in log.agents.items()}, log.plant[:50], attachments=log.attachments)
-    results = summarise(short)
+    results = summarise(replace(log, agents={n: r[:50] for n, r in log.agents.items()}, plant=log.plant[:50]))
     assert math.isnan(results.headline("max_position_error_m"))
     assert results.verdict(Bounded.POSITION) is Verdict.NOT_SHOWN
     assert any("no usable row of plant after the transient" in text for text in results.missing)
 
 
 def test_an_empty_log_has_results_and_says_what_is_missing() -> None:
-    log = small_run()
-    results = summarise(Log(log.path, {}, None, attachments=log.attachments, complete=False))
+    results = summarise(replace(small_run(), agents={}, plant=None, complete=False))
     assert results.rows_recorded == 0
     assert not results.complete
     assert "no row of the arm left" in results.missing
@@ -208,11 +222,10 @@ def test_an_empty_log_has_results_and_says_what_is_missing() -> None:
 
 
 def test_a_log_without_run_file_takes_what_it_can_from_its_rows() -> None:
-    log = small_run()
-    results = summarise(Log(log.path, log.agents, log.plant))
+    results = summarise(replace(small_run(), attachments={}))
     assert results.info.rate_hz == pytest.approx(RATE_HZ)
     assert results.rows_expected == 2 * TICKS
-    assert any("no run.json" in text for text in results.missing)
+    assert any("does not say which run it is" in text for text in results.missing)
 
 
 # ------------------------------------------------------------------------------------------------------- completeness
@@ -239,8 +252,12 @@ def test_rows_after_the_end_are_counted_apart() -> None:
 
 
 def test_a_recorder_that_lost_something_makes_the_log_incomplete() -> None:
-    log = small_run()
-    assert not summarise(Log(log.path, log.agents, log.plant, attachments=log.attachments, complete=False)).complete
+    told = {"completeness": {"left.lost_on_the_way": "3", "left.lost_on_disk": "0"}}
+    results = summarise(replace(small_run(), complete=False, metadata=told, problems=("cut in its last second",)))
+    assert not results.complete
+    assert "3 rows of left were lost on the way" in results.missing
+    assert "cut in its last second" in results.missing
+    assert not any("disk" in text for text in results.missing)
 
 
 # -------------------------------------------------------------------------------------------------- torques and timing
@@ -322,7 +339,7 @@ def test_real_time_factor_of_simulated_utc_is_not_known_and_said() -> None:
 
 def test_real_time_factor_of_the_recorder_comes_first() -> None:
     log = small_run()
-    log.metadata["run"] = {"wall_s": "0.1"}
+    log.metadata["completeness"] = {"wall_s": "0.1"}
     assert summarise(log).real_time_factor == pytest.approx((TICKS - 1) / RATE_HZ / 0.1)
 
 
@@ -449,6 +466,6 @@ def test_results_do_not_depend_on_the_names_of_the_arms() -> None:
         for arm in content["arms"]:
             arm["name"] = {"left": "b", "right": "a"}[arm["name"]]
         agents = {"b": log.agents["left"], "a": log.agents["right"]}
-        return summarise(Log(log.path, agents, log.plant, attachments={"run.json": json.dumps(content).encode()}))
+        return summarise(as_log(log.path, agents, log.plant, content))
 
     assert swapped().by_arm["b"].max_position_error_m == summarise(log).by_arm["left"].max_position_error_m

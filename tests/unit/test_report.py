@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import resource
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from rich.console import Console
 
 from agent.telemetry.event import Event, Level
 from agent.telemetry.report import ReportError, ReportFiles, terminal_table, write_report
-from tests.unit.synthetic_run import Log, paper_run, spatial_run
+from tests.unit.synthetic_run import paper_run, spatial_run
 
 PNG = b"\x89PNG\r\n\x1a\n"
 VOID = {"meta", "img", "br", "hr", "link"}
@@ -71,13 +72,13 @@ def test_every_figure_is_a_png_of_some_size(written: ReportFiles) -> None:
 
 
 def test_the_page_is_well_formed_and_needs_nothing_else(written: ReportFiles) -> None:
-    page = read_page(written.page)
+    page = read_page(written.html)
     embedded = {base64.b64decode(source.removeprefix("data:image/png;base64,")) for source in page.images}
     assert embedded == {path.read_bytes() for path in written.figures.values()}
 
 
 def test_the_page_shows_bounds_verdicts_events_and_provenance(written: ReportFiles) -> None:
-    text = read_page(written.page).text
+    text = read_page(written.html).text
     for expected in (
         "≤ 0.500 mm",
         "0.200 mm",
@@ -99,8 +100,8 @@ def test_results_json_is_what_the_results_say(written: ReportFiles) -> None:
 
 
 def test_nothing_is_left_beside_the_report(written: ReportFiles) -> None:
-    expected = {written.page, written.results_file, *written.figures.values()}
-    assert set(written.page.parent.iterdir()) == expected
+    expected = {written.html, written.results_file, *written.figures.values()}
+    assert set(written.html.parent.iterdir()) == expected
 
 
 def test_the_terminal_table_fits_eighty_columns_and_has_the_verdicts(written: ReportFiles) -> None:
@@ -139,8 +140,8 @@ def test_a_place_that_is_a_file_is_refused_with_a_remedy(tmp_path: Path) -> None
 
 def test_a_log_without_rows_still_gets_a_page_that_says_so(tmp_path: Path) -> None:
     log = paper_run(Path("run.mcap"), duration_s=25.0)
-    files = write_report(Log(log.path, {}, None, attachments=log.attachments, complete=False), tmp_path)
-    text = read_page(files.page).text
+    files = write_report(replace(log, agents={}, plant=None, complete=False), tmp_path)
+    text = read_page(files.html).text
     assert "no row of the arm left" in text
     assert "0 of 10000" in text
     assert "✗ not met" in text
@@ -151,8 +152,8 @@ def test_a_log_that_ends_in_the_transient_shows_its_figures_and_no_verdict(tmp_p
     log = paper_run(Path("run.mcap"), duration_s=25.0)
     cut = {name: rows[:1000] for name, rows in log.agents.items()}
     assert log.plant is not None
-    files = write_report(Log(log.path, cut, log.plant[:1000], attachments=log.attachments), tmp_path)
-    text = read_page(files.page).text
+    files = write_report(replace(log, agents=cut, plant=log.plant[:1000]), tmp_path)
+    text = read_page(files.html).text
     assert "no usable row of plant after the transient of 20 s" in text
     assert "? not shown" in text
     assert "pose" in files.figures
@@ -161,6 +162,6 @@ def test_a_log_that_ends_in_the_transient_shows_its_figures_and_no_verdict(tmp_p
 def test_three_six_joint_arms_without_a_plant_have_a_report(tmp_path: Path) -> None:
     files = write_report(spatial_run(Path("run.mcap"), duration_s=25.0), tmp_path)
     assert {"torque_terms_arm0", "torque_terms_arm1", "torque_terms_arm2"} <= files.figures.keys()
-    text = read_page(files.page).text
+    text = read_page(files.html).text
     assert "seen by arm2" in text
     assert "no simulation in the log" in text
