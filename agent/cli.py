@@ -18,6 +18,8 @@ app = typer.Typer(
 CellPath = Annotated[Path, typer.Argument(help="Cell file (TOML).", show_default=False)]
 Overrides = Annotated[list[str], typer.Option("--set", metavar="KEY=VALUE", help="Change one value of the cell file.")]
 ArmName = Annotated[str, typer.Option("--arm", help="Arm of the cell.", show_default=False)]
+DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+NetworkConfig = Annotated[Path | None, typer.Option(help="Zenoh configuration (TLS, access control) instead.")]
 WithParent = Annotated[bool, typer.Option("--with-parent", hidden=True)]
 
 
@@ -141,6 +143,123 @@ def plant(
     name = loaded.file.name
     options = PlantOptions(socket or plant_socket_path(name), ring or ring_path(name, "plant"), lockstep=not real_time)
     typer.echo(run_plant(loaded, options, stop, _ready), err=True)
+
+
+@app.command()
+def telemetry(
+    cell: CellPath,
+    member: Annotated[str, typer.Option("--member", "--arm", help="Arm of the cell, or `plant`.", show_default=False)],
+    ring: Annotated[Path | None, typer.Option(help="Ring file in shared memory.")] = None,
+    connect: Annotated[str, typer.Option(help="Endpoint of the recorder.")] = DEFAULT_ENDPOINT,
+    network_config: NetworkConfig = None,
+    lockstep: Annotated[bool, typer.Option("--lockstep", help="Simulated time waits for this process.")] = False,
+    follow: Annotated[bool, typer.Option("--follow", help="Go on with the next run of the arm (service).")] = False,
+    with_parent: WithParent = False,
+) -> None:
+    """Publish one ring over Zenoh; never touches a bus."""
+    from agent.config.cell import load_cell
+    from agent.process.paths import ring_path
+    from agent.process.recorder import TelemetryOptions, run_telemetry
+
+    stop = _begin(with_parent)
+    loaded = load_cell(cell)
+    where = ring or ring_path(loaded.file.name, member)
+    options = TelemetryOptions(member, where, connect, network_config, lockstep, follow)
+    report = run_telemetry(loaded, options, stop, _ready)
+    typer.echo(
+        f"{member}: {report.rows_written} rows, {report.rows_lost} lost in the ring, "
+        f"{report.rows_unrecorded} not confirmed by the recorder",
+        err=True,
+    )
+
+
+@app.command()
+def record(
+    cell: CellPath,
+    out: Annotated[Path | None, typer.Option(help="Log file to write.")] = None,
+    out_dir: Annotated[Path, typer.Option(help="Folder for logs when --out is not given.")] = Path("runs"),
+    listen: Annotated[str, typer.Option(help="Endpoint to listen on; port 0 takes a free one.")] = DEFAULT_ENDPOINT,
+    network_config: NetworkConfig = None,
+    driver: Annotated[DriverName | None, typer.Option(help="What moves the arms, for the log.")] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the run, for the log.")] = 0,
+    with_parent: WithParent = False,
+) -> None:
+    """Write everything the cell publishes into one MCAP log."""
+    from agent.config.cell import load_cell
+    from agent.config.schema import DriverKind
+    from agent.process.paths import log_path
+    from agent.process.recorder import RecorderOptions, run_recorder
+
+    stop = _begin(with_parent)
+    loaded = load_cell(cell)
+    kind = DriverKind(driver.value) if driver is not None else loaded.file.driver
+    log = out if out is not None else log_path(out_dir, loaded.file.name)
+    report = run_recorder(loaded, RecorderOptions(log, kind, seed, listen, network_config), stop, _ready)
+    for path in report.repaired:
+        typer.echo(f"repaired {path}", err=True)
+    typer.echo(f"{report.path}: {'complete' if report.complete else 'INCOMPLETE'} {report.failure or ''}", err=True)
+    if report.failure:
+        raise typer.Exit(4)
+
+
+@app.command()
+def report(
+    log: Annotated[Path, typer.Argument(help="MCAP log.", show_default=False)],
+    out: Annotated[Path | None, typer.Option(help="Folder of the report (default: beside the log).")] = None,
+) -> None:
+    """Make the figures, the page and results.json from a log alone."""
+    from rich.console import Console
+
+    from agent.telemetry.read import read_log
+    from agent.telemetry.report import terminal_table, write_report
+
+    files = write_report(read_log(log), out or log.parent)
+    Console().print(terminal_table(files.results))
+    typer.echo(f"report   {files.html}")
+
+
+@app.command()
+def compare(
+    first: Annotated[Path, typer.Argument(help="MCAP log.", show_default=False)],
+    second: Annotated[Path, typer.Argument(help="MCAP log.", show_default=False)],
+) -> None:
+    """Say which figures of two logs differ, and which log has the better ones."""
+    from rich.console import Console
+
+    from agent.telemetry.compare import compare as differences
+    from agent.telemetry.compare import comparison_table
+    from agent.telemetry.metrics import summarise
+    from agent.telemetry.read import read_log
+
+    a, b = summarise(read_log(first)), summarise(read_log(second))
+    Console().print(comparison_table(a, b, differences(a, b)))
+
+
+@app.command()
+def play(
+    log: Annotated[Path, typer.Argument(help="MCAP log.", show_default=False)],
+    speed: Annotated[float, typer.Option(min=0.001, help="Pace; 1 is the pace of the run.")] = 1.0,
+    start: Annotated[float | None, typer.Option(help="First second to play.")] = None,
+    end: Annotated[float | None, typer.Option(help="Last second to play.")] = None,
+    loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end.")] = False,
+    listen: Annotated[str, typer.Option(help="Endpoint to listen on.")] = DEFAULT_ENDPOINT,
+    network_config: NetworkConfig = None,
+) -> None:
+    """Publish a log again, byte for byte, under the prefix replay/."""
+    from agent.process.play import PlayRequest, play_log
+
+    stop = _begin(False)
+    typer.echo(play_log(PlayRequest(log, speed, start, end, loop, listen, network_config), stop, _ready), err=True)
+
+
+@app.command()
+def recover(
+    log: Annotated[Path, typer.Argument(help="MCAP log that was not finished.", show_default=False)],
+) -> None:
+    """Mend a log that a crash or a power cut left unfinished, and verify the result."""
+    from agent.telemetry.recover import recover as mend
+
+    typer.echo(mend(log))
 
 
 def _begin(with_parent: bool):  # type: ignore[no-untyped-def]

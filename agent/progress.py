@@ -31,6 +31,8 @@ class RunProgress:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._progress.stop()
+        if not self._progress.console.is_terminal:
+            self._progress.console.line()
 
     def phase(self, what: str) -> None:
         """Say what is being done."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import time
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,10 +17,12 @@ from agent.modes import Event, Mode
 from agent.process.build import build_agent
 from agent.process.notify import Notifier
 from agent.process.signals import StopFlag
+from agent.telemetry.event import Event as TextEvent
+from agent.telemetry.event import Level, TextWriter
 from agent.telemetry.ring import RingWriter
 from agent.telemetry.row import AgentRow
 from agent.telemetry.sample import AGENT_STATE
-from drivers.interface import Clock, Driver, DriverError
+from drivers.interface import Clock, Driver, DriverError, Refusal
 from sim_backend.driver import SimDriver
 
 HEARTBEAT_S = 0.02
@@ -54,33 +57,62 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
     ticks = round(cell.file.duration_s * cell.file.rate_hz)
     simulated = options.driver is DriverKind.SIM
     notifier = Notifier()
-    with RingWriter(options.ring, AGENT_STATE, arm.name, tuple(arm.entry.controlled)) as ring:
+    with (
+        RingWriter(options.ring, AGENT_STATE, arm.name, tuple(arm.entry.controlled)) as ring,
+        closing(TextWriter(options.ring, arm.name)) as texts,
+    ):
         ready(f"ring={options.ring}")
         row = AgentRow(ring.row, arm.n, cell.config_id)
         driver, clock = _driver(cell, arm, options)
+        tell = _Teller(arm.name, texts)
         try:
-            driver.connect()
+            info = driver.connect()
             driver.enable()
             notifier.ready(f"arm {arm.name}: torque on")
+            tell.event(Level.INFO, f"torque on: {info.description}")
             schedule = Schedule(
                 clock.now_ns(), time.time_ns(), cell.period_ns, ticks, options.lockstep, hold_at_end=not simulated
             )
             heart = _Heart(notifier, max(1, round(HEARTBEAT_S * cell.file.rate_hz)))
             _quiet_memory()
+            began = time.monotonic()
             summary = run(
                 agent, driver, clock, schedule, row, ring, time.perf_counter_ns, _events(stop, simulated), heart.beat
             )
+            tell.end(summary, time.monotonic() - began)
+        except Refusal as error:
+            tell.event(Level.ERROR, str(error))
+            raise
         finally:
             driver.disable()
             driver.close()
             notifier.stopping("torque off")
             notifier.close()
+            texts.finish()
             ring.finish()
     if summary.mode is Mode.FAULT:
         raise ArmLost(
             f"arm {arm.name}", found=summary.reason, expected="a fresh state every cycle", remedy="see the log"
         )
     return summary
+
+
+class _Teller:
+    """Writes the agent's own events; mode changes and flags are told from the rows by telemetry."""
+
+    def __init__(self, arm: str, texts: TextWriter) -> None:
+        self._arm = arm
+        self._texts = texts
+
+    def event(self, level: Level, text: str, **data: float | str) -> None:
+        """Something happened now."""
+        self._texts.event(TextEvent(time.time_ns(), self._arm, level, text, data))
+
+    def end(self, summary: RunSummary, wall_s: float) -> None:
+        """The run is over; wall_s is what the report's real-time factor is made of."""
+        level = Level.ERROR if summary.mode is Mode.FAULT else Level.INFO
+        text = f"run ended in {summary.mode.name} {summary.reason}".strip()
+        self.event(level, text, ticks=summary.ticks, late_cycles=summary.late_cycles, wall_s=round(wall_s, 3))
 
 
 class _Heart:
@@ -139,15 +171,6 @@ def _quiet_memory() -> None:
     gc.collect()
     gc.freeze()
     gc.disable()
-
-
-def _events(stop: StopFlag) -> Callable[[], Event]:
-    """Operator requests as events; in simulation nothing can fall, so a stop also releases the object."""
-
-    def events() -> Event:
-        return Event.STOP | Event.RELEASED if stop() else Event.NONE
-
-    return events
 
 
 def _driver(cell: Cell, arm: Arm, options: AgentOptions) -> tuple[Driver, Clock]:

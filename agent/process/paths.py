@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from datetime import UTC, datetime
 from pathlib import Path
 
 
@@ -23,3 +24,8 @@ def ring_path(cell: str, name: str) -> Path:
 def plant_socket_path(cell: str) -> Path:
     """Socket of the simulated cell."""
     return runtime_dir(cell) / "plant.sock"
+
+
+def log_path(folder: Path, cell: str) -> Path:
+    """Name of a new log."""
+    return folder / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{cell}.mcap"

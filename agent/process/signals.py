@@ -11,7 +11,7 @@ PR_SET_PDEATHSIG = 1
 
 
 class StopFlag:
-    """Remembers that a stop (SIGTERM, SIGINT) or a release (SIGUSR1) was asked for; install it before opening anything."""
+    """Remembers a stop (SIGTERM, SIGINT) and a release (SIGUSR1); install it before anything is opened."""
 
     def __init__(self) -> None:
         self.stopped = False
