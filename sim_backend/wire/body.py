@@ -33,15 +33,16 @@ class Body:
         self.motor = Motor(MotorData.of(model, coulomb_Nm))
         self.motor.ambient_C = self.motor.temperature_C = ambient_C
         self.drive = Drive(self.motor, model.current_unit_mA * 1e-3 if model.current_unit_mA else None)
+        self.sign = 1  # -1 when Drive Mode reverses the direction
         self.homing_ticks = 0
         self.encoder_offset_ticks = 0  # fault: wrong by this much
         self._stuck_tick: int | None = None  # fault: frozen here
         self._turns = 0
 
-    @property
-    def sign(self) -> int:
-        """-1 when Drive Mode reverses the direction."""
-        return -1 if self.drive.goals.drive_mode & DriveMode.REVERSE else 1
+    def set_drive_mode(self, mode: DriveMode) -> None:
+        """Take over Drive Mode."""
+        self.drive.goals.drive_mode = mode
+        self.sign = -1 if mode & DriveMode.REVERSE else 1
 
     def position_tick(self) -> int:
         """Present Position: actual position plus Homing Offset, multi-turn since the last reset."""

@@ -129,7 +129,7 @@ class Bus:
                 continue
             pause_ns = 0
             if timing:
-                pause_ns = timing.fast_gap_ns if merged else servo.return_delay_ns + timing.turnaround_ns
+                pause_ns = servo.return_delay_ns + (timing.fast_gap_ns if merged else timing.turnaround_ns)
             self.counters.replies += 1
             start_ns = line.reply(len(data), baud, pause_ns)
             for piece, extra_ns in self.tamper(servo.id, data) if self.tamper else (Tampered(data, 0),):

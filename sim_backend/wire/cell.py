@@ -37,16 +37,23 @@ class EmulatedCell:
             arm.power_up(q)
 
     def advance_to(self, now_ns: int) -> None:
-        """Let physics catch up with `now_ns`, then turn every horn to where its joint is at that instant."""
+        """Let physics catch up with `now_ns`, then turn all horns to where their joints are at that instant."""
+        self.catch_up(now_ns)
+        for arm in self.arms:
+            self.sense(arm, now_ns)
+
+    def catch_up(self, now_ns: int) -> None:
+        """Let physics catch up with `now_ns` in whole substeps."""
         behind_ns = now_ns - self.time_ns
         if behind_ns > CATCH_UP_NS:
             self.counters.skipped_ns += behind_ns - CATCH_UP_NS
             self.time_ns = now_ns - CATCH_UP_NS
         while self.time_ns + self._substep_ns <= now_ns:
             self._substep()
-        lead_s = max(0, now_ns - self.time_ns) * 1e-9
-        for arm in self.arms:
-            arm.sense(*self._state(arm), lead_s)
+
+    def sense(self, arm: EmulatedArm, now_ns: int) -> None:
+        """Turn the horns of an arm to where its joints are at `now_ns`, so that what it reports is of that instant."""
+        arm.sense(*self._state(arm), max(0, now_ns - self.time_ns) * 1e-9)
 
     def _substep(self) -> None:
         world = self.world

@@ -109,7 +109,7 @@ class Firmware:
         """Take over every register, as after a boot or a restored backup."""
         body, memory, goals = self.body, self.memory, self.body.drive.goals
         goals.mode = OperatingMode(memory.get(table.OPERATING_MODE))
-        goals.drive_mode = DriveMode(memory.get(table.DRIVE_MODE)) if memory.has(table.DRIVE_MODE) else DriveMode(0)
+        body.set_drive_mode(self._drive_mode())
         body.homing_ticks = memory.get(table.HOMING_OFFSET)
         for name, attribute in _MIRRORED.items():
             register = memory.layout.by_name.get(name)
@@ -188,12 +188,14 @@ class Firmware:
 
     def _set_frame(self) -> None:
         """Drive Mode or Homing Offset changed what a position means."""
-        memory = self.memory
-        if memory.has(table.DRIVE_MODE):
-            self.body.drive.goals.drive_mode = DriveMode(memory.get(table.DRIVE_MODE))
-        self.body.homing_ticks = memory.get(table.HOMING_OFFSET)
+        self.body.set_drive_mode(self._drive_mode())
+        self.body.homing_ticks = self.memory.get(table.HOMING_OFFSET)
         self.body.reset_turns()
         self.stand()
+
+    def _drive_mode(self) -> DriveMode:
+        """Drive Mode register; firmware without it knows the normal direction only."""
+        return DriveMode(self.memory.get(table.DRIVE_MODE) if self.memory.has(table.DRIVE_MODE) else 0)
 
     def _goals_to_limits(self) -> None:
         self.set_and_mirror(table.GOAL_PWM, self.memory.get(table.PWM_LIMIT))

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from sim_backend.actuator import ActuatorSpec
-from sim_backend.plant import Plant
+from sim_backend.plant import Observation, Plant
 from sim_backend.spec import PlantSpec
 
 
@@ -32,12 +32,22 @@ def without_servo_electronics(spec: PlantSpec) -> PlantSpec:
 
 
 class PlantWorld:
-    """The closed chain of sim_backend.plant.  Build the plant from `without_servo_electronics`."""
+    """The closed chain of sim_backend.plant.  Build the plant from `without_servo_electronics`.
 
-    def __init__(self, plant: Plant) -> None:
+    With `supported` the cell rests on a support until the servos of every arm have given torque once; before that
+    nobody holds the object, and it would fall before the agents have switched torque on.
+    """
+
+    def __init__(self, plant: Plant, *, supported: bool = True) -> None:
         self.plant = plant
         self.substep_s = plant.spec.substep_s
         self.tau_Nm = np.zeros(plant.joint_count)
+        self._idle = set(range(len(plant.slices))) if supported else set()
+
+    @property
+    def supported(self) -> bool:
+        """True while the cell rests on its support."""
+        return bool(self._idle)
 
     def state(self, arm: int) -> tuple[Sequence[float], Sequence[float]]:
         """Positions and velocities of an arm's controlled joints, in the order of its specification."""
@@ -49,7 +59,16 @@ class PlantWorld:
     def apply(self, arm: int, tau_Nm: Sequence[float]) -> None:
         """Set the torques of an arm's servos."""
         self.tau_Nm[self.plant.slices[arm]] = tau_Nm
+        if arm in self._idle and any(tau_Nm):
+            self._idle.remove(arm)
 
     def advance(self) -> None:
         """Let one substep pass.  Raises PlantError when the motion is no longer finite."""
-        self.plant.advance(self.tau_Nm, 1)
+        if self._idle:
+            self.plant.rest(1)
+        else:
+            self.plant.advance(self.tau_Nm, 1)
+
+    def observe(self) -> Observation:
+        """What is true now, with the servos' torques acting; changes nothing."""
+        return self.plant.observe(self.tau_Nm)

@@ -46,12 +46,15 @@ class ServeOptions:
     faults_file: Path | None = None  # JSON lines, times from the start of serving
     control_socket: Path | None = None  # Unix datagram socket: JSON lines or "clear", times from arrival
     seed: int = 0
+    on_tick: Callable[[int], None] | None = None  # called with the time every tick_ns; must not block
+    tick_ns: int = 5_000_000
 
 
 class _Endpoint:
     """One arm on its port."""
 
     def __init__(self, cell: EmulatedCell, index: int, port: PtyPort, seed: int) -> None:
+        self.cell = cell
         self.arm = cell.arms[index]
         self.port = port
         self.injector = Injector(self.arm, port, seed)
@@ -62,6 +65,7 @@ class _Endpoint:
         if port.present and not self.injector.stalled:
             data = port.read()
             if data:
+                self.cell.sense(self.arm, now_ns)
                 self.arm.bus.receive(data, now_ns, port.baud())
 
     def send(self, now_ns: int) -> None:
@@ -85,7 +89,7 @@ class Server:
         ]
         self._injectors = {endpoint.arm.name: endpoint.injector for endpoint in self._endpoints}
         self._control: socket.socket | None = None
-        self._last_tick_ns = clock_ns()
+        self._last_tick_ns = self._next_call_ns = clock_ns()
 
     def __enter__(self) -> Server:
         """Create the ports.  Raises OSError, FaultError."""
@@ -121,7 +125,7 @@ class Server:
         self.laps += 1
         self._wait()
         now_ns = self._clock_ns()
-        self.cell.advance_to(now_ns)
+        self.cell.catch_up(now_ns)
         ticking = now_ns - self._last_tick_ns >= TICK_NS
         stalled = now_ns - self._last_tick_ns > STALL_NS
         if ticking:
@@ -151,6 +155,9 @@ class Server:
                 endpoint.port.forget_exclusive()
         if self._control is not None:
             self._read_commands(self._control)
+        if self.options.on_tick is not None and now_ns >= self._next_call_ns:
+            self._next_call_ns = max(self._next_call_ns + self.options.tick_ns, now_ns)
+            self.options.on_tick(now_ns)
 
     def _watchdogs(self, endpoint: _Endpoint, now_ns: int) -> None:
         fired = endpoint.arm.bus.tick(now_ns)

@@ -29,7 +29,7 @@ class BusTiming:
     is known for the X series, so the default is an assumption between them.
     """
 
-    turnaround_ns: int = 30_000
+    turnaround_ns: int = 40_000
     fast_gap_ns: int = 5_000  # between the blocks of a fast read; assumption
     usb: UsbTiming | None = UsbTiming()
 
