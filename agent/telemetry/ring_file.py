@@ -16,6 +16,7 @@ import mmap
 import os
 import struct
 import zlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Protocol
@@ -175,7 +176,13 @@ def check_format(path: Path, header: RingHeader, row_format: RowFormat, file_byt
 def claim(path: Path, header: RingHeader) -> int:
     """Descriptor of a new, locked, ready ring that already has its name.  Raises RingError, OSError."""
     while True:
-        old = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o640)
+        try:
+            old = os.open(path, os.O_RDWR | os.O_CLOEXEC)
+        except FileNotFoundError:
+            fd = _create_as(path, header, os.link)
+            if fd is not None:
+                return fd
+            continue
         try:
             if not lock(old):
                 raise RingError(
@@ -189,7 +196,9 @@ def claim(path: Path, header: RingHeader) -> int:
             if _is_unfinished(old):
                 path.with_name(path.name + ".previous").unlink(missing_ok=True)
                 os.link(path, path.with_name(path.name + ".previous"))
-            return _create_over(path, header)
+            fd = _create_as(path, header, os.replace)
+            assert fd is not None, "replacing does not mind what is there"
+            return fd
         finally:
             os.close(old)
 
@@ -218,8 +227,11 @@ def _lock_request(kind: int) -> bytes:
     return struct.pack("hhqqi4x", kind, os.SEEK_SET, 0, 0, 0)  # struct flock on 64-bit Linux: the whole file
 
 
-def _create_over(path: Path, header: RingHeader) -> int:
-    """Write a new ring beside `path` and move it there whole, so that no reader sees half a header."""
+def _create_as(path: Path, header: RingHeader, put_in_place: Callable[[Path, Path], None]) -> int | None:
+    """Write a new ring beside `path` and give it that name whole, so that no reader sees half a header.
+
+    None when `put_in_place` finds a file there that must not be replaced.
+    """
     temporary = path.with_name(f"{path.name}.{os.getpid()}.new")
     temporary.unlink(missing_ok=True)
     fd = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o640)
@@ -229,11 +241,15 @@ def _create_over(path: Path, header: RingHeader) -> int:
         os.pwrite(fd, header.pack(), 0)
         if not lock(fd):
             raise AssertionError("nobody else knows this file")
-        temporary.rename(path)
+        put_in_place(temporary, path)
+    except FileExistsError:
+        os.close(fd)
+        return None
     except BaseException:
         os.close(fd)
-        temporary.unlink(missing_ok=True)
         raise
+    finally:
+        temporary.unlink(missing_ok=True)
     return fd
 
 

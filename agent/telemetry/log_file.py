@@ -1,0 +1,273 @@
+"""An MCAP file that is being written: crash safe chunk by chunk.  Never overwrites a file; once open, never raises.
+
+A write that fails (full disk, lost mount) ends the file at its last complete chunk; the caller goes on without it.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import threading
+import time
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any, Final, cast
+
+from mcap.writer import CompressionType, Writer
+
+from drivers.interface import Refusal
+
+LIBRARY: Final = "widowx-coop"
+PROFILE: Final = "ros2"
+CHUNK_BYTES: Final = 1 << 20
+FLUSH_S: Final = 0.25
+SYNC_S: Final = 1.0
+MIN_FREE_BYTES: Final = 64 << 20
+
+
+class LogFileError(Refusal):
+    """The log cannot be written where it was asked for."""
+
+    exit_code = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Attachment:
+    """A file inside the log."""
+
+    name: str
+    media_type: str
+    data: bytes
+
+
+class LogFile:
+    """One log.  Once it has failed or is finished, everything is a no-op but the counting of what is lost."""
+
+    def __init__(
+        self,
+        path: Path,
+        attachments: Iterable[Attachment],
+        metadata: Mapping[str, Mapping[str, str]],
+        *,
+        created_ns: int,
+        min_free_bytes: int = MIN_FREE_BYTES,
+    ) -> None:
+        """Create the file, lock it, and have attachments and metadata on the disk before returning.
+
+        Raises LogFileError when it exists, cannot be written, or the disk is nearly full.
+        """
+        self.path = path
+        self.failure: str | None = None
+        self.nearly_full = False  # there is just room enough to finish
+        self.lost: Counter[int] = Counter()  # messages by channel that came and are not in the file
+        self._open = True
+        self._schemas: dict[str, int] = {}
+        self._unsafe: Counter[int] = Counter()  # the same, since the last flush
+        self._min_free = min_free_bytes
+        self._fd = _create(path, min_free_bytes)
+        self._sink = _Sink(self._fd)
+        self._writer = Writer(
+            cast("IO[Any]", self._sink),
+            chunk_size=CHUNK_BYTES,
+            compression=CompressionType.ZSTD,
+            enable_data_crcs=True,
+        )
+        self._flushed_s = time.monotonic()
+        try:
+            self._writer.start(PROFILE, LIBRARY)
+            for a in attachments:
+                self._writer.add_attachment(created_ns, created_ns, a.name, a.media_type, a.data)
+            for name, values in metadata.items():
+                self._writer.add_metadata(name, dict(values))
+            self._flush()
+            os.fsync(self._fd)
+            _sync_directory(path.parent)
+        except OSError as error:
+            os.close(self._fd)
+            path.unlink(missing_ok=True)
+            raise _cannot_write(path, error) from error
+        self._syncer = _Syncer(self._fd)
+
+    def channel(
+        self, topic: str, message_encoding: str, schema_name: str, schema_encoding: str, definition: str,
+        metadata: Mapping[str, str],
+    ) -> int:  # fmt: skip
+        """Register a channel; returns its number."""
+        if schema_name not in self._schemas:
+            self._schemas[schema_name] = self._writer.register_schema(schema_name, schema_encoding, definition.encode())
+        return self._writer.register_channel(topic, message_encoding, self._schemas[schema_name], dict(metadata))
+
+    def write(self, channel: int, messages: Sequence[tuple[int, int, bytes]]) -> None:
+        """Write (sequence, utc_ns, message) on a channel."""
+        if not self._open:
+            self.lost[channel] += len(messages)
+            return
+        self._unsafe[channel] += len(messages)
+        add = self._writer.add_message
+        try:
+            for sequence, utc_ns, message in messages:
+                add(channel, utc_ns, message, utc_ns, sequence & 0xFFFFFFFF)
+        except OSError as error:
+            self._fail(error)
+
+    def tick(self, now_s: float) -> None:
+        """Flush when it is time, and look how much room is left."""
+        if not self._open or now_s - self._flushed_s < FLUSH_S:
+            return
+        self._flushed_s = now_s
+        try:
+            if self._unsafe:
+                self._flush()
+            if self._syncer.error is not None:
+                raise self._syncer.error
+            self.nearly_full = _free_bytes(self.path) < self._min_free
+        except OSError as error:
+            self._fail(error)
+
+    def finish(self, metadata: Mapping[str, Mapping[str, str]]) -> bool:
+        """Write the last metadata and the index, and close; False when the file has failed."""
+        if self._open:
+            try:
+                self._finish(metadata)
+            except OSError as error:
+                self._fail(error)
+            self._open = False
+        return self.failure is None
+
+    def _finish(self, metadata: Mapping[str, Mapping[str, str]]) -> None:
+        self._flush()
+        for name, values in metadata.items():
+            self._writer.add_metadata(name, dict(values))
+        self._writer.finish()  # type: ignore[no-untyped-call]
+        self._syncer.stop()
+        os.fsync(self._fd)
+        os.close(self._fd)
+
+    def _flush(self) -> None:
+        self._writer.flush()  # type: ignore[no-untyped-call]
+        self._sink.good = self._sink.position
+        self._unsafe.clear()
+
+    def _fail(self, error: OSError) -> None:
+        """Cut the file back to its last complete record and give it up; what is there stays readable."""
+        self.failure = error.strerror or str(error)
+        self._open = False
+        self.lost += self._unsafe
+        self._syncer.stop()
+        os.ftruncate(self._fd, self._sink.good)
+        os.close(self._fd)
+
+
+class _Sink:
+    """What the MCAP writer writes to: straight to the descriptor, and it knows how far all was well."""
+
+    def __init__(self, fd: int) -> None:
+        self._fd = fd
+        self.position = 0
+        self.good = 0
+
+    def write(self, data: bytes) -> int:
+        view = memoryview(data)
+        while view:
+            count = os.write(self._fd, view)
+            self.position += count
+            view = view[count:]
+        return len(data)
+
+    def tell(self) -> int:
+        return self.position
+
+    def flush(self) -> None:
+        """Nothing is held back."""
+
+
+class _Syncer:
+    """fdatasync once a second in a thread of its own: a disk that takes seconds must not stop the receiving."""
+
+    def __init__(self, fd: int) -> None:
+        self.error: OSError | None = None
+        self._fd = os.dup(fd)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="log-sync", daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread.  Safe twice."""
+        if not self._stop.is_set():
+            self._stop.set()
+            self._thread.join()
+            os.close(self._fd)
+
+    def _run(self) -> None:
+        while not self._stop.wait(SYNC_S):
+            try:
+                os.fdatasync(self._fd)
+            except OSError as error:
+                self.error = error
+                return
+
+
+def lock(fd: int) -> bool:
+    """Take a log's lock; False when the recorder that writes it is alive."""
+    try:
+        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+def _create(path: Path, min_free_bytes: int) -> int:
+    try:
+        free = _free_bytes(path)
+        if free < min_free_bytes:
+            raise LogFileError(
+                f"no room for a log in {path.parent}",
+                found=f"{free >> 20} MB free",
+                expected=f"at least {min_free_bytes >> 20} MB",
+                remedy="remove old runs, or record elsewhere",
+            )
+        fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+    except FileExistsError as error:
+        raise LogFileError(
+            f"{path} exists already",
+            found="a file" if _is_free(path) else "a log that another recorder is writing",
+            expected="no file",
+            remedy="give another name; a log is never overwritten",
+        ) from error
+    except OSError as error:
+        raise _cannot_write(path, error) from error
+    if not lock(fd):
+        raise AssertionError("nobody else knows this file")
+    return fd
+
+
+def _is_free(path: Path) -> bool:
+    fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        return lock(fd)
+    finally:
+        os.close(fd)
+
+
+def _cannot_write(path: Path, error: OSError) -> LogFileError:
+    return LogFileError(
+        f"cannot write {path}",
+        found=error.strerror,
+        expected="an existing directory that can be written",
+        remedy=f"create it with `mkdir -p {path.parent}`, or record elsewhere",
+    )
+
+
+def _free_bytes(path: Path) -> int:
+    found = os.statvfs(path.parent)
+    return found.f_bavail * found.f_frsize
+
+
+def _sync_directory(directory: Path) -> None:
+    fd = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(fd)
+    finally:
+        os.close(fd)

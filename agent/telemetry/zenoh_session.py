@@ -1,0 +1,138 @@
+"""A Zenoh session that listens and connects only where it was told: no scouting, no shared memory; always closed."""
+
+from __future__ import annotations
+
+import json
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import zenoh
+
+from drivers.interface import Refusal
+
+LOOPBACK: Final = "tcp/127.0.0.1"
+FREE_PORT: Final = f"{LOOPBACK}:0"
+MESSAGE_BYTES_MAX: Final = 1 << 20  # Zenoh's default would let a stranger ask for 1 GiB
+_PORT_ATTEMPTS: Final = 20
+
+_CLOSED: Final[dict[str, Any]] = {
+    "mode": "peer",
+    "scouting/multicast/enabled": False,
+    "scouting/gossip/enabled": False,
+    "transport/shared_memory/enabled": False,  # its buffers can be invalidated under CPU load
+    "transport/link/rx/max_message_size": MESSAGE_BYTES_MAX,
+    "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
+    "transport/unicast/max_sessions": 32,
+    "transport/unicast/accept_pending": 8,
+    "connect/exit_on_failure": False,
+    "connect/retry": {"period_init_ms": 100, "period_max_ms": 1000, "period_increase_factor": 2},
+    "adminspace/enabled": False,
+    "plugins_loading/enabled": False,
+}
+
+
+class NetworkError(Refusal):
+    """The network cannot be used as it is configured."""
+
+    exit_code = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Network:
+    """Where to listen and connect; a configuration file (TLS, access control) replaces all of it."""
+
+    connect: tuple[str, ...] = ()
+    listen: str | None = None  # port 0: any free one
+    config_file: Path | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class OpenSession:
+    """A session and where it can be reached."""
+
+    session: zenoh.Session
+    endpoint: str | None  # None: it listens nowhere, or where its file says
+
+
+@contextmanager
+def open_session(network: Network) -> Iterator[OpenSession]:
+    """Session for `network`, closed when the block ends in whatever way.  Raises NetworkError."""
+    opened = _open(network)
+    try:
+        yield opened
+    finally:
+        opened.session.close()  # type: ignore[no-untyped-call]
+
+
+def has_link(session: zenoh.Session) -> bool:
+    """Whether anybody is connected; with wrong credentials a session opens without complaint and has none."""
+    return bool(session.info.links())
+
+
+def _open(network: Network) -> OpenSession:
+    if network.config_file is not None:
+        return OpenSession(_try_open(_from_file(network.config_file), f"configuration {network.config_file}"), None)
+    if network.listen is None or not network.listen.endswith(":0"):
+        return OpenSession(_try_open(_from_table(network, network.listen), str(network.listen)), network.listen)
+    for attempt in range(_PORT_ATTEMPTS):
+        endpoint = f"{network.listen[:-2]}:{_free_port()}"
+        try:
+            return OpenSession(_try_open(_from_table(network, endpoint), endpoint), endpoint)
+        except NetworkError:  # somebody took the port between the question and the answer
+            if attempt == _PORT_ATTEMPTS - 1:
+                raise
+    raise AssertionError("the last attempt returns or raises")
+
+
+def _try_open(config: zenoh.Config, what: str) -> zenoh.Session:
+    try:
+        return zenoh.open(config)
+    except zenoh.ZError as error:
+        raise NetworkError(
+            f"cannot open the network at {what}",
+            found=str(error).split(" at ")[0],
+            expected="an endpoint that is free, and files that can be read",
+            remedy="see `ss -tlnp` for who listens there, or take port 0",
+        ) from error
+
+
+def _from_file(path: Path) -> zenoh.Config:
+    try:
+        return zenoh.Config.from_file(path)
+    except zenoh.ZError as error:
+        raise NetworkError(
+            f"Zenoh configuration {path}",
+            found=str(error).split(" at ")[0],
+            expected="a file in Zenoh's JSON5 with known keys only",
+            remedy="correct it; the shipped examples show the keys that work",
+        ) from error
+
+
+def _from_table(network: Network, listen: str | None) -> zenoh.Config:
+    config = zenoh.Config()
+    table = _CLOSED | {
+        "listen/endpoints": [listen] if listen else [],
+        "connect/endpoints": list(network.connect),
+    }
+    try:
+        for key, value in table.items():
+            config.insert_json5(key, json.dumps(value))
+    except zenoh.ZError as error:
+        raise NetworkError(
+            "endpoint",
+            found=f"{listen} {network.connect}",
+            expected="like tcp/127.0.0.1:7447",
+            remedy="correct it",
+        ) from error
+    return config
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
