@@ -16,6 +16,8 @@ from sim_backend.wire.timing import BusTiming
 from sim_backend.wire.wiring import ArmWiring
 from sim_backend.wire.world import FreeJoint
 
+SUPERVISE_S = 0.005  # how often servos look at their own heat and supply
+
 
 @dataclass(slots=True)
 class Mount:
@@ -75,6 +77,7 @@ class EmulatedArm:
                 )
             self.joints.append(MountedJoint(joint.name, mounts, joint.index, free))
         self.bus = Bus(servos, timing, bus_options)
+        self._since_supervised_s = 0.0
         self._count = 1 + max((j.index for j in self.joints if j.index is not None and j.free is None), default=-1)
 
     def servo(self, servo_id: int) -> Servo:
@@ -107,13 +110,17 @@ class EmulatedArm:
     def actuate(self, dt_s: float, now_ns: int) -> list[float]:
         """Run all servos for `dt_s`; return the torques of the plant's joints, N*m."""
         torques = [0.0] * self._count
+        self._since_supervised_s += dt_s
+        supervising = self._since_supervised_s >= SUPERVISE_S
+        if supervising:
+            self._since_supervised_s = 0.0
         for joint in self.joints:
             tau_Nm = 0.0
             for mount in joint.mounts:
                 firmware = mount.servo.firmware
                 alive = firmware.alive(now_ns)
                 tau_Nm += mount.sign * firmware.body.step(dt_s, alive=alive)
-                if alive:
+                if supervising and alive:
                     firmware.supervise()
             if joint.free is not None:
                 joint.free.step(tau_Nm, dt_s)

@@ -264,6 +264,7 @@ class Firmware:
         """Write the present values into their registers."""
         body, drive, motor = self.body, self.body.drive, self.body.motor
         tick = body.position_tick()
+        speed = body.velocity_rad_per_s() / VELOCITY_UNIT_RAD_PER_S
         unit_A = self.model.current_unit_mA
         effort = motor.current_A * 1e3 / unit_A if unit_A else motor.duty * 1000.0
         target, rate = drive.trajectory()
@@ -274,11 +275,11 @@ class Firmware:
             self.memory.bytes,
             _PRESENT_START,
             (now_ns - self._boot_ns) // 1_000_000 % TICK_WRAP,
-            self.moving(),
+            abs(speed) > self.memory.get(table.MOVING_THRESHOLD),
             status,
             round(motor.duty * 885.0),
             max(-32768, min(32767, round(effort))),
-            round(body.velocity_rad_per_s() / VELOCITY_UNIT_RAD_PER_S),
+            round(speed),
             tick,
             round(rate * TICK_RAD / VELOCITY_UNIT_RAD_PER_S)
             if drive.goals.mode in POSITION_MODES

@@ -33,11 +33,13 @@ class Layout:
         self.defined = bytearray(SIZE)
         for register in self.by_name.values():
             self.defined[register.address : register.address + register.length] = b"\1" * register.length
-        self.indirect = {
-            data.address: pointer.address
+        # indirect address register -> the indirect data byte it points away from its own place
+        self.pointed = {
+            pointer.address: data.address
             for data, pointer in zip(table.INDIRECT_DATA, table.INDIRECT_ADDRESSES, strict=True)
             if data.name in self.by_name
         }
+        self._indirect = frozenset(self.pointed.values())
 
     @lru_cache(maxsize=256)  # noqa: B019  layouts live as long as the process, one per model and firmware
     def readable(self, address: int, length: int) -> bool:
@@ -47,7 +49,7 @@ class Layout:
     @lru_cache(maxsize=256)  # noqa: B019
     def touches_indirect(self, address: int, length: int) -> bool:
         """True when the range holds an indirect data byte."""
-        return any(a in self.indirect for a in range(address, address + length))
+        return any(a in self._indirect for a in range(address, address + length))
 
 
 @lru_cache(maxsize=64)
@@ -62,6 +64,7 @@ class Memory:
     def __init__(self, model: ServoModel, firmware: int) -> None:
         self.layout = layout_of(model.name, firmware)
         self.bytes = bytearray(SIZE)
+        self._target = list(range(SIZE))  # where an access to an address really goes: indirect data points elsewhere
 
     def has(self, generic: Register) -> bool:
         """True when this model and firmware have the register."""
@@ -80,6 +83,9 @@ class Memory:
         """Set a register; OverflowError when the value does not fit its bytes."""
         address, length = register.address, register.length
         self.bytes[address : address + length] = value.to_bytes(length, "little", signed=value < 0)
+        data_address = self.layout.pointed.get(address)
+        if data_address is not None:
+            self._target[data_address] = value
 
     def load_defaults(self, *, eeprom: bool) -> None:
         """Set all RAM registers to their defaults, and the EEPROM ones too if asked."""
@@ -93,16 +99,17 @@ class Memory:
             return StatusError.ACCESS
         if not self.layout.touches_indirect(address, length):
             return bytes(self.bytes[address : address + length])
-        return bytes(self.bytes[self._target(a)] for a in range(address, address + length))
+        memory = self.bytes
+        return bytes([memory[target] for target in self._target[address : address + length]])
 
     def decode(self, address: int, data: bytes) -> list[tuple[Register, int]] | StatusError:
         """Split bytes to be written into whole registers with their values, indirect data followed once."""
         single = self.layout.at.get(address)
-        if single is not None and single.length == len(data) and address not in self.layout.indirect:
+        if single is not None and single.length == len(data) and not self.layout.touches_indirect(address, 1):
             return [(single, int.from_bytes(data, "little", signed=single.signed))]
         if not self.layout.readable(address, len(data)):
             return StatusError.ACCESS
-        targets = [self._target(a) for a in range(address, address + len(data))]
+        targets = self._target[address : address + len(data)]
         found: list[tuple[Register, int]] = []
         at = 0
         while at < len(targets):
@@ -116,10 +123,3 @@ class Memory:
             found.append((register, int.from_bytes(data[at:end], "little", signed=register.signed)))
             at = end
         return found
-
-    def _target(self, address: int) -> int:
-        """Where an access to `address` really goes."""
-        pointer = self.layout.indirect.get(address)
-        if pointer is None:
-            return address
-        return int.from_bytes(self.bytes[pointer : pointer + 2], "little")

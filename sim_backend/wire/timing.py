@@ -19,6 +19,9 @@ class UsbTiming:
 
     latency_ns: int = 1_000_000  # 16_000_000 is the Linux default of an FTDI adapter
     payload_bytes: int = FT232H_PAYLOAD
+    # the adapter's clock is not the host's: a loop whose period is a multiple of the latency would otherwise see one
+    # and the same phase for ever; real drifts are smaller and take minutes to show all phases
+    drift_ppm: int = 3000
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +54,7 @@ class UsbBuffer:
 
     def __init__(self, timing: UsbTiming | None) -> None:
         self._timing = timing
+        self._period_ns = round(timing.latency_ns * (1.0 + timing.drift_ppm * 1e-6)) if timing else 0
         self._held = bytearray()
         self._held_due_ns = 0
         self._timer_start_ns = 0  # the timer restarts with every packet the host took, empty ones included
@@ -96,9 +100,8 @@ class UsbBuffer:
 
     def _tick_after(self, time_ns: int) -> int:
         """First instant after `time_ns` at which the timer fires."""
-        assert self._timing is not None
-        latency_ns = self._timing.latency_ns
-        return self._timer_start_ns + ((time_ns - self._timer_start_ns) // latency_ns + 1) * latency_ns
+        period_ns = self._period_ns
+        return self._timer_start_ns + ((time_ns - self._timer_start_ns) // period_ns + 1) * period_ns
 
     def _flush(self, at_ns: int) -> Delivery:
         delivery = Delivery(at_ns, bytes(self._held))

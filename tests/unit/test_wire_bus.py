@@ -231,7 +231,7 @@ class TestTiming:
     @pytest.mark.parametrize("latency_ms", [1, 16])
     def test_latency_timer_rounds_the_reply_up(self, latency_ms: int) -> None:
         packet = build(1, Instruction.PING)
-        timing = BusTiming(usb=UsbTiming(latency_ns=latency_ms * MS))
+        timing = BusTiming(usb=UsbTiming(latency_ns=latency_ms * MS, drift_ppm=0))
         assert self.due(timing, packet, *self.fleet(1)) == latency_ms * MS
 
     def test_servo_that_stays_silent_costs_the_time_of_its_reply(self) -> None:

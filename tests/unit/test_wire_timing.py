@@ -19,7 +19,7 @@ def test_without_an_adapter_bytes_arrive_when_they_end_on_the_wire() -> None:
 
 
 def test_short_reply_waits_for_the_latency_timer() -> None:
-    usb = UsbBuffer(UsbTiming(latency_ns=MS))
+    usb = UsbBuffer(UsbTiming(latency_ns=MS, drift_ppm=0))
     assert usb.push(200_000, 10_000.0, b"abc") == []
     assert usb.due_ns() == MS
     assert usb.settle(MS - 1) == []
@@ -28,13 +28,13 @@ def test_short_reply_waits_for_the_latency_timer() -> None:
 
 
 def test_latency_timer_of_16_ms_holds_a_reply_16_times_longer() -> None:
-    usb = UsbBuffer(UsbTiming(latency_ns=16 * MS))
+    usb = UsbBuffer(UsbTiming(latency_ns=16 * MS, drift_ppm=0))
     usb.push(200_000, 10_000.0, b"abc")
     assert usb.due_ns() == 16 * MS
 
 
 def test_timer_that_fires_inside_a_reply_splits_it() -> None:
-    usb = UsbBuffer(UsbTiming(latency_ns=MS))
+    usb = UsbBuffer(UsbTiming(latency_ns=MS, drift_ppm=0))
     data = bytes(range(100))
     (first,) = usb.push(500_000, 10_000.0, data)
     assert first == Delivery(MS, data[:50])
@@ -42,13 +42,13 @@ def test_timer_that_fires_inside_a_reply_splits_it() -> None:
 
 
 def test_timer_that_fires_before_the_first_byte_ends_delivers_nothing() -> None:
-    usb = UsbBuffer(UsbTiming(latency_ns=MS))
+    usb = UsbBuffer(UsbTiming(latency_ns=MS, drift_ppm=0))
     assert usb.push(MS - 5_000, 10_000.0, b"ab") == []
     assert usb.due_ns() == 2 * MS
 
 
 def test_full_usb_packet_does_not_wait_and_restarts_the_timer() -> None:
-    usb = UsbBuffer(UsbTiming(latency_ns=MS, payload_bytes=62))
+    usb = UsbBuffer(UsbTiming(latency_ns=MS, payload_bytes=62, drift_ppm=0))
     data = bytes(range(70))
     assert usb.push(0, 10_000.0, data) == [Delivery(620_000, data[:62])]
     assert usb.due_ns() == 620_000 + MS
@@ -94,3 +94,17 @@ def test_without_timing_the_line_is_never_busy() -> None:
     line = Line(None)
     assert line.request(7, 1000, 1_000_000)
     assert line.reply(1000, 1_000_000, 500_000) == 7
+
+
+def test_loop_at_a_multiple_of_the_latency_sees_every_phase_of_the_timer() -> None:
+    usb = UsbBuffer(UsbTiming(latency_ns=MS))
+    waits = []
+    for cycle in range(1000):
+        end_ns = cycle * 5 * MS + 20_000
+        usb.push(end_ns - 20_000, 10_000.0, b"ab")
+        due_ns = usb.due_ns()
+        assert due_ns is not None
+        waits.append(due_ns - end_ns)
+        usb.settle(due_ns)
+    assert min(waits) < 0.05 * MS
+    assert max(waits) > 0.95 * MS
