@@ -237,23 +237,22 @@ def _modes(rows: NDArray[np.void]) -> tuple[tuple[float, str], ...]:
 def _real_time_factor(run: Prepared, missing: list[str]) -> float:
     """Time of the run over wall time, of the slowest arm.
 
-    From the recorder's `wall_s` where the log has it, otherwise from the rows' UTC.  In simulation that UTC may be
-    mapped from the simulated clock; then it says nothing of the wall, and the factor is not known.
+    Each agent says at its end how long the run took by the wall (`wall_s` of its event).  Without that the rows' UTC
+    must do; in simulation it may be mapped from the simulated clock, and then says nothing of the wall.
     """
     spans = {name: float(rows["t"][-1] - rows["t"][0]) for name, rows in run.rows.items() if len(rows) > 1}
-    if not spans:
-        return NAN
-    wall = run.log.metadata.get("completeness", {}).get("wall_s")
-    if wall is not None:
-        return max(spans.values()) / float(wall)
+    walls = [(event.source, event.data.get("wall_s")) for event in run.log.events]
+    told = {source: wall for source, wall in walls if isinstance(wall, float | int) and wall > 0}
     factors = []
     for name, span in spans.items():
         rows = run.rows[name]
         utc_ns, stamp_ns = (int(rows[f][-1]) - int(rows[f][0]) for f in ("utc_ns", "stamp_ns"))
-        if run.info.driver == "sim" and utc_ns == stamp_ns:
+        if name in told:
+            factors.append(span / told[name])
+        elif run.info.driver == "sim" and utc_ns == stamp_ns:
             missing.append("the real-time factor is not known: UTC in the rows follows the simulated clock")
             return NAN
-        if utc_ns > 0:
+        elif utc_ns > 0:
             factors.append(span / (utc_ns * 1e-9))
     return min(factors, default=NAN)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from html import escape
 from typing import TYPE_CHECKING, Any, Final
@@ -140,7 +140,9 @@ def _provenance(results: Results) -> str:
         "cell": info.cell,
         "fingerprint": info.fingerprint,
         "driver": info.driver,
-        **{f"controller {k}": _cell(v) for k, v in info.controller.items()},
+        **{
+            f"controller {k}": v for k, v in _settings(info.controller) if info.adaptive or not k.startswith("adaptive")
+        },
         "host": info.host,
         **{f"version of {k}": v for k, v in info.versions.items()},
     }
@@ -148,7 +150,14 @@ def _provenance(results: Results) -> str:
     return f'<h2>Where it comes from</h2><table class="words"><tbody>{body}</tbody></table>'
 
 
+def _settings(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Every setting with its dotted name; what is not set is left out."""
+    for key, value in tree.items():
+        if isinstance(value, Mapping):
+            yield from _settings(value, f"{prefix}{key}.")
+        elif value is not None:
+            yield f"{prefix}{key}", _cell(value)
+
+
 def _cell(value: Any) -> str:
-    if value is None:
-        return ""
     return f"{value:.6g}" if isinstance(value, float) else str(value)

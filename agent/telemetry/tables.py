@@ -208,7 +208,7 @@ def _states(results: Results) -> Table:
             name,
             ", ".join(f"{mode} from {number(t, 's')}" for t, mode in a.modes),
             ", ".join(f"{flag} {count}" for flag, count in a.flags.items() if count) or "none",
-            f"{number(a.e_eta_start, digits=6)} → {number(a.e_eta_end, digits=6)}",
+            f"{a.e_eta_start:.6f} → {a.e_eta_end:.6f}",
             f"{a.lyapunov_start_J:.2g} → {a.lyapunov_end_J:.2g} J",
             number(a.sigma_min),
             number(a.rms_velocity_error_m_per_s, "mm/s", 1e3),

@@ -15,6 +15,7 @@ from hypothesis.extra.numpy import arrays
 
 from agent.modes import Mode
 from agent.safety import Flag
+from agent.telemetry.event import Event, Level
 from agent.telemetry.metrics import summarise
 from agent.telemetry.quantity import Better
 from agent.telemetry.read import RunLog
@@ -337,10 +338,11 @@ def test_real_time_factor_of_simulated_utc_is_not_known_and_said() -> None:
     assert any("follows the simulated clock" in text for text in results.missing)
 
 
-def test_real_time_factor_of_the_recorder_comes_first() -> None:
+def test_real_time_factor_is_by_the_agents_own_wall_time_where_they_tell_it() -> None:
     log = small_run()
-    log.metadata["completeness"] = {"wall_s": "0.1"}
-    assert summarise(log).real_time_factor == pytest.approx((TICKS - 1) / RATE_HZ / 0.1)
+    for arm, wall_s in (("left", 0.1), ("right", 0.2)):
+        log.events.append(Event(1, arm, Level.INFO, "run ended", {"wall_s": wall_s}))
+    assert summarise(log).real_time_factor == pytest.approx((TICKS - 1) / RATE_HZ / 0.2)
 
 
 def test_unwinding_is_seen_in_the_sign_of_e_eta() -> None:
