@@ -8,6 +8,7 @@ v_d − K e, so the attitude part is ω_d + k_ε e_η e_ε) and the Lyapunov fun
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from agent.control.quaternion import Quat, Vec3, cross
 from agent.control.trajectory import Desired, Vec6
@@ -24,8 +25,7 @@ class Gains:
     k_v: Vec6  # N·s/m, N·m·s/rad
 
 
-@dataclass(frozen=True, slots=True)
-class Errors:
+class Errors(NamedTuple):
     """All errors of one tick, world axes, linear first."""
 
     e_p: Vec3

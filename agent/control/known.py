@@ -9,8 +9,6 @@ u_i mapped by J_Eᵀ; the tests compare the two to 1e-9.
 
 from __future__ import annotations
 
-import numpy as np
-
 from agent.control import errors as error_terms
 from agent.control.inverse import invert_jacobian
 from agent.control.law import Offline, Terms, lyapunov_share, object_wrench, rotate_wrench, shift_to_ee
@@ -25,29 +23,27 @@ def torque(model: ArmModel, offline: Offline, q: Vector, dq: Vector, desired: De
     """One tick of the law at this arm's (q, dq), each (n,).  Raises SingularJacobian."""
     k = model.evaluate(q, dq)
     e = error_terms.evaluate(k.p_object, k.quat_object, k.v_object, desired, offline.gains)
-    J, P = k.J, model.task_basis
-    J_inv, sigma_min = invert_jacobian(J, k.B)
-    dq_ref = J_inv.dot(P.dot(e.v_ref))
-    ddq_ref = J_inv.dot(P.dot(e.dv_ref) - k.dJ.dot(dq_ref))
+    J_inv, sigma_min = invert_jacobian(k.J, k.B)
+    J_inv_P = J_inv.dot(model.task_basis)  # joint velocities of an object twist
+    dq_ref = J_inv_P.dot(e.v_ref)
+    ddq_ref = J_inv_P.dot(e.dv_ref) - J_inv.dot(k.dJ.dot(dq_ref))
 
     c, k_v, e_v, e_pose = offline.load_share, offline.gains.k_v, e.e_v, e.e
-    load, R = object_wrench(offline, k, e)
-    feedback = np.array([-k_v[i] * e_v[i] - c * e_pose[i] for i in range(6)])
-    share = np.array([c * f for f in load])
-    Jt_P = J.T.dot(P)
+    feedback = [-k * v - c * x for k, v, x in zip(k_v, e_v, e_pose, strict=True)]
+    share = [c * f for f in object_wrench(offline, k, e)]
     tau_inertia = k.B.dot(ddq_ref)
     tau_coriolis = k.C.dot(dq_ref)
-    tau_feedback = Jt_P.dot(feedback)
-    tau_object = Jt_P.dot(share)
+    tau_feedback = k.Jt.dot(feedback)
+    tau_object = k.Jt.dot(share)
     tau_law = tau_inertia + tau_coriolis + k.g + tau_feedback + tau_object
     tau_internal, wrench_internal = None, _NO_WRENCH
     if offline.internal_wrench is not None:
-        internal = rotate_wrench(R, offline.internal_wrench)
-        tau_internal = Jt_P.dot(internal)
+        internal = rotate_wrench(k.R_world_object, offline.internal_wrench)
+        tau_internal = k.Jt.dot(internal)
         wrench_internal = shift_to_ee(k, internal)
         tau_law += tau_internal
     # u_i: what the law asks of the object side; friction feed-forward is spent inside the joints
-    u_object = P.T.dot(J_inv.T.dot(tau_law)).tolist()
+    u_object = J_inv_P.T.dot(tau_law).tolist()
     tau_cmd, tau_friction = tau_law, None
     if offline.friction is not None:
         tau_friction = offline.friction.torque(dq_ref)

@@ -6,12 +6,13 @@ Pure: everything here is a function of the agent's own (q, dq), the time and off
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from agent.control.adaptation import Adaptation
 from agent.control.errors import Errors, Gains
 from agent.control.friction import Friction
 from agent.control.models import Kinematics
-from agent.control.quaternion import Mat3, Vec3, cross, rotate, rotate_back, to_matrix
+from agent.control.quaternion import Mat3, Vec3, cross, rotate, rotate_back
 from agent.control.trajectory import Desired, Vec6
 from drivers.interface import Vector
 
@@ -30,9 +31,11 @@ class Offline:
     adaptation: Adaptation | None = None  # the adaptive law's own data; None = the non-adaptive law runs
 
 
-@dataclass(frozen=True, slots=True)
-class Terms:
-    """Every intermediate result of one tick; the torque is the sum of the named terms."""
+class Terms(NamedTuple):
+    """Every intermediate result of one tick; the torque is the sum of the named terms.
+
+    A named tuple, because a frozen dataclass takes three times as long to make, and one is made on every tick.
+    """
 
     desired: Desired
     kinematics: Kinematics
@@ -55,9 +58,9 @@ class Terms:
     sigma_min: float
 
 
-def object_wrench(offline: Offline, k: Kinematics, errors: Errors) -> tuple[Vec6, Mat3]:
-    """M_O v̇_r + C_O v_r + g_O about the object's centre, world axes (`eq:object dynamics`); and R_world_object."""
-    R = to_matrix(k.quat_object)
+def object_wrench(offline: Offline, k: Kinematics, errors: Errors) -> Vec6:
+    """M_O v̇_r + C_O v_r + g_O about the object's centre, world axes (`eq:object dynamics`)."""
+    R = k.R_world_object
     v_ref, dv_ref, m, g = errors.v_ref, errors.dv_ref, offline.object_mass_kg, offline.gravity
     inertia = offline.object_inertia
     I_alpha = rotate(R, rotate(inertia, rotate_back(R, (dv_ref[3], dv_ref[4], dv_ref[5]))))
@@ -70,7 +73,7 @@ def object_wrench(offline: Offline, k: Kinematics, errors: Errors) -> tuple[Vec6
         I_alpha[0] + gyro[0],
         I_alpha[1] + gyro[1],
         I_alpha[2] + gyro[2],
-    ), R
+    )
 
 
 def rotate_wrench(R: Mat3, w: Vec6) -> Vec6:
@@ -91,7 +94,7 @@ def lyapunov_share(offline: Offline, k: Kinematics, errors: Errors, dq_error: Ve
     c_i (½‖e_p‖² + 1 − e_η²) + ½ (dq − dq_r)ᵀ B (dq − dq_r) + ½ c_i e_vᵀ M_O e_v.
     """
     e_p, e_eta, e_v = errors.e_p, errors.e_eta, errors.e_v
-    R = to_matrix(k.quat_object)
+    R = k.R_world_object
     w = rotate_back(R, (e_v[3], e_v[4], e_v[5]))
     Iw = rotate(offline.object_inertia, w)
     kinetic = offline.object_mass_kg * (e_v[0] * e_v[0] + e_v[1] * e_v[1] + e_v[2] * e_v[2])

@@ -11,13 +11,13 @@ and the rotation about its normal, by an orthonormal basis P (3, 6); with six jo
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from agent.control.quaternion import Quat, Vec3
+from agent.control.quaternion import Mat3, Quat, Vec3, rotate, to_matrix
 from drivers.interface import Refusal, Vector
 
 Matrix = NDArray[np.float64]
@@ -28,15 +28,16 @@ class ModelError(Refusal):
     """The described arm cannot be controlled in this cell."""
 
 
-@dataclass(frozen=True, slots=True)
-class Kinematics:
+class Kinematics(NamedTuple):
     """Everything one tick needs from the model at (q, dq).  World axes, linear first; own memory."""
 
     p_object: Vec3
     quat_object: Quat
+    R_world_object: Mat3
     v_object: tuple[float, float, float, float, float, float]
     J: Matrix  # (m, n) task-space Jacobian of the object frame
     dJ: Matrix  # (m, n) its time derivative
+    Jt: Matrix  # (n, 6) joint torques of a wrench about the object's centre
     B: Matrix  # (n, n) joint-space inertia with reflected rotor inertia
     C: Matrix  # (n, n) Christoffel-consistent Coriolis matrix
     g: Vector  # (n,)
@@ -50,8 +51,8 @@ class ArmModel:
     of the other joints; T_world_base, T_object_ee: placements; rotor_inertia: (n,) kg·m² reflected to the
     joint; gravity: (3,) m/s², world axes.
 
-    Raises ModelError for unknown joints or frames, for a controlled set that is neither planar nor six
-    joints, and for one that is not full rank anywhere near zero.
+    Raises ModelError for unknown joints or frames, and for a controlled set that is neither planar nor at least
+    six joints.  Whether it is far enough from singular poses is for the check along the trajectory to say.
     """
 
     def __init__(
@@ -90,7 +91,7 @@ class ArmModel:
         )
         self.data = self.model.createData()
         self.plane_normal, self.task_basis = _task_space(self.model, self.data)
-        self.p_object_ee = T_object_ee.translation.copy()
+        self._p_ee_object: Vec3 = tuple((-T_object_ee.translation).tolist())  # object axes
         self._identity_task = self.plane_normal is None
 
     @property
@@ -103,12 +104,13 @@ class ArmModel:
         model, data, frame = self.model, self.data, self.object_id
         pin.computeJointJacobiansTimeVariation(model, data, q, dq)
         pin.updateFramePlacement(model, data, frame)
-        pin.updateFramePlacement(model, data, self.ee_id)
         J6 = pin.getFrameJacobian(model, data, frame, _WORLD_AXES)
         dJ6 = pin.getFrameJacobianTimeVariation(model, data, frame, _WORLD_AXES)
         v_object = J6.dot(dq).tolist()
         x, y, z, qx, qy, qz, qw = pin.SE3ToXYZQUATtuple(data.oMf[frame])
-        ex, ey, ez = data.oMf[self.ee_id].translation.tolist()
+        quat = (qw, qx, qy, qz)
+        R = to_matrix(quat)
+        p_ee_object = rotate(R, self._p_ee_object)
         B = pin.crba(model, data, q).copy()
         g = pin.computeGeneralizedGravity(model, data, q).copy()
         C = pin.computeCoriolisMatrix(model, data, q, dq).copy()
@@ -116,7 +118,7 @@ class ArmModel:
             J, dJ = J6, dJ6
         else:
             J, dJ = self.task_basis.dot(J6), self.task_basis.dot(dJ6)
-        return Kinematics((x, y, z), (qw, qx, qy, qz), tuple(v_object), J, dJ, B, C, g, (x - ex, y - ey, z - ez))
+        return Kinematics((x, y, z), quat, R, tuple(v_object), J, dJ, J6.T, B, C, g, p_ee_object)
 
     def object_pose(self, q: Vector) -> pin.SE3:
         """Pose of the object frame in the world when this arm is at q (n,)."""
@@ -127,8 +129,9 @@ class ArmModel:
         """Task-space Jacobian of the object frame (m, n) at q."""
         pin.computeJointJacobians(self.model, self.data, q)
         pin.updateFramePlacement(self.model, self.data, self.object_id)
-        J6: Matrix = pin.getFrameJacobian(self.model, self.data, self.object_id, _WORLD_AXES)
-        return self.task_basis.dot(J6)
+        J6 = pin.getFrameJacobian(self.model, self.data, self.object_id, _WORLD_AXES)
+        J: Matrix = self.task_basis.dot(J6)
+        return J
 
     def inertia(self, q: Vector) -> Matrix:
         """Joint-space inertia (n, n) with reflected rotor inertia."""

@@ -106,6 +106,6 @@ def test_object_wrench_is_the_object_dynamics_at_the_reference(cell: RandomCell)
     quat, v = np.array(k.quat_object), np.array(k.v_object)
     e = oracle.error_signals(arm, np.array(k.p_object), quat, v, cell.desired)
     o = oracle.object_dynamics(arm, cell.T_world_object.rotation, v[3:])
-    found, _ = object_wrench(arm.offline, k, e)
+    found = object_wrench(arm.offline, k, e)
     expected = o.M @ e.dv_ref + o.C @ e.v_ref + o.g
     assert np.abs(np.array(found) - expected).max() < 1e-10 * max(1.0, np.abs(expected).max())

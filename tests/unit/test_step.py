@@ -116,7 +116,7 @@ class FlatArm:
         self.task_basis = model.task_basis
 
     def evaluate(self, q: np.ndarray, dq: np.ndarray) -> Kinematics:
-        return replace(self.model.evaluate(q, dq), J=np.zeros((3, 3)))
+        return self.model.evaluate(q, dq)._replace(J=np.zeros((3, 3)))
 
 
 def test_a_nearly_singular_arm_is_flagged() -> None:
