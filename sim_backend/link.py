@@ -53,13 +53,13 @@ class PlantLink:
         if kind == Kind.REFUSED:
             what, parts = refusal_parts(answer)
             raise ConnectError(f"plant at {self._path} refuses: {what}", **parts)
-        info = read_words(answer) if answer else {}
+        info = read_words(answer)
         if kind != Kind.INFO or not set(info) >= INFO_KEYS:
             raise ConnectError(
                 f"plant at {self._path}",
                 found=f"an answer of {len(answer)} bytes",
                 expected="an introduction",
-                remedy="check what serves that socket, and that it is run by the same user",
+                remedy="check what serves that socket",
             )
         return info
 

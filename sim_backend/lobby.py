@@ -81,9 +81,6 @@ class Lobby:
             connection, _ = self._listener.socket.accept()
         except BlockingIOError:
             return
-        if peer_uid(connection) != os.geteuid():
-            connection.close()
-            return
         self._newcomers[connection.fileno()] = (connection, time.monotonic() + INTRODUCTION_S)
 
     def _introduce(self, connection: socket.socket) -> None:
@@ -92,6 +89,10 @@ class Lobby:
             if not message:
                 connection.close()  # somebody only looked whether a plant is here
                 return
+            if (uid := peer_uid(connection)) != os.geteuid():
+                raise ConnectError(
+                    "user", found=f"uid {uid}", expected=os.geteuid(), remedy="run plant and agents as the same user"
+                )
             seat = self._seat_for(message)
             connection.send(words(Kind.INFO, **self._info, **_limits(seat)), socket.MSG_NOSIGNAL)
         except Refusal as refusal:
@@ -162,8 +163,10 @@ class Lobby:
                 seat.switch_off()
             elif kind is Kind.BYE:
                 seat.leave(Phase.GONE if self.started else Phase.ABSENT)
-            elif kind not in (None, Kind.COMMAND):  # a command may still have been on its way at the DISABLE
-                raise Vanished(f"it said {kind!r} out of turn")
+            elif (
+                kind is not None and kind is not Kind.COMMAND
+            ):  # a command may still have been on its way at the DISABLE
+                raise Vanished(f"it said {kind.name} out of turn")
         except Vanished as e:
             self._lost(seat, e.reason)
 

@@ -61,7 +61,12 @@ class ServedPlant:
 
     def driver(self, arm: str = "left", **settings: Any) -> SimDriver:
         """A driver that is closed on the way out; `settings` override those of the cell."""
-        known = {"joints": PLANAR_JOINTS, "config_id": CONFIG_ID, "start_timeout_s": 10.0} | settings
+        known = {
+            "joints": PLANAR_JOINTS,
+            "config_id": CONFIG_ID,
+            "start_timeout_s": 10.0,
+            "read_timeout_s": 10.0,
+        } | settings
         driver = SimDriver(self.path, arm, **known)
         self._drivers.append(driver)
         return driver

@@ -491,3 +491,118 @@ def test_refusal_of_another_id_shows_both_as_fingerprints(tmp_path: Path) -> Non
     with ServedPlant(tmp_path) as served, pytest.raises(ConnectError) as caught:
         served.driver(config_id=CONFIG_ID - 1).connect()
     assert (caught.value.found, caught.value.expected) == ("c0ffee41", "c0ffee42")
+
+
+@pytest.mark.parametrize(
+    ("message", "reason"),
+    [
+        (b"abc", "3 bytes that mean nothing"),
+        (header_only(Kind.COMMAND), "a command of 24 bytes instead of 48"),
+        (header_only(Kind.HELLO), "it said HELLO out of turn"),
+        (b"\x63" + bytes(47), "an unknown message, kind 99"),
+    ],
+)
+@pytest.mark.parametrize("running", [False, True], ids=["torque off", "running"])
+def test_arm_that_talks_nonsense_ends_the_run_with_the_reason(
+    tmp_path: Path, message: bytes, reason: str, running: bool
+) -> None:
+    with ServedPlant(tmp_path, names=("left",)) as served:
+        (left,) = served.enabled()
+        cycle([left], 3)
+        if not running:
+            left.disable()
+        assert left._link is not None
+        left._link.send(message)
+        served.join()
+        assert isinstance(served.error, ArmVanished)
+        assert reason in str(served.error)
+
+
+@pytest.mark.parametrize("answer", [b"", b"hello", header_only(Kind.STATE), words(Kind.INFO, lockstep=True)])
+def test_server_that_is_no_plant_is_refused(tmp_path: Path, answer: bytes) -> None:
+    path = tmp_path / "other.sock"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as other:
+        other.bind(os.fspath(path))
+        other.listen()
+
+        def serve_nonsense() -> None:
+            with other.accept()[0] as connection:
+                connection.recv(4096)
+                connection.send(answer)
+
+        thread = threading.Thread(target=serve_nonsense)
+        thread.start()
+        with pytest.raises(ConnectError, match="expected an introduction; check what serves that socket"):
+            SimDriver(path, "left", PLANAR_JOINTS, CONFIG_ID).connect()
+        thread.join()
+
+
+def test_state_of_the_wrong_size_is_counted_and_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with ServedPlant(tmp_path, names=("left",)) as served:
+        (left,) = served.enabled()
+        assert left._link is not None
+        monkeypatch.setattr(left._link, "_state_size", 8)
+        with pytest.raises(StaleStateError, match="a state of 96 bytes"):
+            left.read()
+        assert left.counters.corrupt == 1
+
+
+def test_visitor_who_says_nothing_is_shown_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sim_backend.lobby.INTRODUCTION_S", 0.0)
+    with ServedPlant(tmp_path) as served, socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as silent:
+        silent.connect(os.fspath(served.path))
+        silent.settimeout(10.0)
+        assert silent.recv(10) == b""
+
+
+def test_visitor_who_only_looks_does_no_harm(tmp_path: Path) -> None:
+    with ServedPlant(tmp_path) as served:
+        for _ in range(3):
+            with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as s:
+                s.connect(os.fspath(served.path))
+        cycle(served.enabled(), 2)
+
+
+def test_another_users_process_is_shown_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sim_backend.lobby.peer_uid", lambda _: os.geteuid() + 1)
+    with ServedPlant(tmp_path) as served, pytest.raises(ConnectError, match="run plant and agents as the same user"):
+        served.driver().connect()
+
+
+def test_torque_for_a_plant_that_has_gone_tells_why(tmp_path: Path) -> None:
+    with ServedPlant(tmp_path, names=("left",)) as served:
+        (left,) = served.enabled()
+        left.read()
+        served.stop()
+        with pytest.raises(DriverError, match="the run is over"):
+            left.write(TAU)
+
+
+def test_driver_connects_once(tmp_path: Path) -> None:
+    with ServedPlant(tmp_path) as served:
+        left = served.driver()
+        left.connect()
+        with pytest.raises(ConnectError, match="found an open connection"):
+            left.connect()
+
+
+def test_clock_in_lockstep_stands_at_the_last_state_and_never_sleeps(tmp_path: Path) -> None:
+    with ServedPlant(tmp_path, names=("left",)) as served:
+        left = served.driver()
+        assert left.clock.now_ns() == 0
+        left.connect()
+        left.enable()
+        cycle([left], 3)
+        assert left.clock.now_ns() == 10_000_000
+        left.clock.sleep_until(10**18)
+        assert left.clock.now_ns() == 10_000_000
+
+
+def test_clock_in_real_time_is_monotonic_time(tmp_path: Path) -> None:
+    with ServedPlant(tmp_path, names=("left",), lockstep=False) as served:
+        left = served.driver()
+        left.connect()
+        deadline_ns = left.clock.now_ns() + 2_000_000
+        left.clock.sleep_until(deadline_ns)
+        assert time.monotonic_ns() >= deadline_ns
+        left.clock.sleep_until(0)
