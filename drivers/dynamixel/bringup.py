@@ -150,7 +150,8 @@ class BringUp:
 def torque_off(bus: Bus, arm: ArmMap) -> None:
     """Torque off everywhere, blind and twice.  Raises DriverError when the port is gone."""
     ids = [slot.servo_id for slot in arm.slots if not slot.shadow]
-    for _ in range(2):  # nobody answers a sync write, so a damaged one goes unnoticed
-        bus.write_blind(TORQUE_ENABLE, dict.fromkeys(ids, 0))
+    bus.write_blind(TORQUE_ENABLE, dict.fromkeys(ids, 0))
+    bus.settle()  # the first may have met an answer on the wire, and nobody answers a sync write
+    bus.write_blind(TORQUE_ENABLE, dict.fromkeys(ids, 0))
     bus.write_blind(BUS_WATCHDOG, dict.fromkeys(ids, 0))
     bus.write_blind(LED, dict.fromkeys(ids, 0))

@@ -117,7 +117,7 @@ class Bus:
 
     def _ask(self, packet: bytes, servo_id: int, length: int, what: str, attempts: int) -> Status:
         """Send until an intact reply of that servo with that many parameters comes."""
-        heard = "nothing"
+        heard, damaged = "nothing", False
         for attempt in range(attempts):
             if attempt:
                 self.counters.retries += 1
@@ -131,7 +131,8 @@ class Bus:
             self.counters.corrupt += scanner.damaged
             if reply is None:
                 self.counters.timeouts += 1
-                heard = "damaged packets" if scanner.damaged else "noise" if scanner.garbage else "nothing"
+                damaged = damaged or scanner.damaged > 0
+                heard = "damaged packets" if damaged else "noise" if scanner.garbage else "nothing"
                 continue
             self.counters.alerts += reply.alert
             if reply.error:
@@ -139,7 +140,7 @@ class Bus:
             if len(reply.params) == length:
                 return reply
             heard = f"a reply of {len(reply.params)} instead of {length} bytes"
-        raise NoReplyError(servo_id, what, attempts=attempts, heard=heard)
+        raise NoReplyError(servo_id, what, attempts=attempts, heard=heard, damaged=damaged)
 
     def _await(self, scanner: StatusScanner, deadline_ns: int, wanted: Callable[[Status], bool]) -> Status | None:
         while True:
@@ -163,7 +164,7 @@ class Bus:
         while True:
             heard += self.port.read_until(deadline_ns)
             final = len(heard) > BABBLE_BYTES or self._clock.now_ns() >= deadline_ns
-            if final or len(heard) >= group.reply_bytes:
+            if final or group.worth_parsing(heard):
                 reply = group.parse(heard, final=final)
                 if reply.finished:
                     return Exchange(reply, heard)

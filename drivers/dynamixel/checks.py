@@ -17,10 +17,11 @@ from drivers.dynamixel.table import TICK_RAD, VELOCITY_UNIT_RAD_PER_S, Operating
 from drivers.dynamixel.units import AngleScale, current_unit_A
 
 FAULT_WITHIN_S = 0.05
+SILENT_LIMIT_CYCLES = 8
 NO_EFFECT_AFTER_S = 0.04
 GOAL_WORTH_A = 0.15  # smaller goals may drown in what the servo does not resolve
 ANSWER_WORTH_A = 0.01  # three counts: less is no current at all
-JUMP_SPEED = 1.5  # of the no-load speed: faster than the servo can turn, even driven from outside
+JUMP_SPEED = 1.25  # of the no-load speed at 12 V: what 14.8 V gives
 JUMP_TICKS = 4
 PAIR_FIGHT_A = 0.2
 PAIR_FIGHT_S = 0.1
@@ -40,9 +41,8 @@ class Complaint:
 class SilenceCheck:
     """Counts cycles without an answer, per servo."""
 
-    def __init__(self, slots: Sequence[ServoSlot], rate_hz: float) -> None:
+    def __init__(self, slots: Sequence[ServoSlot]) -> None:
         self._slots = tuple(slots)
-        self._limit = max(3, int(FAULT_WITHIN_S * rate_hz))
         self._missed = [0] * len(self._slots)
 
     def check(self, rows: Sequence[Row | None]) -> list[Complaint]:
@@ -55,7 +55,7 @@ class SilenceCheck:
         found = []
         for place, row in enumerate(rows):
             missed[place] = missed[place] + 1 if row is None else 0
-            if missed[place] >= self._limit:
+            if missed[place] >= SILENT_LIMIT_CYCLES:
                 text = f"{missed[place]} cycles without an answer"
                 found.append(Complaint(FaultCause.SILENT, self._slots[place], text, "an answer every cycle"))
         return found
@@ -68,15 +68,21 @@ class JumpCheck:
         self.slot = slot
         self._speed = JUMP_SPEED * slot.model.no_load_rad_per_s
         self._last: tuple[int, float] | None = None
+        self._jumped_rad = 0.0
         self.in_a_row = 0
 
     def is_jump(self, stamp_ns: int, angle_rad: float) -> bool:
-        """True when the angle cannot follow the last believed one; the angle is then not believed either."""
+        """True when the angle cannot follow the last believed one; the angle is then not believed either.
+
+        After a jump the next angle is believed only if it is back: nearer to the last believed one than to the jump.
+        """
         if self._last is not None:
             last_ns, last_rad = self._last
+            step = abs(angle_rad - last_rad)
             reach = self._speed * (stamp_ns - last_ns) * 1e-9 + JUMP_TICKS * TICK_RAD
-            if abs(angle_rad - last_rad) > reach:
+            if step > reach or (self.in_a_row and step >= abs(angle_rad - self._jumped_rad)):
                 self.in_a_row += 1
+                self._jumped_rad = angle_rad
                 return True
         self.in_a_row = 0
         self._last = (stamp_ns, angle_rad)

@@ -1,8 +1,10 @@
 """The read of one control cycle: every servo's current, velocity and position, fresh or missing.  Never an old value.
 
-Each request is marked so that the answer to an earlier one cannot pass for it: the order of the IDs rotates from cycle
-to cycle, and where that is not enough (few servos, or one status packet each) so does the number of bytes read.  The
-realtime tick register would do the same for 6 more bytes per servo, 0.5 ms of every cycle of nine servos at 1 Mbit/s.
+Each request is marked so that the answer to an earlier one cannot pass for it, however late it is.  In a merged reply
+the mark is the order of the IDs, rotated and reversed from cycle to cycle; where each servo sends its own packet (and
+on a bus of few servos) it is the number of bytes read.  There are more marks than cycles that a servo may stay silent
+before it is a fault, so no mark is used again while an answer to it may still come.  The realtime tick register would
+do the same for 6 more bytes per servo, 0.5 ms of every cycle of nine servos at 1 Mbit/s.
 
 A servo that stays silent ends a merged reply.  So the servos without an answer are asked once more, one status packet
 each, if the period leaves time for it, and for a while after that the cycle uses status packets throughout.
@@ -10,18 +12,20 @@ each, if the period leaves time for it, and for a while after that the cycle use
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from math import lcm
 
 from drivers.dynamixel.arm_map import ArmMap
 from drivers.dynamixel.budget import CYCLE_BYTES, LinkTiming, cycle_budget, group_read_s
 from drivers.dynamixel.bus import BABBLE_BYTES, Bus, DxlCounters
+from drivers.dynamixel.checks import SILENT_LIMIT_CYCLES
 from drivers.dynamixel.group import GroupRead, GroupReply, Row
 from drivers.dynamixel.port import Now
 from drivers.dynamixel.table import ALERT_BIT, PRESENT_POSITION
 
 END_SHARE = 0.85  # of the period: the read is over by then, whatever happens
 CAREFUL_CYCLES = 50  # after an incomplete merged reply
+MARKS = SILENT_LIMIT_CYCLES + 1
 _BLOCK_END = PRESENT_POSITION.address + PRESENT_POSITION.length
 
 
@@ -57,7 +61,7 @@ class CycleReader:
         budget = cycle_budget(arm, fast=fast, link=link)
         careful = cycle_budget(arm, fast=False, link=link)
         self.end_ns = round(END_SHARE * arm.period_ns)
-        after_worst_ns = round(1.15e9 * budget.read_worst_s)
+        after_worst_ns = round(1.05e9 * budget.read_worst_s)
         before_retry_ns = self.end_ns - self._retry_ns(1)
         self.first_wait_ns = before_retry_ns if after_worst_ns < before_retry_ns else self.end_ns
         self._sampled_ns = round(1e9 * (budget.request_s + link.turnaround_s))
@@ -69,31 +73,28 @@ class CycleReader:
         """One cycle.  The caller has thrown away older input.  Raises PortLostError, WriteTimeoutError."""
         careful = self._careful_left > 0 or not self.fast
         groups = self._each_groups if careful else self._fast_groups
-        place = self._number % len(groups)
-        group = groups[place]
+        number = self._number
+        group = groups[number % len(groups)]
         self._number += 1
         self._careful_left -= careful
         begin_ns = self._clock.now_ns()
         reply, heard = self._bus.exchange(group, begin_ns + (self.end_ns if careful else self.first_wait_ns))
-        found = dict(zip(group.ids, reply.rows, strict=True)) if not reply.complete else {}
+        found = dict(zip(group.ids, reply.rows, strict=True))
         damaged, late = reply.damaged, reply.late
-        if found:
-            if not careful:
-                self._careful_left = CAREFUL_CYCLES if self._careful_fits else 0
-                again, heard = self._ask_again(group, heard, found, begin_ns + self.end_ns)
-                damaged, late = again.damaged, again.late
-            rows = [found[servo_id] for servo_id in self._ids]
-        else:
-            turn = len(group.ids) - place % len(group.ids)
-            rows = reply.rows[turn:] + reply.rows[:turn]
+        if not reply.complete:
+            if not careful and self._careful_fits:
+                self._careful_left = CAREFUL_CYCLES
+            again, heard = self._ask_again(group, number % MARKS, heard, found, begin_ns + self.end_ns)
+            damaged, late = again.damaged, again.late
+        rows = [found[servo_id] for servo_id in self._ids]
         rows = [None if row is None or row[0] & ~ALERT_BIT else row for row in rows]  # it said that it did not
         self._count(rows, damaged, late)
         return CycleRows(begin_ns + self._sampled_ns, rows, heard, late > 0, damaged > 0)
 
     def _ask_again(
-        self, group: GroupRead, heard: bytes, found: dict[int, Row | None], end_ns: int
+        self, group: GroupRead, mark: int, heard: bytes, found: dict[int, Row | None], end_ns: int
     ) -> tuple[GroupReply, bytes]:
-        """Ask the missing servos one by one; fills `found`.  The merged reply may still be on its way and counts."""
+        """Ask the missing servos one by one; fills `found`.  The first answer may still be on its way and counts."""
         missing = [servo_id for servo_id, row in found.items() if row is None]
         # the first is the one that ended the reply: asked last, it cannot keep the others waiting
         order = [*missing[1:], missing[0]]
@@ -102,8 +103,7 @@ class CycleReader:
         if not order:
             return group.parse(heard, final=True), heard
         self._counters.retries += 1
-        # a length no cycle uses marks this request as well
-        each = GroupRead(_BLOCK_END - CYCLE_BYTES - 6, "6xhii", order, fast=False)
+        each = _group(order, mark, fast=False)
         self._bus.port.write(each.request, end_ns)
         after = b""
         while True:
@@ -117,7 +117,7 @@ class CycleReader:
                 return GroupReply([], True, merged.damaged + single.damaged, merged.late), heard + after
 
     def _retry_ns(self, servos: int) -> int:
-        wire = sum(group_read_s(servos, CYCLE_BYTES + 6, self._arm.baud, fast=False, link=self._link))
+        wire = sum(group_read_s(servos, CYCLE_BYTES + MARKS - 1, self._arm.baud, fast=False, link=self._link))
         return round(1e9 * (wire + self._link.usb_latency_s))
 
     def _count(self, rows: list[Row | None], damaged: int, late: int) -> None:
@@ -132,15 +132,14 @@ class CycleReader:
         counters.timeouts += None in rows
 
 
+def _group(ids: Sequence[int], more: int, *, fast: bool) -> GroupRead:
+    """Read of the block at 126 to 135, begun `more` bytes earlier."""
+    return GroupRead(_BLOCK_END - CYCLE_BYTES - more, (f"{more}x" if more else "") + "hii", ids, fast=fast)
+
+
 def _marked(ids: tuple[int, ...], *, fast: bool) -> list[GroupRead]:
-    """Group reads to be used in turn, neighbours as different as they must be."""
-    count = len(ids)
-    lengths = 1 if fast and count >= 4 else 3
-    period = count * lengths if fast else lcm(count, lengths)
-    groups = []
-    for number in range(period):
-        turn = number % count
-        more = 2 * ((number // count if fast else number) % lengths)
-        fields = (f"{more}x" if more else "") + "hii"
-        groups.append(GroupRead(_BLOCK_END - CYCLE_BYTES - more, fields, [*ids[turn:], *ids[:turn]], fast=fast))
-    return groups
+    """Group reads to be used in turn, at least MARKS of them that cannot be taken for each other."""
+    turned = [[*ids[turn:], *ids[:turn]] for turn in range(len(ids))]
+    if fast and 2 * len(ids) >= MARKS:
+        return [_group(order, 0, fast=True) for turn in turned for order in (turn, turn[::-1])]
+    return [_group(turned[mark % len(ids)], mark, fast=fast) for mark in range(MARKS)]

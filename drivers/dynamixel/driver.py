@@ -207,7 +207,7 @@ class DynamixelDriver:
         running = self._need(Phase.CONNECTED)
         clock = self._clock
         begin_ns = self._begin_ns = clock.now_ns()
-        running.hear_health(begin_ns)
+        running.hear_health()
         cycle = running.reader.read()
         answered_ns = clock.now_ns()
         reading = running.interpret(cycle, answered_ns)
@@ -217,9 +217,7 @@ class DynamixelDriver:
         self.counters.health_misses = running.monitor.misses
         self.times.interpret = clock.now_ns() - answered_ns
         if self.faults:
-            fault = self.faults[0]
-            fault.state = reading.state
-            raise fault.with_traceback(None)  # or it would grow from cycle to cycle
+            raise self.faults[0].with_state(reading.state)
         if reading.stale:
             raise self._stale(reading, cycle.rows, late=cycle.late, damaged=cycle.damaged)
         return reading.state
@@ -254,7 +252,7 @@ class DynamixelDriver:
                 expected=f"{len(self._joints)} finite numbers",
                 remedy="this is a defect of the caller: the safety layer must not let it through",
             )
-        sent = running.write(wanted, begin_ns, self._begin_ns)
+        sent = running.write(wanted, self._begin_ns)
         self.times.write = self._clock.now_ns() - begin_ns
         return np.array(sent)
 

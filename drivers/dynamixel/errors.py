@@ -29,9 +29,9 @@ class WriteTimeoutError(DriverError):
 
 
 class NoReplyError(DriverError):
-    """A servo did not answer, or never intact, in all attempts."""
+    """A servo did not answer, or never intact, in all attempts; damaged: something came, as when two share an ID."""
 
-    def __init__(self, servo_id: int, what: str, *, attempts: int, heard: str) -> None:
+    def __init__(self, servo_id: int, what: str, *, attempts: int, heard: str, damaged: bool = False) -> None:
         super().__init__(
             f"servo {servo_id}: {what}",
             found=f"{heard} in {attempts} attempts",
@@ -39,6 +39,7 @@ class NoReplyError(DriverError):
             remedy="check the servo's cable, its 12 V supply, the baud rate and that its ID is unique",
         )
         self.servo_id = servo_id
+        self.damaged = damaged
 
 
 class RejectedError(DriverError):
@@ -127,3 +128,15 @@ class DxlServoFault(ServoFault):
         self.joint = joint
         self.state = state
         self.hardware = hardware
+
+    def with_state(self, state: JointState) -> DxlServoFault:
+        """Return the same fault with another cycle's state."""
+        return DxlServoFault(
+            self.cause,
+            servo_id=self.servo_id,
+            joint=self.joint,
+            found=str(self.found),
+            expected=str(self.expected),
+            state=state,
+            hardware=self.hardware,
+        )

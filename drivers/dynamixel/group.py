@@ -5,9 +5,8 @@ not stuffed, so it is parsed by position.  A servo that does not answer ends the
 A damaged block does not void the later ones: a block's own checksum field, as received, is what the next servo heard,
 and gives the checksum state from which the next block is judged.
 
-A reply that belongs to an earlier request must never pass as this cycle's.  Two marks make requests differ at no or
-little cost: the order of the IDs is rotated by one per request, and where that is not enough the number
-of bytes read.
+A reply that belongs to an earlier request must not pass as this one's: the IDs of a merged reply must come in the order
+asked for, and a servo's own packet must have the length asked for.  It is for the caller to make requests differ.
 """
 
 from __future__ import annotations
@@ -62,8 +61,13 @@ class GroupRead:
         else:
             self.reply_bytes = len(ids) * (self.data_length + 11)
             self._place = {servo_id: place for place, servo_id in enumerate(ids)}
+            self._last_mark = HEADER + bytes((ids[-1],))
         if self.reply_bytes > MAX_PACKET:
             raise ValueError(f"group read of {self.reply_bytes} bytes: at most {MAX_PACKET}")
+
+    def worth_parsing(self, data: bytes) -> bool:
+        """True when the answer may be whole: enough bytes, or the servo that answers last has begun."""
+        return len(data) >= self.reply_bytes or (not self.fast and self._last_mark in data)
 
     def parse(self, data: bytes, *, final: bool) -> GroupReply:
         """Rows found in the bytes received since the request.  final: nothing more will come."""
@@ -120,20 +124,16 @@ class GroupRead:
         scanner = StatusScanner()
         scanner.feed(data)
         late = 0
-        last = -1
+        finished = final
         while (reply := scanner.take(final=final)) is not None:
             place = self._place.get(reply.servo_id)
             if place is None or len(reply.params) != self.data_length:
                 late += 1
                 continue
-            if place <= last:  # servos answer in order: what came before belongs to an earlier request
-                late += sum(row is not None for row in rows)
-                rows = [None] * len(self.ids)
-            last = place
             error = reply.error | (ALERT_BIT if reply.alert else 0)
             rows[place] = (error, *self._fields.unpack(reply.params))
-        # the last servo asked answers last, whoever is missing before it
-        return GroupReply(rows, final or last == len(rows) - 1, scanner.damaged, late)
+            finished = finished or place == len(rows) - 1  # it answers last, whoever is missing before it
+        return GroupReply(rows, finished, scanner.damaged, late)
 
 
 class GroupWrite:

@@ -130,13 +130,16 @@ def _present(bus: Bus, arm: ArmMap) -> tuple[dict[int, Ping], list[IdentityError
         try:
             pings[slot.servo_id] = bus.ping(slot.servo_id, attempts=2)
         except NoReplyError as error:
+            remedy = "check its cable and those before it in the chain, or set its ID with `coop motors setup`"
+            if error.damaged:
+                remedy = "two servos may have this ID: connect one alone and set its ID with `coop motors setup`"
             problems.append(
                 IdentityError(
                     slot.servo_id,
                     f"servo {slot.servo_id} ({slot.joint.name})",
                     found=error.found,
                     expected=f"a {slot.joint.servo} that answers",
-                    remedy="check its cable and those before it in the chain, or set its ID with `coop motors setup`",
+                    remedy=remedy,
                 )
             )
     return pings, problems

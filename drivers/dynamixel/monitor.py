@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from drivers.dynamixel.arm_map import ServoSlot
+from drivers.dynamixel.budget import LinkTiming, group_read_s
 from drivers.dynamixel.errors import NO_ERROR, FaultCause, hardware_names
 from drivers.dynamixel.events import DriverEvent, EventKind, OncePerServo
 from drivers.dynamixel.group import GroupRead, Row
@@ -32,6 +33,7 @@ from drivers.dynamixel.units import volts
 
 SLOW_EVERY = 8  # every eighth gap asks for temperature and voltage
 VOLTAGE_MARGIN_V = 0.5
+WIRE_MARGIN = 1.1  # on the computed time of a question and its answer
 
 
 class Page(enum.Enum):
@@ -91,9 +93,15 @@ class GapMonitor:
     """Round robin over pages and groups of servos, one question per gap; a doubt is asked about again at once."""
 
     def __init__(
-        self, records: Sequence[ServoRecord], per_gap: int, byte_ns: float, turnaround_ns: float, tell: OncePerServo,
-        *, fast: bool,
-    ) -> None:  # fmt: skip
+        self,
+        records: Sequence[ServoRecord],
+        per_gap: int,
+        baud: int,
+        link: LinkTiming,
+        tell: OncePerServo,
+        *,
+        fast: bool,
+    ) -> None:
         self.findings: list[Finding] = []
         self.misses = 0
         self._records = tuple(records)
@@ -108,9 +116,8 @@ class GapMonitor:
             for first in range(0, len(some), size):
                 group = tuple(some[first : first + size])
                 read = GroupRead(*page.value, [r.slot.servo_id for r in group], fast=fast)
-                turns = 1 if fast else len(group)
-                wire = (len(read.request) + read.reply_bytes) * byte_ns + turns * turnaround_ns
-                questions.append(_Question(page, read, group, round(wire)))
+                wire_s = sum(group_read_s(len(group), read.data_length, baud, fast=fast, link=link))
+                questions.append(_Question(page, read, group, round(WIRE_MARGIN * 1e9 * wire_s)))
             return questions
 
         self._often = ask(Page.STATUS, self._records)
@@ -121,10 +128,15 @@ class GapMonitor:
         """Gaps until every torque flag and goal has been read once."""
         return -(-len(self._often) * SLOW_EVERY // (SLOW_EVERY - 1))
 
-    def question(self, gap_ns: int) -> bytes:
-        """Request for this gap; empty when the gap is too short or an answer is still awaited."""
+    @property
+    def awaited(self) -> bool:
+        """True while a question has no answer."""
+        return self._pending is not None
+
+    def question(self, gap_ns: int) -> tuple[bytes, int]:
+        """Request for this gap and how long it occupies the wire; nothing when the gap is too short or one waits."""
         if self._pending is not None:
-            return b""
+            return b"", 0
         if self._urgent:
             question = self._urgent[0]
         elif self._turn % SLOW_EVERY == SLOW_EVERY - 1:
@@ -132,13 +144,13 @@ class GapMonitor:
         else:
             question = self._often[(self._turn - self._turn // SLOW_EVERY) % len(self._often)]
         if question.wire_ns > gap_ns:
-            return b""
+            return b"", 0
         if self._urgent:
             self._urgent.popleft()
         else:
             self._turn += 1
         self._pending = question
-        return question.read.request
+        return question.read.request, question.wire_ns
 
     def answer(self, heard: bytes, now_ns: int, *, final: bool) -> None:
         """Look for the awaited answer in what was heard; final: it will not come any more."""
@@ -169,8 +181,8 @@ class GapMonitor:
     def _judge_status(self, record: ServoRecord, row: Row, now_ns: int) -> None:
         _, torque, led, hardware, watchdog, goal = row
         record.seen_ns = now_ns
-        record.hardware = HardwareError(hardware)
-        if record.hardware & record.shutdown:
+        record.hardware = HardwareError(hardware) if hardware else NO_ERROR
+        if hardware and record.hardware & record.shutdown:
             self._find(FaultCause.HARDWARE_ERROR, record, hardware_names(record.hardware), "no error")
         elif torque == 0 and led == 0:  # bring-up lights the LED, a restart darkens it
             self._find(FaultCause.REBOOTED, record, "Torque Enable 0, LED 0", "1, 1")
@@ -187,9 +199,8 @@ class GapMonitor:
             self.alert(record.slot.servo_id)
             if record.goal_doubts > 1:
                 self._find(FaultCause.GOAL_IGNORED, record, f"{record.goal.name} {goal}", str(record.sent))
-        if record.hardware or self._tell.is_active(EventKind.HARDWARE_WARNING, record.slot.servo_id):
-            active = bool(record.hardware)
-            self._say(EventKind.HARDWARE_WARNING, record, hardware_names(record.hardware), active=active)
+        if hardware or self._tell.is_active(EventKind.HARDWARE_WARNING, record.slot.servo_id):
+            self._say(EventKind.HARDWARE_WARNING, record, hardware_names(record.hardware), active=hardware != 0)
 
     def _judge_slow(self, record: ServoRecord, row: Row, now_ns: int) -> None:
         record.voltage_V = volts(row[1])

@@ -9,7 +9,7 @@ import numpy as np
 from drivers.dynamixel.arm_map import ArmMap, ServoSlot
 from drivers.dynamixel.bringup import effort_at_rest, effort_register
 from drivers.dynamixel.budget import LinkTiming, cycle_budget, health_servos_per_gap
-from drivers.dynamixel.bus import Bus
+from drivers.dynamixel.bus import BABBLE_BYTES, Bus
 from drivers.dynamixel.checks import FAULT_WITHIN_S, Complaint
 from drivers.dynamixel.cycle import CycleReader, CycleRows
 from drivers.dynamixel.errors import NO_ERROR, DxlServoFault, FaultCause
@@ -83,7 +83,7 @@ class Running:
         self._interpreter = Interpreter(arm, self._drives, tell)
         budget = cycle_budget(arm, fast=fast, link=link)
         per_gap = health_servos_per_gap(arm, budget, fast=fast, link=link)
-        self.monitor = GapMonitor(self._records, per_gap, 1e10 / arm.baud, 1e9 * link.turnaround_s, tell, fast=fast)
+        self.monitor = GapMonitor(self._records, per_gap, arm.baud, link, tell, fast=fast)
         self._write_ns = round(1e9 * budget.write_s)
         self._writers = [
             (GroupWrite(register.address, "h", [arm.controlled[j].ids[0] for j in joints]), joints)
@@ -92,6 +92,7 @@ class Running:
         ]
         self._goals = [record.sent for record in self._records]
         self._health_heard = b""
+        self._wire_free_ns = 0
         self._known: set[tuple[FaultCause, int]] = set()
         seconds = (self.monitor.round_gaps + 2) / arm.rate_hz
         if seconds > FAULT_WITHIN_S:
@@ -100,16 +101,21 @@ class Running:
 
     # --- read -----------------------------------------------------------------------------------------------------
 
-    def hear_health(self, now_ns: int) -> None:
-        """Take what came since the last cycle: the health read's answer, or something to throw away."""
-        port, heard = self._bus.port, b""
-        while len(heard) < 1024 and (more := port.read_now()):
+    def hear_health(self) -> None:
+        """Take what came since the last cycle: the health read's answer, or something to throw away.
+
+        A loop that is ahead of its period waits here until the wire is free: to speak earlier would lose both.
+        """
+        port, clock, heard = self._bus.port, self._clock, b""
+        while len(heard) < BABBLE_BYTES and (more := port.read_now()):
             heard += more
+        self.monitor.answer(heard, clock.now_ns(), final=False)
+        while self.monitor.awaited and clock.now_ns() < self._wire_free_ns and len(heard) < BABBLE_BYTES:
+            heard += port.read_until(self._wire_free_ns)
+            self.monitor.answer(heard, clock.now_ns(), final=False)
         self._health_heard = heard
-        if heard:
-            self.monitor.answer(heard, now_ns, final=False)
-            if len(heard) >= 1024:
-                self._bus.counters.stray_bytes += len(heard) + port.discard_input()
+        if len(heard) >= BABBLE_BYTES:
+            self._bus.counters.stray_bytes += len(heard) + port.discard_input()
 
     def interpret(self, cycle: CycleRows, now_ns: int) -> Reading:
         """State of the joints, with the alerts and the last chance of a late health answer looked after."""
@@ -134,7 +140,7 @@ class Running:
 
     # --- write ----------------------------------------------------------------------------------------------------
 
-    def write(self, tau_Nm: Sequence[float], now_ns: int, cycle_begin_ns: int) -> list[float]:
+    def write(self, tau_Nm: Sequence[float], cycle_begin_ns: int) -> list[float]:
         """Send goals for joint torques, and a health request if the gap has room; returns the torques sent."""
         sent = [0.0] * len(tau_Nm)
         packets = b""
@@ -149,9 +155,13 @@ class Running:
                     record.sent_before, record.sent = record.sent, count
                     self._goals[self._place_of[record.slot.servo_id]] = count
             packets += writer.packet(counts)
+        if self.monitor.awaited:  # a second write in one cycle
+            self.hear_health()
+        now_ns = self._clock.now_ns()
         gap_ns = cycle_begin_ns + self._arm.period_ns - now_ns - self._write_ns
-        packets += self.monitor.question(gap_ns)
-        self._bus.port.write(packets, now_ns + self._arm.period_ns)
+        question, question_ns = self.monitor.question(gap_ns)
+        self._wire_free_ns = now_ns + self._write_ns + question_ns
+        self._bus.port.write(packets + question, now_ns + self._arm.period_ns)
         return sent
 
     # --- the rest -------------------------------------------------------------------------------------------------

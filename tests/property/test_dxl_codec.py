@@ -91,22 +91,24 @@ def test_one_damaged_block_voids_only_that_servo_unless_its_checksum_field_is_hi
         assert rows[place] == (None if place in hurt else (0, *block))
 
 
-@given(st.lists(st.integers(0, 252), min_size=2, max_size=9, unique=True), st.booleans(), st.data())
-def test_reply_to_another_rotation_is_late_and_never_a_state(ids, fast, data):
-    groups = [GroupRead(126, "hii", [*ids[r:], *ids[:r]], fast=fast) for r in range(len(ids))]
+@given(st.lists(st.integers(0, 252), min_size=2, max_size=9, unique=True), st.data())
+def test_merged_reply_in_another_order_is_late_and_never_a_state(ids, data):
     asked, answered = data.draw(st.permutations(range(len(ids))).map(lambda p: p[:2]))
     values = {i: struct.pack("<hii", 1, 2, i) for i in ids}
-    old = groups[answered].ids
-    packets = (
-        merged_reply(old, [values[i] for i in old]) if fast else b"".join(codec.status(i, 0, values[i]) for i in old)
-    )
-    reply = groups[asked].parse(packets, final=True)
-    assert not reply.complete
-    assert reply.late > 0
-    if fast:
-        assert reply.rows == [None] * len(ids)
-        fresh = merged_reply(groups[asked].ids, [values[i] for i in groups[asked].ids])
-        assert groups[asked].parse(packets + fresh, final=False).complete
+    old, new = ([*ids[turn:], *ids[:turn]] for turn in (answered, asked))
+    group = GroupRead(126, "hii", new, fast=True)
+    late = merged_reply(old, [values[i] for i in old])
+    reply = group.parse(late, final=True)
+    assert (reply.rows, reply.late) == ([None] * len(ids), 1)
+    assert group.parse(late + merged_reply(new, [values[i] for i in new]), final=False).complete
+
+
+@given(IDS, st.data())
+def test_status_packet_of_another_length_is_late_and_never_a_state(ids, data):
+    more = data.draw(st.integers(1, 8))
+    late = b"".join(codec.status(i, 0, bytes(10 + more)) for i in ids)
+    reply = GroupRead(126, "hii", ids, fast=False).parse(late, final=True)
+    assert (reply.rows, reply.late) == ([None] * len(ids), len(ids))
 
 
 @given(IDS, st.data())
