@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from agent.telemetry import figures, figures_more
 from agent.telemetry.prepared import Prepared
+from agent.telemetry.runinfo import RunArm
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,23 +81,7 @@ def _more(run: Prepared) -> list[Picture]:
         caption += " and realised in the simulation: (I − G*Gᵀ) of the grasp wrenches." if run.grasps else "."
         found.append(Picture("internal_force", "Internal force", caption, partial(figures_more.internal_force, run)))
     for arm in run.arms:
-        found.append(
-            Picture(
-                f"torque_terms_{arm.name}",
-                f"Torque terms of {arm.name}",
-                "The named terms that the commanded torque is the sum of; a term that is zero throughout is left out.",
-                partial(figures_more.torque_terms, run, arm),
-            )
-        )
-        if run.info.adaptive:
-            found.append(
-                Picture(
-                    f"estimates_{arm.name}",
-                    f"Estimates of {arm.name}",
-                    "What the adaptive law of this arm believes of its links and joints, and of the object (black).",
-                    partial(figures_more.estimates, run, arm),
-                )
-            )
+        found += _of_arm(run, arm)
     found.append(
         Picture(
             "loop_timing",
@@ -107,3 +92,21 @@ def _more(run: Prepared) -> list[Picture]:
         )
     )
     return found
+
+
+def _of_arm(run: Prepared, arm: RunArm) -> list[Picture]:
+    terms = Picture(
+        f"torque_terms_{arm.name}",
+        f"Torque terms of {arm.name}",
+        "The named terms that the commanded torque is the sum of; a term that is zero throughout is left out.",
+        partial(figures_more.torque_terms, run, arm),
+    )
+    if not run.info.adaptive:
+        return [terms]
+    estimates = Picture(
+        f"estimates_{arm.name}",
+        f"Estimates of {arm.name}",
+        "What the adaptive law of this arm believes of its links and joints, and of the object (black).",
+        partial(figures_more.estimates, run, arm),
+    )
+    return [terms, estimates]
