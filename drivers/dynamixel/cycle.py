@@ -25,6 +25,8 @@ from drivers.dynamixel.table import ALERT_BIT, PRESENT_POSITION
 
 END_SHARE = 0.85  # of the period: the read is over by then, whatever happens
 CAREFUL_CYCLES = 50  # after an incomplete merged reply
+PATIENCE_NS = 500_000
+HOST_NS = 50_000  # between noticing that an answer is missing and asking again
 MARKS = SILENT_LIMIT_CYCLES + 1
 _BLOCK_END = PRESENT_POSITION.address + PRESENT_POSITION.length
 
@@ -54,6 +56,7 @@ class CycleReader:
         self._clock = clock
         self._counters = counters
         self._ids = tuple(slot.servo_id for slot in arm.slots)
+        self._needed = {joint.ids[0] for joint in arm.controlled}
         self._arm = arm
         self._link = link
         self._fast_groups = _marked(self._ids, fast=True) if fast else []
@@ -61,9 +64,10 @@ class CycleReader:
         budget = cycle_budget(arm, fast=fast, link=link)
         careful = cycle_budget(arm, fast=False, link=link)
         self.end_ns = round(END_SHARE * arm.period_ns)
-        after_worst_ns = round(1.05e9 * budget.read_worst_s)
-        before_retry_ns = self.end_ns - self._retry_ns(1)
-        self.first_wait_ns = before_retry_ns if after_worst_ns < before_retry_ns else self.end_ns
+        worst_ns = round(1.05e9 * budget.read_worst_s)
+        before_retry_ns = self.end_ns - self._retry_ns(1) - HOST_NS
+        # a little patience, for a host that was late is no reason to ask again; none when there is no time to
+        self.first_wait_ns = min(before_retry_ns, worst_ns + PATIENCE_NS) if worst_ns < before_retry_ns else self.end_ns
         self._sampled_ns = round(1e9 * (budget.request_s + link.turnaround_s))
         self._careful_fits = careful.read_worst_s * 1e9 < self.end_ns
         self._careful_left = 0
@@ -97,7 +101,7 @@ class CycleReader:
         """Ask the missing servos one by one; fills `found`.  The first answer may still be on its way and counts."""
         missing = [servo_id for servo_id, row in found.items() if row is None]
         # the first is the one that ended the reply: asked last, it cannot keep the others waiting
-        order = [*missing[1:], missing[0]]
+        order = [*sorted(missing[1:], key=lambda servo_id: servo_id not in self._needed), missing[0]]
         while order and self._clock.now_ns() + self._retry_ns(len(order)) > end_ns:
             order.pop()
         if not order:

@@ -92,7 +92,7 @@ def test_a_healthy_arm_never_complains():
 def test_one_lost_reply_is_asked_for_again_where_the_period_has_room(kind, rate_hz):
     rig = enabled(at(WX200, rate_hz=rate_hz), timing=WIRE)
     cycles(rig, 20, 0.2 * TAU)
-    rig.fault(kind, 4, duration_s=1.0 / rate_hz + 0.0005)  # over when the servo is asked again
+    rig.fault(kind, 6, duration_s=1.0 / rate_hz + 0.0005)  # over when the servo is asked again
     done = cycles(rig, 5, 0.2 * TAU)
     assert all(c.error is None for c in done)
     assert rig.driver.counters.retries == 1
