@@ -204,8 +204,7 @@ def run(
         after_write = wall_ns()
 
         row.fill_state(summary.ticks, t, schedule.zero_utc_ns + state.stamp_ns - schedule.zero_ns, summary.mode, state)
-        if outcome.terms is not None:
-            row.fill_terms(outcome.q, outcome.dq, outcome.terms, memory)
+        row.fill_law(outcome.q, outcome.dq, outcome.terms, memory)
         row.fill_output(outcome.flags, outcome.tau, tau_sent)
         row.fill_timing(
             late_ns * 1e-9,

@@ -14,6 +14,11 @@ from drivers.interface import BusCounters, JointState, Vector
 
 _ESTIMATE_FIELDS = ("theta_arm", "theta_object")
 _JOINT_FIELDS = tuple(f.name for f in AGENT_STATE.fields if f.length == MAX_JOINTS)
+_NAMES = tuple(f.name for f in AGENT_STATE.fields)
+_OUTPUTS = ("tau_limited", "tau_sent")
+_LAW_FIELDS = tuple(
+    name for name in _NAMES[_NAMES.index("p_object_des") : _NAMES.index("sigma_min") + 1] if name not in _OUTPUTS
+)
 
 
 class AgentRow:
@@ -32,6 +37,8 @@ class AgentRow:
             elif field.name in _ESTIMATE_FIELDS:
                 view[...] = 0.0
             setattr(self, "v_" + field.name, view)
+        self._law_views = [getattr(self, "v_" + name) for name in _LAW_FIELDS]
+        self._no_law = False
         base["encapsulation"] = CDR_LITTLE_ENDIAN
         base["joint_count"] = joint_count
         base["config_id"] = config_id
@@ -50,10 +57,23 @@ class AgentRow:
         self.v_dq_measured[:] = state.dq
         self.v_tau_measured[:] = state.tau
 
-    def fill_terms(self, q: Vector, dq: Vector, terms: Terms, memory: Memory) -> None:
-        """Intermediate results and outputs of the law, and the memory it began with."""
+    def fill_law(self, q: Vector, dq: Vector, terms: Terms | None, memory: Memory) -> None:
+        """Intermediate results and outputs of the law, and the memory it began with; NaN where it gave nothing."""
         self.v_q[:] = q
         self.v_dq[:] = dq
+        self.v_memory[:] = memory.flatten()
+        if memory.estimate is not None:
+            self.v_theta_arm[: len(memory.estimate.arm)] = memory.estimate.arm
+            self.v_theta_object[:] = memory.estimate.object
+        if terms is None or self._no_law:
+            for view in self._law_views:
+                view[...] = np.nan if terms is None else 0.0
+            self._no_law = terms is None
+        if terms is not None:
+            self._fill_terms(terms)
+
+    def _fill_terms(self, terms: Terms) -> None:
+        """Terms that the law does not have stay zero."""
         desired, k, e = terms.desired, terms.kinematics, terms.errors
         self.v_p_object_des[:] = desired.p
         self.v_quat_object_des[:] = desired.quat
@@ -89,10 +109,6 @@ class AgentRow:
         self.v_wrench_internal[:] = terms.wrench_internal
         self.v_lyapunov[()] = terms.lyapunov
         self.v_sigma_min[()] = terms.sigma_min
-        self.v_memory[:] = memory.flatten()
-        if memory.estimate is not None:
-            self.v_theta_arm[: len(memory.estimate.arm)] = memory.estimate.arm
-            self.v_theta_object[:] = memory.estimate.object
 
     def fill_output(self, flags: int, tau_limited: Vector, tau_sent: Vector) -> None:
         """What left the agent."""
