@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from drivers.interface import Refusal
+import numpy as np
+
+from drivers.interface import DriverError, Refusal
 from sim_backend.actuator import ActuatorSpec
 from sim_backend.driver import SimDriver
 from sim_backend.options import ServerOptions, Summary
@@ -19,6 +22,7 @@ from sim_backend.spec import PlantSpec
 from tests.unit.plant_cells import PLANAR_JOINTS, planar_cell
 
 CONFIG_ID = 0xC0FFEE42
+TAU = np.array([0.3, -0.2, 0.1])
 SERVOS = ActuatorSpec.of(
     3,
     delay_cycles=1,
@@ -108,3 +112,35 @@ class ServedPlant:
             self.error = e
         finally:
             self._listening.set()
+
+
+def cycle(drivers: list[SimDriver], count: int = 1) -> list[bytes]:
+    """Run lockstep cycles with torques that depend on the state; every state as bytes."""
+    seen = []
+    for _ in range(count):
+        states = [d.read() for d in drivers]
+        for d, s in zip(drivers, states, strict=True):
+            seen.append(s.q.tobytes() + s.dq.tobytes() + s.tau.tobytes())
+            d.write(TAU - 0.5 * s.q - 0.05 * s.dq)
+    return seen
+
+
+@contextlib.contextmanager
+def cycling(driver: SimDriver) -> Iterator[None]:
+    """The driver runs its cycles in the background; in lockstep two arms cannot share a thread unless in step."""
+    stop = threading.Event()
+
+    def run() -> None:
+        with contextlib.suppress(DriverError):
+            while not stop.is_set():
+                cycle([driver])
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        driver.disable()  # or it would wait for arms that have stopped
+        thread.join(10.0)
+        assert not thread.is_alive()
