@@ -1,0 +1,56 @@
+#!/bin/sh
+# Copies the units and what they need to where systemd looks; enables and starts nothing.
+#   systemd/install.sh [simulated] [several-hosts]     a choice that is not named is taken away again
+# DESTDIR=DIR installs below DIR and touches nothing else.  Files that are filled in on the host are never replaced.
+set -eu
+here=$(dirname "$0")
+root=${DESTDIR:-}
+units=$root/etc/systemd/system
+
+for choice in "$@"; do
+    case $choice in
+    simulated | several-hosts) ;;
+    *) echo "install.sh: found '$choice', expected 'simulated' or 'several-hosts'" >&2; exit 2 ;;
+    esac
+done
+if [ -z "$root" ] && [ "$(id -u)" != 0 ]; then
+    echo "install.sh: found user $(id -un), expected root; run it with sudo" >&2
+    exit 2
+fi
+
+once() { # MODE SOURCE TARGET: a file that is filled in on this host
+    [ -e "$3" ] || install -D -m "$1" "$2" "$3"
+}
+
+install -D -m 644 -t "$units" "$here"/coop*.service "$here"/coop.target
+install -D -m 644 -t "$root/etc/sysusers.d" "$here"/sysusers.d/coop.conf
+install -D -m 644 -t "$root/etc/tmpfiles.d" "$here"/tmpfiles.d/coop.conf
+once 644 "$here/udev/60-coop.rules" "$root/etc/udev/rules.d/60-coop.rules"
+
+rm -f "$units"/coop-plant.service "$units"/coop*.service.d/50-simulated.conf
+for choice in "$@"; do
+    for file in "$here/$choice"/*.service "$here/$choice"/*.service.d/*.conf; do
+        [ -e "$file" ] || continue
+        name=${file#"$here/$choice/"}
+        case $choice in
+        simulated) install -D -m 644 "$file" "$units/$name" ;;
+        several-hosts) once 644 "$file" "$units/$name" ;; # holds this host's addresses
+        esac
+    done
+done
+case " $* " in
+*" several-hosts "*)
+    once 644 "$here/several-hosts/zenoh/recorder.json5" "$root/etc/coop/zenoh/recorder.json5"
+    once 644 "$here/several-hosts/zenoh/arm.json5" "$root/etc/coop/zenoh/arm.json5"
+    ;;
+*) rm -f "$units"/coop*.service.d/50-several-hosts.conf ;;
+esac
+
+[ -n "$root" ] && exit 0
+systemd-sysusers coop.conf
+systemd-tmpfiles --create coop.conf
+systemctl daemon-reload
+if command -v udevadm > /dev/null; then
+    udevadm control --reload
+    udevadm trigger --subsystem-match=tty
+fi

@@ -1,0 +1,294 @@
+"""The systemd units: what they promise is written in them, and systemd's own tools find no fault."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+import typer
+
+from agent.cli import app
+from agent.process.paths import ring_path
+from tests.unit.unit_files import (
+    SERVICES,
+    SIMULATED,
+    SYSTEMD,
+    Unit,
+    command,
+    fake_root,
+    install,
+    one,
+    read_unit,
+    words,
+)
+
+needs_analyze = pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed")
+needs_sysusers = pytest.mark.skipif(
+    shutil.which("systemd-sysusers") is None or os.geteuid() != 0, reason="needs systemd-sysusers, as root"
+)
+EXPOSURE_MAX = 20  # tenths, as --threshold counts
+
+CHOICES = {
+    "real": (),
+    "simulated": ("simulated",),
+    "several hosts": ("several-hosts",),
+    "both": ("simulated", "several-hosts"),
+}
+CASES = [
+    pytest.param(choices, name, id=f"{label}: {name}")
+    for label, choices in CHOICES.items()
+    for name in (SIMULATED if "simulated" in choices else SERVICES)
+]
+NETWORKLESS = ("coop-agent@left", "coop-rings", "coop-plant")
+
+
+@pytest.fixture
+def host(tmp_path: Path) -> Path:
+    install(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def simulated_host(tmp_path: Path) -> Path:
+    install(tmp_path, "simulated")
+    return tmp_path
+
+
+def analyze(root: Path, verb: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        ["systemd-analyze", f"--root={root}", verb, *arguments],
+        capture_output=True,
+        text=True,
+        env={"PATH": os.environ["PATH"]},
+    )
+
+
+# What systemd's tools say.  `verify` returns 0 for a misspelt key, so its silence is what counts; it wants the programs
+# to exist, so it looks into a root of its own, where they do.
+
+
+@needs_analyze
+@pytest.mark.parametrize(("choices", "name"), CASES)
+def test_verify_has_nothing_to_say(tmp_path: Path, choices: tuple[str, ...], name: str) -> None:
+    done = analyze(fake_root(tmp_path, *choices), "verify", "--man=no", f"{name}.service", "coop.target")
+    assert (done.stderr, done.stdout, done.returncode) == ("", "", 0)
+
+
+@needs_analyze
+@pytest.mark.parametrize(
+    ("right", "wrong", "complaint"),
+    [
+        ("ProtectSystem=", "ProtectSytem=", "Unknown key"),
+        ("WatchdogSec=100ms", "WatchdogSec=100 bananas", "Failed to parse"),
+        ("/opt/coop/bin/coop", "/opt/coop/bin/coup", "not executable"),
+    ],
+)
+def test_verify_would_see_a_mistake(tmp_path: Path, right: str, wrong: str, complaint: str) -> None:
+    path = fake_root(tmp_path) / "etc/systemd/system/coop-agent@.service"
+    path.write_text(path.read_text().replace(right, wrong))
+    assert complaint in analyze(tmp_path, "verify", "--man=no", "coop-agent@left.service").stderr
+
+
+@needs_analyze
+def test_verify_looks_into_drop_ins(tmp_path: Path) -> None:
+    path = fake_root(tmp_path, "simulated") / "etc/systemd/system/coop-agent@.service.d/50-simulated.conf"
+    path.write_text(path.read_text() + "Colour=blue\n")
+    assert "Unknown key 'Colour'" in analyze(tmp_path, "verify", "--man=no", "coop-agent@left.service").stderr
+
+
+@needs_analyze
+@pytest.mark.parametrize(("choices", "name"), CASES)
+def test_exposure_is_at_most_two(tmp_path: Path, choices: tuple[str, ...], name: str) -> None:
+    root = fake_root(tmp_path, *choices)
+    done = analyze(root, "security", "--offline=true", f"--threshold={EXPOSURE_MAX}", "--no-pager", f"{name}.service")
+    assert (done.returncode, done.stderr) == (0, ""), done.stdout[-200:]
+
+
+@needs_analyze
+def test_exposure_of_an_open_unit_is_above_two(tmp_path: Path) -> None:
+    path = fake_root(tmp_path) / "etc/systemd/system/coop-rings.service"
+    path.write_text("[Service]\nExecStart=/usr/bin/find\n")
+    done = analyze(tmp_path, "security", "--offline=true", f"--threshold={EXPOSURE_MAX}", "--no-pager", path.name)
+    assert done.returncode != 0
+
+
+@needs_sysusers
+def test_every_user_and_group_of_the_units_is_made(tmp_path: Path) -> None:
+    install(tmp_path, "simulated")
+    (tmp_path / "etc/group").write_text("root:x:0:\ndialout:x:20:\n")
+    done = subprocess.run(["systemd-sysusers", f"--root={tmp_path}", "coop.conf"], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    users, groups = (
+        {line.split(":")[0] for line in (tmp_path / "etc" / name).read_text().splitlines()}
+        for name in ("passwd", "group")
+    )
+    for name in SIMULATED:
+        unit = read_unit(tmp_path, name)
+        assert words(unit, "User") <= users
+        assert words(unit, "Group") | words(unit, "SupplementaryGroups") <= groups
+
+
+# What the units promise
+
+
+@pytest.mark.parametrize("name", NETWORKLESS)
+def test_no_network_where_an_arm_is_commanded(simulated_host: Path, name: str) -> None:
+    unit = read_unit(simulated_host, name)
+    assert one(unit, "PrivateNetwork") == "yes"
+    assert words(unit, "RestrictAddressFamilies") in ({"AF_UNIX"}, {"none"})
+    assert words(unit, "IPAddressDeny") == {"any"}
+    assert not unit["IPAddressAllow"]
+
+
+@pytest.mark.parametrize("name", ["coop-telemetry@left", "coop-recorder", "coop-rings"])
+def test_only_the_agent_reaches_a_device(host: Path, name: str) -> None:
+    unit = read_unit(host, name)
+    assert not unit["DeviceAllow"]
+    assert one(unit, "PrivateDevices") == "yes"
+    assert one(unit, "DevicePolicy") == "closed"
+    assert "dialout" not in words(unit, "SupplementaryGroups")
+
+
+def test_the_agent_reaches_usb_serial_adapters_and_nothing_else(
+    host: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    agent = read_unit(host, "coop-agent@left")
+    assert agent["DeviceAllow"] == ["char-ttyUSB rw", "char-ttyACM rw"]
+    assert one(agent, "DevicePolicy") == "closed"
+    simulated = tmp_path_factory.mktemp("simulated")
+    install(simulated, "simulated")
+    assert not read_unit(simulated, "coop-agent@left")["DeviceAllow"]
+
+
+@pytest.mark.parametrize("choices", CHOICES.values(), ids=CHOICES)
+def test_an_agent_is_never_started_again_by_itself(tmp_path: Path, choices: tuple[str, ...]) -> None:
+    install(tmp_path, *choices)
+    assert one(read_unit(tmp_path, "coop-agent@left"), "Restart") == "no"
+    target = (tmp_path / "etc/systemd/system/coop.target").read_text()
+    assert "\n[Install]" not in target, "the boot of a host must not start an arm"
+
+
+def test_no_time_out_ever_kills_an_agent_that_holds(host: Path) -> None:
+    agent = read_unit(host, "coop-agent@left")
+    assert one(agent, "TimeoutStopSec") == "infinity"
+    assert one(agent, "KillSignal") == "SIGTERM"
+    assert one(agent, "KillMode") == "mixed"
+    assert one(agent, "SystemCallErrorNumber") == "EPERM", "a forbidden system call is refused, not a death"
+
+
+def test_an_agent_that_hangs_before_it_holds_anything_is_ended(host: Path) -> None:
+    agent = read_unit(host, "coop-agent@left")
+    assert one(agent, "TimeoutStartFailureMode") == "abort"
+    assert one(agent, "TimeoutAbortSec") == "1s"
+    assert one(agent, "WatchdogSec") == "100ms"
+    assert one(agent, "Type") == "notify"
+
+
+@pytest.mark.parametrize("name", ["coop-telemetry@left", "coop-recorder"])
+def test_telemetry_and_recorder_always_come_back(host: Path, name: str) -> None:
+    unit = read_unit(host, name)
+    assert one(unit, "Restart") == "always"
+    assert one(unit, "RestartSec") == "500ms"
+    assert one(unit, "StartLimitIntervalSec") == "0"
+
+
+def test_the_log_begins_before_the_agent_and_ends_after_it(simulated_host: Path) -> None:
+    after = {name: words(read_unit(simulated_host, name), "After") for name in SIMULATED}
+    assert {"coop-telemetry@left.service", "coop-plant.service"} <= after["coop-agent@left"]
+    assert {"coop-recorder.service", "coop-rings.service"} <= after["coop-telemetry@left"]
+    assert "ssh.service" in after["coop-agent@left"], "a HOLD that delays a shutdown must leave a way in"
+
+
+@pytest.mark.parametrize("name", SERVICES)
+def test_every_unit_stops_with_the_cell(host: Path, name: str) -> None:
+    assert "coop.target" in words(read_unit(host, name), "PartOf")
+
+
+# Two units, one file
+
+
+@pytest.mark.parametrize("choices", CHOICES.values(), ids=CHOICES)
+def test_agent_and_telemetry_mean_the_same_ring(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, choices: tuple[str, ...]
+) -> None:
+    install(tmp_path, *choices)
+    agent, telemetry = (read_unit(tmp_path, name) for name in ("coop-agent@left", "coop-telemetry@left"))
+    monkeypatch.setenv("RUNTIME_DIRECTORY", f"/run/{one(agent, 'RuntimeDirectory')}")
+    rings = {_option(agent, "--ring"), _option(telemetry, "--ring")}
+    assert rings == {str(ring_path("any", "left"))}
+    assert one(agent, "RuntimeDirectoryPreserve") == "yes", "the ring is the black box"
+
+
+def test_plant_and_agent_mean_the_same_socket(simulated_host: Path) -> None:
+    plant, agent, telemetry = (
+        read_unit(simulated_host, name) for name in ("coop-plant", "coop-agent@left", "coop-telemetry@plant")
+    )
+    assert _option(plant, "--socket") == _option(agent, "--plant-socket")
+    assert _option(plant, "--ring") == _option(telemetry, "--ring")
+    assert _option(plant, "--socket").startswith(f"/run/{one(plant, 'RuntimeDirectory')}/")
+    assert one(plant, "User") == one(agent, "User"), "the plant serves nobody else"
+
+
+def test_the_ring_is_shared_by_its_group_alone(host: Path) -> None:
+    agent, telemetry, recorder = (
+        read_unit(host, n) for n in ("coop-agent@left", "coop-telemetry@left", "coop-recorder")
+    )
+    assert one(agent, "Group") in words(telemetry, "SupplementaryGroups")
+    assert one(agent, "UMask") == "0027"
+    assert one(agent, "RuntimeDirectoryMode") == "0750"
+    assert len({one(unit, "User") for unit in (agent, telemetry, recorder)}) == 3
+    assert one(agent, "Group") not in words(recorder, "SupplementaryGroups") | words(recorder, "Group")
+
+
+# The command line is the one `coop` has
+
+
+@pytest.mark.parametrize(("choices", "name"), [case for case in CASES if "rings" not in case.values[1]])
+def test_coop_understands_its_command_line(tmp_path: Path, choices: tuple[str, ...], name: str) -> None:
+    install(tmp_path, *choices)
+    program, verb, *arguments = command(read_unit(tmp_path, name))
+    assert program == "/opt/coop/bin/coop"
+    group = typer.main.get_command(app)
+    context = typer.Context(group)
+    found = group.get_command(context, verb)  # type: ignore[attr-defined]
+    assert found is not None, verb
+    parsed = found.make_context(verb, arguments)  # raises UsageError for an unknown option or a bad value
+    assert str(parsed.params["cell"]) == "/etc/coop/cell.toml"
+
+
+def test_the_simulated_agent_differs_in_its_driver_alone(host: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+    root = tmp_path_factory.mktemp("simulated")
+    install(root, "simulated")
+    real, simulated = (read_unit(where, "coop-agent@left") for where in (host, root))
+    assert {key for key in real | simulated if real[key] != simulated[key]} == {
+        "Requires", "After", "ExecStart", "DeviceAllow", "PrivateDevices", "WatchdogSec",
+    }  # fmt: skip
+    extra = ["--real-time", "--plant-socket", _option(simulated, "--plant-socket")]
+    assert sorted(w for w in command(simulated) if w not in extra) == sorted(
+        "sim" if w == "dynamixel" else w for w in command(real)
+    )
+
+
+# udev
+
+
+def test_the_rule_names_adapters_by_serial_number_and_takes_their_latency_away() -> None:
+    rule = (SYSTEMD / "udev/60-coop.rules").read_text()
+    lines = [line for line in rule.splitlines() if line and not line.startswith("#")]
+    for line in lines:
+        token = r'[A-Z_]+(\{[\w/]+\})?(==|!=|\+=|=)"[^"]*"'
+        assert re.fullmatch(rf"{token}(, {token})*", line), line
+    adapters = [line for line in lines if 'ATTRS{idProduct}=="6014"' in line]
+    assert all('ATTRS{idVendor}=="0403"' in line for line in adapters)
+    assert any('ATTR{device/latency_timer}="1"' in line and 'GROUP="dialout"' in line for line in adapters)
+    named = re.findall(r'ATTRS\{serial\}=="\w+", SYMLINK\+="(coop/\w+)"', rule)
+    assert named == ["coop/left", "coop/right"], "as in the shipped cell files"
+
+
+def _option(unit: Unit, name: str) -> str:
+    found = command(unit)
+    return found[found.index(name) + 1]
