@@ -45,9 +45,22 @@ def arm_model(arm: ArmSpec) -> pin.Model:
             expected=f"{free}: the joints that are not locked, from the base to the end effector",
             remedy=f"name each of {moving} either as controlled or as locked",
         )
+    model = _lock(arm, full)
+    if not any(f.name == arm.ee_frame for f in model.frames):
+        raise PlantError(
+            f"arm {arm.name}: end-effector frame",
+            found=arm.ee_frame,
+            expected=f"one of {[f.name for f in model.frames][1:]}",
+            remedy="correct ee_frame or the URDF",
+        )
+    return model
+
+
+def _lock(arm: ArmSpec, full: pin.Model) -> pin.Model:
+    """Model without its locked joints.  Raises PlantError on a joint that is not described by one angle."""
     q = pin.neutral(full)
     locked = []
-    for joint in moving:
+    for joint in list(full.names)[1:]:
         number = full.getJointId(joint)
         if full.joints[number].nq != 1:
             raise PlantError(
@@ -59,15 +72,7 @@ def arm_model(arm: ArmSpec) -> pin.Model:
         if joint in arm.locked_rad:
             q[full.joints[number].idx_q] = arm.locked_rad[joint]
             locked.append(number)
-    model = pin.buildReducedModel(full, locked, q)
-    if not any(f.name == arm.ee_frame for f in model.frames):
-        raise PlantError(
-            f"arm {arm.name}: end-effector frame",
-            found=arm.ee_frame,
-            expected=f"one of {[f.name for f in model.frames][1:]}",
-            remedy="correct ee_frame or the URDF",
-        )
-    return model
+    return pin.buildReducedModel(full, locked, q)
 
 
 def _frame_number(model: pin.Model, name: str) -> int:
