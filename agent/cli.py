@@ -5,11 +5,14 @@ from __future__ import annotations
 import sys
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from drivers.interface import Refusal
+
+if TYPE_CHECKING:
+    from agent.process.signals import StopFlag
 
 app = typer.Typer(
     no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, help="Cooperative manipulation."
@@ -239,17 +242,22 @@ def compare(
 def play(
     log: Annotated[Path, typer.Argument(help="MCAP log.", show_default=False)],
     speed: Annotated[float, typer.Option(min=0.001, help="Pace; 1 is the pace of the run.")] = 1.0,
-    start: Annotated[float | None, typer.Option(help="First second to play.")] = None,
+    start: Annotated[float, typer.Option(min=0.0, help="First second to play.")] = 0.0,
     end: Annotated[float | None, typer.Option(help="Last second to play.")] = None,
     loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end.")] = False,
     listen: Annotated[str, typer.Option(help="Endpoint to listen on.")] = DEFAULT_ENDPOINT,
     network_config: NetworkConfig = None,
 ) -> None:
     """Publish a log again, byte for byte, under the prefix replay/."""
-    from agent.process.play import PlayRequest, play_log
+    from agent.telemetry.play import PlayOptions
+    from agent.telemetry.play import run as play_log
+    from agent.telemetry.zenoh_session import Network
 
     stop = _begin(False)
-    typer.echo(play_log(PlayRequest(log, speed, start, end, loop, listen, network_config), stop, _ready), err=True)
+    network = Network(config_file=network_config) if network_config else Network(listen=listen)
+    options = PlayOptions(log, network, speed, start, end, loop)
+    done = play_log(options, stop, lambda endpoint: _ready(f"endpoint={endpoint}"))
+    typer.echo(f"{log}: {done.rows} rows and {done.events} events played, {done.loops} times to the end", err=True)
 
 
 @app.command()
@@ -262,7 +270,7 @@ def recover(
     typer.echo(mend(log))
 
 
-def _begin(with_parent: bool):  # type: ignore[no-untyped-def]
+def _begin(with_parent: bool) -> StopFlag:
     from agent.process.signals import StopFlag, die_with_parent
 
     stop = StopFlag()

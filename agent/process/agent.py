@@ -151,28 +151,6 @@ def _events(stop: StopFlag, simulated: bool) -> Callable[[], Event]:
     return events
 
 
-class _Heart:
-    """Strokes the service manager's watchdog from the loop, once in a number of cycles."""
-
-    def __init__(self, notifier: Notifier, cycles: int) -> None:
-        self._notifier = notifier
-        self._cycles = cycles
-        self._count = 0
-
-    def beat(self) -> None:
-        """One cycle with a fresh state has passed."""
-        self._count += 1
-        if self._count % self._cycles == 0:
-            self._notifier.alive()
-
-
-def _quiet_memory() -> None:
-    """No garbage collection from here on: a pause of the collector is a late torque."""
-    gc.collect()
-    gc.freeze()
-    gc.disable()
-
-
 def _driver(cell: Cell, arm: Arm, options: AgentOptions) -> tuple[Driver, Clock]:
     if options.driver is DriverKind.SIM and options.plant_socket is not None:
         sim = SimDriver(options.plant_socket, arm.name, tuple(arm.entry.controlled), cell.config_id)

@@ -54,6 +54,16 @@ def child(token: str, run: subprocess.Popen[str], timeout_s: float = 30.0) -> ps
     raise AssertionError(f"no child with {token!r}: {run.communicate()}")
 
 
+def wait_for_rows(out: Path, run: subprocess.Popen[str], timeout_s: float = 60.0) -> None:
+    """Return when the run's log holds rows for certain."""
+    deadline = time.monotonic() + timeout_s
+    log = out / "run.mcap"
+    while not (log.exists() and log.stat().st_size > 300_000):
+        assert run.poll() is None, run.communicate()
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
 @pytest.fixture(scope="module")
 def two_runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """The same cell, twice."""
@@ -120,8 +130,7 @@ def test_the_logged_torque_is_the_sum_of_its_logged_terms(two_runs: tuple[Path, 
 
 def test_ctrl_c_ends_everything_and_leaves_a_readable_log(nothing_left: Path) -> None:
     run = start("run", PAPER, "--duration", "1000", "--out", str(nothing_left / "out"), cwd=nothing_left)
-    child("telemetry", run)
-    time.sleep(2.5)
+    wait_for_rows(nothing_left / "out", run)
     run.send_signal(signal.SIGINT)
     out, err = run.communicate(timeout=60)
     assert run.returncode == 130, err
@@ -132,9 +141,8 @@ def test_ctrl_c_ends_everything_and_leaves_a_readable_log(nothing_left: Path) ->
 
 def test_a_killed_agent_is_named_and_the_log_is_readable(nothing_left: Path) -> None:
     run = start("run", PAPER, "--duration", "1000", "--out", str(nothing_left / "out"), cwd=nothing_left)
-    child("telemetry", run)
+    wait_for_rows(nothing_left / "out", run)
     agent = child("--arm right", run)
-    time.sleep(2.5)
     agent.kill()
     _, err = run.communicate(timeout=60)
     assert run.returncode not in (0, None)
@@ -146,7 +154,7 @@ def test_a_killed_agent_is_named_and_the_log_is_readable(nothing_left: Path) -> 
 
 def test_a_killed_run_takes_its_processes_with_it(nothing_left: Path) -> None:
     run = start("run", PAPER, "--duration", "1000", "--out", str(nothing_left / "out"), cwd=nothing_left)
-    child("telemetry", run)
+    wait_for_rows(nothing_left / "out", run)
     children = psutil.Process(run.pid).children()
     run.kill()
     run.communicate(timeout=10)
@@ -222,9 +230,8 @@ def test_an_agent_without_a_plant_says_so(nothing_left: Path) -> None:
 
 def test_the_agent_process_opens_no_network_socket(nothing_left: Path) -> None:
     run = start("run", PAPER, "--duration", "1000", "--out", str(nothing_left / "out"), cwd=nothing_left)
-    child("telemetry", run)
+    wait_for_rows(nothing_left / "out", run)
     agent = child("--arm left", run)
-    time.sleep(2.0)
     assert agent.net_connections(kind="inet") == []
     assert not any("zenoh" in m.path or "mcap" in m.path for m in agent.memory_maps())
     run.send_signal(signal.SIGINT)
