@@ -59,10 +59,17 @@ def test_documented_rates_and_delays(rate_hz: float, delay: int, stable: bool) -
     assert (max(radii) < 1.0) == stable
 
 
-def test_smaller_rate_gains_are_stable_at_the_authors_own_rate() -> None:
-    """Their code had 5, 2 and 40 in the reference acceleration against 100, 90 and 100, at 120 Hz."""
-    slow = paper_cell("controller.k_p_rate_per_s=[5.0, 2.0, 2.0]", "controller.k_eps_rate_rad_per_s=40.0")
-    assert radius(slow, 120.0, 1, 0.0) < radius(paper_cell(), 120.0, 1, 0.0)
+@pytest.mark.parametrize("delay", [0, 1, 2])
+def test_the_gains_of_the_authors_own_code_are_stable_at_the_rate_they_reached(delay: int) -> None:
+    """K = 100, 90, 100 in the reference velocity, 5, 2, 40 in its derivative, k_v = 3.5, 0.5, 0.3; 120 Hz."""
+    per_arm = ("k_v_N_s_per_m=[3.5, 0.5, 0.5]", "k_v_Nm_s_per_rad=0.3")
+    cell = paper_cell(
+        "controller.k_p_per_s=[100.0, 90.0, 90.0]",
+        "controller.k_p_rate_per_s=[5.0, 2.0, 2.0]",
+        "controller.k_eps_rate_rad_per_s=40.0",
+        *(f"arms.{arm}.{setting}" for arm in ("left", "right") for setting in per_arm),
+    )
+    assert max(radius(cell, 120.0, delay, t) for t in (0.0, 3.75, 11.25)) < 0.995
 
 
 @pytest.mark.parametrize(("rate_hz", "stable"), [(200.0, False), (1000.0, True)])
