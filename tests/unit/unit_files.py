@@ -12,6 +12,16 @@ SYSTEMD = Path(__file__).parents[2] / "systemd"
 SERVICES = ("coop-agent@left", "coop-telemetry@left", "coop-recorder", "coop-rings")
 SIMULATED = (*SERVICES, "coop-plant", "coop-telemetry@plant")
 
+CHOICES: dict[str, tuple[str, ...]] = {
+    "real": (),
+    "simulated": ("simulated",),
+    "several hosts": ("several-hosts",),
+    "both": ("simulated", "several-hosts"),
+}
+CASES = [  # every unit under every choice of drop-ins
+    (choices, name) for choices in CHOICES.values() for name in (SIMULATED if "simulated" in choices else SERVICES)
+]
+
 Unit = dict[str, list[str]]
 
 
