@@ -93,7 +93,8 @@ class CycleReader:
         rows = [found[servo_id] for servo_id in self._ids]
         rows = [None if row is None or row[0] & ~ALERT_BIT else row for row in rows]  # it said that it did not
         self._count(rows, damaged, late)
-        return CycleRows(begin_ns + self._sampled_ns, rows, heard, late > 0, damaged > 0)
+        stamp_ns = min(begin_ns + self._sampled_ns, self._clock.now_ns())
+        return CycleRows(stamp_ns, rows, heard, late > 0, damaged > 0)
 
     def _ask_again(
         self, group: GroupRead, mark: int, heard: bytes, found: dict[int, Row | None], end_ns: int

@@ -17,7 +17,14 @@ from drivers.dynamixel.arm_map import ArmMap
 from drivers.dynamixel.bringup import BringUp, torque_off
 from drivers.dynamixel.budget import LinkTiming
 from drivers.dynamixel.bus import Bus, DxlCounters
-from drivers.dynamixel.errors import DxlServoFault, NotEnabledError, PortError, StaleJointsError, TorqueError
+from drivers.dynamixel.errors import (
+    DxlServoFault,
+    NotEnabledError,
+    PortError,
+    StaleJointsError,
+    TorqueError,
+    WriteTimeoutError,
+)
 from drivers.dynamixel.events import DriverEvent, EventKind, EventSink, ignore
 from drivers.dynamixel.identify import IdentityError, ServoFound, identify
 from drivers.dynamixel.interpret import Reading, servo_names
@@ -32,9 +39,9 @@ MAX_LATENCY_TIMER_MS = 2
 class Phase(enum.Enum):
     """What the driver may be asked."""
 
-    CLOSED = enum.auto()
-    CONNECTED = enum.auto()  # may be read
-    ENABLED = enum.auto()  # may be commanded
+    CLOSED = "no connection"
+    CONNECTED = "a connection"  # may be read
+    ENABLED = "torque on"  # may be commanded
 
 
 @dataclass(slots=True)
@@ -142,6 +149,8 @@ class DynamixelDriver:
         Raises IdentityError (torque is on already, wrong pose), PaceError, DxlServoFault; torque is then off.
         """
         running = self._need(Phase.CONNECTED)
+        if self._phase is Phase.ENABLED:
+            return
         self.faults.clear()
         steps = BringUp(self._bus, self.arm, self._found, self._on_event)
         steps.configure()
@@ -187,9 +196,9 @@ class DynamixelDriver:
         if running is None or (phase is Phase.ENABLED and self._phase is not Phase.ENABLED):
             raise NotEnabledError(
                 f"arm {self.arm.arm}",
-                found=self._phase.name.lower(),
-                expected=phase.name.lower(),
-                remedy="call connect(), then enable() first",
+                found=self._phase.value,
+                expected=phase.value,
+                remedy="call connect() and, for torque, enable() first",
             )
         return running
 
@@ -201,14 +210,17 @@ class DynamixelDriver:
         Raises:
             StaleJointsError: a controlled joint has no fresh value; `partial` has the others.
             DxlServoFault: a servo does not do its part; raised every cycle from then on, with the state in `state`.
-            PortLostError: the adapter is gone; see `reopen`.
+            PortLostError: the adapter is gone, a StaleStateError too; see `reopen`.
 
         """
         running = self._need(Phase.CONNECTED)
         clock = self._clock
         begin_ns = self._begin_ns = clock.now_ns()
         running.hear_health()
-        cycle = running.reader.read()
+        try:
+            cycle = running.reader.read()
+        except WriteTimeoutError as error:
+            raise self._unasked() from error
         answered_ns = clock.now_ns()
         reading = running.interpret(cycle, answered_ns)
         self.times.exchange = answered_ns - begin_ns
@@ -221,6 +233,11 @@ class DynamixelDriver:
         if reading.stale:
             raise self._stale(reading, cycle.rows, late=cycle.late, damaged=cycle.damaged)
         return reading.state
+
+    def _unasked(self) -> StaleJointsError:
+        ids = [slot.servo_id for slot in self._slots]
+        reason = "no answer, for the port took no request,"
+        return StaleJointsError(joints=self._joints, servo_ids=ids, partial=None, reason=reason)
 
     def _stale(
         self, reading: Reading, rows: Sequence[tuple[int, ...] | None], *, late: bool, damaged: bool

@@ -20,7 +20,7 @@ class PortError(ConnectError):
     """The serial port cannot be used as asked."""
 
 
-class PortLostError(DriverError):
+class PortLostError(StaleStateError):
     """The port was there and is gone: unplugged, or the other end of the pty closed."""
 
 

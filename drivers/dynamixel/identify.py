@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from drivers.dynamixel.arm_map import ArmMap, ServoSlot
 from drivers.dynamixel.bus import Bus, Ping
-from drivers.dynamixel.errors import NoReplyError, PortError, hardware_names
+from drivers.dynamixel.errors import NoReplyError, PortError, RejectedError, hardware_names
 from drivers.dynamixel.table import (
     BAUD_RATES,
     CURRENT_LIMIT,
@@ -118,10 +118,24 @@ def identify(bus: Bus, arm: ArmMap, scan_s: float) -> tuple[list[ServoFound], li
         if wrong is not None:
             problems.append(wrong)
             continue
-        servo = ServoFound(slot, ping.firmware, _read_all(bus, slot))
+        try:
+            servo = ServoFound(slot, ping.firmware, _read_all(bus, slot))
+        except (NoReplyError, RejectedError) as error:
+            problems.append(_unreadable(slot, error))
+            continue
         found.append(servo)
         problems += _wrong_state(servo)
     return found, problems
+
+
+def _unreadable(slot: ServoSlot, error: NoReplyError | RejectedError) -> IdentityError:
+    return IdentityError(
+        slot.servo_id,
+        f"servo {slot.servo_id} ({slot.joint.name})",
+        found=f"{error.found} after a good ping",
+        expected=error.expected,
+        remedy="check its cable: the bus is not reliable",
+    )
 
 
 def _present(bus: Bus, arm: ArmMap) -> tuple[dict[int, Ping], list[IdentityError]]:

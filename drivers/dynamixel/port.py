@@ -240,7 +240,7 @@ class SerialPort:
     def _busy_error(self) -> PortError:
         return PortError(
             f"port {self.path}",
-            found=f"in use by {', '.join(holders(self.path)) or 'a process that cannot be seen from here'}",
+            found=f"in use by {', '.join(holders(self.path)) or 'this process, or one that cannot be seen'}",
             expected="nobody else on the bus",
             remedy="stop that process first",
         )
@@ -272,7 +272,10 @@ class SerialPort:
         attributes = termios.tcgetattr(fd)
         attributes[0] = attributes[1] = attributes[3] = 0
         attributes[2] = termios.CS8 | termios.CREAD | termios.CLOCAL
-        attributes[6][termios.VMIN] = attributes[6][termios.VTIME] = 0
+        attributes[6][termios.VMIN], attributes[6][termios.VTIME] = (
+            1,
+            0,
+        )  # with VMIN 0 nothing would read like a hang-up
         termios.tcsetattr(fd, termios.TCSANOW, attributes)
         self._set_speed(fd, self.baud)
         self._ask_low_latency(fd)

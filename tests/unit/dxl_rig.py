@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import socket
+import threading
+import time
 from dataclasses import dataclass, replace
+from pathlib import Path
 
+from drivers.clock import MonotonicClock
 from drivers.dynamixel.arm_map import ArmMap, JointMap, JointRole
 from drivers.dynamixel.driver import DynamixelDriver
-from drivers.dynamixel.errors import PortLostError, WriteTimeoutError
+from drivers.dynamixel.errors import PortError, PortLostError, WriteTimeoutError
 from drivers.dynamixel.table import Register
 from sim_backend.wire.arm import EmulatedArm
 from sim_backend.wire.cell import EmulatedCell
 from sim_backend.wire.faults import Fault, FaultKind
 from sim_backend.wire.injector import Injector
 from sim_backend.wire.options import BusOptions, ServoOptions
+from sim_backend.wire.serve import ServeOptions, serve
 from sim_backend.wire.servo import Servo
 from sim_backend.wire.timing import BusTiming
 from sim_backend.wire.wiring import ArmWiring, JointWiring, ServoWiring, servo_eeprom
@@ -92,10 +98,15 @@ class VirtualPort:
         self._rig = rig
 
     def open(self) -> None:
+        if self._rig.user not in (None, self):
+            raise PortError("port virtual", found="in use by this process", expected="nobody", remedy="close the other")
+        self._rig.user = self
         self.is_open = True
 
     def close(self) -> None:
         self.is_open = False
+        if self._rig.user is self:
+            self._rig.user = None
 
     def set_baud(self, baud: int) -> None:
         self.baud = baud
@@ -147,6 +158,7 @@ class Rig:
     driver: DynamixelDriver
     port: VirtualPort
     events: list
+    user: VirtualPort | None = None  # who has the port open
 
     @property
     def bus(self):
@@ -167,7 +179,9 @@ class Rig:
 
     def fault(self, kind: FaultKind, servo: int | None = None, **more) -> None:
         """Begin a fault now."""
-        self.injector.add([Fault(kind=kind, arm=self.arm.arm, servo=servo, **more)], self.clock.now_ns())
+        now_ns = self.clock.now_ns()
+        self.injector.add([Fault(kind=kind, arm=self.arm.arm, servo=servo, **more)], now_ns)
+        self.injector.tick(now_ns)
 
     def kinds(self) -> list[str]:
         """Names of the events so far."""
@@ -197,8 +211,14 @@ def build(
     events: list = []
     rig = Rig(arm, cell, injector, clock, None, None, events)
     rig.port = VirtualPort(rig, arm.baud)
-    rig.driver = DynamixelDriver(arm, clock, on_event=events.append, scan_s=0.05, port=rig.port)
+    rig.driver = driver_on(rig, rig.port)
     return rig
+
+
+def driver_on(rig: Rig, port: VirtualPort | None = None) -> DynamixelDriver:
+    """Another driver for the same arm."""
+    port = port or VirtualPort(rig, rig.arm.baud)
+    return DynamixelDriver(rig.arm, rig.clock, on_event=rig.events.append, scan_s=0.05, port=port)
 
 
 def enabled(arm: ArmMap = WX200, **more) -> Rig:
@@ -212,3 +232,47 @@ def enabled(arm: ArmMap = WX200, **more) -> Rig:
 def at(arm: ArmMap, **more) -> ArmMap:
     """The map with other rate, baud, …"""
     return replace(arm, **more)
+
+
+# A planar arm at a rate so low that a stalled host is never late: what the driver contract runs on.
+PLANAR = at(
+    WX200,
+    rate_hz=10.0,
+    watchdog_s=2.54,
+    joints=tuple(replace(j, role=JointRole.HELD) if j.name == "wrist_rotate" else j for j in WX200.joints),
+)
+
+
+class ServedArm:
+    """Emulated servos behind a real pseudo terminal, served by a thread; for drivers with a real port and clock."""
+
+    def __init__(self, directory: Path, arm: ArmMap = PLANAR, timing: BusTiming | None = None) -> None:
+        self.arm = replace(arm, port=str(directory / "port"))
+        self.control = directory / "faults"
+        self._cell = EmulatedCell([EmulatedArm(wiring(arm), timing=timing)], None)
+        self._options = ServeOptions({arm.arm: directory / "port"}, control_socket=self.control)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=serve, args=(self._cell, self._options, self._stop))
+
+    def __enter__(self) -> ServedArm:
+        self._thread.start()
+        while not (Path(self.arm.port).exists() and self.control.exists()):
+            time.sleep(0.002)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        self._thread.join()
+
+    def driver(self) -> DynamixelDriver:
+        """A driver for this arm, not connected."""
+        return DynamixelDriver(self.arm, MonotonicClock(), scan_s=0.02)
+
+    def fault(self, text: str) -> None:
+        """Carry out a fault command, and wait until it is in force."""
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
+            sender.bind(f"{self.control}.reply")
+            sender.sendto(text.encode(), str(self.control))
+            answer = sender.recv(1000)
+        Path(f"{self.control}.reply").unlink()
+        assert answer == b"ok", answer

@@ -6,6 +6,7 @@ To add one: write a context manager that yields a Rig, and name it in IMPLEMENTA
 from __future__ import annotations
 
 import contextlib
+import functools
 import itertools
 import math
 from collections.abc import Callable, Iterator
@@ -16,7 +17,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from drivers.clock import MonotonicClock
 from drivers.interface import BusCounters, Clock, ConnectError, Driver, DriverError, StaleStateError, Vector
+from sim_backend.wire.faults import FaultKind
+from tests.unit import dxl_rig
 from tests.unit.served_plant import ServedPlant
 
 CYCLES = 5
@@ -51,9 +55,29 @@ def simulated_in_real_time(directory: Path) -> Iterator[Rig]:
     yield from _simulated(directory, lockstep=False)
 
 
+@contextlib.contextmanager
+def dynamixel_in_virtual_time(directory: Path) -> Iterator[Rig]:
+    rig = dxl_rig.build(dxl_rig.PLANAR)
+    joints = tuple(joint.name for joint in rig.arm.controlled)
+    go_dark = functools.partial(rig.fault, FaultKind.SILENT)
+    yield Rig(rig.driver, lambda: rig.clock, joints, np.full(3, 0.1), lambda: dxl_rig.driver_on(rig), go_dark)
+
+
+@contextlib.contextmanager
+def dynamixel_on_emulated_servos(directory: Path) -> Iterator[Rig]:
+    with dxl_rig.ServedArm(directory) as served:
+        driver = served.driver()
+        joints = tuple(joint.name for joint in served.arm.controlled)
+        go_dark = functools.partial(served.fault, '{"kind": "silent", "arm": "left"}')
+        yield Rig(driver, MonotonicClock, joints, np.full(3, 0.1), served.driver, go_dark)
+        driver.close()
+
+
 IMPLEMENTATIONS: dict[str, Callable[[Path], AbstractContextManager[Rig]]] = {
     "simulated plant, lockstep": simulated_in_lockstep,
     "simulated plant, real time": simulated_in_real_time,
+    "emulated servos, virtual time": dynamixel_in_virtual_time,
+    "emulated servos, real port": dynamixel_on_emulated_servos,
 }
 
 

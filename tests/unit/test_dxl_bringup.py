@@ -287,11 +287,11 @@ def test_failure_half_way_ends_with_torque_off():
 
 def test_calls_out_of_order_are_refused():
     rig = build()
-    with pytest.raises(NotEnabledError, match="found closed, expected connected"):
+    with pytest.raises(NotEnabledError, match="found no connection, expected a connection"):
         rig.driver.read()
     rig.driver.connect()
     rig.driver.read()
-    with pytest.raises(NotEnabledError, match="found connected, expected enabled"):
+    with pytest.raises(NotEnabledError, match="found a connection, expected torque on"):
         rig.driver.write(np.zeros(4))
 
 

@@ -283,9 +283,13 @@ def test_a_port_that_is_stuck_ends_within_a_cycle():
     rig.fault(FaultKind.STALL)
     rig.clock.sleep_until(rig.clock.now_ns() + 2_000_000)
     begin_ns = rig.clock.now_ns()
-    with pytest.raises(WriteTimeoutError, match="0 bytes taken"):
+    with pytest.raises(StaleJointsError, match="the port took no request") as caught:
         rig.driver.read()
+    assert caught.value.partial is None
     assert rig.clock.now_ns() - begin_ns <= PERIOD_NS
+    with pytest.raises(WriteTimeoutError, match="0 bytes taken"):
+        rig.driver.write(TAU)
+    assert rig.clock.now_ns() - begin_ns <= 2 * PERIOD_NS
 
 
 def test_a_port_that_vanishes_is_an_error_and_comes_back_as_the_same_arm():
