@@ -16,7 +16,6 @@ from agent.telemetry.ring import RingReader, RingWriter
 from agent.telemetry.topics import Kind
 
 TEXT_MAX_BYTES: Final = 1000
-_SHORT_TEXT: Final = 160  # characters that certainly fit, whatever they are escaped to
 TEXT_SLOTS: Final = 1024
 
 
@@ -43,15 +42,12 @@ class Event:
     def to_json(self) -> bytes:
         """One line of JSON, at most TEXT_MAX_BYTES; a text too long loses its data first, then its end."""
         plain = {"utc_ns": self.utc_ns, "source": self.source, "level": self.level.name, "text": self.text}
-        for candidate in (
-            plain | {"data": dict(self.data)},
-            plain | {"data": {"truncated": True}},
-            plain | {"text": self.text[:_SHORT_TEXT], "source": self.source[:32], "data": {"truncated": True}},
-        ):
-            encoded = _encode(candidate)
-            if len(encoded) <= TEXT_MAX_BYTES:
-                return encoded
-        raise AssertionError("a cut text fits")
+        encoded = _encode(plain | {"data": dict(self.data)})
+        text = self.text
+        while len(encoded) > TEXT_MAX_BYTES:
+            encoded = _encode(plain | {"text": text, "source": self.source[:32], "data": {"truncated": True}})
+            text = text[: len(text) // 2]
+        return encoded
 
     @classmethod
     def from_json(cls, payload: bytes) -> Event:

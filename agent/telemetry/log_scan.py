@@ -23,7 +23,7 @@ from mcap.writer import MCAP0_MAGIC as MAGIC
 CHUNK_BYTES_MAX: Final = 1 << 28
 MESSAGE_HEAD: Final = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 _RECORD_HEAD: Final = struct.Struct("<BQ")
-_BAD_RECORD: Final = (ValueError, RuntimeError, McapError, struct.error, zstandard.ZstdError)
+_BAD_RECORD: Final = (ValueError, RuntimeError, OverflowError, McapError, struct.error, zstandard.ZstdError)
 
 Record = Header | Schema | Channel | Attachment | Metadata
 
@@ -42,6 +42,7 @@ class LogScan:
     def __init__(self, data: memoryview) -> None:
         """`data`: the whole file, its magic first."""
         self._data = data
+        self._data_ended = False
         self.problems: list[str] = []
         self.damaged = 0  # records left out because a checksum or their structure is wrong
         self.finished = False  # index and closing magic are there
@@ -63,6 +64,9 @@ class LogScan:
             if opcode == Opcode.FOOTER:
                 self.finished = bytes(data[end:]) == MAGIC
                 break
+        if self.finished and not self._data_ended:
+            self.damaged += 1
+            self.problems.append("the end of the data is not where it should be")
         if not self.finished:
             rest = len(data) - self.intact_bytes
             self.problems.append(f"the file ends without its index{f', {rest} bytes of a record cut' if rest else ''}")
@@ -79,6 +83,7 @@ class LogScan:
         elif opcode == Opcode.HEADER:
             yield Header.read(_stream(body))
         elif opcode == Opcode.DATA_END:
+            self._data_ended = True
             expected = DataEnd.read(_stream(body)).data_section_crc
             if expected and zlib.crc32(self._data[:position]) != expected:
                 raise ValueError("the data have a wrong checksum")
