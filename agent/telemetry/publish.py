@@ -31,10 +31,10 @@ from agent.telemetry.topics import Address, Kind
 from agent.telemetry.wire import End, StreamStatus, unpack_status
 from agent.telemetry.zenoh_session import Network, has_link, open_session
 
-_CYCLE_S: Final = {False: 0.033, True: 0.002}  # by lockstep; 30 batches/s in real time
+_CYCLE_S: Final = {False: 0.033, True: 0.02}  # by lockstep; 30 batches/s in real time; each look costs the run CPU time
 _BURST_PAUSE_S: Final = 0.005  # in real time, between the bursts that catch up
 _BURST: Final = {False: 2, True: 64}  # batches between two looks at the stop flag
-_STATUS_S: Final = {False: 0.25, True: 0.01}
+_STATUS_S: Final = {False: 0.25, True: 0.05}
 _STATUS_TIMEOUT_S: Final = 2.0
 _WINDOW_ROWS: Final = 4096  # lockstep: rows on their way at most
 _CACHE_S: Final = 20.0  # at 30 batches/s; "cache depth ≥ 10 s"
