@@ -17,7 +17,6 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 
 from agent.control.models import Matrix
 from agent.control.quaternion import Quat, Vec3
@@ -50,6 +49,8 @@ class PoseSpline:
         self._times = [float(t) for t in times_s]
         values = np.hstack([np.array(positions), same_hemisphere(np.array(quats))])
         still = [(1, np.zeros(7)), (2, np.zeros(7))]
+        from scipy.interpolate import make_interp_spline  # noqa: PLC0415 - 0.7 s, which every process would pay
+
         spline = make_interp_spline(self._times, values, k=5, bc_type=(still, still))
         # (segment, power of time since its start; value of p and s, then their rates, then their second rates)
         starts = self._times[:-1]
