@@ -85,7 +85,7 @@ def fake_root(root: Path, *choices: str) -> Path:
     """A root for `systemd-analyze --root`: the units, this host's own units, and every program they start."""
     install(root, *choices)
     shutil.copytree("/usr/lib/systemd/system", root / "usr/lib/systemd/system", symlinks=True)
-    for program in ("opt/coop/bin/coop", "usr/bin/find", "bin/sh"):
+    for program in ("opt/coop/bin/coop", "usr/bin/find", "bin/sh", "bin/rm"):
         path = root / program
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text("#!/bin/sh\n")
