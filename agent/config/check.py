@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
+from agent.config import trajectory as motion
 from agent.config.cell import Arm, Cell, ConfigError, placement
 from agent.control import ik, known
 from agent.control.errors import attitude_error
@@ -18,7 +19,8 @@ from agent.control.models import ArmModel, ModelError
 from agent.control.stability import SampledLoop, coupled_inertia, spectral_radius
 from drivers.interface import Vector
 
-SAMPLES = 48  # points along the trajectory
+SAMPLES = 48  # points along the trajectory, beside those that the trajectory names itself
+STABILITY_SAMPLES = 12
 
 
 class Verdict(enum.StrEnum):
@@ -158,27 +160,33 @@ def _start(cell: Cell) -> list[Finding]:
     ]  # fmt: skip
 
 
+def _instants(cell: Cell) -> list[float]:
+    """Times at which the trajectory is examined, ascending."""
+    end = min(cell.trajectory().period_s, cell.file.duration_s)
+    named = {t for t in motion.waypoint_times(cell.file) if t <= end}
+    return sorted(named.union(np.linspace(0.0, end, SAMPLES).tolist()))
+
+
 def _along_trajectory(cell: Cell, arm: Arm, model: ArmModel, q_start: Vector) -> _Path:
     trajectory, offline = cell.trajectory(), cell.offline(arm)
-    end = min(trajectory.period_s, cell.file.duration_s)
     q, qs = q_start, []
     sigma, sigma_t = math.inf, 0.0
     tau_peak = np.zeros(arm.n)
     lower, upper = model.model.lowerPositionLimit, model.model.upperPositionLimit
     margin = np.minimum(q_start - lower, upper - q_start)
-    for t in np.linspace(0.0, end, SAMPLES):
-        desired = trajectory.at(float(t))
+    for t in _instants(cell):
+        desired = trajectory.at(t)
         q = _solve(arm, model, placement(desired.p, desired.quat), q, f"at t = {t:.2f} s")
         qs.append(q)
         J = model.jacobian(q)
         s = float(np.linalg.svd(J, compute_uv=False)[-1])
         if s < sigma:
-            sigma, sigma_t = s, float(t)
+            sigma, sigma_t = s, t
         dq = np.linalg.pinv(J) @ (model.task_basis @ np.array(desired.v))
         try:
             tau_peak = np.maximum(tau_peak, np.abs(known.torque(model, offline, q, dq, desired).tau_cmd))
         except SingularJacobian:
-            sigma, sigma_t = 0.0, float(t)
+            sigma, sigma_t = 0.0, t
         margin = np.minimum(margin, np.minimum(q - lower, upper - q))
     return _Path(qs, sigma, sigma_t, tau_peak, margin)
 
@@ -219,7 +227,7 @@ def _stability(cell: Cell, models: Sequence[ArmModel], paths: Sequence[_Path]) -
     P = models[0].task_basis
     radii: dict[float, float] = {}
     inertia_object = np.array(obj.inertia_kg_m2.matrix())
-    for i in range(0, SAMPLES, 4):
+    for i in range(0, len(paths[0].q), max(1, len(paths[0].q) // STABILITY_SAMPLES)):
         q = [p.q[i] for p in paths]
         R = models[0].object_pose(q[0]).rotation
         I_world = R @ inertia_object @ R.T

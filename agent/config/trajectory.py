@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import tomli_w
 
 from agent.config.schema import CellFile
-from agent.config.schema_trajectory import PoseFileSpec, RestToRestSpec, SinusoidSpec
+from agent.config.schema_trajectory import FourierSpec, PoseFileSpec, RestToRestSpec, SinusoidSpec, WaypointsSpec
 from agent.control.trajectory import Sinusoid, Trajectory
 from agent.control.trajectory_file import SpeedLimits, read
+from agent.control.trajectory_fourier import Fourier, Term
 from agent.control.trajectory_rest import RestToRest
 from agent.control.trajectory_spline import PoseSpline, TrajectoryError
+
+SAMPLES_PER_SHORTEST_PERIOD: Final = 8
 
 
 def build(file: CellFile) -> Trajectory:
@@ -24,13 +28,24 @@ def build(file: CellFile) -> Trajectory:
         return RestToRest(t.p_from_m, t.quat_from, t.p_to_m, t.quat_to, t.move_s, t.wait_s, t.and_back)
     if isinstance(t, PoseFileSpec):
         return _from_embedded(t, file.embedded)
+    if isinstance(t, FourierSpec):
+        x, y, z, roll, pitch, yaw = ([Term(*term) for term in axis] for axis in t.axes())
+        return Fourier(
+            t.p_centre_m, t.quat_centre, (x, y, z, roll, pitch, yaw), t.base_period_s, t.fade_s, t.motion_s
+        )  # fmt: skip
     return PoseSpline([p.t_s for p in t.points], [p.p_m for p in t.points], [p.quat for p in t.points])
 
 
 def waypoint_times(file: CellFile) -> list[float]:
     """Instants that a check must not miss between its samples."""
     t = file.trajectory
-    return [] if isinstance(t, (SinusoidSpec, RestToRestSpec, PoseFileSpec)) else [p.t_s for p in t.points]
+    if isinstance(t, WaypointsSpec):
+        return [p.t_s for p in t.points]
+    if isinstance(t, FourierSpec):
+        highest = max(number for axis in t.axes() for number, _, _ in axis)
+        count = math.ceil(SAMPLES_PER_SHORTEST_PERIOD * highest * t.motion_s / t.base_period_s)
+        return [t.motion_s * i / count for i in range(count + 1)]
+    return []
 
 
 def embed(raw: bytes, document: dict[str, Any], cell_path: Path) -> bytes:

@@ -48,7 +48,7 @@ class RestToRest:
         """Desired motion at time t (s)."""
         leg = self.wait_s + self.move_s
         back = self.and_back and t >= leg
-        s, ds, dds = _minimum_jerk((t - leg if back else t) - self.wait_s, self.move_s)
+        s, ds, dds = minimum_jerk((t - leg if back else t) - self.wait_s, self.move_s)
         if back:
             s, ds, dds = 1.0 - s, -ds, -dds
         p, d, n, angle = self.p_from, self._way, self._axis, self._angle
@@ -61,7 +61,7 @@ class RestToRest:
         )
 
 
-def _minimum_jerk(t: float, duration: float) -> tuple[float, float, float]:
+def minimum_jerk(t: float, duration: float) -> tuple[float, float, float]:
     """s, ds/dt, d²s/dt² at time t of a motion that lasts `duration`."""
     x = t / duration
     if x <= 0.0:
