@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from typing import Final
 
 from agent.telemetry import ros_definitions, standard
 from agent.telemetry.event import Event
@@ -13,19 +12,6 @@ from agent.telemetry.log_file import LogFile
 from agent.telemetry.sample import AGENT_STATE, PLANT_STATE
 from agent.telemetry.standard import StandardTopic
 from agent.telemetry.topics import PLANT, RECORDER, Address, Kind
-
-_EVENT_SCHEMA: Final = {
-    "title": "coop.Event",
-    "type": "object",
-    "properties": {
-        "utc_ns": {"type": "integer"},
-        "source": {"type": "string"},
-        "level": {"type": "string"},
-        "text": {"type": "string"},
-        "data": {"type": "object"},
-    },
-}
-_HEALTH_SCHEMA: Final = {"title": "coop.Health", "type": "object"}
 
 
 class _Standard:
@@ -54,8 +40,8 @@ class LogChannels:
             self._add_rows(cell, PLANT, {"member": PLANT})
             self._add_standard(PLANT, standard.plant_topics(cell))
         for member in (*arms, *([PLANT] if has_plant else []), RECORDER):
-            self._texts[member, Kind.EVENT] = self._json_channel(Address(cell, member, Kind.EVENT), _EVENT_SCHEMA)
-            self._texts[member, Kind.HEALTH] = self._json_channel(Address(cell, member, Kind.HEALTH), _HEALTH_SCHEMA)
+            for kind in (Kind.EVENT, Kind.HEALTH):
+                self._texts[member, kind] = self._ros_channel(Address(cell, member, kind).topic, "std_msgs/String")
         self._rosout = self._ros_channel(standard.LOG_TOPIC, "rcl_interfaces/Log")
 
     def write_rows(self, item: Rows) -> None:
@@ -79,7 +65,7 @@ class LogChannels:
         """An event, also as a line of the ROS log, or a health text."""
         channel = self._texts[item.address.member, item.address.kind]
         if item.event is None:
-            self._log.write(channel, [(0, item.utc_ns, item.payload)])
+            self._log.write(channel, [(0, item.utc_ns, standard.text_message(item.payload))])
         else:
             self._write_event(channel, item.event, item.payload)
 
@@ -92,29 +78,20 @@ class LogChannels:
         return {member: self._log.lost[channel] for member, channel in self._rows.items()}
 
     def _write_event(self, channel: int, event: Event, payload: bytes) -> None:
-        self._log.write(channel, [(0, event.utc_ns, payload)])
+        self._log.write(channel, [(0, event.utc_ns, standard.text_message(payload))])
         self._log.write(self._rosout, [(0, event.utc_ns, standard.log_message(event))])
 
     def _add_rows(self, cell: str, member: str, described: Mapping[str, str]) -> None:
         layout = PLANT_STATE if member == PLANT else AGENT_STATE
-        self._rows[member] = self._log.channel(
-            Address(cell, member, Kind.STATE).topic,
-            "cdr",
-            ros_definitions.schema_name(layout.ros_name),
-            "ros2msg",
-            layout.definition,
-            described,
-        )
+        name = ros_definitions.schema_name(layout.ros_name)
+        topic = Address(cell, member, Kind.STATE).topic
+        self._rows[member] = self._log.channel(topic, name, layout.definition, described)
 
     def _add_standard(self, member: str, described: Sequence[StandardTopic]) -> None:
         self._standard[member] = _Standard([(t, self._ros_channel(t.topic, t.ros_name)) for t in described])
 
     def _ros_channel(self, topic: str, ros_name: str) -> int:
         if topic not in self._by_topic:
-            self._by_topic[topic] = self._log.channel(
-                topic, "cdr", ros_definitions.schema_name(ros_name), "ros2msg", ros_definitions.definition(ros_name), {}
-            )
+            name, definition = ros_definitions.schema_name(ros_name), ros_definitions.definition(ros_name)
+            self._by_topic[topic] = self._log.channel(topic, name, definition, {})
         return self._by_topic[topic]
-
-    def _json_channel(self, address: Address, schema: Mapping[str, object]) -> int:
-        return self._log.channel(address.topic, "json", str(schema["title"]), "jsonschema", json.dumps(schema), {})

@@ -90,14 +90,11 @@ class LogFile:
             raise _cannot_write(path, error) from error
         self._syncer = _Syncer(self._fd)
 
-    def channel(
-        self, topic: str, message_encoding: str, schema_name: str, schema_encoding: str, definition: str,
-        metadata: Mapping[str, str],
-    ) -> int:  # fmt: skip
-        """Register a channel; returns its number."""
+    def channel(self, topic: str, schema_name: str, definition: str, metadata: Mapping[str, str]) -> int:
+        """Register a channel of ROS 2 messages in CDR; returns its number."""
         if schema_name not in self._schemas:
-            self._schemas[schema_name] = self._writer.register_schema(schema_name, schema_encoding, definition.encode())
-        return self._writer.register_channel(topic, message_encoding, self._schemas[schema_name], dict(metadata))
+            self._schemas[schema_name] = self._writer.register_schema(schema_name, "ros2msg", definition.encode())
+        return self._writer.register_channel(topic, "cdr", self._schemas[schema_name], dict(metadata))
 
     def write(self, channel: int, messages: Sequence[tuple[int, int, bytes]]) -> None:
         """Write (sequence, utc_ns, message) on a channel."""

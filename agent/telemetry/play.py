@@ -23,6 +23,10 @@ from agent.telemetry.zenoh_session import FREE_PORT, Network, open_session
 _CYCLE_S: Final = 0.033
 
 
+def _never() -> bool:
+    return False
+
+
 @dataclass(frozen=True)
 class PlayOptions:
     """What to play and how."""
@@ -33,7 +37,7 @@ class PlayOptions:
     start_s: float = 0.0  # seconds of the log, counted from its first row
     stop_s: float | None = None
     loop: bool = False
-    paused: Callable[[], bool] = lambda: False
+    paused: Callable[[], bool] = _never
 
 
 @dataclass(frozen=True, slots=True)

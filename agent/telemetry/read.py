@@ -15,6 +15,7 @@ from agent.telemetry import ros_definitions
 from agent.telemetry.event import Event, Level
 from agent.telemetry.log_scan import LogScan, Messages, library_of
 from agent.telemetry.sample import AGENT_STATE, PLANT_STATE, Layout
+from agent.telemetry.standard import text_of
 from agent.telemetry.topics import PLANT, Kind, parse_topic
 from drivers.interface import Refusal
 
@@ -173,7 +174,7 @@ class _Collected:
 
     def _add_event(self, payload: bytes) -> None:
         try:
-            self.events.append(Event.from_json(payload))
+            self.events.append(Event.from_json(text_of(payload)))
         except ValueError as error:
             self.problems.append(f"an event that is none: {error}")
 

@@ -14,12 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.telemetry.event import Event
+from agent.telemetry.sample import CDR_LITTLE_ENDIAN
 from agent.telemetry.topics import ROOT
 
 WORLD: Final = "world"
 RATE_HZ: Final = 50.0
 LOG_TOPIC: Final = "/rosout"
 TF_TOPIC: Final = "/tf"
+_STRING_HEAD: Final = struct.Struct("<II")  # encapsulation, length with the closing zero
 
 Rows = NDArray[np.void]
 Fill = Callable[[Rows, Rows], None]  # (messages to fill, rows to fill them from), equally long
@@ -130,6 +132,21 @@ def decimated(rows: Rows, last_slot: int) -> tuple[Rows, int]:
     slots = rows["utc_ns"] // np.int64(1e9 / RATE_HZ)
     fresh = slots != np.concatenate([[last_slot], slots[:-1]])
     return rows[fresh], int(slots[-1]) if len(slots) else last_slot
+
+
+def text_message(text: bytes) -> bytes:
+    """std_msgs/String of a UTF-8 text.  (JSON channels would be simpler, but ROS tools refuse a file that has one.)"""
+    return _STRING_HEAD.pack(CDR_LITTLE_ENDIAN, len(text) + 1) + text + b"\0"
+
+
+def text_of(message: bytes) -> bytes:
+    """The text of a std_msgs/String.  Raises ValueError when it is none."""
+    if len(message) <= _STRING_HEAD.size or message[-1]:
+        raise ValueError("not a string message")
+    head, length = _STRING_HEAD.unpack_from(message)
+    if head != CDR_LITTLE_ENDIAN or _STRING_HEAD.size + length != len(message):
+        raise ValueError("not a string message")
+    return message[_STRING_HEAD.size : -1]
 
 
 def log_message(event: Event) -> bytes:

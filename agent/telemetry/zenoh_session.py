@@ -7,6 +7,7 @@ import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from enum import Enum
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,9 +19,9 @@ LOOPBACK: Final = "tcp/127.0.0.1"
 FREE_PORT: Final = f"{LOOPBACK}:0"
 MESSAGE_BYTES_MAX: Final = 1 << 20  # Zenoh's default would let a stranger ask for 1 GiB
 _PORT_ATTEMPTS: Final = 20
+_VIEWER_TIMEOUT_MS: Final = 3000
 
 _CLOSED: Final[dict[str, Any]] = {
-    "mode": "peer",
     "scouting/multicast/enabled": False,
     "scouting/gossip/enabled": False,
     "transport/shared_memory/enabled": False,  # its buffers can be invalidated under CPU load
@@ -33,6 +34,13 @@ _CLOSED: Final[dict[str, Any]] = {
     "adminspace/enabled": False,
     "plugins_loading/enabled": False,
 }
+
+
+class Role(Enum):
+    """How a process takes part; the values are Zenoh's modes."""
+
+    MEMBER = "peer"  # opens without the others and meets them when they come
+    VIEWER = "client"  # hears everything through the recorder it connects to; does not open without it
 
 
 class NetworkError(Refusal):
@@ -48,6 +56,7 @@ class Network:
     connect: tuple[str, ...] = ()
     listen: str | None = None  # port 0: any free one
     config_file: Path | None = None
+    role: Role = Role.MEMBER
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +86,8 @@ def _open(network: Network) -> OpenSession:
     if network.config_file is not None:
         return OpenSession(_try_open(_from_file(network.config_file), f"configuration {network.config_file}"), None)
     if network.listen is None or not network.listen.endswith(":0"):
-        return OpenSession(_try_open(_from_table(network, network.listen), str(network.listen)), network.listen)
+        where = network.listen or " ".join(network.connect) or "no endpoint"
+        return OpenSession(_try_open(_from_table(network, network.listen), where), network.listen)
     for attempt in range(_PORT_ATTEMPTS):
         endpoint = f"{network.listen[:-2]}:{_free_port()}"
         try:
@@ -96,7 +106,7 @@ def _try_open(config: zenoh.Config, what: str) -> zenoh.Session:
             f"cannot open the network at {what}",
             found=str(error).split(" at ")[0],
             expected="an endpoint that is free, and files that can be read",
-            remedy="see `ss -tlnp` for who listens there, or take port 0",
+            remedy="see `ss -tlnp` for who listens where; port 0 takes a free one",
         ) from error
 
 
@@ -115,9 +125,12 @@ def _from_file(path: Path) -> zenoh.Config:
 def _from_table(network: Network, listen: str | None) -> zenoh.Config:
     config = zenoh.Config()
     table = _CLOSED | {
+        "mode": network.role.value,
         "listen/endpoints": [listen] if listen else [],
         "connect/endpoints": list(network.connect),
     }
+    if network.role is Role.VIEWER:
+        table |= {"connect/exit_on_failure": True, "connect/timeout_ms": _VIEWER_TIMEOUT_MS}
     try:
         for key, value in table.items():
             config.insert_json5(key, json.dumps(value))

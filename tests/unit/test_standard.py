@@ -99,6 +99,21 @@ def test_an_event_becomes_a_log_line() -> None:
     assert (line.level, line.name, line.msg) == (30, "left", "mode TRACK → HOLD")
 
 
+@pytest.mark.parametrize("text", ["", "a", "mode TRACK → HOLD"])
+def test_a_text_becomes_a_string_message_and_comes_back(text: str) -> None:
+    message = standard.text_message(text.encode())
+    assert STORE.deserialize_cdr(message, "std_msgs/msg/String").data == text
+    assert standard.text_of(message) == text.encode()
+
+
+@pytest.mark.parametrize(
+    "wrong", [b"", b"\0\1\0\0", standard.text_message(b"abc")[:-1], standard.text_message(b"abc") + b"\0"]
+)
+def test_what_is_no_string_message_is_refused(wrong: bytes) -> None:
+    with pytest.raises(ValueError, match="not a string message"):
+        standard.text_of(wrong)
+
+
 def test_decimation_keeps_the_rate_whatever_the_batches() -> None:
     data = rows(AGENT_STATE, 400)  # 2 s at 200 Hz
     kept, slot = [], -1
