@@ -64,7 +64,7 @@ class LogFile:
         self.lost: Counter[int] = Counter()  # messages by channel that came and are not in the file
         self._open = True
         self._schemas: dict[str, int] = {}
-        self._unsafe: Counter[int] = Counter()  # the same, since the last flush
+        self._unsafe: Counter[int] = Counter()  # the same, since the last whole chunk
         self._min_free = min_free_bytes
         self._fd = _create(path, min_free_bytes)
         self._sink = _Sink(self._fd)
@@ -101,13 +101,18 @@ class LogFile:
         if not self._open:
             self.lost[channel] += len(messages)
             return
-        self._unsafe[channel] += len(messages)
-        add = self._writer.add_message
+        add, sink = self._writer.add_message, self._sink
+        done = 0
         try:
             for sequence, utc_ns, message in messages:
+                done += 1
+                self._unsafe[channel] += 1
                 add(channel, utc_ns, message, utc_ns, sequence & 0xFFFFFFFF)
+                if sink.position != sink.good:  # the writer closed a chunk
+                    self._note_good()
         except OSError as error:
             self._fail(error)
+            self.lost[channel] += len(messages) - done
 
     def tick(self, now_s: float) -> None:
         """Flush when it is time, and look how much room is left."""
@@ -144,6 +149,9 @@ class LogFile:
 
     def _flush(self) -> None:
         self._writer.flush()  # type: ignore[no-untyped-call]
+        self._note_good()
+
+    def _note_good(self) -> None:
         self._sink.good = self._sink.position
         self._unsafe.clear()
 
