@@ -12,11 +12,12 @@ import pinocchio as pin
 
 from agent.config import trajectory as motion
 from agent.config.cell import Arm, Cell, ConfigError, placement
+from agent.config.margin import damping, places
 from agent.control import ik, known
 from agent.control.errors import attitude_error
 from agent.control.inverse import SingularJacobian
 from agent.control.models import ArmModel, ModelError
-from agent.control.stability import SampledLoop, coupled_inertia, spectral_radius
+from agent.control.stability import SampledLoop
 from drivers.interface import Vector
 
 SAMPLES = 48  # points along the trajectory, beside those that the trajectory names itself
@@ -79,7 +80,7 @@ def start_configurations(cell: Cell, models: Sequence[ArmModel]) -> tuple[Vector
     Raises ConfigError naming the arm when its grasp cannot be reached.
     """
     return tuple(
-        _solve(arm, model, cell.T_world_object_start, np.array(arm.entry.q_near_rad), "at the start")
+        reach(arm, model, cell.T_world_object_start, np.array(arm.entry.q_near_rad), "at the start")
         for arm, model in zip(cell.arms, models, strict=True)
     )
 
@@ -105,7 +106,8 @@ def examine(cell: Cell) -> CheckReport:
     return CheckReport(tuple(findings), q_start)
 
 
-def _solve(arm: Arm, model: ArmModel, T: pin.SE3, q_near: Vector, when: str) -> Vector:
+def reach(arm: Arm, model: ArmModel, T: pin.SE3, q_near: Vector, when: str) -> Vector:
+    """Joint angles (n,) of the arm with the object at T, nearest to q_near.  Raises ConfigError naming arm and time."""
     try:
         return ik.solve(model, T, q_near)
     except ik.Unreachable as error:
@@ -176,7 +178,7 @@ def _along_trajectory(cell: Cell, arm: Arm, model: ArmModel, q_start: Vector) ->
     margin = np.minimum(q_start - lower, upper - q_start)
     for t in _instants(cell):
         desired = trajectory.at(t)
-        q = _solve(arm, model, placement(desired.p, desired.quat), q, f"at t = {t:.2f} s")
+        q = reach(arm, model, placement(desired.p, desired.quat), q, f"at t = {t:.2f} s")
         qs.append(q)
         J = model.jacobian(q)
         s = float(np.linalg.svd(J, compute_uv=False)[-1])
@@ -221,31 +223,21 @@ def _arm_findings(cell: Cell, arm: Arm, path: _Path) -> list[Finding]:
 
 
 def _stability(cell: Cell, models: Sequence[ArmModel], paths: Sequence[_Path]) -> list[Finding]:
-    safety, obj, rate = cell.file.safety, cell.file.object, cell.file.rate_hz
-    delay = cell.file.simulation.effects.delay_cycles
+    safety, rate, delay = cell.file.safety, cell.file.rate_hz, cell.file.simulation.effects.delay_cycles
     loop = SampledLoop(1.0 / rate, delay, [cell.offline(a).gains for a in cell.arms])
-    P = models[0].task_basis
-    radii: dict[float, float] = {}
-    inertia_object = np.array(obj.inertia_kg_m2.matrix())
-    for i in range(0, len(paths[0].q), max(1, len(paths[0].q) // STABILITY_SAMPLES)):
-        q = [p.q[i] for p in paths]
-        R = models[0].object_pose(q[0]).rotation
-        I_world = R @ inertia_object @ R.T
-        believed = coupled_inertia(models, q, obj.mass_kg, I_world)
-        for error in (0.0, -safety.inertia_error, safety.inertia_error):
-            true = coupled_inertia(models, q, obj.mass_kg, I_world, 1.0 + error)
-            radii[error] = max(radii.get(error, 0.0), spectral_radius(true, believed, P, loop))
+    along = list(zip(*(p.q for p in paths), strict=True))
+    some = along[:: max(1, len(along) // STABILITY_SAMPLES)]
     label = f"spectral radius at {rate:g} Hz, {delay} cycle{'s' if delay != 1 else ''} delay"
     findings = []
-    for error, radius in radii.items():
-        stable = radius <= safety.spectral_radius_max
+    for error, found in damping(places(cell, models, some), models[0].task_basis, loop).items():
+        stable = found.radius <= safety.spectral_radius_max
         nominal = error == 0.0
         verdict = Verdict.OK if stable else Verdict.REFUSED if nominal else Verdict.WARNING
         findings.append(
             Finding(
                 label if nominal else f"the same, arms' inertia {error:+.0%}",
-                "cell", f"{radius:.4f}", f"≤ {safety.spectral_radius_max:g}", verdict,
-                "" if stable else "raise rate_hz, or lower k_p_per_s, k_eps_rad_per_s or their _rate_ forms",
+                "cell", f"{found.radius:.4f}", f"≤ {safety.spectral_radius_max:g}", verdict,
+                "" if stable else "raise rate_hz, or take the gains that `coop tune` proposes",
             )
         )  # fmt: skip
     return findings

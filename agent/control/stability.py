@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from agent.control.errors import Gains
 from agent.control.models import ArmModel, Matrix
@@ -56,7 +57,12 @@ def coupled_inertia(
 
 
 def spectral_radius(M_true: Matrix, M_believed: Matrix, P: Matrix, loop: SampledLoop) -> float:
-    """Largest modulus of the eigenvalues of the one-period map.
+    """Largest modulus of the eigenvalues of the one-period map.  Arguments as of `modes`."""
+    return float(np.abs(modes(M_true, M_believed, P, loop)).max())
+
+
+def modes(M_true: Matrix, M_believed: Matrix, P: Matrix, loop: SampledLoop) -> NDArray[np.complex128]:
+    """Eigenvalues (m (2 + delay),) of the one-period map.
 
     M_true, M_believed: (m, m) coupled inertia; P: (m, 6) task basis.
     """
@@ -86,4 +92,4 @@ def spectral_radius(M_true: Matrix, M_believed: Matrix, P: Matrix, loop: Sampled
         A[newest, x], A[newest, w] = u_x, u_w
         for i in range(1, d):
             A[m * (2 + i) : m * (3 + i), m * (1 + i) : m * (2 + i)] = np.eye(m)
-    return float(np.abs(np.linalg.eigvals(A)).max())
+    return np.linalg.eigvals(A).astype(np.complex128)

@@ -1,0 +1,71 @@
+"""The sampled loop of a cell along its trajectory, with the arms' inertia off by a stated error; computes only."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from agent.config.cell import Cell
+from agent.control.models import ArmModel, Matrix
+from agent.control.stability import SampledLoop, coupled_inertia, modes
+from drivers.interface import Vector
+
+SLOW_RAD = 1e-9  # a mode that turns less than this from one sample to the next only creeps
+
+
+@dataclass(frozen=True)
+class Place:
+    """Coupled inertia at one point of the trajectory, on the task rows (m, m)."""
+
+    believed: Matrix
+    true: Mapping[float, Matrix]  # by the relative error of the arms' inertia: 0, −e, +e
+
+
+@dataclass(frozen=True, slots=True)
+class Damping:
+    """The worst over all places: how slowly a disturbance dies out, and how much it swings while it does."""
+
+    radius: float  # largest modulus of all modes; below 1 the loop is stable
+    ratio: float  # smallest damping ratio of the modes that swing; 1 when none does, negative when one grows
+
+    def time_constant_s(self, period_s: float) -> float:
+        """Time in which the slowest mode falls to 1/e; infinite when it does not."""
+        return -period_s / math.log(self.radius) if self.radius < 1.0 else math.inf
+
+
+def places(cell: Cell, models: Sequence[ArmModel], along: Sequence[Sequence[Vector]]) -> tuple[Place, ...]:
+    """Coupled inertia where the arms (one model each) are at along[k][i], the joint angles (n,) of arm i at place k."""
+    error, obj = cell.file.safety.inertia_error, cell.file.object
+    inertia_object = np.array(obj.inertia_kg_m2.matrix())
+    found = []
+    for q in along:
+        R = models[0].object_pose(q[0]).rotation
+        I_world = R @ inertia_object @ R.T
+        true = {e: coupled_inertia(models, q, obj.mass_kg, I_world, 1.0 + e) for e in (0.0, -error, error)}
+        found.append(Place(true[0.0], true))
+    return tuple(found)
+
+
+def damping(where: Sequence[Place], P: Matrix, loop: SampledLoop) -> dict[float, Damping]:
+    """Worst damping over all places, by the error of the arms' inertia.  P: (m, 6) task basis."""
+    worst: dict[float, Damping] = {}
+    for place in where:
+        for error, true in place.true.items():
+            eigenvalues = modes(true, place.believed, P, loop)
+            radius, ratio = float(np.abs(eigenvalues).max()), _ratio(eigenvalues)
+            known = worst.get(error)
+            worst[error] = (
+                Damping(max(radius, known.radius), min(ratio, known.ratio)) if known else Damping(radius, ratio)
+            )
+    return worst
+
+
+def _ratio(eigenvalues: np.ndarray[tuple[int], np.dtype[np.complex128]]) -> float:
+    """Smallest ζ = −ln|λ| / |ln λ| of the modes that swing: the damping ratio of the motion whose samples they are."""
+    swinging = np.abs(np.angle(eigenvalues)) > SLOW_RAD
+    alive = np.abs(eigenvalues) > 1e-12
+    logarithm = np.log(eigenvalues[swinging & alive])
+    return float((-logarithm.real / np.abs(logarithm)).min(initial=1.0))
