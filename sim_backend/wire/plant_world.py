@@ -10,6 +10,13 @@ import numpy as np
 from sim_backend.actuator import ActuatorSpec
 from sim_backend.plant import Observation, Plant
 from sim_backend.spec import PlantSpec
+from sim_backend.wire.arm import EmulatedArm
+from sim_backend.wire.bus import DEFAULTS
+from sim_backend.wire.cell import EmulatedCell
+from sim_backend.wire.options import BusOptions, ServoOptions
+from sim_backend.wire.servo import FACTORY
+from sim_backend.wire.timing import BusTiming
+from sim_backend.wire.wiring import ArmWiring
 
 
 def without_servo_electronics(spec: PlantSpec) -> PlantSpec:
@@ -72,3 +79,25 @@ class PlantWorld:
     def observe(self) -> Observation:
         """What is true now, with the servos' torques acting; changes nothing."""
         return self.plant.observe(self.tau_Nm)
+
+
+def emulate(
+    spec: PlantSpec,
+    arms: Sequence[ArmWiring],
+    *,
+    timing: BusTiming | None,
+    servo_options: ServoOptions = FACTORY,
+    bus_options: BusOptions = DEFAULTS,
+    supported: bool = True,
+) -> tuple[EmulatedCell, PlantWorld]:
+    """Build emulated servos on the plant of a cell; `arms` in the order of `spec.arms`.
+
+    `timing` None makes every reply available at once.
+
+    Raises PlantError (GraspError) when the plant cannot be built.
+    """
+    world = PlantWorld(Plant(without_servo_electronics(spec)), supported=supported)
+    emulated = [
+        EmulatedArm(wiring, timing=timing, servo_options=servo_options, bus_options=bus_options) for wiring in arms
+    ]
+    return EmulatedCell(emulated, world), world

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import pytest
 
@@ -12,28 +11,16 @@ from drivers.dynamixel import table
 from drivers.dynamixel.table import SERVOS, TICK_RAD, Instruction, OperatingMode
 from sim_backend.wire.arm import EmulatedArm
 from sim_backend.wire.cell import CATCH_UP_NS, EmulatedCell
-from sim_backend.wire.wiring import ArmWiring, JointWiring, ServoWiring, baud_code, servo_eeprom, wire_arm
+from sim_backend.wire.wiring import ArmWiring, JointData, JointWiring, ServoWiring, baud_code, servo_eeprom, wire_arm
 from sim_backend.wire.world import FreeJoint, FreeWorld
 from tests.unit.wire_bench import MS, Bench, build, word
 
 KT = SERVOS["XM430-W350"].torque_constant_Nm_per_A
 
 
-@dataclass(frozen=True)
-class Entry:
-    """One joint as an arm file has it."""
-
-    name: str
-    servo: str
-    ids: Sequence[int]
-    reverse: Sequence[bool]
-    zero_tick: int = 2048
-    position_limit_ticks: tuple[int, int] = (0, 4095)
-
-
-SHOULDER = Entry("shoulder", "XM430-W350", (2, 3), (False, True))
-ELBOW = Entry("elbow", "XM430-W350", (4,), (True,), 2148)
-GRIPPER = Entry("gripper", "XL430-W250", (7,), (False,))
+SHOULDER = JointData("shoulder", "XM430-W350", (2, 3), (False, True))
+ELBOW = JointData("elbow", "XM430-W350", (4,), (True,), 2148)
+GRIPPER = JointData("gripper", "XL430-W250", (7,), (False,))
 
 
 def bench_of(arm: EmulatedArm) -> Bench:
@@ -44,7 +31,7 @@ def bench_of(arm: EmulatedArm) -> Bench:
 
 
 def make(
-    q: Sequence[float] = (0.0, 0.0), entries: Sequence[Entry] = (SHOULDER, ELBOW, GRIPPER)
+    q: Sequence[float] = (0.0, 0.0), entries: Sequence[JointData] = (SHOULDER, ELBOW, GRIPPER)
 ) -> tuple[EmulatedCell, FreeWorld, Bench]:
     wiring = wire_arm("left", entries, ("shoulder", "elbow"), baud=1_000_000, plant_arm=0)
     world = FreeWorld([[FreeJoint(q_rad=x, inertia_kg_m2=0.02) for x in q]])
@@ -61,7 +48,7 @@ def test_all_servos_of_a_joint_report_its_angle_whatever_their_direction() -> No
 @pytest.mark.parametrize("zero_tick", [0, 1024, 2048, 3000, 4095])
 @pytest.mark.parametrize("reverse", [False, True])
 def test_zero_tick_is_what_is_read_at_zero_radians(zero_tick: int, reverse: bool) -> None:
-    entry = Entry("shoulder", "XM430-W350", (2,), (reverse,), zero_tick)
+    entry = JointData("shoulder", "XM430-W350", (2,), (reverse,), zero_tick)
     _, _, bench = make((0.0,), (entry,))
     assert bench.read(2, table.PRESENT_POSITION) == zero_tick
 

@@ -92,11 +92,17 @@ class TestGroups:
         assert len(reply) == 8 + (4 + 4) + (4 + 2) + (4 + 1)
         assert crc16(reply[:-2]) == int.from_bytes(reply[-2:], "little")
 
-    def test_bulk_write_of_the_manual_example(self) -> None:
+    def test_bulk_write_takes_its_own_address_per_servo(self) -> None:
         bench = Bench(xm430(1), xm430(2))
-        bench.send(0xFE, Instruction.BULK_WRITE, bytes.fromhex("01 2000 0200 A000 02 1F00 0100 50"))
+        bench.send(0xFE, Instruction.BULK_WRITE, bytes.fromhex("01 2000 0200 9600 02 1F00 0100 46"))
+        assert bench.read(1, table.MAX_VOLTAGE_LIMIT) == 150
+        assert bench.read(2, table.TEMPERATURE_LIMIT) == 70
+
+    def test_bulk_write_that_ends_too_early_does_nothing(self) -> None:
+        bench = Bench(xm430(1))
+        bench.send(0xFE, Instruction.BULK_WRITE, bytes.fromhex("01 2000 0200 96"))
         assert bench.read(1, table.MAX_VOLTAGE_LIMIT) == 160
-        assert bench.read(2, table.TEMPERATURE_LIMIT) == 80
+        assert bench.bus.responder.malformed == 1
 
     def test_sync_write_with_a_ragged_length_does_nothing(self) -> None:
         bench = Bench(xm430(1))

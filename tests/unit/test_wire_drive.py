@@ -106,6 +106,12 @@ class TestModes:
         run(servo, joint, 3.0)
         assert joint.dq_rad_per_s == pytest.approx(100 * VELOCITY_UNIT_RAD_PER_S, rel=0.02)
 
+    def test_velocity_mode_starts_with_its_proportional_gain(self) -> None:
+        servo = xm430()
+        bench = started(servo, OperatingMode.VELOCITY, {table.GOAL_VELOCITY: 100, table.VELOCITY_I_GAIN: 0})
+        servo.firmware.body.step(1e-3, alive=True)
+        assert bench.read(1, table.PRESENT_PWM) == round(100 / 128 * 100)
+
     @pytest.mark.parametrize("mode", [OperatingMode.POSITION, OperatingMode.EXTENDED_POSITION])
     @pytest.mark.parametrize("make", [xm430, xl430])
     def test_position_mode_reaches_its_goal_and_stays(self, mode: OperatingMode, make: type[Servo]) -> None:
@@ -125,6 +131,24 @@ class TestModes:
             joint.step(body.step(1e-3, alive=True) - 1.0, 1e-3)
         duty = 1.0 / (12.0 * XM.stall_torque_Nm_per_V)
         assert joint.q_rad / TICK_RAD == pytest.approx(-duty * 885 / (800 / 128), abs=2)
+
+    def test_integral_gain_takes_the_load_in_the_end(self) -> None:
+        servo, joint = xm430(), FreeJoint(inertia_kg_m2=0.02, viscous_Nm_s_per_rad=0.5)
+        bench = started(servo, OperatingMode.POSITION, {table.POSITION_I_GAIN: 400})
+        body = servo.firmware.body
+        for _ in range(6000):
+            body.horn.position_rad, body.horn.velocity_rad_per_s = joint.q_rad, joint.dq_rad_per_s
+            joint.step(body.step(1e-3, alive=True) - 1.0, 1e-3)
+        assert abs(joint.q_rad) <= 2 * TICK_RAD
+        assert bench.read(1, table.MOVING_STATUS) == 1, "in position, no profile"
+
+    def test_velocity_mode_ramps_with_the_profile_acceleration(self) -> None:
+        servo = xm430()
+        goals = {table.PROFILE_ACCELERATION: 10, table.GOAL_VELOCITY: 100}
+        bench = started(servo, OperatingMode.VELOCITY, goals)
+        run(servo, FreeJoint(inertia_kg_m2=0.02), 0.5)
+        per_second = 10 * 214.577 / 60 / 0.229  # rev/min^2 into counts of velocity
+        assert bench.read(1, table.VELOCITY_TRAJECTORY) == pytest.approx(0.5 * per_second, abs=1)
 
     def test_current_based_position_mode_never_exceeds_the_goal_current(self) -> None:
         servo, joint = xm430(), FreeJoint(inertia_kg_m2=0.02, viscous_Nm_s_per_rad=0.05)
@@ -180,6 +204,20 @@ class TestProfile:
             assert abs(v1 - v0) <= acceleration * dt * (1 + 1e-6)
         travelled = math.fsum(0.5 * (v0 + v1) * dt for (_, v0), (_, v1) in itertools.pairwise(samples))
         assert travelled == pytest.approx(distance, rel=1e-3)
+
+    @pytest.mark.parametrize("distance", [1000.0, -1000.0, 10.0, -10.0])
+    def test_profile_brakes_as_it_accelerates_and_is_not_longer_than_needed(self, distance: float) -> None:
+        speed, acceleration = 100.0, 200.0
+        profile = Profile.by_velocity(5.0, 5.0 + distance, speed, acceleration)
+        for share in (0.01, 0.1, 0.3, 0.45):
+            since_s = share * profile.total_s
+            begun, speed_then = profile.sample(since_s)
+            left, speed_later = profile.sample(profile.total_s - since_s)
+            assert begun - 5.0 == pytest.approx(5.0 + distance - left)
+            assert speed_then == pytest.approx(speed_later)
+        far = abs(distance)
+        whole = far / speed + speed / acceleration if far > 50.0 else 2.0 * math.sqrt(far / acceleration)
+        assert profile.total_s == pytest.approx(whole)
 
     def test_time_based_profile_takes_its_time(self) -> None:
         servo = xm430(drive_mode=4)

@@ -138,6 +138,15 @@ def test_packet_swallowed_by_a_damaged_length_is_found_behind_it() -> None:
     assert found == [Damaged(5, len(first) + 10), Command(2, 1, b"", 10)]
 
 
+def test_crc_that_completes_a_header_with_the_last_parameters_is_no_header() -> None:
+    """FF FF in the data and FD as first CRC byte: only what was stuffed can hold a header."""
+    candidates = (instruction(1, 3, word + b"\x00\xff\xff") for word in (i.to_bytes(2, "little") for i in range(65536)))
+    packet = next(p for p in candidates if p[-2] == 0xFD and p[-1] != 0xFD)
+    (command,) = InstructionParser().feed(packet, 0)
+    assert isinstance(command, Command)
+    assert command.parameters[-2:] == b"\xff\xff"
+
+
 def unstuffed_write() -> bytes:
     body = b"\x03\x74\x00\xff\xff\xfd\x07"
     packet = HEADER + bytes((0, 1)) + (len(body) + 2).to_bytes(2, "little") + body

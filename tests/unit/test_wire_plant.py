@@ -11,9 +11,8 @@ from drivers.dynamixel import table
 from drivers.dynamixel.table import SERVOS, TICK_RAD, OperatingMode
 from sim_backend.actuator import ActuatorSpec
 from sim_backend.plant import Plant
-from sim_backend.wire.arm import EmulatedArm
 from sim_backend.wire.cell import EmulatedCell
-from sim_backend.wire.plant_world import PlantWorld, without_servo_electronics
+from sim_backend.wire.plant_world import PlantWorld, emulate, without_servo_electronics
 from sim_backend.wire.wiring import ArmWiring, JointWiring, ServoWiring, servo_eeprom
 from tests.unit.plant_cells import PLANAR_JOINTS, planar_cell
 from tests.unit.wire_bench import MS, Bench
@@ -23,21 +22,21 @@ NM_PER_COUNT = 2.69e-3 * XM.torque_constant_Nm_per_A
 GOALS = {1: 300, 2: 150, 3: 40}  # counts of goal current
 
 
-def emulate(*, supported: bool) -> tuple[EmulatedCell, PlantWorld, list[Bench]]:
-    world = PlantWorld(Plant(without_servo_electronics(planar_cell())), supported=supported)
-    arms = []
+def start(*, supported: bool) -> tuple[EmulatedCell, PlantWorld, list[Bench]]:
+    wirings = []
     for place, name in enumerate(("left", "right")):
         joints = tuple(
             JointWiring(joint, (ServoWiring(i + 1, XM.name, eeprom=servo_eeprom(baud=57_600)),), i)
             for i, joint in enumerate(PLANAR_JOINTS)
         )
-        arms.append(EmulatedArm(ArmWiring(name, joints, 57_600, place)))
+        wirings.append(ArmWiring(name, joints, 57_600, place))
+    cell, world = emulate(planar_cell(), wirings, timing=None, supported=supported)
     benches = []
-    for arm in arms:
+    for arm in cell.arms:
         bench = Bench(*arm.bus.servos)
         bench.bus = arm.bus
         benches.append(bench)
-    return EmulatedCell(arms, world), world, benches
+    return cell, world, benches
 
 
 def torque_on(bench: Bench) -> None:
@@ -48,7 +47,7 @@ def torque_on(bench: Bench) -> None:
 
 
 def test_goal_currents_move_the_chain_as_their_torques_do() -> None:
-    cell, world, benches = emulate(supported=False)
+    cell, world, benches = start(supported=False)
     for bench in benches:
         torque_on(bench)
         bench.sync_write(table.GOAL_CURRENT, GOALS)
@@ -60,7 +59,7 @@ def test_goal_currents_move_the_chain_as_their_torques_do() -> None:
 
 
 def test_present_registers_are_the_physics_on_their_grids() -> None:
-    cell, world, benches = emulate(supported=False)
+    cell, world, benches = start(supported=False)
     cell.advance_to(40 * MS)
     q, dq = world.state(1)
     for i in range(3):
@@ -69,7 +68,7 @@ def test_present_registers_are_the_physics_on_their_grids() -> None:
 
 
 def test_cell_rests_on_its_support_until_every_arm_gives_torque() -> None:
-    cell, world, benches = emulate(supported=True)
+    cell, world, benches = start(supported=True)
     q_start = world.plant.q
     cell.advance_to(100 * MS)
     torque_on(benches[0])
@@ -86,7 +85,7 @@ def test_cell_rests_on_its_support_until_every_arm_gives_torque() -> None:
 
 
 def test_watchdogs_of_dead_clients_take_the_torque_from_the_chain() -> None:
-    cell, world, benches = emulate(supported=False)
+    cell, world, benches = start(supported=False)
     for bench in benches:
         bench.now_ns = 0
         torque_on(bench)

@@ -55,7 +55,8 @@ def test_undefined_addresses_refuse_reads_and_writes() -> None:
     bench = Bench(xl430())
     assert bench.one(1, Instruction.READ, word(102) + word(2)).error == ACCESS
     assert bench.one(1, Instruction.WRITE, word(102) + b"\0\0").error == ACCESS
-    assert bench.one(1, Instruction.READ, word(660) + word(4)).error == ACCESS
+    assert bench.one(1, Instruction.READ, word(660) + word(2)).error == OK
+    assert bench.one(1, Instruction.READ, word(660) + word(3)).error == ACCESS
     assert bench.one(1, Instruction.WRITE, word(100) + bytes(4)).error == ACCESS, "100 to 103 in one write"
 
 
@@ -283,6 +284,16 @@ def test_backup_restores_eeprom_with_torque_off() -> None:
     assert bench.read(1, table.CURRENT_LIMIT) == 1193
 
 
+def test_second_backup_replaces_the_first() -> None:
+    bench = Bench(xm430())
+    for limit in (100, 200):
+        bench.write(1, table.CURRENT_LIMIT, limit)
+        assert bench.one(1, Instruction.CONTROL_TABLE_BACKUP, b"\x01CTRL").error == OK
+    bench.write(1, table.CURRENT_LIMIT, 300)
+    bench.one(1, Instruction.CONTROL_TABLE_BACKUP, b"\x02CTRL")
+    assert bench.read(1, table.CURRENT_LIMIT) == 200
+
+
 def test_older_firmware_knows_neither_backup_nor_clear() -> None:
     bench = Bench(xm430(firmware=41))
     assert bench.one(1, Instruction.CONTROL_TABLE_BACKUP, b"\x01CTRL").error == INSTRUCTION
@@ -293,7 +304,11 @@ def test_registers_younger_than_the_firmware_are_undefined() -> None:
     bench = Bench(xm430(firmware=37))
     assert bench.one(1, Instruction.READ, word(98) + word(1)).error == ACCESS
     assert bench.one(1, Instruction.READ, word(10) + word(1)).error == ACCESS
+    assert bench.read(1, table.PRESENT_POSITION) == 2048
+    assert Bench(xm430(firmware=44)).one(1, Instruction.READ, word(147) + word(1)).error == ACCESS
+    assert Bench(xm430(firmware=45)).one(1, Instruction.READ, word(147) + word(1)).error == OK
     assert Bench(xm430(firmware=41)).write(1, table.DRIVE_MODE, 4) == RANGE
+    assert Bench(xm430(firmware=42)).write(1, table.DRIVE_MODE, 4) == OK
 
 
 def test_unknown_instruction_is_refused() -> None:
