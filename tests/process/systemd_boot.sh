@@ -54,6 +54,7 @@ mount -t tmpfs -o mode=1777 tmpfs dev/shm
 pivot_root . old
 umount -l /old
 rmdir /old
+mount --make-rshared / # among its own namespaces: how systemd hands a credential to a unit
 systemd-sysusers coop.conf
 systemd-tmpfiles --create coop.conf
 exec env -i container=coop-test PATH=/usr/sbin:/usr/bin \

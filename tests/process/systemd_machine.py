@@ -53,6 +53,7 @@ class Machine:
     def __init__(self, leader: int, console: Path) -> None:
         self.leader = leader  # pid of its first process, as seen from here
         self.console = console
+        self.root = Path(f"/proc/{leader}/root")  # its files, as long as it runs
 
     def run(self, *command: str, check: bool = True, timeout_s: float = 60.0) -> str:
         """Output of a command inside.  Raises AssertionError with its stderr when it fails and `check` is set."""
