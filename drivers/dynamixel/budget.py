@@ -14,7 +14,7 @@ from drivers.dynamixel.arm_map import ArmMap, JointRole
 from drivers.dynamixel.table import OperatingMode
 
 CYCLE_BYTES = 10  # Present Current or Load, Velocity, Position
-PLAIN_BYTES = 14  # the same without merged replies: the length, which tells cycles apart, is 10 to 18
+PLAIN_BYTES, PLAIN_BYTES_MAX = 14, 18  # the same without merged replies, where the length tells cycles apart
 HEALTH_BYTES = 6  # the longest health read: torque flag, LED, errors, watchdog, goal
 STEP_S = 0.3e-3  # control step and wake-up of the host between read and write
 
@@ -72,12 +72,14 @@ def group_read_s(servos: int, length: int, baud: int, *, fast: bool, link: LinkT
     return request, servos * (delay + (11 + length) * byte_s)
 
 
-def cycle_budget(arm: ArmMap, *, fast: bool, link: LinkTiming | None = None) -> CycleBudget:
-    """Budget of one arm's cycle.  fast: all servos understand fast sync read."""
+def cycle_budget(
+    arm: ArmMap, *, fast: bool, link: LinkTiming | None = None, plain_bytes: int = PLAIN_BYTES
+) -> CycleBudget:
+    """Budget of one arm's cycle.  fast: all servos understand fast sync read; else they send plain_bytes each."""
     link = link or LinkTiming()
     byte_s = 10.0 / arm.baud
     request_s, reply_s = group_read_s(
-        len(arm.slots), CYCLE_BYTES if fast else PLAIN_BYTES, arm.baud, fast=fast, link=link
+        len(arm.slots), CYCLE_BYTES if fast else plain_bytes, arm.baud, fast=fast, link=link
     )
     modes = [joint.mode for joint in arm.joints if joint.role is JointRole.CONTROLLED]
     groups = [modes.count(OperatingMode.CURRENT), modes.count(OperatingMode.PWM)]

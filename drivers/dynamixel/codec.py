@@ -196,6 +196,7 @@ class StatusScanner:
 
     def __init__(self) -> None:
         self.damaged = 0  # packets dropped: checksum, length, stuffing
+        self.cut = 0  # packets that ended too early, or only claimed to be so long
         self.foreign = 0  # intact packets that are no status: an echo of our own instruction
         self.garbage = 0  # bytes that belonged to nothing
         self._buffer = bytearray()
@@ -228,13 +229,14 @@ class StatusScanner:
             self._drop(start)
             if len(buffer) < _OVERHEAD and not final:
                 return None
-            length = buffer[5] | buffer[6] << 8 if len(buffer) >= _OVERHEAD else 0
+            length = buffer[5] | buffer[6] << 8 if len(buffer) >= _OVERHEAD else MAX_PACKET - _OVERHEAD
             if length < 3 or length > MAX_PACKET - _OVERHEAD:
                 self._damage()
             elif len(buffer) < _OVERHEAD + length:
                 if not final:
                     return None
-                self._damage()
+                self.cut += 1
+                del buffer[:4]
             else:
                 found = self._decode(bytes(buffer[: _OVERHEAD + length]))
                 if found is not None:

@@ -7,7 +7,7 @@ before it is a fault, so no mark is used again while an answer to it may still c
 do the same for 6 more bytes per servo, 0.5 ms of every cycle of nine servos at 1 Mbit/s.
 
 A servo that stays silent ends a merged reply.  So the servos without an answer are asked once more, one status packet
-each, if the period leaves time for it, and for a while after that the cycle uses status packets throughout.
+each, if the period leaves time for it, and for some cycles after that status packets are used throughout.
 """
 
 from __future__ import annotations
@@ -16,18 +16,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from drivers.dynamixel.arm_map import ArmMap
-from drivers.dynamixel.budget import CYCLE_BYTES, LinkTiming, cycle_budget, group_read_s
+from drivers.dynamixel.budget import CYCLE_BYTES, PLAIN_BYTES_MAX, CycleBudget, LinkTiming, cycle_budget, group_read_s
 from drivers.dynamixel.bus import BABBLE_BYTES, Bus, DxlCounters
-from drivers.dynamixel.checks import SILENT_LIMIT_CYCLES
 from drivers.dynamixel.group import GroupRead, GroupReply, Row
 from drivers.dynamixel.port import Now
 from drivers.dynamixel.table import ALERT_BIT, PRESENT_POSITION
 
-END_SHARE = 0.85  # of the period: the read is over by then, whatever happens
-CAREFUL_CYCLES = 50  # after an incomplete merged reply
+END_SHARE = 0.9  # of the period: the read is over by then, whatever happens
+CAREFUL_CYCLES = 10  # after a merged reply that a servo cut short
 PATIENCE_NS = 500_000
 HOST_NS = 50_000  # between noticing that an answer is missing and asking again
-MARKS = SILENT_LIMIT_CYCLES + 1
+MARKS = PLAIN_BYTES_MAX - CYCLE_BYTES + 1
 _BLOCK_END = PRESENT_POSITION.address + PRESENT_POSITION.length
 
 
@@ -43,10 +42,7 @@ class CycleRows:
 
 
 class CycleReader:
-    """Asks all servos once per cycle and keeps the time.
-
-    first_wait_ns, end_ns: how long the read waits for the merged reply, and for everything.
-    """
+    """Asks all servos once per cycle and keeps the time; end_ns: how long a cycle's read may take."""
 
     def __init__(
         self, bus: Bus, arm: ArmMap, clock: Now, counters: DxlCounters, *, fast: bool, link: LinkTiming
@@ -62,12 +58,11 @@ class CycleReader:
         self._fast_groups = _marked(self._ids, fast=True) if fast else []
         self._each_groups = _marked(self._ids, fast=False)
         budget = cycle_budget(arm, fast=fast, link=link)
-        careful = cycle_budget(arm, fast=False, link=link)
+        careful = cycle_budget(arm, fast=False, link=link, plain_bytes=PLAIN_BYTES_MAX)
         self.end_ns = round(END_SHARE * arm.period_ns)
-        worst_ns = round(1.05e9 * budget.read_worst_s)
-        before_retry_ns = self.end_ns - self._retry_ns(1) - HOST_NS
-        # a little patience, for a host that was late is no reason to ask again; none when there is no time to
-        self.first_wait_ns = min(before_retry_ns, worst_ns + PATIENCE_NS) if worst_ns < before_retry_ns else self.end_ns
+        self._first_wait_ns = {True: self._patience_ns(budget), False: self._patience_ns(careful)}
+        self._latency_ns = round(1.1e9 * link.usb_latency_s)
+        self._byte_ns = 10_000_000_000 // arm.baud
         self._sampled_ns = round(1e9 * (budget.request_s + link.turnaround_s))
         self._careful_fits = careful.read_worst_s * 1e9 < self.end_ns
         self._careful_left = 0
@@ -82,47 +77,80 @@ class CycleReader:
         self._number += 1
         self._careful_left -= careful
         begin_ns = self._clock.now_ns()
-        reply, heard = self._bus.exchange(group, begin_ns + (self.end_ns if careful else self.first_wait_ns))
+        end_ns = begin_ns + self.end_ns
+        self._bus.port.write(group.request, end_ns)
+        reply, heard = self._listen(group, begin_ns + self._first_wait_ns[group.fast], end_ns)
         found = dict(zip(group.ids, reply.rows, strict=True))
         damaged, late = reply.damaged, reply.late
         if not reply.complete:
-            if not careful and self._careful_fits:
+            if any(found.values()) and not careful and self._careful_fits:  # if not, the host was late, not a servo
                 self._careful_left = CAREFUL_CYCLES
-            again, heard = self._ask_again(group, number % MARKS, heard, found, begin_ns + self.end_ns)
-            damaged, late = again.damaged, again.late
+            damaged, late, heard = self._ask_again(
+                group, number % MARKS, heard, found, end_ns, cut_short=reply.damaged == 0
+            )
         rows = [found[servo_id] for servo_id in self._ids]
         rows = [None if row is None or row[0] & ~ALERT_BIT else row for row in rows]  # it said that it did not
         self._count(rows, damaged, late)
         stamp_ns = min(begin_ns + self._sampled_ns, self._clock.now_ns())
         return CycleRows(stamp_ns, rows, heard, late > 0, damaged > 0)
 
+    def _listen(self, group: GroupRead, until_ns: int, end_ns: int) -> tuple[GroupReply, bytes]:
+        """Wait for one answer; longer than until_ns while the rest of what has begun to come may be on its way."""
+        port, heard = self._bus.port, b""
+        while True:
+            more = port.read_until(until_ns)
+            now_ns = self._clock.now_ns()
+            heard += more
+            if more:
+                rest_ns = self._latency_ns + max(0, group.reply_bytes - len(heard)) * self._byte_ns
+                until_ns = min(end_ns, max(until_ns, now_ns + rest_ns))
+            final = now_ns >= until_ns or len(heard) > BABBLE_BYTES
+            if final or group.worth_parsing(heard):
+                reply = group.parse(heard, final=final)
+                if reply.finished:
+                    return reply, heard
+
     def _ask_again(
-        self, group: GroupRead, mark: int, heard: bytes, found: dict[int, Row | None], end_ns: int
-    ) -> tuple[GroupReply, bytes]:
-        """Ask the missing servos one by one; fills `found`.  The first answer may still be on its way and counts."""
-        missing = [servo_id for servo_id, row in found.items() if row is None]
-        # the first is the one that ended the reply: asked last, it cannot keep the others waiting
-        order = [*sorted(missing[1:], key=lambda servo_id: servo_id not in self._needed), missing[0]]
+        self, group: GroupRead, mark: int, heard: bytes, found: dict[int, Row | None], end_ns: int, *, cut_short: bool
+    ) -> tuple[int, int, bytes]:
+        """Ask the missing servos one by one, if there is time, and listen to the end; fills `found`.
+
+        The first answer may still be on its way and counts.  Returns (damaged, late, all bytes heard).
+        """
+        order = [servo_id for servo_id, row in found.items() if row is None]
+        if cut_short:  # by the first that is missing: asked last, it cannot keep the others waiting
+            order = [*order[1:], order[0]]
+        else:
+            order.sort(key=lambda servo_id: servo_id not in self._needed)
         while order and self._clock.now_ns() + self._retry_ns(len(order)) > end_ns:
             order.pop()
-        if not order:
-            return group.parse(heard, final=True), heard
-        self._counters.retries += 1
-        each = _group(order, mark, fast=False)
-        self._bus.port.write(each.request, end_ns)
-        after = b""
+        each = _group(order, mark, fast=False) if order else None
+        if each is not None:
+            self._counters.retries += 1
+            self._bus.port.write(each.request, end_ns)
+        already = len(heard)
         while True:
-            after += self._bus.port.read_until(end_ns)
-            final = len(after) > BABBLE_BYTES or self._clock.now_ns() >= end_ns
-            merged, single = group.parse(heard + after, final=final), each.parse(after, final=final)
-            for reply in (merged, single):
-                ids = group.ids if reply is merged else each.ids
-                found.update((i, row) for i, row in zip(ids, reply.rows, strict=True) if row is not None)
-            if final or None not in found.values() or single.finished:
-                return GroupReply([], True, merged.damaged + single.damaged, merged.late), heard + after
+            heard += self._bus.port.read_until(end_ns)
+            final = len(heard) > BABBLE_BYTES or self._clock.now_ns() >= end_ns
+            first = group.parse(heard, final=final)
+            again = each.parse(heard[already:], final=final) if each is not None else None
+            for ids, reply in ((group.ids, first), (order, again)):
+                if reply is not None:
+                    found.update((i, row) for i, row in zip(ids, reply.rows, strict=True) if row is not None)
+            if final or None not in found.values() or (again.finished if again is not None else first.finished):
+                return first.damaged + (again.damaged if again is not None else 0), first.late, heard
+
+    def _patience_ns(self, budget: CycleBudget) -> int:
+        """How long to wait for the first answer: all the time there is, unless that leaves enough to ask again.
+
+        A little more than the worst that is healthy: a host that was late is no reason to ask again.
+        """
+        worst_ns = round(1.05e9 * budget.read_worst_s)
+        before_retry_ns = self.end_ns - self._retry_ns(1) - HOST_NS
+        return min(before_retry_ns, worst_ns + PATIENCE_NS) if worst_ns < before_retry_ns else self.end_ns
 
     def _retry_ns(self, servos: int) -> int:
-        wire = sum(group_read_s(servos, CYCLE_BYTES + MARKS - 1, self._arm.baud, fast=False, link=self._link))
+        wire = sum(group_read_s(servos, PLAIN_BYTES_MAX, self._arm.baud, fast=False, link=self._link))
         return round(1e9 * (wire + self._link.usb_latency_s))
 
     def _count(self, rows: list[Row | None], damaged: int, late: int) -> None:

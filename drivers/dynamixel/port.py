@@ -6,22 +6,19 @@ Knows bytes and deadlines, nothing of packets.  Linux only.
 from __future__ import annotations
 
 import contextlib
-import errno
 import fcntl
-import grp
 import os
 import select
-import stat
 import struct
 import termios
 from pathlib import Path
 from typing import Protocol
 
 from drivers.dynamixel.errors import PortError, PortLostError, WriteTimeoutError
+from drivers.dynamixel.ports import busy_error, candidates, open_error
 
 CHUNK = 256  # largest single read, bytes
 DISCARD_LIMIT = 4096
-CANDIDATES = ("serial/by-id/*", "ttyDXL*", "ttyUSB*", "ttyACM*")
 
 _TCGETS2, _TCSETS2, _BOTHER = 0x802C542A, 0x402C542B, 0o010000
 _TERMIOS2 = struct.Struct("<4IB19s2I")
@@ -82,11 +79,6 @@ class Port(Protocol):
         ...
 
 
-def candidates() -> list[str]:
-    """Serial ports of this machine that a servo bus may hang on."""
-    return [str(path) for pattern in CANDIDATES for path in sorted(Path("/dev").glob(pattern))]
-
-
 class SerialPort:
     """One open serial port.
 
@@ -122,7 +114,7 @@ class SerialPort:
         try:
             fd = os.open(self.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
         except OSError as error:
-            raise self._open_error(error) from error
+            raise open_error(self.path, error) from error
         with contextlib.ExitStack() as undo:
             undo.callback(os.close, fd)
             self._claim(fd)
@@ -211,40 +203,6 @@ class SerialPort:
             remedy="check the USB plug; the arm keeps its last goals until the servos' bus watchdog fires",
         )
 
-    def _open_error(self, error: OSError) -> PortError:
-        if error.errno in (errno.EACCES, errno.EPERM):
-            return self._permission_error()
-        if error.errno == errno.EBUSY:
-            return self._busy_error()
-        found = "nothing of that name" if error.errno == errno.ENOENT else os.strerror(error.errno or 0)
-        return PortError(
-            f"port {self.path}",
-            found=found,
-            expected="a serial port",
-            remedy=f"plug in the adapter; ports here: {', '.join(candidates()) or 'none'}",
-        )
-
-    def _permission_error(self) -> PortError:
-        info = Path(self.path).stat()
-        try:
-            group = grp.getgrgid(info.st_gid).gr_name
-        except KeyError:
-            group = str(info.st_gid)
-        return PortError(
-            f"port {self.path}",
-            found=f"no permission (mode {stat.filemode(info.st_mode)}, group {group})",
-            expected="read and write",
-            remedy=f"add the user to group {group} (`sudo usermod -aG {group} $USER`) and log in again",
-        )
-
-    def _busy_error(self) -> PortError:
-        return PortError(
-            f"port {self.path}",
-            found=f"in use by {', '.join(holders(self.path)) or 'this process, or one that cannot be seen'}",
-            expected="nobody else on the bus",
-            remedy="stop that process first",
-        )
-
     def _claim(self, fd: int) -> None:
         if not os.isatty(fd):
             raise PortError(
@@ -263,7 +221,7 @@ class SerialPort:
         try:
             fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise self._busy_error() from None
+            raise busy_error(self.path) from None
         # On a pty the flag would outlive a killed owner while the emulator keeps the other end open.
         if os.major(os.fstat(fd).st_rdev) not in _PTY_MAJORS:
             fcntl.ioctl(fd, termios.TIOCEXCL)
@@ -317,27 +275,3 @@ class SerialPort:
             self.low_latency = False  # the cycle's budget is checked against what is measured
         else:
             self.low_latency = True
-
-
-def holders(path: str) -> list[str]:
-    """Processes that have this device open, as "name (pid)"; those of other users may be invisible."""
-    try:
-        device = Path(path).stat().st_rdev
-    except OSError:
-        return []
-    found = []
-    for process in Path("/proc").iterdir():
-        if process.name.isdigit() and int(process.name) != os.getpid() and _has_open(process, device):
-            with contextlib.suppress(OSError):
-                found.append(f"{(process / 'comm').read_text().strip()} ({process.name})")
-    return found
-
-
-def _has_open(process: Path, device: int) -> bool:
-    with contextlib.suppress(OSError):
-        for link in (process / "fd").iterdir():
-            with contextlib.suppress(OSError):
-                info = link.stat()
-                if stat.S_ISCHR(info.st_mode) and info.st_rdev == device:
-                    return True
-    return False

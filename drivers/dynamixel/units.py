@@ -22,8 +22,7 @@ class AngleScale:
 
     def __init__(self, joint: JointMap) -> None:
         low, high = joint.position_limit_ticks
-        centre = (low + high) // 2
-        self._first = centre - TICKS_PER_TURN // 2  # lowest count of the turn around the joint's range
+        self._first = low - (TICKS_PER_TURN - 1 - (high - low)) // 2  # where the turn around the range begins
         self._zero = joint.zero_tick
 
     def angle_rad(self, tick: int) -> float:

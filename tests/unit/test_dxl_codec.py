@@ -174,7 +174,7 @@ def test_scanner_finds_a_packet_hidden_behind_a_wrong_length():
     scanner.feed(liar + hidden)
     assert scanner.take() is None
     assert scanner.take(final=True) == (2, 0, False, b"ab")
-    assert scanner.damaged == 1
+    assert (scanner.damaged, scanner.cut) == (0, 1)
 
 
 def test_scanner_never_holds_more_than_a_packet():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import grp
 import os
 import struct
 import subprocess
@@ -15,7 +16,8 @@ import pytest
 
 from drivers.clock import MonotonicClock
 from drivers.dynamixel.errors import PortError, PortLostError, WriteTimeoutError
-from drivers.dynamixel.port import SerialPort, holders
+from drivers.dynamixel.port import SerialPort
+from drivers.dynamixel.ports import holders, open_error
 from drivers.interface import DriverError
 
 CLOCK = MonotonicClock()
@@ -149,15 +151,15 @@ def test_missing_permission_names_the_group(pty):
 
 def test_permission_refusal_names_mode_and_group(pty):
     _, path, _ = pty
-    error = SerialPort(path, 1_000_000, CLOCK)._open_error(PermissionError(13, "denied"))
-    group = __import__("grp").getgrgid(Path(path).stat().st_gid).gr_name
+    error = open_error(path, PermissionError(13, "denied"))
+    group = grp.getgrgid(Path(path).stat().st_gid).gr_name
     assert f"group {group}" in str(error)
     assert f"usermod -aG {group}" in str(error)
 
 
 def test_busy_device_is_named_as_such(pty):
     _, path, _ = pty
-    error = SerialPort(path, 1_000_000, CLOCK)._open_error(OSError(16, "busy"))
+    error = open_error(path, OSError(16, "busy"))
     assert "in use by" in str(error)
 
 

@@ -11,6 +11,8 @@ from hypothesis import strategies as st
 
 from drivers.dynamixel.arm_map import JointMap, JointRole
 from drivers.dynamixel.budget import LinkTiming, cycle_budget, health_servos_per_gap
+from drivers.dynamixel.checks import SILENT_LIMIT_CYCLES
+from drivers.dynamixel.cycle import MARKS
 from drivers.dynamixel.pace import PaceError, check_rate
 from drivers.dynamixel.table import SERVOS, TICK_RAD
 from drivers.dynamixel.thermal import ThermalWatch
@@ -143,6 +145,10 @@ def test_checks_shrink_with_the_gap():
         counts.append(health_servos_per_gap(arm, cycle_budget(arm, fast=True), fast=True))
     assert counts == sorted(counts, reverse=True)
     assert (counts[0], counts[-1]) == (7, 0)
+
+
+def test_there_are_more_marks_than_cycles_a_servo_may_stay_silent():
+    assert MARKS > SILENT_LIMIT_CYCLES
 
 
 # --- thermal --------------------------------------------------------------------------------------------------------

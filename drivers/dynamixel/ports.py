@@ -1,0 +1,83 @@
+"""Which serial ports this machine has, who uses one, and why one cannot be opened.  Opens nothing.  Linux only."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import grp
+import os
+import stat
+from pathlib import Path
+
+from drivers.dynamixel.errors import PortError
+
+CANDIDATES = ("serial/by-id/*", "ttyDXL*", "ttyUSB*", "ttyACM*")
+
+
+def candidates() -> list[str]:
+    """Serial ports of this machine that a servo bus may hang on."""
+    return [str(path) for pattern in CANDIDATES for path in sorted(Path("/dev").glob(pattern))]
+
+
+def open_error(path: str, error: OSError) -> PortError:
+    """What to say when a port cannot be opened."""
+    if error.errno in (errno.EACCES, errno.EPERM):
+        return permission_error(path)
+    if error.errno == errno.EBUSY:
+        return busy_error(path)
+    found = "nothing of that name" if error.errno == errno.ENOENT else os.strerror(error.errno or 0)
+    return PortError(
+        f"port {path}",
+        found=found,
+        expected="a serial port",
+        remedy=f"plug in the adapter; ports here: {', '.join(candidates()) or 'none'}",
+    )
+
+
+def permission_error(path: str) -> PortError:
+    """What to say when the user may not open a port: mode, group, and how to join it."""
+    info = Path(path).stat()
+    try:
+        group = grp.getgrgid(info.st_gid).gr_name
+    except KeyError:
+        group = str(info.st_gid)
+    return PortError(
+        f"port {path}",
+        found=f"no permission (mode {stat.filemode(info.st_mode)}, group {group})",
+        expected="read and write",
+        remedy=f"add the user to group {group} (`sudo usermod -aG {group} $USER`) and log in again",
+    )
+
+
+def busy_error(path: str) -> PortError:
+    """What to say when somebody else has a port: who."""
+    return PortError(
+        f"port {path}",
+        found=f"in use by {', '.join(holders(path)) or 'this process, or one that cannot be seen'}",
+        expected="nobody else on the bus",
+        remedy="stop that process first",
+    )
+
+
+def holders(path: str) -> list[str]:
+    """Processes that have this device open, as "name (pid)"; those of other users may be invisible."""
+    try:
+        device = Path(path).stat().st_rdev
+    except OSError:
+        return []
+    found = []
+    for process in Path("/proc").iterdir():
+        if process.name.isdigit() and int(process.name) != os.getpid() and _has_open(process, device):
+            with contextlib.suppress(OSError):
+                found.append(f"{(process / 'comm').read_text().strip()} ({process.name})")
+    return found
+
+
+def _has_open(process: Path, device: int) -> bool:
+    with contextlib.suppress(OSError):
+        for link in (process / "fd").iterdir():
+            with contextlib.suppress(OSError):
+                info = link.stat()
+                if stat.S_ISCHR(info.st_mode) and info.st_rdev == device:
+                    return True
+    return False
