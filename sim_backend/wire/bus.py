@@ -70,9 +70,9 @@ class Bus:
             self.counters.wrong_baud += 1
             self._parser.reset()
             return
-        for packet in self._parser.feed(data, now_ns):
+        for place, packet in enumerate(self._parser.feed(data, now_ns)):
             listeners = [s for s in matching if s.hears(now_ns)]
-            if not self._line.request(now_ns, packet.size, baud):
+            if not self._line.request(now_ns, packet.size, baud, queued=place > 0):
                 self.counters.collisions += 1
             elif isinstance(packet, Damaged):
                 self.counters.damaged += 1

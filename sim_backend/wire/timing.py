@@ -118,12 +118,16 @@ class Line:
         self.free_ns = 0  # end of the last byte of any sender
         self.reply_end_ns = 0  # end of the last byte a servo sent
 
-    def request(self, now_ns: int, size: int, baud: int) -> bool:
-        """Put an instruction of `size` bytes on the wire; False when it collides with a reply still being sent."""
+    def request(self, now_ns: int, size: int, baud: int, *, queued: bool = False) -> bool:
+        """Put an instruction of `size` bytes on the wire; False when it collides with a reply still being sent.
+
+        A `queued` one came in one piece with the instruction before it and waits for its turn: written that closely,
+        or read late by a host that was stalled, in which case the pause between the two is not known.
+        """
         if self.timing is None:
             self.free_ns = now_ns
             return True
-        if now_ns < self.reply_end_ns:
+        if now_ns < self.reply_end_ns and not queued:
             return False
         self.free_ns = max(now_ns, self.free_ns) + round(byte_ns(baud) * size)
         return True

@@ -255,6 +255,14 @@ class TestTiming:
         assert bench.bus.counters.collisions == 1
         assert [s.firmware.memory.get(table.LED) for s in bench.bus.servos] == [0, 0, 0]
 
+    def test_instructions_that_come_in_one_piece_wait_for_their_turn(self) -> None:
+        bench = Bench(*self.fleet(2), timing=BusTiming(turnaround_ns=0, usb=None))
+        bench.baud = 1_000_000
+        bench.bus.receive(build(1, Instruction.PING) + build(2, Instruction.PING), 0, bench.baud)
+        assert bench.bus.counters.collisions == 0
+        assert len(answers(bench.bus.take((10 + 14 + 10) * 10_000 + 139_999))) == 1
+        assert len(answers(bench.bus.take((10 + 14 + 10 + 14) * 10_000))) == 1
+
 
 class TestWatchdog:
     def armed(self, mode: OperatingMode, goal: dict[table.Register, int], options: ServoOptions) -> Bench:
