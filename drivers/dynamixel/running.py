@@ -85,11 +85,7 @@ class Running:
         per_gap = health_servos_per_gap(arm, budget, fast=fast, link=link)
         self.monitor = GapMonitor(self._records, per_gap, arm.baud, link, tell, fast=fast)
         self._write_ns = round(1e9 * budget.write_s)
-        self._writers = [
-            (GroupWrite(register.address, "h", [arm.controlled[j].ids[0] for j in joints]), joints)
-            for register in (GOAL_CURRENT, GOAL_PWM)
-            if (joints := [j for j, drive in enumerate(self._drives) if drive.register is register])
-        ]
+        self._writers = self._make_writers()
         self._goals = [record.sent for record in self._records]
         self._health_heard = b""
         self._wire_free_ns = 0
@@ -98,6 +94,16 @@ class Running:
         if seconds > FAULT_WITHIN_S:
             text = f"all servos once in {seconds * 1e3:.0f} ms, should be {FAULT_WITHIN_S * 1e3:.0f} ms"
             on_event(DriverEvent(EventKind.SLOW_CHECKS, text))
+
+    def _make_writers(self) -> list[tuple[GroupWrite, list[int]]]:
+        """One packet per goal register, with the places of its joints; shadows follow by themselves."""
+        writers = []
+        for register in (GOAL_CURRENT, GOAL_PWM):
+            joints = [j for j, drive in enumerate(self._drives) if drive.register is register]
+            if joints:
+                ids = [self._arm.controlled[j].ids[0] for j in joints]
+                writers.append((GroupWrite(register.address, "h", ids), joints))
+        return writers
 
     # --- read -----------------------------------------------------------------------------------------------------
 

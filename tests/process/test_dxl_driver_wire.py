@@ -24,7 +24,7 @@ from tests.unit.dxl_rig import WX200, at
 ARM = at(
     WX200,
     rate_hz=50.0,
-    watchdog_s=1.0,
+    watchdog_s=2.5,
     joints=tuple(replace(j, start_rad=None, position_limit_ticks=(0, 4095)) for j in WX200.joints),
 )
 CYCLES = 50
@@ -132,12 +132,8 @@ def test_a_port_that_goes_and_comes_back_is_the_same_arm(driver: DynamixelDriver
             time.sleep(0.02)
         else:
             break
-    try:
-        states, _ = run(driver, 5)
-    except DxlServoFault as fault:  # on a machine that stalled for longer than the watchdog waits
-        assert fault.cause is FaultCause.WATCHDOG_TRIPPED
-    else:
-        assert states
+    states, _ = run(driver, 5)
+    assert states
 
 
 def test_wrong_port_and_wrong_speed_are_refused(driver: DynamixelDriver, path: Path) -> None:
