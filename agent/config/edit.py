@@ -1,0 +1,105 @@
+"""Changes single values in the text of a TOML file and leaves every other byte, comments too; writes no file."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from drivers.interface import Refusal
+
+_HEADER = re.compile(r"\s*\[\[?\s*(?P<name>[A-Za-z0-9_.-]+)\s*\]?\]\s*(#.*)?$")
+
+
+class EditError(Refusal):
+    """The text is not written so that a single value can be changed in it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """A new value for one key of a table, or of the one table of an array whose `name` is given."""
+
+    table: str  # "controller", or "arms" with a name
+    key: str
+    toml: str  # the value as it stands in the file
+    name: str | None = None
+
+
+def apply(text: str, changes: Sequence[Change]) -> str:
+    """The text with these values changed; a key that is not there yet becomes the last of its table.
+
+    Raises EditError where a table is written in another way (inline, dotted keys) than under a header of its own.
+    """
+    lines = text.splitlines()
+    for change in changes:
+        begin, end = _section(lines, change)
+        at = _key(lines, change.key, begin, end)
+        lines[at[0] : at[1]] = [f"{change.key} = {change.toml}"]
+    edited = "\n".join(lines) + "\n"
+    wanted = tomllib.loads(text)
+    for change in changes:
+        _table(wanted, change)[change.key] = tomllib.loads(f"value = {change.toml}")["value"]
+    if tomllib.loads(edited) != wanted:
+        raise _refusal(changes[0], "an unusual way of writing it")
+    return edited
+
+
+def _section(lines: Sequence[str], change: Change) -> tuple[int, int]:
+    """Lines of the table: those after its header, up to the next header."""
+    headers = [i for i, line in enumerate(lines) if _HEADER.match(line)]
+    for i, header in enumerate(headers):
+        match = _HEADER.match(lines[header])
+        if match is None or match["name"] != change.table:
+            continue
+        begin, end = header + 1, headers[i + 1] if i + 1 < len(headers) else len(lines)
+        if change.name is None or any(_is_name(line, change.name) for line in lines[begin:end]):
+            return begin, end
+    raise _refusal(change, "no such header")
+
+
+def _is_name(line: str, name: str) -> bool:
+    return re.match(rf"\s*name\s*=\s*[\"']{re.escape(name)}[\"']", line) is not None
+
+
+def _key(lines: Sequence[str], key: str, begin: int, end: int) -> tuple[int, int]:
+    """Lines of a key with its value, or the empty place for a new one."""
+    last = begin
+    for i in range(begin, end):
+        if re.match(rf"\s*{re.escape(key)}\s*=", lines[i]):
+            for stop in range(i + 1, end + 1):
+                if _complete("\n".join(lines[i:stop])):
+                    return i, stop
+        if lines[i].strip() and not lines[i].lstrip().startswith("#"):
+            last = i + 1
+    return last, last
+
+
+def _complete(text: str) -> bool:
+    try:
+        tomllib.loads(text)
+    except tomllib.TOMLDecodeError:
+        return False
+    return True
+
+
+def _table(document: dict[str, Any], change: Change) -> dict[str, Any]:
+    found: Any = document
+    for part in change.table.split("."):
+        found = found.get(part, {})
+    if change.name is not None:
+        found = next((entry for entry in found if entry.get("name") == change.name), {})
+    if not isinstance(found, dict):
+        raise _refusal(change, "no table")
+    return found
+
+
+def _refusal(change: Change, found: str) -> EditError:
+    where = f"[{change.table}]" if change.name is None else f"[[{change.table}]] with name = {change.name!r}"
+    return EditError(
+        f"{change.key} under {where}",
+        found=found,
+        expected="the table under a header of its own",
+        remedy="write it like the files that ship, or change the value by hand",
+    )

@@ -1,0 +1,91 @@
+"""Changing one value in the text of a TOML file: everything else stays, byte for byte."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import configs
+from agent.atomic import WriteError, write_atomically
+from agent.config.edit import Change, EditError, apply
+
+TEXT = """# a cell
+top = 1
+
+[controller] # the law
+k = 150.0 # the paper's
+list = [
+  1.0,  # first
+  2.0,
+]
+# the end of the table
+
+[[arms]]
+name = "left"
+k_v = 2.5
+
+[[arms]]
+name = 'right'
+k_v = 2.5
+"""
+
+
+def test_only_the_named_value_changes() -> None:
+    edited = apply(TEXT, [Change("arms", "k_v", "[1.0, 2.0, 3.0]", "right")])
+    assert edited == TEXT.replace("name = 'right'\nk_v = 2.5", "name = 'right'\nk_v = [1.0, 2.0, 3.0]")
+
+
+def test_a_value_over_several_lines_is_replaced_as_a_whole() -> None:
+    edited = apply(TEXT, [Change("controller", "list", "[]")])
+    assert tomllib.loads(edited)["controller"] == {"k": 150.0, "list": []}
+    assert "# the end of the table" in edited
+
+
+def test_a_new_key_goes_to_the_end_of_its_own_table() -> None:
+    edited = apply(TEXT, [Change("controller", "k_rate", "75.0"), Change("arms", "k_w", "1.0", "left")])
+    assert edited.index("k_rate") < edited.index("# the end of the table") < edited.index("k_w") < edited.index("right")
+
+
+@pytest.mark.parametrize("path", sorted(configs.ARMS_DIR.glob("*.toml")), ids=lambda path: path.stem)
+def test_every_shipped_arm_file_can_be_edited(path: Path) -> None:
+    text = path.read_text()
+    figure = '{ value = 0.5, status = "measured", source = "a log # with a comment sign" }'
+    for joint in tomllib.loads(text)["joints"]:
+        edited = apply(text, [Change("joints", "coulomb_Nm", figure, joint["name"])])
+        before, after = text.splitlines(), edited.splitlines()
+        assert len(before) == len(after)
+        assert sum(a != b for a, b in zip(before, after, strict=True)) == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "change", "found"),
+    [
+        (TEXT, Change("world", "g", "9.81"), "no such header"),
+        (TEXT, Change("arms", "k_v", "1.0", "middle"), "no such header"),
+        ("controller = { k = 1.0 }\n", Change("controller", "k", "2.0"), "no such header"),
+        ('[a]\nnote = """\n[b]\n"""\n\n[b]\nk = 1\n', Change("b", "k", "2"), "an unusual way"),
+    ],
+)
+def test_what_cannot_be_edited_safely_is_refused(text: str, change: Change, found: str) -> None:
+    with pytest.raises(EditError, match=found):
+        apply(text, [change])
+
+
+def test_a_file_is_replaced_as_a_whole_and_nothing_is_left_behind(tmp_path: Path) -> None:
+    path = tmp_path / "arm.toml"
+    path.write_bytes(b"old")
+    write_atomically(path, b"new")
+    assert path.read_bytes() == b"new"
+    assert [p.name for p in tmp_path.iterdir()] == ["arm.toml"]
+
+
+def test_a_file_that_cannot_be_written_leaves_the_old_one(tmp_path: Path) -> None:
+    path = tmp_path / "folder"
+    (path / "inside").mkdir(parents=True)
+    with pytest.raises(WriteError, match="Is a directory"):
+        write_atomically(path, b"new")
+    assert [p.name for p in tmp_path.iterdir()] == ["folder"]
+    with pytest.raises(WriteError, match="No such file"):
+        write_atomically(tmp_path / "none" / "arm.toml", b"new")
