@@ -135,6 +135,29 @@ class BringUp:
             torque_off(self._bus, self._arm)
             raise
 
+    def rearm(self) -> None:
+        """After bus watchdogs have fired: no effort, the present place, armed again.  Torque stays on.
+
+        Goals cannot be written while a watchdog is tripped, and the old ones count again once it is cleared; so the
+        zeros follow in the next packet.  Raises DxlServoFault when a servo does not obey.
+        """
+        ids = [servo.slot.servo_id for servo in self._commanded]
+        self._bus.write_blind(BUS_WATCHDOG, dict.fromkeys(ids, 0))
+        for register in (GOAL_CURRENT, GOAL_PWM):
+            resting = {
+                s.slot.servo_id: effort_at_rest(s) for s in self._commanded if effort_register(s.slot) is register
+            }
+            if resting:
+                self._bus.write_blind(register, resting)
+        for servo in self._commanded:
+            if servo.slot.joint.role is not JointRole.CONTROLLED:
+                self._goal_here(servo)
+        watchdog = watchdog_count(self._arm.watchdog_s)
+        self._bus.write_blind(BUS_WATCHDOG, dict.fromkeys(ids, watchdog))
+        for servo in self._servos:
+            self._verify(servo, BUS_WATCHDOG, watchdog)
+            self._verify(servo, effort_register(servo.slot), effort_at_rest(servo))
+
     def _verify(self, servo: ServoFound, register: Register, wanted: int) -> None:
         value = self._bus.read(servo.slot.servo_id, register)
         if value != wanted:

@@ -19,6 +19,7 @@ from drivers.dynamixel.budget import LinkTiming
 from drivers.dynamixel.bus import Bus, DxlCounters
 from drivers.dynamixel.errors import (
     DxlServoFault,
+    FaultCause,
     NotEnabledError,
     PortError,
     StaleJointsError,
@@ -158,9 +159,7 @@ class DynamixelDriver:
         check_pace(self._bus, self.arm, self._clock, fast=running.fast, link=self._link)
         steps.check_pose()
         steps.torque_on()
-        self._running = Running(
-            self._bus, self.arm, self._found, self._clock, self._on_event, self._link, fast=running.fast
-        )
+        self._running = running.again()
         self._phase = Phase.ENABLED
 
     def disable(self) -> None:
@@ -190,6 +189,18 @@ class DynamixelDriver:
             running.recognise()
             undo.pop_all()
         self._on_event(DriverEvent(EventKind.PORT_REOPENED, self.arm.port))
+
+    def rearm(self) -> None:
+        """After WATCHDOG_TRIPPED: zero effort and arm the watchdogs again, with torque on all the time.
+
+        For a loop that stopped and goes on in HOLD; it must command torque at once, for the arm has none now.
+        Raises NotEnabledError, DxlServoFault, NoReplyError.
+        """
+        running = self._need(Phase.ENABLED)
+        self._bus.settle()
+        BringUp(self._bus, self.arm, self._found, self._on_event).rearm()
+        self._running = running.again()
+        self.faults = [fault for fault in self.faults if fault.cause is not FaultCause.WATCHDOG_TRIPPED]
 
     def _need(self, phase: Phase) -> Running:
         running = self._running

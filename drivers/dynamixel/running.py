@@ -69,6 +69,7 @@ class Running:
         fast: bool,
     ) -> None:
         self.fast = fast
+        self._made_of = (bus, arm, found, clock, on_event, link)
         self._bus = bus
         self._arm = arm
         self._clock = clock
@@ -94,6 +95,10 @@ class Running:
         if seconds > FAULT_WITHIN_S:
             text = f"all servos once in {seconds * 1e3:.0f} ms, should be {FAULT_WITHIN_S * 1e3:.0f} ms"
             on_event(DriverEvent(EventKind.SLOW_CHECKS, text))
+
+    def again(self) -> Running:
+        """The same arm, with nothing remembered: goals at rest, no doubts, no counts."""
+        return Running(*self._made_of, fast=self.fast)
 
     def _make_writers(self) -> list[tuple[GroupWrite, list[int]]]:
         """One packet per goal register, with the places of its joints; shadows follow by themselves."""

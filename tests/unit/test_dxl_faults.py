@@ -232,6 +232,19 @@ def test_a_tripped_watchdog_is_named(stop, feed):
     assert done[-1].error.cause is FaultCause.WATCHDOG_TRIPPED
 
 
+@pytest.mark.parametrize("stop", list(Stop))
+def test_a_tripped_watchdog_can_be_armed_again_without_losing_torque_or_jumping(stop):
+    rig = warm(servo_options=ServoOptions(watchdog_stop=stop))
+    rig.clock.sleep_until(rig.clock.now_ns() + 250_000_000)
+    cycles(rig, 6, 0.0 * TAU, until=DxlServoFault)
+    speed = np.abs(rig.driver._running._interpreter.dq)
+    rig.driver.rearm()
+    done = cycles(rig, 20, 0.0 * TAU)
+    assert [c for c in done if c.error is not None] == []
+    assert all(rig.get(i, table.TORQUE_ENABLE) == 1 for i in range(1, 8))
+    assert all(np.all(np.abs(c.state.dq) <= speed + 0.05) for c in done)  # a jump would be a kick
+
+
 def test_the_watchdog_is_fed_by_the_loop_alone():
     rig = enabled(at(WX200, rate_hz=50.0, watchdog_s=0.06), timing=WIRE)
     assert not [c for c in cycles(rig, 60, 0.0 * TAU) if c.error is not None]
