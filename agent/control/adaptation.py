@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,16 +21,14 @@ ARM_PARAMETERS_PER_JOINT = BODY_PARAMETERS + 3
 MAX_INTERVALS = 4.0  # adaptation over a longer pause than this many periods is not made up for
 
 
-@dataclass(frozen=True, slots=True)
-class Estimate:
+class Estimate(NamedTuple):
     """θ̂ of one agent between two ticks; arrays are never written to again."""
 
     arm: Vector  # (13 n,)
     object: Vector  # (10,)
 
 
-@dataclass(frozen=True, slots=True)
-class Gradient:
+class Gradient(NamedTuple):
     """What the adaptation laws (`eq:adaptation laws`) follow downhill, before the gains."""
 
     arm: Vector  # (13 n,) Y_qᵀ (dq − dq_r)
@@ -62,7 +61,7 @@ class Adaptation:
         dt = min(max(dt, 0.0), MAX_INTERVALS * self.period_s)
         arm = estimate.arm - dt * self.gain.arm * gradient.arm
         body = estimate.object - dt * self.gain.object * gradient.object
-        if not math.isfinite(float(arm.sum()) + float(body.sum())):
+        if not math.isfinite(arm.dot(arm) + body.dot(body)):
             return estimate, True
         arm, arm_held = to_box(arm, self.lower.arm, self.upper.arm)
         body, object_held = to_box(body, self.lower.object, self.upper.object)

@@ -17,7 +17,7 @@ from agent.control.adaptation import Adaptation, Estimate, Gradient
 from agent.control.inverse import invert_jacobian
 from agent.control.law import Offline, Terms, lyapunov_share, rotate_wrench, shift_to_ee
 from agent.control.models import ArmModel, Matrix
-from agent.control.quaternion import Mat3, Vec3, rotate_back, to_matrix
+from agent.control.quaternion import Mat3, Vec3, rotate_back
 from agent.control.regressor import BODY_PARAMETERS, joint_regressor, object_regressor
 from agent.control.trajectory import Desired, Vec6
 from drivers.interface import Vector
@@ -40,10 +40,11 @@ def torque(
     """
     k = model.evaluate(q, dq)
     e = error_terms.evaluate(k.p_object, k.quat_object, k.v_object, desired, offline.gains)
-    J, P = k.J, model.task_basis
-    J_inv, sigma_min = invert_jacobian(J, k.B)
-    dq_ref = J_inv.dot(P.dot(e.v_ref))
-    ddq_ref = J_inv.dot(P.dot(e.dv_ref) - k.dJ.dot(dq_ref))
+    P = model.task_basis
+    J_inv, sigma_min = invert_jacobian(k.J, k.B)
+    J_inv_P = J_inv.dot(P)  # joint velocities of an object twist
+    dq_ref = J_inv_P.dot(e.v_ref)
+    ddq_ref = J_inv_P.dot(e.dv_ref) - J_inv.dot(k.dJ.dot(dq_ref))
     dq_error = dq - dq_ref
 
     n = model.n
@@ -55,7 +56,7 @@ def torque(
     arm_gradient = np.concatenate((Y.T.dot(dq_error), ddq_ref * dq_error, dq_ref * dq_error, direction * dq_error))
 
     c, k_v, e_v, e_pose = offline.load_share, offline.gains.k_v, e.e_v, e.e
-    R = to_matrix(k.quat_object)
+    R = k.R_world_object
     Y_object = _object_regressor(offline, R, k.v_object, e.v_ref, e.dv_ref)
     load = rotate_wrench(R, (c * Y_object.dot(estimate.object)).tolist())
     # only what lies in the task space does work on this arm's side
@@ -63,17 +64,16 @@ def torque(
     e_v_object = (*rotate_back(R, e_v_task[:3]), *rotate_back(R, e_v_task[3:]))
     object_gradient = Y_object.T.dot([c * x for x in e_v_object])
 
-    Jt_P = J.T.dot(P)
-    tau_feedback = Jt_P.dot([-k_v[i] * e_v[i] - c * e_pose[i] for i in range(6)])
-    tau_object = Jt_P.dot(load)
+    tau_feedback = k.Jt.dot([-g * v - c * x for g, v, x in zip(k_v, e_v, e_pose, strict=True)])
+    tau_object = k.Jt.dot(load)
     tau_law = tau_adaptive + tau_feedback + tau_object
     tau_internal, wrench_internal = None, _NO_WRENCH
     if offline.internal_wrench is not None:
         internal = rotate_wrench(R, offline.internal_wrench)
-        tau_internal = Jt_P.dot(internal)
+        tau_internal = k.Jt.dot(internal)
         wrench_internal = shift_to_ee(k, internal)
         tau_law += tau_internal
-    u_object = P.T.dot(J_inv.T.dot(tau_law)).tolist()
+    u_object = J_inv_P.T.dot(tau_law).tolist()
     terms = Terms(
         desired=desired,
         kinematics=k,

@@ -30,7 +30,7 @@ _INERTIA_OF_SIGMA[1, 1] = _INERTIA_OF_SIGMA[2, 3] = _INERTIA_OF_SIGMA[5, 4] = -1
 def to_box(theta: Vector, lower: Vector, upper: Vector) -> tuple[Vector, bool]:
     """Nearest point (k,) with lower ≤ theta ≤ upper, and whether it is another one than theta."""
     inside = np.minimum(np.maximum(theta, lower), upper)
-    return inside, not np.array_equal(inside, theta)
+    return inside, bool((inside != theta).any())
 
 
 def second_moments(bodies: Matrix) -> Matrix:
