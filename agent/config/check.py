@@ -12,12 +12,11 @@ import pinocchio as pin
 
 from agent.config import trajectory as motion
 from agent.config.cell import Arm, Cell, ConfigError, placement
-from agent.config.margin import damping, places
+from agent.config.margin import damping, places, sampled_loop
 from agent.control import ik, known
 from agent.control.errors import attitude_error
 from agent.control.inverse import SingularJacobian
 from agent.control.models import ArmModel, ModelError
-from agent.control.stability import SampledLoop
 from drivers.interface import Vector
 
 SAMPLES = 48  # points along the trajectory, beside those that the trajectory names itself
@@ -224,12 +223,11 @@ def _arm_findings(cell: Cell, arm: Arm, path: _Path) -> list[Finding]:
 
 def _stability(cell: Cell, models: Sequence[ArmModel], paths: Sequence[_Path]) -> list[Finding]:
     safety, rate, delay = cell.file.safety, cell.file.rate_hz, cell.file.simulation.effects.delay_cycles
-    loop = SampledLoop(1.0 / rate, delay, [cell.offline(a).gains for a in cell.arms])
     along = list(zip(*(p.q for p in paths), strict=True))
     some = along[:: max(1, len(along) // STABILITY_SAMPLES)]
     label = f"spectral radius at {rate:g} Hz, {delay} cycle{'s' if delay != 1 else ''} delay"
     findings = []
-    for error, found in damping(places(cell, models, some), models[0].task_basis, loop).items():
+    for error, found in damping(places(cell, models, some), models[0].task_basis, sampled_loop(cell)).items():
         stable = found.radius <= safety.spectral_radius_max
         nominal = error == 0.0
         verdict = Verdict.OK if stable else Verdict.REFUSED if nominal else Verdict.WARNING

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from agent.config import observer
 from agent.config.cell import Cell
+from agent.control.errors import Gains
 from agent.control.models import ArmModel, Matrix
 from agent.control.stability import SampledLoop, coupled_inertia, modes
 from drivers.interface import Vector
@@ -47,6 +49,16 @@ def places(cell: Cell, models: Sequence[ArmModel], along: Sequence[Sequence[Vect
         true = {e: coupled_inertia(models, q, obj.mass_kg, I_world, 1.0 + e) for e in (0.0, -error, error)}
         found.append(Place(true[0.0], true))
     return tuple(found)
+
+
+def sampled_loop(cell: Cell, gains: Sequence[Gains] | None = None) -> SampledLoop:
+    """The loop at the cell's rate, delay and observer; gains: of the arms, the cell's own when not given."""
+    return SampledLoop(
+        1.0 / cell.file.rate_hz,
+        cell.file.simulation.effects.delay_cycles,
+        [cell.offline(arm).gains for arm in cell.arms] if gains is None else gains,
+        observer.build(cell.file),
+    )
 
 
 def damping(where: Sequence[Place], P: Matrix, loop: SampledLoop) -> dict[float, Damping]:

@@ -26,10 +26,16 @@ class Observer:
         """Estimates (q, dq), each (n,), at the instant of the measurement."""
         if not memory.primed:
             return q_measured, dq_measured
-        T = self.period_s
         ddq = memory.ddq_before if self.delay_cycles else memory.ddq
-        dq_predicted = memory.dq + T * ddq
-        q_predicted = memory.q + T * memory.dq + (0.5 * T * T) * ddq
+        return self.follow(memory.q, memory.dq, ddq, q_measured, dq_measured)
+
+    def follow(
+        self, q: Vector, dq: Vector, ddq: Vector, q_measured: Vector, dq_measured: Vector
+    ) -> tuple[Vector, Vector]:
+        """Estimates one period after (q, dq), with acceleration ddq expected in between; linear in all arguments."""
+        T = self.period_s
+        dq_predicted = dq + T * ddq
+        q_predicted = q + T * dq + (0.5 * T * T) * ddq
         q_innovation = q_measured - q_predicted
         dq_innovation = dq_measured - dq_predicted
         q = q_predicted + self.position_gain * q_innovation

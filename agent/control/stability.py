@@ -1,13 +1,13 @@
 """Spectral radius of the sampled closed loop near the trajectory; offline, never in the loop.
 
-With exact feed-forward the object's error x and its rate w obey, between two samples,
+With exact feed-forward the object's displacement x and its rate w obey, between two samples,
 
-    ẋ = H w,   M ẇ = u,   u_k = −(M̂ K' H + k_v) w_k − (k_v K + I) x_k,
+    ẋ = w,   M ẇ = u,   u_k = −(M̂ K' H + k_v) w_k − (k_v K + I) H x_k,
 
 with M the true and M̂ the believed inertia of object and arms together (`eq:coupled M`), K and K' the gains in
 v_r and v̇_r, k_v the sum over the agents, H = I for position and ½ I for attitude (e = −e_η e_ε is half the
-angle), and u held over the period and applied a whole number of periods late.  The loop is stable when the
-spectral radius of the map from one sample to the next is below one.
+angle), and u held over the period and applied a whole number of periods late.  With an observer the law sees its
+estimates of x and w.  The loop is stable when the spectral radius of the map from one sample to the next is below one.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.control.errors import Gains
+from agent.control.estimator import Observer
 from agent.control.models import ArmModel, Matrix
 from drivers.interface import Vector
 
@@ -30,6 +31,7 @@ class SampledLoop:
     period_s: float
     delay_cycles: int
     gains: Sequence[Gains]
+    observer: Observer | None = None  # the same in all agents; None: the law takes what is measured
 
 
 def coupled_inertia(
@@ -62,7 +64,7 @@ def spectral_radius(M_true: Matrix, M_believed: Matrix, P: Matrix, loop: Sampled
 
 
 def modes(M_true: Matrix, M_believed: Matrix, P: Matrix, loop: SampledLoop) -> NDArray[np.complex128]:
-    """Eigenvalues (m (2 + delay),) of the one-period map.
+    """Eigenvalues (m (5 + delay),) of the one-period map; those of states that the loop does not use are zero.
 
     M_true, M_believed: (m, m) coupled inertia; P: (m, 6) task basis.
     """
@@ -72,24 +74,16 @@ def modes(M_true: Matrix, M_believed: Matrix, P: Matrix, loop: SampledLoop) -> N
     K_rate = P @ np.diag([*first.k_p_rate, *first.k_eps_rate]) @ P.T
     K_v = P @ np.diag(np.sum([g.k_v for g in loop.gains], axis=0)) @ P.T
     H = P @ np.diag([1.0, 1.0, 1.0, 0.5, 0.5, 0.5]) @ P.T
-    u_w = -(M_believed @ K_rate @ H + K_v)  # dv_r = −K' de, de = H w
-    u_x = -(K_v @ K + np.eye(m))
-    accelerate = np.linalg.inv(M_true)
-    size = m * (2 + d)
-    A = np.zeros((size, size))
-    x, w = slice(0, m), slice(m, 2 * m)
-    A[x, x], A[x, w], A[w, w] = np.eye(m), T * H, np.eye(m)
-    # state: x, w, u_{k−1}, …, u_{k−d}; the oldest acts now, or u_k itself without delay
-    act_x, act_w = 0.5 * T * T * H @ accelerate, T * accelerate
-    if d == 0:
-        A[x, x] += act_x @ u_x
-        A[x, w] += act_x @ u_w
-        A[w, x] += act_w @ u_x
-        A[w, w] += act_w @ u_w
-    else:
-        oldest, newest = slice(m * (1 + d), m * (2 + d)), slice(2 * m, 3 * m)
-        A[x, oldest], A[w, oldest] = act_x, act_w
-        A[newest, x], A[newest, w] = u_x, u_w
-        for i in range(1, d):
-            A[m * (2 + i) : m * (3 + i), m * (1 + i) : m * (2 + i)] = np.eye(m)
-    return np.linalg.eigvals(A).astype(np.complex128)
+    # Every quantity is a matrix (m, states): how it follows from the states at the sample before.
+    states = np.eye(m * (5 + d)).reshape(5 + d, m, -1)
+    x, w, x_seen, w_seen, a_before = states[:5]
+    a = -(K_rate @ H @ w_seen)  # dv_r = −K' de, de = H w
+    u = M_believed @ a - K_v @ (w_seen + K @ H @ x_seen) - H @ x_seen
+    acceleration = np.linalg.inv(M_true) @ (states[-1] if d else u)  # states[5:]: u_{k−1} … u_{k−d}
+    x_next, w_next = x + T * w + 0.5 * T * T * acceleration, w + T * acceleration
+    seen = (x_next, w_next)
+    if loop.observer is not None:
+        expected = a_before if loop.observer.delay_cycles else a
+        seen = loop.observer.follow(x_seen, w_seen, expected, x_next, w_next)
+    in_flight = [u, *states[5:-1]] if d else []
+    return np.linalg.eigvals(np.vstack([x_next, w_next, *seen, a, *in_flight])).astype(np.complex128)
