@@ -36,6 +36,7 @@ _BURST_PAUSE_S: Final = 0.005  # in real time, between the bursts that catch up
 _BURST: Final = {False: 2, True: 64}  # batches between two looks at the stop flag
 _STATUS_S: Final = {False: 0.25, True: 0.05}
 _STATUS_TIMEOUT_S: Final = 2.0
+_LINGER_S: Final = 10.0  # for a recorder that is there and says nothing
 _WINDOW_ROWS: Final = 4096  # lockstep: rows on their way at most
 _CACHE_S: Final = 20.0  # at 30 batches/s; "cache depth ≥ 10 s"
 _CACHE_BATCHES: Final = round(_CACHE_S * 30)
@@ -58,8 +59,9 @@ class PublishOptions:
     layout: Layout = AGENT_STATE
     network: Network = field(default_factory=Network)
     pace: Pace = Pace.REAL_TIME
-    since_utc_ns: int = 0  # pass over the ring of an agent that is gone and began before this
-    follow: bool = False  # go on with the ring of the next agent (service); else return when this one is recorded
+    # A service follows: it takes only rings whose agent lives, since one that is gone belongs to another log, and goes
+    # on with the ring of the next agent.  Otherwise the one ring is published, and that is it.
+    follow: bool = False
     info: Mapping[str, Any] = field(default_factory=dict)  # answer of the `info` queryable, JSON
 
 
@@ -90,9 +92,9 @@ def run(
         ready(options.member)
         report = PublishReport(0, 0, 0, End.OPEN)
         while (reader := _wait_for_ring(options, stop)) is not None:
-            with reader, ExitStack() as stack:
-                telemetry = _Telemetry(options, address, opened.session, reader, stack)
-                report = telemetry.run(stop)
+            with reader:
+                with ExitStack() as stack:  # closed with the ring: its cache must not reach the next run's recorder
+                    report = _Telemetry(options, address, opened.session, reader, stack).run(stop)
                 if not options.follow:
                     break
                 while not stop() and not reader.replaced:
@@ -131,16 +133,24 @@ class _Telemetry:
         self._status: dict[str, StreamStatus] | None = None
         self._asked_s = 0.0
         self._answered = True
+        self._ended_s = 0.0
 
     def run(self, stop: Callable[[], bool]) -> PublishReport:
         while True:
             sent = self._cycle(time.monotonic())
-            if all(sender.complete for sender in self._senders.values()) or stop():
+            if all(sender.complete for sender in self._senders.values()) or stop() or self._is_over():
                 return self._report()
             if not self._lockstep:
                 time.sleep(_BURST_PAUSE_S if sent >= _BURST[False] else _CYCLE_S[False])
             elif not sent:
                 time.sleep(_CYCLE_S[True])
+
+    def _is_over(self) -> bool:
+        """Whether to let go of a ring that has ended: a recorder that comes now is there for the next run."""
+        if not self._options.follow or not self._senders[Kind.STATE].ended:
+            return False
+        self._ended_s = self._ended_s or time.monotonic()
+        return not has_link(self._session) or time.monotonic() - self._ended_s > _LINGER_S
 
     def _cycle(self, now_s: float) -> int:
         """Publish what is new, ask what arrived, publish again what did not; return the number of batches of rows."""
@@ -223,7 +233,7 @@ def _wait_for_ring(options: PublishOptions, stop: Callable[[], bool]) -> RingRea
     while not stop():
         if options.ring.exists():
             reader = RingReader(options.ring, options.layout, acknowledges=options.pace is Pace.LOCKSTEP)
-            if reader.writer_alive or reader.header.created_ns >= options.since_utc_ns:
+            if reader.writer_alive or not options.follow:
                 return reader
             reader.close()
         time.sleep(_CYCLE_S[False])

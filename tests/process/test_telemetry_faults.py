@@ -155,6 +155,38 @@ def test_a_killed_agent_leaves_its_last_rows_in_the_log(folder: Path) -> None:
     assert rows_in(folder / "run.mcap") == prefix(count, 100_000)
 
 
+def test_a_service_follows_the_agents_one_ring_after_the_other_and_passes_over_dead_ones(folder: Path) -> None:
+    ring = folder / "left.ring"
+    with writer(ring, "left", 30, RATE_HZ) as gone:
+        assert gone.result() == 30
+    with recorder(folder / "first.mcap", arms=LEFT) as first:
+        endpoint = first.ready()
+        with telemetry(ring, "left", endpoint, Pace.REAL_TIME, follow=True) as service:
+            service.ready()
+            with writer(ring, "left", 200, RATE_HZ) as agent:
+                assert agent.result() == 200
+            time.sleep(0.5)
+            assert first.stop().complete
+            with recorder(folder / "second.mcap", arms=LEFT, network=Network(listen=endpoint)) as second:
+                second.ready()
+                with writer(ring, "left", 300, RATE_HZ) as agent:
+                    assert agent.result() == 300
+                wait_for(lambda: len(read_if_any(folder / "second.mcap")) == len(prefix(300, 300)))
+                time.sleep(0.5)
+                report = second.stop()
+                assert report.complete, report
+            service.stop()
+    assert rows_in(folder / "first.mcap") == prefix(200, 200)
+    assert rows_in(folder / "second.mcap") == prefix(300, 300)
+
+
+def read_if_any(path: Path) -> bytes:
+    try:
+        return rows_in(path)
+    except LogError:
+        return b""
+
+
 def test_rows_overwritten_before_anybody_read_them_are_counted_and_named(folder: Path) -> None:
     ring = folder / "left.ring"
     with recorder(folder / "run.mcap", arms=LEFT) as rec:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import resource
 import signal
 import threading
@@ -99,6 +101,41 @@ def test_a_disk_that_fills_up_is_told_of_while_there_is_room_to_finish(tmp_path:
     assert maker.finish(complete=False)
     maker.write("left", make_rows("left", 10))
     assert maker.channels.rows_lost()["left"] == 10
+    assert len(read_log(tmp_path / "run.mcap").agents["left"]) == 10
+
+
+def test_a_disk_that_takes_its_time_to_sync_stops_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    entered, release = threading.Event(), threading.Event()
+
+    def slow(fd: int) -> None:
+        entered.set()
+        release.wait()
+
+    monkeypatch.setattr("os.fdatasync", slow)
+    maker = LogMaker(tmp_path / "run.mcap")
+    assert entered.wait(60)
+    maker.write("left", make_rows("left", 10))
+    maker.flush()
+    assert len(read_log(tmp_path / "run.mcap").agents["left"]) == 10
+    release.set()
+    assert maker.finish()
+
+
+def test_a_disk_that_is_gone_is_noticed_at_the_next_sync(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    entered = threading.Event()
+
+    def broken(fd: int) -> None:
+        entered.set()
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    monkeypatch.setattr("os.fdatasync", broken)
+    maker = LogMaker(tmp_path / "run.mcap")
+    maker.write("left", make_rows("left", 10))
+    maker.flush()
+    assert entered.wait(60)
+    maker.file._syncer._thread.join()
+    maker.flush()
+    assert maker.file.failure == "Input/output error"
     assert len(read_log(tmp_path / "run.mcap").agents["left"]) == 10
 
 
