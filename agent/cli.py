@@ -23,6 +23,8 @@ Overrides = Annotated[list[str], typer.Option("--set", metavar="KEY=VALUE", help
 ArmName = Annotated[str, typer.Option("--arm", help="Arm of the cell.", show_default=False)]
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 NetworkConfig = Annotated[Path | None, typer.Option(help="Zenoh configuration (TLS, access control) instead.")]
+ControlSockets = Annotated[list[Path], typer.Option("--control", help="Control sockets instead of the usual ones.")]
+SomeArms = Annotated[list[str], typer.Option("--arm", help="Only these arms.")]
 WithParent = Annotated[bool, typer.Option("--with-parent", hidden=True)]
 
 
@@ -33,31 +35,38 @@ class DriverName(StrEnum):
     DYNAMIXEL = "dynamixel"
 
 
+class FormName(StrEnum):
+    """Which gains `coop tune` may change."""
+
+    RATIO = "ratio"
+    RATE = "rate"
+
+
 @app.command()
 def run(
     cell: CellPath,
     duration: Annotated[float | None, typer.Option(min=0.0, help="Seconds, instead of the cell's duration.")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder of the results (default runs/<UTC>-<cell>).")] = None,
     seed: Annotated[int, typer.Option(help="Seed of everything random in the simulated cell.")] = 0,
-    real_time: Annotated[
-        bool, typer.Option("--real-time", help="At the wall clock's pace instead of lockstep.")
-    ] = False,
+    real_time: Annotated[bool, typer.Option("--real-time", help="At the wall clock's pace, not in lockstep.")] = False,
+    wire: Annotated[bool, typer.Option("--wire", help="The real driver on emulated servos, in real time.")] = False,
     strict: Annotated[bool, typer.Option("--strict", help="Exit 6 when a bound of the cell file is missed.")] = False,
     overrides: Overrides = [],  # noqa: B006
 ) -> None:
     """Run a simulated cell: plant, one agent per arm, recorder, report."""
     from rich.console import Console
 
-    from agent.process.run import RunOptions, run_cell
+    from agent.process.run import Pace, RunOptions, run_cell
     from agent.process.signals import StopFlag
     from agent.progress import RunProgress
     from agent.telemetry.report import terminal_table
 
     console = Console()
-    stop = StopFlag()
-    options = RunOptions(cell, tuple(overrides), duration, out, seed, lockstep=not real_time)
+    requested = StopFlag()
+    pace = Pace.WIRE if wire else Pace.REAL_TIME if real_time else Pace.LOCKSTEP
+    options = RunOptions(cell, tuple(overrides), duration, out, seed, pace)
     with RunProgress(console) as progress:
-        outcome = run_cell(options, stop, progress)
+        outcome = run_cell(options, requested, progress)
     console.print(terminal_table(outcome.results))
     console.print(f"log      {outcome.log}\nreport   {outcome.report}")
     if outcome.interrupted:
@@ -92,38 +101,102 @@ def check(cell: CellPath, overrides: Overrides = []) -> None:  # noqa: B006
 
 
 @app.command()
+def tune(
+    cell: CellPath,
+    form: Annotated[FormName, typer.Option(help="Scale k and its _rate_ form together, or only the latter.")] = (
+        FormName.RATIO
+    ),
+    damping: Annotated[float, typer.Option(min=0.0, max=1.0, help="Least damping ratio of what swings.")] = 0.05,
+    radius: Annotated[float, typer.Option(min=0.0, max=1.0, help="Largest spectral radius.")] = 0.999,
+    write: Annotated[Path | None, typer.Option(help="Write the cell file with these gains.")] = None,
+    overrides: Overrides = [],  # noqa: B006
+) -> None:
+    """Propose gains that keep a margin at the cell's rate and delay, also with the arms' inertia off."""
+    from rich.console import Console
+
+    from agent.atomic import write_atomically
+    from agent.config.cell import load_cell
+    from agent.config.tune import Form, Margin, Tuner
+    from agent.config.tune_table import toml_lines, tune_table
+
+    tuner, margin = Tuner(load_cell(cell, overrides)), Margin(radius, damping)
+    proposals = tuner.proposals(margin)
+    Console().print(tune_table(tuner.configured(), proposals))
+    chosen = next((p for p in proposals if p.form.value == form.value), None) or tuner.propose(Form(form.value), margin)
+    typer.echo(toml_lines(chosen) or "the configured gains are the largest that keep the margin")
+    if write is not None:
+        write_atomically(write, chosen.toml().encode())
+        typer.echo(f"written  {write}", err=True)
+
+
+@app.command()
 def agent(
     cell: CellPath,
     arm: ArmName,
     driver: Annotated[DriverName | None, typer.Option(help="Instead of the cell's driver.")] = None,
     ring: Annotated[Path | None, typer.Option(help="Ring file in shared memory.")] = None,
+    control: Annotated[Path | None, typer.Option(help="Socket for start, stop and release.")] = None,
     plant_socket: Annotated[Path | None, typer.Option(help="Socket of the plant (simulated arms).")] = None,
-    real_time: Annotated[
-        bool, typer.Option("--real-time", help="At the wall clock's pace instead of lockstep.")
-    ] = False,
+    port: Annotated[str | None, typer.Option(help="Serial port, instead of the cell's.")] = None,
+    emulated: Annotated[bool, typer.Option("--emulated", help="The servos on that port are emulated.")] = False,
+    real_time: Annotated[bool, typer.Option("--real-time", help="At the wall clock's pace, not in lockstep.")] = False,
     with_parent: WithParent = False,
 ) -> None:
     """Run one arm: the process that reads, steps, limits and writes."""
     from agent.config.cell import load_cell
     from agent.config.schema import DriverKind
     from agent.process.agent import AgentOptions, run_agent
-    from agent.process.paths import plant_socket_path, ring_path
+    from agent.process.build import Connection
+    from agent.process.paths import control_path, plant_socket_path, ring_path
 
-    stop = _begin(with_parent)
+    requested = _begin(with_parent)
     loaded = load_cell(cell)
     kind = DriverKind(driver.value) if driver is not None else loaded.file.driver
+    name = loaded.file.name
+    lockstep = kind is DriverKind.SIM and not real_time
     options = AgentOptions(
         arm=arm,
         driver=kind,
-        ring=ring or ring_path(loaded.file.name, arm),
-        plant_socket=plant_socket or plant_socket_path(loaded.file.name),
-        lockstep=kind is DriverKind.SIM and not real_time,
+        connection=Connection(plant_socket or plant_socket_path(name), port, emulated),
+        ring=ring or ring_path(name, arm),
+        control=None if lockstep else control or control_path(name, arm),
+        lockstep=lockstep,
     )
-    summary = run_agent(loaded, options, stop, _ready)
+    summary = run_agent(loaded, options, requested, _ready)
     typer.echo(
-        f"arm {arm}: {summary.ticks} cycles, {summary.late_cycles} late, mode {summary.mode.name} {summary.reason}",
+        f"arm {arm}: {summary.ticks} cycles, {summary.late_cycles} late, {summary.stale_cycles} without a state, "
+        f"mode {summary.mode.name} {summary.reason}",
         err=True,
     )
+
+
+@app.command()
+def start(
+    cell: CellPath,
+    at: Annotated[str | None, typer.Option(help="UTC, HH:MM:SS.", metavar="TIME")] = None,
+    in_s: Annotated[float | None, typer.Option("--in", min=0.05, help="Seconds from now.")] = None,
+    control: ControlSockets = [],  # noqa: B006
+) -> None:
+    """Give this host's agents the common instant at which they begin to follow the trajectory."""
+    from agent.process.operate import start_arms
+
+    typer.echo(start_arms(cell, at, in_s, control))
+
+
+@app.command()
+def stop(cell: CellPath, arm: SomeArms = [], control: ControlSockets = []) -> None:  # noqa: B006
+    """Let this host's agents hold the object where it is."""
+    from agent.process.operate import stop_arms
+
+    typer.echo(stop_arms(cell, arm, control))
+
+
+@app.command()
+def release(cell: CellPath, arm: SomeArms = [], control: ControlSockets = []) -> None:  # noqa: B006
+    """Confirm that the object is supported: the agents that hold it switch their torque off."""
+    from agent.process.operate import release_arms
+
+    typer.echo(release_arms(cell, arm, control))
 
 
 @app.command()
@@ -131,9 +204,7 @@ def plant(
     cell: CellPath,
     socket: Annotated[Path | None, typer.Option(help="Socket to listen on.")] = None,
     ring: Annotated[Path | None, typer.Option(help="Ring file in shared memory.")] = None,
-    real_time: Annotated[
-        bool, typer.Option("--real-time", help="At the wall clock's pace instead of lockstep.")
-    ] = False,
+    real_time: Annotated[bool, typer.Option("--real-time", help="At the wall clock's pace, not in lockstep.")] = False,
     with_parent: WithParent = False,
 ) -> None:
     """Run the simulated cell that the agents' simulated drivers connect to."""
@@ -141,11 +212,41 @@ def plant(
     from agent.process.paths import plant_socket_path, ring_path
     from agent.process.plant import PlantOptions, run_plant
 
-    stop = _begin(with_parent)
+    requested = _begin(with_parent)
     loaded = load_cell(cell)
     name = loaded.file.name
     options = PlantOptions(socket or plant_socket_path(name), ring or ring_path(name, "plant"), lockstep=not real_time)
-    typer.echo(run_plant(loaded, options, stop, _ready), err=True)
+    typer.echo(run_plant(loaded, options, requested, _ready), err=True)
+
+
+@app.command()
+def emulate(
+    cell: CellPath,
+    ports: Annotated[Path, typer.Option(help="Folder for the ports, one link per arm.")] = Path("/tmp/coop-ports"),
+    ring: Annotated[Path | None, typer.Option(help="Ring file for the truth.")] = None,
+    faults: Annotated[Path | None, typer.Option(help="Faults as JSON lines; times from the start.")] = None,
+    control: Annotated[Path | None, typer.Option(help="Datagram socket that takes faults.")] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the faults.")] = 0,
+    no_timing: Annotated[bool, typer.Option("--no-timing", help="Answer at once, not at the bus's pace.")] = False,
+    with_parent: WithParent = False,
+) -> None:
+    """Emulated Dynamixel servos of the cell's arms on pseudo terminals, for any Dynamixel client."""
+    from agent.config.cell import load_cell
+    from agent.process.emulate import EmulateOptions, run_emulate
+    from agent.process.paths import ring_path
+
+    requested = _begin(with_parent)
+    loaded = load_cell(cell)
+    ports.mkdir(parents=True, exist_ok=True)
+    options = EmulateOptions(
+        ports={arm.name: ports / arm.name for arm in loaded.arms},
+        ring=ring or ring_path(loaded.file.name, "plant"),
+        faults_file=faults,
+        control_socket=control,
+        seed=seed,
+        timing=not no_timing,
+    )
+    typer.echo(run_emulate(loaded, options, requested, _ready), err=True)
 
 
 @app.command()
@@ -164,11 +265,11 @@ def telemetry(
     from agent.process.paths import ring_path
     from agent.process.recorder import TelemetryOptions, run_telemetry
 
-    stop = _begin(with_parent)
+    requested = _begin(with_parent)
     loaded = load_cell(cell)
     where = ring or ring_path(loaded.file.name, member)
     options = TelemetryOptions(member, where, connect, network_config, lockstep, follow)
-    report = run_telemetry(loaded, options, stop, _ready)
+    report = run_telemetry(loaded, options, requested, _ready)
     typer.echo(
         f"{member}: {report.rows_written} rows, {report.rows_lost} lost in the ring, "
         f"{report.rows_unrecorded} not confirmed by the recorder",
@@ -184,6 +285,7 @@ def record(
     listen: Annotated[str, typer.Option(help="Endpoint to listen on; port 0 takes a free one.")] = DEFAULT_ENDPOINT,
     network_config: NetworkConfig = None,
     driver: Annotated[DriverName | None, typer.Option(help="What moves the arms, for the log.")] = None,
+    truth: Annotated[bool, typer.Option(help="Expect the truth of a simulated plant.")] = False,
     seed: Annotated[int, typer.Option(help="Seed of the run, for the log.")] = 0,
     with_parent: WithParent = False,
 ) -> None:
@@ -193,11 +295,13 @@ def record(
     from agent.process.paths import log_path
     from agent.process.recorder import RecorderOptions, run_recorder
 
-    stop = _begin(with_parent)
+    requested = _begin(with_parent)
     loaded = load_cell(cell)
     kind = DriverKind(driver.value) if driver is not None else loaded.file.driver
     log = out if out is not None else log_path(out_dir, loaded.file.name)
-    report = run_recorder(loaded, RecorderOptions(log, kind, seed, listen, network_config), stop, _ready)
+    has_plant = truth or kind is DriverKind.SIM
+    options = RecorderOptions(log, kind, has_plant, seed, listen, network_config)
+    report = run_recorder(loaded, options, requested, _ready)
     for path in report.repaired:
         typer.echo(f"repaired {path}", err=True)
     typer.echo(f"{report.path}: {'complete' if report.complete else 'INCOMPLETE'} {report.failure or ''}", err=True)
@@ -253,10 +357,10 @@ def play(
     from agent.telemetry.play import run as play_log
     from agent.telemetry.zenoh_session import Network
 
-    stop = _begin(False)
+    requested = _begin(False)
     network = Network(config_file=network_config) if network_config else Network(listen=listen)
     options = PlayOptions(log, network, speed, start, end, loop)
-    done = play_log(options, stop, lambda endpoint: _ready(f"endpoint={endpoint}"))
+    done = play_log(options, requested, lambda endpoint: _ready(f"endpoint={endpoint}"))
     typer.echo(f"{log}: {done.rows} rows and {done.events} events played, {done.loops} times to the end", err=True)
 
 
@@ -273,10 +377,10 @@ def recover(
 def _begin(with_parent: bool) -> StopFlag:
     from agent.process.signals import StopFlag, die_with_parent
 
-    stop = StopFlag()
+    requested = StopFlag()
     if with_parent:
         die_with_parent()
-    return stop
+    return requested
 
 
 def _ready(what: str) -> None:

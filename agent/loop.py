@@ -1,14 +1,12 @@
-"""The control loop of one arm.  `step` is pure; `run` reads, steps, limits, writes, logs and sleeps.
+"""One tick of one arm as a pure function; `agent.runner` calls it, a replay calls it.
 
-Nothing here opens anything, knows the wall clock, or learns anything from another agent.
+Nothing here opens anything, knows a clock, or learns anything from another agent.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
@@ -20,10 +18,9 @@ from agent.control.law import Offline, Terms
 from agent.control.memory import Memory, initial
 from agent.control.models import ArmModel
 from agent.control.trajectory import Desired, Trajectory
-from agent.modes import Event, Mode, next_mode
+from agent.modes import Mode
 from agent.safety import Flag, Limits, limit
-from agent.telemetry.row import AgentRow
-from drivers.interface import Clock, Driver, JointState, StaleStateError, Vector
+from drivers.interface import JointState, Vector
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +87,7 @@ def _law(
     if estimate is None:
         raise TypeError("the adaptive law needs the estimate that its memory began with (initial_memory)")
     terms, gradient = adaptive.torque(agent.model, agent.offline, adaptation, estimate, q, dq, desired)
-    if not memory.primed or mode not in _COMMANDING:
+    if not memory.primed or mode is not Mode.TRACK:
         return terms, estimate, False
     advanced, held = adaptation.advance(estimate, gradient, t - memory.t)
     return terms, advanced, held
@@ -116,116 +113,3 @@ def hold_here(agent: Agent, q: Vector, memory: Memory) -> Memory:
         return replace(memory, hold=None)
     k = agent.model.evaluate(q, np.zeros_like(q))
     return replace(memory, hold=(*k.p_object, *k.quat_object))
-
-
-class RowSink(Protocol):
-    """Where rows go; the control thread only ever fills and commits."""
-
-    def commit(self) -> None:
-        """Make the filled row visible to readers; never blocks."""
-        ...
-
-    def wait_for_space(self) -> None:
-        """Lockstep simulation only: let time wait for the reader, so that nothing is lost."""
-        ...
-
-
-@dataclass(frozen=True)
-class Schedule:
-    """When the ticks are."""
-
-    zero_ns: int  # driver clock at the trajectory's zero
-    zero_utc_ns: int
-    period_ns: int
-    ticks: int
-    lockstep: bool
-    hold_at_end: bool  # after the last tick hold the object until an operator releases it (real arms)
-
-
-@dataclass
-class RunSummary:
-    """What `run` did."""
-
-    ticks: int = 0
-    late_cycles: int = 0
-    stale_cycles: int = 0
-    mode: Mode = Mode.READY
-    reason: str = ""
-
-
-MAX_STALE_IN_A_ROW = 3
-_COMMANDING = frozenset({Mode.TRACK, Mode.HOLD, Mode.LOWER})
-
-
-def run(
-    agent: Agent,
-    driver: Driver,
-    clock: Clock,
-    schedule: Schedule,
-    row: AgentRow,
-    sink: RowSink,
-    wall_ns: Callable[[], int],
-    events: Callable[[], Event],
-    heartbeat: Callable[[], None],
-) -> RunSummary:
-    """Run the loop on an enabled driver until the last tick or a stop; leaves the torque as it is.
-
-    wall_ns measures durations for the log and nothing else.  events() tells of operator requests.  heartbeat
-    is called after every cycle with a fresh state.
-    """
-    memory = initial_memory(agent)
-    summary = RunSummary(mode=Mode.TRACK)
-    stale_in_a_row = 0
-    tick = 0
-    while summary.mode in _COMMANDING and (tick < schedule.ticks or schedule.hold_at_end):
-        deadline_ns = schedule.zero_ns + tick * schedule.period_ns
-        clock.sleep_until(deadline_ns)
-        if schedule.lockstep:
-            sink.wait_for_space()
-        begin = wall_ns()
-        late_ns = 0 if schedule.lockstep else clock.now_ns() - deadline_ns
-        try:
-            state = driver.read()
-        except StaleStateError as error:
-            summary.stale_cycles += 1
-            stale_in_a_row += 1
-            if stale_in_a_row > MAX_STALE_IN_A_ROW:
-                summary.mode, summary.reason = Mode.FAULT, str(error)
-                break
-            driver.write(memory.tau)
-            tick += 1
-            continue
-        stale_in_a_row = 0
-        after_read = wall_ns()
-        t = (state.stamp_ns - schedule.zero_ns) * 1e-9
-        outcome = step(agent, state, t, summary.mode, memory)
-        after_step = wall_ns()
-        tau_sent = driver.write(outcome.tau)
-        after_write = wall_ns()
-
-        row.fill_state(summary.ticks, t, schedule.zero_utc_ns + state.stamp_ns - schedule.zero_ns, summary.mode, state)
-        row.fill_law(outcome.q, outcome.dq, outcome.terms, memory)
-        row.fill_output(outcome.flags, outcome.tau, tau_sent)
-        row.fill_timing(
-            late_ns * 1e-9,
-            (after_read - begin) * 1e-9,
-            (after_step - after_read) * 1e-9,
-            (after_write - after_step) * 1e-9,
-            driver.counters,
-        )
-        sink.commit()
-        heartbeat()
-
-        memory = outcome.memory
-        happened = events() | (Event.STOP if tick + 1 >= schedule.ticks and schedule.hold_at_end else Event.NONE)
-        if outcome.flags & (Flag.NOT_FINITE | Flag.SINGULAR):
-            happened |= Event.TROUBLE
-            summary.reason = summary.reason or f"tick {tick}: {outcome.flags!r}"
-        mode = next_mode(summary.mode, happened)
-        if mode is Mode.HOLD and (summary.mode is not Mode.HOLD or memory.hold is None):
-            memory = hold_here(agent, outcome.q, memory)
-        summary.mode = mode
-        summary.ticks += 1
-        summary.late_cycles += late_ns > schedule.period_ns
-        tick += 1 if schedule.lockstep else 1 + max(0, (clock.now_ns() - deadline_ns) // schedule.period_ns)
-    return summary

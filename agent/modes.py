@@ -9,7 +9,7 @@ class Mode(enum.IntEnum):
     """What the agent is doing; logged in every row."""
 
     OFF = 0  # torque off
-    READY = 1  # torque on and zero, waiting for the common start
+    READY = 1  # torque on, the arm holds its start pose and waits for the common start
     TRACK = 2  # the object follows the trajectory
     HOLD = 3  # the object is held where it was when the hold began; latched
     LOWER = 4  # the object is lowered to its support
@@ -38,7 +38,7 @@ def next_mode(mode: Mode, events: Event) -> Mode:
         return Mode.OFF if Event.RELEASED in events else Mode.FAULT
     if mode is Mode.READY:
         if events & (Event.TROUBLE | Event.STOP):
-            return Mode.OFF
+            return Mode.HOLD
         return Mode.TRACK if Event.STARTED in events else Mode.READY
     if mode is Mode.TRACK:
         return Mode.HOLD if events & (Event.TROUBLE | Event.STOP) else Mode.TRACK

@@ -43,7 +43,12 @@ class StaleStateError(DriverError):
 
 
 class ServoFault(DriverError):
-    """A servo reported an error, lost torque or rebooted."""
+    """A servo reported an error, lost torque or rebooted.
+
+    `state` is the fresh state that the other servos still gave, for a loop that holds the object with them.
+    """
+
+    state: JointState | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +111,10 @@ class Driver(Protocol):
     No implementation ever replaces another silently.
     """
 
-    counters: BusCounters
+    @property
+    def counters(self) -> BusCounters:
+        """Counts since `connect`, always up to date."""
+        ...
 
     def connect(self) -> ArmInfo:
         """Open the bus, check that this is the arm the cell describes.  Torque stays as it is.

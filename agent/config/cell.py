@@ -55,6 +55,12 @@ class Arm:
         return len(self.entry.controlled)
 
     @property
+    def baud(self) -> int:
+        """Speed of the arm's bus, bit/s: the cell's, or else what the arm file says."""
+        settings = self.entry.dynamixel
+        return settings.baud if settings is not None and settings.baud is not None else self.file.baud
+
+    @property
     def servo_models(self) -> tuple[ServoModel, ...]:
         """Servo type of each controlled joint."""
         return tuple(SERVOS[s.servo] for s in self.servos)

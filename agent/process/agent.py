@@ -5,27 +5,28 @@ from __future__ import annotations
 import gc
 import time
 from collections.abc import Callable
-from contextlib import closing
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
 
-from agent.config.cell import Arm, Cell
+from agent.config.cell import Cell
 from agent.config.check import examine
 from agent.config.schema import DriverKind
-from agent.loop import RunSummary, Schedule, run
 from agent.modes import Event, Mode
-from agent.process.build import build_agent
+from agent.process.build import Connection, build_agent, build_driver
+from agent.process.control import ControlSocket
 from agent.process.notify import Notifier
 from agent.process.signals import StopFlag
+from agent.runner import Runner, RunSummary, Schedule, Surroundings
 from agent.telemetry.event import Event as TextEvent
 from agent.telemetry.event import Level, TextWriter
 from agent.telemetry.ring import RingWriter
 from agent.telemetry.row import AgentRow
 from agent.telemetry.sample import AGENT_STATE
-from drivers.interface import Clock, Driver, DriverError, Refusal
-from sim_backend.driver import SimDriver
+from drivers.interface import Clock, DriverError, Refusal
 
 HEARTBEAT_S = 0.02
+READY_WITHIN_S = 60.0
 
 
 @dataclass(frozen=True)
@@ -34,10 +35,10 @@ class AgentOptions:
 
     arm: str
     driver: DriverKind
+    connection: Connection
     ring: Path
-    plant_socket: Path | None  # simulated driver only
+    control: Path | None  # socket for start, stop and release; None: lockstep simulation, which starts by itself
     lockstep: bool
-    realtime_priority: int = 0  # 0: leave the scheduler alone
 
 
 class ArmLost(DriverError):
@@ -49,37 +50,51 @@ class ArmLost(DriverError):
 def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable[[str], None]) -> RunSummary:
     """Run one arm from start to stop; the torque is off when this returns or raises.
 
-    ready is called once the ring exists and before the arm is connected.  Raises Refusal.
+    ready is called once the ring exists and before the arm is connected, and once more when the arm holds its
+    start pose.  Raises Refusal.
     """
     arm = cell.arm(options.arm)
-    examine(cell).require()
-    agent = build_agent(cell, arm)
-    ticks = round(cell.file.duration_s * cell.file.rate_hz)
-    simulated = options.driver is DriverKind.SIM
-    notifier = Notifier()
-    with (
-        RingWriter(options.ring, AGENT_STATE, arm.name, tuple(arm.entry.controlled)) as ring,
-        closing(TextWriter(options.ring, arm.name)) as texts,
-    ):
+    report = examine(cell)
+    report.require()
+    with ExitStack() as stack:
+        ring = stack.enter_context(RingWriter(options.ring, AGENT_STATE, arm.name, tuple(arm.entry.controlled)))
+        texts = stack.enter_context(closing(TextWriter(options.ring, arm.name)))
+        stack.callback(ring.finish)
+        stack.callback(texts.finish)
+        notifier = stack.enter_context(closing(Notifier()))
+        control = ControlSocket(options.control, cell.fingerprint) if options.control else None
+        if control is not None:
+            stack.callback(control.close)
         ready(f"ring={options.ring}")
-        row = AgentRow(ring.row, arm.n, cell.config_id)
-        driver, clock = _driver(cell, arm, options)
         tell = _Teller(arm.name, texts)
+        q_start = report.q_start[cell.arms.index(arm)]
+        driver, clock = build_driver(cell, arm, options.driver, options.connection, q_start, tell.warn)
         try:
             info = driver.connect()
             driver.enable()
             notifier.ready(f"arm {arm.name}: torque on")
             tell.event(Level.INFO, f"torque on: {info.description}")
-            schedule = Schedule(
-                clock.now_ns(), time.time_ns(), cell.period_ns, ticks, options.lockstep, hold_at_end=not simulated
-            )
+            ready("torque=on")
+            simulated = options.driver is DriverKind.SIM
+            operator = _Operator(stop, control, clock, drops_on_stop=simulated or options.connection.emulated)
             heart = _Heart(notifier, max(1, round(HEARTBEAT_S * cell.file.rate_hz)))
             _quiet_memory()
-            began = time.monotonic()
-            summary = run(
-                agent, driver, clock, schedule, row, ring, time.perf_counter_ns, _events(stop, simulated), heart.beat
+            runner = Runner(
+                build_agent(cell, arm),
+                driver,
+                clock,
+                Schedule(
+                    cell.period_ns,
+                    round(cell.file.duration_s * cell.file.rate_hz),
+                    options.lockstep,
+                    hold_at_end=not (simulated or options.connection.emulated),
+                ),
+                AgentRow(ring.row, arm.n, cell.config_id),
+                ring,
+                Surroundings(time.perf_counter_ns, time.time_ns, operator.events, operator.start_ns, heart.beat),
             )
-            tell.end(summary, time.monotonic() - began)
+            summary = runner.run()
+            tell.end(summary)
         except Refusal as error:
             tell.event(Level.ERROR, str(error))
             raise
@@ -87,14 +102,45 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             driver.disable()
             driver.close()
             notifier.stopping("torque off")
-            notifier.close()
-            texts.finish()
-            ring.finish()
     if summary.mode is Mode.FAULT:
         raise ArmLost(
             f"arm {arm.name}", found=summary.reason, expected="a fresh state every cycle", remedy="see the log"
         )
     return summary
+
+
+class _Operator:
+    """Requests of an operator, by signal or over the control socket.
+
+    Where nothing can fall (simulation), a stop also releases the object; on real arms a stop holds it.
+    """
+
+    def __init__(self, stop: StopFlag, control: ControlSocket | None, clock: Clock, *, drops_on_stop: bool) -> None:
+        self._stop = stop
+        self._control = control
+        self._clock = clock
+        self._drops_on_stop = drops_on_stop
+        self._start_ns: int | None = None
+
+    def events(self) -> Event:
+        """What is asked for now."""
+        stopped, released = self._stop.stopped, self._stop.released
+        if self._control is not None:
+            self._control.poll()
+            requests = self._control.requests
+            stopped, released = stopped or requests.stopped, released or requests.released
+        happened = Event.STOP if stopped else Event.NONE
+        if released or (stopped and self._drops_on_stop):
+            happened |= Event.RELEASED
+        return happened
+
+    def start_ns(self) -> int | None:
+        """The common start on this arm's clock; mapped once, so that steps of the wall clock cannot move it."""
+        if self._start_ns is None and self._control is not None:
+            utc_ns = self._control.requests.start_utc_ns
+            if utc_ns is not None:
+                self._start_ns = self._clock.now_ns() + utc_ns - time.time_ns()
+        return self._start_ns
 
 
 class _Teller:
@@ -108,11 +154,17 @@ class _Teller:
         """Something happened now."""
         self._texts.event(TextEvent(time.time_ns(), self._arm, level, text, data))
 
-    def end(self, summary: RunSummary, wall_s: float) -> None:
+    def warn(self, text: str) -> None:
+        """The driver has something to say."""
+        self.event(Level.WARN, text)
+
+    def end(self, summary: RunSummary) -> None:
         """The run is over; wall_s is what the report's real-time factor is made of."""
         level = Level.ERROR if summary.mode is Mode.FAULT else Level.INFO
         text = f"run ended in {summary.mode.name} {summary.reason}".strip()
-        self.event(level, text, ticks=summary.ticks, late_cycles=summary.late_cycles, wall_s=round(wall_s, 3))
+        self.event(
+            level, text, ticks=summary.ticks, late_cycles=summary.late_cycles, wall_s=round(summary.tracked_s, 4)
+        )
 
 
 class _Heart:
@@ -135,29 +187,3 @@ def _quiet_memory() -> None:
     gc.collect()
     gc.freeze()
     gc.disable()
-
-
-def _events(stop: StopFlag, simulated: bool) -> Callable[[], Event]:
-    """Operator requests as events; in simulation nothing can fall, so a stop also releases the object."""
-
-    def events() -> Event:
-        happened = Event.NONE
-        if stop.stopped:
-            happened |= Event.STOP
-        if stop.released or (simulated and stop.stopped):
-            happened |= Event.RELEASED
-        return happened
-
-    return events
-
-
-def _driver(cell: Cell, arm: Arm, options: AgentOptions) -> tuple[Driver, Clock]:
-    if options.driver is DriverKind.SIM and options.plant_socket is not None:
-        sim = SimDriver(options.plant_socket, arm.name, tuple(arm.entry.controlled), cell.config_id)
-        return sim, sim.clock
-    raise DriverError(
-        f"driver of arm {arm.name}",
-        found=options.driver.value,
-        expected="a driver with its settings",
-        remedy="simulated arms need --plant-socket",
-    )

@@ -1,34 +1,71 @@
-"""One agent from the cell file: everything that determines its torque, and nothing else."""
+"""One arm from the cell file: what determines its torque, and the driver that moves it; opens nothing."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from agent.config import observer
 from agent.config.cell import Arm, Cell
-from agent.config.schema import VelocitySource
-from agent.control.estimator import Observer
+from agent.config.schema import DriverKind
 from agent.loop import Agent
+from agent.process.servo_map import arm_map
 from agent.safety import Limits
+from drivers.clock import MonotonicClock
+from drivers.dynamixel.driver import DynamixelDriver
+from drivers.dynamixel.events import DriverEvent
+from drivers.interface import Clock, ConnectError, Driver, Vector
+from sim_backend.driver import SimDriver
+
+
+@dataclass(frozen=True)
+class Connection:
+    """How an agent reaches its arm."""
+
+    plant_socket: Path | None = None  # simulated driver
+    port: str | None = None  # Dynamixel driver; None: the port of the cell file
+    emulated: bool = False  # the servos on that port are emulated: nothing can fall
 
 
 def build_agent(cell: Cell, arm: Arm) -> Agent:
     """Everything that determines the arm's torque, from the cell file alone."""
     safety = cell.file.safety
     tau_max = arm.tau_stall_Nm * safety.tau_max_fraction_of_stall
-    observer = None
-    if cell.file.controller.velocity is VelocitySource.OBSERVER:
-        observer = Observer(
-            period_s=1.0 / cell.file.rate_hz,
-            position_gain=0.2,
-            velocity_gain_per_s=5.0,
-            velocity_gain=0.2,
-            delay_cycles=min(cell.file.simulation.effects.delay_cycles, 1),
-        )
     return Agent(
         name=arm.name,
         model=cell.model(arm),
         offline=cell.offline(arm),
         trajectory=cell.trajectory(),
         limits=Limits(tuple(tau_max.tolist()), tuple((tau_max * safety.tau_step_max_fraction).tolist())),
-        observer=observer,
+        observer=observer.build(cell.file),
         sigma_min=safety.sigma_min,
         period_s=1.0 / cell.file.rate_hz,
     )
+
+
+def build_driver(
+    cell: Cell, arm: Arm, kind: DriverKind, connection: Connection, q_start: Vector, warn: Callable[[str], None]
+) -> tuple[Driver, Clock]:
+    """Driver of the arm and its clock; warn is told what the driver notices.  Raises ConnectError."""
+    if kind is DriverKind.SIM:
+        if connection.plant_socket is None:
+            raise ConnectError(
+                f"driver of arm {arm.name}", found="no plant socket", expected="the socket of the cell's plant",
+                remedy="give --plant-socket",
+            )  # fmt: skip
+        sim = SimDriver(connection.plant_socket, arm.name, tuple(arm.entry.controlled), cell.config_id)
+        return sim, sim.clock
+    port = connection.port or (arm.entry.dynamixel.port if arm.entry.dynamixel is not None else None)
+    if port is None:
+        raise ConnectError(
+            f"port of arm {arm.name}", found="none in the cell file", expected="dynamixel = { port = ... }",
+            remedy="add it to the arm, or give --port",
+        )  # fmt: skip
+
+    def tell(event: DriverEvent) -> None:
+        where = "" if event.servo_id is None else f" (servo {event.servo_id}, {event.joint})"
+        warn(f"{event.kind.value}{where}: {event.text}")
+
+    clock = MonotonicClock()
+    return DynamixelDriver(arm_map(cell, arm, port, q_start), clock, on_event=tell), clock

@@ -28,6 +28,7 @@ class Child:
     def __init__(self, name: str, arguments: Sequence[str], log_dir: Path) -> None:
         self.name = name
         self.log = log_dir / f"{name}.log"
+        self._received = b""
         with self.log.open("wb") as log:
             self.process = subprocess.Popen(
                 [sys.executable, "-m", "agent.cli", *arguments, "--with-parent"],
@@ -38,22 +39,22 @@ class Child:
             )
 
     def wait_ready(self, timeout_s: float) -> dict[str, str]:
-        """Key-value pairs of the child's ready line.  Raises ChildFailed when it ends or stays silent."""
+        """Key-value pairs of the child's next ready line.  Raises ChildFailed when it ends or stays silent."""
         out = self.process.stdout
         assert out is not None
         deadline = time.monotonic() + timeout_s
-        received = b""
         with selectors.DefaultSelector() as selector:
             selector.register(out, selectors.EVENT_READ)
-            while b"\n" not in received:
+            while b"\n" not in self._received:
                 if not selector.select(max(0.0, deadline - time.monotonic())):
                     raise self.failed(f"not ready after {timeout_s:g} s")
                 chunk = os.read(out.fileno(), 4096)
                 if not chunk:
                     self.process.wait()
                     raise self.failed("ended before it was ready")
-                received += chunk
-        line = received.partition(b"\n")[0].decode()
+                self._received += chunk
+        head, _, self._received = self._received.partition(b"\n")
+        line = head.decode()
         return dict(pair.split("=", 1) for pair in line.removeprefix(READY).split())
 
     def failed(self, what: str) -> ChildFailed:

@@ -21,6 +21,11 @@ def ring_path(cell: str, name: str) -> Path:
     return runtime_dir(cell) / f"{name}.ring"
 
 
+def control_path(cell: str, arm: str) -> Path:
+    """Control socket of an arm."""
+    return runtime_dir(cell) / f"{arm}.control"
+
+
 def plant_socket_path(cell: str) -> Path:
     """Socket of the simulated cell."""
     return runtime_dir(cell) / "plant.sock"

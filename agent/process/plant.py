@@ -52,7 +52,7 @@ def run_plant(cell: Cell, options: PlantOptions, stop: StopFlag, ready: Callable
                     observe_every=max(1, round(cell.file.rate_hz / cell.file.simulation.observe_rate_hz)),
                     stop=stop,
                 ),
-                on_tick=_Truth(ring, plant, cell, options.lockstep),
+                on_tick=Truth(ring, plant, cell, options.lockstep),
                 on_listening=lambda: ready(f"socket={options.socket} ring={options.ring}"),
             )
         finally:
@@ -63,7 +63,7 @@ def run_plant(cell: Cell, options: PlantOptions, stop: StopFlag, ready: Callable
     )
 
 
-class _Truth:
+class Truth:
     """Writes what the plant observes into its ring."""
 
     def __init__(self, ring: RingWriter, plant: Plant, cell: Cell, lockstep: bool) -> None:
@@ -81,14 +81,20 @@ class _Truth:
         self._zero_utc_ns = 0
 
     def __call__(self, tick: int, t: float, seen: Observation) -> None:
-        """Append one row; in lockstep waits for its reader."""
-        row, n = self._row, len(seen.contact_error_m)
+        """Append one row of the simulated clock; in lockstep waits for its reader."""
+        del t  # the observation has its own
         if tick == 0:
             self._zero_utc_ns = time.time_ns()
-        row["sequence"] = tick
-        row["stamp_ns"] = tick * self._period_ns
-        row["utc_ns"] = self._zero_utc_ns + tick * self._period_ns
-        row["t"] = t
+        stamp_ns = tick * self._period_ns
+        self.write(tick, stamp_ns, self._zero_utc_ns + stamp_ns, seen)
+
+    def write(self, sequence: int, stamp_ns: int, utc_ns: int, seen: Observation) -> None:
+        """Append one row."""
+        row, n = self._row, len(seen.contact_error_m)
+        row["sequence"] = sequence
+        row["stamp_ns"] = stamp_ns
+        row["utc_ns"] = utc_ns
+        row["t"] = seen.t
         row["p_object"], row["quat_object"], row["v_object"] = seen.p_object, seen.quat_object, seen.v_object
         row["grasp_wrench"][: 6 * n] = seen.grasp_wrench.ravel()
         row["contact_error_m"][:n] = seen.contact_error_m

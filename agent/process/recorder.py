@@ -21,6 +21,7 @@ class RecorderOptions:
 
     log: Path
     driver: DriverKind
+    has_plant: bool
     seed: int
     listen: str
     network_config: Path | None
@@ -52,7 +53,7 @@ def run_recorder(
             cell=cell.file.name,
             arms={arm.name: tuple(arm.entry.controlled) for arm in cell.arms},
             config_id=cell.config_id,
-            has_plant=options.driver is DriverKind.SIM,
+            has_plant=options.has_plant,
             network=network,
             attachments=files,
             metadata={"versions": info["versions"], "cell": {"name": cell.file.name, "fingerprint": cell.fingerprint}},

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from enum import Enum
 from pathlib import Path
 from typing import Protocol
 
@@ -16,6 +17,7 @@ import numpy as np
 from agent.config.cell import Cell, load_cell
 from agent.config.check import examine
 from agent.process.child import Child
+from agent.process.control import Verb, ask
 from agent.process.plant import RING_NAME
 from agent.process.recorder import FREE_PORT
 from agent.telemetry.read import read_log
@@ -27,12 +29,21 @@ from drivers.interface import Refusal
 
 READY_TIMEOUT_S = 30.0
 STOP_TIMEOUT_S = 20.0
+START_IN_NS = 500_000_000
 ABANDON_TIMEOUT_S = 5.0
 LOOK_EVERY_S = 0.05
 
 
 class RunError(Refusal):
     """The run could not be started or did not come to its end."""
+
+
+class Pace(Enum):
+    """What moves the arms, and how fast time passes."""
+
+    LOCKSTEP = "lockstep"  # simulated drivers; time waits for every process
+    REAL_TIME = "real time"  # simulated drivers at the wall clock's pace
+    WIRE = "wire"  # the real driver on emulated servos, at the wall clock's pace
 
 
 @dataclass(frozen=True)
@@ -44,7 +55,7 @@ class RunOptions:
     duration_s: float | None
     out: Path | None
     seed: int
-    lockstep: bool
+    pace: Pace
 
 
 @dataclass(frozen=True)
@@ -133,8 +144,9 @@ class _Run:
         self._logs.mkdir(exist_ok=True)
         self._cell_path = runtime / "cell.toml"
         self._cell_path.write_bytes(cell.toml)
-        self._pace = [] if options.lockstep else ["--real-time"]
-        self._telemetry_pace = ["--lockstep"] if options.lockstep else []
+        self._lockstep = options.pace is Pace.LOCKSTEP
+        self._pace = [] if self._lockstep else ["--real-time"]
+        self._telemetry_pace = ["--lockstep"] if self._lockstep else []
         self._recorder: Child | None = None
         self._plant: Child | None = None
         self._agents: dict[str, Child] = {}
@@ -149,17 +161,10 @@ class _Run:
         self._recorder = self._child(
             "recorder", ["record", cell, "--out", str(self._out / "run.mcap"), "--listen", FREE_PORT, *seed]
         )
-        socket = self._runtime / "plant.sock"
-        self._plant = self._child(
-            "plant", ["plant", cell, "--socket", str(socket), "--ring", str(self._ring(RING_NAME)), *self._pace]
-        )
+        self._plant = self._child("plant", self._plant_command(cell))
         self._plant.wait_ready(READY_TIMEOUT_S)
         for arm in self._cell.arms:
-            self._agents[arm.name] = self._child(
-                f"arm-{arm.name}",
-                ["agent", cell, "--arm", arm.name, "--driver", "sim", "--plant-socket", str(socket),
-                 "--ring", str(self._ring(arm.name)), *self._pace],
-            )  # fmt: skip
+            self._agents[arm.name] = self._child(f"arm-{arm.name}", self._agent_command(cell, arm.name))
         endpoint = self._recorder.wait_ready(READY_TIMEOUT_S)["endpoint"]
         for name in (RING_NAME, *self._agents):
             self._telemetry[name] = self._child(
@@ -169,7 +174,30 @@ class _Run:
             )  # fmt: skip
         for child in (*self._agents.values(), *self._telemetry.values()):
             child.wait_ready(READY_TIMEOUT_S)
+        if not self._lockstep:
+            self._start_together(progress)
         self._began = time.monotonic()
+
+    def _start_together(self, progress: Progress) -> None:
+        """Give all arms one start instant once each of them holds its start pose."""
+        progress.phase("torque on")
+        for child in self._agents.values():
+            child.wait_ready(READY_TIMEOUT_S)
+        start_utc_ns = time.time_ns() + START_IN_NS
+        for arm in self._agents:
+            ask(self._control(arm), Verb.START, start_utc_ns=start_utc_ns, fingerprint=self._cell.fingerprint)
+
+    def _plant_command(self, cell: str) -> list[str]:
+        ring = ["--ring", str(self._ring(RING_NAME))]
+        if self._options.pace is Pace.WIRE:
+            return ["emulate", cell, "--ports", str(self._runtime), "--seed", str(self._options.seed), *ring]
+        return ["plant", cell, "--socket", str(self._socket), *ring, *self._pace]
+
+    def _agent_command(self, cell: str, arm: str) -> list[str]:
+        common = ["agent", cell, "--arm", arm, "--ring", str(self._ring(arm)), "--control", str(self._control(arm))]
+        if self._options.pace is Pace.WIRE:
+            return [*common, "--driver", "dynamixel", "--port", str(self._runtime / arm), "--emulated"]
+        return [*common, "--driver", "sim", "--plant-socket", str(self._socket), *self._pace]
 
     def watch(self, stop: Callable[[], bool], progress: Progress) -> bool:
         """Watch until every agent has ended; True when a stop was requested.  Raises ChildFailed."""
@@ -194,6 +222,8 @@ class _Run:
         _wait_all(self._agents.values(), STOP_TIMEOUT_S)
         assert self._plant is not None
         assert self._recorder is not None
+        if self._options.pace is Pace.WIRE:  # emulated servos serve until they are told to stop
+            self._plant.terminate()
         if self._plant.wait(STOP_TIMEOUT_S) is None:
             self._plant.terminate()
         _wait_all(self._telemetry.values(), STOP_TIMEOUT_S)  # each ends when the recorder has its last row
@@ -212,6 +242,13 @@ class _Run:
 
     def _child(self, name: str, arguments: Sequence[str]) -> Child:
         return Child(name, arguments, self._logs)
+
+    @property
+    def _socket(self) -> Path:
+        return self._runtime / "plant.sock"
+
+    def _control(self, arm: str) -> Path:
+        return self._runtime / f"{arm}.control"
 
     def _ring(self, name: str) -> Path:
         return self._runtime / f"{name}.ring"

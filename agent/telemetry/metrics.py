@@ -240,12 +240,13 @@ def _real_time_factor(run: Prepared, missing: list[str]) -> float:
     Each agent says at its end how long the run took by the wall (`wall_s` of its event).  Without that the rows' UTC
     must do; in simulation it may be mapped from the simulated clock, and then says nothing of the wall.
     """
-    spans = {name: float(rows["t"][-1] - rows["t"][0]) for name, rows in run.rows.items() if len(rows) > 1}
+    tracked = {name: rows[rows["mode"] == Mode.TRACK.value] for name, rows in run.rows.items()}
+    spans = {name: float(rows["t"][-1] - rows["t"][0]) for name, rows in tracked.items() if len(rows) > 1}
     walls = [(event.source, event.data.get("wall_s")) for event in run.log.events]
     told = {source: wall for source, wall in walls if isinstance(wall, float | int) and wall > 0}
     factors = []
     for name, span in spans.items():
-        rows = run.rows[name]
+        rows = tracked[name]
         utc_ns, stamp_ns = (int(rows[f][-1]) - int(rows[f][0]) for f in ("utc_ns", "stamp_ns"))
         if name in told:
             factors.append(span / told[name])

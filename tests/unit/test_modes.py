@@ -12,7 +12,7 @@ ALL_EVENTS = [Event(bits) for bits in range(1 << len(Event))]
 ALL = list(product(Mode, ALL_EVENTS))
 BAD = (Event.STOP, Event.TROUBLE, Event.SERVO_LOST)
 # how far a mode is from rest: a bad event may never lead further out
-ACTIVITY = {Mode.OFF: 0, Mode.FAULT: 0, Mode.READY: 1, Mode.LOWER: 2, Mode.HOLD: 2, Mode.TRACK: 3}
+ACTIVITY = {Mode.OFF: 0, Mode.FAULT: 0, Mode.READY: 2, Mode.LOWER: 2, Mode.HOLD: 2, Mode.TRACK: 3}
 
 # mode, events that decide it (any of them, none of the others decides before), next mode
 TABLE = [
@@ -23,8 +23,8 @@ TABLE = [
     (Mode.OFF, Event.STARTED, Mode.OFF),
     (Mode.READY, Event.NONE, Mode.READY),
     (Mode.READY, Event.STARTED, Mode.TRACK),
-    (Mode.READY, Event.STARTED | Event.STOP, Mode.OFF),
-    (Mode.READY, Event.STARTED | Event.TROUBLE, Mode.OFF),
+    (Mode.READY, Event.STARTED | Event.STOP, Mode.HOLD),
+    (Mode.READY, Event.STARTED | Event.TROUBLE, Mode.HOLD),
     (Mode.READY, Event.SERVO_LOST, Mode.FAULT),
     (Mode.TRACK, Event.NONE, Mode.TRACK),
     (Mode.TRACK, Event.STOP, Mode.HOLD),

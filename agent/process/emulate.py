@@ -1,0 +1,96 @@
+"""Emulated servos on pseudo terminals, moved by the plant of the cell: what the real driver runs against in tests."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from agent.config.cell import Arm, Cell
+from agent.config.check import examine
+from agent.process.plant import RING_NAME, Truth
+from agent.process.servo_map import GRIPPER, drivable
+from agent.process.signals import StopFlag
+from agent.process.simulated import plant_spec
+from agent.telemetry.ring import RingWriter
+from agent.telemetry.sample import PLANT_STATE
+from drivers.dynamixel.table import SERVOS
+from sim_backend.wire.plant_world import emulate
+from sim_backend.wire.serve import ServeOptions, serve
+from sim_backend.wire.timing import BusTiming
+from sim_backend.wire.wiring import ArmWiring, JointData, wire_arm
+
+
+@dataclass(frozen=True)
+class EmulateOptions:
+    """How the emulated cell is served."""
+
+    ports: Mapping[str, Path]  # arm -> path of its port
+    ring: Path
+    faults_file: Path | None
+    control_socket: Path | None
+    seed: int
+    timing: bool  # False: every reply is available at once
+
+
+def wiring(arm: Arm, index: int, baud: int) -> ArmWiring:
+    """The servos of an arm as its file describes them."""
+    joints: list[JointData] = [
+        JointData(j.name, j.servo, j.ids, j.reverse, j.zero_tick, j.position_limit_ticks) for j in drivable(arm)
+    ]
+    g = arm.file.gripper
+    if SERVOS[g["servo"]].protocol == arm.file.protocol:
+        joints.append(
+            JointData(GRIPPER, g["servo"], g["ids"], g["reverse"], g["zero_tick"], tuple(g["position_limit_ticks"]))
+        )
+    return wire_arm(
+        arm.name, joints, arm.entry.controlled, baud=baud, plant_arm=index, start_rad=dict(arm.entry.locked_rad)
+    )
+
+
+def run_emulate(cell: Cell, options: EmulateOptions, stop: StopFlag, ready: Callable[[str], None]) -> str:
+    """Serve the emulated arms until a stop; returns one line about the run.  Raises Refusal."""
+    report = examine(cell)
+    report.require()
+    arms = [wiring(arm, i, arm.baud) for i, arm in enumerate(cell.arms)]
+    emulated, world = emulate(plant_spec(cell, report.q_start), arms, timing=BusTiming() if options.timing else None)
+    with RingWriter(options.ring, PLANT_STATE, RING_NAME) as ring:
+        truth = Truth(ring, world.plant, cell, lockstep=False)
+        offset_ns = time.time_ns() - time.monotonic_ns()
+        every_ns = round(1e9 / cell.file.simulation.observe_rate_hz)
+        rows = 0
+
+        def on_tick(now_ns: int) -> None:
+            nonlocal rows
+            truth.write(rows, now_ns, now_ns + offset_ns, world.observe())
+            rows += 1
+
+        try:
+            ready(f"ring={options.ring}")
+            server = serve(
+                emulated,
+                ServeOptions(
+                    ports=options.ports,
+                    faults_file=options.faults_file,
+                    control_socket=options.control_socket,
+                    seed=options.seed,
+                    on_tick=on_tick,
+                    tick_ns=every_ns,
+                ),
+                _Stop(stop),
+            )
+        finally:
+            ring.finish()
+    return f"emulator: {server.laps} laps, {rows} observations"
+
+
+class _Stop:
+    """The stop flag as the server asks for it."""
+
+    def __init__(self, stop: StopFlag) -> None:
+        self._stop = stop
+
+    def is_set(self) -> bool:
+        """Whether a stop was asked for."""
+        return self._stop()

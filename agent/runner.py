@@ -1,0 +1,209 @@
+"""The control loop of one arm: wait, read, step, limit, write, log.  Opens nothing and never reads the wall clock.
+
+Absolute deadlines: a late cycle keeps the phase of the trajectory, and what was missed is not caught up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+from agent.control.memory import Memory
+from agent.loop import Agent, hold_here, initial_memory, step
+from agent.modes import Event, Mode, next_mode
+from agent.safety import Flag
+from agent.telemetry.row import AgentRow
+from drivers.interface import Clock, Driver, JointState, ServoFault, StaleStateError
+
+MAX_STALE_IN_A_ROW = 3
+NOT_YET_NS = 86_400_000_000_000  # the trajectory's zero while nobody has set it: a day ahead
+_COMMANDING = frozenset({Mode.READY, Mode.TRACK, Mode.HOLD, Mode.LOWER})
+
+
+class RowSink(Protocol):
+    """Where rows go; the control thread only ever fills and commits."""
+
+    def commit(self) -> None:
+        """Make the filled row visible to readers; never blocks."""
+        ...
+
+    def wait_for_space(self) -> None:
+        """Lockstep simulation only: let time wait for the reader, so that nothing is lost."""
+        ...
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """When the ticks are."""
+
+    period_ns: int
+    ticks: int  # of the trajectory, from its zero on
+    lockstep: bool  # simulated time: the trajectory's zero is the first tick
+    hold_at_end: bool  # after the last tick hold the object until an operator releases it (real arms)
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What the loop asks of the process around it; each is called once a cycle and must not block."""
+
+    wall_ns: Callable[[], int]  # measures durations for the log and nothing else
+    utc_ns: Callable[[], int]  # read once
+    operator: Callable[[], Event]  # requests of an operator
+    start_ns: Callable[[], int | None]  # the trajectory's zero on the driver's clock, once somebody has set it
+    heartbeat: Callable[[], None]  # after every cycle with a fresh state
+
+
+@dataclass
+class RunSummary:
+    """What `Runner.run` did."""
+
+    ticks: int = 0
+    late_cycles: int = 0
+    stale_cycles: int = 0
+    mode: Mode = Mode.READY
+    reason: str = ""
+    tracked_s: float = 0.0  # of the wall clock, from the first to the last tick of the trajectory
+
+
+class Runner:
+    """The loop of one arm on an enabled driver."""
+
+    def __init__(
+        self,
+        agent: Agent,
+        driver: Driver,
+        clock: Clock,
+        schedule: Schedule,
+        row: AgentRow,
+        sink: RowSink,
+        around: Surroundings,
+    ) -> None:
+        self._agent = agent
+        self._driver = driver
+        self._clock = clock
+        self._schedule = schedule
+        self._row = row
+        self._sink = sink
+        self._around = around
+        self._memory: Memory = initial_memory(agent)
+        self._stale_in_a_row = 0
+        self._tick = 0
+        self._phase_ns = clock.now_ns()  # instant of tick 0
+        self._utc_offset_ns = around.utc_ns() - self._phase_ns
+        self._zero_ns = self._phase_ns + (0 if schedule.lockstep else NOT_YET_NS)
+        self._tracking_since_ns: int | None = None
+        self.summary = RunSummary(mode=Mode.TRACK if schedule.lockstep else Mode.READY)
+
+    def run(self) -> RunSummary:
+        """Run until the last tick, a release or a fault; leaves the torque as it is."""
+        while self.summary.mode in _COMMANDING and not self._over():
+            deadline_ns = self._phase_ns + self._tick * self._schedule.period_ns
+            self._clock.sleep_until(deadline_ns)
+            self._cycle(deadline_ns)
+        return self.summary
+
+    def _over(self) -> bool:
+        return not self._schedule.hold_at_end and self._past_end(self._phase_ns + self._tick * self._schedule.period_ns)
+
+    def _past_end(self, instant_ns: int) -> bool:
+        return instant_ns - self._zero_ns >= self._schedule.ticks * self._schedule.period_ns
+
+    def _cycle(self, deadline_ns: int) -> None:
+        period_ns, summary = self._schedule.period_ns, self.summary
+        if self._schedule.lockstep:
+            self._sink.wait_for_space()
+            late_ns = 0
+        else:
+            late_ns = self._clock.now_ns() - deadline_ns
+        begin_ns = self._around.wall_ns()
+        happened = self._around.operator()
+        state, trouble = self._read()
+        if trouble:
+            happened |= Event.TROUBLE
+            summary.reason = summary.reason or trouble
+        if state is not None:
+            happened |= self._act(state, late_ns, begin_ns)
+            self._around.heartbeat()
+        if self._past_end(deadline_ns + period_ns) and self._schedule.hold_at_end:
+            happened |= Event.STOP
+        if self._started(deadline_ns):
+            happened |= Event.STARTED
+        self._change_mode(happened, state)
+        summary.late_cycles += late_ns > period_ns
+        self._tick += 1
+        if not self._schedule.lockstep:
+            self._tick += max(0, (self._clock.now_ns() - deadline_ns) // period_ns)
+
+    def _read(self) -> tuple[JointState | None, str]:
+        """Fresh state or None, and what is wrong with the arm or nothing.  A lost state keeps the last torque."""
+        try:
+            state = self._driver.read()
+        except StaleStateError as error:
+            self.summary.stale_cycles += 1
+            self._stale_in_a_row += 1
+            if self._stale_in_a_row > MAX_STALE_IN_A_ROW:
+                self.summary.mode, self.summary.reason = Mode.FAULT, str(error)
+                return None, str(error)
+            self._driver.write(self._memory.tau)
+            return None, ""
+        except ServoFault as error:
+            self._stale_in_a_row = 0
+            if error.state is None:
+                self.summary.mode, self.summary.reason = Mode.FAULT, str(error)
+            return error.state, str(error)
+        self._stale_in_a_row = 0
+        return state, ""
+
+    def _act(self, state: JointState, late_ns: int, begin_ns: int) -> Event:
+        """One step on a fresh state: torque out, row in the log."""
+        row, wall_ns, mode = self._row, self._around.wall_ns, self.summary.mode
+        if mode is not Mode.TRACK and self._memory.hold is None:
+            self._memory = hold_here(self._agent, state.q, self._memory)
+        after_read_ns = wall_ns()
+        t = (state.stamp_ns - self._zero_ns) * 1e-9
+        outcome = step(self._agent, state, t, mode, self._memory)
+        after_step_ns = wall_ns()
+        tau_sent = self._driver.write(outcome.tau)
+        after_write_ns = wall_ns()
+        row.fill_state(self.summary.ticks, t, self._utc_offset_ns + state.stamp_ns, mode, state)
+        row.fill_law(outcome.q, outcome.dq, outcome.terms, self._memory)
+        row.fill_output(outcome.flags, outcome.tau, tau_sent)
+        row.fill_timing(
+            late_ns * 1e-9,
+            (after_read_ns - begin_ns) * 1e-9,
+            (after_step_ns - after_read_ns) * 1e-9,
+            (after_write_ns - after_step_ns) * 1e-9,
+            self._driver.counters,
+        )
+        self._sink.commit()
+        self._memory = outcome.memory
+        self.summary.ticks += 1
+        if mode is Mode.TRACK:
+            if self._tracking_since_ns is None:
+                self._tracking_since_ns = begin_ns
+            self.summary.tracked_s = (after_write_ns - self._tracking_since_ns) * 1e-9
+        if outcome.flags & (Flag.NOT_FINITE | Flag.SINGULAR):
+            self.summary.reason = self.summary.reason or f"t = {t:.3f} s: {outcome.flags!r}"
+            return Event.TROUBLE
+        return Event.NONE
+
+    def _started(self, deadline_ns: int) -> bool:
+        """Whether the next tick belongs to the trajectory; takes over the common start once it is known."""
+        zero_ns = self._around.start_ns()
+        if zero_ns is not None and zero_ns != self._zero_ns and self.summary.mode is Mode.READY:
+            self._zero_ns = zero_ns
+            self._phase_ns = zero_ns - (zero_ns - deadline_ns) // self._schedule.period_ns * self._schedule.period_ns
+            self._tick = 0
+        return self._phase_ns + (self._tick + 1) * self._schedule.period_ns >= self._zero_ns
+
+    def _change_mode(self, happened: Event, state: JointState | None) -> None:
+        before = self.summary.mode
+        mode = next_mode(before, happened)
+        if mode is before:
+            return
+        if mode is Mode.HOLD and state is not None:
+            self._memory = hold_here(self._agent, state.q, self._memory)
+        if mode is Mode.TRACK:
+            self._memory = replace(self._memory, hold=None)
+        self.summary.mode = mode
