@@ -1,0 +1,115 @@
+"""Telemetry: what a row costs the control thread, the recorder and the reader; rows are those of a run of two arms."""
+
+from __future__ import annotations
+
+import statistics
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+from mcap.reader import make_reader
+
+from agent.telemetry.intake import Intake, Rows
+from agent.telemetry.publish import Pace
+from agent.telemetry.read import read_log
+from agent.telemetry.ring import RingWriter
+from agent.telemetry.sample import AGENT_STATE
+from agent.telemetry.topics import Address, Kind
+from agent.telemetry.wire import BatchHeader
+from tests.bench.common import Figure, median_us
+from tests.process.telemetry_cell import ARMS, CELL, CONFIG_ID, make_rows, recorder, telemetry, writer
+from tests.unit.log_maker import LogMaker
+
+NAMES = ("ring_commit", "recorder_cpu_per_row", "log_100s", "read_100s", "lockstep_rows")
+TICKS = 20_000  # 100 s at 200 Hz
+BATCH = 20
+ZERO_WITHOUT_ADAPTATION = ("theta_arm", "theta_object", "tau_posture", "tau_adaptive", "memory")
+
+
+def bench() -> dict[str, Figure]:
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        return {"ring_commit": commit(folder)} | log(folder) | {"lockstep_rows": lockstep(folder)}
+
+
+def noisy_rows(arm: str, count: int) -> np.ndarray:
+    """Three-joint rows of the non-adaptive law with noise in every number, so that compression has real work."""
+    rows = make_rows(arm, count)
+    random = np.random.default_rng(len(arm))
+    for f in AGENT_STATE.fields:
+        if f.ros_type == "float64" and f.length:
+            used = 0 if f.name in ZERO_WITHOUT_ADAPTATION else 3 if f.length == 7 else f.length
+            rows[f.name][:, :used] += 1e-4 * random.standard_normal((count, used))
+            rows[f.name][:, used:] = 0.0
+    return rows
+
+
+def commit(folder: Path) -> Figure:
+    with RingWriter(folder / "left.ring", AGENT_STATE, "left") as ring:
+        return Figure(median_us(ring.commit, 5_000, 9), "us")
+
+
+def log(folder: Path) -> dict[str, Figure]:
+    """Everything behind the network: check, standard messages, compress, write; then read back."""
+    rows = {arm: noisy_rows(arm, TICKS) for arm in ARMS}
+    path = folder / "run.mcap"
+    maker = LogMaker(path, has_plant=False)
+    door = Intake(CELL, {arm: len(joints) for arm, joints in ARMS.items()}, has_plant=False, config_id=CONFIG_ID)
+    batches = [
+        (Address(CELL, arm, Kind.STATE).key, some.tobytes(), BatchHeader(1, first, TICKS, 0).pack())
+        for first in range(0, TICKS, BATCH)
+        for arm, all_rows in rows.items()
+        for some in (all_rows[first : first + BATCH],)
+    ]
+    begin = time.process_time()
+    for batch in batches:
+        for item in door.take(*batch):
+            assert isinstance(item, Rows)
+            maker.channels.write_rows(item)
+    maker.finish()
+    cpu_s = time.process_time() - begin
+    raw_MB = len(ARMS) * TICKS * AGENT_STATE.dtype.itemsize / 1e6
+    read_s, plain_s = median_s(lambda: read_log(path)), median_s(lambda: plain_read(path))
+    return {
+        "recorder_cpu_per_row": Figure(cpu_s / (len(ARMS) * TICKS) * 1e6, "us"),
+        "log_100s": Figure(path.stat().st_size / 1e6, "MB", baseline=raw_MB),
+        "read_100s": Figure(read_s, "s", baseline=plain_s),
+    }
+
+
+def plain_read(path: Path) -> int:
+    """The same bytes by the MCAP library's own reader, not even put into arrays."""
+    with path.open("rb") as file:
+        return sum(len(message.data) for _, _, message in make_reader(file).iter_messages())
+
+
+def median_s(work: object) -> float:
+    assert callable(work)
+    times = []
+    for _ in range(3):
+        begin = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - begin)
+    return statistics.median(times)
+
+
+def lockstep(folder: Path, count: int = 20_000) -> Figure:
+    """Rows per second from two rings through Zenoh into a log that is complete."""
+    with recorder(folder / "lockstep.mcap") as rec:
+        endpoint = rec.ready()
+        rings = {arm: folder / f"{arm}.lockstep" for arm in ARMS}
+        publishers = [telemetry(ring, arm, endpoint, Pace.LOCKSTEP) for arm, ring in rings.items()]
+        writers = [writer(ring, arm, count, None) for arm, ring in rings.items()]
+        try:
+            for process in writers:
+                process.ready()
+            begin = time.perf_counter()
+            complete = all(p.result().complete for p in publishers)
+            elapsed = time.perf_counter() - begin
+        finally:
+            for process in (*publishers, *writers):
+                process.kill()
+        if not (complete and rec.stop().complete):
+            raise RuntimeError("a benchmark that loses rows measures nothing")
+    return Figure(len(ARMS) * count / elapsed, "1/s")
