@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from agent.telemetry.coverage import Coverage, count_of
 from agent.telemetry.event import Event, health_time
-from agent.telemetry.sample import AGENT_STATE, PLANT_STATE, Layout
+from agent.telemetry.sample import AGENT_STATE, CDR_LITTLE_ENDIAN, PLANT_STATE
 from agent.telemetry.topics import PLANT, PUBLISHED, Address, Kind
 from agent.telemetry.wire import RANGES_MAX, BatchHeader, End, StreamStatus
 
@@ -124,8 +124,8 @@ class Intake:
         members = [*arms, PLANT] if has_plant else [*arms]
         addresses = [Address(cell, member, kind) for member in members for kind in PUBLISHED]
         self.streams = {a.key: Stream(a) for a in addresses}
-        self._layouts: dict[str, Layout] = {m: PLANT_STATE if m == PLANT else AGENT_STATE for m in members}
-        self._row_bytes = {m: layout.dtype.itemsize for m, layout in self._layouts.items()}
+        agent_row, plant_row = AGENT_STATE.dtype, PLANT_STATE.dtype
+        self._dtypes = {member: plant_row if member == PLANT else agent_row for member in members}
         self._texts: set[bytes] = set()
 
     def take(self, key: str, payload: bytes, attachment: bytes) -> list[Rows] | list[Text]:
@@ -145,11 +145,11 @@ class Intake:
         member = stream.address.member
         if stream.source not in (0, header.source):
             return self._reject(Rejection.ANOTHER_RUN)
-        if len(payload) % self._row_bytes[member] or (not payload and header.end is End.OPEN):
+        dtype = self._dtypes[member]
+        if len(payload) % dtype.itemsize or (not payload and header.end is End.OPEN):
             return self._reject(Rejection.WRONG_LENGTH)
-        try:
-            rows = self._layouts[member].decode(payload)
-        except ValueError:
+        rows = np.frombuffer(payload, dtype)
+        if np.any(rows["encapsulation"] != CDR_LITTLE_ENDIAN):
             return self._reject(Rejection.WRONG_ENCAPSULATION)
         if np.any(rows["config_id"] != self._config_id):
             return self._reject(Rejection.WRONG_CONFIG)

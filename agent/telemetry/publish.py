@@ -18,24 +18,24 @@ from enum import Enum
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 import zenoh
 import zenoh.ext
 
-from agent.telemetry import topics
 from agent.telemetry.derive import RowEvents
 from agent.telemetry.event import TextReader, texts_path
 from agent.telemetry.ring import RingReader
 from agent.telemetry.sample import AGENT_STATE, Layout
 from agent.telemetry.sender import RowSource, Sender, TextSource
+from agent.telemetry.status_query import StatusQuery
 from agent.telemetry.topics import Address, Kind
-from agent.telemetry.wire import End, StreamStatus, unpack_status
+from agent.telemetry.wire import End
 from agent.telemetry.zenoh_session import Network, has_link, open_session
 
 _CYCLE_S: Final = {False: 0.033, True: 0.02}  # by lockstep; 30 batches/s in real time; each look costs the run CPU time
 _BURST_PAUSE_S: Final = 0.005  # in real time, between the bursts that catch up
 _BURST: Final = {False: 2, True: 64}  # batches between two looks at the stop flag
 _STATUS_S: Final = {False: 0.25, True: 0.05}
-_STATUS_TIMEOUT_S: Final = 2.0
 _LINGER_S: Final = 10.0  # for a recorder that is there and says nothing
 _WINDOW_ROWS: Final = 4096  # lockstep: rows on their way at most
 _CACHE_S: Final = 20.0  # at 30 batches/s; "cache depth ≥ 10 s"
@@ -127,12 +127,11 @@ class _Telemetry:
             kind: stack.enter_context(_publisher(session, self._address_of(kind), self._lockstep))
             for kind in self._senders
         }
-        self._last_row: Mapping[str, int] = {}
+        self._dtype = options.layout.dtype
+        self._last_row: np.void | None = None
         info = self._address_of(Kind.INFO).key
         stack.enter_context(session.declare_queryable(info, lambda query: query.reply(info, self._info())))
-        self._status: dict[str, StreamStatus] | None = None
-        self._asked_s = 0.0
-        self._answered = True
+        self._status = StatusQuery(session, options.cell, _STATUS_S[self._lockstep])
         self._ended_s = 0.0
 
     def run(self, stop: Callable[[], bool]) -> PublishReport:
@@ -166,7 +165,6 @@ class _Telemetry:
             if kind is not Kind.STATE:
                 for header, payload in sender.new(burst, now_s):
                     self._publishers[kind].put(payload, attachment=header.pack())
-        self._ask(now_s)
         self._take_status(now_s)
         if self._lockstep:
             self._reader.acknowledge(rows.acknowledged)
@@ -175,9 +173,9 @@ class _Telemetry:
     def _watch(self, payload: bytes) -> None:
         if not payload:
             return
-        decoded = self._options.layout.decode(payload)
-        self._last_row = {name: int(decoded[-1][name]) for name in ("sequence", "utc_ns", "config_id")}
-        for event in self._derive.watch(decoded) if self._derive else ():
+        rows = np.frombuffer(payload, self._dtype)
+        self._last_row = rows[-1]
+        for event in self._derive.watch(rows) if self._derive else ():
             self._outbox[Kind.EVENT].append(event.to_json())
 
     def _collect_texts(self, *, ended: bool) -> None:
@@ -189,25 +187,8 @@ class _Telemetry:
             for box in self._outbox.values():
                 box.end = End.FINISHED
 
-    def _ask(self, now_s: float) -> None:
-        """Ask the recorder for its status, without waiting for the answer."""
-        waited = now_s - self._asked_s
-        if waited < (_STATUS_S[self._lockstep] if self._answered else _STATUS_TIMEOUT_S) or not has_link(self._session):
-            return
-        self._asked_s, self._answered = now_s, False
-        self._session.get(topics.status_key(self._options.cell), self._on_reply, timeout=_STATUS_TIMEOUT_S)
-
-    def _on_reply(self, reply: zenoh.Reply) -> None:
-        """Runs in a thread of Zenoh's: only hands the answer over."""
-        if reply.ok is not None and len(reply.ok.payload) < 1 << 16:
-            try:
-                self._status = unpack_status(reply.ok.payload.to_bytes())
-            except ValueError:
-                return  # not our recorder's answer: as if nobody had answered
-            self._answered = True
-
     def _take_status(self, now_s: float) -> None:
-        status, self._status = self._status, None
+        status = self._status.poll(now_s)
         if status is None:
             return
         for kind, sender in self._senders.items():
@@ -221,7 +202,9 @@ class _Telemetry:
     def _info(self) -> bytes:
         rows = self._senders[Kind.STATE]
         ring = {"id": self._reader.header.ring_id, "pid": self._reader.header.pid, "written": self._reader.written}
-        live = {"ring": ring | {"lost": rows.lost, "published": rows.published}, "last_row": dict(self._last_row)}
+        row = self._last_row
+        last = {} if row is None else {name: int(row[name]) for name in ("sequence", "utc_ns", "config_id")}
+        live = {"ring": ring | {"lost": rows.lost, "published": rows.published}, "last_row": last}
         return json.dumps({"member": self._options.member, **self._options.info, **live}, default=str).encode()
 
     def _report(self) -> PublishReport:
