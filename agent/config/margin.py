@@ -61,17 +61,20 @@ def sampled_loop(cell: Cell, gains: Sequence[Gains] | None = None) -> SampledLoo
     )
 
 
+def damping_at(true: Matrix, believed: Matrix, P: Matrix, loop: SampledLoop) -> Damping:
+    """Damping at one place, for one true inertia.  true, believed: (m, m); P: (m, 6) task basis."""
+    eigenvalues = modes(true, believed, P, loop)
+    return Damping(float(np.abs(eigenvalues).max()), _ratio(eigenvalues))
+
+
 def damping(where: Sequence[Place], P: Matrix, loop: SampledLoop) -> dict[float, Damping]:
     """Worst damping over all places, by the error of the arms' inertia.  P: (m, 6) task basis."""
     worst: dict[float, Damping] = {}
     for place in where:
         for error, true in place.true.items():
-            eigenvalues = modes(true, place.believed, P, loop)
-            radius, ratio = float(np.abs(eigenvalues).max()), _ratio(eigenvalues)
-            known = worst.get(error)
-            worst[error] = (
-                Damping(max(radius, known.radius), min(ratio, known.ratio)) if known else Damping(radius, ratio)
-            )
+            here = damping_at(true, place.believed, P, loop)
+            known = worst.get(error, here)
+            worst[error] = Damping(max(here.radius, known.radius), min(here.ratio, known.ratio))
     return worst
 
 

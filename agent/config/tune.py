@@ -24,8 +24,9 @@ import numpy as np
 from agent.config.cell import Arm, Cell, ConfigError, cell_from_toml, placement
 from agent.config.check import reach, start_configurations
 from agent.config.edit import Change, apply
-from agent.config.margin import Damping, Place, damping, places, sampled_loop
+from agent.config.margin import Damping, Place, damping, damping_at, places, sampled_loop
 from agent.control.errors import Gains
+from agent.control.law import Offline
 from agent.control.models import ArmModel, Matrix
 from drivers.dynamixel.table import VELOCITY_UNIT_RAD_PER_S
 from drivers.interface import Vector
@@ -57,9 +58,9 @@ class Margin:
     radius: float = 0.999  # at most
     damping: float = 0.05  # at least, of every mode that swings: each swing then takes a quarter off
 
-    def kept_by(self, found: Mapping[float, Damping]) -> bool:
-        """Whether all of them keep it."""
-        return all(d.radius <= self.radius and d.ratio >= self.damping for d in found.values())
+    def kept_by(self, found: Damping) -> bool:
+        """Whether it is kept."""
+        return found.radius <= self.radius and found.ratio >= self.damping
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,6 +126,7 @@ class Tuner:
         self._models = [cell.model(arm) for arm in cell.arms]
         self._along = _walk(cell, self._models)
         self._places: tuple[Place, ...] = places(cell, self._models, self._along)
+        self._cases = [(true, place.believed) for place in self._places for true in place.true.values()]
         self._gains = [cell.offline(arm).gains for arm in cell.arms]
 
     def configured(self) -> GainSet:
@@ -162,7 +164,7 @@ class Tuner:
 
     def _largest(self, form: Form, margin: Margin, floor: float, base: Scale) -> Scale | None:
         def keeps(scale: Scale) -> bool:
-            return margin.kept_by(self._damping([scale.of(g) for g in self._gains]))
+            return self._keeps([scale.of(g) for g in self._gains], margin)
 
         if form is Form.RATIO:
             pose = _descend(lambda x: keeps(replace(base, pose=x)), floor, POSE_MAX)
@@ -174,27 +176,40 @@ class Tuner:
                 return replace(at, rate=rate)
         return None
 
+    def _keeps(self, gains: Sequence[Gains], margin: Margin) -> bool:
+        """Whether the margin is kept everywhere; begins where it was missed last, which is where it will be again."""
+        loop, P = sampled_loop(self.cell, gains), self._models[0].task_basis
+        for i, (true, believed) in enumerate(self._cases):
+            if not margin.kept_by(damping_at(true, believed, P, loop)):
+                self._cases.insert(0, self._cases.pop(i))
+                return False
+        return True
+
     def _damping(self, gains: Sequence[Gains]) -> dict[float, Damping]:
         return damping(self._places, self._models[0].task_basis, sampled_loop(self.cell, gains))
 
     def _examined(self, cell: Cell) -> GainSet:
-        gains = [cell.offline(arm).gains for arm in cell.arms]
+        offline = [cell.offline(arm) for arm in cell.arms]
         chatter = [
-            max(velocity_chatter(model, g, q[i]) for q in self._along)
-            for i, (model, g) in enumerate(zip(self._models, gains, strict=True))
+            max(velocity_chatter(model, o, q[i]) for q in self._along)
+            for i, (model, o) in enumerate(zip(self._models, offline, strict=True))
         ]
-        return GainSet(cell, self._damping(gains), tuple(chatter))
+        return GainSet(cell, self._damping([o.gains for o in offline]), tuple(chatter))
 
 
-def velocity_chatter(model: ArmModel, gains: Gains, q: Vector) -> float:
+def velocity_chatter(model: ArmModel, offline: Offline, q: Vector) -> float:
     """Largest rms torque, N·m, of a joint from velocities that are rounded to the servos' grid, with the arm at q (n,).
 
-    A velocity that is off by δ changes the torque by (B J⁻¹ K' H J + Jᵀ k_v J) δ; δ is uniform over one step.
+    A velocity that is off by δ changes the torque by ((B J⁻¹ + c Jᵀ M_O) K' H + Jᵀ k_v) J δ; δ is uniform over one step.
     """
-    P, J, B = model.task_basis, model.jacobian(q), model.inertia(q)
+    gains, P = offline.gains, model.task_basis
+    J, B, R = model.jacobian(q), model.inertia(q), model.object_pose(q).rotation
     K_rate = P @ np.diag([*gains.k_p_rate, *(0.5 * k for k in gains.k_eps_rate)]) @ P.T
-    K_v = P @ np.diag(gains.k_v) @ P.T
-    feedback: Matrix = B @ np.linalg.pinv(J) @ K_rate @ J + J.T @ K_v @ J
+    M_object = np.zeros((6, 6))
+    M_object[:3, :3] = offline.object_mass_kg * np.eye(3)
+    M_object[3:, 3:] = R @ np.reshape(offline.object_inertia, (3, 3)) @ R.T
+    inertia = B @ np.linalg.pinv(J) + offline.load_share * J.T @ P @ M_object @ P.T
+    feedback: Matrix = (inertia @ K_rate + J.T @ P @ np.diag(gains.k_v) @ P.T) @ J
     return float(np.linalg.norm(feedback, axis=1).max() * VELOCITY_UNIT_RAD_PER_S / math.sqrt(12.0))
 
 
