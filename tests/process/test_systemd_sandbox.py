@@ -34,6 +34,9 @@ def machine(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Machine]:
         drop_in.parent.mkdir()
         environment = "Environment=PYTHONHOME=/opt/python LD_LIBRARY_PATH=/opt/python/lib"
         drop_in.write_text(f"[Service]\n{environment}\nExecStart=\nExecStart={python} {what} {PLACES}\n")
+    (files / "etc/systemd/system/ssh.service").write_text("[Service]\nExecStart=/usr/bin/sleep infinity\n")
+    off = "[Unit]\nDefaultDependencies=no\nRequires=shutdown.target\nAfter=shutdown.target\n"
+    (files / "etc/systemd/system/off.target").write_text(off)
     with booted(files, scratch) as machine:
         machine.run("systemctl", "start", "coop-agent@hang.service")
         yield machine
@@ -126,3 +129,15 @@ def test_a_stopped_agent_holds_until_a_person_releases_it(machine: Machine) -> N
     machine.run("systemctl", "kill", "--signal=SIGUSR1", unit)
     machine.wait_for(unit, "ActiveState", "inactive")
     assert machine.show(unit, "Result") == "success"
+
+
+def test_a_shutdown_waits_for_a_hold_and_leaves_a_way_in(machine: Machine) -> None:
+    unit = "coop-agent@hold.service"
+    machine.run("systemctl", "start", "ssh.service", unit)
+    machine.run("systemctl", "start", "--no-block", "--job-mode=replace-irreversibly", "off.target")
+    machine.wait_for(unit, "StatusText", "HOLD")
+    time.sleep(1.0)
+    assert machine.show(unit, "ActiveState") == "deactivating"
+    assert machine.show("ssh.service", "ActiveState") == "active"
+    machine.run("systemctl", "kill", "--signal=SIGUSR1", unit)
+    machine.wait_for("ssh.service", "ActiveState", "inactive")
