@@ -200,7 +200,7 @@ class Tuner:
 def velocity_chatter(model: ArmModel, offline: Offline, q: Vector) -> float:
     """Largest rms torque, N·m, of a joint from velocities that are rounded to the servos' grid, with the arm at q (n,).
 
-    A velocity that is off by δ changes the torque by ((B J⁻¹ + c Jᵀ M_O) K' H + Jᵀ k_v) J δ; δ is uniform over one step.
+    A velocity off by δ changes the torque by ((B J⁻¹ + c Jᵀ M_O) K' H + Jᵀ k_v) J δ; δ is uniform over one step.
     """
     gains, P = offline.gains, model.task_basis
     J, B, R = model.jacobian(q), model.inertia(q), model.object_pose(q).rotation
