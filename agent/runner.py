@@ -9,6 +9,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Protocol
 
+import numpy as np
+
 from agent.control.memory import Memory
 from agent.loop import Agent, hold_here, initial_memory, step
 from agent.modes import Event, Mode, next_mode
@@ -16,7 +18,6 @@ from agent.safety import Flag
 from agent.telemetry.row import AgentRow
 from drivers.interface import Clock, Driver, JointState, ServoFault, StaleStateError
 
-MAX_STALE_IN_A_ROW = 3
 NOT_YET_NS = 86_400_000_000_000  # the trajectory's zero while nobody has set it: a day ahead
 _COMMANDING = frozenset({Mode.READY, Mode.TRACK, Mode.HOLD, Mode.LOWER})
 
@@ -40,6 +41,8 @@ class Schedule:
     period_ns: int
     ticks: int  # of the trajectory, from its zero on
     lockstep: bool  # simulated time: the trajectory's zero is the first tick
+    hold_after_stale: int  # cycles in a row without a fresh state, after which the object is held
+    fault_after_stale: int  # and after which the arm is given up: its servos' own watchdog has fired by then
     hold_at_end: bool  # after the last tick hold the object until an operator releases it (real arms)
 
 
@@ -125,6 +128,8 @@ class Runner:
         if state is not None:
             happened |= self._act(state, late_ns, begin_ns)
             self._around.heartbeat()
+        else:
+            self._note_lost_state(deadline_ns)
         if self._past_end(deadline_ns + period_ns) and self._schedule.hold_at_end:
             happened |= Event.STOP
         if self._started(deadline_ns):
@@ -142,11 +147,11 @@ class Runner:
         except StaleStateError as error:
             self.summary.stale_cycles += 1
             self._stale_in_a_row += 1
-            if self._stale_in_a_row > MAX_STALE_IN_A_ROW:
+            if self._schedule.lockstep or self._stale_in_a_row > self._schedule.fault_after_stale:
                 self.summary.mode, self.summary.reason = Mode.FAULT, str(error)
                 return None, str(error)
             self._driver.write(self._memory.tau)
-            return None, ""
+            return None, str(error) if self._stale_in_a_row > self._schedule.hold_after_stale else ""
         except ServoFault as error:
             self._stale_in_a_row = 0
             if error.state is None:
@@ -187,6 +192,18 @@ class Runner:
             self.summary.reason = self.summary.reason or f"t = {t:.3f} s: {outcome.flags!r}"
             return Event.TROUBLE
         return Event.NONE
+
+    def _note_lost_state(self, deadline_ns: int) -> None:
+        """A row that says that this cycle had no fresh state."""
+        memory, row, mode = self._memory, self._row, self.summary.mode
+        nothing = np.full(self._agent.model.n, np.nan)
+        t = (deadline_ns - self._zero_ns) * 1e-9
+        lost = JointState(deadline_ns, nothing, nothing, nothing)
+        row.fill_state(self.summary.ticks, t, self._utc_offset_ns + deadline_ns, mode, lost)
+        row.fill_law(nothing, nothing, None, memory)
+        row.fill_output(Flag.STALE, memory.tau, memory.tau)
+        self._sink.commit()
+        self.summary.ticks += 1
 
     def _started(self, deadline_ns: int) -> bool:
         """Whether the next tick belongs to the trajectory; takes over the common start once it is known."""

@@ -26,7 +26,9 @@ from agent.telemetry.sample import AGENT_STATE
 from drivers.interface import Clock, DriverError, Refusal
 
 HEARTBEAT_S = 0.02
-READY_WITHIN_S = 60.0
+STALE_TO_HOLD = 3  # cycles
+WATCHDOG_S = 0.2  # of the servos
+EMULATED_PATIENCE_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -83,12 +85,7 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
                 build_agent(cell, arm),
                 driver,
                 clock,
-                Schedule(
-                    cell.period_ns,
-                    round(cell.file.duration_s * cell.file.rate_hz),
-                    options.lockstep,
-                    hold_at_end=not (simulated or options.connection.emulated),
-                ),
+                _schedule(cell, options),
                 AgentRow(ring.row, arm.n, cell.config_id),
                 ring,
                 Surroundings(time.perf_counter_ns, time.time_ns, operator.events, operator.start_ns, heart.beat),
@@ -107,6 +104,20 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             f"arm {arm.name}", found=summary.reason, expected="a fresh state every cycle", remedy="see the log"
         )
     return summary
+
+
+def _schedule(cell: Cell, options: AgentOptions) -> Schedule:
+    emulated = options.driver is DriverKind.SIM or options.connection.emulated
+    rate_hz = cell.file.rate_hz
+    return Schedule(
+        cell.period_ns,
+        round(cell.file.duration_s * rate_hz),
+        options.lockstep,
+        # what is emulated shares the processor with everything else, and stops with it for some ten milliseconds
+        hold_after_stale=round(EMULATED_PATIENCE_S * rate_hz) if emulated else STALE_TO_HOLD,
+        fault_after_stale=round((EMULATED_PATIENCE_S if emulated else WATCHDOG_S) * rate_hz),
+        hold_at_end=not emulated,
+    )
 
 
 class _Operator:

@@ -15,8 +15,11 @@ from agent.safety import Limits
 from drivers.clock import MonotonicClock
 from drivers.dynamixel.driver import DynamixelDriver
 from drivers.dynamixel.events import DriverEvent
+from drivers.dynamixel.pace import SHARE as READ_SHARE
 from drivers.interface import Clock, ConnectError, Driver, Vector
 from sim_backend.driver import SimDriver
+
+EMULATED_READ_SHARE = 4.0
 
 
 @dataclass(frozen=True)
@@ -68,4 +71,6 @@ def build_driver(
         warn(f"{event.kind.value}{where}: {event.text}")
 
     clock = MonotonicClock()
-    return DynamixelDriver(arm_map(cell, arm, port, q_start), clock, on_event=tell), clock
+    # emulated servos share the processor with everything else: a slow read there says nothing of a bus
+    share = EMULATED_READ_SHARE if connection.emulated else READ_SHARE
+    return DynamixelDriver(arm_map(cell, arm, port, q_start), clock, on_event=tell, read_share=share), clock

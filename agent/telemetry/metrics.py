@@ -222,10 +222,13 @@ def _load_share(arm: RunArm, run: Prepared) -> float:
 
 
 def _completeness(run: Prepared, name: str) -> Completeness:
-    agents, ticks = run.log.agents, run.info.ticks
+    """Rows of one arm against those it says it wrote; an arm that did not live to say so should have run to the end."""
+    agents = run.log.agents
     sequence = agents[name]["sequence"] if name in agents else np.empty(0, dtype=np.uint64)
-    recorded = int(np.searchsorted(sequence, ticks))
-    return Completeness(ticks, recorded, len(sequence) - recorded, tuple(missing_ranges(sequence, ticks)))
+    told = [event.data.get("ticks") for event in run.log.events if event.source == name]
+    written = next((n for n in reversed(told) if isinstance(n, int)), run.info.ticks)
+    recorded = int(np.searchsorted(sequence, written))
+    return Completeness(written, recorded, len(sequence) - recorded, tuple(missing_ranges(sequence, written)))
 
 
 def _modes(rows: NDArray[np.void]) -> tuple[tuple[float, str], ...]:

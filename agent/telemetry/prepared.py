@@ -17,6 +17,8 @@ from agent.telemetry.series import (
     grasp_wrenches,
     in_run,
     internal_wrenches,
+    is_stale,
+    on_time_of,
     pose_by_arm,
     pose_by_plant,
 )
@@ -60,13 +62,16 @@ def prepare(log: RunLog) -> Prepared:
     found = {name: in_run(log.agents[name], info) for name in described if name in log.agents}
     rows = {name: own for name, own in found.items() if len(own)}
     missing += [f"no row of the arm {name}" for name in described if name not in rows]
-    poses = {name: pose_by_arm(name, own) for name, own in rows.items()}
+    stale = sum(int(is_stale(own).sum()) for own in rows.values())
+    missing += [f"{stale} cycles brought no fresh joint state and count in no error"] if stale else []
+    seen = {name: own[~is_stale(own)] for name, own in rows.items()}
+    poses = {name: pose_by_arm(name, own) for name, own in seen.items()}
     true = grasps = None
     if log.plant is None or not len(log.plant):
         missing.append("no simulation in the log: no true object pose, realised internal force or realised load share")
     else:
-        plant = in_run(log.plant, info)
-        true, note = pose_by_plant([(poses[name], rows[name]) for name in rows], plant, 1.0 / info.rate_hz)
+        plant = in_run(on_time_of(log.plant, list(seen.values())), info)
+        true, note = pose_by_plant([(poses[name], seen[name]) for name in seen], plant, 1.0 / info.rate_hz)
         missing += [note] if note else []
         grasps = _grasp_forces(plant, info, missing)
     return Prepared(log, info, rows, poses, true, grasps, tuple(missing))

@@ -134,11 +134,11 @@ class ArmResults:
 
 @dataclass(frozen=True, slots=True)
 class Completeness:
-    """Rows of one arm: a run of `duration` at `rate` has ticks 0 … expected−1."""
+    """Rows of one arm: the cycles it ran, numbered from 0."""
 
     expected: Annotated[int, Unit("", Better.NEITHER)]
     recorded: Annotated[int, Unit("", Better.HIGHER)]
-    after_end: Annotated[int, Unit("", Better.NEITHER)]  # logged after the duration was over
+    after_end: Annotated[int, Unit("", Better.NEITHER)]  # numbered beyond them
     gaps: tuple[tuple[int, int], ...]  # first and last sequence number of every missing stretch
 
 

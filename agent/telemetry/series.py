@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.modes import Mode
+from agent.safety import Flag
 from agent.telemetry.sample import MAX_ARMS, MAX_JOINTS
 
 if TYPE_CHECKING:
@@ -114,8 +115,28 @@ def grasp_wrenches(plant: NDArray[np.void], arms: int) -> Array:
 
 
 def in_run(rows: NDArray[np.void], info: RunInfo) -> NDArray[np.void]:
-    """The rows of the run itself, without what was logged after its duration was over."""
-    return rows[: int(np.searchsorted(rows["sequence"], info.ticks))]
+    """The rows of the trajectory, without what was logged before its zero and after its end."""
+    t, half_s = rows["t"], 0.5 / info.rate_hz
+    return rows[(t >= -half_s) & (t < info.duration_s - half_s)]
+
+
+def is_stale(rows: NDArray[np.void]) -> NDArray[np.bool_]:
+    """Rows (k,) of cycles that brought no fresh state: they say what was wanted, not what was."""
+    return np.asarray(rows["flags"] & Flag.STALE.value != 0)
+
+
+def on_time_of(plant: NDArray[np.void], arms: Sequence[NDArray[np.void]]) -> NDArray[np.void]:
+    """The plant's rows with `t` counted from the arms' common start, where both read the same clock.
+
+    In lockstep the plant's zero is that start and nothing changes; in real time the plant runs before it.
+    """
+    for rows in arms:
+        if len(rows) and rows["stamp_ns"][0] < plant["stamp_ns"][-1] and rows["stamp_ns"][-1] > plant["stamp_ns"][0]:
+            zero_ns = np.median(rows["stamp_ns"] - np.rint(rows["t"] * 1e9).astype(np.int64))
+            moved = plant.copy()
+            moved["t"] = (plant["stamp_ns"] - zero_ns) * 1e-9
+            return moved
+    return plant
 
 
 def pose_by_arm(name: str, rows: NDArray[np.void]) -> PoseSeries:

@@ -29,7 +29,7 @@ from drivers.dynamixel.errors import (
 from drivers.dynamixel.events import DriverEvent, EventKind, EventSink, ignore
 from drivers.dynamixel.identify import IdentityError, ServoFound, identify
 from drivers.dynamixel.interpret import Reading, servo_names
-from drivers.dynamixel.pace import Pace, check_pace, check_rate
+from drivers.dynamixel.pace import SHARE, Pace, check_pace, check_rate
 from drivers.dynamixel.port import Port, SerialPort
 from drivers.dynamixel.running import Running
 from drivers.interface import ArmInfo, Clock, DriverError, JointState, ServoHealth, Vector
@@ -58,6 +58,7 @@ class DynamixelDriver:
     """`drivers.interface.Driver` on a serial bus.
 
     port: None for the serial port that the map names.  scan_s: how long `connect` waits for servos not in the map.
+    read_share: part of the period that the read may take; a slower bus is refused.
     problems: everything `connect` found wrong, the first of which it raised.
     faults: servo faults since `enable`; while there is one, `read` raises it, with the fresh state in `state`.
     """
@@ -71,6 +72,7 @@ class DynamixelDriver:
         link: LinkTiming | None = None,
         scan_s: float = 0.8,
         port: Port | None = None,
+        read_share: float = SHARE,
     ) -> None:
         self.arm = arm
         self.counters = DxlCounters()
@@ -81,6 +83,7 @@ class DynamixelDriver:
         self._on_event = on_event
         self._link = link or LinkTiming()
         self._scan_s = scan_s
+        self._read_share = read_share
         self._phase = Phase.CLOSED
         self._port = port or SerialPort(arm.port, arm.baud, clock)
         self._bus = Bus(self._port, clock, self.counters)
@@ -118,7 +121,7 @@ class DynamixelDriver:
         check_rate(self.arm, fast=fast, link=self._link)
         pace = None
         if not any(change for servo in self._found for change in servo.changes):  # else after they are made
-            pace = check_pace(self._bus, self.arm, self._clock, fast=fast, link=self._link)
+            pace = check_pace(self._bus, self.arm, self._clock, fast=fast, link=self._link, share=self._read_share)
         self._running = Running(self._bus, self.arm, self._found, self._clock, self._on_event, self._link, fast=fast)
         self._phase = Phase.CONNECTED
         tau_max = np.array([joint.tau_max_Nm for joint in self.arm.controlled])
@@ -156,7 +159,7 @@ class DynamixelDriver:
         steps = BringUp(self._bus, self.arm, self._found, self._on_event)
         steps.configure()
         steps.zero_goals()
-        check_pace(self._bus, self.arm, self._clock, fast=running.fast, link=self._link)
+        check_pace(self._bus, self.arm, self._clock, fast=running.fast, link=self._link, share=self._read_share)
         steps.check_pose()
         steps.torque_on()
         self._running = running.again()

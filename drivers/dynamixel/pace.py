@@ -58,10 +58,13 @@ def check_rate(arm: ArmMap, *, fast: bool, link: LinkTiming | None = None) -> Cy
     return budget
 
 
-def check_pace(bus: Bus, arm: ArmMap, clock: Now, *, fast: bool, link: LinkTiming) -> Pace:
-    """Measure, and refuse what is too slow for the rate.  Raises PaceError naming the likely setting."""
+def check_pace(bus: Bus, arm: ArmMap, clock: Now, *, fast: bool, link: LinkTiming, share: float = SHARE) -> Pace:
+    """Measure, and refuse a read that takes more than `share` of the period.
+
+    Raises PaceError naming the likely setting.
+    """
     pace = measure_pace(bus, arm, clock, fast=fast)
-    allowed_s = SHARE / arm.rate_hz
+    allowed_s = share / arm.rate_hz
     if pace.median_s > allowed_s:
         excess_s = pace.median_s - cycle_budget(arm, fast=fast, link=link).read_mean_s
         if excess_s > _SLOW_TIMER_S:
