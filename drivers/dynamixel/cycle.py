@@ -55,8 +55,8 @@ class CycleReader:
         self._needed = {joint.ids[0] for joint in arm.controlled}
         self._arm = arm
         self._link = link
-        self._fast_groups = _marked(self._ids, fast=True) if fast else []
-        self._each_groups = _marked(self._ids, fast=False)
+        self._fast_groups = marked_groups(self._ids, fast=True) if fast else []
+        self._each_groups = marked_groups(self._ids, fast=False)
         budget = cycle_budget(arm, fast=fast, link=link)
         careful = cycle_budget(arm, fast=False, link=link, plain_bytes=PLAIN_BYTES_MAX)
         self.end_ns = round(END_SHARE * arm.period_ns)
@@ -165,14 +165,15 @@ class CycleReader:
         counters.timeouts += None in rows
 
 
-def _group(ids: Sequence[int], more: int, *, fast: bool) -> GroupRead:
+def _group(ids: Sequence[int], more: int, *, fast: bool, proof: int = 1) -> GroupRead:
     """Read of the block at 126 to 135, begun `more` bytes earlier."""
-    return GroupRead(_BLOCK_END - CYCLE_BYTES - more, (f"{more}x" if more else "") + "hii", ids, fast=fast)
+    fields = (f"{more}x" if more else "") + "hii"
+    return GroupRead(_BLOCK_END - CYCLE_BYTES - more, fields, ids, fast=fast, proof=proof)
 
 
-def _marked(ids: tuple[int, ...], *, fast: bool) -> list[GroupRead]:
+def marked_groups(ids: tuple[int, ...], *, fast: bool) -> list[GroupRead]:
     """Group reads to be used in turn, at least MARKS of them that cannot be taken for each other."""
     turned = [[*ids[turn:], *ids[:turn]] for turn in range(len(ids))]
     if fast and 2 * len(ids) >= MARKS:
-        return [_group(order, 0, fast=True) for turn in turned for order in (turn, turn[::-1])]
+        return [_group(order, 0, fast=True, proof=2) for turn in turned for order in (turn, turn[::-1])]
     return [_group(turned[mark % len(ids)], mark, fast=fast) for mark in range(MARKS)]

@@ -41,14 +41,16 @@ class GroupRead:
     """The same registers of several servos in one exchange.
 
     fields: struct codes of the data block, little-endian ("hii" for 126 to 135), padding included.  A servo's error
-    byte is put in front of its row, alert bit and all.
+    byte is put in front of its row, alert bit and all.  proof: how many intact blocks of a merged reply must be in the
+    order asked for before any is believed; 2 where requests differ by order and may begin with the same ID.
     """
 
-    def __init__(self, address: int, fields: str, ids: Sequence[int], *, fast: bool) -> None:
+    def __init__(self, address: int, fields: str, ids: Sequence[int], *, fast: bool, proof: int = 1) -> None:
         self.ids = tuple(ids)
         self.fast = fast
         self.data_length = Struct("<" + fields).size
         self.request = codec.sync_read(address, self.data_length, ids, fast=fast)
+        self._proof = proof
         self._fields = Struct("<" + fields)
         self._block = self.data_length + 4
         if fast:
@@ -92,9 +94,13 @@ class GroupRead:
                     found += 1
                 elif good:
                     strange += 1
-            if found or not strange:  # otherwise it is the intact answer to another request: look behind it
+            begun_right = None not in rows[: self._proof]
+            if begun_right or (found >= self._proof and not strange):
                 return GroupReply(rows, True, damaged + blocks - found, late)
-            late += 1
+            if strange:  # the intact answer to another request, all of it: look behind it
+                late += 1
+            else:
+                damaged += blocks - found
             start = data.find(self._head, start + 8)
         return GroupReply([None] * count, final, damaged, late)
 

@@ -109,6 +109,7 @@ class GapMonitor:
         self._pending: _Question | None = None
         self._urgent: deque[_Question] = deque()
         self._turn = 0
+        self._rest = False
 
         def ask(page: Page, some: Sequence[ServoRecord]) -> list[_Question]:
             size = max(1, per_gap)
@@ -137,6 +138,9 @@ class GapMonitor:
         """Request for this gap and how long it occupies the wire; nothing when the gap is too short or one waits."""
         if self._pending is not None:
             return b"", 0
+        if self._rest:  # a missed answer may still come, and would be taken for the next one's
+            self._rest = False
+            return b"", 0
         if self._urgent:
             question = self._urgent[0]
         elif self._turn % SLOW_EVERY == SLOW_EVERY - 1:
@@ -161,7 +165,8 @@ class GapMonitor:
         if not reply.complete and not final:
             return
         self._pending = None
-        self.misses += not reply.complete
+        self._rest = not reply.complete
+        self.misses += self._rest
         for record, row in zip(question.records, reply.rows, strict=True):
             if row is not None and not row[0] & 0x7F:
                 self._judge(question, record, row, now_ns)

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from drivers.dynamixel import codec
 from drivers.dynamixel.codec import PacketError, StatusScanner
+from drivers.dynamixel.cycle import MARKS, marked_groups
 from drivers.dynamixel.group import GroupRead, GroupWrite
 
 # payloads as bad as they can be for stuffing: mostly FF and FD
@@ -101,6 +102,23 @@ def test_merged_reply_in_another_order_is_late_and_never_a_state(ids, data):
     reply = group.parse(late, final=True)
     assert (reply.rows, reply.late) == ([None] * len(ids), 1)
     assert group.parse(late + merged_reply(new, [values[i] for i in new]), final=False).complete
+
+
+@given(IDS, st.booleans(), st.data())
+def test_no_part_of_an_answer_to_another_cycle_is_ever_believed(ids, fast, data):
+    groups = marked_groups(tuple(ids), fast=fast)
+    assert len(groups) >= MARKS
+    asked = data.draw(st.integers(0, len(groups) - 1))
+    answered = groups[(asked - data.draw(st.integers(1, MARKS - 1))) % len(groups)]
+    blocks = [bytes(answered.data_length)] * len(ids)
+    if fast:
+        late = bytearray(merged_reply(answered.ids, blocks))
+    else:
+        late = bytearray(b"".join(codec.status(i, 0, b) for i, b in zip(answered.ids, blocks, strict=True)))
+    for _ in range(data.draw(st.integers(0, 3))):
+        late[data.draw(st.integers(0, len(late) - 1))] ^= data.draw(st.integers(1, 255))
+    part = bytes(late[: data.draw(st.integers(0, len(late)))])
+    assert groups[asked].parse(part, final=True).rows == [None] * len(ids)
 
 
 @given(IDS, st.data())
