@@ -104,7 +104,7 @@ def booted(files: Path, scratch: Path) -> Iterator[Machine]:
     }  # fmt: skip
     enter_and_boot = f'echo $$ > "$PROCS" && exec {" ".join(_unshare())} sh "$BOOT"'
     with console.open("wb") as out:
-        # the last of the three lines of defence: when this process dies, its machine dies
+        # when this process dies, its machine dies with it
         guarded = ["setpriv", "--pdeathsig", "KILL", "sh", "-c", enter_and_boot]
         outer = subprocess.Popen(guarded, stdin=subprocess.DEVNULL, stdout=out, stderr=out, env=environment)
     try:

@@ -177,6 +177,35 @@ def test_the_simulated_agent_differs_in_its_driver_alone(host: Path, tmp_path_fa
     )
 
 
+# Installing
+
+
+def test_a_choice_that_is_left_out_is_taken_away_again(tmp_path: Path) -> None:
+    install(tmp_path / "never")
+    install(tmp_path / "then", "simulated", "several-hosts")
+    install(tmp_path / "then")
+    never, then = (
+        {str(path.relative_to(root)) for path in (root / "etc/systemd").rglob("*") if path.is_file()}
+        for root in (tmp_path / "never", tmp_path / "then")
+    )
+    assert never == then
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "etc/udev/rules.d/60-coop.rules",
+        "etc/coop/zenoh/recorder.json5",
+        "etc/systemd/system/coop-telemetry@.service.d/50-several-hosts.conf",
+    ],
+)
+def test_what_was_filled_in_survives_an_update(tmp_path: Path, path: str) -> None:
+    install(tmp_path, "several-hosts")
+    (tmp_path / path).write_text("filled in")
+    install(tmp_path, "several-hosts")
+    assert (tmp_path / path).read_text() == "filled in"
+
+
 # udev
 
 
