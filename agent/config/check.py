@@ -12,7 +12,9 @@ import pinocchio as pin
 
 from agent.config import trajectory as motion
 from agent.config.cell import Arm, Cell, ConfigError, placement
+from agent.config.check_adaptive import examine_adaptation
 from agent.config.margin import damping, places, sampled_loop
+from agent.config.schema import ControllerKind
 from agent.control import ik, known
 from agent.control.errors import attitude_error
 from agent.control.inverse import SingularJacobian
@@ -102,6 +104,8 @@ def examine(cell: Cell) -> CheckReport:
     share = math.fsum(a.entry.load_share for a in cell.arms)
     findings.append(_judge("sum of load shares", "cell", f"{share:.6f}", "1", abs(share - 1.0) < 1e-9, ""))
     findings += _stability(cell, models, paths)
+    if cell.file.controller.kind is ControllerKind.ADAPTIVE:
+        findings += _adaptation(cell, models, paths)
     return CheckReport(tuple(findings), q_start)
 
 
@@ -239,6 +243,29 @@ def _stability(cell: Cell, models: Sequence[ArmModel], paths: Sequence[_Path]) -
             )
         )  # fmt: skip
     return findings
+
+
+def _adaptation(cell: Cell, models: Sequence[ArmModel], paths: Sequence[_Path]) -> list[Finding]:
+    along, instants = list(zip(*(p.q for p in paths), strict=True)), _instants(cell)
+    every = max(1, len(along) // STABILITY_SAMPLES)
+    found = examine_adaptation(cell, models, along[::every], instants[::every])
+    spec, radius_max = cell.file.controller.adaptive, cell.file.safety.spectral_radius_max
+    rows = (
+        ("gamma", f"{spec.gamma:g}", found.gamma_max, spec.gamma <= found.gamma_max, "lower gamma, or raise rate_hz"),
+        (
+            "gamma_object", f"{spec.gamma_object:g}", found.gamma_object_max,
+            spec.gamma_object <= found.gamma_object_max, "lower gamma_object, or raise rate_hz",
+        ),
+        (
+            "spectral radius with the estimates of the start", f"{found.radius_at_start:.4f}", radius_max,
+            found.radius_at_start <= radius_max,
+            "set rotor_inertia = false, begin nearer to the configured parameters, or raise rate_hz",
+        ),
+    )  # fmt: skip
+    return [
+        Finding(what, "cell", value, f"≤ {limit:.4g}", Verdict.OK if ok else Verdict.WARNING, "" if ok else remedy)
+        for what, value, limit, ok, remedy in rows
+    ]
 
 
 def _judge(what: str, where: str, found: str, limit: str, ok: bool, remedy: str) -> Finding:

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.config.cell import Cell
+from agent.config.margin import sampled_loop
 from agent.control.adaptation_bound import GainLimits, Point, Reference, believed_inertia, gain_limits
 from agent.control.errors import attitude_error
 from agent.control.models import ArmModel
-from agent.control.stability import SampledLoop, coupled_inertia, spectral_radius
+from agent.control.stability import coupled_inertia, spectral_radius
 from drivers.interface import Vector
 
 MARGIN = 2.0  # between the largest gain that is computed to be stable and the one that is recommended
@@ -32,7 +33,7 @@ def examine_adaptation(
     """Limits over the trajectory; along[k][i]: joint angles (n,) of arm i at instants[k] (s)."""
     agents = [cell.offline(a) for a in cell.arms]
     P, obj, trajectory = models[0].task_basis, cell.file.object, cell.trajectory()
-    loop = SampledLoop(1.0 / cell.file.rate_hz, cell.file.simulation.effects.delay_cycles, [a.gains for a in agents])
+    loop = sampled_loop(cell)
     inertia_object = np.array(obj.inertia_kg_m2.matrix())
     points = []
     for q, t in zip(along, instants, strict=True):
