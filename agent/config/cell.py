@@ -22,9 +22,11 @@ from agent.config.schema import ArmFile, CellFile, ControllerKind, ServoJoint
 from agent.control.adaptation import Adaptation
 from agent.control.errors import Gains
 from agent.control.friction import Friction
+from agent.control.internal_force import agent_wrench
 from agent.control.law import Offline
 from agent.control.models import ArmModel
-from agent.control.trajectory import Trajectory
+from agent.control.quaternion import Vec3
+from agent.control.trajectory import Trajectory, Vec6
 from drivers.dynamixel.table import SERVOS, ServoModel
 from drivers.interface import Refusal, Vector
 
@@ -168,8 +170,20 @@ class Cell:
             object_inertia=tuple(x for row in obj.inertia_kg_m2.matrix() for x in row),  # type: ignore[arg-type]
             gravity=self.file.world.gravity_m_per_s2,
             friction=friction,
+            internal_wrench=self._internal_wrench(arm),
             adaptation=self._adaptation(arm),
         )
+
+    def _internal_wrench(self, arm: Arm) -> Vec6 | None:
+        """This agent's part of the internal wrenches, about the object's centre; None when none is wanted."""
+        if all(a.entry.internal_wrench_N_Nm is None for a in self.arms):
+            return None
+        return agent_wrench(self.arms.index(arm), *self.internal_wrenches_desired())
+
+    def internal_wrenches_desired(self) -> tuple[list[Vec3], list[Vec6]]:
+        """Grasp points and desired wrenches f̂ of all arms, at the end effectors, object axes."""
+        points = [a.entry.p_object_ee_m for a in self.arms]
+        return points, [a.entry.internal_wrench_N_Nm or (0.0,) * 6 for a in self.arms]
 
     def _adaptation(self, arm: Arm) -> Adaptation | None:
         if self.file.controller.kind is not ControllerKind.ADAPTIVE:

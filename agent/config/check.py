@@ -17,12 +17,14 @@ from agent.config.margin import damping, places, sampled_loop
 from agent.config.schema import ControllerKind
 from agent.control import ik, known
 from agent.control.errors import attitude_error
+from agent.control.internal_force import internal_wrenches
 from agent.control.inverse import SingularJacobian
 from agent.control.models import ArmModel, ModelError
 from drivers.interface import Vector
 
 SAMPLES = 48  # points along the trajectory, beside those that the trajectory names itself
 STABILITY_SAMPLES = 12
+OUT_OF_TASK = 1e-9  # part of a wrench
 
 
 class Verdict(enum.StrEnum):
@@ -103,6 +105,7 @@ def examine(cell: Cell) -> CheckReport:
         paths.append(path)
     share = math.fsum(a.entry.load_share for a in cell.arms)
     findings.append(_judge("sum of load shares", "cell", f"{share:.6f}", "1", abs(share - 1.0) < 1e-9, ""))
+    findings += _internal_force(cell, models)
     findings += _stability(cell, models, paths)
     if cell.file.controller.kind is ControllerKind.ADAPTIVE:
         findings += _adaptation(cell, models, paths)
@@ -222,6 +225,33 @@ def _arm_findings(cell: Cell, arm: Arm, path: _Path) -> list[Finding]:
                 "move the base or the trajectory, or take the other elbow solution (q_near_rad)",
             )
         )  # fmt: skip
+    return findings
+
+
+def _internal_force(cell: Cell, models: Sequence[ArmModel]) -> list[Finding]:
+    """What the grasps must carry beside the load: within the grip, and in the plane of a planar cell."""
+    findings = []
+    for arm, model, wrench in zip(cell.arms, models, internal_wrenches(*cell.internal_wrenches_desired()), strict=True):
+        if not any(wrench):
+            continue
+        force, grip = math.hypot(*wrench[:3]), arm.entry.grip_force_max_N
+        findings.append(
+            _judge(
+                "internal force on the grasp", arm.name, f"{force:.3g} N",
+                f"≤ {grip:g} N" if grip is not None else "grip_force_max_N not given", grip is None or force <= grip,
+                "ask for a smaller internal_wrench_N_Nm, or grip harder",
+            )
+        )  # fmt: skip
+        R = cell.T_world_object_start.rotation
+        world = np.concatenate([R @ wrench[:3], R @ wrench[3:]])
+        lost = float(np.linalg.norm(world - model.task_basis.T @ (model.task_basis @ world)))
+        if lost > OUT_OF_TASK * float(np.linalg.norm(world)):
+            findings.append(
+                Finding(
+                    "internal wrench out of the plane", arm.name, f"{lost:.3g} N and N·m", "0", Verdict.WARNING,
+                    "the joints of a planar arm cannot give it; it is not applied",
+                )
+            )  # fmt: skip
     return findings
 
 

@@ -151,6 +151,8 @@ class Arm(Strict):
     load_share: Annotated[float, Field(ge=0.0, le=1.0)]
     k_v_N_s_per_m: PerAxis
     k_v_Nm_s_per_rad: PerAxis | None = None  # the paper: the same number
+    internal_wrench_N_Nm: tuple[Finite, Finite, Finite, Finite, Finite, Finite] | None = None  # at ee, object axes
+    grip_force_max_N: Positive | None = None  # what the gripper holds by friction
     controlled: Annotated[list[str], Field(min_length=3, max_length=7)]
     locked_rad: dict[str, Finite] = Field(default_factory=dict)
     q_near_rad: list[Finite]

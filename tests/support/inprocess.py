@@ -21,7 +21,7 @@ from agent.process.build import build_agent
 from agent.process.simulated import plant_spec
 from drivers.interface import JointState, Vector
 from sim_backend.actuator import DelayLine, Grid, TorqueCommand
-from sim_backend.plant import Plant
+from sim_backend.plant import Observation, Plant
 
 
 @dataclass
@@ -33,6 +33,9 @@ class History:
     attitude_rad: list[float] = field(default_factory=list)
     tau: list[Vector] = field(default_factory=list)
     V: list[float] = field(default_factory=list)
+    q_measured: list[Vector] = field(default_factory=list)  # of all arms
+    tau_sent: list[Vector] = field(default_factory=list)
+    end: Observation | None = None  # the truth after the last tick
 
     def after(self, t_s: float) -> tuple[float, float]:
         """Largest position (m) and attitude error (rad) from t_s on."""
@@ -73,7 +76,7 @@ def simulate(
         history.e_p_m.append(float(np.linalg.norm(T.translation - np.array(desired.p))))
         history.attitude_rad.append(angle_between((w, x, y, z), desired.quat))
         q, dq = plant.q, plant.dq
-        outcomes = []
+        outcomes, measured, sent = [], [], []
         for i, agent in enumerate(agents):
             part = plant.slices[i]
             state = JointState(
@@ -82,10 +85,16 @@ def simulate(
             outcome = step(agent, state, t, Mode.TRACK, memories[i])
             memories[i] = outcome.memory
             outcomes.append(outcome)
-            lines[i].push(tick, commands[i](outcome.tau))
+            measured.append(state.q)
+            sent.append(commands[i](outcome.tau))
+            lines[i].push(tick, sent[i])
         history.tau.append(np.concatenate([o.tau for o in outcomes]))
+        history.q_measured.append(np.concatenate(measured))
+        history.tau_sent.append(np.concatenate(sent))
         history.V.append(sum(o.terms.lyapunov for o in outcomes if o.terms is not None))
         if watch is not None:
             watch(tick, outcomes)
-        plant.advance(np.concatenate([line.acting(tick) for line in lines]), substeps)
+        acting = np.concatenate([line.acting(tick) for line in lines])
+        plant.advance(acting, substeps)
+    history.end = plant.observe(acting)
     return history

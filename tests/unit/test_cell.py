@@ -183,3 +183,34 @@ def test_ik_reports_how_near_it_came(paper: Cell) -> None:
     with pytest.raises(ik.Unreachable) as caught:
         ik.solve(paper.model(paper.arms[0]), target, np.zeros(3))
     assert caught.value.distance_m > 1.0
+
+
+def with_internal(force: str, extra: str = "") -> bytes:
+    raw = TEXT
+    for place in ("p_object_ee_m = [-0.04", "p_object_ee_m = [0.04"):
+        sign = "-" if "[-0" in place else ""
+        raw = raw.replace(place, f"internal_wrench_N_Nm = {force.replace('F', sign + '1')}\n{extra}{place}", 1)
+    return raw.encode()
+
+
+def test_internal_wrenches_reach_the_agents_and_move_nothing() -> None:
+    cell = cell_from_toml(with_internal("[F.0, 0.0, 0.0, 0.0, 0.0, 0.0]"), "paper.toml")
+    examine(cell).require()
+    wrenches = np.array([cell.offline(arm).internal_wrench for arm in cell.arms])
+    np.testing.assert_allclose(wrenches[0], [-1.0, 0, 0, 0, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(wrenches.sum(axis=0), 0.0, atol=1e-12)
+
+
+def test_internal_wrench_above_the_grip_is_refused() -> None:
+    text = refusal(with_internal("[F.0, 0.0, 0.0, 0.0, 0.0, 0.0]", "grip_force_max_N = 0.5\n"))
+    assert "internal force on the grasp" in text
+    assert "grip harder" in text
+
+
+def test_internal_wrench_above_the_torques_is_refused() -> None:
+    assert "torque along the trajectory" in refusal(with_internal("[F00.0, 0.0, 0.0, 0.0, 0.0, 0.0]"))
+
+
+def test_internal_wrench_out_of_the_plane_is_a_warning() -> None:
+    report = examine(cell_from_toml(with_internal("[0.0, 0.0, F.0, 0.0, 0.0, 0.0]"), "paper.toml"))
+    assert any(f.what.startswith("internal wrench out of the plane") for f in report.findings)
