@@ -139,10 +139,10 @@ class _Telemetry:
             sent = self._cycle(time.monotonic())
             if all(sender.complete for sender in self._senders.values()) or stop() or self._is_over():
                 return self._report()
-            if not self._lockstep:
-                time.sleep(_BURST_PAUSE_S if sent >= _BURST[False] else _CYCLE_S[False])
-            elif not sent:
-                time.sleep(_CYCLE_S[True])
+            if sent < 2:  # less than there was: wait until a batch is worth sending
+                time.sleep(_CYCLE_S[self._lockstep])
+            elif not self._lockstep:
+                time.sleep(_BURST_PAUSE_S)
 
     def _is_over(self) -> bool:
         """Whether to let go of a ring that has ended: a recorder that comes now is there for the next run."""

@@ -232,8 +232,7 @@ def _create_as(path: Path, header: RingHeader, put_in_place: Callable[[Path, Pat
 
     None when `put_in_place` finds a file there that must not be replaced.
     """
-    temporary = path.with_name(f"{path.name}.{os.getpid()}.new")
-    temporary.unlink(missing_ok=True)
+    temporary = path.with_name(f"{path.name}.{header.ring_id:x}.new")
     fd = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o640)
     try:
         os.fchmod(fd, 0o640)

@@ -272,6 +272,26 @@ def test_a_flood_of_wrong_messages_neither_breaks_nor_pollutes_the_log(folder: P
     assert {e.source for e in log.events} <= {"left", "recorder"}
 
 
+def test_a_message_of_any_size_does_not_fill_the_recorders_memory(folder: Path) -> None:
+    with one_arm(folder, 1000) as (rec, tel, agent, endpoint):
+        wait_for(lambda: written(folder / "left.ring") > 100)
+        with open_session(Network(connect=(endpoint,))) as stranger:
+            for size_MB in (2, 64):
+                stranger.session.put(
+                    "coop/paper/left/state",
+                    bytes(size_MB << 20),
+                    attachment=BatchHeader(1, 0, 1, 0).pack(),
+                    congestion_control=zenoh.CongestionControl.BLOCK,
+                )
+        agent.result()
+        assert tel.result().complete
+        status = Path(f"/proc/{rec.process.pid}/status").read_text()
+        peak_kB = int(next(line for line in status.splitlines() if line.startswith("VmHWM")).split()[1])
+        assert rec.stop().complete
+    assert peak_kB < 200_000
+    assert rows_in(folder / "run.mcap") == prefix(1000, 1000)
+
+
 def record_on_a_small_disk(
     options: RecordOptions, stop: Callable[[], bool], ready: Callable[[str], None]
 ) -> RecordReport:

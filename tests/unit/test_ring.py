@@ -109,6 +109,32 @@ def test_a_second_writer_is_refused_and_the_first_goes_on(path: Path, writer: Ri
         assert reader.read_new(8).count == 1
 
 
+@pytest.mark.parametrize("there", [False, True])
+def test_of_many_writers_that_start_at_once_one_wins(path: Path, there: bool) -> None:
+    if there:
+        RingWriter(path, AGENT_STATE, "left", slots=SLOTS).close()
+    gate, winners, losers = threading.Barrier(8), [], []
+
+    def start() -> None:
+        gate.wait()
+        try:
+            winners.append(RingWriter(path, AGENT_STATE, "left", slots=SLOTS))
+        except RingError:
+            losers.append(None)
+
+    threads = [threading.Thread(target=start) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert (len(winners), len(losers)) == (1, 7)
+    with RingReader(path, AGENT_STATE) as reader:
+        assert reader.header == winners[0].header
+        assert reader.writer_alive
+    winners[0].close()
+    assert list(path.parent.iterdir()) == [path]
+
+
 def test_only_owner_and_group_can_read(path: Path, writer: RingWriter) -> None:
     assert stat.S_IMODE(path.stat().st_mode) == 0o640
 
