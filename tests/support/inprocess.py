@@ -13,9 +13,9 @@ import pinocchio as pin
 
 from agent.config.cell import Cell
 from agent.config.check import examine
-from agent.control.memory import Memory, initial
+from agent.control.memory import Memory
 from agent.control.quaternion import angle_between
-from agent.loop import Agent, Outcome, step
+from agent.loop import Agent, Outcome, initial_memory, step
 from agent.modes import Mode
 from agent.process.build import build_agent
 from agent.process.simulated import plant_spec
@@ -65,7 +65,7 @@ def simulate(
     commands = [TorqueCommand.of(s) for s in specs]
     q_grids = [Grid(np.full(s.joint_count, s.position_lsb_rad)) for s in specs]
     dq_grids = [Grid(np.full(s.joint_count, s.velocity_lsb_rad_s)) for s in specs]
-    memories: list[Memory] = [initial(a.model.n) for a in agents]
+    memories: list[Memory] = [initial_memory(a) for a in agents]
     history, trajectory = History(), cell.trajectory()
     substeps = cell.file.simulation.substeps_per_cycle
     for tick in range(round(duration_s * cell.file.rate_hz)):
