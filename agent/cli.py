@@ -138,6 +138,8 @@ def agent(
     control: Annotated[Path | None, typer.Option(help="Socket for start, stop and release.")] = None,
     plant_socket: Annotated[Path | None, typer.Option(help="Socket of the plant (simulated arms).")] = None,
     port: Annotated[str | None, typer.Option(help="Serial port, instead of the cell's.")] = None,
+    hold: Annotated[bool | None, typer.Option(help="At a stop and at the end hold the object until released.")] = None,
+    priority: Annotated[int | None, typer.Option(min=1, max=99, help="SCHED_FIFO priority, or refuse.")] = None,
     emulated: Annotated[bool, typer.Option("--emulated", help="The servos on that port are emulated.")] = False,
     real_time: Annotated[bool, typer.Option("--real-time", help="At the wall clock's pace, not in lockstep.")] = False,
     with_parent: WithParent = False,
@@ -161,6 +163,8 @@ def agent(
         ring=ring or ring_path(name, arm),
         control=None if lockstep else control or control_path(name, arm),
         lockstep=lockstep,
+        hold=hold if hold is not None else kind is DriverKind.DYNAMIXEL and not emulated,
+        priority=priority,
     )
     summary = run_agent(loaded, options, requested, _ready)
     typer.echo(

@@ -16,7 +16,7 @@ from agent.loop import Agent, hold_here, initial_memory, step
 from agent.modes import Event, Mode, next_mode
 from agent.safety import Flag
 from agent.telemetry.row import AgentRow
-from drivers.interface import Clock, Driver, JointState, ServoFault, StaleStateError
+from drivers.interface import Clock, Driver, DriverError, JointState, ServoFault, StaleStateError, Vector
 
 NOT_YET_NS = 86_400_000_000_000  # the trajectory's zero while nobody has set it: a day ahead
 _COMMANDING = frozenset({Mode.READY, Mode.TRACK, Mode.HOLD, Mode.LOWER})
@@ -55,6 +55,7 @@ class Surroundings:
     operator: Callable[[], Event]  # requests of an operator
     start_ns: Callable[[], int | None]  # the trajectory's zero on the driver's clock, once somebody has set it
     heartbeat: Callable[[], None]  # after every cycle with a fresh state
+    mode_changed: Callable[[Mode], None]
 
 
 @dataclass
@@ -150,7 +151,7 @@ class Runner:
             if self._schedule.lockstep or self._stale_in_a_row > self._schedule.fault_after_stale:
                 self.summary.mode, self.summary.reason = Mode.FAULT, str(error)
                 return None, str(error)
-            self._driver.write(self._memory.tau)
+            self._send(self._memory.tau)
             return None, str(error) if self._stale_in_a_row > self._schedule.hold_after_stale else ""
         except ServoFault as error:
             self._stale_in_a_row = 0
@@ -169,7 +170,7 @@ class Runner:
         t = (state.stamp_ns - self._zero_ns) * 1e-9
         outcome = step(self._agent, state, t, mode, self._memory)
         after_step_ns = wall_ns()
-        tau_sent = self._driver.write(outcome.tau)
+        tau_sent = self._send(outcome.tau)
         after_write_ns = wall_ns()
         row.fill_state(self.summary.ticks, t, self._utc_offset_ns + state.stamp_ns, mode, state)
         row.fill_law(outcome.q, outcome.dq, outcome.terms, self._memory)
@@ -192,6 +193,16 @@ class Runner:
             self.summary.reason = self.summary.reason or f"t = {t:.3f} s: {outcome.flags!r}"
             return Event.TROUBLE
         return Event.NONE
+
+    def _send(self, tau: Vector) -> Vector:
+        """Write torques; NaN where the bus did not take them, which the next read tells more about."""
+        try:
+            return self._driver.write(tau)
+        except DriverError as error:
+            if self._schedule.lockstep:
+                raise
+            self.summary.reason = self.summary.reason or str(error)
+            return np.full_like(tau, np.nan)
 
     def _note_lost_state(self, deadline_ns: int) -> None:
         """A row that says that this cycle had no fresh state."""
@@ -224,3 +235,4 @@ class Runner:
         if mode is Mode.TRACK:
             self._memory = replace(self._memory, hold=None)
         self.summary.mode = mode
+        self._around.mode_changed(mode)

@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from agent.config.schema_adaptive import Adaptive
 from agent.config.schema_trajectory import TrajectorySpec
 from agent.config.schema_types import Finite, Name, NonNegative, PerAxis, Positive, Quaternion, Strict, Vec3
+from agent.telemetry.topics import RESERVED
 
 
 class DriverKind(enum.StrEnum):
@@ -182,6 +183,8 @@ class CellFile(Strict):
         names = [a.name for a in self.arms]
         if len(set(names)) != len(names):
             raise ValueError(f"arm names that differ (they are {', '.join(names)})")
+        if RESERVED & set(names):
+            raise ValueError(f"arm names other than {', '.join(sorted(RESERVED))} (they are {', '.join(names)})")
         total = math.fsum(a.load_share for a in self.arms)
         if abs(total - 1.0) > 1e-9:
             raise ValueError(f"load shares that sum to 1 (they sum to {total:.9g})")

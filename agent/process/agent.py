@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, closing
@@ -16,6 +15,7 @@ from agent.modes import Event, Mode
 from agent.process.build import Connection, build_agent, build_driver
 from agent.process.control import ControlSocket
 from agent.process.notify import Notifier
+from agent.process.realtime import become_realtime, quiet_memory
 from agent.process.signals import StopFlag
 from agent.runner import Runner, RunSummary, Schedule, Surroundings
 from agent.telemetry.event import Event as TextEvent
@@ -41,6 +41,18 @@ class AgentOptions:
     ring: Path
     control: Path | None  # socket for start, stop and release; None: lockstep simulation, which starts by itself
     lockstep: bool
+    hold: bool  # at a stop and at the end hold the object until it is released
+    priority: int | None = None  # SCHED_FIFO; None: leave the scheduler alone
+
+
+_STATUS = {
+    Mode.OFF: "torque off",
+    Mode.READY: "torque on, holding the start pose; `coop start` sets the common start",
+    Mode.TRACK: "following the trajectory",
+    Mode.HOLD: "HOLDING the object; `coop release` (or SIGUSR1) once it is supported",
+    Mode.LOWER: "lowering the object",
+    Mode.FAULT: "the arm does not obey",
+}
 
 
 class ArmLost(DriverError):
@@ -73,14 +85,15 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
         driver, clock = build_driver(cell, arm, options.driver, options.connection, q_start, tell.warn)
         try:
             info = driver.connect()
+            quiet_memory()
+            if options.priority is not None:
+                become_realtime(options.priority)
             driver.enable()
-            notifier.ready(f"arm {arm.name}: torque on")
-            tell.event(Level.INFO, f"torque on: {info.description}")
+            notifier.ready(_STATUS[Mode.READY])
+            tell.event(Level.INFO, f"torque on: {info.description}", priority=options.priority or 0)
             ready("torque=on")
-            simulated = options.driver is DriverKind.SIM
-            operator = _Operator(stop, control, clock, drops_on_stop=simulated or options.connection.emulated)
+            operator = _Operator(stop, control, clock, drops_on_stop=not options.hold)
             heart = _Heart(notifier, max(1, round(HEARTBEAT_S * cell.file.rate_hz)))
-            _quiet_memory()
             runner = Runner(
                 build_agent(cell, arm),
                 driver,
@@ -88,7 +101,9 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
                 _schedule(cell, options),
                 AgentRow(ring.row, arm.n, cell.config_id),
                 ring,
-                Surroundings(time.perf_counter_ns, time.time_ns, operator.events, operator.start_ns, heart.beat),
+                Surroundings(
+                    time.perf_counter_ns, time.time_ns, operator.events, operator.start_ns, heart.beat, heart.mode
+                ),
             )
             summary = runner.run()
             tell.end(summary)
@@ -116,7 +131,7 @@ def _schedule(cell: Cell, options: AgentOptions) -> Schedule:
         # what is emulated shares the processor with everything else, and stops with it for some ten milliseconds
         hold_after_stale=round(EMULATED_PATIENCE_S * rate_hz) if emulated else STALE_TO_HOLD,
         fault_after_stale=round((EMULATED_PATIENCE_S if emulated else WATCHDOG_S) * rate_hz),
-        hold_at_end=not emulated,
+        hold_at_end=options.hold,
     )
 
 
@@ -134,12 +149,14 @@ class _Operator:
         self._start_ns: int | None = None
 
     def events(self) -> Event:
-        """What is asked for now."""
+        """What is asked for now.  A release counts once: one that came too early must not drop a later hold."""
         stopped, released = self._stop.stopped, self._stop.released
+        self._stop.released = False
         if self._control is not None:
             self._control.poll()
             requests = self._control.requests
             stopped, released = stopped or requests.stopped, released or requests.released
+            requests.released = False
         happened = Event.STOP if stopped else Event.NONE
         if released or (stopped and self._drops_on_stop):
             happened |= Event.RELEASED
@@ -186,15 +203,12 @@ class _Heart:
         self._cycles = cycles
         self._count = 0
 
+    def mode(self, mode: Mode) -> None:
+        """Tell what the arm is doing."""
+        self._notifier.send(f"STATUS={_STATUS[mode]}")
+
     def beat(self) -> None:
         """One cycle with a fresh state has passed."""
         self._count += 1
         if self._count % self._cycles == 0:
             self._notifier.alive()
-
-
-def _quiet_memory() -> None:
-    """No garbage collection from here on: a pause of the collector is a late torque."""
-    gc.collect()
-    gc.freeze()
-    gc.disable()
