@@ -1,4 +1,4 @@
-"""The only way to command an agent: a Unix datagram socket on its own host, for its own user and root.
+"""The only way to command an agent: a Unix socket on its own host, for its own user and root.
 
 An operator's words are start, stop and release.  There is none that moves an arm, and none over the network.
 """
@@ -10,7 +10,6 @@ import json
 import os
 import socket
 import struct
-import tempfile
 import time
 from dataclasses import dataclass
 from enum import StrEnum
@@ -21,6 +20,7 @@ from drivers.interface import Refusal
 
 _CREDENTIALS = struct.Struct("3i")  # pid, uid, gid
 _MAX_BYTES = 2048
+_CLIENTS_MAX = 8
 REPLY_TIMEOUT_S = 2.0
 
 
@@ -36,7 +36,6 @@ class Verb(StrEnum):
     START = "start"  # follow the trajectory from a common instant on
     STOP = "stop"  # hold the object where it is
     RELEASE = "release"  # the object is supported: torque off
-    STATUS = "status"
 
 
 @dataclass
@@ -52,19 +51,19 @@ class ControlSocket:
     """The agent's end; `poll` is one system call when nobody asks."""
 
     def __init__(self, path: Path, fingerprint: str) -> None:
-        """Bind `path` (mode 0600), replacing one that nobody serves.  Raises ControlError."""
+        """Listen at `path` (mode 0600), replacing one that nobody serves.  Raises ControlError."""
         self._path = path
         self._fingerprint = fingerprint
         self.requests = Requests()
-        self.status: dict[str, Any] = {}
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_PASSCRED, 1)
+        self._clients: list[socket.socket] = []
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_CLOEXEC)
         self._socket.setblocking(False)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             path.unlink(missing_ok=True)  # the ring's lock has already refused a second agent
             self._socket.bind(str(path))
             path.chmod(0o600)
+            self._socket.listen(_CLIENTS_MAX)
         except OSError as error:
             self._socket.close()
             raise ControlError(
@@ -74,17 +73,30 @@ class ControlSocket:
 
     def poll(self) -> None:
         """Take what operators have asked for since the last call; never blocks."""
-        while True:
-            try:
-                data, ancillary, _, sender = self._socket.recvmsg(_MAX_BYTES, socket.CMSG_SPACE(_CREDENTIALS.size))
-            except BlockingIOError:
-                return
-            answer = self._answer(data, _uid(ancillary))
-            if sender:
-                with contextlib.suppress(OSError):  # who asked is gone
-                    self._socket.sendto(json.dumps(answer).encode(), sender)
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                client, _ = self._socket.accept()
+                client.setblocking(False)
+                self._clients.append(client)
+        if self._clients:
+            self._clients = [client for client in self._clients[-_CLIENTS_MAX:] if not self._served(client)]
 
-    def _answer(self, data: bytes, uid: int | None) -> dict[str, Any]:
+    def _served(self, client: socket.socket) -> bool:
+        """Answer one client; False while it has not said anything yet."""
+        try:
+            data = client.recv(_MAX_BYTES)
+        except BlockingIOError:
+            return False
+        except OSError:
+            data = b""
+        with contextlib.suppress(OSError):  # who asked is gone
+            if data:
+                credentials = client.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
+                client.send(json.dumps(self._answer(data, _CREDENTIALS.unpack(credentials)[1])).encode())
+        client.close()
+        return True
+
+    def _answer(self, data: bytes, uid: int) -> dict[str, Any]:
         if uid not in (0, os.getuid()):
             return _refused(f"user {uid}", f"user {os.getuid()} or root", "ask as the agent's user or root")
         try:
@@ -104,40 +116,31 @@ class ControlSocket:
             self.requests.stopped = True
         elif verb is Verb.RELEASE:
             self.requests.released = True
-        return {"ok": True, **self.status}
+        return {"ok": True}
 
     def close(self) -> None:
         """Remove the socket; twice is fine."""
+        for client in self._clients:
+            client.close()
         self._socket.close()
         self._path.unlink(missing_ok=True)
 
 
-def ask(path: Path, verb: Verb, **content: Any) -> dict[str, Any]:
-    """Send one request to the agent at `path` and return its answer.  Raises ControlError."""
-    with (
-        tempfile.TemporaryDirectory(prefix="coop-ask-") as folder,
-        socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as own,
-    ):
+def ask(path: Path, verb: Verb, **content: Any) -> None:
+    """Send one request to the agent at `path` and wait for its answer.  Raises ControlError."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as own:
         own.settimeout(REPLY_TIMEOUT_S)
-        own.bind(f"{folder}/reply")
         try:
-            own.sendto(json.dumps({"verb": verb.value, **content}).encode(), str(path))
+            own.connect(str(path))
+            own.send(json.dumps({"verb": verb.value, **content}).encode())
             answer = json.loads(own.recv(_MAX_BYTES))
-        except OSError as error:
+        except (OSError, ValueError) as error:
+            found = getattr(error, "strerror", None) or "no answer"
             raise ControlError(
-                f"agent at {path}", found=error.strerror or "no answer", expected="an agent that answers",
-                remedy="start it first, or look into its log",
-            ) from error  # fmt: skip
+                f"agent at {path}", found=found, expected="an agent that answers", remedy="start it, or see its log"
+            ) from error
     if not answer.pop("ok", False):
         raise ControlError(f"agent at {path} refuses to {verb.value}", **answer)
-    return dict(answer)
-
-
-def _uid(ancillary: list[tuple[int, int, bytes]]) -> int | None:
-    for level, kind, data in ancillary:
-        if level == socket.SOL_SOCKET and kind == socket.SCM_CREDENTIALS:
-            return int(_CREDENTIALS.unpack(data[: _CREDENTIALS.size])[1])
-    return None
 
 
 def _refused(found: str, expected: str, remedy: str) -> dict[str, Any]:

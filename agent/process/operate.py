@@ -9,7 +9,7 @@ from pathlib import Path
 
 from agent.config.cell import Cell, load_cell
 from agent.process.control import ControlError, Verb, ask
-from agent.process.paths import control_path
+from agent.process.paths import SERVICES_DIR, control_paths
 
 SOONEST_S = 0.05
 
@@ -52,11 +52,11 @@ def _sockets(cell: Cell, arms: Sequence[str], given: Sequence[Path]) -> list[Pat
     if given:
         return list(given)
     wanted = [cell.arm(name).name for name in arms] or [a.name for a in cell.arms]
-    paths = [control_path(cell.file.name, name) for name in wanted]
-    here = [p for p in paths if p.exists()]
+    paths = [path for name in wanted for path in control_paths(cell.file.name, name)]
+    here = [path for path in paths if path.exists()]
     if not here:
         raise ControlError(
-            f"agents of cell {cell.file.name}", found=f"no socket in {paths[0].parent}",
+            f"agents of cell {cell.file.name}", found=f"no socket in {paths[0].parent} or {SERVICES_DIR}",
             expected="at least one running agent", remedy="start the agents first, or give --control",
         )  # fmt: skip
     return here

@@ -6,6 +6,8 @@ import os
 from datetime import UTC, datetime
 from pathlib import Path
 
+SERVICES_DIR = Path("/run/coop")  # RuntimeDirectory of the shipped units
+
 
 def runtime_dir(cell: str) -> Path:
     """$RUNTIME_DIRECTORY of the service, else /run/user/UID or /tmp, one folder per cell."""
@@ -24,6 +26,11 @@ def ring_path(cell: str, name: str) -> Path:
 def control_path(cell: str, arm: str) -> Path:
     """Control socket of an arm."""
     return runtime_dir(cell) / f"{arm}.control"
+
+
+def control_paths(cell: str, arm: str) -> tuple[Path, ...]:
+    """Where the control socket of an arm may be: of an agent started by hand, or by its unit."""
+    return control_path(cell, arm), SERVICES_DIR / arm / f"{arm}.control"
 
 
 def plant_socket_path(cell: str) -> Path:
