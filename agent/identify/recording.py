@@ -1,0 +1,132 @@
+"""What identification takes from a log: joint positions and the torque that acted, evenly sampled; never extrapolates.
+
+The torque is the one that was sent, late by the delay of the servos.  It is held between two cycles, so what acted
+around an instant is the mean of the two torques before and after it; what follows is then in phase.
+"""
+
+from __future__ import annotations
+
+import datetime
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+import configs
+from agent.config.cell import Arm, Cell, cell_from_toml
+from agent.modes import Mode
+from agent.telemetry.read import RunLog
+from drivers.interface import Refusal
+
+Matrix = NDArray[np.float64]
+
+CELL_FILE: Final = "cell.toml"
+MISSING_MAX: Final = 0.02  # share of the cycles without a fresh state
+GAP_MAX: Final = 3  # such cycles in a row
+SHORTEST_S: Final = 15.0
+
+
+class IdentifyError(Refusal):
+    """An arm cannot be identified from this log."""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One arm holding one object, evenly sampled."""
+
+    cell: Cell
+    arm: Arm
+    period_s: float
+    q: Matrix  # (k, n) rad, as measured
+    tau: Matrix  # (k, n) N·m that acted
+    day: str  # of the run, UTC
+
+    @property
+    def source(self) -> str:
+        """Where a figure comes from, for the arm file."""
+        return f"coop identify, run of {self.day}, cell {self.cell.file.name} {self.cell.fingerprint[:12]}"
+
+
+def from_log(log: RunLog, arm: str | None = None, arms_dir: Path = configs.ARMS_DIR) -> Recording:
+    """Recording of the one arm of a log.  arms_dir: the arm files the run used.
+
+    Raises IdentifyError for a log that is incomplete, of several arms, of other arm files, or too short.
+    """
+    if CELL_FILE not in log.attachments:
+        raise IdentifyError(
+            f"log {log.path.name}", found="no cell file in it", expected=f"an attachment {CELL_FILE}",
+            remedy="take a log that `coop record` made",
+        )  # fmt: skip
+    cell = cell_from_toml(log.attachments[CELL_FILE], f"{CELL_FILE} of {log.path.name}", arms_dir)
+    if len(cell.arms) > 1:
+        raise IdentifyError(
+            f"log {log.path.name}",
+            found=f"{len(cell.arms)} arms on one object",
+            expected="one arm: what several do to each other through the object is in no log",
+            remedy="record a cell like identify_wx200.toml, one arm with a light object",
+        )
+    described = cell.arms[0] if arm is None else cell.arm(arm)
+    _refuse_incomplete(log, described.name)
+    written = str(log.run_info().get("fingerprint", ""))
+    if written != cell.fingerprint:
+        raise IdentifyError(
+            f"arm files in {arms_dir.name}",
+            found=f"fingerprint {cell.fingerprint[:12]}",
+            expected=f"{written[:12]}, that of the run",
+            remedy="name the folder with the arm files of the run (--arms)",
+        )
+    return from_rows(cell, described, log.agents[described.name])
+
+
+def from_rows(cell: Cell, arm: Arm, rows: NDArray[np.void]) -> Recording:
+    """Recording of the longest stretch in TRACK.  Raises IdentifyError when it is too short or has holes."""
+    rows = _tracking(rows)
+    period_s, n = 1.0 / cell.file.rate_hz, arm.n
+    if len(rows) * period_s < SHORTEST_S:
+        raise IdentifyError(
+            f"motion of arm {arm.name}", found=f"{len(rows) * period_s:.1f} s in TRACK",
+            expected=f"at least {SHORTEST_S:g} s", remedy="record the whole trajectory",
+        )  # fmt: skip
+    slots = np.rint((rows["stamp_ns"] - rows["stamp_ns"][0]) * 1e-9 / period_s).astype(int)
+    steps = np.diff(slots)
+    missing = 1.0 - (len(rows) - 1) / slots[-1]
+    if steps.max() > GAP_MAX + 1 or missing > MISSING_MAX:
+        raise IdentifyError(
+            f"cycles of arm {arm.name}",
+            found=f"{missing:.1%} without a fresh state, up to {steps.max() - 1} in a row",
+            expected=f"at most {MISSING_MAX:.0%} and {GAP_MAX} in a row",
+            remedy="find out what the bus loses (coop report), then record again",
+        )
+    stamps_s = (rows["stamp_ns"] - rows["stamp_ns"][0]) * 1e-9
+    grid = np.arange(slots[-1] + 1)
+    q = np.stack([np.interp(grid * period_s, stamps_s, column) for column in rows["q_measured"].T[:n]], axis=1)
+    sent = rows["tau_sent"][np.searchsorted(slots, grid, side="right") - 1, :n]  # a cycle without a state repeats it
+    day = datetime.datetime.fromtimestamp(int(rows["utc_ns"][0]) * 1e-9, datetime.UTC).date().isoformat()
+    return Recording(cell, arm, period_s, q, acted(sent, cell.file.simulation.effects.delay_cycles), day)
+
+
+def acted(tau_sent: Matrix, delay_cycles: int) -> Matrix:
+    """Torque (k, n) around each sample, from what was sent at each (k, n) and acts so many cycles later."""
+    before = np.concatenate([np.repeat(tau_sent[:1], delay_cycles + 1, axis=0), tau_sent])
+    return 0.5 * (before[: len(tau_sent)] + before[1 : len(tau_sent) + 1])
+
+
+def _refuse_incomplete(log: RunLog, arm: str) -> None:
+    gaps = sum(last - first + 1 for first, last in log.gaps.get(arm, ()))
+    if log.complete and not gaps and arm in log.agents:
+        return
+    what = log.problems[0] if log.problems else f"{gaps} rows missing" if gaps else "the recorder did not finish it"
+    raise IdentifyError(
+        f"log {log.path.name}", found=what, expected="a complete log", remedy="record again, or try `coop recover`"
+    )
+
+
+def _tracking(rows: NDArray[np.void]) -> NDArray[np.void]:
+    tracking = np.concatenate([[False], rows["mode"] == Mode.TRACK, [False]]).astype(int)
+    begins, ends = np.flatnonzero(np.diff(tracking) == 1), np.flatnonzero(np.diff(tracking) == -1)
+    if not len(begins):
+        return rows[:0]
+    longest = int(np.argmax(ends - begins))
+    return rows[begins[longest] : ends[longest]]
