@@ -86,7 +86,7 @@ def check(cell: CellPath, overrides: Overrides = []) -> None:  # noqa: B006
     from agent.config.check import Verdict, examine
 
     loaded = load_cell(cell, overrides)
-    report = examine(loaded)
+    report = examine(loaded, wired=True)
     table = Table(title=f"{loaded.file.name}  {loaded.fingerprint[:12]}", title_justify="left")
     for column in ("what", "where", "found", "wanted", ""):
         table.add_column(column, overflow="fold")

@@ -13,8 +13,9 @@ import pinocchio as pin
 from agent.config import trajectory as motion
 from agent.config.cell import Arm, Cell, ConfigError, placement
 from agent.config.check_adaptive import examine_adaptation
+from agent.config.check_bus import bus_rates
 from agent.config.margin import damping, places, sampled_loop
-from agent.config.schema import ControllerKind
+from agent.config.schema import ControllerKind, DriverKind
 from agent.control import ik, known
 from agent.control.errors import attitude_error
 from agent.control.internal_force import internal_wrenches
@@ -88,8 +89,12 @@ def start_configurations(cell: Cell, models: Sequence[ArmModel]) -> tuple[Vector
     )
 
 
-def examine(cell: Cell) -> CheckReport:
-    """Examine the whole cell.  Raises ConfigError where nothing further can be computed (an unreachable grasp)."""
+def examine(cell: Cell, *, wired: bool | None = None) -> CheckReport:
+    """Examine the whole cell.  Raises ConfigError where nothing further can be computed (an unreachable grasp).
+
+    wired: a rate that the servo buses of the cell cannot carry is refused, not only warned of; None: if servos move
+    the arms (`driver`).
+    """
     try:
         models = [cell.model(arm) for arm in cell.arms]
     except ModelError as error:
@@ -106,6 +111,7 @@ def examine(cell: Cell) -> CheckReport:
     share = math.fsum(a.entry.load_share for a in cell.arms)
     findings.append(_judge("sum of load shares", "cell", f"{share:.6f}", "1", abs(share - 1.0) < 1e-9, ""))
     findings += _internal_force(cell, models)
+    findings += _buses(cell, q_start, wired=cell.file.driver is DriverKind.DYNAMIXEL if wired is None else wired)
     findings += _stability(cell, models, paths)
     if cell.file.controller.kind is ControllerKind.ADAPTIVE:
         findings += _adaptation(cell, models, paths)
@@ -296,6 +302,20 @@ def _adaptation(cell: Cell, models: Sequence[ArmModel], paths: Sequence[_Path]) 
         Finding(what, "cell", value, f"≤ {limit:.4g}", Verdict.OK if ok else Verdict.WARNING, "" if ok else remedy)
         for what, value, limit, ok, remedy in rows
     ]
+
+
+def _buses(cell: Cell, q_start: Sequence[Vector], *, wired: bool) -> list[Finding]:
+    rate = cell.file.rate_hz
+    findings = []
+    for bus in bus_rates(cell, q_start):
+        carried = rate <= bus.rate_max_hz
+        verdict = Verdict.OK if carried else Verdict.REFUSED if wired else Verdict.WARNING
+        remedy = "lower rate_hz, or raise the servos' Baud Rate (`coop motors setup`) and `baud`"
+        limit = f"≤ {bus.rate_max_hz:g} Hz ({bus.text})"
+        findings.append(
+            Finding("rate on the servo bus", bus.arm, f"{rate:g} Hz", limit, verdict, "" if carried else remedy)
+        )
+    return findings
 
 
 def _judge(what: str, where: str, found: str, limit: str, ok: bool, remedy: str) -> Finding:

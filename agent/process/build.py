@@ -9,8 +9,8 @@ from pathlib import Path
 from agent.config import observer
 from agent.config.cell import Arm, Cell
 from agent.config.schema import DriverKind
+from agent.config.servo_map import arm_map
 from agent.loop import Agent
-from agent.process.servo_map import arm_map
 from agent.safety import Limits
 from drivers.clock import MonotonicClock
 from drivers.dynamixel.driver import DynamixelDriver

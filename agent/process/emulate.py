@@ -9,17 +9,16 @@ from pathlib import Path
 
 from agent.config.cell import Arm, Cell
 from agent.config.check import examine
+from agent.config.servo_map import resting_joints
 from agent.process.plant import RING_NAME, Truth
-from agent.process.servo_map import GRIPPER, drivable
 from agent.process.signals import StopFlag
 from agent.process.simulated import plant_spec
 from agent.telemetry.ring import RingWriter
 from agent.telemetry.sample import PLANT_STATE
-from drivers.dynamixel.table import SERVOS
 from sim_backend.wire.plant_world import emulate
 from sim_backend.wire.serve import ServeOptions, serve
 from sim_backend.wire.timing import BusTiming
-from sim_backend.wire.wiring import ArmWiring, JointData, wire_arm
+from sim_backend.wire.wiring import ArmWiring, wire_arm
 
 
 @dataclass(frozen=True)
@@ -36,14 +35,7 @@ class EmulateOptions:
 
 def wiring(arm: Arm, index: int, baud: int) -> ArmWiring:
     """The servos of an arm as its file describes them."""
-    joints: list[JointData] = [
-        JointData(j.name, j.servo, j.ids, j.reverse, j.zero_tick, j.position_limit_ticks) for j in drivable(arm)
-    ]
-    g = arm.file.gripper
-    if SERVOS[g["servo"]].protocol == arm.file.protocol:
-        joints.append(
-            JointData(GRIPPER, g["servo"], g["ids"], g["reverse"], g["zero_tick"], tuple(g["position_limit_ticks"]))
-        )
+    joints = resting_joints(arm.file)
     return wire_arm(
         arm.name, joints, arm.entry.controlled, baud=baud, plant_arm=index, start_rad=dict(arm.entry.locked_rad)
     )

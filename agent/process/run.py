@@ -92,7 +92,7 @@ def run_cell(options: RunOptions, stop: Callable[[], bool], progress: Progress) 
         overrides.append(f"duration_s={options.duration_s}")
     cell = load_cell(options.cell, overrides)
     progress.phase("checking")
-    examine(cell).require()
+    examine(cell, wired=options.pace is Pace.WIRE).require()
     out = _output_folder(options.out, cell)
     runtime = Path(tempfile.mkdtemp(prefix="coop-", dir="/dev/shm" if Path("/dev/shm").is_dir() else None))
     try:

@@ -1,0 +1,48 @@
+"""What must hold before an arm's bus is opened: can it carry the cell's rate?  Computes only, asks no bus."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from agent.config.cell import Cell, ConfigError
+from agent.config.servo_map import arm_map
+from drivers.dynamixel.arm_map import MapError
+from drivers.dynamixel.budget import cycle_budget
+from drivers.interface import Vector
+
+
+@dataclass(frozen=True, slots=True)
+class BusRate:
+    """The highest rate that the bus of one arm carries, with the driver's own budget."""
+
+    arm: str
+    rate_max_hz: float
+    servos: int
+    baud: int
+    fast: bool  # all servos can answer in one merged reply, if their firmware is not too old
+
+    @property
+    def text(self) -> str:
+        """What the bus is, for a table."""
+        return f"{self.servos} servos at {self.baud} bit/s, {'fast' if self.fast else 'plain'} sync read"
+
+
+def bus_rates(cell: Cell, q_start: Sequence[Vector]) -> list[BusRate]:
+    """Rates of the arms that have a Dynamixel port; q_start[i] (n,): start of arm i.
+
+    Raises ConfigError when the servo map of an arm contradicts itself.
+    """
+    found = []
+    for arm, q in zip(cell.arms, q_start, strict=True):
+        port = arm.entry.dynamixel
+        if port is None:
+            continue
+        try:
+            servos = arm_map(cell, arm, port.port, q)
+        except MapError as error:
+            raise ConfigError(error.what, found=error.found, expected=error.expected, remedy=error.remedy) from error
+        fast = all(slot.model.fast_sync_min_firmware is not None for slot in servos.slots)
+        budget = cycle_budget(servos, fast=fast)
+        found.append(BusRate(arm.name, budget.rate_max_hz, len(servos.slots), servos.baud, fast))
+    return found

@@ -1,0 +1,77 @@
+"""What driver, tools and servo emulator must know of an arm, built from its files; opens nothing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from agent.config.cell import Arm, Cell
+from agent.config.schema import ArmFile, ServoJoint
+from drivers.dynamixel.arm_map import ArmMap, JointMap, JointRole
+from drivers.dynamixel.table import SERVOS
+from drivers.interface import Vector
+
+GRIPPER = "gripper"
+
+
+def arm_map(cell: Cell, arm: Arm, port: str, q_start: Vector) -> ArmMap:
+    """Servo map of the arm on `port`, expected at q_start (n,).  Raises MapError."""
+    start = {**arm.entry.locked_rad, **dict(zip(arm.entry.controlled, q_start.tolist(), strict=True))}
+    joints = [_joint(cell, arm, joint, start.get(joint.name)) for joint in drivable(arm.file)]
+    gripper = gripper_map(arm.file)
+    if gripper is not None:
+        joints.append(gripper)
+    return ArmMap(arm=arm.name, port=port, baud=arm.baud, rate_hz=cell.file.rate_hz, joints=tuple(joints))
+
+
+def drivable(file: ArmFile) -> list[ServoJoint]:
+    """Joints whose servos speak the arm's protocol; the others (an AX-12A) are held by other means."""
+    return [joint for joint in file.joints if SERVOS[joint.servo].protocol == file.protocol]
+
+
+def resting_joints(file: ArmFile) -> tuple[JointMap, ...]:
+    """All joints with their servos, gripper last, whatever a cell does with them: none is to take torque."""
+    gripper = gripper_map(file)
+    joints = [_resting(joint) for joint in drivable(file)]
+    return (*joints, gripper) if gripper is not None else tuple(joints)
+
+
+def gripper_map(file: ArmFile) -> JointMap | None:
+    """The gripper; None when its servo does not speak the arm's protocol."""
+    gripper = file.gripper
+    if SERVOS[gripper["servo"]].protocol != file.protocol:
+        return None
+    return JointMap(
+        name=GRIPPER,
+        servo=gripper["servo"],
+        ids=tuple(gripper["ids"]),
+        reverse=tuple(gripper["reverse"]),
+        zero_tick=gripper["zero_tick"],
+        position_limit_ticks=tuple(gripper["position_limit_ticks"]),
+        role=JointRole.GRIPPER,
+    )
+
+
+def _resting(joint: ServoJoint) -> JointMap:
+    return JointMap(
+        name=joint.name,
+        servo=joint.servo,
+        ids=tuple(joint.ids),
+        reverse=tuple(joint.reverse),
+        zero_tick=joint.zero_tick,
+        position_limit_ticks=joint.position_limit_ticks,
+        role=JointRole.HELD,
+    )
+
+
+def _joint(cell: Cell, arm: Arm, joint: ServoJoint, start_rad: float | None) -> JointMap:
+    resting = replace(_resting(joint), start_rad=start_rad)
+    if joint.name not in arm.entry.controlled:
+        return resting
+    constant = joint.torque_constant_Nm_per_A
+    stall = SERVOS[joint.servo].stall_torque_Nm * len(joint.ids)
+    return replace(
+        resting,
+        role=JointRole.CONTROLLED,
+        tau_max_Nm=stall * cell.file.safety.tau_max_fraction_of_stall,
+        torque_constant_Nm_per_A=constant.value if constant is not None else None,
+    )
