@@ -25,6 +25,7 @@ from agent.control.friction import Friction
 from agent.control.internal_force import agent_wrench
 from agent.control.law import Offline
 from agent.control.models import ArmModel
+from agent.control.posture import Posture
 from agent.control.quaternion import Vec3
 from agent.control.trajectory import Trajectory, Vec6
 from drivers.dynamixel.table import SERVOS, ServoModel
@@ -170,6 +171,7 @@ class Cell:
             object_inertia=tuple(x for row in obj.inertia_kg_m2.matrix() for x in row),  # type: ignore[arg-type]
             gravity=self.file.world.gravity_m_per_s2,
             friction=friction,
+            posture=_posture(entry),
             internal_wrench=self._internal_wrench(arm),
             adaptation=self._adaptation(arm),
         )
@@ -190,6 +192,11 @@ class Cell:
             return None
         period_s = 1.0 / self.file.rate_hz
         return adaptive.build(self.file.controller, self.model(arm), arm.servos, self.file.object, arm.name, period_s)
+
+
+def _posture(entry: ArmEntry) -> Posture | None:
+    p = entry.posture
+    return None if p is None else Posture(tuple(p.q_rad), p.stiffness_Nm_per_rad, p.damping_Nm_s_per_rad)
 
 
 def placement(p_m: Sequence[float], quat: Sequence[float]) -> pin.SE3:

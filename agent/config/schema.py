@@ -14,6 +14,8 @@ from agent.config.schema_trajectory import TrajectorySpec
 from agent.config.schema_types import Finite, Name, NonNegative, PerAxis, Positive, Quaternion, Strict, Vec3
 from agent.telemetry.topics import RESERVED
 
+TASK_ROWS = 6
+
 
 class DriverKind(enum.StrEnum):
     """What moves the arms of this cell."""
@@ -140,6 +142,14 @@ class DynamixelPort(Strict):
     baud: Annotated[int, Field(gt=0)] | None = None  # None: as the arm file says
 
 
+class PostureSpec(Strict):
+    """Null-space posture of an arm with more than six controlled joints."""
+
+    q_rad: list[Finite]
+    stiffness_Nm_per_rad: NonNegative
+    damping_Nm_s_per_rad: Positive
+
+
 class Arm(Strict):
     """One arm of the cell."""
 
@@ -157,6 +167,7 @@ class Arm(Strict):
     controlled: Annotated[list[str], Field(min_length=3, max_length=7)]
     locked_rad: dict[str, Finite] = Field(default_factory=dict)
     q_near_rad: list[Finite]
+    posture: PostureSpec | None = None
     dynamixel: DynamixelPort | None = None
 
 
@@ -191,6 +202,12 @@ class CellFile(Strict):
         for a in self.arms:
             if len(a.q_near_rad) != len(a.controlled):
                 raise ValueError(f"one q_near_rad per controlled joint of arm {a.name}")
+            if (a.posture is not None) != (len(a.controlled) > TASK_ROWS):
+                raise ValueError(
+                    f"a posture for arms with more than six controlled joints, and for no other ({a.name})"
+                )
+            if a.posture is not None and len(a.posture.q_rad) != len(a.controlled):
+                raise ValueError(f"one posture.q_rad per controlled joint of arm {a.name}")
             both = set(a.controlled) & set(a.locked_rad)
             if both:
                 raise ValueError(f"no joint both controlled and locked ({', '.join(sorted(both))} of arm {a.name})")

@@ -73,6 +73,10 @@ def torque(
         tau_internal = k.Jt.dot(internal)
         wrench_internal = shift_to_ee(k, internal)
         tau_law += tau_internal
+    tau_posture = None
+    if offline.posture is not None:
+        tau_posture = offline.posture.torque(q, dq, k.J, J_inv)
+        tau_law += tau_posture
     u_object = J_inv_P.T.dot(tau_law).tolist()
     terms = Terms(
         desired=desired,
@@ -88,7 +92,7 @@ def torque(
         tau_object=tau_object,
         tau_internal=tau_internal,
         tau_friction=tau_friction,
-        tau_posture=None,
+        tau_posture=tau_posture,
         tau_cmd=tau_law if tau_friction is None else tau_law + tau_friction,
         wrench_cmd=shift_to_ee(k, u_object),
         wrench_internal=wrench_internal,

@@ -42,6 +42,10 @@ def torque(model: ArmModel, offline: Offline, q: Vector, dq: Vector, desired: De
         tau_internal = k.Jt.dot(internal)
         wrench_internal = shift_to_ee(k, internal)
         tau_law += tau_internal
+    tau_posture = None
+    if offline.posture is not None:
+        tau_posture = offline.posture.torque(q, dq, k.J, J_inv)
+        tau_law += tau_posture
     # u_i: what the law asks of the object side; friction feed-forward is spent inside the joints
     u_object = J_inv_P.T.dot(tau_law).tolist()
     tau_cmd, tau_friction = tau_law, None
@@ -62,7 +66,7 @@ def torque(model: ArmModel, offline: Offline, q: Vector, dq: Vector, desired: De
         tau_object=tau_object,
         tau_internal=tau_internal,
         tau_friction=tau_friction,
-        tau_posture=None,
+        tau_posture=tau_posture,
         tau_cmd=tau_cmd,
         wrench_cmd=shift_to_ee(k, u_object),
         wrench_internal=wrench_internal,

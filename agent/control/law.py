@@ -12,6 +12,7 @@ from agent.control.adaptation import Adaptation
 from agent.control.errors import Errors, Gains
 from agent.control.friction import Friction
 from agent.control.models import Kinematics
+from agent.control.posture import Posture
 from agent.control.quaternion import Mat3, Vec3, cross, rotate, rotate_back
 from agent.control.trajectory import Desired, Vec6
 from drivers.interface import Vector
@@ -27,6 +28,7 @@ class Offline:
     object_inertia: Mat3  # about the centre of mass, object axes, kg·m²
     gravity: Vec3  # world axes
     friction: Friction | None = None  # feed-forward, None = off
+    posture: Posture | None = None  # of an arm with more joints than task rows
     internal_wrench: Vec6 | None = None  # f_int,i about the object's centre, object axes; None = none wanted
     adaptation: Adaptation | None = None  # the adaptive law's own data; None = the non-adaptive law runs
 
