@@ -12,6 +12,7 @@ from pathlib import Path
 from drivers.dynamixel.errors import PortError
 
 CANDIDATES = ("serial/by-id/*", "ttyDXL*", "ttyUSB*", "ttyACM*")
+_PTMX, _PTY_MAJOR = os.makedev(5, 2), 136
 
 
 def candidates() -> list[str]:
@@ -74,10 +75,24 @@ def holders(path: str) -> list[str]:
 
 
 def _has_open(process: Path, device: int) -> bool:
+    """True for a user of the device; who holds a pty's other end, as an emulator does, is none."""
+    found = False
     with contextlib.suppress(OSError):
         for link in (process / "fd").iterdir():
             with contextlib.suppress(OSError):
                 info = link.stat()
-                if stat.S_ISCHR(info.st_mode) and info.st_rdev == device:
-                    return True
-    return False
+                if not stat.S_ISCHR(info.st_mode):
+                    continue
+                found = found or info.st_rdev == device
+                if info.st_rdev == _PTMX and _pty_of(process / "fdinfo" / link.name) == device:
+                    return False
+    return found
+
+
+def _pty_of(info: Path) -> int | None:
+    """Device number of the pty whose master this open file is."""
+    for line in info.read_text().splitlines():
+        if line.startswith("tty-index:"):
+            index = int(line.split()[1])
+            return os.makedev(_PTY_MAJOR + (index >> 8), index & 0xFF)
+    return None
