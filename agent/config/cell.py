@@ -228,16 +228,7 @@ def cell_from_toml(raw: bytes, source: str, arms_dir: Path = configs.ARMS_DIR) -
     digest = hashlib.sha256(raw)
     arms = []
     for entry in file.arms:
-        toml_path = arms_dir / f"{entry.model}.toml"
-        if not toml_path.is_file():
-            raise ConfigError(
-                f"model of arm {entry.name} in {source}",
-                found=repr(entry.model),
-                expected=" or ".join(sorted(p.stem for p in arms_dir.glob("*.toml"))),
-                remedy="name a described arm, or describe yours beside them",
-            )
-        arm_bytes = _read(toml_path)
-        arm_file = _validate(ArmFile, _parse(arm_bytes, toml_path), toml_path.name)
+        arm_file, arm_bytes = load_arm_file(entry.model, f"model of arm {entry.name} in {source}", arms_dir)
         urdf = _read(arms_dir / arm_file.urdf)
         digest.update(arm_bytes)
         digest.update(urdf)
@@ -254,6 +245,20 @@ def cell_from_toml(raw: bytes, source: str, arms_dir: Path = configs.ARMS_DIR) -
         _refuse_weak_servos(entry, servos, source)
         arms.append(Arm(entry, arm_file, urdf.decode(), servos))
     return Cell(file, tuple(arms), raw, digest.hexdigest())
+
+
+def load_arm_file(model: str, what: str, arms_dir: Path = configs.ARMS_DIR) -> tuple[ArmFile, bytes]:
+    """The description of an arm model and its exact bytes; what: who asks for it.  Raises ConfigError."""
+    path = arms_dir / f"{model}.toml"
+    if not path.is_file():
+        raise ConfigError(
+            what,
+            found=repr(model),
+            expected=" or ".join(sorted(p.stem for p in arms_dir.glob("*.toml"))),
+            remedy="name a described arm, or describe yours beside them",
+        )
+    raw = _read(path)
+    return _validate(ArmFile, _parse(raw, path), path.name), raw
 
 
 def _refuse_weak_servos(entry: ArmEntry, servos: Sequence[ServoJoint], source: str) -> None:
