@@ -157,10 +157,7 @@ class _Run:
         """Start everything, recorder first, so that no row is before its time."""
         progress.phase("starting")
         cell = str(self._cell_path)
-        seed = ["--seed", str(self._options.seed)]
-        self._recorder = self._child(
-            "recorder", ["record", cell, "--out", str(self._out / "run.mcap"), "--listen", FREE_PORT, *seed]
-        )
+        self._recorder = self._child("recorder", self._recorder_command(cell))
         self._plant = self._child("plant", self._plant_command(cell))
         self._plant.wait_ready(READY_TIMEOUT_S)
         for arm in self._cell.arms:
@@ -186,6 +183,13 @@ class _Run:
         start_utc_ns = time.time_ns() + START_IN_NS
         for arm in self._agents:
             ask(self._control(arm), Verb.START, start_utc_ns=start_utc_ns, fingerprint=self._cell.fingerprint)
+
+    def _recorder_command(self, cell: str) -> list[str]:
+        driver = "dynamixel" if self._options.pace is Pace.WIRE else "sim"
+        log, seed = str(self._out / "run.mcap"), str(self._options.seed)
+        return [
+            "record", cell, "--out", log, "--listen", FREE_PORT, "--driver", driver, "--truth", "--seed", seed
+        ]  # fmt: skip
 
     def _plant_command(self, cell: str) -> list[str]:
         ring = ["--ring", str(self._ring(RING_NAME))]
