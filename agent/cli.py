@@ -130,6 +130,32 @@ def tune(
 
 
 @app.command()
+def identify(
+    log: Annotated[Path, typer.Argument(help="MCAP log of one arm with a light object.", show_default=False)],
+    arm: Annotated[str | None, typer.Option(help="Name of the arm.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder of the new arm file (default: beside the log).")] = None,
+    arms: Annotated[Path | None, typer.Option(help="Folder of the arm files the run used.")] = None,
+    cutoff_hz: Annotated[float, typer.Option(min=0.1, help="Low-pass of torque and motion.")] = 5.0,
+    slow_rad_per_s: Annotated[float, typer.Option(min=0.01, help="Slower motion says nothing of friction.")] = 0.2,
+) -> None:
+    """Identify friction, rotor inertia and gravity parameters of an arm, and write its new arm file."""
+    from rich.console import Console
+
+    import configs
+    from agent.identify.fit import Options
+    from agent.identify.run import identify as identify_log
+    from agent.identify.run import write
+    from agent.identify.show import estimates_table, residual_lines
+
+    arms_dir = arms or configs.ARMS_DIR
+    result = identify_log(log, arm, Options(cutoff_hz, slow_rad_per_s), arms_dir)
+    files = write(result, out or log.parent, arms_dir)
+    Console().print(estimates_table(result))
+    typer.echo("\n".join(residual_lines(result)))
+    typer.echo(f"arm file {files.arm}\nfigure   {files.figure}\nall      {files.summary}")
+
+
+@app.command()
 def agent(
     cell: CellPath,
     arm: ArmName,
@@ -399,6 +425,8 @@ def main() -> None:
     except Refusal as error:
         typer.echo(f"coop: {error}", err=True)
         sys.exit(error.exit_code)
+    except KeyboardInterrupt:
+        sys.exit(130)
 
 
 if __name__ == "__main__":

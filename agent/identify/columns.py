@@ -78,7 +78,9 @@ class Base:
         lead = _parameter_name(self.kept[i], self.joints)
         row = self.combination[i]
         rest = [(k, row[k]) for k in np.flatnonzero(np.abs(row) > 1e-6).tolist() if k != self.kept[i]]
-        return lead + "".join(f" {'−' if c < 0 else '+'} {_factor(c)}{_parameter_name(k, self.joints)}" for k, c in rest)
+        return lead + "".join(
+            f" {'−' if c < 0 else '+'} {_factor(c)}{_parameter_name(k, self.joints)}" for k, c in rest
+        )
 
 
 def all_columns(model: ArmModel, q: Matrix, dq: Matrix, ddq: Matrix, smooth_rad_per_s: float) -> Matrix:
@@ -104,8 +106,9 @@ def base_of(model: ArmModel) -> Base:
     q, dq, ddq = random.uniform(-1.5, 1.5, (_STATES, n)), *random.normal(size=(2, _STATES, n))
     columns = all_columns(model, q, dq, ddq, 0.01)
     columns = columns.reshape(_STATES * n, -1)
-    kept, directions = [], np.zeros((len(columns), 0))
-    for k in _wanted_first(n):
+    kept: list[int] = []
+    directions: Matrix = np.zeros((len(columns), 0))
+    for k in _wanted_first(model):
         column = columns[:, k]
         own = column - directions @ (directions.T @ column)
         own -= directions @ (directions.T @ own)  # once more, against rounding
@@ -113,12 +116,12 @@ def base_of(model: ArmModel) -> Base:
         if size > INDEPENDENT * max(float(np.linalg.norm(column)), INDEPENDENT):
             kept.append(k)
             directions = np.column_stack([directions, own / size])
-    combination = np.linalg.lstsq(columns[:, kept], columns, rcond=None)[0]
+    combination: Matrix = np.linalg.pinv(columns[:, kept]) @ columns
     combination[np.abs(combination) < 1e-9] = 0.0
     return Base(model.joints, tuple(kept), combination)
 
 
-def described_parameters(cell: Cell, arm: Arm, model: ArmModel) -> Vector:
+def described_parameters(arm: Arm, model: ArmModel) -> Vector:
     """(13 n,) parameters as URDF and arm file have them."""
     servos = arm.servos
     friction = [s.viscous_Nm_s_per_rad.value for s in servos], [s.coulomb_Nm.value for s in servos]
@@ -138,13 +141,22 @@ def object_torque(cell: Cell, model: ArmModel, columns: Matrix) -> Matrix:
     return torque
 
 
-def _wanted_first(n: int) -> list[int]:
-    def bodies(which: range | tuple[int, ...]) -> list[int]:
-        return [BODY_PARAMETERS * j + k for j in range(n) for k in which]
+def _wanted_first(model: ArmModel) -> list[int]:
+    """All parameters: friction, rotor inertia, first moments that the own joint swings, inertia, the rest.
 
-    first = BODY_PARAMETERS * n
-    joints = [*range(first + n, first + 3 * n), *range(first, first + n)]
-    return [*joints, *bodies(FIRST_MOMENTS), *bodies(range(4, 10)), *bodies((0,))]
+    A first moment along the body's own axis, and its mass, act as parameters of the body before.
+    """
+    n = model.n
+    pin.computeJointJacobians(model.model, model.data, pin.neutral(model.model))
+    swung, carried, inertia = [], [], []
+    for j in range(n):
+        axis = pin.getJointJacobian(model.model, model.data, j + 1, pin.ReferenceFrame.LOCAL)[3:, j]
+        along = 1 + int(np.argmax(np.abs(axis)))
+        swung += [BODY_PARAMETERS * j + k for k in FIRST_MOMENTS if k != along]
+        carried += [BODY_PARAMETERS * j + along, BODY_PARAMETERS * j]
+        inertia += [BODY_PARAMETERS * j + k for k in range(4, BODY_PARAMETERS)]
+    rotor = BODY_PARAMETERS * n
+    return [*range(rotor + n, rotor + 3 * n), *range(rotor, rotor + n), *swung, *inertia, *carried]
 
 
 def _parameter_name(k: int, joints: tuple[str, ...]) -> str:

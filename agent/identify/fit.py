@@ -33,7 +33,7 @@ SAMPLES_PER_PERIOD: Final = 6  # of the cut-off, kept after filtering
 BLOCK_S: Final = 1.0
 BLOCKS_MIN: Final = 10
 OTHER_CUTOFF: Final = 0.6  # the second low-pass, relative to the first
-CONDITION_MAX: Final = 200.0
+CONDITION_MAX: Final = 500.0
 USED_MIN: Final = 0.1  # share of the time that each joint moves fast enough, in each direction
 
 
@@ -82,7 +82,7 @@ def fit(recording: Recording, options: Options) -> Fit:
     value, sigma, condition = least_squares(train)
     other, _ = _split(_equations(recording, model, base, options, OTHER_CUTOFF * cutoff), options.held_out)
     moved = least_squares(other)[0] - value
-    described = base.combination @ described_parameters(recording.cell, recording.arm, model)
+    described = base.combination @ described_parameters(recording.arm, model)
     return Fit(
         base=base,
         value=value,
@@ -121,7 +121,7 @@ def least_squares(part: Part) -> tuple[Vector, Vector, float]:
 def _covariance(scores: Matrix, t: Vector) -> Matrix:
     """Of the sum of all scores (k, b), from the sums over blocks of time, which are all but independent."""
     block = np.floor((t - t[0]) / BLOCK_S).astype(int)
-    sums = np.stack([np.bincount(block, column) for column in scores.T], axis=1)
+    sums: Matrix = np.stack([np.bincount(block, column) for column in scores.T], axis=1)
     count = len(sums)
     covariance: Matrix = sums.T @ sums * (count / (count - 1))
     return covariance
@@ -140,7 +140,7 @@ def _equations(recording: Recording, model: ArmModel, base: Base, options: Optio
     edge = math.ceil(EDGE_PERIODS / cutoff_hz / T)
     every = max(1, int(1.0 / T / cutoff_hz / SAMPLES_PER_PERIOD))
     part = slice(edge, -edge, every)
-    return Part(np.arange(len(q))[part] * T, columns[part], tau[part], ~turning[part])
+    return Part(T * np.arange(len(q), dtype=np.float64)[part], columns[part], tau[part], ~turning[part])
 
 
 def low_pass(values: Matrix, cutoff_hz: float, period_s: float) -> Matrix:
@@ -195,5 +195,5 @@ def _refuse_condition(condition: float) -> None:
             "excitation",
             found=f"columns with a condition number of {condition:.3g}",
             expected=f"at most {CONDITION_MAX:g}",
-            remedy="record a trajectory with more frequencies on more axes (kind = \"fourier\")",
+            remedy='record a trajectory with more frequencies on more axes (kind = "fourier")',
         )

@@ -110,7 +110,8 @@ def from_rows(cell: Cell, arm: Arm, rows: NDArray[np.void]) -> Recording:
 def acted(tau_sent: Matrix, delay_cycles: int) -> Matrix:
     """Torque (k, n) around each sample, from what was sent at each (k, n) and acts so many cycles later."""
     before = np.concatenate([np.repeat(tau_sent[:1], delay_cycles + 1, axis=0), tau_sent])
-    return 0.5 * (before[: len(tau_sent)] + before[1 : len(tau_sent) + 1])
+    mean: Matrix = 0.5 * (before[: len(tau_sent)] + before[1 : len(tau_sent) + 1])
+    return mean
 
 
 def _refuse_incomplete(log: RunLog, arm: str) -> None:

@@ -1,0 +1,128 @@
+"""From base parameters to the figures of an arm file: which are good enough to replace, and why the rest are kept."""
+
+from __future__ import annotations
+
+import enum
+import tomllib
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from agent.config.edit import Change, apply
+from agent.config.schema import ArmFile, Provenance
+from agent.control.regressor import BODY_PARAMETERS
+from agent.identify.columns import described_parameters
+from agent.identify.fit import Fit, Options
+from agent.identify.recording import Recording
+
+CERTAIN: Final = 0.25  # a figure with a larger standard error, relative to itself, is not taken over
+DIGITS: Final = 4  # of a figure in the arm file
+
+
+class Outcome(enum.StrEnum):
+    """What becomes of a figure of the arm file."""
+
+    REPLACED = "replaced"
+    UNCERTAIN = "kept: too uncertain"
+    NOT_POSITIVE = "kept: the estimate is not positive"
+
+
+@dataclass(frozen=True, slots=True)
+class FigureEstimate:
+    """One figure of one joint."""
+
+    joint: str
+    key: str  # of the arm file
+    value: float
+    sigma: float
+    previous: float
+    outcome: Outcome
+
+
+@dataclass(frozen=True)
+class Identified:
+    """Everything one recording says about its arm."""
+
+    recording: Recording
+    options: Options
+    fit: Fit
+    figures: tuple[FigureEstimate, ...]
+
+    def arm_toml(self, text: str) -> str:
+        """The arm file `text` with the replaced figures; every other byte stays.  Raises EditError."""
+        changes = [self._change(f) for f in self.figures if f.outcome is Outcome.REPLACED]
+        edited = apply(text, changes) if changes else text
+        ArmFile.model_validate(tomllib.loads(edited))
+        return edited
+
+    def summary(self) -> dict[str, Any]:
+        """All figures and base parameters, for a machine."""
+        fit, arm = self.fit, self.recording.arm
+        return {
+            "arm": arm.name,
+            "model": arm.entry.model,
+            "cell": self.recording.cell.file.name,
+            "fingerprint": self.recording.cell.fingerprint,
+            "run": self.recording.day,
+            "options": asdict(self.options),
+            "condition": fit.condition,
+            "joints": [
+                {
+                    "name": name,
+                    "share_of_time_used": float(fit.used[j]),
+                    "rms_torque_Nm": float(fit.torque[j]),
+                    "rms_residual_Nm": float(fit.residual[j]),
+                    "rms_residual_before_Nm": float(fit.residual_described[j]),
+                }
+                for j, name in enumerate(arm.entry.controlled)
+            ],
+            "figures": [asdict(f) for f in self.figures],
+            "base_parameters": [
+                {"name": name, "unit": unit, "value": float(v), "sigma": float(s), "described": float(d)}
+                for name, unit, v, s, d in zip(
+                    fit.base.names, fit.base.units, fit.value, fit.sigma, fit.described, strict=True
+                )
+            ],
+        }
+
+    def _change(self, f: FigureEstimate) -> Change:
+        value = float(f"{f.value:.{DIGITS}g}")
+        source = f"{self.recording.source}, ± {f.sigma:.1g}"
+        toml = f'{{ value = {value!r}, status = "{Provenance.MEASURED.value}", source = "{source}" }}'
+        return Change("joints", f.key, toml, f.joint)
+
+
+def identified(recording: Recording, options: Options, fit: Fit) -> Identified:
+    """Figures of the arm file from a fit.
+
+    The base parameter of a rotor holds inertia of the links too; that part is taken from the URDF.
+    """
+    arm, base = recording.arm, fit.base
+    described = described_parameters(arm, recording.cell.model(arm))
+    figures: list[FigureEstimate] = []
+    for j, servo in enumerate(arm.servos):
+        rotor = base.rotor(j)
+        links = fit.described[rotor] - described[BODY_PARAMETERS * arm.n + j]
+        for key, i, part in (
+            ("rotor_inertia_kg_m2", rotor, links),
+            ("coulomb_Nm", base.coulomb(j), 0.0),
+            ("viscous_Nm_s_per_rad", base.viscous(j), 0.0),
+        ):
+            value, sigma = float(fit.value[i] - part), float(fit.sigma[i])
+            previous = float(getattr(servo, key).value)
+            figures.append(FigureEstimate(servo.name, key, value, sigma, previous, _outcome(value, sigma)))
+    return Identified(recording, options, fit, tuple(figures))
+
+
+def gravity_rows(fit: Fit) -> Sequence[tuple[str, float, float, float]]:
+    """Name, estimate, standard error and described value of each gravity parameter, kg·m."""
+    rows = np.array([fit.value, fit.sigma, fit.described])
+    return [(fit.base.names[i], *rows[:, i].tolist()) for i in fit.base.gravity()]
+
+
+def _outcome(value: float, sigma: float) -> Outcome:
+    if value <= 0.0:
+        return Outcome.NOT_POSITIVE
+    return Outcome.REPLACED if sigma <= CERTAIN * value else Outcome.UNCERTAIN

@@ -1,0 +1,46 @@
+"""One log to estimates and files: what the command `coop identify` does; writes only where it is told."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import configs
+from agent.atomic import write_atomically
+from agent.identify.fit import Options, fit
+from agent.identify.recording import from_log
+from agent.identify.result import Identified, identified
+from agent.identify.show import validation_figure
+from agent.telemetry.plotting import save_png
+from agent.telemetry.read import read_log
+
+
+@dataclass(frozen=True, slots=True)
+class Files:
+    """What was written."""
+
+    arm: Path  # the arm file with the new figures
+    figure: Path
+    summary: Path
+
+
+def identify(
+    log: Path, arm: str | None = None, options: Options | None = None, arms_dir: Path = configs.ARMS_DIR
+) -> Identified:
+    """Identify the one arm of a log.  Raises LogError, ConfigError or IdentifyError."""
+    options = options or Options()
+    recording = from_log(read_log(log), arm, arms_dir)
+    return identified(recording, options, fit(recording, options))
+
+
+def write(result: Identified, out: Path, arms_dir: Path = configs.ARMS_DIR) -> Files:
+    """Write arm file, figure and summary into the folder `out`, which may be new.  Raises WriteError."""
+    out.mkdir(parents=True, exist_ok=True)
+    model = result.recording.arm.entry.model
+    files = Files(out / f"{model}.toml", out / f"identify_{model}.png", out / f"identify_{model}.json")
+    text = result.arm_toml((arms_dir / f"{model}.toml").read_text(encoding="utf-8"))
+    save_png(validation_figure(result), files.figure)
+    write_atomically(files.summary, (json.dumps(result.summary(), indent=2) + "\n").encode())
+    write_atomically(files.arm, text.encode())
+    return files
