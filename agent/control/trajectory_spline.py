@@ -19,12 +19,13 @@ from itertools import pairwise
 import numpy as np
 
 from agent.control.models import Matrix
-from agent.control.quaternion import Quat, Vec3
+from agent.control.quaternion import Quat, Vec3, angle_between
 from agent.control.trajectory import Desired
 from drivers.interface import Refusal
 
-SMALLEST_NORM = 0.5  # of the quaternion spline; below it neighbouring attitudes are too far apart
-_PER_SEGMENT = 4
+FARTHEST_RAD = 2.6  # between neighbouring attitudes; at half a turn there is no shorter way round
+SMALLEST_NORM = 0.5  # of the quaternion spline, which swings far out between large turns at uneven times
+_SAMPLES_PER_SEGMENT = 6
 
 
 class TrajectoryError(Refusal):
@@ -46,6 +47,7 @@ class PoseSpline:
                     expected="times that increase",
                     remedy="put the poses in order, one per instant",
                 )
+        _refuse_far_attitudes(times_s, quats)
         self._times = [float(t) for t in times_s]
         values = np.hstack([np.array(positions), same_hemisphere(np.array(quats))])
         still = [(1, np.zeros(7)), (2, np.zeros(7))]
@@ -60,7 +62,7 @@ class PoseSpline:
         rates[:, :5] = (power * coefficients)[:, 1:]
         accelerations[:, :4] = (power * (power - 1.0) * coefficients)[:, 2:]
         self._segments = list(np.concatenate([coefficients, rates, accelerations], axis=2))
-        self._refuse_far_attitudes()
+        _refuse_small_norm(self._times, self._segments)
 
     @property
     def period_s(self) -> float:
@@ -97,18 +99,30 @@ class PoseSpline:
             ),
         )
 
-    def _refuse_far_attitudes(self) -> None:
-        times = self._times
-        for k, segment in enumerate(self._segments):
-            x = np.linspace(0.0, times[k + 1] - times[k], _PER_SEGMENT, endpoint=False)
-            norm = np.linalg.norm(np.vander(x, 6, increasing=True) @ segment[:, 3:7], axis=1).min()
-            if norm < SMALLEST_NORM:
-                raise TrajectoryError(
-                    f"attitudes between {times[k]:g} s and {times[k + 1]:g} s",
-                    found=f"so far apart that their interpolation shrinks to {norm:.2f}",
-                    expected=f"at least {SMALLEST_NORM:g}: well below half a turn from pose to pose",
-                    remedy="add a pose in between",
-                )
+
+def _refuse_far_attitudes(times_s: Sequence[float], quats: Sequence[Quat]) -> None:
+    for k, (before, after) in enumerate(pairwise(quats)):
+        angle = angle_between(before, after)
+        if angle > FARTHEST_RAD:
+            raise TrajectoryError(
+                f"attitudes at {times_s[k]:g} s and {times_s[k + 1]:g} s",
+                found=f"{angle:.3g} rad apart",
+                expected=f"at most {FARTHEST_RAD:g} rad",
+                remedy="add a pose in between",
+            )
+
+
+def _refuse_small_norm(times_s: Sequence[float], segments: Sequence[Matrix]) -> None:
+    for k, segment in enumerate(segments):
+        x = np.linspace(0.0, times_s[k + 1] - times_s[k], _SAMPLES_PER_SEGMENT, endpoint=False)
+        norm = float(np.linalg.norm(np.vander(x, 6, increasing=True) @ segment[:, 3:7], axis=1).min())
+        if norm < SMALLEST_NORM:
+            raise TrajectoryError(
+                f"attitudes between {times_s[k]:g} s and {times_s[k + 1]:g} s",
+                found=f"turns so large and uneven that their interpolation shrinks to {norm:.2f}",
+                expected=f"at least {SMALLEST_NORM:g}",
+                remedy="add a pose in between, or space the times evenly",
+            )
 
 
 def same_hemisphere(quats: Matrix) -> Matrix:

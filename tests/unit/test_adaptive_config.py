@@ -111,7 +111,7 @@ def test_simulation_is_stable_at_the_recommended_gain_and_not_far_above(rate: fl
         largest_error(cell_of("paper_ideal", KIND, *wide, f"controller.adaptive.gamma={recommended * factor}"))
         for factor in (1.0, 32.0)
     )
-    assert slow < 0.3e-3
+    assert slow < 0.6e-3
     assert fast > 3e-3  # torque limits keep what is unstable from going farther
 
 
