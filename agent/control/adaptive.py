@@ -15,14 +15,12 @@ import numpy as np
 from agent.control import errors as error_terms
 from agent.control.adaptation import Adaptation, Estimate, Gradient
 from agent.control.inverse import invert_jacobian
-from agent.control.law import Offline, Terms, lyapunov_share, rotate_wrench, shift_to_ee
+from agent.control.law import Offline, Terms, extra_torques, lyapunov_share, rotate_wrench, shift_to_ee
 from agent.control.models import ArmModel, Matrix
 from agent.control.quaternion import Mat3, Vec3, rotate_back
 from agent.control.regressor import BODY_PARAMETERS, joint_regressor, object_regressor
 from agent.control.trajectory import Desired, Vec6
 from drivers.interface import Vector
-
-_NO_WRENCH = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def torque(
@@ -67,16 +65,11 @@ def torque(
     tau_feedback = k.Jt.dot([-g * v - c * x for g, v, x in zip(k_v, e_v, e_pose, strict=True)])
     tau_object = k.Jt.dot(load)
     tau_law = tau_adaptive + tau_feedback + tau_object
-    tau_internal, wrench_internal = None, _NO_WRENCH
-    if offline.internal_wrench is not None:
-        internal = rotate_wrench(R, offline.internal_wrench)
-        tau_internal = k.Jt.dot(internal)
-        wrench_internal = shift_to_ee(k, internal)
-        tau_law += tau_internal
-    tau_posture = None
-    if offline.posture is not None:
-        tau_posture = offline.posture.torque(q, dq, k.J, J_inv)
-        tau_law += tau_posture
+    extra = extra_torques(offline, k, q, dq, J_inv)
+    if extra.tau_internal is not None:
+        tau_law += extra.tau_internal
+    if extra.tau_posture is not None:
+        tau_law += extra.tau_posture
     u_object = J_inv_P.T.dot(tau_law).tolist()
     terms = Terms(
         desired=desired,
@@ -90,12 +83,12 @@ def torque(
         tau_adaptive=tau_adaptive,
         tau_feedback=tau_feedback,
         tau_object=tau_object,
-        tau_internal=tau_internal,
+        tau_internal=extra.tau_internal,
         tau_friction=tau_friction,
-        tau_posture=tau_posture,
+        tau_posture=extra.tau_posture,
         tau_cmd=tau_law if tau_friction is None else tau_law + tau_friction,
         wrench_cmd=shift_to_ee(k, u_object),
-        wrench_internal=wrench_internal,
+        wrench_internal=extra.wrench_internal,
         lyapunov=lyapunov_share(offline, k, e, dq_error) + adaptation.parameter_error(estimate),
         sigma_min=sigma_min,
     )

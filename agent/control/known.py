@@ -11,12 +11,10 @@ from __future__ import annotations
 
 from agent.control import errors as error_terms
 from agent.control.inverse import invert_jacobian
-from agent.control.law import Offline, Terms, lyapunov_share, object_wrench, rotate_wrench, shift_to_ee
+from agent.control.law import Offline, Terms, extra_torques, lyapunov_share, object_wrench, shift_to_ee
 from agent.control.models import ArmModel
 from agent.control.trajectory import Desired
 from drivers.interface import Vector
-
-_NO_WRENCH = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def torque(model: ArmModel, offline: Offline, q: Vector, dq: Vector, desired: Desired) -> Terms:
@@ -36,16 +34,11 @@ def torque(model: ArmModel, offline: Offline, q: Vector, dq: Vector, desired: De
     tau_feedback = k.Jt.dot(feedback)
     tau_object = k.Jt.dot(share)
     tau_law = tau_inertia + tau_coriolis + k.g + tau_feedback + tau_object
-    tau_internal, wrench_internal = None, _NO_WRENCH
-    if offline.internal_wrench is not None:
-        internal = rotate_wrench(k.R_world_object, offline.internal_wrench)
-        tau_internal = k.Jt.dot(internal)
-        wrench_internal = shift_to_ee(k, internal)
-        tau_law += tau_internal
-    tau_posture = None
-    if offline.posture is not None:
-        tau_posture = offline.posture.torque(q, dq, k.J, J_inv)
-        tau_law += tau_posture
+    extra = extra_torques(offline, k, q, dq, J_inv)
+    if extra.tau_internal is not None:
+        tau_law += extra.tau_internal
+    if extra.tau_posture is not None:
+        tau_law += extra.tau_posture
     # u_i: what the law asks of the object side; friction feed-forward is spent inside the joints
     u_object = J_inv_P.T.dot(tau_law).tolist()
     tau_cmd, tau_friction = tau_law, None
@@ -64,12 +57,12 @@ def torque(model: ArmModel, offline: Offline, q: Vector, dq: Vector, desired: De
         tau_adaptive=None,
         tau_feedback=tau_feedback,
         tau_object=tau_object,
-        tau_internal=tau_internal,
+        tau_internal=extra.tau_internal,
         tau_friction=tau_friction,
-        tau_posture=tau_posture,
+        tau_posture=extra.tau_posture,
         tau_cmd=tau_cmd,
         wrench_cmd=shift_to_ee(k, u_object),
-        wrench_internal=wrench_internal,
+        wrench_internal=extra.wrench_internal,
         lyapunov=lyapunov_share(offline, k, e, dq - dq_ref),
         sigma_min=sigma_min,
     )

@@ -11,11 +11,13 @@ from typing import NamedTuple
 from agent.control.adaptation import Adaptation
 from agent.control.errors import Errors, Gains
 from agent.control.friction import Friction
-from agent.control.models import Kinematics
+from agent.control.models import Kinematics, Matrix
 from agent.control.posture import Posture
 from agent.control.quaternion import Mat3, Vec3, cross, rotate, rotate_back
 from agent.control.trajectory import Desired, Vec6
 from drivers.interface import Vector
+
+_NO_WRENCH: Vec6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +90,26 @@ def shift_to_ee(k: Kinematics, w: Vec6) -> Vec6:
     force = (w[0], w[1], w[2])
     moment = cross(k.p_ee_object, force)
     return (*force, w[3] + moment[0], w[4] + moment[1], w[5] + moment[2])
+
+
+class Extra(NamedTuple):
+    """What both laws can add to the paper's torque: internal force and null-space posture."""
+
+    tau_internal: Vector | None
+    wrench_internal: Vec6  # at the end effector
+    tau_posture: Vector | None
+
+
+def extra_torques(offline: Offline, k: Kinematics, q: Vector, dq: Vector, J_inv: Matrix) -> Extra:
+    """Torques of the desired internal wrench and of the posture, as far as they are configured."""
+    tau_internal, wrench_internal, tau_posture = None, _NO_WRENCH, None
+    if offline.internal_wrench is not None:
+        internal = rotate_wrench(k.R_world_object, offline.internal_wrench)
+        tau_internal = k.Jt.dot(internal)
+        wrench_internal = shift_to_ee(k, internal)
+    if offline.posture is not None:
+        tau_posture = offline.posture.torque(q, dq, k.J, J_inv)
+    return Extra(tau_internal, wrench_internal, tau_posture)
 
 
 def lyapunov_share(offline: Offline, k: Kinematics, errors: Errors, dq_error: Vector) -> float:
