@@ -76,19 +76,24 @@ class LogFile:
         )
         self._flushed_s = time.monotonic()
         try:
-            self._writer.start(PROFILE, LIBRARY)
-            for a in attachments:
-                self._writer.add_attachment(created_ns, created_ns, a.name, a.media_type, a.data)
-            for name, values in metadata.items():
-                self._writer.add_metadata(name, dict(values))
-            self._flush()
-            os.fsync(self._fd)
-            _sync_directory(path.parent)
+            self._write_head(attachments, metadata, created_ns)
         except OSError as error:
             os.close(self._fd)
             path.unlink(missing_ok=True)
             raise _cannot_write(path, error) from error
         self._syncer = _Syncer(self._fd)
+
+    def _write_head(
+        self, attachments: Iterable[Attachment], metadata: Mapping[str, Mapping[str, str]], created_ns: int
+    ) -> None:
+        self._writer.start(PROFILE, LIBRARY)
+        for a in attachments:
+            self._writer.add_attachment(created_ns, created_ns, a.name, a.media_type, a.data)
+        for name, values in metadata.items():
+            self._writer.add_metadata(name, dict(values))
+        self._flush()
+        os.fsync(self._fd)
+        _sync_directory(self.path.parent)
 
     def channel(self, topic: str, schema_name: str, definition: str, metadata: Mapping[str, str]) -> int:
         """Register a channel of ROS 2 messages in CDR; returns its number."""

@@ -127,7 +127,8 @@ class _Inbox:
 
     def __init__(self, keys: frozenset[str]) -> None:
         self._keys = keys
-        self._queue: queue.SimpleQueue[tuple[str, bytes, bytes]] = queue.SimpleQueue()
+        # Not SimpleQueue: a signal that comes as its timeout ends makes it wait for ever (CPython 3.11, measured here).
+        self._queue: queue.Queue[tuple[str, bytes, bytes]] = queue.Queue()
         self._lock = threading.Lock()
         self._bytes = 0
         self.rejected: Counter[Rejection] = Counter()

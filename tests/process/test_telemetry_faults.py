@@ -352,6 +352,18 @@ def test_what_cannot_be_recorded_is_refused_and_leaves_no_file(
     assert list(folder.iterdir()) == []
 
 
+def test_a_signal_at_any_instant_does_not_hold_the_recorder_up() -> None:
+    inbox = record._Inbox(frozenset())
+    before = signal.signal(signal.SIGALRM, lambda *_: None)
+    signal.setitimer(signal.ITIMER_REAL, 0.00097, 0.00097)
+    try:
+        for _ in range(1500):
+            assert inbox.get(0.001) is None
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+
+
 def test_nothing_is_left_after_a_refusal_or_an_end(folder: Path) -> None:
     def sockets() -> int:
         links = [str(fd.readlink()) for fd in Path("/proc/self/fd").iterdir() if fd.exists() or fd.is_symlink()]
