@@ -1,0 +1,87 @@
+"""From a simulated run to a new arm file by the commands a person types; and the logs the command refuses."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import configs
+from agent.config.cell import cell_from_toml, load_cell
+
+CELL = configs.CELLS_DIR / "identify_wx200.toml"
+COOP = [sys.executable, "-m", "agent.cli"]
+
+
+def coop(*arguments: str | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*COOP, *map(str, arguments)], cwd=cwd, capture_output=True, text=True, timeout=110)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of a whole run of the cell."""
+    folder = tmp_path_factory.mktemp("identify")
+    done = coop("run", CELL, "--out", "run", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return folder / "run"
+
+
+def test_a_log_becomes_a_table_a_figure_and_an_arm_file_that_a_cell_can_use(run: Path, tmp_path: Path) -> None:
+    done = coop("identify", run / "run.mcap", "--out", tmp_path / "new", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "coulomb_Nm" in done.stdout
+    assert done.stdout.count("replaced") == 9
+    new = tmp_path / "new"
+    assert {path.name for path in new.iterdir()} == {"wx200.toml", "identify_wx200.png", "identify_wx200.json"}
+    assert (new / "identify_wx200.png").read_bytes().startswith(b"\x89PNG")
+    (new / "wx200.urdf").write_bytes((configs.ARMS_DIR / "wx200.urdf").read_bytes())
+    before = load_cell(CELL)
+    after = cell_from_toml(before.toml, "the cell", new)
+    assert after.fingerprint != before.fingerprint
+    for old, found in zip(before.arms[0].servos, after.arms[0].servos, strict=True):
+        assert found.coulomb_Nm.status == "measured"
+        assert found.coulomb_Nm.value == pytest.approx(old.coulomb_Nm.value, rel=0.02)
+        assert found.viscous_Nm_s_per_rad.value == pytest.approx(old.viscous_Nm_s_per_rad.value, rel=0.05)
+
+
+def test_the_summary_is_complete(run: Path, tmp_path: Path) -> None:
+    assert coop("identify", run / "run.mcap", "--out", tmp_path, cwd=tmp_path).returncode == 0
+    summary = json.loads((tmp_path / "identify_wx200.json").read_text())
+    assert summary["fingerprint"] == load_cell(CELL).fingerprint
+    assert len(summary["base_parameters"]) == 17
+    assert len(summary["figures"]) == 9
+    for joint in summary["joints"]:
+        assert joint["rms_residual_Nm"] < 0.02 * joint["rms_torque_Nm"] + 2e-3
+
+
+def test_a_log_of_several_arms_is_refused_in_one_line_and_nothing_is_written(tmp_path: Path) -> None:
+    done = coop("run", configs.CELLS_DIR / "paper.toml", "--duration", "1", "--out", "run", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    done = coop("identify", tmp_path / "run" / "run.mcap", "--out", "new", cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "found 2 arms on one object" in done.stderr
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_log_that_was_cut_is_refused_in_one_line(run: Path, tmp_path: Path) -> None:
+    whole = (run / "run.mcap").read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) // 2])
+    done = coop("identify", "cut.mcap", cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "expected a complete log" in done.stderr
+
+
+def test_gains_are_proposed_and_written_and_pass_the_check(tmp_path: Path) -> None:
+    slow = ("--set", "rate_hz=120.0")
+    assert coop("check", configs.CELLS_DIR / "paper.toml", *slow, cwd=tmp_path).returncode == 2
+    done = coop("tune", configs.CELLS_DIR / "paper.toml", *slow, "--write", "slow.toml", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "k_p_per_s = " in done.stdout
+    checked = coop("check", "slow.toml", cwd=tmp_path)
+    assert checked.returncode == 0, checked.stderr
+    assert "warning" not in checked.stdout
