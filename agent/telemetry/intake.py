@@ -76,7 +76,7 @@ class Stream:
     @property
     def status(self) -> StreamStatus:
         """For the publisher."""
-        return StreamStatus(self.source, tuple(self.have.ranges[:RANGES_MAX]), self.end is not End.OPEN)
+        return StreamStatus(self.source, tuple(self.have.ranges[-RANGES_MAX:]), self.end is not End.OPEN)
 
     def note(self, header: BatchHeader, count: int) -> list[tuple[int, int]]:
         """Take over a batch; return the ranges of numbers that are new."""

@@ -58,7 +58,7 @@ class StreamStatus:
     """What the recorder has of one source."""
 
     source: int
-    have: tuple[Range, ...]  # the first RANGES_MAX ranges
+    have: tuple[Range, ...]  # the last RANGES_MAX ranges: gaps before them may be beyond repair, those behind never are
     ended: bool  # the end marker is there
 
 
@@ -73,7 +73,7 @@ def unpack_status(payload: bytes) -> dict[str, StreamStatus]:
     try:
         return {
             str(key): StreamStatus(
-                int(s["source"]), tuple((int(a), int(b)) for a, b in s["have"][:RANGES_MAX]), bool(s["ended"])
+                int(s["source"]), tuple((int(a), int(b)) for a, b in s["have"][-RANGES_MAX:]), bool(s["ended"])
             )
             for key, s in json.loads(payload)["streams"].items()
         }
