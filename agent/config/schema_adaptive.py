@@ -42,7 +42,7 @@ class Bounds(Strict):
     """
 
     relative_min: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
-    relative_max: Annotated[float, Field(gt=0.0, le=100.0)] = 3.0
+    relative_max: Annotated[float, Field(gt=0.0, le=100.0)] = 5.0
     slack_m: NonNegative = 0.03
     mass_max_kg: Positive | None = None
 

@@ -49,29 +49,36 @@ class Adaptation:
     physical: bool  # keep principal moments physical
     period_s: float
     weight: Estimate = field(init=False)  # Γ⁻¹, zero where nothing is estimated
+    alarm: Estimate = field(init=False)  # lower bounds but for those of zero: a mass at zero is physics, no alarm
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "weight", Estimate(_inverse(self.gain.arm), _inverse(self.gain.object)))
+        object.__setattr__(self, "weight", Estimate(*(_inverse(x) for x in self.gain)))
+        object.__setattr__(self, "alarm", Estimate(*(np.where(x == 0.0, -np.inf, x) for x in self.lower)))
+        for estimate in (self.start, self.nominal, self.lower, self.upper, self.gain, self.weight, self.alarm):
+            for array in estimate:
+                array.flags.writeable = False
 
     def advance(self, estimate: Estimate, gradient: Gradient, dt: float) -> tuple[Estimate, bool]:
-        """θ̂ after dt seconds of θ̂̇ = −Γ gradient, projected; and whether a bound held it back.
+        """θ̂ after dt seconds of θ̂̇ = −Γ gradient, projected; and whether a configured bound held it back.
 
-        A gradient that is not finite changes nothing and is reported as held back.
+        Being held at zero from below is not reported.  A gradient that is not finite changes nothing and is
+        reported as held back.
         """
         dt = min(max(dt, 0.0), MAX_INTERVALS * self.period_s)
         arm = estimate.arm - dt * self.gain.arm * gradient.arm
         body = estimate.object - dt * self.gain.object * gradient.object
         if not math.isfinite(arm.dot(arm) + body.dot(body)):
             return estimate, True
-        arm, arm_held = to_box(arm, self.lower.arm, self.upper.arm)
-        body, object_held = to_box(body, self.lower.object, self.upper.object)
+        held = _outside(arm, self.alarm.arm, self.upper.arm) or _outside(body, self.alarm.object, self.upper.object)
+        arm = to_box(arm, self.lower.arm, self.upper.arm)
+        body = to_box(body, self.lower.object, self.upper.object)
         if self.physical:
             split = len(arm) // ARM_PARAMETERS_PER_JOINT * BODY_PARAMETERS
             bodies = np.concatenate((arm[:split], body)).reshape(-1, BODY_PARAMETERS)
             possible = to_physical(bodies)
             if possible is not bodies:
                 arm[:split], body = possible[:-1].ravel(), possible[-1]
-        return Estimate(arm, body), arm_held or object_held
+        return Estimate(arm, body), held
 
     def parameter_error(self, estimate: Estimate) -> float:
         """½ e_θᵀ Γ⁻¹ e_θ with e_θ = nominal − θ̂, over the parameters that are estimated."""
@@ -82,6 +89,10 @@ class Adaptation:
 def from_row(theta_arm: Vector, theta_object: Vector, n: int) -> Estimate:
     """The estimate in the fields `theta_arm` and `theta_object` of a log row of an arm with n joints."""
     return Estimate(np.array(theta_arm[: ARM_PARAMETERS_PER_JOINT * n]), np.array(theta_object))
+
+
+def _outside(theta: Vector, lower: Vector, upper: Vector) -> bool:
+    return bool((theta > upper).any()) or bool((theta < lower).any())
 
 
 def _inverse(gain: Vector) -> Vector:

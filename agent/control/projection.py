@@ -27,10 +27,10 @@ _INERTIA_OF_SIGMA[[4, 8], 0] = _INERTIA_OF_SIGMA[[0, 8], 2] = _INERTIA_OF_SIGMA[
 _INERTIA_OF_SIGMA[1, 1] = _INERTIA_OF_SIGMA[2, 3] = _INERTIA_OF_SIGMA[5, 4] = -1.0
 
 
-def to_box(theta: Vector, lower: Vector, upper: Vector) -> tuple[Vector, bool]:
-    """Nearest point (k,) with lower ≤ theta ≤ upper, and whether it is another one than theta."""
-    inside = np.minimum(np.maximum(theta, lower), upper)
-    return inside, bool((inside != theta).any())
+def to_box(theta: Vector, lower: Vector, upper: Vector) -> Vector:
+    """Nearest point (k,) with lower ≤ theta ≤ upper, a new array."""
+    inside: Vector = np.minimum(np.maximum(theta, lower), upper)
+    return inside
 
 
 def second_moments(bodies: Matrix) -> Matrix:

@@ -45,14 +45,13 @@ def test_box_projection_is_the_nearest_point_in_every_diagonal_metric(seed: int)
     rng = np.random.default_rng(seed)
     low = -rng.uniform(0.0, 1.0, 20)
     high, theta = low + rng.uniform(0.0, 2.0, 20), rng.normal(scale=3.0, size=20)
-    found, moved = to_box(theta, low, high)
+    found = to_box(theta, low, high)
     assert ((found >= low) & (found <= high)).all()
-    assert moved == bool(((theta < low) | (theta > high)).any())
+    inside = (theta >= low) & (theta <= high)
+    assert np.array_equal(found[inside], theta[inside])
     weight, truth = rng.uniform(0.1, 1e3, 20), rng.uniform(low, high)
     assert ((found - truth) ** 2) @ weight <= ((theta - truth) ** 2) @ weight * (1 + 1e-15)
-    again, moved_again = to_box(found, low, high)
-    assert np.array_equal(again, found)
-    assert not moved_again
+    assert np.array_equal(to_box(found, low, high), found)
 
 
 @given(SEEDS)
@@ -160,6 +159,22 @@ def test_a_gradient_that_is_no_number_changes_nothing_and_is_reported(bad: float
         after, held = data.advance(data.start, g, 0.005)
         assert after is data.start
         assert held
+
+
+def test_a_mass_held_at_zero_is_no_alarm_and_every_configured_bound_is() -> None:
+    data = adaptation(np.random.default_rng(6), physical=False)
+    still = Gradient(np.zeros(13 * N), np.zeros(10))
+    for k, expected in ((0, False), (1, True), (12 * N, False)):
+        down = Gradient(still.arm.copy(), still.object)
+        down.arm[k] = 1e9
+        after, held = data.advance(data.start, down, 0.005)
+        assert after.arm[k] == data.lower.arm[k]
+        assert held is expected
+        down.arm[k] = -1e9
+        after, held = data.advance(data.start, down, 0.005)
+        assert after.arm[k] == data.upper.arm[k]
+        assert held is True
+    assert data.advance(data.start, still, 0.005)[1] is False
 
 
 def test_parameter_error_counts_only_what_is_estimated() -> None:

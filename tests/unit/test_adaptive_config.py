@@ -32,7 +32,7 @@ def finding(cell: Cell, what: str) -> Finding:
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
-        (("controller.adaptive.start_scale=4.0",), "start of the adaptive law, arm of left, mass of the link behind"),
+        (("controller.adaptive.start_scale=6.0",), "start of the adaptive law, arm of left, mass of the link behind"),
         ((ZERO, "controller.adaptive.bounds.relative_min=0.2"), r"found 0, expected within its bounds 0\.0\d+ to"),
         (("controller.adaptive.bounds_object.mass_max_kg=0.01",), "object of left, mass: found 0.062"),
         (("controller.adaptive.bounds.rotor_inertia_max_kg_m2=1e-3",), "rotor inertia of shoulder"),
