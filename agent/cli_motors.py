@@ -141,6 +141,31 @@ def restore(
         raise typer.Exit(1)
 
 
+def doctor(
+    cell: Annotated[Path, typer.Argument(help="Cell file (TOML).", show_default=False)],
+    arm: Annotated[list[str], typer.Option("--arm", help="Only this arm.")] = [],  # noqa: B006
+    ports: Annotated[Path | None, typer.Option(help="Folder of ports named like the arms (`coop emulate`).")] = None,
+    logs: Annotated[Path, typer.Option(help="Folder for logs, to see whether there is room.")] = Path("runs"),
+    overrides: Annotated[
+        list[str], typer.Option("--set", metavar="KEY=VALUE", help="Change one value of the cell file.")
+    ] = [],  # noqa: B006
+    as_json: AsJson = False,
+) -> None:
+    """Look at host, ports, servos and bus timing: exit code 0 ok, 1 warnings, 2 problems.  Torque stays as it is."""
+    from agent.config.cell import load_cell
+    from agent.tools.doctor import DoctorOptions, diagnose
+    from agent.tools.finding import Verdict
+
+    diagnosis = diagnose(load_cell(cell, overrides), DoctorOptions(arm, ports, logs), _note)
+    if as_json:
+        typer.echo(diagnosis.json())
+    else:
+        colours = {Verdict.OK: "green", Verdict.WARNING: "yellow", Verdict.PROBLEM: "red"}
+        for finding in diagnosis.findings:
+            typer.echo(f"{typer.style(f'{finding.verdict:<8}', fg=colours[finding.verdict])} {finding.line}")
+    raise typer.Exit(diagnosis.exit_code)
+
+
 def _bauds(wanted: Sequence[int]) -> Sequence[int]:
     from agent.tools.find import ALL_BAUDS, refuse_unknown_bauds
 

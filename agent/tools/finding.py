@@ -39,6 +39,16 @@ class Finding:
         return f"{self.where}: {self.what}: found {self.found}, wanted {self.wanted}; {self.remedy}"
 
 
+def warning(what: str, where: str, found: str, wanted: str, remedy: str) -> Finding:
+    """A finding that lets the arm run."""
+    return Finding(what, where, found, wanted, Verdict.WARNING, remedy)
+
+
+def problem(what: str, where: str, found: str, wanted: str, remedy: str) -> Finding:
+    """A finding that does not."""
+    return Finding(what, where, found, wanted, Verdict.PROBLEM, remedy)
+
+
 def judged(
     what: str, where: str, found: str, wanted: str, *, holds: bool, remedy: str, otherwise: Verdict = Verdict.PROBLEM
 ) -> Finding:
