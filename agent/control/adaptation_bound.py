@@ -13,7 +13,7 @@ at the start: G grows with the square of the reference acceleration, which an er
     adaptation may not turn e_v round, (1 + d) T² λ_max(M⁻¹ G) ≤ 1 with d cycles of delay.
 
 TRANSIENT_SHARE of K' K e_0 is what simulated starts of the paper's cell reach when they begin to diverge (200 and
-500 Hz, with and without rotor columns, docs/trajectories.md): the limit is then passed by a factor of one to four.
+500 Hz, with and without rotor columns, docs/adaptive.md): the limit is then passed by a factor of one to four.
 """
 
 from __future__ import annotations
