@@ -80,6 +80,9 @@ def test_cone_projection_makes_principal_moments_physical_and_comes_no_farther_f
     distance = [np.linalg.norm(second_moments(b) - second_moments(truth), axis=(1, 2)) for b in (found, bodies)]
     assert (distance[0] <= distance[1] + 1e-12).all()
     assert np.abs(to_physical(found) - found).max() < 1e-12
+    # what makes it the nearest: what was added is at right angles to what is left
+    left, added = second_moments(found), second_moments(found) - second_moments(bodies)
+    assert np.abs(np.einsum("kij,kij->k", left, added)).max() < 1e-12
 
 
 @given(SEEDS)

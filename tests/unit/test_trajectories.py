@@ -168,6 +168,7 @@ def test_rest_to_rest_takes_the_short_way_round_and_comes_back() -> None:
     assert middle.v[0] == pytest.approx(0.1 * 1.875 / 2.0)  # 15/8 of the mean speed
     assert motion.at(3.5).p == pytest.approx((0.1, 0.0, 0.0))
     assert motion.at(5.0).v[0] == pytest.approx(-middle.v[0])
+    assert angle_between(motion.at(3.5).quat, far) < 1e-9
     assert angle_between(motion.at(6.0).quat, UPRIGHT) < 1e-9
 
 
