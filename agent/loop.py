@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from agent.control import adaptive, known
+from agent.control import adaptive, joint_hold, known
 from agent.control.adaptation import Estimate
 from agent.control.estimator import Observer
 from agent.control.inverse import SingularJacobian
@@ -21,6 +21,8 @@ from agent.control.trajectory import Desired, Trajectory
 from agent.modes import Mode
 from agent.safety import Flag, Limits, limit
 from drivers.interface import JointState, Vector
+
+SINGULAR_MARGIN = 1.5  # a stop for singularity holds where the law is not called again at once
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +37,11 @@ class Agent:
     observer: Observer | None  # None: the servos' own values are used as they are
     sigma_min: float  # stop below this smallest singular value
     period_s: float
+    hold_rate_rad_per_s: float = 10.0  # of a hold in joint space (agent.control.joint_hold)
+
+    def near_singular(self, q: Vector) -> bool:
+        """Whether the laws, which divide by the Jacobian, are not to hold the arm at q (n,)."""
+        return joint_hold.sigma_min(self.model, q) < SINGULAR_MARGIN * self.sigma_min
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +80,7 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
     limited = np.array(tau)
     if Flag.NOT_FINITE in flags:  # nothing that is no number may live on in the memory
         return Outcome(q, dq, terms, limited, flags, replace(memory, tau=limited, primed=False))
-    carried = Memory(q, dq, terms.ddq_ref, memory.ddq, limited, True, memory.hold, t, estimate)
+    carried = Memory(q, dq, terms.ddq_ref, memory.ddq, limited, True, memory.hold, t, estimate, memory.q_hold)
     return Outcome(q, dq, terms, limited, flags, carried)
 
 
@@ -81,7 +88,10 @@ def _law(
     agent: Agent, t: float, mode: Mode, memory: Memory, q: Vector, dq: Vector
 ) -> tuple[Terms, Estimate | None, bool]:
     """Terms of this tick's law, the estimate it leaves, and whether a bound held the estimate back."""
-    desired, adaptation, estimate = _desired(agent, t, mode, memory), agent.offline.adaptation, memory.estimate
+    adaptation, estimate, q_hold = agent.offline.adaptation, memory.estimate, memory.q_hold
+    if mode is not Mode.TRACK and q_hold is not None and (agent.near_singular(q_hold) or agent.near_singular(q)):
+        return joint_hold.torque(agent.model, agent.offline, q, dq, q_hold, agent.hold_rate_rad_per_s), estimate, False
+    desired = _desired(agent, t, mode, memory)
     if adaptation is None:
         return known.torque(agent.model, agent.offline, q, dq, desired), None, False
     if estimate is None:
@@ -108,8 +118,8 @@ def _desired(agent: Agent, t: float, mode: Mode, memory: Memory) -> Desired:
 
 
 def hold_here(agent: Agent, q: Vector, memory: Memory) -> Memory:
-    """Memory with the object's present pose (by this arm at q) as the one to hold; no pose while q is no number."""
+    """Memory with the object's present pose, and this arm's q (n,), as what to hold; nothing while q is no number."""
     if not np.isfinite(q).all():
-        return replace(memory, hold=None)
+        return replace(memory, hold=None, q_hold=None)
     k = agent.model.evaluate(q, np.zeros_like(q))
-    return replace(memory, hold=(*k.p_object, *k.quat_object))
+    return replace(memory, hold=(*k.p_object, *k.quat_object), q_hold=q)

@@ -233,6 +233,6 @@ class Runner:
         if mode is Mode.HOLD and state is not None:
             self._memory = hold_here(self._agent, state.q, self._memory)
         if mode is Mode.TRACK:
-            self._memory = replace(self._memory, hold=None)
+            self._memory = replace(self._memory, hold=None, q_hold=None)
         self.summary.mode = mode
         self._around.mode_changed(mode)

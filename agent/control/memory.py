@@ -25,12 +25,14 @@ class Memory:
     hold: tuple[float, ...] | None = None  # object pose (p, quat) to hold, once holding
     t: float = 0.0  # time of the last tick, s; the adaptation integrates over the real interval
     estimate: Estimate | None = None  # of the adaptive law; logged in fields of its own
+    q_hold: Vector | None = None  # joint angles at that pose, for a hold that needs no inverse of the Jacobian
 
     def flatten(self) -> list[float]:
-        """The numbers of the log field `memory`: five joint arrays padded to seven, the pose, the flag, the time."""
+        """The numbers of the log field `memory`: six joint arrays padded to seven, the pose, the flag, the time."""
         pad = [0.0] * (MEMORY_JOINTS - len(self.q))
         flat: list[float] = []
-        for array in (self.q, self.dq, self.ddq, self.ddq_before, self.tau):
+        q_hold = self.q_hold if self.q_hold is not None else np.zeros_like(self.q)
+        for array in (self.q, self.dq, self.ddq, self.ddq_before, self.tau, q_hold):
             flat += array.tolist()
             flat += pad
         hold = self.hold if self.hold is not None else (0.0,) * 7
@@ -48,8 +50,9 @@ def restore(flat: Vector, n: int, estimate: Estimate | None = None) -> Memory:
 
     estimate: of the adaptive law before that row (`agent.control.adaptation.from_row`), None without it.
     """
-    joints = np.array(flat[: 5 * MEMORY_JOINTS]).reshape(5, MEMORY_JOINTS)[:, :n]
-    tail = flat[5 * MEMORY_JOINTS :].tolist()
+    joints = np.array(flat[: 6 * MEMORY_JOINTS]).reshape(6, MEMORY_JOINTS)[:, :n]
+    tail = flat[6 * MEMORY_JOINTS :].tolist()
     hold = tuple(tail[:7]) if any(tail[3:7]) else None
-    q, dq, ddq, ddq_before, tau = (row.copy() for row in joints)
-    return Memory(q, dq, ddq, ddq_before, tau, bool(tail[7]), hold, tail[8], estimate)
+    q, dq, ddq, ddq_before, tau, q_hold = (row.copy() for row in joints)
+    at_hold = None if hold is None else q_hold
+    return Memory(q, dq, ddq, ddq_before, tau, bool(tail[7]), hold, tail[8], estimate, at_hold)

@@ -21,6 +21,8 @@ from sim_backend.driver import SimDriver
 
 EMULATED_READ_SHARE = 4.0
 
+HOLD_RATE_MAX_RAD_PER_S = 20.0
+
 
 @dataclass(frozen=True)
 class Connection:
@@ -44,7 +46,14 @@ def build_agent(cell: Cell, arm: Arm) -> Agent:
         observer=observer.build(cell.file),
         sigma_min=safety.sigma_min,
         period_s=1.0 / cell.file.rate_hz,
+        hold_rate_rad_per_s=_hold_rate(cell),
     )
+
+
+def _hold_rate(cell: Cell) -> float:
+    """As stiff as keeps a third of a radian between two effective samples: settles with 30 % of inertia missing too."""
+    effective_hz = cell.file.rate_hz / (1.0 + cell.file.simulation.effects.delay_cycles)
+    return min(HOLD_RATE_MAX_RAD_PER_S, effective_hz / 3.0)
 
 
 def build_driver(

@@ -38,7 +38,7 @@ class AgentRow:
                 view[...] = 0.0
             setattr(self, "v_" + field.name, view)
         self._law_views = [getattr(self, "v_" + name) for name in _LAW_FIELDS]
-        self._no_law = False
+        self._has: tuple[bool, ...] | None = None  # which of its terms the law of the last tick had; None: no law
         base["encapsulation"] = CDR_LITTLE_ENDIAN
         base["joint_count"] = joint_count
         base["config_id"] = config_id
@@ -65,10 +65,11 @@ class AgentRow:
         if memory.estimate is not None:
             self.v_theta_arm[: len(memory.estimate.arm)] = memory.estimate.arm
             self.v_theta_object[:] = memory.estimate.object
-        if terms is None or self._no_law:
+        has = None if terms is None else _has(terms)
+        if has is None or has != self._has:
             for view in self._law_views:
-                view[...] = np.nan if terms is None else 0.0
-            self._no_law = terms is None
+                view[...] = np.nan if has is None else 0.0
+            self._has = has
         if terms is not None:
             self._fill_terms(terms)
 
@@ -126,3 +127,14 @@ class AgentRow:
         self.v_bus_corrupt[()] = bus.corrupt
         self.v_bus_alerts[()] = bus.alerts
         self.v_bus_retries[()] = bus.retries
+
+
+def _has(terms: Terms) -> tuple[bool, ...]:
+    """Which of the optional terms there are."""
+    return (
+        terms.tau_inertia is not None,
+        terms.tau_adaptive is not None,
+        terms.tau_internal is not None,
+        terms.tau_friction is not None,
+        terms.tau_posture is not None,
+    )

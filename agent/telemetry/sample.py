@@ -16,7 +16,7 @@ MAX_JOINTS: Final = 7  # arms with fewer joints leave the rest at zero
 MAX_ARMS: Final = 8
 ARM_PARAMETERS: Final = MAX_JOINTS * 13  # per joint: 10 inertial, rotor inertia, viscous, Coulomb friction
 OBJECT_PARAMETERS: Final = 10
-MEMORY_LENGTH: Final = 5 * MAX_JOINTS + 9  # agent.control.memory.Memory, flattened
+MEMORY_LENGTH: Final = 6 * MAX_JOINTS + 9  # agent.control.memory.Memory, flattened
 
 CDR_LITTLE_ENDIAN: Final = 0x00000100  # the encapsulation header 00 01 00 00, read as a little-endian u4
 

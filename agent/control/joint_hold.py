@@ -1,0 +1,66 @@
+"""Holds an arm at joint angles, for poses where the object Jacobian has no safe inverse; pure.
+
+    τ = B (−2ω dq − ω² (q − q_hold)) + C dq + g + c_i Jᵀ g_O
+
+Both laws divide by the Jacobian, and near a singular pose that turns millimetres into turns of a joint.  Here only its
+transpose is left, the arm's share of the object's weight.  With an exact model each joint error falls as a critically
+damped second-order system; B, C and g are those of the described arm under both laws.
+"""
+
+from __future__ import annotations
+
+import math
+
+from agent.control import errors as error_terms
+from agent.control.inverse import SingularJacobian, invert_jacobian
+from agent.control.law import Offline, Terms, object_wrench
+from agent.control.models import ArmModel
+from agent.control.trajectory import Desired
+from drivers.interface import Vector
+
+_STILL = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+_UNKNOWN = (math.nan,) * 6
+
+
+def sigma_min(model: ArmModel, q: Vector) -> float:
+    """Lower bound of the smallest singular value of the object Jacobian at q (n,); 0 where it has no inverse."""
+    try:
+        return invert_jacobian(model.jacobian(q), model.inertia(q))[1]
+    except SingularJacobian:
+        return 0.0
+
+
+def torque(model: ArmModel, offline: Offline, q: Vector, dq: Vector, q_hold: Vector, rate_rad_per_s: float) -> Terms:
+    """One tick at this arm's (q, dq), each (n,), to stay at q_hold (n,); rate_rad_per_s: ω.
+
+    The errors are those to the object's pose at q_hold.  The wrench at the end effector is not known here: NaN.
+    """
+    held = model.evaluate(q_hold, 0.0 * q_hold)
+    k = model.evaluate(q, dq)
+    desired = Desired(held.p_object, held.quat_object, _STILL, _STILL)
+    e = error_terms.evaluate(k.p_object, k.quat_object, k.v_object, desired, offline.gains)
+    still = e._replace(v_ref=_STILL, dv_ref=_STILL)
+    ddq_ref = -2.0 * rate_rad_per_s * dq - rate_rad_per_s**2 * (q - q_hold)
+    tau_inertia, tau_coriolis = k.B.dot(ddq_ref), k.C.dot(dq)
+    tau_object = k.Jt.dot([offline.load_share * f for f in object_wrench(offline, k, still)])
+    return Terms(
+        desired=desired,
+        kinematics=k,
+        errors=e,
+        dq_ref=0.0 * dq,
+        ddq_ref=ddq_ref,
+        tau_inertia=tau_inertia,
+        tau_coriolis=tau_coriolis,
+        tau_gravity=k.g,
+        tau_adaptive=None,
+        tau_feedback=0.0 * dq,
+        tau_object=tau_object,
+        tau_internal=None,
+        tau_friction=None,
+        tau_posture=None,
+        tau_cmd=tau_inertia + tau_coriolis + k.g + tau_object,
+        wrench_cmd=_UNKNOWN,
+        wrench_internal=_UNKNOWN,
+        lyapunov=math.nan,
+        sigma_min=sigma_min(model, q),
+    )
