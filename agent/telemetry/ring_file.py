@@ -38,6 +38,7 @@ _STATIC: Final = struct.Struct("<8sIIII32sQqI")  # magic version row_bytes strid
 _LABEL_OFFSET: Final = _STATIC.size + 8  # CRC32 and label length lie between
 _LABEL_MAX: Final = 1024 - _LABEL_OFFSET
 _CACHE_LINE: Final = 64
+_WRITER, _SUCCESSOR = 0, 1  # bytes whose locks say: I write this ring; I am about to replace it (nobody lives in it)
 
 
 class RingError(Refusal):
@@ -184,7 +185,7 @@ def claim(path: Path, header: RingHeader) -> int:
                 return fd
             continue
         try:
-            if not lock(old):
+            if not lock(old, _SUCCESSOR) or is_locked(old):
                 raise RingError(
                     f"{path} has a writer already",
                     found="its lock held by another process",
@@ -203,10 +204,10 @@ def claim(path: Path, header: RingHeader) -> int:
             os.close(old)
 
 
-def lock(fd: int) -> bool:
+def lock(fd: int, byte: int = _WRITER) -> bool:
     """Take the writer's lock; False when another process holds it.  The kernel frees it when its holder dies."""
     try:
-        fcntl.fcntl(fd, fcntl.F_OFD_SETLK, _lock_request(fcntl.F_WRLCK))
+        fcntl.fcntl(fd, fcntl.F_OFD_SETLK, _lock_request(fcntl.F_WRLCK, byte))
     except BlockingIOError:
         return False
     return True
@@ -214,7 +215,7 @@ def lock(fd: int) -> bool:
 
 def is_locked(fd: int) -> bool:
     """Whether a writer holds the lock.  Asks without taking it, so it cannot disturb a writer that starts."""
-    answer: bytes = fcntl.fcntl(fd, fcntl.F_OFD_GETLK, _lock_request(fcntl.F_RDLCK))
+    answer: bytes = fcntl.fcntl(fd, fcntl.F_OFD_GETLK, _lock_request(fcntl.F_RDLCK, _WRITER))
     return int(struct.unpack_from("h", answer)[0]) != fcntl.F_UNLCK
 
 
@@ -223,8 +224,8 @@ def map_file(fd: int, size: int, *, writable: bool) -> mmap.mmap:
     return mmap.mmap(fd, size, access=mmap.ACCESS_WRITE if writable else mmap.ACCESS_READ)
 
 
-def _lock_request(kind: int) -> bytes:
-    return struct.pack("hhqqi4x", kind, os.SEEK_SET, 0, 0, 0)  # struct flock on 64-bit Linux: the whole file
+def _lock_request(kind: int, byte: int) -> bytes:
+    return struct.pack("hhqqi4x", kind, os.SEEK_SET, byte, 1, 0)  # struct flock on 64-bit Linux
 
 
 def _create_as(path: Path, header: RingHeader, put_in_place: Callable[[Path, Path], None]) -> int | None:

@@ -150,6 +150,17 @@ def test_end_and_death_of_the_writer_can_be_told_apart(path: Path, writer: RingW
         assert not reader.writer_alive
 
 
+def test_a_dead_ring_never_seems_alive_while_it_is_being_replaced(path: Path) -> None:
+    RingWriter(path, AGENT_STATE, "left").close()
+    for _ in range(10):
+        with RingReader(path, AGENT_STATE) as dead:
+            successor = threading.Thread(target=lambda: RingWriter(path, AGENT_STATE, "left").close())
+            successor.start()
+            while successor.is_alive():
+                assert not dead.writer_alive
+            assert dead.replaced
+
+
 def test_an_unfinished_ring_is_kept_as_the_black_box(path: Path) -> None:
     with RingWriter(path, AGENT_STATE, "left", slots=SLOTS) as crashed:
         write(crashed, 3)
