@@ -98,9 +98,11 @@ def parse(content: bytes, source: str) -> Dump:
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"]) or "the whole file"
+        own = first["type"] == "value_error"  # from a validator above, whose text names what was found
         raise DumpFileError(
-            f"{key} in {source}", found="a value that does not fit" if "ctx" in first else repr(first["input"])[:60],
-            expected=first["msg"].removeprefix("Value error, "), remedy="correct it, or dump again",
+            f"{key} in {source}", found="what no servo can hold" if own else repr(first["input"])[:60],
+            expected=first["msg"].removeprefix("Value error, ").removeprefix("Input should be "),
+            remedy="correct it, or dump again",
         ) from error  # fmt: skip
 
 

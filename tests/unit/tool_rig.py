@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from agent.tools.doctor import Diagnosis, examine_line
+from drivers.dynamixel.arm_map import ArmMap
 from drivers.dynamixel.bus import Bus, DxlCounters
 from drivers.dynamixel.codec import HEADER
 from drivers.dynamixel.table import ID, SERVOS, TORQUE_ENABLE, Area, Instruction
@@ -13,21 +14,49 @@ from sim_backend.wire.cell import EmulatedCell
 from sim_backend.wire.injector import Injector
 from sim_backend.wire.timing import BusTiming
 from sim_backend.wire.wiring import ArmWiring, JointWiring, ServoWiring
-from tests.unit.dxl_rig import WX200, Rig, VirtualClock, VirtualPort
+from tests.unit.dxl_rig import WX200, Rig, VirtualClock, VirtualPort, driver_on
 
 LOOKING = frozenset({Instruction.PING, Instruction.READ, Instruction.SYNC_READ, Instruction.FAST_SYNC_READ})
 WRITING = frozenset({Instruction.WRITE, Instruction.REG_WRITE, Instruction.SYNC_WRITE, Instruction.BULK_WRITE})
 
 
+class CuttablePort(VirtualPort):
+    """A virtual port whose cable can be pulled after a number of packets."""
+
+    _left: int | None = None
+
+    def lose_after(self, packets: int | None) -> None:
+        """None: never."""
+        self._left = packets
+
+    def write(self, data: bytes, deadline_ns: int) -> None:
+        if self._left is not None:
+            self.lost = self.lost or self._left == 0
+            self._left -= 1
+        super().write(data, deadline_ns)
+
+
 def servo_rig(*servos: ServoWiring, timing: BusTiming | None = None) -> Rig:
-    """Loose servos on one line, each holding a joint of its own; no driver."""
+    """Loose servos on one line, each holding a joint of its own; no driver, port open."""
     joints = tuple(JointWiring(f"joint {place}", (servo,)) for place, servo in enumerate(servos))
-    emulation = EmulatedArm(ArmWiring("left", joints), timing=timing)
+    rig = _rig(WX200, ArmWiring("left", joints), timing)
+    rig.port.open()
+    return rig
+
+
+def arm_rig(arm: ArmMap, wiring: ArmWiring) -> Rig:
+    """An arm wired otherwise than its map says, with a driver."""
+    rig = _rig(arm, wiring, BusTiming())
+    rig.driver = driver_on(rig, rig.port)
+    return rig
+
+
+def _rig(arm: ArmMap, wiring: ArmWiring, timing: BusTiming | None) -> Rig:
+    emulation = EmulatedArm(wiring, timing=timing)
     cell = EmulatedCell([emulation], None, start_ns=10_000_000_000)
     injector = Injector(emulation, None, seed=1)
-    rig = Rig(WX200, cell, injector, VirtualClock(cell, injector), None, None, [])
-    rig.port = VirtualPort(rig, 1_000_000)
-    rig.port.open()
+    rig = Rig(arm, cell, injector, VirtualClock(cell, injector), None, None, [])
+    rig.port = CuttablePort(rig, arm.baud)
     return rig
 
 
