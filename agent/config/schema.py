@@ -124,6 +124,7 @@ class Simulation(Strict):
     substeps_per_cycle: Annotated[int, Field(ge=1, le=200)] = 5
     observe_rate_hz: Positive = 50.0  # of the truth in the log
     friction_smooth_rad_per_s: Positive = 0.01
+    object_mass_error: Annotated[float, Field(gt=-1.0, le=10.0)] = 0.0  # the plant's object: 1 = twice as heavy
     effects: Effects = Effects()
 
 

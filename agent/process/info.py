@@ -8,7 +8,7 @@ import socket
 from importlib import metadata
 from typing import Any
 
-from agent.config.cell import Cell
+from agent.config.cell import Arm, Cell
 from agent.config.schema import DriverKind
 
 PACKAGES = ("widowx-coop", "pin", "numpy", "scipy", "eclipse-zenoh", "mcap", "dynamixel-sdk")
@@ -54,11 +54,21 @@ def run_info(cell: Cell, driver: DriverKind, seed: int, plane_normal: list[float
                 "tau_max_Nm": (arm.tau_stall_Nm * cell.file.safety.tau_max_fraction_of_stall).tolist(),
                 "load_share": arm.entry.load_share,
                 "p_object_ee_m": list(arm.entry.p_object_ee_m),
+                **_estimate_bounds(cell, arm),
             }
             for arm in cell.arms
         ],
         "bounds": bounds,
     }
+
+
+def _estimate_bounds(cell: Cell, arm: Arm) -> dict[str, Any]:
+    adaptation = cell.offline(arm).adaptation
+    if adaptation is None:
+        return {}
+    lower, upper = adaptation.lower, adaptation.upper
+    pairs = {"arm": zip(lower.arm, upper.arm, strict=True), "object": zip(lower.object, upper.object, strict=True)}
+    return {"estimate_bounds": {key: [[float(low), float(up)] for low, up in some] for key, some in pairs.items()}}
 
 
 def attachments(cell: Cell, info: dict[str, Any]) -> dict[str, bytes]:

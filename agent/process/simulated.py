@@ -16,11 +16,17 @@ from sim_backend.spec import ArmSpec, ObjectSpec, PlantSpec
 
 def plant_spec(cell: Cell, q_start: Sequence[Vector]) -> PlantSpec:
     """Plant of the cell with all arms at q_start and the object at its start pose."""
-    obj = cell.file.object
+    obj, heavier = cell.file.object, 1.0 + cell.file.simulation.object_mass_error
     return PlantSpec(
         arms=tuple(_arm_spec(cell, arm, q) for arm, q in zip(cell.arms, q_start, strict=True)),
         object=ObjectSpec(
-            obj.mass_kg, np.array(obj.inertia_kg_m2.matrix()), np.array(obj.p_start_m), np.array(obj.quat_start)
+            heavier * obj.mass_kg,
+            heavier * np.array(obj.inertia_kg_m2.matrix()),
+            np.array(obj.p_start_m),
+            np.array(obj.quat_start),
+            heavier * np.array(obj.inertia_kg_m2.matrix()),
+            np.array(obj.p_start_m),
+            np.array(obj.quat_start),
         ),
         gravity=cell.gravity,
         substep_s=1.0 / cell.file.rate_hz / cell.file.simulation.substeps_per_cycle,

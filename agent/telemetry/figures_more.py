@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from agent.telemetry.plotting import (
@@ -21,7 +23,7 @@ from agent.telemetry.plotting import (
     time_axis,
 )
 from agent.telemetry.prepared import Prepared
-from agent.telemetry.runinfo import RunArm
+from agent.telemetry.runinfo import EstimateBounds, RunArm
 from agent.telemetry.series import Array, column, joint_columns
 
 DURATIONS: Final = {"late_s": "began late", "read_s": "bus read", "step_s": "control step", "write_s": "bus write"}
@@ -131,9 +133,28 @@ def estimates(run: Prepared, arm: RunArm) -> Figure:
         ax.set_ylabel(f"[{unit}]")
         for j in range(joints):
             line(ax, t, theta[:, (10 + block) * joints + j], color=CYCLE[j], linewidth=0.8)
+    if arm.estimate_bounds is not None:
+        _draw_bounds(left, right, arm.estimate_bounds, joints)
     header_line(figure, f"Estimates of {arm.name}", left[0])
     time_axis(axes, run.info.duration_s)
     return figure
+
+
+def _draw_bounds(left: Sequence[Axes], right: Sequence[Axes], bounds: EstimateBounds, joints: int) -> None:
+    """Dotted: where an estimate is held; a bound far from every estimate stays outside the panel."""
+    marked: list[tuple[Axes, str, tuple[float, float]]] = []
+    for ax, (_, _, first, count) in zip(left, BODY_GROUPS, strict=True):
+        for k in range(first, first + count):
+            marked += [(ax, CYCLE[j], bounds.arm[10 * j + k]) for j in range(joints)]
+            marked.append((ax, "black", bounds.object[k]))
+    for ax, block in zip(right, range(3), strict=True):
+        marked += [(ax, CYCLE[j], bounds.arm[(10 + block) * joints + j]) for j in range(joints)]
+    for ax, colour, pair in marked:
+        low, up = ax.get_ylim()
+        room = 0.3 * (up - low)
+        for value in pair:
+            if low - room < value < up + room:
+                ax.axhline(value, color=colour, linestyle=":", linewidth=0.8)
 
 
 @styled

@@ -26,6 +26,14 @@ class Bounded(Enum):
 
 
 @dataclass(frozen=True, slots=True)
+class EstimateBounds:
+    """Between which values an adaptive arm keeps its estimates: (lower, upper) per parameter, in the rows' order."""
+
+    arm: tuple[tuple[float, float], ...]
+    object: tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True, slots=True)
 class RunArm:
     """One arm of the run: names and limits, per controlled joint in the order of the rows; NaN where not known."""
 
@@ -38,6 +46,7 @@ class RunArm:
     p_object_ee_m: (
         tuple[float, float, float] | None
     )  # grasp point in the object's frame, for moments of internal wrenches
+    estimate_bounds: EstimateBounds | None = None  # adaptive runs
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,6 +171,7 @@ def _arms(raw: list[dict[str, Any]], log: RunLog, notes: list[str]) -> tuple[Run
                 tau_max_Nm=tuple(float(v) for v in a.get("tau_max_Nm", unknown)),
                 load_share=float(a.get("load_share", "nan")),
                 p_object_ee_m=None if grasp is None else (float(grasp[0]), float(grasp[1]), float(grasp[2])),
+                estimate_bounds=_estimate_bounds(a.get("estimate_bounds")),
             )
         )
     described = {a.name for a in arms}
@@ -175,6 +185,13 @@ def _arms(raw: list[dict[str, Any]], log: RunLog, notes: list[str]) -> tuple[Run
         if raw:
             notes.append(f"{RUN_FILE} does not describe the arm {name}")
     return tuple(arms)
+
+
+def _estimate_bounds(raw: Mapping[str, Any] | None) -> EstimateBounds | None:
+    if raw is None:
+        return None
+    pairs = {key: tuple((float(low), float(up)) for low, up in raw[key]) for key in ("arm", "object")}
+    return EstimateBounds(pairs["arm"], pairs["object"])
 
 
 def _one_line(host: Any) -> str:
