@@ -71,8 +71,8 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
     report = examine(cell)
     report.require()
     with ExitStack() as stack:
-        ring = stack.enter_context(RingWriter(options.ring, AGENT_STATE, arm.name, tuple(arm.entry.controlled)))
         texts = stack.enter_context(closing(TextWriter(options.ring, arm.name)))
+        ring = stack.enter_context(RingWriter(options.ring, AGENT_STATE, arm.name, tuple(arm.entry.controlled)))
         stack.callback(ring.finish)
         stack.callback(texts.finish)
         notifier = stack.enter_context(closing(Notifier()))

@@ -159,15 +159,22 @@ def _draw_bounds(left: Sequence[Axes], right: Sequence[Axes], bounds: EstimateBo
 
 @styled
 def lyapunov(run: Prepared) -> Figure:
-    """The part of the Lyapunov function that each arm computes."""
+    """The part of the Lyapunov function that each arm computes, and their sum: the function of the whole cell."""
     figure, axes = panels(1, height_in=2.2)
-    for i, arm in enumerate(run.arms):
-        rows = run.rows[arm.name]
-        values = column(rows, "lyapunov")
-        style = STYLES[i % len(STYLES)]
-        shown = np.where(values > 0.0, values, np.nan)
-        line(axes[0], column(rows, "t"), shown, color=CYCLE[i % len(CYCLE)], linestyle=style, label=arm.name)
+    parts = [(arm.name, run.rows[arm.name]) for arm in run.arms]
+    for i, (name, rows) in enumerate(parts):
+        style, colour = STYLES[i % len(STYLES)], CYCLE[i % len(CYCLE)]
+        _positive_line(axes[0], column(rows, "t"), column(rows, "lyapunov"), colour, style, name)
+    stamps = [rows["stamp_ns"] for _, rows in parts]
+    if len(parts) > 1 and all(np.array_equal(stamps[0], other) for other in stamps[1:]):
+        total = np.sum([column(rows, "lyapunov") for _, rows in parts], axis=0)
+        _positive_line(axes[0], column(parts[0][1], "t"), total, "black", "-", "cell")
     axes[0].set(yscale="log", ylabel="Lyapunov value [J]", title="Lyapunov value")
     legend(axes[0])
     time_axis(axes, run.info.duration_s)
     return figure
+
+
+def _positive_line(ax: Axes, t: Array, values: Array, colour: str, style: str, label: str) -> None:
+    shown = np.where(values > 0.0, values, np.nan)
+    line(ax, t, shown, color=colour, linestyle=style, label=label)

@@ -7,6 +7,7 @@ nothing is ever encoded.  Never add a string or a variable-length array here: th
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -127,7 +128,7 @@ class Layout:
     ros_name: str  # package/Name
     fields: tuple[Field, ...]
 
-    @property
+    @cached_property
     def dtype(self) -> np.dtype[np.void]:
         """Packed dtype of one complete CDR message, encapsulation header first.
 
