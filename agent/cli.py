@@ -177,6 +177,7 @@ for _command in (
     cli_logs.compare,
     cli_logs.play,
     cli_logs.recover,
+    cli_motors.doctor,
 ):
     app.command()(_command)
 app.add_typer(cli_motors.app, name="motors")
