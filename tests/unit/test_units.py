@@ -164,7 +164,9 @@ def test_coop_understands_its_command_line(tmp_path: Path, choices: tuple[str, .
     assert str(parsed.params["cell"]) == "/etc/coop/cell.toml"
 
 
-def test_the_simulated_agent_differs_in_driver_and_priority_alone(host: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_the_simulated_agent_differs_in_driver_and_priority(
+    host: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
     root = tmp_path_factory.mktemp("simulated")
     install(root, "simulated")
     real, simulated = (read_unit(where, "coop-agent@left") for where in (host, root))
