@@ -17,6 +17,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from agent.config.cell import load_cell
+from agent.config.check import examine
+from agent.config.schema import DriverKind
+from agent.process.build import Connection, build_driver
 from drivers.clock import MonotonicClock
 from drivers.interface import BusCounters, Clock, ConnectError, Driver, DriverError, StaleStateError, Vector
 from sim_backend.wire.faults import FaultKind
@@ -73,6 +77,23 @@ def dynamixel_on_emulated_servos(directory: Path) -> Iterator[Rig]:
         driver.close()
 
 
+def real_arm(cell_path: str, arm_name: str) -> Iterator[Rig]:
+    """An arm on this machine: supported, without an object, near the cell's start pose."""
+    cell = load_cell(Path(cell_path))
+    arm = cell.arm(arm_name)
+    q_start = examine(cell).q_start[cell.arms.index(arm)]
+
+    def driver() -> Driver:
+        return build_driver(cell, arm, DriverKind.DYNAMIXEL, Connection(), q_start, lambda _: None)[0]
+
+    made = driver()
+    try:
+        yield Rig(made, MonotonicClock, tuple(arm.entry.controlled), np.full(arm.n, 0.02), driver, None)
+    finally:
+        made.disable()
+        made.close()
+
+
 IMPLEMENTATIONS: dict[str, Callable[[Path], AbstractContextManager[Rig]]] = {
     "simulated plant, lockstep": simulated_in_lockstep,
     "simulated plant, real time": simulated_in_real_time,
@@ -81,10 +102,16 @@ IMPLEMENTATIONS: dict[str, Callable[[Path], AbstractContextManager[Rig]]] = {
 }
 
 
-@pytest.fixture(params=IMPLEMENTATIONS.values(), ids=IMPLEMENTATIONS.keys())
+@pytest.fixture(params=[*IMPLEMENTATIONS, pytest.param("real arm", marks=pytest.mark.hardware)])
 def rig(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Rig]:
-    with request.param(tmp_path) as made:
-        yield made
+    if request.param in IMPLEMENTATIONS:
+        with IMPLEMENTATIONS[request.param](tmp_path) as made:
+            yield made
+        return
+    cell, arm = request.config.getoption("--hardware"), request.config.getoption("--arm")
+    if cell is None or arm is None:
+        pytest.skip("needs a real arm: --hardware CELL --arm NAME")
+    yield from real_arm(cell, arm)
 
 
 @pytest.fixture
