@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from agent.cli_options import CellPath, Overrides, SomeArms
 from drivers.interface import Refusal
 
 if TYPE_CHECKING:
@@ -37,11 +38,12 @@ def scan(
 
     seen: list[ServoSeen] = []
     refused: list[Refusal] = []
+    bauds = _bauds(baud)
     for path in port or ports():
         _note(path)
         try:
             with open_line(path) as bus:
-                seen += survey(bus, path, _bauds(baud), _note)
+                seen += survey(bus, path, bauds, _note)
         except Refusal as error:
             refused.append(error)
     for refusal in refused:
@@ -100,10 +102,11 @@ def dump(
     from agent.tools.find import survey
     from agent.tools.line import open_line
 
+    bauds, now = _bauds(baud), datetime.now(UTC).isoformat(timespec="seconds")
     if not force:
         refuse_existing(out)
     with open_line(port) as bus:
-        saved = take(bus, port, survey(bus, port, _bauds(baud), _note), datetime.now(UTC).isoformat(timespec="seconds"))
+        saved = take(bus, port, survey(bus, port, bauds, _note), now)
     write_atomically(out, saved.toml())
     registers = sum(len(servo.registers) for servo in saved.servos)
     typer.echo(f"{out}: {len(saved.servos)} servos, {registers} registers")
@@ -142,13 +145,11 @@ def restore(
 
 
 def doctor(
-    cell: Annotated[Path, typer.Argument(help="Cell file (TOML).", show_default=False)],
-    arm: Annotated[list[str], typer.Option("--arm", help="Only this arm.")] = [],  # noqa: B006
+    cell: CellPath,
+    arm: SomeArms = [],  # noqa: B006
     ports: Annotated[Path | None, typer.Option(help="Folder of ports named like the arms (`coop emulate`).")] = None,
     logs: Annotated[Path, typer.Option(help="Folder for logs, to see whether there is room.")] = Path("runs"),
-    overrides: Annotated[
-        list[str], typer.Option("--set", metavar="KEY=VALUE", help="Change one value of the cell file.")
-    ] = [],  # noqa: B006
+    overrides: Overrides = [],  # noqa: B006
     as_json: AsJson = False,
 ) -> None:
     """Look at host, ports, servos and bus timing: exit code 0 ok, 1 warnings, 2 problems.  Torque stays as it is."""

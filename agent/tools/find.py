@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from drivers.dynamixel.bus import Bus, Ping
@@ -86,9 +86,8 @@ def listen_s(baud: int) -> float:
     return (MAX_ID + 1) * (_PING_BYTES * 10.0 / baud + _SLOT_S) + _HOST_S
 
 
-def search(bus: Bus, bauds: Sequence[int], tell: Tell) -> list[Answers]:
+def search(bus: Bus, bauds: Sequence[int], tell: Tell) -> Iterator[Answers]:
     """Broadcast ping at each speed.  A speed that the adapter cannot make is told and left out."""
-    found = []
     for baud in bauds:
         tell(f"looking at {baud} bit/s")
         try:
@@ -98,8 +97,7 @@ def search(bus: Bus, bauds: Sequence[int], tell: Tell) -> list[Answers]:
             continue
         damaged_before = bus.counters.corrupt
         pings = sorted(bus.ping_all(listen_s(baud)))
-        found.append(Answers(baud, tuple(pings), bus.counters.corrupt - damaged_before))
-    return found
+        yield Answers(baud, tuple(pings), bus.counters.corrupt - damaged_before)
 
 
 def shared_ids(bus: Bus, answers: Answers) -> list[int]:

@@ -79,14 +79,17 @@ def apply_setup(bus: Bus, plan: SetupPlan, arm_baud: int) -> None:
 
 
 def _single(bus: Bus, tell: Tell) -> tuple[int, Ping]:
-    answers = search(bus, ALL_BAUDS, tell)
-    heard = [(a.baud, ping) for a in answers for ping in a.pings]
-    damaged = [a.baud for a in answers if a.damaged]
-    if damaged:
-        raise SetupError(
-            "servos on the line", found=f"replies that destroy each other at {damaged[0]} bit/s",
-            expected="exactly one servo", remedy="two servos share an ID: connect only the one to be set up",
-        )  # fmt: skip
+    """The one servo on the line; every speed is searched before it is believed to be alone."""
+    heard: list[tuple[int, Ping]] = []
+    for answers in search(bus, ALL_BAUDS, tell):
+        if answers.damaged:
+            raise SetupError(
+                "servos on the line", found=f"replies that destroy each other at {answers.baud} bit/s",
+                expected="exactly one servo", remedy="two servos share an ID: connect only the one to be set up",
+            )  # fmt: skip
+        heard += [(answers.baud, ping) for ping in answers.pings]
+        if len(heard) > 1:
+            break
     if not heard:
         raise SetupError(
             "servos on the line", found="none that answers, at any speed", expected="exactly one servo",
