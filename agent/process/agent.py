@@ -105,8 +105,9 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
                     time.perf_counter_ns, time.time_ns, operator.events, operator.start_ns, heart.beat, heart.mode
                 ),
             )
+            cpu_s = time.process_time()
             summary = runner.run()
-            tell.end(summary)
+            tell.end(summary, time.process_time() - cpu_s)
         except Refusal as error:
             tell.event(Level.ERROR, str(error))
             raise
@@ -186,12 +187,17 @@ class _Teller:
         """The driver has something to say."""
         self.event(Level.WARN, text)
 
-    def end(self, summary: RunSummary) -> None:
+    def end(self, summary: RunSummary, cpu_s: float) -> None:
         """The run is over; wall_s is what the report's real-time factor is made of."""
         level = Level.ERROR if summary.mode is Mode.FAULT else Level.INFO
         text = f"run ended in {summary.mode.name} {summary.reason}".strip()
         self.event(
-            level, text, ticks=summary.ticks, late_cycles=summary.late_cycles, wall_s=round(summary.tracked_s, 4)
+            level,
+            text,
+            ticks=summary.ticks,
+            late_cycles=summary.late_cycles,
+            wall_s=round(summary.tracked_s, 4),
+            cpu_s=round(cpu_s, 4),
         )
 
 
