@@ -44,6 +44,7 @@ class Arm:
 
     entry: ArmEntry
     file: ArmFile
+    toml: bytes  # of the arm file
     urdf_xml: str
     servos: tuple[ServoJoint, ...]  # of the controlled joints, in order
 
@@ -243,7 +244,7 @@ def cell_from_toml(raw: bytes, source: str, arms_dir: Path = configs.ARMS_DIR) -
             )
         servos = tuple(by_name[j] for j in entry.controlled)
         _refuse_weak_servos(entry, servos, source)
-        arms.append(Arm(entry, arm_file, urdf.decode(), servos))
+        arms.append(Arm(entry, arm_file, arm_bytes, urdf.decode(), servos))
     return Cell(file, tuple(arms), raw, digest.hexdigest())
 
 

@@ -72,8 +72,9 @@ def _estimate_bounds(cell: Cell, arm: Arm) -> dict[str, Any]:
 
 
 def attachments(cell: Cell, info: dict[str, Any]) -> dict[str, bytes]:
-    """Files that make a log self-describing: run.json, the cell file, the arms' URDFs."""
+    """Files that make a log self-describing: run.json, the cell file, the arms' files and URDFs."""
     files = {"run.json": json.dumps(info, indent=2).encode(), "cell.toml": cell.toml}
     for arm in cell.arms:
+        files[f"{arm.entry.model}.toml"] = arm.toml
         files[arm.file.urdf] = arm.urdf_xml.encode()
     return files
