@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import difflib
 import hashlib
-import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
 
 import numpy as np
 import pinocchio as pin
 import tomli_w
-from pydantic import BaseModel, ValidationError
 
 import configs
 from agent.config import adaptive, trajectory
+from agent.config.reading import ConfigError, override, parse, read_file, validate
 from agent.config.schema import Arm as ArmEntry
 from agent.config.schema import ArmFile, CellFile, ControllerKind, ServoJoint
 from agent.control.adaptation import Adaptation
@@ -29,13 +26,9 @@ from agent.control.posture import Posture
 from agent.control.quaternion import Vec3
 from agent.control.trajectory import Trajectory, Vec6
 from drivers.dynamixel.table import SERVOS, ServoModel
-from drivers.interface import Refusal, Vector
+from drivers.interface import Vector
 
-M = TypeVar("M", bound=BaseModel)
-
-
-class ConfigError(Refusal):
-    """A cell file or arm file says something that cannot be used."""
+__all__ = ["Arm", "Cell", "ConfigError", "cell_from_toml", "load_arm_file", "load_cell", "placement"]
 
 
 @dataclass(frozen=True)
@@ -210,11 +203,11 @@ def load_cell(path: Path, overrides: Sequence[str] = ()) -> Cell:
 
     Raises ConfigError, whose text names key, value found, what is allowed and what to do.
     """
-    raw = _read(path)
-    document = _parse(raw, path)
+    raw = read_file(path)
+    document = parse(raw, path)
     if overrides:
         for text in overrides:
-            _override(document, text)
+            override(document, text)
         raw = tomli_w.dumps(document).encode()
     return cell_from_toml(trajectory.embed(raw, document, path), path.name)
 
@@ -224,13 +217,13 @@ def cell_from_toml(raw: bytes, source: str, arms_dir: Path = configs.ARMS_DIR) -
 
     Raises ConfigError, and TrajectoryError for a motion that is none.
     """
-    file = _validate(CellFile, _parse(raw, Path(source)), source)
+    file = validate(CellFile, parse(raw, Path(source)), source)
     trajectory.build(file)
     digest = hashlib.sha256(raw)
     arms = []
     for entry in file.arms:
         arm_file, arm_bytes = load_arm_file(entry.model, f"model of arm {entry.name} in {source}", arms_dir)
-        urdf = _read(arms_dir / arm_file.urdf)
+        urdf = read_file(arms_dir / arm_file.urdf)
         digest.update(arm_bytes)
         digest.update(urdf)
         by_name = {j.name: j for j in arm_file.joints}
@@ -258,8 +251,8 @@ def load_arm_file(model: str, what: str, arms_dir: Path = configs.ARMS_DIR) -> t
             expected=" or ".join(sorted(p.stem for p in arms_dir.glob("*.toml"))),
             remedy="name a described arm, or describe yours beside them",
         )
-    raw = _read(path)
-    return _validate(ArmFile, _parse(raw, path), path.name), raw
+    raw = read_file(path)
+    return validate(ArmFile, parse(raw, path), path.name), raw
 
 
 def _refuse_weak_servos(entry: ArmEntry, servos: Sequence[ServoJoint], source: str) -> None:
@@ -271,91 +264,3 @@ def _refuse_weak_servos(entry: ArmEntry, servos: Sequence[ServoJoint], source: s
                 expected="a servo with current or PWM mode",
                 remedy="lock this joint instead (locked_rad)",
             )
-
-
-def _read(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        shipped = ", ".join(sorted(f"configs/cells/{p.name}" for p in configs.CELLS_DIR.glob("*.toml")))
-        raise ConfigError(
-            f"file {path}", found=error.strerror, expected="a readable file", remedy=f"cells that ship: {shipped}"
-        ) from error
-
-
-def _parse(raw: bytes, path: Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(raw.decode())
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path.name}", found=str(error), expected="TOML", remedy="correct that line") from error
-
-
-def _override(document: dict[str, Any], text: str) -> None:
-    key, separator, value = text.partition("=")
-    try:
-        parsed = tomllib.loads(f"value = {value}")["value"] if separator else None
-    except tomllib.TOMLDecodeError:
-        parsed = value
-    if parsed is None:
-        raise ConfigError("override", found=repr(text), expected="key.path=value", remedy="e.g. duration_s=20")
-    *parents, last = key.strip().split(".")
-    node: Any = document
-    for name in parents:
-        if isinstance(node, list):
-            node = next((x for x in node if isinstance(x, dict) and x.get("name") == name), None)
-        else:
-            node = node.setdefault(name, {})
-        if not isinstance(node, (dict, list)):
-            raise ConfigError("override", found=repr(key), expected="a table of the cell", remedy="see the cell file")
-    node[last] = parsed
-
-
-def _validate(model: type[M], document: Mapping[str, Any], source: str) -> M:
-    try:
-        return model.model_validate(document)
-    except ValidationError as error:
-        # a misspelt key is both unknown and missing; the first of the two tells more
-        problems = sorted(error.errors(), key=lambda problem: problem["type"] != "extra_forbidden")
-        first = problems[0]
-        key = ".".join(str(part) for part in first["loc"]) or "the whole file"
-        more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
-        raise ConfigError(f"{key} in {source}{more}", **_explain(model, dict(first))) from error
-
-
-def _explain(model: type[BaseModel], problem: dict[str, Any]) -> dict[str, str]:
-    """Found, expected and remedy of one pydantic problem."""
-    kind, found = problem["type"], repr(problem["input"])
-    if kind == "missing":
-        return {"found": "nothing", "expected": "a value", "remedy": "add the key"}
-    if kind == "extra_forbidden":
-        known = _keys_at(model, problem["loc"][:-1])
-        near = difflib.get_close_matches(str(problem["loc"][-1]), known, n=1)
-        remedy = f"did you mean {near[0]}?" if near else f"known keys: {', '.join(known)}"
-        return {"found": "an unknown key", "expected": "only known keys", "remedy": remedy}
-    message = problem["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
-    if isinstance(problem["input"], dict):
-        found = "not that"
-    return {"found": found, "expected": message, "remedy": "correct the value and its unit (the key carries it)"}
-
-
-def _keys_at(model: type[BaseModel], location: tuple[str | int, ...]) -> list[str]:
-    """Keys allowed at a place in the file, following nested models."""
-    current: Any = model
-    for part in location:
-        if isinstance(part, int) or not (isinstance(current, type) and issubclass(current, BaseModel)):
-            continue
-        info = current.model_fields.get(part)
-        if info is None:
-            continue
-        current = _model_in(info.annotation)
-    return sorted(current.model_fields) if isinstance(current, type) and issubclass(current, BaseModel) else []
-
-
-def _model_in(annotation: Any) -> Any:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
-    for inner in getattr(annotation, "__args__", ()):
-        found = _model_in(inner)
-        if found is not None:
-            return found
-    return None
