@@ -89,7 +89,7 @@ class Controller(Strict):
     k_eps_rate_rad_per_s: PerAxis | None = None
     friction_feedforward: bool = False
     friction_smooth_rad_per_s: Positive = 0.05
-    velocity: VelocitySource = VelocitySource.SERVO
+    velocity: VelocitySource = VelocitySource.OBSERVER
     adaptive: Adaptive = Adaptive()  # used when kind is "adaptive"
 
 
