@@ -159,11 +159,13 @@ def _figures(figures: CycleFigures) -> dict[str, Any]:
     return {
         "computed": {
             "request_s": budget.request_s, "reply_s": budget.reply_s, "usb_worst_s": budget.usb_worst_s,
+            "read_quick_s": figures.computed_quick_s,
             "write_s": budget.write_s, "health_s": budget.health_s, "step_s": budget.step_s,
             "read_mean_s": budget.read_mean_s, "read_worst_s": budget.read_worst_s, "cycle_s": budget.cycle_s,
             "rate_max_hz": budget.rate_max_hz,
         },
         "measured": {
+            "overhead_s": figures.overhead_s, "read_quick_s": figures.read_quick_s,
             "read_median_s": figures.read_median_s, "read_p99_s": figures.read_p99_s,
             "missed": figures.missed, "reads": figures.reads,
         },

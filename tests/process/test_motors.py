@@ -273,21 +273,22 @@ def cell(tmp_path: Path) -> Iterator[Path]:
             assert emulator.wait(SEARCH_S) == 0
 
 
-def of_arms(document: dict[str, Any], verdict: str) -> list[str]:
-    return [
-        f"{f['where']}: {f['what']}" for f in document["findings"] if f["verdict"] == verdict and f["where"] != "host"
-    ]
+TIMED = {"read of all servos, measured", "overhead of each read", "read in its period", "replies"}
+
+
+def against_arms(document: dict[str, Any]) -> list[str]:
+    """What is said against the arms but for timing, for which a busy test machine may be to blame."""
+    arms = [f for f in document["findings"] if f["where"] not in ("host", "cell") and f["what"] not in TIMED]
+    return [f"{f['where']}: {f['what']}" for f in arms if f["verdict"] != "ok"]
 
 
 def test_doctor_finds_an_emulated_cell_fit_and_leaves_it_as_it_was(cell: Path, tmp_path: Path) -> None:
     files = [tmp_path / name for name in ("before.toml", "after.toml")]
     assert coop("motors", "dump", "--port", cell / "left", "--baud", "1000000", "--out", files[0]).returncode == 0
     done = coop("doctor", TWO_WX200, "--ports", cell, "--logs", tmp_path, "--json")
-    assert done.returncode in (0, 1), done.stdout  # the host of this test may have its own warnings
     document = json.loads(done.stdout)
-    assert of_arms(document, "problem") == []
-    # a busy test machine may be slow; nothing else may be said against the arms
-    assert all("read" in line for line in of_arms(document, "warning"))
+    assert done.returncode == {"ok": 0, "warning": 1, "problem": 2}[document["verdict"]]
+    assert against_arms(document) == []
     assert set(document["cycles"]) == {"left", "right"}
     assert coop("motors", "dump", "--port", cell / "left", "--baud", "1000000", "--out", files[1]).returncode == 0
     before, after = (tomllib.loads(file.read_text())["servos"] for file in files)
