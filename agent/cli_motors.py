@@ -30,11 +30,15 @@ AsJson = Annotated[bool, typer.Option("--json", help="For scripts: one JSON docu
 def scan(
     port: Annotated[list[str], typer.Option("--port", help="Serial ports (default: all of this machine).")] = [],  # noqa: B006
     baud: Bauds = [],  # noqa: B006
+    protocol_1: Annotated[
+        bool, typer.Option("--protocol-1", help="Look for Protocol 1.0 instead (9 s per speed; 1 Mbit/s and 57600).")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """List every servo on every port, at every speed; exit code 1 when there is none."""
-    from agent.tools.find import survey
+    from agent.tools.find import survey, survey_old
     from agent.tools.line import open_line, ports
+    from drivers.dynamixel.protocol1 import BAUDS
 
     seen: list[ServoSeen] = []
     refused: list[Refusal] = []
@@ -42,6 +46,9 @@ def scan(
     for path in port or ports():
         _note(path)
         try:
+            if protocol_1:
+                seen += survey_old(path, baud or BAUDS, _note)
+                continue
             with open_line(path) as bus:
                 seen += survey(bus, path, bauds, _note)
         except Refusal as error:
@@ -55,7 +62,7 @@ def scan(
     if not seen:
         if len(refused) == 1 and len(port) == 1:
             raise typer.Exit(refused[0].exit_code)
-        _note("no servo found: is the 12 V supply on?  Servos with Protocol 1.0 firmware do not answer")
+        _note("no servo found: is the 12 V supply on?  Protocol 1.0 servos answer to --protocol-1 only")
         raise typer.Exit(1)
 
 

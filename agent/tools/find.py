@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
+from agent.tools.line import open_line
+from drivers.dynamixel import protocol1
 from drivers.dynamixel.bus import Bus, Ping
 from drivers.dynamixel.errors import NoReplyError, PortError, RejectedError, hardware_names
 from drivers.dynamixel.table import (
@@ -155,3 +157,13 @@ def survey(bus: Bus, port: str, bauds: Sequence[int], tell: Tell) -> list[ServoS
             for servo_id in shared
         ]
     return sorted(seen, key=lambda servo: (servo.baud, servo.servo_id))
+
+
+def survey_old(path: str, bauds: Sequence[int], tell: Tell) -> list[ServoSeen]:
+    """Servos on a port that speak Protocol 1.0, with what can be done about it.  Raises PortError."""
+    with open_line(path):  # free, and silent
+        pass
+    return [
+        ServoSeen(path, servo.baud, servo.servo_id, servo.model_number, None, note=servo.remedy)
+        for servo in protocol1.find(path, bauds, tell)
+    ]

@@ -10,7 +10,8 @@ the same emulated servos the SDK
 - waits busily, by the wall clock, and 34 ms beyond every reply that does not come;
 - drops the alert bit in group reads and does not know 4.5 Mbit/s.
 
-In tests the SDK reads back what these tools wrote, as the independent witness.
+The SDK is used where it knows more: Protocol 1.0 (`drivers.dynamixel.protocol1`), and in tests, as the independent
+witness that reads back what these tools wrote.
 """
 
 from __future__ import annotations
