@@ -221,3 +221,10 @@ def test_json_has_every_line_and_the_figures() -> None:
 
 def test_errno_of_a_directory_is_told(tmp_path: Path) -> None:
     assert os.strerror(errno.EISDIR) in one_problem(str(tmp_path)).found
+
+
+def test_every_line_is_explained_in_the_documentation() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "doctor.md").read_text()
+    lines = [*host.judge(FIT, 2, 1e8), *examined(build(timing=BusTiming())).findings]
+    for finding in lines:
+        assert finding.what.removesuffix(f" in {FIT.log_folder}") in page, finding.what
