@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
+from dataclasses import replace
 
 import pytest
 import tomli_w
@@ -70,11 +71,8 @@ def test_arms_without_a_port_have_no_bus_to_check() -> None:
 def test_a_servo_map_that_contradicts_itself_is_refused_with_its_reason() -> None:
     cell = load_cell(WX200)
     arm = cell.arms[0]
-    clash = arm.file.model_copy(
-        update={"joints": [arm.file.joints[0], arm.file.joints[0].model_copy(), *arm.file.joints[1:]]}
-    )
-    broken = Cell(
-        cell.file, (type(arm)(arm.entry, clash, arm.urdf_xml, arm.servos), *cell.arms[1:]), cell.toml, cell.fingerprint
-    )
+    first = arm.file.joints[0]
+    clash = arm.file.model_copy(update={"joints": [first, first.model_copy(), *arm.file.joints[1:]]})
+    broken = replace(cell, arms=(replace(arm, file=clash), *cell.arms[1:]))
     with pytest.raises(ConfigError, match=r"servo IDs: found .* give every servo its own ID"):
         bus_rates(broken, examine(cell).q_start)
