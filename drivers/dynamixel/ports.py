@@ -11,7 +11,7 @@ from pathlib import Path
 
 from drivers.dynamixel.errors import PortError
 
-CANDIDATES = ("serial/by-id/*", "ttyDXL*", "ttyUSB*", "ttyACM*")
+CANDIDATES = ("coop/*", "serial/by-id/*", "ttyDXL*", "ttyUSB*", "ttyACM*")
 _PTMX, _PTY_MAJOR = os.makedev(5, 2), 136
 
 

@@ -11,9 +11,8 @@ SUBJECTS = {
     "recorder": "recorder", "left": "arm-left", "right": "arm-right", "plant": "plant", "unknown": "arm-unknown",
 }  # fmt: skip
 CURVE = ["-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes"]
-EXTENSIONS = (
-    "subjectAltName=DNS:localhost,DNS:recorder.cell\nbasicConstraints=CA:FALSE\nextendedKeyUsage=serverAuth,clientAuth\n"
-)
+EXTENSIONS = "subjectAltName=DNS:localhost,DNS:recorder.cell\nbasicConstraints=CA:FALSE\n"
+EXTENSIONS += "extendedKeyUsage=serverAuth,clientAuth\n"
 
 
 def make_certificates(folder: Path) -> Path:
