@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import enum
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,38 +13,20 @@ from agent.config import trajectory as motion
 from agent.config.cell import Arm, Cell, ConfigError, placement
 from agent.config.check_adaptive import examine_adaptation
 from agent.config.check_bus import bus_rates
+from agent.config.check_force import internal_force
+from agent.config.finding import Finding, Verdict, judge
 from agent.config.margin import damping, places, sampled_loop
 from agent.config.schema import ControllerKind, DriverKind
 from agent.control import ik, known
 from agent.control.errors import attitude_error
-from agent.control.internal_force import internal_wrenches
 from agent.control.inverse import SingularJacobian
 from agent.control.models import ArmModel, ModelError
 from drivers.interface import Vector
 
 SAMPLES = 48  # points along the trajectory, beside those that the trajectory names itself
 STABILITY_SAMPLES = 12
-OUT_OF_TASK = 1e-9  # part of a wrench
 
-
-class Verdict(enum.StrEnum):
-    """Outcome of one check."""
-
-    OK = "ok"
-    WARNING = "warning"
-    REFUSED = "refused"
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """One line of the table."""
-
-    what: str
-    where: str  # arm or "cell"
-    found: str
-    limit: str
-    verdict: Verdict
-    remedy: str = ""
+__all__ = ["CheckReport", "Finding", "Verdict", "examine", "reach", "start_configurations"]
 
 
 @dataclass(frozen=True)
@@ -109,8 +90,8 @@ def examine(cell: Cell, *, wired: bool | None = None) -> CheckReport:
         findings += _arm_findings(cell, arm, path)
         paths.append(path)
     share = math.fsum(a.entry.load_share for a in cell.arms)
-    findings.append(_judge("sum of load shares", "cell", f"{share:.6f}", "1", abs(share - 1.0) < 1e-9, ""))
-    findings += _internal_force(cell, models)
+    findings.append(judge("sum of load shares", "cell", f"{share:.6f}", "1", abs(share - 1.0) < 1e-9, ""))
+    findings += internal_force(cell, models)
     findings += _buses(cell, q_start, wired=cell.file.driver is DriverKind.DYNAMIXEL if wired is None else wired)
     findings += _stability(cell, models, paths)
     if cell.file.controller.kind is ControllerKind.ADAPTIVE:
@@ -159,15 +140,15 @@ def _start(cell: Cell) -> list[Finding]:
     angle = 2.0 * math.atan2(math.hypot(*e_eps), abs(e_eta))
     axis = np.round(np.array(e_eps) / max(math.hypot(*e_eps), 1e-12), 3).tolist()
     return [
-        _judge(
+        judge(
             "start position error", "cell", f"{distance * 1e3:.2f} mm", f"≤ {safety.start_error_max_m * 1e3:g} mm",
             distance <= safety.start_error_max_m, "start nearer to the trajectory, or raise start_error_max_m",
         ),
-        _judge(
+        judge(
             "e_η(0)", "cell", f"{e_eta:.6f}", f"|e_η| ≥ {safety.e_eta_min:g}", abs(e_eta) >= safety.e_eta_min,
             f"the object is turned by {math.degrees(angle):.1f}° about {axis} from its desired attitude",
         ),
-        _judge(
+        judge(
             "start attitude error", "cell", f"{angle * 1e3:.2f} mrad", f"≤ {safety.start_error_max_rad * 1e3:g} mrad",
             angle <= safety.start_error_max_rad, "turn the object, or raise start_error_max_rad",
         ),
@@ -208,7 +189,7 @@ def _along_trajectory(cell: Cell, arm: Arm, model: ArmModel, q_start: Vector) ->
 def _arm_findings(cell: Cell, arm: Arm, path: _Path) -> list[Finding]:
     safety = cell.file.safety
     findings = [
-        _judge(
+        judge(
             "smallest singular value of J", arm.name, f"{path.sigma_min:.4f} at t = {path.sigma_min_t:.2f} s",
             f"≥ {safety.sigma_min:g}", path.sigma_min >= safety.sigma_min,
             "stay away from stretched or folded poses",
@@ -219,45 +200,18 @@ def _arm_findings(cell: Cell, arm: Arm, path: _Path) -> list[Finding]:
         arm.entry.controlled, path.tau_peak, arm.tau_stall_Nm, path.limit_margin, strict=True
     ):
         findings.append(
-            _judge(
+            judge(
                 f"torque along the trajectory, {joint}", arm.name,
                 f"{tau:.3f} N·m, {tau / stall:.0%} of stall", f"≤ {bound:.0%} of {stall:g} N·m", tau <= bound * stall,
                 "use a stronger arm, a lighter object or a pose with less load",
             )
         )  # fmt: skip
         findings.append(
-            _judge(
+            judge(
                 f"distance to joint limit, {joint}", arm.name, f"{room:.3f} rad", "> 0", room > 0.0,
                 "move the base or the trajectory, or take the other elbow solution (q_near_rad)",
             )
         )  # fmt: skip
-    return findings
-
-
-def _internal_force(cell: Cell, models: Sequence[ArmModel]) -> list[Finding]:
-    """What the grasps must carry beside the load: within the grip, and in the plane of a planar cell."""
-    findings = []
-    for arm, model, wrench in zip(cell.arms, models, internal_wrenches(*cell.internal_wrenches_desired()), strict=True):
-        if not any(wrench):
-            continue
-        force, grip = math.hypot(*wrench[:3]), arm.entry.grip_force_max_N
-        findings.append(
-            _judge(
-                "internal force on the grasp", arm.name, f"{force:.3g} N",
-                f"≤ {grip:g} N" if grip is not None else "grip_force_max_N not given", grip is None or force <= grip,
-                "ask for a smaller internal_wrench_N_Nm, or grip harder",
-            )
-        )  # fmt: skip
-        R = cell.T_world_object_start.rotation
-        world = np.concatenate([R @ wrench[:3], R @ wrench[3:]])
-        lost = float(np.linalg.norm(world - model.task_basis.T @ (model.task_basis @ world)))
-        if lost > OUT_OF_TASK * float(np.linalg.norm(world)):
-            findings.append(
-                Finding(
-                    "internal wrench out of the plane", arm.name, f"{lost:.3g} N and N·m", "0", Verdict.WARNING,
-                    "the joints of a planar arm cannot give it; it is not applied",
-                )
-            )  # fmt: skip
     return findings
 
 
@@ -316,7 +270,3 @@ def _buses(cell: Cell, q_start: Sequence[Vector], *, wired: bool) -> list[Findin
             Finding("rate on the servo bus", bus.arm, f"{rate:g} Hz", limit, verdict, "" if carried else remedy)
         )
     return findings
-
-
-def _judge(what: str, where: str, found: str, limit: str, ok: bool, remedy: str) -> Finding:
-    return Finding(what, where, found, limit, Verdict.OK if ok else Verdict.REFUSED, "" if ok else remedy)
