@@ -23,7 +23,7 @@ from agent.telemetry.event import Level, TextWriter
 from agent.telemetry.ring import RingWriter
 from agent.telemetry.row import AgentRow
 from agent.telemetry.sample import AGENT_STATE
-from drivers.interface import Clock, DriverError, Refusal
+from drivers.interface import Clock, Driver, DriverError, Refusal
 
 HEARTBEAT_S = 0.02
 STALE_TO_HOLD = 3  # cycles
@@ -92,19 +92,7 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             notifier.ready(_STATUS[Mode.READY])
             tell.event(Level.INFO, f"torque on: {info.description}", priority=options.priority or 0)
             ready("torque=on")
-            operator = _Operator(stop, control, clock, drops_on_stop=not options.hold)
-            heart = _Heart(notifier, max(1, round(HEARTBEAT_S * cell.file.rate_hz)))
-            runner = Runner(
-                build_agent(cell, arm),
-                driver,
-                clock,
-                _schedule(cell, options),
-                AgentRow(ring.row, arm.n, cell.config_id),
-                ring,
-                Surroundings(
-                    time.perf_counter_ns, time.time_ns, operator.events, operator.start_ns, heart.beat, heart.mode
-                ),
-            )
+            runner = _runner(cell, options, driver, clock, ring, _Operator(stop, control, clock, options), notifier)
             cpu_s = time.process_time()
             summary = runner.run()
             tell.end(summary, time.process_time() - cpu_s)
@@ -120,6 +108,25 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             f"arm {arm.name}", found=summary.reason, expected="a fresh state every cycle", remedy="see the log"
         )
     return summary
+
+
+def _runner(
+    cell: Cell,
+    options: AgentOptions,
+    driver: Driver,
+    clock: Clock,
+    ring: RingWriter,
+    operator: _Operator,
+    notifier: Notifier,
+) -> Runner:
+    """The loop of the arm on its enabled driver."""
+    arm = cell.arm(options.arm)
+    heart = _Heart(notifier, max(1, round(HEARTBEAT_S * cell.file.rate_hz)))
+    around = Surroundings(
+        time.perf_counter_ns, time.time_ns, operator.events, operator.start_ns, heart.beat, heart.mode
+    )
+    row = AgentRow(ring.row, arm.n, cell.config_id)
+    return Runner(build_agent(cell, arm), driver, clock, _schedule(cell, options), row, ring, around)
 
 
 def _schedule(cell: Cell, options: AgentOptions) -> Schedule:
@@ -142,11 +149,11 @@ class _Operator:
     Where nothing can fall (simulation), a stop also releases the object; on real arms a stop holds it.
     """
 
-    def __init__(self, stop: StopFlag, control: ControlSocket | None, clock: Clock, *, drops_on_stop: bool) -> None:
+    def __init__(self, stop: StopFlag, control: ControlSocket | None, clock: Clock, options: AgentOptions) -> None:
         self._stop = stop
         self._control = control
         self._clock = clock
-        self._drops_on_stop = drops_on_stop
+        self._drops_on_stop = not options.hold
         self._start_ns: int | None = None
 
     def events(self) -> Event:
