@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
@@ -12,6 +13,7 @@ import configs
 from agent.control import known
 from agent.control.errors import Gains
 from agent.control.friction import Friction
+from agent.control.internal_force import agent_wrench
 from agent.control.law import Offline
 from agent.control.models import ArmModel
 from agent.control.trajectory import Sinusoid
@@ -23,7 +25,7 @@ from agent.telemetry.sample import AGENT_STATE
 from drivers.interface import BusCounters, JointState
 from tests.bench.common import Figure, median_us
 
-NAMES = ("control_step_known_planar", "control_step_known_6dof", "tick_known_6dof")
+NAMES = ("control_step_known_planar", "control_step_known_6dof", "control_step_known_6dof_of_8", "tick_known_6dof")
 
 # half a millisecond per round: far shorter than a time slice, so that most rounds are not interrupted
 CALLS, BASELINE_CALLS, REPEATS = 15, 150, 201
@@ -37,6 +39,7 @@ def bench() -> dict[str, Figure]:
     return {
         "control_step_known_planar": law_figure(planar),
         "control_step_known_6dof": law_figure(six),
+        "control_step_known_6dof_of_8": paired(law_of(one_of(six, 8)), law_of(one_of(six, 2)), CALLS),
         "tick_known_6dof": Figure(median_us(tick_of(six), CALLS, REPEATS), "µs"),
     }
 
@@ -77,6 +80,20 @@ def make_agent(name: str, controlled: tuple[str, ...], locked: dict[str, float])
     )
 
 
+def one_of(agent: Agent, count: int) -> Agent:
+    """The same arm in a cell of `count`: what it knows of the others is its share and its internal wrench."""
+    grasps = [(0.1 * np.cos(a), 0.1 * np.sin(a), 0.0) for a in np.linspace(0.0, 2 * np.pi, count, endpoint=False)]
+    squeeze = [(-10.0 * x, -10.0 * y, 0.0, 0.0, 0.0, 0.0) for x, y, _ in grasps]
+    offline = replace(agent.offline, load_share=1.0 / count, internal_wrench=agent_wrench(0, grasps, squeeze))
+    return replace(agent, offline=offline)
+
+
+def law_of(agent: Agent) -> Callable[[], object]:
+    """The law of one agent at one instant."""
+    q, dq, desired = joints(agent.model.n), 0.1 * joints(agent.model.n), agent.trajectory.at(1.0)
+    return lambda: known.torque(agent.model, agent.offline, q, dq, desired)
+
+
 def joints(n: int) -> np.ndarray:
     return np.array([0.1, -0.4, 0.5, 0.2, 0.7, 0.3][:n])
 
@@ -85,7 +102,7 @@ def law_figure(agent: Agent) -> Figure:
     """The law at one instant; baseline: the pinocchio calls whose results it needs."""
     model, data, frame = agent.model.model, agent.model.model.createData(), agent.model.object_id
     q, dq = joints(agent.model.n), 0.1 * joints(agent.model.n)
-    desired, axes = agent.trajectory.at(1.0), pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+    axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 
     def rigid_body_terms() -> None:
         pin.computeJointJacobiansTimeVariation(model, data, q, dq)
@@ -95,15 +112,12 @@ def law_figure(agent: Agent) -> Figure:
         pin.computeGeneralizedGravity(model, data, q)
         pin.computeCoriolisMatrix(model, data, q, dq)
 
-    def law() -> None:
-        known.torque(agent.model, agent.offline, q, dq, desired)
-
-    return paired(law, rigid_body_terms)
+    return paired(law_of(agent), rigid_body_terms)
 
 
-def paired(value: Callable[[], None], baseline: Callable[[], None]) -> Figure:
+def paired(value: Callable[[], object], baseline: Callable[[], object], baseline_calls: int = BASELINE_CALLS) -> Figure:
     """Medians of short rounds taken in turn, so that a busy machine slows both alike."""
-    rounds = [(median_us(value, CALLS, 1), median_us(baseline, BASELINE_CALLS, 1)) for _ in range(REPEATS)]
+    rounds = [(median_us(value, CALLS, 1), median_us(baseline, baseline_calls, 1)) for _ in range(REPEATS)]
     return Figure(
         statistics.median(a for a, _ in rounds),
         "µs",
