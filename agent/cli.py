@@ -33,6 +33,7 @@ def run(
     seed: Annotated[int, typer.Option(help="Seed of everything random in the simulated cell.")] = 0,
     real_time: Annotated[bool, typer.Option("--real-time", help="At the wall clock's pace, not in lockstep.")] = False,
     wire: Annotated[bool, typer.Option("--wire", help="The real driver on emulated servos, in real time.")] = False,
+    faults: Annotated[Path | None, typer.Option(help="Faults of the emulated servos, JSON lines.")] = None,
     strict: Annotated[bool, typer.Option("--strict", help="Exit 6 when a bound of the cell file is missed.")] = False,
     overrides: Overrides = [],  # noqa: B006
 ) -> None:
@@ -47,7 +48,7 @@ def run(
     console = Console()
     requested = StopFlag()
     pace = Pace.WIRE if wire else Pace.REAL_TIME if real_time else Pace.LOCKSTEP
-    options = RunOptions(cell, tuple(overrides), duration, out, seed, pace)
+    options = RunOptions(cell, tuple(overrides), duration, out, seed, pace, faults)
     with RunProgress(console) as progress:
         outcome = run_cell(options, requested, progress)
     console.print(terminal_table(outcome.results))

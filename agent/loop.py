@@ -12,6 +12,7 @@ import numpy as np
 
 from agent.control import adaptive, joint_hold, known
 from agent.control.adaptation import Estimate
+from agent.control.errors import Errors
 from agent.control.estimator import Observer
 from agent.control.inverse import SingularJacobian
 from agent.control.law import Offline, Terms
@@ -37,6 +38,8 @@ class Agent:
     observer: Observer | None  # None: the servos' own values are used as they are
     sigma_min: float  # stop below this smallest singular value
     period_s: float
+    error_max_m: float = math.inf  # while tracking: beyond it something outside this arm is wrong
+    error_max_rad: float = math.inf
     hold_rate_rad_per_s: float = 10.0  # of a hold in joint space (agent.control.joint_hold)
 
     def near_singular(self, q: Vector) -> bool:
@@ -77,11 +80,19 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
         flags |= Flag.SINGULAR
     if held:
         flags |= Flag.ADAPTATION_SATURATED
+    if mode is Mode.TRACK and _off_track(agent, terms.errors):
+        flags |= Flag.OFF_TRACK
     limited = np.array(tau)
     if Flag.NOT_FINITE in flags:  # nothing that is no number may live on in the memory
         return Outcome(q, dq, terms, limited, flags, replace(memory, tau=limited, primed=False))
     carried = Memory(q, dq, terms.ddq_ref, memory.ddq, limited, True, memory.hold, t, estimate, memory.q_hold)
     return Outcome(q, dq, terms, limited, flags, carried)
+
+
+def _off_track(agent: Agent, errors: Errors) -> bool:
+    """Whether the object is so far off that a neighbour, a grasp or somebody in the way must be the reason."""
+    angle = 2.0 * math.atan2(math.hypot(*errors.e_eps), abs(errors.e_eta))
+    return math.hypot(*errors.e_p) > agent.error_max_m or angle > agent.error_max_rad
 
 
 def _law(

@@ -189,7 +189,7 @@ class Runner:
             if self._tracking_since_ns is None:
                 self._tracking_since_ns = begin_ns
             self.summary.tracked_s = (after_write_ns - self._tracking_since_ns) * 1e-9
-        if outcome.flags & (Flag.NOT_FINITE | Flag.SINGULAR):
+        if outcome.flags & (Flag.NOT_FINITE | Flag.SINGULAR | Flag.OFF_TRACK):
             self.summary.reason = self.summary.reason or f"t = {t:.3f} s: {outcome.flags!r}"
             return Event.TROUBLE
         return Event.NONE

@@ -21,6 +21,7 @@ class Flag(enum.IntFlag):
     SINGULAR = 8  # the object Jacobian was not safely invertible
     STALE = 16  # no fresh state this tick: the last torque was kept
     ADAPTATION_SATURATED = 32  # an estimate of the adaptive law was held at its bound
+    OFF_TRACK = 64  # the object does not follow: by this arm's kinematics it is too far from where it should be
 
 
 @dataclass(frozen=True, slots=True)

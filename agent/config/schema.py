@@ -102,6 +102,10 @@ class Safety(Strict):
     tau_max_fraction_of_stall: Annotated[float, Field(gt=0.0, le=1.0)] = 0.5
     start_error_max_m: Positive = 0.02
     start_error_max_rad: Positive = 0.1
+    tracking_error_max_m: Positive = (
+        0.05  # beyond it the object is held: a neighbour, a grasp or a person is the reason
+    )
+    tracking_error_max_rad: Positive = 0.3
     spectral_radius_max: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.9999
     inertia_error: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.3
 

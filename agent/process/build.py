@@ -45,6 +45,8 @@ def build_agent(cell: Cell, arm: Arm) -> Agent:
         limits=Limits(tuple(tau_max.tolist()), tuple((tau_max * safety.tau_step_max_fraction).tolist())),
         observer=observer.build(cell.file),
         sigma_min=safety.sigma_min,
+        error_max_m=safety.tracking_error_max_m,
+        error_max_rad=safety.tracking_error_max_rad,
         period_s=1.0 / cell.file.rate_hz,
         hold_rate_rad_per_s=_hold_rate(cell),
     )

@@ -56,6 +56,7 @@ class RunOptions:
     out: Path | None
     seed: int
     pace: Pace
+    faults: Path | None = None  # of the emulated servos, JSON lines
 
 
 @dataclass(frozen=True)
@@ -87,6 +88,10 @@ def run_cell(options: RunOptions, stop: Callable[[], bool], progress: Progress) 
     Raises Refusal: ConfigError before anything starts, ChildFailed when a process ends early (everything else
     is then stopped and the log is closed and readable).
     """
+    if options.faults is not None and options.pace is not Pace.WIRE:
+        raise RunError(
+            "faults", found=f"{options.faults} without --wire", expected="emulated servos", remedy="add --wire"
+        )
     overrides = list(options.overrides)
     if options.duration_s is not None:
         overrides.append(f"duration_s={options.duration_s}")
@@ -194,7 +199,8 @@ class _Run:
     def _plant_command(self, cell: str) -> list[str]:
         ring = ["--ring", str(self._ring(RING_NAME))]
         if self._options.pace is Pace.WIRE:
-            return ["emulate", cell, "--ports", str(self._runtime), "--seed", str(self._options.seed), *ring]
+            faults = ["--faults", str(self._options.faults)] if self._options.faults is not None else []
+            return ["emulate", cell, "--ports", str(self._runtime), "--seed", str(self._options.seed), *faults, *ring]
         return ["plant", cell, "--socket", str(self._socket), *ring, *self._pace]
 
     def _agent_command(self, cell: str, arm: str) -> list[str]:
