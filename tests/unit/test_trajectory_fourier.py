@@ -44,7 +44,11 @@ def test_twist_is_the_derivative_of_the_pose(motion: Fourier, t: float) -> None:
     assert rate(small_rotation, t) == pytest.approx(now.v[3:], abs=1e-7)
 
 
-@given(motions, times)
+# where the window begins or ends to move, its third derivative jumps and a difference quotient is no derivative
+SMOOTH = times.filter(lambda t: min(abs(t - x) for x in (0.0, FADE_S, MOTION_S - FADE_S, MOTION_S)) > 1e-2)
+
+
+@given(motions, SMOOTH)
 def test_acceleration_is_the_derivative_of_the_twist(motion: Fourier, t: float) -> None:
     assert rate(lambda s: np.array(motion.at(s).v), t) == pytest.approx(motion.at(t).a, abs=1e-6)
 
