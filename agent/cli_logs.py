@@ -68,4 +68,7 @@ def recover(
     """Mend a log that a crash or a power cut left unfinished, and verify the result."""
     from agent.telemetry.recover import recover as mend
 
-    typer.echo(mend(log))
+    done = mend(log)
+    for problem in done.problems:
+        typer.echo(f"{log}: {problem}", err=True)
+    typer.echo(f"{log}: {'repaired' if done.repaired else 'nothing to repair'}, {done.messages} messages, read back")

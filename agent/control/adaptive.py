@@ -12,10 +12,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from agent.control import errors as error_terms
 from agent.control.adaptation import Adaptation, Estimate, Gradient
-from agent.control.inverse import invert_jacobian
-from agent.control.law import Offline, Terms, extra_torques, lyapunov_share, rotate_wrench, shift_to_ee
+from agent.control.law import (
+    Offline,
+    Terms,
+    add_extra,
+    feedback_torque,
+    lyapunov_share,
+    reference,
+    rotate_wrench,
+    shift_to_ee,
+)
 from agent.control.models import ArmModel, Matrix
 from agent.control.quaternion import Mat3, Vec3, rotate_back
 from agent.control.regressor import BODY_PARAMETERS, joint_regressor, object_regressor
@@ -36,13 +43,7 @@ def torque(
 
     The second result is what `Adaptation.advance` takes.  Raises SingularJacobian.
     """
-    k = model.evaluate(q, dq)
-    e = error_terms.evaluate(k.p_object, k.quat_object, k.v_object, desired, offline.gains)
-    P = model.task_basis
-    J_inv, sigma_min = invert_jacobian(k.J, k.B)
-    J_inv_P = J_inv.dot(P)  # joint velocities of an object twist
-    dq_ref = J_inv_P.dot(e.v_ref)
-    ddq_ref = J_inv_P.dot(e.dv_ref) - J_inv.dot(k.dJ.dot(dq_ref))
+    k, e, J_inv, J_inv_P, dq_ref, ddq_ref, sigma_min = reference(model, offline, q, dq, desired)
     dq_error = dq - dq_ref
 
     n = model.n
@@ -53,7 +54,7 @@ def torque(
     tau_friction = joints[n : 2 * n] * dq_ref + joints[2 * n :] * direction if adaptation.friction else None
     arm_gradient = np.concatenate((Y.T.dot(dq_error), ddq_ref * dq_error, dq_ref * dq_error, direction * dq_error))
 
-    c, k_v, e_v, e_pose = offline.load_share, offline.gains.k_v, e.e_v, e.e
+    c, e_v, P = offline.load_share, e.e_v, model.task_basis
     R = k.R_world_object
     Y_object = _object_regressor(offline, R, k.v_object, e.v_ref, e.dv_ref)
     load = rotate_wrench(R, (c * Y_object.dot(estimate.object)).tolist())
@@ -62,14 +63,10 @@ def torque(
     e_v_object = (*rotate_back(R, e_v_task[:3]), *rotate_back(R, e_v_task[3:]))
     object_gradient = Y_object.T.dot([c * x for x in e_v_object])
 
-    tau_feedback = k.Jt.dot([-g * v - c * x for g, v, x in zip(k_v, e_v, e_pose, strict=True)])
+    tau_feedback = feedback_torque(offline, k, e)
     tau_object = k.Jt.dot(load)
     tau_law = tau_adaptive + tau_feedback + tau_object
-    extra = extra_torques(offline, k, q, dq, J_inv)
-    if extra.tau_internal is not None:
-        tau_law += extra.tau_internal
-    if extra.tau_posture is not None:
-        tau_law += extra.tau_posture
+    extra = add_extra(tau_law, offline, k, q, dq, J_inv)
     u_object = J_inv_P.T.dot(tau_law).tolist()
     terms = Terms(
         desired=desired,

@@ -8,10 +8,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from agent.control import errors as error_terms
 from agent.control.adaptation import Adaptation
 from agent.control.errors import Errors, Gains
 from agent.control.friction import Friction
-from agent.control.models import Kinematics, Matrix
+from agent.control.inverse import invert_jacobian
+from agent.control.models import ArmModel, Kinematics, Matrix
 from agent.control.posture import Posture
 from agent.control.quaternion import Mat3, Vec3, cross, rotate, rotate_back
 from agent.control.trajectory import Desired, Vec6
@@ -92,6 +94,36 @@ def shift_to_ee(k: Kinematics, w: Vec6) -> Vec6:
     return (*force, w[3] + moment[0], w[4] + moment[1], w[5] + moment[2])
 
 
+class Reference(NamedTuple):
+    """What both laws begin with: kinematics, errors, and the joint motion that the reference twist asks for."""
+
+    kinematics: Kinematics
+    errors: Errors
+    J_inv: Matrix  # (n, m)
+    J_inv_P: Matrix  # (n, 6) joint velocities of an object twist
+    dq_ref: Vector
+    ddq_ref: Vector
+    sigma_min: float
+
+
+def reference(model: ArmModel, offline: Offline, q: Vector, dq: Vector, desired: Desired) -> Reference:
+    """dq_r = J⁻¹ v_r and ddq_r = J⁻¹ (v̇_r − J̇ dq_r) at this arm's (q, dq).  Raises SingularJacobian."""
+    k = model.evaluate(q, dq)
+    e = error_terms.evaluate(k.p_object, k.quat_object, k.v_object, desired, offline.gains)
+    J_inv, sigma_min = invert_jacobian(k.J, k.B)
+    J_inv_P = J_inv.dot(model.task_basis)
+    dq_ref = J_inv_P.dot(e.v_ref)
+    ddq_ref = J_inv_P.dot(e.dv_ref) - J_inv.dot(k.dJ.dot(dq_ref))
+    return Reference(k, e, J_inv, J_inv_P, dq_ref, ddq_ref, sigma_min)
+
+
+def feedback_torque(offline: Offline, k: Kinematics, e: Errors) -> Vector:
+    """Jᵀ (−k_v e_v − c_i e)."""
+    c, k_v = offline.load_share, offline.gains.k_v
+    tau: Vector = k.Jt.dot([-g * v - c * x for g, v, x in zip(k_v, e.e_v, e.e, strict=True)])
+    return tau
+
+
 class Extra(NamedTuple):
     """What both laws can add to the paper's torque: internal force and null-space posture."""
 
@@ -100,15 +132,17 @@ class Extra(NamedTuple):
     tau_posture: Vector | None
 
 
-def extra_torques(offline: Offline, k: Kinematics, q: Vector, dq: Vector, J_inv: Matrix) -> Extra:
-    """Torques of the desired internal wrench and of the posture, as far as they are configured."""
+def add_extra(tau_law: Vector, offline: Offline, k: Kinematics, q: Vector, dq: Vector, J_inv: Matrix) -> Extra:
+    """Torques of the desired internal wrench and of the posture, where configured; adds them to tau_law in place."""
     tau_internal, wrench_internal, tau_posture = None, _NO_WRENCH, None
     if offline.internal_wrench is not None:
         internal = rotate_wrench(k.R_world_object, offline.internal_wrench)
         tau_internal = k.Jt.dot(internal)
         wrench_internal = shift_to_ee(k, internal)
+        tau_law += tau_internal
     if offline.posture is not None:
         tau_posture = offline.posture.torque(q, dq, k.J, J_inv)
+        tau_law += tau_posture
     return Extra(tau_internal, wrench_internal, tau_posture)
 
 
