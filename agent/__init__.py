@@ -1,1 +1,1 @@
-"""One arm's process and the tools around its log."""
+"""One arm's process, and the trades around it: configuration, verification, telemetry, logs, reports, tools."""

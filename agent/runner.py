@@ -15,7 +15,7 @@ from agent.control.memory import Memory
 from agent.loop import Agent, hold_here, initial_memory, step
 from agent.modes import Event, Mode, next_mode
 from agent.safety import Flag
-from agent.telemetry.row import AgentRow
+from agent.telemetry.row.fill import AgentRow
 from drivers.interface import Clock, Driver, DriverError, JointState, ServoFault, StaleStateError, Vector
 
 NOT_YET_NS = 86_400_000_000_000  # the trajectory's zero while nobody has set it: a day ahead

@@ -14,8 +14,8 @@ import tomli_w
 import configs
 from agent.config import adaptive, trajectory
 from agent.config.reading import ConfigError, override, parse, read_file, validate
-from agent.config.schema import Arm as ArmEntry
-from agent.config.schema import ArmFile, CellFile, ControllerKind, ServoJoint
+from agent.config.schema.cell import Arm as ArmEntry
+from agent.config.schema.cell import ArmFile, CellFile, ControllerKind, ServoJoint
 from agent.control.adaptation import Adaptation
 from agent.control.errors import Gains
 from agent.control.friction import Friction
@@ -25,7 +25,7 @@ from agent.control.models import ArmModel
 from agent.control.posture import Posture
 from agent.control.quaternion import Vec3
 from agent.control.trajectory import Trajectory, Vec6
-from drivers.dynamixel.table import SERVOS, ServoModel
+from drivers.dynamixel.servo.table import SERVOS, ServoModel
 from drivers.interface import Vector
 
 __all__ = ["Arm", "Cell", "ConfigError", "cell_from_toml", "load_arm_file", "load_cell", "placement"]

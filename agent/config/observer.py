@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from agent.config.schema import CellFile, VelocitySource
+from agent.config.schema.cell import CellFile, VelocitySource
 from agent.control.estimator import Observer
 
 

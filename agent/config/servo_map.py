@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 from agent.config.cell import Arm, Cell
-from agent.config.schema import ArmFile, ServoJoint
+from agent.config.schema.cell import ArmFile, ServoJoint
 from drivers.dynamixel.arm_map import ArmMap, JointMap, JointRole
-from drivers.dynamixel.table import SERVOS
+from drivers.dynamixel.servo.table import SERVOS
 from drivers.interface import Vector
 
 GRIPPER = "gripper"

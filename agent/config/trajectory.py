@@ -8,8 +8,8 @@ from typing import Any, Final
 
 import tomli_w
 
-from agent.config.schema import CellFile
-from agent.config.schema_trajectory import FourierSpec, PoseFileSpec, RestToRestSpec, SinusoidSpec, WaypointsSpec
+from agent.config.schema.cell import CellFile
+from agent.config.schema.trajectory import FourierSpec, PoseFileSpec, RestToRestSpec, SinusoidSpec, WaypointsSpec
 from agent.control.trajectory import Sinusoid, Trajectory
 from agent.control.trajectory_file import SpeedLimits, read
 from agent.control.trajectory_fourier import Fourier, Term

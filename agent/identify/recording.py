@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 import configs
 from agent.config.cell import Arm, Cell, cell_from_toml
+from agent.log.read import RunLog
 from agent.modes import Mode
-from agent.telemetry.read import RunLog
 from drivers.interface import Refusal
 
 Matrix = NDArray[np.float64]

@@ -12,8 +12,8 @@ from agent.identify.fit import Options, fit
 from agent.identify.recording import from_log
 from agent.identify.result import Identified, identified
 from agent.identify.show import validation_figure
-from agent.telemetry.plotting import save_png
-from agent.telemetry.read import read_log
+from agent.log.read import read_log
+from agent.report.plotting import save_png
 
 
 @dataclass(frozen=True, slots=True)

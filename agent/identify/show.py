@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from rich.table import Table
 
 from agent.identify.result import Identified, Outcome, gravity_rows
-from agent.telemetry.plotting import BLUE, GREY, HEADER_IN, RED, header_line, panels, styled
+from agent.report.plotting import BLUE, GREY, HEADER_IN, RED, header_line, panels, styled
 
 
 def estimates_table(result: Identified) -> Table:

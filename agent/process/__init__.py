@@ -1,1 +1,1 @@
-"""Composition roots: the only files that name concrete drivers, clocks, rings and servers."""
+"""Composition roots: one module per process of a cell."""

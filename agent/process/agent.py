@@ -9,20 +9,21 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from agent.config.cell import Cell
-from agent.config.check import examine
-from agent.config.schema import DriverKind
+from agent.config.schema.cell import DriverKind
+from agent.host.notify import Notifier
+from agent.host.realtime import become_realtime, quiet_memory
+from agent.host.signals import StopFlag
 from agent.modes import Event, Mode
+from agent.operator.socket import ControlSocket
 from agent.process.build import Connection, build_agent, build_driver
-from agent.process.control import ControlSocket
-from agent.process.notify import Notifier
-from agent.process.realtime import become_realtime, quiet_memory
-from agent.process.signals import StopFlag
 from agent.runner import Runner, RunSummary, Schedule, Surroundings
-from agent.telemetry.event import Event as TextEvent
-from agent.telemetry.event import Level, TextWriter
-from agent.telemetry.ring import RingWriter
-from agent.telemetry.row import AgentRow
-from agent.telemetry.sample import AGENT_STATE
+from agent.telemetry.ring.ring import RingWriter
+from agent.telemetry.ring.texts import TextWriter
+from agent.telemetry.row.event import Event as TextEvent
+from agent.telemetry.row.event import Level
+from agent.telemetry.row.fill import AgentRow
+from agent.telemetry.row.sample import AGENT_STATE
+from agent.verify.check import examine
 from drivers.interface import Clock, Driver, DriverError, Refusal
 
 HEARTBEAT_S = 0.02

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from agent.config import observer
 from agent.config.cell import Arm, Cell
-from agent.config.schema import DriverKind
+from agent.config.schema.cell import DriverKind
 from agent.config.servo_map import arm_map
 from agent.loop import Agent
 from agent.safety import Limits
@@ -17,7 +17,7 @@ from drivers.dynamixel.driver import DynamixelDriver
 from drivers.dynamixel.events import DriverEvent
 from drivers.dynamixel.pace import SHARE as READ_SHARE
 from drivers.interface import Clock, ConnectError, Driver, Vector
-from sim_backend.driver import SimDriver
+from sim_backend.served.driver import SimDriver
 
 EMULATED_READ_SHARE = 4.0
 

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from agent.config.cell import Arm, Cell
-from agent.config.check import examine
 from agent.config.servo_map import resting_joints
+from agent.host.signals import StopFlag
 from agent.process.plant import RING_NAME, Truth
-from agent.process.signals import StopFlag
 from agent.process.simulated import plant_spec
-from agent.telemetry.ring import RingWriter
-from agent.telemetry.sample import PLANT_STATE
+from agent.telemetry.ring.ring import RingWriter
+from agent.telemetry.row.sample import PLANT_STATE
+from agent.verify.check import examine
 from sim_backend.wire.plant_world import emulate
 from sim_backend.wire.serve import ServeOptions, serve
 from sim_backend.wire.timing import BusTiming

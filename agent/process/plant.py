@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 
 from agent.config.cell import Cell
-from agent.config.check import examine
-from agent.process.signals import StopFlag
+from agent.host.signals import StopFlag
 from agent.process.simulated import plant_spec
-from agent.telemetry.ring import RingWriter
-from agent.telemetry.sample import MAX_JOINTS, PLANT_STATE
+from agent.telemetry.ring.ring import RingWriter
+from agent.telemetry.row.sample import MAX_JOINTS, PLANT_STATE
+from agent.verify.check import examine
 from drivers.interface import Vector
-from sim_backend.plant import Observation, Plant
-from sim_backend.server import ServerOptions, serve
+from sim_backend.physics.plant import Observation, Plant
+from sim_backend.served.server import ServerOptions, serve
 
 RING_NAME = "plant"
 

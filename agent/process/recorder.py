@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from agent.config.cell import Cell
-from agent.config.schema import DriverKind
-from agent.process.info import attachments, run_info
-from agent.telemetry import publish, record, topics
-from agent.telemetry.log_file import Attachment
-from agent.telemetry.sample import AGENT_STATE, PLANT_STATE
-from agent.telemetry.zenoh_session import FREE_PORT, Network
+from agent.config.schema.cell import DriverKind
+from agent.host.info import attachments, run_info
+from agent.log.file import Attachment
+from agent.telemetry.link import publish, record
+from agent.telemetry.link.session import FREE_PORT, Network
+from agent.telemetry.row import topics
+from agent.telemetry.row.sample import AGENT_STATE, PLANT_STATE
 
 
 @dataclass(frozen=True)

@@ -15,16 +15,16 @@ from typing import Protocol
 import numpy as np
 
 from agent.config.cell import Cell, load_cell
-from agent.config.check import examine
-from agent.process.child import Child
-from agent.process.control import Verb, ask
+from agent.host.child import Child
+from agent.log.read import read_log
+from agent.operator.socket import Verb, ask
 from agent.process.plant import RING_NAME
 from agent.process.recorder import FREE_PORT
-from agent.telemetry.read import read_log
-from agent.telemetry.report import write_report
-from agent.telemetry.results import Results
-from agent.telemetry.ring import RingReader
-from agent.telemetry.sample import AGENT_STATE
+from agent.report.report import write_report
+from agent.report.results import Results
+from agent.telemetry.ring.ring import RingReader
+from agent.telemetry.row.sample import AGENT_STATE
+from agent.verify.check import examine
 from drivers.interface import Refusal
 
 READY_TIMEOUT_S = 30.0

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from agent.config.cell import Arm, Cell
-from agent.config.schema import Effects
-from drivers.dynamixel.table import PWM_UNIT_DUTY, RATED_VOLTAGE_V, TICK_RAD, VELOCITY_UNIT_RAD_PER_S
+from agent.config.schema.cell import Effects
+from drivers.dynamixel.servo.table import PWM_UNIT_DUTY, RATED_VOLTAGE_V, TICK_RAD, VELOCITY_UNIT_RAD_PER_S
 from drivers.interface import Vector
-from sim_backend.actuator import ActuatorSpec
-from sim_backend.spec import ArmSpec, ObjectSpec, PlantSpec
+from sim_backend.physics.actuator import ActuatorSpec
+from sim_backend.physics.spec import ArmSpec, ObjectSpec, PlantSpec
 
 
 def plant_spec(cell: Cell, q_start: Sequence[Vector]) -> PlantSpec:

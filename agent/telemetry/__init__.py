@@ -1,1 +1,1 @@
-"""From the control loop's ring to Zenoh, MCAP and the report; loses data before it delays control."""
+"""Live telemetry: from the control loop's row through the ring to Zenoh and the recorder."""

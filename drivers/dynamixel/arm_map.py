@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass
 from itertools import pairwise
 
-from drivers.dynamixel.table import MAX_ID, SERVOS, WATCHDOG_UNIT_S, OperatingMode, ServoModel
+from drivers.dynamixel.servo.table import MAX_ID, SERVOS, WATCHDOG_UNIT_S, OperatingMode, ServoModel
 from drivers.interface import ConnectError
 
 TICKS_PER_TURN = 4096

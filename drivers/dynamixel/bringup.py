@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from drivers.dynamixel.arm_map import ArmMap, JointRole, ServoSlot
-from drivers.dynamixel.bus import Bus
 from drivers.dynamixel.errors import DxlServoFault, FaultCause
 from drivers.dynamixel.events import DriverEvent, EventKind, EventSink
 from drivers.dynamixel.identify import IdentityError, ServoFound
+from drivers.dynamixel.line.bus import Bus
 from drivers.dynamixel.monitor import status_bytes
-from drivers.dynamixel.table import (
+from drivers.dynamixel.servo.table import (
     BUS_WATCHDOG,
     GOAL_CURRENT,
     GOAL_POSITION,
@@ -28,7 +28,7 @@ from drivers.dynamixel.table import (
     OperatingMode,
     Register,
 )
-from drivers.dynamixel.units import AngleScale, watchdog_count
+from drivers.dynamixel.servo.units import AngleScale, watchdog_count
 from drivers.interface import DriverError
 
 

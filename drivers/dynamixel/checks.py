@@ -12,9 +12,9 @@ from math import ceil
 from drivers.dynamixel.arm_map import ArmMap, JointRole, ServoSlot
 from drivers.dynamixel.errors import FaultCause
 from drivers.dynamixel.events import DriverEvent, EventKind, OncePerServo
-from drivers.dynamixel.group import Row
-from drivers.dynamixel.table import TICK_RAD, VELOCITY_UNIT_RAD_PER_S, OperatingMode
-from drivers.dynamixel.units import AngleScale, current_unit_A
+from drivers.dynamixel.line.group import Row
+from drivers.dynamixel.servo.table import TICK_RAD, VELOCITY_UNIT_RAD_PER_S, OperatingMode
+from drivers.dynamixel.servo.units import AngleScale, current_unit_A
 
 FAULT_WITHIN_S = 0.05
 SILENT_LIMIT_CYCLES = 8

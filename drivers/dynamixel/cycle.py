@@ -17,10 +17,10 @@ from dataclasses import dataclass
 
 from drivers.dynamixel.arm_map import ArmMap
 from drivers.dynamixel.budget import CYCLE_BYTES, PLAIN_BYTES_MAX, CycleBudget, LinkTiming, cycle_budget, group_read_s
-from drivers.dynamixel.bus import BABBLE_BYTES, Bus, DxlCounters
-from drivers.dynamixel.group import GroupRead, GroupReply, Row
-from drivers.dynamixel.port import Now
-from drivers.dynamixel.table import ALERT_BIT, PRESENT_POSITION
+from drivers.dynamixel.line.bus import BABBLE_BYTES, Bus, DxlCounters
+from drivers.dynamixel.line.group import GroupRead, GroupReply, Row
+from drivers.dynamixel.line.port import Now
+from drivers.dynamixel.servo.table import ALERT_BIT, PRESENT_POSITION
 
 END_SHARE = 0.9  # of the period: the read is over by then, whatever happens
 CAREFUL_CYCLES = 10  # after a merged reply that a servo cut short

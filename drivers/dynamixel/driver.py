@@ -16,7 +16,6 @@ import numpy as np
 from drivers.dynamixel.arm_map import ArmMap
 from drivers.dynamixel.bringup import BringUp, torque_off
 from drivers.dynamixel.budget import LinkTiming
-from drivers.dynamixel.bus import Bus, DxlCounters
 from drivers.dynamixel.errors import (
     DxlServoFault,
     FaultCause,
@@ -29,8 +28,9 @@ from drivers.dynamixel.errors import (
 from drivers.dynamixel.events import DriverEvent, EventKind, EventSink, ignore
 from drivers.dynamixel.identify import IdentityError, ServoFound, identify
 from drivers.dynamixel.interpret import Reading, servo_names
+from drivers.dynamixel.line.bus import Bus, DxlCounters
+from drivers.dynamixel.line.port import Port, SerialPort
 from drivers.dynamixel.pace import SHARE, Pace, check_pace, check_rate
-from drivers.dynamixel.port import Port, SerialPort
 from drivers.dynamixel.running import Running
 from drivers.interface import ArmInfo, Clock, DriverError, JointState, ServoHealth, Vector
 

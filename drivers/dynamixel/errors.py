@@ -5,7 +5,7 @@ from __future__ import annotations
 import enum
 from collections.abc import Sequence
 
-from drivers.dynamixel.table import HardwareError, StatusError
+from drivers.dynamixel.servo.table import HardwareError, StatusError
 from drivers.interface import ConnectError, DriverError, JointState, ServoFault, StaleStateError
 
 NO_ERROR = HardwareError(0)

@@ -9,9 +9,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from drivers.dynamixel.arm_map import ArmMap, ServoSlot
-from drivers.dynamixel.bus import Bus, Ping
 from drivers.dynamixel.errors import NoReplyError, PortError, RejectedError, hardware_names
-from drivers.dynamixel.table import (
+from drivers.dynamixel.line.bus import Bus, Ping
+from drivers.dynamixel.servo.table import (
     BAUD_RATES,
     CURRENT_LIMIT,
     DRIVE_MODE,
@@ -36,7 +36,7 @@ from drivers.dynamixel.table import (
     OperatingMode,
     Register,
 )
-from drivers.dynamixel.torque import CurrentDrive
+from drivers.dynamixel.servo.torque import CurrentDrive
 from drivers.interface import ConnectError
 
 READ_FROM_ALL = (

@@ -12,9 +12,9 @@ from drivers.dynamixel.arm_map import ArmMap, JointMap, ServoSlot
 from drivers.dynamixel.checks import Complaint, JumpCheck, PairCheck, SilenceCheck, effect_checks
 from drivers.dynamixel.cycle import CycleRows
 from drivers.dynamixel.events import OncePerServo
-from drivers.dynamixel.group import Row
-from drivers.dynamixel.torque import TorqueDrive
-from drivers.dynamixel.units import AngleScale, velocity_rad_per_s
+from drivers.dynamixel.line.group import Row
+from drivers.dynamixel.servo.torque import TorqueDrive
+from drivers.dynamixel.servo.units import AngleScale, velocity_rad_per_s
 from drivers.interface import JointState
 
 

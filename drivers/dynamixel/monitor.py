@@ -16,8 +16,8 @@ from drivers.dynamixel.arm_map import ServoSlot
 from drivers.dynamixel.budget import LinkTiming, group_read_s
 from drivers.dynamixel.errors import NO_ERROR, FaultCause, hardware_names
 from drivers.dynamixel.events import DriverEvent, EventKind, OncePerServo
-from drivers.dynamixel.group import GroupRead, Row
-from drivers.dynamixel.table import (
+from drivers.dynamixel.line.group import GroupRead, Row
+from drivers.dynamixel.servo.table import (
     BUS_WATCHDOG,
     HARDWARE_ERROR_STATUS,
     INDIRECT_DATA,
@@ -28,8 +28,8 @@ from drivers.dynamixel.table import (
     HardwareError,
     Register,
 )
-from drivers.dynamixel.thermal import ThermalWatch
-from drivers.dynamixel.units import volts
+from drivers.dynamixel.servo.thermal import ThermalWatch
+from drivers.dynamixel.servo.units import volts
 
 SLOW_EVERY = 8  # every eighth gap asks for temperature and voltage
 VOLTAGE_MARGIN_V = 0.5
@@ -72,7 +72,7 @@ class ServoRecord:
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class Suspicion:
     """A servo that does not do its part."""
 
     cause: FaultCause
@@ -102,7 +102,7 @@ class GapMonitor:
         *,
         fast: bool,
     ) -> None:
-        self.findings: list[Finding] = []
+        self.findings: list[Suspicion] = []
         self.misses = 0
         self._records = tuple(records)
         self._tell = tell
@@ -225,4 +225,4 @@ class GapMonitor:
 
     def _find(self, cause: FaultCause, record: ServoRecord, found: str, expected: str) -> None:
         if not any(f.record is record and f.cause is cause for f in self.findings):
-            self.findings.append(Finding(cause, record, found, expected))
+            self.findings.append(Suspicion(cause, record, found, expected))

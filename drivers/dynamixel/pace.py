@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 from drivers.dynamixel.arm_map import ArmMap
 from drivers.dynamixel.budget import CycleBudget, LinkTiming, cycle_budget
-from drivers.dynamixel.bus import Bus
-from drivers.dynamixel.group import GroupRead
-from drivers.dynamixel.port import Now
-from drivers.dynamixel.table import PRESENT_CURRENT
+from drivers.dynamixel.line.bus import Bus
+from drivers.dynamixel.line.group import GroupRead
+from drivers.dynamixel.line.port import Now
+from drivers.dynamixel.servo.table import PRESENT_CURRENT
 from drivers.interface import ConnectError
 
 SHARE = 0.6  # of the period for the read: the rest is for control step, write and checks

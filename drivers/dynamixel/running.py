@@ -9,17 +9,17 @@ import numpy as np
 from drivers.dynamixel.arm_map import ArmMap, ServoSlot
 from drivers.dynamixel.bringup import effort_at_rest, effort_register
 from drivers.dynamixel.budget import LinkTiming, cycle_budget, health_servos_per_gap
-from drivers.dynamixel.bus import BABBLE_BYTES, Bus
 from drivers.dynamixel.checks import FAULT_WITHIN_S, Complaint
 from drivers.dynamixel.cycle import CycleReader, CycleRows
 from drivers.dynamixel.errors import NO_ERROR, DxlServoFault, FaultCause
 from drivers.dynamixel.events import DriverEvent, EventKind, EventSink, OncePerServo
-from drivers.dynamixel.group import GroupWrite
 from drivers.dynamixel.identify import IdentityError, ServoFound
 from drivers.dynamixel.interpret import Interpreter, Reading
-from drivers.dynamixel.monitor import Finding, GapMonitor, ServoRecord
-from drivers.dynamixel.port import Now
-from drivers.dynamixel.table import (
+from drivers.dynamixel.line.bus import BABBLE_BYTES, Bus
+from drivers.dynamixel.line.group import GroupWrite
+from drivers.dynamixel.line.port import Now
+from drivers.dynamixel.monitor import GapMonitor, ServoRecord, Suspicion
+from drivers.dynamixel.servo.table import (
     ALERT_BIT,
     GOAL_CURRENT,
     GOAL_PWM,
@@ -31,9 +31,9 @@ from drivers.dynamixel.table import (
     TEMPERATURE_LIMIT,
     HardwareError,
 )
-from drivers.dynamixel.thermal import ThermalWatch
-from drivers.dynamixel.torque import torque_drive
-from drivers.dynamixel.units import volts, watchdog_count
+from drivers.dynamixel.servo.thermal import ThermalWatch
+from drivers.dynamixel.servo.torque import torque_drive
+from drivers.dynamixel.servo.units import volts, watchdog_count
 from drivers.interface import ServoHealth
 
 
@@ -210,7 +210,7 @@ def _stranger(slot: ServoSlot, model_number: int) -> IdentityError:
     )
 
 
-def _fault_of_finding(finding: Finding) -> DxlServoFault:
+def _fault_of_finding(finding: Suspicion) -> DxlServoFault:
     record = finding.record
     hardware = record.hardware if finding.cause is FaultCause.HARDWARE_ERROR else NO_ERROR
     return DxlServoFault(

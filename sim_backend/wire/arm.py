@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from drivers.dynamixel.table import SERVOS, TICK_CENTRE, TICK_RAD
+from drivers.dynamixel.servo.table import SERVOS, TICK_CENTRE, TICK_RAD
 from sim_backend.wire.bus import DEFAULTS, Bus
 from sim_backend.wire.options import BusOptions, ServoOptions
 from sim_backend.wire.servo import FACTORY, Servo

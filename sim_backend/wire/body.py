@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from drivers.dynamixel.table import TICK_CENTRE, TICK_RAD, DriveMode, OperatingMode, ServoModel
+from drivers.dynamixel.servo.table import TICK_CENTRE, TICK_RAD, DriveMode, OperatingMode, ServoModel
 from sim_backend.wire.drive import Drive
 from sim_backend.wire.motor import Motor, MotorData
 

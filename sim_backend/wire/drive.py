@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-from drivers.dynamixel.table import (
+from drivers.dynamixel.servo.table import (
     PWM_UNIT_DUTY,
     TICK_RAD,
     VELOCITY_UNIT_RAD_PER_S,

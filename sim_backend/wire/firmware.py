@@ -9,8 +9,8 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 
-from drivers.dynamixel import table
-from drivers.dynamixel.table import (
+from drivers.dynamixel.servo import table
+from drivers.dynamixel.servo.table import (
     TICK_RAD,
     VELOCITY_UNIT_RAD_PER_S,
     DriveMode,

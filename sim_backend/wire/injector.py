@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping, Sequence
 
-from drivers.dynamixel.table import HardwareError
+from drivers.dynamixel.servo.table import HardwareError
 from sim_backend.wire.arm import EmulatedArm
 from sim_backend.wire.faults import REPLY_FAULTS, Fault, FaultError, FaultKind, ReplyTamper, Schedule, Scheduled
 from sim_backend.wire.pty import PtyPort

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from functools import lru_cache
 
-from drivers.dynamixel import table
-from drivers.dynamixel.table import Register, ServoModel, StatusError
+from drivers.dynamixel.servo import table
+from drivers.dynamixel.servo.table import Register, ServoModel, StatusError
 
 RAM_START = 64
 SIZE = 662  # the last indirect data byte is 661

@@ -1,8 +1,8 @@
 """Winding, gearbox and heat of one servo: what current flows and what torque reaches the horn.
 
 It knows nothing of registers, and must never look at a clock: time comes in as a step.
-Figures: stall and no-load points of the e-manual, through drivers.dynamixel.table.  The heat path is an assumption: at
-the 0.9 A that an XM430 can hold for long it settles near its limit of 80 degrees C.
+Figures: stall and no-load points of the e-manual, through drivers.dynamixel.servo.table.  The heat path is an
+assumption: at the 0.9 A that an XM430 can hold for long it settles near its limit of 80 degrees C.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from drivers.dynamixel.table import ServoModel
+from drivers.dynamixel.servo.table import ServoModel
 
 AMBIENT_C = 25.0
 

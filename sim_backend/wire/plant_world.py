@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim_backend.actuator import ActuatorSpec
-from sim_backend.plant import Observation, Plant
-from sim_backend.spec import PlantSpec
+from sim_backend.physics.actuator import ActuatorSpec
+from sim_backend.physics.plant import Observation, Plant
+from sim_backend.physics.spec import PlantSpec
 from sim_backend.wire.arm import EmulatedArm
 from sim_backend.wire.bus import DEFAULTS
 from sim_backend.wire.cell import EmulatedCell
@@ -39,7 +39,7 @@ def without_servo_electronics(spec: PlantSpec) -> PlantSpec:
 
 
 class PlantWorld:
-    """The closed chain of sim_backend.plant.  Build the plant from `without_servo_electronics`.
+    """The closed chain of sim_backend.physics.plant.  Build the plant from `without_servo_electronics`.
 
     With `supported` the cell rests on a support until the servos of every arm have given torque once; before that
     nobody holds the object, and it would fall before the agents have switched torque on.

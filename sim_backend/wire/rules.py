@@ -6,8 +6,8 @@ Source: ROBOTIS e-manual, Protocol 2.0 (error numbers) and the notes at each reg
 
 from __future__ import annotations
 
-from drivers.dynamixel import table
-from drivers.dynamixel.table import Access, OperatingMode, Register, ServoModel, StatusError
+from drivers.dynamixel.servo import table
+from drivers.dynamixel.servo.table import Access, OperatingMode, Register, ServoModel, StatusError
 from sim_backend.wire.memory import RAM_START, Memory
 
 GOALS = frozenset(

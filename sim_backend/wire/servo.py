@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from drivers.dynamixel import table
-from drivers.dynamixel.table import ALERT_BIT, BAUD_RATES, ServoModel, StatusError
+from drivers.dynamixel.servo import table
+from drivers.dynamixel.servo.table import ALERT_BIT, BAUD_RATES, ServoModel, StatusError
 from sim_backend.wire import rules
 from sim_backend.wire.firmware import Firmware
 from sim_backend.wire.memory import RAM_START

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Protocol
 
-from drivers.dynamixel import table
-from drivers.dynamixel.table import BAUD_RATES, NO_SECONDARY_ID, TICK_CENTRE
+from drivers.dynamixel.servo import table
+from drivers.dynamixel.servo.table import BAUD_RATES, NO_SECONDARY_ID, TICK_CENTRE
 from sim_backend.wire.servo import DEFAULT_FIRMWARE
 
 

@@ -20,8 +20,8 @@ from agent.control.trajectory import Sinusoid
 from agent.loop import Agent, initial_memory, step
 from agent.modes import Mode
 from agent.safety import Limits
-from agent.telemetry.row import AgentRow
-from agent.telemetry.sample import AGENT_STATE
+from agent.telemetry.row.fill import AgentRow
+from agent.telemetry.row.sample import AGENT_STATE
 from drivers.interface import BusCounters, JointState
 from tests.bench.common import Figure, median_us
 

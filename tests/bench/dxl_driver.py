@@ -10,12 +10,12 @@ from dynamixel_sdk import GroupSyncRead
 from dynamixel_sdk.protocol2_packet_handler import Protocol2PacketHandler
 
 from drivers.clock import MonotonicClock
-from drivers.dynamixel import codec
 from drivers.dynamixel.driver import DynamixelDriver
-from drivers.dynamixel.group import GroupRead
-from drivers.dynamixel.table import INDIRECT_DATA, PRESENT_CURRENT, Instruction
+from drivers.dynamixel.line import codec
+from drivers.dynamixel.line.group import GroupRead
+from drivers.dynamixel.servo.table import INDIRECT_DATA, PRESENT_CURRENT, Instruction
 from tests.bench.common import Figure, median_us
-from tests.unit.dxl_rig import enabled
+from tests.support.servos.dxl_rig import enabled
 
 NAMES = ("dxl_parse_fast_9", "dxl_parse_plain_9", "dxl_read_7", "dxl_write_7")
 IDS = tuple(range(1, 10))

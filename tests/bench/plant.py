@@ -7,11 +7,11 @@ import pinocchio as pin
 
 import configs
 from agent.config.cell import load_cell
-from agent.config.check import examine
 from agent.process.simulated import actuator_spec, plant_spec
-from sim_backend.plant import Plant
+from agent.verify.check import examine
+from sim_backend.physics.plant import Plant
 from tests.bench.common import Figure, median_us
-from tests.unit.plant_cells import spatial_cell
+from tests.support.plant.plant_cells import spatial_cell
 
 SPATIAL = (2, 3, 4, 8)
 NAMES = ("plant_step_planar_2", *(f"plant_step_6dof_{n}" for n in SPATIAL))

@@ -14,10 +14,10 @@ NAMES = ("report_100s",)
 CHILD = """
 import sys, tempfile, time
 from pathlib import Path
-from tests.unit.synthetic_run import paper_run
+from tests.support.telemetry.synthetic_run import paper_run
 log = paper_run(Path("run.mcap"))
 start = time.perf_counter()
-from agent.telemetry.report import write_report
+from agent.report.report import write_report
 with tempfile.TemporaryDirectory() as folder:
     write_report(log, Path(folder))
     sys.stdout.write(str(time.perf_counter() - start))

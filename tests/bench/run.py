@@ -12,7 +12,7 @@ from pathlib import Path
 import configs
 from agent.config.cell import load_cell
 from tests.bench.common import Figure
-from tests.support.inprocess import simulate
+from tests.support.plant.inprocess import simulate
 
 NAMES = ("run_real_time_factor",)
 BASELINE_S = 20.0

@@ -10,16 +10,17 @@ from pathlib import Path
 import numpy as np
 from mcap.reader import make_reader
 
-from agent.telemetry.intake import Intake, Rows
-from agent.telemetry.publish import Pace
-from agent.telemetry.read import read_log
-from agent.telemetry.ring import RingWriter
-from agent.telemetry.sample import AGENT_STATE
-from agent.telemetry.topics import Address, Kind
-from agent.telemetry.wire import BatchHeader
+from agent.log.read import read_log
+from agent.telemetry.link.intake import Intake
+from agent.telemetry.link.publish import Pace
+from agent.telemetry.link.wire import BatchHeader
+from agent.telemetry.ring.ring import RingWriter
+from agent.telemetry.row.received import Rows
+from agent.telemetry.row.sample import AGENT_STATE
+from agent.telemetry.row.topics import Address, Kind
 from tests.bench.common import Figure, median_us
-from tests.process.telemetry_cell import ARMS, CELL, CONFIG_ID, make_rows, recorder, telemetry, writer
-from tests.unit.log_maker import LogMaker
+from tests.support.telemetry.log_maker import LogMaker
+from tests.support.telemetry.telemetry_cell import ARMS, CELL, CONFIG_ID, make_rows, recorder, telemetry, writer
 
 NAMES = ("ring_commit", "recorder_cpu_per_row", "log_100s", "read_100s", "recorder_rows_per_s")
 TICKS = 20_000  # 100 s at 200 Hz

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from drivers.dynamixel.table import Instruction, OperatingMode
+from drivers.dynamixel.servo.table import Instruction, OperatingMode
 from sim_backend.wire.arm import EmulatedArm
 from sim_backend.wire.cell import EmulatedCell
 from sim_backend.wire.timing import BusTiming
 from sim_backend.wire.wiring import ArmWiring, JointWiring, ServoWiring, servo_eeprom
 from tests.bench.common import Figure, median_us
-from tests.unit.wire_bench import build, word
+from tests.support.servos.wire_bench import build, word
 
 NAMES = ("wire_fast_read_9", "wire_sync_read_9", "wire_sync_write_7", "wire_substep_18_servos")
 BAUD = 1_000_000

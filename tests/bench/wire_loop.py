@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 import configs
-from agent.telemetry.read import read_log
+from agent.log.read import read_log
 from drivers.clock import MonotonicClock
 from tests.bench.common import Figure
 

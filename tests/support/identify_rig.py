@@ -12,7 +12,7 @@ from agent.identify.columns import all_columns, base_of, described_parameters, o
 from agent.identify.recording import Recording, acted
 from drivers.interface import Vector
 from tests.support.arm_files import with_true_arms
-from tests.support.inprocess import simulate
+from tests.support.plant.inprocess import simulate
 
 DAY = "2026-03-14"
 

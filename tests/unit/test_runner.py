@@ -11,13 +11,13 @@ import pytest
 
 import configs
 from agent.config.cell import load_cell
-from agent.config.check import examine
 from agent.modes import Event, Mode
 from agent.process.build import build_agent
 from agent.runner import Runner, RunSummary, Schedule, Surroundings
 from agent.safety import Flag
-from agent.telemetry.row import AgentRow
-from agent.telemetry.sample import AGENT_STATE
+from agent.telemetry.row.fill import AgentRow
+from agent.telemetry.row.sample import AGENT_STATE
+from agent.verify.check import examine
 from drivers.interface import ArmInfo, BusCounters, JointState, ServoFault, ServoHealth, StaleStateError, Vector
 
 CELL = load_cell(configs.CELLS_DIR / "paper.toml")

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from agent import safety
 from agent.safety import Flag, Limits, limit
-from tests.property.strategies import examples
+from tests.support.control.strategies import examples
 
 INF, NAN = math.inf, math.nan
 RATE, SATURATED, NOT_FINITE = Flag.RATE_LIMITED, Flag.SATURATED, Flag.NOT_FINITE

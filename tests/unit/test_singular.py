@@ -12,7 +12,6 @@ import pytest
 
 import configs
 from agent.config.cell import Cell, ConfigError, load_cell
-from agent.config.check import examine, start_configurations
 from agent.control import joint_hold
 from agent.control.memory import restore
 from agent.loop import hold_here, initial_memory, step
@@ -20,9 +19,10 @@ from agent.modes import Event, Mode
 from agent.process.build import HOLD_RATE_MAX_RAD_PER_S, build_agent
 from agent.process.simulated import plant_spec
 from agent.safety import Flag
+from agent.verify.check import examine, start_configurations
 from drivers.interface import JointState
-from tests.support.plant_arm import ArmRun, run_loop, run_one
-from tests.unit.served_plant import ServedPlant
+from tests.support.plant.plant_arm import ArmRun, run_loop, run_one
+from tests.support.plant.served_plant import ServedPlant
 
 ONE_ARM = configs.CELLS_DIR / "identify_wx200.toml"
 PAPER = configs.CELLS_DIR / "paper.toml"

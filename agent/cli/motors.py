@@ -1,0 +1,215 @@
+"""The commands `coop motors …` and `coop doctor`: parse, dispatch, print.  Nothing else."""
+
+from __future__ import annotations
+
+import json
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from agent.cli.options import CellPath, Overrides, SomeArms
+from drivers.interface import Refusal
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from agent.motors.find import ServoSeen
+
+app = typer.Typer(no_args_is_help=True, help="Servos one by one: find, set up, save, restore.")
+
+Port = Annotated[str, typer.Option("--port", help="Serial port.", show_default=False)]
+Bauds = Annotated[
+    list[int], typer.Option("--baud", help="Only at these speeds, bit/s (default: all that servos know).")
+]
+AsJson = Annotated[bool, typer.Option("--json", help="For scripts: one JSON document on standard output.")]
+
+
+@app.command()
+def scan(
+    port: Annotated[list[str], typer.Option("--port", help="Serial ports (default: all of this machine).")] = [],  # noqa: B006
+    baud: Bauds = [],  # noqa: B006
+    protocol_1: Annotated[
+        bool, typer.Option("--protocol-1", help="Look for Protocol 1.0 instead (9 s per speed; 1 Mbit/s and 57600).")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """List every servo on every port, at every speed; exit code 1 when there is none."""
+    from agent.motors.find import survey, survey_old
+    from agent.motors.line import open_line, ports
+    from drivers.dynamixel.line.protocol1 import BAUDS
+
+    seen: list[ServoSeen] = []
+    refused: list[Refusal] = []
+    bauds = _bauds(baud)
+    for path in port or ports():
+        _note(path)
+        try:
+            if protocol_1:
+                seen += survey_old(path, baud or BAUDS, _note)
+                continue
+            with open_line(path) as bus:
+                seen += survey(bus, path, bauds, _note)
+        except Refusal as error:
+            refused.append(error)
+    for refusal in refused:
+        typer.echo(f"coop: {refusal}", err=True)
+    if as_json:
+        typer.echo(json.dumps([_as_row(servo) for servo in seen], indent=2))
+    else:
+        _print_servos(seen)
+    if not seen:
+        if len(refused) == 1 and len(port) == 1:
+            raise typer.Exit(refused[0].exit_code)
+        _note("no servo found: is the 12 V supply on?  Protocol 1.0 servos answer to --protocol-1 only")
+        raise typer.Exit(1)
+
+
+@app.command()
+def setup(
+    port: Port,
+    arm_model: Annotated[str, typer.Option(help="Arm description, e.g. wx200.", show_default=False)],
+    joint: Annotated[str, typer.Option(help="Joint the servo is for, or `gripper`.", show_default=False)],
+    shadow: Annotated[bool, typer.Option("--shadow", help="The second servo of that joint.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask.")] = False,
+) -> None:
+    """Set up the one servo on a line for its place in an arm: ID, speed, direction, shadow, limits, return delay."""
+    from agent.config.cell import load_arm_file
+    from agent.motors.line import open_line
+    from agent.motors.setup import apply_setup, plan_setup
+    from agent.motors.wanted import servo_of
+
+    file, _ = load_arm_file(arm_model, "arm model")
+    slot = servo_of(file, joint, shadow=shadow)
+    with open_line(port) as bus:
+        plan = plan_setup(bus, slot, file.baud, _note)
+        typer.echo(plan.title)
+        for change in plan.changes:
+            typer.echo(f"  {change.register.name}: {change.found} → {change.wanted}")
+        if not plan.changes:
+            typer.echo("  nothing to change")
+            return
+        if not yes:
+            typer.confirm("write this", abort=True)
+        apply_setup(bus, plan, file.baud)
+    typer.echo(f"servo {slot.servo_id} is set up and was read back; torque was never on")
+
+
+@app.command()
+def dump(
+    port: Port,
+    out: Annotated[Path, typer.Option(help="File to write (TOML).", show_default=False)],
+    baud: Bauds = [],  # noqa: B006
+    force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
+) -> None:
+    """Save all EEPROM registers of all servos on a line."""
+    from agent.atomic import write_atomically
+    from agent.motors.dump import refuse_existing, take
+    from agent.motors.find import survey
+    from agent.motors.line import open_line
+
+    bauds, now = _bauds(baud), datetime.now(UTC).isoformat(timespec="seconds")
+    if not force:
+        refuse_existing(out)
+    with open_line(port) as bus:
+        saved = take(bus, port, survey(bus, port, bauds, _note), now)
+    write_atomically(out, saved.toml())
+    registers = sum(len(servo.registers) for servo in saved.servos)
+    typer.echo(f"{out}: {len(saved.servos)} servos, {registers} registers")
+
+
+@app.command()
+def restore(
+    file: Annotated[Path, typer.Argument(help="File made by `coop motors dump`.", show_default=False)],
+    port: Port,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Show the differences and write nothing.")] = False,
+) -> None:
+    """Write back what differs from a saved file and read it back; exit code 1 when a servo is missing."""
+    from agent.motors.dump import apply_restore, load, plan_restore
+    from agent.motors.find import ALL_BAUDS
+    from agent.motors.line import open_line
+
+    saved = load(file)
+    with open_line(port, saved.servos[0].baud) as bus:
+        plans = plan_restore(bus, saved, ALL_BAUDS)
+        for plan in plans:
+            for change in plan.changes:
+                typer.echo(change.line)
+            for name in plan.absent:
+                typer.echo(f"servo {plan.servo.id}: {name}: found no such register in its firmware; left out")
+            if plan.baud is None:
+                typer.echo(
+                    f"servo {plan.servo.id}: found none, wanted a {plan.servo.model}; check its cable and supply"
+                )
+        changes = sum(len(plan.changes) for plan in plans)
+        if not dry_run:
+            apply_restore(bus, plans)
+    what = "would be written" if dry_run else "written and read back"
+    typer.echo(f"{changes} registers {what}" if changes else "no differences")
+    if any(plan.baud is None for plan in plans):
+        raise typer.Exit(1)
+
+
+def doctor(
+    cell: CellPath,
+    arm: SomeArms = [],  # noqa: B006
+    ports: Annotated[Path | None, typer.Option(help="Folder of ports named like the arms (`coop emulate`).")] = None,
+    logs: Annotated[Path, typer.Option(help="Folder for logs, to see whether there is room.")] = Path("runs"),
+    overrides: Overrides = [],  # noqa: B006
+    as_json: AsJson = False,
+) -> None:
+    """Look at host, ports, servos and bus timing: exit code 0 ok, 1 warnings, 2 problems.  Torque stays as it is."""
+    from agent.config.cell import load_cell
+    from agent.doctor.doctor import DoctorOptions, diagnose
+    from agent.verify.finding import Verdict
+
+    diagnosis = diagnose(load_cell(cell, overrides), DoctorOptions(arm, ports, logs), _note)
+    if as_json:
+        typer.echo(diagnosis.json())
+    else:
+        colours = {Verdict.OK: "green", Verdict.WARNING: "yellow", Verdict.REFUSED: "red"}
+        for finding in diagnosis.findings:
+            typer.echo(f"{typer.style(f'{finding.verdict:<8}', fg=colours[finding.verdict])} {finding.line}")
+    raise typer.Exit(diagnosis.exit_code)
+
+
+def _bauds(wanted: Sequence[int]) -> Sequence[int]:
+    from agent.motors.find import ALL_BAUDS, refuse_unknown_bauds
+
+    refuse_unknown_bauds(wanted)
+    return wanted or ALL_BAUDS
+
+
+def _print_servos(seen: Sequence[ServoSeen]) -> None:
+    line = ""
+    for servo in seen:
+        if line != (line := f"{servo.port} at {servo.baud} bit/s"):
+            typer.echo(line)
+            typer.echo(f"  {'id':>3}  {'model':<12}{'firmware':>8}  {'supply':>7}  {'temperature':>11}  hardware error")
+        volts = f"{servo.voltage_V:.1f} V" if servo.voltage_V is not None else "-"
+        celsius = f"{servo.temperature_C} °C" if servo.temperature_C is not None else "-"
+        firmware = "-" if servo.firmware is None else servo.firmware
+        rest = servo.note or servo.hardware_text + ("; torque is on" if servo.torque_on else "")
+        typer.echo(f"  {servo.servo_id:>3}  {servo.model_name:<12}{firmware:>8}  {volts:>7}  {celsius:>11}  {rest}")
+
+
+def _as_row(servo: ServoSeen) -> dict[str, Any]:
+    return {
+        "port": servo.port,
+        "baud": servo.baud,
+        "id": servo.servo_id,
+        "model": servo.model.name if servo.model is not None else None,
+        "model_number": servo.model_number,
+        "firmware": servo.firmware,
+        "voltage_V": None if servo.voltage_V is None else round(servo.voltage_V, 1),
+        "temperature_C": servo.temperature_C,
+        "hardware_error": None if servo.hardware_error is None else int(servo.hardware_error),
+        "hardware_error_text": servo.hardware_text,
+        "torque_on": servo.torque_on,
+        "note": servo.note,
+    }
+
+
+def _note(text: str) -> None:
+    typer.echo(text, err=True)

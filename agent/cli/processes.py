@@ -1,0 +1,160 @@
+"""The commands that are processes of a cell: parse, dispatch, print.  Nothing else."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from agent.cli.options import DEFAULT_ENDPOINT, ArmName, CellPath, DriverName, NetworkConfig, WithParent, begin, ready
+
+
+def agent(
+    cell: CellPath,
+    arm: ArmName,
+    driver: Annotated[DriverName | None, typer.Option(help="Instead of the cell's driver.")] = None,
+    ring: Annotated[Path | None, typer.Option(help="Ring file in shared memory.")] = None,
+    control: Annotated[Path | None, typer.Option(help="Socket for start, stop and release.")] = None,
+    plant_socket: Annotated[Path | None, typer.Option(help="Socket of the plant (simulated arms).")] = None,
+    port: Annotated[str | None, typer.Option(help="Serial port, instead of the cell's.")] = None,
+    hold: Annotated[bool | None, typer.Option(help="At a stop and at the end hold the object until released.")] = None,
+    priority: Annotated[int | None, typer.Option(min=1, max=99, help="SCHED_FIFO priority, or refuse.")] = None,
+    emulated: Annotated[bool, typer.Option("--emulated", help="The servos on that port are emulated.")] = False,
+    real_time: Annotated[bool, typer.Option("--real-time", help="At the wall clock's pace, not in lockstep.")] = False,
+    with_parent: WithParent = False,
+) -> None:
+    """Run one arm: the process that reads, steps, limits and writes."""
+    from agent.config.cell import load_cell
+    from agent.config.schema.cell import DriverKind
+    from agent.host.paths import control_path, plant_socket_path, ring_path
+    from agent.process.agent import AgentOptions, run_agent
+    from agent.process.build import Connection
+
+    requested = begin(with_parent)
+    loaded = load_cell(cell)
+    kind = DriverKind(driver.value) if driver is not None else loaded.file.driver
+    name = loaded.file.name
+    lockstep = kind is DriverKind.SIM and not real_time
+    options = AgentOptions(
+        arm=arm,
+        driver=kind,
+        connection=Connection(plant_socket or plant_socket_path(name), port, emulated),
+        ring=ring or ring_path(name, arm),
+        control=None if lockstep else control or control_path(name, arm),
+        lockstep=lockstep,
+        hold=hold if hold is not None else kind is DriverKind.DYNAMIXEL and not emulated,
+        priority=priority,
+    )
+    summary = run_agent(loaded, options, requested, ready)
+    typer.echo(
+        f"arm {arm}: {summary.ticks} cycles, {summary.late_cycles} late, {summary.stale_cycles} without a state, "
+        f"mode {summary.mode.name} {summary.reason}",
+        err=True,
+    )
+
+
+def plant(
+    cell: CellPath,
+    socket: Annotated[Path | None, typer.Option(help="Socket to listen on.")] = None,
+    ring: Annotated[Path | None, typer.Option(help="Ring file in shared memory.")] = None,
+    real_time: Annotated[bool, typer.Option("--real-time", help="At the wall clock's pace, not in lockstep.")] = False,
+    with_parent: WithParent = False,
+) -> None:
+    """Run the simulated cell that the agents' simulated drivers connect to."""
+    from agent.config.cell import load_cell
+    from agent.host.paths import plant_socket_path, ring_path
+    from agent.process.plant import PlantOptions, run_plant
+
+    requested = begin(with_parent)
+    loaded = load_cell(cell)
+    name = loaded.file.name
+    options = PlantOptions(socket or plant_socket_path(name), ring or ring_path(name, "plant"), lockstep=not real_time)
+    typer.echo(run_plant(loaded, options, requested, ready), err=True)
+
+
+def emulate(
+    cell: CellPath,
+    ports: Annotated[Path, typer.Option(help="Folder for the ports, one link per arm.")] = Path("/tmp/coop-ports"),
+    ring: Annotated[Path | None, typer.Option(help="Ring file for the truth.")] = None,
+    faults: Annotated[Path | None, typer.Option(help="Faults as JSON lines; times from the start.")] = None,
+    control: Annotated[Path | None, typer.Option(help="Datagram socket that takes faults.")] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the faults.")] = 0,
+    no_timing: Annotated[bool, typer.Option("--no-timing", help="Answer at once, not at the bus's pace.")] = False,
+    with_parent: WithParent = False,
+) -> None:
+    """Emulated Dynamixel servos of the cell's arms on pseudo terminals, for any Dynamixel client."""
+    from agent.config.cell import load_cell
+    from agent.host.paths import ring_path
+    from agent.process.emulate import EmulateOptions, run_emulate
+
+    requested = begin(with_parent)
+    loaded = load_cell(cell)
+    ports.mkdir(parents=True, exist_ok=True)
+    options = EmulateOptions(
+        ports={arm.name: ports / arm.name for arm in loaded.arms},
+        ring=ring or ring_path(loaded.file.name, "plant"),
+        faults_file=faults,
+        control_socket=control,
+        seed=seed,
+        timing=not no_timing,
+    )
+    typer.echo(run_emulate(loaded, options, requested, ready), err=True)
+
+
+def telemetry(
+    cell: CellPath,
+    member: Annotated[str, typer.Option("--member", "--arm", help="Arm of the cell, or `plant`.", show_default=False)],
+    ring: Annotated[Path | None, typer.Option(help="Ring file in shared memory.")] = None,
+    connect: Annotated[str, typer.Option(help="Endpoint of the recorder.")] = DEFAULT_ENDPOINT,
+    network_config: NetworkConfig = None,
+    lockstep: Annotated[bool, typer.Option("--lockstep", help="Simulated time waits for this process.")] = False,
+    follow: Annotated[bool, typer.Option("--follow", help="Go on with the next run of the arm (service).")] = False,
+    with_parent: WithParent = False,
+) -> None:
+    """Publish one ring over Zenoh; never touches a bus."""
+    from agent.config.cell import load_cell
+    from agent.host.paths import ring_path
+    from agent.process.recorder import TelemetryOptions, run_telemetry
+
+    requested = begin(with_parent)
+    loaded = load_cell(cell)
+    where = ring or ring_path(loaded.file.name, member)
+    options = TelemetryOptions(member, where, connect, network_config, lockstep, follow)
+    report = run_telemetry(loaded, options, requested, ready)
+    typer.echo(
+        f"{member}: {report.rows_written} rows, {report.rows_lost} lost in the ring, "
+        f"{report.rows_unrecorded} not confirmed by the recorder",
+        err=True,
+    )
+
+
+def record(
+    cell: CellPath,
+    out: Annotated[Path | None, typer.Option(help="Log file to write.")] = None,
+    out_dir: Annotated[Path, typer.Option(help="Folder for logs when --out is not given.")] = Path("runs"),
+    listen: Annotated[str, typer.Option(help="Endpoint to listen on; port 0 takes a free one.")] = DEFAULT_ENDPOINT,
+    network_config: NetworkConfig = None,
+    driver: Annotated[DriverName | None, typer.Option(help="What moves the arms, for the log.")] = None,
+    truth: Annotated[bool, typer.Option(help="Expect the truth of a simulated plant.")] = False,
+    seed: Annotated[int, typer.Option(help="Seed of the run, for the log.")] = 0,
+    with_parent: WithParent = False,
+) -> None:
+    """Write everything the cell publishes into one MCAP log."""
+    from agent.config.cell import load_cell
+    from agent.config.schema.cell import DriverKind
+    from agent.host.paths import log_path
+    from agent.process.recorder import RecorderOptions, run_recorder
+
+    requested = begin(with_parent)
+    loaded = load_cell(cell)
+    kind = DriverKind(driver.value) if driver is not None else loaded.file.driver
+    log = out if out is not None else log_path(out_dir, loaded.file.name)
+    has_plant = truth or kind is DriverKind.SIM
+    options = RecorderOptions(log, kind, has_plant, seed, listen, network_config)
+    report = run_recorder(loaded, options, requested, ready)
+    for path in report.repaired:
+        typer.echo(f"repaired {path}", err=True)
+    typer.echo(f"{report.path}: {'complete' if report.complete else 'INCOMPLETE'} {report.failure or ''}", err=True)
+    if report.failure:
+        raise typer.Exit(4)

@@ -1,0 +1,1 @@
+"""What may stand in a cell file and in an arm file, key by key."""

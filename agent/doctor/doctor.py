@@ -1,0 +1,176 @@
+"""What is wrong with a cell's arms, buses and host?  Looks and measures; never gives torque or writes a register."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agent.config.cell import Arm, Cell
+from agent.config.servo_map import arm_map
+from agent.doctor import cycle, host
+from agent.doctor import state as state_check
+from agent.doctor.cycle import CycleFigures
+from agent.doctor.port import before_opening, latency_timer
+from agent.doctor.servos import presence
+from agent.host.info import versions
+from agent.motors.line import refuse_noise
+from agent.telemetry.row.sample import AGENT_STATE
+from agent.verify.check import examine
+from agent.verify.finding import Finding, Verdict, exit_code, from_refusal, refused, warning, worst
+from drivers.clock import MonotonicClock
+from drivers.dynamixel.arm_map import ArmMap
+from drivers.dynamixel.line.bus import Bus, DxlCounters
+from drivers.dynamixel.line.port import Port, SerialPort
+from drivers.interface import Clock, DriverError, Refusal, Vector
+
+LOG_MARGIN = 1.2  # messages and indices of a log beside its rows
+
+Tell = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class DoctorOptions:
+    """What to look at."""
+
+    arms: Sequence[str]  # empty: all of the cell
+    ports: Path | None = None  # folder with a port per arm, as `coop emulate` makes; None: the cell's
+    logs: Path = Path("runs")
+
+
+@dataclass
+class Diagnosis:
+    """All findings, and the figures behind those about timing."""
+
+    cell: str
+    fingerprint: str
+    findings: list[Finding] = field(default_factory=list)
+    cycles: dict[str, CycleFigures] = field(default_factory=dict)
+
+    @property
+    def exit_code(self) -> int:
+        """0: all ok; 1: warnings; 2: problems."""
+        return exit_code(self.findings)
+
+    def json(self) -> str:
+        """The whole for scripts."""
+        document: dict[str, Any] = {
+            "cell": self.cell,
+            "fingerprint": self.fingerprint,
+            "verdict": worst(self.findings).value,
+            "findings": [
+                {
+                    "what": f.what, "where": f.where, "found": f.found, "wanted": f.wanted,
+                    "verdict": f.verdict.value, "remedy": f.remedy,
+                }
+                for f in self.findings
+            ],
+            "cycles": {arm: _figures(figures) for arm, figures in self.cycles.items()},
+        }  # fmt: skip
+        return json.dumps(document, indent=2, ensure_ascii=False)
+
+
+def diagnose(cell: Cell, options: DoctorOptions, tell: Tell) -> Diagnosis:
+    """Look at the host, the cell file and each arm.  Raises ConfigError for an arm the cell does not have."""
+    arms = [cell.arm(name) for name in options.arms] or list(cell.arms)
+    out = Diagnosis(cell.file.name, cell.fingerprint)
+    tell("looking at the host and the cell file")
+    facts = host.read_facts(options.logs, ", ".join(f"{name} {v}" for name, v in versions().items()))
+    out.findings += host.judge(facts, len(arms), _log_bytes(cell))
+    starts = _examine_cell(cell, out)
+    for arm in arms:
+        tell(f"looking at arm {arm.name}")
+        _examine_arm(cell, arm, starts.get(arm.name), options.ports, out)
+    return out
+
+
+def _examine_cell(cell: Cell, out: Diagnosis) -> dict[str, Vector]:
+    """What `coop check` says, and the start configurations if there are any."""
+    try:
+        report = examine(cell, wired=True)
+    except Refusal as error:
+        out.findings.append(from_refusal(error, "cell"))
+        return {}
+    wrong = [
+        replace(f, what=f"{f.what} ({f.where})", where="cell") for f in report.findings if f.verdict is not Verdict.OK
+    ]
+    fine = Finding("coop check", "cell", f"{len(report.findings)} checks", "no refusal")
+    out.findings += wrong or [fine]
+    return {arm.name: q for arm, q in zip(cell.arms, report.q_start, strict=True)}
+
+
+def _examine_arm(cell: Cell, arm: Arm, q_start: Vector | None, ports: Path | None, out: Diagnosis) -> None:
+    path = str(ports / arm.name) if ports is not None else arm.entry.dynamixel.port if arm.entry.dynamixel else None
+    if path is None:
+        remedy = 'add dynamixel = { port = "…" } to the arm in the cell file, or give --ports'
+        out.findings.append(refused("port", arm.name, "none in the cell file", "the port of its servos", remedy))
+        return
+    q = q_start if q_start is not None else np.array(arm.entry.q_near_rad)
+    try:
+        servos = arm_map(cell, arm, path, q)
+    except DriverError as error:
+        out.findings.append(from_refusal(error, arm.name))
+        return
+    found = before_opening(path, arm.name)
+    out.findings += found
+    if all(f.verdict is not Verdict.REFUSED for f in found):
+        clock = MonotonicClock()
+        examine_line(servos, SerialPort(path, servos.baud, clock), clock, out)
+
+
+def examine_line(arm: ArmMap, port: Port, clock: Clock, out: Diagnosis) -> None:
+    """Open the port of an arm and look at everything behind it; the port is closed at the end."""
+    before_ms = port.latency_timer_ms
+    try:
+        port.open()
+        out.findings.append(latency_timer(before_ms, port.latency_timer_ms, arm.arm))
+        bus = Bus(port, clock, DxlCounters())
+        refuse_noise(bus, arm.port, clock)
+        _examine_servos(arm, bus, clock, out)
+    except DriverError as error:
+        out.findings.append(from_refusal(error, arm.arm))
+    finally:
+        port.close()
+
+
+def _examine_servos(arm: ArmMap, bus: Bus, clock: Clock, out: Diagnosis) -> None:
+    found = presence(bus, arm)
+    out.findings += found.findings
+    out.findings += state_check.judge(arm, found.states)
+    if len(found.states) < len(arm.slots):
+        remedy = "put right what is above, then run the doctor again"
+        what, wanted = "cycle time", f"measured with all {len(arm.slots)} servos"
+        out.findings.append(warning(what, arm.arm, f"not measured: {len(found.states)} servos fit", wanted, remedy))
+        return
+    figures = cycle.measure(bus, arm, found.states, clock, bus.port.latency_timer_ms)
+    out.cycles[arm.arm] = figures
+    out.findings += cycle.judge(arm, figures)
+
+
+def _figures(figures: CycleFigures) -> dict[str, Any]:
+    budget = figures.budget
+    return {
+        "computed": {
+            "request_s": budget.request_s, "reply_s": budget.reply_s, "usb_worst_s": budget.usb_worst_s,
+            "read_quick_s": figures.computed_quick_s,
+            "write_s": budget.write_s, "health_s": budget.health_s, "step_s": budget.step_s,
+            "read_mean_s": budget.read_mean_s, "read_worst_s": budget.read_worst_s, "cycle_s": budget.cycle_s,
+            "rate_max_hz": budget.rate_max_hz,
+        },
+        "measured": {
+            "overhead_s": figures.overhead_s, "read_quick_s": figures.read_quick_s,
+            "read_median_s": figures.read_median_s, "read_p99_s": figures.read_p99_s,
+            "missed": figures.missed, "reads": figures.reads,
+        },
+        "fast_sync_read": figures.fast,
+        "deviation": figures.deviation,
+    }  # fmt: skip
+
+
+def _log_bytes(cell: Cell) -> float:
+    rows = cell.file.rate_hz * cell.file.duration_s * len(cell.arms)
+    return LOG_MARGIN * rows * AGENT_STATE.dtype.itemsize

@@ -1,0 +1,1 @@
+"""Servos one by one: find, set up, save and restore their EEPROM."""

@@ -1,0 +1,87 @@
+"""Two runs side by side: every figure that differs, and which run has the better one.  Judges no figure by itself."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import Enum
+
+from rich import box
+from rich.table import Table
+
+from agent.report.quantity import Better, Quantity
+from agent.report.results import HEADLINE, Results
+from agent.report.tables import number
+
+
+class Change(Enum):
+    """What became of a figure from the first run to the second."""
+
+    SAME = ""
+    BETTER = "better"
+    WORSE = "worse"
+    DIFFERENT = "different"  # where neither way is better
+    APPEARED = "only in B"
+    GONE = "only in A"
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """One figure of both runs; a value is NaN where that run did not measure it."""
+
+    name: str
+    unit: str
+    a: float
+    b: float
+    change: Change
+
+    @property
+    def relative(self) -> float:
+        """(b − a) / |a|; NaN where it has no meaning."""
+        return (self.b - self.a) / abs(self.a) if self.a and math.isfinite(self.a) else float("nan")
+
+
+def compare(a: Results, b: Results, *, tolerance: float = 0.01) -> list[Difference]:
+    """Every figure of either run, headline first; figures closer than `tolerance` (relative) count as the same."""
+    first, second = a.flat(), b.flat()
+    names = [*HEADLINE, *(n for n in first if n not in HEADLINE), *(n for n in second if n not in first)]
+    return [_difference(name, first.get(name), second.get(name), tolerance) for name in names]
+
+
+def comparison_table(a: Results, b: Results, differences: Iterable[Difference]) -> Table:
+    """What differs, for the terminal; the headline figures are shown in any case."""
+    table = Table(title=f"A: {_label(a)}\nB: {_label(b)}", title_justify="left", box=box.SIMPLE_HEAD)
+    for heading in ("figure", "A", "B", "change", ""):
+        table.add_column(heading, justify="left" if heading in ("figure", "") else "right")
+    colours = {Change.BETTER: "green", Change.WORSE: "red"}
+    for d in differences:
+        if d.change is Change.SAME and d.name not in HEADLINE:
+            continue
+        relative = f"{100 * d.relative:+.1f} %" if math.isfinite(d.relative) else ""
+        style = colours.get(d.change, "")
+        table.add_row(d.name, number(d.a, d.unit), number(d.b, d.unit), relative, d.change.value, style=style)
+    return table
+
+
+def _difference(name: str, a: Quantity | None, b: Quantity | None, tolerance: float) -> Difference:
+    known = a or b
+    assert known is not None  # the name came from one of the two
+    left, right = (q.value if q else float("nan") for q in (a, b))
+    return Difference(name, known.unit, left, right, _change(left, right, known.better, tolerance))
+
+
+def _change(a: float, b: float, better: Better, tolerance: float) -> Change:
+    if math.isnan(a) or math.isnan(b):
+        return Change.SAME if math.isnan(a) and math.isnan(b) else Change.APPEARED if math.isnan(a) else Change.GONE
+    if math.isclose(a, b, rel_tol=tolerance, abs_tol=0.0):
+        return Change.SAME
+    if better is Better.NEITHER:
+        return Change.DIFFERENT
+    return Change.BETTER if (b < a) is (better is Better.LOWER) else Change.WORSE
+
+
+def _label(results: Results) -> str:
+    info = results.info
+    law = info.controller.get("kind", "unknown")
+    return f"{info.cell}, {law} law, {info.driver}, {info.rate_hz:g} Hz, cell {info.fingerprint[:8]}"

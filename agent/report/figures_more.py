@@ -1,0 +1,180 @@
+"""Figures beyond the paper's: loop timing, internal force, torque terms, estimates, Lyapunov value.  Changes no row."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from agent.log.runinfo import EstimateBounds, RunArm
+from agent.report.plotting import (
+    BLUE,
+    CYCLE,
+    GREY,
+    HEADER_IN,
+    RED,
+    header_line,
+    legend,
+    line,
+    panels,
+    styled,
+    time_axis,
+)
+from agent.report.prepared import Prepared
+from agent.report.series import Array, column, joint_columns
+
+DURATIONS: Final = {"late_s": "began late", "read_s": "bus read", "step_s": "control step", "write_s": "bus write"}
+STYLES: Final = ("-", "--", ":", "-.")  # arms, where colours name quantities
+# feedback first: it carries the noise and would hide the others
+TERMS: Final = ("feedback", "inertia", "coriolis", "gravity", "adaptive", "object", "internal", "friction", "posture")
+TAIL_POINTS: Final = 300
+# columns of one body or joint in the estimates: what, unit, first column, how many
+BODY_GROUPS: Final = (("mass", "kg", 0, 1), ("first moment", "kg·m", 1, 3), ("inertia", "kg·m²", 4, 6))
+JOINT_GROUPS: Final = (("rotor inertia", "kg·m²"), ("viscous friction", "N·m·s/rad"), ("Coulomb friction", "N·m"))
+
+
+@styled
+def loop_timing(run: Prepared) -> Figure:
+    """How often a duration of the loop is longer than x, and when cycles began late."""
+    figure, axes = panels(2, height_in=2.1, gap_in=0.85, sharex=False)
+    tail, late = axes
+    for i, arm in enumerate(run.arms):
+        rows, style = run.rows[arm.name], STYLES[i % len(STYLES)]
+        for j, (name, label) in enumerate(DURATIONS.items()):
+            x, fraction = tail_of(1e3 * column(rows, name))
+            tail.plot(x, fraction, color=CYCLE[j], linestyle=style, label=label if i == 0 else None)
+        t, values = column(rows, "t"), 1e3 * column(rows, "late_s")
+        line(
+            late, t, values, color=CYCLE[i % len(CYCLE)], linestyle=style, label=arm.name, linewidth=0.8, clip_on=False
+        )
+    tail.margins(x=0.03)
+    tail.axvline(1e3 / run.info.rate_hz, color=GREY, linestyle="--", linewidth=0.9, label="period")
+    tail.set(xscale="log", yscale="log", xlabel="duration [ms]", ylabel="fraction longer [1]", title="Loop timing")
+    late.set(ylabel="began late [ms]", title="Lateness of each cycle")
+    late.set_ylim(bottom=0.0)
+    legend(tail)
+    legend(late)
+    time_axis([late], run.info.duration_s)
+    return figure
+
+
+def tail_of(values: Array) -> tuple[Array, Array]:
+    """Points of x → fraction of `values` that are longer than x, dense in the tail; without zeros."""
+    ordered = np.sort(values[np.isfinite(values) & (values > 0.0)])
+    count = len(ordered)
+    if not count:
+        return np.empty(0), np.empty(0)
+    longer = np.unique(np.round(np.geomspace(1, count, TAIL_POINTS)).astype(int))
+    return ordered[count - longer], longer / len(values)
+
+
+@styled
+def internal_force(run: Prepared) -> Figure:
+    """Internal wrench at each end effector: size of its force and moment, commanded and realised."""
+    figure, axes = panels(len(run.arms), 2, height_in=1.8, sharey="col", top_in=HEADER_IN)
+    for i, arm in enumerate(run.arms):
+        rows = run.rows[arm.name]
+        t, wanted = column(rows, "t"), column(rows, "wrench_internal")
+        for ax, part, unit in ((axes[2 * i], slice(0, 3), "force [N]"), (axes[2 * i + 1], slice(3, 6), "moment [N·m]")):
+            if run.grasps is not None:
+                real = run.grasps.internal[:, run.info.arms.index(arm), part]
+                line(ax, run.grasps.t, np.linalg.norm(real, axis=1), color=RED, label="realised", linewidth=0.8)
+            line(ax, t, np.linalg.norm(wanted[:, part], axis=1), color=BLUE, linestyle="--", label="commanded")
+            ax.set_ylabel(unit)
+            ax.set_title(arm.name)
+    header_line(figure, "Internal wrench", axes[0])
+    time_axis(axes, run.info.duration_s)
+    return figure
+
+
+@styled
+def torque_terms(run: Prepared, arm: RunArm) -> Figure:
+    """The terms of the torque of each joint of one arm; terms that are zero throughout are left out."""
+    rows, joints = run.rows[arm.name], len(arm.joints)
+    columns = 1 if joints <= 3 else 2
+    figure, axes = panels(-(-joints // columns), columns, height_in=1.7, top_in=HEADER_IN)
+    t = column(rows, "t")
+    terms = {name: joint_columns(rows, f"tau_{name}", joints) for name in TERMS}
+    for colour, (name, tau) in enumerate(terms.items()):
+        if not np.any(tau):
+            continue
+        for j in range(joints):
+            line(axes[j], t, tau[:, j], color=CYCLE[colour % len(CYCLE)], label=name, linewidth=0.8)
+    for j, joint in enumerate(arm.joints):
+        axes[j].set_title(joint.replace("_", " "))
+        axes[j].set_ylabel("torque [N·m]")
+    for unused in axes[joints:]:
+        unused.remove()
+    header_line(figure, f"Torque of {arm.name}", axes[0])
+    time_axis(axes[:joints], run.info.duration_s)
+    return figure
+
+
+@styled
+def estimates(run: Prepared, arm: RunArm) -> Figure:
+    """What one arm of an adaptive run believes: of its own links and joints, and of the object (black)."""
+    rows, joints = run.rows[arm.name], len(arm.joints)
+    t, theta, theta_object = column(rows, "t"), column(rows, "theta_arm"), column(rows, "theta_object")
+    figure, axes = panels(3, 2, height_in=1.7, top_in=HEADER_IN)
+    left, right = axes[0::2], axes[1::2]
+    for ax, (what, unit, first, count) in zip(left, BODY_GROUPS, strict=True):
+        ax.set_title(what)
+        ax.set_ylabel(f"[{unit}]")
+        for k in range(first, first + count):
+            for j, joint in enumerate(arm.joints):
+                label = joint.replace("_", " ") if k == first else None
+                line(ax, t, theta[:, 10 * j + k], color=CYCLE[j], label=label, linewidth=0.8)
+            line(ax, t, theta_object[:, k], color="black", label="object" if k == first else None, linewidth=0.8)
+    for ax, (what, unit), block in zip(right, JOINT_GROUPS, range(3), strict=True):
+        ax.set_title(what)
+        ax.set_ylabel(f"[{unit}]")
+        for j in range(joints):
+            line(ax, t, theta[:, (10 + block) * joints + j], color=CYCLE[j], linewidth=0.8)
+    if arm.estimate_bounds is not None:
+        _draw_bounds(left, right, arm.estimate_bounds, joints)
+    header_line(figure, f"Estimates of {arm.name}", left[0])
+    time_axis(axes, run.info.duration_s)
+    return figure
+
+
+def _draw_bounds(left: Sequence[Axes], right: Sequence[Axes], bounds: EstimateBounds, joints: int) -> None:
+    """Dotted: where an estimate is held; a bound far from every estimate stays outside the panel."""
+    marked: list[tuple[Axes, str, tuple[float, float]]] = []
+    for ax, (_, _, first, count) in zip(left, BODY_GROUPS, strict=True):
+        for k in range(first, first + count):
+            marked += [(ax, CYCLE[j], bounds.arm[10 * j + k]) for j in range(joints)]
+            marked.append((ax, "black", bounds.object[k]))
+    for ax, block in zip(right, range(3), strict=True):
+        marked += [(ax, CYCLE[j], bounds.arm[(10 + block) * joints + j]) for j in range(joints)]
+    for ax, colour, pair in marked:
+        low, up = ax.get_ylim()
+        room = 0.3 * (up - low)
+        for value in pair:
+            if low - room < value < up + room:
+                ax.axhline(value, color=colour, linestyle=":", linewidth=0.8)
+
+
+@styled
+def lyapunov(run: Prepared) -> Figure:
+    """The part of the Lyapunov function that each arm computes, and their sum: the function of the whole cell."""
+    figure, axes = panels(1, height_in=2.2)
+    parts = [(arm.name, run.rows[arm.name]) for arm in run.arms]
+    for i, (name, rows) in enumerate(parts):
+        style, colour = STYLES[i % len(STYLES)], CYCLE[i % len(CYCLE)]
+        _positive_line(axes[0], column(rows, "t"), column(rows, "lyapunov"), colour, style, name)
+    stamps = [rows["stamp_ns"] for _, rows in parts]
+    if len(parts) > 1 and all(np.array_equal(stamps[0], other) for other in stamps[1:]):
+        total = np.sum([column(rows, "lyapunov") for _, rows in parts], axis=0)
+        _positive_line(axes[0], column(parts[0][1], "t"), total, "black", "-", "cell")
+    axes[0].set(yscale="log", ylabel="Lyapunov value [J]", title="Lyapunov value")
+    legend(axes[0])
+    time_axis(axes, run.info.duration_s)
+    return figure
+
+
+def _positive_line(ax: Axes, t: Array, values: Array, colour: str, style: str, label: str) -> None:
+    shown = np.where(values > 0.0, values, np.nan)
+    line(ax, t, shown, color=colour, linestyle=style, label=label)

@@ -1,0 +1,287 @@
+"""The figures of a run, from its log alone.  Reads no file, draws nothing, never hides what was not measured."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.log.runinfo import RunArm, RunInfo
+from agent.modes import Mode
+from agent.report.prepared import Prepared, prepare
+from agent.report.results import (
+    ArmResults,
+    Completeness,
+    Decay,
+    JointResults,
+    PoseErrors,
+    Results,
+    Spread,
+    WrenchSize,
+)
+from agent.report.series import Array, PoseSeries, column, joint_columns, missing_ranges
+from agent.safety import Flag
+
+if TYPE_CHECKING:
+    from agent.log.read import RunLog
+
+LATE_PERIODS: Final = 1.0  # a cycle that begins later than this many periods is late, as agent.loop counts them
+LIMITED_Nm: Final = 1e-9  # safety changed a torque when it differs from the command by more than rounding
+AT_LIMIT_FRACTION: Final = 0.999  # of tau_max: a torque above it is at its limit
+NAN: Final = float("nan")
+
+
+def summarise(log: RunLog) -> Results:
+    """All figures of a run.
+
+    Errors count from the end of the transient to the end of the duration, on ticks that follow the trajectory;
+    torques, saturation and loop timing count over the whole run.  What a log cannot tell is NaN, and
+    `Results.missing` says why.
+    """
+    return summarise_prepared(prepare(log))
+
+
+def summarise_prepared(run: Prepared) -> Results:
+    """The same from a log that is prepared already."""
+    info = run.info
+    by_arm = {name: pose_errors(series, info) for name, series in run.poses.items()}
+    by_plant = None if run.true is None else pose_errors(run.true, info)
+    missing = [*run.missing]
+    for errors in [*by_arm.values(), *([by_plant] if by_plant else [])]:
+        missing += _complaints(errors, info)
+    rows = {arm.name: _completeness(run, arm.name) for arm in info.arms}
+    factor = _real_time_factor(run, missing)
+    return Results(
+        info=info,
+        complete=run.log.complete and all(not c.gaps for c in rows.values()),
+        by_plant=by_plant,
+        by_arm=by_arm,
+        arms={arm.name: _arm(arm, run) for arm in run.arms},
+        rows=rows,
+        arm_disagreement_m=_disagreement(list(run.poses.values()), info),
+        real_time_factor=factor,
+        events=len(run.log.events),
+        missing=tuple(missing),
+    )
+
+
+# ------------------------------------------------------------------------------------------------------------- errors
+
+
+def pose_errors(series: PoseSeries, info: RunInfo) -> PoseErrors:
+    """Errors of one series of poses; NaN throughout when no usable row is left after the transient."""
+    position, attitude = series.position_error, series.attitude_error
+    usable = np.isfinite(position) & np.isfinite(attitude)
+    window = (series.t >= info.transient_s) & (series.t <= info.duration_s)
+    settled = usable & window & series.tracking
+    t = series.t[settled]
+    in_plane = out_of_plane = NAN
+    if info.plane is not None:
+        in_plane = _largest(np.linalg.norm(series.e_p[settled][:, list(info.plane.in_plane)], axis=1))
+        out_of_plane = _largest(np.abs(series.e_p[settled][:, info.plane.normal]))
+    return PoseErrors(
+        source=series.source,
+        rows=int(settled.sum()),
+        unusable_rows=int((~usable).sum()),
+        not_tracking_rows=int((window & ~series.tracking).sum()),
+        max_position_error_m=_largest(position[settled]),
+        max_attitude_error_rad=_largest(attitude[settled]),
+        rms_position_error_m=_rms(position[settled]),
+        rms_attitude_error_rad=_rms(attitude[settled]),
+        t_max_position_s=_when(t, position[settled]),
+        t_max_attitude_s=_when(t, attitude[settled]),
+        max_in_plane_error_m=in_plane,
+        max_out_of_plane_error_m=out_of_plane,
+        position=_decay(series.t[usable], position[usable]),
+        attitude=_decay(series.t[usable], attitude[usable]),
+    )
+
+
+def _complaints(errors: PoseErrors, info: RunInfo) -> list[str]:
+    found = []
+    if errors.rows == 0:
+        found.append(f"no usable row of {errors.source} after the transient of {info.transient_s:g} s")
+    if errors.unusable_rows:
+        found.append(f"{errors.unusable_rows} rows of {errors.source} hold a pose that is not a number")
+    if errors.not_tracking_rows:
+        ticks = f"{errors.not_tracking_rows} ticks of {errors.source} after the transient"
+        found.append(f"{ticks} did not follow the trajectory and count in no error")
+    return found
+
+
+def _decay(t: Array, error: Array) -> Decay:
+    if not len(error):
+        return Decay(NAN, NAN, NAN)
+    start = float(error[0])
+    if start == 0.0:
+        return Decay(0.0, NAN, NAN)
+    below_half = np.flatnonzero(error <= 0.5 * start)
+    above_tenth = np.flatnonzero(error > 0.1 * start)
+    last = int(above_tenth[-1])
+    return Decay(
+        initial=start,
+        half_s=float(t[below_half[0]] - t[0]) if len(below_half) else NAN,
+        tenth_s=float(t[last + 1] - t[0]) if last + 1 < len(t) else NAN,
+    )
+
+
+def _disagreement(poses: list[PoseSeries], info: RunInfo) -> float:
+    worst = NAN
+    for one, other in combinations(poses, 2):
+        _, here, there = np.intersect1d(one.sequence, other.sequence, assume_unique=True, return_indices=True)
+        settled = one.t[here] >= info.transient_s
+        apart = np.linalg.norm(one.p[here] - other.p[there], axis=1)[settled]
+        worst = float(np.fmax(worst, _largest(apart)))
+    return worst
+
+
+# --------------------------------------------------------------------------------------------------------- one arm
+
+
+def _arm(arm: RunArm, run: Prepared) -> ArmResults:
+    rows, info = run.rows[arm.name], run.info
+    period_s = 1.0 / info.rate_hz
+    e_eta = column(rows, "e_eta")
+    signs = np.sign(e_eta[np.isfinite(e_eta) & (e_eta != 0.0)])
+    lyapunov = column(rows, "lyapunov")
+    work = np.sum([column(rows, f) for f in ("read_s", "step_s", "write_s")], axis=0)
+    late = column(rows, "late_s")
+    wrench, desired = (column(rows, f) for f in ("wrench_cmd", "wrench_internal"))
+    v_error = column(rows, "v_object") - column(rows, "v_object_des")
+    v_error = v_error[column(rows, "t") >= info.transient_s]
+    return ArmResults(
+        model=arm.model,
+        modes=_modes(rows),
+        flags={flag.name or "": int(np.sum(rows["flags"] & flag.value != 0)) for flag in Flag if flag},
+        joints=_joints(arm, rows, period_s),
+        late_cycles=int(np.sum(late > LATE_PERIODS * period_s)),
+        overruns=int(np.sum(late + work > period_s)),
+        timing={f: Spread.of(column(rows, f)) for f in ("late_s", "read_s", "step_s", "write_s")},
+        bus={f: int(rows[f][-1]) for f in ("bus_timeouts", "bus_corrupt", "bus_alerts", "bus_retries")},
+        wrench_cmd=_wrench_size(wrench),
+        internal_cmd=_wrench_size(desired),
+        internal_realised=_internal_realised(arm, run),
+        load_share_cmd=arm.load_share,
+        load_share_realised=_load_share(arm, run),
+        rms_velocity_error_m_per_s=_rms(np.linalg.norm(v_error[:, :3], axis=1)),
+        rms_angular_velocity_error_rad_per_s=_rms(np.linalg.norm(v_error[:, 3:], axis=1)),
+        e_eta_start=float(e_eta[0]),
+        e_eta_end=float(e_eta[-1]),
+        e_eta_sign_changes=int(np.sum(signs[1:] != signs[:-1])),
+        lyapunov_start_J=float(lyapunov[0]),
+        lyapunov_end_J=float(lyapunov[-1]),
+        sigma_min=float(np.nanmin(column(rows, "sigma_min"), initial=np.inf)),
+    )
+
+
+def _joints(arm: RunArm, rows: NDArray[np.void], period_s: float) -> dict[str, JointResults]:
+    n = len(arm.joints)
+    cmd, limited, sent = (joint_columns(rows, f, n) for f in ("tau_cmd", "tau_limited", "tau_sent"))
+    changed = np.abs(limited - cmd) > LIMITED_Nm
+    consecutive = (np.diff(rows["sequence"]) == 1)[:, None]
+    steps = np.where(consecutive, np.abs(np.diff(sent, axis=0)), NAN)
+    out = {}
+    for j, joint in enumerate(arm.joints):
+        peak = _largest(np.abs(sent[:, j]))
+        out[joint] = JointResults(
+            peak_torque_Nm=peak,
+            peak_torque_fraction=peak / arm.tau_stall_Nm[j],
+            rms_torque_Nm=_rms(sent[:, j]),
+            limited_s=float(changed[:, j].sum() * period_s),
+            at_limit_s=float(np.sum(np.abs(sent[:, j]) >= AT_LIMIT_FRACTION * arm.tau_max_Nm[j]) * period_s),
+            chatter_Nm=_mean(steps[:, j]),
+            tau_max_Nm=arm.tau_max_Nm[j],
+            tau_stall_Nm=arm.tau_stall_Nm[j],
+        )
+    return out
+
+
+# ----------------------------------------------------------------------------------------- internal force, load share
+
+
+def _internal_realised(arm: RunArm, run: Prepared) -> WrenchSize:
+    if run.grasps is None:
+        return WrenchSize(NAN, NAN, NAN, NAN)
+    settled = run.grasps.t >= run.info.transient_s
+    return _wrench_size(run.grasps.internal[settled, run.info.arms.index(arm)])
+
+
+def _load_share(arm: RunArm, run: Prepared) -> float:
+    """Σ f_i·f / Σ f·f over the ticks after the transient, f = Σ f_i: the shares of all arms add up to one."""
+    if run.grasps is None:
+        return NAN
+    force = run.grasps.wrenches[run.grasps.t >= run.info.transient_s][:, :, :3]
+    total = force.sum(axis=1)
+    weight = float(np.nansum(total * total))
+    return float(np.nansum(force[:, run.info.arms.index(arm)] * total)) / weight if weight > 0.0 else NAN
+
+
+# ------------------------------------------------------------------------------------------------------- completeness
+
+
+def _completeness(run: Prepared, name: str) -> Completeness:
+    """Rows of one arm against those it says it wrote; an arm that did not live to say so should have run to the end."""
+    agents = run.log.agents
+    sequence = agents[name]["sequence"] if name in agents else np.empty(0, dtype=np.uint64)
+    told = [event.data.get("ticks") for event in run.log.events if event.source == name]
+    written = next((n for n in reversed(told) if isinstance(n, int)), run.info.ticks)
+    recorded = int(np.searchsorted(sequence, written))
+    return Completeness(written, recorded, len(sequence) - recorded, tuple(missing_ranges(sequence, written)))
+
+
+def _modes(rows: NDArray[np.void]) -> tuple[tuple[float, str], ...]:
+    changes = np.flatnonzero(np.diff(rows["mode"], prepend=rows["mode"][:1] + 1))
+    known = {m.value: m.name for m in Mode}
+    return tuple((float(rows["t"][i]), known.get(int(rows["mode"][i]), f"mode {rows['mode'][i]}")) for i in changes)
+
+
+def _real_time_factor(run: Prepared, missing: list[str]) -> float:
+    """Time of the run over wall time, of the slowest arm.
+
+    Each agent says at its end how long the run took by the wall (`wall_s` of its event).  Without that the rows' UTC
+    must do; in simulation it may be mapped from the simulated clock, and then says nothing of the wall.
+    """
+    tracked = {name: rows[rows["mode"] == Mode.TRACK.value] for name, rows in run.rows.items()}
+    spans = {name: float(rows["t"][-1] - rows["t"][0]) for name, rows in tracked.items() if len(rows) > 1}
+    walls = [(event.source, event.data.get("wall_s")) for event in run.log.events]
+    told = {source: wall for source, wall in walls if isinstance(wall, float | int) and wall > 0}
+    factors = []
+    for name, span in spans.items():
+        rows = tracked[name]
+        utc_ns, stamp_ns = (int(rows[f][-1]) - int(rows[f][0]) for f in ("utc_ns", "stamp_ns"))
+        if name in told:
+            factors.append(span / told[name])
+        elif run.info.driver == "sim" and utc_ns == stamp_ns:
+            missing.append("the real-time factor is not known: UTC in the rows follows the simulated clock")
+            return NAN
+        elif utc_ns > 0:
+            factors.append(span / (utc_ns * 1e-9))
+    return min(factors, default=NAN)
+
+
+# -------------------------------------------------------------------------------------------------------- arithmetic
+
+
+def _wrench_size(wrenches: Array) -> WrenchSize:
+    force, moment = np.linalg.norm(wrenches[:, :3], axis=1), np.linalg.norm(wrenches[:, 3:], axis=1)
+    return WrenchSize(_largest(force), _rms(force), _largest(moment), _rms(moment))
+
+
+def _largest(values: Array) -> float:
+    return float(np.fmax.reduce(values)) if len(values) else NAN
+
+
+def _rms(values: Array) -> float:
+    good = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(good * good))) if len(good) else NAN
+
+
+def _mean(values: Array) -> float:
+    good = values[np.isfinite(values)]
+    return float(np.mean(good)) if len(good) else NAN
+
+
+def _when(t: Array, values: Array) -> float:
+    return float(t[int(np.nanargmax(values))]) if len(values) and np.isfinite(values).any() else NAN

@@ -1,0 +1,236 @@
+"""How every figure of a report looks, and drawing long series fast without losing a peak.  Holds no pyplot state."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import wraps
+from pathlib import Path
+from typing import Any, Final, Literal, ParamSpec
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.legend import Legend
+
+from agent.report.series import Array
+
+P = ParamSpec("P")
+Sharing = bool | Literal["row", "col"]
+
+DPI: Final = 120
+WIDTH_IN: Final = 8.4  # 1008 pixels: the width of a page that shows a README
+PANEL_IN: Final = 1.75
+HEADER_IN: Final = 0.62  # room above panels with titles for `header_line`
+COLUMNS: Final = 900  # a long series is drawn as mean, lowest and highest value of this many stretches
+RANGE_ALPHA: Final = 0.3
+
+BLUE: Final = "#1f5fbf"
+LIGHT_BLUE: Final = "#6ea8fe"
+RED: Final = "#d1342f"
+GREEN: Final = "#2b8a3e"
+ORANGE: Final = "#e08a00"
+PURPLE: Final = "#7a4fbf"
+TEAL: Final = "#0f8b8d"
+BROWN: Final = "#8c5a2b"
+GREY: Final = "#767d86"
+AXIS_COLOURS: Final = (BLUE, RED, GREEN)  # x, y, z everywhere
+CYCLE: Final = (BLUE, RED, GREEN, ORANGE, PURPLE, TEAL, BROWN, GREY)
+
+STYLE: Final[dict[Any, Any]] = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9.5,
+    "mathtext.fontset": "dejavusans",
+    "axes.titlesize": 10,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.labelsize": 9.5,
+    "axes.edgecolor": "#9aa1a9",
+    "axes.linewidth": 0.8,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.xmargin": 0.0,
+    "axes.formatter.useoffset": False,
+    "axes.formatter.limits": (-5, 5),
+    "axes.formatter.use_mathtext": True,
+    "grid.color": "#e3e6ea",
+    "grid.linewidth": 0.7,
+    "lines.linewidth": 1.1,
+    "legend.fontsize": 8.5,
+    "legend.frameon": False,
+    "legend.handlelength": 1.4,
+    "legend.columnspacing": 1.2,
+    "legend.borderaxespad": 0.1,
+    "xtick.color": "#555b63",
+    "ytick.color": "#555b63",
+    "xtick.labelcolor": "#23272b",
+    "ytick.labelcolor": "#23272b",
+    "axes.labelcolor": "#23272b",
+    "text.color": "#23272b",
+    "path.simplify": True,
+    "path.simplify_threshold": 0.3,
+    "agg.path.chunksize": 20000,
+}
+
+
+def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
+    """Decorate a figure's function: it runs with the report's style and leaves matplotlib's settings as they were."""
+
+    @wraps(draw)
+    def with_style(*args: P.args, **kwargs: P.kwargs) -> Figure:
+        with mpl.rc_context(STYLE):
+            return draw(*args, **kwargs)
+
+    return with_style
+
+
+def save_png(figure: Figure, path: Path) -> bytes:
+    """Render a figure to `path` and return the bytes of the file."""
+    with mpl.rc_context(STYLE):
+        canvas: Any = FigureCanvasAgg(figure)  # matplotlib ships no types for its printing
+        canvas.print_png(path, pil_kwargs={"compress_level": 4})
+    return path.read_bytes()
+
+
+def panels(
+    rows: int,
+    columns: int = 1,
+    *,
+    height_in: float = PANEL_IN,
+    gap_in: float = 0.42,
+    top_in: float = 0.34,
+    sharex: Sharing = True,
+    sharey: Sharing = False,
+) -> tuple[Figure, list[Axes]]:
+    """A figure of `rows` × `columns` panels, in reading order, with room for titles and labels.
+
+    `top_in` of HEADER_IN leaves room for `header_line`.
+    Margins are in inches and set by hand: a layout engine would draw every figure twice.
+    """
+    bottom, left, right = 0.5, 0.86, 0.22
+    total = rows * height_in + (rows - 1) * gap_in + bottom + top_in
+    between = 0.98 if columns > 1 else 0.0
+    width = (WIDTH_IN - left - right - (columns - 1) * between) / columns
+    figure = Figure(figsize=(WIDTH_IN, total), dpi=DPI, facecolor="white")
+    figure.subplots_adjust(
+        left=left / WIDTH_IN,
+        right=1 - right / WIDTH_IN,
+        bottom=bottom / total,
+        top=1 - top_in / total,
+        hspace=gap_in / height_in,
+        wspace=between / width,
+    )
+    grid = figure.subplots(rows, columns, squeeze=False, sharex=sharex, sharey=sharey)
+    axes = [ax for row in grid for ax in row]
+    for ax in axes:
+        ax.yaxis.set_label_coords(-0.64 / width, 0.5)  # the labels of all panels stand in one line
+    return figure, axes
+
+
+def time_axis(axes: Sequence[Axes], until_s: float) -> None:
+    """Time from zero to `until_s` on every panel; named, and its numbers shown, under the lowest of each column."""
+    lowest: dict[float, Axes] = {}
+    for ax in axes:
+        ax.set_xlim(0.0, until_s)
+        ax.tick_params(labelleft=True, labelbottom=False)
+        box = ax.get_position()
+        if box.x0 not in lowest or box.y0 < lowest[box.x0].get_position().y0:
+            lowest[box.x0] = ax
+    for ax in lowest.values():
+        ax.tick_params(labelbottom=True)
+        ax.set_xlabel("time [s]")
+
+
+def legend(ax: Axes) -> None:
+    """A legend in one line above the panel's right end, where it never hides a curve."""
+    handles, labels = ax.get_legend_handles_labels()
+    if handles:
+        box = ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=len(labels), borderpad=0.15)
+        _thicken(box)
+
+
+def header_line(figure: Figure, title: str, ax: Axes) -> None:
+    """Title and legend of a whole figure in one line at its top; the legend is that of `ax`."""
+    width, height = figure.get_size_inches()
+    figure.text(0.86 / width, 1 - 0.1 / height, title, va="top", fontweight="bold", fontsize=11)
+    handles, labels = ax.get_legend_handles_labels()
+    if handles:
+        corner = (1 - 0.22 / width, 1 - 0.06 / height)
+        _thicken(figure.legend(handles, labels, loc="upper right", bbox_to_anchor=corner, ncols=len(labels)))
+
+
+def _thicken(box: Legend) -> None:
+    for handle in box.get_lines():
+        handle.set_linewidth(1.8)
+
+
+def line(ax: Axes, t: Array, values: Array, **style: Any) -> None:
+    """Draw a series: short ones as they are, long ones as mean and range of each column of pixels.
+
+    The range is a shade of the same colour, so a single peak is seen and noise hides no other curve.  Where rows
+    are missing the line is broken.
+    """
+    spans = unbroken(t, values)
+    if sum(len(x) for x, _ in spans) <= 4 * COLUMNS:
+        ax.plot(*_joined(spans), **style)
+        return
+    share = COLUMNS / max(sum(len(x) for x, _ in spans), 1)
+    parts = [in_columns(x, y, max(1, round(share * len(x)))) for x, y in spans]
+    mean_t, mean = _joined([(c.t, c.mean) for c in parts])
+    ax.plot(mean_t, mean, **style)
+    lowest = _joined([(c.t, c.lowest) for c in parts])[1]
+    highest = _joined([(c.t, c.highest) for c in parts])[1]
+    ax.fill_between(mean_t, lowest, highest, color=style.get("color"), alpha=RANGE_ALPHA, linewidth=0)
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """A series in columns of pixels: where each is, and mean, lowest and highest value in it."""
+
+    t: Array
+    mean: Array
+    lowest: Array
+    highest: Array
+
+
+def in_columns(t: Array, values: Array, columns: int) -> Columns:
+    """The series in about so many stretches of equal length; no value of it lies outside their range.
+
+    `t` and `values` (k,) without a gap, k > 0.  First and last column stand at the first and last time.
+    """
+    each = -(-len(t) // columns)
+    starts = np.arange(0, len(t), each)
+    counts = np.diff(np.append(starts, len(t)))
+    centre = np.add.reduceat(t, starts) / counts
+    centre[0], centre[-1] = t[0], t[-1]
+    mean = np.add.reduceat(values, starts) / counts
+    lowest, highest = np.minimum.reduceat(values, starts), np.maximum.reduceat(values, starts)
+    return Columns(centre, np.clip(mean, lowest, highest), lowest, highest)
+
+
+def unbroken(t: Array, values: Array) -> list[tuple[Array, Array]]:
+    """The stretches of a series in which no row is missing and every value is a number.
+
+    A row is missing where time goes on by more than one and a half of its usual step.
+    """
+    if not len(t):
+        return []
+    steps = np.diff(t)
+    jump = np.append(steps > 1.5 * np.median(steps), False) if len(t) > 2 else np.zeros(len(t), dtype=bool)
+    good = np.isfinite(values)
+    ends = np.flatnonzero(jump | (good != np.append(good[1:], good[-1]))) + 1
+    spans = zip(np.split(t, ends), np.split(values, ends), strict=True)
+    return [(x, y) for x, y in spans if len(x) and np.isfinite(y[0])]
+
+
+def _joined(spans: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
+    if not spans:
+        return np.empty(0), np.empty(0)
+    gap = np.array([np.nan])
+    t = np.concatenate([part for x, _ in spans for part in (gap, x)])
+    values = np.concatenate([part for _, y in spans for part in (gap, y)])
+    return t[1:], values[1:]

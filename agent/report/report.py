@@ -1,0 +1,87 @@
+"""The report of a run: PNG figures, one HTML page, results.json.  Never leaves a half-written file behind."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from rich import box
+from rich.table import Table
+
+from agent.report.gallery import pictures
+from agent.report.metrics import summarise_prepared
+from agent.report.page import WORDS, render
+from agent.report.plotting import save_png
+from agent.report.prepared import prepare
+from agent.report.results import Judgement, Results
+from agent.report.tables import lines
+from drivers.interface import Refusal
+
+if TYPE_CHECKING:
+    from agent.log.read import RunLog
+
+PAGE: Final = "report.html"
+RESULTS: Final = "results.json"
+COLOURS: Final = {Judgement.MET: "green", Judgement.NOT_MET: "red", Judgement.NOT_SHOWN: "yellow"}
+
+
+class ReportError(Refusal):
+    """The report cannot be written where it was asked for."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReportFiles:
+    """What a report consists of, and the figures it shows."""
+
+    html: Path
+    results_file: Path
+    figures: Mapping[str, Path]
+    results: Results
+
+
+def write_report(log: RunLog, out_dir: Path) -> ReportFiles:
+    """Write every figure as PNG, report.html and results.json into `out_dir`, made if it is absent.
+
+    All files are written beside their place first and moved there when the last one is whole, so a report
+    that fails leaves what was there before.  A poor log gives a poor report: the page says what is missing.
+    Raises ReportError when `out_dir` cannot be written.
+    """
+    run = prepare(log)
+    results = summarise_prepared(run)
+    try:
+        out_dir.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=".report-", dir=out_dir) as name:
+            draft = Path(name)
+            images = [(p, save_png(p.draw(), draft / f"{p.stem}.png")) for p in pictures(run)]
+            page = render(results, images, log.events)
+            (draft / PAGE).write_text(page, encoding="utf-8")
+            content = json.dumps(results.to_json(), indent=2, ensure_ascii=False, allow_nan=False)
+            (draft / RESULTS).write_text(content + "\n", encoding="utf-8")
+            for file in sorted(draft.iterdir()):
+                file.replace(out_dir / file.name)
+    except OSError as error:
+        raise ReportError(
+            "report not written",
+            found=f"{error.strerror or error} at {error.filename or out_dir}",
+            expected="a directory that can be written, with room for some megabytes",
+            remedy="name another directory or make room",
+        ) from error
+    figures = {p.stem: out_dir / f"{p.stem}.png" for p, _ in images}
+    return ReportFiles(out_dir / PAGE, out_dir / RESULTS, figures, results)
+
+
+def terminal_table(results: Results) -> Table:
+    """The table of results for the terminal: figure, bound and verdict."""
+    table = Table(
+        title=f"{results.info.cell}: errors of the {results.error_source}", title_justify="left", box=box.SIMPLE_HEAD
+    )
+    for heading in ("result", "figure", "bound", "verdict"):
+        table.add_column(heading, justify="left" if heading == "result" else "right", no_wrap=True)
+    for row in lines(results):
+        verdict = "" if row.verdict is None else f"[{COLOURS[row.verdict]}]{WORDS[row.verdict]}[/]"
+        table.add_row(row.what, row.figure, row.bound, verdict)
+    return table

@@ -1,0 +1,240 @@
+"""Time series of a run as plain arrays: attitude arithmetic, rows matched by sequence.  Never changes a row."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.modes import Mode
+from agent.safety import Flag
+from agent.telemetry.row.sample import MAX_ARMS, MAX_JOINTS
+
+if TYPE_CHECKING:
+    from agent.log.runinfo import Plane, RunInfo
+
+Array = NDArray[np.float64]
+
+SAME_CLOCK_NS: Final = 5_000_000_000  # stamps whose UTC is further apart are of different clocks
+
+
+# ------------------------------------------------------------------------------------------------ attitude, row by row
+
+
+def attitude_error(quat_des: Array, quat: Array) -> Array:
+    """e_ξ = ξ_d ⊗ ξ_O*, `(k, 4)` scalar first, normalised, from two `(k, 4)`.  Source: eq:quat_error."""
+    eta_d, eps_d = quat_des[:, :1], quat_des[:, 1:]
+    eta, eps = quat[:, :1], quat[:, 1:]
+    e_eta = eta * eta_d + np.sum(eps * eps_d, axis=1, keepdims=True)
+    e_eps = eta * eps_d - eta_d * eps + np.cross(eps, eps_d)
+    e = np.hstack([e_eta, e_eps])
+    return np.asarray(e / np.linalg.norm(e, axis=1, keepdims=True))
+
+
+def rotation_angle(quat: Array) -> Array:
+    """Angle of each rotation, `(k,)` rad in [0, π].
+
+    2 atan2(‖ε‖, |η|) and not 2 acos |η|, which is blind below 1e-8 rad and wrong by percents at 1e-7.
+    """
+    return np.asarray(2.0 * np.arctan2(np.linalg.norm(quat[:, 1:], axis=1), np.abs(quat[:, 0])))
+
+
+def rotation_vector(quat: Array) -> Array:
+    """Axis times angle of each rotation, `(k, 3)` rad, the shorter way round."""
+    sine = np.linalg.norm(quat[:, 1:], axis=1)
+    angle = rotation_angle(quat)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        gain = np.where(sine > 0.0, angle / sine, 2.0) * np.where(quat[:, 0] < 0.0, -1.0, 1.0)
+    return np.asarray(quat[:, 1:] * gain[:, None])
+
+
+def angle_about(quat: Array, plane: Plane) -> Array:
+    """Angle about the plane's normal, `(k,)` rad in (−π, π]: φ_O of the paper's figure."""
+    half = np.arctan2(plane.sign * quat[:, 1 + plane.normal], quat[:, 0])
+    return np.asarray(np.pi - np.mod(np.pi - 2.0 * half, 2.0 * np.pi))
+
+
+def rotate(quat: Array, vector: Array) -> Array:
+    """R(ξ) v for each row of `quat` `(k, 4)` and one `vector` `(3,)`."""
+    w, u = quat[:, :1], quat[:, 1:]
+    t = 2.0 * np.cross(u, vector)
+    return np.asarray(vector + w * t + np.cross(u, t))
+
+
+# ------------------------------------------------------------------------------------------------------------ poses
+
+
+@dataclass(frozen=True, slots=True)
+class PoseSeries:
+    """A pose against the desired one; all arrays have one row per tick and rows are in time order."""
+
+    source: str  # "plant" or the arm's name
+    sequence: NDArray[np.uint64]
+    t: Array
+    p_des: Array
+    quat_des: Array
+    p: Array
+    quat: Array
+    e_p: Array  # eq:position error
+    e_xi: Array  # eq:quat_error, of the representative whose sign the arms' own e_η has
+    tracking: NDArray[np.bool_]  # the desired pose is the trajectory's, not one that an arm holds
+
+    @property
+    def position_error(self) -> Array:
+        """‖e_p‖, m."""
+        return np.asarray(np.linalg.norm(self.e_p, axis=1))
+
+    @property
+    def attitude_error(self) -> Array:
+        """Angle of e_ξ, rad."""
+        return rotation_angle(self.e_xi)
+
+
+def column(rows: NDArray[np.void], name: str) -> Array:
+    """One float field of the rows as a contiguous array."""
+    return np.ascontiguousarray(rows[name], dtype=np.float64)
+
+
+def joint_columns(rows: NDArray[np.void], name: str, joints: int) -> Array:
+    """A joint field without its padding, `(k, joints)`."""
+    return np.ascontiguousarray(rows[name][:, :joints], dtype=np.float64)
+
+
+def plant_joints(plant: NDArray[np.void], name: str, arm: int, joints: int) -> Array:
+    """A joint field of the plant for one arm, `(k, joints)`."""
+    block = plant[name].reshape(len(plant), MAX_ARMS, MAX_JOINTS)
+    return np.ascontiguousarray(block[:, arm, :joints])
+
+
+def grasp_wrenches(plant: NDArray[np.void], arms: int) -> Array:
+    """Wrench of each arm on the object at its end effector, `(k, arms, 6)`, world axes."""
+    return np.ascontiguousarray(plant["grasp_wrench"].reshape(len(plant), MAX_ARMS, 6)[:, :arms])
+
+
+def in_run(rows: NDArray[np.void], info: RunInfo) -> NDArray[np.void]:
+    """The rows of the trajectory, without what was logged before its zero and after its end."""
+    t, half_s = rows["t"], 0.5 / info.rate_hz
+    return rows[(t >= -half_s) & (t < info.duration_s - half_s)]
+
+
+def is_stale(rows: NDArray[np.void]) -> NDArray[np.bool_]:
+    """Rows (k,) of cycles that brought no fresh state: they say what was wanted, not what was."""
+    return np.asarray(rows["flags"] & Flag.STALE.value != 0)
+
+
+def on_time_of(plant: NDArray[np.void], arms: Sequence[NDArray[np.void]]) -> NDArray[np.void]:
+    """The plant's rows with `t` counted from the arms' common start, where both read the same clock.
+
+    In lockstep the plant's zero is that start and nothing changes; in real time the plant runs before it.
+    """
+    for rows in arms:
+        if len(rows) and rows["stamp_ns"][0] < plant["stamp_ns"][-1] and rows["stamp_ns"][-1] > plant["stamp_ns"][0]:
+            zero_ns = np.median(rows["stamp_ns"] - np.rint(rows["t"] * 1e9).astype(np.int64))
+            moved = plant.copy()
+            moved["t"] = (plant["stamp_ns"] - zero_ns) * 1e-9
+            return moved
+    return plant
+
+
+def pose_by_arm(name: str, rows: NDArray[np.void]) -> PoseSeries:
+    """The object's pose as one arm's own kinematics see it."""
+    p, p_des = column(rows, "p_object"), column(rows, "p_object_des")
+    quat, quat_des = column(rows, "quat_object"), column(rows, "quat_object_des")
+    e_xi = _with_sign_of(column(rows, "e_eta"), attitude_error(quat_des, quat))
+    tracking = np.asarray(rows["mode"] == Mode.TRACK)
+    t, sequence = column(rows, "t"), rows["sequence"].copy()
+    return PoseSeries(name, sequence, t, p_des, quat_des, p, quat, p - p_des, e_xi, tracking)
+
+
+def pose_by_plant(
+    arms: Sequence[tuple[PoseSeries, NDArray[np.void]]], plant: NDArray[np.void], period_s: float
+) -> tuple[PoseSeries | None, str]:
+    """The true pose against the desired one of the same tick, and a note for the reader, empty when all is well.
+
+    `arms`: each arm's series with its rows.  Rows are matched by sequence number, unless their time stamps tell
+    that plant and arms count from different instants; then by the stamps, or by UTC where the stamps are of
+    different clocks.
+    """
+    half_ns = round(0.5e9 * period_s)
+    for clock, tolerance, witness, allowed_ns in (
+        ("sequence", 0, "stamp_ns", half_ns),
+        ("stamp_ns", half_ns, "utc_ns", SAME_CLOCK_NS),
+        ("utc_ns", half_ns, "utc_ns", half_ns),
+    ):
+        at = [nearest(rows[clock], plant[clock], tolerance) for _, rows in arms]
+        if not any((i >= 0).any() for i in at):
+            continue
+        apart_ns = [plant[witness][i >= 0] - rows[witness][i[i >= 0]] for (_, rows), i in zip(arms, at, strict=True)]
+        if np.median(np.abs(np.concatenate(apart_ns))) > allowed_ns:
+            continue
+        held = np.any([i >= 0 for i in at], axis=0)
+        note = f"plant rows are matched by {clock}: their sequence numbers are of other instants than the arms'"
+        return _true_pose(arms, [i[held] for i in at], plant[held]), "" if clock == "sequence" else note
+    return None, "no tick is in both the plant's and an arm's log: errors are by the arms' own kinematics"
+
+
+def _true_pose(
+    arms: Sequence[tuple[PoseSeries, NDArray[np.void]]], at: list[NDArray[np.intp]], true: NDArray[np.void]
+) -> PoseSeries:
+    """`at`: for each arm and plant row the index of the arm's row, −1 where it has none; some arm has one."""
+    rows = np.arange(len(true))
+    first = np.argmax(np.array(at) >= 0, axis=0)  # the first arm that logged the tick
+
+    def of_arms(name: str) -> Array:
+        return np.asarray(np.array([getattr(s, name)[i] for (s, _), i in zip(arms, at, strict=True)])[first, rows])
+
+    p_des, quat_des = of_arms("p_des"), of_arms("quat_des")
+    p, quat = column(true, "p_object"), column(true, "quat_object")
+    e_xi = _with_sign_of(of_arms("e_xi")[:, 0], attitude_error(quat_des, quat))
+    tracking = np.all([s.tracking[i] | (i < 0) for (s, _), i in zip(arms, at, strict=True)], axis=0)
+    return PoseSeries(
+        "plant", true["sequence"].copy(), of_arms("t"), p_des, quat_des, p, quat, p - p_des, e_xi, tracking
+    )
+
+
+def nearest(keys: NDArray[np.generic], wanted: NDArray[np.generic], tolerance: int) -> NDArray[np.intp]:
+    """Index of the nearest of the sorted `keys` for each of `wanted`, −1 where none is within `tolerance`."""
+    have, want = keys.astype(np.int64), wanted.astype(np.int64)
+    above = np.minimum(np.searchsorted(have, want), len(have) - 1)
+    below = np.maximum(above - 1, 0)
+    index = np.where(np.abs(have[below] - want) < np.abs(have[above] - want), below, above)
+    return np.asarray(np.where(np.abs(have[index] - want) <= tolerance, index, -1))
+
+
+def _with_sign_of(e_eta: Array, e_xi: Array) -> Array:
+    # e_ξ and −e_ξ are one rotation; the figures show the one the law worked with
+    return np.where((e_eta * e_xi[:, 0] < 0.0)[:, None], -e_xi, e_xi)
+
+
+# ------------------------------------------------------------------------------------------------- rows that are absent
+
+
+def missing_ranges(sequence: NDArray[np.uint64], ticks: int) -> list[tuple[int, int]]:
+    """First and last number of every stretch of 0 … ticks−1 that is not in the sorted, unique `sequence`."""
+    edges = np.concatenate([[-1], sequence[sequence < ticks].astype(np.int64), [ticks]])
+    jumps = np.flatnonzero(np.diff(edges) > 1)
+    return [(int(edges[i]) + 1, int(edges[i + 1]) - 1) for i in jumps]
+
+
+def internal_wrenches(wrenches: Array, quat: Array, p_object_ee: Array | None) -> Array:
+    """Internal part of the grasp wrenches, (I − G* Gᵀ) f, `(k, N, 6)`; moments are NaN without the grasp offsets.
+
+    G* = (1/N) [J_O1⁻¹ … J_ON⁻¹]ᵀ, the paper's equal-share generalised inverse: every arm is charged 1/N of the
+    wrench on the object's centre of mass, carried to its own end effector; what is left moves nothing.
+    With J_O = [[I, S(p)], [0, I]] and p = p_O/E:  Jᵀ[f; m] = [f; m − p × f],  J⁻ᵀ[F; M] = [F; M + p × F].
+    `wrenches` `(k, N, 6)` at the end effectors in world axes, `quat` `(k, 4)` of the object, `p_object_ee` `(N, 3)`.
+    """
+    internal = np.full_like(wrenches, np.nan)
+    force, moment = wrenches[:, :, :3], wrenches[:, :, 3:]
+    share_force = force.mean(axis=1, keepdims=True)
+    internal[:, :, :3] = force - share_force
+    if p_object_ee is None:
+        return internal
+    arm_count = wrenches.shape[1]
+    p = np.stack([-rotate(quat, p_object_ee[i]) for i in range(arm_count)], axis=1)
+    share_moment = (moment - np.cross(p, force)).mean(axis=1, keepdims=True)
+    internal[:, :, 3:] = moment - (share_moment + np.cross(p, share_force))
+    return internal

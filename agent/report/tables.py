@@ -1,0 +1,218 @@
+"""The tables of a report as plain text cells, for the terminal and the page.  Knows no markup, computes nothing."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from agent.log.runinfo import Bounded
+from agent.report.results import Judgement, PoseErrors, Results, WrenchSize
+
+ABSENT = "–"  # not measured
+SMALLEST = 1e-6  # what is smaller is shown as that
+SPACE = "\N{NO-BREAK SPACE}"  # a figure and its unit stay on one line
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One line of the table of results; `verdict` is None where the cell sets no bound."""
+
+    what: str
+    figure: str
+    bound: str = ""
+    verdict: Judgement | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table of text; the first column names the line, the others are figures unless `words`."""
+
+    title: str
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    words: bool = False
+
+
+def number(value: float, unit: str = "", scale: float = 1.0, digits: int = 3) -> str:
+    """A figure with its unit, to so many significant digits and never in powers of ten; `–` where not measured."""
+    if not math.isfinite(value):
+        return ABSENT
+    scaled = value * scale
+    if 0.0 < abs(scaled) < SMALLEST:
+        return f"< {SMALLEST:f}{SPACE}{unit}".rstrip()
+    decimals = max(0, min(6, digits - 1 - math.floor(math.log10(abs(scaled))))) if scaled else 0
+    return f"{scaled:.{decimals}f}{SPACE}{unit}".rstrip()
+
+
+def millimetres(value: float) -> str:
+    """A length in mm."""
+    return number(value, "mm", 1e3)
+
+
+def milliradians(value: float) -> str:
+    """An angle in mrad."""
+    return number(value, "mrad", 1e3)
+
+
+def milliseconds(value: float) -> str:
+    """A duration in ms."""
+    return number(value, "ms", 1e3)
+
+
+def lines(results: Results) -> list[Line]:
+    """The table of results: figure, bound, verdict."""
+    found = [
+        _bounded(results, "largest position error", Bounded.POSITION),
+        _bounded(results, "largest attitude error", Bounded.ATTITUDE),
+        Line("rms position error", millimetres(results.headline("rms_position_error_m"))),
+        Line("rms attitude error", milliradians(results.headline("rms_attitude_error_rad"))),
+    ]
+    if results.by_plant and results.info.plane:
+        off = millimetres(results.by_plant.max_out_of_plane_error_m)
+        found.append(Line("largest error out of the plane", off))
+    value, arm, joint = results.worst_torque
+    peak = f"{number(value, '%', 100.0)} of stall" if arm else ABSENT
+    found += [
+        Line("peak torque" + (f" ({arm} {joint.replace('_', ' ')})" if arm else ""), peak),
+        _completeness(results),
+        Line("arms disagree on the object by", millimetres(results.arm_disagreement_m)),
+        Line("real-time factor", number(results.real_time_factor)),
+        Line("late cycles", str(results.late_cycles)),
+        Line("events", str(results.events)),
+    ]
+    return found
+
+
+def _bounded(results: Results, what: str, bounded: Bounded) -> Line:
+    show = millimetres if bounded is Bounded.POSITION else milliradians
+    bound = results.info.bounds.get(bounded)
+    figure = show(results.headline(bounded.value))
+    return Line(what, figure, "" if bound is None else f"≤ {show(bound)}", results.verdict(bounded))
+
+
+def _completeness(results: Results) -> Line:
+    figure = f"{results.rows_recorded} of {results.rows_expected}"
+    verdict = Judgement.MET if results.complete else Judgement.NOT_MET
+    return Line("rows in the log", figure, "all", verdict)
+
+
+def tables(results: Results) -> list[Table]:
+    """Every table beyond the one of results, in the page's order; those without a line are left out."""
+    every = [_errors(results), _torques(results), _forces(results), _timing(results), _log(results), _states(results)]
+    return [table for table in every if table.rows]
+
+
+def _errors(results: Results) -> Table:
+    sources = [*([results.by_plant] if results.by_plant else []), *results.by_arm.values()]
+
+    def row(e: PoseErrors) -> tuple[str, ...]:
+        return (
+            "true pose" if e is results.by_plant else f"seen by {e.source}",
+            str(e.rows),
+            millimetres(e.max_position_error_m),
+            millimetres(e.rms_position_error_m),
+            milliradians(e.max_attitude_error_rad),
+            milliradians(e.rms_attitude_error_rad),
+            f"{millimetres(e.position.initial)}, {milliradians(e.attitude.initial)}",
+            f"{number(e.position.tenth_s, 's')}, {number(e.attitude.tenth_s, 's')}",
+        )
+
+    header = ("", "rows", "position max", "rms", "attitude max", "rms", "at the start", "below a tenth after")
+    return Table("Errors after the transient", header, tuple(row(e) for e in sources))
+
+
+def _torques(results: Results) -> Table:
+    header = ("joint", "peak", "of stall", "limit", "rms", "change per tick", "cut by safety", "at the limit")
+    rows = tuple(
+        (
+            f"{arm} {joint.replace('_', ' ')}",
+            number(r.peak_torque_Nm, "N·m"),
+            number(r.peak_torque_fraction, "%", 100.0),
+            number(r.tau_max_Nm, "N·m"),
+            number(r.rms_torque_Nm, "N·m"),
+            number(r.chatter_Nm, "N·m"),
+            number(r.limited_s, "s"),
+            number(r.at_limit_s, "s"),
+        )
+        for arm, a in results.arms.items()
+        for joint, r in a.joints.items()
+    )
+    return Table("Torque of each joint, whole run", header, rows)
+
+
+def _forces(results: Results) -> Table:
+    def size(w: WrenchSize) -> str:
+        return f"{number(w.max_force_N, 'N')}, {number(w.max_moment_Nm, 'N·m')}"
+
+    header = ("arm", "largest wrench u", "internal, commanded", "internal, realised", "load share", "realised")
+    rows = tuple(
+        (
+            name,
+            size(a.wrench_cmd),
+            size(a.internal_cmd),
+            size(a.internal_realised),
+            number(a.load_share_cmd),
+            number(a.load_share_realised),
+        )
+        for name, a in results.arms.items()
+    )
+    return Table("Wrenches and load share", header, rows)
+
+
+def _timing(results: Results) -> Table:
+    def rows() -> Iterator[tuple[str, ...]]:
+        for name, a in results.arms.items():
+            for what, spread in a.timing.items():
+                label = f"{name} {what.removesuffix('_s')}"
+                yield label, milliseconds(spread.p50_s), milliseconds(spread.p99_s), milliseconds(spread.max_s)
+
+    return Table("Loop timing", ("", "median", "99 %", "largest"), tuple(rows()))
+
+
+def _log(results: Results) -> Table:
+    header = (
+        "arm",
+        "expected",
+        "recorded",
+        "after the end",
+        "missing",
+        "late",
+        "overruns",
+        "bus: timeout, corrupt, alert, retry",
+    )
+
+    def row(name: str) -> tuple[str, ...]:
+        c, a = results.rows[name], results.arms.get(name)
+        gaps = ", ".join(f"{first}–{last}" if last > first else str(first) for first, last in c.gaps[:4])
+        more = f" and {len(c.gaps) - 4} more" if len(c.gaps) > 4 else ""
+        bus = ", ".join(str(v) for v in a.bus.values()) if a else ABSENT
+        late = (str(a.late_cycles), str(a.overruns)) if a else (ABSENT, ABSENT)
+        return name, str(c.expected), str(c.recorded), str(c.after_end), (gaps + more) or "none", *late, bus
+
+    return Table("Rows and cycles", header, tuple(row(name) for name in results.rows))
+
+
+def _states(results: Results) -> Table:
+    header = (
+        "arm",
+        "modes",
+        "flags raised on ticks",
+        "e_η start → end",
+        "Lyapunov start → end",
+        "smallest σ",
+        "velocity error rms",
+    )
+    rows = tuple(
+        (
+            name,
+            ", ".join(f"{mode} from {number(t, 's')}" for t, mode in a.modes),
+            ", ".join(f"{flag} {count}" for flag, count in a.flags.items() if count) or "none",
+            f"{a.e_eta_start:.6f} → {a.e_eta_end:.6f}",
+            f"{a.lyapunov_start_J:.2g} → {a.lyapunov_end_J:.2g} J",
+            number(a.sigma_min),
+            number(a.rms_velocity_error_m_per_s, "mm/s", 1e3),
+        )
+        for name, a in results.arms.items()
+    )
+    return Table("States of each arm", header, rows, words=True)

@@ -1,0 +1,178 @@
+"""A log back on the network, at its own pace or another.  Never under the live keys: nobody may take it for live."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import zenoh
+from numpy.typing import NDArray
+
+from agent.log.read import LogError, RunLog, read_log
+from agent.telemetry.link.session import FREE_PORT, Network, open_session
+from agent.telemetry.link.wire import BATCH_BYTES_MAX, BatchHeader, End
+from agent.telemetry.row.event import Event
+from agent.telemetry.row.topics import PLANT, RECORDER, Address, BadName, Kind
+
+_CYCLE_S: Final = 0.033
+
+
+def _never() -> bool:
+    return False
+
+
+@dataclass(frozen=True)
+class PlayOptions:
+    """What to play and how."""
+
+    path: Path
+    network: Network = field(default_factory=lambda: Network(listen=FREE_PORT))
+    speed: float = 1.0
+    start_s: float = 0.0  # seconds of the log, counted from its first row
+    stop_s: float | None = None
+    loop: bool = False
+    paused: Callable[[], bool] = _never
+
+
+@dataclass(frozen=True, slots=True)
+class PlayReport:
+    """What was played."""
+
+    rows: int
+    events: int
+    loops: int  # times played to the end
+
+
+def run(options: PlayOptions, stop: Callable[[], bool], ready: Callable[[str], None] = lambda _: None) -> PlayReport:
+    """Play until the end, or `stop`; `ready` gets the endpoint.  Raises LogError, NetworkError."""
+    log = read_log(options.path)
+    tracks = _tracks(options, log)
+    begin_ns = min((int(track.times[0]) for track in tracks if len(track.times)), default=0)
+    report = PlayReport(0, 0, 0)
+    with open_session(options.network) as opened, ExitStack() as stack:
+        publishers = {
+            key: stack.enter_context(
+                opened.session.declare_publisher(key, congestion_control=zenoh.CongestionControl.BLOCK)
+            )
+            for key in {track.key for track in tracks}
+        }
+        ready(opened.endpoint or "")
+        while not stop():
+            rows, events = _play_once(tracks, begin_ns, publishers, options, stop)
+            finished = all(track.done for track in tracks)
+            report = PlayReport(report.rows + rows, report.events + events, report.loops + finished)
+            if not options.loop:
+                break
+            for track in tracks:
+                track.rewind()
+    return report
+
+
+class _Track:
+    """Messages of one key with their times (UTC, ns), and how far they are played."""
+
+    def __init__(
+        self, address: Address, times: NDArray[np.int64], payload: Callable[[int, int], bytes], batch_max: int
+    ) -> None:
+        """`payload(first, behind)`: the messages of those numbers, one after the other."""
+        self.key = address.replay_key
+        self.is_rows = address.kind is Kind.STATE
+        self.times = times
+        self._payload = payload
+        self._batch_max = batch_max
+        self.rewind()
+
+    def rewind(self) -> None:
+        self._source = int.from_bytes(os.urandom(8), "little") | 1  # to a listener every loop is a run of its own
+        self._next = 0
+        self.done = False
+
+    def play_to(self, utc_ns: float, publisher: zenoh.Publisher) -> int:
+        """Publish everything up to that time, then once the end marker; returns the number of messages."""
+        begin, end = self._next, int(np.searchsorted(self.times, utc_ns, side="right"))
+        while self._next < end:
+            until = min(end, self._next + self._batch_max)
+            publisher.put(self._payload(self._next, until), attachment=self._header(End.OPEN))
+            self._next = until
+        if end == len(self.times) and not self.done:
+            self.done = True
+            publisher.put(b"", attachment=self._header(End.FINISHED))
+        return end - begin
+
+    def _header(self, end: End) -> bytes:
+        return BatchHeader(self._source, self._next, len(self.times), 0, end).pack()
+
+
+def _row_track(address: Address, rows: NDArray[np.void]) -> _Track:
+    times = np.maximum.accumulate(rows["utc_ns"])
+    return _Track(address, times, lambda a, b: rows[a:b].tobytes(), max(1, BATCH_BYTES_MAX // rows.dtype.itemsize))
+
+
+def _event_track(address: Address, events: list[Event]) -> _Track:
+    times = np.array([event.utc_ns for event in events], np.int64)
+    return _Track(address, times, lambda a, b: b"".join(event.to_json() for event in events[a:b]), 1)
+
+
+def _tracks(options: PlayOptions, log: RunLog) -> list[_Track]:
+    """Everything of the log within the wanted seconds.  Raises LogError."""
+    members = log.agents | ({PLANT: log.plant} if log.plant is not None else {})
+    times = np.concatenate([rows["utc_ns"] for rows in members.values()])
+    length_s = float(times.max() - times.min()) / 1e9 if len(times) else 0.0
+    stop_s = length_s if options.stop_s is None else options.stop_s
+    if options.speed <= 0 or not len(times) or not 0 <= options.start_s <= min(stop_s, length_s):
+        raise LogError(
+            f"nothing to play of {options.path}",
+            found=f"speed {options.speed:g}, from {options.start_s:g} s to {stop_s:g} s of {length_s:g} s",
+            expected="a positive speed, and seconds within the log",
+            remedy="correct the options",
+        )
+    first_ns, last_ns = (int(times.min()) + round(s * 1e9) for s in (options.start_s, stop_s))
+    tracks = [
+        _row_track(
+            Address(log.cell, member, Kind.STATE), rows[(rows["utc_ns"] >= first_ns) & (rows["utc_ns"] <= last_ns)]
+        )
+        for member, rows in members.items()
+    ]
+    for address, events in _by_source(log.cell, log.events).items():
+        tracks.append(_event_track(address, [e for e in events if first_ns <= e.utc_ns <= last_ns]))
+    return tracks
+
+
+def _by_source(cell: str, events: list[Event]) -> Mapping[Address, list[Event]]:
+    """Events by the key they came on; a source that cannot be part of a key goes under the recorder's."""
+    found: dict[Address, list[Event]] = {}
+    for event in events:
+        try:
+            address = Address(cell, event.source, Kind.EVENT)
+        except BadName:
+            address = Address(cell, RECORDER, Kind.EVENT)
+        found.setdefault(address, []).append(event)
+    return found
+
+
+def _play_once(
+    tracks: list[_Track],
+    begin_ns: int,
+    publishers: Mapping[str, zenoh.Publisher],
+    options: PlayOptions,
+    stop: Callable[[], bool],
+) -> tuple[int, int]:
+    """Play from where the tracks stand to their end; returns rows and events published."""
+    played_s, before_s = 0.0, time.monotonic()
+    rows = events = 0
+    while not stop() and not all(track.done for track in tracks):
+        now_s = time.monotonic()
+        if not options.paused():
+            played_s += (now_s - before_s) * options.speed
+        before_s = now_s
+        for track in tracks:
+            count = track.play_to(begin_ns + played_s * 1e9, publishers[track.key])
+            rows, events = rows + count * track.is_rows, events + count * (not track.is_rows)
+        time.sleep(_CYCLE_S)
+    return rows, events

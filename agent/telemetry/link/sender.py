@@ -1,0 +1,225 @@
+"""Which messages of a source to publish next, and again.  Pure bookkeeping: no network, no clock, never waits.
+
+The recorder says which numbers of a source it has; what stays missing is sent again as long as the source holds it.
+This stands behind Zenoh's own recovery, which gives up silently when a link is closed at the wrong moment.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from typing import Final, Protocol
+
+from agent.telemetry.link.coverage import Coverage, Range, count_of
+from agent.telemetry.link.wire import BATCH_BYTES_MAX, BatchHeader, End, StreamStatus
+from agent.telemetry.ring.ring import RingReader, RowBlock
+
+RESEND_AFTER_S: Final = 1.0  # Zenoh's recovery needs less
+RESEND_AFTER_MAX_S: Final = 8.0
+TEXTS_KEPT: Final = 10_000
+
+
+class Source(Protocol):
+    """Numbered messages, of which the oldest may vanish."""
+
+    source_id: int
+    batch_max: int  # messages per publication
+
+    @property
+    def written(self) -> int:
+        """How many messages there have been."""
+        ...
+
+    @property
+    def oldest(self) -> int:
+        """Number of the oldest message that may still be there."""
+        ...
+
+    @property
+    def end(self) -> End:
+        """Whether more will come; asked before `written`, never after."""
+        ...
+
+    def read(self, first: int, count: int) -> RowBlock:
+        """First run of messages that are still there among `count` from `first`."""
+        ...
+
+
+class RowSource:
+    """The rows of a ring.  A writer that died counts as an end: its ring is the black box."""
+
+    def __init__(self, reader: RingReader) -> None:
+        self._reader = reader
+        self.source_id = reader.header.ring_id
+        self.batch_max = max(1, BATCH_BYTES_MAX // reader.header.row_bytes)
+
+    @property
+    def written(self) -> int:
+        """How many rows were committed."""
+        return self._reader.written
+
+    @property
+    def oldest(self) -> int:
+        """Oldest row in the ring."""
+        return self._reader.oldest
+
+    @property
+    def end(self) -> End:
+        """FINISHED when the agent said so, DIED when its lock is free without that."""
+        if self._reader.finished:
+            return End.FINISHED
+        return End.OPEN if self._reader.writer_alive or self._reader.finished else End.DIED
+
+    def read(self, first: int, count: int) -> RowBlock:
+        """Intact rows from `first` on; new rows in order, so that a row on its way from another core is waited for."""
+        if first == self._reader.next_index:
+            return self._reader.read_new(count)
+        return self._reader.read_at(first, count)
+
+
+class TextSource:
+    """The last texts of this process; each is a publication of its own."""
+
+    batch_max = 1
+
+    def __init__(self, source_id: int) -> None:
+        self.source_id = source_id
+        self.end = End.OPEN
+        self._texts: deque[bytes] = deque(maxlen=TEXTS_KEPT)
+        self.written = 0
+
+    @property
+    def oldest(self) -> int:
+        """Number of the oldest text kept."""
+        return self.written - len(self._texts)
+
+    def append(self, text: bytes) -> None:
+        """Add a text."""
+        self._texts.append(text)
+        self.written += 1
+
+    def read(self, first: int, count: int) -> RowBlock:
+        """The text of that number, if it is still there."""
+        if count <= 0 or not self.oldest <= first < self.written:
+            return RowBlock(max(first, self.oldest), 0, b"")
+        return RowBlock(first, 1, self._texts[first - self.oldest])
+
+
+class Sender:
+    """One source on its way to the recorder."""
+
+    def __init__(self, source: Source, *, window: int | None) -> None:
+        """`window`: at most so many messages beyond those the recorder has (lockstep); None: no bound (real time)."""
+        self._source = source
+        self._window = window
+        self._next = 0
+        self._lost = 0  # vanished before they were published
+        self._have = Coverage()  # with the recorder, or gone for good
+        self._gone = Coverage()
+        self._end_acknowledged = False
+        self._end = End.OPEN
+        self._written_at_end = 0
+        self._end_sent_s: float | None = None
+        self._stuck_at: tuple[int, bool] = (0, False)
+        self._stuck_since_s = 0.0
+        self._patience_s = RESEND_AFTER_S
+
+    @property
+    def published(self) -> int:
+        """How many messages were published or are lost."""
+        return self._next
+
+    @property
+    def lost(self) -> int:
+        """How many messages vanished before they could be published."""
+        return self._lost
+
+    @property
+    def acknowledged(self) -> int:
+        """All messages before this number are with the recorder, or lost."""
+        missing = self._missing()
+        return missing[0][0] if missing else self._next
+
+    @property
+    def ended(self) -> bool:
+        """Whether the source has ended and all of it was published."""
+        return self._end is not End.OPEN and self._next >= self._written_at_end
+
+    @property
+    def complete(self) -> bool:
+        """Whether the recorder has everything that can still be had, and the end marker."""
+        return self.ended and self._end_acknowledged and not self._missing()
+
+    def new(self, batches_max: int, now_s: float) -> Iterator[tuple[BatchHeader, bytes]]:
+        """Return what was not published yet, at most `batches_max` batches, then once the end marker."""
+        end = self._source.end
+        written = self._source.written
+        if end is not End.OPEN and self._end is End.OPEN:
+            self._end, self._written_at_end = end, written
+        if self._window is not None:
+            written = min(written, self.acknowledged + self._window)
+        for _ in range(batches_max):
+            if self._next >= written:
+                break
+            block = self._source.read(self._next, min(self._source.batch_max, written - self._next))
+            self._lost += block.first - self._next
+            self._note_gone(self._next, block.first - 1)
+            self._next = block.first + block.count
+            if not block.count:
+                break
+            yield self._header(block.first), block.payload
+        if self.ended and self._end_sent_s is None:
+            self._end_sent_s = now_s
+            yield self._header(self._next), b""
+
+    def on_status(self, status: StreamStatus | None, now_s: float) -> None:
+        """Take note of what the recorder has; None when it has nothing of this key."""
+        if status is None or status.source != self._source.source_id:
+            self._have, self._end_acknowledged = Coverage(self._gone.ranges), False
+        else:
+            self._have, self._end_acknowledged = Coverage((*status.have, *self._gone.ranges)), status.ended
+        at = (self.acknowledged, self._end_acknowledged)
+        if at != self._stuck_at:
+            self._stuck_at, self._stuck_since_s, self._patience_s = at, now_s, RESEND_AFTER_S
+
+    def again(self, batches_max: int, now_s: float) -> Iterator[tuple[BatchHeader, bytes]]:
+        """Return what the recorder misses, when it has missed the same for a while; waits longer each time."""
+        missing = self._missing()
+        end_missing = self.ended and not self._end_acknowledged
+        if not (missing or end_missing) or now_s - self._stuck_since_s < self._patience_s:
+            return
+        self._stuck_since_s, self._patience_s = now_s, min(2 * self._patience_s, RESEND_AFTER_MAX_S)
+        for start, last in missing:
+            first = start
+            while first <= last and batches_max > 0:
+                block = self._source.read(first, min(self._source.batch_max, last + 1 - first))
+                self._note_gone(first, min(block.first - 1, last))
+                first = block.first + block.count
+                batches_max -= 1
+                if block.count:
+                    yield self._header(block.first), block.payload
+        if end_missing:
+            yield self._header(self._next), b""
+
+    def _note_gone(self, first: int, last: int) -> None:
+        if first <= last:
+            self._gone.add(first, last)
+            self._have.add(first, last)
+
+    def unrecorded(self) -> int:
+        """How many published messages the recorder does not have."""
+        return count_of(self._missing())
+
+    def _missing(self) -> list[Range]:
+        """Published numbers that the recorder does not have and that are still there."""
+        return self._have.missing(self._source.oldest, self._next - 1) if self._next else []
+
+    def _header(self, first: int) -> BatchHeader:
+        at_end = self.ended and first >= self._next
+        return BatchHeader(
+            self._source.source_id,
+            first,
+            max(self._source.written, first),
+            self._lost,
+            self._end if at_end else End.OPEN,
+        )

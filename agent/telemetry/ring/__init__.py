@@ -1,0 +1,1 @@
+"""The shared-memory ring between the control thread and telemetry."""

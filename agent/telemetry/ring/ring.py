@@ -1,0 +1,277 @@
+"""The ring between control thread and telemetry: one writer, many readers; in real time the writer never waits.
+
+A row is committed when it lies in its slot with index and checksum and `written` counts it.  A reader copies first
+and believes nothing that does not carry the right index before and after the copy and the right CRC32, so a torn row is
+never returned, whatever the order in which another core sees the stores.  The file survives its writer: the black box.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import time
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.telemetry.ring import file as ring_file
+from agent.telemetry.ring.file import (
+    ACKNOWLEDGED_WORD,
+    FINISHED_WORD,
+    MESSAGE_IN_SLOT,
+    SLOTS_OFFSET,
+    WRITTEN_WORD,
+    RingError,
+    RingHeader,
+    RowFormat,
+)
+from agent.telemetry.row.sample import CDR_LITTLE_ENDIAN
+
+DEFAULT_SLOTS: Final = 8192  # 22 MB of AgentState: 41 s at 200 Hz, 16 s at 500 Hz
+LOCKSTEP_TIMEOUT_S: Final = 30.0
+_POLL_S: Final = 0.0002
+_READ_ATTEMPTS: Final = 3  # a row that is bad this often is damaged, not late in coming from another core
+
+
+class RingWriter:
+    """The writing end, for the control thread: fill `row` in place, call `commit`.
+
+    `row` stays the same object for the whole life of the writer, so views of its fields may be taken once and kept.
+    """
+
+    def __init__(
+        self, path: Path, row_format: RowFormat, name: str, joints: tuple[str, ...] = (), *, slots: int = DEFAULT_SLOTS
+    ) -> None:
+        """Create the ring at `path` (mode 0640) and take its lock.
+
+        An unfinished ring of an earlier run is kept beside it as `<path>.previous`: it is that run's black box.
+        Raises RingError when another writer is alive, or the memory is not there.
+        """
+        header = ring_file.make_header(row_format, slots=slots, name=name, joints=joints, created_ns=time.time_ns())
+        try:
+            self._fd = ring_file.claim(path, header)
+        except OSError as error:
+            raise RingError(
+                f"cannot create the telemetry ring {path}",
+                found=error.strerror,
+                expected=f"a writable directory with {header.file_bytes >> 20} MB free",
+                remedy="create the directory, free space, or take fewer slots",
+            ) from error
+        self.header = header
+        self._map = ring_file.map_file(self._fd, header.file_bytes, writable=True)
+        self._bytes = memoryview(self._map)
+        self._words = self._bytes.cast("Q")
+        self._pack_slot_head = struct.Struct("=QI").pack_into
+        self.row, self._staged = _aligned_row(row_format.dtype)
+        self.row["encapsulation"] = CDR_LITTLE_ENDIAN
+        self.written = 0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def commit(self) -> None:
+        """Make `row` visible as the next row.  One copy and one checksum; never waits, never fails."""
+        index = self.written
+        header = self.header
+        slot = SLOTS_OFFSET + index % header.slots * header.stride
+        word = slot >> 3
+        self._words[word] = 0  # a writer killed between here and the last store leaves a row nobody believes
+        start = slot + MESSAGE_IN_SLOT
+        self._bytes[start : start + header.row_bytes] = self._staged
+        self._pack_slot_head(self._bytes, slot, index + 1, zlib.crc32(self._staged, index & 0xFFFFFFFF))
+        self.written = index + 1
+        self._words[WRITTEN_WORD] = index + 1
+
+    def wait_for_space(self, timeout_s: float = LOCKSTEP_TIMEOUT_S) -> None:
+        """Lockstep simulation only: wait until less than half the ring is unacknowledged.
+
+        Raises RingError when that takes longer than `timeout_s`: telemetry is missing or stuck.
+        """
+        deadline = time.monotonic() + timeout_s
+        while (waiting := self.written - self._words[ACKNOWLEDGED_WORD]) >= self.header.slots // 2:
+            if time.monotonic() >= deadline:
+                raise RingError(
+                    f"the telemetry of {self.header.name} does not keep up",
+                    found=f"{waiting} rows waiting for {timeout_s:g} s",
+                    expected=f"fewer than {self.header.slots // 2}",
+                    remedy="start `coop telemetry` and `coop record`, or see why they stand still",
+                )
+            time.sleep(_POLL_S)
+
+    def finish(self) -> None:
+        """Say that no row will follow."""
+        self._words[FINISHED_WORD] = 1
+
+    def close(self) -> None:
+        """Unmap and give the lock back; the file stays for its readers.  Safe twice."""
+        if self._fd < 0:
+            return
+        self._words.release()
+        self._bytes.release()
+        self._map.close()
+        os.close(self._fd)
+        self._fd = -1
+
+
+@dataclass(frozen=True, slots=True)
+class RowBlock:
+    """Consecutive rows, each a complete message."""
+
+    first: int  # ring index of the first row
+    count: int
+    payload: bytes
+
+
+class RingReader:
+    """A reading end.  Never disturbs the writer; writes one word, and only when opened with `acknowledges`."""
+
+    def __init__(self, path: Path, row_format: RowFormat, *, acknowledges: bool = False) -> None:
+        """Open the ring at `path`, at its oldest row.  Raises RingError when it is missing or not such a ring."""
+        try:
+            fd = os.open(path, (os.O_RDWR if acknowledges else os.O_RDONLY) | os.O_CLOEXEC)
+        except OSError as error:
+            raise RingError(
+                f"cannot open the telemetry ring {path}",
+                found=error.strerror,
+                expected="the file an agent made",
+                remedy="start the agent first, or correct the path",
+            ) from error
+        try:
+            self.header = RingHeader.unpack(path, os.pread(fd, SLOTS_OFFSET, 0))
+            ring_file.check_format(path, self.header, row_format, os.fstat(fd).st_size)
+            self._map = ring_file.map_file(fd, self.header.file_bytes, writable=acknowledges)
+        except BaseException:
+            os.close(fd)
+            raise
+        self.missed = 0  # rows overwritten before they were read
+        self.damaged = 0  # rows whose checksum stays wrong
+        self._path = path
+        self._fd = fd
+        self._words = memoryview(self._map).cast("Q")
+        self._next = 0
+        self._bad_reads = 0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def written(self) -> int:
+        """Rows committed so far."""
+        return self._words[WRITTEN_WORD]
+
+    @property
+    def next_index(self) -> int:
+        """Index of the row `read_new` looks for next."""
+        return self._next
+
+    @property
+    def oldest(self) -> int:
+        """Index of the oldest row that may still be in the ring."""
+        return max(0, self.written - self.header.slots)
+
+    @property
+    def finished(self) -> bool:
+        """Whether the writer said that no row will follow."""
+        return bool(self._words[FINISHED_WORD])
+
+    @property
+    def writer_alive(self) -> bool:
+        """Whether a process still holds the writer's lock."""
+        return ring_file.is_locked(self._fd)
+
+    @property
+    def replaced(self) -> bool:
+        """Whether the path leads to another ring by now."""
+        try:
+            return self._path.stat().st_ino != os.fstat(self._fd).st_ino
+        except FileNotFoundError:
+            return False
+
+    def read_new(self, max_rows: int) -> RowBlock:
+        """Return the next rows, at most `max_rows`, perhaps none; `missed` counts what was overwritten meanwhile."""
+        written = self.written
+        start = max(self._next, written - self.header.slots)
+        self.missed += start - self._next
+        self._next = start
+        block = self.read_at(start, min(max_rows, written - start))
+        bad = block.first - start
+        if bad and start + bad > self.oldest and self._bad_reads < _READ_ATTEMPTS:
+            self._bad_reads += 1  # not overwritten: another core's stores are still on their way
+            return RowBlock(start, 0, b"")
+        overwritten = min(bad, max(0, self.oldest + 1 - start))
+        self.missed += overwritten
+        self.damaged += bad - overwritten
+        self._bad_reads = 0
+        self._next = block.first + block.count
+        return block
+
+    def read_at(self, first: int, count: int) -> RowBlock:
+        """Return the first run of intact rows among `count` rows from index `first`.
+
+        When there is none the block is empty and its `first` is behind them.
+        """
+        if count <= 0:
+            return RowBlock(first, 0, b"")
+        copy, intact = self._copy(first, count)
+        where = np.flatnonzero(intact)
+        if not len(where):
+            return RowBlock(first + count, 0, b"")
+        begin = int(where[0])
+        broken = np.flatnonzero(~intact[begin:])
+        end = begin + int(broken[0]) if len(broken) else count
+        messages = copy[begin:end, MESSAGE_IN_SLOT : MESSAGE_IN_SLOT + self.header.row_bytes]
+        return RowBlock(first + begin, end - begin, messages.tobytes())
+
+    def acknowledge(self, index: int) -> None:
+        """Tell a writer in lockstep that the rows before `index` are safe and may be overwritten."""
+        self._words[ACKNOWLEDGED_WORD] = index
+
+    def close(self) -> None:
+        """Unmap.  Safe twice."""
+        if self._fd < 0:
+            return
+        self._words.release()
+        self._map.close()
+        os.close(self._fd)
+        self._fd = -1
+
+    def _copy(self, first: int, count: int) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+        """Private copy (count, stride) of the slots, and which of them (count,) hold the row they should."""
+        header = self.header
+        slots: NDArray[np.uint8] = np.frombuffer(
+            self._map, np.uint8, header.slots * header.stride, SLOTS_OFFSET
+        ).reshape(header.slots, header.stride)
+        where = np.arange(first, first + count) % header.slots
+        live_index = slots.view(np.uint64)[:, 0]
+        expected = np.arange(first + 1, first + count + 1, dtype=np.uint64)
+        copy = slots[where]
+        intact = (copy.view(np.uint64)[:, 0] == expected) & (live_index[where] == expected)
+        end = MESSAGE_IN_SLOT + header.row_bytes
+        stride = header.stride
+        memory = memoryview(copy.data).cast("B")
+        stored = copy[:, 8:12].copy().view(np.uint32)[:, 0].tolist()
+        for i in np.flatnonzero(intact).tolist():
+            if (
+                zlib.crc32(memory[i * stride + MESSAGE_IN_SLOT : i * stride + end], (first + i) & 0xFFFFFFFF)
+                != stored[i]
+            ):
+                intact[i] = False
+        return copy, intact
+
+
+def _aligned_row(dtype: np.dtype[np.void]) -> tuple[NDArray[np.void], memoryview]:
+    """One zeroed row whose payload, behind the 4-byte header, is 8-byte aligned, and its bytes."""
+    memory = np.zeros(dtype.itemsize + 16, np.uint8)
+    offset = (4 - memory.ctypes.data) % 8
+    raw = memory[offset : offset + dtype.itemsize]
+    return raw.view(dtype).reshape(()), raw.data

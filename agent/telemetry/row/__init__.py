@@ -1,0 +1,1 @@
+"""What is told of each tick: the row, events, and the table of keys and topics."""

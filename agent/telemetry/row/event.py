@@ -1,0 +1,79 @@
+"""Events and health as JSON texts of at most TEXT_MAX_BYTES, whatever length they are given."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Any, Final
+
+TEXT_MAX_BYTES: Final = 1000
+
+
+class Level(IntEnum):
+    """How bad it is; the numbers are those of rcl_interfaces/msg/Log."""
+
+    DEBUG = 10
+    INFO = 20
+    WARN = 30
+    ERROR = 40
+    FATAL = 50
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something that happened once: who says so, when, how bad, what, and the numbers."""
+
+    utc_ns: int
+    source: str
+    level: Level
+    text: str
+    data: Mapping[str, Any] = field(default_factory=dict)
+
+    def to_json(self) -> bytes:
+        """One line of JSON, at most TEXT_MAX_BYTES; a text too long loses its data first, then its end."""
+        plain = {"utc_ns": self.utc_ns, "source": self.source, "level": self.level.name, "text": self.text}
+        encoded = encode(plain | {"data": dict(self.data)})
+        text = self.text
+        while len(encoded) > TEXT_MAX_BYTES:
+            encoded = encode(plain | {"text": text, "source": self.source[:32], "data": {"truncated": True}})
+            text = text[: len(text) // 2]
+        return encoded
+
+    @classmethod
+    def from_json(cls, payload: bytes) -> Event:
+        """The event of `payload`, which may come from anywhere.  Raises ValueError when it is not one."""
+        if len(payload) > TEXT_MAX_BYTES:
+            raise ValueError(f"{len(payload)} bytes")
+        try:
+            raw = json.loads(payload)
+            event = cls(raw["utc_ns"], raw["source"], Level[raw["level"]], raw["text"], raw.get("data", {}))
+        except (KeyError, TypeError, RecursionError) as error:
+            raise ValueError(f"not an event: {error!r}") from error
+        _check_time(event.utc_ns)
+        if not (isinstance(event.source, str) and isinstance(event.text, str) and isinstance(event.data, dict)):
+            raise ValueError("a field has the wrong type")
+        return event
+
+
+def health_time(payload: bytes) -> int:
+    """UTC in ns of a health text, which may come from anywhere.  Raises ValueError when it is none."""
+    if len(payload) > TEXT_MAX_BYTES:
+        raise ValueError(f"{len(payload)} bytes")
+    try:
+        return _check_time(json.loads(payload)["utc_ns"])
+    except (KeyError, TypeError, RecursionError) as error:
+        raise ValueError(f"not a health text: {error!r}") from error
+
+
+def _check_time(utc_ns: object) -> int:
+    if type(utc_ns) is not int or not 0 <= utc_ns < 1 << 63:
+        raise ValueError("utc_ns is not a time")
+    return utc_ns
+
+
+def encode(values: Mapping[str, Any]) -> bytes:
+    """JSON that every reader accepts: numbers that are not finite become null."""
+    plain = json.loads(json.dumps(values, default=str), parse_constant=lambda _: None)
+    return json.dumps(plain, separators=(",", ":")).encode()

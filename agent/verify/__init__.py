@@ -1,0 +1,1 @@
+"""What must hold before a start: the check, its margins, and the gains that meet them."""

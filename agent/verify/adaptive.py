@@ -1,0 +1,54 @@
+"""What must hold before an adaptive cell moves: how fast its estimates may adapt at its rate; computes only."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from agent.config.cell import Cell
+from agent.control.adaptation_bound import GainLimits, Point, Reference, believed_inertia, gain_limits
+from agent.control.errors import attitude_error
+from agent.control.models import ArmModel
+from agent.control.stability import coupled_inertia, spectral_radius
+from agent.verify.margin import sampled_loop
+from drivers.interface import Vector
+
+MARGIN = 2.0  # between the largest gain that is computed to be stable and the one that is recommended
+
+
+@dataclass(frozen=True)
+class AdaptiveFindings:
+    """Recommended largest gains, and the loop before anything has been learnt."""
+
+    gamma_max: float
+    gamma_object_max: float
+    radius_at_start: float
+
+
+def examine_adaptation(
+    cell: Cell, models: Sequence[ArmModel], along: Sequence[Sequence[Vector]], instants: Sequence[float]
+) -> AdaptiveFindings:
+    """Limits over the trajectory; along[k][i]: joint angles (n,) of arm i at instants[k] (s)."""
+    agents = [cell.offline(a) for a in cell.arms]
+    P, obj, trajectory = models[0].task_basis, cell.file.object, cell.trajectory()
+    loop = sampled_loop(cell)
+    inertia_object = np.array(obj.inertia_kg_m2.matrix())
+    points = []
+    for q, t in zip(along, instants, strict=True):
+        desired = trajectory.at(t)
+        R = models[0].object_pose(q[0]).rotation
+        M = coupled_inertia(models, q, obj.mass_kg, R @ inertia_object @ R.T)
+        points.append(Point(q, M, Reference(np.array(desired.v), np.array(desired.a))))
+    limits: GainLimits = gain_limits(models, agents, points, _start_error(cell), loop)
+    radius = max(spectral_radius(p.M, believed_inertia(models, agents, p.q), P, loop) for p in points)
+    spec = cell.file.controller.adaptive
+    return AdaptiveFindings(spec.gamma * limits.arm / MARGIN, spec.gamma_object * limits.object / MARGIN, radius)
+
+
+def _start_error(cell: Cell) -> Vector:
+    """e (6,) of the object's first pose."""
+    obj, desired = cell.file.object, cell.trajectory().at(0.0)
+    e_eta, e_eps = attitude_error(obj.quat_start, desired.quat)
+    return np.array([*(np.array(obj.p_start_m) - desired.p), *(-e_eta * np.array(e_eps))])

@@ -1,0 +1,273 @@
+"""What must hold before anything moves: a cell examined along its whole trajectory; computes, never commands."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from agent.config import trajectory as motion
+from agent.config.cell import Arm, Cell, ConfigError, placement
+from agent.config.schema.cell import ControllerKind, DriverKind
+from agent.control import ik, known
+from agent.control.errors import attitude_error
+from agent.control.inverse import SingularJacobian
+from agent.control.models import ArmModel, ModelError
+from agent.verify.adaptive import examine_adaptation
+from agent.verify.bus import bus_rates
+from agent.verify.finding import Finding, Verdict, judged
+from agent.verify.force import internal_force
+from agent.verify.margin import damping, places, sampled_loop
+from drivers.interface import Vector
+
+SAMPLES = 48  # points along the trajectory, beside those that the trajectory names itself
+STABILITY_SAMPLES = 12
+
+__all__ = ["CheckReport", "Finding", "Verdict", "examine", "reach", "start_configurations"]
+
+
+@dataclass(frozen=True)
+class CheckReport:
+    """All findings, and the start configuration of each arm."""
+
+    findings: tuple[Finding, ...]
+    q_start: tuple[Vector, ...]
+
+    @property
+    def ok(self) -> bool:
+        """Whether the cell may run."""
+        return all(f.verdict is not Verdict.REFUSED for f in self.findings)
+
+    def require(self) -> None:
+        """Raise ConfigError with the first refusal."""
+        for f in self.findings:
+            if f.verdict is Verdict.REFUSED:
+                raise ConfigError(f"{f.what} ({f.where})", found=f.found, expected=f.wanted, remedy=f.remedy)
+
+
+@dataclass(frozen=True)
+class _Path:
+    """One arm along the trajectory."""
+
+    q: list[Vector]
+    sigma_min: float
+    sigma_min_t: float
+    tau_peak: Vector
+    limit_margin: Vector
+
+
+def start_configurations(cell: Cell, models: Sequence[ArmModel]) -> tuple[Vector, ...]:
+    """Joint angles (n,) of each arm with the object at its start pose, nearest to q_near_rad.
+
+    Raises ConfigError naming the arm when its grasp cannot be reached.
+    """
+    return tuple(
+        reach(arm, model, cell.T_world_object_start, np.array(arm.entry.q_near_rad), "at the start")
+        for arm, model in zip(cell.arms, models, strict=True)
+    )
+
+
+def examine(cell: Cell, *, wired: bool | None = None) -> CheckReport:
+    """Examine the whole cell.  Raises ConfigError where nothing further can be computed (an unreachable grasp).
+
+    wired: a rate that the servo buses of the cell cannot carry is refused, not only warned of; None: if servos move
+    the arms (`driver`).
+    """
+    try:
+        models = [cell.model(arm) for arm in cell.arms]
+    except ModelError as error:
+        raise ConfigError(error.what, found=error.found, expected=error.expected, remedy=error.remedy) from error
+    findings: list[Finding] = []
+    _same_task_space(cell, models)
+    q_start = start_configurations(cell, models)
+    findings += _start(cell)
+    paths = []
+    for arm, model, q0 in zip(cell.arms, models, q_start, strict=True):
+        path = _along_trajectory(cell, arm, model, q0)
+        findings += _arm_findings(cell, arm, path)
+        paths.append(path)
+    share = math.fsum(a.entry.load_share for a in cell.arms)
+    findings.append(judged("sum of load shares", "cell", f"{share:.6f}", "1", holds=abs(share - 1.0) < 1e-9, remedy=""))
+    findings += internal_force(cell, models)
+    findings += _buses(cell, q_start, wired=cell.file.driver is DriverKind.DYNAMIXEL if wired is None else wired)
+    findings += _stability(cell, models, paths)
+    if cell.file.controller.kind is ControllerKind.ADAPTIVE:
+        findings += _adaptation(cell, models, paths)
+    return CheckReport(tuple(findings), q_start)
+
+
+def reach(arm: Arm, model: ArmModel, T: pin.SE3, q_near: Vector, when: str) -> Vector:
+    """Joint angles (n,) of the arm with the object at T, nearest to q_near.  Raises ConfigError naming arm and time."""
+    try:
+        return ik.solve(model, T, q_near)
+    except ik.Unreachable as error:
+        remedy = (
+            "the rest lies outside the plane of the controlled joints: align base and grasp poses"
+            if error.out_of_task
+            else "move the base, the grasp or the trajectory, or give q_near_rad nearer to the solution"
+        )
+        raise ConfigError(
+            f"grasp of arm {arm.name} {when}",
+            found=f"unreachable by {error.distance_m * 1e3:.3g} mm and {error.angle_rad * 1e3:.3g} mrad",
+            expected="a pose the arm reaches",
+            remedy=remedy,
+        ) from error
+
+
+def _same_task_space(cell: Cell, models: Sequence[ArmModel]) -> None:
+    first = models[0].plane_normal
+    for arm, model in zip(cell.arms[1:], models[1:], strict=True):
+        other = model.plane_normal
+        if (first is None) != (other is None) or (
+            first is not None and other is not None and abs(first.dot(other)) < 1.0 - 1e-9
+        ):
+            raise ConfigError(
+                f"motion plane of arm {arm.name}",
+                found="none (six-dimensional)" if other is None else f"normal {other.tolist()}",
+                expected="the same as of arm " + cell.arms[0].name,
+                remedy="make all arms planar in one plane, or all six-dimensional",
+            )
+
+
+def _start(cell: Cell) -> list[Finding]:
+    safety, desired = cell.file.safety, cell.trajectory().at(0.0)
+    obj = cell.file.object
+    distance = math.dist(obj.p_start_m, desired.p)
+    e_eta, e_eps = attitude_error(obj.quat_start, desired.quat)
+    angle = 2.0 * math.atan2(math.hypot(*e_eps), abs(e_eta))
+    axis = np.round(np.array(e_eps) / max(math.hypot(*e_eps), 1e-12), 3).tolist()
+    return [
+        judged(
+            "start position error", "cell", f"{distance * 1e3:.2f} mm", f"≤ {safety.start_error_max_m * 1e3:g} mm",
+            holds=distance <= safety.start_error_max_m,
+            remedy="start nearer to the trajectory, or raise start_error_max_m",
+        ),
+        judged(
+            "e_η(0)", "cell", f"{e_eta:.6f}", f"|e_η| ≥ {safety.e_eta_min:g}", holds=abs(e_eta) >= safety.e_eta_min,
+            remedy=f"the object is turned by {math.degrees(angle):.1f}° about {axis} from its desired attitude",
+        ),
+        judged(
+            "start attitude error", "cell", f"{angle * 1e3:.2f} mrad", f"≤ {safety.start_error_max_rad * 1e3:g} mrad",
+            holds=angle <= safety.start_error_max_rad, remedy="turn the object, or raise start_error_max_rad",
+        ),
+    ]  # fmt: skip
+
+
+def _instants(cell: Cell) -> list[float]:
+    """Times at which the trajectory is examined, ascending."""
+    end = min(cell.trajectory().period_s, cell.file.duration_s)
+    named = {t for t in motion.waypoint_times(cell.file) if t <= end}
+    return sorted(named.union(np.linspace(0.0, end, SAMPLES).tolist()))
+
+
+def _along_trajectory(cell: Cell, arm: Arm, model: ArmModel, q_start: Vector) -> _Path:
+    trajectory, offline = cell.trajectory(), cell.offline(arm)
+    q, qs = q_start, []
+    sigma, sigma_t = math.inf, 0.0
+    tau_peak = np.zeros(arm.n)
+    lower, upper = model.model.lowerPositionLimit, model.model.upperPositionLimit
+    margin = np.minimum(q_start - lower, upper - q_start)
+    for t in _instants(cell):
+        desired = trajectory.at(t)
+        q = reach(arm, model, placement(desired.p, desired.quat), q, f"at t = {t:.2f} s")
+        qs.append(q)
+        J = model.jacobian(q)
+        s = float(np.linalg.svd(J, compute_uv=False)[-1])
+        if s < sigma:
+            sigma, sigma_t = s, t
+        dq = np.linalg.pinv(J) @ (model.task_basis @ np.array(desired.v))
+        try:
+            tau_peak = np.maximum(tau_peak, np.abs(known.torque(model, offline, q, dq, desired).tau_cmd))
+        except SingularJacobian:
+            sigma, sigma_t = 0.0, t
+        margin = np.minimum(margin, np.minimum(q - lower, upper - q))
+    return _Path(qs, sigma, sigma_t, tau_peak, margin)
+
+
+def _arm_findings(cell: Cell, arm: Arm, path: _Path) -> list[Finding]:
+    safety = cell.file.safety
+    findings = [
+        judged(
+            "smallest singular value of J", arm.name, f"{path.sigma_min:.4f} at t = {path.sigma_min_t:.2f} s",
+            f"≥ {safety.sigma_min:g}", holds=path.sigma_min >= safety.sigma_min,
+            remedy="stay away from stretched or folded poses",
+        )
+    ]  # fmt: skip
+    bound = safety.tau_max_fraction_of_stall
+    for joint, tau, stall, room in zip(
+        arm.entry.controlled, path.tau_peak, arm.tau_stall_Nm, path.limit_margin, strict=True
+    ):
+        findings.append(
+            judged(
+                f"torque along the trajectory, {joint}", arm.name,
+                f"{tau:.3f} N·m, {tau / stall:.0%} of stall", f"≤ {bound:.0%} of {stall:g} N·m",
+                holds=tau <= bound * stall, remedy="use a stronger arm, a lighter object or a pose with less load",
+            )
+        )  # fmt: skip
+        findings.append(
+            judged(
+                f"distance to joint limit, {joint}", arm.name, f"{room:.3f} rad", "> 0", holds=room > 0.0,
+                remedy="move the base or the trajectory, or take the other elbow solution (q_near_rad)",
+            )
+        )  # fmt: skip
+    return findings
+
+
+def _stability(cell: Cell, models: Sequence[ArmModel], paths: Sequence[_Path]) -> list[Finding]:
+    safety, rate, delay = cell.file.safety, cell.file.rate_hz, cell.file.simulation.effects.delay_cycles
+    along = list(zip(*(p.q for p in paths), strict=True))
+    some = along[:: max(1, len(along) // STABILITY_SAMPLES)]
+    label = f"spectral radius at {rate:g} Hz, {delay} cycle{'s' if delay != 1 else ''} delay"
+    findings = []
+    for error, found in damping(places(cell, models, some), models[0].task_basis, sampled_loop(cell)).items():
+        stable = found.radius <= safety.spectral_radius_max
+        nominal = error == 0.0
+        verdict = Verdict.OK if stable else Verdict.REFUSED if nominal else Verdict.WARNING
+        findings.append(
+            Finding(
+                label if nominal else f"the same, arms' inertia {error:+.0%}",
+                "cell", f"{found.radius:.4f}", f"≤ {safety.spectral_radius_max:g}", verdict,
+                "" if stable else "raise rate_hz, or take the gains that `coop tune` proposes",
+            )
+        )  # fmt: skip
+    return findings
+
+
+def _adaptation(cell: Cell, models: Sequence[ArmModel], paths: Sequence[_Path]) -> list[Finding]:
+    along, instants = list(zip(*(p.q for p in paths), strict=True)), _instants(cell)
+    every = max(1, len(along) // STABILITY_SAMPLES)
+    found = examine_adaptation(cell, models, along[::every], instants[::every])
+    spec, radius_max = cell.file.controller.adaptive, cell.file.safety.spectral_radius_max
+    rows = (
+        ("gamma", f"{spec.gamma:g}", found.gamma_max, spec.gamma <= found.gamma_max, "lower gamma, or raise rate_hz"),
+        (
+            "gamma_object", f"{spec.gamma_object:g}", found.gamma_object_max,
+            spec.gamma_object <= found.gamma_object_max, "lower gamma_object, or raise rate_hz",
+        ),
+        (
+            "spectral radius with the estimates of the start", f"{found.radius_at_start:.4f}", radius_max,
+            found.radius_at_start <= radius_max,
+            "set rotor_inertia = false, begin nearer to the configured parameters, or raise rate_hz",
+        ),
+    )  # fmt: skip
+    return [
+        Finding(what, "cell", value, f"≤ {limit:.4g}", Verdict.OK if ok else Verdict.WARNING, "" if ok else remedy)
+        for what, value, limit, ok, remedy in rows
+    ]
+
+
+def _buses(cell: Cell, q_start: Sequence[Vector], *, wired: bool) -> list[Finding]:
+    rate = cell.file.rate_hz
+    findings = []
+    for bus in bus_rates(cell, q_start):
+        carried = rate <= bus.rate_max_hz
+        verdict = Verdict.OK if carried else Verdict.REFUSED if wired else Verdict.WARNING
+        remedy = "lower rate_hz, or raise the servos' Baud Rate (`coop motors setup`) and `baud`"
+        limit = f"≤ {bus.rate_max_hz:g} Hz ({bus.text})"
+        findings.append(
+            Finding("rate on the servo bus", bus.arm, f"{rate:g} Hz", limit, verdict, "" if carried else remedy)
+        )
+    return findings

@@ -1,0 +1,290 @@
+"""Gains that keep the sampled loop of a cell damped, also with the arms' inertia off; proposes, changes no file.
+
+Two ways, because the paper has one K where a sampled loop would rather have two:
+
+- RATIO scales k_p and k_eps together with their forms in v̇_r;
+- RATE leaves k_p and k_eps, which say how stiffly the object is held, and lowers only their forms in v̇_r, which are
+  fed back through the believed inertia and are what a delay makes unstable first.
+
+Where even small gains would not do, k_v alone is too much for the rate and is lowered too, rotation and translation
+apart, because the same number means far more for the small rotational inertia than for the mass.
+"""
+
+from __future__ import annotations
+
+import enum
+import itertools
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from agent.config.cell import Arm, Cell, ConfigError, cell_from_toml, placement
+from agent.config.edit import Change, apply
+from agent.control.errors import Gains
+from agent.control.law import Offline
+from agent.control.models import ArmModel, Matrix
+from agent.verify.check import reach, start_configurations
+from agent.verify.margin import Damping, Place, damping, damping_at, places, sampled_loop
+from drivers.dynamixel.servo.table import VELOCITY_UNIT_RAD_PER_S
+from drivers.interface import Vector
+
+PLACES: Final = 12  # along the trajectory
+POSE_MAX: Final = 2.0  # k_p and k_eps are not proposed above this, relative to the configured ones
+POSE_FLOORS: Final = (0.5, 0.1)  # nor below the first, unless no k_v keeps the margin with them, nor ever the second
+RATE_RANGE: Final = (0.05, 1.0)
+STEP: Final = 0.93  # between gains that are tried; the last one is refined
+K_V_FACTORS: Final = (1.0, 0.7, 0.5, 0.35, 0.2, 0.1)
+DIGITS: Final = 3  # of a proposed gain
+
+
+class NoGains(ConfigError):
+    """No gains keep the wanted margin."""
+
+
+class Form(enum.StrEnum):
+    """Which gains may change."""
+
+    RATIO = "ratio"
+    RATE = "rate"
+
+
+@dataclass(frozen=True, slots=True)
+class Margin:
+    """What a proposal keeps, for the nominal inertia and for the stated error of it."""
+
+    radius: float = 0.999  # at most
+    damping: float = 0.05  # at least, of every mode that swings: each swing then takes a quarter off
+
+    def kept_by(self, found: Damping) -> bool:
+        """Whether it is kept."""
+        return found.radius <= self.radius and found.ratio >= self.damping
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """Gains relative to the configured ones."""
+
+    pose: float = 1.0  # k_p, k_eps and their forms in v̇_r
+    rate: float = 1.0  # the latter once more
+    k_v_linear: float = 1.0
+    k_v_angular: float = 1.0
+
+    def of(self, g: Gains) -> Gains:
+        """These gains, scaled and rounded down to what a proposal prints."""
+        k_v = (*_times(g.k_v[:3], self.k_v_linear), *_times(g.k_v[3:], self.k_v_angular))
+        return Gains(
+            k_p=_times(g.k_p, self.pose),
+            k_eps=_times(g.k_eps, self.pose),
+            k_p_rate=_times(g.k_p_rate, self.pose * self.rate),
+            k_eps_rate=_times(g.k_eps_rate, self.pose * self.rate),
+            k_v=k_v,
+        )
+
+
+@dataclass(frozen=True)
+class GainSet:
+    """Gains of a cell and what the sampled loop makes of them."""
+
+    cell: Cell
+    damping: Mapping[float, Damping]  # by the error of the arms' inertia
+    chatter_Nm: tuple[float, ...]  # per arm: largest rms joint torque that the grid of measured velocity causes
+
+    @property
+    def gains(self) -> Gains:
+        """Of the first arm; k_p and k_eps are those of all."""
+        return self.cell.offline(self.cell.arms[0]).gains
+
+    @property
+    def slowest_s(self) -> float:
+        """Time constant of the slowest mode with the nominal inertia, s."""
+        return self.damping[0.0].time_constant_s(1.0 / self.cell.file.rate_hz)
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """Gains to take instead of the configured ones."""
+
+    form: Form
+    before: GainSet
+    after: GainSet
+    changes: tuple[Change, ...]
+
+    def toml(self) -> str:
+        """The whole cell file with these gains."""
+        return self.after.cell.toml.decode()
+
+
+class Tuner:
+    """One cell, its inertia along the trajectory computed once."""
+
+    def __init__(self, cell: Cell) -> None:
+        """Raise ConfigError where a grasp cannot be reached along the trajectory."""
+        self.cell = cell
+        self._models = [cell.model(arm) for arm in cell.arms]
+        self._along = _walk(cell, self._models)
+        self._places: tuple[Place, ...] = places(cell, self._models, self._along)
+        self._cases = [(true, place.believed) for place in self._places for true in place.true.values()]
+        self._gains = [cell.offline(arm).gains for arm in cell.arms]
+
+    def configured(self) -> GainSet:
+        """The gains as the cell file has them."""
+        return self._examined(self.cell)
+
+    def propose(self, form: Form, margin: Margin) -> Proposal:
+        """The largest gains of this form that keep the margin.  Raises NoGains."""
+        for floor, (linear, angular) in itertools.product(POSE_FLOORS, _k_v_factors()):
+            found = self._largest(form, margin, floor, Scale(k_v_linear=linear, k_v_angular=angular))
+            if found is not None:
+                changes = tuple(_changes(self.cell, found))
+                text = apply(self.cell.toml.decode(), changes)
+                proposed = cell_from_toml(text.encode(), f"the gains proposed for {self.cell.file.name}")
+                return Proposal(form, self.configured(), self._examined(proposed), changes)
+        raise NoGains(
+            f"gains for {self.cell.file.name} at {self.cell.file.rate_hz:g} Hz",
+            found="none, however small",
+            expected=f"a spectral radius of at most {margin.radius:g} and a damping of at least {margin.damping:g}",
+            remedy="raise rate_hz, lower inertia_error, or ask for less damping",
+        )
+
+    def proposals(self, margin: Margin) -> list[Proposal]:
+        """One of each form that has one.  Raises NoGains when none has."""
+        found: list[Proposal] = []
+        refusal: NoGains | None = None
+        for form in Form:
+            try:
+                found.append(self.propose(form, margin))
+            except NoGains as error:
+                refusal = error
+        if refusal is not None and not found:
+            raise refusal
+        return found
+
+    def _largest(self, form: Form, margin: Margin, floor: float, base: Scale) -> Scale | None:
+        def keeps(scale: Scale) -> bool:
+            return self._keeps([scale.of(g) for g in self._gains], margin)
+
+        if form is Form.RATIO:
+            pose = _descend(lambda x: keeps(replace(base, pose=x)), floor, POSE_MAX)
+            return None if pose is None else replace(base, pose=pose)
+        for pose in (1.0, 0.7, floor):
+            at = replace(base, pose=pose)
+            rate = _descend(lambda x, at=at: keeps(replace(at, rate=x)), *RATE_RANGE)  # type: ignore[misc]
+            if rate is not None:
+                return replace(at, rate=rate)
+        return None
+
+    def _keeps(self, gains: Sequence[Gains], margin: Margin) -> bool:
+        """Whether the margin is kept everywhere; begins where it was missed last, which is where it will be again."""
+        loop, P = sampled_loop(self.cell, gains), self._models[0].task_basis
+        for i, (true, believed) in enumerate(self._cases):
+            if not margin.kept_by(damping_at(true, believed, P, loop)):
+                self._cases.insert(0, self._cases.pop(i))
+                return False
+        return True
+
+    def _damping(self, gains: Sequence[Gains]) -> dict[float, Damping]:
+        return damping(self._places, self._models[0].task_basis, sampled_loop(self.cell, gains))
+
+    def _examined(self, cell: Cell) -> GainSet:
+        offline = [cell.offline(arm) for arm in cell.arms]
+        chatter = [
+            max(velocity_chatter(model, o, q[i]) for q in self._along)
+            for i, (model, o) in enumerate(zip(self._models, offline, strict=True))
+        ]
+        return GainSet(cell, self._damping([o.gains for o in offline]), tuple(chatter))
+
+
+def velocity_chatter(model: ArmModel, offline: Offline, q: Vector) -> float:
+    """Largest rms torque, N·m, of a joint from velocities that are rounded to the servos' grid, with the arm at q (n,).
+
+    A velocity off by δ changes the torque by ((B J⁻¹ + c Jᵀ M_O) K' H + Jᵀ k_v) J δ; δ is uniform over one step.
+    """
+    gains, P = offline.gains, model.task_basis
+    J, B, R = model.jacobian(q), model.inertia(q), model.object_pose(q).rotation
+    K_rate = P @ np.diag([*gains.k_p_rate, *(0.5 * k for k in gains.k_eps_rate)]) @ P.T
+    M_object = np.zeros((6, 6))
+    M_object[:3, :3] = offline.object_mass_kg * np.eye(3)
+    M_object[3:, 3:] = R @ np.reshape(offline.object_inertia, (3, 3)) @ R.T
+    inertia = B @ np.linalg.pinv(J) + offline.load_share * J.T @ P @ M_object @ P.T
+    feedback: Matrix = (inertia @ K_rate + J.T @ P @ np.diag(gains.k_v) @ P.T) @ J
+    return float(np.linalg.norm(feedback, axis=1).max() * VELOCITY_UNIT_RAD_PER_S / math.sqrt(12.0))
+
+
+def _walk(cell: Cell, models: Sequence[ArmModel]) -> list[list[Vector]]:
+    """Joint angles of all arms at some places of the trajectory."""
+    motion = cell.trajectory()
+    q = list(start_configurations(cell, models))
+    along = []
+    for t in np.linspace(0.0, min(motion.period_s, cell.file.duration_s), 4 * PLACES)[::4].tolist():
+        desired = motion.at(t)
+        T = placement(desired.p, desired.quat)
+        q = [reach(a, m, T, q_i, f"at t = {t:.2f} s") for a, m, q_i in zip(cell.arms, models, q, strict=True)]
+        along.append(q)
+    return along
+
+
+def _k_v_factors() -> list[tuple[float, float]]:
+    """Factors of k_v, (translation, rotation): all of it first, then the pair that takes the least away."""
+    pairs = [(linear, angular) for linear in K_V_FACTORS for angular in K_V_FACTORS]
+    return sorted(pairs, key=lambda pair: (-pair[0] * pair[1], -pair[0]))
+
+
+def _descend(keeps: Callable[[float], bool], lowest: float, highest: float) -> float | None:
+    """The largest x in the range that keeps the margin, to a thousandth; None when none does."""
+    above, x = None, highest
+    while not keeps(x):
+        above, x = x, x * STEP
+        if x < lowest:
+            return None
+    if above is None:
+        return x
+    for _ in range(6):
+        middle = 0.5 * (x + above)
+        if keeps(middle):
+            x = middle
+        else:
+            above = middle
+    return x
+
+
+def _times(values: Sequence[float], factor: float) -> tuple[float, float, float]:
+    a, b, c = (x if factor == 1.0 else _rounded_down(x * factor) for x in values)
+    return a, b, c
+
+
+def _rounded_down(x: float) -> float:
+    unit = 10.0 ** (math.floor(math.log10(x)) + 1 - DIGITS)
+    return float(f"{math.floor(x / unit + 1e-9) * unit:.{DIGITS}g}")
+
+
+def _changes(cell: Cell, scale: Scale) -> Iterator[Change]:
+    """What to write into the cell file."""
+    c, gains = cell.file.controller, scale.of(cell.offline(cell.arms[0]).gains)
+    written = {
+        "k_p_per_s": (c.k_p_per_s, gains.k_p),
+        "k_eps_rad_per_s": (c.k_eps_rad_per_s, gains.k_eps),
+        "k_p_rate_per_s": (c.k_p_rate_per_s or gains.k_p, gains.k_p_rate),
+        "k_eps_rate_rad_per_s": (c.k_eps_rate_rad_per_s or gains.k_eps, gains.k_eps_rate),
+    }
+    for key, (was, now) in written.items():
+        if was != now:
+            yield Change("controller", key, _toml(now))
+    for arm in cell.arms:
+        yield from _k_v_changes(arm, scale.of(cell.offline(arm).gains))
+
+
+def _k_v_changes(arm: Arm, gains: Gains) -> Iterator[Change]:
+    entry, linear, angular = arm.entry, gains.k_v[:3], gains.k_v[3:]
+    if entry.k_v_N_s_per_m != linear:
+        yield Change("arms", "k_v_N_s_per_m", _toml(linear), arm.name)
+    if (entry.k_v_Nm_s_per_rad or linear) != angular:
+        yield Change("arms", "k_v_Nm_s_per_rad", _toml(angular), arm.name)
+
+
+def _toml(values: Sequence[float]) -> str:
+    """One number when all are equal."""
+    first = values[0]
+    return repr(first) if all(x == first for x in values) else "[" + ", ".join(map(repr, values)) + "]"

@@ -1,0 +1,1 @@
+"""The serial line: port, packets, group reads and writes."""

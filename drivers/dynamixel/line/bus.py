@@ -1,0 +1,170 @@
+"""One conversation at a time on one servo bus: requests, bounded waits, counters.  Never retries inside a cycle.
+
+Two kinds of exchange.  `read`, `write`, `ping` are for setting up: they wait generously, retry, and after a missed
+reply listen until the line is quiet, so that a late reply is never taken for the next one's.  `exchange` is for the
+cycle: one request and one bounded wait.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from drivers.dynamixel.errors import NoReplyError, RejectedError
+from drivers.dynamixel.line import codec
+from drivers.dynamixel.line.codec import Status, StatusScanner
+from drivers.dynamixel.line.group import GroupRead, GroupReply
+from drivers.dynamixel.line.port import Now, Port
+from drivers.dynamixel.servo.table import BROADCAST_ID, Register
+from drivers.interface import BusCounters
+
+ATTEMPTS = 3
+REPLY_WAIT_NS = 60_000_000  # beyond the wire time: the slowest latency timer (16 ms) and a stalled host
+QUIET_NS = 25_000_000
+QUIET_LIMIT_NS = 150_000_000
+BABBLE_BYTES = 768  # more than any exchange of a cycle with its retry and a late reply: stop listening
+
+
+@dataclass(slots=True)
+class DxlCounters(BusCounters):
+    """What happened on the bus since `connect`; per_servo counts the cycles in which a servo gave no fresh value."""
+
+    late: int = 0  # intact replies to an earlier request
+    stray_bytes: int = 0  # input thrown away before a request
+    health_misses: int = 0  # health reads without an answer
+
+
+class Ping(NamedTuple):
+    """A servo that answered a ping."""
+
+    servo_id: int
+    model_number: int
+    firmware: int
+
+
+class Exchange(NamedTuple):
+    """What one exchange of the cycle brought."""
+
+    reply: GroupReply
+    heard: bytes  # all that came, whatever it was
+
+
+class Bus:
+    """Transactions on an open port."""
+
+    def __init__(self, port: Port, clock: Now, counters: DxlCounters) -> None:
+        self.port = port
+        self.counters = counters
+        self._clock = clock
+
+    # --- setting up -----------------------------------------------------------------------------------------------
+
+    def ping(self, servo_id: int, attempts: int = ATTEMPTS) -> Ping:
+        """Model and firmware.  Raises NoReplyError."""
+        reply = self._ask(codec.ping(servo_id), servo_id, 3, "ping", attempts)
+        return Ping(servo_id, int.from_bytes(reply.params[:2], "little"), reply.params[2])
+
+    def ping_all(self, wait_s: float) -> list[Ping]:
+        """Every servo that answers a broadcast ping within wait_s, an ID twice if two servos have it."""
+        self.settle()
+        scanner = StatusScanner()
+        self._send(codec.ping(BROADCAST_ID))
+        deadline_ns = self._clock.now_ns() + round(wait_s * 1e9)
+        found = []
+        while self._clock.now_ns() < deadline_ns:
+            scanner.feed(self.port.read_until(deadline_ns))
+            while (reply := scanner.take()) is not None:
+                if len(reply.params) == 3:
+                    model = int.from_bytes(reply.params[:2], "little")
+                    found.append(Ping(reply.servo_id, model, reply.params[2]))
+        self.counters.corrupt += scanner.damaged
+        return found
+
+    def read(self, servo_id: int, register: Register) -> int:
+        """Value of one register.  Raises NoReplyError, RejectedError."""
+        data = self.read_bytes(servo_id, register.address, register.length)
+        return int.from_bytes(data, "little", signed=register.signed)
+
+    def read_bytes(self, servo_id: int, address: int, length: int) -> bytes:
+        """Consecutive bytes of the control table.  Raises NoReplyError, RejectedError."""
+        what = f"read of {length} bytes at {address}"
+        return self._ask(codec.read(servo_id, address, length), servo_id, length, what, ATTEMPTS).params
+
+    def write(self, servo_id: int, register: Register, value: int) -> None:
+        """Write one register and wait for the servo's word that it did.  Raises NoReplyError, RejectedError."""
+        data = value.to_bytes(register.length, "little", signed=value < 0)
+        what = f"write of {value} to {register.name} ({register.address})"
+        self._ask(codec.write(servo_id, register.address, data), servo_id, 0, what, ATTEMPTS)
+
+    def write_blind(self, register: Register, values: Mapping[int, int]) -> None:
+        """Write one register of several servos without any answer."""
+        data = {
+            servo_id: value.to_bytes(register.length, "little", signed=value < 0) for servo_id, value in values.items()
+        }
+        self._send(codec.sync_write(register.address, register.length, data))
+
+    def settle(self) -> None:
+        """Throw away input until the line has been quiet for a while, bounded even on a babbling bus."""
+        limit_ns = self._clock.now_ns() + QUIET_LIMIT_NS
+        while self._clock.now_ns() < limit_ns:
+            if not self.port.read_until(self._clock.now_ns() + QUIET_NS):
+                return
+
+    def _send(self, packet: bytes) -> None:
+        wire_ns = len(packet) * 10_000_000_000 // self.port.baud
+        self.port.write(packet, self._clock.now_ns() + wire_ns + REPLY_WAIT_NS)
+
+    def _ask(self, packet: bytes, servo_id: int, length: int, what: str, attempts: int) -> Status:
+        """Send until an intact reply of that servo with that many parameters comes."""
+        heard, damaged = "nothing", False
+        for attempt in range(attempts):
+            if attempt:
+                self.counters.retries += 1
+                self.settle()
+            self.port.discard_input()
+            self._send(packet)
+            scanner = StatusScanner()
+            wire_ns = (len(packet) + length + 11) * 10_000_000_000 // self.port.baud
+            deadline_ns = self._clock.now_ns() + wire_ns + REPLY_WAIT_NS
+            reply = self._await(scanner, deadline_ns, lambda r: r.servo_id == servo_id)
+            self.counters.corrupt += scanner.damaged
+            if reply is None:
+                self.counters.timeouts += 1
+                damaged = damaged or scanner.damaged > 0
+                heard = "damaged packets" if damaged else "noise" if scanner.garbage else "nothing"
+                continue
+            self.counters.alerts += reply.alert
+            if reply.error:
+                raise RejectedError(servo_id, what, reply.error)
+            if len(reply.params) == length:
+                return reply
+            heard = f"a reply of {len(reply.params)} instead of {length} bytes"
+        raise NoReplyError(servo_id, what, attempts=attempts, heard=heard, damaged=damaged)
+
+    def _await(self, scanner: StatusScanner, deadline_ns: int, wanted: Callable[[Status], bool]) -> Status | None:
+        while True:
+            scanner.feed(self.port.read_until(deadline_ns))
+            final = self._clock.now_ns() >= deadline_ns
+            while (reply := scanner.take(final=final)) is not None:
+                if wanted(reply):
+                    return reply
+            if final:
+                return None
+
+    # --- the cycle ------------------------------------------------------------------------------------------------
+
+    def exchange(self, group: GroupRead, deadline_ns: int) -> Exchange:
+        """One group read: send, then wait until the answer is whole or the deadline has passed.
+
+        The caller has thrown away older input.  Never raises for what the servos do; an incomplete reply says so.
+        """
+        self.port.write(group.request, deadline_ns)
+        heard = b""
+        while True:
+            heard += self.port.read_until(deadline_ns)
+            final = len(heard) > BABBLE_BYTES or self._clock.now_ns() >= deadline_ns
+            if final or group.worth_parsing(heard):
+                reply = group.parse(heard, final=final)
+                if reply.finished:
+                    return Exchange(reply, heard)

@@ -1,0 +1,1 @@
+"""The servos themselves: control tables, units, torque and heat."""

@@ -1,0 +1,1 @@
+"""The physics of the cell: closed chain, actuators, and the data they are built from."""

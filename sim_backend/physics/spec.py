@@ -1,0 +1,181 @@
+"""What a simulated cell is made of: frozen, checked data.  Never integrates, opens or reads anything."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+import pinocchio as pin
+
+from drivers.interface import Refusal, Vector
+from sim_backend.physics.actuator import ActuatorSpec
+
+QUATERNION_TOLERANCE: Final = 1e-9
+MAX_BAUMGARTE_STEP: Final = 0.5
+WHOLE_SUBSTEPS_TOLERANCE: Final = 1e-9
+
+
+class PlantError(Refusal):
+    """The simulated cell cannot be built as described, or cannot go on."""
+
+    exit_code = 4
+
+
+class GraspError(PlantError):
+    """An arm's start pose does not put its end effector on its grasp."""
+
+    def __init__(self, arm: str, gap_m: float, gap_rad: float, *, tolerance_m: float, tolerance_rad: float) -> None:
+        self.arm = arm
+        self.gap_m = gap_m
+        self.gap_rad = gap_rad
+        super().__init__(
+            f"arm {arm}: the end effector is not on its grasp at the start pose",
+            found=f"{gap_m * 1e3:.4g} mm and {gap_rad * 1e3:.4g} mrad apart",
+            expected=f"at most {tolerance_m * 1e3:.4g} mm and {tolerance_rad * 1e3:.4g} mrad",
+            remedy="correct q_start, T_world_base, T_object_ee or the object's pose (solve_grasp finds q_start)",
+        )
+
+
+def read_only(values: Sequence[float] | Vector) -> Vector:
+    """Copy as a float64 array that nobody can write to; frozen objects hold no other kind."""
+    array = np.array(values, dtype=np.float64)
+    array.flags.writeable = False
+    return array
+
+
+def pose(p: Sequence[float] | Vector, quat_wxyz: Sequence[float] | Vector) -> pin.SE3:
+    """Transform from a position (3,) m and a unit quaternion, scalar first.  Raises PlantError if it is not unit."""
+    w, x, y, z = (float(c) for c in quat_wxyz)
+    norm = math.sqrt(w * w + x * x + y * y + z * z)
+    if not abs(norm - 1.0) <= QUATERNION_TOLERANCE:
+        raise PlantError("quaternion", found=f"norm {norm:.12g}", expected="1", remedy="normalise it in the cell file")
+    return pin.SE3(pin.Quaternion(w, x, y, z).matrix(), np.array(p, dtype=np.float64))
+
+
+def substep_of(period_s: float, at_most_s: float = 1e-3) -> float:
+    """Longest substep, not above `at_most_s`, of which a control period holds a whole number."""
+    return period_s / math.ceil(period_s / at_most_s - WHOLE_SUBSTEPS_TOLERANCE)
+
+
+@dataclass(frozen=True, eq=False)
+class ArmSpec:
+    """One arm as the plant believes it to be; its wrong beliefs are the model error under test.
+
+    `T_object_ee` is the grasp: the pose of the end-effector frame in the object's frame (centre of mass).
+    Joints of the URDF that are not controlled are locked at `locked_rad` and must all be named there.
+    """
+
+    name: str
+    urdf_xml: str
+    controlled: tuple[str, ...]
+    locked_rad: Mapping[str, float]
+    T_world_base: pin.SE3
+    ee_frame: str
+    T_object_ee: pin.SE3
+    q_start: Vector  # (n,) rad, controlled joints
+    rotor_inertia: Vector  # (n,) kg·m², reflected to the joint
+    actuator: ActuatorSpec
+
+    def __post_init__(self) -> None:
+        n = len(self.controlled)
+        for key in ("q_start", "rotor_inertia"):
+            values = read_only(getattr(self, key))
+            if values.shape != (n,) or not np.all(np.isfinite(values)):
+                raise PlantError(
+                    f"arm {self.name}: {key}",
+                    found=values.tolist(),
+                    expected=f"{n} finite numbers, one per controlled joint",
+                    remedy="give one value per name in `controlled`",
+                )
+            object.__setattr__(self, key, values)
+        if np.any(self.rotor_inertia < 0):
+            raise PlantError(
+                f"arm {self.name}: rotor_inertia",
+                found=self.rotor_inertia.tolist(),
+                expected="no negative value",
+                remedy="use 0 for a joint without reflected inertia",
+            )
+        if self.actuator.joint_count != n:
+            raise PlantError(
+                f"arm {self.name}: actuator",
+                found=f"{self.actuator.joint_count} joints",
+                expected=f"{n}",
+                remedy="describe the servos of exactly the controlled joints",
+            )
+        object.__setattr__(self, "locked_rad", MappingProxyType(dict(self.locked_rad)))
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectSpec:
+    """The grasped rigid body; its frame sits at the centre of mass."""
+
+    mass_kg: float
+    inertia: Vector  # (3, 3) kg·m² about the centre of mass, object axes
+    p_world: Vector  # (3,) m
+    quat_world: Vector  # (4,) scalar first
+
+    def __post_init__(self) -> None:
+        for key in ("inertia", "p_world", "quat_world"):
+            object.__setattr__(self, key, read_only(getattr(self, key)))
+        principal = np.linalg.eigvalsh(self.inertia) if self.inertia.shape == (3, 3) else np.array([-1.0])
+        if not (self.mass_kg > 0 and np.allclose(self.inertia, self.inertia.T) and principal.min() > 0):
+            raise PlantError(
+                "object",
+                found=f"mass {self.mass_kg} kg, inertia {self.inertia.tolist()}",
+                expected="mass > 0 and a symmetric positive definite inertia (3, 3)",
+                remedy="correct the object of the cell",
+            )
+
+    @property
+    def T_world_object(self) -> pin.SE3:
+        """Start pose.  Raises PlantError when the quaternion is not unit."""
+        return pose(self.p_world, self.quat_world)
+
+
+@dataclass(frozen=True, eq=False)
+class PlantSpec:
+    """The whole cell and how it is integrated.
+
+    `substep_s` of 1 ms and the two Baumgarte gains are what the figures in plant.py were measured with.
+    """
+
+    arms: tuple[ArmSpec, ...]
+    object: ObjectSpec
+    gravity: Vector  # (3,) m/s², world axes
+    substep_s: float = 1e-3
+    baumgarte_p_per_s2: float = 2000.0  # pulls a grasp that has drifted back to zero …
+    baumgarte_d_per_s: float = 90.0  # … critically damped: 2 √2000 = 89.4
+    proximal_mu: float = 1e-3  # a smaller one lets rounding grow in the wrenches that planar arms leave undetermined
+    proximal_accuracy: float = 1e-10
+    proximal_iterations: int = 20
+    start_tolerance_m: float = 1e-5
+    start_tolerance_rad: float = 1e-4
+    names: tuple[str, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "gravity", read_only(self.gravity))
+        object.__setattr__(self, "names", tuple(arm.name for arm in self.arms))
+        if self.gravity.shape != (3,) or not np.all(np.isfinite(self.gravity)):
+            raise PlantError(
+                "gravity",
+                found=self.gravity.tolist(),
+                expected="3 finite numbers, m/s²",
+                remedy="correct the world of the cell",
+            )
+        if not 0 < self.substep_s <= 0.01:
+            raise PlantError(
+                "substep_s", found=self.substep_s, expected="0 < substep_s <= 0.01", remedy="use substep_of(1 / rate)"
+            )
+        if not (0 <= self.substep_s * self.baumgarte_d_per_s <= MAX_BAUMGARTE_STEP):
+            raise PlantError(
+                "baumgarte_d_per_s",
+                found=f"{self.baumgarte_d_per_s:g} with substep_s {self.substep_s:g}",
+                expected=f"a product of at most {MAX_BAUMGARTE_STEP}, above which the correction itself oscillates",
+                remedy="shorten substep_s",
+            )
+        if len(set(self.names)) != len(self.names):
+            raise PlantError("arms", found=self.names, expected="different names", remedy="rename one of the arms")

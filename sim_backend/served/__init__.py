@@ -1,0 +1,1 @@
+"""The plant as a process: protocol, server, and the driver that reaches it."""

@@ -1,0 +1,211 @@
+"""SimDriver: one arm of the simulated cell behind the same seam as a real one.  Never runs the plant itself."""
+
+from __future__ import annotations
+
+import socket
+import time
+from enum import Enum, auto
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from drivers.interface import (
+    ArmInfo,
+    BusCounters,
+    ConnectError,
+    DriverError,
+    JointState,
+    ServoHealth,
+    Vector,
+)
+from sim_backend.physics.actuator import TorqueCommand
+from sim_backend.served.link import PlantLink
+from sim_backend.served.protocol import VERSION, Kind, Message, header_only, words
+
+LOCKSTEP_READ_TIMEOUT_S: Final = 30.0
+REAL_TIME_READ_PERIODS: Final = 5.0
+REAL_TIME_READ_TIMEOUT_S: Final = 0.05  # at least
+
+
+class PlantClock:
+    """The plant's time.  In lockstep it stands at the last state read; in real time it is CLOCK_MONOTONIC."""
+
+    def __init__(self) -> None:
+        self._lockstep = True
+        self._now_ns = 0
+
+    def now_ns(self) -> int:
+        """Stamp of the last state (lockstep; 0 before the first), or CLOCK_MONOTONIC."""
+        return self._now_ns if self._lockstep else time.monotonic_ns()
+
+    def sleep_until(self, deadline_ns: int) -> None:
+        """Real time: sleep.  Lockstep: return at once, for time passes in `SimDriver.read` and nowhere else."""
+        if not self._lockstep and (remaining_ns := deadline_ns - time.monotonic_ns()) > 0:
+            time.sleep(remaining_ns * 1e-9)
+
+    def follow(self, stamp_ns: int, *, lockstep: bool) -> None:
+        """Set by the driver at each state."""
+        self._now_ns, self._lockstep = stamp_ns, lockstep
+
+
+class _Phase(Enum):
+    CLOSED = auto()
+    OFF = auto()
+    ON = auto()
+
+
+class SimDriver:
+    """Driver of one arm of a plant served by `sim_backend.served.server`.
+
+    In lockstep, time passes in `read`: one `write` per `read`; a second `read` without a `write` keeps the last
+    torque, as a servo does.  While the torque is off, `read` asks for the state of the moment.
+    """
+
+    def __init__(
+        self,
+        socket_path: Path,
+        arm: str,
+        joints: tuple[str, ...],
+        config_id: int,
+        *,
+        connect_timeout_s: float = 5.0,
+        start_timeout_s: float = 60.0,  # for the first state: the other arms may still be starting
+        read_timeout_s: float | None = None,  # None: 30 s in lockstep, five periods in real time
+    ) -> None:
+        self.counters = BusCounters()
+        self.clock = PlantClock()
+        self._path = socket_path
+        self._arm = arm
+        self._joints = joints
+        self._config_id = config_id
+        self._connect_timeout_s = connect_timeout_s
+        self._start_timeout_s = start_timeout_s
+        self._given_read_timeout_s = read_timeout_s
+        self._read_timeout_s = LOCKSTEP_READ_TIMEOUT_S
+        self._out = Message(len(joints))
+        self._out.header[0] = Kind.COMMAND
+        self._command = TorqueCommand(np.zeros(len(joints)), np.zeros(len(joints)))
+        self._link: PlantLink | None = None
+        self._phase = _Phase.CLOSED
+        self._lockstep = True
+        self._answer_due = False
+        self._running = False  # a state has come since the torque went on
+        self._serial = 0
+
+    def connect(self) -> ArmInfo:
+        """Introduce this arm; the plant refuses another cell, an unknown or an occupied arm.  Raises ConnectError."""
+        if self._link is not None:
+            raise ConnectError(
+                f"arm {self._arm}", found="an open connection", expected="a closed driver", remedy="close() it first"
+            )
+        joints = list(self._joints)
+        hello = words(Kind.HELLO, version=VERSION, arm=self._arm, config_id=self._config_id, joints=joints)
+        link = PlantLink(self._path, self._arm, len(joints), self.counters)
+        try:
+            info = link.introduce(hello, self._connect_timeout_s)
+            self._lockstep = bool(info["lockstep"])
+            period_s = 1.0 / float(info["rate_hz"])  # type: ignore[arg-type]
+            tau_largest = np.array(info["tau_largest_Nm"], dtype=np.float64)
+            self._command = TorqueCommand(tau_largest, np.array(info["torque_lsb_Nm"], dtype=np.float64))
+        except BaseException:
+            link.close()
+            raise
+        real_time_s = max(REAL_TIME_READ_PERIODS * period_s, REAL_TIME_READ_TIMEOUT_S)
+        default_s = LOCKSTEP_READ_TIMEOUT_S if self._lockstep else real_time_s
+        self._read_timeout_s = default_s if self._given_read_timeout_s is None else self._given_read_timeout_s
+        self._link, self._phase = link, _Phase.OFF
+        self.clock.follow(0, lockstep=self._lockstep)
+        return ArmInfo(self._arm, self._joints, tau_largest, str(info["description"]))
+
+    def enable(self) -> None:
+        """Torque on, at zero.  The plant's time starts when every arm has done so.  Raises DriverError."""
+        link = self._open_link()
+        if self._phase is _Phase.ON:
+            return
+        link.wait_at_most(self._connect_timeout_s)
+        link.send(header_only(Kind.ENABLE))
+        while link.receive() is not Kind.ENABLED:
+            pass  # states of the time before
+        link.wait_at_most(self._start_timeout_s)
+        self._out.values[:] = 0.0
+        self._phase, self._answer_due, self._running = _Phase.ON, False, False
+
+    def read(self) -> JointState:
+        """Next state of the plant (lockstep), the newest not yet read (real time), or the present one (torque off).
+
+        Raises StaleStateError, naming the plant, when none comes in time or none will come any more.
+        """
+        link = self._open_link()
+        if self._phase is _Phase.OFF:
+            self._ask(link)
+        else:
+            if self._answer_due:
+                link.say_and_forget(self._out.buffer)  # whether it arrived, the next state tells
+                self._answer_due = False
+            while link.receive() is not Kind.STATE:
+                pass  # the answer to a question given up
+            if self._lockstep:
+                self._answer_due = True
+                self._out.header[1] = link.number
+            else:
+                while link.receive(socket.MSG_DONTWAIT) is not None:
+                    pass
+            if not self._running:
+                self._running = True
+                link.wait_at_most(self._read_timeout_s)
+        self.clock.follow(link.stamp_ns, lockstep=self._lockstep)
+        return JointState(link.stamp_ns, link.q.copy(), link.dq.copy(), link.tau.copy())
+
+    def _ask(self, link: PlantLink) -> None:
+        link.wait_at_most(self._read_timeout_s)
+        self._serial += 1
+        link.send(header_only(Kind.POLL, self._serial))
+        while link.receive() is not Kind.REPLY or link.number != self._serial:
+            pass  # pushed before the torque went off, or the answer to a question given up
+
+    def write(self, tau_Nm: Vector) -> Vector:
+        """Command torques (n,) N·m; return them as the servos are told: on their grid, within their limits.
+
+        Raises TorqueCommandError on what is not finite; DriverError when the torque is off, the plant has gone, or
+        (lockstep) no state has been read since the last torque.
+        """
+        link = self._open_link()
+        if self._phase is not _Phase.ON or (self._lockstep and not self._answer_due):
+            raise DriverError(
+                f"torque of arm {self._arm}",
+                found="torque off" if self._phase is not _Phase.ON else "no state read since the last torque",
+                expected="enable(), then one write per read",
+                remedy="keep the order of calls of drivers.interface.Driver",
+            )
+        sent = self._command(tau_Nm)
+        self._out.values[:] = sent
+        link.send(self._out.buffer)
+        self._answer_due = False
+        return sent
+
+    def health(self) -> ServoHealth:
+        """Nothing is known: simulated servos have no temperature and no supply."""
+        n = len(self._joints)
+        unknown = np.full(n, np.nan)
+        return ServoHealth(self.clock.now_ns(), unknown, unknown.copy(), np.zeros(n, np.uint8))
+
+    def disable(self) -> None:
+        """Torque off; in lockstep the plant does not wait for this arm any more.  Safe in any state and twice."""
+        if self._link is not None and self._phase is _Phase.ON:
+            self._link.say_and_forget(header_only(Kind.DISABLE))
+            self._phase, self._answer_due = _Phase.OFF, False
+
+    def close(self) -> None:
+        """Say goodbye: the run is over for this arm.  Safe in any state and twice."""
+        if self._link is not None:
+            self._link.say_and_forget(header_only(Kind.BYE))
+            self._link.close()
+        self._link, self._phase, self._answer_due = None, _Phase.CLOSED, False
+
+    def _open_link(self) -> PlantLink:
+        if self._link is None:
+            raise DriverError(
+                f"arm {self._arm}", found="a closed driver", expected="an open one", remedy="call connect() first"
+            )
+        return self._link

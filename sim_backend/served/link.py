@@ -1,0 +1,141 @@
+"""The agent's end of the connection to the plant.  Never waits longer than it was told, never knows what a tick is."""
+
+from __future__ import annotations
+
+import os
+import socket
+import struct
+from pathlib import Path
+
+import numpy as np
+
+from drivers.interface import BusCounters, ConnectError, DriverError, StaleStateError
+from sim_backend.served.protocol import HEADER, MAX_MESSAGE_BYTES, Kind, read_words, refusal_parts
+
+INFO_KEYS = {"lockstep", "rate_hz", "tau_largest_Nm", "torque_lsb_Nm", "description"}
+
+
+class PlantLink:
+    """A connection of `arm` to the plant at `path`.
+
+    After `receive` has returned STATE or REPLY, `number`, `stamp_ns` and the views q, dq, tau (n,) hold what came,
+    until the next call.
+    """
+
+    def __init__(self, path: Path, arm: str, joint_count: int, counters: BusCounters) -> None:
+        self._path = path
+        self._arm = arm
+        self._counters = counters
+        self._in = bytearray(MAX_MESSAGE_BYTES)
+        self.q, self.dq, self.tau = np.frombuffer(self._in, np.float64, 3 * joint_count, HEADER.size).reshape(3, -1)
+        self._state_size = HEADER.size + 3 * 8 * joint_count
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._ended: tuple[str, dict[str, str]] | None = None  # why no state will come any more
+        self._timeout_s = 0.0
+        self.number = 0
+        self.stamp_ns = 0
+
+    def introduce(self, hello: bytes, timeout_s: float) -> dict[str, object]:
+        """Connect and say who this is; what the plant says of itself.  Raises ConnectError."""
+        self.wait_at_most(timeout_s)
+        try:
+            self._socket.connect(os.fspath(self._path))
+            self._socket.send(hello, socket.MSG_NOSIGNAL)
+            answer = self._socket.recv(MAX_MESSAGE_BYTES)
+        except OSError as e:
+            raise ConnectError(
+                f"plant at {self._path}",
+                found="no answer" if isinstance(e, BlockingIOError) else e.strerror,
+                expected=f"an answer within {timeout_s:g} s",
+                remedy="start the plant of this cell first",
+            ) from e
+        kind = HEADER.unpack_from(answer)[0] if len(answer) >= HEADER.size else None
+        if kind == Kind.REFUSED:
+            what, parts = refusal_parts(answer)
+            raise ConnectError(f"plant at {self._path} refuses: {what}", **parts)
+        info = read_words(answer)
+        if kind != Kind.INFO or not set(info) >= INFO_KEYS:
+            raise ConnectError(
+                f"plant at {self._path}",
+                found=f"an answer of {len(answer)} bytes",
+                expected="an introduction",
+                remedy="check what serves that socket",
+            )
+        return info
+
+    def wait_at_most(self, timeout_s: float) -> None:
+        """Bound every send and receive from now on."""
+        self._timeout_s = timeout_s
+        timeval = struct.pack("@ll", int(timeout_s), int(timeout_s % 1 * 1e6))
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, timeval)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, timeval)
+
+    def send(self, message: bytes | bytearray) -> None:
+        """Send one message.  Raises DriverError when the plant is not there any more."""
+        try:
+            self._socket.send(message, socket.MSG_NOSIGNAL)
+        except OSError as e:
+            try:
+                while self.receive(socket.MSG_DONTWAIT) is not None:
+                    pass  # the last thing the plant said may be why
+            except StaleStateError as why:
+                raise DriverError(why.what, found=why.found, expected=why.expected, remedy=why.remedy) from e
+            raise DriverError(
+                f"plant at {self._path}, arm {self._arm}",
+                found=e.strerror,
+                expected="a plant that listens",
+                remedy="see the log of the plant",
+            ) from e
+
+    def receive(self, flags: int = 0) -> Kind | None:
+        """Next message; None only with MSG_DONTWAIT when there is none.
+
+        Raises StaleStateError when none came in time, or none will come any more, with the plant's own reason.
+        """
+        try:
+            size = self._recv(flags)
+        except BlockingIOError:
+            if flags & socket.MSG_DONTWAIT:
+                return None
+            self._counters.timeouts += 1
+            raise self._stale(
+                f"no state within {self._timeout_s:g} s", "see what the plant or another arm waits for"
+            ) from None
+        if size < HEADER.size:
+            raise self._stale("its end", "see the log of the plant")
+        kind, self.number, self.stamp_ns = HEADER.unpack_from(self._in)
+        if kind == Kind.NOTICE:
+            self._ended = refusal_parts(bytes(self._in[:size]))
+            raise self._stale("", "")
+        if kind in (Kind.STATE, Kind.REPLY) and size != self._state_size:
+            self._counters.corrupt += 1
+            raise self._stale(f"a state of {size} bytes", "start plant and agents from the same installation")
+        return Kind(kind)
+
+    def _recv(self, flags: int) -> int:
+        try:
+            return self._socket.recv_into(self._in, 0, flags)
+        except ConnectionResetError:  # it closed with a torque unread; what it said before is still there
+            try:
+                return self._socket.recv_into(self._in, 0, flags)
+            except ConnectionResetError:
+                return 0
+
+    def _stale(self, found: str, remedy: str) -> StaleStateError:
+        if self._ended is not None:
+            what, parts = self._ended
+            return StaleStateError(f"plant at {self._path}, arm {self._arm}: {what}", **parts)
+        return StaleStateError(
+            f"plant at {self._path}, arm {self._arm}", found=found, expected="a fresh state", remedy=remedy
+        )
+
+    def say_and_forget(self, message: bytes | bytearray) -> None:
+        """Send if that can be done at once; nothing happens otherwise."""
+        try:
+            self._socket.send(message, socket.MSG_NOSIGNAL | socket.MSG_DONTWAIT)
+        except OSError:
+            return  # nobody is there to hear it
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._socket.close()

@@ -1,0 +1,144 @@
+"""The plant's side of one arm: its connection, its torque on the way.  Never decides whether time passes."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import struct
+from enum import Enum, auto
+
+import numpy as np
+
+from drivers.interface import Refusal, Vector
+from sim_backend.physics.actuator import DelayLine, TorqueCommand, TorqueCommandError
+from sim_backend.physics.spec import ArmSpec
+from sim_backend.served.protocol import HEADER, MAX_MESSAGE_BYTES, Kind, Message, header_only, refusal_words
+
+WAIT_S = 0.1  # longest wait inside one blocking receive, after which the caller looks around
+
+
+class Phase(Enum):
+    """Where an arm is."""
+
+    ABSENT = auto()  # nobody connected
+    OFF = auto()  # connected, torque off
+    ON = auto()  # torque on: in lockstep, time waits for its command
+    GONE = auto()  # has said BYE after the start
+
+
+class Vanished(Exception):
+    """The other side is not there any more, or speaks nonsense: `reason`."""
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(reason)
+        self.reason = reason
+
+
+class Seat:
+    """One arm's place at the plant."""
+
+    def __init__(self, arm: ArmSpec, joints: slice) -> None:
+        n = len(arm.controlled)
+        self.arm = arm
+        self.joints = joints
+        self.phase = Phase.ABSENT
+        self.dropped_states = 0  # real time only: the agent's queue was full
+        self.delay = DelayLine(arm.actuator.delay_cycles, n)
+        self._command = TorqueCommand.of(arm.actuator)
+        self._connection: socket.socket | None = None
+        self._out = Message(3 * n)
+        self._out_q, self._out_dq, self._out_tau = self._out.values.reshape(3, n)
+        self._in = bytearray(MAX_MESSAGE_BYTES)
+        self._in_tau = np.frombuffer(self._in, np.float64, n, HEADER.size)
+        self._command_bytes = HEADER.size + 8 * n
+        self.number = 0  # of the last message received
+        self.tau = np.zeros(n)  # last command, as the servos were told
+
+    @property
+    def fileno(self) -> int:
+        """Descriptor for poll; -1 without a connection."""
+        return -1 if self._connection is None else self._connection.fileno()
+
+    def seat(self, connection: socket.socket) -> None:
+        """Take over a connection that has introduced itself."""
+        connection.setblocking(True)
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("@ll", 0, int(WAIT_S * 1e6)))
+        self._connection = connection
+        self.phase = Phase.OFF
+
+    def leave(self, phase: Phase) -> None:
+        """Close the connection; torque is off."""
+        self.switch_off(phase)
+        if self._connection is not None:
+            self._connection.close()
+            self._connection = None
+
+    def switch_on(self) -> None:
+        """Torque on, at zero."""
+        self.switch_off(Phase.ON)
+        self.say(header_only(Kind.ENABLED))
+
+    def switch_off(self, phase: Phase = Phase.OFF) -> None:
+        """Torque off; commands on their way are lost."""
+        self.phase = phase
+        self.tau[:] = 0.0
+        self.delay.clear()
+
+    def say(self, message: bytes | bytearray, flags: int = 0) -> None:
+        """Send one message; BlockingIOError passes through.
+
+        A closed connection is no error here: its BYE may wait to be received, and `receive` tells.
+        """
+        if self._connection is not None:
+            with contextlib.suppress(BrokenPipeError, ConnectionResetError):
+                self._connection.send(message, flags | socket.MSG_NOSIGNAL)
+
+    def tell(self, refusal: Refusal) -> None:
+        """Say why no state will come any more; a peer that is not there need not know."""
+        with contextlib.suppress(BlockingIOError):
+            self.say(refusal_words(Kind.NOTICE, refusal), socket.MSG_DONTWAIT)
+
+    def send_state(
+        self, kind: Kind, number: int, stamp_ns: int, q: Vector, dq: Vector, tau: Vector, flags: int
+    ) -> None:
+        """Send this arm's part of the reported (J,) positions, velocities and torques."""
+        header = self._out.header
+        header[0], header[1], header[2] = kind, number, stamp_ns
+        self._out_q[:] = q[self.joints]
+        self._out_dq[:] = dq[self.joints]
+        self._out_tau[:] = tau[self.joints]
+        try:
+            self.say(self._out.buffer, flags)
+        except BlockingIOError:
+            self.dropped_states += 1
+
+    def receive(self, flags: int = 0) -> Kind | None:
+        """Next message of the arm, a COMMAND already in `tau`; None when none came in time.  Raises Vanished."""
+        if self._connection is None:
+            return None
+        try:
+            size = self._connection.recv_into(self._in, 0, flags)
+        except BlockingIOError:
+            return None
+        except ConnectionResetError:  # it closed with a state unread; what it said before is still there
+            size = self._connection.recv_into(self._in, 0, flags)
+        if size == 0:
+            raise Vanished("it ended without saying so")
+        if size < HEADER.size:
+            raise Vanished(f"it sent {size} bytes that mean nothing")
+        kind, self.number, _ = HEADER.unpack_from(self._in)
+        if kind == Kind.COMMAND:
+            self._take_command(size)
+            return Kind.COMMAND
+        try:
+            return Kind(kind)
+        except ValueError as e:
+            raise Vanished(f"it sent an unknown message, kind {kind}") from e
+
+    def _take_command(self, size: int) -> None:
+        if size != self._command_bytes:
+            raise Vanished(f"it sent a command of {size} bytes instead of {self._command_bytes}")
+        try:
+            self.tau = self._command(self._in_tau)
+        except TorqueCommandError as e:
+            raise Vanished(f"it commanded {e.found}") from e

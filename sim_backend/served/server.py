@@ -1,0 +1,250 @@
+"""The plant as a process: gives every arm its state, takes its torque, lets time pass.  Never invents a torque.
+
+In lockstep, time passes only when every arm whose torque is on has answered.  Where every actuator delays by at least
+one cycle, the torque of tick k acts from tick k + 1 on: the plant then integrates k → k + 1 while the agents compute,
+and the result is the same bit for bit.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import socket
+import time
+from collections.abc import Callable, Iterator
+from typing import Final
+
+import numpy as np
+
+from drivers.interface import Refusal
+from sim_backend.physics.plant import Observation, Plant
+from sim_backend.physics.spec import WHOLE_SUBSTEPS_TOLERANCE, PlantError, substep_of
+from sim_backend.served.listener import Listener
+from sim_backend.served.lobby import Lobby
+from sim_backend.served.options import ArmVanished, LostArm, ServerOptions, Summary
+from sim_backend.served.protocol import Kind
+from sim_backend.served.seat import WAIT_S, Phase, Seat, Vanished
+
+__all__ = ["ArmVanished", "LostArm", "ServerOptions", "Summary", "serve"]
+
+LOBBY_EVERY_TICKS: Final = 32  # in lockstep with all arms on, nobody else is in a hurry
+
+OnTick = Callable[[int, float, Observation], None]
+
+
+def serve(
+    plant: Plant,
+    options: ServerOptions,
+    on_tick: OnTick | None = None,
+    on_listening: Callable[[], None] | None = None,
+) -> Summary:
+    """Serve the plant until every arm has said BYE, `ticks` have passed, or `stop()` is true.
+
+    on_tick(tick, t, observation) is called from inside the tick and must not block.  on_listening() is called
+    once arms can connect.  Raises ArmVanished, PlantError; the socket is gone in every case.
+    """
+    with Listener(options.socket_path) as listener, _quiet_gc():
+        server = _Server(plant, options, on_tick, listener)
+        try:
+            if on_listening is not None:
+                on_listening()
+            return server.run()
+        except PlantError as error:
+            server.tell_all(error)
+            raise
+        finally:
+            server.close()
+
+
+@contextlib.contextmanager
+def _quiet_gc() -> Iterator[None]:
+    """Nothing in a tick makes cycles; a collection would only make it late."""
+    was_enabled = gc.isenabled()
+    gc.collect()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_enabled:
+            gc.enable()
+
+
+class _Server:
+    def __init__(self, plant: Plant, options: ServerOptions, on_tick: OnTick | None, listener: Listener) -> None:
+        self._plant = plant
+        self._options = options
+        self._on_tick = on_tick
+        self._seats = tuple(Seat(arm, joints) for arm, joints in zip(plant.spec.arms, plant.slices, strict=True))
+        info = {
+            "lockstep": options.lockstep,
+            "rate_hz": options.rate_hz,
+            "description": f"simulated plant at {options.socket_path}, {options.rate_hz:g} Hz",
+        }
+        self._lobby = Lobby(listener, self._seats, options.config_id, info, self._reply, self._lose)
+        self._substeps = _whole_substeps(plant, options)
+        delays = [s.arm.actuator.delay_cycles for s in self._seats]
+        self._parallel = min(delays, default=0) >= 1
+        self._support_ticks = max(delays, default=0) if options.supported_start else 0
+        self._tau = np.zeros(plant.joint_count)
+        self._tick = 0
+        self._late_ticks = 0
+        self._zero_ns = 0  # real time: CLOCK_MONOTONIC at tick 0
+        self._lost_arms: list[str] = []
+
+    def run(self) -> Summary:
+        while any(s.phase is not Phase.ON for s in self._seats):
+            if self._stopped():
+                return self._summary(time.monotonic())
+            self._lobby.attend(WAIT_S)
+        self._lobby.started = True
+        begin = time.monotonic()
+        self._zero_ns = time.monotonic_ns()
+        while not self._over():
+            self._one_tick()
+        return self._summary(begin)
+
+    def tell_all(self, refusal: Refusal) -> None:
+        for seat in self._seats:
+            seat.tell(refusal)
+
+    def close(self) -> None:
+        self._lobby.close()
+        for seat in self._seats:
+            seat.leave(Phase.GONE)
+
+    def _stopped(self) -> bool:
+        if self._options.stop():
+            self._end("a run that goes on")
+            return True
+        return False
+
+    def _over(self) -> bool:
+        if self._tick == self._options.ticks:
+            self._end(f"a run of {self._options.ticks} ticks")
+            return True
+        return self._stopped() or all(s.phase in (Phase.GONE, Phase.ABSENT) for s in self._seats)
+
+    def _end(self, expected: str) -> None:
+        found = f"the plant ended at tick {self._tick}"
+        self.tell_all(Refusal("the run is over", found=found, expected=expected, remedy="start a new run"))
+
+    def _one_tick(self) -> None:
+        everyone_on = all(s.phase is Phase.ON for s in self._seats)
+        if not (everyone_on and self._options.lockstep) or self._tick % LOBBY_EVERY_TICKS == 0:
+            self._lobby.attend(0.0)
+        on = [s for s in self._seats if s.phase is Phase.ON]
+        if self._options.lockstep and not on:  # time waits until somebody is there to see it
+            self._lobby.attend(WAIT_S)
+            return
+        self._send(on)
+        if self._parallel:
+            self._integrate()
+            self._collect(on)
+        else:
+            self._collect(on)
+            self._integrate()
+        self._tick += 1
+
+    def _send(self, on: list[Seat]) -> None:
+        q, dq, tau = self._plant.reported()
+        stamp_ns = self._stamp_ns()
+        flags = 0 if self._options.lockstep else socket.MSG_DONTWAIT
+        for seat in on:
+            seat.send_state(Kind.STATE, self._tick, stamp_ns, q, dq, tau, flags)
+
+    def _reply(self, seat: Seat) -> None:
+        """Answer a POLL: the state now, under the number of the question."""
+        stamp_ns = self._stamp_ns() if self._options.lockstep else time.monotonic_ns()
+        seat.send_state(Kind.REPLY, seat.number, stamp_ns, *self._plant.reported(), socket.MSG_DONTWAIT)
+
+    def _integrate(self) -> None:
+        tick, tau = self._tick, self._tau
+        for seat in self._seats:
+            tau[seat.joints] = seat.delay.acting(tick)
+        if self._on_tick is not None and tick % self._options.observe_every == 0:
+            self._on_tick(tick, self._plant.t, self._plant.observe(tau))
+        if tick < self._support_ticks:
+            self._plant.rest(self._substeps)
+        else:
+            self._plant.advance(tau, self._substeps)
+
+    def _collect(self, on: list[Seat]) -> None:
+        if not self._options.lockstep:
+            self._sleep_to_next_tick()
+        for seat in on:
+            try:
+                if self._options.lockstep:
+                    self._wait_for_answer(seat)
+                else:
+                    self._take_newest(seat)
+            except Vanished as e:
+                self._lose(seat, e.reason)
+            if seat.phase is Phase.ON:
+                seat.delay.push(self._tick, seat.tau)
+
+    def _wait_for_answer(self, seat: Seat) -> None:
+        while (kind := seat.receive()) is None:
+            if self._options.stop():
+                return
+            self._lobby.attend(0.0)
+        if kind is not Kind.COMMAND:
+            _dismiss(seat, kind)
+        elif seat.number != self._tick:
+            raise Vanished(f"it answered tick {seat.number} instead of {self._tick}")
+
+    def _take_newest(self, seat: Seat) -> None:
+        """Real time: the last command counts; without a new one the last torque stays, as on a servo."""
+        while seat.phase is Phase.ON and (kind := seat.receive(socket.MSG_DONTWAIT)) is not None:
+            if kind is not Kind.COMMAND:
+                _dismiss(seat, kind)
+
+    def _lose(self, seat: Seat, reason: str) -> None:
+        name = seat.arm.name
+        seat.leave(Phase.ABSENT)
+        if self._options.lost_arm is LostArm.END_RUN:
+            raise ArmVanished(name, self._tick, reason)
+        self._lost_arms.append(name)
+
+    def _stamp_ns(self) -> int:
+        since_zero = round(self._tick * 1e9 / self._options.rate_hz)
+        return since_zero if self._options.lockstep else self._zero_ns + since_zero
+
+    def _sleep_to_next_tick(self) -> None:
+        period_s = 1.0 / self._options.rate_hz
+        remaining_s = (self._zero_ns - time.monotonic_ns()) * 1e-9 + (self._tick + 1) * period_s
+        if remaining_s > 0:
+            time.sleep(remaining_s)
+        self._late_ticks += remaining_s < -period_s
+
+    def _summary(self, begin_s: float) -> Summary:
+        return Summary(
+            ticks=self._tick,
+            sim_s=self._tick / self._options.rate_hz,
+            wall_s=time.monotonic() - begin_s,
+            late_ticks=self._late_ticks,
+            dropped_states=sum(s.dropped_states for s in self._seats),
+            lost_arms=tuple(self._lost_arms),
+        )
+
+
+def _dismiss(seat: Seat, kind: Kind) -> None:
+    """Take leave of an arm in the place of its answer.  Raises Vanished on anything else."""
+    if kind is Kind.DISABLE:
+        seat.switch_off()
+    elif kind is Kind.BYE:
+        seat.leave(Phase.GONE)
+    else:
+        raise Vanished(f"it said {kind.name} out of turn")
+
+
+def _whole_substeps(plant: Plant, options: ServerOptions) -> int:
+    period_s, h = 1.0 / options.rate_hz, plant.spec.substep_s
+    count = round(period_s / h)
+    if count < 1 or abs(count * h / period_s - 1) > WHOLE_SUBSTEPS_TOLERANCE:
+        raise PlantError(
+            "substep_s",
+            found=f"{h:g} s at {options.rate_hz:g} Hz",
+            expected=f"a whole number of substeps in {period_s:g} s",
+            remedy=f"use {substep_of(period_s):.12g} s (sim_backend.physics.spec.substep_of)",
+        )
+    return count

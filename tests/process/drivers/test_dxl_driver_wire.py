@@ -1,0 +1,145 @@
+"""The driver on a real port, in real time, against emulated servos in another process with a real bus's timing."""
+
+from __future__ import annotations
+
+import json
+import socket
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import dynamixel_sdk as sdk
+import numpy as np
+import pytest
+
+from drivers.clock import MonotonicClock
+from drivers.dynamixel.driver import DynamixelDriver
+from drivers.dynamixel.errors import DxlServoFault, FaultCause, PortError, PortLostError, StaleJointsError
+from drivers.interface import DriverError, JointState
+from tests.support.servos.dxl_rig import WX200, at
+from tests.support.servos.wire_emulator import emulator
+
+# 50 Hz and a long watchdog: a stalled test machine must not look like a dead servo
+ARM = at(
+    WX200,
+    rate_hz=50.0,
+    watchdog_s=2.5,
+    joints=tuple(replace(j, start_rad=None, position_limit_ticks=(0, 4095)) for j in WX200.joints),
+)
+CYCLES = 50
+PATIENCE = 500  # cycles: what must happen happens long before
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Iterator[Path]:
+    with emulator(tmp_path, timing=True) as port:
+        yield port
+
+
+@pytest.fixture
+def driver(path: Path) -> Iterator[DynamixelDriver]:
+    driver = DynamixelDriver(replace(ARM, port=str(path)), MonotonicClock(), scan_s=0.1)
+    yield driver
+    driver.disable()
+    driver.close()
+
+
+def command(path: Path, **fault) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
+        sender.bind(str(path.parent / "reply"))
+        sender.sendto(json.dumps({"arm": "left"} | fault).encode(), str(path.parent / "control"))
+        assert sender.recv(1000) == b"ok"
+    (path.parent / "reply").unlink()
+
+
+def run(driver: DynamixelDriver, cycles: int, until: type[Exception] | None = None):
+    """States of a loop that holds the arm where it is; stops at an error of type `until` and returns it."""
+    clock = MonotonicClock()
+    states: list[JointState] = []
+    start_ns = clock.now_ns()
+    for k in range(cycles):
+        clock.sleep_until(start_ns + k * driver.arm.period_ns)
+        tau = np.zeros(4)
+        try:
+            state = driver.read()
+        except StaleJointsError:
+            pass  # a machine that stalls; the next cycle is there soon
+        except DriverError as error:
+            if until is not None and isinstance(error, until):
+                return states, error
+            raise
+        else:
+            states.append(state)
+            tau = 4.0 * (states[0].q - state.q) - 0.1 * state.dq
+        driver.write(tau)
+    assert until is None, f"{until.__name__} did not happen"
+    return states, None
+
+
+def test_an_arm_is_brought_up_held_and_let_go(driver: DynamixelDriver, path: Path) -> None:
+    info = driver.connect()
+    assert "7 servos, firmware 46, fast sync read" in info.description
+    driver.enable()
+    states, _ = run(driver, CYCLES)
+    assert len(states) > CYCLES // 2
+    stamps = [state.stamp_ns for state in states]
+    assert stamps == sorted(set(stamps))
+    assert np.abs(states[-1].q - states[0].q).max() < 0.05
+    assert np.all(driver.health().temperature_C > 0)
+    driver.disable()
+    final = driver.read().q
+    driver.close()
+    handler = sdk.PortHandler(str(path))
+    assert handler.setBaudRate(ARM.baud)
+    ticks = [sdk.PacketHandler(2.0).read4ByteTxRx(handler, i, 132)[0] for i in (2, 4, 5, 6)]
+    torque = [sdk.PacketHandler(2.0).read1ByteTxRx(handler, i, 64)[0] for i in range(1, 8)]
+    handler.closePort()
+    assert torque == [0] * 7
+    assert np.allclose((np.array(ticks) - 2048) * 2 * np.pi / 4096, final, atol=0.01)
+
+
+def test_second_driver_is_refused_before_a_byte_is_sent(driver: DynamixelDriver) -> None:
+    driver.connect()
+    second = DynamixelDriver(driver.arm, MonotonicClock())
+    with pytest.raises(PortError, match="in use by"):
+        second.connect()
+    second.close()
+
+
+def test_a_rebooted_servo_is_named(driver: DynamixelDriver, path: Path) -> None:
+    driver.connect()
+    driver.enable()
+    run(driver, CYCLES)
+    command(path, kind="reboot", servo=4)
+    _, fault = run(driver, PATIENCE, until=DxlServoFault)
+    assert isinstance(fault, DxlServoFault)
+    assert fault.servo_id == 4
+    assert fault.cause in (FaultCause.SILENT, FaultCause.REBOOTED)  # silent while it boots
+
+
+def test_a_port_that_goes_and_comes_back_is_the_same_arm(driver: DynamixelDriver, path: Path) -> None:
+    driver.connect()
+    driver.enable()
+    run(driver, CYCLES)
+    command(path, kind="port_loss", duration_s=0.3)
+    _, lost = run(driver, PATIENCE, until=PortLostError)
+    assert isinstance(lost, PortLostError)
+    for _ in range(PATIENCE):
+        try:
+            driver.reopen()
+        except DriverError:
+            time.sleep(0.02)
+        else:
+            break
+    states, _ = run(driver, 5)
+    assert states
+
+
+def test_wrong_port_and_wrong_speed_are_refused(driver: DynamixelDriver, path: Path) -> None:
+    wrong = DynamixelDriver(replace(driver.arm, baud=3_000_000), MonotonicClock(), scan_s=0.1)
+    with pytest.raises(DriverError, match="answers at 1000000 bit/s, expected 3000000 bit/s"):
+        wrong.connect()
+    nowhere = DynamixelDriver(replace(driver.arm, port=str(path) + "_not_there"), MonotonicClock())
+    with pytest.raises(PortError, match="nothing of that name"):
+        nowhere.connect()

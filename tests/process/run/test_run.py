@@ -1,0 +1,239 @@
+"""`coop run`: real processes, real sockets, real files; what a newcomer's one command does, and what breaks it."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+
+import configs
+from agent.log.read import RunLog, read_log
+from agent.telemetry.row.sample import AGENT_STATE
+
+PAPER = str(configs.CELLS_DIR / "paper.toml")
+COOP = [sys.executable, "-m", "agent.cli"]
+
+
+def coop(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*COOP, *arguments], cwd=cwd, capture_output=True, text=True, timeout=110)
+
+
+def start(*arguments: str, cwd: Path) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [*COOP, *arguments], cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+
+
+def ours(token: str) -> list[psutil.Process]:
+    """Processes of a run, found by a word of their command lines."""
+    found = []
+    for process in psutil.process_iter(["cmdline"]):
+        line = " ".join(process.info["cmdline"] or [])
+        if "agent.cli" in line and token in line and process.pid != os.getpid():
+            found.append(process)
+    return found
+
+
+def child(token: str, run: subprocess.Popen[str], timeout_s: float = 30.0) -> psutil.Process:
+    """The child of `run` whose command line holds `token`, once it is there."""
+    deadline = time.monotonic() + timeout_s
+    while time.monotonic() < deadline and run.poll() is None:
+        for process in psutil.Process(run.pid).children():
+            if token in " ".join(process.cmdline()):
+                return process
+        time.sleep(0.02)
+    raise AssertionError(f"no child with {token!r}: {run.communicate()}")
+
+
+def wait_for_rows(out: Path, run: subprocess.Popen[str], timeout_s: float = 60.0) -> None:
+    """Return when the run's log holds rows for certain."""
+    deadline = time.monotonic() + timeout_s
+    log = out / "run.mcap"
+    while not (log.exists() and log.stat().st_size > 300_000):
+        assert run.poll() is None, run.communicate()
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+@pytest.fixture(scope="module")
+def two_runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """The same cell, twice."""
+    folder = tmp_path_factory.mktemp("runs")
+    for name in ("a", "b"):
+        done = coop("run", PAPER, "--duration", "3", "--out", name, cwd=folder)
+        assert done.returncode == 0, done.stderr
+    return folder / "a", folder / "b"
+
+
+@pytest.fixture
+def nothing_left(tmp_path: Path) -> Iterator[Path]:
+    """A folder to run in; afterwards no process of the run and no file in shared memory may be left."""
+    before = set(Path("/dev/shm").glob("coop-*"))
+    yield tmp_path
+    deadline = time.monotonic() + 10
+    while ours(str(tmp_path)) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert ours(str(tmp_path)) == []
+    left = set(Path("/dev/shm").glob("coop-*")) - before
+    assert [folder for folder in left if not ours(str(folder))] == [], "a folder that no other run uses"
+
+
+def test_a_run_leaves_log_report_figures_and_results(two_runs: tuple[Path, Path]) -> None:
+    out = two_runs[0]
+    names = {p.name for p in out.iterdir()}
+    assert {"run.mcap", "report.html", "results.json"} <= names
+    assert sum(n.endswith(".png") for n in names) >= 4
+    results = json.loads((out / "results.json").read_text())
+    for key in (
+        "max_position_error_m", "max_attitude_error_rad", "rms_position_error_m", "peak_torque_fraction",
+        "rows_expected", "rows_recorded", "real_time_factor", "late_cycles", "complete",
+    ):  # fmt: skip
+        assert key in results
+    assert results["rows_expected"] == results["rows_recorded"] == 1200
+    assert results["complete"] is True
+
+
+def test_two_runs_of_a_cell_give_the_same_rows_byte_for_byte(two_runs: tuple[Path, Path]) -> None:
+    a, b = (read_log(p / "run.mcap") for p in two_runs)
+    compared = [f.name for f in AGENT_STATE.fields if not f.timing]
+    for arm in ("left", "right"):
+        assert len(a.agents[arm]) == 600
+        for name in compared:
+            assert a.agents[arm][name].tobytes() == b.agents[arm][name].tobytes(), (arm, name)
+    assert a.plant is not None
+    assert b.plant is not None
+    assert a.plant["p_object"].tobytes() == b.plant["p_object"].tobytes()
+
+
+def test_the_log_holds_what_is_needed_to_redo_the_run(two_runs: tuple[Path, Path]) -> None:
+    log: RunLog = read_log(two_runs[0] / "run.mcap")
+    assert b'name = "paper"' in log.attachments["cell.toml"]
+    assert log.attachments["widowx_mk2.urdf"].startswith(b"<?xml")
+    assert log.run_info()["cell"] == "paper"
+    assert "numpy" in log.run_info()["versions"]
+
+
+def test_the_logged_torque_is_the_sum_of_its_logged_terms(two_runs: tuple[Path, Path]) -> None:
+    for rows in read_log(two_runs[0] / "run.mcap").agents.values():
+        terms = [n for n in rows.dtype.names or () if n.startswith("tau_")]
+        summed = [n for n in terms if n not in ("tau_measured", "tau_cmd", "tau_limited", "tau_sent")]
+        np.testing.assert_allclose(sum(rows[n] for n in summed), rows["tau_cmd"], atol=1e-12)
+
+
+def test_ctrl_c_ends_everything_and_leaves_a_readable_log(nothing_left: Path) -> None:
+    run = start("run", PAPER, "--duration", "1000", "--out", str(nothing_left / "out"), cwd=nothing_left)
+    wait_for_rows(nothing_left / "out", run)
+    run.send_signal(signal.SIGINT)
+    out, err = run.communicate(timeout=60)
+    assert run.returncode == 130, err
+    assert "stopped by request" in out
+    log = read_log(nothing_left / "out" / "run.mcap")
+    assert min(len(rows) for rows in log.agents.values()) > 0
+
+
+def test_a_killed_agent_is_named_and_the_log_is_readable(nothing_left: Path) -> None:
+    run = start("run", PAPER, "--duration", "1000", "--out", str(nothing_left / "out"), cwd=nothing_left)
+    wait_for_rows(nothing_left / "out", run)
+    agent = child("--arm right", run)
+    agent.kill()
+    _, err = run.communicate(timeout=60)
+    assert run.returncode not in (0, None)
+    assert "arm-right" in err.strip().splitlines()[-1]
+    assert "Traceback" not in err
+    log = read_log(nothing_left / "out" / "run.mcap")
+    assert min(len(rows) for rows in log.agents.values()) > 0
+
+
+def test_a_killed_run_takes_its_processes_with_it(nothing_left: Path) -> None:
+    run = start("run", PAPER, "--duration", "1000", "--out", str(nothing_left / "out"), cwd=nothing_left)
+    wait_for_rows(nothing_left / "out", run)
+    children = psutil.Process(run.pid).children()
+    run.kill()
+    run.communicate(timeout=10)
+    _, alive = psutil.wait_procs(children, timeout=20)
+    assert alive == []
+    for left in Path("/dev/shm").glob("coop-*"):  # nobody was left to remove them
+        for file in left.iterdir():
+            file.unlink()
+        left.rmdir()
+
+
+@pytest.mark.parametrize(
+    ("setting", "expected"),
+    [
+        ("object.mas_kg=1", "did you mean mass_kg"),
+        ("rate_hz=120", "spectral radius"),
+        ("arms.left.load_share=0.4", "sum"),
+    ],
+)
+def test_a_wrong_cell_is_one_line_and_leaves_no_folder(nothing_left: Path, setting: str, expected: str) -> None:
+    done = coop("run", PAPER, "--set", setting, "--out", "out", cwd=nothing_left)
+    assert done.returncode == 2
+    assert expected in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert not (nothing_left / "out").exists()
+
+
+def test_an_output_folder_that_cannot_be_made_is_one_line(nothing_left: Path) -> None:
+    (nothing_left / "file").write_text("")
+    done = coop("run", PAPER, "--out", "file/out", cwd=nothing_left)
+    assert done.returncode == 2
+    assert "output folder" in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_a_second_run_into_the_same_folder_is_refused(two_runs: tuple[Path, Path]) -> None:
+    before = (two_runs[0] / "run.mcap").read_bytes()
+    done = coop("run", PAPER, "--duration", "3", "--out", str(two_runs[0]), cwd=two_runs[0])
+    assert done.returncode == 2
+    assert "earlier run" in done.stderr
+    assert (two_runs[0] / "run.mcap").read_bytes() == before
+
+
+def test_an_occupied_plant_socket_is_refused(nothing_left: Path) -> None:
+    place = ["--socket", str(nothing_left / "p.sock"), "--ring", str(nothing_left / "p.ring")]
+    first = start("plant", PAPER, *place, cwd=nothing_left)
+    assert first.stdout is not None
+    assert first.stdout.readline().startswith("READY")
+    second = coop("plant", PAPER, "--socket", place[1], "--ring", str(nothing_left / "q.ring"), cwd=nothing_left)
+    assert second.returncode != 0
+    assert "p.sock" in second.stderr
+    assert len(second.stderr.strip().splitlines()) == 1
+    assert first.poll() is None
+    first.terminate()
+    first.communicate(timeout=20)
+
+
+def test_an_unknown_arm_is_refused(nothing_left: Path) -> None:
+    done = coop("agent", PAPER, "--arm", "middle", "--ring", str(nothing_left / "r"), cwd=nothing_left)
+    assert done.returncode == 2
+    assert "left or right" in done.stderr
+
+
+def test_an_agent_without_a_plant_says_so(nothing_left: Path) -> None:
+    done = coop(
+        "agent", PAPER, "--arm", "left", "--ring", str(nothing_left / "r"),
+        "--plant-socket", str(nothing_left / "none.sock"), cwd=nothing_left,
+    )  # fmt: skip
+    assert done.returncode == 3
+    assert "start the plant of this cell first" in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_the_agent_process_opens_no_network_socket(nothing_left: Path) -> None:
+    run = start("run", PAPER, "--duration", "1000", "--out", str(nothing_left / "out"), cwd=nothing_left)
+    wait_for_rows(nothing_left / "out", run)
+    agent = child("--arm left", run)
+    assert agent.net_connections(kind="inet") == []
+    assert not any("zenoh" in m.path or "mcap" in m.path for m in agent.memory_maps())
+    run.send_signal(signal.SIGINT)
+    run.communicate(timeout=60)

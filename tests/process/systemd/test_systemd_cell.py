@@ -1,0 +1,122 @@
+"""The simulated cell on a booted systemd: the units of a real host, with the drop-ins that only change the driver."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+
+from tests.support.systemd.machine import Machine, booted, missing
+from tests.support.systemd.unit_files import SIMULATED, SYSTEMD, install
+from tests.support.telemetry.cell_certificates import fill_in, make_certificates
+
+pytestmark = [
+    pytest.mark.skipif(bool(missing()), reason=missing()),
+    pytest.mark.skipif(shutil.which("openssl") is None, reason="needs openssl to make certificates"),
+    pytest.mark.timeout(240),
+]
+
+CELL = SYSTEMD.parent / "configs/cells/paper.toml"
+ARMS = ("left", "right")
+AGENTS = tuple(f"coop-agent@{arm}.service" for arm in ARMS)
+
+
+@contextmanager
+def cell(scratch: Path, *, tls: bool) -> Iterator[Machine]:
+    files = scratch / "files"
+    install(files, "simulated", *(["several-hosts"] if tls else []))
+    (files / "etc/coop").mkdir(exist_ok=True)
+    shutil.copy(CELL, files / "etc/coop/cell.toml")
+    if tls:
+        _write_keys(files, make_certificates(scratch / "certificates"))
+    with booted(files, scratch) as machine:
+        machine.run("systemctl", "enable", *AGENTS, "coop-recorder.service")
+        yield machine
+
+
+def _write_keys(files: Path, certificates: Path) -> None:
+    (files / "etc/hosts").write_text("127.0.0.1 localhost recorder.cell\n")
+    keys, zenoh = files / "etc/coop/keys", files / "etc/coop/zenoh"
+    keys.mkdir()
+    shutil.copy(certificates / "cell.pem", zenoh / "ca.pem")
+    for name in (*ARMS, "plant", "recorder"):
+        shutil.copy(certificates / f"{name}.key", keys / f"{name}.pem")
+        shutil.copy(certificates / f"{name}.pem", zenoh)
+        template = zenoh / ("recorder.json5" if name == "recorder" else "arm.json5")
+        (zenoh / f"{name}.json5").write_text(_with_plant(fill_in(template.read_text(), name)))
+
+
+def _with_plant(configuration: str) -> str:
+    """The recorder's table with the simulated plant, which no real cell has, under the rule of the right arm."""
+    keys = '"coop/paper/right/**", "coop/paper/right/**/@adv/**"'
+    more = configuration.replace(keys, f"{keys}, {keys.replace('right', 'plant')}")
+    return more.replace('["arm-right"]', '["arm-right", "plant"]')
+
+
+def logs(machine: Machine) -> list[Path]:
+    return sorted((machine.root / "var/lib/coop/runs").glob("*.mcap"))
+
+
+def start(machine: Machine) -> None:
+    """Start the cell and let it move."""
+    machine.run("systemctl", "start", "coop.target")
+    for unit in SIMULATED:
+        assert machine.show(unit, "ActiveState") == "active", machine.journal(unit)
+    machine.run("sleep", "1")
+
+
+def stop(machine: Machine) -> None:
+    """Stop the cell and wait for the last process."""
+    machine.run("systemctl", "stop", "coop.target")
+    for unit in ("coop-recorder.service", "coop-rings.service"):
+        machine.wait_for(unit, "ActiveState", "inactive")
+
+
+def completeness(log: Path) -> dict[str, str]:
+    with log.open("rb") as file:
+        (found,) = [record for record in make_reader(file).iter_metadata() if record.name == "completeness"]
+    return found.metadata
+
+
+def test_every_start_is_one_complete_log_also_over_tls(tmp_path: Path) -> None:
+    with cell(tmp_path, tls=True) as machine:
+        for runs in (1, 2):
+            start(machine)
+            stop(machine)
+            assert len(logs(machine)) == runs
+            log = completeness(logs(machine)[-1])
+            assert log["complete"] == "true", log
+            for unit in AGENTS:
+                assert machine.show(unit, "Result") == "success", machine.journal(unit)
+                assert machine.show(unit, "NRestarts") == "0"
+
+
+def test_a_killed_recorder_comes_back_and_a_killed_agent_does_not(tmp_path: Path) -> None:
+    with cell(tmp_path, tls=False) as machine:
+        start(machine)
+        agents = [machine.show(unit, "MainPID") for unit in AGENTS]
+        machine.run("systemctl", "kill", "--signal=SIGKILL", "coop-recorder.service")
+        machine.wait_for("coop-recorder.service", "NRestarts", "1")
+        machine.wait_for("coop-recorder.service", "ActiveState", "active")
+        machine.run("sleep", "3")
+        assert [machine.show(unit, "MainPID") for unit in AGENTS] == agents, "the arms do not notice"
+
+        machine.run("systemctl", "kill", "--signal=SIGKILL", AGENTS[0])
+        machine.wait_for(AGENTS[0], "ActiveState", "failed")
+        assert machine.show(AGENTS[0], "Result") == "signal"
+        stop(machine)
+        assert machine.show(AGENTS[0], "NRestarts") == "0"
+        cut, after = logs(machine)
+        with cut.open("rb") as file:
+            summary = make_reader(file).get_summary()
+        log = completeness(after)
+    assert summary is not None, "the log that was cut short has been repaired"
+    assert summary.statistics is not None
+    assert summary.statistics.message_count > 100
+    assert log["left.end"] == "died"
+    for arm in ARMS:
+        assert int(log[f"{arm}.rows_recorded"]) > 200, log

@@ -1,0 +1,400 @@
+"""What the fault matrix asks of telemetry (N1, N2, N5, D1, D4, P10, P1's black box): survive, refill, tell."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import random
+import resource
+import signal
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zenoh
+
+from agent.log.file import LogFileError
+from agent.log.read import LogError, read_log
+from agent.log.scan import library_of
+from agent.telemetry.link import record
+from agent.telemetry.link.intake import Rejection
+from agent.telemetry.link.publish import Pace
+from agent.telemetry.link.record import RecordOptions, RecordReport
+from agent.telemetry.link.session import Network, NetworkError, open_session
+from agent.telemetry.link.wire import BatchHeader, End
+from agent.telemetry.ring.ring import RingReader
+from agent.telemetry.row.sample import AGENT_STATE
+from agent.telemetry.row.topics import BadName
+from tests.support.telemetry.telemetry_cell import (
+    ARMS,
+    CELL,
+    CONFIG_ID,
+    Process,
+    make_rows,
+    recorder,
+    telemetry,
+    writer,
+)
+
+LEFT = {"left": ARMS["left"]}
+RATE_HZ = 500.0
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return tmp_path
+
+
+def wait_for(condition: Callable[[], bool], timeout_s: float = 60.0) -> None:
+    end = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < end, "did not happen in time"
+        time.sleep(0.01)
+
+
+def written(ring: Path) -> int:
+    if not ring.exists():
+        return 0
+    with RingReader(ring, AGENT_STATE) as reader:
+        return reader.written
+
+
+def rows_in(path: Path) -> bytes:
+    return read_log(path).agents["left"].tobytes()
+
+
+def prefix(count: int, total: int) -> bytes:
+    return make_rows("left", total)[:count].tobytes()
+
+
+@contextlib.contextmanager
+def one_arm(folder: Path, rows: int, **changes: Any) -> Iterator[tuple[Process, Process, Process, str]]:
+    """Recorder, telemetry and a writer in real time."""
+    ring = folder / "left.ring"
+    with recorder(folder / "run.mcap", arms=LEFT, **changes) as rec:
+        endpoint = rec.ready()
+        with telemetry(ring, "left", endpoint, Pace.REAL_TIME) as tel, writer(ring, "left", rows, RATE_HZ) as agent:
+            yield rec, tel, agent, endpoint
+
+
+def test_a_killed_recorder_leaves_a_readable_log_and_the_next_one_gets_everything(folder: Path) -> None:
+    total = 1500
+    with one_arm(folder, total) as (rec, tel, agent, endpoint):
+        wait_for(lambda: written(folder / "left.ring") > 300)
+        time.sleep(random.uniform(0.0, 0.7))
+        before = written(folder / "left.ring")
+        rec.kill()
+        kept = len(read_log(folder / "run.mcap").agents["left"])
+        assert rows_in(folder / "run.mcap") == prefix(kept, total)
+        assert kept > 0
+        network = Network(listen=endpoint)
+        with recorder(folder / "next.mcap", arms=LEFT, network=network) as second:
+            second.ready()
+            assert agent.result() == total
+            assert tel.result().complete
+            wait_for(lambda: "recovery" in read_log(folder / "run.mcap").metadata)
+            report = second.stop()
+    assert report.complete
+    assert report.repaired == (folder / "run.mcap",)
+    assert rows_in(folder / "next.mcap") == prefix(total, total)
+    repaired = read_log(folder / "run.mcap")
+    assert repaired.agents["left"].tobytes() == prefix(kept, total)
+    assert not repaired.complete
+    assert repaired.attachments["run.json"]
+    assert kept <= before
+
+
+def test_a_recorder_that_stands_still_costs_no_row(folder: Path) -> None:
+    with one_arm(folder, 2500) as (rec, tel, agent, _):
+        wait_for(lambda: written(folder / "left.ring") > 200)
+        rec.signal(signal.SIGSTOP)
+        time.sleep(3.0)
+        rec.signal(signal.SIGCONT)
+        agent.result()
+        assert tel.result().complete
+        assert rec.stop().complete
+    assert rows_in(folder / "run.mcap") == prefix(2500, 2500)
+
+
+def test_a_recorder_that_comes_late_gets_everything_the_ring_holds(folder: Path) -> None:
+    ring = folder / "left.ring"
+    with recorder(folder / "first.mcap", arms=LEFT) as first:
+        endpoint = first.ready()
+    with (
+        telemetry(ring, "left", endpoint, Pace.REAL_TIME) as tel,
+        writer(ring, "left", 400, RATE_HZ) as agent,
+    ):
+        assert agent.result() == 400
+        with recorder(folder / "run.mcap", arms=LEFT, network=Network(listen=endpoint)) as late:
+            late.ready()
+            assert tel.result().complete
+            assert late.stop().complete
+    assert rows_in(folder / "run.mcap") == prefix(400, 400)
+
+
+def test_telemetry_that_is_killed_and_started_again_leaves_no_gap(folder: Path) -> None:
+    with one_arm(folder, 1500) as (rec, tel, agent, endpoint):
+        wait_for(lambda: written(folder / "left.ring") > 300)
+        tel.kill()
+        time.sleep(0.3)
+        with telemetry(folder / "left.ring", "left", endpoint, Pace.REAL_TIME) as again:
+            agent.result()
+            assert again.result().complete
+        report = rec.stop()
+    assert report.complete
+    assert int(report.completeness["left.duplicates"]) > 0
+    log = read_log(folder / "run.mcap")
+    assert log.agents["left"].tobytes() == prefix(1500, 1500)
+    assert [e.text for e in log.events] == ["mode READY → TRACK"]
+
+
+def test_a_killed_agent_leaves_its_last_rows_in_the_log(folder: Path) -> None:
+    with one_arm(folder, 100_000) as (rec, tel, agent, _):
+        wait_for(lambda: written(folder / "left.ring") > 200)
+        agent.kill()
+        count = written(folder / "left.ring")
+        report = tel.result()
+        assert (report.end, report.rows_written) == (End.DIED, count)
+        told = rec.stop().completeness
+    assert told["left.end"] == "died"
+    assert told["left.rows_recorded"] == str(count)
+    assert rows_in(folder / "run.mcap") == prefix(count, 100_000)
+
+
+def test_a_service_follows_the_agents_one_ring_after_the_other_and_passes_over_dead_ones(folder: Path) -> None:
+    ring = folder / "left.ring"
+    with writer(ring, "left", 30, RATE_HZ) as gone:
+        assert gone.result() == 30
+    with recorder(folder / "first.mcap", arms=LEFT) as first:
+        endpoint = first.ready()
+        with telemetry(ring, "left", endpoint, Pace.REAL_TIME, follow=True) as service:
+            service.ready()
+            with writer(ring, "left", 200, RATE_HZ) as agent:
+                assert agent.result() == 200
+            time.sleep(0.5)
+            assert first.stop().complete
+            with recorder(folder / "second.mcap", arms=LEFT, network=Network(listen=endpoint)) as second:
+                second.ready()
+                with writer(ring, "left", 300, RATE_HZ) as agent:
+                    assert agent.result() == 300
+                wait_for(lambda: len(read_if_any(folder / "second.mcap")) == len(prefix(300, 300)))
+                time.sleep(0.5)
+                report = second.stop()
+                assert report.complete, report
+            service.stop()
+    assert rows_in(folder / "first.mcap") == prefix(200, 200)
+    assert rows_in(folder / "second.mcap") == prefix(300, 300)
+
+
+def read_if_any(path: Path) -> bytes:
+    try:
+        return rows_in(path)
+    except LogError:
+        return b""
+
+
+def test_rows_overwritten_before_anybody_read_them_are_counted_and_named(folder: Path) -> None:
+    ring = folder / "left.ring"
+    with recorder(folder / "run.mcap", arms=LEFT) as rec:
+        endpoint = rec.ready()
+        with writer(ring, "left", 300, 5000.0, slots=100) as agent:
+            assert agent.result() == 300
+        with telemetry(ring, "left", endpoint, Pace.REAL_TIME) as tel:
+            report = tel.result()
+            assert (report.rows_written, report.rows_lost, report.complete) == (300, 200, False)
+        told = rec.stop().completeness
+    assert (told["left.rows_expected"], told["left.rows_recorded"]) == ("300", "100")
+    assert (told["left.lost_in_ring"], told["left.lost_on_the_way"]) == ("200", "0")
+    assert json.loads(told["left.gaps"]) == [[0, 199]]
+    assert told["complete"] == "false"
+    assert rows_in(folder / "run.mcap") == make_rows("left", 300)[200:].tobytes()
+
+
+def test_a_stop_in_the_middle_finishes_the_file_and_says_that_it_is_not_whole(folder: Path) -> None:
+    with one_arm(folder, 100_000) as (rec, tel, agent, _):
+        wait_for(lambda: written(folder / "left.ring") > 300)
+        report = rec.stop()
+        agent.signal(signal.SIGTERM)
+        tel.stop()
+    assert not report.complete
+    log = read_log(folder / "run.mcap")
+    assert log.problems == ()
+    assert not log.complete
+    assert log.metadata["completeness"]["left.end"] == "open"
+    assert log.agents["left"].tobytes() == prefix(len(log.agents["left"]), 100_000)
+
+
+def test_an_arm_that_never_published_makes_the_log_incomplete(folder: Path) -> None:
+    ring = folder / "left.ring"
+    with recorder(folder / "run.mcap") as rec:
+        endpoint = rec.ready()
+        with telemetry(ring, "left", endpoint, Pace.REAL_TIME) as tel, writer(ring, "left", 50, RATE_HZ):
+            assert tel.result().complete
+        report = rec.stop()
+    assert not report.complete
+    assert report.completeness["right.rows_expected"] == "0"
+
+
+def wrong_messages(good: bytes) -> list[tuple[str, bytes, bytes | None]]:
+    """Key, payload, attachment of messages that do not belong in the log, as strangers and mistakes make them."""
+    head = BatchHeader(4711, 0, 8, 0).pack()
+    foreign = make_rows("left", 8)
+    foreign["config_id"] += 1
+    return [
+        ("coop/paper/left/state", b"", None),
+        ("coop/paper/left/state", os.urandom(999), head),
+        ("coop/paper/left/state", good, None),
+        ("coop/paper/left/state", good, b"CB1\0" + os.urandom(36)),
+        ("coop/paper/left/state", foreign.tobytes(), head),
+        ("coop/paper/left/state", bytes(1 << 19), head),
+        ("coop/paper/left/event", b"\xff" * 500, head),
+        ("coop/paper/left/health", b"[" * 900, head),
+        ("coop/paper/left/torque", good, head),
+        ("coop/paper/stranger/state", good, head),
+        ("coop/paper/recorder/event", b"{}", head),
+    ]
+
+
+def test_a_flood_of_wrong_messages_neither_breaks_nor_pollutes_the_log(folder: Path) -> None:
+    with one_arm(folder, 1000) as (rec, tel, agent, endpoint):
+        wait_for(lambda: written(folder / "left.ring") > 100)
+        with open_session(Network(connect=(endpoint,))) as stranger:
+            messages = wrong_messages(make_rows("left", 8).tobytes())
+            for _ in range(100):
+                for key, payload, attachment in messages:
+                    stranger.session.put(
+                        key, payload, attachment=attachment, congestion_control=zenoh.CongestionControl.BLOCK
+                    )
+            agent.result()
+            assert tel.result().complete
+        report = rec.stop()
+    assert report.complete
+    counts = {k.removeprefix("rejected."): int(v) for k, v in report.completeness.items() if k.startswith("rejected.")}
+    assert sum(counts.values()) == 100 * len(messages)
+    assert counts[Rejection.UNKNOWN_KEY.value] == 300
+    assert counts[Rejection.TOO_LARGE.value] == 100
+    log = read_log(folder / "run.mcap")
+    assert log.agents["left"].tobytes() == prefix(1000, 1000)
+    assert {e.source for e in log.events} <= {"left", "recorder"}
+
+
+def test_a_message_of_any_size_does_not_fill_the_recorders_memory(folder: Path) -> None:
+    with one_arm(folder, 1000) as (rec, tel, agent, endpoint):
+        wait_for(lambda: written(folder / "left.ring") > 100)
+        with open_session(Network(connect=(endpoint,))) as stranger:
+            for size_MB in (2, 64):
+                stranger.session.put(
+                    "coop/paper/left/state",
+                    bytes(size_MB << 20),
+                    attachment=BatchHeader(1, 0, 1, 0).pack(),
+                    congestion_control=zenoh.CongestionControl.BLOCK,
+                )
+        agent.result()
+        assert tel.result().complete
+        status = Path(f"/proc/{rec.process.pid}/status").read_text()
+        peak_kB = int(next(line for line in status.splitlines() if line.startswith("VmHWM")).split()[1])
+        assert rec.stop().complete
+    assert peak_kB < 200_000
+    assert rows_in(folder / "run.mcap") == prefix(1000, 1000)
+
+
+def record_on_a_small_disk(
+    options: RecordOptions, stop: Callable[[], bool], ready: Callable[[str], None]
+) -> RecordReport:
+    """The kernel refuses to let any file grow beyond 1 MB, with an error as a full disk gives."""
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, resource.RLIM_INFINITY))
+    return record.run(options, stop, ready)
+
+
+def test_a_disk_that_is_full_stops_the_log_and_nothing_else(folder: Path) -> None:
+    ring, total = folder / "left.ring", 20_000
+    options = RecordOptions(folder / "run.mcap", CELL, LEFT, CONFIG_ID, min_free_bytes=1 << 20)
+    with Process(record_on_a_small_disk, options) as rec:
+        endpoint = rec.ready()
+        with telemetry(ring, "left", endpoint, Pace.LOCKSTEP) as tel, writer(ring, "left", total, None) as agent:
+            assert agent.result() == total
+            tel.result()
+        report = rec.stop()
+    assert report.failure == "File too large"
+    assert not report.complete
+    log = read_log(folder / "run.mcap")
+    kept = len(log.agents["left"])
+    assert 0 < kept < total
+    assert log.agents["left"].tobytes() == prefix(kept, total)
+    assert report.completeness["left.rows_recorded"] == str(kept)
+    assert report.completeness["left.lost_on_disk"] == str(total - kept)
+
+
+def test_a_second_recorder_is_refused_before_anything_starts(folder: Path) -> None:
+    with recorder(folder / "run.mcap", arms=LEFT) as rec:
+        endpoint = rec.ready()
+        with pytest.raises(LogFileError, match="another recorder is writing"):
+            record.run(RecordOptions(folder / "run.mcap", CELL, LEFT, CONFIG_ID), stop=lambda: True)
+        taken = RecordOptions(folder / "second.mcap", CELL, LEFT, CONFIG_ID, network=Network(listen=endpoint))
+        with pytest.raises(NetworkError, match="cannot open the network"):
+            record.run(taken, stop=lambda: True)
+        rec.stop()
+    assert not (folder / "second.mcap").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"path": Path("missing/run.mcap")}, "cannot write"),
+        ({"min_free_bytes": 1 << 60}, "no room"),
+        ({"cell": "Not A Name"}, "name of a cell"),
+        ({"arms": {"plant": ("a",)}}, "name of an arm"),
+        ({"network": Network(listen="nonsense")}, "endpoint"),
+    ],
+)
+def test_what_cannot_be_recorded_is_refused_and_leaves_no_file(
+    folder: Path, change: dict[str, Any], message: str
+) -> None:
+    options = {"path": Path("run.mcap"), "cell": CELL, "arms": LEFT, "config_id": CONFIG_ID} | change
+    options["path"] = folder / options["path"]
+    with pytest.raises((LogFileError, NetworkError, BadName), match=message):
+        record.run(RecordOptions(**options), stop=lambda: True)
+    assert list(folder.iterdir()) == []
+
+
+def test_a_signal_at_any_instant_does_not_hold_the_recorder_up() -> None:
+    inbox = record._Inbox(frozenset())
+    before = signal.signal(signal.SIGALRM, lambda *_: None)
+    signal.setitimer(signal.ITIMER_REAL, 0.00097, 0.00097)
+    try:
+        for _ in range(1500):
+            assert inbox.get(0.001) is None
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def test_nothing_is_left_after_a_refusal_or_an_end(folder: Path) -> None:
+    def sockets() -> int:
+        links = [str(fd.readlink()) for fd in Path("/proc/self/fd").iterdir() if fd.exists() or fd.is_symlink()]
+        return sum(link.startswith("socket:") for link in links)
+
+    def attempt(name: str, **changes: Any) -> None:
+        record.run(RecordOptions(folder / name, CELL, LEFT, CONFIG_ID, **changes), stop=lambda: True)
+
+    attempt("warm-up.mcap")  # Zenoh keeps a few descriptors of its own for the life of the process
+    before = sockets()
+    attempt("a.mcap")
+    with pytest.raises(LogFileError, match="exists already"):
+        attempt("a.mcap")
+    with pytest.raises(LogFileError, match="no room"):
+        attempt("b.mcap", min_free_bytes=1 << 60)
+    wait_for(lambda: sockets() == before)
+
+
+def test_a_log_that_was_never_written_to_is_a_finished_file_without_rows(folder: Path) -> None:
+    with recorder(folder / "run.mcap", arms=LEFT) as rec:
+        rec.ready()
+        assert not rec.stop().complete
+    assert library_of(memoryview((folder / "run.mcap").read_bytes())) == "widowx-coop"
+    with pytest.raises(LogError, match="holds no rows"):
+        read_log(folder / "run.mcap")

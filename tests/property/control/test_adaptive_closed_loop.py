@@ -1,0 +1,109 @@
+"""Theorem 2 in motion: unknown masses on the coupled body, integrated by an independent simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from agent.control import adaptive
+from agent.control.adaptation import Adaptation, Estimate
+from agent.control.trajectory import Trajectory
+from drivers.interface import Vector
+from tests.property.control.test_control_closed_loop import gentle_cell
+from tests.support.control import coupled_motion, oracle
+from tests.support.control.adaptive_cells import adaptation, nominal_of
+from tests.support.control.coupled_motion import Instant
+from tests.support.control.strategies import RandomCell
+
+STEP = 0.005  # s
+
+
+@dataclass(frozen=True)
+class Record:
+    """What a run leaves; arrays over the steps."""
+
+    V: Vector  # the paper's, with the coupled inertia and all parameter errors
+    dissipated: Vector  # ∫ −V̇
+    shares: Vector  # sum of what the agents log
+    e_p: Vector
+    e_eps: Vector
+    theta: Vector  # (steps, all parameters)
+
+
+def simulate(
+    cell: RandomCell, trajectory: Trajectory, agents: Sequence[Adaptation], duration: float, h: float
+) -> Record:
+    """Law and adaptation at every stage of the integrator: continuous time.  The estimates ride along as `work`."""
+    gains = cell.arms[0].offline.gains
+    K, k_v = np.array([*gains.k_p, *gains.k_eps]), np.sum([a.offline.gains.k_v for a in cell.arms], axis=0)
+    sizes = [len(x) for a in agents for x in a.start]
+    cuts = np.cumsum(sizes)
+
+    def estimates(work: Vector) -> list[Estimate]:
+        parts = np.split(work[: cuts[-1]], cuts[:-1])
+        return [Estimate(*pair) for pair in zip(parts[::2], parts[1::2], strict=True)]
+
+    def laws(now: Instant):
+        desired, rows = trajectory.at(now.t), zip(cell.arms, agents, now.motion.q, now.dq, strict=True)
+        return [
+            adaptive.torque(a.model, a.offline, data, estimate, q, dq, desired)
+            for (a, data, q, dq), estimate in zip(rows, estimates(now.motion.work), strict=True)
+        ]
+
+    def torques(now: Instant) -> tuple[Sequence[Vector], Vector]:
+        found = laws(now)
+        e, e_v = np.array(found[0][0].errors.e), np.array(found[0][0].errors.e_v)
+        rates = [-g * x for (_, grad), a in zip(found, agents, strict=True) for g, x in zip(a.gain, grad, strict=True)]
+        return [terms.tau_cmd for terms, _ in found], np.concatenate([*rates, [e @ (K * e) + e_v @ (k_v * e_v)]])
+
+    start = np.concatenate([*(x for a in agents for x in a.start), [0.0]])
+    motion, rows, thetas = replace(coupled_motion.start(cell), work=start), [], []
+    for i in range(round(duration / h) + 1):
+        now = coupled_motion.observe(cell, i * h, motion)
+        e = oracle.error_signals(cell.arms[0], motion.p, motion.quat, cell.P.T @ motion.v, trajectory.at(i * h))
+        wrong = sum(a.parameter_error(x) for a, x in zip(agents, estimates(motion.work), strict=True))
+        share = sum(terms.lyapunov for terms, _ in laws(now))
+        V = oracle.lyapunov(e, now.terms.M, cell.P) + wrong
+        rows.append((V, motion.work[-1], share, np.linalg.norm(e.e_p), np.linalg.norm(e.e_eps)))
+        thetas.append(motion.work[:-1])
+        motion = coupled_motion.step(cell, i * h, motion, torques, h)
+    return Record(*np.array(rows).T, np.array(thetas))
+
+
+def agents_of(cell: RandomCell, scale: float, gamma: float = 0.03, gamma_object: float = 3.0) -> list[Adaptation]:
+    return [
+        adaptation(nominal_of(a), start=scale, gamma=gamma, gamma_object=gamma_object) for a in cell.arms
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("scale", [0.0, 0.5, 2.0])
+@pytest.mark.parametrize(("planar", "arm_count"), [(True, 2), (False, 3)])
+def test_lyapunov_function_falls_by_exactly_what_the_theorem_says(planar: bool, arm_count: int, scale: float) -> None:
+    """V(t) + ∫ (eᵀKe + Σ k_v ‖e_v‖²) is constant up to an integration error that vanishes with the step."""
+    cell, trajectory = gentle_cell(31 + arm_count, planar, arm_count)
+    coarse, fine = (simulate(cell, trajectory, agents_of(cell, scale), 0.4, h) for h in (STEP, STEP / 2))
+    assert np.diff(fine.V).max() < 0.0
+    errors = [float(np.abs(r.V + r.dissipated - r.V[0]).max() / r.V[0]) for r in (coarse, fine)]
+    assert errors[1] < 1e-4
+    assert errors[1] < errors[0] / 8.0
+    assert np.abs(fine.shares - fine.V).max() < 1e-6 * fine.V[0]
+
+
+@pytest.mark.parametrize("scale", [0.0, 0.5, 2.0])
+@pytest.mark.parametrize(("planar", "arm_count", "sign"), [(True, 2, 1.0), (True, 3, -1.0), (False, 2, 1.0)])
+def test_errors_vanish_and_everything_stays_bounded(planar: bool, arm_count: int, sign: float, scale: float) -> None:
+    cell, trajectory = gentle_cell(51 + arm_count, planar, arm_count, sign)
+    agents = agents_of(cell, scale, gamma=0.1, gamma_object=10.0)
+    record = simulate(cell, trajectory, agents, 4.0, STEP)
+    last = slice(-round(1.0 / STEP), None)
+    assert record.e_p[last].max() < 0.1 * record.e_p[0]
+    assert record.e_eps[last].max() < 0.05 * record.e_eps[0]
+    assert record.e_eps.max() < 1.3 * record.e_eps[0]  # never the long way round
+    assert record.V.max() <= record.V[0] * (1.0 + 1e-6)
+    # V bounds every estimate: ½ e_θᵀ Γ⁻¹ e_θ ≤ V(0)
+    truth = np.concatenate([x for a in agents for x in a.nominal])
+    weight = np.concatenate([x for a in agents for x in a.weight])
+    assert (0.5 * (record.theta - truth) ** 2 @ weight <= record.V[0] * (1.0 + 1e-6)).all()

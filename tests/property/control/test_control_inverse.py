@@ -1,0 +1,90 @@
+"""Inverse of the task-space Jacobian, square and redundant, and the law on an arm with seven joints."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from agent.control import known
+from agent.control.inverse import SingularJacobian, invert_jacobian
+from agent.control.models import ArmModel
+from tests.support.control import oracle
+from tests.support.control.strategies import RandomCell, cells, examples, urdf
+
+SEEDS = st.integers(0, 2**32 - 1)
+RAIL = """<link name="floor"/><joint name="rail" type="prismatic"><parent link="floor"/><child link="base_link"/>
+<axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="10" velocity="1"/></joint>"""
+
+
+def random_inertia_matrix(rng: np.random.Generator, n: int) -> np.ndarray:
+    A = rng.normal(size=(n, n))
+    return A @ A.T + 0.1 * np.eye(n)
+
+
+@given(SEEDS, st.sampled_from([(3, 3), (6, 6), (6, 7), (6, 9)]))
+@examples(100)
+def test_inverse_is_a_right_inverse(seed: int, shape: tuple[int, int]) -> None:
+    rng = np.random.default_rng(seed)
+    J, B = rng.normal(size=shape), random_inertia_matrix(rng, shape[1])
+    J_bar, sigma = invert_jacobian(J, B)
+    scale = max(1.0, np.abs(J_bar).max() * np.abs(J).max())
+    assert np.abs(J @ J_bar - np.eye(shape[0])).max() < 1e-12 * scale
+    assert sigma == pytest.approx(1.0 / np.linalg.norm(J_bar), rel=1e-12)
+    assert sigma <= np.linalg.svd(J, compute_uv=False)[-1] * (1 + 1e-9)
+
+
+@given(SEEDS)
+@examples(60)
+def test_redundant_inverse_is_dynamically_consistent(seed: int) -> None:
+    """Torques (I − Jᵀ J̄ᵀ) τ₀ do not accelerate the object: J B⁻¹ (I − Jᵀ J̄ᵀ) = 0."""
+    rng = np.random.default_rng(seed)
+    J, B = rng.normal(size=(6, 7)), random_inertia_matrix(rng, 7)
+    J_bar, _ = invert_jacobian(J, B)
+    leak = J @ np.linalg.solve(B, np.eye(7) - J.T @ J_bar.T)
+    scale = np.abs(J).max() * np.abs(J_bar).max() * np.abs(np.linalg.inv(B)).max()
+    assert np.abs(leak).max() < 1e-11 * max(1.0, scale)
+
+
+@given(cells(planar=False), SEEDS)
+@examples(30)
+def test_an_arm_on_a_rail_applies_the_printed_wrench(cell: RandomCell, seed: int) -> None:
+    """Seven joints: what reaches the object is u_i of the printed law with the redundant arm's M_i, C_i, g_i."""
+    six = cell.arms[0]
+    xml = urdf(six.name).replace('<link name="base_link"', RAIL + '<link name="base_link"', 1)
+    joints = ("rail", *six.model.joints)
+    rotor = np.array([2.0, *six.model.model.armature])
+    model = ArmModel(
+        xml, joints, {}, six.T_world_base, "ee", six.T_object_ee, rotor, six.model.model.gravity.linear
+    )  # fmt: skip
+    assert model.n == 7
+    rng = np.random.default_rng(seed)
+    arm = replace(six, model=model, q=np.array([rng.uniform(-0.5, 0.5), *six.q]), dq=rng.normal(scale=0.5, size=7))
+    u, s = oracle.task_wrench(arm, arm.q, arm.dq, cell.desired, cell.P)
+    terms = known.torque(model, arm.offline, arm.q, arm.dq, cell.desired)
+    scale = max(1.0, np.abs(u).max())
+    assert np.abs(s.J_inv.T @ terms.tau_cmd - u).max() < 1e-9 * scale
+    assert np.abs(np.array(terms.wrench_cmd) - u).max() < 1e-9 * scale
+
+
+@pytest.mark.parametrize("n", [3, 6])
+def test_a_singular_jacobian_is_refused(n: int) -> None:
+    J = np.eye(n)
+    J[n - 1, n - 1] = 0.0
+    with pytest.raises(SingularJacobian):
+        invert_jacobian(J, np.eye(n))
+
+
+def test_a_jacobian_that_is_no_number_is_refused() -> None:
+    with pytest.raises(SingularJacobian):
+        invert_jacobian(np.full((6, 6), np.nan), np.eye(6))
+
+
+def test_a_redundant_jacobian_without_full_rank_is_refused() -> None:
+    J = np.eye(6, 7)
+    J[5, 5] = 0.0
+    with pytest.raises(SingularJacobian):
+        invert_jacobian(J, np.eye(7))

@@ -1,0 +1,56 @@
+"""How well the paper's cell tracks, against the bounds that users were promised; plant and agents in one process."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import configs
+from agent.config.cell import load_cell
+from tests.support.plant.inprocess import History, simulate
+
+DURATION_S = 35.0  # one period of the trajectory behind the transient
+TRANSIENT_S = 20.0
+SERVOS = ('controller.velocity="servo"',)
+
+
+def run(name: str, *overrides: str) -> History:
+    return simulate(load_cell(configs.CELLS_DIR / f"{name}.toml", overrides), DURATION_S)
+
+
+@pytest.mark.parametrize(
+    ("cell", "overrides", "bound_m", "bound_rad"),
+    [
+        ("paper_ideal", (), 0.3e-3, 0.5e-3),
+        ("paper", (), 1e-3, 2e-3),
+        ("paper", SERVOS, 1e-3, 2e-3),
+        ("paper", ("controller.friction_feedforward=false",), 4e-3, np.inf),
+        ("two_wx200", (), 1e-3, 2e-3),
+    ],
+    ids=["ideal", "all servo effects", "servo velocities", "no feed-forward", "two wx200"],
+)
+def test_errors_after_the_transient(cell: str, overrides: tuple[str, ...], bound_m: float, bound_rad: float) -> None:
+    history = run(cell, *overrides)
+    position_m, attitude_rad = history.after(TRANSIENT_S)
+    assert position_m <= bound_m
+    assert attitude_rad <= bound_rad
+
+
+@pytest.mark.parametrize("cell", ["paper_ideal", "paper"])
+def test_the_start_error_decays(cell: str) -> None:
+    history = simulate(load_cell(configs.CELLS_DIR / f"{cell}.toml"), 3.0)
+    assert history.e_p_m[0] > 3e-3
+    assert history.after(1.0)[0] < 0.3 * history.e_p_m[0]
+
+
+def test_torques_stay_below_half_of_stall() -> None:
+    cell = load_cell(configs.CELLS_DIR / "paper.toml", ("safety.tau_max_fraction_of_stall=1.0",))
+    stall = np.concatenate([arm.tau_stall_Nm for arm in cell.arms])
+    assert (np.abs(np.array(simulate(cell, DURATION_S).tau)).max(axis=0) < 0.5 * stall).all()
+
+
+def test_the_observer_calms_the_torque() -> None:
+    """What it is for: the same accuracy with a fraction of the torque changes that quantised velocities cause."""
+    raw, observed = run("paper", *SERVOS), run("paper")
+    assert observed.chatter(TRANSIENT_S) < 0.5 * raw.chatter(TRANSIENT_S)
+    assert observed.after(TRANSIENT_S)[0] < 1.5 * raw.after(TRANSIENT_S)[0]

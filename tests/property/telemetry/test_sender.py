@@ -1,0 +1,150 @@
+"""Over any network that loses messages and answers, the recorder ends with everything the source still held."""
+
+from __future__ import annotations
+
+import random
+from itertools import pairwise
+
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from agent.telemetry.link.coverage import Coverage
+from agent.telemetry.link.sender import Sender, TextSource
+from agent.telemetry.link.wire import RANGES_MAX, BatchHeader, End, StreamStatus
+from agent.telemetry.ring.ring import RowBlock
+
+
+class Numbers:
+    """A source of numbers that keeps the last `keep`."""
+
+    source_id, batch_max = 42, 4
+
+    def __init__(self, keep: int) -> None:
+        self.written, self.end, self._keep = 0, End.OPEN, keep
+
+    @property
+    def oldest(self) -> int:
+        return max(0, self.written - self._keep)
+
+    def read(self, first: int, count: int) -> RowBlock:
+        begin = max(first, self.oldest)
+        count = min(count, self.written - begin)
+        return RowBlock(begin, count, bytes(n % 251 for n in range(begin, begin + count)))
+
+
+class Recorder:
+    def __init__(self) -> None:
+        self.have, self.ended, self.payload = Coverage(), False, dict[int, int]()
+
+    def receive(self, header: BatchHeader, payload: bytes) -> None:
+        assert header.source == 42
+        if payload:
+            self.have.add(header.first, header.first + len(payload) - 1)
+        self.payload |= {header.first + i: byte for i, byte in enumerate(payload)}
+        self.ended |= header.end is End.FINISHED
+
+    def status(self) -> StreamStatus:
+        return StreamStatus(42, tuple(self.have.ranges[-RANGES_MAX:]), self.ended)
+
+
+def cycle(sender: Sender, recorder: Recorder, now_s: float, lost: random.Random, loss: float) -> None:
+    for header, payload in sender.new(3, now_s):
+        if lost.random() >= loss:
+            recorder.receive(header, payload)
+    if lost.random() >= loss:
+        sender.on_status(recorder.status() if recorder.have.count or recorder.ended else None, now_s)
+        for header, payload in sender.again(3, now_s):
+            if lost.random() >= loss:
+                recorder.receive(header, payload)
+
+
+@given(st.integers(0, 60), st.integers(0, 2**32), st.sampled_from([0.0, 0.3, 0.7]), st.sampled_from([None, 5]))
+def test_everything_arrives_over_a_network_that_loses(total: int, seed: int, loss: float, window: int | None) -> None:
+    source, recorder, chance = Numbers(1000), Recorder(), random.Random(seed)
+    sender = Sender(source, window=window)
+    now_s = 0.0
+    for _ in range(2000):
+        if source.written < total:
+            source.written += 1
+        elif source.end is End.OPEN:
+            source.end = End.FINISHED
+        cycle(sender, recorder, now_s, chance, loss)
+        if window is not None:
+            assert sender.published - recorder.have.end <= window + recorder.have.count
+            assert sender.published <= sender.acknowledged + window
+        assert sender.acknowledged <= next((a for a, _ in recorder.have.missing(0, 10**6)), 0)
+        if sender.complete:
+            break
+        now_s += 0.5
+    assert sender.complete
+    assert recorder.payload == {n: n % 251 for n in range(total)}
+    assert recorder.ended
+    assert (sender.lost, sender.unrecorded()) == (0, 0)
+
+
+@example(steps=[12] * 30, keep=3, seed=1)  # more gaps beyond repair than a status has room for
+@given(st.lists(st.integers(0, 12), min_size=1, max_size=30), st.integers(3, 8), st.integers(0, 2**32))
+def test_what_the_source_lost_is_counted_and_does_not_keep_the_end_away(steps: list[int], keep: int, seed: int) -> None:
+    source, recorder, chance = Numbers(keep), Recorder(), random.Random(seed)
+    sender = Sender(source, window=None)
+    now_s = 0.0
+    for step in steps:
+        source.written += step
+        cycle(sender, recorder, now_s, chance, 0.3)
+        now_s += 0.5
+    source.end = End.DIED
+    recorder.ended = True
+    for _ in range(200):
+        cycle(sender, recorder, now_s, chance, 0.0)
+        now_s += 0.5
+    assert sender.complete
+    assert sender.published == source.written
+    assert sender.lost <= source.written - recorder.have.count
+    assert recorder.have.missing(source.oldest, source.written - 1) == []
+
+
+def test_nothing_is_sent_twice_while_the_answers_keep_up() -> None:
+    source, recorder = Numbers(1000), Recorder()
+    sender, sent = Sender(source, window=None), 0
+    for i in range(100):
+        source.written += 2
+        for header, payload in [*sender.new(3, i * 0.1), *sender.again(3, i * 0.1)]:
+            recorder.receive(header, payload)
+            sent += len(payload)
+        sender.on_status(recorder.status(), i * 0.1)
+        sent += sum(len(p) for _, p in sender.again(3, i * 0.1))
+    assert sent == 200
+
+
+def test_patience_grows_while_nothing_helps_so_a_deaf_recorder_is_not_flooded() -> None:
+    source = Numbers(1000)
+    source.written = 4
+    sender = Sender(source, window=None)
+    assert len(list(sender.new(3, 0.0))) == 1
+    again = []
+    for tenth in range(1000):
+        sender.on_status(None, tenth / 10)
+        again += [tenth / 10 for _ in sender.again(3, tenth / 10)]
+    assert 10 <= len(again) <= 20
+    assert again[0] <= 1.5
+    assert max(b - a for a, b in pairwise(again)) <= 8.2
+
+
+def test_an_answer_about_another_run_is_no_answer() -> None:
+    source = Numbers(1000)
+    source.written = 4
+    sender = Sender(source, window=None)
+    list(sender.new(3, 0.0))
+    sender.on_status(StreamStatus(43, ((0, 3),), True), 0.0)
+    assert sender.acknowledged == 0
+    sender.on_status(StreamStatus(42, ((0, 3),), False), 0.0)
+    assert sender.acknowledged == 4
+
+
+def test_texts_are_kept_in_a_bounded_number() -> None:
+    texts = TextSource(5)
+    for i in range(10_005):
+        texts.append(str(i).encode())
+    assert (texts.written, texts.oldest) == (10_005, 5)
+    assert texts.read(4, 1) == RowBlock(5, 0, b"")
+    assert texts.read(10_004, 1) == RowBlock(10_004, 1, b"10004")

@@ -1,0 +1,181 @@
+"""A cell without arms for telemetry tests: real processes, rings, sockets and files, and no control law."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from agent.log.file import Attachment
+from agent.telemetry.link import publish, record
+from agent.telemetry.link.publish import Pace, PublishOptions
+from agent.telemetry.link.record import RecordOptions
+from agent.telemetry.link.session import FREE_PORT, Network
+from agent.telemetry.ring.ring import RingWriter
+from agent.telemetry.ring.texts import TextWriter
+from agent.telemetry.row.event import Event, Level
+from agent.telemetry.row.sample import AGENT_STATE, PLANT_STATE, Layout
+from agent.telemetry.row.topics import PLANT
+from drivers.interface import Refusal
+
+CELL = "paper"
+CONFIG_ID = 0xC0FFEE
+ARMS = {"left": ("waist", "shoulder", "elbow"), "right": ("waist", "shoulder", "elbow")}
+UTC_0_NS = 1_800_000_000_000_000_000
+PERIOD_NS = 5_000_000
+SPAWN = multiprocessing.get_context("spawn")
+TIMEOUT_S = 60.0
+
+
+def layout_of(member: str) -> Layout:
+    return PLANT_STATE if member == PLANT else AGENT_STATE
+
+
+def make_rows(member: str, count: int) -> np.ndarray:
+    """Rows whose every number follows from member and sequence, so that both ends can be compared."""
+    layout = layout_of(member)
+    rows = np.zeros(count, layout.dtype)
+    sequence = np.arange(count)
+    for k, f in enumerate(layout.fields):
+        if f.ros_type == "float64":
+            shape = (count,) + (1,) * (rows[f.name].ndim - 1)
+            rows[f.name] = np.sin(0.01 * (k + 1) * sequence.reshape(shape) + len(member))
+    rows["encapsulation"] = 0x100
+    rows["sequence"] = sequence
+    rows["t"] = sequence * PERIOD_NS * 1e-9
+    rows["stamp_ns"] = sequence * PERIOD_NS
+    rows["utc_ns"] = UTC_0_NS + rows["stamp_ns"]
+    rows["config_id"] = CONFIG_ID
+    if member == PLANT:
+        rows["arm_count"] = len(ARMS)
+    else:
+        rows["joint_count"] = 3
+        rows["mode"] = np.where(sequence < 10, 1, 2)
+        rows["flags"] = 0
+    return rows
+
+
+@dataclass(frozen=True)
+class Writer:
+    """A process that writes a ring as an agent or the plant would."""
+
+    ring: Path
+    member: str
+    rows: int
+    rate_hz: float | None  # None: lockstep, as fast as the reader
+    slots: int = 8192
+    texts: bool = False
+    start_sequence: int = 0
+
+
+def write_ring(options: Writer, stop: Callable[[], bool], ready: Callable[[Any], None]) -> int:
+    rows = make_rows(options.member, options.rows)
+    rows["sequence"] += options.start_sequence
+    texts = TextWriter(options.ring, options.member) if options.texts else None
+    with RingWriter(
+        options.ring, layout_of(options.member), options.member, ARMS.get(options.member, ()), slots=options.slots
+    ) as ring:
+        ready(os.getpid())
+        begin = time.monotonic()
+        for i in range(options.rows):
+            if stop():
+                break
+            ring.row[()] = rows[i]
+            if options.rate_hz is None:
+                ring.wait_for_space(TIMEOUT_S)
+            ring.commit()
+            if texts is not None and i % 100 == 0:
+                texts.event(Event(int(rows[i]["utc_ns"]), options.member, Level.INFO, f"row {i}", {"i": i}))
+                texts.health(int(rows[i]["utc_ns"]), {"temperature_C": [30.0, float("nan")]})
+            if options.rate_hz is not None:
+                time.sleep(max(0.0, begin + (i + 1) / options.rate_hz - time.monotonic()))
+        ring.finish()
+        if texts is not None:
+            texts.finish()
+            texts.close()
+        return ring.written
+
+
+class Process:
+    """A child that runs `function(options, stop, ready)`, ends on SIGTERM, and hands back what the function returns."""
+
+    def __init__(self, function: Callable[..., Any], options: Any) -> None:
+        self._ready, ready = SPAWN.Pipe(duplex=False)
+        self._result, result = SPAWN.Pipe(duplex=False)
+        self.process = SPAWN.Process(target=_child, args=(function, options, ready, result))
+        self.process.start()
+        ready.close()
+        result.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.kill()
+        self._ready.close()
+        self._result.close()
+
+    def ready(self) -> Any:
+        assert self._ready.poll(TIMEOUT_S), "not ready in time"
+        return self._ready.recv()
+
+    def signal(self, number: signal.Signals) -> None:
+        os.kill(self.process.pid, number)
+
+    def stop(self) -> Any:
+        self.signal(signal.SIGTERM)
+        return self.result()
+
+    def result(self) -> Any:
+        assert self._result.poll(TIMEOUT_S), "no end in time"
+        try:
+            outcome = self._result.recv()
+        except EOFError:
+            self.process.join(TIMEOUT_S)
+            raise AssertionError(f"ended without a result, exit code {self.process.exitcode}") from None
+        self.process.join(TIMEOUT_S)
+        if isinstance(outcome, BaseException):
+            raise outcome
+        return outcome
+
+    def kill(self) -> None:
+        self.process.kill()
+        self.process.join()
+
+
+def _child(function: Callable[..., Any], options: Any, ready: Any, result: Any) -> None:
+    stopped = []
+    signal.signal(signal.SIGTERM, lambda *_: stopped.append(True))
+    try:
+        outcome = function(options, lambda: bool(stopped), ready.send)
+    except Refusal as error:
+        outcome = RuntimeError(f"{type(error).__name__}: {error}")
+    result.send(outcome)
+    result.close()
+
+
+def recorder(path: Path, **changes: Any) -> Process:
+    options = {
+        "arms": ARMS,
+        "config_id": CONFIG_ID,
+        "min_free_bytes": 1 << 20,
+        "network": Network(listen=FREE_PORT),
+        "attachments": (Attachment("run.json", "application/json", b'{"cell": "paper"}'),),
+    } | changes
+    return Process(record.run, RecordOptions(path, CELL, **options))
+
+
+def telemetry(ring: Path, member: str, endpoint: str, pace: Pace, **changes: Any) -> Process:
+    options = {"network": Network(connect=(endpoint,)), "layout": layout_of(member), "pace": pace} | changes
+    return Process(publish.run, PublishOptions(CELL, member, ring, **options))
+
+
+def writer(ring: Path, member: str, rows: int, rate_hz: float | None, **changes: Any) -> Process:
+    return Process(write_ring, Writer(ring, member, rows, rate_hz, **changes))

@@ -1,0 +1,159 @@
+"""`[controller.adaptive]`: what is refused, what is warned of, and that the warnings are those of the simulation."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import configs
+from agent.config.adaptive import AdaptationError
+from agent.config.cell import Cell, ConfigError, load_cell
+from agent.control.adaptation_bound import believed_inertia, spectral_radius
+from agent.control.stability import SampledLoop, coupled_inertia
+from agent.control.stability import spectral_radius as radius_without_adaptation
+from agent.loop import Outcome
+from agent.verify.check import Finding, Verdict, examine
+from drivers.interface import Refusal
+from sim_backend.physics.spec import PlantError
+from tests.support.plant.inprocess import simulate
+
+KIND = 'controller.kind="adaptive"'
+ZERO = 'controller.adaptive.start="zero"'
+
+
+def cell_of(name: str, *overrides: str) -> Cell:
+    return load_cell(configs.CELLS_DIR / f"{name}.toml", overrides)
+
+
+def finding(cell: Cell, what: str) -> Finding:
+    return next(f for f in examine(cell).findings if f.what == what)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (("controller.adaptive.start_scale=6.0",), "start of the adaptive law, arm of left, mass of the link behind"),
+        ((ZERO, "controller.adaptive.bounds.relative_min=0.2"), r"found 0, expected within its bounds 0\.0\d+ to"),
+        (("controller.adaptive.bounds_object.mass_max_kg=0.01",), "object of left, mass: found 0.062"),
+        (("controller.adaptive.bounds.rotor_inertia_max_kg_m2=1e-3",), "rotor inertia of shoulder"),
+        (("controller.adaptive.coulomb=true", "controller.adaptive.bounds.coulomb_max_Nm=1e-3"), "Coulomb friction of"),
+    ],
+)
+def test_bounds_that_exclude_the_start_are_refused_in_one_line(overrides: tuple[str, ...], message: str) -> None:
+    with pytest.raises(AdaptationError, match=message) as caught:
+        examine(cell_of("paper", KIND, *overrides))
+    assert "\n" not in str(caught.value)
+    assert isinstance(caught.value, Refusal)
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("controller.adaptive.gamma=-1.0", "controller.adaptive.gamma in .*greater than or equal to 0"),
+        ("controller.adaptive.gama=1.0", "did you mean gamma"),
+        ('controller.adaptive.start="nothing"', "'zero' or 'nominal'"),
+        ("controller.adaptive.bounds={relative_min=0.9, relative_max=0.5}", "relative_min ≤ relative_max"),
+        ('controller.adaptive={start="zero", start_scale=0.5}', 'start_scale only with start = "nominal"'),
+        ("controller.adaptive.factor.mass=-0.1", "factor.mass in .*greater than or equal to 0"),
+    ],
+)
+def test_what_cannot_be_meant_is_refused(override: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        cell_of("paper", KIND, override)
+
+
+def test_the_shipped_cells_adapt_within_the_recommended_gains() -> None:
+    for name in ("paper_adaptive", "three_wx250s"):
+        report = examine(cell_of(name, KIND))
+        assert {f.what: f.verdict for f in report.findings if "gamma" in f.what or "start" in f.what}
+        assert all(f.verdict is Verdict.OK for f in report.findings if f.what in ("gamma", "gamma_object"))
+
+
+@pytest.mark.parametrize("key", ["gamma", "gamma_object"])
+def test_a_gain_above_the_stable_bound_is_warned_of_with_the_bound(key: str) -> None:
+    found = finding(cell_of("paper", KIND, f"controller.adaptive.{key}=50.0"), key)
+    assert found.verdict is Verdict.WARNING
+    assert found.found == "50"
+    assert 0.0 < float(found.limit.removeprefix("≤ ")) < 50.0
+    assert f"lower {key}" in found.remedy
+
+
+def limit_of(cell: Cell, key: str = "gamma") -> float:
+    return float(finding(cell, key).limit.removeprefix("≤ "))
+
+
+def test_the_bound_grows_with_the_rate_and_shrinks_with_the_start_error() -> None:
+    at = {rate: limit_of(cell_of("paper_ideal", KIND, f"rate_hz={rate}")) for rate in (200.0, 500.0)}
+    assert 4.0 < at[500.0] / at[200.0] < 8.0  # as the square of the period
+    near = limit_of(cell_of("paper_ideal", KIND, "object.p_start_m=[0.3, 0.12, 0.0]"))
+    assert near > 1.5 * at[200.0]
+
+
+def largest_error(cell: Cell) -> float:
+    try:
+        return simulate(cell, 4.0).after(2.0)[0]
+    except PlantError:
+        return np.inf
+
+
+@pytest.mark.parametrize("rate", [200.0, 500.0])
+def test_simulation_is_stable_at_the_recommended_gain_and_not_far_above(rate: float) -> None:
+    """Bounds of the estimates wide open, so that nothing but the gain keeps the loop together."""
+    wide = (
+        "controller.adaptive.bounds={relative_max=100.0, slack_m=1.0}",
+        "controller.adaptive.bounds_object={relative_max=100.0}",
+        "controller.adaptive.physical=false",
+        "controller.adaptive.start_scale=0.5",
+        f"rate_hz={rate}",
+    )
+    recommended = limit_of(cell_of("paper_ideal", KIND, *wide))
+    slow, fast = (
+        largest_error(cell_of("paper_ideal", KIND, *wide, f"controller.adaptive.gamma={recommended * factor}"))
+        for factor in (1.0, 32.0)
+    )
+    assert slow < 0.6e-3
+    assert fast > 3e-3  # torque limits keep what is unstable from going farther
+
+
+def test_an_empty_estimate_that_the_rate_cannot_hold_is_warned_of_and_diverges() -> None:
+    """Without any believed inertia the reference acceleration feeds nothing back: 200 Hz is too slow for that."""
+    what = "spectral radius with the estimates of the start"
+    unstable = cell_of("paper", KIND, ZERO)
+    assert finding(unstable, what).verdict is Verdict.WARNING
+    assert "rotor_inertia = false" in finding(unstable, what).remedy
+    assert finding(cell_of("paper_adaptive"), what).verdict is Verdict.OK
+    assert largest_error(unstable) > 0.01
+
+
+def test_the_inertia_of_the_configured_estimate_is_the_coupled_inertia() -> None:
+    for name in ("paper", "three_wx250s"):
+        cell = cell_of(name, KIND)
+        models, agents = [cell.model(a) for a in cell.arms], [cell.offline(a) for a in cell.arms]
+        q = examine(cell).q_start
+        inertia = np.array(cell.file.object.inertia_kg_m2.matrix())
+        R = models[0].object_pose(q[0]).rotation
+        expected = coupled_inertia(models, q, cell.file.object.mass_kg, R @ inertia @ R.T)
+        assert np.abs(believed_inertia(models, agents, q, start=False) - expected).max() < 1e-9
+
+
+@pytest.mark.parametrize("delay", [0, 1, 2])
+def test_without_gain_the_loop_with_adaptation_is_the_loop_without(delay: int) -> None:
+    cell = cell_of("paper_ideal", KIND)
+    models = [cell.model(a) for a in cell.arms]
+    loop = SampledLoop(0.005, delay, [cell.offline(a).gains for a in cell.arms])
+    M = coupled_inertia(models, examine(cell).q_start, 0.062, 1e-4 * np.eye(3))
+    P = models[0].task_basis
+    still = spectral_radius(M, np.zeros((3, 3)), P, loop)
+    assert still == pytest.approx(max(1.0, radius_without_adaptation(M, M, P, loop)), abs=1e-9)
+
+
+def test_estimates_never_leave_the_configured_box() -> None:
+    cell = cell_of("paper_adaptive", "controller.adaptive.gamma=1.0", "controller.adaptive.physical=false")
+    data = [cell.offline(a).adaptation for a in cell.arms]
+
+    def watch(_: int, outcomes: list[Outcome]) -> None:
+        for d, o in zip(data, outcomes, strict=True):
+            assert (o.memory.estimate.arm >= d.lower.arm).all()
+            assert (o.memory.estimate.arm <= d.upper.arm).all()
+
+    simulate(cell, 1.0, watch=watch)

@@ -1,0 +1,201 @@
+"""The serial port on a real pseudo terminal: exclusive, bounded, and every refusal names its remedy."""
+
+from __future__ import annotations
+
+import fcntl
+import grp
+import os
+import struct
+import subprocess
+import sys
+import termios
+import time
+from pathlib import Path
+
+import pytest
+
+from drivers.clock import MonotonicClock
+from drivers.dynamixel.errors import PortError, PortLostError, WriteTimeoutError
+from drivers.dynamixel.line.port import SerialPort
+from drivers.dynamixel.line.ports import holders, open_error
+from drivers.interface import DriverError
+
+CLOCK = MonotonicClock()
+
+
+@pytest.fixture
+def pty():
+    master, slave = os.openpty()
+    os.set_blocking(master, False)
+    ends = [master, slave]
+    yield master, os.ttyname(slave), ends
+    for fd in ends:
+        os.close(fd)
+
+
+def opened(path: str, baud: int = 1_000_000) -> SerialPort:
+    port = SerialPort(path, baud, CLOCK)
+    port.open()
+    return port
+
+
+def soon(ms: float) -> int:
+    return CLOCK.now_ns() + round(ms * 1e6)
+
+
+@pytest.mark.parametrize("baud", [57_600, 1_000_000, 3_000_000, 4_000_000, 4_500_000])
+def test_bytes_pass_unchanged_at_any_speed(pty, baud):
+    master, path, _ = pty
+    port = opened(path, baud)
+    everything = bytes(range(256))
+    port.write(everything, soon(100))
+    assert os.read(master, 1000) == everything
+    os.write(master, everything)
+    assert port.read_until(soon(100)) == everything
+    port.close()
+
+
+def test_waits_end_at_their_deadline(pty):
+    _, path, _ = pty
+    port = opened(path)
+    begin = time.monotonic()
+    assert port.read_until(soon(20)) == b""
+    assert time.monotonic() - begin >= 0.0199
+    assert port.read_now() == b""
+    port.close()
+
+
+def test_old_input_can_be_thrown_away(pty):
+    master, path, _ = pty
+    port = opened(path)
+    os.write(master, b"late reply")
+    while not (count := port.discard_input()):
+        pass
+    assert count == 10
+    assert port.read_now() == b""
+    port.close()
+
+
+def test_a_stuck_port_is_an_error_at_the_deadline(pty):
+    _, path, _ = pty
+    port = opened(path)
+    with pytest.raises(WriteTimeoutError, match="of 1000000 bytes taken"):
+        port.write(bytes(1_000_000), soon(30))
+    port.close()
+
+
+def test_a_port_that_vanishes_is_an_error_and_closing_it_is_safe(pty):
+    _, path, ends = pty
+    port = opened(path)
+    for fd in ends:
+        os.close(fd)
+    ends.clear()
+    with pytest.raises(PortLostError, match="hung up"):
+        port.read_until(soon(100))
+    with pytest.raises(PortLostError, match=path):
+        port.write(b"x", soon(100))
+    port.close()
+    port.close()
+    with pytest.raises(PortLostError, match="closed"):
+        port.read_now()
+
+
+def test_second_user_is_told_who_the_first_is(pty):
+    _, path, _ = pty
+    script = (
+        "import sys\n"
+        "from drivers.clock import MonotonicClock\n"
+        "from drivers.dynamixel.line.port import SerialPort\n"
+        "port = SerialPort(sys.argv[1], 1000000, MonotonicClock())\n"
+        "port.open()\n"
+        "print('open', flush=True)\n"
+        "sys.stdin.read()\n"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", script, path], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as first:
+        assert first.stdout.readline() == "open\n"
+        with pytest.raises(PortError, match=rf"in use by .*\({first.pid}\)"):
+            opened(path)
+        first.kill()
+    opened(path).close()  # nothing of the killed one is left
+
+
+def test_lock_is_released_on_close(pty):
+    _, path, _ = pty
+    opened(path).close()
+    second = opened(path)
+    second.open()  # twice is harmless
+    second.close()
+
+
+def test_missing_port_lists_what_is_there():
+    with pytest.raises(PortError, match=r"nothing of that name.*ports here: "):
+        opened("/dev/ttyUSB_not_there")
+
+
+def test_a_file_is_not_a_port(tmp_path):
+    path = tmp_path / "port"
+    path.write_bytes(b"")
+    with pytest.raises(PortError, match="not a terminal device"):
+        opened(str(path))
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may open anything")
+def test_missing_permission_names_the_group(pty):
+    _, path, _ = pty
+    Path(path).chmod(0)
+    with pytest.raises(PortError, match=r"no permission .* add the user to group"):
+        opened(path)
+
+
+def test_permission_refusal_names_mode_and_group(pty):
+    _, path, _ = pty
+    error = open_error(path, PermissionError(13, "denied"))
+    group = grp.getgrgid(Path(path).stat().st_gid).gr_name
+    assert f"group {group}" in str(error)
+    assert f"usermod -aG {group}" in str(error)
+
+
+def test_busy_device_is_named_as_such(pty):
+    _, path, _ = pty
+    error = open_error(path, OSError(16, "busy"))
+    assert "in use by" in str(error)
+
+
+def test_speed_can_be_changed(pty):
+    _, path, ends = pty
+    port = opened(path, 57_600)
+    port.set_baud(3_000_000)
+    assert port.baud == 3_000_000
+    settings = struct.unpack("<4IB19s2I", fcntl.ioctl(ends[1], 0x802C542A, bytes(44)))  # TCGETS2
+    assert settings[6:] == (3_000_000, 3_000_000)
+    port.close()
+
+
+def test_pseudo_terminals_have_no_latency_timer(pty):
+    _, path, _ = pty
+    port = opened(path)
+    assert port.latency_timer_ms is None
+    assert not port.low_latency
+    port.close()
+
+
+def test_terminal_is_raw(pty):
+    _, path, ends = pty
+    port = opened(path)
+    iflag, oflag, cflag, lflag, *_ = termios.tcgetattr(ends[1])
+    assert (iflag, oflag, lflag) == (0, 0, 0)
+    assert cflag & termios.CSIZE == termios.CS8
+    assert not cflag & (termios.PARENB | termios.CSTOPB | termios.CRTSCTS)
+    port.close()
+
+
+def test_holders_of_nothing():
+    assert holders("/dev/ttyUSB_not_there") == []
+
+
+def test_failures_are_driver_errors():
+    assert issubclass(PortError, DriverError)
+    assert issubclass(PortLostError, DriverError)
+    assert issubclass(WriteTimeoutError, DriverError)

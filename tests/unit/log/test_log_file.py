@@ -1,0 +1,146 @@
+"""The file under the recorder: on the disk at once, never overwritten, ended at a good chunk when the disk fails."""
+
+from __future__ import annotations
+
+import errno
+import os
+import resource
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from agent.log.file import LogFile, LogFileError
+from agent.log.read import read_log
+from agent.log.scan import LogScan
+from tests.support.telemetry.log_maker import RUN_JSON, LogMaker, make_log
+from tests.support.telemetry.telemetry_cell import make_rows
+
+
+def create(path: Path, min_free_bytes: int = 0) -> LogFile:
+    return LogFile(path, [], {}, created_ns=1, min_free_bytes=min_free_bytes)
+
+
+def test_attachments_and_metadata_are_in_the_file_before_the_first_message(tmp_path: Path) -> None:
+    maker = LogMaker(tmp_path / "run.mcap")
+    found = list(LogScan(memoryview((tmp_path / "run.mcap").read_bytes())))
+    assert any(getattr(record, "data", None) == RUN_JSON for record in found)
+    assert any(getattr(record, "metadata", None) == {"host": "bench"} for record in found)
+    maker.finish()
+
+
+def test_a_log_is_never_overwritten(tmp_path: Path) -> None:
+    rows = make_log(tmp_path / "run.mcap")
+    with pytest.raises(LogFileError, match="exists already: found a file"):
+        create(tmp_path / "run.mcap")
+    assert read_log(tmp_path / "run.mcap").agents["left"].tobytes() == rows["left"].tobytes()
+
+
+def test_a_second_recorder_on_the_same_file_is_refused(tmp_path: Path) -> None:
+    first = create(tmp_path / "run.mcap")
+    with pytest.raises(LogFileError, match="another recorder is writing"):
+        create(tmp_path / "run.mcap")
+    assert first.finish({})
+
+
+def test_a_folder_that_is_missing_full_or_none_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(LogFileError, match=r"cannot write .*mkdir"):
+        create(tmp_path / "missing" / "run.mcap")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(LogFileError, match="cannot write"):
+        create(tmp_path / "file" / "run.mcap")
+    with pytest.raises(LogFileError, match="no room"):
+        create(tmp_path / "run.mcap", min_free_bytes=1 << 60)
+    assert not (tmp_path / "run.mcap").exists()
+
+
+@contextmanager
+def largest_file(size: int) -> Iterator[None]:
+    """The kernel refuses to write beyond `size`, with a real OSError, as on a full disk."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    old = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, old)
+
+
+@pytest.mark.parametrize("room", [1, 3_000, 50_000])
+def test_a_full_disk_ends_the_file_at_its_last_good_chunk_and_raises_nothing(tmp_path: Path, room: int) -> None:
+    rows = make_rows("left", 400)
+    maker = LogMaker(tmp_path / "run.mcap", has_plant=False)
+    maker.write("left", rows[:200])
+    maker.flush()
+    with largest_file((tmp_path / "run.mcap").stat().st_size + room):
+        for i in range(200, 400, 20):
+            maker.write("left", rows[i : i + 20])
+            maker.flush()
+    assert maker.file.failure
+    assert not maker.finish()
+    log = read_log(tmp_path / "run.mcap")
+    kept = len(log.agents["left"])
+    assert log.agents["left"].tobytes() == rows[:kept].tobytes()
+    assert kept >= 200
+    assert maker.channels.rows_lost() == {"left": 400 - kept, "right": 0}
+    assert log.problems == ("the file ends without its index",)
+
+
+def test_a_disk_that_fills_up_is_told_of_while_there_is_room_to_finish(tmp_path: Path) -> None:
+    maker = LogMaker(tmp_path / "run.mcap")
+    maker.write("left", make_rows("left", 10))
+    maker.flush()
+    assert not maker.file.nearly_full
+    maker.file._min_free = 1 << 60
+    maker.flush()
+    assert maker.file.nearly_full
+    assert maker.finish(complete=False)
+    maker.write("left", make_rows("left", 10))
+    assert maker.channels.rows_lost()["left"] == 10
+    assert len(read_log(tmp_path / "run.mcap").agents["left"]) == 10
+
+
+def test_a_disk_that_takes_its_time_to_sync_stops_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    entered, release = threading.Event(), threading.Event()
+
+    def slow(fd: int) -> None:
+        entered.set()
+        release.wait()
+
+    monkeypatch.setattr("os.fdatasync", slow)
+    maker = LogMaker(tmp_path / "run.mcap")
+    assert entered.wait(60)
+    maker.write("left", make_rows("left", 10))
+    maker.flush()
+    assert len(read_log(tmp_path / "run.mcap").agents["left"]) == 10
+    release.set()
+    assert maker.finish()
+
+
+def test_a_disk_that_is_gone_is_noticed_at_the_next_sync(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    entered = threading.Event()
+
+    def broken(fd: int) -> None:
+        entered.set()
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    monkeypatch.setattr("os.fdatasync", broken)
+    maker = LogMaker(tmp_path / "run.mcap")
+    maker.write("left", make_rows("left", 10))
+    maker.flush()
+    assert entered.wait(60)
+    maker.file._syncer._thread.join()
+    maker.flush()
+    assert maker.file.failure == "Input/output error"
+    assert len(read_log(tmp_path / "run.mcap").agents["left"]) == 10
+
+
+def test_no_descriptor_and_no_thread_is_left(tmp_path: Path) -> None:
+    before = set(Path("/proc/self/fd").iterdir()), threading.active_count()
+    for i in range(3):
+        assert create(tmp_path / f"{i}.mcap").finish({})
+    assert (set(Path("/proc/self/fd").iterdir()), threading.active_count()) == before

@@ -1,0 +1,125 @@
+"""Reading a log gives back exactly what was recorded, and says what is missing or wrong."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.writer import Writer
+
+from agent.log.file import CHUNK_BYTES
+from agent.log.read import LogError, read_log
+from agent.telemetry.row.event import Event, Level
+from agent.telemetry.row.sample import AGENT_STATE
+from tests.support.telemetry.log_maker import RUN_JSON, LogMaker, make_log
+from tests.support.telemetry.telemetry_cell import make_rows
+
+
+def test_rows_events_attachments_and_metadata_come_back(tmp_path: Path) -> None:
+    event = Event(5, "left", Level.WARN, "mode TRACK → HOLD", {"limit": 1.5})
+    later = Event(9, "left", Level.INFO, "later")
+    rows = make_log(tmp_path / "run.mcap", events=[later, event])
+    log = read_log(tmp_path / "run.mcap")
+    assert set(log.agents) == {"left", "right"}
+    for member, sent in rows.items():
+        got = log.plant if member == "plant" else log.agents[member]
+        assert got.tobytes() == sent.tobytes()
+        assert not got.flags.writeable
+    assert log.events == [event, later]
+    assert log.attachments["run.json"] == RUN_JSON
+    assert log.run_info() == {"cell": "paper", "rate_hz": 200.0}
+    assert log.metadata["recorder"] == {"host": "bench"}
+    assert (log.cell, log.complete, log.problems) == ("paper", True, ())
+    assert log.gaps == {"left": (), "right": (), "plant": ()}
+
+
+def test_rows_are_sorted_and_each_is_there_once_whatever_the_order_they_came_in(tmp_path: Path) -> None:
+    rows = make_rows("left", 60)
+    maker = LogMaker(tmp_path / "run.mcap")
+    for part in (rows[40:], rows[:20], rows[10:50]):
+        maker.write("left", part)
+    maker.finish()
+    assert read_log(tmp_path / "run.mcap").agents["left"].tobytes() == rows.tobytes()
+
+
+def test_gaps_are_named_by_their_sequence_numbers(tmp_path: Path) -> None:
+    rows = make_rows("left", 60)
+    maker = LogMaker(tmp_path / "run.mcap")
+    maker.write("left", rows[np.r_[0:10, 11:20, 35:60]])
+    maker.finish(complete=False)
+    log = read_log(tmp_path / "run.mcap")
+    assert log.gaps["left"] == ((10, 10), (20, 34))
+    assert not log.complete
+
+
+def test_an_unfinished_log_is_read_up_to_its_end_and_is_not_complete(tmp_path: Path) -> None:
+    rows = make_log(tmp_path / "run.mcap", finish=False)
+    log = read_log(tmp_path / "run.mcap")
+    assert log.agents["right"].tobytes() == rows["right"].tobytes()
+    assert not log.complete
+    assert "ends without its index" in log.problems[0]
+
+
+def test_a_log_larger_than_a_chunk_is_read_whole(tmp_path: Path) -> None:
+    count = 3 * CHUNK_BYTES // AGENT_STATE.dtype.itemsize
+    rows = make_log(tmp_path / "run.mcap", count, batches=7)
+    assert read_log(tmp_path / "run.mcap").agents["left"].tobytes() == rows["left"].tobytes()
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (None, "cannot read"),
+        (b"", "is no MCAP file"),
+        (b"\x89PNG not a log", "is no MCAP file"),
+        (b"\x89MCAP0\r\n", "holds no rows"),
+        (b"\x89MCAP0\r\n" + b"\xff" * 300, "holds no rows"),
+    ],
+)
+def test_what_is_no_log_is_refused(tmp_path: Path, content: bytes | None, message: str) -> None:
+    path = tmp_path / "run.mcap"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(LogError, match=message) as refusal:
+        read_log(path)
+    assert refusal.value.remedy
+
+
+def foreign_log(path: Path, topic: str, schema: str, definition: str) -> None:
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        channel = writer.register_channel(topic, "cdr", writer.register_schema(schema, "ros2msg", definition.encode()))
+        writer.add_message(channel, 0, b"\0\1\0\0" + bytes(100), 0)
+        writer.finish()
+
+
+def test_a_log_of_another_release_is_refused_not_misread(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    foreign_log(path, "/coop/paper/left/state", "coop_msgs/msg/AgentState", AGENT_STATE.definition.replace("q", "Q"))
+    with pytest.raises(LogError, match="has another layout"):
+        read_log(path)
+
+
+def test_a_log_of_somebody_else_holds_no_rows(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    foreign_log(path, "/camera", "sensor_msgs/msg/Image", "uint8[] data\n")
+    with pytest.raises(LogError, match="holds no rows"):
+        read_log(path)
+
+
+def test_a_row_of_a_wrong_length_is_left_out_and_told_of(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    foreign_log(path, "/coop/paper/left/state", "coop_msgs/msg/AgentState", AGENT_STATE.definition)
+    log = read_log(path)
+    assert len(log.agents["left"]) == 0
+    assert log.problems == ("left: a row of 104 bytes left out",)
+    assert not log.complete
+
+
+def test_a_log_without_a_description_says_so(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    foreign_log(path, "/coop/paper/left/state", "coop_msgs/msg/AgentState", AGENT_STATE.definition)
+    with pytest.raises(LogError, match="does not say which run it is"):
+        read_log(path).run_info()

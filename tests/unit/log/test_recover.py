@@ -1,0 +1,100 @@
+"""Repair keeps everything intact, gives a finished file, and never costs what was there."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+
+from agent.log.file import LIBRARY, LogFileError
+from agent.log.read import LogError, read_log
+from agent.log.recover import recover, repair_leftovers
+from tests.support.telemetry.log_maker import LogMaker, make_log
+
+
+def test_an_unfinished_log_becomes_a_finished_one_with_every_row(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    rows = make_log(path, finish=False)
+    with path.open("ab") as file:
+        file.write(b"\x06\xff\xff")  # the beginning of a chunk
+    before = read_log(path)
+    report = recover(path)
+    assert report.repaired
+    log = read_log(path)
+    assert log.agents["left"].tobytes() == rows["left"].tobytes()
+    assert (log.attachments, log.problems) == (before.attachments, ())
+    assert not log.complete
+    assert "ends without its index, 3 bytes" in log.metadata["recovery"]["problems"]
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        assert reader.get_header().library == LIBRARY
+        assert reader.get_summary().statistics.message_count == report.messages
+        assert sum(1 for _ in reader.iter_messages()) == report.messages
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_finished_log_is_left_alone(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    make_log(path)
+    before = path.read_bytes()
+    assert not recover(path).repaired
+    assert path.read_bytes() == before
+
+
+def test_a_damaged_log_stays_marked_after_its_repair(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    make_log(path)
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+    assert recover(path).repaired
+    log = read_log(path)
+    assert log.problems == ()
+    assert not log.complete
+    assert int(log.metadata["recovery"]["damaged"]) >= 1
+
+
+def test_a_log_that_is_being_written_is_refused(tmp_path: Path) -> None:
+    maker = LogMaker(tmp_path / "run.mcap")
+    with pytest.raises(LogFileError, match="is being written"):
+        recover(tmp_path / "run.mcap")
+    maker.finish()
+
+
+def test_what_is_no_log_is_refused_and_left_alone(tmp_path: Path) -> None:
+    path = tmp_path / "notes.mcap"
+    path.write_text("not a log")
+    with pytest.raises(LogError, match="is no MCAP file"):
+        recover(path)
+    assert path.read_text() == "not a log"
+    with pytest.raises(LogError, match="cannot open"):
+        recover(tmp_path / "missing.mcap")
+
+
+def test_a_repair_that_is_stopped_leaves_the_log_as_it_was(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    make_log(path, finish=False)
+    before = path.read_bytes()
+    assert not recover(path, stop=lambda: True).repaired
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_leftovers_of_ours_are_repaired_and_nothing_else_is_touched(tmp_path: Path) -> None:
+    rows = make_log(tmp_path / "a.mcap", finish=False)
+    make_log(tmp_path / "b.mcap")
+    make_log(tmp_path / "mine.mcap", finish=False)
+    being_written = LogMaker(tmp_path / "c.mcap")
+    (tmp_path / "empty.mcap").touch()
+    (tmp_path / "foreign.mcap").write_bytes(
+        (tmp_path / "a.mcap").read_bytes().replace(LIBRARY.encode(), b"somebody-el")
+    )
+    untouched = {p: p.read_bytes() for p in tmp_path.iterdir() if p.name != "a.mcap"}
+    repaired, failed = repair_leftovers(tmp_path, but=tmp_path / "mine.mcap")
+    assert repaired == (tmp_path / "a.mcap",)
+    assert len(failed) == 1
+    assert "is being written" in failed[0]
+    assert {p: p.read_bytes() for p in untouched} == untouched
+    assert read_log(tmp_path / "a.mcap").agents["left"].tobytes() == rows["left"].tobytes()
+    being_written.finish()

@@ -1,0 +1,135 @@
+"""Standard messages decode, by an independent decoder, to the numbers of the rows they were made from."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from agent.log import ros_definitions, standard
+from agent.telemetry.row.event import Event, Level
+from agent.telemetry.row.sample import AGENT_STATE, PLANT_STATE
+
+JOINTS = ("waist", "shoulder", "elbow")
+STORE = get_typestore(Stores.ROS2_HUMBLE)
+
+
+def rows(layout, count: int) -> np.ndarray:
+    random = np.random.default_rng(3)
+    out = np.zeros(count, layout.dtype)
+    for f in layout.fields:
+        if f.ros_type == "float64":
+            out[f.name] = random.standard_normal(out[f.name].shape)
+    out["encapsulation"] = 0x100
+    out["sequence"] = np.arange(count)
+    out["utc_ns"] = 1_800_000_000_123_456_789 + np.arange(count) * 5_000_000
+    return out
+
+
+def decode(topic: standard.StandardTopic, message: bytes):
+    return STORE.deserialize_cdr(message, ros_definitions.schema_name(topic.ros_name))
+
+
+def stamp_ns(header) -> int:
+    return header.stamp.sec * 1_000_000_000 + header.stamp.nanosec
+
+
+def arm(first: bool = True, plant: bool = False) -> dict[str, standard.StandardTopic]:
+    return {t.topic: t for t in standard.arm_topics("paper", "left", JOINTS, is_first=first, has_plant=plant)}
+
+
+@pytest.mark.parametrize("joints", [("a",), ("ab", "c"), JOINTS, ("x" * 9,) * 7])
+def test_joint_states_are_the_measured_ones_whatever_the_names_do_to_the_alignment(joints: tuple[str, ...]) -> None:
+    topic = standard.arm_topics("paper", "left", joints, is_first=False, has_plant=True)[0]
+    data, n = rows(AGENT_STATE, 4), len(joints)
+    for row, message in zip(data, topic.messages(data), strict=True):
+        decoded = decode(topic, message)
+        assert decoded.name == list(joints)
+        assert stamp_ns(decoded.header) == row["utc_ns"]
+        assert np.array_equal(decoded.position, row["q_measured"][:n])
+        assert np.array_equal(decoded.velocity, row["dq_measured"][:n])
+        assert np.array_equal(decoded.effort, row["tau_sent"][:n])
+
+
+def test_wrench_and_poses_keep_their_order_and_the_scalar_goes_last() -> None:
+    data = rows(AGENT_STATE, 2)
+    topics = arm()
+    wrench = decode(topics["/coop/paper/left/wrench"], topics["/coop/paper/left/wrench"].messages(data)[1]).wrench
+    assert [wrench.force.x, wrench.force.y, wrench.force.z] == data["wrench_cmd"][1, :3].tolist()
+    assert [wrench.torque.x, wrench.torque.y, wrench.torque.z] == data["wrench_cmd"][1, 3:].tolist()
+    topic = topics["/coop/paper/object/pose_des"]
+    pose = decode(topic, topic.messages(data)[1]).pose
+    assert [pose.position.x, pose.position.y, pose.position.z] == data["p_object_des"][1].tolist()
+    o = pose.orientation
+    assert [o.w, o.x, o.y, o.z] == data["quat_object_des"][1].tolist()
+
+
+@pytest.mark.parametrize(
+    ("first", "plant", "frames"),
+    [
+        (True, False, ["left/object", "object_des", "object"]),
+        (True, True, ["left/object", "object_des"]),
+        (False, True, ["left/object"]),
+    ],
+)
+def test_each_frame_has_one_source(first: bool, plant: bool, frames: list[str]) -> None:
+    topic = arm(first, plant)[standard.TF_TOPIC]
+    data = rows(AGENT_STATE, 1)
+    transforms = decode(topic, topic.messages(data)[0]).transforms
+    assert [t.child_frame_id for t in transforms] == frames
+    assert {t.header.frame_id for t in transforms} == {"world"}
+    assert transforms[0].transform.translation.y == data["p_object"][0, 1]
+    assert (
+        transforms[-1].transform.rotation.w
+        == data["quat_object_des" if frames[-1] == "object_des" else "quat_object"][0, 0]
+    )
+
+
+def test_the_plant_gives_the_true_pose() -> None:
+    data = rows(PLANT_STATE, 1)
+    pose, tf = standard.plant_topics("paper")
+    assert decode(pose, pose.messages(data)[0]).pose.position.z == data["p_object"][0, 2]
+    assert decode(tf, tf.messages(data)[0]).transforms[0].child_frame_id == "object"
+
+
+def test_an_event_becomes_a_log_line() -> None:
+    event = Event(1_800_000_000_000_000_005, "left", Level.WARN, "mode TRACK → HOLD", {"a": 1})
+    line = STORE.deserialize_cdr(standard.log_message(event), "rcl_interfaces/msg/Log")
+    assert (line.stamp.sec, line.stamp.nanosec) == (1_800_000_000, 5)
+    assert (line.level, line.name, line.msg) == (30, "left", "mode TRACK → HOLD")
+
+
+@pytest.mark.parametrize("text", ["", "a", "mode TRACK → HOLD"])
+def test_a_text_becomes_a_string_message_and_comes_back(text: str) -> None:
+    message = standard.text_message(text.encode())
+    assert STORE.deserialize_cdr(message, "std_msgs/msg/String").data == text
+    assert standard.text_of(message) == text.encode()
+
+
+@pytest.mark.parametrize(
+    "wrong", [b"", b"\0\1\0\0", standard.text_message(b"abc")[:-1], standard.text_message(b"abc") + b"\0"]
+)
+def test_what_is_no_string_message_is_refused(wrong: bytes) -> None:
+    with pytest.raises(ValueError, match="not a string message"):
+        standard.text_of(wrong)
+
+
+def test_decimation_keeps_the_rate_whatever_the_batches() -> None:
+    data = rows(AGENT_STATE, 400)  # 2 s at 200 Hz
+    kept, slot = [], -1
+    for batch in np.split(data, [1, 2, 7, 30, 200, 200]):
+        some, slot = standard.decimated(batch, slot)
+        kept += some["sequence"].tolist()
+    assert len(kept) in (100, 101)
+    assert set(np.diff(kept)[1:].tolist()) == {4}
+
+
+@pytest.mark.parametrize("ros_name", sorted(ros_definitions._PARTS))
+def test_definitions_are_complete_and_the_same_as_ros_has_them(ros_name: str) -> None:
+    name = ros_definitions.schema_name(ros_name)
+    text = ros_definitions.definition(ros_name)
+    types = get_types_from_msg(text, name)
+    for part in text.split("=" * 80)[1:]:
+        inner = part.strip().splitlines()[0].removeprefix("MSG: ")
+        assert types[ros_definitions.schema_name(inner)][1] == STORE.fielddefs[ros_definitions.schema_name(inner)][1]
+    assert types[name][1] == STORE.fielddefs[name][1]

@@ -1,0 +1,64 @@
+"""Comparing two runs: what differs is shown, and better means what the figure says it means."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from agent.report.compare import Change, compare, comparison_table
+from agent.report.metrics import summarise
+from agent.report.results import Results
+from tests.support.telemetry.synthetic_run import paper_run
+
+
+def results(*, offset_m: float = 0.0, plant: bool = True, keep: int = 5000) -> Results:
+    log = paper_run(Path("run.mcap"), duration_s=25.0, plant=plant)
+    for rows in [*log.agents.values(), *([log.plant] if log.plant is not None else [])]:
+        rows["p_object"][:, 1] += offset_m
+    agents = {name: rows[:keep] for name, rows in log.agents.items()}
+    return summarise(replace(log, agents=agents))
+
+
+def test_a_run_compared_with_itself_has_no_difference() -> None:
+    run = results()
+    assert {d.change for d in compare(run, run)} == {Change.SAME}
+
+
+def test_a_smaller_error_is_better_and_fewer_rows_are_worse() -> None:
+    changes = {d.name: d for d in compare(results(offset_m=1e-3), results(keep=4900))}
+    assert changes["max_position_error_m"].change is Change.BETTER
+    assert changes["max_position_error_m"].relative == pytest.approx(-0.8, abs=0.01)
+    assert changes["rows.left.recorded"].change is Change.WORSE
+
+
+def test_swapping_the_runs_swaps_the_judgement() -> None:
+    opposite = {Change.BETTER: Change.WORSE, Change.WORSE: Change.BETTER, Change.APPEARED: Change.GONE}
+    opposite |= {later: earlier for earlier, later in opposite.items()}
+    a, b = results(offset_m=1e-3), results(plant=False, keep=4900)
+    back = {d.name: d.change for d in compare(b, a)}
+    for d in compare(a, b):
+        assert back[d.name] is opposite.get(d.change, d.change), d.name
+
+
+def test_what_only_one_run_measured_is_named() -> None:
+    changes = {d.name: d for d in compare(results(), results(plant=False))}
+    realised = changes["arms.left.load_share_realised"]
+    assert realised.change is Change.GONE
+    assert math.isnan(realised.b)
+    assert changes["by_plant.rms_position_error_m"].change is Change.GONE
+
+
+def test_the_table_shows_differences_and_the_headline() -> None:
+    a, b = results(offset_m=1e-3), results()
+    console = Console(width=140)
+    with console.capture() as captured:
+        console.print(comparison_table(a, b, compare(a, b)))
+    text = captured.get()
+    assert "max_position_error_m" in text
+    assert "max_attitude_error_rad" in text
+    assert "arms.left.joints.elbow.peak_torque_Nm" not in text
+    assert "better" in text

@@ -1,0 +1,482 @@
+"""The figures of a run against rows whose every figure is known in closed form."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from agent.log.read import RunLog
+from agent.log.runinfo import Bounded
+from agent.modes import Mode
+from agent.report.metrics import summarise
+from agent.report.quantity import Better
+from agent.report.results import Judgement, Results
+from agent.report.series import attitude_error, internal_wrenches, rotate, rotation_angle, rotation_vector
+from agent.safety import Flag
+from agent.telemetry.row.event import Event, Level
+from tests.support.telemetry.synthetic_run import (
+    OFFSETS,
+    agent_rows,
+    as_log,
+    paper_run,
+    plant_rows,
+    product,
+    run_file,
+    turn,
+)
+
+TICKS, RATE_HZ = 400, 200.0
+
+
+def small_run(*, plant: bool = True, transient_s: float = 0.5, **changes: object) -> RunLog:
+    """Two arms, two seconds, no error at all."""
+    content = run_file(TICKS / RATE_HZ, RATE_HZ, transient_s=transient_s, **changes)
+    agents = {name: agent_rows(TICKS, RATE_HZ) for name in OFFSETS}
+    rows = plant_rows(agents["left"]) if plant else None
+    return as_log(Path("run.mcap"), agents, rows, content)
+
+
+def keep(log: RunLog, arm: str, rows: object) -> RunLog:
+    log.agents[arm] = log.agents[arm][rows]
+    return log
+
+
+# ------------------------------------------------------------------------------------------------------------- errors
+
+
+def test_a_run_without_error_has_none() -> None:
+    results = summarise(small_run())
+    assert results.headline("max_position_error_m") == 0.0
+    assert results.headline("max_attitude_error_rad") == 0.0
+    assert results.missing == ()
+    assert results.complete
+
+
+def test_largest_and_rms_position_error_are_exact() -> None:
+    log = small_run()
+    log.plant["p_object"][:, 0] = np.where(log.plant["sequence"] % 2, 3e-4, -1e-4)
+    errors = summarise(log).by_plant
+    assert errors.max_position_error_m == pytest.approx(3e-4, rel=1e-12)
+    assert errors.rms_position_error_m == pytest.approx(math.sqrt((9e-8 + 1e-8) / 2), rel=1e-12)
+    assert errors.rows == 300
+
+
+@pytest.mark.parametrize("angle_rad", [1e-10, 1e-7, 1e-3, 1.0, 3.0])
+def test_attitude_error_is_accurate_from_tiny_to_large(angle_rad: float) -> None:
+    log = small_run()
+    log.plant["quat_object"] = turn(1, np.full(TICKS, angle_rad))
+    assert summarise(log).headline("max_attitude_error_rad") == pytest.approx(angle_rad, rel=1e-9)
+
+
+def test_a_quaternion_and_its_negative_are_one_attitude() -> None:
+    log = small_run()
+    log.plant["quat_object"] = -turn(2, np.full(TICKS, 2e-3))
+    assert summarise(log).headline("max_attitude_error_rad") == pytest.approx(2e-3)
+
+
+def test_errors_of_the_transient_do_not_count() -> None:
+    log = small_run()
+    log.plant["p_object"][:100, 1] = 0.01
+    results = summarise(log)
+    assert results.headline("max_position_error_m") == 0.0
+    assert results.by_plant.position.initial == pytest.approx(0.01)
+
+
+def test_in_plane_and_out_of_plane_are_parts_of_the_norm() -> None:
+    log = small_run()
+    log.plant["p_object"][:] = [3e-4, 0.0, 4e-4]
+    errors = summarise(log).by_plant
+    assert errors.max_position_error_m == pytest.approx(5e-4)
+    assert errors.max_in_plane_error_m == pytest.approx(3e-4)
+    assert errors.max_out_of_plane_error_m == pytest.approx(4e-4)
+
+
+def test_headline_is_the_true_pose_though_the_arms_see_another() -> None:
+    log = small_run()
+    log.agents["left"]["p_object"][:, 0] = 1e-3
+    results = summarise(log)
+    assert results.headline("max_position_error_m") == 0.0
+    assert results.by_arm["left"].max_position_error_m == pytest.approx(1e-3)
+    assert results.arm_disagreement_m == pytest.approx(1e-3)
+
+
+def test_headline_without_a_plant_is_the_worst_arm() -> None:
+    log = small_run(plant=False)
+    log.agents["right"]["p_object"][:, 0] = 7e-4
+    results = summarise(log)
+    assert results.by_plant is None
+    assert results.headline("max_position_error_m") == pytest.approx(7e-4)
+    assert any("no simulation in the log" in text for text in results.missing)
+
+
+def test_true_pose_is_matched_by_sequence_number_and_not_by_place() -> None:
+    log = small_run()
+    for rows in (*log.agents.values(), log.plant):
+        ramp = 0.01 * rows["sequence"]
+        field = "p_object" if rows is log.plant else "p_object_des"
+        rows[field][:, 0] = ramp
+    log.agents["left"] = log.agents["left"][50:]
+    log.agents["right"] = log.agents["right"][60:]
+    assert summarise(replace(log, plant=log.plant[7:])).headline("max_position_error_m") == 0.0
+
+
+def test_one_arm_fills_the_ticks_that_the_other_did_not_log() -> None:
+    log = keep(small_run(), "left", slice(0, 200))
+    assert summarise(log).by_plant.rows == 300
+
+
+@pytest.mark.parametrize("common", ["stamp_ns", "utc_ns"])
+def test_plant_that_began_before_the_trajectory_is_matched_by_a_common_clock(common: str) -> None:
+    log, ticks_before = small_run(), 10  # the plant's own zero, of number and time, is ten ticks before the arms'
+    ramp = 0.01 * np.arange(TICKS)
+    for rows in log.agents.values():
+        rows["p_object_des"][:, 0] = ramp
+    log.plant["p_object"][:, 0] = ramp - 0.01 * ticks_before
+    log.plant["stamp_ns"] -= ticks_before * 5_000_000 if common == "stamp_ns" else 10**15
+    log.plant["utc_ns"] -= ticks_before * 2_500_000
+    results = summarise(log)
+    assert results.headline("max_position_error_m") == pytest.approx(0.0, abs=1e-12)
+    assert any(f"matched by {common}" in text for text in results.missing)
+
+
+def test_plant_rows_of_other_instants_are_refused_and_said() -> None:
+    log = small_run()
+    for clock in ("t", "stamp_ns", "utc_ns"):
+        log.plant[clock] += 10**12
+    results = summarise(log)
+    assert results.by_plant is None
+    assert any("no tick is in both" in text for text in results.missing)
+
+
+def test_decay_of_the_initial_error_is_that_of_the_closed_form() -> None:
+    log = small_run(transient_s=1.9)
+    log.plant["p_object"][:, 1] = 4e-3 * np.exp(-log.plant["t"] / 0.25)
+    decay = summarise(log).by_plant.position
+    assert decay.initial == pytest.approx(4e-3)
+    assert decay.half_s == pytest.approx(0.25 * math.log(2), abs=1 / RATE_HZ)
+    assert decay.tenth_s == pytest.approx(0.25 * math.log(10), abs=1 / RATE_HZ)
+
+
+def test_an_error_that_stays_has_not_decayed() -> None:
+    log = small_run()
+    log.plant["p_object"][:, 1] = 1e-3
+    decay = summarise(log).by_plant.position
+    assert math.isnan(decay.half_s)
+    assert math.isnan(decay.tenth_s)
+
+
+# ------------------------------------------------------------------------------------------------ what cannot be judged
+
+
+def test_bounds_give_verdicts() -> None:
+    log = small_run()
+    log.plant["p_object"][:, 0] = 6e-4
+    results = summarise(log)
+    assert results.verdict(Bounded.POSITION) is Judgement.NOT_MET
+    assert results.verdict(Bounded.ATTITUDE) is Judgement.MET
+    assert not results.within_bounds
+    unbounded = summarise(small_run(bounds={}))
+    assert unbounded.verdict(Bounded.POSITION) is None
+    assert unbounded.within_bounds
+
+
+def test_rows_that_are_no_numbers_are_said_and_leave_the_bound_open() -> None:
+    log = small_run()
+    log.plant["p_object"][350] = np.nan
+    results = summarise(log)
+    assert results.headline("max_position_error_m") == 0.0
+    assert results.verdict(Bounded.POSITION) is Judgement.NOT_SHOWN
+    assert any("1 rows of plant hold a pose that is not a number" in text for text in results.missing)
+
+
+def test_an_exceeded_bound_stays_exceeded_though_rows_are_missing() -> None:
+    log = small_run()
+    log.plant["p_object"][340] = np.nan
+    log.plant["p_object"][341, 0] = 1.0
+    assert summarise(log).verdict(Bounded.POSITION) is Judgement.NOT_MET
+
+
+def test_a_held_object_counts_in_no_error_and_leaves_the_bound_open() -> None:
+    log = small_run()
+    log.agents["right"]["mode"][300:] = Mode.HOLD
+    log.plant["p_object"][300:, 0] = 0.1
+    results = summarise(log)
+    assert results.headline("max_position_error_m") == 0.0
+    assert results.by_plant.not_tracking_rows == 100
+    assert results.verdict(Bounded.POSITION) is Judgement.NOT_SHOWN
+    assert results.arms["right"].modes == ((0.0, "TRACK"), (1.5, "HOLD"))
+
+
+def test_a_log_that_ends_in_the_transient_has_no_errors_and_says_so() -> None:
+    log = small_run()
+    results = summarise(replace(log, agents={n: r[:50] for n, r in log.agents.items()}, plant=log.plant[:50]))
+    assert math.isnan(results.headline("max_position_error_m"))
+    assert results.verdict(Bounded.POSITION) is Judgement.NOT_SHOWN
+    assert any("no usable row of plant after the transient" in text for text in results.missing)
+
+
+def test_an_empty_log_has_results_and_says_what_is_missing() -> None:
+    results = summarise(replace(small_run(), agents={}, plant=None, complete=False))
+    assert results.rows_recorded == 0
+    assert not results.complete
+    assert "no row of the arm left" in results.missing
+    assert json.dumps(results.to_json(), allow_nan=False)
+
+
+def test_a_log_without_run_file_takes_what_it_can_from_its_rows() -> None:
+    results = summarise(replace(small_run(), attachments={}))
+    assert results.info.rate_hz == pytest.approx(RATE_HZ)
+    assert results.rows_expected == 2 * TICKS
+    assert any("does not say which run it is" in text for text in results.missing)
+
+
+# ------------------------------------------------------------------------------------------------------- completeness
+
+
+def test_missing_rows_are_counted_and_named() -> None:
+    log = keep(small_run(), "left", np.r_[0:10, 12:200, 201:390])
+    results = summarise(log)
+    rows = results.rows["left"]
+    assert rows.gaps == ((10, 11), (200, 200), (390, 399))
+    assert (rows.recorded, rows.expected) == (TICKS - 13, TICKS)
+    assert results.rows_recorded == 2 * TICKS - 13
+    assert not results.complete  # whatever the recorder says
+
+
+def test_rows_after_the_end_are_counted_apart() -> None:
+    log = small_run()
+    log.agents["left"] = agent_rows(TICKS + 20, RATE_HZ)
+    log.agents["left"]["p_object"][TICKS:] = 1.0
+    results = summarise(log)
+    assert results.rows["left"].after_end == 20
+    assert results.complete
+    assert results.by_arm["left"].max_position_error_m == 0.0
+
+
+def test_a_recorder_that_lost_something_makes_the_log_incomplete() -> None:
+    told = {"completeness": {"left.lost_on_the_way": "3", "left.lost_on_disk": "0"}}
+    results = summarise(replace(small_run(), complete=False, metadata=told, problems=("cut in its last second",)))
+    assert not results.complete
+    assert "3 rows of left were lost on the way" in results.missing
+    assert "cut in its last second" in results.missing
+    assert not any("disk" in text for text in results.missing)
+
+
+# -------------------------------------------------------------------------------------------------- torques and timing
+
+
+def test_peak_torque_is_a_fraction_of_stall_and_the_worst_is_named() -> None:
+    log = small_run()
+    log.agents["left"]["tau_sent"][3, 0] = -1.5
+    log.agents["right"]["tau_sent"][5, 2] = 1.0
+    results = summarise(log)
+    assert results.arms["left"].joints["shoulder"].peak_torque_fraction == pytest.approx(1.5 / 6.0)
+    assert results.worst_torque == (pytest.approx(0.4), "right", "wrist_angle")
+    assert results.to_json()["peak_torque_fraction"]["worst"] == {
+        "value": pytest.approx(0.4),
+        "arm": "right",
+        "joint": "wrist_angle",
+    }
+
+
+def test_chatter_is_the_mean_change_per_tick_and_a_gap_is_no_change() -> None:
+    log = small_run()
+    rows = log.agents["left"]
+    rows["tau_sent"][:, 1] = np.where(rows["sequence"] % 2, 0.1, -0.1)
+    rows["tau_sent"][200:, 1] += 5.0
+    keep(log, "left", np.r_[0:199, 201:TICKS])
+    assert summarise(log).arms["left"].joints["elbow"].chatter_Nm == pytest.approx(0.2)
+
+
+def test_time_at_and_beyond_the_limit() -> None:
+    log = small_run()
+    rows = log.agents["left"]
+    rows["tau_cmd"][:, 0] = 4.0
+    rows["tau_limited"][:, 0] = np.where(rows["t"] < 0.5, 3.0, 4.0)
+    rows["tau_sent"][:, 0] = np.where(rows["t"] < 0.25, -3.0, 0.0)
+    shoulder = summarise(log).arms["left"].joints["shoulder"]
+    assert shoulder.limited_s == pytest.approx(0.5)
+    assert shoulder.at_limit_s == pytest.approx(0.25)
+
+
+def test_flags_are_counted_by_name() -> None:
+    log = small_run()
+    log.agents["left"]["flags"][:7] = Flag.SATURATED | Flag.STALE
+    log.agents["left"]["flags"][7] = Flag.STALE
+    flags = summarise(log).arms["left"].flags
+    assert (flags["SATURATED"], flags["STALE"], flags["SINGULAR"]) == (7, 8, 0)
+
+
+def test_late_cycles_and_overruns() -> None:
+    log = small_run()
+    rows = log.agents["left"]
+    rows["late_s"][:3], rows["late_s"][3] = 1.01 / RATE_HZ, 0.99 / RATE_HZ
+    rows["step_s"][10:12] = 1.5 / RATE_HZ
+    results = summarise(log)
+    assert results.arms["left"].late_cycles == results.late_cycles == 3
+    assert results.arms["left"].overruns == 5
+
+
+def test_percentiles_of_the_loop() -> None:
+    log = small_run()
+    log.agents["left"]["step_s"] = np.arange(TICKS) * 1e-6
+    spread = summarise(log).arms["left"].timing["step_s"]
+    assert spread.p50_s == pytest.approx(200e-6)
+    assert spread.p99_s == pytest.approx(396e-6)
+    assert spread.max_s == pytest.approx(399e-6)
+
+
+def test_real_time_factor_is_run_time_over_wall_time() -> None:
+    assert summarise(small_run()).real_time_factor == pytest.approx(2.0)
+
+
+def test_real_time_factor_of_simulated_utc_is_not_known_and_said() -> None:
+    log = small_run()
+    for rows in log.agents.values():
+        rows["utc_ns"] = 1_800_000_000_000_000_000 + rows["stamp_ns"]
+    results = summarise(log)
+    assert math.isnan(results.real_time_factor)
+    assert any("follows the simulated clock" in text for text in results.missing)
+
+
+def test_real_time_factor_is_by_the_agents_own_wall_time_where_they_tell_it() -> None:
+    log = small_run()
+    for arm, wall_s in (("left", 0.1), ("right", 0.2)):
+        log.events.append(Event(1, arm, Level.INFO, "run ended", {"wall_s": wall_s}))
+    assert summarise(log).real_time_factor == pytest.approx((TICKS - 1) / RATE_HZ / 0.2)
+
+
+def test_unwinding_is_seen_in_the_sign_of_e_eta() -> None:
+    log = small_run()
+    log.agents["left"]["e_eta"] = np.linspace(-0.5, 1.0, TICKS)
+    arm = summarise(log).arms["left"]
+    assert (arm.e_eta_start, arm.e_eta_end, arm.e_eta_sign_changes) == (-0.5, 1.0, 1)
+
+
+# ----------------------------------------------------------------------------------------------------- internal force
+
+unit_quaternions = arrays(float, 4, elements=st.floats(-1, 1)).filter(lambda q: np.linalg.norm(q) > 0.1)
+three = arrays(float, (3, 3), elements=st.floats(-0.3, 0.3))
+wrench_stacks = arrays(float, (3, 6), elements=st.floats(-10, 10))
+
+
+def grasp_matrix(p_ee_object: np.ndarray) -> np.ndarray:
+    blocks = []
+    for x, y, z in p_ee_object:
+        J = np.eye(6)
+        J[:3, 3:] = [[0, -z, y], [z, 0, -x], [-y, x, 0]]
+        blocks.append(J)
+    return np.vstack(blocks)
+
+
+@given(unit_quaternions, three, wrench_stacks)
+def test_internal_wrench_is_the_papers_projection_and_has_no_net_wrench(q, offsets, wrenches) -> None:
+    quat = (q / np.linalg.norm(q))[None]
+    internal = internal_wrenches(wrenches[None], quat, offsets)[0]
+    p_ee_object = np.array([-rotate(quat, offset)[0] for offset in offsets])
+    G = grasp_matrix(p_ee_object)
+    G_star = np.hstack([np.linalg.inv(G[6 * i : 6 * i + 6]) for i in range(3)]).T / 3.0
+    expected = (np.eye(18) - G_star @ G.T) @ wrenches.ravel()
+    np.testing.assert_allclose(internal.ravel(), expected, atol=1e-11)
+    np.testing.assert_allclose(G.T @ internal.ravel(), 0.0, atol=1e-11)
+
+
+def test_a_squeeze_is_all_internal_and_the_weight_is_shared() -> None:
+    results = summarise(paper_run(Path("run.mcap"), duration_s=25.0))
+    for arm in results.arms.values():
+        assert arm.internal_cmd.max_force_N == pytest.approx(1.5)
+        assert arm.internal_realised.max_force_N == pytest.approx(1.5 * 1.05, rel=1e-3)
+        assert arm.load_share_realised == pytest.approx(0.5)
+
+
+def test_load_shares_realised_add_up_to_one() -> None:
+    log = small_run()
+    wrench = log.plant["grasp_wrench"].reshape(TICKS, -1, 6)
+    wrench[:, 0, 1], wrench[:, 1, 1] = 0.9, 0.3
+    arms = summarise(log).arms
+    assert arms["left"].load_share_realised == pytest.approx(0.75)
+    assert arms["right"].load_share_realised == pytest.approx(0.25)
+
+
+def test_without_grasp_offsets_the_internal_force_is_known_and_its_moment_is_not() -> None:
+    content = run_file(TICKS / RATE_HZ, RATE_HZ, transient_s=0.5)
+    for arm in content["arms"]:
+        del arm["p_object_ee_m"]
+    log = small_run(arms=content["arms"])
+    log.plant["grasp_wrench"][:, 0], log.plant["grasp_wrench"][:, 6] = 2.0, -2.0
+    results = summarise(log)
+    assert results.arms["left"].internal_realised.max_force_N == pytest.approx(2.0)
+    assert math.isnan(results.arms["left"].internal_realised.max_moment_Nm)
+    assert any("grasp offsets" in text for text in results.missing)
+
+
+# ----------------------------------------------------------------------------------------------------- arithmetic, form
+
+
+@given(unit_quaternions, unit_quaternions)
+def test_rotation_angle_of_the_error_is_the_angle_between_the_attitudes(a, b) -> None:
+    a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
+    error = attitude_error(a[None], b[None])
+    expected = product(a[None], (b * [1, -1, -1, -1])[None])
+    np.testing.assert_allclose(error, expected, atol=1e-12)
+    assert rotation_angle(error)[0] == pytest.approx(np.linalg.norm(rotation_vector(error)[0]), abs=1e-12)
+
+
+def test_results_json_has_the_documented_keys_and_no_nan() -> None:
+    results = summarise(small_run(plant=False))
+    content = json.loads(json.dumps(results.to_json(), allow_nan=False))
+    assert {
+        "max_position_error_m",
+        "max_attitude_error_rad",
+        "rms_position_error_m",
+        "rms_attitude_error_rad",
+        "peak_torque_fraction",
+        "rms_torque_Nm",
+        "rows_expected",
+        "rows_recorded",
+        "rows",
+        "real_time_factor",
+        "late_cycles",
+        "complete",
+        "by_plant",
+        "by_arm",
+        "arms",
+        "events",
+        "missing",
+    } <= content.keys()
+    assert content["by_plant"] is None
+    assert content["arms"]["left"]["load_share_realised"] is None
+
+
+def test_every_flat_figure_has_a_unit_that_its_name_agrees_with() -> None:
+    flat = summarise(small_run()).flat()
+    units = {"_m_per_s": "m/s", "_rad_per_s": "rad/s"}  # first: they end in `_s` as well
+    units |= {"_m": "m", "_rad": "rad", "_s": "s", "_Nm": "N·m", "_N": "N", "_J": "J"}
+    for name, quantity in flat.items():
+        expected = next((unit for ending, unit in units.items() if name.endswith(ending)), None)
+        assert expected in (None, quantity.unit), name
+    assert flat["arms.left.joints.elbow.peak_torque_Nm"].better is Better.LOWER
+    assert flat["real_time_factor"].better is Better.HIGHER
+    assert flat["max_position_error_m"].value == 0.0
+
+
+def test_results_do_not_depend_on_the_names_of_the_arms() -> None:
+    log = small_run()
+    log.agents["left"]["p_object"][:, 0] = 1e-3
+
+    def swapped() -> Results:
+        content = json.loads(log.attachments["run.json"])
+        for arm in content["arms"]:
+            arm["name"] = {"left": "b", "right": "a"}[arm["name"]]
+        agents = {"b": log.agents["left"], "a": log.agents["right"]}
+        return summarise(as_log(log.path, agents, log.plant, content))
+
+    assert swapped().by_arm["b"].max_position_error_m == summarise(log).by_arm["left"].max_position_error_m

@@ -1,0 +1,167 @@
+"""A report is whole or not there, needs nothing beside its page, and says what a poor log cannot show."""
+
+from __future__ import annotations
+
+import base64
+import json
+import resource
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from agent.report.report import ReportError, ReportFiles, terminal_table, write_report
+from agent.telemetry.row.event import Event, Level
+from tests.support.telemetry.synthetic_run import paper_run, spatial_run
+
+PNG = b"\x89PNG\r\n\x1a\n"
+VOID = {"meta", "img", "br", "hr", "link"}
+
+
+class Page(HTMLParser):
+    """Refuses a tag that is not closed, closed twice, or that fetches something."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.images: list[str] = []
+        self.text = ""
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        assert tag not in {"script", "link", "iframe"}
+        for name, value in attrs:
+            if name in {"src", "href"}:
+                assert (value or "").startswith("data:"), f"{tag} fetches {value}"
+        if tag == "img":
+            self.images.append(dict(attrs)["src"] or "")
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.text += data.replace("\N{NO-BREAK SPACE}", " ")
+
+
+def read_page(path: Path) -> Page:
+    page = Page()
+    page.feed(path.read_text(encoding="utf-8"))
+    page.close()
+    assert page.open == []
+    return page
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> ReportFiles:
+    log = paper_run(Path("run.mcap"), duration_s=25.0, adaptive=True)
+    log.events.append(
+        Event(1_800_000_001_500_000_000, "left", Level.WARN, "torque <limited>: lower k_p & wait", {"tau_Nm": 3.25})
+    )
+    return write_report(log, tmp_path_factory.mktemp("report") / "new" / "folder")
+
+
+def test_every_figure_is_a_png_of_some_size(written: ReportFiles) -> None:
+    assert {"pose", "errors", "errors_start", "torques", "wrenches", "loop_timing"} <= written.figures.keys()
+    for path in written.figures.values():
+        content = path.read_bytes()
+        assert content.startswith(PNG)
+        assert len(content) > 10_000
+
+
+def test_the_page_is_well_formed_and_needs_nothing_else(written: ReportFiles) -> None:
+    page = read_page(written.html)
+    embedded = {base64.b64decode(source.removeprefix("data:image/png;base64,")) for source in page.images}
+    assert embedded == {path.read_bytes() for path in written.figures.values()}
+
+
+def test_the_page_shows_bounds_verdicts_events_and_provenance(written: ReportFiles) -> None:
+    text = read_page(written.html).text
+    for expected in (
+        "≤ 0.500 mm",
+        "0.200 mm",
+        "✓ met",
+        "torque <limited>",
+        "lower k_p & wait",
+        "5f" * 32,
+        "widowx_mk2",
+    ):
+        assert expected in text
+
+
+def test_results_json_is_what_the_results_say(written: ReportFiles) -> None:
+    content = json.loads(written.results_file.read_text(encoding="utf-8"))
+    assert content == json.loads(json.dumps(written.results.to_json()))
+    assert content["max_position_error_m"] == pytest.approx(2e-4, rel=1e-6)
+    assert content["verdicts"] == {"max_position_error_m": "met", "max_attitude_error_rad": "met"}
+    assert content["complete"] is True
+
+
+def test_nothing_is_left_beside_the_report(written: ReportFiles) -> None:
+    expected = {written.html, written.results_file, *written.figures.values()}
+    assert set(written.html.parent.iterdir()) == expected
+
+
+def test_the_terminal_table_fits_eighty_columns_and_has_the_verdicts(written: ReportFiles) -> None:
+    console = Console(width=80, record=True, file=None, quiet=False, force_terminal=False)
+    with console.capture() as captured:
+        console.print(terminal_table(written.results))
+    text = captured.get()
+    assert "…" not in text
+    assert text.count("✓ met") == 3
+    assert "largest position error" in text
+
+
+def test_a_report_that_fails_leaves_the_last_one_untouched(tmp_path: Path) -> None:
+    log = paper_run(Path("run.mcap"), duration_s=25.0)
+    write_report(log, tmp_path)
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    log.agents["left"]["p_object"] += 1.0
+    unlimited = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (600_000, unlimited[1]))  # figures fit, the page does not
+    try:
+        with pytest.raises(ReportError, match="File too large"):
+            write_report(log, tmp_path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, unlimited)
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_a_place_that_is_a_file_is_refused_with_a_remedy(tmp_path: Path) -> None:
+    place = tmp_path / "taken"
+    place.write_text("here first")
+    with pytest.raises(ReportError, match="name another directory") as refused:
+        write_report(paper_run(Path("run.mcap"), duration_s=25.0), place)
+    assert str(place) in refused.value.found
+    assert place.read_text() == "here first"
+
+
+def test_a_log_without_rows_still_gets_a_page_that_says_so(tmp_path: Path) -> None:
+    log = paper_run(Path("run.mcap"), duration_s=25.0)
+    files = write_report(replace(log, agents={}, plant=None, complete=False), tmp_path)
+    text = read_page(files.html).text
+    assert "no row of the arm left" in text
+    assert "0 of 10000" in text
+    assert "✗ not met" in text
+    assert files.figures == {}
+
+
+def test_a_log_that_ends_in_the_transient_shows_its_figures_and_no_verdict(tmp_path: Path) -> None:
+    log = paper_run(Path("run.mcap"), duration_s=25.0)
+    cut = {name: rows[:1000] for name, rows in log.agents.items()}
+    assert log.plant is not None
+    files = write_report(replace(log, agents=cut, plant=log.plant[:1000]), tmp_path)
+    text = read_page(files.html).text
+    assert "no usable row of plant after the transient of 20 s" in text
+    assert "? not shown" in text
+    assert "pose" in files.figures
+
+
+def test_three_six_joint_arms_without_a_plant_have_a_report(tmp_path: Path) -> None:
+    files = write_report(spatial_run(Path("run.mcap"), duration_s=25.0), tmp_path)
+    assert {"torque_terms_arm0", "torque_terms_arm1", "torque_terms_arm2"} <= files.figures.keys()
+    text = read_page(files.html).text
+    assert "seen by arm2" in text
+    assert "no simulation in the log" in text

@@ -1,0 +1,216 @@
+"""When the plant's time passes, and which torque acts."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.interface import DriverError
+from sim_backend.physics.actuator import DelayLine, TorqueCommand
+from sim_backend.physics.plant import Observation, Plant
+from sim_backend.physics.spec import PlantError
+from tests.support.plant.plant_cells import planar_cell
+from tests.support.plant.served_plant import SERVOS, TAU, ServedPlant, cycle
+
+
+def test_time_does_not_pass_before_every_arm_is_enabled(tmp_path: Path) -> None:
+    with ServedPlant(tmp_path) as served:
+        left, right = served.driver("left"), served.driver("right")
+        left.connect()
+        right.connect()
+        left.enable()
+        before = right.read()
+        time.sleep(0.05)
+        after = right.read()
+        assert (before.stamp_ns, after.stamp_ns) == (0, 0)
+        assert served.plant.t == 0.0
+        right.enable()
+        assert left.read().stamp_ns == 0
+        left.write(TAU)
+        right.read()
+        right.write(TAU)
+        assert left.read().stamp_ns == 5_000_000
+
+
+def test_time_waits_for_the_slowest_arm(tmp_path: Path) -> None:
+    with ServedPlant(tmp_path) as served:
+        left, right = served.enabled()
+        left.read()
+        left.write(TAU)
+        right.read()
+        got: list[int] = []
+        reader = threading.Thread(target=lambda: got.append(left.read().stamp_ns))
+        reader.start()
+        reader.join(0.1)
+        assert reader.is_alive()
+        right.write(TAU)
+        reader.join(10.0)
+        assert got == [5_000_000]
+
+
+@pytest.mark.parametrize("delay", [0, 1, 2])
+def test_lockstep_gives_the_motion_of_the_plant_alone_bit_for_bit(tmp_path: Path, delay: int) -> None:
+    servos = replace(SERVOS, delay_cycles=delay)
+    with ServedPlant(tmp_path, servos=servos) as served:
+        over_sockets = cycle(served.enabled(), 40)
+
+    plant = Plant(planar_cell(servos))
+    lines, command = [DelayLine(delay, 3) for _ in range(2)], TorqueCommand.of(servos)
+    alone = []
+    for tick in range(40):
+        q, dq, tau = plant.reported()
+        for part, line in zip(plant.slices, lines, strict=True):
+            alone.append(q[part].tobytes() + dq[part].tobytes() + tau[part].tobytes())
+            line.push(tick, command(TAU - 0.5 * q[part] - 0.05 * dq[part]))
+        if tick < delay:
+            plant.rest(5)
+        else:
+            plant.advance(np.concatenate([line.acting(tick) for line in lines]), 5)
+    assert over_sockets == alone
+
+
+def test_cell_rests_on_its_support_until_the_first_torque_has_come_through(tmp_path: Path) -> None:
+    servos = replace(SERVOS, delay_cycles=2)
+    for supported in (True, False):
+        seen: list[Observation] = []
+        with ServedPlant(
+            tmp_path, servos=servos, supported_start=supported, on_tick=lambda _k, _t, o, s=seen: s.append(o)
+        ) as served:
+            cycle(served.enabled(), 5)
+        speeds = [float(np.abs(o.dq).max()) for o in seen[:4]]
+        assert (speeds[:3] == [0.0, 0.0, 0.0]) is supported
+        assert speeds[3] > 0.0
+        assert [o.t for o in seen[:4]] == pytest.approx([0.0, 0.005, 0.010, 0.015])
+
+
+def test_observation_is_decimated_and_tells_the_tick(tmp_path: Path) -> None:
+    ticks: list[tuple[int, float]] = []
+    with ServedPlant(tmp_path, observe_every=4, on_tick=lambda k, t, _o: ticks.append((k, t))) as served:
+        cycle(served.enabled(), 10)
+    assert [k for k, _ in ticks[:3]] == [0, 4, 8]
+    assert [t for _, t in ticks[:3]] == pytest.approx([0.0, 0.02, 0.04])
+
+
+def test_disabled_arm_gets_no_torque_and_time_does_not_wait_for_it(tmp_path: Path) -> None:
+    applied: list[np.ndarray] = []
+    with ServedPlant(tmp_path, on_tick=lambda _k, _t, o: applied.append(o.tau_applied)) as served:
+        left, right = served.enabled()
+        cycle([left, right], 5)
+        right.disable()
+        cycle([left], 20)
+        stamp = right.read().stamp_ns
+        cycle([left], 5)
+        assert right.read().stamp_ns >= stamp
+    assert np.abs(applied[4][3:]).max() > 0.01
+    assert np.abs(applied[-1][3:]).max() == 0.0
+    assert np.abs(applied[-1][:3]).max() > 0.01
+
+
+def test_read_without_a_write_keeps_the_last_torque_as_a_servo_does(tmp_path: Path) -> None:
+    applied: list[np.ndarray] = []
+    with ServedPlant(tmp_path, names=("left",), on_tick=lambda _k, _t, o: applied.append(o.tau_applied)) as served:
+        (left,) = served.enabled()
+        left.read()
+        left.write(np.array([0.2, 0.0, 0.0]))
+        stamps = [left.read().stamp_ns for _ in range(4)]
+    assert stamps == [5_000_000, 10_000_000, 15_000_000, 20_000_000]
+    assert [round(float(a[0]), 3) for a in applied[:4]] == [0.0, 0.2, 0.2, 0.2]
+
+
+def test_second_torque_in_a_tick_is_refused(tmp_path: Path) -> None:
+    with ServedPlant(tmp_path, names=("left",)) as served:
+        (left,) = served.enabled()
+        left.read()
+        left.write(TAU)
+        with pytest.raises(DriverError, match="no state read since the last torque"):
+            left.write(TAU)
+        left.read()
+        left.write(TAU)
+
+
+def test_rate_without_a_whole_number_of_substeps_is_refused(tmp_path: Path) -> None:
+    with ServedPlant(tmp_path, rate_hz=120.0) as served:
+        served.join()
+        assert isinstance(served.error, PlantError)
+        assert "use 0.000925925925926 s" in str(served.error)
+        assert not served.path.exists()
+
+
+def test_real_time_keeps_the_pace_and_the_last_torque(tmp_path: Path) -> None:
+    applied: list[float] = []
+    with ServedPlant(
+        tmp_path,
+        names=("left",),
+        lockstep=False,
+        on_tick=lambda _k, _t, o: applied.append(float(o.tau_applied[0])),
+    ) as served:
+        (left,) = served.enabled()
+        first = left.read()
+        left.write(np.array([0.2, 0.0, 0.0]))
+        time.sleep(0.1)
+        later = left.read()
+        assert abs(later.stamp_ns - time.monotonic_ns()) < 5e9
+        elapsed_ticks = (later.stamp_ns - first.stamp_ns) / 5e6
+        assert elapsed_ticks >= 10  # the states in between were skipped, not queued
+        assert elapsed_ticks == pytest.approx(round(elapsed_ticks), abs=1e-3)
+        left.close()
+        served.join()
+    assert applied.count(0.2) >= 10
+    assert served.summary is not None
+    assert served.summary.ticks >= elapsed_ticks
+
+
+def test_real_time_goes_on_without_a_disabled_arm(tmp_path: Path) -> None:
+    with ServedPlant(tmp_path, lockstep=False) as served:
+        left, right = served.enabled()
+        left.read()
+        right.read()
+        right.disable()
+        stamps = [left.read().stamp_ns for _ in range(3)]
+        assert stamps == sorted(set(stamps))
+        assert np.all(np.isfinite(right.read().q))
+
+
+def test_agent_that_does_not_fetch_its_states_loses_them_and_nothing_else(tmp_path: Path) -> None:
+    with ServedPlant(tmp_path, lockstep=False, rate_hz=1000.0) as served:
+        left, right = served.enabled()
+        right._link._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1)
+        deadline = time.monotonic() + 10.0
+        while served._thread.is_alive() and time.monotonic() < deadline:
+            left.read()
+            if served.plant.t > 0.5:
+                break
+        newest = right.read()
+        assert newest.stamp_ns > 0
+        for d in (left, right):
+            d.close()
+        served.join()
+        assert served.error is None
+
+
+def test_clock_in_lockstep_stands_at_the_last_state_and_never_sleeps(tmp_path: Path) -> None:
+    with ServedPlant(tmp_path, names=("left",)) as served:
+        left = served.driver()
+        assert left.clock.now_ns() == 0
+        left.connect()
+        left.enable()
+        cycle([left], 3)
+        assert left.clock.now_ns() == 10_000_000
+        left.clock.sleep_until(10**18)
+        assert left.clock.now_ns() == 10_000_000
+
+
+def test_clock_in_real_time_is_monotonic_time(tmp_path: Path) -> None:
+    with ServedPlant(tmp_path, names=("left",), lockstep=False) as served:
+        left = served.driver()
+        left.connect()
+        deadline_ns = left.clock.now_ns() + 2_000_000
+        left.clock.sleep_until(deadline_ns)
+        assert time.monotonic_ns() >= deadline_ns
+        left.clock.sleep_until(0)

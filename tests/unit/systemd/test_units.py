@@ -1,0 +1,230 @@
+"""What the systemd units promise is written in them, and every command line is one that `coop` has."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+import typer
+
+from agent.cli.main import app
+from agent.host.paths import ring_path
+from tests.support.systemd.unit_files import (
+    CASES,
+    CHOICES,
+    SERVICES,
+    SIMULATED,
+    SYSTEMD,
+    Unit,
+    command,
+    install,
+    one,
+    read_unit,
+    words,
+)
+
+NETWORKLESS = ("coop-agent@left", "coop-rings", "coop-plant")
+
+
+@pytest.fixture
+def host(tmp_path: Path) -> Path:
+    install(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def simulated_host(tmp_path: Path) -> Path:
+    install(tmp_path, "simulated")
+    return tmp_path
+
+
+@pytest.mark.parametrize("name", NETWORKLESS)
+def test_no_network_where_an_arm_is_commanded(simulated_host: Path, name: str) -> None:
+    unit = read_unit(simulated_host, name)
+    assert one(unit, "PrivateNetwork") == "yes"
+    assert words(unit, "RestrictAddressFamilies") in ({"AF_UNIX"}, {"none"})
+    assert words(unit, "IPAddressDeny") == {"any"}
+    assert not unit["IPAddressAllow"]
+
+
+@pytest.mark.parametrize("name", ["coop-telemetry@left", "coop-recorder", "coop-rings"])
+def test_only_the_agent_reaches_a_device(host: Path, name: str) -> None:
+    unit = read_unit(host, name)
+    assert not unit["DeviceAllow"]
+    assert one(unit, "PrivateDevices") == "yes"
+    assert one(unit, "DevicePolicy") == "closed"
+    assert "dialout" not in words(unit, "SupplementaryGroups")
+
+
+def test_the_agent_reaches_usb_serial_adapters_and_nothing_else(
+    host: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    agent = read_unit(host, "coop-agent@left")
+    assert agent["DeviceAllow"] == ["char-ttyUSB rw", "char-ttyACM rw"]
+    assert one(agent, "DevicePolicy") == "closed"
+    simulated = tmp_path_factory.mktemp("simulated")
+    install(simulated, "simulated")
+    assert not read_unit(simulated, "coop-agent@left")["DeviceAllow"]
+
+
+@pytest.mark.parametrize("choices", CHOICES.values(), ids=CHOICES)
+def test_an_agent_is_never_started_again_by_itself(tmp_path: Path, choices: tuple[str, ...]) -> None:
+    install(tmp_path, *choices)
+    assert one(read_unit(tmp_path, "coop-agent@left"), "Restart") == "no"
+    target = (tmp_path / "etc/systemd/system/coop.target").read_text()
+    assert "\n[Install]" not in target, "the boot of a host must not start an arm"
+
+
+def test_no_time_out_ever_kills_an_agent_that_holds(host: Path) -> None:
+    agent = read_unit(host, "coop-agent@left")
+    assert one(agent, "TimeoutStopSec") == "infinity"
+    assert one(agent, "KillSignal") == "SIGTERM"
+    assert one(agent, "KillMode") == "mixed"
+    assert one(agent, "SystemCallErrorNumber") == "EPERM", "a forbidden system call is refused, not a death"
+
+
+def test_an_agent_that_hangs_before_it_holds_anything_is_ended(host: Path) -> None:
+    agent = read_unit(host, "coop-agent@left")
+    assert one(agent, "TimeoutStartFailureMode") == "abort"
+    assert one(agent, "TimeoutAbortSec") == "1s"
+    assert one(agent, "WatchdogSec") == "100ms"
+    assert one(agent, "Type") == "notify"
+
+
+@pytest.mark.parametrize("name", ["coop-telemetry@left", "coop-recorder"])
+def test_telemetry_and_recorder_always_come_back(host: Path, name: str) -> None:
+    unit = read_unit(host, name)
+    assert one(unit, "Restart") == "always"
+    assert one(unit, "RestartSec") == "500ms"
+    assert one(unit, "StartLimitIntervalSec") == "0"
+
+
+def test_the_log_begins_before_the_agent_and_ends_after_it(simulated_host: Path) -> None:
+    after = {name: words(read_unit(simulated_host, name), "After") for name in SIMULATED}
+    assert {"coop-telemetry@left.service", "coop-plant.service"} <= after["coop-agent@left"]
+    assert {"coop-recorder.service", "coop-rings.service"} <= after["coop-telemetry@left"]
+    assert "ssh.service" in after["coop-agent@left"], "a HOLD that delays a shutdown must leave a way in"
+
+
+@pytest.mark.parametrize("name", SERVICES)
+def test_every_unit_stops_with_the_cell(host: Path, name: str) -> None:
+    assert "coop.target" in words(read_unit(host, name), "PartOf")
+
+
+# Two units, one file
+
+
+@pytest.mark.parametrize("choices", CHOICES.values(), ids=CHOICES)
+def test_agent_and_telemetry_mean_the_same_ring(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, choices: tuple[str, ...]
+) -> None:
+    install(tmp_path, *choices)
+    agent, telemetry = (read_unit(tmp_path, name) for name in ("coop-agent@left", "coop-telemetry@left"))
+    monkeypatch.setenv("RUNTIME_DIRECTORY", f"/run/{one(agent, 'RuntimeDirectory')}")
+    rings = {_option(agent, "--ring"), _option(telemetry, "--ring")}
+    assert rings == {str(ring_path("any", "left"))}
+    assert one(agent, "RuntimeDirectoryPreserve") == "yes", "the ring is the black box"
+
+
+def test_plant_and_agent_mean_the_same_socket(simulated_host: Path) -> None:
+    plant, agent, telemetry = (
+        read_unit(simulated_host, name) for name in ("coop-plant", "coop-agent@left", "coop-telemetry@plant")
+    )
+    assert _option(plant, "--socket") == _option(agent, "--plant-socket")
+    assert _option(plant, "--ring") == _option(telemetry, "--ring")
+    assert _option(plant, "--socket").startswith(f"/run/{one(plant, 'RuntimeDirectory')}/")
+    assert one(plant, "User") == one(agent, "User"), "the plant serves nobody else"
+
+
+def test_the_ring_is_shared_by_its_group_alone(host: Path) -> None:
+    agent, telemetry, recorder = (
+        read_unit(host, n) for n in ("coop-agent@left", "coop-telemetry@left", "coop-recorder")
+    )
+    assert one(agent, "Group") in words(telemetry, "SupplementaryGroups")
+    assert one(agent, "UMask") == "0027"
+    assert one(agent, "RuntimeDirectoryMode") == "0750"
+    assert len({one(unit, "User") for unit in (agent, telemetry, recorder)}) == 3
+    assert one(agent, "Group") not in words(recorder, "SupplementaryGroups") | words(recorder, "Group")
+
+
+# The command line is the one `coop` has
+
+
+@pytest.mark.parametrize(("choices", "name"), [case for case in CASES if "rings" not in case[1]])
+def test_coop_understands_its_command_line(tmp_path: Path, choices: tuple[str, ...], name: str) -> None:
+    install(tmp_path, *choices)
+    program, verb, *arguments = command(read_unit(tmp_path, name))
+    assert program == "/opt/coop/bin/coop"
+    group = typer.main.get_command(app)
+    context = typer.Context(group)
+    found = group.get_command(context, verb)  # type: ignore[attr-defined]
+    assert found is not None, verb
+    parsed = found.make_context(verb, arguments)  # raises UsageError for an unknown option or a bad value
+    assert str(parsed.params["cell"]) == "/etc/coop/cell.toml"
+
+
+def test_the_simulated_agent_differs_in_driver_and_priority(
+    host: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    root = tmp_path_factory.mktemp("simulated")
+    install(root, "simulated")
+    real, simulated = (read_unit(where, "coop-agent@left") for where in (host, root))
+    assert {key for key in real | simulated if real[key] != simulated[key]} == {
+        "Requires", "After", "ExecStart", "DeviceAllow", "PrivateDevices", "WatchdogSec",
+    }  # fmt: skip
+    extra = ["--real-time", "--plant-socket", _option(simulated, "--plant-socket")]
+    priority = ["--priority", _option(real, "--priority")]  # a desktop or a virtual machine need not grant it
+    assert sorted(w for w in command(simulated) if w not in extra) == sorted(
+        "sim" if w == "dynamixel" else w for w in command(real) if w not in priority
+    )
+
+
+# Installing
+
+
+def test_a_choice_that_is_left_out_is_taken_away_again(tmp_path: Path) -> None:
+    install(tmp_path / "never")
+    install(tmp_path / "then", "simulated", "several-hosts")
+    install(tmp_path / "then")
+    never, then = (
+        {str(path.relative_to(root)) for path in (root / "etc/systemd").rglob("*") if path.is_file()}
+        for root in (tmp_path / "never", tmp_path / "then")
+    )
+    assert never == then
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "etc/udev/rules.d/60-coop.rules",
+        "etc/coop/zenoh/recorder.json5",
+        "etc/systemd/system/coop-telemetry@.service.d/50-several-hosts.conf",
+    ],
+)
+def test_what_was_filled_in_survives_an_update(tmp_path: Path, path: str) -> None:
+    install(tmp_path, "several-hosts")
+    (tmp_path / path).write_text("filled in")
+    install(tmp_path, "several-hosts")
+    assert (tmp_path / path).read_text() == "filled in"
+
+
+# udev
+
+
+def test_the_rule_names_adapters_by_serial_number_and_takes_their_latency_away() -> None:
+    rule = (SYSTEMD / "udev/60-coop.rules").read_text()
+    lines = [line for line in rule.splitlines() if line and not line.startswith("#")]
+    for line in lines:
+        token = r'[A-Z_]+(\{[\w/]+\})?(==|!=|\+=|=)"[^"]*"'
+        assert re.fullmatch(rf"{token}(, {token})*", line), line
+    adapters = [line for line in lines if 'ATTRS{idProduct}=="6014"' in line]
+    assert all('ATTRS{idVendor}=="0403"' in line for line in adapters)
+    assert any('ATTR{device/latency_timer}="1"' in line and 'GROUP="dialout"' in line for line in adapters)
+    named = re.findall(r'ATTRS\{serial\}=="\w+", SYMLINK\+="(coop/\w+)"', rule)
+    assert named == ["coop/left", "coop/right"], "as in the shipped cell files"
+
+
+def _option(unit: Unit, name: str) -> str:
+    found = command(unit)
+    return found[found.index(name) + 1]

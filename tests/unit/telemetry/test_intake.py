@@ -1,0 +1,190 @@
+"""The recorder's door lets in what belongs to the run, once, and counts everything else."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from agent.telemetry.link.intake import Intake, Rejection
+from agent.telemetry.link.wire import BatchHeader, End, StreamStatus, pack_status, unpack_status
+from agent.telemetry.row.event import Event, Level
+from agent.telemetry.row.received import Rows, Text
+from agent.telemetry.row.topics import PLANT, Address, Kind
+from tests.support.telemetry.telemetry_cell import CELL, CONFIG_ID, make_rows
+
+KEY = Address(CELL, "left", Kind.STATE).key
+RING = 77
+
+
+def intake() -> Intake:
+    return Intake(CELL, {"left": 3, "right": 3}, has_plant=True, config_id=CONFIG_ID)
+
+
+def header(first: int, written: int, *, end: End = End.OPEN, source: int = RING, missed: int = 0) -> bytes:
+    return BatchHeader(source, first, written, missed, end).pack()
+
+
+def sequences(taken: list) -> list[int]:
+    return [s for item in taken for s in item.rows["sequence"].tolist()]
+
+
+def test_rows_go_in_as_they_came_and_once() -> None:
+    door, rows = intake(), make_rows("left", 30)
+    (first,) = door.take(KEY, rows[:10].tobytes(), header(0, 30))
+    assert isinstance(first, Rows)
+    assert first.rows.tobytes() == rows[:10].tobytes()
+    assert door.take(KEY, rows[:10].tobytes(), header(0, 30)) == []
+    assert sequences(door.take(KEY, rows[5:15].tobytes(), header(5, 30))) == list(range(10, 15))
+    assert sequences(door.take(KEY, rows[20:30].tobytes(), header(20, 30))) == list(range(20, 30))
+    assert sequences(door.take(KEY, rows[12:25].tobytes(), header(12, 30))) == list(range(15, 20))
+    assert door.streams[KEY].duplicates == 10 + 5 + 8
+    assert not door.rejected
+
+
+def damaged(field: str, value: int) -> bytes:
+    rows = make_rows("left", 4)
+    rows[field][2] = value
+    return rows.tobytes()
+
+
+GOOD = make_rows("left", 4).tobytes()
+
+
+@pytest.mark.parametrize(
+    ("key", "payload", "attachment", "why"),
+    [
+        ("coop/paper/third/state", GOOD, header(0, 4), Rejection.UNKNOWN_KEY),
+        ("coop/paper/left/torque", GOOD, header(0, 4), Rejection.UNKNOWN_KEY),
+        (KEY, GOOD, b"", Rejection.NO_HEADER),
+        (KEY, GOOD, header(0, 4)[:-1], Rejection.NO_HEADER),
+        (KEY, GOOD, b"XXXX" + header(0, 4)[4:], Rejection.NO_HEADER),
+        (KEY, GOOD, header(9, 4), Rejection.NO_HEADER),
+        (KEY, GOOD, header(0, 4, source=0), Rejection.NO_HEADER),
+        (KEY, GOOD[:-1], header(0, 4), Rejection.WRONG_LENGTH),
+        (KEY, b"", header(0, 4), Rejection.WRONG_LENGTH),
+        (KEY, damaged("encapsulation", 1), header(0, 4), Rejection.WRONG_ENCAPSULATION),
+        (KEY, damaged("config_id", 1), header(0, 4), Rejection.WRONG_CONFIG),
+        (KEY, damaged("joint_count", 7), header(0, 4), Rejection.WRONG_JOINTS),
+        (KEY, damaged("sequence", 1), header(0, 4), Rejection.WRONG_ORDER),
+        (KEY, GOOD, header(0, 3), Rejection.WRONG_ORDER),
+        (KEY, make_rows(PLANT, 45).tobytes(), header(0, 45), Rejection.WRONG_LENGTH),
+        ("coop/paper/left/event", b"{}", header(0, 1), Rejection.NOT_A_TEXT),
+        ("coop/paper/left/health", b"[1]", header(0, 1), Rejection.NOT_A_TEXT),
+    ],
+)
+def test_what_does_not_belong_is_counted_and_left_out(
+    key: str, payload: bytes, attachment: bytes, why: Rejection
+) -> None:
+    door = intake()
+    assert door.take(key, payload, attachment) == []
+    assert dict(door.rejected) == {why: 1}
+    assert all(stream.have.count == 0 and not stream.source for stream in door.streams.values())
+
+
+@given(st.binary(max_size=200), st.binary(max_size=60), st.sampled_from([KEY, "coop/paper/left/event", "x"]))
+def test_nothing_that_comes_in_can_break_the_door(payload: bytes, attachment: bytes, key: str) -> None:
+    door = intake()
+    assert door.take(key, payload, attachment) == []
+    door.take(key, payload, header(0, 1))
+    assert door.take(KEY, GOOD, header(0, 4))
+
+
+def test_rows_must_go_up_across_batches_too() -> None:
+    door, rows = intake(), make_rows("left", 8)
+    door.take(KEY, rows[:4].tobytes(), header(0, 8))
+    assert door.take(KEY, rows[2:6].tobytes(), header(4, 8)) == []
+    assert door.rejected[Rejection.WRONG_ORDER] == 1
+
+
+def test_a_ring_of_another_run_stays_out() -> None:
+    door, rows = intake(), make_rows("left", 8)
+    door.take(KEY, rows.tobytes(), header(0, 8))
+    assert door.take(KEY, rows.tobytes(), header(0, 8, source=99)) == []
+    assert door.rejected[Rejection.ANOTHER_RUN] == 1
+    assert door.streams[KEY].source == RING
+
+
+def test_events_are_recorded_once_even_when_telemetry_starts_again() -> None:
+    door, key = intake(), Address(CELL, "left", Kind.EVENT).key
+    text = Event(5, "left", Level.WARN, "HOLD").to_json()
+    (item,) = door.take(key, text, header(0, 1, source=5))
+    assert isinstance(item, Text)
+    assert item.event == Event.from_json(text)
+    assert door.take(key, text, header(0, 1, source=5)) == []
+    assert door.take(key, text, header(0, 1, source=6)) == []
+    health = json.dumps({"utc_ns": 3}).encode()
+    assert len(door.take(Address(CELL, "left", Kind.HEALTH).key, health, header(0, 1))) == 1
+
+
+def test_completeness_says_what_is_missing_and_why() -> None:
+    door = intake()
+    for member in ("left", "right", PLANT):
+        rows, key = make_rows(member, 20), Address(CELL, member, Kind.STATE).key
+        rows["sequence"] += 100
+        parts = [(0, 20)] if member != "right" else [(2, 8), (10, 20)]
+        for a, b in parts:
+            door.take(key, rows[a:b].tobytes(), header(a, 20, missed=2 if member == "right" else 0))
+        door.take(key, b"", header(20, 20, end=End.FINISHED, missed=2 if member == "right" else 0))
+    told = door.completeness({"left": 3})
+    assert told["complete"] == "false"
+    assert told["left.lost_on_disk"] == "3"
+    assert (told["left.rows_expected"], told["left.rows_recorded"], told["left.gaps"]) == ("20", "17", "[]")
+    assert json.loads(told["right.gaps"]) == [[100, 101], [108, 109]]
+    assert (told["right.lost_in_ring"], told["right.lost_on_the_way"]) == ("2", "2")
+    assert told["plant.end"] == "finished"
+
+
+@pytest.mark.parametrize("absent", ["nothing", "a row", "the end", "an arm"])
+def test_complete_means_every_row_and_every_end_of_every_member(absent: str) -> None:
+    door = intake()
+    for member in ("left", "right", PLANT):
+        rows, key = make_rows(member, 6), Address(CELL, member, Kind.STATE).key
+        if member == "left" and absent == "an arm":
+            continue
+        door.take(key, rows[: 5 if member == "left" and absent == "a row" else 6].tobytes(), header(0, 6))
+        if not (member == "left" and absent == "the end"):
+            door.take(key, b"", header(6, 6, end=End.DIED))
+    assert door.completeness({})["complete"] == str(absent == "nothing").lower()
+
+
+def test_a_long_run_with_losses_keeps_its_books_bounded() -> None:
+    door, rows = intake(), make_rows("left", 5000)
+    for i in range(0, 5000, 2):
+        door.take(KEY, rows[i : i + 1].tobytes(), header(i, 5000))
+    stream = door.streams[KEY]
+    assert stream.have.count == 2500
+    assert stream.gaps()[:2] == [(1, 1), (3, 3)]
+    assert len(stream.status.have) <= 16
+
+
+@given(
+    st.dictionaries(
+        st.text(max_size=10),
+        st.builds(
+            StreamStatus,
+            st.integers(0, 2**64 - 1),
+            st.lists(st.tuples(st.integers(0, 99), st.integers(0, 99)), max_size=16).map(tuple),
+            st.booleans(),
+        ),
+    )
+)
+def test_a_status_comes_back_as_it_was(streams: dict[str, StreamStatus]) -> None:
+    assert unpack_status(pack_status(True, "", streams)) == streams
+
+
+@pytest.mark.parametrize("payload", [b"", b"[]", b"{}", b'{"streams": 3}', b'{"streams": {"a": {}}}', b"\xff"])
+def test_what_is_no_status_is_refused(payload: bytes) -> None:
+    with pytest.raises(ValueError, match=r"."):
+        unpack_status(payload)
+
+
+@given(st.binary(max_size=60))
+def test_a_header_is_what_it_was_or_is_refused(data: bytes) -> None:
+    try:
+        back = BatchHeader.unpack(data)
+    except ValueError:
+        return
+    assert back.pack() == data

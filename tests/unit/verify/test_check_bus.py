@@ -1,0 +1,78 @@
+"""A rate that a servo bus cannot carry is refused before anything is opened, with the highest one that it can."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from dataclasses import replace
+
+import pytest
+import tomli_w
+
+import configs
+from agent.config.cell import Cell, ConfigError, cell_from_toml, load_cell
+from agent.config.servo_map import arm_map
+from agent.verify.bus import bus_rates
+from agent.verify.check import Verdict, examine
+from drivers.dynamixel.errors import DriverError
+from drivers.dynamixel.pace import PaceError, check_rate
+
+WX200 = configs.CELLS_DIR / "two_wx200.toml"
+WHAT = "rate on the servo bus"
+
+
+def highest(cell: Cell) -> float:
+    return min(bus.rate_max_hz for bus in bus_rates(cell, examine(cell).q_start))
+
+
+def test_the_highest_rate_that_fits_is_accepted_and_the_next_is_refused_naming_it() -> None:
+    rate_hz = highest(load_cell(WX200))
+    examine(load_cell(WX200, [f"rate_hz={rate_hz}"]), wired=True).require()
+    with pytest.raises(ConfigError, match=re.escape(f"found {rate_hz + 1:g} Hz, expected ≤ {rate_hz:g} Hz (7 servos")):
+        examine(load_cell(WX200, [f"rate_hz={rate_hz + 1}"]), wired=True).require()
+
+
+def test_the_check_refuses_exactly_what_the_driver_would_refuse() -> None:
+    for path in sorted(configs.CELLS_DIR.glob("*.toml")):
+        cell = load_cell(path)
+        q_start = examine(cell).q_start
+        for bus, arm, q in zip(bus_rates(cell, q_start), cell.arms, q_start, strict=True):
+            for rate_hz, refused in ((bus.rate_max_hz, False), (bus.rate_max_hz + 1.0, True)):
+                servos = arm_map(load_cell(path, [f"rate_hz={rate_hz}"]), arm, "port", q)
+                error: DriverError | None = None
+                try:
+                    check_rate(servos, fast=bus.fast)
+                except PaceError as found:
+                    error = found
+                assert (error is not None) == refused, (path.name, arm.name, rate_hz)
+
+
+def test_a_faster_bus_carries_a_higher_rate() -> None:
+    faster = load_cell(WX200, [f"arms.{arm}.dynamixel.baud=3000000" for arm in ("left", "right")])
+    assert highest(faster) > 1.3 * highest(load_cell(WX200))
+
+
+def test_a_simulated_run_is_warned_and_goes_on() -> None:
+    rate_hz = highest(load_cell(WX200)) + 1
+    report = examine(load_cell(WX200, [f"rate_hz={rate_hz}"]))
+    assert {f.verdict for f in report.findings if f.what == WHAT} == {Verdict.WARNING}
+    report.require()
+
+
+def test_arms_without_a_port_have_no_bus_to_check() -> None:
+    document = tomllib.loads(WX200.read_text())
+    document["rate_hz"] = 2000.0
+    for arm in document["arms"]:
+        del arm["dynamixel"]
+    cell = cell_from_toml(tomli_w.dumps(document).encode(), "portless.toml")
+    assert [f for f in examine(cell, wired=True).findings if f.what == WHAT] == []
+
+
+def test_a_servo_map_that_contradicts_itself_is_refused_with_its_reason() -> None:
+    cell = load_cell(WX200)
+    arm = cell.arms[0]
+    first = arm.file.joints[0]
+    clash = arm.file.model_copy(update={"joints": [first, first.model_copy(), *arm.file.joints[1:]]})
+    broken = replace(cell, arms=(replace(arm, file=clash), *cell.arms[1:]))
+    with pytest.raises(ConfigError, match=r"servo IDs: found .* give every servo its own ID"):
+        bus_rates(broken, examine(cell).q_start)
