@@ -287,7 +287,7 @@ def test_doctor_finds_an_emulated_cell_fit_and_leaves_it_as_it_was(cell: Path, t
     assert coop("motors", "dump", "--port", cell / "left", "--baud", "1000000", "--out", files[0]).returncode == 0
     done = coop("doctor", TWO_WX200, "--ports", cell, "--logs", tmp_path, "--json")
     document = json.loads(done.stdout)
-    assert done.returncode == {"ok": 0, "warning": 1, "problem": 2}[document["verdict"]]
+    assert done.returncode == {"ok": 0, "warning": 1, "refused": 2}[document["verdict"]]
     assert against_arms(document) == []
     assert set(document["cycles"]) == {"left", "right"}
     assert coop("motors", "dump", "--port", cell / "left", "--baud", "1000000", "--out", files[1]).returncode == 0
@@ -302,7 +302,7 @@ def test_doctor_names_the_program_that_has_the_port_and_looks_at_the_other_arm(c
         done = coop("doctor", TWO_WX200, "--ports", cell, "--logs", tmp_path)
     assert done.returncode == 2
     assert re.search(
-        rf"^problem  left: port .*: found in use by .*\({pid}\), wanted nobody else on the bus; ", done.stdout, re.M
+        rf"^refused  left: port .*: found in use by .*\({pid}\), wanted nobody else on the bus; ", done.stdout, re.M
     )
     assert re.search(r"^ok       right: servos: 7, IDs 1, 2, 3, 4, 5, 6, 7", done.stdout, re.M)
     assert "left: servos" not in done.stdout
@@ -314,7 +314,7 @@ def test_doctor_sees_a_defect_that_the_sdk_made(cell: Path, tmp_path: Path) -> N
     done = coop("doctor", TWO_WX200, "--arm", "left", "--ports", cell, "--logs", tmp_path)
     assert done.returncode == 2
     assert re.search(
-        r"^problem  left: servo 4 \(elbow\): Drive Mode: found 0, wanted bit 0 set: reverse;", done.stdout, re.M
+        r"^refused  left: servo 4 \(elbow\): Drive Mode: found 0, wanted bit 0 set: reverse;", done.stdout, re.M
     )
 
 

@@ -112,35 +112,35 @@ class Defect:
 
 DEFECTS = {
     "a servo is missing": Defect(
-        r"problem: .*servo 5 \(wrist_angle\): found nothing .*wanted a XM430",
+        r"refused: .*servo 5 \(wrist_angle\): found nothing .*wanted a XM430",
         refused=True, happens=fault(FaultKind.SILENT, 5),
     ),
     "no power": Defect(
-        r"problem: .*servos: found none that answers, at any speed.*12 V supply",
+        r"refused: .*servos: found none that answers, at any speed.*12 V supply",
         refused=True, happens=fault(FaultKind.POWER_LOSS),
     ),
     "wrong baud rate": Defect(
-        r"problem: .*baud rate: found servo 1 answers at 57600 bit/s, wanted 1000000 bit/s; correct `baud`",
+        r"refused: .*baud rate: found servo 1 answers at 57600 bit/s, wanted 1000000 bit/s; correct `baud`",
         refused=True, emulated=at(WX200, baud=57_600),
     ),
     "another arm": Defect(
-        r"problem: .*found IDs 21, 22, .*another arm: check the port",
+        r"refused: .*found IDs 21, 22, .*another arm: check the port",
         refused=True, emulated=ANOTHER_ARM,
     ),
     "two servos share an ID": Defect(
-        r"problem: .*servo 5 \(wrist_angle\): found more than one servo with this ID.*setup",
+        r"refused: .*servo 5 \(wrist_angle\): found more than one servo with this ID.*setup",
         refused=True, happens=register(6, ID, 5),
     ),
     "a servo too many": Defect(
-        r"problem: .*servo 9: found a XL430-W250 that the arm file does not know",
+        r"refused: .*servo 9: found a XL430-W250 that the arm file does not know",
         refused=True, emulated=ONE_MORE,
     ),
     "wrong model": Defect(
-        r"problem: .*servo 4 \(elbow\): model: found XL430-W250, wanted XM430-W350; .*another arm",
+        r"refused: .*servo 4 \(elbow\): model: found XL430-W250, wanted XM430-W350; .*another arm",
         refused=True, emulated=other("elbow", servo=XL, tau_max_Nm=1.0),
     ),
     "firmware too old": Defect(
-        r"problem: .*servo 4 \(elbow\): firmware: found 37, wanted 38 or newer.*Wizard",
+        r"refused: .*servo 4 \(elbow\): firmware: found 37, wanted 38 or newer.*Wizard",
         refused=True, happens=old_firmware,
     ),
     "firmware without fast sync read": Defect(
@@ -148,11 +148,11 @@ DEFECTS = {
         refused=False, firmware=44,
     ),
     "latency timer": Defect(
-        r"problem: .*USB latency timer: found 16 ms, wanted 1 ms; install the udev rule",
+        r"refused: .*USB latency timer: found 16 ms, wanted 1 ms; install the udev rule",
         refused=True, happens=slow_timer,
     ),
     "latency timer that nobody tells": Defect(
-        r"problem: .*read in its period: found 1\d\.\d\d ms .*latency timer",
+        r"refused: .*read in its period: found 1\d\.\d\d ms .*latency timer",
         refused=True, timing=SLOW_USB,
     ),
     "return delay": Defect(
@@ -160,7 +160,7 @@ DEFECTS = {
         refused=False, eeprom={"Return_Delay_Time": 250},
     ),
     "direction": Defect(
-        r"problem: .*Drive Mode: found 0, wanted bit 0 set: reverse; check how .*setup",
+        r"refused: .*Drive Mode: found 0, wanted bit 0 set: reverse; check how .*setup",
         refused=True, happens=register(4, DRIVE_MODE, 0),
     ),
     "time-based profile": Defect(
@@ -168,11 +168,11 @@ DEFECTS = {
         refused=False, happens=register(1, DRIVE_MODE, 4),
     ),
     "a shadow that follows nobody": Defect(
-        r"problem: .*servo 3 \(shoulder shadow\): Secondary.*found 255, wanted 2;",
+        r"refused: .*servo 3 \(shoulder shadow\): Secondary.*found 255, wanted 2;",
         refused=True, happens=register(3, SECONDARY_ID, 255),
     ),
     "homing offset": Defect(
-        r"problem: .*Homing Offset: found 12, wanted 0;",
+        r"refused: .*Homing Offset: found 12, wanted 0;",
         refused=True, happens=register(2, HOMING_OFFSET, 12),
     ),
     "position limit": Defect(
@@ -180,7 +180,7 @@ DEFECTS = {
         refused=False, happens=register(2, MIN_POSITION_LIMIT, 0),
     ),
     "current limit": Defect(
-        r"problem: .*Current Limit: found 50, wanted at least 4\d\d",
+        r"refused: .*Current Limit: found 50, wanted at least 4\d\d",
         refused=True, happens=register(4, CURRENT_LIMIT, 50),
     ),
     "pwm limit": Defect(
@@ -192,15 +192,15 @@ DEFECTS = {
         refused=False, happens=register(1, SHUTDOWN, 0),
     ),
     "torque when power comes": Defect(
-        r"problem: .*Startup Configuration: found 1, wanted 0",
+        r"refused: .*Startup Configuration: found 1, wanted 0",
         refused=False, happens=register(1, STARTUP_CONFIGURATION, 1),
     ),
     "torque is on": Defect(
-        r"problem: .*torque: found on in servo 4, wanted off; another program",
+        r"refused: .*torque: found on in servo 4, wanted off; another program",
         refused=True, happens=register(4, TORQUE_ENABLE, 1),
     ),
     "hardware error": Defect(
-        r"problem: .*servo 4 \(elbow\): hardware error: found OVERLOAD, wanted none",
+        r"refused: .*servo 4 \(elbow\): hardware error: found OVERLOAD, wanted none",
         refused=True, happens=fault(FaultKind.OVERLOAD, 4),
     ),
     "hot": Defect(
@@ -208,7 +208,7 @@ DEFECTS = {
         refused=False, happens=fault(FaultKind.OVERHEAT, 4, temperature_C=78.0),
     ),
     "supply far too low": Defect(
-        r"problem: .*servo 4 \(elbow\): supply: found 8.0 V, wanted 9.5",
+        r"refused: .*servo 4 \(elbow\): supply: found 8.0 V, wanted 9.5",
         refused=True, happens=fault(FaultKind.VOLTAGE, 4, voltage_V=8.0),
     ),
     "supply low": Defect(
@@ -224,11 +224,11 @@ DEFECTS = {
         refused=True, happens=away,
     ),
     "no answers to reads": Defect(
-        r"problem: .*servo 4 \(elbow\): found nothing .*though it answers pings",
+        r"refused: .*servo 4 \(elbow\): found nothing .*though it answers pings",
         refused=False, happens=register(4, STATUS_RETURN_LEVEL, 0),
     ),
     "babble": Defect(
-        r"problem: .*port virtual: found bytes that nobody asked for",
+        r"refused: .*port virtual: found bytes that nobody asked for",
         refused=False, happens=fault(FaultKind.BABBLE),
     ),
     "a bad cable": Defect(
