@@ -74,12 +74,12 @@ def test_a_gain_above_the_stable_bound_is_warned_of_with_the_bound(key: str) -> 
     found = finding(cell_of("paper", KIND, f"controller.adaptive.{key}=50.0"), key)
     assert found.verdict is Verdict.WARNING
     assert found.found == "50"
-    assert 0.0 < float(found.limit.removeprefix("≤ ")) < 50.0
+    assert 0.0 < float(found.wanted.removeprefix("≤ ")) < 50.0
     assert f"lower {key}" in found.remedy
 
 
 def limit_of(cell: Cell, key: str = "gamma") -> float:
-    return float(finding(cell, key).limit.removeprefix("≤ "))
+    return float(finding(cell, key).wanted.removeprefix("≤ "))
 
 
 def test_the_bound_grows_with_the_rate_and_shrinks_with_the_start_error() -> None:
