@@ -1,4 +1,4 @@
-"""The command `coop`: parse, dispatch, print.  Nothing else; only the cli modules print."""
+"""The command `coop`: every refusal is one line for a person and an exit code for a script."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from agent.cli import logs as cli_logs
 from agent.cli import motors as cli_motors
 from agent.cli import processes as cli_processes
 from agent.cli.options import CellPath, ControlSockets, Overrides, SomeArms
+from agent.cli.where import where
 from drivers.interface import Refusal
 
 app = typer.Typer(
@@ -181,6 +182,7 @@ for _command in (
     cli_logs.play,
     cli_logs.recover,
     cli_motors.doctor,
+    where,
 ):
     app.command()(_command)
 app.add_typer(cli_motors.app, name="motors")
