@@ -5,13 +5,17 @@ BIN    := $(VENV)/bin
 CELL   ?= configs/cells/paper.toml
 
 .DEFAULT_GOAL := help
-.PHONY: help run test bench format clean
+.PHONY: help run test test-fresh bench format clean
 
 help:  ## this list
-	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## */\1\t/' | expand -t 10
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## */\1\t/' | expand -t 12
 
+# What the host must have is looked for before pip starts; each lack is one line with its remedy.
 $(VENV)/.installed: pyproject.toml
-	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed, found " + sys.version)'
+	@command -v $(PYTHON) >/dev/null || { echo 'coop: no $(PYTHON) here: apt install python3 python3-venv' >&2; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "coop: Python is %d.%d, needed 3.11 or newer (Debian 12 has it): make %s PYTHON=python3.11" % (sys.version_info[0], sys.version_info[1], "$(MAKECMDGOALS)"))'
+	@$(PYTHON) -c 'import sys; sys.exit(sys.maxsize < 2**32 and "coop: Python has 32 bits, pinocchio needs 64: install a 64-bit system")'
+	@$(PYTHON) -c 'import ensurepip' 2>/dev/null || { echo 'coop: $(PYTHON) cannot make an environment: apt install python3-venv' >&2; exit 1; }
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	@touch $@
@@ -25,6 +29,9 @@ test: $(VENV)/.installed  ## format, lint, types, import contracts, tests
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/pytest
+
+test-fresh: $(VENV)/.installed  ## `make run` on minimal Debian 12 and 13, each in a tree of its own; root, 2 min each
+	$(BIN)/pytest --fresh tests/process/install/test_fresh_machine.py
 
 bench: $(VENV)/.installed  ## speed and memory; BENCH_OUT=FILE writes the figures as JSON
 	$(BIN)/python -m tests.bench $(if $(BENCH_OUT),--out $(BENCH_OUT))

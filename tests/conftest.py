@@ -14,7 +14,17 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """`pytest -m hardware --hardware CELL --arm NAME`: supported, unloaded, nobody within reach."""
+    """`-m hardware --hardware CELL --arm NAME`: supported, unloaded, nobody within reach.  `--fresh`: Debian trees."""
     group = parser.getgroup("hardware")
     group.addoption("--hardware", metavar="CELL", help="cell file of the real arm to test")
     group.addoption("--arm", metavar="NAME", help="which arm of that cell")
+    parser.addoption("--fresh", action="store_true", help="build Debian trees and run in them (make test-fresh)")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out what takes minutes and downloads, unless it is asked for."""
+    if config.getoption("--fresh"):
+        return
+    for item in items:
+        if item.get_closest_marker("fresh"):
+            item.add_marker(pytest.mark.skip(reason="two minutes and 300 MB per Debian release: make test-fresh"))

@@ -1,0 +1,64 @@
+"""`make` on a host that lacks something: one line with the remedy, before pip starts."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.support.packages import SOURCE
+
+
+def make_run(folder: Path, python: str) -> subprocess.CompletedProcess[str]:
+    """`make run` in a folder that holds nothing but what make reads: pip would have nothing to install there."""
+    for name in ("Makefile", "pyproject.toml"):
+        shutil.copy(SOURCE / name, folder)
+    command = ["make", "run", f"PYTHON={python}"]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=60)
+
+
+def python_that(folder: Path, begins: str) -> str:
+    """This Python as another one would be: it executes `begins` before anything else."""
+    changed = folder / "changed"
+    changed.mkdir()
+    (changed / "sitecustomize.py").write_text(begins)
+    wrapper = folder / "python"
+    wrapper.write_text(f'#!/bin/sh\nPYTHONPATH={changed} exec {sys.executable} "$@"\n')
+    wrapper.chmod(0o755)
+    return str(wrapper)
+
+
+@pytest.mark.parametrize(
+    ("begins", "line"),
+    [
+        (
+            "import sys; sys.version_info = (3, 9, 2, 'final', 0)",
+            "coop: Python is 3.9, needed 3.11 or newer (Debian 12 has it): make run PYTHON=python3.11",
+        ),
+        (
+            "import sys; sys.maxsize = 2**31 - 1",
+            "coop: Python has 32 bits, pinocchio needs 64: install a 64-bit system",
+        ),
+        (
+            "import sys; sys.modules['ensurepip'] = None",
+            "coop: {python} cannot make an environment: apt install python3-venv",
+        ),
+    ],
+)
+def test_a_python_that_will_not_do_is_refused_in_one_line(tmp_path: Path, begins: str, line: str) -> None:
+    python = python_that(tmp_path, begins)
+    done = make_run(tmp_path, python)
+    assert done.returncode != 0
+    assert done.stderr.splitlines()[0] == line.format(python=python)
+    assert not (tmp_path / ".venv").exists()
+    assert done.stdout == ""
+
+
+def test_no_python_is_refused_in_one_line(tmp_path: Path) -> None:
+    done = make_run(tmp_path, "nosuchpython")
+    assert done.returncode != 0
+    assert done.stderr.splitlines()[0] == "coop: no nosuchpython here: apt install python3 python3-venv"
+    assert not (tmp_path / ".venv").exists()
