@@ -1,4 +1,4 @@
-"""Writes a whole file or none: a reader, or a power cut, never meets half of one.  Creates no folder."""
+"""Writes a file whole or not at all, also when power fails; its folder must exist."""
 
 from __future__ import annotations
 

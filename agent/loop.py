@@ -1,6 +1,6 @@
-"""One tick of one arm as a pure function; `agent.runner` calls it, a replay calls it.
+"""One tick of one arm: the torque as a function of its own state, the time, offline data and its memory, bit for bit.
 
-Nothing here opens anything, knows a clock, or learns anything from another agent.
+`agent.runner` calls it once a cycle; clocks, files and sockets are outside (an import contract).
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
     if mode is Mode.TRACK and _off_track(agent, terms.errors):
         flags |= Flag.OFF_TRACK
     limited = np.array(tau)
-    if Flag.NOT_FINITE in flags:  # nothing that is no number may live on in the memory
+    if Flag.NOT_FINITE in flags:  # the memory keeps finite numbers only
         return Outcome(q, dq, terms, limited, flags, replace(memory, tau=limited, primed=False))
     carried = Memory(q, dq, terms.ddq_ref, memory.ddq, limited, True, memory.hold, t, estimate, memory.q_hold)
     return Outcome(q, dq, terms, limited, flags, carried)

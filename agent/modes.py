@@ -1,4 +1,8 @@
-"""Operating modes and the only rules by which they change; pure, enumerable, no way from HOLD back to TRACK."""
+"""Operating modes, and which one follows when something happens; no event leads from HOLD back to TRACK.
+
+`agent.runner` asks after every cycle.  FAULT it enters by itself, when an arm gives no state any more; no process
+that ships raises ENABLED or SERVO_LOST yet, or enters LOWER.
+"""
 
 from __future__ import annotations
 

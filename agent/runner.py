@@ -1,6 +1,6 @@
-"""The control loop of one arm: wait, read, step, limit, write, log.  Opens nothing and never reads the wall clock.
+"""The control loop of one arm: wait, read, step, write, log, on an open driver and a clock that are given to it.
 
-Absolute deadlines: a late cycle keeps the phase of the trajectory, and what was missed is not caught up.
+Deadlines are absolute: a late cycle keeps the phase of the trajectory, and cycles that were missed are left out.
 """
 
 from __future__ import annotations

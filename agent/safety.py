@@ -1,6 +1,7 @@
-"""The last word on every torque: finite, bounded, rate-limited.  Small, and never clever.
+"""Bounds a torque before it is sent: finite, within its bound, within one step of the last one sent.
 
-Finiteness comes first, because clipping lets NaN through.  Nothing here may raise: a torque always comes out.
+Finiteness comes first, because clipping lets NaN through.  Any floats give a torque, NaN and infinities too; a
+sequence that is not of length n is a ValueError.
 """
 
 from __future__ import annotations

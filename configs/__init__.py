@@ -1,4 +1,4 @@
-"""Arm descriptions and cells that ship with the product; this package only says where they are."""
+"""Arm descriptions and cells that ship with the product, and where they lie."""
 
 from pathlib import Path
 

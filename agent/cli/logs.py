@@ -1,4 +1,4 @@
-"""The commands on logs: parse, dispatch, print.  Nothing else."""
+"""The commands on logs: report, compare, play, recover."""
 
 from __future__ import annotations
 

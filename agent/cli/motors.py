@@ -1,4 +1,4 @@
-"""The commands `coop motors …` and `coop doctor`: parse, dispatch, print.  Nothing else."""
+"""The commands `coop motors …` and `coop doctor`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What several commands of `coop` share: options, readiness, stop requests.  Parses nothing itself."""
+"""What several commands of `coop` share: options, readiness, stop requests."""
 
 from __future__ import annotations
 

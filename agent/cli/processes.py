@@ -1,4 +1,4 @@
-"""The commands that are processes of a cell: parse, dispatch, print.  Nothing else."""
+"""The commands that are processes of a cell: agent, plant, emulate, telemetry, record."""
 
 from __future__ import annotations
 

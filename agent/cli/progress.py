@@ -1,4 +1,4 @@
-"""What `coop run` shows while it runs: a bar with simulated time, real-time factor and error.  Shows, never steers."""
+"""What `coop run` shows while it runs: a bar with simulated time, real-time factor and error."""
 
 from __future__ import annotations
 

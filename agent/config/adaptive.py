@@ -1,4 +1,4 @@
-"""From `[controller.adaptive]` of a cell to the offline data of one agent's adaptive law; computes, reads no file."""
+"""From `[controller.adaptive]` of a cell to the offline data of one agent's adaptive law."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A validated cell: the files, the arms' models, the offline data of each agent; opens no bus and moves nothing."""
+"""A validated cell: the files, the arms' models, the offline data of each agent."""
 
 from __future__ import annotations
 
@@ -215,7 +215,7 @@ def load_cell(path: Path, overrides: Sequence[str] = ()) -> Cell:
 def cell_from_toml(raw: bytes, source: str, arms_dir: Path = configs.ARMS_DIR) -> Cell:
     """Validate the bytes of a cell file; arm files are taken from `arms_dir`.
 
-    Raises ConfigError, and TrajectoryError for a motion that is none.
+    Raises ConfigError, and TrajectoryError for data that are not a motion.
     """
     file = validate(CellFile, parse(raw, Path(source)), source)
     trajectory.build(file)

@@ -1,4 +1,4 @@
-"""Changes single values in the text of a TOML file and leaves every other byte, comments too; writes no file."""
+"""Changes single values in the text of a TOML file and keeps every other byte, comments too."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The observer that a cell file asks for: one place for the agent that runs it and the check that knows of it."""
+"""The observer that a cell file asks for, for the agent that runs it and the check that counts with it."""
 
 from __future__ import annotations
 

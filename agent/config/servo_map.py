@@ -1,4 +1,4 @@
-"""What driver, tools and servo emulator must know of an arm, built from its files; opens nothing."""
+"""What driver, tools and servo emulator must know of an arm, built from its files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From `[trajectory]` of a cell to the motion itself; reads the one file it may name, and only while loading."""
+"""From `[trajectory]` of a cell to the motion itself; a file of poses that it names is read while loading."""
 
 from __future__ import annotations
 

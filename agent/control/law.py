@@ -1,6 +1,6 @@
 """What both control laws share: offline data of one agent, the terms of one tick, and the object's dynamics.
 
-Pure: everything here is a function of the agent's own (q, dq), the time and offline data.
+Functions of the agent's own (q, dq), the time and offline data; `add_extra` adds to the torque it is given.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""Identification: friction, rotor inertia and gravity parameters of an arm from a log; moves nothing."""
+"""Identification: friction, rotor inertia and gravity parameters of an arm from a log."""

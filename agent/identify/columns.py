@@ -1,4 +1,4 @@
-"""The torque of an arm as columns times parameters, and which combinations of them a torque can tell apart; pure.
+"""The torque of an arm as columns times parameters, and which combinations of them a torque can tell apart.
 
 Not every parameter moves the torque in a way of its own: the mass of a distal link acts as a first moment of the one
 before it, a rotor turns with the link behind it.  A column that is a combination of others is left out, and its

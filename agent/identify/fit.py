@@ -1,4 +1,4 @@
-"""Least squares of base parameters on a recording, with standard errors and a held-out part; pure, invents no data.
+"""Least squares of base parameters on a recording, with standard errors and a held-out part.
 
 Torque and every column go through the same zero-phase low-pass, so the equation still holds between them (parallel
 filtering).  Positions are differentiated after one of their own.  What the model does not say is left out: around each

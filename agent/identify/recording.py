@@ -1,4 +1,4 @@
-"""What identification takes from a log: joint positions and the torque that acted, evenly sampled; never extrapolates.
+"""What identification takes from a log: joint positions and the torque that acted, evenly sampled.
 
 The torque is the one that was sent, late by the delay of the servos.  It is held between two cycles, so what acted
 around an instant is the mean of the two torques before and after it; what follows is then in phase.

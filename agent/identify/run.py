@@ -1,4 +1,4 @@
-"""One log to estimates and files: what the command `coop identify` does; writes only where it is told."""
+"""From one log to estimates and files: what the command `coop identify` does."""
 
 from __future__ import annotations
 

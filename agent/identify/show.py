@@ -1,4 +1,4 @@
-"""What identification shows: a table, and measured against predicted torque on data it has not seen; prints nothing."""
+"""What identification shows: a table, and measured against predicted torque on data it has not seen."""
 
 from __future__ import annotations
 

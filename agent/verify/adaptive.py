@@ -1,4 +1,4 @@
-"""What must hold before an adaptive cell moves: how fast its estimates may adapt at its rate; computes only."""
+"""Whether the estimates of an adaptive cell may adapt as fast as its file says, at its rate."""
 
 from __future__ import annotations
 

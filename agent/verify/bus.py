@@ -1,4 +1,4 @@
-"""What must hold before an arm's bus is opened: can it carry the cell's rate?  Computes only, asks no bus."""
+"""Whether an arm's bus can carry the cell's rate, computed from the bytes and pauses of a cycle."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What must hold before anything moves: a cell examined along its whole trajectory; computes, never commands."""
+"""A cell examined along its whole trajectory before anything moves: findings, and a refusal where it must not run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The sampled loop of a cell along its trajectory, with the arms' inertia off by a stated error; computes only."""
+"""The sampled loop of a cell along its trajectory, with the arms' inertia off by a stated error."""
 
 from __future__ import annotations
 

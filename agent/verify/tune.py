@@ -1,4 +1,4 @@
-"""Gains that keep the sampled loop of a cell damped, also with the arms' inertia off; proposes, changes no file.
+"""Gains that keep the sampled loop of a cell damped, also with the arms' inertia off.
 
 Two ways, because the paper has one K where a sampled loop would rather have two:
 

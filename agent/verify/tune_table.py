@@ -1,4 +1,4 @@
-"""What `coop tune` shows: configured gains and the proposals side by side, and lines to paste; prints nothing."""
+"""What `coop tune` shows: configured gains and the proposals side by side, and lines to paste."""
 
 from __future__ import annotations
 

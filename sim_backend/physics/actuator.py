@@ -1,6 +1,6 @@
 """What a servo adds between commanded and applied torque, and between true and reported motion.
 
-Pure arithmetic and one small delay line.  Never lets a torque through that is not finite.
+A commanded torque that is not finite is refused.
 """
 
 from __future__ import annotations

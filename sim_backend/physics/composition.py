@@ -1,4 +1,4 @@
-"""One pinocchio model of the whole cell: every arm, the object, the grasps.  Never integrates and keeps no state."""
+"""One pinocchio model of the whole cell: every arm, the object, the grasps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The physics of the cell: arms and object as one closed chain with its own model.  Never knows who commands it.
+"""The physics of the cell: arms and object as one closed chain with its own model.
 
 Integration, one evaluation of the dynamics per substep h (drift, kick, drift):
 

@@ -1,4 +1,4 @@
-"""What a simulated cell is made of: frozen, checked data.  Never integrates, opens or reads anything."""
+"""What a simulated cell is made of: frozen, checked data."""
 
 from __future__ import annotations
 

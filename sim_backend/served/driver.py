@@ -1,4 +1,4 @@
-"""SimDriver: one arm of the simulated cell behind the same seam as a real one.  Never runs the plant itself."""
+"""SimDriver: one arm of the simulated cell behind the same seam as a real one."""
 
 from __future__ import annotations
 

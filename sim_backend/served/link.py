@@ -1,4 +1,4 @@
-"""The agent's end of the connection to the plant.  Never waits longer than it was told, never knows what a tick is."""
+"""The agent's end of the connection to the plant; every wait has a bound."""
 
 from __future__ import annotations
 

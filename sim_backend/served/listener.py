@@ -1,4 +1,4 @@
-"""The plant's address: a Unix socket that only this user can reach.  Never takes a live server's place."""
+"""The plant's address: a Unix socket that only this user can reach; a live server keeps it."""
 
 from __future__ import annotations
 

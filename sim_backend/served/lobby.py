@@ -1,4 +1,4 @@
-"""Who may sit down: connections, introductions, torque on and off outside the tick.  Never lets time pass."""
+"""Who takes part in a simulated cell: connections, introductions, torque on and off between ticks."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ class Lobby:
             connection.send(refusal_words(Kind.REFUSED, refusal), socket.MSG_NOSIGNAL)
             connection.close()
         except OSError:
-            connection.close()  # it has gone before it was anybody
+            connection.close()  # it left before it said its name
         else:
             seat.seat(connection)
 

@@ -1,4 +1,4 @@
-"""How a plant is served and what comes of it: plain data.  Never does anything."""
+"""How a plant is served, and what came of it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What plant and agents say to each other over SOCK_SEQPACKET.  Layouts and meanings only; never touches a socket.
+"""What plant and agents say to each other over SOCK_SEQPACKET: layouts and meanings.
 
 In the tick there are two fixed messages, STATE and COMMAND; words (JSON) are used before it and when it ends.
 A new meaning of any byte needs a new VERSION.

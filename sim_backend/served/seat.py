@@ -1,4 +1,4 @@
-"""The plant's side of one arm: its connection, its torque on the way.  Never decides whether time passes."""
+"""The plant's side of one arm: its connection, its torque on the way."""
 
 from __future__ import annotations
 

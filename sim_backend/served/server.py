@@ -1,4 +1,4 @@
-"""The plant as a process: gives every arm its state, takes its torque, lets time pass.  Never invents a torque.
+"""The plant as a process: gives every arm its state, takes its torque, lets time pass.
 
 In lockstep, time passes only when every arm whose torque is on has answered.  Where every actuator delays by at least
 one cycle, the torque of tick k acts from tick k + 1 on: the plant then integrates k → k + 1 while the agents compute,

@@ -1,1 +1,1 @@
-"""Emulated Dynamixel servos on pseudo terminals, moved by the plant.  Must never use the driver's codec."""
+"""Emulated Dynamixel servos on pseudo terminals, moved by the plant; they never use the driver's codec."""

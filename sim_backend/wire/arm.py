@@ -1,6 +1,6 @@
-"""One emulated arm: servos on a bus, mounted on joints.  Adds the torques of servos that share a joint.
+"""One emulated arm: servos on a bus, mounted on joints; servos that share a joint add their torques.
 
-It must never know packets, ports or clocks.
+Packets, ports and clocks are outside.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The mechanical and electrical half of a servo: horn, encoder, winding and inner controllers.
 
-It must never know registers' bytes or instructions; the firmware tells it modes and goals.
+The firmware tells it modes and goals; registers and instructions are outside.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The half-duplex line of one arm: when a servo hears the host, and when the host can read what servos answer.
 
-It must never read a clock or touch a port: bytes and times come in, bytes with due times come out.
+Bytes and times come in, bytes with due times come out; clocks and ports are outside.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""The emulated arms and the physics they share, paced by a clock that comes in from outside.
-
-It must never read a clock or touch a port.
-"""
+"""The emulated arms and the physics they share, paced by times that come in from outside."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """The servo's own controllers: from goal registers and the horn's state to a torque on the horn.
 
-Everything here is in the servo's reported direction (Drive Mode reverse already applied by the caller); it must never
-touch control table bytes.  Gains and structure: ROBOTIS e-manual, Velocity PI Gain and Position PID Gain, whose
-integrals and differences are taken per millisecond.  Feedforward gains are stored but have no effect.
+Everything here is in the servo's reported direction (Drive Mode reverse already applied by the caller).  Gains and
+structure: ROBOTIS e-manual, Velocity PI Gain and Position PID Gain, whose integrals and differences are taken per
+millisecond.  Feedforward gains are stored but have no effect.
 """
 
 from __future__ import annotations

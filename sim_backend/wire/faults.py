@@ -1,7 +1,6 @@
 """Faults on command: what goes wrong on which arm and servo, from when, for how long.
 
-Data and schedule only; it must never touch a servo, a bus or a clock (injector.py does).  The same seed gives the same
-faults.
+Data and schedule; injector.py carries them out.  The same seed gives the same faults.
 """
 
 from __future__ import annotations

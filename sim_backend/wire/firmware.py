@@ -1,6 +1,6 @@
 """The servo's firmware: what a register write does, what a register reads, boot, watchdog and hardware errors.
 
-It must never know packets, ports or clocks, and never decides whether a write is allowed (rules.py does).
+Time comes in with every call; whether a write is allowed is decided in rules.py.
 Source: ROBOTIS e-manual, control table pages of the X series and MX(2.0); open questions are switches in options.py.
 """
 

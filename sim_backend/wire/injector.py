@@ -1,4 +1,4 @@
-"""Carries out fault commands on emulated arms and their ports.  It must never decide when (faults.py does)."""
+"""Carries out fault commands on emulated arms and their ports; faults.py says when."""
 
 from __future__ import annotations
 

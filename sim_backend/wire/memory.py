@@ -1,6 +1,6 @@
 """The bytes of one servo's control table and how addresses map onto registers.
 
-It knows layout only: it must never decide whether an instruction is allowed in the servo's present state.
+Layout only: whether an instruction is allowed in the servo's present state is decided in rules.py.
 """
 
 from __future__ import annotations

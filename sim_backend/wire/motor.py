@@ -1,6 +1,6 @@
 """Winding, gearbox and heat of one servo: what current flows and what torque reaches the horn.
 
-It knows nothing of registers, and must never look at a clock: time comes in as a step.
+Time comes in as a step; registers are outside.
 Figures: stall and no-load points of the e-manual, through drivers.dynamixel.servo.table.  The heat path is an
 assumption: at the 0.9 A that an XM430 can hold for long it settles near its limit of 80 degrees C.
 """

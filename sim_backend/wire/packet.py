@@ -1,6 +1,6 @@
 """Protocol 2.0 as a servo sees it: find instruction packets in a byte stream, build status packets.
 
-It must never use the driver's codec: two independent implementations are what lets each find the other's bugs.
+It never uses the driver's codec: of two independent implementations each finds the other's mistakes.
 Source: the ROBOTIS e-manual, pages Protocol 2.0 and CRC.
 """
 

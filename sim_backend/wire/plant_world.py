@@ -1,4 +1,4 @@
-"""The cell's plant as the world of emulated servos.  Must never add physics of its own."""
+"""The cell's plant as the world of emulated servos."""
 
 from __future__ import annotations
 

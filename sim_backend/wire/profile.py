@@ -1,6 +1,6 @@
 """Profile Velocity and Profile Acceleration: the trajectory a servo makes of a goal position.
 
-Pure functions of the time since the goal was written, in ticks and seconds; it must never know registers.
+Pure functions of the time since the goal was written, in ticks and seconds.
 """
 
 from __future__ import annotations

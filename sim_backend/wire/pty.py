@@ -1,6 +1,6 @@
 """A pseudo terminal at a stable path that any serial client can open, close and open again.
 
-It must never know packets.  Linux only: the client's speed is read from the terminal itself.
+Linux only: the client's speed is read from the terminal itself.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Which servos of a line execute an instruction and what each one answers, in order.
 
-It must never know when bytes travel (bus.py does), and never answers for a servo that stays silent.
+When bytes travel is decided in bus.py.
 Source: ROBOTIS e-manual, Protocol 2.0 and Secondary ID; open questions are switches in options.py.
 """
 

@@ -1,6 +1,6 @@
 """Which writes a servo refuses, and with which error code.
 
-Pure functions of the register, the value and the servo's memory; it must never change anything.
+Pure functions of the register, the value and the servo's memory.
 Source: ROBOTIS e-manual, Protocol 2.0 (error numbers) and the notes at each register.
 """
 

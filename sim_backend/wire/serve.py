@@ -1,7 +1,7 @@
 """Serve emulated arms on pseudo terminals in real time: `coop emulate CELL`.
 
-One loop for the whole cell: wait for bytes or the next due time, let physics catch up, answer.  It must never hold up
-one arm for another, and never runs servos faster or slower than the clock.
+One loop for the whole cell: wait for bytes or the next due time, let physics catch up, answer.  No arm
+waits for another, and servos keep the clock's pace.
 """
 
 from __future__ import annotations

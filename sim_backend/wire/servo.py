@@ -1,6 +1,6 @@
 """One emulated servo as the bus sees it: each instruction with its rules and error code.
 
-It must never know packets' bytes or ports; time comes in with every call.
+Instructions come in decoded; time comes in with every call.
 Source: ROBOTIS e-manual, Protocol 2.0.
 """
 

@@ -1,6 +1,6 @@
 """When bytes reach the host: wire time, return delay, turnaround and the USB adapter's latency timer.
 
-Pure functions of virtual nanoseconds: it must never read a clock or sleep.
+Pure functions of virtual nanoseconds.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Which servos an emulated arm has and how they sit on its joints, as data; built from what an arm file says.
 
-It must never open anything, and imports no agent: entries are recognised by their shape.
+Entries are recognised by their shape, because the simulator does not import the agent.
 """
 
 from __future__ import annotations

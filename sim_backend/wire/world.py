@@ -1,6 +1,6 @@
 """The physics that emulated servos move, seen through four calls; and a small one for tests and joints of no plant.
 
-It must never know servos, buses or clocks.
+Servos, buses and clocks are outside.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""What may stand in a cell file and in an arm file, key by key."""
+"""The schema of cell files and arm files."""

@@ -1,4 +1,4 @@
-"""What may stand under `[controller.adaptive]` of a cell file; validates, and reads no file."""
+"""What may stand under `[controller.adaptive]` of a cell file."""
 
 from __future__ import annotations
 

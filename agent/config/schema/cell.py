@@ -1,4 +1,4 @@
-"""What may stand in a cell file and in an arm file, key by key; validates, and reads no file."""
+"""What may stand in a cell file and in an arm file, key by key."""
 
 from __future__ import annotations
 

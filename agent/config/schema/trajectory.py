@@ -1,4 +1,4 @@
-"""What may stand under `[trajectory]` of a cell file, one model per kind; validates, and reads no file."""
+"""What may stand under `[trajectory]` of a cell file, one model per kind."""
 
 from __future__ import annotations
 

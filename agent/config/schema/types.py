@@ -1,4 +1,4 @@
-"""Kinds of values that every part of the schema uses; validates, and reads no file."""
+"""Kinds of values that every part of the schema uses."""
 
 from __future__ import annotations
 

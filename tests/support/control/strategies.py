@@ -1,4 +1,4 @@
-"""Random cells and states for property tests: valid closed chains of the shipped arms; asserts nothing itself.
+"""Random cells and states for property tests: valid closed chains of the shipped arms.
 
 A cell is drawn from a few structural choices and one seed.  Every arm gets random joint angles and a random
 grasp, and its base is put where the object poses of all arms coincide.  Planar cells lie in a random plane.

@@ -1,4 +1,4 @@
-"""Cells for the plant's tests: small arms of their own, not those that ship; never imported by the product."""
+"""Cells for the plant's tests: small arms of their own, not those that ship."""
 
 from __future__ import annotations
 

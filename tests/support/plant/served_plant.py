@@ -1,4 +1,4 @@
-"""A plant served by a thread of the test process, stopped and joined on the way out; for tests only."""
+"""A plant served by a thread of the test process, stopped and joined on the way out."""
 
 from __future__ import annotations
 

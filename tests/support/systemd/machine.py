@@ -1,6 +1,6 @@
 """A small machine for tests: this host's systemd as first process of its own namespaces, with our units in it.
 
-Needs root, systemd and a cgroup2 mount; says what is missing.  Never leaves a process, a mount or a cgroup behind.
+Needs root, systemd and a cgroup2 mount; says what is missing.  Its processes, mounts and cgroup go with it.
 """
 
 from __future__ import annotations

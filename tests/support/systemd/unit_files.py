@@ -1,4 +1,4 @@
-"""Reads systemd unit files as systemd does, as far as our tests ask: drop-ins, lists, resets.  Judges nothing."""
+"""Reads systemd unit files as systemd does, as far as our tests ask: drop-ins, lists, resets."""
 
 from __future__ import annotations
 

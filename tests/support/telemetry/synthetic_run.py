@@ -1,4 +1,4 @@
-"""A run whose every row is a closed form: the oracle of the report's tests.  Simulates nothing."""
+"""A run whose every row is a closed form: the oracle of the report's tests."""
 
 from __future__ import annotations
 
