@@ -1,4 +1,4 @@
-"""What the manual leaves open about a servo or a bus, as switches; every safety claim must hold for each value."""
+"""What the manual leaves open about a servo or a bus, as switches."""
 
 from __future__ import annotations
 

@@ -32,8 +32,14 @@ class Packages:
     elsewhere: Path  # an empty folder to work in
 
     def coop(self, *arguments: str) -> str:
-        """What the installed command prints."""
-        done = subprocess.run(
+        """What the installed command prints when it does what it is asked."""
+        done = self.ended(*arguments)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    def ended(self, *arguments: str) -> subprocess.CompletedProcess[str]:
+        """How the installed command ends."""
+        return subprocess.run(
             [self.prefix / "bin/coop", *arguments],
             cwd=self.elsewhere,
             env={key: value for key, value in os.environ.items() if key != "PYTHONPATH"},
@@ -41,8 +47,6 @@ class Packages:
             text=True,
             timeout=100,
         )
-        assert done.returncode == 0, done.stderr
-        return done.stdout
 
 
 @pytest.fixture(scope="module")
@@ -106,6 +110,19 @@ def test_coop_where_finds_what_ships(packages: Packages, tmp_path: Path) -> None
     done = subprocess.run([install, "simulated"], env={**os.environ, "DESTDIR": str(tmp_path)}, timeout=20)
     assert done.returncode == 0
     assert (tmp_path / "etc/systemd/system/coop-plant.service").is_file()
+
+
+def test_an_installation_without_its_documents_says_so(packages: Packages) -> None:
+    docs = packages.prefix / "share/widowx-coop/docs"
+    aside = docs.rename(packages.elsewhere / "docs")
+    try:
+        done = packages.ended("where", "docs")
+    finally:
+        aside.rename(docs)
+    assert done.returncode == 2
+    assert done.stderr == (
+        f"coop: docs: found no folder {docs}, expected the files that ship; install widowx-coop again\n"
+    )
 
 
 def test_a_cell_runs_from_the_wheel(packages: Packages) -> None:
