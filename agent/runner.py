@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from agent.control.memory import Memory
-from agent.loop import Agent, hold_here, initial_memory, step
+from agent.loop import Agent, Outcome, hold_here, initial_memory, step
 from agent.modes import Event, Mode, next_mode
 from agent.safety import Flag
 from agent.telemetry.row.fill import AgentRow
@@ -172,9 +172,8 @@ class Runner:
         after_step_ns = wall_ns()
         tau_sent = self._send(outcome.tau)
         after_write_ns = wall_ns()
-        row.fill_state(self.summary.ticks, t, self._utc_offset_ns + state.stamp_ns, mode, state)
-        row.fill_law(outcome.q, outcome.dq, outcome.terms, self._memory)
-        row.fill_output(outcome.flags, outcome.tau, tau_sent)
+        utc_ns = self._utc_offset_ns + state.stamp_ns
+        row.fill(self.summary.ticks, t, utc_ns, mode, state, self._memory, outcome, tau_sent)
         row.fill_timing(
             late_ns * 1e-9,
             (after_read_ns - begin_ns) * 1e-9,
@@ -210,9 +209,9 @@ class Runner:
         nothing = np.full(self._agent.model.n, np.nan)
         t = (deadline_ns - self._zero_ns) * 1e-9
         lost = JointState(deadline_ns, nothing, nothing, nothing)
-        row.fill_state(self.summary.ticks, t, self._utc_offset_ns + deadline_ns, mode, lost)
-        row.fill_law(nothing, nothing, None, memory)
-        row.fill_output(Flag.STALE, memory.tau, memory.tau)
+        outcome = Outcome(nothing, nothing, None, memory.tau, Flag.STALE, memory)
+        utc_ns = self._utc_offset_ns + deadline_ns
+        row.fill(self.summary.ticks, t, utc_ns, mode, lost, memory, outcome, memory.tau)
         self._sink.commit()
         self.summary.ticks += 1
 

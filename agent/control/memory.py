@@ -10,6 +10,7 @@ from agent.control.adaptation import Estimate
 from drivers.interface import Vector
 
 MEMORY_JOINTS = 7  # room per joint array in the flattened form
+_NO_POSE = (0.0,) * 7
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,16 +28,24 @@ class Memory:
     estimate: Estimate | None = None  # of the adaptive law; logged in fields of its own
     q_hold: Vector | None = None  # joint angles at that pose, for a hold that needs no inverse of the Jacobian
 
+    @property
+    def joint_arrays(self) -> tuple[Vector | None, ...]:
+        """The six joint arrays of the log field `memory`, each (n,); None is logged as zeros."""
+        return self.q, self.dq, self.ddq, self.ddq_before, self.tau, self.q_hold
+
+    @property
+    def pose_flag_time(self) -> tuple[float, ...]:
+        """What stands behind them: the held pose (7), whether it is primed, the time."""
+        return (*(_NO_POSE if self.hold is None else self.hold), float(self.primed), self.t)
+
     def flatten(self) -> list[float]:
-        """The numbers of the log field `memory`: six joint arrays padded to seven, the pose, the flag, the time."""
+        """The numbers of the log field `memory`: the joint arrays padded to seven, the pose, the flag, the time."""
         pad = [0.0] * (MEMORY_JOINTS - len(self.q))
         flat: list[float] = []
-        q_hold = self.q_hold if self.q_hold is not None else np.zeros_like(self.q)
-        for array in (self.q, self.dq, self.ddq, self.ddq_before, self.tau, q_hold):
-            flat += array.tolist()
+        for array in self.joint_arrays:
+            flat += [0.0] * len(self.q) if array is None else array.tolist()
             flat += pad
-        hold = self.hold if self.hold is not None else (0.0,) * 7
-        return [*flat, *hold, float(self.primed), self.t]
+        return [*flat, *self.pose_flag_time]
 
 
 def initial(n: int, estimate: Estimate | None = None) -> Memory:

@@ -135,9 +135,7 @@ def tick_of(agent: Agent) -> Callable[[], None]:
 
     def tick() -> None:
         outcome = step(agent, state, 0.2, Mode.TRACK, memory)
-        row.fill_state(1, 0.2, 1, Mode.TRACK, state)
-        row.fill_law(outcome.q, outcome.dq, outcome.terms, memory)
-        row.fill_output(outcome.flags, outcome.tau, outcome.tau)
+        row.fill(1, 0.2, 1, Mode.TRACK, state, memory, outcome, outcome.tau)
         row.fill_timing(0.0, 0.0, 0.0, 0.0, bus)
 
     return tick

@@ -1,7 +1,7 @@
-"""The log records: one table per message gives its numpy layout and its ROS 2 definition.
+"""The log records: one table per message gives its numpy layout, its packed form and its ROS 2 definition.
 
-A ROS 2 message of fixed-size fields has a constant CDR layout, so a numpy row *is* the encoded message:
-nothing is ever encoded.  Never add a string or a variable-length array here: the layout would move.
+A ROS 2 message of fixed-size fields has a constant CDR layout, so a numpy row *is* the encoded message.  A string or an
+array of variable length would move every field behind it, so the table knows numbers and fixed arrays alone.
 """
 
 from __future__ import annotations
@@ -17,11 +17,13 @@ MAX_JOINTS: Final = 7  # arms with fewer joints leave the rest at zero
 MAX_ARMS: Final = 8
 ARM_PARAMETERS: Final = MAX_JOINTS * 13  # per joint: 10 inertial, rotor inertia, viscous, Coulomb friction
 OBJECT_PARAMETERS: Final = 10
-MEMORY_LENGTH: Final = 6 * MAX_JOINTS + 9  # agent.control.memory.Memory, flattened
+MEMORY_ARRAYS, MEMORY_REST = 6, 9  # of agent.control.memory.Memory: joint arrays; held pose, flag and time
+MEMORY_LENGTH: Final = MEMORY_ARRAYS * MAX_JOINTS + MEMORY_REST
 
 CDR_LITTLE_ENDIAN: Final = 0x00000100  # the encapsulation header 00 01 00 00, read as a little-endian u4
 
 _NUMPY_OF_ROS: Final = {"uint64": "<u8", "int64": "<i8", "float64": "<f8", "uint32": "<u4"}
+_STRUCT_OF_ROS: Final = {"uint64": "Q", "int64": "q", "float64": "d", "uint32": "I"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +36,16 @@ class Field:
     unit: str
     doc: str
     timing: bool = False  # differs between two runs of the same cell; excluded when runs are compared
+
+    @property
+    def numpy_code(self) -> str:
+        """Numpy's name of its type."""
+        return _NUMPY_OF_ROS[self.ros_type]
+
+    @property
+    def struct_code(self) -> str:
+        """The same for the module struct."""
+        return _STRUCT_OF_ROS[self.ros_type]
 
 
 def _f(name: str, length: int, unit: str, doc: str, *, timing: bool = False) -> Field:
@@ -138,7 +150,7 @@ class Layout:
         offset = 0
         names: list[tuple[str, str] | tuple[str, str, tuple[int]]] = [("encapsulation", "<u4")]
         for f in self.fields:
-            code = _NUMPY_OF_ROS[f.ros_type]
+            code = f.numpy_code
             size = np.dtype(code).itemsize
             if offset % size:
                 raise AssertionError(f"{self.ros_name}.{f.name} is not aligned to {size} bytes")

@@ -48,9 +48,7 @@ def run(agent: Agent, states: list[JointState], hold_from: int) -> tuple[list[Ou
         memories.append(memory)
         outcomes.append(step(agent, state, state.stamp_ns * 1e-9, mode, memory))
         row = AgentRow(rows[k : k + 1], agent.model.n, 1)
-        row.fill_state(k, state.stamp_ns * 1e-9, 0, mode, state)
-        row.fill_law(outcomes[-1].q, outcomes[-1].dq, outcomes[-1].terms, memory)
-        row.fill_output(outcomes[-1].flags, outcomes[-1].tau, outcomes[-1].tau)
+        row.fill(k, state.stamp_ns * 1e-9, 0, mode, state, memory, outcomes[-1], outcomes[-1].tau)
         row.fill_timing(0.0, 0.0, 0.0, 0.0, BusCounters())
         memory = outcomes[-1].memory
     return outcomes, memories, rows

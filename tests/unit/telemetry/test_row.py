@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import count
 
 import numpy as np
 import pytest
 
 import configs
 from agent.config.cell import load_cell
+from agent.control.adaptation import Estimate
+from agent.control.errors import Errors
 from agent.control.law import Terms
-from agent.control.memory import initial, restore
+from agent.control.memory import Memory, initial, restore
+from agent.control.models import Kinematics
+from agent.control.trajectory import Desired
 from agent.loop import Agent, Outcome, initial_memory, step
 from agent.modes import Mode
 from agent.process.build import build_agent
@@ -23,6 +28,8 @@ SENTINEL = 123.0
 OF_THE_LAW = [
     name for name in Terms._fields if name not in ("desired", "kinematics", "errors", "lyapunov", "sigma_min")
 ]
+OPTIONAL = ("tau_inertia", "tau_coriolis", "tau_gravity", "tau_adaptive", "tau_internal", "tau_friction", "tau_posture")
+MEMORY = initial(3)
 
 
 def agent() -> tuple[Agent, JointState]:
@@ -36,12 +43,33 @@ def fresh(joint_count: int = 3) -> tuple[np.ndarray, AgentRow]:
     return message, AgentRow(message, joint_count, 0xABCD)
 
 
-def fill(row: AgentRow, outcome: Outcome, state: JointState, sequence: int = 7) -> None:
-    memory = initial(3)
-    row.fill_state(sequence, 0.005, 11, Mode.TRACK, state)
-    row.fill_law(outcome.q, outcome.dq, outcome.terms, memory)
-    row.fill_output(outcome.flags, outcome.tau, outcome.tau + 0.5)
+def fill(row: AgentRow, outcome: Outcome, state: JointState, memory: Memory = MEMORY) -> None:
+    row.fill(7, 0.005, 11, Mode.TRACK, state, memory, outcome, outcome.tau + 0.5)
     row.fill_timing(0.1, 0.2, 0.3, 0.4, BusCounters(1, 2, 3, 4))
+
+
+def all_different(n: int) -> tuple[JointState, Memory, Outcome]:
+    """A tick of n joints in which no two numbers are equal."""
+    numbers = count(1.25)
+
+    def tuple_of(length: int) -> tuple[float, ...]:
+        return tuple(next(numbers) for _ in range(length))
+
+    def array_of(length: int) -> np.ndarray:
+        return np.array(tuple_of(length))
+
+    desired = Desired(tuple_of(3), tuple_of(4), tuple_of(6), tuple_of(6))
+    unused = [np.empty(0)] * 6
+    kinematics = Kinematics(tuple_of(3), tuple_of(4), (), tuple_of(6), *unused, tuple_of(3))
+    errors = Errors(tuple_of(3), next(numbers), tuple_of(3), tuple_of(6), tuple_of(6), tuple_of(6), tuple_of(6))
+    lengths = {"wrench_cmd": 6, "wrench_internal": 6}
+    of_the_law = {name: tuple_of(6) if name in lengths else array_of(n) for name in OF_THE_LAW}
+    terms = Terms(desired, kinematics, errors, lyapunov=next(numbers), sigma_min=next(numbers), **of_the_law)
+    estimate = Estimate(array_of(13 * n), array_of(10))
+    arrays = [array_of(n) for _ in range(5)]
+    memory = Memory(*arrays, True, tuple_of(7), next(numbers), estimate, array_of(n))
+    state = JointState(5_000_000, array_of(n), array_of(n), array_of(n))
+    return state, memory, Outcome(array_of(n), array_of(n), terms, array_of(n), Flag.SATURATED | Flag.STALE, memory)
 
 
 def good_and_bad() -> tuple[JointState, Outcome, Outcome]:
@@ -52,22 +80,22 @@ def good_and_bad() -> tuple[JointState, Outcome, Outcome]:
     return state, good, bad
 
 
-def test_every_field_is_what_the_tick_gave() -> None:
-    state, outcome, _ = good_and_bad()
-    message, row = fresh()
-    fill(row, outcome, state)
-    found, terms = message[0], outcome.terms
+def check(found: np.void, state: JointState, memory: Memory, outcome: Outcome) -> None:
+    """Every field of the row has its own number of the tick, and zeros behind it."""
+    terms = outcome.terms
     e, k, d = terms.errors, terms.kinematics, terms.desired
+    estimate = memory.estimate or Estimate(np.zeros(1), np.zeros(10))
     expected = {
         "encapsulation": CDR_LITTLE_ENDIAN, "sequence": 7, "stamp_ns": 5_000_000, "utc_ns": 11, "mode": Mode.TRACK,
-        "flags": outcome.flags, "joint_count": 3, "config_id": 0xABCD, "t": 0.005, "q_measured": state.q,
+        "flags": outcome.flags, "joint_count": len(state.q), "config_id": 0xABCD, "t": 0.005, "q_measured": state.q,
         "dq_measured": state.dq, "tau_measured": state.tau, "q": outcome.q, "dq": outcome.dq, "p_object_des": d.p,
         "quat_object_des": d.quat, "v_object_des": d.v, "a_object_des": d.a, "p_object": k.p_object,
         "quat_object": k.quat_object, "v_object": k.v_object, "e_p": e.e_p, "e_eta": e.e_eta, "e_eps": e.e_eps,
         "e_v": e.e_v, "v_object_ref": e.v_ref, "dv_object_ref": e.dv_ref, "lyapunov": terms.lyapunov,
         "sigma_min": terms.sigma_min, "tau_limited": outcome.tau, "tau_sent": outcome.tau + 0.5,
-        "memory": initial(3).flatten(), "late_s": 0.1, "read_s": 0.2, "step_s": 0.3, "write_s": 0.4,
-        "bus_timeouts": 1, "bus_corrupt": 2, "bus_alerts": 3, "bus_retries": 4, "theta_arm": 0.0, "theta_object": 0.0,
+        "memory": memory.flatten(), "late_s": 0.1, "read_s": 0.2, "step_s": 0.3, "write_s": 0.4,
+        "bus_timeouts": 1, "bus_corrupt": 2, "bus_alerts": 3, "bus_retries": 4,
+        "theta_arm": estimate.arm, "theta_object": estimate.object,
         **{name: getattr(terms, name) for name in OF_THE_LAW},
     }  # fmt: skip
     assert set(expected) == set(AGENT_STATE.dtype.names)
@@ -77,6 +105,31 @@ def test_every_field_is_what_the_tick_gave() -> None:
         assert np.array_equal(np.asarray(found[name], dtype=float), wanted, equal_nan=True), name
 
 
+@pytest.mark.parametrize("n", [1, 3, 6, 7])
+def test_every_number_of_a_tick_lands_in_its_own_field(n: int) -> None:
+    message, row = fresh(n)
+    state, memory, outcome = all_different(n)
+    fill(row, outcome, state, memory)
+    check(message[0], state, memory, outcome)
+
+
+def test_every_field_is_what_a_real_tick_gave() -> None:
+    state, outcome, _ = good_and_bad()
+    message, row = fresh()
+    fill(row, outcome, state)
+    check(message[0], state, MEMORY, outcome)
+
+
+@pytest.mark.parametrize("term", OPTIONAL)
+def test_a_term_that_the_law_does_not_have_is_zero_though_the_tick_before_had_it(term: str) -> None:
+    message, row = fresh()
+    state, memory, outcome = all_different(3)
+    fill(row, outcome, state, memory)
+    without = replace(outcome, terms=outcome.terms._replace(**{term: None}))
+    fill(row, without, state, memory)
+    check(message[0], state, memory, without)
+
+
 def test_a_tick_without_a_law_shows_none_of_the_tick_before() -> None:
     state, good, bad = good_and_bad()
     assert bad.terms is None
@@ -84,11 +137,16 @@ def test_a_tick_without_a_law_shows_none_of_the_tick_before() -> None:
     fill(row, good, state)
     fill(row, bad, state)
     found = message[0]
-    for name in ("p_object_des", "v_object_ref", "tau_cmd", "tau_internal", "wrench_cmd", "lyapunov", "sigma_min"):
-        assert np.isnan(found[name][:3] if found[name].ndim else found[name]).all(), name
+    names = [f.name for f in AGENT_STATE.fields]
+    for name in names[names.index("p_object_des") : names.index("sigma_min") + 1]:
+        if name not in ("tau_limited", "tau_sent"):
+            values = found[name][:3] if found[name].shape == (MAX_JOINTS,) else found[name]
+            assert np.isnan(values).all(), name
+        if found[name].shape == (MAX_JOINTS,):
+            assert not found[name][3:].any(), name
     assert found["flags"] == Flag.NOT_FINITE
     assert np.array_equal(found["tau_limited"][:3], bad.tau)
-    assert restore(found["memory"], 3).flatten() == initial(3).flatten()
+    assert restore(found["memory"], 3).flatten() == MEMORY.flatten()
 
 
 def test_a_tick_after_one_without_a_law_shows_nothing_of_it() -> None:
