@@ -1,24 +1,30 @@
-"""What goes on which channel of the log: rows as they came, standard messages beside them, texts.  Decides nothing."""
+"""What goes on which channel of the log: rows as they came, standard messages beside them, texts."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+
 from agent.log import ros_definitions, standard
 from agent.log.file import LogFile
-from agent.log.standard import StandardTopic
+from agent.log.standard import Stamp, StandardTopic
+from agent.log.writer import Group, Message, Records
 from agent.telemetry.row.event import Event
 from agent.telemetry.row.received import Rows, Text
 from agent.telemetry.row.sample import AGENT_STATE, PLANT_STATE
 from agent.telemetry.row.topics import PLANT, RECORDER, Address, Kind
+
+_NO_SEQUENCE = np.zeros(1, np.uint64)
 
 
 class _Standard:
     """The standard topics of one member, and where the decimation stands."""
 
     def __init__(self, channels: Sequence[tuple[StandardTopic, int]]) -> None:
-        self.channels = channels
+        self.topics = [topic for topic, _ in channels]
+        self.group = Group([Message(channel, topic.dtype, topic.template) for topic, channel in channels])
         self.slot = -1
 
 
@@ -29,7 +35,7 @@ class LogChannels:
         """`arms`: controlled joints by arm."""
         self._log = log
         self._by_topic: dict[str, int] = {}
-        self._rows: dict[str, int] = {}
+        self._rows: dict[str, Group] = {}
         self._standard: dict[str, _Standard] = {}
         self._texts: dict[tuple[str, Kind], int] = {}
         for i, (arm, joints) in enumerate(arms.items()):
@@ -46,26 +52,33 @@ class LogChannels:
 
     def write_rows(self, item: Rows) -> None:
         """Rows byte for byte as they came, and their standard messages."""
-        member, rows = item.address.member, item.rows
-        data, size = rows.tobytes(), rows.dtype.itemsize
-        sequences, times = rows["sequence"].tolist(), rows["utc_ns"].tolist()
-        messages = [
-            (sequence, utc_ns, data[i * size : (i + 1) * size])
-            for i, (sequence, utc_ns) in enumerate(zip(sequences, times, strict=True))
-        ]
-        self._log.write(self._rows[member], messages)
+        member, rows = item.address.member, np.ascontiguousarray(item.rows)
+        messages = rows.view(f"V{rows.dtype.itemsize}")
+
+        def copy(records: Records, part: slice) -> None:
+            records["message0"] = messages[part]
+
+        self._log.write(self._rows[member], rows["sequence"], rows["utc_ns"], copy)
         beside = self._standard[member]
         some, beside.slot = standard.decimated(rows, beside.slot)
         if len(some):
-            sequences, times = some["sequence"].tolist(), some["utc_ns"].tolist()
-            for topic, channel in beside.channels:
-                self._log.write(channel, list(zip(sequences, times, topic.messages(some), strict=True)))
+            self._write_standard(beside, some)
+
+    def _write_standard(self, beside: _Standard, rows: standard.Rows) -> None:
+        stamp = Stamp.of(rows)
+
+        def fill(records: Records, part: slice) -> None:
+            own, at = rows[part], Stamp(stamp.sec[part], stamp.nanosec[part])
+            for topic, name in zip(beside.topics, beside.group.names, strict=True):
+                topic.fill(records[name], own, at)
+
+        self._log.write(beside.group, rows["sequence"], rows["utc_ns"], fill)
 
     def write_text(self, item: Text) -> None:
         """An event, also as a line of the ROS log, or a health text."""
         channel = self._texts[item.address.member, item.address.kind]
         if item.event is None:
-            self._log.write(channel, [(0, item.utc_ns, standard.text_message(item.payload))])
+            self._write_one(channel, item.utc_ns, standard.text_message(item.payload))
         else:
             self._write_event(channel, item.event, item.payload)
 
@@ -75,17 +88,22 @@ class LogChannels:
 
     def rows_lost(self) -> dict[str, int]:
         """Rows by member that came and are not in the file, because it failed."""
-        return {member: self._log.lost[channel] for member, channel in self._rows.items()}
+        return {member: self._log.lost[group.channels[0]] for member, group in self._rows.items()}
 
     def _write_event(self, channel: int, event: Event, payload: bytes) -> None:
-        self._log.write(channel, [(0, event.utc_ns, standard.text_message(payload))])
-        self._log.write(self._rosout, [(0, event.utc_ns, standard.log_message(event))])
+        self._write_one(channel, event.utc_ns, standard.text_message(payload))
+        self._write_one(self._rosout, event.utc_ns, standard.log_message(event))
+
+    def _write_one(self, channel: int, utc_ns: int, message: bytes) -> None:
+        group = Group([Message(channel, np.dtype(f"V{len(message)}"), message)])
+        self._log.write(group, _NO_SEQUENCE, np.array([utc_ns]), lambda *_: None)
 
     def _add_rows(self, cell: str, member: str, described: Mapping[str, str]) -> None:
         layout = PLANT_STATE if member == PLANT else AGENT_STATE
         name = ros_definitions.schema_name(layout.ros_name)
         topic = Address(cell, member, Kind.STATE).topic
-        self._rows[member] = self._log.channel(topic, name, layout.definition, described)
+        channel = self._log.channel(topic, name, layout.definition, described)
+        self._rows[member] = Group([Message(channel, np.dtype(f"V{layout.dtype.itemsize}"))])
 
     def _add_standard(self, member: str, described: Sequence[StandardTopic]) -> None:
         self._standard[member] = _Standard([(t, self._ros_channel(t.topic, t.ros_name)) for t in described])

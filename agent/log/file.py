@@ -10,18 +10,21 @@ import os
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, Final, cast
+from typing import Final
 
-from mcap.writer import CompressionType, Writer
+import numpy as np
+from mcap.records import Attachment as AttachmentRecord
+from mcap.records import Channel, Schema
+from numpy.typing import NDArray
 
+from agent.log.writer import BatchWriter, Group, Records
 from drivers.interface import Refusal
 
 LIBRARY: Final = "widowx-coop"
 PROFILE: Final = "ros2"
-CHUNK_BYTES: Final = 1 << 20
 FLUSH_S: Final = 0.25
 SYNC_S: Final = 1.0
 MIN_FREE_BYTES: Final = 64 << 20
@@ -64,16 +67,12 @@ class LogFile:
         self.lost: Counter[int] = Counter()  # messages by channel that came and are not in the file
         self._open = True
         self._schemas: dict[str, int] = {}
+        self._channel_count = 0
         self._unsafe: Counter[int] = Counter()  # the same, since the last whole chunk
         self._min_free = min_free_bytes
         self._fd = _create(path, min_free_bytes)
         self._sink = _Sink(self._fd)
-        self._writer = Writer(
-            cast("IO[Any]", self._sink),
-            chunk_size=CHUNK_BYTES,
-            compression=CompressionType.ZSTD,
-            enable_data_crcs=True,
-        )
+        self._writer = BatchWriter(self._sink.write)
         self._flushed_s = time.monotonic()
         try:
             self._write_head(attachments, metadata, created_ns)
@@ -88,9 +87,9 @@ class LogFile:
     ) -> None:
         self._writer.start(PROFILE, LIBRARY)
         for a in attachments:
-            self._writer.add_attachment(created_ns, created_ns, a.name, a.media_type, a.data)
+            self._writer.add_attachment(AttachmentRecord(created_ns, created_ns, a.name, a.media_type, a.data))
         for name, values in metadata.items():
-            self._writer.add_metadata(name, dict(values))
+            self._writer.add_metadata(name, values)
         self._flush()
         os.fsync(self._fd)
         _sync_directory(self.path.parent)
@@ -98,26 +97,39 @@ class LogFile:
     def channel(self, topic: str, schema_name: str, definition: str, metadata: Mapping[str, str]) -> int:
         """Register a channel of ROS 2 messages in CDR; returns its number."""
         if schema_name not in self._schemas:
-            self._schemas[schema_name] = self._writer.register_schema(schema_name, "ros2msg", definition.encode())
-        return self._writer.register_channel(topic, "cdr", self._schemas[schema_name], dict(metadata))
+            number = self._schemas[schema_name] = len(self._schemas) + 1
+            self._writer.add_schema(Schema(number, definition.encode(), "ros2msg", schema_name))
+        self._channel_count += 1
+        schema = self._schemas[schema_name]
+        self._writer.add_channel(Channel(self._channel_count, topic, "cdr", dict(metadata), schema))
+        return self._channel_count
 
-    def write(self, channel: int, messages: Sequence[tuple[int, int, bytes]]) -> None:
-        """Write (sequence, utc_ns, message) on a channel."""
-        if not self._open:
-            self.lost[channel] += len(messages)
-            return
-        add, sink = self._writer.add_message, self._sink
-        done = 0
+    def write(
+        self,
+        group: Group,
+        sequences: NDArray[np.uint64],
+        utc_ns: NDArray[np.int64],
+        fill: Callable[[Records, slice], None],
+    ) -> None:
+        """Write one message of each channel of the group per time.
+
+        `fill(records, part)` puts the messages into the records of that part of the sequences; every part is filled
+        once, in order.
+        """
+        count, done = len(utc_ns), 0
         try:
-            for sequence, utc_ns, message in messages:
-                done += 1
-                self._unsafe[channel] += 1
-                add(channel, utc_ns, message, utc_ns, sequence & 0xFFFFFFFF)
-                if sink.position != sink.good:  # the writer closed a chunk
-                    self._note_good()
+            while self._open and done < count:
+                part = slice(done, min(count, done + self._writer.room(group.dtype.itemsize)))
+                done = part.stop
+                for channel in group.channels:
+                    self._unsafe[channel] += part.stop - part.start
+                fill(self._writer.append(group, sequences[part], utc_ns[part]), part)
+                if self._writer.full:
+                    self._flush()
         except OSError as error:
             self._fail(error)
-            self.lost[channel] += len(messages) - done
+        for channel in group.channels:
+            self.lost[channel] += count - done
 
     def tick(self, now_s: float) -> None:
         """Flush when it is time, and look how much room is left."""
@@ -146,17 +158,14 @@ class LogFile:
     def _finish(self, metadata: Mapping[str, Mapping[str, str]]) -> None:
         self._flush()
         for name, values in metadata.items():
-            self._writer.add_metadata(name, dict(values))
-        self._writer.finish()  # type: ignore[no-untyped-call]
+            self._writer.add_metadata(name, values)
+        self._writer.finish()
         self._syncer.stop()
         os.fsync(self._fd)
         os.close(self._fd)
 
     def _flush(self) -> None:
-        self._writer.flush()  # type: ignore[no-untyped-call]
-        self._note_good()
-
-    def _note_good(self) -> None:
+        self._writer.end_chunk()
         self._sink.good = self._sink.position
         self._unsafe.clear()
 
@@ -178,19 +187,12 @@ class _Sink:
         self.position = 0
         self.good = 0
 
-    def write(self, data: bytes) -> int:
+    def write(self, data: bytes) -> None:
         view = memoryview(data)
         while view:
             count = os.write(self._fd, view)
             self.position += count
             view = view[count:]
-        return len(data)
-
-    def tell(self) -> int:
-        return self.position
-
-    def flush(self) -> None:
-        """Nothing is held back."""
 
 
 class _Syncer:

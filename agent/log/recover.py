@@ -1,6 +1,6 @@
 """Mends a log whose recorder was killed: everything intact into a new, finished file, checked, then put in its place.
 
-Never touches a log that is being written, and never gives up the old file before the new one has been read back.
+A log that is being written is refused, and the old file stays until the new one has been read back.
 """
 
 from __future__ import annotations
@@ -10,15 +10,16 @@ import time
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, BinaryIO, Final
 
 from mcap.records import Attachment, Channel, Metadata, Schema
-from mcap.writer import CompressionType, Writer
 
-from agent.log.file import CHUNK_BYTES, LIBRARY, PROFILE, LogFileError, lock
+from agent.log.file import LIBRARY, PROFILE, LogFileError, lock
 from agent.log.read import RECOVERY, LogError
-from agent.log.scan import MESSAGE_HEAD, LogScan, Messages, library_of
+from agent.log.scan import LogScan, Messages, library_of
+from agent.log.writer import BatchWriter
 
 SUFFIX: Final = ".repairing"
 
@@ -39,22 +40,20 @@ def recover(path: Path, stop: Callable[[], bool] = lambda: False) -> RecoverRepo
     Raises LogError when it is no log, LogFileError when it is being written or the disk has no room.
     """
     try:
-        fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+        file = path.open("rb")
     except OSError as error:
         raise LogError(
             f"cannot open {path}", found=error.strerror, expected="a log", remedy="correct the path"
         ) from error
-    try:
-        if not lock(fd):
+    with file:
+        if not lock(file.fileno()):
             raise LogFileError(
                 f"{path} is being written",
                 found="a recorder's lock",
                 expected="a log whose recorder has ended",
                 remedy="stop that recorder; it finishes the file",
             )
-        return _recover(path, memoryview(path.read_bytes()), stop)
-    finally:
-        os.close(fd)
+        return _recover(path, file, stop)
 
 
 def repair_leftovers(
@@ -79,15 +78,15 @@ def _is_unfinished(path: Path) -> bool:
         head = file.read(4096)
         file.seek(0, os.SEEK_END)
         file.seek(max(0, file.tell() - 8))
-        return library_of(memoryview(head)) == LIBRARY and file.read() != head[:8]
+        return library_of(BytesIO(head)) == LIBRARY and file.read() != head[:8]
 
 
-def _recover(path: Path, data: memoryview, stop: Callable[[], bool]) -> RecoverReport:
-    if library_of(data) is None:
+def _recover(path: Path, file: BinaryIO, stop: Callable[[], bool]) -> RecoverReport:
+    if library_of(file) is None:
         raise LogError(
-            f"{path} is no MCAP file", found=f"{len(data)} bytes", expected="a log", remedy="correct the path"
+            f"{path} is no MCAP file", found=f"{file.seek(0, 2)} bytes", expected="a log", remedy="correct the path"
         )
-    scan = LogScan(data)
+    scan = LogScan(file)
     seen = _Fingerprint()
     for record in scan:
         seen.add(record)
@@ -98,19 +97,9 @@ def _recover(path: Path, data: memoryview, stop: Callable[[], bool]) -> RecoverR
         return RecoverReport(path, False, seen.count, ())
     temporary = path.with_name(path.name + SUFFIX)
     try:
-        _rewrite(data, temporary, scan)
+        _rewrite(file, temporary, scan)
         temporary.chmod(path.stat().st_mode & 0o777)
-        again = LogScan(memoryview(temporary.read_bytes()))
-        check = _Fingerprint()
-        for record in again:
-            check.add(record)
-        if again.problems or check != seen:
-            raise LogError(
-                f"the repaired copy of {path} is not what it should be",
-                found=f"{check.count} messages, {again.problems}",
-                expected=f"{seen.count} messages",
-                remedy="keep the original; see whether the disk is sound",
-            )
+        _check(path, temporary, seen)
         temporary.replace(path)
         _sync(path.parent, os.O_DIRECTORY)
     except OSError as error:
@@ -120,6 +109,22 @@ def _recover(path: Path, data: memoryview, stop: Callable[[], bool]) -> RecoverR
     finally:
         temporary.unlink(missing_ok=True)
     return RecoverReport(path, True, seen.count, problems)
+
+
+def _check(path: Path, copy: Path, seen: _Fingerprint) -> None:
+    """Raises LogError unless the copy can be read and holds what was seen."""
+    found = _Fingerprint()
+    with copy.open("rb") as file:
+        scan = LogScan(file)
+        for record in scan:
+            found.add(record)
+    if scan.problems or found != seen:
+        raise LogError(
+            f"the repaired copy of {path} is not what it should be",
+            found=f"{found.count} messages, {scan.problems}",
+            expected=f"{seen.count} messages",
+            remedy="keep the original; see whether the disk is sound",
+        )
 
 
 class _Fingerprint:
@@ -138,11 +143,12 @@ class _Fingerprint:
             self._attachments[record.name] = zlib.crc32(record.data)
         elif isinstance(record, Messages):
             view = memoryview(record.data)
-            for channel, begin, end in record.places:
-                topic = self._topics.get(channel)
+            for run in record.runs:
+                topic = self._topics.get(run.channel)
                 if topic is not None:
-                    self.count += 1
-                    self._sums[topic] = zlib.crc32(view[begin - MESSAGE_HEAD.size + 2 : end], self._sums.get(topic, 0))
+                    self.count += run.number
+                    end = run.begin + run.stride * run.number
+                    self._sums[topic] = zlib.crc32(view[run.begin : end], self._sums.get(topic, 0))
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, _Fingerprint) and (self.count, self._sums, self._attachments) == (
@@ -154,53 +160,51 @@ class _Fingerprint:
     __hash__ = None  # type: ignore[assignment]
 
 
-def _rewrite(data: memoryview, target: Path, scan: LogScan) -> None:
+def _rewrite(source: BinaryIO, target: Path, scan: LogScan) -> None:
     with target.open("wb") as file:
-        writer = Writer(file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD, enable_data_crcs=True)
+        writer = BatchWriter(file.write)
         writer.start(PROFILE, LIBRARY)
         copy = _Copy(writer)
-        for record in LogScan(data):
+        for record in LogScan(source):
             copy.add(record)
+        writer.end_chunk()
         told = {"utc_ns": str(time.time_ns()), "damaged": str(scan.damaged), "problems": "\n".join(scan.problems)}
         writer.add_metadata(RECOVERY, told)
-        writer.finish()  # type: ignore[no-untyped-call]
+        writer.finish()
         file.flush()
         os.fsync(file.fileno())
 
 
 class _Copy:
-    """Puts records into a writer that numbers its channels anew."""
+    """Puts records into a writer; schemas and channels keep their numbers."""
 
-    def __init__(self, writer: Writer) -> None:
+    def __init__(self, writer: BatchWriter) -> None:
         self._writer = writer
-        self._schemas: dict[int, int] = {0: 0}
-        self._channels: dict[int, int] = {}
+        self._schemas = {0}
+        self._channels: set[int] = set()
 
     def add(self, record: Any) -> None:
         if isinstance(record, Attachment):
-            self._writer.add_attachment(
-                record.create_time, record.log_time, record.name, record.media_type, record.data
-            )
+            self._writer.add_attachment(record)
         elif isinstance(record, Metadata):
             self._writer.add_metadata(record.name, record.metadata)
         elif isinstance(record, Schema):
             if record.id not in self._schemas:
-                self._schemas[record.id] = self._writer.register_schema(record.name, record.encoding, record.data)
+                self._schemas.add(record.id)
+                self._writer.add_schema(record)
         elif isinstance(record, Channel):
             if record.id not in self._channels and record.schema_id in self._schemas:
-                self._channels[record.id] = self._writer.register_channel(
-                    record.topic, record.message_encoding, self._schemas[record.schema_id], record.metadata
-                )
+                self._channels.add(record.id)
+                self._writer.add_channel(record)
         elif isinstance(record, Messages):
             self._add_messages(record)
 
     def _add_messages(self, messages: Messages) -> None:
-        for channel, begin, end in messages.places:
-            if channel in self._channels:
-                _, sequence, log_time, publish_time = MESSAGE_HEAD.unpack_from(messages.data, begin - MESSAGE_HEAD.size)
-                self._writer.add_message(
-                    self._channels[channel], log_time, messages.data[begin:end], publish_time, sequence
-                )
+        for run in messages.runs:
+            if run.channel in self._channels:
+                self._writer.append_records(messages.records(run))
+                if self._writer.full:
+                    self._writer.end_chunk()
 
 
 def _sync(path: Path, flags: int) -> None:

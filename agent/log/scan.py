@@ -1,4 +1,4 @@
-"""Walks an MCAP file record by record, however it ends and whatever is damaged in it.  Reads only, trusts no length.
+"""Walks an MCAP file record by record, however it ends and whatever is damaged in it; holds one record at a time.
 
 A file cut at any byte gives everything before the cut; a damaged chunk is left out and told of, the rest is read.
 """
@@ -10,8 +10,9 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from io import BytesIO
-from typing import Final
+from typing import BinaryIO, Final, NamedTuple
 
+import numpy as np
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
@@ -19,29 +20,63 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, DataEnd, Footer, Header, Metadata, Schema
 from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import MCAP0_MAGIC as MAGIC
+from numpy.typing import NDArray
+
+from agent.log.writer import HEAD, RECORD_HEAD_BYTES
 
 CHUNK_BYTES_MAX: Final = 1 << 28
-MESSAGE_HEAD: Final = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
+RECORD_BYTES_MAX: Final = 1 << 28
 _RECORD_HEAD: Final = struct.Struct("<BQ")
+_CHUNK_HEAD: Final = struct.Struct("<QQQII")  # times, size, checksum, length of the compression's name
+_CHANNEL_AT: Final = RECORD_HEAD_BYTES + 2  # a message record begins with opcode, length, channel
+_FOOTER_CRC_AT: Final = RECORD_HEAD_BYTES + 16
 _BAD_RECORD: Final = (ValueError, RuntimeError, OverflowError, McapError, struct.error, zstandard.ZstdError)
+_PIECE: Final = 1 << 20
 
 Record = Header | Schema | Channel | Attachment | Metadata
 
 
+class Run(NamedTuple):
+    """Message records of one channel and one size, one behind the other."""
+
+    channel: int
+    begin: int  # of the first record
+    stride: int  # bytes of each record
+    number: int  # how many
+
+
 @dataclass(frozen=True, slots=True)
 class Messages:
-    """The messages of one intact chunk, as places in its uncompressed bytes."""
+    """The messages of one intact chunk, in its uncompressed bytes."""
 
     data: bytes
-    places: list[tuple[int, int, int]]  # channel, begin of the message, end; MESSAGE_HEAD lies right before the begin
+    runs: list[Run]
+
+    def records(self, run: Run) -> NDArray[np.void]:
+        """The records (number,) of a run: the fields of HEAD, then `message`."""
+        dtype = np.dtype([*((name, HEAD[name]) for name in HEAD.names or ()), ("message", f"V{message_bytes(run)}")])
+        return np.frombuffer(self.data, dtype, run.number, run.begin)
+
+    def payloads(self, run: Run) -> NDArray[np.uint8]:
+        """The messages (number, size) of a run, without their heads."""
+        size = message_bytes(run)
+        first = run.begin + HEAD.itemsize
+        return np.ndarray((run.number, size), np.uint8, self.data, first, (run.stride, 1))
+
+
+def message_bytes(run: Run) -> int:
+    """Size of each message of a run."""
+    return run.stride - HEAD.itemsize
 
 
 class LogScan:
     """One pass over a file; `problems`, `finished` and `intact_bytes` are valid when the iteration has ended."""
 
-    def __init__(self, data: memoryview) -> None:
-        """`data`: the whole file, its magic first."""
-        self._data = data
+    def __init__(self, file: BinaryIO) -> None:
+        """`file`: from its first byte on, of the length that it has now."""
+        self._file = file
+        self._size = file.seek(0, 2)
+        self._crc = 0  # of everything before the record at hand
         self._data_ended = False
         self.problems: list[str] = []
         self.damaged = 0  # records left out because a checksum or their structure is wrong
@@ -49,33 +84,45 @@ class LogScan:
         self.intact_bytes = len(MAGIC)  # up to the end of the last whole record
 
     def __iter__(self) -> Iterator[Record | Messages]:
-        data, position = self._data, len(MAGIC)
-        while position + _RECORD_HEAD.size <= len(data):
-            opcode, length = _RECORD_HEAD.unpack_from(data, position)
-            begin, end = position + _RECORD_HEAD.size, position + _RECORD_HEAD.size + length
-            if end > len(data):
+        self._file.seek(0)
+        self._crc = zlib.crc32(self._file.read(len(MAGIC)))
+        position = len(MAGIC)
+        while position + RECORD_HEAD_BYTES <= self._size:
+            head = self._file.read(RECORD_HEAD_BYTES)
+            opcode, length = _RECORD_HEAD.unpack(head)
+            end = position + RECORD_HEAD_BYTES + length
+            if end > self._size:
                 break
             try:
-                yield from self._record(opcode, data[begin:end], position)
+                yield from self._record(opcode, length, head, position)
             except _BAD_RECORD as error:
-                self.damaged += 1
-                self.problems.append(f"damaged at byte {position}: {error or type(error).__name__}")
+                self._damage(f"damaged at byte {position}: {error or type(error).__name__}")
             self.intact_bytes = position = end
+            self._file.seek(end)
             if opcode == Opcode.FOOTER:
-                self.finished = bytes(data[end:]) == MAGIC
+                self.finished = self._file.read() == MAGIC
                 break
         if self.finished and not self._data_ended:
-            self.damaged += 1
-            self.problems.append("the end of the data is not where it should be")
+            self._damage("the end of the data is not where it should be")
         if not self.finished:
-            rest = len(data) - self.intact_bytes
+            rest = self._size - self.intact_bytes
             self.problems.append(f"the file ends without its index{f', {rest} bytes of a record cut' if rest else ''}")
 
-    def _record(self, opcode: int, body: memoryview, position: int) -> Iterator[Record | Messages]:
+    def _damage(self, what: str) -> None:
+        self.damaged += 1
+        self.problems.append(what)
+
+    def _record(self, opcode: int, length: int, head: bytes, position: int) -> Iterator[Record | Messages]:
+        before = self._crc
+        if length > RECORD_BYTES_MAX:
+            self._crc = self._checksum(length, zlib.crc32(head, before))
+            raise ValueError(f"a record of {length} bytes")
+        body = self._file.read(length)
+        self._crc = zlib.crc32(body, zlib.crc32(head, before))
         if opcode == Opcode.CHUNK:
             yield from _split(_uncompressed(body))
         elif opcode == Opcode.ATTACHMENT:
-            if zlib.crc32(body[:-4]) != struct.unpack("<I", body[-4:])[0]:
+            if zlib.crc32(memoryview(body)[:-4]) != struct.unpack("<I", body[-4:])[0]:
                 raise ValueError("attachment with a wrong checksum")
             yield Attachment.read(_stream(body))
         elif opcode == Opcode.METADATA:
@@ -85,50 +132,88 @@ class LogScan:
         elif opcode == Opcode.DATA_END:
             self._data_ended = True
             expected = DataEnd.read(_stream(body)).data_section_crc
-            if expected and zlib.crc32(self._data[:position]) != expected:
+            if expected and before != expected:
                 raise ValueError("the data have a wrong checksum")
         elif opcode == Opcode.FOOTER:
-            footer = Footer.read(_stream(body))
-            crc_at = position + _RECORD_HEAD.size + 16
-            if footer.summary_crc and zlib.crc32(self._data[footer.summary_start : crc_at]) != footer.summary_crc:
-                raise ValueError("the index has a wrong checksum")
+            self._check_summary(Footer.read(_stream(body)), position)
+
+    def _check_summary(self, footer: Footer, position: int) -> None:
+        length = position + _FOOTER_CRC_AT - footer.summary_start
+        if not footer.summary_crc:
+            return
+        if length < 0:
+            raise ValueError("the index is not where it should be")
+        self._file.seek(footer.summary_start)
+        if self._checksum(length, 0) != footer.summary_crc:
+            raise ValueError("the index has a wrong checksum")
+
+    def _checksum(self, length: int, crc: int) -> int:
+        """CRC32 of the next so many bytes of the file, going on from `crc`."""
+        while length > 0 and (piece := self._file.read(min(length, _PIECE))):
+            crc, length = zlib.crc32(piece, crc), length - len(piece)
+        return crc
 
 
-def library_of(data: memoryview) -> str | None:
+def library_of(file: BinaryIO) -> str | None:
     """Who wrote the file; None when it is no MCAP file."""
-    if bytes(data[: len(MAGIC)]) != MAGIC:
+    file.seek(0)
+    if file.read(len(MAGIC)) != MAGIC:
         return None
-    first = next(iter(LogScan(data)), None)
+    first = next(iter(LogScan(file)), None)
     return first.library if isinstance(first, Header) else ""
 
 
-def _stream(body: memoryview) -> ReadDataStream:
+def _stream(body: bytes | memoryview) -> ReadDataStream:
     return ReadDataStream(BytesIO(body))
 
 
-def _uncompressed(body: memoryview) -> bytes:
-    chunk = Chunk.read(_stream(body))
-    if chunk.uncompressed_size > CHUNK_BYTES_MAX:
-        raise ValueError(f"a chunk of {chunk.uncompressed_size} bytes")
-    stream, length = get_chunk_data_stream(chunk, validate_crc=True)
-    return stream.read(length)
+def _uncompressed(body: bytes) -> bytes:
+    """Content of a chunk.  Raises ValueError when it is too large or its checksum is wrong."""
+    _, _, size, crc, name_length = _CHUNK_HEAD.unpack_from(body)
+    if size > CHUNK_BYTES_MAX:
+        raise ValueError(f"a chunk of {size} bytes")
+    name_at = _CHUNK_HEAD.size
+    packed_at = name_at + name_length + 8
+    if body[name_at : name_at + name_length] != b"zstd":
+        stream, length = get_chunk_data_stream(Chunk.read(_stream(body)), validate_crc=True)
+        return stream.read(length)
+    packed = memoryview(body)[packed_at : packed_at + int.from_bytes(body[packed_at - 8 : packed_at], "little")]
+    if zstandard.frame_content_size(packed) not in (-1, size):
+        raise ValueError("a chunk of another size than it says")
+    data = zstandard.ZstdDecompressor().decompress(packed, max_output_size=size)
+    if len(data) != size or (crc and zlib.crc32(data) != crc):
+        raise ValueError("a chunk with a wrong checksum")
+    return data
 
 
 def _split(data: bytes) -> Iterator[Record | Messages]:
     """Schemas and channels of a chunk, then all its messages at once."""
-    places = []
+    runs = []
     position, size = 0, len(data)
-    head, channel_of, message = _RECORD_HEAD.unpack_from, struct.Struct("<H").unpack_from, int(Opcode.MESSAGE)
+    head, message = _RECORD_HEAD.unpack_from, int(Opcode.MESSAGE)
     while position < size:
         opcode, length = head(data, position)
-        begin, position = position + 9, position + 9 + length
+        begin, position = position, position + RECORD_HEAD_BYTES + length
         if position > size:
             raise ValueError("a record reaches out of its chunk")
         if opcode == message:
-            places.append((channel_of(data, begin)[0], begin + MESSAGE_HEAD.size, position))
+            run = _run_at(data, begin, RECORD_HEAD_BYTES + length)
+            runs.append(run)
+            position = begin + run.stride * run.number
         elif opcode == Opcode.SCHEMA:
-            yield Schema.read(_stream(memoryview(data)[begin:position]))
+            yield Schema.read(_stream(memoryview(data)[begin + RECORD_HEAD_BYTES : position]))
         elif opcode == Opcode.CHANNEL:
-            yield Channel.read(_stream(memoryview(data)[begin:position]))
-    if places:
-        yield Messages(data, places)
+            yield Channel.read(_stream(memoryview(data)[begin + RECORD_HEAD_BYTES : position]))
+    if runs:
+        yield Messages(data, runs)
+
+
+def _run_at(data: bytes, begin: int, stride: int) -> Run:
+    """The message record at `begin`, and those like it right behind it."""
+    if stride < HEAD.itemsize:
+        raise ValueError("a message without its head")
+    alike = data[begin : begin + _CHANNEL_AT]
+    position, end = begin + stride, len(data) - stride
+    while position <= end and data.startswith(alike, position):
+        position += stride
+    return Run(int.from_bytes(alike[RECORD_HEAD_BYTES:], "little"), begin, stride, (position - begin) // stride)

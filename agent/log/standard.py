@@ -1,4 +1,4 @@
-"""Standard ROS 2 messages from rows, many at a time, for viewers that know nothing of ours.  Never changes a row.
+"""Standard ROS 2 messages from rows, many at a time, for viewers that know nothing of ours.
 
 With fixed strings and counts these messages have a constant layout too: one encoded template, numbers filled in.
 """
@@ -8,7 +8,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,12 +19,27 @@ from agent.telemetry.row.topics import ROOT
 
 WORLD: Final = "world"
 RATE_HZ: Final = 50.0
+_SLOT_NS: Final = np.int64(1e9 / RATE_HZ)
 LOG_TOPIC: Final = "/rosout"
 TF_TOPIC: Final = "/tf"
 _STRING_HEAD: Final = struct.Struct("<II")  # encapsulation, length with the closing zero
 
 Rows = NDArray[np.void]
-Fill = Callable[[Rows, Rows], None]  # (messages to fill, rows to fill them from), equally long
+
+
+class Stamp(NamedTuple):
+    """Time of each row as ROS has it."""
+
+    sec: NDArray[np.int64]
+    nanosec: NDArray[np.int64]
+
+    @staticmethod
+    def of(rows: Rows) -> Stamp:
+        """The rows' UTC."""
+        return Stamp(*np.divmod(rows["utc_ns"], 1_000_000_000))
+
+
+Fill = Callable[[Rows, Rows, Stamp], None]  # (messages to fill, rows to fill them from, their stamps), equally long
 
 
 class CdrTemplate:
@@ -90,16 +105,9 @@ class StandardTopic:
 
     topic: str
     ros_name: str
-    template: bytes
+    template: bytes  # a complete message, all numbers zero
     dtype: np.dtype[np.void]
     fill: Fill
-
-    def messages(self, rows: Rows) -> list[bytes]:
-        """One complete message per row."""
-        out = np.frombuffer(bytearray(self.template * len(rows)), self.dtype)
-        self.fill(out, rows)
-        data, size = out.tobytes(), len(self.template)
-        return [data[i : i + size] for i in range(0, len(data), size)]
 
 
 def arm_topics(cell: str, arm: str, joints: Sequence[str], *, is_first: bool, has_plant: bool) -> list[StandardTopic]:
@@ -129,9 +137,14 @@ def plant_topics(cell: str) -> list[StandardTopic]:
 
 def decimated(rows: Rows, last_slot: int) -> tuple[Rows, int]:
     """The first row of each 1/RATE_HZ of time, and the last slot of time seen; pass that in again."""
-    slots = rows["utc_ns"] // np.int64(1e9 / RATE_HZ)
-    fresh = slots != np.concatenate([[last_slot], slots[:-1]])
-    return rows[fresh], int(slots[-1]) if len(slots) else last_slot
+    if not len(rows):
+        return rows, last_slot
+    slots = rows["utc_ns"] // _SLOT_NS
+    fresh = np.empty(len(rows), np.bool_)
+    fresh[0] = slots[0] != last_slot
+    np.not_equal(slots[1:], slots[:-1], out=fresh[1:])
+    whole = rows.view(f"V{rows.dtype.itemsize}")  # copied as bytes, not field by field
+    return whole[fresh].view(rows.dtype), int(slots[-1])
 
 
 def text_message(text: bytes) -> bytes:
@@ -163,12 +176,14 @@ def _topic(topic: str, ros_name: str, template: CdrTemplate, fill: Fill) -> Stan
     return StandardTopic(topic, ros_name, template.message, template.dtype, fill)
 
 
-def _stamp(out: Rows, rows: Rows, prefix: str = "") -> None:
-    out[f"{prefix}sec"], out[f"{prefix}nanosec"] = np.divmod(rows["utc_ns"], 1_000_000_000)
+def _set_stamp(out: Rows, stamp: Stamp, prefix: str = "") -> None:
+    out[f"{prefix}sec"], out[f"{prefix}nanosec"] = stamp
 
 
-def _xyzw(quat_scalar_first: NDArray[np.float64]) -> NDArray[np.float64]:
-    return quat_scalar_first[:, [1, 2, 3, 0]]
+def _set_pose(out: Rows, p: NDArray[np.float64], quat_scalar_first: NDArray[np.float64], prefix: str = "") -> None:
+    out[f"{prefix}p"] = p
+    quat = out[f"{prefix}quat"]  # scalar last
+    quat[:, :3], quat[:, 3] = quat_scalar_first[:, 1:], quat_scalar_first[:, 0]
 
 
 def _joint_state(topic: str, joints: Sequence[str]) -> StandardTopic:
@@ -179,8 +194,8 @@ def _joint_state(topic: str, joints: Sequence[str]) -> StandardTopic:
     for name in ("position", "velocity", "effort"):
         template.length(n).number(name, "<f8", n)
 
-    def fill(out: Rows, rows: Rows) -> None:
-        _stamp(out, rows)
+    def fill(out: Rows, rows: Rows, stamp: Stamp) -> None:
+        _set_stamp(out, stamp)
         out["position"] = rows["q_measured"][:, :n]
         out["velocity"] = rows["dq_measured"][:, :n]
         out["effort"] = rows["tau_sent"][:, :n]
@@ -189,8 +204,8 @@ def _joint_state(topic: str, joints: Sequence[str]) -> StandardTopic:
 
 
 def _wrench(topic: str, field: str) -> StandardTopic:
-    def fill(out: Rows, rows: Rows) -> None:
-        _stamp(out, rows)
+    def fill(out: Rows, rows: Rows, stamp: Stamp) -> None:
+        _set_stamp(out, stamp)
         out["wrench"] = rows[field]
 
     template = CdrTemplate().header("", WORLD).number("wrench", "<f8", 6)
@@ -198,9 +213,9 @@ def _wrench(topic: str, field: str) -> StandardTopic:
 
 
 def _pose(topic: str, p: str, quat: str) -> StandardTopic:
-    def fill(out: Rows, rows: Rows) -> None:
-        _stamp(out, rows)
-        out["p"], out["quat"] = rows[p], _xyzw(rows[quat])
+    def fill(out: Rows, rows: Rows, stamp: Stamp) -> None:
+        _set_stamp(out, stamp)
+        _set_pose(out, rows[p], rows[quat])
 
     template = CdrTemplate().header("", WORLD).number("p", "<f8", 3).number("quat", "<f8", 4)
     return _topic(topic, "geometry_msgs/PoseStamped", template, fill)
@@ -211,9 +226,9 @@ def _transforms(frames: Sequence[tuple[str, str, str]]) -> StandardTopic:
     for i, (child, _, _) in enumerate(frames):
         template.header(f"{i}.", WORLD).string(child).number(f"{i}.p", "<f8", 3).number(f"{i}.quat", "<f8", 4)
 
-    def fill(out: Rows, rows: Rows) -> None:
+    def fill(out: Rows, rows: Rows, stamp: Stamp) -> None:
         for i, (_, p, quat) in enumerate(frames):
-            _stamp(out, rows, f"{i}.")
-            out[f"{i}.p"], out[f"{i}.quat"] = rows[p], _xyzw(rows[quat])
+            _set_stamp(out, stamp, f"{i}.")
+            _set_pose(out, rows[p], rows[quat], f"{i}.")
 
     return _topic(TF_TOPIC, "tf2_msgs/TFMessage", template, fill)

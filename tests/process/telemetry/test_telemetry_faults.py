@@ -10,6 +10,7 @@ import resource
 import signal
 import time
 from collections.abc import Callable, Iterator
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -395,6 +396,6 @@ def test_a_log_that_was_never_written_to_is_a_finished_file_without_rows(folder:
     with recorder(folder / "run.mcap", arms=LEFT) as rec:
         rec.ready()
         assert not rec.stop().complete
-    assert library_of(memoryview((folder / "run.mcap").read_bytes())) == "widowx-coop"
+    assert library_of(BytesIO((folder / "run.mcap").read_bytes())) == "widowx-coop"
     with pytest.raises(LogError, match="holds no rows"):
         read_log(folder / "run.mcap")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -23,7 +24,7 @@ def original() -> tuple[bytes, dict[str, np.ndarray], list[int]]:
     with TemporaryDirectory() as folder:
         rows = make_log(Path(folder) / "run.mcap", COUNT, batches=BATCHES)
         data = (Path(folder) / "run.mcap").read_bytes()
-    ends, scan = [], LogScan(memoryview(data))
+    ends, scan = [], LogScan(BytesIO(data))
     before = 8
     for record in scan:
         if isinstance(record, Messages):

@@ -9,6 +9,7 @@ import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
 
 import pytest
@@ -26,7 +27,7 @@ def create(path: Path, min_free_bytes: int = 0) -> LogFile:
 
 def test_attachments_and_metadata_are_in_the_file_before_the_first_message(tmp_path: Path) -> None:
     maker = LogMaker(tmp_path / "run.mcap")
-    found = list(LogScan(memoryview((tmp_path / "run.mcap").read_bytes())))
+    found = list(LogScan(BytesIO((tmp_path / "run.mcap").read_bytes())))
     assert any(getattr(record, "data", None) == RUN_JSON for record in found)
     assert any(getattr(record, "metadata", None) == {"host": "bench"} for record in found)
     maker.finish()

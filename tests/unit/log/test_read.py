@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from mcap.writer import Writer
 
-from agent.log.file import CHUNK_BYTES
 from agent.log.read import LogError, read_log
+from agent.log.writer import CHUNK_BYTES
 from agent.telemetry.row.event import Event, Level
 from agent.telemetry.row.sample import AGENT_STATE
 from tests.support.telemetry.log_maker import RUN_JSON, LogMaker, make_log

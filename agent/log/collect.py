@@ -1,0 +1,137 @@
+"""Sorts what a scan of a log brings: rows to one place per member, events, attachments, metadata, and what is wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import BinaryIO, Final, Generic, Protocol, TypeVar
+
+import numpy as np
+from mcap.records import Attachment, Channel, Metadata, Schema
+from numpy.typing import NDArray
+
+from agent.log import ros_definitions
+from agent.log.scan import LogScan, Messages, Run, library_of
+from agent.log.standard import text_of
+from agent.telemetry.row.event import Event
+from agent.telemetry.row.sample import AGENT_STATE, PLANT_STATE, Layout
+from agent.telemetry.row.topics import Kind, parse_topic
+from drivers.interface import Refusal
+
+_LAYOUTS: Final = {ros_definitions.schema_name(layout.ros_name): layout for layout in (AGENT_STATE, PLANT_STATE)}
+
+
+class LogError(Refusal):
+    """The file is no log that can be read."""
+
+
+class RowSink(Protocol):
+    """Where the rows of one member go."""
+
+    def add(self, messages: NDArray[np.uint8]) -> None:
+        """Take complete messages (k, size), in the order of the file."""
+        ...
+
+
+Sink = TypeVar("Sink", bound=RowSink)
+
+
+class Collected(Generic[Sink]):
+    """All of one log."""
+
+    def __init__(self, path: Path, new_sink: Callable[[Layout], Sink]) -> None:
+        """`new_sink` is called once per member that has a channel of rows."""
+        self.cell = ""
+        self.rows: dict[str, Sink] = {}
+        self.events: list[Event] = []
+        self.attachments: dict[str, bytes] = {}
+        self.metadata: dict[str, dict[str, str]] = {}
+        self.problems: list[str] = []
+        self.path = path
+        self._new_sink = new_sink
+        self._schemas: dict[int, Schema] = {}
+        self._kinds: dict[int, tuple[str, Kind]] = {}  # member and kind by channel
+        self._row_bytes: dict[str, int] = {}
+
+    def read(self) -> None:
+        """Read the file once.  Raises LogError."""
+        try:
+            with self.path.open("rb") as file:
+                _require_mcap(self.path, file)
+                scan = LogScan(file)
+                for record in scan:
+                    self._add(record)
+        except OSError as error:
+            raise LogError(
+                f"cannot read {self.path}", found=error.strerror, expected="a log file", remedy="correct the path"
+            ) from error
+        self.events.sort(key=lambda event: event.utc_ns)
+        self.problems = [*scan.problems, *self.problems]
+
+    def _add(self, record: object) -> None:
+        if isinstance(record, Messages):
+            for run in record.runs:
+                self._add_run(record, run)
+        elif isinstance(record, Schema):
+            self._schemas[record.id] = record
+        elif isinstance(record, Channel):
+            self._add_channel(record)
+        elif isinstance(record, Attachment):
+            self.attachments[record.name] = record.data
+        elif isinstance(record, Metadata):
+            self.metadata[record.name] = record.metadata
+
+    def _add_channel(self, channel: Channel) -> None:
+        address = parse_topic(channel.topic)
+        if address is None:
+            return
+        self.cell = address.cell
+        self._kinds[channel.id] = (address.member, address.kind)
+        if address.kind is Kind.STATE and address.member not in self.rows:
+            layout = self._layout(channel)
+            self.rows[address.member] = self._new_sink(layout)
+            self._row_bytes[address.member] = layout.dtype.itemsize
+
+    def _layout(self, channel: Channel) -> Layout:
+        schema = self._schemas.get(channel.schema_id)
+        layout = _LAYOUTS.get(schema.name) if schema else None
+        if schema is None or layout is None or schema.data.decode(errors="replace") != layout.definition:
+            raise LogError(
+                f"{self.path}: {channel.topic} has another layout",
+                found=schema.name if schema else "no schema",
+                expected="the layout of this release",
+                remedy="read it with the release that recorded it, which is in its metadata `recorder`",
+            )
+        return layout
+
+    def _add_run(self, messages: Messages, run: Run) -> None:
+        if run.channel not in self._kinds:
+            return
+        member, kind = self._kinds[run.channel]
+        payloads = messages.payloads(run)
+        if kind is Kind.STATE:
+            if payloads.shape[1] == self._row_bytes[member]:
+                self.rows[member].add(payloads)
+            else:
+                self.problems += [f"{member}: a row of {payloads.shape[1]} bytes left out"] * run.number
+        elif kind is Kind.EVENT:
+            for payload in payloads:
+                self._add_event(payload.tobytes())
+
+    def _add_event(self, payload: bytes) -> None:
+        try:
+            self.events.append(Event.from_json(text_of(payload)))
+        except ValueError as error:
+            self.problems.append(f"an event that is none: {error}")
+
+
+def _require_mcap(path: Path, file: BinaryIO) -> None:
+    if library_of(file) is None:
+        file.seek(0)
+        head = file.read(8)
+        raise LogError(
+            f"{path} is no MCAP file",
+            found=f"{file.seek(0, 2)} bytes starting {head!r}",
+            expected="a log that `coop record` made",
+            remedy="give the path of the .mcap file of a run",
+        )

@@ -1,0 +1,249 @@
+"""Rows of a log by column: a column is in memory while somebody uses it, and before that in a temporary file.
+
+A row holds a few hundred numbers, an analysis wants a few of them at a time.  The rows of a long log are turned into
+columns once, block by block; a number that does not change within a block takes no room.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Protocol, Self, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.interface import Refusal
+
+BLOCK_ROWS: Final = 2048
+_WORD: Final = 8  # bytes: every field begins on a multiple of its size, counted from behind the encapsulation header
+_HEADER: Final = 4
+
+Column = NDArray[Any]
+Index = NDArray[np.bool_] | NDArray[np.integer[Any]]
+
+
+class Source(Protocol):
+    """Where columns come from."""
+
+    def __len__(self) -> int:
+        """How many rows there are."""
+        ...
+
+    def column(self, name: str) -> Column:
+        """Field `name` of all rows, (k,) or (k, length).  Raises KeyError for a field that the rows do not have."""
+        ...
+
+
+class Table:
+    """Rows (k,): `table[name]` is a column, `table[which]` a table of those rows, as with a structured array."""
+
+    def __init__(
+        self,
+        source: Source,
+        index: slice | NDArray[np.intp] | None = None,
+        replaced: Mapping[str, Column] | None = None,
+    ) -> None:
+        """`index`: the rows of the source, all without it; `replaced`: columns of other values, for the rows chosen."""
+        self._source = source
+        self._index = slice(0, len(source), 1) if index is None else index
+        self._replaced = dict(replaced or {})
+
+    @classmethod
+    def of(cls, rows: Table | NDArray[np.void]) -> Table:
+        """The same rows; an array stays where it is."""
+        return rows if isinstance(rows, Table) else cls(_Array(rows))
+
+    def __len__(self) -> int:
+        index = self._index
+        return len(range(index.start, index.stop, index.step)) if isinstance(index, slice) else len(index)
+
+    @overload
+    def __getitem__(self, key: str) -> Column: ...
+
+    @overload
+    def __getitem__(self, key: slice | Index) -> Table: ...
+
+    def __getitem__(self, key: str | slice | Index) -> Column | Table:
+        if isinstance(key, str):
+            return self._replaced[key] if key in self._replaced else self._source.column(key)[self._index]
+        replaced = {name: column[key] for name, column in self._replaced.items()}
+        return Table(self._source, _chosen(self._index, key), replaced)
+
+    def with_column(self, name: str, values: Column) -> Table:
+        """The same rows with other values (k, …) of one column."""
+        return Table(self._source, self._index, {**self._replaced, name: values})
+
+
+def _chosen(index: slice | NDArray[np.intp], key: slice | Index) -> slice | NDArray[np.intp]:
+    if isinstance(key, slice):
+        if isinstance(index, slice):
+            part = range(index.start, index.stop, index.step)[key]
+            return slice(part.start, part.stop, part.step) if part.step > 0 else np.array(part, np.intp)
+        return index[key]
+    where = np.flatnonzero(key) if key.dtype == np.bool_ else key.astype(np.intp)
+    if len(where) and isinstance(index, slice) and index.step == 1 and np.array_equal(where, _stretch(where)):
+        return slice(index.start + int(where[0]), index.start + int(where[-1]) + 1, 1)
+    return np.arange(index.start, index.stop, index.step)[where] if isinstance(index, slice) else index[where]
+
+
+def _stretch(where: NDArray[np.intp]) -> NDArray[np.intp]:
+    return np.arange(where[0], where[0] + len(where))
+
+
+class _Array:
+    """Rows that are in memory."""
+
+    def __init__(self, rows: NDArray[np.void]) -> None:
+        self._rows = rows
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def column(self, name: str) -> Column:
+        try:
+            return self._rows[name]
+        except ValueError as error:
+            raise KeyError(name) from error
+
+
+# -------------------------------------------------------------------------------------------------- in a temporary file
+
+
+class ColumnFileError(Refusal):
+    """There is no room for the columns of a log."""
+
+
+class ColumnFile:
+    """A temporary file without a name, for the time of a `with` block.  Raises ColumnFileError."""
+
+    def __init__(self, folder: Path | None = None) -> None:
+        """`folder`: where it lies; /var/tmp without it, which is a disk where /tmp is memory, or where TMPDIR says."""
+        self._folder = Path(_scratch()) if folder is None else folder
+        try:
+            self._file = tempfile.TemporaryFile(dir=self._folder, buffering=0)  # noqa: SIM115 (closed by __exit__)
+        except OSError as error:
+            raise self._refusal(error) from error
+        self.bytes_written = 0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+    def append(self, data: NDArray[Any]) -> int:
+        """Add the bytes of a contiguous array; returns where they are."""
+        at, view = self.bytes_written, data.reshape(-1).view(np.uint8).data
+        try:
+            while view:
+                count = os.pwrite(self._file.fileno(), view, self.bytes_written)
+                self.bytes_written += count
+                view = view[count:]
+        except OSError as error:
+            raise self._refusal(error) from error
+        return at
+
+    def read(self, at: int, length: int) -> bytes:
+        """Bytes that were added before."""
+        return os.pread(self._file.fileno(), length, at)
+
+    def _refusal(self, error: OSError) -> ColumnFileError:
+        return ColumnFileError(
+            f"cannot keep the columns of a log in {self._folder}",
+            found=error.strerror,
+            expected="a folder that can be written, with room for twice the log",
+            remedy="make room, or name another folder in TMPDIR",
+        )
+
+
+def _scratch() -> str:
+    told = tempfile.gettempdir()
+    return "/var/tmp" if told == "/tmp" and os.access("/var/tmp", os.W_OK) else told
+
+
+@dataclass(frozen=True, slots=True)
+class _Block:
+    """BLOCK_ROWS rows, or fewer in the last one: the words that vary, one column behind the other."""
+
+    rows: int
+    at: int  # of the first column in the file
+    place: NDArray[np.int32]  # of each word among the columns, −1 for a constant one
+    constant: NDArray[np.uint64]
+
+
+class StoredRows:
+    """Rows of one layout in a ColumnFile: first added, then read."""
+
+    def __init__(self, file: ColumnFile, dtype: np.dtype[np.void]) -> None:
+        self._file = file
+        self._dtype = dtype
+        self._words = -(-(dtype.itemsize - _HEADER) // _WORD)
+        # the message stands behind 4 bytes, so that its fields lie on multiples of their size
+        self._staged = np.zeros((BLOCK_ROWS, 1 + self._words), np.uint64)
+        self._staged_count = 0
+        self._blocks: list[_Block] = []
+
+    def __len__(self) -> int:
+        return sum(block.rows for block in self._blocks) + self._staged_count
+
+    def add(self, messages: NDArray[np.uint8]) -> None:
+        """Add complete messages (k, size)."""
+        raw = self._staged.view(np.uint8)[:, _WORD - _HEADER : _WORD - _HEADER + self._dtype.itemsize]
+        while len(messages):
+            count = min(len(messages), BLOCK_ROWS - self._staged_count)
+            raw[self._staged_count : self._staged_count + count] = messages[:count]
+            self._staged_count += count
+            messages = messages[count:]
+            if self._staged_count == BLOCK_ROWS:
+                self._end_block()
+
+    def finish(self) -> None:
+        """No row will follow."""
+        if self._staged_count:
+            self._end_block()
+        self._staged = np.zeros((0, 0), np.uint64)
+
+    def column(self, name: str) -> Column:
+        """Field `name` of all rows."""
+        fields = self._dtype.fields
+        assert fields is not None
+        dtype, offset = fields[name][:2]
+        base, shape = dtype.subdtype or (dtype, ())
+        word, within = divmod(offset - _HEADER, _WORD)
+        if offset < _HEADER or (base.itemsize < _WORD and shape):
+            raise KeyError(name)
+        width = shape[0] if shape else 1
+        out = np.empty((len(self), width), base)
+        begin = 0
+        for block in self._blocks:
+            part = out[begin : begin + block.rows]
+            begin += block.rows
+            for j, values in enumerate(self._read(block, word, width)):
+                part[:, j] = values.view(base)[within // base.itemsize :: _WORD // base.itemsize]
+        return out if shape else out[:, 0]
+
+    def _read(self, block: _Block, word: int, width: int) -> list[NDArray[np.uint64]]:
+        """So many words of a block, each (rows,) or, when it does not vary, (1,)."""
+        place = block.place[word : word + width]
+        varying = place[place >= 0]
+        if not len(varying):
+            return [block.constant[w : w + 1] for w in range(word, word + width)]
+        first, count = int(varying[0]), len(varying)  # words that vary stand in their order
+        data = self._file.read(block.at + first * block.rows * _WORD, count * block.rows * _WORD)
+        columns = np.frombuffer(data, np.uint64).reshape(count, block.rows)
+        return [
+            columns[p - first] if p >= 0 else block.constant[word + j : word + j + 1]
+            for j, p in enumerate(place.tolist())
+        ]
+
+    def _end_block(self) -> None:
+        count, self._staged_count = self._staged_count, 0
+        words = np.ascontiguousarray(self._staged[:count, 1:].T)
+        varies = np.any(words[:, 1:] != words[:, :1], axis=1)
+        place = np.where(varies, np.cumsum(varies) - 1, -1).astype(np.int32)
+        at = self._file.append(words[varies])
+        self._blocks.append(_Block(count, at, place, words[:, 0].copy()))
