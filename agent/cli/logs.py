@@ -17,10 +17,11 @@ def report(
     """Make the figures, the page and results.json from a log alone."""
     from rich.console import Console
 
-    from agent.log.read import read_log
+    from agent.log.read import open_log
     from agent.report.report import terminal_table, write_report
 
-    files = write_report(read_log(log), out or log.parent)
+    with open_log(log) as opened:
+        files = write_report(opened, out or log.parent)
     Console().print(terminal_table(files.results))
     typer.echo(f"report   {files.html}")
 
@@ -32,12 +33,16 @@ def compare(
     """Say which figures of two logs differ, and which log has the better ones."""
     from rich.console import Console
 
-    from agent.log.read import read_log
+    from agent.log.read import open_log
     from agent.report.compare import compare as differences
     from agent.report.compare import comparison_table
     from agent.report.metrics import summarise
 
-    a, b = summarise(read_log(first)), summarise(read_log(second))
+    results = []
+    for log in (first, second):
+        with open_log(log) as opened:
+            results.append(summarise(opened))
+    a, b = results
     Console().print(comparison_table(a, b, differences(a, b)))
 
 

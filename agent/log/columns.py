@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Protocol, Self, overload
@@ -33,8 +33,11 @@ class Source(Protocol):
         """How many rows there are."""
         ...
 
-    def column(self, name: str) -> Column:
-        """Field `name` of all rows, (k,) or (k, length).  Raises KeyError for a field that the rows do not have."""
+    def column(self, name: str, rows: slice, part: slice | None) -> Column:
+        """Field `name` of a stretch of the rows, (k,) or (k, length); `part`: these numbers of an array alone.
+
+        Raises KeyError for a field that the rows do not have.
+        """
         ...
 
 
@@ -49,7 +52,7 @@ class Table:
     ) -> None:
         """`index`: the rows of the source, all without it; `replaced`: columns of other values, for the rows chosen."""
         self._source = source
-        self._index = slice(0, len(source), 1) if index is None else index
+        self._index = slice(0, len(source)) if index is None else index
         self._replaced = dict(replaced or {})
 
     @classmethod
@@ -58,8 +61,7 @@ class Table:
         return rows if isinstance(rows, Table) else cls(_Array(rows))
 
     def __len__(self) -> int:
-        index = self._index
-        return len(range(index.start, index.stop, index.step)) if isinstance(index, slice) else len(index)
+        return self._index.stop - self._index.start if isinstance(self._index, slice) else len(self._index)
 
     @overload
     def __getitem__(self, key: str) -> Column: ...
@@ -69,29 +71,34 @@ class Table:
 
     def __getitem__(self, key: str | slice | Index) -> Column | Table:
         if isinstance(key, str):
-            return self._replaced[key] if key in self._replaced else self._source.column(key)[self._index]
+            return self.column(key)
         replaced = {name: column[key] for name, column in self._replaced.items()}
         return Table(self._source, _chosen(self._index, key), replaced)
+
+    def column(self, name: str, part: slice | None = None) -> Column:
+        """Column (k,) or (k, length); `part`: of an array only these numbers, (k, …)."""
+        if name in self._replaced:
+            return self._replaced[name] if part is None else self._replaced[name][:, part]
+        if isinstance(self._index, slice):
+            return self._source.column(name, self._index, part)
+        return self._source.column(name, slice(0, len(self._source)), part)[self._index]
 
     def with_column(self, name: str, values: Column) -> Table:
         """The same rows with other values (k, …) of one column."""
         return Table(self._source, self._index, {**self._replaced, name: values})
 
+    def blocks(self, rows: int) -> Iterator[Table]:
+        """The same rows in stretches of at most so many."""
+        return (self[begin : begin + rows] for begin in range(0, len(self), rows))
+
 
 def _chosen(index: slice | NDArray[np.intp], key: slice | Index) -> slice | NDArray[np.intp]:
-    if isinstance(key, slice):
-        if isinstance(index, slice):
-            part = range(index.start, index.stop, index.step)[key]
-            return slice(part.start, part.stop, part.step) if part.step > 0 else np.array(part, np.intp)
-        return index[key]
-    where = np.flatnonzero(key) if key.dtype == np.bool_ else key.astype(np.intp)
-    if len(where) and isinstance(index, slice) and index.step == 1 and np.array_equal(where, _stretch(where)):
-        return slice(index.start + int(where[0]), index.start + int(where[-1]) + 1, 1)
-    return np.arange(index.start, index.stop, index.step)[where] if isinstance(index, slice) else index[where]
-
-
-def _stretch(where: NDArray[np.intp]) -> NDArray[np.intp]:
-    return np.arange(where[0], where[0] + len(where))
+    """Which rows of the source the rows `key` of those of `index` are; a stretch stays a slice."""
+    every = np.arange(index.start, index.stop) if isinstance(index, slice) else index
+    where = every[key]
+    if len(where) and where[-1] - where[0] == len(where) - 1 and np.all(np.diff(where) == 1):
+        return slice(int(where[0]), int(where[-1]) + 1)
+    return where if len(where) else slice(0, 0)
 
 
 class _Array:
@@ -103,11 +110,11 @@ class _Array:
     def __len__(self) -> int:
         return len(self._rows)
 
-    def column(self, name: str) -> Column:
-        try:
-            return self._rows[name]
-        except ValueError as error:
-            raise KeyError(name) from error
+    def column(self, name: str, rows: slice, part: slice | None) -> Column:
+        if name not in (self._rows.dtype.names or ()):
+            raise KeyError(name)
+        whole: Column = self._rows[name][rows]
+        return whole if part is None else whole[:, part]
 
 
 # -------------------------------------------------------------------------------------------------- in a temporary file
@@ -207,24 +214,32 @@ class StoredRows:
             self._end_block()
         self._staged = np.zeros((0, 0), np.uint64)
 
-    def column(self, name: str) -> Column:
-        """Field `name` of all rows."""
+    def column(self, name: str, rows: slice, part: slice | None) -> Column:
+        """Field `name` of the rows, as `Source` has it."""
+        base, first, count, is_array = self._place(name)
+        words = range(first // _WORD, first // _WORD + count)[part or slice(None)]
+        within, step = first % _WORD // base.itemsize, _WORD // base.itemsize
+        out = np.empty((max(0, rows.stop - rows.start), len(words)), base)
+        begin = 0
+        for block in self._blocks:
+            low, high = max(rows.start, begin), min(rows.stop, begin + block.rows)
+            if low < high and words:
+                to, of = slice(low - rows.start, high - rows.start), slice(low - begin, high - begin)
+                for j, values in enumerate(self._read(block, words.start, len(words))):
+                    chosen = values.view(base)[within::step]
+                    out[to, j] = chosen[of] if len(chosen) > 1 else chosen
+            begin += block.rows
+        return out if is_array else out[:, 0]
+
+    def _place(self, name: str) -> tuple[np.dtype[Any], int, int, bool]:
+        """Type, first byte behind the header, how many numbers, and whether they are an array.  Raises KeyError."""
         fields = self._dtype.fields
         assert fields is not None
         dtype, offset = fields[name][:2]
         base, shape = dtype.subdtype or (dtype, ())
-        word, within = divmod(offset - _HEADER, _WORD)
-        if offset < _HEADER or (base.itemsize < _WORD and shape):
+        if offset < _HEADER or (shape and base.itemsize < _WORD):
             raise KeyError(name)
-        width = shape[0] if shape else 1
-        out = np.empty((len(self), width), base)
-        begin = 0
-        for block in self._blocks:
-            part = out[begin : begin + block.rows]
-            begin += block.rows
-            for j, values in enumerate(self._read(block, word, width)):
-                part[:, j] = values.view(base)[within // base.itemsize :: _WORD // base.itemsize]
-        return out if shape else out[:, 0]
+        return base, offset - _HEADER, shape[0] if shape else 1, bool(shape)
 
     def _read(self, block: _Block, word: int, width: int) -> list[NDArray[np.uint64]]:
         """So many words of a block, each (rows,) or, when it does not vary, (1,)."""

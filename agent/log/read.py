@@ -22,7 +22,7 @@ from agent.telemetry.row.event import Event, Level
 from agent.telemetry.row.sample import AGENT_STATE, Layout
 from agent.telemetry.row.topics import PLANT
 
-__all__ = ["ColumnLog", "Event", "Level", "LogError", "RunLog", "open_log", "read_log"]
+__all__ = ["AnyLog", "ColumnLog", "Event", "Level", "LogError", "RunLog", "open_log", "read_log"]
 
 RUN_FILE: Final = "run.json"
 COMPLETENESS: Final = "completeness"
@@ -63,6 +63,7 @@ class Log(Generic[Rows]):
 
 RunLog = Log[NDArray[np.void]]  # rows as structured arrays, read-only
 ColumnLog = Log[Table]  # rows by column
+AnyLog = RunLog | ColumnLog
 
 
 def read_log(path: Path) -> RunLog:

@@ -12,7 +12,7 @@ import numpy as np
 from drivers.interface import Refusal
 
 if TYPE_CHECKING:
-    from agent.log.read import RunLog
+    from agent.log.read import AnyLog
 
 RUN_FILE: Final = "run.json"
 _WORLD_AXES: Final = ("x", "y", "z")
@@ -100,7 +100,7 @@ class RunInfo:
         raise KeyError(name)
 
 
-def read_info(log: RunLog) -> RunInfo:
+def read_info(log: AnyLog) -> RunInfo:
     """Typed view of run.json; whatever it does not hold is taken from the rows and said in `notes`."""
     notes: list[str] = []
     raw: dict[str, Any] = {}
@@ -135,12 +135,12 @@ def _number(raw: Mapping[str, Any], key: str, notes: list[str]) -> float | None:
     return float(raw[key])
 
 
-def _rate_of(log: RunLog) -> float:
+def _rate_of(log: AnyLog) -> float:
     steps = [np.median(np.diff(rows["t"]) / np.diff(rows["sequence"])) for rows in log.agents.values() if len(rows) > 1]
     return float(1.0 / min(steps)) if steps else 1.0
 
 
-def _last_t(log: RunLog) -> float:
+def _last_t(log: AnyLog) -> float:
     return max((float(rows["t"][-1]) for rows in log.agents.values() if len(rows)), default=0.0)
 
 
@@ -156,7 +156,7 @@ def _plane(normal: list[float] | None, notes: list[str]) -> Plane | None:
     return Plane((a, b), axis, float(np.sign(n[axis])))
 
 
-def _arms(raw: list[dict[str, Any]], log: RunLog, notes: list[str]) -> tuple[RunArm, ...]:
+def _arms(raw: list[dict[str, Any]], log: AnyLog, notes: list[str]) -> tuple[RunArm, ...]:
     arms = []
     for a in raw:
         joints = tuple(str(j) for j in a["joints"])

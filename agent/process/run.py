@@ -16,7 +16,7 @@ import numpy as np
 
 from agent.config.cell import Cell, load_cell
 from agent.host.child import Child
-from agent.log.read import read_log
+from agent.log.read import open_log
 from agent.operator.socket import Verb, ask
 from agent.process.plant import RING_NAME
 from agent.process.recorder import FREE_PORT
@@ -111,8 +111,8 @@ def run_cell(options: RunOptions, stop: Callable[[], bool], progress: Progress) 
     finally:
         shutil.rmtree(runtime, ignore_errors=True)
     progress.phase("report")
-    log = read_log(out / "run.mcap")
-    report = write_report(log, out)
+    with open_log(out / "run.mcap") as log:
+        report = write_report(log, out)
     progress.phase("done")
     return RunOutcome(out / "run.mcap", report.html, report.results, interrupted, report.results.within_bounds)
 

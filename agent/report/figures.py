@@ -1,8 +1,9 @@
-"""The paper's four figures of a run, and the start of its errors.  Never changes a row."""
+"""The paper's four figures of a run, and the start of its errors."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -27,24 +28,25 @@ from agent.report.plotting import (
     time_axis,
 )
 from agent.report.prepared import Prepared
-from agent.report.series import Array, PoseSeries, angle_about, column, joint_columns, rotation_vector
+from agent.report.series import Array, PoseSeries, angle_about, column, component, rotation_vector
 
 NEAR_LIMIT = 0.8  # of tau_max: torques above it are drawn with their limits
 OFF_PLANE_SHOWN = 1e-9  # out-of-plane components below it are rounding and are not drawn
 START_MIN_S, START_DECAYS = 0.5, 4.0  # the start figure shows this many times the longest decay
 
 
-def object_series(run: Prepared) -> list[tuple[str, PoseSeries]]:
+def object_series(run: Prepared) -> Iterator[tuple[str, PoseSeries]]:
     """What is drawn as the actual pose: the true one where the log holds it, otherwise every arm's own view."""
     if run.true is not None:
-        return [("actual", run.true)]
-    return [(f"actual, seen by {name}", series) for name, series in run.poses.items()]
+        yield "actual", run.true
+    else:
+        yield from ((f"actual, seen by {name}", run.pose(name)) for name in run.rows)
 
 
 @styled
 def pose(run: Prepared) -> Figure:
     """Desired (blue) and actual (red) object pose: x, y and angle in a plane, otherwise x, y, z and rotation vector."""
-    plane, series = run.info.plane, object_series(run)
+    plane = run.info.plane
     columns = 2 if plane is None else 1
     figure, axes = panels(3, columns, gap_in=0.16, top_in=0.42)
     if plane is None:
@@ -53,10 +55,10 @@ def pose(run: Prepared) -> Figure:
     else:
         first, second, normal = plane.names
         labels = [f"{first} [m]", f"{second} [m]", f"angle about {normal} [rad]"]
-    last = series[-1][1]
-    for ax, desired in zip(axes, _pose_rows(run, last.p_des, last.quat_des), strict=True):
-        line(ax, last.t, desired, color=LIGHT_BLUE, linewidth=3.4, label="desired")
-    for i, (label, s) in enumerate(series):
+    for i, (label, s) in enumerate(object_series(run)):
+        if i == 0:
+            for ax, desired in zip(axes, _pose_rows(run, s.p_des, s.quat_des), strict=True):
+                line(ax, s.t, desired, color=LIGHT_BLUE, linewidth=3.4, label="desired")
         for ax, actual in zip(axes, _pose_rows(run, s.p, s.quat), strict=True):
             line(ax, s.t, actual, color=(RED, ORANGE, PURPLE, GREEN)[i % 4], label=label)
     for ax, label in zip(axes, labels, strict=True):
@@ -97,7 +99,7 @@ def _start_s(run: Prepared) -> float:
 
 def _errors(run: Prepared, until_s: float, when: str) -> Figure:
     figure, axes = panels(2, height_in=2.1)
-    (label, s), *_ = object_series(run)
+    label, s = next(object_series(run))
     shown = s.t <= until_s
     t, e_p, e_xi = s.t[shown], s.e_p[shown], s.e_xi[shown]
     for axis, name in enumerate("xyz"):
@@ -157,10 +159,11 @@ def torques(run: Prepared) -> Figure:
     figure, axes = panels(len(run.arms), height_in=2.1, sharey=True)
     for ax, arm in zip(axes, run.arms, strict=True):
         rows = run.rows[arm.name]
-        t, tau = column(rows, "t"), joint_columns(rows, "tau_cmd", len(arm.joints))
+        t = column(rows, "t")
         for j, joint in enumerate(arm.joints):
-            line(ax, t, tau[:, j], color=CYCLE[j], label=joint.replace("_", " "), linewidth=0.8)
-            _limits(ax, arm, j, tau[:, j])
+            tau = component(rows, "tau_cmd", j)
+            line(ax, t, tau, color=CYCLE[j], label=joint.replace("_", " "), linewidth=0.8)
+            _limits(ax, arm, j, tau)
         ax.set_title(rf"$\tau$ of {arm.name}")
         ax.set_ylabel("torque [N·m]")
         legend(ax)

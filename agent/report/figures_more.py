@@ -1,4 +1,4 @@
-"""Figures beyond the paper's: loop timing, internal force, torque terms, estimates, Lyapunov value.  Changes no row."""
+"""Figures beyond the paper's: loop timing, internal force, torque terms, estimates, Lyapunov value."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from agent.report.plotting import (
     time_axis,
 )
 from agent.report.prepared import Prepared
-from agent.report.series import Array, column, joint_columns
+from agent.report.series import Array, column, component, joint_columns
 
 DURATIONS: Final = {"late_s": "began late", "read_s": "bus read", "step_s": "control step", "write_s": "bus write"}
 STYLES: Final = ("-", "--", ":", "-.")  # arms, where colours name quantities
@@ -77,12 +77,13 @@ def internal_force(run: Prepared) -> Figure:
     figure, axes = panels(len(run.arms), 2, height_in=1.8, sharey="col", top_in=HEADER_IN)
     for i, arm in enumerate(run.arms):
         rows = run.rows[arm.name]
-        t, wanted = column(rows, "t"), column(rows, "wrench_internal")
+        t, number = column(rows, "t"), run.info.arms.index(arm)
         for ax, part, unit in ((axes[2 * i], slice(0, 3), "force [N]"), (axes[2 * i + 1], slice(3, 6), "moment [N·m]")):
             if run.grasps is not None:
-                real = run.grasps.internal[:, run.info.arms.index(arm), part]
-                line(ax, run.grasps.t, np.linalg.norm(real, axis=1), color=RED, label="realised", linewidth=0.8)
-            line(ax, t, np.linalg.norm(wanted[:, part], axis=1), color=BLUE, linestyle="--", label="commanded")
+                real = run.grasps.internal_force if part.start == 0 else run.grasps.internal_moment
+                line(ax, run.grasps.t, real[:, number], color=RED, label="realised", linewidth=0.8)
+            size = np.linalg.norm(column(rows, "wrench_internal", part), axis=1)
+            line(ax, t, size, color=BLUE, linestyle="--", label="commanded")
             ax.set_ylabel(unit)
             ax.set_title(arm.name)
     header_line(figure, "Internal wrench", axes[0])
@@ -97,8 +98,8 @@ def torque_terms(run: Prepared, arm: RunArm) -> Figure:
     columns = 1 if joints <= 3 else 2
     figure, axes = panels(-(-joints // columns), columns, height_in=1.7, top_in=HEADER_IN)
     t = column(rows, "t")
-    terms = {name: joint_columns(rows, f"tau_{name}", joints) for name in TERMS}
-    for colour, (name, tau) in enumerate(terms.items()):
+    for colour, name in enumerate(TERMS):
+        tau = joint_columns(rows, f"tau_{name}", joints)
         if not np.any(tau):
             continue
         for j in range(joints):
@@ -117,7 +118,7 @@ def torque_terms(run: Prepared, arm: RunArm) -> Figure:
 def estimates(run: Prepared, arm: RunArm) -> Figure:
     """What one arm of an adaptive run believes: of its own links and joints, and of the object (black)."""
     rows, joints = run.rows[arm.name], len(arm.joints)
-    t, theta, theta_object = column(rows, "t"), column(rows, "theta_arm"), column(rows, "theta_object")
+    t = column(rows, "t")
     figure, axes = panels(3, 2, height_in=1.7, top_in=HEADER_IN)
     left, right = axes[0::2], axes[1::2]
     for ax, (what, unit, first, count) in zip(left, BODY_GROUPS, strict=True):
@@ -126,13 +127,14 @@ def estimates(run: Prepared, arm: RunArm) -> Figure:
         for k in range(first, first + count):
             for j, joint in enumerate(arm.joints):
                 label = joint.replace("_", " ") if k == first else None
-                line(ax, t, theta[:, 10 * j + k], color=CYCLE[j], label=label, linewidth=0.8)
-            line(ax, t, theta_object[:, k], color="black", label="object" if k == first else None, linewidth=0.8)
+                line(ax, t, component(rows, "theta_arm", 10 * j + k), color=CYCLE[j], label=label, linewidth=0.8)
+            label = "object" if k == first else None
+            line(ax, t, component(rows, "theta_object", k), color="black", label=label, linewidth=0.8)
     for ax, (what, unit), block in zip(right, JOINT_GROUPS, range(3), strict=True):
         ax.set_title(what)
         ax.set_ylabel(f"[{unit}]")
         for j in range(joints):
-            line(ax, t, theta[:, (10 + block) * joints + j], color=CYCLE[j], linewidth=0.8)
+            line(ax, t, component(rows, "theta_arm", (10 + block) * joints + j), color=CYCLE[j], linewidth=0.8)
     if arm.estimate_bounds is not None:
         _draw_bounds(left, right, arm.estimate_bounds, joints)
     header_line(figure, f"Estimates of {arm.name}", left[0])

@@ -1,4 +1,4 @@
-"""The figures of a run, from its log alone.  Reads no file, draws nothing, never hides what was not measured."""
+"""The figures of a run, from its log alone; what was not measured is NaN, and `missing` says why."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from itertools import combinations
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.log.runinfo import RunArm, RunInfo
 from agent.modes import Mode
@@ -21,11 +20,12 @@ from agent.report.results import (
     Spread,
     WrenchSize,
 )
-from agent.report.series import Array, PoseSeries, column, joint_columns, missing_ranges
+from agent.report.series import Array, PoseSeries, column, component, grasp_force, missing_ranges
 from agent.safety import Flag
 
 if TYPE_CHECKING:
-    from agent.log.read import RunLog
+    from agent.log.columns import Table
+    from agent.log.read import AnyLog
 
 LATE_PERIODS: Final = 1.0  # a cycle that begins later than this many periods is late, as agent.loop counts them
 LIMITED_Nm: Final = 1e-9  # safety changed a torque when it differs from the command by more than rounding
@@ -33,7 +33,7 @@ AT_LIMIT_FRACTION: Final = 0.999  # of tau_max: a torque above it is at its limi
 NAN: Final = float("nan")
 
 
-def summarise(log: RunLog) -> Results:
+def summarise(log: AnyLog) -> Results:
     """All figures of a run.
 
     Errors count from the end of the transient to the end of the duration, on ticks that follow the trajectory;
@@ -46,7 +46,7 @@ def summarise(log: RunLog) -> Results:
 def summarise_prepared(run: Prepared) -> Results:
     """The same from a log that is prepared already."""
     info = run.info
-    by_arm = {name: pose_errors(series, info) for name, series in run.poses.items()}
+    by_arm = {name: pose_errors(run.pose(name), info) for name in run.rows}
     by_plant = None if run.true is None else pose_errors(run.true, info)
     missing = [*run.missing]
     for errors in [*by_arm.values(), *([by_plant] if by_plant else [])]:
@@ -60,7 +60,7 @@ def summarise_prepared(run: Prepared) -> Results:
         by_arm=by_arm,
         arms={arm.name: _arm(arm, run) for arm in run.arms},
         rows=rows,
-        arm_disagreement_m=_disagreement(list(run.poses.values()), info),
+        arm_disagreement_m=_disagreement(run),
         real_time_factor=factor,
         events=len(run.log.events),
         missing=tuple(missing),
@@ -127,13 +127,13 @@ def _decay(t: Array, error: Array) -> Decay:
     )
 
 
-def _disagreement(poses: list[PoseSeries], info: RunInfo) -> float:
+def _disagreement(run: Prepared) -> float:
     worst = NAN
-    for one, other in combinations(poses, 2):
-        _, here, there = np.intersect1d(one.sequence, other.sequence, assume_unique=True, return_indices=True)
-        settled = one.t[here] >= info.transient_s
-        apart = np.linalg.norm(one.p[here] - other.p[there], axis=1)[settled]
-        worst = float(np.fmax(worst, _largest(apart)))
+    for one, other in combinations(run.seen.values(), 2):
+        _, here, there = np.intersect1d(one["sequence"], other["sequence"], assume_unique=True, return_indices=True)
+        settled = column(one, "t")[here] >= run.info.transient_s
+        apart = column(one, "p_object")[here[settled]] - column(other, "p_object")[there[settled]]
+        worst = float(np.fmax(worst, _largest(np.linalg.norm(apart, axis=1))))
     return worst
 
 
@@ -143,30 +143,26 @@ def _disagreement(poses: list[PoseSeries], info: RunInfo) -> float:
 def _arm(arm: RunArm, run: Prepared) -> ArmResults:
     rows, info = run.rows[arm.name], run.info
     period_s = 1.0 / info.rate_hz
-    e_eta = column(rows, "e_eta")
+    e_eta, lyapunov, flags = column(rows, "e_eta"), column(rows, "lyapunov"), rows["flags"]
     signs = np.sign(e_eta[np.isfinite(e_eta) & (e_eta != 0.0)])
-    lyapunov = column(rows, "lyapunov")
-    work = np.sum([column(rows, f) for f in ("read_s", "step_s", "write_s")], axis=0)
     late = column(rows, "late_s")
-    wrench, desired = (column(rows, f) for f in ("wrench_cmd", "wrench_internal"))
-    v_error = column(rows, "v_object") - column(rows, "v_object_des")
-    v_error = v_error[column(rows, "t") >= info.transient_s]
+    work = np.sum([column(rows, f) for f in ("read_s", "step_s", "write_s")], axis=0)
     return ArmResults(
         model=arm.model,
         modes=_modes(rows),
-        flags={flag.name or "": int(np.sum(rows["flags"] & flag.value != 0)) for flag in Flag if flag},
-        joints=_joints(arm, rows, period_s),
+        flags={flag.name or "": int(np.sum(flags & flag.value != 0)) for flag in Flag if flag},
+        joints={joint: _joint(arm, j, rows, period_s) for j, joint in enumerate(arm.joints)},
         late_cycles=int(np.sum(late > LATE_PERIODS * period_s)),
         overruns=int(np.sum(late + work > period_s)),
         timing={f: Spread.of(column(rows, f)) for f in ("late_s", "read_s", "step_s", "write_s")},
         bus={f: int(rows[f][-1]) for f in ("bus_timeouts", "bus_corrupt", "bus_alerts", "bus_retries")},
-        wrench_cmd=_wrench_size(wrench),
-        internal_cmd=_wrench_size(desired),
+        wrench_cmd=_wrench_size(column(rows, "wrench_cmd")),
+        internal_cmd=_wrench_size(column(rows, "wrench_internal")),
         internal_realised=_internal_realised(arm, run),
         load_share_cmd=arm.load_share,
         load_share_realised=_load_share(arm, run),
-        rms_velocity_error_m_per_s=_rms(np.linalg.norm(v_error[:, :3], axis=1)),
-        rms_angular_velocity_error_rad_per_s=_rms(np.linalg.norm(v_error[:, 3:], axis=1)),
+        rms_velocity_error_m_per_s=_rms_velocity_error(rows, slice(0, 3), info),
+        rms_angular_velocity_error_rad_per_s=_rms_velocity_error(rows, slice(3, 6), info),
         e_eta_start=float(e_eta[0]),
         e_eta_end=float(e_eta[-1]),
         e_eta_sign_changes=int(np.sum(signs[1:] != signs[:-1])),
@@ -176,26 +172,25 @@ def _arm(arm: RunArm, run: Prepared) -> ArmResults:
     )
 
 
-def _joints(arm: RunArm, rows: NDArray[np.void], period_s: float) -> dict[str, JointResults]:
-    n = len(arm.joints)
-    cmd, limited, sent = (joint_columns(rows, f, n) for f in ("tau_cmd", "tau_limited", "tau_sent"))
-    changed = np.abs(limited - cmd) > LIMITED_Nm
-    consecutive = (np.diff(rows["sequence"]) == 1)[:, None]
-    steps = np.where(consecutive, np.abs(np.diff(sent, axis=0)), NAN)
-    out = {}
-    for j, joint in enumerate(arm.joints):
-        peak = _largest(np.abs(sent[:, j]))
-        out[joint] = JointResults(
-            peak_torque_Nm=peak,
-            peak_torque_fraction=peak / arm.tau_stall_Nm[j],
-            rms_torque_Nm=_rms(sent[:, j]),
-            limited_s=float(changed[:, j].sum() * period_s),
-            at_limit_s=float(np.sum(np.abs(sent[:, j]) >= AT_LIMIT_FRACTION * arm.tau_max_Nm[j]) * period_s),
-            chatter_Nm=_mean(steps[:, j]),
-            tau_max_Nm=arm.tau_max_Nm[j],
-            tau_stall_Nm=arm.tau_stall_Nm[j],
-        )
-    return out
+def _rms_velocity_error(rows: Table, part: slice, info: RunInfo) -> float:
+    error = column(rows, "v_object", part) - column(rows, "v_object_des", part)
+    return _rms(np.linalg.norm(error[column(rows, "t") >= info.transient_s], axis=1))
+
+
+def _joint(arm: RunArm, j: int, rows: Table, period_s: float) -> JointResults:
+    cmd, limited, sent = (component(rows, f, j) for f in ("tau_cmd", "tau_limited", "tau_sent"))
+    consecutive = np.diff(rows["sequence"]) == 1
+    peak = _largest(np.abs(sent))
+    return JointResults(
+        peak_torque_Nm=peak,
+        peak_torque_fraction=peak / arm.tau_stall_Nm[j],
+        rms_torque_Nm=_rms(sent),
+        limited_s=float(np.sum(np.abs(limited - cmd) > LIMITED_Nm) * period_s),
+        at_limit_s=float(np.sum(np.abs(sent) >= AT_LIMIT_FRACTION * arm.tau_max_Nm[j]) * period_s),
+        chatter_Nm=_mean(np.where(consecutive, np.abs(np.diff(sent)), NAN)),
+        tau_max_Nm=arm.tau_max_Nm[j],
+        tau_stall_Nm=arm.tau_stall_Nm[j],
+    )
 
 
 # ----------------------------------------------------------------------------------------- internal force, load share
@@ -204,18 +199,20 @@ def _joints(arm: RunArm, rows: NDArray[np.void], period_s: float) -> dict[str, J
 def _internal_realised(arm: RunArm, run: Prepared) -> WrenchSize:
     if run.grasps is None:
         return WrenchSize(NAN, NAN, NAN, NAN)
-    settled = run.grasps.t >= run.info.transient_s
-    return _wrench_size(run.grasps.internal[settled, run.info.arms.index(arm)])
+    settled, i = run.grasps.t >= run.info.transient_s, run.info.arms.index(arm)
+    force, moment = run.grasps.internal_force[settled, i], run.grasps.internal_moment[settled, i]
+    return WrenchSize(_largest(force), _rms(force), _largest(moment), _rms(moment))
 
 
 def _load_share(arm: RunArm, run: Prepared) -> float:
     """Σ f_i·f / Σ f·f over the ticks after the transient, f = Σ f_i: the shares of all arms add up to one."""
     if run.grasps is None:
         return NAN
-    force = run.grasps.wrenches[run.grasps.t >= run.info.transient_s][:, :, :3]
-    total = force.sum(axis=1)
+    settled = run.grasps.plant[run.grasps.t >= run.info.transient_s]
+    total = sum((grasp_force(settled, i) for i in range(1, len(run.info.arms))), start=grasp_force(settled, 0))
     weight = float(np.nansum(total * total))
-    return float(np.nansum(force[:, run.info.arms.index(arm)] * total)) / weight if weight > 0.0 else NAN
+    force = grasp_force(settled, run.info.arms.index(arm))
+    return float(np.nansum(force * total)) / weight if weight > 0.0 else NAN
 
 
 # ------------------------------------------------------------------------------------------------------- completeness
@@ -231,10 +228,11 @@ def _completeness(run: Prepared, name: str) -> Completeness:
     return Completeness(written, recorded, len(sequence) - recorded, tuple(missing_ranges(sequence, written)))
 
 
-def _modes(rows: NDArray[np.void]) -> tuple[tuple[float, str], ...]:
-    changes = np.flatnonzero(np.diff(rows["mode"], prepend=rows["mode"][:1] + 1))
+def _modes(rows: Table) -> tuple[tuple[float, str], ...]:
+    mode, t = rows["mode"], rows["t"]
+    changes = np.flatnonzero(np.diff(mode, prepend=mode[:1] + 1))
     known = {m.value: m.name for m in Mode}
-    return tuple((float(rows["t"][i]), known.get(int(rows["mode"][i]), f"mode {rows['mode'][i]}")) for i in changes)
+    return tuple((float(t[i]), known.get(int(mode[i]), f"mode {mode[i]}")) for i in changes)
 
 
 def _real_time_factor(run: Prepared, missing: list[str]) -> float:

@@ -1,14 +1,17 @@
-"""A log made ready for figures and metrics: the run's rows, poses and true pose, each worked out once.  Never draws."""
+"""A log made ready for figures and metrics: the run's rows by arm, the true pose, what the grasps carried.
+
+Rows stay where the log has them; a series is worked out when it is asked for, so that one arm's is in memory at a time.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from agent.log.columns import Table
 from agent.log.runinfo import RunArm, RunInfo, read_info
 from agent.report.series import (
     Array,
@@ -24,7 +27,9 @@ from agent.report.series import (
 )
 
 if TYPE_CHECKING:
-    from agent.log.read import RunLog
+    from agent.log.read import AnyLog
+
+_BLOCK_ROWS: Final = 1 << 15
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,18 +37,19 @@ class GraspForces:
     """What the simulation's grasps carried, one row per plant tick, arms in the order of the run."""
 
     t: Array
-    wrenches: Array  # (k, N, 6) of each arm on the object at its end effector, world axes
-    internal: Array  # (k, N, 6) the part that moves nothing; moments NaN without grasp offsets
+    plant: Table
+    internal_force: Array  # (k, N) size of the part that moves nothing, N
+    internal_moment: Array  # (k, N) N·m; NaN without grasp offsets
 
 
 @dataclass(frozen=True, slots=True)
 class Prepared:
     """What report and figures work from; arms without a row are in `info.arms` only."""
 
-    log: RunLog
+    log: AnyLog
     info: RunInfo
-    rows: Mapping[str, NDArray[np.void]]  # of the run itself, per arm with at least one row
-    poses: Mapping[str, PoseSeries]  # the object as each arm sees it
+    rows: Mapping[str, Table]  # of the run itself, per arm with at least one row
+    seen: Mapping[str, Table]  # those with a fresh state
     true: PoseSeries | None
     grasps: GraspForces | None
     missing: tuple[str, ...]  # what the log cannot tell, and why
@@ -53,31 +59,35 @@ class Prepared:
         """The arms that have rows, in the order of the run."""
         return [arm for arm in self.info.arms if arm.name in self.rows]
 
+    def pose(self, arm: str) -> PoseSeries:
+        """The object as that arm sees it."""
+        return pose_by_arm(arm, self.seen[arm])
 
-def prepare(log: RunLog) -> Prepared:
-    """Work out every series that the report needs.  Never raises for a poor log: `missing` says what is absent."""
+
+def prepare(log: AnyLog) -> Prepared:
+    """Find the rows of the run, match the plant's with the arms'.  A poor log is prepared too: `missing` says why."""
     info = read_info(log)
     missing = [*info.notes, *log.problems, *_losses(log)]
     described = [arm.name for arm in info.arms]
-    found = {name: in_run(log.agents[name], info) for name in described if name in log.agents}
+    found = {name: in_run(Table.of(log.agents[name]), info) for name in described if name in log.agents}
     rows = {name: own for name, own in found.items() if len(own)}
     missing += [f"no row of the arm {name}" for name in described if name not in rows]
-    stale = sum(int(is_stale(own).sum()) for own in rows.values())
-    missing += [f"{stale} cycles brought no fresh joint state and count in no error"] if stale else []
-    seen = {name: own[~is_stale(own)] for name, own in rows.items()}
-    poses = {name: pose_by_arm(name, own) for name, own in seen.items()}
+    stale = {name: is_stale(own) for name, own in rows.items()}
+    count = sum(int(own.sum()) for own in stale.values())
+    missing += [f"{count} cycles brought no fresh joint state and count in no error"] if count else []
+    seen = {name: own[~stale[name]] for name, own in rows.items()}
     true = grasps = None
     if log.plant is None or not len(log.plant):
         missing.append("no simulation in the log: no true object pose, realised internal force or realised load share")
     else:
-        plant = in_run(on_time_of(log.plant, list(seen.values())), info)
-        true, note = pose_by_plant([(poses[name], seen[name]) for name in seen], plant, 1.0 / info.rate_hz)
+        plant = in_run(on_time_of(Table.of(log.plant), list(seen.values())), info)
+        true, note = pose_by_plant(seen, plant, 1.0 / info.rate_hz)
         missing += [note] if note else []
         grasps = _grasp_forces(plant, info, missing)
-    return Prepared(log, info, rows, poses, true, grasps, tuple(missing))
+    return Prepared(log, info, rows, seen, true, grasps, tuple(missing))
 
 
-def _losses(log: RunLog) -> list[str]:
+def _losses(log: AnyLog) -> list[str]:
     """What the recorder says was lost, and where."""
     told = log.metadata.get("completeness", {})
     places = {"lost_in_ring": "in the ring", "lost_on_the_way": "on the way", "lost_on_disk": "on the disk"}
@@ -85,13 +95,19 @@ def _losses(log: RunLog) -> list[str]:
     return [f"{count} rows of {member} were lost {place}" for (member, place), count in counts.items() if count != "0"]
 
 
-def _grasp_forces(plant: NDArray[np.void], info: RunInfo, missing: list[str]) -> GraspForces:
+def _grasp_forces(plant: Table, info: RunInfo, missing: list[str]) -> GraspForces:
     offsets = _grasp_offsets(info)
     if offsets is None:
         missing.append("moments of the realised internal wrench need the grasp offsets of every arm")
-    wrenches = grasp_wrenches(plant, len(info.arms))
-    internal = internal_wrenches(wrenches, column(plant, "quat_object"), offsets)
-    return GraspForces(column(plant, "t"), wrenches, internal)
+    sizes = np.empty((2, len(plant), len(info.arms)))
+    at = 0
+    for block in plant.blocks(_BLOCK_ROWS):
+        wrenches = grasp_wrenches(block, len(info.arms))
+        internal = internal_wrenches(wrenches, column(block, "quat_object"), offsets)
+        sizes[0, at : at + len(block)] = np.linalg.norm(internal[:, :, :3], axis=2)
+        sizes[1, at : at + len(block)] = np.linalg.norm(internal[:, :, 3:], axis=2)
+        at += len(block)
+    return GraspForces(column(plant, "t"), plant, *sizes)
 
 
 def _grasp_offsets(info: RunInfo) -> Array | None:

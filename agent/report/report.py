@@ -1,4 +1,4 @@
-"""The report of a run: PNG figures, one HTML page, results.json.  Never leaves a half-written file behind."""
+"""The report of a run: PNG figures, one HTML page, results.json; all of them or none are put in place."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from agent.report.tables import lines
 from drivers.interface import Refusal
 
 if TYPE_CHECKING:
-    from agent.log.read import RunLog
+    from agent.log.read import AnyLog
 
 PAGE: Final = "report.html"
 RESULTS: Final = "results.json"
@@ -43,7 +43,7 @@ class ReportFiles:
     results: Results
 
 
-def write_report(log: RunLog, out_dir: Path) -> ReportFiles:
+def write_report(log: AnyLog, out_dir: Path) -> ReportFiles:
     """Write every figure as PNG, report.html and results.json into `out_dir`, made if it is absent.
 
     All files are written beside their place first and moved there when the last one is whole, so a report

@@ -1,8 +1,8 @@
-"""Time series of a run as plain arrays: attitude arithmetic, rows matched by sequence.  Never changes a row."""
+"""Time series of a run as plain arrays: attitude arithmetic, poses against the desired ones, rows matched in time."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from agent.modes import Mode
 from agent.safety import Flag
-from agent.telemetry.row.sample import MAX_ARMS, MAX_JOINTS
 
 if TYPE_CHECKING:
+    from agent.log.columns import Table
     from agent.log.runinfo import Plane, RunInfo
 
 Array = NDArray[np.float64]
@@ -93,53 +93,57 @@ class PoseSeries:
         return rotation_angle(self.e_xi)
 
 
-def column(rows: NDArray[np.void], name: str) -> Array:
-    """One float field of the rows as a contiguous array."""
-    return np.ascontiguousarray(rows[name], dtype=np.float64)
+def column(rows: Table, name: str, part: slice | None = None) -> Array:
+    """One float field of the rows, or a part of each of its arrays, as a contiguous array."""
+    return np.ascontiguousarray(rows.column(name, part), dtype=np.float64)
 
 
-def joint_columns(rows: NDArray[np.void], name: str, joints: int) -> Array:
+def joint_columns(rows: Table, name: str, joints: int) -> Array:
     """A joint field without its padding, `(k, joints)`."""
-    return np.ascontiguousarray(rows[name][:, :joints], dtype=np.float64)
+    return column(rows, name, slice(0, joints))
 
 
-def plant_joints(plant: NDArray[np.void], name: str, arm: int, joints: int) -> Array:
-    """A joint field of the plant for one arm, `(k, joints)`."""
-    block = plant[name].reshape(len(plant), MAX_ARMS, MAX_JOINTS)
-    return np.ascontiguousarray(block[:, arm, :joints])
+def component(rows: Table, name: str, number: int) -> Array:
+    """One number of an array field, `(k,)`."""
+    return column(rows, name, slice(number, number + 1))[:, 0]
 
 
-def grasp_wrenches(plant: NDArray[np.void], arms: int) -> Array:
+def grasp_wrenches(plant: Table, arms: int) -> Array:
     """Wrench of each arm on the object at its end effector, `(k, arms, 6)`, world axes."""
-    return np.ascontiguousarray(plant["grasp_wrench"].reshape(len(plant), MAX_ARMS, 6)[:, :arms])
+    return column(plant, "grasp_wrench", slice(0, 6 * arms)).reshape(len(plant), arms, 6)
 
 
-def in_run(rows: NDArray[np.void], info: RunInfo) -> NDArray[np.void]:
+def grasp_force(plant: Table, arm: int) -> Array:
+    """Force of one arm on the object, `(k, 3)`, world axes."""
+    return column(plant, "grasp_wrench", slice(6 * arm, 6 * arm + 3))
+
+
+def in_run(rows: Table, info: RunInfo) -> Table:
     """The rows of the trajectory, without what was logged before its zero and after its end."""
     t, half_s = rows["t"], 0.5 / info.rate_hz
     return rows[(t >= -half_s) & (t < info.duration_s - half_s)]
 
 
-def is_stale(rows: NDArray[np.void]) -> NDArray[np.bool_]:
+def is_stale(rows: Table) -> NDArray[np.bool_]:
     """Rows (k,) of cycles that brought no fresh state: they say what was wanted, not what was."""
     return np.asarray(rows["flags"] & Flag.STALE.value != 0)
 
 
-def on_time_of(plant: NDArray[np.void], arms: Sequence[NDArray[np.void]]) -> NDArray[np.void]:
+def on_time_of(plant: Table, arms: Sequence[Table]) -> Table:
     """The plant's rows with `t` counted from the arms' common start, where both read the same clock.
 
     In lockstep the plant's zero is that start and nothing changes; in real time the plant runs before it.
     """
+    plant_ns = plant["stamp_ns"]
     for rows in arms:
-        if len(rows) and rows["stamp_ns"][0] < plant["stamp_ns"][-1] and rows["stamp_ns"][-1] > plant["stamp_ns"][0]:
-            zero_ns = np.median(rows["stamp_ns"] - np.rint(rows["t"] * 1e9).astype(np.int64))
-            moved = plant.copy()
-            moved["t"] = (plant["stamp_ns"] - zero_ns) * 1e-9
-            return moved
+        stamp_ns = rows["stamp_ns"]
+        if len(stamp_ns) and stamp_ns[0] < plant_ns[-1] and stamp_ns[-1] > plant_ns[0]:
+            zero_ns = np.median(stamp_ns - np.rint(rows["t"] * 1e9).astype(np.int64))
+            return plant.with_column("t", (plant_ns - zero_ns) * 1e-9)
     return plant
 
 
-def pose_by_arm(name: str, rows: NDArray[np.void]) -> PoseSeries:
+def pose_by_arm(name: str, rows: Table) -> PoseSeries:
     """The object's pose as one arm's own kinematics see it."""
     p, p_des = column(rows, "p_object"), column(rows, "p_object_des")
     quat, quat_des = column(rows, "quat_object"), column(rows, "quat_object_des")
@@ -149,14 +153,11 @@ def pose_by_arm(name: str, rows: NDArray[np.void]) -> PoseSeries:
     return PoseSeries(name, sequence, t, p_des, quat_des, p, quat, p - p_des, e_xi, tracking)
 
 
-def pose_by_plant(
-    arms: Sequence[tuple[PoseSeries, NDArray[np.void]]], plant: NDArray[np.void], period_s: float
-) -> tuple[PoseSeries | None, str]:
+def pose_by_plant(arms: Mapping[str, Table], plant: Table, period_s: float) -> tuple[PoseSeries | None, str]:
     """The true pose against the desired one of the same tick, and a note for the reader, empty when all is well.
 
-    `arms`: each arm's series with its rows.  Rows are matched by sequence number, unless their time stamps tell
-    that plant and arms count from different instants; then by the stamps, or by UTC where the stamps are of
-    different clocks.
+    `arms`: rows by arm.  Rows are matched by sequence number, unless their time stamps tell that plant and arms count
+    from different instants; then by the stamps, or by UTC where the stamps are of different clocks.
     """
     half_ns = round(0.5e9 * period_s)
     for clock, tolerance, witness, allowed_ns in (
@@ -164,40 +165,42 @@ def pose_by_plant(
         ("stamp_ns", half_ns, "utc_ns", SAME_CLOCK_NS),
         ("utc_ns", half_ns, "utc_ns", half_ns),
     ):
-        at = [nearest(rows[clock], plant[clock], tolerance) for _, rows in arms]
+        at = [nearest(rows[clock], plant[clock], tolerance) for rows in arms.values()]
         if not any((i >= 0).any() for i in at):
             continue
-        apart_ns = [plant[witness][i >= 0] - rows[witness][i[i >= 0]] for (_, rows), i in zip(arms, at, strict=True)]
+        apart_ns = [
+            plant[witness][i >= 0] - rows[witness][i[i >= 0]] for rows, i in zip(arms.values(), at, strict=True)
+        ]
         if np.median(np.abs(np.concatenate(apart_ns))) > allowed_ns:
             continue
-        held = np.any([i >= 0 for i in at], axis=0)
+        held: NDArray[np.bool_] = np.any([i >= 0 for i in at], axis=0)
         note = f"plant rows are matched by {clock}: their sequence numbers are of other instants than the arms'"
         return _true_pose(arms, [i[held] for i in at], plant[held]), "" if clock == "sequence" else note
     return None, "no tick is in both the plant's and an arm's log: errors are by the arms' own kinematics"
 
 
-def _true_pose(
-    arms: Sequence[tuple[PoseSeries, NDArray[np.void]]], at: list[NDArray[np.intp]], true: NDArray[np.void]
-) -> PoseSeries:
+def _true_pose(arms: Mapping[str, Table], at: list[NDArray[np.intp]], true: Table) -> PoseSeries:
     """`at`: for each arm and plant row the index of the arm's row, −1 where it has none; some arm has one."""
-    rows = np.arange(len(true))
     first = np.argmax(np.array(at) >= 0, axis=0)  # the first arm that logged the tick
-
-    def of_arms(name: str) -> Array:
-        return np.asarray(np.array([getattr(s, name)[i] for (s, _), i in zip(arms, at, strict=True)])[first, rows])
-
-    p_des, quat_des = of_arms("p_des"), of_arms("quat_des")
+    k = len(true)
+    p_des, quat_des, e_eta, t = np.empty((k, 3)), np.empty((k, 4)), np.empty(k), np.empty(k)
+    tracking = np.ones(k, dtype=bool)
+    for number, ((name, rows), i) in enumerate(zip(arms.items(), at, strict=True)):
+        seen, own = pose_by_arm(name, rows), first == number
+        from_row = i[own]
+        p_des[own], quat_des[own] = seen.p_des[from_row], seen.quat_des[from_row]
+        e_eta[own], t[own] = seen.e_xi[from_row, 0], seen.t[from_row]
+        tracking[i >= 0] &= seen.tracking[i[i >= 0]]
     p, quat = column(true, "p_object"), column(true, "quat_object")
-    e_xi = _with_sign_of(of_arms("e_xi")[:, 0], attitude_error(quat_des, quat))
-    tracking = np.all([s.tracking[i] | (i < 0) for (s, _), i in zip(arms, at, strict=True)], axis=0)
-    return PoseSeries(
-        "plant", true["sequence"].copy(), of_arms("t"), p_des, quat_des, p, quat, p - p_des, e_xi, tracking
-    )
+    e_xi = _with_sign_of(e_eta, attitude_error(quat_des, quat))
+    return PoseSeries("plant", true["sequence"].copy(), t, p_des, quat_des, p, quat, p - p_des, e_xi, tracking)
 
 
 def nearest(keys: NDArray[np.generic], wanted: NDArray[np.generic], tolerance: int) -> NDArray[np.intp]:
     """Index of the nearest of the sorted `keys` for each of `wanted`, −1 where none is within `tolerance`."""
     have, want = keys.astype(np.int64), wanted.astype(np.int64)
+    if not len(have):
+        return np.full(len(want), -1, np.intp)
     above = np.minimum(np.searchsorted(have, want), len(have) - 1)
     below = np.maximum(above - 1, 0)
     index = np.where(np.abs(have[below] - want) < np.abs(have[above] - want), below, above)

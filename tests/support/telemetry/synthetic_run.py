@@ -66,11 +66,11 @@ def product(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float6
     return np.hstack([w, a[:, :1] * b[:, 1:] + b[:, :1] * a[:, 1:] + np.cross(a[:, 1:], b[:, 1:])])
 
 
-def agent_rows(ticks: int, rate_hz: float = 200.0, joints: int = 3) -> NDArray[np.void]:
-    """Rows of a run without any error or torque: identity attitude, everything else zero."""
+def agent_rows(ticks: int, rate_hz: float = 200.0, joints: int = 3, *, first: int = 0) -> NDArray[np.void]:
+    """Rows of a run without any error or torque, from tick `first` on: identity attitude, everything else zero."""
     rows = np.zeros(ticks, dtype=AGENT_STATE.dtype)
     rows["encapsulation"] = CDR_LITTLE_ENDIAN
-    rows["sequence"] = np.arange(ticks)
+    rows["sequence"] = np.arange(first, first + ticks)
     rows["t"] = rows["sequence"] / rate_hz
     rows["stamp_ns"] = rows["t"] * 1e9
     rows["utc_ns"] = 1_800_000_000_000_000_000 + (rows["t"] * 0.5e9).astype(np.int64)  # twice real time
@@ -126,28 +126,35 @@ def _set_torques(rows: NDArray[np.void], side: float, noise: np.random.Generator
         rows[f] = scale * (1.0 + 0.2 * noise.standard_exponential(len(t)))
 
 
+def paper_rows(side: float, ticks: int, noise: np.random.Generator, *, first: int = 0) -> NDArray[np.void]:
+    """Rows of one planar arm (side −1 or +1) on the paper's trajectory, the start error decaying, a small ripple."""
+    rows = agent_rows(ticks, first=first)
+    t, decay = rows["t"], np.exp(-rows["t"] / TAU_DECAY_S)
+    e_p = POSITION_0 * decay[:, None] + RIPPLE_M * np.sin(2 * np.pi * t)[:, None] * np.array([1.0, 0.0, 0.0])
+    _set_pose(rows, e_p, ATTITUDE_0 * decay + 2e-4 * np.sin(3 * t))
+    _set_torques(rows, side, noise)
+    return rows
+
+
 def paper_run(path: Path, *, duration_s: float = 100.0, plant: bool = True, adaptive: bool = False) -> RunLog:
-    """Two planar arms on the paper's trajectory, with the start error decaying and a small ripple."""
+    """Two planar arms on the paper's trajectory."""
     noise = np.random.default_rng(7)
     ticks = round(duration_s * 200.0)
     agents = {}
     for side, name in ((-1.0, "left"), (1.0, "right")):
-        rows = agent_rows(ticks)
-        t, decay = rows["t"], np.exp(-rows["t"] / TAU_DECAY_S)
-        e_p = POSITION_0 * decay[:, None] + RIPPLE_M * np.sin(2 * np.pi * t)[:, None] * np.array([1.0, 0.0, 0.0])
-        _set_pose(rows, e_p, ATTITUDE_0 * decay + 2e-4 * np.sin(3 * t))
-        _set_torques(rows, side, noise)
+        rows = paper_rows(side, ticks, noise)
+        t = rows["t"]
         if adaptive:
             rows["theta_arm"][:, :39] = (1 - np.exp(-t / 8.0))[:, None] * np.linspace(0.01, 0.5, 39)
             rows["theta_object"][:, 0] = 0.062 * (1 - np.exp(-t / 5.0))
         agents[name] = rows
     controller = {"kind": "adaptive"} if adaptive else {"kind": "known", "k_p_per_s": 150.0}
     content = run_file(duration_s, controller=controller)
-    return as_log(path, agents, _plant(agents) if plant else None, content)
+    return as_log(path, agents, true_rows(agents["left"]) if plant else None, content)
 
 
-def _plant(agents: dict[str, NDArray[np.void]]) -> NDArray[np.void]:
-    one = agents["left"]
+def true_rows(one: NDArray[np.void]) -> NDArray[np.void]:
+    """Rows of the plant for rows of an arm: the object is where the arm sees it, squeezed and carried by both arms."""
     rows = plant_rows(one)
     rows["p_object"], rows["quat_object"] = one["p_object"], one["quat_object"]
     wrench = rows["grasp_wrench"].reshape(len(rows), -1, 6)
