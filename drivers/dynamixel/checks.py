@@ -13,8 +13,8 @@ from drivers.dynamixel.arm_map import ArmMap, JointRole, ServoSlot
 from drivers.dynamixel.errors import FaultCause
 from drivers.dynamixel.events import DriverEvent, EventKind, OncePerServo
 from drivers.dynamixel.line.group import Row
-from drivers.dynamixel.servo.table import TICK_RAD, VELOCITY_UNIT_RAD_PER_S, OperatingMode
-from drivers.dynamixel.servo.units import AngleScale, current_unit_A
+from drivers.dynamixel.servo.table import OperatingMode
+from drivers.dynamixel.servo.units import AngleScale, current_unit_A, ticks_rad, velocity_count
 
 FAULT_WITHIN_S = 0.05
 SILENT_LIMIT_CYCLES = 8
@@ -22,10 +22,10 @@ NO_EFFECT_AFTER_S = 0.04
 GOAL_WORTH_A = 0.15  # smaller goals may drown in what the servo does not resolve
 ANSWER_WORTH_A = 0.01  # three counts: less is no current at all
 JUMP_SPEED = 1.25  # of the no-load speed at 12 V: what 14.8 V gives
-JUMP_TICKS = 4
+JUMP_RAD = ticks_rad(4)
 PAIR_FIGHT_A = 0.2
 PAIR_FIGHT_S = 0.1
-PAIR_APART_TICKS = 40  # 3.5 degrees; backlash is 0.25
+PAIR_APART_RAD = ticks_rad(40)  # 3.5 degrees; backlash is 0.25
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +79,7 @@ class JumpCheck:
         if self._last is not None:
             last_ns, last_rad = self._last
             step = abs(angle_rad - last_rad)
-            reach = self._speed * (stamp_ns - last_ns) * 1e-9 + JUMP_TICKS * TICK_RAD
+            reach = self._speed * (stamp_ns - last_ns) * 1e-9 + JUMP_RAD
             if step > reach or (self.in_a_row and step >= abs(angle_rad - self._jumped_rad)):
                 self.in_a_row += 1
                 self._jumped_rad = angle_rad
@@ -103,7 +103,7 @@ class EffectCheck:
         self._unit_A = unit_A
         self._worth = ceil(GOAL_WORTH_A / unit_A)
         self._none = int(ANSWER_WORTH_A / unit_A)
-        self._slow = int(0.4 * slot.model.no_load_rad_per_s / VELOCITY_UNIT_RAD_PER_S)
+        self._slow = velocity_count(0.4 * slot.model.no_load_rad_per_s)
         self._limit = max(2, ceil(NO_EFFECT_AFTER_S * rate_hz))
         self._count = 0
 
@@ -137,7 +137,7 @@ class PairCheck:
         if self._first_gap_rad is None:
             self._first_gap_rad = gap
         moved = abs(gap - self._first_gap_rad)
-        apart = PAIR_APART_TICKS * TICK_RAD < moved < 6.0  # a whole turn is the encoder's seam
+        apart = PAIR_APART_RAD < moved < 6.0  # a whole turn is the encoder's seam
         if apart or tell.is_active(EventKind.PAIR_APART, slot.servo_id):
             text = f"{moved:.3f} rad since the first reading"
             tell.tell(DriverEvent(EventKind.PAIR_APART, text, slot.servo_id, slot.joint.name), active=apart)

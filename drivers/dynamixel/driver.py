@@ -26,12 +26,13 @@ from drivers.dynamixel.errors import (
     WriteTimeoutError,
 )
 from drivers.dynamixel.events import DriverEvent, EventKind, EventSink, ignore
-from drivers.dynamixel.identify import IdentityError, ServoFound, identify
+from drivers.dynamixel.identify import IdentityError, identify
 from drivers.dynamixel.interpret import Reading, servo_names
 from drivers.dynamixel.line.bus import Bus, DxlCounters
 from drivers.dynamixel.line.port import Port, SerialPort
 from drivers.dynamixel.pace import SHARE, Pace, check_pace, check_rate
 from drivers.dynamixel.running import Running
+from drivers.dynamixel.servo.found import ServoFound
 from drivers.interface import ArmInfo, Clock, DriverError, JointState, ServoHealth, Vector
 
 MAX_LATENCY_TIMER_MS = 2

@@ -28,18 +28,47 @@ class WriteTimeoutError(DriverError):
     """The port took no more bytes before the deadline."""
 
 
-class NoReplyError(DriverError):
-    """A servo did not answer, or never intact, in all attempts; damaged: something came, as when two share an ID."""
+class Heard(enum.Enum):
+    """What came instead of the answer to a request, the most telling last."""
 
-    def __init__(self, servo_id: int, what: str, *, attempts: int, heard: str, damaged: bool = False) -> None:
+    NOTHING = "nothing"
+    NOISE = "bytes that are no packet"
+    ECHO = "only an echo of the request"
+    OTHER = "only answers to other requests"
+    DAMAGED = "damaged packets"
+
+    @property
+    def rank(self) -> int:
+        """How telling it is."""
+        return list(Heard).index(self)
+
+
+_AFTER_HEARING = {
+    Heard.NOTHING: "check the servo's cable, its 12 V supply, the baud rate and that its ID is unique",
+    Heard.NOISE: "check the baud rate, the cable and its shield, and that nobody else talks on this bus",
+    Heard.ECHO: "the adapter returns what is sent, and no servo answers: check the cable and the 12 V supply",
+    Heard.OTHER: "the adapter holds old answers back, or another program talks on this bus: stop it, unplug and plug",
+    Heard.DAMAGED: "two servos may share this ID; if it is not that, check plugs, cable and adapter",
+}
+
+
+class NoReplyError(DriverError):
+    """A servo did not answer, or not intact, in all attempts; `heard`: the most telling of what came instead."""
+
+    def __init__(self, servo_id: int, what: str, *, attempts: int, heard: Heard) -> None:
         super().__init__(
             f"servo {servo_id}: {what}",
-            found=f"{heard} in {attempts} attempts",
+            found=f"{heard.value} in {attempts} attempts",
             expected="an intact reply",
-            remedy="check the servo's cable, its 12 V supply, the baud rate and that its ID is unique",
+            remedy=_AFTER_HEARING[heard],
         )
         self.servo_id = servo_id
-        self.damaged = damaged
+        self.heard = heard
+
+    @property
+    def damaged(self) -> bool:
+        """True when something came that was an answer once, as when two servos share an ID."""
+        return self.heard is Heard.DAMAGED
 
 
 class RejectedError(DriverError):

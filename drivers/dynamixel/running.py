@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from drivers.dynamixel.arm_map import ArmMap, ServoSlot
-from drivers.dynamixel.bringup import effort_at_rest, effort_register
+from drivers.dynamixel.arm_map import ArmMap
+from drivers.dynamixel.bringup import effort_register, efforts_at_rest, goal_limits
 from drivers.dynamixel.budget import LinkTiming, cycle_budget, health_servos_per_gap
 from drivers.dynamixel.checks import FAULT_WITHIN_S, Complaint
 from drivers.dynamixel.cycle import CycleReader, CycleRows
 from drivers.dynamixel.errors import NO_ERROR, DxlServoFault, FaultCause
 from drivers.dynamixel.events import DriverEvent, EventKind, EventSink, OncePerServo
-from drivers.dynamixel.identify import IdentityError, ServoFound
+from drivers.dynamixel.identify import IdentityError
 from drivers.dynamixel.interpret import Interpreter, Reading
 from drivers.dynamixel.line.bus import BABBLE_BYTES, Bus
 from drivers.dynamixel.line.group import GroupWrite
 from drivers.dynamixel.line.port import Now
 from drivers.dynamixel.monitor import GapMonitor, ServoRecord, Suspicion
+from drivers.dynamixel.servo.found import ServoFound
+from drivers.dynamixel.servo.judge import MODEL, broken
 from drivers.dynamixel.servo.table import (
     ALERT_BIT,
     GOAL_CURRENT,
@@ -37,18 +40,16 @@ from drivers.dynamixel.servo.units import volts, watchdog_count
 from drivers.interface import ServoHealth
 
 
-def _record(servo: ServoFound, watchdog: int) -> ServoRecord:
-    values = servo.values
-    rest = effort_at_rest(servo)
+def _record(servo: ServoFound, watchdog: int, rest: int) -> ServoRecord:
     return ServoRecord(
         slot=servo.slot,
         goal=effort_register(servo.slot),
         watchdog=watchdog,
-        shutdown=HardwareError(values[SHUTDOWN]),
-        voltage_limits_V=(volts(values[MIN_VOLTAGE_LIMIT]), volts(values[MAX_VOLTAGE_LIMIT])),
-        thermal=ThermalWatch(float(values[TEMPERATURE_LIMIT])),
-        voltage_V=volts(values[PRESENT_INPUT_VOLTAGE]),
-        temperature_C=float(values[PRESENT_TEMPERATURE]),
+        shutdown=HardwareError(servo.value(SHUTDOWN)),
+        voltage_limits_V=(volts(servo.value(MIN_VOLTAGE_LIMIT)), volts(servo.value(MAX_VOLTAGE_LIMIT))),
+        thermal=ThermalWatch(float(servo.value(TEMPERATURE_LIMIT))),
+        voltage_V=volts(servo.value(PRESENT_INPUT_VOLTAGE)),
+        temperature_C=float(servo.value(PRESENT_TEMPERATURE)),
         sent=rest,
         sent_before=rest,
     )
@@ -75,9 +76,10 @@ class Running:
         self._clock = clock
         self._found = tuple(found)
         tell = OncePerServo(on_event)
-        self._records = [_record(servo, watchdog_count(arm.watchdog_s)) for servo in found]
+        rest, limits = efforts_at_rest(found), goal_limits(found)
+        watchdog = watchdog_count(arm.watchdog_s)
+        self._records = [_record(servo, watchdog, rest[servo.slot.servo_id]) for servo in found]
         self._place_of = {record.slot.servo_id: place for place, record in enumerate(self._records)}
-        limits = {servo.slot.servo_id: servo.limit_count for servo in found}
         self._drives = [torque_drive(joint, limits[joint.ids[0]]) for joint in arm.controlled]
         self._joint_records = [[self._records[self._place_of[i]] for i in joint.ids] for joint in arm.controlled]
         self.reader = CycleReader(bus, arm, clock, bus.counters, fast=fast, link=link)
@@ -194,20 +196,10 @@ class Running:
     def recognise(self) -> None:
         """Ping every servo of the map.  Raises IdentityError unless all are the models that were there before."""
         for servo in self._found:
-            slot = servo.slot
-            model = self._bus.ping(slot.servo_id, attempts=2).model_number
-            if model != slot.model.model_number:
-                raise _stranger(slot, model)
-
-
-def _stranger(slot: ServoSlot, model_number: int) -> IdentityError:
-    return IdentityError(
-        slot.servo_id,
-        f"servo {slot.servo_id} ({slot.joint.name}) after the port came back",
-        found=f"model number {model_number}",
-        expected=f"{slot.model.model_number} ({slot.model.name})",
-        remedy="another arm is plugged in here: put the plug back",
-    )
+            model = self._bus.ping(servo.slot.servo_id, attempts=2).model_number
+            misfit = broken(MODEL, replace(servo, model_number=model))
+            if misfit is not None:
+                raise IdentityError.of(misfit)
 
 
 def _fault_of_finding(finding: Suspicion) -> DxlServoFault:

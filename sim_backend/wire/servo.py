@@ -82,8 +82,7 @@ class Servo:
     @property
     def fast_reads(self) -> bool:
         """True when this model and firmware answer fast sync and fast bulk reads."""
-        least = self.firmware.model.fast_sync_min_firmware
-        return least is not None and self.firmware.version >= least
+        return self.firmware.model.answers_fast(self.firmware.version)
 
     def hears(self, now_ns: int) -> bool:
         """True when instructions reach the firmware."""
