@@ -6,11 +6,10 @@ Thresholds are set so that no healthy arm reaches them: a false alarm lets N arm
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from math import ceil
 
 from drivers.dynamixel.arm_map import ArmMap, JointRole, ServoSlot
-from drivers.dynamixel.errors import FaultCause
+from drivers.dynamixel.errors import DxlServoFault, FaultCause
 from drivers.dynamixel.events import DriverEvent, EventKind, OncePerServo
 from drivers.dynamixel.line.group import Row
 from drivers.dynamixel.servo.table import OperatingMode
@@ -28,26 +27,19 @@ PAIR_FIGHT_S = 0.1
 PAIR_APART_RAD = ticks_rad(40)  # 3.5 degrees; backlash is 0.25
 
 
-@dataclass(frozen=True, slots=True)
-class Complaint:
-    """A fault seen in a cycle's rows."""
-
-    cause: FaultCause
-    slot: ServoSlot
-    found: str
-    expected: str
-
-
 class SilenceCheck:
-    """Counts cycles without an answer, per servo."""
+    """Counts cycles without an answer, per servo, and what came on the line instead."""
 
     def __init__(self, slots: Sequence[ServoSlot]) -> None:
         self._slots = tuple(slots)
         self._missed = [0] * len(self._slots)
+        self._damaged = self._late = 0  # cycles in a row in which such answers came
 
-    def check(self, rows: Sequence[Row | None]) -> list[Complaint]:
-        """Complaints about servos that have been silent for too long."""
+    def check(self, rows: Sequence[Row | None], *, damaged: bool, late: bool) -> list[DxlServoFault]:
+        """Faults of servos that have given nothing for too long; damaged, late: answers of that kind came."""
         missed = self._missed
+        self._damaged = self._damaged + 1 if damaged else 0
+        self._late = self._late + 1 if late else 0
         if None not in rows:
             if any(missed):
                 self._missed = [0] * len(missed)
@@ -56,9 +48,17 @@ class SilenceCheck:
         for place, row in enumerate(rows):
             missed[place] = missed[place] + 1 if row is None else 0
             if missed[place] >= SILENT_LIMIT_CYCLES:
-                text = f"{missed[place]} cycles without an answer"
-                found.append(Complaint(FaultCause.SILENT, self._slots[place], text, "an answer every cycle"))
+                found.append(self._fault(self._slots[place], missed[place]))
         return found
+
+    def _fault(self, slot: ServoSlot, missed: int) -> DxlServoFault:
+        cause, instead = FaultCause.SILENT, ""
+        if self._damaged >= SILENT_LIMIT_CYCLES:
+            cause, instead = FaultCause.GARBLED, ", damaged packets in each"
+        elif self._late >= SILENT_LIMIT_CYCLES:
+            cause, instead = FaultCause.OUTDATED, ", old answers in each"
+        text = f"{missed} cycles without an answer{instead}"
+        return DxlServoFault.of(cause, slot, found=text, expected="an answer every cycle")
 
 
 class JumpCheck:
@@ -88,10 +88,11 @@ class JumpCheck:
         self._last = (stamp_ns, angle_rad)
         return False
 
-    def complaint(self, angle_rad: float) -> Complaint:
+    def fault(self, angle_rad: float) -> DxlServoFault:
         """What to say when it happens again."""
         text = f"a step to {angle_rad:.3f} rad, {self.in_a_row} times in a row"
-        return Complaint(FaultCause.POSITION_JUMP, self.slot, text, f"at most {self._speed:.1f} rad/s")
+        expected = f"at most {self._speed:.1f} rad/s"
+        return DxlServoFault.of(FaultCause.POSITION_JUMP, self.slot, found=text, expected=expected)
 
 
 class EffectCheck:
@@ -107,13 +108,14 @@ class EffectCheck:
         self._limit = max(2, ceil(NO_EFFECT_AFTER_S * rate_hz))
         self._count = 0
 
-    def check(self, goal: int, row: Row) -> Complaint | None:
+    def check(self, goal: int, row: Row) -> DxlServoFault | None:
         """Compare the goal this servo had when it answered; near its no-load speed it cannot reach a goal."""
         if abs(goal) >= self._worth and abs(row[1]) <= self._none and abs(row[2]) <= self._slow:
             self._count += 1
             if self._count >= self._limit:
                 found = f"{row[1] * self._unit_A:.3f} A for {self._count} cycles"
-                return Complaint(FaultCause.NO_EFFECT, self._slot, found, f"{goal * self._unit_A:.3f} A")
+                expected = f"{goal * self._unit_A:.3f} A"
+                return DxlServoFault.of(FaultCause.NO_EFFECT, self._slot, found=found, expected=expected)
         else:
             self._count = 0
         return None

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import enum
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from drivers.dynamixel.servo.table import HardwareError, StatusError
 from drivers.interface import ConnectError, DriverError, JointState, ServoFault, StaleStateError
+
+if TYPE_CHECKING:
+    from drivers.dynamixel.arm_map import ServoSlot
 
 NO_ERROR = HardwareError(0)
 
@@ -129,7 +133,27 @@ class FaultCause(enum.Enum):
     POSITION_JUMP = "its position moved faster than the joint can"
     PAIR_APART = "the servos of one joint disagree"
     SILENT = "does not answer"
+    GARBLED = "no intact answer comes from it"
+    OUTDATED = "no answer of this cycle comes from it"
     REFUSED_TORQUE = "torque could not be switched on"
+
+
+_AFTER_FAULT = {
+    FaultCause.HARDWARE_ERROR: "remove the cause; then only switching its supply off and on gives its torque back",
+    FaultCause.REBOOTED: "its supply was away for a moment: check the 12 V supply and its cable",
+    FaultCause.SILENT: "check its cable and those before it in the chain, and the 12 V supply",
+    FaultCause.GARBLED: "answers are spoiled on the way: check the plugs and cables of the chain, and the adapter",
+    FaultCause.OUTDATED: "the adapter holds answers back or repeats them: unplug and plug it, or take another",
+}
+# what a cause makes plain that looked like something else before
+_EXPLAINS = {
+    FaultCause.REBOOTED: frozenset({
+        FaultCause.SILENT, FaultCause.GARBLED, FaultCause.OUTDATED, FaultCause.NO_EFFECT, FaultCause.GOAL_IGNORED,
+        FaultCause.POSITION_JUMP,
+    }),
+    FaultCause.HARDWARE_ERROR: frozenset({FaultCause.TORQUE_LOST, FaultCause.NO_EFFECT}),
+    FaultCause.TORQUE_LOST: frozenset({FaultCause.NO_EFFECT}),
+}  # fmt: skip
 
 
 class DxlServoFault(ServoFault):
@@ -150,13 +174,26 @@ class DxlServoFault(ServoFault):
             f"servo {servo_id} ({joint}): {cause.value}",
             found=found,
             expected=expected,
-            remedy="hold or lower the arm, then read the servo with `coop doctor`; a hardware error needs a reboot",
+            remedy="hold or lower the arm; " + _AFTER_FAULT.get(cause, "then read the servo with `coop doctor`"),
         )
         self.cause = cause
         self.servo_id = servo_id
         self.joint = joint
         self.state = state
         self.hardware = hardware
+
+    @classmethod
+    def of(
+        cls, cause: FaultCause, slot: ServoSlot, *, found: str, expected: str, hardware: HardwareError = NO_ERROR
+    ) -> DxlServoFault:
+        """Fault of a servo of the map."""
+        return cls(
+            cause, servo_id=slot.servo_id, joint=slot.joint.name, found=found, expected=expected, hardware=hardware
+        )
+
+    def explains(self, other: DxlServoFault) -> bool:
+        """True when `other` is what this fault looked like before its cause was seen."""
+        return self.servo_id == other.servo_id and other.cause in _EXPLAINS.get(self.cause, frozenset())
 
     def with_state(self, state: JointState) -> DxlServoFault:
         """Return the same fault with another cycle's state."""

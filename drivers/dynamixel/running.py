@@ -10,16 +10,16 @@ import numpy as np
 from drivers.dynamixel.arm_map import ArmMap
 from drivers.dynamixel.bringup import effort_register, efforts_at_rest, goal_limits
 from drivers.dynamixel.budget import LinkTiming, cycle_budget, health_servos_per_gap
-from drivers.dynamixel.checks import FAULT_WITHIN_S, Complaint
+from drivers.dynamixel.checks import FAULT_WITHIN_S
 from drivers.dynamixel.cycle import CycleReader, CycleRows
-from drivers.dynamixel.errors import NO_ERROR, DxlServoFault, FaultCause
+from drivers.dynamixel.errors import DxlServoFault, FaultCause
 from drivers.dynamixel.events import DriverEvent, EventKind, EventSink, OncePerServo
 from drivers.dynamixel.identify import IdentityError
 from drivers.dynamixel.interpret import Interpreter, Reading
 from drivers.dynamixel.line.bus import BABBLE_BYTES, Bus
 from drivers.dynamixel.line.group import GroupWrite
 from drivers.dynamixel.line.port import Now
-from drivers.dynamixel.monitor import GapMonitor, ServoRecord, Suspicion
+from drivers.dynamixel.monitor import GapMonitor, ServoRecord
 from drivers.dynamixel.servo.found import ServoFound
 from drivers.dynamixel.servo.judge import MODEL, broken
 from drivers.dynamixel.servo.table import (
@@ -70,6 +70,7 @@ class Running:
         fast: bool,
     ) -> None:
         self.fast = fast
+        self._on_event = on_event
         self._made_of = (bus, arm, found, clock, on_event, link)
         self._bus = bus
         self._arm = arm
@@ -139,17 +140,25 @@ class Running:
                 self.monitor.alert(record.slot.servo_id)
         return self._interpreter.read(cycle, self._goals)
 
-    def new_faults(self, reading: Reading) -> list[DxlServoFault]:
-        """Faults that were not known before."""
-        findings = self.monitor.findings
-        if not findings and not reading.complaints:
-            return []
-        faults = [_fault_of_finding(finding) for finding in findings]
-        faults += [_fault_of_complaint(complaint) for complaint in reading.complaints]
-        findings.clear()
-        fresh = [fault for fault in faults if (fault.cause, fault.servo_id) not in self._known]
-        self._known.update((fault.cause, fault.servo_id) for fault in fresh)
-        return fresh
+    def faults(self, reading: Reading, known: list[DxlServoFault]) -> list[DxlServoFault]:
+        """Known faults and this cycle's new ones; one that explains another of its servo takes that one's place."""
+        seen = self.monitor.faults
+        if not seen and not reading.faults:
+            return known
+        merged = list(known)
+        for fault in (*seen, *reading.faults):
+            if (fault.cause, fault.servo_id) in self._known:
+                continue
+            self._known.add((fault.cause, fault.servo_id))
+            explained = [other for other in merged if fault.explains(other)]
+            place = merged.index(explained[0]) if explained else len(merged)
+            merged[place : place + 1] = [fault]
+            merged = [other for other in merged if other not in explained]
+            if explained:
+                text = f"{fault.cause.value}; it looked like: {', '.join(other.cause.value for other in explained)}"
+                self._on_event(DriverEvent(EventKind.EXPLAINED, text, fault.servo_id, fault.joint))
+        seen.clear()
+        return merged
 
     # --- write ----------------------------------------------------------------------------------------------------
 
@@ -200,27 +209,3 @@ class Running:
             misfit = broken(MODEL, replace(servo, model_number=model))
             if misfit is not None:
                 raise IdentityError.of(misfit)
-
-
-def _fault_of_finding(finding: Suspicion) -> DxlServoFault:
-    record = finding.record
-    hardware = record.hardware if finding.cause is FaultCause.HARDWARE_ERROR else NO_ERROR
-    return DxlServoFault(
-        finding.cause,
-        servo_id=record.slot.servo_id,
-        joint=record.slot.joint.name,
-        found=finding.found,
-        expected=finding.expected,
-        hardware=hardware,
-    )
-
-
-def _fault_of_complaint(complaint: Complaint) -> DxlServoFault:
-    slot = complaint.slot
-    return DxlServoFault(
-        complaint.cause,
-        servo_id=slot.servo_id,
-        joint=slot.joint.name,
-        found=complaint.found,
-        expected=complaint.expected,
-    )
