@@ -1,4 +1,4 @@
-"""How long the control cycle takes on this bus: computed from its bytes, and measured.  Never writes to a servo."""
+"""How long the control cycle takes on an arm's bus: computed from its bytes, and measured."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is wrong with a cell's arms, buses and host?  Looks and measures; never gives torque or writes a register."""
+"""What is wrong with a cell's arms, buses and host?  Looks and measures; writes to no servo and switches no torque."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Is this host fit to run an arm in real time?  Facts are read, then judged by a pure function; changes nothing."""
+"""Is this host fit to run an arm in real time?  Facts are read, then judged by a pure function."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which servos are on a line, at which speed, and how they are.  Pings and reads; never writes to a servo."""
+"""Which servos are on a line, at which speed, and how they are, by pings and reads."""
 
 from __future__ import annotations
 

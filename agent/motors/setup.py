@@ -1,6 +1,7 @@
 """Set up one new servo: find it alone on its line, show what will change, write, read back.
 
-Scanning is `find.survey`, saving and restoring EEPROM is in `dump`; why none of it uses the official SDK: see `line`.
+Torque stays off.  Scanning is `find.survey`, saving and restoring EEPROM is in `dump`; why none of it uses the official
+SDK: see `line`.
 """
 
 from __future__ import annotations

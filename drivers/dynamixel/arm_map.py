@@ -1,4 +1,4 @@
-"""What the driver must know of one arm, as frozen data.  Never reads a file; `agent.config` builds it from the cell.
+"""What the driver must know of one arm, as frozen data; `agent.config` builds it from the cell file.
 
 Torques, angles and speeds are those of the joint; the direction of a joint is that of its servos' own reported
 direction (Drive Mode reverse bit), so no sign is needed anywhere else.

@@ -1,4 +1,4 @@
-"""From a limp arm to one that holds zero torque, and back, in an order that cannot jerk.  Never used inside a cycle.
+"""From a limp arm to one that holds zero torque, and back, in an order that does not jerk.
 
 EEPROM only where it differs; then goals, because a mode change sets them to their limits; then the pose; then the
 watchdog; then torque.  Whatever fails on the way ends with torque off.

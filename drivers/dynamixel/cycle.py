@@ -1,4 +1,4 @@
-"""The read of one control cycle: every servo's current, velocity and position, fresh or missing.  Never an old value.
+"""The read of one control cycle: every servo's current, velocity and position, fresh or missing, and never old.
 
 Each request is marked so that the answer to an earlier one cannot pass for it, however late it is.  In a merged reply
 the mark is the order of the IDs, rotated and reversed from cycle to cycle; where each servo sends its own packet (and

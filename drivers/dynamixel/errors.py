@@ -1,4 +1,4 @@
-"""What can go wrong on a servo bus, as types with the facts in attributes.  Never decides anything."""
+"""What can go wrong on a servo bus, as types with the facts in attributes."""
 
 from __future__ import annotations
 

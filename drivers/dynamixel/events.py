@@ -1,4 +1,4 @@
-"""What the driver tells besides torque and state: facts for the log, never control flow."""
+"""What the driver tells besides torque and state: facts for the log."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One cycle's rows to the state of the joints, and what is wrong with them.  Never fills a hole with an old value."""
+"""One cycle's rows to the state of the joints, NaN where there is none, and what is wrong with the servos."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How long this bus really takes for a cycle's read, against what the rate allows.  Reads only; never inside a run."""
+"""How long a bus really takes for a cycle's read, against what the rate allows; measured at connect and at enable."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a connected arm needs from cycle to cycle, built once from what `connect` found.  Never switches torque."""
+"""What a connected arm needs from cycle to cycle, built once from what `connect` found."""
 
 from __future__ import annotations
 

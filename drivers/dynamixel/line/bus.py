@@ -1,4 +1,4 @@
-"""One conversation at a time on one servo bus: requests, bounded waits, counters.  Never retries inside a cycle.
+"""One conversation at a time on one servo bus: requests, bounded waits, counters.
 
 Two kinds of exchange.  `read`, `write`, `ping` are for setting up: they wait generously, retry, and after a missed
 reply listen until the line is quiet, so that a late reply is never taken for the next one's.  `exchange` is for the

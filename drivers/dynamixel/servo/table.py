@@ -1,6 +1,6 @@
 """DYNAMIXEL servo models, their control table and the protocol's code numbers: one table for driver and emulator.
 
-Data only: it must never talk to a bus or hold state, and imports nothing but the standard library.
+Data; it imports the standard library alone.
 
 Source of every figure, unless a line says otherwise: the ROBOTIS e-manual as of 2026, pages Protocol 2.0, XM430-W350,
 XM540-W270, XL430-W250, XC430-W150, MX-64(2.0), MX-28(2.0) and AX-12A.  Ratings are those at 12 V.
