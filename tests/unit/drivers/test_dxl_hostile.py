@@ -279,3 +279,17 @@ def test_a_fault_explains_only_what_happened_to_the_same_servo() -> None:
     assert not fault(FaultCause.SILENT).explains(fault(FaultCause.REBOOTED))
     assert fault(FaultCause.HARDWARE_ERROR).explains(fault(FaultCause.TORQUE_LOST))
     assert not fault(FaultCause.REBOOTED).explains(fault(FaultCause.HARDWARE_ERROR))
+
+
+@pytest.mark.parametrize("startup", [1, 3])
+def test_a_servo_that_comes_back_with_torque_of_its_own_is_still_seen_to_have_restarted(startup: int) -> None:
+    """Connect refuses such a servo; this one was changed behind its back, and its backup has the driver's mapping."""
+    rig, _ = running(servo_options=ServoOptions(boot_ns=100_000_000))
+    rig.put(4, table.STARTUP_CONFIGURATION, startup)
+    firmware = rig.servo(4).firmware
+    firmware.backup.store(firmware.memory)
+    rig.fault(FaultKind.POWER_LOSS, 4, duration_s=0.02)
+    errors = cycles(rig, 80)
+    assert rig.get(4, table.TORQUE_ENABLE) == 1
+    assert isinstance(errors[-1], DxlServoFault)
+    assert [(fault.cause, fault.servo_id) for fault in rig.driver.faults] == [(FaultCause.REBOOTED, 4)]
