@@ -1,4 +1,4 @@
-"""The real clock: CLOCK_MONOTONIC with absolute deadlines.  Never the wall clock, which NTP may step."""
+"""The real clock: CLOCK_MONOTONIC with absolute deadlines, which a step of the wall clock does not move."""
 
 import time
 

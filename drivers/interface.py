@@ -1,4 +1,4 @@
-"""The seam between control and arms: what every driver promises.  Imports nothing of ours, touches no hardware."""
+"""The seam between control and arms: what every driver promises.  Imports nothing of ours."""
 
 from __future__ import annotations
 

@@ -77,8 +77,7 @@ def setup(
     """Set up the one servo on a line for its place in an arm: ID, speed, direction, shadow, limits, return delay."""
     from agent.config.cell import load_arm_file
     from agent.motors.line import open_line
-    from agent.motors.setup import apply_setup, plan_setup
-    from agent.motors.wanted import servo_of
+    from agent.motors.setup import apply_setup, plan_setup, servo_of
 
     file, _ = load_arm_file(arm_model, "arm model")
     slot = servo_of(file, joint, shadow=shadow)

@@ -1,1 +1,1 @@
-"""What is wrong with a cell's host, ports and servos: looks, measures and says how to mend it."""
+"""What is wrong with a cell's host, ports and servos: looked at, measured, and how to mend it."""

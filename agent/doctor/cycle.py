@@ -1,18 +1,19 @@
-"""How long the control cycle takes on this bus: computed from its bytes, and measured.  Never writes to a servo."""
+"""How long the control cycle takes on an arm's bus: computed from its bytes, and measured."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from agent.doctor.servos import ServoState
 from agent.verify.finding import Finding, Verdict, judged
 from drivers.dynamixel.arm_map import ArmMap
 from drivers.dynamixel.budget import CYCLE_BYTES, PLAIN_BYTES, CycleBudget, LinkTiming, cycle_budget, group_read_s
 from drivers.dynamixel.line.bus import Bus
 from drivers.dynamixel.line.group import GroupRead
 from drivers.dynamixel.pace import SHARE, WAIT_NS
-from drivers.dynamixel.servo.table import PRESENT_CURRENT, RETURN_DELAY_TIME, RETURN_DELAY_UNIT_S
+from drivers.dynamixel.servo.found import ServoFound
+from drivers.dynamixel.servo.table import PRESENT_CURRENT, RETURN_DELAY_TIME
+from drivers.dynamixel.servo.units import return_delay_s
 from drivers.interface import Clock
 
 READS = 200
@@ -48,15 +49,15 @@ class CycleFigures:
 
 
 def measure(
-    bus: Bus, arm: ArmMap, states: Sequence[ServoState], clock: Clock, latency_timer_ms: int | None, reads: int = READS
+    bus: Bus, arm: ArmMap, servos: Sequence[ServoFound], clock: Clock, latency_timer_ms: int | None, reads: int = READS
 ) -> CycleFigures:
     """Read as the control loop does, at its rate.  All servos must be there.
 
     A reply waits in the USB adapter for the next tick of its latency timer.  Requests that follow each other at once,
     or in step with that timer, always see the same wait; so each is sent at another phase of it.
     """
-    fast = all(_fast(state) for state in states)
-    delay_s = sum(s.values.get(RETURN_DELAY_TIME.name, 0) for s in states) * RETURN_DELAY_UNIT_S / len(states)
+    fast = all(servo.fast for servo in servos)
+    delay_s = return_delay_s(sum(servo.value(RETURN_DELAY_TIME) for servo in servos) / len(servos))
     link = LinkTiming(
         return_delay_s=delay_s, usb_latency_s=1e-3 * (1 if latency_timer_ms is None else latency_timer_ms)
     )
@@ -121,11 +122,6 @@ class _Stopwatch:
 def judge(arm: ArmMap, figures: CycleFigures) -> list[Finding]:
     """The budget beside the measurement, and what the rate allows."""
     return [*_agreement(arm, figures), _share(arm, figures), _budget(arm, figures), _misses(arm, figures)]
-
-
-def _fast(state: ServoState) -> bool:
-    least = state.slot.model.fast_sync_min_firmware
-    return least is not None and state.firmware >= least
 
 
 def _ms(seconds: float) -> str:

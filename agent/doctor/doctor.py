@@ -1,4 +1,4 @@
-"""What is wrong with a cell's arms, buses and host?  Looks and measures; never gives torque or writes a register."""
+"""What is wrong with a cell's arms, buses and host?  Looks and measures; writes to no servo and switches no torque."""
 
 from __future__ import annotations
 
@@ -12,11 +12,9 @@ import numpy as np
 
 from agent.config.cell import Arm, Cell
 from agent.config.servo_map import arm_map
-from agent.doctor import cycle, host
-from agent.doctor import state as state_check
+from agent.doctor import cycle, host, servos
 from agent.doctor.cycle import CycleFigures
 from agent.doctor.port import before_opening, latency_timer
-from agent.doctor.servos import presence
 from agent.host.info import versions
 from agent.motors.line import refuse_noise
 from agent.telemetry.row.sample import AGENT_STATE
@@ -111,7 +109,7 @@ def _examine_arm(cell: Cell, arm: Arm, q_start: Vector | None, ports: Path | Non
         return
     q = q_start if q_start is not None else np.array(arm.entry.q_near_rad)
     try:
-        servos = arm_map(cell, arm, path, q)
+        found_map = arm_map(cell, arm, path, q)
     except DriverError as error:
         out.findings.append(from_refusal(error, arm.name))
         return
@@ -119,7 +117,7 @@ def _examine_arm(cell: Cell, arm: Arm, q_start: Vector | None, ports: Path | Non
     out.findings += found
     if all(f.verdict is not Verdict.REFUSED for f in found):
         clock = MonotonicClock()
-        examine_line(servos, SerialPort(path, servos.baud, clock), clock, out)
+        examine_line(found_map, SerialPort(path, found_map.baud, clock), clock, out)
 
 
 def examine_line(arm: ArmMap, port: Port, clock: Clock, out: Diagnosis) -> None:
@@ -138,15 +136,15 @@ def examine_line(arm: ArmMap, port: Port, clock: Clock, out: Diagnosis) -> None:
 
 
 def _examine_servos(arm: ArmMap, bus: Bus, clock: Clock, out: Diagnosis) -> None:
-    found = presence(bus, arm)
-    out.findings += found.findings
-    out.findings += state_check.judge(arm, found.states)
-    if len(found.states) < len(arm.slots):
+    present, found = servos.look(bus, arm)
+    out.findings += present
+    out.findings += servos.judge(arm, found)
+    if len(found) < len(arm.slots):
         remedy = "put right what is above, then run the doctor again"
         what, wanted = "cycle time", f"measured with all {len(arm.slots)} servos"
-        out.findings.append(warning(what, arm.arm, f"not measured: {len(found.states)} servos fit", wanted, remedy))
+        out.findings.append(warning(what, arm.arm, f"not measured: {len(found)} servos can be read", wanted, remedy))
         return
-    figures = cycle.measure(bus, arm, found.states, clock, bus.port.latency_timer_ms)
+    figures = cycle.measure(bus, arm, found, clock, bus.port.latency_timer_ms)
     out.cycles[arm.arm] = figures
     out.findings += cycle.judge(arm, figures)
 

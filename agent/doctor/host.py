@@ -1,4 +1,4 @@
-"""Is this host fit to run an arm in real time?  Facts are read, then judged by a pure function; changes nothing."""
+"""Is this host fit to run an arm in real time?  Facts are read, then judged by a pure function."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _STA_UNSYNC = 0x40
 
 
 @dataclass(frozen=True, slots=True)
-class Clock:
+class ClockState:
     """What the kernel knows of its clock's discipline."""
 
     synchronised: bool
@@ -39,7 +39,7 @@ class HostFacts:
     preempt_rt: bool
     kernel: str
     cores: int
-    clock: Clock
+    clock: ClockState
     log_folder: Path  # or the nearest parent that exists
     log_free_bytes: int
     versions: str
@@ -167,8 +167,8 @@ def _preempt_rt() -> bool:
     return (marker.exists() and marker.read_text().strip() == "1") or "PREEMPT_RT" in os.uname().version
 
 
-def _clock() -> Clock:
+def _clock() -> ClockState:
     buffer = _Timex()
     if ctypes.CDLL(None, use_errno=True).adjtimex(ctypes.byref(buffer)) < 0:
-        return Clock(False, math.inf)
-    return Clock(not buffer.status & _STA_UNSYNC, buffer.maxerror * 1e-6)
+        return ClockState(False, math.inf)
+    return ClockState(not buffer.status & _STA_UNSYNC, buffer.maxerror * 1e-6)

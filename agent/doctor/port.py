@@ -1,4 +1,4 @@
-"""Can the serial port of an arm be used, by whom is it, and is its adapter set up?  Sends nothing on it."""
+"""Can the serial port of an arm be used, who has it, and is its adapter set up?"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""All EEPROM registers of a line's servos as a TOML file, and back.  Writes only differences, never with torque on."""
+"""All EEPROM registers of a line's servos as a TOML file, and back: what differs is written, while torque is off."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Registers of one servo's EEPROM: read, compare, write what differs, read back.  Never writes while torque is on."""
+"""Registers of one servo's EEPROM: read, compare, write what differs, read back; refused while torque is on."""
 
 from __future__ import annotations
 

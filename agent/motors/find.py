@@ -1,4 +1,4 @@
-"""Which servos are on a line, at which speed, and how they are.  Pings and reads; never writes to a servo."""
+"""Which servos are on a line, at which speed, and how they are, by pings and reads."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from drivers.dynamixel.servo.table import (
     PRESENT_TEMPERATURE,
     SERVOS_BY_NUMBER,
     TORQUE_ENABLE,
-    VOLTAGE_UNIT_V,
     HardwareError,
     ServoModel,
 )
+from drivers.dynamixel.servo.units import volts
 from drivers.interface import Refusal
 
 ALL_BAUDS = tuple(sorted(BAUD_RATES.values(), key=lambda baud: (baud != 1_000_000, baud != 57_600, baud)))
@@ -133,14 +133,14 @@ def look(bus: Bus, port: str, ping: Ping) -> ServoSeen:
     if seen.model is None or not seen.model.registers:
         return seen
     try:
-        volts, celsius, errors, torque = (
+        supply, celsius, errors, torque = (
             bus.read(ping.servo_id, register)
             for register in (PRESENT_INPUT_VOLTAGE, PRESENT_TEMPERATURE, HARDWARE_ERROR_STATUS, TORQUE_ENABLE)
         )
     except (NoReplyError, RejectedError) as error:
         return ServoSeen(port, seen.baud, seen.servo_id, seen.model_number, seen.firmware, note=f"reads: {error.found}")
     return ServoSeen(
-        port, seen.baud, seen.servo_id, seen.model_number, seen.firmware, volts * VOLTAGE_UNIT_V, celsius,
+        port, seen.baud, seen.servo_id, seen.model_number, seen.firmware, volts(supply), celsius,
         HardwareError(errors), bool(torque),
     )  # fmt: skip
 

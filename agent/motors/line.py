@@ -1,4 +1,4 @@
-"""The servo line of one port, opened for a tool: alone on it, and with bounded waits.  Never switches torque.
+"""The servo line of one port, opened for a tool: alone on it, and with bounded waits.
 
 The tools use the driver's own bus, and not the official SDK that the project otherwise takes for setting up, because on
 the same emulated servos the SDK

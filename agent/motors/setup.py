@@ -1,26 +1,50 @@
-"""Set up one new servo: find it alone on its line, show what will change, write, read back.  Never switches torque on.
+"""Set up one new servo: find it alone on its line, show what will change, write, read back.
 
-Scanning is `find.survey`, saving and restoring EEPROM is in `dump`; why none of it uses the official SDK: see `line`.
+Torque stays off.  Scanning is `find.survey`, saving and restoring EEPROM is in `dump`; why none of it uses the official
+SDK: see `line`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+from agent.config.schema.cell import ArmFile
+from agent.config.servo_map import resting_joints
 from agent.motors import eeprom
 from agent.motors.eeprom import Difference
 from agent.motors.find import ALL_BAUDS, Tell, search
-from agent.motors.wanted import eeprom_of
 from drivers.dynamixel.arm_map import ServoSlot
 from drivers.dynamixel.line.bus import Bus, Ping
-from drivers.dynamixel.servo.table import SERVOS_BY_NUMBER, ServoModel
-from drivers.interface import DriverError
+from drivers.dynamixel.servo.found import Consequence, ServoFound
+from drivers.dynamixel.servo.judge import judge
+from drivers.dynamixel.servo.wanted import line_values, setup_values
+from drivers.interface import DriverError, Refusal
 
-FIRMWARE_MIN = 38  # the bus watchdog exists from here on
+
+class JointError(Refusal):
+    """The arm file has no such servo."""
 
 
 class SetupError(DriverError):
     """The servo on the line is not one that can be set up as asked; nothing was written."""
+
+
+def servo_of(file: ArmFile, joint: str, *, shadow: bool) -> ServoSlot:
+    """The servo of a joint, or its shadow.  Raises JointError naming what there is."""
+    joints = {j.name: j for j in resting_joints(file)}
+    if joint not in joints:
+        raise JointError(
+            f"joint of {file.model}", found=repr(joint), expected=" or ".join(joints), remedy="name one of its joints"
+        )
+    found = joints[joint]
+    if shadow and len(found.ids) == 1:
+        pairs = [j.name for j in joints.values() if len(j.ids) > 1]
+        raise JointError(
+            f"joint {joint} of {file.model}", found="a single servo",
+            expected="one with a shadow: " + (" or ".join(pairs) or "none on this arm"), remedy="leave --shadow out",
+        )  # fmt: skip
+    place = int(shadow)
+    return ServoSlot(found.ids[place], found, shadow, found.reverse[place])
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,10 +74,9 @@ def plan_setup(bus: Bus, slot: ServoSlot, arm_baud: int, tell: Tell) -> SetupPla
     """
     baud, ping = _single(bus, tell)
     bus.port.set_baud(baud)
-    model = _right_model(slot, ping)
+    _refuse_other_kind(slot, ping)
     eeprom.require_torque_off(bus, ping.servo_id)
-    found = eeprom.read(bus, ping.servo_id, eeprom.writable(model))
-    changes = eeprom.differences(ping.servo_id, model, found, eeprom_of(slot, arm_baud))
+    changes = _differences(bus, slot, arm_baud, ping.servo_id)
     return SetupPlan(slot, ping.servo_id, baud, ping.firmware, tuple(changes))
 
 
@@ -66,16 +89,22 @@ def apply_setup(bus: Bus, plan: SetupPlan, arm_baud: int) -> None:
     eeprom.write(bus, plan.changes)
     bus.port.set_baud(arm_baud)
     bus.settle()
-    servo_id, model = plan.slot.servo_id, plan.slot.model
+    servo_id = plan.slot.servo_id
     bus.ping(servo_id)
     eeprom.require_torque_off(bus, servo_id)
-    found = eeprom.read(bus, servo_id, eeprom.writable(model))
-    left = eeprom.differences(servo_id, model, found, eeprom_of(plan.slot, arm_baud))
+    left = _differences(bus, plan.slot, arm_baud, servo_id)
     if left:
         raise eeprom.EepromError(
             f"servo {servo_id}: {left[0].register.name}", found=left[0].found, expected=left[0].wanted,
             remedy="set it up again; if it persists the servo is defective",
         )  # fmt: skip
+
+
+def _differences(bus: Bus, slot: ServoSlot, arm_baud: int, servo_id: int) -> list[Difference]:
+    """What must be written to the servo that is `servo_id` now."""
+    wanted = {r.name: value for r, value in {**line_values(slot, arm_baud), **setup_values(slot)}.items()}
+    found = eeprom.read(bus, servo_id, eeprom.writable(slot.model))
+    return eeprom.differences(servo_id, slot.model, found, wanted)
 
 
 def _single(bus: Bus, tell: Tell) -> tuple[int, Ping]:
@@ -104,18 +133,12 @@ def _single(bus: Bus, tell: Tell) -> tuple[int, Ping]:
     return heard[0]
 
 
-def _right_model(slot: ServoSlot, ping: Ping) -> ServoModel:
-    model = SERVOS_BY_NUMBER.get(ping.model_number)
-    if model is None or model.name != slot.joint.servo:
-        raise SetupError(
-            f"servo {ping.servo_id}: model",
-            found=model.name if model is not None else f"model number {ping.model_number}",
-            expected=f"{slot.joint.servo} for joint {slot.joint.name}",
-            remedy="take the right servo, or name the right joint",
-        )
-    if ping.firmware < FIRMWARE_MIN:
-        raise SetupError(
-            f"servo {ping.servo_id}: firmware", found=ping.firmware, expected=f"{FIRMWARE_MIN} or newer (bus watchdog)",
-            remedy="update it with DYNAMIXEL Wizard 2.0",
-        )  # fmt: skip
-    return model
+def _refuse_other_kind(slot: ServoSlot, ping: Ping) -> None:
+    """Raise SetupError for a servo that the driver would refuse for what it is, whatever its EEPROM says."""
+    for misfit in judge(ServoFound(slot, ping.model_number, ping.firmware, {})):
+        if misfit.rule.consequence is Consequence.NO_CONNECTION:
+            said = misfit.said
+            raise SetupError(
+                f"servo {ping.servo_id} as {slot.joint.name}: {misfit.rule.name}", found=said.found,
+                expected=said.expected, remedy=said.remedy,
+            )  # fmt: skip

@@ -24,11 +24,11 @@ from agent.telemetry.row.event import Level
 from agent.telemetry.row.fill import AgentRow
 from agent.telemetry.row.sample import AGENT_STATE
 from agent.verify.check import examine
+from drivers.dynamixel.arm_map import WATCHDOG_S
 from drivers.interface import Clock, Driver, DriverError, Refusal
 
 HEARTBEAT_S = 0.02
 STALE_TO_HOLD = 3  # cycles
-WATCHDOG_S = 0.2  # of the servos
 EMULATED_PATIENCE_S = 0.5
 
 

@@ -1,1 +1,1 @@
-"""Dynamixel Protocol 2.0 servos; ticks, mA, PWM and IDs never leave this folder."""
+"""Dynamixel servos, Protocol 2.0: the driver, and what servo tools, doctor and emulator share with it."""

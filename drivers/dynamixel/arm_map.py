@@ -1,4 +1,4 @@
-"""What the driver must know of one arm, as frozen data.  Never reads a file; `agent.config` builds it from the cell.
+"""What the driver must know of one arm, as frozen data; `agent.config` builds it from the cell file.
 
 Torques, angles and speeds are those of the joint; the direction of a joint is that of its servos' own reported
 direction (Drive Mode reverse bit), so no sign is needed anywhere else.
@@ -11,10 +11,11 @@ import math
 from dataclasses import dataclass
 from itertools import pairwise
 
-from drivers.dynamixel.servo.table import MAX_ID, SERVOS, WATCHDOG_UNIT_S, OperatingMode, ServoModel
+from drivers.dynamixel.servo.table import MAX_ID, SERVOS, TICKS_PER_TURN, OperatingMode, ServoModel
+from drivers.dynamixel.servo.units import watchdog_count, watchdog_s
 from drivers.interface import ConnectError
 
-TICKS_PER_TURN = 4096
+WATCHDOG_S = 0.2  # without `read` or `write` for so long, the servos of an arm stop by themselves
 
 
 class MapError(ConnectError):
@@ -62,12 +63,6 @@ class JointMap:
         current_based = OperatingMode.CURRENT_BASED_POSITION
         return current_based if current_based in self.model.modes else OperatingMode.POSITION
 
-    @property
-    def limits_rad(self) -> tuple[float, float]:
-        """Lower and upper joint angle of the position limits."""
-        low, high = self.position_limit_ticks
-        return (low - self.zero_tick) * self.model.tick_rad, (high - self.zero_tick) * self.model.tick_rad
-
 
 @dataclass(frozen=True, slots=True)
 class ServoSlot:
@@ -83,6 +78,11 @@ class ServoSlot:
         """Ratings and registers."""
         return self.joint.model
 
+    @property
+    def title(self) -> str:
+        """What a person calls it, e.g. "servo 3 (shoulder shadow)"."""
+        return f"servo {self.servo_id} ({self.joint.name}{' shadow' if self.shadow else ''})"
+
 
 @dataclass(frozen=True, slots=True)
 class ArmMap:
@@ -93,8 +93,7 @@ class ArmMap:
     baud: int
     rate_hz: float
     joints: tuple[JointMap, ...]  # base to tip, the gripper last; controlled ones in the order of the cell file
-    firmware_min: int = 38  # the bus watchdog exists from here on
-    watchdog_s: float = 0.2
+    watchdog_s: float = WATCHDOG_S
 
     def __post_init__(self) -> None:
         ids = [servo_id for joint in self.joints for servo_id in joint.ids]
@@ -107,9 +106,9 @@ class ArmMap:
             len(set(names)) == len(names) and bool(self.controlled),
             "joints", names, "different names, at least one controlled", "correct the arm file or `controlled`",
         )  # fmt: skip
-        units = self.watchdog_s / WATCHDOG_UNIT_S
+        count = watchdog_count(self.watchdog_s)
         self._need(
-            1 <= round(units) <= 127 and abs(units - round(units)) < 1e-6,
+            1 <= count <= 127 and math.isclose(watchdog_s(count), self.watchdog_s),
             "watchdog_s", self.watchdog_s, "a multiple of 0.02 from 0.02 to 2.54", "0.2 suits a loop of 50 Hz or more",
         )  # fmt: skip
         self._need(

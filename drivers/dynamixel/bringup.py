@@ -1,4 +1,4 @@
-"""From a limp arm to one that holds zero torque, and back, in an order that cannot jerk.  Never used inside a cycle.
+"""From a limp arm to one that holds zero torque, and back, in an order that does not jerk.
 
 EEPROM only where it differs; then goals, because a mode change sets them to their limits; then the pose; then the
 watchdog; then torque.  Whatever fails on the way ends with torque off.
@@ -7,13 +7,16 @@ watchdog; then torque.  Whatever fails on the way ends with torque off.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from drivers.dynamixel.arm_map import ArmMap, JointRole, ServoSlot
 from drivers.dynamixel.errors import DxlServoFault, FaultCause
 from drivers.dynamixel.events import DriverEvent, EventKind, EventSink
-from drivers.dynamixel.identify import IdentityError, ServoFound
+from drivers.dynamixel.identify import IdentityError
 from drivers.dynamixel.line.bus import Bus
 from drivers.dynamixel.monitor import status_bytes
+from drivers.dynamixel.servo.found import ServoFound
+from drivers.dynamixel.servo.judge import POSE, TORQUE, broken
 from drivers.dynamixel.servo.table import (
     BUS_WATCHDOG,
     GOAL_CURRENT,
@@ -28,7 +31,7 @@ from drivers.dynamixel.servo.table import (
     OperatingMode,
     Register,
 )
-from drivers.dynamixel.servo.units import AngleScale, watchdog_count
+from drivers.dynamixel.servo.units import watchdog_count
 from drivers.interface import DriverError
 
 
@@ -41,12 +44,17 @@ def effort_register(slot: ServoSlot) -> Register:
     return GOAL_CURRENT if slot.model.has_current_mode else GOAL_PWM
 
 
-def effort_at_rest(servo: ServoFound) -> int:
-    """Goal count before torque comes on: none for a controlled joint, the holding limit for a held one."""
-    joint = servo.slot.joint
-    if joint.role is JointRole.CONTROLLED:
-        return 0
-    return round(joint.hold_effort * servo.limit_count)
+def goal_limits(servos: Sequence[ServoFound]) -> dict[int, int]:
+    """Largest goal count of each servo by ID: of a pair the smaller limit, for both get the same goals."""
+    own = {servo.slot.servo_id: servo.goal_limit for servo in servos}
+    return {servo.slot.servo_id: min(own[i] for i in servo.slot.joint.ids) for servo in servos}
+
+
+def efforts_at_rest(servos: Sequence[ServoFound]) -> dict[int, int]:
+    """Goal count of each servo by ID before torque comes on: none if controlled, the holding limit if held."""
+    limits, joints = goal_limits(servos), {servo.slot.servo_id: servo.slot.joint for servo in servos}
+    controlled = JointRole.CONTROLLED
+    return {i: 0 if j.role is controlled else round(j.hold_effort * limits[i]) for i, j in joints.items()}
 
 
 class BringUp:
@@ -57,19 +65,15 @@ class BringUp:
         self._arm = arm
         self._servos = tuple(servos)
         self._commanded = tuple(servo for servo in self._servos if not servo.slot.shadow)
+        self._rest = efforts_at_rest(self._servos)
         self._tell = tell
 
     def configure(self) -> None:
         """Write EEPROM where it differs, and read it back.  Raises IdentityError while a servo holds torque."""
         for servo in self._servos:
-            if self._bus.read(servo.slot.servo_id, TORQUE_ENABLE):
-                raise IdentityError(
-                    servo.slot.servo_id,
-                    f"servo {servo.slot.servo_id} ({servo.slot.joint.name})",
-                    found="its torque is on already",
-                    expected="off",
-                    remedy="another program may hold this arm: support it, stop that program, release the torque",
-                )
+            misfit = broken(TORQUE, self._again(servo, TORQUE_ENABLE))
+            if misfit is not None:
+                raise IdentityError.of(misfit)
         for servo in self._servos:
             servo_id = servo.slot.servo_id
             for change in servo.changes:
@@ -89,11 +93,16 @@ class BringUp:
                 self._bus.write(servo_id, indirect, address)
             self._bus.write(servo_id, LED, 1)
         for servo in self._commanded:
-            self._bus.write(servo.slot.servo_id, effort_register(servo.slot), effort_at_rest(servo))
+            self._bus.write(servo.slot.servo_id, effort_register(servo.slot), self._rest[servo.slot.servo_id])
             if servo.slot.joint.role is not JointRole.CONTROLLED:
                 self._goal_here(servo)
         for servo in self._servos:
-            self._verify(servo, effort_register(servo.slot), effort_at_rest(servo))
+            self._verify(servo, effort_register(servo.slot), self._rest[servo.slot.servo_id])
+
+    def _again(self, servo: ServoFound, register: Register) -> ServoFound:
+        """The servo with one register as it is now."""
+        value = self._bus.read(servo.slot.servo_id, register)
+        return replace(servo, values={**servo.values, register.name: value})
 
     def _goal_here(self, servo: ServoFound) -> None:
         servo_id = servo.slot.servo_id
@@ -106,20 +115,9 @@ class BringUp:
     def check_pose(self) -> None:
         """Every joint within its limits and near its start.  Raises PoseError."""
         for servo in self._commanded:
-            joint = servo.slot.joint
-            angle = AngleScale(joint).angle_rad(self._bus.read(servo.slot.servo_id, PRESENT_POSITION))
-            low, high = joint.limits_rad
-            if joint.start_rad is not None:
-                low = max(low, joint.start_rad - joint.start_tolerance_rad)
-                high = min(high, joint.start_rad + joint.start_tolerance_rad)
-            if joint.role is not JointRole.GRIPPER and not low <= angle <= high:
-                raise PoseError(
-                    servo.slot.servo_id,
-                    f"arm {self._arm.arm}: start pose of joint {joint.name}",
-                    found=f"{angle:.3f} rad",
-                    expected=f"{low:.3f} to {high:.3f} rad",
-                    remedy="move the arm by hand to the start pose of the cell (`coop doctor` prints both)",
-                )
+            misfit = broken(POSE, self._again(servo, PRESENT_POSITION))
+            if misfit is not None:
+                raise PoseError.of(misfit)
 
     def torque_on(self) -> None:
         """Watchdog, then torque, then proof that every servo has both.  Raises DxlServoFault."""
@@ -145,7 +143,9 @@ class BringUp:
         self._bus.write_blind(BUS_WATCHDOG, dict.fromkeys(ids, 0))
         for register in (GOAL_CURRENT, GOAL_PWM):
             resting = {
-                s.slot.servo_id: effort_at_rest(s) for s in self._commanded if effort_register(s.slot) is register
+                i: self._rest[i]
+                for i, s in zip(ids, self._commanded, strict=True)
+                if effort_register(s.slot) is register
             }
             if resting:
                 self._bus.write_blind(register, resting)
@@ -156,7 +156,7 @@ class BringUp:
         self._bus.write_blind(BUS_WATCHDOG, dict.fromkeys(ids, watchdog))
         for servo in self._servos:
             self._verify(servo, BUS_WATCHDOG, watchdog)
-            self._verify(servo, effort_register(servo.slot), effort_at_rest(servo))
+            self._verify(servo, effort_register(servo.slot), self._rest[servo.slot.servo_id])
 
     def _verify(self, servo: ServoFound, register: Register, wanted: int) -> None:
         value = self._bus.read(servo.slot.servo_id, register)

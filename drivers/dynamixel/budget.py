@@ -1,4 +1,4 @@
-"""How long a control cycle occupies the bus, computed; and the highest rate that fits.  Pure; never measures.
+"""How long a control cycle occupies the bus, computed from its bytes; and the highest rate that fits.
 
 One cycle is a group read of the block at 126 from all servos, a group write per goal register, and, in the gap, one
 health read.  The read is waited for; write and health read are sent and left alone, but the wire must be free again

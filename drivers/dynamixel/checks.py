@@ -1,4 +1,4 @@
-"""What one cycle's rows say about the servos: silent, jumping, without effect, at odds.  Never touches the bus.
+"""What one cycle's rows say about the servos: silent, jumping, without effect, at odds.
 
 Thresholds are set so that no healthy arm reaches them: a false alarm lets N arms hold a load in mid-air.
 """
@@ -6,15 +6,14 @@ Thresholds are set so that no healthy arm reaches them: a false alarm lets N arm
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from math import ceil
 
 from drivers.dynamixel.arm_map import ArmMap, JointRole, ServoSlot
-from drivers.dynamixel.errors import FaultCause
+from drivers.dynamixel.errors import DxlServoFault, FaultCause
 from drivers.dynamixel.events import DriverEvent, EventKind, OncePerServo
 from drivers.dynamixel.line.group import Row
-from drivers.dynamixel.servo.table import TICK_RAD, VELOCITY_UNIT_RAD_PER_S, OperatingMode
-from drivers.dynamixel.servo.units import AngleScale, current_unit_A
+from drivers.dynamixel.servo.table import OperatingMode
+from drivers.dynamixel.servo.units import AngleScale, current_unit_A, ticks_rad, velocity_count
 
 FAULT_WITHIN_S = 0.05
 SILENT_LIMIT_CYCLES = 8
@@ -22,32 +21,25 @@ NO_EFFECT_AFTER_S = 0.04
 GOAL_WORTH_A = 0.15  # smaller goals may drown in what the servo does not resolve
 ANSWER_WORTH_A = 0.01  # three counts: less is no current at all
 JUMP_SPEED = 1.25  # of the no-load speed at 12 V: what 14.8 V gives
-JUMP_TICKS = 4
+JUMP_RAD = ticks_rad(4)
 PAIR_FIGHT_A = 0.2
 PAIR_FIGHT_S = 0.1
-PAIR_APART_TICKS = 40  # 3.5 degrees; backlash is 0.25
-
-
-@dataclass(frozen=True, slots=True)
-class Complaint:
-    """A fault seen in a cycle's rows."""
-
-    cause: FaultCause
-    slot: ServoSlot
-    found: str
-    expected: str
+PAIR_APART_RAD = ticks_rad(40)  # 3.5 degrees; backlash is 0.25
 
 
 class SilenceCheck:
-    """Counts cycles without an answer, per servo."""
+    """Counts cycles without an answer, per servo, and what came on the line instead."""
 
     def __init__(self, slots: Sequence[ServoSlot]) -> None:
         self._slots = tuple(slots)
         self._missed = [0] * len(self._slots)
+        self._damaged = self._late = 0  # cycles in a row in which such answers came
 
-    def check(self, rows: Sequence[Row | None]) -> list[Complaint]:
-        """Complaints about servos that have been silent for too long."""
+    def check(self, rows: Sequence[Row | None], *, damaged: bool, late: bool) -> list[DxlServoFault]:
+        """Faults of servos that have given nothing for too long; damaged, late: answers of that kind came."""
         missed = self._missed
+        self._damaged = self._damaged + 1 if damaged else 0
+        self._late = self._late + 1 if late else 0
         if None not in rows:
             if any(missed):
                 self._missed = [0] * len(missed)
@@ -56,9 +48,17 @@ class SilenceCheck:
         for place, row in enumerate(rows):
             missed[place] = missed[place] + 1 if row is None else 0
             if missed[place] >= SILENT_LIMIT_CYCLES:
-                text = f"{missed[place]} cycles without an answer"
-                found.append(Complaint(FaultCause.SILENT, self._slots[place], text, "an answer every cycle"))
+                found.append(self._fault(self._slots[place], missed[place]))
         return found
+
+    def _fault(self, slot: ServoSlot, missed: int) -> DxlServoFault:
+        cause, instead = FaultCause.SILENT, ""
+        if self._damaged >= SILENT_LIMIT_CYCLES:
+            cause, instead = FaultCause.GARBLED, ", damaged packets in each"
+        elif self._late >= SILENT_LIMIT_CYCLES:
+            cause, instead = FaultCause.OUTDATED, ", old answers in each"
+        text = f"{missed} cycles without an answer{instead}"
+        return DxlServoFault.of(cause, slot, found=text, expected="an answer every cycle")
 
 
 class JumpCheck:
@@ -79,7 +79,7 @@ class JumpCheck:
         if self._last is not None:
             last_ns, last_rad = self._last
             step = abs(angle_rad - last_rad)
-            reach = self._speed * (stamp_ns - last_ns) * 1e-9 + JUMP_TICKS * TICK_RAD
+            reach = self._speed * (stamp_ns - last_ns) * 1e-9 + JUMP_RAD
             if step > reach or (self.in_a_row and step >= abs(angle_rad - self._jumped_rad)):
                 self.in_a_row += 1
                 self._jumped_rad = angle_rad
@@ -88,10 +88,11 @@ class JumpCheck:
         self._last = (stamp_ns, angle_rad)
         return False
 
-    def complaint(self, angle_rad: float) -> Complaint:
+    def fault(self, angle_rad: float) -> DxlServoFault:
         """What to say when it happens again."""
         text = f"a step to {angle_rad:.3f} rad, {self.in_a_row} times in a row"
-        return Complaint(FaultCause.POSITION_JUMP, self.slot, text, f"at most {self._speed:.1f} rad/s")
+        expected = f"at most {self._speed:.1f} rad/s"
+        return DxlServoFault.of(FaultCause.POSITION_JUMP, self.slot, found=text, expected=expected)
 
 
 class EffectCheck:
@@ -103,17 +104,18 @@ class EffectCheck:
         self._unit_A = unit_A
         self._worth = ceil(GOAL_WORTH_A / unit_A)
         self._none = int(ANSWER_WORTH_A / unit_A)
-        self._slow = int(0.4 * slot.model.no_load_rad_per_s / VELOCITY_UNIT_RAD_PER_S)
+        self._slow = velocity_count(0.4 * slot.model.no_load_rad_per_s)
         self._limit = max(2, ceil(NO_EFFECT_AFTER_S * rate_hz))
         self._count = 0
 
-    def check(self, goal: int, row: Row) -> Complaint | None:
+    def check(self, goal: int, row: Row) -> DxlServoFault | None:
         """Compare the goal this servo had when it answered; near its no-load speed it cannot reach a goal."""
         if abs(goal) >= self._worth and abs(row[1]) <= self._none and abs(row[2]) <= self._slow:
             self._count += 1
             if self._count >= self._limit:
                 found = f"{row[1] * self._unit_A:.3f} A for {self._count} cycles"
-                return Complaint(FaultCause.NO_EFFECT, self._slot, found, f"{goal * self._unit_A:.3f} A")
+                expected = f"{goal * self._unit_A:.3f} A"
+                return DxlServoFault.of(FaultCause.NO_EFFECT, self._slot, found=found, expected=expected)
         else:
             self._count = 0
         return None
@@ -137,7 +139,7 @@ class PairCheck:
         if self._first_gap_rad is None:
             self._first_gap_rad = gap
         moved = abs(gap - self._first_gap_rad)
-        apart = PAIR_APART_TICKS * TICK_RAD < moved < 6.0  # a whole turn is the encoder's seam
+        apart = PAIR_APART_RAD < moved < 6.0  # a whole turn is the encoder's seam
         if apart or tell.is_active(EventKind.PAIR_APART, slot.servo_id):
             text = f"{moved:.3f} rad since the first reading"
             tell.tell(DriverEvent(EventKind.PAIR_APART, text, slot.servo_id, slot.joint.name), active=apart)

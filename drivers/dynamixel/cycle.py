@@ -1,4 +1,4 @@
-"""The read of one control cycle: every servo's current, velocity and position, fresh or missing.  Never an old value.
+"""The read of one control cycle: every servo's current, velocity and position, fresh or missing, and never old.
 
 Each request is marked so that the answer to an earlier one cannot pass for it, however late it is.  In a merged reply
 the mark is the order of the IDs, rotated and reversed from cycle to cycle; where each servo sends its own packet (and
@@ -67,6 +67,7 @@ class CycleReader:
         self._careful_fits = careful.read_worst_s * 1e9 < self.end_ns
         self._careful_left = 0
         self._number = 0
+        self._outdated = b""  # what a cycle heard that brought nothing but answers to earlier requests
 
     def read(self) -> CycleRows:
         """One cycle.  The caller has thrown away older input.  Raises PortLostError, WriteTimeoutError."""
@@ -88,8 +89,11 @@ class CycleReader:
             damaged, late, heard = self._ask_again(
                 group, number % MARKS, heard, found, end_ns, cut_short=reply.damaged == 0
             )
+        if heard and heard in self._outdated:  # an adapter that repeats itself comes upon the right mark some time
+            found, late = dict.fromkeys(found), late + 1
         rows = [found[servo_id] for servo_id in self._ids]
         rows = [None if row is None or row[0] & ~ALERT_BIT else row for row in rows]  # it said that it did not
+        self._outdated = heard if late and not any(rows) else b""
         self._count(rows, damaged, late)
         stamp_ns = min(begin_ns + self._sampled_ns, self._clock.now_ns())
         return CycleRows(stamp_ns, rows, heard, late > 0, damaged > 0)

@@ -26,12 +26,13 @@ from drivers.dynamixel.errors import (
     WriteTimeoutError,
 )
 from drivers.dynamixel.events import DriverEvent, EventKind, EventSink, ignore
-from drivers.dynamixel.identify import IdentityError, ServoFound, identify
+from drivers.dynamixel.identify import IdentityError, identify
 from drivers.dynamixel.interpret import Reading, servo_names
 from drivers.dynamixel.line.bus import Bus, DxlCounters
 from drivers.dynamixel.line.port import Port, SerialPort
-from drivers.dynamixel.pace import SHARE, Pace, check_pace, check_rate
+from drivers.dynamixel.pace import SHARE, ReadTimes, check_rate, check_read
 from drivers.dynamixel.running import Running
+from drivers.dynamixel.servo.found import ServoFound
 from drivers.interface import ArmInfo, Clock, DriverError, JointState, ServoHealth, Vector
 
 MAX_LATENCY_TIMER_MS = 2
@@ -119,14 +120,14 @@ class DynamixelDriver:
             text = f"servo {', '.join(slow)}: one status packet per servo instead"
             self._on_event(DriverEvent(EventKind.SLOW_SYNC_READ, text))
         check_rate(self.arm, fast=fast, link=self._link)
-        pace = None
+        times = None
         if not any(change for servo in self._found for change in servo.changes):  # else after they are made
-            pace = check_pace(self._bus, self.arm, self._clock, fast=fast, link=self._link, share=self._read_share)
+            times = check_read(self._bus, self.arm, self._clock, fast=fast, link=self._link, share=self._read_share)
         self._running = Running(self._bus, self.arm, self._found, self._clock, self._on_event, self._link, fast=fast)
         self._phase = Phase.CONNECTED
         tau_max = np.array([joint.tau_max_Nm for joint in self.arm.controlled])
         tau_max.flags.writeable = False
-        return ArmInfo(self.arm.arm, self._joints, tau_max, self._describe(fast, pace))
+        return ArmInfo(self.arm.arm, self._joints, tau_max, self._describe(fast, times))
 
     def _check_latency_timer(self) -> None:
         timer = self._port.latency_timer_ms
@@ -138,9 +139,9 @@ class DynamixelDriver:
                 remedy="install the udev rule shipped in systemd/, then unplug and plug the adapter",
             )
 
-    def _describe(self, fast: bool, pace: Pace | None) -> str:
+    def _describe(self, fast: bool, times: ReadTimes | None) -> str:
         firmware = sorted({servo.firmware for servo in self._found})
-        read = f", read {pace.median_s * 1e3:.2f} ms of {1e3 / self.arm.rate_hz:.2f} ms" if pace else ""
+        read = f", read {times.median_s * 1e3:.2f} ms of {1e3 / self.arm.rate_hz:.2f} ms" if times else ""
         return (
             f"{self.arm.port} at {self.arm.baud} bit/s, {len(self._found)} servos, "
             f"firmware {'/'.join(map(str, firmware))}, {'fast' if fast else 'plain'} sync read{read}"
@@ -159,7 +160,7 @@ class DynamixelDriver:
         steps = BringUp(self._bus, self.arm, self._found, self._on_event)
         steps.configure()
         steps.zero_goals()
-        check_pace(self._bus, self.arm, self._clock, fast=running.fast, link=self._link, share=self._read_share)
+        check_read(self._bus, self.arm, self._clock, fast=running.fast, link=self._link, share=self._read_share)
         steps.check_pose()
         steps.torque_on()
         self._running = running.again()
@@ -239,7 +240,7 @@ class DynamixelDriver:
         reading = running.interpret(cycle, answered_ns)
         self.times.exchange = answered_ns - begin_ns
         if self._phase is Phase.ENABLED:
-            self.faults += running.new_faults(reading)
+            self.faults = running.faults(reading, self.faults)
         self.counters.health_misses = running.monitor.misses
         self.times.interpret = clock.now_ns() - answered_ns
         if self.faults:

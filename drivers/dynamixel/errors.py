@@ -1,12 +1,16 @@
-"""What can go wrong on a servo bus, as types with the facts in attributes.  Never decides anything."""
+"""What can go wrong on a servo bus, as types with the facts in attributes."""
 
 from __future__ import annotations
 
 import enum
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from drivers.dynamixel.servo.table import HardwareError, StatusError
 from drivers.interface import ConnectError, DriverError, JointState, ServoFault, StaleStateError
+
+if TYPE_CHECKING:
+    from drivers.dynamixel.arm_map import ServoSlot
 
 NO_ERROR = HardwareError(0)
 
@@ -28,18 +32,47 @@ class WriteTimeoutError(DriverError):
     """The port took no more bytes before the deadline."""
 
 
-class NoReplyError(DriverError):
-    """A servo did not answer, or never intact, in all attempts; damaged: something came, as when two share an ID."""
+class Heard(enum.Enum):
+    """What came instead of the answer to a request, the most telling last."""
 
-    def __init__(self, servo_id: int, what: str, *, attempts: int, heard: str, damaged: bool = False) -> None:
+    NOTHING = "nothing"
+    NOISE = "bytes that are no packet"
+    ECHO = "only an echo of the request"
+    OTHER = "only answers to other requests"
+    DAMAGED = "damaged packets"
+
+    @property
+    def rank(self) -> int:
+        """How telling it is."""
+        return list(Heard).index(self)
+
+
+_AFTER_HEARING = {
+    Heard.NOTHING: "check the servo's cable, its 12 V supply, the baud rate and that its ID is unique",
+    Heard.NOISE: "check the baud rate, the cable and its shield, and that nobody else talks on this bus",
+    Heard.ECHO: "the adapter returns what is sent, and no servo answers: check the cable and the 12 V supply",
+    Heard.OTHER: "the adapter holds old answers back, or another program talks on this bus: stop it, unplug and plug",
+    Heard.DAMAGED: "two servos may share this ID; if it is not that, check plugs, cable and adapter",
+}
+
+
+class NoReplyError(DriverError):
+    """A servo did not answer, or not intact, in all attempts; `heard`: the most telling of what came instead."""
+
+    def __init__(self, servo_id: int, what: str, *, attempts: int, heard: Heard) -> None:
         super().__init__(
             f"servo {servo_id}: {what}",
-            found=f"{heard} in {attempts} attempts",
+            found=f"{heard.value} in {attempts} attempts",
             expected="an intact reply",
-            remedy="check the servo's cable, its 12 V supply, the baud rate and that its ID is unique",
+            remedy=_AFTER_HEARING[heard],
         )
         self.servo_id = servo_id
-        self.damaged = damaged
+        self.heard = heard
+
+    @property
+    def damaged(self) -> bool:
+        """True when something came that was an answer once, as when two servos share an ID."""
+        return self.heard is Heard.DAMAGED
 
 
 class RejectedError(DriverError):
@@ -100,7 +133,27 @@ class FaultCause(enum.Enum):
     POSITION_JUMP = "its position moved faster than the joint can"
     PAIR_APART = "the servos of one joint disagree"
     SILENT = "does not answer"
+    GARBLED = "no intact answer comes from it"
+    OUTDATED = "no answer of this cycle comes from it"
     REFUSED_TORQUE = "torque could not be switched on"
+
+
+_AFTER_FAULT = {
+    FaultCause.HARDWARE_ERROR: "remove the cause; then only switching its supply off and on gives its torque back",
+    FaultCause.REBOOTED: "its supply was away for a moment: check the 12 V supply and its cable",
+    FaultCause.SILENT: "check its cable and those before it in the chain, and the 12 V supply",
+    FaultCause.GARBLED: "answers are spoiled on the way: check the plugs and cables of the chain, and the adapter",
+    FaultCause.OUTDATED: "the adapter holds answers back or repeats them: unplug and plug it, or take another",
+}
+# what a cause makes plain that looked like something else before
+_EXPLAINS = {
+    FaultCause.REBOOTED: frozenset({
+        FaultCause.SILENT, FaultCause.GARBLED, FaultCause.OUTDATED, FaultCause.NO_EFFECT, FaultCause.GOAL_IGNORED,
+        FaultCause.POSITION_JUMP,
+    }),
+    FaultCause.HARDWARE_ERROR: frozenset({FaultCause.TORQUE_LOST, FaultCause.NO_EFFECT}),
+    FaultCause.TORQUE_LOST: frozenset({FaultCause.NO_EFFECT}),
+}  # fmt: skip
 
 
 class DxlServoFault(ServoFault):
@@ -121,13 +174,26 @@ class DxlServoFault(ServoFault):
             f"servo {servo_id} ({joint}): {cause.value}",
             found=found,
             expected=expected,
-            remedy="hold or lower the arm, then read the servo with `coop doctor`; a hardware error needs a reboot",
+            remedy="hold or lower the arm; " + _AFTER_FAULT.get(cause, "then read the servo with `coop doctor`"),
         )
         self.cause = cause
         self.servo_id = servo_id
         self.joint = joint
         self.state = state
         self.hardware = hardware
+
+    @classmethod
+    def of(
+        cls, cause: FaultCause, slot: ServoSlot, *, found: str, expected: str, hardware: HardwareError = NO_ERROR
+    ) -> DxlServoFault:
+        """Fault of a servo of the map."""
+        return cls(
+            cause, servo_id=slot.servo_id, joint=slot.joint.name, found=found, expected=expected, hardware=hardware
+        )
+
+    def explains(self, other: DxlServoFault) -> bool:
+        """True when `other` is what this fault looked like before its cause was seen."""
+        return self.servo_id == other.servo_id and other.cause in _EXPLAINS.get(self.cause, frozenset())
 
     def with_state(self, state: JointState) -> DxlServoFault:
         """Return the same fault with another cycle's state."""

@@ -1,4 +1,4 @@
-"""What the driver tells besides torque and state: facts for the log, never control flow."""
+"""What the driver tells besides torque and state: facts for the log."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ class EventKind(enum.Enum):
     PAIR_APART = "servos of one joint moved apart"
     SLOW_CHECKS = "servo checks take longer than they should"
     PORT_REOPENED = "port came back"
+    EXPLAINED = "what is wrong with a servo has a cause"
 
 
 @dataclass(frozen=True, slots=True)

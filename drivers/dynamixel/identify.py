@@ -1,50 +1,23 @@
-"""Is this the arm the cell describes?  Reads and judges; never writes a goal, a mode or EEPROM, never switches torque.
+"""Is this the arm the cell describes?  Looks at who is on the line and reads them; `servo.judge` says what must hold.
 
-One exception, which moves nothing: a servo set to answer pings only is set to answer reads, or it could not be judged.
+Writes no goal, mode or EEPROM and switches no torque.  `waking` allows one write, which moves nothing: a servo set to
+answer less than everything is set to answer, or it could be neither judged nor commanded.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from drivers.dynamixel.arm_map import ArmMap, ServoSlot
-from drivers.dynamixel.errors import NoReplyError, PortError, RejectedError, hardware_names
+from drivers.dynamixel.errors import Heard, NoReplyError, PortError, RejectedError
 from drivers.dynamixel.line.bus import Bus, Ping
-from drivers.dynamixel.servo.table import (
-    BAUD_RATES,
-    CURRENT_LIMIT,
-    DRIVE_MODE,
-    HARDWARE_ERROR_STATUS,
-    HOMING_OFFSET,
-    MAX_VOLTAGE_LIMIT,
-    MIN_VOLTAGE_LIMIT,
-    NO_SECONDARY_ID,
-    OPERATING_MODE,
-    PRESENT_INPUT_VOLTAGE,
-    PRESENT_TEMPERATURE,
-    PWM_LIMIT,
-    RETURN_DELAY_TIME,
-    SECONDARY_ID,
-    SERVOS,
-    SHUTDOWN,
-    STATUS_RETURN_LEVEL,
-    TEMPERATURE_LIMIT,
-    TORQUE_ENABLE,
-    DriveMode,
-    HardwareError,
-    OperatingMode,
-    Register,
-)
-from drivers.dynamixel.servo.torque import CurrentDrive
+from drivers.dynamixel.servo import judge
+from drivers.dynamixel.servo.found import Consequence, Misfit, ServoFound
+from drivers.dynamixel.servo.table import BAUD_RATES, SINCE_FIRMWARE, STATUS_RETURN_LEVEL, StatusError
 from drivers.interface import ConnectError
 
-READ_FROM_ALL = (
-    DRIVE_MODE, OPERATING_MODE, SECONDARY_ID, RETURN_DELAY_TIME, HOMING_OFFSET, TEMPERATURE_LIMIT, MAX_VOLTAGE_LIMIT,
-    MIN_VOLTAGE_LIMIT, PWM_LIMIT, SHUTDOWN, TORQUE_ENABLE, HARDWARE_ERROR_STATUS, PRESENT_INPUT_VOLTAGE,
-    PRESENT_TEMPERATURE,
-)  # fmt: skip
-_SECONDARY_OFF = 253  # and above
+_SETUP_ID = "set its ID with `coop motors setup`"
 
 
 class IdentityError(ConnectError):
@@ -54,241 +27,182 @@ class IdentityError(ConnectError):
         super().__init__(what, found=found, expected=expected, remedy=remedy)
         self.servo_id = servo_id
 
-
-@dataclass(frozen=True, slots=True)
-class Change:
-    """One EEPROM register that bring-up will write."""
-
-    register: Register
-    found: int
-    wanted: int
+    @classmethod
+    def of(cls, misfit: Misfit) -> IdentityError:
+        """A broken rule as an error."""
+        said = misfit.said
+        servo_id = misfit.slot.servo_id
+        return cls(servo_id, misfit.what, found=said.found, expected=said.expected, remedy=said.remedy)
 
 
 @dataclass(frozen=True, slots=True)
-class ServoFound:
-    """One servo of the map as it is."""
+class Line:
+    """Who is on the line: the servos of the arm that are there, of the right kind and readable; and what is wrong."""
 
-    slot: ServoSlot
-    firmware: int
-    values: Mapping[Register, int]
-
-    @property
-    def fast(self) -> bool:
-        """True when it answers fast sync reads."""
-        needed = self.slot.model.fast_sync_min_firmware
-        return needed is not None and self.firmware >= needed
-
-    @property
-    def torque_on(self) -> bool:
-        """True when it held torque when asked."""
-        return self.values[TORQUE_ENABLE] != 0
-
-    @property
-    def changes(self) -> list[Change]:
-        """EEPROM registers that must be written before this servo can do its part.
-
-        What says how the arm is put together (direction, shadow, homing offset) is never among them.
-        """
-        reverse = DriveMode.REVERSE if self.slot.reverse else DriveMode(0)
-        # torque on by goal update would make the zeroing of the goal switch the torque on
-        wanted = {RETURN_DELAY_TIME: 0, DRIVE_MODE: int(reverse), OPERATING_MODE: int(self.slot.joint.mode)}
-        return [Change(r, self.values[r], value) for r, value in wanted.items() if self.values[r] != value]
-
-    @property
-    def limit_count(self) -> int:
-        """EEPROM limit of the goal that this servo's effort is written to."""
-        return self.values[CURRENT_LIMIT if CURRENT_LIMIT in self.values else PWM_LIMIT]
+    servos: tuple[ServoFound, ...]
+    problems: tuple[IdentityError, ...]
 
 
 def identify(bus: Bus, arm: ArmMap, scan_s: float) -> tuple[list[ServoFound], list[IdentityError]]:
-    """Find and judge every servo of the map.  Returns what was found and everything that is wrong with it.
+    """Find and judge every servo of the map.  Returns what was found and all for which connect refuses the arm.
 
-    scan_s: how long to wait for servos that are not in the map.
+    scan_s: how long to wait for answers to a broadcast ping, with which servos that are not in the map are found.
     """
-    pings, problems = _present(bus, arm)
-    if not pings:
-        return [], [_nobody(bus, arm)]
-    problems += _strangers(bus, arm, scan_s)
-    found = []
+    line = survey(bus, arm, scan_s, waking=True)
+    misfits = [misfit for servo in line.servos for misfit in judge.judge(servo)]
+    refused = [IdentityError.of(m) for m in misfits if m.rule.consequence is Consequence.NO_CONNECTION]
+    return list(line.servos), [*line.problems, *refused]
+
+
+def survey(bus: Bus, arm: ArmMap, scan_s: float, *, waking: bool) -> Line:
+    """Find the arm's servos and all others, and read the former.  waking: see the module."""
+    heard = bus.ping_all(scan_s)
+    pings: dict[int, Ping] = {}
+    silent: dict[int, NoReplyError] = {}
+    problems = []
     for slot in arm.slots:
-        ping = pings.get(slot.servo_id)
-        if ping is None:
-            continue
-        wrong = _wrong_kind(slot, ping, arm)
-        if wrong is not None:
-            problems.append(wrong)
+        same = [ping for ping in heard if ping.servo_id == slot.servo_id]
+        if len(same) > 1:
+            problems.append(_shared(slot, f"{len(same)} servos with this ID"))
             continue
         try:
-            servo = ServoFound(slot, ping.firmware, _read_all(bus, slot))
-        except (NoReplyError, RejectedError) as error:
-            problems.append(_unreadable(slot, error))
-            continue
-        found.append(servo)
-        problems += _wrong_state(servo)
-    return found, problems
+            pings[slot.servo_id] = same[0] if same else bus.ping(slot.servo_id, attempts=2)
+        except NoReplyError as error:
+            silent[slot.servo_id] = error
+    if len(silent) == len(arm.slots):
+        return Line((), (_nobody(bus, arm, heard, list(silent.values())),))
+    problems += [_missing(slot, silent[slot.servo_id]) for slot in arm.slots if slot.servo_id in silent]
+    problems += _strangers(arm, heard)
+    servos = []
+    for slot in arm.slots:
+        if slot.servo_id in pings:
+            read = _read(bus, slot, pings[slot.servo_id], waking=waking)
+            if isinstance(read, IdentityError):
+                problems.append(read)
+            else:
+                servos.append(read)
+    return Line(tuple(servos), tuple(problems))
 
 
-def _unreadable(slot: ServoSlot, error: NoReplyError | RejectedError) -> IdentityError:
+def _missing(slot: ServoSlot, error: NoReplyError) -> IdentityError:
+    if error.damaged:
+        return _shared(slot, str(error.found))
+    remedy = f"check its cable and those before it in the chain, or {_SETUP_ID}"
+    if error.heard is not Heard.NOTHING:
+        remedy = error.remedy
     return IdentityError(
-        slot.servo_id,
-        f"servo {slot.servo_id} ({slot.joint.name})",
-        found=f"{error.found} after a good ping",
-        expected=error.expected,
-        remedy="check its cable: the bus is not reliable",
+        slot.servo_id, slot.title, found=error.found, expected=f"a {slot.joint.servo} that answers", remedy=remedy
     )
 
 
-def _present(bus: Bus, arm: ArmMap) -> tuple[dict[int, Ping], list[IdentityError]]:
-    pings, problems = {}, []
-    for slot in arm.slots:
-        try:
-            pings[slot.servo_id] = bus.ping(slot.servo_id, attempts=2)
-        except NoReplyError as error:
-            remedy = "check its cable and those before it in the chain, or set its ID with `coop motors setup`"
-            if error.damaged:
-                remedy = "two servos may have this ID: connect one alone and set its ID with `coop motors setup`"
-            problems.append(
-                IdentityError(
-                    slot.servo_id,
-                    f"servo {slot.servo_id} ({slot.joint.name})",
-                    found=error.found,
-                    expected=f"a {slot.joint.servo} that answers",
-                    remedy=remedy,
-                )
-            )
-    return pings, problems
+def _shared(slot: ServoSlot, found: str) -> IdentityError:
+    return IdentityError(
+        slot.servo_id, slot.title, found=found, expected="one servo with this ID, and whole answers",
+        remedy=f"two servos may have this ID: connect one alone and {_SETUP_ID}; if not, check its cable and plugs",
+    )  # fmt: skip
 
 
-def _nobody(bus: Bus, arm: ArmMap) -> IdentityError:
-    """No servo answers: is it the speed, or the power?"""
-    ids = [slot.servo_id for slot in arm.slots]
-    answering = None
+def _strangers(arm: ArmMap, heard: Sequence[Ping]) -> list[IdentityError]:
+    """Servos that answer and are not in the arm file."""
+    mapped = {slot.servo_id for slot in arm.slots}
+    known = ", ".join(map(str, sorted(mapped)))
+    return [
+        IdentityError(
+            ping.servo_id, f"servo {ping.servo_id} on {arm.port}",
+            found=f"a {judge.model_name(ping.model_number)} that the arm file does not know",
+            expected=f"only IDs {known}", remedy=f"unplug it, {_SETUP_ID}, or use the arm file of this arm",
+        )
+        for ping in sorted(set(heard)) if ping.servo_id not in mapped
+    ]  # fmt: skip
+
+
+def _nobody(bus: Bus, arm: ArmMap, heard: Sequence[Ping], errors: Sequence[NoReplyError]) -> IdentityError:
+    """No servo of the arm answers: is it another arm, the line, the speed, or the power?"""
+    expected = f"IDs {', '.join(str(slot.servo_id) for slot in arm.slots)}"
+    what = f"servos on {arm.port}"
+    if heard:
+        others = ", ".join(str(ping.servo_id) for ping in sorted(set(heard)))
+        remedy = "this is another arm: check the port, or the arm file"
+        return IdentityError(None, what, found=f"IDs {others}", expected=expected, remedy=remedy)
+    told = max(errors, key=lambda error: error.heard.rank)
+    came = told.heard
+    if came in (Heard.OTHER, Heard.DAMAGED):  # then neither power nor speed is what is wrong
+        remedy = told.remedy if came is Heard.OTHER else (
+            "servos answer, and the line spoils it: check the cable to the first servo, its ground and plugs, and try "
+            "another adapter"
+        )  # fmt: skip
+        return IdentityError(
+            None, what, found=f"{came.value}, at {arm.baud} bit/s", expected=f"whole answers of {expected}",
+            remedy=remedy,
+        )  # fmt: skip
+    answer = _at_another_speed(bus, arm)
+    bus.port.set_baud(arm.baud)
+    if answer is not None:
+        return IdentityError(
+            None, f"baud rate on {arm.port}", found=f"servo {answer[0]} answers at {answer[1]} bit/s",
+            expected=f"{arm.baud} bit/s",
+            remedy="correct `baud` in the cell, or the servos' Baud Rate with `coop motors setup`",
+        )  # fmt: skip
+    found = "none that answers, at any speed" + ("" if came is Heard.NOTHING else f"; {came.value}")
+    return IdentityError(
+        None, what, found=found, expected=expected,
+        remedy="switch on the 12 V supply, check the cable to the first servo, and that this is the right port",
+    )  # fmt: skip
+
+
+def _at_another_speed(bus: Bus, arm: ArmMap) -> tuple[int, int] | None:
+    """A servo of the arm that answers at another speed: (ID, bit/s)."""
     for baud in BAUD_RATES.values():
         if baud == arm.baud:
             continue
         try:
             bus.port.set_baud(baud)
-            bus.ping(ids[0], attempts=1)
-        except (NoReplyError, PortError):
-            continue
-        answering = baud
-        break
-    bus.port.set_baud(arm.baud)
-    if answering is not None:
-        return IdentityError(
-            None,
-            f"arm {arm.arm}: speed of the bus {arm.port}",
-            found=f"servo {ids[0]} answers at {answering} bit/s",
-            expected=f"{arm.baud} bit/s",
-            remedy="correct `baud` in the cell, or set the servos' Baud Rate with `coop motors setup`",
-        )
-    return IdentityError(
-        None,
-        f"arm {arm.arm}: bus {arm.port}",
-        found=f"none of the servos {', '.join(map(str, ids))} answers at any speed",
-        expected="all of them",
-        remedy="switch on the 12 V supply, check the cable to the first servo, and that this is the right port",
-    )
-
-
-def _strangers(bus: Bus, arm: ArmMap, scan_s: float) -> list[IdentityError]:
-    mapped = {slot.servo_id for slot in arm.slots}
-    answers = [ping.servo_id for ping in bus.ping_all(scan_s)]
-    problems = []
-    for servo_id in sorted(set(answers)):
-        if servo_id not in mapped:
-            problems.append(
-                IdentityError(
-                    servo_id,
-                    f"servo {servo_id} on {arm.port}",
-                    found="a servo that the arm file does not know",
-                    expected=f"only the IDs {', '.join(map(str, sorted(mapped)))}",
-                    remedy="unplug it, or use the arm file of this arm",
-                )
-            )
-        elif answers.count(servo_id) > 1:
-            problems.append(
-                IdentityError(
-                    servo_id,
-                    f"servo {servo_id} on {arm.port}",
-                    found=f"{answers.count(servo_id)} servos with this ID",
-                    expected="one",
-                    remedy="connect one of them alone and give it its own ID with `coop motors setup`",
-                )
-            )
-    return problems
-
-
-def _wrong_kind(slot: ServoSlot, ping: Ping, arm: ArmMap) -> IdentityError | None:
-    who = f"servo {slot.servo_id} ({slot.joint.name})"
-    if ping.model_number != slot.model.model_number:
-        names = {model.model_number: name for name, model in SERVOS.items()}
-        return IdentityError(
-            slot.servo_id,
-            f"{who}: model",
-            found=names.get(ping.model_number, f"model number {ping.model_number}"),
-            expected=slot.joint.servo,
-            remedy="this may be another arm: check the port, or the arm file",
-        )
-    needed = max(arm.firmware_min, slot.model.watchdog_min_firmware or 0)
-    if ping.firmware < needed:
-        return IdentityError(
-            slot.servo_id,
-            f"{who}: firmware",
-            found=ping.firmware,
-            expected=f"{needed} or newer (bus watchdog)",
-            remedy="update it with DYNAMIXEL Wizard 2.0",
-        )
+        except PortError:
+            continue  # what the adapter cannot make cannot be what the servos were set to with it
+        for slot in arm.slots:
+            try:
+                return bus.ping(slot.servo_id, attempts=1).servo_id, baud
+            except NoReplyError:
+                continue
     return None
 
 
-def _read_all(bus: Bus, slot: ServoSlot) -> dict[Register, int]:
+def _read(bus: Bus, slot: ServoSlot, ping: Ping, *, waking: bool) -> ServoFound | IdentityError:
+    """One servo with the values of all registers that are judged, or why it cannot be read."""
+    servo = ServoFound(slot, ping.model_number, ping.firmware, {})
+    for misfit in judge.judge(servo):
+        if misfit.rule.consequence is Consequence.NO_CONNECTION:  # another model or firmware has other registers
+            return IdentityError.of(misfit)
     try:
-        bus.read(slot.servo_id, STATUS_RETURN_LEVEL)
-    except NoReplyError:
-        bus.write_blind(STATUS_RETURN_LEVEL, {slot.servo_id: 2})  # it answers pings only
-    registers = [r for r in READ_FROM_ALL if r.name in slot.model.registers]
-    if CURRENT_LIMIT.name in slot.model.registers:
-        registers.append(CURRENT_LIMIT)
-    return {register: bus.read(slot.servo_id, register) for register in registers}
-
-
-def _wrong_state(servo: ServoFound) -> list[IdentityError]:
-    slot, values = servo.slot, servo.values
-    who = f"servo {slot.servo_id} ({slot.joint.name})"
-    problems = []
-
-    def need(holds: bool, what: str, found: object, expected: object, remedy: str) -> None:
-        if not holds:
-            problem = IdentityError(slot.servo_id, f"{who}: {what}", found=found, expected=expected, remedy=remedy)
-            problems.append(problem)
-
-    hardware = HardwareError(values[HARDWARE_ERROR_STATUS])
-    need(
-        not hardware, "hardware error", hardware_names(hardware), "none",
-        "remove the cause, then switch its supply off and on",
-    )  # fmt: skip
-    low, high, now = (values[r] * 0.1 for r in (MIN_VOLTAGE_LIMIT, MAX_VOLTAGE_LIMIT, PRESENT_INPUT_VOLTAGE))
-    need(low <= now <= high, "supply", f"{now:.1f} V", f"{low:.1f} to {high:.1f} V", "check the 12 V supply")
-    reverse = bool(values[DRIVE_MODE] & DriveMode.REVERSE)
-    need(
-        reverse == slot.reverse, "Drive Mode, direction", f"reverse {reverse}", f"reverse {slot.reverse}",
-        "set it with `coop motors setup` once you have checked how the servo is mounted",
-    )  # fmt: skip
-    follows = slot.joint.ids[0] if slot.shadow else NO_SECONDARY_ID
-    secondary = min(values[SECONDARY_ID], _SECONDARY_OFF)
-    need(
-        secondary == min(follows, _SECONDARY_OFF), "Secondary ID", values[SECONDARY_ID], follows,
-        "set it with `coop motors setup`",
-    )  # fmt: skip
-    need(
-        slot.shadow or values[HOMING_OFFSET] == 0, "Homing Offset", values[HOMING_OFFSET], 0,
-        "set it to 0 (`coop motors setup`): with an offset some firmware moves when its watchdog fires",
-    )  # fmt: skip
-    if slot.joint.mode is OperatingMode.CURRENT and not slot.shadow:
-        needed = CurrentDrive(slot.joint).needed_count
-        need(
-            values[CURRENT_LIMIT] >= needed, "Current Limit", values[CURRENT_LIMIT], f"at least {needed}",
-            "raise it with `coop motors setup`, or lower safety.tau_max_fraction_of_stall",
+        if waking:
+            _wake(bus, slot)
+        return ServoFound(slot, ping.model_number, ping.firmware, _values(bus, slot))
+    except (NoReplyError, RejectedError) as error:
+        remedy = "check its cable: the bus is not reliable" if waking else (
+            "if only this servo: its Status Return Level may be 0, switch its supply off and on; if several: check the "
+            "cable"
         )  # fmt: skip
-    return problems
+        return IdentityError(
+            slot.servo_id, slot.title, found=f"{error.found}, though it answers pings",
+            expected="values of its registers", remedy=remedy,
+        )  # fmt: skip
+
+
+def _wake(bus: Bus, slot: ServoSlot) -> None:
+    try:
+        level = bus.read(slot.servo_id, STATUS_RETURN_LEVEL)
+    except NoReplyError:
+        level = 0  # it answers pings only
+    if level != judge.ANSWERS_ALL:
+        bus.write_blind(STATUS_RETURN_LEVEL, {slot.servo_id: judge.ANSWERS_ALL})
+
+
+def _values(bus: Bus, slot: ServoSlot) -> dict[str, int]:
+    values = {}
+    for register in judge.registers(slot.model):
+        try:
+            values[register.name] = bus.read(slot.servo_id, register)
+        except RejectedError as error:
+            if error.code != StatusError.ACCESS or register.name not in SINCE_FIRMWARE:
+                raise
+    return values

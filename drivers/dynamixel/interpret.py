@@ -1,4 +1,4 @@
-"""One cycle's rows to the state of the joints, and what is wrong with them.  Never fills a hole with an old value."""
+"""One cycle's rows to the state of the joints, NaN where there is none, and what is wrong with the servos."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.dynamixel.arm_map import ArmMap, JointMap, ServoSlot
-from drivers.dynamixel.checks import Complaint, JumpCheck, PairCheck, SilenceCheck, effect_checks
+from drivers.dynamixel.checks import JumpCheck, PairCheck, SilenceCheck, effect_checks
 from drivers.dynamixel.cycle import CycleRows
+from drivers.dynamixel.errors import DxlServoFault
 from drivers.dynamixel.events import OncePerServo
 from drivers.dynamixel.line.group import Row
 from drivers.dynamixel.servo.torque import TorqueDrive
@@ -34,7 +35,7 @@ class Reading:
     state: JointState
     stale: list[str]
     jumped: bool
-    complaints: list[Complaint]
+    faults: list[DxlServoFault]
 
 
 class Interpreter:
@@ -57,12 +58,12 @@ class Interpreter:
         self._tell = tell
 
     def read(self, cycle: CycleRows, goals: Sequence[int]) -> Reading:
-        """State and complaints of one cycle; goals: count each servo was last sent, by place."""
+        """State and faults of one cycle; goals: count each servo was last sent, by place."""
         rows = cycle.rows
         count = len(self._joints)
         q, dq, tau = [math.nan] * count, [math.nan] * count, [math.nan] * count
         stale: list[str] = []
-        complaints = self._silence.check(rows)
+        faults = self._silence.check(rows, damaged=cycle.damaged, late=cycle.late)
         jumped = False
         for index, entry in enumerate(self._joints):
             row = rows[entry.places[0]]
@@ -74,7 +75,7 @@ class Interpreter:
                 jumped = True
                 stale.append(entry.joint.name)
                 if entry.jump.in_a_row > 1:
-                    complaints.append(entry.jump.complaint(angle))
+                    faults.append(entry.jump.fault(angle))
                 continue
             q[index] = angle
             dq[index] = self.dq[index] = velocity_rad_per_s(row[2])
@@ -83,14 +84,14 @@ class Interpreter:
                 tau[index] = entry.drive.measured_Nm(present, dq[index])
         for place, check in self._effects.items():
             row = rows[place]
-            if row is not None and (complaint := check.check(goals[place], row)) is not None:
-                complaints.append(complaint)
+            if row is not None and (fault := check.check(goals[place], row)) is not None:
+                faults.append(fault)
         for first, second, pair in self._pairs:
             followed, shadow = rows[first], rows[second]
             if followed is not None and shadow is not None:
                 pair.check(followed, shadow, self._tell)
         state = JointState(cycle.stamp_ns, np.array(q), np.array(dq), np.array(tau))
-        return Reading(state, stale, jumped, complaints)
+        return Reading(state, stale, jumped, faults)
 
     @staticmethod
     def _currents(entry: _Joint, rows: Sequence[Row | None]) -> list[int] | None:

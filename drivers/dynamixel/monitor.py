@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from drivers.dynamixel.arm_map import ServoSlot
 from drivers.dynamixel.budget import LinkTiming, group_read_s
-from drivers.dynamixel.errors import NO_ERROR, FaultCause, hardware_names
+from drivers.dynamixel.errors import NO_ERROR, DxlServoFault, FaultCause, hardware_names
 from drivers.dynamixel.events import DriverEvent, EventKind, OncePerServo
 from drivers.dynamixel.line.group import GroupRead, Row
 from drivers.dynamixel.servo.table import (
@@ -72,16 +72,6 @@ class ServoRecord:
 
 
 @dataclass(frozen=True, slots=True)
-class Suspicion:
-    """A servo that does not do its part."""
-
-    cause: FaultCause
-    record: ServoRecord
-    found: str
-    expected: str
-
-
-@dataclass(frozen=True, slots=True)
 class _Question:
     page: Page
     read: GroupRead
@@ -102,7 +92,7 @@ class GapMonitor:
         *,
         fast: bool,
     ) -> None:
-        self.findings: list[Suspicion] = []
+        self.faults: list[DxlServoFault] = []
         self.misses = 0
         self._records = tuple(records)
         self._tell = tell
@@ -224,5 +214,7 @@ class GapMonitor:
         self._tell.tell(DriverEvent(kind, text, slot.servo_id, slot.joint.name), active=active)
 
     def _find(self, cause: FaultCause, record: ServoRecord, found: str, expected: str) -> None:
-        if not any(f.record is record and f.cause is cause for f in self.findings):
-            self.findings.append(Suspicion(cause, record, found, expected))
+        hardware = record.hardware if cause is FaultCause.HARDWARE_ERROR else NO_ERROR
+        fault = DxlServoFault.of(cause, record.slot, found=found, expected=expected, hardware=hardware)
+        if not any(f.servo_id == fault.servo_id and f.cause is cause for f in self.faults):
+            self.faults.append(fault)

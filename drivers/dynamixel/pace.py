@@ -1,4 +1,4 @@
-"""How long this bus really takes for a cycle's read, against what the rate allows.  Reads only; never inside a run."""
+"""How long a bus really takes for a cycle's read, against what the rate allows; measured at connect and at enable."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class PaceError(ConnectError):
 
 
 @dataclass(frozen=True, slots=True)
-class Pace:
+class ReadTimes:
     """Measured duration of the cycle's read, s."""
 
     median_s: float
@@ -31,7 +31,7 @@ class Pace:
     reads: int
 
 
-def measure_pace(bus: Bus, arm: ArmMap, clock: Now, *, fast: bool, reads: int = 20) -> Pace:
+def measure_read(bus: Bus, arm: ArmMap, clock: Now, *, fast: bool, reads: int = 20) -> ReadTimes:
     """Read the cycle's block a number of times, as fast as it goes."""
     group = GroupRead(PRESENT_CURRENT.address, "hii", [slot.servo_id for slot in arm.slots], fast=fast)
     durations, missed = [], 0
@@ -42,7 +42,7 @@ def measure_pace(bus: Bus, arm: ArmMap, clock: Now, *, fast: bool, reads: int = 
         durations.append((clock.now_ns() - begin_ns) * 1e-9)
         missed += not reply.complete
     durations.sort()
-    return Pace(durations[reads // 2], durations[(reads * 99) // 100], missed, reads)
+    return ReadTimes(durations[reads // 2], durations[(reads * 99) // 100], missed, reads)
 
 
 def check_rate(arm: ArmMap, *, fast: bool, link: LinkTiming | None = None) -> CycleBudget:
@@ -58,23 +58,23 @@ def check_rate(arm: ArmMap, *, fast: bool, link: LinkTiming | None = None) -> Cy
     return budget
 
 
-def check_pace(bus: Bus, arm: ArmMap, clock: Now, *, fast: bool, link: LinkTiming, share: float = SHARE) -> Pace:
+def check_read(bus: Bus, arm: ArmMap, clock: Now, *, fast: bool, link: LinkTiming, share: float = SHARE) -> ReadTimes:
     """Measure, and refuse a read that takes more than `share` of the period.
 
     Raises PaceError naming the likely setting.
     """
-    pace = measure_pace(bus, arm, clock, fast=fast)
+    times = measure_read(bus, arm, clock, fast=fast)
     allowed_s = share / arm.rate_hz
-    if pace.median_s > allowed_s:
-        excess_s = pace.median_s - cycle_budget(arm, fast=fast, link=link).read_mean_s
+    if times.median_s > allowed_s:
+        excess_s = times.median_s - cycle_budget(arm, fast=fast, link=link).read_mean_s
         if excess_s > _SLOW_TIMER_S:
             remedy = "set the USB adapter's latency timer to 1 ms (install the udev rule); it looks like 16"
         else:
             remedy = "lower rate_hz, raise the baud rate, and check that Return Delay Time is 0"
         raise PaceError(
             f"arm {arm.arm}: read of all servos on {arm.port}",
-            found=f"{pace.median_s * 1e3:.2f} ms",
+            found=f"{times.median_s * 1e3:.2f} ms",
             expected=f"at most {allowed_s * 1e3:.2f} ms at {arm.rate_hz:g} Hz",
             remedy=remedy,
         )
-    return pace
+    return times

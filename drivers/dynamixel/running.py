@@ -1,24 +1,27 @@
-"""What a connected arm needs from cycle to cycle, built once from what `connect` found.  Never switches torque."""
+"""What a connected arm needs from cycle to cycle, built once from what `connect` found."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from drivers.dynamixel.arm_map import ArmMap, ServoSlot
-from drivers.dynamixel.bringup import effort_at_rest, effort_register
+from drivers.dynamixel.arm_map import ArmMap
+from drivers.dynamixel.bringup import effort_register, efforts_at_rest, goal_limits
 from drivers.dynamixel.budget import LinkTiming, cycle_budget, health_servos_per_gap
-from drivers.dynamixel.checks import FAULT_WITHIN_S, Complaint
+from drivers.dynamixel.checks import FAULT_WITHIN_S
 from drivers.dynamixel.cycle import CycleReader, CycleRows
-from drivers.dynamixel.errors import NO_ERROR, DxlServoFault, FaultCause
+from drivers.dynamixel.errors import DxlServoFault, FaultCause
 from drivers.dynamixel.events import DriverEvent, EventKind, EventSink, OncePerServo
-from drivers.dynamixel.identify import IdentityError, ServoFound
+from drivers.dynamixel.identify import IdentityError
 from drivers.dynamixel.interpret import Interpreter, Reading
 from drivers.dynamixel.line.bus import BABBLE_BYTES, Bus
 from drivers.dynamixel.line.group import GroupWrite
 from drivers.dynamixel.line.port import Now
-from drivers.dynamixel.monitor import GapMonitor, ServoRecord, Suspicion
+from drivers.dynamixel.monitor import GapMonitor, ServoRecord
+from drivers.dynamixel.servo.found import ServoFound
+from drivers.dynamixel.servo.judge import MODEL, broken
 from drivers.dynamixel.servo.table import (
     ALERT_BIT,
     GOAL_CURRENT,
@@ -37,18 +40,16 @@ from drivers.dynamixel.servo.units import volts, watchdog_count
 from drivers.interface import ServoHealth
 
 
-def _record(servo: ServoFound, watchdog: int) -> ServoRecord:
-    values = servo.values
-    rest = effort_at_rest(servo)
+def _record(servo: ServoFound, watchdog: int, rest: int) -> ServoRecord:
     return ServoRecord(
         slot=servo.slot,
         goal=effort_register(servo.slot),
         watchdog=watchdog,
-        shutdown=HardwareError(values[SHUTDOWN]),
-        voltage_limits_V=(volts(values[MIN_VOLTAGE_LIMIT]), volts(values[MAX_VOLTAGE_LIMIT])),
-        thermal=ThermalWatch(float(values[TEMPERATURE_LIMIT])),
-        voltage_V=volts(values[PRESENT_INPUT_VOLTAGE]),
-        temperature_C=float(values[PRESENT_TEMPERATURE]),
+        shutdown=HardwareError(servo.value(SHUTDOWN)),
+        voltage_limits_V=(volts(servo.value(MIN_VOLTAGE_LIMIT)), volts(servo.value(MAX_VOLTAGE_LIMIT))),
+        thermal=ThermalWatch(float(servo.value(TEMPERATURE_LIMIT))),
+        voltage_V=volts(servo.value(PRESENT_INPUT_VOLTAGE)),
+        temperature_C=float(servo.value(PRESENT_TEMPERATURE)),
         sent=rest,
         sent_before=rest,
     )
@@ -69,15 +70,17 @@ class Running:
         fast: bool,
     ) -> None:
         self.fast = fast
+        self._on_event = on_event
         self._made_of = (bus, arm, found, clock, on_event, link)
         self._bus = bus
         self._arm = arm
         self._clock = clock
         self._found = tuple(found)
         tell = OncePerServo(on_event)
-        self._records = [_record(servo, watchdog_count(arm.watchdog_s)) for servo in found]
+        rest, limits = efforts_at_rest(found), goal_limits(found)
+        watchdog = watchdog_count(arm.watchdog_s)
+        self._records = [_record(servo, watchdog, rest[servo.slot.servo_id]) for servo in found]
         self._place_of = {record.slot.servo_id: place for place, record in enumerate(self._records)}
-        limits = {servo.slot.servo_id: servo.limit_count for servo in found}
         self._drives = [torque_drive(joint, limits[joint.ids[0]]) for joint in arm.controlled]
         self._joint_records = [[self._records[self._place_of[i]] for i in joint.ids] for joint in arm.controlled]
         self.reader = CycleReader(bus, arm, clock, bus.counters, fast=fast, link=link)
@@ -137,17 +140,25 @@ class Running:
                 self.monitor.alert(record.slot.servo_id)
         return self._interpreter.read(cycle, self._goals)
 
-    def new_faults(self, reading: Reading) -> list[DxlServoFault]:
-        """Faults that were not known before."""
-        findings = self.monitor.findings
-        if not findings and not reading.complaints:
-            return []
-        faults = [_fault_of_finding(finding) for finding in findings]
-        faults += [_fault_of_complaint(complaint) for complaint in reading.complaints]
-        findings.clear()
-        fresh = [fault for fault in faults if (fault.cause, fault.servo_id) not in self._known]
-        self._known.update((fault.cause, fault.servo_id) for fault in fresh)
-        return fresh
+    def faults(self, reading: Reading, known: list[DxlServoFault]) -> list[DxlServoFault]:
+        """Known faults and this cycle's new ones; one that explains another of its servo takes that one's place."""
+        seen = self.monitor.faults
+        if not seen and not reading.faults:
+            return known
+        merged = list(known)
+        for fault in (*seen, *reading.faults):
+            if (fault.cause, fault.servo_id) in self._known:
+                continue
+            self._known.add((fault.cause, fault.servo_id))
+            explained = [other for other in merged if fault.explains(other)]
+            place = merged.index(explained[0]) if explained else len(merged)
+            merged[place : place + 1] = [fault]
+            merged = [other for other in merged if other not in explained]
+            if explained:
+                text = f"{fault.cause.value}; it looked like: {', '.join(other.cause.value for other in explained)}"
+                self._on_event(DriverEvent(EventKind.EXPLAINED, text, fault.servo_id, fault.joint))
+        seen.clear()
+        return merged
 
     # --- write ----------------------------------------------------------------------------------------------------
 
@@ -194,41 +205,7 @@ class Running:
     def recognise(self) -> None:
         """Ping every servo of the map.  Raises IdentityError unless all are the models that were there before."""
         for servo in self._found:
-            slot = servo.slot
-            model = self._bus.ping(slot.servo_id, attempts=2).model_number
-            if model != slot.model.model_number:
-                raise _stranger(slot, model)
-
-
-def _stranger(slot: ServoSlot, model_number: int) -> IdentityError:
-    return IdentityError(
-        slot.servo_id,
-        f"servo {slot.servo_id} ({slot.joint.name}) after the port came back",
-        found=f"model number {model_number}",
-        expected=f"{slot.model.model_number} ({slot.model.name})",
-        remedy="another arm is plugged in here: put the plug back",
-    )
-
-
-def _fault_of_finding(finding: Suspicion) -> DxlServoFault:
-    record = finding.record
-    hardware = record.hardware if finding.cause is FaultCause.HARDWARE_ERROR else NO_ERROR
-    return DxlServoFault(
-        finding.cause,
-        servo_id=record.slot.servo_id,
-        joint=record.slot.joint.name,
-        found=finding.found,
-        expected=finding.expected,
-        hardware=hardware,
-    )
-
-
-def _fault_of_complaint(complaint: Complaint) -> DxlServoFault:
-    slot = complaint.slot
-    return DxlServoFault(
-        complaint.cause,
-        servo_id=slot.servo_id,
-        joint=slot.joint.name,
-        found=complaint.found,
-        expected=complaint.expected,
-    )
+            model = self._bus.ping(servo.slot.servo_id, attempts=2).model_number
+            misfit = broken(MODEL, replace(servo, model_number=model))
+            if misfit is not None:
+                raise IdentityError.of(misfit)

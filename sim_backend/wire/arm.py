@@ -111,7 +111,8 @@ class EmulatedArm:
         """Run all servos for `dt_s`; return the torques of the plant's joints, N*m."""
         torques = [0.0] * self._count
         self._since_supervised_s += dt_s
-        supervising = self._since_supervised_s >= SUPERVISE_S
+        since_s = self._since_supervised_s
+        supervising = since_s >= SUPERVISE_S
         if supervising:
             self._since_supervised_s = 0.0
         for joint in self.joints:
@@ -121,7 +122,7 @@ class EmulatedArm:
                 alive = firmware.alive(now_ns)
                 tau_Nm += mount.sign * firmware.body.step(dt_s, alive=alive)
                 if supervising and alive:
-                    firmware.supervise()
+                    firmware.supervise(since_s)
             if joint.free is not None:
                 joint.free.step(tau_Nm, dt_s)
             else:

@@ -8,11 +8,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from drivers.dynamixel.servo.table import TICK_CENTRE, TICK_RAD, DriveMode, OperatingMode, ServoModel
+from drivers.dynamixel.servo.table import TICK_CENTRE, TICK_RAD, TICKS_PER_TURN, DriveMode, OperatingMode, ServoModel
 from sim_backend.wire.drive import Drive
 from sim_backend.wire.motor import Motor, MotorData
 
-TICKS_PER_TURN = 4096
 HOMING_IN_POSITION_MODE = 1024  # a larger Homing Offset is ignored in position mode
 
 

@@ -13,16 +13,20 @@ from drivers.dynamixel.servo import table
 from drivers.dynamixel.servo.table import (
     TICK_RAD,
     VELOCITY_UNIT_RAD_PER_S,
+    Area,
     DriveMode,
     HardwareError,
     OperatingMode,
     Register,
     ServoModel,
+    StartupConfiguration,
 )
+from sim_backend.wire.backup import GAINS, Backup
 from sim_backend.wire.body import Body
 from sim_backend.wire.drive import POSITION_MODES
 from sim_backend.wire.memory import Memory
 from sim_backend.wire.options import GoalAtTorqueOn, ServoOptions, WatchdogFeed
+from sim_backend.wire.overload import OverloadWatch
 from sim_backend.wire.rules import GOALS
 
 WATCHDOG_UNIT_NS = 20_000_000
@@ -48,15 +52,6 @@ _MIRRORED = {
     table.POSITION_I_GAIN.name: "position_i",
     table.POSITION_P_GAIN.name: "position_p",
 }
-_GAINS = (
-    table.VELOCITY_I_GAIN,
-    table.VELOCITY_P_GAIN,
-    table.POSITION_D_GAIN,
-    table.POSITION_I_GAIN,
-    table.POSITION_P_GAIN,
-    table.FEEDFORWARD_2ND_GAIN,
-    table.FEEDFORWARD_1ST_GAIN,
-)
 
 
 class Firmware:
@@ -68,7 +63,10 @@ class Firmware:
         self.options = options
         self.memory = Memory(model, version)
         self.body = Body(model, options.coulomb_Nm, options.ambient_C)
+        self.backup = Backup()
         self.powered = True
+        self._overload = OverloadWatch(options.overload, model.stall_current_A)
+        self._torque_at_ready = False
         self._ready_ns = 0
         self._boot_ns = 0
         self._last_packet_ns = 0
@@ -91,7 +89,7 @@ class Firmware:
         self.powered = on
 
     def boot(self, now_ns: int) -> None:
-        """Restart: torque off, RAM to defaults, position within one turn, silent for the boot time."""
+        """Restart as Startup Configuration says, position within one turn, silent for the boot time."""
         self.start(now_ns, now_ns + self.options.boot_ns)
 
     def start(self, boot_ns: int, ready_ns: int) -> None:
@@ -100,7 +98,14 @@ class Firmware:
         memory.load_defaults(eeprom=False)
         memory.put(table.MODEL_NUMBER, self.model.model_number)
         memory.put(table.FIRMWARE_VERSION, self.version)
+        startup = StartupConfiguration(memory.bytes[table.STARTUP_CONFIGURATION.address])
+        if startup & StartupConfiguration.RAM_RESTORE:
+            self.backup.restore(memory, Area.RAM)
+        if memory.has(table.BACKUP_READY):
+            memory.put(table.BACKUP_READY, self.backup.ready)
         self._boot_ns, self._ready_ns, self._last_packet_ns = boot_ns, ready_ns, boot_ns
+        self._torque_at_ready = bool(startup & StartupConfiguration.TORQUE_ON)
+        self._overload.reset()
         self.body.drive.torque_on = False
         self.reload()
         self._goals_to_limits()
@@ -178,7 +183,7 @@ class Firmware:
         """Operating Mode: goals go to their limits, gains and profile to their defaults."""
         self.body.drive.goals.mode = OperatingMode(value)
         self._goals_to_limits()
-        for register in _GAINS:
+        for register in GAINS:
             self.set_and_mirror(register, self.memory.version(register).default or 0)
         self.set_and_mirror(table.PROFILE_ACCELERATION, 0)
         self.set_and_mirror(table.PROFILE_VELOCITY, 0)
@@ -224,9 +229,14 @@ class Firmware:
             self.memory.put(table.TORQUE_ENABLE, 0)
             self.body.drive.torque_on = False
 
-    def supervise(self) -> None:
-        """Latch what the servo notices by itself: heat and supply voltage."""
+    def supervise(self, dt_s: float) -> None:
+        """Latch what a running servo notices by itself, `dt_s` after it looked last: overload, heat, supply voltage."""
         memory, body = self.memory, self.body
+        if self._torque_at_ready:
+            self._torque_at_ready = False
+            self.accept(table.TORQUE_ENABLE, 1)
+        if self._overload.step(dt_s, body.motor.current_A, body.drive.goals.mode):
+            self.raise_error(HardwareError.OVERLOAD)
         if body.motor.temperature_C > memory.bytes[table.TEMPERATURE_LIMIT.address]:
             self.raise_error(HardwareError.OVERHEATING)
         decivolt = round(body.horn.supply_V * 10.0)

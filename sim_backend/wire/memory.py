@@ -14,7 +14,6 @@ RAM_START = 64
 SIZE = 662  # the last indirect data byte is 661
 
 _DRIVE_MODE_FIRMWARE = 38
-_BACKUP_FIRMWARE = 45
 
 
 class Layout:
@@ -26,8 +25,7 @@ class Layout:
             absent.add(table.DRIVE_MODE.name)
         if model.watchdog_min_firmware is None or firmware < model.watchdog_min_firmware:
             absent.add(table.BUS_WATCHDOG.name)
-        if firmware < _BACKUP_FIRMWARE:
-            absent |= {table.BACKUP_READY.name, table.STARTUP_CONFIGURATION.name}
+        absent |= {name for name, since in table.SINCE_FIRMWARE.items() if firmware < since}
         self.by_name = {name: register for name, register in model.registers.items() if name not in absent}
         self.at = {register.address: register for register in self.by_name.values()}
         self.defined = bytearray(SIZE)

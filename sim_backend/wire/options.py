@@ -7,6 +7,7 @@ from enum import Enum
 
 from sim_backend.wire.drive import Stop
 from sim_backend.wire.motor import AMBIENT_C
+from sim_backend.wire.overload import REPORTED, OverloadOptions
 from sim_backend.wire.packet import UnstuffedHeader
 
 
@@ -38,6 +39,7 @@ class ServoOptions:
     watchdog_stop: Stop = Stop.LIMP  # velocity and position modes always stop and hold
     watchdog_feed: WatchdogFeed = WatchdogFeed.ANY_PACKET
     goal_at_torque_on: GoalAtTorqueOn = GoalAtTorqueOn.PRESENT
+    overload: OverloadOptions = REPORTED
     boot_ns: int = 300_000_000
     coulomb_Nm: float = 0.0  # gearbox friction, where the plant has none
     ambient_C: float = AMBIENT_C

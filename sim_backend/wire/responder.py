@@ -201,7 +201,7 @@ def _execute(servo: Servo, command: Command, now_ns: int, *, broadcast: bool = F
         case Instruction.CLEAR:
             return servo.clear(parameters), b""
         case Instruction.CONTROL_TABLE_BACKUP:
-            return servo.back_up(parameters), b""
+            return servo.back_up(parameters, now_ns), b""
     return StatusError.INSTRUCTION, b""
 
 

@@ -9,15 +9,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from drivers.dynamixel.servo import table
-from drivers.dynamixel.servo.table import ALERT_BIT, BAUD_RATES, ServoModel, StatusError
+from drivers.dynamixel.servo.table import ALERT_BIT, BAUD_RATES, Area, ServoModel, StatusError
 from sim_backend.wire import rules
 from sim_backend.wire.firmware import Firmware
-from sim_backend.wire.memory import RAM_START
 from sim_backend.wire.options import ServoOptions
 
 DEFAULT_FIRMWARE = 46
 CLEAR_FIRMWARE = 42
-BACKUP_FIRMWARE = 45
 BROADCAST_RESET_FIRMWARE = 42  # from here on a broadcast "reset all" is ignored
 CLEAR_POSITION = b"\x01\x44\x58\x4c\x22"
 BACKUP_KEY = b"\x43\x54\x52\x4c"
@@ -46,7 +44,6 @@ class Servo:
         self.deaf = False  # fault: neither hears nor answers
         self._memory = self.firmware.memory
         self._registered: tuple[int, bytes, bool] | None = None
-        self._backup: bytes | None = None
         self._memory.put(table.ID, servo_id)
         for name, value in (eeprom or {}).items():
             self._memory.put(self._memory.layout.by_name[name], value)
@@ -82,8 +79,7 @@ class Servo:
     @property
     def fast_reads(self) -> bool:
         """True when this model and firmware answer fast sync and fast bulk reads."""
-        least = self.firmware.model.fast_sync_min_firmware
-        return least is not None and self.firmware.version >= least
+        return self.firmware.model.answers_fast(self.firmware.version)
 
     def hears(self, now_ns: int) -> bool:
         """True when instructions reach the firmware."""
@@ -169,19 +165,19 @@ class Servo:
         self.firmware.stand()
         return StatusError.NONE
 
-    def back_up(self, parameters: bytes) -> StatusError:
-        """Store the EEPROM area (1) or restore it (2); only with torque off."""
-        if self.firmware.version < BACKUP_FIRMWARE or not self._memory.has(table.BACKUP_READY):
+    def back_up(self, parameters: bytes, now_ns: int) -> StatusError:
+        """Store the control table (1), or restore its EEPROM and restart (2); with torque off."""
+        firmware = self.firmware
+        if not self._memory.has(table.BACKUP_READY):
             return StatusError.INSTRUCTION
         if parameters[1:] != BACKUP_KEY or parameters[0] not in (1, 2):
             return StatusError.DATA_RANGE
         restoring = parameters[0] == 2
-        if self.firmware.body.drive.torque_on or (restoring and self._backup is None):
+        if firmware.body.drive.torque_on or (restoring and not firmware.backup.ready):
             return StatusError.RESULT_FAIL
-        if self._backup is not None and restoring:
-            self._memory.bytes[:RAM_START] = self._backup
-            self.firmware.reload()
-        else:
-            self._backup = bytes(self._memory.bytes[:RAM_START])
-            self._memory.put(table.BACKUP_READY, 1)
+        if restoring:
+            firmware.backup.restore(self._memory, Area.EEPROM)
+            return self.reboot(now_ns)
+        firmware.backup.store(self._memory)
+        self._memory.put(table.BACKUP_READY, 1)
         return StatusError.NONE

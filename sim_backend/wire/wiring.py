@@ -11,8 +11,12 @@ from types import MappingProxyType
 from typing import Protocol
 
 from drivers.dynamixel.servo import table
-from drivers.dynamixel.servo.table import BAUD_RATES, NO_SECONDARY_ID, TICK_CENTRE
+from drivers.dynamixel.servo.table import BAUD_RATES, NO_SECONDARY_ID, SERVOS, TICK_CENTRE
 from sim_backend.wire.servo import DEFAULT_FIRMWARE
+
+# Gearbox friction of a servo per N·m of its stall torque: an XM430's 0.1 N·m and 0.05 N·m s/rad, scaled (docs/arms.md)
+COULOMB_PER_STALL = 0.1 / 4.1
+VISCOUS_S_PER_RAD = 0.05 / 4.1
 
 
 class JointEntry(Protocol):
@@ -82,8 +86,21 @@ class JointWiring:
     index: int | None = None
     start_rad: float = 0.0  # of a joint in no plant
     inertia_kg_m2: float = 0.01
-    coulomb_Nm: float = 0.1
-    viscous_Nm_s_per_rad: float = 0.05
+
+    @property
+    def stall_torque_Nm(self) -> float:
+        """Of all its servos together."""
+        return sum(SERVOS[wired.model].stall_torque_Nm for wired in self.servos)
+
+    @property
+    def coulomb_Nm(self) -> float:
+        """Dry friction of its servos' gearboxes."""
+        return COULOMB_PER_STALL * self.stall_torque_Nm
+
+    @property
+    def viscous_Nm_s_per_rad(self) -> float:
+        """Viscous friction of its servos' gearboxes."""
+        return VISCOUS_S_PER_RAD * self.stall_torque_Nm
 
 
 @dataclass(frozen=True, slots=True)

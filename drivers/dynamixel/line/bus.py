@@ -1,4 +1,4 @@
-"""One conversation at a time on one servo bus: requests, bounded waits, counters.  Never retries inside a cycle.
+"""One conversation at a time on one servo bus: requests, bounded waits, counters.
 
 Two kinds of exchange.  `read`, `write`, `ping` are for setting up: they wait generously, retry, and after a missed
 reply listen until the line is quiet, so that a late reply is never taken for the next one's.  `exchange` is for the
@@ -7,11 +7,11 @@ cycle: one request and one bounded wait.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from drivers.dynamixel.errors import NoReplyError, RejectedError
+from drivers.dynamixel.errors import Heard, NoReplyError, RejectedError
 from drivers.dynamixel.line import codec
 from drivers.dynamixel.line.codec import Status, StatusScanner
 from drivers.dynamixel.line.group import GroupRead, GroupReply
@@ -117,7 +117,7 @@ class Bus:
 
     def _ask(self, packet: bytes, servo_id: int, length: int, what: str, attempts: int) -> Status:
         """Send until an intact reply of that servo with that many parameters comes."""
-        heard, damaged = "nothing", False
+        heard = Heard.NOTHING
         for attempt in range(attempts):
             if attempt:
                 self.counters.retries += 1
@@ -127,30 +127,30 @@ class Bus:
             scanner = StatusScanner()
             wire_ns = (len(packet) + length + 11) * 10_000_000_000 // self.port.baud
             deadline_ns = self._clock.now_ns() + wire_ns + REPLY_WAIT_NS
-            reply = self._await(scanner, deadline_ns, lambda r: r.servo_id == servo_id)
+            reply, others = self._await(scanner, deadline_ns, servo_id, length)
             self.counters.corrupt += scanner.damaged
             if reply is None:
                 self.counters.timeouts += 1
-                damaged = damaged or scanner.damaged > 0
-                heard = "damaged packets" if damaged else "noise" if scanner.garbage else "nothing"
+                heard = max(heard, _heard(scanner, others), key=lambda h: h.rank)
                 continue
             self.counters.alerts += reply.alert
             if reply.error:
                 raise RejectedError(servo_id, what, reply.error)
-            if len(reply.params) == length:
-                return reply
-            heard = f"a reply of {len(reply.params)} instead of {length} bytes"
-        raise NoReplyError(servo_id, what, attempts=attempts, heard=heard, damaged=damaged)
+            return reply
+        raise NoReplyError(servo_id, what, attempts=attempts, heard=heard)
 
-    def _await(self, scanner: StatusScanner, deadline_ns: int, wanted: Callable[[Status], bool]) -> Status | None:
+    def _await(self, scanner: StatusScanner, deadline_ns: int, servo_id: int, length: int) -> tuple[Status | None, int]:
+        """The first reply of that servo that says no, or has that many parameters; and how many others came."""
+        others = 0
         while True:
             scanner.feed(self.port.read_until(deadline_ns))
             final = self._clock.now_ns() >= deadline_ns
             while (reply := scanner.take(final=final)) is not None:
-                if wanted(reply):
-                    return reply
+                if reply.servo_id == servo_id and (reply.error or len(reply.params) == length):
+                    return reply, others
+                others += 1
             if final:
-                return None
+                return None, others
 
     # --- the cycle ------------------------------------------------------------------------------------------------
 
@@ -168,3 +168,14 @@ class Bus:
                 reply = group.parse(heard, final=final)
                 if reply.finished:
                     return Exchange(reply, heard)
+
+
+def _heard(scanner: StatusScanner, others: int) -> Heard:
+    """What an exchange brought instead of its answer."""
+    if scanner.damaged or scanner.cut:
+        return Heard.DAMAGED
+    if others:
+        return Heard.OTHER
+    if scanner.foreign:
+        return Heard.ECHO
+    return Heard.NOISE if scanner.garbage else Heard.NOTHING

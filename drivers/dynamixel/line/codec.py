@@ -1,4 +1,4 @@
-"""Protocol 2.0 packets: bytes in, bytes out.  Pure; never touches a port or a clock, never guesses a value.
+"""Protocol 2.0 packets: bytes in, bytes out.  Pure; what is damaged is an error or is counted.
 
 Packet: FF FF FD 00, ID, LENGTH (2), INSTRUCTION, [ERROR], parameters, CRC (2), all little-endian.  LENGTH counts
 what follows it.  From INSTRUCTION to the last parameter a sender inserts FD after each FF FF FD (stuffing); LENGTH

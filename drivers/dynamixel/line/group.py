@@ -1,4 +1,4 @@
-"""Group reads and writes compiled once, used every cycle: bytes in, a row per servo out.  Pure; never guesses a value.
+"""Group reads and writes compiled once, used every cycle: bytes in, a row per servo out.  Pure.
 
 The merged reply of a fast sync read carries, per servo, ERROR, ID, data and a checksum over all before it.  It is
 not stuffed, so it is parsed by position.  A servo that does not answer ends the reply; the blocks before it stay valid.

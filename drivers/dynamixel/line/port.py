@@ -1,4 +1,4 @@
-"""A serial port with bounded waits: exclusive, raw, non-blocking.  Never waits past a deadline, never spins.
+"""A serial port with bounded waits: exclusive, raw, non-blocking.
 
 Knows bytes and deadlines, nothing of packets.  Linux only.
 """
@@ -82,7 +82,7 @@ class Port(Protocol):
 class SerialPort:
     """One open serial port.
 
-    Raises PortError from the constructor's `open`, PortLostError when the device goes away, WriteTimeoutError when
+    Raises PortError from `open`, PortLostError when the device goes away, WriteTimeoutError when
     it takes no more bytes.
     """
 

@@ -1,4 +1,4 @@
-"""Which serial ports this machine has, who uses one, and why one cannot be opened.  Opens nothing.  Linux only."""
+"""Which serial ports this machine has, who uses one, and why one cannot be opened.  Linux only."""
 
 from __future__ import annotations
 

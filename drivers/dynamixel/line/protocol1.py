@@ -1,4 +1,4 @@
-"""Servos that still speak Protocol 1.0: found, so that a person learns why they do not answer.  Never commands them.
+"""Servos that still speak Protocol 1.0: found by ping, so that a person learns why they do not answer.
 
 Through the official SDK, for the rest of this stack does not know that protocol; only its wait is bounded here, which
 on a line that never falls silent has no end.

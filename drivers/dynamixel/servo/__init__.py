@@ -1,1 +1,1 @@
-"""The servos themselves: control tables, units, torque and heat."""
+"""The servos themselves: control tables, units, torque, heat, and what a servo of an arm must be."""

@@ -1,6 +1,6 @@
 """DYNAMIXEL servo models, their control table and the protocol's code numbers: one table for driver and emulator.
 
-Data only: it must never talk to a bus or hold state, and imports nothing but the standard library.
+Data; it imports the standard library alone.
 
 Source of every figure, unless a line says otherwise: the ROBOTIS e-manual as of 2026, pages Protocol 2.0, XM430-W350,
 XM540-W270, XL430-W250, XC430-W150, MX-64(2.0), MX-28(2.0) and AX-12A.  Ratings are those at 12 V.
@@ -16,7 +16,8 @@ from types import MappingProxyType
 
 # --- units: the "Unit" column of the control tables ------------------------------------------------------------------
 
-TICK_RAD = 2.0 * math.pi / 4096.0  # 12-bit encoder over one turn
+TICKS_PER_TURN = 4096  # 12-bit encoder
+TICK_RAD = 2.0 * math.pi / TICKS_PER_TURN
 AX_TICK_RAD = math.radians(300.0) / 1024.0  # AX-12A: 10-bit potentiometer over 300 degrees
 VELOCITY_UNIT_RAD_PER_S = 0.229 * 2.0 * math.pi / 60.0  # 0.229 rev/min
 ACCELERATION_UNIT_RAD_PER_S2 = 214.577 * 2.0 * math.pi / 3600.0  # 214.577 rev/min^2
@@ -99,6 +100,13 @@ class DriveMode(IntFlag):
     SLAVE = 0x02  # X540 and MX-106 only
     TIME_BASED_PROFILE = 0x04  # firmware 42
     TORQUE_ON_BY_GOAL_UPDATE = 0x08  # firmware 45, X-series only
+
+
+class StartupConfiguration(IntFlag):
+    """Bits of the Startup Configuration register (60): what a servo does when power comes."""
+
+    TORQUE_ON = 0x01
+    RAM_RESTORE = 0x02  # the RAM that is in its backup, if it has one
 
 
 class HardwareError(IntFlag):
@@ -250,6 +258,9 @@ PRESENT_TEMPERATURE = _ro(146, 1, "Present Temperature", Unit.CELSIUS)
 BACKUP_READY = _ro(147, 1, "Backup Ready")  # firmware 45
 EXTERNAL_PORT_DATA = tuple(_rw(150 + 2 * n, 2, f"External Port Data {n}", 0, 4095) for n in (1, 2, 3))
 
+# registers that came with a firmware: absent on older ones
+SINCE_FIRMWARE: Mapping[str, int] = MappingProxyType({STARTUP_CONFIGURATION.name: 45, BACKUP_READY.name: 45})
+
 # Indirect n is element n - 1; 1 to 28 and 29 to 56 lie in two blocks, and only addresses 64 to 661 can be mapped.
 INDIRECT_DATA = tuple(_rw((223 if n <= 28 else 605) + n, 1, f"Indirect Data {n}", 0, 255, 0) for n in range(1, 57))
 INDIRECT_ADDRESSES = tuple(
@@ -299,6 +310,10 @@ class ServoModel:
         """Return the factory value of a register; None when the model has no such register or no fixed value."""
         register = self.registers.get(generic.name)
         return None if register is None else register.default
+
+    def answers_fast(self, firmware: int) -> bool:
+        """Return whether this model with this firmware answers fast sync and fast bulk reads."""
+        return self.fast_sync_min_firmware is not None and firmware >= self.fast_sync_min_firmware
 
     @property
     def has_current_mode(self) -> bool:

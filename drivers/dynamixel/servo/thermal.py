@@ -1,4 +1,4 @@
-"""Will a servo reach its temperature limit?  Pure; estimates only, never switches anything off.
+"""Will a servo reach its temperature limit?  Pure: an estimate for a warning.
 
 A servo warms like a first-order system with a time constant of minutes: T∞ = T + τ dT/dt.  The sensor gives whole
 degrees, so the slope is a least-squares line over the last minute.  The servo shuts itself off at its limit, and on an

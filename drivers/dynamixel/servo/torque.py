@@ -14,8 +14,8 @@ import math
 from typing import Protocol
 
 from drivers.dynamixel.arm_map import JointMap
-from drivers.dynamixel.servo.table import GOAL_CURRENT, GOAL_PWM, PWM_UNIT_DUTY, Register
-from drivers.dynamixel.servo.units import current_unit_A
+from drivers.dynamixel.servo.table import GOAL_CURRENT, GOAL_PWM, Register
+from drivers.dynamixel.servo.units import current_unit_A, pwm_count_V
 
 NO_LOAD_SMOOTH_RAD_PER_S = 0.1  # well above the 0.024 rad/s the servo resolves, or I₀ would chatter at rest
 
@@ -92,7 +92,7 @@ class PwmDrive:
         tau = max(-self._tau_max_Nm, min(self._tau_max_Nm, tau_Nm))
         per_volt = self._servos * self._per_volt_Nm
         wanted_V = tau / per_volt + self._back_emf_V_s_per_rad * dq
-        count_V = supply_V * PWM_UNIT_DUTY
+        count_V = pwm_count_V(supply_V)
         count = max(-self._limit_count, min(self._limit_count, round(wanted_V / count_V)))
         return count, (count * count_V - self._back_emf_V_s_per_rad * dq) * per_volt
 

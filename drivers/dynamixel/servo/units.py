@@ -1,20 +1,27 @@
-"""Register counts to SI and back.  Pure; the only place where a count becomes a radian, an ampere or a volt.
+"""Register counts to SI and back, for driver, servo tools and doctor: each of these factors is applied here.
 
 An absolute encoder knows the angle within a turn, and Present Position may come with whole turns added or lost (after a
-reboot, a mode change, or past the end of the scale).  So an angle is never the difference of raw counts: it is the one
+reboot, a mode change, or past the end of the scale).  So an angle is not the difference of raw counts: it is the one
 angle within the turn centred on the joint's range.
 """
 
 from __future__ import annotations
 
-from drivers.dynamixel.arm_map import TICKS_PER_TURN, JointMap
+from typing import TYPE_CHECKING
+
 from drivers.dynamixel.servo.table import (
+    PWM_UNIT_DUTY,
+    RETURN_DELAY_UNIT_S,
     TICK_RAD,
+    TICKS_PER_TURN,
     VELOCITY_UNIT_RAD_PER_S,
     VOLTAGE_UNIT_V,
     WATCHDOG_UNIT_S,
     ServoModel,
 )
+
+if TYPE_CHECKING:
+    from drivers.dynamixel.arm_map import JointMap
 
 
 class AngleScale:
@@ -24,10 +31,16 @@ class AngleScale:
         low, high = joint.position_limit_ticks
         self._first = low - (TICKS_PER_TURN - 1 - (high - low)) // 2  # where the turn around the range begins
         self._zero = joint.zero_tick
+        self.limits_rad = (ticks_rad(low - joint.zero_tick), ticks_rad(high - joint.zero_tick))
 
     def angle_rad(self, tick: int) -> float:
         """Joint angle of a Present Position."""
         return ((tick - self._first) % TICKS_PER_TURN + self._first - self._zero) * TICK_RAD
+
+
+def ticks_rad(count: int) -> float:
+    """Angle that a number of ticks makes."""
+    return count * TICK_RAD
 
 
 def velocity_rad_per_s(count: int) -> float:
@@ -35,14 +48,34 @@ def velocity_rad_per_s(count: int) -> float:
     return count * VELOCITY_UNIT_RAD_PER_S
 
 
+def velocity_count(rad_per_s: float) -> int:
+    """Largest Present Velocity count that is not above a speed."""
+    return int(rad_per_s / VELOCITY_UNIT_RAD_PER_S)
+
+
 def volts(count: int) -> float:
-    """Supply voltage of a Present Input Voltage."""
+    """Supply voltage of a Present Input Voltage, or of a limit of it."""
     return count * VOLTAGE_UNIT_V
 
 
+def pwm_count_V(supply_V: float) -> float:
+    """Voltage at the winding that one count of Goal PWM makes."""
+    return supply_V * PWM_UNIT_DUTY
+
+
 def watchdog_count(seconds: float) -> int:
-    """Bus Watchdog value of a time."""
+    """Bus Watchdog value nearest to a time."""
     return round(seconds / WATCHDOG_UNIT_S)
+
+
+def watchdog_s(count: int) -> float:
+    """Time of a Bus Watchdog value."""
+    return count * WATCHDOG_UNIT_S
+
+
+def return_delay_s(count: float) -> float:
+    """Pause before a reply of a Return Delay Time."""
+    return count * RETURN_DELAY_UNIT_S
 
 
 def current_unit_A(model: ServoModel) -> float:

@@ -105,8 +105,10 @@ class Bench:
         while self.now_ns < end_ns:
             self.now_ns += round(step_ms * MS)
             for servo in self.bus.servos:
-                servo.firmware.body.step(step_ms * 1e-3, alive=servo.firmware.alive(self.now_ns))
-                servo.firmware.supervise()
+                alive = servo.firmware.alive(self.now_ns)
+                servo.firmware.body.step(step_ms * 1e-3, alive=alive)
+                if alive:
+                    servo.firmware.supervise(step_ms * 1e-3)
             self.bus.tick(self.now_ns)
 
 

@@ -116,11 +116,11 @@ DEFECTS = {
         refused=True, happens=fault(FaultKind.SILENT, 5),
     ),
     "no power": Defect(
-        r"refused: .*servos: found none that answers, at any speed.*12 V supply",
+        r"refused: .*servos on virtual: found none that answers, at any speed.*12 V supply",
         refused=True, happens=fault(FaultKind.POWER_LOSS),
     ),
     "wrong baud rate": Defect(
-        r"refused: .*baud rate: found servo 1 answers at 57600 bit/s, wanted 1000000 bit/s; correct `baud`",
+        r"refused: .*baud rate on virtual: found servo 1 answers at 57600 bit/s, wanted 1000000 bit/s; correct `baud`",
         refused=True, emulated=at(WX200, baud=57_600),
     ),
     "another arm": Defect(
@@ -128,11 +128,11 @@ DEFECTS = {
         refused=True, emulated=ANOTHER_ARM,
     ),
     "two servos share an ID": Defect(
-        r"refused: .*servo 5 \(wrist_angle\): found more than one servo with this ID.*setup",
+        r"refused: .*servo 5 \(wrist_angle\): found damaged packets.*two servos may have this ID.*setup",
         refused=True, happens=register(6, ID, 5),
     ),
     "a servo too many": Defect(
-        r"refused: .*servo 9: found a XL430-W250 that the arm file does not know",
+        r"refused: .*servo 9 on virtual: found a XL430-W250 that the arm file does not know",
         refused=True, emulated=ONE_MORE,
     ),
     "wrong model": Defect(
@@ -144,7 +144,7 @@ DEFECTS = {
         refused=True, happens=old_firmware,
     ),
     "firmware without fast sync read": Defect(
-        r"warning: .*older than fast sync read in servo 1,",
+        r"warning: .*servo 1, 2, 3, 4, 5, 6, 7: fast sync read: found firmware 44, wanted 45 or newer; every cycle",
         refused=False, firmware=44,
     ),
     "latency timer": Defect(
@@ -160,7 +160,7 @@ DEFECTS = {
         refused=False, eeprom={"Return_Delay_Time": 250},
     ),
     "direction": Defect(
-        r"refused: .*Drive Mode: found 0, wanted bit 0 set: reverse; check how .*setup",
+        r"refused: .*Drive Mode, direction: found normal .*, wanted reverse .*; check how .*setup",
         refused=True, happens=register(4, DRIVE_MODE, 0),
     ),
     "time-based profile": Defect(
@@ -168,7 +168,7 @@ DEFECTS = {
         refused=False, happens=register(1, DRIVE_MODE, 4),
     ),
     "a shadow that follows nobody": Defect(
-        r"refused: .*servo 3 \(shoulder shadow\): Secondary.*found 255, wanted 2;",
+        r"refused: .*servo 3 \(shoulder shadow\): Secondary ID: found 255, wanted 2;",
         refused=True, happens=register(3, SECONDARY_ID, 255),
     ),
     "homing offset": Defect(
@@ -192,11 +192,11 @@ DEFECTS = {
         refused=False, happens=register(1, SHUTDOWN, 0),
     ),
     "torque when power comes": Defect(
-        r"refused: .*Startup Configuration: found 1, wanted 0",
-        refused=False, happens=register(1, STARTUP_CONFIGURATION, 1),
+        r"refused: .*Startup Configuration: found 1: torque on when power comes, wanted 0; .*dip of the supply",
+        refused=True, happens=register(1, STARTUP_CONFIGURATION, 1),
     ),
     "torque is on": Defect(
-        r"refused: .*torque: found on in servo 4, wanted off; another program",
+        r"refused: .*servo 4 \(elbow\): torque: found on already, wanted off; another program",
         refused=True, happens=register(4, TORQUE_ENABLE, 1),
     ),
     "hardware error": Defect(
@@ -204,7 +204,7 @@ DEFECTS = {
         refused=True, happens=fault(FaultKind.OVERLOAD, 4),
     ),
     "hot": Defect(
-        r"warning: .*temperature: found 78 °C at most \(servo 4 \(elbow\)\), wanted below 75 °C; let it cool",
+        r"warning: .*servo 4 \(elbow\): temperature: found 78 °C, wanted below 75 °C; let it cool",
         refused=False, happens=fault(FaultKind.OVERHEAT, 4, temperature_C=78.0),
     ),
     "supply far too low": Defect(
@@ -212,7 +212,7 @@ DEFECTS = {
         refused=True, happens=fault(FaultKind.VOLTAGE, 4, voltage_V=8.0),
     ),
     "supply low": Defect(
-        r"warning: .*supply: found 10.6 to 12.0 V, wanted 11.0 to",
+        r"warning: .*servo 4 \(elbow\): supply: found 10.6 V, wanted 11.0 to 13.0 V",
         refused=False, happens=fault(FaultKind.VOLTAGE, 4, voltage_V=10.6),
     ),
     "watchdog fired": Defect(
@@ -220,7 +220,7 @@ DEFECTS = {
         refused=False, happens=register(4, BUS_WATCHDOG, -1),
     ),
     "not at the start pose": Defect(
-        r"warning: .*start pose, elbow: found -?\d\.\d+ rad, wanted 0.550 to 0.850 rad; move the arm",
+        r"warning: .*servo 4 \(elbow\): start pose: found -?\d\.\d+ rad, wanted 0.550 to 0.850 rad; move the arm",
         refused=True, happens=away,
     ),
     "no answers to reads": Defect(
@@ -278,7 +278,7 @@ def test_a_problem_with_one_servo_does_not_hide_another() -> None:
     rig.put(4, HOMING_OFFSET, 7)
     rig.put(5, SECONDARY_ID, 2)
     said = "\n".join(lines(examined(rig)))
-    for part in ("servo 1 (waist)", "servo 4 (elbow): Homing Offset", "servo 5 (wrist_angle): Secondary"):
+    for part in ("servo 1 (waist)", "servo 4 (elbow): Homing Offset", "servo 5 (wrist_angle): Secondary ID"):
         assert part in said
 
 

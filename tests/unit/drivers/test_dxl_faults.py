@@ -325,7 +325,7 @@ def test_another_arm_on_the_port_is_not_written_to():
     rig = warm()
     other = build(at(WX200, joints=tuple(replace(j, servo=XL, tau_max_Nm=0.2) for j in WX200.joints)))
     rig.port._rig = other
-    with pytest.raises(Exception, match="model number 1060, expected 1020"):
+    with pytest.raises(Exception, match="model: found XL430-W250, expected XM430-W350"):
         rig.driver.reopen()
     with pytest.raises(PortLostError, match="virtual"):
         rig.driver.write(TAU)

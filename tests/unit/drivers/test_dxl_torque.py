@@ -108,7 +108,7 @@ def test_angle_is_the_same_for_any_number_of_turns_and_lies_in_the_joint_s_turn(
         angle = scale.angle_rad(tick)
         assert angle == pytest.approx((tick - zero) * TICK_RAD)
         assert scale.angle_rad(tick + 4096 * turns) == angle
-        assert joint.limits_rad[0] - 1e-9 <= angle <= joint.limits_rad[1] + 1e-9
+        assert scale.limits_rad[0] - 1e-9 <= angle <= scale.limits_rad[1] + 1e-9
 
 
 # --- budget ---------------------------------------------------------------------------------------------------------

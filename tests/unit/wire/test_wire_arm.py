@@ -7,6 +7,8 @@ from collections.abc import Sequence
 
 import pytest
 
+from agent.config.cell import load_arm_file
+from agent.config.servo_map import resting_joints
 from drivers.dynamixel.servo import table
 from drivers.dynamixel.servo.table import SERVOS, TICK_RAD, Instruction, OperatingMode
 from sim_backend.wire.arm import EmulatedArm
@@ -146,3 +148,20 @@ def test_two_arms_have_their_own_buses() -> None:
     EmulatedCell(arms, None)
     arms[0].bus.receive(build(1, Instruction.WRITE, word(65) + b"\1"), 0, 1_000_000)
     assert [arm.servo(1).firmware.memory.get(table.LED) for arm in arms] == [1, 0]
+
+
+@pytest.mark.parametrize("model", ["wx200", "wx250s", "awx250s"])
+def test_joints_of_no_plant_have_the_friction_of_their_own_servos(model: str) -> None:
+    """The figures of the arm file, which are rounded, for joints; a gripper's are scaled from them by its servo."""
+    file, _ = load_arm_file(model, "test")
+    wired = wire_arm("left", resting_joints(file), [], baud=file.baud, plant_arm=None)
+    friction = {joint.name: (joint.coulomb_Nm, joint.viscous_Nm_s_per_rad) for joint in wired.joints}
+    for joint in file.joints:
+        coulomb_Nm, viscous = friction[joint.name]
+        assert coulomb_Nm == pytest.approx(joint.coulomb_Nm.value, rel=0.1)
+        assert viscous == pytest.approx(joint.viscous_Nm_s_per_rad.value, rel=0.25)
+    stall = SERVOS[file.gripper["servo"]].stall_torque_Nm
+    assert friction["gripper"] == pytest.approx((0.1 * stall / 4.1, 0.05 * stall / 4.1))
+    free = next(joint.free for joint in EmulatedArm(wired).joints if joint.name == "gripper")
+    assert free is not None
+    assert (free.coulomb_Nm, free.viscous_Nm_s_per_rad) == friction["gripper"]

@@ -1,0 +1,97 @@
+"""One servo of an arm as it was read, and the form of a rule about it.  Data; `judge` has the rules."""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from drivers.dynamixel.arm_map import ServoSlot
+from drivers.dynamixel.servo.table import CURRENT_LIMIT, PWM_LIMIT, Register
+from drivers.dynamixel.servo.wanted import run_values
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """One register that is not as wanted."""
+
+    register: Register
+    found: int
+    wanted: int
+
+
+@dataclass(frozen=True, slots=True)
+class ServoFound:
+    """One servo of an arm as it was read; `values` by register name."""
+
+    slot: ServoSlot
+    model_number: int
+    firmware: int
+    values: Mapping[str, int]
+
+    def value(self, register: Register) -> int:
+        """Value of a register.  KeyError when this servo does not have it."""
+        return self.values[register.name]
+
+    @property
+    def fast(self) -> bool:
+        """True when it answers fast sync reads."""
+        return self.slot.model.answers_fast(self.firmware)
+
+    @property
+    def goal_limit(self) -> int:
+        """EEPROM limit of the goal that carries this servo's effort."""
+        return self.value(CURRENT_LIMIT if self.slot.model.has_current_mode else PWM_LIMIT)
+
+    @property
+    def changes(self) -> list[Change]:
+        """EEPROM registers that the driver must write before this servo can do its part."""
+        wanted = run_values(self.slot).items()
+        return [Change(r, self.value(r), value) for r, value in wanted if self.value(r) != value]
+
+
+class Consequence(enum.Enum):
+    """What follows from a rule that does not hold."""
+
+    NO_CONNECTION = "connect refuses the arm"
+    NO_TORQUE = "enable refuses the arm; until then it may be read"
+    MOVE_FIRST = "enable refuses the arm until somebody has moved it by hand"
+    MENDED = "the driver writes the right value; somebody left another"
+    ROUTINE = "the driver writes the right value, as it does at each first start"
+    TOLERATED = "the arm runs, less well or less safely"
+
+
+class Said(NamedTuple):
+    """What a rule says of a servo that breaks it."""
+
+    found: str
+    expected: str
+    remedy: str
+
+
+Check = Callable[[ServoFound], Said | None]
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """One thing that must hold of a servo; `check` is asked only where all of `registers` are known."""
+
+    name: str
+    registers: tuple[Register, ...]
+    consequence: Consequence
+    check: Check
+
+
+@dataclass(frozen=True, slots=True)
+class Misfit:
+    """A rule that one servo breaks."""
+
+    rule: Rule
+    slot: ServoSlot
+    said: Said
+
+    @property
+    def what(self) -> str:
+        """Which servo and which rule, for a person."""
+        return f"{self.slot.title}: {self.rule.name}"
