@@ -2,6 +2,7 @@
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
+JOBS   ?= $(shell nproc)
 CELL   ?= configs/cells/paper.toml
 
 .DEFAULT_GOAL := help
@@ -28,7 +29,8 @@ test: $(VENV)/.installed  ## format, lint, types, import contracts, tests
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/pytest
+	$(BIN)/pytest -m "not realtime" -n $(JOBS) --dist worksteal
+	$(BIN)/pytest -m realtime
 
 test-fresh: $(VENV)/.installed  ## `make run` on minimal Debian 12 and 13, each in a tree of its own; root, 2 min each
 	$(BIN)/pytest --fresh tests/process/install/test_fresh_machine.py

@@ -16,6 +16,8 @@ from tests.support.coop import coop
 CELL = configs.CELLS_DIR / "two_wx200.toml"
 FAULT_S = 12.0  # of the emulator's time, which begins some seconds before the trajectory
 
+pytestmark = pytest.mark.realtime
+
 
 @pytest.mark.parametrize(
     ("fault", "named"),

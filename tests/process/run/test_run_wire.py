@@ -15,6 +15,7 @@ from tests.support.coop import coop
 
 CELL = configs.CELLS_DIR / "two_wx200.toml"
 ATTEMPTS = 3
+pytestmark = pytest.mark.realtime
 # 1.5 times the bounds of the simulated driver with all servo effects
 BOUND_M, BOUND_RAD = 1.5e-3, 3e-3
 
