@@ -12,10 +12,10 @@ from agent.control import adaptive
 from agent.control.adaptation import Adaptation, Estimate
 from agent.control.trajectory import Trajectory
 from drivers.interface import Vector
-from tests.property.control.test_control_closed_loop import gentle_cell
 from tests.support.control import coupled_motion, oracle
 from tests.support.control.adaptive_cells import adaptation, nominal_of
 from tests.support.control.coupled_motion import Instant
+from tests.support.control.gentle import gentle_cell
 from tests.support.control.strategies import RandomCell
 
 STEP = 0.005  # s
