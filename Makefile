@@ -2,10 +2,11 @@
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
+JOBS   ?= $(shell nproc)
 CELL   ?= configs/cells/paper.toml
 
 .DEFAULT_GOAL := help
-.PHONY: help run test test-fresh bench format clean
+.PHONY: help run test test-fresh mutate bench format clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## */\1\t/' | expand -t 12
@@ -28,10 +29,14 @@ test: $(VENV)/.installed  ## format, lint, types, import contracts, tests
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/pytest
+	$(BIN)/pytest -m "not realtime" -n $(JOBS) --dist worksteal
+	$(BIN)/pytest -m realtime
 
 test-fresh: $(VENV)/.installed  ## `make run` on minimal Debian 12 and 13, each in a tree of its own; root, 2 min each
 	$(BIN)/pytest --fresh tests/process/install/test_fresh_machine.py
+
+mutate: $(VENV)/.installed  ## one-line changes that a test must notice; MUTATE_ONLY=TEXT for some modules
+	$(BIN)/python -m tests.mutate
 
 bench: $(VENV)/.installed  ## speed and memory; BENCH_OUT=FILE writes the figures as JSON
 	$(BIN)/python -m tests.bench $(if $(BENCH_OUT),--out $(BENCH_OUT))

@@ -5,26 +5,31 @@ from __future__ import annotations
 import os
 
 import pytest
-from hypothesis import settings
+from hypothesis import Phase, settings
+
+pytest.register_assert_rewrite("tests.support.driver_contract")
 
 # The same examples in every run, so that a red run means a change; HYPOTHESIS_PROFILE=explore looks for new ones.
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.register_profile("explore", derandomize=False, deadline=None)
+# `make mutate` asks whether a test fails, not for the smallest example of it
+settings.register_profile("mutate", derandomize=True, deadline=None, phases=(Phase.explicit, Phase.generate))
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """`-m hardware --hardware CELL --arm NAME`: supported, unloaded, nobody within reach.  `--fresh`: Debian trees."""
+    """`--hardware CELL --arm NAME`: an arm, supported, unloaded, nobody within reach.  `--fresh`: Debian trees."""
     group = parser.getgroup("hardware")
-    group.addoption("--hardware", metavar="CELL", help="cell file of the real arm to test")
+    group.addoption("--hardware", metavar="CELL", help="cell file of the real arm to test (tests/hardware)")
     group.addoption("--arm", metavar="NAME", help="which arm of that cell")
     parser.addoption("--fresh", action="store_true", help="build Debian trees and run in them (make test-fresh)")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out what takes minutes and downloads, unless it is asked for."""
-    if config.getoption("--fresh"):
-        return
+    """Leave out what needs an arm, and what takes minutes and downloads, unless it is asked for."""
+    arm = config.getoption("--hardware") and config.getoption("--arm")
     for item in items:
-        if item.get_closest_marker("fresh"):
+        if item.get_closest_marker("fresh") and not config.getoption("--fresh"):
             item.add_marker(pytest.mark.skip(reason="two minutes and 300 MB per Debian release: make test-fresh"))
+        if item.get_closest_marker("hardware") and not arm:
+            item.add_marker(pytest.mark.skip(reason="needs a real arm: --hardware CELL --arm NAME"))

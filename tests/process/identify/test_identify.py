@@ -3,21 +3,15 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 import configs
 from agent.config.cell import cell_from_toml, load_cell
+from tests.support.coop import PAPER, coop
 
 CELL = configs.CELLS_DIR / "identify_wx200.toml"
-COOP = [sys.executable, "-m", "agent.cli"]
-
-
-def coop(*arguments: str | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([*COOP, *map(str, arguments)], cwd=cwd, capture_output=True, text=True, timeout=110)
 
 
 @pytest.fixture(scope="module")
@@ -57,10 +51,10 @@ def test_the_summary_is_complete(run: Path, tmp_path: Path) -> None:
         assert joint["rms_residual_Nm"] < 0.02 * joint["rms_torque_Nm"] + 2e-3
 
 
-def test_a_log_of_several_arms_is_refused_in_one_line_and_nothing_is_written(tmp_path: Path) -> None:
-    done = coop("run", configs.CELLS_DIR / "paper.toml", "--duration", "1", "--out", "run", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    done = coop("identify", tmp_path / "run" / "run.mcap", "--out", "new", cwd=tmp_path)
+def test_a_log_of_several_arms_is_refused_in_one_line_and_nothing_is_written(
+    paper_runs: tuple[Path, Path], tmp_path: Path
+) -> None:
+    done = coop("identify", paper_runs[0] / "run.mcap", "--out", "new", cwd=tmp_path)
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
     assert "found 2 arms on one object" in done.stderr
@@ -78,8 +72,8 @@ def test_a_log_that_was_cut_is_refused_in_one_line(run: Path, tmp_path: Path) ->
 
 def test_gains_are_proposed_and_written_and_pass_the_check(tmp_path: Path) -> None:
     slow = ("--set", "rate_hz=120.0")
-    assert coop("check", configs.CELLS_DIR / "paper.toml", *slow, cwd=tmp_path).returncode == 2
-    done = coop("tune", configs.CELLS_DIR / "paper.toml", *slow, "--write", "slow.toml", cwd=tmp_path)
+    assert coop("check", PAPER, *slow, cwd=tmp_path).returncode == 2
+    done = coop("tune", PAPER, *slow, "--write", "slow.toml", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "k_p_per_s = " in done.stdout
     checked = coop("check", "slow.toml", cwd=tmp_path)

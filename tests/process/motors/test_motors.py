@@ -17,19 +17,15 @@ import dynamixel_sdk as sdk
 import pytest
 
 import configs
+from tests.support.coop import COOP, coop
 from tests.support.servos.motor_emulator import loose_servos
 
-COOP = [sys.executable, "-m", "agent.cli"]
 TWO_WX200 = str(configs.CELLS_DIR / "two_wx200.toml")
 XM, XL = "XM430-W350", "XL430-W250"
 THREE = ({"model": XM, "servo_id": 2, "Baud_Rate": 3}, {"model": XM, "servo_id": 3, "Baud_Rate": 3}, {
     "model": XL, "servo_id": 9, "Baud_Rate": 3,
 })  # fmt: skip
 SEARCH_S = 60
-
-
-def coop(*arguments: str | Path, stdin: str = "") -> subprocess.CompletedProcess[str]:
-    return subprocess.run([*COOP, *map(str, arguments)], input=stdin, capture_output=True, text=True, timeout=SEARCH_S)
 
 
 class Witness:

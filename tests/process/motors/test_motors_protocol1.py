@@ -18,6 +18,8 @@ from drivers.dynamixel.line import protocol1
 
 AX_12A, MX_28, PING, READ = 12, 29, 1, 2
 
+pytestmark = pytest.mark.realtime
+
 
 def status(servo_id: int, data: bytes = b"") -> bytes:
     body = bytes((servo_id, len(data) + 2, 0)) + data

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import threading
 import time
 from pathlib import Path
@@ -12,31 +10,18 @@ import numpy as np
 import zenoh
 from numpy.typing import NDArray
 
-import configs
 from agent.log.read import read_log
 from agent.telemetry.ring.ring import RingReader
 from agent.telemetry.row.sample import AGENT_STATE
+from tests.process.conftest import PAPER_RUN_S
+from tests.support.coop import PAPER, ready, start
 
-PAPER = str(configs.CELLS_DIR / "paper.toml")
-COOP = [sys.executable, "-m", "agent.cli"]
-SECONDS = 3
 COMPARED = [f.name for f in AGENT_STATE.fields if not f.timing and f.name != "config_id"]
-
-
-def start(*arguments: str, cwd: Path) -> subprocess.Popen[str]:
-    return subprocess.Popen([*COOP, *arguments], cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-
-
-def ready(process: subprocess.Popen[str]) -> str:
-    assert process.stdout is not None
-    line = process.stdout.readline()
-    assert line.startswith("READY"), process.communicate()
-    return line
 
 
 def short_cell(folder: Path) -> str:
     path = folder / "cell.toml"
-    path.write_text(Path(PAPER).read_text().replace("duration_s = 100.0", f"duration_s = {SECONDS}"))
+    path.write_text(PAPER.read_text().replace("duration_s = 100.0", f"duration_s = {PAPER_RUN_S}"))
     return str(path)
 
 
@@ -120,20 +105,16 @@ def flooded(folder: Path) -> dict[str, NDArray[np.void]]:
     return read.agents
 
 
-def test_torque_is_the_same_without_network_with_it_and_under_a_flood(tmp_path: Path) -> None:
-    folders = [tmp_path / name for name in ("absent", "present", "flooded")]
+def test_torque_is_the_same_without_network_with_it_and_under_a_flood(
+    paper_runs: tuple[Path, Path], tmp_path: Path
+) -> None:
+    folders = [tmp_path / name for name in ("absent", "flooded")]
     for folder in folders:
         folder.mkdir()
-    absent = without_network(folders[0])
-    done = subprocess.run(
-        [*COOP, "run", PAPER, "--duration", str(SECONDS), "--out", str(folders[1] / "out")],
-        capture_output=True, text=True, timeout=110,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    present = read_log(folders[1] / "out" / "run.mcap").agents
-    under_flood = flooded(folders[2])
+    absent, under_flood = without_network(folders[0]), flooded(folders[1])
+    present = read_log(paper_runs[0] / "run.mcap").agents
     for arm in ("left", "right"):
-        assert len(absent[arm]) == SECONDS * 200
+        assert len(absent[arm]) == PAPER_RUN_S * 200
         for other in (present[arm], under_flood[arm]):
             for name in COMPARED:
                 assert absent[arm][name].tobytes() == other[name].tobytes(), (arm, name)

@@ -2,35 +2,27 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import psutil
 import pytest
 
-import configs
 from agent.log.read import RunLog, read_log
 from agent.telemetry.row.sample import AGENT_STATE
+from tests.process.conftest import PAPER_RUN_S
+from tests.support.coop import PAPER, coop, ready, start
 
-PAPER = str(configs.CELLS_DIR / "paper.toml")
-COOP = [sys.executable, "-m", "agent.cli"]
-
-
-def coop(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([*COOP, *arguments], cwd=cwd, capture_output=True, text=True, timeout=110)
-
-
-def start(*arguments: str, cwd: Path) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [*COOP, *arguments], cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
-    )
+ROWS = 200 * PAPER_RUN_S
 
 
 def ours(token: str) -> list[psutil.Process]:
@@ -64,31 +56,28 @@ def wait_for_rows(out: Path, run: subprocess.Popen[str], timeout_s: float = 60.0
         time.sleep(0.05)
 
 
-@pytest.fixture(scope="module")
-def two_runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """The same cell, twice."""
-    folder = tmp_path_factory.mktemp("runs")
-    for name in ("a", "b"):
-        done = coop("run", PAPER, "--duration", "3", "--out", name, cwd=folder)
-        assert done.returncode == 0, done.stderr
-    return folder / "a", folder / "b"
-
-
 @pytest.fixture
 def nothing_left(tmp_path: Path) -> Iterator[Path]:
-    """A folder to run in; afterwards no process of the run and no file in shared memory may be left."""
+    """A folder to run in, `left_clean` by the test."""
+    with left_clean(tmp_path) as folder:
+        yield folder
+
+
+@contextlib.contextmanager
+def left_clean(folder: Path) -> Iterator[Path]:
+    """Afterwards no process of a run in this folder and no file in shared memory may be left."""
     before = set(Path("/dev/shm").glob("coop-*"))
-    yield tmp_path
+    yield folder
     deadline = time.monotonic() + 10
-    while ours(str(tmp_path)) and time.monotonic() < deadline:
+    while ours(str(folder)) and time.monotonic() < deadline:
         time.sleep(0.05)
-    assert ours(str(tmp_path)) == []
+    assert ours(str(folder)) == []
     left = set(Path("/dev/shm").glob("coop-*")) - before
     assert [folder for folder in left if not ours(str(folder))] == [], "a folder that no other run uses"
 
 
-def test_a_run_leaves_log_report_figures_and_results(two_runs: tuple[Path, Path]) -> None:
-    out = two_runs[0]
+def test_a_run_leaves_log_report_figures_and_results(paper_runs: tuple[Path, Path]) -> None:
+    out = paper_runs[0]
     names = {p.name for p in out.iterdir()}
     assert {"run.mcap", "report.html", "results.json"} <= names
     assert sum(n.endswith(".png") for n in names) >= 4
@@ -98,15 +87,15 @@ def test_a_run_leaves_log_report_figures_and_results(two_runs: tuple[Path, Path]
         "rows_expected", "rows_recorded", "real_time_factor", "late_cycles", "complete",
     ):  # fmt: skip
         assert key in results
-    assert results["rows_expected"] == results["rows_recorded"] == 1200
+    assert results["rows_expected"] == results["rows_recorded"] == 2 * ROWS
     assert results["complete"] is True
 
 
-def test_two_runs_of_a_cell_give_the_same_rows_byte_for_byte(two_runs: tuple[Path, Path]) -> None:
-    a, b = (read_log(p / "run.mcap") for p in two_runs)
+def test_two_runs_of_a_cell_give_the_same_rows_byte_for_byte(paper_runs: tuple[Path, Path]) -> None:
+    a, b = (read_log(p / "run.mcap") for p in paper_runs)
     compared = [f.name for f in AGENT_STATE.fields if not f.timing]
     for arm in ("left", "right"):
-        assert len(a.agents[arm]) == 600
+        assert len(a.agents[arm]) == ROWS
         for name in compared:
             assert a.agents[arm][name].tobytes() == b.agents[arm][name].tobytes(), (arm, name)
     assert a.plant is not None
@@ -114,30 +103,55 @@ def test_two_runs_of_a_cell_give_the_same_rows_byte_for_byte(two_runs: tuple[Pat
     assert a.plant["p_object"].tobytes() == b.plant["p_object"].tobytes()
 
 
-def test_the_log_holds_what_is_needed_to_redo_the_run(two_runs: tuple[Path, Path]) -> None:
-    log: RunLog = read_log(two_runs[0] / "run.mcap")
+def test_the_log_holds_what_is_needed_to_redo_the_run(paper_runs: tuple[Path, Path]) -> None:
+    log: RunLog = read_log(paper_runs[0] / "run.mcap")
     assert b'name = "paper"' in log.attachments["cell.toml"]
     assert log.attachments["widowx_mk2.urdf"].startswith(b"<?xml")
     assert log.run_info()["cell"] == "paper"
     assert "numpy" in log.run_info()["versions"]
 
 
-def test_the_logged_torque_is_the_sum_of_its_logged_terms(two_runs: tuple[Path, Path]) -> None:
-    for rows in read_log(two_runs[0] / "run.mcap").agents.values():
+def test_the_logged_torque_is_the_sum_of_its_logged_terms(paper_runs: tuple[Path, Path]) -> None:
+    for rows in read_log(paper_runs[0] / "run.mcap").agents.values():
         terms = [n for n in rows.dtype.names or () if n.startswith("tau_")]
         summed = [n for n in terms if n not in ("tau_measured", "tau_cmd", "tau_limited", "tau_sent")]
         np.testing.assert_allclose(sum(rows[n] for n in summed), rows["tau_cmd"], atol=1e-12)
 
 
-def test_ctrl_c_ends_everything_and_leaves_a_readable_log(nothing_left: Path) -> None:
-    run = start("run", PAPER, "--duration", "1000", "--out", str(nothing_left / "out"), cwd=nothing_left)
-    wait_for_rows(nothing_left / "out", run)
-    run.send_signal(signal.SIGINT)
-    out, err = run.communicate(timeout=60)
-    assert run.returncode == 130, err
-    assert "stopped by request" in out
-    log = read_log(nothing_left / "out" / "run.mcap")
-    assert min(len(rows) for rows in log.agents.values()) > 0
+@dataclass(frozen=True)
+class Stopped:
+    """A run that was looked at and then ended by Ctrl-C."""
+
+    inet: list[Any]  # network sockets of the left arm's agent while it ran
+    mapped: list[str]  # files in its memory
+    returncode: int
+    out: str
+    err: str
+    log: RunLog
+
+
+@pytest.fixture(scope="module")
+def stopped(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stopped]:
+    with left_clean(tmp_path_factory.mktemp("stopped")) as folder:
+        run = start("run", PAPER, "--duration", "1000", "--out", folder / "out", cwd=folder)
+        wait_for_rows(folder / "out", run)
+        agent = child("--arm left", run)
+        inet, mapped = agent.net_connections(kind="inet"), [m.path for m in agent.memory_maps()]
+        run.send_signal(signal.SIGINT)
+        out, err = run.communicate(timeout=60)
+        yield Stopped(inet, mapped, run.returncode, out, err, read_log(folder / "out" / "run.mcap"))
+
+
+def test_ctrl_c_ends_everything_and_leaves_a_readable_log(stopped: Stopped) -> None:
+    assert stopped.returncode == 130, stopped.err
+    assert "stopped by request" in stopped.out
+    assert min(len(rows) for rows in stopped.log.agents.values()) > 0
+
+
+def test_the_agent_process_opens_no_network_socket(stopped: Stopped) -> None:
+    assert stopped.inet == []
+    assert len(stopped.mapped) > 50, "the libraries of a process that was there"
+    assert not any("zenoh" in path or "mcap" in path for path in stopped.mapped)
 
 
 def test_a_killed_agent_is_named_and_the_log_is_readable(nothing_left: Path) -> None:
@@ -191,19 +205,18 @@ def test_an_output_folder_that_cannot_be_made_is_one_line(nothing_left: Path) ->
     assert len(done.stderr.strip().splitlines()) == 1
 
 
-def test_a_second_run_into_the_same_folder_is_refused(two_runs: tuple[Path, Path]) -> None:
-    before = (two_runs[0] / "run.mcap").read_bytes()
-    done = coop("run", PAPER, "--duration", "3", "--out", str(two_runs[0]), cwd=two_runs[0])
+def test_a_second_run_into_the_same_folder_is_refused(paper_runs: tuple[Path, Path]) -> None:
+    before = (paper_runs[0] / "run.mcap").read_bytes()
+    done = coop("run", PAPER, "--duration", PAPER_RUN_S, "--out", paper_runs[0], cwd=paper_runs[0])
     assert done.returncode == 2
     assert "earlier run" in done.stderr
-    assert (two_runs[0] / "run.mcap").read_bytes() == before
+    assert (paper_runs[0] / "run.mcap").read_bytes() == before
 
 
 def test_an_occupied_plant_socket_is_refused(nothing_left: Path) -> None:
     place = ["--socket", str(nothing_left / "p.sock"), "--ring", str(nothing_left / "p.ring")]
     first = start("plant", PAPER, *place, cwd=nothing_left)
-    assert first.stdout is not None
-    assert first.stdout.readline().startswith("READY")
+    ready(first)
     second = coop("plant", PAPER, "--socket", place[1], "--ring", str(nothing_left / "q.ring"), cwd=nothing_left)
     assert second.returncode != 0
     assert "p.sock" in second.stderr
@@ -227,13 +240,3 @@ def test_an_agent_without_a_plant_says_so(nothing_left: Path) -> None:
     assert done.returncode == 3
     assert "start the plant of this cell first" in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
-
-
-def test_the_agent_process_opens_no_network_socket(nothing_left: Path) -> None:
-    run = start("run", PAPER, "--duration", "1000", "--out", str(nothing_left / "out"), cwd=nothing_left)
-    wait_for_rows(nothing_left / "out", run)
-    agent = child("--arm left", run)
-    assert agent.net_connections(kind="inet") == []
-    assert not any("zenoh" in m.path or "mcap" in m.path for m in agent.memory_maps())
-    run.send_signal(signal.SIGINT)
-    run.communicate(timeout=60)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +11,12 @@ import pytest
 import configs
 from agent.log.read import read_log
 from agent.modes import Mode
+from tests.support.coop import coop
 
-CELL = str(configs.CELLS_DIR / "two_wx200.toml")
+CELL = configs.CELLS_DIR / "two_wx200.toml"
 FAULT_S = 12.0  # of the emulator's time, which begins some seconds before the trajectory
+
+pytestmark = pytest.mark.realtime
 
 
 @pytest.mark.parametrize(
@@ -29,11 +30,9 @@ FAULT_S = 12.0  # of the emulator's time, which begins some seconds before the t
 )
 def test_a_lost_servo_is_named_and_both_arms_hold(tmp_path: Path, fault: dict[str, object], named: str) -> None:
     (tmp_path / "faults.jsonl").write_text(json.dumps({"arm": "left", "start_s": FAULT_S, **fault}))
-    done = subprocess.run(
-        [sys.executable, "-m", "agent.cli", "run", CELL, "--wire", "--duration", "15", "--out", str(tmp_path / "out"),
-         "--faults", str(tmp_path / "faults.jsonl"), "--set", "report.transient_s=1",
-         "--set", "safety.tracking_error_max_m=0.02"],
-        capture_output=True, text=True, timeout=110,
+    done = coop(
+        "run", CELL, "--wire", "--duration", "15", "--out", "out", "--faults", "faults.jsonl",
+        "--set", "report.transient_s=1", "--set", "safety.tracking_error_max_m=0.02", cwd=tmp_path,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     log = read_log(tmp_path / "out" / "run.mcap")
@@ -52,10 +51,7 @@ def test_a_lost_servo_is_named_and_both_arms_hold(tmp_path: Path, fault: dict[st
 
 def test_faults_without_emulated_servos_are_refused(tmp_path: Path) -> None:
     (tmp_path / "faults.jsonl").write_text("")
-    done = subprocess.run(
-        [sys.executable, "-m", "agent.cli", "run", CELL, "--faults", str(tmp_path / "faults.jsonl")],
-        cwd=tmp_path, capture_output=True, text=True, timeout=60,
-    )  # fmt: skip
+    done = coop("run", CELL, "--faults", "faults.jsonl", cwd=tmp_path)
     assert done.returncode == 2
     assert "add --wire" in done.stderr
     assert not (tmp_path / "runs").exists()

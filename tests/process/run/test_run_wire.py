@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,19 +11,17 @@ import pytest
 import configs
 from agent.log.read import RunLog, read_log
 from agent.safety import Flag
+from tests.support.coop import coop
 
-CELL = str(configs.CELLS_DIR / "two_wx200.toml")
+CELL = configs.CELLS_DIR / "two_wx200.toml"
 ATTEMPTS = 3
+pytestmark = pytest.mark.realtime
 # 1.5 times the bounds of the simulated driver with all servo effects
 BOUND_M, BOUND_RAD = 1.5e-3, 3e-3
 
 
 def run(out: Path) -> RunLog:
-    done = subprocess.run(
-        [sys.executable, "-m", "agent.cli", "run", CELL, "--wire", "--duration", "20", "--out", str(out),
-         "--set", "report.transient_s=8"],
-        capture_output=True, text=True, timeout=110,
-    )  # fmt: skip
+    done = coop("run", CELL, "--wire", "--duration", "20", "--out", out, "--set", "report.transient_s=8")
     assert done.returncode == 0, done.stderr
     return read_log(out / "run.mcap")
 

@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
 
 from agent.control import known
-from agent.control.errors import Gains
-from agent.control.quaternion import from_axis_angle, multiply
-from agent.control.trajectory import Sinusoid, Trajectory
+from agent.control.trajectory import Trajectory
 from drivers.interface import Vector
 from tests.support.control import coupled_motion, oracle
 from tests.support.control.coupled_motion import Instant
-from tests.support.control.strategies import RandomCell, make_cell, quaternion_of, with_internal_wrenches
+from tests.support.control.gentle import gentle_cell
+from tests.support.control.strategies import RandomCell, with_internal_wrenches
 
 DURATION = 1.0  # s
 STEP = 0.005  # s
-FASTEST_MODE = 250.0  # 1/s, what Runge–Kutta 4 follows well at that step
 
 
 @dataclass(frozen=True)
@@ -32,32 +30,6 @@ class Record:
     e_p: Vector
     e_eta: Vector
     e_eps: Vector
-
-
-def gentle(cell: RandomCell, sign: float) -> tuple[RandomCell, Trajectory]:
-    """The cell at rest nearly, with gains that the integrator can follow, and a motion within its reach.
-
-    sign: −1 for a desired quaternion that begins at e_η < 0.
-    """
-    P, T = cell.P, cell.T_world_object
-    light = [replace(a, dq=0.1 * a.dq) for a in cell.arms]
-    for a in light:
-        a.model.model.armature = np.full(a.model.n, 0.003)
-    cell = replace(cell, arms=tuple(light), v_object=0.1 * cell.v_object)
-    now = coupled_motion.observe(cell, 0.0, coupled_motion.start(cell)).terms
-    shape = np.array([1.0, 1.0, 1.0, 0.03, 0.03, 0.03])
-    rates = np.linalg.eigvals(np.linalg.solve(now.M, P @ np.diag(shape) @ P.T)).real
-    k_v = tuple((FASTEST_MODE / rates.max() / len(light) * shape).tolist())
-    k, k_eps = (8.0, 8.0, 8.0), (16.0, 16.0, 16.0)  # e = −e_η e_ε is half the angle: the same speed
-    arms = tuple(replace(a, offline=replace(a.offline, gains=Gains(k, k_eps, k, k_eps, k_v))) for a in light)
-    axis = tuple((P[2, 3:] if len(P) == 3 else np.array([0.36, 0.48, 0.8])).tolist())
-    offset = 0.01 * (P.T @ np.ones(len(P)))[:3]
-    quat = multiply(from_axis_angle(axis, 0.3), quaternion_of(T))
-    centre = tuple(sign * x for x in quat)
-    trajectory = Sinusoid(
-        tuple((T.translation + offset).tolist()), tuple((0.5 * offset).tolist()), centre, axis, 0.1, 3.0
-    )
-    return replace(cell, arms=arms), trajectory
 
 
 def simulate(cell: RandomCell, trajectory: Trajectory, h: float) -> Record:
@@ -94,10 +66,6 @@ def balance_error(record: Record) -> float:
 
 def share_error(record: Record) -> float:
     return float(np.abs(record.shares - record.V).max() / record.V[0])
-
-
-def gentle_cell(seed: int, planar: bool, arm_count: int, sign: float = 1.0) -> tuple[RandomCell, Trajectory]:
-    return gentle(make_cell(seed, planar, arm_count, scalar_gains=True, sigma_min=0.08), sign)
 
 
 @pytest.mark.parametrize(("planar", "arm_count"), [(True, 2), (True, 3), (False, 2), (False, 4)])

@@ -13,11 +13,9 @@ from agent.control import known
 from agent.control.inverse import SingularJacobian, invert_jacobian
 from agent.control.models import ArmModel
 from tests.support.control import oracle
-from tests.support.control.strategies import RandomCell, cells, examples, urdf
+from tests.support.control.strategies import RandomCell, cells, examples, urdf_on_rail
 
 SEEDS = st.integers(0, 2**32 - 1)
-RAIL = """<link name="floor"/><joint name="rail" type="prismatic"><parent link="floor"/><child link="base_link"/>
-<axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="10" velocity="1"/></joint>"""
 
 
 def random_inertia_matrix(rng: np.random.Generator, n: int) -> np.ndarray:
@@ -54,7 +52,7 @@ def test_redundant_inverse_is_dynamically_consistent(seed: int) -> None:
 def test_an_arm_on_a_rail_applies_the_printed_wrench(cell: RandomCell, seed: int) -> None:
     """Seven joints: what reaches the object is u_i of the printed law with the redundant arm's M_i, C_i, g_i."""
     six = cell.arms[0]
-    xml = urdf(six.name).replace('<link name="base_link"', RAIL + '<link name="base_link"', 1)
+    xml = urdf_on_rail(six.name)
     joints = ("rail", *six.model.joints)
     rotor = np.array([2.0, *six.model.model.armature])
     model = ArmModel(

@@ -18,8 +18,7 @@ from agent.control.posture import Posture
 from agent.control.quaternion import angle_between
 from agent.control.trajectory import Desired
 from drivers.interface import Vector
-from tests.property.control.test_control_inverse import RAIL
-from tests.support.control.strategies import RandomCell, cells, examples, urdf
+from tests.support.control.strategies import RandomCell, cells, examples, urdf_on_rail
 
 POSTURE = Posture((0.25, *(0.1,) * 6), 4.0, 3.0)
 
@@ -27,7 +26,7 @@ POSTURE = Posture((0.25, *(0.1,) * 6), 4.0, 3.0)
 def on_a_rail(cell: RandomCell) -> tuple[ArmModel, Offline, Vector]:
     """The first arm of the cell on a seventh, prismatic joint; its offline data with the posture; its start."""
     six = cell.arms[0]
-    xml = urdf(six.name).replace('<link name="base_link"', RAIL + '<link name="base_link"', 1)
+    xml = urdf_on_rail(six.name)
     rotor = np.array([2.0, *six.model.model.armature])
     model = ArmModel(
         xml, ("rail", *six.model.joints), {}, six.T_world_base, "ee", six.T_object_ee, rotor,
@@ -56,7 +55,7 @@ def test_posture_neither_pushes_nor_moves_the_object(cell: RandomCell, seed: int
 
 def test_seven_joints_hold_the_object_while_the_posture_settles() -> None:
     """Closed loop of one arm alone: the rail moves to its place, the object stays where it is."""
-    xml = urdf("wx250s").replace('<link name="base_link"', RAIL + '<link name="base_link"', 1)
+    xml = urdf_on_rail("wx250s")
     joints = ("rail", "waist", "shoulder", "elbow", "forearm_roll", "wrist_angle", "wrist_rotate")
     grasp = pin.SE3(np.eye(3), np.array([-0.05, 0.0, 0.0]))
     gravity = np.array([0.0, 0.0, -9.81])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -14,7 +16,9 @@ TRANSIENT_S = 20.0
 SERVOS = ('controller.velocity="servo"',)
 
 
+@cache
 def run(name: str, *overrides: str) -> History:
+    """The same for all tests that ask: nobody changes it."""
     return simulate(load_cell(configs.CELLS_DIR / f"{name}.toml", overrides), DURATION_S)
 
 
@@ -38,15 +42,16 @@ def test_errors_after_the_transient(cell: str, overrides: tuple[str, ...], bound
 
 @pytest.mark.parametrize("cell", ["paper_ideal", "paper"])
 def test_the_start_error_decays(cell: str) -> None:
-    history = simulate(load_cell(configs.CELLS_DIR / f"{cell}.toml"), 3.0)
+    history = run(cell)
     assert history.e_p_m[0] > 3e-3
     assert history.after(1.0)[0] < 0.3 * history.e_p_m[0]
 
 
 def test_torques_stay_below_half_of_stall() -> None:
-    cell = load_cell(configs.CELLS_DIR / "paper.toml", ("safety.tau_max_fraction_of_stall=1.0",))
+    unbounded = ("safety.tau_max_fraction_of_stall=1.0",)
+    cell = load_cell(configs.CELLS_DIR / "paper.toml", unbounded)
     stall = np.concatenate([arm.tau_stall_Nm for arm in cell.arms])
-    assert (np.abs(np.array(simulate(cell, DURATION_S).tau)).max(axis=0) < 0.5 * stall).all()
+    assert (np.abs(np.array(run("paper", *unbounded).tau)).max(axis=0) < 0.5 * stall).all()
 
 
 def test_the_observer_calms_the_torque() -> None:

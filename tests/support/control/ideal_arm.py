@@ -57,29 +57,34 @@ class IdealCell:
 
     def terms(self, t: float, T: pin.SE3, v: Vector) -> list[Terms]:
         """Each agent's tick with the object at T, moving with v (6,) in world axes."""
-        desired = self.trajectory.at(t)
-        found = []
+        return [terms for terms, _ in self._ticks(t, T, v)]
+
+    def _ticks(self, t: float, T: pin.SE3, v: Vector) -> list[tuple[Terms, Vector]]:
+        """Terms of each agent with the inverse (6, 6) of its arm's object Jacobian, written down from the geometry."""
+        desired, found = self.trajectory.at(t), []
         for model, grasp, offline in zip(self.models, self.grasps, self.offlines, strict=True):
             ee = T * grasp
-            q = np.concatenate([ee.translation, pin.Quaternion(ee.rotation).coeffs()])
-            k = model.evaluate(q, np.zeros(6))
-            found.append(known.torque(model, offline, q, np.linalg.solve(k.J, v), desired))
+            R, (x, y, z) = ee.rotation, (ee.translation - T.translation).tolist()
+            J_inv = np.zeros((6, 6))  # the carriage goes where the ball goes, the ball turns in its own axes
+            J_inv[:3] = ((1, 0, 0, 0, z, -y), (0, 1, 0, -z, 0, x), (0, 0, 1, y, -x, 0))
+            J_inv[3:, 3:] = R.T
+            q = np.array(pin.SE3ToXYZQUATtuple(ee))
+            found.append((known.torque(model, offline, q, J_inv.dot(v), desired), J_inv))
         return found
 
     def acceleration(self, t: float, T: pin.SE3, v: Vector) -> Vector:
         """Object acceleration (6,) of the coupled dynamics (`eq:coupled dynamics`) under all agents' torques."""
         first = self.offlines[0]
         R = T.rotation
-        inertia = R @ np.array(first.object_inertia).reshape(3, 3) @ R.T
+        inertia = R.dot(np.array(first.object_inertia).reshape(3, 3)).dot(R.T)
         M = np.zeros((6, 6))
         M[:3, :3], M[3:, 3:] = first.object_mass_kg * np.eye(3), inertia
-        f = np.concatenate([first.object_mass_kg * GRAVITY, -np.cross(v[3:], inertia @ v[3:])])
-        for terms in self.terms(t, T, v):
+        f = np.concatenate([first.object_mass_kg * GRAVITY, -pin.skew(v[3:]).dot(inertia.dot(v[3:]))])
+        for terms, J_inv in self._ticks(t, T, v):
             k = terms.kinematics
-            J_inv = np.linalg.inv(k.J)
-            dq = J_inv @ v
-            M = M + J_inv.T @ k.B @ J_inv
-            f = f + J_inv.T @ (terms.tau_cmd - k.C @ dq - k.g + k.B @ (J_inv @ (k.dJ @ dq)))
+            dq, Jt_inv = J_inv.dot(v), J_inv.T
+            M += Jt_inv.dot(k.B).dot(J_inv)
+            f += Jt_inv.dot(terms.tau_cmd - k.C.dot(dq) - k.g + k.B.dot(J_inv.dot(k.dJ.dot(dq))))
         return np.linalg.solve(M, f)
 
     def step(self, t: float, T: pin.SE3, v: Vector, h: float) -> tuple[pin.SE3, Vector]:

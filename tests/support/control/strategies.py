@@ -32,8 +32,8 @@ SIGMA_MIN = 0.1
 
 
 def examples(count: int) -> settings:
-    """Reproducible hypothesis settings: the same examples on every machine, no deadline, nothing stored."""
-    return settings(max_examples=count, derandomize=True, deadline=None, database=None)
+    """Hypothesis settings of the loaded profile (tests/conftest.py) with so many examples."""
+    return settings(max_examples=count)
 
 
 @dataclass(frozen=True)
@@ -105,6 +105,15 @@ def random_inertia(rng: np.random.Generator) -> Vector:
 def urdf(name: str) -> str:
     """Text of a shipped URDF."""
     return (configs.ARMS_DIR / f"{name}.urdf").read_text()
+
+
+RAIL = """<link name="floor"/><joint name="rail" type="prismatic"><parent link="floor"/><child link="base_link"/>
+<axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="10" velocity="1"/></joint>"""
+
+
+def urdf_on_rail(name: str) -> str:
+    """Text of a shipped URDF with a joint `rail` below its base."""
+    return urdf(name).replace('<link name="base_link"', RAIL + '<link name="base_link"', 1)
 
 
 def controlled_joints(planar: bool) -> tuple[str, ...]:
