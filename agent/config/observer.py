@@ -10,10 +10,11 @@ def build(file: CellFile) -> Observer | None:
     """Observer of every agent of the cell; None when the law takes what the servos say."""
     if file.controller.velocity is not VelocitySource.OBSERVER:
         return None
+    gains = file.controller.observer
     return Observer(
         period_s=1.0 / file.rate_hz,
-        position_gain=0.2,
-        velocity_gain_per_s=5.0,
-        velocity_gain=0.2,
-        delay_cycles=min(file.simulation.effects.delay_cycles, 1),
+        position_gain=gains.position_gain,
+        velocity_from_position_per_s=gains.velocity_from_position_per_s,
+        velocity_gain=gains.velocity_gain,
+        delay_periods=file.delay_periods,
     )

@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 import configs
+from agent.config.schema.types import MISFIT
 from drivers.interface import Refusal
 
 M = TypeVar("M", bound=BaseModel)
@@ -68,17 +69,27 @@ def validate(model: type[M], document: Mapping[str, Any], source: str) -> M:
         # a misspelt key is both unknown and missing; the first of the two tells more
         problems = sorted(error.errors(), key=lambda problem: problem["type"] != "extra_forbidden")
         first = problems[0]
-        key = ".".join(str(part) for part in first["loc"]) or "the whole file"
+        key = ".".join(str(part) for part in (*first["loc"], *_named(dict(first)))) or "the whole file"
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         raise ConfigError(f"{key} in {source}{more}", **_explain(model, dict(first))) from error
+
+
+def _named(problem: dict[str, Any]) -> list[str]:
+    """The key that a validator of several values says is wrong."""
+    return [problem["ctx"]["key"]] if problem["type"] == MISFIT else []
 
 
 def _explain(model: type[BaseModel], problem: dict[str, Any]) -> dict[str, str]:
     """Found, expected and remedy of one pydantic problem."""
     kind, found = problem["type"], repr(problem["input"])
+    if kind == MISFIT:
+        return {part: problem["ctx"][part] for part in ("found", "expected", "remedy")}
     if kind == "missing":
         return {"found": "nothing", "expected": "a value", "remedy": "add the key"}
     if kind == "extra_forbidden":
+        retired = _retired_at(model, problem["loc"][:-1]).get(str(problem["loc"][-1]))
+        if retired is not None:
+            return {"found": "a key of an earlier version", "expected": "keys of this one", "remedy": retired}
         known = _keys_at(model, problem["loc"][:-1])
         near = difflib.get_close_matches(str(problem["loc"][-1]), known, n=1)
         remedy = f"did you mean {near[0]}?" if near else f"known keys: {', '.join(known)}"
@@ -90,7 +101,18 @@ def _explain(model: type[BaseModel], problem: dict[str, Any]) -> dict[str, str]:
 
 
 def _keys_at(model: type[BaseModel], location: tuple[str | int, ...]) -> list[str]:
-    """Keys allowed at a place in the file, following nested models."""
+    """Keys allowed at a place in the file."""
+    found = _model_at(model, location)
+    return sorted(found.model_fields) if found is not None else []
+
+
+def _retired_at(model: type[BaseModel], location: tuple[str | int, ...]) -> Mapping[str, str]:
+    """Keys of earlier versions at a place in the file, and what to write instead."""
+    return getattr(_model_at(model, location), "retired", {})
+
+
+def _model_at(model: type[BaseModel], location: tuple[str | int, ...]) -> type[BaseModel] | None:
+    """The model of the table at a place in the file, following nested models."""
     current: Any = model
     for part in location:
         if isinstance(part, int) or not (isinstance(current, type) and issubclass(current, BaseModel)):
@@ -99,7 +121,7 @@ def _keys_at(model: type[BaseModel], location: tuple[str | int, ...]) -> list[st
         if info is None:
             continue
         current = _model_in(info.annotation)
-    return sorted(current.model_fields) if isinstance(current, type) and issubclass(current, BaseModel) else []
+    return current if isinstance(current, type) and issubclass(current, BaseModel) else None
 
 
 def _model_in(annotation: Any) -> Any:

@@ -10,7 +10,7 @@ along the trajectory: the loop of agent.control.stability with the state a added
     a_{k+1} = a_k − T G (w_k + K x_k), G that of the desired motion: its spectral radius stays below one;
 at the start: G grows with the square of the reference acceleration, which an error e_0 drives towards K' K e_0
     (K = 150 turns millimetres into 70 m/s²).  That lasts a few ticks, so it is no question of eigenvalues: one tick's
-    adaptation may not turn e_v round, (1 + d) T² λ_max(M⁻¹ G) ≤ 1 with d cycles of delay.
+    adaptation may not turn e_v round, (1 + d) T² λ_max(M⁻¹ G) ≤ 1 with d periods of delay.
 
 TRANSIENT_SHARE of K' K e_0 is what simulated starts of the paper's cell reach when they begin to diverge (200 and
 500 Hz, with and without rotor columns, docs/adaptive.md): the limit is then passed by a factor of one to four.
@@ -29,7 +29,7 @@ from agent.control.law import Offline
 from agent.control.models import ArmModel, Matrix
 from agent.control.quaternion import Mat3, Vec3, rotate_back, to_matrix
 from agent.control.regressor import BODY_PARAMETERS, joint_regressor, object_regressor
-from agent.control.stability import SampledLoop
+from agent.control.stability import SampledLoop, task_gains
 from drivers.interface import Vector
 
 TRANSIENT_SHARE = 0.3
@@ -37,7 +37,7 @@ SMALLEST_START_ERROR = np.array([1e-3] * 3 + [5e-3] * 3)  # m, rad: no grasp is 
 
 
 @dataclass(frozen=True, slots=True)
-class Reference:
+class ReferenceTwist:
     """What the regressors depend on beside the pose: reference twist and its derivative, (6,) world axes."""
 
     v: Vector
@@ -50,7 +50,7 @@ class Point:
 
     q: Sequence[Vector]
     M: Matrix
-    reference: Reference
+    reference: ReferenceTwist
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,9 +81,9 @@ def gain_limits(
     first, g = points[0], agents[0].gains
     e = np.maximum(np.abs(start_error), SMALLEST_START_ERROR)
     K, K_rate = np.array([*g.k_p, *g.k_eps]), np.array([*g.k_p_rate, *g.k_eps_rate])
-    transient = Reference(-K * e, TRANSIENT_SHARE * K_rate * K * e)
+    transient = ReferenceTwist(-K * e, TRANSIENT_SHARE * K_rate * K * e)
     G_arm, G_object = _adaptation_matrices(models, agents, first.q, transient, P)
-    over = (1 + loop.delay_cycles) * loop.period_s**2
+    over = (1.0 + loop.delay_periods) * loop.period_s**2
     return GainLimits(
         arm=min(arm, _reciprocal(over * _largest_eigenvalue(first.M, G_arm))),
         object=min(body, _reciprocal(over * _largest_eigenvalue(first.M, G_object))),
@@ -99,7 +99,7 @@ def believed_inertia(
     """
     P = models[0].task_basis
     M = np.zeros((len(P), len(P)))
-    still = Reference(np.zeros(6), np.zeros(6))
+    still = ReferenceTwist(np.zeros(6), np.zeros(6))
     for model, agent, q_i in zip(models, agents, q, strict=True):
         adaptation = _adaptive(agent)
         estimate = adaptation.start if start else adaptation.nominal
@@ -128,7 +128,7 @@ def _adaptive(agent: Offline) -> Adaptation:
 
 
 def _adaptation_matrices(
-    models: Sequence[ArmModel], agents: Sequence[Offline], q: Sequence[Vector], reference: Reference, P: Matrix
+    models: Sequence[ArmModel], agents: Sequence[Offline], q: Sequence[Vector], reference: ReferenceTwist, P: Matrix
 ) -> tuple[Matrix, Matrix]:
     """The arms' and the object's part of G (m, m) in the rows of P."""
     G_arm, G_object = np.zeros((len(P), len(P))), np.zeros((len(P), len(P)))
@@ -148,7 +148,7 @@ def _adaptation_matrices(
     return G_arm, G_object
 
 
-def _object_rows(model: ArmModel, agent: Offline, q: Vector, reference: Reference, P: Matrix) -> Matrix:
+def _object_rows(model: ArmModel, agent: Offline, q: Vector, reference: ReferenceTwist, P: Matrix) -> Matrix:
     """Y_O (m, 10) in the rows of P with the object momentarily at rest."""
     R: Mat3 = to_matrix(model.evaluate(q, np.zeros(model.n)).quat_object)
     still: Vec3 = (0.0, 0.0, 0.0)
@@ -173,27 +173,17 @@ def _reciprocal(x: float) -> float:
     return 1.0 / x if x > 0.0 else math.inf
 
 
-def spectral_radius(M: Matrix, G: Matrix, P: Matrix, loop: SampledLoop) -> float:
+def radius_with_adaptation(M: Matrix, G: Matrix, P: Matrix, loop: SampledLoop) -> float:
     """Largest modulus of the eigenvalues of the one-period map with adaptation; M (m, m) true and believed."""
-    m, T, d = len(M), loop.period_s, loop.delay_cycles
-    first = loop.gains[0]
-    K = P @ np.diag([*first.k_p, *first.k_eps]) @ P.T
-    K_rate = P @ np.diag([*first.k_p_rate, *first.k_eps_rate]) @ P.T
-    K_v = P @ np.diag(np.sum([g.k_v for g in loop.gains], axis=0)) @ P.T
-    H = P @ np.diag([1.0, 1.0, 1.0, 0.5, 0.5, 0.5]) @ P.T
-    M_inv, size = np.linalg.inv(M), m * (3 + d)
-    # state: x, w, a, u_{k−d}, …, u_{k−1}
-    x, w, a = (np.eye(m, size, k * m) for k in range(3))
+    m, T, n = len(M), loop.period_s, loop.on_their_way
+    K, K_rate, K_v, H = task_gains(P, loop.gains)
+    # state: H x, w, a, u_{k−1} … u_{k−n}
+    states = np.eye(m * (3 + n)).reshape(3 + n, m, -1)
+    x, w, a = states[:3]
     u = -(K_v @ K + np.eye(m)) @ x - (M @ K_rate @ H + K_v) @ w + a
-    acting = np.eye(m, size, 3 * m) if d else u
-    rows = [
-        x + T * H @ w + 0.5 * T * T * H @ M_inv @ acting,
-        w + T * M_inv @ acting,
-        a - T * G @ (w + K @ x),
-        *(np.eye(m, size, (4 + k) * m) for k in range(d - 1)),
-    ]
-    if d:
-        rows.append(u)
+    torques = [u, *states[3:]]
+    w_change, x_change = loop.moved(torques, M)
+    rows = [x + H @ (T * w + x_change), w + w_change, a - T * G @ (w + K @ x), *torques[:n]]
     return float(np.abs(np.linalg.eigvals(np.vstack(rows))).max())
 
 
@@ -202,11 +192,11 @@ def _largest_stable(M: Matrix, G: Matrix, P: Matrix, loop: SampledLoop) -> float
     if not np.any(G):
         return math.inf
     # the states of a that no regressor reaches stay where they are: modulus exactly one
-    allowed = max(1.0, spectral_radius(M, 0.0 * G, P, loop)) + 1e-7
+    allowed = max(1.0, radius_with_adaptation(M, 0.0 * G, P, loop)) + 1e-7
     low, high = 0.0, _reciprocal(loop.period_s**2 * _largest_eigenvalue(M, G)) * 16.0
-    if spectral_radius(M, high * G, P, loop) <= allowed:
+    if radius_with_adaptation(M, high * G, P, loop) <= allowed:
         return high
     while high - low > 0.01 * high:
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if spectral_radius(M, middle * G, P, loop) <= allowed else (low, middle)
+        low, high = (middle, high) if radius_with_adaptation(M, middle * G, P, loop) <= allowed else (low, middle)
     return low

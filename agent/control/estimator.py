@@ -9,7 +9,23 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from agent.control.memory import Memory
+from agent.control.models import Matrix
 from drivers.interface import Vector
+
+
+def held(period_s: float, share: float, first: Matrix, rest: Matrix) -> tuple[Matrix, Matrix]:
+    """Change over one period of a velocity, and of its position beyond period_s times the velocity at the begin.
+
+    The acceleration is `first` during the first `share` (0 to 1) of the period and `rest` from then on; arrays of any
+    one shape.
+    """
+    T = period_s
+    if share == 1.0:
+        return T * first, (0.5 * T * T) * first
+    if share == 0.0:
+        return T * rest, (0.5 * T * T) * rest
+    late = 1.0 - share
+    return T * (share * first + late * rest), (0.5 * T * T) * (share * (1.0 + late) * first + late * late * rest)
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,26 +34,29 @@ class Observer:
 
     period_s: float
     position_gain: float  # share of the position innovation that corrects the position
-    velocity_gain_per_s: float  # of the position innovation, into velocity
+    velocity_from_position_per_s: float  # of the position innovation, into velocity
     velocity_gain: float  # share of the velocity innovation that corrects the velocity
-    delay_cycles: int  # 0 or 1: torque of a tick acts from that tick, or from the next one
+    delay_periods: float  # 0 to 1: the torque of a tick acts so long after it, until then that of the tick before
 
     def correct(self, memory: Memory, q_measured: Vector, dq_measured: Vector) -> tuple[Vector, Vector]:
         """Estimates (q, dq), each (n,), at the instant of the measurement."""
         if not memory.primed:
             return q_measured, dq_measured
-        ddq = memory.ddq_before if self.delay_cycles else memory.ddq
-        return self.follow(memory.q, memory.dq, ddq, q_measured, dq_measured)
+        return self.follow(memory.q, memory.dq, memory.ddq_before, memory.ddq, q_measured, dq_measured)
 
     def follow(
-        self, q: Vector, dq: Vector, ddq: Vector, q_measured: Vector, dq_measured: Vector
+        self, q: Vector, dq: Vector, ddq_before: Vector, ddq: Vector, q_measured: Vector, dq_measured: Vector
     ) -> tuple[Vector, Vector]:
-        """Estimates one period after (q, dq), with acceleration ddq expected in between; linear in all arguments."""
+        """Estimates one period after (q, dq); linear in all arguments.
+
+        ddq: acceleration that the torque of the tick at (q, dq) is to give; ddq_before: that of the tick before it.
+        """
         T = self.period_s
-        dq_predicted = dq + T * ddq
-        q_predicted = q + T * dq + (0.5 * T * T) * ddq
+        dq_change, q_change = held(T, self.delay_periods, ddq_before, ddq)
+        dq_predicted = dq + dq_change
+        q_predicted = q + T * dq + q_change
         q_innovation = q_measured - q_predicted
         dq_innovation = dq_measured - dq_predicted
         q = q_predicted + self.position_gain * q_innovation
-        dq = dq_predicted + self.velocity_gain_per_s * q_innovation + self.velocity_gain * dq_innovation
+        dq = dq_predicted + self.velocity_from_position_per_s * q_innovation + self.velocity_gain * dq_innovation
         return q, dq

@@ -36,6 +36,7 @@ def run_info(cell: Cell, driver: DriverKind, seed: int, plane_normal: list[float
         "cell": cell.file.name,
         "fingerprint": cell.fingerprint,
         "rate_hz": cell.file.rate_hz,
+        "loop_delay_s": cell.file.delay_s,
         "duration_s": cell.file.duration_s,
         "transient_s": report.transient_s,
         "plane_normal": plane_normal,

@@ -1,12 +1,13 @@
 """What identification takes from a log: joint positions and the torque that acted, evenly sampled.
 
-The torque is the one that was sent, late by the delay of the servos.  It is held between two cycles, so what acted
-around an instant is the mean of the two torques before and after it; what follows is then in phase.
+The torque is the one that was sent, late by the loop's delay.  It is held between two cycles, so what acted around an
+instant is the mean of the held torque over the period about it; what follows is then in phase.
 """
 
 from __future__ import annotations
 
 import datetime
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -104,13 +105,19 @@ def from_rows(cell: Cell, arm: Arm, rows: NDArray[np.void]) -> Recording:
     q = np.stack([np.interp(grid * period_s, stamps_s, column) for column in rows["q_measured"].T[:n]], axis=1)
     sent = rows["tau_sent"][np.searchsorted(slots, grid, side="right") - 1, :n]  # a cycle without a state repeats it
     day = datetime.datetime.fromtimestamp(int(rows["utc_ns"][0]) * 1e-9, datetime.UTC).date().isoformat()
-    return Recording(cell, arm, period_s, q, acted(sent, cell.file.simulation.effects.delay_cycles), day)
+    return Recording(cell, arm, period_s, q, acted(sent, cell.file.delay_periods), day)
 
 
-def acted(tau_sent: Matrix, delay_cycles: int) -> Matrix:
-    """Torque (k, n) around each sample, from what was sent at each (k, n) and acts so many cycles later."""
-    before = np.concatenate([np.repeat(tau_sent[:1], delay_cycles + 1, axis=0), tau_sent])
-    mean: Matrix = 0.5 * (before[: len(tau_sent)] + before[1 : len(tau_sent) + 1])
+def acted(tau_sent: Matrix, delay_periods: float) -> Matrix:
+    """Torque (k, n), mean over half a period before to half after each sample, from what was sent at each (k, n).
+
+    What is sent at a sample acts for one period, beginning delay_periods (≥ 0) after it.
+    """
+    count = len(tau_sent)
+    oldest = math.ceil(delay_periods + 0.5)  # sent so many samples before, still acting when the mean begins
+    share = oldest - (delay_periods + 0.5)  # of the mean that belongs to the torque after it
+    before = np.concatenate([np.repeat(tau_sent[:1], oldest, axis=0), tau_sent])
+    mean: Matrix = (1.0 - share) * before[:count] + share * before[1 : count + 1]
     return mean
 
 

@@ -54,7 +54,7 @@ def build_agent(cell: Cell, arm: Arm) -> Agent:
 
 def _hold_rate(cell: Cell) -> float:
     """As stiff as keeps a third of a radian between two effective samples: settles with 30 % of inertia missing too."""
-    effective_hz = cell.file.rate_hz / (1.0 + cell.file.simulation.effects.delay_cycles)
+    effective_hz = cell.file.rate_hz / (1.0 + cell.file.delay_periods)
     return min(HOLD_RATE_MAX_RAD_PER_S, effective_hz / 3.0)
 
 

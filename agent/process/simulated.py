@@ -52,7 +52,7 @@ def actuator_spec(cell: Cell, arm: Arm) -> ActuatorSpec:
     infinite = np.full(n, np.inf)
     return ActuatorSpec.of(
         n,
-        delay_cycles=effects.delay_cycles,
+        delay_s=cell.file.simulated_delay_s,
         tau_max_Nm=arm.tau_stall_Nm * cell.file.safety.tau_max_fraction_of_stall,
         torque_lsb_Nm=_torque_lsb(arm) if effects.torque_quantisation else zero,
         torque_scale=1.0 + effects.torque_constant_error,

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.config.cell import Cell
-from agent.control.adaptation_bound import GainLimits, Point, Reference, believed_inertia, gain_limits
+from agent.control.adaptation_bound import GainLimits, Point, ReferenceTwist, believed_inertia, gain_limits
 from agent.control.errors import attitude_error
 from agent.control.models import ArmModel
 from agent.control.stability import coupled_inertia, spectral_radius
@@ -40,7 +40,7 @@ def examine_adaptation(
         desired = trajectory.at(t)
         R = models[0].object_pose(q[0]).rotation
         M = coupled_inertia(models, q, obj.mass_kg, R @ inertia_object @ R.T)
-        points.append(Point(q, M, Reference(np.array(desired.v), np.array(desired.a))))
+        points.append(Point(q, M, ReferenceTwist(np.array(desired.v), np.array(desired.a))))
     limits: GainLimits = gain_limits(models, agents, points, _start_error(cell), loop)
     radius = max(spectral_radius(p.M, believed_inertia(models, agents, p.q), P, loop) for p in points)
     spec = cell.file.controller.adaptive

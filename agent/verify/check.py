@@ -20,7 +20,7 @@ from agent.verify.adaptive import examine_adaptation
 from agent.verify.bus import bus_rates
 from agent.verify.finding import Finding, Verdict, judged
 from agent.verify.force import internal_force
-from agent.verify.margin import damping, places, sampled_loop
+from agent.verify.margin import Damping, damping, places, sampled_loop
 from drivers.interface import Vector
 
 SAMPLES = 48  # points along the trajectory, beside those that the trajectory names itself
@@ -217,23 +217,28 @@ def _arm_findings(cell: Cell, arm: Arm, path: _Path) -> list[Finding]:
 
 
 def _stability(cell: Cell, models: Sequence[ArmModel], paths: Sequence[_Path]) -> list[Finding]:
-    safety, rate, delay = cell.file.safety, cell.file.rate_hz, cell.file.simulation.effects.delay_cycles
+    file, P = cell.file, models[0].task_basis
     along = list(zip(*(p.q for p in paths), strict=True))
-    some = along[:: max(1, len(along) // STABILITY_SAMPLES)]
-    label = f"spectral radius at {rate:g} Hz, {delay} cycle{'s' if delay != 1 else ''} delay"
-    findings = []
-    for error, found in damping(places(cell, models, some), models[0].task_basis, sampled_loop(cell)).items():
-        stable = found.radius <= safety.spectral_radius_max
-        nominal = error == 0.0
-        verdict = Verdict.OK if stable else Verdict.REFUSED if nominal else Verdict.WARNING
-        findings.append(
-            Finding(
-                label if nominal else f"the same, arms' inertia {error:+.0%}",
-                "cell", f"{found.radius:.4f}", f"≤ {safety.spectral_radius_max:g}", verdict,
-                "" if stable else "raise rate_hz, or take the gains that `coop tune` proposes",
-            )
-        )  # fmt: skip
+    where = places(cell, models, along[:: max(1, len(along) // STABILITY_SAMPLES)])
+    label = f"spectral radius at {file.rate_hz:g} Hz, {file.delay_s * 1e3:.3g} ms delay"
+    findings = [
+        _radius(cell, label if error == 0.0 else f"the same, arms' inertia {error:+.0%}", found, gate=error == 0.0)
+        for error, found in damping(where, P, sampled_loop(cell)).items()
+    ]
+    if file.simulated_delay_s != file.delay_s:
+        found = damping(where, P, sampled_loop(cell, simulated=True))[0.0]
+        what = f"the same, {file.simulated_delay_s * 1e3:.3g} ms delay as simulated"
+        findings.append(_radius(cell, what, found, gate=False))
     return findings
+
+
+def _radius(cell: Cell, what: str, found: Damping, *, gate: bool) -> Finding:
+    limit = cell.file.safety.spectral_radius_max
+    return judged(
+        what, "cell", f"{found.radius:.4f}", f"≤ {limit:g}", holds=found.radius <= limit,
+        remedy="raise rate_hz, or take the gains that `coop tune` proposes",
+        otherwise=Verdict.REFUSED if gate else Verdict.WARNING,
+    )  # fmt: skip
 
 
 def _adaptation(cell: Cell, models: Sequence[ArmModel], paths: Sequence[_Path]) -> list[Finding]:

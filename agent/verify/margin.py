@@ -51,13 +51,17 @@ def places(cell: Cell, models: Sequence[ArmModel], along: Sequence[Sequence[Vect
     return tuple(found)
 
 
-def sampled_loop(cell: Cell, gains: Sequence[Gains] | None = None) -> SampledLoop:
-    """The loop at the cell's rate, delay and observer; gains: of the arms, the cell's own when not given."""
+def sampled_loop(cell: Cell, gains: Sequence[Gains] | None = None, *, simulated: bool = False) -> SampledLoop:
+    """The loop at the cell's rate, delay and observer; gains: of the arms, the cell's own when not given.
+
+    simulated: with the delay of the simulated cell, whatever the observer believes.
+    """
+    file = cell.file
     return SampledLoop(
-        1.0 / cell.file.rate_hz,
-        cell.file.simulation.effects.delay_cycles,
+        1.0 / file.rate_hz,
+        file.simulated_delay_s * file.rate_hz if simulated else file.delay_periods,
         [cell.offline(arm).gains for arm in cell.arms] if gains is None else gains,
-        observer.build(cell.file),
+        observer.build(file),
     )
 
 

@@ -14,9 +14,8 @@ from agent.verify.tune import GainSet, Proposal
 def tune_table(configured: GainSet, proposals: Sequence[Proposal]) -> Table:
     """One row per gain and per property of the loop, one column per set of gains."""
     file = configured.cell.file
-    delay = file.simulation.effects.delay_cycles
     table = Table(
-        title=f"{file.name} at {file.rate_hz:g} Hz, {delay} cycle{'s' if delay != 1 else ''} delay",
+        title=f"{file.name} at {file.rate_hz:g} Hz, {file.delay_s * 1e3:.3g} ms delay",
         title_justify="left",
     )
     table.add_column("")

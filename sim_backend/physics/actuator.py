@@ -1,6 +1,6 @@
 """What a servo adds between commanded and applied torque, and between true and reported motion.
 
-A commanded torque that is not finite is refused.
+Pure arithmetic; a torque that is not finite is refused.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class TorqueCommandError(DriverError):
 class ActuatorSpec:
     """The servos of one arm; arrays are (n,), one entry per controlled joint.  Build it with `of`."""
 
-    delay_cycles: int  # whole control cycles between a command and its torque
+    delay_s: float  # from the sample that a command answers to its torque
     tau_max_Nm: Vector  # largest command; the driver clips to it
     torque_lsb_Nm: Vector  # resolution of the command; 0: exact
     torque_scale: Vector  # true over believed torque constant
@@ -53,7 +53,7 @@ class ActuatorSpec:
         cls,
         joint_count: int,
         *,
-        delay_cycles: int = 0,
+        delay_s: float = 0.0,
         tau_max_Nm: Numbers = math.inf,
         torque_lsb_Nm: Numbers = 0.0,
         torque_scale: Numbers = 1.0,
@@ -74,7 +74,7 @@ class ActuatorSpec:
             return np.array(np.broadcast_to(np.asarray(numbers, dtype=np.float64), (joint_count,)))
 
         return cls(
-            delay_cycles=delay_cycles,
+            delay_s=delay_s,
             tau_max_Nm=spread(tau_max_Nm),
             torque_lsb_Nm=spread(torque_lsb_Nm),
             torque_scale=spread(torque_scale),
@@ -98,6 +98,7 @@ class ActuatorSpec:
         for key in ("tau_max_Nm", "torque_scale", "stall_Nm", "no_load_rad_s", "coulomb_speed_rad_s"):
             value = getattr(self, key)
             self._require(key, value, bool(np.all(value > 0)), "positive numbers")
+        self._require("delay_s", self.delay_s, math.isfinite(self.delay_s), "a finite time")
         curve = np.isfinite(self.stall_Nm) | ~np.isfinite(self.no_load_rad_s)
         self._require("stall_Nm", self.stall_Nm, bool(np.all(curve)), "a finite stall torque with a no-load speed")
 
@@ -160,27 +161,6 @@ class TorqueCommand:
         sent = self._grid(tau_Nm)
         np.minimum(sent, self._largest, out=sent)
         return np.maximum(sent, self._lowest, out=sent)
-
-
-class DelayLine:
-    """Torques on their way to the motors of one arm: what is pushed at tick k acts in the interval k + delay."""
-
-    def __init__(self, delay_cycles: int, joint_count: int) -> None:
-        self._rows = np.zeros((delay_cycles + 1, joint_count))
-        self._delay = delay_cycles
-
-    def push(self, tick: int, tau_Nm: Vector) -> None:
-        """Remember the command of `tick`."""
-        self._rows[tick % len(self._rows)] = tau_Nm
-
-    def acting(self, tick: int) -> Vector:
-        """View (n,) of the torque that acts from `tick` to the next; zero when nothing has come through yet."""
-        row: Vector = self._rows[(tick - self._delay) % len(self._rows)]
-        return row
-
-    def clear(self) -> None:
-        """Forget what is on its way: torque is off."""
-        self._rows[:] = 0.0
 
 
 class Servos:

@@ -10,7 +10,8 @@ from enum import Enum, auto
 import numpy as np
 
 from drivers.interface import Refusal, Vector
-from sim_backend.physics.actuator import DelayLine, TorqueCommand, TorqueCommandError
+from sim_backend.physics.actuator import TorqueCommand, TorqueCommandError
+from sim_backend.physics.delay import DelayLine
 from sim_backend.physics.spec import ArmSpec
 from sim_backend.served.protocol import HEADER, MAX_MESSAGE_BYTES, Kind, Message, header_only, refusal_words
 
@@ -37,13 +38,13 @@ class Vanished(Exception):
 class Seat:
     """One arm's place at the plant."""
 
-    def __init__(self, arm: ArmSpec, joints: slice) -> None:
+    def __init__(self, arm: ArmSpec, joints: slice, delay: DelayLine) -> None:
         n = len(arm.controlled)
         self.arm = arm
         self.joints = joints
         self.phase = Phase.ABSENT
         self.dropped_states = 0  # real time only: the agent's queue was full
-        self.delay = DelayLine(arm.actuator.delay_cycles, n)
+        self.delay = delay
         self._command = TorqueCommand.of(arm.actuator)
         self._connection: socket.socket | None = None
         self._out = Message(3 * n)

@@ -1,8 +1,8 @@
 """The plant as a process: gives every arm its state, takes its torque, lets time pass.
 
 In lockstep, time passes only when every arm whose torque is on has answered.  Where every actuator delays by at least
-one cycle, the torque of tick k acts from tick k + 1 on: the plant then integrates k → k + 1 while the agents compute,
-and the result is the same bit for bit.
+one period, the torque of tick k acts from tick k + 1 on at the earliest: the plant then integrates k → k + 1 while the
+agents compute, and the result is the same bit for bit.
 """
 
 from __future__ import annotations
@@ -17,8 +17,9 @@ from typing import Final
 import numpy as np
 
 from drivers.interface import Refusal
+from sim_backend.physics.delay import DelayLine, stretches
 from sim_backend.physics.plant import Observation, Plant
-from sim_backend.physics.spec import WHOLE_SUBSTEPS_TOLERANCE, PlantError, substep_of
+from sim_backend.physics.spec import WHOLE_SUBSTEPS_TOLERANCE, ArmSpec, PlantError, substep_of
 from sim_backend.served.listener import Listener
 from sim_backend.served.lobby import Lobby
 from sim_backend.served.options import ArmVanished, LostArm, ServerOptions, Summary
@@ -74,22 +75,28 @@ class _Server:
         self._plant = plant
         self._options = options
         self._on_tick = on_tick
-        self._seats = tuple(Seat(arm, joints) for arm, joints in zip(plant.spec.arms, plant.slices, strict=True))
+        self._substeps = _whole_substeps(plant, options)
+        self._seats = tuple(
+            Seat(arm, joints, self._delay_line(arm)) for arm, joints in zip(plant.spec.arms, plant.slices, strict=True)
+        )
         info = {
             "lockstep": options.lockstep,
             "rate_hz": options.rate_hz,
             "description": f"simulated plant at {options.socket_path}, {options.rate_hz:g} Hz",
         }
         self._lobby = Lobby(listener, self._seats, options.config_id, info, self._reply, self._lose)
-        self._substeps = _whole_substeps(plant, options)
-        delays = [s.arm.actuator.delay_cycles for s in self._seats]
-        self._parallel = min(delays, default=0) >= 1
-        self._support_ticks = max(delays, default=0) if options.supported_start else 0
+        lines = [s.delay for s in self._seats]
+        self._parallel = min((line.periods for line in lines), default=0) >= 1
+        self._stretches = stretches(lines, self._substeps)
+        self._support_substeps = max(line.first_substep for line in lines) if options.supported_start and lines else 0
         self._tau = np.zeros(plant.joint_count)
         self._tick = 0
         self._late_ticks = 0
         self._zero_ns = 0  # real time: CLOCK_MONOTONIC at tick 0
         self._lost_arms: list[str] = []
+
+    def _delay_line(self, arm: ArmSpec) -> DelayLine:
+        return DelayLine(arm.actuator.delay_s, self._plant.spec.substep_s, self._substeps, arm.actuator.joint_count)
 
     def run(self) -> Summary:
         while any(s.phase is not Phase.ON for s in self._seats):
@@ -159,14 +166,15 @@ class _Server:
 
     def _integrate(self) -> None:
         tick, tau = self._tick, self._tau
-        for seat in self._seats:
-            tau[seat.joints] = seat.delay.acting(tick)
-        if self._on_tick is not None and tick % self._options.observe_every == 0:
-            self._on_tick(tick, self._plant.t, self._plant.observe(tau))
-        if tick < self._support_ticks:
-            self._plant.rest(self._substeps)
-        else:
-            self._plant.advance(tau, self._substeps)
+        for begin, count in self._stretches:
+            for seat in self._seats:
+                tau[seat.joints] = seat.delay.acting(tick, begin)
+            if begin == 0 and self._on_tick is not None and tick % self._options.observe_every == 0:
+                self._on_tick(tick, self._plant.t, self._plant.observe(tau))
+            if tick * self._substeps + begin < self._support_substeps:
+                self._plant.rest(count)
+            else:
+                self._plant.advance(tau, count)
 
     def _collect(self, on: list[Seat]) -> None:
         if not self._options.lockstep:

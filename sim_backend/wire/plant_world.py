@@ -22,8 +22,8 @@ from sim_backend.wire.wiring import ArmWiring
 def without_servo_electronics(spec: PlantSpec) -> PlantSpec:
     """Return the plant's specification with friction kept and all else that emulated servos bring themselves removed.
 
-    Delay, command resolution, torque limit, back-EMF and quantised readings come from the servos; a wrong torque
-    constant (`torque_scale`) and friction stay with the plant.
+    Delay (what bus, agent and clock make of it), command resolution, torque limit, back-EMF and quantised readings come
+    from the servos; a wrong torque constant (`torque_scale`) and friction stay with the plant.
     """
 
     def bare(actuator: ActuatorSpec) -> ActuatorSpec:

@@ -24,7 +24,7 @@ def bench() -> dict[str, Figure]:
     figures = {"plant_step_planar_2": _figure(Plant(plant_spec(cell, examine(cell).q_start)))}
     wrist = actuator_spec(cell, cell.arms[0])
     servos = type(wrist).of(
-        6, delay_cycles=1, tau_max_Nm=4.0, torque_lsb_Nm=0.005, stall_Nm=4.1, no_load_rad_s=4.8,
+        6, delay_s=0.005, tau_max_Nm=4.0, torque_lsb_Nm=0.005, stall_Nm=4.1, no_load_rad_s=4.8,
         coulomb_Nm=0.08, viscous_Nms_rad=0.03, position_lsb_rad=0.0015, velocity_lsb_rad_s=0.024,
     )  # fmt: skip
     for count in SPATIAL:

@@ -24,7 +24,7 @@ def from_plant(cell: Cell, directory: Path, factors: Mapping[str, Mapping[str, f
     """
     true = with_true_arms(cell, directory, factors=factors)
     history = simulate(true, cell.file.duration_s, agents_cell=cell)
-    tau = acted(np.array(history.tau_sent), cell.file.simulation.effects.delay_cycles)
+    tau = acted(np.array(history.tau_sent), cell.file.delay_periods)
     arm = true.arms[0]
     model = true.model(arm)
     truth = base_of(model).combination @ described_parameters(arm, model)

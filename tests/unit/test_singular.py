@@ -210,9 +210,11 @@ def test_joint_errors_of_a_hold_fall_critically_damped_with_an_exact_model() -> 
         assert np.allclose(q - q_hold, start * (1.0 + w * t) * np.exp(-w * t), atol=2e-5)
 
 
-@pytest.mark.parametrize(("rate_hz", "delay", "expected"), [(200.0, 1, 20.0), (500.0, 0, 20.0), (60.0, 1, 10.0)])
-def test_a_hold_is_no_stiffer_than_the_rate_allows(rate_hz: float, delay: int, expected: float) -> None:
-    cell = load_cell(ONE_ARM, [f"rate_hz={rate_hz}", f"simulation.effects.delay_cycles={delay}"])
+@pytest.mark.parametrize(
+    ("rate_hz", "delay", "expected"), [(200.0, 1.0, 20.0), (500.0, 0.0, 20.0), (60.0, 1.0, 10.0), (60.0, 0.25, 16.0)]
+)
+def test_a_hold_is_no_stiffer_than_the_rate_allows(rate_hz: float, delay: float, expected: float) -> None:
+    cell = load_cell(ONE_ARM, [f"rate_hz={rate_hz}", f"loop_delay_s={delay / rate_hz}"])
     assert HOLD_RATE_MAX_RAD_PER_S == 20.0
     assert build_agent(cell, cell.arms[0]).hold_rate_rad_per_s == pytest.approx(expected)
 

@@ -4,17 +4,31 @@ from __future__ import annotations
 
 import enum
 import math
-from typing import Annotated, Any, Literal
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from agent.config.schema.adaptive import Adaptive
 from agent.config.schema.trajectory import TrajectorySpec
-from agent.config.schema.types import Finite, Name, NonNegative, PerAxis, Positive, Quaternion, Strict, Vec3
+from agent.config.schema.types import (
+    Finite,
+    Name,
+    NonNegative,
+    PerAxis,
+    Positive,
+    Quaternion,
+    Share,
+    Strict,
+    Vec3,
+    wrong,
+)
 from agent.telemetry.row.topics import RESERVED
 
 TASK_ROWS = 6
+PERIODS_TOLERANCE = 1e-6
 
 
 class DriverKind(enum.StrEnum):
@@ -79,6 +93,17 @@ class VelocitySource(enum.StrEnum):
     OBSERVER = "observer"  # fused with the commanded acceleration (agent.control.estimator)
 
 
+class ObserverGains(Strict):
+    """How far a servo's values correct what the observer predicts, per control period; used with velocity = "observer".
+
+    A larger gain follows a surprise sooner and lets more of the servos' quantisation through.
+    """
+
+    position_gain: Share = 0.2  # of the position innovation, into the position
+    velocity_gain: Share = 0.2  # of the velocity innovation, into the velocity
+    velocity_from_position_per_s: NonNegative = 5.0  # of the position innovation, into the velocity
+
+
 class Controller(Strict):
     """Gains and options of the law; a number stands for three equal entries (the paper's scalars)."""
 
@@ -90,6 +115,7 @@ class Controller(Strict):
     friction_feedforward: bool = False
     friction_smooth_rad_per_s: Positive = 0.05
     velocity: VelocitySource = VelocitySource.OBSERVER
+    observer: ObserverGains = ObserverGains()
     adaptive: Adaptive = Adaptive()  # used when kind is "adaptive"
 
 
@@ -113,17 +139,26 @@ class Safety(Strict):
 class Effects(Strict):
     """What a real servo adds; each can be switched off."""
 
+    retired: ClassVar[Mapping[str, str]] = MappingProxyType(
+        {
+            "delay_cycles": "write loop_delay_s = delay_cycles / rate_hz at the top of the cell file, which agents, "
+            "checks and plant share; effects.delay_s only where the simulated delay differs from it"
+        }
+    )
+
     friction: bool = True
     position_quantisation: bool = True
     velocity_quantisation: bool = True
     torque_quantisation: bool = True
     saturation: bool = True
-    delay_cycles: Annotated[int, Field(ge=0, le=10)] = 1
+    delay_s: Annotated[float, Field(ge=0.0, le=0.5)] | None = (
+        None  # of the simulated loop; None: as the cell believes, loop_delay_s
+    )
     torque_constant_error: Annotated[float, Field(gt=-0.9, lt=1.0)] = 0.0
 
 
 class Simulation(Strict):
-    """The simulated cell; means nothing on real arms."""
+    """The simulated cell; what an agent does, and whether a cell may start, does not depend on it."""
 
     substeps_per_cycle: Annotated[int, Field(ge=1, le=200)] = 5
     observe_rate_hz: Positive = 50.0  # of the truth in the log
@@ -183,6 +218,7 @@ class CellFile(Strict):
     name: Name
     driver: DriverKind
     rate_hz: Annotated[float, Field(ge=20.0, le=2000.0)]
+    loop_delay_s: NonNegative | None = None  # from a sample to its torque on the joint; None: one control period
     duration_s: Positive
     world: World
     object: Object
@@ -193,6 +229,37 @@ class CellFile(Strict):
     report: Report
     embedded: dict[str, str] = Field(default_factory=dict)  # text of the files the cell names, added while loading
     arms: Annotated[list[Arm], Field(min_length=1, max_length=8)]
+
+    @property
+    def delay_s(self) -> float:
+        """Time from a sample to its torque, as agents, checks and tools believe it."""
+        return self.delay_periods / self.rate_hz
+
+    @property
+    def delay_periods(self) -> float:
+        """The same in control periods, 0 to 1; a millionth next to 0 or 1 is 0 or 1."""
+        if self.loop_delay_s is None:
+            return 1.0
+        periods = self.loop_delay_s * self.rate_hz
+        whole = float(round(periods))
+        return whole if abs(periods - whole) <= PERIODS_TOLERANCE else periods
+
+    @property
+    def simulated_delay_s(self) -> float:
+        """Time from a sample to its torque in the simulated cell."""
+        own = self.simulation.effects.delay_s
+        return self.delay_s if own is None else own
+
+    @model_validator(mode="after")
+    def _delay_within_a_period(self) -> CellFile:
+        if self.delay_periods > 1.0:
+            raise wrong(
+                "loop_delay_s",
+                found=f"{self.loop_delay_s:g}",
+                expected=f"at most one control period, {1.0 / self.rate_hz:g} s at {self.rate_hz:g} Hz",
+                remedy="lower rate_hz, or make the loop quicker; leave the key out for one period",
+            )
+        return self
 
     @model_validator(mode="after")
     def _consistent(self) -> CellFile:

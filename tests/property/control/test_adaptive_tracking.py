@@ -20,7 +20,7 @@ IDEAL = (
     "simulation.effects.velocity_quantisation=false",
     "simulation.effects.torque_quantisation=false",
     "simulation.effects.saturation=false",
-    "simulation.effects.delay_cycles=0",
+    "loop_delay_s=0.0",
     'controller.velocity="servo"',
     "controller.friction_feedforward=false",
 )

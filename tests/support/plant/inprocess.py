@@ -20,7 +20,8 @@ from agent.process.build import build_agent
 from agent.process.simulated import plant_spec
 from agent.verify.check import examine
 from drivers.interface import JointState, Vector
-from sim_backend.physics.actuator import DelayLine, Grid, TorqueCommand
+from sim_backend.physics.actuator import Grid, TorqueCommand
+from sim_backend.physics.delay import DelayLine, stretches
 from sim_backend.physics.plant import Observation, Plant
 
 
@@ -61,13 +62,13 @@ def simulate(
     believed = agents_cell or cell
     agents: list[Agent] = [build_agent(believed, arm) for arm in believed.arms]
     specs = [a.actuator for a in plant.spec.arms]
-    lines = [DelayLine(s.delay_cycles, s.joint_count) for s in specs]
+    substeps = cell.file.simulation.substeps_per_cycle
+    lines = [DelayLine(s.delay_s, plant.spec.substep_s, substeps, s.joint_count) for s in specs]
     commands = [TorqueCommand.of(s) for s in specs]
     q_grids = [Grid(np.full(s.joint_count, s.position_lsb_rad)) for s in specs]
     dq_grids = [Grid(np.full(s.joint_count, s.velocity_lsb_rad_s)) for s in specs]
     memories: list[Memory] = [initial_memory(a) for a in agents]
     history, trajectory = History(), cell.trajectory()
-    substeps = cell.file.simulation.substeps_per_cycle
     for tick in range(round(duration_s * cell.file.rate_hz)):
         t = tick * cell.period_ns * 1e-9
         desired, T = trajectory.at(t), plant.T_world_object
@@ -94,7 +95,8 @@ def simulate(
         history.V.append(sum(o.terms.lyapunov for o in outcomes if o.terms is not None))
         if watch is not None:
             watch(tick, outcomes)
-        acting = np.concatenate([line.acting(tick) for line in lines])
-        plant.advance(acting, substeps)
+        for begin, count in stretches(lines, substeps):
+            acting = np.concatenate([line.acting(tick, begin) for line in lines])
+            plant.advance(acting, count)
     history.end = plant.observe(acting)
     return history

@@ -18,7 +18,8 @@ from agent.telemetry.row.fill import AgentRow
 from agent.telemetry.row.sample import AGENT_STATE
 from agent.verify.check import start_configurations
 from drivers.interface import ArmInfo, BusCounters, Clock, Driver, JointState, ServoHealth, Vector
-from sim_backend.physics.actuator import DelayLine, TorqueCommand
+from sim_backend.physics.actuator import TorqueCommand
+from sim_backend.physics.delay import DelayLine, stretches
 from sim_backend.physics.plant import Plant
 
 
@@ -30,15 +31,17 @@ class PlantClock:
         self.period_ns = cell.period_ns
         self.plant = plant
         self.tick = 0
-        self.line = DelayLine(spec.delay_cycles, spec.joint_count)
-        self._substeps = cell.file.simulation.substeps_per_cycle
+        substeps = cell.file.simulation.substeps_per_cycle
+        self.line = DelayLine(spec.delay_s, plant.spec.substep_s, substeps, spec.joint_count)
+        self._stretches = stretches([self.line], substeps)
 
     def now_ns(self) -> int:
         return self.tick * self.period_ns
 
     def sleep_until(self, deadline_ns: int) -> None:
         while self.now_ns() < deadline_ns:
-            self.plant.advance(self.line.acting(self.tick).copy(), self._substeps)
+            for begin, count in self._stretches:
+                self.plant.advance(self.line.acting(self.tick, begin).copy(), count)
             self.tick += 1
 
 

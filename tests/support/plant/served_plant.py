@@ -25,7 +25,7 @@ CONFIG_ID = 0xC0FFEE42
 TAU = np.array([0.3, -0.2, 0.1])
 SERVOS = ActuatorSpec.of(
     3,
-    delay_cycles=1,
+    delay_s=0.005,
     tau_max_Nm=3.0,
     torque_lsb_Nm=0.004,
     stall_Nm=6.0,

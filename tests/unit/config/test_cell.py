@@ -11,6 +11,7 @@ import configs
 from agent.config.cell import Cell, ConfigError, cell_from_toml, load_cell
 from agent.control import ik
 from agent.control.trajectory import Sinusoid
+from agent.process.simulated import plant_spec
 from agent.verify.check import Verdict, examine
 
 PAPER = configs.CELLS_DIR / "paper.toml"
@@ -64,11 +65,42 @@ def test_every_shipped_cell_passes_its_checks() -> None:
         ("locked_rad = { waist = 0.0, wrist_rotate = 0.0 }", "locked_rad = { waist = 0.0 }", "wrist_rotate"),
         ('name = "right"', 'name = "left"', "names that differ"),
         ('driver = "sim"', 'driver = "simulator"', "sim"),
+        (
+            "duration_s",
+            "loop_delay_s = 0.006\nduration_s",
+            "loop_delay_s in paper.toml: found 0.006, expected at most one control period, 0.005 s at 200 Hz; lower",
+        ),
+        ("duration_s", "loop_delay_s = -0.001\nduration_s", "loop_delay_s in paper.toml: found -0.001"),
+        ("saturation = true", "saturation = true\ndelay_s = 0.6", "simulation.effects.delay_s"),
+        (
+            "saturation = true",
+            "saturation = true\ndelay_cycles = 1",
+            "delay_cycles in paper.toml: found a key of an earlier version, expected keys of this one; write loop_d",
+        ),
         ("format = 1", "format = 2", "format"),
     ],
 )
 def test_wrong_values_are_refused_with_the_key(old: str, new: str, expected: str) -> None:
     assert expected in refusal(changed(old, new))
+
+
+@pytest.mark.parametrize(
+    ("loop_delay_s", "periods"),
+    [(0.0, 0.0), (1e-9, 0.0), (0.002, 0.4), (0.005, 1.0), (0.0049999999, 1.0), (0.005000001, 1.0), (None, 1.0)],
+)
+def test_the_delay_is_one_fact_of_the_cell(loop_delay_s: float | None, periods: float) -> None:
+    file = load_cell(PAPER, [] if loop_delay_s is None else [f"loop_delay_s={loop_delay_s!r}"]).file
+    assert file.delay_periods == pytest.approx(periods, abs=1e-12)
+    assert (file.delay_periods in {0.0, 1.0}) == (periods in {0.0, 1.0})
+    assert file.delay_s == file.simulated_delay_s == pytest.approx(periods / 200.0)
+
+
+def test_the_simulated_delay_may_differ_and_only_the_plant_takes_it() -> None:
+    cell = load_cell(PAPER, ["simulation.effects.delay_s=0.0123"])
+    assert (cell.file.delay_s, cell.file.simulated_delay_s) == (0.005, 0.0123)
+    assert {arm.actuator.delay_s for arm in plant_spec(cell, examine(cell).q_start).arms} == {0.0123}
+    own = load_cell(PAPER, ["loop_delay_s=0.001"])
+    assert {arm.actuator.delay_s for arm in plant_spec(own, examine(own).q_start).arms} == {0.001}
 
 
 def test_text_that_is_not_toml_is_refused_with_the_line() -> None:
@@ -128,7 +160,7 @@ def test_a_servo_without_torque_cannot_be_controlled() -> None:
 
 def test_unstable_rate_is_refused_with_the_radius() -> None:
     text = refusal(changed("rate_hz = 200.0", "rate_hz = 120.0"))
-    assert "spectral radius at 120 Hz, 1 cycle delay" in text
+    assert "spectral radius at 120 Hz, 8.33 ms delay" in text
     assert "raise rate_hz" in text
 
 

@@ -24,13 +24,13 @@ VELOCITY_STEP = 0.229 * 2 * np.pi / 60  # servos count 0.229 rpm
 PAPER = configs.CELLS_DIR / "paper.toml"
 
 
-def observer(delay_cycles: int = 0) -> Observer:
+def observer(delay_periods: float = 0.0) -> Observer:
     """The gains that agents run with."""
     cell = load_cell(PAPER, ['controller.velocity="observer"'])
     found = build_agent(cell, cell.arms[0]).observer
     assert found is not None
     assert found.period_s == PERIOD
-    return replace(found, delay_cycles=delay_cycles)
+    return replace(found, delay_periods=delay_periods)
 
 
 def accelerations(count: int) -> Vector:
@@ -39,12 +39,15 @@ def accelerations(count: int) -> Vector:
     return np.stack([3.0 * np.sin(4.0 * t), 2.0 * np.cos(7.0 * t)], axis=1)
 
 
-def motion(ddq: Vector) -> tuple[Vector, Vector]:
-    """True (q, dq) at every tick of joints that really accelerate by ddq."""
+def motion(ddq: Vector, delay_periods: float = 0.0) -> tuple[Vector, Vector]:
+    """True (q, dq) at every tick of joints that accelerate by ddq, each one delay_periods after its tick."""
     q, dq = np.zeros_like(ddq), np.zeros_like(ddq)
     for k in range(1, len(ddq)):
-        q[k] = q[k - 1] + PERIOD * dq[k - 1] + 0.5 * PERIOD**2 * ddq[k - 1]
-        dq[k] = dq[k - 1] + PERIOD * ddq[k - 1]
+        q_now, dq_now = q[k - 1], dq[k - 1]
+        before = ddq[k - 2] if k > 1 else np.zeros_like(ddq[0])
+        for h, a in ((delay_periods * PERIOD, before), ((1.0 - delay_periods) * PERIOD, ddq[k - 1])):
+            q_now, dq_now = q_now + h * dq_now + 0.5 * h**2 * a, dq_now + h * a
+        q[k], dq[k] = q_now, dq_now
     return q, dq
 
 
@@ -66,29 +69,42 @@ def test_the_first_tick_takes_the_measurement_as_it_is() -> None:
     assert np.array_equal(found_dq, dq)
 
 
-def test_an_exact_model_leaves_no_error() -> None:
-    ddq = accelerations(400)
-    q, dq = motion(ddq)
-    found_q, found_dq = observe(observer(), q, dq, ddq)
+@pytest.mark.parametrize("delay", [0.0, 0.2, 0.5, 0.9, 1.0])
+def test_an_exact_model_leaves_no_error_whatever_the_delay(delay: float) -> None:
+    """What the law computes at tick k moves the joint from `delay` periods after tick k on."""
+    expected = accelerations(400)
+    q, dq = motion(expected, delay)
+    found_q, found_dq = observe(observer(delay), q, dq, expected)
     assert np.abs(found_q - q).max() < 1e-12
     assert np.abs(found_dq - dq).max() < 1e-12
 
 
-def test_an_exact_model_with_torque_one_cycle_late_leaves_no_error() -> None:
-    """What the law computes at tick k moves the joint from tick k + 1 on."""
+@pytest.mark.parametrize(("true", "believed"), [(1.0, 0.0), (0.0, 1.0), (0.5, 0.0), (0.5, 1.0)])
+def test_the_delay_matters(true: float, believed: float) -> None:
     expected = accelerations(400)
-    happened = np.vstack([np.zeros((1, 2)), expected[:-1]])
-    q, dq = motion(happened)
-    found_q, found_dq = observe(observer(delay_cycles=1), q, dq, expected)
-    assert np.abs(found_q - q).max() < 1e-12
-    assert np.abs(found_dq - dq).max() < 1e-12
-
-
-def test_the_delay_matters() -> None:
-    expected = accelerations(400)
-    q, dq = motion(np.vstack([np.zeros((1, 2)), expected[:-1]]))
-    wrong = observe(observer(delay_cycles=0), q, dq, expected)[1] - dq
+    q, dq = motion(expected, true)
+    wrong = observe(observer(believed), q, dq, expected)[1] - dq
     assert np.abs(wrong).max() > 1e-4
+
+
+@pytest.mark.parametrize("delay", [0.0, 1.0])
+def test_whole_delays_use_one_acceleration_and_no_bit_of_the_other(delay: float) -> None:
+    law, (q, dq, before, now, q_seen, dq_seen) = observer(delay), np.random.default_rng(3).normal(size=(6, 2))
+    used = before if delay else now
+    dq_wanted = dq + PERIOD * used
+    q_wanted = q + PERIOD * dq + (0.5 * PERIOD * PERIOD) * used
+    found_q, found_dq = law.follow(q, dq, before, now, q_seen, dq_seen)
+    q_off, dq_off = q_seen - q_wanted, dq_seen - dq_wanted
+    assert np.array_equal(found_q, q_wanted + 0.2 * q_off)
+    assert np.array_equal(found_dq, dq_wanted + 5.0 * q_off + 0.2 * dq_off)
+
+
+def test_gains_and_delay_are_keys_of_the_cell() -> None:
+    keys = ("position_gain=0.3", "velocity_gain=0.1", "velocity_from_position_per_s=7.0")
+    cell = load_cell(PAPER, ["loop_delay_s=0.002", *(f"controller.observer.{key}" for key in keys)])
+    assert build_agent(cell, cell.arms[1]).observer == Observer(PERIOD, 0.3, 7.0, 0.1, 0.4)
+    shipped = load_cell(PAPER)
+    assert build_agent(shipped, shipped.arms[0]).observer == Observer(PERIOD, 0.2, 5.0, 0.2, 1.0)
 
 
 def test_quantised_servo_values_give_a_better_velocity_than_raw() -> None:

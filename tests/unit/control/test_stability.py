@@ -25,8 +25,17 @@ from tests.support.control.coupled_motion import Motion
 from tests.support.control.strategies import Holder, RandomCell, quaternion_of
 
 PAPER = configs.CELLS_DIR / "paper.toml"
-# loop rate, whole cycles of delay, whether the paper's gains are stable there (docs/controller.md)
-TABLE = [(200.0, 0, True), (200.0, 1, True), (500.0, 1, True), (120.0, 1, False), (200.0, 2, False)]
+# loop rate, periods of delay, whether the paper's gains are stable there (docs/controller.md)
+TABLE = [
+    (200.0, 0.0, True),
+    (200.0, 1.0, True),
+    (500.0, 1.0, True),
+    (120.0, 1.0, False),
+    (200.0, 2.0, False),
+    (120.0, 0.5, True),
+    (100.0, 0.75, False),
+    (150.0, 1.6, False),
+]
 
 
 def paper_cell(*overrides: str) -> Cell:
@@ -46,7 +55,7 @@ def inertia_at(cell: Cell, models: Sequence[ArmModel], q: Sequence[Vector]) -> V
     return coupled_inertia(models, q, obj.mass_kg, R @ np.array(obj.inertia_kg_m2.matrix()) @ R.T)
 
 
-def radius(cell: Cell, rate_hz: float, delay: int, t: float) -> float:
+def radius(cell: Cell, rate_hz: float, delay: float, t: float) -> float:
     models = [cell.model(a) for a in cell.arms]
     loop = SampledLoop(1.0 / rate_hz, delay, [cell.offline(a).gains for a in cell.arms])
     M = inertia_at(cell, models, configurations(cell, models, t))
@@ -54,13 +63,13 @@ def radius(cell: Cell, rate_hz: float, delay: int, t: float) -> float:
 
 
 @pytest.mark.parametrize(("rate_hz", "delay", "stable"), TABLE)
-def test_documented_rates_and_delays(rate_hz: float, delay: int, stable: bool) -> None:
+def test_documented_rates_and_delays(rate_hz: float, delay: float, stable: bool) -> None:
     radii = [radius(paper_cell(), rate_hz, delay, t) for t in (0.0, 3.75, 11.25)]
     assert (max(radii) < 1.0) == stable
 
 
-@pytest.mark.parametrize("delay", [0, 1, 2])
-def test_the_gains_of_the_authors_own_code_are_stable_at_the_rate_they_reached(delay: int) -> None:
+@pytest.mark.parametrize("delay", [0.0, 0.5, 1.0, 2.0])
+def test_the_gains_of_the_authors_own_code_are_stable_at_the_rate_they_reached(delay: float) -> None:
     """K = 100, 90, 100 in the reference velocity, 5, 2, 40 in its derivative, k_v = 3.5, 0.5, 0.3; 120 Hz."""
     per_arm = ("k_v_N_s_per_m=[3.5, 0.5, 0.5]", "k_v_Nm_s_per_rad=0.3")
     cell = paper_cell(
@@ -152,35 +161,34 @@ class SampledBody:
     def controller(self, x: Vector) -> Vector:
         return np.concatenate(self.torques(x)) - self.at_rest
 
-    def plant(self, x: Vector, tau: Vector) -> Vector:
-        """State one period later under constant torque."""
-        held = np.split(self.at_rest + tau, np.cumsum([a.model.n for a in self.agents])[:-1])
+    def plant(self, x: Vector, first: Vector, rest: Vector, share: float) -> Vector:
+        """State one period later under one torque for a share of it and then another."""
         motion, substeps = self.motion(x), 3
-        for _ in range(substeps):
-            motion = coupled_motion.step(
-                self.body, 0.0, motion, lambda _now: (held, 0.0), self.period_s / substeps
-            )  # fmt: skip
+        for tau, duration_s in ((first, share * self.period_s), (rest, (1.0 - share) * self.period_s)):
+            held = np.split(self.at_rest + tau, np.cumsum([a.model.n for a in self.agents])[:-1])
+            for _ in range(substeps if duration_s else 0):
+                motion = coupled_motion.step(
+                    self.body, 0.0, motion, lambda _now, held=held: (held, 0.0), duration_s / substeps
+                )  # fmt: skip
         P, T = self.body.P, self.body.T_world_object
         R = pin.Quaternion(*motion.quat.tolist()).matrix()
         shift = np.concatenate([motion.p - T.translation, pin.log3(R @ T.rotation.T)])
         return np.concatenate([P @ shift, motion.v])
 
-    def radius(self, delay: int) -> float:
-        """Spectral radius of the linearised map (x, τ_{k−1}, …, τ_{k−d}) → the same one period later."""
-        n = len(self.at_rest)
-        zero_x, zero_tau = np.zeros(6), np.zeros(n)
-        F = jacobian(lambda x: self.plant(x, zero_tau), 6)
-        B = jacobian(lambda tau: self.plant(zero_x, tau), n)
-        K = jacobian(self.controller, 6)
-        A = np.zeros((6 + delay * n, 6 + delay * n))
-        A[:6, :6] = F
-        if delay == 0:
-            A[:6, :6] += B @ K
-        else:
-            A[:6, -n:] = B
-            A[6 : 6 + n, :6] = K
-            A[6 + n :, 6:-n] = np.eye((delay - 1) * n)
-        return float(np.abs(np.linalg.eigvals(A)).max())
+    def radius(self, delay: float) -> float:
+        """Spectral radius of the linearised map (x, τ_k, …, τ_{k−d}) → the same one period later, τ_k = K x."""
+        n, whole = len(self.at_rest), int(delay)
+        share = delay - whole  # of the period, in which the torque before still acts
+        zero_x, zero = np.zeros(6), np.zeros(n)
+        F = jacobian(lambda x: self.plant(x, zero, zero, share), 6)
+        older = jacobian(lambda tau: self.plant(zero_x, tau, zero, share), n)
+        newer = jacobian(lambda tau: self.plant(zero_x, zero, tau, share), n)
+        count = whole + 2  # torques τ_k … τ_{k−d−1}; the last has no effect when the delay is whole
+        state = np.eye(6 + count * n)
+        x, taus = state[:6], [state[6 + i * n : 6 + (i + 1) * n] for i in range(count)]
+        x_next = F @ x + newer @ taus[whole] + older @ taus[whole + 1]
+        tau_next = jacobian(self.controller, 6) @ x_next
+        return float(np.abs(np.linalg.eigvals(np.vstack([x_next, tau_next, *taus[:-1]]))).max())
 
 
 def jacobian(f, n: int, h: float = 1e-5) -> Vector:
@@ -189,7 +197,7 @@ def jacobian(f, n: int, h: float = 1e-5) -> Vector:
 
 
 @pytest.mark.parametrize(("rate_hz", "delay", "stable"), TABLE)
-def test_linearised_step_on_a_coupled_body_agrees(rate_hz: float, delay: int, stable: bool) -> None:
+def test_linearised_step_on_a_coupled_body_agrees(rate_hz: float, delay: float, stable: bool) -> None:
     cell = paper_cell(f"rate_hz={rate_hz}")
     numeric = SampledBody(cell, 2.0).radius(delay)
     analytic = radius(cell, rate_hz, delay, 2.0)

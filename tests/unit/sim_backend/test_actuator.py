@@ -15,7 +15,6 @@ from sim_backend.physics.actuator import (
     VELOCITY_LSB_RAD_S,
     ActuatorError,
     ActuatorSpec,
-    DelayLine,
     Grid,
     Servos,
     TorqueCommand,
@@ -132,28 +131,6 @@ def test_grid_of_one_joint_leaves_the_others_exact() -> None:
     assert Grid(row(0.5, 0.0))(row(0.3, 0.3)).tolist() == [0.5, 0.3]
 
 
-@given(st.integers(0, 4), st.lists(torques, min_size=6, max_size=30))
-def test_delay_line_delays_by_whole_cycles(delay: int, commands: list[float]) -> None:
-    line = DelayLine(delay, 1)
-    acted = []
-    for tick, tau in enumerate(commands):
-        if delay:  # the server asks before the command of the tick is there
-            acted.append(float(line.acting(tick)[0]))
-            line.push(tick, row(tau))
-        else:
-            line.push(tick, row(tau))
-            acted.append(float(line.acting(tick)[0]))
-    assert acted == ([0.0] * delay + commands)[: len(commands)]
-
-
-def test_cleared_delay_line_has_nothing_on_its_way() -> None:
-    line = DelayLine(2, 1)
-    line.push(0, row(1.0))
-    line.push(1, row(2.0))
-    line.clear()
-    assert [float(line.acting(k)[0]) for k in (2, 3)] == [0.0, 0.0]
-
-
 def test_arms_side_by_side_keep_their_own_servos() -> None:
     strong, weak = ActuatorSpec.of(2), ActuatorSpec.of(1, stall_Nm=0.1)
     servos = Servos([strong, weak])
@@ -177,7 +154,8 @@ def test_seized_gear_changes_only_its_joints() -> None:
         ({"coulomb_speed_rad_s": 0.0}, "coulomb_speed_rad_s.*positive"),
         ({"torque_scale": 0.0}, "torque_scale.*positive"),
         ({"no_load_rad_s": 6.0}, "stall_Nm.*finite stall torque"),
-        ({"delay_cycles": -1}, "delay_cycles.*no negative"),
+        ({"delay_s": -1e-3}, "delay_s.*no negative"),
+        ({"delay_s": math.inf}, "delay_s.*a finite time"),
     ],
 )
 def test_impossible_servo_is_refused(effects: dict[str, float], message: str) -> None:

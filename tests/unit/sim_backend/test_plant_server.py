@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from drivers.interface import DriverError
-from sim_backend.physics.actuator import DelayLine, TorqueCommand
+from sim_backend.physics.actuator import ActuatorSpec, TorqueCommand
+from sim_backend.physics.delay import DelayLine, stretches
 from sim_backend.physics.plant import Observation, Plant
 from sim_backend.physics.spec import PlantError
 from tests.support.plant.plant_cells import planar_cell
@@ -54,29 +55,54 @@ def test_time_waits_for_the_slowest_arm(tmp_path: Path) -> None:
         assert got == [5_000_000]
 
 
-@pytest.mark.parametrize("delay", [0, 1, 2])
-def test_lockstep_gives_the_motion_of_the_plant_alone_bit_for_bit(tmp_path: Path, delay: int) -> None:
-    servos = replace(SERVOS, delay_cycles=delay)
+@pytest.mark.parametrize("delay_ms", [0.0, 1.0, 3.3, 5.0, 7.5, 10.0])
+def test_lockstep_gives_the_motion_of_the_plant_alone_bit_for_bit(tmp_path: Path, delay_ms: float) -> None:
+    servos = replace(SERVOS, delay_s=delay_ms * 1e-3)
     with ServedPlant(tmp_path, servos=servos) as served:
         over_sockets = cycle(served.enabled(), 40)
 
     plant = Plant(planar_cell(servos))
-    lines, command = [DelayLine(delay, 3) for _ in range(2)], TorqueCommand.of(servos)
+    line, command = DelayLine(servos.delay_s, 1e-3, 5, 6), TorqueCommand.of(servos)
     alone = []
     for tick in range(40):
         q, dq, tau = plant.reported()
-        for part, line in zip(plant.slices, lines, strict=True):
+        sent = []
+        for part in plant.slices:
             alone.append(q[part].tobytes() + dq[part].tobytes() + tau[part].tobytes())
-            line.push(tick, command(TAU - 0.5 * q[part] - 0.05 * dq[part]))
-        if tick < delay:
-            plant.rest(5)
-        else:
-            plant.advance(np.concatenate([line.acting(tick) for line in lines]), 5)
+            sent.append(command(TAU - 0.5 * q[part] - 0.05 * dq[part]))
+        line.push(tick, np.concatenate(sent))
+        for substep, count in stretches([line], 5):
+            if tick * 5 + substep < np.ceil(delay_ms):
+                plant.rest(count)
+            else:
+                plant.advance(line.acting(tick, substep), count)
     assert over_sockets == alone
 
 
+@pytest.mark.parametrize(
+    ("delay_ms", "first", "second"), [(0.0, 1.0, 1.0), (2.0, 0.6, 1.0), (2.5, 0.5, 1.0), (6.0, 0.0, 0.8)]
+)
+def test_a_torque_acts_from_its_delay_after_the_sample_on(
+    tmp_path: Path, delay_ms: float, first: float, second: float
+) -> None:
+    """A step of torque on one arm without gravity or friction: the share of the first two periods in which it acted."""
+    free = ActuatorSpec.of(3, delay_s=delay_ms * 1e-3)
+    spec = replace(planar_cell(free, names=("left",)), gravity=np.zeros(3))
+    with ServedPlant(tmp_path, names=("left",), spec=spec, supported_start=False) as served:
+        (left,) = served.enabled()
+        speeds = []
+        for _ in range(3):
+            speeds.append(left.read().dq.copy())
+            left.write(np.array([1e-3, 0.0, 0.0]))
+    whole = Plant(spec)
+    whole.advance(np.array([1e-3, 0.0, 0.0]), 5)
+    per_period = whole.dq[0]
+    assert speeds[1][0] == pytest.approx(first * per_period, rel=1e-3, abs=1e-9)
+    assert speeds[2][0] - speeds[1][0] == pytest.approx(second * per_period, rel=1e-3)
+
+
 def test_cell_rests_on_its_support_until_the_first_torque_has_come_through(tmp_path: Path) -> None:
-    servos = replace(SERVOS, delay_cycles=2)
+    servos = replace(SERVOS, delay_s=0.01)
     for supported in (True, False):
         seen: list[Observation] = []
         with ServedPlant(

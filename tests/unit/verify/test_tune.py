@@ -14,7 +14,7 @@ import pytest
 import configs
 from agent.config.cell import Cell, cell_from_toml, load_cell, placement
 from agent.control import ik, known
-from agent.verify.check import examine
+from agent.verify.check import Verdict, examine
 from agent.verify.tune import Form, Margin, NoGains, Tuner, velocity_chatter
 from agent.verify.tune_table import toml_lines, tune_table
 from drivers.dynamixel.servo.table import VELOCITY_UNIT_RAD_PER_S
@@ -40,37 +40,60 @@ def settles(history: History) -> bool:
 
 
 TABLE = [
-    ("servo", 120.0, 0, True),
-    ("servo", 120.0, 1, False),
-    ("servo", 150.0, 1, False),
-    ("servo", 170.0, 1, True),
-    ("servo", 200.0, 1, True),
-    ("servo", 200.0, 2, False),
-    ("servo", 300.0, 2, True),
-    ("observer", 120.0, 1, False),
-    ("observer", 180.0, 1, True),
-    ("observer", 200.0, 1, True),
-    ("observer", 200.0, 2, False),
-    ("observer", 320.0, 2, True),
+    ("servo", 120.0, 0.0, True),
+    ("servo", 150.0, 0.75, True),
+    ("servo", 90.0, 0.75, False),
+    ("servo", 120.0, 1.0, False),
+    ("servo", 150.0, 1.0, False),
+    ("servo", 170.0, 1.0, True),
+    ("servo", 200.0, 1.0, True),
+    ("observer", 100.0, 0.3, False),
+    ("observer", 150.0, 0.3, True),
+    ("observer", 120.0, 1.0, False),
+    ("observer", 180.0, 1.0, True),
+    ("observer", 200.0, 1.0, True),
 ]
 
 
 @pytest.mark.parametrize(("velocity", "rate_hz", "delay", "accepted"), TABLE)
 def test_what_the_check_refuses_diverges_and_what_it_accepts_converges(
-    velocity: str, rate_hz: float, delay: int, accepted: bool
+    velocity: str, rate_hz: float, delay: float, accepted: bool
 ) -> None:
-    cell = ideal(
-        f"rate_hz={rate_hz}", f"simulation.effects.delay_cycles={delay}", f'controller.velocity="{velocity}"'
-    )  # fmt: skip
+    cell = ideal(f"rate_hz={rate_hz}", f"loop_delay_s={delay / rate_hz!r}", f'controller.velocity="{velocity}"')
     assert examine(cell).ok == accepted
     assert settles(simulate(cell, 1.5)) == accepted
 
 
+@pytest.mark.parametrize(
+    ("velocity", "rate_hz", "delay", "stable"),
+    [
+        ("servo", 200.0, 2.0, False),
+        ("servo", 190.0, 1.8, False),
+        ("servo", 300.0, 2.0, True),
+        ("observer", 200.0, 2.0, False),
+        ("observer", 200.0, 0.5, True),
+        ("observer", 320.0, 2.0, True),
+    ],
+)
+def test_a_simulated_delay_that_nobody_believes_is_warned_of_where_it_diverges(
+    velocity: str, rate_hz: float, delay: float, stable: bool
+) -> None:
+    cell = ideal(
+        f"rate_hz={rate_hz}", f"simulation.effects.delay_s={delay / rate_hz!r}", f'controller.velocity="{velocity}"'
+    )
+    report = examine(cell)
+    found = next(f for f in report.findings if f.what == f"the same, {delay / rate_hz * 1e3:.3g} ms delay as simulated")
+    assert report.ok
+    assert found.verdict is (Verdict.OK if stable else Verdict.WARNING)
+    assert settles(simulate(cell, 1.5)) == stable
+
+
 @pytest.mark.parametrize("velocity", ["servo", "observer"])
-@pytest.mark.parametrize("rate_hz", [110.0, 120.0, 140.0])
-def test_a_small_disturbance_grows_by_the_spectral_radius(velocity: str, rate_hz: float) -> None:
+@pytest.mark.parametrize(("rate_hz", "delay"), [(110.0, 1.0), (120.0, 1.0), (140.0, 1.0), (90.0, 0.7), (80.0, 0.85)])
+def test_a_small_disturbance_grows_by_the_spectral_radius(velocity: str, rate_hz: float, delay: float) -> None:
     cell = ideal(
         f"rate_hz={rate_hz}",
+        f"loop_delay_s={delay / rate_hz!r}",
         f'controller.velocity="{velocity}"',
         "trajectory.p_amplitude_m=[0.0, 0.0, 0.0]",
         "trajectory.angle_rad=0.0",
@@ -142,8 +165,8 @@ def test_a_k_v_that_no_gain_can_make_up_for_is_lowered_for_rotation_alone() -> N
 
 
 def test_no_gains_are_refused_with_the_rate() -> None:
-    tuner = Tuner(ideal("rate_hz=50.0", "simulation.effects.delay_cycles=4"))
-    with pytest.raises(NoGains, match=r"at 50 Hz: found none.*damping of at least 0\.4; raise rate_hz"):
+    tuner = Tuner(ideal("rate_hz=20.0"))
+    with pytest.raises(NoGains, match=r"at 20 Hz: found none.*damping of at least 0\.4; raise rate_hz"):
         tuner.proposals(Margin(damping=0.4))
 
 

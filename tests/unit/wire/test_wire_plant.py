@@ -104,11 +104,11 @@ def test_watchdogs_of_dead_clients_take_the_torque_from_the_chain() -> None:
 
 def test_servos_bring_their_electronics_and_the_plant_keeps_its_friction() -> None:
     servos = ActuatorSpec.of(
-        3, delay_cycles=2, tau_max_Nm=4.0, torque_lsb_Nm=0.005, torque_scale=1.1, stall_Nm=4.1, no_load_rad_s=4.8,
+        3, delay_s=0.01, tau_max_Nm=4.0, torque_lsb_Nm=0.005, torque_scale=1.1, stall_Nm=4.1, no_load_rad_s=4.8,
         coulomb_Nm=0.1, viscous_Nms_rad=0.05, position_lsb_rad=0.0015, velocity_lsb_rad_s=0.024,
     )  # fmt: skip
     bare = without_servo_electronics(planar_cell(servos)).arms[0].actuator
-    assert bare.delay_cycles == 0
+    assert bare.delay_s == 0.0
     assert math.isinf(bare.stall_Nm[0])
     assert math.isinf(bare.tau_max_Nm[0])
     assert (bare.position_lsb_rad, bare.velocity_lsb_rad_s, bare.torque_lsb_Nm[0]) == (0.0, 0.0, 0.0)

@@ -1,0 +1,77 @@
+"""When a torque acts after the sample it answers: whole periods, parts of one, parts of a substep."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sim_backend.physics.delay import DelayLine, stretches
+
+SUBSTEP_S, SUBSTEPS = 1e-3, 5
+torques = st.lists(st.floats(-20, 20), min_size=6, max_size=30)
+
+
+def acted(delay_s: float, commands: Sequence[float]) -> list[float]:
+    """Torque in every substep, the command of a tick being pushed as late as the plant's server may push it."""
+    line, found = DelayLine(delay_s, SUBSTEP_S, SUBSTEPS, 1), []
+    for tick, tau in enumerate(commands):
+        if not line.periods:
+            line.push(tick, np.array([tau]))
+        parts = stretches([line], SUBSTEPS)
+        found += [float(line.acting(tick, begin)[0]) for begin, count in parts for _ in range(count)]
+        if line.periods:
+            line.push(tick, np.array([tau]))
+    return found
+
+
+@given(st.integers(0, 4), torques)
+def test_whole_periods_shift_the_commands_and_change_no_bit(periods: int, commands: list[float]) -> None:
+    late = ([0.0] * periods + commands)[: len(commands)]
+    assert acted(periods * SUBSTEPS * SUBSTEP_S, commands) == [tau for tau in late for _ in range(SUBSTEPS)]
+
+
+@given(st.floats(0.0, 0.02), torques)
+def test_every_substep_has_the_mean_of_what_acts_in_it(delay_s: float, commands: list[float]) -> None:
+    """Impulse of each substep, against the held commands shifted by the delay to the last digit."""
+    edges = np.arange(len(commands) * SUBSTEPS + 1) * SUBSTEP_S - delay_s
+    impulse_until = np.concatenate([[0.0], np.cumsum(commands)]) * SUBSTEPS * SUBSTEP_S
+    ticks = np.arange(len(commands) + 1) * SUBSTEPS * SUBSTEP_S
+    wanted = np.diff(np.interp(edges, ticks, impulse_until, left=0.0)) / SUBSTEP_S
+    np.testing.assert_allclose(acted(delay_s, commands), wanted, atol=1e-4)  # a delay next to a substep's edge is on it
+
+
+@pytest.mark.parametrize(
+    ("delay_s", "parts"),
+    [
+        (0.0, ((0, 5),)),
+        (0.005, ((0, 5),)),
+        (0.002, ((0, 2), (2, 3))),
+        (0.0023, ((0, 2), (2, 1), (3, 2))),
+        (0.0049, ((0, 4), (4, 1))),
+        (0.0073, ((0, 2), (2, 1), (3, 2))),
+    ],
+)
+def test_the_plant_is_stopped_only_where_the_torque_changes(delay_s: float, parts: tuple[tuple[int, int], ...]) -> None:
+    assert stretches([DelayLine(delay_s, SUBSTEP_S, SUBSTEPS, 1)], SUBSTEPS) == parts
+
+
+def test_arms_of_different_delay_share_the_stops() -> None:
+    lines = [DelayLine(delay_s, SUBSTEP_S, SUBSTEPS, 1) for delay_s in (0.001, 0.0035)]
+    assert stretches(lines, SUBSTEPS) == ((0, 1), (1, 2), (3, 1), (4, 1))
+
+
+@pytest.mark.parametrize(("delay_s", "substep"), [(0.0, 0), (0.0021, 3), (0.005, 5), (0.0121, 13)])
+def test_the_first_torque_is_through_in_that_substep(delay_s: float, substep: int) -> None:
+    assert DelayLine(delay_s, SUBSTEP_S, SUBSTEPS, 1).first_substep == substep
+
+
+def test_a_cleared_line_has_nothing_on_its_way() -> None:
+    line = DelayLine(0.0125, SUBSTEP_S, SUBSTEPS, 1)
+    for tick in range(2):
+        line.push(tick, np.array([tick + 1.0]))
+    line.clear()
+    assert [float(line.acting(k, s)[0]) for k in (2, 3) for s in range(SUBSTEPS)] == [0.0] * 10
