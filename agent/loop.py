@@ -1,6 +1,6 @@
-"""One tick of one arm as a pure function; `agent.runner` calls it, a replay calls it.
+"""One tick of one arm as a function of its own state, the time, offline data and its memory, bit for bit.
 
-Nothing here opens anything, knows a clock, or learns anything from another agent.
+`agent.runner` calls it once a cycle.  Nothing here opens anything, knows a clock, or learns from another agent.
 """
 
 from __future__ import annotations
@@ -28,7 +28,10 @@ SINGULAR_MARGIN = 1.5  # a stop for singularity holds where the law is not calle
 
 @dataclass(frozen=True, slots=True)
 class Agent:
-    """Everything that determines one arm's torque, apart from its own state, the time and its memory."""
+    """Everything that determines one arm's torque, apart from its own state, the time and its memory.
+
+    Raises ValueError when there are not as many limits as joints.
+    """
 
     name: str
     model: ArmModel
@@ -41,6 +44,11 @@ class Agent:
     error_max_m: float = math.inf  # while tracking: beyond it something outside this arm is wrong
     error_max_rad: float = math.inf
     hold_rate_rad_per_s: float = 10.0  # of a hold in joint space (agent.control.joint_hold)
+
+    def __post_init__(self) -> None:
+        n, counts = self.model.n, (len(self.limits.tau_max_Nm), len(self.limits.tau_step_max_Nm))
+        if counts != (n, n):
+            raise ValueError(f"arm {self.name}: {n} joints, but {counts[0]} torque and {counts[1]} torque step bounds")
 
     def near_singular(self, q: Vector) -> bool:
         """Whether the laws, which divide by the Jacobian, are not to hold the arm at q (n,)."""
