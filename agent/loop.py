@@ -6,7 +6,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -55,8 +56,7 @@ class Agent:
         return joint_hold.sigma_min(self.model, q) < SINGULAR_MARGIN * self.sigma_min
 
 
-@dataclass(frozen=True, slots=True)
-class Outcome:
+class Outcome(NamedTuple):
     """Result of one tick."""
 
     q: Vector  # what the law used
@@ -77,11 +77,11 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
     else:
         q, dq = agent.observer.correct(memory, state.q, state.dq)
     if not math.isfinite(sum(q.tolist()) + sum(dq.tolist())):
-        return Outcome(q, dq, None, memory.tau, Flag.NOT_FINITE, replace(memory, primed=False))
+        return Outcome(q, dq, None, memory.tau, Flag.NOT_FINITE, memory._replace(primed=False))
     try:
         terms, estimate, held = _law(agent, t, mode, memory, q, dq)
     except SingularJacobian:
-        return Outcome(q, dq, None, memory.tau, Flag.SINGULAR, replace(memory, primed=False))
+        return Outcome(q, dq, None, memory.tau, Flag.SINGULAR, memory._replace(primed=False))
     wanted = terms.tau_cmd.tolist()
     tau, flags = limit(wanted, memory.tau.tolist(), agent.limits)
     if terms.sigma_min < agent.sigma_min:
@@ -92,7 +92,7 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
         flags |= Flag.OFF_TRACK
     limited = np.array(tau)
     if Flag.NOT_FINITE in flags:  # nothing that is no number may live on in the memory
-        return Outcome(q, dq, terms, limited, flags, replace(memory, tau=limited, primed=False))
+        return Outcome(q, dq, terms, limited, flags, memory._replace(tau=limited, primed=False))
     carried = Memory(q, dq, terms.ddq_ref, memory.ddq, limited, True, memory.hold, t, estimate, memory.q_hold)
     return Outcome(q, dq, terms, limited, flags, carried)
 
@@ -139,6 +139,6 @@ def _desired(agent: Agent, t: float, mode: Mode, memory: Memory) -> Desired:
 def hold_here(agent: Agent, q: Vector, memory: Memory) -> Memory:
     """Memory with the object's present pose, and this arm's q (n,), as what to hold; nothing while q is no number."""
     if not np.isfinite(q).all():
-        return replace(memory, hold=None, q_hold=None)
+        return memory._replace(hold=None, q_hold=None)
     k = agent.model.evaluate(q, np.zeros_like(q))
-    return replace(memory, hold=(*k.p_object, *k.quat_object), q_hold=q)
+    return memory._replace(hold=(*k.p_object, *k.quat_object), q_hold=q)

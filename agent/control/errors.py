@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from agent.control.quaternion import Quat, Vec3, cross
+from agent.control.quaternion import Quat, Vec3
 from agent.control.trajectory import Desired, Vec6
 
 
@@ -61,13 +61,12 @@ def evaluate(p: Vec3, quat: Quat, v: Vec6, des: Desired, gains: Gains) -> Errors
     ex, ey, ez = e_eps
     dp = (v[0] - vd[0], v[1] - vd[1], v[2] - vd[2])
     wx, wy, wz = v[3] - vd[3], v[4] - vd[4], v[5] - vd[5]
+    ax, ay, az = vd[3], vd[4], vd[5]
     # ė_η = ½ e_εᵀ e_ω;  ė_ε = −½ (e_η I + S(e_ε)) e_ω − S(e_ε) ω_d
     de_eta = 0.5 * (ex * wx + ey * wy + ez * wz)
-    s_w = cross(e_eps, (wx, wy, wz))
-    s_d = cross(e_eps, (vd[3], vd[4], vd[5]))
-    dex = -0.5 * (e_eta * wx + s_w[0]) - s_d[0]
-    dey = -0.5 * (e_eta * wy + s_w[1]) - s_d[1]
-    dez = -0.5 * (e_eta * wz + s_w[2]) - s_d[2]
+    dex = -0.5 * (e_eta * wx + (ey * wz - ez * wy)) - (ey * az - ez * ay)
+    dey = -0.5 * (e_eta * wy + (ez * wx - ex * wz)) - (ez * ax - ex * az)
+    dez = -0.5 * (e_eta * wz + (ex * wy - ey * wx)) - (ex * ay - ey * ax)
     rx, ry, rz = -e_eta * ex, -e_eta * ey, -e_eta * ez
     kp, ke, kpr, ker = gains.k_p, gains.k_eps, gains.k_p_rate, gains.k_eps_rate
     v_ref = (  # v_r = v_d − K e
