@@ -69,6 +69,8 @@ class ArmModel:
         self.model = _reduced_model(urdf_xml, controlled, locked_rad, T_world_base)
         self.model.gravity = pin.Motion(np.asarray(gravity, dtype=np.float64), np.zeros(3))
         self.model.armature = np.asarray(rotor_inertia, dtype=np.float64)
+        self.weightless = pin.Model(self.model)  # for regressors, which know no inertia either
+        self.weightless.gravity = pin.Motion.Zero()
         self.joints = tuple(controlled)
         self.n = self.model.nv
         if not self.model.existFrame(ee_frame):
