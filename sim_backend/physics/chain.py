@@ -2,8 +2,8 @@
 
 A result is a function of the call's arguments alone, bit for bit.  `lcaba` eliminates one arm after the other, so its
 cost grows with their number; `constraintDynamics` factorises the system of all grasps at once.  Two traits of
-pinocchio 4.1 are dealt with here (docs/decisions/closed-chain-solver.md): `lcaba` reads the accelerations `data.oa`
-that the call before it left there, and its `contact_force` has the opposite sign of `constraintDynamics`.
+pinocchio 4.1 are dealt with here (docs/decisions/0008-closed-chain-solver.md): `lcaba` reads the accelerations
+`data.oa` that the call before it left there, and its `contact_force` has the opposite sign of `constraintDynamics`.
 """
 
 from __future__ import annotations
