@@ -29,7 +29,7 @@ class Estimate(NamedTuple):
 
 
 class Gradient(NamedTuple):
-    """What the adaptation laws (`eq:adaptation laws`) follow downhill, before the gains."""
+    """What the adaptation laws follow downhill, before the gains."""
 
     arm: Vector  # (13 n,) Y_qᵀ (dq − dq_r)
     object: Vector  # (10,) c_i Y_Oᵀ e_v
@@ -75,7 +75,7 @@ class Adaptation:
         reported as held back.
         """
         dt = min(max(dt, 0.0), MAX_INTERVALS * self.period_s)
-        theta = np.concatenate(estimate) - dt * self._gain * np.concatenate(gradient)
+        theta = np.concatenate(estimate) - dt * self._gain * np.concatenate(gradient)  # eq:adaptation laws
         if not math.isfinite(theta.dot(theta)):
             return estimate, True
         inside = to_box(theta, self._lower, self._upper)
@@ -92,7 +92,7 @@ class Adaptation:
 
     def parameter_error(self, estimate: Estimate) -> float:
         """½ e_θᵀ Γ⁻¹ e_θ with e_θ = nominal − θ̂, over the parameters that are estimated."""
-        error = self._nominal - np.concatenate(estimate)
+        error = self._nominal - np.concatenate(estimate)  # eq:adaptation errors
         return 0.5 * float((error * error).dot(self._weight))
 
 

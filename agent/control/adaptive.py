@@ -1,7 +1,7 @@
-"""The adaptive law (`eq:adaptive control vector form`) in joint space; pure, knows no mass of arm or object.
+"""The paper's adaptive law in joint space; its torque depends on estimates, not on the masses of arm or object.
 
     τ   = Y_q(q, dq, dq_r, ddq_r) θ̂_i + Jᵀ( −k_v e_v − c_i e + c_i Y_O θ̂_O ) + τ_int
-    θ̂̇_i = −γ_i Y_qᵀ (dq − dq_r),   θ̂̇_O = −γ_O c_i Y_Oᵀ e_v          (`eq:adaptation laws`)
+    θ̂̇_i = −γ_i Y_qᵀ (dq − dq_r),   θ̂̇_O = −γ_O c_i Y_Oᵀ e_v
 
 because Y_iᵀ e_v = Y_qᵀ J⁻¹ e_v = Y_qᵀ (dq − dq_r).  J is the Jacobian of the object frame, as in
 agent.control.known.  Y_q has three more columns per joint than the inertial ones: reflected rotor inertia
@@ -54,7 +54,8 @@ def torque(
     tau_adaptive = Y.dot(estimate.arm[:inertial]) + joints[:n] * ddq_ref
     direction = np.tanh(dq_ref / adaptation.smooth_rad_per_s)
     tau_friction = joints[n : 2 * n] * dq_ref + joints[2 * n :] * direction if adaptation.friction else None
-    arm_gradient = np.concatenate((Y.T.dot(dq_error), ddq_ref * dq_error, dq_ref * dq_error, direction * dq_error))
+    by_joint = (ddq_ref * dq_error, dq_ref * dq_error, direction * dq_error)
+    arm_gradient = np.concatenate((Y.T.dot(dq_error), *by_joint))  # eq:adaptation laws
 
     c, e_v, P = offline.load_share, e.e_v, model.task_basis
     R = k.R_world_object
@@ -63,11 +64,11 @@ def torque(
     # only what lies in the task space does work on this arm's side
     e_v_task = e_v if len(P) == 6 else P.T.dot(P.dot(e_v)).tolist()
     e_v_object = (*rotate_back(R, e_v_task[:3]), *rotate_back(R, e_v_task[3:]))
-    object_gradient = Y_object.T.dot([c * x for x in e_v_object])
+    object_gradient = Y_object.T.dot([c * x for x in e_v_object])  # eq:adaptation laws
 
     tau_posture = None if offline.posture is None else offline.posture.torque(q, dq, k.J, J_inv)
     shared = shared_torques(offline, k, e, load, tau_posture)
-    tau_law = law_torque(tau_adaptive, shared)
+    tau_law = law_torque(tau_adaptive, shared)  # eq:adaptive control vector form
     terms = assemble(
         desired,
         ref,

@@ -1,4 +1,4 @@
-"""The non-adaptive law (`eq:control law`) in joint space; pure, one small inverse per tick.
+"""The paper's non-adaptive law in joint space, with one small inverse per tick.
 
     dq_r = J⁻¹ v_r,   ddq_r = J⁻¹ (v̇_r − J̇ dq_r)
     τ = B ddq_r + C dq_r + g + Jᵀ( −k_v e_v − c_i e + c_i (M_O v̇_r + C_O v_r + g_O) ) + τ_int + τ_friction
@@ -33,8 +33,8 @@ def torque(model: ArmModel, offline: Offline, q: Vector, dq: Vector, desired: De
     load = (c * f[0], c * f[1], c * f[2], c * f[3], c * f[4], c * f[5])
     tau_posture = None if offline.posture is None else offline.posture.torque(q, dq, k.J, J_inv)
     shared = shared_torques(offline, k, e, load, tau_posture)
-    tau_inertia, tau_coriolis = k.B.dot(ddq_ref), k.C.dot(dq_ref)
-    tau_law = law_torque(tau_inertia + tau_coriolis + k.g, shared)
+    tau_inertia, tau_coriolis = k.B.dot(ddq_ref), k.C.dot(dq_ref)  # eq:manipulator dynamics at the reference, and k.g
+    tau_law = law_torque(tau_inertia + tau_coriolis + k.g, shared)  # eq:control law
     tau_cmd, tau_friction = tau_law, None
     if offline.friction is not None:
         tau_friction = offline.friction.torque(dq_ref)

@@ -65,12 +65,12 @@ class Terms(NamedTuple):
 
 
 def object_wrench(offline: Offline, k: Kinematics, errors: Errors) -> Vec6:
-    """M_O v̇_r + C_O v_r + g_O about the object's centre, world axes (`eq:object dynamics`)."""
+    """M_O v̇_r + C_O v_r + g_O about the object's centre, world axes."""
     R, inertia, m, g = k.R_world_object, offline.object_inertia, offline.object_mass_kg, offline.gravity
     v_ref, dv_ref = errors.v_ref, errors.dv_ref
     I_alpha = rotate_through(R, inertia, dv_ref[3:])
     gyro = cross(k.v_object[3:], rotate_through(R, inertia, v_ref[3:]))  # C_O = blockdiag(0, S(ω) I_O)
-    return (
+    return (  # eq:object dynamics
         m * (dv_ref[0] - g[0]),
         m * (dv_ref[1] - g[1]),
         m * (dv_ref[2] - g[2]),
@@ -89,7 +89,7 @@ def shift_to_ee(k: Kinematics, w: Vec6) -> Vec6:
     """J_O⁻ᵀ w: the wrench at the end effector with the same effect as w at the object's centre."""
     force = (w[0], w[1], w[2])
     moment = cross(k.p_ee_object, force)
-    return (*force, w[3] + moment[0], w[4] + moment[1], w[5] + moment[2])
+    return (*force, w[3] + moment[0], w[4] + moment[1], w[5] + moment[2])  # eq:J_o_i_def
 
 
 class Reference(NamedTuple):
@@ -114,8 +114,8 @@ def reference(
     J_inv, sigma_min = invert_jacobian(k.J, k.B)
     P = model.task_basis
     J_inv_P = J_inv if len(P) == 6 else J_inv.dot(P)  # with six rows P is the identity
-    dq_ref = J_inv_P.dot(e.v_ref)
-    ddq_ref = J_inv_P.dot(e.dv_ref) - J_inv.dot(k.dJ.dot(dq_ref))
+    dq_ref = J_inv_P.dot(e.v_ref)  # eq:J_o_i at the reference
+    ddq_ref = J_inv_P.dot(e.dv_ref) - J_inv.dot(k.dJ.dot(dq_ref))  # eq:J_o_i_dot at the reference
     return Reference(k, e, dq_ref, ddq_ref, sigma_min), J_inv, J_inv_P
 
 

@@ -87,7 +87,7 @@ class ArmModel:
                 "grasped_object",
                 ee.parentJoint,
                 self.ee_id,
-                ee.placement * T_object_ee.inverse(),
+                ee.placement * T_object_ee.inverse(),  # eq:coupled_kinematics for the object
                 pin.FrameType.OP_FRAME,
             )
         )
@@ -108,7 +108,7 @@ class ArmModel:
         T_world_object = pin.updateFramePlacement(model, data, frame)
         J6 = pin.getFrameJacobian(model, data, frame, _WORLD_AXES)
         dJ6 = pin.getFrameJacobianTimeVariation(model, data, frame, _WORLD_AXES)
-        v_object = tuple(J6.dot(dq).tolist())
+        v_object = tuple(J6.dot(dq).tolist())  # eq:J_o_i for v_O
         x, y, z, qx, qy, qz, qw = pin.SE3ToXYZQUATtuple(T_world_object)
         quat = (qw, qx, qy, qz)
         R = to_matrix(quat)

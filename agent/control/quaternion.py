@@ -21,7 +21,7 @@ def multiply(a: Quat, b: Quat) -> Quat:
     """Hamilton product a ⊗ b."""
     aw, ax, ay, az = a
     bw, bx, by, bz = b
-    return (
+    return (  # eq:quat_prod
         aw * bw - ax * bx - ay * by - az * bz,
         aw * bx + ax * bw + ay * bz - az * by,
         aw * by - ax * bz + ay * bw + az * bx,

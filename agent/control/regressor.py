@@ -31,7 +31,7 @@ def joint_regressor(model: ArmModel, q: Vector, dq: Vector, dq_ref: Vector, ddq_
     data = model.data
     Y: Matrix = pin.computeJointTorqueRegressor(model.model, data, q, 0.5 * (dq + dq_ref), ddq_ref)
     Y -= pin.computeJointTorqueRegressor(model.weightless, data, q, 0.5 * (dq - dq_ref), np.zeros(model.n))
-    return Y
+    return Y  # eq: parameter linearity , first line, in the joints
 
 
 def arm_parameters(model: ArmModel) -> Vector:
@@ -54,7 +54,7 @@ def object_regressor(v: Vec3, w: Vec3, v_ref: Vec3, w_ref: Vec3, a_ref: Vec3, dw
         force   m a_r + dw_r × h + w × (w_r × h)
         moment  h × a_r + I dw_r + w × (I w_r) + w × (h × v_r) + (h × v) × w_r ,
 
-    the factorisation for which Ṁ_O − 2 C_O is skew-symmetric; with h = 0 it is the paper's `eq:object dynamics`.
+    the factorisation for which Ṁ_O − 2 C_O is skew-symmetric; with h = 0 it is the paper's object dynamics.
     """
     vx, vy, vz = v
     wx, wy, wz = w
@@ -67,7 +67,7 @@ def object_regressor(v: Vec3, w: Vec3, v_ref: Vec3, w_ref: Vec3, a_ref: Vec3, dw
     sv = sx * vx + sy * vy + sz * vz
     # S(w) S(w_r) = w_r wᵀ − (w·w_r) E,  −S(w) S(v_r) + S(w_r) S(v) = (w·v_r) E − v_r wᵀ + v w_rᵀ − (w_r·v) E
     turn = wr - sv
-    return _matrix(
+    return _matrix(  # eq: parameter linearity , second line
         (
             # m, hx, hy, hz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz
             ax, sx * wx - ws, sx * wy - bz, sx * wz + by, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
