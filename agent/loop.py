@@ -1,12 +1,13 @@
-"""One tick of one arm: the torque as a function of its own state, the time, offline data and its memory, bit for bit.
+"""One tick of one arm as a function of its own state, the time, offline data and its memory, bit for bit.
 
-`agent.runner` calls it once a cycle; clocks, files and sockets are outside (an import contract).
+`agent.runner` calls it once a cycle.  Nothing here opens anything, knows a clock, or learns from another agent.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,7 +29,10 @@ SINGULAR_MARGIN = 1.5  # a stop for singularity holds where the law is not calle
 
 @dataclass(frozen=True, slots=True)
 class Agent:
-    """Everything that determines one arm's torque, apart from its own state, the time and its memory."""
+    """Everything that determines one arm's torque, apart from its own state, the time and its memory.
+
+    Raises ValueError when there are not as many limits as joints.
+    """
 
     name: str
     model: ArmModel
@@ -42,13 +46,17 @@ class Agent:
     error_max_rad: float = math.inf
     hold_rate_rad_per_s: float = 10.0  # of a hold in joint space (agent.control.joint_hold)
 
+    def __post_init__(self) -> None:
+        n, counts = self.model.n, (len(self.limits.tau_max_Nm), len(self.limits.tau_step_max_Nm))
+        if counts != (n, n):
+            raise ValueError(f"arm {self.name}: {n} joints, but {counts[0]} torque and {counts[1]} torque step bounds")
+
     def near_singular(self, q: Vector) -> bool:
         """Whether the laws, which divide by the Jacobian, are not to hold the arm at q (n,)."""
         return joint_hold.sigma_min(self.model, q) < SINGULAR_MARGIN * self.sigma_min
 
 
-@dataclass(frozen=True, slots=True)
-class Outcome:
+class Outcome(NamedTuple):
     """Result of one tick."""
 
     q: Vector  # what the law used
@@ -69,11 +77,11 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
     else:
         q, dq = agent.observer.correct(memory, state.q, state.dq)
     if not math.isfinite(sum(q.tolist()) + sum(dq.tolist())):
-        return Outcome(q, dq, None, memory.tau, Flag.NOT_FINITE, replace(memory, primed=False))
+        return Outcome(q, dq, None, memory.tau, Flag.NOT_FINITE, memory._replace(primed=False))
     try:
         terms, estimate, held = _law(agent, t, mode, memory, q, dq)
     except SingularJacobian:
-        return Outcome(q, dq, None, memory.tau, Flag.SINGULAR, replace(memory, primed=False))
+        return Outcome(q, dq, None, memory.tau, Flag.SINGULAR, memory._replace(primed=False))
     wanted = terms.tau_cmd.tolist()
     tau, flags = limit(wanted, memory.tau.tolist(), agent.limits)
     if terms.sigma_min < agent.sigma_min:
@@ -84,7 +92,7 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
         flags |= Flag.OFF_TRACK
     limited = np.array(tau)
     if Flag.NOT_FINITE in flags:  # the memory keeps finite numbers only
-        return Outcome(q, dq, terms, limited, flags, replace(memory, tau=limited, primed=False))
+        return Outcome(q, dq, terms, limited, flags, memory._replace(tau=limited, primed=False))
     carried = Memory(q, dq, terms.ddq_ref, memory.ddq, limited, True, memory.hold, t, estimate, memory.q_hold)
     return Outcome(q, dq, terms, limited, flags, carried)
 
@@ -131,6 +139,6 @@ def _desired(agent: Agent, t: float, mode: Mode, memory: Memory) -> Desired:
 def hold_here(agent: Agent, q: Vector, memory: Memory) -> Memory:
     """Memory with the object's present pose, and this arm's q (n,), as what to hold; nothing while q is no number."""
     if not np.isfinite(q).all():
-        return replace(memory, hold=None, q_hold=None)
+        return memory._replace(hold=None, q_hold=None)
     k = agent.model.evaluate(q, np.zeros_like(q))
-    return replace(memory, hold=(*k.p_object, *k.quat_object), q_hold=q)
+    return memory._replace(hold=(*k.p_object, *k.quat_object), q_hold=q)

@@ -6,7 +6,7 @@ Deadlines are absolute: a late cycle keeps the phase of the trajectory, and cycl
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -232,6 +232,6 @@ class Runner:
         if mode is Mode.HOLD and state is not None:
             self._memory = hold_here(self._agent, state.q, self._memory)
         if mode is Mode.TRACK:
-            self._memory = replace(self._memory, hold=None, q_hold=None)
+            self._memory = self._memory._replace(hold=None, q_hold=None)
         self.summary.mode = mode
         self._around.mode_changed(mode)

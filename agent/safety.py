@@ -1,7 +1,7 @@
-"""Bounds a torque before it is sent: finite, within its bound, within one step of the last one sent.
+"""The last word on every torque: finite, bounded, rate-limited.
 
-Finiteness comes first, because clipping lets NaN through.  Any floats give a torque, NaN and infinities too; a
-sequence that is not of length n is a ValueError.
+Finiteness comes first, because clipping lets NaN through.  Whatever the numbers are, a torque comes out for every
+joint; only a wrong count of them raises, and `agent.loop.Agent` refuses wrong counts before the first tick.
 """
 
 from __future__ import annotations
@@ -34,8 +34,12 @@ class Limits:
 
 
 def limit(tau_cmd: Sequence[float], tau_last: Sequence[float], limits: Limits) -> tuple[list[float], Flag]:
-    """Torque that may be sent, from the commanded one and the last one sent (all length n, N·m)."""
+    """Torque that may be sent, from the commanded one and the last one sent (all length n, N·m).
+
+    Raises ValueError when the lengths differ: a shorter torque would be worse.
+    """
     flags = Flag.NONE
+    rate_limited = saturated = False  # joining flags joint by joint would cost a microsecond each
     tau: list[float] = []
     for wanted, last, bound, step in zip(tau_cmd, tau_last, limits.tau_max_Nm, limits.tau_step_max_Nm, strict=True):
         if not math.isfinite(wanted):
@@ -44,12 +48,16 @@ def limit(tau_cmd: Sequence[float], tau_last: Sequence[float], limits: Limits) -
             continue
         allowed = wanted
         if allowed > last + step:
-            allowed, flags = last + step, flags | Flag.RATE_LIMITED
+            allowed, rate_limited = last + step, True
         elif allowed < last - step:
-            allowed, flags = last - step, flags | Flag.RATE_LIMITED
+            allowed, rate_limited = last - step, True
         if allowed > bound:
-            allowed, flags = bound, flags | Flag.SATURATED
+            allowed, saturated = bound, True
         elif allowed < -bound:
-            allowed, flags = -bound, flags | Flag.SATURATED
+            allowed, saturated = -bound, True
         tau.append(allowed)
+    if rate_limited:
+        flags |= Flag.RATE_LIMITED
+    if saturated:
+        flags |= Flag.SATURATED
     return tau, flags

@@ -29,7 +29,7 @@ class Estimate(NamedTuple):
 
 
 class Gradient(NamedTuple):
-    """What the adaptation laws (`eq:adaptation laws`) follow downhill, before the gains."""
+    """What the adaptation laws follow downhill, before the gains."""
 
     arm: Vector  # (13 n,) Y_qᵀ (dq − dq_r)
     object: Vector  # (10,) c_i Y_Oᵀ e_v
@@ -49,14 +49,24 @@ class Adaptation:
     physical: bool  # keep principal moments physical
     period_s: float
     weight: Estimate = field(init=False)  # Γ⁻¹, zero where nothing is estimated
-    alarm: Estimate = field(init=False)  # lower bounds but for those of zero: a mass at zero is physics, no alarm
+    # What a tick works with, arm and object in one array (13 n + 10,):
+    _nominal: Vector = field(init=False)
+    _gain: Vector = field(init=False)
+    _weight: Vector = field(init=False)
+    _lower: Vector = field(init=False)
+    _upper: Vector = field(init=False)
+    _alarm: Vector = field(init=False)  # lower bounds but for those of zero: a mass at zero is physics, no alarm
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "weight", Estimate(*(_inverse(x) for x in self.gain)))
-        object.__setattr__(self, "alarm", Estimate(*(np.where(x == 0.0, -np.inf, x) for x in self.lower)))
-        for estimate in (self.start, self.nominal, self.lower, self.upper, self.gain, self.weight, self.alarm):
-            for array in estimate:
-                array.flags.writeable = False
+        nominal, gain, lower, upper = (np.concatenate(x) for x in (self.nominal, self.gain, self.lower, self.upper))
+        weight, alarm = _inverse(gain), np.where(lower == 0.0, -np.inf, lower)
+        joined = {"nominal": nominal, "gain": gain, "weight": weight, "lower": lower, "upper": upper, "alarm": alarm}
+        for name, array in joined.items():
+            object.__setattr__(self, f"_{name}", array)
+        for array in (*self.start, *self.nominal, *self.lower, *self.upper, *self.gain, *joined.values()):
+            array.flags.writeable = False
+        split = len(self.gain.arm)
+        object.__setattr__(self, "weight", Estimate(weight[:split], weight[split:]))
 
     def advance(self, estimate: Estimate, gradient: Gradient, dt: float) -> tuple[Estimate, bool]:
         """θ̂ after dt seconds of θ̂̇ = −Γ gradient, projected; and whether a configured bound held it back.
@@ -65,25 +75,25 @@ class Adaptation:
         reported as held back.
         """
         dt = min(max(dt, 0.0), MAX_INTERVALS * self.period_s)
-        arm = estimate.arm - dt * self.gain.arm * gradient.arm
-        body = estimate.object - dt * self.gain.object * gradient.object
-        if not math.isfinite(arm.dot(arm) + body.dot(body)):
+        theta = np.concatenate(estimate) - dt * self._gain * np.concatenate(gradient)  # eq:adaptation laws
+        if not math.isfinite(theta.dot(theta)):
             return estimate, True
-        held = _outside(arm, self.alarm.arm, self.upper.arm) or _outside(body, self.alarm.object, self.upper.object)
-        arm = to_box(arm, self.lower.arm, self.upper.arm)
-        body = to_box(body, self.lower.object, self.upper.object)
+        inside = to_box(theta, self._lower, self._upper)
+        held = bool(np.count_nonzero(inside != theta)) and _outside(theta, self._alarm, self._upper)
+        split = len(estimate.arm)
+        arm, body = inside[:split], inside[split:]
         if self.physical:
-            split = len(arm) // ARM_PARAMETERS_PER_JOINT * BODY_PARAMETERS
-            bodies = np.concatenate((arm[:split], body)).reshape(-1, BODY_PARAMETERS)
+            links = arm[: split // ARM_PARAMETERS_PER_JOINT * BODY_PARAMETERS]
+            bodies = np.concatenate((links, body)).reshape(-1, BODY_PARAMETERS)
             possible = to_physical(bodies)
             if possible is not bodies:
-                arm[:split], body = possible[:-1].ravel(), possible[-1]
+                links[:], body[:] = possible[:-1].ravel(), possible[-1]
         return Estimate(arm, body), held
 
     def parameter_error(self, estimate: Estimate) -> float:
         """½ e_θᵀ Γ⁻¹ e_θ with e_θ = nominal − θ̂, over the parameters that are estimated."""
-        arm, body = self.nominal.arm - estimate.arm, self.nominal.object - estimate.object
-        return 0.5 * float((arm * arm).dot(self.weight.arm) + (body * body).dot(self.weight.object))
+        error = self._nominal - np.concatenate(estimate)  # eq:adaptation errors
+        return 0.5 * float((error * error).dot(self._weight))
 
 
 def from_row(theta_arm: Vector, theta_object: Vector, n: int) -> Estimate:

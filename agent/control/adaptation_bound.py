@@ -111,7 +111,7 @@ def believed_inertia(
             (joint_regressor(model, q_i, zero, zero, unit) - gravity) @ estimate.arm[:split] for unit in np.eye(n)
         ]
         B = np.stack(columns, axis=1) + np.diag(estimate.arm[split : split + n])
-        M += J_inv.T @ B @ J_inv
+        M += J_inv.T @ B @ J_inv  # eq:parameter linearity 2, the arms' part of M̃
         weightless = replace(agent, gravity=(0.0, 0.0, 0.0))
         rows = [
             _object_rows(model, weightless, q_i, replace(still, dv=P.T @ unit), P) @ estimate.object
@@ -142,7 +142,8 @@ def _adaptation_matrices(
         rotor, viscous, coulomb = adaptation.gain.arm[split:].reshape(3, n)
         direction = np.tanh(dq_ref / adaptation.smooth_rad_per_s)
         joints = rotor * ddq_ref**2 + viscous * dq_ref**2 + coulomb * direction**2
-        G_arm += J_inv.T @ ((Y * adaptation.gain.arm[:split]) @ Y.T + np.diag(joints)) @ J_inv
+        # J⁻ᵀ Y_q is the paper's Y_i
+        G_arm += J_inv.T @ ((Y * adaptation.gain.arm[:split]) @ Y.T + np.diag(joints)) @ J_inv  # eq:tmp
         Y_O = _object_rows(model, agent, q_i, reference, P)
         G_object += agent.load_share**2 * (Y_O * adaptation.gain.object) @ Y_O.T
     return G_arm, G_object

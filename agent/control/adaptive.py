@@ -1,7 +1,7 @@
-"""The adaptive law (`eq:adaptive control vector form`) in joint space; pure, knows no mass of arm or object.
+"""The paper's adaptive law in joint space; its torque depends on estimates, not on the masses of arm or object.
 
     τ   = Y_q(q, dq, dq_r, ddq_r) θ̂_i + Jᵀ( −k_v e_v − c_i e + c_i Y_O θ̂_O ) + τ_int
-    θ̂̇_i = −γ_i Y_qᵀ (dq − dq_r),   θ̂̇_O = −γ_O c_i Y_Oᵀ e_v          (`eq:adaptation laws`)
+    θ̂̇_i = −γ_i Y_qᵀ (dq − dq_r),   θ̂̇_O = −γ_O c_i Y_Oᵀ e_v
 
 because Y_iᵀ e_v = Y_qᵀ J⁻¹ e_v = Y_qᵀ (dq − dq_r).  J is the Jacobian of the object frame, as in
 agent.control.known.  Y_q has three more columns per joint than the inertial ones: reflected rotor inertia
@@ -16,12 +16,13 @@ from agent.control.adaptation import Adaptation, Estimate, Gradient
 from agent.control.law import (
     Offline,
     Terms,
-    add_extra,
-    feedback_torque,
+    assemble,
+    law_torque,
     lyapunov_share,
     reference,
     rotate_wrench,
-    shift_to_ee,
+    shared_torques,
+    wrench_at_ee,
 )
 from agent.control.models import ArmModel, Matrix
 from agent.control.quaternion import Mat3, Vec3, rotate_back
@@ -43,7 +44,8 @@ def torque(
 
     The second result is what `Adaptation.advance` takes.  Raises SingularJacobian.
     """
-    k, e, J_inv, J_inv_P, dq_ref, ddq_ref, sigma_min = reference(model, offline, q, dq, desired)
+    ref, J_inv, J_inv_P = reference(model, offline, q, dq, desired)
+    k, e, dq_ref, ddq_ref, _ = ref
     dq_error = dq - dq_ref
 
     n = model.n
@@ -52,7 +54,8 @@ def torque(
     tau_adaptive = Y.dot(estimate.arm[:inertial]) + joints[:n] * ddq_ref
     direction = np.tanh(dq_ref / adaptation.smooth_rad_per_s)
     tau_friction = joints[n : 2 * n] * dq_ref + joints[2 * n :] * direction if adaptation.friction else None
-    arm_gradient = np.concatenate((Y.T.dot(dq_error), ddq_ref * dq_error, dq_ref * dq_error, direction * dq_error))
+    by_joint = (ddq_ref * dq_error, dq_ref * dq_error, direction * dq_error)
+    arm_gradient = np.concatenate((Y.T.dot(dq_error), *by_joint))  # eq:adaptation laws
 
     c, e_v, P = offline.load_share, e.e_v, model.task_basis
     R = k.R_world_object
@@ -61,33 +64,20 @@ def torque(
     # only what lies in the task space does work on this arm's side
     e_v_task = e_v if len(P) == 6 else P.T.dot(P.dot(e_v)).tolist()
     e_v_object = (*rotate_back(R, e_v_task[:3]), *rotate_back(R, e_v_task[3:]))
-    object_gradient = Y_object.T.dot([c * x for x in e_v_object])
+    object_gradient = Y_object.T.dot([c * x for x in e_v_object])  # eq:adaptation laws
 
-    tau_feedback = feedback_torque(offline, k, e)
-    tau_object = k.Jt.dot(load)
-    tau_law = tau_adaptive + tau_feedback + tau_object
-    extra = add_extra(tau_law, offline, k, q, dq, J_inv)
-    u_object = J_inv_P.T.dot(tau_law).tolist()
-    terms = Terms(
-        desired=desired,
-        kinematics=k,
-        errors=e,
-        dq_ref=dq_ref,
-        ddq_ref=ddq_ref,
-        tau_inertia=None,
-        tau_coriolis=None,
-        tau_gravity=None,
-        tau_adaptive=tau_adaptive,
-        tau_feedback=tau_feedback,
-        tau_object=tau_object,
-        tau_internal=extra.tau_internal,
-        tau_friction=tau_friction,
-        tau_posture=extra.tau_posture,
-        tau_cmd=tau_law if tau_friction is None else tau_law + tau_friction,
-        wrench_cmd=shift_to_ee(k, u_object),
-        wrench_internal=extra.wrench_internal,
-        lyapunov=lyapunov_share(offline, k, e, dq_error) + adaptation.parameter_error(estimate),
-        sigma_min=sigma_min,
+    tau_posture = None if offline.posture is None else offline.posture.torque(q, dq, k.J, J_inv)
+    shared = shared_torques(offline, k, e, load, tau_posture)
+    tau_law = law_torque(tau_adaptive, shared)  # eq:adaptive control vector form
+    terms = assemble(
+        desired,
+        ref,
+        (None, None, None, tau_adaptive),
+        shared,
+        tau_friction,
+        tau_law if tau_friction is None else tau_law + tau_friction,
+        wrench_at_ee(k, J_inv_P, tau_law),
+        lyapunov_share(offline, k, e, dq_error) + adaptation.parameter_error(estimate),
     )
     return terms, Gradient(arm_gradient, object_gradient)
 

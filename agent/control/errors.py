@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from agent.control.quaternion import Quat, Vec3, cross
+from agent.control.quaternion import Quat, Vec3
 from agent.control.trajectory import Desired, Vec6
 
 
@@ -38,11 +38,11 @@ class Errors(NamedTuple):
 
 
 def attitude_error(quat: Quat, quat_des: Quat) -> tuple[float, Vec3]:
-    """Attitude error (e_η, e_ε) of e_ξ = ξ_d ⊗ ξ* (`eq:quat_error`)."""
+    """Attitude error (e_η, e_ε) of e_ξ = ξ_d ⊗ ξ*."""
     n, x, y, z = quat
     nd, xd, yd, zd = quat_des
-    e_eta = n * nd + x * xd + y * yd + z * zd
-    e_eps = (
+    e_eta = n * nd + x * xd + y * yd + z * zd  # eq:quat_error
+    e_eps = (  # eq:quat_error
         n * xd - nd * x + y * zd - z * yd,
         n * yd - nd * y + z * xd - x * zd,
         n * zd - nd * z + x * yd - y * xd,
@@ -56,21 +56,20 @@ def evaluate(p: Vec3, quat: Quat, v: Vec6, des: Desired, gains: Gains) -> Errors
     p, quat, v: object pose and twist (world axes, linear first) by this arm's own kinematics.
     """
     pd, vd, ad = des.p, des.v, des.a
-    e_p = (p[0] - pd[0], p[1] - pd[1], p[2] - pd[2])
+    e_p = (p[0] - pd[0], p[1] - pd[1], p[2] - pd[2])  # eq:position error
     e_eta, e_eps = attitude_error(quat, des.quat)
     ex, ey, ez = e_eps
-    dp = (v[0] - vd[0], v[1] - vd[1], v[2] - vd[2])
+    dp = (v[0] - vd[0], v[1] - vd[1], v[2] - vd[2])  # eq:position error dynamics
     wx, wy, wz = v[3] - vd[3], v[4] - vd[4], v[5] - vd[5]
+    ax, ay, az = vd[3], vd[4], vd[5]
     # ė_η = ½ e_εᵀ e_ω;  ė_ε = −½ (e_η I + S(e_ε)) e_ω − S(e_ε) ω_d
-    de_eta = 0.5 * (ex * wx + ey * wy + ez * wz)
-    s_w = cross(e_eps, (wx, wy, wz))
-    s_d = cross(e_eps, (vd[3], vd[4], vd[5]))
-    dex = -0.5 * (e_eta * wx + s_w[0]) - s_d[0]
-    dey = -0.5 * (e_eta * wy + s_w[1]) - s_d[1]
-    dez = -0.5 * (e_eta * wz + s_w[2]) - s_d[2]
+    de_eta = 0.5 * (ex * wx + ey * wy + ez * wz)  # eq:eta_error dynamics
+    dex = -0.5 * (e_eta * wx + (ey * wz - ez * wy)) - (ey * az - ez * ay)  # eq:epsilon error dynamics
+    dey = -0.5 * (e_eta * wy + (ez * wx - ex * wz)) - (ez * ax - ex * az)  # eq:epsilon error dynamics
+    dez = -0.5 * (e_eta * wz + (ex * wy - ey * wx)) - (ex * ay - ey * ax)  # eq:epsilon error dynamics
     rx, ry, rz = -e_eta * ex, -e_eta * ey, -e_eta * ez
     kp, ke, kpr, ker = gains.k_p, gains.k_eps, gains.k_p_rate, gains.k_eps_rate
-    v_ref = (  # v_r = v_d − K e
+    v_ref = (  # v_r = v_d − K e, eq:reference signals
         vd[0] - kp[0] * e_p[0],
         vd[1] - kp[1] * e_p[1],
         vd[2] - kp[2] * e_p[2],
@@ -78,7 +77,7 @@ def evaluate(p: Vec3, quat: Quat, v: Vec6, des: Desired, gains: Gains) -> Errors
         vd[4] - ke[1] * ry,
         vd[5] - ke[2] * rz,
     )
-    dv_ref = (  # v̇_r = v̇_d − K ė,  ė = [ė_p; −ė_η e_ε − e_η ė_ε]
+    dv_ref = (  # v̇_r = v̇_d − K ė,  ė = [ė_p; −ė_η e_ε − e_η ė_ε] with eq:error_dynamics
         ad[0] - kpr[0] * dp[0],
         ad[1] - kpr[1] * dp[1],
         ad[2] - kpr[2] * dp[2],
@@ -86,7 +85,7 @@ def evaluate(p: Vec3, quat: Quat, v: Vec6, des: Desired, gains: Gains) -> Errors
         ad[4] + ker[1] * (de_eta * ey + e_eta * dey),
         ad[5] + ker[2] * (de_eta * ez + e_eta * dez),
     )
-    e_v = (
+    e_v = (  # eq:reference error
         v[0] - v_ref[0],
         v[1] - v_ref[1],
         v[2] - v_ref[2],

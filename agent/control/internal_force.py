@@ -27,7 +27,7 @@ def internal_wrenches(p_object_ee: Sequence[Vec3], desired: Sequence[Vec6]) -> l
     effectors, object axes; both one per agent.  The sum of their effects on the object is zero.
     """
     centred = [about_object_centre(p, f) for p, f in zip(p_object_ee, desired, strict=True)]
-    share = _mean(centred)  # (1/N) Gᵀ f̂
+    share = _mean(centred)  # (1/N) Gᵀ f̂, eq:grasp matrix
     return [_minus(f, _at_end_effector(p, share)) for p, f in zip(p_object_ee, desired, strict=True)]
 
 
@@ -45,14 +45,14 @@ def about_object_centre(p_object_ee: Vec3, wrench_ee: Vec6) -> Vec6:
     """J_Oᵀ f: the wrench about the object's centre of a wrench f at the end effector; both in object axes."""
     fx, fy, fz, mx, my, mz = wrench_ee
     lever = cross(p_object_ee, (fx, fy, fz))
-    return (fx, fy, fz, mx + lever[0], my + lever[1], mz + lever[2])
+    return (fx, fy, fz, mx + lever[0], my + lever[1], mz + lever[2])  # eq:grasp matrix, one arm's part
 
 
 def _at_end_effector(p_object_ee: Vec3, wrench_centre: Vec6) -> Vec6:
     """J_O⁻ᵀ f: inverse of `about_object_centre`."""
     fx, fy, fz, mx, my, mz = wrench_centre
     lever = cross(p_object_ee, (fx, fy, fz))
-    return (fx, fy, fz, mx - lever[0], my - lever[1], mz - lever[2])
+    return (fx, fy, fz, mx - lever[0], my - lever[1], mz - lever[2])  # eq:J_o_i_def
 
 
 def _mean(wrenches: Sequence[Vec6]) -> Vec6:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 from scipy.linalg import lapack
 
 from agent.control.models import Matrix
@@ -35,7 +34,7 @@ def _invert(A: Matrix) -> Matrix:
     lu, pivots, info = lapack.dgetrf(A)
     if info == 0:
         inverse, info = lapack.dgetri(lu, pivots)
-    if info != 0 or not np.isfinite(inverse[0, 0]):
+    if info != 0 or not math.isfinite(inverse[0, 0]):
         raise SingularJacobian
     result: Matrix = inverse
     return result

@@ -13,7 +13,7 @@ import math
 
 from agent.control import errors as error_terms
 from agent.control.inverse import SingularJacobian, invert_jacobian
-from agent.control.law import Offline, Terms, object_wrench
+from agent.control.law import Offline, Reference, Shared, Terms, assemble, object_wrench
 from agent.control.models import ArmModel
 from agent.control.trajectory import Desired
 from drivers.interface import Vector
@@ -43,24 +43,13 @@ def torque(model: ArmModel, offline: Offline, q: Vector, dq: Vector, q_hold: Vec
     ddq_ref = -2.0 * rate_rad_per_s * dq - rate_rad_per_s**2 * (q - q_hold)
     tau_inertia, tau_coriolis = k.B.dot(ddq_ref), k.C.dot(dq)
     tau_object = k.Jt.dot([offline.load_share * f for f in object_wrench(offline, k, still)])
-    return Terms(
-        desired=desired,
-        kinematics=k,
-        errors=e,
-        dq_ref=0.0 * dq,
-        ddq_ref=ddq_ref,
-        tau_inertia=tau_inertia,
-        tau_coriolis=tau_coriolis,
-        tau_gravity=k.g,
-        tau_adaptive=None,
-        tau_feedback=0.0 * dq,
-        tau_object=tau_object,
-        tau_internal=None,
-        tau_friction=None,
-        tau_posture=None,
-        tau_cmd=tau_inertia + tau_coriolis + k.g + tau_object,
-        wrench_cmd=_UNKNOWN,
-        wrench_internal=_UNKNOWN,
-        lyapunov=math.nan,
-        sigma_min=sigma_min(model, q),
+    return assemble(
+        desired,
+        Reference(k, e, 0.0 * dq, ddq_ref, sigma_min(model, q)),
+        (tau_inertia, tau_coriolis, k.g, None),
+        Shared(0.0 * dq, tau_object, None, None, _UNKNOWN),
+        None,
+        tau_inertia + tau_coriolis + k.g + tau_object,
+        _UNKNOWN,
+        math.nan,
     )

@@ -1,4 +1,4 @@
-"""The non-adaptive law (`eq:control law`) in joint space; pure, one small inverse per tick.
+"""The paper's non-adaptive law in joint space, with one small inverse per tick.
 
     dq_r = J⁻¹ v_r,   ddq_r = J⁻¹ (v̇_r − J̇ dq_r)
     τ = B ddq_r + C dq_r + g + Jᵀ( −k_v e_v − c_i e + c_i (M_O v̇_r + C_O v_r + g_O) ) + τ_int + τ_friction
@@ -12,12 +12,13 @@ from __future__ import annotations
 from agent.control.law import (
     Offline,
     Terms,
-    add_extra,
-    feedback_torque,
+    assemble,
+    law_torque,
     lyapunov_share,
     object_wrench,
     reference,
-    shift_to_ee,
+    shared_torques,
+    wrench_at_ee,
 )
 from agent.control.models import ArmModel
 from agent.control.trajectory import Desired
@@ -26,38 +27,25 @@ from drivers.interface import Vector
 
 def torque(model: ArmModel, offline: Offline, q: Vector, dq: Vector, desired: Desired) -> Terms:
     """One tick of the law at this arm's (q, dq), each (n,).  Raises SingularJacobian."""
-    k, e, J_inv, J_inv_P, dq_ref, ddq_ref, sigma_min = reference(model, offline, q, dq, desired)
-    share = [offline.load_share * f for f in object_wrench(offline, k, e)]
-    tau_inertia = k.B.dot(ddq_ref)
-    tau_coriolis = k.C.dot(dq_ref)
-    tau_feedback = feedback_torque(offline, k, e)
-    tau_object = k.Jt.dot(share)
-    tau_law = tau_inertia + tau_coriolis + k.g + tau_feedback + tau_object
-    extra = add_extra(tau_law, offline, k, q, dq, J_inv)
-    # u_i: what the law asks of the object side; friction feed-forward is spent inside the joints
-    u_object = J_inv_P.T.dot(tau_law).tolist()
+    ref, J_inv, J_inv_P = reference(model, offline, q, dq, desired)
+    k, e, dq_ref, ddq_ref, _ = ref
+    c, f = offline.load_share, object_wrench(offline, k, e)
+    load = (c * f[0], c * f[1], c * f[2], c * f[3], c * f[4], c * f[5])
+    tau_posture = None if offline.posture is None else offline.posture.torque(q, dq, k.J, J_inv)
+    shared = shared_torques(offline, k, e, load, tau_posture)
+    tau_inertia, tau_coriolis = k.B.dot(ddq_ref), k.C.dot(dq_ref)  # eq:manipulator dynamics at the reference, and k.g
+    tau_law = law_torque(tau_inertia + tau_coriolis + k.g, shared)  # eq:control law
     tau_cmd, tau_friction = tau_law, None
     if offline.friction is not None:
         tau_friction = offline.friction.torque(dq_ref)
         tau_cmd = tau_law + tau_friction
-    return Terms(
-        desired=desired,
-        kinematics=k,
-        errors=e,
-        dq_ref=dq_ref,
-        ddq_ref=ddq_ref,
-        tau_inertia=tau_inertia,
-        tau_coriolis=tau_coriolis,
-        tau_gravity=k.g,
-        tau_adaptive=None,
-        tau_feedback=tau_feedback,
-        tau_object=tau_object,
-        tau_internal=extra.tau_internal,
-        tau_friction=tau_friction,
-        tau_posture=extra.tau_posture,
-        tau_cmd=tau_cmd,
-        wrench_cmd=shift_to_ee(k, u_object),
-        wrench_internal=extra.wrench_internal,
-        lyapunov=lyapunov_share(offline, k, e, dq - dq_ref),
-        sigma_min=sigma_min,
+    return assemble(
+        desired,
+        ref,
+        (tau_inertia, tau_coriolis, k.g, None),
+        shared,
+        tau_friction,
+        tau_cmd,
+        wrench_at_ee(k, J_inv_P, tau_law),
+        lyapunov_share(offline, k, e, dq - dq_ref),
     )

@@ -1,6 +1,6 @@
-"""What both control laws share: offline data of one agent, the terms of one tick, and the object's dynamics.
+"""What the control laws share: offline data of one agent, the terms of one tick, and the object's dynamics.
 
-Functions of the agent's own (q, dq), the time and offline data; `add_extra` adds to the torque it is given.
+Everything here is a function of the agent's own (q, dq), the time and offline data, and changes no argument.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from agent.control.friction import Friction
 from agent.control.inverse import invert_jacobian
 from agent.control.models import ArmModel, Kinematics, Matrix
 from agent.control.posture import Posture
-from agent.control.quaternion import Mat3, Vec3, cross, rotate, rotate_back
+from agent.control.quaternion import Mat3, Vec3, cross, rotate, rotate_back, rotate_through
 from agent.control.trajectory import Desired, Vec6
 from drivers.interface import Vector
 
@@ -65,14 +65,12 @@ class Terms(NamedTuple):
 
 
 def object_wrench(offline: Offline, k: Kinematics, errors: Errors) -> Vec6:
-    """M_O v̇_r + C_O v_r + g_O about the object's centre, world axes (`eq:object dynamics`)."""
-    R = k.R_world_object
-    v_ref, dv_ref, m, g = errors.v_ref, errors.dv_ref, offline.object_mass_kg, offline.gravity
-    inertia = offline.object_inertia
-    I_alpha = rotate(R, rotate(inertia, rotate_back(R, (dv_ref[3], dv_ref[4], dv_ref[5]))))
-    I_omega = rotate(R, rotate(inertia, rotate_back(R, (v_ref[3], v_ref[4], v_ref[5]))))
-    gyro = cross((k.v_object[3], k.v_object[4], k.v_object[5]), I_omega)  # C_O = blockdiag(0, S(ω) I_O)
-    return (
+    """M_O v̇_r + C_O v_r + g_O about the object's centre, world axes."""
+    R, inertia, m, g = k.R_world_object, offline.object_inertia, offline.object_mass_kg, offline.gravity
+    v_ref, dv_ref = errors.v_ref, errors.dv_ref
+    I_alpha = rotate_through(R, inertia, dv_ref[3:])
+    gyro = cross(k.v_object[3:], rotate_through(R, inertia, v_ref[3:]))  # C_O = blockdiag(0, S(ω) I_O)
+    return (  # eq:object dynamics
         m * (dv_ref[0] - g[0]),
         m * (dv_ref[1] - g[1]),
         m * (dv_ref[2] - g[2]),
@@ -91,59 +89,117 @@ def shift_to_ee(k: Kinematics, w: Vec6) -> Vec6:
     """J_O⁻ᵀ w: the wrench at the end effector with the same effect as w at the object's centre."""
     force = (w[0], w[1], w[2])
     moment = cross(k.p_ee_object, force)
-    return (*force, w[3] + moment[0], w[4] + moment[1], w[5] + moment[2])
+    return (*force, w[3] + moment[0], w[4] + moment[1], w[5] + moment[2])  # eq:J_o_i_def
 
 
 class Reference(NamedTuple):
-    """What both laws begin with: kinematics, errors, and the joint motion that the reference twist asks for."""
+    """What every law begins with: kinematics, errors, and the joint motion that the reference twist asks for."""
 
     kinematics: Kinematics
     errors: Errors
-    J_inv: Matrix  # (n, m)
-    J_inv_P: Matrix  # (n, 6) joint velocities of an object twist
     dq_ref: Vector
     ddq_ref: Vector
     sigma_min: float
 
 
-def reference(model: ArmModel, offline: Offline, q: Vector, dq: Vector, desired: Desired) -> Reference:
-    """dq_r = J⁻¹ v_r and ddq_r = J⁻¹ (v̇_r − J̇ dq_r) at this arm's (q, dq).  Raises SingularJacobian."""
+def reference(
+    model: ArmModel, offline: Offline, q: Vector, dq: Vector, desired: Desired
+) -> tuple[Reference, Matrix, Matrix]:
+    """dq_r = J⁻¹ v_r and ddq_r = J⁻¹ (v̇_r − J̇ dq_r) at this arm's (q, dq); J⁻¹ (n, m), and J⁻¹ P (n, 6).
+
+    J⁻¹ P gives the joint velocities of an object twist.  Raises SingularJacobian.
+    """
     k = model.evaluate(q, dq)
     e = error_terms.evaluate(k.p_object, k.quat_object, k.v_object, desired, offline.gains)
     J_inv, sigma_min = invert_jacobian(k.J, k.B)
-    J_inv_P = J_inv.dot(model.task_basis)
-    dq_ref = J_inv_P.dot(e.v_ref)
-    ddq_ref = J_inv_P.dot(e.dv_ref) - J_inv.dot(k.dJ.dot(dq_ref))
-    return Reference(k, e, J_inv, J_inv_P, dq_ref, ddq_ref, sigma_min)
+    P = model.task_basis
+    J_inv_P = J_inv if len(P) == 6 else J_inv.dot(P)  # with six rows P is the identity
+    dq_ref = J_inv_P.dot(e.v_ref)  # eq:J_o_i at the reference
+    ddq_ref = J_inv_P.dot(e.dv_ref) - J_inv.dot(k.dJ.dot(dq_ref))  # eq:J_o_i_dot at the reference
+    return Reference(k, e, dq_ref, ddq_ref, sigma_min), J_inv, J_inv_P
 
 
-def feedback_torque(offline: Offline, k: Kinematics, e: Errors) -> Vector:
-    """Jᵀ (−k_v e_v − c_i e)."""
-    c, k_v = offline.load_share, offline.gains.k_v
-    tau: Vector = k.Jt.dot([-g * v - c * x for g, v, x in zip(k_v, e.e_v, e.e, strict=True)])
+class Shared(NamedTuple):
+    """Torques that both laws add to those of their model of the arm."""
+
+    tau_feedback: Vector
+    tau_object: Vector
+    tau_internal: Vector | None
+    tau_posture: Vector | None
+    wrench_internal: Vec6  # at the end effector
+
+
+def shared_torques(offline: Offline, k: Kinematics, e: Errors, load: Vec6, tau_posture: Vector | None) -> Shared:
+    """Jᵀ (−k_v e_v − c_i e), Jᵀ of this arm's share of the object's wrench (`load`), Jᵀ f_int,i; world axes."""
+    c, k_v, e_v, x, Jt = offline.load_share, offline.gains.k_v, e.e_v, e.e, k.Jt
+    feedback = (
+        -k_v[0] * e_v[0] - c * x[0],
+        -k_v[1] * e_v[1] - c * x[1],
+        -k_v[2] * e_v[2] - c * x[2],
+        -k_v[3] * e_v[3] - c * x[3],
+        -k_v[4] * e_v[4] - c * x[4],
+        -k_v[5] * e_v[5] - c * x[5],
+    )
+    tau_feedback, tau_object = Jt.dot(feedback), Jt.dot(load)
+    if offline.internal_wrench is None:
+        return Shared(tau_feedback, tau_object, None, tau_posture, _NO_WRENCH)
+    internal = rotate_wrench(k.R_world_object, offline.internal_wrench)
+    return Shared(tau_feedback, tau_object, Jt.dot(internal), tau_posture, shift_to_ee(k, internal))
+
+
+def law_torque(tau_model: Vector, shared: Shared) -> Vector:
+    """Sum of the law's terms (n,), from those of its model of the arm; friction feed-forward is not among them."""
+    tau: Vector = tau_model + shared.tau_feedback
+    tau += shared.tau_object
+    if shared.tau_internal is not None:
+        tau += shared.tau_internal
+    if shared.tau_posture is not None:
+        tau += shared.tau_posture
     return tau
 
 
-class Extra(NamedTuple):
-    """What both laws can add to the paper's torque: internal force and null-space posture."""
-
-    tau_internal: Vector | None
-    wrench_internal: Vec6  # at the end effector
-    tau_posture: Vector | None
+def wrench_at_ee(k: Kinematics, J_inv_P: Matrix, tau_law: Vector) -> Vec6:
+    """u_i: what the law asks of the object side; friction feed-forward is spent inside the joints."""
+    return shift_to_ee(k, J_inv_P.T.dot(tau_law).tolist())
 
 
-def add_extra(tau_law: Vector, offline: Offline, k: Kinematics, q: Vector, dq: Vector, J_inv: Matrix) -> Extra:
-    """Torques of the desired internal wrench and of the posture, where configured; adds them to tau_law in place."""
-    tau_internal, wrench_internal, tau_posture = None, _NO_WRENCH, None
-    if offline.internal_wrench is not None:
-        internal = rotate_wrench(k.R_world_object, offline.internal_wrench)
-        tau_internal = k.Jt.dot(internal)
-        wrench_internal = shift_to_ee(k, internal)
-        tau_law += tau_internal
-    if offline.posture is not None:
-        tau_posture = offline.posture.torque(q, dq, k.J, J_inv)
-        tau_law += tau_posture
-    return Extra(tau_internal, wrench_internal, tau_posture)
+# Torques by the law's model of the arm: inertia, Coriolis, gravity; adaptive.
+ModelTorques = tuple[Vector | None, Vector | None, Vector | None, Vector | None]
+
+
+def assemble(
+    desired: Desired,
+    ref: Reference,
+    by_model: ModelTorques,
+    shared: Shared,
+    tau_friction: Vector | None,
+    tau_cmd: Vector,
+    wrench_cmd: Vec6,
+    lyapunov: float,
+) -> Terms:
+    """Terms of a tick, in their order; the only place that lists them all."""
+    tau_inertia, tau_coriolis, tau_gravity, tau_adaptive = by_model
+    return Terms(
+        desired,
+        ref.kinematics,
+        ref.errors,
+        ref.dq_ref,
+        ref.ddq_ref,
+        tau_inertia,
+        tau_coriolis,
+        tau_gravity,
+        tau_adaptive,
+        shared.tau_feedback,
+        shared.tau_object,
+        shared.tau_internal,
+        tau_friction,
+        shared.tau_posture,
+        tau_cmd,
+        wrench_cmd,
+        shared.wrench_internal,
+        lyapunov,
+        ref.sigma_min,
+    )
 
 
 def lyapunov_share(offline: Offline, k: Kinematics, errors: Errors, dq_error: Vector) -> float:

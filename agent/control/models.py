@@ -69,6 +69,8 @@ class ArmModel:
         self.model = _reduced_model(urdf_xml, controlled, locked_rad, T_world_base)
         self.model.gravity = pin.Motion(np.asarray(gravity, dtype=np.float64), np.zeros(3))
         self.model.armature = np.asarray(rotor_inertia, dtype=np.float64)
+        self.weightless = pin.Model(self.model)  # for regressors, which know no inertia either
+        self.weightless.gravity = pin.Motion.Zero()
         self.joints = tuple(controlled)
         self.n = self.model.nv
         if not self.model.existFrame(ee_frame):
@@ -85,7 +87,7 @@ class ArmModel:
                 "grasped_object",
                 ee.parentJoint,
                 self.ee_id,
-                ee.placement * T_object_ee.inverse(),
+                ee.placement * T_object_ee.inverse(),  # eq:coupled_kinematics for the object
                 pin.FrameType.OP_FRAME,
             )
         )
@@ -102,23 +104,22 @@ class ArmModel:
     def evaluate(self, q: Vector, dq: Vector) -> Kinematics:
         """Kinematics and dynamics terms at (q, dq), both (n,), as copies."""
         model, data, frame = self.model, self.data, self.object_id
-        pin.computeJointJacobiansTimeVariation(model, data, q, dq)
-        pin.updateFramePlacement(model, data, frame)
+        C = pin.computeCoriolisMatrix(model, data, q, dq).copy()  # leaves the Jacobians of all joints and their rates
+        T_world_object = pin.updateFramePlacement(model, data, frame)
         J6 = pin.getFrameJacobian(model, data, frame, _WORLD_AXES)
         dJ6 = pin.getFrameJacobianTimeVariation(model, data, frame, _WORLD_AXES)
-        v_object = J6.dot(dq).tolist()
-        x, y, z, qx, qy, qz, qw = pin.SE3ToXYZQUATtuple(data.oMf[frame])
+        v_object = tuple(J6.dot(dq).tolist())  # eq:J_o_i for v_O
+        x, y, z, qx, qy, qz, qw = pin.SE3ToXYZQUATtuple(T_world_object)
         quat = (qw, qx, qy, qz)
         R = to_matrix(quat)
         p_ee_object = rotate(R, self._p_ee_object)
         B = pin.crba(model, data, q).copy()
         g = pin.computeGeneralizedGravity(model, data, q).copy()
-        C = pin.computeCoriolisMatrix(model, data, q, dq).copy()
         if self._identity_task:
             J, dJ = J6, dJ6
         else:
             J, dJ = self.task_basis.dot(J6), self.task_basis.dot(dJ6)
-        return Kinematics((x, y, z), quat, R, tuple(v_object), J, dJ, J6.T, B, C, g, p_ee_object)
+        return Kinematics((x, y, z), quat, R, v_object, J, dJ, J6.T, B, C, g, p_ee_object)
 
     def object_pose(self, q: Vector) -> pin.SE3:
         """Pose of the object frame in the world when this arm is at q (n,)."""

@@ -21,7 +21,7 @@ def multiply(a: Quat, b: Quat) -> Quat:
     """Hamilton product a ⊗ b."""
     aw, ax, ay, az = a
     bw, bx, by, bz = b
-    return (
+    return (  # eq:quat_prod
         aw * bw - ax * bx - ay * by - az * bz,
         aw * bx + ax * bw + ay * bz - az * by,
         aw * by - ax * bz + ay * bw + az * bx,
@@ -72,6 +72,16 @@ def rotate_back(r: Mat3, v: Vec3) -> Vec3:
         r[1] * v[0] + r[4] * v[1] + r[7] * v[2],
         r[2] * v[0] + r[5] * v[1] + r[8] * v[2],
     )
+
+
+def rotate_through(r: Mat3, m: Mat3, v: Vec3) -> Vec3:
+    """R M Rᵀ v: what M does to v, M given in axes turned by R; three products in one call."""
+    r0, r1, r2, r3, r4, r5, r6, r7, r8 = r
+    m0, m1, m2, m3, m4, m5, m6, m7, m8 = m
+    x, y, z = v
+    a, b, c = r0 * x + r3 * y + r6 * z, r1 * x + r4 * y + r7 * z, r2 * x + r5 * y + r8 * z
+    x, y, z = m0 * a + m1 * b + m2 * c, m3 * a + m4 * b + m5 * c, m6 * a + m7 * b + m8 * c
+    return (r0 * x + r1 * y + r2 * z, r3 * x + r4 * y + r5 * z, r6 * x + r7 * y + r8 * z)
 
 
 def angle_between(a: Quat, b: Quat) -> float:

@@ -93,7 +93,7 @@ def coupled_inertia(
         # rows of one arm's task basis and those of the first span the same plane, perhaps turned
         J = P @ model.task_basis.T @ model.jacobian(q_i)
         B_inv = np.linalg.inv(model.inertia(q_i))
-        M += arm_scale * np.linalg.inv(J @ B_inv @ J.T)
+        M += arm_scale * np.linalg.inv(J @ B_inv @ J.T)  # eq:coupled M
     return M
 
 

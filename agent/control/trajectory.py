@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, field
+from typing import NamedTuple, Protocol
 
 from agent.control.quaternion import Quat, Vec3, from_axis_angle, multiply
 
 Vec6 = tuple[float, float, float, float, float, float]
 
 
-@dataclass(frozen=True, slots=True)
-class Desired:
+class Desired(NamedTuple):
     """Desired pose, twist and acceleration of the object's centre of mass; world axes, linear first."""
 
     p: Vec3  # m
@@ -48,16 +47,23 @@ class Sinusoid:
     axis: Vec3  # unit, world axes
     angle_rad: float
     period_s: float
+    _rad_per_s: float = field(init=False)
+    _amplitude: Vec6 = field(init=False)  # m, rad
+
+    def __post_init__(self) -> None:
+        p, n, phi = self.p_amplitude, self.axis, self.angle_rad
+        object.__setattr__(self, "_rad_per_s", 2.0 * math.pi / self.period_s)
+        object.__setattr__(self, "_amplitude", (*p, n[0] * phi, n[1] * phi, n[2] * phi))
 
     def at(self, t: float) -> Desired:
         """Desired motion at time t (s)."""
-        w = 2.0 * math.pi / self.period_s
+        w = self._rad_per_s
         s, c = math.sin(w * t), w * math.cos(w * t)
         dd = -w * w * s
-        p, a, n, phi = self.p_centre, self.p_amplitude, self.axis, self.angle_rad
+        (px, py, pz), (x, y, z, rx, ry, rz) = self.p_centre, self._amplitude
         return Desired(
-            p=(p[0] + a[0] * s, p[1] + a[1] * s, p[2] + a[2] * s),
-            quat=multiply(from_axis_angle(n, phi * s), self.quat_centre),
-            v=(a[0] * c, a[1] * c, a[2] * c, n[0] * phi * c, n[1] * phi * c, n[2] * phi * c),
-            a=(a[0] * dd, a[1] * dd, a[2] * dd, n[0] * phi * dd, n[1] * phi * dd, n[2] * phi * dd),
+            (px + x * s, py + y * s, pz + z * s),
+            multiply(from_axis_angle(self.axis, self.angle_rad * s), self.quat_centre),
+            (x * c, y * c, z * c, rx * c, ry * c, rz * c),
+            (x * dd, y * dd, z * dd, rx * dd, ry * dd, rz * dd),
         )

@@ -82,9 +82,9 @@ class PoseSpline:
         square = w * w + i * i + j * j + l * l
         n, f = 1.0 / math.sqrt(square), 2.0 / square
         g = f * (w * dw + i * di + j * dj + l * dl)
-        wx = f * (w * di - i * dw + j * dl - l * dj)
-        wy = f * (w * dj - j * dw + l * di - i * dl)
-        wz = f * (w * dl - l * dw + i * dj - j * di)
+        wx = f * (w * di - i * dw + j * dl - l * dj)  # eq:propagation rule_2
+        wy = f * (w * dj - j * dw + l * di - i * dl)  # eq:propagation rule_2
+        wz = f * (w * dl - l * dw + i * dj - j * di)  # eq:propagation rule_2
         return Desired(
             p=(px, py, pz),
             quat=(n * w, n * i, n * j, n * l),

@@ -185,26 +185,26 @@ class Servos:
         self.reported_position = Grid(join("position_lsb_rad"))
         self.reported_velocity = Grid(join("velocity_lsb_rad_s"))
         self._current_grid = Grid(join("torque_lsb_Nm"))
-        buffers = np.zeros((6, len(self._scale)))
-        self._zeros, self._sign, self._size, self._signed_slope, self._motor, self._friction = buffers
+        self._zeros, self._low, self._high, self._signed_stall, self._motor, self._friction = np.zeros(
+            (6, len(self._scale))
+        )
 
     def command(self, tau_Nm: Vector) -> None:
         """Set the commands (J,) that hold from now on."""
         np.multiply(tau_Nm, self._scale, self._motor)
         if self._limited:
-            np.sign(self._motor, self._sign)
-            np.abs(self._motor, self._size)
-            np.multiply(self._slope, self._sign, self._signed_slope)
+            np.minimum(self._motor, self._zeros, out=self._low)
+            np.maximum(self._motor, self._zeros, out=self._high)
+            np.copysign(self._stall, self._motor, self._signed_stall)
 
     def motor_torque(self, dq: Vector) -> Vector:
         """Torque (J,) of the motors at speeds dq: |τ| ≤ max(0, τ_stall (1 − sign(τ) dq / dq_no_load))."""
         motor = self._motor
-        if self._limited:
-            np.multiply(self._signed_slope, dq, motor)
-            np.subtract(self._stall, motor, motor)
-            np.maximum(motor, self._zeros, out=motor)
-            np.minimum(motor, self._size, out=motor)
-            np.multiply(motor, self._sign, motor)
+        if self._limited:  # between zero and the command, on the line sign(τ) τ_stall − τ_stall dq / dq_no_load
+            np.multiply(self._slope, dq, motor)
+            np.subtract(self._signed_stall, motor, motor)
+            np.maximum(motor, self._low, out=motor)
+            np.minimum(motor, self._high, out=motor)
         return motor
 
     def friction_coefficient(self, dq: Vector) -> Vector:

@@ -88,4 +88,4 @@ def step_figure(agent: Agent) -> Figure:
         adaptation.advance(estimate, gradient, PERIOD)
 
     without: Callable[[], None] = lambda: known.torque(agent.model, offline, q, dq, desired)  # noqa: E731
-    return paired(step, without)
+    return paired(step, without, CALLS)

@@ -77,6 +77,12 @@ def test_output_is_finite_whatever_the_law_gave(rows: list[Row]) -> None:
     assert (NOT_FINITE in flags) == any(not math.isfinite(r[0]) for r in rows)
 
 
+@given(st.lists(st.tuples(anything, anything, anything, anything), min_size=1, max_size=7))
+@examples(300)
+def test_a_torque_comes_out_for_every_joint_whatever_the_numbers(rows: list[Row]) -> None:
+    assert len(run(rows)[0]) == len(rows)
+
+
 @given(joints)
 @examples(300)
 def test_output_is_within_the_bound_when_the_last_one_was(rows: list[Row]) -> None:

@@ -23,7 +23,10 @@ OPERATORS: dict[type[ast.operator], tuple[type[ast.operator], ...]] = {
     ast.Sub: (ast.Add,),
     ast.BitOr: (ast.BitAnd, ast.BitXor),
 }
-EQUIVALENT = ("if wanted > last + step", "elif wanted < last - step")  # `allowed` is `wanted` there
+EQUIVALENT = (
+    *("if wanted > last + step", "elif wanted < last - step"),  # `allowed` is `wanted` there
+    *("flags ^= Flag.RATE_LIMITED", "flags ^= Flag.SATURATED"),  # set once: there is nothing to flip back
+)
 NUMBERS = ("wanted", "last", "bound", "step")
 FLAGS = ("NONE", "NOT_FINITE", "SATURATED", "RATE_LIMITED")
 Change = Callable[[Any], None]

@@ -163,7 +163,7 @@ def stretched() -> np.ndarray:
 def test_a_jacobian_without_inverse_keeps_the_last_torque_and_says_so() -> None:
     cell = load_cell(ONE_ARM, ['controller.velocity="servo"'])
     agent = build_agent(cell, cell.arms[0])
-    memory = replace(initial_memory(agent), tau=np.array([0.1, 0.2, 0.3]))
+    memory = initial_memory(agent)._replace(tau=np.array([0.1, 0.2, 0.3]))
     for q in (stretched(), stretched() + np.array([0.3, 0.0, -0.2])):
         outcome = step(agent, JointState(0, q, np.zeros(3), np.zeros(3)), 0.0, Mode.TRACK, memory)
         assert outcome.flags & Flag.SINGULAR

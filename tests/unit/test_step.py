@@ -15,7 +15,7 @@ from agent.control.models import ArmModel, Kinematics
 from agent.loop import Agent, Outcome, hold_here, initial_memory, step
 from agent.modes import Mode
 from agent.process.build import build_agent
-from agent.safety import Flag
+from agent.safety import Flag, Limits
 from drivers.interface import JointState
 
 PERIOD = 0.005
@@ -36,6 +36,15 @@ def ticks(agent: Agent, states: Sequence[JointState], mode: Mode = Mode.TRACK) -
         outcomes.append(step(agent, state, PERIOD * k, mode, memory))
         memory = outcomes[-1].memory
     return outcomes
+
+
+@pytest.mark.parametrize("bounds", [((1.0,) * 2, (1.0,) * 3), ((1.0,) * 3, (1.0,) * 4)])
+def test_an_arm_with_a_wrong_number_of_bounds_is_refused_before_its_first_tick(
+    bounds: tuple[tuple[float, ...], tuple[float, ...]],
+) -> None:
+    agent, _ = agent_of([])
+    with pytest.raises(ValueError, match="3 joints, but"):
+        replace(agent, limits=Limits(*bounds))
 
 
 def still(q: np.ndarray, count: int) -> list[JointState]:
@@ -113,6 +122,7 @@ class FlatArm:
 
     def __init__(self, model: ArmModel) -> None:
         self.model = model
+        self.n = model.n
         self.task_basis = model.task_basis
 
     def evaluate(self, q: np.ndarray, dq: np.ndarray) -> Kinematics:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -79,7 +77,7 @@ def test_gradients_are_those_of_the_printed_adaptation_laws(cell: RandomCell, se
     The work is taken in the task space, so what a planar arm's errors have out of its plane teaches it nothing.
     """
     rng = np.random.default_rng(seed)
-    desired = replace(cell.desired, quat=multiply(from_axis_angle((0.6, 0.0, 0.8), 0.1), cell.desired.quat))
+    desired = cell.desired._replace(quat=multiply(from_axis_angle((0.6, 0.0, 0.8), 0.1), cell.desired.quat))
     for arm in cell.arms:
         nominal = nominal_of(arm)
         data, first, second = adaptation(nominal, friction=True), *(random_estimate(rng, nominal) for _ in range(2))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
@@ -140,7 +139,7 @@ def test_virtual_work_of_joints_and_end_effector_agree(cell: RandomCell, seed: i
 def test_both_signs_of_the_desired_quaternion_give_the_same_torque(cell: RandomCell) -> None:
     """ξ and −ξ are one attitude: the law has no preference, so it cannot unwind."""
     quat = cell.desired.quat
-    other = replace(cell.desired, quat=(-quat[0], -quat[1], -quat[2], -quat[3]))
+    other = cell.desired._replace(quat=(-quat[0], -quat[1], -quat[2], -quat[3]))
     for arm in cell.arms:
         one = known.torque(arm.model, arm.offline, arm.q, arm.dq, cell.desired)
         two = known.torque(arm.model, arm.offline, arm.q, arm.dq, other)

@@ -154,7 +154,7 @@ class SampledBody:
         motion, out = self.motion(x), []
         dq = coupled_motion.observe(self.body, 0.0, motion).dq
         for agent, q_i, dq_i, tau in zip(self.agents, motion.q, dq, self.tau, strict=True):
-            memory = replace(initial(agent.model.n), tau=tau)
+            memory = initial(agent.model.n)._replace(tau=tau)
             out.append(step(agent, JointState(0, q_i, dq_i, tau), 0.0, Mode.TRACK, memory).tau)
         return out
 

@@ -1,0 +1,58 @@
+"""Forward dynamics of the closed chain by pinocchio's `lcaba`, and the wrenches in the grasps that are closed.
+
+A result is a function of the call's arguments alone, bit for bit.  `lcaba` eliminates one arm after the other, so its
+cost grows with their number; `constraintDynamics` factorises the system of all grasps at once.  Two traits of
+pinocchio 4.1 are dealt with here (docs/decisions/0008-closed-chain-solver.md): `lcaba` reads the accelerations
+`data.oa` that the call before it left there, and its `contact_force` has the opposite sign of `constraintDynamics`.
+"""
+
+from __future__ import annotations
+
+import pinocchio as pin
+
+from drivers.interface import Vector
+from sim_backend.physics.composition import Composition, compose
+from sim_backend.physics.spec import PlantSpec
+
+
+class Chain:
+    """A composition with pinocchio's working memory, and the grasps that are closed: all of them at first.
+
+    Raises PlantError as `compose`.
+    """
+
+    def __init__(self, spec: PlantSpec) -> None:
+        self.composition: Composition = compose(spec)
+        self.model = self.composition.model
+        self.proximal = pin.ProximalSettings(
+            spec.proximal_accuracy, spec.proximal_accuracy, spec.proximal_mu, spec.proximal_iterations
+        )
+        self._no_acceleration = pin.StdVec_Motion()
+        for _ in range(self.model.njoints):
+            self._no_acceleration.append(pin.Motion.Zero())
+        self.close(tuple(range(len(spec.arms))))
+
+    def close(self, arms: tuple[int, ...]) -> None:
+        """Hold the object with these arms and no others."""
+        self.closed = arms
+        self.grasps = pin.StdVec_RigidConstraintModel()
+        self.states = pin.StdVec_RigidConstraintData()
+        for i in arms:
+            self.grasps.append(self.composition.grasps[i])
+            self.states.append(self.composition.grasps[i].createData())
+        self.data = self.model.createData()
+        pin.computeJointMinimalOrdering(self.model, self.data, self.grasps)
+        self.state_by_arm = [(arm, self.states[i]) for i, arm in enumerate(arms)]
+
+    def acceleration(self, q: Vector, v: Vector, tau: Vector) -> Vector:
+        """View (nv,) of pinocchio's buffer; the next call overwrites it."""
+        self.data.oa = self._no_acceleration  # what the last call left here would enter this one
+        a: Vector = pin.lcaba(self.model, self.data, q, v, tau, self.grasps, self.states, self.proximal)
+        return a
+
+    def grasp_forces(self) -> list[tuple[int, pin.Force, pin.SE3]]:
+        """Of each closed grasp at the last evaluation: the arm, its wrench on the object, and the gap.
+
+        The wrench is in the axes of the grasp on the object, at its origin; the gap is the end effector's pose there.
+        """
+        return [(arm, -state.contact_force, state.c1Mc2) for arm, state in self.state_by_arm]
