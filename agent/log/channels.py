@@ -8,9 +8,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from agent.log import ros_definitions, standard
+from agent.log.chunk import Group, Message
 from agent.log.file import LogFile
 from agent.log.standard import Stamp, StandardTopic
-from agent.log.writer import Group, Message, Records
+from agent.log.writer import Records
 from agent.telemetry.row.event import Event
 from agent.telemetry.row.received import Rows, Text
 from agent.telemetry.row.sample import AGENT_STATE, PLANT_STATE

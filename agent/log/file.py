@@ -20,7 +20,8 @@ from mcap.records import Attachment as AttachmentRecord
 from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
-from agent.log.writer import BatchWriter, Group, Records
+from agent.log.chunk import Group
+from agent.log.writer import BatchWriter, Records
 from drivers.interface import Refusal
 
 LIBRARY: Final = "widowx-coop"

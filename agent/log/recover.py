@@ -200,11 +200,11 @@ class _Copy:
             self._add_messages(record)
 
     def _add_messages(self, messages: Messages) -> None:
-        for run in messages.runs:
-            if run.channel in self._channels:
-                self._writer.append_records(messages.records(run))
-                if self._writer.full:
-                    self._writer.end_chunk()
+        copy = messages.copy(self._channels)
+        if copy.content:
+            self._writer.append_copy(copy)
+        if self._writer.full:
+            self._writer.end_chunk()
 
 
 def _sync(path: Path, flags: int) -> None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from dataclasses import dataclass
 from io import BytesIO
 from typing import BinaryIO, Final, NamedTuple
@@ -22,7 +22,7 @@ from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import MCAP0_MAGIC as MAGIC
 from numpy.typing import NDArray
 
-from agent.log.writer import HEAD, RECORD_HEAD_BYTES
+from agent.log.chunk import HEAD, LOG_TIME_AT, RECORD_HEAD_BYTES, RecordCopy
 
 CHUNK_BYTES_MAX: Final = 1 << 28
 RECORD_BYTES_MAX: Final = 1 << 28
@@ -52,21 +52,21 @@ class Messages:
     data: bytes
     runs: list[Run]
 
-    def records(self, run: Run) -> NDArray[np.void]:
-        """The records (number,) of a run: the fields of HEAD, then `message`."""
-        dtype = np.dtype([*((name, HEAD[name]) for name in HEAD.names or ()), ("message", f"V{message_bytes(run)}")])
-        return np.frombuffer(self.data, dtype, run.number, run.begin)
-
     def payloads(self, run: Run) -> NDArray[np.uint8]:
         """The messages (number, size) of a run, without their heads."""
-        size = message_bytes(run)
-        first = run.begin + HEAD.itemsize
-        return np.ndarray((run.number, size), np.uint8, self.data, first, (run.stride, 1))
+        shape, first = (run.number, run.stride - HEAD.itemsize), run.begin + HEAD.itemsize
+        return np.ndarray(shape, np.uint8, self.data, first, (run.stride, 1))
 
-
-def message_bytes(run: Run) -> int:
-    """Size of each message of a run."""
-    return run.stride - HEAD.itemsize
+    def copy(self, channels: Container[int]) -> RecordCopy:
+        """The message records of these channels."""
+        runs = [run for run in self.runs if run.channel in channels]
+        content = b"".join(self.data[run.begin : run.begin + run.stride * run.number] for run in runs)
+        numbers, strides = (np.array([getattr(run, name) for run in runs], np.int64) for name in ("number", "stride"))
+        each = np.repeat(strides, numbers)
+        offsets = np.cumsum(each) - each
+        time_at = offsets[:, None] + np.arange(LOG_TIME_AT, LOG_TIME_AT + 8)
+        times = np.frombuffer(content, np.uint8)[time_at].view("<u8")[:, 0] if runs else np.empty(0, np.uint64)
+        return RecordCopy(content, np.repeat([run.channel for run in runs], numbers), times, offsets.astype(np.uint64))
 
 
 class LogScan:

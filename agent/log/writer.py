@@ -11,8 +11,8 @@ import struct
 import zlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Final, NamedTuple
+from dataclasses import replace
+from typing import Any, Final
 
 import numpy as np
 import zstandard
@@ -35,94 +35,17 @@ from mcap.records import (
 from mcap.writer import MCAP0_MAGIC as MAGIC
 from numpy.typing import NDArray
 
+from agent.log.chunk import RECORD_HEAD_BYTES, Chunk, Group, Part, RecordCopy
+
 CHUNK_BYTES: Final = 1 << 20
 LEVEL: Final = 1  # of zstd: two thirds of the default's time for 3 % more bytes
 COMPRESSION: Final = "zstd"
-HEAD: Final = np.dtype(
-    [
-        ("opcode", "u1"),
-        ("length", "<u8"),
-        ("channel", "<u2"),
-        ("sequence", "<u4"),
-        ("log_time", "<u8"),
-        ("publish_time", "<u8"),
-    ]
-)  # of a message record; the message follows
-RECORD_HEAD_BYTES: Final = 9  # opcode and length, which counts what is behind it
 _CHUNK_HEAD: Final = struct.Struct("<BQQQQII4sQ")
 _INDEX_HEAD: Final = struct.Struct("<BQHI")
 _FOOTER: Final = struct.Struct("<BQQQ")
 
 Records = NDArray[np.void]
 Numbers = NDArray[np.integer[Any]]
-
-
-class Message(NamedTuple):
-    """One kind of message of constant size."""
-
-    channel: int
-    dtype: np.dtype[Any]
-    template: bytes = b""  # encoded message whose numbers the caller fills in; empty: the caller gives every byte
-
-
-class Group:
-    """Messages that are written together, one of each kind at a time."""
-
-    def __init__(self, messages: Sequence[Message]) -> None:
-        """`messages`: at least one; all with a template, or a single one without."""
-        fields: list[Any] = []
-        template = b""
-        for i, m in enumerate(messages):
-            fields += [(f"head{i}", HEAD), (f"message{i}", m.dtype)]
-            length = HEAD.itemsize - RECORD_HEAD_BYTES + m.dtype.itemsize
-            head = struct.pack("<BQH", Opcode.MESSAGE, length, m.channel)
-            template += head.ljust(HEAD.itemsize, b"\0") + m.template
-        self.channels = tuple(m.channel for m in messages)
-        self.dtype: np.dtype[np.void] = np.dtype(fields)
-        self.template = np.frombuffer(template, np.uint8)  # the beginning of each record
-        self.heads = tuple(f"head{i}" for i in range(len(messages)))
-        self.names = tuple(f"message{i}" for i in range(len(messages)))
-        assert self.dtype.fields is not None
-        self.offsets = tuple(self.dtype.fields[head][1] for head in self.heads)
-
-
-@dataclass(frozen=True, slots=True)
-class _Part:
-    """Where messages written together lie in a chunk: the first of each channel, and the distance to the next."""
-
-    times: NDArray[np.uint64]
-    first: tuple[tuple[int, int], ...]  # channel and place
-    stride: int
-
-
-class _Chunk:
-    """The chunk in progress."""
-
-    def __init__(self, chunk_bytes: int) -> None:
-        self.buffer = np.empty(chunk_bytes, np.uint8)
-        self.clear()
-
-    def clear(self) -> None:
-        self.size = 0
-        self.parts: list[_Part] = []
-
-    def reserve(self, size: int) -> NDArray[np.uint8]:
-        """The next so many bytes; those before stay where they are."""
-        if self.size + size > len(self.buffer):
-            larger = np.empty(self.size + size, np.uint8)
-            larger[: self.size] = self.buffer[: self.size]
-            self.buffer = larger
-        begin, self.size = self.size, self.size + size
-        return self.buffer[begin : self.size]
-
-    def index(self) -> dict[int, NDArray[np.uint64]]:
-        """The entries (k, 2) of the message index by channel: time and place."""
-        pieces: dict[int, list[NDArray[np.uint64]]] = {}
-        for part in self.parts:
-            distance = np.arange(0, part.stride * len(part.times), part.stride, dtype=np.uint64)
-            for channel, first in part.first:
-                pieces.setdefault(channel, []).append(np.stack([part.times, distance + np.uint64(first)], axis=1))
-        return {channel: np.concatenate(own) for channel, own in pieces.items()}
 
 
 class BatchWriter:
@@ -133,7 +56,7 @@ class BatchWriter:
         self._position = 0
         self._crc = 0
         self._chunk_bytes = chunk_bytes
-        self._chunk = _Chunk(chunk_bytes)
+        self._chunk = Chunk(chunk_bytes)
         self._compressor = zstandard.ZstdCompressor(level=level)
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
@@ -197,25 +120,24 @@ class BatchWriter:
             heads = records[head]
             heads["sequence"], heads["log_time"], heads["publish_time"] = sequences, log_times, log_times
         places = tuple((channel, begin + offset) for channel, offset in zip(group.channels, group.offsets, strict=True))
-        self._chunk.parts.append(_Part(log_times, places, group.dtype.itemsize))
+        self._chunk.parts.append(Part(log_times, places, group.dtype.itemsize))
         return records
 
-    def append_records(self, records: Records) -> None:
-        """Add message records (k,) of one channel, which begin with HEAD, as they are."""
-        begin = self._chunk.size
-        self._chunk.reserve(records.nbytes).view(records.dtype)[...] = records
-        places = ((int(records["channel"][0]), begin),)
-        self._chunk.parts.append(_Part(records["log_time"].astype(np.uint64), places, records.dtype.itemsize))
+    def append_copy(self, copy: RecordCopy) -> None:
+        """Add message records, at least one, as they are."""
+        begin = np.uint64(self._chunk.size)
+        self._add_record(copy.content)
+        self._chunk.copies.append(replace(copy, content=b"", offsets=copy.offsets + begin))
 
     def end_chunk(self) -> None:
         """Write the chunk in progress with its index, if there is a message in it."""
         chunk = self._chunk
-        if not chunk.parts:
+        times = [*(part.times for part in chunk.parts), *(copy.times for copy in chunk.copies)]
+        if not times:
             return
         content = chunk.buffer[: chunk.size].data
         packed = self._compressor.compress(content)
-        begin = min(int(part.times.min()) for part in chunk.parts)
-        end = max(int(part.times.max()) for part in chunk.parts)
+        begin, end = min(int(some.min()) for some in times), max(int(some.max()) for some in times)
         at = self._position
         self._write(
             _CHUNK_HEAD.pack(

@@ -67,7 +67,7 @@ class CycleReader:
         self._careful_fits = careful.read_worst_s * 1e9 < self.end_ns
         self._careful_left = 0
         self._number = 0
-        self._outdated = b""  # what a cycle heard that brought nothing but answers to earlier requests
+        self._outdated = b""  # what the last cycle heard, if answers to earlier requests were in it
 
     def read(self) -> CycleRows:
         """One cycle.  The caller has thrown away older input.  Raises PortLostError, WriteTimeoutError."""
@@ -93,7 +93,7 @@ class CycleReader:
             found, late = dict.fromkeys(found), late + 1
         rows = [found[servo_id] for servo_id in self._ids]
         rows = [None if row is None or row[0] & ~ALERT_BIT else row for row in rows]  # it said that it did not
-        self._outdated = heard if late and not any(rows) else b""
+        self._outdated = heard if late else b""
         self._count(rows, damaged, late)
         stamp_ns = min(begin_ns + self._sampled_ns, self._clock.now_ns())
         return CycleRows(stamp_ns, rows, heard, late > 0, damaged > 0)

@@ -191,6 +191,14 @@ class DxlServoFault(ServoFault):
             cause, servo_id=slot.servo_id, joint=slot.joint.name, found=found, expected=expected, hardware=hardware
         )
 
+    def among(self, known: Sequence[DxlServoFault]) -> tuple[list[DxlServoFault], list[DxlServoFault]]:
+        """Known faults with this one, in the place of what it explains or at the end; and what it explains."""
+        explained = [fault for fault in known if self.explains(fault)]
+        if not explained:
+            return [*known, self], []
+        place = known.index(explained[0])
+        return [*known[:place], self, *(f for f in known[place:] if f not in explained)], explained
+
     def explains(self, other: DxlServoFault) -> bool:
         """True when `other` is what this fault looked like before its cause was seen."""
         return self.servo_id == other.servo_id and other.cause in _EXPLAINS.get(self.cause, frozenset())

@@ -63,7 +63,7 @@ def survey(bus: Bus, arm: ArmMap, scan_s: float, *, waking: bool) -> Line:
     for slot in arm.slots:
         same = [ping for ping in heard if ping.servo_id == slot.servo_id]
         if len(same) > 1:
-            problems.append(_shared(slot, f"{len(same)} servos with this ID"))
+            problems.append(_shared(slot, f"{len(same)} answers to one ping"))
             continue
         try:
             pings[slot.servo_id] = same[0] if same else bus.ping(slot.servo_id, attempts=2)

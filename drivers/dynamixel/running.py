@@ -150,10 +150,7 @@ class Running:
             if (fault.cause, fault.servo_id) in self._known:
                 continue
             self._known.add((fault.cause, fault.servo_id))
-            explained = [other for other in merged if fault.explains(other)]
-            place = merged.index(explained[0]) if explained else len(merged)
-            merged[place : place + 1] = [fault]
-            merged = [other for other in merged if other not in explained]
+            merged, explained = fault.among(merged)
             if explained:
                 text = f"{fault.cause.value}; it looked like: {', '.join(other.cause.value for other in explained)}"
                 self._on_event(DriverEvent(EventKind.EXPLAINED, text, fault.servo_id, fault.joint))

@@ -12,8 +12,9 @@ from mcap.opcode import Opcode
 from mcap.reader import NonSeekingReader, SeekingReader
 from mcap.records import Attachment, Channel, Schema
 
+from agent.log.chunk import HEAD, Group, Message
 from agent.log.scan import LogScan, Messages
-from agent.log.writer import BatchWriter, Group, Message
+from agent.log.writer import BatchWriter
 
 SIZES = {1: 5, 2: 40, 3: 17}  # bytes of a message by channel
 DTYPES = {channel: np.dtype(f"V{size}") for channel, size in SIZES.items()}
@@ -105,15 +106,42 @@ def test_our_own_scan_finds_the_same_and_no_damage(plan: list[tuple[str, int]], 
     scan, found = LogScan(io.BytesIO(data)), []
     for record in scan:
         if isinstance(record, Messages):
-            for run in record.runs:
-                heads = record.records(run)
-                found += [
-                    (run.channel, int(head["sequence"]), int(head["log_time"]), payload.tobytes())
-                    for head, payload in zip(heads, record.payloads(run), strict=True)
-                ]
+            copy = record.copy(set(SIZES))
+            heads = [np.frombuffer(copy.content, HEAD, 1, offset)[0] for offset in copy.offsets.tolist()]
+            assert copy.channels.tolist() == [head["channel"] for head in heads]
+            assert copy.times.tolist() == [head["log_time"] for head in heads]
+            payloads = [payload.tobytes() for run in record.runs for payload in record.payloads(run)]
+            for head, payload in zip(heads, payloads, strict=True):
+                found.append((int(head["channel"]), int(head["sequence"]), int(head["log_time"]), payload))
     assert found == written
     assert scan.finished
     assert scan.problems == []
+
+
+@given(batches, st.sets(st.sampled_from(sorted(SIZES))), st.sampled_from([100, 1 << 20]))
+def test_a_copy_of_some_channels_is_a_file_with_all_of_their_messages(
+    plan: list[tuple[str, int]], channels: set[int], chunk_bytes: int
+) -> None:
+    data, written = write(plan, 700, 3)
+    file = io.BytesIO()
+    writer = BatchWriter(file.write, chunk_bytes=chunk_bytes)
+    writer.start("ros2", "copy")
+    for record in LogScan(io.BytesIO(data)):
+        if isinstance(record, Schema):
+            writer.add_schema(record)
+        elif isinstance(record, Channel) and record.id in channels:
+            writer.add_channel(record)
+        elif isinstance(record, Messages):
+            copy = record.copy(channels)
+            if copy.content:
+                writer.append_copy(copy)
+            if writer.full:
+                writer.end_chunk()
+    writer.finish()
+    expected = [w for w in written if w[0] in channels]
+    for reader in (NonSeekingReader, SeekingReader):
+        found = reader(io.BytesIO(file.getvalue()), validate_crcs=True).iter_messages(log_time_order=False)
+        assert sorted((c.id, m.sequence, m.log_time, m.data) for _, c, m in found) == sorted(expected)
 
 
 @pytest.mark.parametrize("size", [1, 30, 31, 1000])

@@ -102,6 +102,20 @@ BREAKS: dict[Rule, Break] = {
     judge.HIGH_LIMIT: put(2, table.MAX_POSITION_LIMIT, 4095),
     judge.SHUTDOWN: put(1, table.SHUTDOWN, 0),
 }
+EXPECTED = {
+    Consequence.NO_CONNECTION: {
+        judge.MODEL, judge.FIRMWARE, judge.HARDWARE, judge.SUPPLY, judge.HEAT, judge.DIRECTION, judge.SECONDARY,
+        judge.HOMING, judge.STARTUP, judge.CURRENT_LIMIT,
+    },
+    Consequence.NO_TORQUE: {judge.TORQUE},
+    Consequence.MOVE_FIRST: {judge.POSE},
+    Consequence.MENDED: {judge.WATCHDOG, judge.RETURN_LEVEL, judge.DRIVE_BITS, judge.RETURN_DELAY},
+    Consequence.ROUTINE: {judge.MODE},
+    Consequence.TOLERATED: {
+        judge.FAST_READ, judge.RATED_SUPPLY, judge.WARMTH, judge.PWM_LIMIT, judge.LOW_LIMIT, judge.HIGH_LIMIT,
+        judge.SHUTDOWN,
+    },
+}  # fmt: skip
 NAMES = {rule: f"{rule.name}, {rule.consequence.name.lower()}".replace(" ", "_") for rule in RULES}
 
 
@@ -135,6 +149,7 @@ def test_each_rule_has_a_way_to_be_broken_and_a_place_in_the_doctor() -> None:
     shown = [rule for section in SECTIONS for rule in section.rules]
     assert sorted(map(id, shown)) == sorted(map(id, RULES))
     assert set(VERDICTS) == set(Consequence)
+    assert {c: {rule for rule in RULES if rule.consequence is c} for c in Consequence} == EXPECTED
     assert not {VERDICTS[consequence] for consequence in REFUSING} & {Verdict.OK}
 
 

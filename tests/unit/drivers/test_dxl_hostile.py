@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from drivers.dynamixel.checks import SILENT_LIMIT_CYCLES, SilenceCheck
 from drivers.dynamixel.errors import DxlServoFault, FaultCause, Heard, NoReplyError, StaleJointsError
 from drivers.dynamixel.identify import IdentityError
 from drivers.dynamixel.line import codec
@@ -123,6 +124,14 @@ def test_wrong_checksums_of_one_servo_may_be_a_shared_id() -> None:
     assert "if not, check its cable" in error.remedy
 
 
+def test_two_answers_to_one_ping_may_be_a_shared_id() -> None:
+    rig = build(timing=WIRE)
+    rig.fault(FaultKind.DUPLICATE, 5)
+    error = refused(rig)
+    assert (error.servo_id, error.found) == (5, "2 answers to one ping")
+    assert "two servos may have this ID" in error.remedy
+
+
 def test_an_echo_with_nobody_behind_it_is_named_beside_the_missing_supply() -> None:
     rig, port = hostile()
     rig.fault(FaultKind.POWER_LOSS)
@@ -197,6 +206,28 @@ def test_a_line_that_garbles_every_reply_is_that_and_not_silence() -> None:
     assert "plugs" in error.remedy
 
 
+def test_what_came_in_a_part_of_the_silent_cycles_is_not_the_cause() -> None:
+    for kind in ("damaged", "late"):
+        check = SilenceCheck(WX200.slots[:1])
+        for cycle in range(1, SILENT_LIMIT_CYCLES + 1):
+            came = {"damaged": False, "late": False} | {kind: cycle > 1}
+            faults = check.check([None], **came)
+        assert [fault.cause for fault in faults] == [FaultCause.SILENT]
+        (later,) = check.check([None], **came)
+        assert later.cause is {"damaged": FaultCause.GARBLED, "late": FaultCause.OUTDATED}[kind]
+
+
+def test_a_servo_that_falls_silent_after_some_damage_is_called_silent() -> None:
+    rig, _ = running()
+    spoil_checksums(rig, 5)
+    cycles(rig, 3)
+    rig.bus.tamper = None
+    rig.fault(FaultKind.MUTE, 5)
+    error = cycles(rig, 12)[-1]
+    assert isinstance(error, DxlServoFault)
+    assert (error.cause, error.servo_id) == (FaultCause.SILENT, 5)
+
+
 def test_one_servo_whose_replies_are_garbled_is_not_called_silent() -> None:
     rig, _ = running()
     spoil_checksums(rig, 5)
@@ -205,10 +236,13 @@ def test_one_servo_whose_replies_are_garbled_is_not_called_silent() -> None:
     assert (error.cause, error.servo_id) == (FaultCause.GARBLED, 5)
 
 
-def test_a_port_that_repeats_an_old_reply_is_outdated_and_never_a_state() -> None:
+@pytest.mark.parametrize("age", [0, 10])  # of the reply, cycles; requests are marked alike every 14
+def test_a_port_that_repeats_an_old_reply_is_outdated_and_never_a_state(age: int) -> None:
     rig, port = running()
     rig.driver.read()
-    port.repeats = port.last
+    old = port.last
+    cycles(rig, age)
+    port.repeats = old
     errors = cycles(rig, 60)
     assert None not in errors
     last = errors[-1]
@@ -279,6 +313,15 @@ def test_a_fault_explains_only_what_happened_to_the_same_servo() -> None:
     assert not fault(FaultCause.SILENT).explains(fault(FaultCause.REBOOTED))
     assert fault(FaultCause.HARDWARE_ERROR).explains(fault(FaultCause.TORQUE_LOST))
     assert not fault(FaultCause.REBOOTED).explains(fault(FaultCause.HARDWARE_ERROR))
+    known = [fault(c, i) for c, i in ((FaultCause.SILENT, 2), (FaultCause.SILENT, 1), (FaultCause.NO_EFFECT, 3))]
+    known.append(fault(FaultCause.NO_EFFECT, 1))
+    merged, explained = fault(FaultCause.REBOOTED, 1).among(known)
+    assert [(f.cause, f.servo_id) for f in merged] == [
+        (FaultCause.SILENT, 2), (FaultCause.REBOOTED, 1), (FaultCause.NO_EFFECT, 3),
+    ]  # fmt: skip
+    assert explained == [known[1], known[3]]
+    assert fault(FaultCause.REBOOTED, 4).among(known)[0][-1].servo_id == 4
+    assert len(fault(FaultCause.REBOOTED, 4).among(known)[0]) == 5
 
 
 @pytest.mark.parametrize("startup", [1, 3])

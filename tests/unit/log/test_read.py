@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from mcap.writer import Writer
 
-from agent.log.read import LogError, read_log
+from agent.log.read import LogError, open_log, read_log
 from agent.log.writer import CHUNK_BYTES
 from agent.telemetry.row.event import Event, Level
 from agent.telemetry.row.sample import AGENT_STATE
@@ -41,6 +41,50 @@ def test_rows_are_sorted_and_each_is_there_once_whatever_the_order_they_came_in(
         maker.write("left", part)
     maker.finish()
     assert read_log(tmp_path / "run.mcap").agents["left"].tobytes() == rows.tobytes()
+
+
+def test_rows_by_column_are_the_rows_whatever_the_order_they_came_in(tmp_path: Path) -> None:
+    rows = make_rows("left", 60)
+    maker = LogMaker(tmp_path / "run.mcap")
+    for part in (rows[40:], rows[:20], rows[10:50]):
+        maker.write("left", part)
+    maker.finish()
+    with open_log(tmp_path / "run.mcap") as log:
+        for f in AGENT_STATE.fields:
+            assert np.array_equal(log.agents["left"][f.name], rows[f.name]), f.name
+        assert np.array_equal(log.agents["left"][10:20]["q"], rows["q"][10:20])
+
+
+def test_a_log_by_column_says_the_same_as_one_in_memory(tmp_path: Path) -> None:
+    rows = make_rows("left", 60)
+    maker = LogMaker(tmp_path / "run.mcap")
+    maker.write("left", rows[np.r_[0:10, 11:60]])
+    maker.write("plant", make_rows("plant", 5))
+    maker.event(Event(5, "left", Level.WARN, "mode TRACK → HOLD", {"limit": 1.5}))
+    maker.finish()
+    whole = read_log(tmp_path / "run.mcap")
+    with open_log(tmp_path / "run.mcap", folder=tmp_path) as log:
+        told = ("path", "cell", "events", "attachments", "metadata", "complete", "gaps", "problems")
+        assert [getattr(log, name) for name in told] == [getattr(whole, name) for name in told]
+        assert log.run_info() == whole.run_info()
+        assert list(log.agents) == list(whole.agents)
+        assert len(log.plant) == len(whole.plant) == 5
+        assert len(log.agents["right"]) == 0
+
+
+def test_a_record_larger_than_any_of_ours_is_left_out_and_what_follows_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    rows = make_log(path, finish=False)
+    data = path.read_bytes()
+    huge = (1 << 28) + 1
+    with path.open("wb") as file:
+        file.write(data[:8] + b"\x80" + huge.to_bytes(8, "little"))
+        file.truncate(17 + huge)  # a hole: takes no room
+        file.seek(17 + huge)
+        file.write(data[8:])
+    log = read_log(path)
+    assert log.agents["left"].tobytes() == rows["left"].tobytes()
+    assert log.problems[0] == f"damaged at byte 8: a record of {huge} bytes"
 
 
 def test_gaps_are_named_by_their_sequence_numbers(tmp_path: Path) -> None:

@@ -7,9 +7,10 @@ from dataclasses import replace
 import pytest
 
 from drivers.dynamixel.servo import table
-from drivers.dynamixel.servo.table import SERVOS, HardwareError, OperatingMode
+from drivers.dynamixel.servo.table import SERVOS, HardwareError, Instruction, OperatingMode
 from sim_backend.wire.options import ServoOptions
 from sim_backend.wire.overload import REPORTED, OverloadModes, OverloadWatch
+from tests.support.servos.dxl_rig import build
 from tests.support.servos.wire_bench import Bench, xl430, xm430
 
 XM = SERVOS["XM430-W350"]
@@ -94,6 +95,29 @@ def test_current_mode_trips_where_the_option_says_so(modes: OverloadModes) -> No
     expected = HardwareError.OVERLOAD if modes is OverloadModes.ALL else 0
     assert bench.read(1, table.HARDWARE_ERROR_STATUS) == expected
     assert bench.read(1, table.TORQUE_ENABLE) == (modes is not OverloadModes.ALL)
+
+
+def test_a_restart_begins_anew() -> None:
+    bench = blocked(OperatingMode.POSITION, OverloadModes.CLOSED_LOOP)
+    bench.pass_time(4_500, 5.0)
+    bench.one(1, Instruction.REBOOT)
+    bench.pass_time(305, 5.0)
+    bench.write(1, table.TORQUE_ENABLE, 1)
+    bench.write(1, table.GOAL_POSITION, 3500)
+    bench.pass_time(4_500, 5.0)
+    assert bench.read(1, table.HARDWARE_ERROR_STATUS) == 0
+
+
+def test_an_arm_tells_its_servos_how_much_time_has_passed() -> None:
+    rig = build()
+    rig.put(1, table.HARDWARE_ERROR_STATUS, 0)
+    servo = rig.servo(1)
+    next(joint for joint in rig.cell.arms[0].joints if joint.name == "waist").free.inertia_kg_m2 = 1e9  # blocked
+    servo.firmware.accept(table.TORQUE_ENABLE, 1)
+    servo.firmware.accept(table.GOAL_POSITION, 3500)
+    for second, error in ((4.5, 0), (5.5, HardwareError.OVERLOAD)):
+        rig.clock.sleep_until(10_000_000_000 + round(second * 1e9))
+        assert rig.get(1, table.HARDWARE_ERROR_STATUS) == error
 
 
 def test_without_overload_in_its_shutdown_mask_a_servo_goes_on() -> None:

@@ -308,15 +308,16 @@ LOST = {table.LED: 1, table.BUS_WATCHDOG: 9, table.GOAL_PWM: 33, table.GOAL_CURR
 
 
 @pytest.mark.parametrize("how", ["reboot", "power"])
-@pytest.mark.parametrize("restores", [True, False])
-def test_ram_comes_back_from_the_backup_where_the_startup_configuration_says_so(restores: bool, how: str) -> None:
-    """The e-manual names gains, profile and indirect addresses; goals, LED and watchdog are not kept."""
-    servo = xm430(startup_configuration=2 * restores)
+@pytest.mark.parametrize("startup", [0, 1, 2])
+def test_ram_comes_back_from_the_backup_where_the_startup_configuration_says_so(startup: int, how: str) -> None:
+    """The e-manual names gains, profile and indirect addresses; goals, LED and watchdog are not kept, EEPROM stays."""
+    servo, restores = xm430(startup_configuration=startup), startup == 2
     bench = Bench(servo)
     for register, value in (KEPT | LOST).items():
         assert bench.write(1, register, value) == OK
     assert bench.one(1, Instruction.CONTROL_TABLE_BACKUP, b"\x01CTRL").error == OK
     assert bench.write(1, table.POSITION_P_GAIN, 555) == OK, "what is written after the backup is not in it"
+    assert bench.write(1, table.RETURN_DELAY_TIME, 77) == OK
     if how == "reboot":
         bench.one(1, Instruction.REBOOT)
     else:
@@ -328,6 +329,7 @@ def test_ram_comes_back_from_the_backup_where_the_startup_configuration_says_so(
     assert bench.read(1, table.LED) == bench.read(1, table.BUS_WATCHDOG) == bench.read(1, table.TORQUE_ENABLE) == 0
     assert (bench.read(1, table.GOAL_PWM), bench.read(1, table.GOAL_CURRENT)) == (885, 1193)
     assert servo.firmware.body.drive.goals.position_p == (13 if restores else 800), "the controllers have it too"
+    assert bench.read(1, table.RETURN_DELAY_TIME) == 77
 
 
 def test_ram_restore_without_a_backup_is_a_plain_boot() -> None:
@@ -352,6 +354,9 @@ def test_torque_comes_on_by_itself_where_the_startup_configuration_says_so(start
     assert bench.read(1, table.TORQUE_ENABLE) == startup & 1
     torque_Nm = servo.firmware.body.step(1e-3, alive=True)
     assert torque_Nm > 4.0 if startup & 1 else torque_Nm == 0.0
+    bench.write(1, table.TORQUE_ENABLE, 0)
+    bench.pass_time(20)
+    assert bench.read(1, table.TORQUE_ENABLE) == 0, "it comes on once"
 
 
 def test_a_servo_that_starts_in_position_mode_holds_where_its_boot_ends() -> None:
