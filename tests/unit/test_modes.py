@@ -48,6 +48,16 @@ def test_named_transitions(mode: Mode, events: Event, expected: Mode) -> None:
     assert next_mode(mode, events) is expected
 
 
+def test_numbers_of_the_modes_are_those_that_logs_hold() -> None:
+    names = ("OFF", "READY", "TRACK", "HOLD", "LOWER", "FAULT")
+    assert {mode.name: mode.value for mode in Mode} == {name: value for value, name in enumerate(names)}
+
+
+def test_every_event_is_a_bit_of_its_own() -> None:
+    assert [event.value for event in Event] == [1 << i for i in range(len(Event))]
+    assert Event.NONE == 0
+
+
 def test_the_table_names_every_mode() -> None:
     assert {mode for mode, _, _ in TABLE} == set(Mode)
 
