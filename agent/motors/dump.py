@@ -12,10 +12,10 @@ import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from agent.motors import eeprom
-from agent.motors.eeprom import Difference
 from agent.motors.find import ServoSeen
 from drivers.dynamixel.errors import NoReplyError
 from drivers.dynamixel.line.bus import Bus, Ping
+from drivers.dynamixel.servo.found import RegisterChange
 from drivers.dynamixel.servo.table import BAUD_RATE, BAUD_RATES, ID, MAX_ID, SERVOS, SERVOS_BY_NUMBER, ServoModel
 from drivers.interface import DriverError, Refusal
 
@@ -161,7 +161,7 @@ class ServoPlan:
 
     servo: DumpedServo
     baud: int | None
-    changes: tuple[Difference, ...] = ()
+    changes: tuple[RegisterChange, ...] = ()
     absent: tuple[str, ...] = ()  # registers of the file that its firmware does not have
 
 
@@ -210,7 +210,7 @@ def _plan(bus: Bus, servo: DumpedServo, bauds: Sequence[int]) -> ServoPlan:
     return ServoPlan(servo, baud, tuple(changes), absent)
 
 
-def _refuse_impossible(change: Difference) -> None:
+def _refuse_impossible(change: RegisterChange) -> None:
     """A servo may hold a value that the manual does not know, but only one that it knows can be written."""
     low, high = change.register.minimum or 0, change.register.maximum or 0
     if not low <= change.wanted <= high:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 from drivers.dynamixel.errors import NoReplyError, RejectedError
 from drivers.dynamixel.line.bus import Bus
+from drivers.dynamixel.servo.found import RegisterChange
 from drivers.dynamixel.servo.table import (
     BAUD_RATE,
     BAUD_RATES,
@@ -31,21 +31,6 @@ class EepromError(DriverError):
     """A servo whose EEPROM cannot be written, or that did not keep what was written."""
 
 
-@dataclass(frozen=True, slots=True)
-class Difference:
-    """One register that is not as wanted."""
-
-    servo_id: int
-    register: Register
-    found: int
-    wanted: int
-
-    @property
-    def line(self) -> str:
-        """The difference for a person."""
-        return f"servo {self.servo_id}: {self.register.name}: found {self.found}, wanted {self.wanted}"
-
-
 def writable(model: ServoModel) -> tuple[Register, ...]:
     """EEPROM registers of a model that can be written, in order of address."""
     return tuple(r for r in model.registers.values() if r.area is Area.EEPROM and r.access is Access.READ_WRITE)
@@ -68,17 +53,17 @@ def read(bus: Bus, servo_id: int, registers: Sequence[Register]) -> dict[str, in
 
 def differences(
     servo_id: int, model: ServoModel, found: Mapping[str, int], wanted: Mapping[str, int]
-) -> list[Difference]:
+) -> list[RegisterChange]:
     """Registers that are there and not as wanted, in the order in which they can be written."""
     changes = [
-        Difference(servo_id, model.registers[name], found[name], value)
+        RegisterChange(servo_id, model.registers[name], found[name], value)
         for name, value in wanted.items()
         if name in found and found[name] != value
     ]
     return _in_order(changes)
 
 
-def _in_order(changes: list[Difference]) -> list[Difference]:
+def _in_order(changes: list[RegisterChange]) -> list[RegisterChange]:
     """Order of addresses, but never a lower limit above its upper one on the way; ID and baud rate last."""
     last = {ID.name: 1, BAUD_RATE.name: 2}
     ordered = sorted(changes, key=lambda c: (last.get(c.register.name, 0), c.register.address))
@@ -104,7 +89,7 @@ def require_torque_off(bus: Bus, servo_id: int) -> None:
         )
 
 
-def write(bus: Bus, changes: Sequence[Difference]) -> None:
+def write(bus: Bus, changes: Sequence[RegisterChange]) -> None:
     """Write one servo's differences in their order and read each one back.
 
     A new ID or baud rate is followed, so the rest of the line must be silent at the new speed too.
@@ -129,7 +114,7 @@ def write(bus: Bus, changes: Sequence[Difference]) -> None:
             )
 
 
-def _move(bus: Bus, servo_id: int, change: Difference) -> int:
+def _move(bus: Bus, servo_id: int, change: RegisterChange) -> int:
     """Change ID or baud rate.  The answer may come in the old or the new way, so the proof is who answers after it."""
     try:
         bus.write(servo_id, change.register, change.wanted)

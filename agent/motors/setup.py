@@ -11,11 +11,10 @@ from dataclasses import dataclass
 from agent.config.schema.cell import ArmFile
 from agent.config.servo_map import resting_joints
 from agent.motors import eeprom
-from agent.motors.eeprom import Difference
 from agent.motors.find import ALL_BAUDS, Tell, search
 from drivers.dynamixel.arm_map import ServoSlot
 from drivers.dynamixel.line.bus import Bus, Ping
-from drivers.dynamixel.servo.found import Consequence, ServoFound
+from drivers.dynamixel.servo.found import Consequence, RegisterChange, ServoFound
 from drivers.dynamixel.servo.judge import judge
 from drivers.dynamixel.servo.wanted import line_values, setup_values
 from drivers.interface import DriverError, Refusal
@@ -55,7 +54,7 @@ class SetupPlan:
     servo_id: int  # as it is now
     baud: int
     firmware: int
-    changes: tuple[Difference, ...]
+    changes: tuple[RegisterChange, ...]
 
     @property
     def title(self) -> str:
@@ -100,7 +99,7 @@ def apply_setup(bus: Bus, plan: SetupPlan, arm_baud: int) -> None:
         )  # fmt: skip
 
 
-def _differences(bus: Bus, slot: ServoSlot, arm_baud: int, servo_id: int) -> list[Difference]:
+def _differences(bus: Bus, slot: ServoSlot, arm_baud: int, servo_id: int) -> list[RegisterChange]:
     """What must be written to the servo that is `servo_id` now."""
     wanted = {r.name: value for r, value in {**line_values(slot, arm_baud), **setup_values(slot)}.items()}
     found = eeprom.read(bus, servo_id, eeprom.writable(slot.model))

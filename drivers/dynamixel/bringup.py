@@ -34,6 +34,12 @@ from drivers.dynamixel.servo.table import (
 from drivers.dynamixel.servo.units import watchdog_count
 from drivers.interface import DriverError
 
+_NOT_OBEYED = {
+    TORQUE_ENABLE: FaultCause.REFUSED_TORQUE,
+    GOAL_CURRENT: FaultCause.GOAL_IGNORED,
+    GOAL_PWM: FaultCause.GOAL_IGNORED,
+}
+
 
 class PoseError(IdentityError):
     """The arm is not where the cell file says it starts."""
@@ -162,7 +168,7 @@ class BringUp:
         value = self._bus.read(servo.slot.servo_id, register)
         if value != wanted:
             raise DxlServoFault(
-                FaultCause.REFUSED_TORQUE if register is TORQUE_ENABLE else FaultCause.GOAL_IGNORED,
+                _NOT_OBEYED.get(register, FaultCause.NOT_KEPT),
                 servo_id=servo.slot.servo_id,
                 joint=servo.slot.joint.name,
                 found=f"{register.name} {value}",

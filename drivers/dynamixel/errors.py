@@ -136,11 +136,13 @@ class FaultCause(enum.Enum):
     GARBLED = "no intact answer comes from it"
     OUTDATED = "no answer of this cycle comes from it"
     REFUSED_TORQUE = "torque could not be switched on"
+    NOT_KEPT = "a register does not hold what was written"
 
 
 _AFTER_FAULT = {
     FaultCause.HARDWARE_ERROR: "remove the cause; then only switching its supply off and on gives its torque back",
     FaultCause.REBOOTED: "its supply was away for a moment: check the 12 V supply and its cable",
+    FaultCause.NOT_KEPT: "try again; if it persists its EEPROM is worn, or its firmware does not know the value",
     FaultCause.SILENT: "check its cable and those before it in the chain, and the 12 V supply",
     FaultCause.GARBLED: "answers are spoiled on the way: check the plugs and cables of the chain, and the adapter",
     FaultCause.OUTDATED: "the adapter holds answers back or repeats them: unplug and plug it, or take another",

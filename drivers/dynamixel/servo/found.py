@@ -13,12 +13,18 @@ from drivers.dynamixel.servo.wanted import run_values
 
 
 @dataclass(frozen=True, slots=True)
-class Change:
-    """One register that is not as wanted."""
+class RegisterChange:
+    """One register that is not as wanted, and will be written."""
 
+    servo_id: int
     register: Register
     found: int
     wanted: int
+
+    @property
+    def line(self) -> str:
+        """The difference for a person."""
+        return f"servo {self.servo_id}: {self.register.name}: found {self.found}, wanted {self.wanted}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,10 +51,10 @@ class ServoFound:
         return self.value(CURRENT_LIMIT if self.slot.model.has_current_mode else PWM_LIMIT)
 
     @property
-    def changes(self) -> list[Change]:
+    def changes(self) -> list[RegisterChange]:
         """EEPROM registers that the driver must write before this servo can do its part."""
-        wanted = run_values(self.slot).items()
-        return [Change(r, self.value(r), value) for r, value in wanted if self.value(r) != value]
+        now = [(register, self.value(register), wanted) for register, wanted in run_values(self.slot).items()]
+        return [RegisterChange(self.slot.servo_id, r, found, wanted) for r, found, wanted in now if found != wanted]
 
 
 class Consequence(enum.Enum):

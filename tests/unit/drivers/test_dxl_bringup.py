@@ -285,6 +285,19 @@ def test_failure_half_way_ends_with_torque_off():
     assert [rig.get(i, table.TORQUE_ENABLE) for i in IDS] == [0] * 7
 
 
+def test_a_register_that_does_not_keep_what_is_written_is_named():
+    rig = build()
+    rig.driver.connect()
+    memory = rig.servo(4).firmware.memory
+    really = memory.put
+    memory.put = lambda register, value: None if register.name == "Return Delay Time" else really(register, value)
+    really(table.RETURN_DELAY_TIME, 9)
+    rig.driver.connect()
+    with pytest.raises(DriverError, match="a register does not hold what was written: found Return Delay Time 9"):
+        rig.driver.enable()
+    assert torque_never_on(rig)
+
+
 # --- order of calls -------------------------------------------------------------------------------------------------
 
 
