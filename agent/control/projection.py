@@ -51,8 +51,6 @@ def to_physical(bodies: Matrix) -> Matrix:
         return bodies
     moments, axes = np.linalg.eigh(second_moments(bodies))
     bad = np.flatnonzero(moments[:, 0] < -CONE_TOLERANCE)
-    if not len(bad):
-        return bodies
     moments, axes = moments[bad], axes[bad]
     nearest = (axes * np.maximum(moments, 0.0)[:, None, :]) @ axes.transpose(0, 2, 1)
     physical = bodies.copy()

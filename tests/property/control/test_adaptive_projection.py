@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -12,7 +13,7 @@ from hypothesis import strategies as st
 from agent.control.adaptation import MAX_INTERVALS, Adaptation, Estimate, Gradient, from_row
 from agent.control.projection import CONE_TOLERANCE, second_moments, to_box, to_physical
 from tests.support.control.adaptive_cells import random_body
-from tests.support.control.strategies import examples
+from tests.support.control.strategies import examples, random_unit_quaternion
 
 SEEDS = st.integers(0, 2**32 - 1)
 N = 3
@@ -92,6 +93,23 @@ def test_cone_projection_leaves_bodies_alone(seed: int) -> None:
     bodies = np.stack([random_body(rng, 0.4) for _ in range(7)])
     bodies[3] = 0.0  # nothing believed at all is possible too
     assert to_physical(bodies) is bodies
+
+
+@given(SEEDS, st.integers(0, 6), st.sampled_from([-1e-6, -1e-9, -1e-11, -1e-13, 0.0, 1e-9]))
+@examples(100)
+def test_one_body_among_seven_is_changed_as_soon_as_a_moment_is_negative(
+    seed: int, which: int, smallest: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    bodies = np.stack([random_body(rng, 0.4) for _ in range(7)])
+    R = pin.Quaternion(random_unit_quaternion(rng)).matrix()
+    sigma = R @ np.diag([smallest, *rng.uniform(1e-6, 1e-3, 2)]) @ R.T
+    inertia = np.trace(sigma) * np.eye(3) - sigma
+    bodies[which, 4:] = inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
+    found = to_physical(bodies)
+    assert (found is bodies) == (smallest > -CONE_TOLERANCE)
+    changed = [k for k in range(7) if not np.array_equal(found[k], bodies[k])]
+    assert changed == ([] if smallest > -CONE_TOLERANCE else [which])
 
 
 @given(SEEDS)
