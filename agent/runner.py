@@ -19,6 +19,7 @@ from agent.telemetry.row.fill import AgentRow
 from drivers.interface import Clock, Driver, DriverError, JointState, ServoFault, StaleStateError, Vector
 
 NOT_YET_NS = 86_400_000_000_000  # the trajectory's zero while nobody has set it: a day ahead
+_TROUBLE = Flag.NOT_FINITE | Flag.SINGULAR | Flag.OFF_TRACK
 _COMMANDING = frozenset({Mode.READY, Mode.TRACK, Mode.HOLD, Mode.LOWER})
 
 
@@ -48,26 +49,25 @@ class Schedule:
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What the loop asks of the process around it; each is called once a cycle and must not block."""
+    """What the loop asks of the process around it; no call may block."""
 
     wall_ns: Callable[[], int]  # measures durations for the log and nothing else
-    utc_ns: Callable[[], int]  # read once
     operator: Callable[[], Event]  # requests of an operator
     start_ns: Callable[[], int | None]  # the trajectory's zero on the driver's clock, once somebody has set it
     heartbeat: Callable[[], None]  # after every cycle with a fresh state
     mode_changed: Callable[[Mode], None]
 
 
-@dataclass
+@dataclass(frozen=True)
 class RunSummary:
     """What `Runner.run` did."""
 
-    ticks: int = 0
-    late_cycles: int = 0
-    stale_cycles: int = 0
-    mode: Mode = Mode.READY
-    reason: str = ""
-    tracked_s: float = 0.0  # of the wall clock, from the first to the last tick of the trajectory
+    ticks: int
+    late_cycles: int
+    stale_cycles: int
+    mode: Mode  # in which it ended
+    reason: str  # of a hold or a fault, empty without one
+    tracked_s: float  # of the wall clock, from the first to the last tick of the trajectory
 
 
 class Runner:
@@ -91,21 +91,33 @@ class Runner:
         self._sink = sink
         self._around = around
         self._memory: Memory = initial_memory(agent)
+        self._mode = Mode.TRACK if schedule.lockstep else Mode.READY
+        self._reason = ""
+        self._rows = 0
+        self._late_cycles = 0
+        self._stale_cycles = 0
         self._stale_in_a_row = 0
-        self._tick = 0
+        self._tick = 0  # of the period since the phase
         self._phase_ns = clock.now_ns()  # instant of tick 0
-        self._utc_offset_ns = around.utc_ns() - self._phase_ns
+        self._utc_offset_ns = clock.utc_offset_ns
         self._zero_ns = self._phase_ns + (0 if schedule.lockstep else NOT_YET_NS)
         self._tracking_since_ns: int | None = None
-        self.summary = RunSummary(mode=Mode.TRACK if schedule.lockstep else Mode.READY)
+        self._tracked_s = 0.0
 
     def run(self) -> RunSummary:
         """Run until the last tick, a release or a fault; leaves the torque as it is."""
-        while self.summary.mode in _COMMANDING and not self._over():
+        while self._mode in _COMMANDING and not self._over():
             deadline_ns = self._phase_ns + self._tick * self._schedule.period_ns
             self._clock.sleep_until(deadline_ns)
             self._cycle(deadline_ns)
-        return self.summary
+        return RunSummary(
+            ticks=self._rows,
+            late_cycles=self._late_cycles,
+            stale_cycles=self._stale_cycles,
+            mode=self._mode,
+            reason=self._reason,
+            tracked_s=self._tracked_s,
+        )
 
     def _over(self) -> bool:
         return not self._schedule.hold_at_end and self._past_end(self._phase_ns + self._tick * self._schedule.period_ns)
@@ -114,10 +126,10 @@ class Runner:
         return instant_ns - self._zero_ns >= self._schedule.ticks * self._schedule.period_ns
 
     def _cycle(self, deadline_ns: int) -> None:
-        period_ns, summary = self._schedule.period_ns, self.summary
-        if self._schedule.lockstep:
+        schedule, period_ns = self._schedule, self._schedule.period_ns
+        late_ns = 0
+        if schedule.lockstep:
             self._sink.wait_for_space()
-            late_ns = 0
         else:
             late_ns = self._clock.now_ns() - deadline_ns
         begin_ns = self._around.wall_ns()
@@ -125,20 +137,21 @@ class Runner:
         state, trouble = self._read()
         if trouble:
             happened |= Event.TROUBLE
-            summary.reason = summary.reason or trouble
+            self._reason = self._reason or trouble
         if state is not None:
             happened |= self._act(state, late_ns, begin_ns)
             self._around.heartbeat()
         else:
             self._note_lost_state(deadline_ns)
-        if self._past_end(deadline_ns + period_ns) and self._schedule.hold_at_end:
+        if schedule.hold_at_end and self._past_end(deadline_ns + period_ns):
             happened |= Event.STOP
-        if self._started(deadline_ns):
+        if self._mode is Mode.READY and self._started(deadline_ns):
             happened |= Event.STARTED
-        self._change_mode(happened, state)
-        summary.late_cycles += late_ns > period_ns
+        if happened:
+            self._change_mode(happened, state)
+        self._late_cycles += late_ns > period_ns
         self._tick += 1
-        if not self._schedule.lockstep:
+        if not schedule.lockstep:
             self._tick += max(0, (self._clock.now_ns() - deadline_ns) // period_ns)
 
     def _read(self) -> tuple[JointState | None, str]:
@@ -146,24 +159,24 @@ class Runner:
         try:
             state = self._driver.read()
         except StaleStateError as error:
-            self.summary.stale_cycles += 1
+            self._stale_cycles += 1
             self._stale_in_a_row += 1
             if self._schedule.lockstep or self._stale_in_a_row > self._schedule.fault_after_stale:
-                self.summary.mode, self.summary.reason = Mode.FAULT, str(error)
+                self._mode, self._reason = Mode.FAULT, str(error)
                 return None, str(error)
             self._send(self._memory.tau)
             return None, str(error) if self._stale_in_a_row > self._schedule.hold_after_stale else ""
         except ServoFault as error:
             self._stale_in_a_row = 0
             if error.state is None:
-                self.summary.mode, self.summary.reason = Mode.FAULT, str(error)
+                self._mode, self._reason = Mode.FAULT, str(error)
             return error.state, str(error)
         self._stale_in_a_row = 0
         return state, ""
 
     def _act(self, state: JointState, late_ns: int, begin_ns: int) -> Event:
         """One step on a fresh state: torque out, row in the log."""
-        row, wall_ns, mode = self._row, self._around.wall_ns, self.summary.mode
+        row, wall_ns, mode = self._row, self._around.wall_ns, self._mode
         if mode is not Mode.TRACK and self._memory.hold is None:
             self._memory = hold_here(self._agent, state.q, self._memory)
         after_read_ns = wall_ns()
@@ -173,7 +186,7 @@ class Runner:
         tau_sent = self._send(outcome.tau)
         after_write_ns = wall_ns()
         utc_ns = self._utc_offset_ns + state.stamp_ns
-        row.fill(self.summary.ticks, t, utc_ns, mode, state, self._memory, outcome, tau_sent)
+        row.fill(self._rows, t, utc_ns, mode, state, self._memory, outcome, tau_sent)
         row.fill_timing(
             late_ns * 1e-9,
             (after_read_ns - begin_ns) * 1e-9,
@@ -183,13 +196,13 @@ class Runner:
         )
         self._sink.commit()
         self._memory = outcome.memory
-        self.summary.ticks += 1
+        self._rows += 1
         if mode is Mode.TRACK:
             if self._tracking_since_ns is None:
                 self._tracking_since_ns = begin_ns
-            self.summary.tracked_s = (after_write_ns - self._tracking_since_ns) * 1e-9
-        if outcome.flags & (Flag.NOT_FINITE | Flag.SINGULAR | Flag.OFF_TRACK):
-            self.summary.reason = self.summary.reason or f"t = {t:.3f} s: {outcome.flags!r}"
+            self._tracked_s = (after_write_ns - self._tracking_since_ns) * 1e-9
+        if outcome.flags & _TROUBLE:
+            self._reason = self._reason or f"t = {t:.3f} s: {outcome.flags!r}"
             return Event.TROUBLE
         return Event.NONE
 
@@ -200,32 +213,32 @@ class Runner:
         except DriverError as error:
             if self._schedule.lockstep:
                 raise
-            self.summary.reason = self.summary.reason or str(error)
+            self._reason = self._reason or str(error)
             return np.full_like(tau, np.nan)
 
     def _note_lost_state(self, deadline_ns: int) -> None:
         """A row that says that this cycle had no fresh state."""
-        memory, row, mode = self._memory, self._row, self.summary.mode
+        memory, row, mode = self._memory, self._row, self._mode
         nothing = np.full(self._agent.model.n, np.nan)
         t = (deadline_ns - self._zero_ns) * 1e-9
         lost = JointState(deadline_ns, nothing, nothing, nothing)
         outcome = Outcome(nothing, nothing, None, memory.tau, Flag.STALE, memory)
         utc_ns = self._utc_offset_ns + deadline_ns
-        row.fill(self.summary.ticks, t, utc_ns, mode, lost, memory, outcome, memory.tau)
+        row.fill(self._rows, t, utc_ns, mode, lost, memory, outcome, memory.tau)
         self._sink.commit()
-        self.summary.ticks += 1
+        self._rows += 1
 
     def _started(self, deadline_ns: int) -> bool:
-        """Whether the next tick belongs to the trajectory; takes over the common start once it is known."""
+        """Whether the next tick belongs to the trajectory; takes over the common start once it is known (READY)."""
         zero_ns = self._around.start_ns()
-        if zero_ns is not None and zero_ns != self._zero_ns and self.summary.mode is Mode.READY:
+        if zero_ns is not None and zero_ns != self._zero_ns:
             self._zero_ns = zero_ns
             self._phase_ns = zero_ns - (zero_ns - deadline_ns) // self._schedule.period_ns * self._schedule.period_ns
             self._tick = 0
         return self._phase_ns + (self._tick + 1) * self._schedule.period_ns >= self._zero_ns
 
     def _change_mode(self, happened: Event, state: JointState | None) -> None:
-        before = self.summary.mode
+        before = self._mode
         mode = next_mode(before, happened)
         if mode is before:
             return
@@ -233,5 +246,5 @@ class Runner:
             self._memory = hold_here(self._agent, state.q, self._memory)
         if mode is Mode.TRACK:
             self._memory = self._memory._replace(hold=None, q_hold=None)
-        self.summary.mode = mode
+        self._mode = mode
         self._around.mode_changed(mode)

@@ -100,6 +100,11 @@ class BusCounters:
 class Clock(Protocol):
     """The only time an agent knows.  Real: CLOCK_MONOTONIC.  Simulated: the plant's time."""
 
+    @property
+    def utc_offset_ns(self) -> int:
+        """UTC minus this clock: one number for all who share the clock, so that stamps of one instant are equal."""
+        ...
+
     def now_ns(self) -> int:
         """Nanoseconds; never goes back."""
         ...

@@ -45,13 +45,14 @@ def run(
 
     from agent.cli.progress import RunProgress
     from agent.host.signals import StopFlag
-    from agent.process.run import Pace, RunOptions, run_cell
+    from agent.process.children import RunKind
+    from agent.process.run import RunOptions, run_cell
     from agent.report.report import terminal_table
 
     console = Console()
     requested = StopFlag()
-    pace = Pace.WIRE if wire else Pace.REAL_TIME if real_time else Pace.LOCKSTEP
-    options = RunOptions(cell, tuple(overrides), duration, out, seed, pace, faults)
+    kind = RunKind.WIRE if wire else RunKind.REAL_TIME if real_time else RunKind.LOCKSTEP
+    options = RunOptions(cell, tuple(overrides), duration, out, seed, kind, faults)
     with RunProgress(console) as progress:
         outcome = run_cell(options, requested, progress)
     console.print(terminal_table(outcome.results))

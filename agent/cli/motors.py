@@ -75,7 +75,7 @@ def setup(
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask.")] = False,
 ) -> None:
     """Set up the one servo on a line for its place in an arm: ID, speed, direction, shadow, limits, return delay."""
-    from agent.config.cell import load_arm_file
+    from agent.config.files import load_arm_file
     from agent.motors.line import open_line
     from agent.motors.setup import apply_setup, plan_setup, servo_of
 

@@ -27,7 +27,7 @@ def agent(
     """Run one arm: the process that reads, steps, limits and writes."""
     from agent.config.cell import load_cell
     from agent.config.schema.cell import DriverKind
-    from agent.host.paths import control_path, plant_socket_path, ring_path
+    from agent.host.paths import control_path, make_runtime_dir, plant_socket_path, ring_path
     from agent.process.agent import AgentOptions, run_agent
     from agent.process.build import Connection
 
@@ -36,6 +36,8 @@ def agent(
     kind = DriverKind(driver.value) if driver is not None else loaded.file.driver
     name = loaded.file.name
     lockstep = kind is DriverKind.SIM and not real_time
+    if ring is None or (control is None and not lockstep):
+        make_runtime_dir(name)
     options = AgentOptions(
         arm=arm,
         driver=kind,
@@ -63,14 +65,17 @@ def plant(
 ) -> None:
     """Run the simulated cell that the agents' simulated drivers connect to."""
     from agent.config.cell import load_cell
-    from agent.host.paths import plant_socket_path, ring_path
-    from agent.process.plant import PlantOptions, run_plant
+    from agent.host.paths import make_runtime_dir, plant_socket_path, ring_path
+    from agent.process.plant import run_plant
+    from agent.telemetry.row.topics import PLANT
 
     requested = begin(with_parent)
     loaded = load_cell(cell)
     name = loaded.file.name
-    options = PlantOptions(socket or plant_socket_path(name), ring or ring_path(name, "plant"), lockstep=not real_time)
-    typer.echo(run_plant(loaded, options, requested, ready), err=True)
+    if ring is None or socket is None:
+        make_runtime_dir(name)
+    where = socket or plant_socket_path(name), ring or ring_path(name, PLANT)
+    typer.echo(run_plant(loaded, *where, lockstep=not real_time, stop=requested, ready=ready), err=True)
 
 
 def emulate(
@@ -85,20 +90,20 @@ def emulate(
 ) -> None:
     """Emulated Dynamixel servos of the cell's arms on pseudo terminals, for any Dynamixel client."""
     from agent.config.cell import load_cell
-    from agent.host.paths import ring_path
-    from agent.process.emulate import EmulateOptions, run_emulate
+    from agent.host.paths import make_runtime_dir, ring_path
+    from agent.process.emulate import run_emulate
+    from agent.telemetry.row.topics import PLANT
+    from sim_backend.wire.serve import ServeOptions
 
     requested = begin(with_parent)
     loaded = load_cell(cell)
-    options = EmulateOptions(
-        ports={arm.name: ports / arm.name for arm in loaded.arms},
-        ring=ring or ring_path(loaded.file.name, "plant"),
-        faults_file=faults,
-        control_socket=control,
-        seed=seed,
-        timing=not no_timing,
-    )
-    typer.echo(run_emulate(loaded, options, requested, ready), err=True)
+    ports.mkdir(parents=True, exist_ok=True)
+    name = loaded.file.name
+    if ring is None:
+        make_runtime_dir(name)
+    options = ServeOptions({arm.name: ports / arm.name for arm in loaded.arms}, faults, control, seed)
+    where = ring or ring_path(name, PLANT)
+    typer.echo(run_emulate(loaded, options, where, timing=not no_timing, stop=requested, ready=ready), err=True)
 
 
 def telemetry(
@@ -111,16 +116,25 @@ def telemetry(
     follow: Annotated[bool, typer.Option("--follow", help="Go on with the next run of the arm (service).")] = False,
     with_parent: WithParent = False,
 ) -> None:
-    """Publish one ring over Zenoh; never touches a bus."""
-    from agent.config.cell import load_cell
+    """Publish one ring over Zenoh."""
+    from agent.config.files import load_files
     from agent.host.paths import ring_path
-    from agent.process.recorder import TelemetryOptions, run_telemetry
+    from agent.process.telemetry import run_telemetry
+    from agent.telemetry.link.session import Network
 
     requested = begin(with_parent)
-    loaded = load_cell(cell)
-    where = ring or ring_path(loaded.file.name, member)
-    options = TelemetryOptions(member, where, connect, network_config, lockstep, follow)
-    report = run_telemetry(loaded, options, requested, ready)
+    files = load_files(cell)
+    report = run_telemetry(
+        files,
+        member,
+        ring or ring_path(files.file.name, member),
+        Network(config_file=network_config) if network_config else Network(connect=(connect,)),
+        lockstep=lockstep,
+        follow=follow,
+        stop=requested,
+        ready=ready,
+        say=lambda text: typer.echo(f"{member}: {text}", err=True),
+    )
     typer.echo(
         f"{member}: {report.rows_written} rows, {report.rows_lost} lost in the ring, "
         f"{report.rows_unrecorded} not confirmed by the recorder",
@@ -137,21 +151,28 @@ def record(
     driver: Annotated[DriverName | None, typer.Option(help="What moves the arms, for the log.")] = None,
     truth: Annotated[bool, typer.Option(help="Expect the truth of a simulated plant.")] = False,
     seed: Annotated[int, typer.Option(help="Seed of the run, for the log.")] = 0,
+    run_info: Annotated[Path | None, typer.Option(hidden=True, help="run.json of this run, if it is made.")] = None,
     with_parent: WithParent = False,
 ) -> None:
     """Write everything the cell publishes into one MCAP log."""
-    from agent.config.cell import load_cell
+    from agent.config.files import load_files
     from agent.config.schema.cell import DriverKind
     from agent.host.paths import log_path
-    from agent.process.recorder import RecorderOptions, run_recorder
+    from agent.process.recorder import described, run_recorder
+    from agent.telemetry.link.session import Network
 
     requested = begin(with_parent)
-    loaded = load_cell(cell)
-    kind = DriverKind(driver.value) if driver is not None else loaded.file.driver
-    log = out if out is not None else log_path(out_dir, loaded.file.name)
-    has_plant = truth or kind is DriverKind.SIM
-    options = RecorderOptions(log, kind, has_plant, seed, listen, network_config)
-    report = run_recorder(loaded, options, requested, ready)
+    files = load_files(cell)
+    kind = DriverKind(driver.value) if driver is not None else files.file.driver
+    report = run_recorder(
+        files,
+        out if out is not None else log_path(out_dir, files.file.name),
+        Network(config_file=network_config) if network_config else Network(listen=listen),
+        run_info.read_bytes() if run_info is not None else described(cell, kind, seed),
+        has_plant=truth or kind is DriverKind.SIM,
+        stop=requested,
+        ready=ready,
+    )
     for path in report.repaired:
         typer.echo(f"repaired {path}", err=True)
     typer.echo(f"{report.path}: {'complete' if report.complete else 'INCOMPLETE'} {report.failure or ''}", err=True)

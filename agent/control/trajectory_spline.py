@@ -15,13 +15,16 @@ import math
 from bisect import bisect_right
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.control.models import Matrix
 from agent.control.quaternion import Quat, Vec3, angle_between
 from agent.control.trajectory import Desired
 from drivers.interface import Refusal
+
+if TYPE_CHECKING:  # a motion is needed where no arm is computed
+    from agent.control.models import Matrix
 
 CLOSEST_S = 1e-4  # between neighbouring poses
 FARTHEST_RAD = 2.6  # between neighbouring attitudes; at half a turn there is no shorter way round

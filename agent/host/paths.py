@@ -1,21 +1,67 @@
-"""Where the processes of one host meet when nobody says otherwise; names only, creates nothing."""
+"""Where the processes of one host meet when nobody says otherwise, and the folder they meet in."""
 
 from __future__ import annotations
 
 import os
+import stat
 from datetime import UTC, datetime
 from pathlib import Path
+
+from drivers.interface import Refusal
 
 SERVICES_DIR = Path("/run/coop")  # RuntimeDirectory of the shipped units
 
 
+class PlaceError(Refusal):
+    """The folder in which the processes of a cell meet cannot be used."""
+
+
 def runtime_dir(cell: str) -> Path:
-    """$RUNTIME_DIRECTORY of the service, else /run/user/UID or /tmp, one folder per cell."""
+    """Folder of the cell: $RUNTIME_DIRECTORY of a service, else in $XDG_RUNTIME_DIR or, where that is none, in /tmp."""
     service = os.environ.get("RUNTIME_DIRECTORY")
-    if service:
-        return Path(service.split(":")[0])
-    base = os.environ.get("XDG_RUNTIME_DIR") or f"/tmp/coop-{os.getuid()}"
-    return Path(base) / "coop" / cell
+    return Path(service.split(":")[0]) if service else _own_dirs(cell)[-1]
+
+
+def make_runtime_dir(cell: str) -> Path:
+    """`runtime_dir`, made for this user alone where it is missing; a service manager has made its own.
+
+    Raises PlaceError when it cannot be made, or is another user's.
+    """
+    if os.environ.get("RUNTIME_DIRECTORY"):
+        return runtime_dir(cell)
+    for folder in _own_dirs(cell):
+        try:
+            folder.mkdir(mode=0o700, exist_ok=True)
+            _refuse_foreign(folder, folder.lstat())
+        except OSError as error:
+            raise PlaceError(
+                f"folder {folder}", found=error.strerror, expected="a folder of your own",
+                remedy="set XDG_RUNTIME_DIR to a folder that you can write, or give every path (--ring and others)",
+            ) from error  # fmt: skip
+    return runtime_dir(cell)
+
+
+def _refuse_foreign(folder: Path, status: os.stat_result) -> None:
+    """Raise PlaceError unless it is a folder of this user: in /tmp anybody can be there first."""
+    found = None
+    if not stat.S_ISDIR(status.st_mode):
+        found, expected = "a link or file", "a folder of your own"
+    elif status.st_uid != os.geteuid():
+        found, expected = f"one of uid {status.st_uid}", f"one of uid {os.geteuid()}"
+    if found is not None:
+        raise PlaceError(
+            f"folder {folder}", found=found, expected=expected,
+            remedy="have it removed, set XDG_RUNTIME_DIR, or give every path (--ring and others)",
+        )  # fmt: skip
+
+
+def _own_dirs(cell: str) -> tuple[Path, ...]:
+    """Folders of this user down to that of the cell, outermost first."""
+    session = os.environ.get("XDG_RUNTIME_DIR")
+    if session and Path(session).is_dir():
+        return Path(session, "coop"), Path(session, "coop", cell)
+    alone = Path(f"/tmp/coop-{os.getuid()}")
+    return alone, alone / "coop", alone / "coop" / cell
 
 
 def ring_path(cell: str, name: str) -> Path:

@@ -1,4 +1,4 @@
-"""The agent process of one arm: driver, clock, law, ring.  Opens no network socket and imports nothing that could."""
+"""The agent process of one arm: driver, clock, law, ring; it opens no network socket and loads nothing that could."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ from agent.telemetry.row.event import Level
 from agent.telemetry.row.fill import AgentRow
 from agent.telemetry.row.sample import AGENT_STATE
 from agent.verify.check import examine
+from drivers.clock import utc_offset_ns
 from drivers.dynamixel.arm_map import WATCHDOG_S
 from drivers.interface import Clock, Driver, DriverError, Refusal
 
@@ -93,7 +94,7 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             notifier.ready(_STATUS[Mode.READY])
             tell.event(Level.INFO, f"torque on: {info.description}", priority=options.priority or 0)
             ready("torque=on")
-            runner = _runner(cell, options, driver, clock, ring, _Operator(stop, control, clock, options), notifier)
+            runner = _runner(cell, options, driver, clock, ring, _Operator(stop, control, options), notifier)
             cpu_s = time.process_time()
             summary = runner.run()
             tell.end(summary, time.process_time() - cpu_s)
@@ -123,9 +124,7 @@ def _runner(
     """The loop of the arm on its enabled driver."""
     arm = cell.arm(options.arm)
     heart = _Heart(notifier, max(1, round(HEARTBEAT_S * cell.file.rate_hz)))
-    around = Surroundings(
-        time.perf_counter_ns, time.time_ns, operator.events, operator.start_ns, heart.beat, heart.mode
-    )
+    around = Surroundings(time.perf_counter_ns, operator.events, operator.start_ns, heart.beat, heart.mode)
     row = AgentRow(ring.row, arm.n, cell.config_id)
     return Runner(build_agent(cell, arm), driver, clock, _schedule(cell, options), row, ring, around)
 
@@ -150,10 +149,9 @@ class _Operator:
     Where nothing can fall (simulation), a stop also releases the object; on real arms a stop holds it.
     """
 
-    def __init__(self, stop: StopFlag, control: ControlSocket | None, clock: Clock, options: AgentOptions) -> None:
+    def __init__(self, stop: StopFlag, control: ControlSocket | None, options: AgentOptions) -> None:
         self._stop = stop
         self._control = control
-        self._clock = clock
         self._drops_on_stop = not options.hold
         self._start_ns: int | None = None
 
@@ -172,11 +170,14 @@ class _Operator:
         return happened
 
     def start_ns(self) -> int | None:
-        """The common start on this arm's clock; mapped once, so that steps of the wall clock cannot move it."""
+        """The common start on CLOCK_MONOTONIC, which is the clock of every arm that can be given one.
+
+        Mapped once, when it is given: later steps of the wall clock cannot move it.
+        """
         if self._start_ns is None and self._control is not None:
             utc_ns = self._control.requests.start_utc_ns
             if utc_ns is not None:
-                self._start_ns = self._clock.now_ns() + utc_ns - time.time_ns()
+                self._start_ns = utc_ns - utc_offset_ns()
         return self._start_ns
 
 

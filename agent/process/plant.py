@@ -1,10 +1,9 @@
-"""The plant process: the only place where the arms meet, and the source of the truth in the log."""
+"""The plant process: the simulated cell that all arms are part of, and the truth of it for the log."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,60 +14,62 @@ from agent.host.signals import StopFlag
 from agent.process.simulated import plant_spec
 from agent.telemetry.ring.ring import RingWriter
 from agent.telemetry.row.sample import MAX_JOINTS, PLANT_STATE
+from agent.telemetry.row.topics import PLANT
 from agent.verify.check import examine
+from drivers.clock import utc_offset_ns
 from drivers.interface import Vector
 from sim_backend.physics.plant import Observation, Plant
 from sim_backend.served.server import ServerOptions, serve
 
-RING_NAME = "plant"
+SECOND_NS = 1_000_000_000
 
 
-@dataclass(frozen=True)
-class PlantOptions:
-    """How the plant is started."""
-
-    socket: Path
-    ring: Path
-    lockstep: bool
-
-
-def run_plant(cell: Cell, options: PlantOptions, stop: StopFlag, ready: Callable[[str], None]) -> str:
-    """Serve the simulated cell until its arms have left; returns one line about the run.
+def run_plant(
+    cell: Cell, socket: Path, ring: Path, *, lockstep: bool, stop: StopFlag, ready: Callable[[str], None]
+) -> str:
+    """Serve the simulated cell at `socket` until its arms have left; returns one line about the run.
 
     ready is called once the arms can connect.  Raises Refusal.
     """
     report = examine(cell)
     report.require()
     plant = Plant(plant_spec(cell, report.q_start))
-    with RingWriter(options.ring, PLANT_STATE, RING_NAME) as ring:
+    options = ServerOptions(
+        socket_path=socket,
+        rate_hz=cell.file.rate_hz,
+        config_id=cell.config_id,
+        lockstep=lockstep,
+        utc_offset_ns=_utc_at_zero_ns() if lockstep else utc_offset_ns(),
+        observe_every=max(1, round(cell.file.rate_hz / cell.file.simulation.observe_rate_hz)),
+        stop=stop,
+    )
+    with RingWriter(ring, PLANT_STATE, PLANT) as rows:
+        truth = Truth(rows, plant, cell, options.utc_offset_ns, lockstep=lockstep)
         try:
             summary = serve(
-                plant,
-                ServerOptions(
-                    socket_path=options.socket,
-                    rate_hz=cell.file.rate_hz,
-                    config_id=cell.config_id,
-                    lockstep=options.lockstep,
-                    observe_every=max(1, round(cell.file.rate_hz / cell.file.simulation.observe_rate_hz)),
-                    stop=stop,
-                ),
-                on_tick=Truth(ring, plant, cell, options.lockstep),
-                on_listening=lambda: ready(f"socket={options.socket} ring={options.ring}"),
+                plant, options, on_tick=truth.write, on_listening=lambda: ready(f"socket={socket} ring={ring}")
             )
         finally:
-            ring.finish()
+            rows.finish()
     return (
         f"plant: {summary.ticks} ticks, {summary.sim_s:.2f} s simulated in {summary.wall_s:.2f} s, "
         f"{summary.real_time_factor:.1f} times real time, {summary.late_ticks} late"
     )
 
 
+def _utc_at_zero_ns() -> int:
+    """UTC at tick 0 of a lockstep run: the last whole second, since its clock has no other tie to the world's."""
+    return time.time_ns() // SECOND_NS * SECOND_NS
+
+
 class Truth:
     """Writes what the plant observes into its ring."""
 
-    def __init__(self, ring: RingWriter, plant: Plant, cell: Cell, lockstep: bool) -> None:
+    def __init__(self, ring: RingWriter, plant: Plant, cell: Cell, utc_offset_ns: int, *, lockstep: bool) -> None:
+        """utc_offset_ns: UTC minus the clock of the stamps; lockstep: wait for the ring's reader."""
         self._ring = ring
         self._lockstep = lockstep
+        self._utc_offset_ns = utc_offset_ns
         self._slices = plant.slices
         row: Any = np.asarray(ring.row).reshape(())
         row["config_id"] = cell.config_id
@@ -77,23 +78,13 @@ class Truth:
         self._joint_views = {
             name: row[name].reshape(-1, MAX_JOINTS) for name in ("q", "dq", "tau_applied", "tau_friction")
         }
-        self._period_ns = cell.period_ns
-        self._zero_utc_ns = 0
 
-    def __call__(self, tick: int, t: float, seen: Observation) -> None:
-        """Append one row of the simulated clock; in lockstep waits for its reader."""
-        del t  # the observation has its own
-        if tick == 0:
-            self._zero_utc_ns = time.time_ns()
-        stamp_ns = tick * self._period_ns
-        self.write(tick, stamp_ns, self._zero_utc_ns + stamp_ns, seen)
-
-    def write(self, sequence: int, stamp_ns: int, utc_ns: int, seen: Observation) -> None:
-        """Append one row."""
+    def write(self, sequence: int, stamp_ns: int, seen: Observation) -> None:
+        """Append one row; in lockstep waits for its reader."""
         row, n = self._row, len(seen.contact_error_m)
         row["sequence"] = sequence
         row["stamp_ns"] = stamp_ns
-        row["utc_ns"] = utc_ns
+        row["utc_ns"] = self._utc_offset_ns + stamp_ns
         row["t"] = seen.t
         row["p_object"], row["quat_object"], row["v_object"] = seen.p_object, seen.quat_object, seen.v_object
         row["grasp_wrench"][: 6 * n] = seen.grasp_wrench.ravel()

@@ -1,96 +1,77 @@
-"""The recorder and telemetry processes of a cell, composed from the cell file; neither can reach an arm."""
+"""The recorder process of a cell: everything the cell publishes into one log that describes itself.
+
+It computes no dynamics and loads nothing that does; what run.json holds of the models comes from another process.
+"""
 
 from __future__ import annotations
 
+import json
+import subprocess
+import sys
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
-from agent.config.cell import Cell
+from agent.config.files import CellFiles
 from agent.config.schema.cell import DriverKind
-from agent.host.info import attachments, run_info
+from agent.host.info import attachments
 from agent.log.file import Attachment
-from agent.telemetry.link import publish, record
-from agent.telemetry.link.session import FREE_PORT, Network
-from agent.telemetry.row import topics
-from agent.telemetry.row.sample import AGENT_STATE, PLANT_STATE
+from agent.telemetry.link import record
+from agent.telemetry.link.session import Network
+from drivers.interface import Refusal
+
+_MEDIA_TYPES = {"json": "application/json", "toml": "application/toml"}
 
 
-@dataclass(frozen=True)
-class RecorderOptions:
-    """How the recorder of a cell is started."""
+class DescriptionError(Refusal):
+    """What the log shall say of its run cannot be had, or is of another cell."""
 
-    log: Path
-    driver: DriverKind
-    has_plant: bool
-    seed: int
-    listen: str
-    network_config: Path | None
-
-
-@dataclass(frozen=True)
-class TelemetryOptions:
-    """How the telemetry of one member of a cell is started."""
-
-    member: str  # arm, or topics.PLANT
-    ring: Path
-    connect: str
-    network_config: Path | None
-    lockstep: bool
-    follow: bool  # go on with the ring of the next agent
+    exit_code = 4
 
 
 def run_recorder(
-    cell: Cell, options: RecorderOptions, stop: Callable[[], bool], ready: Callable[[str], None]
+    cell: CellFiles,
+    log: Path,
+    network: Network,
+    run_info: bytes,
+    *,
+    has_plant: bool,
+    stop: Callable[[], bool],
+    ready: Callable[[str], None],
 ) -> record.RecordReport:
-    """Record the cell until a stop; ready is told the endpoint.  Raises Refusal."""
-    normal = cell.model(cell.arms[0]).plane_normal
-    info = run_info(cell, options.driver, options.seed, None if normal is None else normal.tolist())
-    files = tuple(Attachment(name, _media_type(name), content) for name, content in attachments(cell, info).items())
-    network = Network(config_file=options.network_config) if options.network_config else Network(listen=options.listen)
-    return record.run(
-        record.RecordOptions(
-            path=options.log,
-            cell=cell.file.name,
-            arms={arm.name: tuple(arm.entry.controlled) for arm in cell.arms},
-            config_id=cell.config_id,
-            has_plant=options.has_plant,
-            network=network,
-            attachments=files,
-            metadata={"versions": info["versions"], "cell": {"name": cell.file.name, "fingerprint": cell.fingerprint}},
-        ),
-        stop,
-        lambda endpoint: ready(f"endpoint={endpoint}"),
+    """Record the cell until a stop; run_info: content of run.json; ready is told the endpoint.  Raises Refusal."""
+    info = json.loads(run_info)
+    if info.get("fingerprint") != cell.fingerprint:
+        raise DescriptionError(
+            "description of the run",
+            found=f"cell {str(info.get('fingerprint'))[:12]}",
+            expected=f"cell {cell.fingerprint[:12]}",
+            remedy="do not change the cell file while the recorder starts",
+        )
+    files = attachments(cell, run_info)
+    options = record.RecordOptions(
+        path=log,
+        cell=cell.file.name,
+        arms={arm.name: tuple(arm.entry.controlled) for arm in cell.arms},
+        config_id=cell.config_id,
+        has_plant=has_plant,
+        network=network,
+        attachments=tuple(Attachment(name, _media_type(name), content) for name, content in files.items()),
+        metadata={"versions": info["versions"], "cell": {"name": cell.file.name, "fingerprint": cell.fingerprint}},
     )
+    return record.run(options, stop, lambda endpoint: ready(f"endpoint={endpoint}"))
 
 
-def run_telemetry(
-    cell: Cell, options: TelemetryOptions, stop: Callable[[], bool], ready: Callable[[str], None]
-) -> publish.PublishReport:
-    """Publish the ring of one member until the recorder has it, or a stop.  Raises Refusal."""
-    if options.member != topics.PLANT:
-        cell.arm(options.member)
-    network = (
-        Network(config_file=options.network_config) if options.network_config else Network(connect=(options.connect,))
-    )
-    return publish.run(
-        publish.PublishOptions(
-            cell=cell.file.name,
-            member=options.member,
-            ring=options.ring,
-            layout=PLANT_STATE if options.member == topics.PLANT else AGENT_STATE,
-            network=network,
-            pace=publish.Pace.LOCKSTEP if options.lockstep else publish.Pace.REAL_TIME,
-            follow=options.follow,
-            info={"cell": cell.file.name, "fingerprint": cell.fingerprint, "member": options.member},
-        ),
-        stop,
-        lambda member: ready(f"member={member}"),
-    )
+def described(cell: Path, driver: DriverKind, seed: int) -> bytes:
+    """run.json of the cell at that path, from a process that ends when it is made.  Raises DescriptionError."""
+    command = [sys.executable, "-m", "agent.process.describe", str(cell), driver.value, str(seed)]
+    done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, check=False)
+    if done.returncode:
+        last = (done.stderr.decode(errors="replace").strip().splitlines() or [f"exit code {done.returncode}"])[-1]
+        raise DescriptionError(
+            f"description of cell {cell}", found=last, expected="run.json", remedy="see what `coop check` says of it"
+        )
+    return done.stdout
 
 
 def _media_type(name: str) -> str:
-    return {"json": "application/json", "toml": "application/toml"}.get(name.rpartition(".")[2], "application/xml")
-
-
-__all__ = ["FREE_PORT", "RecorderOptions", "TelemetryOptions", "run_recorder", "run_telemetry"]
+    return _MEDIA_TYPES.get(name.rpartition(".")[2], "application/xml")

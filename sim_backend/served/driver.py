@@ -32,6 +32,7 @@ class PlantClock:
     """The plant's time.  In lockstep it stands at the last state read; in real time it is CLOCK_MONOTONIC."""
 
     def __init__(self) -> None:
+        self.utc_offset_ns = 0  # as the plant says: the same for all its arms
         self._lockstep = True
         self._now_ns = 0
 
@@ -106,6 +107,7 @@ class SimDriver:
             info = link.introduce(hello, self._connect_timeout_s)
             self._lockstep = bool(info["lockstep"])
             period_s = 1.0 / float(info["rate_hz"])  # type: ignore[arg-type]
+            self.clock.utc_offset_ns = int(info["utc_offset_ns"])  # type: ignore[call-overload]
             tau_largest = np.array(info["tau_largest_Nm"], dtype=np.float64)
             self._command = TorqueCommand(tau_largest, np.array(info["torque_lsb_Nm"], dtype=np.float64))
         except BaseException:

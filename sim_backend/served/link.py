@@ -12,7 +12,7 @@ import numpy as np
 from drivers.interface import BusCounters, ConnectError, DriverError, StaleStateError
 from sim_backend.served.protocol import HEADER, MAX_MESSAGE_BYTES, Kind, read_words, refusal_parts
 
-INFO_KEYS = {"lockstep", "rate_hz", "tau_largest_Nm", "torque_lsb_Nm", "description"}
+INFO_KEYS = {"lockstep", "rate_hz", "utc_offset_ns", "tau_largest_Nm", "torque_lsb_Nm", "description"}
 
 
 class PlantLink:

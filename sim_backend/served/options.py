@@ -41,6 +41,7 @@ class ServerOptions:
     rate_hz: float
     config_id: int  # 32 bit; every agent must present the same
     lockstep: bool = True
+    utc_offset_ns: int = 0  # UTC minus the plant's clock, told to every agent: all stamps of the cell have one origin
     ticks: int | None = None  # end after so many; None: when every arm has said BYE
     observe_every: int = 1  # ticks between two calls of on_tick
     lost_arm: LostArm = LostArm.END_RUN

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from drivers.interface import Refusal, Vector
 
-VERSION: Final = 1
+VERSION: Final = 2
 MAX_MESSAGE_BYTES: Final = 4096
 HEADER: Final = struct.Struct("=qqq")  # kind, number (tick or serial), stamp_ns
 
@@ -25,7 +25,7 @@ class Kind(IntEnum):
     """First field of every message."""
 
     HELLO = 1  # agent, words: version, arm, config_id, joints
-    INFO = 2  # plant, words: lockstep, rate_hz, limits
+    INFO = 2  # plant, words: lockstep, rate_hz, utc_offset_ns (UTC minus its clock), limits
     REFUSED = 3  # plant, words: a Refusal; the connection ends
     POLL = 4  # agent: tell me the state now; number = serial
     REPLY = 5  # plant: STATE layout, number = serial of the POLL

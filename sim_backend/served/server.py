@@ -30,7 +30,7 @@ __all__ = ["ArmVanished", "LostArm", "ServerOptions", "Summary", "serve"]
 
 LOBBY_EVERY_TICKS: Final = 32  # in lockstep with all arms on, nobody else is in a hurry
 
-OnTick = Callable[[int, float, Observation], None]
+OnTick = Callable[[int, int, Observation], None]  # tick, its stamp on the plant's clock, what is true then
 
 
 def serve(
@@ -41,7 +41,7 @@ def serve(
 ) -> Summary:
     """Serve the plant until every arm has said BYE, `ticks` have passed, or `stop()` is true.
 
-    on_tick(tick, t, observation) is called from inside the tick and must not block.  on_listening() is called
+    on_tick(tick, stamp_ns, observation) is called from inside the tick and must not block.  on_listening() is called
     once arms can connect.  Raises ArmVanished, PlantError; the socket is gone in every case.
     """
     with Listener(options.socket_path) as listener, _quiet_gc():
@@ -82,6 +82,7 @@ class _Server:
         info = {
             "lockstep": options.lockstep,
             "rate_hz": options.rate_hz,
+            "utc_offset_ns": options.utc_offset_ns,
             "description": f"simulated plant at {options.socket_path}, {options.rate_hz:g} Hz",
         }
         self._lobby = Lobby(listener, self._seats, options.config_id, info, self._reply, self._lose)
@@ -104,8 +105,10 @@ class _Server:
                 return self._summary(time.monotonic())
             self._lobby.attend(WAIT_S)
         self._lobby.started = True
+        if not self._options.lockstep:
+            self._zero_ns = self._first_instant_ns()
+            time.sleep(max(0, self._zero_ns - time.monotonic_ns()) * 1e-9)
         begin = time.monotonic()
-        self._zero_ns = time.monotonic_ns()
         while not self._over():
             self._one_tick()
         return self._summary(begin)
@@ -170,7 +173,7 @@ class _Server:
             for seat in self._seats:
                 tau[seat.joints] = seat.delay.acting(tick, begin)
             if begin == 0 and self._on_tick is not None and tick % self._options.observe_every == 0:
-                self._on_tick(tick, self._plant.t, self._plant.observe(tau))
+                self._on_tick(tick, self._stamp_ns(), self._plant.observe(tau))
             if tick * self._substeps + begin < self._support_substeps:
                 self._plant.rest(count)
             else:
@@ -216,6 +219,15 @@ class _Server:
     def _stamp_ns(self) -> int:
         since_zero = round(self._tick * 1e9 / self._options.rate_hz)
         return since_zero if self._options.lockstep else self._zero_ns + since_zero
+
+    def _first_instant_ns(self) -> int:
+        """Real time: the next instant at which UTC is a whole number of observations, as it is at tick 0 in lockstep.
+
+        Rows of arms and plant that are thinned out by UTC are then of the same instants.
+        """
+        now_ns = time.monotonic_ns()
+        every_ns = round(self._options.observe_every * 1e9 / self._options.rate_hz)
+        return now_ns + -(now_ns + self._options.utc_offset_ns) % every_ns
 
     def _sleep_to_next_tick(self) -> None:
         period_s = 1.0 / self._options.rate_hz

@@ -16,7 +16,6 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 from drivers.interface import Refusal
 from sim_backend.wire.cell import EmulatedCell
@@ -31,14 +30,6 @@ STALL_NS = 20_000_000  # a loop later than this was not running itself: bytes th
 COMMAND_BYTES = 65536
 TIMER_SLACK = Path("/proc/self/timerslack_ns")  # of the main thread
 CLEAR = "clear"  # ends all faults
-
-
-class Stop(Protocol):
-    """Tells the loop to end."""
-
-    def is_set(self) -> bool:
-        """True when it must end."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,12 +188,12 @@ class Server:
                     control.sendto(answer.encode(), sender)
 
 
-def serve(cell: EmulatedCell, options: ServeOptions, stop: Stop) -> Server:
-    """Serve until `stop` is set; return the server for its counters.  Raises OSError, FaultError, PlantError."""
+def serve(cell: EmulatedCell, options: ServeOptions, stop: Callable[[], bool]) -> Server:
+    """Serve until `stop()` is true; return the server for its counters.  Raises OSError, FaultError, PlantError."""
     clock_ns = time.monotonic_ns
     cell.time_ns = clock_ns()
     with _punctual(), Server(cell, options, clock_ns) as server:
-        while not stop.is_set():
+        while not stop():
             server.lap()
     return server
 

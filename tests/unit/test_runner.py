@@ -30,6 +30,8 @@ START_AFTER = 10  # cycles of READY
 class MovedClock:
     """Time passes in `sleep_until`, and where the test says so."""
 
+    utc_offset_ns = 6_000_000_000
+
     def __init__(self) -> None:
         self.ns = 1_000_000_000
 
@@ -130,7 +132,6 @@ def run(
     schedule = Schedule(PERIOD_NS, ticks, False, 3, 8, hold_at_end)
     around = Surroundings(
         wall_ns=clock.now_ns,
-        utc_ns=lambda: 7_000_000_000,
         operator=lambda: operator(arm.reads),
         start_ns=lambda: zero_ns if start and arm.reads > 2 else None,
         heartbeat=lambda: None,

@@ -1,4 +1,4 @@
-"""The telemetry process of one arm or of the plant: ring -> Zenoh.  Never touches the bus; no torque depends on it.
+"""The telemetry process of one arm or of the plant: ring -> Zenoh.
 
 Congestion control, measured on loopback: with DROP and no waiting a 12 s stall of the recorder cost no row at 25
 batches/s (recovered from the cache) and `put` never took longer than 1.4 ms; but a burst of 4000 batches lost 3800 of
@@ -26,17 +26,19 @@ from agent.telemetry.link.sender import RowSource, Sender, TextSource
 from agent.telemetry.link.session import Network, has_link, open_session
 from agent.telemetry.link.status import StatusQuery
 from agent.telemetry.link.wire import End
+from agent.telemetry.ring.file import RingError
 from agent.telemetry.ring.ring import RingReader
 from agent.telemetry.ring.texts import TextReader, texts_path
 from agent.telemetry.row.derive import RowEvents
 from agent.telemetry.row.sample import AGENT_STATE, Layout
-from agent.telemetry.row.topics import Address, Kind
+from agent.telemetry.row.topics import PLANT, Address, Kind
 
 _CYCLE_S: Final = {False: 0.033, True: 0.02}  # by lockstep; 30 batches/s in real time; each look costs the run CPU time
 _BURST_PAUSE_S: Final = 0.005  # in real time, between the bursts that catch up
 _BURST: Final = {False: 2, True: 64}  # batches between two looks at the stop flag
 _STATUS_S: Final = {False: 0.25, True: 0.05}
 _LINGER_S: Final = 10.0  # for a recorder that is there and says nothing
+_SAY_AFTER_S: Final = 2.0  # of waiting: processes that start together need not be told of each other
 _WINDOW_ROWS: Final = 4096  # lockstep: rows on their way at most
 _CACHE_S: Final = 20.0  # at 30 batches/s; "cache depth ≥ 10 s"
 _CACHE_BATCHES: Final = round(_CACHE_S * 30)
@@ -81,20 +83,24 @@ class PublishReport:
 
 
 def run(
-    options: PublishOptions, stop: Callable[[], bool], ready: Callable[[str], None] = lambda _: None
+    options: PublishOptions,
+    stop: Callable[[], bool],
+    ready: Callable[[str], None] = lambda _: None,
+    say: Callable[[str], None] = lambda _: None,
 ) -> PublishReport:
     """Publish until the recorder has everything, or `stop`.  `ready` gets the member's name once the session is open.
 
-    Waits for the ring to appear.  Raises RingError, NetworkError, BadName.
+    Waits for the ring to appear, and for a recorder; `say` is told in words once that lasts.
+    Raises RingError, NetworkError, BadName.
     """
     address = Address(options.cell, options.member, Kind.STATE)
     with open_session(options.network) as opened:
         ready(options.member)
         report = PublishReport(0, 0, 0, End.OPEN)
-        while (reader := _wait_for_ring(options, stop)) is not None:
+        while (reader := _wait_for_ring(options, stop, say)) is not None:
             with reader:
                 with ExitStack() as stack:  # closed with the ring: its cache must not reach the next run's recorder
-                    report = _Telemetry(options, address, opened.session, reader, stack).run(stop)
+                    report = _Telemetry(options, address, opened.session, reader, stack).run(stop, say)
                 if not options.follow:
                     break
                 while not stop() and not reader.replaced:
@@ -133,16 +139,25 @@ class _Telemetry:
         stack.enter_context(session.declare_queryable(info, lambda query: query.reply(info, self._info())))
         self._status = StatusQuery(session, options.cell, _STATUS_S[self._lockstep])
         self._ended_s = 0.0
+        self._heard = False  # a recorder has said what it has
 
-    def run(self, stop: Callable[[], bool]) -> PublishReport:
+    def run(self, stop: Callable[[], bool], say: Callable[[str], None]) -> PublishReport:
+        lonely = _Patience(lambda: say(self._without_recorder()))
         while True:
             sent = self._cycle(time.monotonic())
+            lonely.waiting(not self._heard)
             if all(sender.complete for sender in self._senders.values()) or stop() or self._is_over():
                 return self._report()
             if sent < 2:  # less than there was: wait until a batch is worth sending
                 time.sleep(_CYCLE_S[self._lockstep])
             elif not self._lockstep:
                 time.sleep(_BURST_PAUSE_S)
+
+    def _without_recorder(self) -> str:
+        network = self._options.network
+        where = " ".join(network.connect) or f"the endpoints of {network.config_file}"
+        kept = "simulated time waits too" if self._lockstep else "the ring keeps the newest rows meanwhile"
+        return f"no recorder at {where} has answered; waits for one until it is stopped (`coop record`); {kept}"
 
     def _is_over(self) -> bool:
         """Whether to let go of a ring that has ended: a recorder that comes now is there for the next run."""
@@ -191,6 +206,7 @@ class _Telemetry:
         status = self._status.poll(now_s)
         if status is None:
             return
+        self._heard = True
         for kind, sender in self._senders.items():
             sender.on_status(status.get(self._address_of(kind).key), now_s)
             for header, payload in sender.again(_BURST[self._lockstep], now_s):
@@ -212,15 +228,45 @@ class _Telemetry:
         return PublishReport(self._reader.written, rows.lost, rows.unrecorded(), RowSource(self._reader).end)
 
 
-def _wait_for_ring(options: PublishOptions, stop: Callable[[], bool]) -> RingReader | None:
+class _Patience:
+    """Tells somebody, once, that something has been waited for for a while."""
+
+    def __init__(self, tell: Callable[[], None]) -> None:
+        self._tell = tell
+        self._since_s = time.monotonic()
+        self._told = False
+
+    def waiting(self, still: bool) -> None:
+        """Called again and again."""
+        if still and not self._told and time.monotonic() - self._since_s > _SAY_AFTER_S:
+            self._told = True
+            self._tell()
+
+
+def _wait_for_ring(options: PublishOptions, stop: Callable[[], bool], say: Callable[[str], None]) -> RingReader | None:
+    maker = "coop plant` or `coop emulate" if options.member == PLANT else f"coop agent --arm {options.member}"
+    where = f"the ring {options.ring}, which `{maker}` makes there or where its --ring says"
+    patience = _Patience(lambda: say(f"waits for {where}, until it is stopped"))
     while not stop():
-        if options.ring.exists():
+        patience.waiting(True)
+        if _exists(options.ring):
             reader = RingReader(options.ring, options.layout, acknowledges=options.pace is Pace.LOCKSTEP)
             if reader.writer_alive or not options.follow:
                 return reader
             reader.close()
         time.sleep(_CYCLE_S[False])
     return None
+
+
+def _exists(ring: Path) -> bool:
+    """Whether the ring is there.  Raises RingError when that cannot be seen."""
+    try:
+        return ring.exists()
+    except OSError as error:
+        raise RingError(
+            f"telemetry ring {ring}", found=error.strerror, expected="a folder that can be searched",
+            remedy="start telemetry as a user of the agent's group",
+        ) from error  # fmt: skip
 
 
 def _open_texts(ring: Path, pid: int, stack: ExitStack) -> TextReader | None:

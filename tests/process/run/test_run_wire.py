@@ -47,6 +47,9 @@ def test_the_real_driver_tracks_on_an_emulated_bus(tmp_path: Path) -> None:
         results = json.loads((out / "results.json").read_text())
         assert log.run_info()["driver"] == "dynamixel"
         assert results["complete"] is True
+        assert log.plant is not None
+        origins = [int((rows["utc_ns"] - rows["stamp_ns"])[0]) for rows in (log.plant, *log.agents.values())]
+        assert np.ptp(origins) < 50_000, "one host, one tie between its clocks"
         for arm in ("left", "right"):
             rows = log.agents[arm]
             assert any("fast sync read" in e.text for e in log.events if e.source == arm), "the real driver ran"

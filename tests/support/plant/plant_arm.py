@@ -26,6 +26,8 @@ from sim_backend.physics.plant import Plant
 class PlantClock:
     """Time passes by integrating the plant."""
 
+    utc_offset_ns = 0
+
     def __init__(self, cell: Cell, plant: Plant) -> None:
         spec = plant.spec.arms[0].actuator
         self.period_ns = cell.period_ns
@@ -123,7 +125,6 @@ def run_loop(
     schedule = Schedule(cell.period_ns, round(duration_s * cell.file.rate_hz), True, 3, 8, False)
     around = Surroundings(
         wall_ns=lambda: 0,
-        utc_ns=lambda: 0,
         operator=operator,
         start_ns=lambda: None,
         heartbeat=lambda: None,

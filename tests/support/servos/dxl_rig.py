@@ -67,6 +67,8 @@ def wiring(arm: ArmMap, firmware: int = 46, **eeprom: int) -> ArmWiring:
 class VirtualClock:
     """`Clock` whose time passes only when somebody waits; the emulated cell lives along."""
 
+    utc_offset_ns = 0
+
     def __init__(self, cell: EmulatedCell, injector: Injector) -> None:
         self._ns = cell.time_ns
         self._cell = cell
@@ -252,7 +254,7 @@ class ServedArm:
         self._cell = EmulatedCell([EmulatedArm(wiring(arm), timing=timing)], None)
         self._options = ServeOptions({arm.arm: directory / "port"}, control_socket=self.control)
         self._stop = threading.Event()
-        self._thread = threading.Thread(target=serve, args=(self._cell, self._options, self._stop))
+        self._thread = threading.Thread(target=serve, args=(self._cell, self._options, self._stop.is_set))
 
     def __enter__(self) -> ServedArm:
         self._thread.start()

@@ -17,14 +17,14 @@ from sim_backend.wire.serve import ServeOptions, serve
 from sim_backend.wire.timing import BusTiming
 from sim_backend.wire.wiring import ArmWiring, JointWiring
 from tests.support.servos.tool_rig import fresh
-from tests.support.servos.wire_emulator import START_S, StandardInputClosed
+from tests.support.servos.wire_emulator import START_S, standard_input_closed
 
 
 def main(port: Path, servos: list[dict[str, Any]]) -> None:
     """Serve until standard input closes."""
     joints = tuple(JointWiring(f"joint {place}", (fresh(**servo),)) for place, servo in enumerate(servos))
     arm = EmulatedArm(ArmWiring("loose", joints), timing=BusTiming())
-    serve(EmulatedCell([arm], None), ServeOptions(ports={"loose": port}), StandardInputClosed())
+    serve(EmulatedCell([arm], None), ServeOptions(ports={"loose": port}), standard_input_closed)
 
 
 @contextlib.contextmanager

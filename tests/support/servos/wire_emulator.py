@@ -21,11 +21,9 @@ from sim_backend.wire.wiring import ArmWiring, JointWiring, ServoWiring, servo_e
 START_S = 30.0
 
 
-class StandardInputClosed:
-    """Set once the parent has let go."""
-
-    def is_set(self) -> bool:
-        return bool(select.select((sys.stdin,), (), (), 0)[0])
+def standard_input_closed() -> bool:
+    """True once the parent has let go."""
+    return bool(select.select((sys.stdin,), (), (), 0)[0])
 
 
 def like_wx200(baud: int, firmware: int) -> ArmWiring:
@@ -55,7 +53,7 @@ def main(options: dict[str, Any]) -> None:
     serve(
         EmulatedCell([arm], None),
         ServeOptions(ports={"left": folder / "arm-left"}, control_socket=folder / "control"),
-        StandardInputClosed(),
+        standard_input_closed,
     )
 
 

@@ -10,7 +10,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import configs
-from agent.config.cell import load_arm_file, load_cell
+from agent.config.cell import load_cell
+from agent.config.files import load_arm_file
 from agent.config.servo_map import arm_map, resting_joints
 from agent.motors import eeprom
 from agent.motors.eeprom import EepromError

@@ -1,0 +1,236 @@
+"""The processes of one simulated run: started, watched, and ended in the order in which no row is lost."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from enum import Enum
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from agent.config.cell import Cell
+from agent.config.schema.cell import DriverKind
+from agent.host.child import Child
+from agent.operator.socket import Verb, ask
+from agent.process.commands import (
+    AgentCommand,
+    Command,
+    EmulateCommand,
+    PlantCommand,
+    RecordCommand,
+    TelemetryCommand,
+)
+from agent.process.describe import run_info
+from agent.telemetry.link.session import FREE_PORT
+from agent.telemetry.ring.ring import RingReader
+from agent.telemetry.row.sample import AGENT_STATE
+from agent.telemetry.row.topics import PLANT
+
+READY_TIMEOUT_S = 30.0
+STOP_TIMEOUT_S = 20.0
+START_IN_NS = 500_000_000
+ABANDON_TIMEOUT_S = 5.0
+LOOK_EVERY_S = 0.05
+
+
+class RunKind(Enum):
+    """What moves the arms, and how fast time passes."""
+
+    LOCKSTEP = "lockstep"  # simulated drivers; time waits for every process
+    REAL_TIME = "real time"  # simulated drivers at the wall clock's pace
+    WIRE = "wire"  # the real driver on emulated servos, at the wall clock's pace
+
+    @property
+    def driver(self) -> DriverKind:
+        """The driver of the agents."""
+        return DriverKind.DYNAMIXEL if self is RunKind.WIRE else DriverKind.SIM
+
+
+class Progress(Protocol):
+    """Somebody who watches."""
+
+    def phase(self, what: str) -> None:
+        """What is being done."""
+        ...
+
+    def advance(self, t_s: float, duration_s: float, speed: float, error_mm: float | None) -> None:
+        """How far the run is."""
+        ...
+
+
+class Children:
+    """The processes of one run.  What they share lies in `runtime`, their words beside `log` in a folder `logs`."""
+
+    def __init__(self, cell: Cell, kind: RunKind, seed: int, faults: Path | None, log: Path, runtime: Path) -> None:
+        self._cell = cell
+        self._kind = kind
+        self._seed = seed
+        self._faults = faults
+        self._log = log
+        self._runtime = runtime
+        self._words = log.parent / "logs"
+        self._words.mkdir(exist_ok=True)
+        self._cell_path = runtime / "cell.toml"
+        self._cell_path.write_bytes(cell.toml)
+        self._run_info_path = runtime / "run.json"
+        self._run_info_path.write_bytes(run_info(cell, kind.driver, seed))
+        self._recorder: Child | None = None
+        self._plant: Child | None = None
+        self._agents: dict[str, Child] = {}
+        self._telemetry: dict[str, Child] = {}
+        self._began_s = 0.0
+
+    def start(self, progress: Progress) -> None:
+        """Start everything, recorder first, so that no row is before its time."""
+        progress.phase("starting")
+        self._recorder = self._child("recorder", self._record_command())
+        self._plant = self._child("plant", self._plant_command())
+        self._plant.wait_ready(READY_TIMEOUT_S)
+        for arm in self._cell.arms:
+            self._agents[arm.name] = self._child(f"arm-{arm.name}", self._agent_command(arm.name))
+        endpoint = self._recorder.wait_ready(READY_TIMEOUT_S)["endpoint"]
+        for name in (PLANT, *self._agents):
+            self._telemetry[name] = self._child(f"telemetry-{name}", self._telemetry_command(name, endpoint))
+        for child in (*self._agents.values(), *self._telemetry.values()):
+            child.wait_ready(READY_TIMEOUT_S)
+        if not self._lockstep:
+            self._start_together(progress)
+        self._began_s = time.monotonic()
+
+    def _start_together(self, progress: Progress) -> None:
+        """Give all arms one start instant once each of them holds its start pose."""
+        progress.phase("torque on")
+        for child in self._agents.values():
+            child.wait_ready(READY_TIMEOUT_S)
+        start_utc_ns = time.time_ns() + START_IN_NS
+        for arm in self._agents:
+            ask(self._control(arm), Verb.START, start_utc_ns=start_utc_ns, fingerprint=self._cell.fingerprint)
+
+    def _record_command(self) -> RecordCommand:
+        return RecordCommand(
+            cell=self._cell_path,
+            out=self._log,
+            listen=FREE_PORT,
+            driver=self._kind.driver,
+            truth=True,
+            seed=self._seed,
+            run_info=self._run_info_path,
+        )
+
+    def _plant_command(self) -> PlantCommand | EmulateCommand:
+        ring = self._ring(PLANT)
+        if self._kind is RunKind.WIRE:
+            return EmulateCommand(
+                cell=self._cell_path, ports=self._runtime, ring=ring, faults=self._faults, seed=self._seed
+            )
+        return PlantCommand(cell=self._cell_path, socket=self._socket, ring=ring, real_time=not self._lockstep)
+
+    def _agent_command(self, arm: str) -> AgentCommand:
+        wire = self._kind is RunKind.WIRE
+        return AgentCommand(
+            cell=self._cell_path,
+            arm=arm,
+            ring=self._ring(arm),
+            control=self._control(arm),
+            driver=self._kind.driver,
+            plant_socket=None if wire else self._socket,
+            port=self._runtime / arm if wire else None,
+            emulated=wire,
+            real_time=self._kind is RunKind.REAL_TIME,
+        )
+
+    def _telemetry_command(self, member: str, endpoint: str) -> TelemetryCommand:
+        return TelemetryCommand(
+            cell=self._cell_path, member=member, ring=self._ring(member), connect=endpoint, lockstep=self._lockstep
+        )
+
+    def watch(self, stop: Callable[[], bool], progress: Progress) -> bool:
+        """Watch until every agent has ended; True when a stop was requested.  Raises ChildFailed."""
+        progress.phase("running")
+        first = self._cell.arms[0].name
+        with RingReader(self._ring(first), AGENT_STATE) as rows:
+            while any(child.process.poll() is None for child in self._agents.values()):
+                self._require_alive()
+                if stop():
+                    for child in self._agents.values():
+                        child.terminate()
+                    return True
+                self._show(rows, progress)
+                time.sleep(LOOK_EVERY_S)
+            self._show(rows, progress)
+        self._require_alive()
+        return False
+
+    def end(self, progress: Progress) -> None:
+        """End everything in the order in which nothing is lost."""
+        progress.phase("closing the log")
+        _wait_all(self._agents.values(), STOP_TIMEOUT_S)
+        assert self._plant is not None
+        assert self._recorder is not None
+        if self._kind is RunKind.WIRE:  # emulated servos serve until they are told to stop
+            self._plant.terminate()
+        if self._plant.wait(STOP_TIMEOUT_S) is None:
+            self._plant.terminate()
+        _wait_all(self._telemetry.values(), STOP_TIMEOUT_S)  # each ends when the recorder has its last row
+        self._recorder.terminate()
+        if self._recorder.wait(STOP_TIMEOUT_S) != 0:
+            raise self._recorder.failed("did not close the log")
+
+    def abandon(self) -> None:
+        """Make sure that everything has ended: ask all, give the recorder time to close the log, then kill."""
+        children = [c for c in (*self._agents.values(), self._plant, *self._telemetry.values(), self._recorder) if c]
+        for child in children:
+            child.terminate()
+        _wait_all(children, ABANDON_TIMEOUT_S)
+        for child in children:
+            child.kill()
+
+    def _child(self, name: str, command: Command) -> Child:
+        return Child(name, command.argv(), self._words)
+
+    @property
+    def _lockstep(self) -> bool:
+        return self._kind is RunKind.LOCKSTEP
+
+    @property
+    def _socket(self) -> Path:
+        return self._runtime / "plant.sock"
+
+    def _control(self, arm: str) -> Path:
+        return self._runtime / f"{arm}.control"
+
+    def _ring(self, name: str) -> Path:
+        return self._runtime / f"{name}.ring"
+
+    def _require_alive(self) -> None:
+        """Raise ChildFailed when a process that should run has ended, or one that has ended did so with an error."""
+        lasting = {"recorder": self._recorder, **self._telemetry}
+        for child in lasting.values():
+            if child is not None and child.process.poll() not in (None, 0):
+                raise child.failed("ended during the run")
+        for child in (*self._agents.values(), self._plant):
+            if child is not None and child.process.poll() not in (None, 0):
+                self._blame(child)
+
+    def _blame(self, child: Child) -> None:
+        """Name the arm that failed first: the others fail because of it."""
+        time.sleep(0.3)
+        killed = [c for c in self._agents.values() if (c.process.poll() or 0) < 0]
+        raise (killed[0] if killed else child).failed("ended during the run")
+
+    def _show(self, rows: RingReader, progress: Progress) -> None:
+        block = rows.read_at(rows.written - 1, 1) if rows.written else None
+        if block is None or not block.count:
+            return
+        row = AGENT_STATE.decode(block.payload)[0]
+        t = float(row["t"])
+        elapsed = max(time.monotonic() - self._began_s, 1e-3)
+        progress.advance(t, self._cell.file.duration_s, t / elapsed, float(np.linalg.norm(row["e_p"])) * 1e3)
+
+
+def _wait_all(children: Iterable[Child], timeout_s: float) -> None:
+    deadline = time.monotonic() + timeout_s
+    for child in children:
+        child.wait(max(0.0, deadline - time.monotonic()))

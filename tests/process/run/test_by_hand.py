@@ -1,0 +1,168 @@
+"""The processes of a cell, one by one, on a host that nobody has prepared: they work, or say what they wait for."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import configs
+from agent.log.read import read_log
+
+PAPER = configs.CELLS_DIR / "paper.toml"
+HEAVY = ("pinocchio", "scipy", "matplotlib")
+SECONDS = 2
+
+# the command itself, and at its end what it has loaded
+PROGRAM = f"""
+import atexit, sys
+atexit.register(lambda: sys.stderr.write("loaded: " + " ".join(m for m in {HEAVY} if m in sys.modules)))
+from agent.cli.main import main
+main()
+"""
+
+
+class Host:
+    """A host with the environment of the test; every process is ended on the way out."""
+
+    def __init__(self, folder: Path, **environment: str) -> None:
+        self.folder = folder
+        self._environment = {k: v for k, v in os.environ.items() if k not in ("XDG_RUNTIME_DIR", "RUNTIME_DIRECTORY")}
+        self._environment |= environment
+        self._processes: list[subprocess.Popen[str]] = []
+
+    def start(self, *arguments: str) -> subprocess.Popen[str]:
+        process = subprocess.Popen(
+            [sys.executable, "-c", PROGRAM, *arguments], cwd=self.folder, env=self._environment,
+            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        self._processes.append(process)
+        return process
+
+    def close(self) -> None:
+        for process in self._processes:
+            if process.poll() is None:
+                process.kill()
+            process.communicate()
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Iterator[Host]:
+    """A user's session: XDG_RUNTIME_DIR is there and empty."""
+    (tmp_path / "session").mkdir()
+    host = Host(tmp_path, XDG_RUNTIME_DIR=str(tmp_path / "session"))
+    yield host
+    host.close()
+
+
+def cell_named(name: str, folder: Path, duration_s: float = SECONDS) -> str:
+    path = folder / "cell.toml"
+    text = PAPER.read_text().replace('name = "paper"', f'name = "{name}"')
+    path.write_text(text.replace("duration_s = 100.0", f"duration_s = {duration_s}"))
+    return str(path)
+
+
+def ready(process: subprocess.Popen[str]) -> str:
+    assert process.stdout is not None
+    line = process.stdout.readline()
+    assert line.startswith("READY "), process.communicate()
+    return line
+
+
+def ended(process: subprocess.Popen[str]) -> str:
+    """The words of a process that ends well."""
+    _, words = process.communicate(timeout=90)
+    assert process.returncode == 0, words
+    return words
+
+
+def test_a_run_by_hand_needs_no_path_and_loads_no_solver_where_none_is_used(session: Host) -> None:
+    cell = cell_named("paper", session.folder)
+    recorder = session.start("record", cell, "--out", "run.mcap", "--listen", "tcp/127.0.0.1:0", "--truth")
+    plant = session.start("plant", cell)
+    endpoint = ready(recorder).split("endpoint=")[1].strip()
+    ready(plant)
+    agents = [session.start("agent", cell, "--arm", arm) for arm in ("left", "right")]
+    telemetry = [
+        session.start("telemetry", cell, "--member", member, "--connect", endpoint, "--lockstep")
+        for member in ("plant", "left", "right")
+    ]
+    for process in (*agents, plant):
+        ended(process)
+    light = [ended(process) for process in telemetry]
+    recorder.terminate()
+    light.append(ended(recorder))
+    log = read_log(session.folder / "run.mcap")
+    assert log.complete
+    assert {arm: len(rows) for arm, rows in log.agents.items()} == {"left": SECONDS * 200, "right": SECONDS * 200}
+    assert log.run_info()["plane_normal"] == pytest.approx([0, 0, 1]), (
+        "what models are needed for is there all the same"
+    )
+    for words in light:
+        assert words.splitlines()[-1].split(":")[1].strip() == "", words
+
+
+def test_emulated_servos_by_hand_need_no_path(session: Host) -> None:
+    emulator = session.start("emulate", str(configs.CELLS_DIR / "two_wx200.toml"), "--ports", "ports")
+    folder = session.folder / "session" / "coop" / "two_wx200"
+    assert ready(emulator).strip() == f"READY ring={folder / 'plant.ring'}"
+    emulator.terminate()
+    ended(emulator)
+
+
+def test_without_a_session_folder_a_plant_starts_in_tmp(tmp_path: Path) -> None:
+    name = f"fresh{os.getpid()}"
+    folder = Path(f"/tmp/coop-{os.getuid()}/coop/{name}")
+    host = Host(tmp_path)
+    try:
+        assert f"socket={folder}/plant.sock" in ready(host.start("plant", cell_named(name, tmp_path)))
+    finally:
+        host.close()
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def test_a_session_folder_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "coop").write_text("in the way")
+    host = Host(tmp_path, XDG_RUNTIME_DIR=str(tmp_path))
+    plant = host.start("plant", str(PAPER))
+    _, words = plant.communicate(timeout=60)
+    assert plant.returncode == 2
+    assert f"folder {tmp_path / 'coop'}: found File exists" in words.splitlines()[0]
+    assert "set XDG_RUNTIME_DIR to a folder that you can write" in words.splitlines()[0]
+
+
+def test_an_agent_by_hand_without_a_plant_says_what_to_start(session: Host) -> None:
+    agent = session.start("agent", str(PAPER), "--arm", "left")
+    _, words = agent.communicate(timeout=60)
+    assert agent.returncode == 3
+    assert "start the plant of this cell first" in words
+    assert "Traceback" not in words
+
+
+def test_telemetry_says_what_it_waits_for(session: Host) -> None:
+    telemetry = session.start("telemetry", str(PAPER), "--arm", "left")
+    ready(telemetry)
+    assert telemetry.stderr is not None
+    ring = session.folder / "session" / "coop" / "paper" / "left.ring"
+    line = telemetry.stderr.readline()
+    assert line.startswith(f"left: waits for the ring {ring}, which `coop agent --arm left` makes"), line
+    assert "until it is stopped" in line
+    telemetry.terminate()
+    ended(telemetry)
+
+
+def test_telemetry_without_a_recorder_says_so(session: Host) -> None:
+    plant = session.start("plant", str(PAPER))
+    ready(plant)
+    telemetry = session.start("telemetry", str(PAPER), "--member", "plant", "--connect", "tcp/127.0.0.1:9")
+    ready(telemetry)
+    assert telemetry.stderr is not None
+    line = telemetry.stderr.readline()
+    assert line.startswith("plant: no recorder at tcp/127.0.0.1:9 has answered; waits for one until it is stopped"), (
+        line
+    )

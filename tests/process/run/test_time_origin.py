@@ -1,0 +1,64 @@
+"""Stamps of one instant are equal in all processes of a run, so that foreign viewers see the report's errors."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from numpy.typing import NDArray
+
+import configs
+from agent.log.read import read_log
+
+PAPER = str(configs.CELLS_DIR / "paper.toml")
+TRANSIENT_S = 1.0
+
+
+def run(out: Path, *options: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "agent.cli", "run", PAPER, "--out", str(out),
+         "--set", f"report.transient_s={TRANSIENT_S}", *options],
+        capture_output=True, text=True, timeout=110,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+
+
+def positions(log: Path, topic: str) -> dict[int, NDArray[np.float64]]:
+    """PoseStamped positions by their header stamp, ns, as any ROS tool reads them."""
+    found = {}
+    with log.open("rb") as file:
+        for decoded in make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages(topics=[topic]):
+            stamp, p = decoded.decoded_message.header.stamp, decoded.decoded_message.pose.position
+            found[stamp.sec * 1_000_000_000 + stamp.nanosec] = np.array([p.x, p.y, p.z])
+    return found
+
+
+def test_poses_of_one_stamp_give_the_error_of_the_report(tmp_path: Path) -> None:
+    run(tmp_path / "out", "--duration", "3")
+    log = tmp_path / "out" / "run.mcap"
+    true, desired = positions(log, "/coop/paper/object/pose"), positions(log, "/coop/paper/object/pose_des")
+    zero_ns = min(true)
+    assert zero_ns == min(desired)
+    assert set(desired) <= set(true), "every desired pose has a true one of its instant"
+    assert len(desired) == 150
+    errors = [np.linalg.norm(true[s] - p) for s, p in desired.items() if s - zero_ns >= TRANSIENT_S * 1e9]
+    results = json.loads((tmp_path / "out" / "results.json").read_text())
+    assert max(errors) == pytest.approx(results["max_position_error_m"], rel=1e-9)
+
+
+def test_simulated_arms_in_real_time_have_one_origin(tmp_path: Path) -> None:
+    run(tmp_path / "out", "--duration", "2", "--real-time")
+    log = read_log(tmp_path / "out" / "run.mcap")
+    assert log.plant is not None
+    members = [log.plant, *log.agents.values()]
+    offsets = np.concatenate([np.unique(rows["utc_ns"] - rows["stamp_ns"]) for rows in members])
+    assert len(set(offsets.tolist())) == 1
+    assert (log.plant["utc_ns"] % 20_000_000 == 0).all(), "on the instants that viewers are shown"
+    for rows in log.agents.values():
+        assert len(np.intersect1d(rows["utc_ns"], log.plant["utc_ns"])) > 10
