@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.linalg import lapack
 
+from agent.control import lapack
 from agent.control.models import Matrix
 
 
