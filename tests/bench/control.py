@@ -100,6 +100,11 @@ def joints(n: int) -> np.ndarray:
 
 def law_figure(agent: Agent) -> Figure:
     """The law at one instant; baseline: the pinocchio calls whose results it needs."""
+    return paired(law_of(agent), bare_calls(agent))
+
+
+def bare_calls(agent: Agent) -> Callable[[], None]:
+    """The pinocchio calls whose results the law needs, and nothing else: what a bound is scaled by."""
     model, data, frame = agent.model.model, agent.model.model.createData(), agent.model.object_id
     q, dq = joints(agent.model.n), 0.1 * joints(agent.model.n)
     axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
@@ -112,7 +117,7 @@ def law_figure(agent: Agent) -> Figure:
         pin.computeGeneralizedGravity(model, data, q)
         pin.computeCoriolisMatrix(model, data, q, dq)
 
-    return paired(law_of(agent), rigid_body_terms)
+    return rigid_body_terms
 
 
 def paired(value: Callable[[], object], baseline: Callable[[], object], baseline_calls: int = BASELINE_CALLS) -> Figure:
