@@ -1,4 +1,4 @@
-"""The commands that are processes of a cell: parse, dispatch, print.  Nothing else."""
+"""The commands that are processes of a cell: agent, plant, emulate, telemetry, record."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from agent.cli import complete
 from agent.cli.options import DEFAULT_ENDPOINT, ArmName, CellPath, DriverName, NetworkConfig, WithParent, begin, ready
 
 
@@ -84,13 +85,14 @@ def emulate(
     with_parent: WithParent = False,
 ) -> None:
     """Emulated Dynamixel servos of the cell's arms on pseudo terminals, for any Dynamixel client."""
+    from agent.atomic import make_folder
     from agent.config.cell import load_cell
     from agent.host.paths import ring_path
     from agent.process.emulate import EmulateOptions, run_emulate
 
     requested = begin(with_parent)
     loaded = load_cell(cell)
-    ports.mkdir(parents=True, exist_ok=True)
+    make_folder(ports)
     options = EmulateOptions(
         ports={arm.name: ports / arm.name for arm in loaded.arms},
         ring=ring or ring_path(loaded.file.name, "plant"),
@@ -104,7 +106,16 @@ def emulate(
 
 def telemetry(
     cell: CellPath,
-    member: Annotated[str, typer.Option("--member", "--arm", help="Arm of the cell, or `plant`.", show_default=False)],
+    member: Annotated[
+        str,
+        typer.Option(
+            "--member",
+            "--arm",
+            help="Arm of the cell, or `plant`.",
+            show_default=False,
+            autocompletion=complete.members,
+        ),
+    ],
     ring: Annotated[Path | None, typer.Option(help="Ring file in shared memory.")] = None,
     connect: Annotated[str, typer.Option(help="Endpoint of the recorder.")] = DEFAULT_ENDPOINT,
     network_config: NetworkConfig = None,

@@ -7,7 +7,6 @@ import tempfile
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from enum import Enum
 from pathlib import Path
 from typing import Protocol
@@ -18,6 +17,7 @@ from agent.config.cell import Cell, load_cell
 from agent.host.child import Child
 from agent.log.read import read_log
 from agent.operator.socket import Verb, ask
+from agent.process.folder import LOG_NAME, RunError, output_folder
 from agent.process.plant import RING_NAME
 from agent.process.recorder import FREE_PORT
 from agent.report.report import write_report
@@ -25,17 +25,12 @@ from agent.report.results import Results
 from agent.telemetry.ring.ring import RingReader
 from agent.telemetry.row.sample import AGENT_STATE
 from agent.verify.check import examine
-from drivers.interface import Refusal
 
 READY_TIMEOUT_S = 30.0
 STOP_TIMEOUT_S = 20.0
 START_IN_NS = 500_000_000
 ABANDON_TIMEOUT_S = 5.0
 LOOK_EVERY_S = 0.05
-
-
-class RunError(Refusal):
-    """The run could not be started or did not come to its end."""
 
 
 class Pace(Enum):
@@ -57,6 +52,7 @@ class RunOptions:
     seed: int
     pace: Pace
     faults: Path | None = None  # of the emulated servos, JSON lines
+    replace: bool = False  # an earlier run in `out`
 
 
 @dataclass(frozen=True)
@@ -98,7 +94,7 @@ def run_cell(options: RunOptions, stop: Callable[[], bool], progress: Progress) 
     cell = load_cell(options.cell, overrides)
     progress.phase("checking")
     examine(cell, wired=options.pace is Pace.WIRE).require()
-    out = _output_folder(options.out, cell)
+    out = output_folder(options.out, cell.file.name, replace=options.replace)
     runtime = Path(tempfile.mkdtemp(prefix="coop-", dir="/dev/shm" if Path("/dev/shm").is_dir() else None))
     try:
         run = _Run(cell, options, out, runtime)
@@ -111,30 +107,10 @@ def run_cell(options: RunOptions, stop: Callable[[], bool], progress: Progress) 
     finally:
         shutil.rmtree(runtime, ignore_errors=True)
     progress.phase("report")
-    log = read_log(out / "run.mcap")
+    log = read_log(out / LOG_NAME)
     report = write_report(log, out)
     progress.phase("done")
-    return RunOutcome(out / "run.mcap", report.html, report.results, interrupted, report.results.within_bounds)
-
-
-def _output_folder(wanted: Path | None, cell: Cell) -> Path:
-    stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
-    out = wanted or Path("runs") / f"{stamp}-{cell.file.name}"
-    if (out / "run.mcap").exists():
-        raise RunError(
-            "output folder", found=f"{out / 'run.mcap'} from an earlier run", expected="a folder without a log",
-            remedy="name another folder with --out",
-        )  # fmt: skip
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=out):
-            pass
-    except OSError as error:
-        raise RunError(
-            f"output folder {out}", found=error.strerror, expected="a folder that can be written",
-            remedy="name another folder with --out, or change its permissions",
-        ) from error  # fmt: skip
-    return out
+    return RunOutcome(out / LOG_NAME, report.html, report.results, interrupted, report.results.within_bounds)
 
 
 class _Run:
@@ -191,7 +167,7 @@ class _Run:
 
     def _recorder_command(self, cell: str) -> list[str]:
         driver = "dynamixel" if self._options.pace is Pace.WIRE else "sim"
-        log, seed = str(self._out / "run.mcap"), str(self._options.seed)
+        log, seed = str(self._out / LOG_NAME), str(self._options.seed)
         return [
             "record", cell, "--out", log, "--listen", FREE_PORT, "--driver", driver, "--truth", "--seed", seed
         ]  # fmt: skip
