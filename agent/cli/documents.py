@@ -43,7 +43,7 @@ def tune_document(
         "rate_hz": configured.cell.file.rate_hz,
         "margin": {"radius": margin.radius, "damping": margin.damping},
         "configured": _gains(configured),
-        "proposals": {p.form.value: _gains(p.after) | {"changes": _changes(p)} for p in (*proposals, chosen)},
+        "proposals": {p.form.value: _gains(p.after) | {"changes": _changes(p)} for p in proposals},
         "chosen": chosen.form.value,
         "written": None if written is None else str(written),
     }

@@ -72,6 +72,24 @@ def test_a_mistyped_option_is_told_the_near_one() -> None:
     assert done.err.endswith("(see `coop run -h`)\n")
 
 
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["check"], "Missing argument 'cell' (see `coop check -h`)"),
+        (["agent", "paper"], "Missing option '--arm' (see `coop agent -h`)"),
+        (
+            ["tune", "paper", "--form", "x"],
+            "Invalid value for '--form': 'x' is not one of 'ratio', 'rate' (see `coop tune -h`)",
+        ),
+        (["motors", "dump"], "Missing option '--port' (see `coop motors dump -h`)"),
+    ],
+    ids=lambda value: value[0] if isinstance(value, list) else "",
+)
+def test_a_wrong_command_line_is_one_line(words: list[str], line: str) -> None:
+    done = coop(*words)
+    assert (done.code, done.out, done.err) == (2, "", f"coop: {line}\n")
+
+
 def test_the_installed_command_and_the_module_are_the_same(tmp_path: Path) -> None:
     assert PROJECT["scripts"] == {"coop": "agent.cli.main:main"}
     shown = [

@@ -9,9 +9,13 @@ from typing import Any
 import pytest
 
 import configs
+from agent.cli.documents import run_document
+from agent.cli.options import print_json
 from agent.config.cell import load_cell
 from agent.log.read import RunLog
+from agent.process.run import RunOutcome
 from agent.report.compare import Change
+from agent.report.metrics import summarise
 from tests.support.command import Done, coop
 from tests.support.telemetry.synthetic_run import paper_run
 
@@ -68,6 +72,13 @@ def test_a_refused_cell_is_a_document_an_error_line_and_an_exit_code() -> None:
     assert "spectral radius" in done.err
 
 
+def test_check_refuses_what_the_servo_buses_could_not_carry_though_the_cell_is_simulated() -> None:
+    done = coop("check", PAPER, "--set", "rate_hz=400.0", "--json")
+    assert done.code == 2
+    refused = {(f["what"], f["where"]) for f in document(done)["findings"] if f["verdict"] == "refused"}
+    assert refused == {("rate on the servo bus", "left"), ("rate on the servo bus", "right")}
+
+
 def test_what_cannot_be_examined_is_an_error_line_and_no_document(tmp_path: Path) -> None:
     for command in ("check", "tune"):
         done = coop(command, tmp_path / "none.toml", "--json")
@@ -111,6 +122,21 @@ def test_tune_gives_the_gains_there_are_and_those_proposed(tmp_path: Path) -> No
         == (after.controller.k_eps_rate_rad_per_s or after.controller.k_eps_rad_per_s)[0]
     )
     assert proposals["rate"]["arms"]["left"]["k_v_Nm_s_per_rad"] == list(after.arms[0].k_v_Nm_s_per_rad or ())
+
+
+@pytest.mark.parametrize("interrupted", [True, False])
+def test_a_run_says_how_it_ended(interrupted: bool) -> None:
+    results = summarise(paper_run(Path("run.mcap"), duration_s=22.0))
+    outcome = RunOutcome(Path("out/run.mcap"), Path("out/report.html"), results, interrupted, not interrupted)
+    assert run_document(outcome) == {
+        "schema": 1, "log": "out/run.mcap", "report": "out/report.html", "interrupted": interrupted,
+        "within_bounds": not interrupted, "results": results.to_json(),
+    }  # fmt: skip
+
+
+def test_no_document_has_what_is_no_json() -> None:
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        print_json({"radius": float("nan")})
 
 
 @pytest.fixture

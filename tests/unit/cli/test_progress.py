@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import io
 import re
+import threading
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 import pytest
+from rich.live import _RefreshThread
 
 import configs
 from agent.cli.options import WIDTH_ELSEWHERE, console
@@ -77,8 +79,29 @@ def test_a_run_has_a_bar_from_its_first_row_on(terminal: Terminal) -> None:
         progress.phase("report")
     last = next(line for line in reversed(lines(terminal)) if BAR in line)
     assert re.match(r"report +━+.* +25\.0 s of 100 s +4\.5x real time error 0\.12 mm", last)
-    full = last.count(BAR)
-    assert full > 10
+    assert last.count(BAR) > 10
+
+
+@pytest.mark.parametrize(("t_s", "least", "most"), [(10.0, 0.05, 0.2), (90.0, 0.8, 0.95)])
+def test_the_bar_is_as_full_as_the_run_is_far(terminal: Terminal, t_s: float, least: float, most: float) -> None:
+    with redirect_stderr(terminal), RunProgress() as progress:
+        progress.advance(t_s, 100.0, 4.5, None)
+    last = next(line for line in reversed(re.split("[\r\n]", terminal.getvalue())) if BAR in line)
+    pieces = [len(piece) for piece in re.findall(f"{BAR}+", last)]
+    assert least < pieces[0] / sum(pieces) < most
+
+
+def test_the_bar_takes_the_place_of_the_spinner(terminal: Terminal) -> None:
+    def drawing() -> int:
+        threads = [thread for thread in threading.enumerate() if isinstance(thread, _RefreshThread)]
+        return sum(not thread.done.is_set() for thread in threads)
+
+    with redirect_stderr(terminal), RunProgress() as progress:
+        progress.phase("starting")
+        assert drawing() == 1
+        progress.advance(25.0, 100.0, 4.5, None)
+        assert drawing() == 1
+    assert drawing() == 0
 
 
 def test_a_run_without_a_terminal_says_now_and_then_where_it_is() -> None:
