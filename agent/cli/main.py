@@ -68,7 +68,10 @@ def dispatch(arguments: Sequence[str] | None = None) -> int:
     except typer.TyperException as error:
         return _usage(error)
     except OSError as error:
-        return _refuse(f"{error.filename or 'system'}: {error.strerror or error}", USAGE)
+        found = f"found {error.strerror or error}"
+        if error.filename is None:
+            return _refuse(f"this host: {found}, expected it to do what was asked; see what it is short of", USAGE)
+        return _refuse(f"{error.filename}: {found}, expected a path that can be used; name another", USAGE)
     except Exception as error:
         from drivers.interface import Refusal  # numpy with it, which `coop --help` has no need of
 

@@ -41,9 +41,7 @@ def recover(path: Path, stop: Callable[[], bool] = lambda: False) -> RecoverRepo
     try:
         fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     except OSError as error:
-        raise LogError(
-            f"cannot open {path}", found=error.strerror, expected="a log", remedy="correct the path"
-        ) from error
+        raise _unreadable(path, error) from error
     try:
         if not lock(fd):
             raise LogFileError(
@@ -52,9 +50,17 @@ def recover(path: Path, stop: Callable[[], bool] = lambda: False) -> RecoverRepo
                 expected="a log whose recorder has ended",
                 remedy="stop that recorder; it finishes the file",
             )
-        return _recover(path, memoryview(path.read_bytes()), stop)
+        try:
+            data = path.read_bytes()
+        except OSError as error:
+            raise _unreadable(path, error) from error
+        return _recover(path, memoryview(data), stop)
     finally:
         os.close(fd)
+
+
+def _unreadable(path: Path, error: OSError) -> LogError:
+    return LogError(f"cannot open {path}", found=error.strerror, expected="a log", remedy="correct the path")
 
 
 def repair_leftovers(

@@ -68,8 +68,8 @@ class ControlSocket:
         except OSError as error:
             self._socket.close()
             raise ControlError(
-                f"control socket {path}", found=error.strerror, expected="a folder that can be written",
-                remedy="create it, or name another with --control",
+                f"control socket {path}", found=error.strerror, expected="a free name in a folder that can be written",
+                remedy="name another with --control",
             ) from error  # fmt: skip
 
     def poll(self) -> None:

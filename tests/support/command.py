@@ -29,7 +29,10 @@ def coop(*arguments: str | Path, err: io.StringIO | None = None) -> Done:
     before = {number: signal.getsignal(number) for number in _TAKEN}
     try:
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-            code = dispatch([str(a) for a in arguments])
+            try:
+                code = dispatch([str(a) for a in arguments])
+            except SystemExit as end:  # completion answers and ends
+                code = int(end.code or 0)
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from itertools import product
 from pathlib import Path
 
@@ -125,6 +126,7 @@ def refused(*arguments: str) -> str:
     assert lines, done.out
     assert [line for line in lines if line.startswith("coop: ")] == lines[-1:], done.err
     assert "Traceback" not in done.err
+    assert re.search(r": found .*, expected .+; .+|\(see `coop", lines[-1]), lines[-1]
     return lines[-1]
 
 

@@ -99,6 +99,34 @@ def test_the_installed_command_and_the_module_are_the_same(tmp_path: Path) -> No
     assert shown == [f"coop {PROJECT['version']}\n"] * 2
 
 
+@pytest.mark.parametrize(
+    ("error", "line"),
+    [
+        (
+            OSError(28, "No space left on device"),
+            "this host: found No space left on device, expected it to do what was",
+        ),
+        (OSError(13, "Permission denied", "/x"), "/x: found Permission denied, expected a path that can be used; name"),
+    ],
+    ids=["host", "path"],
+)
+def test_what_the_system_refuses_is_one_line(monkeypatch: pytest.MonkeyPatch, error: OSError, line: str) -> None:
+    def fail(*_: object) -> None:
+        raise error
+
+    monkeypatch.setattr("agent.config.cell.load_cell", fail)
+    done = coop("check", PAPER)
+    assert (done.code, done.out) == (2, "")
+    assert done.err.startswith(f"coop: {line} ")
+    assert done.err.count("\n") == 1
+
+
+def test_a_defect_is_no_refusal(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("agent.config.cell.load_cell", lambda *_: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        coop("check", PAPER)
+
+
 def test_an_exit_code_reaches_the_caller(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "agent.cli", "check", str(tmp_path / "none")]
     assert subprocess.run(command, capture_output=True, timeout=60).returncode == 2

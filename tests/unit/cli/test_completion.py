@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -14,49 +15,58 @@ import typer
 import configs
 from agent.cli import complete
 from agent.cli.main import app
+from tests.support.command import coop
 
 SHIPPED = sorted(path.stem for path in configs.CELLS_DIR.glob("*.toml"))
 
 
-def offered(line: str, cwd: Path) -> list[str]:
-    """What bash is offered for the last word of a line."""
-    words = line.split(" ")
-    asked = {"_COOP_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(len(words) - 1)}
-    done = subprocess.run(
-        [sys.executable, "-m", "agent.cli"], cwd=cwd, env=os.environ | asked, capture_output=True, text=True, timeout=60
-    )
-    assert done.stderr == ""
-    return done.stdout.split()
+Offered = Callable[[str], list[str]]
 
 
-def test_cells_are_offered_by_name(tmp_path: Path) -> None:
+@pytest.fixture
+def offered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Offered:
+    """What bash is offered for the last word of a line, in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+
+    def ask(line: str) -> list[str]:
+        asked = {"_COOP_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(line.count(" "))}
+        for key, value in asked.items():
+            monkeypatch.setenv(key, value)
+        done = coop()
+        assert (done.code, done.err) == (0, "")
+        return done.out.split()
+
+    return ask
+
+
+def test_cells_are_offered_by_name(offered: Offered, tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text("")
-    assert offered("coop check ", tmp_path) == [*SHIPPED, "mine.toml"]
-    assert offered("coop run two_w", tmp_path) == ["two_wx200"]
+    assert offered("coop check ") == [*SHIPPED, "mine.toml"]
+    assert offered("coop run two_w") == ["two_wx200"]
 
 
-def test_commands_and_options_are_offered(tmp_path: Path) -> None:
-    assert offered("coop tel", tmp_path) == ["telemetry"]
-    assert offered("coop motors s", tmp_path) == ["scan", "setup"]
-    assert set(offered("coop tune paper --f", tmp_path)) == {"--form", "--force"}
-    assert offered("coop tune paper --form r", tmp_path) == ["ratio", "rate"]
+def test_commands_and_options_are_offered(offered: Offered) -> None:
+    assert offered("coop tel") == ["telemetry"]
+    assert offered("coop motors s") == ["scan", "setup"]
+    assert set(offered("coop tune paper --f")) == {"--form", "--force"}
+    assert offered("coop tune paper --form r") == ["ratio", "rate"]
 
 
-def test_arms_are_those_of_the_cell(tmp_path: Path) -> None:
-    assert offered("coop agent paper --arm ", tmp_path) == ["left", "right"]
-    assert offered("coop telemetry paper --member ", tmp_path) == ["left", "right", "plant"]
+def test_arms_are_those_of_the_cell(offered: Offered, tmp_path: Path) -> None:
+    assert offered("coop agent paper --arm ") == ["left", "right"]
+    assert offered("coop telemetry paper --member ") == ["left", "right", "plant"]
     (tmp_path / "mine.toml").write_text('[[arms]]\nname = "north"\n[[arms]]\nname = "south"\n')
-    assert offered("coop stop mine.toml --arm n", tmp_path) == ["north"]
+    assert offered("coop stop mine.toml --arm n") == ["north"]
 
 
-def test_settings_are_those_of_the_cell(tmp_path: Path) -> None:
-    assert offered("coop run paper --set rate", tmp_path) == ["rate_hz=200.0"]
-    assert offered("coop motors setup --arm-model wx200 --joint e", tmp_path) == ["elbow"]
+def test_settings_are_those_of_the_cell(offered: Offered) -> None:
+    assert offered("coop run paper --set rate") == ["rate_hz=200.0"]
+    assert offered("coop motors setup --arm-model wx200 --joint e") == ["elbow"]
 
 
-def test_a_folder_named_like_a_cell_does_not_hide_it(tmp_path: Path) -> None:
+def test_a_folder_named_like_a_cell_does_not_hide_it(offered: Offered, tmp_path: Path) -> None:
     (tmp_path / "paper").mkdir()
-    assert offered("coop agent paper --arm l", tmp_path) == ["left"]
+    assert offered("coop agent paper --arm l") == ["left"]
 
 
 # The completers themselves, without a process
@@ -108,15 +118,12 @@ def test_arm_models_and_their_joints() -> None:
 
 
 @pytest.mark.parametrize(("shell", "says"), [("bash", "complete -o"), ("zsh", "#compdef coop"), ("fish", "complete ")])
-def test_each_shell_has_a_script_for_this_program(shell: str, says: str) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "agent.cli"], env=os.environ | {"_COOP_COMPLETE": f"source_{shell}"},
-        capture_output=True, text=True, timeout=60,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    assert says in done.stdout
-    assert "_COOP_COMPLETE=complete_" + shell in done.stdout
-    assert done.stdout.count("coop") >= 2
+def test_each_shell_has_a_script_for_this_program(monkeypatch: pytest.MonkeyPatch, shell: str, says: str) -> None:
+    monkeypatch.setenv("_COOP_COMPLETE", f"source_{shell}")
+    done = coop()
+    assert (done.code, done.err) == (0, "")
+    assert says in done.out
+    assert "_COOP_COMPLETE=complete_" + shell in done.out
 
 
 @pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
