@@ -10,25 +10,31 @@ from typing import Annotated
 import typer
 
 from agent.cli import cells, doctor, logs, motors, processes, run, words
+from agent.cli.help import Commands
 
 PROGRAM = "coop"
 USAGE = 2  # exit code of a command line that says nothing `coop` understands
 
+GROUPS = {
+    "Simulate and examine": (run.run, cells.check, cells.tune),
+    "Arms of this host": (words.start, words.stop, words.release, doctor.doctor),
+    "Logs": (logs.report, logs.compare, logs.identify, logs.play, logs.recover),
+    "Processes of a cell": (
+        processes.agent, processes.plant, processes.emulate, processes.telemetry, processes.record,
+    ),
+}  # fmt: skip
+
 app = typer.Typer(
-    no_args_is_help=True,
+    cls=Commands,
     pretty_exceptions_enable=False,
+    rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
-    help="Cooperative manipulation.",
+    help="Cooperative manipulation with several arms.",
 )
-for _command in (
-    run.run, cells.check, cells.tune,
-    words.start, words.stop, words.release,
-    processes.agent, processes.plant, processes.emulate, processes.telemetry, processes.record,
-    logs.report, logs.compare, logs.identify, logs.play, logs.recover,
-    doctor.doctor,
-):  # fmt: skip
-    app.command()(_command)
-app.add_typer(motors.app, name="motors")
+for _heading, _commands in GROUPS.items():
+    for _command in _commands:
+        app.command(rich_help_panel=_heading)(_command)
+app.add_typer(motors.app, name="motors", rich_help_panel="Arms of this host")
 
 
 def _version(wanted: bool) -> None:
@@ -84,8 +90,6 @@ def dispatch(arguments: Sequence[str] | None = None) -> int:
 def _usage(error: typer.TyperException) -> int:
     """A command line that was not understood."""
     text = " ".join(error.format_message().replace("Value error, ", "").split()).rstrip(".")
-    if not text:  # no command at all: the help has been shown
-        return error.exit_code
     context = getattr(error, "ctx", None)
     return _refuse(f"{text} (see `{context.command_path if context else PROGRAM} -h`)", error.exit_code)
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from agent.cli import complete
+from agent.cli.help import Commands
 from agent.cli.options import AsJson, Force, note
 from agent.cli.progress import Steps
 
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 
     from agent.motors.find import ServoSeen
 
-app = typer.Typer(no_args_is_help=True, help="Servos one by one: find, set up, save, restore.")
+app = typer.Typer(cls=Commands, rich_markup_mode=None, help="Servos one by one: find, set up, save, restore.")
 
 Port = Annotated[str, typer.Option("--port", help="Serial port.", show_default=False)]
 Bauds = Annotated[

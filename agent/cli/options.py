@@ -20,7 +20,10 @@ if TYPE_CHECKING:
 CellPath = Annotated[
     Path,
     typer.Argument(
-        help="Cell file (TOML), or a shipped cell's name.", show_default=False, autocompletion=complete.cells
+        metavar="CELL",
+        help="Cell file (TOML), or the name of a shipped cell.",
+        show_default=False,
+        autocompletion=complete.cells,
     ),
 ]
 LogPath = Annotated[Path, typer.Argument(metavar="LOG", help="MCAP log.", show_default=False)]

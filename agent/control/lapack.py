@@ -31,7 +31,7 @@ def _module() -> ModuleType:
 
 
 def _extension() -> ModuleType | None:
-    """The extension module alone, known to a later `import scipy.linalg` as its own; None where it is not found."""
+    """The extension module alone; None where it is not found.  Raises ImportError."""
     package = find_spec("scipy")  # finds, does not import
     for folder in (package and package.submodule_search_locations) or ():
         for suffix in EXTENSION_SUFFIXES:
@@ -40,7 +40,7 @@ def _extension() -> ModuleType | None:
             if spec is not None and spec.loader is not None:
                 module = module_from_spec(spec)
                 spec.loader.exec_module(module)
-                return sys.modules.setdefault(_NAME, module)
+                return module
     return None
 
 

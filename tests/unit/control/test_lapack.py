@@ -58,6 +58,13 @@ def test_where_the_extension_is_otherwise_scipy_is_asked(monkeypatch: pytest.Mon
     np.testing.assert_allclose(found.dgetri(lu, pivots)[0], [[0.5, -0.125], [0.0, 0.25]])
 
 
+def test_where_scipy_is_loaded_already_it_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    import scipy.linalg
+
+    monkeypatch.setattr(lapack, "_extension", lambda: pytest.fail("loaded twice"))
+    assert lapack._module() is scipy.linalg.lapack
+
+
 def test_a_scipy_without_the_file_is_not_found(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(lapack, "find_spec", lambda _: None)
     assert lapack._extension() is None
