@@ -1,4 +1,4 @@
-"""Writes a file whole or not at all, also when power fails; its folder must exist."""
+"""Writes a whole file or none, so that no reader and no power cut meets half of one; keeps what is there if asked."""
 
 from __future__ import annotations
 
@@ -12,6 +12,23 @@ from drivers.interface import Refusal
 
 class WriteError(Refusal):
     """A file cannot be written."""
+
+
+def keep_existing(*paths: Path, remedy: str = "name another, or give --force") -> None:
+    """Raise WriteError when there is something at one of these paths: nobody has asked to replace it."""
+    for path in paths:
+        if os.path.lexists(path):
+            raise WriteError(f"file {path}", found="one of that name", expected="none", remedy=remedy)
+
+
+def make_folder(path: Path) -> None:
+    """Make the folder, and those above it, where it is not there.  Raises WriteError."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise WriteError(
+            f"folder {path}", found=error.strerror, expected="a folder, or a place for one", remedy="name another path"
+        ) from error
 
 
 def write_atomically(path: Path, content: bytes) -> None:

@@ -1,29 +1,29 @@
-"""The commands `coop motors …` and `coop doctor`."""
+"""The commands `coop motors …`: servos one by one."""
 
 from __future__ import annotations
 
 import json
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from agent.cli.options import CellPath, Overrides, SomeArms
-from drivers.interface import Refusal
+from agent.cli import complete
+from agent.cli.help import Commands
+from agent.cli.options import AsJson, Force, note
+from agent.cli.progress import Steps
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from agent.motors.find import ServoSeen
 
-app = typer.Typer(no_args_is_help=True, help="Servos one by one: find, set up, save, restore.")
+app = typer.Typer(cls=Commands, rich_markup_mode=None, help="Servos one by one: find, set up, save, restore.")
 
 Port = Annotated[str, typer.Option("--port", help="Serial port.", show_default=False)]
 Bauds = Annotated[
     list[int], typer.Option("--baud", help="Only at these speeds, bit/s (default: all that servos know).")
 ]
-AsJson = Annotated[bool, typer.Option("--json", help="For scripts: one JSON document on standard output.")]
 
 
 @app.command()
@@ -39,22 +39,24 @@ def scan(
     from agent.motors.find import survey, survey_old
     from agent.motors.line import open_line, ports
     from drivers.dynamixel.line.protocol1 import BAUDS
+    from drivers.interface import Refusal
 
     seen: list[ServoSeen] = []
     refused: list[Refusal] = []
     bauds = _bauds(baud)
-    for path in port or ports():
-        _note(path)
-        try:
-            if protocol_1:
-                seen += survey_old(path, baud or BAUDS, _note)
-                continue
-            with open_line(path) as bus:
-                seen += survey(bus, path, bauds, _note)
-        except Refusal as error:
-            refused.append(error)
+    with Steps(lines=True) as step:
+        for path in port or ports():
+            step(path)
+            try:
+                if protocol_1:
+                    seen += survey_old(path, baud or BAUDS, step)
+                    continue
+                with open_line(path) as bus:
+                    seen += survey(bus, path, bauds, step)
+            except Refusal as error:
+                refused.append(error)
     for refusal in refused:
-        typer.echo(f"coop: {refusal}", err=True)
+        note(f"coop: {refusal}")
     if as_json:
         typer.echo(json.dumps([_as_row(servo) for servo in seen], indent=2))
     else:
@@ -62,15 +64,20 @@ def scan(
     if not seen:
         if len(refused) == 1 and len(port) == 1:
             raise typer.Exit(refused[0].exit_code)
-        _note("no servo found: is the 12 V supply on?  Protocol 1.0 servos answer to --protocol-1 only")
+        note("no servo found: is the 12 V supply on?  Protocol 1.0 servos answer to --protocol-1 only")
         raise typer.Exit(1)
 
 
 @app.command()
 def setup(
     port: Port,
-    arm_model: Annotated[str, typer.Option(help="Arm description, e.g. wx200.", show_default=False)],
-    joint: Annotated[str, typer.Option(help="Joint the servo is for, or `gripper`.", show_default=False)],
+    arm_model: Annotated[
+        str, typer.Option(help="Arm description, e.g. wx200.", show_default=False, autocompletion=complete.arm_models)
+    ],
+    joint: Annotated[
+        str,
+        typer.Option(help="Joint the servo is for, or `gripper`.", show_default=False, autocompletion=complete.joints),
+    ],
     shadow: Annotated[bool, typer.Option("--shadow", help="The second servo of that joint.")] = False,
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask.")] = False,
 ) -> None:
@@ -82,7 +89,7 @@ def setup(
     file, _ = load_arm_file(arm_model, "arm model")
     slot = servo_of(file, joint, shadow=shadow)
     with open_line(port) as bus:
-        plan = plan_setup(bus, slot, file.baud, _note)
+        plan = plan_setup(bus, slot, file.baud, note)
         typer.echo(plan.title)
         for change in plan.changes:
             typer.echo(f"  {change.register.name}: {change.found} → {change.wanted}")
@@ -100,19 +107,23 @@ def dump(
     port: Port,
     out: Annotated[Path, typer.Option(help="File to write (TOML).", show_default=False)],
     baud: Bauds = [],  # noqa: B006
-    force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
+    force: Force = False,
 ) -> None:
     """Save all EEPROM registers of all servos on a line."""
-    from agent.atomic import write_atomically
-    from agent.motors.dump import refuse_existing, take
+    from datetime import UTC, datetime
+
+    from agent.atomic import keep_existing, write_atomically
+    from agent.motors.dump import take
     from agent.motors.find import survey
     from agent.motors.line import open_line
 
     bauds, now = _bauds(baud), datetime.now(UTC).isoformat(timespec="seconds")
     if not force:
-        refuse_existing(out)
-    with open_line(port) as bus:
-        saved = take(bus, port, survey(bus, port, bauds, _note), now)
+        keep_existing(out)
+    with Steps(lines=True) as step, open_line(port) as bus:
+        seen = survey(bus, port, bauds, step)
+        step("reading registers")
+        saved = take(bus, port, seen, now)
     write_atomically(out, saved.toml())
     registers = sum(len(servo.registers) for servo in saved.servos)
     typer.echo(f"{out}: {len(saved.servos)} servos, {registers} registers")
@@ -120,7 +131,7 @@ def dump(
 
 @app.command()
 def restore(
-    file: Annotated[Path, typer.Argument(help="File made by `coop motors dump`.", show_default=False)],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="File made by `coop motors dump`.", show_default=False)],
     port: Port,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Show the differences and write nothing.")] = False,
 ) -> None:
@@ -148,29 +159,6 @@ def restore(
     typer.echo(f"{changes} registers {what}" if changes else "no differences")
     if any(plan.baud is None for plan in plans):
         raise typer.Exit(1)
-
-
-def doctor(
-    cell: CellPath,
-    arm: SomeArms = [],  # noqa: B006
-    ports: Annotated[Path | None, typer.Option(help="Folder of ports named like the arms (`coop emulate`).")] = None,
-    logs: Annotated[Path, typer.Option(help="Folder for logs, to see whether there is room.")] = Path("runs"),
-    overrides: Overrides = [],  # noqa: B006
-    as_json: AsJson = False,
-) -> None:
-    """Look at host, ports, servos and bus timing: exit code 0 ok, 1 warnings, 2 problems.  Torque stays as it is."""
-    from agent.config.cell import load_cell
-    from agent.doctor.doctor import DoctorOptions, diagnose
-    from agent.verify.finding import Verdict
-
-    diagnosis = diagnose(load_cell(cell, overrides), DoctorOptions(arm, ports, logs), _note)
-    if as_json:
-        typer.echo(diagnosis.json())
-    else:
-        colours = {Verdict.OK: "green", Verdict.WARNING: "yellow", Verdict.REFUSED: "red"}
-        for finding in diagnosis.findings:
-            typer.echo(f"{typer.style(f'{finding.verdict:<8}', fg=colours[finding.verdict])} {finding.line}")
-    raise typer.Exit(diagnosis.exit_code)
 
 
 def _bauds(wanted: Sequence[int]) -> Sequence[int]:
@@ -208,7 +196,3 @@ def _as_row(servo: ServoSeen) -> dict[str, Any]:
         "torque_on": servo.torque_on,
         "note": servo.note,
     }
-
-
-def _note(text: str) -> None:
-    typer.echo(text, err=True)

@@ -1,26 +1,50 @@
-"""What several commands of `coop` share: options, readiness, stop requests."""
+"""What several commands of `coop` share: options with their completion, readiness, stop requests, JSON."""
 
 from __future__ import annotations
 
+import json
 import sys
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from agent.cli import complete
+
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from agent.host.signals import StopFlag
 
-CellPath = Annotated[Path, typer.Argument(help="Cell file (TOML), or the name of one that ships.", show_default=False)]
-LogPath = Annotated[Path, typer.Argument(help="MCAP log.", show_default=False)]
-Overrides = Annotated[list[str], typer.Option("--set", metavar="KEY=VALUE", help="Change one value of the cell file.")]
-ArmName = Annotated[str, typer.Option("--arm", help="Arm of the cell.", show_default=False)]
+CellPath = Annotated[
+    Path,
+    typer.Argument(
+        metavar="CELL",
+        help="Cell file (TOML), or the name of a shipped cell.",
+        show_default=False,
+        autocompletion=complete.cells,
+    ),
+]
+LogPath = Annotated[Path, typer.Argument(metavar="LOG", help="MCAP log.", show_default=False)]
+Overrides = Annotated[
+    list[str],
+    typer.Option(
+        "--set", metavar="KEY=VALUE", help="Change one value of the cell file.", autocompletion=complete.settings
+    ),
+]
+ArmName = Annotated[
+    str, typer.Option("--arm", help="Arm of the cell.", show_default=False, autocompletion=complete.arms)
+]
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 NetworkConfig = Annotated[Path | None, typer.Option(help="Zenoh configuration (TLS, access control) instead.")]
 ControlSockets = Annotated[list[Path], typer.Option("--control", help="Control sockets instead of the usual ones.")]
-SomeArms = Annotated[list[str], typer.Option("--arm", help="Only these arms.")]
+SomeArms = Annotated[list[str], typer.Option("--arm", help="Only these arms.", autocompletion=complete.arms)]
 WithParent = Annotated[bool, typer.Option("--with-parent", hidden=True)]
+AsJson = Annotated[bool, typer.Option("--json", help="For scripts: one JSON document on standard output.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace what is there.")]
+
+WIDTH_ELSEWHERE = 240  # columns where there is no terminal, so that no word of a table is cut
 
 
 class DriverName(StrEnum):
@@ -44,3 +68,21 @@ def ready(what: str) -> None:
     """Tell the parent that this process is ready, and what it needs to know."""
     sys.stdout.write(f"READY {what}\n")
     sys.stdout.flush()
+
+
+def note(text: str) -> None:
+    """One line on standard error."""
+    typer.echo(text, err=True)
+
+
+def console() -> Console:
+    """Standard output for tables: as wide as the terminal, or as wide as a table wants to be."""
+    from rich.console import Console
+
+    shown = Console()
+    return shown if shown.is_terminal else Console(width=max(shown.width, WIDTH_ELSEWHERE))
+
+
+def print_json(document: dict[str, Any]) -> None:
+    """The one JSON document of a command with --json."""
+    typer.echo(json.dumps(document, indent=2, allow_nan=False))

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from agent.cli import complete
 from agent.cli.options import DEFAULT_ENDPOINT, ArmName, CellPath, DriverName, NetworkConfig, WithParent, begin, ready
 
 
@@ -89,6 +90,7 @@ def emulate(
     with_parent: WithParent = False,
 ) -> None:
     """Emulated Dynamixel servos of the cell's arms on pseudo terminals, for any Dynamixel client."""
+    from agent.atomic import make_folder
     from agent.config.cell import load_cell
     from agent.host.paths import make_runtime_dir, ring_path
     from agent.process.emulate import run_emulate
@@ -97,7 +99,7 @@ def emulate(
 
     requested = begin(with_parent)
     loaded = load_cell(cell)
-    ports.mkdir(parents=True, exist_ok=True)
+    make_folder(ports)
     name = loaded.file.name
     if ring is None:
         make_runtime_dir(name)
@@ -108,7 +110,16 @@ def emulate(
 
 def telemetry(
     cell: CellPath,
-    member: Annotated[str, typer.Option("--member", "--arm", help="Arm of the cell, or `plant`.", show_default=False)],
+    member: Annotated[
+        str,
+        typer.Option(
+            "--member",
+            "--arm",
+            help="Arm of the cell, or `plant`.",
+            show_default=False,
+            autocompletion=complete.members,
+        ),
+    ],
     ring: Annotated[Path | None, typer.Option(help="Ring file in shared memory.")] = None,
     connect: Annotated[str, typer.Option(help="Endpoint of the recorder.")] = DEFAULT_ENDPOINT,
     network_config: NetworkConfig = None,

@@ -1,46 +1,121 @@
-"""What `coop run` shows while it runs: a bar with simulated time, real-time factor and error."""
+"""What a command is doing, on standard error: a spinner or a bar on a terminal, plain lines or nothing elsewhere."""
 
 from __future__ import annotations
 
+import sys
+import time
+from collections.abc import Callable
 from types import TracebackType
+from typing import TYPE_CHECKING, Final, Self
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn
+from agent.cli.options import note
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+LINE_EVERY_S: Final = 10.0  # of a run that no terminal shows
 
 
-class RunProgress:
-    """A progress bar on a terminal; on anything else one line now and then."""
+class Steps:
+    """One step after another: a spinner with the time it takes.  Call it with what begins now.
 
-    def __init__(self, console: Console) -> None:
-        self._progress = Progress(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            TextColumn("{task.fields[t]:6.1f} s of {task.fields[duration]:g} s"),
-            TextColumn("{task.fields[speed]:5.1f}x real time"),
-            TextColumn("error {task.fields[error]}"),
-            console=console,
-            transient=False,
-        )
-        self._task = self._progress.add_task("starting", total=1.0, t=0.0, duration=0.0, speed=0.0, error="-")
+    Where there is no terminal each step is a line if `lines`, otherwise nothing.
+    """
 
-    def __enter__(self) -> RunProgress:
-        self._progress.start()
+    def __init__(self, *, lines: bool = False) -> None:
+        self._lines = lines
+        self._shown: Progress | None = None
+
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._progress.stop()
-        if not self._progress.console.is_terminal:
-            self._progress.console.line()
+        self.clear()
+
+    def __call__(self, what: str) -> None:
+        """Say what is being done from now on."""
+        if not sys.stderr.isatty():
+            if self._lines:
+                note(what)
+            return
+        self.clear()
+        self._shown = _spinner()
+        self._shown.add_task(what)
+        self._shown.start()
+
+    def clear(self) -> None:
+        """Take the spinner away; the next step brings it back."""
+        if self._shown is not None:
+            self._shown.stop()
+            self._shown = None
+
+
+class RunProgress:
+    """What `coop run` shows: steps until it runs, then a bar with simulated time, real-time factor and error.
+
+    Nothing is drawn before the first step, so a refused cell leaves no bar behind.
+    """
+
+    def __init__(self, clock_s: Callable[[], float] = time.monotonic) -> None:
+        self._clock_s = clock_s
+        self._steps = Steps()
+        self._bar: Progress | None = None
+        self._next_line_s = clock_s() + LINE_EVERY_S
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._steps.clear()
+        if self._bar is not None:
+            self._bar.stop()
 
     def phase(self, what: str) -> None:
         """Say what is being done."""
-        self._progress.update(self._task, description=what)
+        if self._bar is None:
+            self._steps(what)
+        else:
+            self._bar.update(self._bar.task_ids[0], description=what)
 
     def advance(self, t_s: float, duration_s: float, speed: float, error_mm: float | None) -> None:
         """Show how far the run is."""
         error = "-" if error_mm is None else f"{error_mm:.2f} mm"
-        self._progress.update(
-            self._task, completed=t_s / duration_s, t=t_s, duration=duration_s, speed=speed, error=error
+        if not sys.stderr.isatty():
+            if self._clock_s() >= self._next_line_s:
+                self._next_line_s = self._clock_s() + LINE_EVERY_S
+                note(f"{t_s:.1f} s of {duration_s:g} s, {speed:.1f}x real time, error {error}")
+            return
+        if self._bar is None:
+            self._steps.clear()
+            self._bar = _bar()
+            self._bar.add_task("running", total=1.0, t=0.0, duration=0.0, speed=0.0, error="-")
+            self._bar.start()
+        self._bar.update(
+            self._bar.task_ids[0], completed=t_s / duration_s, t=t_s, duration=duration_s, speed=speed, error=error
         )
+
+
+def _spinner() -> Progress:
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn())
+    return Progress(*columns, console=Console(stderr=True), transient=True)
+
+
+def _bar() -> Progress:
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn
+
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.fields[t]:6.1f} s of {task.fields[duration]:g} s"),
+        TextColumn("{task.fields[speed]:5.1f}x real time"),
+        TextColumn("error {task.fields[error]}"),
+        console=Console(stderr=True),
+    )

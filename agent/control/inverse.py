@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 
-from scipy.linalg import lapack
-
+from agent.control import lapack
 from agent.control.models import Matrix
 
 

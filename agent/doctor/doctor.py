@@ -60,15 +60,9 @@ class Diagnosis:
             "cell": self.cell,
             "fingerprint": self.fingerprint,
             "verdict": worst(self.findings).value,
-            "findings": [
-                {
-                    "what": f.what, "where": f.where, "found": f.found, "wanted": f.wanted,
-                    "verdict": f.verdict.value, "remedy": f.remedy,
-                }
-                for f in self.findings
-            ],
+            "findings": [finding.document() for finding in self.findings],
             "cycles": {arm: _figures(figures) for arm, figures in self.cycles.items()},
-        }  # fmt: skip
+        }
         return json.dumps(document, indent=2, ensure_ascii=False)
 
 

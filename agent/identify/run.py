@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import configs
-from agent.atomic import write_atomically
+from agent.atomic import keep_existing, make_folder, write_atomically
 from agent.identify.fit import Options, fit
 from agent.identify.recording import from_log
 from agent.identify.result import Identified, identified
@@ -26,19 +27,30 @@ class Files:
 
 
 def identify(
-    log: Path, arm: str | None = None, options: Options | None = None, arms_dir: Path = configs.ARMS_DIR
+    log: Path,
+    arm: str | None = None,
+    options: Options | None = None,
+    arms_dir: Path = configs.ARMS_DIR,
+    tell: Callable[[str], None] = lambda _: None,
 ) -> Identified:
-    """Identify the one arm of a log.  Raises LogError, ConfigError or IdentifyError."""
+    """Identify the one arm of a log; tell: what is being done.  Raises LogError, ConfigError or IdentifyError."""
     options = options or Options()
+    tell("reading the log")
     recording = from_log(read_log(log), arm, arms_dir)
+    tell("fitting")
     return identified(recording, options, fit(recording, options))
 
 
-def write(result: Identified, out: Path, arms_dir: Path = configs.ARMS_DIR) -> Files:
-    """Write arm file, figure and summary into the folder `out`, which may be new.  Raises WriteError."""
-    out.mkdir(parents=True, exist_ok=True)
+def write(result: Identified, out: Path, arms_dir: Path = configs.ARMS_DIR, *, replace: bool = False) -> Files:
+    """Write arm file, figure and summary into the folder `out`, which may be new.
+
+    Raises WriteError, with nothing written, where one of them is there already and not to be replaced.
+    """
     model = result.recording.arm.entry.model
     files = Files(out / f"{model}.toml", out / f"identify_{model}.png", out / f"identify_{model}.json")
+    if not replace:
+        keep_existing(files.arm, files.figure, files.summary, remedy="name another folder, or give --force")
+    make_folder(out)
     text = result.arm_toml((arms_dir / f"{model}.toml").read_text(encoding="utf-8"))
     save_png(validation_figure(result), files.figure)
     write_atomically(files.summary, (json.dumps(result.summary(), indent=2) + "\n").encode())

@@ -231,6 +231,21 @@ def lock(fd: int) -> bool:
     return True
 
 
+def remove_log(path: Path) -> None:
+    """Remove a log that may be there.  Raises LogFileError when it cannot be removed, or a recorder writes it."""
+    try:
+        if not _is_free(path):
+            raise LogFileError(
+                f"{path} is being written", found="a recorder's lock", expected="a log whose recorder has ended",
+                remedy="stop that recorder, or name another folder",
+            )  # fmt: skip
+        path.unlink()
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise _cannot_write(path, error) from error
+
+
 def _create(path: Path, min_free_bytes: int) -> int:
     try:
         free = _free_bytes(path)

@@ -42,9 +42,7 @@ def recover(path: Path, stop: Callable[[], bool] = lambda: False) -> RecoverRepo
     try:
         file = path.open("rb")
     except OSError as error:
-        raise LogError(
-            f"cannot open {path}", found=error.strerror, expected="a log", remedy="correct the path"
-        ) from error
+        raise _unreadable(path, error) from error
     with file:
         if not lock(file.fileno()):
             raise LogFileError(
@@ -53,7 +51,14 @@ def recover(path: Path, stop: Callable[[], bool] = lambda: False) -> RecoverRepo
                 expected="a log whose recorder has ended",
                 remedy="stop that recorder; it finishes the file",
             )
-        return _recover(path, file, stop)
+        try:
+            return _recover(path, file, stop)
+        except OSError as error:
+            raise _unreadable(path, error) from error
+
+
+def _unreadable(path: Path, error: OSError) -> LogError:
+    return LogError(f"cannot open {path}", found=error.strerror, expected="a log", remedy="correct the path")
 
 
 def repair_leftovers(

@@ -117,14 +117,6 @@ def load(path: Path) -> Dump:
     return parse(content, path.name)
 
 
-def refuse_existing(path: Path) -> None:
-    """Raise DumpFileError when there is something at `path`: an old dump may be the only one of its arm."""
-    if path.exists():
-        raise DumpFileError(
-            f"file {path}", found="one of that name", expected="none", remedy="name another, or give --force"
-        )
-
-
 def take(bus: Bus, port: str, seen: Sequence[ServoSeen], made_utc: str) -> Dump:
     """Read the EEPROM of servos that a survey found.  Raises RestoreError, NoReplyError, RejectedError."""
     servos = []

@@ -51,7 +51,7 @@ class ControlSocket:
     """The agent's end; `poll` is one system call when nobody asks."""
 
     def __init__(self, path: Path, fingerprint: str) -> None:
-        """Listen at `path` (mode 0600), replacing one that nobody serves.  Raises ControlError."""
+        """Listen at `path` (mode 0600), in the place of a socket that nobody serves.  Raises ControlError."""
         self._path = path
         self._fingerprint = fingerprint
         self.requests = Requests()
@@ -60,15 +60,16 @@ class ControlSocket:
         self._socket.setblocking(False)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            path.unlink(missing_ok=True)  # the ring's lock has already refused a second agent
+            if path.is_socket():  # of an agent that has ended: the ring's lock has already refused a second one
+                path.unlink(missing_ok=True)
             self._socket.bind(str(path))
             path.chmod(0o600)
             self._socket.listen(_CLIENTS_MAX)
         except OSError as error:
             self._socket.close()
             raise ControlError(
-                f"control socket {path}", found=error.strerror, expected="a folder that can be written",
-                remedy="create it, or name another with --control",
+                f"control socket {path}", found=error.strerror, expected="a free name in a folder that can be written",
+                remedy="name another with --control",
             ) from error  # fmt: skip
 
     def poll(self) -> None:

@@ -6,20 +6,15 @@ import shutil
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 
-from agent.config.cell import Cell, load_cell
+from agent.config.cell import load_cell
 from agent.log.read import open_log
 from agent.process.children import Children, Progress, RunKind
+from agent.process.folder import LOG_NAME, RunError, output_folder
 from agent.report.report import write_report
 from agent.report.results import Results
 from agent.verify.check import examine
-from drivers.interface import Refusal
-
-
-class RunError(Refusal):
-    """The run could not be started or did not come to its end."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +28,7 @@ class RunOptions:
     seed: int
     kind: RunKind
     faults: Path | None = None  # of the emulated servos, JSON lines
+    replace: bool = False  # an earlier run in `out`
 
 
 @dataclass(frozen=True)
@@ -62,8 +58,8 @@ def run_cell(options: RunOptions, stop: Callable[[], bool], progress: Progress) 
     cell = load_cell(options.cell, overrides)
     progress.phase("checking")
     examine(cell, wired=options.kind is RunKind.WIRE).require()
-    out = _output_folder(options.out, cell)
-    log = out / "run.mcap"
+    out = output_folder(options.out, cell.file.name, replace=options.replace)
+    log = out / LOG_NAME
     runtime = Path(tempfile.mkdtemp(prefix="coop-", dir="/dev/shm" if Path("/dev/shm").is_dir() else None))
     try:
         children = Children(cell, options.kind, options.seed, options.faults, log, runtime)
@@ -80,23 +76,3 @@ def run_cell(options: RunOptions, stop: Callable[[], bool], progress: Progress) 
         report = write_report(opened, out)
     progress.phase("done")
     return RunOutcome(log, report.html, report.results, interrupted, report.results.within_bounds)
-
-
-def _output_folder(wanted: Path | None, cell: Cell) -> Path:
-    stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
-    out = wanted or Path("runs") / f"{stamp}-{cell.file.name}"
-    if (out / "run.mcap").exists():
-        raise RunError(
-            "output folder", found=f"{out / 'run.mcap'} from an earlier run", expected="a folder without a log",
-            remedy="name another folder with --out",
-        )  # fmt: skip
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=out):
-            pass
-    except OSError as error:
-        raise RunError(
-            f"output folder {out}", found=error.strerror, expected="a folder that can be written",
-            remedy="name another folder with --out, or change its permissions",
-        ) from error  # fmt: skip
-    return out

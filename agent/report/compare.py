@@ -53,7 +53,7 @@ def comparison_table(a: Results, b: Results, differences: Iterable[Difference]) 
     """What differs, for the terminal; the headline figures are shown in any case."""
     table = Table(title=f"A: {_label(a)}\nB: {_label(b)}", title_justify="left", box=box.SIMPLE_HEAD)
     for heading in ("figure", "A", "B", "change", ""):
-        table.add_column(heading, justify="left" if heading in ("figure", "") else "right")
+        table.add_column(heading, justify="left" if heading in ("figure", "") else "right", overflow="fold")
     colours = {Change.BETTER: "green", Change.WORSE: "red"}
     for d in differences:
         if d.change is Change.SAME and d.name not in HEADLINE:

@@ -74,6 +74,21 @@ def write_report(log: AnyLog, out_dir: Path) -> ReportFiles:
     return ReportFiles(out_dir / PAGE, out_dir / RESULTS, figures, results)
 
 
+def keep_other_reports(log: Path, folder: Path) -> None:
+    """Raise ReportError where a report lies in `folder` that may be of another log than this one.
+
+    A report beside the only log of its folder is that log's own.
+    """
+    there = [name for name in (PAGE, RESULTS) if (folder / name).exists()]
+    if there and [path.resolve() for path in folder.glob("*.mcap")] != [log.resolve()]:
+        raise ReportError(
+            f"report in {folder}",
+            found=f"{there[0]}, perhaps of another log",
+            expected="none, or that of the only log in its folder",
+            remedy="name another folder with --out, or give --force",
+        )
+
+
 def terminal_table(results: Results) -> Table:
     """The table of results for the terminal: figure, bound and verdict."""
     table = Table(

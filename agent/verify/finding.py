@@ -38,6 +38,13 @@ class Finding:
             return f"{self.where}: {self.what}: {self.found}" + (f" (wanted {self.wanted})" if self.wanted else "")
         return f"{self.where}: {self.what}: found {self.found}, wanted {self.wanted}; {self.remedy}"
 
+    def document(self) -> dict[str, str]:
+        """The finding for a script."""
+        return {
+            "what": self.what, "where": self.where, "found": self.found, "wanted": self.wanted,
+            "verdict": self.verdict.value, "remedy": self.remedy,
+        }  # fmt: skip
+
 
 def warning(what: str, where: str, found: str, wanted: str, remedy: str) -> Finding:
     """A finding that lets the arm run."""

@@ -10,6 +10,7 @@ import random
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from pathlib import Path
 from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -96,6 +97,17 @@ def parse_lines(text: str) -> list[Fault]:
     """
     lines = (line.strip() for line in text.splitlines())
     return [Fault.parse(line) for line in lines if line and not line.startswith("#")]
+
+
+def read_lines(path: Path) -> list[Fault]:
+    """Faults of the command file at `path`.  Raises FaultError."""
+    try:
+        return parse_lines(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise FaultError(
+            f"faults file {path}", found=error.strerror if isinstance(error, OSError) else "bytes that are no text",
+            expected="a readable file, one JSON object per line", remedy="name another with --faults",
+        ) from error  # fmt: skip
 
 
 @dataclass(slots=True)

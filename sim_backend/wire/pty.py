@@ -38,9 +38,14 @@ class PtyPort:
         return self._master
 
     def appear(self) -> None:
-        """Create the terminal and point the link to it.  Raises OSError.  Does nothing when already there."""
+        """Create the terminal and point the link to it, in the place of an earlier link.  Nothing when already there.
+
+        Raises OSError, also where something that is no link has that name.
+        """
         if self.present:
             return
+        if self.link.exists() and not self.link.is_symlink():
+            raise FileExistsError(errno.EEXIST, "File exists", str(self.link))
         # our own hold on the client's side keeps the master readable between clients
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)

@@ -19,7 +19,7 @@ from pathlib import Path
 
 from drivers.interface import Refusal
 from sim_backend.wire.cell import EmulatedCell
-from sim_backend.wire.faults import parse_lines
+from sim_backend.wire.faults import parse_lines, read_lines
 from sim_backend.wire.injector import Injector, by_arm
 from sim_backend.wire.pty import PtyPort
 
@@ -87,17 +87,13 @@ class Server:
 
     def __enter__(self) -> Server:
         """Create the ports.  Raises OSError, FaultError."""
-        faults = parse_lines(self.options.faults_file.read_text()) if self.options.faults_file else []
+        faults = read_lines(self.options.faults_file) if self.options.faults_file else []
         with contextlib.ExitStack() as undo:
             undo.callback(self.close)
             for endpoint in self._endpoints:
                 endpoint.port.appear()
-            path = self.options.control_socket
-            if path is not None:
-                path.unlink(missing_ok=True)
-                self._control = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-                self._control.setblocking(False)
-                self._control.bind(str(path))
+            if self.options.control_socket is not None:
+                self._control = _listen(self.options.control_socket)
             by_arm(self._injectors, faults, self._clock_ns())
             undo.pop_all()
         return self
@@ -186,6 +182,20 @@ class Server:
             if sender:
                 with contextlib.suppress(OSError):  # the sender may be gone
                     control.sendto(answer.encode(), sender)
+
+
+def _listen(path: Path) -> socket.socket:
+    """The control socket at `path`, in the place of one that an emulator has left behind.  Raises OSError."""
+    if path.is_socket():
+        path.unlink(missing_ok=True)
+    made = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    try:
+        made.setblocking(False)
+        made.bind(str(path))
+    except OSError as error:
+        made.close()
+        raise OSError(error.errno, error.strerror or str(error), str(path)) from error
+    return made
 
 
 def serve(cell: EmulatedCell, options: ServeOptions, stop: Callable[[], bool]) -> Server:

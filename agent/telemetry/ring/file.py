@@ -194,6 +194,7 @@ def claim(path: Path, header: RingHeader) -> int:
                 )
             if not _is_file(path, old):
                 continue  # replaced between open and lock: look again at what is there now
+            _refuse_other_file(path, old)
             if _is_unfinished(old):
                 path.with_name(path.name + ".previous").unlink(missing_ok=True)
                 os.link(path, path.with_name(path.name + ".previous"))
@@ -258,6 +259,18 @@ def _is_file(path: Path, fd: int) -> bool:
         return path.stat().st_ino == os.fstat(fd).st_ino
     except FileNotFoundError:
         return False
+
+
+def _refuse_other_file(path: Path, fd: int) -> None:
+    """Raise RingError for a file with contents that no ring has: somebody's own, under the name we were given."""
+    head = os.pread(fd, len(MAGIC), 0)
+    if head not in (b"", MAGIC):
+        raise RingError(
+            f"{path} is not a telemetry ring",
+            found=f"a file starting {head!r}",
+            expected="a ring, or no file",
+            remedy="give a path that nothing else uses",
+        )
 
 
 def _is_unfinished(fd: int) -> bool:

@@ -42,6 +42,13 @@ def test_a_finished_log_is_left_alone(tmp_path: Path) -> None:
     assert path.read_bytes() == before
 
 
+@pytest.mark.parametrize(("name", "found"), [("none", "No such file"), ("folder", "Is a directory")])
+def test_what_cannot_be_read_is_no_log(tmp_path: Path, name: str, found: str) -> None:
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(LogError, match=f"cannot open .*{name}: found {found}"):
+        recover(tmp_path / name)
+
+
 def test_a_damaged_log_stays_marked_after_its_repair(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     make_log(path)

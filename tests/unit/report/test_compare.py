@@ -62,3 +62,17 @@ def test_the_table_shows_differences_and_the_headline() -> None:
     assert "max_attitude_error_rad" in text
     assert "arms.left.joints.elbow.peak_torque_Nm" not in text
     assert "better" in text
+
+
+@pytest.mark.parametrize("width", [60, 80, 100])
+def test_no_name_is_cut_on_a_narrow_terminal(width: int) -> None:
+    a, b = results(), results(plant=False, keep=4900)
+    differences = compare(a, b)
+    console = Console(width=width)
+    with console.capture() as captured:
+        console.print(comparison_table(a, b, differences))
+    assert "…" not in captured.get()
+    cells = [line[: line.find("  ", 2)].strip() for line in captured.get().splitlines() if line.strip()]
+    text = "".join(cells)
+    for d in differences:
+        assert d.change is Change.SAME or d.name in text, d.name

@@ -1,0 +1,97 @@
+"""The commands that examine a cell before anything moves: check and tune."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from agent.cli.options import AsJson, CellPath, Force, Overrides, console, note, print_json
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from agent.config.cell import Cell
+    from agent.verify.check import CheckReport
+
+
+class FormName(StrEnum):
+    """Which gains `coop tune` may change."""
+
+    RATIO = "ratio"
+    RATE = "rate"
+
+
+def check(cell: CellPath, overrides: Overrides = [], as_json: AsJson = False) -> None:  # noqa: B006
+    """Examine a cell before anything moves; exit code 2 when it must not run."""
+    from agent.config.cell import load_cell
+    from agent.verify.check import examine
+
+    loaded = load_cell(cell, overrides)
+    report = examine(loaded, wired=True)
+    if as_json:
+        from agent.cli.documents import check_document
+
+        print_json(check_document(loaded, report))
+    else:
+        console().print(_table(loaded, report))
+        for f in report.findings:
+            if f.remedy:
+                typer.echo(f"{f.verdict}: {f.what} ({f.where}): {f.remedy}")
+    report.require()
+
+
+def tune(
+    cell: CellPath,
+    form: Annotated[FormName, typer.Option(help="Scale k and its _rate_ form together, or only the latter.")] = (
+        FormName.RATIO
+    ),
+    damping: Annotated[float, typer.Option(min=0.0, max=1.0, help="Least damping ratio of what swings.")] = 0.05,
+    radius: Annotated[float, typer.Option(min=0.0, max=1.0, help="Largest spectral radius.")] = 0.999,
+    write: Annotated[Path | None, typer.Option(help="Write the cell file with these gains; a new file.")] = None,
+    force: Force = False,
+    overrides: Overrides = [],  # noqa: B006
+    as_json: AsJson = False,
+) -> None:
+    """Propose gains that keep a margin at the cell's rate and delay, also with the arms' inertia off."""
+    from agent.atomic import keep_existing, write_atomically
+    from agent.cli.progress import Steps
+    from agent.config.cell import load_cell
+    from agent.verify.tune import Form, Margin, Tuner
+    from agent.verify.tune_table import toml_lines, tune_table
+
+    if write is not None and not force:
+        keep_existing(write)
+    with Steps() as step:
+        step("looking for gains")
+        tuner, margin = Tuner(load_cell(cell, overrides)), Margin(radius, damping)
+        proposals, configured = tuner.proposals(margin), tuner.configured()
+        chosen = next((p for p in proposals if p.form.value == form.value), None)
+        chosen = chosen or tuner.propose(Form(form.value), margin)
+    if write is not None:
+        write_atomically(write, chosen.toml().encode())
+    if as_json:
+        from agent.cli.documents import tune_document
+
+        print_json(tune_document(configured, proposals, chosen, margin, write))
+    else:
+        console().print(tune_table(configured, proposals))
+        typer.echo(toml_lines(chosen) or "the configured gains are the largest that keep the margin")
+    if write is not None:
+        note(f"written  {write}")
+
+
+def _table(cell: Cell, report: CheckReport) -> Table:
+    from rich.table import Table
+
+    from agent.verify.finding import Verdict
+
+    table = Table(title=f"{cell.file.name}  {cell.fingerprint[:12]}", title_justify="left")
+    for column in ("what", "where", "found", "wanted", ""):
+        table.add_column(column, overflow="fold")
+    colour = {Verdict.OK: "green", Verdict.WARNING: "yellow", Verdict.REFUSED: "red"}
+    for f in report.findings:
+        table.add_row(f.what, f.where, f.found, f.wanted, f"[{colour[f.verdict]}]{f.verdict}[/]")
+    return table

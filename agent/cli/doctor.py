@@ -1,0 +1,35 @@
+"""The command `coop doctor`: what is wrong with host, ports, servos and bus."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from agent.cli.options import AsJson, CellPath, Overrides, SomeArms
+from agent.cli.progress import Steps
+
+
+def doctor(
+    cell: CellPath,
+    arm: SomeArms = [],  # noqa: B006
+    ports: Annotated[Path | None, typer.Option(help="Folder of ports named like the arms (`coop emulate`).")] = None,
+    logs: Annotated[Path, typer.Option(help="Folder for logs, to see whether there is room.")] = Path("runs"),
+    overrides: Overrides = [],  # noqa: B006
+    as_json: AsJson = False,
+) -> None:
+    """Look at host, ports, servos and bus timing: exit code 0 ok, 1 warnings, 2 problems.  Torque stays as it is."""
+    from agent.config.cell import load_cell
+    from agent.doctor.doctor import DoctorOptions, diagnose
+    from agent.verify.finding import Verdict
+
+    with Steps(lines=True) as step:
+        diagnosis = diagnose(load_cell(cell, overrides), DoctorOptions(arm, ports, logs), step)
+    if as_json:
+        typer.echo(diagnosis.json())
+    else:
+        colours = {Verdict.OK: "green", Verdict.WARNING: "yellow", Verdict.REFUSED: "red"}
+        for finding in diagnosis.findings:
+            typer.echo(f"{typer.style(f'{finding.verdict:<8}', fg=colours[finding.verdict])} {finding.line}")
+    raise typer.Exit(diagnosis.exit_code)

@@ -1,0 +1,139 @@
+"""The documents of `--json`: what check, tune, compare and run found, under keys that keep their meaning.
+
+`schema` grows when a key changes its meaning; keys may be added.  SI units stand in the names; null is not measured.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    from agent.config.cell import Cell
+    from agent.process.run import RunOutcome
+    from agent.report.compare import Difference
+    from agent.report.results import Results
+    from agent.verify.check import CheckReport
+    from agent.verify.tune import GainSet, Margin, Proposal
+
+SCHEMA: Final = 1
+
+
+def check_document(cell: Cell, report: CheckReport) -> dict[str, Any]:
+    """Every finding, the gravest verdict, and the start configurations."""
+    from agent.verify.finding import worst
+
+    return {
+        **_head(cell),
+        "verdict": worst(report.findings).value,
+        "findings": [finding.document() for finding in report.findings],
+        "q_start_rad": {arm.name: q.tolist() for arm, q in zip(cell.arms, report.q_start, strict=True)},
+    }
+
+
+def tune_document(
+    configured: GainSet, proposals: Sequence[Proposal], chosen: Proposal, margin: Margin, written: Path | None
+) -> dict[str, Any]:
+    """The gains of the file and of each proposal, and which proposal is taken."""
+    from agent.report.quantity import json_ready
+
+    document = {
+        **_head(configured.cell),
+        "rate_hz": configured.cell.file.rate_hz,
+        "margin": {"radius": margin.radius, "damping": margin.damping},
+        "configured": _gains(configured),
+        "proposals": {p.form.value: _gains(p.after) | {"changes": _changes(p)} for p in proposals},
+        "chosen": chosen.form.value,
+        "written": None if written is None else str(written),
+    }
+    ready: dict[str, Any] = json_ready(document)
+    return ready
+
+
+def compare_document(
+    a: Results, b: Results, differences: Iterable[Difference], logs: tuple[Path, Path]
+) -> dict[str, Any]:
+    """Every figure of either log, with what became of it from a to b."""
+    from agent.report.quantity import json_ready
+
+    document = {
+        "schema": SCHEMA,
+        "a": _run(logs[0], a),
+        "b": _run(logs[1], b),
+        "figures": [
+            {
+                "name": d.name, "unit": d.unit, "a": d.a, "b": d.b, "relative": d.relative,
+                "change": d.change.name.lower(),
+            }
+            for d in differences
+        ],
+    }  # fmt: skip
+    ready: dict[str, Any] = json_ready(document)
+    return ready
+
+
+def run_document(outcome: RunOutcome) -> dict[str, Any]:
+    """Where everything lies, how the run ended, and the content of results.json."""
+    return {
+        "schema": SCHEMA,
+        "log": str(outcome.log),
+        "report": str(outcome.report),
+        "interrupted": outcome.interrupted,
+        "within_bounds": outcome.within_bounds,
+        "results": outcome.results.to_json(),
+    }
+
+
+def _head(cell: Cell) -> dict[str, Any]:
+    return {"schema": SCHEMA, "cell": cell.file.name, "fingerprint": cell.fingerprint}
+
+
+def _run(log: Path, results: Results) -> dict[str, Any]:
+    info = results.info
+    return {
+        "log": str(log),
+        "cell": info.cell,
+        "fingerprint": info.fingerprint,
+        "driver": info.driver,
+        "rate_hz": info.rate_hz,
+    }
+
+
+def _gains(gains: GainSet) -> dict[str, Any]:
+    """Gains in the order x, y, z, and what the sampled loop makes of them."""
+    common = gains.gains
+    return {
+        "k_p_per_s": common.k_p,
+        "k_p_rate_per_s": common.k_p_rate,
+        "k_eps_rad_per_s": common.k_eps,
+        "k_eps_rate_rad_per_s": common.k_eps_rate,
+        "arms": {
+            arm.name: {"k_v_N_s_per_m": k_v[:3], "k_v_Nm_s_per_rad": k_v[3:], "velocity_noise_Nm": chatter}
+            for arm, k_v, chatter in zip(
+                gains.cell.arms,
+                (gains.cell.offline(a).gains.k_v for a in gains.cell.arms),
+                gains.chatter_Nm,
+                strict=True,
+            )
+        },
+        "loop": [
+            {"inertia_error": error, "spectral_radius": d.radius, "damping_ratio": d.ratio}
+            for error, d in gains.damping.items()
+        ],
+        "slowest_time_constant_s": gains.slowest_s,
+    }
+
+
+def _changes(proposal: Proposal) -> list[dict[str, Any]]:
+    import tomllib
+
+    return [
+        {
+            "table": change.table,
+            "name": change.name,
+            "key": change.key,
+            "value": tomllib.loads(f"value = {change.toml}")["value"],
+        }
+        for change in proposal.changes
+    ]

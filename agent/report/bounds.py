@@ -1,0 +1,29 @@
+"""What a run that had to keep the bounds of its cell is told when it has not."""
+
+from __future__ import annotations
+
+from agent.report.results import Judgement, Results
+from drivers.interface import Refusal
+
+
+class BoundsMissed(Refusal):
+    """A bound of the cell file is exceeded, or was not shown to be kept."""
+
+    exit_code = 6
+
+
+def require_bounds(results: Results) -> None:
+    """Raise BoundsMissed unless every bound that the cell sets is shown to be met."""
+    info = results.info
+    missed = {b: verdict for b in info.bounds if (verdict := results.verdict(b)) is not Judgement.MET}
+    if not missed:
+        return
+    remedy = "see the report"
+    if Judgement.NOT_SHOWN in missed.values():
+        remedy = f"errors count from {info.transient_s:g} s on, while all arms follow the trajectory: let it run longer"
+    raise BoundsMissed(
+        f"bounds of cell {info.cell}",
+        found=", ".join(f"{b.value} {results.headline(b.value):.3g} {v.value}" for b, v in missed.items() if v),
+        expected=", ".join(f"{b.value} ≤ {info.bounds[b]:g}" for b in missed),
+        remedy=remedy,
+    )

@@ -1,0 +1,154 @@
+"""Whatever a command is given that is no good: one line on standard error, an exit code, nothing on standard output."""
+
+from __future__ import annotations
+
+import os
+import re
+from itertools import product
+from pathlib import Path
+
+import pytest
+
+import configs
+from tests.support.command import commands, coop
+
+PAPER = str(configs.CELLS_DIR / "paper.toml")
+BAD = "{bad}"
+LEFT = ("--arm", "left", "--ring", "ring")
+
+# every argument and option that names a file to read, of every command
+READS = {
+    "run": ("run", BAD),
+    "check": ("check", BAD),
+    "tune": ("tune", BAD),
+    "start": ("start", BAD, "--in", "1"),
+    "stop": ("stop", BAD),
+    "release": ("release", BAD),
+    "agent": ("agent", BAD, "--arm", "left"),
+    "plant": ("plant", BAD),
+    "emulate": ("emulate", BAD),
+    "emulate --faults": ("emulate", PAPER, "--ports", "ports", "--ring", "ring", "--faults", BAD),
+    "telemetry": ("telemetry", BAD, "--member", "left"),
+    "telemetry --network-config": ("telemetry", PAPER, "--member", "left", "--ring", "ring", "--network-config", BAD),
+    "record": ("record", BAD),
+    "record --network-config": ("record", PAPER, "--out", "log.mcap", "--network-config", BAD),
+    "report": ("report", BAD),
+    "compare, first": ("compare", BAD, BAD),
+    "identify": ("identify", BAD),
+    "play": ("play", BAD, "--listen", "tcp/127.0.0.1:0"),
+    "recover": ("recover", BAD),
+    "doctor": ("doctor", BAD),
+    "motors restore": ("motors", "restore", BAD, "--port", "/dev/null"),
+}
+
+OTHERS = {
+    "run --set without a value": ("run", PAPER, "--set", "rate_hz"),
+    "run --set of no table": ("run", PAPER, "--set", "rate_hz.x.y=1"),
+    "run --set of an unknown arm": ("run", PAPER, "--set", "arms.middle.load_share=1"),
+    "run --duration nan": ("run", PAPER, "--duration", "nan"),
+    "run --duration inf": ("run", PAPER, "--duration", "inf"),
+    "run --duration -1": ("run", PAPER, "--duration", "-1"),
+    "run --duration 0": ("run", PAPER, "--duration", "0"),
+    "run --seed text": ("run", PAPER, "--seed", "x"),
+    "run --faults without --wire": ("run", PAPER, "--faults", "x"),
+    "run --out under a file": ("run", PAPER, "--out", "a_file/out"),
+    "run --out a file": ("run", PAPER, "--out", "a_file"),
+    "check --set": ("check", PAPER, "--set", ""),
+    "tune --form": ("tune", PAPER, "--form", "other"),
+    "tune --damping nan": ("tune", PAPER, "--damping", "nan"),
+    "tune --write nowhere": ("tune", PAPER, "--write", "no/where.toml"),
+    "tune --write a folder": ("tune", PAPER, "--write", "a_folder"),
+    "start without an instant": ("start", PAPER),
+    "start --at": ("start", PAPER, "--at", "25:61:00"),
+    "start --in nan": ("start", PAPER, "--in", "nan"),
+    "start --in inf": ("start", PAPER, "--in", "inf"),
+    "start --in long": ("start", PAPER, "--in", "1e300"),
+    "start without an agent": ("start", PAPER, "--in", "1", "--control", "nobody"),
+    "stop of an unknown arm": ("stop", PAPER, "--arm", "middle"),
+    "stop without an agent": ("stop", PAPER, "--control", "a_file"),
+    "release of an unknown arm": ("release", PAPER, "--arm", "middle"),
+    "agent of an unknown arm": ("agent", PAPER, "--arm", "middle", "--ring", "ring"),
+    "agent without an arm": ("agent", PAPER),
+    "agent --driver": ("agent", PAPER, "--arm", "left", "--driver", "other"),
+    "agent --ring nowhere": ("agent", PAPER, "--arm", "left", "--driver", "sim", "--ring", "no/where"),
+    "agent --ring a file": ("agent", PAPER, "--arm", "left", "--driver", "sim", "--ring", "a_file"),
+    "agent --ring a folder": ("agent", PAPER, "--arm", "left", "--driver", "sim", "--ring", "a_folder"),
+    "agent --plant-socket": ("agent", PAPER, "--arm", "left", "--ring", "ring", "--plant-socket", "a_file"),
+    "agent --port": ("agent", PAPER, *LEFT, "--driver", "dynamixel", "--port", "a_file", "--control", "socket"),
+    "agent --control": ("agent", PAPER, *LEFT, "--driver", "dynamixel", "--port", "x", "--control", "a_file"),
+    "agent --priority": ("agent", PAPER, "--arm", "left", "--priority", "100"),
+    "plant --socket": ("plant", PAPER, "--socket", "a_file", "--ring", "ring"),
+    "plant --socket nowhere": ("plant", PAPER, "--socket", "no/where", "--ring", "ring"),
+    "plant --ring": ("plant", PAPER, "--socket", "socket", "--ring", "a_folder"),
+    "emulate --ports a file": ("emulate", PAPER, "--ports", "a_file"),
+    "emulate --ports with files": ("emulate", PAPER, "--ports", "names", "--ring", "ring"),
+    "emulate --control": ("emulate", PAPER, "--ports", "ports", "--ring", "ring", "--control", "a_file"),
+    "emulate --control nowhere": ("emulate", PAPER, "--ports", "ports", "--ring", "ring", "--control", "no/where"),
+    "telemetry of an unknown arm": ("telemetry", PAPER, "--member", "middle", "--ring", "ring"),
+    "telemetry --connect": ("telemetry", PAPER, "--member", "left", "--ring", "ring", "--connect", "nonsense"),
+    "record --out nowhere": ("record", PAPER, "--out", "no/where.mcap", "--listen", "tcp/127.0.0.1:0"),
+    "record --out a file": ("record", PAPER, "--out", "a_file", "--listen", "tcp/127.0.0.1:0"),
+    "record --listen": ("record", PAPER, "--out", "log.mcap", "--listen", "nonsense"),
+    "play --speed": ("play", "a_file", "--speed", "0"),
+    "play --start": ("play", "a_file", "--start", "-1"),
+    "identify --cutoff-hz": ("identify", "a_file", "--cutoff-hz", "0"),
+    "doctor of an unknown arm": ("doctor", PAPER, "--arm", "middle"),
+    "motors setup --arm-model": ("motors", "setup", "--port", "/dev/null", "--arm-model", "other", "--joint", "elbow"),
+    "motors setup --joint": ("motors", "setup", "--port", "/dev/null", "--arm-model", "wx200", "--joint", "knee"),
+    "motors setup --port": ("motors", "setup", "--port", "a_file", "--arm-model", "wx200", "--joint", "elbow"),
+    "motors dump --port": ("motors", "dump", "--port", "a_file", "--out", "dump.toml"),
+    "motors dump --baud": ("motors", "dump", "--port", "a_file", "--out", "dump.toml", "--baud", "7"),
+    "motors scan --baud": ("motors", "scan", "--port", "a_file", "--baud", "x"),
+    "motors scan --port": ("motors", "scan", "--port", "nothing_here", "--json"),
+}  # fmt: skip
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The working directory, with things that are no good."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "runtime"))
+    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
+    (tmp_path / "a_file").write_text("something of mine\n")
+    (tmp_path / "a_folder").mkdir()
+    (tmp_path / "empty").write_bytes(b"")
+    (tmp_path / "binary").write_bytes(os.urandom(5000))
+    (tmp_path / "names").mkdir()
+    (tmp_path / "names" / "left").write_text("mine\n")
+    return tmp_path
+
+
+def refused(*arguments: str) -> str:
+    """The one line in which a command line is refused."""
+    done = coop(*arguments)
+    assert done.code not in (0, None), (done.out, done.err)
+    lines = done.err.splitlines()
+    assert lines, done.out
+    assert [line for line in lines if line.startswith("coop: ")] == lines[-1:], done.err
+    assert "Traceback" not in done.err
+    assert re.search(r": found .*, expected .+; .+|\(see `coop", lines[-1]), lines[-1]
+    return lines[-1]
+
+
+NO_FILES = ("nothing_here", "a_folder", "empty", "binary", "no/where/at/all")
+NO_FAULTS = ("emulate --faults", "empty")  # is a file of no faults, with which the emulator runs
+
+
+@pytest.mark.parametrize(("case", "bad"), [pair for pair in product(READS, NO_FILES) if pair != NO_FAULTS])
+def test_a_file_that_is_none_is_one_line(folder: Path, case: str, bad: str) -> None:
+    line = refused(*(word.replace(BAD, bad) for word in READS[case]))
+    assert bad.rpartition("/")[2] in line, "says which file"
+    assert (folder / "a_file").read_text() == "something of mine\n"
+
+
+@pytest.mark.parametrize("case", OTHERS)
+def test_any_other_bad_word_is_one_line(folder: Path, case: str) -> None:
+    refused(*OTHERS[case])
+    assert (folder / "a_file").read_text() == "something of mine\n"
+    assert (folder / "names" / "left").read_text() == "mine\n"
+    assert list((folder / "a_folder").iterdir()) == []
+
+
+def test_no_command_is_forgotten() -> None:
+    seen = {tuple(words[: 2 if words[0] == "motors" else 1]) for words in (*READS.values(), *OTHERS.values())}
+    assert seen == set(commands())

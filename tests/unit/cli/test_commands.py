@@ -1,0 +1,165 @@
+"""What every command has in common: help, version, typos, and how little is loaded for it."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import configs
+from tests.support.command import commands, coop
+
+PROJECT = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text())["project"]
+PAPER = configs.CELLS_DIR / "paper.toml"
+
+
+def python(code: str) -> str:
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.mark.parametrize("words", list(commands()), ids=" ".join)
+@pytest.mark.parametrize("flag", ["-h", "--help"])
+def test_every_command_has_help(words: tuple[str, ...], flag: str) -> None:
+    done = coop(*words, flag)
+    assert (done.code, done.err) == (0, "")
+    assert f"Usage: coop {' '.join(words)} " in done.out
+    assert "-h" in done.out
+
+
+def test_the_program_itself_has_help_and_lists_every_command_in_full() -> None:
+    done = coop("-h")
+    assert done == coop("--help")
+    assert done.code == 0
+    listed = re.findall(r"^  (\w+)  ", done.out, re.MULTILINE)
+    assert sorted(listed) == sorted({words[0] for words in commands()}), "each once"
+    assert "..." not in done.out.partition("\n")[2]
+    assert "and verify the result." in " ".join(done.out.split()), "the end of a long line"
+    headings = re.findall(r"^(\w.*):$", done.out, re.MULTILINE)
+    assert headings == ["Options", "Simulate and examine", "Arms of this host", "Logs", "Processes of a cell"]
+
+
+@pytest.mark.parametrize("words", [(), ("motors",)])
+def test_without_a_command_the_help_is_shown(words: tuple[str, ...]) -> None:
+    done = coop(*words)
+    assert (done.code, done.out) == (2, "")
+    assert done.err == coop(*words, "-h").out
+
+
+def test_the_version_is_that_of_the_project() -> None:
+    assert coop("--version").out == f"coop {PROJECT['version']}\n"
+
+
+@pytest.mark.parametrize("words", list(commands()), ids=" ".join)
+def test_a_mistyped_command_is_told_the_near_one(words: tuple[str, ...]) -> None:
+    *group, name = words
+    typo = name[:-2] + name[-1] + name[-2]
+    done = coop(*group, typo)
+    assert done.code == 2
+    assert done.out == ""
+    found = re.fullmatch(r"coop: No such command '(\w+)'\. Did you mean (.*)\? \(see `coop.* -h`\)\n", done.err)
+    assert found is not None, done.err
+    assert found[1] == typo
+    assert f"'{name}'" in found[2]
+
+
+def test_a_mistyped_option_is_told_the_near_one() -> None:
+    done = coop("run", "paper", "--durtion", "5")
+    assert done.code == 2
+    assert done.err.startswith("coop: No such option: --durtion")
+    assert "--duration" in done.err
+    assert done.err.endswith("(see `coop run -h`)\n")
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["check"], "Missing argument 'CELL' (see `coop check -h`)"),
+        (["agent", "paper"], "Missing option '--arm' (see `coop agent -h`)"),
+        (
+            ["tune", "paper", "--form", "x"],
+            "Invalid value for '--form': 'x' is not one of 'ratio', 'rate' (see `coop tune -h`)",
+        ),
+        (["motors", "dump"], "Missing option '--port' (see `coop motors dump -h`)"),
+    ],
+    ids=lambda value: value[0] if isinstance(value, list) else "",
+)
+def test_a_wrong_command_line_is_one_line(words: list[str], line: str) -> None:
+    done = coop(*words)
+    assert (done.code, done.out, done.err) == (2, "", f"coop: {line}\n")
+
+
+def test_the_installed_command_and_the_module_are_the_same(tmp_path: Path) -> None:
+    assert PROJECT["scripts"] == {"coop": "agent.cli.main:main"}
+    shown = [
+        subprocess.run([sys.executable, *how, "--version"], capture_output=True, text=True, timeout=60).stdout
+        for how in (["-m", "agent.cli"], ["-c", "from agent.cli.main import main; main()"])
+    ]
+    assert shown == [f"coop {PROJECT['version']}\n"] * 2
+
+
+@pytest.mark.parametrize(
+    ("error", "line"),
+    [
+        (
+            OSError(28, "No space left on device"),
+            "this host: found No space left on device, expected it to do what was",
+        ),
+        (OSError(13, "Permission denied", "/x"), "/x: found Permission denied, expected a path that can be used; name"),
+    ],
+    ids=["host", "path"],
+)
+def test_what_the_system_refuses_is_one_line(monkeypatch: pytest.MonkeyPatch, error: OSError, line: str) -> None:
+    def fail(*_: object) -> None:
+        raise error
+
+    monkeypatch.setattr("agent.config.cell.load_cell", fail)
+    done = coop("check", PAPER)
+    assert (done.code, done.out) == (2, "")
+    assert done.err.startswith(f"coop: {line} ")
+    assert done.err.count("\n") == 1
+
+
+def test_a_defect_is_no_refusal(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("agent.config.cell.load_cell", lambda *_: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        coop("check", PAPER)
+
+
+def test_an_exit_code_reaches_the_caller(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "agent.cli", "check", str(tmp_path / "none")]
+    assert subprocess.run(command, capture_output=True, timeout=60).returncode == 2
+
+
+def test_linear_algebra_has_one_thread_unless_the_user_says_otherwise() -> None:
+    code = "import os, sys; from agent.cli.main import main\ntry: main(['--version'])\nexcept SystemExit: pass\n"
+    assert "threads 1 1" in python(
+        code + "print('threads', os.environ['OPENBLAS_NUM_THREADS'], os.environ['OMP_NUM_THREADS'])"
+    )
+    assert "threads 3" in python(
+        "import os; os.environ['OPENBLAS_NUM_THREADS'] = '3'\n"
+        + code
+        + "print('threads', os.environ['OPENBLAS_NUM_THREADS'])"
+    )
+
+
+@pytest.mark.parametrize(
+    ("line", "never"),
+    [
+        (["--help"], {"numpy", "pydantic", "rich", "pinocchio", "scipy", "zenoh", "matplotlib", "mcap"}),
+        (["run", "--help"], {"numpy", "pinocchio", "scipy", "zenoh", "matplotlib", "mcap"}),
+        (["check", str(PAPER)], {"scipy.linalg", "scipy.interpolate", "zenoh", "matplotlib", "mcap", "dynamixel_sdk"}),
+    ],
+    ids=["help", "run help", "check"],
+)
+def test_a_quick_command_loads_nothing_heavy(line: list[str], never: set[str]) -> None:
+    loaded = python(
+        "import sys; from agent.cli.main import dispatch\n"
+        f"assert dispatch({line!r}) == 0\nprint('LOADED', *sys.modules)"
+    ).rpartition("LOADED")[2]
+    assert not never & set(loaded.split())

@@ -1,0 +1,180 @@
+"""`--json`: one document on standard output and nothing else, of the shape that docs/commands.md gives."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import configs
+from agent.cli.documents import run_document
+from agent.cli.options import print_json
+from agent.config.cell import load_cell
+from agent.log.read import RunLog
+from agent.process.run import RunOutcome
+from agent.report.compare import Change
+from agent.report.metrics import summarise
+from tests.support.command import Done, coop
+from tests.support.telemetry.synthetic_run import paper_run
+
+PAPER = configs.CELLS_DIR / "paper.toml"
+CELL = load_cell(PAPER)
+
+
+def document(done: Done) -> dict[str, Any]:
+    """The one document; a NaN or Infinity, which are no JSON, is an error."""
+
+    def refuse(word: str) -> None:
+        raise AssertionError(word)
+
+    found = json.loads(done.out, parse_constant=refuse)
+    assert isinstance(found, dict)
+    assert found["schema"] == 1
+    return found
+
+
+def shape(thing: Any) -> Any:
+    """Keys and types of a document; of a list that of its first element."""
+    if isinstance(thing, dict):
+        return {key: shape(value) for key, value in thing.items()}
+    if isinstance(thing, list):
+        return [shape(thing[0])] if thing else []
+    return type(thing).__name__
+
+
+FINDING = dict.fromkeys(("what", "where", "found", "wanted", "verdict", "remedy"), "str")
+HEAD = {"schema": "int", "cell": "str", "fingerprint": "str"}
+
+
+def test_check_gives_findings_a_verdict_and_the_start() -> None:
+    done = coop("check", PAPER, "--json")
+    assert (done.code, done.err) == (0, "")
+    found = document(done)
+    assert shape(found) == HEAD | {
+        "verdict": "str", "findings": [FINDING], "q_start_rad": {"left": ["float"], "right": ["float"]},
+    }  # fmt: skip
+    assert found["verdict"] == "warning"
+    assert (found["cell"], found["fingerprint"]) == ("paper", CELL.fingerprint)
+    assert {f["verdict"] for f in found["findings"]} == {"ok", "warning"}
+    assert all(bool(f["remedy"]) == (f["verdict"] != "ok") for f in found["findings"])
+    assert [len(q) for q in found["q_start_rad"].values()] == [3, 3]
+
+
+def test_a_refused_cell_is_a_document_an_error_line_and_an_exit_code() -> None:
+    done = coop("check", PAPER, "--set", "rate_hz=120.0", "--json")
+    assert done.code == 2
+    found = document(done)
+    assert found["verdict"] == "refused"
+    assert any(f["verdict"] == "refused" and "spectral radius" in f["what"] for f in found["findings"])
+    assert done.err.count("\n") == 1
+    assert "spectral radius" in done.err
+
+
+def test_check_refuses_what_the_servo_buses_could_not_carry_though_the_cell_is_simulated() -> None:
+    done = coop("check", PAPER, "--set", "rate_hz=400.0", "--json")
+    assert done.code == 2
+    refused = {(f["what"], f["where"]) for f in document(done)["findings"] if f["verdict"] == "refused"}
+    assert refused == {("rate on the servo bus", "left"), ("rate on the servo bus", "right")}
+
+
+def test_what_cannot_be_examined_is_an_error_line_and_no_document(tmp_path: Path) -> None:
+    for command in ("check", "tune"):
+        done = coop(command, tmp_path / "none.toml", "--json")
+        assert (done.code, done.out) == (2, "")
+        assert done.err.count("\n") == 1
+
+
+ARM = {"k_v_N_s_per_m": ["float"], "k_v_Nm_s_per_rad": ["float"], "velocity_noise_Nm": "float"}
+GAINS: dict[str, Any] = {
+    "k_p_per_s": ["float"], "k_p_rate_per_s": ["float"], "k_eps_rad_per_s": ["float"],
+    "k_eps_rate_rad_per_s": ["float"], "arms": {"left": ARM, "right": ARM},
+    "loop": [{"inertia_error": "float", "spectral_radius": "float", "damping_ratio": "float"}],
+    "slowest_time_constant_s": "float",
+}  # fmt: skip
+
+
+def test_tune_gives_the_gains_there_are_and_those_proposed(tmp_path: Path) -> None:
+    written = tmp_path / "new.toml"
+    done = coop("tune", PAPER, "--form", "rate", "--radius", "0.99", "--write", written, "--json")
+    assert done.code == 0, done.err
+    found = document(done)
+    change = {"table": "str", "name": "str", "key": "str", "value": "float"}
+    proposals = found["proposals"]
+    assert proposals.keys() == {"ratio", "rate"}
+    for proposal in proposals.values():
+        changes = proposal.pop("changes")
+        assert {tuple(sorted(c)) for c in changes} == {tuple(sorted(change))}
+        assert all(c["name"] in (None, "left", "right") for c in changes)
+    assert shape(found) == HEAD | {
+        "rate_hz": "float", "margin": {"radius": "float", "damping": "float"}, "configured": GAINS,
+        "proposals": {"ratio": GAINS, "rate": GAINS}, "chosen": "str", "written": "str",
+    }  # fmt: skip
+    assert found["margin"] == {"radius": 0.99, "damping": 0.05}
+    assert (found["chosen"], found["written"]) == ("rate", str(written))
+    assert found["configured"]["k_p_per_s"] == [150.0] * 3
+    assert [place["inertia_error"] for place in found["configured"]["loop"]] == [0.0, -0.3, 0.3]
+    assert proposals["rate"]["loop"][1]["damping_ratio"] >= 0.05 > found["configured"]["loop"][1]["damping_ratio"]
+    after = load_cell(written).file
+    assert (
+        proposals["rate"]["k_eps_rate_rad_per_s"][0]
+        == (after.controller.k_eps_rate_rad_per_s or after.controller.k_eps_rad_per_s)[0]
+    )
+    assert proposals["rate"]["arms"]["left"]["k_v_Nm_s_per_rad"] == list(after.arms[0].k_v_Nm_s_per_rad or ())
+
+
+@pytest.mark.parametrize("interrupted", [True, False])
+def test_a_run_says_how_it_ended(interrupted: bool) -> None:
+    results = summarise(paper_run(Path("run.mcap"), duration_s=22.0))
+    outcome = RunOutcome(Path("out/run.mcap"), Path("out/report.html"), results, interrupted, not interrupted)
+    assert run_document(outcome) == {
+        "schema": 1, "log": "out/run.mcap", "report": "out/report.html", "interrupted": interrupted,
+        "within_bounds": not interrupted, "results": results.to_json(),
+    }  # fmt: skip
+
+
+def test_no_document_has_what_is_no_json() -> None:
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        print_json({"radius": float("nan")})
+
+
+@pytest.fixture
+def two_logs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`a.mcap` and `b.mcap`, the second with a larger error and without a plant."""
+    logs: dict[str, RunLog] = {
+        "a.mcap": paper_run(Path("a.mcap"), duration_s=22.0),
+        "b.mcap": paper_run(Path("b.mcap"), duration_s=22.0, plant=False),
+    }
+    for rows in logs["b.mcap"].agents.values():
+        rows["p_object"][:, 1] += 1e-3
+    monkeypatch.setattr("agent.log.read.read_log", lambda path: logs[path.name])
+
+
+def test_compare_gives_every_figure_of_both(two_logs: None) -> None:
+    done = coop("compare", "a.mcap", "b.mcap", "--json")
+    assert (done.code, done.err) == (0, "")
+    found = document(done)
+    run = {"log": "str", "cell": "str", "fingerprint": "str", "driver": "str", "rate_hz": "float"}
+    figures = found.pop("figures")
+    assert shape(found) == {"schema": "int", "a": run, "b": run}
+    assert (found["a"]["log"], found["b"]["log"]) == ("a.mcap", "b.mcap")
+    by_name = {figure["name"]: figure for figure in figures}
+    assert len(by_name) == len(figures) > 100
+    assert all(set(f) == {"name", "unit", "a", "b", "relative", "change"} for f in figures)
+    assert {f["change"] for f in figures} <= {change.name.lower() for change in Change}
+    largest = by_name["max_position_error_m"]
+    assert largest["change"] == "worse"
+    assert largest["relative"] == pytest.approx(largest["b"] / largest["a"] - 1.0)
+    assert by_name["arms.left.load_share_realised"]["change"] == "gone"
+    assert by_name["arms.left.load_share_realised"]["b"] is None
+    assert by_name["rms_position_error_m"]["unit"] == "m"
+
+
+def test_compare_cuts_no_name_where_there_is_no_terminal(two_logs: None) -> None:
+    done = coop("compare", "a.mcap", "b.mcap")
+    names = [f["name"] for f in document(coop("compare", "a.mcap", "b.mcap", "--json"))["figures"]]
+    shown = [line.split()[0] for line in done.out.splitlines() if line.split() and line.split()[0] in names]
+    assert len(shown) == len(set(shown)) > 30
+    assert "…" not in done.out
+    assert max(len(name) for name in shown) > 40

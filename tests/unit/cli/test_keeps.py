@@ -1,0 +1,235 @@
+"""Every command that writes a file keeps what is there, unless `--force` says otherwise or the file is its own."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import configs
+from agent.config.cell import load_cell
+from agent.identify.fit import Options, fit
+from agent.identify.result import Identified, identified
+from agent.log.file import LogFileError
+from agent.process.folder import LOG_NAME, RunError, output_folder
+from tests.support.command import coop
+from tests.support.identify_rig import exact
+from tests.support.servos.motor_emulator import loose_servos
+from tests.support.telemetry.log_maker import LogMaker, make_log
+from tests.support.telemetry.synthetic_run import paper_run
+
+PAPER = configs.CELLS_DIR / "paper.toml"
+MINE = b"mine\n"
+
+
+def write_mine(path: Path) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(MINE)
+    return path
+
+
+# tune
+
+
+def test_tune_keeps_the_file_it_is_told_to_write(tmp_path: Path) -> None:
+    path = write_mine(tmp_path / "new.toml")
+    done = coop("tune", PAPER, "--write", path)
+    assert done.code == 2
+    assert done.err == f"coop: file {path}: found one of that name, expected none; name another, or give --force\n"
+    assert path.read_bytes() == MINE
+    assert coop("tune", PAPER, "--write", path, "--force").code == 0
+    assert load_cell(path).file.name == "paper"
+
+
+def test_tune_does_not_write_over_its_own_input(tmp_path: Path) -> None:
+    cell = tmp_path / "cell.toml"
+    cell.write_bytes(PAPER.read_bytes())
+    done = coop("tune", cell, "--write", cell)
+    assert done.code == 2
+    assert "--force" in done.err
+    assert cell.read_bytes() == PAPER.read_bytes()
+
+
+def test_a_link_that_leads_nowhere_is_something_too(tmp_path: Path) -> None:
+    link = tmp_path / "new.toml"
+    link.symlink_to("elsewhere.toml")
+    assert coop("tune", PAPER, "--write", link).code == 2
+    assert link.readlink() == Path("elsewhere.toml")
+    assert list(tmp_path.iterdir()) == [link]
+
+
+# identify
+
+
+@pytest.fixture(scope="module")
+def found() -> Identified:
+    cell = load_cell(configs.CELLS_DIR / "identify_wx200.toml")
+    recording = exact(cell, 0.6, (0.3, 0.7, 1.3), 20.0)
+    return identified(recording, Options(), fit(recording, Options()))
+
+
+@pytest.mark.parametrize("name", ["wx200.toml", "identify_wx200.png", "identify_wx200.json"])
+def test_identify_keeps_each_of_its_files(
+    found: Identified, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    monkeypatch.setattr("agent.identify.run.identify", lambda *_, **__: found)
+    out = tmp_path / "out"
+    path = write_mine(out / name)
+    done = coop("identify", "run.mcap", "--out", out)
+    assert done.code == 2
+    assert str(path) in done.err
+    assert "--force" in done.err
+    assert list(out.iterdir()) == [path], "nothing else was written either"
+    assert path.read_bytes() == MINE
+    assert coop("identify", "run.mcap", "--out", out, "--force").code == 0
+    assert path.read_bytes() != MINE
+    assert len(list(out.iterdir())) == 3
+
+
+# report
+
+
+@pytest.fixture
+def a_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[int, str]]:
+    """`coop report` of a log that is quickly drawn."""
+    monkeypatch.setattr("agent.log.read.read_log", lambda path: paper_run(path, duration_s=21.0))
+    monkeypatch.setattr("agent.report.report.pictures", lambda _: [])
+
+    def report(*arguments: str | Path) -> tuple[int, str]:
+        done = coop("report", *arguments)
+        return done.code, done.err
+
+    return report
+
+
+def test_a_report_is_made_again_beside_its_log(tmp_path: Path, a_report: Callable[..., tuple[int, str]]) -> None:
+    log = write_mine(tmp_path / "run.mcap")
+    assert a_report(log) == (0, "")
+    (tmp_path / "report.html").write_bytes(MINE)
+    assert a_report(log) == (0, "")
+    assert (tmp_path / "report.html").read_bytes() != MINE
+    assert log.read_bytes() == MINE
+
+
+@pytest.mark.parametrize("name", ["report.html", "results.json"])
+def test_a_report_of_another_log_is_kept(tmp_path: Path, a_report: Callable[..., tuple[int, str]], name: str) -> None:
+    log, other = write_mine(tmp_path / "a" / "run.mcap"), write_mine(tmp_path / "b" / name)
+    code, error = a_report(log, "--out", other.parent)
+    assert (code, other.read_bytes()) == (2, MINE)
+    assert "--force" in error
+    assert a_report(log, "--out", other.parent, "--force") == (0, "")
+    assert other.read_bytes() != MINE
+
+
+def test_of_two_logs_in_one_folder_none_takes_the_others_report(
+    tmp_path: Path, a_report: Callable[..., tuple[int, str]]
+) -> None:
+    first, second = write_mine(tmp_path / "1.mcap"), write_mine(tmp_path / "2.mcap")
+    assert a_report(first) == (0, "")
+    before = (tmp_path / "results.json").read_bytes()
+    assert a_report(second)[0] == 2
+    assert (tmp_path / "results.json").read_bytes() == before
+    assert a_report(second, "--out", tmp_path / "second") == (0, "")
+
+
+# run
+
+
+def test_a_run_keeps_what_is_in_its_folder(tmp_path: Path) -> None:
+    path = write_mine(tmp_path / "out" / "notes.txt")
+    done = coop("run", PAPER, "--duration", "1", "--out", path.parent)
+    assert done.code == 2
+    assert "found notes.txt in it, expected an empty folder, or none" in done.err
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_the_folder_of_a_run_is_empty_or_may_be_used_again(tmp_path: Path) -> None:
+    new = tmp_path / "a" / "b"
+    assert output_folder(new, "paper") == new
+    assert output_folder(new, "paper") == new, "empty"
+    log, page = write_mine(new / LOG_NAME), write_mine(new / "report.html")
+    with pytest.raises(RunError, match=r"found run\.mcap from an earlier run") as refused:
+        output_folder(new, "paper")
+    assert refused.value.exit_code == 2
+    assert log.read_bytes() == MINE
+    assert output_folder(new, "paper", replace=True) == new
+    assert not log.exists(), "the recorder makes a new one"
+    assert page.read_bytes() == MINE
+
+
+def test_force_does_not_take_the_log_of_a_living_recorder(tmp_path: Path) -> None:
+    log = tmp_path / LOG_NAME
+    maker = LogMaker(log)
+    with pytest.raises(LogFileError, match="being written"):
+        output_folder(tmp_path, "paper", replace=True)
+    assert log.exists()
+    maker.finish()
+    output_folder(tmp_path, "paper", replace=True)
+    assert not log.exists()
+
+
+# record, recover
+
+
+def test_a_recorder_keeps_a_log_that_is_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    path = write_mine(tmp_path / "run.mcap")
+    done = coop("record", PAPER, "--out", path, "--listen", "tcp/127.0.0.1:0")
+    assert done.code == 4
+    assert "a log is never overwritten" in done.err
+    assert path.read_bytes() == MINE
+
+
+def test_recover_replaces_only_a_log_that_was_not_finished(tmp_path: Path) -> None:
+    whole, broken = tmp_path / "whole.mcap", tmp_path / "broken.mcap"
+    make_log(whole)
+    make_log(broken, finish=False)
+    before = whole.read_bytes()
+    assert "nothing to repair" in coop("recover", whole).out
+    assert whole.read_bytes() == before
+    assert "repaired" in coop("recover", broken).out
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["broken.mcap", "whole.mcap"]
+
+
+# motors dump
+
+
+def test_a_dump_keeps_an_older_one(tmp_path: Path) -> None:
+    path = write_mine(tmp_path / "arm.toml")
+    with loose_servos(tmp_path / "port", {"model": "XM430-W350", "servo_id": 2, "Baud_Rate": 3}):
+        dump = ("motors", "dump", "--port", tmp_path / "port", "--baud", "1000000", "--out", path)
+        done = coop(*dump)
+        assert (done.code, path.read_bytes()) == (2, MINE)
+        assert "--force" in done.err
+        done = coop(*dump, "--force")
+        assert done.code == 0, done.err
+    assert b"XM430-W350" in path.read_bytes()
+
+
+# What processes of a cell leave in the file system is their own kind of file, and they replace no other
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("agent", PAPER, "--arm", "left", "--driver", "sim", "--ring", "mine"),
+        ("agent", PAPER, "--arm", "left", "--driver", "dynamixel", "--port", "x", "--ring", "r", "--control", "mine"),
+        ("plant", PAPER, "--socket", "socket", "--ring", "mine"),
+        ("plant", PAPER, "--socket", "mine", "--ring", "ring"),
+        ("emulate", PAPER, "--ports", "ports", "--ring", "mine"),
+        ("emulate", PAPER, "--ports", "ports", "--ring", "ring", "--control", "mine"),
+        ("emulate", PAPER, "--ports", ".", "--ring", "ring"),
+    ],
+    ids=lambda words: f"{words[0]} {words[-2]}",
+)
+def test_no_process_replaces_a_file_that_is_none_of_its_kind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str | Path, ...]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    mine = [write_mine(tmp_path / name) for name in ("mine", "left")]
+    done = coop(*words)
+    assert done.code != 0
+    assert os.linesep not in done.err.rstrip()
+    assert [path.read_bytes() for path in mine] == [MINE, MINE]
