@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -148,7 +149,7 @@ def two_logs(monkeypatch: pytest.MonkeyPatch) -> None:
     }
     for rows in logs["b.mcap"].agents.values():
         rows["p_object"][:, 1] += 1e-3
-    monkeypatch.setattr("agent.log.read.read_log", lambda path: logs[path.name])
+    monkeypatch.setattr("agent.log.read.open_log", lambda path: nullcontext(logs[path.name]))
 
 
 def test_compare_gives_every_figure_of_both(two_logs: None) -> None:

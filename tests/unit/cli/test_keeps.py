@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -94,7 +95,7 @@ def test_identify_keeps_each_of_its_files(
 @pytest.fixture
 def a_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[int, str]]:
     """`coop report` of a log that is quickly drawn."""
-    monkeypatch.setattr("agent.log.read.read_log", lambda path: paper_run(path, duration_s=21.0))
+    monkeypatch.setattr("agent.log.read.open_log", lambda path: nullcontext(paper_run(path, duration_s=21.0)))
     monkeypatch.setattr("agent.report.report.pictures", lambda _: [])
 
     def report(*arguments: str | Path) -> tuple[int, str]:
