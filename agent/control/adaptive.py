@@ -21,11 +21,12 @@ from agent.control.law import (
     lyapunov_share,
     reference,
     rotate_wrench,
+    rotate_wrench_back,
     shared_torques,
     wrench_at_ee,
 )
 from agent.control.models import ArmModel, Matrix
-from agent.control.quaternion import Mat3, Vec3, rotate_back
+from agent.control.quaternion import Mat3
 from agent.control.regressor import BODY_PARAMETERS, joint_regressor, object_regressor
 from agent.control.trajectory import Desired, Vec6
 from drivers.interface import Vector
@@ -63,7 +64,7 @@ def torque(
     load = rotate_wrench(R, (c * Y_object.dot(estimate.object)).tolist())
     # only what lies in the task space does work on this arm's side
     e_v_task = e_v if len(P) == 6 else P.T.dot(P.dot(e_v)).tolist()
-    e_v_object = (*rotate_back(R, e_v_task[:3]), *rotate_back(R, e_v_task[3:]))
+    e_v_object = rotate_wrench_back(R, e_v_task)
     object_gradient = Y_object.T.dot([c * x for x in e_v_object])  # eq:adaptation laws
 
     tau_posture = None if offline.posture is None else offline.posture.torque(q, dq, k.J, J_inv)
@@ -85,12 +86,7 @@ def torque(
 def _object_regressor(offline: Offline, R: Mat3, v: Vec6, v_ref: Vec6, dv_ref: Vec6) -> Matrix:
     """Y_O (6, 10) in object axes from world axes."""
     g = offline.gravity
-    a: Vec3 = (dv_ref[0] - g[0], dv_ref[1] - g[1], dv_ref[2] - g[2])
-    return object_regressor(
-        rotate_back(R, v[:3]),
-        rotate_back(R, v[3:]),
-        rotate_back(R, v_ref[:3]),
-        rotate_back(R, v_ref[3:]),
-        rotate_back(R, a),
-        rotate_back(R, dv_ref[3:]),
-    )
+    x, y, z, wx, wy, wz = dv_ref
+    v, v_ref = rotate_wrench_back(R, v), rotate_wrench_back(R, v_ref)
+    a = rotate_wrench_back(R, (x - g[0], y - g[1], z - g[2], wx, wy, wz))
+    return object_regressor(v[:3], v[3:], v_ref[:3], v_ref[3:], a[:3], a[3:])

@@ -81,8 +81,23 @@ def object_wrench(offline: Offline, k: Kinematics, errors: Errors) -> Vec6:
 
 
 def rotate_wrench(R: Mat3, w: Vec6) -> Vec6:
-    """Wrench in world axes of a wrench in object axes."""
-    return (*rotate(R, (w[0], w[1], w[2])), *rotate(R, (w[3], w[4], w[5])))
+    """Wrench or twist in world axes of one in object axes."""
+    r0, r1, r2, r3, r4, r5, r6, r7, r8 = R
+    x, y, z, a, b, c = w
+    return (
+        r0 * x + r1 * y + r2 * z,
+        r3 * x + r4 * y + r5 * z,
+        r6 * x + r7 * y + r8 * z,
+        r0 * a + r1 * b + r2 * c,
+        r3 * a + r4 * b + r5 * c,
+        r6 * a + r7 * b + r8 * c,
+    )
+
+
+def rotate_wrench_back(R: Mat3, w: Vec6) -> Vec6:
+    """Wrench or twist in object axes of one in world axes."""
+    r0, r1, r2, r3, r4, r5, r6, r7, r8 = R
+    return rotate_wrench((r0, r3, r6, r1, r4, r7, r2, r5, r8), w)
 
 
 def shift_to_ee(k: Kinematics, w: Vec6) -> Vec6:
