@@ -22,7 +22,7 @@ import numpy as np
 import zenoh
 import zenoh.ext
 
-from agent.telemetry.link.sender import RowSource, Sender, TextSource
+from agent.telemetry.link.sender import LockstepPauses, RowSource, Sender, TextSource
 from agent.telemetry.link.session import Network, has_link, open_session
 from agent.telemetry.link.status import StatusQuery
 from agent.telemetry.link.wire import End
@@ -33,10 +33,10 @@ from agent.telemetry.row.derive import RowEvents
 from agent.telemetry.row.sample import AGENT_STATE, Layout
 from agent.telemetry.row.topics import PLANT, Address, Kind
 
-_CYCLE_S: Final = {False: 0.033, True: 0.02}  # by lockstep; 30 batches/s in real time; each look costs the run CPU time
+_CYCLE_S: Final = 0.033  # 30 batches/s in real time; in lockstep see LockstepPauses
 _BURST_PAUSE_S: Final = 0.005  # in real time, between the bursts that catch up
-_BURST: Final = {False: 2, True: 64}  # batches between two looks at the stop flag
-_STATUS_S: Final = {False: 0.25, True: 0.05}
+_BURST: Final = {False: 2, True: 64}  # by lockstep: batches between two looks at the stop flag
+_STATUS_S: Final = {False: 0.25, True: 0.0}  # in lockstep in every cycle
 _LINGER_S: Final = 10.0  # for a recorder that is there and says nothing
 _SAY_AFTER_S: Final = 2.0  # of waiting: processes that start together need not be told of each other
 _WINDOW_ROWS: Final = 4096  # lockstep: rows on their way at most
@@ -104,7 +104,7 @@ def run(
                 if not options.follow:
                     break
                 while not stop() and not reader.replaced:
-                    time.sleep(_CYCLE_S[False])
+                    time.sleep(_CYCLE_S)
         return report
 
 
@@ -140,6 +140,7 @@ class _Telemetry:
         self._status = StatusQuery(session, options.cell, _STATUS_S[self._lockstep])
         self._ended_s = 0.0
         self._heard = False  # a recorder has said what it has
+        self._pauses = LockstepPauses(_BURST[True])
 
     def run(self, stop: Callable[[], bool], say: Callable[[str], None]) -> PublishReport:
         lonely = _Patience(lambda: say(self._without_recorder()))
@@ -148,10 +149,10 @@ class _Telemetry:
             lonely.waiting(not self._heard)
             if all(sender.complete for sender in self._senders.values()) or stop() or self._is_over():
                 return self._report()
-            if sent < 2:  # less than there was: wait until a batch is worth sending
-                time.sleep(_CYCLE_S[self._lockstep])
-            elif not self._lockstep:
-                time.sleep(_BURST_PAUSE_S)
+            if self._lockstep:
+                time.sleep(self._pauses.after(sent, self._senders[Kind.STATE]))
+            else:
+                time.sleep(_CYCLE_S if sent < 2 else _BURST_PAUSE_S)
 
     def _without_recorder(self) -> str:
         network = self._options.network
@@ -254,7 +255,7 @@ def _wait_for_ring(options: PublishOptions, stop: Callable[[], bool], say: Calla
             if reader.writer_alive or not options.follow:
                 return reader
             reader.close()
-        time.sleep(_CYCLE_S[False])
+        time.sleep(_CYCLE_S)
     return None
 
 

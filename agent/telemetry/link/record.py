@@ -31,7 +31,7 @@ INBOX_BYTES_MAX: Final = 256 << 20
 BATCH_BYTES_MAX: Final = 1 << 18
 _WAIT_S: Final = 0.02
 _DRAIN_MAX: Final = 64  # batches between two looks at the clock
-_STATUS_S: Final = 0.005
+_STATUS_S: Final = 0.005  # the status is made anew at most this often
 
 
 @dataclass(frozen=True)
@@ -180,7 +180,8 @@ class _Recorder:
         self._told: set[str] = set()
         self._completeness: dict[str, str] | None = None
         self._status_s = 0.0
-        self._status = b""
+        self._taken = False  # anything since the status was made
+        self._cause = ""
         self._refresh_status()
 
     def listen(self, session: zenoh.Session) -> _Listening:
@@ -202,8 +203,9 @@ class _Recorder:
         if self._log.nearly_full and self._completeness is None:
             self._say(Level.ERROR, "disk nearly full: the log ends here", {})
             self.finish()
-        if now_s - self._status_s >= _STATUS_S:
-            self._status_s = now_s
+        cause = self._log.failure or ("disk nearly full" if self._log.nearly_full else "")
+        if (self._taken or cause != self._cause) and now_s - self._status_s >= _STATUS_S:
+            self._status_s, self._cause, self._taken = now_s, cause, False
             self._refresh_status()
 
     def drain(self) -> None:
@@ -228,6 +230,7 @@ class _Recorder:
         }
 
     def _take(self, key: str, payload: bytes, attachment: bytes) -> None:
+        self._taken = True
         before = self._intake.rejected[Rejection.ANOTHER_RUN]
         for item in self._intake.take(key, payload, attachment):
             if isinstance(item, Rows):
@@ -247,9 +250,8 @@ class _Recorder:
         self._zenoh_missed += miss.nb
 
     def _refresh_status(self) -> None:
-        cause = self._log.failure or ("disk nearly full" if self._log.nearly_full else "")
         streams = {key: stream.status for key, stream in self._intake.streams.items()}
-        self._status = pack_status(not cause, cause, streams)
+        self._status = pack_status(not self._cause, self._cause, streams)
 
 
 class _Listening:

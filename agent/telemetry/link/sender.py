@@ -1,4 +1,4 @@
-"""Which messages of a source to publish next, and again.  Pure bookkeeping: no network, no clock, never waits.
+"""Which messages of a source to publish next, and again, and how soon to look: bookkeeping without network or clock.
 
 The recorder says which numbers of a source it has; what stays missing is sent again as long as the source holds it.
 This stands behind Zenoh's own recovery, which gives up silently when a link is closed at the wrong moment.
@@ -17,6 +17,8 @@ from agent.telemetry.ring.ring import RingReader, RowBlock
 RESEND_AFTER_S: Final = 1.0  # Zenoh's recovery needs less
 RESEND_AFTER_MAX_S: Final = 8.0
 TEXTS_KEPT: Final = 10_000
+LOCKSTEP_PAUSE_S: Final = 0.06  # each look costs the run CPU time
+PRESSING_PAUSE_S: Final = 0.005
 
 
 class Source(Protocol):
@@ -141,6 +143,11 @@ class Sender:
         return missing[0][0] if missing else self._next
 
     @property
+    def blocked(self) -> bool:
+        """Whether no more may be published before the recorder has more."""
+        return self._window is not None and self._next >= self.acknowledged + self._window
+
+    @property
     def ended(self) -> bool:
         """Whether the source has ended and all of it was published."""
         return self._end is not End.OPEN and self._next >= self._written_at_end
@@ -223,3 +230,28 @@ class Sender:
             self._lost,
             self._end if at_end else End.OPEN,
         )
+
+
+class LockstepPauses:
+    """How long telemetry in lockstep waits between two looks: until several batches are worth sending.
+
+    It looks again soon while the run waits for an answer of the recorder: because no more rows may be on their way, or
+    because all of them are.  While nothing moves the pause grows again.
+    """
+
+    def __init__(self, burst: int) -> None:
+        """`burst`: batches that are sent at most between two looks."""
+        self._burst = burst
+        self._before = (0, 0)
+        self._pause_s = PRESSING_PAUSE_S
+
+    def after(self, sent: int, rows: Sender) -> float:
+        """Seconds to wait after so many batches were sent."""
+        if sent >= self._burst:
+            return 0.0
+        if not (rows.blocked or rows.ended):
+            return LOCKSTEP_PAUSE_S
+        progress, before = (rows.published, rows.acknowledged), self._before
+        self._before = progress
+        self._pause_s = PRESSING_PAUSE_S if progress != before else min(2.0 * self._pause_s, LOCKSTEP_PAUSE_S)
+        return self._pause_s

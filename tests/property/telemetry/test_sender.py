@@ -9,7 +9,13 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from agent.telemetry.link.coverage import Coverage
-from agent.telemetry.link.sender import Sender, TextSource
+from agent.telemetry.link.sender import (
+    LOCKSTEP_PAUSE_S,
+    PRESSING_PAUSE_S,
+    LockstepPauses,
+    Sender,
+    TextSource,
+)
 from agent.telemetry.link.wire import RANGES_MAX, BatchHeader, End, StreamStatus
 from agent.telemetry.ring.ring import RowBlock
 
@@ -148,3 +154,49 @@ def test_texts_are_kept_in_a_bounded_number() -> None:
     assert (texts.written, texts.oldest) == (10_005, 5)
     assert texts.read(4, 1) == RowBlock(5, 0, b"")
     assert texts.read(10_004, 1) == RowBlock(10_004, 1, b"10004")
+
+
+def publish_all(sender: Sender) -> int:
+    return sum(bool(payload) for _, payload in sender.new(64, 0.0))
+
+
+def test_telemetry_in_lockstep_looks_seldom_while_nobody_waits_for_it() -> None:
+    source, pauses = Numbers(1000), LockstepPauses(64)
+    sender = Sender(source, window=100)
+    for _ in range(5):
+        source.written += 10
+        assert pauses.after(publish_all(sender), sender) == LOCKSTEP_PAUSE_S
+    assert pauses.after(64, sender) == 0.0
+    assert not sender.blocked
+
+
+def test_telemetry_in_lockstep_looks_soon_while_its_window_is_full_and_ever_less_often_without_an_answer() -> None:
+    source, pauses = Numbers(1000), LockstepPauses(64)
+    sender = Sender(source, window=20)
+    source.written = 50
+    assert pauses.after(publish_all(sender), sender) == PRESSING_PAUSE_S
+    assert sender.blocked
+    waited = [pauses.after(publish_all(sender), sender) for _ in range(8)]
+    assert waited == sorted(waited)
+    assert waited[-1] == LOCKSTEP_PAUSE_S
+    sender.on_status(StreamStatus(42, ((0, 9),), False), 0.0)
+    assert not sender.blocked
+    assert publish_all(sender) == 3  # ten more
+    assert pauses.after(3, sender) == PRESSING_PAUSE_S
+
+
+def test_telemetry_in_lockstep_looks_soon_for_the_last_answer() -> None:
+    source, pauses = Numbers(1000), LockstepPauses(64)
+    sender = Sender(source, window=100)
+    source.written, source.end = 10, End.FINISHED
+    assert pauses.after(publish_all(sender), sender) == PRESSING_PAUSE_S
+    assert not sender.blocked
+    assert not sender.complete
+
+
+def test_without_a_window_nothing_is_held_back() -> None:
+    source = Numbers(1000)
+    sender = Sender(source, window=None)
+    source.written = 500
+    publish_all(sender)
+    assert not sender.blocked
