@@ -85,7 +85,7 @@ class SimDriver:
         self._given_read_timeout_s = read_timeout_s
         self._read_timeout_s = LOCKSTEP_READ_TIMEOUT_S
         self._out = Message(len(joints))
-        self._out.header[0] = Kind.COMMAND
+        self._out.head(Kind.COMMAND, 0, 0)
         self._command = TorqueCommand(np.zeros(len(joints)), np.zeros(len(joints)))
         self._link: PlantLink | None = None
         self._phase = _Phase.CLOSED
@@ -149,7 +149,7 @@ class SimDriver:
                 pass  # the answer to a question given up
             if self._lockstep:
                 self._answer_due = True
-                self._out.header[1] = link.number
+                self._out.head(Kind.COMMAND, link.number, 0)
             else:
                 while link.receive(socket.MSG_DONTWAIT) is not None:
                     pass

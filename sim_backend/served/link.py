@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from drivers.interface import BusCounters, ConnectError, DriverError, StaleStateError
-from sim_backend.served.protocol import HEADER, MAX_MESSAGE_BYTES, Kind, read_words, refusal_parts
+from sim_backend.served.protocol import HEADER, KINDS, MAX_MESSAGE_BYTES, Kind, read_words, refusal_parts
 
 INFO_KEYS = {"lockstep", "rate_hz", "utc_offset_ns", "tau_largest_Nm", "torque_lsb_Nm", "description"}
+_STATES = (Kind.STATE, Kind.REPLY)
 
 
 class PlantLink:
@@ -107,10 +108,13 @@ class PlantLink:
         if kind == Kind.NOTICE:
             self._ended = refusal_parts(bytes(self._in[:size]))
             raise self._stale("", "")
-        if kind in (Kind.STATE, Kind.REPLY) and size != self._state_size:
+        known = KINDS.get(kind)
+        if known is None or (known in _STATES and size != self._state_size):
             self._counters.corrupt += 1
-            raise self._stale(f"a state of {size} bytes", "start plant and agents from the same installation")
-        return Kind(kind)
+            raise self._stale(
+                f"a message of kind {kind} and {size} bytes", "start plant and agents from the same installation"
+            )
+        return known
 
     def _recv(self, flags: int) -> int:
         try:

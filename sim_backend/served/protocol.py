@@ -12,7 +12,6 @@ from enum import IntEnum
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.interface import Refusal, Vector
 
@@ -38,13 +37,19 @@ class Kind(IntEnum):
     NOTICE = 12  # plant, words: a Refusal that says why no state will come any more
 
 
+KINDS: Final = {int(kind): kind for kind in Kind}
+
+
 class Message:
-    """A reusable fixed message: header and `count` doubles in one buffer."""
+    """A reusable fixed message of one kind: header and `count` doubles in one buffer."""
 
     def __init__(self, count: int) -> None:
         self.buffer = bytearray(HEADER.size + 8 * count)
-        self.header: NDArray[np.int64] = np.frombuffer(self.buffer, np.int64, 3)
         self.values: Vector = np.frombuffer(self.buffer, np.float64, count, HEADER.size)
+
+    def head(self, kind: Kind, number: int, stamp_ns: int) -> None:
+        """Write the header."""
+        HEADER.pack_into(self.buffer, 0, kind, number, stamp_ns)
 
 
 def words(kind: Kind, **content: object) -> bytes:

@@ -13,7 +13,7 @@ from drivers.interface import Refusal, Vector
 from sim_backend.physics.actuator import TorqueCommand, TorqueCommandError
 from sim_backend.physics.delay import DelayLine
 from sim_backend.physics.spec import ArmSpec
-from sim_backend.served.protocol import HEADER, MAX_MESSAGE_BYTES, Kind, Message, header_only, refusal_words
+from sim_backend.served.protocol import HEADER, KINDS, MAX_MESSAGE_BYTES, Kind, Message, header_only, refusal_words
 
 WAIT_S = 0.1  # longest wait inside one blocking receive, after which the caller looks around
 
@@ -43,6 +43,7 @@ class Seat:
         self.arm = arm
         self.joints = joints
         self.phase = Phase.ABSENT
+        self.told = -1  # tick of the last state it was sent since its torque went on
         self.dropped_states = 0  # real time only: the agent's queue was full
         self.delay = delay
         self._command = TorqueCommand.of(arm.actuator)
@@ -80,8 +81,9 @@ class Seat:
         self.say(header_only(Kind.ENABLED))
 
     def switch_off(self, phase: Phase = Phase.OFF) -> None:
-        """Torque off; commands on their way are lost."""
+        """Torque off; commands on their way are lost, and so are states: the arm looks for none."""
         self.phase = phase
+        self.told = -1
         self.tau[:] = 0.0
         self.delay.clear()
 
@@ -91,8 +93,10 @@ class Seat:
         A closed connection is no error here: its BYE may wait to be received, and `receive` tells.
         """
         if self._connection is not None:
-            with contextlib.suppress(BrokenPipeError, ConnectionResetError):
+            try:
                 self._connection.send(message, flags | socket.MSG_NOSIGNAL)
+            except (BrokenPipeError, ConnectionResetError):
+                return
 
     def tell(self, refusal: Refusal) -> None:
         """Say why no state will come any more; a peer that is not there need not know."""
@@ -103,11 +107,11 @@ class Seat:
         self, kind: Kind, number: int, stamp_ns: int, q: Vector, dq: Vector, tau: Vector, flags: int
     ) -> None:
         """Send this arm's part of the reported (J,) positions, velocities and torques."""
-        header = self._out.header
-        header[0], header[1], header[2] = kind, number, stamp_ns
-        self._out_q[:] = q[self.joints]
-        self._out_dq[:] = dq[self.joints]
-        self._out_tau[:] = tau[self.joints]
+        joints = self.joints
+        self._out.head(kind, number, stamp_ns)
+        self._out_q[:] = q[joints]
+        self._out_dq[:] = dq[joints]
+        self._out_tau[:] = tau[joints]
         try:
             self.say(self._out.buffer, flags)
         except BlockingIOError:
@@ -131,10 +135,10 @@ class Seat:
         if kind == Kind.COMMAND:
             self._take_command(size)
             return Kind.COMMAND
-        try:
-            return Kind(kind)
-        except ValueError as e:
-            raise Vanished(f"it sent an unknown message, kind {kind}") from e
+        known = KINDS.get(kind)
+        if known is None:
+            raise Vanished(f"it sent an unknown message, kind {kind}")
+        return known
 
     def _take_command(self, size: int) -> None:
         if size != self._command_bytes:

@@ -2,7 +2,8 @@
 
 In lockstep, time passes only when every arm whose torque is on has answered.  Where every actuator delays by at least
 one period, the torque of tick k acts from tick k + 1 on at the earliest: the plant then integrates k → k + 1 while the
-agents compute, and the result is the same bit for bit.
+agents compute, and tells them the state of k + 1 at once, which no torque of tick k can change.  So nobody waits for a
+state that is known already, and the result is the same bit for bit.
 """
 
 from __future__ import annotations
@@ -92,6 +93,7 @@ class _Server:
         self._support_substeps = max(line.first_substep for line in lines) if options.supported_start and lines else 0
         self._tau = np.zeros(plant.joint_count)
         self._tick = 0
+        self._reached = 0  # tick whose state the plant is in: the present one, or the next while answers are due
         self._late_ticks = 0
         self._zero_ns = 0  # real time: CLOCK_MONOTONIC at tick 0
         self._lost_arms: list[str] = []
@@ -149,6 +151,8 @@ class _Server:
         self._send(on)
         if self._parallel:
             self._integrate()
+            if self._options.lockstep and self._reached != self._options.ticks:
+                self._send(on)
             self._collect(on)
         else:
             self._collect(on)
@@ -156,15 +160,21 @@ class _Server:
         self._tick += 1
 
     def _send(self, on: list[Seat]) -> None:
+        """Tell everyone the state that the plant is in, once."""
+        tick = self._reached
+        due = [s for s in on if s.told < tick]
+        if not due:
+            return
         q, dq, tau = self._plant.reported()
-        stamp_ns = self._stamp_ns()
+        stamp_ns = self._stamp_ns(tick)
         flags = 0 if self._options.lockstep else socket.MSG_DONTWAIT
-        for seat in on:
-            seat.send_state(Kind.STATE, self._tick, stamp_ns, q, dq, tau, flags)
+        for seat in due:
+            seat.told = tick
+            seat.send_state(Kind.STATE, tick, stamp_ns, q, dq, tau, flags)
 
     def _reply(self, seat: Seat) -> None:
         """Answer a POLL: the state now, under the number of the question."""
-        stamp_ns = self._stamp_ns() if self._options.lockstep else time.monotonic_ns()
+        stamp_ns = self._stamp_ns(self._reached) if self._options.lockstep else time.monotonic_ns()
         seat.send_state(Kind.REPLY, seat.number, stamp_ns, *self._plant.reported(), socket.MSG_DONTWAIT)
 
     def _integrate(self) -> None:
@@ -173,11 +183,12 @@ class _Server:
             for seat in self._seats:
                 tau[seat.joints] = seat.delay.acting(tick, begin)
             if begin == 0 and self._on_tick is not None and tick % self._options.observe_every == 0:
-                self._on_tick(tick, self._stamp_ns(), self._plant.observe(tau))
+                self._on_tick(tick, self._stamp_ns(tick), self._plant.observe(tau))
             if tick * self._substeps + begin < self._support_substeps:
                 self._plant.rest(count)
             else:
                 self._plant.advance(tau, count)
+        self._reached = tick + 1
 
     def _collect(self, on: list[Seat]) -> None:
         if not self._options.lockstep:
@@ -216,8 +227,8 @@ class _Server:
             raise ArmVanished(name, self._tick, reason)
         self._lost_arms.append(name)
 
-    def _stamp_ns(self) -> int:
-        since_zero = round(self._tick * 1e9 / self._options.rate_hz)
+    def _stamp_ns(self, tick: int) -> int:
+        since_zero = round(tick * 1e9 / self._options.rate_hz)
         return since_zero if self._options.lockstep else self._zero_ns + since_zero
 
     def _first_instant_ns(self) -> int:

@@ -11,7 +11,7 @@ import pytest
 
 import configs
 from agent.config.cell import load_cell
-from agent.modes import Event, Mode
+from agent.modes import Event, Mode, next_mode
 from agent.process.build import build_agent
 from agent.runner import Runner, RunSummary, Schedule, Surroundings
 from agent.safety import Flag
@@ -165,6 +165,16 @@ def test_without_a_start_the_arm_goes_on_holding_its_start_pose() -> None:
 def test_rows_are_numbered_without_gaps() -> None:
     rows = run(failures={15: lost()}).rows
     assert rows["sequence"].tolist() == list(range(len(rows)))
+
+
+def test_every_row_is_stamped_with_the_clocks_own_tie_to_utc() -> None:
+    rows = run(failures={15: lost()}).rows
+    assert set((rows["utc_ns"] - rows["stamp_ns"]).tolist()) == {MovedClock.utc_offset_ns}
+
+
+def test_an_idle_cycle_changes_no_mode() -> None:
+    """The loop asks for the next mode only when something has happened."""
+    assert all(next_mode(mode, Event.NONE) is mode for mode in Mode)
 
 
 def test_a_stop_holds_and_only_a_release_ends_it() -> None:

@@ -114,7 +114,7 @@ def test_answer_to_another_tick_ends_the_run(tmp_path: Path) -> None:
     with ServedPlant(tmp_path, names=("left",)) as served:
         (left,) = served.enabled()
         left.read()
-        left._out.header[1] = 41
+        left._out.head(Kind.COMMAND, 41, 0)
         left.write(TAU)
         served.join()
         assert "it answered tick 41 instead of 0" in str(served.error)
@@ -203,7 +203,7 @@ def test_state_of_the_wrong_size_is_counted_and_not_used(tmp_path: Path, monkeyp
         (left,) = served.enabled()
         assert left._link is not None
         monkeypatch.setattr(left._link, "_state_size", 8)
-        with pytest.raises(StaleStateError, match="a state of 96 bytes"):
+        with pytest.raises(StaleStateError, match="a message of kind 9 and 96 bytes"):
             left.read()
         assert left.counters.corrupt == 1
 

@@ -39,11 +39,14 @@ def test_time_does_not_pass_before_every_arm_is_enabled(tmp_path: Path) -> None:
         assert left.read().stamp_ns == 5_000_000
 
 
-def test_time_waits_for_the_slowest_arm(tmp_path: Path) -> None:
-    with ServedPlant(tmp_path) as served:
+@pytest.mark.parametrize(("delay", "ahead"), [(0, 0), (1, 1), (2, 1)])
+def test_time_waits_for_the_slowest_arm(tmp_path: Path, delay: int, ahead: int) -> None:
+    """Where a torque acts a cycle late, the next state is known without it; the one behind that is not."""
+    with ServedPlant(tmp_path, servos=replace(SERVOS, delay_s=delay * 5e-3)) as served:
         left, right = served.enabled()
-        left.read()
-        left.write(TAU)
+        for tick in range(ahead + 1):
+            assert left.read().stamp_ns == tick * 5_000_000
+            left.write(TAU)
         right.read()
         got: list[int] = []
         reader = threading.Thread(target=lambda: got.append(left.read().stamp_ns))
@@ -52,7 +55,58 @@ def test_time_waits_for_the_slowest_arm(tmp_path: Path) -> None:
         assert reader.is_alive()
         right.write(TAU)
         reader.join(10.0)
-        assert got == [5_000_000]
+        assert got == [(ahead + 1) * 5_000_000]
+
+
+def test_an_arm_that_comes_back_gets_the_present_state_and_nobody_gets_one_twice(tmp_path: Path) -> None:
+    with ServedPlant(tmp_path) as served:
+        left, right = served.enabled()
+        cycle([left, right], 3)
+        right.disable()
+        cycle([left], 4)
+        right.enable()
+        stamps = []
+        for _ in range(4):
+            states = left.read(), right.read()
+            stamps.append([s.stamp_ns for s in states])
+            left.write(TAU)
+            right.write(TAU)
+        lefts, rights = zip(*stamps, strict=True)
+        assert np.diff(lefts).tolist() == np.diff(rights).tolist() == [5_000_000] * 3
+        assert abs(rights[0] - lefts[0]) <= 5_000_000
+
+
+@pytest.mark.parametrize("delay", [0, 1])
+def test_a_run_of_so_many_ticks_gives_so_many_states(tmp_path: Path, delay: int) -> None:
+    with ServedPlant(tmp_path, names=("left",), servos=replace(SERVOS, delay_s=delay * 5e-3), ticks=3) as served:
+        (left,) = served.enabled()
+        cycle([left], 3)
+        with pytest.raises(DriverError, match="expected a run of 3 ticks"):
+            cycle([left], 1)
+        served.join()
+        assert served.summary is not None
+        assert served.summary.ticks == 3
+
+
+def test_the_state_of_the_moment_carries_the_stamp_of_that_moment(tmp_path: Path) -> None:
+    true: dict[int, bytes] = {}
+
+    def note(_tick: int, stamp_ns: int, seen: Observation) -> None:
+        true[stamp_ns] = seen.q[3:].tobytes()
+
+    with ServedPlant(tmp_path, servos=ActuatorSpec.of(3, delay_s=5e-3), on_tick=note) as served:
+        left, right = served.enabled()
+        cycle([left, right], 5)
+        right.disable()
+        asked = []
+        for _ in range(4):
+            cycle([left], 1)
+            time.sleep(0.02)  # by now the plant has gone on as far as it can without the left arm
+            asked.append(right.read())
+        cycle([left], 2)
+    assert len({s.stamp_ns for s in asked}) > 1
+    for state in asked:
+        assert state.q.tobytes() == true[state.stamp_ns]
 
 
 @pytest.mark.parametrize("delay_ms", [0.0, 1.0, 3.3, 5.0, 7.5, 10.0])
