@@ -2,19 +2,29 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from typing import Annotated
 
 import typer
 
-from agent.host.shipped import Shipped, folder
+
+class What(StrEnum):
+    """A folder of `agent.host.shipped`."""
+
+    CELLS = "cells"
+    ARMS = "arms"
+    UNITS = "units"
+    DOCS = "docs"
 
 
 def where(
-    what: Annotated[Shipped | None, typer.Argument(help="Only this folder, without its name.")] = None,
+    what: Annotated[What | None, typer.Argument(metavar="FOLDER", help="Only this folder, without its name.")] = None,
 ) -> None:
     """Say where the shipped cells, arm files, systemd units and documents lie."""
+    from agent.host.shipped import Shipped, folder
+
     if what is not None:
-        typer.echo(folder(what))
+        typer.echo(folder(Shipped(what.value)))
         return
     for each in Shipped:
         typer.echo(f"{each:<6} {folder(each)}")

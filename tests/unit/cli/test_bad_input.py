@@ -53,6 +53,7 @@ OTHERS = {
     "run --faults without --wire": ("run", PAPER, "--faults", "x"),
     "run --out under a file": ("run", PAPER, "--out", "a_file/out"),
     "run --out a file": ("run", PAPER, "--out", "a_file"),
+    "where of nothing": ("where", "nothing_here"),
     "check --set": ("check", PAPER, "--set", ""),
     "tune --form": ("tune", PAPER, "--form", "other"),
     "tune --damping nan": ("tune", PAPER, "--damping", "nan"),

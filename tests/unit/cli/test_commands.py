@@ -41,7 +41,14 @@ def test_the_program_itself_has_help_and_lists_every_command_in_full() -> None:
     assert "..." not in done.out.partition("\n")[2]
     assert "and verify the result." in " ".join(done.out.split()), "the end of a long line"
     headings = re.findall(r"^(\w.*):$", done.out, re.MULTILINE)
-    assert headings == ["Options", "Simulate and examine", "Arms of this host", "Logs", "Processes of a cell"]
+    assert headings == [
+        "Options",
+        "Simulate and examine",
+        "Arms of this host",
+        "Logs",
+        "This installation",
+        "Processes of a cell",
+    ]
 
 
 @pytest.mark.parametrize("words", [(), ("motors",)])

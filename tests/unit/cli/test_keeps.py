@@ -138,11 +138,11 @@ def test_of_two_logs_in_one_folder_none_takes_the_others_report(
 # run
 
 
-def test_a_run_keeps_what_is_in_its_folder(tmp_path: Path) -> None:
-    path = write_mine(tmp_path / "out" / "notes.txt")
+def test_a_run_keeps_the_results_in_its_folder(tmp_path: Path) -> None:
+    path = write_mine(tmp_path / "out" / "results.json")
     done = coop("run", PAPER, "--duration", "1", "--out", path.parent)
     assert done.code == 2
-    assert "found notes.txt in it, expected an empty folder, or none" in done.err
+    assert "found results.json from an earlier run, expected a folder without results" in done.err
     assert list(path.parent.iterdir()) == [path]
 
 

@@ -45,8 +45,8 @@ def literal_exits(folder: Path) -> set[int]:
 
 def table() -> set[int]:
     """The first column of the table."""
-    text = (ROOT / "docs/install.md").read_text()
-    _, _, rest = text.partition("| exit code | means |\n")
+    text = (ROOT / "docs/commands.md").read_text()
+    _, _, rest = text.partition("| code | means |\n")
     assert rest
     rows = rest[: rest.index("\n\n")].splitlines()[1:]
     return {int(number) for row in rows if (number := re.match(r"\| (\d+) \| \S", row)[1])}  # type: ignore[index]

@@ -125,7 +125,7 @@ def test_a_term_that_the_law_does_not_have_is_zero_though_the_tick_before_had_it
     message, row = fresh()
     state, memory, outcome = all_different(3)
     fill(row, outcome, state, memory)
-    without = replace(outcome, terms=outcome.terms._replace(**{term: None}))
+    without = outcome._replace(terms=outcome.terms._replace(**{term: None}))
     fill(row, without, state, memory)
     check(message[0], state, memory, without)
 
