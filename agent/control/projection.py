@@ -10,8 +10,8 @@ estimate it would buy every newton of weight with invented inertia, and invented
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import lapack
 
+from agent.control import lapack
 from agent.control.models import Matrix
 from drivers.interface import Vector
 
