@@ -6,7 +6,7 @@ JOBS   ?= $(shell nproc)
 CELL   ?= configs/cells/paper.toml
 
 .DEFAULT_GOAL := help
-.PHONY: help run test test-fresh fuzz mutate bench format clean
+.PHONY: help run test test-fresh fuzz mutate soak bench format clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## */\1\t/' | expand -t 12
@@ -40,6 +40,9 @@ mutate: $(VENV)/.installed  ## one-line changes that a test must notice; MUTATE_
 
 fuzz: $(VENV)/.installed  ## thousands of changed files through what reads them (half an hour)
 	HYPOTHESIS_PROFILE=long $(BIN)/pytest -m fuzz
+
+soak: $(VENV)/.installed  ## every cell for 1000 s (SOAK_S), memory and gaps stay flat; SOAK_ONLY=TEXT for some cells
+	$(BIN)/python -m tests.soak
 
 bench: $(VENV)/.installed  ## speed and memory; BENCH_OUT=FILE writes the figures as JSON
 	$(BIN)/python -m tests.bench $(if $(BENCH_OUT),--out $(BENCH_OUT))

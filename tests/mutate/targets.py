@@ -16,10 +16,27 @@ class Target:
     generate: bool = True
 
 
+_CYCLE = (f"{UNIT}/drivers/test_dxl_faults.py", f"{UNIT}/drivers/test_dxl_hostile.py")
+_RING = (
+    f"{UNIT}/telemetry/test_ring.py",
+    f"{UNIT}/telemetry/test_ring_file.py",
+    f"{UNIT}/telemetry/test_ring_reader.py",
+    "tests/property/telemetry/test_ring_model.py",
+)
+
 TARGETS = (
     Target("agent.safety", (f"{UNIT}/test_safety.py",)),
     Target("agent.modes", (f"{UNIT}/test_modes.py",)),
     Target("agent.loop", (f"{UNIT}/test_step.py", f"{UNIT}/test_singular.py")),
     Target("agent.runner", (f"{UNIT}/test_runner.py",)),
     Target("agent.operator.socket", (f"{UNIT}/operator",)),
+    Target("agent.telemetry.ring.file", _RING),
+    Target("agent.telemetry.ring.ring", _RING),
+    Target("agent.telemetry.ring.texts", (f"{UNIT}/telemetry/test_event.py", *_RING)),
+    Target("drivers.dynamixel.checks", _CYCLE),
+    Target("drivers.dynamixel.cycle", _CYCLE),
+    Target("drivers.dynamixel.driver", _CYCLE),
+    Target("drivers.dynamixel.interpret", _CYCLE),
+    Target("drivers.dynamixel.monitor", _CYCLE),
+    Target("drivers.dynamixel.running", _CYCLE),
 )

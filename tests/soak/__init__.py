@@ -1,0 +1,1 @@
+"""Long runs whose memory and gaps must stay flat (`make soak`)."""
