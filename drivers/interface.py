@@ -11,8 +11,13 @@ from numpy.typing import NDArray
 Vector = NDArray[np.float64]
 
 
+def one_line(text: str) -> str:
+    """The text with a space for every line break and tab, and a mark for whatever else cannot be printed."""
+    return "".join(c if c.isprintable() else " " if c.isspace() else "\ufffd" for c in text)
+
+
 class Refusal(Exception):
-    """Something is not as it must be; says what was found, what was expected and what to do.
+    """Something is not as it must be; says what was found, what was expected and what to do, in one line.
 
     Every error of this project that is meant for a person derives from it.  Decisions are made on the
     type and the attributes, never on the text.
@@ -21,7 +26,7 @@ class Refusal(Exception):
     exit_code = 2
 
     def __init__(self, what: str, *, found: object, expected: object, remedy: str) -> None:
-        super().__init__(f"{what}: found {found}, expected {expected}; {remedy}")
+        super().__init__(one_line(f"{what}: found {found}, expected {expected}; {remedy}"))
         self.what = what
         self.found = found
         self.expected = expected

@@ -12,7 +12,7 @@ import typer
 if TYPE_CHECKING:
     from agent.host.signals import StopFlag
 
-CellPath = Annotated[Path, typer.Argument(help="Cell file (TOML).", show_default=False)]
+CellPath = Annotated[Path, typer.Argument(help="Cell file (TOML), or the name of one that ships.", show_default=False)]
 LogPath = Annotated[Path, typer.Argument(help="MCAP log.", show_default=False)]
 Overrides = Annotated[list[str], typer.Option("--set", metavar="KEY=VALUE", help="Change one value of the cell file.")]
 ArmName = Annotated[str, typer.Option("--arm", help="Arm of the cell.", show_default=False)]

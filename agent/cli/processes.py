@@ -90,7 +90,6 @@ def emulate(
 
     requested = begin(with_parent)
     loaded = load_cell(cell)
-    ports.mkdir(parents=True, exist_ok=True)
     options = EmulateOptions(
         ports={arm.name: ports / arm.name for arm in loaded.arms},
         ring=ring or ring_path(loaded.file.name, "plant"),

@@ -7,7 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from agent.config.schema.adaptive import Adaptive, ArmBounds, Bounds, GainFactors, Start
-from agent.config.schema.cell import Controller, Object, ServoJoint
+from agent.config.schema.arm import ServoJoint
+from agent.config.schema.cell import Object
+from agent.config.schema.controller import Controller
 from agent.control.adaptation import Adaptation, Estimate
 from agent.control.models import ArmModel, Matrix
 from agent.control.regressor import BODY_PARAMETERS, arm_parameters, object_parameters

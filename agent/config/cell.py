@@ -13,15 +13,19 @@ import tomli_w
 
 import configs
 from agent.config import adaptive, trajectory
-from agent.config.reading import ConfigError, override, parse, read_file, validate
+from agent.config.reading import ConfigError, override, parse, read_file, shipped_cells, shown, validate
+from agent.config.schema.arm import ArmFile, ServoJoint
 from agent.config.schema.cell import Arm as ArmEntry
-from agent.config.schema.cell import ArmFile, CellFile, ControllerKind, ServoJoint
+from agent.config.schema.cell import CellFile
+from agent.config.schema.controller import ControllerKind
+from agent.config.schema.types import nearest
+from agent.config.urdf import text_of_urdf
 from agent.control.adaptation import Adaptation
 from agent.control.errors import Gains
 from agent.control.friction import Friction
 from agent.control.internal_force import agent_wrench
 from agent.control.law import Offline
-from agent.control.models import ArmModel
+from agent.control.models import ArmModel, ModelError
 from agent.control.posture import Posture
 from agent.control.quaternion import Vec3
 from agent.control.trajectory import Trajectory, Vec6
@@ -130,16 +134,24 @@ class Cell:
 
     def model(self, arm: Arm) -> ArmModel:
         """A new rigid-body model of the arm, with its own scratch memory.  Raises ModelError."""
-        return ArmModel(
-            arm.urdf_xml,
-            arm.entry.controlled,
-            arm.entry.locked_rad,
-            arm.T_world_base,
-            arm.file.ee_frame,
-            arm.T_object_ee,
-            arm.rotor_inertia,
-            self.gravity,
-        )
+        try:
+            return ArmModel(
+                arm.urdf_xml,
+                arm.entry.controlled,
+                arm.entry.locked_rad,
+                arm.T_world_base,
+                arm.file.ee_frame,
+                arm.T_object_ee,
+                arm.rotor_inertia,
+                self.gravity,
+            )
+        except ModelError as error:
+            raise ModelError(
+                f"{error.what}, arm {arm.name} ({arm.file.urdf})",
+                found=error.found,
+                expected=error.expected,
+                remedy=error.remedy,
+            ) from error
 
     def offline(self, arm: Arm) -> Offline:
         """What the agent of this arm knows beside its own joints.  Raises AdaptationError."""
@@ -198,11 +210,13 @@ def placement(p_m: Sequence[float], quat: Sequence[float]) -> pin.SE3:
     return pin.SE3(pin.Quaternion(*quat), np.array(p_m))
 
 
-def load_cell(path: Path, overrides: Sequence[str] = ()) -> Cell:
-    """Read and validate a cell file; `overrides` are "key.path=value" with TOML values.
+def load_cell(cell: Path, overrides: Sequence[str] = ()) -> Cell:
+    """Read and validate a cell file, or the cell that ships under that name where there is no such file.
 
-    Raises ConfigError, whose text names key, value found, what is allowed and what to do.
+    overrides: "key.path=value" with TOML values.  Raises ConfigError, whose text names key, value found, what is
+    allowed and what to do.
     """
+    path = cell_path(cell)
     raw = read_file(path)
     document = parse(raw, path)
     if overrides:
@@ -210,6 +224,22 @@ def load_cell(path: Path, overrides: Sequence[str] = ()) -> Cell:
             override(document, text)
         raw = tomli_w.dumps(document).encode()
     return cell_from_toml(trajectory.embed(raw, document, path), path.name)
+
+
+def cell_path(cell: Path) -> Path:
+    """The file that is meant: this one, or that of the shipped cell of this name.  Raises ConfigError."""
+    name = str(cell)
+    if cell.name != name or not name or cell.is_file():
+        return cell
+    shipped = shipped_cells()
+    if name in shipped:
+        return configs.CELLS_DIR / f"{name}.toml"
+    raise ConfigError(
+        f"cell {shown(name)}",
+        found="no such file, and no cell of that name that ships",
+        expected="a cell file, or one of " + ", ".join(shipped),
+        remedy=nearest(name.removesuffix(".toml"), shipped) or "give the path of a cell file",
+    )
 
 
 def cell_from_toml(raw: bytes, source: str, arms_dir: Path = configs.ARMS_DIR) -> Cell:
@@ -224,6 +254,7 @@ def cell_from_toml(raw: bytes, source: str, arms_dir: Path = configs.ARMS_DIR) -
     for entry in file.arms:
         arm_file, arm_bytes = load_arm_file(entry.model, f"model of arm {entry.name} in {source}", arms_dir)
         urdf = read_file(arms_dir / arm_file.urdf)
+        urdf_xml = text_of_urdf(urdf, arm_file.urdf)
         digest.update(arm_bytes)
         digest.update(urdf)
         by_name = {j.name: j for j in arm_file.joints}
@@ -237,7 +268,7 @@ def cell_from_toml(raw: bytes, source: str, arms_dir: Path = configs.ARMS_DIR) -
             )
         servos = tuple(by_name[j] for j in entry.controlled)
         _refuse_weak_servos(entry, servos, source)
-        arms.append(Arm(entry, arm_file, arm_bytes, urdf.decode(), servos))
+        arms.append(Arm(entry, arm_file, arm_bytes, urdf_xml, servos))
     return Cell(file, tuple(arms), raw, digest.hexdigest())
 
 

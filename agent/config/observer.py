@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from agent.config.schema.cell import CellFile, VelocitySource
+from agent.config.schema.cell import CellFile
+from agent.config.schema.controller import VelocitySource
 from agent.control.estimator import Observer
 
 

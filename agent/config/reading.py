@@ -1,20 +1,28 @@
-"""TOML read and held against a schema; every refusal names key, value found, what is allowed and what to do."""
+"""TOML read and held against a schema; every refusal names key, value found, what is allowed and what to do.
+
+What is read is a file of at most 16 MB; a device, a pipe or a folder is refused.
+"""
 
 from __future__ import annotations
 
-import difflib
+import re
+import stat
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
 import configs
-from agent.config.schema.types import MISFIT
-from drivers.interface import Refusal
+from agent.config.schema.types import MISFIT, nearest
+from drivers.interface import Refusal, one_line
 
 M = TypeVar("M", bound=BaseModel)
+LARGEST_BYTES: Final = 16_000_000
+SHOWN: Final = 120  # characters of a value in a refusal
+_IS = re.compile(r"^(Value error, |Input should be )")
+_BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
 class ConfigError(Refusal):
@@ -24,32 +32,43 @@ class ConfigError(Refusal):
 def read_file(path: Path) -> bytes:
     """Bytes of a file.  Raises ConfigError."""
     try:
+        found = path.stat()
+        if not stat.S_ISREG(found.st_mode) or found.st_size > LARGEST_BYTES:
+            what = "no regular file" if not stat.S_ISREG(found.st_mode) else f"{found.st_size / 1e6:.0f} MB"
+            raise ConfigError(
+                f"file {path}", found=what, expected=f"a file of at most {LARGEST_BYTES / 1e6:.0f} MB",
+                remedy="name the file itself",
+            )  # fmt: skip
         return path.read_bytes()
-    except OSError as error:
-        shipped = ", ".join(sorted(f"configs/cells/{p.name}" for p in configs.CELLS_DIR.glob("*.toml")))
+    except (OSError, ValueError) as error:  # a name with a zero byte is a ValueError
+        reason = error.strerror if isinstance(error, OSError) else str(error)
         raise ConfigError(
-            f"file {path}", found=error.strerror, expected="a readable file", remedy=f"cells that ship: {shipped}"
-        ) from error
+            f"file {shown(str(path))}", found=reason, expected="a readable file",
+            remedy="cells that ship go by name: " + ", ".join(shipped_cells()),
+        ) from error  # fmt: skip
+
+
+def shipped_cells() -> list[str]:
+    """Names of the cells that ship."""
+    return sorted(path.stem for path in configs.CELLS_DIR.glob("*.toml"))
 
 
 def parse(raw: bytes, path: Path) -> dict[str, Any]:
     """The tables of a TOML text.  Raises ConfigError with the line."""
     try:
         return tomllib.loads(raw.decode())
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path.name}", found=str(error), expected="TOML", remedy="correct that line") from error
+    except (ValueError, RecursionError) as error:  # not TOML, not UTF-8, a number of thousands of digits, too deep
+        raise ConfigError(
+            path.name, found=shown(str(error)), expected="TOML in UTF-8", remedy="correct that line"
+        ) from error
 
 
 def override(document: dict[str, Any], text: str) -> None:
     """Change one value of a parsed cell; text: "key.path=value", arms by their names.  Raises ConfigError."""
     key, separator, value = text.partition("=")
-    try:
-        parsed = tomllib.loads(f"value = {value}")["value"] if separator else None
-    except tomllib.TOMLDecodeError:
-        parsed = value
-    if parsed is None:
-        raise ConfigError("override", found=repr(text), expected="key.path=value", remedy="e.g. duration_s=20")
-    *parents, last = key.strip().split(".")
+    *parents, last = (part.strip() for part in key.split("."))
+    if not separator or not all((*parents, last)):
+        raise _not_an_override(text, "key.path=value", "e.g. duration_s=20")
     node: Any = document
     for name in parents:
         if isinstance(node, list):
@@ -57,8 +76,23 @@ def override(document: dict[str, Any], text: str) -> None:
         else:
             node = node.setdefault(name, {})
         if not isinstance(node, (dict, list)):
-            raise ConfigError("override", found=repr(key), expected="a table of the cell", remedy="see the cell file")
-    node[last] = parsed
+            raise _not_an_override(key, "a table of the cell", "see the cell file")
+    if not isinstance(node, dict):
+        raise _not_an_override(key, f"a key of one of {'.'.join(parents)}", f"e.g. {'.'.join(parents)}.NAME.KEY=VALUE")
+    node[last] = _value(value)
+
+
+def _value(text: str) -> Any:
+    """A TOML value; what is none is text."""
+    try:
+        document = tomllib.loads(f"value = {text}")
+    except (ValueError, RecursionError):
+        return text
+    return document["value"] if len(document) == 1 else text
+
+
+def _not_an_override(text: str, expected: str, remedy: str) -> ConfigError:
+    return ConfigError("override", found=shown(repr(text)), expected=expected, remedy=remedy)
 
 
 def validate(model: type[M], document: Mapping[str, Any], source: str) -> M:
@@ -69,49 +103,69 @@ def validate(model: type[M], document: Mapping[str, Any], source: str) -> M:
         # a misspelt key is both unknown and missing; the first of the two tells more
         problems = sorted(error.errors(), key=lambda problem: problem["type"] != "extra_forbidden")
         first = problems[0]
-        key = ".".join(str(part) for part in (*first["loc"], *_named(dict(first)))) or "the whole file"
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
-        raise ConfigError(f"{key} in {source}{more}", **_explain(model, dict(first))) from error
+        what = f"{_place(document, dict(first))} in {source}{more}"
+        raise ConfigError(what, **_explain(model, dict(first))) from error
 
 
-def _named(problem: dict[str, Any]) -> list[str]:
-    """The key that a validator of several values says is wrong."""
-    return [problem["ctx"]["key"]] if problem["type"] == MISFIT else []
+def shown(text: str, most: int = SHOWN) -> str:
+    """One line of a text from a file, cut where it is longer than `most` characters."""
+    line = one_line(text)
+    return line if len(line) <= most else line[: most - 1] + "…"
+
+
+def _place(document: Any, problem: dict[str, Any]) -> str:
+    """Where in the file the problem is: keys, and the names of arms and joints instead of their numbers."""
+    node, parts = document, []
+    for part in problem["loc"]:
+        if isinstance(node, dict) and part not in node and node.get("kind") == part:
+            continue  # which of several kinds of table, which is no key
+        inside = node[part] if _has(node, part) else None
+        named = inside.get("name") if isinstance(part, int) and isinstance(inside, dict) else None
+        parts.append(named if isinstance(named, str) else str(part))
+        node = inside
+    if problem["type"] == MISFIT and problem["ctx"]["key"]:
+        parts.append(problem["ctx"]["key"])
+    return ".".join(shown(part if _BARE_KEY.fullmatch(part) else repr(part)) for part in parts) or "the whole file"
+
+
+def _has(node: Any, part: Any) -> bool:
+    if isinstance(node, list):
+        return isinstance(part, int) and part < len(node)
+    return isinstance(node, dict) and part in node
 
 
 def _explain(model: type[BaseModel], problem: dict[str, Any]) -> dict[str, str]:
     """Found, expected and remedy of one pydantic problem."""
-    kind, found = problem["type"], repr(problem["input"])
+    kind, found = problem["type"], shown(repr(problem["input"]))
     if kind == MISFIT:
-        return {part: problem["ctx"][part] for part in ("found", "expected", "remedy")}
+        context = problem["ctx"]
+        return {"found": shown(context["found"])} | {k: shown(context[k], 4 * SHOWN) for k in ("expected", "remedy")}
     if kind == "missing":
         return {"found": "nothing", "expected": "a value", "remedy": "add the key"}
     if kind == "extra_forbidden":
-        retired = _retired_at(model, problem["loc"][:-1]).get(str(problem["loc"][-1]))
-        if retired is not None:
-            return {"found": "a key of an earlier version", "expected": "keys of this one", "remedy": retired}
-        known = _keys_at(model, problem["loc"][:-1])
-        near = difflib.get_close_matches(str(problem["loc"][-1]), known, n=1)
-        remedy = f"did you mean {near[0]}?" if near else f"known keys: {', '.join(known)}"
-        return {"found": "an unknown key", "expected": "only known keys", "remedy": remedy}
-    message = problem["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
+        return _explain_unknown(model, problem["loc"])
+    message = _IS.sub("", problem["msg"]).replace(" should have ", " of ").replace(" should match ", " that matches ")
     if isinstance(problem["input"], dict):
         found = "not that"
-    return {"found": found, "expected": message, "remedy": "correct the value and its unit (the key carries it)"}
+    return {
+        "found": found,
+        "expected": shown(message, 4 * SHOWN),
+        "remedy": "correct the value and its unit (the key carries it)",
+    }
 
 
-def _keys_at(model: type[BaseModel], location: tuple[str | int, ...]) -> list[str]:
-    """Keys allowed at a place in the file."""
-    found = _model_at(model, location)
-    return sorted(found.model_fields) if found is not None else []
+def _explain_unknown(model: type[BaseModel], location: Sequence[str | int]) -> dict[str, str]:
+    table, key = _model_at(model, location[:-1]), str(location[-1])
+    retired = getattr(table, "retired", {}).get(key)
+    if retired is not None:
+        return {"found": "a key of an earlier version", "expected": "keys of this one", "remedy": retired}
+    known = sorted(table.model_fields) if table is not None else []
+    remedy = nearest(key, known) or f"known keys: {', '.join(known)}"
+    return {"found": "an unknown key", "expected": "only known keys", "remedy": remedy}
 
 
-def _retired_at(model: type[BaseModel], location: tuple[str | int, ...]) -> Mapping[str, str]:
-    """Keys of earlier versions at a place in the file, and what to write instead."""
-    return getattr(_model_at(model, location), "retired", {})
-
-
-def _model_at(model: type[BaseModel], location: tuple[str | int, ...]) -> type[BaseModel] | None:
+def _model_at(model: type[BaseModel], location: Sequence[str | int]) -> type[BaseModel] | None:
     """The model of the table at a place in the file, following nested models."""
     current: Any = model
     for part in location:

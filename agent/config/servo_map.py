@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from agent.config.cell import Arm, Cell
-from agent.config.schema.cell import ArmFile, ServoJoint
+from agent.config.schema.arm import ArmFile, ServoJoint, Servos
 from drivers.dynamixel.arm_map import ArmMap, JointMap, JointRole
 from drivers.dynamixel.servo.table import SERVOS
 from drivers.interface import Vector
@@ -31,40 +31,31 @@ def drivable(file: ArmFile) -> list[ServoJoint]:
 def resting_joints(file: ArmFile) -> tuple[JointMap, ...]:
     """All joints with their servos, gripper last, whatever a cell does with them: none is to take torque."""
     gripper = gripper_map(file)
-    joints = [_resting(joint) for joint in drivable(file)]
+    joints = [_joint_map(joint.name, joint, JointRole.HELD) for joint in drivable(file)]
     return (*joints, gripper) if gripper is not None else tuple(joints)
 
 
 def gripper_map(file: ArmFile) -> JointMap | None:
     """The gripper; None when its servo does not speak the arm's protocol."""
-    gripper = file.gripper
-    if SERVOS[gripper["servo"]].protocol != file.protocol:
+    if SERVOS[file.gripper.servo].protocol != file.protocol:
         return None
-    return JointMap(
-        name=GRIPPER,
-        servo=gripper["servo"],
-        ids=tuple(gripper["ids"]),
-        reverse=tuple(gripper["reverse"]),
-        zero_tick=gripper["zero_tick"],
-        position_limit_ticks=tuple(gripper["position_limit_ticks"]),
-        role=JointRole.GRIPPER,
-    )
+    return _joint_map(GRIPPER, file.gripper, JointRole.GRIPPER)
 
 
-def _resting(joint: ServoJoint) -> JointMap:
+def _joint_map(name: str, servos: Servos, role: JointRole) -> JointMap:
     return JointMap(
-        name=joint.name,
-        servo=joint.servo,
-        ids=tuple(joint.ids),
-        reverse=tuple(joint.reverse),
-        zero_tick=joint.zero_tick,
-        position_limit_ticks=joint.position_limit_ticks,
-        role=JointRole.HELD,
+        name=name,
+        servo=servos.servo,
+        ids=tuple(servos.ids),
+        reverse=tuple(servos.reverse),
+        zero_tick=servos.zero_tick,
+        position_limit_ticks=servos.position_limit_ticks,
+        role=role,
     )
 
 
 def _joint(cell: Cell, arm: Arm, joint: ServoJoint, start_rad: float | None) -> JointMap:
-    resting = replace(_resting(joint), start_rad=start_rad)
+    resting = replace(_joint_map(joint.name, joint, JointRole.HELD), start_rad=start_rad)
     if joint.name not in arm.entry.controlled:
         return resting
     constant = joint.torque_constant_Nm_per_A

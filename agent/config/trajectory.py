@@ -6,8 +6,10 @@ import math
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 import tomli_w
 
+from agent.config.reading import ConfigError, read_file, shown
 from agent.config.schema.cell import CellFile
 from agent.config.schema.trajectory import FourierSpec, PoseFileSpec, RestToRestSpec, SinusoidSpec, WaypointsSpec
 from agent.control.trajectory import Sinusoid, Trajectory
@@ -36,16 +38,22 @@ def build(file: CellFile) -> Trajectory:
     return PoseSpline([p.t_s for p in t.points], [p.p_m for p in t.points], [p.quat for p in t.points])
 
 
-def waypoint_times(file: CellFile) -> list[float]:
-    """Instants that a check must not miss between its samples."""
+def waypoint_times(file: CellFile, end_s: float, at_most: int) -> tuple[list[float], int]:
+    """Instants up to end_s that a check must not miss between its samples, and how many there are of them in all.
+
+    Where there are more than at_most (≥ 2), it is so many of them, evenly.
+    """
     t = file.trajectory
     if isinstance(t, WaypointsSpec):
-        return [p.t_s for p in t.points]
+        times = [p.t_s for p in t.points if p.t_s <= end_s]
+        chosen = np.unique(np.linspace(0, len(times) - 1, min(len(times), at_most)).round().astype(int))
+        return [times[k] for k in chosen], len(times)
     if isinstance(t, FourierSpec):
         highest = max(number for axis in t.axes() for number, _, _ in axis)
-        count = math.ceil(SAMPLES_PER_SHORTEST_PERIOD * highest * t.motion_s / t.base_period_s)
-        return [t.motion_s * i / count for i in range(count + 1)]
-    return []
+        end_s = min(end_s, t.motion_s)
+        count = math.ceil(SAMPLES_PER_SHORTEST_PERIOD * highest * end_s / t.base_period_s) + 1
+        return np.linspace(0.0, end_s, min(count, at_most)).tolist(), count
+    return [], 0
 
 
 def embed(raw: bytes, document: dict[str, Any], cell_path: Path) -> bytes:
@@ -57,15 +65,15 @@ def embed(raw: bytes, document: dict[str, Any], cell_path: Path) -> bytes:
     trajectory = document.get("trajectory")
     if not isinstance(trajectory, dict) or trajectory.get("kind") != "file":
         return raw
-    name = trajectory.get("path")
-    if not isinstance(name, str) or name in document.get("embedded", {}):
+    name, carried = trajectory.get("path"), document.get("embedded", {})
+    if not isinstance(name, str) or not isinstance(carried, dict) or name in carried:
         return raw
     try:
-        text = (cell_path.parent / name).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        text = read_file(cell_path.parent / name).decode()
+    except (ConfigError, UnicodeDecodeError) as error:
         raise TrajectoryError(
-            f"trajectory file {name}",
-            found=error.strerror if isinstance(error, OSError) else "not UTF-8 text",
+            f"trajectory file {shown(name)}",
+            found=error.found if isinstance(error, ConfigError) else "not UTF-8 text",
             expected="a readable CSV file",
             remedy="give the path relative to the cell file",
         ) from error
@@ -76,9 +84,9 @@ def embed(raw: bytes, document: dict[str, Any], cell_path: Path) -> bytes:
 def _from_embedded(spec: PoseFileSpec, embedded: dict[str, str]) -> PoseSpline:
     if spec.path not in embedded:
         raise TrajectoryError(
-            f"trajectory file {spec.path}",
+            f"trajectory file {shown(spec.path)}",
             found="not in the cell's bytes",
             expected="its text under [embedded]",
             remedy="load the cell from its file, beside which the CSV file stands",
         )
-    return read(embedded[spec.path], spec.path, SpeedLimits(spec.speed_max_m_per_s, spec.speed_max_rad_per_s))
+    return read(embedded[spec.path], shown(spec.path), SpeedLimits(spec.speed_max_m_per_s, spec.speed_max_rad_per_s))

@@ -40,7 +40,10 @@ def solve(model: ArmModel, T_world_object: pin.SE3, q_near: Vector, tolerance: f
             break
         J = model.jacobian(q)
         damping = min(1e-4, size * size) * np.eye(J.shape[0])
-        dq = J.T @ np.linalg.solve(J @ J.T + damping, task_error)
+        try:
+            dq = J.T @ np.linalg.solve(J @ J.T + damping, task_error)
+        except np.linalg.LinAlgError:  # a singular pose near the goal, where the damping is below rounding
+            break
         q += dq * min(1.0, 0.3 / max(float(np.abs(dq).max()), 1e-12))
     distance, angle = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
     if max(distance, angle) > 1e-8:

@@ -21,6 +21,7 @@ from agent.control.quaternion import Mat3, Quat, Vec3, rotate, to_matrix
 from drivers.interface import Refusal, Vector
 
 Matrix = NDArray[np.float64]
+SMALLEST_INERTIA_KG_M2 = 1e-9
 _WORLD_AXES = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 
 
@@ -51,8 +52,8 @@ class ArmModel:
     of the other joints; T_world_base, T_object_ee: placements; rotor_inertia: (n,) kg·m² reflected to the
     joint; gravity: (3,) m/s², world axes.
 
-    Raises ModelError for unknown joints or frames, and for a controlled set that is neither planar nor at least
-    six joints.  Whether it is far enough from singular poses is for the check along the trajectory to say.
+    Raises ModelError for a broken URDF, unknown joints or frames, and for a controlled set that is neither planar nor
+    at least six joints.  Whether it is far enough from singular poses is for the check along the trajectory to say.
     """
 
     def __init__(
@@ -92,6 +93,7 @@ class ArmModel:
             )
         )
         self.data = self.model.createData()
+        _refuse_unphysical(self.model, self.data)
         self.plane_normal, self.task_basis = _task_space(self.model, self.data)
         self._p_ee_object: Vec3 = tuple((-T_object_ee.translation).tolist())  # object axes
         self._identity_task = self.plane_normal is None
@@ -140,10 +142,45 @@ class ArmModel:
         return B
 
 
+def _parsed(urdf_xml: str) -> pin.Model:
+    """Model of the whole URDF.  Raises ModelError for a text that is none, or with joints of more than one angle."""
+    try:
+        full = pin.buildModelFromXML(urdf_xml)
+    except (ValueError, RuntimeError) as error:
+        found = " ".join(str(error).split())
+        raise ModelError(
+            "URDF", found=found, expected="a robot description", remedy="check it with check_urdf"
+        ) from error
+    joints = list(zip(full.names, full.joints, strict=True))[1:]
+    wide = [f"{name} ({joint.shortname()})" for name, joint in joints if joint.nq != 1]
+    if wide:
+        raise ModelError(
+            "joints of the URDF",
+            found=", ".join(wide),
+            expected="joints with one angle and limits",
+            remedy="make them `revolute` with limits",
+        )
+    return full
+
+
+def _refuse_unphysical(model: pin.Model, data: pin.Data) -> None:
+    """Raise ModelError for an arm that some joint accelerations would cost no torque."""
+    q = pin.neutral(model)
+    finite = all(np.isfinite(link.toDynamicParameters()).all() for link in model.inertias) and np.isfinite(q).all()
+    smallest = float(np.linalg.eigvalsh(pin.crba(model, data, q))[0]) if finite else np.nan
+    if not SMALLEST_INERTIA_KG_M2 < smallest < np.inf:
+        raise ModelError(
+            "inertia of the controlled joints",
+            found=f"a smallest eigenvalue of {smallest:.3g} kg·m²",
+            expected=f"more than {SMALLEST_INERTIA_KG_M2:g}",
+            remedy="correct masses and inertias of the URDF, or give rotor_inertia_kg_m2 in the arm file",
+        )
+
+
 def _reduced_model(
     urdf_xml: str, controlled: Sequence[str], locked_rad: Mapping[str, float], T_world_base: pin.SE3
 ) -> pin.Model:
-    full = pin.buildModelFromXML(urdf_xml)
+    full = _parsed(urdf_xml)
     names = [name for name in full.names if name != "universe"]
     unknown = [j for j in (*controlled, *locked_rad) if j not in names]
     if unknown:

@@ -10,6 +10,7 @@ from agent.control.quaternion import Quat, Vec3, angle_between
 from agent.control.trajectory_spline import PoseSpline, TrajectoryError
 
 COLUMNS = ("t_s", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
+LATEST_S, FARTHEST_M = 1e6, 100.0
 UNIT_TOLERANCE = 1e-3  # files round; the quaternion is normalised within this
 _SAMPLES_PER_ROW = 4  # of the spline between the rows
 _STRAY_M = 1e-3  # what the spline may leave the rows by when nothing moves
@@ -64,12 +65,15 @@ def _row(where: str, line: str) -> _Row:
         t, x, y, z, *quat = (float(c) for c in cells)
     except ValueError as error:
         raise TrajectoryError(where, found=str(error), expected="numbers", remedy="correct that line") from error
-    if not all(map(math.isfinite, (t, x, y, z, *quat))) or t < 0.0:
+    if not 0.0 <= t <= LATEST_S or not all(abs(c) <= FARTHEST_M for c in (x, y, z)):  # NaN is refused as well
         raise TrajectoryError(
-            where, found=line, expected="finite numbers and t_s ≥ 0", remedy="correct or remove that line"
+            where,
+            found=line,
+            expected=f"finite numbers, t_s ≥ 0 and at most {LATEST_S:g}, positions within {FARTHEST_M:g} m",
+            remedy="correct or remove that line",
         )
     norm = math.hypot(*quat)
-    if abs(norm - 1.0) > UNIT_TOLERANCE:
+    if not abs(norm - 1.0) <= UNIT_TOLERANCE:
         raise TrajectoryError(
             f"quaternion in {where}",
             found=f"norm {norm:.6g}",

@@ -23,6 +23,7 @@ from agent.control.quaternion import Quat, Vec3, angle_between
 from agent.control.trajectory import Desired
 from drivers.interface import Refusal
 
+CLOSEST_S = 1e-4  # between neighbouring poses
 FARTHEST_RAD = 2.6  # between neighbouring attitudes; at half a turn there is no shorter way round
 SMALLEST_NORM = 0.5  # of the quaternion spline, which swings far out between large turns at uneven times
 _SAMPLES_PER_SEGMENT = 6
@@ -39,21 +40,17 @@ class PoseSpline:
     """
 
     def __init__(self, times_s: Sequence[float], positions: Sequence[Vec3], quats: Sequence[Quat]) -> None:
-        for k, (before, after) in enumerate(pairwise(times_s)):
-            if not after > before:
-                raise TrajectoryError(
-                    f"time of pose {k + 2}",
-                    found=f"{after:g} s after {before:g} s",
-                    expected="times that increase",
-                    remedy="put the poses in order, one per instant",
-                )
+        _refuse_close_times(times_s)
         _refuse_far_attitudes(times_s, quats)
         self._times = [float(t) for t in times_s]
         values = np.hstack([np.array(positions), same_hemisphere(np.array(quats))])
         still = [(1, np.zeros(7)), (2, np.zeros(7))]
         from scipy.interpolate import make_interp_spline  # noqa: PLC0415 - 0.7 s, which every process would pay
 
-        spline = make_interp_spline(self._times, values, k=5, bc_type=(still, still))
+        try:
+            spline = make_interp_spline(self._times, values, k=5, bc_type=(still, still))
+        except (ValueError, np.linalg.LinAlgError) as error:
+            raise _uneven(times_s, str(error)) from error
         # (segment, power of time since its start; value of p and s, then their rates, then their second rates)
         starts = self._times[:-1]
         coefficients = np.stack([spline(starts, nu=k) / math.factorial(k) for k in range(6)], axis=1)
@@ -61,6 +58,8 @@ class PoseSpline:
         rates, accelerations = np.zeros_like(coefficients), np.zeros_like(coefficients)
         rates[:, :5] = (power * coefficients)[:, 1:]
         accelerations[:, :4] = (power * (power - 1.0) * coefficients)[:, 2:]
+        if not np.isfinite(coefficients).all():
+            raise _uneven(times_s, "no finite interpolation")
         self._segments = list(np.concatenate([coefficients, rates, accelerations], axis=2))
         _refuse_small_norm(self._times, self._segments)
 
@@ -98,6 +97,26 @@ class PoseSpline:
                 f * (w * ddl - l * ddw + i * ddj - j * ddi) - g * wz,
             ),
         )
+
+
+def _refuse_close_times(times_s: Sequence[float]) -> None:
+    for k, (before, after) in enumerate(pairwise(times_s)):
+        if not after - before >= CLOSEST_S:
+            raise TrajectoryError(
+                f"time of pose {k + 2}",
+                found=f"{after:g} s after {before:g} s",
+                expected=f"times that increase, by {CLOSEST_S:g} s at least",
+                remedy="put the poses in order, one per instant",
+            )
+
+
+def _uneven(times_s: Sequence[float], found: str) -> TrajectoryError:
+    return TrajectoryError(
+        f"poses from {times_s[0]:g} s to {times_s[-1]:g} s",
+        found=found,
+        expected="times that a smooth motion can be put through",
+        remedy="space the times more evenly",
+    )
 
 
 def _refuse_far_attitudes(times_s: Sequence[float], quats: Sequence[Quat]) -> None:

@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from agent.config.edit import Change, apply
-from agent.config.schema.cell import ArmFile, Provenance
+from agent.config.schema.arm import ArmFile, Provenance
 from agent.control.regressor import BODY_PARAMETERS
 from agent.identify.columns import described_parameters
 from agent.identify.fit import Fit, Options

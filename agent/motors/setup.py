@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from agent.config.schema.cell import ArmFile
+from agent.config.schema.arm import ArmFile
 from agent.config.servo_map import resting_joints
 from agent.motors import eeprom
 from agent.motors.eeprom import Difference

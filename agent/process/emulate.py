@@ -15,10 +15,15 @@ from agent.process.simulated import plant_spec
 from agent.telemetry.ring.ring import RingWriter
 from agent.telemetry.row.sample import PLANT_STATE
 from agent.verify.check import examine
+from drivers.interface import Refusal
 from sim_backend.wire.plant_world import emulate
 from sim_backend.wire.serve import ServeOptions, serve
 from sim_backend.wire.timing import BusTiming
 from sim_backend.wire.wiring import ArmWiring, wire_arm
+
+
+class EmulateError(Refusal):
+    """Ports, faults or control socket of the emulated servos cannot be used."""
 
 
 @dataclass(frozen=True)
@@ -72,6 +77,13 @@ def run_emulate(cell: Cell, options: EmulateOptions, stop: StopFlag, ready: Call
                 ),
                 _Stop(stop),
             )
+        except (OSError, UnicodeDecodeError) as error:
+            raise EmulateError(
+                "ports, faults file or control socket of the emulated servos",
+                found=error,
+                expected="a folder for the ports, and files that can be used",
+                remedy="name others with --ports, --faults or --control",
+            ) from error
         finally:
             ring.finish()
     return f"emulator: {server.laps} laps, {rows} observations"

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from agent.config.cell import Arm, Cell
-from agent.config.schema.cell import Effects
+from agent.config.schema.simulation import Effects
 from drivers.dynamixel.servo.table import PWM_UNIT_DUTY, RATED_VOLTAGE_V, TICK_RAD, VELOCITY_UNIT_RAD_PER_S
 from drivers.interface import Vector
 from sim_backend.physics.actuator import ActuatorSpec

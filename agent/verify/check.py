@@ -11,20 +11,23 @@ import pinocchio as pin
 
 from agent.config import trajectory as motion
 from agent.config.cell import Arm, Cell, ConfigError, placement
-from agent.config.schema.cell import ControllerKind, DriverKind
+from agent.config.schema.cell import DriverKind
+from agent.config.schema.controller import ControllerKind
 from agent.control import ik, known
 from agent.control.errors import attitude_error
 from agent.control.inverse import SingularJacobian
 from agent.control.models import ArmModel, ModelError
 from agent.verify.adaptive import examine_adaptation
-from agent.verify.bus import bus_rates
+from agent.verify.bus import buses
 from agent.verify.finding import Finding, Verdict, judged
 from agent.verify.force import internal_force
 from agent.verify.margin import Damping, damping, places, sampled_loop
+from agent.verify.plausible import plausibility
 from drivers.interface import Vector
 
 SAMPLES = 48  # points along the trajectory, beside those that the trajectory names itself
 STABILITY_SAMPLES = 12
+NAMED_MAX = 6000  # of the trajectory's own points, over all arms: some seconds of computing
 
 __all__ = ["CheckReport", "Finding", "Verdict", "examine", "reach", "start_configurations"]
 
@@ -84,18 +87,18 @@ def examine(cell: Cell, *, wired: bool | None = None) -> CheckReport:
     _same_task_space(cell, models)
     q_start = start_configurations(cell, models)
     findings += _start(cell)
-    paths = []
+    instants, paths = _instants(cell), []
+    findings += _thinned(instants)
     for arm, model, q0 in zip(cell.arms, models, q_start, strict=True):
-        path = _along_trajectory(cell, arm, model, q0)
+        path = _along_trajectory(cell, arm, model, q0, instants.times)
         findings += _arm_findings(cell, arm, path)
         paths.append(path)
-    share = math.fsum(a.entry.load_share for a in cell.arms)
-    findings.append(judged("sum of load shares", "cell", f"{share:.6f}", "1", holds=abs(share - 1.0) < 1e-9, remedy=""))
+    findings += plausibility(cell)
     findings += internal_force(cell, models)
-    findings += _buses(cell, q_start, wired=cell.file.driver is DriverKind.DYNAMIXEL if wired is None else wired)
+    findings += buses(cell, q_start, wired=cell.file.driver is DriverKind.DYNAMIXEL if wired is None else wired)
     findings += _stability(cell, models, paths)
     if cell.file.controller.kind is ControllerKind.ADAPTIVE:
-        findings += _adaptation(cell, models, paths)
+        findings += _adaptation(cell, models, paths, instants.times)
     return CheckReport(tuple(findings), q_start)
 
 
@@ -156,21 +159,41 @@ def _start(cell: Cell) -> list[Finding]:
     ]  # fmt: skip
 
 
-def _instants(cell: Cell) -> list[float]:
-    """Times at which the trajectory is examined, ascending."""
+@dataclass(frozen=True)
+class _Instants:
+    """Times at which the trajectory is examined, ascending, and how many it names itself."""
+
+    times: list[float]
+    named: int
+    taken: int  # of the named ones
+
+
+def _instants(cell: Cell) -> _Instants:
     end = min(cell.trajectory().period_s, cell.file.duration_s)
-    named = {t for t in motion.waypoint_times(cell.file) if t <= end}
-    return sorted(named.union(np.linspace(0.0, end, SAMPLES).tolist()))
+    named, count = motion.waypoint_times(cell.file, end, NAMED_MAX // len(cell.arms))
+    return _Instants(sorted({*named, *np.linspace(0.0, end, SAMPLES).tolist()}), count, len(named))
 
 
-def _along_trajectory(cell: Cell, arm: Arm, model: ArmModel, q_start: Vector) -> _Path:
+def _thinned(instants: _Instants) -> list[Finding]:
+    if instants.taken == instants.named:
+        return []
+    return [
+        judged(
+            "instants examined", "cell", f"{instants.taken} of {instants.named}", "all", holds=False, remedy=
+            "the trajectory has more than are examined; examine a cell with a part of it, or with fewer way-points",
+            otherwise=Verdict.WARNING,
+        )
+    ]  # fmt: skip
+
+
+def _along_trajectory(cell: Cell, arm: Arm, model: ArmModel, q_start: Vector, instants: Sequence[float]) -> _Path:
     trajectory, offline = cell.trajectory(), cell.offline(arm)
     q, qs = q_start, []
     sigma, sigma_t = math.inf, 0.0
     tau_peak = np.zeros(arm.n)
     lower, upper = model.model.lowerPositionLimit, model.model.upperPositionLimit
     margin = np.minimum(q_start - lower, upper - q_start)
-    for t in _instants(cell):
+    for t in instants:
         desired = trajectory.at(t)
         q = reach(arm, model, placement(desired.p, desired.quat), q, f"at t = {t:.2f} s")
         qs.append(q)
@@ -241,8 +264,10 @@ def _radius(cell: Cell, what: str, found: Damping, *, gate: bool) -> Finding:
     )  # fmt: skip
 
 
-def _adaptation(cell: Cell, models: Sequence[ArmModel], paths: Sequence[_Path]) -> list[Finding]:
-    along, instants = list(zip(*(p.q for p in paths), strict=True)), _instants(cell)
+def _adaptation(
+    cell: Cell, models: Sequence[ArmModel], paths: Sequence[_Path], instants: Sequence[float]
+) -> list[Finding]:
+    along = list(zip(*(p.q for p in paths), strict=True))
     every = max(1, len(along) // STABILITY_SAMPLES)
     found = examine_adaptation(cell, models, along[::every], instants[::every])
     spec, radius_max = cell.file.controller.adaptive, cell.file.safety.spectral_radius_max
@@ -262,17 +287,3 @@ def _adaptation(cell: Cell, models: Sequence[ArmModel], paths: Sequence[_Path]) 
         Finding(what, "cell", value, f"≤ {limit:.4g}", Verdict.OK if ok else Verdict.WARNING, "" if ok else remedy)
         for what, value, limit, ok, remedy in rows
     ]
-
-
-def _buses(cell: Cell, q_start: Sequence[Vector], *, wired: bool) -> list[Finding]:
-    rate = cell.file.rate_hz
-    findings = []
-    for bus in bus_rates(cell, q_start):
-        carried = rate <= bus.rate_max_hz
-        verdict = Verdict.OK if carried else Verdict.REFUSED if wired else Verdict.WARNING
-        remedy = "lower rate_hz, or raise the servos' Baud Rate (`coop motors setup`) and `baud`"
-        limit = f"≤ {bus.rate_max_hz:g} Hz ({bus.text})"
-        findings.append(
-            Finding("rate on the servo bus", bus.arm, f"{rate:g} Hz", limit, verdict, "" if carried else remedy)
-        )
-    return findings

@@ -34,7 +34,7 @@ def towards(x_m: float, z_m: float, move_s: float, *overrides: str, cell: str = 
     start = list(load_cell(path).file.object.p_start_m)
     motion = f'{{kind="rest_to_rest", p_from_m={start}, p_to_m=[{x_m}, 0.0, {z_m}], move_s={move_s}}}'
     # the arm cannot follow into the singularity either; here the other reason to stop is to speak
-    blind = ["safety.tracking_error_max_m=10.0", "safety.tracking_error_max_rad=10.0"]
+    blind = ["safety.tracking_error_max_m=1.0", "safety.tracking_error_max_rad=3.1"]
     return load_cell(path, [f"trajectory={motion}", *blind, *overrides])
 
 

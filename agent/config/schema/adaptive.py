@@ -7,7 +7,9 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from agent.config.schema.types import NonNegative, Positive, Strict
+from agent.config.schema.types import AS_LIST, Factor, Mass, Strict, wrong
+
+Limit = Annotated[float, Field(gt=0.0, le=100.0)]
 
 
 class Start(enum.StrEnum):
@@ -20,17 +22,17 @@ class Start(enum.StrEnum):
 class GainFactors(Strict):
     """Gain of one group of parameters relative to the scalar gain; all 1 is the paper's law, 0 pins the group."""
 
-    mass: NonNegative = 1.0
-    first_moment: NonNegative = 1.0
-    inertia: NonNegative = 1.0
+    mass: Factor = 1.0
+    first_moment: Factor = 1.0
+    inertia: Factor = 1.0
 
 
 class ArmGainFactors(GainFactors):
     """The same for an arm, whose joints have parameters too (used when their column is on)."""
 
-    rotor_inertia: NonNegative = 1.0
-    viscous: NonNegative = 1.0
-    coulomb: NonNegative = 1.0
+    rotor_inertia: Factor = 1.0
+    viscous: Factor = 1.0
+    coulomb: Factor = 1.0
 
 
 class Bounds(Strict):
@@ -43,36 +45,41 @@ class Bounds(Strict):
 
     relative_min: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
     relative_max: Annotated[float, Field(gt=0.0, le=100.0)] = 5.0
-    slack_m: NonNegative = 0.03
-    mass_max_kg: Positive | None = None
+    slack_m: Annotated[float, Field(ge=0.0, le=10.0)] = 0.03
+    mass_max_kg: Mass | None = None
 
     @model_validator(mode="after")
     def _ordered(self) -> Bounds:
         if self.relative_min > self.relative_max:
-            raise ValueError(f"relative_min ≤ relative_max (they are {self.relative_min:g} and {self.relative_max:g})")
+            raise wrong(
+                "relative_min",
+                found=f"{self.relative_min:g}",
+                expected=f"relative_min ≤ relative_max, {self.relative_max:g}",
+                remedy="lower it, or raise relative_max",
+            )
         return self
 
 
 class ArmBounds(Bounds):
     """The same for an arm with its joints."""
 
-    rotor_inertia_max_kg_m2: Positive | None = None
-    viscous_max_Nm_s_per_rad: Positive | None = None
-    coulomb_max_Nm: Positive | None = None
+    rotor_inertia_max_kg_m2: Limit | None = None
+    viscous_max_Nm_s_per_rad: Limit | None = None
+    coulomb_max_Nm: Limit | None = None
 
 
 class Adaptive(Strict):
     """The adaptive law: gains, what is unknown, where the estimates begin and how far they may go."""
 
-    gamma: NonNegative = 1e-3  # γ_i of the paper
-    gamma_object: NonNegative = 1.0  # γ_O; the paper: 1
+    gamma: Factor = 1e-3  # γ_i of the paper
+    gamma_object: Factor = 1.0  # γ_O; the paper: 1
     factor: ArmGainFactors = ArmGainFactors()
     factor_object: GainFactors = GainFactors()
     rotor_inertia: bool = True  # columns; a parameter whose column is off keeps its configured value
     viscous: bool = False
     coulomb: bool = False
-    start: Start = Start.NOMINAL
-    start_scale: NonNegative = 1.0
+    start: Annotated[Start, AS_LIST] = Start.NOMINAL
+    start_scale: Annotated[float, Field(ge=0.0, le=100.0)] = 1.0
     bounds: ArmBounds = ArmBounds()
     bounds_object: Bounds = Bounds()
     physical: bool = True  # principal moments stay physical
@@ -80,5 +87,8 @@ class Adaptive(Strict):
     @model_validator(mode="after")
     def _scale_has_a_meaning(self) -> Adaptive:
         if self.start is Start.ZERO and self.start_scale != 1.0:
-            raise ValueError('start_scale only with start = "nominal"')
+            raise wrong(
+                "start_scale", found=f"{self.start_scale:g}", expected='start_scale only with start = "nominal"',
+                remedy="leave it out",
+            )  # fmt: skip
         return self

@@ -1,34 +1,44 @@
-"""What may stand in a cell file and in an arm file, key by key."""
+"""What may stand in a cell file, key by key."""
 
 from __future__ import annotations
 
 import enum
 import math
-from collections.abc import Mapping
-from types import MappingProxyType
-from typing import Annotated, Any, ClassVar, Literal
+from collections import Counter
+from typing import Annotated
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
-from agent.config.schema.adaptive import Adaptive
+from agent.config.schema.arm import Baud
+from agent.config.schema.controller import Controller
+from agent.config.schema.simulation import Simulation
 from agent.config.schema.trajectory import TrajectorySpec
 from agent.config.schema.types import (
-    Finite,
+    AS_LIST,
+    Angle,
+    Attitude,
+    FileStem,
+    Format,
+    Instant,
+    Label,
+    Length,
+    Mass,
+    Moment,
     Name,
-    NonNegative,
     PerAxis,
-    Positive,
     Quaternion,
     Share,
     Strict,
     Vec3,
+    Wrench,
     wrong,
 )
 from agent.telemetry.row.topics import RESERVED
 
 TASK_ROWS = 6
 PERIODS_TOLERANCE = 1e-6
+GRAVITY_RANGE_M_PER_S2 = (1.0, 30.0)  # the Moon has 1.6, Jupiter 25; a slip of the unit is outside
 
 
 class DriverKind(enum.StrEnum):
@@ -43,24 +53,39 @@ class World(Strict):
 
     gravity_m_per_s2: Vec3
 
+    @model_validator(mode="after")
+    def _plausible(self) -> World:
+        g = math.hypot(*self.gravity_m_per_s2)
+        low, high = GRAVITY_RANGE_M_PER_S2
+        if g and not low <= g <= high:
+            raise wrong(
+                "gravity_m_per_s2",
+                found=f"{g:.4g} m/s²",
+                expected=f"{low:g} to {high:g} m/s² in all, or zero",
+                remedy="give the acceleration of what falls, world axes: [0.0, 0.0, -9.81] where z points up",
+            )
+        return self
+
 
 class Inertia(Strict):
     """Inertia tensor about the centre of mass, object axes."""
 
-    xx: Positive
-    yy: Positive
-    zz: Positive
-    xy: Finite = 0.0
-    xz: Finite = 0.0
-    yz: Finite = 0.0
+    xx: Moment
+    yy: Moment
+    zz: Moment
+    xy: Annotated[float, Field(ge=-100.0, le=100.0)] = 0.0
+    xz: Annotated[float, Field(ge=-100.0, le=100.0)] = 0.0
+    yz: Annotated[float, Field(ge=-100.0, le=100.0)] = 0.0
 
     @model_validator(mode="after")
     def _physical(self) -> Inertia:
         moments = np.linalg.eigvalsh(self.matrix())
         if moments[0] <= 0.0 or moments[2] > (moments[0] + moments[1]) * (1.0 + 1e-9):
-            raise ValueError(
-                "positive principal moments with the largest not above the sum of the others "
-                f"(they are {', '.join(f'{m:.3g}' for m in moments)})"
+            raise wrong(
+                "",
+                found=f"principal moments {', '.join(f'{m:.3g}' for m in moments)}",
+                expected="positive ones with the largest not above the sum of the others",
+                remedy="a solid box of sides a, b, c has m (b² + c²) / 12 about a",
             )
         return self
 
@@ -72,154 +97,111 @@ class Inertia(Strict):
 class Object(Strict):
     """The grasped rigid body; its frame is at the centre of mass."""
 
-    mass_kg: Positive
-    size_m: Annotated[tuple[Positive, Positive, Positive], Field()]
+    mass_kg: Mass
+    size_m: Annotated[tuple[Length, Length, Length], AS_LIST]
     inertia_kg_m2: Inertia
     p_start_m: Vec3
     quat_start: Quaternion
-
-
-class ControllerKind(enum.StrEnum):
-    """Which of the paper's laws runs."""
-
-    KNOWN = "known"
-    ADAPTIVE = "adaptive"
-
-
-class VelocitySource(enum.StrEnum):
-    """What the law takes as joint position and velocity."""
-
-    SERVO = "servo"  # the servos' own values, as they are
-    OBSERVER = "observer"  # fused with the commanded acceleration (agent.control.estimator)
-
-
-class ObserverGains(Strict):
-    """How far a servo's values correct what the observer predicts, per control period; used with velocity = "observer".
-
-    A larger gain follows a surprise sooner and lets more of the servos' quantisation through.
-    """
-
-    position_gain: Share = 0.2  # of the position innovation, into the position
-    velocity_gain: Share = 0.2  # of the velocity innovation, into the velocity
-    velocity_from_position_per_s: NonNegative = 5.0  # of the position innovation, into the velocity
-
-
-class Controller(Strict):
-    """Gains and options of the law; a number stands for three equal entries (the paper's scalars)."""
-
-    kind: ControllerKind
-    k_p_per_s: PerAxis
-    k_eps_rad_per_s: PerAxis
-    k_p_rate_per_s: PerAxis | None = None  # in v̇_r; the paper: the same as k_p
-    k_eps_rate_rad_per_s: PerAxis | None = None
-    friction_feedforward: bool = False
-    friction_smooth_rad_per_s: Positive = 0.05
-    velocity: VelocitySource = VelocitySource.OBSERVER
-    observer: ObserverGains = ObserverGains()
-    adaptive: Adaptive = Adaptive()  # used when kind is "adaptive"
 
 
 class Safety(Strict):
     """Bounds that are checked before the start and on every tick."""
 
     e_eta_min: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.1
-    sigma_min: Positive = 0.02
+    sigma_min: Annotated[float, Field(gt=0.0, le=1.0)] = 0.02
     tau_step_max_fraction: Annotated[float, Field(gt=0.0, le=2.0)] = 0.5  # of tau_max, from one tick to the next
     tau_max_fraction_of_stall: Annotated[float, Field(gt=0.0, le=1.0)] = 0.5
-    start_error_max_m: Positive = 0.02
-    start_error_max_rad: Positive = 0.1
-    tracking_error_max_m: Positive = (
-        0.05  # beyond it the object is held: a neighbour, a grasp or a person is the reason
-    )
-    tracking_error_max_rad: Positive = 0.3
+    start_error_max_m: Annotated[float, Field(gt=0.0, le=1.0)] = 0.02
+    start_error_max_rad: Attitude = 0.1
+    # beyond it the object is held: a neighbour, a grasp or a person is the reason
+    tracking_error_max_m: Annotated[float, Field(gt=0.0, le=1.0)] = 0.05
+    tracking_error_max_rad: Attitude = 0.3
     spectral_radius_max: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.9999
     inertia_error: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.3
-
-
-class Effects(Strict):
-    """What a real servo adds; each can be switched off."""
-
-    retired: ClassVar[Mapping[str, str]] = MappingProxyType(
-        {
-            "delay_cycles": "write loop_delay_s = delay_cycles / rate_hz at the top of the cell file, which agents, "
-            "checks and plant share; effects.delay_s only where the simulated delay differs from it"
-        }
-    )
-
-    friction: bool = True
-    position_quantisation: bool = True
-    velocity_quantisation: bool = True
-    torque_quantisation: bool = True
-    saturation: bool = True
-    delay_s: Annotated[float, Field(ge=0.0, le=0.5)] | None = (
-        None  # of the simulated loop; None: as the cell believes, loop_delay_s
-    )
-    torque_constant_error: Annotated[float, Field(gt=-0.9, lt=1.0)] = 0.0
-
-
-class Simulation(Strict):
-    """The simulated cell; what an agent does, and whether a cell may start, does not depend on it."""
-
-    substeps_per_cycle: Annotated[int, Field(ge=1, le=200)] = 5
-    observe_rate_hz: Positive = 50.0  # of the truth in the log
-    friction_smooth_rad_per_s: Positive = 0.01
-    object_mass_error: Annotated[float, Field(gt=-1.0, le=10.0)] = 0.0  # the plant's object: 1 = twice as heavy
-    effects: Effects = Effects()
 
 
 class Report(Strict):
     """What the report measures and judges."""
 
-    transient_s: NonNegative
-    max_position_error_m: Positive | None = None
-    max_attitude_error_rad: Positive | None = None
+    transient_s: Instant
+    max_position_error_m: Annotated[float, Field(gt=0.0, le=100.0)] | None = None
+    max_attitude_error_rad: Attitude | None = None
 
 
 class DynamixelPort(Strict):
     """How a host reaches the servos of this arm."""
 
-    port: str
-    baud: Annotated[int, Field(gt=0)] | None = None  # None: as the arm file says
+    port: Annotated[Label, Field(pattern=r"^\S+$")]
+    baud: Baud | None = None  # None: as the arm file says
 
 
 class PostureSpec(Strict):
     """Null-space posture of an arm with more than six controlled joints."""
 
-    q_rad: list[Finite]
-    stiffness_Nm_per_rad: NonNegative
-    damping_Nm_s_per_rad: Positive
+    q_rad: list[Angle]
+    stiffness_Nm_per_rad: Annotated[float, Field(ge=0.0, le=1e4)]
+    damping_Nm_s_per_rad: Annotated[float, Field(gt=0.0, le=1e4)]
 
 
 class Arm(Strict):
     """One arm of the cell."""
 
     name: Name
-    model: str
+    model: FileStem
     p_world_base_m: Vec3
     quat_world_base: Quaternion
     p_object_ee_m: Vec3
     quat_object_ee: Quaternion
-    load_share: Annotated[float, Field(ge=0.0, le=1.0)]
+    load_share: Share  # the paper allows 0: such an arm damps the object and carries nothing
     k_v_N_s_per_m: PerAxis
     k_v_Nm_s_per_rad: PerAxis | None = None  # the paper: the same number
-    internal_wrench_N_Nm: tuple[Finite, Finite, Finite, Finite, Finite, Finite] | None = None  # at ee, object axes
-    grip_force_max_N: Positive | None = None  # what the gripper holds by friction
-    controlled: Annotated[list[str], Field(min_length=3, max_length=7)]
-    locked_rad: dict[str, Finite] = Field(default_factory=dict)
-    q_near_rad: list[Finite]
+    internal_wrench_N_Nm: Wrench | None = None  # at ee, object axes
+    grip_force_max_N: Annotated[float, Field(gt=0.0, le=1e4)] | None = None  # what the gripper holds by friction
+    controlled: Annotated[list[Label], Field(min_length=3, max_length=7)]
+    locked_rad: dict[Label, Angle] = Field(default_factory=dict)
+    q_near_rad: list[Angle]
     posture: PostureSpec | None = None
     dynamixel: DynamixelPort | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Arm:
+        n = len(self.controlled)
+        if len(self.q_near_rad) != n:
+            raise wrong(
+                "q_near_rad",
+                found=f"{len(self.q_near_rad)} values",
+                expected=f"one q_near_rad per controlled joint, {n}",
+                remedy="give angles near those that hold the object at the start",
+            )
+        if (self.posture is not None) != (n > TASK_ROWS):
+            raise wrong(
+                "posture", found="none" if self.posture is None else f"one with {n} controlled joints",
+                expected="a posture for more than six controlled joints, and for no other",
+                remedy="give q_rad, stiffness and damping, or leave it out",
+            )  # fmt: skip
+        if self.posture is not None and len(self.posture.q_rad) != n:
+            raise wrong(
+                "posture.q_rad", found=f"{len(self.posture.q_rad)} values", expected=f"one per controlled joint, {n}",
+                remedy="give the angles the arm is to rest at in its null space",
+            )  # fmt: skip
+        both = set(self.controlled) & set(self.locked_rad)
+        if both:
+            raise wrong(
+                "locked_rad", found=", ".join(sorted(both)), expected="no joint that is controlled as well",
+                remedy="name each joint either as controlled or as locked",
+            )  # fmt: skip
+        return self
 
 
 class CellFile(Strict):
     """A whole cell: the same bytes on every host."""
 
-    format: Literal[1]
+    format: Format
     name: Name
-    driver: DriverKind
+    driver: Annotated[DriverKind, AS_LIST]
     rate_hz: Annotated[float, Field(ge=20.0, le=2000.0)]
-    loop_delay_s: NonNegative | None = None  # from a sample to its torque on the joint; None: one control period
-    duration_s: Positive
+    loop_delay_s: Annotated[float, Field(ge=0.0)] | None = None  # from a sample to its torque; None: one period
+    duration_s: Annotated[float, Field(gt=0.0, le=1e6)]
     world: World
     object: Object
     trajectory: TrajectorySpec
@@ -252,7 +234,7 @@ class CellFile(Strict):
 
     @model_validator(mode="after")
     def _delay_within_a_period(self) -> CellFile:
-        if self.delay_periods > 1.0:
+        if self.loop_delay_s is not None and self.delay_periods > 1.0:
             raise wrong(
                 "loop_delay_s",
                 found=f"{self.loop_delay_s:g}",
@@ -262,74 +244,30 @@ class CellFile(Strict):
         return self
 
     @model_validator(mode="after")
-    def _consistent(self) -> CellFile:
+    def _arms_agree(self) -> CellFile:
         names = [a.name for a in self.arms]
-        if len(set(names)) != len(names):
-            raise ValueError(f"arm names that differ (they are {', '.join(names)})")
-        if RESERVED & set(names):
-            raise ValueError(f"arm names other than {', '.join(sorted(RESERVED))} (they are {', '.join(names)})")
+        repeated = [name for name, count in Counter(names).items() if count > 1]
+        if repeated:
+            raise wrong(
+                "arms", found=", ".join(names), expected="arm names that differ", remedy=f"rename one {repeated[0]}"
+            )
+        reserved = RESERVED & set(names)
+        if reserved:
+            raise wrong(
+                "arms", found=", ".join(sorted(reserved)), remedy="rename that arm",
+                expected=f"arm names other than {', '.join(sorted(RESERVED))}, which topics have",
+            )  # fmt: skip
         total = math.fsum(a.load_share for a in self.arms)
         if abs(total - 1.0) > 1e-9:
-            raise ValueError(f"load shares that sum to 1 (they sum to {total:.9g})")
-        for a in self.arms:
-            if len(a.q_near_rad) != len(a.controlled):
-                raise ValueError(f"one q_near_rad per controlled joint of arm {a.name}")
-            if (a.posture is not None) != (len(a.controlled) > TASK_ROWS):
-                raise ValueError(
-                    f"a posture for arms with more than six controlled joints, and for no other ({a.name})"
-                )
-            if a.posture is not None and len(a.posture.q_rad) != len(a.controlled):
-                raise ValueError(f"one posture.q_rad per controlled joint of arm {a.name}")
-            both = set(a.controlled) & set(a.locked_rad)
-            if both:
-                raise ValueError(f"no joint both controlled and locked ({', '.join(sorted(both))} of arm {a.name})")
+            raise wrong(
+                "arms", found=f"a sum of {total:.9g}", expected="load shares that sum to 1",
+                remedy="correct load_share of the arms",
+            )  # fmt: skip
+        if self.driver is DriverKind.DYNAMIXEL:
+            for a in self.arms:
+                if a.dynamixel is None:
+                    raise wrong(
+                        "arms", found=f"no port of arm {a.name}", expected="dynamixel = { port = ... } of every arm",
+                        remedy='add it, or take driver = "sim"',
+                    )  # fmt: skip
         return self
-
-
-class Provenance(enum.StrEnum):
-    """How far a figure can be trusted."""
-
-    MEASURED = "measured"
-    PUBLISHED = "published"
-    ESTIMATED = "estimated"
-
-
-class Figure(Strict):
-    """One figure of an arm file with its origin."""
-
-    value: Finite
-    status: Provenance
-    source: Annotated[str, Field(min_length=3)]
-
-
-class ServoJoint(Strict):
-    """One joint and the servos that move it."""
-
-    name: str
-    servo: str
-    ids: Annotated[list[int], Field(min_length=1, max_length=2)]
-    reverse: list[bool]
-    zero_tick: int
-    position_limit_ticks: tuple[int, int]
-    rotor_inertia_kg_m2: Figure
-    coulomb_Nm: Figure
-    viscous_Nm_s_per_rad: Figure
-    torque_constant_Nm_per_A: Figure | None = None
-    no_load_current_A: Figure | None = None
-
-
-class ArmFile(BaseModel):
-    """An arm description; the gripper is parsed by the driver that moves it."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    format: Literal[1]
-    model: str
-    urdf: str
-    ee_frame: str
-    baud: int
-    protocol: float
-    notes: list[str]
-    sleep_rad: dict[str, float]
-    joints: list[ServoJoint]
-    gripper: dict[str, Any]

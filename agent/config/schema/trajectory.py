@@ -7,7 +7,20 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from agent.config.schema.types import Finite, NonNegative, Positive, Quaternion, Strict, UnitVector, Vec3
+from agent.config.schema.types import (
+    AS_LIST,
+    Angle,
+    Coordinate,
+    Duration,
+    Instant,
+    Length,
+    Quaternion,
+    Speed,
+    Strict,
+    UnitVector,
+    Vec3,
+    wrong,
+)
 
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 
@@ -20,8 +33,8 @@ class SinusoidSpec(Strict):
     p_amplitude_m: Vec3
     quat_centre: Quaternion = UPRIGHT
     axis: UnitVector
-    angle_rad: Finite
-    period_s: Positive
+    angle_rad: Angle
+    period_s: Duration
 
 
 class RestToRestSpec(Strict):
@@ -32,15 +45,15 @@ class RestToRestSpec(Strict):
     quat_from: Quaternion = UPRIGHT
     p_to_m: Vec3
     quat_to: Quaternion = UPRIGHT
-    move_s: Positive
-    wait_s: NonNegative = 0.0  # before the motion, and before the way back
+    move_s: Duration
+    wait_s: Instant = 0.0  # before the motion, and before the way back
     and_back: bool = False
 
 
 class Waypoint(Strict):
     """A pose and the time at which the object passes it."""
 
-    t_s: NonNegative
+    t_s: Instant
     p_m: Vec3
     quat: Quaternion = UPRIGHT
 
@@ -57,12 +70,14 @@ class PoseFileSpec(Strict):
 
     kind: Literal["file"]
     path: Annotated[str, Field(min_length=1)]
-    speed_max_m_per_s: Positive = 0.5  # a faster way from row to row is a jump
-    speed_max_rad_per_s: Positive = 2.0
+    speed_max_m_per_s: Speed = 0.5  # a faster way from row to row is a jump
+    speed_max_rad_per_s: Speed = 2.0
 
 
-Harmonic = tuple[Annotated[int, Field(ge=1)], Finite, Finite]  # number, amplitude, phase_rad
+HarmonicNumber = Annotated[int, Field(ge=1, le=10**6)]
+Harmonic = Annotated[tuple[HarmonicNumber, Coordinate, Angle], AS_LIST]  # number, amplitude (m or rad), phase_rad
 Harmonics = list[Harmonic]
+AXES = ("x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad")
 
 
 class FourierSpec(Strict):
@@ -75,18 +90,18 @@ class FourierSpec(Strict):
     kind: Literal["fourier"]
     p_centre_m: Vec3
     quat_centre: Quaternion = UPRIGHT
-    base_period_s: Positive
-    fade_s: Positive
-    motion_s: Positive
+    base_period_s: Duration
+    fade_s: Duration
+    motion_s: Duration
     x_m: Harmonics = Field(default_factory=list)
     y_m: Harmonics = Field(default_factory=list)
     z_m: Harmonics = Field(default_factory=list)
     roll_rad: Harmonics = Field(default_factory=list)
     pitch_rad: Harmonics = Field(default_factory=list)
     yaw_rad: Harmonics = Field(default_factory=list)
-    excursion_max_m: Positive = 0.15  # of each axis, were all its terms to peak at once
+    excursion_max_m: Length = 0.15  # of each axis, were all its terms to peak at once
     excursion_max_rad: Annotated[float, Field(gt=0.0, le=1.2)] = 1.0  # below the pitch of π/2 that angles cannot pass
-    frequency_max_hz: Positive = 2.0
+    frequency_max_hz: Annotated[float, Field(gt=0.0, le=50.0)] = 2.0
 
     def axes(self) -> tuple[Harmonics, Harmonics, Harmonics, Harmonics, Harmonics, Harmonics]:
         """x, y, z, roll, pitch, yaw."""
@@ -95,17 +110,35 @@ class FourierSpec(Strict):
     @model_validator(mode="after")
     def _bounded(self) -> FourierSpec:
         if not any(self.axes()):
-            raise ValueError("at least one term on one axis")
+            raise wrong(
+                "",
+                found="no term on any axis",
+                expected="at least one term",
+                remedy="add [[harmonic, amplitude, phase]]",
+            )
         if 2.0 * self.fade_s > self.motion_s:
-            raise ValueError(f"motion_s ≥ 2 fade_s (they are {self.motion_s:g} and {self.fade_s:g})")
+            raise wrong(
+                "motion_s", found=f"{self.motion_s:g}", expected=f"motion_s ≥ 2 fade_s, {2.0 * self.fade_s:g} s",
+                remedy="move for longer, or fade faster",
+            )  # fmt: skip
         bounds = [self.excursion_max_m] * 3 + [self.excursion_max_rad] * 3
-        for name, terms, bound in zip(("x", "y", "z", "roll", "pitch", "yaw"), self.axes(), bounds, strict=True):
+        for name, terms, bound in zip(AXES, self.axes(), bounds, strict=True):
             excursion = math.fsum(abs(amplitude) for _, amplitude, _ in terms)
             if excursion > bound:
-                raise ValueError(f"amplitudes of {name} that sum to at most {bound:g} (they sum to {excursion:g})")
+                raise wrong(
+                    name,
+                    found=f"a sum of {excursion:g}",
+                    expected=f"amplitudes that sum to at most {bound:g}",
+                    remedy="make them smaller, or raise excursion_max_m or excursion_max_rad",
+                )
             highest = max((number for number, _, _ in terms), default=0) / self.base_period_s
             if highest > self.frequency_max_hz:
-                raise ValueError(f"frequencies up to frequency_max_hz (the highest of {name} is {highest:g} Hz)")
+                raise wrong(
+                    name,
+                    found=f"a highest frequency of {highest:g} Hz",
+                    expected=f"frequencies up to frequency_max_hz, {self.frequency_max_hz:g}",
+                    remedy="take lower harmonics or a longer base_period_s, or raise frequency_max_hz",
+                )
         return self
 
 

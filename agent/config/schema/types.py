@@ -1,25 +1,46 @@
-"""Kinds of values that every part of the schema uses."""
+"""Kinds of values that every part of the schema uses, each with the range in which it can be meant.
+
+The ranges are wide: they refuse a slip of the decimal point or of the unit, not a bold choice.
+"""
 
 from __future__ import annotations
 
+import difflib
 import math
+from collections.abc import Iterable
 from typing import Annotated, Any, Final
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
 MISFIT: Final = "misfit"  # type of the problems that `wrong` makes
+AS_LIST: Final = Field(strict=False)  # a tuple is written as a list, an enumeration as its text
+
+
+def wrong(key: str, *, found: object, expected: str, remedy: str) -> PydanticCustomError:
+    """What a validator raises when a value, or several together, cannot be: the key that is wrong and what to do.
+
+    key: below the place of the validator; empty when it is that place itself.
+    """
+    context = {"key": key, "found": str(found), "expected": expected, "remedy": remedy}
+    return PydanticCustomError(MISFIT, "{expected}", context)
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """A question about the known name that is most like this one; empty when none is like it."""
+    found = difflib.get_close_matches(name, list(known), n=1)
+    return f"did you mean {found[0]}?" if found else ""
 
 
 def _unit_quaternion(value: tuple[float, ...]) -> tuple[float, ...]:
-    norm = math.sqrt(sum(x * x for x in value))
+    norm = math.hypot(*value)
     if abs(norm - 1.0) > 1e-6:
         raise ValueError(f"norm 1 to 1e-6 (its norm is {norm:.9g})")
     return tuple(x / norm for x in value)
 
 
 def _unit_axis(value: tuple[float, ...]) -> tuple[float, ...]:
-    norm = math.sqrt(sum(x * x for x in value))
+    norm = math.hypot(*value)
     if abs(norm - 1.0) > 1e-6:
         raise ValueError(f"an axis of norm 1 (its norm is {norm:.9g})")
     return value
@@ -29,24 +50,49 @@ def _three(value: Any) -> Any:
     return [value] * 3 if isinstance(value, (int, float)) else value
 
 
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
-Share = Annotated[float, Field(ge=0.0, le=1.0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Vec3 = tuple[Finite, Finite, Finite]
+def _printable(value: str) -> str:
+    if not value.isprintable() or not value.strip():
+        raise ValueError("text that can be printed")
+    return value
+
+
+Label = Annotated[str, Field(min_length=1, max_length=128), AfterValidator(_printable)]  # of a joint, a frame, a port
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
+Length = Annotated[float, Field(gt=0.0, le=10.0)]  # m
+Coordinate = Annotated[float, Field(ge=-100.0, le=100.0)]  # m
+Speed = Annotated[float, Field(gt=0.0, le=100.0)]  # m/s or rad/s
+Angle = Annotated[float, Field(ge=-100.0, le=100.0)]  # rad; several turns may be meant
+Attitude = Annotated[float, Field(gt=0.0, le=math.pi)]  # rad, size of an attitude error
+Mass = Annotated[float, Field(gt=0.0, le=100.0)]  # kg
+Moment = Annotated[float, Field(gt=0.0, le=100.0)]  # kg·m²
+Instant = Annotated[float, Field(ge=0.0, le=1e6)]  # s; a million seconds are eleven days
+Duration = Annotated[float, Field(ge=0.01, le=1e6)]  # s, of something that moves
+Gain = Annotated[float, Field(gt=0.0, le=1e5)]
+Effort = Annotated[float, Field(ge=-1e4, le=1e4)]  # N, N·m
+Smoothing = Annotated[float, Field(ge=1e-4, le=10.0)]  # rad/s, in which a friction changes its sign
+Factor = Annotated[float, Field(ge=0.0, le=1e6)]
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,31}$")]
-Quaternion = Annotated[tuple[Finite, Finite, Finite, Finite], AfterValidator(_unit_quaternion)]
-UnitVector = Annotated[Vec3, AfterValidator(_unit_axis)]
-PerAxis = Annotated[tuple[Positive, Positive, Positive], BeforeValidator(_three)]
+FileStem = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
+Vec3 = Annotated[tuple[Coordinate, Coordinate, Coordinate], AS_LIST]
+Wrench = Annotated[tuple[Effort, Effort, Effort, Effort, Effort, Effort], AS_LIST]
+Quaternion = Annotated[tuple[float, float, float, float], AS_LIST, AfterValidator(_unit_quaternion)]
+UnitVector = Annotated[tuple[float, float, float], AS_LIST, AfterValidator(_unit_axis)]
+PerAxis = Annotated[tuple[Gain, Gain, Gain], AS_LIST, BeforeValidator(_three)]
 
 
-def wrong(key: str, *, found: object, expected: str, remedy: str) -> PydanticCustomError:
-    """What a validator raises when values do not fit together: the key that is wrong and what to do."""
-    context = {"key": key, "found": str(found), "expected": expected, "remedy": remedy}
-    return PydanticCustomError(MISFIT, "{expected}", context)
+def _first_format(value: int) -> int:
+    if value != 1:
+        raise wrong("", found=value, expected="1, the one there is", remedy="take a version that knows this format")
+    return value
+
+
+Format = Annotated[int, AfterValidator(_first_format)]
 
 
 class Strict(BaseModel):
-    """Unknown keys fail, values are frozen and never coerced from text."""
+    """Unknown keys fail; values are frozen and finite, and never made from text or from another kind of number.
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=False)
+    A whole number stands for the real one.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)

@@ -96,16 +96,23 @@ def test_the_cell_file_gives_the_motion_and_the_instants_to_examine(tmp_path: Pa
     x = 0.03 * math.sin(0.2 * math.pi * t) + 0.01 * math.sin(0.8 * math.pi * t + 0.3)
     assert motion.at(t).p == pytest.approx((0.3 + x, 0.12, 0.0), abs=1e-12)
     assert motion.frequency_hz == pytest.approx(0.4)
-    instants = waypoint_times(cell.file)
+    instants, count = waypoint_times(cell.file, 100.0, 6000)
+    assert (instants[0], instants[-1], len(instants)) == (0.0, 20.0, count)
     assert max(np.diff(instants)) <= 1.0 / (SAMPLES_PER_SHORTEST_PERIOD * motion.frequency_hz) + 1e-12
+    assert waypoint_times(cell.file, 100.0, 3) == ([0.0, 10.0, 20.0], count)
+    assert max(waypoint_times(cell.file, 5.0, 6000)[0]) == 5.0
 
 
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
-        ("0.03, 0.0]", "0.3, 0.0]", "amplitudes of x that sum to at most 0.15"),
-        ("[3, 0.1, 1.0]", "[3, 1.1, 1.0]", "amplitudes of yaw that sum to at most 1 "),
-        ("[4, 0.01, 0.3]", "[24, 0.01, 0.3]", "the highest of x is 2.4 Hz"),
+        (
+            "0.03, 0.0]",
+            "0.3, 0.0]",
+            "trajectory.x_m in .* a sum of 0.31, expected amplitudes that sum to at most 0.15",
+        ),
+        ("[3, 0.1, 1.0]", "[3, 1.1, 1.0]", "trajectory.yaw_rad in .* amplitudes that sum to at most 1;"),
+        ("[4, 0.01, 0.3]", "[24, 0.01, 0.3]", "trajectory.x_m in .* a highest frequency of 2.4 Hz"),
         ("[4, 0.01, 0.3]", "[0, 0.01, 0.3]", "greater than or equal to 1"),
         ("motion_s = 20.0", "motion_s = 3.0", "motion_s ≥ 2 fade_s"),
         ("x_m = [[1, 0.03, 0.0], [4, 0.01, 0.3]]\nyaw_rad = [[3, 0.1, 1.0]]\n", "", "at least one term"),

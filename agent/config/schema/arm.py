@@ -1,0 +1,152 @@
+"""What may stand in an arm file, key by key."""
+
+from __future__ import annotations
+
+import enum
+from collections import Counter
+from collections.abc import Sequence
+from typing import Annotated
+
+from pydantic import AfterValidator, Field, model_validator
+
+from agent.config.schema.types import AS_LIST, Angle, FileStem, Format, Label, Length, Strict, nearest, wrong
+from drivers.dynamixel.servo.table import BAUD_RATES, MAX_ID, SERVOS
+
+PROTOCOLS = (1.0, 2.0)
+LAST_TICK = 4095
+
+
+def known_baud(baud: int) -> int:
+    """A speed of the bus, bit/s, that servos can be set to."""
+    if baud not in BAUD_RATES.values():
+        rates = ", ".join(str(rate) for rate in sorted(BAUD_RATES.values()))
+        raise wrong("", found=baud, expected=f"one of {rates}", remedy="give the speed the servos are set to, bit/s")
+    return baud
+
+
+def _known_servo(name: str) -> str:
+    if name not in SERVOS:
+        remedy = nearest(name, SERVOS) or "name the servo as its label does"
+        raise wrong("", found=repr(name), expected="one of " + ", ".join(SERVOS), remedy=remedy)
+    return name
+
+
+def _known_protocol(protocol: float) -> float:
+    if protocol not in PROTOCOLS:
+        raise wrong("", found=protocol, expected="1.0 or 2.0", remedy="2.0 is what the driver speaks")
+    return protocol
+
+
+Baud = Annotated[int, AfterValidator(known_baud)]
+Tick = Annotated[int, Field(ge=0, le=LAST_TICK)]
+ServoId = Annotated[int, Field(ge=0, le=MAX_ID)]
+
+
+class Provenance(enum.StrEnum):
+    """How far a figure can be trusted."""
+
+    MEASURED = "measured"
+    PUBLISHED = "published"
+    ESTIMATED = "estimated"
+
+
+class Figure(Strict):
+    """One figure of an arm file with its origin; none of them can be negative."""
+
+    value: Annotated[float, Field(ge=0.0, le=100.0)]
+    status: Annotated[Provenance, AS_LIST]
+    source: Annotated[str, Field(min_length=3)]
+
+
+class PositiveFigure(Figure):
+    """One that cannot be zero either."""
+
+    value: Annotated[float, Field(gt=0.0, le=100.0)]
+
+
+class Servos(Strict):
+    """The servos of one joint or gripper: the first leads, the second is its shadow."""
+
+    servo: Annotated[str, AfterValidator(_known_servo)]
+    ids: Annotated[list[ServoId], Field(min_length=1, max_length=2)]
+    reverse: list[bool]
+    zero_tick: Tick
+    position_limit_ticks: Annotated[tuple[Tick, Tick], AS_LIST]
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Servos:
+        if len(self.reverse) != len(self.ids):
+            raise wrong(
+                "reverse",
+                found=f"{len(self.reverse)} entries for {len(self.ids)} servos",
+                expected="one per servo",
+                remedy="say of every ID whether its servo is mounted the other way round",
+            )
+        low, high = self.position_limit_ticks
+        if low >= high:
+            raise wrong(
+                "position_limit_ticks",
+                found=f"{low} to {high}",
+                expected="the lower limit first, below the upper one",
+                remedy="an absolute encoder cannot tell turns apart: both lie within one turn",
+            )
+        return self
+
+
+class ServoJoint(Servos):
+    """One joint and the servos that move it."""
+
+    name: Label
+    rotor_inertia_kg_m2: Figure
+    coulomb_Nm: Figure
+    viscous_Nm_s_per_rad: Figure
+    torque_constant_Nm_per_A: PositiveFigure | None = None
+    no_load_current_A: Figure | None = None
+
+
+class GripperJoint(Servos):
+    """The gripper, with the geometry that turns its servo's angle into the way of the fingers."""
+
+    closed_tick: Tick | None = None
+    open_tick: Tick | None = None
+    horn_radius_m: Length | None = None
+    rod_length_m: Length | None = None
+
+
+class ArmFile(Strict):
+    """An arm description."""
+
+    format: Format
+    model: FileStem
+    urdf: FileStem
+    ee_frame: Label
+    baud: Baud
+    protocol: Annotated[float, AfterValidator(_known_protocol)]
+    notes: list[str]
+    sleep_rad: dict[Label, Angle]
+    joints: Annotated[list[ServoJoint], Field(min_length=1, max_length=16)]
+    gripper: GripperJoint
+
+    @model_validator(mode="after")
+    def _consistent(self) -> ArmFile:
+        names = [joint.name for joint in self.joints]
+        _refuse_repeated("joints", "name", names)
+        _refuse_repeated("joints", "ID", [i for joint in (*self.joints, self.gripper) for i in joint.ids])
+        unknown = [name for name in self.sleep_rad if name not in names]
+        if unknown:
+            raise wrong(
+                "sleep_rad",
+                found=", ".join(map(repr, unknown)),
+                expected="joints of the arm: " + ", ".join(names),
+                remedy=nearest(unknown[0], names) or "name its joints",
+            )
+        return self
+
+
+def _refuse_repeated(key: str, what: str, values: Sequence[object]) -> None:
+    repeated = [value for value, count in Counter(values).items() if count > 1]
+    if repeated:
+        raise wrong(
+            key, found=f"{what} {repeated[0]!r} more than once", expected=f"one {what} for each",
+            remedy=f"give every one its own {what}",
+        )  # fmt: skip

@@ -1,0 +1,40 @@
+"""What may stand under `[simulation]` of a cell file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Annotated, ClassVar
+
+from pydantic import Field
+
+from agent.config.schema.types import Smoothing, Strict
+
+
+class Effects(Strict):
+    """What a real servo adds; each can be switched off."""
+
+    retired: ClassVar[Mapping[str, str]] = MappingProxyType(
+        {
+            "delay_cycles": "write loop_delay_s = delay_cycles / rate_hz at the top of the cell file, which agents, "
+            "checks and plant share; effects.delay_s only where the simulated delay differs from it"
+        }
+    )
+
+    friction: bool = True
+    position_quantisation: bool = True
+    velocity_quantisation: bool = True
+    torque_quantisation: bool = True
+    saturation: bool = True
+    delay_s: Annotated[float, Field(ge=0.0, le=0.5)] | None = None  # of the simulated loop; None: loop_delay_s
+    torque_constant_error: Annotated[float, Field(gt=-0.9, lt=1.0)] = 0.0
+
+
+class Simulation(Strict):
+    """The simulated cell; what an agent does, and whether a cell may start, does not depend on it."""
+
+    substeps_per_cycle: Annotated[int, Field(ge=1, le=200)] = 5
+    observe_rate_hz: Annotated[float, Field(ge=0.01, le=2000.0)] = 50.0  # of the truth in the log
+    friction_smooth_rad_per_s: Smoothing = 0.01
+    object_mass_error: Annotated[float, Field(ge=-0.99, le=10.0)] = 0.0  # the plant's object: 1 = twice as heavy
+    effects: Effects = Effects()

@@ -1,0 +1,61 @@
+"""What a URDF must say, in numbers that can be read: its parser leaves a link without mass where it cannot read one.
+
+Weights that are missing would be missing in the torque that carries the arm, so each link's are looked at here.
+"""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+
+from agent.config.reading import ConfigError, shown
+
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?")
+_TRIPLES = (("origin", "xyz"), ("origin", "rpy"), ("axis", "xyz"))
+_MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+
+
+def text_of_urdf(raw: bytes, name: str) -> str:
+    """The text of a URDF whose numbers can all be read.  Raises ConfigError naming file and element."""
+    try:
+        text = raw.decode()
+        robot = ET.fromstring(text)
+    except (ET.ParseError, ValueError) as error:
+        raise ConfigError(
+            name, found=shown(str(error)), expected="XML in UTF-8", remedy="correct that place"
+        ) from error
+    for where, attribute, written, a_weight in _numbers(robot):
+        words = written.split() if written is not None else []
+        count = 3 if attribute in {"xyz", "rpy"} else 1
+        if len(words) != count or not all(map(_NUMBER.fullmatch, words)) or (a_weight and float(words[0]) < 0.0):
+            raise ConfigError(
+                f"{attribute} of {shown(where)} in {name}",
+                found="nothing" if written is None else shown(repr(written)),
+                expected="a number, not below 0" if a_weight else "a number" if count == 1 else f"{count} numbers",
+                remedy="correct it: what cannot be read would be left out",
+            )
+    return text
+
+
+def _numbers(robot: ET.Element) -> Iterator[tuple[str, str, str | None, bool]]:
+    """Element, attribute, text, and whether it cannot be negative, of every number an arm's motion depends on."""
+    for parent in robot.iter():
+        if parent.tag == "joint":
+            yield from _triples(parent, f"joint {parent.get('name')}")
+        if parent.tag != "link":
+            continue
+        where = f"link {parent.get('name')}"
+        for inertial in parent.iter("inertial"):
+            yield from _triples(inertial, where)
+            mass, inertia = inertial.find("mass"), inertial.find("inertia")
+            yield where, "mass", None if mass is None else mass.get("value"), True
+            for moment in _MOMENTS:
+                yield where, moment, None if inertia is None else inertia.get(moment), moment[1] == moment[2]
+
+
+def _triples(element: ET.Element, where: str) -> Iterator[tuple[str, str, str | None, bool]]:
+    for tag, attribute in _TRIPLES:
+        for found in element.findall(tag):
+            if attribute in found.attrib:
+                yield where, attribute, found.get(attribute), False

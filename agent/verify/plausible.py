@@ -1,0 +1,100 @@
+"""What a cell file says that may be meant but is more often a slip; findings for a person, most of them warnings."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+
+import numpy as np
+
+from agent.config.cell import Cell
+from agent.config.schema.cell import DriverKind
+from agent.verify.finding import Finding, Verdict, judged
+
+UPRIGHT_RAD = math.radians(5.0)
+GUARD_WIDE_M, GUARD_WIDE_RAD = 0.2, 1.0
+
+
+def plausibility(cell: Cell) -> list[Finding]:
+    """Gravity and how the arms stand in it, shares, guards and ports."""
+    return [*_gravity(cell), *_shares(cell), *_guards(cell), *_ports(cell)]
+
+
+def _gravity(cell: Cell) -> list[Finding]:
+    """Nothing tells off-line which way is down; that most arms stand upright is what a wrong direction shows by."""
+    g = float(np.linalg.norm(cell.gravity))
+    if not g:
+        moved = cell.file.driver is DriverKind.DYNAMIXEL
+        return [
+            judged(
+                "gravity", "cell", "0", "that of the place", holds=False,
+                remedy="give world.gravity_m_per_s2; without it nothing has weight",
+                otherwise=Verdict.REFUSED if moved else Verdict.WARNING,
+            )
+        ]  # fmt: skip
+    down = cell.gravity / g
+    findings = [Finding("gravity", "cell", f"{g:.4g} m/s² along {_direction(down)}", "straight down at the arms")]
+    for arm in cell.arms:
+        tilt = math.acos(max(-1.0, min(1.0, -float(arm.T_world_base.rotation[:, 2].dot(down)))))
+        findings.append(
+            judged(
+                "base against gravity", arm.name, f"{math.degrees(tilt):.1f}° from upright", "upright",
+                holds=tilt <= UPRIGHT_RAD, otherwise=Verdict.WARNING,
+                remedy="right if the arm is mounted so; else correct quat_world_base or world.gravity_m_per_s2",
+            )
+        )  # fmt: skip
+    return findings
+
+
+def _direction(unit: np.ndarray[tuple[int], np.dtype[np.float64]]) -> str:
+    """A world axis with its sign, or the three components."""
+    k = int(np.argmax(np.abs(unit)))
+    if abs(unit[k]) > 1.0 - 1e-9:
+        return f"{'+' if unit[k] > 0.0 else '−'}{'xyz'[k]}"
+    return "[" + ", ".join(f"{x:.3f}" for x in unit) + "]"
+
+
+def _shares(cell: Cell) -> list[Finding]:
+    total = math.fsum(a.entry.load_share for a in cell.arms)
+    findings = [judged("sum of load shares", "cell", f"{total:.6f}", "1", holds=abs(total - 1.0) < 1e-9, remedy="")]
+    for arm in cell.arms:
+        if arm.entry.load_share == 0.0:
+            findings.append(
+                judged(
+                    "load share", arm.name, "0", "above 0", holds=False, otherwise=Verdict.WARNING,
+                    remedy="allowed, but this arm carries nothing and does not pull the object towards its path",
+                )
+            )  # fmt: skip
+    return findings
+
+
+def _guards(cell: Cell) -> list[Finding]:
+    """A guard against lost neighbours and grasps that is so wide that the object is lost first."""
+    safety = cell.file.safety
+    guards = (
+        ("tracking_error_max_m", safety.tracking_error_max_m, GUARD_WIDE_M),
+        ("tracking_error_max_rad", safety.tracking_error_max_rad, GUARD_WIDE_RAD),
+    )
+    return [
+        judged(
+            key, "cell", f"{value:g}", f"≤ {wide:g}", holds=False, otherwise=Verdict.WARNING,
+            remedy="a neighbour that fails is noticed by this error only; the default suits most cells",
+        )
+        for key, value, wide in guards
+        if value > wide
+    ]  # fmt: skip
+
+
+def _ports(cell: Cell) -> list[Finding]:
+    arms = defaultdict(list)
+    for arm in cell.arms:
+        if arm.entry.dynamixel is not None:
+            arms[arm.entry.dynamixel.port].append(arm.name)
+    return [
+        judged(
+            "port", " and ".join(names), port, "one for each arm", holds=False, otherwise=Verdict.WARNING,
+            remedy="right only where the arms are on different hosts; else name the port of each",
+        )
+        for port, names in arms.items()
+        if len(names) > 1
+    ]  # fmt: skip

@@ -1,0 +1,130 @@
+"""Arm file and URDF: what cannot be is refused with file, key, value and remedy, and never half taken."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+import configs
+from agent.config.cell import Cell, ConfigError, cell_from_toml
+from agent.control.models import ModelError
+from agent.verify.check import examine
+
+CELL = (configs.CELLS_DIR / "two_wx200.toml").read_bytes()
+ARM = (configs.ARMS_DIR / "wx200.toml").read_text()
+URDF = (configs.ARMS_DIR / "wx200.urdf").read_text()
+GRIPPER = ARM[ARM.index("[gripper]") :]
+
+
+def loaded(folder: Path, arm: str = ARM, urdf: str | bytes = URDF) -> Cell:
+    """The cell of two WidowX-200 with these files of theirs."""
+    arms = folder / "arms"
+    shutil.copytree(configs.ARMS_DIR, arms, ignore=shutil.ignore_patterns("*.py", "__pycache__"))
+    (arms / "wx200.toml").write_text(arm)
+    (arms / "wx200.urdf").write_bytes(urdf if isinstance(urdf, bytes) else urdf.encode())
+    return cell_from_toml(CELL, "two_wx200.toml", arms)
+
+
+def arm_with(old: str, new: str) -> str:
+    assert old in ARM
+    return ARM.replace(old, new, 1)
+
+
+def test_the_files_that_ship_pass(tmp_path: Path) -> None:
+    assert examine(loaded(tmp_path)).ok
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('servo = "XM430-W350"', 'servo = "XM430-W35"', "joints.waist.servo in wx200.toml: .*did you mean XM430-W350"),
+        ("baud = 1000000", "baud = 0", "baud in wx200.toml: found 0, expected one of 9600,"),
+        ("protocol = 2.0", "protocol = 3.0", "protocol in wx200.toml: found 3.0, expected 1.0 or 2.0"),
+        ("ids = [1]", "ids = [2]", "joints in wx200.toml: found ID 2 more than once"),
+        ("ids = [1]", "ids = [254]", r"joints.waist.ids.0 in wx200.toml: found 254"),
+        ("ids = [1]", "ids = []", "joints.waist.ids in wx200.toml"),
+        ("reverse = [false]", "reverse = [false, true]", "joints.waist.reverse in .*2 entries for 1 servos"),
+        ('name = "waist"', 'name = "shoulder"', "joints in wx200.toml: found name 'shoulder' more than once"),
+        ("zero_tick = 2048", "zero_tick = 1000000000", "joints.waist.zero_tick in wx200.toml: found 1000000000"),
+        ("zero_tick = 2048", "zero_tick = -1", "joints.waist.zero_tick in wx200.toml: found -1"),
+        ("[0, 4095]", "[4095, 0]", "position_limit_ticks in wx200.toml: found 4095 to 0"),
+        ("coulomb_Nm = { value = 0.1", "coulomb_Nm = { value = -0.1", "joints.waist.coulomb_Nm.value in .* -0.1"),
+        (
+            "viscous_Nm_s_per_rad = { value = 0.05", "viscous_Nm_s_per_rad = { value = -1.0",
+            "joints.waist.viscous_Nm_s_per_rad.value in .*greater than or equal to 0",
+        ),
+        ("{ value = 1.783", "{ value = 0.0", "joints.waist.torque_constant_Nm_per_A.value in .*greater than 0"),
+        ("{ value = 1.783", "{ value = -1.0", "joints.waist.torque_constant_Nm_per_A.value in .*greater than 0"),
+        ("[sleep_rad]", "[sleep_rad]\nwrist_angel = 0.0", "sleep_rad in wx200.toml: .*did you mean wrist_angle"),
+        (GRIPPER, "", "gripper in wx200.toml: found nothing"),
+        (GRIPPER, "[gripper]\nids = [7]\n", "gripper.servo in wx200.toml .*found nothing"),
+        ("closed_tick = 1802", 'closed_tick = "shut"', "gripper.closed_tick in wx200.toml: found 'shut'"),
+        ("horn_radius_m", "horn_radius_mm", "gripper.horn_radius_mm in .*did you mean horn_radius_m"),
+        ('urdf = "wx200.urdf"', 'urdf = "../arms/wx200.urdf"', "urdf in wx200.toml: found '../arms/wx200.urdf'"),
+        ('urdf = "wx200.urdf"', 'urdf = "none.urdf"', "none.urdf: found No such file"),
+        ("format = 1", "format = 2", "format in wx200.toml: found 2, expected 1"),
+    ],
+)  # fmt: skip
+def test_what_an_arm_file_cannot_say_is_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        loaded(tmp_path, arm_with(old, new))
+
+
+def test_an_arm_whose_servos_all_speak_another_protocol_is_refused_before_it_is_wired(tmp_path: Path) -> None:
+    cell = loaded(tmp_path, arm_with("protocol = 2.0", "protocol = 1.0"))
+    with pytest.raises(ConfigError, match=r"arm left: joints: .*at least one controlled"):
+        examine(cell)
+
+
+def first_number(of: str, instead: str) -> str:
+    """The URDF with the first value of an attribute replaced."""
+    begin = URDF.index(f'{of}="') + len(of) + 2
+    return URDF[:begin] + instead + URDF[URDF.index('"', begin) :]
+
+
+@pytest.mark.parametrize(
+    ("urdf", "message"),
+    [
+        (b"\xff\xfe", "wx200.urdf: .*expected XML in UTF-8"),
+        ("<robot><link", "wx200.urdf: found unclosed token: line 1"),
+        (first_number("mass value", "0,5"), r"mass of link base_link in wx200.urdf: found '0,5', expected a number"),
+        (first_number("mass value", "nan"), "mass of link base_link in wx200.urdf: found 'nan'"),
+        (first_number("mass value", "-0.1"), "mass of link base_link in .*not below 0"),
+        (first_number("ixx", ""), "ixx of link base_link in wx200.urdf: found ''"),
+        (URDF.replace(" izz=", " ixz2=", 1), "izz of link base_link in wx200.urdf: found nothing"),
+        (first_number("axis xyz", "0 1"), "xyz of joint .*expected 3 numbers"),
+    ],
+)
+def test_a_urdf_with_a_number_that_cannot_be_read_is_refused(tmp_path: Path, urdf: str | bytes, message: str) -> None:
+    """Its parser would leave the weight out and go on."""
+    with pytest.raises(ConfigError, match=message):
+        loaded(tmp_path, urdf=urdf)
+
+
+@pytest.mark.parametrize(
+    ("urdf", "message"),
+    [
+        ("<a/>", r"URDF, arm left \(wx200.urdf\): .*expected a robot description"),
+        (URDF.replace('type="revolute"', 'type="continuous"', 1), "joints of the URDF, arm left .*found waist"),
+        (URDF.replace('name="waist"', 'name="waste"'), "joint names, arm left .*found waist"),
+        (URDF.replace('<link name="ee"', '<link name="tip"').replace('link="ee"', 'link="tip"'), "end-effector frame"),
+    ],
+)
+def test_a_urdf_of_another_arm_is_refused_with_arm_and_file(tmp_path: Path, urdf: str, message: str) -> None:
+    cell = loaded(tmp_path, urdf=urdf)
+    with pytest.raises(ModelError, match=message):
+        cell.model(cell.arms[0])
+    with pytest.raises(ConfigError, match=message):
+        examine(cell)
+
+
+def test_an_arm_that_some_motion_costs_no_torque_is_refused(tmp_path: Path) -> None:
+    weightless = re.sub(r'<mass value="[^"]*"', '<mass value="0"', re.sub(r'(i[xyz][xyz])="[^"]*"', r'\1="0"', URDF))
+    no_rotors = re.sub(r"rotor_inertia_kg_m2 = \{ value = [0-9.]+", "rotor_inertia_kg_m2 = { value = 0.0", ARM)
+    assert examine(loaded(tmp_path / "with rotors", urdf=weightless)).q_start
+    cell = loaded(tmp_path / "without", no_rotors, weightless)
+    with pytest.raises(ModelError, match=r"inertia of the controlled joints, arm left .*smallest eigenvalue of"):
+        cell.model(cell.arms[0])

@@ -1,0 +1,151 @@
+"""How files, names and overrides are read: strictly, in one line of refusal, and never without end."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+import configs
+from agent.config.cell import ConfigError, load_cell
+from agent.control.trajectory_spline import TrajectoryError
+from agent.verify.check import examine
+from agent.verify.finding import Verdict
+from drivers.interface import Refusal
+
+PAPER = configs.CELLS_DIR / "paper.toml"
+IDENTIFY = configs.CELLS_DIR / "identify_wx200.toml"
+
+
+@pytest.mark.parametrize(
+    "override",
+    [
+        'rate_hz="200"',
+        "rate_hz=true",
+        "object.mass_kg=nan",
+        "object.mass_kg=inf",
+        'controller.friction_feedforward="yes"',
+        "controller.friction_feedforward=1",
+        "simulation.substeps_per_cycle=5.0",
+        "simulation.substeps_per_cycle=true",
+        'controller.k_p_per_s=["1", 2, 3]',
+        "controller.k_p_per_s=true",
+        "arms.left.p_world_base_m=[0.0, true, 0.0]",
+        'arms.left.locked_rad.waist="0.0"',
+        "controller.kind=1",
+        "format=1.0",
+        "format=true",
+        "name=5",
+        "report.transient_s=1979-05-27",
+    ],
+)
+def test_nothing_is_made_from_another_kind_of_value(override: str) -> None:
+    with pytest.raises(ConfigError, match=override.split("=", maxsplit=1)[0].replace(".waist", "")):
+        load_cell(PAPER, [override])
+
+
+def test_a_whole_number_stands_for_the_real_one_and_a_list_for_a_tuple() -> None:
+    file = load_cell(PAPER, ["rate_hz=200", "controller.k_p_per_s=[150, 150, 150]", "object.size_m=[1, 1, 1]"]).file
+    assert (file.rate_hz, file.controller.k_p_per_s, file.object.size_m) == (200.0, (150.0,) * 3, (1.0,) * 3)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["arms.left=1", "arms=1", "arms.left.k_v.x.y=1", "=1", "a..b=1", "a.=1", "object=1", "rate_hz.x=1", "arms.x.y=1"],
+)
+def test_overrides_of_what_is_no_value_are_refused(text: str) -> None:
+    with pytest.raises(ConfigError, match=r"override|arms in|object in|unknown key"):
+        load_cell(PAPER, [text])
+
+
+@pytest.mark.parametrize(
+    ("raw", "expected"),
+    [
+        (b"\xff\xfe", "UTF-8"),
+        (b"a = " + b"[" * 5000, "expected TOML"),
+        (b"a = " + b"9" * 5000, "expected TOML"),
+        (b'"\\u0000\\n" = 1\n' + PAPER.read_bytes(), "an unknown key"),
+        (("x" * 9000 + " = 1\n").encode() + PAPER.read_bytes(), "xx… in cell.toml"),
+    ],
+)
+def test_odd_texts_are_refused_in_one_line(tmp_path: Path, raw: bytes, expected: str) -> None:
+    path = tmp_path / "cell.toml"
+    path.write_bytes(raw)
+    with pytest.raises(ConfigError, match=expected) as caught:
+        load_cell(path)
+    assert str(caught.value).isprintable()
+    assert len(str(caught.value)) < 1000
+
+
+@pytest.mark.parametrize("name", ["/dev/zero", "/", "/dev/null"])
+def test_what_is_no_file_is_not_read(name: str) -> None:
+    with pytest.raises(ConfigError, match="no regular file"):
+        load_cell(Path(name))
+
+
+def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(ConfigError, match="no regular file"):
+        load_cell(tmp_path / "pipe")
+
+
+def test_a_file_of_another_kind_is_not_read_to_its_end(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    with path.open("wb") as file:
+        file.truncate(20_000_000)
+    with pytest.raises(ConfigError, match="found 20 MB, expected a file of at most 16 MB"):
+        load_cell(path)
+
+
+@pytest.mark.parametrize("path", ["/dev/zero", "/", "a\\u0000b", "none.csv"])
+def test_a_motion_from_what_is_no_file_is_refused(tmp_path: Path, path: str) -> None:
+    text = PAPER.read_text()
+    begin, end = text.index('kind = "sinusoid"'), text.index("[controller]")
+    cell = tmp_path / "cell.toml"
+    cell.write_text(f'{text[:begin]}kind = "file"\npath = "{path}"\n{text[end:]}')
+    with pytest.raises(TrajectoryError, match=r"trajectory file .*expected a readable CSV file"):
+        load_cell(cell)
+
+
+def test_shipped_cells_go_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert load_cell(Path("paper")).fingerprint == load_cell(PAPER).fingerprint
+    (tmp_path / "paper").mkdir()
+    assert load_cell(Path("paper")).file.name == "paper"
+
+
+def test_a_file_of_that_name_wins_over_a_shipped_cell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "paper").write_text(PAPER.read_text().replace('name = "paper"', 'name = "mine"'))
+    assert load_cell(Path("paper")).file.name == "mine"
+
+
+@pytest.mark.parametrize(
+    ("name", "remedy"),
+    [("papr", "did you mean paper?"), ("paper.toml", "did you mean paper?"), ("qqq", "give the path")],
+)
+def test_an_unknown_name_lists_the_shipped_cells(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, remedy: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ConfigError, match=r"expected a cell file, or one of four_wx250s, .*two_wx200; ") as caught:
+        load_cell(Path(name))
+    assert caught.value.remedy.startswith(remedy)
+
+
+def test_a_motion_of_two_thousand_years_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"trajectory\.motion_s in .*less than or equal to 1000000"):
+        load_cell(IDENTIFY, ["trajectory.motion_s=6e10"])
+
+
+def test_a_long_motion_is_examined_in_part_and_says_so() -> None:
+    report = examine(load_cell(IDENTIFY, ["trajectory.motion_s=2000", "duration_s=2000"]))
+    found = next(f for f in report.findings if f.what == "instants examined")
+    assert (found.verdict, found.found) == (Verdict.WARNING, "6000 of 8801")
+    assert not any(f.what == "instants examined" for f in examine(load_cell(IDENTIFY)).findings)
+
+
+def test_a_refusal_is_one_line_whatever_is_in_it() -> None:
+    text = str(Refusal("a\nb", found="\x1b[31m\t\u202e", expected="c\u2028d", remedy="e"))
+    assert text == "a b: found \ufffd[31m \ufffd, expected c d; e"

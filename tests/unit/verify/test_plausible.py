@@ -1,0 +1,99 @@
+"""What may be meant but is more often a slip: warned of in the check's table, or refused where it cannot be."""
+
+from __future__ import annotations
+
+import pytest
+
+import configs
+from agent.config.cell import Cell, ConfigError, cell_from_toml, load_cell
+from agent.verify.finding import Finding, Verdict
+from agent.verify.plausible import plausibility
+
+PAPER = configs.CELLS_DIR / "paper.toml"
+
+
+def findings(*overrides: str) -> list[Finding]:
+    return plausibility(load_cell(PAPER, overrides))
+
+
+def warnings(cell: Cell) -> list[tuple[str, str, str]]:
+    return [(f.what, f.where, f.found) for f in plausibility(cell) if f.verdict is not Verdict.OK]
+
+
+@pytest.mark.parametrize("path", sorted(configs.CELLS_DIR.glob("*.toml")), ids=lambda p: p.stem)
+def test_shipped_cells_give_no_warning(path: object) -> None:
+    assert warnings(load_cell(path)) == []
+
+
+@pytest.mark.parametrize(
+    ("gravity", "direction", "tilt"),
+    [
+        ("[0.0, -9.81, 0.0]", "9.81 m/s² along −y", "0.0°"),
+        ("[0.0, 9.81, 0.0]", "9.81 m/s² along +y", "180.0°"),
+        ("[-9.81, 0.0, 0.0]", "9.81 m/s² along −x", "90.0°"),
+        ("[0.0, -9.7, 1.0]", "9.751 m/s² along [0.000, -0.995, 0.103]", "5.9°"),
+    ],
+)
+def test_direction_of_gravity_is_told_and_held_against_how_the_arms_stand(
+    gravity: str, direction: str, tilt: str
+) -> None:
+    found = findings(f"world.gravity_m_per_s2={gravity}")
+    assert next(f for f in found if f.what == "gravity").found == direction
+    bases = [f for f in found if f.what == "base against gravity"]
+    assert [(f.where, f.found) for f in bases] == [(arm, f"{tilt} from upright") for arm in ("left", "right")]
+    assert {f.verdict for f in bases} == {Verdict.OK if tilt == "0.0°" else Verdict.WARNING}
+
+
+@pytest.mark.parametrize(("driver", "verdict"), [("sim", Verdict.WARNING), ("dynamixel", Verdict.REFUSED)])
+def test_without_gravity_only_simulated_arms_move(driver: str, verdict: Verdict) -> None:
+    found = findings("world.gravity_m_per_s2=[0.0, 0.0, 0.0]", f"driver={driver}")
+    assert next(f for f in found if f.what == "gravity").verdict is verdict
+
+
+@pytest.mark.parametrize("gravity", [0.5, 0.981, 31.0, 98.1])
+def test_gravity_of_another_unit_is_refused(gravity: float) -> None:
+    with pytest.raises(ConfigError, match=r"world.gravity_m_per_s2 in .* expected 1 to 30 m/s² in all, or zero"):
+        load_cell(PAPER, [f"world.gravity_m_per_s2=[0.0, {-gravity}, 0.0]"])
+
+
+def test_an_arm_that_carries_nothing_is_allowed_by_the_paper_and_warned_of() -> None:
+    cell = load_cell(PAPER, ["arms.left.load_share=1.0", "arms.right.load_share=0.0"])
+    assert warnings(cell) == [("load share", "right", "0")]
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "warned"),
+    [
+        ("tracking_error_max_m", 0.2, False),
+        ("tracking_error_max_m", 0.21, True),
+        ("tracking_error_max_rad", 1.0, False),
+        ("tracking_error_max_rad", 1.1, True),
+    ],
+)
+def test_a_guard_that_notices_nothing_is_warned_of(key: str, value: float, warned: bool) -> None:
+    found = warnings(load_cell(PAPER, [f"safety.{key}={value}"]))
+    assert found == ([(key, "cell", f"{value:g}")] if warned else [])
+
+
+@pytest.mark.parametrize(("key", "value"), [("tracking_error_max_m", 1e9), ("tracking_error_max_rad", 3.2)])
+def test_a_guard_that_cannot_be_meant_is_refused(key: str, value: float) -> None:
+    with pytest.raises(ConfigError, match=f"safety.{key} in .*less than or equal to"):
+        load_cell(PAPER, [f"safety.{key}={value}"])
+
+
+def test_two_arms_on_one_port_are_warned_of_because_hosts_may_differ() -> None:
+    cell = load_cell(PAPER, ['arms.right.dynamixel.port="/dev/coop/left"'])
+    assert warnings(cell) == [("port", "left and right", "/dev/coop/left")]
+
+
+@pytest.mark.parametrize("port", ["", " ", "/dev/tty 1", "a\\u0000b", "\\u202e"])
+def test_a_port_that_is_no_name_of_one_is_refused(port: str) -> None:
+    with pytest.raises(ConfigError, match=r"arms\.right\.dynamixel\.port in"):
+        load_cell(PAPER, [f'arms.right.dynamixel.port="{port}"'])
+
+
+def test_servos_without_a_port_are_refused() -> None:
+    text = PAPER.read_text().replace('dynamixel = { port = "/dev/coop/right" }', "")
+    assert cell_from_toml(text.encode(), "paper.toml").arms[1].entry.dynamixel is None
+    with pytest.raises(ConfigError, match="found no port of arm right"):
+        cell_from_toml(text.replace('driver = "sim"', 'driver = "dynamixel"').encode(), "paper.toml")
