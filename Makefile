@@ -6,7 +6,7 @@ JOBS   ?= $(shell nproc)
 CELL   ?= configs/cells/paper.toml
 
 .DEFAULT_GOAL := help
-.PHONY: help run test test-fresh mutate bench format clean
+.PHONY: help run test test-fresh fuzz mutate bench format clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## */\1\t/' | expand -t 12
@@ -37,6 +37,9 @@ test-fresh: $(VENV)/.installed  ## `make run` on minimal Debian 12 and 13, each 
 
 mutate: $(VENV)/.installed  ## one-line changes that a test must notice; MUTATE_ONLY=TEXT for some modules
 	$(BIN)/python -m tests.mutate
+
+fuzz: $(VENV)/.installed  ## thousands of changed files through what reads them (half an hour)
+	HYPOTHESIS_PROFILE=long $(BIN)/pytest -m fuzz
 
 bench: $(VENV)/.installed  ## speed and memory; BENCH_OUT=FILE writes the figures as JSON
 	$(BIN)/python -m tests.bench $(if $(BENCH_OUT),--out $(BENCH_OUT))

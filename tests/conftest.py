@@ -14,6 +14,8 @@ settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.register_profile("explore", derandomize=False, deadline=None)
 # `make mutate` asks whether a test fails, not for the smallest example of it
 settings.register_profile("mutate", derandomize=True, deadline=None, phases=(Phase.explicit, Phase.generate))
+# `make fuzz`: what is marked so, thirty times as many
+settings.register_profile("long", derandomize=True, deadline=None, max_examples=3000)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 
 
