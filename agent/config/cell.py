@@ -136,12 +136,12 @@ def placement(p_m: Sequence[float], quat: Sequence[float]) -> pin.SE3:
     return pin.SE3(pin.Quaternion(*quat), np.array(p_m))
 
 
-def load_cell(path: Path, overrides: Sequence[str] = ()) -> Cell:
-    """Read and validate a cell file; `overrides` are "key.path=value" with TOML values.
+def load_cell(cell: Path, overrides: Sequence[str] = ()) -> Cell:
+    """Read and validate a cell file, or the cell that ships under that name; overrides: "key.path=value", TOML values.
 
     Raises ConfigError, whose text names key, value found, what is allowed and what to do.
     """
-    return _cell(load_files(path, overrides))
+    return _cell(load_files(cell, overrides))
 
 
 def cell_from_toml(raw: bytes, source: str, arms_dir: Path = configs.ARMS_DIR) -> Cell:

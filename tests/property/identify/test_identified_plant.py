@@ -11,7 +11,7 @@ import pytest
 
 import configs
 from agent.config.cell import load_cell
-from agent.config.schema.cell import Provenance
+from agent.config.schema.arm import Provenance
 from agent.identify.fit import Fit, Options, fit
 from agent.identify.recording import Recording
 from agent.identify.result import Outcome, identified

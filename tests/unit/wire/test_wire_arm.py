@@ -160,7 +160,7 @@ def test_joints_of_no_plant_have_the_friction_of_their_own_servos(model: str) ->
         coulomb_Nm, viscous = friction[joint.name]
         assert coulomb_Nm == pytest.approx(joint.coulomb_Nm.value, rel=0.1)
         assert viscous == pytest.approx(joint.viscous_Nm_s_per_rad.value, rel=0.25)
-    stall = SERVOS[file.gripper["servo"]].stall_torque_Nm
+    stall = SERVOS[file.gripper.servo].stall_torque_Nm
     assert friction["gripper"] == pytest.approx((0.1 * stall / 4.1, 0.05 * stall / 4.1))
     free = next(joint.free for joint in EmulatedArm(wired).joints if joint.name == "gripper")
     assert free is not None
