@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import time
 from collections.abc import Callable, Iterable
 from enum import Enum
@@ -13,6 +15,7 @@ import numpy as np
 from agent.config.cell import Cell
 from agent.config.schema.cell import DriverKind
 from agent.host.child import Child
+from agent.host.share import cores_of_arms, keep_to, one_memory_layout
 from agent.operator.socket import Verb, ask
 from agent.process.commands import (
     AgentCommand,
@@ -86,10 +89,10 @@ class Children:
         """Start everything, recorder first, so that no row is before its time."""
         progress.phase("starting")
         self._recorder = self._child("recorder", self._record_command())
-        self._plant = self._child("plant", self._plant_command())
-        self._plant.wait_ready(READY_TIMEOUT_S)
-        for arm in self._cell.arms:
-            self._agents[arm.name] = self._child(f"arm-{arm.name}", self._agent_command(arm.name))
+        with self._together():
+            self._plant = self._child("plant", self._plant_command())
+            self._plant.wait_ready(READY_TIMEOUT_S)
+            self._start_agents()
         endpoint = self._recorder.wait_ready(READY_TIMEOUT_S)["endpoint"]
         for name in (PLANT, *self._agents):
             self._telemetry[name] = self._child(f"telemetry-{name}", self._telemetry_command(name, endpoint))
@@ -98,6 +101,17 @@ class Children:
         if not self._lockstep:
             self._start_together(progress)
         self._began_s = time.monotonic()
+
+    def _start_agents(self) -> None:
+        cores = cores_of_arms(len(self._cell.arms), os.sched_getaffinity(0))
+        for arm, own in zip(self._cell.arms, cores, strict=True):
+            child = self._agents[arm.name] = self._child(f"arm-{arm.name}", self._agent_command(arm.name))
+            if self._lockstep:
+                keep_to(child.process.pid, own)
+
+    def _together(self) -> contextlib.AbstractContextManager[None]:
+        """For processes that wait for each other all the time, and that no network reaches."""
+        return one_memory_layout() if self._lockstep else contextlib.nullcontext()
 
     def _start_together(self, progress: Progress) -> None:
         """Give all arms one start instant once each of them holds its start pose."""

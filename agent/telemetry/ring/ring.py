@@ -94,13 +94,16 @@ class RingWriter:
 
         Raises RingError when that takes longer than `timeout_s`: telemetry is missing or stuck.
         """
+        enough = self.header.slots // 2
+        if self.written - self._words[ACKNOWLEDGED_WORD] < enough:
+            return
         deadline = time.monotonic() + timeout_s
-        while (waiting := self.written - self._words[ACKNOWLEDGED_WORD]) >= self.header.slots // 2:
+        while (waiting := self.written - self._words[ACKNOWLEDGED_WORD]) >= enough:
             if time.monotonic() >= deadline:
                 raise RingError(
                     f"the telemetry of {self.header.name} does not keep up",
                     found=f"{waiting} rows waiting for {timeout_s:g} s",
-                    expected=f"fewer than {self.header.slots // 2}",
+                    expected=f"fewer than {enough}",
                     remedy="start `coop telemetry` and `coop record`, or see why they stand still",
                 )
             time.sleep(_POLL_S)

@@ -17,12 +17,15 @@ import numpy as np
 import psutil
 import pytest
 
+from agent.host.share import one_memory_layout
 from agent.log.read import RunLog, read_log
 from agent.telemetry.row.sample import AGENT_STATE
 from tests.process.conftest import PAPER_RUN_S
 from tests.support.coop import PAPER, coop, ready, start
 
 ROWS = 200 * PAPER_RUN_S
+ADDR_NO_RANDOMIZE = 0x0040000
+ARMS = ("--arm left", "--arm right")
 
 
 def ours(token: str) -> list[psutil.Process]:
@@ -118,12 +121,18 @@ def test_the_logged_torque_is_the_sum_of_its_logged_terms(paper_runs: tuple[Path
         np.testing.assert_allclose(sum(rows[n] for n in summed), rows["tau_cmd"], atol=1e-12)
 
 
+def has_fixed_layout(pid: int) -> bool:
+    return bool(int(Path(f"/proc/{pid}/personality").read_text(), 16) & ADDR_NO_RANDOMIZE)
+
+
 @dataclass(frozen=True)
 class Stopped:
     """A run that was looked at and then ended by Ctrl-C."""
 
     inet: list[Any]  # network sockets of the left arm's agent while it ran
     mapped: list[str]  # files in its memory
+    cores: dict[str, list[int]]  # of each process, by a part of its command line
+    fixed_layout: dict[str, bool]  # whether its memory layout is the one without randomness
     returncode: int
     out: str
     err: str
@@ -137,9 +146,14 @@ def stopped(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stopped]:
         wait_for_rows(folder / "out", run)
         agent = child("--arm left", run)
         inet, mapped = agent.net_connections(kind="inet"), [m.path for m in agent.memory_maps()]
+        members = {word: child(word, run) for word in (*ARMS, "cli plant", "cli record", "cli telemetry")}
+        cores = {word: process.cpu_affinity() for word, process in members.items()}
+        fixed_layout = {word: has_fixed_layout(process.pid) for word, process in members.items()}
         run.send_signal(signal.SIGINT)
         out, err = run.communicate(timeout=60)
-        yield Stopped(inet, mapped, run.returncode, out, err, read_log(folder / "out" / "run.mcap"))
+        yield Stopped(
+            inet, mapped, cores, fixed_layout, run.returncode, out, err, read_log(folder / "out" / "run.mcap")
+        )
 
 
 def test_ctrl_c_ends_everything_and_leaves_a_readable_log(stopped: Stopped) -> None:
@@ -152,6 +166,20 @@ def test_the_agent_process_opens_no_network_socket(stopped: Stopped) -> None:
     assert stopped.inet == []
     assert len(stopped.mapped) > 50, "the libraries of a process that was there"
     assert not any("zenoh" in path or "mcap" in path for path in stopped.mapped)
+
+
+def test_the_agents_of_a_lockstep_run_keep_to_distinct_cores_and_nothing_else_does(stopped: Stopped) -> None:
+    allowed = sorted(os.sched_getaffinity(0))
+    kept = [stopped.cores[arm] for arm in ARMS]
+    assert kept == ([allowed[:1], allowed[1:2]] if len(allowed) > 1 else [allowed, allowed])
+    assert all(cores == allowed for word, cores in stopped.cores.items() if word not in ARMS), stopped.cores
+
+
+def test_only_what_no_network_reaches_gives_up_its_random_layout(stopped: Stopped) -> None:
+    with one_memory_layout():
+        permitted = has_fixed_layout(os.getpid())
+    expected = {"cli plant": permitted, "cli record": False, "cli telemetry": False} | dict.fromkeys(ARMS, permitted)
+    assert stopped.fixed_layout == expected
 
 
 def test_a_killed_agent_is_named_and_the_log_is_readable(nothing_left: Path) -> None:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,19 +11,14 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from numpy.typing import NDArray
 
-import configs
 from agent.log.read import read_log
+from tests.support.coop import PAPER, coop
 
-PAPER = str(configs.CELLS_DIR / "paper.toml")
 TRANSIENT_S = 1.0
 
 
-def run(out: Path, *options: str) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "agent.cli", "run", PAPER, "--out", str(out),
-         "--set", f"report.transient_s={TRANSIENT_S}", *options],
-        capture_output=True, text=True, timeout=110,
-    )  # fmt: skip
+def run(out: Path, *options: str | float) -> None:
+    done = coop("run", PAPER, "--out", out, "--set", f"report.transient_s={TRANSIENT_S}", *options)
     assert done.returncode == 0, done.stderr
 
 
@@ -40,7 +33,7 @@ def positions(log: Path, topic: str) -> dict[int, NDArray[np.float64]]:
 
 
 def test_poses_of_one_stamp_give_the_error_of_the_report(tmp_path: Path) -> None:
-    run(tmp_path / "out", "--duration", "3")
+    run(tmp_path / "out", "--duration", 3)
     log = tmp_path / "out" / "run.mcap"
     true, desired = positions(log, "/coop/paper/object/pose"), positions(log, "/coop/paper/object/pose_des")
     zero_ns = min(true)
@@ -52,8 +45,9 @@ def test_poses_of_one_stamp_give_the_error_of_the_report(tmp_path: Path) -> None
     assert max(errors) == pytest.approx(results["max_position_error_m"], rel=1e-9)
 
 
+@pytest.mark.realtime
 def test_simulated_arms_in_real_time_have_one_origin(tmp_path: Path) -> None:
-    run(tmp_path / "out", "--duration", "2", "--real-time")
+    run(tmp_path / "out", "--duration", 2, "--real-time")
     log = read_log(tmp_path / "out" / "run.mcap")
     assert log.plant is not None
     members = [log.plant, *log.agents.values()]

@@ -1,0 +1,57 @@
+"""Which cores the agents of a run keep to, and what one memory layout leaves behind."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from agent.host.share import cores_of_arms, one_memory_layout
+
+ADDR_NO_RANDOMIZE = 0x0040000
+
+
+@pytest.mark.parametrize(
+    ("arms", "allowed", "expected"),
+    [
+        (2, {0}, [{0}, {0}]),
+        (2, {0, 1}, [{0}, {1}]),
+        (2, {3, 5, 7, 9}, [{3}, {5}]),
+        (3, {0, 1}, [{0}, {1}, {0}]),
+        (4, {0, 1, 2, 3}, [{0}, {1}, {2}, {3}]),
+        (1, {4, 6}, [{4}]),
+        (0, {0, 1}, []),
+    ],
+)
+def test_arms_keep_to_distinct_cores_as_long_as_there_are_any(
+    arms: int, allowed: set[int], expected: list[set[int]]
+) -> None:
+    assert cores_of_arms(arms, allowed) == expected
+
+
+def personality() -> int:
+    return int(Path("/proc/self/personality").read_text(), 16)
+
+
+def of_a_child() -> int:
+    code = "import pathlib; print(pathlib.Path('/proc/self/personality').read_text())"
+    return int(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout, 16)
+
+
+def test_one_memory_layout_is_for_what_is_started_within() -> None:
+    before = personality()
+    with one_memory_layout():
+        if not personality() & ADDR_NO_RANDOMIZE:
+            pytest.skip("this host does not let a process choose its memory layout")
+        assert of_a_child() & ADDR_NO_RANDOMIZE
+    assert personality() == before
+    assert not of_a_child() & ADDR_NO_RANDOMIZE
+
+
+def test_the_layout_is_given_back_after_an_error() -> None:
+    before = personality()
+    with pytest.raises(RuntimeError, match="inside"), one_memory_layout():
+        raise RuntimeError("inside")
+    assert personality() == before
