@@ -11,7 +11,7 @@ import tomli_w
 
 from agent.config.reading import ConfigError, read_file, shown
 from agent.config.schema.cell import CellFile
-from agent.config.schema.trajectory import FourierSpec, PoseFileSpec, RestToRestSpec, SinusoidSpec, WaypointsSpec
+from agent.config.schema.trajectory import FourierSpec, PoseFileSpec, RestToRestSpec, SinusoidSpec
 from agent.control.trajectory import Sinusoid, Trajectory
 from agent.control.trajectory_file import SpeedLimits, read
 from agent.control.trajectory_fourier import Fourier, Term
@@ -43,9 +43,9 @@ def waypoint_times(file: CellFile, end_s: float, at_most: int) -> tuple[list[flo
 
     Where there are more than at_most (≥ 2), it is so many of them, evenly.
     """
-    t = file.trajectory
-    if isinstance(t, WaypointsSpec):
-        times = [p.t_s for p in t.points if p.t_s <= end_s]
+    t, motion = file.trajectory, build(file)
+    if isinstance(motion, PoseSpline):
+        times = [time for time in motion.times_s if time <= end_s]
         chosen = np.unique(np.linspace(0, len(times) - 1, min(len(times), at_most)).round().astype(int))
         return [times[k] for k in chosen], len(times)
     if isinstance(t, FourierSpec):

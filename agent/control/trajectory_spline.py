@@ -50,10 +50,7 @@ class PoseSpline:
         still = [(1, np.zeros(7)), (2, np.zeros(7))]
         from scipy.interpolate import make_interp_spline  # noqa: PLC0415 - 0.7 s, which every process would pay
 
-        try:
-            spline = make_interp_spline(self._times, values, k=5, bc_type=(still, still))
-        except (ValueError, np.linalg.LinAlgError) as error:
-            raise _uneven(times_s, str(error)) from error
+        spline = make_interp_spline(self._times, values, k=5, bc_type=(still, still))
         # (segment, power of time since its start; value of p and s, then their rates, then their second rates)
         starts = self._times[:-1]
         coefficients = np.stack([spline(starts, nu=k) / math.factorial(k) for k in range(6)], axis=1)
@@ -61,10 +58,13 @@ class PoseSpline:
         rates, accelerations = np.zeros_like(coefficients), np.zeros_like(coefficients)
         rates[:, :5] = (power * coefficients)[:, 1:]
         accelerations[:, :4] = (power * (power - 1.0) * coefficients)[:, 2:]
-        if not np.isfinite(coefficients).all():
-            raise _uneven(times_s, "no finite interpolation")
         self._segments = list(np.concatenate([coefficients, rates, accelerations], axis=2))
         _refuse_small_norm(self._times, self._segments)
+
+    @property
+    def times_s(self) -> Sequence[float]:
+        """Times of the poses."""
+        return self._times
 
     @property
     def period_s(self) -> float:
@@ -111,15 +111,6 @@ def _refuse_close_times(times_s: Sequence[float]) -> None:
                 expected=f"times that increase, by {CLOSEST_S:g} s at least",
                 remedy="put the poses in order, one per instant",
             )
-
-
-def _uneven(times_s: Sequence[float], found: str) -> TrajectoryError:
-    return TrajectoryError(
-        f"poses from {times_s[0]:g} s to {times_s[-1]:g} s",
-        found=found,
-        expected="times that a smooth motion can be put through",
-        remedy="space the times more evenly",
-    )
 
 
 def _refuse_far_attitudes(times_s: Sequence[float], quats: Sequence[Quat]) -> None:

@@ -6,11 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from agent.config.cell import Cell, ConfigError
+from agent.config.schema.cell import DriverKind
 from agent.config.servo_map import arm_map
 from agent.verify.finding import Finding, Verdict, judged
 from drivers.dynamixel.arm_map import MapError
 from drivers.dynamixel.budget import cycle_budget
 from drivers.interface import Vector
+
+DELAY_SHARE = 0.9  # of the computed delay that a cell may believe in: a host can be quicker than the budget
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,6 +22,7 @@ class BusRate:
 
     arm: str
     rate_max_hz: float
+    delay_s: float  # from a sample to its torque
     servos: int
     baud: int
     fast: bool  # all servos can answer in one merged reply, if their firmware is not too old
@@ -45,19 +49,29 @@ def bus_rates(cell: Cell, q_start: Sequence[Vector]) -> list[BusRate]:
             continue
         fast = all(slot.model.fast_sync_min_firmware is not None for slot in servos.slots)
         budget = cycle_budget(servos, fast=fast)
-        found.append(BusRate(arm.name, budget.rate_max_hz, len(servos.slots), servos.baud, fast))
+        found.append(BusRate(arm.name, budget.rate_max_hz, budget.delay_mean_s, len(servos.slots), servos.baud, fast))
     return found
 
 
 def buses(cell: Cell, q_start: Sequence[Vector], *, wired: bool) -> list[Finding]:
-    """Whether the bus of every arm with a port carries the cell's rate.  wired: one that does not is refused."""
-    rate = cell.file.rate_hz
-    return [
-        judged(
+    """Whether the bus of every arm with a port carries the cell's rate, within the delay that the cell believes in.
+
+    wired: a rate that is not carried is refused.  A delay that no bus has is refused when servos move the arms.
+    """
+    rate, delay_s = cell.file.rate_hz, cell.file.delay_s
+    moved = cell.file.driver is DriverKind.DYNAMIXEL
+    findings = []
+    for bus in bus_rates(cell, q_start):
+        rate_finding = judged(
             "rate on the servo bus", bus.arm, f"{rate:g} Hz", f"≤ {bus.rate_max_hz:g} Hz ({bus.text})",
             holds=rate <= bus.rate_max_hz,
             remedy="lower rate_hz, or raise the servos' Baud Rate (`coop motors setup`) and `baud`",
             otherwise=Verdict.REFUSED if wired else Verdict.WARNING,
-        )
-        for bus in bus_rates(cell, q_start)
-    ]  # fmt: skip
+        )  # fmt: skip
+        delay_finding = judged(
+            "loop_delay_s", bus.arm, f"{delay_s * 1e3:.3g} ms", f"≥ {bus.delay_s * 1e3:.3g} ms, which the bus takes",
+            holds=delay_s >= DELAY_SHARE * bus.delay_s, otherwise=Verdict.REFUSED if moved else Verdict.WARNING,
+            remedy="leave it out for one control period, or give what you have measured; simulated arms may be quicker",
+        )  # fmt: skip
+        findings += [rate_finding, delay_finding]
+    return findings

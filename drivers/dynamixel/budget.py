@@ -51,6 +51,11 @@ class CycleBudget:
         return self.request_s + self.reply_s + self.usb_worst_s
 
     @property
+    def delay_mean_s(self) -> float:
+        """From the instant at which the servos sample to the one at which the torque has reached them, on average."""
+        return self.reply_s + 0.5 * self.usb_worst_s + self.step_s + self.write_s
+
+    @property
     def cycle_s(self) -> float:
         """Shortest period the bus carries, health reads included."""
         return self.read_worst_s + self.step_s + self.write_s + self.health_s

@@ -19,13 +19,13 @@ URDF = (configs.ARMS_DIR / "wx200.urdf").read_text()
 GRIPPER = ARM[ARM.index("[gripper]") :]
 
 
-def loaded(folder: Path, arm: str = ARM, urdf: str | bytes = URDF) -> Cell:
+def loaded(folder: Path, arm: str = ARM, urdf: str | bytes = URDF, cell: bytes = CELL) -> Cell:
     """The cell of two WidowX-200 with these files of theirs."""
     arms = folder / "arms"
     shutil.copytree(configs.ARMS_DIR, arms, ignore=shutil.ignore_patterns("*.py", "__pycache__"))
     (arms / "wx200.toml").write_text(arm)
     (arms / "wx200.urdf").write_bytes(urdf if isinstance(urdf, bytes) else urdf.encode())
-    return cell_from_toml(CELL, "two_wx200.toml", arms)
+    return cell_from_toml(cell, "two_wx200.toml", arms)
 
 
 def arm_with(old: str, new: str) -> str:
@@ -73,10 +73,13 @@ def test_what_an_arm_file_cannot_say_is_refused(tmp_path: Path, old: str, new: s
         loaded(tmp_path, arm_with(old, new))
 
 
-def test_an_arm_whose_servos_all_speak_another_protocol_is_refused_before_it_is_wired(tmp_path: Path) -> None:
-    cell = loaded(tmp_path, arm_with("protocol = 2.0", "protocol = 1.0"))
+@pytest.mark.parametrize("cell", [CELL, re.sub(rb"(?m)^dynamixel = .*$", b"", CELL)], ids=["with ports", "without"])
+def test_an_arm_whose_servos_all_speak_another_protocol_is_refused_before_it_is_wired(
+    tmp_path: Path, cell: bytes
+) -> None:
+    found = loaded(tmp_path, arm_with("protocol = 2.0", "protocol = 1.0"), cell=cell)
     with pytest.raises(ConfigError, match=r"arm left: joints: .*at least one controlled"):
-        examine(cell)
+        examine(found)
 
 
 def first_number(of: str, instead: str) -> str:

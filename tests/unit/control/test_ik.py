@@ -89,3 +89,25 @@ def test_what_lies_outside_the_plane_is_told_apart(
     assert caught.value.out_of_task
     assert caught.value.distance_m == pytest.approx(distance_m, abs=1e-8)
     assert caught.value.angle_rad == pytest.approx(angle_rad, abs=1e-8)
+
+
+class FoldedArm:
+    """Two joints that turn together at this pose, so that J Jᵀ has no inverse; where the object is, is given."""
+
+    task_basis = np.eye(6)[:2]
+
+    def object_pose(self, _q: np.ndarray) -> pin.SE3:
+        return pin.SE3(np.eye(3), np.zeros(3))
+
+    def jacobian(self, _q: np.ndarray) -> np.ndarray:
+        return np.array([[1.0, 1.0], [1.0, 1.0]])
+
+
+@pytest.mark.parametrize(("distance_m", "reached"), [(5e-9, True), (2e-8, False)])
+def test_a_singular_pose_that_the_goal_is_next_to_ends_the_search_there(distance_m: float, reached: bool) -> None:
+    wanted, q = pin.SE3(np.eye(3), np.array([distance_m, 0.0, 0.0])), np.array([0.1, -0.2])
+    if reached:
+        assert ik.solve(FoldedArm(), wanted, q).tolist() == pytest.approx(q.tolist())
+    else:
+        with pytest.raises(ik.Unreachable):
+            ik.solve(FoldedArm(), wanted, q)

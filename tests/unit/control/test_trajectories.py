@@ -14,12 +14,13 @@ from hypothesis import strategies as st
 
 import configs
 from agent.config.cell import ConfigError, cell_from_toml, load_cell
+from agent.config.trajectory import waypoint_times
 from agent.control.quaternion import Quat, angle_between, conjugate, from_axis_angle, multiply
 from agent.control.trajectory import Desired, Trajectory
 from agent.control.trajectory_file import COLUMNS, SpeedLimits, read
 from agent.control.trajectory_rest import RestToRest
 from agent.control.trajectory_spline import PoseSpline, TrajectoryError, same_hemisphere
-from agent.verify.check import examine
+from agent.verify.check import Verdict, examine
 from drivers.interface import Refusal
 from tests.support.control.strategies import examples, random_pose, random_unit
 
@@ -188,6 +189,7 @@ def test_signs_are_made_to_agree() -> None:
     [
         ([0.0, 1.0, 1.0], [UPRIGHT] * 3, "time of pose 3: found 1 s after 1 s"),
         ([0.0, 2.0, 1.0], [UPRIGHT] * 3, "times that increase"),
+        ([0.0, 0.9e-4, 1.0], [UPRIGHT] * 3, "found 9e-05 s after 0 s, expected times that increase, by 0.0001 s"),
         ([0.0, 1.0, 2.0], [UPRIGHT, (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0)], "3.14 rad apart"),
     ],
 )
@@ -230,6 +232,10 @@ def test_a_file_of_poses_is_the_spline_through_them() -> None:
         (csv([*GOOD[:2], "2,0.12,0,zero,1,0,0,0"]), "line 4 of way.csv: .*could not convert"),
         (csv([GOOD[0], "nan,0,0,0,1,0,0,0"]), "line 3 of way.csv: .*finite"),
         (csv(["-1,0.1,0,0,1,0,0,0", *GOOD]), "line 2 of way.csv: .*t_s ≥ 0"),
+        (csv([*GOOD, "1.1e6,0.1,0,0,1,0,0,0"]), "line 6 of way.csv: .*at most 1e.06"),
+        (csv([GOOD[0], "3,0,-101,0,1,0,0,0"]), "line 3 of way.csv: .*within 100 m"),
+        (csv([GOOD[0], "3,0,0,inf,1,0,0,0"]), "line 3 of way.csv: .*finite numbers"),
+        (csv([GOOD[0], "3,0,0,0,nan,0,0,0"]), "quaternion in line 3 of way.csv: found norm nan"),
         (csv([GOOD[1], GOOD[0]]), "time in line 3 of way.csv: found 0 s after 1 s, expected times that increase"),
         (csv([GOOD[0], GOOD[0]]), "time in line 3 of way.csv: found 0 s after 0 s"),
         (csv([GOOD[0], "1,0.7,0,0,1,0,0,0"]), "jump in line 3 of way.csv: found 600 mm"),
@@ -314,6 +320,26 @@ def test_a_way_point_out_of_reach_is_refused_with_arm_and_time(tmp_path: Path) -
     path = cell_with(tmp_path, f'[trajectory]\nkind = "waypoints"\npoints = [{listed}]\n\n')
     with pytest.raises(ConfigError, match=r"grasp of arm left at t = .*unreachable by"):
         examine(load_cell(path))
+
+
+def test_a_row_out_of_reach_is_refused_with_arm_and_time(tmp_path: Path) -> None:
+    """A file's rows are visited for an instant only, too."""
+    rows = [f"{0.2 * k},{0.6 if k == 108 else 0.301},0.12,0,1,0,0,0" for k in range(226)]
+    quick = FILE.replace("\n\n", "\nspeed_max_m_per_s = 2.0\n\n")
+    with pytest.raises(ConfigError, match=r"grasp of arm left at t = 21\.60 s.*unreachable by"):
+        examine(load_cell(cell_with(tmp_path, quick, csv(rows))))
+
+
+def test_of_many_way_points_some_are_examined_evenly_and_the_check_says_so(tmp_path: Path) -> None:
+    rows = [f"{0.01 * k},0.301,0.123,0,1,0,0,0" for k in range(3501)]
+    cell = load_cell(cell_with(tmp_path, FILE, csv(rows)))
+    times, count = waypoint_times(cell.file, 100.0, 3000)
+    assert (len(times), count) == (3000, 3501)
+    assert (times[0], times[-1]) == (0.0, 35.0)
+    assert np.diff(times).max() < 0.021
+    assert waypoint_times(cell.file, 0.025, 3000) == ([0.0, 0.01, 0.02], 3)
+    thinned = next(f for f in examine(cell).findings if f.what == "instants examined")
+    assert (thinned.found, thinned.verdict) == ("3000 of 3501", Verdict.WARNING)
 
 
 def test_rest_to_rest_cell_is_examined_to_its_end(tmp_path: Path) -> None:

@@ -47,6 +47,22 @@ def test_the_check_refuses_exactly_what_the_driver_would_refuse() -> None:
                 assert (error is not None) == refused, (path.name, arm.name, rate_hz)
 
 
+def test_a_delay_that_no_bus_has_is_refused_for_servos_and_warned_of_in_simulation() -> None:
+    delay_s = max(bus.delay_s for bus in bus_rates(load_cell(WX200), examine(load_cell(WX200)).q_start))
+    assert 0.002 < delay_s < 0.005
+    believed = {
+        verdict: [f"loop_delay_s={share * delay_s}", f'driver="{driver}"']
+        for share, driver, verdict in (
+            (0.91, "dynamixel", Verdict.OK),
+            (0.89, "dynamixel", Verdict.REFUSED),
+            (0.89, "sim", Verdict.WARNING),
+        )
+    }
+    for verdict, overrides in believed.items():
+        found = [f for f in examine(load_cell(WX200, overrides)).findings if f.what == "loop_delay_s"]
+        assert [f.verdict for f in found] == [verdict] * 2
+
+
 def test_a_faster_bus_carries_a_higher_rate() -> None:
     faster = load_cell(WX200, [f"arms.{arm}.dynamixel.baud=3000000" for arm in ("left", "right")])
     assert highest(faster) > 1.3 * highest(load_cell(WX200))
