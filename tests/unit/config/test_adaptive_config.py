@@ -8,7 +8,13 @@ import pytest
 import configs
 from agent.config.adaptive import AdaptationError
 from agent.config.cell import Cell, ConfigError, load_cell
-from agent.control.adaptation_bound import believed_inertia, radius_with_adaptation
+from agent.control.adaptation_bound import (
+    Point,
+    ReferenceTwist,
+    believed_inertia,
+    gain_limits,
+    radius_with_adaptation,
+)
 from agent.control.stability import SampledLoop, coupled_inertia, spectral_radius
 from agent.loop import Outcome
 from agent.verify.check import Finding, Verdict, examine
@@ -144,6 +150,20 @@ def test_without_gain_the_loop_with_adaptation_is_the_loop_without(delay: float)
     P = models[0].task_basis
     still = radius_with_adaptation(M, np.zeros((3, 3)), P, loop)
     assert still == pytest.approx(max(1.0, spectral_radius(M, M, P, loop)), abs=1e-9)
+
+
+def test_a_late_torque_lowers_what_one_tick_may_adapt_by() -> None:
+    """At a start so far off that the transient decides: (1 + d) T² λ_max(M⁻¹ G) ≤ 1."""
+    cell = cell_of("paper_adaptive")
+    models, agents = [cell.model(a) for a in cell.arms], [cell.offline(a) for a in cell.arms]
+    q = examine(cell).q_start
+    still = ReferenceTwist(np.zeros(6), np.zeros(6))
+    point = Point(q, coupled_inertia(models, q, 0.062, 1e-4 * np.eye(3)), still)
+    loops = [SampledLoop(0.004, delay, [a.gains for a in agents]) for delay in (0.0, 0.5, 1.0)]
+    limits = [gain_limits(models, agents, [point], np.full(6, 0.1), loop) for loop in loops]
+    assert limits[0].arm / limits[1].arm == pytest.approx(1.5)
+    assert limits[0].arm / limits[2].arm == pytest.approx(2.0)
+    assert limits[0].object / limits[2].object == pytest.approx(2.0)
 
 
 def test_estimates_never_leave_the_configured_box() -> None:

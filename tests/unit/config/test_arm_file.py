@@ -96,6 +96,7 @@ def first_number(of: str, instead: str) -> str:
         (first_number("mass value", "0,5"), r"mass of link base_link in wx200.urdf: found '0,5', expected a number"),
         (first_number("mass value", "nan"), "mass of link base_link in wx200.urdf: found 'nan'"),
         (first_number("mass value", "-0.1"), "mass of link base_link in .*not below 0"),
+        (first_number("ixx", "-1e-5"), "ixx of link base_link in .*not below 0"),
         (first_number("ixx", ""), "ixx of link base_link in wx200.urdf: found ''"),
         (URDF.replace(" izz=", " ixz2=", 1), "izz of link base_link in wx200.urdf: found nothing"),
         (first_number("axis xyz", "0 1"), "xyz of joint .*expected 3 numbers"),

@@ -90,7 +90,8 @@ def test_the_delay_matters(true: float, believed: float) -> None:
 @pytest.mark.parametrize("delay", [0.0, 1.0])
 def test_whole_delays_use_one_acceleration_and_no_bit_of_the_other(delay: float) -> None:
     law, (q, dq, before, now, q_seen, dq_seen) = observer(delay), np.random.default_rng(3).normal(size=(6, 2))
-    used = before if delay else now
+    used, other = (before, now) if delay else (now, before)
+    other[:] = np.nan  # what has no part in the motion
     dq_wanted = dq + PERIOD * used
     q_wanted = q + PERIOD * dq + (0.5 * PERIOD * PERIOD) * used
     found_q, found_dq = law.follow(q, dq, before, now, q_seen, dq_seen)
