@@ -33,7 +33,7 @@ TARGETS = (
     Target("agent.operator.socket", (f"{UNIT}/operator",)),
     Target("agent.telemetry.ring.file", _RING),
     Target("agent.telemetry.ring.ring", _RING),
-    Target("agent.telemetry.ring.texts", (f"{UNIT}/telemetry/test_event.py", *_RING)),
+    Target("agent.telemetry.ring.texts", (f"{UNIT}/telemetry/test_texts.py", f"{UNIT}/telemetry/test_event.py")),
     Target("drivers.dynamixel.checks", _CYCLE),
     Target("drivers.dynamixel.cycle", _CYCLE),
     Target("drivers.dynamixel.driver", _CYCLE),
