@@ -72,8 +72,6 @@ def edits(node: ast.AST, names: Mapping[str, Any]) -> Iterator[Edit]:
         case ast.BinOp(op=present) | ast.AugAssign(op=present):
             for operator in OPERATORS.get(type(present), ()):
                 yield Edit(node, "op", None, operator())
-            if isinstance(node, ast.AugAssign) and isinstance(present, ast.BitOr):
-                yield Edit(node, "op", None, ast.BitXor())  # a flag that is set already would be lost
         case ast.BoolOp(op=present, values=values):
             yield Edit(node, "op", None, ast.Or() if isinstance(present, ast.And) else ast.And())
             for i in range(len(values)):

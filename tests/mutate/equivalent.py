@@ -9,6 +9,13 @@ from tests.mutate.mutants import Mutant
 Key = tuple[str, str, str]  # where, first line of the statement before and after
 
 EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
+    "agent.loop": {
+        (
+            "step",
+            "if not math.isfinite(sum(q.tolist()) + sum(dq.tolist())):",
+            "if not math.isfinite(sum(q.tolist()) - sum(dq.tolist())):",
+        ): "a difference with a number that is none is none either",
+    },
     "agent.operator.socket": {
         ("ControlSocket.poll", "if self._clients:", "if True:"): "saves the making of an empty list",
         (

@@ -16,6 +16,7 @@ class Target:
     generate: bool = True
 
 
+_STEP = tuple(f"{UNIT}/{name}.py" for name in ("test_step", "test_step_rules", "test_singular"))
 _CYCLE = (f"{UNIT}/drivers/test_dxl_faults.py", f"{UNIT}/drivers/test_dxl_hostile.py")
 _RING = (
     f"{UNIT}/telemetry/test_ring.py",
@@ -27,12 +28,12 @@ _RING = (
 TARGETS = (
     Target("agent.safety", (f"{UNIT}/test_safety.py",)),
     Target("agent.modes", (f"{UNIT}/test_modes.py",)),
-    Target("agent.loop", (f"{UNIT}/test_step.py", f"{UNIT}/test_singular.py")),
+    Target("agent.loop", (*_STEP, f"{UNIT}/control/test_adaptive.py")),
     Target("agent.runner", (f"{UNIT}/test_runner.py",)),
     Target("agent.operator.socket", (f"{UNIT}/operator",)),
     Target("agent.telemetry.ring.file", _RING),
     Target("agent.telemetry.ring.ring", _RING),
-    Target("agent.telemetry.ring.texts", (f"{UNIT}/telemetry/test_event.py", *_RING)),
+    Target("agent.telemetry.ring.texts", (f"{UNIT}/telemetry/test_texts.py", f"{UNIT}/telemetry/test_event.py")),
     Target("drivers.dynamixel.checks", _CYCLE),
     Target("drivers.dynamixel.cycle", _CYCLE),
     Target("drivers.dynamixel.driver", _CYCLE),
