@@ -18,7 +18,8 @@ from agent.telemetry.row.topics import PLANT
 from agent.verify.check import examine
 from drivers.clock import utc_offset_ns
 from drivers.interface import Vector
-from sim_backend.physics.plant import Observation, Plant
+from sim_backend.physics.build import AnyPlant, build_plant
+from sim_backend.physics.plant import Observation
 from sim_backend.served.server import ServerOptions, serve
 
 SECOND_NS = 1_000_000_000
@@ -33,7 +34,7 @@ def run_plant(
     """
     report = examine(cell)
     report.require()
-    plant = Plant(plant_spec(cell, report.q_start))
+    plant = build_plant(plant_spec(cell, report.q_start))
     options = ServerOptions(
         socket_path=socket,
         rate_hz=cell.file.rate_hz,
@@ -65,7 +66,7 @@ def _utc_at_zero_ns() -> int:
 class Truth:
     """Writes what the plant observes into its ring."""
 
-    def __init__(self, ring: RingWriter, plant: Plant, cell: Cell, utc_offset_ns: int, *, lockstep: bool) -> None:
+    def __init__(self, ring: RingWriter, plant: AnyPlant, cell: Cell, utc_offset_ns: int, *, lockstep: bool) -> None:
         """utc_offset_ns: UTC minus the clock of the stamps; lockstep: wait for the ring's reader."""
         self._ring = ring
         self._lockstep = lockstep

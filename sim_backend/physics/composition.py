@@ -75,7 +75,7 @@ def _lock(arm: ArmSpec, full: pin.Model) -> pin.Model:
     return pin.buildReducedModel(full, locked, q)
 
 
-def _frame_number(model: pin.Model, name: str) -> int:
+def frame_number(model: pin.Model, name: str) -> int:
     """Index of a frame; a link and the fixed joint that carries it may share a name, and then also the pose."""
     return max(i for i, f in enumerate(model.frames) if f.name == name)
 
@@ -89,7 +89,7 @@ def compose(spec: PlantSpec) -> Composition:
     ends_of_arm = []  # (joint's name, pose of the end effector in it)
     for arm in spec.arms:
         single = arm_model(arm)
-        ee = single.frames[_frame_number(single, arm.ee_frame)]
+        ee = single.frames[frame_number(single, arm.ee_frame)]
         ends_of_arm.append((f"{arm.name}/{single.names[ee.parentJoint]}", pin.SE3(ee.placement)))
         for i in range(1, single.njoints):
             single.names[i] = f"{arm.name}/{single.names[i]}"
@@ -137,7 +137,7 @@ def grasp_gap(arm: ArmSpec, model: pin.Model, body: ObjectSpec, q: Vector) -> tu
     """Distance (m) and angle (rad) between the end effector and its grasp at q (n,), and their log6 (6,)."""
     data = model.createData()
     pin.framesForwardKinematics(model, data, q)
-    T_world_ee = arm.T_world_base * data.oMf[_frame_number(model, arm.ee_frame)]
+    T_world_ee = arm.T_world_base * data.oMf[frame_number(model, arm.ee_frame)]
     T_ee_grasp = T_world_ee.actInv(body.T_world_object * arm.T_object_ee)
     angle = float(np.linalg.norm(pin.log3(T_ee_grasp.rotation)))
     return float(np.linalg.norm(T_ee_grasp.translation)), angle, np.array(pin.log6(T_ee_grasp).vector)
@@ -160,7 +160,7 @@ def solve_grasp(arm: ArmSpec, body: ObjectSpec, q_guess: Vector) -> Vector:
     """
     model = arm_model(arm)
     data = model.createData()
-    frame = _frame_number(model, arm.ee_frame)
+    frame = frame_number(model, arm.ee_frame)
     q = np.array(q_guess, dtype=np.float64)
     for _ in range(GRASP_ITERATIONS):
         gap_m, gap_rad, error = grasp_gap(arm, model, body, q)

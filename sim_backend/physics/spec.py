@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from types import MappingProxyType
 from typing import Final
 
@@ -136,6 +136,35 @@ class ObjectSpec:
         return pose(self.p_world, self.quat_world)
 
 
+@dataclass(frozen=True)
+class GraspSpec:
+    """Finger pads: springs and dampers between end effector and object, alike for every arm.
+
+    With `slip_N` or `slip_Nm` a spring gives way at that force or moment, and the grasp opens for good once it has
+    slipped by `open_m`.
+    """
+
+    stiffness_N_per_m: float
+    stiffness_Nm_per_rad: float
+    damping_ratio: float = 0.25  # of the arm that swings on its pad
+    slip_N: float | None = None
+    slip_Nm: float | None = None
+    open_m: float | None = None
+
+    def __post_init__(self) -> None:
+        for f in fields(self):
+            value = getattr(self, f.name)
+            least = 0.0 if f.name == "damping_ratio" else math.ulp(0.0)
+            if value is not None and not (math.isfinite(value) and value >= least):
+                raise PlantError(
+                    f"grasp: {f.name}", found=value, expected="a finite positive number", remedy="correct the pads"
+                )
+        if self.open_m is not None and self.slip_N is None:
+            raise PlantError(
+                "grasp: open_m", found="no slip_N", expected="the force at which pads slip", remedy="give slip_N"
+            )
+
+
 @dataclass(frozen=True, eq=False)
 class PlantSpec:
     """The whole cell and how it is integrated.
@@ -154,6 +183,8 @@ class PlantSpec:
     proximal_iterations: int = 20
     start_tolerance_m: float = 1e-5
     start_tolerance_rad: float = 1e-4
+    grasp: GraspSpec | None = None  # None: welded
+    relinearise_s: float = 5e-3  # how long soft.py may go on with one linearisation
     names: tuple[str, ...] = field(init=False)
 
     def __post_init__(self) -> None:

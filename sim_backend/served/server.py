@@ -18,8 +18,9 @@ from typing import Final
 import numpy as np
 
 from drivers.interface import Refusal
+from sim_backend.physics.build import AnyPlant
 from sim_backend.physics.delay import DelayLine, stretches
-from sim_backend.physics.plant import Observation, Plant
+from sim_backend.physics.plant import Observation
 from sim_backend.physics.spec import WHOLE_SUBSTEPS_TOLERANCE, ArmSpec, PlantError, substep_of
 from sim_backend.served.listener import Listener
 from sim_backend.served.lobby import Lobby
@@ -35,7 +36,7 @@ OnTick = Callable[[int, int, Observation], None]  # tick, its stamp on the plant
 
 
 def serve(
-    plant: Plant,
+    plant: AnyPlant,
     options: ServerOptions,
     on_tick: OnTick | None = None,
     on_listening: Callable[[], None] | None = None,
@@ -72,7 +73,7 @@ def _quiet_gc() -> Iterator[None]:
 
 
 class _Server:
-    def __init__(self, plant: Plant, options: ServerOptions, on_tick: OnTick | None, listener: Listener) -> None:
+    def __init__(self, plant: AnyPlant, options: ServerOptions, on_tick: OnTick | None, listener: Listener) -> None:
         self._plant = plant
         self._options = options
         self._on_tick = on_tick
@@ -268,7 +269,7 @@ def _dismiss(seat: Seat, kind: Kind) -> None:
         raise Vanished(f"it said {kind.name} out of turn")
 
 
-def _whole_substeps(plant: Plant, options: ServerOptions) -> int:
+def _whole_substeps(plant: AnyPlant, options: ServerOptions) -> int:
     period_s, h = 1.0 / options.rate_hz, plant.spec.substep_s
     count = round(period_s / h)
     if count < 1 or abs(count * h / period_s - 1) > WHOLE_SUBSTEPS_TOLERANCE:

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from sim_backend.physics.actuator import ActuatorSpec
-from sim_backend.physics.plant import Observation, Plant
+from sim_backend.physics.build import AnyPlant, build_plant
+from sim_backend.physics.plant import Observation
 from sim_backend.physics.spec import PlantSpec
 from sim_backend.wire.arm import EmulatedArm
 from sim_backend.wire.bus import DEFAULTS
@@ -39,13 +40,13 @@ def without_servo_electronics(spec: PlantSpec) -> PlantSpec:
 
 
 class PlantWorld:
-    """The closed chain of sim_backend.physics.plant.  Build the plant from `without_servo_electronics`.
+    """The plant of sim_backend.physics.  Build the plant from `without_servo_electronics`.
 
     With `supported` the cell rests on a support until the servos of every arm have given torque once; before that
     nobody holds the object, and it would fall before the agents have switched torque on.
     """
 
-    def __init__(self, plant: Plant, *, supported: bool = True) -> None:
+    def __init__(self, plant: AnyPlant, *, supported: bool = True) -> None:
         self.plant = plant
         self.substep_s = plant.spec.substep_s
         self.tau_Nm = np.zeros(plant.joint_count)
@@ -96,7 +97,7 @@ def emulate(
 
     Raises PlantError (GraspError) when the plant cannot be built.
     """
-    world = PlantWorld(Plant(without_servo_electronics(spec)), supported=supported)
+    world = PlantWorld(build_plant(without_servo_electronics(spec)), supported=supported)
     emulated = [
         EmulatedArm(wiring, timing=timing, servo_options=servo_options, bus_options=bus_options) for wiring in arms
     ]

@@ -1,0 +1,61 @@
+"""Finger pads: springs and dampers between end effectors and object, with what has slipped and what has opened.
+
+The opening of a grasp is φ (6,): the end effector's place and rotation vector less its grasp's, world axes.  Its wrench
+on the object, at the grasp, is K (φ − s) + C φ̇; s is what has slipped, and is carried along in the object's axes.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drivers.interface import Vector
+from sim_backend.physics.spec import GraspSpec
+
+KAPPA = 0.3  # 1/4 is the trapezoidal rule; a little more keeps the stiffest springs from ringing on
+_FORCE, _MOMENT = slice(0, 3), slice(3, 6)
+
+
+class Pads:
+    """The pads of N grasps; (N, 6) arrays, arm after arm."""
+
+    def __init__(self, spec: GraspSpec, swinging: Vector, step_s: float) -> None:
+        """swinging: (N, 6) kg, kg·m²: inertia with which an arm swings on its pad, which the damping is tuned to."""
+        self._spec = spec
+        self.K = np.tile([spec.stiffness_N_per_m] * 3 + [spec.stiffness_Nm_per_rad] * 3, (len(swinging), 1))
+        self.C = 2.0 * spec.damping_ratio * np.sqrt(self.K * swinging)
+        self.implicit = KAPPA * step_s**2 * self.K + 0.5 * step_s * self.C
+        self.closed = np.ones((len(swinging), 1))
+        self.slipped = np.zeros_like(self.K)  # world axes
+        self._slipped_object = np.zeros_like(self.K)
+        self._slips = spec.slip_N is not None or spec.slip_Nm is not None
+
+    def turn(self, R_world_object: Vector) -> None:
+        """Carry what has slipped along with the object."""
+        if self._slips:
+            self.slipped[:, :3] = self._slipped_object[:, :3] @ R_world_object.T
+            self.slipped[:, 3:] = self._slipped_object[:, 3:] @ R_world_object.T
+
+    def slip(self, opening: Vector, R_world_object: Vector) -> tuple[int, ...]:
+        """Let springs beyond their bound slip at `opening` (N, 6); returns the grasps that have opened by it."""
+        if not self._slips:
+            return ()
+        for part, bound in ((_FORCE, self._spec.slip_N), (_MOMENT, self._spec.slip_Nm)):
+            if bound is None:
+                continue
+            stretch = opening[:, part] - self.slipped[:, part]
+            size = np.linalg.norm(self.K[:, part] * stretch, axis=1, keepdims=True)
+            self.slipped[:, part] += stretch * (1.0 - bound / np.maximum(size, bound))
+            self._slipped_object[:, part] = self.slipped[:, part] @ R_world_object
+        open_m = self._spec.open_m
+        if open_m is None:
+            return ()
+        gone = np.linalg.norm(self.slipped[:, :3], axis=1) > open_m
+        return tuple(int(i) for i in np.flatnonzero(gone & (self.closed[:, 0] > 0.0)))
+
+    def open(self, grasp: int) -> None:
+        """Open one grasp for good."""
+        self.closed[grasp] = 0.0
+
+    def energy(self, opening: Vector) -> float:
+        """What the springs hold at `opening` (N, 6), J."""
+        return float(0.5 * np.sum(self.closed * self.K * (opening - self.slipped) ** 2))
