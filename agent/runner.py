@@ -23,7 +23,7 @@ _TROUBLE = Flag.NOT_FINITE | Flag.SINGULAR | Flag.OFF_TRACK
 _COMMANDING = frozenset({Mode.READY, Mode.TRACK, Mode.HOLD, Mode.LOWER})
 
 
-class RowSink(Protocol):
+class LoopLog(Protocol):
     """Where rows go; the control thread only ever fills and commits."""
 
     def commit(self) -> None:
@@ -80,7 +80,7 @@ class Runner:
         clock: Clock,
         schedule: Schedule,
         row: AgentRow,
-        sink: RowSink,
+        sink: LoopLog,
         around: Surroundings,
     ) -> None:
         self._agent = agent

@@ -11,7 +11,7 @@ import pinocchio as pin
 
 import configs
 from agent.config import adaptive
-from agent.config.files import ArmFiles, CellFiles, files_from_toml, load_files
+from agent.config.files import ArmFiles, CellFiles, files_from_toml, load_arm_file, load_files
 from agent.config.reading import ConfigError
 from agent.config.schema.cell import Arm as ArmEntry
 from agent.config.schema.controller import ControllerKind
@@ -25,7 +25,7 @@ from agent.control.posture import Posture
 from agent.control.quaternion import Vec3
 from agent.control.trajectory import Vec6
 
-__all__ = ["Arm", "Cell", "ConfigError", "cell_from_toml", "load_cell", "placement"]
+__all__ = ["Arm", "Cell", "ConfigError", "cell_from_toml", "load_arm_file", "load_cell", "placement"]
 
 
 @dataclass(frozen=True)

@@ -1,1 +1,1 @@
-"""Composition roots: one module per process of a cell."""
+"""Where each process of a cell is put together, and the run that starts them all."""

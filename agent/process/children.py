@@ -19,7 +19,7 @@ from agent.host.share import cores_of_arms, keep_to, one_memory_layout
 from agent.operator.socket import Verb, ask
 from agent.process.commands import (
     AgentCommand,
-    Command,
+    ChildCommand,
     EmulateCommand,
     PlantCommand,
     RecordCommand,
@@ -201,7 +201,7 @@ class Children:
         for child in children:
             child.kill()
 
-    def _child(self, name: str, command: Command) -> Child:
+    def _child(self, name: str, command: ChildCommand) -> Child:
         return Child(name, command.argv(), self._words)
 
     @property

@@ -13,7 +13,7 @@ from agent.config.schema.cell import DriverKind
 
 
 @dataclass(frozen=True, kw_only=True)
-class Command:
+class ChildCommand:
     """What every process of a run is given.  None and False leave an option out."""
 
     verb: ClassVar[str]
@@ -34,7 +34,7 @@ class Command:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RecordCommand(Command):
+class RecordCommand(ChildCommand):
     """`coop record`: the log of the run."""
 
     verb: ClassVar[str] = "record"
@@ -47,7 +47,7 @@ class RecordCommand(Command):
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlantCommand(Command):
+class PlantCommand(ChildCommand):
     """`coop plant`: the simulated cell behind simulated drivers."""
 
     verb: ClassVar[str] = "plant"
@@ -57,7 +57,7 @@ class PlantCommand(Command):
 
 
 @dataclass(frozen=True, kw_only=True)
-class EmulateCommand(Command):
+class EmulateCommand(ChildCommand):
     """`coop emulate`: the simulated cell behind emulated servos."""
 
     verb: ClassVar[str] = "emulate"
@@ -68,7 +68,7 @@ class EmulateCommand(Command):
 
 
 @dataclass(frozen=True, kw_only=True)
-class AgentCommand(Command):
+class AgentCommand(ChildCommand):
     """`coop agent`: one arm, on the plant or on a port of emulated servos."""
 
     verb: ClassVar[str] = "agent"
@@ -83,7 +83,7 @@ class AgentCommand(Command):
 
 
 @dataclass(frozen=True, kw_only=True)
-class TelemetryCommand(Command):
+class TelemetryCommand(ChildCommand):
     """`coop telemetry`: one ring on its way to the recorder."""
 
     verb: ClassVar[str] = "telemetry"

@@ -21,7 +21,7 @@ from drivers.interface import (
 )
 from sim_backend.physics.actuator import TorqueCommand
 from sim_backend.served.link import PlantLink
-from sim_backend.served.protocol import VERSION, Kind, Message, header_only, words
+from sim_backend.served.protocol import VERSION, FixedMessage, MessageKind, header_only, words
 
 LOCKSTEP_READ_TIMEOUT_S: Final = 30.0
 REAL_TIME_READ_PERIODS: Final = 5.0
@@ -84,8 +84,8 @@ class SimDriver:
         self._start_timeout_s = start_timeout_s
         self._given_read_timeout_s = read_timeout_s
         self._read_timeout_s = LOCKSTEP_READ_TIMEOUT_S
-        self._out = Message(len(joints))
-        self._out.head(Kind.COMMAND, 0, 0)
+        self._out = FixedMessage(len(joints))
+        self._out.head(MessageKind.COMMAND, 0, 0)
         self._command = TorqueCommand(np.zeros(len(joints)), np.zeros(len(joints)))
         self._link: PlantLink | None = None
         self._phase = _Phase.CLOSED
@@ -101,7 +101,7 @@ class SimDriver:
                 f"arm {self._arm}", found="an open connection", expected="a closed driver", remedy="close() it first"
             )
         joints = list(self._joints)
-        hello = words(Kind.HELLO, version=VERSION, arm=self._arm, config_id=self._config_id, joints=joints)
+        hello = words(MessageKind.HELLO, version=VERSION, arm=self._arm, config_id=self._config_id, joints=joints)
         link = PlantLink(self._path, self._arm, len(joints), self.counters)
         try:
             info = link.introduce(hello, self._connect_timeout_s)
@@ -126,8 +126,8 @@ class SimDriver:
         if self._phase is _Phase.ON:
             return
         link.wait_at_most(self._connect_timeout_s)
-        link.send(header_only(Kind.ENABLE))
-        while link.receive() is not Kind.ENABLED:
+        link.send(header_only(MessageKind.ENABLE))
+        while link.receive() is not MessageKind.ENABLED:
             pass  # states of the time before
         link.wait_at_most(self._start_timeout_s)
         self._out.values[:] = 0.0
@@ -145,11 +145,11 @@ class SimDriver:
             if self._answer_due:
                 link.say_and_forget(self._out.buffer)  # whether it arrived, the next state tells
                 self._answer_due = False
-            while link.receive() is not Kind.STATE:
+            while link.receive() is not MessageKind.STATE:
                 pass  # the answer to a question given up
             if self._lockstep:
                 self._answer_due = True
-                self._out.head(Kind.COMMAND, link.number, 0)
+                self._out.head(MessageKind.COMMAND, link.number, 0)
             else:
                 while link.receive(socket.MSG_DONTWAIT) is not None:
                     pass
@@ -162,8 +162,8 @@ class SimDriver:
     def _ask(self, link: PlantLink) -> None:
         link.wait_at_most(self._read_timeout_s)
         self._serial += 1
-        link.send(header_only(Kind.POLL, self._serial))
-        while link.receive() is not Kind.REPLY or link.number != self._serial:
+        link.send(header_only(MessageKind.POLL, self._serial))
+        while link.receive() is not MessageKind.REPLY or link.number != self._serial:
             pass  # pushed before the torque went off, or the answer to a question given up
 
     def write(self, tau_Nm: Vector) -> Vector:
@@ -195,13 +195,13 @@ class SimDriver:
     def disable(self) -> None:
         """Torque off; in lockstep the plant does not wait for this arm any more.  Safe in any state and twice."""
         if self._link is not None and self._phase is _Phase.ON:
-            self._link.say_and_forget(header_only(Kind.DISABLE))
+            self._link.say_and_forget(header_only(MessageKind.DISABLE))
             self._phase, self._answer_due = _Phase.OFF, False
 
     def close(self) -> None:
         """Say goodbye: the run is over for this arm.  Safe in any state and twice."""
         if self._link is not None:
-            self._link.say_and_forget(header_only(Kind.BYE))
+            self._link.say_and_forget(header_only(MessageKind.BYE))
             self._link.close()
         self._link, self._phase, self._answer_due = None, _Phase.CLOSED, False
 

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from drivers.interface import BusCounters, ConnectError, DriverError, StaleStateError
-from sim_backend.served.protocol import HEADER, KINDS, MAX_MESSAGE_BYTES, Kind, read_words, refusal_parts
+from sim_backend.served.protocol import HEADER, KINDS, MAX_MESSAGE_BYTES, MessageKind, read_words, refusal_parts
 
 INFO_KEYS = {"lockstep", "rate_hz", "utc_offset_ns", "tau_largest_Nm", "torque_lsb_Nm", "description"}
-_STATES = (Kind.STATE, Kind.REPLY)
+_STATES = (MessageKind.STATE, MessageKind.REPLY)
 
 
 class PlantLink:
@@ -51,11 +51,11 @@ class PlantLink:
                 remedy="start the plant of this cell first",
             ) from e
         kind = HEADER.unpack_from(answer)[0] if len(answer) >= HEADER.size else None
-        if kind == Kind.REFUSED:
+        if kind == MessageKind.REFUSED:
             what, parts = refusal_parts(answer)
             raise ConnectError(f"plant at {self._path} refuses: {what}", **parts)
         info = read_words(answer)
-        if kind != Kind.INFO or not set(info) >= INFO_KEYS:
+        if kind != MessageKind.INFO or not set(info) >= INFO_KEYS:
             raise ConnectError(
                 f"plant at {self._path}",
                 found=f"an answer of {len(answer)} bytes",
@@ -88,7 +88,7 @@ class PlantLink:
                 remedy="see the log of the plant",
             ) from e
 
-    def receive(self, flags: int = 0) -> Kind | None:
+    def receive(self, flags: int = 0) -> MessageKind | None:
         """Next message; None only with MSG_DONTWAIT when there is none.
 
         Raises StaleStateError when none came in time, or none will come any more, with the plant's own reason.
@@ -105,7 +105,7 @@ class PlantLink:
         if size < HEADER.size:
             raise self._stale("its end", "see the log of the plant")
         kind, self.number, self.stamp_ns = HEADER.unpack_from(self._in)
-        if kind == Kind.NOTICE:
+        if kind == MessageKind.NOTICE:
             self._ended = refusal_parts(bytes(self._in[:size]))
             raise self._stale("", "")
         known = KINDS.get(kind)

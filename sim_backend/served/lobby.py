@@ -15,12 +15,12 @@ from sim_backend.served.protocol import (
     HEADER,
     MAX_MESSAGE_BYTES,
     VERSION,
-    Kind,
+    MessageKind,
     read_words,
     refusal_words,
     words,
 )
-from sim_backend.served.seat import Phase, Seat, Vanished
+from sim_backend.served.seat import Attendance, Seat, Vanished
 
 INTRODUCTION_S: Final = 5.0  # a connection that says nothing for so long is closed
 
@@ -53,7 +53,9 @@ class Lobby:
     def attend(self, timeout_s: float) -> None:
         """Serve whoever has something to say; wait for the first at most `timeout_s`."""
         waiting = {
-            s.fileno: s for s in self._seats if s.phase is Phase.OFF or (s.phase is Phase.ON and not self.started)
+            s.fileno: s
+            for s in self._seats
+            if s.phase is Attendance.OFF or (s.phase is Attendance.ON and not self.started)
         }
         poll = select.poll()
         for fd in (self._listener.socket.fileno(), *self._newcomers, *waiting):
@@ -94,9 +96,9 @@ class Lobby:
                     "user", found=f"uid {uid}", expected=os.geteuid(), remedy="run plant and agents as the same user"
                 )
             seat = self._seat_for(message)
-            connection.send(words(Kind.INFO, **self._info, **_limits(seat)), socket.MSG_NOSIGNAL)
+            connection.send(words(MessageKind.INFO, **self._info, **_limits(seat)), socket.MSG_NOSIGNAL)
         except Refusal as refusal:
-            connection.send(refusal_words(Kind.REFUSED, refusal), socket.MSG_NOSIGNAL)
+            connection.send(refusal_words(MessageKind.REFUSED, refusal), socket.MSG_NOSIGNAL)
             connection.close()
         except OSError:
             connection.close()  # it left before it said its name
@@ -107,7 +109,7 @@ class Lobby:
         """Seat that a HELLO asks for.  Raises ConnectError with what the agent shall be told."""
         hello = read_words(message)
         kind = HEADER.unpack_from(message)[0] if len(message) >= HEADER.size else None
-        if kind != Kind.HELLO or hello.get("version") != VERSION:
+        if kind != MessageKind.HELLO or hello.get("version") != VERSION:
             found = f"version {hello.get('version')}"
             raise ConnectError(
                 "plant protocol",
@@ -143,8 +145,8 @@ class Lobby:
                 expected=list(seat.arm.controlled),
                 remedy="start plant and agents with the same cell file",
             )
-        if seat.phase is not Phase.ABSENT:
-            over = seat.phase is Phase.GONE
+        if seat.phase is not Attendance.ABSENT:
+            over = seat.phase is Attendance.GONE
             raise ConnectError(
                 f"arm {name}",
                 found="an arm whose run is over" if over else "an arm that is already connected",
@@ -155,16 +157,16 @@ class Lobby:
     def _hear(self, seat: Seat) -> None:
         try:
             kind = seat.receive(socket.MSG_DONTWAIT)
-            if kind is Kind.POLL:
+            if kind is MessageKind.POLL:
                 self._reply(seat)
-            elif kind is Kind.ENABLE:
+            elif kind is MessageKind.ENABLE:
                 seat.switch_on()
-            elif kind is Kind.DISABLE:
+            elif kind is MessageKind.DISABLE:
                 seat.switch_off()
-            elif kind is Kind.BYE:
-                seat.leave(Phase.GONE if self.started else Phase.ABSENT)
+            elif kind is MessageKind.BYE:
+                seat.leave(Attendance.GONE if self.started else Attendance.ABSENT)
             elif (
-                kind is not None and kind is not Kind.COMMAND
+                kind is not None and kind is not MessageKind.COMMAND
             ):  # a command may still have been on its way at the DISABLE
                 raise Vanished(f"it said {kind.name} out of turn")
         except Vanished as e:

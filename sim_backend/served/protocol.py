@@ -20,7 +20,7 @@ MAX_MESSAGE_BYTES: Final = 4096
 HEADER: Final = struct.Struct("=qqq")  # kind, number (tick or serial), stamp_ns
 
 
-class Kind(IntEnum):
+class MessageKind(IntEnum):
     """First field of every message."""
 
     HELLO = 1  # agent, words: version, arm, config_id, joints
@@ -37,27 +37,27 @@ class Kind(IntEnum):
     NOTICE = 12  # plant, words: a Refusal that says why no state will come any more
 
 
-KINDS: Final = {int(kind): kind for kind in Kind}
+KINDS: Final = {int(kind): kind for kind in MessageKind}
 
 
-class Message:
+class FixedMessage:
     """A reusable fixed message of one kind: header and `count` doubles in one buffer."""
 
     def __init__(self, count: int) -> None:
         self.buffer = bytearray(HEADER.size + 8 * count)
         self.values: Vector = np.frombuffer(self.buffer, np.float64, count, HEADER.size)
 
-    def head(self, kind: Kind, number: int, stamp_ns: int) -> None:
+    def head(self, kind: MessageKind, number: int, stamp_ns: int) -> None:
         """Write the header."""
         HEADER.pack_into(self.buffer, 0, kind, number, stamp_ns)
 
 
-def words(kind: Kind, **content: object) -> bytes:
+def words(kind: MessageKind, **content: object) -> bytes:
     """Message with named values."""
     return HEADER.pack(kind, 0, 0) + json.dumps(content).encode()
 
 
-def header_only(kind: Kind, number: int = 0) -> bytes:
+def header_only(kind: MessageKind, number: int = 0) -> bytes:
     """Message without content."""
     return HEADER.pack(kind, number, 0)
 
@@ -71,7 +71,7 @@ def read_words(message: bytes) -> dict[str, object]:
     return content if isinstance(content, dict) else {}
 
 
-def refusal_words(kind: Kind, refusal: Refusal) -> bytes:
+def refusal_words(kind: MessageKind, refusal: Refusal) -> bytes:
     """A Refusal as a message."""
     found, expected = str(refusal.found)[:500], str(refusal.expected)[:500]
     return words(kind, what=refusal.what[:500], found=found, expected=expected, remedy=refusal.remedy[:500])

@@ -13,12 +13,20 @@ from drivers.interface import Refusal, Vector
 from sim_backend.physics.actuator import TorqueCommand, TorqueCommandError
 from sim_backend.physics.delay import DelayLine
 from sim_backend.physics.spec import ArmSpec
-from sim_backend.served.protocol import HEADER, KINDS, MAX_MESSAGE_BYTES, Kind, Message, header_only, refusal_words
+from sim_backend.served.protocol import (
+    HEADER,
+    KINDS,
+    MAX_MESSAGE_BYTES,
+    FixedMessage,
+    MessageKind,
+    header_only,
+    refusal_words,
+)
 
 WAIT_S = 0.1  # longest wait inside one blocking receive, after which the caller looks around
 
 
-class Phase(Enum):
+class Attendance(Enum):
     """Where an arm is."""
 
     ABSENT = auto()  # nobody connected
@@ -42,13 +50,13 @@ class Seat:
         n = len(arm.controlled)
         self.arm = arm
         self.joints = joints
-        self.phase = Phase.ABSENT
+        self.phase = Attendance.ABSENT
         self.told = -1  # tick of the last state it was sent since its torque went on
         self.dropped_states = 0  # real time only: the agent's queue was full
         self.delay = delay
         self._command = TorqueCommand.of(arm.actuator)
         self._connection: socket.socket | None = None
-        self._out = Message(3 * n)
+        self._out = FixedMessage(3 * n)
         self._out_q, self._out_dq, self._out_tau = self._out.values.reshape(3, n)
         self._in = bytearray(MAX_MESSAGE_BYTES)
         self._in_tau = np.frombuffer(self._in, np.float64, n, HEADER.size)
@@ -66,9 +74,9 @@ class Seat:
         connection.setblocking(True)
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("@ll", 0, int(WAIT_S * 1e6)))
         self._connection = connection
-        self.phase = Phase.OFF
+        self.phase = Attendance.OFF
 
-    def leave(self, phase: Phase) -> None:
+    def leave(self, phase: Attendance) -> None:
         """Close the connection; torque is off."""
         self.switch_off(phase)
         if self._connection is not None:
@@ -77,10 +85,10 @@ class Seat:
 
     def switch_on(self) -> None:
         """Torque on, at zero."""
-        self.switch_off(Phase.ON)
-        self.say(header_only(Kind.ENABLED))
+        self.switch_off(Attendance.ON)
+        self.say(header_only(MessageKind.ENABLED))
 
-    def switch_off(self, phase: Phase = Phase.OFF) -> None:
+    def switch_off(self, phase: Attendance = Attendance.OFF) -> None:
         """Torque off; commands on their way are lost, and so are states: the arm looks for none."""
         self.phase = phase
         self.told = -1
@@ -101,10 +109,10 @@ class Seat:
     def tell(self, refusal: Refusal) -> None:
         """Say why no state will come any more; a peer that is not there need not know."""
         with contextlib.suppress(BlockingIOError):
-            self.say(refusal_words(Kind.NOTICE, refusal), socket.MSG_DONTWAIT)
+            self.say(refusal_words(MessageKind.NOTICE, refusal), socket.MSG_DONTWAIT)
 
     def send_state(
-        self, kind: Kind, number: int, stamp_ns: int, q: Vector, dq: Vector, tau: Vector, flags: int
+        self, kind: MessageKind, number: int, stamp_ns: int, q: Vector, dq: Vector, tau: Vector, flags: int
     ) -> None:
         """Send this arm's part of the reported (J,) positions, velocities and torques."""
         joints = self.joints
@@ -117,7 +125,7 @@ class Seat:
         except BlockingIOError:
             self.dropped_states += 1
 
-    def receive(self, flags: int = 0) -> Kind | None:
+    def receive(self, flags: int = 0) -> MessageKind | None:
         """Next message of the arm, a COMMAND already in `tau`; None when none came in time.  Raises Vanished."""
         if self._connection is None:
             return None
@@ -132,9 +140,9 @@ class Seat:
         if size < HEADER.size:
             raise Vanished(f"it sent {size} bytes that mean nothing")
         kind, self.number, _ = HEADER.unpack_from(self._in)
-        if kind == Kind.COMMAND:
+        if kind == MessageKind.COMMAND:
             self._take_command(size)
-            return Kind.COMMAND
+            return MessageKind.COMMAND
         known = KINDS.get(kind)
         if known is None:
             raise Vanished(f"it sent an unknown message, kind {kind}")

@@ -25,8 +25,8 @@ from sim_backend.physics.spec import WHOLE_SUBSTEPS_TOLERANCE, ArmSpec, PlantErr
 from sim_backend.served.listener import Listener
 from sim_backend.served.lobby import Lobby
 from sim_backend.served.options import ArmVanished, LostArm, ServerOptions, Summary
-from sim_backend.served.protocol import Kind
-from sim_backend.served.seat import WAIT_S, Phase, Seat, Vanished
+from sim_backend.served.protocol import MessageKind
+from sim_backend.served.seat import WAIT_S, Attendance, Seat, Vanished
 
 __all__ = ["ArmVanished", "LostArm", "ServerOptions", "Summary", "serve"]
 
@@ -103,7 +103,7 @@ class _Server:
         return DelayLine(arm.actuator.delay_s, self._plant.spec.substep_s, self._substeps, arm.actuator.joint_count)
 
     def run(self) -> Summary:
-        while any(s.phase is not Phase.ON for s in self._seats):
+        while any(s.phase is not Attendance.ON for s in self._seats):
             if self._stopped():
                 return self._summary(time.monotonic())
             self._lobby.attend(WAIT_S)
@@ -123,7 +123,7 @@ class _Server:
     def close(self) -> None:
         self._lobby.close()
         for seat in self._seats:
-            seat.leave(Phase.GONE)
+            seat.leave(Attendance.GONE)
 
     def _stopped(self) -> bool:
         if self._options.stop():
@@ -135,17 +135,17 @@ class _Server:
         if self._tick == self._options.ticks:
             self._end(f"a run of {self._options.ticks} ticks")
             return True
-        return self._stopped() or all(s.phase in (Phase.GONE, Phase.ABSENT) for s in self._seats)
+        return self._stopped() or all(s.phase in (Attendance.GONE, Attendance.ABSENT) for s in self._seats)
 
     def _end(self, expected: str) -> None:
         found = f"the plant ended at tick {self._tick}"
         self.tell_all(Refusal("the run is over", found=found, expected=expected, remedy="start a new run"))
 
     def _one_tick(self) -> None:
-        everyone_on = all(s.phase is Phase.ON for s in self._seats)
+        everyone_on = all(s.phase is Attendance.ON for s in self._seats)
         if not (everyone_on and self._options.lockstep) or self._tick % LOBBY_EVERY_TICKS == 0:
             self._lobby.attend(0.0)
-        on = [s for s in self._seats if s.phase is Phase.ON]
+        on = [s for s in self._seats if s.phase is Attendance.ON]
         if self._options.lockstep and not on:  # time waits until somebody is there to see it
             self._lobby.attend(WAIT_S)
             return
@@ -171,12 +171,12 @@ class _Server:
         flags = 0 if self._options.lockstep else socket.MSG_DONTWAIT
         for seat in due:
             seat.told = tick
-            seat.send_state(Kind.STATE, tick, stamp_ns, q, dq, tau, flags)
+            seat.send_state(MessageKind.STATE, tick, stamp_ns, q, dq, tau, flags)
 
     def _reply(self, seat: Seat) -> None:
         """Answer a POLL: the state now, under the number of the question."""
         stamp_ns = self._stamp_ns(self._reached) if self._options.lockstep else time.monotonic_ns()
-        seat.send_state(Kind.REPLY, seat.number, stamp_ns, *self._plant.reported(), socket.MSG_DONTWAIT)
+        seat.send_state(MessageKind.REPLY, seat.number, stamp_ns, *self._plant.reported(), socket.MSG_DONTWAIT)
 
     def _integrate(self) -> None:
         tick, tau = self._tick, self._tau
@@ -202,7 +202,7 @@ class _Server:
                     self._take_newest(seat)
             except Vanished as e:
                 self._lose(seat, e.reason)
-            if seat.phase is Phase.ON:
+            if seat.phase is Attendance.ON:
                 seat.delay.push(self._tick, seat.tau)
 
     def _wait_for_answer(self, seat: Seat) -> None:
@@ -210,20 +210,20 @@ class _Server:
             if self._options.stop():
                 return
             self._lobby.attend(0.0)
-        if kind is not Kind.COMMAND:
+        if kind is not MessageKind.COMMAND:
             _dismiss(seat, kind)
         elif seat.number != self._tick:
             raise Vanished(f"it answered tick {seat.number} instead of {self._tick}")
 
     def _take_newest(self, seat: Seat) -> None:
         """Real time: the last command counts; without a new one the last torque stays, as on a servo."""
-        while seat.phase is Phase.ON and (kind := seat.receive(socket.MSG_DONTWAIT)) is not None:
-            if kind is not Kind.COMMAND:
+        while seat.phase is Attendance.ON and (kind := seat.receive(socket.MSG_DONTWAIT)) is not None:
+            if kind is not MessageKind.COMMAND:
                 _dismiss(seat, kind)
 
     def _lose(self, seat: Seat, reason: str) -> None:
         name = seat.arm.name
-        seat.leave(Phase.ABSENT)
+        seat.leave(Attendance.ABSENT)
         if self._options.lost_arm is LostArm.END_RUN:
             raise ArmVanished(name, self._tick, reason)
         self._lost_arms.append(name)
@@ -259,12 +259,12 @@ class _Server:
         )
 
 
-def _dismiss(seat: Seat, kind: Kind) -> None:
+def _dismiss(seat: Seat, kind: MessageKind) -> None:
     """Take leave of an arm in the place of its answer.  Raises Vanished on anything else."""
-    if kind is Kind.DISABLE:
+    if kind is MessageKind.DISABLE:
         seat.switch_off()
-    elif kind is Kind.BYE:
-        seat.leave(Phase.GONE)
+    elif kind is MessageKind.BYE:
+        seat.leave(Attendance.GONE)
     else:
         raise Vanished(f"it said {kind.name} out of turn")
 

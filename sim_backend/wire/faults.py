@@ -120,7 +120,7 @@ class Scheduled:
     running: bool = False
 
 
-class Schedule:
+class FaultSchedule:
     """Which faults run when."""
 
     def __init__(self) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from drivers.dynamixel.servo.table import HardwareError
 from sim_backend.wire.arm import EmulatedArm
-from sim_backend.wire.faults import REPLY_FAULTS, Fault, FaultError, FaultKind, ReplyTamper, Schedule, Scheduled
+from sim_backend.wire.faults import REPLY_FAULTS, Fault, FaultError, FaultKind, FaultSchedule, ReplyTamper, Scheduled
 from sim_backend.wire.pty import PtyPort
 from sim_backend.wire.servo import Servo
 
@@ -24,7 +24,7 @@ class Injector:
         self.stalled = False
         self.tamper = ReplyTamper(seed)
         self._port = port
-        self._schedule = Schedule()
+        self._schedule = FaultSchedule()
         self._babble_ns: int | None = None
         self._from: dict[int, list[float]] = {}  # ramps: value of each servo when the fault began
 

@@ -12,7 +12,7 @@ from agent.cli.main import app
 from agent.config.schema.cell import DriverKind
 from agent.process.commands import (
     AgentCommand,
-    Command,
+    ChildCommand,
     EmulateCommand,
     PlantCommand,
     RecordCommand,
@@ -47,7 +47,7 @@ FULL = (
 )
 
 
-def parsed(command: Command) -> dict[str, object]:
+def parsed(command: ChildCommand) -> dict[str, object]:
     """What the real parser makes of the command, by parameter; empty lists of repeatable options apart."""
     verb, *arguments = command.argv()
     parser = typer.main.get_command(app).commands[verb]  # type: ignore[attr-defined]
@@ -61,7 +61,7 @@ def plain(value: object) -> object:
 
 
 @pytest.mark.parametrize("command", FULL, ids=lambda c: c.verb)
-def test_every_field_of_a_command_arrives_under_its_name(command: Command) -> None:
+def test_every_field_of_a_command_arrives_under_its_name(command: ChildCommand) -> None:
     understood = parsed(command)
     assert command.with_parent
     for name, value in asdict(command).items():
@@ -70,7 +70,7 @@ def test_every_field_of_a_command_arrives_under_its_name(command: Command) -> No
 
 
 @pytest.mark.parametrize("kind", [type(command) for command in FULL], ids=lambda k: k.verb)
-def test_what_a_command_leaves_out_keeps_the_parsers_default(kind: type[Command]) -> None:
+def test_what_a_command_leaves_out_keeps_the_parsers_default(kind: type[ChildCommand]) -> None:
     full = next(command for command in FULL if type(command) is kind)
     needed = {f.name: getattr(full, f.name) for f in fields(kind) if f.type not in ("bool", "Path | None")}
     left_out = {f.name: False if f.type == "bool" else None for f in fields(kind) if f.name not in needed}

@@ -12,7 +12,7 @@ from drivers.interface import ConnectError, DriverError, StaleStateError
 from sim_backend.physics.spec import PlantError
 from sim_backend.served.driver import SimDriver
 from sim_backend.served.options import ArmVanished, LostArm
-from sim_backend.served.protocol import Kind, header_only
+from sim_backend.served.protocol import MessageKind, header_only
 from tests.support.plant.served_plant import SERVOS, TAU, ServedPlant, cycle, cycling
 
 
@@ -114,7 +114,7 @@ def test_answer_to_another_tick_ends_the_run(tmp_path: Path) -> None:
     with ServedPlant(tmp_path, names=("left",)) as served:
         (left,) = served.enabled()
         left.read()
-        left._out.head(Kind.COMMAND, 41, 0)
+        left._out.head(MessageKind.COMMAND, 41, 0)
         left.write(TAU)
         served.join()
         assert "it answered tick 41 instead of 0" in str(served.error)
@@ -177,8 +177,8 @@ def test_silent_plant_is_a_timeout_that_names_it(tmp_path: Path) -> None:
     ("message", "reason"),
     [
         (b"abc", "3 bytes that mean nothing"),
-        (header_only(Kind.COMMAND), "a command of 24 bytes instead of 48"),
-        (header_only(Kind.HELLO), "it said HELLO out of turn"),
+        (header_only(MessageKind.COMMAND), "a command of 24 bytes instead of 48"),
+        (header_only(MessageKind.HELLO), "it said HELLO out of turn"),
         (b"\x63" + bytes(47), "an unknown message, kind 99"),
     ],
 )

@@ -14,7 +14,7 @@ from drivers.interface import ConnectError
 from sim_backend.physics.spec import PlantError
 from sim_backend.served.driver import SimDriver
 from sim_backend.served.listener import Listener
-from sim_backend.served.protocol import Kind, header_only, words
+from sim_backend.served.protocol import MessageKind, header_only, words
 from tests.support.plant.plant_cells import PLANAR_JOINTS
 from tests.support.plant.served_plant import CONFIG_ID, ServedPlant, cycle, cycling
 
@@ -44,7 +44,12 @@ def test_occupied_arm_is_refused_while_the_run_goes_on(tmp_path: Path) -> None:
 
 def test_stranger_who_talks_nonsense_is_refused_and_does_no_harm(tmp_path: Path) -> None:
     with ServedPlant(tmp_path) as served:
-        for message in (b"x", b"\xff" * 300, header_only(Kind.STATE), words(Kind.HELLO, version=99, arm="left")):
+        for message in (
+            b"x",
+            b"\xff" * 300,
+            header_only(MessageKind.STATE),
+            words(MessageKind.HELLO, version=99, arm="left"),
+        ):
             with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as s:
                 s.connect(os.fspath(served.path))
                 s.send(message)
@@ -119,7 +124,9 @@ def test_refusal_of_another_id_shows_both_as_fingerprints(tmp_path: Path) -> Non
     assert (caught.value.found, caught.value.expected) == ("c0ffee41", "c0ffee42")
 
 
-@pytest.mark.parametrize("answer", [b"", b"hello", header_only(Kind.STATE), words(Kind.INFO, lockstep=True)])
+@pytest.mark.parametrize(
+    "answer", [b"", b"hello", header_only(MessageKind.STATE), words(MessageKind.INFO, lockstep=True)]
+)
 def test_server_that_is_no_plant_is_refused(tmp_path: Path, answer: bytes) -> None:
     path = tmp_path / "other.sock"
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as other:
