@@ -202,14 +202,15 @@ def hold_here(agent: Agent, q: Vector, memory: Memory) -> Memory:
     return memory._replace(hold=(*k.p_object, *k.quat_object), q_hold=q)
 
 
-def hold_desired(agent: Agent, outcome: Outcome) -> Memory:
-    """Memory after `outcome` with the pose that was desired in it, as this arm follows it, as what to hold.
+def hold_after(agent: Agent, outcome: Outcome) -> Memory:
+    """Memory after `outcome` with what to hold from then on.
 
-    The arm then goes on pulling as it did.  Where the object is far from that pose, or the law gave nothing, it is held
-    where it is.
+    An arm that aligns itself with the others holds the pose that it was following, and goes on pulling as it did.  Any
+    other holds the object where it is, and so does every arm where the object is far from that pose, where the arm
+    nears a singular one, and where the law gave nothing.
     """
     terms = outcome.terms
-    if terms is None or _far(terms.errors):
+    if agent.alignment is None or terms is None or Flag.SINGULAR in outcome.flags or _far(terms.errors):
         return hold_here(agent, outcome.q, outcome.memory)
     return outcome.memory._replace(hold=(*terms.desired.p, *terms.desired.quat), q_hold=outcome.q)
 

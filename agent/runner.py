@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from agent.control.memory import Memory
-from agent.loop import Agent, Outcome, hold_desired, initial_memory, step, wait_here
+from agent.loop import Agent, Outcome, hold_after, initial_memory, step, wait_here
 from agent.modes import Event, Mode, next_mode
 from agent.safety import Flag
 from agent.telemetry.row.fill import AgentRow
@@ -245,7 +245,7 @@ class Runner:
         if mode is before:
             return
         if mode is Mode.HOLD and state is not None and self._outcome is not None:
-            self._memory = hold_desired(self._agent, self._outcome)
+            self._memory = hold_after(self._agent, self._outcome)
         if mode is Mode.TRACK:
             self._memory = self._memory._replace(hold=None, q_hold=None)
         self._mode = mode

@@ -2,7 +2,7 @@
 
 Calibration errors make every arm see the object elsewhere.  Each follows the common motion shifted by (d, ρ), which at
 the start is what it sees beside the pose that the cell states; all but one, the anchor, go on shifting towards what
-they see, slowly and beyond a dead zone only, so that a lasting disagreement ends as an offset and not as an internal force:
+they see, slowly and beyond a dead zone only, so that a lasting disagreement ends as an offset and not as a force:
 
     ḋ = α dz(e_p, d_0),   ρ̇ = α dz(−2 e_η e_ε, ρ_0),   |d| ≤ d_max, |ρ| ≤ ρ_max
 

@@ -45,7 +45,7 @@ class Memory(NamedTuple):
 
     @property
     def rest(self) -> tuple[float, ...]:
-        """What stands behind them: pose to hold (7), primed, time, shift (6), damped; wrenches and ticks of `sense` (19)."""
+        """What stands behind them: pose to hold (7), primed, time, shift (6), damped; the rest of `sense` (19)."""
         pose, sense = _NO_POSE if self.hold is None else self.hold, self.sense
         wrenches = (*sense.base.tolist(), *sense.slow.tolist(), *sense.rest.tolist(), sense.ticks)
         return (*pose, float(self.primed), self.t, *self.shift, float(self.damped), *wrenches)

@@ -181,11 +181,7 @@ def test_a_stop_holds_and_only_a_release_ends_it() -> None:
     done = run(lambda n: Event.STOP if n == 20 else Event.RELEASED if n == 60 else Event.NONE, hold_at_end=True)
     assert done.modes == [Mode.TRACK, Mode.HOLD, Mode.OFF]
     hold = done.rows["mode"] == Mode.HOLD
-    last = done.rows[done.rows["mode"] == Mode.TRACK][-1]
-    assert (done.rows["p_object_des"][hold] == last["p_object_des"]).all(), (
-        "it holds what it was asked for, not where it was"
-    )
-    assert not done.rows["v_object_des"][hold].any()
+    assert np.abs(done.rows["e_p"][hold]).max() < 5e-4, "but for what the observer still expects of the motion"
     assert 35 < hold.sum() < 45
 
 
