@@ -2,28 +2,19 @@
 
 from __future__ import annotations
 
-from agent.config.cell import Arm, Cell, ConfigError
+from agent.config.cell import Arm, Cell
 from agent.control.alignment import Alignment
 from agent.control.quaternion import Quat, Vec3
 from agent.control.residual import Channels, Residual
 
 
 def alignment(cell: Cell, arm: Arm) -> Alignment | None:
-    """Alignment of this arm; None where the cell has none.  Raises ConfigError for an anchor that is not there."""
+    """Alignment of this arm; None where the cell has none."""
     spec = cell.file.controller.alignment
     if spec is None:
         return None
-    names = [a.name for a in cell.arms]
-    anchor = names[0] if spec.anchor is None else spec.anchor
-    if anchor not in names:
-        raise ConfigError(
-            f"controller.alignment.anchor of cell {cell.file.name}",
-            found=repr(anchor),
-            expected=" or ".join(names),
-            remedy="name one of the cell's arms",
-        )
     return Alignment(
-        follows=arm.name != anchor,
+        follows=arm.name != (spec.anchor or cell.arms[0].name),
         ready_per_s=spec.ready_per_s,
         track_per_s=spec.track_per_s,
         dead_zone_m=spec.dead_zone_m,

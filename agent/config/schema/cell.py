@@ -266,6 +266,12 @@ class CellFile(Strict):
                 "arms", found=f"a sum of {total:.9g}", expected="load shares that sum to 1",
                 remedy="correct load_share of the arms",
             )  # fmt: skip
+        aligned, names = self.controller.alignment, [a.name for a in self.arms]
+        if aligned is not None and aligned.anchor is not None and aligned.anchor not in names:
+            raise wrong(
+                "controller.alignment.anchor", found=repr(aligned.anchor), expected=" or ".join(names),
+                remedy="name one of the cell's arms",
+            )  # fmt: skip
         if self.driver is DriverKind.DYNAMIXEL:
             for a in self.arms:
                 if a.dynamixel is None:
