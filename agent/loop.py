@@ -13,18 +13,26 @@ import numpy as np
 
 from agent.control import adaptive, joint_hold, known
 from agent.control.adaptation import Estimate
+from agent.control.alignment import Alignment, between, shifted
 from agent.control.errors import Errors
 from agent.control.estimator import Observer
 from agent.control.inverse import SingularJacobian
 from agent.control.law import Offline, Terms
 from agent.control.memory import Memory, initial
 from agent.control.models import ArmModel
+from agent.control.quaternion import Quat, Vec3
+from agent.control.residual import Residual, Sense, nothing_sensed
 from agent.control.trajectory import Desired, Trajectory
 from agent.modes import Mode
 from agent.safety import Flag, Limits, limit
 from drivers.interface import JointState, Vector
 
 SINGULAR_MARGIN = 1.5  # a stop for singularity holds where the law is not called again at once
+BRAKE_PER_S = 30.0  # of a hold that became too fast, times the arm's inertia
+RESUME_SHARE = 0.2  # of that bound, below which it holds again
+HOLD_DESIRED_MAX_M = 0.02  # a hold keeps the desired pose when the object is this near to it, else where the object is
+HOLD_DESIRED_MAX_RAD = 0.1
+_STILL = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +53,10 @@ class Agent:
     error_max_m: float = math.inf  # while tracking: beyond it something outside this arm is wrong
     error_max_rad: float = math.inf
     hold_rate_rad_per_s: float = 10.0  # of a hold in joint space (agent.control.joint_hold)
+    start: tuple[Vec3, Quat] | None = None  # where the cell says that the object is before the start
+    alignment: Alignment | None = None  # None: READY holds what this arm sees, TRACK follows the common motion
+    residual: Residual | None = None  # None: nothing is sensed through the object
+    damp_above_rad_per_s: float = math.inf  # a joint faster than this in HOLD is braked
 
     def __post_init__(self) -> None:
         n, counts = self.model.n, (len(self.limits.tau_max_Nm), len(self.limits.tau_step_max_Nm))
@@ -65,6 +77,7 @@ class Outcome(NamedTuple):
     tau: Vector  # after the limits
     flags: Flag
     memory: Memory
+    sensed: tuple[float, ...] | None = None  # the unexpected wrench (6), sizes of its channels (4)
 
 
 def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) -> Outcome:
@@ -82,8 +95,11 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
         terms, estimate, held = _law(agent, t, mode, memory, q, dq)
     except SingularJacobian:
         return Outcome(q, dq, None, memory.tau, Flag.SINGULAR, memory._replace(primed=False))
-    wanted = terms.tau_cmd.tolist()
+    damped = mode is Mode.HOLD and _too_fast(agent, dq, memory)
+    wanted = (_braking(terms, dq) if damped else terms.tau_cmd).tolist()
     tau, flags = limit(wanted, memory.tau.tolist(), agent.limits)
+    if damped:
+        flags |= Flag.DAMPED
     if terms.sigma_min < agent.sigma_min:
         flags |= Flag.SINGULAR
     if held:
@@ -93,8 +109,49 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
     limited = np.array(tau)
     if Flag.NOT_FINITE in flags:  # the memory keeps finite numbers only
         return Outcome(q, dq, terms, limited, flags, memory._replace(tau=limited, primed=False))
-    carried = Memory(q, dq, terms.ddq_ref, memory.ddq, limited, True, memory.hold, t, estimate, memory.q_hold)
-    return Outcome(q, dq, terms, limited, flags, carried)
+    sense, sensed, unexpected = _sense(agent, mode, memory, terms, dq)
+    if unexpected:
+        flags |= Flag.UNEXPECTED
+    carried = Memory(
+        q, dq, terms.ddq_ref, memory.ddq, limited, memory.tau, True, sense, _shift(agent, mode, memory, terms), damped,
+        memory.hold, t, estimate, memory.q_hold,
+    )  # fmt: skip
+    return Outcome(q, dq, terms, limited, flags, carried, sensed)
+
+
+def _too_fast(agent: Agent, dq: Vector, memory: Memory) -> bool:
+    """Whether a hold brakes: from a bound on, and then until the arm is nearly at rest."""
+    bound = agent.damp_above_rad_per_s
+    fastest: float = max(map(abs, dq.tolist()))
+    return fastest > bound * (RESUME_SHARE if memory.damped else 1.0)
+
+
+def _braking(terms: Terms, dq: Vector) -> Vector:
+    """Weight and load share, and a torque against the motion that the loop can give at any sampling."""
+    tau: Vector = terms.tau_object - BRAKE_PER_S * terms.kinematics.B.dot(dq) + terms.kinematics.g
+    return tau
+
+
+def _sense(
+    agent: Agent, mode: Mode, memory: Memory, terms: Terms, dq: Vector
+) -> tuple[Sense, tuple[float, ...] | None, bool]:
+    """State of the residual after this tick, what the row says of it, and whether it asks for a hold."""
+    residual = agent.residual
+    if residual is None or terms.J_inv_P is None:
+        return nothing_sensed(agent.model.n), None, False
+    sense = memory.sense if memory.primed else nothing_sensed(agent.model.n)
+    sent = (memory.tau, memory.tau_before)
+    sense = residual.advance(sense, terms, terms.J_inv_P, dq, sent, ready=mode is Mode.READY)
+    wrench = terms.J_inv_P.T.dot(sense.residual)
+    found = residual.channels(sense, wrench)
+    return sense, (*wrench.tolist(), *found), mode is Mode.TRACK and residual.tripped(found)
+
+
+def _shift(agent: Agent, mode: Mode, memory: Memory, terms: Terms) -> tuple[float, float, float, float, float, float]:
+    """The shift of the desired pose after this tick; it changes while the arm waits for the motion or follows it."""
+    if agent.alignment is None or not memory.primed or (mode is not Mode.TRACK and mode is not Mode.READY):
+        return memory.shift
+    return agent.alignment.advance(memory.shift, terms.errors, agent.period_s, ready=mode is Mode.READY)
 
 
 def _off_track(agent: Agent, errors: Errors) -> bool:
@@ -129,11 +186,12 @@ def initial_memory(agent: Agent) -> Memory:
 
 
 def _desired(agent: Agent, t: float, mode: Mode, memory: Memory) -> Desired:
+    if mode is Mode.READY and agent.alignment is not None and agent.start is not None:
+        return shifted(Desired(*agent.start, _STILL, _STILL), memory.shift)
     if mode is Mode.TRACK or memory.hold is None:
-        return agent.trajectory.at(t)
-    still = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        return shifted(agent.trajectory.at(t), memory.shift)
     p, quat = memory.hold[:3], memory.hold[3:]
-    return Desired(p, quat, still, still)  # type: ignore[arg-type]
+    return Desired(p, quat, _STILL, _STILL)  # type: ignore[arg-type]
 
 
 def hold_here(agent: Agent, q: Vector, memory: Memory) -> Memory:
@@ -142,3 +200,30 @@ def hold_here(agent: Agent, q: Vector, memory: Memory) -> Memory:
         return memory._replace(hold=None, q_hold=None)
     k = agent.model.evaluate(q, np.zeros_like(q))
     return memory._replace(hold=(*k.p_object, *k.quat_object), q_hold=q)
+
+
+def hold_after(agent: Agent, outcome: Outcome) -> Memory:
+    """Memory after `outcome` with what to hold from then on.
+
+    An arm that aligns itself with the others holds the pose that it was following, and goes on pulling as it did.  Any
+    other holds the object where it is, and so does every arm where the object is far from that pose, where the arm
+    nears a singular one, and where the law gave nothing.
+    """
+    terms = outcome.terms
+    if agent.alignment is None or terms is None or Flag.SINGULAR in outcome.flags or _far(terms.errors):
+        return hold_here(agent, outcome.q, outcome.memory)
+    return outcome.memory._replace(hold=(*terms.desired.p, *terms.desired.quat), q_hold=outcome.q)
+
+
+def _far(errors: Errors) -> bool:
+    angle = 2.0 * math.atan2(math.hypot(*errors.e_eps), abs(errors.e_eta))
+    return not (math.hypot(*errors.e_p) <= HOLD_DESIRED_MAX_M and angle <= HOLD_DESIRED_MAX_RAD)
+
+
+def wait_here(agent: Agent, q: Vector, memory: Memory) -> Memory:
+    """Memory for the wait before the start: the object's pose that this arm sees at q (n,) becomes its start pose."""
+    memory = hold_here(agent, q, memory)
+    if agent.alignment is None or agent.start is None or memory.hold is None:
+        return memory
+    pose = memory.hold
+    return memory._replace(shift=between(pose[:3], pose[3:], *agent.start))  # type: ignore[arg-type]

@@ -12,14 +12,14 @@ from typing import Protocol
 import numpy as np
 
 from agent.control.memory import Memory
-from agent.loop import Agent, Outcome, hold_here, initial_memory, step
+from agent.loop import Agent, Outcome, hold_after, initial_memory, step, wait_here
 from agent.modes import Event, Mode, next_mode
 from agent.safety import Flag
 from agent.telemetry.row.fill import AgentRow
 from drivers.interface import Clock, Driver, DriverError, JointState, ServoFault, StaleStateError, Vector
 
 NOT_YET_NS = 86_400_000_000_000  # the trajectory's zero while nobody has set it: a day ahead
-_TROUBLE = Flag.NOT_FINITE | Flag.SINGULAR | Flag.OFF_TRACK
+_TROUBLE = Flag.NOT_FINITE | Flag.SINGULAR | Flag.OFF_TRACK | Flag.UNEXPECTED
 _COMMANDING = frozenset({Mode.READY, Mode.TRACK, Mode.HOLD, Mode.LOWER})
 
 
@@ -91,6 +91,7 @@ class Runner:
         self._sink = sink
         self._around = around
         self._memory: Memory = initial_memory(agent)
+        self._outcome: Outcome | None = None  # of the last tick with a fresh state
         self._mode = Mode.TRACK if schedule.lockstep else Mode.READY
         self._reason = ""
         self._rows = 0
@@ -178,7 +179,7 @@ class Runner:
         """One step on a fresh state: torque out, row in the log."""
         row, wall_ns, mode = self._row, self._around.wall_ns, self._mode
         if mode is not Mode.TRACK and self._memory.hold is None:
-            self._memory = hold_here(self._agent, state.q, self._memory)
+            self._memory = wait_here(self._agent, state.q, self._memory)
         after_read_ns = wall_ns()
         t = (state.stamp_ns - self._zero_ns) * 1e-9
         outcome = step(self._agent, state, t, mode, self._memory)
@@ -196,6 +197,7 @@ class Runner:
         )
         self._sink.commit()
         self._memory = outcome.memory
+        self._outcome = outcome
         self._rows += 1
         if mode is Mode.TRACK:
             if self._tracking_since_ns is None:
@@ -242,8 +244,8 @@ class Runner:
         mode = next_mode(before, happened)
         if mode is before:
             return
-        if mode is Mode.HOLD and state is not None:
-            self._memory = hold_here(self._agent, state.q, self._memory)
+        if mode is Mode.HOLD and state is not None and self._outcome is not None:
+            self._memory = hold_after(self._agent, self._outcome)
         if mode is Mode.TRACK:
             self._memory = self._memory._replace(hold=None, q_hold=None)
         self._mode = mode

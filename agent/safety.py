@@ -23,6 +23,8 @@ class Flag(enum.IntFlag):
     STALE = 16  # no fresh state this tick: the last torque was kept
     ADAPTATION_SATURATED = 32  # an estimate of the adaptive law was held at its bound
     OFF_TRACK = 64  # the object does not follow: by this arm's kinematics it is too far from where it should be
+    UNEXPECTED = 128  # more acts on the arm than its load share and the cell explain (agent.control.residual)
+    DAMPED = 256  # the arm became too fast in a hold: it only brakes
 
 
 @dataclass(frozen=True, slots=True)

@@ -79,6 +79,7 @@ def torque(
         tau_law if tau_friction is None else tau_law + tau_friction,
         wrench_at_ee(k, J_inv_P, tau_law),
         lyapunov_share(offline, k, e, dq_error) + adaptation.parameter_error(estimate),
+        J_inv_P,
     )
     return terms, Gradient(arm_gradient, object_gradient)
 

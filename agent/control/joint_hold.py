@@ -52,4 +52,5 @@ def torque(model: ArmModel, offline: Offline, q: Vector, dq: Vector, q_hold: Vec
         tau_inertia + tau_coriolis + k.g + tau_object,
         _UNKNOWN,
         math.nan,
+        None,
     )

@@ -48,4 +48,5 @@ def torque(model: ArmModel, offline: Offline, q: Vector, dq: Vector, desired: De
         tau_cmd,
         wrench_at_ee(k, J_inv_P, tau_law),
         lyapunov_share(offline, k, e, dq - dq_ref),
+        J_inv_P,
     )

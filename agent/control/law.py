@@ -62,6 +62,7 @@ class Terms(NamedTuple):
     wrench_internal: Vec6  # at the end effector
     lyapunov: float
     sigma_min: float
+    J_inv_P: Matrix | None  # (n, 6) joint velocities of an object twist; None where the Jacobian was not inverted
 
 
 def object_wrench(offline: Offline, k: Kinematics, errors: Errors) -> Vec6:
@@ -191,6 +192,7 @@ def assemble(
     tau_cmd: Vector,
     wrench_cmd: Vec6,
     lyapunov: float,
+    J_inv_P: Matrix | None,
 ) -> Terms:
     """Terms of a tick, in their order; the only place that lists them all."""
     tau_inertia, tau_coriolis, tau_gravity, tau_adaptive = by_model
@@ -214,6 +216,7 @@ def assemble(
         shared.wrench_internal,
         lyapunov,
         ref.sigma_min,
+        J_inv_P,
     )
 
 

@@ -7,9 +7,12 @@ from typing import NamedTuple
 import numpy as np
 
 from agent.control.adaptation import Estimate
+from agent.control.alignment import NO_SHIFT, Shift
+from agent.control.residual import Sense, nothing_sensed
 from drivers.interface import Vector
 
 MEMORY_JOINTS = 7  # room per joint array in the flattened form
+JOINT_ARRAYS = 10
 _NO_POSE = (0.0,) * 7
 
 
@@ -24,7 +27,11 @@ class Memory(NamedTuple):
     ddq: Vector  # reference acceleration of the last tick
     ddq_before: Vector  # of the tick before it, for arms whose torque acts one cycle late
     tau: Vector  # last limited torque, for the rate limit
+    tau_before: Vector  # the one before it, for the torque that acted in between
     primed: bool  # the observer has seen a measurement
+    sense: Sense  # of the unexpected wrench
+    shift: Shift = NO_SHIFT  # of the desired pose (agent.control.alignment)
+    damped: bool = False  # a hold that only brakes, because the arm became too fast
     hold: tuple[float, ...] | None = None  # object pose (p, quat) to hold, once holding
     t: float = 0.0  # time of the last tick, s; the adaptation integrates over the real interval
     estimate: Estimate | None = None  # of the adaptive law; logged in fields of its own
@@ -32,28 +39,31 @@ class Memory(NamedTuple):
 
     @property
     def joint_arrays(self) -> tuple[Vector | None, ...]:
-        """The six joint arrays of the log field `memory`, each (n,); None is logged as zeros."""
-        return self.q, self.dq, self.ddq, self.ddq_before, self.tau, self.q_hold
+        """The joint arrays of the log field `memory`, each (n,); None is logged as zeros."""
+        sensed = self.sense.momentum, self.sense.expected, self.sense.residual
+        return self.q, self.dq, self.ddq, self.ddq_before, self.tau, self.tau_before, self.q_hold, *sensed
 
     @property
-    def pose_flag_time(self) -> tuple[float, ...]:
-        """What stands behind them: the held pose (7), whether it is primed, the time."""
-        return (*(_NO_POSE if self.hold is None else self.hold), float(self.primed), self.t)
+    def rest(self) -> tuple[float, ...]:
+        """What stands behind them: pose to hold (7), primed, time, shift (6), damped; the rest of `sense` (19)."""
+        pose, sense = _NO_POSE if self.hold is None else self.hold, self.sense
+        wrenches = (*sense.base.tolist(), *sense.slow.tolist(), *sense.rest.tolist(), sense.ticks)
+        return (*pose, float(self.primed), self.t, *self.shift, float(self.damped), *wrenches)
 
     def flatten(self) -> list[float]:
-        """The numbers of the log field `memory`: the joint arrays padded to seven, the pose, the flag, the time."""
+        """The numbers of the log field `memory`: the joint arrays padded to seven, and the rest."""
         pad = [0.0] * (MEMORY_JOINTS - len(self.q))
         flat: list[float] = []
         for array in self.joint_arrays:
             flat += [0.0] * len(self.q) if array is None else array.tolist()
             flat += pad
-        return [*flat, *self.pose_flag_time]
+        return [*flat, *self.rest]
 
 
 def initial(n: int, estimate: Estimate | None = None) -> Memory:
     """Memory before the first tick of an arm with n joints; estimate: where the adaptive law starts."""
     zero = np.zeros(n)
-    return Memory(zero, zero, zero, zero, zero, primed=False, estimate=estimate)
+    return Memory(zero, zero, zero, zero, zero, zero, primed=False, sense=nothing_sensed(n), estimate=estimate)
 
 
 def restore(flat: Vector, n: int, estimate: Estimate | None = None) -> Memory:
@@ -61,9 +71,25 @@ def restore(flat: Vector, n: int, estimate: Estimate | None = None) -> Memory:
 
     estimate: of the adaptive law before that row (`agent.control.adaptation.from_row`), None without it.
     """
-    joints = np.array(flat[: 6 * MEMORY_JOINTS]).reshape(6, MEMORY_JOINTS)[:, :n]
-    tail = flat[6 * MEMORY_JOINTS :].tolist()
+    count = JOINT_ARRAYS * MEMORY_JOINTS
+    joints = np.array(flat[:count]).reshape(JOINT_ARRAYS, MEMORY_JOINTS)[:, :n]
+    tail = flat[count:].tolist()
     hold = tuple(tail[:7]) if any(tail[3:7]) else None
-    q, dq, ddq, ddq_before, tau, q_hold = (row.copy() for row in joints)
-    at_hold = None if hold is None else q_hold
-    return Memory(q, dq, ddq, ddq_before, tau, bool(tail[7]), hold, tail[8], estimate, at_hold)
+    q, dq, ddq, ddq_before, tau, tau_before, q_hold, momentum, expected, residual = (row.copy() for row in joints)
+    base, slow, rest = (np.array(tail[k : k + 6]) for k in (16, 22, 28))
+    return Memory(
+        q,
+        dq,
+        ddq,
+        ddq_before,
+        tau,
+        tau_before,
+        primed=bool(tail[7]),
+        sense=Sense(momentum, expected, residual, base, slow, rest, tail[34]),
+        shift=(tail[9], tail[10], tail[11], tail[12], tail[13], tail[14]),
+        damped=bool(tail[15]),
+        hold=hold,
+        t=tail[8],
+        estimate=estimate,
+        q_hold=None if hold is None else q_hold,
+    )

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from agent.config import observer
+from agent.config import coordination, observer
 from agent.config.cell import Arm, Cell
 from agent.config.schema.cell import DriverKind
 from agent.config.servo_map import arm_map
@@ -49,6 +50,10 @@ def build_agent(cell: Cell, arm: Arm) -> Agent:
         error_max_rad=safety.tracking_error_max_rad,
         period_s=1.0 / cell.file.rate_hz,
         hold_rate_rad_per_s=_hold_rate(cell),
+        start=coordination.start_pose(cell),
+        alignment=coordination.alignment(cell, arm),
+        residual=coordination.residual(cell),
+        damp_above_rad_per_s=math.inf if safety.hold_speed_max_rad_per_s is None else safety.hold_speed_max_rad_per_s,
     )
 
 

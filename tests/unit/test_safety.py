@@ -128,7 +128,17 @@ def test_a_wrong_number_of_joints_is_an_error_not_a_shorter_torque(count: tuple[
 
 
 def test_flags_are_the_bits_that_logs_hold() -> None:
-    names = ("NOT_FINITE", "SATURATED", "RATE_LIMITED", "SINGULAR", "STALE", "ADAPTATION_SATURATED", "OFF_TRACK")
+    names = (
+        "NOT_FINITE",
+        "SATURATED",
+        "RATE_LIMITED",
+        "SINGULAR",
+        "STALE",
+        "ADAPTATION_SATURATED",
+        "OFF_TRACK",
+        "UNEXPECTED",
+        "DAMPED",
+    )
     assert {f.name: f.value for f in Flag} == {name: 1 << bit for bit, name in enumerate(names)}
     assert Flag.NONE == 0
 

@@ -12,6 +12,7 @@ from pydantic import Field, model_validator
 
 from agent.config.schema.arm import Baud
 from agent.config.schema.controller import Controller
+from agent.config.schema.coordination import NoticingSpec
 from agent.config.schema.simulation import Simulation
 from agent.config.schema.trajectory import TrajectorySpec
 from agent.config.schema.types import (
@@ -117,6 +118,8 @@ class Safety(Strict):
     tracking_error_max_m: Annotated[float, Field(gt=0.0, le=1.0)] = 0.05
     tracking_error_max_rad: Attitude = 0.3
     spectral_radius_max: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.9999
+    hold_speed_max_rad_per_s: Annotated[float, Field(gt=0.0, le=20.0)] | None = None  # in HOLD; faster: it is braked
+    noticing: NoticingSpec | None = None  # None: an arm notices the others by their effect on the object's pose alone
     inertia_error: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.3
 
 
@@ -262,6 +265,12 @@ class CellFile(Strict):
             raise wrong(
                 "arms", found=f"a sum of {total:.9g}", expected="load shares that sum to 1",
                 remedy="correct load_share of the arms",
+            )  # fmt: skip
+        aligned, names = self.controller.alignment, [a.name for a in self.arms]
+        if aligned is not None and aligned.anchor is not None and aligned.anchor not in names:
+            raise wrong(
+                "controller.alignment.anchor", found=repr(aligned.anchor), expected=" or ".join(names),
+                remedy="name one of the cell's arms",
             )  # fmt: skip
         if self.driver is DriverKind.DYNAMIXEL:
             for a in self.arms:

@@ -8,6 +8,7 @@ from typing import Annotated
 from pydantic import Field
 
 from agent.config.schema.adaptive import Adaptive
+from agent.config.schema.coordination import AlignmentSpec
 from agent.config.schema.types import AS_LIST, PerAxis, Share, Smoothing, Strict
 
 
@@ -49,3 +50,4 @@ class Controller(Strict):
     velocity: Annotated[VelocitySource, AS_LIST] = VelocitySource.OBSERVER
     observer: ObserverGains = ObserverGains()
     adaptive: Adaptive = Adaptive()  # used when kind is "adaptive"
+    alignment: AlignmentSpec | None = None  # None: every arm follows the motion where it sees the object

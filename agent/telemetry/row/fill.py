@@ -24,6 +24,7 @@ from drivers.interface import BusCounters, JointState, Vector
 
 _ABSENT: Final = b""  # packs as zeros
 _NO_WRENCHES: Final = (math.nan,) * 14  # wrench_cmd, wrench_internal, lyapunov, sigma_min
+_NO_SENSE: Final = (math.nan,) * 10  # unexpected_wrench, unexpected
 
 Row = NDArray[np.void]
 Values = tuple[bytes | float, ...]
@@ -50,6 +51,11 @@ class Outcome(Protocol):
     @property
     def tau(self) -> Vector:
         """Torque after the limits, (n,) N·m."""
+        ...
+
+    @property
+    def sensed(self) -> tuple[float, ...] | None:
+        """The unexpected wrench (6) and the sizes of its channels (4); None when nothing was sensed."""
         ...
 
     @property
@@ -98,7 +104,8 @@ class AgentRow:
             sequence, state.stamp_ns, utc_ns, mode, outcome.flags, *self._head,
             t, state.q.tobytes(), state.dq.tobytes(), state.tau.tobytes(), outcome.q.tobytes(), outcome.dq.tobytes(),
             *law, outcome.tau.tobytes(), tau_sent.tobytes(), *wrenches,
-            *map(_bytes, memory.joint_arrays), *memory.pose_flag_time,
+            *memory.shift, *(_NO_SENSE if outcome.sensed is None else outcome.sensed),
+            *map(_bytes, memory.joint_arrays), *memory.rest,
         )  # fmt: skip
         if memory.estimate is not None:
             self._theta_arm[: len(memory.estimate.arm)] = memory.estimate.arm

@@ -17,7 +17,7 @@ MAX_JOINTS: Final = 7  # arms with fewer joints leave the rest at zero
 MAX_ARMS: Final = 8
 ARM_PARAMETERS: Final = MAX_JOINTS * 13  # per joint: 10 inertial, rotor inertia, viscous, Coulomb friction
 OBJECT_PARAMETERS: Final = 10
-MEMORY_ARRAYS, MEMORY_REST = 6, 9  # of agent.control.memory.Memory: joint arrays; held pose, flag and time
+MEMORY_ARRAYS, MEMORY_REST = 10, 35  # of agent.control.memory.Memory: joint arrays, and what stands behind them
 MEMORY_LENGTH: Final = MEMORY_ARRAYS * MAX_JOINTS + MEMORY_REST
 
 CDR_LITTLE_ENDIAN: Final = 0x00000100  # the encapsulation header 00 01 00 00, read as a little-endian u4
@@ -99,6 +99,9 @@ AGENT_FIELDS: Final[tuple[Field, ...]] = (
     _f("wrench_internal", 6, "N, N·m", "internal-force part of it"),
     _f("lyapunov", 0, "J", "the part of the Lyapunov function this agent can compute"),
     _f("sigma_min", 0, "", "lower bound of the smallest singular value of the object Jacobian"),
+    _f("shift", 6, "m, rad", "of the desired pose, by which this arm has found together with the others"),
+    _f("unexpected_wrench", 6, "N, N·m", "on this arm beside its load share, at the object, world axes"),
+    _f("unexpected", 4, "N, N·m, N, N·m", "sizes of its fast part (force, moment) and of its slow part"),
     _f("memory", MEMORY_LENGTH, "", "what the agent carried into this tick (agent.control.memory)"),
     _f("theta_arm", ARM_PARAMETERS, "", "adaptive arm estimate before this tick"),
     _f("theta_object", OBJECT_PARAMETERS, "", "adaptive object estimate before this tick"),

@@ -5,7 +5,7 @@ For properties that need a closed loop and no processes; the order of events is 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -55,8 +55,13 @@ def simulate(
     *,
     agents_cell: Cell | None = None,
     watch: Callable[[int, list[Outcome]], None] | None = None,
+    push_world: Mapping[int, Vector] | None = None,
 ) -> History:
-    """Closed loop of `cell` for duration_s; agents_cell: what the agents believe, when it differs from the plant's."""
+    """Closed loop of `cell` for duration_s.
+
+    agents_cell: what the agents believe, when it differs from the plant's; push_world: by tick, the wrench (6,) on the
+    object from then on.
+    """
     q_start = examine(cell).q_start
     plant = Plant(plant_spec(cell, q_start))
     believed = agents_cell or cell
@@ -71,6 +76,8 @@ def simulate(
     history, trajectory = History(), cell.trajectory()
     for tick in range(round(duration_s * cell.file.rate_hz)):
         t = tick * cell.period_ns * 1e-9
+        if push_world is not None and tick in push_world:
+            plant.push(push_world[tick])
         desired, T = trajectory.at(t), plant.T_world_object
         x, y, z, w = pin.Quaternion(T.rotation).coeffs().tolist()
         history.t.append(t)

@@ -64,6 +64,11 @@ def test_every_shipped_cell_passes_its_checks() -> None:
         ("q_near_rad = [-0.4, 0.8, -0.4] ", "q_near_rad = [-0.4, 0.8] ", "one q_near_rad per controlled joint"),
         ("locked_rad = { waist = 0.0, wrist_rotate = 0.0 }", "locked_rad = { waist = 0.0 }", "wrist_rotate"),
         ('name = "right"', 'name = "left"', "names that differ"),
+        (
+            "[report]",
+            '[controller.alignment]\nanchor = "middle"\n[report]',
+            "found 'middle', expected left or right",
+        ),
         ('driver = "sim"', 'driver = "simulator"', "sim"),
         (
             "duration_s",

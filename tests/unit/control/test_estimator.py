@@ -12,6 +12,7 @@ import configs
 from agent.config.cell import load_cell
 from agent.control.estimator import Observer
 from agent.control.memory import MEMORY_JOINTS, Memory, initial, restore
+from agent.control.residual import Sense
 from agent.loop import step
 from agent.modes import Mode
 from agent.process.build import build_agent
@@ -58,7 +59,7 @@ def observe(law: Observer, q: Vector, dq: Vector, expected: Vector) -> tuple[Vec
         q_k, dq_k = law.correct(memory, q[k], dq[k])
         found_q.append(q_k)
         found_dq.append(dq_k)
-        memory = Memory(q_k, dq_k, expected[k], memory.ddq, memory.tau, primed=True)
+        memory = memory._replace(q=q_k, dq=dq_k, ddq=expected[k], ddq_before=memory.ddq, primed=True)
     return np.array(found_q), np.array(found_dq)
 
 
@@ -123,10 +124,11 @@ def test_a_wrong_start_is_forgotten() -> None:
     ddq = accelerations(400)
     q, dq = motion(ddq)
     law = observer()
-    memory = Memory(q[0] + 0.5, dq[0] - 1.0, ddq[0], ddq[0], np.zeros(2), primed=True)
+    nothing = initial(2)
+    memory = nothing._replace(q=q[0] + 0.5, dq=dq[0] - 1.0, ddq=ddq[0], ddq_before=ddq[0], primed=True)
     for k in range(1, 200):
         q_k, dq_k = law.correct(memory, q[k], dq[k])
-        memory = Memory(q_k, dq_k, ddq[k], memory.ddq, memory.tau, primed=True)
+        memory = nothing._replace(q=q_k, dq=dq_k, ddq=ddq[k], ddq_before=memory.ddq, primed=True)
     assert np.abs(memory.q - q[199]).max() < 1e-6
     assert np.abs(memory.dq - dq[199]).max() < 1e-5
 
@@ -134,7 +136,11 @@ def test_a_wrong_start_is_forgotten() -> None:
 def random_memory(seed: int, n: int, hold: bool) -> Memory:
     rng = np.random.default_rng(seed)
     pose = (0.1, -0.2, 0.3, 0.5, -0.5, 0.5, -0.5) if hold else None
-    return Memory(*rng.normal(size=(5, n)), primed=bool(seed % 2), hold=pose)
+    sense = Sense(*rng.normal(size=(3, n)), *rng.normal(size=(3, 6)), ticks=float(seed))
+    shift = tuple(rng.normal(size=6).tolist())
+    return Memory(
+        *rng.normal(size=(6, n)), primed=bool(seed % 2), sense=sense, shift=shift, damped=not seed % 2, hold=pose
+    )
 
 
 @pytest.mark.parametrize("hold", [False, True])
@@ -145,9 +151,12 @@ def test_memory_survives_the_log(seed: int, n: int, hold: bool) -> None:
     flat = np.array(memory.flatten())
     assert len(flat) == MEMORY_LENGTH
     found = restore(flat, n)
-    for name in ("q", "dq", "ddq", "ddq_before", "tau"):
+    for name in ("q", "dq", "ddq", "ddq_before", "tau", "tau_before"):
         assert np.array_equal(getattr(found, name), getattr(memory, name))
-    assert (found.primed, found.hold) == (memory.primed, memory.hold)
+    for one, two in zip(found.sense, memory.sense, strict=True):
+        assert np.array_equal(one, two)
+    for name in ("primed", "hold", "shift", "damped"):
+        assert getattr(found, name) == getattr(memory, name)
     assert np.array_equal(restore(np.array(found.flatten()), n).flatten(), flat)
 
 

@@ -15,6 +15,7 @@ from agent.control.errors import Errors
 from agent.control.law import Terms
 from agent.control.memory import Memory, initial, restore
 from agent.control.models import Kinematics
+from agent.control.residual import Sense
 from agent.control.trajectory import Desired
 from agent.loop import Agent, Outcome, initial_memory, step
 from agent.modes import Mode
@@ -26,7 +27,9 @@ from drivers.interface import BusCounters, JointState
 
 SENTINEL = 123.0
 OF_THE_LAW = [
-    name for name in Terms._fields if name not in ("desired", "kinematics", "errors", "lyapunov", "sigma_min")
+    name
+    for name in Terms._fields
+    if name not in ("desired", "kinematics", "errors", "lyapunov", "sigma_min", "J_inv_P")
 ]
 OPTIONAL = ("tau_inertia", "tau_coriolis", "tau_gravity", "tau_adaptive", "tau_internal", "tau_friction", "tau_posture")
 MEMORY = initial(3)
@@ -64,12 +67,16 @@ def all_different(n: int) -> tuple[JointState, Memory, Outcome]:
     errors = Errors(tuple_of(3), next(numbers), tuple_of(3), tuple_of(6), tuple_of(6), tuple_of(6), tuple_of(6))
     lengths = {"wrench_cmd": 6, "wrench_internal": 6}
     of_the_law = {name: tuple_of(6) if name in lengths else array_of(n) for name in OF_THE_LAW}
-    terms = Terms(desired, kinematics, errors, lyapunov=next(numbers), sigma_min=next(numbers), **of_the_law)
+    terms = Terms(
+        desired, kinematics, errors, lyapunov=next(numbers), sigma_min=next(numbers), J_inv_P=None, **of_the_law
+    )
     estimate = Estimate(array_of(13 * n), array_of(10))
-    arrays = [array_of(n) for _ in range(5)]
-    memory = Memory(*arrays, True, tuple_of(7), next(numbers), estimate, array_of(n))
+    arrays = [array_of(n) for _ in range(6)]
+    sense = Sense(array_of(n), array_of(n), array_of(n), array_of(6), array_of(6), array_of(6), next(numbers))
+    memory = Memory(*arrays, True, sense, tuple_of(6), True, tuple_of(7), next(numbers), estimate, array_of(n))
     state = JointState(5_000_000, array_of(n), array_of(n), array_of(n))
-    return state, memory, Outcome(array_of(n), array_of(n), terms, array_of(n), Flag.SATURATED | Flag.STALE, memory)
+    flags = Flag.SATURATED | Flag.STALE
+    return state, memory, Outcome(array_of(n), array_of(n), terms, array_of(n), flags, memory, tuple_of(10))
 
 
 def good_and_bad() -> tuple[JointState, Outcome, Outcome]:
@@ -93,6 +100,9 @@ def check(found: np.void, state: JointState, memory: Memory, outcome: Outcome) -
         "quat_object": k.quat_object, "v_object": k.v_object, "e_p": e.e_p, "e_eta": e.e_eta, "e_eps": e.e_eps,
         "e_v": e.e_v, "v_object_ref": e.v_ref, "dv_object_ref": e.dv_ref, "lyapunov": terms.lyapunov,
         "sigma_min": terms.sigma_min, "tau_limited": outcome.tau, "tau_sent": outcome.tau + 0.5,
+        "shift": memory.shift,
+        "unexpected_wrench": (np.nan,) * 6 if outcome.sensed is None else outcome.sensed[:6],
+        "unexpected": (np.nan,) * 4 if outcome.sensed is None else outcome.sensed[6:],
         "memory": memory.flatten(), "late_s": 0.1, "read_s": 0.2, "step_s": 0.3, "write_s": 0.4,
         "bus_timeouts": 1, "bus_corrupt": 2, "bus_alerts": 3, "bus_retries": 4,
         "theta_arm": estimate.arm, "theta_object": estimate.object,

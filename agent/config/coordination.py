@@ -1,0 +1,43 @@
+"""How an arm of a cell lives with the others: its alignment and its sense of what acts on it."""
+
+from __future__ import annotations
+
+from agent.config.cell import Arm, Cell
+from agent.control.alignment import Alignment
+from agent.control.quaternion import Quat, Vec3
+from agent.control.residual import Channels, Residual
+
+
+def alignment(cell: Cell, arm: Arm) -> Alignment | None:
+    """Alignment of this arm; None where the cell has none."""
+    spec = cell.file.controller.alignment
+    if spec is None:
+        return None
+    return Alignment(
+        follows=arm.name != (spec.anchor or cell.arms[0].name),
+        ready_per_s=spec.ready_per_s,
+        track_per_s=spec.track_per_s,
+        dead_zone_m=spec.dead_zone_m,
+        dead_zone_rad=spec.dead_zone_rad,
+        max_m=spec.max_m,
+        max_rad=spec.max_rad,
+    )
+
+
+def residual(cell: Cell) -> Residual | None:
+    """What every arm of the cell senses; None where the cell does not ask for it."""
+    spec = cell.file.safety.noticing
+    if spec is None:
+        return None
+    return Residual(
+        period_s=1.0 / cell.file.rate_hz,
+        delay_periods=cell.file.delay_periods,
+        limits=Channels(spec.fast_N, spec.fast_Nm, spec.slow_N, spec.slow_Nm),
+        rate_per_s=spec.rate_per_s,
+        slow_per_s=spec.slow_per_s,
+    )
+
+
+def start_pose(cell: Cell) -> tuple[Vec3, Quat]:
+    """Where the cell says that the object is before the start."""
+    return cell.file.object.p_start_m, cell.file.object.quat_start

@@ -1,0 +1,36 @@
+"""What may stand under `[controller.alignment]` and `[safety.noticing]`: how an arm lives with the others, unheard."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from agent.config.schema.types import Name, Strict
+
+Rate = Annotated[float, Field(ge=0.0, le=20.0)]
+Force = Annotated[float, Field(gt=0.0, le=1e3)]
+Moment = Annotated[float, Field(gt=0.0, le=1e3)]
+
+
+class AlignmentSpec(Strict):
+    """Every arm but the anchor shifts its own target towards what it sees (agent.control.alignment)."""
+
+    anchor: Name | None = None  # the arm that does not; None: the first of the cell
+    ready_per_s: Rate = 2.0  # while waiting for the start
+    track_per_s: Rate = 0.3
+    dead_zone_m: Annotated[float, Field(ge=0.0, le=0.05)] = 0.7e-3
+    dead_zone_rad: Annotated[float, Field(ge=0.0, le=0.5)] = 4e-3
+    max_m: Annotated[float, Field(gt=0.0, le=0.1)] = 0.02
+    max_rad: Annotated[float, Field(gt=0.0, le=0.5)] = 0.1
+
+
+class NoticingSpec(Strict):
+    """From which unexpected wrench on an arm it holds (agent.control.residual): a sudden one, and one that stays."""
+
+    fast_N: Force = 2.0
+    fast_Nm: Moment = 0.35
+    slow_N: Force = 1.6
+    slow_Nm: Moment = 0.2
+    rate_per_s: Annotated[float, Field(gt=0.0, le=200.0)] = 30.0
+    slow_per_s: Annotated[float, Field(gt=0.0, le=50.0)] = 2.0

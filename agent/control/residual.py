@@ -1,0 +1,103 @@
+"""What acts on an arm beside what it expects, as a wrench at the object, from the arm's own signals.
+
+With s = dq − dq_r, the law (`eq:control law`) and Ḃ = C + Cᵀ the momentum B s obeys
+
+    d(B s)/dt = Cᵀ s + τ_acting − (τ_cmd − τ_feedback) + Jᵀ W,
+
+where W is what the others, the object and people do to this arm beyond the load share that it carries.  The observer
+
+    I ← I + T (Cᵀ s₋ + τ_acting − (τ_cmd − τ_feedback)₋ + r),   r = L (B s − I)
+
+makes r follow Jᵀ W within 1/L; the unexpected wrench is J⁻ᵀ r.  A fast channel, the wrench without its own slow part,
+tells a blow; a slow one, the wrench low-passed and without what it was before the start, tells a load that came to
+stay.  The state is part of `Memory`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from agent.control.law import Terms
+from agent.control.models import Matrix
+from drivers.interface import Vector
+
+REST_S = 2.0  # of the mean of the slow channel before the start
+
+
+class Sense(NamedTuple):
+    """State of the residual between two ticks; arrays are never written to again."""
+
+    momentum: Vector  # (n,) I
+    expected: Vector  # (n,) Cᵀ s − (τ_cmd − τ_feedback) of the last tick
+    residual: Vector  # (n,) r, N·m
+    base: Vector  # (6,) the unexpected wrench low-passed for the fast channel, at the object, world axes
+    slow: Vector  # (6,) the same for the slow channel
+    rest: Vector  # (6,) mean of the slow channel before the start
+    ticks: float  # in that mean, and one; 0: the residual has not begun
+
+
+def nothing_sensed(n: int) -> Sense:
+    """Before the first tick of an arm with n joints."""
+    joints, wrench = np.zeros(n), np.zeros(6)
+    return Sense(joints, joints, joints, wrench, wrench, wrench, 0.0)
+
+
+class Channels(NamedTuple):
+    """Sizes of the unexpected wrench."""
+
+    fast_N: float
+    fast_Nm: float
+    slow_N: float
+    slow_Nm: float
+
+
+@dataclass(frozen=True, slots=True)
+class Residual:
+    """Rates of the residual and its channels, and the thresholds of this arm in this cell."""
+
+    period_s: float
+    delay_periods: float  # a command acts this much later
+    limits: Channels
+    rate_per_s: float = 30.0  # L
+    base_per_s: float = 0.5
+    slow_per_s: float = 2.0
+
+    def advance(
+        self, sense: Sense, terms: Terms, J_inv_P: Matrix, dq: Vector, tau: tuple[Vector, Vector], *, ready: bool
+    ) -> Sense:
+        """State after a tick of the law at joint velocities dq (n,).
+
+        J_inv_P: (n, 6) joint velocities of an object twist; tau: what was sent (n,) one tick and two ticks before;
+        ready: before the start, when the slow channel learns what is usual.
+        """
+        k, T, f = terms.kinematics, self.period_s, self.delay_periods
+        s = dq - terms.dq_ref
+        momentum = k.B.dot(s)
+        expected = k.C.T.dot(s) - (terms.tau_cmd - terms.tau_feedback)
+        if sense.ticks == 0.0:
+            return sense._replace(momentum=momentum, expected=expected, ticks=1.0)
+        acting = (1.0 - f) * tau[0] + f * tau[1]
+        estimate = sense.momentum + T * (sense.expected + acting + sense.residual)
+        r = self.rate_per_s * (momentum - estimate)
+        W = J_inv_P.T.dot(r)
+        base = sense.base + (T * self.base_per_s) * (W - sense.base)
+        slow = sense.slow + (T * self.slow_per_s) * (W - sense.slow)
+        rest, ticks = sense.rest, sense.ticks
+        if ready:
+            ticks += 1.0
+            rest = rest + (slow - rest) / min(ticks, REST_S / T)
+        return Sense(estimate, expected, r, base, slow, rest, ticks)
+
+    def channels(self, sense: Sense, wrench: Vector) -> Channels:
+        """Sizes of the fast and of the slow channel; wrench: the unexpected one (6,)."""
+        fast = (wrench - sense.base).tolist()
+        slow = (sense.slow - sense.rest).tolist()
+        return Channels(math.hypot(*fast[:3]), math.hypot(*fast[3:]), math.hypot(*slow[:3]), math.hypot(*slow[3:]))
+
+    def tripped(self, found: Channels) -> bool:
+        """Whether any channel is above its limit; a channel that is no number is."""
+        return not all(x <= bound for x, bound in zip(found, self.limits, strict=True))

@@ -1,0 +1,58 @@
+"""Two arms on one object that see it elsewhere: what alignment makes of the force between them, and what is noticed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import configs
+from agent.config.cell import Cell, load_cell
+from agent.loop import Outcome
+from agent.safety import Flag
+from tests.support.plant.inprocess import simulate
+
+ARMS = ("arms.right.p_world_base_m=[0.607, -0.125, 0.0]",)  # what the agents believe: a base 4 mm off
+STILL = ("object.p_start_m=[0.3, 0.12, 0.0]", "trajectory.p_amplitude_m=[0.0, 0.0, 0.0]", "trajectory.angle_rad=0.0")
+ALIGNED = ("controller.alignment.track_per_s=0.6",)
+NOTICING = ("safety.noticing.fast_N=2.0",)
+
+
+def paper(*overrides: str) -> Cell:
+    return load_cell(configs.CELLS_DIR / "paper_ideal.toml", [*STILL, *overrides])
+
+
+def squeeze(aligned: bool) -> tuple[float, float]:
+    """Force between the arms at the end of 12 s (N), and how far the second arm shifted (m)."""
+    extra = ALIGNED if aligned else ()
+    shifts: list[float] = [0.0]
+
+    def watch(_tick: int, outcomes: list[Outcome]) -> None:
+        shifts[0] = float(np.linalg.norm(outcomes[1].memory.shift[:3]))
+
+    end = simulate(paper(), 12.0, agents_cell=paper(*extra, *ARMS), watch=watch).end
+    assert end is not None
+    forces = end.grasp_wrench[:, :3]
+    return float(np.linalg.norm(forces[0] - forces[1])) / 2.0, shifts[0]
+
+
+def test_alignment_takes_the_force_out_of_a_disagreement() -> None:
+    (fought, unmoved), (together, shift) = squeeze(False), squeeze(True)
+    assert unmoved == 0.0
+    assert shift > 2e-3
+    assert together < 0.6 * fought
+
+
+@pytest.mark.parametrize("wrench", [0.0, 12.0])
+def test_a_push_on_the_object_is_noticed_and_nothing_else_is(wrench: float) -> None:
+    noticed: list[int] = []
+
+    def watch(tick: int, outcomes: list[Outcome]) -> None:
+        if any(Flag.UNEXPECTED in o.flags for o in outcomes):
+            noticed.append(tick)
+
+    push = {100: np.array([0.0, -wrench, 0.0, 0.0, 0.0, 0.0])}
+    simulate(paper(*NOTICING), 1.0, watch=watch, push_world=push)
+    if not wrench:
+        assert noticed == []
+    else:
+        assert 100 < noticed[0] <= 110, "within 50 ms"

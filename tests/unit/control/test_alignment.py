@@ -1,0 +1,91 @@
+"""The shift by which an arm finds together with the others: signs, dead zone, limits, who moves and when."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from agent.control import errors
+from agent.control.alignment import NO_SHIFT, Alignment, between, shifted
+from agent.control.errors import Errors, Gains
+from agent.control.quaternion import Quat, Vec3, angle_between, from_axis_angle, multiply
+from agent.control.trajectory import Desired
+
+STILL = (0.0,) * 6
+ONE = (1.0, 0.0, 0.0, 0.0)
+GAINS = Gains((1.0,) * 3, (1.0,) * 3, (1.0,) * 3, (1.0,) * 3, (1.0,) * 6)
+FOLLOWER = Alignment(follows=True)
+AXES = st.sampled_from([(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.6, -0.8)])
+
+
+def errors_at(p: Vec3, quat: Quat, desired: Desired) -> Errors:
+    return errors.evaluate(p, quat, STILL, desired, GAINS)
+
+
+def settled(p: Vec3, quat: Quat, alignment: Alignment, *, ready: bool, seconds: float = 60.0) -> tuple[float, ...]:
+    """The shift after a time in which the object stays at (p, quat) and the common pose is the origin."""
+    common, shift = Desired((0.0, 0.0, 0.0), ONE, STILL, STILL), NO_SHIFT
+    for _ in range(round(seconds * 50)):
+        shift = alignment.advance(shift, errors_at(p, quat, shifted(common, shift)), 0.02, ready=ready)
+    return shift
+
+
+@pytest.mark.parametrize("ready", [True, False])
+def test_a_lasting_disagreement_becomes_an_offset_but_for_the_dead_zone(ready: bool) -> None:
+    p, quat = (0.003, -0.004, 0.0), from_axis_angle((0.0, 0.0, 1.0), 0.03)
+    shift = settled(p, quat, FOLLOWER, ready=ready)
+    left = np.linalg.norm(np.array(p) - shift[:3])
+    assert left == pytest.approx(FOLLOWER.dead_zone_m, rel=1e-3)
+    assert shift[0] > 0.0 > shift[1], "towards where it sees the object"
+    assert shift[5] == pytest.approx(0.03 - FOLLOWER.dead_zone_rad, rel=1e-2)
+
+
+def test_within_the_dead_zone_nothing_shifts() -> None:
+    assert settled((0.0006, 0.0, 0.0), from_axis_angle((1.0, 0.0, 0.0), 0.0039), FOLLOWER, ready=True) == NO_SHIFT
+
+
+def test_the_anchor_keeps_its_shift() -> None:
+    before = (0.01, 0.0, 0.0, 0.0, 0.02, 0.0)
+    far = errors_at((1.0, 1.0, 1.0), ONE, Desired((0.0,) * 3, ONE, STILL, STILL))
+    assert Alignment(follows=False).advance(before, far, 0.1, ready=True) == before
+
+
+def test_before_the_start_it_shifts_faster() -> None:
+    e = errors_at((0.01, 0.0, 0.0), ONE, Desired((0.0,) * 3, ONE, STILL, STILL))
+    waiting, tracking = (FOLLOWER.advance(NO_SHIFT, e, 0.005, ready=ready)[0] for ready in (True, False))
+    assert waiting == pytest.approx(2.0 * 0.005 * (0.01 - 0.7e-3))
+    assert tracking == pytest.approx(0.3 * 0.005 * (0.01 - 0.7e-3))
+
+
+def test_the_shift_has_limits_and_says_when_it_is_there() -> None:
+    shift = settled((0.5, 0.0, 0.0), from_axis_angle((0.0, 1.0, 0.0), 0.6), FOLLOWER, ready=True)
+    assert math.hypot(*shift[:3]) == pytest.approx(FOLLOWER.max_m)
+    assert math.hypot(*shift[3:]) == pytest.approx(FOLLOWER.max_rad)
+    assert FOLLOWER.at_limit(shift)
+    assert not FOLLOWER.at_limit(NO_SHIFT)
+
+
+def test_an_error_that_is_no_number_shifts_nothing() -> None:
+    e = errors_at((math.nan, 0.0, 0.0), (math.nan,) * 4, Desired((0.0,) * 3, ONE, STILL, STILL))
+    assert FOLLOWER.advance((0.001,) * 6, e, 0.005, ready=True) == (0.001,) * 6
+
+
+@given(AXES, st.floats(-3.0, 3.0), AXES, st.floats(-3.0, 3.0))
+def test_the_shift_between_two_poses_takes_one_to_the_other(a: Vec3, x: float, b: Vec3, y: float) -> None:
+    seen, stated = from_axis_angle(a, x), from_axis_angle(b, y)
+    shift = between((0.3, 0.2, 0.1), seen, (0.1, 0.1, 0.1), stated)
+    moved = shifted(Desired((0.1, 0.1, 0.1), stated, STILL, STILL), shift)
+    assert moved.p == pytest.approx((0.3, 0.2, 0.1))
+    assert angle_between(moved.quat, seen) < 1e-7
+    assert math.hypot(*shift[3:]) <= math.pi + 1e-9
+
+
+def test_a_shift_leaves_twist_and_acceleration_of_all() -> None:
+    desired = Desired((1.0, 2.0, 3.0), multiply(ONE, ONE), (1.0,) * 6, (2.0,) * 6)
+    moved = shifted(desired, (0.1, 0.0, 0.0, 0.0, 0.0, 0.0))
+    assert (moved.v, moved.a) == (desired.v, desired.a)
+    assert moved.p == (1.1, 2.0, 3.0)

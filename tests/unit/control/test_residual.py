@@ -1,0 +1,106 @@
+"""The unexpected wrench: found with its sign and size, whatever the law does meanwhile; channels, limits, the log."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import configs
+from agent.config.cell import load_cell
+from agent.control import known
+from agent.control.law import Terms
+from agent.control.residual import Channels, Residual, Sense, nothing_sensed
+from agent.control.trajectory import Desired
+from agent.verify.check import examine
+
+PERIOD = 1e-3
+LIMITS = Channels(2.0, 0.35, 1.2, 0.15)
+STILL = (0.0,) * 6
+WRENCH = np.array([1.5, -2.0, 0.0, 0.0, 0.0, 0.08])  # in the plane of the cell
+
+
+def alone(wrench: np.ndarray, seconds: float, *, delay: float = 0.0, ready_s: float = 0.0) -> list[tuple[Sense, Terms]]:
+    """One arm of the paper's cell under the law, alone, with a wrench at the object from ready_s on; exact model."""
+    cell = load_cell(configs.CELLS_DIR / "paper.toml")
+    arm = cell.arms[0]
+    model, offline = cell.model(arm), replace(cell.offline(arm), load_share=0.0, friction=None)
+    q, dq = np.array(examine(cell).q_start[0]), np.zeros(3)
+    data = model.model.createData()
+    pose = model.evaluate(q, dq)
+    desired = Desired((pose.p_object[0] + 0.002, *pose.p_object[1:]), pose.quat_object, STILL, STILL)
+    residual, sense = Residual(PERIOD, delay, LIMITS), nothing_sensed(3)
+    sent = [model.evaluate(q, dq).g] * 2
+    history = []
+    for k in range(round(seconds / PERIOD)):
+        ready = k * PERIOD < ready_s
+        terms = known.torque(model, offline, q, dq, desired)
+        assert terms.J_inv_P is not None
+        sense = residual.advance(sense, terms, terms.J_inv_P, dq, (sent[0], sent[1]), ready=ready)
+        history.append((sense, terms))
+        sent = [terms.tau_cmd, sent[0]]
+        acting = delay * sent[1] + (1.0 - delay) * sent[0]
+        outside = 0.0 if ready else terms.kinematics.Jt.dot(wrench)
+        dq = dq + PERIOD * pin.aba(model.model, data, q, dq, acting + outside)
+        q = q + PERIOD * dq
+    return history
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.4, 1.0])
+def test_the_unexpected_wrench_is_found_with_sign_and_size(delay: float) -> None:
+    sense, terms = alone(WRENCH, 0.4, delay=delay)[-1]
+    assert terms.J_inv_P is not None
+    assert terms.J_inv_P.T.dot(sense.residual) == pytest.approx(WRENCH, abs=0.05)
+
+
+def test_nothing_is_sensed_while_the_arm_only_follows_its_law() -> None:
+    sizes = [np.abs(sense.residual).max() for sense, _ in alone(np.zeros(6), 0.4)]
+    assert max(sizes) < 5e-3, "2 mm of error give 0.3 N of feedback, which is no outside force"
+
+
+def test_it_follows_within_its_rate() -> None:
+    found = [terms.J_inv_P.T.dot(sense.residual)[1] for sense, terms in alone(WRENCH, 0.2)]  # type: ignore[union-attr]
+    reached = next(k for k, f in enumerate(found) if f < 0.632 * WRENCH[1])
+    assert 0.8 / 30.0 < reached * PERIOD < 1.3 / 30.0
+
+
+def test_a_load_that_stays_leaves_the_fast_channel_and_fills_the_slow_one() -> None:
+    history = alone(WRENCH, 3.0)
+    residual = Residual(PERIOD, 0.0, LIMITS)
+
+    def sizes(k: int) -> Channels:
+        sense, terms = history[k]
+        assert terms.J_inv_P is not None
+        return residual.channels(sense, terms.J_inv_P.T.dot(sense.residual))
+
+    early, late = sizes(150), sizes(-1)
+    assert early.fast_N > 2.0 > late.fast_N
+    assert early.slow_N < 0.8 < 1.2 < late.slow_N
+    assert residual.tripped(early)
+    assert residual.tripped(late)
+
+
+def test_what_was_there_before_the_start_is_usual() -> None:
+    heavy = alone(WRENCH, 4.0, ready_s=0.0)
+    residual = Residual(PERIOD, 0.0, LIMITS)
+    sense = nothing_sensed(3)
+    for known_sense, terms in heavy:
+        assert terms.J_inv_P is not None
+        sense = known_sense._replace(rest=known_sense.slow)
+    assert residual.channels(sense, sense.base).slow_N == 0.0
+    waited, _ = alone(WRENCH, 2.5, ready_s=2.5)[-1]
+    assert waited.ticks > 2000
+    assert np.abs(waited.rest).max() < 0.05
+
+
+@pytest.mark.parametrize("channel", range(4))
+def test_each_channel_has_its_limit(channel: int) -> None:
+    residual = Residual(PERIOD, 0.0, LIMITS)
+    at = list(LIMITS)
+    assert not residual.tripped(Channels(*at))
+    at[channel] *= 1.001
+    assert residual.tripped(Channels(*at))
+    at[channel] = np.nan
+    assert residual.tripped(Channels(*at))
