@@ -10,22 +10,24 @@ import pytest
 
 import configs
 from agent.config.cell import load_cell
-from agent.process.emulate import EmulateError, EmulateOptions, run_emulate
+from agent.process.emulate import EmulateError, run_emulate
+from sim_backend.wire.serve import ServeOptions
 
 CELL = load_cell(configs.CELLS_DIR / "paper.toml")
 
 
-def options(folder: Path) -> EmulateOptions:
+def options(folder: Path) -> ServeOptions:
     ports = {arm.name: folder / "ports" / arm.name for arm in CELL.arms}
-    return EmulateOptions(ports, folder / "ring", faults_file=None, control_socket=None, seed=0, timing=False)
+    return ServeOptions(ports, faults_file=None, control_socket=None, seed=0)
 
 
-def emulate(given: EmulateOptions) -> str:
-    return run_emulate(CELL, given, stop=lambda: True, ready=lambda _: None)  # type: ignore[arg-type]
+def emulate(given: ServeOptions, folder: Path) -> str:
+    ring = folder / "ring"
+    return run_emulate(CELL, given, ring, timing=False, stop=lambda: True, ready=lambda _: None)  # type: ignore[arg-type]
 
 
 def test_ports_appear_in_a_folder_that_was_not_there(tmp_path: Path) -> None:
-    assert emulate(options(tmp_path)).startswith("emulator:")
+    assert emulate(options(tmp_path), tmp_path).startswith("emulator:")
 
 
 @pytest.mark.parametrize(
@@ -43,5 +45,5 @@ def test_what_cannot_be_used_is_refused(
     monkeypatch.chdir(tmp_path)
     Path("FILE").write_bytes(b"\xff")
     with pytest.raises(EmulateError, match=found):
-        emulate(replace(options(tmp_path), **changes))
+        emulate(replace(options(tmp_path), **changes), tmp_path)
     assert not (tmp_path / "ports" / "left").exists()
