@@ -11,6 +11,7 @@ import pytest
 import configs
 from agent.config.cell import load_cell
 from agent.process.emulate import EmulateError, run_emulate
+from sim_backend.wire.faults import FaultError
 from sim_backend.wire.serve import ServeOptions
 
 CELL = load_cell(configs.CELLS_DIR / "paper.toml")
@@ -35,7 +36,7 @@ def test_ports_appear_in_a_folder_that_was_not_there(tmp_path: Path) -> None:
     [
         ({"ports": {"left": Path("FILE/left"), "right": Path("FILE/right")}}, "File exists|Not a directory"),
         ({"faults_file": Path("none.jsonl")}, "No such file"),
-        ({"faults_file": Path("FILE")}, "can't decode"),
+        ({"faults_file": Path("FILE")}, "no text"),
         ({"control_socket": Path("nowhere/control")}, "No such file"),
     ],
 )
@@ -44,6 +45,6 @@ def test_what_cannot_be_used_is_refused(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("FILE").write_bytes(b"\xff")
-    with pytest.raises(EmulateError, match=found):
+    with pytest.raises((EmulateError, FaultError), match=found):
         emulate(replace(options(tmp_path), **changes), tmp_path)
     assert not (tmp_path / "ports" / "left").exists()
