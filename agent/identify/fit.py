@@ -12,7 +12,7 @@ moves when the low-pass does.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -29,6 +29,9 @@ Matrix = NDArray[np.float64]
 
 FILTER_ORDER: Final = 4
 EDGE_PERIODS: Final = 5.0  # of the cut-off, left out at both ends
+BLOCK_ROWS: Final = 2048  # taken into the least squares at a time
+STRETCH_S: Final = 20.0  # filtered at a time, so that a long recording takes little more memory than a short one
+MARGIN_PERIODS: Final = 30.0  # of the cut-off, filtered with it on both sides: two filters forget what is beyond
 SAMPLES_PER_PERIOD: Final = 6  # of the cut-off, kept after filtering
 BLOCK_S: Final = 1.0
 BLOCKS_MIN: Final = 10
@@ -76,11 +79,13 @@ def fit(recording: Recording, options: Options) -> Fit:
     """Identify the arm.  Raises IdentifyError when the motion excites it too little."""
     model = recording.cell.model(recording.arm)
     base = base_of(model)
-    cutoff = options.cutoff_hz
-    train, held_out = _split(_equations(recording, model, base, options, cutoff), options.held_out)
+    train, held_out = _split(_equations(recording, model, base, options), options.held_out)
     _refuse_too_little(train, base, recording, options)
     value, sigma, condition = least_squares(train)
-    other, _ = _split(_equations(recording, model, base, options, OTHER_CUTOFF * cutoff), options.held_out)
+    used = train.used.mean(axis=0)
+    del train  # a long recording's are large
+    slower = replace(options, cutoff_hz=OTHER_CUTOFF * options.cutoff_hz)
+    other, _ = _split(_equations(recording, model, base, slower), options.held_out)
     moved = least_squares(other)[0] - value
     described = base.combination @ described_parameters(recording.arm, model)
     return Fit(
@@ -89,7 +94,7 @@ def fit(recording: Recording, options: Options) -> Fit:
         sigma=np.hypot(sigma, moved),
         described=described,
         condition=condition,
-        used=train.used.mean(axis=0),
+        used=used,
         held_out=held_out,
         residual=_rms(held_out, value),
         residual_described=_rms(held_out, described),
@@ -102,20 +107,35 @@ def least_squares(part: Part) -> tuple[Vector, Vector, float]:
 
     Joints are weighted by how well they fit.  Raises IdentifyError when the motion leaves a parameter undetermined.
     """
-    k, n, b = part.columns.shape
-    used = part.used.astype(np.float64)
+    count, n, b = part.columns.shape
     weight = np.ones(n)
     for _ in range(3):
-        columns = (part.columns * (used * weight)[:, :, None]).reshape(-1, b)
-        scale = np.linalg.norm(columns, axis=0)
-        condition = float(np.linalg.cond(columns / np.maximum(scale, 1e-300)))
+        triangle = _triangle(part, weight)
+        scale = np.maximum(np.linalg.norm(triangle[:, :b], axis=0), 1e-300)
+        condition = float(np.linalg.cond(triangle[:, :b] / scale))
         _refuse_condition(condition)
-        value = np.linalg.lstsq(columns / scale, (part.tau * used * weight).ravel(), rcond=None)[0] / scale
-        residual = (part.tau - part.columns @ value) * used
-        weight = np.sqrt(used.sum(axis=0) / np.maximum((residual**2).sum(axis=0), 1e-300))
-    scores = np.einsum("kjb,kj->kb", columns.reshape(k, n, b), residual * weight)
-    inverse = np.linalg.inv(columns.T @ columns)
+        value = np.linalg.lstsq(triangle[:, :b] / scale, triangle[:, b], rcond=None)[0] / scale
+        residual = (part.tau - part.columns @ value) * part.used
+        used_weight, weight = weight, np.sqrt(part.used.sum(axis=0) / np.maximum((residual**2).sum(axis=0), 1e-300))
+    scores = np.empty((count, b))
+    for some in _blocks(count):
+        scores[some] = np.einsum("kjb,kj->kb", part.columns[some], residual[some] * used_weight * weight)
+    inverse = np.linalg.inv(triangle[:, :b].T @ triangle[:, :b])
     return value, np.sqrt(np.diag(inverse @ _covariance(scores, part.t) @ inverse)), condition
+
+
+def _triangle(part: Part, weight: Vector) -> Matrix:
+    """R (b + 1, b + 1) of the equations [columns, tau], weighted by joint (n,): all that least squares needs."""
+    found: Matrix = np.empty((0, part.columns.shape[2] + 1))
+    for some in _blocks(len(part.t)):
+        rows = np.concatenate([part.columns[some], part.tau[some, :, None]], axis=2)
+        rows *= (part.used[some] * weight)[:, :, None]
+        found = np.asarray(np.linalg.qr(np.concatenate([found, rows.reshape(-1, rows.shape[2])]), mode="r"))
+    return found
+
+
+def _blocks(count: int) -> list[slice]:
+    return [slice(at, at + BLOCK_ROWS) for at in range(0, count, BLOCK_ROWS)]
 
 
 def _covariance(scores: Matrix, t: Vector) -> Matrix:
@@ -127,20 +147,40 @@ def _covariance(scores: Matrix, t: Vector) -> Matrix:
     return covariance
 
 
-def _equations(recording: Recording, model: ArmModel, base: Base, options: Options, cutoff_hz: float) -> Part:
-    """All equations of the recording, filtered and thinned out."""
-    T = recording.period_s
-    q = low_pass(recording.q, cutoff_hz, T)
+def _equations(recording: Recording, model: ArmModel, base: Base, options: Options) -> Part:
+    """All equations of the recording, filtered and thinned out, a stretch of time after the other."""
+    T, count = recording.period_s, len(recording.q)
+    edge = math.ceil(EDGE_PERIODS / options.cutoff_hz / T)
+    kept = np.arange(edge, count - edge, max(1, int(1.0 / T / options.cutoff_hz / SAMPLES_PER_PERIOD)))
+    if not len(kept):
+        raise _too_short(0.0)
+    columns, tau = np.empty((len(kept), model.n, len(base.kept))), np.empty((len(kept), model.n))
+    part = Part(T * kept.astype(np.float64), columns, tau, np.empty((len(kept), model.n), dtype=bool))
+    at = 0
+    for some in np.split(kept, np.flatnonzero(np.diff(kept // round(STRETCH_S / T))) + 1):
+        of = slice(at, at := at + len(some))
+        stretch = Part(part.t[of], part.columns[of], part.tau[of], part.used[of])
+        _fill(stretch, some, recording, model, base, options)
+    return part
+
+
+def _fill(
+    part: Part, samples: NDArray[np.intp], recording: Recording, model: ArmModel, base: Base, options: Options
+) -> None:
+    """Fill in the equations of these samples (k,) of the recording."""
+    T, cutoff_hz = recording.period_s, options.cutoff_hz
+    margin = math.ceil(MARGIN_PERIODS / cutoff_hz / T)
+    near = slice(max(0, int(samples[0]) - margin), int(samples[-1]) + margin + 1)
+    chosen = samples - near.start
+    q = low_pass(recording.q[near], cutoff_hz, T)
     dq = np.gradient(q, T, axis=0)
     columns = all_columns(model, q, dq, np.gradient(dq, T, axis=0), 0.1 * options.slow_rad_per_s)
-    tau = low_pass(recording.tau - object_torque(recording.cell, model, columns), cutoff_hz, T)
-    columns = low_pass(columns[:, :, base.kept], cutoff_hz, T)
+    part.tau[:] = low_pass(recording.tau[near] - object_torque(recording.cell, model, columns), cutoff_hz, T)[chosen]
+    for joint in range(model.n):
+        part.columns[:, joint] = low_pass(columns[:, joint, base.kept], cutoff_hz, T)[chosen]
     reach = math.ceil(0.5 / cutoff_hz / T)  # a turn is felt this far away through the filter
     turning = maximum_filter1d((np.abs(dq) < options.slow_rad_per_s).astype(np.int8), 2 * reach + 1, axis=0) > 0
-    edge = math.ceil(EDGE_PERIODS / cutoff_hz / T)
-    every = max(1, int(1.0 / T / cutoff_hz / SAMPLES_PER_PERIOD))
-    part = slice(edge, -edge, every)
-    return Part(T * np.arange(len(q), dtype=np.float64)[part], columns[part], tau[part], ~turning[part])
+    part.used[:] = ~turning[chosen]
 
 
 def low_pass(values: Matrix, cutoff_hz: float, period_s: float) -> Matrix:
@@ -156,11 +196,11 @@ def low_pass(values: Matrix, cutoff_hz: float, period_s: float) -> Matrix:
 
 
 def _split(part: Part, share: float) -> tuple[Part, Part]:
+    """The first part, and a copy of the last."""
     at = round((1.0 - share) * len(part.t))
-    first, last = slice(None, at), slice(at, None)
     return (
-        Part(part.t[first], part.columns[first], part.tau[first], part.used[first]),
-        Part(part.t[last], part.columns[last], part.tau[last], part.used[last]),
+        Part(part.t[:at], part.columns[:at], part.tau[:at], part.used[:at]),
+        Part(part.t[at:].copy(), part.columns[at:].copy(), part.tau[at:].copy(), part.used[at:].copy()),
     )
 
 
@@ -172,10 +212,7 @@ def _rms(part: Part, value: Vector) -> Vector:
 
 def _refuse_too_little(part: Part, base: Base, recording: Recording, options: Options) -> None:
     if part.t[-1] - part.t[0] < BLOCKS_MIN * BLOCK_S:
-        raise IdentifyError(
-            "motion to identify from", found=f"{part.t[-1] - part.t[0]:.1f} s",
-            expected=f"at least {BLOCKS_MIN * BLOCK_S:g} s", remedy="record a longer motion",
-        )  # fmt: skip
+        raise _too_short(float(part.t[-1] - part.t[0]))
     for joint, name in enumerate(recording.arm.entry.controlled):
         viscous = part.columns[:, joint, base.viscous(joint)]  # its own filtered velocity
         for sign, direction in ((1.0, "forward"), (-1.0, "backward")):
@@ -187,6 +224,13 @@ def _refuse_too_little(part: Part, base: Base, recording: Recording, options: Op
                     expected=f"at least {USED_MIN:.0%}, in both directions",
                     remedy="record a trajectory that moves it more, or lower --slow-rad-per-s",
                 )
+
+
+def _too_short(found_s: float) -> IdentifyError:
+    return IdentifyError(
+        "motion to identify from", found=f"{found_s:.1f} s", expected=f"at least {BLOCKS_MIN * BLOCK_S:g} s",
+        remedy="record a longer motion",
+    )  # fmt: skip
 
 
 def _refuse_condition(condition: float) -> None:

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 import configs
 from agent.config.cell import Arm, Cell, cell_from_toml
-from agent.log.read import RunLog
+from agent.log.columns import Table
+from agent.log.read import AnyLog
 from agent.modes import Mode
 from drivers.interface import Refusal
 
@@ -50,7 +51,7 @@ class Recording:
         return f"coop identify, run of {self.day}, cell {self.cell.file.name} {self.cell.fingerprint[:12]}"
 
 
-def from_log(log: RunLog, arm: str | None = None, arms_dir: Path = configs.ARMS_DIR) -> Recording:
+def from_log(log: AnyLog, arm: str | None = None, arms_dir: Path = configs.ARMS_DIR) -> Recording:
     """Recording of the one arm of a log.  arms_dir: the arm files the run used.
 
     Raises IdentifyError for a log that is incomplete, of several arms, of other arm files, or too short.
@@ -78,10 +79,10 @@ def from_log(log: RunLog, arm: str | None = None, arms_dir: Path = configs.ARMS_
             expected=f"{written[:12]}, that of the run",
             remedy="name the folder with the arm files of the run (--arms)",
         )
-    return from_rows(cell, described, log.agents[described.name])
+    return from_rows(cell, described, Table.of(log.agents[described.name]))
 
 
-def from_rows(cell: Cell, arm: Arm, rows: NDArray[np.void]) -> Recording:
+def from_rows(cell: Cell, arm: Arm, rows: Table) -> Recording:
     """Recording of the longest stretch in TRACK.  Raises IdentifyError when it is too short or has holes."""
     rows = _tracking(rows)
     period_s, n = 1.0 / cell.file.rate_hz, arm.n
@@ -90,7 +91,8 @@ def from_rows(cell: Cell, arm: Arm, rows: NDArray[np.void]) -> Recording:
             f"motion of arm {arm.name}", found=f"{len(rows) * period_s:.1f} s in TRACK",
             expected=f"at least {SHORTEST_S:g} s", remedy="record the whole trajectory",
         )  # fmt: skip
-    slots = np.rint((rows["stamp_ns"] - rows["stamp_ns"][0]) * 1e-9 / period_s).astype(int)
+    stamps_s = (rows["stamp_ns"] - rows["stamp_ns"][0]) * 1e-9
+    slots = np.rint(stamps_s / period_s).astype(int)
     steps = np.diff(slots)
     missing = 1.0 - (len(rows) - 1) / slots[-1]
     if steps.max() > GAP_MAX + 1 or missing > MISSING_MAX:
@@ -100,7 +102,6 @@ def from_rows(cell: Cell, arm: Arm, rows: NDArray[np.void]) -> Recording:
             expected=f"at most {MISSING_MAX:.0%} and {GAP_MAX} in a row",
             remedy="find out what the bus loses (coop report), then record again",
         )
-    stamps_s = (rows["stamp_ns"] - rows["stamp_ns"][0]) * 1e-9
     grid = np.arange(slots[-1] + 1)
     q = np.stack([np.interp(grid * period_s, stamps_s, column) for column in rows["q_measured"].T[:n]], axis=1)
     sent = rows["tau_sent"][np.searchsorted(slots, grid, side="right") - 1, :n]  # a cycle without a state repeats it
@@ -121,7 +122,7 @@ def acted(tau_sent: Matrix, delay_periods: float) -> Matrix:
     return mean
 
 
-def _refuse_incomplete(log: RunLog, arm: str) -> None:
+def _refuse_incomplete(log: AnyLog, arm: str) -> None:
     gaps = sum(last - first + 1 for first, last in log.gaps.get(arm, ()))
     if log.complete and not gaps and arm in log.agents:
         return
@@ -131,7 +132,7 @@ def _refuse_incomplete(log: RunLog, arm: str) -> None:
     )
 
 
-def _tracking(rows: NDArray[np.void]) -> NDArray[np.void]:
+def _tracking(rows: Table) -> Table:
     tracking = np.concatenate([[False], rows["mode"] == Mode.TRACK, [False]]).astype(int)
     begins, ends = np.flatnonzero(np.diff(tracking) == 1), np.flatnonzero(np.diff(tracking) == -1)
     if not len(begins):

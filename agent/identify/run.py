@@ -13,7 +13,7 @@ from agent.identify.fit import Options, fit
 from agent.identify.recording import from_log
 from agent.identify.result import Identified, identified
 from agent.identify.show import validation_figure
-from agent.log.read import read_log
+from agent.log.read import open_log
 from agent.report.plotting import save_png
 
 
@@ -36,7 +36,8 @@ def identify(
     """Identify the one arm of a log; tell: what is being done.  Raises LogError, ConfigError or IdentifyError."""
     options = options or Options()
     tell("reading the log")
-    recording = from_log(read_log(log), arm, arms_dir)
+    with open_log(log) as opened:
+        recording = from_log(opened, arm, arms_dir)
     tell("fitting")
     return identified(recording, options, fit(recording, options))
 

@@ -188,3 +188,24 @@ def test_a_cut_off_above_the_sampling_is_refused() -> None:
     recording = exact(cell_of("identify_wx200"), 0.5, (0.1, 0.37, 0.9), 20.0)
     with pytest.raises(IdentifyError, match=r"cut-off of the low-pass: found 150 Hz, expected below 100 Hz"):
         fit(recording, Options(cutoff_hz=150.0))
+
+
+def test_a_recording_is_the_same_equations_however_it_is_cut_into_stretches(monkeypatch: pytest.MonkeyPatch) -> None:
+    recording = exact(cell_of("identify_wx200"), 0.6, (0.3, 0.7), 60.0)
+    monkeypatch.setattr("agent.identify.fit.STRETCH_S", 1e6)
+    whole = fit(recording, Options())
+    monkeypatch.setattr("agent.identify.fit.STRETCH_S", 3.0)
+    monkeypatch.setattr("agent.identify.fit.BLOCK_ROWS", 37)
+    cut = fit(recording, Options())
+    np.testing.assert_allclose(cut.held_out.columns, whole.held_out.columns, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(cut.held_out.tau, whole.held_out.tau, rtol=0, atol=1e-10)
+    assert np.array_equal(cut.held_out.used, whole.held_out.used)
+    assert np.array_equal(cut.held_out.t, whole.held_out.t)
+    np.testing.assert_allclose(cut.value, whole.value, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(cut.sigma, whole.sigma, rtol=1e-6, atol=1e-12)
+
+
+def test_a_recording_that_a_slow_filter_leaves_nothing_of_is_refused() -> None:
+    recording = exact(cell_of("identify_wx200"), 0.6, (0.3, 0.7), 20.0)
+    with pytest.raises(IdentifyError, match="at least 10 s"):
+        fit(recording, Options(cutoff_hz=0.4))
