@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from drivers.interface import Refusal
 
 BLOCK_ROWS: Final = 2048
-_WORD: Final = 8  # bytes: every field begins on a multiple of its size, counted from behind the encapsulation header
-_HEADER: Final = 4
+_WORD: Final = 8  # bytes
+_PAD: Final = 4  # bytes before a message: behind its encapsulation header fields then lie on multiples of their size
 
 Column = NDArray[Any]
 Index = NDArray[np.bool_] | NDArray[np.integer[Any]]
@@ -38,6 +38,10 @@ class Source(Protocol):
 
         Raises KeyError for a field that the rows do not have.
         """
+        ...
+
+    def messages(self, rows: slice) -> NDArray[np.uint8]:
+        """A stretch of the rows as they are encoded, (k, size)."""
         ...
 
 
@@ -83,6 +87,15 @@ class Table:
             return self._source.column(name, self._index, part)
         return self._source.column(name, slice(0, len(self._source)), part)[self._index]
 
+    def messages(self) -> NDArray[np.uint8]:
+        """The rows as they are encoded, (k, size), whatever columns were replaced."""
+        if isinstance(self._index, slice):
+            return self._source.messages(self._index)
+        if not len(self._index):
+            return self._source.messages(slice(0, 0))
+        first = int(self._index.min())
+        return self._source.messages(slice(first, int(self._index.max()) + 1))[self._index - first]
+
     def with_column(self, name: str, values: Column) -> Table:
         """The same rows with other values (k, …) of one column."""
         return Table(self._source, self._index, {**self._replaced, name: values})
@@ -115,6 +128,10 @@ class _Array:
             raise KeyError(name)
         whole: Column = self._rows[name][rows]
         return whole if part is None else whole[:, part]
+
+    def messages(self, rows: slice) -> NDArray[np.uint8]:
+        chosen = np.ascontiguousarray(self._rows[rows])
+        return chosen.view(np.uint8).reshape(len(chosen), chosen.dtype.itemsize)
 
 
 # -------------------------------------------------------------------------------------------------- in a temporary file
@@ -188,9 +205,7 @@ class StoredRows:
     def __init__(self, file: ColumnFile, dtype: np.dtype[np.void]) -> None:
         self._file = file
         self._dtype = dtype
-        self._words = -(-(dtype.itemsize - _HEADER) // _WORD)
-        # the message stands behind 4 bytes, so that its fields lie on multiples of their size
-        self._staged = np.zeros((BLOCK_ROWS, 1 + self._words), np.uint64)
+        self._staged = np.zeros((BLOCK_ROWS, -(-(_PAD + dtype.itemsize) // _WORD)), np.uint64)
         self._staged_count = 0
         self._blocks: list[_Block] = []
 
@@ -199,7 +214,7 @@ class StoredRows:
 
     def add(self, messages: NDArray[np.uint8]) -> None:
         """Add complete messages (k, size)."""
-        raw = self._staged.view(np.uint8)[:, _WORD - _HEADER : _WORD - _HEADER + self._dtype.itemsize]
+        raw = self._staged.view(np.uint8)[:, _PAD : _PAD + self._dtype.itemsize]
         while len(messages):
             count = min(len(messages), BLOCK_ROWS - self._staged_count)
             raw[self._staged_count : self._staged_count + count] = messages[:count]
@@ -212,7 +227,7 @@ class StoredRows:
         """No row will follow."""
         if self._staged_count:
             self._end_block()
-        self._staged = np.zeros((0, 0), np.uint64)
+        self._staged = self._staged[:0].copy()
 
     def column(self, name: str, rows: slice, part: slice | None) -> Column:
         """Field `name` of the rows, as `Source` has it."""
@@ -220,26 +235,38 @@ class StoredRows:
         words = range(first // _WORD, first // _WORD + count)[part or slice(None)]
         within, step = first % _WORD // base.itemsize, _WORD // base.itemsize
         out = np.empty((max(0, rows.stop - rows.start), len(words)), base)
+        for block, of, to in self._blocks_of(rows):
+            for j, values in enumerate(self._read(block, words.start, len(words))):
+                chosen = values.view(base)[within::step]
+                out[to, j] = chosen[of] if len(chosen) > 1 else chosen
+        return out if is_array else out[:, 0]
+
+    def messages(self, rows: slice) -> NDArray[np.uint8]:
+        """A stretch of the rows as they are encoded."""
+        out = np.empty((max(0, rows.stop - rows.start), self._staged.shape[1]), np.uint64)
+        for block, of, to in self._blocks_of(rows):
+            for word, values in enumerate(self._read(block, 0, out.shape[1])):
+                out[to, word] = values[of] if len(values) > 1 else values
+        return out.view(np.uint8)[:, _PAD : _PAD + self._dtype.itemsize]
+
+    def _blocks_of(self, rows: slice) -> Iterator[tuple[_Block, slice, slice]]:
+        """Blocks that have some of the rows; which of the block's they are, and which of `rows`."""
         begin = 0
         for block in self._blocks:
             low, high = max(rows.start, begin), min(rows.stop, begin + block.rows)
-            if low < high and words:
-                to, of = slice(low - rows.start, high - rows.start), slice(low - begin, high - begin)
-                for j, values in enumerate(self._read(block, words.start, len(words))):
-                    chosen = values.view(base)[within::step]
-                    out[to, j] = chosen[of] if len(chosen) > 1 else chosen
+            if low < high:
+                yield block, slice(low - begin, high - begin), slice(low - rows.start, high - rows.start)
             begin += block.rows
-        return out if is_array else out[:, 0]
 
     def _place(self, name: str) -> tuple[np.dtype[Any], int, int, bool]:
-        """Type, first byte behind the header, how many numbers, and whether they are an array.  Raises KeyError."""
+        """Type, first byte, how many numbers, and whether they are an array.  Raises KeyError."""
         fields = self._dtype.fields
         assert fields is not None
         dtype, offset = fields[name][:2]
         base, shape = dtype.subdtype or (dtype, ())
-        if offset < _HEADER or (shape and base.itemsize < _WORD):
+        if shape and base.itemsize < _WORD:
             raise KeyError(name)
-        return base, offset - _HEADER, shape[0] if shape else 1, bool(shape)
+        return base, _PAD + offset, shape[0] if shape else 1, bool(shape)
 
     def _read(self, block: _Block, word: int, width: int) -> list[NDArray[np.uint64]]:
         """So many words of a block, each (rows,) or, when it does not vary, (1,)."""
@@ -257,7 +284,7 @@ class StoredRows:
 
     def _end_block(self) -> None:
         count, self._staged_count = self._staged_count, 0
-        words = np.ascontiguousarray(self._staged[:count, 1:].T)
+        words = np.ascontiguousarray(self._staged[:count].T)
         varies = np.any(words[:, 1:] != words[:, :1], axis=1)
         place = np.where(varies, np.cumsum(varies) - 1, -1).astype(np.int32)
         at = self._file.append(words[varies])

@@ -1,4 +1,4 @@
-"""A log back on the network, at its own pace or another.  Never under the live keys: nobody may take it for live."""
+"""A log back on the network, at its own pace or another, under keys of its own, so that nobody takes it for live."""
 
 from __future__ import annotations
 
@@ -14,13 +14,15 @@ import numpy as np
 import zenoh
 from numpy.typing import NDArray
 
-from agent.log.read import LogError, RunLog, read_log
+from agent.log.columns import Table
+from agent.log.read import ColumnLog, LogError, open_log
 from agent.telemetry.link.session import FREE_PORT, Network, open_session
 from agent.telemetry.link.wire import BATCH_BYTES_MAX, BatchHeader, End
 from agent.telemetry.row.event import Event
 from agent.telemetry.row.topics import PLANT, RECORDER, Address, BadName, Kind
 
 _CYCLE_S: Final = 0.033
+_STRETCH_ROWS: Final = 2048
 
 
 def _never() -> bool:
@@ -51,11 +53,11 @@ class PlayReport:
 
 def run(options: PlayOptions, stop: Callable[[], bool], ready: Callable[[str], None] = lambda _: None) -> PlayReport:
     """Play until the end, or `stop`; `ready` gets the endpoint.  Raises LogError, NetworkError."""
-    log = read_log(options.path)
-    tracks = _tracks(options, log)
-    begin_ns = min((int(track.times[0]) for track in tracks if len(track.times)), default=0)
     report = PlayReport(0, 0, 0)
-    with open_session(options.network) as opened, ExitStack() as stack:
+    with ExitStack() as stack:
+        tracks = _tracks(options, stack.enter_context(open_log(options.path)))
+        begin_ns = min((int(track.times[0]) for track in tracks if len(track.times)), default=0)
+        opened = stack.enter_context(open_session(options.network))
         publishers = {
             key: stack.enter_context(
                 opened.session.declare_publisher(key, congestion_control=zenoh.CongestionControl.BLOCK)
@@ -109,9 +111,24 @@ class _Track:
         return BatchHeader(self._source, self._next, len(self.times), 0, end).pack()
 
 
-def _row_track(address: Address, rows: NDArray[np.void]) -> _Track:
-    times = np.maximum.accumulate(rows["utc_ns"])
-    return _Track(address, times, lambda a, b: rows[a:b].tobytes(), max(1, BATCH_BYTES_MAX // rows.dtype.itemsize))
+class _Messages:
+    """Rows as they are encoded; a stretch of them is in memory."""
+
+    def __init__(self, rows: Table) -> None:
+        self._rows = rows
+        self._begin = 0
+        self._some = rows[:0].messages()
+
+    def __call__(self, first: int, behind: int) -> bytes:
+        if not self._begin <= first <= behind <= self._begin + len(self._some):
+            self._begin, self._some = first, self._rows[first : first + max(_STRETCH_ROWS, behind - first)].messages()
+        return self._some[first - self._begin : behind - self._begin].tobytes()
+
+
+def _row_track(address: Address, rows: Table) -> _Track:
+    messages = _Messages(rows)
+    size = rows[:0].messages().shape[1]
+    return _Track(address, np.maximum.accumulate(rows["utc_ns"]), messages, max(1, BATCH_BYTES_MAX // size))
 
 
 def _event_track(address: Address, events: list[Event]) -> _Track:
@@ -119,10 +136,11 @@ def _event_track(address: Address, events: list[Event]) -> _Track:
     return _Track(address, times, lambda a, b: b"".join(event.to_json() for event in events[a:b]), 1)
 
 
-def _tracks(options: PlayOptions, log: RunLog) -> list[_Track]:
+def _tracks(options: PlayOptions, log: ColumnLog) -> list[_Track]:
     """Everything of the log within the wanted seconds.  Raises LogError."""
     members = log.agents | ({PLANT: log.plant} if log.plant is not None else {})
-    times = np.concatenate([rows["utc_ns"] for rows in members.values()])
+    utc = [rows["utc_ns"] for rows in members.values()]
+    times = np.concatenate(utc)
     length_s = float(times.max() - times.min()) / 1e9 if len(times) else 0.0
     stop_s = length_s if options.stop_s is None else options.stop_s
     if options.speed <= 0 or not len(times) or not 0 <= options.start_s <= min(stop_s, length_s):
@@ -134,10 +152,8 @@ def _tracks(options: PlayOptions, log: RunLog) -> list[_Track]:
         )
     first_ns, last_ns = (int(times.min()) + round(s * 1e9) for s in (options.start_s, stop_s))
     tracks = [
-        _row_track(
-            Address(log.cell, member, Kind.STATE), rows[(rows["utc_ns"] >= first_ns) & (rows["utc_ns"] <= last_ns)]
-        )
-        for member, rows in members.items()
+        _row_track(Address(log.cell, member, Kind.STATE), rows[(utc_ns >= first_ns) & (utc_ns <= last_ns)])
+        for (member, rows), utc_ns in zip(members.items(), utc, strict=True)
     ]
     for address, events in _by_source(log.cell, log.events).items():
         tracks.append(_event_track(address, [e for e in events if first_ns <= e.utc_ns <= last_ns]))
