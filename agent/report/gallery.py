@@ -1,4 +1,4 @@
-"""Which figures a run's report has, with their titles and captions, in the report's order.  Draws nothing itself."""
+"""Which figures a run's report has, with their titles and captions, in the report's order."""
 
 from __future__ import annotations
 
