@@ -1,1 +1,1 @@
-"""MCAP logs: write, read, scan, recover."""
+"""MCAP logs: written chunk by chunk, read whole or by column, scanned however they end, mended."""

@@ -1,6 +1,7 @@
-"""An MCAP file that is being written: crash safe chunk by chunk.  Never overwrites a file; once open, never raises.
+"""An MCAP file that is being written: on the disk chunk by chunk; a disk that fails ends it and raises nothing.
 
-A write that fails (full disk, lost mount) ends the file at its last complete chunk; the caller goes on without it.
+The name must be free, and a lock keeps others away.  A write that fails (full disk, lost mount) ends the file at its
+last complete chunk; the caller goes on without it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Definitions of the standard ROS 2 messages in the log, complete with what they contain.  Text only, no code."""
+"""Definitions of the standard ROS 2 messages in the log, each with the definitions of what it contains."""
 
 from __future__ import annotations
 

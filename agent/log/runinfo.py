@@ -1,4 +1,4 @@
-"""What run.json says of a run, typed, for the report; never guesses in silence: what is absent becomes a note."""
+"""What run.json says of a run, typed, for the report; for what is absent there is a note in its place."""
 
 from __future__ import annotations
 

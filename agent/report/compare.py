@@ -1,4 +1,4 @@
-"""Two runs side by side: every figure that differs, and which run has the better one.  Judges no figure by itself."""
+"""Two runs side by side: every figure that differs, and which run has the better one."""
 
 from __future__ import annotations
 

@@ -36,29 +36,43 @@ BODY_GROUPS: Final = (("mass", "kg", 0, 1), ("first moment", "kg·m", 1, 3), ("i
 JOINT_GROUPS: Final = (("rotor inertia", "kg·m²"), ("viscous friction", "N·m·s/rad"), ("Coulomb friction", "N·m"))
 
 
+def late_arms(run: Prepared) -> list[RunArm]:
+    """The arms with a cycle that began late; none in lockstep simulation, where time waits."""
+    return [arm for arm in run.arms if np.any(column(run.rows[arm.name], "late_s") > 0.0)]
+
+
 @styled
 def loop_timing(run: Prepared) -> Figure:
-    """How often a duration of the loop is longer than x, and when cycles began late."""
-    figure, axes = panels(2, height_in=2.1, gap_in=0.85, sharex=False)
-    tail, late = axes
+    """How often a duration of the loop is longer than x, and, if any did, when cycles began late."""
+    late_ones = late_arms(run)
+    figure, axes = panels(2 if late_ones else 1, height_in=2.1, gap_in=0.85, sharex=False)
+    tail = axes[0]
+    drawn: set[str] = set()
     for i, arm in enumerate(run.arms):
-        rows, style = run.rows[arm.name], STYLES[i % len(STYLES)]
         for j, (name, label) in enumerate(DURATIONS.items()):
-            x, fraction = tail_of(1e3 * column(rows, name))
-            tail.plot(x, fraction, color=CYCLE[j], linestyle=style, label=label if i == 0 else None)
-        t, values = column(rows, "t"), 1e3 * column(rows, "late_s")
-        line(
-            late, t, values, color=CYCLE[i % len(CYCLE)], linestyle=style, label=arm.name, linewidth=0.8, clip_on=False
-        )
+            x, fraction = tail_of(1e3 * column(run.rows[arm.name], name))
+            if len(x):
+                named = None if label in drawn else label
+                tail.plot(x, fraction, color=CYCLE[j], linestyle=STYLES[i % len(STYLES)], label=named)
+                drawn.add(label)
     tail.margins(x=0.03)
     tail.axvline(1e3 / run.info.rate_hz, color=GREY, linestyle="--", linewidth=0.9, label="period")
     tail.set(xscale="log", yscale="log", xlabel="duration [ms]", ylabel="fraction longer [1]", title="Loop timing")
-    late.set(ylabel="began late [ms]", title="Lateness of each cycle")
-    late.set_ylim(bottom=0.0)
     legend(tail)
-    legend(late)
-    time_axis([late], run.info.duration_s)
+    if late_ones:
+        _lateness(axes[1], run)
     return figure
+
+
+def _lateness(ax: Axes, run: Prepared) -> None:
+    for i, arm in enumerate(run.arms):
+        rows, colour = run.rows[arm.name], CYCLE[i % len(CYCLE)]
+        t, late, style = column(rows, "t"), 1e3 * column(rows, "late_s"), STYLES[i % len(STYLES)]
+        line(ax, t, late, color=colour, linestyle=style, label=arm.name, linewidth=0.8, clip_on=False)
+    ax.set(ylabel="began late [ms]", title="Lateness of each cycle")
+    ax.set_ylim(bottom=0.0)
+    legend(ax)
+    time_axis([ax], run.info.duration_s)
 
 
 def tail_of(values: Array) -> tuple[Array, Array]:

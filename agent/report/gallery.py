@@ -1,4 +1,4 @@
-"""Which figures a run's report has, with their titles and captions, in the report's order.  Draws nothing itself."""
+"""Which figures a run's report has, with their titles and captions, in the report's order."""
 
 from __future__ import annotations
 
@@ -82,16 +82,12 @@ def _more(run: Prepared) -> list[Picture]:
         found.append(Picture("internal_force", "Internal force", caption, partial(figures_more.internal_force, run)))
     for arm in run.arms:
         found += _of_arm(run, arm)
-    found.append(
-        Picture(
-            "loop_timing",
-            "Loop timing",
-            "Above: fraction of cycles whose duration is longer than the value below it. Line styles are arms. "
-            "Below: how late each cycle began.",
-            partial(figures_more.loop_timing, run),
-        )
-    )
-    return found
+    caption = "Fraction of cycles whose duration is longer than the value below it. Line styles are arms."
+    if figures_more.late_arms(run):
+        caption = f"Above: {caption[0].lower()}{caption[1:]} Below: how late each cycle began."
+    else:
+        caption += " No cycle began late: in lockstep simulation time waits."
+    return [*found, Picture("loop_timing", "Loop timing", caption, partial(figures_more.loop_timing, run))]
 
 
 def _of_arm(run: Prepared, arm: RunArm) -> list[Picture]:

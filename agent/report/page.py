@@ -1,4 +1,4 @@
-"""The report as one HTML page that needs nothing else: no script, no outside resource.  Computes no figure."""
+"""The report as one HTML page that needs no other file, no script and no network."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How every figure of a report looks, and drawing long series fast without losing a peak.  Holds no pyplot state."""
+"""How every figure of a report looks, and how a long series is drawn fast with every peak in it."""
 
 from __future__ import annotations
 

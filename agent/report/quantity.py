@@ -1,4 +1,4 @@
-"""Units in the annotations of result records, and what follows from them: flat names, plain JSON.  Knows no result."""
+"""Units in the annotations of result records, and what follows from them: flat names, plain JSON."""
 
 from __future__ import annotations
 

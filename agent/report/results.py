@@ -1,4 +1,4 @@
-"""The results of a run as frozen records, each figure with its unit.  Computes nothing from rows."""
+"""The results of a run as frozen records, each figure with its unit, and as the content of results.json."""
 
 from __future__ import annotations
 

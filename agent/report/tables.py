@@ -1,4 +1,4 @@
-"""The tables of a report as plain text cells, for the terminal and the page.  Knows no markup, computes nothing."""
+"""The tables of a report as plain text cells, for the terminal and the page."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which numbers of a stream are there: a set of whole numbers kept as ranges.  Knows nothing of messages."""
+"""Which numbers of a stream are there: a set of whole numbers kept as ranges."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""The recorder's door: what may go into the log, what is there twice, what is missing.  Trusts nothing that comes in.
+"""The recorder's door: checks what comes in, keeps out what is there already, and knows what is missing.
 
-Pure: no network, no file, no clock.
+A function of the messages alone, without network, file or clock.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The recorder: Zenoh -> MCAP.  Listens, checks, writes; never publishes, and can be lost without effect on any arm."""
+"""The recorder: takes what members publish over Zenoh, checks it, writes it into an MCAP log, says what it has."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A Zenoh session that listens and connects only where it was told: no scouting, no shared memory; always closed."""
+"""A Zenoh session that listens and connects where it was told, with no scouting, and is closed in any case."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Asks the recorder what it has, and never waits for the answer."""
+"""Asks the recorder what it has; an answer is there at a later look, or not."""
 
 from __future__ import annotations
 

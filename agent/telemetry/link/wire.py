@@ -1,4 +1,4 @@
-"""What goes with messages on the network: the header of a batch, the recorder's status.  Trusts nothing it unpacks."""
+"""What goes with messages on the network: header of a batch, recorder's status; both are checked when unpacked."""
 
 from __future__ import annotations
 

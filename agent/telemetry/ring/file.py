@@ -1,4 +1,4 @@
-"""The ring's file: header, geometry, lock.  Knows nothing of who writes or reads rows, and never repairs a file.
+"""The ring's file: header, geometry, lock; a file that is not such a ring is refused.
 
     0     static header: magic, version, geometry, layout hash, ring id, writer pid, creation time, CRC32, label (JSON)
     1024  rows written          \\
@@ -38,7 +38,7 @@ _STATIC: Final = struct.Struct("<8sIIII32sQqI")  # magic version row_bytes strid
 _LABEL_OFFSET: Final = _STATIC.size + 8  # CRC32 and label length lie between
 _LABEL_MAX: Final = 1024 - _LABEL_OFFSET
 _CACHE_LINE: Final = 64
-_WRITER, _SUCCESSOR = 0, 1  # bytes whose locks say: I write this ring; I am about to replace it (nobody lives in it)
+_WRITER, _SUCCESSOR = 0, 1  # bytes whose locks say: I write this ring; I am about to replace it (no data there)
 
 
 class RingError(Refusal):

@@ -1,4 +1,4 @@
-"""The ring between control thread and telemetry: one writer, many readers; in real time the writer never waits.
+"""The ring between control thread and telemetry: one writer, many readers; a commit waits for none of them.
 
 A row is committed when it lies in its slot with index and checksum and `written` counts it.  A reader copies first
 and believes nothing that does not carry the right index before and after the copy and the right CRC32, so a torn row is
@@ -77,7 +77,7 @@ class RingWriter:
         self.close()
 
     def commit(self) -> None:
-        """Make `row` visible as the next row.  One copy and one checksum; never waits, never fails."""
+        """Make `row` visible as the next row.  One copy and one checksum; waits for nobody."""
         index = self.written
         header = self.header
         slot = SLOTS_OFFSET + index % header.slots * header.stride
@@ -133,7 +133,7 @@ class RowBlock:
 
 
 class RingReader:
-    """A reading end.  Never disturbs the writer; writes one word, and only when opened with `acknowledges`."""
+    """A reading end: reads a read-only map, unless it is opened with `acknowledges` and writes that one word."""
 
     def __init__(self, path: Path, row_format: RowFormat, *, acknowledges: bool = False) -> None:
         """Open the ring at `path`, at its oldest row.  Raises RingError when it is missing or not such a ring."""

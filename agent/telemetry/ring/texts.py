@@ -1,4 +1,4 @@
-"""The ring that carries one arm's events and health texts to telemetry; a write does not wait."""
+"""The ring that carries one arm's events and health texts to telemetry; a write waits for no reader."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Events that can be told from the rows alone: mode changes and safety flags.  Pure, and the same for the same rows."""
+"""Events that can be told from the rows alone, mode changes and safety flags; the same for the same rows."""
 
 from __future__ import annotations
 

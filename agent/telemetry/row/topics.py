@@ -1,8 +1,8 @@
-"""The table of keys on the network and topics in the log.  There is no key that commands anything, and there never is.
+"""The table of keys on the network and topics in the log: what members tell; no key commands anything.
 
     coop/<cell>/<member>/state      rows, in batches
     coop/<cell>/<member>/event      mode changes, faults, refusals (JSON)
-    coop/<cell>/<member>/health     temperatures, voltages, counters (JSON)
+    coop/<cell>/<member>/health     slow quantities (JSON), if an agent writes some into its ring; none does yet
     coop/<cell>/<member>/info       queryable: what runs there (JSON)
     coop/<cell>/recorder/status     queryable: what the recorder has (JSON)
     replay/<key>                    the same, played back from a log

@@ -92,6 +92,20 @@ def test_limits_are_drawn_only_when_a_torque_comes_near_them() -> None:
     assert all(line.get_linestyle() == "-" for line in right.lines)
 
 
+def test_lateness_has_a_panel_only_where_a_cycle_began_late() -> None:
+    log = RUNS["paper"]()
+    timing = {picture.stem: picture for picture in pictures(prepare(log))}["loop_timing"]
+    assert [ax.get_title(loc="left") for ax in timing.draw().axes] == ["Loop timing", "Lateness of each cycle"]
+    assert "how late each cycle began" in timing.caption
+    for rows in log.agents.values():
+        rows["late_s"] = 0.0
+    timing = {picture.stem: picture for picture in pictures(prepare(log))}["loop_timing"]
+    (tail,) = timing.draw().axes
+    assert "No cycle began late" in timing.caption
+    assert "began late" not in [text.get_text() for text in tail.get_legend().get_texts()]
+    assert "control step" in [text.get_text() for text in tail.get_legend().get_texts()]
+
+
 # ------------------------------------------------------------------------------------------------------ long series
 
 series = arrays(float, st.integers(1, 3000), elements=st.floats(-1e6, 1e6), fill=st.floats(-1e6, 1e6))
