@@ -11,7 +11,7 @@ from agent.config.schema.simulation import Effects
 from drivers.dynamixel.servo.table import PWM_UNIT_DUTY, RATED_VOLTAGE_V, TICK_RAD, VELOCITY_UNIT_RAD_PER_S
 from drivers.interface import Vector
 from sim_backend.physics.actuator import ActuatorSpec
-from sim_backend.physics.spec import ArmSpec, ObjectSpec, PlantSpec
+from sim_backend.physics.spec import ArmSpec, GraspSpec, ObjectSpec, PlantSpec
 
 
 def plant_spec(cell: Cell, q_start: Sequence[Vector]) -> PlantSpec:
@@ -27,7 +27,14 @@ def plant_spec(cell: Cell, q_start: Sequence[Vector]) -> PlantSpec:
         ),
         gravity=cell.gravity,
         substep_s=1.0 / cell.file.rate_hz / cell.file.simulation.substeps_per_cycle,
+        grasp=_pads(cell),
+        relinearise_s=1.0 / cell.file.rate_hz,
     )
+
+
+def _pads(cell: Cell) -> GraspSpec | None:
+    grasp = cell.file.simulation.grasp
+    return None if grasp is None else GraspSpec(**grasp.model_dump())
 
 
 def _arm_spec(cell: Cell, arm: Arm, q_start: Vector) -> ArmSpec:
