@@ -7,11 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from agent.config.cell import Arm, Cell
+from agent.config.schema.arm import Figure
 from agent.config.schema.simulation import Effects
 from drivers.dynamixel.servo.table import PWM_UNIT_DUTY, RATED_VOLTAGE_V, TICK_RAD, VELOCITY_UNIT_RAD_PER_S
 from drivers.interface import Vector
 from sim_backend.physics.actuator import ActuatorSpec
-from sim_backend.physics.spec import ArmSpec, ObjectSpec, PlantSpec
+from sim_backend.physics.friction import FrictionSpec
+from sim_backend.physics.spec import ArmSpec, GraspSpec, ObjectSpec, PlantSpec
 
 
 def plant_spec(cell: Cell, q_start: Sequence[Vector]) -> PlantSpec:
@@ -27,7 +29,14 @@ def plant_spec(cell: Cell, q_start: Sequence[Vector]) -> PlantSpec:
         ),
         gravity=cell.gravity,
         substep_s=1.0 / cell.file.rate_hz / cell.file.simulation.substeps_per_cycle,
+        grasp=_pads(cell),
+        relinearise_s=1.0 / cell.file.rate_hz,
     )
+
+
+def _pads(cell: Cell) -> GraspSpec | None:
+    grasp = cell.file.simulation.grasp
+    return None if grasp is None else GraspSpec(**grasp.model_dump())
 
 
 def _arm_spec(cell: Cell, arm: Arm, q_start: Vector) -> ArmSpec:
@@ -42,6 +51,26 @@ def _arm_spec(cell: Cell, arm: Arm, q_start: Vector) -> ArmSpec:
         q_start=q_start,
         rotor_inertia=arm.rotor_inertia,
         actuator=actuator_spec(cell, arm),
+        friction=_friction(cell, arm),
+    )
+
+
+def _friction(cell: Cell, arm: Arm) -> FrictionSpec | None:
+    """Friction with presliding where the arm file has breakaway or load friction for any joint."""
+    if not (cell.file.simulation.effects.friction and any(s.sticks for s in arm.servos)):
+        return None
+
+    def of(figures: Sequence[Figure | None], default: float) -> Vector:
+        return np.array([default if f is None else f.value for f in figures])
+
+    return FrictionSpec(
+        coulomb_Nm=of([s.coulomb_Nm for s in arm.servos], 0.0),
+        breakaway_Nm=of([s.breakaway_Nm for s in arm.servos], 0.0),
+        stribeck_rad_s=of([s.stribeck_rad_per_s for s in arm.servos], 1.0),
+        stribeck_exponent=of([s.stribeck_exponent for s in arm.servos], 1.0),
+        load=of([s.load_friction for s in arm.servos], 0.0),
+        breakaway_load=of([s.breakaway_load_friction for s in arm.servos], 0.0),
+        viscous_Nms_rad=of([s.viscous_Nm_s_per_rad for s in arm.servos], 0.0),
     )
 
 

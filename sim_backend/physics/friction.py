@@ -12,7 +12,7 @@ external torque balance, so its load figures count twice here.
 The torque over a step is −D (dq + dq⁺)/2 + f with D ≥ 0, so that an integrator takes it in implicitly.  While a joint
 sticks this is −K z⁺ − C ż with the bend z⁺ at the end of the step: the bristle gives back at most what it took, at any
 step.  A sliding joint that turns round within one step keeps the old direction's friction to its end; that gives
-under 1e-6 J per turn at steps of 1 ms, and grows with their square.
+under 2e-6 J per turn at steps of 1 ms, and grows with their square.
 """
 
 from __future__ import annotations

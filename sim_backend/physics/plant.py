@@ -31,6 +31,7 @@ from drivers.interface import Vector
 from sim_backend.physics.actuator import Servos
 from sim_backend.physics.chain import Chain
 from sim_backend.physics.composition import check_start
+from sim_backend.physics.joints import dry_friction
 from sim_backend.physics.spec import PlantError, PlantSpec
 
 
@@ -62,6 +63,7 @@ class Plant:
         check_start(spec)
         self.spec = spec
         self.servos = Servos([arm.actuator for arm in spec.arms])
+        self._dry = dry_friction(spec)
         self._chain = Chain(spec)
         # observe() has its own: it can be called at any time, any number of times, and changes no bit of the motion.
         self._observer = Chain(spec)
@@ -80,6 +82,7 @@ class Plant:
         self._push = np.zeros(6)
         self._pushed = False
         self._tau_motor = np.zeros(J)
+        self._tau_dry = np.zeros(J)  # of the last substep, where friction has presliding
         self._substeps = 0
 
     @property
@@ -121,11 +124,18 @@ class Plant:
         q_mid, v, v_mid, tau, scratch = self._q_mid, self._v, self._v_mid, self._tau, self._scratch
         dq, dq_mid, tau_joint, scratch_joint = v[:J], v_mid[:J], tau[:J], scratch[:J]
         integrate, multiply, add, subtract = pin.integrate, np.multiply, np.add, np.subtract
+        dry = self._dry
         servos.command(tau_cmd_Nm)
         with np.errstate(all="ignore"):  # what overflows is refused below, with more to say than numpy has
             for _ in range(substeps):
                 q_mid = integrate(model, q_mid, multiply(v, h, scratch))
-                if servos.has_friction:
+                if dry is not None:
+                    motor = servos.motor_torque(dq)
+                    dry.load(motor)
+                    friction, constant = dry.torque(dq)
+                    add(rotor_inertia, multiply(friction, half_joint, scratch_joint), armature)
+                    tau_joint[:] = motor + constant - friction * dq
+                elif servos.has_friction:
                     friction = servos.friction_coefficient(dq_mid)
                     add(rotor_inertia, multiply(friction, half_joint, scratch_joint), armature)
                     subtract(servos.motor_torque(dq), multiply(friction, dq, scratch_joint), tau_joint)
@@ -135,6 +145,10 @@ class Plant:
                     tau[J:] = self._push_in_object_axes(q_mid)
                 a = acceleration(q_mid, v_mid, tau)
                 add(v, multiply(a, h, scratch), v)
+                if dry is not None:
+                    mean = dq - half_joint * a[:J]
+                    self._tau_dry = constant - friction * mean
+                    dry.step(mean)
                 add(v, multiply(a, half, v_mid), v_mid)
             self._q_mid, self._q = q_mid, integrate(model, q_mid, multiply(v, half, scratch))
         np.copyto(self._tau_motor, servos.motor_torque(dq))
@@ -167,7 +181,7 @@ class Plant:
         dq = v[:J].copy()
         servos.command(tau_cmd_Nm)
         tau_motor = servos.motor_torque(dq).copy()
-        tau_friction = -servos.friction_coefficient(dq) * dq
+        tau_friction = -servos.friction_coefficient(dq) * dq if self._dry is None else self._tau_dry.copy()
         tau = np.zeros_like(v)
         np.add(tau_motor, tau_friction, tau[:J])
         if self._pushed:
@@ -223,4 +237,7 @@ class Plant:
 
     def brake(self, arm: str, viscous_Nms_rad: float) -> None:
         """Replace the viscous friction of one arm's joints: large for a seized gear, its own value to let go again."""
-        self.servos.set_viscous(self.slices[self.spec.names.index(arm)], viscous_Nms_rad)
+        joints = self.slices[self.spec.names.index(arm)]
+        self.servos.set_viscous(joints, viscous_Nms_rad)
+        if self._dry is not None:
+            self._dry.set_viscous(joints, viscous_Nms_rad)

@@ -25,6 +25,7 @@ from drivers.interface import Vector
 from sim_backend.physics.actuator import Servos
 from sim_backend.physics.composition import check_start
 from sim_backend.physics.free_arm import FreeArm, swinging_inertia
+from sim_backend.physics.joints import dry_friction
 from sim_backend.physics.pads import Pads
 from sim_backend.physics.plant import Observation
 from sim_backend.physics.spec import PlantError, PlantSpec
@@ -45,6 +46,7 @@ class SoftPlant:
         check_start(spec)
         self.spec = spec
         self.servos = Servos([arm.actuator for arm in spec.arms])
+        self._dry = dry_friction(spec)
         self._arms = [FreeArm(arm, spec.gravity) for arm in spec.arms]
         ends = np.cumsum([a.n for a in self._arms]).tolist()
         self.slices = tuple(slice(e - a.n, e) for e, a in zip(ends, self._arms, strict=True))
@@ -143,7 +145,7 @@ class SoftPlant:
         J, h, v, pads, G = self.joint_count, self._h, self._v, self._pads, self._G
         dq = v[:J]
         motor = self.servos.motor_torque(dq)
-        D, f = self._friction(dq)
+        D, f = self._friction(motor, dq)
         inverse = self._inverted(D)
         phi_dot = G.dot(v).reshape(-1, 6)
         W = pads.K * (self._phi + (0.5 * h) * phi_dot - pads.slipped) + pads.C * phi_dot
@@ -153,6 +155,8 @@ class SoftPlant:
         a = inverse.dot(b)
         mean: Vector = v + (0.5 * h) * a
         self._tau_friction = f - D * mean[:J]
+        if self._dry is not None:
+            self._dry.step(mean[:J])
         self._v = v + h * a
         self._q = self._q + h * mean[:J]
         turn = pin.exp3(h * mean[J + 3 :])
@@ -162,9 +166,12 @@ class SoftPlant:
         for grasp in pads.slip(self._phi, self._T.rotation):
             self.release(self.spec.names[grasp])
 
-    def _friction(self, dq: Vector) -> tuple[Vector, Vector]:
+    def _friction(self, motor: Vector, dq: Vector) -> tuple[Vector, Vector]:
         """(D, f), each (J,): the friction torque is −D (dq + dq⁺)/2 + f."""
-        return self.servos.friction_coefficient(dq), np.zeros_like(dq)
+        if self._dry is None:
+            return self.servos.friction_coefficient(dq), np.zeros_like(dq)
+        self._dry.load(motor)
+        return self._dry.torque(dq)
 
     def _inverted(self, D: Vector) -> Vector:
         """Inverse of M + h/2 D + Gᵀ S G."""
@@ -224,4 +231,7 @@ class SoftPlant:
 
     def brake(self, arm: str, viscous_Nms_rad: float) -> None:
         """Replace the viscous friction of one arm's joints: large for a seized gear, its own value to let go again."""
-        self.servos.set_viscous(self.slices[self.spec.names.index(arm)], viscous_Nms_rad)
+        joints = self.slices[self.spec.names.index(arm)]
+        self.servos.set_viscous(joints, viscous_Nms_rad)
+        if self._dry is not None:
+            self._dry.set_viscous(joints, viscous_Nms_rad)

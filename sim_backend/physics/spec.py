@@ -13,6 +13,7 @@ import pinocchio as pin
 
 from drivers.interface import Refusal, Vector
 from sim_backend.physics.actuator import ActuatorSpec
+from sim_backend.physics.friction import FrictionSpec
 
 QUATERNION_TOLERANCE: Final = 1e-9
 MAX_BAUMGARTE_STEP: Final = 0.5
@@ -79,6 +80,7 @@ class ArmSpec:
     q_start: Vector  # (n,) rad, controlled joints
     rotor_inertia: Vector  # (n,) kg·m², reflected to the joint
     actuator: ActuatorSpec
+    friction: FrictionSpec | None = None  # with presliding, in place of the actuator's smooth friction
 
     def __post_init__(self) -> None:
         n = len(self.controlled)
@@ -105,6 +107,13 @@ class ArmSpec:
                 found=f"{self.actuator.joint_count} joints",
                 expected=f"{n}",
                 remedy="describe the servos of exactly the controlled joints",
+            )
+        if self.friction is not None and self.friction.coulomb_Nm.shape != (n,):
+            raise PlantError(
+                f"arm {self.name}: friction",
+                found=f"{len(self.friction.coulomb_Nm)} joints",
+                expected=f"{n}",
+                remedy="describe the friction of exactly the controlled joints",
             )
         object.__setattr__(self, "locked_rad", MappingProxyType(dict(self.locked_rad)))
 

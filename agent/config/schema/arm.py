@@ -102,6 +102,28 @@ class ServoJoint(Servos):
     viscous_Nm_s_per_rad: Figure
     torque_constant_Nm_per_A: PositiveFigure | None = None
     no_load_current_A: Figure | None = None
+    breakaway_Nm: Figure | None = None  # what sticking holds above Coulomb; this and the following: simulated arms only
+    stribeck_rad_per_s: PositiveFigure | None = None
+    stribeck_exponent: PositiveFigure | None = None
+    load_friction: Figure | None = None  # per N·m of the motor
+    breakaway_load_friction: Figure | None = None
+
+    @property
+    def sticks(self) -> bool:
+        """Whether the friction of the simulated joint has presliding."""
+        return any(f is not None for f in (self.breakaway_Nm, self.load_friction, self.breakaway_load_friction))
+
+    @model_validator(mode="after")
+    def _breakaway_falls_off(self) -> ServoJoint:
+        extra = self.breakaway_Nm is not None or self.breakaway_load_friction is not None
+        if extra and self.stribeck_rad_per_s is None:
+            raise wrong(
+                "stribeck_rad_per_s",
+                found="nothing",
+                expected="the speed over which breakaway falls off",
+                remedy="give it with the breakaway",
+            )
+        return self
 
 
 class GripperJoint(Servos):

@@ -21,8 +21,9 @@ from agent.process.simulated import plant_spec
 from agent.verify.check import examine
 from drivers.interface import JointState, Vector
 from sim_backend.physics.actuator import Grid, TorqueCommand
+from sim_backend.physics.build import build_plant
 from sim_backend.physics.delay import DelayLine, stretches
-from sim_backend.physics.plant import Observation, Plant
+from sim_backend.physics.plant import Observation
 
 
 @dataclass
@@ -63,7 +64,7 @@ def simulate(
     object from then on.
     """
     q_start = examine(cell).q_start
-    plant = Plant(plant_spec(cell, q_start))
+    plant = build_plant(plant_spec(cell, q_start))
     believed = agents_cell or cell
     agents: list[Agent] = [build_agent(believed, arm) for arm in believed.arms]
     specs = [a.actuator for a in plant.spec.arms]
