@@ -14,7 +14,6 @@ from pathlib import Path
 from drivers.interface import Refusal
 
 READY = "READY "
-ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}  # as in the shipped units: there are cores enough
 
 
 class ChildFailed(Refusal):
@@ -33,7 +32,6 @@ class Child:
         with self.log.open("wb") as log:
             self.process = subprocess.Popen(
                 [sys.executable, "-m", "agent.cli", *arguments],
-                env=os.environ | ONE_THREAD,
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=log,

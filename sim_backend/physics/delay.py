@@ -46,6 +46,10 @@ class DelayLine:
         older: Vector = self._rows[(tick - self.periods - 1) % len(self._rows)]
         return older if older_share >= 1.0 else older_share * older + (1.0 - older_share) * newer
 
+    def is_known(self, substep: int) -> bool:
+        """Whether what acts during a substep of any tick is known before the command of that tick."""
+        return self.periods >= 1 or self._switch - substep >= 1.0
+
     def clear(self) -> None:
         """Forget what is on its way: torque is off."""
         self._rows[:] = 0.0

@@ -1,9 +1,8 @@
 """The plant as a process: gives every arm its state, takes its torque, lets time pass.
 
-In lockstep, time passes only when every arm whose torque is on has answered.  Where every actuator delays by at least
-one period, the torque of tick k acts from tick k + 1 on at the earliest: the plant then integrates k → k + 1 while the
-agents compute, and tells them the state of k + 1 at once, which no torque of tick k can change.  So nobody waits for a
-state that is known already, and the result is the same bit for bit.
+In lockstep, time passes only as far as the torques are known.  What acts a delay after tick k does not depend on the
+answers to tick k before that: so much the plant integrates while the agents compute.  Where that is the whole period it
+tells them the state of k + 1 at once.  Nobody waits for what is known already, and the result is the same bit for bit.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ import contextlib
 import gc
 import socket
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
 import numpy as np
@@ -89,12 +88,13 @@ class _Server:
         }
         self._lobby = Lobby(listener, self._seats, options.config_id, info, self._reply, self._lose)
         lines = [s.delay for s in self._seats]
-        self._parallel = min((line.periods for line in lines), default=0) >= 1
-        self._stretches = stretches(lines, self._substeps)
+        parts = stretches(lines, self._substeps)
+        self._before_answers = tuple(part for part in parts if all(line.is_known(part[0]) for line in lines))
+        self._after_answers = parts[len(self._before_answers) :]
         self._support_substeps = max(line.first_substep for line in lines) if options.supported_start and lines else 0
         self._tau = np.zeros(plant.joint_count)
         self._tick = 0
-        self._reached = 0  # tick whose state the plant is in: the present one, or the next while answers are due
+        self._reached = 0  # tick whose state is known: the present one, or the next while answers are due
         self._late_ticks = 0
         self._zero_ns = 0  # real time: CLOCK_MONOTONIC at tick 0
         self._lost_arms: list[str] = []
@@ -150,18 +150,18 @@ class _Server:
             self._lobby.attend(WAIT_S)
             return
         self._send(on)
-        if self._parallel:
-            self._integrate()
+        self._integrate(self._before_answers)
+        if not self._after_answers:
+            self._reached = self._tick + 1
             if self._options.lockstep and self._reached != self._options.ticks:
                 self._send(on)
-            self._collect(on)
-        else:
-            self._collect(on)
-            self._integrate()
+        self._collect(on)
+        self._integrate(self._after_answers)
         self._tick += 1
+        self._reached = self._tick
 
     def _send(self, on: list[Seat]) -> None:
-        """Tell everyone the state that the plant is in, once."""
+        """Tell everyone the state of the last tick that is known, once."""
         tick = self._reached
         due = [s for s in on if s.told < tick]
         if not due:
@@ -175,12 +175,13 @@ class _Server:
 
     def _reply(self, seat: Seat) -> None:
         """Answer a POLL: the state now, under the number of the question."""
-        stamp_ns = self._stamp_ns(self._reached) if self._options.lockstep else time.monotonic_ns()
+        stamp_ns = round(self._plant.t * 1e9) if self._options.lockstep else time.monotonic_ns()
         seat.send_state(MessageKind.REPLY, seat.number, stamp_ns, *self._plant.reported(), socket.MSG_DONTWAIT)
 
-    def _integrate(self) -> None:
+    def _integrate(self, parts: Sequence[tuple[int, int]]) -> None:
+        """Let these parts of the tick pass: first substep and number of each."""
         tick, tau = self._tick, self._tau
-        for begin, count in self._stretches:
+        for begin, count in parts:
             for seat in self._seats:
                 tau[seat.joints] = seat.delay.acting(tick, begin)
             if begin == 0 and self._on_tick is not None and tick % self._options.observe_every == 0:
@@ -189,7 +190,6 @@ class _Server:
                 self._plant.rest(count)
             else:
                 self._plant.advance(tau, count)
-        self._reached = tick + 1
 
     def _collect(self, on: list[Seat]) -> None:
         if not self._options.lockstep:

@@ -58,6 +58,23 @@ def test_time_waits_for_the_slowest_arm(tmp_path: Path, delay: int, ahead: int) 
         assert got == [(ahead + 1) * 5_000_000]
 
 
+def test_the_plant_goes_on_as_far_as_the_torques_are_known(tmp_path: Path) -> None:
+    """A torque that acts 3 ms after its sample: 3 ms of the period pass before anybody has answered."""
+    with ServedPlant(tmp_path, servos=replace(SERVOS, delay_s=0.003)) as served:
+        left, right = served.enabled()
+        cycle([left, right], 3)
+        left.read()
+        left.write(TAU)
+        right.read()
+        deadline = time.monotonic() + 10.0
+        while served.plant.t < 0.0179 and time.monotonic() < deadline:
+            time.sleep(0.001)
+        time.sleep(0.02)
+        assert served.plant.t == pytest.approx(0.018)
+        right.write(TAU)
+        assert left.read().stamp_ns == 20_000_000
+
+
 def test_an_arm_that_comes_back_gets_the_present_state_and_nobody_gets_one_twice(tmp_path: Path) -> None:
     with ServedPlant(tmp_path) as served:
         left, right = served.enabled()
@@ -88,13 +105,14 @@ def test_a_run_of_so_many_ticks_gives_so_many_states(tmp_path: Path, delay: int)
         assert served.summary.ticks == 3
 
 
-def test_the_state_of_the_moment_carries_the_stamp_of_that_moment(tmp_path: Path) -> None:
+@pytest.mark.parametrize("delay_s", [0.0, 5e-3])
+def test_the_state_of_the_moment_carries_the_stamp_of_that_moment(tmp_path: Path, delay_s: float) -> None:
     true: dict[int, bytes] = {}
 
     def note(_tick: int, stamp_ns: int, seen: Observation) -> None:
         true[stamp_ns] = seen.q[3:].tobytes()
 
-    with ServedPlant(tmp_path, servos=ActuatorSpec.of(3, delay_s=5e-3), on_tick=note) as served:
+    with ServedPlant(tmp_path, servos=ActuatorSpec.of(3, delay_s=delay_s), on_tick=note) as served:
         left, right = served.enabled()
         cycle([left, right], 5)
         right.disable()
@@ -103,7 +121,7 @@ def test_the_state_of_the_moment_carries_the_stamp_of_that_moment(tmp_path: Path
             cycle([left], 1)
             time.sleep(0.02)  # by now the plant has gone on as far as it can without the left arm
             asked.append(right.read())
-        cycle([left], 2)
+        cycle([left], 3)  # until the last instant asked for has been noted
     assert len({s.stamp_ns for s in asked}) > 1
     for state in asked:
         assert state.q.tobytes() == true[state.stamp_ns]
