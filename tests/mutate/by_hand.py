@@ -15,7 +15,7 @@ BY_HAND: Mapping[str, tuple[Change, ...]] = {
         ("SINGULAR_MARGIN = 1.5", "SINGULAR_MARGIN = 1.0"),
     ),
     "agent.runner": (
-        (" | Flag.OFF_TRACK)", ")"),
+        (" | Flag.OFF_TRACK", ""),
         ("> self._schedule.fault_after_stale", ">= self._schedule.fault_after_stale"),
         ("> self._schedule.hold_after_stale", ">= self._schedule.hold_after_stale"),
         ("late_ns > period_ns", "late_ns > 2 * period_ns"),

@@ -16,6 +16,20 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
             "if not math.isfinite(sum(q.tolist()) - sum(dq.tolist())):",
         ): "a difference with a number that is none is none either",
     },
+    "agent.runner": {
+        ("Runner._cycle", "happened |= Event.STOP", "happened |= Event.TROUBLE"): "either makes the object held",
+        ("Runner._cycle", "if happened:", "if True:"): "saves a call: nothing changes without an event (test_runner)",
+        (
+            "Runner._started",
+            "if zero_ns is not None and zero_ns != self._zero_ns:",
+            "if zero_ns is not None and True:",
+        ): "the same start gives the same phase",
+        (
+            "Runner._change_mode",
+            "if mode is Mode.HOLD and state is not None:",
+            "if True and state is not None:",
+        ): "every other change ends the loop, or begins to track and forgets what was held",
+    },
     "agent.operator.socket": {
         ("ControlSocket.poll", "if self._clients:", "if True:"): "saves the making of an empty list",
         (

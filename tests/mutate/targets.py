@@ -17,6 +17,7 @@ class Target:
 
 
 _STEP = tuple(f"{UNIT}/{name}.py" for name in ("test_step", "test_step_rules", "test_singular"))
+_RUNNER = tuple(f"{UNIT}/{name}.py" for name in ("test_runner", "test_runner_trouble", "test_runner_record"))
 _CYCLE = (f"{UNIT}/drivers/test_dxl_faults.py", f"{UNIT}/drivers/test_dxl_hostile.py")
 _RING = (
     f"{UNIT}/telemetry/test_ring.py",
@@ -29,7 +30,7 @@ TARGETS = (
     Target("agent.safety", (f"{UNIT}/test_safety.py",)),
     Target("agent.modes", (f"{UNIT}/test_modes.py",)),
     Target("agent.loop", (*_STEP, f"{UNIT}/control/test_adaptive.py")),
-    Target("agent.runner", (f"{UNIT}/test_runner.py",)),
+    Target("agent.runner", _RUNNER),
     Target("agent.operator.socket", (f"{UNIT}/operator",)),
     Target("agent.telemetry.ring.file", _RING),
     Target("agent.telemetry.ring.ring", _RING),

@@ -1,146 +1,21 @@
-"""The loop around `step`: start, stop, release, lost states, servo faults, lateness; on a clock that the test moves."""
+"""The loop around `step`: start, stop, release and its ticks; on a clock that the test moves."""
 
 from __future__ import annotations
-
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 import pytest
 
-import configs
-from agent.config.cell import load_cell
 from agent.modes import Event, Mode, next_mode
-from agent.process.build import build_agent
-from agent.runner import Runner, RunSummary, Schedule, Surroundings
-from agent.safety import Flag
-from agent.telemetry.row.fill import AgentRow
-from agent.telemetry.row.sample import AGENT_STATE
-from agent.verify.check import examine
-from drivers.interface import ArmInfo, BusCounters, JointState, ServoFault, ServoHealth, StaleStateError, Vector
-
-CELL = load_cell(configs.CELLS_DIR / "paper.toml")
-ARM = CELL.arms[0]
-Q_START = examine(CELL).q_start[0]
-PERIOD_NS = CELL.period_ns
-START_AFTER = 10  # cycles of READY
+from drivers.interface import Vector
+from tests.support.runner_rig import START_AFTER, Done, lost, lost_at, period_ns, q_start, run
 
 
-class MovedClock:
-    """Time passes in `sleep_until`, and where the test says so."""
-
-    utc_offset_ns = 6_000_000_000
-
-    def __init__(self) -> None:
-        self.ns = 1_000_000_000
-
-    def now_ns(self) -> int:
-        return self.ns
-
-    def sleep_until(self, deadline_ns: int) -> None:
-        self.ns = max(self.ns, deadline_ns)
+def moving(read: int) -> Vector:
+    """A joint more at every read."""
+    return q_start() + np.array([0.0, 0.0, 1e-3 * read])
 
 
-class StillArm:
-    """An arm that stays at its start pose, and fails on the reads the test names."""
-
-    def __init__(self, clock: MovedClock, failures: Mapping[int, Exception], pauses_ns: Mapping[int, int]) -> None:
-        self.counters = BusCounters()
-        self.clock = clock
-        self.failures = failures
-        self.pauses_ns = pauses_ns
-        self.reads = 0
-        self.written: list[Vector] = []
-
-    def connect(self) -> ArmInfo:
-        raise NotImplementedError
-
-    def enable(self) -> None: ...
-
-    def read(self) -> JointState:
-        self.reads += 1
-        self.clock.ns += self.pauses_ns.get(self.reads, 0)
-        if self.reads in self.failures:
-            raise self.failures[self.reads]
-        return self.state()
-
-    def state(self) -> JointState:
-        return JointState(self.clock.ns, Q_START.copy(), np.zeros(3), np.full(3, np.nan))
-
-    def write(self, tau_Nm: Vector) -> Vector:
-        assert np.isfinite(tau_Nm).all()
-        self.written.append(tau_Nm.copy())
-        return tau_Nm
-
-    def health(self) -> ServoHealth:
-        raise NotImplementedError
-
-    def disable(self) -> None: ...
-
-    def close(self) -> None: ...
-
-
-@dataclass
-class Log:
-    """Rows as they were committed."""
-
-    message: Any = field(default_factory=lambda: np.zeros((), AGENT_STATE.dtype))
-    rows: list[Any] = field(default_factory=list)
-
-    def commit(self) -> None:
-        self.rows.append(self.message.copy())
-
-    def wait_for_space(self) -> None: ...
-
-
-@dataclass
-class Outcome:
-    """What a run of the loop left."""
-
-    summary: RunSummary
-    arm: StillArm
-    rows: Any
-    modes: list[Mode]
-
-
-def lost() -> StaleStateError:
-    return StaleStateError("state", found="no reply", expected="a reply", remedy="check the cable")
-
-
-def fault(arm_state: bool) -> ServoFault:
-    error = ServoFault("servo 2", found="torque off", expected="on", remedy="look")
-    if arm_state:
-        error.state = JointState(0, Q_START.copy(), np.zeros(3), np.full(3, np.nan))
-    return error
-
-
-def run(
-    operator: Callable[[int], Event] = lambda _: Event.NONE,
-    failures: Mapping[int, Exception] | None = None,
-    pauses_ns: Mapping[int, int] | None = None,
-    *,
-    ticks: int = 20,
-    hold_at_end: bool = False,
-    start: bool = True,
-) -> Outcome:
-    clock = MovedClock()
-    arm = StillArm(clock, failures or {}, pauses_ns or {})
-    log = Log()
-    modes: list[Mode] = []
-    zero_ns = clock.ns + START_AFTER * PERIOD_NS + PERIOD_NS // 3
-    schedule = Schedule(PERIOD_NS, ticks, False, 3, 8, hold_at_end)
-    around = Surroundings(
-        wall_ns=clock.now_ns,
-        operator=lambda: operator(arm.reads),
-        start_ns=lambda: zero_ns if start and arm.reads > 2 else None,
-        heartbeat=lambda: None,
-        mode_changed=modes.append,
-    )
-    row = AgentRow(log.message, 3, CELL.config_id)
-    runner = Runner(build_agent(CELL, ARM), arm, clock, schedule, row, log, around)
-    summary = runner.run()
-    return Outcome(summary, arm, np.array(log.rows), modes)
+# --- start -----------------------------------------------------------------------------------------------------------
 
 
 def test_the_start_pose_is_held_until_the_common_instant() -> None:
@@ -150,26 +25,38 @@ def test_the_start_pose_is_held_until_the_common_instant() -> None:
     ready = rows["mode"] == Mode.READY
     assert (rows["t"][~ready] >= 0).all()
     assert rows["t"][~ready][0] == pytest.approx(0.0, abs=1e-9)
-    assert np.diff(rows["t"][~ready]) == pytest.approx(PERIOD_NS * 1e-9)
+    assert np.diff(rows["t"][~ready]) == pytest.approx(period_ns() * 1e-9)
     assert rows["e_p"][ready] == pytest.approx(0.0, abs=1e-9)
     assert np.abs(rows["e_p"][~ready]).max() > 1e-3, "the trajectory starts 3 mm away"
     assert len(rows[~ready]) == 20
 
 
 def test_without_a_start_the_arm_goes_on_holding_its_start_pose() -> None:
-    done = run(lambda reads: Event.STOP | Event.RELEASED if reads > 40 else Event.NONE, start=False)
+    done = run(lambda reads: Event.STOP | Event.RELEASED if reads > 40 else Event.NONE, start_ns=lambda *_: None)
     assert done.modes == [Mode.HOLD, Mode.OFF]
     assert (done.rows["mode"][:40] == Mode.READY).all()
+    assert done.rows["t"][0] == pytest.approx(-86_400.0), "the trajectory is a day ahead until somebody says when"
 
 
-def test_rows_are_numbered_without_gaps() -> None:
-    rows = run(failures={15: lost()}).rows
-    assert rows["sequence"].tolist() == list(range(len(rows)))
+def test_the_common_start_moves_the_phase_once_and_makes_no_cycle_late() -> None:
+    done = run()
+    steps = np.diff(done.rows["stamp_ns"].astype(np.int64))
+    moved = np.flatnonzero(steps != period_ns())
+    assert len(moved) == 1
+    assert period_ns() < steps[moved[0]] < 2 * period_ns()
+    assert (done.rows["late_s"] == 0.0).all()
+    assert len(done.of(Mode.READY)) == START_AFTER
 
 
-def test_every_row_is_stamped_with_the_clocks_own_tie_to_utc() -> None:
-    rows = run(failures={15: lost()}).rows
-    assert set((rows["utc_ns"] - rows["stamp_ns"]).tolist()) == {MovedClock.utc_offset_ns}
+def test_a_start_that_changes_while_the_arm_waits_counts_as_it_was_said_last() -> None:
+    done = run(start_ns=lambda reads, zero: zero + 3 * period_ns() if reads > 5 else zero)
+    assert len(done.of(Mode.READY)) == START_AFTER + 3
+    assert done.of(Mode.TRACK)["t"][0] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_start_that_changes_while_the_arm_tracks_is_not_listened_to() -> None:
+    done = run(start_ns=lambda reads, zero: zero + 7 * period_ns() if reads > 15 else zero)
+    assert done.of(Mode.TRACK)["t"] == pytest.approx(1e-9 * period_ns() * np.arange(20))
 
 
 def test_an_idle_cycle_changes_no_mode() -> None:
@@ -177,67 +64,118 @@ def test_an_idle_cycle_changes_no_mode() -> None:
     assert all(next_mode(mode, Event.NONE) is mode for mode in Mode)
 
 
+# --- stop, release and end -------------------------------------------------------------------------------------------
+
+
 def test_a_stop_holds_and_only_a_release_ends_it() -> None:
     done = run(lambda n: Event.STOP if n == 20 else Event.RELEASED if n == 60 else Event.NONE, hold_at_end=True)
     assert done.modes == [Mode.TRACK, Mode.HOLD, Mode.OFF]
-    hold = done.rows["mode"] == Mode.HOLD
-    assert np.abs(done.rows["e_p"][hold]).max() < 5e-4, "but for what the observer still expects of the motion"
-    assert 35 < hold.sum() < 45
+    hold = done.of(Mode.HOLD)
+    assert np.abs(hold["e_p"]).max() < 5e-4, "but for what the observer still expects of the motion"
+    assert len(hold) == 40
+    assert done.summary.mode is Mode.OFF
 
 
 def test_the_end_of_the_trajectory_is_held_on_real_arms() -> None:
     done = run(lambda n: Event.RELEASED if n == 80 else Event.NONE, hold_at_end=True)
     assert done.modes == [Mode.TRACK, Mode.HOLD, Mode.OFF]
-    tracked = done.rows[done.rows["mode"] == Mode.TRACK]
-    assert len(tracked) == 20
+    assert len(done.of(Mode.TRACK)) == 20
+    assert done.summary.reason == "", "an end is nothing wrong"
 
 
-def test_single_lost_states_keep_the_last_torque_and_go_on() -> None:
-    done = run(failures={15: lost(), 18: lost()})
-    assert done.summary.mode is Mode.TRACK
-    assert done.summary.stale_cycles == 2
-    stale = np.flatnonzero(done.rows["flags"] & Flag.STALE.value)
-    assert len(stale) == 2
-    for i in stale:
-        assert np.isnan(done.rows["q"][i][:3]).all()
-        np.testing.assert_array_equal(done.arm.written[i], done.arm.written[i - 1])
-
-
-def test_states_lost_in_a_row_hold_the_object() -> None:
-    done = run(
-        lambda n: Event.RELEASED if n == 40 else Event.NONE,
-        failures={i: lost() for i in range(15, 20)},
-        hold_at_end=True,
-    )
-    assert done.modes == [Mode.TRACK, Mode.HOLD, Mode.OFF]
-    assert "no reply" in done.summary.reason
-
-
-def test_a_bus_that_stays_silent_ends_in_fault() -> None:
-    done = run(failures={i: lost() for i in range(15, 60)}, hold_at_end=True)
-    assert done.summary.mode is Mode.FAULT
-    assert done.arm.reads < 30
-
-
-def test_a_servo_fault_holds_the_object_with_the_others() -> None:
-    done = run(lambda n: Event.RELEASED if n == 40 else Event.NONE, failures={15: fault(True)}, hold_at_end=True)
-    assert done.modes == [Mode.TRACK, Mode.HOLD, Mode.OFF]
-    assert "torque off" in done.summary.reason
-
-
-def test_a_servo_fault_without_a_state_ends_in_fault() -> None:
-    assert run(failures={15: fault(False)}).summary.mode is Mode.FAULT
-
-
-def test_a_late_cycle_keeps_the_phase_and_is_not_caught_up() -> None:
-    done = run(pauses_ns={20: int(3.4 * PERIOD_NS)})
-    tracked = done.rows[done.rows["mode"] == Mode.TRACK]
-    phase = (tracked["stamp_ns"] - tracked["stamp_ns"][0]) % PERIOD_NS
-    assert (np.minimum(phase, PERIOD_NS - phase) == 0).sum() >= len(tracked) - 1
-    assert len(tracked) == 20 - 3
+def test_a_hold_in_simulation_lasts_until_the_trajectory_ends() -> None:
+    done = run(lambda n: Event.STOP if n == 20 else Event.NONE)
+    assert done.modes == [Mode.TRACK, Mode.HOLD]
+    assert len(done.of(Mode.TRACK)) + len(done.of(Mode.HOLD)) == 20
 
 
 def test_an_early_release_does_nothing_while_tracking() -> None:
     done = run(lambda n: Event.RELEASED if n == 20 else Event.NONE)
     assert done.modes == [Mode.TRACK]
     assert done.summary.mode is Mode.TRACK
+
+
+def held_pose(done: Done, read: int) -> Vector:
+    """Where the object was at a read, from the row of that cycle."""
+    assert done.rows["q_measured"][read - 1][:3] == pytest.approx(moving(read))
+    return np.concatenate([done.rows["p_object"][read - 1], done.rows["quat_object"][read - 1]])
+
+
+def desired(rows: np.ndarray) -> np.ndarray:
+    return np.concatenate([rows["p_object_des"], rows["quat_object_des"]], axis=1)
+
+
+STILL = {"observer": None}
+
+
+def test_the_object_is_held_where_it_was_when_the_stop_came_however_it_moves_on() -> None:
+    done = run(lambda n: Event.STOP if n == 19 else Event.NONE, q=moving, agent=STILL)  # in the cycle of read 20
+    hold = done.of(Mode.HOLD)
+    assert len(hold) == 10
+    for pose in desired(hold):
+        np.testing.assert_allclose(pose, held_pose(done, 20), atol=1e-12)
+
+
+def test_an_object_that_was_lost_from_sight_is_held_where_it_is_seen_again() -> None:
+    done = run(failures=lost_at(18, 19, 20, 21), q=moving, agent=STILL)
+    assert done.modes == [Mode.TRACK, Mode.HOLD]
+    hold = done.of(Mode.HOLD)
+    assert len(hold) == 9
+    for pose in desired(hold):
+        np.testing.assert_allclose(pose, held_pose(done, 22), atol=1e-12)
+
+
+def test_the_start_pose_is_the_first_one_seen_until_the_start() -> None:
+    done = run(q=moving, agent=STILL)
+    for pose in desired(done.of(Mode.READY)):
+        np.testing.assert_allclose(pose, held_pose(done, 1), atol=1e-12)
+
+
+# --- ticks -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_late_cycle_keeps_the_phase_and_is_not_caught_up() -> None:
+    done = run(pauses_ns={20: int(3.4 * period_ns())})
+    tracked = done.of(Mode.TRACK)
+    phase = (tracked["stamp_ns"] - tracked["stamp_ns"][0]) % period_ns()
+    assert (np.minimum(phase, period_ns() - phase) == 0).sum() >= len(tracked) - 1
+    assert len(tracked) == 20 - 3
+
+
+@pytest.mark.parametrize(("pause", "rows"), [(0.999, 20), (1.0, 19), (1.999, 19), (2.0, 18)])
+def test_a_cycle_that_ends_when_the_next_should_have_begun_skips_it(pause: float, rows: int) -> None:
+    assert len(run(pauses_ns={20: round(pause * period_ns())}).of(Mode.TRACK)) == rows
+
+
+@pytest.mark.parametrize(("late", "counted"), [(0.5, 0), (1.0, 0), (1.0 + 1e-6, 1), (1.9, 1)])
+def test_a_cycle_that_begins_more_than_a_period_late_is_counted(late: float, counted: int) -> None:
+    done = run(oversleeps_ns={15: round(late * period_ns()), 18: round(late * period_ns())})
+    assert done.summary.late_cycles == 2 * counted
+    assert sorted(done.rows["late_s"])[-3:] == pytest.approx([0.0, *[late * period_ns() * 1e-9] * 2])
+
+
+# --- lockstep --------------------------------------------------------------------------------------------------------
+
+
+def test_simulated_time_tracks_from_its_first_tick_and_waits_for_the_log_every_cycle() -> None:
+    done = run(lockstep=True, start_ns=lambda *_: None)
+    assert done.modes == []
+    assert done.summary.mode is Mode.TRACK
+    assert done.rows["t"] == pytest.approx(1e-9 * period_ns() * np.arange(20), abs=1e-15)
+    assert done.waits == 20
+    assert run().waits == 0
+
+
+def test_simulated_time_is_never_late_and_skips_nothing() -> None:
+    slow = {read: 3 * period_ns() for read in range(1, 21)}
+    done = run(lockstep=True, pauses_ns=slow, oversleeps_ns={3: 5 * period_ns()})
+    assert len(done.rows) == 20
+    assert (done.rows["late_s"] == 0.0).all()
+    assert done.summary.late_cycles == 0
+
+
+def test_a_lost_state_ends_simulated_time_in_a_fault() -> None:
+    done = run(lockstep=True, failures=lost_at(5))
+    assert (done.summary.mode, done.summary.reason) == (Mode.FAULT, str(lost()))
+    assert len(done.rows) == 5
+    assert len(done.arm.written) == 4

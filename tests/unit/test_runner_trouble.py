@@ -1,0 +1,167 @@
+"""What makes the loop hold the object or give the arm up, after how many cycles, and what it says of it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from agent.modes import Event, Mode
+from agent.safety import Flag, Limits
+from drivers.interface import DriverError, Vector
+from tests.support.runner_rig import (
+    FAULT_AFTER_STALE,
+    HOLD_AFTER_STALE,
+    fault,
+    lost,
+    lost_at,
+    q_start,
+    run,
+)
+
+FIRST = 15  # a read in TRACK
+
+
+def reads(count: int, first: int = FIRST) -> tuple[int, ...]:
+    return tuple(range(first, first + count))
+
+
+# --- lost states -----------------------------------------------------------------------------------------------------
+
+
+def test_single_lost_states_keep_the_last_torque_and_go_on() -> None:
+    done = run(failures=lost_at(15, 18))
+    assert done.summary.mode is Mode.TRACK
+    assert (done.summary.stale_cycles, done.summary.reason) == (2, "")
+    stale = np.flatnonzero(done.rows["flags"] & Flag.STALE.value)
+    assert stale.tolist() == [14, 17]
+    for i in stale:
+        assert np.isnan(done.rows["q"][i][:3]).all()
+        np.testing.assert_array_equal(done.arm.written[i], done.arm.written[i - 1])
+
+
+@pytest.mark.parametrize(("count", "held"), [(HOLD_AFTER_STALE, False), (HOLD_AFTER_STALE + 1, True)])
+@pytest.mark.parametrize("first", [1, FIRST])
+def test_more_than_three_states_lost_in_a_row_hold_the_object(first: int, count: int, held: bool) -> None:
+    done = run(failures=lost_at(*reads(count, first)))
+    assert (Mode.HOLD in done.modes) == held
+    assert done.summary.reason == (str(lost()) if held else "")
+    assert done.summary.stale_cycles == count
+    if held:
+        assert done.rows["mode"][first + count - 1] == Mode.HOLD, "from the next cycle on"
+        assert done.rows["mode"][first + count - 2] != Mode.HOLD
+
+
+@pytest.mark.parametrize(
+    ("count", "ends"), [(FAULT_AFTER_STALE, Mode.HOLD), (FAULT_AFTER_STALE + 1, Mode.FAULT), (60, Mode.FAULT)]
+)
+def test_more_than_eight_states_lost_in_a_row_end_in_a_fault(count: int, ends: Mode) -> None:
+    done = run(failures=lost_at(*reads(count)))
+    assert (done.summary.mode, done.summary.reason) == (ends, str(lost()))
+    if ends is Mode.FAULT:
+        assert done.arm.reads == FIRST + FAULT_AFTER_STALE
+        assert len(done.arm.written) == done.arm.reads - 1, "the last one gets no torque any more"
+
+
+def test_a_fresh_state_in_between_begins_the_count_anew() -> None:
+    assert run(failures=lost_at(*reads(3, 14), *reads(3, 18), *reads(3, 22))).modes == [Mode.TRACK]
+    assert run(failures=lost_at(*reads(3, 14), *reads(4, 18))).modes == [Mode.TRACK, Mode.HOLD]
+    many = lost_at(*reads(8, 12), *reads(8, 21))
+    assert run(failures=many).summary.mode is Mode.HOLD
+
+
+def test_a_servo_that_complains_but_answers_begins_the_count_anew() -> None:
+    failures = lost_at(*reads(8, 12), *reads(8, 21)) | {20: fault(True)}
+    assert run(failures=failures).summary.mode is Mode.HOLD
+    failures = lost_at(*reads(8, 12), *reads(9, 21)) | {20: fault(True)}
+    assert run(failures=failures).summary.mode is Mode.FAULT
+
+
+def test_only_a_cycle_with_a_fresh_state_is_a_heartbeat() -> None:
+    done = run(failures=lost_at(15, 17) | {20: fault(True)})
+    assert done.beats == len(done.rows) - 2
+
+
+# --- servos ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_servo_fault_holds_the_object_with_the_others() -> None:
+    done = run(lambda n: Event.RELEASED if n == 40 else Event.NONE, failures={15: fault(True)}, hold_at_end=True)
+    assert done.modes == [Mode.TRACK, Mode.HOLD, Mode.OFF]
+    assert done.summary.reason == str(fault(True))
+    assert done.rows["mode"][15] == Mode.HOLD, "at once"
+    assert done.summary.stale_cycles == 0
+
+
+def test_a_servo_fault_without_a_state_ends_in_fault() -> None:
+    done = run(failures={15: fault(False)})
+    assert (done.summary.mode, done.summary.reason) == (Mode.FAULT, str(fault(False)))
+    assert done.arm.reads == 15
+
+
+def test_the_first_trouble_is_what_is_told_and_a_fault_has_the_last_word() -> None:
+    late_fault = {15: fault(True)} | lost_at(*reads(4, 20))
+    assert run(failures=late_fault).summary.reason == str(fault(True))
+    given_up = {15: fault(True)} | lost_at(*reads(9, 20))
+    assert run(failures=given_up).summary.reason == str(lost())
+
+
+# --- the bus takes no torque -----------------------------------------------------------------------------------------
+
+
+def test_a_torque_that_was_not_taken_is_no_number_in_the_log_and_a_reason_but_no_end() -> None:
+    done = run(refused=frozenset({15, 16}))
+    assert done.modes == [Mode.TRACK]
+    assert "0 bytes taken" in done.summary.reason
+    assert np.isnan(done.rows["tau_sent"][[14, 15], :3]).all()
+    assert np.isfinite(np.delete(done.rows["tau_sent"], [14, 15], axis=0)[:, :3]).all()
+
+
+def test_the_reason_of_a_refused_torque_is_the_first_one_too() -> None:
+    done = run(refused=frozenset({20}), failures={15: fault(True)})
+    assert done.summary.reason == str(fault(True))
+
+
+def test_simulated_time_stops_at_a_torque_that_was_not_taken() -> None:
+    with pytest.raises(DriverError, match="0 bytes taken"):
+        run(refused=frozenset({5}), lockstep=True)
+
+
+# --- flags -----------------------------------------------------------------------------------------------------------
+
+
+def no_number(read: int) -> Vector:
+    return q_start() * (np.nan if read == FIRST else 1.0)
+
+
+FLAGGED: dict[str, dict[str, Any]] = {
+    "NOT_FINITE": {"q": no_number},
+    "SINGULAR": {"agent": {"sigma_min": 10.0, "observer": None}},
+    "OFF_TRACK": {"agent": {"error_max_m": 1e-6, "observer": None}},
+}
+
+
+@pytest.mark.parametrize("flag", FLAGGED)
+def test_what_step_flags_as_trouble_holds_the_object_and_is_told_with_its_time(flag: str) -> None:
+    done = run(lambda n: Event.RELEASED if n == 40 else Event.NONE, **FLAGGED[flag])
+    first = done.rows[np.flatnonzero(done.rows["flags"] & Flag[flag].value)[0]]
+    assert done.summary.reason == f"t = {first['t']:.3f} s: {Flag[flag]!r}"
+    assert Mode.HOLD in done.modes
+    assert done.rows["mode"][first["sequence"] + 1] == Mode.HOLD
+
+
+def test_torque_that_was_limited_is_no_trouble() -> None:
+    done = run(agent={"limits": Limits((0.05,) * 3, (0.01,) * 3)})
+    assert np.bitwise_or.reduce(done.rows["flags"]) == (Flag.SATURATED | Flag.RATE_LIMITED).value
+    assert (done.modes, done.summary.reason) == ([Mode.TRACK], "")
+
+
+def test_of_two_flagged_ticks_the_first_is_told() -> None:
+    done = run(q=lambda read: q_start() * (np.nan if read in (15, 18) else 1.0), failures={20: fault(True)})
+    assert done.summary.reason.startswith(f"t = {done.rows['t'][14]:.3f} s")
+
+
+def test_a_reason_that_was_there_before_a_flag_stays() -> None:
+    done = run(q=lambda read: q_start() * (np.nan if read == 18 else 1.0), failures={15: fault(True)})
+    assert done.summary.reason == str(fault(True))
