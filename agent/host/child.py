@@ -1,4 +1,4 @@
-"""A process of ours started by `coop run`: ready line, log file, end; leaves nothing running."""
+"""A process of ours that `coop run` has started: its ready line, its words, its end."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Readiness and life signs to the service manager (sd_notify); does nothing where there is none, never blocks."""
+"""Readiness and life signs to the service manager (sd_notify), lost rather than waited for."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Real-time scheduling of the control thread: asked for, verified, never assumed."""
+"""Real-time scheduling and quiet memory for the control thread, or a refusal that says what the host does not give."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Signals as flags that a loop can ask for; never acts inside a handler."""
+"""Signals as flags that a loop asks for."""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
-"""The only way to command an agent: a Unix socket on its own host, for its own user and root.
+"""How an operator commands an agent: a Unix socket on the agent's own host, for its own user and root.
 
-An operator's words are start, stop and release.  There is none that moves an arm, and none over the network.
+There are three words: start (follow the trajectory from an instant on), stop (hold the object) and release.  The last
+two can be said by signals too (agent.host.signals); the network carries none of them.
 """
 
 from __future__ import annotations

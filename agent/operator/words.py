@@ -1,4 +1,4 @@
-"""An operator's words to the agents of this host: start, stop, release.  Asks; the agents decide."""
+"""An operator's words to the agents of this host: start, stop, release."""
 
 from __future__ import annotations
 

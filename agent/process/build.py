@@ -1,4 +1,4 @@
-"""One arm from the cell file: what determines its torque, and the driver that moves it; opens nothing."""
+"""One arm from the cell file: what determines its torque, and the driver that moves it."""
 
 from __future__ import annotations
 
