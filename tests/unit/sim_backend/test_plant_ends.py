@@ -57,7 +57,7 @@ def test_arm_that_vanishes_ends_the_run_and_is_named_to_everyone(tmp_path: Path)
         left, right = served.enabled()
         cycle([left, right], 7)
         right._link.close()  # as the kernel does for a killed process
-        with pytest.raises(StaleStateError, match=r"arm right vanished at tick [78]"):
+        with pytest.raises(DriverError, match=r"arm right vanished at tick [78]"):
             cycle([left], 5)
         with pytest.raises(DriverError, match="arm right vanished"):
             left.read()
@@ -125,7 +125,7 @@ def test_stopped_plant_says_so(tmp_path: Path) -> None:
         left, right = served.enabled()
         cycle([left, right], 3)
         served.stop()
-        with pytest.raises(StaleStateError, match="the run is over: found the plant ended at tick"):
+        with pytest.raises(DriverError, match="the run is over: found the plant ended at tick"):
             cycle([left], 3)
         assert served.summary is not None
 
