@@ -6,6 +6,7 @@ It computes no dynamics and loads nothing that does; what run.json holds of the 
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -64,7 +65,8 @@ def run_recorder(
 def described(cell: Path, driver: DriverKind, seed: int) -> bytes:
     """run.json of the cell at that path, from a process that ends when it is made.  Raises DescriptionError."""
     command = [sys.executable, "-m", "agent.process.describe", str(cell), driver.value, str(seed)]
-    done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, check=False)
+    surroundings = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}  # it finds what this one found
+    done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, check=False, env=surroundings)
     if done.returncode:
         last = (done.stderr.decode(errors="replace").strip().splitlines() or [f"exit code {done.returncode}"])[-1]
         raise DescriptionError(

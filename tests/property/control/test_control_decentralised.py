@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 import configs
 from agent.config.cell import cell_from_toml
 from agent.control.memory import Memory
+from agent.control.residual import nothing_sensed
 from agent.loop import Agent, Outcome, step
 from agent.modes import Mode
 from agent.process.build import build_agent
@@ -39,7 +40,7 @@ def agent_of(content: dict[str, Any], name: str) -> Agent:
 def random_tick(seed: int) -> tuple[JointState, float, Memory]:
     rng = np.random.default_rng(seed)
     state = JointState(1, rng.uniform(-1.0, 1.0, 3), rng.normal(size=3), np.zeros(3))
-    memory = Memory(*rng.normal(size=(5, 3)), primed=True)
+    memory = Memory(*rng.normal(size=(6, 3)), primed=True, sense=nothing_sensed(3))
     return state, float(rng.uniform(0.0, 100.0)), memory
 
 
