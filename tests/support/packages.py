@@ -22,6 +22,8 @@ def build(kind: str, source: Path, out: Path) -> Path:
 def unpacked(sdist: Path, into: Path) -> Path:
     """The one folder that a source package unpacks to."""
     with tarfile.open(sdist) as archive:
-        archive.extractall(into, filter="data")
+        if hasattr(tarfile, "data_filter"):  # from Python 3.11.4 on; Debian 12 has 3.11.2
+            archive.extraction_filter = tarfile.data_filter
+        archive.extractall(into)
     (folder,) = into.iterdir()
     return folder
