@@ -120,7 +120,7 @@ class Safety(Strict):
     tracking_error_max_rad: Attitude = 0.3
     spectral_radius_max: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.9999
     hold_speed_max_rad_per_s: Annotated[float, Field(gt=0.0, le=20.0)] | None = None  # in HOLD; faster: it is braked
-    noticing: NoticingSpec | None = None  # None: an arm notices the others by their effect on the object's pose alone
+    noticing: NoticingSpec = NoticingSpec()
     inertia_error: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.3
 
 
@@ -268,10 +268,10 @@ class CellFile(Strict):
                 "arms", found=f"a sum of {total:.9g}", expected="load shares that sum to 1",
                 remedy="correct load_share of the arms",
             )  # fmt: skip
-        aligned, names = self.controller.alignment, [a.name for a in self.arms]
-        if aligned is not None and aligned.anchor is not None and aligned.anchor not in names:
+        anchor, names = self.controller.alignment.anchor, [a.name for a in self.arms]
+        if anchor is not None and anchor not in names:
             raise wrong(
-                "controller.alignment.anchor", found=repr(aligned.anchor), expected=" or ".join(names),
+                "controller.alignment.anchor", found=repr(anchor), expected=" or ".join(names),
                 remedy="name one of the cell's arms",
             )  # fmt: skip
         if self.driver is DriverKind.DYNAMIXEL:

@@ -16,6 +16,7 @@ Moment = Annotated[float, Field(gt=0.0, le=1e3)]
 class AlignmentSpec(Strict):
     """Every arm but the anchor shifts its own target towards what it sees (agent.control.alignment)."""
 
+    enabled: bool = True
     anchor: Name | None = None  # the arm that does not; None: the first of the cell
     ready_per_s: Rate = 2.0  # while waiting for the start
     track_per_s: Rate = 0.3
@@ -28,6 +29,7 @@ class AlignmentSpec(Strict):
 class NoticingSpec(Strict):
     """From which unexpected wrench on an arm it holds (agent.control.residual): a sudden one, and one that stays."""
 
+    enabled: bool = True
     fast_N: Force = 2.0
     fast_Nm: Moment = 0.35
     slow_N: Force = 1.6
