@@ -8,6 +8,11 @@ from tests.mutate.mutants import Mutant
 
 Key = tuple[str, str, str]  # where, first line of the statement before and after
 
+_SAVES_A_TEXT = "saves the making of a text that nobody is told"
+_READ_AFTER_A_JUMP = "read only after a jump, which sets it"
+_BOTH_ARE_LARGE = "both currents are large in the other half of the condition, so their product is not zero"
+_OPPOSED = "opposed = followed[1] * shadow[1] < 0 and min(abs(followed[1]), abs(shadow[1])) >= self._fight"
+
 EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
     "agent.loop": {
         (
@@ -29,6 +34,32 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
             "if mode is Mode.HOLD and state is not None:",
             "if True and state is not None:",
         ): "every other change ends the loop, or begins to track and forgets what was held",
+    },
+    "drivers.dynamixel.checks": {
+        ("SilenceCheck.check", "if None not in rows:", "if False:"): "the short way for a cycle with all answers",
+        ("SilenceCheck.check", "if any(missed):", "if True:"): "saves the making of a list of zeros",
+        ("SilenceCheck.check", "return []", "pass"): "the short way for a cycle with all answers",
+        ("JumpCheck.__init__", "self._jumped_rad = 0.0", "pass"): _READ_AFTER_A_JUMP,
+        ("JumpCheck.__init__", "self._jumped_rad = 0.0", "self._jumped_rad = 1.0"): _READ_AFTER_A_JUMP,
+        ("JumpCheck.__init__", "self.in_a_row = 0", "pass"): "the first angle, which is always believed, sets it",
+        ("JumpCheck.__init__", "self.in_a_row = 0", "self.in_a_row = 1"): "the first angle, always believed, sets it",
+        ("EffectCheck.check", "return None", "pass"): "a function without a result returns None",
+        (
+            "PairCheck.check",
+            "if apart or tell.is_active(EventKind.PAIR_APART, slot.servo_id):",
+            "if True:",
+        ): _SAVES_A_TEXT,
+        (
+            "PairCheck.check",
+            "if fighting or tell.is_active(EventKind.PAIR_FIGHTING, slot.servo_id):",
+            "if True:",
+        ): _SAVES_A_TEXT,
+        (
+            "PairCheck.check",
+            _OPPOSED,
+            _OPPOSED.replace("< 0", "<= 0"),
+        ): _BOTH_ARE_LARGE,
+        ("PairCheck.check", _OPPOSED, _OPPOSED.replace("< 0", "< 1")): _BOTH_ARE_LARGE,
     },
     "agent.operator.socket": {
         ("ControlSocket.poll", "if self._clients:", "if True:"): "saves the making of an empty list",

@@ -35,7 +35,7 @@ TARGETS = (
     Target("agent.telemetry.ring.file", _RING),
     Target("agent.telemetry.ring.ring", _RING),
     Target("agent.telemetry.ring.texts", (f"{UNIT}/telemetry/test_texts.py", f"{UNIT}/telemetry/test_event.py")),
-    Target("drivers.dynamixel.checks", _CYCLE),
+    Target("drivers.dynamixel.checks", (f"{UNIT}/drivers/test_checks.py",)),
     Target("drivers.dynamixel.cycle", _CYCLE),
     Target("drivers.dynamixel.driver", _CYCLE),
     Target("drivers.dynamixel.interpret", _CYCLE),
