@@ -39,6 +39,11 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
         ("SilenceCheck.check", "if None not in rows:", "if False:"): "the short way for a cycle with all answers",
         ("SilenceCheck.check", "if any(missed):", "if True:"): "saves the making of a list of zeros",
         ("SilenceCheck.check", "return []", "pass"): "the short way for a cycle with all answers",
+        (
+            "SilenceCheck.__init__",
+            "self._damaged = self._late = 0",
+            "self._damaged = self._late = 1",
+        ): "eight cycles pass before it is read, and in each it grows or becomes 0",
         ("JumpCheck.__init__", "self._jumped_rad = 0.0", "pass"): _READ_AFTER_A_JUMP,
         ("JumpCheck.__init__", "self._jumped_rad = 0.0", "self._jumped_rad = 1.0"): _READ_AFTER_A_JUMP,
         ("JumpCheck.__init__", "self.in_a_row = 0", "pass"): "the first angle, which is always believed, sets it",
@@ -60,6 +65,23 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
             _OPPOSED.replace("< 0", "<= 0"),
         ): _BOTH_ARE_LARGE,
         ("PairCheck.check", _OPPOSED, _OPPOSED.replace("< 0", "< 1")): _BOTH_ARE_LARGE,
+    },
+    "drivers.dynamixel.monitor": {
+        (
+            "GapMonitor._judge_status",
+            "record.hardware = HardwareError(hardware) if hardware else NO_ERROR",
+            "record.hardware = HardwareError(hardware) if True else NO_ERROR",
+        ): "NO_ERROR is HardwareError(0), made once",
+        (
+            "GapMonitor._judge_status",
+            "if hardware and record.hardware & record.shutdown:",
+            "if True and record.hardware & record.shutdown:",
+        ): "without an error there is no bit to stop it; saves the question",
+        (
+            "GapMonitor._judge_status",
+            "if hardware or self._tell.is_active(EventKind.HARDWARE_WARNING, record.slot.servo_id):",
+            "if True:",
+        ): _SAVES_A_TEXT,
     },
     "agent.operator.socket": {
         ("ControlSocket.poll", "if self._clients:", "if True:"): "saves the making of an empty list",

@@ -38,7 +38,7 @@ TARGETS = (
     Target("drivers.dynamixel.checks", (f"{UNIT}/drivers/test_checks.py",)),
     Target("drivers.dynamixel.cycle", _CYCLE),
     Target("drivers.dynamixel.driver", _CYCLE),
-    Target("drivers.dynamixel.interpret", _CYCLE),
-    Target("drivers.dynamixel.monitor", _CYCLE),
+    Target("drivers.dynamixel.interpret", (f"{UNIT}/drivers/test_interpret.py",)),
+    Target("drivers.dynamixel.monitor", (f"{UNIT}/drivers/test_monitor.py",)),
     Target("drivers.dynamixel.running", _CYCLE),
 )

@@ -7,7 +7,16 @@ from dataclasses import replace
 import pytest
 
 from drivers.dynamixel.arm_map import ServoSlot
-from drivers.dynamixel.checks import JUMP_RAD, EffectCheck, JumpCheck, PairCheck, SilenceCheck, effect_checks
+from drivers.dynamixel.checks import (
+    FAULT_WITHIN_S,
+    JUMP_RAD,
+    SILENT_LIMIT_CYCLES,
+    EffectCheck,
+    JumpCheck,
+    PairCheck,
+    SilenceCheck,
+    effect_checks,
+)
 from drivers.dynamixel.errors import DxlServoFault, FaultCause
 from drivers.dynamixel.events import DriverEvent, OncePerServo
 from drivers.dynamixel.line.group import Row
@@ -37,6 +46,11 @@ def test_eight_cycles_without_an_answer_are_a_fault_and_every_one_after() -> Non
         (fault,) = silent(check, False, True)
         assert (fault.cause, fault.servo_id) == (FaultCause.SILENT, SHOULDER.servo_id)
         assert fault.found == f"{count} cycles without an answer"
+
+
+def test_silence_is_a_fault_within_fifty_milliseconds_at_200_Hz() -> None:
+    assert FAULT_WITHIN_S == 0.05
+    assert SILENT_LIMIT_CYCLES / RATE_HZ <= FAULT_WITHIN_S
 
 
 def test_one_answer_begins_the_count_anew_whether_others_are_silent_or_not() -> None:

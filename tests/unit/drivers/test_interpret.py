@@ -58,6 +58,12 @@ def test_each_joint_is_read_from_the_servo_that_is_followed() -> None:
     assert (reading.stale, reading.jumped, reading.faults) == ([], False, [])
 
 
+def test_a_joint_that_never_answered_is_taken_to_stand_still() -> None:
+    bench = Bench()
+    bench.read(rows(s4=None))
+    assert bench.interpreter.dq[1] == 0.0
+
+
 def test_a_joint_without_a_row_is_stale_and_the_others_are_not() -> None:
     bench = Bench()
     bench.read(rows())

@@ -219,11 +219,24 @@ def test_a_healthy_status_is_remembered_with_its_time() -> None:
     assert bench.records[2].seen_ns == 0
 
 
-@pytest.mark.parametrize("error", [1, 7, 0x80])
+@pytest.mark.parametrize("error", [1, 7, 0x40, 0x80])
 def test_what_a_servo_answers_with_an_error_is_believed_only_when_it_is_the_alert(error: int) -> None:
     bench = Bench()
     bench.tell(1, 0, 1, 0, WATCHDOG, 0, error=error)
     assert bool(bench.causes()) == (error == 0x80)
+
+
+def test_a_servo_that_works_with_its_led_off_has_not_restarted() -> None:
+    bench = Bench()
+    bench.tell(1, 1, 0, 0, WATCHDOG, 0)
+    assert bench.causes() == []
+
+
+def test_a_fault_of_another_cause_does_not_carry_the_error_bits() -> None:
+    bench = Bench()
+    bench.tell(1, 0, 1, int(HOT_BIT), WATCHDOG, 0)
+    (fault,) = bench.monitor.faults
+    assert (fault.cause, fault.hardware) == (FaultCause.TORQUE_LOST, 0)
 
 
 def test_an_error_bit_that_does_not_stop_the_servo_is_told_once_until_it_is_gone() -> None:
@@ -244,6 +257,12 @@ def test_a_goal_is_the_last_one_sent_or_the_one_before() -> None:
         bench.tell(4, 1, 1, 0, WATCHDOG, goal)
         assert record.goal_doubts == 0
     assert bench.causes() == []
+
+
+def test_a_servo_that_was_sent_nothing_should_have_no_goal() -> None:
+    bench = Bench()
+    bench.tell(4, 1, 1, 0, WATCHDOG, 1)
+    assert bench.records[3].goal_doubts == 1
 
 
 def test_one_wrong_goal_is_a_doubt_that_is_asked_about_at_once_and_two_are_a_fault() -> None:
@@ -308,6 +327,19 @@ def test_a_servo_that_will_get_too_hot_is_told_before_and_not_twice_when_it_is()
     assert kinds == ["HEATING", "HOT"]
     assert "of 80 °C" in bench.events[0].text
     assert int(bench.events[0].text.split()[0]) < 70
+
+
+def test_a_servo_that_is_hot_already_is_not_told_to_become_so() -> None:
+    bench = Bench()
+    thermal = ThermalWatch(80.0)
+    bench.records[5].thermal = thermal
+    for second in range(100):  # in the shade of other questions: told of nothing yet
+        thermal.add(float(second), 60.0 + 0.2 * second)
+    assert thermal.heating
+    bench.now_ns = 100_000_000_000
+    bench.tell(6, 120, 80, page=Page.SLOW)
+    assert thermal.heating
+    assert [event.kind.name for event in bench.events] == ["HOT"]
 
 
 # --- bytes -----------------------------------------------------------------------------------------------------------
