@@ -10,6 +10,7 @@ Key = tuple[str, str, str]  # where, first line of the statement before and afte
 
 _SAVES_A_TEXT = "saves the making of a text that nobody is told"
 _READ_AFTER_A_JUMP = "read only after a jump, which sets it"
+_SET_BY_A_QUESTION = "read while an answer is awaited only, and each question sets it"
 _BOTH_ARE_LARGE = "both currents are large in the other half of the condition, so their product is not zero"
 _OPPOSED = "opposed = followed[1] * shadow[1] < 0 and min(abs(followed[1]), abs(shadow[1])) >= self._fight"
 
@@ -82,6 +83,15 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
             "if hardware or self._tell.is_active(EventKind.HARDWARE_WARNING, record.slot.servo_id):",
             "if True:",
         ): _SAVES_A_TEXT,
+    },
+    "drivers.dynamixel.running": {
+        ("Running.__init__", "self._wire_free_ns = 0", "pass"): _SET_BY_A_QUESTION,
+        ("Running.__init__", "self._wire_free_ns = 0", "self._wire_free_ns = 1"): _SET_BY_A_QUESTION,
+        (
+            "Running.write",
+            "sent = [0.0] * len(tau_Nm)",
+            "sent = [1.0] * len(tau_Nm)",
+        ): "each joint has a writer, which fills its place",
     },
     "agent.operator.socket": {
         ("ControlSocket.poll", "if self._clients:", "if True:"): "saves the making of an empty list",

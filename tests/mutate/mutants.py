@@ -106,7 +106,7 @@ class _Place:
 
 
 def _places(node: ast.AST, where: str, statement: ast.stmt | None, *, in_function: bool) -> Iterator[_Place]:
-    """Nodes that may be changed: no annotations, no texts, no docstrings, no `strict` of a zip, which is an assertion."""
+    """Nodes that may be changed: no annotations, no texts, no docstrings, no `strict` of a zip: an assertion."""
     if isinstance(node, ast.JoinedStr) or (isinstance(node, ast.keyword) and node.arg == "strict"):
         return
     if isinstance(node, ast.stmt):

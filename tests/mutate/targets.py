@@ -40,5 +40,5 @@ TARGETS = (
     Target("drivers.dynamixel.driver", _CYCLE),
     Target("drivers.dynamixel.interpret", (f"{UNIT}/drivers/test_interpret.py",)),
     Target("drivers.dynamixel.monitor", (f"{UNIT}/drivers/test_monitor.py",)),
-    Target("drivers.dynamixel.running", _CYCLE),
+    Target("drivers.dynamixel.running", (f"{UNIT}/drivers/test_running.py",)),
 )
