@@ -84,6 +84,18 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
             "if True:",
         ): _SAVES_A_TEXT,
     },
+    "drivers.dynamixel.driver": {
+        (
+            "DynamixelDriver.__init__",
+            "self._begin_ns = 0",
+            "self._begin_ns = 1",
+        ): "before the first read either is an instant long past",
+        (
+            "DynamixelDriver.disable",
+            "if self._port.is_open:",
+            "if True:",
+        ): "a closed port refuses what is written to it, and that is suppressed",
+    },
     "drivers.dynamixel.running": {
         ("Running.__init__", "self._wire_free_ns = 0", "pass"): _SET_BY_A_QUESTION,
         ("Running.__init__", "self._wire_free_ns = 0", "self._wire_free_ns = 1"): _SET_BY_A_QUESTION,
