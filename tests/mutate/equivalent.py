@@ -12,6 +12,8 @@ _SAVES_A_TEXT = "saves the making of a text that nobody is told"
 _READ_AFTER_A_JUMP = "read only after a jump, which sets it"
 _SET_BY_A_QUESTION = "read while an answer is awaited only, and each question sets it"
 _BOTH_ARE_LARGE = "both currents are large in the other half of the condition, so their product is not zero"
+_ENDS = "if final or None not in found.values() or (again.finished if again is not None else first.finished):"
+_NOTHING_TO_COUNT = "if None not in rows and (not damaged) and (not late):"
 _OPPOSED = "opposed = followed[1] * shadow[1] < 0 and min(abs(followed[1]), abs(shadow[1])) >= self._fight"
 
 EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
@@ -83,6 +85,36 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
             "if hardware or self._tell.is_active(EventKind.HARDWARE_WARNING, record.slot.servo_id):",
             "if True:",
         ): _SAVES_A_TEXT,
+    },
+    "drivers.dynamixel.cycle": {
+        (
+            "CycleReader.__init__",
+            "self._fast_groups = marked_groups(self._ids, fast=True) if fast else []",
+            "self._fast_groups = marked_groups(self._ids, fast=True) if True else []",
+        ): "saves the making of groups that are not asked for",
+        (
+            "CycleReader.__init__",
+            "self._careful_fits = careful.read_worst_s * 1000000000.0 < self.end_ns",
+            "self._careful_fits = careful.read_worst_s * 1000000000.0 <= self.end_ns",
+        ): "a sum of fractions is compared with a whole number of nanoseconds",
+        (
+            "CycleReader._listen",
+            "if final or group.worth_parsing(heard):",
+            "if True:",
+        ): "saves the parsing of what cannot be whole",
+        ("CycleReader._ask_again", _ENDS, _ENDS.replace("final", "False")): "what is final is finished",
+        ("CycleReader._count", _NOTHING_TO_COUNT, "if False:"): "the short way for a cycle with all answers",
+        ("CycleReader._count", "return", "pass"): "the short way for a cycle with all answers",
+        (
+            "_group",
+            "fields = (f'{more}x' if more else '') + 'hii'",
+            "fields = (f'{more}x' if True else '') + 'hii'",
+        ): "0x is no byte",
+        (
+            "marked_groups",
+            "if fast and 2 * len(ids) >= MARKS:",
+            "if fast and 2 * len(ids) > MARKS:",
+        ): "MARKS is odd",
     },
     "drivers.dynamixel.driver": {
         (

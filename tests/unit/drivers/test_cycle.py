@@ -139,6 +139,7 @@ class Bench:
 
 
 ROWS = [row(i) for i in range(1, 8)]
+SLOW = at(WX200, rate_hz=100.0)
 
 
 # --- a healthy cycle -------------------------------------------------------------------------------------------------
@@ -223,17 +224,19 @@ def test_the_first_answer_is_waited_for_a_little_longer_than_a_healthy_one_takes
     rate_hz: float, fast: bool, wait_ns: int
 ) -> None:
     bench = Bench(silence, at(WX200, rate_hz=rate_hz), fast=fast)
+    assert bench.read().late is False
     cycle = bench.read()
+    assert (cycle.late, cycle.damaged, cycle.heard) == (False, False, b"")
     first, again = bench.requests
     assert again[0] == pytest.approx(wait_ns, abs=1)
     assert cycle.rows == [None] * 7
     assert bench.line.ns - bench.begin_ns == bench.reader.end_ns
-    assert bench.counters.retries == 1
+    assert bench.counters.retries == 2
     assert [d - bench.begin_ns for _, _, d in bench.line.writes[-2:]] == [bench.reader.end_ns] * 2
     assert first[0] == 0
 
 
-@pytest.mark.parametrize(("rate_hz", "fast"), [(290.0, True), (200.0, False)])
+@pytest.mark.parametrize(("rate_hz", "fast"), [(290.0, True), (200.0, False), (1e9 / 4.43e6, True)])
 def test_where_asking_again_has_no_room_all_the_time_is_for_the_first_answer(rate_hz: float, fast: bool) -> None:
     bench = Bench(silence, at(WX200, rate_hz=rate_hz), fast=fast)
     bench.read()
@@ -259,6 +262,25 @@ def test_what_has_begun_to_come_is_waited_for() -> None:
         assert len(bench.requests) == 1 + again
 
 
+def test_what_is_too_long_already_is_waited_behind_for_as_long_as_the_adapter_may_keep_it() -> None:
+    bench = Bench(whole(), SLOW)
+    bench.read()
+    old = reply(bench.requests[0][1])
+    bench.line.answer = lambda number, _: [(2_900 * US, old)] if number == 1 else []
+    bench.read()
+    assert bench.requests[1][0] == 4 * MS
+
+
+@pytest.mark.parametrize(("count", "at_once"), [(768, False), (769, True)])
+def test_babble_is_more_than_768_bytes(count: int, at_once: bool) -> None:
+    bench = Bench(lambda number, _: [(100 * US, bytes(count))] if number == 1 else [], SLOW)
+    bench.read()
+    assert (bench.requests[1][0] == 100 * US) is at_once
+    bench = Bench(lambda number, _: [(100 * US, bytes(count))] if number == 2 else [], SLOW)
+    bench.read()
+    assert (bench.line.ns - bench.begin_ns == bench.reader.end_ns) is not at_once
+
+
 def test_a_first_part_does_not_make_the_wait_shorter_nor_longer_than_the_cycle() -> None:
     bench = Bench(lambda _, request: [(100 * US, reply(request)[:50]), (2_900 * US, reply(request)[50:])])
     assert bench.read().rows == ROWS
@@ -280,7 +302,7 @@ def test_a_line_that_babbles_is_not_listened_to_for_ever() -> None:
 # --- asking again ----------------------------------------------------------------------------------------------------
 
 
-def then(first: dict[str, Any], second: dict[str, Any] | None = None, delay_ns: int = 2 * MS) -> Answer:
+def then(first: dict[str, Any] | None, second: dict[str, Any] | None = None, delay_ns: int = 2 * MS) -> Answer:
     """The first request of a cycle is answered in one way, the second in another or not at all."""
 
     def answer(number: int, request: bytes) -> Arrivals:
@@ -288,9 +310,6 @@ def then(first: dict[str, Any], second: dict[str, Any] | None = None, delay_ns: 
         return [] if how is None else [(delay_ns if number == 1 else 200 * US, reply(request, **how))]
 
     return answer
-
-
-SLOW = at(WX200, rate_hz=100.0)
 
 
 def test_a_merged_reply_that_was_cut_short_is_completed_by_asking_the_others() -> None:
@@ -326,11 +345,12 @@ def test_the_second_request_carries_the_mark_of_its_cycle() -> None:
     marks = []
     for _ in range(12):
         bench.reader._careful_left = 0
-        bench.read()
+        assert bench.read().damaged is True
         _, address, length, ids = asked(bench.requests[1][1])
         assert (ids, address + length) == ((4,), 136)
         marks.append(length - 10)
     assert marks == [0, 1, 2, 3, 4, 5, 6, 7, 8, 0, 1, 2]
+    assert (bench.counters.corrupt, bench.counters.timeouts) == (12, 0)
 
 
 def test_only_as_many_are_asked_again_as_there_is_time_for() -> None:
@@ -352,6 +372,29 @@ def test_where_no_time_is_left_nobody_is_asked_and_the_first_answer_still_counts
     assert len(bench.requests) == 1
     assert bench.counters == DxlCounters()
     assert bench.line.ns - bench.begin_ns == 4_450 * US
+
+
+def test_where_nobody_is_asked_again_the_rest_may_come_in_parts() -> None:
+    def in_parts(_: int, request: bytes) -> Arrivals:
+        data = reply(request)
+        return [(2_800 * US, data[:90]), (4_100 * US, data[90:98]), (4_200 * US, data[98:])]
+
+    bench = Bench(in_parts, at(WX200, rate_hz=205.0))
+    cycle = bench.read()
+    assert len(bench.requests) == 1
+    assert cycle.rows == ROWS
+    assert cycle.damaged is False
+    assert bench.line.ns - bench.begin_ns == 4_200 * US
+
+
+def test_the_second_answer_may_come_in_parts_too_and_its_last_servo_ends_it() -> None:
+    def in_parts(number: int, request: bytes) -> Arrivals:
+        data = reply(request, silent=(5,))
+        return [] if number == 1 else [(100 * US, data[:40]), (300 * US, data[40:])]
+
+    bench = Bench(in_parts, SLOW)
+    assert bench.read().rows == [*ROWS[:4], None, *ROWS[5:]]
+    assert bench.line.ns - bench.begin_ns == bench.requests[1][0] + 300 * US
 
 
 def test_the_first_answer_may_come_while_the_second_is_waited_for() -> None:
@@ -458,6 +501,7 @@ def test_a_late_answer_before_the_right_one_is_counted_and_does_no_harm() -> Non
     cycle = bench.read()
     assert cycle.rows == ROWS
     assert cycle.late is True
+    assert len(bench.requests) == 1
     assert (bench.counters.late, bench.counters.timeouts) == (1, 0)
     assert cycle.heard == old + reply(bench.requests[0][1])
 
