@@ -6,6 +6,7 @@ import numpy as np
 import pinocchio as pin
 
 from drivers.interface import Vector
+from drivers.pads import swinging_inertia
 from sim_backend.physics.composition import arm_model, frame_number
 from sim_backend.physics.spec import ArmSpec
 
@@ -41,14 +42,7 @@ class FreeArm:
         return float(pin.computePotentialEnergy(self.model, self.data, q))
 
 
-def swinging_inertia(arm: FreeArm, q: Vector) -> Vector:
-    """(6,) kg, kg·m²: inverse mean mobility of the end effector, for force and for moment; 0 where it has none."""
+def swinging(arm: FreeArm, q: Vector) -> Vector:
+    """(6,) kg, kg·m² with which the arm at q (n,) swings on its pad."""
     M, _, J, _ = arm.terms(q, np.zeros(arm.n))
-    mobility = J @ np.linalg.inv(M) @ J.T
-    out = np.zeros(6)
-    for part in (slice(0, 3), slice(3, 6)):
-        block = mobility[part, part]
-        rank = int(np.linalg.matrix_rank(block, 1e-9))
-        if rank > 0:
-            out[part] = rank / float(np.trace(block))
-    return out
+    return swinging_inertia(J @ np.linalg.inv(M) @ J.T)

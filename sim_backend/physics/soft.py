@@ -24,7 +24,7 @@ import pinocchio as pin
 from drivers.interface import Vector
 from sim_backend.physics.actuator import Servos
 from sim_backend.physics.composition import check_start
-from sim_backend.physics.free_arm import FreeArm, swinging_inertia
+from sim_backend.physics.free_arm import FreeArm, swinging
 from sim_backend.physics.joints import dry_friction
 from sim_backend.physics.pads import Pads
 from sim_backend.physics.plant import Observation
@@ -55,8 +55,8 @@ class SoftPlant:
         self._q: Vector = np.concatenate([a.q_start for a in spec.arms])
         self._v: Vector = np.zeros(J + 6)  # object's twist last: about its centre of mass, world axes
         self._h = spec.substep_s
-        swinging = [swinging_inertia(a, s.q_start) for a, s in zip(self._arms, spec.arms, strict=True)]
-        self._pads = Pads(spec.grasp, np.array(swinging), spec.substep_s)
+        inertia = [swinging(a, s.q_start) for a, s in zip(self._arms, spec.arms, strict=True)]
+        self._pads = Pads(spec.grasp, np.array(inertia), spec.substep_s)
         self._push: Vector = np.zeros(6)
         self._tau_motor: Vector = np.zeros(J)
         self._tau_friction: Vector = np.zeros(J)
