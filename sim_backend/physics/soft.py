@@ -53,7 +53,7 @@ class SoftPlant:
         self.joint_count = J = int(ends[-1])
         self._T = spec.object.T_world_object
         self._q: Vector = np.concatenate([a.q_start for a in spec.arms])
-        self._v: Vector = np.zeros(J + 6)  # object's twist last: about its centre of mass, world axes
+        self._v: Vector = np.zeros(J + 6)  # object's twist last: of its frame, world axes
         self._h = spec.substep_s
         swinging = [swinging_inertia(a, s.q_start) for a, s in zip(self._arms, spec.arms, strict=True)]
         self._pads = Pads(spec.grasp, np.array(swinging), spec.substep_s)
@@ -114,11 +114,13 @@ class SoftPlant:
 
     def _object_terms(self) -> tuple[Vector, Vector]:
         """Inertia (6, 6) and bias (6,) of the object, world axes."""
-        m, R, w = self.spec.object.mass_kg, self._T.rotation, self._v[-3:]
-        inertia = R @ self.spec.object.inertia @ R.T
-        M = np.zeros((6, 6))
-        M[:3, :3], M[3:, 3:] = m * np.eye(3), inertia
-        return M, np.concatenate([-m * self.spec.gravity, np.cross(w, inertia @ w)])
+        body, R, w = self.spec.object, self._T.rotation, self._v[-3:]
+        m, inertia, r = body.mass_kg, R @ body.inertia @ R.T, R @ body.centre_m
+        M, S = np.zeros((6, 6)), pin.skew(r)
+        M[:3, :3], M[3:, 3:] = m * np.eye(3), inertia - m * S @ S
+        M[:3, 3:], M[3:, :3] = -m * S, m * S
+        force = m * (np.cross(w, np.cross(w, r)) - self.spec.gravity)
+        return M, np.concatenate([force, np.cross(r, force) + np.cross(w, inertia @ w)])
 
     def advance(self, tau_cmd_Nm: Vector, substeps: int) -> None:
         """Integrate under commands (J,) that act unchanged; every effect of the motors but their delay is applied.
@@ -203,7 +205,8 @@ class SoftPlant:
         W = pads.closed * (pads.K * (self._phi - pads.slipped) + pads.C * phi_dot)
         gap = np.where(pads.closed > 0.0, self._phi, np.nan)
         potential = sum(a.potential(self._q[s]) for a, s in zip(self._arms, self.slices, strict=True))
-        potential -= self.spec.object.mass_kg * float(self.spec.gravity @ self._T.translation)
+        body = self.spec.object
+        potential -= body.mass_kg * float(self.spec.gravity @ self._T.act(body.centre_m))
         return Observation(
             t=self.t,
             p_object=self._T.translation.copy(),
@@ -220,7 +223,7 @@ class SoftPlant:
         )
 
     def push(self, wrench_world: Vector) -> None:
-        """Push the object at its centre of mass from now on: wrench (6,) N, N·m, world axes; zeros end it."""
+        """Push the object at its frame's origin from now on: wrench (6,) N, N·m, world axes; zeros end it."""
         self._push = np.array(wrench_world, dtype=np.float64)
 
     def release(self, arm: str) -> None:

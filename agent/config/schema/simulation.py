@@ -8,6 +8,7 @@ from typing import Annotated, ClassVar
 
 from pydantic import Field, model_validator
 
+from agent.config.schema.reality import Reality
 from agent.config.schema.types import Length, Smoothing, Strict, wrong
 
 
@@ -52,9 +53,11 @@ class Grasp(Strict):
 class Simulation(Strict):
     """The simulated cell; what an agent does, and whether a cell may start, does not depend on it."""
 
+    ready_s: Annotated[float, Field(ge=0.0, le=60.0)] = 0.0  # lockstep: the arms wait so long before the common start
     substeps_per_cycle: Annotated[int, Field(ge=1, le=200)] = 5
     observe_rate_hz: Annotated[float, Field(ge=0.01, le=2000.0)] = 50.0  # of the truth in the log
     friction_smooth_rad_per_s: Smoothing = 0.01
     object_mass_error: Annotated[float, Field(ge=-0.99, le=10.0)] = 0.0  # the plant's object: 1 = twice as heavy
     effects: Effects = Effects()
     grasp: Grasp | None = None  # None: welded
+    reality: Reality | None = None  # None: what the files say is true
