@@ -1,4 +1,4 @@
-"""Realities drawn from a seed within a cell's tolerance, or given in its file, and the plant that is built from them."""
+"""Realities drawn from a seed within a cell's tolerance, or given in its file, and the plant built from them."""
 
 from __future__ import annotations
 
