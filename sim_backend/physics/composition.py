@@ -89,13 +89,13 @@ def frame_number(model: pin.Model, name: str) -> int:
     return max(i for i, f in enumerate(model.frames) if f.name == name)
 
 
-def compose(spec: PlantSpec) -> Composition:
-    """Build the closed chain of a cell; the arms are not yet checked to be on their grasps.
+def place_arms(spec: PlantSpec) -> tuple[pin.Model, list[tuple[str, pin.SE3]]]:
+    """All arms in one model, and of each the name of its last joint with the end effector's pose in it.
 
-    Raises PlantError as `arm_model`.
+    appendModel keeps neither armature nor gravity.  Raises PlantError as `arm_model`.
     """
     model = pin.Model()
-    ends_of_arm = []  # (joint's name, pose of the end effector in it)
+    ends_of_arm = []
     for arm in spec.arms:
         single = arm_model(arm)
         ee = single.frames[frame_number(single, arm.ee_frame)]
@@ -105,10 +105,18 @@ def compose(spec: PlantSpec) -> Composition:
         for i in range(1, single.nframes):
             single.frames[i].name = f"{arm.name}/frame {i}"  # a joint's frame may be named like its link's: not here
         model = pin.appendModel(model, single, 0, arm.T_world_base)
+    return model, ends_of_arm
+
+
+def compose(spec: PlantSpec) -> Composition:
+    """Build the closed chain of a cell; the arms are not yet checked to be on their grasps.
+
+    Raises PlantError as `arm_model`.
+    """
+    model, ends_of_arm = place_arms(spec)
     object_joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "object")
     inertia = pin.Inertia(spec.object.mass_kg, np.array(spec.object.centre_m), np.array(spec.object.inertia))
     model.appendBodyToJoint(object_joint, inertia, pin.SE3.Identity())
-    # appendModel keeps neither the armature nor this gravity.
     model.gravity = pin.Motion(np.array(spec.gravity), np.zeros(3))
     rotor_inertia = np.concatenate([*(arm.rotor_inertia for arm in spec.arms), np.zeros(6)])
     model.armature = rotor_inertia
