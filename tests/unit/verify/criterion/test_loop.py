@@ -24,7 +24,7 @@ from agent.verify.criterion.exponential import exponential
 from agent.verify.criterion.loop import Laws, Shifting, laws, one_period, spectral_radii
 from drivers import pads
 from drivers.interface import Vector
-from sim_backend.physics.free_arm import FreeArm, swinging
+from sim_backend.physics.free_arm import FreeArms
 from tests.support.control.criterion_cells import cell_of, gentle, loop_of, ranges_of, start_pose
 
 CELLS = ("paper", "two_models", "three_wx250s")
@@ -88,8 +88,9 @@ def unfed(at: Pose) -> Pose:
 def test_an_arm_swings_on_its_pad_as_in_the_plant(name: str) -> None:
     cell = cell_of(name)
     spec = plant_spec(cell, start_configurations(cell, [cell.model(a) for a in cell.arms]))
-    for grip, arm in zip(start_pose(cell).grips, spec.arms, strict=True):
-        assert grip.swinging == pytest.approx(swinging(FreeArm(arm, spec.gravity), arm.q_start), rel=1e-6)
+    of_plant = FreeArms(spec).swinging(np.concatenate([arm.q_start for arm in spec.arms]))
+    for grip, inertia in zip(start_pose(cell).grips, of_plant, strict=True):
+        assert grip.swinging == pytest.approx(inertia, rel=1e-6)
 
 
 def test_pads_are_damped_by_the_ratio_of_the_arm_that_swings() -> None:
