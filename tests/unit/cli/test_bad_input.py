@@ -36,6 +36,7 @@ READS = {
     "compare, first": ("compare", BAD, BAD),
     "identify": ("identify", BAD),
     "play": ("play", BAD, "--listen", "tcp/127.0.0.1:0"),
+    "replay": ("replay", BAD),
     "recover": ("recover", BAD),
     "doctor": ("doctor", BAD),
     "motors restore": ("motors", "restore", BAD, "--port", "/dev/null"),
