@@ -36,12 +36,12 @@ def picture(
     _grid(ImageDraw.Draw(canvas), scene, camera, (width, height))
     raster.pixels[:] = np.asarray(canvas)
     for name, meshes in scene.solids.items():
-        for mesh in meshes if name in placed.poses else ():
+        for mesh in meshes if _is_placed(placed, name, row) else ():
             raster.add(moved(placed.poses[name][row], mesh.vertices), mesh.faces, mesh.colour)
     image = Image.fromarray(raster.pixels)
     over = ImageDraw.Draw(image)
     for wire in scene.wires:
-        if wire.name in placed.poses:
+        if _is_placed(placed, wire.name, row):
             ends = moved(placed.poses[wire.name][row], box_edges(scene.size_m).reshape(-1, 3))
             for a, b in camera.project(ends, width, height)[:, :2].reshape(-1, 2, 2):
                 over.line([*a, *b], fill=wire.colour, width=round(FINER * WIRE_PX))
@@ -65,9 +65,12 @@ def project(scene: Scene, placed: Placed, row: int, camera: Camera, size: tuple[
     }
 
 
+def _is_placed(placed: Placed, name: str, row: int) -> bool:
+    return name in placed.poses and bool(np.isfinite(placed.poses[name][row]).all())
+
+
 def _grid(draw: ImageDraw.ImageDraw, scene: Scene, camera: Camera, size: tuple[int, int]) -> None:
-    lines, _ = scene.floor()
-    ends = camera.project(lines.reshape(-1, 3), *size)
+    ends = camera.project(scene.floor().reshape(-1, 3), *size)
     for a, b in ends.reshape(-1, 2, 3):
         draw.line([a[0], a[1], b[0], b[1]], fill=GRID, width=FINER)
 
@@ -76,7 +79,7 @@ def _arrow(draw: ImageDraw.ImageDraw, ends: Array, colour: Colour) -> None:
     tail, tip = ends
     along = tip - tail
     length = float(np.linalg.norm(along))
-    if length < 1.0:
+    if not length >= 1.0:  # or no number
         return
     along /= length
     head = min(FINER * HEAD_PX, 0.6 * length)

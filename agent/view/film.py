@@ -7,23 +7,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-import numpy as np
 from PIL import Image
 
-from agent.modes import Mode
 from agent.report.prepared import Prepared
 from agent.view.arm import ViewError
-from agent.view.camera import Camera, camera_for
-from agent.view.draw import picture
-from agent.view.drawing import drawing_of_log
-from agent.view.motion import Motion, motion_of
-from agent.view.scene import Placed, Scene
+from agent.view.motion import Motion
+from agent.view.staged import motion_to_show, stage, staged_as
 
 STILL_PX: Final = (1008, 560)
 FILM_PX: Final = (640, 340)
 FILM_HZ: Final = 12.5  # pictures a second of the film: a multiple of GIF's 10 ms
 _COLOURS: Final = 96  # of a GIF
-_CAMERA_LOOKS: Final = 40  # instants that the camera must hold
 FORMATS: Final = {".gif": "GIF", ".webp": "WEBP", ".png": "PNG"}
 
 
@@ -37,28 +31,11 @@ class FilmOptions:
     speed: float = 2.5
 
 
-@dataclass(frozen=True, slots=True)
-class _Set:
-    scene: Scene
-    motion: Motion
-    placed: Placed
-
-    def camera(self, size: tuple[int, int]) -> Camera:
-        rows = np.unique(np.linspace(0, len(self.motion.t) - 1, _CAMERA_LOOKS).astype(int))
-        points = np.vstack([self.scene.points(self.placed, row) for row in rows.tolist()])
-        return camera_for(self.scene, points, size[0] / size[1])
-
-    def draw(self, row: int, camera: Camera, size: tuple[int, int], more: str = "") -> Image.Image:
-        caption = f"t = {self.motion.t[row]:.1f} s · {modes_at(self.motion, row)}{more}"
-        return picture(self.scene, self.placed, row, camera, size, caption)
-
-
 def still(run: Prepared) -> bytes:
     """The first moment of a run as PNG.  Raises Refusal when the log does not say how the cell looks."""
-    motion = motion_of(run, pictures_hz=1.0)
-    stage = _stage(run, motion)
+    staged = stage(run, pictures_hz=1.0)
     out = io.BytesIO()
-    stage.draw(0, stage.camera(STILL_PX), STILL_PX).save(out, "PNG", optimize=True)
+    staged.draw(0, staged.camera(STILL_PX), STILL_PX).save(out, "PNG", optimize=True)
     return out.getvalue()
 
 
@@ -73,11 +50,11 @@ def write_film(run: Prepared, options: FilmOptions) -> int:
             "format of the film", found=options.path.name, expected=" or ".join(f"NAME{end}" for end in FORMATS),
             remedy="name it so",
         )  # fmt: skip
-    motion = _part(motion_of(run, FILM_HZ / options.speed), options, run)
-    stage = _stage(run, motion)
-    camera = stage.camera(FILM_PX)
+    motion = _part(motion_to_show(run, FILM_HZ / options.speed), options, run)
+    staged = staged_as(run, motion)
+    camera = staged.camera(FILM_PX)
     more = f" · {options.speed:g} times as fast" if options.speed != 1.0 else ""
-    frames = [stage.draw(row, camera, FILM_PX, more) for row in range(len(motion.t))]
+    frames = [staged.draw(row, camera, FILM_PX, more) for row in range(len(motion.t))]
     if kind == "GIF":
         frames = [f.quantize(_COLOURS, dither=Image.Dither.NONE) for f in frames]
     part = options.path.with_name(f".{options.path.name}.part")
@@ -94,23 +71,6 @@ def write_film(run: Prepared, options: FilmOptions) -> int:
             remedy="name another file",
         ) from error  # fmt: skip
     return len(frames)
-
-
-def modes_at(motion: Motion, row: int) -> str:
-    """The modes of all arms at one instant, in words; one word where they are the same."""
-    known = {m.value: m.name for m in Mode}
-    modes = {
-        name: known.get(int(arm.mode[row]), "?") + ("" if arm.fresh[row] else " (no row)")
-        for name, arm in motion.arms.items()
-    }
-    if len(set(modes.values())) == 1:
-        return next(iter(modes.values()))
-    return ", ".join(f"{name} {mode}" for name, mode in modes.items())
-
-
-def _stage(run: Prepared, motion: Motion) -> _Set:
-    scene = Scene.of(drawing_of_log(run.log), motion)
-    return _Set(scene, motion, scene.place(motion))
 
 
 def _part(motion: Motion, options: FilmOptions, run: Prepared) -> Motion:

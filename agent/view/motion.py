@@ -5,7 +5,7 @@ An instant at which an arm has no row shows the arm's last one before it, and `f
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Final
 
@@ -51,6 +51,10 @@ class Motion:
         """Where the object is shown, (k, 7): where it truly is, on real arms where the first arm believes it."""
         return next(iter(self.arms.values())).belief if self.true is None else self.true
 
+    def row_at(self, t: float) -> int:
+        """The last instant that is not after `t`; the first before all."""
+        return max(0, int(np.searchsorted(self.t, t + 1e-6, side="right")) - 1)
+
     def within(self, begin_s: float, end_s: float) -> Motion:
         """The instants from one time to before another."""
         which = (self.t >= begin_s - 1e-9) & (self.t < end_s - 1e-9)
@@ -60,7 +64,7 @@ class Motion:
 
 def motion_of(run: Prepared, pictures_hz: float = PICTURES_HZ) -> Motion:
     """The motion of a run that has a row, from its first instant to its last."""
-    first = min(float(rows["t"][0]) for rows in run.rows.values())
+    first = max(0.0, min(float(rows["t"][0]) for rows in run.rows.values()))
     last = max(float(rows["t"][-1]) for rows in run.rows.values())
     count = min(PICTURES_MAX, 1 + max(0, int((last - first) * pictures_hz + 1e-9)))
     t = first + np.arange(count) / pictures_hz if count < PICTURES_MAX else np.linspace(first, last, count)
@@ -74,6 +78,32 @@ def motion_of(run: Prepared, pictures_hz: float = PICTURES_HZ) -> Motion:
     numbers = {arm.name: i for i, arm in enumerate(run.info.arms)}
     arms = {name: replace(arm, internal=realised[:, numbers[name]]) for name, arm in arms.items()}
     return Motion(t, arms, true)
+
+
+def motion_now(arms: Mapping[str, NDArray[np.void]], plant: NDArray[np.void] | None) -> Motion | None:
+    """One instant of a run that goes on, from the newest row (1,) of each arm and of the plant; None without an arm."""
+    if not arms:
+        return None
+    t = np.array([max(float(rows["t"][0]) for rows in arms.values())])
+    own = {name: _arm(Table.of(rows), t, np.inf, int(rows["joint_count"][0])) for name, rows in arms.items()}
+    if plant is None:
+        return Motion(t, own, None)
+    some = Table.of(plant)
+    count = int(plant["arm_count"][0])
+    if count == len(own):  # the plant has its arms in the cell's order, as `arms` has
+        internal = internal_wrenches(grasp_wrenches(some, count), column(some, "quat_object"), None)[:, :, :3]
+        own = {name: replace(arm, internal=internal[:, i]) for i, (name, arm) in enumerate(own.items())}
+    return Motion(t, own, poses(column(some, "p_object"), column(some, "quat_object")))
+
+
+def joined(motions: Sequence[Motion]) -> Motion:
+    """Several motions of the same arms, one after the other."""
+    arms = {
+        name: ArmMotion(*(np.concatenate([getattr(m.arms[name], f.name) for m in motions]) for f in fields(ArmMotion)))
+        for name in motions[0].arms
+    }
+    true = [m.object for m in motions] if any(m.true is not None for m in motions) else None
+    return Motion(np.concatenate([m.t for m in motions]), arms, None if true is None else np.concatenate(true))
 
 
 def _arm(rows: Table, t: Array, half_s: float, joints: int) -> ArmMotion:

@@ -34,6 +34,12 @@ def product(a: Array, b: Array) -> Array:
     return np.hstack([w, a[:, :1] * b[:, 1:] + b[:, :1] * a[:, 1:] + np.cross(a[:, 1:], b[:, 1:])])
 
 
+def sizes(vectors: Array) -> Array:
+    """Lengths (k,) of vectors (k, n); NaN where one is no number, infinite where it is beyond all."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.asarray(np.linalg.norm(vectors, axis=1))
+
+
 def moved(pose: Array, points: ArrayLike) -> Array:
     """Points (n, 3) of a body in the world, (n, 3), for its pose (7,)."""
     return np.asarray(np.asarray(points, float) @ matrices(pose[None, 3:])[0].T + pose[:3])

@@ -14,7 +14,7 @@ import numpy as np
 from agent.view.arm import ArmBody
 from agent.view.drawing import CellDrawing
 from agent.view.motion import Motion
-from agent.view.pose import Array, exaggerated, moved
+from agent.view.pose import Array, exaggerated, moved, sizes
 from agent.view.shapes import Colour, Mesh, box
 
 OBJECT: Final = "object"
@@ -23,7 +23,10 @@ OBJECT_COLOUR: Final[Colour] = (235, 190, 70)
 DESIRED_COLOUR: Final[Colour] = (20, 20, 20)
 INTERNAL_COLOUR: Final[Colour] = (140, 20, 110)
 ARROW_M: Final = 0.12  # length of the largest arrow of a kind
+ARROW_MAX_M: Final = 0.5  # of an arrow that would be longer by its scale
+IMMENSE_N: Final = 1e4  # no arm has such a force: a law gone astray sets no scale
 GRID_M: Final = 0.1
+FAR_M: Final = 1.5  # beyond the outermost base nothing is kept in the picture
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,12 +107,11 @@ class Scene:
             poses[f"belief/{arm.name}"] = exaggerated(own.belief, motion.object, exaggeration)
             poses.setdefault(DESIRED, exaggerated(own.desired, motion.object, exaggeration))
             for kind, force in (("wrench", own.force_cmd), ("internal", own.internal)):
-                tip = ee[:, :3] + scales[f"{kind}/{arm.name}"] * np.nan_to_num(force)
-                arrows[f"{kind}/{arm.name}"] = np.stack([ee[:, :3], tip], axis=1)
+                arrows[f"{kind}/{arm.name}"] = _tail_and_tip(ee[:, :3], scales[f"{kind}/{arm.name}"] * force)
         return Placed(poses, arrows)
 
-    def floor(self) -> tuple[Array, Array]:
-        """Lines (n, 2, 3) of a grid under the arms, and its middle (3,)."""
+    def floor(self) -> Array:
+        """Lines (n, 2, 3) of a grid under the arms."""
         up = self.up
         bases = np.array([arm.p_world_base for arm in self.cell.arms])
         lowest = float(np.min(bases @ up))
@@ -122,15 +124,27 @@ class Scene:
         at = np.arange(-reach, reach + 0.5 * GRID_M, GRID_M)
         lines = [(middle + a * u - reach * v, middle + a * u + reach * v) for u, v in ((first, second), (second, first))
                  for a in at]  # fmt: skip
-        return np.array(lines), middle
+        return np.array(lines)
 
     def points(self, placed: Placed, row: int) -> Array:
-        """The corners (n, 3) of all solids at one instant, in the world."""
-        return np.vstack([
+        """The corners (n, 3) of all solids at one instant, in the world; without those that flew away."""
+        every = np.vstack([
             moved(placed.poses[name][row], mesh.vertices)
             for name, meshes in self.solids.items() if name in placed.poses
             for mesh in meshes
         ])  # fmt: skip
+        bases = np.array([arm.p_world_base for arm in self.cell.arms])
+        middle = bases.mean(axis=0)
+        reach = FAR_M + float(np.max(np.linalg.norm(bases - middle, axis=1)))
+        return np.asarray(every[np.linalg.norm(every - middle, axis=1) < reach])
+
+
+def _tail_and_tip(p: Array, way: Array) -> Array:
+    """Arrows (k, 2, 3) from points (k, 3); none where a force is no number, a short one where it is immense."""
+    size = sizes(way)[:, None]
+    with np.errstate(invalid="ignore", over="ignore"):
+        shorter = way * np.minimum(1.0, ARROW_MAX_M / np.maximum(size, 1e-9))
+    return np.stack([p, p + np.where(np.isfinite(size), shorter, 0.0)], axis=1)
 
 
 def _scale(largest: float) -> float:
@@ -138,4 +152,5 @@ def _scale(largest: float) -> float:
 
 
 def _largest(forces: Array) -> float:
-    return float(np.nanmax(np.linalg.norm(forces, axis=1), initial=0.0))
+    found = sizes(forces)
+    return float(np.max(found[found < IMMENSE_N], initial=0.0))
