@@ -36,9 +36,8 @@ class Server(viser.ViserServer):
                 f"cannot listen at {LOOPBACK}:{port}", found=str(error), expected="a free port",
                 remedy="name another one with --port",
             ) from error  # fmt: skip
-        self.gui.configure_theme(
-            control_layout="fixed", control_width="large", show_logo=False, show_share_button=False
-        )  # fmt: skip
+        self.gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
+        self.gui.main_panel.dock_right()
 
     def request_share_url(self, verbose: bool = True) -> str | None:  # noqa: ARG002 (as viser has it)
         """Nobody gets an address on the internet."""

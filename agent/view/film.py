@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -11,8 +12,7 @@ from PIL import Image
 
 from agent.report.prepared import Prepared
 from agent.view.arm import ViewError
-from agent.view.motion import Motion
-from agent.view.staged import motion_to_show, stage, staged_as
+from agent.view.staged import stage
 
 STILL_PX: Final = (1008, 560)
 FILM_PX: Final = (640, 340)
@@ -50,11 +50,11 @@ def write_film(run: Prepared, options: FilmOptions) -> int:
             "format of the film", found=options.path.name, expected=" or ".join(f"NAME{end}" for end in FORMATS),
             remedy="name it so",
         )  # fmt: skip
-    motion = _part(motion_to_show(run, FILM_HZ / options.speed), options, run)
-    staged = staged_as(run, motion)
+    end_s = math.inf if options.end_s is None else options.end_s
+    staged = stage(run, FILM_HZ / options.speed, options.begin_s, end_s)
     camera = staged.camera(FILM_PX)
     more = f" · {options.speed:g} times as fast" if options.speed != 1.0 else ""
-    frames = [staged.draw(row, camera, FILM_PX, more) for row in range(len(motion.t))]
+    frames = [staged.draw(row, camera, FILM_PX, more) for row in range(len(staged.motion.t))]
     if kind == "GIF":
         frames = [f.quantize(_COLOURS, dither=Image.Dither.NONE) for f in frames]
     part = options.path.with_name(f".{options.path.name}.part")
@@ -71,15 +71,3 @@ def write_film(run: Prepared, options: FilmOptions) -> int:
             remedy="name another file",
         ) from error  # fmt: skip
     return len(frames)
-
-
-def _part(motion: Motion, options: FilmOptions, run: Prepared) -> Motion:
-    end_s = run.info.duration_s if options.end_s is None else options.end_s
-    chosen = motion.within(options.begin_s, end_s)
-    if len(chosen.t) < 2:
-        last = float(motion.t[-1])
-        raise ViewError(
-            "part of the run", found=f"{options.begin_s:g} to {end_s:g} s", expected=f"some of 0 to {last:g} s",
-            remedy="correct --from and --to",
-        )  # fmt: skip
-    return chosen

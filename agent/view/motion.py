@@ -62,10 +62,10 @@ class Motion:
         return Motion(self.t[which], arms, None if self.true is None else self.true[which])
 
 
-def motion_of(run: Prepared, pictures_hz: float = PICTURES_HZ) -> Motion:
-    """The motion of a run that has a row, from its first instant to its last."""
-    first = max(0.0, min(float(rows["t"][0]) for rows in run.rows.values()))
-    last = max(float(rows["t"][-1]) for rows in run.rows.values())
+def motion_of(run: Prepared, pictures_hz: float = PICTURES_HZ, begin_s: float = 0.0, end_s: float = np.inf) -> Motion:
+    """The motion of a run that has a row, from one time, or its first instant, to before another, or its last."""
+    first = max(begin_s, min(float(rows["t"][0]) for rows in run.rows.values()))
+    last = min(end_s - 1e-6, max(float(rows["t"][-1]) for rows in run.rows.values()))
     count = min(PICTURES_MAX, 1 + max(0, int((last - first) * pictures_hz + 1e-9)))
     t = first + np.arange(count) / pictures_hz if count < PICTURES_MAX else np.linspace(first, last, count)
     half_s = 0.75 / run.info.rate_hz

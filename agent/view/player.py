@@ -124,7 +124,7 @@ class Player:
 
 
 def marks(moments: Sequence[Moment], first: float, last: float) -> tuple[tuple[float, str], ...]:
-    """What stands on the slider, each once and nothing over its neighbour: changes of mode first, then what is grave."""
+    """What stands on the slider, each once, nothing over its neighbour: changes of mode first, then what is grave."""
     found: dict[str, float] = {}
     for moment in sorted(moments, key=lambda m: ("→" not in m.text, not m.grave, m.t)):
         label = moment.text.rpartition("→")[2].removeprefix("safety:").strip()

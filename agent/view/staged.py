@@ -78,22 +78,22 @@ def legend(scene: Scene) -> str:
     return "  \n".join(said)
 
 
-def stage(run: Prepared, pictures_hz: float) -> Staged:
-    """A run, staged.  Raises ViewError for a log without a row, or that does not say how the cell looks."""
-    return staged_as(run, motion_to_show(run, pictures_hz))
+def stage(run: Prepared, pictures_hz: float, begin_s: float = 0.0, end_s: float = np.inf) -> Staged:
+    """A run, or a part of it, staged.
 
-
-def motion_to_show(run: Prepared, pictures_hz: float) -> Motion:
-    """The motion of a run.  Raises ViewError where no arm has a row."""
+    Raises ViewError for a log without a row there, or that does not say how the cell looks.
+    """
     if not run.rows:
         raise ViewError(
             f"{run.log.path} cannot be shown", found="no row of any arm in the time of the run", expected="some",
             remedy="see the log's report",
         )  # fmt: skip
-    return motion_of(run, pictures_hz)
-
-
-def staged_as(run: Prepared, motion: Motion) -> Staged:
-    """A part of a run, staged."""
+    last = max(float(rows["t"][-1]) for rows in run.rows.values())
+    if not begin_s < min(end_s, last):
+        raise ViewError(
+            "part of the run", found=f"{begin_s:g} to {min(end_s, last):g} s", expected=f"some of 0 to {last:g} s",
+            remedy="correct --from and --to",
+        )  # fmt: skip
+    motion = motion_of(run, pictures_hz, begin_s, end_s)
     scene = Scene.of(drawing_of_log(run.log), motion)
     return Staged(scene, motion, scene.place(motion))
