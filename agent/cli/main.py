@@ -21,7 +21,7 @@ GROUPS = {
     "Arms of this host": (words.start, words.stop, words.release, doctor.doctor),
     "Logs": (
         logs.report, view.view, logs.compare, replay.replay, logs.identify, logs.export, logs.play, logs.recover,
-    ),  # fmt: skip
+    ),
     "This installation": (where,),
     "Processes of a cell": (
         processes.agent, processes.plant, processes.emulate, processes.telemetry, processes.record,

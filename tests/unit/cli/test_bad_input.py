@@ -37,6 +37,7 @@ READS = {
     "identify": ("identify", BAD),
     "play": ("play", BAD, "--listen", "tcp/127.0.0.1:0"),
     "replay": ("replay", BAD),
+    "view": ("view", BAD),
     "export": ("export", BAD),
     "recover": ("recover", BAD),
     "doctor": ("doctor", BAD),
