@@ -7,6 +7,9 @@ import os
 import pytest
 from hypothesis import Phase, settings
 
+for _library in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):  # as `coop` has it; read when numpy is loaded
+    os.environ.setdefault(_library, "1")
+
 pytest.register_assert_rewrite("tests.support.driver_contract")
 
 # The same examples in every run, so that a red run means a change; HYPOTHESIS_PROFILE=explore looks for new ones.

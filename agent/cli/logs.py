@@ -1,7 +1,9 @@
-"""The commands on logs: report, compare, identify, play, recover."""
+"""The commands on logs: report, compare, identify, export, play, recover."""
 
 from __future__ import annotations
 
+import math
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -95,6 +97,45 @@ def identify(
     console().print(estimates_table(result))
     typer.echo("\n".join(residual_lines(result)))
     typer.echo(f"arm file {files.arm}\nfigure   {files.figure}\nall      {files.summary}")
+
+
+class FormatName(StrEnum):
+    """Kinds of files that `coop export` writes."""
+
+    CSV = "csv"
+    PARQUET = "parquet"
+
+
+def export(
+    log: LogPath,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder of the tables (default: the log's name and the format, beside it).")
+    ] = None,
+    form: Annotated[FormatName, typer.Option("--format", help="parquet needs pyarrow.")] = FormatName.CSV,
+    arm: Annotated[list[str], typer.Option("--arm", help="Only this arm; also: plant.")] = [],  # noqa: B006
+    field: Annotated[
+        list[str], typer.Option("--field", metavar="NAME", help="Only this field; all but `memory` otherwise.")
+    ] = [],  # noqa: B006
+    from_s: Annotated[float, typer.Option("--from", help="First second of the trajectory.")] = -math.inf,
+    to_s: Annotated[float, typer.Option("--to", help="Where to end, s.")] = math.inf,
+    force: Force = False,
+) -> None:
+    """Write the rows as tables, one per arm, units in the column names; whole files or none."""
+    from agent.log.export import Choice, Format
+    from agent.log.export import export as export_log
+    from agent.log.read import open_log
+
+    folder = out or log.with_name(f"{log.stem}-{form.value}")
+    with Steps() as step:
+        step("reading the log")
+        with open_log(log, any_layout=True) as opened:
+            step("writing")
+            choice = Choice(tuple(arm), tuple(field), from_s, to_s)
+            done = export_log(opened, folder, Format(form.value), choice, replace=force)
+    for problem in opened.problems:
+        note(f"{log}: {problem}")
+    for name, rows in done.rows.items():
+        typer.echo(f"{folder / name}  {rows} rows")
 
 
 def play(

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from agent.config.cell import Arm, Cell, load_cell
+from agent.config.reality import reality_of
 from agent.config.schema.cell import DriverKind
 from agent.host.info import versions
 from drivers.interface import Refusal
@@ -39,6 +40,7 @@ def run_info(cell: Cell, driver: DriverKind, seed: int) -> bytes:
         "plane_normal": None if normal is None else normal.tolist(),
         "controller": cell.file.controller.model_dump(mode="json"),
         "simulation": cell.file.simulation.model_dump(mode="json"),
+        "reality": None if (real := reality_of(cell)) is None else real.model_dump(mode="json"),
         "driver": driver.value,
         "seed": seed,
         "versions": versions(),

@@ -14,6 +14,7 @@ from agent.process.children import Children, Progress, RunKind
 from agent.process.folder import LOG_NAME, RunError, output_folder
 from agent.report.report import write_report
 from agent.report.results import Results
+from agent.telemetry.link.session import FREE_PORT
 from agent.verify.check import examine
 
 
@@ -29,6 +30,7 @@ class RunOptions:
     kind: RunKind
     faults: Path | None = None  # of the emulated servos, JSON lines
     replace: bool = False  # an earlier run in `out`
+    listen: str = FREE_PORT  # where the recorder listens, for viewers
 
 
 @dataclass(frozen=True)
@@ -62,7 +64,7 @@ def run_cell(options: RunOptions, stop: Callable[[], bool], progress: Progress) 
     log = out / LOG_NAME
     runtime = Path(tempfile.mkdtemp(prefix="coop-", dir="/dev/shm" if Path("/dev/shm").is_dir() else None))
     try:
-        children = Children(cell, options.kind, options.seed, options.faults, log, runtime)
+        children = Children(cell, options.kind, options.seed, options.faults, log, runtime, options.listen)
         try:
             children.start(progress)
             interrupted = children.watch(stop, progress)

@@ -1,4 +1,4 @@
-"""The simulated cell's description, built from the cell file; the plant loads its own models from it."""
+"""The simulated cell's description, from the cell file and its reality; the plant loads its own models from it."""
 
 from __future__ import annotations
 
@@ -7,17 +7,30 @@ from collections.abc import Sequence
 import numpy as np
 
 from agent.config.cell import Arm, Cell
+from agent.config.reality import reality_of
 from agent.config.schema.arm import Figure
 from agent.config.schema.simulation import Effects
 from drivers.dynamixel.servo.table import PWM_UNIT_DUTY, RATED_VOLTAGE_V, TICK_RAD, VELOCITY_UNIT_RAD_PER_S
 from drivers.interface import Vector
 from sim_backend.physics.actuator import ActuatorSpec
 from sim_backend.physics.friction import FrictionSpec
+from sim_backend.physics.reality import ArmReality, Reality, realised
 from sim_backend.physics.spec import ArmSpec, GraspSpec, ObjectSpec, PlantSpec
 
 
 def plant_spec(cell: Cell, q_start: Sequence[Vector]) -> PlantSpec:
-    """Plant of the cell with all arms at q_start and the object at its start pose."""
+    """Plant of the cell as it is: the object at its start pose, arms at q_start or, where they are off, near it.
+
+    Raises PlantError (GraspError) where the cell's reality cannot be.
+    """
+    believed, real = _believed_spec(cell, q_start), reality_of(cell)
+    if real is None:
+        return believed
+    given = real.model_dump(exclude={"seed", "arms"})
+    return realised(believed, Reality(**given, arms={k: ArmReality(**a.model_dump()) for k, a in real.arms.items()}))
+
+
+def _believed_spec(cell: Cell, q_start: Sequence[Vector]) -> PlantSpec:
     obj, heavier = cell.file.object, 1.0 + cell.file.simulation.object_mass_error
     return PlantSpec(
         arms=tuple(_arm_spec(cell, arm, q) for arm, q in zip(cell.arms, q_start, strict=True)),

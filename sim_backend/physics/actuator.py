@@ -36,7 +36,8 @@ class TorqueCommandError(DriverError):
 class ActuatorSpec:
     """The servos of one arm; arrays are (n,), one entry per controlled joint.  Build it with `of`."""
 
-    delay_s: float  # from the sample that a command answers to its torque
+    delay_s: float  # from the sample that a command answers to its torque, in the mean
+    delay_jitter_s: float  # by which it differs from command to command, at most
     tau_max_Nm: Vector  # largest command; the driver clips to it
     torque_lsb_Nm: Vector  # resolution of the command; 0: exact
     torque_scale: Vector  # true over believed torque constant
@@ -47,6 +48,7 @@ class ActuatorSpec:
     coulomb_speed_rad_s: Vector  # speed at which 71 % of the Coulomb torque is there
     position_lsb_rad: float  # 0: exact
     velocity_lsb_rad_s: float  # 0: exact
+    zero_error_rad: Vector  # reported less true angle
 
     @classmethod
     def of(
@@ -54,6 +56,7 @@ class ActuatorSpec:
         joint_count: int,
         *,
         delay_s: float = 0.0,
+        delay_jitter_s: float = 0.0,
         tau_max_Nm: Numbers = math.inf,
         torque_lsb_Nm: Numbers = 0.0,
         torque_scale: Numbers = 1.0,
@@ -64,6 +67,7 @@ class ActuatorSpec:
         coulomb_speed_rad_s: Numbers = COULOMB_SPEED_RAD_S,
         position_lsb_rad: float = 0.0,
         velocity_lsb_rad_s: float = 0.0,
+        zero_error_rad: Numbers = 0.0,
     ) -> ActuatorSpec:
         """Servos with the named effects; every default switches its effect off.  A scalar holds for all joints.
 
@@ -75,6 +79,7 @@ class ActuatorSpec:
 
         return cls(
             delay_s=delay_s,
+            delay_jitter_s=delay_jitter_s,
             tau_max_Nm=spread(tau_max_Nm),
             torque_lsb_Nm=spread(torque_lsb_Nm),
             torque_scale=spread(torque_scale),
@@ -85,6 +90,7 @@ class ActuatorSpec:
             coulomb_speed_rad_s=spread(coulomb_speed_rad_s),
             position_lsb_rad=position_lsb_rad,
             velocity_lsb_rad_s=velocity_lsb_rad_s,
+            zero_error_rad=spread(zero_error_rad),
         )
 
     def __post_init__(self) -> None:
@@ -94,11 +100,16 @@ class ActuatorSpec:
                 value = value.astype(np.float64)
                 value.flags.writeable = False
                 object.__setattr__(self, f.name, value)
-            self._require(f.name, value, bool(np.all(np.asarray(value) >= 0)), "no negative number")
+            if f.name != "zero_error_rad":
+                self._require(f.name, value, bool(np.all(np.asarray(value) >= 0)), "no negative number")
         for key in ("tau_max_Nm", "torque_scale", "stall_Nm", "no_load_rad_s", "coulomb_speed_rad_s"):
             value = getattr(self, key)
             self._require(key, value, bool(np.all(value > 0)), "positive numbers")
         self._require("delay_s", self.delay_s, math.isfinite(self.delay_s), "a finite time")
+        jitter = self.delay_jitter_s
+        self._require("delay_jitter_s", jitter, jitter <= self.delay_s, "at most the delay")
+        zero = self.zero_error_rad
+        self._require("zero_error_rad", zero, bool(np.all(np.isfinite(zero))), "finite angles")
         curve = np.isfinite(self.stall_Nm) | ~np.isfinite(self.no_load_rad_s)
         self._require("stall_Nm", self.stall_Nm, bool(np.all(curve)), "a finite stall torque with a no-load speed")
 
@@ -182,7 +193,8 @@ class Servos:
         self._viscous = join("viscous_Nms_rad")
         self._coulomb_speed = join("coulomb_speed_rad_s")
         self.has_friction = bool(np.any(self._coulomb) or np.any(self._viscous))
-        self.reported_position = Grid(join("position_lsb_rad"))
+        self._position_grid = Grid(join("position_lsb_rad"))
+        self._zero_error = join("zero_error_rad")
         self.reported_velocity = Grid(join("velocity_lsb_rad_s"))
         self._current_grid = Grid(join("torque_lsb_Nm"))
         self._zeros, self._low, self._high, self._signed_stall, self._motor, self._friction = np.zeros(
@@ -222,6 +234,10 @@ class Servos:
         """Change the viscous friction of some joints (a seized gear)."""
         self._viscous[joints] = viscous_Nms_rad
         self.has_friction = bool(np.any(self._coulomb) or np.any(self._viscous))
+
+    def reported_position(self, q: Vector) -> Vector:
+        """Angles (J,) as the encoders count them: from where they believe zero to be."""
+        return self._position_grid(q + self._zero_error)
 
     def reported_torque(self, tau_motor_Nm: Vector) -> Vector:
         """Torques (J,) as estimated from current: with the believed torque constant, not the true one."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
@@ -12,6 +12,8 @@ from sim_backend.physics.spec import ArmSpec, GraspError, ObjectSpec, PlantError
 
 GRASP_ITERATIONS = 100
 GRASP_RESIDUAL = 1e-13
+HOLD_WITHIN_M = 0.1  # from where it was meant to be held, an object is still held …
+HOLD_WITHIN_RAD = 0.3  # … by a gripper that stands so askew
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +59,10 @@ def arm_model(arm: ArmSpec) -> pin.Model:
 
 
 def _lock(arm: ArmSpec, full: pin.Model) -> pin.Model:
-    """Model without its locked joints.  Raises PlantError on a joint that is not described by one angle."""
+    """Model without its locked joints, its links as heavy as they are.
+
+    Raises PlantError on a joint that is not described by one angle.
+    """
     q = pin.neutral(full)
     locked = []
     for joint in list(full.names)[1:]:
@@ -72,7 +77,11 @@ def _lock(arm: ArmSpec, full: pin.Model) -> pin.Model:
         if joint in arm.locked_rad:
             q[full.joints[number].idx_q] = arm.locked_rad[joint]
             locked.append(number)
-    return pin.buildReducedModel(full, locked, q)
+    model = pin.buildReducedModel(full, locked, q)
+    for number in range(1, model.njoints) if arm.masses != 1.0 else ():
+        body = model.inertias[number]
+        model.inertias[number] = pin.Inertia(arm.masses * body.mass, body.lever, arm.masses * body.inertia)
+    return model
 
 
 def frame_number(model: pin.Model, name: str) -> int:
@@ -80,13 +89,13 @@ def frame_number(model: pin.Model, name: str) -> int:
     return max(i for i, f in enumerate(model.frames) if f.name == name)
 
 
-def compose(spec: PlantSpec) -> Composition:
-    """Build the closed chain of a cell; the arms are not yet checked to be on their grasps.
+def place_arms(spec: PlantSpec) -> tuple[pin.Model, list[tuple[str, pin.SE3]]]:
+    """All arms in one model, and of each the name of its last joint with the end effector's pose in it.
 
-    Raises PlantError as `arm_model`.
+    appendModel keeps neither armature nor gravity.  Raises PlantError as `arm_model`.
     """
     model = pin.Model()
-    ends_of_arm = []  # (joint's name, pose of the end effector in it)
+    ends_of_arm = []
     for arm in spec.arms:
         single = arm_model(arm)
         ee = single.frames[frame_number(single, arm.ee_frame)]
@@ -96,10 +105,18 @@ def compose(spec: PlantSpec) -> Composition:
         for i in range(1, single.nframes):
             single.frames[i].name = f"{arm.name}/frame {i}"  # a joint's frame may be named like its link's: not here
         model = pin.appendModel(model, single, 0, arm.T_world_base)
+    return model, ends_of_arm
+
+
+def compose(spec: PlantSpec) -> Composition:
+    """Build the closed chain of a cell; the arms are not yet checked to be on their grasps.
+
+    Raises PlantError as `arm_model`.
+    """
+    model, ends_of_arm = place_arms(spec)
     object_joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "object")
-    inertia = pin.Inertia(spec.object.mass_kg, np.zeros(3), np.array(spec.object.inertia))
+    inertia = pin.Inertia(spec.object.mass_kg, np.array(spec.object.centre_m), np.array(spec.object.inertia))
     model.appendBodyToJoint(object_joint, inertia, pin.SE3.Identity())
-    # appendModel keeps neither the armature nor this gravity.
     model.gravity = pin.Motion(np.array(spec.gravity), np.zeros(3))
     rotor_inertia = np.concatenate([*(arm.rotor_inertia for arm in spec.arms), np.zeros(6)])
     model.armature = rotor_inertia
@@ -159,16 +176,41 @@ def solve_grasp(arm: ArmSpec, body: ObjectSpec, q_guess: Vector) -> Vector:
     Raises GraspError when the grasp is out of reach from there.
     """
     model = arm_model(arm)
-    data = model.createData()
-    frame = frame_number(model, arm.ee_frame)
+    q = _towards_grasp(arm, model, body, q_guess)
+    gap_m, gap_rad, _ = grasp_gap(arm, model, body, q)
+    if not max(gap_m, gap_rad) < 1e-9:
+        raise GraspError(arm.name, gap_m, gap_rad, tolerance_m=1e-9, tolerance_rad=1e-9)
+    return q
+
+
+def _towards_grasp(arm: ArmSpec, model: pin.Model, body: ObjectSpec, q_guess: Vector) -> Vector:
+    """Joint positions (n,) from which no small step brings the end effector nearer to its grasp."""
+    data, frame = model.createData(), frame_number(model, arm.ee_frame)
     q = np.array(q_guess, dtype=np.float64)
     for _ in range(GRASP_ITERATIONS):
         gap_m, gap_rad, error = grasp_gap(arm, model, body, q)
         if max(gap_m, gap_rad) < GRASP_RESIDUAL:
             break
         J_ee_local = pin.computeFrameJacobian(model, data, q, frame, pin.ReferenceFrame.LOCAL)
-        q += np.linalg.lstsq(J_ee_local, error, rcond=1e-8)[0]
-    gap_m, gap_rad, _ = grasp_gap(arm, model, body, q)
-    if not max(gap_m, gap_rad) < 1e-9:
-        raise GraspError(arm.name, gap_m, gap_rad, tolerance_m=1e-9, tolerance_rad=1e-9)
+        step = np.linalg.lstsq(J_ee_local, error, rcond=1e-8)[0]
+        q += step
+        if float(np.abs(step).max()) < GRASP_RESIDUAL:
+            break
     return q
+
+
+def take_hold(arm: ArmSpec, body: ObjectSpec) -> ArmSpec:
+    """The arm with the grasp it has when it reaches for `T_object_ee` from `q_start` and closes its gripper there.
+
+    What it cannot reach (a planar arm, out of its plane) is left in the grasp.  Raises GraspError where that is more
+    than a slip of calibration.
+    """
+    model = arm_model(arm)
+    q = _towards_grasp(arm, model, body, arm.q_start)
+    gap_m, gap_rad, _ = grasp_gap(arm, model, body, q)
+    if not (gap_m <= HOLD_WITHIN_M and gap_rad <= HOLD_WITHIN_RAD):
+        raise GraspError(arm.name, gap_m, gap_rad, tolerance_m=HOLD_WITHIN_M, tolerance_rad=HOLD_WITHIN_RAD)
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, q)
+    T_world_ee = arm.T_world_base * data.oMf[frame_number(model, arm.ee_frame)]
+    return replace(arm, q_start=q, T_object_ee=body.T_world_object.inverse() * T_world_ee)

@@ -1,54 +1,60 @@
-"""One arm of the plant on its own, in the world frame: the terms of its motion, and how it swings on its pad."""
+"""The arms of the plant without an object, each at its base: the terms of their motion, and how they swing on a pad."""
 
 from __future__ import annotations
+
+import itertools
 
 import numpy as np
 import pinocchio as pin
 
 from drivers.interface import Vector
-from sim_backend.physics.composition import arm_model, frame_number
-from sim_backend.physics.spec import ArmSpec
+from drivers.pads import swinging_inertia
+from sim_backend.physics.composition import place_arms
+from sim_backend.physics.spec import PlantSpec
 
 _WORLD_AXES = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 
 
-class FreeArm:
-    """Model of one arm that holds nothing, placed at its base.  Raises PlantError as `arm_model`."""
+class FreeArms:
+    """One model of all arms, holding nothing.  Raises PlantError as `arm_model`."""
 
-    def __init__(self, arm: ArmSpec, gravity: Vector) -> None:
-        model = arm_model(arm)
-        for joint in range(1, model.njoints):
-            if model.parents[joint] == 0:
-                model.jointPlacements[joint] = arm.T_world_base * model.jointPlacements[joint]
-        model.gravity = pin.Motion(np.array(gravity), np.zeros(3))
-        model.armature = np.array(arm.rotor_inertia)
+    def __init__(self, spec: PlantSpec) -> None:
+        model, ends = place_arms(spec)
+        self._frames = [
+            model.addFrame(
+                pin.Frame(f"{arm.name}/end effector", model.getJointId(joint), 0, T_joint_ee, pin.FrameType.OP_FRAME)
+            )
+            for arm, (joint, T_joint_ee) in zip(spec.arms, ends, strict=True)
+        ]
+        joints = np.cumsum([0, *(len(arm.controlled) for arm in spec.arms)]).tolist()
+        self._slices = [slice(a, b) for a, b in itertools.pairwise(joints)]
+        model.gravity = pin.Motion(np.array(spec.gravity), np.zeros(3))
+        model.armature = np.concatenate([arm.rotor_inertia for arm in spec.arms])
         self.model, self.data = model, model.createData()
-        self.frame = frame_number(model, arm.ee_frame)
-        self.n = int(model.nv)
 
-    def terms(self, q: Vector, v: Vector) -> tuple[Vector, Vector, Vector, pin.SE3]:
-        """Inertia (n, n), bias torques (n,), end-effector Jacobian (6, n) in world axes, and pose at q, v (n,)."""
+    def terms(self, q: Vector, v: Vector) -> tuple[Vector, Vector]:
+        """Inertia (J, J) and bias torques (J,) at q, v (J,): views until the next call.
+
+        `end_effector` then answers for the same q.
+        """
         model, data = self.model, self.data
-        bias = pin.rnea(model, data, q, v, np.zeros(self.n)).copy()
-        M = pin.crba(model, data, q).copy()
-        M = np.triu(M) + np.triu(M, 1).T
-        J = pin.computeFrameJacobian(model, data, q, self.frame, _WORLD_AXES)
-        pin.updateFramePlacement(model, data, self.frame)
-        return M, bias, J, pin.SE3(data.oMf[self.frame])
+        pin.computeJointJacobians(model, data, q)
+        bias = pin.nonLinearEffects(model, data, q, v)
+        return pin.crba(model, data, q), bias
+
+    def end_effector(self, arm: int) -> tuple[Vector, pin.SE3]:
+        """Jacobian (6, J) of an arm's end effector, world axes, and its pose, a view until the next call."""
+        frame = self._frames[arm]
+        pose = pin.updateFramePlacement(self.model, self.data, frame)
+        return pin.getFrameJacobian(self.model, self.data, frame, _WORLD_AXES), pose
+
+    def swinging(self, q: Vector) -> Vector:
+        """(N, 6) kg, kg·m² with which each arm at q (J,) swings on its pad."""
+        M, _ = self.terms(q, np.zeros_like(q))
+        jacobians = [self.end_effector(i)[0][:, own] for i, own in enumerate(self._slices)]
+        inertias = [np.linalg.inv(M[own, own]) for own in self._slices]
+        return np.array([swinging_inertia(J @ B @ J.T) for J, B in zip(jacobians, inertias, strict=True)])
 
     def potential(self, q: Vector) -> float:
-        """Potential energy at q (n,), J."""
+        """Potential energy at q (J,), J."""
         return float(pin.computePotentialEnergy(self.model, self.data, q))
-
-
-def swinging_inertia(arm: FreeArm, q: Vector) -> Vector:
-    """(6,) kg, kg·m²: inverse mean mobility of the end effector, for force and for moment; 0 where it has none."""
-    M, _, J, _ = arm.terms(q, np.zeros(arm.n))
-    mobility = J @ np.linalg.inv(M) @ J.T
-    out = np.zeros(6)
-    for part in (slice(0, 3), slice(3, 6)):
-        block = mobility[part, part]
-        rank = int(np.linalg.matrix_rank(block, 1e-9))
-        if rank > 0:
-            out[part] = rank / float(np.trace(block))
-    return out

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from drivers.interface import Vector
+from drivers.pads import damping
 from sim_backend.physics.spec import GraspSpec
 
 KAPPA = 0.3  # 1/4 is the trapezoidal rule; a little more keeps the stiffest springs from ringing on
@@ -18,26 +19,25 @@ _FORCE, _MOMENT = slice(0, 3), slice(3, 6)
 class Pads:
     """The pads of N grasps; (N, 6) arrays, arm after arm."""
 
-    def __init__(self, spec: GraspSpec, swinging: Vector, step_s: float) -> None:
+    def __init__(self, spec: GraspSpec, swinging: Vector) -> None:
         """swinging: (N, 6) kg, kg·m²: inertia with which an arm swings on its pad, which the damping is tuned to."""
         self._spec = spec
         self.K = np.tile([spec.stiffness_N_per_m] * 3 + [spec.stiffness_Nm_per_rad] * 3, (len(swinging), 1))
-        self.C = 2.0 * spec.damping_ratio * np.sqrt(self.K * swinging)
-        self.implicit = KAPPA * step_s**2 * self.K + 0.5 * step_s * self.C
+        self.C = damping(self.K, swinging, spec.damping_ratio)
         self.closed = np.ones((len(swinging), 1))
         self.slipped = np.zeros_like(self.K)  # world axes
         self._slipped_object = np.zeros_like(self.K)
-        self._slips = spec.slip_N is not None or spec.slip_Nm is not None
+        self.slips = spec.slip_N is not None or spec.slip_Nm is not None
 
     def turn(self, R_world_object: Vector) -> None:
         """Carry what has slipped along with the object."""
-        if self._slips:
+        if self.slips:
             self.slipped[:, :3] = self._slipped_object[:, :3] @ R_world_object.T
             self.slipped[:, 3:] = self._slipped_object[:, 3:] @ R_world_object.T
 
     def slip(self, opening: Vector, R_world_object: Vector) -> tuple[int, ...]:
         """Let springs beyond their bound slip at `opening` (N, 6); returns the grasps that have opened by it."""
-        if not self._slips:
+        if not self.slips:
             return ()
         for part, bound in ((_FORCE, self._spec.slip_N), (_MOMENT, self._spec.slip_Nm)):
             if bound is None:

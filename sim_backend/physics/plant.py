@@ -40,7 +40,7 @@ class Observation:
     """What is true at one instant and no arm can know.  Arrays belong to the receiver; J = joints of all arms."""
 
     t: float  # s since the plant's zero
-    p_object: Vector  # (3,) m, centre of mass, world
+    p_object: Vector  # (3,) m, of its frame, world
     quat_object: Vector  # (4,) scalar first
     v_object: Vector  # (6,) m/s, rad/s, linear first, world axes
     grasp_wrench: Vector  # (N, 6) N, N·m of each arm on the object at its end effector, world axes
@@ -220,7 +220,7 @@ class Plant:
         return wrench, gap_m, gap_rad
 
     def push(self, wrench_world: Vector) -> None:
-        """Push the object at its centre of mass from now on: wrench (6,) N, N·m, world axes; zeros end it."""
+        """Push the object at its frame's origin from now on: wrench (6,) N, N·m, world axes; zeros end it."""
         self._push[:] = wrench_world
         self._pushed = bool(np.any(self._push))
         self._tau[self.joint_count :] = 0.0

@@ -18,15 +18,16 @@ from __future__ import annotations
 import math
 from typing import Final
 
+import eigenpy
 import numpy as np
 import pinocchio as pin
 
 from drivers.interface import Vector
 from sim_backend.physics.actuator import Servos
 from sim_backend.physics.composition import check_start
-from sim_backend.physics.free_arm import FreeArm, swinging_inertia
+from sim_backend.physics.free_arm import FreeArms
 from sim_backend.physics.joints import dry_friction
-from sim_backend.physics.pads import Pads
+from sim_backend.physics.pads import KAPPA, Pads
 from sim_backend.physics.plant import Observation
 from sim_backend.physics.spec import PlantError, PlantSpec
 
@@ -47,21 +48,37 @@ class SoftPlant:
         self.spec = spec
         self.servos = Servos([arm.actuator for arm in spec.arms])
         self._dry = dry_friction(spec)
-        self._arms = [FreeArm(arm, spec.gravity) for arm in spec.arms]
-        ends = np.cumsum([a.n for a in self._arms]).tolist()
-        self.slices = tuple(slice(e - a.n, e) for e, a in zip(ends, self._arms, strict=True))
+        self._arms = FreeArms(spec)
+        ends = np.cumsum([len(a.controlled) for a in spec.arms]).tolist()
+        self.slices = tuple(slice(e - len(a.controlled), e) for e, a in zip(ends, spec.arms, strict=True))
         self.joint_count = J = int(ends[-1])
+        self._grasps = [pin.SE3(a.T_object_ee) for a in spec.arms]
         self._T = spec.object.T_world_object
         self._q: Vector = np.concatenate([a.q_start for a in spec.arms])
-        self._v: Vector = np.zeros(J + 6)  # object's twist last: about its centre of mass, world axes
         self._h = spec.substep_s
-        swinging = [swinging_inertia(a, s.q_start) for a, s in zip(self._arms, spec.arms, strict=True)]
-        self._pads = Pads(spec.grasp, np.array(swinging), spec.substep_s)
+        self._pads = Pads(spec.grasp, self._arms.swinging(self._q))
         self._push: Vector = np.zeros(6)
-        self._tau_motor: Vector = np.zeros(J)
-        self._tau_friction: Vector = np.zeros(J)
+        self._tau_motor, self._tau_friction, self._joint = np.zeros((3, J))
+        self._acted: tuple[Vector, Vector | None] = (np.zeros(J), None)  # friction of the last substep
+        self._make_room(J + 6, 6 * len(spec.arms))
+        body = spec.object
+        self._M[J : J + 3, J : J + 3] = body.mass_kg * np.eye(3)
+        self._weight = np.concatenate([-body.mass_kg * spec.gravity, np.zeros(3)])
+        self._off_centre = bool(np.any(body.centre_m))
+        for i in range(len(spec.arms)):
+            self._G[6 * i : 6 * i + 6, J:] = -np.eye(6)
         self._substeps = 0
         self._linearise()
+
+    def _make_room(self, nv: int, rows: int) -> None:
+        """Arrays of a substep, written in place; nv: joints and twist, rows: of all openings."""
+        self._v, self._b, self._c, self._mean, self._moved = np.zeros((5, nv))  # twist last: of the frame, world axes
+        self._dq = self._v[: self.joint_count]
+        self._half = np.full(nv, 0.5 * self._h)
+        self._M, self._A = np.zeros((nv, nv)), np.zeros((nv, nv), order="F")
+        self._diagonal = np.einsum("ii->i", self._A)[: self.joint_count]
+        self._G = np.zeros((rows, nv))
+        self._phi = np.zeros((rows // 6, 6))
 
     @property
     def t(self) -> float:
@@ -86,39 +103,55 @@ class SoftPlant:
     def set_velocity(self, v: Vector) -> None:
         """Start in motion: joint velocities (J,), then the object's twist (6,) in object axes, linear first."""
         J, R = self.joint_count, self._T.rotation
-        self._v = np.concatenate([v[:J], R @ v[J : J + 3], R @ v[J + 3 :]])
+        self._v[:] = np.concatenate([v[:J], R @ v[J : J + 3], R @ v[J + 3 :]])
         self._linearise()
 
     def _linearise(self) -> None:
         """M, c, G and φ at the present pose, and for how many substeps they will do."""
-        J, h, v = self.joint_count, self._h, self._v
-        N = len(self._arms)
-        M, c, G = np.zeros((J + 6, J + 6)), np.zeros(J + 6), np.zeros((N, 6, J + 6))
-        self._phi: Vector = np.zeros((N, 6))
-        for i, (arm, part) in enumerate(zip(self._arms, self.slices, strict=True)):
-            M[part, part], c[part], G[i, :, part], T_world_ee = arm.terms(self._q[part], v[part])
-            T_world_grasp = self._T * self.spec.arms[i].T_object_ee
-            G[i, :3, J : J + 3] = G[i, 3:, J + 3 :] = -np.eye(3)
-            G[i, :3, J + 3 :] = pin.skew(T_world_grasp.translation - self._T.translation)
-            turned = pin.log3(T_world_grasp.rotation.T @ T_world_ee.rotation)
+        J, h, v, pads, M, G = self.joint_count, self._h, self._v, self._pads, self._M, self._G
+        N, T = len(self.slices), self._T
+        M[:J, :J], bias = self._arms.terms(self._q, v[:J])
+        self._c[:J] = bias
+        self._c[J:] = self._object_terms(M[J:, J:]) - self._push
+        openings = G.reshape(N, 6, J + 6)
+        for i, grasp in enumerate(self._grasps):
+            closed = float(pads.closed[i, 0])  # the rows of G of a grasp that has opened are zero
+            jacobian, T_world_ee = self._arms.end_effector(i)
+            T_world_grasp = T * grasp
+            if closed:
+                openings[i, :, :J] = jacobian
+            x, y, z = (closed * (T_world_grasp.translation - T.translation)).tolist()
+            openings[i, :3, J + 3 :] = ((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0))
             self._phi[i, :3] = T_world_ee.translation - T_world_grasp.translation
-            self._phi[i, 3:] = T_world_grasp.rotation @ turned
-        M[J:, J:], c[J:] = self._object_terms()
-        self._G = (G * self._pads.closed[:, :, None]).reshape(6 * N, J + 6)
-        self._Gt = np.ascontiguousarray(self._G.T)
-        self._M, self._c = M, c
-        self._A = M + (self._Gt * self._pads.implicit.ravel()) @ self._G
-        self._pads.turn(self._T.rotation)
-        fastest = max(float(np.abs(v[:J]).max()), 1e-9)
-        self._left = max(1, math.floor(min(self.spec.relinearise_s, MAX_TURN_RAD / fastest) / h + 1e-9))
+            R = T_world_grasp.rotation
+            self._phi[i, 3:] = R.dot(pin.log3(R.T.dot(T_world_ee.rotation)))
+        pads.turn(T.rotation)
+        GtK, GtC = G.T * pads.K.ravel(), G.T * pads.C.ravel()
+        stiff, damped = GtK.dot(G), GtC.dot(G)
+        self._stiff = h * stiff
+        self._drag = 0.5 * h * stiff + damped
+        self._A0 = M + KAPPA * h * h * stiff + 0.5 * h * damped
+        self._pull = self._c + GtK.dot((self._phi - pads.slipped).ravel())
+        self._q0, self._T0, self._phi0 = self._q, T, self._phi.copy()
+        self._moved[:] = 0.0
+        turning = max(map(abs, (*v[:J].tolist(), *v[J + 3 :].tolist(), 1e-9)))
+        self._left = max(1, math.floor(min(self.spec.relinearise_s, MAX_TURN_RAD / turning) / h + 1e-9))
 
-    def _object_terms(self) -> tuple[Vector, Vector]:
-        """Inertia (6, 6) and bias (6,) of the object, world axes."""
-        m, R, w = self.spec.object.mass_kg, self._T.rotation, self._v[-3:]
-        inertia = R @ self.spec.object.inertia @ R.T
-        M = np.zeros((6, 6))
-        M[:3, :3], M[3:, 3:] = m * np.eye(3), inertia
-        return M, np.concatenate([-m * self.spec.gravity, np.cross(w, inertia @ w)])
+    def _object_terms(self, M: Vector) -> Vector:
+        """Bias (6,) of the object, world axes, about its frame's origin, and its inertia into M (6, 6)."""
+        body, R, W = self.spec.object, self._T.rotation, pin.skew(self._v[-3:])
+        inertia = R.dot(body.inertia).dot(R.T)
+        M[3:, 3:] = inertia
+        bias = self._weight.copy()
+        bias[3:] = W.dot(inertia.dot(self._v[-3:]))
+        if self._off_centre:
+            r = R.dot(body.centre_m)
+            S = pin.skew(r)
+            bias[:3] += body.mass_kg * W.dot(W.dot(r))
+            bias[3:] += S.dot(bias[:3])
+            M[3:, 3:] -= body.mass_kg * S.dot(S)
+            M[:3, 3:], M[3:, :3] = -body.mass_kg * S, body.mass_kg * S
+        return bias
 
     def advance(self, tau_cmd_Nm: Vector, substeps: int) -> None:
         """Integrate under commands (J,) that act unchanged; every effect of the motors but their delay is applied.
@@ -129,9 +162,18 @@ class SoftPlant:
         with np.errstate(all="ignore"):  # what overflows is refused below, with more to say than numpy has
             for _ in range(substeps):
                 if self._left == 0:
+                    self._arrive()
                     self._linearise()
                 self._substep()
-        np.copyto(self._tau_motor, self.servos.motor_torque(self._v[: self.joint_count]))
+                self._left -= 1
+                if self._pads.slips:
+                    self._slip()
+            self._arrive()
+        D, f = self._acted
+        self._tau_friction = -D * self._mean[: self.joint_count]
+        if f is not None:
+            self._tau_friction += f
+        np.copyto(self._tau_motor, self.servos.motor_torque(self._dq))
         self._substeps += substeps
         if not float(np.abs(self._v).max()) < FASTEST:
             raise PlantError(
@@ -142,43 +184,52 @@ class SoftPlant:
             )
 
     def _substep(self) -> None:
-        J, h, v, pads, G = self.joint_count, self._h, self._v, self._pads, self._G
-        dq = v[:J]
+        """One substep on the present linearisation; `_pull` carries c + Gᵀ K (φ − s) along."""
+        J, v, A, b, dq, half = self.joint_count, self._v, self._A, self._b, self._dq, self._half
         motor = self.servos.motor_torque(dq)
         D, f = self._friction(motor, dq)
-        inverse = self._inverted(D)
-        phi_dot = G.dot(v).reshape(-1, 6)
-        W = pads.K * (self._phi + (0.5 * h) * phi_dot - pads.slipped) + pads.C * phi_dot
-        b = -self._c - self._Gt.dot(W.ravel())
-        b[:J] += motor + f - D * dq
-        b[J:] += self._push
-        a = inverse.dot(b)
-        mean: Vector = v + (0.5 * h) * a
-        self._tau_friction = f - D * mean[:J]
+        np.copyto(A, self._A0)
+        np.multiply(D, half[:J], self._joint)
+        self._diagonal += self._joint
+        np.dot(self._drag, v, b)
+        np.add(b, self._pull, b)
+        np.subtract(motor, np.multiply(D, dq, self._joint), self._joint)
+        if f is not None:
+            np.add(self._joint, f, self._joint)
+        b[:J] -= self._joint
+        step = eigenpy.LLT(A).solve(b)  # −a
+        np.multiply(step, half, step)
+        mean = np.subtract(v, step, self._mean)
+        np.subtract(mean, step, v)
+        self._pull += self._stiff.dot(mean)
+        self._moved += mean
+        self._acted = D, f
         if self._dry is not None:
             self._dry.step(mean[:J])
-        self._v = v + h * a
-        self._q = self._q + h * mean[:J]
-        turn = pin.exp3(h * mean[J + 3 :])
-        self._T = pin.SE3(turn @ self._T.rotation, self._T.translation + h * mean[J : J + 3])
-        self._phi = self._phi + (h * G.dot(mean)).reshape(-1, 6)
-        self._left -= 1
-        for grasp in pads.slip(self._phi, self._T.rotation):
-            self.release(self.spec.names[grasp])
 
-    def _friction(self, motor: Vector, dq: Vector) -> tuple[Vector, Vector]:
-        """(D, f), each (J,): the friction torque is −D (dq + dq⁺)/2 + f."""
+    def _friction(self, motor: Vector, dq: Vector) -> tuple[Vector, Vector | None]:
+        """(D, f), each (J,): the friction torque is −D (dq + dq⁺)/2 + f; no f: zero."""
         if self._dry is None:
-            return self.servos.friction_coefficient(dq), np.zeros_like(dq)
+            return self.servos.friction_coefficient(dq), None
         self._dry.load(motor)
         return self._dry.torque(dq)
 
-    def _inverted(self, D: Vector) -> Vector:
-        """Inverse of M + h/2 D + Gᵀ S G."""
-        A: Vector = self._A.copy()
-        diagonal = np.arange(self.joint_count)
-        A[diagonal, diagonal] += 0.5 * self._h * D
-        return np.asarray(np.linalg.inv(A), dtype=np.float64)
+    def _arrive(self) -> None:
+        """Pose and openings after what has been moved since the linearisation."""
+        J, moved = self.joint_count, self._h * self._moved
+        self._q = self._q0 + moved[:J]
+        turn = pin.exp3(moved[J + 3 :])
+        self._T = pin.SE3(turn.dot(self._T0.rotation), self._T0.translation + moved[J : J + 3])
+        self._phi = self._phi0 + self._G.dot(moved).reshape(self._phi0.shape)
+
+    def _slip(self) -> None:
+        """Let springs beyond their bound give way, and grasps that have slipped too far open."""
+        self._arrive()
+        pads, before = self._pads, self._pads.slipped.copy()
+        opened = pads.slip(self._phi, self._T.rotation)
+        self._pull -= (self._G.T * pads.K.ravel()).dot((pads.slipped - before).ravel())
+        for grasp in opened:
+            self.release(self.spec.names[grasp])
 
     def rest(self, substeps: int) -> None:
         """Let time pass while the cell rests on a support."""
@@ -189,7 +240,7 @@ class SoftPlant:
         s = self.servos
         return (
             s.reported_position(self._q),
-            s.reported_velocity(self._v[: self.joint_count]),
+            s.reported_velocity(self._dq),
             s.reported_torque(self._tau_motor),
         )
 
@@ -202,8 +253,9 @@ class SoftPlant:
         phi_dot = self._G.dot(v).reshape(-1, 6)
         W = pads.closed * (pads.K * (self._phi - pads.slipped) + pads.C * phi_dot)
         gap = np.where(pads.closed > 0.0, self._phi, np.nan)
-        potential = sum(a.potential(self._q[s]) for a, s in zip(self._arms, self.slices, strict=True))
-        potential -= self.spec.object.mass_kg * float(self.spec.gravity @ self._T.translation)
+        potential = self._arms.potential(self._q)
+        body = self.spec.object
+        potential -= body.mass_kg * float(self.spec.gravity @ self._T.act(body.centre_m))
         return Observation(
             t=self.t,
             p_object=self._T.translation.copy(),
@@ -220,14 +272,16 @@ class SoftPlant:
         )
 
     def push(self, wrench_world: Vector) -> None:
-        """Push the object at its centre of mass from now on: wrench (6,) N, N·m, world axes; zeros end it."""
-        self._push = np.array(wrench_world, dtype=np.float64)
+        """Push the object at its frame's origin from now on: wrench (6,) N, N·m, world axes; zeros end it."""
+        before, self._push = self._push, np.array(wrench_world, dtype=np.float64)
+        self._c[self.joint_count :] += before - self._push
+        self._pull[self.joint_count :] += before - self._push
 
     def release(self, arm: str) -> None:
         """Open the grasp of one arm for good: its wrench is zero and its contact error NaN from now on."""
         self._pads.open(self.spec.names.index(arm))
         self._left = 0
-        self._G = (self._G.reshape(-1, 6, self.joint_count + 6) * self._pads.closed[:, :, None]).reshape(self._G.shape)
+        self._G.reshape(-1, 6, self.joint_count + 6)[:] *= self._pads.closed[:, :, None]
 
     def brake(self, arm: str, viscous_Nms_rad: float) -> None:
         """Replace the viscous friction of one arm's joints: large for a seized gear, its own value to let go again."""

@@ -66,7 +66,7 @@ def substep_of(period_s: float, at_most_s: float = 1e-3) -> float:
 class ArmSpec:
     """One arm as the plant believes it to be; its wrong beliefs are the model error under test.
 
-    `T_object_ee` is the grasp: the pose of the end-effector frame in the object's frame (centre of mass).
+    `T_object_ee` is the grasp: the pose of the end-effector frame in the object's frame.
     Joints of the URDF that are not controlled are locked at `locked_rad` and must all be named there.
     """
 
@@ -81,6 +81,8 @@ class ArmSpec:
     rotor_inertia: Vector  # (n,) kg·m², reflected to the joint
     actuator: ActuatorSpec
     friction: FrictionSpec | None = None  # with presliding, in place of the actuator's smooth friction
+    masses: float = 1.0  # of the links, times what the URDF says; their inertia with them
+    skew_s: float = 0.0  # by which this arm's clock is ahead of the plant's
 
     def __post_init__(self) -> None:
         n = len(self.controlled)
@@ -115,20 +117,28 @@ class ArmSpec:
                 expected=f"{n}",
                 remedy="describe the friction of exactly the controlled joints",
             )
+        if not (math.isfinite(self.masses) and self.masses > 0.0 and math.isfinite(self.skew_s)):
+            raise PlantError(
+                f"arm {self.name}: masses, skew_s",
+                found=f"{self.masses:g}, {self.skew_s:g}",
+                expected="a positive factor and a finite time",
+                remedy="correct the arm's reality",
+            )
         object.__setattr__(self, "locked_rad", MappingProxyType(dict(self.locked_rad)))
 
 
 @dataclass(frozen=True, eq=False)
 class ObjectSpec:
-    """The grasped rigid body; its frame sits at the centre of mass."""
+    """The grasped rigid body."""
 
     mass_kg: float
     inertia: Vector  # (3, 3) kg·m² about the centre of mass, object axes
-    p_world: Vector  # (3,) m
+    p_world: Vector  # (3,) m, of its frame
     quat_world: Vector  # (4,) scalar first
+    centre_m: Vector = field(default_factory=lambda: np.zeros(3))  # (3,) m, centre of mass in its frame
 
     def __post_init__(self) -> None:
-        for key in ("inertia", "p_world", "quat_world"):
+        for key in ("inertia", "p_world", "quat_world", "centre_m"):
             object.__setattr__(self, key, read_only(getattr(self, key)))
         principal = np.linalg.eigvalsh(self.inertia) if self.inertia.shape == (3, 3) else np.array([-1.0])
         if not (self.mass_kg > 0 and np.allclose(self.inertia, self.inertia.T) and principal.min() > 0):

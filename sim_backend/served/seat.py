@@ -54,6 +54,7 @@ class Seat:
         self.told = -1  # tick of the last state it was sent since its torque went on
         self.dropped_states = 0  # real time only: the agent's queue was full
         self.delay = delay
+        self._skew_ns = round(arm.skew_s * 1e9)
         self._command = TorqueCommand.of(arm.actuator)
         self._connection: socket.socket | None = None
         self._out = FixedMessage(3 * n)
@@ -114,9 +115,9 @@ class Seat:
     def send_state(
         self, kind: MessageKind, number: int, stamp_ns: int, q: Vector, dq: Vector, tau: Vector, flags: int
     ) -> None:
-        """Send this arm's part of the reported (J,) positions, velocities and torques."""
+        """Send this arm's part of the reported (J,) positions, velocities and torques, stamped by this arm's clock."""
         joints = self.joints
-        self._out.head(kind, number, stamp_ns)
+        self._out.head(kind, number, stamp_ns + self._skew_ns)
         self._out_q[:] = q[joints]
         self._out_dq[:] = dq[joints]
         self._out_tau[:] = tau[joints]

@@ -20,7 +20,7 @@ from drivers.interface import Refusal
 from sim_backend.physics.build import AnyPlant
 from sim_backend.physics.delay import DelayLine, stretches
 from sim_backend.physics.plant import Observation
-from sim_backend.physics.spec import WHOLE_SUBSTEPS_TOLERANCE, ArmSpec, PlantError, substep_of
+from sim_backend.physics.spec import WHOLE_SUBSTEPS_TOLERANCE, PlantError, substep_of
 from sim_backend.served.listener import Listener
 from sim_backend.served.lobby import Lobby
 from sim_backend.served.options import ArmVanished, LostArm, ServerOptions, Summary
@@ -78,7 +78,8 @@ class _Server:
         self._on_tick = on_tick
         self._substeps = _whole_substeps(plant, options)
         self._seats = tuple(
-            Seat(arm, joints, self._delay_line(arm)) for arm, joints in zip(plant.spec.arms, plant.slices, strict=True)
+            Seat(arm, joints, DelayLine.of(arm.actuator, plant.spec.substep_s, self._substeps, seed))
+            for seed, (arm, joints) in enumerate(zip(plant.spec.arms, plant.slices, strict=True))
         )
         info = {
             "lockstep": options.lockstep,
@@ -98,9 +99,6 @@ class _Server:
         self._late_ticks = 0
         self._zero_ns = 0  # real time: CLOCK_MONOTONIC at tick 0
         self._lost_arms: list[str] = []
-
-    def _delay_line(self, arm: ArmSpec) -> DelayLine:
-        return DelayLine(arm.actuator.delay_s, self._plant.spec.substep_s, self._substeps, arm.actuator.joint_count)
 
     def run(self) -> Summary:
         while any(s.phase is not Attendance.ON for s in self._seats):

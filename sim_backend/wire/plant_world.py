@@ -24,7 +24,7 @@ def without_servo_electronics(spec: PlantSpec) -> PlantSpec:
     """Return the plant's specification with friction kept and all else that emulated servos bring themselves removed.
 
     Delay (what bus, agent and clock make of it), command resolution, torque limit, back-EMF and quantised readings come
-    from the servos; a wrong torque constant (`torque_scale`) and friction stay with the plant.
+    from the servos; a wrong torque constant (`torque_scale`), wrong zeros and friction stay with the plant.
     """
 
     def bare(actuator: ActuatorSpec) -> ActuatorSpec:
@@ -34,6 +34,7 @@ def without_servo_electronics(spec: PlantSpec) -> PlantSpec:
             coulomb_Nm=actuator.coulomb_Nm,
             viscous_Nms_rad=actuator.viscous_Nms_rad,
             coulomb_speed_rad_s=actuator.coulomb_speed_rad_s,
+            zero_error_rad=actuator.zero_error_rad,
         )
 
     return replace(spec, arms=tuple(replace(arm, actuator=bare(arm.actuator)) for arm in spec.arms))
@@ -50,6 +51,7 @@ class PlantWorld:
         self.plant = plant
         self.substep_s = plant.spec.substep_s
         self.tau_Nm = np.zeros(plant.joint_count)
+        self._zero_error = [arm.actuator.zero_error_rad for arm in plant.spec.arms]
         self._idle = set(range(len(plant.slices))) if supported else set()
 
     @property
@@ -58,9 +60,9 @@ class PlantWorld:
         return bool(self._idle)
 
     def state(self, arm: int) -> tuple[Sequence[float], Sequence[float]]:
-        """Positions and velocities of an arm's controlled joints, in the order of its specification."""
+        """Positions, from where encoders believe zero to be, and velocities of an arm's controlled joints, in order."""
         joints = self.plant.slices[arm]
-        q: list[float] = self.plant.q[joints].tolist()
+        q: list[float] = (self.plant.q[joints] + self._zero_error[arm]).tolist()
         dq: list[float] = self.plant.dq[joints].tolist()
         return q, dq
 

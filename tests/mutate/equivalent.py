@@ -8,6 +8,14 @@ from tests.mutate.mutants import Mutant
 
 Key = tuple[str, str, str]  # where, first line of the statement before and after
 
+_SAVES_A_TEXT = "saves the making of a text that nobody is told"
+_READ_AFTER_A_JUMP = "read only after a jump, which sets it"
+_SET_BY_A_QUESTION = "read while an answer is awaited only, and each question sets it"
+_BOTH_ARE_LARGE = "both currents are large in the other half of the condition, so their product is not zero"
+_ENDS = "if final or None not in found.values() or (again.finished if again is not None else first.finished):"
+_NOTHING_TO_COUNT = "if None not in rows and (not damaged) and (not late):"
+_OPPOSED = "opposed = followed[1] * shadow[1] < 0 and min(abs(followed[1]), abs(shadow[1])) >= self._fight"
+
 EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
     "agent.loop": {
         (
@@ -29,6 +37,105 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
             "if mode is Mode.HOLD and state is not None:",
             "if True and state is not None:",
         ): "every other change ends the loop, or begins to track and forgets what was held",
+    },
+    "drivers.dynamixel.checks": {
+        ("SilenceCheck.check", "if None not in rows:", "if False:"): "the short way for a cycle with all answers",
+        ("SilenceCheck.check", "if any(missed):", "if True:"): "saves the making of a list of zeros",
+        ("SilenceCheck.check", "return []", "pass"): "the short way for a cycle with all answers",
+        (
+            "SilenceCheck.__init__",
+            "self._damaged = self._late = 0",
+            "self._damaged = self._late = 1",
+        ): "eight cycles pass before it is read, and in each it grows or becomes 0",
+        ("JumpCheck.__init__", "self._jumped_rad = 0.0", "pass"): _READ_AFTER_A_JUMP,
+        ("JumpCheck.__init__", "self._jumped_rad = 0.0", "self._jumped_rad = 1.0"): _READ_AFTER_A_JUMP,
+        ("JumpCheck.__init__", "self.in_a_row = 0", "pass"): "the first angle, which is always believed, sets it",
+        ("JumpCheck.__init__", "self.in_a_row = 0", "self.in_a_row = 1"): "the first angle, always believed, sets it",
+        ("EffectCheck.check", "return None", "pass"): "a function without a result returns None",
+        (
+            "PairCheck.check",
+            "if apart or tell.is_active(EventKind.PAIR_APART, slot.servo_id):",
+            "if True:",
+        ): _SAVES_A_TEXT,
+        (
+            "PairCheck.check",
+            "if fighting or tell.is_active(EventKind.PAIR_FIGHTING, slot.servo_id):",
+            "if True:",
+        ): _SAVES_A_TEXT,
+        (
+            "PairCheck.check",
+            _OPPOSED,
+            _OPPOSED.replace("< 0", "<= 0"),
+        ): _BOTH_ARE_LARGE,
+        ("PairCheck.check", _OPPOSED, _OPPOSED.replace("< 0", "< 1")): _BOTH_ARE_LARGE,
+    },
+    "drivers.dynamixel.monitor": {
+        (
+            "GapMonitor._judge_status",
+            "record.hardware = HardwareError(hardware) if hardware else NO_ERROR",
+            "record.hardware = HardwareError(hardware) if True else NO_ERROR",
+        ): "NO_ERROR is HardwareError(0), made once",
+        (
+            "GapMonitor._judge_status",
+            "if hardware and record.hardware & record.shutdown:",
+            "if True and record.hardware & record.shutdown:",
+        ): "without an error there is no bit to stop it; saves the question",
+        (
+            "GapMonitor._judge_status",
+            "if hardware or self._tell.is_active(EventKind.HARDWARE_WARNING, record.slot.servo_id):",
+            "if True:",
+        ): _SAVES_A_TEXT,
+    },
+    "drivers.dynamixel.cycle": {
+        (
+            "CycleReader.__init__",
+            "self._fast_groups = marked_groups(self._ids, fast=True) if fast else []",
+            "self._fast_groups = marked_groups(self._ids, fast=True) if True else []",
+        ): "saves the making of groups that are not asked for",
+        (
+            "CycleReader.__init__",
+            "self._careful_fits = careful.read_worst_s * 1000000000.0 < self.end_ns",
+            "self._careful_fits = careful.read_worst_s * 1000000000.0 <= self.end_ns",
+        ): "a sum of fractions is compared with a whole number of nanoseconds",
+        (
+            "CycleReader._listen",
+            "if final or group.worth_parsing(heard):",
+            "if True:",
+        ): "saves the parsing of what cannot be whole",
+        ("CycleReader._ask_again", _ENDS, _ENDS.replace("final", "False")): "what is final is finished",
+        ("CycleReader._count", _NOTHING_TO_COUNT, "if False:"): "the short way for a cycle with all answers",
+        ("CycleReader._count", "return", "pass"): "the short way for a cycle with all answers",
+        (
+            "_group",
+            "fields = (f'{more}x' if more else '') + 'hii'",
+            "fields = (f'{more}x' if True else '') + 'hii'",
+        ): "0x is no byte",
+        (
+            "marked_groups",
+            "if fast and 2 * len(ids) >= MARKS:",
+            "if fast and 2 * len(ids) > MARKS:",
+        ): "MARKS is odd",
+    },
+    "drivers.dynamixel.driver": {
+        (
+            "DynamixelDriver.__init__",
+            "self._begin_ns = 0",
+            "self._begin_ns = 1",
+        ): "before the first read either is an instant long past",
+        (
+            "DynamixelDriver.disable",
+            "if self._port.is_open:",
+            "if True:",
+        ): "a closed port refuses what is written to it, and that is suppressed",
+    },
+    "drivers.dynamixel.running": {
+        ("Running.__init__", "self._wire_free_ns = 0", "pass"): _SET_BY_A_QUESTION,
+        ("Running.__init__", "self._wire_free_ns = 0", "self._wire_free_ns = 1"): _SET_BY_A_QUESTION,
+        (
+            "Running.write",
+            "sent = [0.0] * len(tau_Nm)",
+            "sent = [1.0] * len(tau_Nm)",
+        ): "each joint has a writer, which fills its place",
     },
     "agent.operator.socket": {
         ("ControlSocket.poll", "if self._clients:", "if True:"): "saves the making of an empty list",

@@ -102,13 +102,13 @@ class Noticing:
         return Job(lambda tell: self._run(session, mutant, items, tell), limit_s, done)
 
     def _chosen(self, items: Sequence[pytest.Item], mutant: Mutant) -> list[pytest.Item]:
-        """Those that run the function first, and of these the quick ones that noticed most so far; then the others."""
+        """Those that run the function, first the quick ones that noticed most so far; all when none is seen to run it.
+
+        Another test could notice only through a result that one of these left behind.
+        """
+        calling = [item for item in items if mutant.where in self._measured[item.nodeid].called]
         return sorted(
-            items,
-            key=lambda item: (
-                mutant.where not in self._measured[item.nodeid].called,
-                self._measured[item.nodeid].cpu_s / (1 + self._kills[item.nodeid]),
-            ),
+            calling or items, key=lambda item: self._measured[item.nodeid].cpu_s / (1 + self._kills[item.nodeid])
         )
 
     def _run(self, session: pytest.Session, mutant: Mutant, items: Sequence[pytest.Item], tell: Tell) -> None:

@@ -8,6 +8,7 @@ from typing import Annotated, ClassVar
 
 from pydantic import Field, model_validator
 
+from agent.config.schema.reality import Reality
 from agent.config.schema.types import Length, Smoothing, Strict, wrong
 
 
@@ -59,3 +60,4 @@ class Simulation(Strict):
     object_mass_error: Annotated[float, Field(ge=-0.99, le=10.0)] = 0.0  # the plant's object: 1 = twice as heavy
     effects: Effects = Effects()
     grasp: Grasp | None = None  # None: welded
+    reality: Reality | None = None  # None: what the files say is true

@@ -1,7 +1,7 @@
 """What may stand under `[tolerance]` of a cell file: how far reality may be from what the cell's files say.
 
 Every key is the largest error to be lived with, in both directions where a sign makes sense.  The gains are judged by
-it (`coop check`, `coop tune`); neither an agent nor the simulated plant reads it.
+it (`coop check`, `coop tune`), and simulated realities are drawn within it; no agent reads it.
 """
 
 from __future__ import annotations

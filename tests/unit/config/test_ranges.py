@@ -50,6 +50,24 @@ RANGES: list[tuple[str, float | None, float | None]] = [
     ("simulation.observe_rate_hz", 0.01, 2000.0),
     ("simulation.friction_smooth_rad_per_s", 1e-4, 10.0),
     ("simulation.object_mass_error", -0.99, 10.0),
+    ("simulation.ready_s", 0.0, 60.0),
+    ("simulation.reality.seed", 0.0, None),
+    ("simulation.reality.object", 0.05, 20.0),
+    ("simulation.reality.object_centre_m", -0.1, 0.1),
+    ("simulation.reality.pads_N_per_m", 10.0, 1e8),
+    ("simulation.reality.pads_Nm_per_rad", 0.01, 1e6),
+    ("simulation.reality.pads_damping_ratio", 0.0, 10.0),
+    ("simulation.reality.delay_s", 0.0, 0.5),
+    ("simulation.reality.delay_jitter_s", 0.0, 0.5),
+    ("simulation.reality.arms.left.base_m", -0.1, 0.1),
+    ("simulation.reality.arms.left.base_rad", -0.3, 0.3),
+    ("simulation.reality.arms.left.grasp_m", -0.1, 0.1),
+    ("simulation.reality.arms.left.grasp_rad", -0.3, 0.3),
+    ("simulation.reality.arms.left.zeros_rad", -0.3, 0.3),
+    ("simulation.reality.arms.left.masses", 0.05, 20.0),
+    ("simulation.reality.arms.left.friction", 0.0, 20.0),
+    ("simulation.reality.arms.left.torque_constant", 0.05, 20.0),
+    ("simulation.reality.arms.left.skew_s", 0.0, 1.0),
     ("tolerance.base_m", 0.0, 0.1),
     ("tolerance.base_rad", 0.0, 0.2),
     ("tolerance.grasp_m", 0.0, 0.1),
@@ -82,13 +100,23 @@ FOURIER: list[tuple[str, float | None, float | None]] = [
 ]
 LENGTHS = {"size_m": 3, "p_start_m": 3, "p_amplitude_m": 3, "q_near_rad": 3, "p_world_base_m": 3} | {
     "internal_wrench_N_Nm": 6,
-    "pads_N_per_m": 2,
-    "pads_Nm_per_rad": 2,
+    "tolerance.pads_N_per_m": 2,
+    "tolerance.pads_Nm_per_rad": 2,
 }
+VECTORS = {"object_centre_m", "base_m", "base_rad", "grasp_m", "grasp_rad", "zeros_rad", "torque_constant"}
+
+
+def count_of(key: str) -> int | None:
+    """How many numbers the key's value holds; None: one that stands by itself."""
+    last = key.rsplit(".", maxsplit=1)[-1]
+    if key.startswith("simulation.reality") and last in VECTORS:
+        return 3
+    return LENGTHS.get(key, LENGTHS.get(last))
 
 
 def read(path: Any, key: str, value: float) -> CellFile:
-    document, count = parse(path.read_bytes(), path), LENGTHS.get(key.rsplit(".", maxsplit=1)[-1])
+    document, count = parse(path.read_bytes(), path), count_of(key)
+    value = int(value) if key.endswith(".seed") and value == int(value) else value
     written = value if count is None else [value] * count
     override(document, f"{key}={tomli_w.dumps({'v': written}).partition('=')[2].strip()}")
     return validate(CellFile, document, "cell.toml")

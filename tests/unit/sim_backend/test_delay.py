@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sim_backend.physics.actuator import ActuatorError
 from sim_backend.physics.delay import DelayLine, stretches
 
 SUBSTEP_S, SUBSTEPS = 1e-3, 5
@@ -75,3 +76,42 @@ def test_a_cleared_line_has_nothing_on_its_way() -> None:
         line.push(tick, np.array([tick + 1.0]))
     line.clear()
     assert [float(line.acting(k, s)[0]) for k in (2, 3) for s in range(SUBSTEPS)] == [0.0] * 10
+
+
+def jittered(jitter_s: float, commands: Sequence[float], seed: int = 1) -> list[float]:
+    line = DelayLine(0.0055, SUBSTEP_S, SUBSTEPS, 1, jitter_s=jitter_s, seed=seed)
+    found = []
+    for tick, tau in enumerate(commands):
+        parts = stretches([line], SUBSTEPS)
+        known = [part for part in parts if line.is_known(part[0])]
+        found += [float(line.acting(tick, begin)[0]) for begin, count in known for _ in range(count)]
+        line.push(tick, np.array([tau]))
+        found += [float(line.acting(tick, begin)[0]) for begin, count in parts[len(known) :] for _ in range(count)]
+    return found
+
+
+def test_jitter_moves_each_change_by_its_own_time_and_loses_no_impulse() -> None:
+    """One command that differs acts for a period, a little more or less, and not before the delay less the jitter."""
+    lengths = []
+    for tick in range(5, 60):
+        commands = [0.0] * 70
+        commands[tick] = 1.0
+        acted_s = np.array(jittered(0.002, commands)) * SUBSTEP_S
+        begin = int(np.flatnonzero(acted_s)[0]) * SUBSTEP_S - tick * SUBSTEPS * SUBSTEP_S
+        assert 0.0025 <= begin <= 0.0075
+        lengths.append(float(acted_s.sum()))
+    assert 0.001 < min(lengths) < 0.004
+    assert 0.006 < max(lengths) < 0.009
+    assert np.mean(lengths) == pytest.approx(0.005, abs=5e-4)
+
+
+def test_jitter_is_the_same_for_the_same_seed_and_none_without() -> None:
+    commands = list(np.arange(1.0, 60.0))
+    assert jittered(0.001, commands) == jittered(0.001, commands)
+    assert jittered(0.001, commands) != jittered(0.001, commands, seed=2)
+    np.testing.assert_allclose(jittered(1e-12, commands), jittered(0.0, commands), rtol=1e-8)
+
+
+def test_torques_that_could_overtake_each_other_are_refused() -> None:
+    with pytest.raises(ActuatorError, match="delay_jitter_s"):
+        DelayLine(0.005, SUBSTEP_S, SUBSTEPS, 1, jitter_s=0.0025)

@@ -1,0 +1,82 @@
+"""The reality of a simulated cell: as its file gives it, or drawn from a seed within the cell's tolerance."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from agent.config.cell import Arm, Cell
+from agent.config.schema.reality import ArmReality, Reality
+from agent.config.schema.tolerance import Tolerance
+from agent.control.quaternion import Vec3
+from drivers.interface import Vector
+
+
+def reality_of(cell: Cell) -> Reality | None:
+    """What the plant of this cell has against what its file says, value by value; None where the file says nothing."""
+    given = cell.file.simulation.reality
+    if given is None or given.seed is None:
+        return given
+    return draw(cell.file.tolerance, given.seed, cell)
+
+
+def draw(tolerance: Tolerance, seed: int, cell: Cell) -> Reality:
+    """One reality within the tolerance, the same for the same seed.
+
+    Directions are uniform, and so are sizes up to the tolerance and factors within theirs; stiffness is uniform in its
+    logarithm.  Arms that move in a plane stay in it.  A key that changes its range changes no other value drawn.
+    """
+    rng = np.random.default_rng(seed)
+    normal = cell.model(cell.arms[0]).plane_normal
+    arms = {arm.name: _arm(tolerance, rng, arm, normal, cell.T_world_object_start.rotation) for arm in cell.arms}
+    believed_s = cell.file.simulated_delay_s
+    return Reality(
+        object=rng.uniform(1.0 - tolerance.object, 1.0 + tolerance.object),
+        object_centre_m=_offset(rng, tolerance.object_centre_m, normal, cell.T_world_object_start.rotation.T),
+        pads_N_per_m=_log_uniform(rng, *tolerance.pads_N_per_m),
+        pads_Nm_per_rad=_log_uniform(rng, *tolerance.pads_Nm_per_rad),
+        pads_damping_ratio=tolerance.pads_damping_ratio,
+        delay_s=believed_s * rng.uniform(*tolerance.delay),
+        arms=arms,
+    )
+
+
+def _arm(
+    tolerance: Tolerance, rng: np.random.Generator, arm: Arm, normal: Vector | None, R_world_object: Vector
+) -> ArmReality:
+    zeros_rad = tolerance.zeros_of(arm.n)
+    share = tolerance.torque_constant
+    return ArmReality(
+        base_m=_offset(rng, tolerance.base_m, normal),
+        base_rad=_turn(rng, tolerance.base_rad, normal),
+        grasp_m=_offset(rng, tolerance.grasp_m, normal, R_world_object.T),
+        grasp_rad=_turn(rng, tolerance.grasp_rad, normal, R_world_object.T),
+        zeros_rad=tuple(rng.uniform(-zeros_rad, zeros_rad, arm.n).tolist()),
+        masses=rng.uniform(1.0 - tolerance.masses, 1.0 + tolerance.masses),
+        friction=rng.uniform(*tolerance.friction),
+        torque_constant=tuple(rng.uniform(1.0 - share, 1.0 + share, arm.n).tolist()),
+        skew_s=rng.uniform(0.0, tolerance.skew_s),
+    )
+
+
+def _offset(rng: np.random.Generator, most: float, normal: Vector | None, R: Vector | None = None) -> Vec3:
+    """A displacement of size up to `most`, in the plane where there is one; R: from world axes to those asked for."""
+    v = rng.normal(size=3)
+    return _sized(rng, most, v if normal is None else v - normal * float(normal @ v), R)
+
+
+def _turn(rng: np.random.Generator, most: float, normal: Vector | None, R: Vector | None = None) -> Vec3:
+    """A rotation vector of size up to `most`, about the plane's normal where there is one."""
+    v = rng.normal(size=3)
+    return _sized(rng, most, v if normal is None else normal * float(normal @ v), R)
+
+
+def _sized(rng: np.random.Generator, most: float, v: Vector, R: Vector | None) -> Vec3:
+    v = v * (rng.uniform(0.0, most) / float(np.linalg.norm(v)))
+    x, y, z = (v if R is None else R @ v).tolist()
+    return x, y, z
+
+
+def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    return min(max(math.exp(rng.uniform(math.log(low), math.log(high))), low), high)

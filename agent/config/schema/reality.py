@@ -1,0 +1,74 @@
+"""What may stand under `[simulation.reality]` of a cell file: what the simulated cell has against what its files say.
+
+The agents do not read it: they believe the rest of the file, as the agents of real arms do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated
+
+from pydantic import Field, model_validator
+
+from agent.config.schema.types import AS_LIST, Name, Strict, wrong
+
+Offset = Annotated[float, Field(ge=-0.1, le=0.1)]  # m
+Turn = Annotated[float, Field(ge=-0.3, le=0.3)]  # rad
+Offsets = Annotated[tuple[Offset, Offset, Offset], AS_LIST]
+Turns = Annotated[tuple[Turn, Turn, Turn], AS_LIST]
+Times = Annotated[float, Field(ge=0.05, le=20.0)]  # what the files say
+Seconds = Annotated[float, Field(ge=0.0, le=0.5)]
+NOTHING = (0.0, 0.0, 0.0)
+
+
+class ArmReality(Strict):
+    """Errors of one arm; joint values one per controlled joint."""
+
+    base_m: Offsets = NOTHING  # world axes, true less believed
+    base_rad: Turns = NOTHING  # rotation vector, world axes, about the base's origin
+    grasp_m: Offsets = NOTHING  # object axes
+    grasp_rad: Turns = NOTHING  # rotation vector, object axes
+    zeros_rad: Annotated[tuple[Turn, ...], AS_LIST] = ()  # reported less true; empty: no error
+    masses: Times = 1.0  # of its links
+    friction: Annotated[float, Field(ge=0.0, le=20.0)] = 1.0  # of its joints
+    torque_constant: Annotated[tuple[Times, ...], AS_LIST] = ()  # of its servos, true over believed; empty: no error
+    skew_s: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0  # by which its clock, and so its trajectory, is ahead
+
+
+class Reality(Strict):
+    """Errors of the cell: drawn from `seed` within the cell's [tolerance], or each as given."""
+
+    seed: Annotated[int, Field(ge=0, lt=2**63)] | None = None
+    object: Times = 1.0  # its mass and inertia
+    object_centre_m: Offsets = NOTHING  # object axes, its centre of mass less its frame
+    pads_N_per_m: Annotated[float, Field(ge=10.0, le=1e8)] | None = None  # as of [simulation.grasp]
+    pads_Nm_per_rad: Annotated[float, Field(ge=0.01, le=1e6)] | None = None
+    pads_damping_ratio: Annotated[float, Field(ge=0.0, le=10.0)] | None = None
+    delay_s: Seconds | None = None  # of the simulated loop
+    delay_jitter_s: Seconds = 0.0  # by which it differs from tick to tick, at most
+    arms: dict[Name, ArmReality] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _drawn_or_given(self) -> Reality:
+        others = self.model_fields_set - {"seed"}
+        if self.seed is not None and others:
+            raise wrong(
+                "seed", found=f"a seed and {', '.join(sorted(others))}", expected="a seed alone, or values without one",
+                remedy="`coop study` writes the values of a seed; take those",
+            )  # fmt: skip
+        return self
+
+    def require_fit(self, joints: Mapping[str, int]) -> None:
+        """Refuse arms and joints that are not there; joints: their number by arm.  Raises PydanticCustomError."""
+        for name, arm in self.arms.items():
+            where = f"simulation.reality.arms.{name}"
+            if name not in joints:
+                raise wrong(where, found=name, expected=" or ".join(joints), remedy="name an arm of the cell")
+            for key, values in (("zeros_rad", arm.zeros_rad), ("torque_constant", arm.torque_constant)):
+                if values and len(values) != joints[name]:
+                    raise wrong(
+                        f"{where}.{key}",
+                        found=f"{len(values)} values",
+                        expected=f"one per controlled joint, {joints[name]}",
+                        remedy="give as many, or leave it out",
+                    )

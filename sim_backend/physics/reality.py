@@ -1,0 +1,142 @@
+"""What the plant has against what the cell file believes: errors of calibration, of masses, of the servos, of time.
+
+`realised` turns the specification of the cell as it is believed into that of the cell as it is; everything that moves
+the plant (in one process, served, emulated servos) is built from its result.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+
+import numpy as np
+import pinocchio as pin
+
+from sim_backend.physics.actuator import ActuatorSpec
+from sim_backend.physics.composition import take_hold
+from sim_backend.physics.friction import FrictionSpec
+from sim_backend.physics.spec import ArmSpec, GraspSpec, PlantError, PlantSpec
+
+Vec3 = tuple[float, float, float]
+ZERO: Vec3 = (0.0, 0.0, 0.0)
+_SCALED_FRICTION = frozenset({"coulomb_Nm", "breakaway_Nm", "load", "breakaway_load", "viscous_Nms_rad"})
+
+
+@dataclass(frozen=True)
+class ArmReality:
+    """One arm as it is; joint values one per controlled joint, none: no error."""
+
+    base_m: Vec3 = ZERO  # world axes: where the base stands, less where it is believed
+    base_rad: Vec3 = ZERO  # rotation vector, world axes, about the base's origin
+    grasp_m: Vec3 = ZERO  # object axes: where the gripper holds the object, less where it is believed
+    grasp_rad: Vec3 = ZERO  # rotation vector, object axes
+    zeros_rad: tuple[float, ...] = ()  # reported less true joint angle
+    masses: float = 1.0  # of the links, times what is believed
+    friction: float = 1.0  # of the joints, times what is believed
+    torque_constant: tuple[float, ...] = ()  # of the servos, times what is believed
+    skew_s: float = 0.0  # by which its clock, and so its trajectory, is ahead
+
+
+@dataclass(frozen=True)
+class Reality:
+    """The cell as it is."""
+
+    object: float = 1.0  # mass and inertia, times what is believed
+    object_centre_m: Vec3 = ZERO  # object axes: its centre of mass, less its frame
+    pads_N_per_m: float | None = None  # None: as the cell says
+    pads_Nm_per_rad: float | None = None
+    pads_damping_ratio: float | None = None
+    delay_s: float | None = None  # of the loop
+    delay_jitter_s: float = 0.0
+    arms: Mapping[str, ArmReality] = field(default_factory=dict)
+
+
+def realised(believed: PlantSpec, reality: Reality) -> PlantSpec:
+    """The specification of the cell as it is; its arms hold the object where it is believed to be at the start.
+
+    Raises PlantError for an arm that is not there, and GraspError for one that no longer reaches its grasp.
+    """
+    unknown = sorted(set(reality.arms) - set(believed.names))
+    if unknown:
+        raise PlantError(
+            "reality", found=f"arm {unknown[0]}", expected=" or ".join(believed.names), remedy="name an arm of the cell"
+        )
+    body = believed.object
+    body = replace(
+        body,
+        mass_kg=reality.object * body.mass_kg,
+        inertia=reality.object * body.inertia,
+        centre_m=body.centre_m + np.array(reality.object_centre_m),
+    )
+    arms = tuple(_arm(arm, reality.arms.get(arm.name, ArmReality()), reality) for arm in believed.arms)
+    moved = tuple(
+        take_hold(arm, body) if _is_moved(reality.arms.get(arm.name)) else arm for arm in arms
+    )  # an arm without an error keeps its start pose to the bit
+    return replace(believed, arms=moved, object=body, grasp=_pads(believed.grasp, reality))
+
+
+def _is_moved(arm: ArmReality | None) -> bool:
+    return arm is not None and any(map(any, (arm.base_m, arm.base_rad, arm.grasp_m, arm.grasp_rad)))
+
+
+def _arm(arm: ArmSpec, real: ArmReality, reality: Reality) -> ArmSpec:
+    R_base, R_grasp = pin.exp3(np.array(real.base_rad)), pin.exp3(np.array(real.grasp_rad))
+    believed_base, believed_grasp = arm.T_world_base, arm.T_object_ee
+    return replace(
+        arm,
+        T_world_base=pin.SE3(R_base @ believed_base.rotation, believed_base.translation + np.array(real.base_m)),
+        T_object_ee=pin.SE3(R_grasp @ believed_grasp.rotation, believed_grasp.translation + np.array(real.grasp_m)),
+        actuator=_actuator(arm, real, reality),
+        friction=None if arm.friction is None else _friction(arm.friction, real.friction),
+        masses=real.masses * arm.masses,
+        skew_s=arm.skew_s + real.skew_s,
+    )
+
+
+def _actuator(arm: ArmSpec, real: ArmReality, reality: Reality) -> ActuatorSpec:
+    spec = arm.actuator
+    for key in ("zeros_rad", "torque_constant"):
+        if len(values := getattr(real, key)) not in (0, spec.joint_count):
+            raise PlantError(
+                f"reality of arm {arm.name}: {key}",
+                found=f"{len(values)} values",
+                expected=f"one per controlled joint, {spec.joint_count}",
+                remedy="give as many, or leave it out",
+            )
+    return replace(
+        spec,
+        zero_error_rad=spec.zero_error_rad + np.array(real.zeros_rad or 0.0),
+        torque_scale=spec.torque_scale * np.array(real.torque_constant or 1.0),
+        coulomb_Nm=real.friction * spec.coulomb_Nm,
+        viscous_Nms_rad=real.friction * spec.viscous_Nms_rad,
+        delay_s=spec.delay_s if reality.delay_s is None else reality.delay_s,
+        delay_jitter_s=reality.delay_jitter_s,
+    )
+
+
+def _friction(spec: FrictionSpec, times: float) -> FrictionSpec:
+    return FrictionSpec(
+        **{f.name: (times if f.name in _SCALED_FRICTION else 1.0) * getattr(spec, f.name) for f in fields(spec)}
+    )
+
+
+def _pads(believed: GraspSpec | None, reality: Reality) -> GraspSpec | None:
+    """Pads of the cell with what is known better; welds become pads where both stiffnesses are given."""
+    if reality.pads_N_per_m is None and reality.pads_Nm_per_rad is None and reality.pads_damping_ratio is None:
+        return believed
+    known = {
+        "stiffness_N_per_m": reality.pads_N_per_m,
+        "stiffness_Nm_per_rad": reality.pads_Nm_per_rad,
+        "damping_ratio": reality.pads_damping_ratio,
+    }
+    given = {key: value for key, value in known.items() if value is not None}
+    if believed is not None:
+        return replace(believed, **given)
+    if len(given.keys() & {"stiffness_N_per_m", "stiffness_Nm_per_rad"}) < 2:
+        raise PlantError(
+            "reality: pads",
+            found=", ".join(given),
+            expected="pads_N_per_m and pads_Nm_per_rad where the cell's grasps are welded",
+            remedy="give both, or neither",
+        )
+    return GraspSpec(**given)

@@ -1,0 +1,121 @@
+"""Realities drawn from a seed within a cell's tolerance, or given in its file, and the plant built from them."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import tomli_w
+
+import configs
+from agent.config.cell import Cell, load_cell
+from agent.config.reality import draw, reality_of
+from agent.config.schema.cell import DriverKind
+from agent.config.schema.reality import Reality
+from agent.process.describe import run_info
+from agent.process.simulated import plant_spec
+from agent.verify.check import examine
+from drivers.interface import Refusal
+
+
+def cell(name: str, *overrides: str) -> Cell:
+    return load_cell(configs.CELLS_DIR / f"{name}.toml", list(overrides))
+
+
+@pytest.mark.parametrize("name", ["paper", "three_wx250s"])
+def test_draws_stay_within_the_tolerance_and_reach_towards_it(name: str) -> None:
+    c = cell(name)
+    t, planar = c.file.tolerance, len(c.arms[0].entry.controlled) == 3
+    drawn = [draw(t, seed, c) for seed in range(60)]
+    for key, most in (("base_m", t.base_m), ("base_rad", t.base_rad), ("grasp_m", t.grasp_m)):
+        sizes = [float(np.linalg.norm(getattr(a, key))) for r in drawn for a in r.arms.values()]
+        assert max(sizes) <= most
+        assert max(sizes) > 0.9 * most
+        assert min(sizes) < 0.1 * most
+    zeros = [z for r in drawn for a in r.arms.values() for z in a.zeros_rad]
+    assert max(map(abs, zeros)) <= t.zeros_of(3 if planar else 6) < 1.2 * max(map(abs, zeros))
+    assert min(zeros) < 0.0 < max(zeros)
+    ranges = [
+        ([a.masses for r in drawn for a in r.arms.values()], (0.9, 1.1)),
+        ([r.object for r in drawn], (0.8, 1.2)),
+        ([a.friction for r in drawn for a in r.arms.values()], t.friction),
+        ([k for r in drawn for a in r.arms.values() for k in a.torque_constant], (0.9, 1.1)),
+        ([a.skew_s for r in drawn for a in r.arms.values()], (0.0, t.skew_s)),
+        ([r.delay_s / c.file.simulated_delay_s for r in drawn if r.delay_s], t.delay),
+        ([np.log10(r.pads_N_per_m) for r in drawn if r.pads_N_per_m], np.log10(t.pads_N_per_m)),
+        ([np.log10(r.pads_Nm_per_rad) for r in drawn if r.pads_Nm_per_rad], np.log10(t.pads_Nm_per_rad)),
+    ]
+    for values, (low, high) in ranges:
+        assert len(values) >= 60
+        assert low <= min(values) < low + 0.1 * (high - low)
+        assert high >= max(values) > high - 0.1 * (high - low)
+    assert {r.pads_damping_ratio for r in drawn} == {t.pads_damping_ratio}
+
+
+def test_errors_of_arms_that_move_in_a_plane_stay_in_it() -> None:
+    c = cell("paper")
+    for seed in range(10):
+        for arm in draw(c.file.tolerance, seed, c).arms.values():
+            assert abs(arm.base_m[2]) + abs(arm.grasp_m[2]) < 1e-15
+            assert abs(arm.base_rad[0]) + abs(arm.base_rad[1]) < 1e-15
+            assert abs(arm.base_rad[2]) > 0.0
+
+
+def test_a_seed_is_one_reality_and_a_tolerance_changes_its_own_value_alone() -> None:
+    c = cell("paper", "tolerance.grasp_rad=0.01")
+    t = c.file.tolerance
+    assert draw(t, 7, c) == draw(t, 7, c)
+    assert draw(t, 7, c) != draw(t, 8, c)
+    other = draw(t.model_copy(update={"base_m": 0.0}), 7, c)
+    assert other.arms["left"].base_m == (0.0, 0.0, 0.0)
+    assert other.arms["left"].grasp_rad == draw(t, 7, c).arms["left"].grasp_rad != (0.0, 0.0, 0.0)
+    assert other.delay_s == draw(t, 7, c).delay_s
+
+
+def test_a_drawn_reality_and_its_values_written_down_are_one_plant() -> None:
+    drawn = cell("paper", "simulation.reality.seed=3")
+    real = reality_of(drawn)
+    assert real is not None
+    given = real.model_dump(mode="json", exclude_none=True)
+    written = cell("paper", *(f"simulation.reality.{k}={_toml(v)}" for k, v in given.items()))
+    assert reality_of(written) == real
+    one, other = (plant_spec(c, examine(c).q_start) for c in (drawn, written))
+    for a, b in zip(one.arms, other.arms, strict=True):
+        assert np.array_equal(a.q_start, b.q_start)
+        assert np.array_equal(a.T_object_ee.homogeneous, b.T_object_ee.homogeneous)
+    assert one.grasp == other.grasp
+    assert one.object.mass_kg == other.object.mass_kg == real.object * drawn.file.object.mass_kg
+
+
+def _toml(value: object) -> str:
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{k} = {_toml(v)}" for k, v in value.items()) + "}"
+    return tomli_w.dumps({"v": value}).partition("=")[2].strip()
+
+
+def test_the_agents_believe_what_the_file_says_and_the_run_tells_what_was_true() -> None:
+    c = cell("paper", "simulation.reality.seed=3")
+    believed = cell("paper")
+    np.testing.assert_array_equal(c.arms[0].T_world_base.homogeneous, believed.arms[0].T_world_base.homogeneous)
+    told = json.loads(run_info(c, DriverKind.SIM, 0))["reality"]
+    real = reality_of(c)
+    assert real is not None
+    assert Reality.model_validate_json(json.dumps(told)) == real
+    assert json.loads(run_info(believed, DriverKind.SIM, 0))["reality"] is None
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("simulation.reality={seed=1, object=1.1}", "a seed alone"),
+        ("simulation.reality.arms.middle.masses=1.1", "left or right"),
+        ("simulation.reality.arms.left.zeros_rad=[0.1, 0.1]", "one per controlled joint, 3"),
+        ("simulation.reality.arms.right.torque_constant=[1.1]", "one per controlled joint, 3"),
+        ("simulation.reality.delay=1.1", "simulation.reality.delay"),
+    ],
+)
+def test_a_reality_that_cannot_be_is_refused(override: str, message: str) -> None:
+    with pytest.raises(Refusal, match=r"simulation\.reality") as caught:
+        cell("paper", override)
+    assert message in str(caught.value)
