@@ -119,7 +119,7 @@ class Safety(Strict):
     tracking_error_max_m: Annotated[float, Field(gt=0.0, le=1.0)] = 0.05
     tracking_error_max_rad: Attitude = 0.3
     spectral_radius_max: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.9999
-    hold_speed_max_rad_per_s: Annotated[float, Field(gt=0.0, le=20.0)] | None = None  # in HOLD; faster: it is braked
+    hold_speed_max_rad_per_s: Annotated[float, Field(gt=0.0, le=20.0)] = 1.5  # in HOLD; faster: it is braked
     noticing: NoticingSpec = NoticingSpec()
     inertia_error: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.3
 

@@ -20,8 +20,8 @@ class AlignmentSpec(Strict):
     anchor: Name | None = None  # the arm that does not; None: the first of the cell
     ready_per_s: Rate = 2.0  # while waiting for the start
     track_per_s: Rate = 0.3
-    dead_zone_m: Annotated[float, Field(ge=0.0, le=0.05)] = 0.7e-3
-    dead_zone_rad: Annotated[float, Field(ge=0.0, le=0.5)] = 4e-3
+    dead_zone_m: Annotated[float, Field(ge=0.0, le=0.05)] = 1.5e-3
+    dead_zone_rad: Annotated[float, Field(ge=0.0, le=0.5)] = 8e-3
     max_m: Annotated[float, Field(gt=0.0, le=0.1)] = 0.02
     max_rad: Annotated[float, Field(gt=0.0, le=0.5)] = 0.1
 
