@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,6 +11,7 @@ from hypothesis import strategies as st
 
 from agent.control import adaptive, known
 from agent.control.adaptation import Estimate
+from agent.control.friction import JointFriction
 from agent.control.quaternion import from_axis_angle, multiply
 from tests.support.control import oracle
 from tests.support.control.adaptive_cells import adaptation, holder_of, nominal_of, random_estimate
@@ -59,7 +62,10 @@ def test_with_the_true_parameters_it_is_the_non_adaptive_law(cell: RandomCell, s
         arm = with_friction(holder, np.random.default_rng(seed))
         friction = arm.offline.friction
         assert friction is not None
-        truth = nominal_of(arm, np.array(friction.viscous_Nm_s_per_rad), np.array(friction.coulomb_Nm))
+        coulomb, viscous = np.array(friction.joints).T[:2]
+        simple = replace(friction, joints=tuple(JointFriction(*joint[:2]) for joint in friction.joints))
+        arm = replace(arm, offline=replace(arm.offline, friction=simple))
+        truth = nominal_of(arm, viscous, coulomb)
         same = adaptation(truth, friction=True)
         found, _ = adaptive.torque(arm.model, arm.offline, same, truth, arm.q, arm.dq, cell.desired)
         expected = known.torque(arm.model, arm.offline, arm.q, arm.dq, cell.desired)
