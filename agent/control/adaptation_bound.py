@@ -24,7 +24,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from agent.control.adaptation import Adaptation
+from agent.control.adaptation import JOINT_PARAMETERS, Adaptation
 from agent.control.law import Offline
 from agent.control.models import ArmModel, Matrix
 from agent.control.quaternion import Mat3, Vec3, rotate_back, to_matrix
@@ -139,12 +139,16 @@ def _adaptation_matrices(
         dq_ref, ddq_ref = J_inv @ P @ reference.v, J_inv @ P @ reference.dv
         Y = joint_regressor(model, q_i, np.zeros(n), dq_ref, ddq_ref)
         split = BODY_PARAMETERS * n
-        rotor, viscous, coulomb = adaptation.gain.arm[split:].reshape(3, n)
-        direction = np.tanh(dq_ref / adaptation.smooth_rad_per_s)
-        joints = rotor * ddq_ref**2 + viscous * dq_ref**2 + coulomb * direction**2
+        Y_O = _object_rows(model, agent, q_i, reference, P)
+        columns = np.zeros((JOINT_PARAMETERS, n))
+        columns[:3] = ddq_ref, dq_ref, np.tanh(dq_ref / adaptation.smooth_rad_per_s)
+        if adaptation.sticking:
+            load = np.linalg.solve(J_inv.T, agent.load_share * (Y_O @ adaptation.nominal.object))
+            tau = Y @ adaptation.nominal.arm[:split] + load
+            columns[3:] = columns[2] * np.stack([np.ones(n), np.abs(tau), np.abs(tau)])  # breakaway not fallen off yet
+        joints = (adaptation.gain.arm[split:].reshape(JOINT_PARAMETERS, n) * columns**2).sum(axis=0)
         # J⁻ᵀ Y_q is the paper's Y_i
         G_arm += J_inv.T @ ((Y * adaptation.gain.arm[:split]) @ Y.T + np.diag(joints)) @ J_inv  # eq:tmp
-        Y_O = _object_rows(model, agent, q_i, reference, P)
         G_object += agent.load_share**2 * (Y_O * adaptation.gain.object) @ Y_O.T
     return G_arm, G_object
 

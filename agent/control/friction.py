@@ -13,12 +13,16 @@ torque contains the feed-forward, which is solved for.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.interface import Vector
+
+Matrix = NDArray[np.float64]
 
 FASTEST = 1e3  # of v_s; there is no breakaway left beyond, and the power stays finite
 
@@ -60,6 +64,24 @@ def solved(constant: float, load: float, tau_rest: float, sign: float) -> float:
     if size + along * bound >= 0.0:
         return bound
     return (constant - load * size) / (1.0 + load * along)  # friction alone turns the motor's torque round
+
+
+def sticking_columns(
+    shapes: Sequence[JointFriction], theta: Matrix, sign: Vector, dq: Vector, tau_rest: Vector
+) -> Matrix:
+    """Columns (3, n) of breakaway, load and breakaway load: with those of Coulomb, sign, they make sign Γ.
+
+    theta (4, n): Coulomb, breakaway, load and breakaway load as believed, which the motor's torque tau_rest + sign Γ
+    is made with; shapes: how breakaway falls off with dq (n,).
+    """
+    rows = []
+    for p, (c, b, m, m_b), s, v, rest in zip(
+        shapes, theta.T.tolist(), sign.tolist(), dq.tolist(), tau_rest.tolist(), strict=True
+    ):
+        left = p.breakaway_left(v)
+        size = abs(rest + s * solved(c + b * left, m + m_b * left, rest, s))
+        rows.append((s * left, s * size, s * left * size))
+    return np.array(rows).T
 
 
 @dataclass(frozen=True, slots=True)

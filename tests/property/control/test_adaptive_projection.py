@@ -22,14 +22,14 @@ N = 3
 def adaptation(rng: np.random.Generator, *, physical: bool = True) -> Adaptation:
     """Three links and an object, boxed in around zero to twice their parameters; two pinned groups."""
     bodies = np.concatenate([random_body(rng, 0.5) for _ in range(N)])
-    truth = Estimate(np.concatenate([bodies, rng.uniform(0.002, 0.05, 3 * N)]), random_body(rng, 0.2))
-    gain = Estimate(rng.uniform(1e-4, 1e-2, 13 * N), rng.uniform(0.1, 2.0, 10))
+    truth = Estimate(np.concatenate([bodies, rng.uniform(0.002, 0.05, 6 * N)]), random_body(rng, 0.2))
+    gain = Estimate(rng.uniform(1e-4, 1e-2, 16 * N), rng.uniform(0.1, 2.0, 10))
     gain.arm[10 * N : 11 * N] = 0.0
     gain.object[1:4] = 0.0
     high = Estimate(2.0 * np.abs(truth.arm), 2.0 * np.abs(truth.object))
     low = Estimate(-high.arm, -high.object)
     nonnegative = [i for b in range(N) for i in (10 * b, 10 * b + 4, 10 * b + 6, 10 * b + 9)] + list(
-        range(10 * N, 13 * N)
+        range(10 * N, 16 * N)
     )
     low.arm[nonnegative] = 0.0
     low.object[[0, 4, 6, 9]] = 0.0
@@ -37,7 +37,7 @@ def adaptation(rng: np.random.Generator, *, physical: bool = True) -> Adaptation
 
 
 def gradient(rng: np.random.Generator, scale: float) -> Gradient:
-    return Gradient(rng.normal(scale=scale, size=13 * N), rng.normal(scale=scale, size=10))
+    return Gradient(rng.normal(scale=scale, size=16 * N), rng.normal(scale=scale, size=10))
 
 
 @given(SEEDS)
@@ -184,7 +184,7 @@ def test_a_gradient_that_is_no_number_changes_nothing_and_is_reported(bad: float
 
 def test_a_mass_held_at_zero_is_no_alarm_and_every_configured_bound_is() -> None:
     data = adaptation(np.random.default_rng(6), physical=False)
-    still = Gradient(np.zeros(13 * N), np.zeros(10))
+    still = Gradient(np.zeros(16 * N), np.zeros(10))
     for k, expected in ((0, False), (1, True), (12 * N, False)):
         down = Gradient(still.arm.copy(), still.object)
         down.arm[k] = 1e9
@@ -209,8 +209,8 @@ def test_parameter_error_counts_only_what_is_estimated() -> None:
 
 def test_estimate_of_a_log_row_is_the_estimate_that_was_logged() -> None:
     data = adaptation(np.random.default_rng(5))
-    field = np.zeros(91)
-    field[: 13 * N] = data.start.arm
+    field = np.zeros(112)
+    field[: 16 * N] = data.start.arm
     found = from_row(field, data.start.object, N)
     assert np.array_equal(found.arm, data.start.arm)
     assert np.array_equal(found.object, data.start.object)
