@@ -59,6 +59,7 @@ def build(
         physical=spec.physical,
         period_s=period_s,
         sticking=_sticking(controller, servos),
+        leak_per_s=spec.leak_per_s,
     )
 
 

@@ -55,10 +55,12 @@ class Adaptation:
     physical: bool  # keep principal moments physical
     period_s: float
     sticking: tuple[JointFriction, ...] = ()  # how breakaway falls off, joint by joint; empty: no joint has it or load
+    leak_per_s: float = 0.0  # rate at which estimates forget towards what is configured
     weight: Estimate = field(init=False)  # Γ⁻¹, zero where nothing is estimated
     # What a tick works with, arm and object in one array (16 n + 10,):
     _nominal: Vector = field(init=False)
     _gain: Vector = field(init=False)
+    _leaks: Vector = field(init=False)  # one where anything is estimated
     _weight: Vector = field(init=False)
     _lower: Vector = field(init=False)
     _upper: Vector = field(init=False)
@@ -70,7 +72,16 @@ class Adaptation:
             raise ValueError(f"bounds of load friction: {load.tolist()}, at most {LOAD_MAX} in sum")
         nominal, gain, lower, upper = (np.concatenate(x) for x in (self.nominal, self.gain, self.lower, self.upper))
         weight, alarm = _inverse(gain), np.where(lower == 0.0, -np.inf, lower)
-        joined = {"nominal": nominal, "gain": gain, "weight": weight, "lower": lower, "upper": upper, "alarm": alarm}
+        leaks = np.sign(gain)
+        joined = {
+            "nominal": nominal,
+            "gain": gain,
+            "leaks": leaks,
+            "weight": weight,
+            "lower": lower,
+            "upper": upper,
+            "alarm": alarm,
+        }
         for name, array in joined.items():
             object.__setattr__(self, f"_{name}", array)
         for array in (*self.start, *self.nominal, *self.lower, *self.upper, *self.gain, *joined.values()):
@@ -79,13 +90,16 @@ class Adaptation:
         object.__setattr__(self, "weight", Estimate(weight[:split], weight[split:]))
 
     def advance(self, estimate: Estimate, gradient: Gradient, dt: float) -> tuple[Estimate, bool]:
-        """θ̂ after dt seconds of θ̂̇ = −Γ gradient, projected; and whether a configured bound held it back.
+        """θ̂ after dt seconds of θ̂̇ = −Γ gradient − σ (θ̂ − nominal), projected; and whether a configured bound held it.
 
         Being held at zero from below is not reported.  A gradient that is not finite changes nothing and is
         reported as held back.
         """
         dt = min(max(dt, 0.0), MAX_INTERVALS * self.period_s)
-        theta = np.concatenate(estimate) - dt * self._gain * np.concatenate(gradient)  # eq:adaptation laws
+        before = np.concatenate(estimate)
+        theta = before - dt * self._gain * np.concatenate(gradient)  # eq:adaptation laws
+        if self.leak_per_s > 0.0:
+            theta += math.expm1(-self.leak_per_s * dt) * self._leaks * (before - self._nominal)
         if not math.isfinite(theta.dot(theta)):
             return estimate, True
         inside = to_box(theta, self._lower, self._upper)

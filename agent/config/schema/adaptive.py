@@ -82,6 +82,7 @@ class Adaptive(Strict):
     coulomb: bool = False
     breakaway: bool = False  # this and load: where the arm file has the figure
     load: bool = False  # load_friction and breakaway_load_friction
+    leak_per_s: Annotated[float, Field(ge=0.0, le=10.0)] = 0.0  # of the estimates, towards what is configured
     start: Annotated[Start, AS_LIST] = Start.NOMINAL
     start_scale: Annotated[float, Field(ge=0.0, le=100.0)] = 1.0
     bounds: ArmBounds = ArmBounds()

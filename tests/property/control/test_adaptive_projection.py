@@ -214,3 +214,34 @@ def test_estimate_of_a_log_row_is_the_estimate_that_was_logged() -> None:
     found = from_row(field, data.start.object, N)
     assert np.array_equal(found.arm, data.start.arm)
     assert np.array_equal(found.object, data.start.object)
+
+
+@given(SEEDS, st.floats(0.1, 10.0), st.floats(0.0, 0.02))
+@examples(40)
+def test_a_leak_forgets_towards_what_is_configured_at_its_rate(seed: int, leak: float, dt: float) -> None:
+    """And only what is estimated: a pinned parameter stays, wherever it began."""
+    rng = np.random.default_rng(seed)
+    data = replace(adaptation(rng, physical=False), leak_per_s=leak)
+    begun = Estimate(*(rng.uniform(0.2, 1.0) * x for x in data.nominal))
+    still = Gradient(np.zeros(16 * N), np.zeros(10))
+    after, held = data.advance(begun, still, dt)
+    for found, before, nominal, gain in zip(after, begun, data.nominal, data.gain, strict=True):
+        expected = np.where(gain > 0.0, nominal + np.exp(-leak * dt) * (before - nominal), before)
+        assert found == pytest.approx(expected, rel=1e-12, abs=1e-15)
+    assert held is False
+    assert data.parameter_error(after) == pytest.approx(np.exp(-2.0 * leak * dt) * data.parameter_error(begun))
+
+
+@given(SEEDS)
+@examples(20)
+def test_leak_and_adaptation_add_up(seed: int) -> None:
+    """From the nominal estimate a leak takes nothing, and without one nothing is forgotten."""
+    rng = np.random.default_rng(seed)
+    data, some = adaptation(rng, physical=False), gradient(rng, 1e-3)
+    leaking = replace(data, leak_per_s=2.0)
+    assert np.array_equal(
+        data.advance(data.nominal, some, 0.01)[0].arm, leaking.advance(data.nominal, some, 0.01)[0].arm
+    )
+    learnt = data.advance(data.nominal, some, 0.02)[0]
+    still = Gradient(np.zeros(16 * N), np.zeros(10))
+    assert np.array_equal(data.advance(learnt, still, 0.02)[0].arm, learnt.arm)
