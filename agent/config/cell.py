@@ -12,6 +12,7 @@ import pinocchio as pin
 import configs
 from agent.config import adaptive
 from agent.config.files import ArmFiles, CellFiles, files_from_toml, load_arm_file, load_files
+from agent.config.friction import joint_friction
 from agent.config.reading import ConfigError
 from agent.config.schema.cell import Arm as ArmEntry
 from agent.config.schema.controller import ControllerKind
@@ -91,11 +92,7 @@ class Cell(CellFiles):
         )
         friction = None
         if c.friction_feedforward:
-            friction = Friction(
-                coulomb_Nm=tuple(s.coulomb_Nm.value for s in arm.servos),
-                viscous_Nm_s_per_rad=tuple(s.viscous_Nm_s_per_rad.value for s in arm.servos),
-                smooth_rad_per_s=c.friction_smooth_rad_per_s,
-            )
+            friction = Friction(tuple(joint_friction(s) for s in arm.servos), c.friction_smooth_rad_per_s)
         return Offline(
             gains=gains,
             load_share=entry.load_share,

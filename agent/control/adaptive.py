@@ -4,15 +4,17 @@
     θ̂̇_i = −γ_i Y_qᵀ (dq − dq_r),   θ̂̇_O = −γ_O c_i Y_Oᵀ e_v
 
 because Y_iᵀ e_v = Y_qᵀ J⁻¹ e_v = Y_qᵀ (dq − dq_r).  J is the Jacobian of the object frame, as in
-agent.control.known.  Y_q has three more columns per joint than the inertial ones: reflected rotor inertia
-(ddq_r), viscous friction (dq_r) and Coulomb friction (a smooth sign of dq_r); the last two make `tau_friction`.
+agent.control.known.  Y_q has six more columns per joint than the inertial ones: reflected rotor inertia (ddq_r),
+viscous friction (dq_r), Coulomb friction (a smooth sign of dq_r), and that sign times what is left of breakaway, the
+motor's torque, and both; all but the first make `tau_friction`.  The motor's torque is the one that is sent.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from agent.control.adaptation import Adaptation, Estimate, Gradient
+from agent.control.adaptation import JOINT_PARAMETERS, Adaptation, Estimate, Gradient
+from agent.control.friction import sticking_columns
 from agent.control.law import (
     Offline,
     Terms,
@@ -50,13 +52,9 @@ def torque(
     dq_error = dq - dq_ref
 
     n = model.n
-    inertial, joints = BODY_PARAMETERS * n, estimate.arm[BODY_PARAMETERS * n :]
+    inertial, joints = BODY_PARAMETERS * n, estimate.arm[BODY_PARAMETERS * n :].reshape(JOINT_PARAMETERS, n)
     Y = joint_regressor(model, q, dq, dq_ref, ddq_ref)
-    tau_adaptive = Y.dot(estimate.arm[:inertial]) + joints[:n] * ddq_ref
-    direction = np.tanh(dq_ref / adaptation.smooth_rad_per_s)
-    tau_friction = joints[n : 2 * n] * dq_ref + joints[2 * n :] * direction if adaptation.friction else None
-    by_joint = (ddq_ref * dq_error, dq_ref * dq_error, direction * dq_error)
-    arm_gradient = np.concatenate((Y.T.dot(dq_error), *by_joint))  # eq:adaptation laws
+    tau_adaptive = Y.dot(estimate.arm[:inertial]) + joints[0] * ddq_ref
 
     c, e_v, P = offline.load_share, e.e_v, model.task_basis
     R = k.R_world_object
@@ -70,6 +68,10 @@ def torque(
     tau_posture = None if offline.posture is None else offline.posture.torque(q, dq, k.J, J_inv)
     shared = shared_torques(offline, k, e, load, tau_posture)
     tau_law = law_torque(tau_adaptive, shared)  # eq:adaptive control vector form
+    columns = _friction_columns(adaptation, joints, dq_ref, dq, tau_law)
+    tau_friction = (joints[1:] * columns).sum(axis=0) if adaptation.friction else None
+    by_joint = np.concatenate((ddq_ref[None], columns)) * dq_error
+    arm_gradient = np.concatenate((Y.T.dot(dq_error), by_joint.ravel()))  # eq:adaptation laws
     terms = assemble(
         desired,
         ref,
@@ -82,6 +84,17 @@ def torque(
         J_inv_P,
     )
     return terms, Gradient(arm_gradient, object_gradient)
+
+
+def _friction_columns(adaptation: Adaptation, joints: Matrix, dq_ref: Vector, dq: Vector, tau_law: Vector) -> Matrix:
+    """(5, n) of viscous and Coulomb friction, breakaway, load and breakaway load; joints (6, n): estimates."""
+    columns = np.zeros((5, len(dq_ref)))
+    columns[0] = dq_ref
+    sign = columns[1] = np.tanh(dq_ref / adaptation.smooth_rad_per_s)
+    if adaptation.sticking:
+        tau_rest = tau_law + joints[1] * dq_ref
+        columns[2:] = sticking_columns(adaptation.sticking, joints[2:], sign, dq, tau_rest)
+    return columns
 
 
 def _object_regressor(offline: Offline, R: Mat3, v: Vec6, v_ref: Vec6, dv_ref: Vec6) -> Matrix:

@@ -37,7 +37,7 @@ def torque(model: ArmModel, offline: Offline, q: Vector, dq: Vector, desired: De
     tau_law = law_torque(tau_inertia + tau_coriolis + k.g, shared)  # eq:control law
     tau_cmd, tau_friction = tau_law, None
     if offline.friction is not None:
-        tau_friction = offline.friction.torque(dq_ref)
+        tau_friction = offline.friction.torque(dq_ref, dq, tau_law)
         tau_cmd = tau_law + tau_friction
     return assemble(
         desired,

@@ -18,6 +18,7 @@ from agent.control.errors import attitude_error
 from agent.control.inverse import SingularJacobian
 from agent.control.models import ArmModel, ModelError
 from agent.verify.adaptive import examine_adaptation
+from agent.verify.box import largest_internal_wrench
 from agent.verify.bus import buses
 from agent.verify.finding import Finding, Verdict, judged
 from agent.verify.force import internal_force
@@ -283,7 +284,10 @@ def _adaptation(
             "set rotor_inertia = false, begin nearer to the configured parameters, or raise rate_hz",
         ),
     )  # fmt: skip
+    force, moment = largest_internal_wrench(cell, models, along[::every], instants[::every])
+    size = f"≤ {force:.3g} N, {moment:.3g} N·m, " + (f"leak {spec.leak_per_s:g}/s" if spec.leak_per_s else "no leak")
+    box = Finding("internal wrench within the bounds of the estimates", "cell", size, "")
     return [
         Finding(what, "cell", value, f"≤ {limit:.4g}", Verdict.OK if ok else Verdict.WARNING, "" if ok else remedy)
         for what, value, limit, ok, remedy in rows
-    ]
+    ] + [box]

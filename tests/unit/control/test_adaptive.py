@@ -78,9 +78,9 @@ def test_a_row_holds_the_estimate_from_before_its_tick() -> None:
     _, memories, rows = run(agent, states_of(q, 12), hold_from=99)
     for memory, row in zip(memories, rows, strict=True):
         assert memory.estimate is not None
-        assert np.array_equal(row["theta_arm"][:39], memory.estimate.arm)
+        assert np.array_equal(row["theta_arm"][:48], memory.estimate.arm)
         assert np.array_equal(row["theta_object"], memory.estimate.object)
-        assert not row["theta_arm"][39:].any()
+        assert not row["theta_arm"][48:].any()
     assert not rows[0]["theta_object"].any()
     assert rows[-1]["theta_object"].any()
 

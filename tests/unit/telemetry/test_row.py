@@ -70,7 +70,7 @@ def all_different(n: int) -> tuple[JointState, Memory, Outcome]:
     terms = Terms(
         desired, kinematics, errors, lyapunov=next(numbers), sigma_min=next(numbers), J_inv_P=None, **of_the_law
     )
-    estimate = Estimate(array_of(13 * n), array_of(10))
+    estimate = Estimate(array_of(16 * n), array_of(10))
     arrays = [array_of(n) for _ in range(6)]
     sense = Sense(array_of(n), array_of(n), array_of(n), array_of(6), array_of(6), array_of(6), next(numbers))
     memory = Memory(*arrays, True, sense, tuple_of(6), True, tuple_of(7), next(numbers), estimate, array_of(n))
