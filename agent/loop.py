@@ -173,7 +173,7 @@ def _law(
     if estimate is None:
         raise TypeError("the adaptive law needs the estimate that its memory began with (initial_memory)")
     terms, gradient = adaptive.torque(agent.model, agent.offline, adaptation, estimate, q, dq, desired)
-    if not memory.primed or mode is not Mode.TRACK:
+    if not memory.primed or (mode is not Mode.TRACK and mode is not Mode.READY):
         return terms, estimate, False
     advanced, held = adaptation.advance(estimate, gradient, t - memory.t)
     return terms, advanced, held

@@ -101,8 +101,16 @@ def test_the_adaptation_integrates_over_the_time_that_really_passed() -> None:
     assert np.linalg.norm(change_twice - 2.0 * change_once) < 0.02 * np.linalg.norm(change_twice)
 
 
-@pytest.mark.parametrize("mode", [Mode.OFF, Mode.READY, Mode.FAULT])
-def test_nothing_is_learnt_while_the_arm_is_not_commanded(mode: Mode) -> None:
+def test_an_arm_that_waits_for_the_start_learns_what_it_holds() -> None:
+    agent, q = agent_of()
+    states = states_of(q, 2)
+    memory = step(agent, states[0], -1.0, Mode.READY, initial_memory(agent)).memory
+    learnt = step(agent, states[1], PERIOD - 1.0, Mode.READY, memory).memory.estimate
+    assert np.abs(learnt.arm - memory.estimate.arm).max() > 0.0
+
+
+@pytest.mark.parametrize("mode", [Mode.OFF, Mode.HOLD, Mode.LOWER, Mode.FAULT])
+def test_nothing_is_learnt_while_the_arm_only_holds_or_is_off(mode: Mode) -> None:
     agent, q = agent_of()
     states = states_of(q, 3)
     memory = step(agent, states[0], 0.0, Mode.TRACK, initial_memory(agent)).memory
