@@ -1,7 +1,8 @@
-"""What reality may make of a cell: the stability criterion along its trajectory, as findings and as figures."""
+"""What reality may make of a cell along its trajectory, as findings and figures: instability, and an arm that fails."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -17,6 +18,7 @@ from agent.verify.criterion.bodies import Pose
 from agent.verify.criterion.cases import Aligning, Demand, Loop, Ranges
 from agent.verify.criterion.examine import Criterion, Found, examine
 from agent.verify.finding import Finding, Verdict, judged
+from agent.verify.support import HELD_SAG_M, Fate, Load, Statics, Support
 from drivers.interface import Vector
 
 PLACES = 12  # along the trajectory
@@ -50,16 +52,35 @@ class Walk:
 class Robustness:
     """What was found, and the places that it speaks of."""
 
-    walk: Walk
+    walk: Walk  # of the criterion
     criterion: Criterion
+    instants: Sequence[float]  # of the statics
+    support: tuple[Support, ...]  # when one arm fails, by arm; empty for an arm alone
 
     def document(self) -> dict[str, Any]:
         """For a script."""
-        found = self.criterion
+        cell, found = self.walk.cell, self.criterion
         return {
             "spectral_radius": found.radius,
             "delay_margin_s": found.delay_margin_s,
             "worst": {d.name.lower(): self._case(w) for d, w in found.worst.items()},
+            "one_arm_fails": {arm.name: self._failed(s) for arm, s in zip(cell.arms, self.support, strict=False)},
+        }
+
+    def _failed(self, found: Support) -> dict[str, Any]:
+        return {
+            "limp": self._load(found.limp) | {"sag_m": found.sag_m, "object": found.fate.value},
+            "locked": self._load(found.locked),
+            "holding": self._load(found.holding),
+        }
+
+    def _load(self, load: Load) -> dict[str, Any]:
+        arm = self.walk.cell.arms[load.arm]
+        return {
+            "share_of_stall": load.share,
+            "arm": arm.name,
+            "joint": arm.entry.controlled[load.joint],
+            "t_s": self.instants[load.place],
         }
 
     def _case(self, found: Found) -> dict[str, Any]:
@@ -91,7 +112,35 @@ class Robustness:
                     remedy=f"{_MEANING[demand]}; take the gains that `coop tune` proposes, or raise rate_hz",
                 )
             )  # fmt: skip
-        return [*findings, self._margin(otherwise)]
+        failed = [f for i, s in enumerate(self.support) for f in self._failures(i, s)]
+        return [*findings, self._margin(otherwise), *failed]
+
+    def _failures(self, arm: int, found: Support) -> list[Finding]:
+        """What becomes of the others and the object when this arm fails."""
+        cell = self.walk.cell
+        bound, where = cell.file.safety.tau_max_fraction_of_stall, cell.arms[arm].name
+        sag = f"sags by {found.sag_m * 1e3:.2g} mm" if math.isfinite(found.sag_m) else "falls"
+        return [
+            judged(
+                "this arm limp", where,
+                f"{self._loaded(found.limp)}; {sag}; at the stated tolerance: {found.fate.value}",
+                f"held within {HELD_SAG_M * 1e3:g} mm by {bound:.0%} of stall", holds=found.fate is Fate.HELD,
+                otherwise=Verdict.WARNING,
+                remedy="have a support below the object, a pose with less load, lighter arms or stiffer gains",
+            ),
+            *(
+                judged(
+                    f"this arm {what}", where, self._loaded(load), f"≤ {bound:.0%}", holds=load.share <= bound,
+                    otherwise=Verdict.WARNING, remedy="move more slowly, or take softer gains",
+                )
+                for what, load in (("locked", found.locked), ("holding", found.holding))
+            ),
+        ]  # fmt: skip
+
+    def _loaded(self, load: Load) -> str:
+        arm = self.walk.cell.arms[load.arm]
+        at = f"t = {self.instants[load.place]:.3g} s"
+        return f"{load.share:.0%} of stall ({arm.name} {arm.entry.controlled[load.joint]}, {at})"
 
     def _where(self, found: Found) -> str:
         return "cell" if found.case.arm is None else self.walk.cell.arms[found.case.arm].name
@@ -123,8 +172,12 @@ class Robustness:
 
 def robustness(walk: Walk) -> Robustness:
     """The cell with its own gains, at some places of its trajectory."""
-    few = walk.some(PLACES)
-    return Robustness(few, examine(poses(few), loop_of(walk.cell), ranges_of(walk.cell)))
+    few, cell = walk.some(PLACES), walk.cell
+    support: tuple[Support, ...] = ()
+    if len(cell.arms) > 1:
+        statics = Statics(cell, walk.models, walk.along, walk.instants)
+        support = tuple(statics.without(i) for i in range(len(cell.arms)))
+    return Robustness(few, examine(poses(few), loop_of(cell), ranges_of(cell)), walk.instants, support)
 
 
 def poses(walk: Walk) -> list[Pose]:
