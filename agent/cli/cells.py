@@ -30,7 +30,7 @@ def check(cell: CellPath, overrides: Overrides = [], as_json: AsJson = False) ->
     from agent.verify.check import examine
 
     loaded = load_cell(cell, overrides)
-    report = examine(loaded, wired=True)
+    report = examine(loaded, wired=True, thorough=True)
     if as_json:
         from agent.cli.documents import check_document
 

@@ -21,7 +21,8 @@ SCHEMA: Final = 1
 
 
 def check_document(cell: Cell, report: CheckReport) -> dict[str, Any]:
-    """Every finding, the gravest verdict, and the start configurations."""
+    """Every finding, the gravest verdict, the start configurations, and what reality may make of the cell."""
+    from agent.report.quantity import json_ready
     from agent.verify.finding import worst
 
     return {
@@ -29,6 +30,7 @@ def check_document(cell: Cell, report: CheckReport) -> dict[str, Any]:
         "verdict": worst(report.findings).value,
         "findings": [finding.document() for finding in report.findings],
         "q_start_rad": {arm.name: q.tolist() for arm, q in zip(cell.arms, report.q_start, strict=True)},
+        "robustness": None if report.robustness is None else json_ready(report.robustness.document()),
     }
 
 

@@ -88,7 +88,7 @@ class Cell(CellFiles):
             k_eps=c.k_eps_rad_per_s,
             k_p_rate=c.k_p_rate_per_s or c.k_p_per_s,
             k_eps_rate=c.k_eps_rate_rad_per_s or c.k_eps_rad_per_s,
-            k_v=(*entry.k_v_N_s_per_m, *(entry.k_v_Nm_s_per_rad or entry.k_v_N_s_per_m)),
+            k_v=(*entry.k_v_N_s_per_m, *entry.k_v_Nm_s_per_rad),
         )
         friction = None
         if c.friction_feedforward:

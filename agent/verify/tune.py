@@ -280,7 +280,7 @@ def _k_v_changes(arm: Arm, gains: Gains) -> Iterator[Change]:
     entry, linear, angular = arm.entry, gains.k_v[:3], gains.k_v[3:]
     if entry.k_v_N_s_per_m != linear:
         yield Change("arms", "k_v_N_s_per_m", _toml(linear), arm.name)
-    if (entry.k_v_Nm_s_per_rad or linear) != angular:
+    if entry.k_v_Nm_s_per_rad != angular:
         yield Change("arms", "k_v_Nm_s_per_rad", _toml(angular), arm.name)
 
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import enum
 import math
 from collections import Counter
-from typing import Annotated
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Annotated, ClassVar
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -150,6 +152,13 @@ class PostureSpec(Strict):
 class Arm(Strict):
     """One arm of the cell."""
 
+    absent: ClassVar[Mapping[str, str]] = MappingProxyType(
+        {
+            "k_v_Nm_s_per_rad": "give the rotation a k_v of its own, N·m·s/rad: the number of k_v_N_s_per_m is mostly "
+            "far too much for a wrist; 0.1 is a beginning, `coop tune` finds a better one"
+        }
+    )
+
     name: Name
     model: FileStem
     p_world_base_m: Vec3
@@ -158,7 +167,7 @@ class Arm(Strict):
     quat_object_ee: Quaternion
     load_share: Share  # the paper allows 0: such an arm damps the object and carries nothing
     k_v_N_s_per_m: PerAxis
-    k_v_Nm_s_per_rad: PerAxis | None = None  # the paper: the same number
+    k_v_Nm_s_per_rad: PerAxis  # the paper prints one number for both, which is far too much for a wrist
     internal_wrench_N_Nm: Wrench | None = None  # at ee, object axes
     grip_force_max_N: Annotated[float, Field(gt=0.0, le=1e4)] | None = None  # what the gripper holds by friction
     controlled: Annotated[list[Label], Field(min_length=3, max_length=7)]

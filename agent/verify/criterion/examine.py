@@ -79,12 +79,13 @@ def sweep(judge: Judge, ranges: Ranges) -> list[Found]:
     """All cases, the largest radius first."""
     every, count = range(len(judge.poses)), len(judge.loop.gains)
     longest, *others = ranges.delays
+    if count == 1:
+        return rank(judge, ranges, alone(1, ranges, every, ranges.delays))
     found = rank(judge, ranges, rigid(ranges, every, ranges.delays))
     elsewhere = found[0].case.place
     places = sorted({0, elsewhere, *every[:: max(1, len(every) // PLACES_ALONE)]})
     found += rank(judge, ranges, alone(count, ranges, places, ranges.delays))
-    if count > 1:
-        found += _soft(judge, ranges, elsewhere, longest, others)
+    found += _soft(judge, ranges, elsewhere, longest, others)
     return sorted(found, key=_by_radius)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 
 import configs
@@ -11,9 +13,10 @@ from agent.verify.check import start_configurations
 from agent.verify.criterion.bodies import Pose, pose
 from agent.verify.criterion.cases import Aligning, Loop, Ranges
 
-PLANAR = {"k_p": 100.0, "k_eps": 60.0, "k_v": 1.5, "k_v_turn": 0.1}
-SPATIAL = {"k_p": 80.0, "k_eps": 60.0, "k_v": 3.0, "k_v_turn": 0.1}
-RATE_SHARE = 0.7
+# k_p, k_eps, k_v of translation and of rotation; and the part of k_p and k_eps that stands in v̇_r
+GENTLE = {3: (100.0, 60.0, 1.5, 0.1), 6: (80.0, 60.0, 3.0, 0.1)}  # by controlled joints
+GENTLE_RATE = 0.7
+FIRST = {3: (150.0, 100.0, 2.5, 2.5), 6: (100.0, 100.0, 10.0, 0.3)}  # of the paper, and of the first six-joint cells
 
 
 def cell_of(name: str, *overrides: str) -> Cell:
@@ -21,19 +24,29 @@ def cell_of(name: str, *overrides: str) -> Cell:
     return load_cell(configs.CELLS_DIR / f"{name}.toml", list(overrides))
 
 
-def gentle(name: str, *overrides: str) -> Cell:
-    """The same with gains that survive reality."""
+def with_gains(name: str, gains: Mapping[int, Sequence[float]], rate: float, *overrides: str) -> Cell:
+    """A shipped cell with other gains."""
     arms = cell_of(name).file.arms
-    g = PLANAR if len(arms[0].controlled) == 3 else SPATIAL
+    k_p, k_eps, k_v, k_v_turn = gains[len(arms[0].controlled)]
     changes = [
-        f"controller.k_p_per_s={g['k_p']}",
-        f"controller.k_eps_rad_per_s={g['k_eps']}",
-        f"controller.k_p_rate_per_s={RATE_SHARE * g['k_p']}",
-        f"controller.k_eps_rate_rad_per_s={RATE_SHARE * g['k_eps']}",
+        f"controller.k_p_per_s={k_p}",
+        f"controller.k_eps_rad_per_s={k_eps}",
+        f"controller.k_p_rate_per_s={rate * k_p}",
+        f"controller.k_eps_rate_rad_per_s={rate * k_eps}",
     ]
     for arm in arms:
-        changes += [f"arms.{arm.name}.k_v_N_s_per_m={g['k_v']}", f"arms.{arm.name}.k_v_Nm_s_per_rad={g['k_v_turn']}"]
+        changes += [f"arms.{arm.name}.k_v_N_s_per_m={k_v}", f"arms.{arm.name}.k_v_Nm_s_per_rad={k_v_turn}"]
     return cell_of(name, *changes, *overrides)
+
+
+def gentle(name: str, *overrides: str) -> Cell:
+    """With gains that survive reality."""
+    return with_gains(name, GENTLE, GENTLE_RATE, *overrides)
+
+
+def first(name: str, *overrides: str) -> Cell:
+    """With gains that do not."""
+    return with_gains(name, FIRST, 1.0, *overrides)
 
 
 def start_pose(cell: Cell) -> Pose:

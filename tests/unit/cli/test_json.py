@@ -46,6 +46,9 @@ def shape(thing: Any) -> Any:
 
 
 FINDING = dict.fromkeys(("what", "where", "found", "wanted", "verdict", "remedy"), "str")
+WORST_BARE = dict.fromkeys(("spectral_radius", "t_s", "delay_s", "inertia", "object"), "float") | {
+    "arm": "str", "pads_N_per_m": "NoneType", "pads_Nm_per_rad": "NoneType",
+}  # fmt: skip
 HEAD = {"schema": "int", "cell": "str", "fingerprint": "str"}
 
 
@@ -53,6 +56,9 @@ def test_check_gives_findings_a_verdict_and_the_start() -> None:
     done = coop("check", PAPER, "--json")
     assert (done.code, done.err) == (0, "")
     found = document(done)
+    robustness = found.pop("robustness")
+    assert {"spectral_radius", "delay_margin_s", "worst"} <= set(robustness)
+    assert shape(robustness["worst"]["bare"]) == WORST_BARE
     assert shape(found) == HEAD | {
         "verdict": "str", "findings": [FINDING], "q_start_rad": {"left": ["float"], "right": ["float"]},
     }  # fmt: skip

@@ -25,7 +25,7 @@ from agent.verify.criterion.loop import Laws, Shifting, laws, one_period, spectr
 from drivers import pads
 from drivers.interface import Vector
 from sim_backend.physics.free_arm import FreeArms
-from tests.support.control.criterion_cells import cell_of, gentle, loop_of, ranges_of, start_pose
+from tests.support.control.criterion_cells import cell_of, first, gentle, loop_of, ranges_of, start_pose
 
 CELLS = ("paper", "two_models", "three_wx250s")
 REST = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -70,7 +70,7 @@ def test_the_laws_are_those_that_run(name: str) -> None:
 
 def test_viscous_feed_forward_is_part_of_the_stiffness() -> None:
     """Without the Coulomb part, whose smooth sign is no linear friction."""
-    cell = cell_of("paper", *NO_WEIGHT)
+    cell = first("paper")
     own = [replace(cell.offline(a), friction=None) for a in cell.arms]
     at = start_pose(cell)
     fed, plain = laws(at, [o.gains for o in own]).S, laws(unfed(at), [o.gains for o in own]).S
@@ -199,7 +199,7 @@ STEPPED = [
 @pytest.mark.parametrize("velocity", ["servo", "observer"])
 @pytest.mark.parametrize("soft_gains", [False, True])
 def test_a_disturbance_grows_or_dies_by_the_radius(name: str, case: Case, velocity: str, soft_gains: bool) -> None:
-    cell = (gentle if soft_gains else cell_of)(name, f'controller.velocity="{velocity}"')
+    cell = (gentle if soft_gains else first)(name, f'controller.velocity="{velocity}"')
     at, loop = start_pose(cell), loop_of(cell)
     predicted = rank(Judge([at], loop), ranges_of(cell), [case])[0].radius
     stepped = StepByStep(at, loop, laws(at, loop.gains), case, 0.25).growth(300 if predicted > 1.0 else 1500)
