@@ -20,7 +20,7 @@ def on_cluster(tasks: Sequence[Task], address: str) -> Iterator[Done]:
     client = _client(distributed, address)
     try:
         futures = {client.submit(perform, task, pure=False, retries=ATTEMPTS - 1): task for task in tasks}
-        for future in distributed.as_completed(futures):
+        for future in distributed.as_completed(futures, loop=client.loop):
             task = futures.pop(future)
             yield task, _result(distributed, future, task)
     finally:

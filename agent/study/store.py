@@ -39,14 +39,24 @@ class Store:
         self.results: dict[Key, RunResult] = {}
         try:
             self._file: BinaryIO = self.path.open("a+b")
+        except OSError as error:
+            raise self._unwritable(error) from error
+        try:
             self._read()
         except OSError as error:
-            raise WriteError(
-                f"file {self.path}",
-                found=error.strerror,
-                expected="a file that can be written",
-                remedy="name another --out",
-            ) from error
+            self._file.close()
+            raise self._unwritable(error) from error
+        except StudyError:
+            self._file.close()
+            raise
+
+    def _unwritable(self, error: OSError) -> WriteError:
+        return WriteError(
+            f"file {self.path}",
+            found=error.strerror,
+            expected="a file that can be written, and room for it",
+            remedy="make room, or name another --out; finished runs are kept",
+        )
 
     def _read(self) -> None:
         self._file.seek(0)
@@ -54,12 +64,20 @@ class Store:
         for number, line in enumerate(self._file):
             if not line.endswith(b"\n"):
                 break
-            content = json.loads(line)
-            if number == 0:
-                self._require_same(content)
-            else:
-                cell, result = content["cell_place"], {k: v for k, v in content.items() if k in _FIELDS}
-                self.results[cell, content["index"]] = RunResult(**result)
+            try:
+                content = json.loads(line)
+                if number == 0:
+                    self._require_same(content)
+                else:
+                    cell, result = content["cell_place"], {k: v for k, v in content.items() if k in _FIELDS}
+                    self.results[cell, content["index"]] = RunResult(**result)
+            except (ValueError, KeyError, TypeError) as error:
+                raise StudyError(
+                    f"line {number + 1} of {self.path}",
+                    found="no run of a study",
+                    expected="what `coop study` wrote",
+                    remedy="name another --out, or give --force",
+                ) from error
             whole += len(line)
         self._file.truncate(whole)
         if not whole:
@@ -80,12 +98,7 @@ class Store:
         try:
             self._append({"cell_place": task.cell, **asdict(result)})
         except OSError as error:
-            raise WriteError(
-                f"file {self.path}",
-                found=error.strerror,
-                expected="room for its runs",
-                remedy="make room; it goes on then",
-            ) from error
+            raise self._unwritable(error) from error
 
     def _append(self, content: Mapping[str, Any]) -> None:
         self._file.write(json.dumps(content, allow_nan=False).encode() + b"\n")

@@ -5,6 +5,7 @@ A worker that dies takes nothing with it but time: its run is given to another.
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import os
 import pickle
@@ -117,7 +118,7 @@ class _Worker(threading.Thread):
         except queue.Empty:
             pass
         finally:
-            self.stop()
+            self._end()
 
     def _given(self, task: Task) -> RunResult | Refused | None:
         """What a process makes of the task; None once this worker is stopped."""
@@ -129,9 +130,7 @@ class _Worker(threading.Thread):
             try:
                 return self._ask(self._process, task)
             except (EOFError, OSError, pickle.UnpicklingError):
-                self._process.kill()
-                self._process.wait()
-                self._process = None
+                self._end()
         return Refused(
             f"run {task.index} of {task.source}, reality {task.seed}",
             f"{ATTEMPTS} workers that died during it",
@@ -149,12 +148,21 @@ class _Worker(threading.Thread):
         return answer
 
     def stop(self) -> None:
-        """End the process, and with it what it is doing."""
+        """End the process, and with it what it is doing; called from another thread."""
         self._stopped = True
         process = self._process
         if process is not None:
             process.kill()
+
+    def _end(self) -> None:
+        process, self._process = self._process, None
+        if process is not None:
+            process.kill()
             process.wait()
+            for pipe in (process.stdin, process.stdout):
+                assert pipe is not None
+                with contextlib.suppress(BrokenPipeError):
+                    pipe.close()
 
 
 def _start() -> subprocess.Popen[bytes]:
