@@ -44,7 +44,6 @@ def _believed_spec(cell: Cell, q_start: Sequence[Vector]) -> PlantSpec:
         gravity=cell.gravity,
         substep_s=1.0 / cell.file.rate_hz / cell.file.simulation.substeps_per_cycle,
         grasp=_pads(cell),
-        relinearise_s=1.0 / cell.file.rate_hz,
     )
 
 

@@ -29,7 +29,7 @@ from sim_backend.physics.plant import Observation
 
 TROUBLE: Final = Flag.NOT_FINITE | Flag.SINGULAR | Flag.OFF_TRACK | Flag.UNEXPECTED
 NS: Final = 1e-9
-SEIZED_Nms_RAD: Final = 1e3  # viscous friction of a joint that does not turn any more
+SEIZED_Nms_RAD: Final = 200.0  # viscous friction of a seized joint: it creeps by 5 mrad/s per N·m
 
 
 class Laboratory:
