@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Annotated
 
 import typer
 
-from agent.cli import cells, doctor, logs, motors, processes, replay, run, view, words
+from agent.cli import cells, doctor, logs, motors, processes, replay, run, study, view, words
 from agent.cli.help import Commands
 from agent.cli.where import where
 
 PROGRAM = "coop"
 USAGE = 2  # exit code of a command line that says nothing `coop` understands
 
-GROUPS = {
-    "Simulate and examine": (run.run, cells.check, cells.tune),
+GROUPS: dict[str, tuple[Callable[..., None], ...]] = {
+    "Simulate and examine": (run.run, cells.check, cells.tune, study.study),
     "Arms of this host": (words.start, words.stop, words.release, doctor.doctor),
     "Logs": (
         logs.report, view.view, logs.compare, replay.replay, logs.identify, logs.export, logs.play, logs.recover,

@@ -13,6 +13,8 @@ from agent.cli.options import note
 if TYPE_CHECKING:
     from rich.progress import Progress
 
+    from agent.study.measure import RunResult
+
 LINE_EVERY_S: Final = 10.0  # of a run that no terminal shows
 
 
@@ -97,6 +99,59 @@ class RunProgress:
         self._bar.update(
             self._bar.task_ids[0], completed=t_s / duration_s, t=t_s, duration=duration_s, speed=speed, error=error
         )
+
+
+class StudyProgress:
+    """What `coop study` shows: a bar with finished, lost and tripped runs and the time that is left."""
+
+    def __init__(self, clock_s: Callable[[], float] = time.monotonic) -> None:
+        self._clock_s = clock_s
+        self._bar: Progress | None = None
+        self._done = self._total = self._lost = self._tripped = 0
+        self._next_line_s = clock_s() + LINE_EVERY_S
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def begin(self, done: int, total: int) -> None:
+        """Runs are about to be done; `done` were there before."""
+        self._done, self._total = done, total
+        if done:
+            note(f"{done} of {total} runs are there already")
+        if sys.stderr.isatty():
+            self._bar = _study_bar()
+            self._bar.add_task("", total=total, completed=done, lost=0, tripped=0)
+            self._bar.start()
+
+    def advance(self, result: RunResult) -> None:
+        """One more run is finished."""
+        self._done += 1
+        self._lost += result.lost
+        self._tripped += result.tripped
+        if self._bar is not None:
+            self._bar.update(self._bar.task_ids[0], completed=self._done, lost=self._lost, tripped=self._tripped)
+        elif self._clock_s() >= self._next_line_s:
+            self._next_line_s = self._clock_s() + LINE_EVERY_S
+            note(f"{self._done} of {self._total} runs, {self._lost} lost, {self._tripped} tripped")
+
+
+def _study_bar() -> Progress:
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    return Progress(
+        MofNCompleteColumn(),
+        BarColumn(),
+        TextColumn("{task.fields[lost]} lost, {task.fields[tripped]} tripped"),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+    )
 
 
 def _spinner() -> Progress:

@@ -37,4 +37,15 @@ def die_with_parent() -> None:
     """Ask the kernel for SIGTERM when the parent dies, so that `coop run` never leaves a process behind."""
     if os.getppid() == 1:
         raise SystemExit("the process that started this one is gone")
+    _ask_for_end()
+
+
+def end_with(parent: int) -> None:
+    """The same for a process that knows its parent's number, which may be 1.  Raises SystemExit when it is gone."""
+    _ask_for_end()
+    if os.getppid() != parent:
+        raise SystemExit("the process that started this one is gone")
+
+
+def _ask_for_end() -> None:
     ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)

@@ -9,6 +9,7 @@ import numpy as np
 from agent.config.cell import Arm, Cell
 from agent.config.friction import joint_friction
 from agent.config.reality import reality_of
+from agent.config.schema.reality import Reality as RealityEntry
 from agent.config.schema.simulation import Effects
 from drivers.dynamixel.servo.table import PWM_UNIT_DUTY, RATED_VOLTAGE_V, TICK_RAD, VELOCITY_UNIT_RAD_PER_S
 from drivers.interface import Vector
@@ -18,12 +19,12 @@ from sim_backend.physics.reality import ArmReality, Reality, realised
 from sim_backend.physics.spec import ArmSpec, GraspSpec, ObjectSpec, PlantSpec
 
 
-def plant_spec(cell: Cell, q_start: Sequence[Vector]) -> PlantSpec:
+def plant_spec(cell: Cell, q_start: Sequence[Vector], reality: RealityEntry | None = None) -> PlantSpec:
     """Plant of the cell as it is: the object at its start pose, arms at q_start or, where they are off, near it.
 
-    Raises PlantError (GraspError) where the cell's reality cannot be.
+    reality: in the place of the cell's own.  Raises PlantError (GraspError) where it cannot be.
     """
-    believed, real = _believed_spec(cell, q_start), reality_of(cell)
+    believed, real = _believed_spec(cell, q_start), reality or reality_of(cell)
     if real is None:
         return believed
     given = real.model_dump(exclude={"seed", "arms"})
@@ -43,7 +44,6 @@ def _believed_spec(cell: Cell, q_start: Sequence[Vector]) -> PlantSpec:
         gravity=cell.gravity,
         substep_s=1.0 / cell.file.rate_hz / cell.file.simulation.substeps_per_cycle,
         grasp=_pads(cell),
-        relinearise_s=1.0 / cell.file.rate_hz,
     )
 
 

@@ -99,8 +99,9 @@ class _Arm:
             return tau, slope
         dq_ref = -_apply(self.J_inv, x @ self.KH.T)
         turning = np.where(np.abs(dq_ref) < STILL_RAD_PER_S, STILL_RAD_PER_S, dq_ref)
-        steep = np.array(self.fed.coulomb_Nm) * np.tanh(turning / self.fed.smooth_rad_per_s) / turning
-        steep = steep + np.array(self.fed.viscous_Nm_s_per_rad)
+        at_rest = np.array([joint.coulomb_Nm + joint.breakaway_Nm for joint in self.fed.joints])
+        steep = at_rest * np.tanh(turning / self.fed.smooth_rad_per_s) / turning
+        steep = steep + np.array([joint.viscous_Nm_s_per_rad for joint in self.fed.joints])
         return tau + steep * dq_ref, slope + steep[..., None] * (self.J_inv @ self.KH)
 
     def rubs(self, x: Matrix, factor: float) -> tuple[Matrix, Matrix]:

@@ -203,7 +203,7 @@ class PlantSpec:
     start_tolerance_m: float = 1e-5
     start_tolerance_rad: float = 1e-4
     grasp: GraspSpec | None = None  # None: welded
-    relinearise_s: float = 5e-3  # how long soft.py may go on with one linearisation
+    relinearise_s: float = 1e-2  # how long soft.py may go on with one linearisation
     names: tuple[str, ...] = field(init=False)
 
     def __post_init__(self) -> None:

@@ -43,7 +43,6 @@ def test_grasp_keys_reach_the_plant_of_lockstep_and_of_emulated_servos() -> None
     )
     spec = plant_spec(cell, examine(cell).q_start)
     assert spec.grasp == GraspSpec(1e4, 50.0, 0.4, 9.0, 0.5, 0.01)
-    assert spec.relinearise_s == 1.0 / cell.file.rate_hz
     assert isinstance(build_plant(spec), SoftPlant)
     _, world = emulate(spec, [], timing=None)
     assert isinstance(world.plant, SoftPlant)

@@ -1,0 +1,166 @@
+"""A simulated cell in one process: its plant as it is and `agent.loop.step` of each arm, without sockets or a log.
+
+Order of events, support at the start, clocks and delays are those of a lockstep run, and so is the motion, bit for bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from agent.config.cell import Cell
+from agent.config.schema.reality import Reality
+from agent.control.memory import Memory
+from agent.loop import Agent, Outcome, hold_after, initial_memory, step, wait_here
+from agent.modes import Event, Mode, next_mode
+from agent.process.build import build_agent
+from agent.process.simulated import plant_spec
+from agent.safety import Flag
+from agent.study.fault import Fault, FaultKind
+from agent.verify.check import start_configurations
+from drivers.interface import JointState, Vector
+from sim_backend.physics.actuator import TorqueCommand
+from sim_backend.physics.build import build_plant
+from sim_backend.physics.delay import DelayLine, stretches
+from sim_backend.physics.plant import Observation
+
+TROUBLE: Final = Flag.NOT_FINITE | Flag.SINGULAR | Flag.OFF_TRACK | Flag.UNEXPECTED
+NS: Final = 1e-9
+SEIZED_Nms_RAD: Final = 200.0  # viscous friction of a seized joint: it creeps by 5 mrad/s per N·m
+
+
+class Laboratory:
+    """A cell made ready for many runs.  Raises Refusal as the cell's models and start poses do."""
+
+    def __init__(self, cell: Cell) -> None:
+        self.cell = cell
+        self.q_start = start_configurations(cell, [cell.model(arm) for arm in cell.arms])
+        self.agents: tuple[Agent, ...] = tuple(build_agent(cell, arm) for arm in cell.arms)
+        self.stall_Nm = np.concatenate([arm.tau_stall_Nm for arm in cell.arms])
+
+
+@dataclass(frozen=True)
+class Trip:
+    """An arm that gave up following the trajectory, by itself."""
+
+    t: float
+    arm: str
+    flags: Flag
+
+
+class Place:
+    """One arm of a run: its agent, what it remembers, and its torque on the way."""
+
+    def __init__(self, agent: Agent, joints: slice, command: TorqueCommand, line: DelayLine, skew_ns: int) -> None:
+        self.agent, self.joints, self.line = agent, joints, line
+        self.mode = Mode.TRACK
+        self.memory: Memory = initial_memory(agent)
+        self.outcome: Outcome | None = None  # of the last cycle
+        self.limp = False
+        self._command = command
+        self._skew_ns = skew_ns
+
+    def cycle(self, stamp_ns: int, zero_ns: int, reported: tuple[Vector, Vector, Vector], happened: Event) -> Vector:
+        """One cycle as `agent.runner` does it; the torque that its servos are told.  reported: of all joints (J,)."""
+        if self.limp:
+            return np.zeros(self.agent.model.n)
+        q, dq, tau = (values[self.joints] for values in reported)
+        state = JointState(stamp_ns + self._skew_ns, q, dq, tau)
+        if self.mode is not Mode.TRACK and self.memory.hold is None:
+            self.memory = wait_here(self.agent, state.q, self.memory)
+        outcome = step(self.agent, state, (state.stamp_ns - zero_ns) * NS, self.mode, self.memory)
+        self.memory, self.outcome = outcome.memory, outcome
+        if outcome.flags & TROUBLE:
+            happened |= Event.TROUBLE
+        if happened:
+            self._change_mode(happened, outcome)
+        return self._command(outcome.tau)
+
+    def _change_mode(self, happened: Event, outcome: Outcome) -> None:
+        before, self.mode = self.mode, next_mode(self.mode, happened)
+        if self.mode is before:
+            return
+        if self.mode is Mode.HOLD:
+            self.memory = hold_after(self.agent, outcome)
+        if self.mode is Mode.TRACK:
+            self.memory = self.memory._replace(hold=None, q_hold=None)
+
+
+class Run:
+    """One run of a laboratory's cell in one reality, tick by tick."""
+
+    def __init__(self, lab: Laboratory, reality: Reality | None, faults: Sequence[Fault] = ()) -> None:
+        """reality None: as the cell file says.  Raises PlantError where it cannot be."""
+        file = lab.cell.file
+        self.plant = build_plant(plant_spec(lab.cell, lab.q_start, reality))
+        self.period_ns = lab.cell.period_ns
+        self.ready_ticks = round(file.simulation.ready_s * file.rate_hz)
+        self.tick = 0
+        self.trips: list[Trip] = []
+        self.peak_Nm = np.zeros(self.plant.joint_count)  # largest torque sent so far
+        spec, self._substeps = self.plant.spec, file.simulation.substeps_per_cycle
+        self.places = []
+        for i, (agent, arm, joints) in enumerate(zip(lab.agents, spec.arms, self.plant.slices, strict=True)):
+            line = DelayLine.of(arm.actuator, spec.substep_s, self._substeps, i)
+            place = Place(agent, joints, TorqueCommand.of(arm.actuator), line, round(arm.skew_s * 1e9))
+            place.mode = Mode.READY if self.ready_ticks else Mode.TRACK
+            self.places.append(place)
+        self._parts = stretches([p.line for p in self.places], self._substeps)
+        self._support = max(p.line.first_substep for p in self.places)
+        self._tau = np.zeros(self.plant.joint_count)
+        self._due = sorted(faults, key=lambda fault: -fault.at_s)
+
+    @property
+    def t(self) -> float:
+        """Time of the next tick on the trajectory's clock, s; negative while the arms wait for the common start."""
+        return (self.tick - self.ready_ticks) * self.period_ns * NS
+
+    def observe(self) -> Observation:
+        """The truth at the beginning of the next tick."""
+        return self.plant.observe(self._acting(0))
+
+    def advance(self) -> None:
+        """One tick.  Raises PlantError once the motion is not finite any more, TorqueCommandError for such a torque."""
+        requests = self._strike()
+        reported, stamp_ns = self.plant.reported(), self.tick * self.period_ns
+        zero_ns = self.ready_ticks * self.period_ns
+        for place in self.places:
+            happened, before = requests.get(place.agent.name, Event.NONE), place.mode
+            if before is Mode.READY and stamp_ns + self.period_ns >= zero_ns:
+                happened |= Event.STARTED
+            tau = place.cycle(stamp_ns, zero_ns, reported, happened)
+            if place.mode is Mode.HOLD and before is not Mode.HOLD and Event.STOP not in happened:
+                assert place.outcome is not None
+                self.trips.append(Trip(self.t, place.agent.name, place.outcome.flags))
+            place.line.push(self.tick, tau)
+            peak = self.peak_Nm[place.joints]
+            np.maximum(peak, np.abs(tau), out=peak)
+        for begin, count in self._parts:
+            if self.tick * self._substeps + begin < self._support:
+                self.plant.rest(count)
+            else:
+                self.plant.advance(self._acting(begin), count)
+        self.tick += 1
+
+    def _acting(self, substep: int) -> Vector:
+        for place in self.places:
+            self._tau[place.joints] = place.line.acting(self.tick, substep)
+        return self._tau
+
+    def _strike(self) -> dict[str, Event]:
+        """Let happen what is due; requests of operators by arm."""
+        requests = {}
+        while self._due and self._due[-1].at_s <= self.t:
+            fault = self._due.pop()
+            if fault.kind is FaultKind.HOLD:
+                requests[fault.arm] = Event.STOP
+            elif fault.kind is FaultKind.LIMP:
+                next(p for p in self.places if p.agent.name == fault.arm).limp = True
+            elif fault.kind is FaultKind.LOCKED:
+                self.plant.brake(fault.arm, SEIZED_Nms_RAD)
+            else:
+                self.plant.release(fault.arm)
+        return requests

@@ -1,0 +1,177 @@
+"""One run of a study and what is measured on it, as plain numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from agent.config.reality import draw
+from agent.config.schema.reality import Reality
+from agent.control.quaternion import angle_between
+from agent.report.series import internal_wrenches
+from agent.study.fault import Fault
+from agent.study.lab import Laboratory, Run
+from drivers.interface import DriverError, Vector
+from sim_backend.physics.spec import PlantError
+
+LOST_M: Final = 0.1  # an object so far from where it should be has been dropped or thrown
+LOST_RAD: Final = 1.0
+AFTER_TRIP_S: Final = 3.0  # how long a run goes on once an arm has given up following
+POSITION_BEYOND_ANCHOR_M: Final = 1e-3  # bounds: beyond what the anchor sees wrongly itself
+ATTITUDE_BEYOND_ANCHOR_RAD: Final = 6e-3
+FORCE_PLANAR_N: Final = 1.0
+FORCE_SPATIAL_N: Final = 4.0
+PEAK_FRACTION: Final = 0.5  # of stall
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """Figures of one run.  Errors and forces count from the transient's end while all arms follow the trajectory.
+
+    A run that is lost or trips before that end counts from the common start.
+    """
+
+    cell: str
+    index: int
+    seed: int  # of its reality
+    lost: bool
+    tripped: bool
+    within_bounds: bool
+    tracked_s: float  # until the end, the loss or the first trip
+    position_error_m: float  # largest, of the true object
+    attitude_error_rad: float
+    position_beyond_anchor_m: float  # largest, less the error of what the anchor sees at the same instant
+    attitude_beyond_anchor_rad: float
+    internal_force_mean_N: float  # of the arm with the largest at each instant
+    internal_force_max_N: float
+    peak_torque_fraction: float  # of stall, of the joint and instant with the largest; the whole run
+    reaction_s: float | None  # from the first fault to the first other arm that trips; None: no fault, or nobody did
+    why: str  # it was lost, or the first trip; empty without one
+
+
+def run_once(lab: Laboratory, index: int, seed: int, faults: Sequence[Fault] = ()) -> RunResult:
+    """Draw the reality of this seed, run the cell in it for its duration, and measure.  Raises Refusal."""
+    cell = lab.cell
+    return measure(lab, draw(cell.file.tolerance, seed, cell), index, seed, faults)
+
+
+def measure(
+    lab: Laboratory, reality: Reality | None, index: int = 0, seed: int = 0, faults: Sequence[Fault] = ()
+) -> RunResult:
+    """Run the cell in this reality (None: as its file says) and measure.  Raises Refusal."""
+    run, seen = Run(lab, reality, faults), _Seen(lab)
+    file = lab.cell.file
+    every = max(1, round(file.rate_hz / file.simulation.observe_rate_hz))
+    ticks = run.ready_ticks + round(file.duration_s * file.rate_hz)
+    lost = ""
+    while run.tick < ticks and not lost:
+        if run.trips and run.t > run.trips[0].t + AFTER_TRIP_S:
+            break
+        try:
+            looking = run.tick % every == 0
+            truth = run.observe() if looking else None
+            t = run.t
+            run.advance()
+        except (PlantError, DriverError) as error:
+            lost = f"t = {run.t:.3f} s: {error.what}"
+            break
+        if truth is not None:
+            lost = seen.note(t, truth.p_object, truth.quat_object, truth.grasp_wrench, run)
+    return seen.result(run, index, seed, lost, faults)
+
+
+class _Seen:
+    """What has been seen of a run, one entry per observation."""
+
+    def __init__(self, lab: Laboratory) -> None:
+        file = lab.cell.file
+        aligned = file.controller.alignment
+        anchor = aligned.anchor if aligned is not None and aligned.anchor is not None else lab.cell.arms[0].name
+        self._lab, self._anchor = lab, lab.cell.index(anchor)
+        self._trajectory = lab.cell.trajectory()
+        self._errors: list[tuple[float, float, float, float, float]] = []  # t, errors, errors of what the anchor sees
+        self._quat: list[Vector] = []
+        self._wrench: list[Vector] = []
+
+    def note(self, t: float, p: Vector, quat: Vector, wrench: Vector, run: Run) -> str:
+        """Take over an observation of time t; what says that the object is lost, or nothing."""
+        desired = self._trajectory.at(max(t + self._skew_s(run), 0.0))
+        q = tuple(quat.tolist())
+        off_m, off_rad = math.dist(p.tolist(), desired.p), angle_between(q, desired.quat)
+        own_m = own_rad = 0.0
+        outcome = run.places[self._anchor].outcome
+        if outcome is not None and outcome.terms is not None:
+            k = outcome.terms.kinematics
+            own_m, own_rad = math.dist(p.tolist(), k.p_object), angle_between(q, k.quat_object)
+        self._errors.append((t, off_m, off_rad, own_m, own_rad))
+        self._quat.append(quat)
+        self._wrench.append(wrench)
+        if off_m > LOST_M or off_rad > LOST_RAD:
+            return f"t = {t:.3f} s: the object is off by {off_m * 1e3:.0f} mm, {off_rad:.2f} rad"
+        return ""
+
+    def _skew_s(self, run: Run) -> float:
+        """The motion is timed by the anchor's clock: nobody can tell when the others should have been anywhere."""
+        return run.plant.spec.arms[self._anchor].skew_s
+
+    def result(self, run: Run, index: int, seed: int, lost: str, faults: Sequence[Fault]) -> RunResult:
+        """The figures of the whole run; lost: why it ended early, or nothing."""
+        lab, file = self._lab, self._lab.cell.file
+        trip = run.trips[0] if run.trips else None
+        until_s = min(run.t, trip.t if trip is not None else math.inf)
+        seen = np.array(self._errors).reshape(-1, 5)
+        settled = (seen[:, 0] >= file.report.transient_s) & (seen[:, 0] <= until_s)
+        if not settled.any():
+            settled = seen[:, 0] >= 0.0
+        if not settled.any():
+            settled = np.ones(len(seen), dtype=bool)
+        _, off_m, off_rad, own_m, own_rad = seen[settled].T
+        force = self._internal_force_N()[settled]
+        position, attitude = _largest(off_m - own_m), _largest(off_rad - own_rad)
+        peak = float((run.peak_Nm / lab.stall_Nm).max())
+        mean_N = float(force.mean()) if len(force) else 0.0
+        bound_N = FORCE_SPATIAL_N if lab.agents[0].model.plane_normal is None else FORCE_PLANAR_N
+        good = position <= POSITION_BEYOND_ANCHOR_M and attitude <= ATTITUDE_BEYOND_ANCHOR_RAD
+        good &= mean_N <= bound_N and peak <= PEAK_FRACTION
+        return RunResult(
+            cell=file.name,
+            index=index,
+            seed=seed,
+            lost=bool(lost),
+            tripped=trip is not None,
+            within_bounds=good and not lost and trip is None,
+            tracked_s=max(0.0, until_s),
+            position_error_m=max(_largest(off_m), LOST_M if lost else 0.0),
+            attitude_error_rad=_largest(off_rad),
+            position_beyond_anchor_m=position,
+            attitude_beyond_anchor_rad=attitude,
+            internal_force_mean_N=mean_N,
+            internal_force_max_N=_largest(force),
+            peak_torque_fraction=peak,
+            reaction_s=_reaction_s(run, faults),
+            why=lost or ("" if trip is None else f"t = {trip.t:.3f} s: arm {trip.arm} {trip.flags!r}"),
+        )
+
+    def _internal_force_N(self) -> Vector:
+        """(k,) largest part of an arm's force that moves nothing, at each observation."""
+        if not self._wrench:
+            return np.zeros(0)
+        internal = internal_wrenches(np.array(self._wrench), np.array(self._quat), None)
+        sizes: Vector = np.linalg.norm(internal[:, :, :3], axis=2).max(axis=1)
+        return np.where(np.isfinite(sizes), sizes, 0.0)
+
+
+def _largest(values: Vector) -> float:
+    return float(values.max()) if len(values) else 0.0
+
+
+def _reaction_s(run: Run, faults: Sequence[Fault]) -> float | None:
+    """From the first fault to the first trip of an arm that has none."""
+    if not faults:
+        return None
+    first, struck = min(fault.at_s for fault in faults), {fault.arm for fault in faults}
+    return next((trip.t - first for trip in run.trips if trip.arm not in struck and trip.t >= first), None)

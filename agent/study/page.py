@@ -1,0 +1,116 @@
+"""The report of a study as one HTML page: shares, quantiles, what matters most; no script, no network."""
+
+from __future__ import annotations
+
+import base64
+import tempfile
+from collections.abc import Sequence
+from html import escape
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from agent.config.cell import Cell
+from agent.report.page import STYLE
+from agent.report.plotting import BLUE, RED, panels, save_png, styled
+from agent.study.measure import RunResult
+from agent.study.summary import FIGURES, QUANTILES, Influence
+
+SHOWN: Final = 12  # influences in the table
+DRAWN: Final = (  # figure, its axis, factor
+    ("position_beyond_anchor_m", "position error [mm]", 1e3),
+    ("attitude_beyond_anchor_rad", "attitude error [mrad]", 1e3),
+    ("internal_force_mean_N", "mean internal force [N]", 1.0),
+    ("peak_torque_fraction", "peak torque [% of stall]", 100.0),
+)
+
+
+def render(title: str, parts: Sequence[tuple[Cell, Sequence[RunResult], dict[str, Any], Sequence[Influence]]]) -> str:
+    """The whole page; one part for each cell: its runs, their summary, and what matters."""
+    body = [f"<h1>{escape(title)}</h1>"]
+    for cell, results, found, influences in parts:
+        body += [
+            f"<h2>{escape(cell.file.name)}</h2>",
+            f'<p class="dim">{escape(_about(cell, found))}</p>',
+            _counts(found),
+            _quantiles(found),
+            _picture(cell.file.name, _distribution(results)),
+            _influences(influences),
+        ]
+    return (
+        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<title>{escape(title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n"
+        + "\n".join(body)
+        + "\n</body>\n</html>\n"
+    )
+
+
+def _about(cell: Cell, found: dict[str, Any]) -> str:
+    file = cell.file
+    return (
+        f"{found['runs']} runs of {file.duration_s:g} s, each in a reality of its own within the cell's tolerance. "
+        f"Errors and forces count from {file.report.transient_s:g} s on, errors beyond those of what the anchor sees."
+    )
+
+
+def _counts(found: dict[str, Any]) -> str:
+    runs = found["runs"] or 1
+    rows = [(name, found[key]) for name, key in (
+        ("within bounds", "within_bounds"), ("lost the object", "lost"), ("an arm gave up following", "tripped"),
+    )]  # fmt: skip
+    body = "".join(f"<tr><td>{n}</td><td>{c}</td><td>{c / runs:.1%}</td></tr>" for n, c in rows)
+    return f'<table class="results"><thead><tr><th></th><th>runs</th><th>share</th></tr></thead>{body}</table>'
+
+
+def _quantiles(found: dict[str, Any]) -> str:
+    head = "".join(f"<th>{q} %</th>" for q in QUANTILES)
+    body = "".join(
+        f"<tr><td>{figure}</td>" + "".join(f"<td>{_number(found[figure][str(q)])}</td>" for q in QUANTILES) + "</tr>"
+        for figure in FIGURES
+    )
+    return f"<table><thead><tr><th>not above, in so many of the runs</th>{head}</tr></thead>{body}</table>"
+
+
+def _number(value: float | None) -> str:
+    return "–" if value is None else f"{value:.4g}"
+
+
+def _influences(found: Sequence[Influence]) -> str:
+    if not found:
+        return "<p>Too few runs to tell which error of reality matters most.</p>"
+    body = "".join(
+        f"<tr><td>{i.error}</td><td>{i.figure}</td><td>{i.correlation:+.2f}</td></tr>" for i in found[:SHOWN]
+    )
+    head = "<tr><th>error of reality</th><th>goes with</th><th>rank correlation</th></tr>"
+    return f'<table class="words"><thead>{head}</thead>{body}</table>'
+
+
+@styled
+def _distribution(results: Sequence[RunResult]) -> Figure:
+    """Of each figure, the share of runs that do not exceed it; lost and tripped runs are marked."""
+    figure, axes = panels(2, 2, sharex=False, sharey=True, gap_in=0.7)
+    for ax, (key, label, factor) in zip(axes, DRAWN, strict=True):
+        order = sorted(results, key=lambda r: float(getattr(r, key)))
+        values = factor * np.array([float(getattr(r, key)) for r in order])
+        share = np.arange(1, len(order) + 1) / len(order)
+        bad = np.array([r.lost or r.tripped for r in order], dtype=bool)
+        ax.step(values, share, where="post", color=BLUE)
+        ax.plot(values[bad], share[bad], "x", color=RED, markersize=4, label="lost or tripped")
+        ax.set_xlabel(label)
+        ax.set_ylim(0.0, 1.02)
+        ax.margins(x=0.04)
+    axes[0].set_ylabel("share of runs")
+    axes[2].set_ylabel("share of runs")
+    return figure
+
+
+def _picture(name: str, figure: Figure) -> str:
+    with tempfile.TemporaryDirectory() as folder:
+        png = save_png(figure, Path(folder) / "figure.png")
+    data = base64.b64encode(png).decode("ascii")
+    caption = "Share of the runs that do not exceed a figure; crosses are runs that were lost or tripped."
+    image = f'<img src="data:image/png;base64,{data}" alt="{escape(name)}">'
+    return f"<figure>{image}<figcaption>{caption}</figcaption></figure>"

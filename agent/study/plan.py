@@ -1,0 +1,153 @@
+"""What a study runs: of a cell alone, or as a study file says; as tasks that any process can do by themselves."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import Field
+
+from agent.config.cell import Cell, ConfigError, load_cell
+from agent.config.files import cell_path
+from agent.config.reading import parse, read_file, validate
+from agent.config.schema.types import Format, Strict
+from agent.study.fault import Fault
+
+RUNS = 200
+MAX_RUNS = 100_000
+
+Runs = Annotated[int, Field(ge=1, le=MAX_RUNS)]
+Seed = Annotated[int, Field(ge=0, lt=2**63)]
+
+
+class StudyFile(Strict):
+    """A study of one or several cells."""
+
+    format: Format
+    cells: Annotated[list[str], Field(min_length=1, max_length=100)]  # files beside this one, or names of shipped cells
+    runs: Runs = RUNS  # of each cell
+    seed: Seed = 0
+    duration_s: Annotated[float, Field(gt=0.0, le=1e6)] | None = None  # of a run; None: the cell's
+    set: list[str] = Field(default_factory=list)  # "key.path=value", as of --set, for every cell
+    faults: list[Fault] = Field(default_factory=list)  # of every run
+
+
+@dataclass(frozen=True)
+class Task:
+    """One run: everything a worker needs, by value."""
+
+    cell_toml: bytes
+    source: str
+    cell: int  # place in the study
+    index: int  # of the run, in its cell
+    seed: int  # of its reality
+    faults: tuple[Fault, ...]
+
+    @property
+    def key(self) -> tuple[int, int]:
+        """What tells the runs of a study apart."""
+        return self.cell, self.index
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A whole study."""
+
+    cells: tuple[Cell, ...]
+    runs: int  # of each cell
+    seed: int
+    faults: tuple[Fault, ...]
+
+    def tasks(self) -> list[Task]:
+        """All runs, cell after cell."""
+        return [
+            Task(cell.toml, f"{cell.file.name}.toml", place, index, seed_of(self.seed, index), self.faults)
+            for place, cell in enumerate(self.cells)
+            for index in range(self.runs)
+        ]
+
+    def identity(self) -> dict[str, Any]:
+        """What two studies share whose runs may be put together; the number of runs is not in it."""
+        return {
+            "cells": [cell.fingerprint for cell in self.cells],
+            "seed": self.seed,
+            "faults": [fault.model_dump(mode="json") for fault in self.faults],
+        }
+
+
+def seed_of(study_seed: int, index: int) -> int:
+    """Seed of the reality of a run; the same for every cell, so that cells meet the same luck."""
+    return int(np.random.SeedSequence((study_seed, index)).generate_state(1)[0])
+
+
+def load_plan(
+    path: Path,
+    *,
+    runs: int | None = None,
+    seed: int | None = None,
+    duration_s: float | None = None,
+    overrides: Sequence[str] = (),
+) -> Plan:
+    """The study of this file, or of this cell alone within its own tolerance; what is given here goes before it.
+
+    Raises ConfigError, and TrajectoryError for data that are not a motion.
+    """
+    found = _study_file(path)
+    if found is None:
+        file, cells = StudyFile(format=1, cells=[str(path)]), [path]
+    else:
+        file = found
+        cells = [_beside(path, name) for name in file.cells]
+    duration_s = file.duration_s if duration_s is None else duration_s
+    changes = [*file.set, *([] if duration_s is None else [f"duration_s={duration_s!r}"]), *overrides]
+    plan = Plan(
+        tuple(load_cell(cell, changes) for cell in cells),
+        file.runs if runs is None else runs,
+        file.seed if seed is None else seed,
+        tuple(file.faults),
+    )
+    _require_fit(plan)
+    return plan
+
+
+def _study_file(path: Path) -> StudyFile | None:
+    """The study in this file; None where it is a cell."""
+    path = cell_path(path)
+    raw = read_file(path)
+    try:
+        if "cells" not in tomllib.loads(raw.decode()):
+            return None
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError):
+        return None  # the reader of cells says what is wrong with it
+    return validate(StudyFile, parse(raw, path), path.name)
+
+
+def _beside(study: Path, name: str) -> Path:
+    here = study.parent / name
+    return here if here.is_file() else Path(name)
+
+
+def _require_fit(plan: Plan) -> None:
+    """Raise ConfigError where a run could not be judged, or a fault could not happen."""
+    for cell in plan.cells:
+        file = cell.file
+        for fault in plan.faults:
+            cell.index(fault.arm)
+        if file.duration_s <= file.report.transient_s:
+            raise ConfigError(
+                f"duration_s of cell {file.name}",
+                found=f"{file.duration_s:g} s with a transient of {file.report.transient_s:g} s",
+                expected="a run that is longer than its transient, which counts in no error",
+                remedy="lengthen the runs, or set report.transient_s lower",
+            )
+        if file.simulation.reality is not None:
+            raise ConfigError(
+                f"simulation.reality of cell {file.name}",
+                found="a reality in the cell",
+                expected="none: the study draws one for each run",
+                remedy="leave it out, or run the cell alone with `coop run`",
+            )

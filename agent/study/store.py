@@ -1,0 +1,114 @@
+"""Finished runs of a study on disk, one line each, so that a study that was stopped goes on where it was."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import asdict, fields
+from pathlib import Path
+from types import TracebackType
+from typing import Any, BinaryIO, Final, Self
+
+from agent.atomic import WriteError, make_folder
+from agent.study.measure import RunResult
+from agent.study.plan import Task
+from drivers.interface import Refusal
+
+RUNS_FILE: Final = "runs.jsonl"
+_FIELDS: Final = {f.name for f in fields(RunResult)}
+
+Key = tuple[int, int]  # cell's place in the study, run's in the cell
+
+
+class StudyError(Refusal):
+    """The study cannot be carried out as asked."""
+
+
+class Store:
+    """The file of finished runs: a line that says what study they are of, then one line for each.
+
+    A line that was cut off when the machine went down counts as none.  Use as a context.
+    """
+
+    def __init__(self, folder: Path, identity: Mapping[str, Any]) -> None:
+        """Make the folder where it is not there.  Raises WriteError, and StudyError where it holds another study."""
+        make_folder(folder)
+        self.path = folder / RUNS_FILE
+        self._identity = json.loads(json.dumps(identity))
+        self.results: dict[Key, RunResult] = {}
+        try:
+            self._file: BinaryIO = self.path.open("a+b")
+        except OSError as error:
+            raise self._unwritable(error) from error
+        try:
+            self._read()
+        except OSError as error:
+            self._file.close()
+            raise self._unwritable(error) from error
+        except StudyError:
+            self._file.close()
+            raise
+
+    def _unwritable(self, error: OSError) -> WriteError:
+        return WriteError(
+            f"file {self.path}",
+            found=error.strerror,
+            expected="a file that can be written, and room for it",
+            remedy="make room, or name another --out; finished runs are kept",
+        )
+
+    def _read(self) -> None:
+        self._file.seek(0)
+        whole = 0
+        for number, line in enumerate(self._file):
+            if not line.endswith(b"\n"):
+                break
+            try:
+                content = json.loads(line)
+                if number == 0:
+                    self._require_same(content)
+                else:
+                    cell, result = content["cell_place"], {k: v for k, v in content.items() if k in _FIELDS}
+                    self.results[cell, content["index"]] = RunResult(**result)
+            except (ValueError, KeyError, TypeError) as error:
+                raise StudyError(
+                    f"line {number + 1} of {self.path}",
+                    found="no run of a study",
+                    expected="what `coop study` wrote",
+                    remedy="name another --out, or give --force",
+                ) from error
+            whole += len(line)
+        self._file.truncate(whole)
+        if not whole:
+            self._append(self._identity)
+
+    def _require_same(self, found: Any) -> None:
+        if found != self._identity:
+            raise StudyError(
+                f"study in {self.path.parent}",
+                found="runs of another cell, seed, duration or fault",
+                expected="none, or those of this study, which then goes on",
+                remedy="name another --out, or give --force",
+            )
+
+    def add(self, task: Task, result: RunResult) -> None:
+        """Keep one finished run.  Raises WriteError."""
+        self.results[task.key] = result
+        try:
+            self._append({"cell_place": task.cell, **asdict(result)})
+        except OSError as error:
+            raise self._unwritable(error) from error
+
+    def _append(self, content: Mapping[str, Any]) -> None:
+        self._file.write(json.dumps(content, allow_nan=False).encode() + b"\n")
+        self._file.flush()
+        os.fsync(self._file.fileno())
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._file.close()

@@ -1,0 +1,122 @@
+"""What the runs of a study say together: counts, quantiles, and which error of reality matters most."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any, Final
+
+import numpy as np
+from scipy.stats import rankdata
+
+from agent.config.cell import Cell
+from agent.config.reality import draw
+from agent.config.schema.reality import Reality
+from agent.study.measure import RunResult
+from drivers.interface import Vector
+
+QUANTILES: Final = (50, 95, 100)  # %
+FIGURES: Final = (
+    "position_error_m",
+    "attitude_error_rad",
+    "position_beyond_anchor_m",
+    "attitude_beyond_anchor_rad",
+    "internal_force_mean_N",
+    "internal_force_max_N",
+    "peak_torque_fraction",
+    "reaction_s",
+)
+LEAST_RUNS: Final = 8  # a rank correlation of fewer says nothing
+
+
+@dataclass(frozen=True)
+class Influence:
+    """How strongly one error of reality goes with one figure: Spearman's rank correlation, −1 to 1."""
+
+    error: str
+    figure: str
+    correlation: float
+
+
+def summary(results: Sequence[RunResult]) -> dict[str, Any]:
+    """Counts, and quantiles of each figure over all runs; a lost run counts with what was measured until then."""
+    return {
+        "runs": len(results),
+        "lost": sum(r.lost for r in results),
+        "tripped": sum(r.tripped for r in results),
+        "within_bounds": sum(r.within_bounds for r in results),
+    } | {figure: _quantiles([getattr(r, figure) for r in results]) for figure in FIGURES}
+
+
+def _quantiles(values: Sequence[float | None]) -> dict[str, float | None]:
+    """Smallest value that so many percent do not exceed; None without a value."""
+    known = [v for v in values if v is not None]
+    if not known:
+        return {str(q): None for q in QUANTILES}
+    return {str(q): float(np.percentile(known, q, method="inverted_cdf")) for q in QUANTILES}
+
+
+def errors_of(real: Reality, cell: Cell) -> dict[str, float]:
+    """Sizes of a reality's errors, one number each: of poses how far two arms disagree, of scales how far from 1."""
+    arms = list(real.arms.values())
+    believed_s = cell.file.simulated_delay_s
+    return {
+        "base_m": _disagreement([a.base_m for a in arms]),
+        "base_rad": _disagreement([a.base_rad for a in arms]),
+        "grasp_m": _disagreement([a.grasp_m for a in arms]),
+        "grasp_rad": _disagreement([a.grasp_rad for a in arms]),
+        "zeros_rad": float(np.linalg.norm([z for a in arms for z in a.zeros_rad])),
+        "masses": float(np.mean([a.masses for a in arms])),
+        "object": real.object,
+        "object_centre_m": float(np.linalg.norm(real.object_centre_m)),
+        "friction": float(np.mean([a.friction for a in arms])),
+        "torque_constant": float(np.linalg.norm([k - 1.0 for a in arms for k in a.torque_constant])),
+        "pads_N_per_m": real.pads_N_per_m or 0.0,
+        "pads_Nm_per_rad": real.pads_Nm_per_rad or 0.0,
+        "delay": 1.0 if real.delay_s is None or not believed_s else real.delay_s / believed_s,
+        "skew_s": max(a.skew_s for a in arms) - min(a.skew_s for a in arms),
+    }
+
+
+def _disagreement(values: Sequence[tuple[float, float, float]]) -> float:
+    """Largest distance of two arms' errors, or the size of the only one's."""
+    return max(
+        (float(np.linalg.norm(np.subtract(a, b))) for a, b in combinations(values, 2)),
+        default=float(np.linalg.norm(values[0])),
+    )
+
+
+def influences(cell: Cell, results: Sequence[RunResult]) -> list[Influence]:
+    """Every error of reality that varies against every figure that varies, the strongest first; none of few runs."""
+    if len(results) < LEAST_RUNS:
+        return []
+    drawn = [errors_of(draw(cell.file.tolerance, r.seed, cell), cell) for r in results]
+    errors = {key: np.array([d[key] for d in drawn]) for key in drawn[0]}
+    known: Callable[[str], bool] = lambda figure: all(getattr(r, figure) is not None for r in results)  # noqa: E731
+    figures = {f: np.array([float(getattr(r, f)) for r in results]) for f in FIGURES if known(f)}
+    found = [
+        Influence(error, figure, _spearman(x, y))
+        for error, x in errors.items()
+        for figure, y in figures.items()
+        if np.ptp(x) > 0.0 and np.ptp(y) > 0.0
+    ]
+    return sorted(found, key=lambda i: -abs(i.correlation))
+
+
+def _spearman(x: Vector, y: Vector) -> float:
+    """Spearman's rank correlation: Pearson's, of the ranks, ties having the mean of theirs."""
+    return float(np.corrcoef(rankdata(x), rankdata(y))[0, 1])
+
+
+def worst(results: Sequence[RunResult]) -> RunResult:
+    """The run to look at first: lost soonest, else tripped soonest, else with the largest internal force."""
+    return min(results, key=_badness)
+
+
+def _badness(result: RunResult) -> tuple[int, float, int]:
+    if result.lost:
+        return 0, result.tracked_s, result.index
+    if result.tripped:
+        return 1, result.tracked_s, result.index
+    return 2, -result.internal_force_mean_N, result.index

@@ -1,0 +1,187 @@
+"""The cell in one process: modes, trips and faults of its arms, and what is measured on a run."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from agent.config.reality import draw
+from agent.config.schema.reality import ArmReality, Reality
+from agent.modes import Mode
+from agent.safety import Flag
+from agent.study import measure as measuring
+from agent.study.fault import Fault, FaultKind
+from agent.study.lab import Laboratory, Run
+from agent.study.measure import measure, run_once
+from drivers.interface import Refusal
+from tests.support.plant.inprocess import simulate
+from tests.support.study import cell
+
+OFF = ("friction", "position_quantisation", "velocity_quantisation", "torque_quantisation", "saturation")
+IDEAL = (
+    *(f"simulation.effects.{effect}=false" for effect in OFF),
+    "controller.friction_feedforward=false",
+    "report.transient_s=1.0",
+    "duration_s=1.5",
+)
+
+
+@pytest.fixture(scope="module")
+def lab() -> Laboratory:
+    return Laboratory(cell())
+
+
+def test_without_a_reality_it_is_the_loop_of_the_other_tests(lab: Laboratory) -> None:
+    other = simulate(lab.cell, 0.5)
+    result = measure(lab, None)
+    late = np.array(other.t) >= 0.2
+    assert result.position_error_m == pytest.approx(float(np.array(other.e_p_m)[late][::4].max()), rel=0.05)
+    assert not result.lost
+    assert not result.tripped
+
+
+def test_a_run_is_the_same_every_time_and_another_seed_is_another_run(lab: Laboratory) -> None:
+    assert run_once(lab, 0, 5) == run_once(lab, 0, 5)
+    assert run_once(lab, 0, 5).position_error_m != run_once(lab, 0, 6).position_error_m
+
+
+def test_arms_wait_as_long_as_the_cell_says_and_then_follow() -> None:
+    ready = Laboratory(cell("simulation.ready_s=0.1"))
+    run = Run(ready, None)
+    assert run.t == pytest.approx(-0.1)
+    while run.t < -1e-9:
+        assert {place.mode for place in run.places} == {Mode.READY}
+        run.advance()
+    assert {place.mode for place in run.places} == {Mode.TRACK}
+    assert all(place.memory.hold is None for place in run.places)
+
+
+def test_a_skewed_arm_is_ahead_by_its_skew(lab: Laboratory) -> None:
+    run = Run(lab, Reality(arms={"right": ArmReality(skew_s=0.004)}))
+    run.advance()
+    left, right = (place.memory.t for place in run.places)
+    assert right - left == pytest.approx(0.004)
+
+
+def test_errors_of_calibration_show_as_internal_force(lab: Laboratory) -> None:
+    good = measure(lab, Reality(pads_N_per_m=1e5, pads_Nm_per_rad=100.0))
+    bad = measure(lab, Reality(pads_N_per_m=1e5, pads_Nm_per_rad=100.0, arms={"left": ArmReality(base_m=(3e-3, 0, 0))}))
+    assert bad.internal_force_mean_N > good.internal_force_mean_N + 0.3
+    assert bad.internal_force_max_N >= bad.internal_force_mean_N
+
+
+def test_what_the_anchor_sees_wrongly_is_not_held_against_the_cell() -> None:
+    """Two arms that are off to the same side agree: the object is off by it, and by nothing beyond the anchor."""
+    lab = Laboratory(cell(*IDEAL))
+    off = ArmReality(base_m=(0.0, 2e-3, 0.0))
+    result = measure(lab, Reality(arms={"left": off, "right": off}))
+    assert result.position_error_m == pytest.approx(2e-3, rel=0.1)
+    assert result.position_beyond_anchor_m < 2e-4
+    assert result.within_bounds
+
+
+def test_the_anchor_of_the_cell_is_the_one_that_counts() -> None:
+    reality = Reality(arms={"left": ArmReality(base_m=(0.0, 4e-3, 0.0))})
+    beyond = {
+        arm: measure(Laboratory(cell(*IDEAL, f"controller.alignment.anchor='{arm}'")), reality).position_beyond_anchor_m
+        for arm in ("left", "right")
+    }
+    assert beyond["left"] < beyond["right"]
+
+
+@pytest.mark.parametrize(
+    ("bound", "value"),
+    [
+        ("POSITION_BEYOND_ANCHOR_M", -1.0),
+        ("ATTITUDE_BEYOND_ANCHOR_RAD", -1.0),
+        ("FORCE_PLANAR_N", 0.0),
+        ("PEAK_FRACTION", 0.01),
+    ],
+)
+def test_each_bound_decides(lab: Laboratory, monkeypatch: pytest.MonkeyPatch, bound: str, value: float) -> None:
+    assert measure(lab, None).within_bounds
+    monkeypatch.setattr(measuring, bound, value)
+    assert not measure(lab, None).within_bounds
+
+
+def test_peak_torque_is_the_largest_sent_over_stall(lab: Laboratory) -> None:
+    run, largest = Run(lab, None), np.zeros(6)
+    for _ in range(100):
+        run.advance()
+        asked = np.concatenate([place.outcome.tau for place in run.places if place.outcome is not None])
+        largest = np.maximum(largest, np.abs(asked))
+    found = measure(lab, None).peak_torque_fraction
+    assert found == pytest.approx(float((largest / lab.stall_Nm).max()), abs=2e-3)  # a step of the command's grid
+
+
+def test_an_object_that_is_thrown_away_is_lost_and_ends_the_run() -> None:
+    lab = Laboratory(cell("duration_s=3.0", "controller.k_p_rate_per_s=400.0", "controller.k_p_per_s=400.0"))
+    result = measure(lab, draw(lab.cell.file.tolerance, 1, lab.cell))
+    assert result.lost
+    assert not result.within_bounds
+    assert result.tracked_s < 3.0
+    assert result.position_error_m >= measuring.LOST_M
+    assert result.why.startswith("t = ")
+    assert all(math.isfinite(v) for v in vars(result).values() if isinstance(v, float))
+
+
+def test_an_arm_that_trips_holds_and_the_run_ends_a_little_later() -> None:
+    lab = Laboratory(cell("safety.tracking_error_max_m=1e-4", "duration_s=20.0"))
+    result = measure(lab, None)
+    assert result.tripped
+    assert not result.within_bounds
+    assert result.tracked_s < 1.0
+    assert "OFF_TRACK" in result.why
+    run = Run(lab, None)
+    while not run.trips:
+        run.advance()
+    struck = [place.mode for place in run.places if place.agent.name == run.trips[0].arm]
+    assert struck == [Mode.HOLD]
+    assert Flag.OFF_TRACK in run.trips[0].flags
+
+
+FAULTY = ("duration_s=2.0", "simulation.grasp={stiffness_N_per_m=1e5, stiffness_Nm_per_rad=100.0}")
+
+
+@pytest.mark.parametrize("kind", list(FaultKind))
+def test_each_fault_strikes_its_arm_at_its_time(kind: FaultKind) -> None:
+    lab = Laboratory(cell(*FAULTY))
+    run, sound = Run(lab, None, [Fault(kind=kind, arm="right", at_s=0.5)]), Run(lab, None)
+    while run.t < 0.5 - 1e-9:
+        run.advance()
+        sound.advance()
+    assert np.array_equal(run.plant.q, sound.plant.q)
+    for _ in range(20):
+        run.advance()
+        sound.advance()
+    left, right = run.places
+    seen = run.observe()
+    assert left.mode is Mode.TRACK
+    if kind is FaultKind.LIMP:
+        assert not right.line.acting(run.tick - 1).any()
+        assert left.line.acting(run.tick - 1).any()
+    elif kind is FaultKind.HOLD:
+        assert right.mode is Mode.HOLD
+        assert not run.trips
+    elif kind is FaultKind.LOCKED:
+        assert float(np.abs(run.plant.dq[3:]).max()) < 0.05 * float(np.abs(sound.plant.dq[3:]).max())
+    else:
+        assert np.isnan(seen.contact_error_m[1])
+        assert not np.isnan(seen.contact_error_m[0])
+
+
+def test_reaction_is_from_the_fault_to_the_first_other_arm_that_trips() -> None:
+    lab = Laboratory(cell(*FAULTY, "safety.tracking_error_max_m=0.01", "safety.tracking_error_max_rad=0.1"))
+    result = measure(lab, None, faults=[Fault(kind=FaultKind.LIMP, arm="right", at_s=0.5)])
+    assert result.tripped
+    assert result.reaction_s is not None
+    assert 0.0 < result.reaction_s < 1.0
+    assert measure(lab, None).reaction_s is None
+
+
+def test_a_reality_beyond_reach_is_refused(lab: Laboratory) -> None:
+    far = {"left": ArmReality.model_construct(base_m=(9.0, 0.0, 0.0))}
+    with pytest.raises(Refusal, match="is not on its grasp"):
+        measure(lab, Reality.model_construct(arms=far))

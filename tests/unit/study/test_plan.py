@@ -1,0 +1,159 @@
+"""What a study runs, and the file in which its finished runs wait."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+import configs
+from agent.config.cell import ConfigError
+from agent.study.fault import FaultKind
+from agent.study.measure import RunResult, run_once
+from agent.study.plan import Plan, load_plan, seed_of
+from agent.study.store import RUNS_FILE, Store, StudyError
+from agent.study.work import here, perform
+from drivers.interface import Refusal
+from tests.support.study import PAPER, SHORT, cell_file
+
+
+@pytest.fixture(scope="module")
+def plan() -> Plan:
+    return load_plan(PAPER, runs=3, seed=4, overrides=SHORT)
+
+
+@pytest.fixture(scope="module")
+def results(plan: Plan) -> list[RunResult]:
+    return [result for _, result in here(plan.tasks())]
+
+
+def test_a_cell_alone_is_a_study_of_two_hundred_runs() -> None:
+    plan = load_plan(Path("two_wx200"))
+    assert [c.file.name for c in plan.cells] == ["two_wx200"]
+    assert (plan.runs, plan.seed, plan.faults) == (200, 0, ())
+    assert len(plan.tasks()) == 200
+
+
+def test_a_study_file_names_cells_beside_it_and_shipped_ones(tmp_path: Path) -> None:
+    cell_file(tmp_path)
+    study = tmp_path / "study.toml"
+    study.write_text(
+        'format = 1\ncells = ["short.toml", "two_models"]\nruns = 7\nseed = 3\nduration_s = 30.0\n'
+        'set = ["tolerance.base_m=0.004"]\n[[faults]]\nkind = "limp"\narm = "left"\nat_s = 2.0\n'
+    )
+    plan = load_plan(study)
+    assert [c.file.name for c in plan.cells] == ["paper", "two_models"]
+    assert {c.file.duration_s for c in plan.cells} == {30.0}
+    assert {c.file.tolerance.base_m for c in plan.cells} == {0.004}
+    assert (plan.runs, plan.seed) == (7, 3)
+    assert [(f.kind, f.arm, f.at_s) for f in plan.faults] == [(FaultKind.LIMP, "left", 2.0)]
+    tasks = plan.tasks()
+    assert [t.key for t in tasks] == [(c, i) for c in (0, 1) for i in range(7)]
+    other = load_plan(study, runs=2, seed=9, duration_s=25.0, overrides=["tolerance.base_m=0.001"])
+    assert (other.runs, other.seed, other.cells[0].file.duration_s) == (2, 9, 25.0)
+    assert other.cells[0].file.tolerance.base_m == 0.001
+
+
+def test_seeds_are_of_study_and_run_and_shared_by_the_cells() -> None:
+    seeds = [seed_of(s, i) for s in range(3) for i in range(50)]
+    assert len(set(seeds)) == 150
+    assert seed_of(1, 2) == seed_of(1, 2)
+    tasks = load_plan(PAPER, runs=2, seed=5, overrides=SHORT).tasks()
+    assert [t.seed for t in tasks] == [seed_of(5, 0), seed_of(5, 1)]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("format = 1\ncells = []\n", "cells"),
+        ('format = 1\ncells = ["paper"]\nruns = 0\n', "runs"),
+        ('format = 1\ncells = ["paper"]\nrun = 1\n', "did you mean runs"),
+        ('format = 2\ncells = ["paper"]\n', "format"),
+        ('format = 1\ncells = ["nowhere"]\n', "nowhere"),
+        ('format = 1\ncells = ["paper"]\n[[faults]]\nkind = "limp"\narm = "middle"\nat_s = 1.0\n', "middle"),
+        ('format = 1\ncells = ["paper"]\n[[faults]]\nkind = "limb"\narm = "left"\nat_s = 1.0\n', "limp"),
+        ('format = 1\ncells = ["paper"]\nduration_s = 5.0\n', "transient of 20 s"),
+        ('format = 1\ncells = ["paper"]\nset = ["simulation.reality.seed=1"]\n', "draws one for each run"),
+    ],
+)
+def test_a_study_that_cannot_be_meant_is_refused(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "study.toml"
+    path.write_text(text)
+    with pytest.raises(Refusal) as caught:
+        load_plan(path)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_that_is_neither_is_refused_as_a_cell(tmp_path: Path) -> None:
+    path = tmp_path / "torn.toml"
+    path.write_text("cells = [")
+    with pytest.raises(ConfigError, match=r"torn\.toml"):
+        load_plan(path)
+    with pytest.raises(ConfigError, match="nowhere"):
+        load_plan(Path("nowhere"))
+
+
+def test_finished_runs_come_back_as_they_were(tmp_path: Path, plan: Plan, results: list[RunResult]) -> None:
+    with Store(tmp_path / "new" / "folder", plan.identity()) as store:
+        for task, result in zip(plan.tasks(), results, strict=True):
+            store.add(task, result)
+    with Store(tmp_path / "new" / "folder", plan.identity()) as store:
+        assert store.results == {(0, i): result for i, result in enumerate(results)}
+
+
+def test_a_run_whose_line_was_cut_off_counts_as_none_and_the_file_goes_on(
+    tmp_path: Path, plan: Plan, results: list[RunResult]
+) -> None:
+    with Store(tmp_path, plan.identity()) as store:
+        store.add(plan.tasks()[0], results[0])
+        store.add(plan.tasks()[1], results[1])
+    path = tmp_path / RUNS_FILE
+    path.write_bytes(path.read_bytes()[:-20])
+    with Store(tmp_path, plan.identity()) as store:
+        assert store.results == {(0, 0): results[0]}
+        store.add(plan.tasks()[2], results[2])
+    with Store(tmp_path, plan.identity()) as store:
+        assert store.results == {(0, 0): results[0], (0, 2): results[2]}
+    assert all(json.loads(line) for line in path.read_text().splitlines())
+
+
+@pytest.mark.parametrize("other", [{"seed": 5}, {"overrides": [*SHORT, "tolerance.base_m=0.002"]}])
+def test_runs_of_another_study_are_not_mixed_in(tmp_path: Path, plan: Plan, other: dict[str, object]) -> None:
+    with Store(tmp_path, plan.identity()):
+        pass
+    changed = load_plan(PAPER, **({"runs": 3, "seed": 4, "overrides": SHORT} | other))  # type: ignore[arg-type]
+    with pytest.raises(StudyError, match="another cell, seed"):
+        Store(tmp_path, changed.identity())
+    with Store(tmp_path, replace(plan, runs=50).identity()) as more:
+        assert more.results == {}
+
+
+def test_a_file_of_runs_that_is_none_is_refused(tmp_path: Path, plan: Plan) -> None:
+    (tmp_path / RUNS_FILE).write_bytes(b"not json\n")
+    with pytest.raises(StudyError, match=r"runs\.jsonl"):
+        Store(tmp_path, plan.identity())
+
+
+def test_no_place_to_write_is_refused_before_a_run(tmp_path: Path, plan: Plan) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(Refusal, match="name another path"):
+        Store(tmp_path / "file" / "out", plan.identity())
+    (tmp_path / "out" / RUNS_FILE).mkdir(parents=True)
+    with pytest.raises(Refusal, match="name another --out"):
+        Store(tmp_path / "out", plan.identity())
+
+
+def test_a_task_is_its_run_wherever_it_is_done(plan: Plan, results: list[RunResult]) -> None:
+    from agent.study.lab import Laboratory
+
+    task = plan.tasks()[1]
+    assert perform(task) == results[1] == run_once(Laboratory(plan.cells[0]), 1, seed_of(4, 1))
+
+
+def test_shipped_cells_can_be_studied() -> None:
+    for path in sorted(configs.CELLS_DIR.glob("*.toml")):
+        if not path.stem.startswith("identify"):
+            assert load_plan(path, runs=1, duration_s=60.0).tasks()

@@ -1,0 +1,290 @@
+"""A whole study: who does its runs, what it goes on from, and what it leaves."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet
+import pytest
+from scipy.stats import spearmanr
+
+from agent.config.cell import load_cell
+from agent.config.reality import draw, reality_of
+from agent.study import work
+from agent.study.lab import Laboratory
+from agent.study.measure import RunResult, measure
+from agent.study.plan import Plan, Task, load_plan
+from agent.study.store import StudyError
+from agent.study.study import OURS, run_study
+from agent.study.summary import errors_of, influences, summary, worst
+from agent.study.work import ATTEMPTS, here, in_processes
+from tests.support.command import coop
+from tests.support.study import PAPER, SHORT, cell, cell_file
+
+KEYS = (
+    "position_error_m",
+    "attitude_error_rad",
+    "internal_force_mean_N",
+    "internal_force_max_N",
+    "peak_torque_fraction",
+)
+
+
+class Told:
+    """A progress that remembers."""
+
+    def __init__(self) -> None:
+        self.begun: list[tuple[int, int]] = []
+        self.done: list[RunResult] = []
+
+    def begin(self, done: int, total: int) -> None:
+        self.begun.append((done, total))
+
+    def advance(self, result: RunResult) -> None:
+        self.done.append(result)
+
+
+@pytest.fixture(scope="module")
+def plan() -> Plan:
+    return load_plan(PAPER, runs=4, seed=4, overrides=SHORT)
+
+
+@pytest.fixture(scope="module")
+def results(plan: Plan) -> list[RunResult]:
+    return [result for _, result in here(plan.tasks())]
+
+
+def a_result(index: int, **changes: object) -> RunResult:
+    good = RunResult(
+        "c", index, index, lost=False, tripped=False, within_bounds=True, tracked_s=60.0, position_error_m=1e-3,
+        attitude_error_rad=1e-3, position_beyond_anchor_m=1e-4, attitude_beyond_anchor_rad=1e-3,
+        internal_force_mean_N=0.5, internal_force_max_N=1.0, peak_torque_fraction=0.2, reaction_s=None, why="",
+    )  # fmt: skip
+    return replace(good, **changes)  # type: ignore[arg-type]
+
+
+def test_a_study_leaves_its_figures_its_table_a_page_and_its_worst_run(
+    tmp_path: Path, plan: Plan, results: list[RunResult]
+) -> None:
+    told = Told()
+    outcome = run_study(plan, tmp_path, here, lambda: False, told)
+    assert told.begun == [(0, 4)]
+    assert told.done == results
+    assert not outcome.interrupted
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted(OURS)
+    document = json.loads((tmp_path / "study.json").read_text())
+    assert (document["runs"], document["lost"], document["tripped"]) == (4, 0, 0)
+    assert document["within_bounds"] == sum(r.within_bounds for r in results)
+    for key in KEYS:
+        values = sorted(getattr(r, key) for r in results)
+        assert document[key] == {"50": values[1], "95": values[3], "100": values[3]}
+    assert document["cells"]["paper"]["position_error_m"] == document["position_error_m"]
+    with (tmp_path / "runs.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [float(row["internal_force_mean_N"]) for row in rows] == [r.internal_force_mean_N for r in results]
+    assert [int(row["seed"]) for row in rows] == [t.seed for t in plan.tasks()]
+    table = pyarrow.parquet.read_table(tmp_path / "runs.parquet")
+    assert table.column("position_error_m").to_pylist() == [r.position_error_m for r in results]
+    assert float(rows[0]["error_base_m"]) == table.column("error_base_m").to_pylist()[0]
+    page = (tmp_path / "report.html").read_text()
+    assert "within bounds" in page
+    assert page.count("<img") == 1
+
+
+def test_the_worst_run_is_a_cell_that_repeats_it(tmp_path: Path, plan: Plan, results: list[RunResult]) -> None:
+    run_study(plan, tmp_path, here, lambda: False, Told())
+    bad = worst(results)
+    again = load_cell(tmp_path / "worst.toml")
+    assert reality_of(again) == draw(plan.cells[0].file.tolerance, bad.seed, plan.cells[0])
+    assert measure(Laboratory(again), None, bad.index, bad.seed) == bad
+
+
+def test_a_study_that_was_stopped_goes_on_where_it_was(tmp_path: Path, plan: Plan, results: list[RunResult]) -> None:
+    first = Told()
+    outcome = run_study(plan, tmp_path, here, lambda: len(first.done) >= 2, first)
+    assert outcome.interrupted
+    assert outcome.document["runs"] == 2
+    second = Told()
+    outcome = run_study(plan, tmp_path, here, lambda: False, second)
+    assert second.begun == [(2, 4)]
+    assert second.done == results[2:]
+    assert outcome.document == run_study(plan, tmp_path / "whole", here, lambda: False, Told()).document
+    assert (tmp_path / "runs.csv").read_bytes() == (tmp_path / "whole" / "runs.csv").read_bytes()
+    more = Told()
+    run_study(replace(plan, runs=5), tmp_path, here, lambda: False, more)
+    assert more.begun == [(4, 5)]
+    assert [r.index for r in more.done] == [4]
+
+
+def test_several_processes_find_the_same_to_the_bit(plan: Plan, results: list[RunResult]) -> None:
+    found = {task.index: result for task, result in in_processes(plan.tasks(), 2)}
+    assert [found[i] for i in range(4)] == results
+
+
+def test_a_worker_that_dies_takes_nothing_with_it(
+    tmp_path: Path, plan: Plan, results: list[RunResult], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each of the first two processes is killed while it has a run; the runs are done by others."""
+    started = work._start
+    count = 0
+
+    def short_lived() -> object:
+        nonlocal count
+        count += 1
+        process = started()
+        if count <= 2:
+            process.kill()
+        return process
+
+    monkeypatch.setattr(work, "_start", short_lived)
+    found = {task.index: result for task, result in in_processes(plan.tasks()[:2], 1)}
+    assert [found[i] for i in range(2)] == results[:2]
+    assert count == 3
+
+
+def test_a_run_that_no_worker_survives_is_refused(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+    started = work._start
+    count = 0
+
+    def dying() -> object:
+        nonlocal count
+        count += 1
+        process = started()
+        process.kill()
+        return process
+
+    monkeypatch.setattr(work, "_start", dying)
+    with pytest.raises(StudyError, match="workers that died during it"):
+        list(in_processes(plan.tasks()[:1], 1))
+    assert count == ATTEMPTS
+
+
+def test_a_run_that_cannot_be_done_is_refused_by_its_number() -> None:
+    broken = Task(cell().toml.replace(b"widowx_mk2", b"widowx_mk3"), "x.toml", 0, 7, 1, ())
+    for way in (here, lambda tasks: in_processes(tasks, 1)):
+        with pytest.raises(StudyError, match=r"run 7 of x\.toml, reality 1"):
+            list(way([broken]))
+
+
+def test_a_study_that_is_left_early_ends_its_processes(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+    started, processes = work._start, []
+
+    def remembered() -> object:
+        processes.append(started())
+        return processes[-1]
+
+    monkeypatch.setattr(work, "_start", remembered)
+    runs: Iterator[object] = in_processes(plan.tasks(), 2)
+    next(runs)
+    runs.close()  # type: ignore[attr-defined]
+    assert len(processes) == 2
+    assert all(process.poll() is not None for process in processes)
+
+
+def test_quantiles_are_of_all_runs_and_counts_of_each_kind() -> None:
+    results = [a_result(i, internal_force_mean_N=float(i)) for i in range(1, 101)]
+    results[0] = replace(results[0], lost=True, within_bounds=False)
+    results[1] = replace(results[1], tripped=True, within_bounds=False, reaction_s=0.1)
+    found = summary(results)
+    assert found["internal_force_mean_N"] == {"50": 50.0, "95": 95.0, "100": 100.0}
+    assert (found["runs"], found["lost"], found["tripped"], found["within_bounds"]) == (100, 1, 1, 98)
+    assert found["reaction_s"] == {"50": 0.1, "95": 0.1, "100": 0.1}
+    assert summary([])["reaction_s"] == {"50": None, "95": None, "100": None}
+
+
+def test_the_worst_is_lost_before_tripped_before_strained() -> None:
+    strained = a_result(3, internal_force_mean_N=9.0)
+    tripped = [a_result(2, tripped=True, tracked_s=t) for t in (9.0, 5.0)]
+    lost = [a_result(1, lost=True, tracked_s=t) for t in (30.0, 20.0)]
+    assert worst([a_result(0), strained]) is strained
+    assert worst([strained, *tripped]) is tripped[1]
+    assert worst([strained, *tripped, *lost]) is lost[1]
+
+
+def test_what_matters_is_found_by_rank() -> None:
+    c = cell()
+    results = []
+    for seed in range(30):
+        errors = errors_of(draw(c.file.tolerance, seed, c), c)
+        results.append(a_result(0, seed=seed, internal_force_mean_N=errors["base_m"] ** 3, peak_torque_fraction=0.2))
+    first = influences(c, results)[0]
+    assert (first.error, first.figure) == ("base_m", "internal_force_mean_N")
+    assert first.correlation == pytest.approx(1.0)
+    assert all(i.figure != "peak_torque_fraction" for i in influences(c, results))
+    drawn = [errors_of(draw(c.file.tolerance, s, c), c) for s in range(30)]
+    wanted = spearmanr([d["friction"] for d in drawn], [r.internal_force_mean_N for r in results]).statistic
+    found = next(i for i in influences(c, results) if i.error == "friction")
+    assert found.correlation == pytest.approx(wanted)
+    assert influences(c, results[:7]) == []
+
+
+def test_errors_are_measured_as_disagreement_and_distance_from_one() -> None:
+    c = cell()
+    real = draw(c.file.tolerance, 3, c)
+    left, right = real.arms["left"], real.arms["right"]
+    found = errors_of(real, c)
+    assert found["base_m"] == pytest.approx(float(np.linalg.norm(np.subtract(left.base_m, right.base_m))))
+    assert found["delay"] == pytest.approx((real.delay_s or 0.0) / c.file.simulated_delay_s)
+    assert found["skew_s"] == pytest.approx(abs(left.skew_s - right.skew_s))
+    assert found["zeros_rad"] == pytest.approx(float(np.linalg.norm([*left.zeros_rad, *right.zeros_rad])))
+
+
+def test_the_command_runs_a_cell_and_says_where_its_results_are(tmp_path: Path) -> None:
+    path, out = cell_file(tmp_path), tmp_path / "out"
+    done = coop("study", path, "--runs", "2", "--workers", "1", "--out", out)
+    assert done.code == 0, done.err
+    assert "2 runs: 0 lost" in done.out
+    assert str(out / "worst.toml") in done.out
+    again = coop("study", path, "--runs", "2", "--workers", "1", "--out", out, "--json")
+    assert "2 of 2 runs are there already" in again.err
+    assert json.loads(again.out) == json.loads((out / "study.json").read_text())
+    other = coop("study", path, "--runs", "2", "--seed", "1", "--workers", "1", "--out", out)
+    assert other.code == 2
+    assert "another cell, seed" in other.err
+    forced = coop("study", path, "--runs", "1", "--seed", "1", "--workers", "1", "--out", out, "--force")
+    assert forced.code == 0
+    assert "1 runs" in forced.out
+
+
+def test_a_scheduler_that_does_not_answer_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from agent.study import cluster
+
+    monkeypatch.setattr(cluster, "CONNECT_S", 0.5)
+    done = coop(
+        "study", cell_file(tmp_path), "--runs", "1", "--out", tmp_path / "out", "--scheduler", "tcp://127.0.0.1:9"
+    )
+    assert done.code == 2
+    assert done.err.startswith("coop: scheduler tcp://127.0.0.1:9: found no answer")
+    assert done.err.count("\n") == 1
+
+
+def test_without_the_package_the_scheduler_is_refused_with_the_remedy(
+    plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from agent.study import cluster
+
+    def missing(name: str) -> object:
+        raise ImportError(name)
+
+    monkeypatch.setattr(cluster, "import_module", missing)
+    with pytest.raises(StudyError, match=r"widowx-coop\[study\]"):
+        list(cluster.on_cluster(plan.tasks(), "tcp://127.0.0.1:9"))
+
+
+def results_of(pairs: Sequence[tuple[Task, RunResult]]) -> list[RunResult]:
+    return [result for _, result in sorted(pairs, key=lambda pair: pair[0].key)]
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_dask_cluster_of_two_workers_finds_the_same_to_the_bit(plan: Plan, results: list[RunResult]) -> None:
+    from distributed import LocalCluster
+
+    from agent.study.cluster import on_cluster
+
+    with LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
+        assert results_of(list(on_cluster(plan.tasks(), cluster.scheduler_address))) == results
