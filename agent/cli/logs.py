@@ -141,21 +141,25 @@ def export(
 def play(
     log: LogPath,
     speed: Annotated[float, typer.Option(min=0.001, help="Pace; 1 is the pace of the run.")] = 1.0,
-    start: Annotated[float, typer.Option(min=0.0, help="First second to play.")] = 0.0,
-    end: Annotated[float | None, typer.Option(help="Last second to play.")] = None,
+    start: Annotated[float, typer.Option("--from", "--start", min=0.0, help="First second of the log to play.")] = 0.0,
+    end: Annotated[float | None, typer.Option("--to", "--end", help="Last second to play.")] = None,
     loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end.")] = False,
     listen: Annotated[str, typer.Option(help="Endpoint to listen on.")] = DEFAULT_ENDPOINT,
     network_config: NetworkConfig = None,
 ) -> None:
-    """Publish a log again, byte for byte, under the prefix replay/."""
+    """Publish a log again, byte for byte, under the prefix replay/; on a terminal keys pause, step and seek."""
+    from agent.cli.keys import HELP, Keyboard
     from agent.telemetry.link.play import PlayOptions
     from agent.telemetry.link.play import run as play_log
     from agent.telemetry.link.session import Network
 
     requested = begin(False)
     network = Network(config_file=network_config) if network_config else Network(listen=listen)
-    options = PlayOptions(log, network, speed, start, end, loop)
-    done = play_log(options, requested, lambda endpoint: ready(f"endpoint={endpoint}"))
+    with Keyboard() as keyboard:
+        if keyboard.present:
+            note(HELP)
+        options = PlayOptions(log, network, speed, start, end, loop, keyboard.orders, keyboard.show)
+        done = play_log(options, requested, lambda endpoint: ready(f"endpoint={endpoint}"))
     note(f"{log}: {done.rows} rows and {done.events} events played, {done.loops} times to the end")
 
 

@@ -26,6 +26,7 @@ from agent.log.read import ColumnLog, LogError
 from agent.log.run import MissingPackage, NoSuchField, member_names, members_of
 from agent.log.runinfo import read_info
 from agent.telemetry.row.event import Event
+from agent.telemetry.row.sample import Field
 
 COLUMNS_FILE: Final = "columns.csv"
 EVENTS_FILE: Final = "events.csv"
@@ -73,14 +74,8 @@ def export(log: ColumnLog, folder: Path, kind: Format, choice: Choice, *, replac
     """
     if kind is Format.PARQUET:
         _require_pyarrow()
-    tables, fields = _chosen(log, choice), choice.fields
-    names = member_names(log, read_info(log))
-    columns = {}
-    for name in tables:
-        known = {f.name: f for f in log.layouts[name].fields}
-        _refuse_unknown(name, fields, known)
-        wanted = [known[f] for f in fields] if fields else [f for f in known.values() if f.name not in INTERNAL]
-        columns[name] = flat_columns(wanted, name, names)
+    tables, names = _chosen(log, choice), member_names(log, read_info(log))
+    columns = {name: flat_columns(_fields(log, name, choice), name, names) for name in tables}
     if not replace:
         _keep(folder)
     with _Draft(folder) as draft:
@@ -104,7 +99,9 @@ def _chosen(log: ColumnLog, choice: Choice) -> dict[str, Table]:
             raise NoSuchField(
                 f"log {log.path}", found=repr(name), expected=f"one of {', '.join(tables)}", remedy="name one of them"
             )
-    found = {name: choice.of(table) for name, table in tables.items() if not members or name in members}
+    found = {name: table for name, table in tables.items() if not members or name in members}
+    _refuse_unknown(log, found, choice)
+    found = {name: choice.of(table) for name, table in found.items() if _fields(log, name, choice)}
     if not any(len(table) for table in found.values()):
         raise LogError(
             f"nothing to export of {log.path}",
@@ -115,12 +112,23 @@ def _chosen(log: ColumnLog, choice: Choice) -> dict[str, Table]:
     return found
 
 
-def _refuse_unknown(member: str, fields: Sequence[str], known: Iterable[str]) -> None:
-    for name in fields:
+def _fields(log: ColumnLog, member: str, choice: Choice) -> list[Field]:
+    """The wanted fields that the rows of this member have."""
+    own = log.layouts[member].fields
+    if not choice.fields:
+        return [f for f in own if f.name not in INTERNAL]
+    known = {f.name: f for f in own}
+    return [known[name] for name in choice.fields if name in known]
+
+
+def _refuse_unknown(log: ColumnLog, members: Iterable[str], choice: Choice) -> None:
+    """Raise NoSuchField for a field that none of these members has."""
+    known = list(dict.fromkeys(f.name for member in members for f in log.layouts[member].fields))
+    for name in choice.fields:
         if name not in known:
             raise NoSuchField(
-                f"rows of {member}", found=repr(name), expected=f"one of {', '.join(known)}",
-                remedy="name another field, or with --arm the arms that have it",
+                f"rows of {log.path}", found=repr(name), expected=f"one of {', '.join(known)}",
+                remedy="name another field",
             )  # fmt: skip
 
 

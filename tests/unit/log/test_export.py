@@ -100,6 +100,14 @@ def test_arms_fields_and_times_can_be_chosen(log: Path, tmp_path: Path) -> None:
     assert (float(table["t_s"][0]), float(table["t_s"][-1])) == (0.1, 0.195)
 
 
+def test_a_field_is_taken_from_those_that_have_it(log: Path, tmp_path: Path) -> None:
+    done = exported(log, tmp_path / "out", choice=Choice(fields=("t", "tau_sent")))
+    assert set(done.rows) == {"left.csv", "right.csv", "plant.csv", "events.csv"}
+    assert list(read_csv(tmp_path / "out" / "plant.csv")) == ["t_s"]
+    done = exported(log, tmp_path / "some", choice=Choice(fields=("tau_sent",)))
+    assert set(done.rows) == {"left.csv", "right.csv", "events.csv"}
+
+
 @pytest.mark.parametrize(
     ("choice", "message"),
     [
