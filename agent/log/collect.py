@@ -11,8 +11,8 @@ from mcap.records import Attachment, Channel, Metadata, Schema
 from numpy.typing import NDArray
 
 from agent.log import ros_definitions
+from agent.log.cdr import text_of
 from agent.log.scan import LogScan, Messages, Run, library_of
-from agent.log.standard import text_of
 from agent.telemetry.row.event import Event
 from agent.telemetry.row.sample import AGENT_STATE, PLANT_STATE, Layout
 from agent.telemetry.row.topics import Kind, parse_topic
