@@ -22,7 +22,7 @@ GROUPS = {
     "Logs": (logs.report, logs.compare, logs.identify, logs.play, logs.recover),
     "This installation": (where,),
     "Processes of a cell": (
-        processes.agent, processes.plant, processes.emulate, processes.telemetry, processes.record,
+        processes.agent, processes.plant, processes.emulate, processes.telemetry, processes.record, processes.ros2,
     ),
 }  # fmt: skip
 

@@ -169,8 +169,8 @@ def _wrench(arm: SceneArm) -> StandardTopic:
     def fill(out: Rows, rows: Rows, stamp: Stamp) -> None:
         out["stamp"] = stamp
         quat = rows["quat_object"]
-        squares = (quat[:, :, None] * quat[:, None, :]).reshape(-1, 16)
-        R_world_ee = (squares @ to_ee).reshape(-1, 3, 3)
+        squares = (quat[:, :, None] * quat[:, None, :]).reshape(-1, 1, 16)
+        R_world_ee = (squares @ to_ee).reshape(-1, 3, 3)  # row by row: the same bits however many there are
         out["wrench"] = (rows["wrench_cmd"].reshape(-1, 2, 3) @ R_world_ee).reshape(-1, 6)
 
     template = CdrTemplate().header("", arm.frame(arm.ee_link)).number("wrench", "<f8", 6)
@@ -245,13 +245,17 @@ class _Joints:
             self._map[1 + i, quat] = start[3:]
             self._map[1 + n + i, quat] = far[3:] if joint.turns else 0.0
             self._map[1 + 2 * n + i, p] = (far[:3] - start[:3]) / np.pi
+        self._slide = any(not joint.turns for joint in joints)
+        if not self._slide:
+            self._map = self._map[: 1 + 2 * n]
 
     def poses(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
         """Poses (k, 7 n), attitude with the scalar last, at joint values q (k, n)."""
         k, n = q.shape
-        half, basis = q * self._half, np.empty((k, len(self._map)))
-        basis[:, 0] = 1.0
-        np.cos(half, out=basis[:, 1 : 1 + n])
-        np.sin(half, out=basis[:, 1 + n : 1 + 2 * n])
-        basis[:, 1 + 2 * n :] = q
-        return basis @ self._map
+        half, basis = q * self._half, np.empty((k, 1, len(self._map)))
+        basis[:, 0, 0] = 1.0
+        np.cos(half, out=basis[:, 0, 1 : 1 + n])
+        np.sin(half, out=basis[:, 0, 1 + n : 1 + 2 * n])
+        if self._slide:
+            basis[:, 0, 1 + 2 * n :] = q
+        return (basis @ self._map)[:, 0]  # row by row: the same bits however many there are

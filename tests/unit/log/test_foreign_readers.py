@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability
 
+from tests.support.ros.plain import plain
 from tests.support.telemetry.log_maker import make_log
 from tests.support.telemetry.scenes import scene
 from tests.support.telemetry.telemetry_cell import ARMS, CELL
@@ -57,15 +57,3 @@ def test_rosbags_and_mcap_read_every_topic_alike(log: Path) -> None:
             assert plain(a) == plain(b), topic
     text = next(m.data for topic, _, m in by_rosbags if topic == "/left/robot_description")
     assert text == scene(CELL, ARMS).arms[0].urdf_xml
-
-
-def plain(message: object) -> object:
-    """A message of either reader as numbers, texts and lists; NaN as a word, for nothing equals it."""
-    if isinstance(message, str):
-        return message
-    if isinstance(message, np.ndarray | list | tuple):
-        return [plain(part) for part in message]
-    if isinstance(message, int | float | np.number):
-        return "NaN" if np.isnan(message) else float(message)
-    names = [n for n in getattr(message, "__slots__", None) or vars(message) if not (n.startswith("_") or n.isupper())]
-    return {n: plain(getattr(message, n)) for n in names}

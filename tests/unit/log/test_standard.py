@@ -148,3 +148,12 @@ def test_definitions_are_complete_and_the_same_as_ros_has_them(ros_name: str) ->
         inner = part.strip().splitlines()[0].removeprefix("MSG: ")
         assert types[ros_definitions.schema_name(inner)][1] == STORE.fielddefs[ros_definitions.schema_name(inner)][1]
     assert types[name][1] == STORE.fielddefs[name][1]
+
+
+def test_a_message_has_the_same_bits_however_many_are_made_at_a_time() -> None:
+    data = rows(AGENT_STATE, 23)
+    for topic in arm().values():
+        whole = messages(topic, data)
+        for step in (1, 2, 5):
+            parts = [m for i in range(0, 23, step) for m in messages(topic, data[i : i + step])]
+            assert parts == whole, topic.topic
