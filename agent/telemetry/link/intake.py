@@ -81,7 +81,9 @@ class Stream:
     def follows(self, first: int, rows: NDArray[np.void]) -> bool:
         """Whether the sequence numbers go up, within the rows and from the row before them."""
         sequence = rows["sequence"]
-        return not np.count_nonzero(sequence[1:] <= sequence[:-1]) and self._sequence_at.get(first - 1, -1) < int(sequence[0])
+        return not np.count_nonzero(sequence[1:] <= sequence[:-1]) and self._sequence_at.get(first - 1, -1) < int(
+            sequence[0]
+        )
 
     def gaps(self) -> list[tuple[int, int]]:
         """Sequence numbers (first, last) of the rows that are missing, as far as their neighbours tell."""
