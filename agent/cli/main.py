@@ -24,7 +24,7 @@ GROUPS: dict[str, tuple[Callable[..., None], ...]] = {
     ),
     "This installation": (where,),
     "Processes of a cell": (
-        processes.agent, processes.plant, processes.emulate, processes.telemetry, processes.record,
+        processes.agent, processes.plant, processes.emulate, processes.telemetry, processes.record, processes.ros2,
     ),
 }  # fmt: skip
 

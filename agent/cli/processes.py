@@ -8,7 +8,17 @@ from typing import Annotated
 import typer
 
 from agent.cli import complete
-from agent.cli.options import DEFAULT_ENDPOINT, ArmName, CellPath, DriverName, NetworkConfig, WithParent, begin, ready
+from agent.cli.options import (
+    DEFAULT_ENDPOINT,
+    ROS_ROUTER,
+    ArmName,
+    CellPath,
+    DriverName,
+    NetworkConfig,
+    WithParent,
+    begin,
+    ready,
+)
 
 
 def agent(
@@ -189,3 +199,40 @@ def record(
     typer.echo(f"{report.path}: {'complete' if report.complete else 'INCOMPLETE'} {report.failure or ''}", err=True)
     if report.failure:
         raise typer.Exit(4)
+
+
+def ros2(
+    cell: CellPath,
+    connect: Annotated[str, typer.Option(help="Endpoint of the ROS 2 router (rmw_zenohd).")] = ROS_ROUTER,
+    telemetry: Annotated[str, typer.Option(help="Endpoint of the recorder.")] = DEFAULT_ENDPOINT,
+    network_config: NetworkConfig = None,
+    domain: Annotated[int, typer.Option(envvar="ROS_DOMAIN_ID", min=0, max=232, help="ROS domain.")] = 0,
+    driver: Annotated[DriverName | None, typer.Option(help="What moves the arms.")] = None,
+    truth: Annotated[bool, typer.Option(help="Expect the truth of a simulated plant.")] = False,
+    clock: Annotated[
+        bool | None, typer.Option("--clock/--no-clock", help="Publish /clock; as a rule when the cell is simulated.")
+    ] = None,
+    with_parent: WithParent = False,
+) -> None:
+    """Show the cell to ROS 2 viewers, live: standard topics as rmw_zenoh has them, read only."""
+    from agent.config.files import load_files
+    from agent.config.schema.cell import DriverKind
+    from agent.process.ros import run_ros
+    from agent.telemetry.link.session import Network, Role
+
+    requested = begin(with_parent)
+    files = load_files(cell)
+    simulated = (driver.value if driver is not None else files.file.driver.value) == DriverKind.SIM.value
+    report = run_ros(
+        files,
+        Network(config_file=network_config) if network_config else Network(connect=(telemetry,), role=Role.VIEWER),
+        Network(connect=(connect,), role=Role.VIEWER, timestamps=True),
+        domain=domain,
+        has_plant=truth or simulated,
+        clock=simulated if clock is None else clock,
+        stop=requested,
+        ready=ready,
+    )
+    typer.echo(
+        f"{report.published} ROS messages, {report.dropped} of telemetry dropped, {report.refused} refused", err=True
+    )

@@ -10,9 +10,10 @@ import numpy as np
 from mcap.records import Attachment, Channel, Metadata, Schema
 from numpy.typing import NDArray
 
+from agent.log import ros_definitions
+from agent.log.cdr import text_of
 from agent.log.layout import OURS, differences, parse
 from agent.log.scan import LogScan, Messages, Run, library_of
-from agent.log.standard import text_of
 from agent.telemetry.row.event import Event
 from agent.telemetry.row.sample import Layout
 from agent.telemetry.row.topics import Kind, parse_topic

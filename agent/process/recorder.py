@@ -16,6 +16,7 @@ from agent.config.files import CellFiles
 from agent.config.schema.cell import DriverKind
 from agent.host.info import attachments
 from agent.log.file import Attachment
+from agent.process.scene import scene_of
 from agent.telemetry.link import record
 from agent.telemetry.link.session import Network
 from drivers.interface import Refusal
@@ -51,8 +52,7 @@ def run_recorder(
     files = attachments(cell, run_info)
     options = record.RecordOptions(
         path=log,
-        cell=cell.file.name,
-        arms={arm.name: tuple(arm.entry.controlled) for arm in cell.arms},
+        scene=scene_of(cell),
         config_id=cell.config_id,
         has_plant=has_plant,
         network=network,

@@ -81,7 +81,9 @@ class Stream:
     def follows(self, first: int, rows: NDArray[np.void]) -> bool:
         """Whether the sequence numbers go up, within the rows and from the row before them."""
         sequence = rows["sequence"]
-        return bool((sequence[1:] > sequence[:-1]).all()) and self._sequence_at.get(first - 1, -1) < int(sequence[0])
+        return not np.count_nonzero(sequence[1:] <= sequence[:-1]) and self._sequence_at.get(first - 1, -1) < int(
+            sequence[0]
+        )
 
     def gaps(self) -> list[tuple[int, int]]:
         """Sequence numbers (first, last) of the rows that are missing, as far as their neighbours tell."""
@@ -131,11 +133,11 @@ class Intake:
         if len(payload) % dtype.itemsize or (not payload and header.end is End.OPEN):
             return self._reject(Rejection.WRONG_LENGTH)
         rows = np.frombuffer(payload, dtype)
-        if (rows["encapsulation"] != CDR_LITTLE_ENDIAN).any():
+        if np.count_nonzero(rows["encapsulation"] != CDR_LITTLE_ENDIAN):  # several times as fast as any()
             return self._reject(Rejection.WRONG_ENCAPSULATION)
-        if (rows["config_id"] != self._config_id).any():
+        if np.count_nonzero(rows["config_id"] != self._config_id):
             return self._reject(Rejection.WRONG_CONFIG)
-        if member in self._arms and (rows["joint_count"] != self._arms[member]).any():
+        if member in self._arms and np.count_nonzero(rows["joint_count"] != self._arms[member]):
             return self._reject(Rejection.WRONG_JOINTS)
         if header.first + len(rows) > header.written or (len(rows) and not stream.follows(header.first, rows)):
             return self._reject(Rejection.WRONG_ORDER)

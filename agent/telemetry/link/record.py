@@ -20,6 +20,7 @@ import zenoh.ext
 from agent.log.channels import LogChannels
 from agent.log.file import MIN_FREE_BYTES, Attachment, LogFile
 from agent.log.recover import repair_leftovers
+from agent.log.scene import Scene
 from agent.telemetry.link.intake import Intake, Rejection
 from agent.telemetry.link.session import FREE_PORT, Network, open_session
 from agent.telemetry.link.wire import HEADER_BYTES, pack_status
@@ -39,8 +40,7 @@ class RecordOptions:
     """One log."""
 
     path: Path
-    cell: str
-    arms: Mapping[str, tuple[str, ...]]  # controlled joints by arm, in the order of the rows; the first arm comes first
+    scene: Scene  # the cell's name and its arms
     config_id: int  # rows of another configuration do not belong in this log
     has_plant: bool = False
     network: Network = field(default_factory=lambda: Network(listen=FREE_PORT))
@@ -69,9 +69,9 @@ def run(
 
     Everything that can be refused is refused before the first message: raises LogFileError, NetworkError, BadName.
     """
-    topics.check_name(options.cell, "cell")
-    for arm in options.arms:
-        topics.check_arm_name(arm)
+    topics.check_name(options.scene.cell, "cell")
+    for arm in options.scene.arms:
+        topics.check_arm_name(arm.name)
     created_ns = time.time_ns()
     with open_session(options.network) as opened:
         metadata = {"recorder": _about_recorder(options, opened.endpoint), **options.metadata}
@@ -170,12 +170,12 @@ class _Recorder:
     """Inbox -> intake -> file."""
 
     def __init__(self, options: RecordOptions, log: LogFile) -> None:
-        self._cell = options.cell
+        self._cell = options.scene.cell
         self._log = log
-        joints = {arm: len(names) for arm, names in options.arms.items()}
-        self._intake = Intake(options.cell, joints, has_plant=options.has_plant, config_id=options.config_id)
+        joints = {arm: len(names) for arm, names in options.scene.joints.items()}
+        self._intake = Intake(self._cell, joints, has_plant=options.has_plant, config_id=options.config_id)
         self._inbox = _Inbox(frozenset(self._intake.streams))
-        self._channels = LogChannels(log, options.cell, options.arms, has_plant=options.has_plant)
+        self._channels = LogChannels(log, options.scene, has_plant=options.has_plant)
         self._zenoh_missed = 0
         self._told: set[str] = set()
         self._completeness: dict[str, str] | None = None
@@ -284,9 +284,9 @@ class _Listening:
 def _about_recorder(options: RecordOptions, endpoint: str | None) -> dict[str, str]:
     packages = ("widowx-coop", "eclipse-zenoh", "mcap", "numpy")
     return {
-        "cell": options.cell,
+        "cell": options.scene.cell,
         "config_id": str(options.config_id),
-        "arms": json.dumps({arm: list(joints) for arm, joints in options.arms.items()}),
+        "arms": json.dumps({arm: list(joints) for arm, joints in options.scene.joints.items()}),
         "plant": str(options.has_plant).lower(),
         "endpoint": endpoint or str(options.network.config_file),
         "host": platform.node(),

@@ -24,6 +24,7 @@ from agent.telemetry.link.publish import Pace
 from agent.telemetry.link.session import Network, Role, open_session
 from agent.telemetry.link.wire import BatchHeader
 from agent.telemetry.row.topics import PLANT
+from tests.support.telemetry.scenes import LOCKED_RAD
 from tests.support.telemetry.telemetry_cell import ARMS, UTC_0_NS, Process, make_rows, recorder, telemetry, writer
 
 MEMBERS = (*ARMS, PLANT)
@@ -92,14 +93,16 @@ def test_mcap_tools_decode_every_message(run: RunLog) -> None:
                 assert (message.sequence, message.log_time) == (i, UTC_0_NS + i * 5_000_000)
                 for name in ("sequence", "utc_ns", "t", "q_measured", "theta_arm", "bus_retries"):
                     assert np.array_equal(getattr(decoded, name), rows[i][name]), name
-            if channel.topic == "/coop/paper/left/joint_states" and i % 100 == 0:
+            if channel.topic == "/left/joint_states" and i % 100 == 0:
                 row = rows[message.sequence]
-                assert list(decoded.name) == list(ARMS["left"])
-                assert np.array_equal(decoded.position, row["q_measured"][:3])
+                assert list(decoded.name) == [*ARMS["left"], *LOCKED_RAD]
+                assert np.array_equal(decoded.position, [*row["q_measured"][:3], *LOCKED_RAD.values()])
     assert count["/coop/paper/left/state"] == 8999
     expected = 9000 / 4  # 50 Hz of 200 Hz
     for topic in ("left/joint_states", "right/wrench", "object/pose", "object/pose_des"):
-        assert count[f"/coop/paper/{topic}"] + 1 == expected, topic
+        assert count[f"/{topic}"] + 1 == expected, topic
+    for topic in ("tf_static", "left/robot_description", "right/robot_description"):
+        assert count[f"/{topic}"] == 0, "once"
     assert count["/tf"] + 1 == 3 * expected
     assert count["/rosout"] + 1 == len(run.events)
 

@@ -29,6 +29,7 @@ from agent.telemetry.link.wire import BatchHeader, End
 from agent.telemetry.ring.ring import RingReader
 from agent.telemetry.row.sample import AGENT_STATE
 from agent.telemetry.row.topics import BadName
+from tests.support.telemetry.scenes import scene
 from tests.support.telemetry.telemetry_cell import (
     ARMS,
     CELL,
@@ -313,7 +314,7 @@ def record_on_a_small_disk(
 
 def test_a_disk_that_is_full_stops_the_log_and_nothing_else(folder: Path) -> None:
     ring, total = folder / "left.ring", 20_000
-    options = RecordOptions(folder / "run.mcap", CELL, LEFT, CONFIG_ID, min_free_bytes=1 << 20)
+    options = RecordOptions(folder / "run.mcap", scene(CELL, LEFT), CONFIG_ID, min_free_bytes=1 << 20)
     with Process(record_on_a_small_disk, options) as rec:
         endpoint = rec.ready()
         with telemetry(ring, "left", endpoint, Pace.LOCKSTEP) as tel, writer(ring, "left", total, None) as agent:
@@ -334,8 +335,8 @@ def test_a_second_recorder_is_refused_before_anything_starts(folder: Path) -> No
     with recorder(folder / "run.mcap", arms=LEFT) as rec:
         endpoint = rec.ready()
         with pytest.raises(LogFileError, match="another recorder is writing"):
-            record.run(RecordOptions(folder / "run.mcap", CELL, LEFT, CONFIG_ID), stop=lambda: True)
-        taken = RecordOptions(folder / "second.mcap", CELL, LEFT, CONFIG_ID, network=Network(listen=endpoint))
+            record.run(RecordOptions(folder / "run.mcap", scene(CELL, LEFT), CONFIG_ID), stop=lambda: True)
+        taken = RecordOptions(folder / "second.mcap", scene(CELL, LEFT), CONFIG_ID, network=Network(listen=endpoint))
         with pytest.raises(NetworkError, match="cannot open the network"):
             record.run(taken, stop=lambda: True)
         rec.stop()
@@ -347,15 +348,15 @@ def test_a_second_recorder_is_refused_before_anything_starts(folder: Path) -> No
     [
         ({"path": Path("missing/run.mcap")}, "cannot write"),
         ({"min_free_bytes": 1 << 60}, "no room"),
-        ({"cell": "Not A Name"}, "name of a cell"),
-        ({"arms": {"plant": ("a",)}}, "name of an arm"),
+        ({"scene": scene("Not A Name", LEFT)}, "name of a cell"),
+        ({"scene": scene(CELL, {"plant": ("a",)})}, "name of an arm"),
         ({"network": Network(listen="nonsense")}, "endpoint"),
     ],
 )
 def test_what_cannot_be_recorded_is_refused_and_leaves_no_file(
     folder: Path, change: dict[str, Any], message: str
 ) -> None:
-    options = {"path": Path("run.mcap"), "cell": CELL, "arms": LEFT, "config_id": CONFIG_ID} | change
+    options = {"path": Path("run.mcap"), "scene": scene(CELL, LEFT), "config_id": CONFIG_ID} | change
     options["path"] = folder / options["path"]
     with pytest.raises((LogFileError, NetworkError, BadName), match=message):
         record.run(RecordOptions(**options), stop=lambda: True)
@@ -380,7 +381,7 @@ def test_nothing_is_left_after_a_refusal_or_an_end(folder: Path) -> None:
         return sum(link.startswith("socket:") for link in links)
 
     def attempt(name: str, **changes: Any) -> None:
-        record.run(RecordOptions(folder / name, CELL, LEFT, CONFIG_ID, **changes), stop=lambda: True)
+        record.run(RecordOptions(folder / name, scene(CELL, LEFT), CONFIG_ID, **changes), stop=lambda: True)
 
     attempt("warm-up.mcap")  # Zenoh keeps a few descriptors of its own for the life of the process
     before = sockets()
