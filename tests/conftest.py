@@ -34,6 +34,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     """Leave out what needs an arm, and what takes minutes and downloads, unless it is asked for."""
     arm = config.getoption("--hardware") and config.getoption("--arm")
     for item in items:
+        if item.get_closest_marker("realtime") and "tests/process/" not in item.nodeid:
+            raise pytest.UsageError(f"{item.nodeid} is marked realtime: `make test` looks for these in tests/process")
         if item.get_closest_marker("fresh") and not config.getoption("--fresh"):
             item.add_marker(pytest.mark.skip(reason="two minutes and 300 MB per Debian release: make test-fresh"))
         if item.get_closest_marker("hardware") and not arm:
