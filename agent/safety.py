@@ -27,6 +27,9 @@ class Flag(enum.IntFlag):
     DAMPED = 256  # the arm became too fast in a hold: it only brakes
 
 
+_FLAGS = tuple(map(Flag, range(8)))  # of the first three bits: joining two flags takes half a microsecond
+
+
 @dataclass(frozen=True, slots=True)
 class Limits:
     """Bounds of one arm; sequences of length n."""
@@ -40,12 +43,11 @@ def limit(tau_cmd: Sequence[float], tau_last: Sequence[float], limits: Limits) -
 
     Raises ValueError when the lengths differ: a shorter torque would be worse.
     """
-    flags = Flag.NONE
-    rate_limited = saturated = False  # joining flags joint by joint would cost a microsecond each
+    not_finite = rate_limited = saturated = False
     tau: list[float] = []
     for wanted, last, bound, step in zip(tau_cmd, tau_last, limits.tau_max_Nm, limits.tau_step_max_Nm, strict=True):
         if not math.isfinite(wanted):
-            flags |= Flag.NOT_FINITE
+            not_finite = True
             tau.append(last)
             continue
         allowed = wanted
@@ -58,8 +60,4 @@ def limit(tau_cmd: Sequence[float], tau_last: Sequence[float], limits: Limits) -
         elif allowed < -bound:
             allowed, saturated = -bound, True
         tau.append(allowed)
-    if rate_limited:
-        flags |= Flag.RATE_LIMITED
-    if saturated:
-        flags |= Flag.SATURATED
-    return tau, flags
+    return tau, _FLAGS[not_finite + 2 * saturated + 4 * rate_limited]

@@ -7,11 +7,8 @@ to 0.024 rad/s, and its sign would chatter.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-
-import numpy as np
-
-from drivers.interface import Vector
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,12 +19,7 @@ class Friction:
     viscous_Nm_s_per_rad: tuple[float, ...]
     smooth_rad_per_s: float  # speed at which the smooth sign reaches tanh(1) = 0.76
 
-    def torque(self, dq: Vector) -> Vector:
-        """Torque (n,) that friction takes at joint velocity dq (n,)."""
-        s = 1.0 / self.smooth_rad_per_s
-        return np.array(
-            [
-                c * math.tanh(v * s) + d * v
-                for c, d, v in zip(self.coulomb_Nm, self.viscous_Nm_s_per_rad, dq.tolist(), strict=True)
-            ]
-        )
+    def torque(self, dq: Sequence[float]) -> list[float]:
+        """Torques (n,) that friction takes at joint velocities dq (n,)."""
+        s, tanh = 1.0 / self.smooth_rad_per_s, math.tanh
+        return [c * tanh(v * s) + d * v for c, d, v in zip(self.coulomb_Nm, self.viscous_Nm_s_per_rad, dq, strict=True)]
