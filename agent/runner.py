@@ -203,7 +203,7 @@ class Runner:
             if self._tracking_since_ns is None:
                 self._tracking_since_ns = begin_ns
             self._tracked_s = (after_write_ns - self._tracking_since_ns) * 1e-9
-        if outcome.flags & _TROUBLE:
+        if outcome.flags and outcome.flags & _TROUBLE:  # joining flags takes a microsecond
             self._reason = self._reason or f"t = {t:.3f} s: {outcome.flags!r}"
             return Event.TROUBLE
         return Event.NONE
