@@ -30,8 +30,8 @@ def torque(model: ArmModel, offline: Offline, q: Vector, dq: Vector, desired: De
     dq_ref, ddq_ref = joints[DQ_REF], joints[DDQ_REF]
     c, f = offline.load_share, object_wrench(offline, k, e)
     load = (c * f[0], c * f[1], c * f[2], c * f[3], c * f[4], c * f[5])
-    joints[INERTIA] = k.B.dot(ddq_ref)  # eq:manipulator dynamics at the reference
-    joints[CORIOLIS] = k.C.dot(dq_ref)  # eq:manipulator dynamics
+    k.B.dot(ddq_ref, joints[INERTIA])  # eq:manipulator dynamics at the reference, into the block
+    k.C.dot(dq_ref, joints[CORIOLIS])  # eq:manipulator dynamics
     joints[GRAVITY] = k.g  # eq:manipulator dynamics
     wrench_internal = add_wrenches(model, offline, k, e, load, joints)
     if offline.friction is not None:

@@ -104,7 +104,7 @@ def reference(
         P = model.task_basis
         J_inv_P, dv_ref = J_inv.dot(P), P.dot(dv_ref)
     dq_ref = J_inv_P.dot(v_ref, joints[DQ_REF])  # eq:J_o_i at the reference
-    joints[DDQ_REF] = J_inv.dot(dv_ref - k.dJ.dot(dq_ref))  # eq:J_o_i_dot at the reference
+    J_inv.dot(dv_ref - k.dJ.dot(dq_ref), joints[DDQ_REF])  # eq:J_o_i_dot at the reference
     return k, e, joints, sigma_min, J_inv, J_inv_P
 
 

@@ -94,8 +94,7 @@ class AgentRow:
         self._packed_sense = b"", b""
         self._state, self._state_at = _packer("sequence", "dq", joint_count), _offset("sequence")
         self._motion, self._motion_at = _packer("p_object_des", "dv_object_ref", joint_count), _offset("p_object_des")
-        self._wrenches, self._wrenches_at = _packer("wrench_cmd", "sigma_min", joint_count), _offset("wrench_cmd")
-        self._sent, self._sent_at = _packer("tau_limited", "tau_sent", joint_count), _offset("tau_limited")
+        self._sent, self._sent_at = _packer("tau_limited", "sigma_min", joint_count), _offset("tau_limited")
         self._memory, self._memory_at = _packer("shift", "memory", joint_count), _offset("shift")
         self._timing, self._timing_at = _packer("late_s", "bus_retries", joint_count), _offset("late_s")
 
@@ -114,8 +113,7 @@ class AgentRow:
             sequence, state.stamp_ns, utc_ns, mode, outcome.flags, *self._counts,
             t, state.q.tobytes(), state.dq.tobytes(), state.tau.tobytes(), outcome.q.tobytes(), outcome.dq.tobytes(),
         )  # fmt: skip
-        self._fill_law(outcome.terms)
-        self._sent.pack_into(message, self._sent_at, outcome.tau.tobytes(), tau_sent.tobytes())
+        self._fill_law(outcome.terms, outcome.tau.tobytes(), tau_sent.tobytes())
         if memory.sense is not self._sense:
             self._pack_sense(memory.sense)
         of_sense, behind = self._packed_sense
@@ -138,12 +136,12 @@ class AgentRow:
             bus.timeouts, bus.corrupt, bus.alerts, bus.retries,
         )  # fmt: skip
 
-    def _fill_law(self, terms: Terms | None) -> None:
-        """The fields from p_object_des to tau_cmd, and those from wrench_cmd to sigma_min."""
+    def _fill_law(self, terms: Terms | None, limited: bytes, sent: bytes) -> None:
+        """The fields from p_object_des to sigma_min; limited, sent: torques after the law."""
         if terms is None:
             self._motion.pack_into(self._bytes, self._motion_at, *_NO_MOTION)
             self._of_law[...] = math.nan
-            self._wrenches.pack_into(self._bytes, self._wrenches_at, *_NO_WRENCHES)
+            self._sent.pack_into(self._bytes, self._sent_at, limited, sent, *_NO_WRENCHES)
             return
         d, k, e = terms.desired, terms.kinematics, terms.errors
         self._motion.pack_into(
@@ -153,9 +151,9 @@ class AgentRow:
             *e.e_p, e.e_eta, *e.e_eps, *e.e_v, *e.v_ref, *e.dv_ref,
         )  # fmt: skip
         self._of_law[...] = terms.joints[:_LOGGED]
-        self._wrenches.pack_into(
-            self._bytes, self._wrenches_at,
-            *terms.wrench_cmd, *terms.wrench_internal, terms.lyapunov, terms.sigma_min,
+        self._sent.pack_into(
+            self._bytes, self._sent_at,
+            limited, sent, *terms.wrench_cmd, *terms.wrench_internal, terms.lyapunov, terms.sigma_min,
         )  # fmt: skip
 
     def _pack_sense(self, sense: Sense) -> None:

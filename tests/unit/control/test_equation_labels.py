@@ -94,18 +94,20 @@ def labels_beside_code(path: Path) -> Iterator[tuple[tuple[str, str, str], str]]
 
 
 def _statement(functions: list[ast.FunctionDef], line: int) -> tuple[str, str]:
-    """Function that holds a line, and what the smallest statement on it makes: names, or `return`."""
+    """Function that holds a line, and what its smallest statement makes: names, a call's last argument, `return`."""
     holding = [f for f in functions if f.lineno <= line <= (f.end_lineno or 0)]
     function = max(holding, key=lambda f: f.lineno)
     statements = [
         s
         for s in ast.walk(function)
-        if isinstance(s, ast.Assign | ast.AugAssign | ast.AnnAssign | ast.Return)
+        if isinstance(s, ast.Assign | ast.AugAssign | ast.AnnAssign | ast.Return | ast.Expr)
         and s.lineno <= line <= (s.end_lineno or 0)
     ]
     statement = max(statements, key=lambda s: s.lineno)
     if isinstance(statement, ast.Return):
         return function.name, "return"
+    if isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Call):
+        return function.name, ast.unparse(statement.value.args[-1])
     targets = statement.targets if isinstance(statement, ast.Assign) else [statement.target]
     return function.name, ", ".join(ast.unparse(t).strip("()") for t in targets)
 
