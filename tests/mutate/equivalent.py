@@ -19,8 +19,8 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
         ): "the same start gives the same phase",
         (
             "Runner._change_mode",
-            "if mode is Mode.HOLD and state is not None:",
-            "if True and state is not None:",
+            "if mode is Mode.HOLD and state is not None and (self._outcome is not None):",
+            "if True and state is not None and (self._outcome is not None):",
         ): "every other change ends the loop, or begins to track and forgets what was held",
     },
     "agent.operator.socket": {
