@@ -17,19 +17,19 @@ from agent.control.adaptation import JOINT_PARAMETERS, Adaptation, Estimate, Gra
 from agent.control.friction import sticking_columns
 from agent.control.law import (
     Offline,
-    Terms,
-    assemble,
-    law_torque,
+    add_friction,
+    add_sums,
+    add_wrenches,
     lyapunov_share,
     reference,
     rotate_wrench,
     rotate_wrench_back,
-    shared_torques,
     wrench_at_ee,
 )
 from agent.control.models import ArmModel, Matrix
 from agent.control.quaternion import Mat3
 from agent.control.regressor import BODY_PARAMETERS, joint_regressor, object_regressor
+from agent.control.terms import ADAPTIVE, DDQ_REF, DQ_REF, POSTURE, Terms
 from agent.control.trajectory import Desired, Vec6
 from drivers.interface import Vector
 
@@ -47,14 +47,14 @@ def torque(
 
     The second result is what `Adaptation.advance` takes.  Raises SingularJacobian.
     """
-    ref, J_inv, J_inv_P = reference(model, offline, q, dq, desired)
-    k, e, dq_ref, ddq_ref, _ = ref
+    k, e, joints, sigma_min, J_inv, J_inv_P = reference(model, offline, q, dq, desired)
+    dq_ref, ddq_ref = joints[DQ_REF], joints[DDQ_REF]
     dq_error = dq - dq_ref
 
     n = model.n
-    inertial, joints = BODY_PARAMETERS * n, estimate.arm[BODY_PARAMETERS * n :].reshape(JOINT_PARAMETERS, n)
+    inertial, of_joints = BODY_PARAMETERS * n, estimate.arm[BODY_PARAMETERS * n :].reshape(JOINT_PARAMETERS, n)
     Y = joint_regressor(model, q, dq, dq_ref, ddq_ref)
-    tau_adaptive = Y.dot(estimate.arm[:inertial]) + joints[0] * ddq_ref
+    joints[ADAPTIVE] = Y.dot(estimate.arm[:inertial]) + of_joints[0] * ddq_ref
 
     c, e_v, P = offline.load_share, e.e_v, model.task_basis
     R = k.R_world_object
@@ -65,22 +65,24 @@ def torque(
     e_v_object = rotate_wrench_back(R, e_v_task)
     object_gradient = Y_object.T.dot([c * x for x in e_v_object])  # eq:adaptation laws
 
-    tau_posture = None if offline.posture is None else offline.posture.torque(q, dq, k.J, J_inv)
-    shared = shared_torques(offline, k, e, load, tau_posture)
-    tau_law = law_torque(tau_adaptive, shared)  # eq:adaptive control vector form
-    columns = _friction_columns(adaptation, joints, dq_ref, dq, tau_law)
-    tau_friction = (joints[1:] * columns).sum(axis=0) if adaptation.friction else None
+    wrench_internal = add_wrenches(model, offline, k, e, load, joints)
+    if offline.posture is not None:
+        joints[POSTURE] = offline.posture.torque(q, dq, k.J, J_inv)
+    tau_law = add_sums(joints)  # eq:adaptive control vector form
+    columns = _friction_columns(adaptation, of_joints, dq_ref, dq, tau_law)
+    if adaptation.friction:
+        add_friction(joints, (of_joints[1:] * columns).sum(axis=0))
     by_joint = np.concatenate((ddq_ref[None], columns)) * dq_error
     arm_gradient = np.concatenate((Y.T.dot(dq_error), by_joint.ravel()))  # eq:adaptation laws
-    terms = assemble(
+    terms = Terms(
         desired,
-        ref,
-        (None, None, None, tau_adaptive),
-        shared,
-        tau_friction,
-        tau_law if tau_friction is None else tau_law + tau_friction,
+        k,
+        e,
+        joints,
         wrench_at_ee(k, J_inv_P, tau_law),
+        wrench_internal,
         lyapunov_share(offline, k, e, dq_error) + adaptation.parameter_error(estimate),
+        sigma_min,
         J_inv_P,
     )
     return terms, Gradient(arm_gradient, object_gradient)

@@ -53,7 +53,7 @@ class Alignment:
 
 def shifted(desired: Desired, shift: Shift) -> Desired:
     """The motion that an arm with this shift follows; twist and acceleration are those of all."""
-    if shift == NO_SHIFT:
+    if shift is NO_SHIFT or shift == NO_SHIFT:
         return desired
     p = desired.p
     moved = (p[0] + shift[0], p[1] + shift[1], p[2] + shift[2])

@@ -91,16 +91,22 @@ class Friction:
     joints: tuple[JointFriction, ...]
     smooth_rad_per_s: float  # speed at which the smooth sign reaches tanh(1) = 0.76
     sticks: bool = field(init=False)
+    _pairs: tuple[tuple[float, float], ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "sticks", any(joint.sticks for joint in self.joints))
+        object.__setattr__(self, "_pairs", tuple((p.coulomb_Nm, p.viscous_Nm_s_per_rad) for p in self.joints))
+
+    def gliding(self, dq_ref: Sequence[float]) -> list[float]:
+        """Torques (n,) that friction takes at dq_ref (n,) where no joint sticks."""
+        s, tanh = 1.0 / self.smooth_rad_per_s, math.tanh
+        return [c * tanh(v * s) + d * v for (c, d), v in zip(self._pairs, dq_ref, strict=True)]
 
     def torque(self, dq_ref: Vector, dq: Vector, tau_law: Vector) -> Vector:
         """Torque that friction takes, to be added to the law's tau_law; arrays (n,)."""
-        s = 1.0 / self.smooth_rad_per_s
         if not self.sticks:
-            moving = zip(self.joints, dq_ref.tolist(), strict=True)
-            return np.array([p.coulomb_Nm * math.tanh(v * s) + p.viscous_Nm_s_per_rad * v for p, v in moving])
+            return np.array(self.gliding(dq_ref.tolist()))
+        s = 1.0 / self.smooth_rad_per_s
         taken = []
         for p, v_ref, v, tau in zip(self.joints, dq_ref.tolist(), dq.tolist(), tau_law.tolist(), strict=True):
             sign, drag = math.tanh(v_ref * s), p.viscous_Nm_s_per_rad * v_ref

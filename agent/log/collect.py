@@ -10,7 +10,6 @@ import numpy as np
 from mcap.records import Attachment, Channel, Metadata, Schema
 from numpy.typing import NDArray
 
-from agent.log import ros_definitions
 from agent.log.cdr import text_of
 from agent.log.layout import OURS, differences, parse
 from agent.log.scan import LogScan, Messages, Run, library_of

@@ -17,13 +17,6 @@ _NOTHING_TO_COUNT = "if None not in rows and (not damaged) and (not late):"
 _OPPOSED = "opposed = followed[1] * shadow[1] < 0 and min(abs(followed[1]), abs(shadow[1])) >= self._fight"
 
 EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
-    "agent.loop": {
-        (
-            "step",
-            "if not math.isfinite(sum(q.tolist()) + sum(dq.tolist())):",
-            "if not math.isfinite(sum(q.tolist()) - sum(dq.tolist())):",
-        ): "a difference with a number that is none is none either",
-    },
     "agent.runner": {
         ("Runner._cycle", "happened |= Event.STOP", "happened |= Event.TROUBLE"): "either makes the object held",
         ("Runner._cycle", "if happened:", "if True:"): "saves a call: nothing changes without an event (test_runner)",
@@ -34,8 +27,8 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
         ): "the same start gives the same phase",
         (
             "Runner._change_mode",
-            "if mode is Mode.HOLD and state is not None:",
-            "if True and state is not None:",
+            "if mode is Mode.HOLD and state is not None and (self._outcome is not None):",
+            "if True and state is not None and (self._outcome is not None):",
         ): "every other change ends the loop, or begins to track and forgets what was held",
     },
     "drivers.dynamixel.checks": {

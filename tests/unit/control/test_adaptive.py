@@ -9,7 +9,7 @@ import pytest
 
 import configs
 from agent.config.cell import load_cell
-from agent.control.adaptation import from_row
+from agent.control.adaptation import Estimate, from_row
 from agent.control.memory import Memory, initial, restore
 from agent.loop import Agent, Outcome, hold_here, initial_memory, step
 from agent.modes import Mode
@@ -160,12 +160,12 @@ def test_what_is_off_keeps_its_configured_value() -> None:
     assert end[viscous].any()
 
 
-def test_without_feed_forward_and_columns_there_is_no_friction_term() -> None:
-    agent, q = agent_of("controller.friction_feedforward=false")
-    outcome = step(agent, states_of(q, 1)[0], 0.0, Mode.TRACK, initial_memory(agent))
+@pytest.mark.parametrize(("changes", "expected"), [((), False), (("controller.adaptive.coulomb=true",), True)])
+def test_without_feed_forward_and_columns_there_is_no_friction_term(changes: tuple[str, ...], expected: bool) -> None:
+    agent, q = agent_of("controller.friction_feedforward=false", *changes)
+    memory = initial_memory(agent)
+    assert memory.estimate is not None
+    rubbing = Estimate(np.concatenate([memory.estimate.arm[:-3], np.full(3, 0.1)]), memory.estimate.object)
+    outcome = step(agent, states_of(q, 1)[0], 0.0, Mode.TRACK, memory._replace(estimate=rubbing))
     assert outcome.terms is not None
-    assert outcome.terms.tau_friction is None
-    agent, q = agent_of("controller.friction_feedforward=false", "controller.adaptive.coulomb=true")
-    outcome = step(agent, states_of(q, 1)[0], 0.0, Mode.TRACK, initial_memory(agent))
-    assert outcome.terms is not None
-    assert outcome.terms.tau_friction is not None
+    assert outcome.terms.tau_friction.any() == expected
