@@ -165,7 +165,7 @@ def test_without_feed_forward_and_columns_there_is_no_friction_term(changes: tup
     agent, q = agent_of("controller.friction_feedforward=false", *changes)
     memory = initial_memory(agent)
     assert memory.estimate is not None
-    rubbing = Estimate(np.concatenate([memory.estimate.arm[:-3], np.full(3, 0.1)]), memory.estimate.object)
+    rubbing = Estimate(np.full_like(memory.estimate.arm, 0.1), memory.estimate.object)
     outcome = step(agent, states_of(q, 1)[0], 0.0, Mode.TRACK, memory._replace(estimate=rubbing))
     assert outcome.terms is not None
     assert outcome.terms.tau_friction.any() == expected
