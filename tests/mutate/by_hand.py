@@ -11,7 +11,10 @@ BY_HAND: Mapping[str, tuple[Change, ...]] = {
         ("flags |= Flag.NOT_FINITE", "flags ^= Flag.NOT_FINITE"),  # lost when two joints have no number
     ),
     "agent.loop": (
-        ("angle = 2.0 * math.atan2(", "angle = math.atan2("),  # OFF_TRACK's angle halved
+        (  # OFF_TRACK's angle halved
+            "2.0 * math.atan2(math.hypot(*errors.e_eps), abs(errors.e_eta))\n    return math",
+            "math.atan2(math.hypot(*errors.e_eps), abs(errors.e_eta))\n    return math",
+        ),
         ("SINGULAR_MARGIN = 1.5", "SINGULAR_MARGIN = 1.0"),
     ),
     "agent.runner": (
