@@ -14,6 +14,11 @@ _SET_BY_A_QUESTION = "read while an answer is awaited only, and each question se
 _BOTH_ARE_LARGE = "both currents are large in the other half of the condition, so their product is not zero"
 _ENDS = "if final or None not in found.values() or (again.finished if again is not None else first.finished):"
 _NOTHING_TO_COUNT = "if None not in rows and (not damaged) and (not late):"
+_OPENS = "fd = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 416)"
+_FCHMOD = "the next line sets the mode, before anything is in the file"
+_HAS_SPACE = "if self.written - self._words[ACKNOWLEDGED_WORD] < enough:"
+_NO_CLOCK = "the short way, without asking the clock; the loop behind it ends as soon"
+_STANDARD_INPUT = "descriptor 0 is a process's standard input"
 _OPPOSED = "opposed = followed[1] * shadow[1] < 0 and min(abs(followed[1]), abs(shadow[1])) >= self._fight"
 
 EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
@@ -142,7 +147,32 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
             "sent = [1.0] * len(tau_Nm)",
         ): "each joint has a writer, which fills its place",
     },
+    "agent.telemetry.ring.file": {
+        ("_create_as", _OPENS, _OPENS.replace("416", "832")): _FCHMOD,
+        ("_create_as", _OPENS, _OPENS.replace("416", "208")): _FCHMOD,
+        ("_create_as", "raise AssertionError('nobody else knows this file')", "pass"): "an assertion",
+        ("_is_file", "return False", "pass"): "None is no file either",
+        (
+            "_is_unfinished",
+            "if len(head) < SLOTS_OFFSET or head[:8] != MAGIC:",
+            "if len(head) < SLOTS_OFFSET or False:",
+        ): "somebody's own file has been refused before",
+    },
+    "agent.telemetry.ring.ring": {
+        ("RingWriter.wait_for_space", _HAS_SPACE, "if False:"): _NO_CLOCK,
+        ("RingWriter.wait_for_space", _HAS_SPACE, _HAS_SPACE.replace(" - ", " + ")): _NO_CLOCK,
+        ("RingWriter.wait_for_space", "return", "pass"): _NO_CLOCK,
+        ("RingWriter.wait_for_space", "time.sleep(_POLL_S)", "pass"): "saves computing while it waits",
+        ("RingWriter.close", "if self._fd < 0:", "if self._fd <= 0:"): _STANDARD_INPUT,
+        ("RingWriter.close", "if self._fd < 0:", "if self._fd < 1:"): _STANDARD_INPUT,
+        ("RingWriter.close", "self._fd = -1", "self._fd = -2"): "both are no descriptor",
+    },
     "agent.operator.socket": {
+        (
+            "ControlSocket.__init__",
+            "path.unlink(missing_ok=True)",
+            "path.unlink(missing_ok=False)",
+        ): "differs when another removes the socket between the question and the removal",
         ("ControlSocket.poll", "if self._clients:", "if True:"): "saves the making of an empty list",
         (
             "ControlSocket._answer",

@@ -78,7 +78,7 @@ class Noticing:
     trips: bool = True
     asked: list[dict[str, Any]] = field(default_factory=list)
 
-    def advance(self, sense: Any, terms: Any, J_inv_P: Any, dq: Any, tau: Any, *, ready: bool) -> Any:
+    def advance(self, sense: Any, _terms: Any, _J_inv_P: Any, dq: Any, tau: Any, *, ready: bool) -> Any:
         self.asked.append({"sense": sense, "dq": dq, "tau": tau, "ready": ready})
         return sense._replace(residual=np.array([1.0, 2.0, 3.0]), ticks=sense.ticks + 1.0)
 
@@ -159,7 +159,7 @@ class Aligning:
 
     asked: list[tuple[Any, ...]] = field(default_factory=list)
 
-    def advance(self, shift: Any, errors: Any, dt: float, *, ready: bool) -> Any:
+    def advance(self, shift: Any, _errors: Any, dt: float, *, ready: bool) -> Any:
         self.asked.append((shift, dt, ready))
         return (0.5, *shift[1:])
 

@@ -101,6 +101,21 @@ def test_a_row_with_any_byte_changed_is_not_returned(path: Path, writer: RingWri
         assert (reader.damaged, reader.missed) == (1, 0)
 
 
+def test_a_row_that_its_writer_died_over_has_no_number(writer: RingWriter, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not the one that was there before, whose bytes are half overwritten."""
+    slots = writer.header.slots
+    write(writer, slots)
+
+    def dies(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(writer, "_pack_slot_head", dies)
+    assert writer._words[SLOTS_OFFSET // 8] == 1, "row 0"
+    with pytest.raises(KeyboardInterrupt):
+        writer.commit()
+    assert writer._words[SLOTS_OFFSET // 8] == 0
+
+
 def test_a_second_writer_is_refused_and_the_first_goes_on(path: Path, writer: RingWriter) -> None:
     with pytest.raises(RingError, match="has a writer already"):
         RingWriter(path, AGENT_STATE, "left", slots=SLOTS)
