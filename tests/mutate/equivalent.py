@@ -18,6 +18,9 @@ _OPENS = "fd = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOE
 _FCHMOD = "the next line sets the mode, before anything is in the file"
 _HAS_SPACE = "if self.written - self._words[ACKNOWLEDGED_WORD] < enough:"
 _NO_CLOCK = "the short way, without asking the clock; the loop behind it ends as soon"
+_TEXTS = "while (block := self._ring.read_new(64)).count:"
+_INTACT = "intact = (copy.view(np.uint64)[:, 0] == expected) & (live_index[where] == expected)"
+_ROOM = "memory = np.zeros(dtype.itemsize + 16, np.uint8)"
 _STANDARD_INPUT = "descriptor 0 is a process's standard input"
 _OPPOSED = "opposed = followed[1] * shadow[1] < 0 and min(abs(followed[1]), abs(shadow[1])) >= self._fight"
 
@@ -28,6 +31,11 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
             "if not math.isfinite(sum(q.tolist()) + sum(dq.tolist())):",
             "if not math.isfinite(sum(q.tolist()) - sum(dq.tolist())):",
         ): "a difference with a number that is none is none either",
+        (
+            "wait_here",
+            "return memory._replace(shift=between(pose[:3], pose[3:], *agent.start))",
+            "return memory._replace(shift=between(pose[:4], pose[3:], *agent.start))",
+        ): "of a position three numbers are read",
     },
     "agent.runner": {
         ("Runner._cycle", "happened |= Event.STOP", "happened |= Event.TROUBLE"): "either makes the object held",
@@ -166,6 +174,31 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
         ("RingWriter.close", "if self._fd < 0:", "if self._fd <= 0:"): _STANDARD_INPUT,
         ("RingWriter.close", "if self._fd < 0:", "if self._fd < 1:"): _STANDARD_INPUT,
         ("RingWriter.close", "self._fd = -1", "self._fd = -2"): "both are no descriptor",
+        ("RingReader.close", "if self._fd < 0:", "if self._fd <= 0:"): _STANDARD_INPUT,
+        ("RingReader.close", "if self._fd < 0:", "if self._fd < 1:"): _STANDARD_INPUT,
+        ("RingReader.close", "self._fd = -1", "self._fd = -2"): "both are no descriptor",
+        (
+            "RingReader._copy",
+            _INTACT,
+            _INTACT.replace(" & ", " | "),
+        ): "saves checksums: the index is in them, so a copy of another row fails there",
+        ("_aligned_row", _ROOM, _ROOM.replace("16", "17")): "seven bytes to spare are enough",
+        ("_aligned_row", _ROOM, _ROOM.replace("16", "15")): "seven bytes to spare are enough",
+        (
+            "_aligned_row",
+            "offset = (4 - memory.ctypes.data) % 8",
+            "offset = (4 + memory.ctypes.data) % 8",
+        ): "memory begins at a multiple of 16",
+        ("", "_POLL_S: Final = 0.0002", "_POLL_S: Final = 0.0004"): "how often a writer in lockstep looks again",
+        (
+            "",
+            "LOCKSTEP_TIMEOUT_S: Final = 30.0",
+            "LOCKSTEP_TIMEOUT_S: Final = 60.0",
+        ): "how long a run in simulated time waits for telemetry that hangs",
+    },
+    "agent.telemetry.ring.texts": {
+        ("TextReader.read_new", _TEXTS, _TEXTS.replace("64", "128")): "how many at a time; the loop takes all",
+        ("TextReader.read_new", _TEXTS, _TEXTS.replace("64", "32")): "how many at a time; the loop takes all",
     },
     "agent.operator.socket": {
         (

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from agent import loop
 from agent.control.alignment import Alignment, between
 from agent.control.memory import Memory
 from agent.control.residual import Channels, nothing_sensed
@@ -247,8 +248,14 @@ def test_an_aligned_arm_holds_the_pose_that_it_followed_while_the_object_is_near
     assert not keeps_the_desired(arm(), off(arm(), metres, radians, sign)), "any other holds the object where it is"
 
 
-def test_the_distance_itself_is_near() -> None:
+def test_the_distance_and_the_angle_themselves_are_near(monkeypatch: pytest.MonkeyPatch) -> None:
     aligned = arm(alignment=Alignment(True))
+    turned = off(aligned, 0.0, 0.05)
+    assert turned.terms is not None
+    errors = turned.terms.errors
+    angle = 2.0 * math.atan2(math.hypot(*errors.e_eps), abs(errors.e_eta))
+    monkeypatch.setattr(loop, "HOLD_DESIRED_MAX_RAD", angle)
+    assert keeps_the_desired(aligned, turned)
     outcome = off(aligned, 0.0)
     assert outcome.terms is not None
     exact = outcome.terms._replace(errors=outcome.terms.errors._replace(e_p=(0.02, 0.0, 0.0)))

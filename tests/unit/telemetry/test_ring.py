@@ -47,6 +47,11 @@ def test_rows_come_back_byte_for_byte_and_in_order(path: Path, writer: RingWrite
         assert reader.missed == 0
 
 
+def test_a_ring_holds_forty_seconds_at_200_Hz(tmp_path: Path) -> None:
+    with RingWriter(tmp_path / "plant.ring", PLANT_STATE, "plant") as ring:
+        assert ring.header.slots == 8192
+
+
 def test_row_stays_the_same_memory_so_views_can_be_kept(path: Path, writer: RingWriter) -> None:
     t = writer.row["t"]
     writer.commit()
