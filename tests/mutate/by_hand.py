@@ -12,8 +12,8 @@ BY_HAND: Mapping[str, tuple[Change, ...]] = {
     ),
     "agent.loop": (
         (  # OFF_TRACK's angle halved
-            "angle = 2.0 * math.atan2(math.hypot(*errors.e_eps), abs(errors.e_eta))\n    return math.hypot",
-            "angle = math.atan2(math.hypot(*errors.e_eps), abs(errors.e_eta))\n    return math.hypot",
+            "2.0 * math.atan2(math.hypot(*errors.e_eps), abs(errors.e_eta))\n    return math",
+            "math.atan2(math.hypot(*errors.e_eps), abs(errors.e_eta))\n    return math",
         ),
         ("SINGULAR_MARGIN = 1.5", "SINGULAR_MARGIN = 1.0"),
     ),

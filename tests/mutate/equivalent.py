@@ -14,9 +14,29 @@ _SET_BY_A_QUESTION = "read while an answer is awaited only, and each question se
 _BOTH_ARE_LARGE = "both currents are large in the other half of the condition, so their product is not zero"
 _ENDS = "if final or None not in found.values() or (again.finished if again is not None else first.finished):"
 _NOTHING_TO_COUNT = "if None not in rows and (not damaged) and (not late):"
+_OPENS = "fd = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 416)"
+_FCHMOD = "the next line sets the mode, before anything is in the file"
+_HAS_SPACE = "if self.written - self._words[ACKNOWLEDGED_WORD] < enough:"
+_NO_CLOCK = "the short way, without asking the clock; the loop behind it ends as soon"
+_TEXTS = "while (block := self._ring.read_new(64)).count:"
+_INTACT = "intact = (copy.view(np.uint64)[:, 0] == expected) & (live_index[where] == expected)"
+_ROOM = "memory = np.zeros(dtype.itemsize + 16, np.uint8)"
+_STANDARD_INPUT = "descriptor 0 is a process's standard input"
 _OPPOSED = "opposed = followed[1] * shadow[1] < 0 and min(abs(followed[1]), abs(shadow[1])) >= self._fight"
 
 EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
+    "agent.loop": {
+        (
+            "step",
+            "if not math.isfinite(sum(q.tolist()) + sum(dq.tolist())):",
+            "if not math.isfinite(sum(q.tolist()) - sum(dq.tolist())):",
+        ): "a difference with a number that is none is none either",
+        (
+            "wait_here",
+            "return memory._replace(shift=between(pose[:3], pose[3:], *agent.start))",
+            "return memory._replace(shift=between(pose[:4], pose[3:], *agent.start))",
+        ): "of a position three numbers are read",
+    },
     "agent.runner": {
         ("Runner._cycle", "happened |= Event.STOP", "happened |= Event.TROUBLE"): "either makes the object held",
         ("Runner._cycle", "if happened:", "if True:"): "saves a call: nothing changes without an event (test_runner)",
@@ -30,6 +50,11 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
             "if mode is Mode.HOLD and state is not None and (self._outcome is not None):",
             "if True and state is not None and (self._outcome is not None):",
         ): "every other change ends the loop, or begins to track and forgets what was held",
+        (
+            "Runner._change_mode",
+            "if mode is Mode.HOLD and state is not None and (self._outcome is not None):",
+            "if mode is Mode.HOLD and state is not None and True:",
+        ): "a state of this cycle was acted on, so there is an outcome; said for the type checker",
     },
     "drivers.dynamixel.checks": {
         ("SilenceCheck.check", "if None not in rows:", "if False:"): "the short way for a cycle with all answers",
@@ -130,7 +155,57 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
             "sent = [1.0] * len(tau_Nm)",
         ): "each joint has a writer, which fills its place",
     },
+    "agent.telemetry.ring.file": {
+        ("_create_as", _OPENS, _OPENS.replace("416", "832")): _FCHMOD,
+        ("_create_as", _OPENS, _OPENS.replace("416", "208")): _FCHMOD,
+        ("_create_as", "raise AssertionError('nobody else knows this file')", "pass"): "an assertion",
+        ("_is_file", "return False", "pass"): "None is no file either",
+        (
+            "_is_unfinished",
+            "if len(head) < SLOTS_OFFSET or head[:8] != MAGIC:",
+            "if len(head) < SLOTS_OFFSET or False:",
+        ): "somebody's own file has been refused before",
+    },
+    "agent.telemetry.ring.ring": {
+        ("RingWriter.wait_for_space", _HAS_SPACE, "if False:"): _NO_CLOCK,
+        ("RingWriter.wait_for_space", _HAS_SPACE, _HAS_SPACE.replace(" - ", " + ")): _NO_CLOCK,
+        ("RingWriter.wait_for_space", "return", "pass"): _NO_CLOCK,
+        ("RingWriter.wait_for_space", "time.sleep(_POLL_S)", "pass"): "saves computing while it waits",
+        ("RingWriter.close", "if self._fd < 0:", "if self._fd <= 0:"): _STANDARD_INPUT,
+        ("RingWriter.close", "if self._fd < 0:", "if self._fd < 1:"): _STANDARD_INPUT,
+        ("RingWriter.close", "self._fd = -1", "self._fd = -2"): "both are no descriptor",
+        ("RingReader.close", "if self._fd < 0:", "if self._fd <= 0:"): _STANDARD_INPUT,
+        ("RingReader.close", "if self._fd < 0:", "if self._fd < 1:"): _STANDARD_INPUT,
+        ("RingReader.close", "self._fd = -1", "self._fd = -2"): "both are no descriptor",
+        (
+            "RingReader._copy",
+            _INTACT,
+            _INTACT.replace(" & ", " | "),
+        ): "saves checksums: the index is in them, so a copy of another row fails there",
+        ("_aligned_row", _ROOM, _ROOM.replace("16", "17")): "seven bytes to spare are enough",
+        ("_aligned_row", _ROOM, _ROOM.replace("16", "15")): "seven bytes to spare are enough",
+        (
+            "_aligned_row",
+            "offset = (4 - memory.ctypes.data) % 8",
+            "offset = (4 + memory.ctypes.data) % 8",
+        ): "memory begins at a multiple of 16",
+        ("", "_POLL_S: Final = 0.0002", "_POLL_S: Final = 0.0004"): "how often a writer in lockstep looks again",
+        (
+            "",
+            "LOCKSTEP_TIMEOUT_S: Final = 30.0",
+            "LOCKSTEP_TIMEOUT_S: Final = 60.0",
+        ): "how long a run in simulated time waits for telemetry that hangs",
+    },
+    "agent.telemetry.ring.texts": {
+        ("TextReader.read_new", _TEXTS, _TEXTS.replace("64", "128")): "how many at a time; the loop takes all",
+        ("TextReader.read_new", _TEXTS, _TEXTS.replace("64", "32")): "how many at a time; the loop takes all",
+    },
     "agent.operator.socket": {
+        (
+            "ControlSocket.__init__",
+            "path.unlink(missing_ok=True)",
+            "path.unlink(missing_ok=False)",
+        ): "differs when another removes the socket between the question and the removal",
         ("ControlSocket.poll", "if self._clients:", "if True:"): "saves the making of an empty list",
         (
             "ControlSocket._answer",

@@ -29,7 +29,7 @@ _RING = (
 TARGETS = (
     Target("agent.safety", (f"{UNIT}/test_safety.py",)),
     Target("agent.modes", (f"{UNIT}/test_modes.py",)),
-    Target("agent.loop", (*_STEP, f"{UNIT}/control/test_adaptive.py")),
+    Target("agent.loop", (*_STEP, f"{UNIT}/test_step_together.py", f"{UNIT}/control/test_adaptive.py")),
     Target("agent.runner", _RUNNER),
     Target("agent.operator.socket", (f"{UNIT}/operator",)),
     Target("agent.telemetry.ring.file", _RING),

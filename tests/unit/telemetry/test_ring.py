@@ -47,6 +47,11 @@ def test_rows_come_back_byte_for_byte_and_in_order(path: Path, writer: RingWrite
         assert reader.missed == 0
 
 
+def test_a_ring_holds_forty_seconds_at_200_Hz(tmp_path: Path) -> None:
+    with RingWriter(tmp_path / "plant.ring", PLANT_STATE, "plant") as ring:
+        assert ring.header.slots == 8192
+
+
 def test_row_stays_the_same_memory_so_views_can_be_kept(path: Path, writer: RingWriter) -> None:
     t = writer.row["t"]
     writer.commit()
@@ -113,6 +118,21 @@ def test_a_row_with_any_byte_changed_is_not_returned(path: Path, writer: RingWri
         rows = b"".join(reader.read_new(8).payload for _ in range(10))
         assert AGENT_STATE.decode(rows)["sequence"].tolist() == [0, 1, 3, 4]
         assert (reader.damaged, reader.missed) == (1, 0)
+
+
+def test_a_row_that_its_writer_died_over_has_no_number(writer: RingWriter, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not the one that was there before, whose bytes are half overwritten."""
+    slots = writer.header.slots
+    write(writer, slots)
+
+    def dies(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(writer, "_pack_slot_head", dies)
+    assert writer._words[SLOTS_OFFSET // 8] == 1, "row 0"
+    with pytest.raises(KeyboardInterrupt):
+        writer.commit()
+    assert writer._words[SLOTS_OFFSET // 8] == 0
 
 
 def test_a_second_writer_is_refused_and_the_first_goes_on(path: Path, writer: RingWriter) -> None:
