@@ -49,6 +49,7 @@ FINDING = dict.fromkeys(("what", "where", "found", "wanted", "verdict", "remedy"
 WORST_BARE = dict.fromkeys(("spectral_radius", "t_s", "delay_s", "inertia", "object"), "float") | {
     "arm": "str", "pads_N_per_m": "NoneType", "pads_Nm_per_rad": "NoneType",
 }  # fmt: skip
+LOAD = {"share_of_stall": "float", "arm": "str", "joint": "str", "t_s": "float"}
 HEAD = {"schema": "int", "cell": "str", "fingerprint": "str"}
 
 
@@ -57,7 +58,11 @@ def test_check_gives_findings_a_verdict_and_the_start() -> None:
     assert (done.code, done.err) == (0, "")
     found = document(done)
     robustness = found.pop("robustness")
-    assert {"spectral_radius", "delay_margin_s", "worst"} <= set(robustness)
+    assert set(robustness) == {"spectral_radius", "delay_margin_s", "worst", "one_arm_fails", "internal_wrench"}
+    assert shape(robustness["internal_wrench"]["right"]) == {"force_N": "float", "moment_Nm": "float"}
+    assert shape(robustness["one_arm_fails"]["left"]) == {
+        "limp": LOAD | {"sag_m": "float", "object": "str"}, "locked": LOAD, "holding": LOAD,
+    }  # fmt: skip
     assert shape(robustness["worst"]["bare"]) == WORST_BARE
     assert shape(found) == HEAD | {
         "verdict": "str", "findings": [FINDING], "q_start_rad": {"left": ["float"], "right": ["float"]},
