@@ -103,7 +103,7 @@ GAINS: dict[str, Any] = {
     "k_p_per_s": ["float"], "k_p_rate_per_s": ["float"], "k_eps_rad_per_s": ["float"],
     "k_eps_rate_rad_per_s": ["float"], "arms": {"left": ARM, "right": ARM},
     "loop": [{"inertia_error": "float", "spectral_radius": "float", "damping_ratio": "float"}],
-    "slowest_time_constant_s": "float",
+    "slowest_time_constant_s": "float", "worst_spectral_radius": "float", "delay_margin_s": "NoneType",
 }  # fmt: skip
 
 
@@ -119,11 +119,13 @@ def test_tune_gives_the_gains_there_are_and_those_proposed(tmp_path: Path) -> No
         changes = proposal.pop("changes")
         assert {tuple(sorted(c)) for c in changes} == {tuple(sorted(change))}
         assert all(c["name"] in (None, "left", "right") for c in changes)
+    margin = {"radius": "float", "damping": "float", "worst": "float"}
+    proposals["rate"]["delay_margin_s"] = proposals["ratio"]["delay_margin_s"] = None  # a number where there is one
     assert shape(found) == HEAD | {
-        "rate_hz": "float", "margin": {"radius": "float", "damping": "float"}, "configured": GAINS,
+        "rate_hz": "float", "margin": margin, "configured": GAINS,
         "proposals": {"ratio": GAINS, "rate": GAINS}, "chosen": "str", "written": "str",
     }  # fmt: skip
-    assert found["margin"] == {"radius": 0.99, "damping": 0.05}
+    assert found["margin"] == {"radius": 0.99, "damping": 0.05, "worst": 0.985}
     assert (found["chosen"], found["written"]) == ("rate", str(written))
     assert found["configured"]["k_p_per_s"] == [150.0] * 3
     assert [place["inertia_error"] for place in found["configured"]["loop"]] == [0.0, -0.3, 0.3]
