@@ -43,7 +43,7 @@ def tune_document(
     document = {
         **_head(configured.cell),
         "rate_hz": configured.cell.file.rate_hz,
-        "margin": {"radius": margin.radius, "damping": margin.damping},
+        "margin": {"radius": margin.radius, "damping": margin.damping, "worst": margin.worst},
         "configured": _gains(configured),
         "proposals": {p.form.value: _gains(p.after) | {"changes": _changes(p)} for p in proposals},
         "chosen": chosen.form.value,
@@ -124,6 +124,8 @@ def _gains(gains: GainSet) -> dict[str, Any]:
             for error, d in gains.damping.items()
         ],
         "slowest_time_constant_s": gains.slowest_s,
+        "worst_spectral_radius": gains.criterion.radius,
+        "delay_margin_s": gains.criterion.delay_margin_s,
     }
 
 

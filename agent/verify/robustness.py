@@ -17,6 +17,7 @@ from agent.verify.criterion import bodies
 from agent.verify.criterion.bodies import Pose
 from agent.verify.criterion.cases import Aligning, Demand, Loop, Ranges
 from agent.verify.criterion.examine import Criterion, Found, examine
+from agent.verify.disagreement import Disagreement, disagreement
 from agent.verify.finding import Finding, Verdict, judged
 from agent.verify.support import HELD_SAG_M, Fate, Load, Statics, Support
 from drivers.interface import Vector
@@ -56,6 +57,7 @@ class Robustness:
     criterion: Criterion
     instants: Sequence[float]  # of the statics
     support: tuple[Support, ...]  # when one arm fails, by arm; empty for an arm alone
+    disagreement: tuple[Disagreement, ...]  # likewise
 
     def document(self) -> dict[str, Any]:
         """For a script."""
@@ -65,6 +67,10 @@ class Robustness:
             "delay_margin_s": found.delay_margin_s,
             "worst": {d.name.lower(): self._case(w) for d, w in found.worst.items()},
             "one_arm_fails": {arm.name: self._failed(s) for arm, s in zip(cell.arms, self.support, strict=False)},
+            "internal_wrench": {
+                arm.name: {"force_N": d.force_N, "moment_Nm": d.moment_Nm}
+                for arm, d in zip(cell.arms, self.disagreement, strict=False)
+            },
         }
 
     def _failed(self, found: Support) -> dict[str, Any]:
@@ -113,7 +119,19 @@ class Robustness:
                 )
             )  # fmt: skip
         failed = [f for i, s in enumerate(self.support) for f in self._failures(i, s)]
-        return [*findings, self._margin(otherwise), *failed]
+        return [*findings, self._margin(otherwise), *failed, *self._internal()]
+
+    def _internal(self) -> list[Finding]:
+        return [
+            judged(
+                "internal wrench at the stated tolerance", arm.name,
+                f"{d.force_N:.2g} N, {d.moment_Nm:.2g} N·m (quadratic sum)",
+                "" if (grip := arm.entry.grip_force_max_N) is None else f"≤ {grip:g} N",
+                holds=grip is None or d.force_N <= grip, otherwise=Verdict.WARNING,
+                remedy="calibrate better and say so in [tolerance], let arms align themselves, or take softer gains",
+            )
+            for arm, d in zip(self.walk.cell.arms, self.disagreement, strict=False)
+        ]  # fmt: skip
 
     def _failures(self, arm: int, found: Support) -> list[Finding]:
         """What becomes of the others and the object when this arm fails."""
@@ -173,11 +191,14 @@ class Robustness:
 def robustness(walk: Walk) -> Robustness:
     """The cell with its own gains, at some places of its trajectory."""
     few, cell = walk.some(PLACES), walk.cell
-    support: tuple[Support, ...] = ()
-    if len(cell.arms) > 1:
-        statics = Statics(cell, walk.models, walk.along, walk.instants)
-        support = tuple(statics.without(i) for i in range(len(cell.arms)))
-    return Robustness(few, examine(poses(few), loop_of(cell), ranges_of(cell)), walk.instants, support)
+    at = poses(few)
+    found = examine(at, loop_of(cell), ranges_of(cell))
+    if len(cell.arms) < 2:
+        return Robustness(few, found, walk.instants, (), ())
+    statics = Statics(cell, walk.models, walk.along, walk.instants)
+    support = tuple(statics.without(i) for i in range(len(cell.arms)))
+    apart = disagreement(cell, walk.models, at, few.along, few.instants)
+    return Robustness(few, found, walk.instants, support, apart)
 
 
 def poses(walk: Walk) -> list[Pose]:

@@ -49,6 +49,7 @@ FINDING = dict.fromkeys(("what", "where", "found", "wanted", "verdict", "remedy"
 WORST_BARE = dict.fromkeys(("spectral_radius", "t_s", "delay_s", "inertia", "object"), "float") | {
     "arm": "str", "pads_N_per_m": "NoneType", "pads_Nm_per_rad": "NoneType",
 }  # fmt: skip
+LOAD = {"share_of_stall": "float", "arm": "str", "joint": "str", "t_s": "float"}
 HEAD = {"schema": "int", "cell": "str", "fingerprint": "str"}
 
 
@@ -57,7 +58,11 @@ def test_check_gives_findings_a_verdict_and_the_start() -> None:
     assert (done.code, done.err) == (0, "")
     found = document(done)
     robustness = found.pop("robustness")
-    assert {"spectral_radius", "delay_margin_s", "worst"} <= set(robustness)
+    assert set(robustness) == {"spectral_radius", "delay_margin_s", "worst", "one_arm_fails", "internal_wrench"}
+    assert shape(robustness["internal_wrench"]["right"]) == {"force_N": "float", "moment_Nm": "float"}
+    assert shape(robustness["one_arm_fails"]["left"]) == {
+        "limp": LOAD | {"sag_m": "float", "object": "str"}, "locked": LOAD, "holding": LOAD,
+    }  # fmt: skip
     assert shape(robustness["worst"]["bare"]) == WORST_BARE
     assert shape(found) == HEAD | {
         "verdict": "str", "findings": [FINDING], "q_start_rad": {"left": ["float"], "right": ["float"]},
@@ -98,7 +103,7 @@ GAINS: dict[str, Any] = {
     "k_p_per_s": ["float"], "k_p_rate_per_s": ["float"], "k_eps_rad_per_s": ["float"],
     "k_eps_rate_rad_per_s": ["float"], "arms": {"left": ARM, "right": ARM},
     "loop": [{"inertia_error": "float", "spectral_radius": "float", "damping_ratio": "float"}],
-    "slowest_time_constant_s": "float",
+    "slowest_time_constant_s": "float", "worst_spectral_radius": "float", "delay_margin_s": "NoneType",
 }  # fmt: skip
 
 
@@ -114,11 +119,13 @@ def test_tune_gives_the_gains_there_are_and_those_proposed(tmp_path: Path) -> No
         changes = proposal.pop("changes")
         assert {tuple(sorted(c)) for c in changes} == {tuple(sorted(change))}
         assert all(c["name"] in (None, "left", "right") for c in changes)
+    margin = {"radius": "float", "damping": "float", "worst": "float"}
+    proposals["rate"]["delay_margin_s"] = proposals["ratio"]["delay_margin_s"] = None  # a number where there is one
     assert shape(found) == HEAD | {
-        "rate_hz": "float", "margin": {"radius": "float", "damping": "float"}, "configured": GAINS,
+        "rate_hz": "float", "margin": margin, "configured": GAINS,
         "proposals": {"ratio": GAINS, "rate": GAINS}, "chosen": "str", "written": "str",
     }  # fmt: skip
-    assert found["margin"] == {"radius": 0.99, "damping": 0.05}
+    assert found["margin"] == {"radius": 0.99, "damping": 0.05, "worst": 0.985}
     assert (found["chosen"], found["written"]) == ("rate", str(written))
     assert found["configured"]["k_p_per_s"] == [150.0] * 3
     assert [place["inertia_error"] for place in found["configured"]["loop"]] == [0.0, -0.3, 0.3]
