@@ -15,26 +15,17 @@ class FreeBody:
     def __init__(self, spec: ObjectSpec, gravity: Vector) -> None:
         self._spec = spec
         self._gravity = np.array(gravity)
-        self._weight = np.concatenate([-spec.mass_kg * gravity, np.zeros(3)])
-        self._off_centre = bool(np.any(spec.centre_m))
+        self._mass = spec.mass_kg * np.eye(3)
 
     def terms(self, R: Vector, omega: Vector, M: Vector) -> Vector:
-        """Bias (6,) at attitude R (3, 3) and angular velocity (3,), and its inertia into M (6, 6): world axes.
-
-        The first three rows of M hold the mass already and are not written unless the centre is off.
-        """
-        spec, W = self._spec, pin.skew(omega)
-        inertia = R.dot(spec.inertia).dot(R.T)
-        M[3:, 3:] = inertia
-        bias: Vector = self._weight.copy()
-        bias[3:] = W.dot(inertia.dot(omega))
-        if self._off_centre:
-            r = R.dot(spec.centre_m)
-            S = pin.skew(r)
-            bias[:3] += spec.mass_kg * W.dot(W.dot(r))
-            bias[3:] += S.dot(bias[:3])
-            M[3:, 3:] -= spec.mass_kg * S.dot(S)
-            M[:3, 3:], M[3:, :3] = -spec.mass_kg * S, spec.mass_kg * S
+        """Bias (6,) at attitude R (3, 3) and angular velocity (3,), and its inertia into M (6, 6): world axes."""
+        m, W, r = self._spec.mass_kg, pin.skew(omega), R.dot(self._spec.centre_m)
+        S, inertia = m * pin.skew(r), R.dot(self._spec.inertia).dot(R.T)
+        M[:3, :3], M[3:, 3:] = self._mass, inertia - S.dot(S) / m
+        M[:3, 3:], M[3:, :3] = -S, S
+        bias: Vector = np.empty(6)
+        bias[:3] = m * W.dot(W.dot(r)) - m * self._gravity
+        bias[3:] = S.dot(bias[:3]) / m + W.dot(inertia.dot(omega))
         return bias
 
     def potential(self, T: pin.SE3) -> float:

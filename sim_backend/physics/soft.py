@@ -64,7 +64,6 @@ class SoftPlant:
         self._acted: tuple[Vector, Vector | None] = (np.zeros(J), None)  # friction of the last substep
         self._make_room(J + 6, 6 * len(spec.arms))
         self._body = FreeBody(spec.object, spec.gravity)
-        self._M[J : J + 3, J : J + 3] = spec.object.mass_kg * np.eye(3)
         for i in range(len(spec.arms)):
             self._G[6 * i : 6 * i + 6, J:] = -np.eye(6)
         self._substeps = 0
@@ -86,7 +85,7 @@ class SoftPlant:
         self._M, self._A = np.zeros((nv, nv)), np.zeros((nv, nv), order="F")
         self._diagonal = np.einsum("ii->i", self._A)[: self.joint_count]
         self._G = np.zeros((rows, nv))
-        self._phi = np.zeros((rows // 6, 6))
+        self._phi = np.zeros((len(self.slices), 6))
 
     @property
     def t(self) -> float:
