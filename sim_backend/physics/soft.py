@@ -272,7 +272,6 @@ class SoftPlant:
     def push(self, wrench_world: Vector) -> None:
         """Push the object at its frame's origin from now on: wrench (6,) N, N·m, world axes; zeros end it."""
         before, self._push = self._push, np.array(wrench_world, dtype=np.float64)
-        self._c[self.joint_count :] += before - self._push
         self._pull[self.joint_count :] += before - self._push
 
     def release(self, arm: str) -> None:

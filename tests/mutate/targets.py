@@ -48,5 +48,5 @@ TARGETS = (
     Target("sim_backend.physics.free_body", _SOFT),
     Target("sim_backend.physics.pads", _SOFT),
     Target("sim_backend.physics.reality", (f"{UNIT}/sim_backend/test_reality.py",)),
-    Target("sim_backend.physics.soft", _SOFT),
+    Target("sim_backend.physics.soft", (*_SOFT, f"{UNIT}/sim_backend/test_sticking.py")),
 )

@@ -12,6 +12,7 @@ import pytest
 from drivers.interface import Vector
 from sim_backend.physics.actuator import ActuatorSpec
 from sim_backend.physics.composition import arm_model, frame_number
+from sim_backend.physics.friction import FrictionSpec
 from sim_backend.physics.pads import Pads
 from sim_backend.physics.plant import Plant
 from sim_backend.physics.soft import SoftPlant
@@ -433,3 +434,81 @@ def test_motion_up_to_ten_thousand_per_second_is_no_divergence() -> None:
 def test_pads_without_an_arm_are_refused() -> None:
     with pytest.raises(PlantError, match="arms with pads"):
         SoftPlant(replace(planar_cell(), arms=(), grasp=PADS[0]))
+
+
+def test_push_acts_at_once_and_no_longer_than_it_lasts() -> None:
+    plant = soft(replace(planar_cell(names=("left",)), gravity=np.zeros(3)), PADS[1])
+    plant.release("left")
+    tau, m, h = np.zeros(3), plant.spec.object.mass_kg, plant.spec.substep_s
+    plant.advance(tau, 3)
+    for force, v in ((0.4, 0.4), (-0.1, 0.3), (0.0, 0.3)):
+        plant.push(np.array([force, 0.0, 0.0, 0.0, 0.0, 0.0]))
+        plant.advance(tau, 1)
+        assert plant.observe(tau).v_object[0] == pytest.approx(v * h / m, rel=1e-9)
+
+
+def test_a_sliding_pad_pulls_with_its_bound() -> None:
+    """Within one linearisation too.  Beyond the bound comes what the spring stretches in half a substep, K v h/2."""
+    pads = GraspSpec(1e3, 1e3, damping_ratio=0.0, slip_N=4.0)
+    plant, tau = pulled(pads, 6.0)
+    plant.advance(tau, 21)
+    m, h, K = plant.spec.object.mass_kg, plant.spec.substep_s, pads.stiffness_N_per_m
+    before = plant.observe(tau)
+    assert abs(before.grasp_wrench[0, 0]) == pytest.approx(4.0, rel=1e-6)  # it slides already
+    v = float(before.v_object[0])
+    for _ in range(8):
+        v += h * (6.0 - 4.0 - 0.5 * K * h * v) / (m + 0.3 * h * h * K)
+    plant.advance(tau, 8)
+    seen = plant.observe(tau)
+    assert seen.v_object[0] == pytest.approx(v, rel=1e-3)
+    assert v > 1.1 * float(before.v_object[0])
+    assert abs(seen.grasp_wrench[0, 0]) == pytest.approx(4.0, rel=1e-6)
+
+
+def test_time_passes_at_rest_and_nothing_moves() -> None:
+    plant = soft(planar_cell(), PADS[1])
+    plant.rest(5)
+    assert plant.t == pytest.approx(5e-3)
+    assert np.array_equal(plant.q, np.concatenate([a.q_start for a in plant.spec.arms]))
+
+
+def test_truth_is_told_for_the_torques_that_act() -> None:
+    plant = soft(planar_cell(viscous(3)), PADS[1])
+    tau = np.array([0.3, -0.2, 0.1, 0.2, 0.1, -0.3])
+    plant.advance(tau, 200)
+    seen = plant.observe(2.0 * tau)
+    np.testing.assert_allclose(seen.tau_applied, 2.0 * tau)
+    np.testing.assert_allclose(seen.tau_friction, -0.5 * plant.dq, atol=0.02 * float(np.abs(plant.dq).max()))
+    assert float(np.abs(plant.dq).max()) > 0.05
+    np.testing.assert_allclose(plant.observe(tau).tau_applied, tau)
+
+
+def sticking() -> PlantSpec:
+    spec = planar_cell()
+    zero, one = np.zeros(3), np.ones(3)
+    dry = FrictionSpec(0.1 * one, 0.1 * one, 0.3 * one, one, 0.05 * one, zero, 0.02 * one)
+    return replace(spec, arms=tuple(replace(arm, friction=dry) for arm in spec.arms))
+
+
+def test_dry_friction_holds_and_slides_as_between_welds() -> None:
+    spec = sticking()
+    welded, plant = Plant(spec), soft(spec, GraspSpec(1e6, 1e3))
+    tau, _ = holding_torque(spec)
+    for one in (welded, plant):
+        one.advance(tau, 100)
+    assert float(np.abs(plant.dq).max()) < 2e-3  # held
+    for one in (welded, plant):
+        one.advance(tau + np.array([0.6, -0.5, 0.3, 0.0, 0.0, 0.0]), 150)
+    assert float(np.abs(welded.dq).max()) > 0.2
+    np.testing.assert_allclose(plant.q, welded.q, atol=3e-3)
+    a, b = plant.observe(tau), welded.observe(tau)
+    np.testing.assert_allclose(a.tau_friction, b.tau_friction, atol=0.02)
+    assert float(np.abs(b.tau_friction).max()) > 0.1
+
+
+def test_brake_reaches_dry_friction() -> None:
+    plant = soft(sticking(), PADS[1])
+    for name in plant.spec.names:
+        plant.brake(name, 1e4)
+    plant.advance(np.full(6, 0.9), 400)
+    assert float(np.abs(plant.dq).max()) < 1e-3
