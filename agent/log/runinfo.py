@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import TYPE_CHECKING, Any, Final
 
@@ -81,6 +81,9 @@ class RunInfo:
     versions: Mapping[str, str]
     host: str
     notes: tuple[str, ...]
+    reality: Mapping[str, Any] = field(
+        default_factory=dict
+    )  # what the simulated cell had against its file; empty: nothing
 
     @property
     def ticks(self) -> int:
@@ -124,6 +127,7 @@ def read_info(log: AnyLog) -> RunInfo:
         versions={str(k): str(v) for k, v in raw.get("versions", {}).items()},
         host=_one_line(raw.get("host", "unknown")),
         notes=tuple(notes),
+        reality=dict(raw.get("reality") or {}),
     )
 
 

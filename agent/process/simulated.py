@@ -14,6 +14,7 @@ from agent.config.schema.simulation import Effects
 from drivers.dynamixel.servo.table import PWM_UNIT_DUTY, RATED_VOLTAGE_V, TICK_RAD, VELOCITY_UNIT_RAD_PER_S
 from drivers.interface import Vector
 from sim_backend.physics.actuator import ActuatorSpec
+from sim_backend.physics.calendar import Opening, Push
 from sim_backend.physics.friction import FrictionSpec
 from sim_backend.physics.reality import ArmReality, Reality, realised
 from sim_backend.physics.spec import ArmSpec, GraspSpec, ObjectSpec, PlantSpec
@@ -44,7 +45,16 @@ def _believed_spec(cell: Cell, q_start: Sequence[Vector]) -> PlantSpec:
         gravity=cell.gravity,
         substep_s=1.0 / cell.file.rate_hz / cell.file.simulation.substeps_per_cycle,
         grasp=_pads(cell),
+        happenings=_happenings(cell),
     )
+
+
+def _happenings(cell: Cell) -> tuple[Push | Opening, ...]:
+    """What befalls the cell, on the plant's clock, which a lockstep run starts `ready_s` before the trajectory's."""
+    simulation = cell.file.simulation
+    begin = simulation.ready_s
+    pushes = [Push(begin + p.at_s, p.duration_s, (*p.force_N, *p.moment_Nm)) for p in simulation.push]
+    return (*pushes, *(Opening(begin + o.at_s, o.arm) for o in simulation.opening))
 
 
 def _pads(cell: Cell) -> GraspSpec | None:

@@ -13,7 +13,7 @@ from drivers.pads import damping
 from sim_backend.physics.spec import GraspSpec
 
 KAPPA = 0.3  # 1/4 is the trapezoidal rule; a little more keeps the stiffest springs from ringing on
-_FORCE, _MOMENT = slice(0, 3), slice(3, 6)
+_FORCE, _MOMENT = slice(None, 3), slice(3, None)
 
 
 class Pads:
@@ -31,14 +31,11 @@ class Pads:
 
     def turn(self, R_world_object: Vector) -> None:
         """Carry what has slipped along with the object."""
-        if self.slips:
-            self.slipped[:, :3] = self._slipped_object[:, :3] @ R_world_object.T
-            self.slipped[:, 3:] = self._slipped_object[:, 3:] @ R_world_object.T
+        self.slipped[:, _FORCE] = self._slipped_object[:, _FORCE] @ R_world_object.T
+        self.slipped[:, _MOMENT] = self._slipped_object[:, _MOMENT] @ R_world_object.T
 
     def slip(self, opening: Vector, R_world_object: Vector) -> tuple[int, ...]:
         """Let springs beyond their bound slip at `opening` (N, 6); returns the grasps that have opened by it."""
-        if not self.slips:
-            return ()
         for part, bound in ((_FORCE, self._spec.slip_N), (_MOMENT, self._spec.slip_Nm)):
             if bound is None:
                 continue
@@ -49,7 +46,7 @@ class Pads:
         open_m = self._spec.open_m
         if open_m is None:
             return ()
-        gone = np.linalg.norm(self.slipped[:, :3], axis=1) > open_m
+        gone = np.linalg.norm(self.slipped[:, _FORCE], axis=1) > open_m
         return tuple(int(i) for i in np.flatnonzero(gone & (self.closed[:, 0] > 0.0)))
 
     def open(self, grasp: int) -> None:

@@ -29,6 +29,7 @@ import pinocchio as pin
 
 from drivers.interface import Vector
 from sim_backend.physics.actuator import Servos
+from sim_backend.physics.calendar import Calendar
 from sim_backend.physics.chain import Chain
 from sim_backend.physics.composition import check_start
 from sim_backend.physics.joints import dry_friction
@@ -84,6 +85,7 @@ class Plant:
         self._tau_motor = np.zeros(J)
         self._tau_dry = np.zeros(J)  # of the last substep, where friction has presliding
         self._substeps = 0
+        self._calendar = Calendar(spec.happenings, spec.substep_s)
 
     @property
     def t(self) -> float:
@@ -118,6 +120,10 @@ class Plant:
 
         Raises PlantError when the motion is no longer finite.
         """
+        for count in self._calendar.stretches(self, self._substeps, substeps):
+            self._integrate(tau_cmd_Nm, count)
+
+    def _integrate(self, tau_cmd_Nm: Vector, substeps: int) -> None:
         J, h, half, half_joint = self.joint_count, self._h, self._half, self._half[: self.joint_count]
         servos, model, acceleration = self.servos, self._chain.model, self._chain.acceleration
         rotor_inertia, armature = self._rotor_inertia, self._armature

@@ -105,8 +105,8 @@ def _actuator(arm: ArmSpec, real: ArmReality, reality: Reality) -> ActuatorSpec:
             )
     return replace(
         spec,
-        zero_error_rad=spec.zero_error_rad + np.array(real.zeros_rad or 0.0),
-        torque_scale=spec.torque_scale * np.array(real.torque_constant or 1.0),
+        zero_error_rad=spec.zero_error_rad + (np.array(real.zeros_rad) if real.zeros_rad else 0.0),
+        torque_scale=spec.torque_scale * (np.array(real.torque_constant) if real.torque_constant else 1.0),
         coulomb_Nm=real.friction * spec.coulomb_Nm,
         viscous_Nms_rad=real.friction * spec.viscous_Nms_rad,
         delay_s=spec.delay_s if reality.delay_s is None else reality.delay_s,

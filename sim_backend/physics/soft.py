@@ -24,8 +24,10 @@ import pinocchio as pin
 
 from drivers.interface import Vector
 from sim_backend.physics.actuator import Servos
+from sim_backend.physics.calendar import Calendar
 from sim_backend.physics.composition import check_start
 from sim_backend.physics.free_arm import FreeArms
+from sim_backend.physics.free_body import FreeBody
 from sim_backend.physics.joints import dry_friction
 from sim_backend.physics.pads import KAPPA, Pads
 from sim_backend.physics.plant import Observation
@@ -61,13 +63,11 @@ class SoftPlant:
         self._tau_motor, self._joint = np.zeros((2, J))
         self._acted: tuple[Vector, Vector | None] = (np.zeros(J), None)  # friction of the last substep
         self._make_room(J + 6, 6 * len(spec.arms))
-        body = spec.object
-        self._M[J : J + 3, J : J + 3] = body.mass_kg * np.eye(3)
-        self._weight = np.concatenate([-body.mass_kg * spec.gravity, np.zeros(3)])
-        self._off_centre = bool(np.any(body.centre_m))
+        self._body = FreeBody(spec.object, spec.gravity)
         for i in range(len(spec.arms)):
             self._G[6 * i : 6 * i + 6, J:] = -np.eye(6)
         self._substeps = 0
+        self._calendar = Calendar(spec.happenings, spec.substep_s)
         self._behind = False  # pose and openings are of an earlier substep
         self._linearise()
 
@@ -79,7 +79,7 @@ class SoftPlant:
         self._M, self._A = np.zeros((nv, nv)), np.zeros((nv, nv), order="F")
         self._diagonal = np.einsum("ii->i", self._A)[: self.joint_count]
         self._G = np.zeros((rows, nv))
-        self._phi = np.zeros((rows // 6, 6))
+        self._phi = np.zeros((len(self.slices), 6))
 
     @property
     def t(self) -> float:
@@ -116,7 +116,7 @@ class SoftPlant:
         N, T = len(self.slices), self._T
         M[:J, :J], bias = self._arms.terms(self._q, v[:J])
         self._c[:J] = bias
-        self._c[J:] = self._object_terms(M[J:, J:]) - self._push
+        self._c[J:] = self._body.terms(T.rotation, v[J + 3 :], M[J:, J:]) - self._push
         openings = G.reshape(N, 6, J + 6)
         for i, grasp in enumerate(self._grasps):
             closed = float(pads.closed[i, 0])  # the rows of G of a grasp that has opened are zero
@@ -141,27 +141,15 @@ class SoftPlant:
         turning = max(map(abs, (*v[:J].tolist(), *v[J + 3 :].tolist(), 1e-9)))
         self._left = max(1, math.floor(min(self.spec.relinearise_s, MAX_TURN_RAD / turning) / h + 1e-9))
 
-    def _object_terms(self, M: Vector) -> Vector:
-        """Bias (6,) of the object, world axes, about its frame's origin, and its inertia into M (6, 6)."""
-        body, R, W = self.spec.object, self._T.rotation, pin.skew(self._v[-3:])
-        inertia = R.dot(body.inertia).dot(R.T)
-        M[3:, 3:] = inertia
-        bias = self._weight.copy()
-        bias[3:] = W.dot(inertia.dot(self._v[-3:]))
-        if self._off_centre:
-            r = R.dot(body.centre_m)
-            S = pin.skew(r)
-            bias[:3] += body.mass_kg * W.dot(W.dot(r))
-            bias[3:] += S.dot(bias[:3])
-            M[3:, 3:] -= body.mass_kg * S.dot(S)
-            M[:3, 3:], M[3:, :3] = -body.mass_kg * S, body.mass_kg * S
-        return bias
-
     def advance(self, tau_cmd_Nm: Vector, substeps: int) -> None:
         """Integrate under commands (J,) that act unchanged; every effect of the motors but their delay is applied.
 
         Raises PlantError when the motion is no longer finite.
         """
+        for count in self._calendar.stretches(self, self._substeps, substeps):
+            self._integrate(tau_cmd_Nm, count)
+
+    def _integrate(self, tau_cmd_Nm: Vector, substeps: int) -> None:
         self.servos.command(tau_cmd_Nm)
         with np.errstate(all="ignore"):  # what overflows is refused below, with more to say than numpy has
             for _ in range(substeps):
@@ -259,9 +247,7 @@ class SoftPlant:
         phi_dot = self._G.dot(v).reshape(-1, 6)
         W = pads.closed * (pads.K * (self._phi - pads.slipped) + pads.C * phi_dot)
         gap = np.where(pads.closed > 0.0, self._phi, np.nan)
-        potential = self._arms.potential(self._q)
-        body = self.spec.object
-        potential -= body.mass_kg * float(self.spec.gravity @ self._T.act(body.centre_m))
+        potential = self._arms.potential(self._q) + self._body.potential(self._T)
         return Observation(
             t=self.t,
             p_object=self._T.translation.copy(),
@@ -280,7 +266,6 @@ class SoftPlant:
     def push(self, wrench_world: Vector) -> None:
         """Push the object at its frame's origin from now on: wrench (6,) N, N·m, world axes; zeros end it."""
         before, self._push = self._push, np.array(wrench_world, dtype=np.float64)
-        self._c[self.joint_count :] += before - self._push
         self._pull[self.joint_count :] += before - self._push
 
     def release(self, arm: str) -> None:

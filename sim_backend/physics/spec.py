@@ -13,6 +13,7 @@ import pinocchio as pin
 
 from drivers.interface import Refusal, Vector
 from sim_backend.physics.actuator import ActuatorSpec
+from sim_backend.physics.calendar import Opening, Push
 from sim_backend.physics.friction import FrictionSpec
 
 QUATERNION_TOLERANCE: Final = 1e-9
@@ -204,6 +205,7 @@ class PlantSpec:
     start_tolerance_rad: float = 1e-4
     grasp: GraspSpec | None = None  # None: welded
     relinearise_s: float = 1e-2  # how long soft.py may go on with one linearisation
+    happenings: tuple[Push | Opening, ...] = ()
     names: tuple[str, ...] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -229,3 +231,6 @@ class PlantSpec:
             )
         if len(set(self.names)) != len(self.names):
             raise PlantError("arms", found=self.names, expected="different names", remedy="rename one of the arms")
+        lost = [one.arm for one in self.happenings if isinstance(one, Opening) and one.arm not in self.names]
+        if lost:
+            raise PlantError("opening", found=f"arm {lost[0]}", expected=" or ".join(self.names), remedy="name an arm")

@@ -25,6 +25,7 @@ _RING = (
     f"{UNIT}/telemetry/test_ring_reader.py",
     "tests/property/telemetry/test_ring_model.py",
 )
+_SOFT = tuple(f"{UNIT}/sim_backend/{name}.py" for name in ("test_soft", "test_reality", "test_calendar"))
 
 TARGETS = (
     Target("agent.safety", (f"{UNIT}/test_safety.py",)),
@@ -41,4 +42,9 @@ TARGETS = (
     Target("drivers.dynamixel.interpret", (f"{UNIT}/drivers/test_interpret.py",)),
     Target("drivers.dynamixel.monitor", (f"{UNIT}/drivers/test_monitor.py",)),
     Target("drivers.dynamixel.running", (f"{UNIT}/drivers/test_running.py",)),
+    Target("sim_backend.physics.calendar", _SOFT),
+    Target("sim_backend.physics.free_arm", _SOFT),
+    Target("sim_backend.physics.free_body", _SOFT),
+    Target("sim_backend.physics.pads", _SOFT),
+    Target("sim_backend.physics.reality", (f"{UNIT}/sim_backend/test_reality.py",)),
 )

@@ -283,8 +283,7 @@ class CellFile(Strict):
                 "controller.alignment.anchor", found=repr(anchor), expected=" or ".join(names),
                 remedy="name one of the cell's arms",
             )  # fmt: skip
-        if self.simulation.reality is not None:
-            self.simulation.reality.require_fit({a.name: len(a.controlled) for a in self.arms})
+        self.simulation.require_fit({a.name: len(a.controlled) for a in self.arms})
         if self.driver is DriverKind.DYNAMIXEL:
             for a in self.arms:
                 if a.dynamixel is None:

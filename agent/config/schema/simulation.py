@@ -9,7 +9,7 @@ from typing import Annotated, ClassVar
 from pydantic import Field, model_validator
 
 from agent.config.schema.reality import Reality
-from agent.config.schema.types import Length, Smoothing, Strict, wrong
+from agent.config.schema.types import AS_LIST, Effort, Instant, Length, Name, Smoothing, Strict, wrong
 
 
 class Effects(Strict):
@@ -50,6 +50,22 @@ class Grasp(Strict):
         return self
 
 
+class Push(Strict):
+    """A push on the object at its frame's origin, world axes."""
+
+    at_s: Instant  # on the trajectory's clock
+    duration_s: Annotated[float, Field(gt=0.0, le=1e6)]
+    force_N: Annotated[tuple[Effort, Effort, Effort], AS_LIST] = (0.0, 0.0, 0.0)
+    moment_Nm: Annotated[tuple[Effort, Effort, Effort], AS_LIST] = (0.0, 0.0, 0.0)
+
+
+class Opening(Strict):
+    """A gripper that loses the object for good."""
+
+    at_s: Instant  # on the trajectory's clock
+    arm: Name
+
+
 class Simulation(Strict):
     """The simulated cell; what an agent does, and whether a cell may start, does not depend on it."""
 
@@ -61,3 +77,16 @@ class Simulation(Strict):
     effects: Effects = Effects()
     grasp: Grasp | None = None  # None: welded
     reality: Reality | None = None  # None: what the files say is true
+    push: list[Push] = Field(default_factory=list)
+    opening: list[Opening] = Field(default_factory=list)
+
+    def require_fit(self, joints: Mapping[str, int]) -> None:
+        """Refuse what befalls arms that are not there; joints: their number by arm.  Raises PydanticCustomError."""
+        if self.reality is not None:
+            self.reality.require_fit(joints)
+        for i, opening in enumerate(self.opening):
+            if opening.arm not in joints:
+                raise wrong(
+                    f"simulation.opening.{i}.arm", found=opening.arm, expected=" or ".join(joints),
+                    remedy="name an arm of the cell",
+                )  # fmt: skip

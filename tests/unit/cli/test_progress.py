@@ -13,7 +13,7 @@ from rich.live import _RefreshThread
 
 import configs
 from agent.cli.options import WIDTH_ELSEWHERE, console
-from agent.cli.progress import LINE_EVERY_S, RunProgress, Steps
+from agent.cli.progress import LINE_EVERY_S, RunProgress, Steps, StudyProgress
 from tests.support.command import coop
 
 BAR = "━"
@@ -138,3 +138,32 @@ def test_tables_are_as_wide_as_they_like_where_no_terminal_cuts_them(terminal: T
         assert console().width == 100
     with redirect_stdout(io.StringIO()):
         assert console().width == WIDTH_ELSEWHERE
+
+
+class Finished:
+    """As much of a run's result as a progress reads."""
+
+    def __init__(self, *, lost: bool, tripped: bool) -> None:
+        self.lost, self.tripped = lost, tripped
+
+
+def test_a_study_counts_its_runs_in_a_bar_on_a_terminal(terminal: Terminal) -> None:
+    with redirect_stderr(terminal), StudyProgress() as progress:
+        progress.begin(1, 4)
+        progress.advance(Finished(lost=True, tripped=False))  # type: ignore[arg-type]
+        progress.advance(Finished(lost=False, tripped=True))  # type: ignore[arg-type]
+    shown = "\n".join(lines(terminal))
+    assert "1 of 4 runs are there already" in shown
+    assert BAR in shown
+    assert re.search(r"3/4 .*1 lost, 1 tripped", shown)
+
+
+def test_a_study_writes_a_line_now_and_then_elsewhere() -> None:
+    now = 0.0
+    with redirect_stderr(io.StringIO()) as shown, StudyProgress(lambda: now) as progress:
+        progress.begin(0, 3)
+        progress.advance(Finished(lost=True, tripped=True))  # type: ignore[arg-type]
+        now += LINE_EVERY_S
+        progress.advance(Finished(lost=False, tripped=True))  # type: ignore[arg-type]
+        progress.advance(Finished(lost=False, tripped=False))  # type: ignore[arg-type]
+    assert shown.getvalue() == "2 of 3 runs, 1 lost, 2 tripped\n"

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim_backend.physics.actuator import ActuatorError
+from sim_backend.physics.actuator import ActuatorError, ActuatorSpec
 from sim_backend.physics.delay import DelayLine, stretches
 
 SUBSTEP_S, SUBSTEPS = 1e-3, 5
@@ -115,3 +115,34 @@ def test_jitter_is_the_same_for_the_same_seed_and_none_without() -> None:
 def test_torques_that_could_overtake_each_other_are_refused() -> None:
     with pytest.raises(ActuatorError, match="delay_jitter_s"):
         DelayLine(0.005, SUBSTEP_S, SUBSTEPS, 1, jitter_s=0.0025)
+
+
+def test_what_acts_before_an_answer_does_not_depend_on_it() -> None:
+    """With jitter too: what is said to be known is the same before and after the command of its tick."""
+    for delay_s in (0.0025, 0.0055, 0.0105):
+        line = DelayLine(delay_s, SUBSTEP_S, SUBSTEPS, 1, jitter_s=0.002, seed=1)
+        for tick in range(200):
+            known = [substep for substep in range(SUBSTEPS) if line.is_known(substep)]
+            before = [line.acting(tick, substep).copy() for substep in known]
+            line.push(tick, np.array([float(tick + 1)]))
+            assert before == [line.acting(tick, substep) for substep in known]
+        assert len(known) == min(SUBSTEPS, max(0, int((delay_s - 0.002) / SUBSTEP_S + 1e-9)))
+
+
+def test_from_the_first_substep_on_only_what_was_pushed_acts() -> None:
+    line = DelayLine(0.0055, SUBSTEP_S, SUBSTEPS, 1, jitter_s=0.002)
+    assert line.first_substep == 8
+    for tick in range(60):
+        line.push(tick, np.array([1.0]))
+        for substep in range(SUBSTEPS):
+            if tick * SUBSTEPS + substep >= line.first_substep:
+                assert line.acting(tick, substep) == pytest.approx(1.0)
+
+
+def test_a_line_is_that_of_the_servos() -> None:
+    servos = ActuatorSpec.of(2, delay_s=0.0055, delay_jitter_s=0.002)
+    made, same = DelayLine.of(servos, SUBSTEP_S, SUBSTEPS, 3), DelayLine(0.0055, 1e-3, 5, 2, jitter_s=0.002, seed=3)
+    for tick in range(20):
+        for line in (made, same):
+            line.push(tick, np.array([1.0, 2.0]) * tick)
+        assert [made.acting(tick, s).tolist() for s in range(5)] == [same.acting(tick, s).tolist() for s in range(5)]

@@ -50,6 +50,8 @@ def test_reality_without_errors_is_what_is_believed() -> None:
         assert np.array_equal(real.T_object_ee.homogeneous, believed.T_object_ee.homogeneous)
         assert np.array_equal(real.actuator.torque_scale, believed.actuator.torque_scale)
         assert real.actuator.delay_s == believed.actuator.delay_s
+        assert (real.masses, real.skew_s) == (1.0, 0.0)
+        assert np.array_equal(real.actuator.zero_error_rad, np.zeros(3))
     assert np.array_equal(same.object.inertia, spec.object.inertia)
     assert same.grasp is None
 
@@ -121,6 +123,9 @@ def test_masses_scale_the_links_and_not_the_rotors() -> None:
         np.testing.assert_allclose(other.inertia, 1.2 * one.inertia)
         np.testing.assert_allclose(other.lever, one.lever)
     assert np.array_equal(real.rotor_inertia, spec.arms[0].rotor_inertia)
+    heavier = replace(spec, arms=(replace(spec.arms[0], masses=2.0, skew_s=0.001), spec.arms[1]))
+    twice = realised(heavier, only(spec, masses=1.2, skew_s=0.002)).arms[0]
+    assert (twice.masses, twice.skew_s) == (pytest.approx(2.4), pytest.approx(0.003))
 
 
 def test_friction_torque_constants_delay_and_skew_reach_the_servos() -> None:
@@ -148,6 +153,8 @@ def test_pads_replace_welds_and_keep_what_a_cell_says_of_slipping() -> None:
     assert realised(spec, pads).grasp == GraspSpec(2e3, 30.0, 0.1)
     slipping = replace(spec, grasp=GraspSpec(1e5, 100.0, slip_N=9.0))
     assert realised(slipping, Reality(pads_N_per_m=2e3)).grasp == GraspSpec(2e3, 100.0, slip_N=9.0)
+    assert realised(slipping, Reality(pads_Nm_per_rad=30.0)).grasp == GraspSpec(1e5, 30.0, slip_N=9.0)
+    assert realised(slipping, Reality(pads_damping_ratio=0.5)).grasp == GraspSpec(1e5, 100.0, 0.5, slip_N=9.0)
     with pytest.raises(PlantError, match="pads_Nm_per_rad"):
         realised(spec, Reality(pads_N_per_m=2e3))
 

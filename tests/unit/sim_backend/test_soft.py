@@ -6,10 +6,14 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from drivers.interface import Vector
 from sim_backend.physics.actuator import ActuatorSpec
+from sim_backend.physics.composition import arm_model, frame_number
+from sim_backend.physics.friction import FrictionSpec
+from sim_backend.physics.pads import Pads
 from sim_backend.physics.plant import Plant
 from sim_backend.physics.soft import SoftPlant
 from sim_backend.physics.spec import GraspError, GraspSpec, PlantError, PlantSpec
@@ -216,3 +220,295 @@ def test_what_cannot_be_a_pad_is_refused() -> None:
     spec = planar_cell()
     with pytest.raises(GraspError, match="left"):
         soft(replace(spec, arms=(replace(spec.arms[0], q_start=np.zeros(3)), spec.arms[1])), PADS[0])
+
+
+def test_a_substep_is_the_one_that_is_written_down() -> None:
+    """One seized arm holds the object on a stiff pad: along x a mass on spring and damper, substep by substep."""
+    pads = GraspSpec(2e4, 1e3, damping_ratio=0.1)
+    spec = replace(planar_cell(viscous(3), names=("left",)), gravity=np.zeros(3))
+    plant = soft(spec, pads)
+    plant.brake("left", 1e12)
+    F, m, K, h = 0.7, spec.object.mass_kg, pads.stiffness_N_per_m, spec.substep_s
+    C = float(plant._pads.C[0, 0])
+    plant.push(np.array([F, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    x = v = 0.0
+    for _ in range(40):
+        a = (F - K * (x + 0.5 * h * v) - C * v) / (m + 0.3 * h * h * K + 0.5 * h * C)
+        x, v = x + h * (v + 0.5 * h * a), v + h * a
+        plant.advance(np.zeros(3), 1)
+        seen = plant.observe(np.zeros(3))
+        assert seen.p_object[0] - spec.object.p_world[0] == pytest.approx(x, abs=2e-7)
+        assert seen.v_object[0] == pytest.approx(v, abs=2e-4)
+        assert seen.grasp_wrench[0, 0] == pytest.approx(-K * x - C * v, abs=1e-2)
+    assert float(plant._pads.C[0, 1]) == pytest.approx(0.2 * np.sqrt(K * swinging_mass(spec)), rel=1e-9)
+
+
+def swinging_mass(spec: PlantSpec) -> float:
+    """Two directions over the trace of the arm's mobility J M⁻¹ Jᵀ in them, computed from the arm alone."""
+    arm = spec.arms[0]
+    model = arm_model(arm)
+    model.armature = np.array(arm.rotor_inertia)
+    data = model.createData()
+    M = pin.crba(model, data, arm.q_start)
+    frame = frame_number(model, arm.ee_frame)
+    J = pin.computeFrameJacobian(model, data, arm.q_start, frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)[:3]
+    return 2.0 / float(np.trace(J @ np.linalg.inv(M) @ J.T))
+
+
+@pytest.mark.parametrize("centre", [(0.0, 0.0, 0.0), (0.02, -0.01, 0.03)], ids=["centred", "off its centre"])
+def test_free_object_keeps_its_angular_momentum(centre: tuple[float, float, float]) -> None:
+    spec = replace(planar_cell(names=("left",)), gravity=np.zeros(3))
+    body = replace(spec.object, inertia=np.diag([4e-5, 1e-4, 1.2e-4]), centre_m=np.array(centre))
+    plant = SoftPlant(replace(spec, object=body, grasp=PADS[0], substep_s=1e-4))
+    plant.release("left")
+    plant.set_velocity(np.array([0.0, 0.0, 0.0, 0.1, 0.2, -0.1, 2.0, -3.0, 4.0]))
+
+    def momenta() -> tuple[Vector, Vector]:
+        seen, R = plant.observe(np.zeros(3)), plant.T_world_object.rotation
+        r, w = R @ body.centre_m, seen.v_object[3:]
+        linear = body.mass_kg * (seen.v_object[:3] + np.cross(w, r))
+        return linear, R @ body.inertia @ R.T @ w + np.cross(seen.p_object + r, linear)
+
+    before = momenta()
+    plant.advance(np.zeros(3), 3000)
+    assert pin.log3(plant.T_world_object.rotation) @ [1.0, -1.0, 1.0] != pytest.approx(0.0, abs=0.1)
+    for one, other in zip(before, momenta(), strict=True):
+        np.testing.assert_allclose(other, one, atol=0.01 * float(np.linalg.norm(one)))
+
+
+def two_pads(**bounds: float) -> Pads:
+    return Pads(GraspSpec(100.0, 10.0, damping_ratio=0.25, **bounds), np.ones((2, 6)))
+
+
+def test_each_pad_slips_by_itself_in_its_own_direction() -> None:
+    pads = two_pads(slip_N=2.0, slip_Nm=0.5)
+    opening = np.array([[0.0, 0.03, -0.04, 0.01, 0.0, 0.0], [0.01, 0.0, 0.0, 0.0, -0.06, 0.08]])
+    pads.slip(opening, np.eye(3))
+    np.testing.assert_allclose(pads.slipped[0], [0.0, 0.018, -0.024, 0.0, 0.0, 0.0])  # 5 N, 2 are held
+    np.testing.assert_allclose(pads.slipped[1], [0.0, 0.0, 0.0, 0.0, -0.03, 0.04])  # 1 N·m, half is held
+    held = 100.0 * (opening - pads.slipped)[0, :3]
+    assert np.linalg.norm(held) == pytest.approx(2.0)
+
+
+def test_what_has_slipped_turns_with_the_object() -> None:
+    pads = two_pads(slip_N=2.0, slip_Nm=0.5)
+    R = pin.exp3(np.array([0.2, -0.4, 0.3]))
+    pads.slip(np.tile([0.0, 0.03, -0.04, 0.0, 0.06, 0.08], (2, 1)), R)
+    before, turn = pads.slipped.copy(), pin.exp3(np.array([0.5, 0.1, -0.2]))
+    pads.turn(turn @ R)
+    assert float(np.abs(before).max(axis=1).min()) > 0.01
+    np.testing.assert_allclose(pads.slipped[:, :3], before[:, :3] @ turn.T, atol=1e-15)
+    np.testing.assert_allclose(pads.slipped[:, 3:], before[:, 3:] @ turn.T, atol=1e-15)
+
+
+def test_pads_open_beyond_their_bound_once_and_each_by_itself() -> None:
+    pads = two_pads(slip_N=2.0, slip_Nm=0.5, open_m=0.03)
+    still = np.zeros((2, 6))
+    assert pads.slip(still, np.eye(3)) == ()
+    pads.slipped[0, :3] = [0.0, 0.0, 0.03]
+    pads.slipped[1, 3:] = [1.0, 1.0, 1.0]  # a rotation opens nothing
+    assert pads.slip(pads.slipped.copy(), np.eye(3)) == ()
+    pads.slipped[0, 2] = 0.0301
+    assert pads.slip(pads.slipped.copy(), np.eye(3)) == (0,)
+    pads.open(0)
+    assert pads.slip(pads.slipped.copy(), np.eye(3)) == ()
+
+
+def test_energy_of_pads_is_that_of_closed_springs_beyond_what_has_slipped() -> None:
+    pads = two_pads(slip_N=2.0)
+    pads.slipped[:, 0] = 0.01
+    opening = np.array([[0.03, 0.0, 0.0, 0.1, 0.0, 0.0], [0.5, 0.0, 0.0, 0.0, 0.0, 0.0]])
+    pads.open(1)
+    assert pads.energy(opening) == pytest.approx(0.5 * 100.0 * 0.02**2 + 0.5 * 10.0 * 0.1**2)
+
+
+def test_pose_is_of_the_present_whoever_asks_for_it_first(cell: Callable[..., PlantSpec]) -> None:
+    asked, silent = soft(cell(), PADS[1]), soft(cell(), PADS[1])
+    J = asked.joint_count
+    tau, v = np.full(J, 0.05), np.concatenate([np.full(J, 0.3), np.zeros(6)])
+    asked.advance(tau, 7)
+    silent.advance(tau, 7)
+    T = asked.T_world_object
+    assert np.array_equal(T.translation, asked.observe(tau).p_object)
+    assert float(np.abs(T.translation - asked.spec.object.p_world).max()) > 1e-6
+    assert np.array_equal(silent.reported()[0], asked.q)
+    for plant in (asked, silent):
+        plant.advance(tau, 3)
+    assert not np.array_equal(asked.q, silent.spec.arms[0].q_start)
+    for plant in (asked, silent):
+        plant.set_velocity(v)
+        plant.advance(tau, 3)
+    assert np.array_equal(asked.q, silent.q)
+    assert asked.t == pytest.approx(13e-3)
+
+
+def test_arm_that_is_let_go_in_motion_begins_as_pinocchio_says() -> None:
+    spec = planar_cell(names=("left",))
+    plant = soft(spec, PADS[1])
+    plant.release("left")
+    dq, tau = np.array([1.0, -2.0, 1.5]), np.array([0.1, 0.2, -0.1])
+    plant.set_velocity(np.concatenate([dq, np.zeros(6)]))
+    plant.advance(tau, 1)
+    arm = spec.arms[0]
+    model = arm_model(arm)
+    model.armature, model.gravity = np.array(arm.rotor_inertia), pin.Motion(spec.gravity, np.zeros(3))
+    model.jointPlacements[1] = arm.T_world_base * model.jointPlacements[1]
+    bias = pin.rnea(model, model.createData(), arm.q_start, dq, np.zeros(3))
+    a = np.linalg.solve(pin.crba(model, model.createData(), arm.q_start), tau - bias)
+    np.testing.assert_allclose((plant.dq - dq) / spec.substep_s, a, rtol=1e-9)
+
+
+def test_openings_are_those_of_the_kinematics_after_a_long_way(cell: Callable[..., PlantSpec]) -> None:
+    plant = soft(cell(), PADS[0])
+    tau = np.zeros(plant.joint_count)
+    plant.advance(tau, 300)
+    seen, T = plant.observe(tau), plant.T_world_object
+    for i, (arm, part) in enumerate(zip(plant.spec.arms, plant.slices, strict=True)):
+        model = arm_model(arm)
+        data = model.createData()
+        pin.framesForwardKinematics(model, data, seen.q[part])
+        gap = (T * arm.T_object_ee).actInv(arm.T_world_base * data.oMf[frame_number(model, arm.ee_frame)])
+        assert seen.contact_error_m[i] == pytest.approx(float(np.linalg.norm(gap.translation)), abs=2e-5)
+        assert seen.contact_error_rad[i] == pytest.approx(float(np.linalg.norm(pin.log3(gap.rotation))), abs=2e-4)
+    assert float(seen.contact_error_m.max()) > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("v", "substeps"),
+    [
+        ([0.0] * 9, 10),
+        ([0.0, 0.0, 0.2] + [0.0] * 6, 10),
+        ([0.0, 0.0, -1.0] + [0.0] * 6, 5),
+        ([1.0, 0.0, 0.0] + [0.0] * 6, 5),
+        ([0.0] * 3 + [5.0, 5.0, 5.0, 0.0, 0.0, 0.0], 10),
+        ([0.0] * 6 + [2.5, 0.0, 0.0], 2),
+        ([0.0] * 6 + [0.0, 2.5, 0.0], 2),
+        ([0.0] * 6 + [0.0, 0.0, 2.5], 2),
+        ([100.0] + [0.0] * 8, 1),
+    ],
+)
+def test_a_linearisation_lasts_ten_milliseconds_or_five_milliradians(v: list[float], substeps: int) -> None:
+    plant = soft(planar_cell(names=("left",)), PADS[1])
+    plant.set_velocity(np.array(v))
+    assert plant._left == substeps
+    made: list[int] = []
+    again = plant._linearise
+    plant._linearise = lambda: (made.append(1), again())[1]  # type: ignore[method-assign]
+    plant.advance(np.zeros(3), substeps)
+    assert made == []
+    plant.advance(np.zeros(3), 1)
+    assert made == [1]
+
+
+def test_slipped_pads_are_carried_along_by_the_object() -> None:
+    plant, tau = pulled(GraspSpec(2e3, 20.0, damping_ratio=1.0, slip_N=4.0), 6.0)
+    plant.advance(tau, 60)
+    plant.push(np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0]))
+    plant.advance(tau, 30)
+    R, pads = plant.T_world_object.rotation, plant._pads
+    plant.advance(tau, 1)
+    assert float(np.abs(R - np.eye(3)).max()) > 0.01
+    np.testing.assert_allclose(pads.slipped[0, :3], R @ pads._slipped_object[0, :3], atol=2e-5)
+    assert float(np.linalg.norm(pads.slipped)) > 1e-3
+
+
+def test_servos_report_the_torque_they_give() -> None:
+    plant = soft(planar_cell(ActuatorSpec.of(3, torque_scale=1.1)), PADS[1])
+    tau = np.array([0.3, -0.2, 0.1, 0.2, 0.1, -0.3])
+    plant.advance(tau, 2)
+    np.testing.assert_allclose(plant.reported()[2], tau, rtol=1e-12)
+
+
+def test_motion_up_to_ten_thousand_per_second_is_no_divergence() -> None:
+    plant = soft(replace(planar_cell(names=("left",)), gravity=np.zeros(3)), PADS[1])
+    plant.release("left")
+    for speed, diverges in ((9.9e3, False), (1.01e4, True)):
+        plant.set_velocity(np.array([0.0, 0.0, 0.0, speed, 0.0, 0.0, 0.0, 0.0, 0.0]))
+        if diverges:
+            with pytest.raises(PlantError, match="the motion of the plant"):
+                plant.advance(np.zeros(3), 1)
+        else:
+            plant.advance(np.zeros(3), 1)
+
+
+def test_pads_without_an_arm_are_refused() -> None:
+    with pytest.raises(PlantError, match="arms with pads"):
+        SoftPlant(replace(planar_cell(), arms=(), grasp=PADS[0]))
+
+
+def test_push_acts_at_once_and_no_longer_than_it_lasts() -> None:
+    plant = soft(replace(planar_cell(names=("left",)), gravity=np.zeros(3)), PADS[1])
+    plant.release("left")
+    tau, m, h = np.zeros(3), plant.spec.object.mass_kg, plant.spec.substep_s
+    plant.advance(tau, 3)
+    for force, v in ((0.4, 0.4), (-0.1, 0.3), (0.0, 0.3)):
+        plant.push(np.array([force, 0.0, 0.0, 0.0, 0.0, 0.0]))
+        plant.advance(tau, 1)
+        assert plant.observe(tau).v_object[0] == pytest.approx(v * h / m, rel=1e-9)
+
+
+def test_a_sliding_pad_pulls_with_its_bound() -> None:
+    """Within one linearisation too.  Beyond the bound comes what the spring stretches in half a substep, K v h/2."""
+    pads = GraspSpec(1e3, 1e3, damping_ratio=0.0, slip_N=4.0)
+    plant, tau = pulled(pads, 6.0)
+    plant.advance(tau, 21)
+    m, h, K = plant.spec.object.mass_kg, plant.spec.substep_s, pads.stiffness_N_per_m
+    before = plant.observe(tau)
+    assert abs(before.grasp_wrench[0, 0]) == pytest.approx(4.0, rel=1e-6)  # it slides already
+    v = float(before.v_object[0])
+    for _ in range(8):
+        v += h * (6.0 - 4.0 - 0.5 * K * h * v) / (m + 0.3 * h * h * K)
+    plant.advance(tau, 8)
+    seen = plant.observe(tau)
+    assert seen.v_object[0] == pytest.approx(v, rel=1e-3)
+    assert v > 1.1 * float(before.v_object[0])
+    assert abs(seen.grasp_wrench[0, 0]) == pytest.approx(4.0, rel=1e-6)
+
+
+def test_time_passes_at_rest_and_nothing_moves() -> None:
+    plant = soft(planar_cell(), PADS[1])
+    plant.rest(5)
+    assert plant.t == pytest.approx(5e-3)
+    assert np.array_equal(plant.q, np.concatenate([a.q_start for a in plant.spec.arms]))
+
+
+def test_truth_is_told_for_the_torques_that_act() -> None:
+    plant = soft(planar_cell(viscous(3)), PADS[1])
+    tau = np.array([0.3, -0.2, 0.1, 0.2, 0.1, -0.3])
+    plant.advance(tau, 200)
+    seen = plant.observe(2.0 * tau)
+    np.testing.assert_allclose(seen.tau_applied, 2.0 * tau)
+    np.testing.assert_allclose(seen.tau_friction, -0.5 * plant.dq, atol=0.02 * float(np.abs(plant.dq).max()))
+    assert float(np.abs(plant.dq).max()) > 0.05
+    np.testing.assert_allclose(plant.observe(tau).tau_applied, tau)
+
+
+def sticking() -> PlantSpec:
+    spec = planar_cell()
+    zero, one = np.zeros(3), np.ones(3)
+    dry = FrictionSpec(0.1 * one, 0.1 * one, 0.3 * one, one, 0.05 * one, zero, 0.02 * one)
+    return replace(spec, arms=tuple(replace(arm, friction=dry) for arm in spec.arms))
+
+
+def test_dry_friction_holds_and_slides_as_between_welds() -> None:
+    spec = sticking()
+    welded, plant = Plant(spec), soft(spec, GraspSpec(1e6, 1e3))
+    tau, _ = holding_torque(spec)
+    for one in (welded, plant):
+        one.advance(tau, 100)
+    assert float(np.abs(plant.dq).max()) < 2e-3  # held
+    for one in (welded, plant):
+        one.advance(tau + np.array([0.6, -0.5, 0.3, 0.0, 0.0, 0.0]), 150)
+    assert float(np.abs(welded.dq).max()) > 0.2
+    np.testing.assert_allclose(plant.q, welded.q, atol=3e-3)
+    a, b = plant.observe(tau), welded.observe(tau)
+    np.testing.assert_allclose(a.tau_friction, b.tau_friction, atol=0.02)
+    assert float(np.abs(b.tau_friction).max()) > 0.1
+
+
+def test_brake_reaches_dry_friction() -> None:
+    plant = soft(sticking(), PADS[1])
+    for name in plant.spec.names:
+        plant.brake(name, 1e4)
+    plant.advance(np.full(6, 0.9), 400)
+    assert float(np.abs(plant.dq).max()) < 1e-3

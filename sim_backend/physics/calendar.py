@@ -1,0 +1,79 @@
+"""What befalls a plant at known times: pushes on the object and grasps that open, to the substep."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from drivers.interface import Vector
+
+Wrench = tuple[float, float, float, float, float, float]
+
+
+@dataclass(frozen=True)
+class Push:
+    """A wrench on the object at its frame's origin, world axes, from one instant on for a time."""
+
+    at_s: float  # on the plant's clock
+    duration_s: float
+    wrench: Wrench  # N, N·m
+
+
+@dataclass(frozen=True)
+class Opening:
+    """A gripper that loses the object."""
+
+    at_s: float  # on the plant's clock
+    arm: str
+
+
+class Befallen(Protocol):
+    """A plant, as far as something can befall it."""
+
+    def push(self, wrench_world: Vector) -> None:
+        """Push the object from now on."""
+        ...
+
+    def release(self, arm: str) -> None:
+        """Open the grasp of one arm for good."""
+        ...
+
+
+class Calendar:
+    """Times in substeps; what falls on one and the same instant happens in the order given, and pushes add up."""
+
+    def __init__(self, happenings: Sequence[Push | Opening], substep_s: float) -> None:
+        due: list[tuple[int, Vector | str]] = []
+        for one in happenings:
+            begin = round(one.at_s / substep_s)
+            if isinstance(one, Opening):
+                due.append((begin, one.arm))
+            else:
+                wrench = np.array(one.wrench)
+                due += [(begin, wrench), (round((one.at_s + one.duration_s) / substep_s), -wrench)]
+        self._due = sorted(due, key=lambda entry: entry[0])
+        self._wrench: Vector = np.zeros(6)
+
+    def stretches(self, plant: Befallen, now: int, substeps: int) -> Iterable[int]:
+        """Numbers of the substeps from `now` on between which something happens; it has, when a stretch is given."""
+        if not self._due or self._due[0][0] >= now + substeps:
+            return (substeps,)
+        return self._divided(plant, now, now + substeps)
+
+    def _divided(self, plant: Befallen, now: int, end: int) -> Iterator[int]:
+        while now < end:
+            while self._due and self._due[0][0] <= now:
+                self._happen(plant, self._due.pop(0)[1])
+            until = min(end, self._due[0][0]) if self._due else end
+            yield until - now
+            now = until
+
+    def _happen(self, plant: Befallen, what: Vector | str) -> None:
+        if isinstance(what, str):
+            plant.release(what)
+        else:
+            self._wrench = self._wrench + what
+            plant.push(self._wrench)

@@ -1,0 +1,107 @@
+"""Pushes and openings at known times: exact to the substep, however the plant is advanced."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import configs
+from agent.config.cell import ConfigError, load_cell
+from agent.process.simulated import plant_spec
+from agent.verify.check import examine
+from drivers.interface import Vector
+from sim_backend.physics.build import build_plant
+from sim_backend.physics.calendar import Calendar, Opening, Push
+from sim_backend.physics.spec import GraspSpec, PlantError, PlantSpec
+from tests.support.plant.plant_cells import planar_cell
+
+FORCE = (0.3, -0.2, 0.0, 0.0, 0.0, 1e-4)
+
+
+class Told:
+    """A plant that remembers what befell it."""
+
+    def __init__(self) -> None:
+        self.at = 0
+        self.seen: list[tuple[int, object]] = []
+
+    def push(self, wrench_world: Vector) -> None:
+        self.seen.append((self.at, wrench_world.tolist()))
+
+    def release(self, arm: str) -> None:
+        self.seen.append((self.at, arm))
+
+    def advance(self, calendar: Calendar, substeps: int) -> list[int]:
+        counts = []
+        for count in calendar.stretches(self, self.at, substeps):
+            counts.append(count)
+            self.at += count
+        return counts
+
+
+def test_everything_happens_at_its_substep_and_pushes_add_up() -> None:
+    one, two = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0), (0.0, 2.0, 0.0, 0.0, 0.0, 0.0)
+    calendar = Calendar([Push(0.003, 0.004, one), Push(0.005, 0.01, two), Opening(0.005, "left")], 1e-3)
+    told = Told()
+    assert told.advance(calendar, 3) == [3]
+    assert told.seen == []
+    assert told.advance(calendar, 10) == [2, 2, 6]
+    assert told.advance(calendar, 10) == [2, 8]
+    both = [1.0, 2.0, 0.0, 0.0, 0.0, 0.0]
+    assert told.seen == [(3, list(one)), (5, both), (5, "left"), (7, list(two)), (15, [0.0] * 6)]
+    assert told.advance(calendar, 5) == [5]
+
+
+def specs() -> list[PlantSpec]:
+    spec = replace(planar_cell(), gravity=np.zeros(3))
+    return [spec, replace(spec, grasp=GraspSpec(1e4, 50.0))]
+
+
+@pytest.mark.parametrize("spec", specs(), ids=["welds", "pads"])
+def test_a_push_gives_the_object_that_is_let_go_its_momentum(spec: PlantSpec) -> None:
+    happenings = (Opening(0.0, "left"), Opening(0.0, "right"), Push(0.002, 0.1, FORCE))
+    plant = build_plant(replace(spec, happenings=happenings))
+    plant.advance(np.zeros(6), 2)
+    assert not plant.observe(np.zeros(6)).v_object.any()
+    for count in (1, 50, 49, 100):
+        plant.advance(np.zeros(6), count)
+    seen = plant.observe(np.zeros(6))
+    np.testing.assert_allclose(seen.v_object[:3], np.array(FORCE[:3]) * 0.1 / spec.object.mass_kg, rtol=1e-5)
+    assert seen.v_object[5] == pytest.approx(FORCE[5] * 0.1 / spec.object.inertia[2, 2], rel=1e-5)
+    assert np.isnan(seen.contact_error_m).all()
+
+
+@pytest.mark.parametrize("spec", specs(), ids=["welds", "pads"])
+def test_how_a_motion_is_divided_changes_no_bit_of_it(spec: PlantSpec) -> None:
+    befallen = replace(spec, happenings=(Push(0.0071, 0.013, FORCE), Opening(0.03, "left")))
+    whole, parts = build_plant(befallen), build_plant(befallen)
+    whole.advance(np.full(6, 0.02), 60)
+    for count in (5, 2, 1, 12, 10, 7, 23):
+        parts.advance(np.full(6, 0.02), count)
+    assert np.array_equal(whole.q, parts.q)
+    assert np.array_equal(whole.dq, parts.dq)
+    assert np.isnan(whole.observe(np.zeros(6)).contact_error_m[0])
+
+
+def paper(*overrides: str) -> PlantSpec:
+    cell = load_cell(configs.CELLS_DIR / "paper.toml", list(overrides))
+    return plant_spec(cell, examine(cell).q_start)
+
+
+def test_times_of_a_cell_count_from_the_common_start() -> None:
+    push = "simulation.push=[{at_s=2.0, duration_s=0.5, force_N=[0.0, 10.0, 0.0], moment_Nm=[0.0, 0.0, 0.2]}]"
+    opening = "simulation.opening=[{at_s=3.0, arm='right'}]"
+    spec = paper(push, opening, "simulation.ready_s=1.5")
+    assert spec.happenings == (Push(3.5, 0.5, (0.0, 10.0, 0.0, 0.0, 0.0, 0.2)), Opening(4.5, "right"))
+    assert paper().happenings == ()
+
+
+def test_what_cannot_befall_the_cell_is_refused() -> None:
+    with pytest.raises(ConfigError, match="left or right"):
+        paper("simulation.opening=[{at_s=3.0, arm='middle'}]")
+    with pytest.raises(ConfigError, match="duration_s"):
+        paper("simulation.push=[{at_s=3.0, duration_s=0.0}]")
+    with pytest.raises(PlantError, match="middle"):
+        replace(planar_cell(), happenings=(Opening(1.0, "middle"),))
