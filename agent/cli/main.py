@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from agent.cli import cells, doctor, logs, motors, processes, replay, run, study, view, words
+from agent.cli import answers, cells, doctor, logs, motors, processes, replay, run, study, view, words
 from agent.cli.help import Commands
 from agent.cli.where import where
 
@@ -20,7 +20,8 @@ GROUPS: dict[str, tuple[Callable[..., None], ...]] = {
     "Simulate and examine": (run.run, cells.check, cells.tune, study.study),
     "Arms of this host": (words.start, words.stop, words.release, doctor.doctor),
     "Logs": (
-        logs.report, view.view, logs.compare, replay.replay, logs.identify, logs.export, logs.play, logs.recover,
+        logs.report, view.view, logs.compare, answers.events, answers.grasps, replay.replay, logs.identify, logs.export,
+        logs.play, logs.recover,
     ),
     "This installation": (where,),
     "Processes of a cell": (

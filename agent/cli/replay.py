@@ -23,6 +23,10 @@ def replay(
     verify: Annotated[
         bool, typer.Option("--verify", help="Compare every row with the one `step` gives now (what it does anyway).")
     ] = False,
+    same_as: Annotated[
+        Path | None,
+        typer.Option("--same-as", metavar="LOG", help="Compare with the rows of another log instead."),
+    ] = None,
     changes: Annotated[
         list[str],
         typer.Option("--set", metavar="KEY=VALUE", help="Show the torque with this value of the cell file instead."),
@@ -48,6 +52,11 @@ def replay(
         raise typer.BadParameter("--picture goes with --set")
     if picture is not None and not force:
         keep_existing(picture)
+    if same_as is not None:
+        if changes or verify or arm is not None or from_s is not None or row is not None:
+            raise typer.BadParameter("--same-as compares all rows of two logs and goes with --json alone")
+        _show_same(log, same_as, as_json=as_json)
+        return
     window = Window(from_s, row)
     with Steps() as step:
         step("reading the log")
@@ -57,6 +66,26 @@ def replay(
                 _show_changed(opened, cell, changes, window, arm, picture, step, as_json=as_json)
             else:
                 _show_verdict(opened, cell, window, arm, step, as_json=as_json)
+
+
+def _show_same(log: Path, other: Path, *, as_json: bool) -> None:
+    from agent.log.read import open_log
+    from agent.replay.same import same
+    from agent.replay.show import same_lines, verdict_document
+
+    with Steps() as step:
+        step("reading the logs")
+        with open_log(log, any_layout=True) as a, open_log(other, any_layout=True) as b:
+            verdict = same(a, b)
+    notes = [f"{read.path}: {problem}" for read in (a, b) for problem in read.problems]
+    if as_json:
+        print_json(verdict_document(a, verdict, notes) | {"other": str(other)})
+    else:
+        for line in (*notes, *verdict.notes):
+            note(line)
+        typer.echo("\n".join(same_lines(verdict)))
+    if not verdict.equal:
+        raise typer.Exit(DIFFERENT)
 
 
 def _show_verdict(log: ColumnLog, cell: Cell, window: Window, arm: str | None, step: Steps, *, as_json: bool) -> None:

@@ -51,15 +51,20 @@ class Log(Generic[Rows]):
     def run_info(self) -> dict[str, Any]:
         """The run's description.  Raises LogError when the log has none."""
         try:
-            info = json.loads(self.attachments[RUN_FILE])
-        except (KeyError, ValueError) as error:
+            return _described(json.loads(self.attachments[RUN_FILE]))
+        except (KeyError, ValueError, RecursionError) as error:
             raise LogError(
                 f"{self.path} does not say which run it is",
                 found=repr(error),
                 expected=f"an attachment {RUN_FILE}",
                 remedy="take a log that `coop record` made",
             ) from error
-        return dict(info)
+
+
+def _described(info: Any) -> dict[str, Any]:
+    if not isinstance(info, dict):
+        raise ValueError(f"a {type(info).__name__}")
+    return info
 
 
 RunLog = Log[NDArray[np.void]]  # rows as structured arrays, read-only

@@ -37,11 +37,23 @@ def verdict_lines(verdict: Verdict) -> list[str]:
     return lines
 
 
-def _said(d: Difference) -> str:
+def same_lines(verdict: Verdict) -> list[str]:
+    """What two logs have in common."""
+    lines = []
+    for arm in verdict.arms:
+        told = f"{arm.different} differ" if arm.different else "all equal but for timing"
+        more = f"; {arm.left_out} only in one of the logs" if arm.left_out else ""
+        lines.append(f"{arm.arm:<12} {arm.rows} rows in both, {told}{more}")
+    first = verdict.first
+    return lines if first is None else [*lines, f"first difference: {_said(first, ('here', 'there'))}"]
+
+
+def _said(d: Difference, sides: tuple[str, str] = ("recorded", "replayed")) -> str:
     place = d.field if d.index is None else f"{d.field}[{d.index}]"
     others = [name for name in d.fields if name != d.field]
     also = f" (also {', '.join(others[:6])}{' …' if len(others) > 6 else ''})" if others else ""
-    return f"row {d.row} of {d.arm}, t = {d.t_s:.3f} s, {place}: recorded {d.recorded!r}, replayed {d.replayed!r}{also}"
+    values = f"{sides[0]} {d.recorded!r}, {sides[1]} {d.replayed!r}"
+    return f"row {d.row} of {d.arm}, t = {d.t_s:.3f} s, {place}: {values}{also}"
 
 
 def version_notes(log: AnyLog) -> list[str]:

@@ -14,7 +14,7 @@ from agent.log.read import open_log
 from agent.modes import Event, Mode
 from agent.replay.rows import Window
 from agent.replay.source import ReplayError, recorded_cell
-from agent.replay.verify import Verdict, verify
+from agent.replay.verify import ArmVerdict, Difference, Verdict, verify
 from agent.safety import Flag
 from agent.telemetry.row.sample import AGENT_FIELDS
 from tests.support.plant.plant_arm import run_one
@@ -79,6 +79,26 @@ def test_a_replay_may_begin_at_any_time(tmp_path: Path) -> None:
     rows = eventful()
     verdict = replayed(tmp_path, rows, window=Window(from_s=0.05))
     assert (verdict.rows, verdict.equal) == (int(np.sum(rows["t"] >= 0.05)), True)
+
+
+def test_a_window_begins_with_the_row_of_that_time(tmp_path: Path) -> None:
+    assert replayed(tmp_path, eventful(), window=Window(from_s=float(eventful()["t"][30]))).rows == 30
+
+
+def test_a_hold_that_is_asked_for_while_there_is_no_state_replays(tmp_path: Path) -> None:
+    def operator(reads: int) -> Event:
+        return {24: Event.STOP, 40: Event.RELEASED}.get(reads, Event.NONE)
+
+    rows = run(operator, lost_at(24, 25, 26), q=wandering, ticks=40, hold_at_end=True).rows
+    lost = np.flatnonzero(rows["flags"] & Flag.STALE)
+    assert rows["mode"][lost].tolist() != [Mode.TRACK] * 3, "the mode changes among them"
+    assert replayed(tmp_path, rows).equal
+
+
+def test_a_start_that_is_told_late_has_one_zero_from_then_on(tmp_path: Path) -> None:
+    rows = run(q=wandering, ticks=3, start_ns=lambda reads, zero_ns: zero_ns if reads > 8 else None).rows
+    assert np.count_nonzero(rows["t"] < -80_000) > len(rows) / 2, "most rows are a day before their zero"
+    assert replayed(tmp_path, rows).equal
 
 
 def test_a_fault_with_a_state_and_one_without_replay(tmp_path: Path) -> None:
@@ -171,6 +191,20 @@ def test_one_bit_changed_in_one_row_is_found(
     assert (found.arm, found.row) == ("left", row)
     assert first in found.fields
     assert found.recorded != found.replayed or np.isnan(found.recorded)
+
+
+def test_a_bit_of_any_field_that_is_compared_is_found(tmp_path: Path) -> None:
+    told = {"sequence", "tau_measured", "tau_sent", "q_measured", "dq_measured"}  # by the driver, and what orders rows
+    for f in AGENT_FIELDS:
+        if f.name not in told and not f.timing:
+            path = write_run(tmp_path / f"{f.name}.mcap", paper(), {"left": flipped(eventful(), 50, f.name)})
+            assert verified(path).different == 1, f.name
+
+
+def test_the_first_difference_is_that_of_the_earliest_row() -> None:
+    late, early = (Difference(arm, row, 0.0, "q", 0, 0.0, 1.0, ("q",)) for arm, row in (("left", 9), ("right", 4)))
+    verdict = Verdict((ArmVerdict("left", 9, 1, 0, late, 0.0), ArmVerdict("right", 9, 1, 0, early, 0.0)), ())
+    assert verdict.first is early
 
 
 def test_a_change_of_the_first_memory_is_found_because_a_run_begins_with_nothing(tmp_path: Path) -> None:

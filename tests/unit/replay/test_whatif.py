@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -11,15 +12,18 @@ import pytest
 import configs
 from agent.config.agent import build_agent
 from agent.config.cell import Cell, ConfigError, load_cell
+from agent.control.memory import restore
 from agent.log.read import open_log
 from agent.loop import initial_memory, step
 from agent.modes import Mode
+from agent.replay import whatif
 from agent.replay.picture import save_picture
 from agent.replay.rows import Window
 from agent.replay.source import ReplayError, changed_cell, recorded_cell
 from agent.replay.whatif import ArmTorques, what_if
 from drivers.interface import JointState
 from tests.support.plant.plant_arm import run_one
+from tests.support.runner_rig import paper, q_start, run
 from tests.support.telemetry.run_log import write_other_release, write_run
 
 WX200 = configs.CELLS_DIR / "identify_wx200.toml"
@@ -39,7 +43,8 @@ def log(tmp_path: Path) -> Path:
 
 def changed(path: Path, *changes: str, window: Window = Window()) -> ArmTorques:  # noqa: B008
     with open_log(path, any_layout=True) as log:
-        return what_if(log, recorded_cell(log), changed_cell(log, changes), window)[0]
+        arm = next(name for name, rows in log.agents.items() if len(rows))
+        return what_if(log, recorded_cell(log), changed_cell(log, changes), window, arm)[0]
 
 
 def test_the_same_value_gives_the_same_torque(log: Path) -> None:
@@ -76,6 +81,33 @@ def test_a_change_gives_what_step_gives_with_it_at_the_recorded_joints(log: Path
         assert f.rms_recorded_Nm == pytest.approx(np.sqrt(np.mean(found.recorded[:, j] ** 2)))
         assert f.rms_Nm == pytest.approx(np.sqrt(np.mean(found.changed[:, j] ** 2)))
     assert max(f.max_difference_Nm for f in found.joints) > 1e-4
+
+
+def test_another_law_from_the_middle_begins_with_its_own_estimate(log: Path) -> None:
+    _, rows = recorded()
+    cell = load_cell(WX200, ['controller.kind="adaptive"'])
+    agent, row = build_agent(cell, cell.arms[0]), rows[40]
+    n, adaptation = agent.model.n, agent.offline.adaptation
+    assert adaptation is not None
+    state = JointState(int(row["stamp_ns"]), *(row[f"{x}_measured"][:n].copy() for x in ("q", "dq", "tau")))
+    outcome = step(agent, state, float(row["t"]), Mode.TRACK, restore(row["memory"], n, adaptation.start))
+    found = changed(log, 'controller.kind="adaptive"', window=Window(from_row=40))
+    assert np.array_equal(found.changed[0], outcome.tau)
+
+
+def test_a_row_from_which_the_law_makes_nothing_is_counted_and_in_no_figure(tmp_path: Path) -> None:
+    rows = run(q=lambda read: q_start() if read != 14 else np.full(3, np.nan), ticks=20).rows
+    path = write_run(tmp_path / "run.mcap", paper(), {"left": rows})
+    found = changed(path, "object.mass_kg=0.5")
+    assert (found.without, len(found.t)) == (1, len(rows) - 1)
+    assert all(np.isfinite(f.max_difference_Nm) for f in found.joints)
+
+
+def test_other_joints_are_not_those_of_the_rows() -> None:
+    arm = recorded()[0].arms[0]
+    other = replace(arm, entry=arm.entry.model_copy(update={"controlled": arm.entry.controlled[:-1]}))
+    with pytest.raises(ReplayError, match="leave `controlled` as it is"):
+        whatif._refuse_other_joints(arm, other)
 
 
 def test_rows_that_a_limit_cut_are_counted(log: Path) -> None:
