@@ -19,7 +19,7 @@ USAGE = 2  # exit code of a command line that says nothing `coop` understands
 GROUPS = {
     "Simulate and examine": (run.run, cells.check, cells.tune),
     "Arms of this host": (words.start, words.stop, words.release, doctor.doctor),
-    "Logs": (logs.report, logs.compare, logs.identify, logs.play, logs.recover),
+    "Logs": (logs.report, logs.compare, logs.identify, logs.play, logs.recover, logs.layout),
     "This installation": (where,),
     "Processes of a cell": (
         processes.agent, processes.plant, processes.emulate, processes.telemetry, processes.record, processes.ros2,
