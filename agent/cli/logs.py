@@ -1,4 +1,4 @@
-"""The commands on logs: report, compare, identify, export, play, recover."""
+"""The commands on logs: report, compare, identify, export, play, recover, layout."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import typer
 from agent.cli.options import (
     DEFAULT_ENDPOINT,
     AsJson,
+    CellPath,
     Force,
     LogPath,
     NetworkConfig,
@@ -173,3 +174,23 @@ def recover(
     for problem in done.problems:
         note(f"{log}: {problem}")
     typer.echo(f"{log}: {'repaired' if done.repaired else 'nothing to repair'}, {done.messages} messages, read back")
+
+
+class Viewer(StrEnum):
+    """A program that shows logs."""
+
+    FOXGLOVE = "foxglove"  # and Lichtblick
+    PLOTJUGGLER = "plotjuggler"
+
+
+def layout(
+    cell: CellPath,
+    viewer: Annotated[Viewer, typer.Option(help="Foxglove's is Lichtblick's too.")] = Viewer.FOXGLOVE,
+) -> None:
+    """Print a viewer's layout for the logs of a cell, and for its live view."""
+    from agent.config.files import load_files
+    from agent.log import layouts
+    from agent.process.scene import scene_of
+
+    make = layouts.foxglove if viewer is Viewer.FOXGLOVE else layouts.plotjuggler
+    typer.echo(make(scene_of(load_files(cell))), nl=False)

@@ -21,7 +21,7 @@ GROUPS: dict[str, tuple[Callable[..., None], ...]] = {
     "Arms of this host": (words.start, words.stop, words.release, doctor.doctor),
     "Logs": (
         logs.report, view.view, logs.compare, answers.events, answers.grasps, replay.replay, logs.identify, logs.export,
-        logs.play, logs.recover,
+        logs.play, logs.recover, logs.layout,
     ),
     "This installation": (where,),
     "Processes of a cell": (

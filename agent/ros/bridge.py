@@ -56,11 +56,11 @@ def run(options: BridgeOptions, stop: Callable[[], bool], ready: Callable[[str],
     heard = _Heard()
     published = 0
     with ExitStack() as stack:
+        cell = stack.enter_context(open_session(options.telemetry)).session
         ros = stack.enter_context(open_session(options.ros)).session
         node = stack.enter_context(RosNode(ros, options.domain, name, translator.topics))
         for message in standard.latched(options.scene, time.time_ns()):
             node.put(message.topic, message.message)
-        cell = stack.enter_context(open_session(options.telemetry)).session
         subscriber = cell.declare_subscriber(topics.cell_keys(options.scene.cell), heard.put)
         stack.callback(subscriber.undeclare)
         ready(name)
