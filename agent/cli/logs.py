@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -21,15 +21,20 @@ from agent.cli.options import (
 )
 from agent.cli.progress import Steps
 
+if TYPE_CHECKING:
+    from agent.log.read import AnyLog
+
 
 def report(
     log: LogPath,
     out: Annotated[Path | None, typer.Option(help="Folder of the report (default: beside the log).")] = None,
+    view: Annotated[bool, typer.Option("--view", help="Also view.html, the run in 3D (some seconds).")] = False,
     force: Force = False,
 ) -> None:
     """Make the figures, the page and results.json from a log alone; its own earlier report is replaced."""
     from agent.log.read import open_log
     from agent.report.report import keep_other_reports, terminal_table, write_report
+    from agent.view.film import still
 
     folder = out or log.parent
     if not force:
@@ -38,9 +43,22 @@ def report(
         step("reading the log")
         with open_log(log) as opened:
             step("drawing")
-            files = write_report(opened, folder)
+            files = write_report(opened, folder, still)
+            if view:
+                step("drawing in 3D")
+                _write_view(opened, folder)
     console().print(terminal_table(files.results))
     typer.echo(f"report   {files.html}")
+
+
+def _write_view(log: AnyLog, folder: Path) -> None:
+    from agent.report.prepared import prepare
+    from agent.view.need import need_viser
+
+    need_viser()
+    from agent.view.html import write_html
+
+    write_html(prepare(log), folder / "view.html")
 
 
 def compare(
