@@ -51,6 +51,19 @@ def report(
     typer.echo(f"report   {files.html}")
 
 
+def _require_some(logs: list[Path], most: int) -> None:
+    from agent.report.compare import CompareError
+
+    if not 2 <= len(logs) <= most:
+        raise CompareError("coop compare", found=f"{len(logs)} logs", expected=f"2 to {most}", remedy="name so many")
+
+
+def _refuse_to_replace(file: Path) -> None:
+    from agent.report.compare import CompareError
+
+    raise CompareError(f"{file} is there", found="a file", expected="none", remedy="name another one, or give --force")
+
+
 def _write_view(log: AnyLog, folder: Path) -> None:
     from agent.report.prepared import prepare
     from agent.view.need import need_viser
@@ -62,29 +75,47 @@ def _write_view(log: AnyLog, folder: Path) -> None:
 
 
 def compare(
-    first: Annotated[Path, typer.Argument(metavar="A", help="MCAP log.", show_default=False)],
-    second: Annotated[Path, typer.Argument(metavar="B", help="MCAP log.", show_default=False)],
+    logs: Annotated[list[Path], typer.Argument(metavar="A B [C ...]", help="MCAP logs.", show_default=False)],
+    html: Annotated[Path | None, typer.Option(help="Also write a page.")] = None,
+    force: Force = False,
     as_json: AsJson = False,
 ) -> None:
-    """Say which figures of two logs differ, and which log has the better ones."""
+    """Say which figures and settings of logs differ, and which log has the better ones, each against the first."""
     from agent.log.read import open_log
     from agent.report.compare import compare as differences
     from agent.report.compare import comparison_table
-    from agent.report.metrics import summarise
+    from agent.report.metrics import summarise_prepared
+    from agent.report.prepared import prepare
+    from agent.report.settings import settings_of, settings_table
+    from agent.report.shown import LETTERS, ComparedRun, error_series
 
-    results = []
+    _require_some(logs, len(LETTERS))
+    if html is not None and html.exists() and not force:
+        _refuse_to_replace(html)
+    runs = []
     with Steps() as step:
-        for log in (first, second):
+        for log in logs:
             step(f"reading {log}")
             with open_log(log) as opened:
-                results.append(summarise(opened))
-    a, b = results
+                run = prepare(opened)
+                runs.append(ComparedRun(log, summarise_prepared(run), settings_of(opened), error_series(run)))
+        if html is not None:
+            from agent.report.compare_page import write_comparison
+
+            step("drawing")
+            write_comparison(runs, html)
     if as_json:
         from agent.cli.documents import compare_document
 
-        print_json(compare_document(a, b, differences(a, b), (first, second)))
-    else:
-        console().print(comparison_table(a, b, differences(a, b)))
+        print_json(compare_document(runs))
+        return
+    first = runs[0].results
+    for letter, other in zip(LETTERS[1:], runs[1:], strict=False):
+        found = differences(first, other.results)
+        console().print(comparison_table(first, other.results, found, (LETTERS[0], letter)))
+    console().print(settings_table([run.settings for run in runs]))
+    if html is not None:
+        typer.echo(f"page     {html}")
 
 
 def identify(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -28,19 +27,11 @@ from agent.report.plotting import (
     time_axis,
 )
 from agent.report.prepared import Prepared
-from agent.report.series import Array, PoseSeries, angle_about, column, component, rotation_vector
+from agent.report.series import Array, angle_about, column, component, rotation_vector
+from agent.report.shown import object_series, start_s
 
 NEAR_LIMIT = 0.8  # of tau_max: torques above it are drawn with their limits
 OFF_PLANE_SHOWN = 1e-9  # out-of-plane components below it are rounding and are not drawn
-START_MIN_S, START_DECAYS = 0.5, 4.0  # the start figure shows this many times the longest decay
-
-
-def object_series(run: Prepared) -> Iterator[tuple[str, PoseSeries]]:
-    """What is drawn as the actual pose: the true one where the log holds it, otherwise every arm's own view."""
-    if run.true is not None:
-        yield "actual", run.true
-    else:
-        yield from ((f"actual, seen by {name}", run.pose(name)) for name in run.rows)
 
 
 @styled
@@ -84,17 +75,7 @@ def errors(run: Prepared) -> Figure:
 @styled
 def errors_start(run: Prepared) -> Figure:
     """The same errors at the start, where they decay; on the same axes they would be one vertical line."""
-    return _errors(run, _start_s(run), " at the start")
-
-
-def _start_s(run: Prepared) -> float:
-    decays = [START_MIN_S]
-    for _, s in object_series(run):
-        for error in (s.position_error, s.attitude_error):
-            above = np.flatnonzero(error > 0.1 * error[0])
-            if len(above) and s.t[above[-1]] < run.info.transient_s:
-                decays.append(START_DECAYS * float(s.t[above[-1]] - s.t[0]))
-    return min(max(decays), run.info.duration_s)
+    return _errors(run, start_s(run), " at the start")
 
 
 def _errors(run: Prepared, until_s: float, when: str) -> Figure:

@@ -16,6 +16,7 @@ from agent.report.plotting import (
     GREY,
     HEADER_IN,
     RED,
+    STYLES,
     header_line,
     legend,
     line,
@@ -27,7 +28,6 @@ from agent.report.prepared import Prepared
 from agent.report.series import Array, column, component, joint_columns
 
 DURATIONS: Final = {"late_s": "began late", "read_s": "bus read", "step_s": "control step", "write_s": "bus write"}
-STYLES: Final = ("-", "--", ":", "-.")  # arms, where colours name quantities
 # feedback first: it carries the noise and would hide the others
 TERMS: Final = ("feedback", "inertia", "coriolis", "gravity", "adaptive", "object", "internal", "friction", "posture")
 TAIL_POINTS: Final = 300

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import wraps
@@ -38,6 +39,8 @@ BROWN: Final = "#8c5a2b"
 GREY: Final = "#767d86"
 AXIS_COLOURS: Final = (BLUE, RED, GREEN)  # x, y, z everywhere
 CYCLE: Final = (BLUE, RED, GREEN, ORANGE, PURPLE, TEAL, BROWN, GREY)
+
+STYLES: Final = ("-", "--", ":", "-.")  # what colours do not tell
 
 STYLE: Final[dict[Any, Any]] = {
     "font.family": "DejaVu Sans",
@@ -88,12 +91,15 @@ def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
     return with_style
 
 
-def save_png(figure: Figure, path: Path) -> bytes:
-    """Render a figure to `path` and return the bytes of the file."""
+def save_png(figure: Figure, path: Path | None = None) -> bytes:
+    """Render a figure, to `path` if one is given, and return the bytes of the PNG."""
     with mpl.rc_context(STYLE):
         canvas: Any = FigureCanvasAgg(figure)  # matplotlib ships no types for its printing
-        canvas.print_png(path, pil_kwargs={"compress_level": 4})
-    return path.read_bytes()
+        png = io.BytesIO()
+        canvas.print_png(png, pil_kwargs={"compress_level": 4})
+    if path is not None:
+        path.write_bytes(png.getvalue())
+    return png.getvalue()
 
 
 def panels(

@@ -11,6 +11,7 @@ from agent.report.results import Judgement, PoseErrors, Results, WrenchSize
 
 ABSENT = "–"  # not measured
 SMALLEST = 1e-6  # what is smaller is shown as that
+LARGEST = 1e9  # what is larger is shown as that: a law gone astray
 SPACE = "\N{NO-BREAK SPACE}"  # a figure and its unit stay on one line
 
 
@@ -41,6 +42,8 @@ def number(value: float, unit: str = "", scale: float = 1.0, digits: int = 3) ->
     scaled = value * scale
     if 0.0 < abs(scaled) < SMALLEST:
         return f"< {SMALLEST:f}{SPACE}{unit}".rstrip()
+    if abs(scaled) > LARGEST:
+        return f"{'>' if scaled > 0.0 else '< −'} {LARGEST:.0f}{SPACE}{unit}".rstrip()
     decimals = max(0, min(6, digits - 1 - math.floor(math.log10(abs(scaled))))) if scaled else 0
     return f"{scaled:.{decimals}f}{SPACE}{unit}".rstrip()
 

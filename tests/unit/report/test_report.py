@@ -174,7 +174,7 @@ def test_the_page_opens_with_the_cell_at_the_start(tmp_path: Path) -> None:
     files = write_report(view_log(), tmp_path, still)
     picture = (tmp_path / "start.png").read_bytes()
     assert picture == still(prepare(view_log()))
-    assert list(files.figures)[0] == "start"
+    assert next(iter(files.figures)) == "start"
     assert base64.b64decode(read_page(files.html).images[0].removeprefix("data:image/png;base64,")) == picture
 
 
