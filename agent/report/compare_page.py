@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Final
 
 from agent.report.compare import Change, Difference, compare, label
-from agent.report.gallery import Picture
 from agent.report.overlay import overlay
 from agent.report.page import document, figure_html, table_html
+from agent.report.picture import Picture
 from agent.report.plotting import save_png
 from agent.report.report import ReportError
 from agent.report.results import HEADLINE

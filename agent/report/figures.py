@@ -73,15 +73,21 @@ def errors(run: Prepared) -> Figure:
 
 
 @styled
+def errors_rest(run: Prepared) -> Figure:
+    """The same errors after the transient, at a scale that the start does not set."""
+    return _errors(run, run.info.duration_s, " after the transient", from_s=run.info.transient_s)
+
+
+@styled
 def errors_start(run: Prepared) -> Figure:
     """The same errors at the start, where they decay; on the same axes they would be one vertical line."""
     return _errors(run, start_s(run), " at the start")
 
 
-def _errors(run: Prepared, until_s: float, when: str) -> Figure:
+def _errors(run: Prepared, until_s: float, when: str, from_s: float = 0.0) -> Figure:
     figure, axes = panels(2, height_in=2.1)
     label, s = next(object_series(run))
-    shown = s.t <= until_s
+    shown = (s.t >= from_s) & (s.t <= until_s)
     t, e_p, e_xi = s.t[shown], s.e_p[shown], s.e_xi[shown]
     for axis, name in enumerate("xyz"):
         if _worth(run, e_p, axis):
@@ -107,7 +113,7 @@ def _errors(run: Prepared, until_s: float, when: str) -> Figure:
     for ax in axes:
         _mark_transient(ax, run, until_s)
         legend(ax)
-    time_axis(axes, until_s)
+    time_axis(axes, until_s, from_s)
     return figure
 
 

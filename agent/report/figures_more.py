@@ -17,6 +17,7 @@ from agent.report.plotting import (
     HEADER_IN,
     RED,
     STYLES,
+    end_labels,
     header_line,
     legend,
     line,
@@ -186,7 +187,7 @@ def lyapunov(run: Prepared) -> Figure:
         total = np.sum([column(rows, "lyapunov") for _, rows in parts], axis=0)
         _positive_line(axes[0], column(parts[0][1], "t"), total, "black", "-", "cell")
     axes[0].set(yscale="log", ylabel="Lyapunov value [J]", title="Lyapunov value")
-    legend(axes[0])
+    end_labels(axes[0])
     time_axis(axes, run.info.duration_s)
     return figure
 

@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from html import escape
 from typing import TYPE_CHECKING, Any, Final
 
-from agent.report.gallery import Picture
+from agent.report.picture import Picture
 from agent.report.results import Judgement, Results
 from agent.report.tables import Line, Table, lines, tables
 

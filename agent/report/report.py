@@ -13,9 +13,10 @@ from matplotlib.figure import Figure
 from rich import box
 from rich.table import Table
 
-from agent.report.gallery import Picture, pictures
+from agent.report.gallery import pictures
 from agent.report.metrics import summarise_prepared
 from agent.report.page import WORDS, render
+from agent.report.picture import Picture
 from agent.report.plotting import save_png
 from agent.report.prepared import Prepared, prepare
 from agent.report.results import Judgement, Results

@@ -12,14 +12,12 @@ from typing import Final
 
 import viser
 
+from agent.report.moments import Moment, around, marks
 from agent.view.browser import Nodes
 from agent.view.curves import curves_of
-from agent.view.moments import Moment, around
 from agent.view.plots import Plot
 from agent.view.staged import Staged, legend, status_text
 
-MARKS_APART: Final = 0.14  # of the slider
-MARKS_MAX: Final = 6  # on the slider; the list below it has all
 EXAGGERATIONS: Final = {"as they were": 1.0, "10 times": 10.0, "100 times": 100.0}
 SPEEDS: Final = {"1/4": 0.25, "1": 1.0, "4": 4.0, "16": 16.0}
 PLAY_HZ: Final = 30.0
@@ -121,15 +119,3 @@ class Player:
             self._placed, row = placed, max(self._row, 0)
             self._row, self._wanted_s = -1, float(self._t[row])
             self._wish.notify()
-
-
-def marks(moments: Sequence[Moment], first: float, last: float) -> tuple[tuple[float, str], ...]:
-    """What stands on the slider, each once, nothing over its neighbour: changes of mode first, then what is grave."""
-    found: dict[str, float] = {}
-    for moment in sorted(moments, key=lambda m: ("→" not in m.text, not m.grave, m.t)):
-        label = moment.text.rpartition("→")[2].removeprefix("safety:").strip()
-        clear = all(abs(moment.t - t) > MARKS_APART * (last - first) for t in found.values())
-        named = "→" in moment.text or moment.grave
-        if named and clear and label not in found and first <= moment.t <= last and len(found) < MARKS_MAX:
-            found[label] = moment.t
-    return tuple(sorted((t, label) for label, t in found.items()))
