@@ -36,7 +36,7 @@ OFF_PLANE_SHOWN = 1e-9  # out-of-plane components below it are rounding and are 
 
 @styled
 def pose(run: Prepared) -> Figure:
-    """Desired (blue) and actual (red) object pose: x, y and angle in a plane, otherwise x, y, z and rotation vector."""
+    """Desired (wide) and actual (dashed) object pose: x, y and angle in a plane, else x, y, z and rotation vector."""
     plane = run.info.plane
     columns = 2 if plane is None else 1
     figure, axes = panels(3, columns, gap_in=0.16, top_in=0.42)

@@ -38,7 +38,10 @@ def _paper(run: Prepared) -> list[Picture]:
     source = "The true pose from the simulation." if run.true else "As the arms' own kinematics see it."
     return [
         Picture(
-            "pose", "Object pose", f"Desired (blue) and actual (red): {pose}. {source}", partial(figures.pose, run)
+            "pose",
+            "Object pose",
+            f"Desired (wide, light) and actual (dashed): {pose}. {source}",
+            partial(figures.pose, run),
         ),
         Picture(
             "errors",

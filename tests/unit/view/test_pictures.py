@@ -141,6 +141,9 @@ def test_a_film_of_nothing_or_of_another_kind_is_refused(tmp_path: Path) -> None
         write_film(the_run(), FilmOptions(tmp_path / "film.gif", 5.0, 6.0))
     with pytest.raises(ViewError, match="No such file"):
         write_film(the_run(), FilmOptions(tmp_path / "nowhere" / "film.gif", 0.0, 0.5))
+    for speed in (0.01, float("nan"), float("inf")):
+        with pytest.raises(ViewError, match="pictures, expected at most 1500"):
+            write_film(the_run(), FilmOptions(tmp_path / "film.gif", speed=speed))
     assert list(tmp_path.iterdir()) == []
 
 
