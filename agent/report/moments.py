@@ -30,6 +30,11 @@ class Moment:
     grave: bool = False
 
     @property
+    def weighty(self) -> bool:
+        """A change of mode, or grave."""
+        return self.grave or "→" in self.text
+
+    @property
     def line(self) -> str:
         """For a list."""
         return f"{self.t:.2f} s {self.source}: {self.text}"
@@ -80,7 +85,6 @@ def marks(moments: Sequence[Moment], first: float, last: float, most: int = 6) -
     for moment in sorted(moments, key=lambda m: ("→" not in m.text, not m.grave, m.t)):
         label = moment.text.rpartition("→")[2].removeprefix("safety:").strip()
         clear = all(abs(moment.t - t) > _APART * (last - first) for t in found.values())
-        named = "→" in moment.text or moment.grave
-        if named and clear and label not in found and first <= moment.t <= last and len(found) < most:
+        if moment.weighty and clear and label not in found and first <= moment.t <= last and len(found) < most:
             found[label] = moment.t
     return tuple(sorted((t, label) for label, t in found.items()))

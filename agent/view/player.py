@@ -38,7 +38,7 @@ class Player:
         self._factor, self._row, self._marked = 1.0, -1, -1
         self._wish = threading.Condition()
         self._wanted_s: float | None = float(self._t[0])
-        self._started: tuple[float, float] | None = None  # playing: the wall's time and the run's when it began
+        self._started: tuple[float, float] | None = None  # playing: the wall's time and the run's at the last picture
         self._marked_s = self._now()
         self._build(server)
 
@@ -78,7 +78,11 @@ class Player:
                 self._wish.wait(1.0 / PLAY_HZ)
             t, self._wanted_s, started = self._wanted_s, None, self._started
         if t is None and started is not None:
-            t = min(started[1] + (self._now() - started[0]) * SPEEDS[self._speed.value], float(self._t[-1]))
+            now = self._now()
+            t = min(started[1] + (now - started[0]) * SPEEDS[self._speed.value], float(self._t[-1]))
+            with self._wish:
+                if self._started is started:  # nobody paused or wished meanwhile
+                    self._started = now, t
         if t is not None:
             self._show(self._staged.motion.row_at(t))
         if started is not None and self._row == len(self._t) - 1:

@@ -56,8 +56,9 @@ def modes_at(motion: Motion, row: int) -> str:
 
 
 def status_text(motion: Motion, row: int, moments: Sequence[Moment] = ()) -> str:
-    """What is said of an instant: its time, the modes, what happened just before."""
-    told = "".join(f" · {moment.source}: {shortened(moment.text)}" for moment in moments[:2])
+    """What is said of an instant: its time, the modes, and what of weight happened just before."""
+    weighty = [moment for moment in moments if moment.weighty]
+    told = "".join(f" · {moment.source}: {shortened(moment.text)}" for moment in weighty[:2])
     return f"t = {motion.t[row]:.1f} s · {modes_at(motion, row)}{told}"
 
 

@@ -91,6 +91,9 @@ def test_it_plays_at_the_pace_of_the_run_and_ends(player: Player, clock: Clock) 
     assert player._slider.value == pytest.approx(0.5)
     assert "mode TRACK → HOLD" in player._words.content
     player._speed.value = "4"
+    clock.s += 0.1
+    player.step()
+    assert place(player, OBJECT) == pytest.approx(staged().motion.object[18, :3])
     clock.s += 100.0
     player.step()
     assert place(player, OBJECT) == pytest.approx(staged().motion.object[-1, :3])

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from agent.report.moments import Moment
 from agent.report.prepared import Prepared, prepare
 from agent.view.arm import ViewError
 from agent.view.camera import Camera, camera_for
@@ -153,6 +154,12 @@ def test_the_caption_says_time_and_modes() -> None:
     motion = stage(prepare(log), 20.0).motion
     assert status_text(motion, 0) == "t = 0.0 s · TRACK"
     assert status_text(motion, 30) == "t = 1.5 s · left HOLD, right TRACK"
+    told = [
+        Moment(0.0, "left", "torque on"),
+        Moment(0.0, "left", "mode TRACK → HOLD"),
+        Moment(0.0, "left", 60 * "x", True),
+    ]
+    assert status_text(motion, 0, told) == f"t = 0.0 s · TRACK · left: mode TRACK → HOLD · left: {39 * 'x'}…"
     log.agents["right"] = log.agents["right"][:100]
     assert modes_at(stage(prepare(log), 20.0).motion, 39) == "left HOLD, right TRACK (no row)"
 
