@@ -41,10 +41,11 @@ class Schedule:
 
     period_ns: int
     ticks: int  # of the trajectory, from its zero on
-    lockstep: bool  # simulated time: the trajectory's zero is the first tick
+    lockstep: bool  # simulated time: the trajectory's zero is ready_ns after the first tick
     hold_after_stale: int  # cycles in a row without a fresh state, after which the object is held
     fault_after_stale: int  # and after which the arm is given up: its servos' own watchdog has fired by then
     hold_at_end: bool  # after the last tick hold the object until an operator releases it (real arms)
+    ready_ns: int = 0  # lockstep: how long the arm waits for the common start
 
 
 @dataclass(frozen=True)
@@ -92,7 +93,7 @@ class Runner:
         self._around = around
         self._memory: Memory = initial_memory(agent)
         self._outcome: Outcome | None = None  # of the last tick with a fresh state
-        self._mode = Mode.TRACK if schedule.lockstep else Mode.READY
+        self._mode = Mode.TRACK if schedule.lockstep and not schedule.ready_ns else Mode.READY
         self._reason = ""
         self._rows = 0
         self._late_cycles = 0
@@ -101,7 +102,7 @@ class Runner:
         self._tick = 0  # of the period since the phase
         self._phase_ns = clock.now_ns()  # instant of tick 0
         self._utc_offset_ns = clock.utc_offset_ns
-        self._zero_ns = self._phase_ns + (0 if schedule.lockstep else NOT_YET_NS)
+        self._zero_ns = self._phase_ns + (schedule.ready_ns if schedule.lockstep else NOT_YET_NS)
         self._tracking_since_ns: int | None = None
         self._tracked_s = 0.0
 

@@ -16,6 +16,7 @@ from agent.config.reading import ConfigError, override, parse, read_file, shippe
 from agent.config.schema.arm import ArmFile, ServoJoint
 from agent.config.schema.cell import Arm as ArmEntry
 from agent.config.schema.cell import CellFile
+from agent.config.schema.tolerance import Tolerance
 from agent.config.schema.types import nearest
 from agent.config.urdf import text_of_urdf
 from agent.control.trajectory import Trajectory
@@ -83,6 +84,11 @@ class CellFiles:
     def gravity(self) -> Vector:
         """(3,) m/s², world axes."""
         return np.array(self.file.world.gravity_m_per_s2)
+
+    @property
+    def tolerance(self) -> Tolerance:
+        """How far reality may be from these files."""
+        return self.file.tolerance
 
     @property
     def period_ns(self) -> int:

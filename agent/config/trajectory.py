@@ -13,6 +13,7 @@ from agent.config.reading import ConfigError, read_file, shown
 from agent.config.schema.cell import CellFile
 from agent.config.schema.trajectory import FourierSpec, PoseFileSpec, RestToRestSpec, SinusoidSpec
 from agent.control.trajectory import Sinusoid, Trajectory
+from agent.control.trajectory_ease import Eased
 from agent.control.trajectory_file import SpeedLimits, read
 from agent.control.trajectory_fourier import Fourier, Term
 from agent.control.trajectory_rest import RestToRest
@@ -25,7 +26,8 @@ def build(file: CellFile) -> Trajectory:
     """The desired motion of the object.  Raises TrajectoryError."""
     t = file.trajectory
     if isinstance(t, SinusoidSpec):
-        return Sinusoid(t.p_centre_m, t.p_amplitude_m, t.quat_centre, t.axis, t.angle_rad, t.period_s)
+        motion = Sinusoid(t.p_centre_m, t.p_amplitude_m, t.quat_centre, t.axis, t.angle_rad, t.period_s)
+        return Eased(motion, t.ramp_s) if t.ramp_s else motion
     if isinstance(t, RestToRestSpec):
         return RestToRest(t.p_from_m, t.quat_from, t.p_to_m, t.quat_to, t.move_s, t.wait_s, t.and_back)
     if isinstance(t, PoseFileSpec):

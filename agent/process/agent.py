@@ -140,6 +140,7 @@ def _schedule(cell: Cell, options: AgentOptions) -> Schedule:
         hold_after_stale=round(EMULATED_PATIENCE_S * rate_hz) if emulated else STALE_TO_HOLD,
         fault_after_stale=round((EMULATED_PATIENCE_S if emulated else WATCHDOG_S) * rate_hz),
         hold_at_end=options.hold,
+        ready_ns=round(cell.file.simulation.ready_s * rate_hz) * cell.period_ns,
     )
 
 

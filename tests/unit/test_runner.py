@@ -31,6 +31,20 @@ def test_the_start_pose_is_held_until_the_common_instant() -> None:
     assert len(rows[~ready]) == 20
 
 
+def test_in_lockstep_the_arm_waits_as_long_as_the_schedule_says() -> None:
+    done = run(start_ns=lambda *_: None, lockstep=True, ready_ns=6 * period_ns())
+    assert done.modes == [Mode.TRACK]
+    assert done.of(Mode.READY)["t"] == pytest.approx(1e-9 * period_ns() * np.arange(-6, 0))
+    assert done.of(Mode.TRACK)["t"] == pytest.approx(1e-9 * period_ns() * np.arange(20))
+    assert done.of(Mode.READY)["e_p"] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_in_lockstep_without_a_wait_the_first_tick_is_the_trajectorys() -> None:
+    done = run(start_ns=lambda *_: None, lockstep=True)
+    assert done.modes == []
+    assert done.rows["t"] == pytest.approx(1e-9 * period_ns() * np.arange(20))
+
+
 def test_without_a_start_the_arm_goes_on_holding_its_start_pose() -> None:
     done = run(lambda reads: Event.STOP | Event.RELEASED if reads > 40 else Event.NONE, start_ns=lambda *_: None)
     assert done.modes == [Mode.HOLD, Mode.OFF]

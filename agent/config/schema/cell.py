@@ -14,6 +14,7 @@ from agent.config.schema.arm import Baud
 from agent.config.schema.controller import Controller
 from agent.config.schema.coordination import NoticingSpec
 from agent.config.schema.simulation import Simulation
+from agent.config.schema.tolerance import Tolerance
 from agent.config.schema.trajectory import TrajectorySpec
 from agent.config.schema.types import (
     AS_LIST,
@@ -210,6 +211,7 @@ class CellFile(Strict):
     trajectory: TrajectorySpec
     controller: Controller
     safety: Safety = Safety()
+    tolerance: Tolerance = Tolerance()
     simulation: Simulation = Simulation()
     report: Report
     embedded: dict[str, str] = Field(default_factory=dict)  # text of the files the cell names, added while loading

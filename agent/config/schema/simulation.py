@@ -52,6 +52,7 @@ class Grasp(Strict):
 class Simulation(Strict):
     """The simulated cell; what an agent does, and whether a cell may start, does not depend on it."""
 
+    ready_s: Annotated[float, Field(ge=0.0, le=60.0)] = 0.0  # lockstep: the arms wait so long before the common start
     substeps_per_cycle: Annotated[int, Field(ge=1, le=200)] = 5
     observe_rate_hz: Annotated[float, Field(ge=0.01, le=2000.0)] = 50.0  # of the truth in the log
     friction_smooth_rad_per_s: Smoothing = 0.01

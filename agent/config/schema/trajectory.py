@@ -35,6 +35,7 @@ class SinusoidSpec(Strict):
     axis: UnitVector
     angle_rad: Angle
     period_s: Duration
+    ramp_s: Instant = 0.0  # the motion begins at rest and has its speed after so long; 0: at once, as the paper's
 
 
 class RestToRestSpec(Strict):

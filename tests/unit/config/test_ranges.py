@@ -50,6 +50,19 @@ RANGES: list[tuple[str, float | None, float | None]] = [
     ("simulation.observe_rate_hz", 0.01, 2000.0),
     ("simulation.friction_smooth_rad_per_s", 1e-4, 10.0),
     ("simulation.object_mass_error", -0.99, 10.0),
+    ("tolerance.base_m", 0.0, 0.1),
+    ("tolerance.base_rad", 0.0, 0.2),
+    ("tolerance.grasp_m", 0.0, 0.1),
+    ("tolerance.grasp_rad", 0.0, 0.2),
+    ("tolerance.zeros_rad", 0.0, 0.2),
+    ("tolerance.masses", 0.0, 0.9),
+    ("tolerance.object", 0.0, 0.9),
+    ("tolerance.object_centre_m", 0.0, 0.1),
+    ("tolerance.torque_constant", 0.0, 0.9),
+    ("tolerance.pads_N_per_m", 10.0, 1e8),
+    ("tolerance.pads_Nm_per_rad", 0.01, 1e6),
+    ("tolerance.pads_damping_ratio", 0.0, 10.0),
+    ("tolerance.skew_s", 0.0, 1.0),
     ("report.transient_s", 0.0, 1e6),
     ("report.max_position_error_m", None, 100.0),
     ("report.max_attitude_error_rad", None, math.pi),
@@ -68,7 +81,9 @@ FOURIER: list[tuple[str, float | None, float | None]] = [
     ("trajectory.frequency_max_hz", None, 50.0),
 ]
 LENGTHS = {"size_m": 3, "p_start_m": 3, "p_amplitude_m": 3, "q_near_rad": 3, "p_world_base_m": 3} | {
-    "internal_wrench_N_Nm": 6
+    "internal_wrench_N_Nm": 6,
+    "pads_N_per_m": 2,
+    "pads_Nm_per_rad": 2,
 }
 
 

@@ -1,0 +1,65 @@
+"""What may stand under `[tolerance]` of a cell file: how far reality may be from what the cell's files say.
+
+Every key is the largest error to be lived with, in both directions where a sign makes sense.  The gains are judged by
+it (`coop check`, `coop tune`); neither an agent nor the simulated plant reads it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Final
+
+from pydantic import AfterValidator, Field
+
+from agent.config.schema.types import AS_LIST, Strict
+
+ZEROS_PLANAR_RAD: Final = math.radians(0.5)
+ZEROS_SPATIAL_RAD: Final = math.radians(0.1)  # six joints add up what three do not
+PLANAR_JOINTS: Final = 3  # three controlled joints move an arm in a plane, more do not (agent.control.models)
+
+
+def _ascending(value: tuple[float, float]) -> tuple[float, float]:
+    if value[0] > value[1]:
+        raise ValueError("a range from low to high")
+    return value
+
+
+def _around_one(value: tuple[float, float]) -> tuple[float, float]:
+    if not value[0] <= 1.0 <= value[1]:
+        raise ValueError("a range with 1 in it, which is what the files say")
+    return _ascending(value)
+
+
+Distance = Annotated[float, Field(ge=0.0, le=0.1)]
+Turn = Annotated[float, Field(ge=0.0, le=0.2)]
+Part = Annotated[float, Field(ge=0.0, le=0.9)]  # of what the files say
+Times = Annotated[float, Field(ge=0.0, le=10.0)]  # what the files say
+Factors = Annotated[tuple[Times, Times], AS_LIST, AfterValidator(_around_one)]
+Linear = Annotated[float, Field(ge=10.0, le=1e8)]  # as of [simulation.grasp]
+Angular = Annotated[float, Field(ge=0.01, le=1e6)]
+
+
+class Tolerance(Strict):
+    """Errors of a cell that check, tune and study count with."""
+
+    base_m: Distance = 1e-3  # where a base stands
+    base_rad: Turn = math.radians(0.5)
+    grasp_m: Distance = 2e-3  # where a gripper holds the object
+    grasp_rad: Turn = 0.0
+    zeros_rad: Turn | None = None  # of each joint; None: 0.5° of a planar arm, 0.1° of any other
+    masses: Part = 0.1  # of the links of an arm
+    object: Part = 0.2  # of the object's mass and inertia
+    object_centre_m: Distance = 0.0  # the object's centre of mass beside its frame
+    friction: Factors = (0.6, 1.5)  # of the servos
+    torque_constant: Part = 0.1  # of each servo
+    pads_N_per_m: Annotated[tuple[Linear, Linear], AS_LIST, AfterValidator(_ascending)] = (1e3, 1e6)
+    pads_Nm_per_rad: Annotated[tuple[Angular, Angular], AS_LIST, AfterValidator(_ascending)] = (5.0, 1e3)
+    pads_damping_ratio: Annotated[float, Field(ge=0.0, le=10.0)] = 0.25  # of an arm that swings on its pad
+    delay: Factors = (0.8, 1.25)  # of the loop, from a sample to its torque
+    skew_s: Annotated[float, Field(ge=0.0, le=1.0)] = 5e-3  # between the starts of two arms
+
+    def zeros_of(self, joints: int) -> float:
+        """Error of the zero of each joint of an arm with so many controlled joints, rad."""
+        if self.zeros_rad is not None:
+            return self.zeros_rad
+        return ZEROS_PLANAR_RAD if joints <= PLANAR_JOINTS else ZEROS_SPATIAL_RAD
