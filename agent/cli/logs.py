@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -24,15 +24,20 @@ from agent.cli.options import (
 )
 from agent.cli.progress import Steps
 
+if TYPE_CHECKING:
+    from agent.log.read import AnyLog
+
 
 def report(
     log: LogPath,
     out: Annotated[Path | None, typer.Option(help="Folder of the report (default: beside the log).")] = None,
+    view: Annotated[bool, typer.Option("--view", help="Also view.html, the run in 3D (some seconds).")] = False,
     force: Force = False,
 ) -> None:
     """Make the figures, the page and results.json from a log alone; its own earlier report is replaced."""
     from agent.log.read import open_log
     from agent.report.report import keep_other_reports, terminal_table, write_report
+    from agent.view.film import still
 
     folder = out or log.parent
     if not force:
@@ -41,35 +46,79 @@ def report(
         step("reading the log")
         with open_log(log) as opened:
             step("drawing")
-            files = write_report(opened, folder)
+            files = write_report(opened, folder, still)
+            if view:
+                step("drawing in 3D")
+                _write_view(opened, folder)
     console().print(terminal_table(files.results))
     typer.echo(f"report   {files.html}")
 
 
+def _require_some(logs: list[Path], most: int) -> None:
+    from agent.report.compare import CompareError
+
+    if not 2 <= len(logs) <= most:
+        raise CompareError("coop compare", found=f"{len(logs)} logs", expected=f"2 to {most}", remedy="name so many")
+
+
+def _refuse_to_replace(file: Path) -> None:
+    from agent.report.compare import CompareError
+
+    raise CompareError(f"{file} is there", found="a file", expected="none", remedy="name another one, or give --force")
+
+
+def _write_view(log: AnyLog, folder: Path) -> None:
+    from agent.report.prepared import prepare
+    from agent.view.need import need_viser
+
+    need_viser()
+    from agent.view.html import write_html
+
+    write_html(prepare(log), folder / "view.html")
+
+
 def compare(
-    first: Annotated[Path, typer.Argument(metavar="A", help="MCAP log.", show_default=False)],
-    second: Annotated[Path, typer.Argument(metavar="B", help="MCAP log.", show_default=False)],
+    logs: Annotated[list[Path], typer.Argument(metavar="A B [C ...]", help="MCAP logs.", show_default=False)],
+    html: Annotated[Path | None, typer.Option(help="Also write a page.")] = None,
+    force: Force = False,
     as_json: AsJson = False,
 ) -> None:
-    """Say which figures of two logs differ, and which log has the better ones."""
+    """Say which figures and settings of logs differ, and which log has the better ones, each against the first."""
     from agent.log.read import open_log
     from agent.report.compare import compare as differences
     from agent.report.compare import comparison_table
-    from agent.report.metrics import summarise
+    from agent.report.metrics import summarise_prepared
+    from agent.report.prepared import prepare
+    from agent.report.settings import settings_of, settings_table
+    from agent.report.shown import LETTERS, ComparedRun, error_series
 
-    results = []
+    _require_some(logs, len(LETTERS))
+    if html is not None and html.exists() and not force:
+        _refuse_to_replace(html)
+    runs = []
     with Steps() as step:
-        for log in (first, second):
+        for log in logs:
             step(f"reading {log}")
             with open_log(log) as opened:
-                results.append(summarise(opened))
-    a, b = results
+                run = prepare(opened)
+                runs.append(ComparedRun(log, summarise_prepared(run), settings_of(opened), error_series(run)))
+        if html is not None:
+            from agent.report.compare_page import write_comparison
+
+            step("drawing")
+            write_comparison(runs, html)
     if as_json:
         from agent.cli.documents import compare_document
 
-        print_json(compare_document(a, b, differences(a, b), (first, second)))
-    else:
-        console().print(comparison_table(a, b, differences(a, b)))
+        print_json(compare_document(runs))
+        return
+    first = runs[0].results
+    for letter, other in zip(LETTERS[1:], runs[1:], strict=False):
+        found = differences(first, other.results)
+        console().print(comparison_table(first, other.results, found, (LETTERS[0], letter)))
+    console().print(settings_table([run.settings for run in runs]))
+    if html is not None:
+        typer.echo(f"page     {html}")
 
 
 def identify(

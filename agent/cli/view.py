@@ -36,6 +36,7 @@ def view(
 ) -> None:
     """Show a run in 3D: arms, object, desired pose, forces, events; in a browser, or as a file."""
     from agent.view.arm import ViewError
+    from agent.view.need import need_viser
 
     if sum((live, html is not None, film is not None)) > 1:
         raise ViewError("coop view", found="several of --live, --html, --film", expected="one", remedy="call it twice")
@@ -44,10 +45,10 @@ def view(
     if film is not None:
         _film(what, film, start, end, speed)
     elif html is not None:
-        _need_viser()
+        need_viser()
         _html(what, html)
     else:
-        _need_viser()
+        need_viser()
         _serve(what, live, port, browser, connect, network_config, overrides)
 
 
@@ -56,18 +57,6 @@ def _keep(file: Path, force: bool) -> None:
 
     if file.exists() and not force:
         raise ViewError(f"{file} is there", found="a file", expected="none", remedy="name another one, or give --force")
-
-
-def _need_viser() -> None:
-    from importlib.util import find_spec
-
-    from agent.view.arm import ViewError
-
-    if find_spec("viser") is None:
-        raise ViewError(
-            "the page needs viser", found="none", expected="the extra `view`",
-            remedy="pip install 'widowx-coop[view]'; --film works without it",
-        )  # fmt: skip
 
 
 def _film(log: Path, film: Path, start: float, end: float | None, speed: float) -> None:

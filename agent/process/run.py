@@ -16,6 +16,7 @@ from agent.report.report import write_report
 from agent.report.results import Results
 from agent.telemetry.link.session import FREE_PORT
 from agent.verify.check import examine
+from agent.view.film import still
 
 
 @dataclass(frozen=True)
@@ -75,6 +76,6 @@ def run_cell(options: RunOptions, stop: Callable[[], bool], progress: Progress) 
         shutil.rmtree(runtime, ignore_errors=True)
     progress.phase("report")
     with open_log(log) as opened:
-        report = write_report(opened, out)
+        report = write_report(opened, out, still)
     progress.phase("done")
     return RunOutcome(log, report.html, report.results, interrupted, report.results.within_bounds)

@@ -17,6 +17,7 @@ from agent.view.staged import stage
 STILL_PX: Final = (1008, 560)
 FILM_PX: Final = (640, 340)
 FILM_HZ: Final = 12.5  # pictures a second of the film: a multiple of GIF's 10 ms
+FILM_MAX: Final = 1500  # pictures: some minutes of drawing
 _COLOURS: Final = 96  # of a GIF
 FORMATS: Final = {".gif": "GIF", ".webp": "WEBP", ".png": "PNG"}
 
@@ -50,7 +51,13 @@ def write_film(run: Prepared, options: FilmOptions) -> int:
             "format of the film", found=options.path.name, expected=" or ".join(f"NAME{end}" for end in FORMATS),
             remedy="name it so",
         )  # fmt: skip
-    end_s = math.inf if options.end_s is None else options.end_s
+    end_s = run.info.duration_s if options.end_s is None else options.end_s
+    count = (min(end_s, run.info.duration_s) - options.begin_s) * FILM_HZ / options.speed
+    if not (math.isfinite(options.speed) and options.speed > 0.0) or count > FILM_MAX:
+        raise ViewError(
+            f"film at {options.speed:g} times the pace", found=f"{count:.0f} pictures", expected=f"at most {FILM_MAX}",
+            remedy="show less of the run with --from and --to, or a faster --speed",
+        )  # fmt: skip
     staged = stage(run, FILM_HZ / options.speed, options.begin_s, end_s)
     camera = staged.camera(FILM_PX)
     more = f" · {options.speed:g} times as fast" if options.speed != 1.0 else ""

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
+from agent.report.moments import around, moments_of
 from agent.report.prepared import Prepared
 from agent.view.arm import ViewError
 from agent.view.browser import Nodes, Server
-from agent.view.moments import around, moments_of
 from agent.view.motion import PICTURES_HZ
 from agent.view.staged import stage, status_text
 

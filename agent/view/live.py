@@ -32,6 +32,7 @@ from agent.view.scene import Scene
 from agent.view.staged import legend, status_text
 
 PICTURES_HZ: Final = 30.0
+LIVE_PX: Final = (880, 720)  # beside the controls
 FORCE_N: Final = 6.0  # an arrow of this force has full length
 CURVES_S: Final = 20.0  # how far back the curves go
 CURVES_HZ: Final = 10.0  # instants of the curves; they are sent twice a second
@@ -112,7 +113,7 @@ class LivePage:
     def __init__(self, server: viser.ViserServer, drawing: CellDrawing, start: Motion) -> None:
         self.scene = Scene(drawing, force_N=FORCE_N, internal_N=FORCE_N)
         points = self.scene.points(self.scene.place(start), 0)
-        self._nodes = Nodes(server, self.scene, camera_for(self.scene, points, 880 / 720))
+        self._nodes = Nodes(server, self.scene, camera_for(self.scene, points, LIVE_PX[0] / LIVE_PX[1]))
         self._words = server.gui.add_markdown("Waiting for the first row of an arm.")
         self._server, self._plots = server, list[Plot]()
         server.gui.add_markdown(legend(self.scene))

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Final
 
 from agent.log.read import open_log
+from agent.report.moments import moments_of
 from agent.report.prepared import prepare
 from agent.view.browser import Nodes, Server
-from agent.view.moments import moments_of
 from agent.view.motion import PICTURES_HZ
 from agent.view.player import Player
 from agent.view.staged import stage

@@ -12,14 +12,12 @@ from typing import Final
 
 import viser
 
+from agent.report.moments import Moment, around, marks
 from agent.view.browser import Nodes
 from agent.view.curves import curves_of
-from agent.view.moments import Moment, around
 from agent.view.plots import Plot
 from agent.view.staged import Staged, legend, status_text
 
-MARKS_APART: Final = 0.14  # of the slider
-MARKS_MAX: Final = 6  # on the slider; the list below it has all
 EXAGGERATIONS: Final = {"as they were": 1.0, "10 times": 10.0, "100 times": 100.0}
 SPEEDS: Final = {"1/4": 0.25, "1": 1.0, "4": 4.0, "16": 16.0}
 PLAY_HZ: Final = 30.0
@@ -40,7 +38,7 @@ class Player:
         self._factor, self._row, self._marked = 1.0, -1, -1
         self._wish = threading.Condition()
         self._wanted_s: float | None = float(self._t[0])
-        self._started: tuple[float, float] | None = None  # playing: the wall's time and the run's when it began
+        self._started: tuple[float, float] | None = None  # playing: the wall's time and the run's at the last picture
         self._marked_s = self._now()
         self._build(server)
 
@@ -80,7 +78,11 @@ class Player:
                 self._wish.wait(1.0 / PLAY_HZ)
             t, self._wanted_s, started = self._wanted_s, None, self._started
         if t is None and started is not None:
-            t = min(started[1] + (self._now() - started[0]) * SPEEDS[self._speed.value], float(self._t[-1]))
+            now = self._now()
+            t = min(started[1] + (now - started[0]) * SPEEDS[self._speed.value], float(self._t[-1]))
+            with self._wish:
+                if self._started is started:  # nobody paused or wished meanwhile
+                    self._started = now, t
         if t is not None:
             self._show(self._staged.motion.row_at(t))
         if started is not None and self._row == len(self._t) - 1:
@@ -121,15 +123,3 @@ class Player:
             self._placed, row = placed, max(self._row, 0)
             self._row, self._wanted_s = -1, float(self._t[row])
             self._wish.notify()
-
-
-def marks(moments: Sequence[Moment], first: float, last: float) -> tuple[tuple[float, str], ...]:
-    """What stands on the slider, each once, nothing over its neighbour: changes of mode first, then what is grave."""
-    found: dict[str, float] = {}
-    for moment in sorted(moments, key=lambda m: ("→" not in m.text, not m.grave, m.t)):
-        label = moment.text.rpartition("→")[2].removeprefix("safety:").strip()
-        clear = all(abs(moment.t - t) > MARKS_APART * (last - first) for t in found.values())
-        named = "→" in moment.text or moment.grave
-        if named and clear and label not in found and first <= moment.t <= last and len(found) < MARKS_MAX:
-            found[label] = moment.t
-    return tuple(sorted((t, label) for label, t in found.items()))

@@ -10,12 +10,12 @@ import numpy as np
 from PIL import Image
 
 from agent.modes import Mode
+from agent.report.moments import Moment
 from agent.report.prepared import Prepared
 from agent.view.arm import ViewError
 from agent.view.camera import Camera, camera_for
 from agent.view.draw import picture
 from agent.view.drawing import drawing_of_log
-from agent.view.moments import Moment
 from agent.view.motion import Motion, motion_of
 from agent.view.scene import Placed, Scene
 
@@ -56,8 +56,9 @@ def modes_at(motion: Motion, row: int) -> str:
 
 
 def status_text(motion: Motion, row: int, moments: Sequence[Moment] = ()) -> str:
-    """What is said of an instant: its time, the modes, what happened just before."""
-    told = "".join(f" · {moment.source}: {shortened(moment.text)}" for moment in moments[:2])
+    """What is said of an instant: its time, the modes, and what of weight happened just before."""
+    weighty = [moment for moment in moments if moment.weighty]
+    told = "".join(f" · {moment.source}: {shortened(moment.text)}" for moment in weighty[:2])
     return f"t = {motion.t[row]:.1f} s · {modes_at(motion, row)}{told}"
 
 

@@ -41,6 +41,11 @@ class Page:
         self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
 
     def call(self, method: str, **params: Any) -> Any:
+        answer = self._ask(method, **params)
+        assert "error" not in answer, answer
+        return answer["result"]
+
+    def _ask(self, method: str, **params: Any) -> Any:
         self._number += 1
         self._socket.send(json.dumps({"id": self._number, "method": method, "params": params}))
         while True:
@@ -48,8 +53,7 @@ class Page:
             if answer.get("method") == "Network.requestWillBeSent":
                 self.requests.append(answer["params"]["request"]["url"])
             if answer.get("id") == self._number:
-                assert "error" not in answer, answer
-                return answer["result"]
+                return answer
 
     def open(self, url: str) -> None:
         self.call("Page.navigate", url=url)
@@ -58,9 +62,11 @@ class Page:
         return self.call("Runtime.evaluate", expression=script, returnByValue=True)["result"].get("value")
 
     def picture(self) -> Pixels:
-        """Height × width × 3."""
-        data = base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
-        return np.asarray(Image.open(io.BytesIO(data)).convert("RGB"))
+        """Height × width × 3; black while the browser goes from one page to the next."""
+        answer = self._ask("Page.captureScreenshot", format="png")
+        if "error" in answer:
+            return np.zeros((*self._size[::-1], 3), np.uint8)
+        return np.asarray(Image.open(io.BytesIO(base64.b64decode(answer["result"]["data"]))).convert("RGB"))
 
     def wait(self, good: Callable[[Pixels], bool], timeout_s: float = 90.0) -> Pixels:
         """The first picture that is good; the last one when there was none in time."""

@@ -170,19 +170,49 @@ def test_compare_gives_every_figure_of_both(two_logs: None) -> None:
     assert (done.code, done.err) == (0, "")
     found = document(done)
     run = {"log": "str", "cell": "str", "fingerprint": "str", "driver": "str", "rate_hz": "float"}
-    figures = found.pop("figures")
+    figures, settings = found.pop("figures"), found.pop("settings")
+    assert found.pop("runs") == [found["a"], found["b"]]
     assert shape(found) == {"schema": "int", "a": run, "b": run}
+    assert settings == []
     assert (found["a"]["log"], found["b"]["log"]) == ("a.mcap", "b.mcap")
     by_name = {figure["name"]: figure for figure in figures}
     assert len(by_name) == len(figures) > 100
-    assert all(set(f) == {"name", "unit", "a", "b", "relative", "change"} for f in figures)
+    assert all(set(f) == {"name", "unit", "a", "b", "relative", "change", "values", "changes"} for f in figures)
     assert {f["change"] for f in figures} <= {change.name.lower() for change in Change}
     largest = by_name["max_position_error_m"]
     assert largest["change"] == "worse"
+    assert largest["values"] == [largest["a"], largest["b"]]
+    assert largest["changes"] == ["same", "worse"]
     assert largest["relative"] == pytest.approx(largest["b"] / largest["a"] - 1.0)
     assert by_name["arms.left.load_share_realised"]["change"] == "gone"
     assert by_name["arms.left.load_share_realised"]["b"] is None
     assert by_name["rms_position_error_m"]["unit"] == "m"
+
+
+def test_compare_holds_several_logs_against_the_first(two_logs: None) -> None:
+    found = document(coop("compare", "b.mcap", "a.mcap", "b.mcap", "--json"))
+    assert [run["log"] for run in found["runs"]] == ["b.mcap", "a.mcap", "b.mcap"]
+    by_name = {figure["name"]: figure for figure in found["figures"]}
+    largest = by_name["max_position_error_m"]
+    assert largest["changes"] == ["same", "better", "same"]
+    assert largest["values"][0] == largest["values"][2] != largest["values"][1]
+    assert by_name["arms.left.load_share_realised"]["changes"] == ["same", "appeared", "same"]
+
+
+def test_one_log_is_nothing_to_compare(two_logs: None) -> None:
+    done = coop("compare", "a.mcap")
+    assert done.code == 2
+    assert "found 1 logs, expected 2 to 26" in done.err
+
+
+def test_a_comparison_is_a_page_that_is_not_written_over(two_logs: None, tmp_path: Path) -> None:
+    page = tmp_path / "compare.html"
+    assert coop("compare", "a.mcap", "b.mcap", "--html", page).code == 0
+    assert "2 runs of paper" in page.read_text()
+    again = coop("compare", "a.mcap", "b.mcap", "--html", page)
+    assert again.code == 2
+    assert "compare.html is there" in again.err
+    assert coop("compare", "a.mcap", "b.mcap", "--html", page, "--force").code == 0
 
 
 def test_compare_cuts_no_name_where_there_is_no_terminal(two_logs: None) -> None:

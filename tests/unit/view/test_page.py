@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from agent.report.moments import Moment, around, marks, moments_of
 from agent.report.prepared import prepare
 from agent.telemetry.row.event import Event, Level
 from agent.view.arm import ViewError
 from agent.view.curves import BEYOND, Curve, curves_of, thinned
-from agent.view.moments import Moment, around, moments_of
 from agent.view.scene import DESIRED, OBJECT, Placed
 from agent.view.staged import Staged, legend, stage
 from tests.support.view_run import view_log
@@ -23,7 +23,7 @@ viser = pytest.importorskip("viser", reason="the extra `view` is not installed")
 
 from agent.view.browser import Nodes, Server  # noqa: E402 (these need viser)
 from agent.view.html import VIEW_PX, write_html  # noqa: E402
-from agent.view.player import CURVES_S, Player, marks  # noqa: E402
+from agent.view.player import CURVES_S, Player  # noqa: E402
 from agent.view.plots import needle  # noqa: E402
 
 UTC_0 = 1_800_000_000_000_000_000
@@ -91,6 +91,9 @@ def test_it_plays_at_the_pace_of_the_run_and_ends(player: Player, clock: Clock) 
     assert player._slider.value == pytest.approx(0.5)
     assert "mode TRACK → HOLD" in player._words.content
     player._speed.value = "4"
+    clock.s += 0.1
+    player.step()
+    assert place(player, OBJECT) == pytest.approx(staged().motion.object[18, :3])
     clock.s += 100.0
     player.step()
     assert place(player, OBJECT) == pytest.approx(staged().motion.object[-1, :3])

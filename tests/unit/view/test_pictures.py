@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from agent.report.moments import Moment
 from agent.report.prepared import Prepared, prepare
 from agent.view.arm import ViewError
 from agent.view.camera import Camera, camera_for
@@ -141,6 +142,9 @@ def test_a_film_of_nothing_or_of_another_kind_is_refused(tmp_path: Path) -> None
         write_film(the_run(), FilmOptions(tmp_path / "film.gif", 5.0, 6.0))
     with pytest.raises(ViewError, match="No such file"):
         write_film(the_run(), FilmOptions(tmp_path / "nowhere" / "film.gif", 0.0, 0.5))
+    for speed in (0.01, float("nan"), float("inf")):
+        with pytest.raises(ViewError, match="pictures, expected at most 1500"):
+            write_film(the_run(), FilmOptions(tmp_path / "film.gif", speed=speed))
     assert list(tmp_path.iterdir()) == []
 
 
@@ -150,6 +154,12 @@ def test_the_caption_says_time_and_modes() -> None:
     motion = stage(prepare(log), 20.0).motion
     assert status_text(motion, 0) == "t = 0.0 s · TRACK"
     assert status_text(motion, 30) == "t = 1.5 s · left HOLD, right TRACK"
+    told = [
+        Moment(0.0, "left", "torque on"),
+        Moment(0.0, "left", "mode TRACK → HOLD"),
+        Moment(0.0, "left", 60 * "x", True),
+    ]
+    assert status_text(motion, 0, told) == f"t = 0.0 s · TRACK · left: mode TRACK → HOLD · left: {39 * 'x'}…"
     log.agents["right"] = log.agents["right"][:100]
     assert modes_at(stage(prepare(log), 20.0).motion, 39) == "left HOLD, right TRACK (no row)"
 

@@ -16,6 +16,7 @@ from agent.log.columns import Table
 from agent.report.prepared import Prepared
 from agent.telemetry.row.event import Event, Level
 
+_APART: Final = 0.14  # of the axis
 _SAME_PACE: Final = 0.02  # relative: a run that took as long by the wall as by its own time kept the wall's pace
 
 
@@ -27,6 +28,11 @@ class Moment:
     source: str
     text: str
     grave: bool = False
+
+    @property
+    def weighty(self) -> bool:
+        """A change of mode, or grave."""
+        return self.grave or "→" in self.text
 
     @property
     def line(self) -> str:
@@ -71,3 +77,14 @@ def _by_the_wall(run: Prepared) -> bool:
         if run.info.driver == "sim" and isinstance(wall_s, int | float) and isinstance(ticks, int):
             return abs(wall_s * run.info.rate_hz / max(ticks, 1) - 1.0) < _SAME_PACE
     return run.info.driver != "sim"
+
+
+def marks(moments: Sequence[Moment], first: float, last: float, most: int = 6) -> tuple[tuple[float, str], ...]:
+    """What stands on a time axis, each once, nothing over its neighbour: changes of mode first, then what is grave."""
+    found: dict[str, float] = {}
+    for moment in sorted(moments, key=lambda m: ("→" not in m.text, not m.grave, m.t)):
+        label = moment.text.rpartition("→")[2].removeprefix("safety:").strip()
+        clear = all(abs(moment.t - t) > _APART * (last - first) for t in found.values())
+        if moment.weighty and clear and label not in found and first <= moment.t <= last and len(found) < most:
+            found[label] = moment.t
+    return tuple(sorted((t, label) for label, t in found.items()))
