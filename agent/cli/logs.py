@@ -137,7 +137,7 @@ def identify(
     from agent.identify.fit import Options
     from agent.identify.run import identify as identify_log
     from agent.identify.run import write
-    from agent.identify.show import estimates_table, residual_lines
+    from agent.identify.show import delay_line, estimates_table, friction_lines, residual_lines
 
     arms_dir = arms or configs.ARMS_DIR
     with Steps() as step:
@@ -145,7 +145,7 @@ def identify(
         step("writing")
         files = write(result, out or log.parent, arms_dir, replace=force)
     console().print(estimates_table(result))
-    typer.echo("\n".join(residual_lines(result)))
+    typer.echo("\n".join([*friction_lines(result), *residual_lines(result), delay_line(result)]))
     typer.echo(f"arm file {files.arm}\nfigure   {files.figure}\nall      {files.summary}")
 
 

@@ -12,6 +12,7 @@ moves when the low-pass does.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -22,21 +23,22 @@ from scipy.signal import butter, sosfiltfilt
 
 from agent.control.models import ArmModel
 from agent.identify.columns import Base, all_columns, base_of, described_parameters, object_torque
+from agent.identify.delay import Delay, measured
+from agent.identify.friction import CERTAIN, Choice, Columns, Term, choose, raw_columns, with_friction
 from agent.identify.recording import IdentifyError, Recording
+from agent.identify.solve import BLOCK_S, CONDITION_MAX, Part, least_squares
 from drivers.interface import Vector
 
 Matrix = NDArray[np.float64]
 
 FILTER_ORDER: Final = 4
 EDGE_PERIODS: Final = 5.0  # of the cut-off, left out at both ends
-BLOCK_ROWS: Final = 2048  # taken into the least squares at a time
 STRETCH_S: Final = 20.0  # filtered at a time, so that a long recording takes little more memory than a short one
 MARGIN_PERIODS: Final = 30.0  # of the cut-off, filtered with it on both sides: two filters forget what is beyond
 SAMPLES_PER_PERIOD: Final = 6  # of the cut-off, kept after filtering
-BLOCK_S: Final = 1.0
 BLOCKS_MIN: Final = 10
 OTHER_CUTOFF: Final = 0.6  # the second low-pass, relative to the first
-CONDITION_MAX: Final = 500.0
+DELAY_CUTOFF: Final = 0.4  # that of the delay
 USED_MIN: Final = 0.1  # share of the time that each joint moves fast enough, in each direction
 
 
@@ -47,16 +49,6 @@ class Options:
     cutoff_hz: float = 5.0
     slow_rad_per_s: float = 0.2  # slower than this a joint's friction is not the model's
     held_out: float = 1.0 / 3.0  # last part of the recording, for validation alone
-
-
-@dataclass(frozen=True)
-class Part:
-    """Equations of a stretch of time: columns @ parameters = tau where used."""
-
-    t: Vector  # (k,) s
-    columns: Matrix  # (k, n, b)
-    tau: Matrix  # (k, n) N·m, the object's share taken out
-    used: NDArray[np.bool_]  # (k, n)
 
 
 @dataclass(frozen=True)
@@ -73,6 +65,9 @@ class Fit:
     residual: Vector  # (n,) rms on the held-out part, N·m
     residual_described: Vector  # (n,) with the described parameters
     torque: Vector  # (n,) rms of the torque itself
+    choice: Choice  # of the friction model
+    sticking: tuple[Term, ...]  # (key of the arm file, joint) of the last of `value`, behind the base's
+    delay: Delay | None  # of the loop
 
 
 def fit(recording: Recording, options: Options) -> Fit:
@@ -81,13 +76,22 @@ def fit(recording: Recording, options: Options) -> Fit:
     base = base_of(model)
     train, held_out = _split(_equations(recording, model, base, options), options.held_out)
     _refuse_too_little(train, base, recording, options)
+    friction = _friction_columns(recording, options)
+    choice = choose(train.columns, train.tau, train.used, friction.some(slice(len(train.t))), CONDITION_MAX)
+    sticking, train = _certain(train, friction, choice)
     value, sigma, condition = least_squares(train)
     used = train.used.mean(axis=0)
+    delay = _delay(recording, model, base, options, choice, sticking)
     del train  # a long recording's are large
     slower = replace(options, cutoff_hz=OTHER_CUTOFF * options.cutoff_hz)
     other, _ = _split(_equations(recording, model, base, slower), options.held_out)
+    if sticking:
+        other = _joined(other, _friction_columns(recording, slower), choice, sticking)
+        held_out = _joined(held_out, friction.some(slice(-len(held_out.t), None)), choice, sticking)
     moved = least_squares(other)[0] - value
-    described = base.combination @ described_parameters(recording.arm, model)
+    described = np.concatenate(
+        [base.combination @ described_parameters(recording.arm, model), _described(recording, sticking)]
+    )
     return Fit(
         base=base,
         value=value,
@@ -99,59 +103,86 @@ def fit(recording: Recording, options: Options) -> Fit:
         residual=_rms(held_out, value),
         residual_described=_rms(held_out, described),
         torque=_rms(held_out, np.zeros_like(value)),
+        choice=choice,
+        sticking=sticking,
+        delay=delay,
     )
 
 
-def least_squares(part: Part) -> tuple[Vector, Vector, float]:
-    """Parameters (b,), their standard errors (b,), and the condition number of the scaled columns.
-
-    Joints are weighted by how well they fit.  Raises IdentifyError when the motion leaves a parameter undetermined.
-    """
-    count, n, b = part.columns.shape
-    weight = np.ones(n)
-    for _ in range(3):
-        triangle = _triangle(part, weight)
-        scale = np.maximum(np.linalg.norm(triangle[:, :b], axis=0), 1e-300)
-        condition = float(np.linalg.cond(triangle[:, :b] / scale))
-        _refuse_condition(condition)
-        value = np.linalg.lstsq(triangle[:, :b] / scale, triangle[:, b], rcond=None)[0] / scale
-        residual = (part.tau - part.columns @ value) * part.used
-        used_weight, weight = weight, np.sqrt(part.used.sum(axis=0) / np.maximum((residual**2).sum(axis=0), 1e-300))
-    scores = np.empty((count, b))
-    for some in _blocks(count):
-        scores[some] = np.einsum("kjb,kj->kb", part.columns[some], residual[some] * used_weight * weight)
-    inverse = np.linalg.inv(triangle[:, :b].T @ triangle[:, :b])
-    return value, np.sqrt(np.diag(inverse @ _covariance(scores, part.t) @ inverse)), condition
+def _joined(part: Part, friction: Columns, choice: Choice, sticking: Sequence[Term]) -> Part:
+    """The part with the chosen columns of friction, of the same samples, behind its own."""
+    columns = {name: column[: len(part.t)] for name, column in friction.of.items()}
+    return replace(part, columns=with_friction(part.columns, Columns(columns), choice.shape, sticking))
 
 
-def _triangle(part: Part, weight: Vector) -> Matrix:
-    """R (b + 1, b + 1) of the equations [columns, tau], weighted by joint (n,): all that least squares needs."""
-    found: Matrix = np.empty((0, part.columns.shape[2] + 1))
-    for some in _blocks(len(part.t)):
-        rows = np.concatenate([part.columns[some], part.tau[some, :, None]], axis=2)
-        rows *= (part.used[some] * weight)[:, :, None]
-        found = np.asarray(np.linalg.qr(np.concatenate([found, rows.reshape(-1, rows.shape[2])]), mode="r"))
-    return found
+def _certain(train: Part, friction: Columns, choice: Choice) -> tuple[tuple[Term, ...], Part]:
+    """The chosen parameters that are known well, joint by joint, and the training data with their columns."""
+    sticking = tuple((key, joint) for key in choice.keys for joint in range(train.tau.shape[1]))
+    while sticking:
+        joined = _joined(train, friction, choice, sticking)
+        value, sigma, _ = least_squares(joined)
+        own = slice(-len(sticking), None)
+        unsure = sigma[own] / np.where(value[own] > 0.0, value[own], 1e-300)
+        if unsure.max() <= CERTAIN:
+            return sticking, joined
+        worst = int(np.argmax(unsure))
+        sticking = (*sticking[:worst], *sticking[worst + 1 :])
+    return (), train
 
 
-def _blocks(count: int) -> list[slice]:
-    return [slice(at, at + BLOCK_ROWS) for at in range(0, count, BLOCK_ROWS)]
+def _described(recording: Recording, sticking: Sequence[Term]) -> Vector:
+    """What the arm file has for the parameters of `sticking`."""
+    figures = [getattr(recording.arm.servos[joint], key) for key, joint in sticking]
+    return np.array([0.0 if figure is None else figure.value for figure in figures])
 
 
-def _covariance(scores: Matrix, t: Vector) -> Matrix:
-    """Of the sum of all scores (k, b), from the sums over blocks of time, which are all but independent."""
-    block = np.floor((t - t[0]) / BLOCK_S).astype(int)
-    sums: Matrix = np.stack([np.bincount(block, column) for column in scores.T], axis=1)
-    count = len(sums)
-    covariance: Matrix = sums.T @ sums * (count / (count - 1))
-    return covariance
+def _friction_columns(recording: Recording, options: Options) -> Columns:
+    """Columns of all friction that may be there, at the samples of the equations."""
+    T, cutoff_hz = recording.period_s, options.cutoff_hz
+    kept = _kept(recording, options)
+    dq = np.gradient(low_pass(recording.q, cutoff_hz, T), T, axis=0)
+    raw = raw_columns(dq, recording.tau, 0.1 * options.slow_rad_per_s)
+    return Columns({name: low_pass(column, cutoff_hz, T)[kept] for name, column in raw})
+
+
+def _delay(
+    recording: Recording, model: ArmModel, base: Base, options: Options, choice: Choice, sticking: Sequence[Term]
+) -> Delay | None:
+    """Of the loop, from the whole recording; its error holds how far it moves with the low-pass."""
+    slowest, slower = (
+        _delay_below(recording, model, base, replace(options, cutoff_hz=share * options.cutoff_hz), choice, sticking)
+        for share in (DELAY_CUTOFF, OTHER_CUTOFF)
+    )
+    if slowest is None or slower is None:
+        return None
+    return slowest._replace(sigma_s=math.hypot(slowest.sigma_s, slowest.value_s - slower.value_s))
+
+
+def _delay_below(
+    recording: Recording, model: ArmModel, base: Base, slowest: Options, choice: Choice, sticking: Sequence[Term]
+) -> Delay | None:
+    """The delay from slow motion alone, of which the encoders' steps hide the least."""
+    part, kept = _equations(recording, model, base, slowest), _kept(recording, slowest)
+    if sticking:
+        part = _joined(part, _friction_columns(recording, slowest), choice, sticking)
+
+    def filtered(tau: Matrix) -> Matrix:
+        return low_pass(tau, slowest.cutoff_hz, recording.period_s)[kept]
+
+    def solve(shift: Matrix, rate: Matrix) -> tuple[Vector, Vector]:
+        columns = np.concatenate([part.columns, rate[:, :, None]], axis=2)
+        try:
+            value, sigma, _ = least_squares(replace(part, columns=columns, tau=part.tau + shift))
+        except IdentifyError:  # such slow motion does not tell everything apart
+            return np.full(1, np.nan), np.full(1, np.nan)
+        return value, sigma
+
+    return measured(recording, filtered, solve)
 
 
 def _equations(recording: Recording, model: ArmModel, base: Base, options: Options) -> Part:
     """All equations of the recording, filtered and thinned out, a stretch of time after the other."""
-    T, count = recording.period_s, len(recording.q)
-    edge = math.ceil(EDGE_PERIODS / options.cutoff_hz / T)
-    kept = np.arange(edge, count - edge, max(1, int(1.0 / T / options.cutoff_hz / SAMPLES_PER_PERIOD)))
+    T, kept = recording.period_s, _kept(recording, options)
     if not len(kept):
         raise _too_short(0.0)
     columns, tau = np.empty((len(kept), model.n, len(base.kept))), np.empty((len(kept), model.n))
@@ -162,6 +193,13 @@ def _equations(recording: Recording, model: ArmModel, base: Base, options: Optio
         stretch = Part(part.t[of], part.columns[of], part.tau[of], part.used[of])
         _fill(stretch, some, recording, model, base, options)
     return part
+
+
+def _kept(recording: Recording, options: Options) -> NDArray[np.intp]:
+    """Samples of the recording that have an equation."""
+    T, count = recording.period_s, len(recording.q)
+    edge = math.ceil(EDGE_PERIODS / options.cutoff_hz / T)
+    return np.arange(edge, count - edge, max(1, int(1.0 / T / options.cutoff_hz / SAMPLES_PER_PERIOD)))
 
 
 def _fill(
@@ -231,13 +269,3 @@ def _too_short(found_s: float) -> IdentifyError:
         "motion to identify from", found=f"{found_s:.1f} s", expected=f"at least {BLOCKS_MIN * BLOCK_S:g} s",
         remedy="record a longer motion",
     )  # fmt: skip
-
-
-def _refuse_condition(condition: float) -> None:
-    if not condition <= CONDITION_MAX:
-        raise IdentifyError(
-            "excitation",
-            found=f"columns with a condition number of {condition:.3g}",
-            expected=f"at most {CONDITION_MAX:g}",
-            remedy='record a trajectory with more frequencies on more axes (kind = "fourier")',
-        )

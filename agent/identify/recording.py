@@ -44,6 +44,8 @@ class Recording:
     q: Matrix  # (k, n) rad, as measured
     tau: Matrix  # (k, n) N·m that acted
     day: str  # of the run, UTC
+    sent: Matrix  # (k, n) N·m
+    delay_s: float  # from a sample to its torque, as believed
 
     @property
     def source(self) -> str:
@@ -106,7 +108,7 @@ def from_rows(cell: Cell, arm: Arm, rows: Table) -> Recording:
     q = np.stack([np.interp(grid * period_s, stamps_s, column) for column in rows["q_measured"].T[:n]], axis=1)
     sent = rows["tau_sent"][np.searchsorted(slots, grid, side="right") - 1, :n]  # a cycle without a state repeats it
     day = datetime.datetime.fromtimestamp(int(rows["utc_ns"][0]) * 1e-9, datetime.UTC).date().isoformat()
-    return Recording(cell, arm, period_s, q, acted(sent, cell.file.delay_periods), day)
+    return Recording(cell, arm, period_s, q, acted(sent, cell.file.delay_periods), day, sent, cell.file.delay_s)
 
 
 def acted(tau_sent: Matrix, delay_periods: float) -> Matrix:

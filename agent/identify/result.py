@@ -10,14 +10,15 @@ from typing import Any, Final
 
 import numpy as np
 
+from agent.config.cell import Arm
 from agent.config.edit import Change, apply
 from agent.config.schema.arm import ArmFile, Provenance
 from agent.control.regressor import BODY_PARAMETERS
 from agent.identify.columns import described_parameters
 from agent.identify.fit import Fit, Options
+from agent.identify.friction import BREAKAWAY, BREAKAWAY_LOAD, CERTAIN, LOAD
 from agent.identify.recording import Recording
 
-CERTAIN: Final = 0.25  # a figure with a larger standard error, relative to itself, is not taken over
 DIGITS: Final = 4  # of a figure in the arm file
 
 
@@ -53,6 +54,7 @@ class Identified:
     def arm_toml(self, text: str) -> str:
         """The arm file `text` with the replaced figures; every other byte stays.  Raises EditError."""
         changes = [self._change(f) for f in self.figures if f.outcome is Outcome.REPLACED]
+        changes += self._absent()
         edited = apply(text, changes) if changes else text
         ArmFile.model_validate(tomllib.loads(edited))
         return edited
@@ -60,6 +62,7 @@ class Identified:
     def summary(self) -> dict[str, Any]:
         """All figures and base parameters, for a machine."""
         fit, arm = self.fit, self.recording.arm
+        own = slice(len(fit.base.kept))
         return {
             "arm": arm.name,
             "model": arm.entry.model,
@@ -78,20 +81,38 @@ class Identified:
                 }
                 for j, name in enumerate(arm.entry.controlled)
             ],
+            "friction_model": {"name": fit.choice.name, "reason": fit.choice.reason},
+            "loop_delay": None if fit.delay is None else fit.delay._asdict(),
             "figures": [asdict(f) for f in self.figures],
             "base_parameters": [
                 {"name": name, "unit": unit, "value": float(v), "sigma": float(s), "described": float(d)}
                 for name, unit, v, s, d in zip(
-                    fit.base.names, fit.base.units, fit.value, fit.sigma, fit.described, strict=True
+                    fit.base.names, fit.base.units, fit.value[own], fit.sigma[own], fit.described[own], strict=True
                 )
             ],
         }
 
     def _change(self, f: FigureEstimate) -> Change:
-        value = float(f"{f.value:.{DIGITS}g}")
-        source = f"{self.recording.source}, ± {f.sigma:.1g}"
-        toml = f'{{ value = {value!r}, status = "{Provenance.MEASURED.value}", source = "{source}" }}'
-        return Change("joints", f.key, toml, f.joint)
+        spread = f", ± {f.sigma:.1g}" if f.sigma > 0.0 else ", best of a few on held-out data"
+        return self._measured(f.joint, f.key, f.value, spread)
+
+    def _measured(self, joint: str, key: str, value: float, how: str) -> Change:
+        number, source = float(f"{value:.{DIGITS}g}"), f"{self.recording.source}{how}"
+        toml = f'{{ value = {number!r}, status = "{Provenance.MEASURED.value}", source = "{source}" }}'
+        return Change("joints", key, toml, joint)
+
+    def _absent(self) -> list[Change]:
+        """Zeros for what the arm file has and the chosen model has not, where the model's Coulomb friction goes in."""
+        replaced = {(f.joint, f.key) for f in self.figures if f.outcome is Outcome.REPLACED}
+        return [
+            self._measured(servo.name, key, 0.0, ", not seen")
+            for servo in self.recording.arm.servos
+            for key in (BREAKAWAY, LOAD, BREAKAWAY_LOAD)
+            if (servo.name, "coulomb_Nm") in replaced
+            and (servo.name, key) not in replaced
+            and (figure := getattr(servo, key)) is not None
+            and figure.value > 0.0
+        ]
 
 
 def identified(recording: Recording, options: Options, fit: Fit) -> Identified:
@@ -113,7 +134,27 @@ def identified(recording: Recording, options: Options, fit: Fit) -> Identified:
             value, sigma = float(fit.value[i] - part), float(fit.sigma[i])
             previous = float(getattr(servo, key).value)
             figures.append(FigureEstimate(servo.name, key, value, sigma, previous, _outcome(value, sigma)))
-    return Identified(recording, options, fit, tuple(figures))
+    return Identified(recording, options, fit, (*figures, *_sticking(arm, fit)))
+
+
+def _sticking(arm: Arm, fit: Fit) -> list[FigureEstimate]:
+    """Figures of friction beside Coulomb and viscous, which were all found certain, and how breakaway falls off."""
+    figures, own = [], slice(len(fit.base.kept), None)
+    for (key, joint), value, sigma in zip(fit.sticking, fit.value[own].tolist(), fit.sigma[own].tolist(), strict=True):
+        figures.append(_figure(arm, joint, key, value, sigma))
+    shape = fit.choice.shape
+    if shape is not None:
+        falling = sorted({joint for key, joint in fit.sticking if key != LOAD})
+        figures += [_figure(arm, j, key, value, 0.0) for j in falling for key, value in shape._asdict().items()]
+    return figures
+
+
+def _figure(arm: Arm, joint: int, key: str, value: float, sigma: float) -> FigureEstimate:
+    servo = arm.servos[joint]
+    before = getattr(servo, key)
+    return FigureEstimate(
+        servo.name, key, value, sigma, 0.0 if before is None else before.value, _outcome(value, sigma)
+    )
 
 
 def gravity_rows(fit: Fit) -> Sequence[tuple[str, float, float, float]]:

@@ -35,6 +35,21 @@ def residual_lines(result: Identified) -> list[str]:
     ]
 
 
+def friction_lines(result: Identified) -> list[str]:
+    """The model of friction that was chosen, and why."""
+    choice = result.fit.choice
+    return [f"friction model: {choice.name}", *(f"  {reason}" for reason in choice.reason.split("; "))]
+
+
+def delay_line(result: Identified) -> str:
+    """What the recording says of the loop's delay."""
+    delay = result.fit.delay
+    if delay is None:
+        return "loop delay: not to be seen in this motion"
+    value, sigma, believed = delay
+    return f"loop delay: {value:.4f} s ± {sigma:.1g} (loop_delay_s, or one period: {believed:g})"
+
+
 @styled
 def validation_figure(result: Identified) -> Figure:
     """Measured and predicted torque of each joint on the held-out part, and what is left over."""

@@ -23,12 +23,18 @@ def from_plant(cell: Cell, directory: Path, factors: Mapping[str, Mapping[str, f
     factors: of the plant's figures, by joint and key of the arm file.
     """
     true = with_true_arms(cell, directory, factors=factors)
-    history = simulate(true, cell.file.duration_s, agents_cell=cell)
-    tau = acted(np.array(history.tau_sent), cell.file.delay_periods)
     arm = true.arms[0]
     model = true.model(arm)
     truth = base_of(model).combination @ described_parameters(arm, model)
-    return Recording(cell, cell.arms[0], 1.0 / cell.file.rate_hz, np.array(history.q_measured), tau, DAY), truth
+    return recorded(true, cell), truth
+
+
+def recorded(true: Cell, cell: Cell) -> Recording:
+    """Recording of the cell's own motion in the plant of `true`, as a log of agents that believe `cell` has it."""
+    history = simulate(true, cell.file.duration_s, agents_cell=cell)
+    sent, T = np.array(history.tau_sent), 1.0 / cell.file.rate_hz
+    tau = acted(sent, cell.file.delay_periods)
+    return Recording(cell, cell.arms[0], T, np.array(history.q_measured), tau, DAY, sent, cell.file.delay_s)
 
 
 def exact(cell: Cell, speed_rad_per_s: float, hz: tuple[float, ...], duration_s: float) -> Recording:
@@ -43,4 +49,4 @@ def exact(cell: Cell, speed_rad_per_s: float, hz: tuple[float, ...], duration_s:
     ddq = -(speed_rad_per_s * w * np.sin(angle)).sum(axis=2)
     columns = all_columns(model, q, dq, ddq, 0.02)
     tau = columns @ described_parameters(arm, model) + object_torque(cell, model, columns)
-    return Recording(cell, arm, T, q, tau, DAY)
+    return Recording(cell, arm, T, q, tau, DAY, tau, 0.0)

@@ -12,8 +12,9 @@ import configs
 from agent.config.cell import Cell, load_cell
 from agent.control.models import ArmModel
 from agent.identify.columns import all_columns, base_of, described_parameters, object_torque
-from agent.identify.fit import Options, Part, fit, least_squares, low_pass
+from agent.identify.fit import Options, fit, low_pass
 from agent.identify.recording import IdentifyError
+from agent.identify.solve import Part, least_squares
 from drivers.interface import Vector
 from tests.support.identify_rig import exact
 
@@ -195,7 +196,7 @@ def test_a_recording_is_the_same_equations_however_it_is_cut_into_stretches(monk
     monkeypatch.setattr("agent.identify.fit.STRETCH_S", 1e6)
     whole = fit(recording, Options())
     monkeypatch.setattr("agent.identify.fit.STRETCH_S", 3.0)
-    monkeypatch.setattr("agent.identify.fit.BLOCK_ROWS", 37)
+    monkeypatch.setattr("agent.identify.solve.BLOCK_ROWS", 37)
     cut = fit(recording, Options())
     np.testing.assert_allclose(cut.held_out.columns, whole.held_out.columns, rtol=0, atol=1e-10)
     np.testing.assert_allclose(cut.held_out.tau, whole.held_out.tau, rtol=0, atol=1e-10)
