@@ -38,7 +38,7 @@ class Steps:
 
     def __call__(self, what: str) -> None:
         """Say what is being done from now on."""
-        if not sys.stderr.isatty():
+        if not _on_terminal():
             if self._lines:
                 note(what)
             return
@@ -86,7 +86,7 @@ class RunProgress:
     def advance(self, t_s: float, duration_s: float, speed: float, error_mm: float | None) -> None:
         """Show how far the run is."""
         error = "-" if error_mm is None else f"{error_mm:.2f} mm"
-        if not sys.stderr.isatty():
+        if not _on_terminal():
             if self._clock_s() >= self._next_line_s:
                 self._next_line_s = self._clock_s() + LINE_EVERY_S
                 note(f"{t_s:.1f} s of {duration_s:g} s, {speed:.1f}x real time, error {error}")
@@ -124,7 +124,7 @@ class StudyProgress:
         self._done, self._total = done, total
         if done:
             note(f"{done} of {total} runs are there already")
-        if sys.stderr.isatty():
+        if _on_terminal():
             self._bar = _study_bar()
             self._bar.add_task("", total=total, completed=done, lost=0, tripped=0)
             self._bar.start()
@@ -139,6 +139,12 @@ class StudyProgress:
         elif self._clock_s() >= self._next_line_s:
             self._next_line_s = self._clock_s() + LINE_EVERY_S
             note(f"{self._done} of {self._total} runs, {self._lost} lost, {self._tripped} tripped")
+
+
+def _on_terminal() -> bool:
+    """Whether standard error is a terminal; what rich 14 puts before it while it draws denies that."""
+    shown: bool = getattr(sys.stderr, "rich_proxied_file", sys.stderr).isatty()
+    return shown
 
 
 def _study_bar() -> Progress:

@@ -15,6 +15,7 @@ from agent.host.info import attachments
 from agent.log.channels import LogChannels
 from agent.log.file import Attachment, LogFile
 from agent.process.describe import run_info
+from agent.process.scene import scene_of
 from agent.telemetry.row.received import Rows
 from agent.telemetry.row.sample import AGENT_STATE, Layout
 from agent.telemetry.row.topics import Address, Kind
@@ -28,7 +29,7 @@ def write_run(path: Path, cell: Cell, rows: Mapping[str, np.ndarray], *, left_ou
     kept = [Attachment(name, "text/plain", data) for name, data in files.items() if name not in left_out]
     log = LogFile(path, kept, {}, created_ns=1, min_free_bytes=0)
     name = cell.file.name
-    channels = LogChannels(log, name, {arm.name: tuple(arm.entry.controlled) for arm in cell.arms}, has_plant=False)
+    channels = LogChannels(log, scene_of(cell), has_plant=False)
     for arm, own in rows.items():
         for begin in range(0, len(own), BATCH):
             channels.write_rows(Rows(Address(name, arm, Kind.STATE), own[begin : begin + BATCH]))

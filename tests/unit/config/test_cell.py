@@ -65,8 +65,8 @@ def test_every_shipped_cell_passes_its_checks() -> None:
         ("locked_rad = { waist = 0.0, wrist_rotate = 0.0 }", "locked_rad = { waist = 0.0 }", "wrist_rotate"),
         ('name = "right"', 'name = "left"', "names that differ"),
         (
-            "[report]",
-            '[controller.alignment]\nanchor = "middle"\n[report]',
+            "[controller.alignment]",
+            '[controller.alignment]\nanchor = "middle"',
             "found 'middle', expected left or right",
         ),
         ('driver = "sim"', 'driver = "simulator"', "sim"),
