@@ -30,7 +30,7 @@ test: $(VENV)/.installed  ## format, lint, types, import contracts, tests
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/pytest -m "not realtime" -n $(JOBS) --dist worksteal
-	$(BIN)/pytest -m realtime
+	$(BIN)/pytest -m realtime tests/process
 
 test-fresh: $(VENV)/.installed  ## `make run` on minimal Debian 12 and 13, each in a tree of its own; root, 2 min each
 	$(BIN)/pytest --fresh tests/process/install/test_fresh_machine.py

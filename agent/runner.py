@@ -19,7 +19,7 @@ from agent.telemetry.row.fill import AgentRow
 from drivers.interface import Clock, Driver, DriverError, JointState, ServoFault, StaleStateError, Vector
 
 NOT_YET_NS = 86_400_000_000_000  # the trajectory's zero while nobody has set it: a day ahead
-_TROUBLE = Flag.NOT_FINITE | Flag.SINGULAR | Flag.OFF_TRACK | Flag.UNEXPECTED
+_TROUBLE = int(Flag.NOT_FINITE | Flag.SINGULAR | Flag.OFF_TRACK | Flag.UNEXPECTED)  # joining flags takes 1 µs
 _COMMANDING = frozenset({Mode.READY, Mode.TRACK, Mode.HOLD, Mode.LOWER})
 
 
@@ -204,7 +204,7 @@ class Runner:
             if self._tracking_since_ns is None:
                 self._tracking_since_ns = begin_ns
             self._tracked_s = (after_write_ns - self._tracking_since_ns) * 1e-9
-        if outcome.flags & _TROUBLE:
+        if int(outcome.flags) & _TROUBLE:
             self._reason = self._reason or f"t = {t:.3f} s: {outcome.flags!r}"
             return Event.TROUBLE
         return Event.NONE

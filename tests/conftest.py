@@ -7,6 +7,9 @@ import os
 import pytest
 from hypothesis import Phase, settings
 
+for _library in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):  # as `coop` has it; read when numpy is loaded
+    os.environ.setdefault(_library, "1")
+
 pytest.register_assert_rewrite("tests.support.driver_contract")
 
 # The same examples in every run, so that a red run means a change; HYPOTHESIS_PROFILE=explore looks for new ones.
@@ -31,6 +34,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     """Leave out what needs an arm, and what takes minutes and downloads, unless it is asked for."""
     arm = config.getoption("--hardware") and config.getoption("--arm")
     for item in items:
+        if item.get_closest_marker("realtime") and "tests/process/" not in item.nodeid:
+            raise pytest.UsageError(f"{item.nodeid} is marked realtime: `make test` looks for these in tests/process")
         if item.get_closest_marker("fresh") and not config.getoption("--fresh"):
             item.add_marker(pytest.mark.skip(reason="two minutes and 300 MB per Debian release: make test-fresh"))
         if item.get_closest_marker("hardware") and not arm:

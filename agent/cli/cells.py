@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 class FormName(StrEnum):
     """Which gains `coop tune` may change."""
 
+    REALITY = "reality"
     RATIO = "ratio"
     RATE = "rate"
 
@@ -30,7 +31,7 @@ def check(cell: CellPath, overrides: Overrides = [], as_json: AsJson = False) ->
     from agent.verify.check import examine
 
     loaded = load_cell(cell, overrides)
-    report = examine(loaded, wired=True)
+    report = examine(loaded, wired=True, thorough=True)
     if as_json:
         from agent.cli.documents import check_document
 
@@ -45,29 +46,34 @@ def check(cell: CellPath, overrides: Overrides = [], as_json: AsJson = False) ->
 
 def tune(
     cell: CellPath,
-    form: Annotated[FormName, typer.Option(help="Scale k and its _rate_ form together, or only the latter.")] = (
-        FormName.RATIO
-    ),
-    damping: Annotated[float, typer.Option(min=0.0, max=1.0, help="Least damping ratio of what swings.")] = 0.05,
-    radius: Annotated[float, typer.Option(min=0.0, max=1.0, help="Largest spectral radius.")] = 0.999,
+    form: Annotated[
+        FormName,
+        typer.Option(help="By all that reality may do; or, of the rigid cell, k and its _rate_ form, or the latter."),
+    ] = FormName.REALITY,
+    worst: Annotated[float, typer.Option(min=0.0, max=1.0, help="Largest spectral radius, form reality.")] = 0.985,
+    damping: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Least damping ratio of what swings, other forms.")
+    ] = 0.05,
+    radius: Annotated[float, typer.Option(min=0.0, max=1.0, help="Largest spectral radius, other forms.")] = 0.999,
     write: Annotated[Path | None, typer.Option(help="Write the cell file with these gains; a new file.")] = None,
     force: Force = False,
     overrides: Overrides = [],  # noqa: B006
     as_json: AsJson = False,
 ) -> None:
-    """Propose gains that keep a margin at the cell's rate and delay, also with the arms' inertia off."""
+    """Propose the stiffest gains that survive what reality may make of the cell, as `coop check` sees it."""
     from agent.atomic import keep_existing, write_atomically
     from agent.cli.progress import Steps
     from agent.config.cell import load_cell
-    from agent.verify.tune import Form, Margin, Tuner
+    from agent.verify.tune import RIGID, Form, Margin, Tuner
     from agent.verify.tune_table import toml_lines, tune_table
 
     if write is not None and not force:
         keep_existing(write)
     with Steps() as step:
         step("looking for gains")
-        tuner, margin = Tuner(load_cell(cell, overrides)), Margin(radius, damping)
-        proposals, configured = tuner.proposals(margin), tuner.configured()
+        tuner, margin = Tuner(load_cell(cell, overrides)), Margin(radius, damping, worst)
+        forms = RIGID if Form(form.value) in RIGID else (Form.REALITY,)
+        proposals, configured = tuner.proposals(margin, forms), tuner.configured()
         chosen = next((p for p in proposals if p.form.value == form.value), None)
         chosen = chosen or tuner.propose(Form(form.value), margin)
     if write is not None:

@@ -5,15 +5,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from pathlib import Path
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from agent.config.cell import Cell
     from agent.process.run import RunOutcome
     from agent.report.compare import Difference
-    from agent.report.results import Results
+    from agent.report.shown import ComparedRun
     from agent.verify.check import CheckReport
     from agent.verify.tune import GainSet, Margin, Proposal
 
@@ -21,7 +22,8 @@ SCHEMA: Final = 1
 
 
 def check_document(cell: Cell, report: CheckReport) -> dict[str, Any]:
-    """Every finding, the gravest verdict, and the start configurations."""
+    """Every finding, the gravest verdict, the start configurations, and what reality may make of the cell."""
+    from agent.report.quantity import json_ready
     from agent.verify.finding import worst
 
     return {
@@ -29,6 +31,7 @@ def check_document(cell: Cell, report: CheckReport) -> dict[str, Any]:
         "verdict": worst(report.findings).value,
         "findings": [finding.document() for finding in report.findings],
         "q_start_rad": {arm.name: q.tolist() for arm, q in zip(cell.arms, report.q_start, strict=True)},
+        "robustness": None if report.robustness is None else json_ready(report.robustness.document()),
     }
 
 
@@ -41,7 +44,7 @@ def tune_document(
     document = {
         **_head(configured.cell),
         "rate_hz": configured.cell.file.rate_hz,
-        "margin": {"radius": margin.radius, "damping": margin.damping},
+        "margin": {"radius": margin.radius, "damping": margin.damping, "worst": margin.worst},
         "configured": _gains(configured),
         "proposals": {p.form.value: _gains(p.after) | {"changes": _changes(p)} for p in proposals},
         "chosen": chosen.form.value,
@@ -51,26 +54,40 @@ def tune_document(
     return ready
 
 
-def compare_document(
-    a: Results, b: Results, differences: Iterable[Difference], logs: tuple[Path, Path]
-) -> dict[str, Any]:
-    """Every figure of either log, with what became of it from a to b."""
+def compare_document(runs: Sequence[ComparedRun]) -> dict[str, Any]:
+    """Every figure of the first two logs and what became of it from a to b; of more runs the values, held against a."""
+    from agent.report.compare import compare
     from agent.report.quantity import json_ready
+    from agent.report.settings import different
 
+    first = runs[0].results
+    others = [{d.name: d for d in compare(first, run.results)} for run in runs[1:]]
+    names = dict.fromkeys(name for found in others for name in found)
     document = {
         "schema": SCHEMA,
-        "a": _run(logs[0], a),
-        "b": _run(logs[1], b),
-        "figures": [
-            {
-                "name": d.name, "unit": d.unit, "a": d.a, "b": d.b, "relative": d.relative,
-                "change": d.change.name.lower(),
-            }
-            for d in differences
-        ],
-    }  # fmt: skip
+        "a": _run(runs[0]),
+        "b": _run(runs[1]),
+        "runs": [_run(run) for run in runs],
+        "figures": [_compared(name, [found.get(name) for found in others]) for name in names],
+        "settings": [{"key": s.key, "values": list(s.values)} for s in different([run.settings for run in runs])],
+    }
     ready: dict[str, Any] = json_ready(document)
     return ready
+
+
+def _compared(name: str, found: Sequence[Difference | None]) -> dict[str, Any]:
+    known = next(d for d in found if d is not None)
+    a, b = known.a, found[0]
+    return {
+        "name": name,
+        "unit": known.unit,
+        "a": a,
+        "b": b.b if b else None,
+        "relative": b.relative if b else None,
+        "change": b.change.name.lower() if b else "same",
+        "values": [a, *(d.b if d else None for d in found)],
+        "changes": ["same", *(d.change.name.lower() if d else "same" for d in found)],
+    }
 
 
 def run_document(outcome: RunOutcome) -> dict[str, Any]:
@@ -89,10 +106,10 @@ def _head(cell: Cell) -> dict[str, Any]:
     return {"schema": SCHEMA, "cell": cell.file.name, "fingerprint": cell.fingerprint}
 
 
-def _run(log: Path, results: Results) -> dict[str, Any]:
-    info = results.info
+def _run(run: ComparedRun) -> dict[str, Any]:
+    info = run.results.info
     return {
-        "log": str(log),
+        "log": str(run.log),
         "cell": info.cell,
         "fingerprint": info.fingerprint,
         "driver": info.driver,
@@ -122,6 +139,8 @@ def _gains(gains: GainSet) -> dict[str, Any]:
             for error, d in gains.damping.items()
         ],
         "slowest_time_constant_s": gains.slowest_s,
+        "worst_spectral_radius": gains.criterion.radius,
+        "delay_margin_s": gains.criterion.delay_margin_s,
     }
 
 

@@ -1,15 +1,18 @@
-"""The commands on logs: report, compare, identify, play, recover."""
+"""The commands on logs: report, compare, identify, export, play, recover, layout."""
 
 from __future__ import annotations
 
+import math
+from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from agent.cli.options import (
     DEFAULT_ENDPOINT,
     AsJson,
+    CellPath,
     Force,
     LogPath,
     NetworkConfig,
@@ -21,15 +24,20 @@ from agent.cli.options import (
 )
 from agent.cli.progress import Steps
 
+if TYPE_CHECKING:
+    from agent.log.read import AnyLog
+
 
 def report(
     log: LogPath,
     out: Annotated[Path | None, typer.Option(help="Folder of the report (default: beside the log).")] = None,
+    view: Annotated[bool, typer.Option("--view", help="Also view.html, the run in 3D (some seconds).")] = False,
     force: Force = False,
 ) -> None:
     """Make the figures, the page and results.json from a log alone; its own earlier report is replaced."""
     from agent.log.read import open_log
     from agent.report.report import keep_other_reports, terminal_table, write_report
+    from agent.view.film import still
 
     folder = out or log.parent
     if not force:
@@ -38,35 +46,79 @@ def report(
         step("reading the log")
         with open_log(log) as opened:
             step("drawing")
-            files = write_report(opened, folder)
+            files = write_report(opened, folder, still)
+            if view:
+                step("drawing in 3D")
+                _write_view(opened, folder)
     console().print(terminal_table(files.results))
     typer.echo(f"report   {files.html}")
 
 
+def _require_some(logs: list[Path], most: int) -> None:
+    from agent.report.compare import CompareError
+
+    if not 2 <= len(logs) <= most:
+        raise CompareError("coop compare", found=f"{len(logs)} logs", expected=f"2 to {most}", remedy="name so many")
+
+
+def _refuse_to_replace(file: Path) -> None:
+    from agent.report.compare import CompareError
+
+    raise CompareError(f"{file} is there", found="a file", expected="none", remedy="name another one, or give --force")
+
+
+def _write_view(log: AnyLog, folder: Path) -> None:
+    from agent.report.prepared import prepare
+    from agent.view.need import need_viser
+
+    need_viser()
+    from agent.view.html import write_html
+
+    write_html(prepare(log), folder / "view.html")
+
+
 def compare(
-    first: Annotated[Path, typer.Argument(metavar="A", help="MCAP log.", show_default=False)],
-    second: Annotated[Path, typer.Argument(metavar="B", help="MCAP log.", show_default=False)],
+    logs: Annotated[list[Path], typer.Argument(metavar="A B [C ...]", help="MCAP logs.", show_default=False)],
+    html: Annotated[Path | None, typer.Option(help="Also write a page.")] = None,
+    force: Force = False,
     as_json: AsJson = False,
 ) -> None:
-    """Say which figures of two logs differ, and which log has the better ones."""
+    """Say which figures and settings of logs differ, and which log has the better ones, each against the first."""
     from agent.log.read import open_log
     from agent.report.compare import compare as differences
     from agent.report.compare import comparison_table
-    from agent.report.metrics import summarise
+    from agent.report.metrics import summarise_prepared
+    from agent.report.prepared import prepare
+    from agent.report.settings import settings_of, settings_table
+    from agent.report.shown import LETTERS, ComparedRun, error_series
 
-    results = []
+    _require_some(logs, len(LETTERS))
+    if html is not None and html.exists() and not force:
+        _refuse_to_replace(html)
+    runs = []
     with Steps() as step:
-        for log in (first, second):
+        for log in logs:
             step(f"reading {log}")
             with open_log(log) as opened:
-                results.append(summarise(opened))
-    a, b = results
+                run = prepare(opened)
+                runs.append(ComparedRun(log, summarise_prepared(run), settings_of(opened), error_series(run)))
+        if html is not None:
+            from agent.report.compare_page import write_comparison
+
+            step("drawing")
+            write_comparison(runs, html)
     if as_json:
         from agent.cli.documents import compare_document
 
-        print_json(compare_document(a, b, differences(a, b), (first, second)))
-    else:
-        console().print(comparison_table(a, b, differences(a, b)))
+        print_json(compare_document(runs))
+        return
+    first = runs[0].results
+    for letter, other in zip(LETTERS[1:], runs[1:], strict=False):
+        found = differences(first, other.results)
+        console().print(comparison_table(first, other.results, found, (LETTERS[0], letter)))
+    console().print(settings_table([run.settings for run in runs]))
+    if html is not None:
+        typer.echo(f"page     {html}")
 
 
 def identify(
@@ -97,24 +149,67 @@ def identify(
     typer.echo(f"arm file {files.arm}\nfigure   {files.figure}\nall      {files.summary}")
 
 
+class FormatName(StrEnum):
+    """Kinds of files that `coop export` writes."""
+
+    CSV = "csv"
+    PARQUET = "parquet"
+
+
+def export(
+    log: LogPath,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder of the tables (default: the log's name and the format, beside it).")
+    ] = None,
+    form: Annotated[FormatName, typer.Option("--format", help="parquet needs pyarrow.")] = FormatName.CSV,
+    arm: Annotated[list[str], typer.Option("--arm", help="Only this arm; also: plant.")] = [],  # noqa: B006
+    field: Annotated[
+        list[str], typer.Option("--field", metavar="NAME", help="Only this field; all but `memory` otherwise.")
+    ] = [],  # noqa: B006
+    from_s: Annotated[float, typer.Option("--from", help="First second of the trajectory.")] = -math.inf,
+    to_s: Annotated[float, typer.Option("--to", help="Where to end, s.")] = math.inf,
+    force: Force = False,
+) -> None:
+    """Write the rows as tables, one per arm, units in the column names; whole files or none."""
+    from agent.log.export import Choice, Format
+    from agent.log.export import export as export_log
+    from agent.log.read import open_log
+
+    folder = out or log.with_name(f"{log.stem}-{form.value}")
+    with Steps() as step:
+        step("reading the log")
+        with open_log(log, any_layout=True) as opened:
+            step("writing")
+            choice = Choice(tuple(arm), tuple(field), from_s, to_s)
+            done = export_log(opened, folder, Format(form.value), choice, replace=force)
+    for problem in opened.problems:
+        note(f"{log}: {problem}")
+    for name, rows in done.rows.items():
+        typer.echo(f"{folder / name}  {rows} rows")
+
+
 def play(
     log: LogPath,
     speed: Annotated[float, typer.Option(min=0.001, help="Pace; 1 is the pace of the run.")] = 1.0,
-    start: Annotated[float, typer.Option(min=0.0, help="First second to play.")] = 0.0,
-    end: Annotated[float | None, typer.Option(help="Last second to play.")] = None,
+    start: Annotated[float, typer.Option("--from", "--start", min=0.0, help="First second of the log to play.")] = 0.0,
+    end: Annotated[float | None, typer.Option("--to", "--end", help="Last second to play.")] = None,
     loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end.")] = False,
     listen: Annotated[str, typer.Option(help="Endpoint to listen on.")] = DEFAULT_ENDPOINT,
     network_config: NetworkConfig = None,
 ) -> None:
-    """Publish a log again, byte for byte, under the prefix replay/."""
+    """Publish a log again, byte for byte, under the prefix replay/; on a terminal keys pause, step and seek."""
+    from agent.cli.keys import HELP, Keyboard
     from agent.telemetry.link.play import PlayOptions
     from agent.telemetry.link.play import run as play_log
     from agent.telemetry.link.session import Network
 
     requested = begin(False)
     network = Network(config_file=network_config) if network_config else Network(listen=listen)
-    options = PlayOptions(log, network, speed, start, end, loop)
-    done = play_log(options, requested, lambda endpoint: ready(f"endpoint={endpoint}"))
+    with Keyboard() as keyboard:
+        if keyboard.present:
+            note(HELP)
+        options = PlayOptions(log, network, speed, start, end, loop, keyboard.orders, keyboard.show)
+        done = play_log(options, requested, lambda endpoint: ready(f"endpoint={endpoint}"))
     note(f"{log}: {done.rows} rows and {done.events} events played, {done.loops} times to the end")
 
 
@@ -128,3 +223,23 @@ def recover(
     for problem in done.problems:
         note(f"{log}: {problem}")
     typer.echo(f"{log}: {'repaired' if done.repaired else 'nothing to repair'}, {done.messages} messages, read back")
+
+
+class Viewer(StrEnum):
+    """A program that shows logs."""
+
+    FOXGLOVE = "foxglove"  # and Lichtblick
+    PLOTJUGGLER = "plotjuggler"
+
+
+def layout(
+    cell: CellPath,
+    viewer: Annotated[Viewer, typer.Option(help="Foxglove's is Lichtblick's too.")] = Viewer.FOXGLOVE,
+) -> None:
+    """Print a viewer's layout for the logs of a cell, and for its live view."""
+    from agent.config.files import load_files
+    from agent.log import layouts
+    from agent.process.scene import scene_of
+
+    make = layouts.foxglove if viewer is Viewer.FOXGLOVE else layouts.plotjuggler
+    typer.echo(make(scene_of(load_files(cell))), nl=False)

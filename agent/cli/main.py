@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from agent.cli import cells, doctor, logs, motors, processes, run, study, words
+from agent.cli import answers, cells, doctor, logs, motors, processes, replay, run, study, view, words
 from agent.cli.help import Commands
 from agent.cli.where import where
 
@@ -19,10 +19,13 @@ USAGE = 2  # exit code of a command line that says nothing `coop` understands
 GROUPS: dict[str, tuple[Callable[..., None], ...]] = {
     "Simulate and examine": (run.run, cells.check, cells.tune, study.study),
     "Arms of this host": (words.start, words.stop, words.release, doctor.doctor),
-    "Logs": (logs.report, logs.compare, logs.identify, logs.play, logs.recover),
+    "Logs": (
+        logs.report, view.view, logs.compare, answers.events, answers.grasps, replay.replay, logs.identify, logs.export,
+        logs.play, logs.recover, logs.layout,
+    ),
     "This installation": (where,),
     "Processes of a cell": (
-        processes.agent, processes.plant, processes.emulate, processes.telemetry, processes.record,
+        processes.agent, processes.plant, processes.emulate, processes.telemetry, processes.record, processes.ros2,
     ),
 }  # fmt: skip
 

@@ -36,7 +36,8 @@ Overrides = Annotated[
 ArmName = Annotated[
     str, typer.Option("--arm", help="Arm of the cell.", show_default=False, autocompletion=complete.arms)
 ]
-DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+DEFAULT_ENDPOINT = "tcp/127.0.0.1:7448"  # 7447 is the router of ROS 2
+ROS_ROUTER = "tcp/127.0.0.1:7447"  # where `rmw_zenohd` listens
 NetworkConfig = Annotated[Path | None, typer.Option(help="Zenoh configuration (TLS, access control) instead.")]
 ControlSockets = Annotated[list[Path], typer.Option("--control", help="Control sockets instead of the usual ones.")]
 SomeArms = Annotated[list[str], typer.Option("--arm", help="Only these arms.", autocompletion=complete.arms)]

@@ -8,7 +8,17 @@ from typing import Annotated
 import typer
 
 from agent.cli import complete
-from agent.cli.options import DEFAULT_ENDPOINT, ArmName, CellPath, DriverName, NetworkConfig, WithParent, begin, ready
+from agent.cli.options import (
+    DEFAULT_ENDPOINT,
+    ROS_ROUTER,
+    ArmName,
+    CellPath,
+    DriverName,
+    NetworkConfig,
+    WithParent,
+    begin,
+    ready,
+)
 
 
 def agent(
@@ -162,6 +172,11 @@ def record(
     driver: Annotated[DriverName | None, typer.Option(help="What moves the arms, for the log.")] = None,
     truth: Annotated[bool, typer.Option(help="Expect the truth of a simulated plant.")] = False,
     seed: Annotated[int, typer.Option(help="Seed of the run, for the log.")] = 0,
+    split_mb: Annotated[int | None, typer.Option(min=1, help="Go on in another log when one has so many MB.")] = None,
+    split_s: Annotated[float | None, typer.Option(min=1.0, help="The same after so many seconds.")] = None,
+    keep_mb: Annotated[
+        int | None, typer.Option(min=1, help="Remove the folder's OLDEST LOGS when all take more than this.")
+    ] = None,
     run_info: Annotated[Path | None, typer.Option(hidden=True, help="run.json of this run, if it is made.")] = None,
     with_parent: WithParent = False,
 ) -> None:
@@ -169,6 +184,7 @@ def record(
     from agent.config.files import load_files
     from agent.config.schema.cell import DriverKind
     from agent.host.paths import log_path
+    from agent.log.parts import Limits
     from agent.process.recorder import described, run_recorder
     from agent.telemetry.link.session import Network
 
@@ -181,11 +197,52 @@ def record(
         Network(config_file=network_config) if network_config else Network(listen=listen),
         run_info.read_bytes() if run_info is not None else described(cell, kind, seed),
         has_plant=truth or kind is DriverKind.SIM,
+        limits=Limits(split_mb and split_mb << 20, split_s, keep_mb and keep_mb << 20),
+        alone=run_info is None,
         stop=requested,
         ready=ready,
     )
     for path in report.repaired:
         typer.echo(f"repaired {path}", err=True)
+    for path in report.logs[1:]:
+        typer.echo(f"went on in {path}", err=True)
     typer.echo(f"{report.path}: {'complete' if report.complete else 'INCOMPLETE'} {report.failure or ''}", err=True)
     if report.failure:
         raise typer.Exit(4)
+
+
+def ros2(
+    cell: CellPath,
+    connect: Annotated[str, typer.Option(help="Endpoint of the ROS 2 router (rmw_zenohd).")] = ROS_ROUTER,
+    telemetry: Annotated[str, typer.Option(help="Endpoint of the recorder.")] = DEFAULT_ENDPOINT,
+    network_config: NetworkConfig = None,
+    domain: Annotated[int, typer.Option(envvar="ROS_DOMAIN_ID", min=0, max=232, help="ROS domain.")] = 0,
+    driver: Annotated[DriverName | None, typer.Option(help="What moves the arms.")] = None,
+    truth: Annotated[bool, typer.Option(help="Expect the truth of a simulated plant.")] = False,
+    clock: Annotated[
+        bool | None, typer.Option("--clock/--no-clock", help="Publish /clock; as a rule when the cell is simulated.")
+    ] = None,
+    with_parent: WithParent = False,
+) -> None:
+    """Show the cell to ROS 2 viewers, live: standard topics as rmw_zenoh has them, read only."""
+    from agent.config.files import load_files
+    from agent.config.schema.cell import DriverKind
+    from agent.process.ros import run_ros
+    from agent.telemetry.link.session import Network, Role
+
+    requested = begin(with_parent)
+    files = load_files(cell)
+    simulated = (driver.value if driver is not None else files.file.driver.value) == DriverKind.SIM.value
+    report = run_ros(
+        files,
+        Network(config_file=network_config) if network_config else Network(connect=(telemetry,), role=Role.VIEWER),
+        Network(connect=(connect,), role=Role.VIEWER, timestamps=True),
+        domain=domain,
+        has_plant=truth or simulated,
+        clock=simulated if clock is None else clock,
+        stop=requested,
+        ready=ready,
+    )
+    typer.echo(
+        f"{report.published} ROS messages, {report.dropped} of telemetry dropped, {report.refused} refused", err=True
+    )

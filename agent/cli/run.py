@@ -19,6 +19,7 @@ def run(
     wire: Annotated[bool, typer.Option("--wire", help="The real driver on emulated servos, in real time.")] = False,
     faults: Annotated[Path | None, typer.Option(help="Faults of the emulated servos, JSON lines.")] = None,
     strict: Annotated[bool, typer.Option("--strict", help="Exit 6 when a bound of the cell file is missed.")] = False,
+    listen: Annotated[str | None, typer.Option(help="Endpoint for live viewers (default: a free port).")] = None,
     force: Force = False,
     overrides: Overrides = [],  # noqa: B006
     as_json: AsJson = False,
@@ -30,10 +31,11 @@ def run(
     from agent.process.run import RunOptions, run_cell
     from agent.report.bounds import require_bounds
     from agent.report.report import terminal_table
+    from agent.telemetry.link.session import FREE_PORT
 
     requested = StopFlag()
     kind = RunKind.WIRE if wire else RunKind.REAL_TIME if real_time else RunKind.LOCKSTEP
-    options = RunOptions(cell, tuple(overrides), duration, out, seed, kind, faults, force)
+    options = RunOptions(cell, tuple(overrides), duration, out, seed, kind, faults, force, listen or FREE_PORT)
     with RunProgress() as progress:
         outcome = run_cell(options, requested, progress)
     if as_json:

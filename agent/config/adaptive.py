@@ -6,18 +6,20 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from agent.config.friction import joint_friction
 from agent.config.schema.adaptive import Adaptive, ArmBounds, Bounds, GainFactors, Start
 from agent.config.schema.arm import ServoJoint
 from agent.config.schema.cell import Object
 from agent.config.schema.controller import Controller
-from agent.control.adaptation import Adaptation, Estimate
+from agent.control.adaptation import LOAD_MAX, Adaptation, Estimate
+from agent.control.friction import JointFriction
 from agent.control.models import ArmModel, Matrix
 from agent.control.regressor import BODY_PARAMETERS, arm_parameters, object_parameters
 from drivers.interface import Refusal, Vector
 
 _MOMENTS = [4, 6, 9]  # Ixx, Iyy, Izz of a body's ten
 _BODY_NAMES = ("mass", "h_x", "h_y", "h_z", "I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz")
-_JOINT_NAMES = ("rotor inertia", "viscous friction", "Coulomb friction")
+_JOINT_NAMES = ("rotor inertia", "viscous friction", "Coulomb friction", "breakaway", "load friction", "breakaway load")
 
 
 class AdaptationError(Refusal):
@@ -53,20 +55,33 @@ def build(
         upper=upper,
         gain=gain,
         smooth_rad_per_s=controller.friction_smooth_rad_per_s,
-        friction=spec.viscous or spec.coulomb or controller.friction_feedforward,
+        friction=bool(np.any(_friction_on(controller))),
         physical=spec.physical,
         period_s=period_s,
+        sticking=_sticking(controller, servos),
+        leak_per_s=spec.leak_per_s,
     )
 
 
 def _joint_columns(spec: Adaptive, n: int) -> Vector:
-    """(3 n,) whether each joint parameter is estimated."""
-    return np.repeat([spec.rotor_inertia, spec.viscous, spec.coulomb], n)
+    """(6 n,) whether each joint parameter is estimated."""
+    return np.repeat([spec.rotor_inertia, spec.viscous, spec.coulomb, spec.breakaway, spec.load, spec.load], n)
+
+
+def _friction_on(controller: Controller) -> tuple[bool, ...]:
+    """Whether each friction is in the law: estimated or compensated."""
+    spec, known = controller.adaptive, controller.friction_feedforward
+    return tuple(known or on for on in (spec.viscous, spec.coulomb, spec.breakaway, spec.load, spec.load))
+
+
+def _sticking(controller: Controller, servos: Sequence[ServoJoint]) -> tuple[JointFriction, ...]:
+    joints = tuple(joint_friction(servo) for servo in servos)
+    return joints if any(_friction_on(controller)[2:]) and any(j.sticks for j in joints) else ()
 
 
 def _joint_factors(spec: Adaptive, n: int) -> Vector:
     f = spec.factor
-    return np.repeat([f.rotor_inertia, f.viscous, f.coulomb], n) * _joint_columns(spec, n)
+    return np.repeat([f.rotor_inertia, f.viscous, f.coulomb, f.breakaway, f.load, f.load], n) * _joint_columns(spec, n)
 
 
 def _body_factors(f: GainFactors) -> Vector:
@@ -74,15 +89,11 @@ def _body_factors(f: GainFactors) -> Vector:
 
 
 def _joint_parameters(controller: Controller, servos: Sequence[ServoJoint]) -> Vector:
-    """(3 n,) configured; a friction that is neither estimated nor compensated is zero in the law."""
-    spec, known = controller.adaptive, controller.friction_feedforward
-    return np.array(
-        [
-            *(s.rotor_inertia_kg_m2.value for s in servos),
-            *(s.viscous_Nm_s_per_rad.value * (spec.viscous or known) for s in servos),
-            *(s.coulomb_Nm.value * (spec.coulomb or known) for s in servos),
-        ]
-    )
+    """(6 n,) configured; a friction that is neither estimated nor compensated is zero in the law."""
+    joints = [joint_friction(servo) for servo in servos]
+    friction = [(j.viscous_Nm_s_per_rad, j.coulomb_Nm, j.breakaway_Nm, j.load, j.breakaway_load) for j in joints]
+    rotor = [s.rotor_inertia_kg_m2.value for s in servos]
+    return np.concatenate([rotor, (np.array(friction) * _friction_on(controller)).T.ravel()])
 
 
 def _box(spec: Adaptive, nominal: Estimate, n: int) -> tuple[Estimate, Estimate]:
@@ -117,13 +128,15 @@ def _body_bounds(parameters: Vector, spec: Bounds) -> tuple[Vector, Vector]:
 
 
 def _joint_bounds(parameters: Vector, spec: Adaptive, n: int) -> tuple[Vector, Vector]:
-    """Box (3 n,) of the joint parameters; those that are not estimated may only be what they are."""
+    """Box (6 n,) of the joint parameters; those that are not estimated may only be what they are."""
     b: ArmBounds = spec.bounds
     limits = (b.rotor_inertia_max_kg_m2, b.viscous_max_Nm_s_per_rad, b.coulomb_max_Nm)
     high = b.relative_max * parameters
     for k, limit in enumerate(limits):
         if limit is not None:
             high[k * n : (k + 1) * n] = limit
+    load, load_high = parameters[-2 * n :].reshape(2, n), high[-2 * n :].reshape(2, n)  # a view
+    np.minimum(load_high, load + 0.5 * (LOAD_MAX - load.sum(axis=0)), out=load_high)
     on = _joint_columns(spec, n)
     return np.where(on, b.relative_min * parameters, parameters), np.where(on, high, parameters)
 

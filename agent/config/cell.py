@@ -12,6 +12,7 @@ import pinocchio as pin
 import configs
 from agent.config import adaptive
 from agent.config.files import ArmFiles, CellFiles, files_from_toml, load_arm_file, load_files
+from agent.config.friction import joint_friction
 from agent.config.reading import ConfigError
 from agent.config.schema.cell import Arm as ArmEntry
 from agent.config.schema.controller import ControllerKind
@@ -87,15 +88,11 @@ class Cell(CellFiles):
             k_eps=c.k_eps_rad_per_s,
             k_p_rate=c.k_p_rate_per_s or c.k_p_per_s,
             k_eps_rate=c.k_eps_rate_rad_per_s or c.k_eps_rad_per_s,
-            k_v=(*entry.k_v_N_s_per_m, *(entry.k_v_Nm_s_per_rad or entry.k_v_N_s_per_m)),
+            k_v=(*entry.k_v_N_s_per_m, *entry.k_v_Nm_s_per_rad),
         )
         friction = None
         if c.friction_feedforward:
-            friction = Friction(
-                coulomb_Nm=tuple(s.coulomb_Nm.value for s in arm.servos),
-                viscous_Nm_s_per_rad=tuple(s.viscous_Nm_s_per_rad.value for s in arm.servos),
-                smooth_rad_per_s=c.friction_smooth_rad_per_s,
-            )
+            friction = Friction(tuple(joint_friction(s) for s in arm.servos), c.friction_smooth_rad_per_s)
         return Offline(
             gains=gains,
             load_share=entry.load_share,

@@ -9,9 +9,9 @@ from agent.control.residual import Channels, Residual
 
 
 def alignment(cell: Cell, arm: Arm) -> Alignment | None:
-    """Alignment of this arm; None where the cell has none."""
+    """Alignment of this arm; None where the cell has it switched off."""
     spec = cell.file.controller.alignment
-    if spec is None:
+    if not spec.enabled:
         return None
     return Alignment(
         follows=arm.name != (spec.anchor or cell.arms[0].name),
@@ -25,9 +25,9 @@ def alignment(cell: Cell, arm: Arm) -> Alignment | None:
 
 
 def residual(cell: Cell) -> Residual | None:
-    """What every arm of the cell senses; None where the cell does not ask for it."""
+    """What every arm of the cell senses; None where the cell has it switched off."""
     spec = cell.file.safety.noticing
-    if spec is None:
+    if not spec.enabled:
         return None
     return Residual(
         period_s=1.0 / cell.file.rate_hz,

@@ -142,7 +142,10 @@ def _explain(model: type[BaseModel], problem: dict[str, Any]) -> dict[str, str]:
         context = problem["ctx"]
         return {"found": shown(context["found"])} | {k: shown(context[k], 4 * SHOWN) for k in ("expected", "remedy")}
     if kind == "missing":
-        return {"found": "nothing", "expected": "a value", "remedy": "add the key"}
+        reasons = getattr(_model_at(model, problem["loc"][:-1]), "absent", {})
+        return {
+            "found": "nothing", "expected": "a value", "remedy": reasons.get(str(problem["loc"][-1]), "add the key")
+        }  # fmt: skip
     if kind == "extra_forbidden":
         return _explain_unknown(model, problem["loc"])
     message = _IS.sub("", problem["msg"]).replace(" should have ", " of ").replace(" should match ", " that matches ")

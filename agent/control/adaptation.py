@@ -1,8 +1,8 @@
 """The estimates of the adaptive law: their layout, gains and bounds, and one step of adaptation; pure.
 
-Layout of the arm's vector (13 n), as logged: ten inertial parameters of each body, then reflected rotor inertia,
-viscous and Coulomb friction of each joint.  A parameter that is not estimated has gain zero and keeps its
-configured value, so the law has one form whatever is unknown.
+Layout of the arm's vector (16 n), as logged: ten inertial parameters of each body, then of each joint reflected rotor
+inertia, viscous and Coulomb friction, breakaway, load and breakaway load (agent.control.friction).  A parameter that
+is not estimated has gain zero and keeps its configured value, so the law has one form whatever is unknown.
 """
 
 from __future__ import annotations
@@ -13,31 +13,37 @@ from typing import NamedTuple
 
 import numpy as np
 
+from agent.control.friction import JointFriction
 from agent.control.projection import to_box, to_physical
 from agent.control.regressor import BODY_PARAMETERS
 from drivers.interface import Vector
 
-ARM_PARAMETERS_PER_JOINT = BODY_PARAMETERS + 3
+JOINT_PARAMETERS = 6  # rotor inertia, viscous, Coulomb, breakaway, load, breakaway load
+ARM_PARAMETERS_PER_JOINT = BODY_PARAMETERS + JOINT_PARAMETERS
+LOAD_MAX = 0.95  # of both load parameters together; at one no torque moves the joint
 MAX_INTERVALS = 4.0  # adaptation over a longer pause than this many periods is not made up for
 
 
 class Estimate(NamedTuple):
     """θ̂ of one agent between two ticks; arrays are never written to again."""
 
-    arm: Vector  # (13 n,)
+    arm: Vector  # (16 n,)
     object: Vector  # (10,)
 
 
 class Gradient(NamedTuple):
     """What the adaptation laws follow downhill, before the gains."""
 
-    arm: Vector  # (13 n,) Y_qᵀ (dq − dq_r)
+    arm: Vector  # (16 n,) Y_qᵀ (dq − dq_r)
     object: Vector  # (10,) c_i Y_Oᵀ e_v
 
 
 @dataclass(frozen=True, slots=True)
 class Adaptation:
-    """Offline data of the adaptive law of one agent.  lower ≤ start ≤ upper, and gains of zero pin a parameter."""
+    """Offline data of the adaptive law of one agent.  lower ≤ start ≤ upper, and gains of zero pin a parameter.
+
+    Raises ValueError where joints stick and the upper bounds allow load friction that no torque overcomes.
+    """
 
     start: Estimate
     nominal: Estimate  # as configured; what the logged Lyapunov value calls the truth
@@ -48,19 +54,34 @@ class Adaptation:
     friction: bool  # whether any friction parameter can be other than zero
     physical: bool  # keep principal moments physical
     period_s: float
+    sticking: tuple[JointFriction, ...] = ()  # how breakaway falls off, joint by joint; empty: no joint has it or load
+    leak_per_s: float = 0.0  # rate at which estimates forget towards what is configured
     weight: Estimate = field(init=False)  # Γ⁻¹, zero where nothing is estimated
-    # What a tick works with, arm and object in one array (13 n + 10,):
+    # What a tick works with, arm and object in one array (16 n + 10,):
     _nominal: Vector = field(init=False)
     _gain: Vector = field(init=False)
+    _leaks: Vector = field(init=False)  # one where anything is estimated
     _weight: Vector = field(init=False)
     _lower: Vector = field(init=False)
     _upper: Vector = field(init=False)
     _alarm: Vector = field(init=False)  # lower bounds but for those of zero: a mass at zero is physics, no alarm
 
     def __post_init__(self) -> None:
+        load = self.upper.arm.reshape(-1, len(self.upper.arm) // ARM_PARAMETERS_PER_JOINT)[-2:].sum(axis=0)
+        if self.sticking and (load > LOAD_MAX).any():
+            raise ValueError(f"bounds of load friction: {load.tolist()}, at most {LOAD_MAX} in sum")
         nominal, gain, lower, upper = (np.concatenate(x) for x in (self.nominal, self.gain, self.lower, self.upper))
         weight, alarm = _inverse(gain), np.where(lower == 0.0, -np.inf, lower)
-        joined = {"nominal": nominal, "gain": gain, "weight": weight, "lower": lower, "upper": upper, "alarm": alarm}
+        leaks = np.sign(gain)
+        joined = {
+            "nominal": nominal,
+            "gain": gain,
+            "leaks": leaks,
+            "weight": weight,
+            "lower": lower,
+            "upper": upper,
+            "alarm": alarm,
+        }
         for name, array in joined.items():
             object.__setattr__(self, f"_{name}", array)
         for array in (*self.start, *self.nominal, *self.lower, *self.upper, *self.gain, *joined.values()):
@@ -69,13 +90,16 @@ class Adaptation:
         object.__setattr__(self, "weight", Estimate(weight[:split], weight[split:]))
 
     def advance(self, estimate: Estimate, gradient: Gradient, dt: float) -> tuple[Estimate, bool]:
-        """θ̂ after dt seconds of θ̂̇ = −Γ gradient, projected; and whether a configured bound held it back.
+        """θ̂ after dt seconds of θ̂̇ = −Γ gradient − σ (θ̂ − nominal), projected; and whether a configured bound held it.
 
         Being held at zero from below is not reported.  A gradient that is not finite changes nothing and is
         reported as held back.
         """
         dt = min(max(dt, 0.0), MAX_INTERVALS * self.period_s)
-        theta = np.concatenate(estimate) - dt * self._gain * np.concatenate(gradient)  # eq:adaptation laws
+        before = np.concatenate(estimate)
+        theta = before - dt * self._gain * np.concatenate(gradient)  # eq:adaptation laws
+        if self.leak_per_s > 0.0:
+            theta += math.expm1(-self.leak_per_s * dt) * self._leaks * (before - self._nominal)
         if not math.isfinite(theta.dot(theta)):
             return estimate, True
         inside = to_box(theta, self._lower, self._upper)

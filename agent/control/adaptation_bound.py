@@ -24,7 +24,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from agent.control.adaptation import Adaptation
+from agent.control.adaptation import JOINT_PARAMETERS, Adaptation
 from agent.control.law import Offline
 from agent.control.models import ArmModel, Matrix
 from agent.control.quaternion import Mat3, Vec3, rotate_back, to_matrix
@@ -133,20 +133,29 @@ def _adaptation_matrices(
     """The arms' and the object's part of G (m, m) in the rows of P."""
     G_arm, G_object = np.zeros((len(P), len(P))), np.zeros((len(P), len(P)))
     for model, agent, q_i in zip(models, agents, q, strict=True):
-        adaptation = _adaptive(agent)
-        n = model.n
-        J_inv = np.linalg.pinv(P @ model.task_basis.T @ model.jacobian(q_i))
-        dq_ref, ddq_ref = J_inv @ P @ reference.v, J_inv @ P @ reference.dv
-        Y = joint_regressor(model, q_i, np.zeros(n), dq_ref, ddq_ref)
-        split = BODY_PARAMETERS * n
-        rotor, viscous, coulomb = adaptation.gain.arm[split:].reshape(3, n)
-        direction = np.tanh(dq_ref / adaptation.smooth_rad_per_s)
-        joints = rotor * ddq_ref**2 + viscous * dq_ref**2 + coulomb * direction**2
-        # J⁻ᵀ Y_q is the paper's Y_i
-        G_arm += J_inv.T @ ((Y * adaptation.gain.arm[:split]) @ Y.T + np.diag(joints)) @ J_inv  # eq:tmp
-        Y_O = _object_rows(model, agent, q_i, reference, P)
-        G_object += agent.load_share**2 * (Y_O * adaptation.gain.object) @ Y_O.T
+        gain = _adaptive(agent).gain
+        Y, Y_O = estimated_wrench(model, agent, q_i, reference, P)
+        G_arm += (Y * gain.arm) @ Y.T  # eq:tmp
+        G_object += (Y_O * gain.object) @ Y_O.T
     return G_arm, G_object
+
+
+def estimated_wrench(
+    model: ArmModel, agent: Offline, q: Vector, reference: ReferenceTwist, P: Matrix
+) -> tuple[Matrix, Matrix]:
+    """The paper's Y_i (m, 16 n) and c_i Y_O (m, 10) in the rows of P: what estimates become at the object."""
+    adaptation, n = _adaptive(agent), model.n
+    J_inv = np.linalg.pinv(P @ model.task_basis.T @ model.jacobian(q))
+    dq_ref, ddq_ref = J_inv @ P @ reference.v, J_inv @ P @ reference.dv
+    Y = joint_regressor(model, q, np.zeros(n), dq_ref, ddq_ref)
+    Y_O = agent.load_share * _object_rows(model, agent, q, reference, P)
+    columns = np.zeros((JOINT_PARAMETERS, n))
+    columns[:3] = ddq_ref, dq_ref, np.tanh(dq_ref / adaptation.smooth_rad_per_s)
+    if adaptation.sticking:
+        load = np.linalg.pinv(J_inv).T @ Y_O @ adaptation.nominal.object
+        size = np.abs(Y @ adaptation.nominal.arm[: BODY_PARAMETERS * n] + load)
+        columns[3:] = columns[2] * np.stack([np.ones(n), size, size])  # breakaway that has not fallen off
+    return J_inv.T @ np.hstack([Y, *(np.diag(column) for column in columns)]), Y_O
 
 
 def _object_rows(model: ArmModel, agent: Offline, q: Vector, reference: ReferenceTwist, P: Matrix) -> Matrix:

@@ -4,30 +4,32 @@
     θ̂̇_i = −γ_i Y_qᵀ (dq − dq_r),   θ̂̇_O = −γ_O c_i Y_Oᵀ e_v
 
 because Y_iᵀ e_v = Y_qᵀ J⁻¹ e_v = Y_qᵀ (dq − dq_r).  J is the Jacobian of the object frame, as in
-agent.control.known.  Y_q has three more columns per joint than the inertial ones: reflected rotor inertia
-(ddq_r), viscous friction (dq_r) and Coulomb friction (a smooth sign of dq_r); the last two make `tau_friction`.
+agent.control.known.  Y_q has six more columns per joint than the inertial ones: reflected rotor inertia (ddq_r),
+viscous friction (dq_r), Coulomb friction (a smooth sign of dq_r), and that sign times what is left of breakaway, the
+motor's torque, and both; all but the first make `tau_friction`.  The motor's torque is the one that is sent.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from agent.control.adaptation import Adaptation, Estimate, Gradient
+from agent.control.adaptation import JOINT_PARAMETERS, Adaptation, Estimate, Gradient
+from agent.control.friction import sticking_columns
 from agent.control.law import (
     Offline,
-    Terms,
-    assemble,
-    law_torque,
+    add_friction,
+    add_sums,
+    add_wrenches,
     lyapunov_share,
     reference,
     rotate_wrench,
     rotate_wrench_back,
-    shared_torques,
     wrench_at_ee,
 )
 from agent.control.models import ArmModel, Matrix
 from agent.control.quaternion import Mat3
 from agent.control.regressor import BODY_PARAMETERS, joint_regressor, object_regressor
+from agent.control.terms import ADAPTIVE, DDQ_REF, DQ_REF, POSTURE, Terms
 from agent.control.trajectory import Desired, Vec6
 from drivers.interface import Vector
 
@@ -45,18 +47,14 @@ def torque(
 
     The second result is what `Adaptation.advance` takes.  Raises SingularJacobian.
     """
-    ref, J_inv, J_inv_P = reference(model, offline, q, dq, desired)
-    k, e, dq_ref, ddq_ref, _ = ref
+    k, e, joints, sigma_min, J_inv, J_inv_P = reference(model, offline, q, dq, desired)
+    dq_ref, ddq_ref = joints[DQ_REF], joints[DDQ_REF]
     dq_error = dq - dq_ref
 
     n = model.n
-    inertial, joints = BODY_PARAMETERS * n, estimate.arm[BODY_PARAMETERS * n :]
+    inertial, of_joints = BODY_PARAMETERS * n, estimate.arm[BODY_PARAMETERS * n :].reshape(JOINT_PARAMETERS, n)
     Y = joint_regressor(model, q, dq, dq_ref, ddq_ref)
-    tau_adaptive = Y.dot(estimate.arm[:inertial]) + joints[:n] * ddq_ref
-    direction = np.tanh(dq_ref / adaptation.smooth_rad_per_s)
-    tau_friction = joints[n : 2 * n] * dq_ref + joints[2 * n :] * direction if adaptation.friction else None
-    by_joint = (ddq_ref * dq_error, dq_ref * dq_error, direction * dq_error)
-    arm_gradient = np.concatenate((Y.T.dot(dq_error), *by_joint))  # eq:adaptation laws
+    joints[ADAPTIVE] = Y.dot(estimate.arm[:inertial]) + of_joints[0] * ddq_ref
 
     c, e_v, P = offline.load_share, e.e_v, model.task_basis
     R = k.R_world_object
@@ -67,21 +65,38 @@ def torque(
     e_v_object = rotate_wrench_back(R, e_v_task)
     object_gradient = Y_object.T.dot([c * x for x in e_v_object])  # eq:adaptation laws
 
-    tau_posture = None if offline.posture is None else offline.posture.torque(q, dq, k.J, J_inv)
-    shared = shared_torques(offline, k, e, load, tau_posture)
-    tau_law = law_torque(tau_adaptive, shared)  # eq:adaptive control vector form
-    terms = assemble(
+    wrench_internal = add_wrenches(model, offline, k, e, load, joints)
+    if offline.posture is not None:
+        joints[POSTURE] = offline.posture.torque(q, dq, k.J, J_inv)
+    tau_law = add_sums(joints)  # eq:adaptive control vector form
+    columns = _friction_columns(adaptation, of_joints, dq_ref, dq, tau_law)
+    if adaptation.friction:
+        add_friction(joints, (of_joints[1:] * columns).sum(axis=0))
+    by_joint = np.concatenate((ddq_ref[None], columns)) * dq_error
+    arm_gradient = np.concatenate((Y.T.dot(dq_error), by_joint.ravel()))  # eq:adaptation laws
+    terms = Terms(
         desired,
-        ref,
-        (None, None, None, tau_adaptive),
-        shared,
-        tau_friction,
-        tau_law if tau_friction is None else tau_law + tau_friction,
+        k,
+        e,
+        joints,
         wrench_at_ee(k, J_inv_P, tau_law),
+        wrench_internal,
         lyapunov_share(offline, k, e, dq_error) + adaptation.parameter_error(estimate),
+        sigma_min,
         J_inv_P,
     )
     return terms, Gradient(arm_gradient, object_gradient)
+
+
+def _friction_columns(adaptation: Adaptation, joints: Matrix, dq_ref: Vector, dq: Vector, tau_law: Vector) -> Matrix:
+    """(5, n) of viscous and Coulomb friction, breakaway, load and breakaway load; joints (6, n): estimates."""
+    columns = np.zeros((5, len(dq_ref)))
+    columns[0] = dq_ref
+    sign = columns[1] = np.tanh(dq_ref / adaptation.smooth_rad_per_s)
+    if adaptation.sticking:
+        tau_rest = tau_law + joints[1] * dq_ref
+        columns[2:] = sticking_columns(adaptation.sticking, joints[2:], sign, dq, tau_rest)
+    return columns
 
 
 def _object_regressor(offline: Offline, R: Mat3, v: Vec6, v_ref: Vec6, dv_ref: Vec6) -> Matrix:

@@ -30,8 +30,8 @@ class Alignment:
     follows: bool  # False: the anchor, whose shift stays what it was at the start
     ready_per_s: float = 2.0  # α while READY
     track_per_s: float = 0.3  # α while TRACK
-    dead_zone_m: float = 0.7e-3
-    dead_zone_rad: float = 4e-3
+    dead_zone_m: float = 1.5e-3
+    dead_zone_rad: float = 8e-3
     max_m: float = 0.02
     max_rad: float = 0.1
 
@@ -53,7 +53,7 @@ class Alignment:
 
 def shifted(desired: Desired, shift: Shift) -> Desired:
     """The motion that an arm with this shift follows; twist and acceleration are those of all."""
-    if shift == NO_SHIFT:
+    if shift is NO_SHIFT or shift == NO_SHIFT:
         return desired
     p = desired.p
     moved = (p[0] + shift[0], p[1] + shift[1], p[2] + shift[2])

@@ -55,42 +55,43 @@ def evaluate(p: Vec3, quat: Quat, v: Vec6, des: Desired, gains: Gains) -> Errors
 
     p, quat, v: object pose and twist (world axes, linear first) by this arm's own kinematics.
     """
-    pd, vd, ad = des.p, des.v, des.a
-    e_p = (p[0] - pd[0], p[1] - pd[1], p[2] - pd[2])  # eq:position error
+    vx, vy, vz, ox, oy, oz = v
+    vdx, vdy, vdz, odx, ody, odz = des.v
+    adx, ady, adz, bdx, bdy, bdz = des.a
+    kp, ke, kpr, ker = gains.k_p, gains.k_eps, gains.k_p_rate, gains.k_eps_rate
+    e_p = (p[0] - des.p[0], p[1] - des.p[1], p[2] - des.p[2])  # eq:position error
     e_eta, e_eps = attitude_error(quat, des.quat)
     ex, ey, ez = e_eps
-    dp = (v[0] - vd[0], v[1] - vd[1], v[2] - vd[2])  # eq:position error dynamics
-    wx, wy, wz = v[3] - vd[3], v[4] - vd[4], v[5] - vd[5]
-    ax, ay, az = vd[3], vd[4], vd[5]
+    dpx, dpy, dpz = vx - vdx, vy - vdy, vz - vdz  # eq:position error dynamics
+    wx, wy, wz = ox - odx, oy - ody, oz - odz
     # ė_η = ½ e_εᵀ e_ω;  ė_ε = −½ (e_η I + S(e_ε)) e_ω − S(e_ε) ω_d
     de_eta = 0.5 * (ex * wx + ey * wy + ez * wz)  # eq:eta_error dynamics
-    dex = -0.5 * (e_eta * wx + (ey * wz - ez * wy)) - (ey * az - ez * ay)  # eq:epsilon error dynamics
-    dey = -0.5 * (e_eta * wy + (ez * wx - ex * wz)) - (ez * ax - ex * az)  # eq:epsilon error dynamics
-    dez = -0.5 * (e_eta * wz + (ex * wy - ey * wx)) - (ex * ay - ey * ax)  # eq:epsilon error dynamics
+    dex = -0.5 * (e_eta * wx + (ey * wz - ez * wy)) - (ey * odz - ez * ody)  # eq:epsilon error dynamics
+    dey = -0.5 * (e_eta * wy + (ez * wx - ex * wz)) - (ez * odx - ex * odz)  # eq:epsilon error dynamics
+    dez = -0.5 * (e_eta * wz + (ex * wy - ey * wx)) - (ex * ody - ey * odx)  # eq:epsilon error dynamics
     rx, ry, rz = -e_eta * ex, -e_eta * ey, -e_eta * ez
-    kp, ke, kpr, ker = gains.k_p, gains.k_eps, gains.k_p_rate, gains.k_eps_rate
     v_ref = (  # v_r = v_d − K e, eq:reference signals
-        vd[0] - kp[0] * e_p[0],
-        vd[1] - kp[1] * e_p[1],
-        vd[2] - kp[2] * e_p[2],
-        vd[3] - ke[0] * rx,
-        vd[4] - ke[1] * ry,
-        vd[5] - ke[2] * rz,
+        vdx - kp[0] * e_p[0],
+        vdy - kp[1] * e_p[1],
+        vdz - kp[2] * e_p[2],
+        odx - ke[0] * rx,
+        ody - ke[1] * ry,
+        odz - ke[2] * rz,
     )
     dv_ref = (  # v̇_r = v̇_d − K ė,  ė = [ė_p; −ė_η e_ε − e_η ė_ε] with eq:error_dynamics
-        ad[0] - kpr[0] * dp[0],
-        ad[1] - kpr[1] * dp[1],
-        ad[2] - kpr[2] * dp[2],
-        ad[3] + ker[0] * (de_eta * ex + e_eta * dex),
-        ad[4] + ker[1] * (de_eta * ey + e_eta * dey),
-        ad[5] + ker[2] * (de_eta * ez + e_eta * dez),
+        adx - kpr[0] * dpx,
+        ady - kpr[1] * dpy,
+        adz - kpr[2] * dpz,
+        bdx + ker[0] * (de_eta * ex + e_eta * dex),
+        bdy + ker[1] * (de_eta * ey + e_eta * dey),
+        bdz + ker[2] * (de_eta * ez + e_eta * dez),
     )
     e_v = (  # eq:reference error
-        v[0] - v_ref[0],
-        v[1] - v_ref[1],
-        v[2] - v_ref[2],
-        v[3] - v_ref[3],
-        v[4] - v_ref[4],
-        v[5] - v_ref[5],
+        vx - v_ref[0],
+        vy - v_ref[1],
+        vz - v_ref[2],
+        ox - v_ref[3],
+        oy - v_ref[4],
+        oz - v_ref[5],
     )
     return Errors(e_p, e_eta, e_eps, (*e_p, rx, ry, rz), v_ref, dv_ref, e_v)

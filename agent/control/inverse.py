@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from agent.control import lapack
 from agent.control.models import Matrix
+
+_IDENTITY = tuple(np.eye(n, order="F") for n in range(7))  # by the rows of a task space, at most six
 
 
 class SingularJacobian(ArithmeticError):
@@ -30,10 +34,8 @@ def invert_jacobian(J: Matrix, B: Matrix) -> tuple[Matrix, float]:
 
 
 def _invert(A: Matrix) -> Matrix:
-    lu, pivots, info = lapack.dgetrf(A)
-    if info == 0:
-        inverse, info = lapack.dgetri(lu, pivots)
+    inverse: Matrix
+    _, _, inverse, info = lapack.dgesv(A, _IDENTITY[len(A)])
     if info != 0 or not math.isfinite(inverse[0, 0]):
         raise SingularJacobian
-    result: Matrix = inverse
-    return result
+    return inverse

@@ -13,8 +13,9 @@ import math
 
 from agent.control import errors as error_terms
 from agent.control.inverse import SingularJacobian, invert_jacobian
-from agent.control.law import Offline, Reference, Shared, Terms, assemble, object_wrench
+from agent.control.law import Offline, add_sums, object_wrench
 from agent.control.models import ArmModel
+from agent.control.terms import CORIOLIS, DDQ_REF, GRAVITY, INERTIA, OBJECT, Terms, no_terms
 from agent.control.trajectory import Desired
 from drivers.interface import Vector
 
@@ -40,17 +41,11 @@ def torque(model: ArmModel, offline: Offline, q: Vector, dq: Vector, q_hold: Vec
     desired = Desired(held.p_object, held.quat_object, _STILL, _STILL)
     e = error_terms.evaluate(k.p_object, k.quat_object, k.v_object, desired, offline.gains)
     still = e._replace(v_ref=_STILL, dv_ref=_STILL)
-    ddq_ref = -2.0 * rate_rad_per_s * dq - rate_rad_per_s**2 * (q - q_hold)
-    tau_inertia, tau_coriolis = k.B.dot(ddq_ref), k.C.dot(dq)
-    tau_object = k.Jt.dot([offline.load_share * f for f in object_wrench(offline, k, still)])
-    return assemble(
-        desired,
-        Reference(k, e, 0.0 * dq, ddq_ref, sigma_min(model, q)),
-        (tau_inertia, tau_coriolis, k.g, None),
-        Shared(0.0 * dq, tau_object, None, None, _UNKNOWN),
-        None,
-        tau_inertia + tau_coriolis + k.g + tau_object,
-        _UNKNOWN,
-        math.nan,
-        None,
-    )
+    joints = no_terms(model.n)
+    joints[DDQ_REF] = -2.0 * rate_rad_per_s * dq - rate_rad_per_s**2 * (q - q_hold)
+    joints[INERTIA] = k.B.dot(joints[DDQ_REF])
+    joints[CORIOLIS] = k.C.dot(dq)
+    joints[GRAVITY] = k.g
+    joints[OBJECT] = k.Jt.dot([offline.load_share * f for f in object_wrench(offline, k, still)])
+    add_sums(joints)
+    return Terms(desired, k, e, joints, _UNKNOWN, _UNKNOWN, math.nan, sigma_min(model, q), None)

@@ -11,42 +11,46 @@ from __future__ import annotations
 
 from agent.control.law import (
     Offline,
-    Terms,
-    assemble,
-    law_torque,
+    add_friction,
+    add_sums,
+    add_wrenches,
     lyapunov_share,
     object_wrench,
     reference,
-    shared_torques,
     wrench_at_ee,
 )
 from agent.control.models import ArmModel
+from agent.control.terms import CORIOLIS, DDQ_REF, DQ_REF, FRICTION, GRAVITY, INERTIA, POSTURE, Terms
 from agent.control.trajectory import Desired
 from drivers.interface import Vector
 
 
 def torque(model: ArmModel, offline: Offline, q: Vector, dq: Vector, desired: Desired) -> Terms:
     """One tick of the law at this arm's (q, dq), each (n,).  Raises SingularJacobian."""
-    ref, J_inv, J_inv_P = reference(model, offline, q, dq, desired)
-    k, e, dq_ref, ddq_ref, _ = ref
+    k, e, joints, sigma_min, J_inv, J_inv_P = reference(model, offline, q, dq, desired)
+    dq_ref, ddq_ref = joints[DQ_REF], joints[DDQ_REF]
     c, f = offline.load_share, object_wrench(offline, k, e)
     load = (c * f[0], c * f[1], c * f[2], c * f[3], c * f[4], c * f[5])
-    tau_posture = None if offline.posture is None else offline.posture.torque(q, dq, k.J, J_inv)
-    shared = shared_torques(offline, k, e, load, tau_posture)
-    tau_inertia, tau_coriolis = k.B.dot(ddq_ref), k.C.dot(dq_ref)  # eq:manipulator dynamics at the reference, and k.g
-    tau_law = law_torque(tau_inertia + tau_coriolis + k.g, shared)  # eq:control law
-    tau_cmd, tau_friction = tau_law, None
-    if offline.friction is not None:
-        tau_friction = offline.friction.torque(dq_ref)
-        tau_cmd = tau_law + tau_friction
-    return assemble(
+    k.B.dot(ddq_ref, joints[INERTIA])  # eq:manipulator dynamics at the reference, into the block
+    k.C.dot(dq_ref, joints[CORIOLIS])  # eq:manipulator dynamics
+    joints[GRAVITY] = k.g  # eq:manipulator dynamics
+    wrench_internal = add_wrenches(model, offline, k, e, load, joints)
+    friction = offline.friction
+    if friction is not None and not friction.sticks:
+        joints[FRICTION] = friction.gliding(dq_ref.tolist())
+    if offline.posture is not None:
+        joints[POSTURE] = offline.posture.torque(q, dq, k.J, J_inv)
+    tau_law = add_sums(joints)  # eq:control law
+    if friction is not None and friction.sticks:
+        add_friction(joints, friction.torque(dq_ref, dq, tau_law))
+    return Terms(
         desired,
-        ref,
-        (tau_inertia, tau_coriolis, k.g, None),
-        shared,
-        tau_friction,
-        tau_cmd,
+        k,
+        e,
+        joints,
         wrench_at_ee(k, J_inv_P, tau_law),
+        wrench_internal,
         lyapunov_share(offline, k, e, dq - dq_ref),
+        sigma_min,
         J_inv_P,
     )

@@ -13,7 +13,7 @@ from drivers.interface import Vector
 
 MEMORY_JOINTS = 7  # room per joint array in the flattened form
 JOINT_ARRAYS = 10
-_NO_POSE = (0.0,) * 7
+NO_POSE = (0.0,) * 7  # what the log has where nothing is held
 
 
 class Memory(NamedTuple):
@@ -37,27 +37,19 @@ class Memory(NamedTuple):
     estimate: Estimate | None = None  # of the adaptive law; logged in fields of its own
     q_hold: Vector | None = None  # joint angles at that pose, for a hold that needs no inverse of the Jacobian
 
-    @property
-    def joint_arrays(self) -> tuple[Vector | None, ...]:
-        """The joint arrays of the log field `memory`, each (n,); None is logged as zeros."""
-        sensed = self.sense.momentum, self.sense.expected, self.sense.residual
-        return self.q, self.dq, self.ddq, self.ddq_before, self.tau, self.tau_before, self.q_hold, *sensed
-
-    @property
-    def rest(self) -> tuple[float, ...]:
-        """What stands behind them: pose to hold (7), primed, time, shift (6), damped; the rest of `sense` (19)."""
-        pose, sense = _NO_POSE if self.hold is None else self.hold, self.sense
-        wrenches = (*sense.base.tolist(), *sense.slow.tolist(), *sense.rest.tolist(), sense.ticks)
-        return (*pose, float(self.primed), self.t, *self.shift, float(self.damped), *wrenches)
-
     def flatten(self) -> list[float]:
-        """The numbers of the log field `memory`: the joint arrays padded to seven, and the rest."""
-        pad = [0.0] * (MEMORY_JOINTS - len(self.q))
-        flat: list[float] = []
-        for array in self.joint_arrays:
-            flat += [0.0] * len(self.q) if array is None else array.tolist()
-            flat += pad
-        return [*flat, *self.rest]
+        """The numbers of the log field `memory`.
+
+        Joint arrays padded to seven, None as zeros; pose to hold (7), primed, time, shift (6), damped; and of `sense`
+        the wrenches (6) and `ticks`.
+        """
+        own, sense, n = self[:6], self.sense, len(self.q)
+        joints = np.zeros((JOINT_ARRAYS, MEMORY_JOINTS))
+        for row, array in zip(joints, (*own, self.q_hold, *sense[:3]), strict=True):
+            if array is not None:
+                row[:n] = array
+        rest = *(self.hold or NO_POSE), self.primed, self.t, *self.shift, self.damped, *sense.wrenches
+        return [*joints.ravel().tolist(), *map(float, rest)]
 
 
 def initial(n: int, estimate: Estimate | None = None) -> Memory:

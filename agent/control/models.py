@@ -10,6 +10,7 @@ and the rotation about its normal, by an orthonormal basis P (3, 6); with six jo
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -22,7 +23,10 @@ from drivers.interface import Refusal, Vector
 
 Matrix = NDArray[np.float64]
 SMALLEST_INERTIA_KG_M2 = 1e-9
+Twist = tuple[float, float, float, float, float, float]
 _WORLD_AXES = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+_PACK_TWO = struct.Struct("=12d").pack_into
+_PACK_THREE = struct.Struct("=18d").pack_into
 
 
 class ModelError(Refusal):
@@ -35,7 +39,7 @@ class Kinematics(NamedTuple):
     p_object: Vec3
     quat_object: Quat
     R_world_object: Mat3
-    v_object: tuple[float, float, float, float, float, float]
+    v_object: Twist
     J: Matrix  # (m, n) task-space Jacobian of the object frame
     dJ: Matrix  # (m, n) its time derivative
     Jt: Matrix  # (n, 6) joint torques of a wrench about the object's centre
@@ -43,6 +47,25 @@ class Kinematics(NamedTuple):
     C: Matrix  # (n, n) Christoffel-consistent Coriolis matrix
     g: Vector  # (n,)
     p_ee_object: Vec3  # p_O − p_E
+
+
+class Scratch:
+    """Room in which tuples of numbers become arrays: written over by the next call, and quicker than a new one."""
+
+    def __init__(self) -> None:
+        twists = np.zeros((2, 6))
+        self._rows, self._wrenches = (twists[0], twists[1]), np.zeros((3, 6))
+        self._two, self._three = twists.data, self._wrenches.data
+
+    def two(self, first: Twist, second: Twist) -> tuple[Vector, Vector]:
+        """Both as arrays (6,)."""
+        _PACK_TWO(self._two, 0, *first, *second)
+        return self._rows
+
+    def three(self, first: Twist, second: Twist, third: Twist) -> Matrix:
+        """All as rows of one array (3, 6)."""
+        _PACK_THREE(self._three, 0, *first, *second, *third)
+        return self._wrenches
 
 
 class ArmModel:
@@ -93,10 +116,11 @@ class ArmModel:
             )
         )
         self.data = self.model.createData()
+        self.scratch = Scratch()
         _refuse_unphysical(self.model, self.data)
         self.plane_normal, self.task_basis = _task_space(self.model, self.data)
         self._p_ee_object: Vec3 = tuple((-T_object_ee.translation).tolist())  # object axes
-        self._identity_task = self.plane_normal is None
+        self.task_is_identity = self.plane_normal is None
 
     @property
     def task_dimension(self) -> int:
@@ -117,7 +141,7 @@ class ArmModel:
         p_ee_object = rotate(R, self._p_ee_object)
         B = pin.crba(model, data, q).copy()
         g = pin.computeGeneralizedGravity(model, data, q).copy()
-        if self._identity_task:
+        if self.task_is_identity:
             J, dJ = J6, dJ6
         else:
             J, dJ = self.task_basis.dot(J6), self.task_basis.dot(dJ6)

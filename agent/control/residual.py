@@ -21,8 +21,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent.control.law import Terms
 from agent.control.models import Matrix
+from agent.control.terms import Terms
 from drivers.interface import Vector
 
 REST_S = 2.0  # of the mean of the slow channel before the start
@@ -38,6 +38,11 @@ class Sense(NamedTuple):
     slow: Vector  # (6,) the same for the slow channel
     rest: Vector  # (6,) mean of the slow channel before the start
     ticks: float  # in that mean, and one; 0: the residual has not begun
+
+    @property
+    def wrenches(self) -> tuple[float, ...]:
+        """The end of the log field `memory`: three wrenches (6), and `ticks`."""
+        return (*self.base.tolist(), *self.slow.tolist(), *self.rest.tolist(), self.ticks)
 
 
 def nothing_sensed(n: int) -> Sense:

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
-from agent.control.quaternion import Quat, Vec3, from_axis_angle, multiply
+from agent.control.quaternion import Quat, Vec3, multiply
 
 Vec6 = tuple[float, float, float, float, float, float]
 
@@ -49,11 +49,13 @@ class Sinusoid:
     period_s: float
     _rad_per_s: float = field(init=False)
     _amplitude: Vec6 = field(init=False)  # m, rad
+    _quat_turned: Quat = field(init=False)  # quat_centre turned by π about the axis
 
     def __post_init__(self) -> None:
         p, n, phi = self.p_amplitude, self.axis, self.angle_rad
         object.__setattr__(self, "_rad_per_s", 2.0 * math.pi / self.period_s)
         object.__setattr__(self, "_amplitude", (*p, n[0] * phi, n[1] * phi, n[2] * phi))
+        object.__setattr__(self, "_quat_turned", multiply((0.0, *n), self.quat_centre))
 
     def at(self, t: float) -> Desired:
         """Desired motion at time t (s)."""
@@ -61,9 +63,12 @@ class Sinusoid:
         s, c = math.sin(w * t), w * math.cos(w * t)
         dd = -w * w * s
         (px, py, pz), (x, y, z, rx, ry, rz) = self.p_centre, self._amplitude
+        (qw, qx, qy, qz), (nw, nx, ny, nz) = self.quat_centre, self._quat_turned
+        half = 0.5 * self.angle_rad * s
+        a, b = math.cos(half), math.sin(half)  # (a, b n) ⊗ ξ = a ξ + b (0, n) ⊗ ξ
         return Desired(
             (px + x * s, py + y * s, pz + z * s),
-            multiply(from_axis_angle(self.axis, self.angle_rad * s), self.quat_centre),
+            (a * qw + b * nw, a * qx + b * nx, a * qy + b * ny, a * qz + b * nz),
             (x * c, y * c, z * c, rx * c, ry * c, rz * c),
             (x * dd, y * dd, z * dd, rx * dd, ry * dd, rz * dd),
         )

@@ -1,4 +1,4 @@
-"""Where the files lie that ship beside the code: documents, systemd units, cells, arms; the same names in every
+"""Where the files lie that ship beside the code: documents, units, layouts, cells, arms; the same names in every
 installation."""
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ class Shipped(enum.StrEnum):
     ARMS = "arms"
     UNITS = "units"
     DOCS = "docs"
+    LAYOUTS = "layouts"
 
 
 def folder(what: Shipped) -> Path:
@@ -33,6 +34,7 @@ def folder(what: Shipped) -> Path:
         Shipped.ARMS: configs.ARMS_DIR,
         Shipped.UNITS: _root() / "systemd",
         Shipped.DOCS: _root() / "docs",
+        Shipped.LAYOUTS: _root() / "layouts",
     }
     place = places[what]
     if not place.is_dir():

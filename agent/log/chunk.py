@@ -14,16 +14,11 @@ import numpy as np
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
-HEAD: Final = np.dtype(
-    [
-        ("opcode", "u1"),
-        ("length", "<u8"),
-        ("channel", "<u2"),
-        ("sequence", "<u4"),
-        ("log_time", "<u8"),
-        ("publish_time", "<u8"),
-    ]
-)  # of a message record; the message follows
+_WHICH: Final[list[tuple[str, str]]] = [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2")]
+_WHEN: Final[list[tuple[str, str]]] = [("sequence", "<u4"), ("log_time", "<u8"), ("publish_time", "<u8")]
+HEAD: Final = np.dtype(_WHICH + _WHEN)  # of a message record; the message follows
+WHICH: Final = np.dtype(_WHICH)  # the part of it that messages of a channel share
+WHEN: Final = np.dtype(_WHEN)
 RECORD_HEAD_BYTES: Final = 9  # opcode and length, which counts what is behind it
 LOG_TIME_AT: Final = RECORD_HEAD_BYTES + 6  # behind channel and sequence
 
@@ -44,17 +39,17 @@ class Group:
         fields: list[Any] = []
         template = b""
         for i, m in enumerate(messages):
-            fields += [(f"head{i}", HEAD), (f"message{i}", m.dtype)]
+            fields += [(f"which{i}", WHICH), (f"when{i}", WHEN), (f"message{i}", m.dtype)]
             length = HEAD.itemsize - RECORD_HEAD_BYTES + m.dtype.itemsize
             head = struct.pack("<BQH", Opcode.MESSAGE, length, m.channel)
             template += head.ljust(HEAD.itemsize, b"\0") + m.template
         self.channels = tuple(m.channel for m in messages)
         self.dtype: np.dtype[np.void] = np.dtype(fields)
         self.template = np.frombuffer(template, np.uint8)  # the beginning of each record
-        self.heads = tuple(f"head{i}" for i in range(len(messages)))
+        self.whens = tuple(f"when{i}" for i in range(len(messages)))
         self.names = tuple(f"message{i}" for i in range(len(messages)))
         assert self.dtype.fields is not None
-        self.offsets = tuple(self.dtype.fields[head][1] for head in self.heads)
+        self.offsets = tuple(self.dtype.fields[f"which{i}"][1] for i in range(len(messages)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,9 +99,12 @@ class Chunk:
         for part in self.parts:
             distance = np.arange(0, part.stride * len(part.times), part.stride, dtype=np.uint64)
             for channel, first in part.first:
-                pieces.setdefault(channel, []).append(np.stack([part.times, distance + np.uint64(first)], axis=1))
+                own = np.empty((len(distance), 2), np.uint64)
+                own[:, 0] = part.times
+                np.add(distance, np.uint64(first), out=own[:, 1])
+                pieces.setdefault(channel, []).append(own)
         for copy in self.copies:
             entries = np.stack([copy.times, copy.offsets], axis=1)
             for channel in np.unique(copy.channels).tolist():
                 pieces.setdefault(channel, []).append(entries[copy.channels == channel])
-        return {channel: np.concatenate(own) for channel, own in pieces.items()}
+        return {channel: np.concatenate(some) for channel, some in pieces.items()}

@@ -10,15 +10,18 @@ import numpy as np
 from mcap.records import Attachment, Channel, Metadata, Schema
 from numpy.typing import NDArray
 
-from agent.log import ros_definitions
+from agent.log.cdr import text_of
+from agent.log.layout import OURS, differences, parse
 from agent.log.scan import LogScan, Messages, Run, library_of
-from agent.log.standard import text_of
 from agent.telemetry.row.event import Event
-from agent.telemetry.row.sample import AGENT_STATE, PLANT_STATE, Layout
+from agent.telemetry.row.sample import Layout
 from agent.telemetry.row.topics import Kind, parse_topic
 from drivers.interface import Refusal
 
-_LAYOUTS: Final = {ros_definitions.schema_name(layout.ros_name): layout for layout in (AGENT_STATE, PLANT_STATE)}
+_OTHER_RELEASE: Final = (
+    "`coop export` and `coop replay` read it as it is; for the rest take the release that recorded it, "
+    "which is in its metadata `versions`"
+)
 
 
 class LogError(Refusal):
@@ -39,15 +42,17 @@ Sink = TypeVar("Sink", bound=RowSink)
 class Collected(Generic[Sink]):
     """All of one log."""
 
-    def __init__(self, path: Path, new_sink: Callable[[Layout], Sink]) -> None:
-        """`new_sink` is called once per member that has a channel of rows."""
+    def __init__(self, path: Path, new_sink: Callable[[Layout], Sink], *, any_layout: bool = False) -> None:
+        """`new_sink` is called once per member that has a channel of rows; any_layout: rows of other releases too."""
         self.cell = ""
         self.rows: dict[str, Sink] = {}
         self.events: list[Event] = []
         self.attachments: dict[str, bytes] = {}
         self.metadata: dict[str, dict[str, str]] = {}
         self.problems: list[str] = []
+        self.layouts: dict[str, Layout] = {}
         self.path = path
+        self._any_layout = any_layout
         self._new_sink = new_sink
         self._schemas: dict[int, Schema] = {}
         self._kinds: dict[int, tuple[str, Kind]] = {}  # member and kind by channel
@@ -88,21 +93,26 @@ class Collected(Generic[Sink]):
         self.cell = address.cell
         self._kinds[channel.id] = (address.member, address.kind)
         if address.kind is Kind.STATE and address.member not in self.rows:
-            layout = self._layout(channel)
+            layout = self.layouts[address.member] = self._layout(channel)
             self.rows[address.member] = self._new_sink(layout)
             self._row_bytes[address.member] = layout.dtype.itemsize
 
     def _layout(self, channel: Channel) -> Layout:
         schema = self._schemas.get(channel.schema_id)
-        layout = _LAYOUTS.get(schema.name) if schema else None
-        if schema is None or layout is None or schema.data.decode(errors="replace") != layout.definition:
+        own = OURS.get(schema.name) if schema else None
+        written = schema.data.decode(errors="replace") if schema else ""
+        found = parse(schema.name, written) if schema else None
+        if found is None or own is None or not (self._any_layout or written == own.definition):
+            told = "no schema" if schema is None else schema.name
+            if found is not None and own is not None:
+                told = f"{told} {differences(found.fields, own.fields) or 'in other words'}"
             raise LogError(
                 f"{self.path}: {channel.topic} has another layout",
-                found=schema.name if schema else "no schema",
+                found=told,
                 expected="the layout of this release",
-                remedy="read it with the release that recorded it, which is in its metadata `recorder`",
+                remedy=_OTHER_RELEASE if found is not None else "read it with the release that recorded it",
             )
-        return layout
+        return found
 
     def _add_run(self, messages: Messages, run: Run) -> None:
         if run.channel not in self._kinds:

@@ -133,6 +133,11 @@ class LogFile:
         for channel in group.channels:
             self.lost[channel] += count - done
 
+    @property
+    def size(self) -> int:
+        """Bytes on the disk."""
+        return self._sink.position
+
     def tick(self, now_s: float) -> None:
         """Flush when it is time, and look how much room is left."""
         if not self._open or now_s - self._flushed_s < FLUSH_S:

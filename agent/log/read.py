@@ -46,19 +46,25 @@ class Log(Generic[Rows]):
     complete: bool  # the recorder finished the file, nothing is missing, nothing is damaged
     gaps: dict[str, Gaps]  # by member: absent sequence numbers, first and last of each gap
     problems: tuple[str, ...] = field(default=())  # what is wrong with the file, for a person
+    layouts: Mapping[str, Layout] = field(default_factory=dict)  # by member, as the log's own schemas have them
 
     def run_info(self) -> dict[str, Any]:
         """The run's description.  Raises LogError when the log has none."""
         try:
-            info = json.loads(self.attachments[RUN_FILE])
-        except (KeyError, ValueError) as error:
+            return _described(json.loads(self.attachments[RUN_FILE]))
+        except (KeyError, ValueError, RecursionError) as error:
             raise LogError(
                 f"{self.path} does not say which run it is",
                 found=repr(error),
                 expected=f"an attachment {RUN_FILE}",
                 remedy="take a log that `coop record` made",
             ) from error
-        return dict(info)
+
+
+def _described(info: Any) -> dict[str, Any]:
+    if not isinstance(info, dict):
+        raise ValueError(f"a {type(info).__name__}")
+    return info
 
 
 RunLog = Log[NDArray[np.void]]  # rows as structured arrays, read-only
@@ -78,13 +84,14 @@ def read_log(path: Path) -> RunLog:
 
 
 @contextmanager
-def open_log(path: Path, folder: Path | None = None) -> Iterator[ColumnLog]:
+def open_log(path: Path, folder: Path | None = None, *, any_layout: bool = False) -> Iterator[ColumnLog]:
     """The same with rows by column, for the time of the block: memory is needed for the columns in use.
 
     `folder`: where the temporary file with the columns lies, about as large as the log; see ColumnFile.
+    any_layout: rows of another release are read too, with the fields that `layouts` has.
     """
     with ColumnFile(folder) as file:
-        collected = Collected(path, lambda layout: StoredRows(file, layout.dtype))
+        collected = Collected(path, lambda layout: StoredRows(file, layout.dtype), any_layout=any_layout)
         collected.read()
         for stored in collected.rows.values():
             stored.finish()
@@ -133,6 +140,7 @@ def _log(collected: Collected[Any], rows: Mapping[str, AnyRows]) -> Log[AnyRows]
         complete=told and not problems and not left_out,
         gaps={member: _gaps(own["sequence"]) for member, own in rows.items()},
         problems=tuple(problems),
+        layouts=collected.layouts,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
@@ -105,12 +106,16 @@ class RunInfo:
 
 def read_info(log: AnyLog) -> RunInfo:
     """Typed view of run.json; whatever it does not hold is taken from the rows and said in `notes`."""
-    notes: list[str] = []
-    raw: dict[str, Any] = {}
     try:
-        raw = log.run_info()
+        return _typed(log, log.run_info(), [])
     except Refusal as refusal:
-        notes.append(f"{refusal.what}: rate, duration and joint names are taken from the rows, no bound is known")
+        what = refusal.what
+    except (TypeError, ValueError, KeyError, AttributeError, OverflowError) as error:
+        what = f"{RUN_FILE} of {log.path} does not say what it should ({error!r})"
+    return _typed(log, {}, [f"{what}: rate, duration and joint names are taken from the rows, no bound is known"])
+
+
+def _typed(log: AnyLog, raw: dict[str, Any], notes: list[str]) -> RunInfo:
     rate_hz = _number(raw, "rate_hz", notes) or _rate_of(log)
     transient_s = _number(raw, "transient_s", notes)
     return RunInfo(
@@ -136,7 +141,10 @@ def _number(raw: Mapping[str, Any], key: str, notes: list[str]) -> float | None:
         if raw:
             notes.append(f"{RUN_FILE} has no {key}")
         return None
-    return float(raw[key])
+    number = float(raw[key])
+    if not (math.isfinite(number) and number >= 0.0):
+        raise ValueError(f"{key} is {number}")
+    return number
 
 
 def _rate_of(log: AnyLog) -> float:

@@ -66,13 +66,24 @@ class Progress(Protocol):
 class Children:
     """The processes of one run.  What they share lies in `runtime`, their words beside `log` in a folder `logs`."""
 
-    def __init__(self, cell: Cell, kind: RunKind, seed: int, faults: Path | None, log: Path, runtime: Path) -> None:
+    def __init__(
+        self,
+        cell: Cell,
+        kind: RunKind,
+        seed: int,
+        faults: Path | None,
+        log: Path,
+        runtime: Path,
+        listen: str = FREE_PORT,
+    ) -> None:
+        """`listen`: endpoint of the recorder, where viewers may connect."""
         self._cell = cell
         self._kind = kind
         self._seed = seed
         self._faults = faults
         self._log = log
         self._runtime = runtime
+        self._listen = listen
         self._words = log.parent / "logs"
         self._words.mkdir(exist_ok=True)
         self._cell_path = runtime / "cell.toml"
@@ -126,7 +137,7 @@ class Children:
         return RecordCommand(
             cell=self._cell_path,
             out=self._log,
-            listen=FREE_PORT,
+            listen=self._listen,
             driver=self._kind.driver,
             truth=True,
             seed=self._seed,

@@ -10,12 +10,15 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 
 from agent.config.files import CellFiles
 from agent.config.schema.cell import DriverKind
 from agent.host.info import attachments
 from agent.log.file import Attachment
+from agent.log.parts import Limits, only_recorder
+from agent.process.scene import scene_of
 from agent.telemetry.link import record
 from agent.telemetry.link.session import Network
 from drivers.interface import Refusal
@@ -36,10 +39,15 @@ def run_recorder(
     run_info: bytes,
     *,
     has_plant: bool,
+    limits: Limits,
+    alone: bool,
     stop: Callable[[], bool],
     ready: Callable[[str], None],
 ) -> record.RecordReport:
-    """Record the cell until a stop; run_info: content of run.json; ready is told the endpoint.  Raises Refusal."""
+    """Record the cell until a stop; ready is told the endpoint.  Raises Refusal.
+
+    run_info: content of run.json; alone: refuse when another recorder of the cell is at work in the log's folder.
+    """
     info = json.loads(run_info)
     if info.get("fingerprint") != cell.fingerprint:
         raise DescriptionError(
@@ -51,15 +59,16 @@ def run_recorder(
     files = attachments(cell, run_info)
     options = record.RecordOptions(
         path=log,
-        cell=cell.file.name,
-        arms={arm.name: tuple(arm.entry.controlled) for arm in cell.arms},
+        scene=scene_of(cell),
         config_id=cell.config_id,
         has_plant=has_plant,
         network=network,
         attachments=tuple(Attachment(name, _media_type(name), content) for name, content in files.items()),
+        limits=limits,
         metadata={"versions": info["versions"], "cell": {"name": cell.file.name, "fingerprint": cell.fingerprint}},
     )
-    return record.run(options, stop, lambda endpoint: ready(f"endpoint={endpoint}"))
+    with only_recorder(log.parent, cell.file.name) if alone else nullcontext():
+        return record.run(options, stop, lambda endpoint: ready(f"endpoint={endpoint}"))
 
 
 def described(cell: Path, driver: DriverKind, seed: int) -> bytes:

@@ -14,7 +14,9 @@ from agent.process.children import Children, Progress, RunKind
 from agent.process.folder import LOG_NAME, RunError, output_folder
 from agent.report.report import write_report
 from agent.report.results import Results
+from agent.telemetry.link.session import FREE_PORT
 from agent.verify.check import examine
+from agent.view.film import still
 
 
 @dataclass(frozen=True)
@@ -29,6 +31,7 @@ class RunOptions:
     kind: RunKind
     faults: Path | None = None  # of the emulated servos, JSON lines
     replace: bool = False  # an earlier run in `out`
+    listen: str = FREE_PORT  # where the recorder listens, for viewers
 
 
 @dataclass(frozen=True)
@@ -62,7 +65,7 @@ def run_cell(options: RunOptions, stop: Callable[[], bool], progress: Progress) 
     log = out / LOG_NAME
     runtime = Path(tempfile.mkdtemp(prefix="coop-", dir="/dev/shm" if Path("/dev/shm").is_dir() else None))
     try:
-        children = Children(cell, options.kind, options.seed, options.faults, log, runtime)
+        children = Children(cell, options.kind, options.seed, options.faults, log, runtime, options.listen)
         try:
             children.start(progress)
             interrupted = children.watch(stop, progress)
@@ -73,6 +76,6 @@ def run_cell(options: RunOptions, stop: Callable[[], bool], progress: Progress) 
         shutil.rmtree(runtime, ignore_errors=True)
     progress.phase("report")
     with open_log(log) as opened:
-        report = write_report(opened, out)
+        report = write_report(opened, out, still)
     progress.phase("done")
     return RunOutcome(log, report.html, report.results, interrupted, report.results.within_bounds)

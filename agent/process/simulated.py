@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from agent.config.cell import Arm, Cell
+from agent.config.friction import joint_friction
 from agent.config.reality import reality_of
-from agent.config.schema.arm import Figure
 from agent.config.schema.reality import Reality as RealityEntry
 from agent.config.schema.simulation import Effects
 from drivers.dynamixel.servo.table import PWM_UNIT_DUTY, RATED_VOLTAGE_V, TICK_RAD, VELOCITY_UNIT_RAD_PER_S
@@ -82,19 +82,10 @@ def _friction(cell: Cell, arm: Arm) -> FrictionSpec | None:
     """Friction with presliding where the arm file has breakaway or load friction for any joint."""
     if not (cell.file.simulation.effects.friction and any(s.sticks for s in arm.servos)):
         return None
-
-    def of(figures: Sequence[Figure | None], default: float) -> Vector:
-        return np.array([default if f is None else f.value for f in figures])
-
-    return FrictionSpec(
-        coulomb_Nm=of([s.coulomb_Nm for s in arm.servos], 0.0),
-        breakaway_Nm=of([s.breakaway_Nm for s in arm.servos], 0.0),
-        stribeck_rad_s=of([s.stribeck_rad_per_s for s in arm.servos], 1.0),
-        stribeck_exponent=of([s.stribeck_exponent for s in arm.servos], 1.0),
-        load=of([s.load_friction for s in arm.servos], 0.0),
-        breakaway_load=of([s.breakaway_load_friction for s in arm.servos], 0.0),
-        viscous_Nms_rad=of([s.viscous_Nm_s_per_rad for s in arm.servos], 0.0),
-    )
+    coulomb, viscous, breakaway, speed, exponent, load, breakaway_load = np.array(
+        [joint_friction(servo) for servo in arm.servos]
+    ).T
+    return FrictionSpec(coulomb, breakaway, speed, exponent, load, breakaway_load, viscous)
 
 
 def actuator_spec(cell: Cell, arm: Arm) -> ActuatorSpec:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
+from typing import Final
 
 from rich import box
 from rich.table import Table
@@ -13,6 +14,13 @@ from rich.table import Table
 from agent.report.quantity import Better, Quantity
 from agent.report.results import HEADLINE, Results
 from agent.report.tables import number
+from drivers.interface import Refusal
+
+MANY: Final = 1000.0
+
+
+class CompareError(Refusal):
+    """Logs that cannot be compared as asked."""
 
 
 class Change(Enum):
@@ -41,6 +49,18 @@ class Difference:
         """(b − a) / |a|; NaN where it has no meaning."""
         return (self.b - self.a) / abs(self.a) if self.a and math.isfinite(self.a) else float("nan")
 
+    @property
+    def words(self) -> str:
+        """The change for a person: `better, −12.3 %`."""
+        return ", ".join(filter(None, (self.change.value, self.percent if self.change.value else "")))
+
+    @property
+    def percent(self) -> str:
+        """The relative change for a person; empty where it has no meaning."""
+        if not math.isfinite(self.relative):
+            return ""
+        return f"{100 * self.relative:+.1f} %" if abs(self.relative) < MANY else f"over {MANY:.0f} times"
+
 
 def compare(a: Results, b: Results, *, tolerance: float = 0.01) -> list[Difference]:
     """Every figure of either run, headline first; figures closer than `tolerance` (relative) count as the same."""
@@ -49,18 +69,20 @@ def compare(a: Results, b: Results, *, tolerance: float = 0.01) -> list[Differen
     return [_difference(name, first.get(name), second.get(name), tolerance) for name in names]
 
 
-def comparison_table(a: Results, b: Results, differences: Iterable[Difference]) -> Table:
+def comparison_table(
+    a: Results, b: Results, differences: Iterable[Difference], names: tuple[str, str] = ("A", "B")
+) -> Table:
     """What differs, for the terminal; the headline figures are shown in any case."""
-    table = Table(title=f"A: {_label(a)}\nB: {_label(b)}", title_justify="left", box=box.SIMPLE_HEAD)
-    for heading in ("figure", "A", "B", "change", ""):
+    title = f"{names[0]}: {label(a)}\n{names[1]}: {label(b)}"
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
+    for heading in ("figure", *names, "change", ""):
         table.add_column(heading, justify="left" if heading in ("figure", "") else "right", overflow="fold")
     colours = {Change.BETTER: "green", Change.WORSE: "red"}
     for d in differences:
         if d.change is Change.SAME and d.name not in HEADLINE:
             continue
-        relative = f"{100 * d.relative:+.1f} %" if math.isfinite(d.relative) else ""
         style = colours.get(d.change, "")
-        table.add_row(d.name, number(d.a, d.unit), number(d.b, d.unit), relative, d.change.value, style=style)
+        table.add_row(d.name, number(d.a, d.unit), number(d.b, d.unit), d.percent, d.change.value, style=style)
     return table
 
 
@@ -81,7 +103,8 @@ def _change(a: float, b: float, better: Better, tolerance: float) -> Change:
     return Change.BETTER if (b < a) is (better is Better.LOWER) else Change.WORSE
 
 
-def _label(results: Results) -> str:
+def label(results: Results) -> str:
+    """What a run is, in a line."""
     info = results.info
     law = info.controller.get("kind", "unknown")
     return f"{info.cell}, {law} law, {info.driver}, {info.rate_hz:g} Hz, cell {info.fingerprint[:8]}"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -28,24 +27,16 @@ from agent.report.plotting import (
     time_axis,
 )
 from agent.report.prepared import Prepared
-from agent.report.series import Array, PoseSeries, angle_about, column, component, rotation_vector
+from agent.report.series import Array, angle_about, column, component, rotation_vector
+from agent.report.shown import object_series, start_s
 
 NEAR_LIMIT = 0.8  # of tau_max: torques above it are drawn with their limits
 OFF_PLANE_SHOWN = 1e-9  # out-of-plane components below it are rounding and are not drawn
-START_MIN_S, START_DECAYS = 0.5, 4.0  # the start figure shows this many times the longest decay
-
-
-def object_series(run: Prepared) -> Iterator[tuple[str, PoseSeries]]:
-    """What is drawn as the actual pose: the true one where the log holds it, otherwise every arm's own view."""
-    if run.true is not None:
-        yield "actual", run.true
-    else:
-        yield from ((f"actual, seen by {name}", run.pose(name)) for name in run.rows)
 
 
 @styled
 def pose(run: Prepared) -> Figure:
-    """Desired (blue) and actual (red) object pose: x, y and angle in a plane, otherwise x, y, z and rotation vector."""
+    """Desired (wide) and actual (dashed) object pose: x, y and angle in a plane, else x, y, z and rotation vector."""
     plane = run.info.plane
     columns = 2 if plane is None else 1
     figure, axes = panels(3, columns, gap_in=0.16, top_in=0.42)
@@ -82,25 +73,21 @@ def errors(run: Prepared) -> Figure:
 
 
 @styled
+def errors_rest(run: Prepared) -> Figure:
+    """The same errors after the transient, at a scale that the start does not set."""
+    return _errors(run, run.info.duration_s, " after the transient", from_s=run.info.transient_s)
+
+
+@styled
 def errors_start(run: Prepared) -> Figure:
     """The same errors at the start, where they decay; on the same axes they would be one vertical line."""
-    return _errors(run, _start_s(run), " at the start")
+    return _errors(run, start_s(run), " at the start")
 
 
-def _start_s(run: Prepared) -> float:
-    decays = [START_MIN_S]
-    for _, s in object_series(run):
-        for error in (s.position_error, s.attitude_error):
-            above = np.flatnonzero(error > 0.1 * error[0])
-            if len(above) and s.t[above[-1]] < run.info.transient_s:
-                decays.append(START_DECAYS * float(s.t[above[-1]] - s.t[0]))
-    return min(max(decays), run.info.duration_s)
-
-
-def _errors(run: Prepared, until_s: float, when: str) -> Figure:
+def _errors(run: Prepared, until_s: float, when: str, from_s: float = 0.0) -> Figure:
     figure, axes = panels(2, height_in=2.1)
     label, s = next(object_series(run))
-    shown = s.t <= until_s
+    shown = (s.t >= from_s) & (s.t <= until_s)
     t, e_p, e_xi = s.t[shown], s.e_p[shown], s.e_xi[shown]
     for axis, name in enumerate("xyz"):
         if _worth(run, e_p, axis):
@@ -126,7 +113,7 @@ def _errors(run: Prepared, until_s: float, when: str) -> Figure:
     for ax in axes:
         _mark_transient(ax, run, until_s)
         legend(ax)
-    time_axis(axes, until_s)
+    time_axis(axes, until_s, from_s)
     return figure
 
 

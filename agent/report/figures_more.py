@@ -16,6 +16,8 @@ from agent.report.plotting import (
     GREY,
     HEADER_IN,
     RED,
+    STYLES,
+    end_labels,
     header_line,
     legend,
     line,
@@ -27,7 +29,6 @@ from agent.report.prepared import Prepared
 from agent.report.series import Array, column, component, joint_columns
 
 DURATIONS: Final = {"late_s": "began late", "read_s": "bus read", "step_s": "control step", "write_s": "bus write"}
-STYLES: Final = ("-", "--", ":", "-.")  # arms, where colours name quantities
 # feedback first: it carries the noise and would hide the others
 TERMS: Final = ("feedback", "inertia", "coriolis", "gravity", "adaptive", "object", "internal", "friction", "posture")
 TAIL_POINTS: Final = 300
@@ -186,7 +187,7 @@ def lyapunov(run: Prepared) -> Figure:
         total = np.sum([column(rows, "lyapunov") for _, rows in parts], axis=0)
         _positive_line(axes[0], column(parts[0][1], "t"), total, "black", "-", "cell")
     axes[0].set(yscale="log", ylabel="Lyapunov value [J]", title="Lyapunov value")
-    legend(axes[0])
+    end_labels(axes[0])
     time_axis(axes, run.info.duration_s)
     return figure
 

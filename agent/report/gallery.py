@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -11,24 +11,26 @@ from matplotlib.figure import Figure
 
 from agent.log.runinfo import RunArm
 from agent.report import figures, figures_more
+from agent.report.gallery_together import together
+from agent.report.moments import marks, moments_of
+from agent.report.picture import Picture
+from agent.report.plotting import mark_moments
 from agent.report.prepared import Prepared
-
-
-@dataclass(frozen=True, slots=True)
-class Picture:
-    """One figure of a report: the stem of its file, what the page says about it, how to draw it."""
-
-    stem: str
-    title: str
-    caption: str
-    draw: Callable[[], Figure]
 
 
 def pictures(run: Prepared) -> list[Picture]:
     """The figures that this run can show; none when no arm has a row."""
     if not run.rows:
         return []
-    return [*_paper(run), *_more(run)]
+    told = marks(moments_of(run), 0.0, run.info.duration_s)
+    found = [*_paper(run), *_more(run), *together(run)]
+    return [replace(p, draw=partial(_marked, p.draw, run.info.duration_s, told)) for p in found]
+
+
+def _marked(draw: Callable[[], Figure], until_s: float, told: Sequence[tuple[float, str]]) -> Figure:
+    figure = draw()
+    mark_moments(figure, until_s, told)
+    return figure
 
 
 def _paper(run: Prepared) -> list[Picture]:
@@ -36,7 +38,10 @@ def _paper(run: Prepared) -> list[Picture]:
     source = "The true pose from the simulation." if run.true else "As the arms' own kinematics see it."
     return [
         Picture(
-            "pose", "Object pose", f"Desired (blue) and actual (red): {pose}. {source}", partial(figures.pose, run)
+            "pose",
+            "Object pose",
+            f"Desired (wide, light) and actual (dashed): {pose}. {source}",
+            partial(figures.pose, run),
         ),
         Picture(
             "errors",
@@ -51,6 +56,7 @@ def _paper(run: Prepared) -> list[Picture]:
             "The same errors over the first moments, where the start error decays.",
             partial(figures.errors_start, run),
         ),
+        *_rest(run),
         Picture(
             "torques",
             "Joint torques",
@@ -64,6 +70,13 @@ def _paper(run: Prepared) -> list[Picture]:
             partial(figures.wrenches, run),
         ),
     ]
+
+
+def _rest(run: Prepared) -> list[Picture]:
+    if not 0.0 < run.info.transient_s < run.info.duration_s:
+        return []
+    caption = "The same errors after the transient, at a scale of their own."
+    return [Picture("errors_rest", "Errors after the transient", caption, partial(figures.errors_rest, run))]
 
 
 def _more(run: Prepared) -> list[Picture]:

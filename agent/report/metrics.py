@@ -20,7 +20,8 @@ from agent.report.results import (
     Spread,
     WrenchSize,
 )
-from agent.report.series import Array, PoseSeries, column, component, grasp_force, missing_ranges
+from agent.report.series import Array, PoseSeries, column, component, grasp_force, joint_columns, missing_ranges
+from agent.report.together import largest
 from agent.safety import Flag
 
 if TYPE_CHECKING:
@@ -169,7 +170,16 @@ def _arm(arm: RunArm, run: Prepared) -> ArmResults:
         lyapunov_start_J=float(lyapunov[0]),
         lyapunov_end_J=float(lyapunov[-1]),
         sigma_min=float(np.nanmin(column(rows, "sigma_min"), initial=np.inf)),
+        load_max=_largest(np.abs(joint_columns(rows, "tau_sent", len(arm.joints))) / np.array(arm.tau_max_Nm)),
+        shift_max_m=largest(rows, "shift", slice(0, 3)),
+        shift_max_rad=largest(rows, "shift", slice(3, 6)),
+        **_unexpected(rows),
     )
+
+
+def _unexpected(rows: Table) -> dict[str, float]:
+    names = ("fast_max_N", "fast_max_Nm", "slow_max_N", "slow_max_Nm")
+    return {f"unexpected_{name}": _largest(component(rows, "unexpected", i)) for i, name in enumerate(names)}
 
 
 def _rms_velocity_error(rows: Table, part: slice, info: RunInfo) -> float:
@@ -268,7 +278,7 @@ def _wrench_size(wrenches: Array) -> WrenchSize:
 
 
 def _largest(values: Array) -> float:
-    return float(np.fmax.reduce(values)) if len(values) else NAN
+    return float(np.fmax.reduce(values, axis=None)) if len(values) else NAN
 
 
 def _rms(values: Array) -> float:

@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from html import escape
 from typing import TYPE_CHECKING, Any, Final
 
-from agent.report.gallery import Picture
+from agent.report.picture import Picture
 from agent.report.results import Judgement, Results
 from agent.report.tables import Line, Table, lines, tables
 
@@ -35,6 +35,8 @@ ul.missing { border-left: 4px solid #d9a300; margin: 1rem 0; padding: .5rem 1rem
 figure { margin: 0 0 2rem; } figure img { width: 100%; max-width: 1008px; height: auto; display: block; }
 figcaption { color: var(--dim); font-size: .92rem; max-width: 60rem; } figcaption b { color: var(--ink); }
 code { font: .86em ui-monospace, "DejaVu Sans Mono", monospace; overflow-wrap: anywhere; }
+@media (max-width: 44rem) { body { padding: 1rem .8rem 3rem; } figure { overflow-x: auto; }
+  figure img { width: 46rem; max-width: none; } }
 @media print { body { padding: 0; max-width: none; font-size: 10.5pt; } @page { margin: 16mm; }
   figure img { max-height: 108mm; width: auto; max-width: 100%; } table { font-size: 8.5pt; }
   figure, tr, ul { break-inside: avoid; } h2 { break-after: avoid; } .scroll { overflow: visible; } }
@@ -53,11 +55,16 @@ def render(results: Results, images: Sequence[tuple[Picture, bytes]], events: Se
         _missing(results.missing),
         _results(lines(results)),
         "<h2>Figures</h2>" if images else "",
-        *(_figure(picture, png) for picture, png in images),
-        *(_table(table) for table in tables(results)),
+        *(figure_html(picture, png) for picture, png in images),
+        *(table_html(table) for table in tables(results)),
         _events(events),
         _provenance(results),
     ]
+    return document(title, body)
+
+
+def document(title: str, body: Sequence[str]) -> str:
+    """A page of parts that are HTML already."""
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
@@ -99,7 +106,8 @@ def _results(rows: Sequence[Line]) -> str:
     return f'<h2>Results</h2><table class="results"><thead>{head}</thead><tbody>{body}</tbody></table>'
 
 
-def _table(table: Table) -> str:
+def table_html(table: Table) -> str:
+    """A table with its heading; it scrolls where the page is narrower."""
     head = "".join(f"<th>{_symbols(h)}</th>" for h in table.header)
     body = "".join("<tr>" + "".join(f"<td>{escape(c)}</td>" for c in row) + "</tr>" for row in table.rows)
     words = ' class="words"' if table.words else ""
@@ -109,7 +117,8 @@ def _table(table: Table) -> str:
     )
 
 
-def _figure(picture: Picture, png: bytes) -> str:
+def figure_html(picture: Picture, png: bytes) -> str:
+    """A picture in the page itself, with its caption."""
     data = base64.b64encode(png).decode("ascii")
     return (
         f'<figure id="{escape(picture.stem)}"><img src="data:image/png;base64,{data}" alt="{escape(picture.title)}">'
@@ -131,7 +140,7 @@ def _events(events: Sequence[Event]) -> str:
         return utc, event.source, event.level.name, event.text, data
 
     header = ("UTC", "source", "level", "what", "figures")
-    return _table(Table("Events", header, tuple(row(event) for event in events), words=True))
+    return table_html(Table("Events", header, tuple(row(event) for event in events), words=True))
 
 
 def _provenance(results: Results) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import wraps
@@ -14,30 +15,42 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.legend import Legend
+from matplotlib.lines import Line2D
 
 from agent.report.series import Array
 
 P = ParamSpec("P")
 Sharing = bool | Literal["row", "col"]
 
+Dashes = tuple[float, tuple[float, ...]]
+
 DPI: Final = 120
 WIDTH_IN: Final = 8.4  # 1008 pixels: the width of a page that shows a README
 PANEL_IN: Final = 1.75
 HEADER_IN: Final = 0.62  # room above panels with titles for `header_line`
 COLUMNS: Final = 900  # a long series is drawn as mean, lowest and highest value of this many stretches
+LABEL_HEIGHT, LABEL_TOP = 0.11, 0.9  # of a panel: of a name at the end of a curve, and where the highest stands
 RANGE_ALPHA: Final = 0.3
 
-BLUE: Final = "#1f5fbf"
-LIGHT_BLUE: Final = "#6ea8fe"
-RED: Final = "#d1342f"
-GREEN: Final = "#2b8a3e"
-ORANGE: Final = "#e08a00"
-PURPLE: Final = "#7a4fbf"
-TEAL: Final = "#0f8b8d"
-BROWN: Final = "#8c5a2b"
+# told apart by the colour-blind; in grey the dashes below tell them apart
+BLUE: Final = "#005c9e"
+LIGHT_BLUE: Final = "#7ab8ea"
+RED: Final = "#d55e00"
+GREEN: Final = "#009e73"
+ORANGE: Final = "#c99000"
+PURPLE: Final = "#b0588f"
+TEAL: Final = "#3fa7d6"
+BROWN: Final = "#5b3a1e"
 GREY: Final = "#767d86"
 AXIS_COLOURS: Final = (BLUE, RED, GREEN)  # x, y, z everywhere
 CYCLE: Final = (BLUE, RED, GREEN, ORANGE, PURPLE, TEAL, BROWN, GREY)
+
+_SOLID: Final[Dashes] = (0, ())
+DASHES: Final[dict[str, Dashes]] = {  # of a curve of this colour, unless it has a style of its own
+    RED: (0, (5, 1.4)), GREEN: (0, (4, 1.2, 1, 1.2)), ORANGE: (0, (1.2, 1)), PURPLE: (0, (8, 1.2, 1.2, 1.2, 1.2, 1.2)),
+    TEAL: (0, (2.5, 1)), BROWN: (0, (9, 2)), GREY: (0, (1, 2)),
+}  # fmt: skip
+STYLES: Final = ("-", "--", ":", "-.")  # what colours do not tell
 
 STYLE: Final[dict[Any, Any]] = {
     "font.family": "DejaVu Sans",
@@ -88,12 +101,15 @@ def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
     return with_style
 
 
-def save_png(figure: Figure, path: Path) -> bytes:
-    """Render a figure to `path` and return the bytes of the file."""
+def save_png(figure: Figure, path: Path | None = None) -> bytes:
+    """Render a figure, to `path` if one is given, and return the bytes of the PNG."""
     with mpl.rc_context(STYLE):
         canvas: Any = FigureCanvasAgg(figure)  # matplotlib ships no types for its printing
-        canvas.print_png(path, pil_kwargs={"compress_level": 4})
-    return path.read_bytes()
+        png = io.BytesIO()
+        canvas.print_png(png, pil_kwargs={"compress_level": 4})
+    if path is not None:
+        path.write_bytes(png.getvalue())
+    return png.getvalue()
 
 
 def panels(
@@ -131,11 +147,11 @@ def panels(
     return figure, axes
 
 
-def time_axis(axes: Sequence[Axes], until_s: float) -> None:
-    """Time from zero to `until_s` on every panel; named, and its numbers shown, under the lowest of each column."""
+def time_axis(axes: Sequence[Axes], until_s: float, from_s: float = 0.0) -> None:
+    """Time from `from_s` to `until_s` on every panel; named, and its numbers shown, under the lowest of each column."""
     lowest: dict[float, Axes] = {}
     for ax in axes:
-        ax.set_xlim(0.0, until_s)
+        ax.set_xlim(from_s, until_s)
         ax.tick_params(labelleft=True, labelbottom=False)
         box = ax.get_position()
         if box.x0 not in lowest or box.y0 < lowest[box.x0].get_position().y0:
@@ -151,6 +167,56 @@ def legend(ax: Axes) -> None:
     if handles:
         box = ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=len(labels), borderpad=0.15)
         _thicken(box)
+
+
+def end_labels(ax: Axes) -> None:
+    """The name of each curve at its right end, one above the other where they meet."""
+    low, high = ax.get_ylim()
+    at: list[tuple[float, Line2D]] = []
+    for curve in ax.get_lines():
+        y = np.asarray(curve.get_ydata(), float)
+        good = y[np.isfinite(y)]
+        if len(good) and not str(curve.get_label()).startswith("_"):
+            last = float(np.median(good[-max(1, len(good) // 50) :]))
+            at.append((_of_height(ax, min(max(last, low), high)), curve))
+    at.sort(key=lambda pair: pair[0])
+    for height, (_, curve) in zip(_apart([own for own, _ in at]), at, strict=True):
+        ax.annotate(
+            str(curve.get_label()), (1.0, height), xycoords="axes fraction", xytext=(-3, 2), textcoords="offset points",
+            ha="right", va="bottom", color=curve.get_color(), fontsize=8.5, fontweight="bold",
+            bbox={"facecolor": "white", "alpha": 0.75, "edgecolor": "none", "pad": 0.6}, annotation_clip=False,
+        )  # fmt: skip
+
+
+def _apart(heights: Sequence[float]) -> list[float]:
+    """The same ascending heights, none nearer to its neighbour than a line of text and none above the panel."""
+    out: list[float] = []
+    for own in heights:
+        out.append(max(own, out[-1] + LABEL_HEIGHT) if out else own)
+    top = LABEL_TOP
+    for number in reversed(range(len(out))):
+        out[number] = min(out[number], top)
+        top = out[number] - LABEL_HEIGHT
+    return out
+
+
+def _of_height(ax: Axes, y: float) -> float:
+    """Where a value lies between the lower and the upper edge of a panel, 0 … 1, on whatever scale it has."""
+    _, pixel = ax.transData.transform((0.0, y))
+    return float(ax.transAxes.inverted().transform((0.0, pixel))[1])
+
+
+def mark_moments(figure: Figure, until_s: float, marks: Sequence[tuple[float, str]]) -> None:
+    """Thin lines on every panel whose axis is the run's time; what they mean stands in the uppermost of them."""
+    timed = [ax for ax in figure.axes if ax.get_xlim() == (0.0, until_s)]
+    for number, ax in enumerate(timed):
+        for t, label in marks:
+            ax.axvline(t, color="#444a50", linewidth=0.7, linestyle=(0, (1, 2)), zorder=1.5)
+            if number == 0:
+                ax.annotate(
+                    label, (t, 1.0), xycoords=("data", "axes fraction"), xytext=(2, -2), textcoords="offset points",
+                    ha="left", va="top", fontsize=7.5, rotation=90, color="#444a50",
+                )  # fmt: skip
 
 
 def header_line(figure: Figure, title: str, ax: Axes) -> None:
@@ -172,8 +238,9 @@ def line(ax: Axes, t: Array, values: Array, **style: Any) -> None:
     """Draw a series: short ones as they are, long ones as mean and range of each column of pixels.
 
     The range is a shade of the same colour, so a single peak is seen and noise hides no other curve.  Where rows
-    are missing the line is broken.
+    are missing the line is broken.  Without a style of its own a curve has the dashes of its colour.
     """
+    style.setdefault("linestyle", DASHES.get(style.get("color", ""), _SOLID))
     spans = unbroken(t, values)
     if sum(len(x) for x, _ in spans) <= 4 * COLUMNS:
         ax.plot(*_joined(spans), **style)

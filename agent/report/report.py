@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import json
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from matplotlib.figure import Figure
 from rich import box
 from rich.table import Table
 
 from agent.report.gallery import pictures
 from agent.report.metrics import summarise_prepared
 from agent.report.page import WORDS, render
+from agent.report.picture import Picture
 from agent.report.plotting import save_png
-from agent.report.prepared import prepare
+from agent.report.prepared import Prepared, prepare
 from agent.report.results import Judgement, Results
 from agent.report.tables import lines
 from drivers.interface import Refusal
@@ -26,6 +28,13 @@ if TYPE_CHECKING:
 
 PAGE: Final = "report.html"
 RESULTS: Final = "results.json"
+START: Final = Picture(
+    "start",
+    "The cell at the start",
+    "Arms and object as the log's URDFs and cell file draw them. Black edges: the desired pose. Arrows in an arm's "
+    "colour: its commanded force; purple: internal force.",
+    Figure,
+)
 COLOURS: Final = {Judgement.MET: "green", Judgement.NOT_MET: "red", Judgement.NOT_SHOWN: "yellow"}
 
 
@@ -43,11 +52,15 @@ class ReportFiles:
     results: Results
 
 
-def write_report(log: AnyLog, out_dir: Path) -> ReportFiles:
+Still = Callable[[Prepared], bytes]  # a PNG of the first moment; raises Refusal where the log cannot show it
+
+
+def write_report(log: AnyLog, out_dir: Path, still: Still | None = None) -> ReportFiles:
     """Write every figure as PNG, report.html and results.json into `out_dir`, made if it is absent.
 
     All files are written beside their place first and moved there when the last one is whole, so a report
     that fails leaves what was there before.  A poor log gives a poor report: the page says what is missing.
+    `still` draws the picture that the page opens with.
     Raises ReportError when `out_dir` cannot be written.
     """
     run = prepare(log)
@@ -56,7 +69,8 @@ def write_report(log: AnyLog, out_dir: Path) -> ReportFiles:
         out_dir.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=".report-", dir=out_dir) as name:
             draft = Path(name)
-            images = [(p, save_png(p.draw(), draft / f"{p.stem}.png")) for p in pictures(run)]
+            images = _opening(run, still, draft)
+            images += [(p, save_png(p.draw(), draft / f"{p.stem}.png")) for p in pictures(run)]
             page = render(results, images, log.events)
             (draft / PAGE).write_text(page, encoding="utf-8")
             content = json.dumps(results.to_json(), indent=2, ensure_ascii=False, allow_nan=False)
@@ -72,6 +86,18 @@ def write_report(log: AnyLog, out_dir: Path) -> ReportFiles:
         ) from error
     figures = {p.stem: out_dir / f"{p.stem}.png" for p, _ in images}
     return ReportFiles(out_dir / PAGE, out_dir / RESULTS, figures, results)
+
+
+def _opening(run: Prepared, still: Still | None, folder: Path) -> list[tuple[Picture, bytes]]:
+    """The cell at the start; nothing for a log that does not say how its cell looks."""
+    if still is None or not run.rows:
+        return []
+    try:
+        png = still(run)
+    except Refusal:
+        return []
+    (folder / f"{START.stem}.png").write_bytes(png)
+    return [(START, png)]
 
 
 def keep_other_reports(log: Path, folder: Path) -> None:

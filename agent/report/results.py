@@ -130,6 +130,13 @@ class ArmResults:
     lyapunov_start_J: Annotated[float, Unit("J", Better.NEITHER)]
     lyapunov_end_J: Annotated[float, Unit("J")]
     sigma_min: Annotated[float, Unit("", Better.HIGHER)]
+    load_max: Ratio  # largest torque sent, of the limit of its joint
+    shift_max_m: Annotated[float, Unit("m", Better.NEITHER)]  # of the desired pose
+    shift_max_rad: Annotated[float, Unit("rad", Better.NEITHER)]
+    unexpected_fast_max_N: Annotated[float, Unit("N")]  # beside the load share, as the arm finds it; NaN if it does not
+    unexpected_fast_max_Nm: Torque
+    unexpected_slow_max_N: Annotated[float, Unit("N")]
+    unexpected_slow_max_Nm: Torque
 
 
 @dataclass(frozen=True, slots=True)

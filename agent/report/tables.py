@@ -11,6 +11,7 @@ from agent.report.results import Judgement, PoseErrors, Results, WrenchSize
 
 ABSENT = "–"  # not measured
 SMALLEST = 1e-6  # what is smaller is shown as that
+LARGEST = 1e9  # what is larger is shown as that: a law gone astray
 SPACE = "\N{NO-BREAK SPACE}"  # a figure and its unit stay on one line
 
 
@@ -41,6 +42,8 @@ def number(value: float, unit: str = "", scale: float = 1.0, digits: int = 3) ->
     scaled = value * scale
     if 0.0 < abs(scaled) < SMALLEST:
         return f"< {SMALLEST:f}{SPACE}{unit}".rstrip()
+    if abs(scaled) > LARGEST:
+        return f"{'>' if scaled > 0.0 else '< −'} {LARGEST:.0f}{SPACE}{unit}".rstrip()
     decimals = max(0, min(6, digits - 1 - math.floor(math.log10(abs(scaled))))) if scaled else 0
     return f"{scaled:.{decimals}f}{SPACE}{unit}".rstrip()
 
@@ -99,7 +102,15 @@ def _completeness(results: Results) -> Line:
 
 def tables(results: Results) -> list[Table]:
     """Every table beyond the one of results, in the page's order; those without a line are left out."""
-    every = [_errors(results), _torques(results), _forces(results), _timing(results), _log(results), _states(results)]
+    every = [
+        _errors(results),
+        _torques(results),
+        _forces(results),
+        _noticed(results),
+        _timing(results),
+        _log(results),
+        _states(results),
+    ]
     return [table for table in every if table.rows]
 
 
@@ -158,6 +169,21 @@ def _forces(results: Results) -> Table:
         for name, a in results.arms.items()
     )
     return Table("Wrenches and load share", header, rows)
+
+
+def _noticed(results: Results) -> Table:
+    header = ("arm", "desired pose shifted by", "unexpected, sudden", "unexpected, staying", "most loaded joint")
+    rows = tuple(
+        (
+            name,
+            f"{millimetres(a.shift_max_m)}, {milliradians(a.shift_max_rad)}",
+            f"{number(a.unexpected_fast_max_N, 'N')}, {number(a.unexpected_fast_max_Nm, 'N·m')}",
+            f"{number(a.unexpected_slow_max_N, 'N')}, {number(a.unexpected_slow_max_Nm, 'N·m')}",
+            f"{number(a.load_max, '%', 100.0)} of its limit",
+        )
+        for name, a in results.arms.items()
+    )
+    return Table("Largest of what each arm noticed and gave, whole run", header, rows)
 
 
 def _timing(results: Results) -> Table:

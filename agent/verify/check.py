@@ -18,11 +18,13 @@ from agent.control.errors import attitude_error
 from agent.control.inverse import SingularJacobian
 from agent.control.models import ArmModel, ModelError
 from agent.verify.adaptive import examine_adaptation
+from agent.verify.box import largest_internal_wrench
 from agent.verify.bus import buses
 from agent.verify.finding import Finding, Verdict, judged
 from agent.verify.force import internal_force
 from agent.verify.margin import Damping, damping, places, sampled_loop
 from agent.verify.plausible import plausibility
+from agent.verify.robustness import Robustness, Walk, robustness
 from drivers.interface import Vector
 
 SAMPLES = 48  # points along the trajectory, beside those that the trajectory names itself
@@ -34,10 +36,11 @@ __all__ = ["CheckReport", "Finding", "Verdict", "examine", "reach", "start_confi
 
 @dataclass(frozen=True)
 class CheckReport:
-    """All findings, and the start configuration of each arm."""
+    """All findings, the start configuration of each arm, and what reality may make of the cell where it was asked."""
 
     findings: tuple[Finding, ...]
     q_start: tuple[Vector, ...]
+    robustness: Robustness | None = None
 
     @property
     def ok(self) -> bool:
@@ -73,12 +76,14 @@ def start_configurations(cell: Cell, models: Sequence[ArmModel]) -> tuple[Vector
     )
 
 
-def examine(cell: Cell, *, wired: bool | None = None) -> CheckReport:
+def examine(cell: Cell, *, wired: bool | None = None, thorough: bool | None = None) -> CheckReport:
     """Examine the whole cell.  Raises ConfigError where nothing further can be computed (an unreachable grasp).
 
     wired: a rate that the servo buses of the cell cannot carry is refused, not only warned of; None: if servos move
-    the arms (`driver`).
+    the arms (`driver`).  thorough: what reality may make of the cell is computed too, which takes up to a second; None:
+    if servos move the arms.
     """
+    servos = cell.file.driver is DriverKind.DYNAMIXEL
     try:
         models = [cell.model(arm) for arm in cell.arms]
     except ModelError as error:
@@ -95,11 +100,14 @@ def examine(cell: Cell, *, wired: bool | None = None) -> CheckReport:
         paths.append(path)
     findings += plausibility(cell)
     findings += internal_force(cell, models)
-    findings += buses(cell, q_start, wired=cell.file.driver is DriverKind.DYNAMIXEL if wired is None else wired)
+    findings += buses(cell, q_start, wired=servos if wired is None else wired)
     findings += _stability(cell, models, paths)
     if cell.file.controller.kind is ControllerKind.ADAPTIVE:
         findings += _adaptation(cell, models, paths, instants.times)
-    return CheckReport(tuple(findings), q_start)
+    if not (servos if thorough is None else thorough):
+        return CheckReport(tuple(findings), q_start)
+    found = robustness(Walk(cell, models, list(zip(*(p.q for p in paths), strict=True)), instants.times))
+    return CheckReport((*findings, *found.findings()), q_start, found)
 
 
 def reach(arm: Arm, model: ArmModel, T: pin.SE3, q_near: Vector, when: str) -> Vector:
@@ -283,7 +291,10 @@ def _adaptation(
             "set rotor_inertia = false, begin nearer to the configured parameters, or raise rate_hz",
         ),
     )  # fmt: skip
+    force, moment = largest_internal_wrench(cell, models, along[::every], instants[::every])
+    size = f"≤ {force:.3g} N, {moment:.3g} N·m, " + (f"leak {spec.leak_per_s:g}/s" if spec.leak_per_s else "no leak")
+    box = Finding("internal wrench within the bounds of the estimates", "cell", size, "")
     return [
         Finding(what, "cell", value, f"≤ {limit:.4g}", Verdict.OK if ok else Verdict.WARNING, "" if ok else remedy)
         for what, value, limit, ok, remedy in rows
-    ]
+    ] + [box]

@@ -1,6 +1,7 @@
-"""Gains that keep the sampled loop of a cell damped, also with the arms' inertia off.
+"""Gains for a cell: the stiffest that survive what reality may make of it, or those that keep the rigid cell damped.
 
-Two ways, because the paper has one K where a sampled loop would rather have two:
+REALITY searches by the criterion of `coop check` (agent.verify.stiffest).  The other two look at the rigid cell alone,
+also with the arms' inertia off, in two ways, because the paper has one K where a sampled loop would rather have two:
 
 - RATIO scales k_p and k_eps together with their forms in v̇_r;
 - RATE leaves k_p and k_eps, which say how stiffly the object is held, and lowers only their forms in v̇_r, which are
@@ -14,7 +15,6 @@ from __future__ import annotations
 
 import enum
 import itertools
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -24,11 +24,14 @@ import numpy as np
 from agent.config.cell import Arm, Cell, ConfigError, cell_from_toml, placement
 from agent.config.edit import Change, apply
 from agent.control.errors import Gains
-from agent.control.law import Offline
-from agent.control.models import ArmModel, Matrix
+from agent.control.models import ArmModel
+from agent.verify.chatter import velocity_chatter
 from agent.verify.check import reach, start_configurations
+from agent.verify.criterion.examine import Criterion, examine
 from agent.verify.margin import Damping, Place, damping, damping_at, places, sampled_loop
-from drivers.dynamixel.servo.table import VELOCITY_UNIT_RAD_PER_S
+from agent.verify.robustness import Walk, loop_of, poses, ranges_of
+from agent.verify.scale import Scale
+from agent.verify.stiffest import Search, binding
 from drivers.interface import Vector
 
 PLACES: Final = 12  # along the trajectory
@@ -37,7 +40,6 @@ POSE_FLOORS: Final = (0.5, 0.1)  # nor below the first, unless no k_v keeps the 
 RATE_RANGE: Final = (0.05, 1.0)
 STEP: Final = 0.93  # between gains that are tried; the last one is refined
 K_V_FACTORS: Final = (1.0, 0.7, 0.5, 0.35, 0.2, 0.1)
-DIGITS: Final = 3  # of a proposed gain
 
 
 class NoGains(ConfigError):
@@ -47,8 +49,12 @@ class NoGains(ConfigError):
 class Form(enum.StrEnum):
     """Which gains may change."""
 
+    REALITY = "reality"
     RATIO = "ratio"
     RATE = "rate"
+
+
+RIGID = (Form.RATIO, Form.RATE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,31 +63,11 @@ class Margin:
 
     radius: float = 0.999  # at most
     damping: float = 0.05  # at least, of every mode that swings: each swing then takes a quarter off
+    worst: float = 0.985  # largest radius of all that reality may make of the cell, of REALITY
 
     def kept_by(self, found: Damping) -> bool:
         """Whether it is kept."""
         return found.radius <= self.radius and found.ratio >= self.damping
-
-
-@dataclass(frozen=True, slots=True)
-class Scale:
-    """Gains relative to the configured ones."""
-
-    pose: float = 1.0  # k_p, k_eps and their forms in v̇_r
-    rate: float = 1.0  # the latter once more
-    k_v_linear: float = 1.0
-    k_v_angular: float = 1.0
-
-    def of(self, g: Gains) -> Gains:
-        """These gains, scaled and rounded down to what a proposal prints."""
-        k_v = (*_times(g.k_v[:3], self.k_v_linear), *_times(g.k_v[3:], self.k_v_angular))
-        return Gains(
-            k_p=_times(g.k_p, self.pose),
-            k_eps=_times(g.k_eps, self.pose),
-            k_p_rate=_times(g.k_p_rate, self.pose * self.rate),
-            k_eps_rate=_times(g.k_eps_rate, self.pose * self.rate),
-            k_v=k_v,
-        )
 
 
 @dataclass(frozen=True)
@@ -91,6 +77,7 @@ class GainSet:
     cell: Cell
     damping: Mapping[float, Damping]  # by the error of the arms' inertia
     chatter_Nm: tuple[float, ...]  # per arm: largest rms joint torque that the grid of measured velocity causes
+    criterion: Criterion
 
     @property
     def gains(self) -> Gains:
@@ -127,7 +114,11 @@ class Tuner:
         self._along = _walk(cell, self._models)
         self._places: tuple[Place, ...] = places(cell, self._models, self._along)
         self._cases = [(true, place.believed) for place in self._places for true in place.true.values()]
-        self._gains = [cell.offline(arm).gains for arm in cell.arms]
+        self._offline = [cell.offline(arm) for arm in cell.arms]
+        self._gains = [o.gains for o in self._offline]
+        each = zip(self._models, self._offline, self._along[0], strict=True)
+        self._quiet = [velocity_chatter(model, offline, q) for model, offline, q in each]
+        self._poses = poses(Walk(cell, self._models, self._along, ()))
 
     def configured(self) -> GainSet:
         """The gains as the cell file has them."""
@@ -135,13 +126,12 @@ class Tuner:
 
     def propose(self, form: Form, margin: Margin) -> Proposal:
         """The largest gains of this form that keep the margin.  Raises NoGains."""
+        if form is Form.REALITY:
+            return self._proposal(form, self._stiffest(margin))
         for floor, (linear, angular) in itertools.product(POSE_FLOORS, _k_v_factors()):
             found = self._largest(form, margin, floor, Scale(k_v_linear=linear, k_v_angular=angular))
             if found is not None:
-                changes = tuple(_changes(self.cell, found))
-                text = apply(self.cell.toml.decode(), changes)
-                proposed = cell_from_toml(text.encode(), f"the gains proposed for {self.cell.file.name}")
-                return Proposal(form, self.configured(), self._examined(proposed), changes)
+                return self._proposal(form, found)
         raise NoGains(
             f"gains for {self.cell.file.name} at {self.cell.file.rate_hz:g} Hz",
             found="none, however small",
@@ -149,11 +139,11 @@ class Tuner:
             remedy="raise rate_hz, lower inertia_error, or ask for less damping",
         )
 
-    def proposals(self, margin: Margin) -> list[Proposal]:
+    def proposals(self, margin: Margin, forms: Sequence[Form] = RIGID) -> list[Proposal]:
         """One of each form that has one.  Raises NoGains when none has."""
         found: list[Proposal] = []
         refusal: NoGains | None = None
-        for form in Form:
+        for form in forms:
             try:
                 found.append(self.propose(form, margin))
             except NoGains as error:
@@ -161,6 +151,37 @@ class Tuner:
         if refusal is not None and not found:
             raise refusal
         return found
+
+    def _proposal(self, form: Form, scale: Scale) -> Proposal:
+        changes = tuple(_changes(self.cell, scale))
+        text = apply(self.cell.toml.decode(), changes)
+        proposed = cell_from_toml(text.encode(), f"the gains proposed for {self.cell.file.name}")
+        return Proposal(form, self.configured(), self._examined(proposed), changes)
+
+    def _stiffest(self, margin: Margin) -> Scale:
+        """By the criterion of `coop check`.  Raises NoGains, naming what binds."""
+        cell, loop, ranges = self.cell, loop_of(self.cell), ranges_of(self.cell)
+        found = Search(self._poses, loop, ranges, margin.worst, self._noise).run()
+        if found.kept:
+            return found.scale
+        loop_there = replace(loop, gains=tuple(map(found.scale.of, loop.gains)))
+        keys, least = binding(self._poses, loop_there, ranges, margin.worst, self._noise)
+        exact = "gains could be found" if least <= margin.worst * (1.0 + 1e-9) else f"it would be {least:.4f}"
+        raise NoGains(
+            f"gains for {cell.file.name} at {cell.file.rate_hz:g} Hz",
+            found=f"none; the nearest have a radius of {found.worst.radius:.4f} ({found.worst.case.demand.value})",
+            expected=f"at most {margin.worst:g} whatever of the stated tolerance is true",
+            remedy=f"{' or '.join(keys)} binds ({exact} without): state less of it if that is true, or raise rate_hz",
+        )
+
+    def _noise(self, gains: Sequence[Gains]) -> float:
+        """Torque noise of the velocity grid at the start, relative to that of the configured gains."""
+        return max(
+            velocity_chatter(model, replace(offline, gains=g), q) / quiet
+            for model, offline, g, q, quiet in zip(
+                self._models, self._offline, gains, self._along[0], self._quiet, strict=True
+            )
+        )
 
     def _largest(self, form: Form, margin: Margin, floor: float, base: Scale) -> Scale | None:
         def keeps(scale: Scale) -> bool:
@@ -194,23 +215,8 @@ class Tuner:
             max(velocity_chatter(model, o, q[i]) for q in self._along)
             for i, (model, o) in enumerate(zip(self._models, offline, strict=True))
         ]
-        return GainSet(cell, self._damping([o.gains for o in offline]), tuple(chatter))
-
-
-def velocity_chatter(model: ArmModel, offline: Offline, q: Vector) -> float:
-    """Largest rms torque, N·m, of a joint from velocities that are rounded to the servos' grid, with the arm at q (n,).
-
-    A velocity off by δ changes the torque by ((B J⁻¹ + c Jᵀ M_O) K' H + Jᵀ k_v) J δ; δ is uniform over one step.
-    """
-    gains, P = offline.gains, model.task_basis
-    J, B, R = model.jacobian(q), model.inertia(q), model.object_pose(q).rotation
-    K_rate = P @ np.diag([*gains.k_p_rate, *(0.5 * k for k in gains.k_eps_rate)]) @ P.T
-    M_object = np.zeros((6, 6))
-    M_object[:3, :3] = offline.object_mass_kg * np.eye(3)
-    M_object[3:, 3:] = R @ np.reshape(offline.object_inertia, (3, 3)) @ R.T
-    inertia = B @ np.linalg.pinv(J) + offline.load_share * J.T @ P @ M_object @ P.T
-    feedback: Matrix = (inertia @ K_rate + J.T @ P @ np.diag(gains.k_v) @ P.T) @ J
-    return float(np.linalg.norm(feedback, axis=1).max() * VELOCITY_UNIT_RAD_PER_S / math.sqrt(12.0))
+        found = examine(self._poses, loop_of(cell), ranges_of(cell))
+        return GainSet(cell, self._damping([o.gains for o in offline]), tuple(chatter), found)
 
 
 def _walk(cell: Cell, models: Sequence[ArmModel]) -> list[list[Vector]]:
@@ -250,16 +256,6 @@ def _descend(keeps: Callable[[float], bool], lowest: float, highest: float) -> f
     return x
 
 
-def _times(values: Sequence[float], factor: float) -> tuple[float, float, float]:
-    a, b, c = (x if factor == 1.0 else _rounded_down(x * factor) for x in values)
-    return a, b, c
-
-
-def _rounded_down(x: float) -> float:
-    unit = 10.0 ** (math.floor(math.log10(x)) + 1 - DIGITS)
-    return float(f"{math.floor(x / unit + 1e-9) * unit:.{DIGITS}g}")
-
-
 def _changes(cell: Cell, scale: Scale) -> Iterator[Change]:
     """What to write into the cell file."""
     c, gains = cell.file.controller, scale.of(cell.offline(cell.arms[0]).gains)
@@ -280,7 +276,7 @@ def _k_v_changes(arm: Arm, gains: Gains) -> Iterator[Change]:
     entry, linear, angular = arm.entry, gains.k_v[:3], gains.k_v[3:]
     if entry.k_v_N_s_per_m != linear:
         yield Change("arms", "k_v_N_s_per_m", _toml(linear), arm.name)
-    if (entry.k_v_Nm_s_per_rad or linear) != angular:
+    if entry.k_v_Nm_s_per_rad != angular:
         yield Change("arms", "k_v_Nm_s_per_rad", _toml(angular), arm.name)
 
 

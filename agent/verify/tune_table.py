@@ -58,6 +58,10 @@ def _rows(cell: Cell) -> list[tuple[str, Callable[[GainSet], str]]]:
             (f"spectral radius{what}", lambda s, e=e: _judged(s.damping[e].radius, s.damping[e].radius < 1.0)),  # type: ignore[misc]
             (f"least damping ratio{what}", lambda s, e=e: _judged(s.damping[e].ratio, s.damping[e].ratio > 0.0)),  # type: ignore[misc]
         ]
+    rows.append(
+        ("largest radius that reality may make", lambda s: _judged(s.criterion.radius, s.criterion.radius < 1.0))
+    )
+    rows.append(("longest delay that all survives", lambda s: _delay(s.criterion.delay_margin_s)))
     rows.append(("slowest mode, time constant", lambda s: "—" if math.isinf(s.slowest_s) else f"{s.slowest_s:.2f} s"))
     rows.append(("torque noise of the velocity grid, rms", lambda s: f"{max(s.chatter_Nm):.3f} N·m"))
     return rows
@@ -69,6 +73,10 @@ def _k_v(gains: GainSet, arm: int) -> tuple[float, ...]:
 
 def _numbers(values: Sequence[float]) -> str:
     return f"{values[0]:g}" if len(set(values)) == 1 else ", ".join(f"{v:g}" for v in values)
+
+
+def _delay(margin_s: float | None) -> str:
+    return "[red]none[/]" if margin_s is None else f"{margin_s * 1e3:.3g} ms"
 
 
 def _judged(value: float, stable: bool) -> str:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import ceil
 
-from drivers.dynamixel.arm_map import ArmMap, JointRole, ServoSlot
+from drivers.dynamixel.arm_map import ArmMap, ServoSlot
 from drivers.dynamixel.errors import DxlServoFault, FaultCause
 from drivers.dynamixel.events import DriverEvent, EventKind, OncePerServo
 from drivers.dynamixel.line.group import Row
@@ -154,9 +154,9 @@ class PairCheck:
 
 
 def effect_checks(arm: ArmMap) -> dict[int, EffectCheck]:
-    """Checks of the servos whose current is commanded, by place in `ArmMap.slots`."""
+    """Checks of the servos whose current is commanded (of controlled joints alone), by place in `ArmMap.slots`."""
     return {
         place: EffectCheck(slot, arm.rate_hz)
         for place, slot in enumerate(arm.slots)
-        if slot.joint.role is JointRole.CONTROLLED and slot.joint.mode is OperatingMode.CURRENT
+        if slot.joint.mode is OperatingMode.CURRENT
     }

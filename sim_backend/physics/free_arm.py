@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pinocchio as pin
 
 from drivers.interface import Vector
+from drivers.pads import swinging_inertia
 from sim_backend.physics.composition import place_arms
 from sim_backend.physics.spec import PlantSpec
 
@@ -23,6 +26,8 @@ class FreeArms:
             )
             for arm, (joint, T_joint_ee) in zip(spec.arms, ends, strict=True)
         ]
+        joints = np.cumsum([0, *(len(arm.controlled) for arm in spec.arms)]).tolist()
+        self._slices = [slice(a, b) for a, b in itertools.pairwise(joints)]
         model.gravity = pin.Motion(np.array(spec.gravity), np.zeros(3))
         model.armature = np.concatenate([arm.rotor_inertia for arm in spec.arms])
         self.model, self.data = model, model.createData()
@@ -43,21 +48,13 @@ class FreeArms:
         pose = pin.updateFramePlacement(self.model, self.data, frame)
         return pin.getFrameJacobian(self.model, self.data, frame, _WORLD_AXES), pose
 
+    def swinging(self, q: Vector) -> Vector:
+        """(N, 6) kg, kg·m² with which each arm at q (J,) swings on its pad."""
+        M, _ = self.terms(q, np.zeros_like(q))
+        jacobians = [self.end_effector(i)[0][:, own] for i, own in enumerate(self._slices)]
+        inertias = [np.linalg.inv(M[own, own]) for own in self._slices]
+        return np.array([swinging_inertia(J @ B @ J.T) for J, B in zip(jacobians, inertias, strict=True)])
+
     def potential(self, q: Vector) -> float:
         """Potential energy at q (J,), J."""
         return float(pin.computePotentialEnergy(self.model, self.data, q))
-
-
-def swinging_inertia(M: Vector, J: Vector) -> Vector:
-    """(6,) kg, kg·m²: inverse mean mobility of an end effector for force and for moment; 0 where it has none.
-
-    M (n, n): inertia of its arm; J (6, n): its Jacobian.
-    """
-    mobility = J @ np.linalg.inv(M) @ J.T
-    out = np.zeros(6)
-    for part in (slice(0, 3), slice(3, 6)):
-        block = mobility[part, part]
-        rank = int(np.linalg.matrix_rank(block, 1e-9))
-        if rank > 0:
-            out[part] = rank / float(np.trace(block))
-    return out

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from drivers.interface import Vector
+from drivers.pads import damping
 from sim_backend.physics.spec import GraspSpec
 
 KAPPA = 0.3  # 1/4 is the trapezoidal rule; a little more keeps the stiffest springs from ringing on
@@ -22,7 +23,7 @@ class Pads:
         """swinging: (N, 6) kg, kg·m²: inertia with which an arm swings on its pad, which the damping is tuned to."""
         self._spec = spec
         self.K = np.tile([spec.stiffness_N_per_m] * 3 + [spec.stiffness_Nm_per_rad] * 3, (len(swinging), 1))
-        self.C = 2.0 * spec.damping_ratio * np.sqrt(self.K * swinging)
+        self.C = damping(self.K, swinging, spec.damping_ratio)
         self.closed = np.ones((len(swinging), 1))
         self.slipped = np.zeros_like(self.K)  # world axes
         self._slipped_object = np.zeros_like(self.K)

@@ -26,7 +26,7 @@ from drivers.interface import Vector
 from sim_backend.physics.actuator import Servos
 from sim_backend.physics.calendar import Calendar
 from sim_backend.physics.composition import check_start
-from sim_backend.physics.free_arm import FreeArms, swinging_inertia
+from sim_backend.physics.free_arm import FreeArms
 from sim_backend.physics.free_body import FreeBody
 from sim_backend.physics.joints import dry_friction
 from sim_backend.physics.pads import KAPPA, Pads
@@ -58,7 +58,7 @@ class SoftPlant:
         self._T = spec.object.T_world_object
         self._q: Vector = np.concatenate([a.q_start for a in spec.arms])
         self._h = spec.substep_s
-        self._pads = Pads(spec.grasp, self._swinging())
+        self._pads = Pads(spec.grasp, self._arms.swinging(self._q))
         self._push: Vector = np.zeros(6)
         self._tau_motor, self._joint = np.zeros((2, J))
         self._acted: tuple[Vector, Vector | None] = (np.zeros(J), None)  # friction of the last substep
@@ -70,12 +70,6 @@ class SoftPlant:
         self._calendar = Calendar(spec.happenings, spec.substep_s)
         self._behind = False  # pose and openings are of an earlier substep
         self._linearise()
-
-    def _swinging(self) -> Vector:
-        """(N, 6) inertia with which each arm swings on its pad at the start."""
-        M, _ = self._arms.terms(self._q, np.zeros(self.joint_count))
-        jacobians = [self._arms.end_effector(i)[0] for i in range(len(self.slices))]
-        return np.array([swinging_inertia(M[s, s], j[:, s]) for s, j in zip(self.slices, jacobians, strict=True)])
 
     def _make_room(self, nv: int, rows: int) -> None:
         """Arrays of a substep, written in place; nv: joints and twist, rows: of all openings."""

@@ -45,18 +45,18 @@ def adaptive_agent(name: str, controlled: tuple[str, ...], locked: dict[str, flo
     """The arm of the other control benchmarks with every column of the regressor in use and every bound checked."""
     agent = make_agent(name, controlled, locked)
     n, inertia = agent.model.n, np.array(agent.offline.object_inertia).reshape(3, 3)
-    joint_parameters = [np.full(n, 0.012), np.full(n, 0.03), np.full(n, 0.08)]
+    joint_parameters = [np.full(n, 0.012), np.full(n, 0.03), np.full(n, 0.08), np.zeros(3 * n)]
     nominal = Estimate(
         np.concatenate([arm_parameters(agent.model), *joint_parameters]),
         object_parameters(agent.offline.object_mass_kg, inertia),
     )
-    far = Estimate(np.full(13 * n, 10.0), np.full(10, 10.0))
+    far = Estimate(np.full(16 * n, 10.0), np.full(10, 10.0))
     adaptation = Adaptation(
         start=Estimate(0.9 * nominal.arm, 0.9 * nominal.object),
         nominal=nominal,
         lower=Estimate(-far.arm, -far.object),
         upper=far,
-        gain=Estimate(np.full(13 * n, 1e-6), np.full(10, 1e-6)),
+        gain=Estimate(np.full(16 * n, 1e-6), np.full(10, 1e-6)),
         smooth_rad_per_s=0.05,
         friction=True,
         physical=True,

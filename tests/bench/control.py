@@ -12,7 +12,7 @@ import pinocchio as pin
 import configs
 from agent.control import known
 from agent.control.errors import Gains
-from agent.control.friction import Friction
+from agent.control.friction import Friction, JointFriction
 from agent.control.internal_force import agent_wrench
 from agent.control.law import Offline
 from agent.control.models import ArmModel
@@ -69,7 +69,7 @@ def make_agent(name: str, controlled: tuple[str, ...], locked: dict[str, float])
             object_mass_kg=0.062,
             object_inertia=(2e-5, 0.0, 0.0, 0.0, 1e-4, 0.0, 0.0, 0.0, 1e-4),
             gravity=gravity,
-            friction=Friction((0.08,) * n, (0.03,) * n, 0.05),
+            friction=Friction((JointFriction(0.08, 0.03),) * n, 0.05),
             internal_wrench=(1.0, 0.0, 0.0, 0.0, 0.0, 0.0),
         ),
         trajectory=Sinusoid(k.p_object, (0.0, 0.0, 0.05), k.quat_object, axis, 0.1, 15.0),

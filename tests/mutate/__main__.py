@@ -49,7 +49,7 @@ def main() -> int:
         return 2
     for name in HEAVY:
         import_module(name)
-    begin_s, count, survivors, problems = time.monotonic(), 0, [], []
+    begin_s, count, equivalent, survivors, problems = time.monotonic(), 0, 0, [], []
     for target in targets:
         found = _examined(target)
         survivors += [found.mutants[i] for i, test in found.tests.items() if not test]
@@ -59,11 +59,15 @@ def main() -> int:
             if text
         ]
         count += len(found.tests)
+        equivalent += sum(bool(why_equivalent(mutant)) for mutant in found.mutants)
     for mutant in survivors:
         _say(f"SURVIVED  {mutant.text}")
     for problem in problems:
         _say(f"PROBLEM   {problem}")
-    _say(f"{count} changes, {len(survivors)} survived, {time.monotonic() - begin_s:.0f} s")
+    _say(
+        f"{count} changes: {count - len(survivors)} noticed, {len(survivors)} survived; {equivalent} more are "
+        f"equivalent; {time.monotonic() - begin_s:.0f} s"
+    )
     return 1 if survivors or problems else 0
 
 

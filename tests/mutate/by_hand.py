@@ -8,10 +8,13 @@ Change = tuple[str, str]  # what stands in the module once, and what it becomes
 
 BY_HAND: Mapping[str, tuple[Change, ...]] = {
     "agent.safety": (
-        ("flags |= Flag.NOT_FINITE", "flags ^= Flag.NOT_FINITE"),  # lost when two joints have no number
+        ("flags |= _NOT_FINITE", "flags ^= _NOT_FINITE"),  # lost when two joints have no number
     ),
     "agent.loop": (
-        ("angle = 2.0 * math.atan2(", "angle = math.atan2("),  # OFF_TRACK's angle halved
+        (  # OFF_TRACK's angle halved
+            "2.0 * math.atan2(math.hypot(*errors.e_eps), abs(errors.e_eta))\n    return math",
+            "math.atan2(math.hypot(*errors.e_eps), abs(errors.e_eta))\n    return math",
+        ),
         ("SINGULAR_MARGIN = 1.5", "SINGULAR_MARGIN = 1.0"),
     ),
     "agent.runner": (

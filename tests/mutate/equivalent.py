@@ -8,6 +8,22 @@ from tests.mutate.mutants import Mutant
 
 Key = tuple[str, str, str]  # where, first line of the statement before and after
 
+_SAVES_A_TEXT = "saves the making of a text that nobody is told"
+_READ_AFTER_A_JUMP = "read only after a jump, which sets it"
+_SET_BY_A_QUESTION = "read while an answer is awaited only, and each question sets it"
+_BOTH_ARE_LARGE = "both currents are large in the other half of the condition, so their product is not zero"
+_ENDS = "if final or None not in found.values() or (again.finished if again is not None else first.finished):"
+_NOTHING_TO_COUNT = "if None not in rows and (not damaged) and (not late):"
+_OPENS = "fd = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 416)"
+_FCHMOD = "the next line sets the mode, before anything is in the file"
+_HAS_SPACE = "if self.written - self._words[ACKNOWLEDGED_WORD] < enough:"
+_NO_CLOCK = "the short way, without asking the clock; the loop behind it ends as soon"
+_TEXTS = "while (block := self._ring.read_new(64)).count:"
+_INTACT = "intact = (copy.view(np.uint64)[:, 0] == expected) & (live_index[where] == expected)"
+_ROOM = "memory = np.zeros(dtype.itemsize + 16, np.uint8)"
+_STANDARD_INPUT = "descriptor 0 is a process's standard input"
+_OPPOSED = "opposed = followed[1] * shadow[1] < 0 and min(abs(followed[1]), abs(shadow[1])) >= self._fight"
+
 EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
     "agent.loop": {
         (
@@ -15,6 +31,11 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
             "if not math.isfinite(sum(q.tolist()) + sum(dq.tolist())):",
             "if not math.isfinite(sum(q.tolist()) - sum(dq.tolist())):",
         ): "a difference with a number that is none is none either",
+        (
+            "wait_here",
+            "return memory._replace(shift=between(pose[:3], pose[3:], *agent.start))",
+            "return memory._replace(shift=between(pose[:4], pose[3:], *agent.start))",
+        ): "of a position three numbers are read",
     },
     "agent.runner": {
         ("Runner._cycle", "happened |= Event.STOP", "happened |= Event.TROUBLE"): "either makes the object held",
@@ -26,11 +47,165 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
         ): "the same start gives the same phase",
         (
             "Runner._change_mode",
-            "if mode is Mode.HOLD and state is not None:",
-            "if True and state is not None:",
+            "if mode is Mode.HOLD and state is not None and (self._outcome is not None):",
+            "if True and state is not None and (self._outcome is not None):",
         ): "every other change ends the loop, or begins to track and forgets what was held",
+        (
+            "Runner._change_mode",
+            "if mode is Mode.HOLD and state is not None and (self._outcome is not None):",
+            "if mode is Mode.HOLD and state is not None and True:",
+        ): "a state of this cycle was acted on, so there is an outcome; said for the type checker",
+    },
+    "drivers.dynamixel.checks": {
+        ("SilenceCheck.check", "if None not in rows:", "if False:"): "the short way for a cycle with all answers",
+        ("SilenceCheck.check", "if any(missed):", "if True:"): "saves the making of a list of zeros",
+        ("SilenceCheck.check", "return []", "pass"): "the short way for a cycle with all answers",
+        (
+            "SilenceCheck.__init__",
+            "self._damaged = self._late = 0",
+            "self._damaged = self._late = 1",
+        ): "eight cycles pass before it is read, and in each it grows or becomes 0",
+        ("JumpCheck.__init__", "self._jumped_rad = 0.0", "pass"): _READ_AFTER_A_JUMP,
+        ("JumpCheck.__init__", "self._jumped_rad = 0.0", "self._jumped_rad = 1.0"): _READ_AFTER_A_JUMP,
+        ("JumpCheck.__init__", "self.in_a_row = 0", "pass"): "the first angle, which is always believed, sets it",
+        ("JumpCheck.__init__", "self.in_a_row = 0", "self.in_a_row = 1"): "the first angle, always believed, sets it",
+        ("EffectCheck.check", "return None", "pass"): "a function without a result returns None",
+        (
+            "PairCheck.check",
+            "if apart or tell.is_active(EventKind.PAIR_APART, slot.servo_id):",
+            "if True:",
+        ): _SAVES_A_TEXT,
+        (
+            "PairCheck.check",
+            "if fighting or tell.is_active(EventKind.PAIR_FIGHTING, slot.servo_id):",
+            "if True:",
+        ): _SAVES_A_TEXT,
+        (
+            "PairCheck.check",
+            _OPPOSED,
+            _OPPOSED.replace("< 0", "<= 0"),
+        ): _BOTH_ARE_LARGE,
+        ("PairCheck.check", _OPPOSED, _OPPOSED.replace("< 0", "< 1")): _BOTH_ARE_LARGE,
+    },
+    "drivers.dynamixel.monitor": {
+        (
+            "GapMonitor._judge_status",
+            "record.hardware = HardwareError(hardware) if hardware else NO_ERROR",
+            "record.hardware = HardwareError(hardware) if True else NO_ERROR",
+        ): "NO_ERROR is HardwareError(0), made once",
+        (
+            "GapMonitor._judge_status",
+            "if hardware and record.hardware & record.shutdown:",
+            "if True and record.hardware & record.shutdown:",
+        ): "without an error there is no bit to stop it; saves the question",
+        (
+            "GapMonitor._judge_status",
+            "if hardware or self._tell.is_active(EventKind.HARDWARE_WARNING, record.slot.servo_id):",
+            "if True:",
+        ): _SAVES_A_TEXT,
+    },
+    "drivers.dynamixel.cycle": {
+        (
+            "CycleReader.__init__",
+            "self._fast_groups = marked_groups(self._ids, fast=True) if fast else []",
+            "self._fast_groups = marked_groups(self._ids, fast=True) if True else []",
+        ): "saves the making of groups that are not asked for",
+        (
+            "CycleReader.__init__",
+            "self._careful_fits = careful.read_worst_s * 1000000000.0 < self.end_ns",
+            "self._careful_fits = careful.read_worst_s * 1000000000.0 <= self.end_ns",
+        ): "a sum of fractions is compared with a whole number of nanoseconds",
+        (
+            "CycleReader._listen",
+            "if final or group.worth_parsing(heard):",
+            "if True:",
+        ): "saves the parsing of what cannot be whole",
+        ("CycleReader._ask_again", _ENDS, _ENDS.replace("final", "False")): "what is final is finished",
+        ("CycleReader._count", _NOTHING_TO_COUNT, "if False:"): "the short way for a cycle with all answers",
+        ("CycleReader._count", "return", "pass"): "the short way for a cycle with all answers",
+        (
+            "_group",
+            "fields = (f'{more}x' if more else '') + 'hii'",
+            "fields = (f'{more}x' if True else '') + 'hii'",
+        ): "0x is no byte",
+        (
+            "marked_groups",
+            "if fast and 2 * len(ids) >= MARKS:",
+            "if fast and 2 * len(ids) > MARKS:",
+        ): "MARKS is odd",
+    },
+    "drivers.dynamixel.driver": {
+        (
+            "DynamixelDriver.__init__",
+            "self._begin_ns = 0",
+            "self._begin_ns = 1",
+        ): "before the first read either is an instant long past",
+        (
+            "DynamixelDriver.disable",
+            "if self._port.is_open:",
+            "if True:",
+        ): "a closed port refuses what is written to it, and that is suppressed",
+    },
+    "drivers.dynamixel.running": {
+        ("Running.__init__", "self._wire_free_ns = 0", "pass"): _SET_BY_A_QUESTION,
+        ("Running.__init__", "self._wire_free_ns = 0", "self._wire_free_ns = 1"): _SET_BY_A_QUESTION,
+        (
+            "Running.write",
+            "sent = [0.0] * len(tau_Nm)",
+            "sent = [1.0] * len(tau_Nm)",
+        ): "each joint has a writer, which fills its place",
+    },
+    "agent.telemetry.ring.file": {
+        ("_create_as", _OPENS, _OPENS.replace("416", "832")): _FCHMOD,
+        ("_create_as", _OPENS, _OPENS.replace("416", "208")): _FCHMOD,
+        ("_create_as", "raise AssertionError('nobody else knows this file')", "pass"): "an assertion",
+        ("_is_file", "return False", "pass"): "None is no file either",
+        (
+            "_is_unfinished",
+            "if len(head) < SLOTS_OFFSET or head[:8] != MAGIC:",
+            "if len(head) < SLOTS_OFFSET or False:",
+        ): "somebody's own file has been refused before",
+    },
+    "agent.telemetry.ring.ring": {
+        ("RingWriter.wait_for_space", _HAS_SPACE, "if False:"): _NO_CLOCK,
+        ("RingWriter.wait_for_space", _HAS_SPACE, _HAS_SPACE.replace(" - ", " + ")): _NO_CLOCK,
+        ("RingWriter.wait_for_space", "return", "pass"): _NO_CLOCK,
+        ("RingWriter.wait_for_space", "time.sleep(_POLL_S)", "pass"): "saves computing while it waits",
+        ("RingWriter.close", "if self._fd < 0:", "if self._fd <= 0:"): _STANDARD_INPUT,
+        ("RingWriter.close", "if self._fd < 0:", "if self._fd < 1:"): _STANDARD_INPUT,
+        ("RingWriter.close", "self._fd = -1", "self._fd = -2"): "both are no descriptor",
+        ("RingReader.close", "if self._fd < 0:", "if self._fd <= 0:"): _STANDARD_INPUT,
+        ("RingReader.close", "if self._fd < 0:", "if self._fd < 1:"): _STANDARD_INPUT,
+        ("RingReader.close", "self._fd = -1", "self._fd = -2"): "both are no descriptor",
+        (
+            "RingReader._copy",
+            _INTACT,
+            _INTACT.replace(" & ", " | "),
+        ): "saves checksums: the index is in them, so a copy of another row fails there",
+        ("_aligned_row", _ROOM, _ROOM.replace("16", "17")): "seven bytes to spare are enough",
+        ("_aligned_row", _ROOM, _ROOM.replace("16", "15")): "seven bytes to spare are enough",
+        (
+            "_aligned_row",
+            "offset = (4 - memory.ctypes.data) % 8",
+            "offset = (4 + memory.ctypes.data) % 8",
+        ): "memory begins at a multiple of 16",
+        ("", "_POLL_S: Final = 0.0002", "_POLL_S: Final = 0.0004"): "how often a writer in lockstep looks again",
+        (
+            "",
+            "LOCKSTEP_TIMEOUT_S: Final = 30.0",
+            "LOCKSTEP_TIMEOUT_S: Final = 60.0",
+        ): "how long a run in simulated time waits for telemetry that hangs",
+    },
+    "agent.telemetry.ring.texts": {
+        ("TextReader.read_new", _TEXTS, _TEXTS.replace("64", "128")): "how many at a time; the loop takes all",
+        ("TextReader.read_new", _TEXTS, _TEXTS.replace("64", "32")): "how many at a time; the loop takes all",
     },
     "agent.operator.socket": {
+        (
+            "ControlSocket.__init__",
+            "path.unlink(missing_ok=True)",
+            "path.unlink(missing_ok=False)",
+        ): "differs when another removes the socket between the question and the removal",
         ("ControlSocket.poll", "if self._clients:", "if True:"): "saves the making of an empty list",
         (
             "ControlSocket._answer",

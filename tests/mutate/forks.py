@@ -17,6 +17,8 @@ from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, Pipe, wait
 from typing import Any
 
+from agent.host.signals import die_with_parent
+
 Tell = Callable[[Any], None]
 Work = Callable[[Tell], None]
 
@@ -97,6 +99,7 @@ def _started(job: Job) -> _Child:
     try:
         os.setpgid(0, 0)
         signal.signal(signal.SIGINT, signal.SIG_DFL)
+        die_with_parent()
         nothing = os.open(os.devnull, os.O_RDWR)
         for fd in (0, 1, 2):
             os.dup2(nothing, fd)

@@ -106,8 +106,8 @@ class _Place:
 
 
 def _places(node: ast.AST, where: str, statement: ast.stmt | None, *, in_function: bool) -> Iterator[_Place]:
-    """Nodes that may be changed: no annotations, no texts, no docstrings."""
-    if isinstance(node, ast.JoinedStr):
+    """Nodes that may be changed: no annotations, no texts, no docstrings, no `strict` of a zip: an assertion."""
+    if isinstance(node, ast.JoinedStr) or (isinstance(node, ast.keyword) and node.arg == "strict"):
         return
     if isinstance(node, ast.stmt):
         statement = node

@@ -102,13 +102,13 @@ class Noticing:
         return Job(lambda tell: self._run(session, mutant, items, tell), limit_s, done)
 
     def _chosen(self, items: Sequence[pytest.Item], mutant: Mutant) -> list[pytest.Item]:
-        """Those that run the function first, and of these the quick ones that noticed most so far; then the others."""
+        """Those that run the function, first the quick ones that noticed most so far; all when none is seen to run it.
+
+        Another test could notice only through a result that one of these left behind.
+        """
+        calling = [item for item in items if mutant.where in self._measured[item.nodeid].called]
         return sorted(
-            items,
-            key=lambda item: (
-                mutant.where not in self._measured[item.nodeid].called,
-                self._measured[item.nodeid].cpu_s / (1 + self._kills[item.nodeid]),
-            ),
+            calling or items, key=lambda item: self._measured[item.nodeid].cpu_s / (1 + self._kills[item.nodeid])
         )
 
     def _run(self, session: pytest.Session, mutant: Mutant, items: Sequence[pytest.Item], tell: Tell) -> None:
@@ -119,7 +119,7 @@ class Noticing:
         signal.signal(signal.SIGVTALRM, _too_long)
         for item, following in _in_turn(items):
             tell(("running", item.nodeid))
-            signal.setitimer(signal.ITIMER_VIRTUAL, CPU_S + 10.0 * self._measured[item.nodeid].cpu_s)
+            signal.setitimer(signal.ITIMER_VIRTUAL, CPU_S + 10.0 * self._measured[item.nodeid].cpu_s, CPU_S)
             item.add_marker(pytest.mark.timeout(WALL_S))
             session.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
         tell(("complete",))
@@ -180,6 +180,10 @@ def noticed_by(said: list[Any]) -> str:
             return str(last[1])
         case "running":
             return f"{last[1]} (it hung or died)"
+        case "crashed" if "TooLong" in last[1]:  # the limit fell on what runs between tests
+            return f"{next(word[1] for word in reversed(said) if word[0] == 'running')} (it hung)"
+        case "crashed":
+            raise RuntimeError(f"the tests could not be run: {last[1]}")
     return ""
 
 

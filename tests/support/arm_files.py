@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Mapping
+import tomllib
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import configs
 from agent.config.cell import Cell, cell_from_toml
 from agent.config.edit import Change, apply
+from agent.config.schema.arm import ArmFile, ServoJoint
 
 _FIGURES = ("rotor_inertia_kg_m2", "coulomb_Nm", "viscous_Nm_s_per_rad")
 
@@ -33,6 +35,22 @@ def with_true_arms(
         path = directory / f"{arm.entry.model}.toml"
         path.write_text(apply((configs.ARMS_DIR / path.name).read_text(), changes))
     return cell_from_toml(cell.toml, "the true cell", directory)
+
+
+def with_figures(cell: Cell, directory: Path, figures: Callable[[ServoJoint], Mapping[str, float]]) -> Cell:
+    """The same cell whose arm files in `directory` have these figures, by key, of every joint."""
+    shutil.copytree(configs.ARMS_DIR, directory, ignore=shutil.ignore_patterns("*.py"), dirs_exist_ok=True)
+    for path in sorted({directory / f"{arm.entry.model}.toml" for arm in cell.arms}):
+        joints = ArmFile.model_validate(tomllib.loads(path.read_text())).joints
+        changes = [_scaled(joint.name, key, value) for joint in joints for key, value in figures(joint).items()]
+        path.write_text(apply(path.read_text(), changes))
+    return cell_from_toml(cell.toml, "the cell", directory)
+
+
+def sticking(joint: ServoJoint) -> Mapping[str, float]:
+    """Breakaway half above Coulomb over 0.3 rad/s, of which 5 % of the motor's torque is added."""
+    breakaway = 0.5 * joint.coulomb_Nm.value
+    return {"breakaway_Nm": breakaway, "stribeck_rad_per_s": 0.3, "load_friction": 0.05}
 
 
 def _scaled(joint: str, key: str, value: float) -> Change:

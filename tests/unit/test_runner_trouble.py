@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from agent.control.residual import Channels, Residual
 from agent.modes import Event, Mode
 from agent.safety import Flag, Limits
 from drivers.interface import DriverError, Vector
@@ -139,6 +140,7 @@ FLAGGED: dict[str, dict[str, Any]] = {
     "NOT_FINITE": {"q": no_number},
     "SINGULAR": {"agent": {"sigma_min": 10.0, "observer": None}},
     "OFF_TRACK": {"agent": {"error_max_m": 1e-6, "observer": None}},
+    "UNEXPECTED": {"agent": {"residual": Residual(0.005, 1.5, Channels(-1.0, -1.0, -1.0, -1.0))}},
 }
 
 
@@ -149,6 +151,18 @@ def test_what_step_flags_as_trouble_holds_the_object_and_is_told_with_its_time(f
     assert done.summary.reason == f"t = {first['t']:.3f} s: {Flag[flag]!r}"
     assert Mode.HOLD in done.modes
     assert done.rows["mode"][first["sequence"] + 1] == Mode.HOLD
+
+
+def test_braking_in_a_hold_is_no_trouble_of_its_own() -> None:
+    swings = [k % 2 * 1e-3 for k in range(100)]
+    done = run(
+        lambda n: Event.STOP if n == 15 else Event.RELEASED if n == 40 else Event.NONE,
+        q=lambda read: q_start() + swings[read],
+        agent={"damp_above_rad_per_s": 1e-6},
+    )
+    held = done.of(Mode.HOLD)
+    assert (held["flags"] & Flag.DAMPED.value).any()
+    assert done.summary.reason == ""
 
 
 def test_torque_that_was_limited_is_no_trouble() -> None:

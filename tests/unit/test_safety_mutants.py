@@ -25,10 +25,10 @@ OPERATORS: dict[type[ast.operator], tuple[type[ast.operator], ...]] = {
 }
 EQUIVALENT = (
     *("if wanted > last + step", "elif wanted < last - step"),  # `allowed` is `wanted` there
-    *("flags ^= Flag.RATE_LIMITED", "flags ^= Flag.SATURATED"),  # set once: there is nothing to flip back
+    *("flags ^= _RATE_LIMITED", "flags ^= _SATURATED"),  # set once: there is nothing to flip back
 )
 NUMBERS = ("wanted", "last", "bound", "step")
-FLAGS = ("NONE", "NOT_FINITE", "SATURATED", "RATE_LIMITED")
+FLAGS = ("_NONE", "_NOT_FINITE", "_SATURATED", "_RATE_LIMITED")
 Change = Callable[[Any], None]
 
 
@@ -50,10 +50,10 @@ def changes(node: Any) -> Iterator[tuple[str, Change]]:
             for other in NUMBERS:
                 if other != name:
                     yield f"{name} is {other}", lambda n, other=other: setattr(n, "id", other)
-        case ast.Attribute(attr=name) if name in FLAGS:
+        case ast.Name(id=name, ctx=ast.Load()) if name in FLAGS:
             for other in FLAGS:
                 if other != name:
-                    yield f"{name} is {other}", lambda n, other=other: setattr(n, "attr", other)
+                    yield f"{name} is {other}", lambda n, other=other: setattr(n, "id", other)
         case ast.Module():
             return
         case ast.If():
@@ -118,4 +118,4 @@ def test_mutant_is_noticed(tree: ast.Module) -> None:
 
 def test_there_are_mutants_of_every_kind() -> None:
     kinds = {label.split(": ")[1].split()[0] for label, _ in MUTANTS}
-    assert {"Sub", "Add", "BitAnd", "Lt", "GtE", "no", "wanted", "SATURATED", "always", "True"} <= kinds
+    assert {"Sub", "Add", "BitAnd", "Lt", "GtE", "no", "wanted", "_SATURATED", "always", "True"} <= kinds

@@ -10,7 +10,7 @@ import pytest
 
 import configs
 from agent.config.cell import load_cell
-from agent.control.friction import Friction
+from agent.control.friction import Friction, JointFriction
 from agent.control.models import ArmModel, Kinematics
 from agent.loop import Agent, Outcome, hold_here, initial_memory, step
 from agent.modes import Mode
@@ -97,7 +97,7 @@ def test_a_law_without_numbers_keeps_the_torque_and_is_forgotten() -> None:
     """Finite joints and no finite torque, here by a friction coefficient that is none."""
     agent, q = agent_of(['controller.velocity="observer"'])
     good = ticks(agent, still(q, 3))[-1]
-    no_number = Friction((np.nan,) * 3, (0.0,) * 3, 1.0)
+    no_number = Friction((JointFriction(np.nan, 0.0),) * 3, 1.0)
     broken = replace(agent, offline=replace(agent.offline, friction=no_number))
     outcome = step(broken, still(q, 1)[0], 0.015, Mode.TRACK, good.memory)
     assert Flag.NOT_FINITE in outcome.flags

@@ -33,6 +33,8 @@ class ArmGainFactors(GainFactors):
     rotor_inertia: Factor = 1.0
     viscous: Factor = 1.0
     coulomb: Factor = 1.0
+    breakaway: Factor = 1.0
+    load: Factor = 1.0
 
 
 class Bounds(Strict):
@@ -78,6 +80,9 @@ class Adaptive(Strict):
     rotor_inertia: bool = True  # columns; a parameter whose column is off keeps its configured value
     viscous: bool = False
     coulomb: bool = False
+    breakaway: bool = False  # this and load: where the arm file has the figure
+    load: bool = False  # load_friction and breakaway_load_friction
+    leak_per_s: Annotated[float, Field(ge=0.0, le=10.0)] = 0.0  # of the estimates, towards what is configured
     start: Annotated[Start, AS_LIST] = Start.NOMINAL
     start_scale: Annotated[float, Field(ge=0.0, le=100.0)] = 1.0
     bounds: ArmBounds = ArmBounds()

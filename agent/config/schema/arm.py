@@ -102,7 +102,7 @@ class ServoJoint(Servos):
     viscous_Nm_s_per_rad: Figure
     torque_constant_Nm_per_A: PositiveFigure | None = None
     no_load_current_A: Figure | None = None
-    breakaway_Nm: Figure | None = None  # what sticking holds above Coulomb; this and the following: simulated arms only
+    breakaway_Nm: Figure | None = None  # what sticking holds above Coulomb
     stribeck_rad_per_s: PositiveFigure | None = None
     stribeck_exponent: PositiveFigure | None = None
     load_friction: Figure | None = None  # per N·m of the motor

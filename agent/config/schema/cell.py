@@ -5,7 +5,9 @@ from __future__ import annotations
 import enum
 import math
 from collections import Counter
-from typing import Annotated
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Annotated, ClassVar
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -119,8 +121,8 @@ class Safety(Strict):
     tracking_error_max_m: Annotated[float, Field(gt=0.0, le=1.0)] = 0.05
     tracking_error_max_rad: Attitude = 0.3
     spectral_radius_max: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.9999
-    hold_speed_max_rad_per_s: Annotated[float, Field(gt=0.0, le=20.0)] | None = None  # in HOLD; faster: it is braked
-    noticing: NoticingSpec | None = None  # None: an arm notices the others by their effect on the object's pose alone
+    hold_speed_max_rad_per_s: Annotated[float, Field(gt=0.0, le=20.0)] = 1.5  # in HOLD; faster: it is braked
+    noticing: NoticingSpec = NoticingSpec()
     inertia_error: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.3
 
 
@@ -150,6 +152,13 @@ class PostureSpec(Strict):
 class Arm(Strict):
     """One arm of the cell."""
 
+    absent: ClassVar[Mapping[str, str]] = MappingProxyType(
+        {
+            "k_v_Nm_s_per_rad": "give the rotation a k_v of its own, N·m·s/rad: the number of k_v_N_s_per_m is mostly "
+            "far too much for a wrist; 0.1 is a beginning, `coop tune` finds a better one"
+        }
+    )
+
     name: Name
     model: FileStem
     p_world_base_m: Vec3
@@ -158,7 +167,7 @@ class Arm(Strict):
     quat_object_ee: Quaternion
     load_share: Share  # the paper allows 0: such an arm damps the object and carries nothing
     k_v_N_s_per_m: PerAxis
-    k_v_Nm_s_per_rad: PerAxis | None = None  # the paper: the same number
+    k_v_Nm_s_per_rad: PerAxis  # the paper prints one number for both, which is far too much for a wrist
     internal_wrench_N_Nm: Wrench | None = None  # at ee, object axes
     grip_force_max_N: Annotated[float, Field(gt=0.0, le=1e4)] | None = None  # what the gripper holds by friction
     controlled: Annotated[list[Label], Field(min_length=3, max_length=7)]
@@ -268,10 +277,10 @@ class CellFile(Strict):
                 "arms", found=f"a sum of {total:.9g}", expected="load shares that sum to 1",
                 remedy="correct load_share of the arms",
             )  # fmt: skip
-        aligned, names = self.controller.alignment, [a.name for a in self.arms]
-        if aligned is not None and aligned.anchor is not None and aligned.anchor not in names:
+        anchor, names = self.controller.alignment.anchor, [a.name for a in self.arms]
+        if anchor is not None and anchor not in names:
             raise wrong(
-                "controller.alignment.anchor", found=repr(aligned.anchor), expected=" or ".join(names),
+                "controller.alignment.anchor", found=repr(anchor), expected=" or ".join(names),
                 remedy="name one of the cell's arms",
             )  # fmt: skip
         self.simulation.require_fit({a.name: len(a.controlled) for a in self.arms})

@@ -50,4 +50,4 @@ class Controller(Strict):
     velocity: Annotated[VelocitySource, AS_LIST] = VelocitySource.OBSERVER
     observer: ObserverGains = ObserverGains()
     adaptive: Adaptive = Adaptive()  # used when kind is "adaptive"
-    alignment: AlignmentSpec | None = None  # None: every arm follows the motion where it sees the object
+    alignment: AlignmentSpec = AlignmentSpec()

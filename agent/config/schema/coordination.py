@@ -16,11 +16,12 @@ Moment = Annotated[float, Field(gt=0.0, le=1e3)]
 class AlignmentSpec(Strict):
     """Every arm but the anchor shifts its own target towards what it sees (agent.control.alignment)."""
 
+    enabled: bool = True
     anchor: Name | None = None  # the arm that does not; None: the first of the cell
     ready_per_s: Rate = 2.0  # while waiting for the start
     track_per_s: Rate = 0.3
-    dead_zone_m: Annotated[float, Field(ge=0.0, le=0.05)] = 0.7e-3
-    dead_zone_rad: Annotated[float, Field(ge=0.0, le=0.5)] = 4e-3
+    dead_zone_m: Annotated[float, Field(ge=0.0, le=0.05)] = 1.5e-3
+    dead_zone_rad: Annotated[float, Field(ge=0.0, le=0.5)] = 8e-3
     max_m: Annotated[float, Field(gt=0.0, le=0.1)] = 0.02
     max_rad: Annotated[float, Field(gt=0.0, le=0.5)] = 0.1
 
@@ -28,6 +29,7 @@ class AlignmentSpec(Strict):
 class NoticingSpec(Strict):
     """From which unexpected wrench on an arm it holds (agent.control.residual): a sudden one, and one that stays."""
 
+    enabled: bool = True
     fast_N: Force = 2.0
     fast_Nm: Moment = 0.35
     slow_N: Force = 1.6

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import os
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 from agent.log.columns import Table
 from agent.log.read import ColumnLog, LogError, open_log
+from agent.telemetry.link.playhead import Order, Playhead
 from agent.telemetry.link.session import FREE_PORT, Network, open_session
 from agent.telemetry.link.wire import BATCH_BYTES_MAX, BatchHeader, End
 from agent.telemetry.row.event import Event
@@ -25,8 +27,12 @@ _CYCLE_S: Final = 0.033
 _STRETCH_ROWS: Final = 2048
 
 
-def _never() -> bool:
-    return False
+def _nothing() -> Sequence[Order]:
+    return ()
+
+
+def _silent(_: Playhead) -> None:
+    pass
 
 
 @dataclass(frozen=True)
@@ -39,7 +45,8 @@ class PlayOptions:
     start_s: float = 0.0  # seconds of the log, counted from its first row
     stop_s: float | None = None
     loop: bool = False
-    paused: Callable[[], bool] = _never
+    orders: Callable[[], Sequence[Order]] = _nothing  # what was asked since the last call; asked 30 times a second
+    show: Callable[[Playhead], None] = _silent  # told as often where it stands
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +63,7 @@ def run(options: PlayOptions, stop: Callable[[], bool], ready: Callable[[str], N
     report = PlayReport(0, 0, 0)
     with ExitStack() as stack:
         tracks = _tracks(options, stack.enter_context(open_log(options.path)))
-        begin_ns = min((int(track.times[0]) for track in tracks if len(track.times)), default=0)
+        player = _Player(tracks, options)
         opened = stack.enter_context(open_session(options.network))
         publishers = {
             key: stack.enter_context(
@@ -65,14 +72,13 @@ def run(options: PlayOptions, stop: Callable[[], bool], ready: Callable[[str], N
             for key in {track.key for track in tracks}
         }
         ready(opened.endpoint or "")
-        while not stop():
-            rows, events = _play_once(tracks, begin_ns, publishers, options, stop)
+        while not stop() and not player.head.quit:
+            rows, events = player.play_once(publishers, stop)
             finished = all(track.done for track in tracks)
             report = PlayReport(report.rows + rows, report.events + events, report.loops + finished)
             if not options.loop:
                 break
-            for track in tracks:
-                track.rewind()
+            player.seek(0.0)
     return report
 
 
@@ -88,12 +94,18 @@ class _Track:
         self.times = times
         self._payload = payload
         self._batch_max = batch_max
-        self.rewind()
+        self.seek(-math.inf)
 
-    def rewind(self) -> None:
-        self._source = int.from_bytes(os.urandom(8), "little") | 1  # to a listener every loop is a run of its own
-        self._next = 0
+    def seek(self, utc_ns: float) -> None:
+        """Go on with the first message from that time on; to a listener that is a run of its own."""
+        self._source = int.from_bytes(os.urandom(8), "little") | 1
+        self._next = int(np.searchsorted(self.times, utc_ns, side="left"))
         self.done = False
+
+    @property
+    def next_ns(self) -> int | None:
+        """Time of the message that comes next."""
+        return int(self.times[self._next]) if self._next < len(self.times) else None
 
     def play_to(self, utc_ns: float, publisher: zenoh.Publisher) -> int:
         """Publish everything up to that time, then once the end marker; returns the number of messages."""
@@ -172,23 +184,45 @@ def _by_source(cell: str, events: list[Event]) -> Mapping[Address, list[Event]]:
     return found
 
 
-def _play_once(
-    tracks: list[_Track],
-    begin_ns: int,
-    publishers: Mapping[str, zenoh.Publisher],
-    options: PlayOptions,
-    stop: Callable[[], bool],
-) -> tuple[int, int]:
-    """Play from where the tracks stand to their end; returns rows and events published."""
-    played_s, before_s = 0.0, time.monotonic()
-    rows = events = 0
-    while not stop() and not all(track.done for track in tracks):
-        now_s = time.monotonic()
-        if not options.paused():
-            played_s += (now_s - before_s) * options.speed
-        before_s = now_s
-        for track in tracks:
-            count = track.play_to(begin_ns + played_s * 1e9, publishers[track.key])
-            rows, events = rows + count * track.is_rows, events + count * (not track.is_rows)
-        time.sleep(_CYCLE_S)
-    return rows, events
+class _Player:
+    """All tracks of a log under one playhead."""
+
+    def __init__(self, tracks: list[_Track], options: PlayOptions) -> None:
+        self._tracks, self._options = tracks, options
+        times = [int(t) for track in tracks if len(track.times) for t in (track.times[0], track.times[-1])]
+        self._begin_ns = min(times, default=0)
+        self.head = Playhead((max(times, default=0) - self._begin_ns) / 1e9, options.speed)
+
+    def seek(self, at_s: float) -> None:
+        """Go on from there."""
+        self.head.at_s = at_s
+        for track in self._tracks:
+            track.seek(self._begin_ns + round(at_s * 1e9))
+
+    def play_once(self, publishers: Mapping[str, zenoh.Publisher], stop: Callable[[], bool]) -> tuple[int, int]:
+        """Play from where it stands to the end; returns rows and events published."""
+        before_s, head = time.monotonic(), self.head
+        rows = events = 0
+        while not stop() and not head.quit and not all(track.done for track in self._tracks):
+            now_s = time.monotonic()
+            head.pass_time(now_s - before_s)
+            before_s = now_s
+            for order in (*self._options.orders(), None):
+                if order is not None and head.take(order, self._next_s()):
+                    self.seek(head.at_s)
+                played = self._publish(publishers)
+                rows, events = rows + played[0], events + played[1]
+            self._options.show(head)
+            time.sleep(_CYCLE_S)
+        return rows, events
+
+    def _publish(self, publishers: Mapping[str, zenoh.Publisher]) -> tuple[int, int]:
+        """Everything up to the playhead; returns rows and events."""
+        until_ns = self._begin_ns + round(self.head.at_s * 1e9)
+        counts = [(track.is_rows, track.play_to(until_ns, publishers[track.key])) for track in self._tracks]
+        return sum(n for is_rows, n in counts if is_rows), sum(n for is_rows, n in counts if not is_rows)
+
+    def _next_s(self) -> float | None:
+        """Where the next message is, beginning with what is behind the playhead."""
+        coming = [t for track in self._tracks if (t := track.next_ns) is not None]
+        return (min(coming) - self._begin_ns) / 1e9 if coming else None

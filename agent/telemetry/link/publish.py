@@ -168,7 +168,7 @@ class _Telemetry:
         return not has_link(self._session) or time.monotonic() - self._ended_s > _LINGER_S
 
     def _cycle(self, now_s: float) -> int:
-        """Publish what is new, ask what arrived, publish again what did not; return the number of batches of rows."""
+        """Publish what is new, ask what arrived, publish again what did not; return the number of batches."""
         burst = _BURST[self._lockstep]
         rows = self._senders[Kind.STATE]
         sent = 0
@@ -181,7 +181,7 @@ class _Telemetry:
             if kind is not Kind.STATE:
                 for header, payload in sender.new(burst, now_s):
                     self._publishers[kind].put(payload, attachment=header.pack())
-        self._take_status(now_s)
+        sent += self._send_again(now_s)
         if self._lockstep:
             self._reader.acknowledge(rows.acknowledged)
         return sent
@@ -203,15 +203,17 @@ class _Telemetry:
             for box in self._outbox.values():
                 box.end = End.FINISHED
 
-    def _take_status(self, now_s: float) -> None:
-        status = self._status.poll(now_s)
-        if status is None:
-            return
-        self._heard = True
+    def _send_again(self, now_s: float) -> int:
+        status, sent = self._status.poll(now_s), 0
+        self._heard |= status is not None
         for kind, sender in self._senders.items():
-            sender.on_status(status.get(self._address_of(kind).key), now_s)
-            for header, payload in sender.again(_BURST[self._lockstep], now_s):
-                self._publishers[kind].put(payload, attachment=header.pack())
+            if status is not None:
+                sender.on_status(status.get(self._address_of(kind).key), now_s)
+            if self._heard:
+                for header, payload in sender.again(_BURST[self._lockstep], now_s):
+                    self._publishers[kind].put(payload, attachment=header.pack())
+                    sent += 1
+        return sent
 
     def _address_of(self, kind: Kind) -> Address:
         return Address(self._options.cell, self._options.member, kind)

@@ -16,6 +16,7 @@ from agent.telemetry.ring.ring import RingReader, RowBlock
 
 RESEND_AFTER_S: Final = 1.0  # Zenoh's recovery needs less
 RESEND_AFTER_MAX_S: Final = 8.0
+RESEND_BATCHES_MAX: Final = 256  # between two signs that they help
 TEXTS_KEPT: Final = 10_000
 LOCKSTEP_PAUSE_S: Final = 0.06  # each look costs the run CPU time
 PRESSING_PAUSE_S: Final = 0.005
@@ -125,6 +126,10 @@ class Sender:
         self._stuck_at: tuple[int, bool] = (0, False)
         self._stuck_since_s = 0.0
         self._patience_s = RESEND_AFTER_S
+        self._had = 0  # messages that the recorder had at its last answer
+        self._sweep: int | None = None  # how far what is missing has been sent again; None: that is not going on
+        self._credit = 0  # batches sent again between two signs of progress; doubles with each
+        self._left = 0  # of the credit
 
     @property
     def published(self) -> int:
@@ -185,28 +190,50 @@ class Sender:
             self._have, self._end_acknowledged = Coverage(self._gone.ranges), False
         else:
             self._have, self._end_acknowledged = Coverage((*status.have, *self._gone.ranges)), status.ended
-        at = (self.acknowledged, self._end_acknowledged)
-        if at != self._stuck_at:
+        at, had = (self.acknowledged, self._end_acknowledged), self._have.count
+        if at != self._stuck_at or had > self._had:
             self._stuck_at, self._stuck_since_s, self._patience_s = at, now_s, RESEND_AFTER_S
+            self._credit = self._left = min(2 * self._credit, RESEND_BATCHES_MAX)
+        self._had = had
 
     def again(self, batches_max: int, now_s: float) -> Iterator[tuple[BatchHeader, bytes]]:
-        """Return what the recorder misses, when it has missed the same for a while; waits longer each time."""
+        """Return what the recorder misses, when it has missed the same for a while; waits longer each time.
+
+        Called again at once it goes on from there, twice as far after every answer that shows it helps: a long history
+        goes out as fast as it is taken, and a deaf recorder is not flooded.
+        """
         missing = self._missing()
         end_missing = self.ended and not self._end_acknowledged
-        if not (missing or end_missing) or now_s - self._stuck_since_s < self._patience_s:
+        if not (missing or end_missing):
+            self._sweep = None
             return
-        self._stuck_since_s, self._patience_s = now_s, min(2 * self._patience_s, RESEND_AFTER_MAX_S)
+        if self._sweep is None or not self._left:
+            if now_s - self._stuck_since_s < self._patience_s:
+                return
+            self._stuck_since_s, self._patience_s = now_s, min(2 * self._patience_s, RESEND_AFTER_MAX_S)
+            self._sweep, self._credit, self._left = 0, batches_max, batches_max
+        yield from self._resend(missing, self._sweep, min(batches_max, self._left))
+        if end_missing and not self._sweeping:
+            yield self._header(self._next), b""
+
+    @property
+    def _sweeping(self) -> bool:
+        return self._sweep is not None
+
+    def _resend(self, missing: list[Range], after: int, batches: int) -> Iterator[tuple[BatchHeader, bytes]]:
+        """What is missing from `after` on, so many batches of it."""
         for start, last in missing:
-            first = start
-            while first <= last and batches_max > 0:
+            first = max(start, after)
+            while first <= last:
+                if not batches:
+                    return
                 block = self._source.read(first, min(self._source.batch_max, last + 1 - first))
                 self._note_gone(first, min(block.first - 1, last))
-                first = block.first + block.count
-                batches_max -= 1
+                first = self._sweep = block.first + block.count
+                batches, self._left = batches - 1, self._left - 1
                 if block.count:
                     yield self._header(block.first), block.payload
-        if end_missing:
-            yield self._header(self._next), b""
+        self._sweep = None
 
     def _note_gone(self, first: int, last: int) -> None:
         if first <= last:

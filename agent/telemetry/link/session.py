@@ -57,6 +57,7 @@ class Network:
     listen: str | None = None  # port 0: any free one
     config_file: Path | None = None
     role: Role = Role.MEMBER
+    timestamps: bool = False  # on what it publishes, for receivers that recover by time (rmw_zenoh)
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,6 +130,8 @@ def _from_table(network: Network, listen: str | None) -> zenoh.Config:
         "listen/endpoints": [listen] if listen else [],
         "connect/endpoints": list(network.connect),
     }
+    if network.timestamps:
+        table |= {"timestamping/enabled": True}
     if network.role is Role.VIEWER:
         table |= {"connect/exit_on_failure": True, "connect/timeout_ms": _VIEWER_TIMEOUT_MS}
     try:

@@ -220,9 +220,10 @@ def is_locked(fd: int) -> bool:
     return int(struct.unpack_from("h", answer)[0]) != fcntl.F_UNLCK
 
 
-def map_file(fd: int, size: int, *, writable: bool) -> mmap.mmap:
-    """Shared mapping of the first `size` bytes."""
-    return mmap.mmap(fd, size, access=mmap.ACCESS_WRITE if writable else mmap.ACCESS_READ)
+def map_file(fd: int, size: int, *, writable: bool, at_once: bool = False) -> mmap.mmap:
+    """Shared mapping of the first `size` bytes; at_once: with all its pages, so that none is missing in the loop."""
+    protection = mmap.PROT_READ | mmap.PROT_WRITE if writable else mmap.PROT_READ
+    return mmap.mmap(fd, size, mmap.MAP_SHARED | (mmap.MAP_POPULATE if at_once else 0), protection)
 
 
 def _lock_request(kind: int, byte: int) -> bytes:

@@ -62,7 +62,7 @@ class RingWriter:
                 remedy="create the directory, free space, or take fewer slots",
             ) from error
         self.header = header
-        self._map = ring_file.map_file(self._fd, header.file_bytes, writable=True)
+        self._map = ring_file.map_file(self._fd, header.file_bytes, writable=True, at_once=True)
         self._bytes = memoryview(self._map)
         self._words = self._bytes.cast("Q")
         self._pack_slot_head = struct.Struct("=QI").pack_into

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Sequence
 from typing import Any, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.control.law import Terms
-from agent.control.memory import Memory
+from agent.control.memory import NO_POSE, Memory
+from agent.control.residual import Sense
+from agent.control.terms import JOINT_TERMS, Terms
 from agent.telemetry.row.sample import (
     AGENT_FIELDS,
     AGENT_STATE,
@@ -22,12 +24,16 @@ from agent.telemetry.row.sample import (
 )
 from drivers.interface import BusCounters, JointState, Vector
 
+_LOGGED: Final = len(JOINT_TERMS)
 _ABSENT: Final = b""  # packs as zeros
+_NO_MOTION: Final = (math.nan,) * 57  # p_object_des to dv_object_ref
 _NO_WRENCHES: Final = (math.nan,) * 14  # wrench_cmd, wrench_internal, lyapunov, sigma_min
 _NO_SENSE: Final = (math.nan,) * 10  # unexpected_wrench, unexpected
+SENSE_ARRAYS: Final = 3  # of the field `memory`: of agent.control.residual.Sense
+SENSE_REST: Final = 19
+_WRENCHES: Final = struct.Struct(f"<{SENSE_REST}d")
 
 Row = NDArray[np.void]
-Values = tuple[bytes | float, ...]
 
 
 class Outcome(Protocol):
@@ -67,8 +73,8 @@ class Outcome(Protocol):
 class AgentRow:
     """The writing end of one AgentState message of an arm with n joints.
 
-    Vectors are float64 of length n.  A joint array is one item of the packed record: the bytes of its n numbers, then
-    zeros for the joints that are not there.
+    Vectors are float64 of length n.  A joint array is one item of a packed stretch of fields: the bytes of its n
+    numbers, then zeros for the joints that are not there.  The joint vectors of the law are copied as one block.
     """
 
     def __init__(self, message: Row, joint_count: int, config_id: int) -> None:
@@ -79,14 +85,18 @@ class AgentRow:
                 base[f.name] = 0.0
         base["encapsulation"] = CDR_LITTLE_ENDIAN
         self._bytes = base.view(np.uint8).data
+        self._of_law = _block(self._bytes, JOINT_TERMS, joint_count)
         self._theta_arm: NDArray[np.float64] = base["theta_arm"][0]
         self._theta_object: NDArray[np.float64] = base["theta_object"][0]
-        self._head = (joint_count, config_id)
-        self._no_law = _no_law(joint_count)
-        self._tick = _packer("sequence", "memory", joint_count)
-        self._tick_at = _offset("sequence")
-        self._timing = _packer("late_s", "bus_retries", joint_count)
-        self._timing_at = _offset("late_s")
+        self._counts = (joint_count, config_id)
+        self._pad = bytes(8 * (MAX_JOINTS - joint_count))
+        self._sense: Sense | None = None  # that of the last row, and how it was packed
+        self._packed_sense = b"", b""
+        self._state, self._state_at = _packer("sequence", "dq", joint_count), _offset("sequence")
+        self._motion, self._motion_at = _packer("p_object_des", "dv_object_ref", joint_count), _offset("p_object_des")
+        self._sent, self._sent_at = _packer("tau_limited", "sigma_min", joint_count), _offset("tau_limited")
+        self._memory, self._memory_at = _packer("shift", "memory", joint_count), _offset("shift")
+        self._timing, self._timing_at = _packer("late_s", "bus_retries", joint_count), _offset("late_s")
 
     def fill(
         self, sequence: int, t: float, utc_ns: int, mode: int, state: JointState, memory: Memory, outcome: Outcome,
@@ -97,15 +107,23 @@ class AgentRow:
         memory: what the tick began with.  Where the law gave nothing its fields are NaN; terms that the law does not
         have are zero.  The values stand in the order of the table.
         """
-        terms = outcome.terms
-        law, wrenches = (self._no_law, _NO_WRENCHES) if terms is None else _law(terms)
-        self._tick.pack_into(
-            self._bytes, self._tick_at,
-            sequence, state.stamp_ns, utc_ns, mode, outcome.flags, *self._head,
+        message = self._bytes
+        self._state.pack_into(
+            message, self._state_at,
+            sequence, state.stamp_ns, utc_ns, mode, outcome.flags, *self._counts,
             t, state.q.tobytes(), state.dq.tobytes(), state.tau.tobytes(), outcome.q.tobytes(), outcome.dq.tobytes(),
-            *law, outcome.tau.tobytes(), tau_sent.tobytes(), *wrenches,
-            *memory.shift, *(_NO_SENSE if outcome.sensed is None else outcome.sensed),
-            *map(_bytes, memory.joint_arrays), *memory.rest,
+        )  # fmt: skip
+        self._fill_law(outcome.terms, outcome.tau.tobytes(), tau_sent.tobytes())
+        if memory.sense is not self._sense:
+            self._pack_sense(memory.sense)
+        of_sense, behind = self._packed_sense
+        self._memory.pack_into(
+            message, self._memory_at,
+            *memory.shift, *(outcome.sensed or _NO_SENSE),
+            memory.q.tobytes(), memory.dq.tobytes(), memory.ddq.tobytes(), memory.ddq_before.tobytes(),
+            memory.tau.tobytes(), memory.tau_before.tobytes(),
+            _ABSENT if memory.q_hold is None else memory.q_hold.tobytes(), of_sense,
+            *(memory.hold or NO_POSE), memory.primed, memory.t, *memory.shift, memory.damped, behind,
         )  # fmt: skip
         if memory.estimate is not None:
             self._theta_arm[: len(memory.estimate.arm)] = memory.estimate.arm
@@ -118,33 +136,39 @@ class AgentRow:
             bus.timeouts, bus.corrupt, bus.alerts, bus.retries,
         )  # fmt: skip
 
+    def _fill_law(self, terms: Terms | None, limited: bytes, sent: bytes) -> None:
+        """The fields from p_object_des to sigma_min; limited, sent: torques after the law."""
+        if terms is None:
+            self._motion.pack_into(self._bytes, self._motion_at, *_NO_MOTION)
+            self._of_law[...] = math.nan
+            self._sent.pack_into(self._bytes, self._sent_at, limited, sent, *_NO_WRENCHES)
+            return
+        d, k, e = terms.desired, terms.kinematics, terms.errors
+        self._motion.pack_into(
+            self._bytes, self._motion_at,
+            *d.p, *d.quat, *d.v, *d.a,
+            *k.p_object, *k.quat_object, *k.v_object,
+            *e.e_p, e.e_eta, *e.e_eps, *e.e_v, *e.v_ref, *e.dv_ref,
+        )  # fmt: skip
+        self._of_law[...] = terms.joints[:_LOGGED]
+        self._sent.pack_into(
+            self._bytes, self._sent_at,
+            limited, sent, *terms.wrench_cmd, *terms.wrench_internal, terms.lyapunov, terms.sigma_min,
+        )  # fmt: skip
 
-def _law(terms: Terms) -> tuple[Values, tuple[float, ...]]:
-    """The fields from p_object_des to tau_cmd, and those from wrench_cmd to sigma_min."""
-    d, k, e = terms.desired, terms.kinematics, terms.errors
-    return (
-        *d.p, *d.quat, *d.v, *d.a,
-        *k.p_object, *k.quat_object, *k.v_object,
-        *e.e_p, e.e_eta, *e.e_eps, *e.e_v, *e.v_ref, *e.dv_ref,
-        terms.dq_ref.tobytes(), terms.ddq_ref.tobytes(),
-        _bytes(terms.tau_inertia), _bytes(terms.tau_coriolis), _bytes(terms.tau_gravity), _bytes(terms.tau_adaptive),
-        terms.tau_feedback.tobytes(), terms.tau_object.tobytes(),
-        _bytes(terms.tau_internal), _bytes(terms.tau_friction), _bytes(terms.tau_posture),
-        terms.tau_cmd.tobytes(),
-    ), (*terms.wrench_cmd, *terms.wrench_internal, terms.lyapunov, terms.sigma_min)  # fmt: skip
+    def _pack_sense(self, sense: Sense) -> None:
+        """The bytes of a state of the residual; an arm without one keeps the same all the time."""
+        joints = b"".join(array.tobytes() + self._pad for array in sense[:SENSE_ARRAYS])
+        self._sense, self._packed_sense = sense, (joints, _WRENCHES.pack(*sense.wrenches))
 
 
-def _bytes(array: Vector | None) -> bytes:
-    return _ABSENT if array is None else array.tobytes()
-
-
-def _no_law(joint_count: int) -> Values:
-    """The fields from p_object_des to tau_cmd when there is no law."""
-    nan = np.full(joint_count, np.nan).tobytes()
-    values: list[bytes | float] = []
-    for f in _span("p_object_des", "tau_cmd"):
-        values += [nan] if _is_of_joints(f) else [math.nan] * max(f.length, 1)
-    return tuple(values)
+def _block(message: memoryview, names: Sequence[str], joint_count: int) -> NDArray[np.float64]:
+    """View (k, n) of joint arrays that follow each other in a message.  Raises ValueError where they do not."""
+    first, last = _span(names[0], names[-1])[:: len(names) - 1]
+    if [f.name for f in _span(first.name, last.name)] != list(names):
+        raise ValueError(f"the fields {', '.join(names)} do not follow each other")
+    shape, strides = (len(names), joint_count), (8 * MAX_JOINTS, 8)
+    return np.ndarray(shape, np.float64, message, _offset(names[0]), strides)
 
 
 def _packer(first: str, last: str, joint_count: int) -> struct.Struct:
@@ -155,7 +179,8 @@ def _packer(first: str, last: str, joint_count: int) -> struct.Struct:
 
 def _code(f: Field, joints: str) -> str:
     if f.name == "memory":
-        return MEMORY_ARRAYS * joints + f"{MEMORY_REST}d"
+        sense = 8 * SENSE_ARRAYS * MAX_JOINTS, 8 * SENSE_REST
+        return f"{(MEMORY_ARRAYS - SENSE_ARRAYS) * joints}{sense[0]}s{MEMORY_REST - SENSE_REST}d{sense[1]}s"
     return joints if _is_of_joints(f) else f"{max(f.length, 1)}{f.struct_code}"
 
 

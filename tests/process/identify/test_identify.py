@@ -78,4 +78,5 @@ def test_gains_are_proposed_and_written_and_pass_the_check(tmp_path: Path) -> No
     assert "k_p_per_s = " in done.stdout
     checked = coop("check", "slow.toml", cwd=tmp_path)
     assert checked.returncode == 0, checked.stderr
-    assert "warning" not in checked.stdout
+    warned = [line for line in checked.stdout.splitlines() if line.startswith("warning: ")]
+    assert all(line.startswith("warning: this arm limp") for line in warned)  # gains do not lift what motors cannot

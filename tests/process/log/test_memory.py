@@ -23,8 +23,8 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_report_never_holds_the_rows(log: Path, tmp_path: Path) -> None:
-    """A report of 100 s may take 250 MB; that is what it takes with the rows in memory."""
-    assert measured("report", log, "--out", tmp_path).peak_MB < 180
+    """A report of 100 s may take 250 MB; with the rows in memory it takes 300, 50 of them to draw the cell."""
+    assert measured("report", log, "--out", tmp_path).peak_MB < 225
 
 
 def test_a_comparison_never_holds_the_rows(log: Path) -> None:

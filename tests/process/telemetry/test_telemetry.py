@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import signal
-import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,10 +19,12 @@ from rosbags.highlevel import AnyReader
 from agent.log.read import LogError, RunLog, read_log
 from agent.telemetry.link import play
 from agent.telemetry.link.play import PlayOptions
+from agent.telemetry.link.playhead import Order
 from agent.telemetry.link.publish import Pace
 from agent.telemetry.link.session import Network, Role, open_session
 from agent.telemetry.link.wire import BatchHeader
 from agent.telemetry.row.topics import PLANT
+from tests.support.telemetry.scenes import LOCKED_RAD
 from tests.support.telemetry.telemetry_cell import ARMS, UTC_0_NS, Process, make_rows, recorder, telemetry, writer
 
 MEMBERS = (*ARMS, PLANT)
@@ -92,14 +93,16 @@ def test_mcap_tools_decode_every_message(run: RunLog) -> None:
                 assert (message.sequence, message.log_time) == (i, UTC_0_NS + i * 5_000_000)
                 for name in ("sequence", "utc_ns", "t", "q_measured", "theta_arm", "bus_retries"):
                     assert np.array_equal(getattr(decoded, name), rows[i][name]), name
-            if channel.topic == "/coop/paper/left/joint_states" and i % 100 == 0:
+            if channel.topic == "/left/joint_states" and i % 100 == 0:
                 row = rows[message.sequence]
-                assert list(decoded.name) == list(ARMS["left"])
-                assert np.array_equal(decoded.position, row["q_measured"][:3])
+                assert list(decoded.name) == [*ARMS["left"], *LOCKED_RAD]
+                assert np.array_equal(decoded.position, [*row["q_measured"][:3], *LOCKED_RAD.values()])
     assert count["/coop/paper/left/state"] == 8999
     expected = 9000 / 4  # 50 Hz of 200 Hz
     for topic in ("left/joint_states", "right/wrench", "object/pose", "object/pose_des"):
-        assert count[f"/coop/paper/{topic}"] + 1 == expected, topic
+        assert count[f"/{topic}"] + 1 == expected, topic
+    for topic in ("tf_static", "left/robot_description", "right/robot_description"):
+        assert count[f"/{topic}"] == 0, "once"
     assert count["/tf"] + 1 == 3 * expected
     assert count["/rosout"] + 1 == len(run.events)
 
@@ -167,15 +170,56 @@ def test_play_keeps_the_pace_and_its_factor(run: RunLog) -> None:
     assert (report.rows, report.loops) == (3 * 2001, 1)
 
 
+class At:
+    """Orders by the number of the question; a class, because another process may play."""
+
+    def __init__(self, orders: dict[int, list[Order]]) -> None:
+        self._orders, self._asked = orders, 0
+
+    def __call__(self) -> list[Order]:
+        self._asked += 1
+        return self._orders.get(self._asked, [])
+
+
 def test_play_can_be_paused(run: RunLog) -> None:
-    paused = threading.Event()
-    paused.set()
-    release = threading.Timer(0.5, paused.clear)
-    release.start()
-    begin = time.monotonic()
-    play.run(PlayOptions(run.path, speed=100.0, stop_s=1.0, paused=paused.is_set), stop=lambda: False)
-    assert time.monotonic() - begin >= 0.5
-    release.join()
+    seen: list[tuple[float, bool]] = []
+    options = PlayOptions(
+        run.path, speed=100.0, stop_s=10.0, orders=At({2: [Order.PAUSE], 12: [Order.PAUSE]}),
+        show=lambda head: seen.append((head.at_s, head.paused)),
+    )  # fmt: skip
+    report = play.run(options, stop=lambda: False)
+    assert (report.rows, report.loops) == (3 * 2001, 1)
+    waits = [at_s for at_s, paused in seen if paused]
+    assert len(waits) == 10
+    assert len(set(waits)) == 1, "it stays where it is"
+
+
+def test_a_step_plays_the_messages_of_one_instant(run: RunLog) -> None:
+    orders = At({2: [Order.STEP], 3: [Order.STEP, Order.STEP], 5: [Order.QUIT]})
+    seen: list[float] = []
+    options = PlayOptions(run.path, speed=1e-3, orders=orders, show=lambda head: seen.append(head.at_s))
+    report = play.run(options, stop=lambda: False)
+    assert (report.rows, report.loops) == (3 * 4, 0), "the first row, and three more, of two arms and the plant"
+    assert seen[-1] == pytest.approx(0.015)
+
+
+def test_a_seek_goes_on_elsewhere_with_the_same_bytes_as_a_run_of_its_own(run: RunLog) -> None:
+    heard: list[tuple[str, bytes, BatchHeader]]
+    key, ahead = "replay/coop/paper/left/state", [Order.AHEAD]
+    with Process(
+        play.run,
+        PlayOptions(run.path, stop_s=20.0, orders=At({30: ahead, 33: ahead, 36: ahead, 60: [Order.FASTER] * 4})),
+    ) as player:
+        with listening(player.ready(), "**") as heard:
+            until(lambda: any(not payload and key == k for k, payload, _ in heard))
+        player.result()
+    *_, last = sources(heard, key)
+    parts = [(p, h) for k, p, h in heard if k == key and h.source == last]
+    played = b"".join(p for p, _ in parts)
+    rows = make_rows("left", 9000)
+    first = parts[0][1].first
+    assert first == pytest.approx(3000, abs=600), "fifteen seconds in, and what it had played before"
+    assert played == rows[first:4001].tobytes()
 
 
 @pytest.mark.parametrize(

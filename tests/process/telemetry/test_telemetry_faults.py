@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import random
 import resource
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -21,16 +20,16 @@ from agent.log.file import LogFileError
 from agent.log.read import LogError, read_log
 from agent.log.scan import library_of
 from agent.telemetry.link import record
+from agent.telemetry.link.inbox import Inbox
 from agent.telemetry.link.intake import Rejection
 from agent.telemetry.link.publish import Pace
 from agent.telemetry.link.record import RecordOptions, RecordReport
 from agent.telemetry.link.session import Network, NetworkError, open_session
 from agent.telemetry.link.wire import BatchHeader, End
-from agent.telemetry.ring.ring import RingReader
-from agent.telemetry.row.sample import AGENT_STATE
 from agent.telemetry.row.topics import BadName
+from tests.support.telemetry.one_arm import LEFT, RATE_HZ, one_arm, prefix, rows_in, wait_for, written
+from tests.support.telemetry.scenes import scene
 from tests.support.telemetry.telemetry_cell import (
-    ARMS,
     CELL,
     CONFIG_ID,
     Process,
@@ -40,45 +39,10 @@ from tests.support.telemetry.telemetry_cell import (
     writer,
 )
 
-LEFT = {"left": ARMS["left"]}
-RATE_HZ = 500.0
-
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     return tmp_path
-
-
-def wait_for(condition: Callable[[], bool], timeout_s: float = 60.0) -> None:
-    end = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < end, "did not happen in time"
-        time.sleep(0.01)
-
-
-def written(ring: Path) -> int:
-    if not ring.exists():
-        return 0
-    with RingReader(ring, AGENT_STATE) as reader:
-        return reader.written
-
-
-def rows_in(path: Path) -> bytes:
-    return read_log(path).agents["left"].tobytes()
-
-
-def prefix(count: int, total: int) -> bytes:
-    return make_rows("left", total)[:count].tobytes()
-
-
-@contextlib.contextmanager
-def one_arm(folder: Path, rows: int, **changes: Any) -> Iterator[tuple[Process, Process, Process, str]]:
-    """Recorder, telemetry and a writer in real time."""
-    ring = folder / "left.ring"
-    with recorder(folder / "run.mcap", arms=LEFT, **changes) as rec:
-        endpoint = rec.ready()
-        with telemetry(ring, "left", endpoint, Pace.REAL_TIME) as tel, writer(ring, "left", rows, RATE_HZ) as agent:
-            yield rec, tel, agent, endpoint
 
 
 def test_a_killed_recorder_leaves_a_readable_log_and_the_next_one_gets_everything(folder: Path) -> None:
@@ -313,7 +277,7 @@ def record_on_a_small_disk(
 
 def test_a_disk_that_is_full_stops_the_log_and_nothing_else(folder: Path) -> None:
     ring, total = folder / "left.ring", 20_000
-    options = RecordOptions(folder / "run.mcap", CELL, LEFT, CONFIG_ID, min_free_bytes=1 << 20)
+    options = RecordOptions(folder / "run.mcap", scene(CELL, LEFT), CONFIG_ID, min_free_bytes=1 << 20)
     with Process(record_on_a_small_disk, options) as rec:
         endpoint = rec.ready()
         with telemetry(ring, "left", endpoint, Pace.LOCKSTEP) as tel, writer(ring, "left", total, None) as agent:
@@ -334,8 +298,8 @@ def test_a_second_recorder_is_refused_before_anything_starts(folder: Path) -> No
     with recorder(folder / "run.mcap", arms=LEFT) as rec:
         endpoint = rec.ready()
         with pytest.raises(LogFileError, match="another recorder is writing"):
-            record.run(RecordOptions(folder / "run.mcap", CELL, LEFT, CONFIG_ID), stop=lambda: True)
-        taken = RecordOptions(folder / "second.mcap", CELL, LEFT, CONFIG_ID, network=Network(listen=endpoint))
+            record.run(RecordOptions(folder / "run.mcap", scene(CELL, LEFT), CONFIG_ID), stop=lambda: True)
+        taken = RecordOptions(folder / "second.mcap", scene(CELL, LEFT), CONFIG_ID, network=Network(listen=endpoint))
         with pytest.raises(NetworkError, match="cannot open the network"):
             record.run(taken, stop=lambda: True)
         rec.stop()
@@ -347,15 +311,15 @@ def test_a_second_recorder_is_refused_before_anything_starts(folder: Path) -> No
     [
         ({"path": Path("missing/run.mcap")}, "cannot write"),
         ({"min_free_bytes": 1 << 60}, "no room"),
-        ({"cell": "Not A Name"}, "name of a cell"),
-        ({"arms": {"plant": ("a",)}}, "name of an arm"),
+        ({"scene": scene("Not A Name", LEFT)}, "name of a cell"),
+        ({"scene": scene(CELL, {"plant": ("a",)})}, "name of an arm"),
         ({"network": Network(listen="nonsense")}, "endpoint"),
     ],
 )
 def test_what_cannot_be_recorded_is_refused_and_leaves_no_file(
     folder: Path, change: dict[str, Any], message: str
 ) -> None:
-    options = {"path": Path("run.mcap"), "cell": CELL, "arms": LEFT, "config_id": CONFIG_ID} | change
+    options = {"path": Path("run.mcap"), "scene": scene(CELL, LEFT), "config_id": CONFIG_ID} | change
     options["path"] = folder / options["path"]
     with pytest.raises((LogFileError, NetworkError, BadName), match=message):
         record.run(RecordOptions(**options), stop=lambda: True)
@@ -363,7 +327,7 @@ def test_what_cannot_be_recorded_is_refused_and_leaves_no_file(
 
 
 def test_a_signal_at_any_instant_does_not_hold_the_recorder_up() -> None:
-    inbox = record._Inbox(frozenset())
+    inbox = Inbox(frozenset())
     before = signal.signal(signal.SIGALRM, lambda *_: None)
     signal.setitimer(signal.ITIMER_REAL, 0.00097, 0.00097)
     try:
@@ -380,7 +344,7 @@ def test_nothing_is_left_after_a_refusal_or_an_end(folder: Path) -> None:
         return sum(link.startswith("socket:") for link in links)
 
     def attempt(name: str, **changes: Any) -> None:
-        record.run(RecordOptions(folder / name, CELL, LEFT, CONFIG_ID, **changes), stop=lambda: True)
+        record.run(RecordOptions(folder / name, scene(CELL, LEFT), CONFIG_ID, **changes), stop=lambda: True)
 
     attempt("warm-up.mcap")  # Zenoh keeps a few descriptors of its own for the life of the process
     before = sockets()

@@ -27,7 +27,8 @@ class Record:
     """What a run leaves; arrays over the steps."""
 
     V: Vector  # the paper's, with the coupled inertia and all parameter errors
-    dissipated: Vector  # ∫ −V̇
+    dissipated: Vector  # ∫ eᵀKe + Σ k_v ‖e_v‖²
+    forgotten: Vector  # ∫ σ e_θᵀ Γ⁻¹ e_θ, from what is configured
     shares: Vector  # sum of what the agents log
     e_p: Vector
     e_eps: Vector
@@ -60,10 +61,16 @@ def simulate(
     def torques(now: Instant) -> tuple[Sequence[Vector], Vector]:
         found = laws(now)
         e, e_v = np.array(found[0][0].errors.e), np.array(found[0][0].errors.e_v)
-        rates = [-g * x for (_, grad), a in zip(found, agents, strict=True) for g, x in zip(a.gain, grad, strict=True)]
-        return [terms.tau_cmd for terms, _ in found], np.concatenate([*rates, [e @ (K * e) + e_v @ (k_v * e_v)]])
+        rates, forgotten = [], 0.0
+        for (_, grad), a, estimate in zip(found, agents, estimates(now.motion.work), strict=True):
+            for x, dx, nominal, gain in zip(estimate, grad, a.nominal, a.gain, strict=True):
+                rates.append(-gain * dx - a.leak_per_s * np.sign(gain) * (x - nominal))
+            forgotten += 2.0 * a.leak_per_s * a.parameter_error(estimate)
+        return [terms.tau_cmd for terms, _ in found], np.concatenate(
+            [*rates, [e @ (K * e) + e_v @ (k_v * e_v), forgotten]]
+        )
 
-    start = np.concatenate([*(x for a in agents for x in a.start), [0.0]])
+    start = np.concatenate([*(x for a in agents for x in a.start), [0.0, 0.0]])
     motion, rows, thetas = replace(coupled_motion.start(cell), work=start), [], []
     for i in range(round(duration / h) + 1):
         if i % every == 0:
@@ -72,8 +79,8 @@ def simulate(
             wrong = sum(a.parameter_error(x) for a, x in zip(agents, estimates(motion.work), strict=True))
             share = sum(terms.lyapunov for terms, _ in laws(now))
             V = oracle.lyapunov(e, now.terms.M, cell.P) + wrong
-            rows.append((V, motion.work[-1], share, np.linalg.norm(e.e_p), np.linalg.norm(e.e_eps)))
-            thetas.append(motion.work[:-1])
+            rows.append((V, *motion.work[-2:], share, np.linalg.norm(e.e_p), np.linalg.norm(e.e_eps)))
+            thetas.append(motion.work[:-2])
         motion = coupled_motion.step(cell, i * h, motion, torques, h)
     return Record(*np.array(rows).T, np.array(thetas))
 
@@ -95,6 +102,30 @@ def test_lyapunov_function_falls_by_exactly_what_the_theorem_says(planar: bool, 
     assert errors[1] < 1e-4
     assert errors[1] < errors[0] / 8.0
     assert np.abs(fine.shares - fine.V).max() < 1e-6 * fine.V[0]
+
+
+@pytest.mark.parametrize(("planar", "arm_count"), [(True, 2), (False, 3)])
+def test_with_a_leak_towards_the_truth_it_falls_by_what_is_forgotten_too(planar: bool, arm_count: int) -> None:
+    """V(t) + ∫ (eᵀKe + Σ k_v ‖e_v‖² + σ e_θᵀ Γ⁻¹ e_θ) is constant."""
+    cell, trajectory = gentle_cell(31 + arm_count, planar, arm_count)
+    agents = [replace(a, leak_per_s=2.0) for a in agents_of(cell, 0.5)]
+    record = simulate(cell, trajectory, agents, 0.4, STEP / 2)
+    assert np.diff(record.V).max() < 0.0
+    assert record.forgotten[-1] > 0.1 * record.V[0]
+    assert np.abs(record.V + record.dissipated + record.forgotten - record.V[0]).max() < 1e-4 * record.V[0]
+
+
+def test_with_a_leak_towards_something_else_the_mean_dissipation_is_what_the_docs_bound() -> None:
+    """∫ W ≤ V(0) + σ t ½‖θ − θ_nominal‖² in the norm of Γ⁻¹: bounded for ever, and not zero in the end."""
+    cell, trajectory = gentle_cell(33, planar=True, arm_count=2)
+    leak, duration, true = 2.0, 4.0, agents_of(cell, 1.0)
+    wrong = [replace(a, leak_per_s=leak, nominal=Estimate(*(0.5 * x for x in a.nominal)), start=a.start) for a in true]
+    distance = sum(a.parameter_error(b.nominal) for a, b in zip(true, wrong, strict=True))
+    record = simulate(cell, trajectory, wrong, duration, STEP, EVERY)
+    begun = record.V[0] - sum(b.parameter_error(a.start) for a, b in zip(true, wrong, strict=True))
+    assert record.dissipated[-1] <= begun + leak * duration * distance
+    late = record.e_p[-round(1.0 / (STEP * EVERY)) :]
+    assert 1e-5 < late.max() < 0.1
 
 
 @pytest.mark.parametrize("scale", [0.0, 0.5, 2.0])

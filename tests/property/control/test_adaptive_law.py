@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -59,8 +61,8 @@ def test_with_the_true_parameters_it_is_the_non_adaptive_law(cell: RandomCell, s
         arm = with_friction(holder, np.random.default_rng(seed))
         friction = arm.offline.friction
         assert friction is not None
-        truth = nominal_of(arm, np.array(friction.viscous_Nm_s_per_rad), np.array(friction.coulomb_Nm))
-        same = adaptation(truth, friction=True)
+        truth = nominal_of(arm, friction.joints)
+        same = adaptation(truth, friction=True, sticking=friction.joints)
         found, _ = adaptive.torque(arm.model, arm.offline, same, truth, arm.q, arm.dq, cell.desired)
         expected = known.torque(arm.model, arm.offline, arm.q, arm.dq, cell.desired)
         assert_close(found.tau_cmd, expected.tau_cmd, 1e-11)
@@ -93,6 +95,32 @@ def test_gradients_are_those_of_the_printed_adaptation_laws(cell: RandomCell, se
 
 @given(cells(), SEEDS)
 @examples(30)
+def test_what_friction_estimates_lack_is_linear_in_their_error_under_the_torque_that_is_sent(
+    cell: RandomCell, seed: int
+) -> None:
+    """Friction of the true joints, sign(dq_r) Γ + F_v dq_r at the sent torque, less what the law gives for it."""
+    rng = np.random.default_rng(seed)
+    arm = with_friction(cell.arms[0], rng)
+    joints = arm.offline.friction.joints
+    n, truth = arm.model.n, nominal_of(arm, joints)
+    believed = truth.arm.copy()
+    believed[11 * n :] *= rng.uniform(0.0, 1.3, 5 * n)
+    data = replace(adaptation(truth, friction=True, sticking=joints), smooth_rad_per_s=1e-9)
+    terms, gradient = adaptive.torque(
+        arm.model, arm.offline, data, Estimate(believed, truth.object), arm.q, arm.dq, cell.desired
+    )
+    columns = gradient.arm[11 * n :].reshape(5, n) / (arm.dq - terms.dq_ref)
+    lacking = (columns * (truth.arm - believed)[11 * n :].reshape(5, n)).sum(axis=0)
+    size = np.abs(terms.tau_cmd)
+    left = np.array([j.breakaway_left(v) for j, v in zip(joints, arm.dq.tolist(), strict=True)])
+    coulomb, viscous, breakaway, _, _, load, breakaway_load = np.array(joints).T
+    bound = coulomb + load * size + (breakaway + breakaway_load * size) * left
+    taken = np.sign(terms.dq_ref) * bound + viscous * terms.dq_ref
+    assert_close(taken - terms.tau_friction, lacking, 1e-9)
+
+
+@given(cells(), SEEDS)
+@examples(30)
 def test_friction_columns_are_spent_in_the_joints_and_never_on_the_object(cell: RandomCell, seed: int) -> None:
     rng = np.random.default_rng(seed)
     arm = cell.arms[0]
@@ -105,7 +133,7 @@ def test_friction_columns_are_spent_in_the_joints_and_never_on_the_object(cell: 
     smooth, _ = adaptive.torque(
         arm.model, arm.offline, adaptation(nominal, friction=True), Estimate(frictionless, estimate.object), *args
     )
-    viscous, coulomb = estimate.arm[11 * n : 12 * n], estimate.arm[12 * n :]
+    viscous, coulomb = estimate.arm[11 * n : 13 * n].reshape(2, n)
     expected = viscous * rough.dq_ref + coulomb * np.tanh(rough.dq_ref / 0.05)
     assert_close(rough.tau_friction, expected, 1e-14)
     assert_close(rough.tau_cmd - smooth.tau_cmd, expected, 1e-12)

@@ -22,14 +22,14 @@ N = 3
 def adaptation(rng: np.random.Generator, *, physical: bool = True) -> Adaptation:
     """Three links and an object, boxed in around zero to twice their parameters; two pinned groups."""
     bodies = np.concatenate([random_body(rng, 0.5) for _ in range(N)])
-    truth = Estimate(np.concatenate([bodies, rng.uniform(0.002, 0.05, 3 * N)]), random_body(rng, 0.2))
-    gain = Estimate(rng.uniform(1e-4, 1e-2, 13 * N), rng.uniform(0.1, 2.0, 10))
+    truth = Estimate(np.concatenate([bodies, rng.uniform(0.002, 0.05, 6 * N)]), random_body(rng, 0.2))
+    gain = Estimate(rng.uniform(1e-4, 1e-2, 16 * N), rng.uniform(0.1, 2.0, 10))
     gain.arm[10 * N : 11 * N] = 0.0
     gain.object[1:4] = 0.0
     high = Estimate(2.0 * np.abs(truth.arm), 2.0 * np.abs(truth.object))
     low = Estimate(-high.arm, -high.object)
     nonnegative = [i for b in range(N) for i in (10 * b, 10 * b + 4, 10 * b + 6, 10 * b + 9)] + list(
-        range(10 * N, 13 * N)
+        range(10 * N, 16 * N)
     )
     low.arm[nonnegative] = 0.0
     low.object[[0, 4, 6, 9]] = 0.0
@@ -37,7 +37,7 @@ def adaptation(rng: np.random.Generator, *, physical: bool = True) -> Adaptation
 
 
 def gradient(rng: np.random.Generator, scale: float) -> Gradient:
-    return Gradient(rng.normal(scale=scale, size=13 * N), rng.normal(scale=scale, size=10))
+    return Gradient(rng.normal(scale=scale, size=16 * N), rng.normal(scale=scale, size=10))
 
 
 @given(SEEDS)
@@ -184,7 +184,7 @@ def test_a_gradient_that_is_no_number_changes_nothing_and_is_reported(bad: float
 
 def test_a_mass_held_at_zero_is_no_alarm_and_every_configured_bound_is() -> None:
     data = adaptation(np.random.default_rng(6), physical=False)
-    still = Gradient(np.zeros(13 * N), np.zeros(10))
+    still = Gradient(np.zeros(16 * N), np.zeros(10))
     for k, expected in ((0, False), (1, True), (12 * N, False)):
         down = Gradient(still.arm.copy(), still.object)
         down.arm[k] = 1e9
@@ -209,8 +209,39 @@ def test_parameter_error_counts_only_what_is_estimated() -> None:
 
 def test_estimate_of_a_log_row_is_the_estimate_that_was_logged() -> None:
     data = adaptation(np.random.default_rng(5))
-    field = np.zeros(91)
-    field[: 13 * N] = data.start.arm
+    field = np.zeros(112)
+    field[: 16 * N] = data.start.arm
     found = from_row(field, data.start.object, N)
     assert np.array_equal(found.arm, data.start.arm)
     assert np.array_equal(found.object, data.start.object)
+
+
+@given(SEEDS, st.floats(0.1, 10.0), st.floats(0.0, 0.02))
+@examples(40)
+def test_a_leak_forgets_towards_what_is_configured_at_its_rate(seed: int, leak: float, dt: float) -> None:
+    """And only what is estimated: a pinned parameter stays, wherever it began."""
+    rng = np.random.default_rng(seed)
+    data = replace(adaptation(rng, physical=False), leak_per_s=leak)
+    begun = Estimate(*(rng.uniform(0.2, 1.0) * x for x in data.nominal))
+    still = Gradient(np.zeros(16 * N), np.zeros(10))
+    after, held = data.advance(begun, still, dt)
+    for found, before, nominal, gain in zip(after, begun, data.nominal, data.gain, strict=True):
+        expected = np.where(gain > 0.0, nominal + np.exp(-leak * dt) * (before - nominal), before)
+        assert found == pytest.approx(expected, rel=1e-12, abs=1e-15)
+    assert held is False
+    assert data.parameter_error(after) == pytest.approx(np.exp(-2.0 * leak * dt) * data.parameter_error(begun))
+
+
+@given(SEEDS)
+@examples(20)
+def test_leak_and_adaptation_add_up(seed: int) -> None:
+    """From the nominal estimate a leak takes nothing, and without one nothing is forgotten."""
+    rng = np.random.default_rng(seed)
+    data, some = adaptation(rng, physical=False), gradient(rng, 1e-3)
+    leaking = replace(data, leak_per_s=2.0)
+    assert np.array_equal(
+        data.advance(data.nominal, some, 0.01)[0].arm, leaking.advance(data.nominal, some, 0.01)[0].arm
+    )
+    learnt = data.advance(data.nominal, some, 0.02)[0]
+    still = Gradient(np.zeros(16 * N), np.zeros(10))
+    assert np.array_equal(data.advance(learnt, still, 0.02)[0].arm, learnt.arm)

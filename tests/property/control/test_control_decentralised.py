@@ -26,6 +26,7 @@ from drivers.interface import JointState
 from tests.support.control.strategies import examples
 
 SEEDS = st.integers(0, 2**32 - 1)
+STILL = (0.0,) * 6
 
 
 def document() -> dict[str, Any]:
@@ -137,6 +138,7 @@ def test_step_leaves_its_inputs_as_they_are(seed: int) -> None:
 def shares_memory(outcome: Outcome, agent: Agent) -> bool:
     """Whether a result is a view of the model's scratch memory, which the next tick overwrites."""
     data = agent.model.data
-    scratch = (data.M, data.C, data.g, data.J, data.dJ)
-    k = outcome.terms.kinematics
-    return any(np.shares_memory(a, b) for a in (k.J, k.dJ, k.B, k.C, k.g, outcome.tau) for b in scratch)
+    room = agent.model.scratch
+    scratch = (data.M, data.C, data.g, data.J, data.dJ, *room.two(STILL, STILL), room.three(STILL, STILL, STILL))
+    k, kept = outcome.terms.kinematics, outcome.terms.joints
+    return any(np.shares_memory(a, b) for a in (k.J, k.dJ, k.B, k.C, k.g, kept, outcome.tau) for b in scratch)

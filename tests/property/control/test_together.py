@@ -9,6 +9,7 @@ import configs
 from agent.config.cell import Cell, load_cell
 from agent.loop import Outcome
 from agent.safety import Flag
+from sim_backend.physics.plant import Observation
 from tests.support.plant.inprocess import simulate
 
 ARMS = ("arms.right.p_world_base_m=[0.607, -0.125, 0.0]",)  # what the agents believe: a base 4 mm off
@@ -31,8 +32,13 @@ def squeeze(aligned: bool) -> tuple[float, float]:
 
     end = simulate(paper(), 12.0, agents_cell=paper(*extra, *ARMS), watch=watch).end
     assert end is not None
-    forces = end.grasp_wrench[:, :3]
-    return float(np.linalg.norm(forces[0] - forces[1])) / 2.0, shifts[0]
+    return between(end), shifts[0]
+
+
+def between(seen: Observation) -> float:
+    """Force by which two arms press against each other, N."""
+    forces = seen.grasp_wrench[:, :3]
+    return float(np.linalg.norm(forces[0] - forces[1])) / 2.0
 
 
 def test_alignment_takes_the_force_out_of_a_disagreement() -> None:
@@ -40,6 +46,28 @@ def test_alignment_takes_the_force_out_of_a_disagreement() -> None:
     assert unmoved == 0.0
     assert shift > 2e-3
     assert together < 0.6 * fought
+
+
+def adaptive_force(leak: float) -> float:
+    """Mean force between two adaptive arms that align, over the last 4 s of 16; one base believed 1 mm off."""
+    forces: list[float] = []
+    path = configs.CELLS_DIR / "paper_adaptive.toml"
+    overrides = (f"controller.adaptive.leak_per_s={leak}", "controller.alignment.track_per_s=0.3")
+    true, believed = (
+        load_cell(path, overrides),
+        load_cell(path, [*overrides, "arms.right.p_world_base_m=[0.604, -0.125, 0.0]"]),
+    )
+
+    def see(t: float, seen: Observation) -> None:
+        if t > 12.0:
+            forces.append(between(seen))
+
+    simulate(true, 16.0, agents_cell=believed, see=see)
+    return float(np.mean(forces))
+
+
+def test_a_leak_keeps_adaptive_arms_that_disagree_from_winding_up() -> None:
+    assert adaptive_force(2.0) < 0.6 * adaptive_force(0.0)
 
 
 @pytest.mark.parametrize("wrench", [0.0, 12.0])

@@ -136,6 +136,28 @@ def test_patience_grows_while_nothing_helps_so_a_deaf_recorder_is_not_flooded() 
     assert max(b - a for a, b in pairwise(again)) <= 8.2
 
 
+def test_a_recorder_that_comes_late_gets_a_long_history_in_seconds_not_minutes() -> None:
+    source, recorder = Numbers(100_000), Recorder()
+    sender, now_s = Sender(source, window=None), 0.0
+    source.written = 3000
+    published = len(list(sender.new(3000, now_s)))
+    source.end = End.FINISHED
+    resent = 0
+    for tick in range(2000):  # 5 ms each; an answer every 0.25 s
+        now_s = 0.005 * tick
+        if tick % 50 == 0:
+            sender.on_status(recorder.status(), now_s)
+        for header, payload in [*sender.new(3, now_s), *sender.again(2, now_s)]:
+            recorder.receive(header, payload)
+            resent += 1
+        if sender.complete:
+            break
+    assert sender.complete
+    assert recorder.payload == {n: n % 251 for n in range(3000)}
+    assert now_s < 6.0
+    assert resent <= published + 10, "each batch once, and the end"
+
+
 def test_an_answer_about_another_run_is_no_answer() -> None:
     source = Numbers(1000)
     source.written = 4

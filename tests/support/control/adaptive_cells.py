@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
 
-from agent.control.adaptation import Adaptation, Estimate
+from agent.control.adaptation import ARM_PARAMETERS_PER_JOINT, LOAD_MAX, Adaptation, Estimate
+from agent.control.friction import JointFriction
 from agent.control.models import ArmModel
 from agent.control.regressor import BODY_PARAMETERS, arm_parameters, object_parameters
 from drivers.interface import Vector
@@ -16,10 +18,11 @@ from tests.support.control.strategies import Holder, arm_model, random_pose
 WIDE = 1e6
 
 
-def nominal_of(arm: Holder, viscous: Vector | float = 0.0, coulomb: Vector | float = 0.0) -> Estimate:
-    """The true parameters of the arm and of the object it holds."""
+def nominal_of(arm: Holder, friction: Sequence[JointFriction] = ()) -> Estimate:
+    """The true parameters of the arm, with joints of this friction or of none, and of the object it holds."""
     n = arm.model.n
-    joints = [arm.model.model.armature, np.full(n, viscous), np.full(n, coulomb)]
+    rows = [(j.viscous_Nm_s_per_rad, j.coulomb_Nm, j.breakaway_Nm, j.load, j.breakaway_load) for j in friction]
+    joints = [arm.model.model.armature, np.array(rows or np.zeros((n, 5))).T.ravel()]
     inertia = np.array(arm.offline.object_inertia).reshape(3, 3)
     return Estimate(
         np.concatenate([arm_parameters(arm.model), *joints]), object_parameters(arm.offline.object_mass_kg, inertia)
@@ -36,30 +39,35 @@ def adaptation(
     physical: bool = False,
     lower: float = -WIDE,
     upper: float = WIDE,
+    sticking: Sequence[JointFriction] = (),
 ) -> Adaptation:
     """Adaptation from start times the nominal parameters; without friction columns those stay at zero."""
-    columns = np.ones_like(nominal.arm)
+    columns, n = np.ones_like(nominal.arm), len(nominal.arm) // ARM_PARAMETERS_PER_JOINT
     if not friction:
-        columns[-2 * (len(nominal.arm) // 13) :] = 0.0
+        columns[-5 * n :] = 0.0
+    upper_arm = np.full_like(nominal.arm, upper)
+    if sticking:
+        upper_arm[-2 * n :] = LOAD_MAX / 2
     return Adaptation(
         start=Estimate(start * nominal.arm, start * nominal.object),
         nominal=nominal,
         lower=Estimate(np.full_like(nominal.arm, lower), np.full_like(nominal.object, lower)),
-        upper=Estimate(np.full_like(nominal.arm, upper), np.full_like(nominal.object, upper)),
+        upper=Estimate(upper_arm, np.full_like(nominal.object, upper)),
         gain=Estimate(gamma * columns, np.full_like(nominal.object, gamma_object)),
         smooth_rad_per_s=0.05,
         friction=friction,
         physical=physical,
         period_s=0.005,
+        sticking=tuple(sticking),
     )
 
 
 def random_estimate(rng: np.random.Generator, nominal: Estimate) -> Estimate:
     """Another physical arm and object: masses, sizes and centres of mass of its own."""
-    n = len(nominal.arm) // 13
+    n = len(nominal.arm) // ARM_PARAMETERS_PER_JOINT
     bodies = [random_body(rng, 0.3) for _ in range(n)]
     return Estimate(
-        np.concatenate([*bodies, rng.uniform(0.002, 0.05, n), rng.uniform(0.0, 0.1, 2 * n)]), random_body(rng, 0.2)
+        np.concatenate([*bodies, rng.uniform(0.002, 0.05, n), rng.uniform(0.0, 0.1, 5 * n)]), random_body(rng, 0.2)
     )
 
 

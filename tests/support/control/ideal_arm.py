@@ -12,8 +12,9 @@ import pinocchio as pin
 
 from agent.control import known
 from agent.control.errors import Gains
-from agent.control.law import Offline, Terms
-from agent.control.models import ArmModel
+from agent.control.law import Offline
+from agent.control.models import ArmModel, Scratch
+from agent.control.terms import Terms
 from agent.control.trajectory import Sinusoid
 from drivers.interface import Vector
 
@@ -39,10 +40,11 @@ def ideal_model(T_object_ee: pin.SE3, mass_kg: float, rotor_inertia: float) -> A
     arm.ee_id = model.addFrame(pin.Frame("ee", ball, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
     arm.object_id = model.addFrame(pin.Frame("object", ball, arm.ee_id, T_object_ee.inverse(), pin.FrameType.OP_FRAME))
     arm.data = model.createData()
+    arm.scratch = Scratch()
     arm.plane_normal, arm.task_basis = None, np.eye(6)
     arm.p_object_ee = T_object_ee.translation.copy()
     arm._p_ee_object = tuple((-T_object_ee.translation).tolist())
-    arm._identity_task = True
+    arm.task_is_identity = True
     return arm
 
 

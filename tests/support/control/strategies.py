@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 import configs
 from agent.control import internal_force
 from agent.control.errors import Gains
-from agent.control.friction import Friction
+from agent.control.friction import Friction, JointFriction
 from agent.control.law import Offline
 from agent.control.models import ArmModel
 from agent.control.quaternion import Quat, Vec3, from_axis_angle, multiply
@@ -202,10 +202,16 @@ def with_internal_wrenches(cell: RandomCell, seed: int) -> RandomCell:
     return replace(cell, arms=arms)
 
 
+def random_friction(rng: np.random.Generator) -> JointFriction:
+    """Friction of some servo, with every part of it."""
+    low, high = (0.0, 0.0, 0.0, 0.1, 0.5, 0.0, 0.0), (0.1, 0.05, 0.1, 2.0, 2.0, 0.2, 0.4)
+    return JointFriction(*rng.uniform(low, high).tolist())
+
+
 def with_friction(arm: Holder, rng: np.random.Generator) -> Holder:
     """The same arm with friction feed-forward."""
     n = arm.model.n
-    friction = Friction(tuple(rng.uniform(0.0, 0.1, n)), tuple(rng.uniform(0.0, 0.05, n)), 0.05)
+    friction = Friction(tuple(random_friction(rng) for _ in range(n)), 0.05)
     return replace(arm, offline=replace(arm.offline, friction=friction))
 
 

@@ -57,11 +57,12 @@ def simulate(
     agents_cell: Cell | None = None,
     watch: Callable[[int, list[Outcome]], None] | None = None,
     push_world: Mapping[int, Vector] | None = None,
+    see: Callable[[float, Observation], None] | None = None,
 ) -> History:
     """Closed loop of `cell` for duration_s.
 
     agents_cell: what the agents believe, when it differs from the plant's; push_world: by tick, the wrench (6,) on the
-    object from then on.
+    object from then on; see: is told time and truth at the end of every tick.
     """
     q_start = examine(cell).q_start
     plant = build_plant(plant_spec(cell, q_start))
@@ -106,5 +107,7 @@ def simulate(
         for begin, count in stretches(lines, substeps):
             acting = np.concatenate([line.acting(tick, begin) for line in lines])
             plant.advance(acting, count)
+        if see is not None:
+            see(t, plant.observe(acting))
     history.end = plant.observe(acting)
     return history

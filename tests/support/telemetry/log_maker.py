@@ -13,6 +13,7 @@ from agent.log.file import Attachment, LogFile
 from agent.telemetry.row.event import Event
 from agent.telemetry.row.received import Rows, Text
 from agent.telemetry.row.topics import PLANT, Address, Kind
+from tests.support.telemetry.scenes import scene
 from tests.support.telemetry.telemetry_cell import ARMS, CELL, make_rows
 
 RUN_JSON = b'{"cell": "paper", "rate_hz": 200.0}'
@@ -25,7 +26,7 @@ class LogMaker:
         attachments = [Attachment("run.json", "application/json", RUN_JSON)]
         about = {"recorder": {"host": "bench"}}
         self.file = LogFile(path, attachments, about, created_ns=1, min_free_bytes=min_free_bytes)
-        self.channels = LogChannels(self.file, CELL, ARMS, has_plant=has_plant)
+        self.channels = LogChannels(self.file, scene(CELL, ARMS), has_plant=has_plant)
         self._now_s = 1e9
 
     def write(self, member: str, rows: np.ndarray) -> None:

@@ -17,6 +17,7 @@ from agent.telemetry.row.event import Event, Level
 from agent.telemetry.row.received import Rows, Text
 from agent.telemetry.row.sample import AGENT_STATE
 from agent.telemetry.row.topics import PLANT, Address, Kind
+from tests.support.telemetry.scenes import scene
 from tests.support.telemetry.synthetic_run import paper_rows, run_file, true_rows
 
 CELL = "paper"
@@ -34,7 +35,7 @@ def make_long_log(path: Path, duration_s: float) -> None:
     ticks = round(duration_s * RATE_HZ)
     run = json.dumps(run_file(duration_s, float(RATE_HZ))).encode()
     file = LogFile(path, [Attachment("run.json", "application/json", run)], {}, created_ns=1, min_free_bytes=0)
-    channels = LogChannels(file, CELL, ARMS, has_plant=True)
+    channels = LogChannels(file, scene(CELL, ARMS), has_plant=True)
     random, torque_noise = np.random.default_rng(1), np.random.default_rng(7)
     for first in range(0, ticks, BLOCK_TICKS):
         count = min(BLOCK_TICKS, ticks - first)

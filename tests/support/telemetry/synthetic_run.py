@@ -145,7 +145,7 @@ def paper_run(path: Path, *, duration_s: float = 100.0, plant: bool = True, adap
         rows = paper_rows(side, ticks, noise)
         t = rows["t"]
         if adaptive:
-            rows["theta_arm"][:, :39] = (1 - np.exp(-t / 8.0))[:, None] * np.linspace(0.01, 0.5, 39)
+            rows["theta_arm"][:, :48] = (1 - np.exp(-t / 8.0))[:, None] * np.linspace(0.01, 0.5, 48)
             rows["theta_object"][:, 0] = 0.062 * (1 - np.exp(-t / 5.0))
         agents[name] = rows
     controller = {"kind": "adaptive"} if adaptive else {"kind": "known", "k_p_per_s": 150.0}

@@ -6,7 +6,7 @@ import multiprocessing
 import os
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
@@ -24,6 +24,7 @@ from agent.telemetry.row.event import Event, Level
 from agent.telemetry.row.sample import AGENT_STATE, PLANT_STATE, Layout
 from agent.telemetry.row.topics import PLANT
 from drivers.interface import Refusal
+from tests.support.telemetry.scenes import scene
 
 CELL = "paper"
 CONFIG_ID = 0xC0FFEE
@@ -161,15 +162,14 @@ def _child(function: Callable[..., Any], options: Any, ready: Any, result: Any) 
     result.close()
 
 
-def recorder(path: Path, **changes: Any) -> Process:
+def recorder(path: Path, arms: Mapping[str, tuple[str, ...]] = ARMS, **changes: Any) -> Process:
     options = {
-        "arms": ARMS,
         "config_id": CONFIG_ID,
         "min_free_bytes": 1 << 20,
         "network": Network(listen=FREE_PORT),
         "attachments": (Attachment("run.json", "application/json", b'{"cell": "paper"}'),),
     } | changes
-    return Process(record.run, RecordOptions(path, CELL, **options))
+    return Process(record.run, RecordOptions(path, scene(CELL, arms), **options))
 
 
 def telemetry(ring: Path, member: str, endpoint: str, pace: Pace, **changes: Any) -> Process:

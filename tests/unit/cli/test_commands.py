@@ -90,7 +90,7 @@ def test_a_mistyped_option_is_told_the_near_one() -> None:
         (["agent", "paper"], "Missing option '--arm' (see `coop agent -h`)"),
         (
             ["tune", "paper", "--form", "x"],
-            "Invalid value for '--form': 'x' is not one of 'ratio', 'rate' (see `coop tune -h`)",
+            "Invalid value for '--form': 'x' is not one of 'reality', 'ratio', 'rate' (see `coop tune -h`)",
         ),
         (["motors", "dump"], "Missing option '--port' (see `coop motors dump -h`)"),
     ],

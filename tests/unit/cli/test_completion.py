@@ -49,7 +49,7 @@ def test_commands_and_options_are_offered(offered: Offered) -> None:
     assert offered("coop tel") == ["telemetry"]
     assert offered("coop motors s") == ["scan", "setup"]
     assert set(offered("coop tune paper --f")) == {"--form", "--force"}
-    assert offered("coop tune paper --form r") == ["ratio", "rate"]
+    assert offered("coop tune paper --form r") == ["reality", "ratio", "rate"]
 
 
 def test_arms_are_those_of_the_cell(offered: Offered, tmp_path: Path) -> None:

@@ -46,6 +46,10 @@ def shape(thing: Any) -> Any:
 
 
 FINDING = dict.fromkeys(("what", "where", "found", "wanted", "verdict", "remedy"), "str")
+WORST_BARE = dict.fromkeys(("spectral_radius", "t_s", "delay_s", "inertia", "object"), "float") | {
+    "arm": "str", "pads_N_per_m": "NoneType", "pads_Nm_per_rad": "NoneType",
+}  # fmt: skip
+LOAD = {"share_of_stall": "float", "arm": "str", "joint": "str", "t_s": "float"}
 HEAD = {"schema": "int", "cell": "str", "fingerprint": "str"}
 
 
@@ -53,6 +57,13 @@ def test_check_gives_findings_a_verdict_and_the_start() -> None:
     done = coop("check", PAPER, "--json")
     assert (done.code, done.err) == (0, "")
     found = document(done)
+    robustness = found.pop("robustness")
+    assert set(robustness) == {"spectral_radius", "delay_margin_s", "worst", "one_arm_fails", "internal_wrench"}
+    assert shape(robustness["internal_wrench"]["right"]) == {"force_N": "float", "moment_Nm": "float"}
+    assert shape(robustness["one_arm_fails"]["left"]) == {
+        "limp": LOAD | {"sag_m": "float", "object": "str"}, "locked": LOAD, "holding": LOAD,
+    }  # fmt: skip
+    assert shape(robustness["worst"]["bare"]) == WORST_BARE
     assert shape(found) == HEAD | {
         "verdict": "str", "findings": [FINDING], "q_start_rad": {"left": ["float"], "right": ["float"]},
     }  # fmt: skip
@@ -92,7 +103,7 @@ GAINS: dict[str, Any] = {
     "k_p_per_s": ["float"], "k_p_rate_per_s": ["float"], "k_eps_rad_per_s": ["float"],
     "k_eps_rate_rad_per_s": ["float"], "arms": {"left": ARM, "right": ARM},
     "loop": [{"inertia_error": "float", "spectral_radius": "float", "damping_ratio": "float"}],
-    "slowest_time_constant_s": "float",
+    "slowest_time_constant_s": "float", "worst_spectral_radius": "float", "delay_margin_s": "NoneType",
 }  # fmt: skip
 
 
@@ -108,11 +119,13 @@ def test_tune_gives_the_gains_there_are_and_those_proposed(tmp_path: Path) -> No
         changes = proposal.pop("changes")
         assert {tuple(sorted(c)) for c in changes} == {tuple(sorted(change))}
         assert all(c["name"] in (None, "left", "right") for c in changes)
+    margin = {"radius": "float", "damping": "float", "worst": "float"}
+    proposals["rate"]["delay_margin_s"] = proposals["ratio"]["delay_margin_s"] = None  # a number where there is one
     assert shape(found) == HEAD | {
-        "rate_hz": "float", "margin": {"radius": "float", "damping": "float"}, "configured": GAINS,
+        "rate_hz": "float", "margin": margin, "configured": GAINS,
         "proposals": {"ratio": GAINS, "rate": GAINS}, "chosen": "str", "written": "str",
     }  # fmt: skip
-    assert found["margin"] == {"radius": 0.99, "damping": 0.05}
+    assert found["margin"] == {"radius": 0.99, "damping": 0.05, "worst": 0.985}
     assert (found["chosen"], found["written"]) == ("rate", str(written))
     assert found["configured"]["k_p_per_s"] == [150.0] * 3
     assert [place["inertia_error"] for place in found["configured"]["loop"]] == [0.0, -0.3, 0.3]
@@ -157,19 +170,49 @@ def test_compare_gives_every_figure_of_both(two_logs: None) -> None:
     assert (done.code, done.err) == (0, "")
     found = document(done)
     run = {"log": "str", "cell": "str", "fingerprint": "str", "driver": "str", "rate_hz": "float"}
-    figures = found.pop("figures")
+    figures, settings = found.pop("figures"), found.pop("settings")
+    assert found.pop("runs") == [found["a"], found["b"]]
     assert shape(found) == {"schema": "int", "a": run, "b": run}
+    assert settings == []
     assert (found["a"]["log"], found["b"]["log"]) == ("a.mcap", "b.mcap")
     by_name = {figure["name"]: figure for figure in figures}
     assert len(by_name) == len(figures) > 100
-    assert all(set(f) == {"name", "unit", "a", "b", "relative", "change"} for f in figures)
+    assert all(set(f) == {"name", "unit", "a", "b", "relative", "change", "values", "changes"} for f in figures)
     assert {f["change"] for f in figures} <= {change.name.lower() for change in Change}
     largest = by_name["max_position_error_m"]
     assert largest["change"] == "worse"
+    assert largest["values"] == [largest["a"], largest["b"]]
+    assert largest["changes"] == ["same", "worse"]
     assert largest["relative"] == pytest.approx(largest["b"] / largest["a"] - 1.0)
     assert by_name["arms.left.load_share_realised"]["change"] == "gone"
     assert by_name["arms.left.load_share_realised"]["b"] is None
     assert by_name["rms_position_error_m"]["unit"] == "m"
+
+
+def test_compare_holds_several_logs_against_the_first(two_logs: None) -> None:
+    found = document(coop("compare", "b.mcap", "a.mcap", "b.mcap", "--json"))
+    assert [run["log"] for run in found["runs"]] == ["b.mcap", "a.mcap", "b.mcap"]
+    by_name = {figure["name"]: figure for figure in found["figures"]}
+    largest = by_name["max_position_error_m"]
+    assert largest["changes"] == ["same", "better", "same"]
+    assert largest["values"][0] == largest["values"][2] != largest["values"][1]
+    assert by_name["arms.left.load_share_realised"]["changes"] == ["same", "appeared", "same"]
+
+
+def test_one_log_is_nothing_to_compare(two_logs: None) -> None:
+    done = coop("compare", "a.mcap")
+    assert done.code == 2
+    assert "found 1 logs, expected 2 to 26" in done.err
+
+
+def test_a_comparison_is_a_page_that_is_not_written_over(two_logs: None, tmp_path: Path) -> None:
+    page = tmp_path / "compare.html"
+    assert coop("compare", "a.mcap", "b.mcap", "--html", page).code == 0
+    assert "2 runs of paper" in page.read_text()
+    again = coop("compare", "a.mcap", "b.mcap", "--html", page)
+    assert again.code == 2
+    assert "compare.html is there" in again.err
+    assert coop("compare", "a.mcap", "b.mcap", "--html", page, "--force").code == 0
 
 
 def test_compare_cuts_no_name_where_there_is_no_terminal(two_logs: None) -> None:

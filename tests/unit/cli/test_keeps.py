@@ -36,11 +36,11 @@ def write_mine(path: Path) -> Path:
 
 def test_tune_keeps_the_file_it_is_told_to_write(tmp_path: Path) -> None:
     path = write_mine(tmp_path / "new.toml")
-    done = coop("tune", PAPER, "--write", path)
+    done = coop("tune", PAPER, "--form", "rate", "--write", path)
     assert done.code == 2
     assert done.err == f"coop: file {path}: found one of that name, expected none; name another, or give --force\n"
     assert path.read_bytes() == MINE
-    assert coop("tune", PAPER, "--write", path, "--force").code == 0
+    assert coop("tune", PAPER, "--form", "rate", "--write", path, "--force").code == 0
     assert load_cell(path).file.name == "paper"
 
 

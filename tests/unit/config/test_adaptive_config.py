@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 import configs
 from agent.config.adaptive import AdaptationError
 from agent.config.cell import Cell, ConfigError, load_cell
+from agent.config.schema.arm import ServoJoint
+from agent.control.adaptation import LOAD_MAX
 from agent.control.adaptation_bound import (
     Point,
     ReferenceTwist,
@@ -20,6 +25,7 @@ from agent.loop import Outcome
 from agent.verify.check import Finding, Verdict, examine
 from drivers.interface import Refusal
 from sim_backend.physics.spec import PlantError
+from tests.support.arm_files import sticking, with_figures
 from tests.support.plant.inprocess import simulate
 
 KIND = 'controller.kind="adaptive"'
@@ -176,3 +182,51 @@ def test_estimates_never_leave_the_configured_box() -> None:
             assert (o.memory.estimate.arm <= d.upper.arm).all()
 
     simulate(cell, 1.0, watch=watch)
+
+
+def sticking_cell(tmp_path: Path, *overrides: str, load: float = 0.05) -> Cell:
+    def figures(joint: ServoJoint) -> Mapping[str, float]:
+        return {**sticking(joint), "load_friction": load, "breakaway_load_friction": 0.1}
+
+    return with_figures(cell_of("paper", KIND, *overrides), tmp_path, figures)
+
+
+def test_joints_that_stick_have_their_figures_in_the_estimate(tmp_path: Path) -> None:
+    """Rotor inertia and five of friction, each of all three joints; nothing of friction is estimated by default."""
+    cell = sticking_cell(tmp_path)
+    data = cell.offline(cell.arms[0]).adaptation
+    coulomb, viscous = np.array([0.0843, 0.0843, 0.0078]), np.array([0.0347, 0.0347, 0.0362])
+    assert data.nominal.arm[30:].reshape(6, 3)[1:].tolist() == pytest.approx(
+        np.array([viscous, coulomb, 0.5 * coulomb, np.full(3, 0.05), np.full(3, 0.1)])
+    )
+    assert not data.gain.arm[33:].any()
+    assert np.array_equal(data.upper.arm[33:], data.nominal.arm[33:])
+    assert [j.stribeck_rad_per_s for j in data.sticking] == [0.3] * 3
+
+
+@pytest.mark.parametrize(("key", "blocks"), [("viscous", [1]), ("coulomb", [2]), ("breakaway", [3]), ("load", [4, 5])])
+def test_a_friction_column_that_is_on_estimates_its_figures_alone(tmp_path: Path, key: str, blocks: list[int]) -> None:
+    factor = f"controller.adaptive.factor.{key}=0.5"
+    cell = sticking_cell(tmp_path, f"controller.adaptive.{key}=true", factor, "controller.friction_feedforward=false")
+    data = cell.offline(cell.arms[0]).adaptation
+    estimated = data.gain.arm[30:].reshape(6, 3)[1:].any(axis=1)
+    assert [1 + i for i in np.flatnonzero(estimated)] == blocks
+    assert data.gain.arm[30 + 3 * blocks[0]] == 0.5 * cell.file.controller.adaptive.gamma
+    assert np.array_equal(data.nominal.arm[30:].reshape(6, 3)[1:].any(axis=1), estimated)
+    assert bool(data.sticking) == (key in ("breakaway", "load"))
+
+
+@pytest.mark.parametrize("load", [0.05, 0.8])
+def test_no_estimate_of_load_friction_stops_a_joint_for_good(tmp_path: Path, load: float) -> None:
+    cell = sticking_cell(tmp_path, "controller.adaptive.load=true", load=load)
+    upper = cell.offline(cell.arms[0]).adaptation.upper.arm[42:].reshape(2, 3)
+    assert (upper.sum(axis=0) <= LOAD_MAX + 1e-12).all()
+    assert (upper >= np.array([[load], [0.1]])).all()
+
+
+def test_load_columns_lower_the_recommended_gain(tmp_path: Path) -> None:
+    plain, loaded = (
+        sticking_cell(tmp_path, "controller.adaptive.factor.load=1e4", f"controller.adaptive.load={on}")
+        for on in ("false", "true")
+    )
+    assert limit_of(loaded) < 0.9 * limit_of(plain)

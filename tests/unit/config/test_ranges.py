@@ -88,6 +88,7 @@ RANGES: list[tuple[str, float | None, float | None]] = [
     ("arms.left.p_world_base_m", -100.0, 100.0),
     ("arms.left.locked_rad.waist", -100.0, 100.0),
     ("arms.left.k_v_N_s_per_m", None, 1e5),
+    ("arms.left.k_v_Nm_s_per_rad", None, 1e5),
     ("arms.left.internal_wrench_N_Nm", -1e4, 1e4),
     ("arms.left.grip_force_max_N", None, 1e4),
 ]

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import configs
-from agent.config.cell import ConfigError, load_cell
+from agent.config.cell import ConfigError, cell_from_toml, load_cell
 from agent.control.trajectory_spline import TrajectoryError
 from agent.verify.check import examine
 from agent.verify.finding import Verdict
@@ -46,6 +46,12 @@ IDENTIFY = configs.CELLS_DIR / "identify_wx200.toml"
 def test_nothing_is_made_from_another_kind_of_value(override: str) -> None:
     with pytest.raises(ConfigError, match=override.split("=", maxsplit=1)[0].replace(".waist", "")):
         load_cell(PAPER, [override])
+
+
+def test_a_rotation_without_a_k_v_of_its_own_is_refused_with_the_reason() -> None:
+    text = PAPER.read_text().replace("k_v_Nm_s_per_rad", "# k_v_Nm_s_per_rad", 1)
+    with pytest.raises(ConfigError, match=r"left\.k_v_Nm_s_per_rad .*found nothing.*far too much for a wrist"):
+        cell_from_toml(text.encode(), "paper.toml")
 
 
 def test_a_whole_number_stands_for_the_real_one_and_a_list_for_a_tuple() -> None:

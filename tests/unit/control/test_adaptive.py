@@ -9,7 +9,7 @@ import pytest
 
 import configs
 from agent.config.cell import load_cell
-from agent.control.adaptation import from_row
+from agent.control.adaptation import Estimate, from_row
 from agent.control.memory import Memory, initial, restore
 from agent.loop import Agent, Outcome, hold_here, initial_memory, step
 from agent.modes import Mode
@@ -78,9 +78,9 @@ def test_a_row_holds_the_estimate_from_before_its_tick() -> None:
     _, memories, rows = run(agent, states_of(q, 12), hold_from=99)
     for memory, row in zip(memories, rows, strict=True):
         assert memory.estimate is not None
-        assert np.array_equal(row["theta_arm"][:39], memory.estimate.arm)
+        assert np.array_equal(row["theta_arm"][:48], memory.estimate.arm)
         assert np.array_equal(row["theta_object"], memory.estimate.object)
-        assert not row["theta_arm"][39:].any()
+        assert not row["theta_arm"][48:].any()
     assert not rows[0]["theta_object"].any()
     assert rows[-1]["theta_object"].any()
 
@@ -101,8 +101,16 @@ def test_the_adaptation_integrates_over_the_time_that_really_passed() -> None:
     assert np.linalg.norm(change_twice - 2.0 * change_once) < 0.02 * np.linalg.norm(change_twice)
 
 
-@pytest.mark.parametrize("mode", [Mode.OFF, Mode.READY, Mode.FAULT])
-def test_nothing_is_learnt_while_the_arm_is_not_commanded(mode: Mode) -> None:
+def test_an_arm_that_waits_for_the_start_learns_what_it_holds() -> None:
+    agent, q = agent_of()
+    states = states_of(q, 2)
+    memory = step(agent, states[0], -1.0, Mode.READY, initial_memory(agent)).memory
+    learnt = step(agent, states[1], PERIOD - 1.0, Mode.READY, memory).memory.estimate
+    assert np.abs(learnt.arm - memory.estimate.arm).max() > 0.0
+
+
+@pytest.mark.parametrize("mode", [Mode.OFF, Mode.HOLD, Mode.LOWER, Mode.FAULT])
+def test_nothing_is_learnt_while_the_arm_only_holds_or_is_off(mode: Mode) -> None:
     agent, q = agent_of()
     states = states_of(q, 3)
     memory = step(agent, states[0], 0.0, Mode.TRACK, initial_memory(agent)).memory
@@ -152,12 +160,12 @@ def test_what_is_off_keeps_its_configured_value() -> None:
     assert end[viscous].any()
 
 
-def test_without_feed_forward_and_columns_there_is_no_friction_term() -> None:
-    agent, q = agent_of("controller.friction_feedforward=false")
-    outcome = step(agent, states_of(q, 1)[0], 0.0, Mode.TRACK, initial_memory(agent))
+@pytest.mark.parametrize(("changes", "expected"), [((), False), (("controller.adaptive.coulomb=true",), True)])
+def test_without_feed_forward_and_columns_there_is_no_friction_term(changes: tuple[str, ...], expected: bool) -> None:
+    agent, q = agent_of("controller.friction_feedforward=false", *changes)
+    memory = initial_memory(agent)
+    assert memory.estimate is not None
+    rubbing = Estimate(np.full_like(memory.estimate.arm, 0.1), memory.estimate.object)
+    outcome = step(agent, states_of(q, 1)[0], 0.0, Mode.TRACK, memory._replace(estimate=rubbing))
     assert outcome.terms is not None
-    assert outcome.terms.tau_friction is None
-    agent, q = agent_of("controller.friction_feedforward=false", "controller.adaptive.coulomb=true")
-    outcome = step(agent, states_of(q, 1)[0], 0.0, Mode.TRACK, initial_memory(agent))
-    assert outcome.terms is not None
-    assert outcome.terms.tau_friction is not None
+    assert outcome.terms.tau_friction.any() == expected

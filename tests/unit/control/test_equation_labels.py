@@ -38,15 +38,17 @@ PLACES = {
     ("models", "__init__", "self.object_id"): "coupled_kinematics",
     ("models", "evaluate", "v_object"): "J_o_i",
     ("law", "reference", "dq_ref"): "J_o_i",
-    ("law", "reference", "ddq_ref"): "J_o_i_dot",
+    ("law", "reference", "joints[DDQ_REF]"): "J_o_i_dot",
     ("law", "shift_to_ee", "return"): "J_o_i_def",
     ("law", "object_wrench", "return"): "object dynamics",
-    ("known", "torque", "tau_inertia, tau_coriolis"): "manipulator dynamics",
+    ("known", "torque", "joints[INERTIA]"): "manipulator dynamics",
+    ("known", "torque", "joints[CORIOLIS]"): "manipulator dynamics",
+    ("known", "torque", "joints[GRAVITY]"): "manipulator dynamics",
     ("known", "torque", "tau_law"): "control law",
     ("errors", "evaluate", "e_p"): "position error",
     ("errors", "attitude_error", "e_eta"): "quat_error",
     ("errors", "attitude_error", "e_eps"): "quat_error",
-    ("errors", "evaluate", "dp"): "position error dynamics",
+    ("errors", "evaluate", "dpx, dpy, dpz"): "position error dynamics",
     ("errors", "evaluate", "de_eta"): "eta_error dynamics",
     ("errors", "evaluate", "dex"): "epsilon error dynamics",
     ("errors", "evaluate", "dey"): "epsilon error dynamics",
@@ -92,18 +94,20 @@ def labels_beside_code(path: Path) -> Iterator[tuple[tuple[str, str, str], str]]
 
 
 def _statement(functions: list[ast.FunctionDef], line: int) -> tuple[str, str]:
-    """Function that holds a line, and what the smallest statement on it makes: names, or `return`."""
+    """Function that holds a line, and what its smallest statement makes: names, a call's last argument, `return`."""
     holding = [f for f in functions if f.lineno <= line <= (f.end_lineno or 0)]
     function = max(holding, key=lambda f: f.lineno)
     statements = [
         s
         for s in ast.walk(function)
-        if isinstance(s, ast.Assign | ast.AugAssign | ast.AnnAssign | ast.Return)
+        if isinstance(s, ast.Assign | ast.AugAssign | ast.AnnAssign | ast.Return | ast.Expr)
         and s.lineno <= line <= (s.end_lineno or 0)
     ]
     statement = max(statements, key=lambda s: s.lineno)
     if isinstance(statement, ast.Return):
         return function.name, "return"
+    if isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Call):
+        return function.name, ast.unparse(statement.value.args[-1])
     targets = statement.targets if isinstance(statement, ast.Assign) else [statement.target]
     return function.name, ", ".join(ast.unparse(t).strip("()") for t in targets)
 

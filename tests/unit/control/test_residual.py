@@ -11,8 +11,8 @@ import pytest
 import configs
 from agent.config.cell import load_cell
 from agent.control import known
-from agent.control.law import Terms
 from agent.control.residual import Channels, Residual, Sense, nothing_sensed
+from agent.control.terms import Terms
 from agent.control.trajectory import Desired
 from agent.verify.check import examine
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drivers.dynamixel.checks import SILENT_LIMIT_CYCLES, SilenceCheck
 from drivers.dynamixel.errors import DxlServoFault, FaultCause, Heard, NoReplyError, StaleJointsError
 from drivers.dynamixel.identify import IdentityError
 from drivers.dynamixel.line import codec
@@ -204,17 +203,6 @@ def test_a_line_that_garbles_every_reply_is_that_and_not_silence() -> None:
     assert error.cause is FaultCause.GARBLED
     assert "damaged packets in each" in str(error.found)
     assert "plugs" in error.remedy
-
-
-def test_what_came_in_a_part_of_the_silent_cycles_is_not_the_cause() -> None:
-    for kind in ("damaged", "late"):
-        check = SilenceCheck(WX200.slots[:1])
-        for cycle in range(1, SILENT_LIMIT_CYCLES + 1):
-            came = {"damaged": False, "late": False} | {kind: cycle > 1}
-            faults = check.check([None], **came)
-        assert [fault.cause for fault in faults] == [FaultCause.SILENT]
-        (later,) = check.check([None], **came)
-        assert later.cause is {"damaged": FaultCause.GARBLED, "late": FaultCause.OUTDATED}[kind]
 
 
 def test_a_servo_that_falls_silent_after_some_damage_is_called_silent() -> None:

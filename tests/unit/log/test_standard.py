@@ -7,8 +7,10 @@ import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from agent.log import ros_definitions, standard
+from agent.log.cdr import text_message, text_of
 from agent.telemetry.row.event import Event, Level
 from agent.telemetry.row.sample import AGENT_STATE, PLANT_STATE
+from tests.support.telemetry.scenes import LOCKED_RAD, scene
 
 JOINTS = ("waist", "shoulder", "elbow")
 STORE = get_typestore(Stores.ROS2_HUMBLE)
@@ -29,7 +31,7 @@ def rows(layout, count: int) -> np.ndarray:
 def messages(topic: standard.StandardTopic, data: np.ndarray) -> list[bytes]:
     """One complete message per row."""
     out = np.frombuffer(bytearray(topic.template * len(data)), topic.dtype)
-    topic.fill(out, data, standard.Stamp.of(data))
+    topic.fill(out, data, standard.stamps(data))
     return [message.tobytes() for message in out]
 
 
@@ -41,30 +43,35 @@ def stamp_ns(header) -> int:
     return header.stamp.sec * 1_000_000_000 + header.stamp.nanosec
 
 
-def arm(first: bool = True, plant: bool = False) -> dict[str, standard.StandardTopic]:
-    return {t.topic: t for t in standard.arm_topics("paper", "left", JOINTS, is_first=first, has_plant=plant)}
+def arm(
+    joints: tuple[str, ...] = JOINTS, *, first: bool = True, plant: bool = False
+) -> dict[str, standard.StandardTopic]:
+    described = scene("paper", {"left": joints}).arms[0]
+    return {t.topic: t for t in standard.arm_topics(described, is_first=first, has_plant=plant)}
 
 
-@pytest.mark.parametrize("joints", [("a",), ("ab", "c"), JOINTS, ("x" * 9,) * 7])
-def test_joint_states_are_the_measured_ones_whatever_the_names_do_to_the_alignment(joints: tuple[str, ...]) -> None:
-    topic = standard.arm_topics("paper", "left", joints, is_first=False, has_plant=True)[0]
-    data, n = rows(AGENT_STATE, 4), len(joints)
+@pytest.mark.parametrize("joints", [("waist",), ("elbow", "waist"), JOINTS, ("shoulder", "elbow", "wrist_angle")])
+def test_joint_states_have_measured_joints_and_locked_ones_in_the_order_of_the_urdf(joints: tuple[str, ...]) -> None:
+    topic = arm(joints)["/left/joint_states"]
+    data = rows(AGENT_STATE, 4)
     for row, message in zip(data, messages(topic, data), strict=True):
         decoded = decode(topic, message)
-        assert decoded.name == list(joints)
+        assert decoded.name == [*JOINTS, "wrist_angle", "wrist_rotate"]
+        assert decoded.header.frame_id == ""
         assert stamp_ns(decoded.header) == row["utc_ns"]
-        assert np.array_equal(decoded.position, row["q_measured"][:n])
-        assert np.array_equal(decoded.velocity, row["dq_measured"][:n])
-        assert np.array_equal(decoded.effort, row["tau_sent"][:n])
+        for i, name in enumerate(decoded.name):
+            if name in joints:
+                k = joints.index(name)
+                expected = [row["q_measured"][k], row["dq_measured"][k], row["tau_sent"][k]]
+            else:
+                expected = [LOCKED_RAD.get(name, 0.0), 0.0, np.nan]
+            found = [decoded.position[i], decoded.velocity[i], decoded.effort[i]]
+            assert np.array_equal(found, expected, equal_nan=True), name
 
 
-def test_wrench_and_poses_keep_their_order_and_the_scalar_goes_last() -> None:
+def test_poses_keep_their_order_and_the_scalar_goes_last() -> None:
     data = rows(AGENT_STATE, 2)
-    topics = arm()
-    wrench = decode(topics["/coop/paper/left/wrench"], messages(topics["/coop/paper/left/wrench"], data)[1]).wrench
-    assert [wrench.force.x, wrench.force.y, wrench.force.z] == data["wrench_cmd"][1, :3].tolist()
-    assert [wrench.torque.x, wrench.torque.y, wrench.torque.z] == data["wrench_cmd"][1, 3:].tolist()
-    topic = topics["/coop/paper/object/pose_des"]
+    topic = arm()["/object/pose_des"]
     pose = decode(topic, messages(topic, data)[1]).pose
     assert [pose.position.x, pose.position.y, pose.position.z] == data["p_object_des"][1].tolist()
     o = pose.orientation
@@ -80,12 +87,15 @@ def test_wrench_and_poses_keep_their_order_and_the_scalar_goes_last() -> None:
     ],
 )
 def test_each_frame_has_one_source(first: bool, plant: bool, frames: list[str]) -> None:
-    topic = arm(first, plant)[standard.TF_TOPIC]
+    topic = arm(first=first, plant=plant)[standard.TF_TOPIC]
     data = rows(AGENT_STATE, 1)
     transforms = decode(topic, messages(topic, data)[0]).transforms
-    assert [t.child_frame_id for t in transforms] == frames
-    assert {t.header.frame_id for t in transforms} == {"world"}
-    assert transforms[0].transform.translation.y == data["p_object"][0, 1]
+    links = ["left/shoulder_link", "left/upper_arm_link", "left/forearm_link"]
+    assert [t.child_frame_id for t in transforms] == [*links, *frames]
+    assert [t.header.frame_id for t in transforms[:3]] == ["left/base_link", *links[:2]]
+    assert {t.header.frame_id for t in transforms[3:]} == {"world"}
+    assert {stamp_ns(t.header) for t in transforms} == {int(data["utc_ns"][0])}
+    assert transforms[3].transform.translation.y == data["p_object"][0, 1]
     assert (
         transforms[-1].transform.rotation.w
         == data["quat_object_des" if frames[-1] == "object_des" else "quat_object"][0, 0]
@@ -94,7 +104,7 @@ def test_each_frame_has_one_source(first: bool, plant: bool, frames: list[str]) 
 
 def test_the_plant_gives_the_true_pose() -> None:
     data = rows(PLANT_STATE, 1)
-    pose, tf = standard.plant_topics("paper")
+    pose, tf = standard.plant_topics()
     assert decode(pose, messages(pose, data)[0]).pose.position.z == data["p_object"][0, 2]
     assert decode(tf, messages(tf, data)[0]).transforms[0].child_frame_id == "object"
 
@@ -108,17 +118,15 @@ def test_an_event_becomes_a_log_line() -> None:
 
 @pytest.mark.parametrize("text", ["", "a", "mode TRACK → HOLD"])
 def test_a_text_becomes_a_string_message_and_comes_back(text: str) -> None:
-    message = standard.text_message(text.encode())
+    message = text_message(text.encode())
     assert STORE.deserialize_cdr(message, "std_msgs/msg/String").data == text
-    assert standard.text_of(message) == text.encode()
+    assert text_of(message) == text.encode()
 
 
-@pytest.mark.parametrize(
-    "wrong", [b"", b"\0\1\0\0", standard.text_message(b"abc")[:-1], standard.text_message(b"abc") + b"\0"]
-)
+@pytest.mark.parametrize("wrong", [b"", b"\0\1\0\0", text_message(b"abc")[:-1], text_message(b"abc") + b"\0"])
 def test_what_is_no_string_message_is_refused(wrong: bytes) -> None:
     with pytest.raises(ValueError, match="not a string message"):
-        standard.text_of(wrong)
+        text_of(wrong)
 
 
 def test_decimation_keeps_the_rate_whatever_the_batches() -> None:
@@ -140,3 +148,12 @@ def test_definitions_are_complete_and_the_same_as_ros_has_them(ros_name: str) ->
         inner = part.strip().splitlines()[0].removeprefix("MSG: ")
         assert types[ros_definitions.schema_name(inner)][1] == STORE.fielddefs[ros_definitions.schema_name(inner)][1]
     assert types[name][1] == STORE.fielddefs[name][1]
+
+
+def test_a_message_has_the_same_bits_however_many_are_made_at_a_time() -> None:
+    data = rows(AGENT_STATE, 23)
+    for topic in arm().values():
+        whole = messages(topic, data)
+        for step in (1, 2, 5):
+            parts = [m for i in range(0, 23, step) for m in messages(topic, data[i : i + step])]
+            assert parts == whole, topic.topic

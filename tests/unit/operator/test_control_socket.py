@@ -290,6 +290,13 @@ def test_a_socket_that_nobody_serves_is_replaced(path: Path) -> None:
         assert answer_to(control, path, {"verb": "stop"}) == {"ok": True}
 
 
+def test_somebodys_own_file_is_refused_and_left_alone(path: Path) -> None:
+    path.write_text("mine")
+    with pytest.raises(ControlError, match="expected a free name"):
+        ControlSocket(path, FINGERPRINT)
+    assert path.read_text() == "mine"
+
+
 def test_a_place_that_cannot_be_made_is_refused_and_nothing_stays_open(tmp_path: Path) -> None:
     def descriptors() -> int:
         return len(list(Path("/proc/self/fd").iterdir()))

@@ -12,9 +12,12 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
+from agent.report.prepared import prepare
 from agent.report.report import ReportError, ReportFiles, terminal_table, write_report
 from agent.telemetry.row.event import Event, Level
+from agent.view.film import still
 from tests.support.telemetry.synthetic_run import paper_run, spatial_run
+from tests.support.view_run import view_log
 
 PNG = b"\x89PNG\r\n\x1a\n"
 VOID = {"meta", "img", "br", "hr", "link"}
@@ -165,3 +168,17 @@ def test_three_six_joint_arms_without_a_plant_have_a_report(tmp_path: Path) -> N
     text = read_page(files.html).text
     assert "seen by arm2" in text
     assert "no simulation in the log" in text
+
+
+def test_the_page_opens_with_the_cell_at_the_start(tmp_path: Path) -> None:
+    files = write_report(view_log(), tmp_path, still)
+    picture = (tmp_path / "start.png").read_bytes()
+    assert picture == still(prepare(view_log()))
+    assert next(iter(files.figures)) == "start"
+    assert base64.b64decode(read_page(files.html).images[0].removeprefix("data:image/png;base64,")) == picture
+
+
+def test_a_log_that_does_not_say_how_its_cell_looks_has_no_such_picture(tmp_path: Path) -> None:
+    files = write_report(paper_run(Path("run.mcap"), duration_s=2.0), tmp_path, still)
+    assert "start" not in files.figures
+    assert not (tmp_path / "start.png").exists()

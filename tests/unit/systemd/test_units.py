@@ -48,7 +48,7 @@ def test_no_network_where_an_arm_is_commanded(simulated_host: Path, name: str) -
     assert not unit["IPAddressAllow"]
 
 
-@pytest.mark.parametrize("name", ["coop-telemetry@left", "coop-recorder", "coop-rings"])
+@pytest.mark.parametrize("name", ["coop-telemetry@left", "coop-recorder", "coop-rings", "coop-ros2"])
 def test_only_the_agent_reaches_a_device(host: Path, name: str) -> None:
     unit = read_unit(host, name)
     assert not unit["DeviceAllow"]
@@ -98,6 +98,14 @@ def test_telemetry_and_recorder_always_come_back(host: Path, name: str) -> None:
     assert one(unit, "Restart") == "always"
     assert one(unit, "RestartSec") == "500ms"
     assert one(unit, "StartLimitIntervalSec") == "0"
+
+
+def test_the_view_for_ros_reaches_no_ring_no_log_and_no_key(host: Path) -> None:
+    unit = read_unit(host, "coop-ros2")
+    assert words(unit, "InaccessiblePaths") == {"-/run/coop", "-/var/lib/coop", "-/etc/coop/keys"}
+    assert not words(unit, "SupplementaryGroups")
+    assert words(unit, "IPAddressAllow") == {"localhost"}
+    assert one(unit, "User") not in {one(read_unit(host, n), "User") for n in SERVICES[:3]}
 
 
 def test_the_log_begins_before_the_agent_and_ends_after_it(simulated_host: Path) -> None:

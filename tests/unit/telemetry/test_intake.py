@@ -99,12 +99,56 @@ def test_rows_must_go_up_across_batches_too() -> None:
     assert door.rejected[Rejection.WRONG_ORDER] == 1
 
 
-def test_a_ring_of_another_run_stays_out() -> None:
+def test_a_ring_of_the_next_run_waits_for_the_next_log_and_one_of_the_last_stays_out() -> None:
     door, rows = intake(), make_rows("left", 8)
     door.take(KEY, rows.tobytes(), header(0, 8))
+    door.take(KEY, b"", header(8, 8, end=End.FINISHED))
     assert door.take(KEY, rows.tobytes(), header(0, 8, source=99)) == []
-    assert door.rejected[Rejection.ANOTHER_RUN] == 1
+    assert door.another_run
     assert door.streams[KEY].source == RING
+    door.begin_log()
+    (item,) = door.take(KEY, rows[:5].tobytes(), header(0, 8, source=99))
+    assert isinstance(item, Rows)
+    assert not door.another_run
+    assert door.take(KEY, rows.tobytes(), header(0, 8)) == []
+    assert door.rejected[Rejection.ANOTHER_RUN] == 1
+    told = door.completeness({})
+    assert (told["left.rows_expected"], told["left.rows_recorded"], told["left.end"]) == ("8", "5", "open")
+
+
+def test_a_new_run_of_an_arm_that_has_nothing_in_the_log_needs_no_other_log() -> None:
+    door, rows = intake(), make_rows("left", 8)
+    door.take(KEY, rows.tobytes(), header(0, 8))
+    door.begin_log()
+    assert door.take(KEY, rows.tobytes(), header(0, 8, source=99))
+    assert not door.another_run
+
+
+def test_logs_of_one_run_have_their_parts_of_it_and_what_comes_late_is_in_the_later_one() -> None:
+    door, rows = intake(), make_rows("left", 20)
+    door.take(KEY, rows[:4].tobytes(), header(0, 20, missed=1))
+    door.take(KEY, rows[6:10].tobytes(), header(6, 20, missed=1))
+    first = door.completeness({}, continued=True)
+    door.begin_log()
+    door.take(KEY, rows[4:6].tobytes(), header(4, 20, missed=1))
+    door.take(KEY, rows[10:].tobytes(), header(10, 20, missed=1))
+    door.take(KEY, b"", header(20, 20, end=End.FINISHED, missed=1))
+    second = door.completeness({})
+    assert (first["left.rows_expected"], first["left.rows_recorded"]) == ("10", "8")
+    assert (first["left.end"], first["left.gaps"], first["left.lost_in_ring"]) == ("continued", "[[4, 5]]", "1")
+    assert (second["left.rows_expected"], second["left.rows_recorded"]) == ("10", "12")
+    assert (second["left.end"], second["left.gaps"], second["left.lost_in_ring"]) == ("finished", "[]", "0")
+
+
+@pytest.mark.parametrize("gap", [False, True])
+def test_a_part_is_complete_when_all_of_its_rows_are_there(gap: bool) -> None:
+    door = intake()
+    for member in ("left", "right", PLANT):
+        rows, key = make_rows(member, 6), Address(CELL, member, Kind.STATE).key
+        door.take(key, rows[:2].tobytes(), header(0, 6))
+        door.take(key, rows[3 if gap else 2 : 5].tobytes(), header(3 if gap else 2, 6))
+    assert door.completeness({}, continued=True)["complete"] == str(not gap).lower()
+    assert door.completeness({})["complete"] == "false"
 
 
 def test_events_are_recorded_once_even_when_telemetry_starts_again() -> None:
@@ -156,7 +200,7 @@ def test_a_long_run_with_losses_keeps_its_books_bounded() -> None:
         door.take(KEY, rows[i : i + 1].tobytes(), header(i, 5000))
     stream = door.streams[KEY]
     assert stream.have.count == 2500
-    assert stream.gaps()[:2] == [(1, 1), (3, 3)]
+    assert stream.gaps(5000)[:2] == [(1, 1), (3, 3)]
     assert len(stream.status.have) <= 16
 
 

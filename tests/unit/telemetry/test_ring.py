@@ -47,6 +47,11 @@ def test_rows_come_back_byte_for_byte_and_in_order(path: Path, writer: RingWrite
         assert reader.missed == 0
 
 
+def test_a_ring_holds_forty_seconds_at_200_Hz(tmp_path: Path) -> None:
+    with RingWriter(tmp_path / "plant.ring", PLANT_STATE, "plant") as ring:
+        assert ring.header.slots == 8192
+
+
 def test_row_stays_the_same_memory_so_views_can_be_kept(path: Path, writer: RingWriter) -> None:
     t = writer.row["t"]
     writer.commit()
@@ -78,6 +83,20 @@ def test_overwritten_rows_are_counted_not_returned(path: Path, writer: RingWrite
         assert block.first == 5
 
 
+def resident_bytes(path: Path) -> list[int]:
+    """Of each mapping of that file in this process; one that got its name later stands under the name it had before."""
+    maps = Path("/proc/self/smaps").read_text().split("\n")
+    begins = [i for i, line in enumerate(maps) if str(path) in line]
+    return [1024 * int(next(m for m in maps[i:] if m.startswith("Rss:")).split()[1]) for i in begins]
+
+
+def test_the_writer_has_all_pages_of_a_ring_before_its_first_row(path: Path, writer: RingWriter) -> None:
+    """A page that is missing costs the loop a microsecond and more; a reader takes pages as it comes to them."""
+    assert resident_bytes(path) == [pytest.approx(writer.header.file_bytes, abs=4096)]
+    with RingReader(path, AGENT_STATE):
+        assert min(resident_bytes(path)) < writer.header.file_bytes
+
+
 def test_rows_can_be_read_again_while_they_are_there(path: Path, writer: RingWriter) -> None:
     write(writer, SLOTS + 4)
     with RingReader(path, AGENT_STATE) as reader:
@@ -99,6 +118,21 @@ def test_a_row_with_any_byte_changed_is_not_returned(path: Path, writer: RingWri
         rows = b"".join(reader.read_new(8).payload for _ in range(10))
         assert AGENT_STATE.decode(rows)["sequence"].tolist() == [0, 1, 3, 4]
         assert (reader.damaged, reader.missed) == (1, 0)
+
+
+def test_a_row_that_its_writer_died_over_has_no_number(writer: RingWriter, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not the one that was there before, whose bytes are half overwritten."""
+    slots = writer.header.slots
+    write(writer, slots)
+
+    def dies(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(writer, "_pack_slot_head", dies)
+    assert writer._words[SLOTS_OFFSET // 8] == 1, "row 0"
+    with pytest.raises(KeyboardInterrupt):
+        writer.commit()
+    assert writer._words[SLOTS_OFFSET // 8] == 0
 
 
 def test_a_second_writer_is_refused_and_the_first_goes_on(path: Path, writer: RingWriter) -> None:

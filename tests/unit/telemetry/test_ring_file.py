@@ -131,6 +131,12 @@ class Format:
         return np.dtype([("bytes", "u1", (self.size,))])
 
 
+@pytest.mark.parametrize(("size", "stride"), [(20, 64), (52, 64), (53, 128), (116, 128), (117, 192)])
+def test_slots_are_whole_cache_lines(size: int, stride: int) -> None:
+    row_format = Format(size=size)
+    assert make_header(row_format, slots=2, name="plant", joints=(), created_ns=1).stride == stride
+
+
 def format_refusal(header: RingHeader, row_format: Format, file_bytes: int) -> str:
     try:
         check_format(Path("ring"), header, row_format, file_bytes)

@@ -12,10 +12,10 @@ import configs
 from agent.config.cell import load_cell
 from agent.control.adaptation import Estimate
 from agent.control.errors import Errors
-from agent.control.law import Terms
 from agent.control.memory import Memory, initial, restore
 from agent.control.models import Kinematics
 from agent.control.residual import Sense
+from agent.control.terms import JOINT_TERMS, Terms
 from agent.control.trajectory import Desired
 from agent.loop import Agent, Outcome, initial_memory, step
 from agent.modes import Mode
@@ -26,12 +26,7 @@ from agent.telemetry.row.sample import AGENT_STATE, CDR_LITTLE_ENDIAN, MAX_JOINT
 from drivers.interface import BusCounters, JointState
 
 SENTINEL = 123.0
-OF_THE_LAW = [
-    name
-    for name in Terms._fields
-    if name not in ("desired", "kinematics", "errors", "lyapunov", "sigma_min", "J_inv_P")
-]
-OPTIONAL = ("tau_inertia", "tau_coriolis", "tau_gravity", "tau_adaptive", "tau_internal", "tau_friction", "tau_posture")
+OF_THE_LAW = (*JOINT_TERMS, "wrench_cmd", "wrench_internal")
 MEMORY = initial(3)
 
 
@@ -65,12 +60,9 @@ def all_different(n: int) -> tuple[JointState, Memory, Outcome]:
     unused = [np.empty(0)] * 6
     kinematics = Kinematics(tuple_of(3), tuple_of(4), (), tuple_of(6), *unused, tuple_of(3))
     errors = Errors(tuple_of(3), next(numbers), tuple_of(3), tuple_of(6), tuple_of(6), tuple_of(6), tuple_of(6))
-    lengths = {"wrench_cmd": 6, "wrench_internal": 6}
-    of_the_law = {name: tuple_of(6) if name in lengths else array_of(n) for name in OF_THE_LAW}
-    terms = Terms(
-        desired, kinematics, errors, lyapunov=next(numbers), sigma_min=next(numbers), J_inv_P=None, **of_the_law
-    )
-    estimate = Estimate(array_of(13 * n), array_of(10))
+    joints = array_of((len(JOINT_TERMS) + 1) * n).reshape(-1, n)
+    terms = Terms(desired, kinematics, errors, joints, tuple_of(6), tuple_of(6), next(numbers), next(numbers), None)
+    estimate = Estimate(array_of(16 * n), array_of(10))
     arrays = [array_of(n) for _ in range(6)]
     sense = Sense(array_of(n), array_of(n), array_of(n), array_of(6), array_of(6), array_of(6), next(numbers))
     memory = Memory(*arrays, True, sense, tuple_of(6), True, tuple_of(7), next(numbers), estimate, array_of(n))
@@ -111,7 +103,7 @@ def check(found: np.void, state: JointState, memory: Memory, outcome: Outcome) -
     assert set(expected) == set(AGENT_STATE.dtype.names)
     for name, value in expected.items():
         wanted = np.zeros(np.shape(found[name]))
-        wanted[tuple(slice(n) for n in np.shape(value))] = 0.0 if value is None else value
+        wanted[tuple(slice(n) for n in np.shape(value))] = value
         assert np.array_equal(np.asarray(found[name], dtype=float), wanted, equal_nan=True), name
 
 
@@ -130,14 +122,32 @@ def test_every_field_is_what_a_real_tick_gave() -> None:
     check(message[0], state, MEMORY, outcome)
 
 
-@pytest.mark.parametrize("term", OPTIONAL)
+@pytest.mark.parametrize("term", JOINT_TERMS)
 def test_a_term_that_the_law_does_not_have_is_zero_though_the_tick_before_had_it(term: str) -> None:
     message, row = fresh()
     state, memory, outcome = all_different(3)
     fill(row, outcome, state, memory)
-    without = outcome._replace(terms=outcome.terms._replace(**{term: None}))
+    joints = outcome.terms.joints.copy()
+    joints[JOINT_TERMS.index(term)] = 0.0
+    without = outcome._replace(terms=outcome.terms._replace(joints=joints))
     fill(row, without, state, memory)
     check(message[0], state, memory, without)
+    assert not message[0][term].any()
+
+
+@pytest.mark.parametrize("term", JOINT_TERMS)
+def test_a_joint_term_of_the_law_is_the_row_of_the_block_that_has_its_name(term: str) -> None:
+    terms = all_different(3)[2].terms
+    assert np.array_equal(getattr(terms, term), terms.joints[JOINT_TERMS.index(term)])
+
+
+def test_what_the_residual_holds_is_written_again_when_it_changes() -> None:
+    message, row = fresh()
+    state, memory, outcome = all_different(3)
+    for sense in (memory.sense, memory.sense._replace(ticks=0.5), MEMORY.sense, memory.sense):
+        now = memory._replace(sense=sense)
+        fill(row, outcome, state, now)
+        check(message[0], state, now, outcome)
 
 
 def test_a_tick_without_a_law_shows_none_of_the_tick_before() -> None:

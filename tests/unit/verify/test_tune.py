@@ -14,8 +14,9 @@ import pytest
 import configs
 from agent.config.cell import Cell, cell_from_toml, load_cell, placement
 from agent.control import ik, known
+from agent.verify.chatter import velocity_chatter
 from agent.verify.check import Verdict, examine
-from agent.verify.tune import Form, Margin, NoGains, Tuner, velocity_chatter
+from agent.verify.tune import RIGID, Form, Margin, NoGains, Tuner
 from agent.verify.tune_table import toml_lines, tune_table
 from drivers.dynamixel.servo.table import VELOCITY_UNIT_RAD_PER_S
 from tests.support.arm_files import with_true_arms
@@ -117,7 +118,7 @@ def tuner(request: pytest.FixtureRequest) -> Tuner:
     return Tuner(ideal(f'controller.velocity="{request.param}"', *WEIGHTLESS))
 
 
-@pytest.mark.parametrize("form", list(Form))
+@pytest.mark.parametrize("form", RIGID)
 def test_a_proposal_keeps_the_margin(tuner: Tuner, form: Form) -> None:
     proposal = tuner.propose(form, Margin())
     assert set(proposal.after.damping) == {0.0, -0.3, 0.3}
@@ -147,7 +148,7 @@ def test_a_proposal_is_the_largest(velocity: str, form: Form) -> None:
 def test_the_ratio_form_keeps_the_ratio_and_the_rate_form_the_gains_themselves() -> None:
     cell = ideal('controller.velocity="servo"', "controller.k_p_rate_per_s=120.0", "controller.k_p_per_s=[150, 90, 60]")
     tuner = Tuner(cell)
-    ratio, rate = (tuner.propose(form, Margin(damping=0.3)).after.gains for form in Form)
+    ratio, rate = (tuner.propose(form, Margin(damping=0.3)).after.gains for form in RIGID)
     before = tuner.configured().gains
     for was, now in zip((*before.k_p, *before.k_p_rate), (*ratio.k_p, *ratio.k_p_rate), strict=True):
         assert now / was == pytest.approx(ratio.k_p[0] / 150.0, rel=0.01)
@@ -205,10 +206,39 @@ def test_torque_noise_is_that_of_the_law_itself() -> None:
     assert velocity_chatter(model, offline, q) == pytest.approx(rms, rel=1e-6)
 
 
-@pytest.mark.parametrize("form", list(Form))
+@pytest.mark.parametrize("form", RIGID)
 def test_the_proposal_settles_where_the_configured_gains_diverge(tuner: Tuner, form: Form, tmp_path: Path) -> None:
     """The plant's arms 30 % lighter than the agents believe, in every mass, inertia and rotor."""
     proposed = tuner.propose(form, Margin()).after.cell
     assert not settles(simulate(with_true_arms(tuner.cell, tmp_path, inertia=0.7), 2.0, agents_cell=tuner.cell))
     for inertia in (0.7, 1.0, 1.3):
         assert settles(simulate(with_true_arms(proposed, tmp_path, inertia=inertia), 2.0, agents_cell=proposed))
+
+
+def test_gains_for_reality_are_stable_in_all_of_it_and_no_noisier() -> None:
+    cell = load_cell(PAPER)
+    proposal = Tuner(cell).propose(Form.REALITY, Margin(worst=0.98))
+    found = examine(cell_from_toml(proposal.toml().encode(), "again"), thorough=True)
+    assert found.robustness is not None
+    assert proposal.before.criterion.radius > 1.5
+    assert found.robustness.criterion.radius < 0.99  # at other places of the trajectory than those of the search
+    assert proposal.after.criterion.radius <= 0.98 + 1e-6
+    assert proposal.after.criterion.radius > 0.96  # and not more timid than asked
+    assert max(proposal.after.chatter_Nm) <= max(proposal.before.chatter_Nm)
+    gains = proposal.after.gains
+    assert gains.k_v[3] < 0.3 < gains.k_v[0]
+    assert proposal.changes == Tuner(cell).propose(Form.REALITY, Margin(worst=0.98)).changes
+
+
+@pytest.mark.parametrize(
+    ("stated", "key"),
+    [("tolerance.delay=[0.8, 10.0]", "tolerance.delay"), ("safety.inertia_error=0.97", "safety.inertia_error")],
+)
+def test_when_nothing_survives_the_demand_and_the_tolerance_that_bind_are_named(stated: str, key: str) -> None:
+    with pytest.raises(NoGains) as caught:
+        Tuner(load_cell(PAPER, [stated])).propose(Form.REALITY, Margin(worst=0.97))
+    text = str(caught.value)
+    assert "found none; the nearest have a radius of " in text
+    assert "expected at most 0.97 whatever of the stated tolerance is true; " in text
+    assert key in text.partition("; ")[2].rpartition(" binds ")[0].split("; ")[-1].split(" or ")
+    assert "\n" not in text

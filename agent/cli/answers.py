@@ -1,0 +1,101 @@
+"""Commands that answer one question of a log: events, grasps."""
+
+from __future__ import annotations
+
+import datetime
+import math
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from agent.cli.options import AsJson, LogPath, console, note, print_json
+from agent.cli.progress import Steps
+
+if TYPE_CHECKING:
+    from agent.telemetry.row.event import Event
+
+SCHEMA = 1
+
+
+def events(
+    log: LogPath,
+    arm: Annotated[list[str], typer.Option("--arm", help="Only from this arm; also: plant, recorder.")] = [],  # noqa: B006
+    from_s: Annotated[float, typer.Option("--from", help="First second of the trajectory.")] = -math.inf,
+    to_s: Annotated[float, typer.Option("--to", help="Where to end, s.")] = math.inf,
+    as_json: AsJson = False,
+) -> None:
+    """Say what happened when: modes and flags by the time of the trajectory, the rest by that of the day (UTC)."""
+    from agent.log.read import open_log
+
+    with Steps() as step:
+        step("reading the log")
+        with open_log(log, any_layout=True) as opened:
+            happened = opened.events
+    timed = [(_time_s(event), event) for event in happened if not arm or event.source in arm]
+    chosen = [(t, event) for t, event in timed if from_s <= t < to_s or math.isnan(t)]
+    for problem in opened.problems:
+        note(f"{log}: {problem}")
+    if as_json:
+        print_json({"schema": SCHEMA, "log": str(log), "events": [_document(t, event) for t, event in chosen]})
+        return
+    for t, event in chosen:
+        when = _day_time(event) if math.isnan(t) else f"{t:.3f} s"
+        typer.echo(f"{when:>12}  {event.source:<10} {event.level.name:<6} {event.text}")
+    if not chosen:
+        note(f"{log}: no event from there to there")
+
+
+def _time_s(event: Event) -> float:
+    """Time of the trajectory, which events of the rows have; others have that of the day alone."""
+    t = event.data.get("t")
+    return float(t) if isinstance(t, int | float) and not isinstance(t, bool) else math.nan
+
+
+def _day_time(event: Event) -> str:
+    return f"{datetime.datetime.fromtimestamp(event.utc_ns / 1e9, datetime.UTC):%H:%M:%S}Z"
+
+
+def _document(t: float, event: Event) -> dict[str, Any]:
+    return {
+        "t_s": None if math.isnan(t) else t, "utc_ns": event.utc_ns, "source": event.source,
+        "level": event.level.name, "text": event.text, "data": dict(event.data),
+    }  # fmt: skip
+
+
+def grasps(log: LogPath, as_json: AsJson = False) -> None:
+    """Say whose picture of the object is off, what each grasp carries, and how much of its grip is left."""
+    from agent.log.read import open_log
+    from agent.replay.grasps import grasps as of_log
+    from agent.replay.source import recorded_cell
+
+    with Steps() as step:
+        step("reading the log")
+        with open_log(log) as opened:
+            found = of_log(opened, recorded_cell(opened))
+    for problem in opened.problems:
+        note(f"{log}: {problem}")
+    if as_json:
+        arms = {
+            g.arm: {
+                "rows": g.rows, "offset_m": g.offset_m, "offset_rad": g.offset_rad, "force_max_N": g.force_max_N,
+                "grip_force_max_N": g.grip_force_max_N, "margin_N": g.margin_N,
+            }
+            for g in found.arms
+        }  # fmt: skip
+        print_json({"schema": SCHEMA, "log": str(log), "truth": found.truth, "arms": arms})
+        return
+    from rich import box
+    from rich.table import Table
+
+    against = "the true object" if found.truth else "the mean of the arms"
+    table = Table(title=f"{log}: against {against}", title_justify="left", box=box.SIMPLE_HEAD)
+    for heading in ("arm", "sees it off by", "turned by", "largest force", "grip", "margin"):
+        table.add_column(heading, justify="left" if heading == "arm" else "right", no_wrap=True)
+    for g in found.arms:
+        grip, left = ("not given" if x is None else f"{x:.2f} N" for x in (g.grip_force_max_N, g.margin_N))
+        table.add_row(
+            g.arm, f"{1e3 * g.offset_m:.3f} mm", f"{1e3 * g.offset_rad:.3f} mrad", f"{g.force_max_N:.2f} N", grip, left
+        )
+    console().print(table)
+    if not found.truth:
+        typer.echo("forces are those commanded; two arms that disagree do not tell which one is off, a third does")

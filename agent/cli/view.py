@@ -1,0 +1,112 @@
+"""The command `coop view`: a run in 3D, as a page, a file or a film."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from agent.cli import complete
+from agent.cli.options import DEFAULT_ENDPOINT, Force, NetworkConfig, Overrides, begin, note, ready
+from agent.cli.progress import Steps
+
+PORT = 8080
+
+
+def view(
+    what: Annotated[
+        Path,
+        typer.Argument(
+            metavar="LOG", help="MCAP log; with --live a cell.", show_default=False, autocompletion=complete.cells
+        ),
+    ],
+    live: Annotated[bool, typer.Option("--live", help="A run as it goes on, from its telemetry.")] = False,
+    html: Annotated[Path | None, typer.Option(help="Write the run as one HTML file instead.")] = None,
+    film: Annotated[Path | None, typer.Option(help="Write a film instead: .gif, .webp or .png.")] = None,
+    start: Annotated[float, typer.Option("--from", min=0.0, help="First second of the film.")] = 0.0,
+    end: Annotated[float | None, typer.Option("--to", help="Last second of the film.")] = None,
+    speed: Annotated[float, typer.Option(min=0.01, help="Pace of the film; 1 is the pace of the run.")] = 2.5,
+    port: Annotated[int, typer.Option(min=1, max=65535, help="Port of the page, on this host alone.")] = PORT,
+    browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in a browser.")] = True,
+    connect: Annotated[str, typer.Option(help="Endpoint of the recorder (--live).")] = DEFAULT_ENDPOINT,
+    network_config: NetworkConfig = None,
+    overrides: Overrides = [],  # noqa: B006
+    force: Force = False,
+) -> None:
+    """Show a run in 3D: arms, object, desired pose, forces, events; in a browser, or as a file."""
+    from agent.view.arm import ViewError
+    from agent.view.need import need_viser
+
+    if sum((live, html is not None, film is not None)) > 1:
+        raise ViewError("coop view", found="several of --live, --html, --film", expected="one", remedy="call it twice")
+    for file in filter(None, (html, film)):
+        _keep(file, force)
+    if film is not None:
+        _film(what, film, start, end, speed)
+    elif html is not None:
+        need_viser()
+        _html(what, html)
+    else:
+        need_viser()
+        _serve(what, live, port, browser, connect, network_config, overrides)
+
+
+def _keep(file: Path, force: bool) -> None:
+    from agent.view.arm import ViewError
+
+    if file.exists() and not force:
+        raise ViewError(f"{file} is there", found="a file", expected="none", remedy="name another one, or give --force")
+
+
+def _film(log: Path, film: Path, start: float, end: float | None, speed: float) -> None:
+    from agent.log.read import open_log
+    from agent.report.prepared import prepare
+    from agent.view.film import FilmOptions, write_film
+
+    with Steps() as step:
+        step("reading the log")
+        with open_log(log) as opened:
+            run = prepare(opened)
+            step("drawing")
+            count = write_film(run, FilmOptions(film, start, end, speed))
+    typer.echo(f"film     {film}, {count} pictures")
+
+
+def _html(log: Path, html: Path) -> None:
+    from agent.log.read import open_log
+    from agent.report.prepared import prepare
+    from agent.view.html import write_html
+
+    with Steps() as step:
+        step("reading the log")
+        with open_log(log) as opened:
+            run = prepare(opened)
+            step("drawing")
+            count = write_html(run, html)
+    typer.echo(f"page     {html}, {count} pictures")
+
+
+def _serve(
+    what: Path, live: bool, port: int, browser: bool, connect: str, network_config: Path | None, overrides: list[str]
+) -> None:
+    def opened(address: str) -> None:
+        import webbrowser
+
+        ready(f"page={address}")
+        if browser:
+            webbrowser.open(address)
+
+    requested = begin(False)
+    if not live:
+        from agent.view.open import serve
+
+        note(f"{what}: {serve(what, port, requested, opened)} pictures shown")
+        return
+    from agent.config.files import load_files
+    from agent.telemetry.link.session import Network, Role
+    from agent.view.live import serve as serve_live
+
+    network = Network(config_file=network_config) if network_config else Network(connect=(connect,), role=Role.VIEWER)
+    done = serve_live(load_files(what, overrides), network, port, requested, opened)
+    note(f"{what}: {done.pictures} pictures shown{done.behind}, {done.refused} messages refused")

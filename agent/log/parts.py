@@ -1,0 +1,99 @@
+"""The log files of one recording: which comes next, when, and what makes room for it."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+
+from agent.log.file import LIBRARY, LogFileError, lock
+from agent.log.scan import library_of
+
+_HEAD_BYTES = 4096
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """When a log is followed by the next one, and how much all logs of its folder may take; None: no limit."""
+
+    part_bytes: int | None = None
+    part_s: float | None = None
+    folder_bytes: int | None = None
+
+    def reached(self, size_bytes: int, age_s: float) -> bool:
+        """Whether a log of that size and age is followed by the next one."""
+        return (self.part_bytes is not None and size_bytes >= self.part_bytes) or (
+            self.part_s is not None and age_s >= self.part_s
+        )
+
+
+def next_path(first: Path) -> Path:
+    """A free name for the log behind those that began with `first`: run.mcap, run_2.mcap, run_3.mcap …"""
+    number = 2
+    while (path := first.with_name(f"{first.stem}_{number}{first.suffix}")).exists():
+        number += 1
+    return path
+
+
+def make_room(folder: Path, limit_bytes: int) -> tuple[Path, ...]:
+    """Remove the oldest logs of a folder until the rest take at most `limit_bytes`; those removed.
+
+    Files of other programs count for nothing and stay; so do logs that are being written, which count.
+    """
+    logs = sorted((path.stat().st_mtime_ns, path) for path in folder.glob("*.mcap") if _is_ours(path))
+    total = sum(path.stat().st_size for _, path in logs)
+    removed = []
+    for _, path in logs:
+        if total <= limit_bytes:
+            break
+        size = path.stat().st_size
+        if _remove_unless_written(path):
+            removed.append(path)
+            total -= size
+    return tuple(removed)
+
+
+@contextmanager
+def only_recorder(folder: Path, cell: str) -> Iterator[None]:
+    """Keep other recorders of this cell out of the folder for the time of the block.  Raises LogFileError."""
+    try:
+        fd = os.open(folder / f".{cell}.recording", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    except OSError as error:
+        raise LogFileError(
+            f"cannot record into {folder}", found=error.strerror, expected="an existing directory that can be written",
+            remedy=f"create it with `mkdir -p {folder}`, or record elsewhere",
+        ) from error  # fmt: skip
+    try:
+        try:
+            fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise LogFileError(
+                f"cell {cell} is being recorded into {folder}", found="another recorder of it",
+                expected="one recorder per cell", remedy="stop that one first; a cell tells one recorder what it has",
+            ) from error  # fmt: skip
+        yield
+    finally:
+        os.close(fd)
+
+
+def _is_ours(path: Path) -> bool:
+    try:
+        with path.open("rb") as file:
+            return library_of(BytesIO(file.read(_HEAD_BYTES))) == LIBRARY
+    except OSError:
+        return False
+
+
+def _remove_unless_written(path: Path) -> bool:
+    try:
+        with path.open("rb") as file:
+            if not lock(file.fileno()):
+                return False
+            path.unlink()
+    except OSError:
+        return False
+    return True

@@ -1,0 +1,1 @@
+"""A log through the control law again: whether it gives the recorded torque, and what another cell would have given."""

@@ -1,0 +1,67 @@
+"""What an agent carries from one row to the next, by the rules of `agent.runner`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from agent.control.adaptation import from_row
+from agent.control.memory import Memory, restore
+from agent.loop import Agent, Outcome, hold_after, initial_memory, step, wait_here
+from agent.modes import Mode
+from agent.safety import Flag
+from drivers.interface import JointState, Vector
+
+Row = np.void
+
+
+class Chain:
+    """The memory of one agent while its rows pass in their order."""
+
+    def __init__(self, agent: Agent) -> None:
+        self._agent = agent
+        self._nothing = np.full(agent.model.n, np.nan)
+        self._memory: Memory | None = None
+        self._mode: Mode | None = None  # of the row before
+        self._outcome: Outcome | None = None  # of the row before, if it had a fresh state
+
+    def start(self) -> None:
+        """The next row is the first one of the run."""
+        self._memory, self._mode, self._outcome = initial_memory(self._agent), None, None
+
+    def restore(self, row: Row, *, keep_estimate: bool = False) -> None:
+        """The next row is this one, whatever came before; keep_estimate: not the row's, which is of another law."""
+        n, estimate = self._agent.model.n, None
+        if self._agent.offline.adaptation is not None:
+            kept = None if self._memory is None else self._memory.estimate
+            estimate = from_row(row["theta_arm"], row["theta_object"], n)
+            if keep_estimate:
+                estimate = kept or self._agent.offline.adaptation.start
+        self._memory, self._mode, self._outcome = restore(row["memory"], n, estimate), None, None
+
+    def pass_row(self, state: JointState, t: float, mode: Mode, *, fresh: bool) -> tuple[Memory, Outcome]:
+        """What the row of this tick holds: the memory it began with, and what came of it.
+
+        fresh: False for a cycle without a state, which keeps the last torque.
+        """
+        memory = self._entered(mode, state.q if fresh else None)
+        if not fresh:
+            outcome = Outcome(self._nothing, self._nothing, None, memory.tau, Flag.STALE, memory)
+            self._memory, self._mode, self._outcome = memory, mode, None
+            return memory, outcome
+        outcome = step(self._agent, state, t, mode, memory)
+        self._memory, self._mode, self._outcome = outcome.memory, mode, outcome
+        return memory, outcome
+
+    def _entered(self, mode: Mode, q: Vector | None) -> Memory:
+        """The memory with which a row of this mode begins; q: measured, None without a fresh state."""
+        if self._memory is None:
+            raise AssertionError("neither started nor restored")
+        memory = self._memory
+        if self._mode is not None and mode is not self._mode:
+            if mode is Mode.HOLD and self._outcome is not None:
+                memory = hold_after(self._agent, self._outcome)
+            if mode is Mode.TRACK:
+                memory = memory._replace(hold=None, q_hold=None)
+        if mode is not Mode.TRACK and memory.hold is None and q is not None:
+            memory = wait_here(self._agent, q, memory)
+        return memory

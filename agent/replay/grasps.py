@@ -1,0 +1,99 @@
+"""What each arm sees and carries: whose picture of the object is off, and how much of a grip's friction is left."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.config.cell import Cell
+from agent.log.columns import Table
+from agent.log.read import ColumnLog
+from agent.modes import Mode
+from agent.replay.source import ReplayError
+from agent.report.series import attitude_error, grasp_force, nearest
+from agent.safety import Flag
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Grasp:
+    """One arm over the rows in which all of them follow the trajectory; NaN where the log cannot tell."""
+
+    arm: str
+    rows: int
+    offset_m: float  # size of the mean of where it sees the object, from where the object is
+    offset_rad: float
+    force_max_N: float  # on its grasp
+    grip_force_max_N: float | None  # of the cell file
+
+    @property
+    def margin_N(self) -> float | None:
+        """What the grip could carry beside it; None without a figure of the grip."""
+        return None if self.grip_force_max_N is None else self.grip_force_max_N - self.force_max_N
+
+
+@dataclass(frozen=True, slots=True)
+class Grasps:
+    """All arms, and what they are compared with."""
+
+    arms: tuple[Grasp, ...]
+    truth: bool  # of a simulation; otherwise the mean of what the arms see, and forces as commanded
+
+
+def grasps(log: ColumnLog, cell: Cell) -> Grasps:
+    """Raises ReplayError without a tick in which every arm follows."""
+    seen = {name: _tracking(rows) for name, rows in log.agents.items()}
+    plant = log.plant if log.plant is not None and len(log.plant) else None
+    others = list(seen.values()) if plant is None else [plant]
+    base = others[0]["utc_ns"]
+    half_ns = round(0.5e9 / cell.file.rate_hz)
+    at = {name: nearest(rows["utc_ns"], base, half_ns) for name, rows in seen.items()}
+    common = np.all([i >= 0 for i in at.values()], axis=0)
+    if not common.any():
+        raise ReplayError(
+            f"grasps of {log.path}", found="no tick in which every arm follows the trajectory", expected="some",
+            remedy="take a run that got as far as TRACK",
+        )  # fmt: skip
+    poses = {name: _pose(rows, at[name][common]) for name, rows in seen.items()}
+    p, quat = _pose(plant, np.flatnonzero(common)) if plant is not None else _mean(poses)
+    found = []
+    for name, (p_arm, quat_arm) in poses.items():
+        turned = attitude_error(quat, quat_arm)
+        arm = cell.arm(name)
+        found.append(
+            Grasp(
+                name, int(common.sum()), float(np.linalg.norm((p_arm - p).mean(axis=0))),
+                float(np.linalg.norm((2.0 * np.sign(turned[:, :1]) * turned[:, 1:]).mean(axis=0))),
+                _force(seen[name], plant, cell.index(name)), arm.entry.grip_force_max_N,
+            )
+        )  # fmt: skip
+    return Grasps(tuple(found), plant is not None)
+
+
+def _tracking(rows: Table) -> Table:
+    fresh = rows["flags"] & np.uint32(Flag.STALE.value) == 0
+    chosen: NDArray[np.bool_] = (rows["mode"] == Mode.TRACK) & fresh
+    return rows[chosen]
+
+
+def _pose(rows: Table, at: NDArray[np.intp]) -> tuple[Array, Array]:
+    return np.asarray(rows["p_object"][at]), np.asarray(rows["quat_object"][at])
+
+
+def _mean(poses: Mapping[str, tuple[Array, Array]]) -> tuple[Array, Array]:
+    """The mean of near poses."""
+    p = np.mean([p for p, _ in poses.values()], axis=0)
+    first = next(iter(poses.values()))[1]
+    aligned = [quat * np.sign(np.sum(quat * first, axis=1, keepdims=True)) for _, quat in poses.values()]
+    quat = np.mean(aligned, axis=0)
+    return p, quat / np.linalg.norm(quat, axis=1, keepdims=True)
+
+
+def _force(rows: Table, plant: Table | None, number: int) -> float:
+    """The largest force on the grasp: the true one, or the one commanded."""
+    force = rows.column("wrench_cmd", slice(0, 3)) if plant is None else grasp_force(plant, number)
+    return float(np.nanmax(np.linalg.norm(force, axis=1), initial=0.0))

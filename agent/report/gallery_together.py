@@ -1,0 +1,49 @@
+"""The figures of how the arms get along and what margin is left, where a run has something to show in them."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Final
+
+import numpy as np
+
+from agent.report import figures_together
+from agent.report.picture import Picture
+from agent.report.prepared import Prepared
+from agent.report.series import column
+from agent.report.together import BUS
+
+SHARE: Final = (
+    "The part of the force on the object that each arm carried, over stretches of one second: Σ f·F / Σ F·F. "
+    "Dotted: the commanded share."
+)
+APART: Final = (
+    "Distance between where two arms believe the object to be; below, where the cell lets them align, by how much each "
+    "has shifted its desired pose."
+)
+NOTICED: Final = (
+    "Force and moment on each arm beside its load share, as the arm finds them from its own joints: the sudden part on "
+    "top, the part that stays below. Dotted: above it the arm holds."
+)
+MARGINS: Final = (
+    "Above: the smallest singular value of the object Jacobian; at zero the arm cannot act in some direction. "
+    "Below: the torque sent to the most loaded joint, as a part of its limit."
+)
+
+
+def together(run: Prepared) -> list[Picture]:
+    """Those that this run can fill."""
+    found = []
+    if run.grasps is not None:
+        found.append(Picture("load_share", "Load share", SHARE, partial(figures_together.load_share, run)))
+    if len(run.seen) > 1:
+        draw = partial(figures_together.disagreement, run)
+        found.append(Picture("disagreement", "Disagreement of the arms", APART, draw))
+    if any(np.isfinite(column(rows, "unexpected")).any() for rows in run.rows.values()):
+        draw = partial(figures_together.noticed, run)
+        found.append(Picture("noticed", "What the arms notice of each other", NOTICED, draw))
+    found.append(Picture("margins", "Margins", MARGINS, partial(figures_together.margins, run)))
+    if any(rows[name][-1] > 0 for rows in run.rows.values() for name in BUS):
+        caption = "Timeouts, corrupt answers, alerts and retries since the start."
+        found.append(Picture("bus", "Bus errors", caption, partial(figures_together.bus, run)))
+    return found

@@ -1,0 +1,90 @@
+"""What happened in a run and when, on the run's own time axis.
+
+An event that is made from a row has the row's time in it.  One that an agent tells itself carries wall time, which in
+lockstep runs differently from the run's own: it stands at the tick that it names, or else at the start.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from agent.log.columns import Table
+from agent.report.prepared import Prepared
+from agent.telemetry.row.event import Event, Level
+
+_APART: Final = 0.14  # of the axis
+_SAME_PACE: Final = 0.02  # relative: a run that took as long by the wall as by its own time kept the wall's pace
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """Something that happened at `t` s of the run."""
+
+    t: float
+    source: str
+    text: str
+    grave: bool = False
+
+    @property
+    def weighty(self) -> bool:
+        """A change of mode, or grave."""
+        return self.grave or "→" in self.text
+
+    @property
+    def line(self) -> str:
+        """For a list."""
+        return f"{self.t:.2f} s {self.source}: {self.text}"
+
+
+def moments_of(run: Prepared) -> list[Moment]:
+    """The events of a run that has a row, by its time."""
+    by_wall = _by_the_wall(run)
+    found = [
+        Moment(_time_of(e, _rows(run, e), run.info.rate_hz, by_wall), e.source, e.text, e.level >= Level.WARN)
+        for e in run.log.events
+    ]
+    return sorted(found, key=lambda moment: moment.t)
+
+
+def around(moments: Sequence[Moment], t: float, before_s: float = 3.0) -> list[Moment]:
+    """What happened in the last moments before `t`, newest first."""
+    return [m for m in reversed(moments) if t - before_s <= m.t <= t + 1e-9]
+
+
+def _rows(run: Prepared, event: Event) -> Table:
+    return run.rows.get(event.source, next(iter(run.rows.values())))
+
+
+def _time_of(event: Event, rows: Table, rate_hz: float, by_wall: bool) -> float:
+    told, ticks = event.data.get("t"), event.data.get("ticks")
+    if isinstance(told, int | float):
+        return max(0.0, float(told))  # before the start everything stands still
+    if isinstance(ticks, int):
+        return ticks / rate_hz
+    t, utc_ns = rows["t"], rows["utc_ns"]
+    wall_s = 1e-9 * float(event.utc_ns - int(utc_ns[0])) if by_wall else 0.0
+    return max(0.0, float(np.clip(t[0] + wall_s, t[0], t[-1])))
+
+
+def _by_the_wall(run: Prepared) -> bool:
+    """Whether the run kept the wall's pace; in simulation the agents say at their end how long it took."""
+    for event in run.log.events:
+        wall_s, ticks = event.data.get("wall_s"), event.data.get("ticks")
+        if run.info.driver == "sim" and isinstance(wall_s, int | float) and isinstance(ticks, int):
+            return abs(wall_s * run.info.rate_hz / max(ticks, 1) - 1.0) < _SAME_PACE
+    return run.info.driver != "sim"
+
+
+def marks(moments: Sequence[Moment], first: float, last: float, most: int = 6) -> tuple[tuple[float, str], ...]:
+    """What stands on a time axis, each once, nothing over its neighbour: changes of mode first, then what is grave."""
+    found: dict[str, float] = {}
+    for moment in sorted(moments, key=lambda m: ("→" not in m.text, not m.grave, m.t)):
+        label = moment.text.rpartition("→")[2].removeprefix("safety:").strip()
+        clear = all(abs(moment.t - t) > _APART * (last - first) for t in found.values())
+        if moment.weighty and clear and label not in found and first <= moment.t <= last and len(found) < most:
+            found[label] = moment.t
+    return tuple(sorted((t, label) for label, t in found.items()))

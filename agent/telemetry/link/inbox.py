@@ -1,0 +1,90 @@
+"""What the recorder hears, on its way from Zenoh's threads to its own: bounded, and putting in never waits."""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections import Counter
+from collections.abc import Callable
+from typing import Final
+
+import zenoh
+import zenoh.ext
+
+from agent.telemetry.link.intake import Rejection
+from agent.telemetry.link.wire import HEADER_BYTES
+from agent.telemetry.row import topics
+
+INBOX_BYTES_MAX: Final = 256 << 20
+BATCH_BYTES_MAX: Final = 1 << 18
+
+
+class Inbox:
+    """Messages of known keys, in the order of their arrival."""
+
+    def __init__(self, keys: frozenset[str]) -> None:
+        self._keys = keys
+        # Not SimpleQueue: a signal that comes as its timeout ends makes it wait for ever (CPython 3.11, measured here).
+        self._queue: queue.Queue[tuple[str, bytes, bytes]] = queue.Queue()
+        self._lock = threading.Lock()
+        self._bytes = 0
+        self.rejected: Counter[Rejection] = Counter()
+        self.overflowed = 0
+
+    def put(self, sample: zenoh.Sample) -> None:
+        """Runs in a thread of Zenoh's: look at the envelope, keep or count."""
+        key, size, attachment = str(sample.key_expr), len(sample.payload), sample.attachment
+        why = None
+        if key not in self._keys:
+            why = Rejection.UNKNOWN_KEY
+        elif attachment is None or len(attachment) != HEADER_BYTES:
+            why = Rejection.NO_HEADER
+        elif size > BATCH_BYTES_MAX:
+            why = Rejection.TOO_LARGE
+        with self._lock:
+            if why is not None:
+                self.rejected[why] += 1
+                return
+            if self._bytes + size > INBOX_BYTES_MAX:
+                self.overflowed += 1  # not acknowledged, so its publisher sends it again
+                return
+            self._bytes += size
+        assert attachment is not None
+        self._queue.put((key, sample.payload.to_bytes(), attachment.to_bytes()))
+
+    def get(self, timeout_s: float) -> tuple[str, bytes, bytes] | None:
+        """The next message: key, payload, attachment; None when none has come in time."""
+        try:
+            item = self._queue.get(timeout=timeout_s) if timeout_s > 0 else self._queue.get_nowait()
+        except queue.Empty:
+            return None
+        with self._lock:
+            self._bytes -= len(item[1])
+        return item
+
+
+class Listening:
+    """Subscriber and queryable of a recorder, for the time of a `with` block."""
+
+    def __init__(
+        self, session: zenoh.Session, cell: str, inbox: Inbox, status: Callable[[], bytes],
+        missed: Callable[[zenoh.ext.Miss], None],
+    ) -> None:  # fmt: skip
+        key = topics.status_key(cell)
+        self._queryable = session.declare_queryable(key, lambda query: query.reply(key, status()))
+        self._subscriber = zenoh.ext.declare_advanced_subscriber(
+            session,
+            topics.cell_keys(cell),
+            inbox.put,
+            history=zenoh.ext.HistoryConfig(detect_late_publishers=True),
+            recovery=zenoh.ext.RecoveryConfig(heartbeat=True),  # type: ignore[call-arg]
+        )
+        self._listener = self._subscriber.sample_miss_listener(missed)
+
+    def __enter__(self) -> Listening:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._listener.undeclare()  # type: ignore[no-untyped-call]
+        self._subscriber.undeclare()  # type: ignore[no-untyped-call]
+        self._queryable.undeclare()  # type: ignore[no-untyped-call]

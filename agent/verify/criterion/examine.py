@@ -1,0 +1,176 @@
+"""The criterion: below one must be the spectral radius of every loop that reality may make of a cell.
+
+The loops are each arm alone, bare and with the object, the rigid cell, the cell on soft grasps, and, where arms align
+themselves, the cell as it does so; with grasps from a little softer than the softest stated pad to the stiffest, the
+arms' inertia off by the stated error either way (the object's with it), friction at its stated least, and the loop's
+delay at its stated ends and as believed.
+
+Soft grasps are looked at with all stiffnesses at the first place and the longest delay.  The worst of them are looked
+at again more finely, at the other delays, where the rigid cell is worst, and with arms that align themselves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from agent.verify.criterion.bodies import Pose
+from agent.verify.criterion.cases import (
+    Case,
+    Demand,
+    Judge,
+    Loop,
+    Ranges,
+    alone,
+    blocks,
+    near,
+    rigid,
+    soft,
+)
+
+PER_DECADE_PLANAR, PER_DECADE_SPATIAL = 3, 1
+SPATIAL_ROWS = 6
+FINER = ((4, 10.0**0.5), (2, 10.0**0.25))  # how many soft cases have their neighbours looked at, and how far these are
+SUSPECTS = 8  # soft cases that are looked at elsewhere too
+MARGIN_SUSPECTS = 4  # of all cases, with which the longest delay is looked for
+PLACES_ALONE = 4  # at which the arms are looked at alone
+DELAY_MAX_PERIODS = 3.0  # up to which the longest delay is looked for
+DELAY_STEP = 1 / 16  # of a period, to which it is found
+STABLE = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """A case and its spectral radius."""
+
+    radius: float
+    case: Case
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """All cases, the largest radius first, and the longest delay that all survive."""
+
+    cases: tuple[Found, ...]
+    delay_margin_s: float | None  # None: something is unstable at the shortest stated delay
+    delay_looked_at_s: float
+
+    @property
+    def worst(self) -> Mapping[Demand, Found]:
+        """The worst case of every demand."""
+        return {d: f for d in Demand if (f := next((f for f in self.cases if f.case.demand is d), None)) is not None}
+
+    @property
+    def radius(self) -> float:
+        """The largest of all but of the slow motion in which arms align themselves."""
+        return max(f.radius for d, f in self.worst.items() if d is not Demand.ALIGNING)
+
+
+def examine(poses: Sequence[Pose], loop: Loop, ranges: Ranges) -> Criterion:
+    """The loop at these poses along the trajectory, the start first."""
+    judge = Judge(poses, loop)
+    found = sweep(judge, ranges)
+    margin = delay_margin(judge, ranges, [f.case for f in found if f.case.demand is not Demand.ALIGNING])
+    T = loop.period_s
+    return Criterion(tuple(found), None if margin is None else margin * T, DELAY_MAX_PERIODS * T)
+
+
+def sweep(judge: Judge, ranges: Ranges) -> list[Found]:
+    """All cases, the largest radius first."""
+    every, count = range(len(judge.poses)), len(judge.loop.gains)
+    longest, *others = ranges.delays
+    if count == 1:
+        return rank(judge, ranges, alone(1, ranges, every, ranges.delays))
+    found = rank(judge, ranges, rigid(ranges, every, ranges.delays))
+    elsewhere = found[0].case.place
+    places = sorted({0, elsewhere, *every[:: max(1, len(every) // PLACES_ALONE)]})
+    found += rank(judge, ranges, alone(count, ranges, places, ranges.delays))
+    found += _soft(judge, ranges, elsewhere, longest, others)
+    return sorted(found, key=_by_radius)
+
+
+def _soft(judge: Judge, ranges: Ranges, elsewhere: int, longest: float, others: Sequence[float]) -> list[Found]:
+    found = rank(judge, ranges, soft(ranges, 0, longest, per_decade(judge.poses[0])))
+    for count, factor in FINER:
+        found += rank(judge, ranges, [c for f in found[:count] for c in near(ranges, f.case, factor)])
+        found.sort(key=_by_radius)
+    suspects = [f.case for f in found[:SUSPECTS]]
+    again = [replace(c, delay_periods=delay) for c in suspects for delay in others]
+    again += [replace(c, place=elsewhere) for c in suspects if elsewhere]
+    found += rank(judge, ranges, again)
+    if judge.loop.aligning is not None:
+        aligning = rigid(ranges, {0, elsewhere}, [longest], Demand.ALIGNING)
+        aligning += [replace(c, demand=Demand.ALIGNING) for c in suspects]
+        found += rank(judge, ranges, aligning)
+    return found
+
+
+def per_decade(at: Pose) -> int:
+    """Stiffnesses per decade that are looked at: an eigenvalue problem of a planar cell costs a thirtieth of others."""
+    return PER_DECADE_PLANAR if len(at.P) < SPATIAL_ROWS else PER_DECADE_SPATIAL
+
+
+def rank(judge: Judge, ranges: Ranges, cases: Sequence[Case]) -> list[Found]:
+    """All of these with their radii, the largest first."""
+    found = [
+        Found(radius, case)
+        for block in blocks(judge.poses, judge.loop, ranges, cases)
+        for radius, case in zip(judge.radii(block).tolist(), block.cases, strict=True)
+    ]
+    return sorted(found, key=_by_radius)
+
+
+def _by_radius(found: Found) -> float:
+    return -found.radius
+
+
+def delay_margin(judge: Judge, ranges: Ranges, ranked: Sequence[Case]) -> float | None:
+    """Longest delay, in periods, at which everything is stable; None: not even at the shortest stated.
+
+    ranked: cases, the worst first.  Bisection over the worst cases; where it ends, grasps of every stiffness are looked
+    at again, and what is unstable there joins them.
+    """
+    suspects = _suspects(ranked)
+    low, high = ranges.delay_periods[0], DELAY_MAX_PERIODS
+
+    def stable(delay: float) -> bool:
+        for k, case in enumerate(suspects):
+            if rank(judge, ranges, [replace(case, delay_periods=delay)])[0].radius >= STABLE:
+                suspects.insert(0, suspects.pop(k))  # it will mostly be the one that refuses next
+                return False
+        return True
+
+    if not stable(low):
+        return None
+    while True:
+        high = high if stable(high) else _bisect(stable, low, high)
+        worst = _soft_like(judge, ranges, suspects, high)
+        if worst is None or worst.radius < STABLE:
+            return high
+        if high <= low:
+            return None
+        suspects.insert(0, worst.case)
+
+
+def _soft_like(judge: Judge, ranges: Ranges, suspects: Sequence[Case], delay: float) -> Found | None:
+    """The worst of all grasps with the inertias of the first suspect that has some; None when none has."""
+    like = next((c for c in suspects if c.demand is Demand.SOFT), None)
+    if like is None:
+        return None
+    every = soft(ranges, like.place, delay, per_decade(judge.poses[0]))
+    return rank(judge, ranges, [c for c in every if (c.inertia, c.load) == (like.inertia, like.load)])[0]
+
+
+def _suspects(ranked: Sequence[Case]) -> list[Case]:
+    """The worst cases, and the worst of each demand; different in more than the delay."""
+    kinds = list(dict.fromkeys(replace(c, delay_periods=0.0) for c in ranked))
+    first = {d: next((c for c in kinds if c.demand is d), None) for d in Demand}
+    return list(dict.fromkeys([*kinds[:MARGIN_SUSPECTS], *(c for c in first.values() if c is not None)]))
+
+
+def _bisect(holds: Callable[[float], bool], low: float, high: float) -> float:
+    """Where it ceases to hold between low, where it does, and high, where it does not."""
+    while high - low > DELAY_STEP:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if holds(middle) else (low, middle)
+    return low

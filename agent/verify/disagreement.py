@@ -1,0 +1,133 @@
+"""Internal wrench that the stated tolerance of a cell makes the arms exert on each other; statics of the rigid cell.
+
+Arm i sees the object off by δ_i: the base off and turned, the grasp off and turned, J times the joints' zeros, the
+trajectory's speed times the skew of the starts.  Its law pulls with the stiffness S_i = (k_v K + c_i + V̂_i K) H
+(agent.verify.criterion.loop), and the object settles at x, so that e_i = δ_i + x is the error that arm i sees:
+
+    x = −(Σ S)⁻¹ Σ S δ,     F_i = −S_i e_i + J⁻ᵀ Δτ_i,     w_i = F_i − S_i (Σ S)⁻¹ Σ F
+
+is the wrench beyond its share of the load; with two equal arms and Δτ = 0 it is ½ S δ.  Δτ_i: error of the torque
+constants times the torque that holds arm and share, error of the arm's weight, and what friction is beside that of the
+feed-forward.  Arms that align themselves give way to the anchor: of their pose errors the dead zone is left.
+
+What is given is the quadratic sum over all errors, each at its stated bound, a vector's direction at random.  Soft pads
+make less of it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from agent.config.cell import Arm, Cell
+from agent.control.models import ArmModel, Matrix
+from agent.verify.criterion.bodies import Pose
+from agent.verify.criterion.loop import laws
+from drivers.interface import Vector
+
+_FORCE, _MOMENT = slice(0, 3), slice(3, 6)
+
+
+@dataclass(frozen=True, slots=True)
+class Disagreement:
+    """Size of the internal wrench of an arm at the object's centre, at the place where its force is largest."""
+
+    force_N: float
+    moment_Nm: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Errors:
+    """One arm's independent errors, each at its bound: a column each."""
+
+    off: Matrix  # (m, s) δ
+    wrench: Matrix  # (m, t) J⁻ᵀ Δτ
+
+
+def disagreement(
+    cell: Cell,
+    models: Sequence[ArmModel],
+    poses: Sequence[Pose],
+    along: Sequence[Sequence[Vector]],
+    instants: Sequence[float],
+) -> tuple[Disagreement, ...]:
+    """Of every arm, largest over all places; along[k][i]: joint angles (n,) of arm i at instants[k], s."""
+    each = [_at(cell, models, at, q, t) for at, q, t in zip(poses, along, instants, strict=True)]
+    return tuple(max(of_arm, key=lambda d: d.force_N) for of_arm in zip(*each, strict=True))
+
+
+def _at(cell: Cell, models: Sequence[ArmModel], at: Pose, q: Sequence[Vector], t: float) -> list[Disagreement]:
+    P, v = at.P, at.P @ np.array(cell.trajectory().at(t).v)
+    S = laws(at, [cell.offline(arm).gains for arm in cell.arms]).S
+    errors = [_errors(cell, arm, model, q_i, P, v) for arm, model, q_i in zip(cell.arms, models, q, strict=True)]
+    follows = _followers(cell)
+    stiff = np.array([np.zeros_like(S_i) if f else S_i for S_i, f in zip(S, follows, strict=True)])
+    given = [_wrenches(cell, P, S_i, e, follows=f) for S_i, e, f in zip(S, errors, follows, strict=True)]
+    ends = np.cumsum([0, *(g.shape[1] for g in given)])
+    F = np.zeros((len(S), len(P), ends[-1]))
+    for i, g in enumerate(given):
+        F[i, :, ends[i] : ends[i + 1]] = g
+    w = F - stiff @ np.linalg.inv(stiff.sum(axis=0)) @ F.sum(axis=0)
+    world = P.T @ w
+    return [Disagreement(float(np.linalg.norm(x[_FORCE])), float(np.linalg.norm(x[_MOMENT]))) for x in world]
+
+
+def _followers(cell: Cell) -> list[bool]:
+    spec = cell.file.controller.alignment
+    if spec is None or spec.track_per_s == 0.0:
+        return [False] * len(cell.arms)
+    anchor = spec.anchor or cell.arms[0].name
+    return [arm.name != anchor for arm in cell.arms]
+
+
+def _wrenches(cell: Cell, P: Matrix, S: Matrix, errors: _Errors, *, follows: bool) -> Matrix:
+    """What the arm's errors make it exert while nothing moves: a column each."""
+    off, spec = errors.off, cell.file.controller.alignment
+    if follows and spec is not None:
+        # no more of an error is left than the dead zone, in any direction
+        linear = np.linalg.norm(P[:, _FORCE], axis=1) > 0.5
+        zone = np.where(
+            linear, spec.dead_zone_m / math.sqrt(linear.sum()), spec.dead_zone_rad / math.sqrt((~linear).sum())
+        )
+        off = np.diag(np.minimum(np.linalg.norm(off, axis=1), zone))
+    return np.concatenate([-S @ off, errors.wrench], axis=1)
+
+
+def _errors(cell: Cell, arm: Arm, model: ArmModel, q: Vector, P: Matrix, v: Vector) -> _Errors:
+    stated, offline, k = cell.tolerance, cell.offline(arm), model.evaluate(q, np.zeros(model.n))
+    J = P @ model.task_basis.T @ k.J
+    B_inv = np.linalg.inv(k.B)
+    J_inv = B_inv @ J.T @ np.linalg.inv(J @ B_inv @ J.T)
+    reach = np.array(k.p_object) - arm.T_world_base.translation
+    off = [
+        _shift(P, stated.base_m), _turn(P, stated.base_rad, reach),
+        _shift(P, stated.grasp_m), _turn(P, stated.grasp_rad, np.array(k.p_ee_object)),
+        stated.zeros_of(arm.n) * J, stated.skew_s * v[:, None],
+    ]  # fmt: skip
+    weight = P @ np.concatenate([-cell.file.object.mass_kg * cell.gravity, np.zeros(3)])
+    held = k.g + J.T @ (offline.load_share * weight)
+    low, high = stated.friction
+    unknown = max(high - 1.0, 1.0 - low) if offline.friction is not None else high
+    coulomb = np.array([s.coulomb_Nm.value for s in arm.servos])
+    torques = [stated.torque_constant * np.diag(held), stated.masses * k.g[:, None], unknown * np.diag(coulomb)]
+    return _Errors(np.concatenate(off, axis=1), J_inv.T @ np.concatenate(torques, axis=1))
+
+
+def _shift(P: Matrix, bound: float) -> Matrix:
+    """(m, 3): a shift of this size, in any direction that the task rows have."""
+    linear = P[:, _FORCE]
+    return linear * bound / math.sqrt(np.linalg.matrix_rank(linear))
+
+
+def _turn(P: Matrix, bound: float, lever: Vector) -> Matrix:
+    """(m, 3): a turn of this size, about any axis that the task rows have; lever: from its centre to the object."""
+    angular = P[:, _MOMENT]
+    rows = angular.T @ angular
+    x, y, z = lever
+    across = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])  # ω × lever
+    twists = np.concatenate([across @ rows, rows])
+    found: Matrix = P @ twists * bound / math.sqrt(np.linalg.matrix_rank(angular))
+    return found

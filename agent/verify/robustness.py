@@ -1,0 +1,236 @@
+"""What reality may make of a cell along its trajectory, as findings and figures: instability, and an arm that fails."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from agent.config import observer
+from agent.config.cell import Cell
+from agent.config.schema.cell import DriverKind
+from agent.control.models import ArmModel
+from agent.verify.criterion import bodies
+from agent.verify.criterion.bodies import Pose
+from agent.verify.criterion.cases import Aligning, Demand, Loop, Ranges
+from agent.verify.criterion.examine import Criterion, Found, examine
+from agent.verify.disagreement import Disagreement, disagreement
+from agent.verify.finding import Finding, Verdict, judged
+from agent.verify.support import HELD_SAG_M, Fate, Load, Statics, Support
+from drivers.interface import Vector
+
+PLACES = 12  # along the trajectory
+CREEP = 1e-9  # of a motion that dies out, however slowly
+
+_MEANING = {
+    Demand.BARE: "an arm whose gripper opens would swing up",
+    Demand.HOLDING: "an arm that the others let go of would swing up",
+    Demand.RIGID: "the cell would swing up",
+    Demand.SOFT: "on grasps this soft the arms would swing against each other",
+    Demand.ALIGNING: "the arms would run away from each other; lower ready_per_s",
+}
+
+
+@dataclass(frozen=True)
+class Walk:
+    """A cell along its trajectory: models (one per arm), joint angles along[k][i] (n,) of arm i at instants[k], s."""
+
+    cell: Cell
+    models: Sequence[ArmModel]
+    along: Sequence[Sequence[Vector]]
+    instants: Sequence[float]
+
+    def some(self, count: int) -> Walk:
+        """About so many places, the first among them."""
+        every = max(1, -(-len(self.along) // count))
+        return Walk(self.cell, self.models, self.along[::every], self.instants[::every])
+
+
+@dataclass(frozen=True)
+class Robustness:
+    """What was found, and the places that it speaks of."""
+
+    walk: Walk  # of the criterion
+    criterion: Criterion
+    instants: Sequence[float]  # of the statics
+    support: tuple[Support, ...]  # when one arm fails, by arm; empty for an arm alone
+    disagreement: tuple[Disagreement, ...]  # likewise
+
+    def document(self) -> dict[str, Any]:
+        """For a script."""
+        cell, found = self.walk.cell, self.criterion
+        return {
+            "spectral_radius": found.radius,
+            "delay_margin_s": found.delay_margin_s,
+            "worst": {d.name.lower(): self._case(w) for d, w in found.worst.items()},
+            "one_arm_fails": {arm.name: self._failed(s) for arm, s in zip(cell.arms, self.support, strict=False)},
+            "internal_wrench": {
+                arm.name: {"force_N": d.force_N, "moment_Nm": d.moment_Nm}
+                for arm, d in zip(cell.arms, self.disagreement, strict=False)
+            },
+        }
+
+    def _failed(self, found: Support) -> dict[str, Any]:
+        return {
+            "limp": self._load(found.limp) | {"sag_m": found.sag_m, "object": found.fate.value},
+            "locked": self._load(found.locked),
+            "holding": self._load(found.holding),
+        }
+
+    def _load(self, load: Load) -> dict[str, Any]:
+        arm = self.walk.cell.arms[load.arm]
+        return {
+            "share_of_stall": load.share,
+            "arm": arm.name,
+            "joint": arm.entry.controlled[load.joint],
+            "t_s": self.instants[load.place],
+        }
+
+    def _case(self, found: Found) -> dict[str, Any]:
+        case, cell = found.case, self.walk.cell
+        return {
+            "spectral_radius": found.radius,
+            "arm": None if case.arm is None else cell.arms[case.arm].name,
+            "t_s": self.walk.instants[case.place],
+            "delay_s": case.delay_periods / cell.file.rate_hz,
+            "inertia": case.inertia,
+            "object": case.load,
+            "pads_N_per_m": case.k_t or None,
+            "pads_Nm_per_rad": case.k_r or None,
+        }
+
+    def findings(self) -> list[Finding]:
+        """For a person; refused where servos move the arms, warned of in simulation."""
+        cell, found = self.walk.cell, self.criterion
+        otherwise = Verdict.REFUSED if cell.file.driver is DriverKind.DYNAMIXEL else Verdict.WARNING
+        limit = cell.file.safety.spectral_radius_max
+        findings = []
+        for demand, worst in found.worst.items():
+            most = 1.0 - CREEP if demand is Demand.ALIGNING else limit
+            findings.append(
+                judged(
+                    f"stable: {demand.value}", self._where(worst), f"{worst.radius:.4f} ({self.described(worst)})",
+                    "< 1" if demand is Demand.ALIGNING else f"≤ {limit:g}", holds=worst.radius <= most,
+                    otherwise=otherwise,
+                    remedy=f"{_MEANING[demand]}; take the gains that `coop tune` proposes, or raise rate_hz",
+                )
+            )  # fmt: skip
+        failed = [f for i, s in enumerate(self.support) for f in self._failures(i, s)]
+        return [*findings, self._margin(otherwise), *failed, *self._internal()]
+
+    def _internal(self) -> list[Finding]:
+        return [
+            judged(
+                "internal wrench at the stated tolerance", arm.name,
+                f"{d.force_N:.2g} N, {d.moment_Nm:.2g} N·m (quadratic sum)",
+                "" if (grip := arm.entry.grip_force_max_N) is None else f"≤ {grip:g} N",
+                holds=grip is None or d.force_N <= grip, otherwise=Verdict.WARNING,
+                remedy="calibrate better and say so in [tolerance], let arms align themselves, or take softer gains",
+            )
+            for arm, d in zip(self.walk.cell.arms, self.disagreement, strict=False)
+        ]  # fmt: skip
+
+    def _failures(self, arm: int, found: Support) -> list[Finding]:
+        """What becomes of the others and the object when this arm fails."""
+        cell = self.walk.cell
+        bound, where = cell.file.safety.tau_max_fraction_of_stall, cell.arms[arm].name
+        sag = f"sags by {found.sag_m * 1e3:.2g} mm" if math.isfinite(found.sag_m) else "falls"
+        return [
+            judged(
+                "this arm limp", where,
+                f"{self._loaded(found.limp)}; {sag}; at the stated tolerance: {found.fate.value}",
+                f"held within {HELD_SAG_M * 1e3:g} mm by {bound:.0%} of stall", holds=found.fate is Fate.HELD,
+                otherwise=Verdict.WARNING,
+                remedy="have a support below the object, a pose with less load, lighter arms or stiffer gains",
+            ),
+            *(
+                judged(
+                    f"this arm {what}", where, self._loaded(load), f"≤ {bound:.0%}", holds=load.share <= bound,
+                    otherwise=Verdict.WARNING, remedy="move more slowly, or take softer gains",
+                )
+                for what, load in (("locked", found.locked), ("holding", found.holding))
+            ),
+        ]  # fmt: skip
+
+    def _loaded(self, load: Load) -> str:
+        arm = self.walk.cell.arms[load.arm]
+        at = f"t = {self.instants[load.place]:.3g} s"
+        return f"{load.share:.0%} of stall ({arm.name} {arm.entry.controlled[load.joint]}, {at})"
+
+    def _where(self, found: Found) -> str:
+        return "cell" if found.case.arm is None else self.walk.cell.arms[found.case.arm].name
+
+    def described(self, found: Found) -> str:
+        """The reality of a case, for a person."""
+        case, rate = found.case, self.walk.cell.file.rate_hz
+        parts = [f"t = {self.walk.instants[case.place]:.3g} s", f"delay {case.delay_periods / rate * 1e3:.3g} ms"]
+        if case.k_t > 0.0:
+            parts.append(f"pads {case.k_t:.2g} N/m, {case.k_r:.2g} N·m/rad")
+        if case.inertia != 1.0:
+            parts.append(f"arms' inertia {case.inertia - 1.0:+.0%}")
+        if case.load != 1.0:
+            parts.append(f"object {case.load - 1.0:+.0%}")
+        return ", ".join(parts)
+
+    def _margin(self, otherwise: Verdict) -> Finding:
+        cell, found = self.walk.cell, self.criterion
+        margin_s, wanted_s = found.delay_margin_s, cell.file.delay_s * cell.tolerance.delay[1]
+        text = "none" if margin_s is None else f"{margin_s * 1e3:.3g} ms"
+        if margin_s is not None and margin_s >= found.delay_looked_at_s:
+            text += " or more"
+        return judged(
+            "longest delay with all of this stable", "cell", text, f"≥ {wanted_s * 1e3:.3g} ms",
+            holds=margin_s is not None and margin_s >= wanted_s, otherwise=otherwise,
+            remedy="take the gains that `coop tune` proposes, or make the loop quicker",
+        )  # fmt: skip
+
+
+def robustness(walk: Walk) -> Robustness:
+    """The cell with its own gains, at some places of its trajectory."""
+    few, cell = walk.some(PLACES), walk.cell
+    at = poses(few)
+    found = examine(at, loop_of(cell), ranges_of(cell))
+    if len(cell.arms) < 2:
+        return Robustness(few, found, walk.instants, (), ())
+    statics = Statics(cell, walk.models, walk.along, walk.instants)
+    support = tuple(statics.without(i) for i in range(len(cell.arms)))
+    apart = disagreement(cell, walk.models, at, few.along, few.instants)
+    return Robustness(few, found, walk.instants, support, apart)
+
+
+def poses(walk: Walk) -> list[Pose]:
+    """All arms at every place."""
+    offline = [walk.cell.offline(arm) for arm in walk.cell.arms]
+    viscous = [np.array([s.viscous_Nm_s_per_rad.value for s in arm.servos]) for arm in walk.cell.arms]
+    return [bodies.pose(walk.models, offline, viscous, q) for q in walk.along]
+
+
+def loop_of(cell: Cell) -> Loop:
+    """The cell's loop as its agents run it."""
+    gains = tuple(cell.offline(arm).gains for arm in cell.arms)
+    return Loop(1.0 / cell.file.rate_hz, gains, observer.build(cell.file), _aligning(cell))
+
+
+def _aligning(cell: Cell) -> Aligning | None:
+    spec = cell.file.controller.alignment
+    if spec is None or len(cell.arms) < 2:
+        return None
+    anchor = 0 if spec.anchor is None else cell.index(spec.anchor)
+    return Aligning(anchor, max(spec.ready_per_s, spec.track_per_s))
+
+
+def ranges_of(cell: Cell) -> Ranges:
+    """How far reality may be, as the cell states it."""
+    stated, periods = cell.tolerance, cell.file.delay_periods
+    return Ranges(
+        delay_periods=(stated.delay[0] * periods, periods, stated.delay[1] * periods),
+        inertia_error=cell.file.safety.inertia_error,
+        object_error=stated.object,
+        friction=stated.friction[0],
+        pads_N_per_m=stated.pads_N_per_m,
+        pads_Nm_per_rad=stated.pads_Nm_per_rad,
+        pads_damping_ratio=stated.pads_damping_ratio,
+    )

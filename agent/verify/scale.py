@@ -1,0 +1,54 @@
+"""Gains relative to the configured ones, rounded to what a proposal prints."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar, Final
+
+import numpy as np
+
+from agent.control.errors import Gains
+from drivers.interface import Vector
+
+DIGITS: Final = 3  # of a proposed gain
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """Times the configured gains; every axis and every arm keeps its proportion."""
+
+    SIZE: ClassVar[int] = 5
+
+    pose: float = 1.0  # k_p, k_eps and their forms in v̇_r
+    rate: float = 1.0  # the latter once more
+    k_v_linear: float = 1.0
+    k_v_angular: float = 1.0
+    turn: float = 1.0  # k_eps and its form in v̇_r once more
+
+    @classmethod
+    def at(cls, x: Vector) -> Scale:
+        """Of a point of a search, the logarithms of the factors."""
+        return cls(*np.exp(x).tolist())
+
+    def of(self, g: Gains) -> Gains:
+        """These gains, scaled and rounded down to what a proposal prints."""
+        turn = self.pose * self.turn
+        return Gains(
+            k_p=_times(g.k_p, self.pose),
+            k_eps=_times(g.k_eps, turn),
+            k_p_rate=_times(g.k_p_rate, self.pose * self.rate),
+            k_eps_rate=_times(g.k_eps_rate, turn * self.rate),
+            k_v=(*_times(g.k_v[:3], self.k_v_linear), *_times(g.k_v[3:], self.k_v_angular)),
+        )
+
+
+def _times(values: Sequence[float], factor: float) -> tuple[float, float, float]:
+    a, b, c = (x if factor == 1.0 else _rounded_down(x * factor) for x in values)
+    return a, b, c
+
+
+def _rounded_down(x: float) -> float:
+    unit = 10.0 ** (math.floor(math.log10(x)) + 1 - DIGITS)
+    return float(f"{math.floor(x / unit + 1e-9) * unit:.{DIGITS}g}")

@@ -1,0 +1,149 @@
+"""The stiffest gains of a cell that its stability criterion accepts, no noisier than the configured ones.
+
+What holds the object in its pose is (k_v K + c) H of each arm; the search makes it large, in translation and rotation
+alike, with the radius of every case of agent.verify.criterion below a bound.  Free are k_p, k_ε, the part of both that
+stands in v̇_r, and k_v of translation and of rotation.
+
+Looking at every case for every step would take an hour.  The search begins with some; those that its result does not
+meet join them, and it goes on until the result meets all.  Cases that refused lately are looked at first, because they
+mostly refuse the next step too.  The same cell is searched in the same way.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from agent.control.errors import Gains
+from agent.verify.criterion.bodies import Pose
+from agent.verify.criterion.cases import Block, Case, Demand, Judge, Loop, Ranges, alone, blocks, rigid, soft
+from agent.verify.criterion.examine import Found, sweep
+from agent.verify.scale import Scale
+from agent.verify.search import Miss, climb
+from drivers.interface import Vector
+
+STARTS: Final = 3  # further ones where the first finds nothing
+TRIES: Final = 500  # per start, and after cases have joined
+ROUNDS: Final = 5
+SHORT: Final = 150  # tries of the search for what binds
+SPREAD: Final = 0.5  # of the further starts, natural logarithm
+STRIDE: Final = 7  # every so many soft cases are there from the beginning
+JOINING: Final = 4  # cases at most that join at a time
+HOT: Final = 4  # cases that are looked at first
+NOISE_WEIGHT: Final = 0.1  # of an excess of noise, beside one of the radius
+KEEPS: Final = 1e-9  # by which a radius may be above the bound
+
+Noise = Callable[[Sequence[Gains]], float]  # relative to the largest that is wanted
+
+
+@dataclass(frozen=True, eq=False)
+class Stiffest:
+    """Where a search ended."""
+
+    scale: Scale
+    worst: Found  # of all cases
+    kept: bool  # whether all is as wanted
+    noise: float  # relative to the largest that is wanted
+
+
+class Search:
+    """One loop at some places, and what is wanted of it: the largest radius, and the noise."""
+
+    def __init__(self, poses: Sequence[Pose], loop: Loop, ranges: Ranges, radius: float, noise: Noise) -> None:
+        self._poses, self._loop, self._ranges = poses, loop, ranges
+        self._radius, self._noise = radius, noise
+        self._blocks = blocks(poses, loop, ranges, self._first())
+        self._hot: list[Block] = []
+
+    def run(self) -> Stiffest:
+        """The stiffest gains that were found; the nearest to what is wanted where none keeps it."""
+        ended: list[Stiffest] = []
+        for start in range(STARTS):
+            ended.append(self._climb(start))
+            if ended[-1].kept:
+                break
+        return min(ended, key=lambda s: (not s.kept, s.worst.radius))
+
+    def nearest(self) -> float:
+        """The smallest radius, not below the wanted one, that a short search finds in the cases that it begins with."""
+        random = np.random.default_rng(0)
+        found = climb(np.zeros(Scale.SIZE), lambda _: 0.0, self._missed, range(SHORT), random)
+        return self._radius * (1.0 + max(found.miss.excess, 0.0))
+
+    def _first(self) -> list[Case]:
+        ranges, count = self._ranges, len(self._loop.gains)
+        longest, low = ranges.delays[0], ranges.inertias[0]
+        single = alone(count, ranges, [0], ranges.delays[:2])
+        if count > 1:
+            single += [*rigid(ranges, [0], [longest]), *soft(ranges, 0, longest, 1)[::STRIDE]]
+        return [c for c in single if c.inertia == low]
+
+    def _climb(self, start: int) -> Stiffest:
+        random = np.random.default_rng(start)
+        x = random.normal(0.0, SPREAD if start else 0.0, Scale.SIZE)
+        found = climb(x, self._value, self._missed, range(TRIES), random)
+        worst = self._swept(found.x)
+        for _ in range(ROUNDS):
+            missed = [w.case for w in worst if w.radius > self._radius + KEEPS]
+            if found.miss.excess > 0.0 or not missed:
+                break
+            self._blocks += blocks(self._poses, self._loop, self._ranges, missed[:JOINING])
+            found = climb(found.x, self._value, self._missed, range(TRIES), random)
+            worst = self._swept(found.x)
+        noise = self._noise(self._gains(found.x))
+        kept = worst[0].radius <= self._radius + KEEPS and noise <= 1.0 + KEEPS
+        return Stiffest(Scale.at(found.x), worst[0], kept, noise)
+
+    def _swept(self, x: Vector) -> list[Found]:
+        judge = Judge(self._poses, replace(self._loop, gains=self._gains(x)))
+        return [f for f in sweep(judge, self._ranges) if f.case.demand is not Demand.ALIGNING]
+
+    def _gains(self, x: Vector) -> tuple[Gains, ...]:
+        return tuple(map(Scale.at(x).of, self._loop.gains))
+
+    def _value(self, x: Vector) -> float:
+        """Logarithm of the stiffnesses, of translation and rotation alike, mean over the arms."""
+        each = [(g, grip.share) for g, grip in zip(self._gains(x), self._poses[0].grips, strict=True)]
+        logs = [math.log(g.k_v[k] * (*g.k_p, *g.k_eps)[k] + share) for g, share in each for k in range(6)]
+        return sum(logs) / (3.0 * len(each))
+
+    def _missed(self, x: Vector, enough: float) -> Miss:
+        """By which part a radius, or else the noise, is above what is wanted."""
+        judge, most = Judge(self._poses, replace(self._loop, gains=self._gains(x))), Miss(-math.inf, None)
+        for k, block in enumerate([*self._hot, *self._blocks]):
+            radii = judge.radii(block)
+            worst = int(radii.argmax())
+            most = max(most, Miss(float(radii[worst]) / self._radius - 1.0, block.cases[worst]), key=_excess)
+            if most.excess > enough:
+                hot = self._hot.pop(k) if k < len(self._hot) else block.only(worst)
+                self._hot = [hot, *self._hot[: HOT - 1]]
+                return most
+        if most.excess > 0.0:
+            return most
+        return max(most, Miss(NOISE_WEIGHT * (self._noise(self._gains(x)) - 1.0), "noise"), key=_excess)
+
+
+def _excess(miss: Miss) -> float:
+    return miss.excess
+
+
+def binding(poses: Sequence[Pose], loop: Loop, ranges: Ranges, radius: float, noise: Noise) -> tuple[list[str], float]:
+    """The stated tolerances that bind: keys of which one is enough, and the smallest radius that a short search finds
+    when one of them is exact."""
+    believed, (_, stiffest_t), (_, stiffest_r) = ranges.delay_periods[1], ranges.pads_N_per_m, ranges.pads_Nm_per_rad
+    exact = {
+        "tolerance.delay": replace(ranges, delay_periods=(believed, believed, believed)),
+        "safety.inertia_error": replace(ranges, inertia_error=0.0),
+        "tolerance.object": replace(ranges, object_error=0.0),
+        "tolerance.friction": replace(ranges, friction=1.0),
+        "tolerance.pads_N_per_m": replace(ranges, pads_N_per_m=(stiffest_t, stiffest_t)),
+        "tolerance.pads_Nm_per_rad": replace(ranges, pads_Nm_per_rad=(stiffest_r, stiffest_r)),
+        "tolerance.pads_damping_ratio": replace(ranges, pads_damping_ratio=1.0),
+    }
+    radii = {key: Search(poses, loop, other, radius, noise).nearest() for key, other in exact.items()}
+    least = min(radii.values())
+    return [key for key, found in radii.items() if found <= least * (1.0 + KEEPS)], least

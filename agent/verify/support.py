@@ -1,0 +1,232 @@
+"""Whether the other arms still hold the object, and the arm itself, when one arm fails: statics along the trajectory.
+
+A limp arm hangs on the object: its weight needs the wrench J⁻ᵀ g there.  In HOLD the motors of survivor i give
+
+    τ_i = g_i + J_iᵀ (c_i W_O − S_i x) + τ_f(−J_i⁻¹ K H x),
+
+with S_i = (k_v K + c_i) H the stiffness of its law (`eq:control law` at rest), W_O the object's weight and τ_f the
+friction feed-forward, and the object sags by the x at which, torque bounds and all,
+
+    Σ_i (J_i⁻ᵀ (τ_i − g_i)) + f = W_O + J⁻ᵀ g,
+
+f the friction of all joints: when any friction within its bounds balances the weights, it does, as in the limit
+analysis of plastic bodies.  HELD is what sags by at most `HELD_SAG_M` with all weights at their largest and friction at
+its least, as `[tolerance]` states them; NOT_HELD is what sags by more the other way round, joints at rest resisting by
+more than moving ones; in between either may happen.
+
+A locked arm carries itself; the others pull at it by what the desired pose moves on until they notice.  An arm that
+holds gives way by its own stiffness.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from agent.config.cell import Arm, Cell
+from agent.control.friction import Friction
+from agent.control.models import ArmModel, Matrix
+from agent.verify.criterion.loop import HALF_ANGLE
+from drivers.interface import Vector
+
+HELD_SAG_M = 0.02
+BREAKAWAY = 1.5  # times Coulomb friction, what a joint at rest may resist
+NOTICED_S, NOTICED_MORE_S = 0.1, 0.5  # until a locked arm is noticed by one other, by more
+STEPS = 100  # to the balance, at the most
+STILL_RAD_PER_S, STILL_RAD = 1e-6, 1e-9
+PRESLIDING_RAD = 1e-3  # way of a joint on which its friction builds up
+BALANCED = 1e-3  # N, N·m
+LOST_M = 10.0
+LEAST_STIFFNESS = 1e-6  # where all torques are at their bounds, N/m, N·m/rad
+
+
+class Fate(enum.StrEnum):
+    """What becomes of the object when an arm goes limp."""
+
+    HELD = "held"
+    MAY_FALL = "may fall"
+    NOT_HELD = "not held"
+
+
+@dataclass(frozen=True, slots=True)
+class Load:
+    """The largest part of its stall torque that a joint of the others must give."""
+
+    share: float
+    arm: int
+    joint: int
+    place: int
+
+
+@dataclass(frozen=True, slots=True)
+class Support:
+    """What the others bear when one arm fails, over all places."""
+
+    limp: Load  # without friction and bounds
+    sag_m: float  # as the files say, with both; infinite where it falls
+    fate: Fate  # whatever of the stated tolerance is true
+    locked: Load
+    holding: Load
+
+
+@dataclass(frozen=True, eq=False)
+class _Arm:
+    """One arm at all places (T, …), on the task rows."""
+
+    Jt: Matrix  # (T, n, m)
+    J_inv: Matrix  # (T, n, m)
+    g: Matrix  # (T, n)
+    S: Matrix  # (m, m) stiffness of its law
+    KH: Matrix  # (m, m)
+    load: Vector  # (m,) c_i W_O
+    stall: Vector  # (n,)
+    coulomb: Vector  # (n,)
+    fed: Friction | None  # of the feed-forward
+
+    def wrench(self, tau: Matrix) -> Matrix:
+        """J⁻ᵀ τ, (T, m) of joint torques (T, n)."""
+        return _apply(np.swapaxes(self.J_inv, -1, -2), tau)
+
+    def law(self, x: Matrix) -> tuple[Matrix, Matrix]:
+        """τ (T, n) in HOLD with the object at x (T, m), and a slope (T, n, m) of −τ over x with which steps to where it
+        is balanced do not overshoot: of the smooth sign not its own slope, but that of the line to the origin."""
+        tau, slope = self.g + _apply(self.Jt, self.load - x @ self.S.T), self.Jt @ self.S
+        if self.fed is None:
+            return tau, slope
+        dq_ref = -_apply(self.J_inv, x @ self.KH.T)
+        turning = np.where(np.abs(dq_ref) < STILL_RAD_PER_S, STILL_RAD_PER_S, dq_ref)
+        at_rest = np.array([joint.coulomb_Nm + joint.breakaway_Nm for joint in self.fed.joints])
+        steep = at_rest * np.tanh(turning / self.fed.smooth_rad_per_s) / turning
+        steep = steep + np.array([joint.viscous_Nm_s_per_rad for joint in self.fed.joints])
+        return tau + steep * dq_ref, slope + steep[..., None] * (self.J_inv @ self.KH)
+
+    def rubs(self, x: Matrix, factor: float) -> tuple[Matrix, Matrix]:
+        """Friction (T, n) of joints that the object's way x (T, m) took along, and a slope as of `law`."""
+        turned = _apply(self.J_inv, x)
+        turned = np.where(np.abs(turned) < STILL_RAD, STILL_RAD, turned)
+        steep = factor * self.coulomb * np.tanh(turned / PRESLIDING_RAD) / turned
+        return -steep * turned, steep[..., None] * self.J_inv
+
+
+@dataclass(frozen=True, slots=True)
+class _Reality:
+    """Weights and friction, times what the files say."""
+
+    arm: float
+    object: float
+    friction: float
+
+
+class Statics:
+    """A cell at some places of its trajectory; along[k][i]: joint angles (n,) of arm i at instants[k], s."""
+
+    def __init__(
+        self, cell: Cell, models: Sequence[ArmModel], along: Sequence[Sequence[Vector]], instants: Sequence[float]
+    ) -> None:
+        P, tolerance = models[0].task_basis, cell.tolerance
+        self._P, self._bound = P, cell.file.safety.tau_max_fraction_of_stall
+        self._weight = P @ np.concatenate([-cell.file.object.mass_kg * cell.gravity, np.zeros(3)])
+        each = enumerate(zip(cell.arms, models, strict=True))
+        self._arms = [_arm(cell, arm, model, [q[i] for q in along], P, self._weight) for i, (arm, model) in each]
+        self._speed = np.array([P @ np.array(cell.trajectory().at(t).v) for t in instants])
+        # an arm's weight against its torque: masses and torque constants are independent
+        off = math.hypot(tolerance.masses, tolerance.torque_constant)
+        low, high = tolerance.friction
+        self._worst = _Reality(1.0 + off, 1.0 + tolerance.object, low)
+        self._best = _Reality(1.0 - off, 1.0 - tolerance.object, high * BREAKAWAY)
+
+    def without(self, failed: int) -> Support:
+        """What the others bear when this arm fails; there must be others."""
+        others = [i for i in range(len(self._arms)) if i != failed]
+        x = self._sag(failed, others, _Reality(1.0, 1.0, 0.0), math.inf)
+        fate = Fate.MAY_FALL
+        if self._size(self._sag(failed, others, self._worst, self._bound)) <= HELD_SAG_M:
+            fate = Fate.HELD
+        elif not self._size(self._sag(failed, others, self._best, self._bound)) <= HELD_SAG_M:
+            fate = Fate.NOT_HELD
+        gone = (NOTICED_S if len(others) == 1 else NOTICED_MORE_S) * self._speed
+        S, S_others = self._arms[failed].S, np.sum([self._arms[i].S for i in others], axis=0)
+        # the holding arm stays where S x = S_others (gone − x)
+        given = gone @ np.linalg.solve(S + S_others, S_others).T
+        return Support(
+            limp=self._largest(others, x),
+            sag_m=self._size(self._sag(failed, others, _Reality(1.0, 1.0, 1.0), self._bound)),
+            fate=fate,
+            locked=self._largest(others, -gone),
+            holding=self._largest(others, given - gone),
+        )
+
+    def _need(self, failed: int, reality: _Reality) -> Matrix:
+        """Wrench (T, m) that holds object and limp arm."""
+        arm = self._arms[failed]
+        need: Matrix = reality.object * self._weight + reality.arm * arm.wrench(arm.g)
+        return need
+
+    def _sag(self, failed: int, others: Sequence[int], reality: _Reality, bound: float) -> Matrix:
+        """x (T, m) in this reality, with torques up to a part of stall; infinite where there is none."""
+        need = self._need(failed, reality)
+        x: Matrix = np.zeros_like(need)
+        for _ in range(STEPS):
+            missing, slope = need.copy(), np.tile(LEAST_STIFFNESS * np.eye(need.shape[-1]), (len(need), 1, 1))
+            for i in (failed, *others):
+                arm, tau = self._arms[i], np.zeros_like(self._arms[i].g)
+                steep = np.zeros_like(arm.Jt)
+                if i != failed:
+                    wanted, steep = arm.law(x)  # which believes in the weights of the files
+                    given = np.clip(wanted, -bound * arm.stall, bound * arm.stall)
+                    tau = given - reality.arm * arm.g
+                    steep = (given / np.where(wanted == 0.0, 1.0, wanted))[..., None] * steep
+                stuck, resists = arm.rubs(x, reality.friction)
+                missing -= arm.wrench(tau + stuck)
+                slope += np.swapaxes(arm.J_inv, -1, -2) @ (steep + resists)
+            if float(np.abs(missing).max()) < BALANCED:
+                return x
+            x = x - np.linalg.solve(slope, missing[..., None])[..., 0]
+            if not self._size(x) <= LOST_M:
+                break
+        return np.full_like(x, math.inf)
+
+    def _largest(self, others: Sequence[int], x: Matrix) -> Load:
+        loads = []
+        for i in others:
+            share = np.abs(self._arms[i].law(x)[0]) / self._arms[i].stall
+            place, joint = np.unravel_index(int(share.argmax()), share.shape)
+            loads.append(Load(float(share.max()), i, int(joint), int(place)))
+        return max(loads, key=lambda load: load.share)
+
+    def _size(self, x: Matrix) -> float:
+        """Largest displacement of the object, m; infinite where x is."""
+        if not np.isfinite(x).all():
+            return math.inf
+        return float(np.linalg.norm(x @ self._P[:, :3], axis=-1).max())
+
+
+def _arm(cell: Cell, arm: Arm, model: ArmModel, along: Sequence[Vector], P: Matrix, weight: Vector) -> _Arm:
+    offline = cell.offline(arm)
+    gains = offline.gains
+    J = np.array([P @ model.task_basis.T @ model.jacobian(q) for q in along])
+    B_inv = np.linalg.inv([model.inertia(q) for q in along])
+    Jt = np.swapaxes(J, -1, -2)
+    KH = P @ np.diag(np.array([*gains.k_p, *gains.k_eps]) * HALF_ANGLE) @ P.T
+    S = P @ np.diag(gains.k_v) @ P.T @ KH + offline.load_share * P @ np.diag(HALF_ANGLE) @ P.T
+    return _Arm(
+        Jt=Jt,
+        J_inv=B_inv @ Jt @ np.linalg.inv(J @ B_inv @ Jt),
+        g=np.array([model.evaluate(q, np.zeros(model.n)).g for q in along]),
+        S=S,
+        KH=KH,
+        load=offline.load_share * weight,
+        stall=arm.tau_stall_Nm,
+        coulomb=np.array([s.coulomb_Nm.value for s in arm.servos]),
+        fed=offline.friction,
+    )
+
+
+def _apply(matrix: Matrix, vectors: Matrix) -> Matrix:
+    """(T, a) of matrices (…, a, b) and vectors (T, b)."""
+    result: Matrix = (matrix @ vectors[..., None])[..., 0]
+    return result

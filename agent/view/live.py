@@ -1,0 +1,195 @@
+"""`coop view CELL --live`: the same picture during a run, from what the cell publishes anyway.
+
+It subscribes and does nothing else: it declares no key, answers nothing, and whoever publishes does not know of it.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+
+from agent.config.files import CellFiles
+from agent.telemetry.link.session import Network, open_session
+from agent.telemetry.row import topics
+from agent.telemetry.row.event import Event
+from agent.telemetry.row.sample import AGENT_STATE, CDR_LITTLE_ENDIAN, PLANT_STATE
+from agent.telemetry.row.topics import PLANT, Address, Kind
+from agent.view.browser import Nodes, Server
+from agent.view.camera import camera_for
+from agent.view.curves import curves_of
+from agent.view.drawing import CellDrawing, drawing_of_cell
+from agent.view.motion import Motion, joined, motion_now
+from agent.view.plots import Plot
+from agent.view.scene import Scene
+from agent.view.staged import legend, status_text
+
+PICTURES_HZ: Final = 30.0
+LIVE_PX: Final = (880, 720)  # beside the controls
+FORCE_N: Final = 6.0  # an arrow of this force has full length
+CURVES_S: Final = 20.0  # how far back the curves go
+CURVES_HZ: Final = 10.0  # instants of the curves; they are sent twice a second
+CURVES_SENT_S: Final = 0.5
+EVENTS_SHOWN: Final = 6
+OTHER_CELL: Final = "Rows are of another cell file, or of one with other values (`--set`, `--duration`)."
+_SAME_CLOCK_S: Final = 60.0  # a row whose UTC is further from now is not of the wall's time (lockstep)
+_PAYLOAD_BYTES_MAX: Final = 1 << 18
+
+
+@dataclass(frozen=True, slots=True)
+class LiveReport:
+    """How the pictures came; lags in s from sampling to showing, of rows that carry the wall's time."""
+
+    pictures: int
+    lags_s: tuple[float, ...]
+    refused: int  # messages that were no rows of this cell's arms
+
+    @property
+    def behind(self) -> str:
+        """The lags in words; empty where no row carries the wall's time."""
+        if not self.lags_s:
+            return ""
+        half, most = np.percentile(1e3 * np.array(self.lags_s), [50.0, 99.0])
+        return f", {half:.0f} ms behind (99 %: {most:.0f} ms)"
+
+
+class Intake:
+    """The newest row of each member and the last events; `put` runs in a thread of the network's."""
+
+    def __init__(self, cell: CellFiles) -> None:
+        self.refused = 0
+        self.other_cell = False  # rows of another cell file than this one came
+        self.events: deque[Event] = deque(maxlen=EVENTS_SHOWN)
+        self.news = threading.Event()
+        self._config_id = cell.config_id
+        self._joints = {arm.name: len(arm.entry.controlled) for arm in cell.arms}
+        members = [*self._joints, PLANT]
+        self._rows = {Address(cell.file.name, member, Kind.STATE).key: member for member in members}
+        self._texts = {Address(cell.file.name, member, Kind.EVENT).key for member in members}
+        self._latest: dict[str, NDArray[np.void]] = {}
+
+    def put(self, key: str, payload: bytes) -> None:
+        """Take a message; what is no row and no event of this cell is counted."""
+        if key in self._rows:
+            self._put_rows(self._rows[key], payload)
+        elif key in self._texts and payload:
+            try:
+                self.events.append(Event.from_json(payload))
+            except ValueError:
+                self.refused += 1
+
+    def _put_rows(self, member: str, payload: bytes) -> None:
+        dtype = PLANT_STATE.dtype if member == PLANT else AGENT_STATE.dtype
+        if not payload:
+            return  # the mark of an end
+        if len(payload) % dtype.itemsize or len(payload) > _PAYLOAD_BYTES_MAX:
+            self.refused += 1
+            return
+        last = np.frombuffer(payload[-dtype.itemsize :], dtype)
+        fits = last["encapsulation"][0] == CDR_LITTLE_ENDIAN
+        if not fits or (member != PLANT and int(last["joint_count"][0]) != self._joints[member]):
+            self.refused += 1
+            return
+        self.other_cell = self.other_cell or int(last["config_id"][0]) != self._config_id
+        self._latest[member] = last
+        self.news.set()
+
+    def latest(self) -> Mapping[str, NDArray[np.void]]:
+        """The newest row (1,) of each member that has told one."""
+        self.news.clear()
+        return dict(self._latest)
+
+
+class LivePage:
+    """What is seen of a cell that runs."""
+
+    def __init__(self, server: viser.ViserServer, drawing: CellDrawing, start: Motion) -> None:
+        self.scene = Scene(drawing, force_N=FORCE_N, internal_N=FORCE_N)
+        points = self.scene.points(self.scene.place(start), 0)
+        self._nodes = Nodes(server, self.scene, camera_for(self.scene, points, LIVE_PX[0] / LIVE_PX[1]))
+        self._words = server.gui.add_markdown("Waiting for the first row of an arm.")
+        self._server, self._plots = server, list[Plot]()
+        server.gui.add_markdown(legend(self.scene))
+        self._past: deque[Motion] = deque(maxlen=round(CURVES_S * CURVES_HZ))
+        self._kept_s = self._sent_s = 0.0
+
+    def show(self, motion: Motion, events: list[Event], note: str, now_s: float) -> None:
+        """The picture of now."""
+        text = status_text(motion, 0)
+        self._nodes.show(self.scene.place(motion), 0, text)
+        if now_s - self._kept_s >= 1.0 / CURVES_HZ:
+            self._kept_s = now_s
+            if self._past and (motion.t[0] < self._past[-1].t[0] or motion.arms.keys() != self._past[-1].arms.keys()):
+                self._past.clear()  # another run, or one more arm
+            self._past.append(motion)
+        if now_s - self._sent_s >= CURVES_SENT_S and len(self._past) > 1:
+            self._sent_s = now_s
+            self._send_curves()
+            told = "\n".join(f"- {event.source}: {event.text}" for event in reversed(events))
+            self._words.content = "\n\n".join(filter(None, (f"**{text}**", note, told)))
+
+    def _send_curves(self) -> None:
+        curves = curves_of(joined(list(self._past)))
+        if [len(c.lines) for c in curves] != [plot.lines for plot in self._plots]:
+            for plot in self._plots:
+                plot.remove()
+            self._plots = [Plot(self._server, curve) for curve in curves]
+        for plot, curve in zip(self._plots, curves, strict=True):
+            plot.replace(curve)
+
+
+def serve(
+    cell: CellFiles, network: Network, port: int, stop: Callable[[], bool], ready: Callable[[str], None]
+) -> LiveReport:
+    """Serve the live page until a stop; `ready` is told its address.  Raises Refusal."""
+    intake, drawing = Intake(cell), drawing_of_cell(cell)
+    lags: deque[float] = deque(maxlen=100_000)
+    pictures = 0
+    with open_session(network) as opened:
+        subscriber = opened.session.declare_subscriber(
+            topics.cell_keys(cell.file.name),
+            lambda sample: intake.put(str(sample.key_expr), sample.payload.to_bytes()),
+        )
+        server = Server(port, f"{cell.file.name}, live")
+        try:
+            page = LivePage(server, drawing, _start(cell))
+            ready(f"http://{server.get_host()}:{server.get_port()}")
+            while not stop():
+                began_s = time.monotonic()
+                if intake.news.wait(0.1):
+                    rows = intake.latest()
+                    motion = motion_now({a.name: rows[a.name] for a in drawing.arms if a.name in rows}, rows.get(PLANT))
+                    if motion is not None:
+                        note = OTHER_CELL if intake.other_cell else ""
+                        page.show(motion, list(intake.events), note, began_s)
+                        pictures += 1
+                        lags.append(1e-9 * (time.time_ns() - max(int(r["utc_ns"][0]) for r in rows.values())))
+                time.sleep(max(0.0, 1.0 / PICTURES_HZ - (time.monotonic() - began_s)))
+        finally:
+            subscriber.undeclare()  # type: ignore[no-untyped-call]
+            server.stop()
+    return LiveReport(pictures, tuple(lag for lag in lags if abs(lag) < _SAME_CLOCK_S), intake.refused)
+
+
+def _start(cell: CellFiles) -> Motion:
+    """Before the first row: the object at its start, the arms near theirs."""
+    rows = {}
+    for arm in cell.arms:
+        row = np.zeros(1, AGENT_STATE.dtype)
+        row["joint_count"] = len(arm.entry.controlled)
+        row["q"][0, : len(arm.entry.q_near_rad)] = arm.entry.q_near_rad
+        for name in ("p_object", "p_object_des"):
+            row[name] = cell.file.object.p_start_m
+        for name in ("quat_object", "quat_object_des"):
+            row[name] = cell.file.object.quat_start
+        rows[arm.name] = row
+    motion = motion_now(rows, None)
+    assert motion is not None  # a cell has arms
+    return motion

@@ -1,0 +1,125 @@
+"""The page of a recorded run: time slider with what happened on it, play, the curves beside the picture.
+
+A browser that is moved asks for more pictures than can be shown: the newest wish counts, others are passed over.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from typing import Final
+
+import viser
+
+from agent.report.moments import Moment, around, marks
+from agent.view.browser import Nodes
+from agent.view.curves import curves_of
+from agent.view.plots import Plot
+from agent.view.staged import Staged, legend, status_text
+
+EXAGGERATIONS: Final = {"as they were": 1.0, "10 times": 10.0, "100 times": 100.0}
+SPEEDS: Final = {"1/4": 0.25, "1": 1.0, "4": 4.0, "16": 16.0}
+PLAY_HZ: Final = 30.0
+CURVES_S: Final = 0.3  # the mark of now moves in the curves at most this often
+NOTHING: Final = "–"
+
+
+class Player:
+    """Controls and pictures of one run; `step` shows what is wanted, the browser only says what it wants."""
+
+    def __init__(
+        self, server: viser.ViserServer, nodes: Nodes, staged: Staged, moments: Sequence[Moment],
+        now: Callable[[], float] = time.monotonic,
+    ) -> None:  # fmt: skip
+        self.pictures = 0  # shown so far
+        self._nodes, self._staged, self._moments, self._now = nodes, staged, moments, now
+        self._placed, self._t = staged.placed, staged.motion.t
+        self._factor, self._row, self._marked = 1.0, -1, -1
+        self._wish = threading.Condition()
+        self._wanted_s: float | None = float(self._t[0])
+        self._started: tuple[float, float] | None = None  # playing: the wall's time and the run's at the last picture
+        self._marked_s = self._now()
+        self._build(server)
+
+    def _build(self, server: viser.ViserServer) -> None:
+        gui, first, last = server.gui, float(self._t[0]), float(self._t[-1])
+        step = round(float(self._t[1] - self._t[0]), 6) if len(self._t) > 1 else 1.0
+        end = max(last, first + step)
+        self._slider = gui.add_slider("time [s]", first, end, step, first, marks=marks(self._moments, first, end))
+        self._play = gui.add_button("Play")
+        self._speed = gui.add_dropdown("speed", list(SPEEDS), initial_value="1")
+        if self._moments:
+            happened = {moment.line: moment.t for moment in self._moments}
+            go_to = gui.add_dropdown("go to", [NOTHING, *happened])
+            go_to.on_update(lambda _: self.want(happened[go_to.value]) if go_to.value in happened else None)
+        errors = gui.add_dropdown(
+            "desired, beliefs", list(EXAGGERATIONS), initial_value="as they were",
+            hint="how far these wires stand from the object: as they were, or so many times as far",
+        )  # fmt: skip
+        errors.on_update(lambda _: self._exaggerate(EXAGGERATIONS[errors.value]))
+        self._words = gui.add_markdown("")
+        self._plots = [Plot(server, curve) for curve in curves_of(self._staged.motion)]
+        gui.add_markdown(legend(self._staged.scene))
+        self._slider.on_update(lambda event: None if event.client is None else self.want(self._slider.value))
+        self._play.on_click(lambda _: self._toggle())
+
+    def want(self, t: float) -> None:
+        """The picture of this time is wished for."""
+        with self._wish:
+            self._wanted_s = t
+            self._started = None if self._started is None else (self._now(), t)
+            self._wish.notify()
+
+    def step(self) -> None:
+        """Wait for a wish, or for the next picture while it plays, and show it."""
+        with self._wish:
+            if self._wanted_s is None:
+                self._wish.wait(1.0 / PLAY_HZ)
+            t, self._wanted_s, started = self._wanted_s, None, self._started
+        if t is None and started is not None:
+            now = self._now()
+            t = min(started[1] + (now - started[0]) * SPEEDS[self._speed.value], float(self._t[-1]))
+            with self._wish:
+                if self._started is started:  # nobody paused or wished meanwhile
+                    self._started = now, t
+        if t is not None:
+            self._show(self._staged.motion.row_at(t))
+        if started is not None and self._row == len(self._t) - 1:
+            self._stop()
+        if self._row != self._marked and self._now() - self._marked_s >= CURVES_S:
+            self._marked, self._marked_s = self._row, self._now()
+            for plot in self._plots:
+                plot.mark(float(self._t[self._row]))
+
+    def _show(self, row: int) -> None:
+        if row == self._row:
+            return
+        self._row, t = row, float(self._t[row])
+        near = around(self._moments, t)
+        self._nodes.show(self._placed, row, status_text(self._staged.motion, row, near))
+        said = [status_text(self._staged.motion, row), *(f"- {moment.line}" for moment in near)]
+        self._words.content = "\n".join(said)
+        if self._started is not None:
+            self._slider.value = t  # type: ignore[misc]
+        self.pictures += 1
+
+    def _toggle(self) -> None:
+        with self._wish:
+            if self._started is not None:
+                self._stop()
+                return
+            row = 0 if self._row == len(self._t) - 1 else max(self._row, 0)
+            self._started = self._now(), float(self._t[row])
+            self._play.label = "Pause"
+
+    def _stop(self) -> None:
+        self._started = None
+        self._play.label = "Play"
+
+    def _exaggerate(self, factor: float) -> None:
+        placed = self._staged.scene.place(self._staged.motion, factor)
+        with self._wish:
+            self._placed, row = placed, max(self._row, 0)
+            self._row, self._wanted_s = -1, float(self._t[row])
+            self._wish.notify()

@@ -1,0 +1,83 @@
+"""Logs of whole runs, recorded over the network by the real processes, replay bit for bit."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.process.conftest import PAPER_RUN_S
+from tests.support.command import coop
+from tests.support.coop import PAPER
+from tests.support.coop import coop as run_process
+
+RUNS = {
+    "adaptive": ("paper_adaptive",),
+    "waiting before the start, alignment": (
+        "paper", "--set", "simulation.ready_s=0.5", "--set", "controller.alignment.max_m=0.02",
+    ),
+    "a hold": ("paper", "--set", "safety.tracking_error_max_m=0.002"),
+    "emulated servos in real time": ("two_wx200", "--wire"),
+    "six joints, internal force": ("three_wx250s",),
+}  # fmt: skip
+
+
+def test_a_run_of_two_arms_is_verified(paper_runs: tuple[Path, Path]) -> None:
+    done = coop("replay", "--verify", paper_runs[0] / "run.mcap", "--json")
+    document = json.loads(done.out)
+    assert (done.code, document["equal"], document["rows_different"]) == (0, True, 0)
+    assert document["rows_compared"] == 2 * 200 * PAPER_RUN_S
+
+
+@pytest.mark.parametrize("words", RUNS.values(), ids=RUNS)
+def test_every_kind_of_run_is_verified_from_its_first_row_and_from_its_middle(
+    tmp_path: Path, words: tuple[str, ...]
+) -> None:
+    done = run_process("run", *words, "--duration", "1.5", "--out", tmp_path / "run")
+    assert done.returncode == 0, done.stderr
+    for begin in ((), ("--row", "101"), ("--from", "0.7")):
+        verified = coop("replay", "--verify", tmp_path / "run" / "run.mcap", *begin)
+        assert verified.code == 0, verified.out + verified.err
+        assert "differ" not in verified.out
+
+
+def test_a_log_cut_anywhere_is_verified_as_far_as_it_goes(tmp_path: Path, paper_runs: tuple[Path, Path]) -> None:
+    data, path = (paper_runs[0] / "run.mcap").read_bytes(), tmp_path / "cut.mcap"
+    compared = []
+    for k in range(1, 12):
+        path.write_bytes(data[: len(data) * k // 12])
+        done = coop("replay", "--verify", path, "--json")
+        assert done.code in (0, 2), done.out
+        if done.code == 0:
+            document = json.loads(done.out)
+            assert (document["equal"], document["complete"]) == (True, False)
+            compared.append(document["rows_compared"])
+        else:
+            assert done.err.startswith("coop: ")
+    assert len(compared) > 5
+    assert compared == sorted(compared)
+    assert compared[0] > 0
+
+
+def test_two_runs_of_one_cell_are_the_same_and_another_cell_is_not(
+    tmp_path: Path, paper_runs: tuple[Path, Path]
+) -> None:
+    a, b = (folder / "run.mcap" for folder in paper_runs)
+    assert coop("replay", a, "--same-as", b).code == 0
+    done = run_process(
+        "run",
+        PAPER,
+        "--duration",
+        PAPER_RUN_S,
+        "--seed",
+        "1",
+        "--out",
+        tmp_path / "other",
+        "--set",
+        "object.mass_kg=0.07",
+    )
+    assert done.returncode == 0
+    done = coop("replay", a, "--same-as", tmp_path / "other" / "run.mcap")
+    assert done.code == 1
+    assert "first difference: row 0 of left" in done.out

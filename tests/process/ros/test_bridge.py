@@ -1,0 +1,132 @@
+"""A ROS 2 client that is not ours hears the whole cell through a router, with the values that are in the log."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import zenoh
+import zenoh.ext
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+
+from agent.ros import bridge
+from agent.ros.wire import Topic
+from agent.telemetry.link.publish import Pace
+from agent.telemetry.link.session import Network, NetworkError, Role
+from agent.telemetry.row.topics import PLANT
+from tests.support.ros import foreign, router
+from tests.support.ros.plain import plain
+from tests.support.telemetry.scenes import scene
+from tests.support.telemetry.telemetry_cell import ARMS, CELL, CONFIG_ID, Process, recorder, telemetry, writer
+
+MEMBERS = (*ARMS, PLANT)
+STORE = get_typestore(Stores.ROS2_JAZZY)
+TIMEOUT_S = 30.0
+
+
+class Bridge:
+    """The bridge in a thread."""
+
+    def __init__(self, telemetry_at: str, ros_at: str) -> None:
+        self._ended, ready = threading.Event(), threading.Event()
+        self.report: bridge.BridgeReport | None = None
+        options = bridge.BridgeOptions(
+            scene(CELL, ARMS), CONFIG_ID, True,
+            Network(connect=(telemetry_at,), role=Role.VIEWER),
+            Network(connect=(ros_at,), role=Role.VIEWER, timestamps=True),
+            clock=True,
+        )  # fmt: skip
+
+        def work() -> None:
+            self.report = bridge.run(options, self._ended.is_set, lambda _: ready.set())
+
+        self._thread = threading.Thread(target=work)
+        self._thread.start()
+        assert ready.wait(TIMEOUT_S)
+
+    def end(self) -> bridge.BridgeReport:
+        self._ended.set()
+        self._thread.join(TIMEOUT_S)
+        assert self.report is not None
+        return self.report
+
+
+def wait_for(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + TIMEOUT_S
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def late(session: zenoh.Session, topic: Topic) -> list[object]:
+    """What a subscriber like rmw_zenoh's gets of a latched topic long after it was sent."""
+    heard: list[object] = []
+    name = topic.ros_name.replace("/", "/msg/")
+    subscriber = zenoh.ext.declare_advanced_subscriber(
+        session,
+        topic.key(0),
+        lambda sample: heard.append(plain(STORE.deserialize_cdr(sample.payload.to_bytes(), name))),
+        history=zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1),
+        recovery=zenoh.ext.RecoveryConfig(heartbeat=True),
+        subscriber_detection=True,
+    )
+    wait_for(lambda: bool(heard))
+    subscriber.undeclare()
+    return heard
+
+
+def test_a_foreign_client_hears_the_cell_as_the_log_has_it(tmp_path: Path) -> None:
+    port = router.free_port()
+    with (
+        router.router(port) as ros_at,
+        recorder(tmp_path / "run.mcap", has_plant=True) as rec,
+        Process(foreign.listen, foreign.Client(port, 13)) as client,
+    ):
+        endpoint = rec.ready()
+        bridging = Bridge(endpoint, ros_at)
+        found = dict(client.ready())
+        rings = {member: tmp_path / f"{member}.ring" for member in MEMBERS}
+        publishers = [telemetry(ring, m, endpoint, Pace.REAL_TIME) for m, ring in rings.items()]
+        writers = [writer(ring, m, 400, 200.0, texts=m == "left") for m, ring in rings.items()]
+        assert [w.result() for w in writers] == [400] * 3
+        assert all(p.result().complete for p in publishers)
+        with router.node(ros_at) as viewer:
+            (frames,) = late(viewer, Topic("/tf_static", "tf2_msgs/TFMessage"))
+            (robot,) = late(viewer, Topic("/left/robot_description", "std_msgs/String"))
+        heard = client.stop()
+        report = bridging.end()
+        assert rec.stop().complete
+    assert (report.dropped, report.refused) == (0, 0)
+
+    logged = defaultdict(list)
+    with AnyReader([tmp_path / "run.mcap"]) as reader:
+        for c, _, raw in reader.messages():
+            logged[c.topic].append(plain(reader.deserialize(raw, c.msgtype)))
+        types = {c.topic: [c.msgtype] for c in reader.connections}
+    assert found.items() <= (types | {"/clock": ["rosgraph_msgs/msg/Clock"]}).items()
+    assert set(found) == {t for t in types if not t.startswith("/coop/")} | {"/clock"}
+    by_topic = defaultdict(list)
+    for topic, message in heard:
+        by_topic[topic].append(message)
+    assert len(by_topic.pop("/clock")) == 100
+    for topic, messages in by_topic.items():
+        assert all(message in logged[topic] for message in messages), topic
+        assert len(messages) >= 0.9 * len(logged[topic]), topic
+    assert set(by_topic) == set(found) - {"/clock", "/tf_static", "/left/robot_description", "/right/robot_description"}
+    assert robot == logged["/left/robot_description"][0]
+    assert isinstance(frames, dict)
+    assert [t["child_frame_id"] for t in frames["transforms"]] == [
+        t["child_frame_id"] for t in logged["/tf_static"][0]["transforms"]
+    ]
+
+
+def test_without_a_router_it_says_so_at_once() -> None:
+    nowhere = Network(connect=(f"tcp/127.0.0.1:{router.free_port()}",), role=Role.VIEWER, timestamps=True)
+    options = bridge.BridgeOptions(scene(CELL, ARMS), CONFIG_ID, False, nowhere, nowhere)
+    with pytest.raises(NetworkError, match="cannot open the network"):
+        bridge.run(options, lambda: True, lambda _: None)

@@ -1,0 +1,53 @@
+"""Cells whose simulated joints stick: what feed-forward of the same model is worth."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import pytest
+
+import configs
+from agent.config.cell import load_cell
+from tests.support.arm_files import sticking, with_figures
+from tests.support.plant.inprocess import History, simulate
+
+DURATION_S = 35.0
+TRANSIENT_S = 20.0
+
+
+@cache
+def run(name: str, *overrides: str, sticks: bool = True) -> History:
+    """The same for all tests that ask: nobody changes it."""
+    cell = load_cell(configs.CELLS_DIR / f"{name}.toml", overrides)
+    with TemporaryDirectory() as folder:
+        return simulate(with_figures(cell, Path(folder), sticking) if sticks else cell, DURATION_S)
+
+
+@pytest.mark.parametrize(
+    ("cell", "bound_m", "bound_rad"),
+    [("paper", 0.5e-3, 2e-3), ("two_wx200", 0.5e-3, 2e-3), ("two_models", 0.5e-3, 2e-3), ("three_wx250s", 1e-3, 6e-3)],
+)
+def test_joints_that_stick_cost_no_more_than_the_bound(cell: str, bound_m: float, bound_rad: float) -> None:
+    position_m, attitude_rad = run(cell).after(TRANSIENT_S)
+    assert position_m <= bound_m
+    assert attitude_rad <= bound_rad
+
+
+def test_without_feed_forward_they_cost_ten_times_as_much() -> None:
+    without = run("paper", "controller.friction_feedforward=false")
+    assert without.after(TRANSIENT_S)[0] > 10.0 * run("paper").after(TRANSIENT_S)[0]
+
+
+def test_a_model_without_breakaway_and_load_does_not_do_it() -> None:
+    """The plant sticks, and the agents believe in Coulomb and viscous friction alone."""
+    plain = load_cell(configs.CELLS_DIR / "two_wx200.toml")
+    with TemporaryDirectory() as folder:
+        believing = simulate(with_figures(plain, Path(folder), sticking), DURATION_S, agents_cell=plain)
+    assert believing.after(TRANSIENT_S)[0] > 1.5 * run("two_wx200").after(TRANSIENT_S)[0]
+
+
+def test_torque_is_as_calm_at_turns_as_where_nothing_sticks() -> None:
+    """Mean change per tick over a motion in which every joint turns round."""
+    assert run("paper").chatter(TRANSIENT_S) < 1.1 * run("paper", sticks=False).chatter(TRANSIENT_S)

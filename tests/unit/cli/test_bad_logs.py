@@ -1,0 +1,182 @@
+"""Every command that reads a log, given one that is no good in its own way: one line, or what can still be read."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import Writer
+
+import configs
+from agent.config.cell import load_cell
+from agent.log import load
+from tests.support.command import coop
+from tests.support.plant.plant_arm import run_one
+from tests.support.telemetry.run_log import write_other_release, write_run
+from tests.support.telemetry.telemetry_cell import make_rows
+
+CELL = load_cell(configs.CELLS_DIR / "identify_wx200.toml", ["duration_s=0.2", "report.transient_s=0.05"])
+ARM = CELL.arms[0].name
+LOG = "{log}"
+READERS = {
+    "report": ("report", LOG, "--out", "out"),
+    "compare": ("compare", LOG, LOG),
+    "events": ("events", LOG),
+    "grasps": ("grasps", LOG),
+    "replay": ("replay", LOG),
+    "replay --set": ("replay", LOG, "--set", "object.mass_kg=0.5"),
+    "replay --same-as": ("replay", LOG, "--same-as", LOG),
+    "export": ("export", LOG, "--out", "out"),
+    "play": ("play", LOG, "--listen", "tcp/127.0.0.1:0", "--speed", "1000"),
+    "identify": ("identify", LOG, "--out", "out"),
+}
+
+
+@cache
+def rows() -> np.ndarray:
+    found: np.ndarray = run_one(CELL, 0.2).rows
+    return found
+
+
+def foreign(path: Path) -> None:
+    """Of another program: a camera."""
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        channel = writer.register_channel(
+            "/camera", "cdr", writer.register_schema("x/Image", "ros2msg", b"uint8[] a\n")
+        )
+        writer.add_message(channel, 0, b"\0\1\0\0" + bytes(100), 0)
+        writer.finish()
+
+
+def text_schema(path: Path) -> None:
+    """Our topic and our schema's name, but rows of text."""
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("coop_msgs/msg/AgentState", "ros2msg", b"string all\n")
+        writer.add_message(writer.register_channel(f"/coop/x/{ARM}/state", "cdr", schema), 0, b"\0\1\0\0hello", 0)
+        writer.finish()
+
+
+def other_release(path: Path) -> None:
+    write_other_release(path, CELL, {ARM: rows()}, without=("shift", "e_p"), memory=51)
+
+
+def without(*names: str) -> Callable[[Path], None]:
+    def write(path: Path) -> None:
+        write_run(path, CELL, {ARM: rows()}, left_out=names)
+
+    return write
+
+
+def described(text: bytes) -> Callable[[Path], None]:
+    """Our rows under a description that is none."""
+
+    def write(path: Path) -> None:
+        write_run(path, CELL, {ARM: rows()}, left_out=("run.json",))
+        _add_description(path, text)
+
+    return write
+
+
+def _add_description(path: Path, text: bytes) -> None:
+    with path.open("rb") as source:
+        reader = make_reader(source)
+        messages = [(schema, channel, message) for schema, channel, message in reader.iter_messages()]
+        attachments = list(reader.iter_attachments())
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros2", "widowx-coop")
+        for a in attachments:
+            writer.add_attachment(0, 0, a.name, a.media_type, a.data)
+        writer.add_attachment(0, 0, "run.json", "application/json", text)
+        known: dict[str, int] = {}
+        for schema, channel, message in messages:
+            if channel.topic not in known:
+                number = writer.register_schema(schema.name, schema.encoding, schema.data)
+                known[channel.topic] = writer.register_channel(channel.topic, "cdr", number)
+            writer.add_message(known[channel.topic], message.log_time, message.data, message.publish_time)
+        writer.finish()
+
+
+def no_rows(path: Path) -> None:
+    write_run(path, CELL, {ARM: rows()[:0]})
+
+
+def one_row(path: Path) -> None:
+    write_run(path, CELL, {ARM: rows()[:1]})
+
+
+def made_up(path: Path) -> None:
+    """Rows that no law gave: every number is of a sine."""
+    write_run(path, CELL, {ARM: make_rows("left", 40)})
+
+
+BAD = {
+    "another program's": foreign,
+    "rows of text": text_schema,
+    "another release's": other_release,
+    "without a cell": without("cell.toml"),
+    "without a description": without("run.json"),
+    "a description that is no JSON": described(b"{"),
+    "a description of nothing": described(b"[]"),
+    "a description of wrong types": described(json.dumps({"rate_hz": "fast", "arms": 3, "cell": 1}).encode()),
+    "a description of wrong numbers": described(json.dumps({"rate_hz": 0, "duration_s": -1, "arms": [{}]}).encode()),
+    "no rows": no_rows,
+    "one row": one_row,
+    "made up": made_up,
+}
+
+
+@pytest.mark.parametrize("bad", BAD)
+@pytest.mark.parametrize("reader", READERS)
+def test_a_log_that_is_no_good_is_one_line_or_read_as_far_as_it_goes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bad: str, reader: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("agent.report.report.pictures", lambda _: [])  # drawing takes seconds and reads no log
+    BAD[bad](tmp_path / "run.mcap")
+    done = coop(*(word.replace(LOG, "run.mcap") for word in READERS[reader]))
+    assert "Traceback" not in done.err
+    if done.code == 0:
+        return
+    if done.code == 1:
+        assert reader.startswith("replay")
+        assert "first difference" in done.out
+        return
+    last = done.err.splitlines()[-1]
+    assert last.startswith("coop: ")
+    assert ": found " in last
+    assert not (tmp_path / "out").exists() or not any((tmp_path / "out").iterdir()), "nothing half is left"
+
+
+@pytest.mark.parametrize("text", [b"{", b"[]", b"3", b'{"rate_hz": -1}', b'{"rate_hz": NaN}', b'{"arms": {"a": 1}}'])
+def test_a_bad_description_is_told_and_the_rows_speak_for_themselves(tmp_path: Path, text: bytes) -> None:
+    described(text)(tmp_path / "run.mcap")
+    run = load(tmp_path / "run.mcap")
+    assert "taken from the rows" in run.info.notes[0]
+    assert run.info.rate_hz == pytest.approx(CELL.file.rate_hz)
+    assert [arm.name for arm in run.info.arms] == [ARM]
+
+
+@pytest.mark.parametrize(
+    ("reader", "code"),
+    [("report", 2), ("compare", 2), ("grasps", 2), ("play", 2), ("replay", 0), ("export", 0), ("events", 0)],
+)
+def test_a_log_of_another_release_says_what_can_still_be_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reader: str, code: int
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    other_release(tmp_path / "run.mcap")
+    done = coop(*(word.replace(LOG, "run.mcap") for word in READERS[reader]))
+    assert done.code == code, done.err
+    if code:
+        assert "AgentState without e_p, memory, shift, with another memory" in done.err
+        assert "`coop export` and `coop replay` read it as it is" in done.err

@@ -1,0 +1,103 @@
+"""Friction feed-forward: what it cancels on the plant, where its speeds come from, and its corners."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from agent.control.friction import Friction, JointFriction, solved
+from drivers.interface import Vector
+from sim_backend.physics.friction import DryFriction, FrictionSpec
+
+SEEDS = st.integers(0, 2**31)
+PARTS = st.floats(0.0, 0.45)
+FAST = 5.0  # rad/s, at which the smooth sign is one
+MX64 = JointFriction(0.0615, 0.0148, 0.0239, 1.52, 1.33, 0.0, 0.4686)
+
+
+def some(rng: np.random.Generator, n: int) -> tuple[JointFriction, ...]:
+    low, high = (0.0, 0.0, 0.0, 0.1, 0.5, 0.0, 0.0), (0.2, 0.1, 0.1, 2.0, 2.0, 0.3, 0.5)
+    return tuple(JointFriction(*row) for row in rng.uniform(low, high, (n, 7)).tolist())
+
+
+def sliding(joints: tuple[JointFriction, ...], dq: Vector, tau_motor: Vector) -> Vector:
+    """Friction torque (n,) of the plant's joints that slide at dq (n,) under the motors' torques."""
+    coulomb, viscous, breakaway, speed, exponent, load, breakaway_load = np.array(joints).T
+    spec = FrictionSpec(coulomb, breakaway, speed, exponent, load, breakaway_load, viscous)
+    friction = DryFriction(spec, np.full(len(dq), 0.01), 1e-3)
+    friction.load(tau_motor)
+    for _ in range(100):
+        D, f = friction.torque(dq)
+        friction.step(dq)
+    assert friction.sliding.all()
+    return f - D * dq
+
+
+@given(SEEDS)
+def test_it_cancels_the_friction_by_which_the_plant_slides_under_the_whole_torque(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    joints, tau_law = some(rng, 6), rng.normal(scale=1.5, size=6)
+    dq = rng.choice([-1.0, 1.0], 6) * rng.uniform(0.5, 3.0, 6)
+    feed_forward = Friction(joints, 0.01).torque(dq, dq, tau_law)
+    assert feed_forward == pytest.approx(-sliding(joints, dq, tau_law + feed_forward), rel=1e-9, abs=1e-12)
+
+
+@given(st.floats(0.0, 1.0), PARTS, st.floats(-5.0, 5.0), st.floats(-1.0, 1.0))
+def test_the_bound_belongs_to_the_torque_that_it_is_part_of(
+    constant: float, load: float, tau: float, sign: float
+) -> None:
+    bound = solved(constant, 2.0 * load, tau, sign)
+    assert bound >= 0.0
+    assert bound == pytest.approx(constant + 2.0 * load * abs(tau + sign * bound), rel=1e-9, abs=1e-12)
+
+
+def test_without_breakaway_and_load_it_is_coulomb_with_a_smooth_sign_and_viscous() -> None:
+    joints = (JointFriction(0.0843, 0.0347), JointFriction(0.0078, 0.0362))
+    dq_ref = np.array([0.03, -0.2])
+    found = Friction(joints, 0.05).torque(dq_ref, np.array([9.0, 9.0]), np.array([9.0, 9.0]))
+    expected = [0.0843 * math.tanh(0.6) + 0.0347 * 0.03, 0.0078 * math.tanh(-4.0) - 0.0362 * 0.2]
+    assert found.tolist() == pytest.approx(expected, rel=1e-15)
+
+
+def test_the_sign_is_the_references_and_what_breakaway_is_left_the_joints() -> None:
+    """At creep the joint takes all of its breakaway, and none at ten times its Stribeck velocity."""
+    friction, tau = Friction((MX64,), 0.05), np.array([0.5])
+    reference = np.array([FAST])
+    creeping, backwards, running = (friction.torque(reference, np.array([v]), tau)[0] for v in (1e-9, -1e-9, 15.2))
+    assert creeping == backwards == pytest.approx((0.0854 + 0.4686 * 0.574) / (1.0 - 0.4686) + 0.074, rel=1e-6)
+    assert running == pytest.approx(0.0615 + 0.0148 * FAST, rel=1e-6)
+    assert friction.torque(-reference, np.array([1e-9]), tau)[0] < 0.0
+
+
+def test_a_motor_that_lowers_its_load_is_helped_by_friction() -> None:
+    """Raising takes load friction of more than the weight, lowering of less than it."""
+    friction = Friction((JointFriction(0.0, 0.0, load=0.2),), 0.01)
+    up, down = (friction.torque(np.array([v]), np.array([v]), np.array([1.0]))[0] for v in (FAST, -FAST))
+    assert up == pytest.approx(0.2 / 0.8)
+    assert down == pytest.approx(-0.2 / 1.2)
+
+
+def test_around_a_turn_it_changes_smoothly() -> None:
+    """Over one mrad/s it changes by no more than the bound times that of the smooth sign."""
+    friction, speeds = Friction((MX64,), 0.05), np.arange(-0.2, 0.2, 1e-3)
+    tau = np.array([friction.torque(np.array([v]), np.array([v]), np.array([0.8]))[0] for v in speeds])
+    largest = friction.torque(np.array([FAST]), np.array([0.0]), np.array([0.8]))[0]
+    assert np.abs(np.diff(tau)).max() < 1.05 * largest * 1e-3 / 0.05
+    assert np.all(np.diff(tau[np.abs(speeds) < 0.05]) > 0.0)
+
+
+@pytest.mark.parametrize("speed", [0.0, 1e300, -1e300])
+def test_any_finite_speed_gives_a_finite_torque(speed: float) -> None:
+    steep = MX64._replace(stribeck_exponent=100.0, stribeck_rad_per_s=1e-3)
+    assert np.isfinite(Friction((steep,), 0.05).torque(np.array([0.1]), np.array([speed]), np.array([0.5]))).all()
+
+
+def test_a_joint_without_load_friction_is_exact_beside_one_that_has_it() -> None:
+    alone = Friction((JointFriction(0.1, 0.05),), 0.05)
+    both = Friction((JointFriction(0.1, 0.05), MX64), 0.05)
+    dq_ref, tau = np.array([0.02, 0.3]), np.array([1.0, 1.0])
+    assert both.torque(dq_ref, dq_ref, tau)[0] == alone.torque(dq_ref[:1], dq_ref[:1], tau[:1])[0]

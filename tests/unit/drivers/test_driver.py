@@ -1,0 +1,519 @@
+"""The driver between its caller and the arm: what it may be asked when, what it refuses, what it passes on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.clock import MonotonicClock
+from drivers.dynamixel.budget import LinkTiming
+from drivers.dynamixel.cycle import CycleRows
+from drivers.dynamixel.driver import CycleTimes, DynamixelDriver
+from drivers.dynamixel.errors import (
+    DxlServoFault,
+    FaultCause,
+    NotEnabledError,
+    PortError,
+    PortLostError,
+    StaleJointsError,
+    TorqueError,
+    WriteTimeoutError,
+)
+from drivers.dynamixel.identify import IdentityError
+from drivers.dynamixel.interpret import Reading
+from drivers.dynamixel.pace import PaceError
+from drivers.dynamixel.servo import table
+from drivers.interface import JointState, ServoHealth
+from sim_backend.wire.faults import FaultKind
+from sim_backend.wire.timing import BusTiming
+from tests.support.servos.dxl_rig import WX200, Rig, VirtualPort, at, build, enabled
+
+NO_CONNECTION = "found no connection, expected a connection"
+NO_TORQUE = "found a connection, expected torque on"
+WIRE = BusTiming()
+
+
+class StrictPort(VirtualPort):
+    """Refuses to be opened twice, and counts how often it was."""
+
+    opened = 0
+
+    def open(self) -> None:
+        assert not self.is_open, "open already"
+        self.opened += 1
+        super().open()
+
+
+def on(rig: Rig, **more: Any) -> tuple[DynamixelDriver, StrictPort]:
+    """Another driver for that arm, with a strict port."""
+    port = StrictPort(rig, rig.arm.baud)
+    more.setdefault("scan_s", 0.05)
+    return DynamixelDriver(rig.arm, rig.clock, on_event=rig.events.append, port=port, **more), port
+
+
+# --- coming ----------------------------------------------------------------------------------------------------------
+
+
+def test_before_connect_nothing_may_be_asked_and_closing_is_safe() -> None:
+    driver, _ = on(build())
+    for call in (driver.read, driver.enable, driver.reopen, driver.health):
+        with pytest.raises(NotEnabledError, match=NO_CONNECTION) as caught:
+            call()
+        assert "connect() and, for torque, enable() first" in caught.value.remedy
+    for call in (driver.rearm, lambda: driver.write(np.zeros(4))):
+        with pytest.raises(NotEnabledError, match="found no connection, expected torque on"):
+            call()
+    driver.disable()
+    driver.close()
+
+
+def test_without_torque_it_may_be_read_and_not_commanded() -> None:
+    driver, _ = on(build())
+    driver.connect()
+    assert np.isfinite(driver.read().q).all()
+    for call in (driver.rearm, lambda: driver.write(np.zeros(4))):
+        with pytest.raises(NotEnabledError, match=NO_TORQUE):
+            call()
+
+
+def test_without_a_port_of_its_own_it_uses_the_serial_port_of_the_map() -> None:
+    driver = DynamixelDriver(at(WX200, port="/nowhere/left"), MonotonicClock())
+    with pytest.raises(PortError, match="/nowhere/left"):
+        driver.connect()
+
+
+def test_connect_tells_what_is_there() -> None:
+    rig = build(timing=WIRE)
+    driver, _ = on(rig)
+    first = driver.connect().description
+    assert first == "virtual at 1000000 bit/s, 7 servos, firmware 46, fast sync read", "not set up yet: not measured"
+    assert rig.events == []
+    driver.enable()
+    driver.disable()
+    info = driver.connect()
+    assert (info.arm, info.joints) == ("left", ("shoulder", "elbow", "wrist_angle", "wrist_rotate"))
+    assert info.tau_max_Nm.tolist() == [4.0, 2.0, 2.0, 0.5]
+    assert not info.tau_max_Nm.flags.writeable
+    head, _, read = info.description.partition(", read ")
+    assert head == first
+    measured_ms, of, period = read.split(" ms")
+    assert 0.3 < float(measured_ms) < 3.0
+    assert (of, period) == (" of 5.00", "")
+
+
+@pytest.mark.parametrize("old", [(4,), (1, 2, 3, 4, 5, 6, 7)])
+def test_one_servo_without_fast_reads_is_enough_for_plain_ones(old: tuple[int, ...]) -> None:
+    rig = build()
+    for i in old:
+        rig.servo(i).firmware.version = 44
+    driver, _ = on(rig)
+    description = driver.connect().description
+    assert description.endswith("plain sync read")
+    assert ("firmware 44/46" in description) == (len(old) == 1)
+    assert driver._running is not None
+    assert driver._running.fast is False
+    (event,) = rig.events
+    assert event.kind.name == "SLOW_SYNC_READ"
+    names = [f"{i} ({'XL430-W250' if i > 5 else 'XM430-W350'}, 44)" for i in old]
+    assert event.text == f"servo {', '.join(names)}: one status packet per servo instead"
+
+
+@pytest.mark.parametrize(("timer_ms", "refused"), [(None, False), (1, False), (2, False), (3, True), (16, True)])
+def test_a_latency_timer_above_two_milliseconds_is_refused(timer_ms: int | None, refused: bool) -> None:
+    driver, port = on(build())
+    port.latency_timer_ms = timer_ms
+    if not refused:
+        driver.connect()
+        return
+    with pytest.raises(PortError, match="virtual: USB latency timer") as caught:
+        driver.connect()
+    assert (caught.value.found, caught.value.expected) == (f"{timer_ms} ms", "1 ms")
+    assert "udev rule" in caught.value.remedy
+    assert not port.is_open
+
+
+def test_what_is_refused_leaves_the_port_closed_and_nothing_to_read() -> None:
+    rig = enabled()
+    rig.port.close()
+    driver, port = on(rig)
+    driver.connect()
+    rig.fault(FaultKind.SILENT, 5)
+    with pytest.raises(IdentityError):
+        driver.connect()
+    assert port.opened == 2, "closed in between"
+    assert not port.is_open
+    with pytest.raises(NotEnabledError, match=NO_CONNECTION):
+        driver.read()
+    assert [problem.servo_id for problem in driver.problems] == [5]
+
+
+def test_the_first_problem_is_raised_and_all_are_kept() -> None:
+    rig = build()
+    driver, _ = on(rig)
+    for servo_id in (3, 6):
+        rig.fault(FaultKind.SILENT, servo_id)
+    with pytest.raises(IdentityError) as caught:
+        driver.connect()
+    assert [problem.servo_id for problem in driver.problems] == [3, 6]
+    assert caught.value is driver.problems[0]
+
+
+def connect_ns(**more: Any) -> int:
+    """Virtual time that a connect takes."""
+    rig = build()
+    begin_ns = rig.clock.now_ns()
+    DynamixelDriver(rig.arm, rig.clock, port=rig.port, **more).connect()
+    return rig.clock.now_ns() - begin_ns
+
+
+def test_strangers_are_waited_for_as_long_as_asked_or_for_most_of_a_second() -> None:
+    assert connect_ns(scan_s=0.3) - connect_ns(scan_s=0.1) == pytest.approx(0.2e9, abs=0.01e9)
+    assert connect_ns() - connect_ns(scan_s=0.1) == pytest.approx(0.7e9, abs=0.01e9)
+
+
+# --- pace ------------------------------------------------------------------------------------------------------------
+
+
+def test_the_rate_is_judged_with_the_timing_of_the_link() -> None:
+    rig = build(at(WX200, rate_hz=250.0))
+    on(rig)[0].connect()
+    for name, value in (("usb_latency_s", 3e-3), ("turnaround_s", 2e-3)):
+        driver, _ = on(build(at(WX200, rate_hz=250.0)), link=LinkTiming(**{name: value}))
+        with pytest.raises(PaceError, match="found 250 Hz"):
+            driver.connect()
+
+
+def test_the_rate_is_judged_with_what_the_servos_can_do() -> None:
+    """Four hundred cycles a second fit when replies are merged, and only then."""
+    for firmware, fits in ((46, True), (44, False)):
+        driver, _ = on(build(at(WX200, rate_hz=270.0), firmware=firmware))
+        if fits:
+            driver.connect()
+        else:
+            with pytest.raises(PaceError, match="found 270 Hz"):
+                driver.connect()
+
+
+def test_a_read_that_takes_too_much_of_the_period_is_refused_when_connected_and_when_enabled() -> None:
+    rig = enabled(timing=WIRE)
+    rig.driver.disable()
+    rig.driver.close()
+    for share, fits in ((0.1, False), (0.6, True)):
+        driver, port = on(rig, read_share=share)
+        if fits:
+            driver.connect()
+            driver.close()
+            continue
+        with pytest.raises(PaceError, match="read of all servos on virtual"):
+            driver.connect()
+        assert not port.is_open
+    fresh = build(timing=WIRE)  # servos that must be set up are measured after it
+    driver, _ = on(fresh, read_share=0.1)
+    driver.connect()
+    with pytest.raises(PaceError, match="read of all servos on virtual"):
+        driver.enable()
+    assert fresh.get(4, table.TORQUE_ENABLE) == 0
+    with pytest.raises(NotEnabledError, match=NO_TORQUE):
+        driver.write(np.zeros(4))
+
+
+# --- going -----------------------------------------------------------------------------------------------------------
+
+
+def torque(rig: Rig) -> list[int]:
+    return [rig.get(i, table.TORQUE_ENABLE) for i in range(1, 8)]
+
+
+def test_enable_begins_anew_once_and_commands_may_follow_at_once() -> None:
+    rig = build()
+    rig.driver.connect()
+    rig.driver.faults.append(DxlServoFault(FaultCause.SILENT, servo_id=1, joint="waist", found="", expected=""))
+    before = rig.driver._running
+    rig.driver.enable()
+    assert torque(rig) == [1] * 7
+    assert rig.driver.faults == []
+    running = rig.driver._running
+    assert running is not before
+    rig.driver.write(np.array([0.0, 1.0, 0.0, 0.0]))
+    assert rig.get(4, table.GOAL_CURRENT) == pytest.approx(1.0 / (1.783 * 2.69e-3), abs=1.0)
+    written = len(rig.port.writes)
+    rig.driver.enable()
+    assert len(rig.port.writes) == written
+    assert rig.driver._running is running
+
+
+def test_goals_of_an_earlier_run_are_gone_before_torque_comes_on() -> None:
+    rig = enabled()
+    rig.driver.write(np.array([1.0, 1.0, 0.0, 0.1]))
+    rig.driver.disable()
+    assert rig.get(4, table.GOAL_CURRENT) > 0
+    rig.driver.enable()
+    assert [rig.get(i, table.GOAL_CURRENT) for i in (2, 3, 4)] == [0, 0, 0]
+    assert rig.get(6, table.GOAL_PWM) == 0
+
+
+def test_enable_checks_the_pose_after_it_has_set_up_and_before_torque() -> None:
+    far = tuple(j if j.name != "elbow" else type(j)(**{**_fields(j), "start_rad": -1.0}) for j in WX200.joints)
+    rig = build(at(WX200, joints=far))
+    rig.driver.connect()
+    with pytest.raises(IdentityError, match="elbow"):
+        rig.driver.enable()
+    assert torque(rig) == [0] * 7
+    assert "EEPROM_WRITTEN" in rig.kinds()
+
+
+def _fields(joint: Any) -> dict[str, Any]:
+    return {name: getattr(joint, name) for name in joint.__dataclass_fields__}
+
+
+def test_after_disable_it_is_connected_and_after_close_it_is_not() -> None:
+    rig = enabled()
+    rig.driver.disable()
+    assert torque(rig) == [0] * 7
+    rig.driver.read()
+    with pytest.raises(NotEnabledError, match=NO_TORQUE):
+        rig.driver.write(np.zeros(4))
+    rig.driver.close()
+    assert not rig.port.is_open
+    for _ in range(2):
+        rig.driver.disable()
+        rig.driver.close()
+        with pytest.raises(NotEnabledError, match=NO_CONNECTION):
+            rig.driver.health()
+
+
+def test_disable_of_a_connected_arm_switches_torque_off_and_keeps_it_connected() -> None:
+    rig = build()
+    rig.driver.connect()
+    rig.put(4, table.TORQUE_ENABLE, 1)
+    rig.driver.disable()
+    assert rig.get(4, table.TORQUE_ENABLE) == 0
+    rig.driver.read()
+
+
+def test_disable_on_a_dead_port_is_safe_and_on_a_closed_one_says_nothing() -> None:
+    rig = enabled()
+    rig.port.lost = True
+    rig.driver.disable()
+    with pytest.raises(NotEnabledError, match=NO_TORQUE):
+        rig.driver.write(np.zeros(4))
+    rig.driver.close()
+    rig.port.lost = False
+    written = len(rig.port.writes)
+    rig.driver.disable()
+    assert len(rig.port.writes) == written
+    with pytest.raises(NotEnabledError, match=NO_CONNECTION):
+        rig.driver.read()
+
+
+def test_reopen_is_the_same_arm_or_a_closed_port() -> None:
+    rig = build()
+    driver, port = on(rig)
+    driver.connect()
+    driver.enable()
+    rig.events.clear()
+    driver.reopen()
+    assert (port.opened, port.is_open) == (2, True)
+    assert [(event.kind.name, event.text) for event in rig.events] == [("PORT_REOPENED", "virtual")]
+    driver.write(np.zeros(4))
+    rig.fault(FaultKind.SILENT, 5)
+    with pytest.raises(Exception, match="servo 5"):
+        driver.reopen()
+    assert (port.opened, port.is_open) == (3, False)
+    assert len(rig.events) == 1
+
+
+def test_rearm_forgets_the_watchdog_and_nothing_else() -> None:
+    rig = enabled()
+    kept = DxlServoFault(FaultCause.NO_EFFECT, servo_id=4, joint="elbow", found="", expected="")
+    rig.driver.faults = [
+        DxlServoFault(FaultCause.WATCHDOG_TRIPPED, servo_id=1, joint="waist", found="", expected=""), kept,
+    ]  # fmt: skip
+    rig.driver.write(np.array([0.0, 1.0, 0.0, 0.0]))
+    before = rig.driver._running
+    begin_ns = rig.clock.now_ns()
+    rig.driver.rearm()
+    assert rig.driver.faults == [kept]
+    assert rig.get(4, table.GOAL_CURRENT) == 0
+    assert rig.driver._running is not before
+    assert rig.clock.now_ns() - begin_ns >= 25_000_000, "the line was quiet before it was spoken to"
+
+
+# --- the cycle, with an arm that does as the test says ---------------------------------------------------------------
+
+
+@dataclass
+class Clock:
+    """Moves on by a millisecond each time it is asked."""
+
+    ns: int = 0
+
+    def now_ns(self) -> int:
+        self.ns += 1_000_000
+        return self.ns
+
+    def sleep_until(self, deadline_ns: int) -> None:
+        raise NotImplementedError
+
+    utc_offset_ns = 0
+
+
+STATE = JointState(5, np.zeros(4), np.zeros(4), np.zeros(4))
+ROWS: list[Any] = [(0, 0, 0, 0)] * 7
+
+
+@dataclass
+class Arm:
+    """Stands in for what `connect` made."""
+
+    cycle: CycleRows = field(default_factory=lambda: CycleRows(5, list(ROWS), b"", False, False))
+    reading: Reading = field(default_factory=lambda: Reading(STATE, [], False, []))
+    found: list[DxlServoFault] = field(default_factory=list)
+    error: Exception | None = None
+    calls: list[Any] = field(default_factory=list)
+    misses: int = 3
+
+    @property
+    def reader(self) -> Arm:
+        return self
+
+    @property
+    def monitor(self) -> Arm:
+        return self
+
+    def hear_health(self) -> None:
+        self.calls.append("hear")
+
+    def read(self) -> CycleRows:
+        self.calls.append("read")
+        if self.error is not None:
+            raise self.error
+        return self.cycle
+
+    def interpret(self, cycle: CycleRows, now_ns: int) -> Reading:
+        assert cycle is self.cycle
+        self.calls.append(("interpret", now_ns))
+        return self.reading
+
+    def faults(self, reading: Reading, known: list[DxlServoFault]) -> list[DxlServoFault]:
+        assert reading is self.reading
+        self.calls.append("faults")
+        return [*known, *self.found]
+
+    def write(self, tau_Nm: list[float], begin_ns: int) -> list[float]:
+        self.calls.append(("write", tau_Nm, begin_ns))
+        return [tau + 0.5 for tau in tau_Nm]
+
+    def health(self, now_ns: int) -> ServoHealth:
+        return ServoHealth(now_ns, np.zeros(4), np.zeros(4), np.zeros(4, dtype=np.uint8))
+
+
+Made = tuple[DynamixelDriver, Arm, Clock]
+
+
+@pytest.fixture
+def made() -> Callable[..., Made]:
+    def make(*, torque: bool = True) -> Made:
+        rig = build()
+        rig.driver.connect()
+        if torque:
+            rig.driver.enable()
+        driver: Any = rig.driver
+        arm, clock = Arm(), Clock()
+        driver._running, driver._clock = arm, clock
+        return driver, arm, clock
+
+    return make
+
+
+def test_a_cycle_hears_reads_and_interprets_and_says_where_the_time_went(made: Callable[..., Made]) -> None:
+    driver, arm, _ = made()
+    driver.times = CycleTimes()
+    assert (driver.times.exchange, driver.times.interpret, driver.times.write) == (0, 0, 0)
+    assert driver.read() is STATE
+    assert arm.calls == ["hear", "read", ("interpret", 2_000_000), "faults"]
+    assert (driver.times.exchange, driver.times.interpret) == (1_000_000, 1_000_000)
+    assert driver.counters.health_misses == 3
+    assert driver.write(np.array([1.0, 2.0, 3.0, 4.0])).tolist() == [1.5, 2.5, 3.5, 4.5]
+    assert arm.calls[-1] == ("write", [1.0, 2.0, 3.0, 4.0], 1_000_000), "counted from where the read began"
+    assert driver.times.write == 1_000_000
+    assert driver.health().stamp_ns == 6_000_000
+
+
+def test_what_servos_without_torque_do_is_no_fault(made: Callable[..., Made]) -> None:
+    driver, arm, _ = made(torque=False)
+    arm.found = [DxlServoFault(FaultCause.TORQUE_LOST, servo_id=1, joint="waist", found="", expected="")]
+    assert driver.read() is STATE
+    assert "faults" not in arm.calls
+
+
+def test_a_fault_goes_before_a_stale_joint_and_carries_the_state(made: Callable[..., Made]) -> None:
+    driver, arm, _ = made()
+    arm.found = [
+        DxlServoFault(cause, servo_id=i, joint="elbow", found="", expected="")
+        for i, cause in enumerate((FaultCause.SILENT, FaultCause.NO_EFFECT))
+    ]
+    arm.reading = Reading(STATE, ["elbow"], False, [])
+    with pytest.raises(DxlServoFault, match="does not answer") as caught:
+        driver.read()
+    assert caught.value.state is STATE
+    assert len(driver.faults) == 2
+
+
+@pytest.mark.parametrize(
+    ("jumped", "late", "damaged", "reason"),
+    [
+        (True, True, True, "a position it cannot have reached"),
+        (False, True, True, "only a late reply to an earlier request"),
+        (False, False, True, "a damaged reply"),
+        (False, False, False, "no reply"),
+    ],
+)
+def test_why_a_joint_is_stale(made: Callable[..., Made], jumped: bool, late: bool, damaged: bool, reason: str) -> None:
+    driver, arm, _ = made()
+    arm.cycle = CycleRows(5, [*ROWS[:3], None, *ROWS[4:]], b"", late, damaged)
+    arm.reading = Reading(STATE, ["elbow"], jumped, [])
+    with pytest.raises(StaleJointsError) as caught:
+        driver.read()
+    assert caught.value.found == f"{reason} from servo 4 (joint elbow)"
+    assert (caught.value.joints, caught.value.servo_ids) == (("elbow",), (4,))
+    assert caught.value.partial is STATE
+
+
+def test_a_state_with_nothing_fresh_is_none(made: Callable[..., Made]) -> None:
+    driver, arm, _ = made()
+    arm.reading = Reading(STATE, ["shoulder", "elbow", "wrist_angle"], False, [])
+    with pytest.raises(StaleJointsError) as caught:
+        driver.read()
+    assert caught.value.partial is STATE
+    arm.reading = Reading(STATE, ["shoulder", "elbow", "wrist_angle", "wrist_rotate"], False, [])
+    with pytest.raises(StaleJointsError) as caught:
+        driver.read()
+    assert caught.value.partial is None
+
+
+def test_a_request_that_the_port_does_not_take_makes_every_joint_stale(made: Callable[..., Made]) -> None:
+    driver, arm, _ = made()
+    arm.error = WriteTimeoutError("port", found="", expected="", remedy="")
+    with pytest.raises(StaleJointsError, match="no answer, for the port took no request, from servo 1, 2") as caught:
+        driver.read()
+    assert caught.value.joints == ("shoulder", "elbow", "wrist_angle", "wrist_rotate")
+    assert caught.value.servo_ids == (1, 2, 3, 4, 5, 6, 7)
+    assert caught.value.partial is None
+    arm.error = PortLostError("port", found="", expected="", remedy="")
+    with pytest.raises(PortLostError):
+        driver.read()
+
+
+@pytest.mark.parametrize("bad", [[0.0] * 3, [0.0] * 5, [0.0, np.nan, 0.0, 0.0], [0.0, 0.0, 0.0, -np.inf]])
+def test_torques_that_are_none_are_refused_before_anything_is_sent(made: Callable[..., Made], bad: list[float]) -> None:
+    driver, arm, _ = made()
+    with pytest.raises(TorqueError, match="arm left: torque") as caught:
+        driver.write(np.array(bad))
+    assert caught.value.expected == "4 finite numbers"
+    assert str(caught.value.found) == str(bad)
+    assert arm.calls == []

@@ -1,0 +1,408 @@
+"""What a connected arm does between the bus and the driver: what it hears, counts, sends and remembers; no emulator
+answers here but at connect.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.dynamixel.arm_map import ArmMap
+from drivers.dynamixel.budget import LinkTiming, cycle_budget
+from drivers.dynamixel.cycle import CycleRows
+from drivers.dynamixel.errors import DxlServoFault, FaultCause
+from drivers.dynamixel.events import DriverEvent
+from drivers.dynamixel.identify import IdentityError
+from drivers.dynamixel.interpret import Reading
+from drivers.dynamixel.line.bus import BABBLE_BYTES
+from drivers.dynamixel.running import Running
+from drivers.dynamixel.servo.table import HardwareError
+from drivers.interface import JointState
+from tests.support.servos.dxl_rig import WX200, XL, at, build
+
+NOTHING = JointState(0, np.zeros(4), np.zeros(4), np.zeros(4))
+OVERLOAD, HOT = HardwareError.OVERLOAD, HardwareError.OVERHEATING
+
+
+@dataclass
+class Clock:
+    """Stands still but when the port is waited for."""
+
+    ns: int = 1_000_000
+
+    def now_ns(self) -> int:
+        return self.ns
+
+
+@dataclass
+class Line:
+    """A port that gives the bytes it was given, and remembers what was written and until when."""
+
+    clock: Clock
+    at_once: list[bytes] = field(default_factory=list)
+    awaited: list[bytes] = field(default_factory=list)
+    step_ns: int = 0  # that a wait takes
+    waits: list[int] = field(default_factory=list)
+    reads: int = 0
+    discards: int = 0
+    writes: list[tuple[bytes, int]] = field(default_factory=list)
+
+    def read_now(self) -> bytes:
+        self.reads += 1
+        return self.at_once.pop(0) if self.at_once else b""
+
+    def read_until(self, deadline_ns: int) -> bytes:
+        self.waits.append(deadline_ns)
+        self.clock.ns += self.step_ns
+        return self.awaited.pop(0) if self.awaited else b""
+
+    def discard_input(self) -> int:
+        self.discards += 1
+        return 40
+
+    def write(self, data: bytes, deadline_ns: int) -> None:
+        self.writes.append((data, deadline_ns))
+
+
+@dataclass
+class Monitor:
+    """Stands in for the gap monitor; awaits an answer until it has been asked about it `patience` times."""
+
+    patience: int = 0
+    question_ns: int = 0
+    request: bytes = b""
+    heard: list[tuple[bytes, int, bool]] = field(default_factory=list)
+    alerts: list[int] = field(default_factory=list)
+    gaps: list[int] = field(default_factory=list)
+    faults: list[DxlServoFault] = field(default_factory=list)
+
+    @property
+    def awaited(self) -> bool:
+        return self.patience > 0
+
+    def answer(self, heard: bytes, now_ns: int, *, final: bool) -> None:
+        self.heard.append((heard, now_ns, final))
+        self.patience -= 1
+
+    def alert(self, servo_id: int) -> None:
+        self.alerts.append(servo_id)
+
+    def question(self, gap_ns: int) -> tuple[bytes, int]:
+        self.gaps.append(gap_ns)
+        return self.request, self.question_ns
+
+
+class Bench:
+    """`Running` as connect makes it, then with a line, a clock and a monitor of the test's own."""
+
+    def __init__(self, arm: ArmMap = WX200, **more: Any) -> None:
+        rig = build(arm, **more)
+        rig.driver.connect()
+        self.rig = rig
+        self.events: list[DriverEvent] = rig.events
+        self.found = list(rig.driver._found)
+        self.running = self.made()
+        self.clock = Clock()
+        self.line = Line(self.clock)
+        self.monitor = Monitor()
+
+    def made(self) -> Running:
+        driver = self.rig.driver
+        return Running(
+            driver._bus, self.rig.arm, self.found, self.rig.clock, self.events.append, LinkTiming(), fast=True
+        )
+
+    def alone(self) -> Running:
+        """Without the emulator."""
+        running: Any = self.running
+        running._bus.port = self.line
+        running._clock = self.clock
+        running.monitor = self.monitor
+        return self.running
+
+
+@pytest.fixture
+def bench() -> Bench:
+    return Bench()
+
+
+def fault(cause: FaultCause, servo_id: int) -> DxlServoFault:
+    return DxlServoFault(cause, servo_id=servo_id, joint=f"joint {servo_id}", found="", expected="")
+
+
+def reading(*faults: DxlServoFault) -> Reading:
+    return Reading(NOTHING, [], False, list(faults))
+
+
+# --- as connect made it ----------------------------------------------------------------------------------------------
+
+
+def test_records_begin_with_what_connect_found() -> None:
+    found = {"Max_Voltage_Limit": 150, "Min_Voltage_Limit": 105, "Temperature_Limit": 71, "Shutdown": 0x21}
+    bench = Bench(eeprom=found)
+    for servo, record in zip(bench.found, bench.running._records, strict=True):
+        assert record.slot is servo.slot
+        assert record.voltage_limits_V == (10.5, 15.0)
+        assert record.thermal.limit_C == 71.0
+        assert record.shutdown == 0x21
+        assert (record.voltage_V, record.temperature_C) == (
+            servo.values["Present Input Voltage"] / 10,
+            servo.values["Present Temperature"],
+        )
+        assert record.voltage_V > 10.0
+        assert record.temperature_C > 20.0
+        assert record.watchdog == round(WX200.watchdog_s / 0.02)
+        assert record.goal.name == ("Goal PWM" if servo.slot.joint.servo == XL else "Goal Current")
+
+
+def test_the_first_goals_are_those_at_rest(bench: Bench) -> None:
+    rest = bench.running._goals
+    assert rest == [record.sent for record in bench.running._records]
+    assert rest == [record.sent_before for record in bench.running._records]
+    assert rest[1:6] == [0] * 5
+    assert rest[0] > 0, "a held joint rests at its whole effort"
+
+
+@pytest.mark.parametrize(("rate_hz", "told"), [(79.0, True), (80.0, False), (81.0, False)])
+def test_checks_that_take_longer_than_fifty_milliseconds_are_told(rate_hz: float, told: bool) -> None:
+    """At these rates all servos are asked in one gap of two; a fault is then seen after four."""
+    slow = [e for e in Bench(at(WX200, rate_hz=rate_hz)).events if e.kind.name == "SLOW_CHECKS"]
+    assert bool(slow) == told
+    assert all(event.text == "all servos once in 51 ms, should be 50 ms" for event in slow)
+
+
+def test_made_again_it_is_the_same_arm_with_nothing_remembered(bench: Bench) -> None:
+    for fast in (True, False):
+        bench.running.fast = fast
+        bench.running._goals[1] = 77
+        again = bench.running.again()
+        assert again is not bench.running
+        assert again.fast is fast
+        assert again.reader.fast is fast
+        assert again._goals[1] == 0
+        assert again._made_of == bench.running._made_of
+        again.hear_health()
+        assert again.reader.read().rows[0] is not None, "on the same bus"
+
+
+def test_there_is_one_packet_per_register_that_some_joint_uses(bench: Bench) -> None:
+    assert [(writer.ids, joints) for writer, joints in bench.running._writers] == [((2, 4, 5), [0, 1, 2]), ((6,), [3])]
+    no_pwm = tuple(replace(j, role=WX200.joints[0].role) if j.name == "wrist_rotate" else j for j in WX200.joints)
+    assert [w.ids for w, _ in Bench(at(WX200, joints=no_pwm)).running._writers] == [(2, 4, 5)]
+
+
+# --- hearing ---------------------------------------------------------------------------------------------------------
+
+
+def test_what_came_is_taken_in_its_order_and_looked_at_once(bench: Bench) -> None:
+    running = bench.alone()
+    bench.line.at_once = [b"ab", b"c"]
+    running.hear_health()
+    assert bench.monitor.heard == [(b"abc", bench.clock.ns, False)]
+    assert bench.line.waits == []
+    assert (bench.line.discards, running._bus.counters.stray_bytes) == (0, 0)
+
+
+def test_an_answer_is_waited_for_until_the_wire_is_free(bench: Bench) -> None:
+    running = bench.alone()
+    bench.monitor.patience = 9
+    bench.line.step_ns = 100
+    bench.line.at_once, bench.line.awaited = [b"a"], [b"b", b"", b"c"]
+    free_ns = running._wire_free_ns = bench.clock.ns + 300
+    running.hear_health()
+    assert bench.line.waits == [free_ns] * 3
+    assert [heard for heard, _, _ in bench.monitor.heard] == [b"a", b"ab", b"ab", b"abc"]
+    assert [at_ns - free_ns for _, at_ns, _ in bench.monitor.heard] == [-300, -200, -100, 0]
+    assert not any(final for _, _, final in bench.monitor.heard)
+
+
+def test_an_answer_that_has_come_is_not_waited_for(bench: Bench) -> None:
+    running = bench.alone()
+    bench.monitor.patience = 2
+    running._wire_free_ns = bench.clock.ns + 1_000
+    running.hear_health()
+    assert len(bench.line.waits) == 1
+
+
+@pytest.mark.parametrize(("chunks", "reads"), [([256] * 9, 3), ([767, 1, 1], 2), ([767], 2)])
+def test_a_line_that_babbles_is_listened_to_for_so_long_only(bench: Bench, chunks: list[int], reads: int) -> None:
+    running = bench.alone()
+    bench.monitor.patience = 5
+    running._wire_free_ns = bench.clock.ns + 1
+    bench.line.step_ns = 1
+    bench.line.at_once = [bytes(count) for count in chunks]
+    running.hear_health()
+    babbles = sum(chunks) >= BABBLE_BYTES == 768
+    assert bench.line.reads == reads
+    assert len(bench.line.waits) == (not babbles)
+    assert bench.line.discards == babbles
+    assert running._bus.counters.stray_bytes == (768 + 40 if babbles else 0)
+
+
+def test_stray_bytes_add_up_also_those_that_came_while_waiting(bench: Bench) -> None:
+    running = bench.alone()
+    bench.monitor.patience = 50
+    running._wire_free_ns = bench.clock.ns + 1
+    for _ in range(2):
+        bench.line.awaited = [bytes(500), bytes(500), bytes(500)]
+        running.hear_health()
+    assert running._bus.counters.stray_bytes == 2 * (1000 + 40)
+
+
+def test_the_last_chance_of_an_answer_is_within_what_the_cycle_heard(bench: Bench) -> None:
+    running = bench.alone()
+    bench.line.at_once = [b"ab"]
+    running.hear_health()
+    running.interpret(CycleRows(5, [None] * 7, b"cd", False, False), 7)
+    assert bench.monitor.heard[-1] == (b"abcd", 7, True)
+
+
+def test_alerts_are_counted_and_asked_about(bench: Bench) -> None:
+    running = bench.alone()
+    rows = [(0x80 if place in (1, 5) else 0x01, 0, 0, 2048) for place in range(7)]
+    running.interpret(CycleRows(5, [None, *rows[1:]], b"", False, False), 7)
+    assert bench.monitor.alerts == [2, 6]
+    assert running._bus.counters.alerts == 2
+
+
+def test_the_goals_that_were_sent_are_what_answers_are_held_against(bench: Bench) -> None:
+    running = bench.alone()
+    still: list[Any] = [(0, 0, 0, 2048)] * 7
+    running.write([0.0, 2.0, 0.0, 0.0], bench.clock.ns)
+    found = [running.interpret(CycleRows(5 * k, still, b"", False, False), 7).faults for k in range(8)]
+    assert [(f.cause, f.servo_id) for f in found[-1]] == [(FaultCause.NO_EFFECT, 4)]
+
+
+# --- faults ----------------------------------------------------------------------------------------------------------
+
+
+def test_faults_of_the_monitor_and_of_the_cycle_are_both_taken_and_the_known_kept(bench: Bench) -> None:
+    running = bench.alone()
+    old, seen, read = (fault(FaultCause.SILENT, i) for i in (1, 2, 3))
+    known = [old]
+    assert running.faults(reading(), known) is known
+    bench.monitor.faults = [seen]
+    known = running.faults(reading(), known)
+    assert known == [old, seen]
+    assert bench.monitor.faults == []
+    assert running.faults(reading(read), known) == [old, seen, read]
+    assert known == [old, seen], "what the driver holds is not changed behind its back"
+    assert bench.events == []
+
+
+def test_a_fault_is_new_once_for_each_cause_and_servo(bench: Bench) -> None:
+    running = bench.alone()
+    both = [fault(FaultCause.SILENT, 1), fault(FaultCause.TORQUE_LOST, 1), fault(FaultCause.SILENT, 2)]
+    assert running.faults(reading(*both), []) == both
+    assert running.faults(reading(*both), []) == []
+    bench.monitor.faults = [fault(FaultCause.SILENT, 1)]
+    new = fault(FaultCause.SILENT, 3)
+    assert running.faults(reading(new), []) == [new], "one that is known does not hide those after it"
+
+
+def test_a_fault_that_explains_others_takes_their_place_and_says_so(bench: Bench) -> None:
+    running = bench.alone()
+    looked = [fault(FaultCause.SILENT, 4), fault(FaultCause.NO_EFFECT, 4)]
+    cause = fault(FaultCause.REBOOTED, 4)
+    assert running.faults(reading(cause), looked) == [cause]
+    (event,) = bench.events
+    assert (event.kind.name, event.servo_id, event.joint) == ("EXPLAINED", 4, "joint 4")
+    assert event.text == f"{cause.cause.value}; it looked like: does not answer, {FaultCause.NO_EFFECT.value}"
+
+
+# --- sending ---------------------------------------------------------------------------------------------------------
+
+
+def test_torques_go_out_as_counts_in_one_write_and_are_remembered(bench: Bench) -> None:
+    running = bench.alone()
+    sent = running.write([1.0, 0.5, -0.5, 0.1], bench.clock.ns)
+    unit_Nm = 1.783 * 2.69e-3
+    counts = [round(1.0 / (2 * unit_Nm)), round(0.5 / unit_Nm), -round(0.5 / unit_Nm)]
+    np.testing.assert_allclose(sent[:3], np.array([2, 1, 1]) * counts * unit_Nm, rtol=1e-3)
+    records = {record.slot.servo_id: record for record in running._records}
+    assert [records[i].sent for i in (2, 3, 4, 5)] == [counts[0], counts[0], counts[1], counts[2]]
+    assert [running._goals[i - 1] for i in (2, 3, 4, 5)] == [counts[0], counts[0], counts[1], counts[2]]
+    assert running._goals[5] == records[6].sent > 0
+    ((packets, _),) = bench.line.writes
+    assert packets == b"".join(w.packet([records[i].sent for i in w.ids]) for w, _ in running._writers)
+    before = [record.sent for record in records.values()]
+    running.write([0.0] * 4, bench.clock.ns)
+    assert [record.sent_before for i, record in records.items() if i in (2, 3, 4, 5, 6)] == before[1:6]
+    assert [running._goals[i - 1] for i in (2, 3, 4, 5, 6)] == [0] * 5
+
+
+def test_counts_are_made_for_the_speed_and_the_supply_of_that_joint(bench: Bench) -> None:
+    running = bench.alone()
+    running._interpreter.dq[:] = [9.0, 9.0, 9.0, 0.5]
+    records = {record.slot.servo_id: record for record in running._records}
+    records[6].voltage_V = 14.0
+    running.write([0.0, 0.0, 0.0, 0.1], bench.clock.ns)
+    assert records[6].sent == running._drives[3].command(0.1, 0.5, 14.0)[0]
+    assert records[6].sent != running._drives[3].command(0.1, 0.5, 12.0)[0]
+
+
+def test_the_gap_is_what_the_period_leaves_after_the_write(bench: Bench) -> None:
+    running = bench.alone()
+    write_ns = round(1e9 * cycle_budget(WX200, fast=True, link=LinkTiming()).write_s)
+    bench.monitor.request, bench.monitor.question_ns = b"?", 123
+    running.write([0.0] * 4, bench.clock.ns - 1_000)
+    assert bench.monitor.gaps == [5_000_000 - 1_000 - write_ns]
+    assert running._wire_free_ns == bench.clock.ns + write_ns + 123
+    ((packets, deadline_ns),) = bench.line.writes
+    assert packets.endswith(b"?")
+    assert deadline_ns == bench.clock.ns + 5_000_000
+
+
+@pytest.mark.parametrize("awaited", [True, False])
+def test_a_second_write_in_one_cycle_looks_for_the_answer_first(bench: Bench, awaited: bool) -> None:
+    running = bench.alone()
+    bench.monitor.patience = int(awaited)
+    running.write([0.0] * 4, bench.clock.ns)
+    assert len(bench.monitor.heard) == awaited
+
+
+# --- health and recognition ------------------------------------------------------------------------------------------
+
+
+def test_health_is_that_of_the_worst_servo_of_a_joint(bench: Bench) -> None:
+    records = bench.running._records
+    for place, record in enumerate(records):
+        record.temperature_C, record.voltage_V = 30.0 + place, 12.0 - 0.1 * place
+    records[1].hardware, records[2].hardware = OVERLOAD, HOT
+    health = bench.running.health(77)
+    assert health.stamp_ns == 77
+    np.testing.assert_allclose(health.temperature_C, [32.0, 33.0, 34.0, 35.0])
+    np.testing.assert_allclose(health.voltage_V, [11.8, 11.7, 11.6, 11.5])
+    assert health.error_bits.tolist() == [int(OVERLOAD | HOT), 0, 0, 0]
+    assert health.error_bits.dtype == np.uint8
+    records[2].hardware = OVERLOAD
+    assert bench.running.health(0).error_bits[0] == int(OVERLOAD)
+
+
+def pings(bench: Bench, models: Sequence[int]) -> list[tuple[int, int]]:
+    """Let servos answer pings as such models; the list of what was asked."""
+    asked: list[tuple[int, int]] = []
+    answers = dict(zip(range(1, 8), models, strict=True))
+
+    class Bus:
+        def ping(self, servo_id: int, attempts: int) -> Any:
+            asked.append((servo_id, attempts))
+            return type("Ping", (), {"model_number": answers[servo_id]})
+
+    running: Any = bench.running
+    running._bus = Bus()
+    return asked
+
+
+def test_every_servo_is_asked_twice_at_most_and_must_be_the_model_it_was(bench: Bench) -> None:
+    models = [servo.model_number for servo in bench.found]
+    asked = pings(bench, models)
+    bench.running.recognise()
+    assert asked == [(i, 2) for i in range(1, 8)]
+    pings(bench, [*models[:6], models[0]])
+    with pytest.raises(IdentityError, match="model: found XM430-W350, expected XL430-W250"):
+        bench.running.recognise()

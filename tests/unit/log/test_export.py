@@ -1,0 +1,186 @@
+"""Exported tables hold the numbers of the log, whole or not at all, and nothing is written over."""
+
+from __future__ import annotations
+
+import csv
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pyarrow import parquet
+
+from agent.atomic import WriteError
+from agent.log import export as module
+from agent.log import load
+from agent.log.export import Choice, Exported, Format, export
+from agent.log.read import LogError, open_log
+from agent.log.run import MissingPackage
+from agent.telemetry.row.event import Event, Level
+from tests.support.command import coop
+from tests.support.telemetry.log_maker import LogMaker, make_log
+from tests.support.telemetry.telemetry_cell import make_rows
+
+FILES = {"left", "right", "plant"}
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    path = tmp_path / "run.mcap"
+    make_log(path, events=[Event(5, "left", Level.WARN, "mode, „TRACK“ → HOLD", {"limit": 1.5})])
+    return path
+
+
+def exported(log: Path, out: Path, kind: Format = Format.CSV, choice: Choice = Choice(), **options: bool) -> Exported:  # noqa: B008
+    with open_log(log, any_layout=True) as opened:
+        return export(opened, out, kind, choice, replace=options.get("replace", False))
+
+
+def read_csv(path: Path) -> dict[str, list[str]]:
+    with path.open(newline="", encoding="utf-8") as file:
+        head, *rows = csv.reader(file)
+    return dict(zip(head, map(list, zip(*rows, strict=True)), strict=True))
+
+
+def test_csv_holds_every_number_bit_for_bit(log: Path, tmp_path: Path) -> None:
+    done = exported(log, tmp_path / "out")
+    assert done.rows == {"left.csv": 100, "right.csv": 100, "plant.csv": 100, "events.csv": 1}
+    for name in FILES:
+        table = read_csv(tmp_path / "out" / f"{name}.csv")
+        own = load(log)[name]
+        expected = own.columns(*(f for f in own.fields if f != "memory"))
+        assert list(table) == list(expected)
+        for column, values in expected.items():
+            found = np.array([values.dtype.type(text) for text in table[column]])
+            assert found.tobytes() == np.ascontiguousarray(values).tobytes(), column
+
+
+def test_what_is_no_number_is_empty_and_infinity_is_told(tmp_path: Path) -> None:
+    rows = make_rows("left", 4)
+    rows["sigma_min"] = [np.nan, np.inf, -np.inf, 1.5]
+    maker = LogMaker(tmp_path / "run.mcap", has_plant=False)
+    maker.write("left", rows)
+    maker.finish()
+    exported(tmp_path / "run.mcap", tmp_path / "out", choice=Choice(fields=("sigma_min",)))
+    assert read_csv(tmp_path / "out" / "left.csv") == {"sigma_min": ["", "inf", "-inf", "1.5"]}
+
+
+def test_parquet_holds_every_number_with_its_unit(log: Path, tmp_path: Path) -> None:
+    exported(log, tmp_path / "out", Format.PARQUET)
+    for name in FILES:
+        table = parquet.read_table(tmp_path / "out" / f"{name}.parquet")
+        own = load(log)[name]
+        expected = own.columns(*(f for f in own.fields if f != "memory"))
+        assert table.column_names == list(expected)
+        for column, values in expected.items():
+            found = table[column].to_numpy()
+            assert found.dtype == values.dtype
+            assert found.tobytes() == np.ascontiguousarray(values).tobytes(), column
+    assert parquet.read_schema(tmp_path / "out" / "left.parquet").field("t_s").metadata[b"unit"] == b"s"
+
+
+def test_events_and_the_meaning_of_columns_lie_beside_them(log: Path, tmp_path: Path) -> None:
+    exported(log, tmp_path / "out")
+    events = read_csv(tmp_path / "out" / "events.csv")
+    assert (events["level"], events["text"]) == (["WARN"], ["mode, „TRACK“ → HOLD"])
+    assert json.loads(events["data"][0]) == {"limit": 1.5}
+    columns = read_csv(tmp_path / "out" / "columns.csv")
+    at = columns["column"].index("dq_joint_2_rad_per_s")
+    assert (columns["table"][at], columns["unit"][at], columns["field"][at]) == ("left", "rad/s", "dq")
+    assert columns["meaning"][at] == "joint velocities the law used"
+
+
+def test_arms_fields_and_times_can_be_chosen(log: Path, tmp_path: Path) -> None:
+    done = exported(log, tmp_path / "out", choice=Choice(("right",), ("t", "memory"), 0.1, 0.2))
+    assert done.rows == {"right.csv": 20, "events.csv": 1}
+    table = read_csv(tmp_path / "out" / "right.csv")
+    assert list(table)[:2] == ["t_s", "memory_0"]
+    assert len(table) == 106
+    assert (float(table["t_s"][0]), float(table["t_s"][-1])) == (0.1, 0.195)
+
+
+def test_a_field_is_taken_from_those_that_have_it(log: Path, tmp_path: Path) -> None:
+    done = exported(log, tmp_path / "out", choice=Choice(fields=("t", "tau_sent")))
+    assert set(done.rows) == {"left.csv", "right.csv", "plant.csv", "events.csv"}
+    assert list(read_csv(tmp_path / "out" / "plant.csv")) == ["t_s"]
+    done = exported(log, tmp_path / "some", choice=Choice(fields=("tau_sent",)))
+    assert set(done.rows) == {"left.csv", "right.csv", "events.csv"}
+
+
+@pytest.mark.parametrize(
+    ("choice", "message"),
+    [
+        (Choice(("middle",)), "found 'middle', expected one of left, right, plant"),
+        (Choice(fields=("qq",)), "found 'qq', expected one of sequence"),
+        (Choice(from_s=3.0, to_s=2.0), "nothing to export"),
+        (Choice(from_s=99.0), "nothing to export"),
+    ],
+)
+def test_a_choice_of_nothing_is_refused_and_leaves_nothing(
+    log: Path, tmp_path: Path, choice: Choice, message: str
+) -> None:
+    with pytest.raises(LogError, match=message):
+        exported(log, tmp_path / "out", choice=choice)
+    assert [path.name for path in tmp_path.iterdir()] == ["run.mcap"]
+
+
+def test_a_folder_with_something_in_it_is_kept(log: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    exported(log, out)
+    (out / "left.csv").write_text("mine\n")
+    (out / "notes").write_text("mine\n")
+    with pytest.raises(WriteError, match="found something there"):
+        exported(log, out)
+    assert (out / "left.csv").read_text() == "mine\n"
+    exported(log, out, replace=True)
+    assert (out / "left.csv").read_text() != "mine\n"
+    assert (out / "notes").read_text() == "mine\n"
+    file = tmp_path / "file"
+    file.write_text("mine\n")
+    for replace in (False, True):
+        with pytest.raises(WriteError):
+            exported(log, file, replace=replace)
+    assert file.read_text() == "mine\n"
+
+
+@pytest.mark.parametrize("kind", Format)
+def test_a_disk_that_fails_leaves_no_half_file(
+    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: Format
+) -> None:
+    write, seen = module._WRITERS[kind], []
+
+    def fail_at_the_second(path: Path, *rest: object) -> None:
+        seen.append(path)
+        if len(seen) == 2:
+            path.write_bytes(b"half")
+            raise OSError(28, "No space left on device")
+        write(path, *rest)  # type: ignore[arg-type]
+
+    monkeypatch.setitem(module._WRITERS, kind, fail_at_the_second)
+    with pytest.raises(WriteError, match="No space left on device"):
+        exported(log, tmp_path / "out", kind)
+    assert [path.name for path in tmp_path.iterdir()] == ["run.mcap"]
+
+
+def test_without_pyarrow_parquet_is_refused_before_anything_is_written(
+    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
+    with pytest.raises(MissingPackage, match="or export CSV"):
+        exported(log, tmp_path / "out", Format.PARQUET)
+    assert [path.name for path in tmp_path.iterdir()] == ["run.mcap"]
+
+
+def test_the_command_writes_beside_the_log_and_says_what(log: Path, tmp_path: Path) -> None:
+    done = coop("export", log)
+    out = tmp_path / "run-csv"
+    assert (done.code, done.err) == (0, "")
+    assert done.out.splitlines()[0] == f"{out / 'left.csv'}  100 rows"
+    assert coop("export", log).code == 2
+    assert coop("export", log, "--force").code == 0
+    log.write_bytes(log.read_bytes()[:-100])
+    done = coop("export", log, "--out", tmp_path / "cut")
+    assert done.code == 0
+    assert "the file ends without its index" in done.err

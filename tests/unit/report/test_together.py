@@ -1,0 +1,184 @@
+"""How the arms get along: shares, disagreement, what they notice, margins and bus errors, in figures and numbers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+
+from agent.log.read import RunLog
+from agent.report import figures, figures_together
+from agent.report.gallery import pictures
+from agent.report.metrics import summarise
+from agent.report.plotting import DASHES, end_labels, line, mark_moments, panels, time_axis
+from agent.report.prepared import prepare
+from agent.report.together import Thresholds, thresholds
+from agent.telemetry.row.event import Event, Level
+from tests.support.telemetry.synthetic_run import paper_run
+from tests.support.view_run import view_log
+
+
+def log_with(**columns: float) -> RunLog:
+    log = paper_run(Path("run.mcap"), duration_s=25.0)
+    for rows in log.agents.values():
+        rows["unexpected"] = rows["unexpected_wrench"] = np.nan
+        for name, value in columns.items():
+            rows[name][:] = value
+    return log
+
+
+def stems(log: RunLog) -> set[str]:
+    return {picture.stem for picture in pictures(prepare(log))}
+
+
+def labelled(ax: Axes) -> dict[str, np.ndarray]:
+    return {
+        str(c.get_label()): np.asarray(c.get_ydata()) for c in ax.get_lines() if not str(c.get_label()).startswith("_")
+    }
+
+
+def test_a_run_shows_what_it_has_and_no_empty_figure() -> None:
+    always = {"load_share", "disagreement", "margins", "errors_rest"}
+    assert always <= stems(log_with())
+    assert not {"noticed", "bus"} & stems(log_with())
+    assert {"noticed", "bus"} <= stems(log_with(unexpected=0.1, bus_timeouts=2))
+    without = paper_run(Path("run.mcap"), duration_s=2.0, plant=False)
+    assert not {"load_share", "errors_rest"} & stems(without)
+
+
+def test_the_load_share_is_of_each_stretch() -> None:
+    t = np.array([0.0, 0.4, 1.1, 1.2, 2.5, 2.6])
+    at, share = figures_together.in_stretches(t, np.arange(6.0), np.array([1.0, 1.0, 2.0, 2.0, 0.0, 0.0]), 1.0)
+    assert at == pytest.approx([0.2, 1.15, 2.55])
+    assert share[:2] == pytest.approx([0.5, 1.25])
+    assert np.isnan(share[2])
+
+
+def test_the_load_share_of_both_arms_is_one() -> None:
+    (ax,) = figures_together.load_share(prepare(log_with())).axes
+    lines = labelled(ax)
+    assert list(lines) == ["left", "right"]
+    assert lines["left"] + lines["right"] == pytest.approx(np.ones(25))
+    dotted = [c.get_ydata()[0] for c in ax.get_lines() if c.get_linestyle() == ":"]
+    assert dotted == [0.5, 0.5]
+
+
+def test_disagreement_is_the_distance_of_two_beliefs_and_the_shift_has_its_limit() -> None:
+    log = view_log()
+    text = log.attachments["cell.toml"].replace(
+        b"[simulation.effects]", b"[controller.alignment]\nmax_m = 0.004\n\n[simulation.effects]"
+    )
+    log.attachments["cell.toml"] = text
+    log.agents["right"]["p_object"][:, 1] += 2e-3
+    log.agents["right"]["shift"][:, 0] = 3e-3
+    run = prepare(log)
+    upper, lower = figures_together.disagreement(run).axes
+    assert labelled(upper)["left − right"] == pytest.approx(np.full(400, 2.0))
+    assert labelled(lower)["right"] == pytest.approx(np.full(400, 3.0))
+    assert labelled(lower)["limit"][0] == pytest.approx(4.0)
+    assert len(figures_together.disagreement(prepare(view_log())).axes) == 1
+    right = summarise(log).arms["right"]
+    assert (right.shift_max_m, right.shift_max_rad) == (pytest.approx(3e-3), 0.0)
+
+
+def test_thresholds_are_the_cells_and_none_without_a_table() -> None:
+    log = view_log(0.1)
+    assert np.isnan(vars_of(thresholds(log))).all()
+    log.attachments["cell.toml"] += b"\n[safety.noticing]\nfast_N = 3.5\n"
+    found = thresholds(log)
+    assert (found.fast_N, found.slow_Nm) == (3.5, 0.2)
+    assert np.isnan(found.shift_m)
+    log.attachments["cell.toml"] = b"no [ toml"
+    assert np.isnan(thresholds(log).fast_N)
+    del log.attachments["cell.toml"]
+    assert np.isnan(thresholds(log).fast_N)
+
+
+def vars_of(found: Thresholds) -> tuple[float, ...]:
+    return found.shift_m, found.fast_N, found.fast_Nm, found.slow_N, found.slow_Nm
+
+
+def test_what_an_arm_notices_is_shown_by_part_with_its_threshold() -> None:
+    log = view_log()
+    log.attachments["cell.toml"] += b"\n[safety.noticing]\nfast_N = 2.5\nslow_Nm = 0.3\n"
+    for rows in log.agents.values():
+        rows["unexpected"] = [2.0, 0.2, 1.0, 0.1]
+    log.agents["left"]["unexpected"][7] = [4.0, 0.5, 3.0, 0.25]
+    axes = figures_together.noticed(prepare(log)).axes
+    assert [labelled(ax)["right"][0] for ax in axes] == [2.0, 1.0, 0.2, 0.1]
+    assert [ax.get_title(loc="left") for ax in axes] == [
+        "Unexpected force, fast part", "Unexpected force, slow part",
+        "Unexpected moment, fast part", "Unexpected moment, slow part",
+    ]  # fmt: skip
+    assert labelled(axes[0])["holds above"][0] == 2.5
+    assert labelled(axes[3])["holds above"][0] == 0.3
+    left = summarise(log).arms["left"]
+    assert (left.unexpected_fast_max_N, left.unexpected_fast_max_Nm) == (4.0, 0.5)
+    assert (left.unexpected_slow_max_N, left.unexpected_slow_max_Nm) == (3.0, 0.25)
+
+
+def test_margins_are_sigma_and_the_torque_of_the_most_loaded_joint() -> None:
+    log = log_with(sigma_min=0.04, tau_sent=0.0)
+    log.agents["left"]["tau_sent"][:, 2] = -0.5  # of 1.25; the others may give 3
+    log.agents["left"]["tau_sent"][:, 0] = 0.6
+    sigma, load = figures_together.margins(prepare(log)).axes
+    assert np.ptp(labelled(sigma)["right"] - 0.04) == pytest.approx(0.0, abs=1e-12)
+    assert labelled(load)["left"][5] == pytest.approx(40.0)
+    assert summarise(log).arms["left"].load_max == pytest.approx(0.4)
+
+
+def test_bus_errors_are_counted_by_kind() -> None:
+    log = log_with()
+    log.agents["right"]["bus_retries"][100:] = 3
+    left, right = figures_together.bus(prepare(log)).axes
+    assert labelled(left) == {}
+    assert labelled(right)["retries"][[99, 100]].tolist() == [0.0, 3.0]
+
+
+def test_errors_after_the_transient_have_a_scale_of_their_own() -> None:
+    run = prepare(log_with())
+    whole, rest = figures.errors(run).axes[0], figures.errors_rest(run).axes[0]
+    assert rest.get_xlim() == (20.0, 25.0)
+    assert rest.get_ylim()[1] < 0.2 * whole.get_ylim()[1]
+
+
+def test_curves_without_a_style_differ_in_grey_too() -> None:
+    _, (ax,) = panels(1)
+    for colour in DASHES:
+        line(ax, np.arange(5.0), np.ones(5), color=colour)
+    line(ax, np.arange(5.0), np.ones(5), color="#005c9e")
+    dashes = [str(c._dash_pattern) for c in ax.get_lines()]  # type: ignore[attr-defined]
+    assert len(set(dashes)) == len(dashes)
+    assert all(pattern[1] for pattern in DASHES.values())
+
+
+def test_end_labels_stand_at_their_curves_and_apart_and_inside() -> None:
+    _, (ax,) = panels(1)
+    for name, value in (("low", 0.0), ("high", 10.0), ("near", 9.9)):
+        ax.plot([0.0, 1.0], [value, value], label=name)
+    end_labels(ax)
+    heights = {text.get_text(): text.xy[1] for text in ax.texts}  # type: ignore[attr-defined]
+    assert heights["low"] == pytest.approx(0.045, abs=0.01)
+    assert heights["high"] - heights["near"] == pytest.approx(0.11)
+    assert heights["high"] == pytest.approx(0.9)
+
+
+def test_moments_are_marked_on_time_axes_alone_and_named_once() -> None:
+    figure, axes = panels(3, sharex=False)
+    time_axis(axes[:2], 25.0)
+    axes[2].set_xlim(0.0, 1.0)
+    mark_moments(figure, 25.0, [(5.0, "HOLD")])
+    assert [[c.get_xdata()[0] for c in ax.get_lines()] for ax in axes] == [[5.0], [5.0], []]
+    assert [[t.get_text() for t in ax.texts] for ax in axes] == [["HOLD"], [], []]
+
+
+def test_a_hold_is_marked_in_the_figures_of_a_run() -> None:
+    log = log_with()
+    log.events.append(Event(1_800_000_000_000_000_000, "left", Level.ERROR, "mode TRACK → HOLD", {"t": 12.5}))
+    drawn = {
+        picture.stem: picture.draw() for picture in pictures(prepare(log)) if picture.stem in {"errors", "margins"}
+    }
+    for figure in drawn.values():
+        assert [t.get_text() for t in figure.axes[0].texts if t.get_text() == "HOLD"] == ["HOLD"]

@@ -1,0 +1,92 @@
+"""Internal wrenches at the stated tolerance, against the plant and against what their size must depend on."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from agent.config.cell import Cell
+from agent.verify.check import start_configurations
+from agent.verify.disagreement import Disagreement, disagreement
+from agent.verify.robustness import Walk, poses
+from tests.support.control.criterion_cells import gentle
+from tests.support.plant.inprocess import simulate
+
+KEYS = ("base_m", "base_rad", "grasp_m", "grasp_rad", "zeros_rad", "masses", "torque_constant", "skew_s")
+EXACT = (*(f"tolerance.{key}=0.0" for key in KEYS), "tolerance.friction=[1.0, 1.0]")
+STILL = ("trajectory.p_amplitude_m=[0.0, 0.0, 0.0]", "trajectory.angle_rad=0.0")
+IDEAL = (
+    "simulation.effects.friction=false", "simulation.effects.position_quantisation=false",
+    "simulation.effects.velocity_quantisation=false", "simulation.effects.torque_quantisation=false",
+    "controller.friction_feedforward=false", "world.gravity_m_per_s2=[0.0, 0.0, 0.0]",
+)  # fmt: skip
+
+
+def found(cell: Cell, t: float = 0.0) -> tuple[Disagreement, ...]:
+    models = [cell.model(a) for a in cell.arms]
+    walk = Walk(cell, models, [start_configurations(cell, models)], [t])
+    return disagreement(cell, models, poses(walk), walk.along, walk.instants)
+
+
+def test_a_base_that_is_off_squeezes_the_object_as_predicted() -> None:
+    """Each of two arms 2 mm off in a random direction is √2 times one of them off along x."""
+    believed = gentle("paper", *STILL, *IDEAL)
+    x, y, z = believed.arms[1].entry.p_world_base_m
+    true = gentle("paper", *STILL, *IDEAL, f"arms.right.p_world_base_m=[{x + 2e-3}, {y}, {z}]")
+    end = simulate(true, 3.0, agents_cell=believed).end
+    assert end is not None
+    measured = float(np.linalg.norm(end.grasp_wrench[0, :3] - end.grasp_wrench[1, :3])) / 2.0
+    assert measured == pytest.approx(0.5 * (1.5 * 100.0 + 0.5) * 2e-3, rel=0.02)
+    rubbing = found(gentle("paper", *STILL, *IDEAL, *EXACT))  # friction, which the plant here has not
+    both = found(gentle("paper", *STILL, *IDEAL, *EXACT, "tolerance.base_m=2e-3"))
+    for rubs, arm in zip(rubbing, both, strict=True):
+        assert math.sqrt(arm.force_N**2 - rubs.force_N**2) == pytest.approx(math.sqrt(2.0) * measured, rel=0.02)
+
+
+def test_a_cell_without_errors_squeezes_nothing() -> None:
+    for name in ("paper", "three_wx250s"):
+        for arm in found(gentle(name, *EXACT)):
+            assert arm.force_N == pytest.approx(0.0, abs=1e-9)
+            assert arm.moment_Nm == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("key", KEYS)
+@pytest.mark.parametrize("name", ["paper", "three_wx250s"])
+def test_every_error_counts_and_twice_the_error_is_twice_the_wrench(name: str, key: str) -> None:
+    one, two = (found(gentle(name, *EXACT, f"tolerance.{key}={size}"), 3.0) for size in (2e-3, 4e-3))
+    for a, b in zip(one, two, strict=True):
+        assert a.force_N > 1e-6
+        assert b.force_N == pytest.approx(2.0 * a.force_N)
+
+
+def test_independent_errors_add_as_squares() -> None:
+    def force(*keys: str) -> float:
+        return found(gentle("paper", *EXACT, *(f"tolerance.{key}=0.003" for key in keys)), 3.0)[0].force_N
+
+    assert force("base_m", "zeros_rad", "masses") == pytest.approx(
+        math.hypot(force("base_m"), force("zeros_rad"), force("masses"))
+    )
+
+
+def test_of_friction_counts_what_the_feed_forward_does_not_know() -> None:
+    def force(friction: str, *overrides: str) -> float:
+        return found(gentle("paper", *EXACT, f"tolerance.friction={friction}", *overrides))[0].force_N
+
+    assert force("[1.0, 1.4]") == pytest.approx(force("[0.3, 1.0]") * 0.4 / 0.7)
+    assert force("[0.3, 1.4]") == pytest.approx(force("[0.3, 1.0]"))
+    plain = "controller.friction_feedforward=false"
+    assert force("[1.0, 1.0]", plain) > force("[0.3, 1.4]") > 0.1
+    assert force("[1.0, 2.0]", plain) == pytest.approx(2.0 * force("[0.5, 1.0]", plain))
+
+
+def test_arms_that_align_themselves_keep_their_dead_zone_only() -> None:
+    stiff = ("tolerance.base_m=0.02",)
+    rigid = found(gentle("paper", *EXACT, *stiff))
+    aligned = found(gentle("paper", *EXACT, *stiff, "controller.alignment.dead_zone_m=0.001"))
+    assert aligned[0].force_N < 0.2 * rigid[0].force_N
+    zone = found(gentle("paper", *EXACT, *stiff, "controller.alignment.dead_zone_m=0.002"))
+    assert zone[0].force_N == pytest.approx(2.0 * aligned[0].force_N, rel=0.05)
+    off = found(gentle("paper", *EXACT, *stiff, "controller.alignment.track_per_s=0.0"))
+    assert off == rigid

@@ -1,0 +1,113 @@
+"""What check says of reality: the worst case by name, a warning in simulation, a refusal where servos move the arms."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from agent.cli.documents import check_document
+from agent.config.cell import ConfigError
+from agent.verify.check import CheckReport, examine
+from agent.verify.criterion.cases import Aligning, Demand
+from agent.verify.finding import Finding, Verdict
+from agent.verify.robustness import loop_of, ranges_of
+from tests.support.control.criterion_cells import cell_of, first, gentle
+
+SERVOS = (
+    'driver="dynamixel"',
+    'arms.left.dynamixel={port="/dev/a"}',
+    'arms.right.dynamixel={port="/dev/b"}',
+)
+ALIGNED = ("controller.alignment.ready_per_s=2.0",)
+
+
+def findings(report: CheckReport) -> dict[str, Finding]:
+    return {f.what: f for f in report.findings if f.what.startswith("stable") or f.what.startswith("longest")}
+
+
+def test_the_worst_case_is_named_with_its_reality() -> None:
+    found = findings(examine(first("paper"), thorough=True))
+    alone = found["stable: arm alone"]
+    assert alone.where == "left"
+    assert alone.found.startswith("1.5")
+    assert "arms' inertia -30%" in alone.found
+    assert "an arm whose gripper opens would swing up" in alone.remedy
+    assert "pads 1e+02 N/m, 1 N·m/rad" in found["stable: cell with soft grasps"].found
+    assert found["longest delay with all of this stable"].found == "none"
+
+
+def test_in_simulation_it_warns_and_where_servos_move_the_arms_it_refuses() -> None:
+    simulated = examine(first("paper"), thorough=True)
+    assert simulated.ok
+    assert {f.verdict for f in findings(simulated).values()} == {Verdict.WARNING}
+    real = examine(first("paper", *SERVOS))
+    assert {f.verdict for f in findings(real).values()} == {Verdict.REFUSED}
+    with pytest.raises(ConfigError, match=r"stable: arm alone \(left\): found 1\.5.*coop tune"):
+        real.require()
+
+
+def test_gains_that_survive_are_neither_warned_of_nor_refused() -> None:
+    for cell in (gentle("paper", *SERVOS), gentle("two_wx200"), gentle("three_wx250s")):
+        report = examine(cell, thorough=True)
+        assert report.ok
+        assert {f.verdict for f in findings(report).values()} == {Verdict.OK}
+
+
+def test_a_simulated_cell_is_looked_at_thoroughly_only_where_that_is_asked() -> None:
+    assert examine(first("paper")).robustness is None
+    assert not findings(examine(first("paper")))
+    assert not findings(examine(first("paper", *SERVOS), thorough=False))
+
+
+def test_the_document_carries_the_figures() -> None:
+    cell = first("paper")
+    document = json.loads(json.dumps(check_document(cell, examine(cell, thorough=True))))["robustness"]
+    assert document["spectral_radius"] == pytest.approx(1.546, abs=1e-3)
+    assert document["delay_margin_s"] is None
+    worst = document["worst"]["bare"]
+    assert (worst["arm"], worst["inertia"], worst["pads_N_per_m"]) == ("left", 0.7, None)
+    assert document["worst"]["soft"]["pads_N_per_m"] == pytest.approx(100.0)
+    assert check_document(cell, examine(cell))["robustness"] is None
+
+
+def test_the_delay_margin_is_in_milliseconds_and_wants_the_stated_delay() -> None:
+    cell = gentle("paper")
+    found = examine(cell, thorough=True)
+    margin = findings(found)["longest delay with all of this stable"]
+    assert found.robustness is not None
+    assert found.robustness.criterion.delay_margin_s is not None
+    assert margin.found == f"{found.robustness.criterion.delay_margin_s * 1e3:.3g} ms"
+    assert margin.wanted == "≥ 6.25 ms"
+    wider = findings(examine(gentle("paper", "tolerance.delay=[0.8, 2.0]"), thorough=True))
+    assert wider["longest delay with all of this stable"].verdict is Verdict.WARNING
+
+
+def test_the_ranges_are_those_that_the_cell_states() -> None:
+    stated = (
+        "tolerance.delay=[0.9, 1.5]", "tolerance.object=0.1", "tolerance.friction=[0.2, 2.0]",
+        "tolerance.pads_N_per_m=[2e3, 2e4]", "tolerance.pads_Nm_per_rad=[7.0, 70.0]",
+        "tolerance.pads_damping_ratio=0.1", "safety.inertia_error=0.15", "loop_delay_s=0.004",
+    )  # fmt: skip
+    found = ranges_of(cell_of("paper", *stated))
+    assert found.delay_periods == pytest.approx((0.72, 0.8, 1.2))
+    assert (found.inertia_error, found.object_error, found.friction) == (0.15, 0.1, 0.2)
+    assert (found.pads_N_per_m, found.pads_Nm_per_rad) == ((2e3, 2e4), (7.0, 70.0))
+    assert found.pads_damping_ratio == 0.1
+
+
+@pytest.mark.parametrize(("anchor", "index"), [(None, 0), ("left", 0), ("right", 1)])
+def test_alignment_is_part_of_the_loop_with_its_anchor_and_its_faster_rate(anchor: str | None, index: int) -> None:
+    named = () if anchor is None else (f'controller.alignment.anchor="{anchor}"',)
+    assert loop_of(cell_of("paper", *ALIGNED, *named)).aligning == Aligning(index, 2.0)
+    fast = cell_of("paper", "controller.alignment.ready_per_s=1.0", "controller.alignment.track_per_s=3.0", *named)
+    assert loop_of(fast).aligning == Aligning(index, 3.0)
+
+
+def test_the_slow_creep_of_alignment_is_no_instability() -> None:
+    found = examine(gentle("paper", *ALIGNED), thorough=True)
+    aligning = findings(found)["stable: cell that aligns itself"]
+    assert aligning.verdict is Verdict.OK
+    assert aligning.wanted == "< 1"
+    assert found.robustness is not None
+    assert found.robustness.criterion.worst[Demand.ALIGNING].radius > found.robustness.criterion.radius

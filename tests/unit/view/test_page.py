@@ -1,0 +1,248 @@
+"""The page shows what is wished for last, plays at its pace, and serves this host alone."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agent.report.moments import Moment, around, marks, moments_of
+from agent.report.prepared import prepare
+from agent.telemetry.row.event import Event, Level
+from agent.view.arm import ViewError
+from agent.view.curves import BEYOND, Curve, curves_of, thinned
+from agent.view.scene import DESIRED, OBJECT, Placed
+from agent.view.staged import Staged, legend, stage
+from tests.support.view_run import view_log
+
+viser = pytest.importorskip("viser", reason="the extra `view` is not installed")
+
+from agent.view.browser import Nodes, Server  # noqa: E402 (these need viser)
+from agent.view.html import VIEW_PX, write_html  # noqa: E402
+from agent.view.player import CURVES_S, Player  # noqa: E402
+from agent.view.plots import needle  # noqa: E402
+
+UTC_0 = 1_800_000_000_000_000_000
+
+
+@cache
+def staged() -> Staged:
+    return stage(prepare(view_log()), 20.0)
+
+
+@pytest.fixture
+def server() -> Iterator[Server]:
+    found = Server(18300, "test")
+    yield found
+    found.stop()
+
+
+class Clock:
+    """Time by hand."""
+
+    def __init__(self) -> None:
+        self.s = 100.0
+
+    def __call__(self) -> float:
+        return self.s
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def player(server: Server, clock: Clock) -> Player:
+    nodes = Nodes(server, staged().scene, staged().camera(VIEW_PX))
+    found = Player(server, nodes, staged(), [Moment(0.5, "left", "mode TRACK → HOLD", True)], clock)
+    found.step()
+    return found
+
+
+def place(player: Player, name: str) -> np.ndarray:
+    return np.asarray(player._nodes._nodes[name].position)
+
+
+def test_the_first_picture_is_the_start(player: Player) -> None:
+    assert player.pictures == 1
+    assert place(player, OBJECT) == pytest.approx(staged().motion.object[0, :3])
+    assert "t = 0.0 s · TRACK" in player._words.content
+
+
+def test_the_newest_wish_is_shown(player: Player) -> None:
+    for t in (0.3, 0.9, 1.5):
+        player.want(t)
+    player.step()
+    assert player.pictures == 2
+    assert place(player, OBJECT) == pytest.approx(staged().motion.object[30, :3])
+    assert place(player, "arms/left/elbow") == pytest.approx(staged().placed.poses["arms/left/elbow"][30, :3])
+
+
+def test_it_plays_at_the_pace_of_the_run_and_ends(player: Player, clock: Clock) -> None:
+    player._toggle()
+    clock.s += 0.5
+    player.step()
+    assert place(player, OBJECT) == pytest.approx(staged().motion.object[10, :3])
+    assert player._slider.value == pytest.approx(0.5)
+    assert "mode TRACK → HOLD" in player._words.content
+    player._speed.value = "4"
+    clock.s += 0.1
+    player.step()
+    assert place(player, OBJECT) == pytest.approx(staged().motion.object[18, :3])
+    clock.s += 100.0
+    player.step()
+    assert place(player, OBJECT) == pytest.approx(staged().motion.object[-1, :3])
+    assert player._play.label == "Play"
+    clock.s += 1.0
+    shown = player.pictures
+    player.step()
+    assert player.pictures == shown
+    player._toggle()  # from the end it begins again
+    player.step()
+    assert place(player, OBJECT) == pytest.approx(staged().motion.object[0, :3])
+
+
+def test_it_pauses_where_it_is_and_a_wish_moves_the_playing(player: Player, clock: Clock) -> None:
+    player._toggle()
+    clock.s += 0.5
+    player.step()
+    player._toggle()
+    clock.s += 0.5
+    player.step()
+    assert place(player, OBJECT) == pytest.approx(staged().motion.object[10, :3])
+    player._toggle()
+    player.want(1.0)
+    clock.s += 0.25
+    player.step()
+    player.step()
+    assert place(player, OBJECT) == pytest.approx(staged().motion.object[25, :3])
+
+
+def test_errors_are_enlarged_on_request(player: Player) -> None:
+    player._exaggerate(10.0)
+    player.step()
+    apart = place(player, DESIRED) - place(player, OBJECT)
+    assert apart == pytest.approx(10.0 * (staged().placed.poses[DESIRED][0, :3] - staged().motion.object[0, :3]))
+
+
+def test_the_curves_follow_now_and_then(player: Player, clock: Clock) -> None:
+    before = player._plots[0]._handle.data
+    player.want(1.0)
+    player.step()
+    assert player._plots[0]._handle.data is before
+    clock.s += 2 * CURVES_S
+    player.want(1.5)
+    player.step()
+    peak = np.nanargmax(player._plots[0]._handle.data[-1])
+    assert player._plots[0]._handle.data[0][peak] == pytest.approx(1.5)
+
+
+def test_it_listens_on_this_host_alone_and_opens_no_tunnel(server: Server) -> None:
+    assert server.get_host() == "127.0.0.1"
+    assert server.request_share_url() is None
+    with socket.socket() as other:  # an address of this host that a server of all addresses would have
+        assert other.connect_ex(("127.0.0.2", server.get_port())) != 0
+
+
+def test_a_pose_that_is_no_number_moves_nothing(server: Server) -> None:
+    nodes = Nodes(server, staged().scene, staged().camera(VIEW_PX))
+    poses = {name: at.copy() for name, at in staged().placed.poses.items()}
+    poses[OBJECT][1] = np.nan
+    broken = Placed(poses, {"wrench/left": np.full((2, 2, 3), np.nan)})
+    nodes.show(broken, 0, "")
+    nodes.show(broken, 1, "")
+    assert np.asarray(nodes._nodes[OBJECT].position) == pytest.approx(poses[OBJECT][0, :3])
+    assert not nodes._arrows["wrench/left"].visible
+
+
+def test_one_html_file_holds_the_whole_run(tmp_path: Path) -> None:
+    path = tmp_path / "view.html"
+    assert write_html(prepare(view_log()), path) == 40
+    page = path.read_text()
+    assert page.lstrip().lower().startswith("<!doctype html")
+    assert "__VISER_EMBED_DATA__" in page
+    assert list(tmp_path.iterdir()) == [path]
+    with pytest.raises(ViewError, match="No such file"):
+        write_html(prepare(view_log()), tmp_path / "nowhere" / "view.html")
+
+
+# ----------------------------------------------------------------------------------------------- what the page is told
+
+
+def test_events_stand_at_their_time_on_the_runs_axis() -> None:
+    log = view_log()
+    log.events.extend([
+        Event(UTC_0 + 1, "left", Level.INFO, "torque on", {}),
+        Event(UTC_0 + 7, "left", Level.ERROR, "mode TRACK → HOLD", {"t": 1.25}),
+        Event(UTC_0 + 9_000_000_000, "right", Level.INFO, "run ended in TRACK", {"ticks": 400, "wall_s": 9.0}),
+        Event(UTC_0 - 7, "right", Level.WARN, "safety: stale", {"t": -0.5}),
+    ])  # fmt: skip
+    found = moments_of(prepare(log))
+    assert [(m.t, m.source, m.grave) for m in found] == [
+        (0.0, "left", False), (0.0, "right", True), (1.25, "left", True), (2.0, "right", False),
+    ]  # fmt: skip
+    assert found[2].line == "1.25 s left: mode TRACK → HOLD"
+    assert [m.t for m in around(found, 2.0)] == [2.0, 1.25, 0.0, 0.0]
+    assert [m.t for m in around(found, 4.5)] == [2.0]
+
+
+def test_an_event_without_a_tick_stands_by_the_wall_where_the_run_kept_its_pace() -> None:
+    log = view_log()
+    for rows in log.agents.values():
+        rows["utc_ns"] = UTC_0 + (rows["t"] * 1e9).astype(np.int64)
+    log.events.extend([
+        Event(UTC_0 + 500_000_000, "left", Level.WARN, "a word", {}),
+        Event(UTC_0 + 2_000_000_000, "left", Level.INFO, "run ended", {"ticks": 400, "wall_s": 2.0}),
+    ])  # fmt: skip
+    assert moments_of(prepare(log))[0].t == pytest.approx(0.5)
+
+
+def test_the_slider_shows_each_thing_once_and_apart() -> None:
+    flood = [Moment(0.1 * i, "left", "safety: saturated", True) for i in range(100)]
+    hold = Moment(5.0, "right", "mode TRACK → HOLD", True)
+    told = Moment(8.0, "right", "torque on")
+    assert marks([*flood, hold, told], 0.0, 10.0) == ((0.0, "saturated"), (5.0, "HOLD"))
+    close = Moment(5.5, "left", "safety: singular", True)
+    assert marks([hold, close], 0.0, 10.0) == ((5.0, "HOLD"),)
+
+
+def test_curves_are_error_disagreement_and_forces() -> None:
+    found = {curve.title: curve for curve in curves_of(staged().motion)}
+    assert [curve.unit for curve in found.values()] == ["mm", "mm", "N", "N"]
+    error = found["position error"].lines[0][1]
+    assert error[0] == pytest.approx(1e3 * np.sqrt(0.001**2 + 0.003**2))
+    assert found["arms disagree on the object by"].lines[0][0] == "left − right"
+    assert found["internal force"].lines[0][1][0] == pytest.approx(1.5)
+
+
+def test_a_thinned_curve_keeps_its_peaks_and_what_is_no_number_is_a_gap() -> None:
+    t = np.arange(10_000) * 0.01
+    values = np.sin(t)
+    values[5432], values[77] = -7.0, np.nan
+    found = thinned(Curve("x", "m", t, (("a", values),)), 100)
+    assert len(found.t) == 100
+    assert found.lines[0][1].min() == -7.0
+    assert np.isfinite(found.lines[0][1]).all()
+    log = view_log()
+    log.agents["left"]["wrench_cmd"][100:110] = np.inf
+    log.agents["left"]["wrench_cmd"][150:160, 0] = 10 * BEYOND
+    force = next(c for c in curves_of(stage(prepare(log), 20.0).motion) if c.title == "commanded force")
+    assert np.isnan(force.lines[0][1][[10, 15]]).all()
+    assert np.isfinite(force.lines[0][1][[9, 11, 14, 16]]).all()
+
+
+def test_the_needle_stands_at_now() -> None:
+    found = needle(np.arange(5.0), 2.3, 1.0, 9.0)
+    assert np.isnan(found[[0, 4]]).all()
+    assert found[1:4].tolist() == [1.0, 9.0, 1.0]
+    assert needle(np.arange(5.0), -1.0, 1.0, 9.0)[:2].tolist() == [9.0, 1.0]
+
+
+def test_the_legend_tells_the_scale_of_the_arrows() -> None:
+    scale = next(a.metres for a in staged().scene.arrows if a.name == "internal/left")
+    assert f"internal force, {100 * scale:.2g} cm for 1 N" in legend(staged().scene)
