@@ -10,9 +10,9 @@ import pinocchio as pin
 import pytest
 
 from drivers.interface import Vector
+from drivers.pads import swinging_inertia
 from sim_backend.physics.actuator import ActuatorSpec
 from sim_backend.physics.composition import arm_model, frame_number
-from sim_backend.physics.free_arm import swinging_inertia
 from sim_backend.physics.friction import FrictionSpec
 from sim_backend.physics.pads import Pads
 from sim_backend.physics.plant import Plant
@@ -518,6 +518,6 @@ def test_brake_reaches_dry_friction() -> None:
 def test_an_arm_swings_with_its_inverse_mean_mobility_and_not_at_all_where_it_has_none() -> None:
     M, J = np.diag([1.0, 2.0, 4.0]), np.zeros((6, 3))
     J[0, 0], J[1, 1], J[2, 2] = 1.0, 2.0, 2.0  # mobilities 1, 2, 1
-    assert swinging_inertia(M, J).tolist() == [0.75, 0.75, 0.75, 0.0, 0.0, 0.0]
+    assert swinging_inertia(J @ np.linalg.inv(M) @ J.T).tolist() == [0.75, 0.75, 0.75, 0.0, 0.0, 0.0]
     J[3, 0] = J[4, 1] = 1.0  # 1 and 1/2, in two directions
-    np.testing.assert_allclose(swinging_inertia(M, J)[3:], 2.0 / 1.5)
+    np.testing.assert_allclose(swinging_inertia(J @ np.linalg.inv(M) @ J.T)[3:], 2.0 / 1.5)
