@@ -101,7 +101,8 @@ def _distribution(results: Sequence[RunResult]) -> Figure:
         ax.plot(values[bad], share[bad], "x", color=RED, markersize=4, label="lost or tripped")
         ax.set_xlabel(label)
         ax.set_ylim(0.0, 1.02)
-        ax.margins(x=0.04)
+        low, high = min(0.0, float(values[0])), max(float(values[-1]), 1e-6)
+        ax.set_xlim(low, high + 0.04 * (high - low))
     axes[0].set_ylabel("share of runs")
     axes[2].set_ylabel("share of runs")
     return figure

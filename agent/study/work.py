@@ -166,7 +166,8 @@ class _Worker(threading.Thread):
 
 
 def _start() -> subprocess.Popen[bytes]:
-    surroundings = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}  # it finds what this one found
+    surroundings = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"} | os.environ  # our matrices are small
+    surroundings["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))  # it finds what this one found
     return subprocess.Popen(
         [sys.executable, "-m", "agent.study.worker", str(os.getpid())],
         stdin=subprocess.PIPE,

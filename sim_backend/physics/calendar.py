@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -57,13 +57,9 @@ class Calendar:
         self._due = sorted(due, key=lambda entry: entry[0])
         self._wrench: Vector = np.zeros(6)
 
-    def stretches(self, plant: Befallen, now: int, substeps: int) -> Iterable[int]:
+    def stretches(self, plant: Befallen, now: int, substeps: int) -> Iterator[int]:
         """Numbers of the substeps from `now` on between which something happens; it has, when a stretch is given."""
-        if not self._due or self._due[0][0] >= now + substeps:
-            return (substeps,)
-        return self._divided(plant, now, now + substeps)
-
-    def _divided(self, plant: Befallen, now: int, end: int) -> Iterator[int]:
+        end = now + substeps
         while now < end:
             while self._due and self._due[0][0] <= now:
                 self._happen(plant, self._due.pop(0)[1])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
@@ -13,12 +14,15 @@ from agent.config.cell import load_cell
 from agent.process.simulated import actuator_spec, plant_spec
 from agent.verify.check import examine
 from sim_backend.physics.plant import Plant
+from sim_backend.physics.soft import SoftPlant
+from sim_backend.physics.spec import GraspSpec
 from tests.bench.common import Figure, median_us
 from tests.support.plant.plant_cells import spatial_cell
 
 SPATIAL = (2, 3, 4, 8, 12)
 GROWTH = "plant_step_6dof_8_of_3"
-NAMES = ("plant_step_planar_2", *(f"plant_step_6dof_{n}" for n in SPATIAL), GROWTH)
+SOFT = "plant_step_soft_planar_2"
+NAMES = (SOFT, "plant_step_planar_2", *(f"plant_step_6dof_{n}" for n in SPATIAL), GROWTH)
 SUBSTEPS, ROUNDS = 50, 61
 
 
@@ -42,7 +46,22 @@ def bench() -> dict[str, Figure]:
             rounds[name].append((median_us(step, 1, 1) / SUBSTEPS, median_us(bare, SUBSTEPS, 1)))
     figures = {name: _paired(taken) for name, taken in rounds.items()}
     eight, three = ([step for step, _ in rounds[f"plant_step_6dof_{n}"]] for n in (8, 3))
-    return figures | {GROWTH: _paired(list(zip(eight, three, strict=True)))}
+    return figures | {GROWTH: _paired(list(zip(eight, three, strict=True))), SOFT: _soft(plants["plant_step_planar_2"])}
+
+
+def _soft(welded: Plant) -> Figure:
+    """The same cell on pads; baseline: its welded plant in the same rounds."""
+    soft = SoftPlant(replace(welded.spec, grasp=GraspSpec(1e4, 50.0)))
+    tau, q, T, v = np.zeros(soft.joint_count), soft.q, soft.T_world_object, np.zeros(soft.joint_count + 6)
+
+    def step() -> None:
+        soft._q, soft._T, soft._behind = q, T, False
+        soft.set_velocity(v)
+        soft.advance(tau, SUBSTEPS)
+
+    timers = (step, _step(welded))
+    rounds = [tuple(median_us(timer, 1, 1) / SUBSTEPS for timer in timers) for _ in range(ROUNDS)]
+    return _paired([(a, b) for a, b in rounds])
 
 
 def _step(plant: Plant) -> Callable[[], None]:

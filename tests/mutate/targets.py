@@ -43,7 +43,6 @@ TARGETS = (
     Target("drivers.dynamixel.monitor", (f"{UNIT}/drivers/test_monitor.py",)),
     Target("drivers.dynamixel.running", (f"{UNIT}/drivers/test_running.py",)),
     Target("sim_backend.physics.calendar", _SOFT),
-    Target("sim_backend.physics.free_arm", _SOFT),
     Target("sim_backend.physics.free_body", _SOFT),
     Target("sim_backend.physics.pads", _SOFT),
     Target("sim_backend.physics.reality", (f"{UNIT}/sim_backend/test_reality.py",)),

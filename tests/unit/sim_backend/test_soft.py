@@ -10,6 +10,7 @@ import pinocchio as pin
 import pytest
 
 from drivers.interface import Vector
+from drivers.pads import swinging_inertia
 from sim_backend.physics.actuator import ActuatorSpec
 from sim_backend.physics.composition import arm_model, frame_number
 from sim_backend.physics.friction import FrictionSpec
@@ -512,3 +513,11 @@ def test_brake_reaches_dry_friction() -> None:
         plant.brake(name, 1e4)
     plant.advance(np.full(6, 0.9), 400)
     assert float(np.abs(plant.dq).max()) < 1e-3
+
+
+def test_an_arm_swings_with_its_inverse_mean_mobility_and_not_at_all_where_it_has_none() -> None:
+    M, J = np.diag([1.0, 2.0, 4.0]), np.zeros((6, 3))
+    J[0, 0], J[1, 1], J[2, 2] = 1.0, 2.0, 2.0  # mobilities 1, 2, 1
+    assert swinging_inertia(J @ np.linalg.inv(M) @ J.T).tolist() == [0.75, 0.75, 0.75, 0.0, 0.0, 0.0]
+    J[3, 0] = J[4, 1] = 1.0  # 1 and 1/2, in two directions
+    np.testing.assert_allclose(swinging_inertia(J @ np.linalg.inv(M) @ J.T)[3:], 2.0 / 1.5)
