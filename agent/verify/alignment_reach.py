@@ -1,4 +1,4 @@
-"""Whether arms that align themselves can follow their shifts up to the limits: reach, and how near singular poses are."""
+"""Whether arms that align themselves can follow their shifts up to the limits: reach and nearness to singular poses."""
 
 from __future__ import annotations
 

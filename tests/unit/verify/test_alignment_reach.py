@@ -49,3 +49,10 @@ def test_limits_beyond_reach_are_refused_where_servos_move_the_arms_with_those_t
 def test_an_anchor_that_does_not_exist_is_refused_with_those_that_do() -> None:
     with pytest.raises(ConfigError, match=r"controller\.alignment\.anchor.*'middle', expected left or right"):
         cell_of("paper", 'controller.alignment.anchor="middle"')
+
+
+@pytest.mark.parametrize(("anchor", "follower"), [("left", "right"), ("right", "left")])
+def test_away_from_the_base_is_out_of_reach_first_on_either_side(anchor: str, follower: str) -> None:
+    far = ("controller.alignment.max_m=0.1", "controller.alignment.max_rad=0.001", "safety.sigma_min=0.05")
+    found = limits(gentle("paper", *far, f'controller.alignment.anchor="{anchor}"'))
+    assert [(f.where, f.verdict) for f in found] == [(follower, Verdict.WARNING)]
