@@ -13,6 +13,7 @@ from agent.config import observer
 from agent.config.cell import Cell
 from agent.config.schema.cell import DriverKind
 from agent.control.models import ArmModel
+from agent.verify.alignment_reach import alignment_reach
 from agent.verify.criterion import bodies
 from agent.verify.criterion.bodies import Pose
 from agent.verify.criterion.cases import Aligning, Demand, Loop, Ranges
@@ -23,6 +24,7 @@ from agent.verify.support import HELD_SAG_M, Fate, Load, Statics, Support
 from drivers.interface import Vector
 
 PLACES = 12  # along the trajectory
+REACH_PLACES = 6  # for the limits of the alignment
 CREEP = 1e-9  # of a motion that dies out, however slowly
 
 _MEANING = {
@@ -58,6 +60,7 @@ class Robustness:
     instants: Sequence[float]  # of the statics
     support: tuple[Support, ...]  # when one arm fails, by arm; empty for an arm alone
     disagreement: tuple[Disagreement, ...]  # likewise
+    reach: tuple[Finding, ...]  # of arms that align themselves
 
     def document(self) -> dict[str, Any]:
         """For a script."""
@@ -119,7 +122,7 @@ class Robustness:
                 )
             )  # fmt: skip
         failed = [f for i, s in enumerate(self.support) for f in self._failures(i, s)]
-        return [*findings, self._margin(otherwise), *failed, *self._internal()]
+        return [*findings, self._margin(otherwise), *failed, *self._internal(), *self.reach]
 
     def _internal(self) -> list[Finding]:
         return [
@@ -194,11 +197,13 @@ def robustness(walk: Walk) -> Robustness:
     at = poses(few)
     found = examine(at, loop_of(cell), ranges_of(cell))
     if len(cell.arms) < 2:
-        return Robustness(few, found, walk.instants, (), ())
+        return Robustness(few, found, walk.instants, (), (), ())
     statics = Statics(cell, walk.models, walk.along, walk.instants)
     support = tuple(statics.without(i) for i in range(len(cell.arms)))
     apart = disagreement(cell, walk.models, at, few.along, few.instants)
-    return Robustness(few, found, walk.instants, support, apart)
+    shifted = walk.some(REACH_PLACES)
+    reach = alignment_reach(cell, walk.models, shifted.along, shifted.instants)
+    return Robustness(few, found, walk.instants, support, apart, tuple(reach))
 
 
 def poses(walk: Walk) -> list[Pose]:

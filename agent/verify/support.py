@@ -36,10 +36,10 @@ from drivers.interface import Vector
 HELD_SAG_M = 0.02
 BREAKAWAY = 1.5  # times Coulomb friction, what a joint at rest may resist
 NOTICED_S, NOTICED_MORE_S = 0.1, 0.5  # until a locked arm is noticed by one other, by more
-STEPS = 100  # to the balance, at the most
+STEPS = 200  # to the balance, at the most
 STILL_RAD_PER_S, STILL_RAD = 1e-6, 1e-9
 PRESLIDING_RAD = 1e-3  # way of a joint on which its friction builds up
-BALANCED = 1e-3  # N, N·m
+BALANCED = 5e-3  # N, N·m
 LOST_M = 10.0
 LEAST_STIFFNESS = 1e-6  # where all torques are at their bounds, N/m, N·m/rad
 
@@ -143,10 +143,12 @@ class Statics:
         """What the others bear when this arm fails; there must be others."""
         others = [i for i in range(len(self._arms)) if i != failed]
         x = self._sag(failed, others, _Reality(1.0, 1.0, 0.0), math.inf)
-        fate = Fate.MAY_FALL
-        if self._size(self._sag(failed, others, self._worst, self._bound)) <= HELD_SAG_M:
-            fate = Fate.HELD
-        elif not self._size(self._sag(failed, others, self._best, self._bound)) <= HELD_SAG_M:
+        worst, expected, best = (
+            self._size(self._sag(failed, others, reality, self._bound))
+            for reality in (self._worst, _Reality(1.0, 1.0, 1.0), self._best)
+        )
+        fate = Fate.HELD if worst <= HELD_SAG_M else Fate.MAY_FALL
+        if min(worst, expected, best) > HELD_SAG_M:
             fate = Fate.NOT_HELD
         gone = (NOTICED_S if len(others) == 1 else NOTICED_MORE_S) * self._speed
         S, S_others = self._arms[failed].S, np.sum([self._arms[i].S for i in others], axis=0)
@@ -154,7 +156,7 @@ class Statics:
         given = gone @ np.linalg.solve(S + S_others, S_others).T
         return Support(
             limp=self._largest(others, x),
-            sag_m=self._size(self._sag(failed, others, _Reality(1.0, 1.0, 1.0), self._bound)),
+            sag_m=expected,
             fate=fate,
             locked=self._largest(others, -gone),
             holding=self._largest(others, given - gone),

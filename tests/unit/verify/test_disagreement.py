@@ -90,3 +90,11 @@ def test_arms_that_align_themselves_keep_their_dead_zone_only() -> None:
     assert zone[0].force_N == pytest.approx(2.0 * aligned[0].force_N, rel=0.05)
     off = found(gentle("paper", *EXACT, *stiff, "controller.alignment.track_per_s=0.0"))
     assert off == rigid
+
+
+@pytest.mark.parametrize("anchor", [0, 2])
+def test_the_anchor_bears_what_the_followers_leave_to_it(anchor: int) -> None:
+    names = [arm.name for arm in gentle("three_wx250s").arms]
+    cell = gentle("three_wx250s", f'controller.alignment.anchor="{names[anchor]}"')
+    forces = [arm.force_N for arm in found(cell)]
+    assert int(np.argmax(forces)) == anchor

@@ -128,3 +128,10 @@ def test_every_stated_error_and_a_soft_law_may_cost_the_object(wider: str) -> No
     )
     assert without(gentle("two_models", *known), 0, 5.0).fate is Fate.HELD
     assert without(gentle("two_models", *known, wider), 0, 5.0).fate is not Fate.HELD
+
+
+def test_what_holds_as_the_files_say_is_never_called_not_held() -> None:
+    for name in ("paper", "two_models"):
+        for arm in (0, 1):
+            found = without(gentle(name), arm, *np.linspace(0.0, 15.0, 31).tolist())
+            assert found.sag_m > HELD_SAG_M or found.fate is not Fate.NOT_HELD

@@ -1,0 +1,82 @@
+"""Whether arms that align themselves can follow their shifts up to the limits: reach and nearness to singular poses."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import pinocchio as pin
+
+from agent.config.cell import Cell
+from agent.config.schema.cell import DriverKind
+from agent.control import ik
+from agent.control.models import ArmModel
+from agent.verify.finding import Finding, Verdict, judged
+from drivers.interface import Vector
+
+HALVINGS = 6  # to the limit that is within reach
+
+
+def alignment_reach(
+    cell: Cell, models: Sequence[ArmModel], along: Sequence[Sequence[Vector]], instants: Sequence[float]
+) -> list[Finding]:
+    """One finding per following arm; along[k][i]: joint angles (n,) of arm i at instants[k], s."""
+    spec = cell.file.controller.alignment
+    if spec is None or len(cell.arms) < 2:
+        return []
+    anchor, findings = spec.anchor or cell.arms[0].name, []
+    for i, (arm, model) in enumerate(zip(cell.arms, models, strict=True)):
+        if arm.name == anchor:
+            continue
+        lost = next((t for q, t in zip(along, instants, strict=True) if not _follows(cell, model, q[i], 1.0)), None)
+        share = 1.0 if lost is None else _largest(cell, model, [q[i] for q in along])
+        findings.append(
+            judged(
+                "limits of the alignment", arm.name,
+                "within reach" if lost is None else f"out of reach at t = {lost:.3g} s",
+                f"{spec.max_m * 1e3:g} mm and {spec.max_rad * 1e3:g} mrad in every direction", holds=lost is None,
+                remedy=f"set max_m = {share * spec.max_m:.2g} and max_rad = {share * spec.max_rad:.2g}",
+                otherwise=Verdict.REFUSED if cell.file.driver is DriverKind.DYNAMIXEL else Verdict.WARNING,
+            )
+        )  # fmt: skip
+    return findings
+
+
+def _largest(cell: Cell, model: ArmModel, along: Sequence[Vector]) -> float:
+    """Part of both limits that is within reach everywhere."""
+    low, high = 0.0, 1.0
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        if all(_follows(cell, model, q, middle) for q in along):
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+def _follows(cell: Cell, model: ArmModel, q: Vector, part: float) -> bool:
+    """Whether the arm at q (n,) reaches the object shifted by this part of the limits, in every direction."""
+    here = model.object_pose(q)
+    lower, upper = model.model.lowerPositionLimit, model.model.upperPositionLimit
+    for shift in _shifts(cell, model, part):
+        moved = pin.SE3(pin.exp3(shift[3:]) @ here.rotation, here.translation + shift[:3])
+        try:
+            reached = ik.solve(model, moved, q)
+        except ik.Unreachable:
+            return False
+        if (reached < lower).any() or (reached > upper).any():
+            return False
+        if float(np.linalg.svd(model.jacobian(reached), compute_uv=False)[-1]) < cell.file.safety.sigma_min:
+            return False
+    return True
+
+
+def _shifts(cell: Cell, model: ArmModel, part: float) -> Iterator[Vector]:
+    """Shifts (6,) along and about every task row, either way."""
+    spec = cell.file.controller.alignment
+    if spec is None:
+        return
+    for row, sign in itertools.product(model.task_basis, (-1.0, 1.0)):
+        size = spec.max_m if np.linalg.norm(row[:3]) > 0.5 else spec.max_rad
+        yield sign * part * size * row

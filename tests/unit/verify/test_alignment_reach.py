@@ -1,0 +1,58 @@
+"""Limits of the alignment beyond what an arm can follow are told with the limits that it can."""
+
+from __future__ import annotations
+
+import pytest
+
+from agent.config.cell import Cell, ConfigError
+from agent.verify.check import examine
+from agent.verify.finding import Finding, Verdict
+from tests.support.control.criterion_cells import cell_of, gentle
+
+SERVOS = ('driver="dynamixel"', 'arms.left.dynamixel={port="/dev/a"}', 'arms.right.dynamixel={port="/dev/b"}')
+
+
+def limits(cell: Cell) -> list[Finding]:
+    return [f for f in examine(cell, thorough=True).findings if f.what == "limits of the alignment"]
+
+
+@pytest.mark.parametrize("name", ["paper", "two_wx200", "three_wx250s"])
+def test_the_default_limits_are_within_reach_of_every_follower(name: str) -> None:
+    found = limits(gentle(name, "controller.alignment.track_per_s=0.3"))
+    arms = cell_of(name).arms
+    assert [f.where for f in found] == [arm.name for arm in arms[1:]]
+    assert {f.verdict for f in found} == {Verdict.OK}
+
+
+def test_the_anchor_follows_nothing_and_without_alignment_nobody_does() -> None:
+    assert [f.where for f in limits(gentle("paper", 'controller.alignment.anchor="right"'))] == ["left"]
+    assert limits(gentle("paper", 'controller.alignment.anchor="left"', "controller.alignment.max_m=0.001"))
+    assert not [f for f in examine(gentle("paper")).findings if f.what == "limits of the alignment"]
+
+
+def test_limits_beyond_reach_are_refused_where_servos_move_the_arms_with_those_that_are_not() -> None:
+    wide = ("controller.alignment.max_rad=0.5", "safety.sigma_min=0.07", "controller.alignment.max_m=0.1")
+    cell = gentle("paper", *wide, *SERVOS)
+    with pytest.raises(
+        ConfigError, match=r"limits of the alignment \(right\): found out of reach at t = .*set max_m = "
+    ) as caught:
+        examine(cell).require()
+    assert "\n" not in str(caught.value)
+    warned = limits(gentle("paper", *wide))[0]
+    assert warned.verdict is Verdict.WARNING
+    max_m, max_rad = warned.remedy.removeprefix("set max_m = ").split(" and max_rad = ")
+    assert 0.0 < float(max_m) < 0.1
+    narrow = (f"controller.alignment.max_m={max_m}", f"controller.alignment.max_rad={max_rad}", "safety.sigma_min=0.07")
+    assert limits(gentle("paper", *narrow))[0].verdict is Verdict.OK
+
+
+def test_an_anchor_that_does_not_exist_is_refused_with_those_that_do() -> None:
+    with pytest.raises(ConfigError, match=r"controller\.alignment\.anchor.*'middle', expected left or right"):
+        cell_of("paper", 'controller.alignment.anchor="middle"')
+
+
+@pytest.mark.parametrize(("anchor", "follower"), [("left", "right"), ("right", "left")])
+def test_away_from_the_base_is_out_of_reach_first_on_either_side(anchor: str, follower: str) -> None:
+    far = ("controller.alignment.max_m=0.1", "controller.alignment.max_rad=0.001", "safety.sigma_min=0.05")
+    found = limits(gentle("paper", *far, f'controller.alignment.anchor="{anchor}"'))
+    assert [(f.where, f.verdict) for f in found] == [(follower, Verdict.WARNING)]
