@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from agent.log.runinfo import EstimateBounds, RunArm
+from agent.report.labels import end_labels
 from agent.report.plotting import (
     BLUE,
     CYCLE,
@@ -18,7 +19,6 @@ from agent.report.plotting import (
     HEADER_IN,
     RED,
     STYLES,
-    end_labels,
     header_line,
     legend,
     line,

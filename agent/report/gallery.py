@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 from agent.log.runinfo import RunArm
 from agent.report import figures, figures_more
 from agent.report.gallery_together import together
+from agent.report.labels import mark_moments
 from agent.report.moments import marks, moments_of
 from agent.report.picture import Picture
-from agent.report.plotting import mark_moments
 from agent.report.prepared import Prepared
 from agent.report.series import column
 

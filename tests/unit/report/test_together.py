@@ -11,8 +11,9 @@ from matplotlib.axes import Axes
 from agent.log.read import RunLog
 from agent.report import figures, figures_more, figures_together
 from agent.report.gallery import pictures
+from agent.report.labels import end_labels, mark_moments
 from agent.report.metrics import summarise
-from agent.report.plotting import DASHES, end_labels, line, mark_moments, panels, time_axis
+from agent.report.plotting import DASHES, line, panels, time_axis
 from agent.report.prepared import prepare
 from agent.report.together import Thresholds, thresholds
 from agent.telemetry.row.event import Event, Level
