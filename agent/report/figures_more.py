@@ -10,14 +10,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from agent.log.runinfo import EstimateBounds, RunArm
+from agent.report.labels import end_labels
 from agent.report.plotting import (
     BLUE,
     CYCLE,
+    GREEN,
     GREY,
     HEADER_IN,
     RED,
     STYLES,
-    end_labels,
     header_line,
     legend,
     line,
@@ -88,7 +89,7 @@ def tail_of(values: Array) -> tuple[Array, Array]:
 
 @styled
 def internal_force(run: Prepared) -> Figure:
-    """Internal wrench at each end effector: size of its force and moment, commanded and realised."""
+    """Internal wrench at each end effector: size of force and moment, commanded, realised, and what the arm feels."""
     figure, axes = panels(len(run.arms), 2, height_in=1.8, sharey="col", top_in=HEADER_IN)
     for i, arm in enumerate(run.arms):
         rows = run.rows[arm.name]
@@ -97,6 +98,9 @@ def internal_force(run: Prepared) -> Figure:
             if run.grasps is not None:
                 real = run.grasps.internal_force if part.start == 0 else run.grasps.internal_moment
                 line(ax, run.grasps.t, real[:, number], color=RED, label="realised", linewidth=0.8)
+            felt = np.linalg.norm(column(rows, "unexpected_wrench", part), axis=1)
+            if part.start == 0 and np.isfinite(felt).any():  # told at the object, where its moment is another
+                line(ax, t, felt, color=GREEN, label="unexpected, by the arm itself", linewidth=0.8)
             size = np.linalg.norm(column(rows, "wrench_internal", part), axis=1)
             line(ax, t, size, color=BLUE, linestyle="--", label="commanded")
             ax.set_ylabel(unit)

@@ -10,7 +10,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from agent.report.plotting import CYCLE, STYLES, end_labels, legend, line, panels, styled, time_axis
+from agent.report.labels import end_labels
+from agent.report.plotting import CYCLE, STYLES, legend, line, panels, styled, time_axis
 from agent.report.prepared import Prepared
 from agent.report.series import Array, column, grasp_force, joint_columns
 from agent.report.together import BUS, thresholds

@@ -12,10 +12,11 @@ from matplotlib.figure import Figure
 from agent.log.runinfo import RunArm
 from agent.report import figures, figures_more
 from agent.report.gallery_together import together
+from agent.report.labels import mark_moments
 from agent.report.moments import marks, moments_of
 from agent.report.picture import Picture
-from agent.report.plotting import mark_moments
 from agent.report.prepared import Prepared
+from agent.report.series import column
 
 
 def pictures(run: Prepared) -> list[Picture]:
@@ -92,6 +93,8 @@ def _more(run: Prepared) -> list[Picture]:
     if wanted or run.grasps is not None:
         caption = "Size of the internal wrench at each end effector, commanded (dashed)"
         caption += " and realised in the simulation: (I − G*Gᵀ) of the grasp wrenches." if run.grasps else "."
+        if any(np.isfinite(column(rows, "unexpected_wrench")).any() for rows in run.rows.values()):
+            caption += " Dash and dot: the force beside its load share, as the arm itself finds it."
         found.append(Picture("internal_force", "Internal force", caption, partial(figures_more.internal_force, run)))
     for arm in run.arms:
         found += _of_arm(run, arm)

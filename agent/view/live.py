@@ -39,7 +39,7 @@ CURVES_HZ: Final = 10.0  # instants of the curves; they are sent twice a second
 CURVES_SENT_S: Final = 0.5
 EVENTS_SHOWN: Final = 6
 OTHER_CELL: Final = "Rows are of another cell file, or of one with other values (`--set`, `--duration`)."
-_SAME_CLOCK_S: Final = 60.0  # a row whose UTC is further from now is not of the wall's time (lockstep)
+_SAME_CLOCK_S: Final = 2.0  # rows whose UTC is further from now are not of the wall's time
 _PAYLOAD_BYTES_MAX: Final = 1 << 18
 
 
@@ -53,8 +53,8 @@ class LiveReport:
 
     @property
     def behind(self) -> str:
-        """The lags in words; empty where no row carries the wall's time."""
-        if not self.lags_s:
+        """The lags in words; empty where the rows do not carry the wall's time, as in lockstep."""
+        if not self.lags_s or min(self.lags_s) < -_SAME_CLOCK_S or max(self.lags_s) > _SAME_CLOCK_S:
             return ""
         half, most = np.percentile(1e3 * np.array(self.lags_s), [50.0, 99.0])
         return f", {half:.0f} ms behind (99 %: {most:.0f} ms)"
@@ -175,7 +175,7 @@ def serve(
         finally:
             subscriber.undeclare()  # type: ignore[no-untyped-call]
             server.stop()
-    return LiveReport(pictures, tuple(lag for lag in lags if abs(lag) < _SAME_CLOCK_S), intake.refused)
+    return LiveReport(pictures, tuple(lags), intake.refused)
 
 
 def _start(cell: CellFiles) -> Motion:

@@ -85,6 +85,20 @@ def test_a_file_opens_from_the_disk_without_a_request(
     assert {request.partition(":")[0] for request in page.requests} <= {"file", "data", "blob"}
 
 
+def test_a_report_has_the_run_beside_it_and_a_film_is_made(paper_runs: tuple[Path, Path], tmp_path: Path) -> None:
+    log = paper_runs[0] / "run.mcap"
+    done = coop("report", log, "--out", tmp_path / "report", "--view")
+    assert done.returncode == 0, done.stderr
+    assert {"report.html", "start.png", "view.html"} <= {path.name for path in (tmp_path / "report").iterdir()}
+    film = tmp_path / "film.gif"
+    done = coop("view", log, "--film", film, "--from", 1, "--to", 2)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == f"film     {film}, 5 pictures\n"
+    again = coop("view", log, "--film", film)
+    assert again.returncode == 2
+    assert "is there" in again.stderr
+
+
 def free_port() -> int:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))

@@ -9,10 +9,11 @@ import pytest
 from matplotlib.axes import Axes
 
 from agent.log.read import RunLog
-from agent.report import figures, figures_together
+from agent.report import figures, figures_more, figures_together
 from agent.report.gallery import pictures
+from agent.report.labels import end_labels, mark_moments
 from agent.report.metrics import summarise
-from agent.report.plotting import DASHES, end_labels, line, mark_moments, panels, time_axis
+from agent.report.plotting import DASHES, line, panels, time_axis
 from agent.report.prepared import prepare
 from agent.report.together import Thresholds, thresholds
 from agent.telemetry.row.event import Event, Level
@@ -182,3 +183,18 @@ def test_a_hold_is_marked_in_the_figures_of_a_run() -> None:
     }
     for figure in drawn.values():
         assert [t.get_text() for t in figure.axes[0].texts if t.get_text() == "HOLD"] == ["HOLD"]
+
+
+def test_internal_force_shows_what_the_arm_itself_finds() -> None:
+    log = view_log()
+    for rows in log.agents.values():
+        rows["unexpected_wrench"] = np.nan
+    name = "unexpected, by the arm itself"
+    assert all(name not in labelled(ax) for ax in figures_more.internal_force(prepare(log)).axes)
+    log.agents["right"]["unexpected_wrench"] = [3.0, 4.0, 0.0, 1.0, 1.0, 1.0]
+    force, _, other, moment = figures_more.internal_force(prepare(log)).axes
+    assert name not in labelled(force)
+    assert labelled(other)[name] == pytest.approx(np.full(400, 5.0))
+    assert name not in labelled(moment)
+    caption = {picture.stem: picture.caption for picture in pictures(prepare(log))}["internal_force"]
+    assert "as the arm itself finds it" in caption

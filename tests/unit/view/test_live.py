@@ -95,6 +95,7 @@ def test_the_last_events_are_kept(cell: CellFiles) -> None:
 
 def test_the_lag_is_told_where_rows_carry_the_walls_time() -> None:
     assert LiveReport(10, (), 0).behind == ""
+    assert LiveReport(10, (0.1, 0.2, -5.0), 0).behind == LiveReport(10, (0.1, 0.2, 5.0), 0).behind == ""
     assert LiveReport(10, tuple(0.001 * n for n in range(101)), 0).behind == ", 50 ms behind (99 %: 99 ms)"
 
 
