@@ -140,6 +140,14 @@ def test_logs_of_one_run_have_their_parts_of_it_and_what_comes_late_is_in_the_la
     assert (second["left.end"], second["left.gaps"], second["left.lost_in_ring"]) == ("finished", "[]", "0")
 
 
+def test_rows_that_come_twice_are_in_the_log_once() -> None:
+    door, rows = intake(), make_rows("left", 8)
+    for _ in range(3):
+        door.take(KEY, rows.tobytes(), header(0, 8))
+    told = door.completeness({})
+    assert (told["left.rows_recorded"], told["left.duplicates"]) == ("8", "16")
+
+
 @pytest.mark.parametrize("gap", [False, True])
 def test_a_part_is_complete_when_all_of_its_rows_are_there(gap: bool) -> None:
     door = intake()
