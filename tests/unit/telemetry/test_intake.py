@@ -106,6 +106,8 @@ def test_a_ring_of_the_next_run_waits_for_the_next_log_and_one_of_the_last_stays
     assert door.take(KEY, rows.tobytes(), header(0, 8, source=99)) == []
     assert door.another_run
     assert door.streams[KEY].source == RING
+    assert door.take(Address(CELL, "right", Kind.STATE).key, make_rows("right", 4).tobytes(), header(0, 4))
+    assert not door.another_run, "of this message alone"
     door.begin_log()
     (item,) = door.take(KEY, rows[:5].tobytes(), header(0, 8, source=99))
     assert isinstance(item, Rows)
