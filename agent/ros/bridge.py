@@ -10,7 +10,7 @@ import queue
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Final
 
 import zenoh
@@ -37,7 +37,6 @@ class BridgeOptions:
     ros: Network
     domain: int = 0
     clock: bool = False  # the cell's time is not the wall's
-    node: str = field(default="")  # name in the ROS graph; coop_CELL when empty
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +50,7 @@ class BridgeReport:
 
 def run(options: BridgeOptions, stop: Callable[[], bool], ready: Callable[[str], None]) -> BridgeReport:
     """Bridge until `stop`; `ready` gets the node's name.  Raises NetworkError, BadName."""
-    name = options.node or f"coop_{topics.check_name(options.scene.cell, 'cell')}"
+    name = f"coop_{topics.check_name(options.scene.cell, 'cell')}"
     translator = Translator(options.scene, options.config_id, has_plant=options.has_plant, clock=options.clock)
     heard = _Heard()
     published = 0

@@ -156,10 +156,11 @@ class Intake:
         agent_row, plant_row = AGENT_STATE.dtype, PLANT_STATE.dtype
         self._dtypes = {member: plant_row if member == PLANT else agent_row for member in members}
         self._texts: dict[bytes, None] = {}  # events that were told, the oldest first
-        self.another_run = False  # somebody started again: what was refused goes into the next log
+        self.another_run = False  # what was just refused is of a new run: it goes into the next log
 
     def take(self, key: str, payload: bytes, attachment: bytes) -> list[Rows] | list[Text]:
         """What is new in a message, in order; nothing when it does not belong here, which is counted."""
+        self.another_run = False
         stream = self.streams.get(key)
         if stream is None:
             return self._reject(Rejection.UNKNOWN_KEY)
@@ -226,7 +227,6 @@ class Intake:
 
     def begin_log(self) -> None:
         """What comes from now on goes into another log."""
-        self.another_run = False
         self.rejected.clear()
         for stream in self.streams.values():
             stream.begin_log()

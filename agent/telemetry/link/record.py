@@ -243,7 +243,7 @@ class _Recorder:
         items = self._intake.take(key, payload, attachment)
         if self._intake.another_run and len(self.logs) < LOGS_MAX:
             self._next(f"{key} started again")
-            items = self._intake.take(key, payload, attachment)
+            items = self._intake.take(key, payload, attachment)  # still nothing when there can be no other log
         for item in items:
             if isinstance(item, Rows):
                 self._channels.write_rows(item)

@@ -35,7 +35,7 @@ def positions(log: Path, topic: str) -> dict[int, NDArray[np.float64]]:
 def test_poses_of_one_stamp_give_the_error_of_the_report(tmp_path: Path) -> None:
     run(tmp_path / "out", "--duration", 3)
     log = tmp_path / "out" / "run.mcap"
-    true, desired = positions(log, "/coop/paper/object/pose"), positions(log, "/coop/paper/object/pose_des")
+    true, desired = positions(log, "/object/pose"), positions(log, "/object/pose_des")
     zero_ns = min(true)
     assert zero_ns == min(desired)
     assert set(desired) <= set(true), "every desired pose has a true one of its instant"

@@ -10,6 +10,7 @@ from pathlib import Path
 
 SYSTEMD = Path(__file__).parents[3] / "systemd"
 SERVICES = ("coop-agent@left", "coop-telemetry@left", "coop-recorder", "coop-rings", "coop-ros2")
+OPTIONAL = ("coop-ros2",)  # started by nobody until it is enabled
 SIMULATED = (*SERVICES, "coop-plant", "coop-telemetry@plant")
 
 CHOICES: dict[str, tuple[str, ...]] = {

@@ -16,6 +16,7 @@ from agent.modes import Mode
 from agent.process.scene import scene_of
 from agent.safety import Flag
 from agent.telemetry.row.sample import AGENT_STATE
+from tests.support.telemetry.scenes import scene as made_up
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 CELLS = ["paper", "two_models", "three_wx250s"]
@@ -159,3 +160,17 @@ def test_a_diagnosis_has_the_figures_behind_it() -> None:
         "0.005",
         "0",
     )
+
+
+def test_a_locked_joint_stands_where_the_cell_has_it() -> None:
+    scene, tree = made_up("any", {"left": ("waist", "shoulder", "elbow")}), Tree()
+    tree.hear(standard.static_transforms(scene.statics(), 0))
+    (arm,) = scene.arms
+    model = pin.buildModelFromXML(arm.urdf_xml)
+    data, q = model.createData(), np.zeros(model.nq)
+    for name, value in arm.locked.items():
+        assert value != 0.0
+        q[model.joints[model.getJointId(name)].idx_q] = value
+    pin.framesForwardKinematics(model, data, q)
+    forearm, ee = (data.oMf[model.getFrameId(link)] for link in ("forearm_link", "ee"))
+    assert tree.at("left/ee", "left/forearm_link").isApprox(forearm.actInv(ee), 1e-9)

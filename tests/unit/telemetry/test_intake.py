@@ -106,6 +106,8 @@ def test_a_ring_of_the_next_run_waits_for_the_next_log_and_one_of_the_last_stays
     assert door.take(KEY, rows.tobytes(), header(0, 8, source=99)) == []
     assert door.another_run
     assert door.streams[KEY].source == RING
+    assert door.take(Address(CELL, "right", Kind.STATE).key, make_rows("right", 4).tobytes(), header(0, 4))
+    assert not door.another_run, "of this message alone"
     door.begin_log()
     (item,) = door.take(KEY, rows[:5].tobytes(), header(0, 8, source=99))
     assert isinstance(item, Rows)
@@ -138,6 +140,14 @@ def test_logs_of_one_run_have_their_parts_of_it_and_what_comes_late_is_in_the_la
     assert (first["left.end"], first["left.gaps"], first["left.lost_in_ring"]) == ("continued", "[[4, 5]]", "1")
     assert (second["left.rows_expected"], second["left.rows_recorded"]) == ("10", "12")
     assert (second["left.end"], second["left.gaps"], second["left.lost_in_ring"]) == ("finished", "[]", "0")
+
+
+def test_rows_that_come_twice_are_in_the_log_once() -> None:
+    door, rows = intake(), make_rows("left", 8)
+    for _ in range(3):
+        door.take(KEY, rows.tobytes(), header(0, 8))
+    told = door.completeness({})
+    assert (told["left.rows_recorded"], told["left.duplicates"]) == ("8", "16")
 
 
 @pytest.mark.parametrize("gap", [False, True])
