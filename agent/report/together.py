@@ -32,25 +32,23 @@ class Thresholds:
 
 
 def thresholds(log: AnyLog) -> Thresholds:
-    """What `[controller.alignment]` and `[safety.noticing]` of a log's cell file say; NaN for what cannot be read."""
+    """What `[controller.alignment]` and `[safety.noticing]` of a log's cell file say; NaN for what is off or unreadable."""
     try:
         cell = tomllib.loads(log.attachments["cell.toml"].decode())
         alignment, noticing = _table(cell, "controller", "alignment"), _table(cell, "safety", "noticing")
-        shift_m = NAN if alignment is None else AlignmentSpec.model_validate(alignment).max_m
-        if noticing is None:
+        aligned, told = AlignmentSpec.model_validate(alignment), NoticingSpec.model_validate(noticing)
+        shift_m = aligned.max_m if aligned.enabled else NAN
+        if not told.enabled:
             return Thresholds(shift_m)
-        told = NoticingSpec.model_validate(noticing)
         return Thresholds(shift_m, told.fast_N, told.fast_Nm, told.slow_N, told.slow_Nm)
     except (KeyError, ValueError, AttributeError, ValidationError):
         return Thresholds()
 
 
-def _table(cell: dict[str, Any], *keys: str) -> dict[str, Any] | None:
+def _table(cell: dict[str, Any], *keys: str) -> dict[str, Any]:
     found: Any = cell
     for key in keys:
-        found = found.get(key)
-        if found is None:
-            return None
+        found = found.get(key, {})
     return dict(found)
 
 

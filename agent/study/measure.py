@@ -89,8 +89,7 @@ class _Seen:
 
     def __init__(self, lab: Laboratory) -> None:
         file = lab.cell.file
-        aligned = file.controller.alignment
-        anchor = aligned.anchor if aligned is not None and aligned.anchor is not None else lab.cell.arms[0].name
+        anchor = file.controller.alignment.anchor or lab.cell.arms[0].name
         self._lab, self._anchor = lab, lab.cell.index(anchor)
         self._trajectory = lab.cell.trajectory()
         self._errors: list[tuple[float, float, float, float, float]] = []  # t, errors, errors of what the anchor sees

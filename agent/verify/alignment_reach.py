@@ -23,7 +23,7 @@ def alignment_reach(
 ) -> list[Finding]:
     """One finding per following arm; along[k][i]: joint angles (n,) of arm i at instants[k], s."""
     spec = cell.file.controller.alignment
-    if spec is None or len(cell.arms) < 2:
+    if not spec.enabled or len(cell.arms) < 2:
         return []
     anchor, findings = spec.anchor or cell.arms[0].name, []
     for i, (arm, model) in enumerate(zip(cell.arms, models, strict=True)):
@@ -75,8 +75,6 @@ def _follows(cell: Cell, model: ArmModel, q: Vector, part: float) -> bool:
 def _shifts(cell: Cell, model: ArmModel, part: float) -> Iterator[Vector]:
     """Shifts (6,) along and about every task row, either way."""
     spec = cell.file.controller.alignment
-    if spec is None:
-        return
     for row, sign in itertools.product(model.task_basis, (-1.0, 1.0)):
         size = spec.max_m if np.linalg.norm(row[:3]) > 0.5 else spec.max_rad
         yield sign * part * size * row

@@ -77,7 +77,7 @@ def _at(cell: Cell, models: Sequence[ArmModel], at: Pose, q: Sequence[Vector], t
 
 def _followers(cell: Cell) -> list[bool]:
     spec = cell.file.controller.alignment
-    if spec is None or spec.track_per_s == 0.0:
+    if not spec.enabled or spec.track_per_s == 0.0:
         return [False] * len(cell.arms)
     anchor = spec.anchor or cell.arms[0].name
     return [arm.name != anchor for arm in cell.arms]
@@ -86,7 +86,7 @@ def _followers(cell: Cell) -> list[bool]:
 def _wrenches(cell: Cell, P: Matrix, S: Matrix, errors: _Errors, *, follows: bool) -> Matrix:
     """What the arm's errors make it exert while nothing moves: a column each."""
     off, spec = errors.off, cell.file.controller.alignment
-    if follows and spec is not None:
+    if follows:
         # no more of an error is left than the dead zone, in any direction
         linear = np.linalg.norm(P[:, _FORCE], axis=1) > 0.5
         zone = np.where(

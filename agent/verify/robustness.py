@@ -221,7 +221,7 @@ def loop_of(cell: Cell) -> Loop:
 
 def _aligning(cell: Cell) -> Aligning | None:
     spec = cell.file.controller.alignment
-    if spec is None or len(cell.arms) < 2:
+    if not spec.enabled or len(cell.arms) < 2:
         return None
     anchor = 0 if spec.anchor is None else cell.index(spec.anchor)
     return Aligning(anchor, max(spec.ready_per_s, spec.track_per_s))
