@@ -32,7 +32,7 @@ class Thresholds:
 
 
 def thresholds(log: AnyLog) -> Thresholds:
-    """What `[controller.alignment]` and `[safety.noticing]` of a log's cell file say; NaN for what is off or unreadable."""
+    """What a log's cell file says of alignment and noticing; NaN for what is off or cannot be read."""
     try:
         cell = tomllib.loads(log.attachments["cell.toml"].decode())
         alignment, noticing = _table(cell, "controller", "alignment"), _table(cell, "safety", "noticing")
