@@ -89,6 +89,7 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
         driver, clock = build_driver(cell, arm, options.driver, options.connection, q_start, tell.warn)
         try:
             info = driver.connect()
+            tell.clock = clock  # from here on it has the run's time
             quiet_memory()
             if options.priority is not None:
                 become_realtime(options.priority)
@@ -192,15 +193,23 @@ class _Operator:
 
 
 class _Teller:
-    """Writes the agent's own events; mode changes and flags are told from the rows by telemetry."""
+    """Writes the agent's own events; mode changes and flags are told from the rows by telemetry.
+
+    With the clock of the rows an event has their time: the same UTC for the same instant, and `stamp_ns` as they do.
+    """
 
     def __init__(self, arm: str, texts: TextWriter) -> None:
+        self.clock: Clock | None = None  # none before the arm is connected: the wall's time, then
         self._arm = arm
         self._texts = texts
 
     def event(self, level: Level, text: str, **data: float | str) -> None:
         """Something happened now."""
-        self._texts.event(TextEvent(time.time_ns(), self._arm, level, text, data))
+        utc_ns = time.time_ns()
+        if self.clock is not None:
+            stamp_ns = self.clock.now_ns()
+            utc_ns, data = self.clock.utc_offset_ns + stamp_ns, {"stamp_ns": stamp_ns, **data}
+        self._texts.event(TextEvent(utc_ns, self._arm, level, text, data))
 
     def warn(self, text: str) -> None:
         """The driver has something to say."""

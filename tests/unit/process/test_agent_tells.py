@@ -1,15 +1,17 @@
-"""An agent tells its servos' health once a second, on the rows' clock, and none where the driver has no servos."""
+"""What an agent tells: health once a second (none of a driver without servos), events on the clock of its rows."""
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from agent.process.agent import _Servos
+from agent.process.agent import _Servos, _Teller
 from agent.telemetry.ring.ring import RingWriter
 from agent.telemetry.ring.texts import TextReader, TextWriter
+from agent.telemetry.row.event import Event, Level
 from agent.telemetry.row.health import Health
 from agent.telemetry.row.sample import AGENT_STATE
 from agent.telemetry.row.topics import Kind
@@ -58,3 +60,26 @@ class Joints:
 
 def test_a_driver_without_servos_tells_nothing(tmp_path: Path) -> None:
     assert told(tmp_path / "ring", Joints(), 10, 1) == []
+
+
+class RunClock:
+    """A plant's clock: simulated nanoseconds and where they are in UTC."""
+
+    utc_offset_ns = OFFSET_NS
+
+    def now_ns(self) -> int:
+        return 250
+
+
+def test_an_agents_event_has_the_time_of_its_rows_once_there_is_one(tmp_path: Path) -> None:
+    writer = TextWriter(tmp_path / "ring", "left")
+    teller: Any = _Teller("left", writer)
+    begin_ns = time.time_ns()
+    teller.event(Level.INFO, "before")
+    teller.clock = RunClock()
+    teller.event(Level.INFO, "torque on", priority=3)
+    before, on = (Event.from_json(text) for _, text in TextReader(tmp_path / "ring").read_new())
+    writer.close()
+    assert begin_ns <= before.utc_ns <= time.time_ns()
+    assert before.data == {}
+    assert (on.utc_ns, on.data) == (OFFSET_NS + 250, {"stamp_ns": 250, "priority": 3})
