@@ -78,12 +78,25 @@ class JointState:
 
 @dataclass(frozen=True, slots=True)
 class ServoHealth:
-    """Slow quantities, per controlled joint; NaN or 0 where not known yet."""
+    """Slow quantities of each servo of the arm (m,), in the order of the bus; m = 0 for a driver without servos.
+
+    NaN where a value is not known, or where the servo senses no such thing.
+    """
 
     stamp_ns: int
+    servo_ids: tuple[int, ...]
+    joints: tuple[str, ...]  # that each servo moves, controlled or not
     temperature_C: Vector
     voltage_V: Vector
     error_bits: NDArray[np.uint8]
+    current_A: Vector  # present current, signed as the servo counts
+    load: Vector  # present load as a share of the largest, of servos without a current sensor
+
+    @classmethod
+    def none(cls, stamp_ns: int) -> ServoHealth:
+        """Of a driver that has no servos to ask."""
+        nothing = np.zeros(0)
+        return cls(stamp_ns, (), (), nothing, nothing, np.zeros(0, np.uint8), nothing, nothing)
 
 
 @dataclass(slots=True)

@@ -24,14 +24,15 @@ def events(
     to_s: Annotated[float, typer.Option("--to", help="Where to end, s.")] = math.inf,
     as_json: AsJson = False,
 ) -> None:
-    """Say what happened when: modes and flags by the time of the trajectory, the rest by that of the day (UTC)."""
+    """Say what happened when: events of the arms by the time of the trajectory, the rest by that of the day (UTC)."""
     from agent.log.read import open_log
+    from agent.log.when import trajectory_time
 
     with Steps() as step:
         step("reading the log")
         with open_log(log, any_layout=True) as opened:
-            happened = opened.events
-    timed = [(_time_s(event), event) for event in happened if not arm or event.source in arm]
+            asked = [event for event in opened.events if not arm or event.source in arm]
+            timed = [(trajectory_time(event, opened.agents.get(event.source)), event) for event in asked]
     chosen = [(t, event) for t, event in timed if from_s <= t < to_s or math.isnan(t)]
     for problem in opened.problems:
         note(f"{log}: {problem}")
@@ -43,12 +44,6 @@ def events(
         typer.echo(f"{when:>12}  {event.source:<10} {event.level.name:<6} {event.text}")
     if not chosen:
         note(f"{log}: no event from there to there")
-
-
-def _time_s(event: Event) -> float:
-    """Time of the trajectory, which events of the rows have; others have that of the day alone."""
-    t = event.data.get("t")
-    return float(t) if isinstance(t, int | float) and not isinstance(t, bool) else math.nan
 
 
 def _day_time(event: Event) -> str:

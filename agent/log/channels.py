@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import Final
 
 import numpy as np
@@ -17,6 +18,7 @@ from agent.log.scene import Scene
 from agent.log.standard import StandardTopic
 from agent.log.writer import Records
 from agent.telemetry.row.event import Event
+from agent.telemetry.row.health import Health
 from agent.telemetry.row.received import Rows, Text
 from agent.telemetry.row.sample import AGENT_STATE, PLANT_STATE
 from agent.telemetry.row.topics import PLANT, RECORDER, Address, Kind
@@ -109,8 +111,14 @@ class LogChannels:
         channel = self._texts[item.address.member, item.address.kind]
         if item.event is None:
             self._write_one(channel, item.utc_ns, text_message(item.payload))
+            self._write_servos(item)
         else:
             self._write_event(channel, item.event, item.payload)
+
+    def _write_servos(self, item: Text) -> None:
+        with suppress(ValueError):  # a text of another kind is kept as it is
+            message = diagnostics.servo_message(item.address.member, Health.from_json(item.payload))
+            self._write_one(self._diagnostics, item.utc_ns, message)
 
     def write_own(self, event: Event) -> None:
         """An event of the recorder."""

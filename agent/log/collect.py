@@ -14,6 +14,7 @@ from agent.log.cdr import text_of
 from agent.log.layout import OURS, differences, parse
 from agent.log.scan import LogScan, Messages, Run, library_of
 from agent.telemetry.row.event import Event
+from agent.telemetry.row.health import Health
 from agent.telemetry.row.sample import Layout
 from agent.telemetry.row.topics import Kind, parse_topic
 from drivers.interface import Refusal
@@ -47,6 +48,7 @@ class Collected(Generic[Sink]):
         self.cell = ""
         self.rows: dict[str, Sink] = {}
         self.events: list[Event] = []
+        self.health: dict[str, list[Health]] = {}
         self.attachments: dict[str, bytes] = {}
         self.metadata: dict[str, dict[str, str]] = {}
         self.problems: list[str] = []
@@ -127,12 +129,21 @@ class Collected(Generic[Sink]):
         elif kind is Kind.EVENT:
             for payload in payloads:
                 self._add_event(payload.tobytes())
+        elif kind is Kind.HEALTH:
+            for payload in payloads:
+                self._add_health(member, payload.tobytes())
 
     def _add_event(self, payload: bytes) -> None:
         try:
             self.events.append(Event.from_json(text_of(payload)))
         except ValueError as error:
             self.problems.append(f"an event that is none: {error}")
+
+    def _add_health(self, member: str, payload: bytes) -> None:
+        try:
+            self.health.setdefault(member, []).append(Health.from_json(text_of(payload)))
+        except ValueError as error:
+            self.problems.append(f"{member}: a health text that is none: {error}")
 
 
 def _require_mcap(path: Path, file: BinaryIO) -> None:

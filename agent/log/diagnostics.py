@@ -1,7 +1,8 @@
-"""What `/diagnostics` says of an arm: its mode, what is wrong with it, and the figures behind that."""
+"""What `/diagnostics` says of an arm (its mode, what is wrong, the figures behind that) and of each of its servos."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from enum import IntEnum
 from typing import Final
@@ -12,6 +13,9 @@ from agent.log.cdr import CdrTemplate, stamp_of
 from agent.log.standard import Rows
 from agent.modes import Mode
 from agent.safety import Flag
+from agent.telemetry.row.health import QUANTITIES
+from agent.telemetry.row.health import Health as ServoTexts
+from drivers.dynamixel.servo.table import HardwareError
 
 TOPIC: Final = "/diagnostics"
 ROS_NAME: Final = "diagnostic_msgs/DiagnosticArray"
@@ -59,6 +63,21 @@ def message(arm: str, row: np.void) -> bytes:
     out.string(f"{name} {_names(wrong)}".strip()).string(arm).length(len(values))
     for key, value in values.items():
         out.string(key).string(value)
+    return out.message
+
+
+def servo_message(arm: str, told: ServoTexts) -> bytes:
+    """diagnostic_msgs/DiagnosticArray of an arm's servos, one status each; a servo with an error bit is an error."""
+    out = CdrTemplate().given("<u4", stamp_of(told.utc_ns)).string("").length(len(told.servo_id))
+    for i, (servo, joint, bits) in enumerate(zip(told.servo_id, told.joint, told.error_bits, strict=True)):
+        names = " ".join(bit.name for bit in HardwareError if bits & bit and bit.name) or f"error bits {bits:#04x}"
+        out.given("u1", [Health.ERROR if bits else Health.OK]).string(f"arm {arm}: servo {servo} {joint}")
+        out.string(names if bits else "no error").string(arm)
+        values = {name: getattr(told, name)[i] for name in QUANTITIES} | {"error_bits": bits}
+        known = {key: f"{value:.6g}" for key, value in values.items() if not math.isnan(value)}
+        out.length(len(known))
+        for key, value in known.items():
+            out.string(key).string(value)
     return out.message
 
 

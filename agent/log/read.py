@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from agent.log.collect import Collected, LogError
 from agent.log.columns import ColumnFile, StoredRows, Table
+from agent.log.servos import ServoTable, servo_table
 from agent.telemetry.row.event import Event, Level
 from agent.telemetry.row.sample import AGENT_STATE, Layout
 from agent.telemetry.row.topics import PLANT
@@ -47,6 +48,7 @@ class Log(Generic[Rows]):
     gaps: dict[str, Gaps]  # by member: absent sequence numbers, first and last of each gap
     problems: tuple[str, ...] = field(default=())  # what is wrong with the file, for a person
     layouts: Mapping[str, Layout] = field(default_factory=dict)  # by member, as the log's own schemas have them
+    servos: Mapping[str, ServoTable] = field(default_factory=dict)  # by arm; simulated arms have no servos, so no entry
 
     def run_info(self) -> dict[str, Any]:
         """The run's description.  Raises LogError when the log has none."""
@@ -141,7 +143,13 @@ def _log(collected: Collected[Any], rows: Mapping[str, AnyRows]) -> Log[AnyRows]
         gaps={member: _gaps(own["sequence"]) for member, own in rows.items()},
         problems=tuple(problems),
         layouts=collected.layouts,
+        servos=_servos(collected, agents),
     )
+
+
+def _servos(collected: Collected[Any], agents: Mapping[str, AnyRows]) -> dict[str, ServoTable]:
+    told = {arm: texts for arm, texts in collected.health.items() if texts and len(agents.get(arm, ()))}
+    return {arm: servo_table(texts, agents[arm]["utc_ns"], agents[arm]["t"]) for arm, texts in told.items()}
 
 
 def _by_sequence(rows: AnyRows) -> AnyRows:

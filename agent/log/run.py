@@ -19,6 +19,7 @@ from agent.log.columns import Column, Table
 from agent.log.flat import FlatColumn, Members, flat_columns, flatten
 from agent.log.read import ColumnLog, LogError, open_log
 from agent.log.runinfo import RunInfo, read_info
+from agent.log.servos import ServoTable
 from agent.telemetry.row.event import Event
 from agent.telemetry.row.sample import MAX_JOINTS, Field, Layout
 from agent.telemetry.row.topics import PLANT
@@ -141,6 +142,14 @@ class Run:
     def events(self) -> list[Event]:
         """What happened, by time."""
         return self._log.events
+
+    @property
+    def servos(self) -> Mapping[str, ServoTable]:
+        """By arm: temperature, voltage, current or load and error bits of each servo, about once a second.
+
+        Simulated arms have joints without servos and no entry here; neither have logs of releases before this.
+        """
+        return self._log.servos
 
     @property
     def attachments(self) -> Mapping[str, bytes]:

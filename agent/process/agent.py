@@ -22,6 +22,7 @@ from agent.telemetry.ring.texts import TextWriter
 from agent.telemetry.row.event import Event as TextEvent
 from agent.telemetry.row.event import Level
 from agent.telemetry.row.fill import AgentRow
+from agent.telemetry.row.health import health_values
 from agent.telemetry.row.sample import AGENT_STATE
 from agent.verify.check import examine
 from drivers.clock import utc_offset_ns
@@ -29,6 +30,7 @@ from drivers.dynamixel.arm_map import WATCHDOG_S
 from drivers.interface import Clock, Driver, DriverError, Refusal
 
 HEARTBEAT_S = 0.02
+HEALTH_S = 1.0
 STALE_TO_HOLD = 3  # cycles
 EMULATED_PATIENCE_S = 0.5
 
@@ -87,6 +89,7 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
         driver, clock = build_driver(cell, arm, options.driver, options.connection, q_start, tell.warn)
         try:
             info = driver.connect()
+            tell.clock = clock  # from here on it has the run's time
             quiet_memory()
             if options.priority is not None:
                 become_realtime(options.priority)
@@ -94,7 +97,8 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             notifier.ready(_STATUS[Mode.READY])
             tell.event(Level.INFO, f"torque on: {info.description}", priority=options.priority or 0)
             ready("torque=on")
-            runner = _runner(cell, options, driver, clock, ring, _Operator(stop, control, options), notifier)
+            servos = _Servos(driver, texts, clock.utc_offset_ns, max(1, round(HEALTH_S * cell.file.rate_hz)))
+            runner = _runner(cell, options, driver, clock, ring, _Operator(stop, control, options), notifier, servos)
             cpu_s = time.process_time()
             summary = runner.run()
             tell.end(summary, time.process_time() - cpu_s)
@@ -120,11 +124,17 @@ def _runner(
     ring: RingWriter,
     operator: _Operator,
     notifier: Notifier,
+    servos: _Servos,
 ) -> Runner:
     """The loop of the arm on its enabled driver."""
     arm = cell.arm(options.arm)
     heart = _Heart(notifier, max(1, round(HEARTBEAT_S * cell.file.rate_hz)))
-    around = Surroundings(time.perf_counter_ns, operator.events, operator.start_ns, heart.beat, heart.mode)
+
+    def beat() -> None:
+        heart.beat()
+        servos.beat()
+
+    around = Surroundings(time.perf_counter_ns, operator.events, operator.start_ns, beat, heart.mode)
     row = AgentRow(ring.row, arm.n, cell.config_id)
     return Runner(build_agent(cell, arm), driver, clock, _schedule(cell, options), row, ring, around)
 
@@ -183,15 +193,23 @@ class _Operator:
 
 
 class _Teller:
-    """Writes the agent's own events; mode changes and flags are told from the rows by telemetry."""
+    """Writes the agent's own events; mode changes and flags are told from the rows by telemetry.
+
+    With the clock of the rows an event has their time: the same UTC for the same instant, and `stamp_ns` as they do.
+    """
 
     def __init__(self, arm: str, texts: TextWriter) -> None:
+        self.clock: Clock | None = None  # none before the arm is connected: the wall's time, then
         self._arm = arm
         self._texts = texts
 
     def event(self, level: Level, text: str, **data: float | str) -> None:
         """Something happened now."""
-        self._texts.event(TextEvent(time.time_ns(), self._arm, level, text, data))
+        utc_ns = time.time_ns()
+        if self.clock is not None:
+            stamp_ns = self.clock.now_ns()
+            utc_ns, data = self.clock.utc_offset_ns + stamp_ns, {"stamp_ns": stamp_ns, **data}
+        self._texts.event(TextEvent(utc_ns, self._arm, level, text, data))
 
     def warn(self, text: str) -> None:
         """The driver has something to say."""
@@ -209,6 +227,29 @@ class _Teller:
             wall_s=round(summary.tracked_s, 4),
             cpu_s=round(cpu_s, 4),
         )
+
+
+class _Servos:
+    """Tells the servos' slow quantities once in a number of cycles, after the cycle's torque has gone out.
+
+    The driver has read them in its gaps, and the ring waits for nobody; a driver without servos tells nothing.
+    """
+
+    def __init__(self, driver: Driver, texts: TextWriter, utc_offset_ns: int, cycles: int) -> None:
+        self._driver = driver
+        self._texts = texts
+        self._utc_offset_ns = utc_offset_ns
+        self._cycles = cycles
+        self._count = 0
+
+    def beat(self) -> None:
+        """One cycle with a fresh state has passed."""
+        self._count += 1
+        if self._count % self._cycles:
+            return
+        health = self._driver.health()
+        if health.servo_ids:
+            self._texts.health(self._utc_offset_ns + health.stamp_ns, health_values(health))
 
 
 class _Heart:

@@ -1,11 +1,12 @@
 """What happened in a run and when, on the run's own time axis.
 
-An event that is made from a row has the row's time in it.  One that an agent tells itself carries wall time, which in
-lockstep runs differently from the run's own: it stands at the tick that it names, or else at the start.
+`agent.log.when` knows the time of an arm's events.  Others carry wall time, and so do those of an arm in logs of
+earlier releases; in lockstep it runs differently from the run's own: they stand at the tick they name, or at the start.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -13,6 +14,7 @@ from typing import Final
 import numpy as np
 
 from agent.log.columns import Table
+from agent.log.when import trajectory_time
 from agent.report.prepared import Prepared
 from agent.telemetry.row.event import Event, Level
 
@@ -60,9 +62,9 @@ def _rows(run: Prepared, event: Event) -> Table:
 
 
 def _time_of(event: Event, rows: Table, rate_hz: float, by_wall: bool) -> float:
-    told, ticks = event.data.get("t"), event.data.get("ticks")
-    if isinstance(told, int | float):
-        return max(0.0, float(told))  # before the start everything stands still
+    known, ticks = trajectory_time(event, rows), event.data.get("ticks")
+    if not math.isnan(known):
+        return max(0.0, known)  # before the start everything stands still
     if isinstance(ticks, int):
         return ticks / rate_hz
     t, utc_ns = rows["t"], rows["utc_ns"]

@@ -18,8 +18,9 @@ from agent.log.standard import StandardTopic
 from agent.ros.wire import Topic
 from agent.telemetry.link.wire import BatchHeader
 from agent.telemetry.row.event import Event
+from agent.telemetry.row.health import Health
 from agent.telemetry.row.sample import AGENT_STATE, CDR_LITTLE_ENDIAN, PLANT_STATE
-from agent.telemetry.row.topics import PLANT, Address, Kind
+from agent.telemetry.row.topics import PLANT, PUBLISHED, Address, Kind
 
 CLOCK: Final = Topic("/clock", "rosgraph_msgs/Clock")
 ROSOUT: Final = Topic(standard.LOG_TOPIC, "rcl_interfaces/Log", latched=True, depth=100)
@@ -39,6 +40,7 @@ class _Member:
         self.dtype = (PLANT_STATE if joints is None else AGENT_STATE).dtype
         self.utc_ns = -1  # of the newest row
         self.slot = -1
+        self.health_ns = -1  # of the newest health text
 
 
 class Translator:
@@ -58,7 +60,7 @@ class Translator:
         }
         if has_plant:
             self._members[PLANT] = _Member(standard.plant_topics(), None, None)
-        names = [(member, kind) for member in self._members for kind in (Kind.STATE, Kind.EVENT)]
+        names = [(member, kind) for member in self._members for kind in PUBLISHED]
         self._addresses = {Address(scene.cell, *name).key: name for name in names}
         self._told: set[bytes] = set()
         self.refused = 0  # messages that are not of this cell
@@ -82,6 +84,8 @@ class Translator:
             member, kind = address
             if kind is Kind.EVENT:
                 return self._event(payload) if payload else iter(())
+            if kind is Kind.HEALTH:
+                return self._health(member, payload) if payload else iter(())
             return self._rows(self._members[member], payload)
         except ValueError:
             self.refused += 1
@@ -95,6 +99,13 @@ class Translator:
             self._told.clear()
         self._told.add(payload)
         return iter([(ROSOUT.name, standard.log_message(event))])
+
+    def _health(self, name: str, payload: bytes) -> Iterator[Message]:
+        told, member = Health.from_json(payload), self._members[name]
+        if told.utc_ns <= member.health_ns:
+            return iter(())
+        member.health_ns = told.utc_ns
+        return iter([(DIAGNOSTICS.name, diagnostics.servo_message(name, told))])
 
     def _rows(self, member: _Member, payload: bytes) -> Iterator[Message]:
         rows: standard.Rows = np.frombuffer(payload, member.dtype)  # raises ValueError at a wrong length

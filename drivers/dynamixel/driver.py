@@ -289,5 +289,5 @@ class DynamixelDriver:
         return np.array(sent)
 
     def health(self) -> ServoHealth:
-        """Latest temperatures, voltages and error bits, worst servo of each joint; never touches the bus."""
+        """Latest slow quantities of each servo, and its current or load of the last cycle; never touches the bus."""
         return self._need(Phase.CONNECTED).health(self._clock.now_ns())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -17,7 +18,7 @@ from drivers.dynamixel.events import DriverEvent, EventKind, EventSink, OncePerS
 from drivers.dynamixel.identify import IdentityError
 from drivers.dynamixel.interpret import Interpreter, Reading
 from drivers.dynamixel.line.bus import BABBLE_BYTES, Bus
-from drivers.dynamixel.line.group import GroupWrite
+from drivers.dynamixel.line.group import GroupWrite, Row
 from drivers.dynamixel.line.port import Now
 from drivers.dynamixel.monitor import GapMonitor, ServoRecord
 from drivers.dynamixel.servo.found import ServoFound
@@ -26,6 +27,7 @@ from drivers.dynamixel.servo.table import (
     ALERT_BIT,
     GOAL_CURRENT,
     GOAL_PWM,
+    LOAD_UNIT_DUTY,
     MAX_VOLTAGE_LIMIT,
     MIN_VOLTAGE_LIMIT,
     PRESENT_INPUT_VOLTAGE,
@@ -92,6 +94,7 @@ class Running:
         self._writers = self._make_writers()
         self._goals = [record.sent for record in self._records]
         self._health_heard = b""
+        self._rows: list[Row | None] = [None] * len(self._records)  # of the last cycle
         self._wire_free_ns = 0
         self._known: set[tuple[FaultCause, int]] = set()
         seconds = (self.monitor.round_gaps + 2) / arm.rate_hz
@@ -134,6 +137,7 @@ class Running:
     def interpret(self, cycle: CycleRows, now_ns: int) -> Reading:
         """State of the joints, with the alerts and the last chance of a late health answer looked after."""
         self.monitor.answer(self._health_heard + cycle.heard, now_ns, final=True)
+        self._rows = cycle.rows
         for record, row in zip(self._records, cycle.rows, strict=True):
             if row is not None and row[0] & ALERT_BIT:
                 self._bus.counters.alerts += 1
@@ -186,17 +190,19 @@ class Running:
     # --- the rest -------------------------------------------------------------------------------------------------
 
     def health(self, now_ns: int) -> ServoHealth:
-        """Worst servo of each controlled joint."""
-        joints = self._joint_records
-        errors = [0] * len(joints)
-        for j, records in enumerate(joints):
-            for record in records:
-                errors[j] |= int(record.hardware)
+        """Slow quantities as they were last read, current or load of the last cycle."""
+        records = self._records
+        present = np.array([math.nan if row is None else row[1] for row in self._rows])
+        unit_A = np.array([(record.slot.model.current_unit_mA or math.nan) * 1e-3 for record in records])
         return ServoHealth(
             now_ns,
-            np.array([max(r.temperature_C for r in records) for records in joints]),
-            np.array([min(r.voltage_V for r in records) for records in joints]),
-            np.array(errors, dtype=np.uint8),
+            servo_ids=tuple(record.slot.servo_id for record in records),
+            joints=tuple(record.slot.joint.name for record in records),
+            temperature_C=np.array([record.temperature_C for record in records]),
+            voltage_V=np.array([record.voltage_V for record in records]),
+            error_bits=np.array([int(record.hardware) for record in records], dtype=np.uint8),
+            current_A=present * unit_A,
+            load=np.where(np.isnan(unit_A), present * LOAD_UNIT_DUTY, math.nan),
         )
 
     def recognise(self) -> None:

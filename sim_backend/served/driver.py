@@ -187,10 +187,8 @@ class SimDriver:
         return sent
 
     def health(self) -> ServoHealth:
-        """Nothing is known: simulated servos have no temperature and no supply."""
-        n = len(self._joints)
-        unknown = np.full(n, np.nan)
-        return ServoHealth(self.clock.now_ns(), unknown, unknown.copy(), np.zeros(n, np.uint8))
+        """Of no servo: what is simulated here are joints, which have no temperature and no supply."""
+        return ServoHealth.none(self.clock.now_ns())
 
     def disable(self) -> None:
         """Torque off; in lockstep the plant does not wait for this arm any more.  Safe in any state and twice."""

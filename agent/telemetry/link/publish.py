@@ -22,7 +22,7 @@ import numpy as np
 import zenoh
 import zenoh.ext
 
-from agent.telemetry.link.sender import LockstepPauses, RowSource, Sender, TextSource
+from agent.telemetry.link.sender import HEALTH_KEPT, LockstepPauses, RowSource, Sender, TextSource
 from agent.telemetry.link.session import Network, has_link, open_session
 from agent.telemetry.link.status import StatusQuery
 from agent.telemetry.link.wire import End
@@ -123,7 +123,7 @@ class _Telemetry:
         self._stack = stack
         self._texts: TextReader | None = None
         text_id = int.from_bytes(os.urandom(8), "little") | 1
-        self._outbox = {Kind.EVENT: TextSource(text_id), Kind.HEALTH: TextSource(text_id)}
+        self._outbox = {Kind.EVENT: TextSource(text_id), Kind.HEALTH: TextSource(text_id, HEALTH_KEPT)}
         self._senders = {
             Kind.STATE: Sender(RowSource(reader), window=_WINDOW_ROWS if self._lockstep else None),
             Kind.EVENT: Sender(self._outbox[Kind.EVENT], window=None),

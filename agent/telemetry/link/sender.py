@@ -18,6 +18,7 @@ RESEND_AFTER_S: Final = 1.0  # Zenoh's recovery needs less
 RESEND_AFTER_MAX_S: Final = 8.0
 RESEND_BATCHES_MAX: Final = 256  # between two signs that they help
 TEXTS_KEPT: Final = 10_000
+HEALTH_KEPT: Final = 600  # ten minutes
 LOCKSTEP_PAUSE_S: Final = 0.06  # each look costs the run CPU time
 PRESSING_PAUSE_S: Final = 0.005
 
@@ -85,10 +86,10 @@ class TextSource:
 
     batch_max = 1
 
-    def __init__(self, source_id: int) -> None:
+    def __init__(self, source_id: int, kept: int = TEXTS_KEPT) -> None:
         self.source_id = source_id
         self.end = End.OPEN
-        self._texts: deque[bytes] = deque(maxlen=TEXTS_KEPT)
+        self._texts: deque[bytes] = deque(maxlen=kept)
         self.written = 0
 
     @property

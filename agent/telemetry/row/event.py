@@ -51,7 +51,7 @@ class Event:
             event = cls(raw["utc_ns"], raw["source"], Level[raw["level"]], raw["text"], raw.get("data", {}))
         except (KeyError, TypeError, RecursionError) as error:
             raise ValueError(f"not an event: {error!r}") from error
-        _check_time(event.utc_ns)
+        check_time(event.utc_ns)
         if not (isinstance(event.source, str) and isinstance(event.text, str) and isinstance(event.data, dict)):
             raise ValueError("a field has the wrong type")
         return event
@@ -62,12 +62,13 @@ def health_time(payload: bytes) -> int:
     if len(payload) > TEXT_MAX_BYTES:
         raise ValueError(f"{len(payload)} bytes")
     try:
-        return _check_time(json.loads(payload)["utc_ns"])
+        return check_time(json.loads(payload)["utc_ns"])
     except (KeyError, TypeError, RecursionError) as error:
         raise ValueError(f"not a health text: {error!r}") from error
 
 
-def _check_time(utc_ns: object) -> int:
+def check_time(utc_ns: object) -> int:
+    """The same when it can be a UTC in ns.  Raises ValueError."""
     if type(utc_ns) is not int or not 0 <= utc_ns < 1 << 63:
         raise ValueError("utc_ns is not a time")
     return utc_ns

@@ -2,7 +2,7 @@
 
     coop/<cell>/<member>/state      rows, in batches
     coop/<cell>/<member>/event      mode changes, faults, refusals (JSON)
-    coop/<cell>/<member>/health     slow quantities (JSON), if an agent writes some into its ring; none does yet
+    coop/<cell>/<member>/health     temperature, voltage, load of each servo (JSON), once a second; simulated arms: none
     coop/<cell>/<member>/info       queryable: what runs there (JSON)
     coop/<cell>/recorder/status     queryable: what the recorder has (JSON)
     replay/<key>                    the same, played back from a log

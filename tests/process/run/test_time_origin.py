@@ -11,7 +11,9 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from numpy.typing import NDArray
 
+from agent.log.columns import Table
 from agent.log.read import read_log
+from agent.log.when import trajectory_time
 from tests.support.coop import PAPER, coop
 
 TRANSIENT_S = 1.0
@@ -43,6 +45,22 @@ def test_poses_of_one_stamp_give_the_error_of_the_report(tmp_path: Path) -> None
     errors = [np.linalg.norm(true[s] - p) for s, p in desired.items() if s - zero_ns >= TRANSIENT_S * 1e9]
     results = json.loads((tmp_path / "out" / "results.json").read_text())
     assert max(errors) == pytest.approx(results["max_position_error_m"], rel=1e-9)
+
+
+def test_an_agents_own_events_are_on_the_runs_time(tmp_path: Path) -> None:
+    """In lockstep, where the wall's time says nothing."""
+    run(tmp_path / "out", "--duration", 2, "--set", "simulation.ready_s=0.5")
+    path = tmp_path / "out" / "run.mcap"
+    log = read_log(path)
+    for arm, rows in log.agents.items():
+        on, *_, ended = [e for e in log.events if e.source == arm and "stamp_ns" in e.data]
+        assert on.text.startswith("torque on")
+        assert ended.text.startswith("run ended")
+        assert on.utc_ns <= rows["utc_ns"][0]
+        assert ended.utc_ns == rows["utc_ns"][-1]
+        assert ended.data["stamp_ns"] == rows["stamp_ns"][-1]
+        assert trajectory_time(on, Table.of(rows)) == pytest.approx(-0.5, abs=0.011)
+        assert trajectory_time(ended, Table.of(rows)) == pytest.approx(float(rows["t"][-1]), abs=1e-6)
 
 
 @pytest.mark.realtime

@@ -35,6 +35,9 @@ class LogMaker:
     def event(self, event: Event) -> None:
         self.channels.write_text(Text(Address(CELL, "left", Kind.EVENT), event.to_json(), event.utc_ns, event))
 
+    def health(self, utc_ns: int, payload: bytes, arm: str = "left") -> None:
+        self.channels.write_text(Text(Address(CELL, arm, Kind.HEALTH), payload, utc_ns, None))
+
     def flush(self) -> None:
         self._now_s += 1.0
         self.file.tick(self._now_s)

@@ -33,6 +33,11 @@ UTC_0_NS = 1_800_000_000_000_000_000
 PERIOD_NS = 5_000_000
 SPAWN = multiprocessing.get_context("spawn")
 TIMEOUT_S = 60.0
+SERVOS = {
+    "servo_id": [1, 2, 3], "joint": ["waist", "shoulder", "shoulder"], "temperature_C": [30.0, 31.0, float("nan")],
+    "voltage_V": [12.1, 12.0, 11.9], "error_bits": [0, 32, 0], "current_A": [0.25, -1.5, float("nan")],
+    "load": [float("nan"), float("nan"), 0.125],
+}  # fmt: skip
 
 
 def layout_of(member: str) -> Layout:
@@ -94,7 +99,7 @@ def write_ring(options: Writer, stop: Callable[[], bool], ready: Callable[[Any],
             ring.commit()
             if texts is not None and i % 100 == 0:
                 texts.event(Event(int(rows[i]["utc_ns"]), options.member, Level.INFO, f"row {i}", {"i": i}))
-                texts.health(int(rows[i]["utc_ns"]), {"temperature_C": [30.0, float("nan")]})
+                texts.health(int(rows[i]["utc_ns"]), SERVOS)
             if options.rate_hz is not None:
                 time.sleep(max(0.0, begin + (i + 1) / options.rate_hz - time.monotonic()))
         ring.finish()

@@ -409,7 +409,7 @@ class Arm:
         return [tau + 0.5 for tau in tau_Nm]
 
     def health(self, now_ns: int) -> ServoHealth:
-        return ServoHealth(now_ns, np.zeros(4), np.zeros(4), np.zeros(4, dtype=np.uint8))
+        return ServoHealth.none(now_ns)
 
 
 Made = tuple[DynamixelDriver, Arm, Clock]

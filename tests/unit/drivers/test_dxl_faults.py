@@ -346,7 +346,7 @@ def test_heat_is_told_before_the_servo_stops():
     assert all(c.error is None for c in done)
     hot = [event for event in rig.events if event.kind.name == "HOT"]
     assert [(event.servo_id, event.joint) for event in hot] == [(4, "elbow")]
-    assert rig.driver.health().temperature_C[1] >= 75.0
+    assert rig.driver.health().temperature_C[3] >= 75.0, "servo 4"
 
 
 def test_supply_near_its_limit_is_told():

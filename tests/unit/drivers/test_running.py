@@ -19,6 +19,7 @@ from drivers.dynamixel.events import DriverEvent
 from drivers.dynamixel.identify import IdentityError
 from drivers.dynamixel.interpret import Reading
 from drivers.dynamixel.line.bus import BABBLE_BYTES
+from drivers.dynamixel.line.group import Row
 from drivers.dynamixel.running import Running
 from drivers.dynamixel.servo.table import HardwareError
 from drivers.interface import JointState
@@ -368,19 +369,27 @@ def test_a_second_write_in_one_cycle_looks_for_the_answer_first(bench: Bench, aw
 # --- health and recognition ------------------------------------------------------------------------------------------
 
 
-def test_health_is_that_of_the_worst_servo_of_a_joint(bench: Bench) -> None:
+def test_health_is_that_of_each_servo(bench: Bench) -> None:
     records = bench.running._records
+    assert np.isnan(bench.running.health(0).current_A).all(), "before the first cycle"
+    rows: list[Row | None] = [(0, 100 * place, 0, 2048) for place in range(7)]
+    rows[2] = None
+    bench.running.interpret(CycleRows(5, rows, b"", False, False), 7)
     for place, record in enumerate(records):
         record.temperature_C, record.voltage_V = 30.0 + place, 12.0 - 0.1 * place
     records[1].hardware, records[2].hardware = OVERLOAD, HOT
     health = bench.running.health(77)
     assert health.stamp_ns == 77
-    np.testing.assert_allclose(health.temperature_C, [32.0, 33.0, 34.0, 35.0])
-    np.testing.assert_allclose(health.voltage_V, [11.8, 11.7, 11.6, 11.5])
-    assert health.error_bits.tolist() == [int(OVERLOAD | HOT), 0, 0, 0]
+    assert health.servo_ids == (1, 2, 3, 4, 5, 6, 7)
+    assert health.joints[:4] == ("waist", "shoulder", "shoulder", "elbow")
+    np.testing.assert_allclose(health.temperature_C, 30.0 + np.arange(7))
+    np.testing.assert_allclose(health.voltage_V, 12.0 - 0.1 * np.arange(7))
+    assert health.error_bits.tolist() == [0, int(OVERLOAD), int(HOT), 0, 0, 0, 0]
     assert health.error_bits.dtype == np.uint8
-    records[2].hardware = OVERLOAD
-    assert bench.running.health(0).error_bits[0] == int(OVERLOAD)
+    amperes = 2.69e-3 * 100 * np.arange(7)
+    amperes[[2, 5, 6]] = np.nan  # one did not answer, two have no current sensor
+    np.testing.assert_allclose(health.current_A, amperes)
+    np.testing.assert_allclose(health.load, [np.nan] * 5 + [0.5, 0.6])
 
 
 def pings(bench: Bench, models: Sequence[int]) -> list[tuple[int, int]]:

@@ -19,7 +19,7 @@ from tests.support.command import coop
 from tests.support.telemetry.log_maker import LogMaker, make_log
 from tests.support.telemetry.run_log import flipped, write_other_release, write_run
 from tests.support.telemetry.synthetic_run import paper_rows, turn
-from tests.support.telemetry.telemetry_cell import make_rows
+from tests.support.telemetry.telemetry_cell import UTC_0_NS, make_rows
 
 PAPER = load_cell(configs.CELLS_DIR / "paper.toml", ["arms.left.grip_force_max_N=5.0"])
 
@@ -54,6 +54,21 @@ def test_events_have_the_time_of_the_trajectory_or_of_the_day(tmp_path: Path) ->
         ["31.010", "s", "left", "WARN", "mode", "TRACK", "→", "HOLD"],
         ["00:00:00Z", "right", "INFO", "run", "ended"],
     ]
+
+
+def test_what_an_agent_tells_itself_stands_at_the_time_of_its_rows(tmp_path: Path) -> None:
+    begun, waiting = make_rows("left", 100), make_rows("right", 100)
+    begun["t"] -= 0.2  # the trajectory's zero is at 0.2 s of the clock
+    waiting["t"] -= 86_400.0
+    maker = LogMaker(tmp_path / "run.mcap", has_plant=False)
+    maker.write("left", begun)
+    maker.write("right", waiting)
+    for source in ("left", "right"):
+        maker.event(Event(UTC_0_NS, source, Level.INFO, "torque on", {"stamp_ns": 50_000_000}))
+    maker.event(Event(UTC_0_NS + 1, "left", Level.INFO, "run ended", {"stamp_ns": 1_200_000_000, "ticks": 7}))
+    maker.finish()
+    document = json.loads(coop("events", tmp_path / "run.mcap", "--json").out)
+    assert [e["t_s"] for e in document["events"]] == [pytest.approx(-0.15), None, pytest.approx(1.0)]
 
 
 def test_events_are_chosen_by_arm_and_time(tmp_path: Path) -> None:

@@ -8,10 +8,10 @@ from rosbags.typesys import Stores, get_typestore
 
 from agent.ros.translate import Translator
 from agent.telemetry.link.wire import BatchHeader
-from agent.telemetry.row.event import Event, Level
+from agent.telemetry.row.event import Event, Level, encode
 from agent.telemetry.row.topics import PLANT, Address, Kind
 from tests.support.telemetry.scenes import scene
-from tests.support.telemetry.telemetry_cell import ARMS, CELL, CONFIG_ID, UTC_0_NS, make_rows
+from tests.support.telemetry.telemetry_cell import ARMS, CELL, CONFIG_ID, SERVOS, UTC_0_NS, make_rows
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 TOPICS = {
@@ -102,3 +102,20 @@ def test_an_event_is_told_once() -> None:
 def test_the_plant_gives_the_object() -> None:
     heard = send(translator(), PLANT, make_rows(PLANT, 4))
     assert [topic for topic, _ in heard] == ["/object/pose", "/tf"]
+
+
+def test_health_of_servos_becomes_a_diagnosis_once_and_never_an_older_one() -> None:
+    to = translator()
+
+    def tell(utc_ns: int) -> list[tuple[str, bytes]]:
+        payload = encode({"utc_ns": utc_ns, **SERVOS})
+        return list(to.take(Address(CELL, "left", Kind.HEALTH).key, payload, BatchHeader(7, 0, 1, 0).pack()))
+
+    ((topic, message),) = tell(UTC_0_NS)
+    assert topic == "/diagnostics"
+    names = [status.name for status in STORE.deserialize_cdr(message, "diagnostic_msgs/msg/DiagnosticArray").status]
+    assert names == ["arm left: servo 1 waist", "arm left: servo 2 shoulder", "arm left: servo 3 shoulder"]
+    assert (tell(UTC_0_NS), tell(UTC_0_NS - 1), len(tell(UTC_0_NS + 1))) == ([], [], 1)
+    header = BatchHeader(7, 0, 1, 0).pack()
+    assert list(to.take(Address(CELL, "left", Kind.HEALTH).key, b'{"utc_ns":1}', header)) == []
+    assert to.refused == 1

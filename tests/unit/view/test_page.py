@@ -191,6 +191,13 @@ def test_events_stand_at_their_time_on_the_runs_axis() -> None:
     assert [m.t for m in around(found, 4.5)] == [2.0]
 
 
+def test_what_an_agent_tells_with_a_stamp_stands_where_its_rows_have_that_stamp() -> None:
+    log = view_log()
+    stamp_ns = int(log.agents["left"]["stamp_ns"][50])
+    log.events.append(Event(UTC_0, "left", Level.INFO, "run ended", {"stamp_ns": stamp_ns, "ticks": 1, "wall_s": 9.0}))
+    assert moments_of(prepare(log))[0].t == pytest.approx(float(log.agents["left"]["t"][50]), abs=1e-9)
+
+
 def test_an_event_without_a_tick_stands_by_the_wall_where_the_run_kept_its_pace() -> None:
     log = view_log()
     for rows in log.agents.values():

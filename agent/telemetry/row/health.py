@@ -1,0 +1,81 @@
+"""What the servos of an arm say of themselves about once a second, as a JSON text and back.
+
+    {"utc_ns": …, "servo_id": [1, …], "joint": ["waist", …], "temperature_C": […], "voltage_V": […],
+     "error_bits": […], "current_A": […], "load": […]}
+
+One number per servo; null where it is not known, or where the servo senses no such thing.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+from agent.telemetry.row.event import TEXT_MAX_BYTES, check_time
+from drivers.interface import ServoHealth
+
+QUANTITIES: Final = {"temperature_C": 1, "voltage_V": 2, "current_A": 3, "load": 3}  # decimals that are worth telling
+SERVOS_MAX: Final = 64
+
+
+@dataclass(frozen=True, slots=True)
+class Health:
+    """One text; all tuples have one entry per servo, in the order of the bus; NaN where there is no number."""
+
+    utc_ns: int
+    servo_id: tuple[int, ...]
+    joint: tuple[str, ...]
+    temperature_C: tuple[float, ...]
+    voltage_V: tuple[float, ...]
+    error_bits: tuple[int, ...]  # Hardware Error Status
+    current_A: tuple[float, ...]
+    load: tuple[float, ...]  # share of the largest torque, of servos that sense no current
+
+    @classmethod
+    def from_json(cls, payload: bytes) -> Health:
+        """The values of a text, which may come from anywhere.  Raises ValueError when it has none."""
+        if len(payload) > TEXT_MAX_BYTES:
+            raise ValueError(f"{len(payload)} bytes")
+        try:
+            raw = json.loads(payload)
+            ids = tuple(_whole(x, 255) for x in raw["servo_id"])
+            joints = tuple(_name(x) for x in raw["joint"])
+            bits = tuple(_whole(x, 255) for x in raw["error_bits"])
+            numbers = {name: tuple(_number(x) for x in raw[name]) for name in QUANTITIES}
+            utc_ns = check_time(raw["utc_ns"])
+        except (KeyError, TypeError, RecursionError) as error:
+            raise ValueError(f"not the health of servos: {error!r}") from error
+        lengths = {len(column) for column in (ids, joints, bits, *numbers.values())}
+        if len(lengths) != 1 or len(set(ids)) != len(ids) or len(ids) > SERVOS_MAX:
+            raise ValueError("not one value per servo")
+        return cls(utc_ns=utc_ns, servo_id=ids, joint=joints, error_bits=bits, **numbers)
+
+
+def health_values(health: ServoHealth) -> Mapping[str, Any]:
+    """What is written of it, but for the time."""
+    rounded = {name: getattr(health, name).round(places).tolist() for name, places in QUANTITIES.items()}
+    bits = health.error_bits.tolist()
+    return {"servo_id": health.servo_ids, "joint": health.joints, "error_bits": bits, **rounded}
+
+
+def _whole(found: object, largest: int) -> int:
+    if type(found) is not int or not 0 <= found <= largest:
+        raise ValueError(f"{found!r} is no whole number up to {largest}")
+    return found
+
+
+def _name(found: object) -> str:
+    if not isinstance(found, str):
+        raise ValueError(f"{found!r} is no name")
+    return found
+
+
+def _number(found: object) -> float:
+    if found is None:
+        return math.nan
+    if type(found) not in (int, float) or not math.isfinite(found):  # type: ignore[arg-type]
+        raise ValueError(f"{found!r} is no number")
+    return float(found)  # type: ignore[arg-type]

@@ -1,0 +1,85 @@
+"""What an agent tells: health once a second (none of a driver without servos), events on the clock of its rows."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agent.process.agent import _Servos, _Teller
+from agent.telemetry.ring.ring import RingWriter
+from agent.telemetry.ring.texts import TextReader, TextWriter
+from agent.telemetry.row.event import Event, Level
+from agent.telemetry.row.health import Health
+from agent.telemetry.row.sample import AGENT_STATE
+from agent.telemetry.row.topics import Kind
+from drivers.interface import ServoHealth
+from tests.support.servos import dxl_rig
+
+OFFSET_NS = 1_700_000_000_000_000_000
+
+
+def told(ring: Path, driver: Any, beats: int, cycles: int) -> list[Health]:
+    writer = TextWriter(ring, "left")
+    with RingWriter(ring, AGENT_STATE, "left", ("waist",)):
+        servos = _Servos(driver, writer, OFFSET_NS, cycles)
+        for _ in range(beats):
+            servos.beat()
+        found = TextReader(ring).read_new()
+    writer.close()
+    assert {kind for kind, _ in found} <= {Kind.HEALTH}
+    return [Health.from_json(text) for _, text in found]
+
+
+def test_what_the_driver_read_in_its_gaps_is_told_once_in_so_many_cycles(tmp_path: Path) -> None:
+    rig = dxl_rig.build(dxl_rig.PLANAR)
+    rig.driver.connect()
+    rig.driver.enable()
+    rig.driver.read()
+    found = told(tmp_path / "ring", rig.driver, 401, 200)
+    assert len(found) == 2
+    slots = rig.arm.slots
+    assert 0 <= OFFSET_NS + rig.clock.now_ns() - found[0].utc_ns < 1_000_000
+    assert found[0].servo_id == tuple(slot.servo_id for slot in slots)
+    assert found[0].joint == tuple(slot.joint.name for slot in slots)
+    assert found[0].temperature_C == (25.0,) * len(slots)
+    np.testing.assert_allclose(found[0].voltage_V, 12.0)
+    senses = [slot.model.current_unit_mA is not None for slot in slots]
+    assert [not np.isnan(x) for x in found[0].current_A] == senses
+    assert [np.isnan(x) for x in found[0].load] == senses
+
+
+class Joints:
+    """A driver without servos."""
+
+    def health(self) -> ServoHealth:
+        return ServoHealth.none(5)
+
+
+def test_a_driver_without_servos_tells_nothing(tmp_path: Path) -> None:
+    assert told(tmp_path / "ring", Joints(), 10, 1) == []
+
+
+class RunClock:
+    """A plant's clock: simulated nanoseconds and where they are in UTC."""
+
+    utc_offset_ns = OFFSET_NS
+
+    def now_ns(self) -> int:
+        return 250
+
+
+def test_an_agents_event_has_the_time_of_its_rows_once_there_is_one(tmp_path: Path) -> None:
+    writer = TextWriter(tmp_path / "ring", "left")
+    teller: Any = _Teller("left", writer)
+    begin_ns = time.time_ns()
+    teller.event(Level.INFO, "before")
+    teller.clock = RunClock()
+    teller.event(Level.INFO, "torque on", priority=3)
+    before, on = (Event.from_json(text) for _, text in TextReader(tmp_path / "ring").read_new())
+    writer.close()
+    assert begin_ns <= before.utc_ns <= time.time_ns()
+    assert before.data == {}
+    assert (on.utc_ns, on.data) == (OFFSET_NS + 250, {"stamp_ns": 250, "priority": 3})
