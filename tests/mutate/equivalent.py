@@ -27,11 +27,6 @@ _OPPOSED = "opposed = followed[1] * shadow[1] < 0 and min(abs(followed[1]), abs(
 EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
     "agent.loop": {
         (
-            "step",
-            "if not math.isfinite(sum(q.tolist()) + sum(dq.tolist())):",
-            "if not math.isfinite(sum(q.tolist()) - sum(dq.tolist())):",
-        ): "a difference with a number that is none is none either",
-        (
             "wait_here",
             "return memory._replace(shift=between(pose[:3], pose[3:], *agent.start))",
             "return memory._replace(shift=between(pose[:4], pose[3:], *agent.start))",
