@@ -22,15 +22,15 @@ _TEXTS = "while (block := self._ring.read_new(64)).count:"
 _INTACT = "intact = (copy.view(np.uint64)[:, 0] == expected) & (live_index[where] == expected)"
 _ROOM = "memory = np.zeros(dtype.itemsize + 16, np.uint8)"
 _STANDARD_INPUT = "descriptor 0 is a process's standard input"
+_TABLE = "_FLAGS = tuple(map(Flag, range((_NOT_FINITE | _SATURATED | _RATE_LIMITED) + 1)))"
+_MAPPED = "return mmap.mmap(fd, size, mmap.MAP_SHARED | (mmap.MAP_POPULATE if at_once else 0), protection)"
 _OPPOSED = "opposed = followed[1] * shadow[1] < 0 and min(abs(followed[1]), abs(shadow[1])) >= self._fight"
 
 EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
+    "agent.safety": {
+        ("", _TABLE, _TABLE.replace("+ 1", "+ 2")): "one flag more than the three that are looked up can make",
+    },
     "agent.loop": {
-        (
-            "step",
-            "if not math.isfinite(sum(q.tolist()) + sum(dq.tolist())):",
-            "if not math.isfinite(sum(q.tolist()) - sum(dq.tolist())):",
-        ): "a difference with a number that is none is none either",
         (
             "wait_here",
             "return memory._replace(shift=between(pose[:3], pose[3:], *agent.start))",
@@ -165,6 +165,7 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
             "if len(head) < SLOTS_OFFSET or head[:8] != MAGIC:",
             "if len(head) < SLOTS_OFFSET or False:",
         ): "somebody's own file has been refused before",
+        ("map_file", _MAPPED, _MAPPED.replace("else 0", "else 1")): "MAP_SHARED is 1",
     },
     "agent.telemetry.ring.ring": {
         ("RingWriter.wait_for_space", _HAS_SPACE, "if False:"): _NO_CLOCK,

@@ -41,6 +41,7 @@ TARGETS = (
     Target("drivers.dynamixel.driver", (f"{UNIT}/drivers/test_driver.py",)),
     Target("drivers.dynamixel.interpret", (f"{UNIT}/drivers/test_interpret.py",)),
     Target("drivers.dynamixel.monitor", (f"{UNIT}/drivers/test_monitor.py",)),
+    Target("drivers.dynamixel.pace", (f"{UNIT}/drivers/test_pace.py",)),
     Target("drivers.dynamixel.running", (f"{UNIT}/drivers/test_running.py",)),
     Target("sim_backend.physics.calendar", _SOFT),
     Target("sim_backend.physics.free_body", _SOFT),
