@@ -120,8 +120,9 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
             flags |= Flag.UNEXPECTED
     if agent.alignment is not None and memory.primed and mode in _ALIGNING:
         shift = agent.alignment.advance(shift, terms.errors, agent.period_s, ready=mode is _READY)
+    ddq = -BRAKE_PER_S * dq if damped else terms.joints[DDQ_REF]  # what the torque asks for, as the observer must know
     carried = Memory(
-        q, dq, terms.joints[DDQ_REF], memory.ddq, limited, memory.tau, True, sense, shift, damped,
+        q, dq, ddq, memory.ddq, limited, memory.tau, True, sense, shift, damped,
         memory.hold, t, estimate, memory.q_hold,
     )  # fmt: skip
     return Outcome(q, dq, terms, limited, flags, carried, sensed)

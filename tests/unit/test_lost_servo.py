@@ -48,7 +48,7 @@ def test_a_lost_servo_is_named_and_both_arms_hold(kind: FaultKind, servo: int, n
     assert left.summary.mode is Mode.HOLD
     assert named in left.summary.reason
     assert right.summary.mode is Mode.HOLD, "the object tells the neighbour"
-    assert "OFF_TRACK" in right.summary.reason
+    assert "UNEXPECTED" in right.summary.reason
     begins = {}
     for name, run in arms.items():
         rows = run.rows

@@ -9,6 +9,7 @@ import numpy as np
 import configs
 from agent.config import observer
 from agent.config.cell import Cell, load_cell
+from agent.config.schema.controller import ObserverGains
 from agent.verify.check import start_configurations
 from agent.verify.criterion.bodies import Pose, pose
 from agent.verify.criterion.cases import Aligning, Loop, Ranges
@@ -16,12 +17,15 @@ from agent.verify.criterion.cases import Aligning, Loop, Ranges
 # k_p, k_eps, k_v of translation and of rotation; and the part of k_p and k_eps that stands in v̇_r
 GENTLE = {3: (100.0, 60.0, 1.5, 0.1), 6: (80.0, 60.0, 3.0, 0.1)}  # by controlled joints
 GENTLE_RATE = 0.7
+OBSERVER = tuple(f"controller.observer.{key}={value}" for key, value in ObserverGains().model_dump().items())
 FIRST = {3: (150.0, 100.0, 2.5, 2.5), 6: (100.0, 100.0, 10.0, 0.3)}  # of the paper, and of the first six-joint cells
 
 
 def cell_of(name: str, *overrides: str) -> Cell:
-    """A shipped cell."""
-    return load_cell(configs.CELLS_DIR / f"{name}.toml", list(overrides))
+    """A shipped cell; its arms align themselves where an override says how."""
+    aligned = any(change.startswith("controller.alignment.") for change in overrides)
+    changes = [f"controller.alignment.enabled={str(aligned).lower()}", *overrides]
+    return load_cell(configs.CELLS_DIR / f"{name}.toml", changes)
 
 
 def with_gains(name: str, gains: Mapping[int, Sequence[float]], rate: float, *overrides: str) -> Cell:
@@ -33,6 +37,7 @@ def with_gains(name: str, gains: Mapping[int, Sequence[float]], rate: float, *ov
         f"controller.k_eps_rad_per_s={k_eps}",
         f"controller.k_p_rate_per_s={rate * k_p}",
         f"controller.k_eps_rate_rad_per_s={rate * k_eps}",
+        *OBSERVER,
     ]
     for arm in arms:
         changes += [f"arms.{arm.name}.k_v_N_s_per_m={k_v}", f"arms.{arm.name}.k_v_Nm_s_per_rad={k_v_turn}"]

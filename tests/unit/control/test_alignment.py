@@ -57,8 +57,8 @@ def test_the_anchor_keeps_its_shift() -> None:
 def test_before_the_start_it_shifts_faster() -> None:
     e = errors_at((0.01, 0.0, 0.0), ONE, Desired((0.0,) * 3, ONE, STILL, STILL))
     waiting, tracking = (FOLLOWER.advance(NO_SHIFT, e, 0.005, ready=ready)[0] for ready in (True, False))
-    assert waiting == pytest.approx(2.0 * 0.005 * (0.01 - 0.7e-3))
-    assert tracking == pytest.approx(0.3 * 0.005 * (0.01 - 0.7e-3))
+    assert waiting == pytest.approx(2.0 * 0.005 * (0.01 - FOLLOWER.dead_zone_m))
+    assert tracking == pytest.approx(0.3 * 0.005 * (0.01 - FOLLOWER.dead_zone_m))
 
 
 def test_the_shift_has_limits_and_says_when_it_is_there() -> None:

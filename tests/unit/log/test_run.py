@@ -136,8 +136,8 @@ def test_names_of_an_arms_columns_have_component_and_unit_once() -> None:
     assert left["a_object_des"][2:4] == ["a_object_des_z_m_per_s2", "a_object_des_rx_rad_per_s2"]
     assert left["wrench_cmd"][2:4] == ["wrench_cmd_z_N", "wrench_cmd_rx_Nm"]
     assert left["unexpected"] == ["unexpected_0_N", "unexpected_1_Nm", "unexpected_2_N", "unexpected_3_Nm"]
-    assert len(left["theta_arm"]) == 39
-    assert len(right["theta_arm"]) == 26
+    assert len(left["theta_arm"]) == 48
+    assert len(right["theta_arm"]) == 32
 
 
 def test_names_of_the_plants_columns_have_the_arm() -> None:

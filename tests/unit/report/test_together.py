@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -66,12 +67,20 @@ def test_the_load_share_of_both_arms_is_one() -> None:
     assert dotted == [0.5, 0.5]
 
 
+def switch_on(log: RunLog, table: str, keys: str) -> None:
+    """The log's cell, where both are off, with this table as given."""
+    text = re.sub(rf"\[{re.escape(table)}\].*\nenabled = false\n", f"[{table}]\n{keys}\n", cell_text(log), count=1)
+    assert text != cell_text(log)
+    log.attachments["cell.toml"] = text.encode()
+
+
+def cell_text(log: RunLog) -> str:
+    return log.attachments["cell.toml"].decode()
+
+
 def test_disagreement_is_the_distance_of_two_beliefs_and_the_shift_has_its_limit() -> None:
     log = view_log()
-    text = log.attachments["cell.toml"].replace(
-        b"[simulation.effects]", b"[controller.alignment]\nmax_m = 0.004\n\n[simulation.effects]"
-    )
-    log.attachments["cell.toml"] = text
+    switch_on(log, "controller.alignment", "max_m = 0.004")
     log.agents["right"]["p_object"][:, 1] += 2e-3
     log.agents["right"]["shift"][:, 0] = 3e-3
     run = prepare(log)
@@ -84,10 +93,10 @@ def test_disagreement_is_the_distance_of_two_beliefs_and_the_shift_has_its_limit
     assert (right.shift_max_m, right.shift_max_rad) == (pytest.approx(3e-3), 0.0)
 
 
-def test_thresholds_are_the_cells_and_none_without_a_table() -> None:
+def test_thresholds_are_the_cells_and_none_where_they_are_off() -> None:
     log = view_log(0.1)
     assert np.isnan(vars_of(thresholds(log))).all()
-    log.attachments["cell.toml"] += b"\n[safety.noticing]\nfast_N = 3.5\n"
+    switch_on(log, "safety.noticing", "fast_N = 3.5")
     found = thresholds(log)
     assert (found.fast_N, found.slow_Nm) == (3.5, 0.2)
     assert np.isnan(found.shift_m)
@@ -103,7 +112,7 @@ def vars_of(found: Thresholds) -> tuple[float, ...]:
 
 def test_what_an_arm_notices_is_shown_by_part_with_its_threshold() -> None:
     log = view_log()
-    log.attachments["cell.toml"] += b"\n[safety.noticing]\nfast_N = 2.5\nslow_Nm = 0.3\n"
+    switch_on(log, "safety.noticing", "fast_N = 2.5\nslow_Nm = 0.3")
     for rows in log.agents.values():
         rows["unexpected"] = [2.0, 0.2, 1.0, 0.1]
     log.agents["left"]["unexpected"][7] = [4.0, 0.5, 3.0, 0.25]
