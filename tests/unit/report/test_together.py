@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +29,15 @@ def log_with(**columns: float) -> RunLog:
         for name, value in columns.items():
             rows[name][:] = value
     return log
+
+
+def switch_on(log: RunLog, table: str, values: str) -> None:
+    """Other values of a table of the log's cell file, which has it switched off."""
+    text, count = re.subn(
+        rf"(?m)^(\[{re.escape(table)}\]).*\nenabled = false$", rf"\1\n{values}", log.attachments["cell.toml"].decode()
+    )
+    assert count == 1
+    log.attachments["cell.toml"] = text.encode()
 
 
 def stems(log: RunLog) -> set[str]:
@@ -68,10 +78,7 @@ def test_the_load_share_of_both_arms_is_one() -> None:
 
 def test_disagreement_is_the_distance_of_two_beliefs_and_the_shift_has_its_limit() -> None:
     log = view_log()
-    text = log.attachments["cell.toml"].replace(
-        b"[simulation.effects]", b"[controller.alignment]\nmax_m = 0.004\n\n[simulation.effects]"
-    )
-    log.attachments["cell.toml"] = text
+    switch_on(log, "controller.alignment", "max_m = 0.004")
     log.agents["right"]["p_object"][:, 1] += 2e-3
     log.agents["right"]["shift"][:, 0] = 3e-3
     run = prepare(log)
@@ -87,7 +94,7 @@ def test_disagreement_is_the_distance_of_two_beliefs_and_the_shift_has_its_limit
 def test_thresholds_are_the_cells_and_none_without_a_table() -> None:
     log = view_log(0.1)
     assert np.isnan(vars_of(thresholds(log))).all()
-    log.attachments["cell.toml"] += b"\n[safety.noticing]\nfast_N = 3.5\n"
+    switch_on(log, "safety.noticing", "fast_N = 3.5")
     found = thresholds(log)
     assert (found.fast_N, found.slow_Nm) == (3.5, 0.2)
     assert np.isnan(found.shift_m)
@@ -103,7 +110,7 @@ def vars_of(found: Thresholds) -> tuple[float, ...]:
 
 def test_what_an_arm_notices_is_shown_by_part_with_its_threshold() -> None:
     log = view_log()
-    log.attachments["cell.toml"] += b"\n[safety.noticing]\nfast_N = 2.5\nslow_Nm = 0.3\n"
+    switch_on(log, "safety.noticing", "fast_N = 2.5\nslow_Nm = 0.3")
     for rows in log.agents.values():
         rows["unexpected"] = [2.0, 0.2, 1.0, 0.1]
     log.agents["left"]["unexpected"][7] = [4.0, 0.5, 3.0, 0.25]
