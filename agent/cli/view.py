@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -35,7 +36,7 @@ def view(
     force: Force = False,
 ) -> None:
     """Show a run in 3D: arms, object, desired pose, forces, events; in a browser, or as a file."""
-    from agent.view.arm import ViewError
+    from agent.view.error import ViewError
     from agent.view.need import need_viser
 
     if sum((live, html is not None, film is not None)) > 1:
@@ -53,7 +54,7 @@ def view(
 
 
 def _keep(file: Path, force: bool) -> None:
-    from agent.view.arm import ViewError
+    from agent.view.error import ViewError
 
     if file.exists() and not force:
         raise ViewError(f"{file} is there", found="a file", expected="none", remedy="name another one, or give --force")
@@ -90,22 +91,49 @@ def _html(log: Path, html: Path) -> None:
 def _serve(
     what: Path, live: bool, port: int, browser: bool, connect: str, network_config: Path | None, overrides: list[str]
 ) -> None:
-    def opened(address: str) -> None:
-        import webbrowser
-
-        ready(f"page={address}")
-        if browser:
-            webbrowser.open(address)
-
     requested = begin(False)
-    if not live:
+    if live:
+        _serve_live(what, port, browser, requested, connect, network_config, overrides)
+    else:
+        _serve_log(what, port, browser, requested)
+
+
+def _serve_log(log: Path, port: int, browser: bool, requested: Callable[[], bool]) -> None:
+    from agent.log.collect import require_log
+    from agent.view.server import Server
+
+    require_log(log)
+    server = Server(port, f"Run {log.name}")
+    try:
+        if browser:
+            _browse(server.address)  # it loads the page while the log is read
         from agent.view.open import serve
 
-        note(f"{what}: {serve(what, port, requested, opened)} pictures shown")
-        return
+        pictures = serve(log, server, requested, lambda: ready(f"page={server.address}"))
+    finally:
+        server.stop()
+    note(f"{log}: {pictures} pictures shown")
+
+
+def _browse(address: str) -> None:
+    import threading
+    import webbrowser
+
+    threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()  # some return when they are closed
+
+
+def _serve_live(
+    what: Path, port: int, browser: bool, requested: Callable[[], bool], connect: str, network_config: Path | None,
+    overrides: list[str],
+) -> None:  # fmt: skip
     from agent.config.files import load_files
     from agent.telemetry.link.session import Network, Role
     from agent.view.live import serve as serve_live
+
+    def opened(address: str) -> None:
+        ready(f"page={address}")
+        if browser:
+            _browse(address)
 
     network = Network(config_file=network_config) if network_config else Network(connect=(connect,), role=Role.VIEWER)
     done = serve_live(load_files(what, overrides), network, port, requested, opened)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO, Final, Generic, Protocol, TypeVar
 
@@ -62,16 +63,11 @@ class Collected(Generic[Sink]):
 
     def read(self) -> None:
         """Read the file once.  Raises LogError."""
-        try:
-            with self.path.open("rb") as file:
-                _require_mcap(self.path, file)
-                scan = LogScan(file)
-                for record in scan:
-                    self._add(record)
-        except OSError as error:
-            raise LogError(
-                f"cannot read {self.path}", found=error.strerror, expected="a log file", remedy="correct the path"
-            ) from error
+        with _opened(self.path) as file:
+            _require_mcap(self.path, file)
+            scan = LogScan(file)
+            for record in scan:
+                self._add(record)
         self.events.sort(key=lambda event: event.utc_ns)
         self.problems = [*scan.problems, *self.problems]
 
@@ -144,6 +140,23 @@ class Collected(Generic[Sink]):
             self.health.setdefault(member, []).append(Health.from_json(text_of(payload)))
         except ValueError as error:
             self.problems.append(f"{member}: a health text that is none: {error}")
+
+
+def require_log(path: Path) -> None:
+    """Raise LogError for what is not there or no MCAP file; of the rest of the file nothing is read."""
+    with _opened(path) as file:
+        _require_mcap(path, file)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[BinaryIO]:
+    try:
+        with path.open("rb") as file:
+            yield file
+    except OSError as error:
+        raise LogError(
+            f"cannot read {path}", found=error.strerror, expected="a log file", remedy="correct the path"
+        ) from error
 
 
 def _require_mcap(path: Path, file: BinaryIO) -> None:

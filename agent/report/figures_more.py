@@ -33,9 +33,14 @@ DURATIONS: Final = {"late_s": "began late", "read_s": "bus read", "step_s": "con
 # feedback first: it carries the noise and would hide the others
 TERMS: Final = ("feedback", "inertia", "coriolis", "gravity", "adaptive", "object", "internal", "friction", "posture")
 TAIL_POINTS: Final = 300
+BODY_PARAMETERS: Final = 10  # of one link
 # columns of one body or joint in the estimates: what, unit, first column, how many
 BODY_GROUPS: Final = (("mass", "kg", 0, 1), ("first moment", "kg·m", 1, 3), ("inertia", "kg·m²", 4, 6))
-JOINT_GROUPS: Final = (("rotor inertia", "kg·m²"), ("viscous friction", "N·m·s/rad"), ("Coulomb friction", "N·m"))
+JOINT_GROUPS: Final = (
+    ("rotor inertia", "kg·m²"), ("viscous friction", "N·m·s/rad"), ("Coulomb friction", "N·m"),
+    ("breakaway", "N·m"), ("load friction", "1"), ("breakaway load", "1"),
+)  # fmt: skip
+MOVING_GROUPS: Final = 3  # of the groups of joints, those before breakaway and load
 
 
 def late_arms(run: Prepared) -> list[RunArm]:
@@ -138,22 +143,36 @@ def estimates(run: Prepared, arm: RunArm) -> Figure:
     """What one arm of an adaptive run believes: of its own links and joints, and of the object (black)."""
     rows, joints = run.rows[arm.name], len(arm.joints)
     t = column(rows, "t")
-    figure, axes = panels(3, 2, height_in=1.7, top_in=HEADER_IN)
-    left, right = axes[0::2], axes[1::2]
+    columns = 3 if sticking(run, arm) else 2
+    figure, axes = panels(3, columns, height_in=1.7, top_in=HEADER_IN)
+    left, right = axes[0::columns], [ax for column in range(1, columns) for ax in axes[column::columns]]
     for ax, (what, unit, first, count) in zip(left, BODY_GROUPS, strict=True):
         ax.set_title(what)
         ax.set_ylabel(f"[{unit}]")
         for k in range(first, first + count):
             for j, joint in enumerate(arm.joints):
                 label = joint.replace("_", " ") if k == first else None
-                line(ax, t, component(rows, "theta_arm", 10 * j + k), color=CYCLE[j], label=label, linewidth=0.8)
+                line(
+                    ax,
+                    t,
+                    component(rows, "theta_arm", BODY_PARAMETERS * j + k),
+                    color=CYCLE[j],
+                    label=label,
+                    linewidth=0.8,
+                )
             label = "object" if k == first else None
             line(ax, t, component(rows, "theta_object", k), color="black", label=label, linewidth=0.8)
-    for ax, (what, unit), block in zip(right, JOINT_GROUPS, range(3), strict=True):
+    for block, (ax, (what, unit)) in enumerate(zip(right, JOINT_GROUPS, strict=False)):
         ax.set_title(what)
         ax.set_ylabel(f"[{unit}]")
         for j in range(joints):
-            line(ax, t, component(rows, "theta_arm", (10 + block) * joints + j), color=CYCLE[j], linewidth=0.8)
+            line(
+                ax,
+                t,
+                component(rows, "theta_arm", (BODY_PARAMETERS + block) * joints + j),
+                color=CYCLE[j],
+                linewidth=0.8,
+            )
     if arm.estimate_bounds is not None:
         _draw_bounds(left, right, arm.estimate_bounds, joints)
     header_line(figure, f"Estimates of {arm.name}", left[0])
@@ -161,15 +180,23 @@ def estimates(run: Prepared, arm: RunArm) -> Figure:
     return figure
 
 
+def sticking(run: Prepared, arm: RunArm) -> bool:
+    """Whether the arm believes anything of breakaway or load friction."""
+    joints = len(arm.joints)
+    first = (BODY_PARAMETERS + MOVING_GROUPS) * joints
+    last = (BODY_PARAMETERS + len(JOINT_GROUPS)) * joints
+    return bool(np.any(column(run.rows[arm.name], "theta_arm", slice(first, last))))
+
+
 def _draw_bounds(left: Sequence[Axes], right: Sequence[Axes], bounds: EstimateBounds, joints: int) -> None:
     """Dotted: where an estimate is held; a bound far from every estimate stays outside the panel."""
     marked: list[tuple[Axes, str, tuple[float, float]]] = []
     for ax, (_, _, first, count) in zip(left, BODY_GROUPS, strict=True):
         for k in range(first, first + count):
-            marked += [(ax, CYCLE[j], bounds.arm[10 * j + k]) for j in range(joints)]
+            marked += [(ax, CYCLE[j], bounds.arm[BODY_PARAMETERS * j + k]) for j in range(joints)]
             marked.append((ax, "black", bounds.object[k]))
-    for ax, block in zip(right, range(3), strict=True):
-        marked += [(ax, CYCLE[j], bounds.arm[(10 + block) * joints + j]) for j in range(joints)]
+    for block, ax in enumerate(right):
+        marked += [(ax, CYCLE[j], bounds.arm[(BODY_PARAMETERS + block) * joints + j]) for j in range(joints)]
     for ax, colour, pair in marked:
         low, up = ax.get_ylim()
         room = 0.3 * (up - low)

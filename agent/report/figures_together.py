@@ -42,15 +42,16 @@ def load_share(run: Prepared) -> Figure:
 
 
 def in_stretches(t: Array, part: Array, whole: Array, each_s: float) -> tuple[Array, Array]:
-    """Σ part / Σ whole over stretches of time, and the middle of each; NaN where the whole is nothing.
+    """Σ part / Σ whole over stretches of time, and the middle of each; NaN where the whole is nothing or infinite.
 
     `t`, `part`, `whole` (k,), k > 0, sorted by time.
     """
     number = np.floor((t - t[0]) / each_s + 1e-9).astype(int)
     starts = np.flatnonzero(np.diff(number, prepend=-1))
     counts = np.diff(np.append(starts, len(t)))
-    sums = [np.add.reduceat(np.nan_to_num(values), starts) for values in (part, whole)]
-    share = np.divide(sums[0], sums[1], out=np.full(len(starts), np.nan), where=sums[1] > 0.0)
+    sums = [np.add.reduceat(np.where(np.isnan(values), 0.0, values), starts) for values in (part, whole)]
+    some = (sums[1] > 0.0) & np.isfinite(sums[0]) & np.isfinite(sums[1])
+    share = np.divide(sums[0], sums[1], out=np.full(len(starts), np.nan), where=some)
     return np.add.reduceat(t, starts) / counts, share
 
 

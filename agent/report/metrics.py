@@ -44,6 +44,7 @@ def summarise(log: AnyLog) -> Results:
     return summarise_prepared(prepare(log))
 
 
+@np.errstate(over="ignore", invalid="ignore")  # poses of a run that went astray: what is no number counts as none
 def summarise_prepared(run: Prepared) -> Results:
     """The same from a log that is prepared already."""
     info = run.info

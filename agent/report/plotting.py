@@ -29,6 +29,8 @@ PANEL_IN: Final = 1.75
 HEADER_IN: Final = 0.62  # room above panels with titles for `header_line`
 COLUMNS: Final = 900  # a long series is drawn as mean, lowest and highest value of this many stretches
 RANGE_ALPHA: Final = 0.3
+DRAWN_MAX: Final = 1e12  # of whatever unit; what is beyond belongs to a run that went astray, and dwarfs the rest
+UNDRAWN: Final = "beyond 10¹²: not drawn"
 
 # told apart by the colour-blind; in grey the dashes below tell them apart
 BLUE: Final = "#005c9e"
@@ -93,7 +95,7 @@ def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
 
     @wraps(draw)
     def with_style(*args: P.args, **kwargs: P.kwargs) -> Figure:
-        with mpl.rc_context(STYLE):
+        with mpl.rc_context(STYLE), np.errstate(over="ignore", invalid="ignore"):  # of a run that went astray
             return draw(*args, **kwargs)
 
     return with_style
@@ -186,10 +188,11 @@ def line(ax: Axes, t: Array, values: Array, **style: Any) -> None:
     """Draw a series: short ones as they are, long ones as mean and range of each column of pixels.
 
     The range is a shade of the same colour, so a single peak is seen and noise hides no other curve.  Where rows
-    are missing the line is broken.  Without a style of its own a curve has the dashes of its colour.
+    are missing, or values are beyond DRAWN_MAX, the line is broken.  Without a style of its own a curve has the
+    dashes of its colour.
     """
     style.setdefault("linestyle", DASHES.get(style.get("color", ""), _SOLID))
-    spans = unbroken(t, values)
+    spans = unbroken(t, drawable(ax, values))
     if sum(len(x) for x, _ in spans) <= 4 * COLUMNS:
         ax.plot(*_joined(spans), **style)
         return
@@ -200,6 +203,19 @@ def line(ax: Axes, t: Array, values: Array, **style: Any) -> None:
     lowest = _joined([(c.t, c.lowest) for c in parts])[1]
     highest = _joined([(c.t, c.highest) for c in parts])[1]
     ax.fill_between(mean_t, lowest, highest, color=style.get("color"), alpha=RANGE_ALPHA, linewidth=0)
+
+
+def drawable(ax: Axes, values: Array) -> Array:
+    """The same values (k,) with NaN for what is beyond DRAWN_MAX; where there is such a one, the panel says so."""
+    beyond = np.abs(values) > DRAWN_MAX  # false for what is no number
+    if not beyond.any():
+        return values
+    if UNDRAWN not in [text.get_text() for text in ax.texts]:
+        ax.text(
+            0.99, 0.04, UNDRAWN, transform=ax.transAxes, ha="right", va="bottom", fontsize=8,
+            bbox={"facecolor": "white", "alpha": 0.75, "edgecolor": "none", "pad": 0.6},
+        )  # fmt: skip
+    return np.where(beyond, np.nan, values)
 
 
 @dataclass(frozen=True, slots=True)

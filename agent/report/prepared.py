@@ -64,6 +64,7 @@ class Prepared:
         return pose_by_arm(arm, self.seen[arm])
 
 
+@np.errstate(over="ignore", invalid="ignore")  # poses of a run that went astray: what is no number counts as none
 def prepare(log: AnyLog) -> Prepared:
     """Find the rows of the run, match the plant's with the arms'.  A poor log is prepared too: `missing` says why."""
     info = read_info(log)

@@ -47,6 +47,7 @@ class ErrorSeries:
     transient_s: float
 
 
+@np.errstate(over="ignore", invalid="ignore")  # poses of a run that went astray: what is no number counts as none
 def error_series(run: Prepared) -> ErrorSeries:
     """Of the true pose where the log holds it, otherwise as the first arm sees it; empty without a row."""
     series = next((s for _, s in object_series(run)), None)

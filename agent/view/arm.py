@@ -12,15 +12,11 @@ import numpy as np
 import pinocchio as pin
 
 from agent.config.urdf import text_of_urdf
+from agent.view.error import ViewError
 from agent.view.pose import Array
 from agent.view.shapes import Colour, Mesh, ball, box, cylinder
-from drivers.interface import Refusal
 
 _DARK: Final = 0.3  # a material darker than this is a shell, which takes the arm's colour
-
-
-class ViewError(Refusal):
-    """A run or a cell that cannot be shown."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,51 +2,20 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import math
 from typing import Any, Final
 
 import numpy as np
 import viser
 
-from agent.view.arm import ViewError
 from agent.view.camera import Camera
-from agent.view.draw import GRID
 from agent.view.pose import Array
 from agent.view.scene import OBJECT, Placed, Scene
-from agent.view.shapes import box_edges
+from agent.view.shapes import GRID, box_edges
 
-LOOPBACK: Final = "127.0.0.1"
 SHAFT_M, HEAD_M, HEAD_LENGTH_M = 0.003, 0.008, 0.02
 WIRE_PX: Final = 2.0
 LABEL_AT: Final = 0.92  # of the way from the middle of the picture to its upper edge
-
-
-class Server(viser.ViserServer):
-    """viser on this host alone: it opens no tunnel, whoever asks."""
-
-    def __init__(self, port: int, label: str) -> None:
-        """Raises ViewError when nobody can listen at `port`."""
-        try:
-            with contextlib.redirect_stdout(io.StringIO()):  # it prints a panel that is ours to write
-                super().__init__(LOOPBACK, port, label, verbose=False)
-        except (OSError, RuntimeError) as error:
-            raise ViewError(
-                f"cannot listen at {LOOPBACK}:{port}", found=str(error), expected="a free port",
-                remedy="name another one with --port",
-            ) from error  # fmt: skip
-        self.gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
-        self.gui.main_panel.dock_right()
-
-    def request_share_url(self, verbose: bool = True) -> str | None:  # noqa: ARG002 (as viser has it)
-        """Nobody gets an address on the internet."""
-        return None
-
-    def stop(self) -> None:
-        """End it, without the line that it prints."""
-        with contextlib.redirect_stdout(io.StringIO()):
-            super().stop()
 
 
 class Nodes:

@@ -14,10 +14,9 @@ from agent.view.camera import Camera
 from agent.view.pose import Array, moved
 from agent.view.raster import Raster
 from agent.view.scene import OBJECT, Placed, Scene
-from agent.view.shapes import Colour, box_edges
+from agent.view.shapes import GRID, Colour, box_edges
 
 GROUND: Final[Colour] = (250, 250, 248)
-GRID: Final[Colour] = (222, 224, 226)
 INK: Final[Colour] = (35, 39, 43)
 FINER: Final = 2  # drawn so many times larger, then made smaller: smooth edges
 WIRE_PX: Final = 1.0

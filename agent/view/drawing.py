@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from agent.config.files import CellFiles
-from agent.view.arm import ArmDrawing, ViewError
+from agent.view.arm import ArmDrawing
+from agent.view.error import ViewError
 from agent.view.shapes import Colour
 
 if TYPE_CHECKING:

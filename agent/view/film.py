@@ -11,7 +11,7 @@ from typing import Final
 from PIL import Image
 
 from agent.report.prepared import Prepared
-from agent.view.arm import ViewError
+from agent.view.error import ViewError
 from agent.view.staged import stage
 
 STILL_PX: Final = (1008, 560)

@@ -7,9 +7,10 @@ from typing import Final
 
 from agent.report.moments import around, moments_of
 from agent.report.prepared import Prepared
-from agent.view.arm import ViewError
-from agent.view.browser import Nodes, Server
+from agent.view.browser import Nodes
+from agent.view.error import ViewError
 from agent.view.motion import PICTURES_HZ
+from agent.view.server import Server
 from agent.view.staged import stage, status_text
 
 VIEW_PX: Final = (1280, 680)  # above the controls

@@ -22,13 +22,14 @@ from agent.telemetry.row import topics
 from agent.telemetry.row.event import Event
 from agent.telemetry.row.sample import AGENT_STATE, CDR_LITTLE_ENDIAN, PLANT_STATE
 from agent.telemetry.row.topics import PLANT, Address, Kind
-from agent.view.browser import Nodes, Server
+from agent.view.browser import Nodes
 from agent.view.camera import camera_for
 from agent.view.curves import curves_of
 from agent.view.drawing import CellDrawing, drawing_of_cell
 from agent.view.motion import Motion, joined, motion_now
 from agent.view.plots import Plot
 from agent.view.scene import Scene
+from agent.view.server import Server
 from agent.view.staged import legend, status_text
 
 PICTURES_HZ: Final = 30.0
@@ -160,7 +161,7 @@ def serve(
         server = Server(port, f"{cell.file.name}, live")
         try:
             page = LivePage(server, drawing, _start(cell))
-            ready(f"http://{server.get_host()}:{server.get_port()}")
+            ready(server.address)
             while not stop():
                 began_s = time.monotonic()
                 if intake.news.wait(0.1):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from importlib.util import find_spec
 
-from agent.view.arm import ViewError
+from agent.view.error import ViewError
 
 
 def need_viser() -> None:

@@ -1,4 +1,4 @@
-"""`coop view RUN.mcap`: the page of a recorded run, served to this host alone until a stop."""
+"""`coop view RUN.mcap`: the page of a recorded run, served until a stop."""
 
 from __future__ import annotations
 
@@ -9,27 +9,27 @@ from typing import Final
 from agent.log.read import open_log
 from agent.report.moments import moments_of
 from agent.report.prepared import prepare
-from agent.view.browser import Nodes, Server
+from agent.view.browser import Nodes
 from agent.view.motion import PICTURES_HZ
 from agent.view.player import Player
+from agent.view.server import Server
 from agent.view.staged import stage
 
 VIEW_PX: Final = (880, 720)  # beside the controls
 
 
-def serve(log: Path, port: int, stop: Callable[[], bool], ready: Callable[[str], None]) -> int:
-    """Serve the page of a log; `ready` is told its address.  Returns how many pictures were shown.  Raises Refusal."""
+def serve(log: Path, server: Server, stop: Callable[[], bool], ready: Callable[[], None]) -> int:
+    """Show a log on a server's page; `ready` is called with the first picture.  Returns how many were shown.
+
+    The server runs before the log is read: a browser needs longer for the page than the log takes.  Raises Refusal.
+    """
     with open_log(log) as opened:
         run = prepare(opened)
         staged = stage(run, PICTURES_HZ)
         moments = moments_of(run)
-    server = Server(port, f"Run of {run.info.cell}")
-    try:
-        player = Player(server, Nodes(server, staged.scene, staged.camera(VIEW_PX)), staged, moments)
+    player = Player(server, Nodes(server, staged.scene, staged.camera(VIEW_PX)), staged, moments)
+    player.step()
+    ready()
+    while not stop():
         player.step()
-        ready(f"http://{server.get_host()}:{server.get_port()}")
-        while not stop():
-            player.step()
-    finally:
-        server.stop()
     return player.pictures

@@ -12,6 +12,7 @@ from agent.view.pose import Array
 
 Colour = tuple[int, int, int]  # red, green, blue, 0 … 255
 
+GRID: Final[Colour] = (222, 224, 226)  # lines of the floor
 SIDES: Final = 20  # of what is round
 _RINGS: Final = 10  # of a ball, from pole to pole
 

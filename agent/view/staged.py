@@ -12,10 +12,10 @@ from PIL import Image
 from agent.modes import Mode
 from agent.report.moments import Moment
 from agent.report.prepared import Prepared
-from agent.view.arm import ViewError
 from agent.view.camera import Camera, camera_for
 from agent.view.draw import picture
 from agent.view.drawing import drawing_of_log
+from agent.view.error import ViewError
 from agent.view.motion import Motion, motion_of
 from agent.view.scene import Placed, Scene
 

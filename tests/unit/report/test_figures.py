@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -13,13 +14,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
+from agent.log.read import RunLog
 from agent.report import figures
-from agent.report.figures_more import tail_of
+from agent.report.figures_more import DURATIONS, estimates, tail_of
+from agent.report.figures_together import in_stretches
 from agent.report.gallery import pictures
-from agent.report.plotting import in_columns, panels, unbroken
+from agent.report.plotting import DRAWN_MAX, UNDRAWN, drawable, in_columns, panels, unbroken
 from agent.report.plotting import line as draw_line
 from agent.report.prepared import Prepared, prepare
+from agent.report.report import write_report
 from tests.support.telemetry.synthetic_run import paper_run, spatial_run
 
 RUNS = {
@@ -28,6 +34,9 @@ RUNS = {
     "no plant": lambda: paper_run(Path("run.mcap"), duration_s=25.0, plant=False),
     "six joints": lambda: spatial_run(Path("run.mcap"), duration_s=25.0),
 }
+
+BODY = ("mass", *("first moment",) * 3, *("inertia",) * 6)
+OF_JOINTS = ("rotor inertia", "viscous friction", "Coulomb friction", "breakaway", "load friction", "breakaway load")
 
 
 @pytest.fixture(scope="module", params=RUNS.values(), ids=RUNS.keys())
@@ -106,6 +115,94 @@ def test_lateness_has_a_panel_only_where_a_cycle_began_late() -> None:
     assert "No cycle began late" in timing.caption
     assert "began late" not in [text.get_text() for text in tail.get_legend().get_texts()]
     assert "control step" in [text.get_text() for text in tail.get_legend().get_texts()]
+
+
+def astray(log: RunLog) -> RunLog:
+    """A run whose law went unstable half-way: immense, then infinite, then no number."""
+    for rows in [*log.agents.values(), log.plant]:
+        assert rows is not None
+        half, some = len(rows) // 2, len(rows) // 10
+        sign = 1.0 if rows is log.plant else -1.0  # the errors are immense, too
+        for name in rows.dtype.names or ():
+            if rows.dtype[name].base == np.dtype(np.float64) and name not in ("t", *DURATIONS):
+                for number, value in enumerate((1e300, -1e308, -np.inf)):
+                    rows[name][half + number * some : half + (number + 1) * some] = sign * value
+                rows[name][half + 3 * some :] = np.nan
+    return log
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_run_that_went_astray_is_drawn_as_far_as_it_can_be_and_says_so(tmp_path: Path) -> None:
+    log = astray(RUNS["adaptive"]())
+    result = write_report(log, tmp_path).results
+    assert any("pose that is not a number" in line for line in result.missing)
+    drawn = {picture.stem: picture.draw() for picture in pictures(prepare(log))}
+    for stem, figure in drawn.items():
+        for ax in figure.axes:
+            assert max(np.abs(ax.get_ylim())) < 2.0 * DRAWN_MAX, stem
+    for stem in ("pose", "errors", "torques", "wrenches", "internal_force", "estimates_left", "margins"):
+        assert [text.get_text() for text in drawn[stem].axes[0].texts].count(UNDRAWN) == 1, stem
+    steady = figures.torques(prepare(RUNS["adaptive"]()))
+    assert UNDRAWN not in [text.get_text() for ax in steady.axes for text in ax.texts]
+
+
+def test_what_is_drawable_ends_at_a_bound() -> None:
+    _, (ax,) = panels(1)
+    values = np.array([1.0, DRAWN_MAX, -DRAWN_MAX, np.nan])
+    assert drawable(ax, values) is values
+    assert not ax.texts
+    np.testing.assert_array_equal(drawable(ax, np.array([1.0, -2.0 * DRAWN_MAX, np.inf])), [1.0, np.nan, np.nan])
+    assert len(ax.texts) == 1
+
+
+def test_a_stretch_with_an_infinite_force_has_no_load_share() -> None:
+    t = np.arange(4) * 0.5
+    _, share = in_stretches(t, np.array([1.0, np.nan, np.inf, 1.0]), np.array([2.0, np.nan, np.inf, 2.0]), 1.0)
+    np.testing.assert_array_equal(share, [0.5, np.nan])
+
+
+# -------------------------------------------------------------------------------------------------------- estimates
+
+
+def test_every_estimate_of_a_joint_has_the_panel_that_names_it() -> None:
+    log = RUNS["adaptive"]()
+    joints, k = 3, len(BODY) + len(OF_JOINTS)
+    rows = log.agents["left"]
+    rows["theta_arm"][:] = 0.0
+    rows["theta_arm"][:, : k * joints] = 1.0 + np.arange(k * joints)
+    panel = {ax.get_title(loc="left"): ax for ax in estimates_figure(log).axes}
+    assert list(panel) == ["mass", "rotor inertia", "breakaway", "first moment", "viscous friction", "load friction",
+                           "inertia", "Coulomb friction", "breakaway load"]  # fmt: skip
+    for number, what in enumerate(OF_JOINTS):
+        values = [float(np.asarray(line.get_ydata())[0]) for line in panel[what].lines]
+        assert values == [1.0 + (len(BODY) + number) * joints + j for j in range(joints)], what
+    rows["theta_arm"][:, 13 * joints :] = 0.0
+    assert len(estimates_figure(log).axes) == 6
+
+
+def test_bounds_of_the_last_estimates_are_drawn_in_their_panels() -> None:
+    log = RUNS["adaptive"]()
+    log.agents["left"]["theta_arm"][:, :48] = 0.2
+    bounds = [[0.1, 0.2]] * 48
+    bounds[47] = [0.1, 0.207]
+    run = json.loads(log.attachments["run.json"])
+    run["arms"][0]["estimate_bounds"] = {"arm": bounds, "object": [[0.0, 1.0]] * 10}
+    log.attachments["run.json"] = json.dumps(run).encode()
+    heights = {
+        ax.get_title(loc="left"): {float(np.asarray(line.get_ydata())[0]) for line in ax.lines if dotted(line)}
+        for ax in estimates_figure(log).axes
+    }
+    assert heights["breakaway load"] == {0.2, 0.207}
+    assert heights["load friction"] == {0.2}
+
+
+def dotted(line: Line2D) -> bool:
+    return line.get_linestyle() == ":"
+
+
+def estimates_figure(log: RunLog) -> Figure:
+    run = prepare(log)
+    return estimates(run, run.arms[0])
 
 
 # ------------------------------------------------------------------------------------------------------ long series

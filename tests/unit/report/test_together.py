@@ -31,6 +31,15 @@ def log_with(**columns: float) -> RunLog:
     return log
 
 
+def switch_on(log: RunLog, table: str, values: str) -> None:
+    """Other values of a table of the log's cell file, which has it switched off."""
+    text, count = re.subn(
+        rf"(?m)^(\[{re.escape(table)}\]).*\nenabled = false$", rf"\1\n{values}", log.attachments["cell.toml"].decode()
+    )
+    assert count == 1
+    log.attachments["cell.toml"] = text.encode()
+
+
 def stems(log: RunLog) -> set[str]:
     return {picture.stem for picture in pictures(prepare(log))}
 

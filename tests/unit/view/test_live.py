@@ -14,11 +14,11 @@ from tests.support.view_run import view_log
 
 pytest.importorskip("viser", reason="the extra `view` is not installed")
 
-from agent.view.browser import Server
 from agent.view.drawing import drawing_of_cell
 from agent.view.live import CURVES_SENT_S, EVENTS_SHOWN, Intake, LivePage, LiveReport, _start
 from agent.view.motion import Motion, motion_now
 from agent.view.scene import OBJECT
+from agent.view.server import Server
 
 LEFT = "coop/paper/left/state"
 

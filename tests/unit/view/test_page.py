@@ -3,28 +3,33 @@
 from __future__ import annotations
 
 import socket
-from collections.abc import Iterator
+import urllib.request
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from agent.cli.view import _serve_log
+from agent.log.collect import LogError
+from agent.log.scan import MAGIC
 from agent.report.moments import Moment, around, marks, moments_of
 from agent.report.prepared import prepare
 from agent.telemetry.row.event import Event, Level
-from agent.view.arm import ViewError
 from agent.view.curves import BEYOND, Curve, curves_of, thinned
+from agent.view.error import ViewError
 from agent.view.scene import DESIRED, OBJECT, Placed
 from agent.view.staged import Staged, legend, stage
 from tests.support.view_run import view_log
 
 viser = pytest.importorskip("viser", reason="the extra `view` is not installed")
 
-from agent.view.browser import Nodes, Server  # noqa: E402 (these need viser)
+from agent.view.browser import Nodes  # noqa: E402 (these need viser)
 from agent.view.html import VIEW_PX, write_html  # noqa: E402
 from agent.view.player import CURVES_S, Player  # noqa: E402
 from agent.view.plots import needle  # noqa: E402
+from agent.view.server import Server  # noqa: E402
 
 UTC_0 = 1_800_000_000_000_000_000
 
@@ -253,3 +258,36 @@ def test_the_needle_stands_at_now() -> None:
 def test_the_legend_tells_the_scale_of_the_arrows() -> None:
     scale = next(a.metres for a in staged().scene.arrows if a.name == "internal/left")
     assert f"internal force, {100 * scale:.2g} cm for 1 N" in legend(staged().scene)
+
+
+def test_the_browser_is_sent_to_a_page_that_answers_before_the_log_is_read(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log, told = tmp_path / "run.mcap", list[str]()
+    log.write_bytes(MAGIC)
+
+    def serve(path: Path, server: Server, _stop: object, ready: Callable[[], None]) -> int:
+        assert (path, told) == (log, [server.address])
+        assert b"<html" in urllib.request.urlopen(server.address).read()
+        assert "READY" not in capsys.readouterr().out
+        ready()
+        assert capsys.readouterr().out == f"READY page={server.address}\n"
+        return 7
+
+    monkeypatch.setattr("agent.view.open.serve", serve)
+    monkeypatch.setattr("agent.cli.view._browse", told.append)
+    _serve_log(log, 18310, True, lambda: False)
+    assert "7 pictures shown" in capsys.readouterr().err
+    with pytest.raises(OSError, match="refused"):
+        urllib.request.urlopen(told[0])
+
+
+def test_what_is_no_log_is_refused_before_a_browser_is_sent_anywhere(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    told = list[str]()
+    monkeypatch.setattr("agent.cli.view._browse", told.append)
+    (tmp_path / "run.mcap").write_bytes(b"something else")
+    with pytest.raises(LogError, match="no MCAP file"):
+        _serve_log(tmp_path / "run.mcap", 18311, True, lambda: False)
+    assert told == []

@@ -13,9 +13,9 @@ from PIL import Image
 
 from agent.report.moments import Moment
 from agent.report.prepared import Prepared, prepare
-from agent.view.arm import ViewError
 from agent.view.camera import Camera, camera_for
 from agent.view.draw import GROUND, pixels, project
+from agent.view.error import ViewError
 from agent.view.film import FILM_HZ, FILM_PX, STILL_PX, FilmOptions, still, write_film
 from agent.view.raster import AMBIENT, Raster
 from agent.view.scene import OBJECT, OBJECT_COLOUR
