@@ -30,8 +30,9 @@ RATE_HZ = 500
 CORES = 2
 PERIOD_NS = 1_000_000_000 // RATE_HZ
 SOME_ROWS = 1000  # are written again and again, under new numbers and times
-LOG_BYTES = 256 << 20
-FOLDER_BYTES = 1 << 30
+LOG_BYTES = 64 << 20  # the index of a log grows until it ends: a MB at this size
+FOLDER_BYTES = 512 << 20
+EVENT_EVERY_S = 60
 LOOK_EVERY_S = 0.25
 
 
@@ -46,7 +47,7 @@ class Load:
 
 
 def write_arm(load: Load, stop: Callable[[], bool], ready: Callable[[Any], None]) -> tuple[int, float]:
-    """Rows as an agent writes them, an event and a health text a second; how many, and the worst delay of one, s."""
+    """Rows as an agent writes them, health a second, an event a minute; how many, and the worst delay of one, s."""
     some, clock, late_ns = make_rows(load.member, SOME_ROWS), MonotonicClock(), 0
     texts = TextWriter(load.ring, load.member)
     with RingWriter(load.ring, AGENT_STATE, load.member, ARMS[load.member]) as ring:
@@ -70,8 +71,9 @@ def write_arm(load: Load, stop: Callable[[], bool], ready: Callable[[Any], None]
                 ring.wait_for_space(TIMEOUT_S)
             ring.commit()
             if i % RATE_HZ == 0:
-                texts.event(Event(UTC_0_NS + stamp_ns, load.member, Level.INFO, f"second {i // RATE_HZ}"))
                 texts.health(UTC_0_NS + stamp_ns, SERVOS)
+            if i % (EVENT_EVERY_S * RATE_HZ) == 0:
+                texts.event(Event(UTC_0_NS + stamp_ns, load.member, Level.INFO, f"second {i // RATE_HZ}"))
         ring.finish()
         texts.finish()
         texts.close()
