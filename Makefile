@@ -41,7 +41,7 @@ mutate: $(VENV)/.installed  ## one-line changes that a test must notice; MUTATE_
 fuzz: $(VENV)/.installed  ## thousands of changed files through what reads them (half an hour)
 	HYPOTHESIS_PROFILE=long $(BIN)/pytest -m fuzz
 
-soak: $(VENV)/.installed  ## every cell for 1000 s (SOAK_S), memory and gaps stay flat; SOAK_ONLY=TEXT for some cells
+soak: $(VENV)/.installed  ## every cell for 1000 s (SOAK_S), recorder under load, memory and gaps stay flat; SOAK_ONLY=TEXT for some
 	$(BIN)/python -m tests.soak
 
 bench: $(VENV)/.installed  ## speed and memory; BENCH_OUT=FILE writes the figures as JSON

@@ -1,6 +1,9 @@
-"""`make soak`: every cell runs for long; memory, descriptors and threads of each process stay flat, no row is lost.
+"""`make soak`: every cell runs for long, and the recorder under load; memory, descriptors and threads stay flat, no row
+is lost.
 
-SOAK_S: simulated seconds of each cell (default 1000).  SOAK_ONLY: take the cells whose name holds this text.
+SOAK_S: simulated seconds of each cell (default 1000).  SOAK_RATE_S: seconds of `recorder-rate` (60), four arms at
+500 Hz in real time.  SOAK_FLAT_S: seconds of arms' time of `recorder-flat` (7200), as fast as it goes.
+SOAK_ONLY: take the cells and entries whose name holds this text.
 """
 
 from __future__ import annotations
@@ -12,27 +15,19 @@ import sys
 import tempfile
 import time
 from collections import defaultdict
-from dataclasses import dataclass, field
+from collections.abc import Callable
 from pathlib import Path
+from typing import Final
 
 import psutil
 
 import configs
 from agent.log.read import read_log
-from tests.soak.flat import growth
+from tests.soak.recorder import complete, flat
+from tests.soak.watch import Series, grown, say
 from tests.support.coop import COOP
 
 LOOK_EVERY_S = 1.0
-SHORTEST_S = 20.0  # a process that lived for less says nothing
-RISE_MAX = {"memory_MB": 2.0, "descriptors": 1.0, "threads": 1.0}
-
-
-@dataclass
-class Series:
-    """Samples of one process."""
-
-    t: list[float] = field(default_factory=list)
-    values: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
 
 
 def main() -> int:
@@ -44,8 +39,13 @@ def main() -> int:
         if only in cell.stem:
             with tempfile.TemporaryDirectory() as folder:
                 complaints += [f"{cell.stem}: {text}" for text in soak(cell, duration_s, Path(folder) / "out")]
+    for name, (check, variable, seconds) in _RECORDER.items():
+        if only in name:
+            with tempfile.TemporaryDirectory() as folder:
+                given_s = float(os.environ.get(variable, seconds))
+                complaints += [f"{name}: {text}" for text in check(Path(folder), given_s)]
     for complaint in complaints:
-        _say(f"GREW OR LOST  {complaint}")
+        say(f"GREW OR LOST  {complaint}")
     return 1 if complaints else 0
 
 
@@ -58,8 +58,9 @@ def soak(cell: Path, duration_s: float, out: Path) -> list[str]:
         _, err = run.communicate()
     if run.returncode != 0:
         return [f"exit code {run.returncode}: {err.strip()}"]
-    complaints = grown(processes) + lost(out)
-    _say(f"{cell.stem}: {duration_s:g} s in {time.monotonic() - begin_s:.0f} s, {len(processes)} processes")
+    # the run itself makes its report in the end, which is not looked at
+    complaints = grown({name: each for name, each in processes.items() if not name.startswith("run ")}) + lost(out)
+    say(f"{cell.stem}: {duration_s:g} s in {time.monotonic() - begin_s:.0f} s, {len(processes)} processes")
     return complaints
 
 
@@ -70,35 +71,12 @@ def watched(run: subprocess.Popen[str]) -> dict[str, Series]:
     while run.poll() is None:
         for process in [parent, *parent.children()]:
             try:
-                with process.oneshot():
-                    name = " ".join(Path(word).name for word in process.cmdline()[3:9])
-                    memory = process.memory_info()
-                    taken = {
-                        "memory_MB": (memory.rss - memory.shared) / 1e6,  # rings are shared and fill at first
-                        "descriptors": float(process.num_fds()),
-                        "threads": float(process.num_threads()),
-                    }
+                name = " ".join(Path(word).name for word in process.cmdline()[3:9])
+                series[name].look(process)
             except psutil.Error:  # it has just ended
                 continue
-            series[name].t.append(time.monotonic())
-            for what, value in taken.items():
-                series[name].values[what].append(value)
         time.sleep(LOOK_EVERY_S)
     return series
-
-
-def grown(processes: dict[str, Series]) -> list[str]:
-    """What rose after the run had settled; the run itself makes its report in the end, which is not looked at."""
-    complaints = []
-    for name, series in processes.items():
-        if name.startswith("run ") or series.t[-1] - series.t[0] < SHORTEST_S:
-            continue
-        for what, most in RISE_MAX.items():
-            found = growth(series.t, series.values[what])
-            _say(f"  {name}: {what} {found.settled:.1f} → {found.last:.1f}")
-            if found.rise > most:
-                complaints.append(f"{name}: {what} rose by {found.rise:.1f}, at most {most:g} is allowed")
-    return complaints
 
 
 def lost(out: Path) -> list[str]:
@@ -111,9 +89,10 @@ def lost(out: Path) -> list[str]:
     return complaints
 
 
-def _say(text: str) -> None:
-    sys.stdout.write(text + "\n")
-    sys.stdout.flush()
+_RECORDER: Final[dict[str, tuple[Callable[[Path, float], list[str]], str, str]]] = {
+    "recorder-rate": (complete, "SOAK_RATE_S", "60"),
+    "recorder-flat": (flat, "SOAK_FLAT_S", "7200"),
+}
 
 
 if __name__ == "__main__":
