@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +30,14 @@ def log_with(**columns: float) -> RunLog:
         for name, value in columns.items():
             rows[name][:] = value
     return log
+
+
+def tell(log: RunLog, table: str, text: str) -> None:
+    """Have the cell file say so in a table that it has."""
+    before, after = log.attachments["cell.toml"], f"[{table}]\n{text}\n".encode()
+    found = re.sub(rb"\[" + table.encode() + rb"\][^\n]*\nenabled = false\n", after, before)
+    assert found != before
+    log.attachments["cell.toml"] = found
 
 
 def stems(log: RunLog) -> set[str]:
@@ -68,10 +78,7 @@ def test_the_load_share_of_both_arms_is_one() -> None:
 
 def test_disagreement_is_the_distance_of_two_beliefs_and_the_shift_has_its_limit() -> None:
     log = view_log()
-    text = log.attachments["cell.toml"].replace(
-        b"[simulation.effects]", b"[controller.alignment]\nmax_m = 0.004\n\n[simulation.effects]"
-    )
-    log.attachments["cell.toml"] = text
+    tell(log, "controller.alignment", "max_m = 0.004")
     log.agents["right"]["p_object"][:, 1] += 2e-3
     log.agents["right"]["shift"][:, 0] = 3e-3
     run = prepare(log)
@@ -87,9 +94,16 @@ def test_disagreement_is_the_distance_of_two_beliefs_and_the_shift_has_its_limit
 def test_thresholds_are_the_cells_and_none_without_a_table() -> None:
     log = view_log(0.1)
     assert np.isnan(vars_of(thresholds(log))).all()
-    log.attachments["cell.toml"] += b"\n[safety.noticing]\nfast_N = 3.5\n"
+    tell(log, "safety.noticing", "fast_N = 3.5")
     found = thresholds(log)
-    assert (found.fast_N, found.slow_Nm) == (3.5, 0.2)
+    assert found.fast_N == 3.5
+    assert np.isnan(found.slow_Nm), "an older log does not say what was derived"
+    run = json.loads(log.attachments.get("run.json", b"{}"))
+    limits = {"fast_N": 3.5, "fast_Nm": 0.4, "slow_N": 1.2, "slow_Nm": 0.25}
+    log.attachments["run.json"] = json.dumps(run | {"noticing": limits}).encode()
+    assert vars_of(thresholds(log))[1:] == (3.5, 0.4, 1.2, 0.25)
+    del log.attachments["run.json"]
+    assert thresholds(log).fast_N == 3.5
     assert np.isnan(found.shift_m)
     log.attachments["cell.toml"] = b"no [ toml"
     assert np.isnan(thresholds(log).fast_N)
@@ -103,7 +117,7 @@ def vars_of(found: Thresholds) -> tuple[float, ...]:
 
 def test_what_an_arm_notices_is_shown_by_part_with_its_threshold() -> None:
     log = view_log()
-    log.attachments["cell.toml"] += b"\n[safety.noticing]\nfast_N = 2.5\nslow_Nm = 0.3\n"
+    tell(log, "safety.noticing", "fast_N = 2.5\nslow_Nm = 0.3")
     for rows in log.agents.values():
         rows["unexpected"] = [2.0, 0.2, 1.0, 0.1]
     log.agents["left"]["unexpected"][7] = [4.0, 0.5, 3.0, 0.25]
