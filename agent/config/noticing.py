@@ -11,8 +11,8 @@ Each is a quadratic sum over independent errors at their bounds in `[tolerance]`
 
     fast = MARGIN (REVERSAL friction + PEAK noise),     slow = MARGIN (CREEP √(friction² + errors²) + HUM √(l/L) noise)
 
-with L and l the rates of the residual and of the slow channel.  REVERSAL, PEAK, CREEP and HUM are calibrated on the
-largest values that studies of the shipped cells showed (a test has them).
+and fast is no less than a touch needs, with L and l the rates of the residual and of the slow channel.  REVERSAL, PEAK,
+CREEP and HUM are calibrated on the largest values that studies of the shipped cells showed (a test has them).
 """
 
 from __future__ import annotations
@@ -35,11 +35,13 @@ from drivers.interface import Vector
 
 PLACES: Final = 12  # along the motion
 MARGIN: Final = 1.4
-REVERSAL: Final = (0.5, 0.8)  # force, moment: of the friction, the sudden part
-PEAK: Final = 5.0  # of noise, beyond the quadratic sum of half steps
+REVERSAL: Final = (0.3, 0.6)  # force, moment: of the friction, the sudden part
+PEAK: Final = 6.7  # of noise, beyond the quadratic sum of half steps
 CREEP: Final = 0.92
 HUM: Final = 2.0
 SLOW_PLANAR_PER_S, SLOW_PER_S = 2.0, 4.0
+TOUCH_N: Final = 2.0  # on the object, which is no trip; an arm feels its share of it, and what is usual
+TOUCH: Final = 1.6  # times that share
 FLOORS: Final = Channels(0.5, 0.05, 0.3, 0.03)
 POSITION_LSB_RAD: Final = 2.0 * math.pi / TICKS_PER_TURN
 HALF_ANGLE: Final = (1.0, 1.0, 1.0, 0.5, 0.5, 0.5)  # H: e is half the angle
@@ -66,6 +68,7 @@ def derived(cell: Cell) -> Channels:
     """What follows from the cell file: N, N·m, to three digits.  Raises ConfigError where an arm cannot be placed."""
     sizes = np.max([_sizes(cell, arm) for arm in cell.arms], axis=0)
     (friction_N, friction_Nm), (noise_N, noise_Nm), (errors_N, errors_Nm) = sizes.tolist()
+    floors = FLOORS._replace(fast_N=max(FLOORS.fast_N, TOUCH * TOUCH_N / len(cell.arms)))
     hum = HUM * math.sqrt(slow_rate(cell) / cell.file.safety.noticing.rate_per_s)
     found = (
         REVERSAL[0] * friction_N + PEAK * noise_N,
@@ -73,7 +76,7 @@ def derived(cell: Cell) -> Channels:
         CREEP * math.hypot(friction_N, errors_N) + hum * noise_N,
         CREEP * math.hypot(friction_Nm, errors_Nm) + hum * noise_Nm,
     )
-    return Channels(*(float(f"{max(floor, MARGIN * x):.3g}") for floor, x in zip(FLOORS, found, strict=True)))
+    return Channels(*(float(f"{max(floor, MARGIN * x):.3g}") for floor, x in zip(floors, found, strict=True)))
 
 
 class _Arm(NamedTuple):

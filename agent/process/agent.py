@@ -94,7 +94,7 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             notifier.ready(_STATUS[Mode.READY])
             tell.event(Level.INFO, f"torque on: {info.description}", priority=options.priority or 0)
             ready("torque=on")
-            runner = _runner(cell, options, driver, clock, ring, _Operator(stop, control, options), notifier)
+            runner = _runner(cell, options, driver, clock, ring, _Operator(stop, control, options), notifier, tell)
             cpu_s = time.process_time()
             summary = runner.run()
             tell.end(summary, time.process_time() - cpu_s)
@@ -120,11 +120,14 @@ def _runner(
     ring: RingWriter,
     operator: _Operator,
     notifier: Notifier,
+    tell: _Teller,
 ) -> Runner:
     """The loop of the arm on its enabled driver."""
     arm = cell.arm(options.arm)
     heart = _Heart(notifier, max(1, round(HEARTBEAT_S * cell.file.rate_hz)))
-    around = Surroundings(time.perf_counter_ns, operator.events, operator.start_ns, heart.beat, heart.mode)
+    around = Surroundings(
+        time.perf_counter_ns, operator.events, operator.start_ns, heart.beat, heart.mode, tell.trouble
+    )
     row = AgentRow(ring.row, arm.n, cell.config_id)
     return Runner(build_agent(cell, arm), driver, clock, _schedule(cell, options), row, ring, around)
 
@@ -196,6 +199,10 @@ class _Teller:
     def warn(self, text: str) -> None:
         """The driver has something to say."""
         self.event(Level.WARN, text)
+
+    def trouble(self, reason: str) -> None:
+        """The arm holds by itself."""
+        self.event(Level.WARN, f"holds: {reason}")
 
     def end(self, summary: RunSummary, cpu_s: float) -> None:
         """The run is over; wall_s is what the report's real-time factor is made of."""
