@@ -14,8 +14,14 @@ from tests.support.plant.inprocess import simulate
 
 ARMS = ("arms.right.p_world_base_m=[0.607, -0.125, 0.0]",)  # what the agents believe: a base 4 mm off
 STILL = ("object.p_start_m=[0.3, 0.12, 0.0]", "trajectory.p_amplitude_m=[0.0, 0.0, 0.0]", "trajectory.angle_rad=0.0")
-ALIGNED = ("controller.alignment.enabled=true", "controller.alignment.track_per_s=0.6",)
-NOTICING = ("safety.noticing.enabled=true", "safety.noticing.fast_N=2.0",)
+ALIGNED = (
+    "controller.alignment.enabled=true",
+    "controller.alignment.track_per_s=0.6",
+)
+NOTICING = (
+    "safety.noticing.enabled=true",
+    "safety.noticing.fast_N=2.0",
+)
 
 
 def paper(*overrides: str) -> Cell:
