@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent.control import adaptive, joint_hold, known
+from agent.control import adaptive, cause, joint_hold, known
 from agent.control.adaptation import Estimate
 from agent.control.alignment import Alignment, between, shifted
 from agent.control.errors import Errors
@@ -21,7 +21,7 @@ from agent.control.law import Offline
 from agent.control.memory import Memory, initial
 from agent.control.models import ArmModel
 from agent.control.quaternion import Quat, Vec3
-from agent.control.residual import Residual, Sense, nothing_sensed
+from agent.control.residual import Channels, Residual, Sense, nothing_sensed
 from agent.control.terms import CMD, DDQ_REF, Terms
 from agent.control.trajectory import Desired, Trajectory
 from agent.modes import Mode
@@ -153,6 +153,15 @@ def _sense(
     wrench = terms.J_inv_P.T.dot(sense.residual)
     found = residual.channels(sense, wrench)
     return sense, (*wrench.tolist(), *found), mode is _TRACK and residual.tripped(found)
+
+
+def explained(agent: Agent, outcome: Outcome) -> str:
+    """What may be behind an unexpected wrench, for a person; nothing where there is none."""
+    residual, sensed, terms = agent.residual, outcome.sensed, outcome.terms
+    if residual is None or sensed is None or terms is None or Flag.UNEXPECTED not in outcome.flags:
+        return ""
+    f, limit_N = cause.force(residual, outcome.memory.sense, np.array(sensed[:6]))
+    return cause.described(cause.causes(f, limit_N, terms.desired.v, agent.offline.gravity), Channels(*sensed[6:]))
 
 
 def _off_track(agent: Agent, errors: Errors) -> bool:

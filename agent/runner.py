@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from agent.control.memory import Memory
-from agent.loop import Agent, Outcome, hold_after, initial_memory, step, wait_here
+from agent.loop import Agent, Outcome, explained, hold_after, initial_memory, step, wait_here
 from agent.modes import Event, Mode, next_mode
 from agent.safety import Flag
 from agent.telemetry.row.fill import AgentRow
@@ -57,6 +57,7 @@ class Surroundings:
     start_ns: Callable[[], int | None]  # the trajectory's zero on the driver's clock, once somebody has set it
     heartbeat: Callable[[], None]  # after every cycle with a fresh state
     mode_changed: Callable[[Mode], None]
+    trouble: Callable[[str], None] | None = None  # is told why the arm holds when nobody asked it to
 
 
 @dataclass(frozen=True)
@@ -205,7 +206,9 @@ class Runner:
                 self._tracking_since_ns = begin_ns
             self._tracked_s = (after_write_ns - self._tracking_since_ns) * 1e-9
         if int(outcome.flags) & _TROUBLE:
-            self._reason = self._reason or f"t = {t:.3f} s: {outcome.flags!r}"
+            self._reason = (
+                self._reason or f"t = {t:.3f} s: {outcome.flags!r} {explained(self._agent, outcome)}".rstrip()
+            )
             return Event.TROUBLE
         return Event.NONE
 
@@ -251,3 +254,5 @@ class Runner:
             self._memory = self._memory._replace(hold=None, q_hold=None)
         self._mode = mode
         self._around.mode_changed(mode)
+        if mode is Mode.HOLD and Event.TROUBLE in happened and self._around.trouble is not None:
+            self._around.trouble(self._reason)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from agent.config import noticing
 from agent.config.cell import Arm, Cell
 from agent.control.alignment import Alignment
 from agent.control.quaternion import Quat, Vec3
-from agent.control.residual import Channels, Residual
+from agent.control.residual import Residual
 
 
 def alignment(cell: Cell, arm: Arm) -> Alignment | None:
@@ -25,16 +26,16 @@ def alignment(cell: Cell, arm: Arm) -> Alignment | None:
 
 
 def residual(cell: Cell) -> Residual | None:
-    """What every arm of the cell senses; None where the cell has it switched off."""
+    """What every arm of the cell senses; None where the cell has it switched off.  Raises ConfigError."""
     spec = cell.file.safety.noticing
     if not spec.enabled:
         return None
     return Residual(
         period_s=1.0 / cell.file.rate_hz,
         delay_periods=cell.file.delay_periods,
-        limits=Channels(spec.fast_N, spec.fast_Nm, spec.slow_N, spec.slow_Nm),
+        limits=noticing.thresholds(cell),
         rate_per_s=spec.rate_per_s,
-        slow_per_s=spec.slow_per_s,
+        slow_per_s=noticing.slow_rate(cell),
     )
 
 

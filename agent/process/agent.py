@@ -98,7 +98,8 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             tell.event(Level.INFO, f"torque on: {info.description}", priority=options.priority or 0)
             ready("torque=on")
             servos = _Servos(driver, texts, clock.utc_offset_ns, max(1, round(HEALTH_S * cell.file.rate_hz)))
-            runner = _runner(cell, options, driver, clock, ring, _Operator(stop, control, options), notifier, servos)
+            operator = _Operator(stop, control, options)
+            runner = _runner(cell, options, driver, clock, ring, operator, notifier, servos, tell)
             cpu_s = time.process_time()
             summary = runner.run()
             tell.end(summary, time.process_time() - cpu_s)
@@ -125,6 +126,7 @@ def _runner(
     operator: _Operator,
     notifier: Notifier,
     servos: _Servos,
+    tell: _Teller,
 ) -> Runner:
     """The loop of the arm on its enabled driver."""
     arm = cell.arm(options.arm)
@@ -134,7 +136,7 @@ def _runner(
         heart.beat()
         servos.beat()
 
-    around = Surroundings(time.perf_counter_ns, operator.events, operator.start_ns, beat, heart.mode)
+    around = Surroundings(time.perf_counter_ns, operator.events, operator.start_ns, beat, heart.mode, tell.trouble)
     row = AgentRow(ring.row, arm.n, cell.config_id)
     return Runner(build_agent(cell, arm), driver, clock, _schedule(cell, options), row, ring, around)
 
@@ -214,6 +216,10 @@ class _Teller:
     def warn(self, text: str) -> None:
         """The driver has something to say."""
         self.event(Level.WARN, text)
+
+    def trouble(self, reason: str) -> None:
+        """The arm holds by itself."""
+        self.event(Level.WARN, f"holds: {reason}")
 
     def end(self, summary: RunSummary, cpu_s: float) -> None:
         """The run is over; wall_s is what the report's real-time factor is made of."""

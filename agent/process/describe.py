@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from agent.config.cell import Arm, Cell, load_cell
+from agent.config.noticing import thresholds
 from agent.config.reality import reality_of
 from agent.config.schema.cell import DriverKind
 from agent.host.info import versions
@@ -41,6 +42,7 @@ def run_info(cell: Cell, driver: DriverKind, seed: int) -> bytes:
         "controller": cell.file.controller.model_dump(mode="json"),
         "simulation": cell.file.simulation.model_dump(mode="json"),
         "reality": None if (real := reality_of(cell)) is None else real.model_dump(mode="json"),
+        "noticing": thresholds(cell)._asdict() if cell.file.safety.noticing.enabled else None,
         "driver": driver.value,
         "seed": seed,
         "versions": versions(),

@@ -11,12 +11,14 @@ from pydantic import ValidationError
 
 from agent.config.schema.coordination import AlignmentSpec, NoticingSpec
 from agent.report.series import column
+from drivers.interface import Refusal
 
 if TYPE_CHECKING:
     from agent.log.columns import Table
     from agent.log.read import AnyLog
 
 BUS: Final = ("bus_timeouts", "bus_corrupt", "bus_alerts", "bus_retries")
+CHANNELS: Final = ("fast_N", "fast_Nm", "slow_N", "slow_Nm")
 NAN: Final = float("nan")
 
 
@@ -32,17 +34,31 @@ class Thresholds:
 
 
 def thresholds(log: AnyLog) -> Thresholds:
-    """What a log's cell file says of alignment and noticing; NaN for what is off or cannot be read."""
+    """The limits that a log's run had; NaN for what is off or unreadable.
+
+    Those of noticing are in run.json, because a cell file need not say them.
+    """
     try:
         cell = tomllib.loads(log.attachments["cell.toml"].decode())
         alignment, noticing = _table(cell, "controller", "alignment"), _table(cell, "safety", "noticing")
         aligned, told = AlignmentSpec.model_validate(alignment), NoticingSpec.model_validate(noticing)
         shift_m = aligned.max_m if aligned.enabled else NAN
-        if not told.enabled:
-            return Thresholds(shift_m)
-        return Thresholds(shift_m, told.fast_N, told.fast_Nm, told.slow_N, told.slow_Nm)
-    except (KeyError, ValueError, AttributeError, ValidationError):
+        limits = (_recorded(log) or told.model_dump()) if told.enabled else {}
+        fast_N, fast_Nm, slow_N, slow_Nm = (_number(limits.get(name)) for name in CHANNELS)
+        return Thresholds(shift_m, fast_N, fast_Nm, slow_N, slow_Nm)
+    except (KeyError, ValueError, TypeError, AttributeError, ValidationError):
         return Thresholds()
+
+
+def _recorded(log: AnyLog) -> dict[str, Any]:
+    try:
+        return dict(log.run_info().get("noticing") or {})
+    except Refusal:
+        return {}
+
+
+def _number(value: float | None) -> float:
+    return NAN if value is None else float(value)
 
 
 def _table(cell: dict[str, Any], *keys: str) -> dict[str, Any]:

@@ -14,7 +14,7 @@ import numpy as np
 from agent.config.cell import Cell
 from agent.config.schema.reality import Reality
 from agent.control.memory import Memory
-from agent.loop import Agent, Outcome, hold_after, initial_memory, step, wait_here
+from agent.loop import Agent, Outcome, explained, hold_after, initial_memory, step, wait_here
 from agent.modes import Event, Mode, next_mode
 from agent.process.build import build_agent
 from agent.process.simulated import plant_spec
@@ -49,6 +49,7 @@ class Trip:
     t: float
     arm: str
     flags: Flag
+    why: str = ""  # of an unexpected wrench: what may be behind it
 
 
 class Place:
@@ -134,7 +135,8 @@ class Run:
             tau = place.cycle(stamp_ns, zero_ns, reported, happened)
             if place.mode is Mode.HOLD and before is not Mode.HOLD and Event.STOP not in happened:
                 assert place.outcome is not None
-                self.trips.append(Trip(self.t, place.agent.name, place.outcome.flags))
+                why = explained(place.agent, place.outcome)
+                self.trips.append(Trip(self.t, place.agent.name, place.outcome.flags, why))
             place.line.push(self.tick, tau)
             peak = self.peak_Nm[place.joints]
             np.maximum(peak, np.abs(tau), out=peak)

@@ -152,7 +152,8 @@ class _Seen:
             internal_force_max_N=_largest(force),
             peak_torque_fraction=peak,
             reaction_s=_reaction_s(run, faults),
-            why=lost or ("" if trip is None else f"t = {trip.t:.3f} s: arm {trip.arm} {trip.flags!r}"),
+            why=lost
+            or ("" if trip is None else f"t = {trip.t:.3f} s: arm {trip.arm} {trip.flags!r} {trip.why}".rstrip()),
         )
 
     def _internal_force_N(self) -> Vector:

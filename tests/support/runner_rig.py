@@ -160,6 +160,7 @@ class Done:
     modes: list[Mode]
     beats: int
     waits: int
+    troubles: list[str]  # why it held, as the process was told
 
     def of(self, mode: Mode) -> Any:
         """Rows in a mode."""
@@ -207,6 +208,7 @@ def run(
     log = Log()
     modes: list[Mode] = []
     beats: list[int] = []
+    troubles: list[str] = []
     zero_ns = clock.ns + START_AFTER * period_ns() + period_ns() // 3
     plan = Schedule(period_ns(), 20, False, HOLD_AFTER_STALE, FAULT_AFTER_STALE, False)
     around = Surroundings(
@@ -215,9 +217,10 @@ def run(
         start_ns=lambda: start_ns(arm.reads, zero_ns),
         heartbeat=lambda: beats.append(arm.reads),
         mode_changed=modes.append,
+        trouble=troubles.append,
     )
     row = AgentRow(log.message, 3, paper().config_id)
     made: Agent = replace(build_agent(paper(), paper().arms[0]), **(agent or {}))
     runner = Runner(made, arm, clock, replace(plan, **schedule), row, log, around)
     summary = runner.run()
-    return Done(summary, arm, np.array(log.rows), modes, len(beats), log.waits)
+    return Done(summary, arm, np.array(log.rows), modes, len(beats), log.waits, troubles)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from agent.control.cause import Cause
 from agent.control.residual import Channels, Residual
 from agent.modes import Event, Mode
 from agent.safety import Flag, Limits
@@ -148,7 +149,10 @@ FLAGGED: dict[str, dict[str, Any]] = {
 def test_what_step_flags_as_trouble_holds_the_object_and_is_told_with_its_time(flag: str) -> None:
     done = run(lambda n: Event.RELEASED if n == 40 else Event.NONE, **FLAGGED[flag])
     first = done.rows[np.flatnonzero(done.rows["flags"] & Flag[flag].value)[0]]
-    assert done.summary.reason == f"t = {first['t']:.3f} s: {Flag[flag]!r}"
+    cause = f" {Cause.LIFT} (" if flag == "UNEXPECTED" else ""
+    assert done.summary.reason.startswith(f"t = {first['t']:.3f} s: {Flag[flag]!r}{cause}")
+    assert bool(cause) or done.summary.reason.endswith(">")
+    assert done.troubles == [done.summary.reason]
     assert Mode.HOLD in done.modes
     assert done.rows["mode"][first["sequence"] + 1] == Mode.HOLD
 
@@ -163,6 +167,7 @@ def test_braking_in_a_hold_is_no_trouble_of_its_own() -> None:
     held = done.of(Mode.HOLD)
     assert (held["flags"] & Flag.DAMPED.value).any()
     assert done.summary.reason == ""
+    assert done.troubles == []
 
 
 def test_torque_that_was_limited_is_no_trouble() -> None:

@@ -30,9 +30,9 @@ class NoticingSpec(Strict):
     """From which unexpected wrench on an arm it holds (agent.control.residual): a sudden one, and one that stays."""
 
     enabled: bool = True
-    fast_N: Force = 2.0
-    fast_Nm: Moment = 0.35
-    slow_N: Force = 1.6
-    slow_Nm: Moment = 0.2
+    fast_N: Force | None = None  # None: derived from the cell (agent.config.noticing), and so the others
+    fast_Nm: Moment | None = None
+    slow_N: Force | None = None
+    slow_Nm: Moment | None = None
     rate_per_s: Annotated[float, Field(gt=0.0, le=200.0)] = 30.0
-    slow_per_s: Annotated[float, Field(gt=0.0, le=50.0)] = 2.0
+    slow_per_s: Annotated[float, Field(gt=0.0, le=50.0)] | None = None  # None: 2 of planar arms, 4 of any other

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
@@ -31,13 +32,12 @@ def log_with(**columns: float) -> RunLog:
     return log
 
 
-def switch_on(log: RunLog, table: str, values: str) -> None:
-    """Other values of a table of the log's cell file, which has it switched off."""
-    text, count = re.subn(
-        rf"(?m)^(\[{re.escape(table)}\]).*\nenabled = false$", rf"\1\n{values}", log.attachments["cell.toml"].decode()
-    )
-    assert count == 1
-    log.attachments["cell.toml"] = text.encode()
+def tell(log: RunLog, table: str, text: str) -> None:
+    """Have the cell file say so in a table that it has."""
+    before, after = log.attachments["cell.toml"], f"[{table}]\n{text}\n".encode()
+    found = re.sub(rb"\[" + table.encode() + rb"\][^\n]*\nenabled = false\n", after, before)
+    assert found != before
+    log.attachments["cell.toml"] = found
 
 
 def stems(log: RunLog) -> set[str]:
@@ -76,20 +76,9 @@ def test_the_load_share_of_both_arms_is_one() -> None:
     assert dotted == [0.5, 0.5]
 
 
-def switch_on(log: RunLog, table: str, keys: str) -> None:
-    """The log's cell, where both are off, with this table as given."""
-    text = re.sub(rf"\[{re.escape(table)}\].*\nenabled = false\n", f"[{table}]\n{keys}\n", cell_text(log), count=1)
-    assert text != cell_text(log)
-    log.attachments["cell.toml"] = text.encode()
-
-
-def cell_text(log: RunLog) -> str:
-    return log.attachments["cell.toml"].decode()
-
-
 def test_disagreement_is_the_distance_of_two_beliefs_and_the_shift_has_its_limit() -> None:
     log = view_log()
-    switch_on(log, "controller.alignment", "max_m = 0.004")
+    tell(log, "controller.alignment", "max_m = 0.004")
     log.agents["right"]["p_object"][:, 1] += 2e-3
     log.agents["right"]["shift"][:, 0] = 3e-3
     run = prepare(log)
@@ -102,12 +91,19 @@ def test_disagreement_is_the_distance_of_two_beliefs_and_the_shift_has_its_limit
     assert (right.shift_max_m, right.shift_max_rad) == (pytest.approx(3e-3), 0.0)
 
 
-def test_thresholds_are_the_cells_and_none_where_they_are_off() -> None:
+def test_thresholds_are_the_cells_and_none_without_a_table() -> None:
     log = view_log(0.1)
     assert np.isnan(vars_of(thresholds(log))).all()
-    switch_on(log, "safety.noticing", "fast_N = 3.5")
+    tell(log, "safety.noticing", "fast_N = 3.5")
     found = thresholds(log)
-    assert (found.fast_N, found.slow_Nm) == (3.5, 0.2)
+    assert found.fast_N == 3.5
+    assert np.isnan(found.slow_Nm), "an older log does not say what was derived"
+    run = json.loads(log.attachments.get("run.json", b"{}"))
+    limits = {"fast_N": 3.5, "fast_Nm": 0.4, "slow_N": 1.2, "slow_Nm": 0.25}
+    log.attachments["run.json"] = json.dumps(run | {"noticing": limits}).encode()
+    assert vars_of(thresholds(log))[1:] == (3.5, 0.4, 1.2, 0.25)
+    del log.attachments["run.json"]
+    assert thresholds(log).fast_N == 3.5
     assert np.isnan(found.shift_m)
     log.attachments["cell.toml"] = b"no [ toml"
     assert np.isnan(thresholds(log).fast_N)
@@ -121,7 +117,7 @@ def vars_of(found: Thresholds) -> tuple[float, ...]:
 
 def test_what_an_arm_notices_is_shown_by_part_with_its_threshold() -> None:
     log = view_log()
-    switch_on(log, "safety.noticing", "fast_N = 2.5\nslow_Nm = 0.3")
+    tell(log, "safety.noticing", "fast_N = 2.5\nslow_Nm = 0.3")
     for rows in log.agents.values():
         rows["unexpected"] = [2.0, 0.2, 1.0, 0.1]
     log.agents["left"]["unexpected"][7] = [4.0, 0.5, 3.0, 0.25]

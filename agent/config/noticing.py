@@ -1,0 +1,176 @@
+"""From which unexpected wrench on an arm it holds: derived from the cell file alone, so the same on every host.
+
+Without a fault, what the channels of the residual (agent.control.residual) carry comes from
+
+- friction that is not that of the feed-forward, ‖F‖ with columns J⁻ᵀ e_j Δf_j: at a reversal a part of it is sudden;
+- steps of the encoders through observer and law, columns J⁻ᵀ L B (J⁻¹ K H J) e_j α ½ lsb;
+- what errors of masses, torque constants, zeros, base, grasp and start make of W along the motion beyond what they make
+  of it at its begin, which the slow channel subtracts: J⁻ᵀ Δτ and S δ (agent.verify.disagreement has their forms).
+
+Each is a quadratic sum over independent errors at their bounds in `[tolerance]`, the largest over arms and places:
+
+    fast = MARGIN (REVERSAL friction + PEAK noise),     slow = MARGIN (CREEP √(friction² + errors²) + HUM √(l/L) noise)
+
+and fast is no less than a touch needs, with L and l the rates of the residual and of the slow channel.  REVERSAL, PEAK,
+CREEP and HUM are calibrated on the largest values that studies of the shipped cells showed (a test has them).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from agent.config import observer
+from agent.config.cell import Arm, Cell, ConfigError, placement
+from agent.config.schema.tolerance import PLANAR_JOINTS
+from agent.control import ik
+from agent.control.inverse import SingularJacobian, invert_jacobian
+from agent.control.law import Offline
+from agent.control.models import ArmModel, Kinematics, Matrix
+from agent.control.residual import Channels
+from drivers.dynamixel.servo.table import TICKS_PER_TURN
+from drivers.interface import Vector
+
+PLACES: Final = 12  # along the motion
+MARGIN: Final = 1.4
+REVERSAL: Final = (0.3, 0.6)  # force, moment: of the friction, the sudden part
+PEAK: Final = 6.7  # of noise, beyond the quadratic sum of half steps
+CREEP: Final = 0.92
+HUM: Final = 2.0
+SLOW_PLANAR_PER_S, SLOW_PER_S = 2.0, 4.0
+TOUCH_N: Final = 2.0  # on the object, which is no trip; an arm feels its share of it, and what is usual
+TOUCH: Final = 1.6  # times that share
+FLOORS: Final = Channels(0.5, 0.05, 0.3, 0.03)
+POSITION_LSB_RAD: Final = 2.0 * math.pi / TICKS_PER_TURN
+HALF_ANGLE: Final = (1.0, 1.0, 1.0, 0.5, 0.5, 0.5)  # H: e is half the angle
+
+
+def thresholds(cell: Cell) -> Channels:
+    """What the cell file gives, and where it gives nothing, what follows from it.  Raises ConfigError."""
+    spec = cell.file.safety.noticing
+    given = (spec.fast_N, spec.fast_Nm, spec.slow_N, spec.slow_Nm)
+    if all(value is not None for value in given):
+        return Channels(*given)  # type: ignore[arg-type]
+    return Channels(*(d if g is None else g for g, d in zip(given, derived(cell), strict=True)))
+
+
+def slow_rate(cell: Cell) -> float:
+    """Of the slow channel, 1/s."""
+    given = cell.file.safety.noticing.slow_per_s
+    if given is not None:
+        return given
+    return SLOW_PLANAR_PER_S if all(arm.n <= PLANAR_JOINTS for arm in cell.arms) else SLOW_PER_S
+
+
+def derived(cell: Cell) -> Channels:
+    """What follows from the cell file: N, N·m, to three digits.  Raises ConfigError where an arm cannot be placed."""
+    sizes = np.max([_sizes(cell, arm) for arm in cell.arms], axis=0)
+    (friction_N, friction_Nm), (noise_N, noise_Nm), (errors_N, errors_Nm) = sizes.tolist()
+    floors = FLOORS._replace(fast_N=max(FLOORS.fast_N, TOUCH * TOUCH_N / len(cell.arms)))
+    hum = HUM * math.sqrt(slow_rate(cell) / cell.file.safety.noticing.rate_per_s)
+    found = (
+        REVERSAL[0] * friction_N + PEAK * noise_N,
+        REVERSAL[1] * friction_Nm + PEAK * noise_Nm,
+        CREEP * math.hypot(friction_N, errors_N) + hum * noise_N,
+        CREEP * math.hypot(friction_Nm, errors_Nm) + hum * noise_Nm,
+    )
+    return Channels(*(float(f"{max(floor, MARGIN * x):.3g}") for floor, x in zip(floors, found, strict=True)))
+
+
+class _Arm(NamedTuple):
+    """One arm, what it knows, and its law on the task rows."""
+
+    cell: Cell
+    arm: Arm
+    model: ArmModel
+    offline: Offline
+    KH: Matrix  # (m, m) K H
+    S: Matrix  # (6, m) wrench per error
+
+
+class _Place(NamedTuple):
+    """An arm at one place of the motion."""
+
+    v: Vector  # (m,) of the motion
+    k: Kinematics
+    J_inv: Matrix  # (n, m)
+    to_wrench: Matrix  # (6, n) J⁻ᵀ of joint torques
+
+
+def _sizes(cell: Cell, arm: Arm) -> Matrix:
+    """(3, 2) force and moment of friction, noise and errors, largest over the places."""
+    known = _known(cell, arm)
+    places = _places(known)
+    errors = [_errors(known, at) for at in places]
+    late = [known.S @ (cell.tolerance.skew_s * at.v) for at in places]
+    changes = [np.column_stack([e - errors[0], x]) for e, x in zip(errors, late, strict=True)]
+    of_each = [[_friction(known, at) for at in places], [_noise(known, at) for at in places], changes]
+    return np.array([np.max([_size(columns) for columns in one], axis=0) for one in of_each])
+
+
+def _size(columns: Matrix) -> tuple[float, float]:
+    """Quadratic sum of forces and of moments; columns (6, s)."""
+    return float(np.linalg.norm(columns[:3])), float(np.linalg.norm(columns[3:]))
+
+
+def _known(cell: Cell, arm: Arm) -> _Arm:
+    model, offline = cell.model(arm), cell.offline(arm)
+    P, gains, H = model.task_basis, offline.gains, np.array(HALF_ANGLE)
+    KH = np.array([*gains.k_p, *gains.k_eps]) * H
+    S = np.diag(np.array(gains.k_v) * KH + offline.load_share * H)
+    return _Arm(cell, arm, model, offline, P @ np.diag(KH) @ P.T, P.T @ (P @ S @ P.T))
+
+
+def _places(known: _Arm) -> list[_Place]:
+    cell, arm, model = known.cell, known.arm, known.model
+    trajectory, q, P = cell.trajectory(), np.array(arm.entry.q_near_rad), model.task_basis
+    end, places = min(trajectory.period_s, cell.file.duration_s), []
+    for t in np.linspace(0.0, end, PLACES, endpoint=False).tolist():
+        desired = trajectory.at(t)
+        try:
+            q = ik.solve(model, placement(desired.p, desired.quat), q)
+            k = model.evaluate(q, np.zeros(model.n))
+            J_inv, _ = invert_jacobian(k.J, k.B)
+        except (ik.Unreachable, SingularJacobian) as error:
+            raise ConfigError(
+                f"thresholds of [safety.noticing], arm {arm.name} at t = {t:.2f} s",
+                found=f"a pose that the arm cannot hold ({str(error) or 'singular'})",
+                expected="poses along the motion to derive them at",
+                remedy="see `coop check`, or give fast_N, fast_Nm, slow_N and slow_Nm",
+            ) from error
+        places.append(_Place(P @ np.array(desired.v), k, J_inv, P.T @ J_inv.T))
+    return places
+
+
+def _friction(known: _Arm, at: _Place) -> Matrix:
+    """(6, n) J⁻ᵀ of what friction may be beside the feed-forward."""
+    low, high = known.cell.tolerance.friction
+    unknown = high if known.offline.friction is None else max(high - 1.0, 1.0 - low)
+    coulomb = np.array([s.coulomb_Nm.value for s in known.arm.servos])
+    return at.to_wrench * (unknown * coulomb)
+
+
+def _noise(known: _Arm, at: _Place) -> Matrix:
+    """(6, n) what half a step of each encoder leaves in the unexpected wrench."""
+    seen, L = observer.build(known.cell.file), known.cell.file.safety.noticing.rate_per_s
+    share = 1.0 if seen is None else seen.position_gain
+    jump = at.J_inv @ known.KH @ at.k.J  # of dq_r, per angle
+    found: Matrix = at.to_wrench @ (L * at.k.B @ jump) * (share * 0.5 * POSITION_LSB_RAD)
+    return found
+
+
+def _errors(known: _Arm, at: _Place) -> Matrix:
+    """(6, s) what constant errors make of the unexpected wrench here: a column each."""
+    cell, arm, P, k = known.cell, known.arm, known.model.task_basis, at.k
+    stated = cell.tolerance
+    weight = np.concatenate([-cell.file.object.mass_kg * cell.gravity, np.zeros(3)])
+    held = k.g + k.Jt @ (known.offline.load_share * weight)
+    x, y, z = (np.array(k.p_object) - arm.T_world_base.translation).tolist()
+    across = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])  # ω × reach
+    R = np.reshape(k.R_world_object, (3, 3))
+    shifts = np.column_stack([across * stated.base_rad, R * stated.grasp_m]) / math.sqrt(3.0)
+    off = np.column_stack([P[:, :3] @ shifts, stated.zeros_of(arm.n) * k.J])
+    torques = np.column_stack([stated.masses * k.g, stated.torque_constant * np.diag(held)])
+    return np.column_stack([at.to_wrench @ torques, known.S @ off])

@@ -1,0 +1,67 @@
+"""What may be behind an unexpected wrench on an arm: told by the direction of its force, as far as that can tell.
+
+The neighbours of a limp arm feel its weight; those of one that holds or is locked are pulled back against the motion;
+an arm whose gripper lost the object lacks its share of the weight and feels a lift.  A hand can do all of that,
+and a limp arm also pulls aside, so what fits is named, the best first, and no more is claimed.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from agent.control.residual import Channels, Residual, Sense
+from drivers.interface import Vector
+
+LEAST_COSINE: Final = 0.45  # between the force and a direction that it fits
+STILL_M_PER_S: Final = 1e-3  # a motion slower than this has no direction
+NO_FORCE: Final = 0.5  # of the channel's limit: a force below it is not what tripped
+
+
+class Cause(enum.StrEnum):
+    """In words for the person who has to look."""
+
+    WEIGHT = "a neighbour is limp or let go of the object, or something presses down"
+    BACK = "a neighbour holds or is locked, or something is in the way"
+    LIFT = "this arm's gripper lost the object, or something lifts it"
+    TWIST = "the object is twisted"
+    PUSH = "the object is pushed or pulled"
+
+
+def force(residual: Residual, sense: Sense, wrench: Vector) -> tuple[Vector, float]:
+    """Force (3,) of the channel that is farthest above its limit, world axes, N, and that channel's limit of force."""
+    found, limits = residual.channels(sense, wrench), residual.limits
+    shares = [x / bound for x, bound in zip(found, limits, strict=True)]
+    if max(shares[:2]) >= max(shares[2:]):
+        return (wrench - sense.base)[:3], limits.fast_N
+    return (sense.slow - sense.rest)[:3], limits.slow_N
+
+
+def causes(f: Vector, limit_N: float, v: Sequence[float], gravity: Sequence[float]) -> tuple[Cause, ...]:
+    """What fits the unexpected force f (3,), the best first; never nothing.
+
+    limit_N: of its channel; v: velocity of the desired motion, m/s; gravity: m/s²; all in world axes.
+    """
+    size = float(np.linalg.norm(f))
+    if not size >= NO_FORCE * limit_N:
+        return (Cause.TWIST,)
+    down, along = _cosine(f, gravity, 0.0), _cosine(f, v[:3], STILL_M_PER_S)
+    fits = {Cause.WEIGHT: down, Cause.BACK: -along, Cause.LIFT: -down}
+    found = sorted((cause for cause, cosine in fits.items() if cosine >= LEAST_COSINE), key=lambda c: -fits[c])
+    return tuple(found) or (Cause.PUSH,)
+
+
+def _cosine(f: Vector, direction: Sequence[float], least: float) -> float:
+    """Of the angle between them; zero where the direction is no longer than `least`."""
+    length = math.hypot(*direction)
+    return float(f @ np.array(direction)) / (float(np.linalg.norm(f)) * length) if length > least else 0.0
+
+
+def described(found: Sequence[Cause], x: Channels) -> str:
+    """For the log and the operator."""
+    sizes = f"{x.fast_N:.2g} N, {x.fast_Nm:.2g} N·m at once; {x.slow_N:.2g} N, {x.slow_Nm:.2g} N·m that stay"
+    return f"{'; or '.join(found)} ({sizes})"

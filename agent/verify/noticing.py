@@ -1,0 +1,23 @@
+"""From which unexpected wrench on the arms of a cell they hold, as a finding."""
+
+from __future__ import annotations
+
+from agent.config import noticing
+from agent.config.cell import Cell, ConfigError
+from agent.verify.finding import Finding, Verdict
+
+
+def noticed(cell: Cell) -> list[Finding]:
+    """The thresholds, derived or given; nothing where `[safety.noticing]` is off."""
+    spec = cell.file.safety.noticing
+    if not spec.enabled:
+        return []
+    what = "an arm holds above an unexpected wrench of"
+    try:
+        x = noticing.thresholds(cell)
+    except ConfigError as error:
+        return [Finding(what, "cell", str(error.found), str(error.expected), Verdict.REFUSED, error.remedy)]
+    given = [spec.fast_N, spec.fast_Nm, spec.slow_N, spec.slow_Nm]
+    source = "derived from the cell" if given == [None] * 4 else "given" if None not in given else "partly given"
+    found = f"{x.fast_N:g} N, {x.fast_Nm:g} N·m at once; {x.slow_N:g} N, {x.slow_Nm:g} N·m that stay ({source})"
+    return [Finding(what, "cell", found, "")]

@@ -1,0 +1,107 @@
+"""Thresholds of noticing that follow from the cell: against what studies showed, and by each tolerance."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agent.config import coordination, noticing
+from agent.config.cell import Cell, ConfigError, load_cell
+from agent.config.noticing import derived, thresholds
+from agent.control.residual import Channels
+from agent.verify.noticing import noticed
+
+# largest channels over realities without a fault
+SEEN = {
+    "paper_real": (1.7, 0.31, 0.5, 0.08),
+    "two_wx200": (1.0, 0.19, 0.74, 0.13),
+    "two_models": (1.2, 0.25, 0.61, 0.14),
+    "three_wx250s": (0.84, 0.2, 0.35, 0.12),
+    "four_wx250s": (1.1, 0.24, 0.86, 0.2),
+}
+TYPED = ("fast_N=3.0", "fast_Nm=0.5", "slow_N=2.0", "slow_Nm=0.3")
+
+
+def cell(name: str = "paper_real", *overrides: str) -> Cell:
+    return load_cell(Path(name), overrides)
+
+
+@pytest.mark.parametrize("name", SEEN)
+def test_thresholds_are_above_what_is_usual_and_no_higher_than_a_push(name: str) -> None:
+    found = derived(cell(name))
+    assert (np.array(found) >= 1.3 * np.array(SEEN[name])).all(), found
+    assert (np.array(found[:2]) <= 2.0 * np.array(SEEN[name][:2])).all(), found
+    assert found.fast_N >= 1.6 * 2.0 / len(cell(name).arms), "2 N on the object are no trip"
+    assert found.slow_N <= 1.25
+    assert found.slow_Nm <= 0.3
+
+
+@pytest.mark.parametrize(
+    ("override", "larger"),
+    [
+        ("tolerance.friction=[0.6, 2.5]", (True, True, True, True)),
+        ("controller.friction_feedforward=false", (True, True, True, True)),
+        ("controller.observer.position_gain=0.5", (True, True, True, True)),
+        ("safety.noticing.rate_per_s=60.0", (True, True, True, True)),
+        ("tolerance.masses=0.9", (False, False, True, True)),
+        ("tolerance.torque_constant=0.5", (False, False, True, True)),
+        ("tolerance.zeros_rad=0.2", (False, False, True, False)),
+        ("tolerance.base_rad=0.2", (False, False, True, False)),
+        ("tolerance.grasp_m=0.1", (False, False, True, False)),
+        ("tolerance.skew_s=0.2", (False, False, True, True)),
+        ("safety.noticing.slow_per_s=10.0", (False, False, True, True)),
+    ],
+)
+def test_each_tolerance_counts_where_it_acts(override: str, larger: tuple[bool, ...]) -> None:
+    before, after = derived(cell()), derived(cell("paper_real", override))
+    assert tuple(bool(x) for x in np.array(after) > np.array(before)) == larger
+
+
+def test_what_does_not_change_along_the_motion_is_usual() -> None:
+    still = ("trajectory.p_amplitude_m=[0.0, 0.0, 0.0]", "trajectory.angle_rad=0.0", "tolerance.friction=[1.0, 1.0]")
+    rough = ("tolerance.masses=0.5", "tolerance.zeros_rad=0.1", "tolerance.base_rad=0.1", "tolerance.skew_s=0.5")
+    assert derived(cell("paper_real", *still)) == derived(cell("paper_real", *still, *rough))
+
+
+def test_the_floors_hold_where_nothing_is_uncertain() -> None:
+    exact = ("friction=[1.0, 1.0]", "masses=0.0", "torque_constant=0.0", "zeros_rad=0.0", "base_rad=0.0", "grasp_m=0.0")
+    quiet = ("controller.observer.position_gain=0.001", "tolerance.skew_s=0.0", *(f"tolerance.{x}" for x in exact))
+    assert derived(cell("paper_real", *quiet)) == noticing.FLOORS._replace(fast_N=1.6)
+
+
+def test_what_the_file_gives_counts_and_the_rest_is_derived() -> None:
+    found = thresholds(cell("paper_real", "safety.noticing.fast_N=7.0"))
+    assert found == derived(cell())._replace(fast_N=7.0)
+    assert thresholds(cell("paper_real", *(f"safety.noticing.{x}" for x in TYPED))) == Channels(3.0, 0.5, 2.0, 0.3)
+
+
+def test_the_agents_sense_with_them() -> None:
+    planar, spatial = coordination.residual(cell()), coordination.residual(cell("three_wx250s"))
+    assert planar is not None
+    assert spatial is not None
+    assert planar.limits == derived(cell())
+    assert (planar.slow_per_s, spatial.slow_per_s) == (2.0, 4.0)
+    given = coordination.residual(cell("paper_real", "safety.noticing.slow_per_s=3.0"))
+    assert given is not None
+    assert given.slow_per_s == 3.0
+    assert coordination.residual(cell("paper")) is None
+
+
+def test_a_pose_out_of_reach_names_the_arm_and_the_way_out() -> None:
+    far = cell("paper_real", "trajectory.p_amplitude_m=[0.5, 0.0, 0.0]")
+    with pytest.raises(ConfigError, match=r"arm left at t = .*give fast_N"):
+        derived(far)
+    (finding,) = noticed(far)
+    assert finding.verdict == "refused"
+
+
+def test_check_says_them() -> None:
+    (finding,) = noticed(cell())
+    fast = derived(cell()).fast_N
+    assert finding.found.startswith(f"{fast:g} N, ")
+    assert finding.found.endswith("(derived from the cell)")
+    assert "partly given" in noticed(cell("paper_real", "safety.noticing.fast_N=7.0"))[0].found
+    assert "(given)" in noticed(cell("paper_real", *(f"safety.noticing.{x}" for x in TYPED)))[0].found
+    assert noticed(cell("paper")) == []

@@ -1,0 +1,108 @@
+"""What an unexpected wrench is put down to, by direction, and by real laws and faults in one process."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agent.config.cell import load_cell
+from agent.control.cause import Cause, causes, described, force
+from agent.control.residual import Channels, Residual, nothing_sensed
+from agent.modes import Mode
+from agent.safety import Flag
+from agent.study.fault import Fault, FaultKind
+from agent.study.lab import Laboratory, Run
+
+GRAVITY, FORWARD = (0.0, 0.0, -9.81), (0.02, 0.0, 0.0, 0.0, 0.0, 0.0)
+LIMITS = Channels(2.0, 0.4, 1.0, 0.2)
+
+
+def told(*f: float, v: tuple[float, ...] = FORWARD, limit_N: float = 2.0) -> tuple[Cause, ...]:
+    return causes(np.array(f), limit_N, v, GRAVITY)
+
+
+@pytest.mark.parametrize(
+    ("f", "expected"),
+    [
+        ((0.0, 0.0, -3.0), (Cause.WEIGHT,)),
+        ((2.0, 0.0, -2.5), (Cause.WEIGHT,)),
+        ((-2.0, 0.0, -2.5), (Cause.WEIGHT, Cause.BACK)),
+        ((-2.5, 0.0, -2.0), (Cause.BACK, Cause.WEIGHT)),
+        ((-3.0, 0.5, 0.5), (Cause.BACK,)),
+        ((0.0, 0.5, 3.0), (Cause.LIFT,)),
+        ((3.0, 0.0, 0.0), (Cause.PUSH,)),
+        ((0.0, 3.0, 1.0), (Cause.PUSH,)),
+        ((0.0, 0.0, -0.9), (Cause.TWIST,)),
+        ((np.nan, 0.0, 0.0), (Cause.TWIST,)),
+    ],
+)
+def test_a_force_is_put_down_to_what_fits_its_direction(f: tuple[float, ...], expected: tuple[Cause, ...]) -> None:
+    assert told(*f) == expected
+
+
+def test_the_cosine_from_which_on_a_direction_fits() -> None:
+    for angle, fits in ((1.0, True), (1.2, False)):
+        assert (Cause.WEIGHT in told(3.0 * np.sin(angle), 0.0, -3.0 * np.cos(angle))) is fits
+
+
+def test_a_motion_at_rest_pulls_nobody_back() -> None:
+    assert told(-3.0, 0.0, 0.0, v=(5e-4, 0.0, 0.0, 0.0, 0.0, 0.0)) == (Cause.PUSH,)
+    assert told(-3.0, 0.0, 0.0, v=(2e-3, 0.0, 0.0, 0.0, 0.0, 0.0)) == (Cause.BACK,)
+
+
+def test_without_weight_nothing_is_limp() -> None:
+    assert causes(np.array([0.0, 0.0, -3.0]), 2.0, FORWARD, (0.0, 0.0, 0.0)) == (Cause.PUSH,)
+
+
+def test_the_force_is_that_of_the_channel_farthest_above_its_limit() -> None:
+    residual, wrench = Residual(5e-3, 1.0, LIMITS), np.array([0.0, 3.0, 0.0, 0.0, 0.0, 0.0])
+    sense = nothing_sensed(3)._replace(
+        base=np.array([0.0, 0.5, 0, 0, 0, 0]), slow=np.array([1.5, 0, 0, 0, 0, 0]), rest=np.array([0.4, 0, 0, 0, 0, 0])
+    )
+    f, limit_N = force(residual, sense, wrench)
+    assert f.tolist() == [0.0, 2.5, 0.0]
+    assert limit_N == 2.0
+    slower, limit_N = force(residual, sense._replace(slow=np.array([1.9, 0, 0, 0, 0, 0])), wrench)
+    assert slower.tolist() == pytest.approx([1.5, 0.0, 0.0])
+    assert limit_N == 1.0
+
+
+def test_the_words_have_all_that_fits_and_the_sizes() -> None:
+    text = described((Cause.BACK, Cause.WEIGHT), Channels(2.5, 0.31, 0.24, 0.02))
+    assert text == f"{Cause.BACK}; or {Cause.WEIGHT} (2.5 N, 0.31 N·m at once; 0.24 N, 0.02 N·m that stay)"
+
+
+@pytest.fixture(scope="module")
+def lab() -> Laboratory:
+    return Laboratory(load_cell(Path("two_wx200"), ["simulation.ready_s=2.0", "trajectory.ramp_s=0.5"]))
+
+
+@pytest.mark.parametrize("at_s", [0.7, 1.1])
+@pytest.mark.parametrize(
+    ("kind", "cause"),
+    [(FaultKind.LIMP, Cause.WEIGHT), (FaultKind.HOLD, Cause.BACK), (FaultKind.LOCKED, Cause.BACK)],
+)
+def test_the_neighbour_of_a_fault_names_it(lab: Laboratory, kind: FaultKind, cause: Cause, at_s: float) -> None:
+    run = Run(lab, None, [Fault(kind=kind, arm="left", at_s=at_s)])
+    while run.t < at_s + 0.15 and run.places[1].mode is not Mode.HOLD:
+        run.advance()
+    (trip,) = (t for t in run.trips if t.arm == "right")
+    assert trip.flags & Flag.UNEXPECTED
+    assert trip.t - at_s <= 0.11
+    assert cause in trip.why
+
+
+@pytest.mark.parametrize(("force_N", "noticed"), [(10.0, True), (2.0, False)])
+def test_a_push_is_noticed_and_a_touch_is_not(lab: Laboratory, force_N: float, noticed: bool) -> None:
+    run = Run(lab, None)
+    while run.t < 0.8:
+        run.advance()
+    assert not run.trips
+    run.plant.push(np.array([0.0, 0.0, -force_N, 0.0, 0.0, 0.0]))
+    while run.t < 0.85 if noticed else run.t < 1.3:
+        run.advance()
+    assert bool(run.trips) is noticed
+    if noticed:
+        assert Cause.WEIGHT in run.trips[0].why
