@@ -28,8 +28,8 @@ class GroupReply:
 
     rows: list[Row | None]
     finished: bool  # nothing more can come: stop waiting
-    damaged: int = 0  # checksum, length or ID wrong
-    late: int = 0  # intact, but the answer to another request
+    damaged: int  # checksum, length or ID wrong
+    late: int  # intact, but the answer to another request
 
     @property
     def complete(self) -> bool:
