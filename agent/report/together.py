@@ -32,7 +32,7 @@ class Thresholds:
 
 
 def thresholds(log: AnyLog) -> Thresholds:
-    """What `[controller.alignment]` and `[safety.noticing]` of a log's cell file say; NaN for what is off or unreadable."""
+    """What `[controller.alignment]` and `[safety.noticing]` of a log's cell say; NaN for what is off or unreadable."""
     try:
         cell = tomllib.loads(log.attachments["cell.toml"].decode())
         alignment, noticing = _table(cell, "controller", "alignment"), _table(cell, "safety", "noticing")
