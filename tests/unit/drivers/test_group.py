@@ -22,7 +22,7 @@ BLOCK = EVEN + 4
 
 
 def data_of(servo_id: int, length: int = EVEN) -> bytes:
-    """Other bytes for every servo, its own ID never first."""
+    """Other bytes for every servo."""
     return random.Random(servo_id).randbytes(length)
 
 
@@ -127,7 +127,7 @@ def test_what_comes_before_an_answer_is_passed_over() -> None:
 
 
 def test_an_answer_to_another_order_is_late_even_where_one_servo_has_the_same_place() -> None:
-    reply = read().parse(merged(IDS[::-1]), final=True)  # the one in the middle has
+    reply = read().parse(merged(IDS[::-1]), final=True)  # the one in the middle has it
     assert (reply.rows, said(reply)) == (NONE, (True, 0, 1))
     reply = read().parse(merged((IDS[0], *IDS[:0:-1])), final=True)  # begins right: that is proof enough
     assert reply.rows == [*rows_of(IDS[:1]), *NONE[1:]]
