@@ -24,6 +24,8 @@ _ROOM = "memory = np.zeros(dtype.itemsize + 16, np.uint8)"
 _STANDARD_INPUT = "descriptor 0 is a process's standard input"
 _TABLE = "_FLAGS = tuple(map(Flag, range((_NOT_FINITE | _SATURATED | _RATE_LIMITED) + 1)))"
 _MAPPED = "return mmap.mmap(fd, size, mmap.MAP_SHARED | (mmap.MAP_POPULATE if at_once else 0), protection)"
+_BY_WORDS = "bytes do for every length; words are quicker where it is even"
+_ENDS_OF_BLOCKS = "for end in range(self._block, blocks * self._block + 1, self._block):"
 _OPPOSED = "opposed = followed[1] * shadow[1] < 0 and min(abs(followed[1]), abs(shadow[1])) >= self._fight"
 
 EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
@@ -103,6 +105,26 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
             "if hardware or self._tell.is_active(EventKind.HARDWARE_WARNING, record.slot.servo_id):",
             "if True:",
         ): _SAVES_A_TEXT,
+    },
+    "drivers.dynamixel.line.group": {
+        (
+            "GroupRead._parse_fast",
+            "start = data.find(self._head, start + 8)",
+            "start = data.find(self._head, start + 7)",
+        ): "a head does not begin with the byte that ends it",
+        ("GroupRead._intact", "if self._block & 1:", "if True:"): _BY_WORDS,
+        ("GroupRead._intact", "if self._block & 1:", "if self._block | 1:"): _BY_WORDS,
+        ("GroupRead._intact", _ENDS_OF_BLOCKS, _ENDS_OF_BLOCKS.replace("+ 1", "+ 2")): "a block is longer than 2 bytes",
+        (
+            "GroupWrite.__init__",
+            "self._arguments = [value for servo_id in ids for value in (servo_id, 0)]",
+            "self._arguments = [value for servo_id in ids for value in (servo_id, 1)]",
+        ): "each packet puts its own values there",
+        (
+            "GroupWrite.packet",
+            "if b'\\xff\\xff\\xfd' in params:",
+            "if True:",
+        ): "the general builder gives the same bytes, slower (test_group)",
     },
     "drivers.dynamixel.cycle": {
         (

@@ -40,6 +40,7 @@ TARGETS = (
     Target("drivers.dynamixel.cycle", (f"{UNIT}/drivers/test_cycle.py",)),
     Target("drivers.dynamixel.driver", (f"{UNIT}/drivers/test_driver.py",)),
     Target("drivers.dynamixel.interpret", (f"{UNIT}/drivers/test_interpret.py",)),
+    Target("drivers.dynamixel.line.group", (f"{UNIT}/drivers/test_group.py",)),
     Target("drivers.dynamixel.monitor", (f"{UNIT}/drivers/test_monitor.py",)),
     Target("drivers.dynamixel.pace", (f"{UNIT}/drivers/test_pace.py",)),
     Target("drivers.dynamixel.running", (f"{UNIT}/drivers/test_running.py",)),

@@ -28,8 +28,8 @@ class GroupReply:
 
     rows: list[Row | None]
     finished: bool  # nothing more can come: stop waiting
-    damaged: int = 0  # checksum, length or ID wrong
-    late: int = 0  # intact, but the answer to another request
+    damaged: int  # checksum, length or ID wrong
+    late: int  # intact, but the answer to another request
 
     @property
     def complete(self) -> bool:
@@ -86,14 +86,14 @@ class GroupRead:
                 break
             intact = self._intact(body, blocks)
             rows: list[Row | None] = [None] * count
-            found = strange = 0
+            found, strange = 0, False
             unpacked = self._rows.iter_unpack(body[: blocks * self._block])
             for place, (row, good) in enumerate(zip(unpacked, intact, strict=True)):
                 if good and row[1] == self.ids[place]:
                     rows[place] = (row[0], *row[2:])
                     found += 1
                 elif good:
-                    strange += 1
+                    strange = True
             begun_right = None not in rows[: self._proof]
             if begun_right or (found >= self._proof and not strange):
                 return GroupReply(rows, True, damaged + blocks - found, late)
