@@ -27,7 +27,6 @@ from drivers.dynamixel.servo.table import (
     ALERT_BIT,
     GOAL_CURRENT,
     GOAL_PWM,
-    LOAD_UNIT_DUTY,
     MAX_VOLTAGE_LIMIT,
     MIN_VOLTAGE_LIMIT,
     PRESENT_INPUT_VOLTAGE,
@@ -38,7 +37,7 @@ from drivers.dynamixel.servo.table import (
 )
 from drivers.dynamixel.servo.thermal import ThermalWatch
 from drivers.dynamixel.servo.torque import torque_drive
-from drivers.dynamixel.servo.units import volts, watchdog_count
+from drivers.dynamixel.servo.units import current_or_load, volts, watchdog_count
 from drivers.interface import ServoHealth
 
 
@@ -192,8 +191,8 @@ class Running:
     def health(self, now_ns: int) -> ServoHealth:
         """Slow quantities as they were last read, current or load of the last cycle."""
         records = self._records
-        present = np.array([math.nan if row is None else row[1] for row in self._rows])
-        unit_A = np.array([(record.slot.model.current_unit_mA or math.nan) * 1e-3 for record in records])
+        present = (math.nan if row is None else row[1] for row in self._rows)
+        said = [current_or_load(record.slot.model, count) for record, count in zip(records, present, strict=True)]
         return ServoHealth(
             now_ns,
             servo_ids=tuple(record.slot.servo_id for record in records),
@@ -201,8 +200,8 @@ class Running:
             temperature_C=np.array([record.temperature_C for record in records]),
             voltage_V=np.array([record.voltage_V for record in records]),
             error_bits=np.array([int(record.hardware) for record in records], dtype=np.uint8),
-            current_A=present * unit_A,
-            load=np.where(np.isnan(unit_A), present * LOAD_UNIT_DUTY, math.nan),
+            current_A=np.array([current for current, _ in said]),
+            load=np.array([load for _, load in said]),
         )
 
     def recognise(self) -> None:

@@ -7,9 +7,11 @@ angle within the turn centred on the joint's range.
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from drivers.dynamixel.servo.table import (
+    LOAD_UNIT_DUTY,
     PWM_UNIT_DUTY,
     RETURN_DELAY_UNIT_S,
     TICK_RAD,
@@ -83,3 +85,10 @@ def current_unit_A(model: ServoModel) -> float:
     if model.current_unit_mA is None:
         raise ValueError(f"{model.name} senses no current")
     return model.current_unit_mA * 1e-3
+
+
+def current_or_load(model: ServoModel, count: float) -> tuple[float, float]:
+    """A of a Present Current, or the share of what a Present Load counts; NaN for the one that the servo lacks."""
+    if model.current_unit_mA is None:
+        return math.nan, count * LOAD_UNIT_DUTY
+    return count * current_unit_A(model), math.nan

@@ -30,10 +30,13 @@ def test_a_service_records_one_run_after_the_other_each_into_a_log_of_its_own(fo
         endpoint = rec.ready()
         with telemetry(ring, "left", endpoint, Pace.REAL_TIME, follow=True) as service:
             service.ready()
-            for rows in (200, 300, 100):
+            for rows, log_name in ((200, "run.mcap"), (300, "run_2.mcap"), (100, "run_3.mcap")):
                 with writer(ring, "left", rows, RATE_HZ) as agent:
                     assert agent.result() == rows
-                time.sleep(0.7)
+                patience_s = time.monotonic() + 20.0
+                while not (folder / log_name).exists() and time.monotonic() < patience_s:
+                    time.sleep(0.05)
+                time.sleep(0.7)  # the service looks for the next ring
             service.stop()
         report = rec.stop()
     assert report.logs == tuple(folder / name for name in ("run.mcap", "run_2.mcap", "run_3.mcap"))

@@ -60,3 +60,14 @@ def test_a_speed_s_count_is_the_largest_below_it(speed: float) -> None:
     count = units.velocity_count(speed)
     assert units.velocity_rad_per_s(count) <= speed + 1e-12
     assert units.velocity_rad_per_s(count + 1) > speed - 1e-12
+
+
+def test_a_servo_says_its_current_or_its_load_and_not_the_other() -> None:
+    with_current = next(model for model in SERVOS.values() if model.current_unit_mA is not None)
+    without = next(model for model in SERVOS.values() if model.current_unit_mA is None)
+    current, nothing = units.current_or_load(with_current, -100.0)
+    assert current == pytest.approx(-0.1 * with_current.current_unit_mA)
+    assert math.isnan(nothing)
+    nothing, load = units.current_or_load(without, -250.0)
+    assert math.isnan(nothing)
+    assert load == pytest.approx(-0.25)
