@@ -29,7 +29,7 @@ from agent.control.law import (
 from agent.control.models import ArmModel, Matrix
 from agent.control.quaternion import Mat3
 from agent.control.regressor import BODY_PARAMETERS, joint_regressor, object_regressor
-from agent.control.terms import ADAPTIVE, DDQ_REF, DQ_REF, POSTURE, Terms
+from agent.control.terms import ADAPTIVE, DDQ_REF, DQ_REF, LAW, POSTURE, Terms
 from agent.control.trajectory import Desired, Vec6
 from drivers.interface import Vector
 
@@ -69,10 +69,13 @@ def torque(
     if offline.posture is not None:
         joints[POSTURE] = offline.posture.torque(q, dq, k.J, J_inv)
     tau_law = add_sums(joints)  # eq:adaptive control vector form
-    columns = _friction_columns(adaptation, of_joints, dq_ref, dq, tau_law)
+    by_joint = _joint_columns(adaptation, of_joints, joints, dq)
     if adaptation.friction:
-        add_friction(joints, (of_joints[1:] * columns).sum(axis=0))
-    by_joint = np.concatenate((ddq_ref[None], columns)) * dq_error
+        tau_friction = of_joints[1] * by_joint[1] + of_joints[2] * by_joint[2]
+        if adaptation.sticking:
+            tau_friction += (of_joints[3:] * by_joint[3:]).sum(axis=0)
+        add_friction(joints, tau_friction)
+    by_joint *= dq_error
     arm_gradient = np.concatenate((Y.T.dot(dq_error), by_joint.ravel()))  # eq:adaptation laws
     terms = Terms(
         desired,
@@ -88,14 +91,18 @@ def torque(
     return terms, Gradient(arm_gradient, object_gradient)
 
 
-def _friction_columns(adaptation: Adaptation, joints: Matrix, dq_ref: Vector, dq: Vector, tau_law: Vector) -> Matrix:
-    """(5, n) of viscous and Coulomb friction, breakaway, load and breakaway load; joints (6, n): estimates."""
-    columns = np.zeros((5, len(dq_ref)))
-    columns[0] = dq_ref
-    sign = columns[1] = np.tanh(dq_ref / adaptation.smooth_rad_per_s)
+def _joint_columns(adaptation: Adaptation, of_joints: Matrix, joints: Matrix, dq: Vector) -> Matrix:
+    """(6, n) of rotor inertia, viscous and Coulomb friction, breakaway, load and breakaway load.
+
+    of_joints (6, n): their estimates; joints: the block of this tick with its sums.
+    """
+    columns = np.zeros(of_joints.shape)
+    dq_ref = columns[1] = joints[DQ_REF]
+    columns[0] = joints[DDQ_REF]
+    sign = columns[2] = np.tanh(dq_ref / adaptation.smooth_rad_per_s)
     if adaptation.sticking:
-        tau_rest = tau_law + joints[1] * dq_ref
-        columns[2:] = sticking_columns(adaptation.sticking, joints[2:], sign, dq, tau_rest)
+        tau_rest = joints[LAW] + of_joints[1] * dq_ref
+        columns[3:] = sticking_columns(adaptation.sticking, of_joints[2:], sign, dq, tau_rest)
     return columns
 
 
