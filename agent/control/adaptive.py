@@ -69,14 +69,16 @@ def torque(
     if offline.posture is not None:
         joints[POSTURE] = offline.posture.torque(q, dq, k.J, J_inv)
     tau_law = add_sums(joints)  # eq:adaptive control vector form
-    by_joint = _joint_columns(adaptation, of_joints, joints, dq)
+    arm_gradient = np.zeros(len(estimate.arm))
+    by_joint = arm_gradient[inertial:].reshape(JOINT_PARAMETERS, n)
+    _fill_joint_columns(by_joint, adaptation, of_joints, joints, dq)
     if adaptation.friction:
         tau_friction = of_joints[1] * by_joint[1] + of_joints[2] * by_joint[2]
         if adaptation.sticking:
             tau_friction += (of_joints[3:] * by_joint[3:]).sum(axis=0)
         add_friction(joints, tau_friction)
     by_joint *= dq_error
-    arm_gradient = np.concatenate((Y.T.dot(dq_error), by_joint.ravel()))  # eq:adaptation laws
+    arm_gradient[:inertial] = Y.T.dot(dq_error)  # eq:adaptation laws
     terms = Terms(
         desired,
         k,
@@ -91,19 +93,17 @@ def torque(
     return terms, Gradient(arm_gradient, object_gradient)
 
 
-def _joint_columns(adaptation: Adaptation, of_joints: Matrix, joints: Matrix, dq: Vector) -> Matrix:
-    """(6, n) of rotor inertia, viscous and Coulomb friction, breakaway, load and breakaway load.
+def _fill_joint_columns(columns: Matrix, adaptation: Adaptation, of_joints: Matrix, joints: Matrix, dq: Vector) -> None:
+    """Into zeros (6, n): of rotor inertia, viscous and Coulomb friction, breakaway, load and breakaway load.
 
     of_joints (6, n): their estimates; joints: the block of this tick with its sums.
     """
-    columns = np.zeros(of_joints.shape)
     dq_ref = columns[1] = joints[DQ_REF]
     columns[0] = joints[DDQ_REF]
     sign = columns[2] = np.tanh(dq_ref / adaptation.smooth_rad_per_s)
     if adaptation.sticking:
         tau_rest = joints[LAW] + of_joints[1] * dq_ref
         columns[3:] = sticking_columns(adaptation.sticking, of_joints[2:], sign, dq, tau_rest)
-    return columns
 
 
 def _object_regressor(offline: Offline, R: Mat3, v: Vec6, v_ref: Vec6, dv_ref: Vec6) -> Matrix:

@@ -18,6 +18,8 @@ from drivers.interface import Vector
 BODY_PARAMETERS = 10
 _SIXTY = struct.Struct("60d")
 
+_NO_ACCELERATION = np.zeros(7)  # of as many joints as an arm may have
+
 
 def joint_regressor(model: ArmModel, q: Vector, dq: Vector, dq_ref: Vector, ddq_ref: Vector) -> Matrix:
     """Y_q (n, 10 n) with Y_q θ = B ddq_ref + C(q, dq) dq_ref + g, reflected rotor inertia not included.
@@ -29,8 +31,9 @@ def joint_regressor(model: ArmModel, q: Vector, dq: Vector, dq_ref: Vector, ddq_
     q, dq, dq_ref, ddq_ref: (n,).  Uses the model's scratch memory; the result is the caller's.
     """
     data = model.data
-    Y: Matrix = pin.computeJointTorqueRegressor(model.model, data, q, 0.5 * (dq + dq_ref), ddq_ref)
-    Y -= pin.computeJointTorqueRegressor(model.weightless, data, q, 0.5 * (dq - dq_ref), np.zeros(model.n))
+    middle = 0.5 * (dq + dq_ref)
+    Y: Matrix = pin.computeJointTorqueRegressor(model.model, data, q, middle, ddq_ref)
+    Y -= pin.computeJointTorqueRegressor(model.weightless, data, q, dq - middle, _NO_ACCELERATION[: model.n])
     return Y  # eq: parameter linearity , first line, in the joints
 
 
