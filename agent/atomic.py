@@ -31,12 +31,12 @@ def make_folder(path: Path) -> None:
         ) from error
 
 
-def write_atomically(path: Path, content: bytes) -> None:
-    """Replace `path` by a file with this content, on disk before it has the name.  Raises WriteError."""
+def write_atomically(path: Path, content: bytes, refusal: type[Refusal] = WriteError) -> None:
+    """Replace `path` by a file with this content, on disk before it has the name.  Raises `refusal`."""
     try:
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     except OSError as error:
-        raise _refusal(path, error) from error
+        raise _refused(refusal, path, error) from error
     try:
         with os.fdopen(handle, "wb") as file:
             file.write(content)
@@ -47,10 +47,10 @@ def write_atomically(path: Path, content: bytes) -> None:
     except OSError as error:
         with contextlib.suppress(OSError):
             Path(name).unlink()
-        raise _refusal(path, error) from error
+        raise _refused(refusal, path, error) from error
 
 
-def _refusal(path: Path, error: OSError) -> WriteError:
-    return WriteError(
+def _refused(refusal: type[Refusal], path: Path, error: OSError) -> Refusal:
+    return refusal(
         f"file {path}", found=error.strerror, expected="a folder to write it into", remedy="name another path"
     )

@@ -7,6 +7,7 @@ from html import escape
 from pathlib import Path
 from typing import Final
 
+from agent.atomic import write_atomically
 from agent.report.compare import Change, Difference, compare, label
 from agent.report.overlay import overlay
 from agent.report.page import document, figure_html, table_html
@@ -27,16 +28,7 @@ CAPTION: Final = (
 def write_comparison(runs: Sequence[ComparedRun], path: Path) -> None:
     """Write the page.  Raises ReportError where it cannot be written; an earlier file is then as it was."""
     page = render(runs)
-    part = path.with_name(f".{path.name}.part")
-    try:
-        part.write_text(page, encoding="utf-8")
-        part.replace(path)
-    except OSError as error:
-        part.unlink(missing_ok=True)
-        raise ReportError(
-            f"cannot write {path}", found=error.strerror or str(error), expected="a folder that can be written",
-            remedy="name another file",
-        ) from error  # fmt: skip
+    write_atomically(path, page.encode(), ReportError)
 
 
 def render(runs: Sequence[ComparedRun]) -> str:

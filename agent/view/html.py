@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
+from agent.atomic import write_atomically
 from agent.report.moments import around, moments_of
 from agent.report.prepared import Prepared
 from agent.view.browser import Nodes
@@ -31,14 +32,5 @@ def write_html(run: Prepared, path: Path, pictures_hz: float = PICTURES_HZ) -> i
         page = record.as_html()
     finally:
         server.stop()
-    part = path.with_name(f".{path.name}.part")
-    try:
-        part.write_text(page, encoding="utf-8")
-        part.replace(path)
-    except OSError as error:
-        part.unlink(missing_ok=True)
-        raise ViewError(
-            f"cannot write {path}", found=error.strerror or str(error), expected="a folder that can be written",
-            remedy="name another file",
-        ) from error  # fmt: skip
+    write_atomically(path, page.encode(), ViewError)
     return len(found.motion.t)
