@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from agent.cli import answers, cells, doctor, logs, motors, processes, replay, run, study, view, words
+from agent.cli import answers, cells, doctor, faults, logs, motors, processes, replay, run, study, view, words
 from agent.cli.help import Commands
 from agent.cli.where import where
 
@@ -40,6 +40,7 @@ for _heading, _commands in GROUPS.items():
     for _command in _commands:
         app.command(rich_help_panel=_heading)(_command)
 app.add_typer(motors.app, name="motors", rich_help_panel="Arms of this host")
+app.add_typer(faults.app, name="faults", rich_help_panel="Simulate and examine")
 
 
 def _version(wanted: bool) -> None:

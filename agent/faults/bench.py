@@ -33,6 +33,7 @@ from agent.telemetry.row.sample import AGENT_STATE
 from agent.verify.check import examine
 from drivers.dynamixel.events import DriverEvent
 from drivers.interface import Refusal, Vector
+from sim_backend.physics.build import AnyPlant
 from sim_backend.physics.plant import Observation
 from sim_backend.wire.injector import Injector
 from sim_backend.wire.plant_world import emulate
@@ -91,6 +92,7 @@ class Rehearsal:
     arms: dict[str, ArmRun]
     zero_ns: int  # of the trajectory
     truth: tuple[tuple[float, Observation], ...]  # times on the trajectory's clock
+    plant: AnyPlant  # as the run left it
 
 
 def rehearse(cell: Cell, faults: Sequence[Injection], duration_s: float | None = None, seed: int = 1) -> Rehearsal:
@@ -133,7 +135,7 @@ class _Bench:
         for run in self.arms.values():
             if run.defect is not None:
                 raise run.defect
-        return Rehearsal(self.cell, self.faults, self.arms, self._zero_ns or 0, tuple(self._truth))
+        return Rehearsal(self.cell, self.faults, self.arms, self._zero_ns or 0, tuple(self._truth), self._world.plant)
 
     # --- what happens to the plant ---------------------------------------------------------------------------------
 
@@ -199,7 +201,7 @@ class _Bench:
             scan_s=0.05,
             port=VirtualPort(line, arm.baud),
         )
-        driver.tampering = Tampering(mine, lambda: self._t())
+        driver.tampering = Tampering(mine, self._t)
         driver.connect()
         driver.enable()
         try:

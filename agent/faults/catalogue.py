@@ -71,7 +71,7 @@ class Shown(Strict):
     """A run that shows a row: a cell, and what fails in it."""
 
     cell: str
-    faults: Annotated[tuple[Injection, ...], AS_LIST] = Field(min_length=1)
+    faults: Annotated[tuple[Injection, ...], AS_LIST] = ()  # none: what `set` makes of the cell is the fault
     duration_s: Annotated[float, Field(gt=0.0, le=1000.0)] = 5.0
     set: Annotated[tuple[str, ...], AS_LIST] = ()  # "key.path=value", as of --set
     within: Within
@@ -103,7 +103,9 @@ class Row(Strict):
     @property
     def bounds(self) -> str:
         """All bounds in words."""
-        return "; ".join(dict.fromkeys([*([self.bound] if self.bound else []), *(r.within.described() for r in self.runs)]))
+        return "; ".join(
+            dict.fromkeys([*([self.bound] if self.bound else []), *(r.within.described() for r in self.runs)])
+        )
 
     @property
     def is_tested(self) -> bool:

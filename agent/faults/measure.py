@@ -64,8 +64,8 @@ class Measured:
 
 
 def measured(run: Rehearsal) -> Measured:
-    """The figures of a run with at least one fault."""
-    onset = min(fault.onset_s for fault in run.faults)
+    """The figures of a run, from its first fault on; without one from the common start."""
+    onset = min((fault.onset_s for fault in run.faults), default=0.0)
     t = np.array([at for at, _ in run.truth])
     after = t >= onset
     found = sorted((at, text) for name, arm in run.arms.items() for at, text in _noticed(name, arm, run, onset))

@@ -7,10 +7,12 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Annotated, Final
+from typing import Annotated, Any, Final
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, ValidationError
 
+from agent.config.files import CellFiles
+from agent.config.schema.cell import DriverKind
 from agent.config.schema.types import Name, Strict, wrong
 from drivers.interface import Refusal
 from sim_backend.wire import faults as wire
@@ -99,7 +101,6 @@ def _known(name: str) -> str:
     return name
 
 
-
 class Injection(Strict):
     """One fault of one arm; times count on the trajectory's clock."""
 
@@ -142,6 +143,30 @@ def require_known(name: str) -> None:
         raise FaultPlanError(
             "fault", found=repr(name), expected=f"one of {', '.join(NAMES)}",
             remedy="`coop faults list --kinds` says what they are",
+        )  # fmt: skip
+
+
+def injection(name: str, **given: Any) -> Injection:
+    """One fault from what a command line gives; None is not given.  Raises FaultPlanError."""
+    require_known(name)
+    try:
+        return Injection(fault=name, **{key: value for key, value in given.items() if value is not None})
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise FaultPlanError(
+            f"fault {name}: {'.'.join(map(str, first['loc']))}",
+            found=first["input"],
+            expected=first["msg"],
+            remedy="see `coop faults inject -h`",
+        ) from error
+
+
+def require_simulated(cell: CellFiles) -> None:
+    """Refuse a cell of real arms, so that nobody takes a rehearsal for a test of them.  Raises FaultPlanError."""
+    if cell.file.driver is not DriverKind.SIM:
+        raise FaultPlanError(
+            f"cell {cell.file.name}: driver", found=cell.file.driver.value, expected=DriverKind.SIM.value,
+            remedy="faults are made in simulation alone: `--set driver=sim` rehearses with the rest of the file",
         )  # fmt: skip
 
 
