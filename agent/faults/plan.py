@@ -108,7 +108,7 @@ class Injection(Strict):
     arm: Name | None = None  # None: the cell's first
     servo: Annotated[int, Field(ge=0, le=252)] | None = None  # of servos and their answers; None: all of the arm
     at_s: Annotated[float, Field(ge=0.0, le=1e6)] = 1.0
-    for_s: Annotated[float, Field(gt=0.0)] = math.inf
+    for_s: Annotated[float, Field(gt=0.0, allow_inf_nan=True)] = math.inf
     size: Annotated[float, Field(gt=0.0, le=1e6)] | None = None  # in the unit of POSSIBLE; None: as it says
 
     @property

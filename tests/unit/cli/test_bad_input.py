@@ -170,6 +170,7 @@ NO_FAULTS = ("emulate --faults", "empty")  # is a file of no faults, with which 
 
 
 @pytest.mark.parametrize(("case", "bad"), [pair for pair in product(READS, NO_FILES) if pair != NO_FAULTS])
+@pytest.mark.fault("G1")
 def test_a_file_that_is_none_is_one_line(folder: Path, case: str, bad: str) -> None:
     line = refused(*(word.replace(BAD, bad) for word in READS[case]))
     assert bad.rpartition("/")[2] in line, "says which file"

@@ -92,6 +92,7 @@ def test_what_was_asked_for_stays_while_more_is_asked_for(control: ControlSocket
     assert asked_for(control) == (LATER_NS, True, True)
 
 
+@pytest.mark.fault("G2")
 def test_another_cell_is_refused(control: ControlSocket, path: Path) -> None:
     answer = answer_to(control, path, start(fingerprint="cd" * 32))
     assert answer == {
@@ -102,6 +103,7 @@ def test_another_cell_is_refused(control: ControlSocket, path: Path) -> None:
 
 
 @pytest.mark.parametrize("instant_ns", [NOW_NS - 1, NOW_NS])
+@pytest.mark.fault("C5")
 def test_an_instant_that_is_not_ahead_is_refused(control: ControlSocket, path: Path, instant_ns: int) -> None:
     assert answer_to(control, path, start(start_utc_ns=instant_ns))["found"] == "a start that has passed"
     assert asked_for(control) == NOTHING

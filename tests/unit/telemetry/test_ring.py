@@ -135,6 +135,7 @@ def test_a_row_that_its_writer_died_over_has_no_number(writer: RingWriter, monke
     assert writer._words[SLOTS_OFFSET // 8] == 0
 
 
+@pytest.mark.fault("P5")
 def test_a_second_writer_is_refused_and_the_first_goes_on(path: Path, writer: RingWriter) -> None:
     with pytest.raises(RingError, match="has a writer already"):
         RingWriter(path, AGENT_STATE, "left", slots=SLOTS)
