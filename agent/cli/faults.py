@@ -74,15 +74,17 @@ def inject(
     """
     from agent.config.cell import load_cell
     from agent.faults.bench import rehearse
-    from agent.faults.log import write_log
+    from agent.faults.log import require_new, write_log
     from agent.faults.measure import measured
     from agent.faults.plan import require_simulated
 
-    loaded = load_cell(cell, overrides)
-    require_simulated(loaded)
     faults = _faults(fault, arm=arm, servo=servo, at_s=at, for_s=for_s, size=size)
     ends = [f.at_s + (f.for_s if math.isfinite(f.for_s) else 0.0) for f in faults]
-    run = rehearse(loaded, faults, duration or max(ends) + MORE_S, seed)
+    loaded = load_cell(cell, [*overrides, f"duration_s={max(ends) + MORE_S if duration is None else duration}"])
+    require_simulated(loaded)
+    if out is not None:
+        require_new(out)
+    run = rehearse(loaded, faults, seed)
     found = measured(run)
     if out is not None:
         write_log(out, run)

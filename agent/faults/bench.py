@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
@@ -18,7 +18,7 @@ from agent.config.reality import reality_of
 from agent.config.schema.cell import DriverKind
 from agent.config.schema.reality import ArmReality, Reality
 from agent.config.servo_map import arm_map
-from agent.faults.plan import Injection, Kind, Target, on_the_wire, placed
+from agent.faults.plan import FaultPlanError, Injection, Kind, Target, on_the_wire, placed
 from agent.faults.tampered import AgentClock, AgentGone, TamperedDriver, Tampering, with_gains
 from agent.faults.virtual import Line, Plug, SharedClock, VirtualPort
 from agent.loop import Agent
@@ -95,17 +95,16 @@ class Rehearsal:
     plant: AnyPlant  # as the run left it
 
 
-def rehearse(cell: Cell, faults: Sequence[Injection], duration_s: float | None = None, seed: int = 1) -> Rehearsal:
+def rehearse(cell: Cell, faults: Sequence[Injection], seed: int = 1) -> Rehearsal:
     """Run the cell from READY on with these faults; seed: of what is random on the bus.  Raises Refusal."""
-    return _Bench(cell, placed(faults, [arm.name for arm in cell.arms]), duration_s, seed).run()
+    return _Bench(cell, placed(faults, [arm.name for arm in cell.arms]), seed).run()
 
 
 class _Bench:
     """The cell, its arms' threads, and what befalls them when."""
 
-    def __init__(self, cell: Cell, faults: tuple[Injection, ...], duration_s: float | None, seed: int) -> None:
+    def __init__(self, cell: Cell, faults: tuple[Injection, ...], seed: int) -> None:
         self.cell, self.faults = cell, faults
-        self._ticks = round((cell.file.duration_s if duration_s is None else duration_s) * cell.file.rate_hz)
         self._q_start = examine(cell).q_start
         wired = [wiring(arm, i, arm.baud) for i, arm in enumerate(cell.arms)]
         spec = plant_spec(cell, self._q_start, _reality(cell, faults))
@@ -115,6 +114,8 @@ class _Bench:
             Injector(arm, plug, seed=seed + i)
             for i, (arm, plug) in enumerate(zip(self._emulated.arms, self._plugs, strict=True))
         ]
+        for fault in faults:
+            _require_servo(fault, self._injectors[cell.index(str(fault.arm))])
         self._clock = SharedClock(self._emulated, self._injectors, len(cell.arms), self._passed)
         self._ready: set[str] = set()
         self._zero_ns: int | None = None
@@ -226,7 +227,7 @@ class _Bench:
             trouble=lambda text: run.troubles.append((self._t(), text)),
         )
         options: Any = AgentOptions(arm.name, DriverKind.DYNAMIXEL, Connection(), None, None, False, False)  # type: ignore[arg-type]
-        schedule = replace(_schedule(self.cell, options), ticks=self._ticks)
+        schedule = _schedule(self.cell, options)
         row = AgentRow(run.log.message, arm.n, self.cell.config_id)
         return Runner(self._agent(arm, mine), driver, clock, schedule, row, run.log, around)
 
@@ -251,6 +252,16 @@ class _Bench:
     def _t(self) -> float:
         """Now on the trajectory's clock; −∞ before anybody knows its zero."""
         return -np.inf if self._zero_ns is None else (self._clock.now_ns() - self._zero_ns) * NS
+
+
+def _require_servo(fault: Injection, injector: Injector) -> None:
+    """Refuse a servo that the arm does not have.  Raises FaultPlanError."""
+    known = [servo.id for servo in injector.arm.bus.servos]
+    if fault.servo is not None and fault.servo not in known:
+        raise FaultPlanError(
+            f"fault {fault.fault}: servo of arm {fault.arm}", found=fault.servo, expected=f"one of {known}",
+            remedy="name an ID of this arm",
+        )  # fmt: skip
 
 
 def _reality(cell: Cell, faults: Sequence[Injection]) -> Reality | None:

@@ -13,7 +13,7 @@ from agent.config.schema.cell import DriverKind
 from agent.faults.bench import ArmRun, Rehearsal
 from agent.host.info import attachments
 from agent.log.channels import LogChannels
-from agent.log.file import Attachment, LogFile
+from agent.log.file import Attachment, LogFile, LogFileError
 from agent.process.describe import run_info
 from agent.process.plant import Truth
 from agent.process.scene import scene_of
@@ -24,6 +24,12 @@ from agent.telemetry.row.sample import PLANT_STATE
 from agent.telemetry.row.topics import PLANT, Address, Kind
 
 BATCH: Final = 200
+
+
+def require_new(path: Path) -> None:
+    """Refuse the name of a log that is there, before anything runs.  Raises LogFileError."""
+    if path.exists() or path.is_symlink():
+        raise LogFileError(f"log {path}", found="one of that name", expected="none", remedy="name another with --out")
 
 
 def write_log(path: Path, run: Rehearsal) -> None:

@@ -52,6 +52,7 @@ READS = {
     "export": ("export", BAD),
     "recover": ("recover", BAD),
     "doctor": ("doctor", BAD),
+    "faults inject": ("faults", "inject", BAD, "bus-off"),
     "motors restore": ("motors", "restore", BAD, "--port", "/dev/null"),
 }
 
@@ -80,6 +81,16 @@ OTHERS = {
     "view --live without a recorder": ("view", PAPER, "--live", "--no-browser", "--connect", "tcp/127.0.0.1:9"),
     "compare of one": ("compare", "log.mcap"),
     "where of nothing": ("where", "nothing_here"),
+    "faults list of something": ("faults", "list", "something"),
+    "faults inject of nothing": ("faults", "inject", PAPER, "nothing-off"),
+    "faults inject into an unknown arm": ("faults", "inject", PAPER, "bus-off", "--arm", "middle"),
+    "faults inject into an unknown servo": ("faults", "inject", PAPER, "bus-off", "--servo", "99"),
+    "faults inject --at nan": ("faults", "inject", PAPER, "bus-off", "--at", "nan"),
+    "faults inject --for 0": ("faults", "inject", PAPER, "bus-off", "--for", "0"),
+    "faults inject --size -1": ("faults", "inject", PAPER, "bus-delayed", "--size", "-1"),
+    "faults inject --duration nan": ("faults", "inject", PAPER, "bus-off", "--duration", "nan"),
+    "faults inject --out a file": ("faults", "inject", PAPER, "bus-off", "--out", "a_file"),
+    "faults inject on real arms": ("faults", "inject", PAPER, "bus-off", "--set", "driver=dynamixel"),
     "check --set": ("check", PAPER, "--set", ""),
     "tune --form": ("tune", PAPER, "--form", "other"),
     "tune --damping nan": ("tune", PAPER, "--damping", "nan"),
@@ -186,5 +197,7 @@ def test_any_other_bad_word_is_one_line(folder: Path, case: str) -> None:
 
 
 def test_no_command_is_forgotten() -> None:
-    seen = {tuple(words[: 2 if words[0] == "motors" else 1]) for words in (*READS.values(), *OTHERS.values())}
+    seen = {
+        tuple(words[: 2 if words[0] in ("motors", "faults") else 1]) for words in (*READS.values(), *OTHERS.values())
+    }
     assert seen == set(commands())
