@@ -102,8 +102,8 @@ def _faults() -> Iterator[str]:
     yield "## What happens when\n"
     yield (
         "Bounds are on virtual time, real drivers and loops on emulated servos; `make faults` measures all of them\n"
-        "and says which are missed. *Shown by*: the faults of its runs, the first of which `coop faults inject CELL ID`\n"
-        "repeats; or tests.\n"
+        "and says which are missed. *Shown by*: the faults of its runs, the first of which `coop faults inject CELL\n"
+        "ID` repeats; or tests.\n"
     )
     for group in Group:
         yield f"### {group.value.capitalize()}\n"
