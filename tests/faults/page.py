@@ -88,6 +88,8 @@ def _name(function: ast.expr) -> str:
 
 
 def _begin(node: ast.expr) -> str:
+    if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):  # "...".strip()
+        node = node.func.value
     if isinstance(node, ast.JoinedStr) and node.values:
         node = node.values[0]
     return node.value if isinstance(node, ast.Constant) and isinstance(node.value, str) else ""
