@@ -114,7 +114,10 @@ def test_an_arm_that_pulls_by_itself_is_held_by_all_within_its_bounds() -> None:
 
 @pytest.mark.fault("F5")
 def test_a_hard_push_is_held_and_a_touch_is_not() -> None:
-    assert set(shown(struck("object-stuck", size=15.0)).ended.values()) == {"HOLD"}
+    pushed = struck("object-stuck", size=15.0)
+    assert set(shown(pushed).ended.values()) == {"HOLD"}
+    v = pushed.cell.trajectory().at(AT_S).v
+    assert seen(pushed, lambda truth: truth.v_object[0], after_s=AT_S + 0.005)[0] * np.sign(v[0]) < 0.0, "against it"
     touched = shown(struck("object-stuck", size=0.1, for_s=0.1))
     assert touched.stopped_s == {"left": None, "right": None}
 
@@ -134,7 +137,7 @@ def test_a_grasp_beside_its_place_is_lived_with() -> None:
     off = measured(run)
     assert off.internal_N < 6.0
     q, right = run.truth[0][1].q, struck("object-wrong", size=1.5).truth[0][1].q
-    assert np.abs(q[:3] - right[:3]).max() > 5e-3, "the arm stands where it holds the object 10 mm beside"
+    assert np.abs(q[:3] - right[:3]).max() > 0.02, "the arm stands where it holds the object 10 mm beside"
 
 
 @pytest.mark.fault("M1")
