@@ -135,7 +135,7 @@ def test_the_internal_force_is_the_arm_s_with_the_most_before_and_after() -> Non
 def test_of_three_arms_the_one_with_the_most_counts() -> None:
     wrench = np.zeros((3, 6))
     wrench[:, 2] = 4.0, 1.0, 1.0
-    assert figures(truth={1.2: {"grasp_wrench": wrench}}).internal_N == pytest.approx(2.0)
+    assert figures(truth={0.0: {"grasp_wrench": wrench}}).internal_N == pytest.approx(2.0)
 
 
 def test_sag_is_below_the_motion_while_it_is_followed_and_below_the_hold_after_it() -> None:
