@@ -44,14 +44,15 @@ class Cycles:
         self._patience = patience
         self._period_ns = period_ns
         self._fresh_ns = begin_ns - period_ns  # deadline of the last cycle with a state
-        self._begun_ns = begin_ns  # when the last cycle really began
+        self._begun_ns: int | None = None  # when the last cycle really began
         self._tried_ns = begin_ns - patience.retry * period_ns
         self._failed = 0  # one bit for each of the last WINDOW cycles
         self._trusted = True  # the last cycles were as they should be
 
     def gap_s(self, now_ns: int) -> float:
         """A cycle begins; seconds since the last one did, 0 where no time was lost."""
-        passed_ns, self._begun_ns = now_ns - self._begun_ns, now_ns
+        passed_ns = 0 if self._begun_ns is None else now_ns - self._begun_ns
+        self._begun_ns = now_ns
         return passed_ns * 1e-9 if passed_ns > self._patience.gap * self._period_ns else 0.0
 
     def without_state(self, deadline_ns: int) -> int:
