@@ -125,6 +125,7 @@ class ArmRun:
     events: list[DriverEvent] = field(default_factory=list)
     summary: RunSummary | None = None
     port: VirtualPort | None = None
+    runner: Runner | None = None
     tripped_ns: int | None = None  # when a servo's watchdog fired first
     error: BaseException | None = None
 
@@ -239,7 +240,9 @@ class CoupledRun:
         )  # type: ignore[arg-type]
         row = AgentRow(run.log.message, arm.n, self._cell.config_id)
         schedule = _schedule(self._cell, options)
-        return Runner(build_agent(self._cell, arm), driver, self._clock, schedule, row, run.log, around).run()
+        agent = build_agent(self._cell, arm)
+        run.runner = Runner(agent, driver, self._clock, schedule, row, run.log, around)
+        return run.runner.run(Event.ENABLED)
 
     def _start(self, arm: str) -> int | None:
         """The common start, once every arm has asked for it."""
