@@ -80,9 +80,12 @@ class Cycles:
         self._fresh_ns = deadline_ns
 
     def end(self, skipped: int, *, good: bool) -> float | None:
-        """This cycle and `skipped` ones after it are over; the share of good ones once that falls below the least."""
+        """This cycle and `skipped` ones after it are over; the share of good ones once that falls below the least.
+
+        Not after a gap: the next cycle will tell of that, before it acts.
+        """
         missed = min(skipped, WINDOW)
         self._failed = ((self._failed << 1 | (not good)) << missed | (1 << missed) - 1) & _MASK
         share = 1.0 - self._failed.bit_count() / WINDOW
         trusted, self._trusted = self._trusted, share >= self._patience.success_min
-        return share if trusted and not self._trusted else None
+        return share if trusted and not self._trusted and skipped < self._patience.gap else None

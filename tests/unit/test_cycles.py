@@ -111,9 +111,21 @@ def test_an_arm_that_was_trusted_again_may_lose_trust_again() -> None:
     assert sum(mine.end(0, good=False) is not None for _ in range(20)) == 1
 
 
-@pytest.mark.parametrize(("skipped", "share"), [(10, None), (11, 0.89), (99, 0.01), (10_000_000, 0.0)])
-def test_cycles_that_were_left_out_are_bad_ones(skipped: int, share: float | None) -> None:
-    assert cycles().end(skipped, good=True) == (None if share is None else pytest.approx(share))
+@pytest.mark.parametrize(("before", "skipped", "share"), [(1, 9, None), (2, 9, 0.89), (9, 9, 0.82)])
+def test_cycles_that_were_left_out_are_bad_ones(before: int, skipped: int, share: float | None) -> None:
+    mine = cycles()
+    for _ in range(before):
+        mine.end(0, good=False)
+    assert mine.end(skipped, good=True) == (None if share is None else pytest.approx(share))
+
+
+@pytest.mark.parametrize("skipped", [10, 11, 99, 10_000_000])
+def test_a_gap_is_left_to_the_cycle_after_it(skipped: int) -> None:
+    mine = cycles()
+    for _ in range(5):
+        mine.end(0, good=False)
+    assert mine.end(skipped, good=True) is None
+    assert mine.end(0, good=False) is None
 
 
 def test_a_patience_without_a_share_asks_for_none() -> None:

@@ -25,7 +25,7 @@ from agent.telemetry.row.fill import AgentRow
 from agent.verify.check import examine
 from drivers.dynamixel.driver import DynamixelDriver
 from drivers.dynamixel.events import DriverEvent
-from drivers.interface import Vector
+from drivers.interface import JointState, StaleStateError, Vector
 from sim_backend.wire.cell import EmulatedCell
 from sim_backend.wire.faults import Fault
 from sim_backend.wire.injector import Injector
@@ -126,6 +126,7 @@ class ArmRun:
     summary: RunSummary | None = None
     port: VirtualPort | None = None
     runner: Runner | None = None
+    driver: Blinking | None = None
     tripped_ns: int | None = None  # when a servo's watchdog fired first
     error: BaseException | None = None
 
@@ -144,6 +145,20 @@ class Truth:
     dq: Vector
     tau: Vector  # of the servos
     p_object: Vector
+
+
+class Blinking(DynamixelDriver):
+    """The driver, but that of `every` states it brings one."""
+
+    every = 1
+    _reads = 0
+
+    def read(self) -> JointState:
+        state = super().read()
+        self._reads += 1
+        if self._reads % self.every:
+            raise StaleStateError("state", found="none", expected="one", remedy="let the test end")
+        return state
 
 
 class CoupledRun:
@@ -173,6 +188,7 @@ class CoupledRun:
         self._real, self._starts, self._operator, self._actions = real, starts, operator, list(actions)
         self._ready: set[str] = set()
         self._zero_ns: int | None = None
+        self._stalls: dict[str, float] = {}
         self.truth: list[Truth] = []
         self.arms = {arm.name: ArmRun() for arm in cell.arms}
         threads = [
@@ -200,6 +216,15 @@ class CoupledRun:
         """The emulated arm."""
         return next(one for one in self._emulated.arms if one.name == arm)
 
+    def stall(self, arm: str, seconds: float) -> None:
+        """The arm's process does nothing for a while, from the end of its cycle on."""
+        self._stalls[arm] = seconds
+
+    def _heartbeat(self, arm: str) -> None:
+        seconds = self._stalls.pop(arm, 0.0)
+        if seconds:
+            self._clock.sleep_until(self._clock.now_ns() + round(1e9 * seconds))
+
     def _pass(self, ns: int) -> None:
         plant = self.world.plant
         p_object = self.world.observe().p_object
@@ -225,14 +250,14 @@ class CoupledRun:
         line: Any = Line(self._emulated, index, self._injectors[index], self._clock)
         servos = arm_map(self._cell, arm, "virtual", q_start)
         port = run.port = VirtualPort(line, arm.baud)
-        driver = DynamixelDriver(servos, self._clock, on_event=run.events.append, scan_s=0.05, port=port)
+        driver = run.driver = Blinking(servos, self._clock, on_event=run.events.append, scan_s=0.05, port=port)
         driver.connect()
         driver.enable()
         around = Surroundings(
             wall_ns=self._clock.now_ns,
             operator=lambda: self._operator(arm.name, self.since_s()),
             start_ns=lambda: self._start(arm.name),
-            heartbeat=lambda: None,
+            heartbeat=lambda: self._heartbeat(arm.name),
             mode_changed=lambda _: None,
         )
         options: Any = AgentOptions(
