@@ -32,6 +32,7 @@ SINGULAR_MARGIN = 1.5  # a stop for singularity holds where the law is not calle
 BRAKE_PER_S = 30.0  # of a hold that became too fast, times the arm's inertia; less where four periods are longer
 RESUME_SHARE = 0.2  # of that bound, below which it holds again, by its joints
 LAW, BRAKE, JOINTS = 0, 1, 2  # how a hold is kept (Memory.calm); above JOINTS: gently, for so many ticks more
+RETURN_RAD = 0.04  # a hold that has braked goes back no farther, so that it does not become fast again
 GENTLE_TICKS = 100  # with a state in time, until a hold that was starved is as stiff as its joints allow
 GENTLE_RAD_PER_S = 5.0  # how stiff it is until then; less where 30 periods are longer than a second
 GENTLE_REACH_RAD = 0.1  # beyond it a gentle hold pulls no harder, which bounds how fast it comes back
@@ -103,6 +104,8 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
     if not math.isfinite(sum(q.tolist() + dq.tolist())):
         return _without(agent, q, dq, Flag.NOT_FINITE, memory)
     calm = _calm(agent, dq, memory) if mode is _HOLD else LAW
+    if calm == JOINTS and memory.calm == BRAKE and memory.q_hold is not None:
+        memory = memory._replace(q_hold=q + (memory.q_hold - q).clip(-RETURN_RAD, RETURN_RAD))
     try:
         terms, estimate, held = _law(agent, t, mode, memory, q, dq, calm)
     except SingularJacobian:
