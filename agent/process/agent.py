@@ -5,15 +5,16 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from agent.config.cell import Cell
 from agent.config.schema.cell import DriverKind
+from agent.cycles import Patience
 from agent.host.notify import Notifier
 from agent.host.realtime import become_realtime, quiet_memory
 from agent.host.signals import StopFlag
-from agent.modes import Event, Mode
+from agent.modes import TABLE, Event, Mode
 from agent.operator.socket import ControlSocket
 from agent.process.build import Connection, build_agent, build_driver
 from agent.runner import Runner, RunSummary, Schedule, Surroundings
@@ -31,8 +32,9 @@ from drivers.interface import Clock, Driver, DriverError, Refusal
 
 HEARTBEAT_S = 0.02
 HEALTH_S = 1.0
-STALE_TO_HOLD = 3  # cycles
 EMULATED_PATIENCE_S = 0.5
+QUIET_MARGIN_S = 0.05  # on the servos' watchdogs, which count in steps of 20 ms
+RETRY_S = 0.1
 
 
 @dataclass(frozen=True)
@@ -47,16 +49,6 @@ class AgentOptions:
     lockstep: bool
     hold: bool  # at a stop and at the end hold the object until it is released
     priority: int | None = None  # SCHED_FIFO; None: leave the scheduler alone
-
-
-_STATUS = {
-    Mode.OFF: "torque off",
-    Mode.READY: "torque on, holding the start pose; `coop start` sets the common start",
-    Mode.TRACK: "following the trajectory",
-    Mode.HOLD: "HOLDING the object; `coop release` (or SIGUSR1) once it is supported",
-    Mode.LOWER: "lowering the object",
-    Mode.FAULT: "the arm does not obey",
-}
 
 
 class ArmLost(DriverError):
@@ -94,14 +86,14 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             if options.priority is not None:
                 become_realtime(options.priority)
             driver.enable()
-            notifier.ready(_STATUS[Mode.READY])
+            notifier.ready(TABLE[Mode.READY].says)
             tell.event(Level.INFO, f"torque on: {info.description}", priority=options.priority or 0)
             ready("torque=on")
             servos = _Servos(driver, texts, clock.utc_offset_ns, max(1, round(HEALTH_S * cell.file.rate_hz)))
             operator = _Operator(stop, control, options)
             runner = _runner(cell, options, driver, clock, ring, operator, notifier, servos, tell)
             cpu_s = time.process_time()
-            summary = runner.run()
+            summary = runner.run(Event.ENABLED)
             tell.end(summary, time.process_time() - cpu_s)
         except Refusal as error:
             tell.event(Level.ERROR, str(error))
@@ -142,18 +134,36 @@ def _runner(
 
 
 def _schedule(cell: Cell, options: AgentOptions) -> Schedule:
-    emulated = options.driver is DriverKind.SIM or options.connection.emulated
     rate_hz = cell.file.rate_hz
     return Schedule(
         cell.period_ns,
         round(cell.file.duration_s * rate_hz),
         options.lockstep,
-        # what is emulated shares the processor with everything else, and stops with it for some ten milliseconds
-        hold_after_stale=round(EMULATED_PATIENCE_S * rate_hz) if emulated else STALE_TO_HOLD,
-        fault_after_stale=round((EMULATED_PATIENCE_S if emulated else WATCHDOG_S) * rate_hz),
         hold_at_end=options.hold,
         ready_ns=round(cell.file.simulation.ready_s * rate_hz) * cell.period_ns,
+        patience=patience_of(cell, emulated=options.driver is DriverKind.SIM or options.connection.emulated),
     )
+
+
+def patience_of(cell: Cell, *, emulated: bool) -> Patience:
+    """How long the loop bears lost states and lost time.
+
+    What is emulated shares the processor with everything else, and stops with it for some ten milliseconds: it is
+    held, silent and late after half a second only, at any share of good cycles.
+    """
+    safety, rate_hz = cell.file.safety, cell.file.rate_hz
+    patient = round(EMULATED_PATIENCE_S * rate_hz)
+    usual = Patience(
+        blind=max(1, round(safety.blind_s * rate_hz)),
+        quiet=round((WATCHDOG_S + QUIET_MARGIN_S) * rate_hz),
+        recover=round(safety.recover_s * rate_hz),
+        retry=max(1, round(RETRY_S * rate_hz)),
+    )
+    if not emulated:
+        return usual
+    return replace(
+        usual, hold=patient, blind=max(patient, usual.blind), gap=max(patient, usual.gap), success_min=0.0
+    )  # fmt: skip
 
 
 class _Operator:
@@ -268,7 +278,7 @@ class _Heart:
 
     def mode(self, mode: Mode) -> None:
         """Tell what the arm is doing."""
-        self._notifier.send(f"STATUS={_STATUS[mode]}")
+        self._notifier.send(f"STATUS={TABLE[mode].says}")
 
     def beat(self) -> None:
         """One cycle with a fresh state has passed."""
