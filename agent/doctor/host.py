@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import math
 import os
 import resource
@@ -11,21 +10,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from agent.host.clock import ClockState, read_clock
 from agent.verify.finding import Finding, Verdict, judged
 
 WHERE = "host"
 PRIORITY = 80  # what the agent's unit grants
 CLOCK_ERROR_MAX_S = 1e-3  # between hosts at the start
 CAP_IPC_LOCK = 14
-_STA_UNSYNC = 0x40
-
-
-@dataclass(frozen=True, slots=True)
-class ClockState:
-    """What the kernel knows of its clock's discipline."""
-
-    synchronised: bool
-    max_error_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,15 +36,6 @@ class HostFacts:
     versions: str
 
 
-class _Timex(ctypes.Structure):
-    """First fields of the kernel's struct timex, with room for the rest."""
-
-    _fields_ = (
-        ("modes", ctypes.c_uint), ("offset", ctypes.c_long), ("freq", ctypes.c_long), ("maxerror", ctypes.c_long),
-        ("esterror", ctypes.c_long), ("status", ctypes.c_int), ("rest", ctypes.c_char * 256),
-    )  # fmt: skip
-
-
 def read_facts(log_folder: Path, versions: str) -> HostFacts:
     """Look at this host."""
     folder = log_folder.absolute()
@@ -67,7 +49,7 @@ def read_facts(log_folder: Path, versions: str) -> HostFacts:
         preempt_rt=_preempt_rt(),
         kernel=os.uname().release,
         cores=len(os.sched_getaffinity(0)),
-        clock=_clock(),
+        clock=read_clock(),
         log_folder=folder,
         log_free_bytes=shutil.disk_usage(folder).free,
         versions=versions,
@@ -116,10 +98,8 @@ def _processor(facts: HostFacts, arms: int) -> Sequence[Finding]:
 
 def _clock_finding(facts: HostFacts) -> Finding:
     clock = facts.clock
-    large = clock.max_error_s >= 1.0
-    error = f"{clock.max_error_s:.3g} s" if large else f"{clock.max_error_s * 1e3:.3g} ms"
     return judged(
-        "clock", WHERE, f"{'synchronised' if clock.synchronised else 'not synchronised'}, error at most {error}",
+        "clock", WHERE, clock.text,
         f"synchronised, error ≤ {CLOCK_ERROR_MAX_S * 1e3:g} ms",
         holds=clock.synchronised and clock.max_error_s <= CLOCK_ERROR_MAX_S, otherwise=Verdict.WARNING,
         remedy="install chrony; without effect where one host has all arms",
@@ -165,10 +145,3 @@ def _governors() -> frozenset[str]:
 def _preempt_rt() -> bool:
     marker = Path("/sys/kernel/realtime")
     return (marker.exists() and marker.read_text().strip() == "1") or "PREEMPT_RT" in os.uname().version
-
-
-def _clock() -> ClockState:
-    buffer = _Timex()
-    if ctypes.CDLL(None, use_errno=True).adjtimex(ctypes.byref(buffer)) < 0:
-        return ClockState(False, math.inf)
-    return ClockState(not buffer.status & _STA_UNSYNC, buffer.maxerror * 1e-6)

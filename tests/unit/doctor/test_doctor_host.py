@@ -21,6 +21,7 @@ from agent.config.cell import ConfigError, load_cell
 from agent.doctor import host
 from agent.doctor.doctor import Diagnosis, DoctorOptions, diagnose
 from agent.doctor.port import before_opening, latency_timer
+from agent.host.clock import ClockState
 from agent.verify.finding import Finding, Verdict, exit_code, worst
 from sim_backend.wire.timing import BusTiming
 from tests.support.servos.dxl_rig import build
@@ -122,7 +123,7 @@ def test_latency_timer_before_and_after_opening(before_ms, opened_ms, verdict: V
 
 FIT = host.HostFacts(
     fifo=True, rtprio_limit=80, memlock_bytes=math.inf, governors=frozenset({"performance"}), preempt_rt=True,
-    kernel="6.12.1", cores=4, clock=host.ClockState(True, 2e-4), log_folder=Path("/runs"),
+    kernel="6.12.1", cores=4, clock=ClockState(True, 2e-4), log_folder=Path("/runs"),
     log_free_bytes=2**34, versions="all",
 )  # fmt: skip
 
@@ -139,8 +140,8 @@ def test_a_fit_host_has_nothing_but_ok() -> None:
         ({"preempt_rt": False}, "kernel", r"6.12.1, not PREEMPT_RT", Verdict.WARNING),
         ({"governors": frozenset({"performance", "powersave"})}, "governor", "performance, powersave", Verdict.WARNING),
         ({"cores": 1}, "processor cores", "1", Verdict.WARNING),
-        ({"clock": host.ClockState(False, 16.0)}, "clock", "not synchronised, error at most 16 s", Verdict.WARNING),
-        ({"clock": host.ClockState(True, 5e-3)}, "clock", "synchronised, error at most 5 ms", Verdict.WARNING),
+        ({"clock": ClockState(False, 16.0)}, "clock", "not synchronised, error at most 16 s", Verdict.WARNING),
+        ({"clock": ClockState(True, 5e-3)}, "clock", "synchronised, error at most 5 ms", Verdict.WARNING),
         ({"log_free_bytes": 10}, "room for logs in /runs", r"0.00 GB", Verdict.REFUSED),
     ],
 )
