@@ -18,7 +18,7 @@ USAGE = 2  # exit code of a command line that says nothing `coop` understands
 
 GROUPS: dict[str, tuple[Callable[..., None], ...]] = {
     "Simulate and examine": (run.run, cells.check, cells.tune, study.study),
-    "Arms of this host": (words.start, words.stop, words.release, doctor.doctor),
+    "Arms of this host": (words.start, words.stop, words.release, words.status, doctor.doctor),
     "Logs": (
         logs.report, view.view, logs.compare, answers.events, answers.grasps, replay.replay, logs.identify, logs.export,
         logs.play, logs.recover, logs.layout,

@@ -83,7 +83,7 @@ TABLE: Final[Mapping[Verb, Mapping[Mode, Effect]]] = MappingProxyType({
         Mode.TRACK: Effect(None, "it follows the trajectory", _STOP_FIRST),
         Mode.HOLD: Effect(Mode.OFF, "switches its torque off, and its agent ends"),
         Mode.LOWER: Effect(Mode.OFF, "switches its torque off, and its agent ends"),
-        Mode.FAULT: Effect(Mode.OFF, "switches off what still obeys, and its agent ends"),
+        Mode.FAULT: Effect(None, "it does not obey, and its agent ends by itself", "support it, then cut its supply"),
     }),
     Verb.STATUS: _in_each({mode: Effect(mode, "says how things are") for mode in Mode}),
 })  # fmt: skip

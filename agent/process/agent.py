@@ -161,7 +161,7 @@ def _stand(standing: Standing, options: AgentOptions, operator: Operator, ring: 
     tell.event(Level.INFO, f"real time: {real.text}", policy=real.policy, locked_bytes=real.locked_bytes)
     if options.driver is DriverKind.DYNAMIXEL and not (options.connection.emulated or real.real or options.no_realtime):
         standing.no_start = no_real_time(real.text)
-    fixed = {"pid": os.getpid(), "driver": options.driver.value, "real_time": asdict(real)}
+    fixed = {"pid": os.getpid(), "driver": options.driver.value, "real_time": asdict(real), "guard": None}
 
     def details() -> dict[str, Any]:
         start = operator.start

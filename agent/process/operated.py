@@ -5,6 +5,7 @@ Where nothing can fall (simulation), a stop also releases the object; on real ar
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from datetime import UTC, datetime
 from typing import Protocol
 
@@ -34,13 +35,21 @@ class Operator:
     """Requests of an operator, by signal or over the control socket."""
 
     def __init__(
-        self, stop: StopFlag, control: ControlSocket | None, clock: Clock, tell: Tell, *, drops_on_stop: bool
+        self,
+        stop: StopFlag,
+        control: ControlSocket | None,
+        clock: Clock,
+        tell: Tell,
+        *,
+        drops_on_stop: bool,
+        watch: Callable[[], bool] = lambda: False,
     ) -> None:
         self._signals = stop
         self._control = control
         self._clock = clock
         self._tell = tell
         self._drops_on_stop = drops_on_stop
+        self._watch = watch  # something else of this host because of which the arm must hold now
         self._stopped = False
         self._trouble = ""
         self._start: Request | None = None
@@ -64,6 +73,8 @@ class Operator:
         self._stopped = self._stopped or Event.STOP in happened or self._signals.stopped
         released = released or Event.RELEASED in happened
         happened &= ~Event.RELEASED
+        if self._watch():
+            happened |= Event.TROUBLE
         if self._stopped:
             happened |= Event.STOP
         if released or (self._stopped and self._drops_on_stop):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import socket
 import subprocess
@@ -86,6 +87,11 @@ def test_a_stop_reaches_the_living_and_says_who_is_dead(cell: Cell, tmp_path: Pa
     assert code == 7
     assert "found right: does not answer (Connection refused)" in told
     assert "done: left holds; a start that was given counts no more" in told, told
+
+    code, told = cell.coop("status", CELL, "--json")
+    arms = {arm["arm"]: arm for arm in json.loads(told)["arms"]}
+    assert (code, arms["left"]["mode"], arms["left"]["reason"]) == (1, "HOLD", "it was asked to")
+    assert (arms["right"]["answers"], arms["right"]["silence"]) == (False, "Connection refused")
 
     code, told = cell.coop("release", CELL, "--arm", "left")
     assert (code, "left switches its torque off" in told) == (0, True), told

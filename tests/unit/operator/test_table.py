@@ -37,7 +37,7 @@ def test_a_word_does_what_the_modes_make_of_its_event(verb: Verb, mode: Mode) ->
 def test_a_stop_is_taken_in_every_mode_and_no_word_leads_from_a_hold_to_a_motion() -> None:
     assert all(effect(verb, mode).accepted for verb in (Verb.STOP, Verb.CANCEL, Verb.STATUS) for mode in Mode)
     assert [mode for mode in Mode if effect(Verb.START, mode).accepted] == [Mode.READY]
-    assert [mode for mode in Mode if not effect(Verb.RELEASE, mode).accepted] == [Mode.READY, Mode.TRACK]
+    assert [mode for mode in Mode if not effect(Verb.RELEASE, mode).accepted] == [Mode.READY, Mode.TRACK, Mode.FAULT]
     assert {effect(verb, Mode.HOLD).becomes for verb in Verb} == {None, Mode.HOLD, Mode.OFF}
 
 

@@ -120,7 +120,7 @@ def takes(verb: Verb, condition: Condition) -> bool:
     """Whether an arm in this condition takes the word."""
     if not isinstance(condition, Mode):
         return condition == FOREIGN and verb is Verb.STOP
-    allowed = {Verb.START: {Mode.READY}, Verb.RELEASE: set(Mode) - {Mode.READY, Mode.TRACK}, Verb.STOP: set(Mode)}
+    allowed = {Verb.START: {Mode.READY}, Verb.RELEASE: {Mode.OFF, Mode.HOLD, Mode.LOWER}, Verb.STOP: set(Mode)}
     return condition in allowed[verb]
 
 
