@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from agent.host.clock import ClockState, read_clock
-from agent.verify.finding import Finding, Verdict, judged
+from agent.host.latency import LATE_SHARE, Fitness, Latency, files, newest
+from agent.verify.finding import Finding, Verdict, judged, warning
 
 WHERE = "host"
 PRIORITY = 80  # what the agent's unit grants
@@ -34,6 +35,7 @@ class HostFacts:
     log_folder: Path  # or the nearest parent that exists
     log_free_bytes: int
     versions: str
+    latency: Latency | None = None  # the last test that is kept
 
 
 def read_facts(log_folder: Path, versions: str) -> HostFacts:
@@ -53,12 +55,28 @@ def read_facts(log_folder: Path, versions: str) -> HostFacts:
         log_folder=folder,
         log_free_bytes=shutil.disk_usage(folder).free,
         versions=versions,
+        latency=newest(files(os.environ)),
     )
 
 
-def judge(facts: HostFacts, arms: int, log_bytes: float) -> list[Finding]:
-    """Findings for `arms` arms on this host and a run whose log takes `log_bytes`."""
-    return [*_real_time(facts), *_processor(facts, arms), _clock_finding(facts), *_rest(facts, log_bytes)]
+def judge(facts: HostFacts, arms: int, log_bytes: float, rate_hz: float) -> list[Finding]:
+    """Findings for `arms` arms on this host at a rate, and a run whose log takes `log_bytes`."""
+    return [
+        *_real_time(facts), latency_finding(facts.latency, rate_hz), *_processor(facts, arms), _clock_finding(facts),
+        *_rest(facts, log_bytes),
+    ]  # fmt: skip
+
+
+def latency_finding(latency: Latency | None, rate_hz: float) -> Finding:
+    """What the last latency test says for a loop of this rate."""
+    bound = f"late ≤ {LATE_SHARE / rate_hz * 1e3:g} ms at {rate_hz:g} Hz, in real time and under load"
+    if latency is None:
+        return warning("wake-up latency", WHERE, "not measured", bound, "run `coop latency-test` for some minutes")
+    return judged(
+        "wake-up latency", WHERE, f"{latency.fitness(rate_hz)}: {latency.text}", bound,
+        holds=latency.fitness(rate_hz) is Fitness.FIT, otherwise=Verdict.WARNING,
+        remedy="a real-time kernel, cores of its own, a fixed CPU frequency; then `coop latency-test` again",
+    )  # fmt: skip
 
 
 def _real_time(facts: HostFacts) -> Sequence[Finding]:

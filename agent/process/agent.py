@@ -12,6 +12,7 @@ from typing import Any
 
 from agent.config.cell import Cell
 from agent.config.schema.cell import DriverKind
+from agent.host.latency import files, newest
 from agent.host.notify import Notifier
 from agent.host.realtime import become_realtime, granted, quiet_memory
 from agent.host.signals import StopFlag
@@ -102,7 +103,7 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             tell.event(Level.INFO, f"torque on: {info.description}", priority=options.priority or 0)
             operator = Operator(stop, control, clock, tell.event, drops_on_stop=not options.hold)
             if control is not None:
-                _stand(standing, options, operator, ring, tell)
+                _stand(standing, options, operator, ring, tell, cell.file.rate_hz)
             ready("torque=on")
             servos = _Servos(driver, texts, clock.utc_offset_ns, max(1, round(HEALTH_S * cell.file.rate_hz)))
             runner = _runner(cell, options, driver, clock, ring, operator, notifier, servos, tell)
@@ -155,10 +156,17 @@ def _runner(
     return Runner(build_agent(cell, arm), driver, clock, _schedule(cell, options), row, ring, around)
 
 
-def _stand(standing: Standing, options: AgentOptions, operator: Operator, ring: RingWriter, tell: _Teller) -> None:
+def _stand(
+    standing: Standing, options: AgentOptions, operator: Operator, ring: RingWriter, tell: _Teller, rate_hz: float
+) -> None:
     """What the agent answers from here on: it is READY, with what the host has given it."""
     real = granted()
-    tell.event(Level.INFO, f"real time: {real.text}", policy=real.policy, locked_bytes=real.locked_bytes)
+    tested = newest(files(os.environ))
+    fitness = f"{tested.fitness(rate_hz)}, {tested.text}" if tested else "not tested"
+    tell.event(
+        Level.INFO, f"real time: {real.text}; latency: {fitness}", policy=real.policy, priority=real.priority,
+        locked_bytes=real.locked_bytes, **({"latency_max_s": tested.histogram.max_s} if tested else {}),
+    )  # fmt: skip
     if options.driver is DriverKind.DYNAMIXEL and not (options.connection.emulated or real.real or options.no_realtime):
         standing.no_start = no_real_time(real.text)
     fixed = {"pid": os.getpid(), "driver": options.driver.value, "real_time": asdict(real), "guard": None}
