@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import time
 from collections.abc import Callable
@@ -19,6 +20,7 @@ from agent.host.signals import StopFlag
 from agent.modes import Mode
 from agent.operator.socket import ControlSocket, Standing
 from agent.process.build import Connection, build_agent, build_driver
+from agent.process.clocked import ClockWatch, shares_time
 from agent.process.operated import Operator, no_real_time, tick_of
 from agent.runner import Runner, RunSummary, Schedule, Surroundings
 from agent.telemetry.ring.ring import RingWriter
@@ -34,6 +36,7 @@ from drivers.interface import Clock, Driver, DriverError, Refusal
 
 HEARTBEAT_S = 0.02
 HEALTH_S = 1.0
+CLOCK_S = 1.0
 STALE_TO_HOLD = 3  # cycles
 EMULATED_PATIENCE_S = 0.5
 
@@ -102,6 +105,8 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             notifier.ready(_STATUS[Mode.READY])
             tell.event(Level.INFO, f"torque on: {info.description}", priority=options.priority or 0)
             operator = Operator(stop, control, clock, tell.event, drops_on_stop=not options.hold)
+            if shares_time(cell, arm):
+                operator.clock = ClockWatch(clock.now_ns, operator.hold, max(1, round(CLOCK_S * cell.file.rate_hz)))
             if control is not None:
                 _stand(standing, options, operator, ring, tell, cell.file.rate_hz)
             ready("torque=on")
@@ -142,6 +147,8 @@ def _runner(
     def beat() -> None:
         heart.beat()
         servos.beat()
+        if operator.clock is not None:
+            operator.clock.beat()
 
     def mode_changed(mode: Mode) -> None:
         heart.mode(mode)
@@ -172,8 +179,13 @@ def _stand(
     fixed = {"pid": os.getpid(), "driver": options.driver.value, "real_time": asdict(real), "guard": None}
 
     def details() -> dict[str, Any]:
-        start = operator.start
-        return {**fixed, "start_utc_ns": start.start_utc_ns if start else None, "tick": tick_of(ring)}
+        start, bound_s = operator.start, operator.clock.bound_s if operator.clock else math.inf
+        return {
+            **fixed,
+            "start_utc_ns": start.start_utc_ns if start else None,
+            "clock_bound_s": bound_s if math.isfinite(bound_s) else None,
+            "tick": tick_of(ring),
+        }
 
     standing.details = details
     standing.mode = Mode.READY
