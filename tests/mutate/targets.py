@@ -34,6 +34,7 @@ TARGETS = (
     Target("agent.cycles", (f"{UNIT}/test_cycles.py",)),
     Target("agent.runner", _RUNNER),
     Target("agent.operator.socket", (f"{UNIT}/operator",)),
+    Target("agent.operator.words", (f"{UNIT}/operator",)),
     Target("agent.telemetry.ring.file", _RING),
     Target("agent.telemetry.ring.ring", _RING),
     Target("agent.telemetry.ring.texts", (f"{UNIT}/telemetry/test_texts.py", f"{UNIT}/telemetry/test_event.py")),
