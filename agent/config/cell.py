@@ -14,8 +14,8 @@ from agent.config import adaptive
 from agent.config.files import ArmFiles, CellFiles, files_from_toml, load_arm_file, load_files
 from agent.config.friction import joint_friction
 from agent.config.reading import ConfigError
-from agent.config.schema.cell import Arm as ArmEntry
 from agent.config.schema.controller import ControllerKind
+from agent.config.schema.member import Arm as ArmEntry
 from agent.control.adaptation import Adaptation
 from agent.control.errors import Gains
 from agent.control.friction import Friction

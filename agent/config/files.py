@@ -12,10 +12,10 @@ import tomli_w
 
 import configs
 from agent.config import trajectory
-from agent.config.reading import ConfigError, override, parse, read_file, shipped_cells, shown, validate
+from agent.config.reading import ConfigError, override, parse, read_file, refuse_all, shipped_cells, shown, validate
 from agent.config.schema.arm import ArmFile, ServoJoint
-from agent.config.schema.cell import Arm as ArmEntry
 from agent.config.schema.cell import CellFile
+from agent.config.schema.member import Arm as ArmEntry
 from agent.config.schema.tolerance import Tolerance
 from agent.config.schema.types import nearest
 from agent.config.urdf import text_of_urdf
@@ -152,26 +152,35 @@ def files_from_toml(raw: bytes, source: str, arms_dir: Path = configs.ARMS_DIR) 
     file = validate(CellFile, parse(raw, Path(source)), source)
     trajectory.build(file)
     digest = hashlib.sha256(raw)
-    arms = []
+    arms: list[ArmFiles] = []
+    problems: list[ConfigError] = []
     for entry in file.arms:
-        arm_file, arm_bytes = load_arm_file(entry.model, f"model of arm {entry.name} in {source}", arms_dir)
-        urdf = read_file(arms_dir / arm_file.urdf)
-        urdf_xml = text_of_urdf(urdf, arm_file.urdf)
-        digest.update(arm_bytes)
-        digest.update(urdf)
-        by_name = {j.name: j for j in arm_file.joints}
-        unknown = [j for j in (*entry.controlled, *entry.locked_rad) if j not in by_name]
-        if unknown:
-            raise ConfigError(
-                f"joints of arm {entry.name} in {source}",
-                found=", ".join(unknown),
-                expected=f"joints of {entry.model}: {', '.join(by_name)}",
-                remedy="correct `controlled` or `locked_rad`",
-            )
-        servos = tuple(by_name[j] for j in entry.controlled)
-        _refuse_weak_servos(entry, servos, source)
-        arms.append(ArmFiles(entry, arm_file, arm_bytes, urdf_xml, servos))
+        try:
+            arms.append(_arm(entry, source, arms_dir))
+            digest.update(arms[-1].toml)
+            digest.update(arms[-1].urdf_xml.encode())
+        except ConfigError as error:
+            problems.append(error)
+    refuse_all(problems)
     return CellFiles(file, tuple(arms), raw, digest.hexdigest())
+
+
+def _arm(entry: ArmEntry, source: str, arms_dir: Path) -> ArmFiles:
+    """One arm with what its files say.  Raises ConfigError."""
+    arm_file, arm_bytes = load_arm_file(entry.model, f"model of arm {entry.name} in {source}", arms_dir)
+    urdf_xml = text_of_urdf(read_file(arms_dir / arm_file.urdf), arm_file.urdf)
+    by_name = {j.name: j for j in arm_file.joints}
+    unknown = [j for j in (*entry.controlled, *entry.locked_rad) if j not in by_name]
+    if unknown:
+        raise ConfigError(
+            f"joints of arm {entry.name} in {source}",
+            found=", ".join(unknown),
+            expected=f"joints of {entry.model}: {', '.join(by_name)}",
+            remedy="correct `controlled` or `locked_rad`",
+        )
+    servos = tuple(by_name[j] for j in entry.controlled)
+    _refuse_weak_servos(entry, servos, source)
+    return ArmFiles(entry, arm_file, arm_bytes, urdf_xml, servos)
 
 
 def load_arm_file(model: str, what: str, arms_dir: Path = configs.ARMS_DIR) -> tuple[ArmFile, bytes]:
