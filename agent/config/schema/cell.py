@@ -24,7 +24,7 @@ from agent.config.schema.types import (
     Strict,
     wrong,
 )
-from agent.config.schema.world import Object, World
+from agent.config.schema.world import Object, Table, World
 from agent.telemetry.row.topics import RESERVED
 
 PERIODS_TOLERANCE = 1e-6
@@ -62,6 +62,8 @@ class Safety(Strict):
     """A joint that is faster while an arm holds is braked."""
     noticing: NoticingSpec = NoticingSpec()
     """From which unexpected wrench an arm holds."""
+    collision_margin_m: Annotated[float, Field(ge=0.0, le=0.5)] = 0.005
+    """Least distance of bodies along the motion; below it `coop check` refuses."""
     inertia_error: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.3
     """Part by which the arms' inertia may be off, for checks and `coop tune`."""
 
@@ -94,6 +96,8 @@ class CellFile(Strict):
     """Length of a run."""
     world: World
     """The inertial frame."""
+    table: Table | None = None
+    """The table that the cell stands on; none: nothing is compared with it."""
     object: Object
     """The grasped rigid body; its frame is at the centre of mass."""
     trajectory: TrajectorySpec
@@ -132,6 +136,16 @@ class CellFile(Strict):
         """Time from a sample to its torque in the simulated cell."""
         own = self.simulation.effects.delay_s
         return self.delay_s if own is None else own
+
+    @model_validator(mode="after")
+    def _table_lies_level(self) -> CellFile:
+        x, y, z = self.world.gravity_m_per_s2
+        if self.table is not None and (z > 0.0 or math.hypot(x, y) > 0.1 * math.hypot(x, y, z)):
+            raise wrong(
+                "table", found=f"gravity {list(self.world.gravity_m_per_s2)}", expected="a world whose z points up",
+                remedy="leave [table] out, or turn the world",
+            )  # fmt: skip
+        return self
 
     @model_validator(mode="after")
     def _delay_within_a_period(self) -> CellFile:

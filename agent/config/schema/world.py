@@ -8,7 +8,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, model_validator
 
-from agent.config.schema.types import AS_LIST, Length, Mass, Moment, Quaternion, Strict, Vec3, wrong
+from agent.config.schema.types import AS_LIST, Coordinate, Length, Mass, Moment, Quaternion, Strict, Vec3, wrong
 
 GRAVITY_RANGE_M_PER_S2 = (1.0, 30.0)  # the Moon has 1.6, Jupiter 25; a slip of the unit is outside
 
@@ -31,6 +31,13 @@ class World(Strict):
                 remedy="give the acceleration of what falls, world axes: [0.0, 0.0, -9.81] where z points up",
             )
         return self
+
+
+class Table(Strict):
+    """A table below the cell; where there is none, arms are not compared with it."""
+
+    z_m: Coordinate
+    """Height of its top, world z; z points up."""
 
 
 class Inertia(Strict):
