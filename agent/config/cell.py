@@ -150,5 +150,5 @@ def cell_from_toml(raw: bytes, source: str, arms_dir: Path = configs.ARMS_DIR) -
 
 
 def _cell(files: CellFiles) -> Cell:
-    arms = tuple(Arm(a.entry, a.file, a.toml, a.urdf_xml, a.servos) for a in files.arms)
+    arms = tuple(Arm(a.entry, a.file, a.toml, a.urdf_xml, a.servos, a.own_urdf) for a in files.arms)
     return Cell(files.file, arms, files.toml, files.fingerprint)

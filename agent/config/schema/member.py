@@ -59,7 +59,9 @@ class Arm(Strict):
     name: Name
     """Name of the arm in topics, logs and commands."""
     model: FileStem
-    """Arm model that ships, or the name of an arm file."""
+    """Arm model; where there is no `arm_file`, its figures are those that ship."""
+    arm_file: Annotated[str, Field(min_length=1, max_length=255)] | None = None
+    """File of this very arm with figures of its own, relative to the cell file; none: the one that ships."""
     p_world_base_m: Vec3
     """Where the base stands, world axes."""
     quat_world_base: Quaternion
