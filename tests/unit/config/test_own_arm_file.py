@@ -18,6 +18,7 @@ from agent.view.drawing import drawing_of_cell, drawing_of_log
 
 CELL = (configs.CELLS_DIR / "two_wx200.toml").read_text()
 ARM = (configs.ARMS_DIR / "wx200.toml").read_text()
+OTHER = (configs.ARMS_DIR / "wx250s.toml").read_text()
 URDF = (configs.ARMS_DIR / "wx200.urdf").read_text()
 
 
@@ -101,11 +102,11 @@ def test_a_cell_that_carries_one_takes_up_another(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "match"),
     [
-        (lambda f: (f / "arms/left.toml").unlink(), r"arm_file of arm left in cell\.toml: found arms/left\.toml: No such file"),
+        (lambda f: (f / "arms/left.toml").unlink(), r"arm left in cell\.toml: found arms/left\.toml: No such file"),
         (lambda f: (f / "arms/left.toml").write_bytes(b"\xff"), "not UTF-8 text"),
         (lambda f: (f / "arms/left.toml").write_text("= 1"), r"left\.toml: found .*expected TOML"),
         (lambda f: (f / "arms/left.toml").write_text("format = 1"), r"left\.toml.*found nothing"),
-        (lambda f: (f / "arms/left.toml").write_text((configs.ARMS_DIR / "wx250s.toml").read_text()), "a file of a wx250s"),
+        (lambda f: (f / "arms/left.toml").write_text(OTHER), "a file of a wx250s"),
     ],
 )  # fmt: skip
 def test_one_that_cannot_be_is_refused_by_name(folder: Path, change: object, match: str) -> None:
