@@ -32,6 +32,11 @@ class Refusal(Exception):
         self.expected = expected
         self.remedy = remedy
 
+    @property
+    def lines(self) -> list[str]:
+        """What a person is to read: one line, or one for each of several things that are wrong at once."""
+        return [str(self)]
+
 
 class DriverError(Refusal):
     """Base of all errors a driver raises."""
