@@ -8,12 +8,14 @@ from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
 
+from agent.config import monitors
 from agent.config.cell import Cell
 from agent.config.schema.cell import DriverKind
 from agent.host.notify import Notifier
 from agent.host.realtime import become_realtime, quiet_memory
 from agent.host.signals import StopFlag
 from agent.modes import Event, Mode
+from agent.monitors.watch import Watch
 from agent.operator.socket import ControlSocket
 from agent.process.build import Connection, build_agent, build_driver
 from agent.runner import Runner, RunSummary, Schedule, Surroundings
@@ -138,7 +140,8 @@ def _runner(
 
     around = Surroundings(time.perf_counter_ns, operator.events, operator.start_ns, beat, heart.mode, tell.trouble)
     row = AgentRow(ring.row, arm.n, cell.config_id)
-    return Runner(build_agent(cell, arm), driver, clock, _schedule(cell, options), row, ring, around)
+    watch = Watch(monitors.bounds(cell, arm), tell.warn)
+    return Runner(build_agent(cell, arm), driver, clock, _schedule(cell, options), row, ring, around, watch)
 
 
 def _schedule(cell: Cell, options: AgentOptions) -> Schedule:

@@ -15,6 +15,7 @@ from pydantic import Field, model_validator
 from agent.config.schema.arm import Baud
 from agent.config.schema.controller import Controller
 from agent.config.schema.coordination import NoticingSpec
+from agent.config.schema.monitors import MonitorsSpec
 from agent.config.schema.simulation import Simulation
 from agent.config.schema.tolerance import Tolerance
 from agent.config.schema.trajectory import TrajectorySpec
@@ -123,6 +124,7 @@ class Safety(Strict):
     spectral_radius_max: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.9999
     hold_speed_max_rad_per_s: Annotated[float, Field(gt=0.0, le=20.0)] = 1.5  # in HOLD; faster: it is braked
     noticing: NoticingSpec = NoticingSpec()
+    monitors: MonitorsSpec = MonitorsSpec()
     inertia_error: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.3
 
 

@@ -13,9 +13,11 @@ from typing import Any
 import numpy as np
 
 from agent.config.cell import Arm, Cell
+from agent.config.monitors import bounds
 from agent.config.schema.cell import DriverKind
 from agent.config.servo_map import arm_map
 from agent.modes import Event
+from agent.monitors.watch import Watch
 from agent.process.agent import AgentOptions, _schedule
 from agent.process.build import Connection, build_agent
 from agent.process.emulate import wiring
@@ -34,7 +36,7 @@ from sim_backend.wire.timing import BusTiming
 from tests.support.runner_rig import Log
 from tests.support.servos.dxl_rig import VirtualPort
 
-START_AFTER_NS = 200_000_000  # from the moment at which the last arm is ready
+READY_S = 0.2  # from the moment at which the last arm is ready to the common start
 NOBODY = 0
 
 
@@ -121,6 +123,7 @@ class ArmRun:
 
     log: Log = field(default_factory=Log)
     events: list[DriverEvent] = field(default_factory=list)
+    told: list[str] = field(default_factory=list)  # by monitors, in a hold
     summary: RunSummary | None = None
     error: BaseException | None = None
 
@@ -133,13 +136,17 @@ class ArmRun:
 class CoupledRun:
     """A run of all arms of a cell; faults count from the common start."""
 
-    def __init__(self, cell: Cell, faults: Sequence[Fault] = ()) -> None:
+    def __init__(
+        self, cell: Cell, faults: Sequence[Fault] = (), *, believed: Cell | None = None, ready_s: float = READY_S
+    ) -> None:
+        """believed: what the agents have for a cell, when it is not that of the servos; ready_s: before the start."""
         q_start = examine(cell).q_start
         wired = [wiring(arm, i, arm.baud) for i, arm in enumerate(cell.arms)]
         self._emulated, _ = emulate(plant_spec(cell, q_start), wired, timing=BusTiming())
         self._injectors = [Injector(arm, None, seed=1) for arm in self._emulated.arms]
         self._clock = SharedClock(self._emulated, self._injectors, len(cell.arms))
-        self._cell, self._faults = cell, faults
+        self._cell, self._faults = believed or cell, faults
+        self._start_after_ns = round(ready_s * 1e9)
         self._ready: set[str] = set()
         self._zero_ns: int | None = None
         self.arms = {arm.name: ArmRun() for arm in cell.arms}
@@ -184,17 +191,19 @@ class CoupledRun:
         )  # type: ignore[arg-type]
         row = AgentRow(run.log.message, arm.n, self._cell.config_id)
         schedule = _schedule(self._cell, options)
-        return Runner(build_agent(self._cell, arm), driver, self._clock, schedule, row, run.log, around).run()
+        watch = Watch(bounds(self._cell, arm), run.told.append)
+        agent = build_agent(self._cell, arm)
+        return Runner(agent, driver, self._clock, schedule, row, run.log, around, watch).run()
 
     def _start(self, arm: str) -> int | None:
         """The common start, once every arm has asked for it."""
         self._ready.add(arm)
         if self._zero_ns is None and len(self._ready) == len(self.arms):
             now_ns = self._clock.now_ns()
-            self._zero_ns = now_ns + START_AFTER_NS
+            self._zero_ns = now_ns + self._start_after_ns
             for injector in self._injectors:
                 mine = [f for f in self._faults if f.arm == injector.arm.name]
                 injector.add(
-                    [f.model_copy(update={"start_s": f.start_s + START_AFTER_NS * 1e-9}) for f in mine], now_ns
+                    [f.model_copy(update={"start_s": f.start_s + self._start_after_ns * 1e-9}) for f in mine], now_ns
                 )
         return self._zero_ns
