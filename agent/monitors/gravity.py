@@ -6,9 +6,9 @@ At rest the torque that the servos measure is that of the arm's own weight and o
 
 is zero but for friction, errors of masses and of torque constants (agent.config.monitors has the limits).  Arms on one
 object share such errors: each sees something between its own and the mean of all, and the anchor more, for the others
-align themselves with it.  So nobody can tell here whose error it is, and a weight below the limit goes unnoticed.  What
-is beyond is a gravity that points elsewhere, an object that is not there or of another weight, or an arm that is not the
-file's.
+align themselves with it.  So nobody can tell here whose error it is, and a weight below the limit goes unnoticed.
+What is beyond is a gravity that points elsewhere, an object that is not there or of another weight, or an arm that
+is not the file's.
 """
 
 from __future__ import annotations
