@@ -30,7 +30,7 @@ MARGINS: Final = (
     "Below: the torque sent to the most loaded joint, as a part of its limit."
 )
 SERVOS: Final = (
-    "What each servo says of itself about once a second: temperature, supply, and load as a share of its stall. Dashed: "
+    "What each servo says of itself about once a second: temperature, supply, and load as a share of stall. Dashed: "
     "the servo's own limits; of the load, what it may be in the mean square before the arm holds."
 )
 
