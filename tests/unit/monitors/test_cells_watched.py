@@ -56,7 +56,7 @@ def test_g6_another_arm_than_the_files_is_refused_before_the_start() -> None:
 
 def test_g6_a_missing_object_is_refused_where_the_arms_are_known_well_enough() -> None:
     known = ("tolerance.masses=0.02", "tolerance.torque_constant=0.02", "tolerance.friction=[0.9, 1.1]")
-    light = load("three_wx250s", "object.mass_kg=1.2", *known)
+    light = load("three_wx250s", "object.mass_kg=1.2", "simulation.ready_s=1.6", *known)
     gone = Reality(object=0.05)
     assert watched(light, 0.0, reality=gone).names == {Name.GRAVITY}
     assert watched(light, 0.0).first == {}

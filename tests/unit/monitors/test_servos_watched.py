@@ -44,6 +44,29 @@ def test_an_arm_holds_before_its_servo_switches_itself_off(fault: Fault, named: 
     assert np.isfinite(held["tau_sent"][:, :3]).all(), "all servos still have torque"
 
 
+@pytest.mark.parametrize(
+    ("fault", "named"),
+    [
+        pytest.param(
+            Fault(kind=FaultKind.OVERLOAD, arm="left", servo=3, start_s=0.3),
+            "servo 3 (shoulder)",
+            id="S2 shadow",
+        ),
+        pytest.param(
+            Fault(kind=FaultKind.ENCODER_OFFSET, arm="left", servo=4, start_s=0.3),
+            "servo 4 (elbow)",
+            id="S5 wrong by 5°",
+        ),
+    ],
+)
+def test_what_the_driver_finds_holds_within_100_ms(fault: Fault, named: str) -> None:
+    left = CoupledRun(cell("duration_s=0.6"), [fault]).arms["left"]
+    assert left.summary is not None
+    assert left.summary.mode is Mode.HOLD
+    assert named in left.summary.reason
+    assert 0.3 < left.rows[left.rows["mode"] == Mode.HOLD]["t"][0] <= 0.4
+
+
 def test_a_hold_of_a_monitor_is_replayed_from_the_rows_alone() -> None:
     run = CoupledRun(cell("duration_s=1.5"), [Fault(kind=FaultKind.VOLTAGE, arm="left", voltage_V=9.6)]).arms["left"]
     assert {Mode.READY, Mode.TRACK, Mode.HOLD} <= set(run.rows["mode"].tolist())
