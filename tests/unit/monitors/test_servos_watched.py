@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -12,11 +14,20 @@ from agent.process.build import build_agent
 from agent.replay.chain import Chain
 from drivers.interface import JointState
 from sim_backend.wire.faults import Fault, FaultKind
-from tests.support.servos.coupled_rig import CoupledRun
+from tests.support.servos.coupled_rig import ArmRun, CoupledRun
 
 
 def cell(*overrides: str) -> Cell:
-    return load_cell(configs.CELLS_DIR / "two_wx200.toml", ["duration_s=2.5", *overrides])
+    return load_cell(configs.CELLS_DIR / "two_wx200.toml", ["duration_s=1.7", *overrides])
+
+
+LOW_SUPPLY = Fault(kind=FaultKind.VOLTAGE, arm="left", start_s=0.2, voltage_V=9.6)
+
+
+@cache
+def left_arm(fault: Fault) -> ArmRun:
+    """What the left arm left of a run with this fault."""
+    return CoupledRun(cell(), [fault]).arms["left"]
 
 
 @pytest.mark.parametrize(
@@ -28,19 +39,19 @@ def cell(*overrides: str) -> Cell:
             id="S3 shadow servo hot",
         ),
         pytest.param(
-            Fault(kind=FaultKind.VOLTAGE, arm="left", start_s=0.2, voltage_V=9.6),
+            LOW_SUPPLY,
             "monitor voltage: supply of servo 1 (waist): found 9.6 V, expected 9.7 to 15.8 V",
             id="S3 supply low",
         ),
     ],
 )
 def test_an_arm_holds_before_its_servo_switches_itself_off(fault: Fault, named: str) -> None:
-    left = CoupledRun(cell(), [fault]).arms["left"]
+    left = left_arm(fault)
     assert left.summary is not None
     assert left.summary.mode is Mode.HOLD
     assert named in left.summary.reason
     held = left.rows[left.rows["mode"] == Mode.HOLD]
-    assert held["t"][0] < 1.7, "two readings, after every servo has been asked once"
+    assert held["t"][0] < 1.5, "two readings, after every servo has been asked once"
     assert np.isfinite(held["tau_sent"][:, :3]).all(), "all servos still have torque"
 
 
@@ -68,9 +79,9 @@ def test_what_the_driver_finds_holds_within_100_ms(fault: Fault, named: str) -> 
 
 
 def test_a_hold_of_a_monitor_is_replayed_from_the_rows_alone() -> None:
-    run = CoupledRun(cell("duration_s=1.5"), [Fault(kind=FaultKind.VOLTAGE, arm="left", voltage_V=9.6)]).arms["left"]
+    run = left_arm(LOW_SUPPLY)
     assert {Mode.READY, Mode.TRACK, Mode.HOLD} <= set(run.rows["mode"].tolist())
-    agent = build_agent(cell("duration_s=1.5"), cell().arm("left"))
+    agent = build_agent(cell(), cell().arm("left"))
     chain = Chain(agent)
     chain.start()
     for row in run.rows:
@@ -90,8 +101,8 @@ def test_a_dead_encoder_is_found_while_the_motion_asks_for_a_turn() -> None:
 
 @pytest.mark.parametrize(("gravity", "held"), [("[0.0, 0.0, -9.81]", False), ("[0.0, 0.0, 9.81]", True)])
 def test_measured_currents_contradict_a_wrong_gravity_before_the_start(gravity: str, held: bool) -> None:
-    true, believed = cell("duration_s=0.3"), cell("duration_s=0.3", f"world.gravity_m_per_s2={gravity}")
-    arms = CoupledRun(true, believed=believed, ready_s=1.8).arms
+    true, believed = cell("duration_s=0.1"), cell("duration_s=0.1", f"world.gravity_m_per_s2={gravity}")
+    arms = CoupledRun(true, believed=believed, ready_s=1.7).arms
     anchor = arms["left"]
     assert anchor.summary is not None
     assert ("monitor gravity: torque at rest" in anchor.summary.reason) == held
