@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from agent.config import monitors
 from agent.config.cell import Cell
 from agent.config.schema.cell import DriverKind
 from agent.cycles import Patience
@@ -19,6 +20,7 @@ from agent.host.notify import Notifier
 from agent.host.realtime import become_realtime, granted, quiet_memory
 from agent.host.signals import StopFlag
 from agent.modes import TABLE, Event, Mode
+from agent.monitors.watch import Watch
 from agent.operator.socket import ControlSocket, Standing
 from agent.process.build import Connection, build_agent, build_driver
 from agent.process.clocked import ClockWatch, shares_time
@@ -152,7 +154,8 @@ def _runner(
 
     around = Surroundings(time.perf_counter_ns, operator.events, operator.start_ns, beat, mode_changed, trouble)
     row = AgentRow(ring.row, arm.n, cell.config_id)
-    return Runner(build_agent(cell, arm), driver, clock, _schedule(cell, options), row, ring, around)
+    watch = Watch(monitors.bounds(cell, arm), tell.warn)
+    return Runner(build_agent(cell, arm), driver, clock, _schedule(cell, options), row, ring, around, watch)
 
 
 def _stand(

@@ -12,6 +12,7 @@ from pydantic import Field, model_validator
 from agent.config.schema.controller import Controller
 from agent.config.schema.coordination import NoticingSpec
 from agent.config.schema.member import Arm
+from agent.config.schema.monitors import MonitorsSpec
 from agent.config.schema.simulation import Simulation
 from agent.config.schema.tolerance import Tolerance
 from agent.config.schema.trajectory import TrajectorySpec
@@ -66,6 +67,8 @@ class Safety(Strict):
     """Time after that in which the arm may come back; 0: it is lost at once."""
     noticing: NoticingSpec = NoticingSpec()
     """From which unexpected wrench an arm holds."""
+    monitors: MonitorsSpec = MonitorsSpec()
+    """What an arm watches in every mode that commands torque, and the bounds."""
     collision_margin_m: Annotated[float, Field(ge=0.0, le=0.5)] = 0.005
     """Least distance of bodies along the motion; below it `coop check` refuses."""
     inertia_error: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.3

@@ -1,7 +1,8 @@
 """What may stand under `[tolerance]` of a cell file: how far reality may be from what the cell's files say.
 
 Every key is the largest error to be lived with, in both directions where a sign makes sense.  The gains are judged by
-it (`coop check`, `coop tune`), and simulated realities are drawn within it; no agent reads it.
+it (`coop check`, `coop tune`), simulated realities are drawn within it, and from it follows what is no trip of noticing
+and monitors; no torque depends on it.
 """
 
 from __future__ import annotations
