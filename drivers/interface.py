@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,11 @@ class Refusal(Exception):
         self.found = found
         self.expected = expected
         self.remedy = remedy
+
+    @property
+    def lines(self) -> list[str]:
+        """What a person is to read: one line, or one for each of several things that are wrong at once."""
+        return [str(self)]
 
 
 class DriverError(Refusal):
@@ -91,12 +96,16 @@ class ServoHealth:
     error_bits: NDArray[np.uint8]
     current_A: Vector  # present current, signed as the servo counts
     load: Vector  # present load as a share of the largest, of servos without a current sensor
+    temperature_limit_C: Vector  # at which the servo switches itself off
+    voltage_min_V: Vector  # between which its supply is to be
+    voltage_max_V: Vector
+    stall_current_A: Vector  # at the rated voltage
 
     @classmethod
     def none(cls, stamp_ns: int) -> ServoHealth:
         """Of a driver that has no servos to ask."""
         nothing = np.zeros(0)
-        return cls(stamp_ns, (), (), nothing, nothing, np.zeros(0, np.uint8), nothing, nothing)
+        return cls(stamp_ns, (), (), nothing, nothing, np.zeros(0, np.uint8), *[nothing] * 6)
 
 
 @dataclass(slots=True)
@@ -168,4 +177,23 @@ class Driver(Protocol):
 
     def close(self) -> None:
         """Give the port back.  Safe in any state and twice."""
+        ...
+
+
+@runtime_checkable
+class Recovering(Protocol):
+    """What a driver offers beside `Driver` whose arm can stop listening and come back, without a new `enable`."""
+
+    @property
+    def lapsed(self) -> bool:
+        """True while the port is gone, or the arm has stopped by itself and nothing else is wrong with its torque."""
+        ...
+
+    def recover(self) -> bool:
+        """Open the port again where it is gone, make sure of the arm, and let it obey again; for a loop that holds.
+
+        Nothing is written before every servo has answered as the one it was, with its torque on.  True when the arm
+        obeys anew: its torque is then zero, and must be commanded at once.  False when it never stopped.
+        Raises DriverError, quickly where nobody answers; may be tried again.
+        """
         ...

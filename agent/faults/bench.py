@@ -13,6 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from agent.config import monitors
 from agent.config.cell import Arm, Cell
 from agent.config.reality import reality_of
 from agent.config.schema.cell import DriverKind
@@ -23,6 +24,7 @@ from agent.faults.tampered import AgentClock, AgentGone, TamperedDriver, Tamperi
 from agent.faults.virtual import Line, Plug, SharedClock, VirtualPort
 from agent.loop import Agent
 from agent.modes import Event, Mode
+from agent.monitors.watch import Watch
 from agent.process.agent import AgentOptions, _schedule
 from agent.process.build import Connection, build_agent
 from agent.process.emulate import wiring
@@ -72,6 +74,7 @@ class ArmRun:
     events: list[tuple[float, DriverEvent]] = field(default_factory=list)
     modes: list[tuple[float, Mode]] = field(default_factory=list)  # entered
     troubles: list[tuple[float, str]] = field(default_factory=list)  # why it held
+    warnings: list[tuple[float, str]] = field(default_factory=list)  # of its monitors, while it held already
     summary: RunSummary | None = None
     gone_s: float | None = None  # when its process was gone
     error: Refusal | None = None  # that ended it
@@ -229,7 +232,8 @@ class _Bench:
         options: Any = AgentOptions(arm.name, DriverKind.DYNAMIXEL, Connection(), None, None, False, False)  # type: ignore[arg-type]
         schedule = _schedule(self.cell, options)
         row = AgentRow(run.log.message, arm.n, self.cell.config_id)
-        return Runner(self._agent(arm, mine), driver, clock, schedule, row, run.log, around)
+        watch = Watch(monitors.bounds(self.cell, arm), lambda text: run.warnings.append((self._t(), text)))
+        return Runner(self._agent(arm, mine), driver, clock, schedule, row, run.log, around, watch)
 
     def _agent(self, arm: Arm, mine: Sequence[Injection]) -> Agent:
         agent = build_agent(self.cell, arm)

@@ -64,6 +64,8 @@ def _own_events(name: str, arm: ArmRun, zero_ns: int) -> Iterator[Event]:
         if np.isfinite(t):
             where = "" if told.servo_id is None else f" (servo {told.servo_id}, {told.joint})"
             yield Event(_utc_ns(t, zero_ns), name, Level.WARN, f"{told.kind.value}{where}: {told.text}", {"t": t})
+    for t, text in arm.warnings:
+        yield Event(_utc_ns(t, zero_ns), name, Level.WARN, text, {"t": t})
     for t, text in arm.troubles:
         yield Event(_utc_ns(t, zero_ns), name, Level.WARN, f"holds: {text}", {"t": t})
     if arm.error is not None and len(arm.rows):

@@ -17,7 +17,9 @@ from agent.safety import Flag
 from drivers.dynamixel.arm_map import WATCHDOG_S
 from drivers.interface import Vector
 
-TELLING: Final = Flag.NOT_FINITE | Flag.SINGULAR | Flag.STALE | Flag.OFF_TRACK | Flag.UNEXPECTED | Flag.DAMPED
+TELLING: Final = (
+    Flag.NOT_FINITE | Flag.SINGULAR | Flag.STALE | Flag.OFF_TRACK | Flag.UNEXPECTED | Flag.DAMPED | Flag.GAP
+)
 STOPPED: Final = frozenset({Mode.HOLD, Mode.FAULT, Mode.OFF, Mode.LOWER})
 GONE: Final = "gone"
 NS: Final = 1e-9
@@ -98,6 +100,9 @@ def _noticed(name: str, arm: ArmRun, run: Rehearsal, onset: float) -> Iterator[t
     for at, event in arm.events:
         if at >= onset:
             yield at, f"{name}: {event.kind.value}"
+    for at, text in arm.warnings:
+        if at >= onset:
+            yield at, f"{name}: {text}"
     for at, mode in arm.modes:
         if at >= onset and mode in STOPPED:
             yield at, f"{name}: {mode.name}"

@@ -11,8 +11,10 @@ import numpy as np
 
 import configs
 from agent.config.cell import Cell, load_cell
+from agent.cycles import Patience
 from agent.loop import Agent
 from agent.modes import Event, Mode
+from agent.monitors.watch import Watch
 from agent.process.build import build_agent
 from agent.runner import Runner, RunSummary, Schedule, Surroundings
 from agent.telemetry.row.fill import AgentRow
@@ -31,6 +33,7 @@ from drivers.interface import (
 
 START_AFTER = 10  # cycles of READY
 HOLD_AFTER_STALE, FAULT_AFTER_STALE = 3, 8
+PATIENCE = Patience(hold=HOLD_AFTER_STALE, blind=FAULT_AFTER_STALE)
 WALL_NS = (
     3_000_000,
     1_000,
@@ -115,7 +118,7 @@ class Arm:
         return tau_Nm + 0.001  # what the counts stand for
 
     def health(self) -> ServoHealth:
-        raise NotImplementedError
+        return ServoHealth.none(self.clock.ns)
 
     def disable(self) -> None: ...
 
@@ -194,6 +197,7 @@ def run(
     refused: frozenset[int] = frozenset(),
     q: Callable[[int], Vector] = lambda _: q_start(),
     agent: Mapping[str, Any] | None = None,
+    watch: Watch | None = None,
     start_ns: Callable[[int, int], int | None] = lambda reads, zero_ns: zero_ns if reads > 2 else None,
     **schedule: Any,
 ) -> Done:
@@ -210,7 +214,7 @@ def run(
     beats: list[int] = []
     troubles: list[str] = []
     zero_ns = clock.ns + START_AFTER * period_ns() + period_ns() // 3
-    plan = Schedule(period_ns(), 20, False, HOLD_AFTER_STALE, FAULT_AFTER_STALE, False)
+    plan = Schedule(period_ns(), 20, False, hold_at_end=False, patience=PATIENCE)
     around = Surroundings(
         wall_ns=Wall(),
         operator=lambda: operator(arm.reads),
@@ -221,6 +225,6 @@ def run(
     )
     row = AgentRow(log.message, 3, paper().config_id)
     made: Agent = replace(build_agent(paper(), paper().arms[0]), **(agent or {}))
-    runner = Runner(made, arm, clock, replace(plan, **schedule), row, log, around)
+    runner = Runner(made, arm, clock, replace(plan, **schedule), row, log, around, watch)
     summary = runner.run()
     return Done(summary, arm, np.array(log.rows), modes, len(beats), log.waits, troubles)
