@@ -28,7 +28,7 @@ PAGE: Final = ROOT / "docs/failures.md"
 HEAD: Final = Path(__file__).with_name("page_head.md")
 PROCEDURE: Final = Path(__file__).with_name("page_procedure.md")
 MEANINGS: Final = Path(__file__).with_name("meanings.toml")
-TELLERS: Final = ("event", "_say", "warn")  # methods that tell an event, with its text among their arguments
+TELLERS: Final = ("event", "_say", "warn", "Event", "TextEvent")  # who tells an event, its text among the arguments
 
 Meaning = Mapping[str, str]
 
@@ -69,10 +69,15 @@ def told() -> set[str]:
     for path in sorted((ROOT / "agent").rglob("*.py")):
         tree = ast.parse(path.read_text())
         for node in ast.walk(tree):
-            if isinstance(node, ast.Call) and _name(node.func) in (*TELLERS, "Event", "TextEvent"):
+            if isinstance(node, ast.Call) and (_name(node.func) in TELLERS or _has_level(node)):
                 given = [value for each in node.args for value in (_assigned(tree, each) or [each])]
                 found |= {text for each in given if (text := _begin(each))}
     return found
+
+
+def _has_level(call: ast.Call) -> bool:
+    """Whether it is given how bad something is, as those are who pass an event on."""
+    return any(ast.unparse(each).startswith("Level.") for each in call.args)
 
 
 def _assigned(tree: ast.Module, node: ast.expr) -> list[ast.expr]:
@@ -145,6 +150,7 @@ def _reference() -> Iterator[str]:
             ("", "means", "cause", "what to do"),
             ((_shown(kind, name), m["means"], m["cause"], m["remedy"]) for name, m in known[kind].items()),
         )
+    yield "What each monitor watches, and its bounds: [monitors.md](monitors.md).\n"
     yield "### Refusals\n"
     yield "A refusal is one line: what, found, expected, and after the semicolon what to do. By exit code:\n"
     yield _table(
