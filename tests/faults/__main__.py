@@ -79,7 +79,7 @@ def judged(row: Row, shown: Sequence[Judged], tested: Mapping[str, str]) -> dict
     return {
         "id": row.id,
         "verdict": verdict.value,
-        "detected_s": worst([each.measured.noticed_s for each in shown if not each.shown.within.goes_on]),
+        "detected_s": worst([each.measured.noticed_s for each in shown if must_notice(each)]),
         "reacted_s": worst([reaction(each) for each in shown if each.shown.within.reacted_s is not None]),
         "bound": row.bounds,
         "internal_force_N": worst([each.measured.internal_N for each in shown]),
@@ -89,6 +89,12 @@ def judged(row: Row, shown: Sequence[Judged], tested: Mapping[str, str]) -> dict
         "tests": {node: tested.get(node, "left out") for node in row.tests},
         "runs": [each.document() for each in shown],
     }
+
+
+def must_notice(one: Judged) -> bool:
+    """Whether it counts when somebody noticed: where a bound asks for it, or where somebody did and may."""
+    within = one.shown.within
+    return within.noticed_s is not None or (one.measured.noticed_s is not None and not within.goes_on)
 
 
 def reaction(one: Judged) -> float | None:
