@@ -90,6 +90,12 @@ def test_a_gentle_hold_is_one_of_the_joints(calm: int, rate: float, reach: float
     assert np.abs(q - start()).max() > 0.1, "so that the reach counts"
 
 
+def test_a_joint_beyond_the_reach_is_pulled_as_one_at_it() -> None:
+    agent, q_hold, dq = arm(), start(), np.array([0.2, -0.1, 0.3])
+    terms = torque(agent.model, agent.offline, q_hold + np.array([0.05, -0.3, 0.4]), dq, q_hold, 5.0, 0.1)
+    np.testing.assert_allclose(terms.ddq_ref, -10.0 * dq - 25.0 * np.array([0.05, -0.1, 0.1]))
+
+
 def test_what_was_measured_counts_after_a_long_time_and_not_what_was_expected() -> None:
     cell = load_cell(configs.CELLS_DIR / "paper.toml", ['controller.velocity="observer"'])
     agent = arm(observer=build_agent(cell, cell.arms[0]).observer)
