@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from agent.config.schema.cell import DriverKind
+from agent.host.clock import UNKNOWN
 from agent.host.realtime import RealTime
 from agent.modes import Event, Mode
 from agent.operator.message import Request
@@ -20,6 +21,7 @@ from agent.operator.table import Verb
 from agent.process import agent, operated
 from agent.process.agent import AgentOptions
 from agent.process.build import Connection
+from agent.process.clocked import ClockWatch
 from agent.process.operated import Operator
 from agent.runner import NOT_YET_NS
 from agent.telemetry.ring.ring import RingWriter
@@ -118,6 +120,22 @@ def test_a_start_is_mapped_once_replaced_by_a_later_one_and_taken_back(
     )  # fmt: skip
     assert (second[1].endswith("clock not synchronised"), second[2]) == (True, {})
     assert third == (Level.WARN, "the start has been taken back", {})
+
+
+def test_a_start_tells_the_watch_over_the_clock_what_its_giver_knew(rig: Rig) -> None:
+    rig.operator.clock = ClockWatch(lambda: NOW_NS, rig.operator.hold, 1, lambda: UNKNOWN)
+    rig.control.requests.start = Request(Verb.START, "", OFFSET_NS + 7, clock_bound_s=3e-4)
+    rig.operator.start_ns()
+    assert rig.operator.clock.bound_s == 3e-4
+
+
+def test_what_else_watches_over_the_arm_is_trouble(rig: Rig) -> None:
+    gone = [False]
+    operator = Operator(rig.signals, None, Clock(), rig._tell, drops_on_stop=True, watch=lambda: gone[0])
+    assert operator.events() == Event.NONE
+    gone[0] = True
+    assert operator.events() == Event.TROUBLE
+    assert operator.start_ns() is None
 
 
 def test_why_an_arm_holds_is_answered(rig: Rig) -> None:
