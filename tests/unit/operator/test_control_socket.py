@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import socket
@@ -356,6 +357,25 @@ def test_a_socket_that_somebody_serves_is_left_alone(control: ControlSocket, pat
             listening(path)
         control.poll()
     assert answer_to(control, path, {"verb": "stop"}) == ACCEPTED
+
+
+def test_two_agents_that_begin_at_once_take_a_folder_one_after_the_other(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tried: list[str] = []
+
+    def another_tries(_: Path) -> None:
+        other = os.open(path.parent, os.O_RDONLY)
+        try:
+            fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            tried.append("waits")
+        finally:
+            os.close(other)
+
+    monkeypatch.setattr(control_socket, "_remove_unserved", another_tries)
+    with closing(listening(path)):
+        assert tried == ["waits"]
 
 
 def test_closing_leaves_a_socket_that_has_taken_the_name(path: Path) -> None:
