@@ -388,8 +388,10 @@ def test_closing_leaves_a_socket_that_has_taken_the_name(path: Path) -> None:
 
 def test_somebodys_own_file_is_refused_and_left_alone(path: Path) -> None:
     path.write_text("mine")
-    with pytest.raises(ControlError, match="expected a free name"):
+    with pytest.raises(ControlError, match="found Address already in use, expected a free name"):
         listening(path)
+    with pytest.raises(ControlError, match="found AF_UNIX path too long, expected a free name"):
+        listening(path.parent / ("x" * 150))
     assert path.read_text() == "mine"
 
 
