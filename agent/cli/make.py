@@ -92,13 +92,25 @@ def _asked(
     mass: float | None, size: str | None, motion: MotionName, by: str | None
 ) -> tuple[list[str], float, str, MotionName, str]:
     """Questions with defaults, in the order in which a cell is thought of."""
-    count = typer.prompt("How many arms", 2, type=int)
+    count = typer.prompt("How many arms", 2, value_proc=_count)
     arms = [typer.prompt(f"Arm {i + 1} (MODEL face=... base=..., see -h)", "wx250s") for i in range(count)]
     kg = mass if mass is not None else typer.prompt("Mass of the object, kg", 0.2, type=float)
     sides = size if size is not None else typer.prompt("Its sides x,y,z, m", "0.2,0.1,0.04")
-    kind = MotionName(typer.prompt("Motion (lift, carry, sinusoid)", motion.value))
+    kind = typer.prompt("Motion (lift, carry, sinusoid)", motion.value, value_proc=_moving)
     way = by if by is not None else typer.prompt("How far dx,dy,dz, m", BY[kind.value])
     return arms, kg, sides, kind, way
+
+
+def _count(text: str) -> int:
+    if text not in {"1", "2", "3", "4"}:
+        raise typer.BadParameter("1 to 4")
+    return int(text)
+
+
+def _moving(text: str) -> MotionName:
+    if text not in {name.value for name in MotionName if name is not MotionName.WAYPOINTS}:
+        raise typer.BadParameter("lift, carry or sinusoid; way-points are given with --point")
+    return MotionName(text)
 
 
 def _motion(motion: MotionName, by: str | None, time: float, points: list[str]) -> MotionWish:

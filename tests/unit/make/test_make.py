@@ -200,7 +200,7 @@ def test_it_asks_on_a_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     from agent.cli.main import app
 
     monkeypatch.setattr(make, "_asks", lambda: True)
-    answers = "2\nwx200\nwx200\n0.1\n0.2,0.03,0.03\nlift\n0,0,0.03\n"
+    answers = "9\ntwo\n2\nwx200\nwx200\n0.1\n0.2,0.03,0.03\nfly\nlift\n0,0,0.03\n"
     path = tmp_path / "asked.toml"
     result = CliRunner().invoke(app, ["new", str(path), "--no-tune", "--height", "0.25"], input=answers)
     assert result.exit_code == 0, result.output
