@@ -19,6 +19,7 @@ FACES: Final[dict[str, Vec3]] = {  # outward normals, object axes; the names of 
 NAMES: Final = {"-x": "left", "+x": "right", "+y": "back", "-y": "front"}
 WORDS: Final = ("face", "down", "base", "pose", "share", "name", "inset")
 DOWN_SPATIAL_DEG: Final = 60.0  # of six joints: the hand reaches the side from above; arms in a plane hold level
+QUATERNION_OFF: Final = 1e-2  # a norm this far from 1 is no rounding
 INSET_M: Final = 0.015  # how deep the fingers reach over the face
 
 
@@ -148,6 +149,11 @@ def _arm(model: str, words: dict[str, str], face: str) -> ArmWish:
     base, pose = words.get("base"), words.get("pose")
     x = None if base is None else numbers(base, 4, f"base of {what}", "x,y,z,yaw in m and degrees")
     p = None if pose is None else numbers(pose, 7, f"pose of {what}", "x,y,z,qw,qx,qy,qz in object axes")
+    if p is not None and abs(math.hypot(*p[3:]) - 1.0) > QUATERNION_OFF:
+        raise WishError(
+            f"pose of {what}", found=f"a quaternion of norm {math.hypot(*p[3:]):g}", expected="norm 1, w x y z",
+            remedy="correct it; 1,0,0,0 is not turned",
+        )  # fmt: skip
     return ArmWish(
         words.get("name", NAMES[face]), model, face, down, INSET_M if inset is None else inset,
         None if x is None else (x[0], x[1], x[2], x[3]), p, share,

@@ -107,6 +107,7 @@ def test_what_cannot_be_met_is_named(which: Wish, match: str) -> None:
         (["wx200 down=200"], "down of arm wx200: found 200"),
         (["wx200 base=1,2"], "base of arm wx200: found '1,2'"),
         (["wx200 pose=a"], "pose of arm wx200: found 'a'"),
+        (["wx200 pose=0.1,0,0,0,0,0,0"], "a quaternion of norm 0"),
         (["wx200 share=nan"], "share of arm wx200"),
         (["wx200 face=-x", "wx200 face=-x"], "names that differ"),
     ],
