@@ -78,7 +78,6 @@ class Frozen:
         """See `agent.monitors.tick.Monitor`."""
         terms = at.outcome.terms
         if at.mode is not Mode.TRACK or terms is None or terms.J_inv_P is None:
-            self._last[0] = float("nan")
             return ""
         wanted = terms.J_inv_P.dot(terms.desired.v).tolist()
         pushed = terms.tau_feedback.tolist()

@@ -72,9 +72,9 @@ class Servos:
 
 
 def loads(health: ServoHealth) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    """Present load of each servo (m,) as a share of its stall: by its current where it senses one."""
-    by_current = np.abs(health.current_A) / health.stall_current_A
-    return np.where(np.isfinite(by_current), by_current, np.abs(health.load))
+    """Present load of each servo (m,) as a signed share of its stall: by its current where it senses one."""
+    by_current = health.current_A / health.stall_current_A
+    return np.where(np.isfinite(by_current), by_current, health.load)
 
 
 def _title(health: ServoHealth, place: int) -> str:

@@ -26,8 +26,8 @@ def servos(run: Prepared, arm: RunArm) -> Figure:
     )
     for ax, values, label in shown:
         for i, servo in enumerate(table.servo_id):
-            color, style = CYCLE[i % len(CYCLE)], STYLES[i // len(CYCLE) % len(STYLES)]
-            ax.plot(table.t, values[:, i], label=str(servo), linewidth=0.9, color=color, linestyle=style)
+            colour, style = CYCLE[i % len(CYCLE)], STYLES[i // len(CYCLE) % len(STYLES)]
+            ax.plot(table.t, values[:, i], label=str(servo), linewidth=0.9, color=colour, linestyle=style)
         ax.set_ylabel(label)
     limits(axes[0], table.temperature_limit_C, RED)
     limits(axes[1], table.voltage_min_V, RED)

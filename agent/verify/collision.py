@@ -279,7 +279,7 @@ def _left_out(scene: Scene, i: int, name: str) -> Iterator[Finding]:
 def _places(paths: Sequence[Sequence[Vector]], instants: Sequence[float]) -> tuple[list[float], list[list[Vector]]]:
     """Times and joint angles along the way: the given places and one between each two, thinned where they are many."""
     every = max(1, math.ceil(2 * len(instants) / PLACES_MAX))
-    kept = list(range(0, len(instants), every))
+    kept = sorted({*range(0, len(instants), every), len(instants) - 1})
     times, along = [], []
     for k, after in itertools.zip_longest(kept, kept[1:]):
         here = [path[k] for path in paths]

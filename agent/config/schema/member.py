@@ -58,7 +58,7 @@ class Arm(Strict):
 
     name: Name
     """Name of the arm in topics, logs and commands."""
-    host: Annotated[str, Field(pattern=r"^[A-Za-z0-9]([A-Za-z0-9.-]{0,251}[A-Za-z0-9])?$")] | None = None
+    host: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9.-]{0,252}$")] | None = None
     """Host whose agent this is; none: any host on which it is started."""
     model: FileStem
     """Arm model; where there is no `arm_file`, its figures are those that ship."""

@@ -86,6 +86,15 @@ def test_a_log_carries_it_and_replays_and_shows_it(folder: Path, with_urdf: bool
     assert log.attachments["wx200.urdf"] == URDF.encode()
 
 
+def test_what_ships_keeps_its_name_in_a_log_whichever_arm_has_its_own(folder: Path) -> None:
+    (folder / "arms/wx200.urdf").write_text(URDF.replace('<mass value="0.540142"/>', '<mass value="0.5"/>'))
+    (folder / "right.toml").write_text(CELL)
+    cell = load_cell(folder / "right.toml", ['arms.right.arm_file="arms/left.toml"'])
+    files = attachments(cell, b"{}")
+    assert (files["wx200.toml"], files["wx200.urdf"]) == (ARM.encode(), URDF.encode())
+    assert recorded_cell(log_of(cell)).fingerprint == cell.fingerprint
+
+
 def test_an_override_names_one_too(folder: Path) -> None:
     cell = load_cell(folder / "cell.toml", ['arms.right.arm_file="arms/left.toml"'])
     assert coulomb(cell) == [0.31, 0.31]

@@ -78,6 +78,8 @@ class Fed:
     flags: Flag = Flag.NONE
     up_m: float = 0.0  # the object, beside where it is
     feedback: float = 0.0  # of the second joint
+    up_m_per_s: float = 0.2  # what the motion asks for
+    still_from: int = 0  # tick from which on, pushed by feedback, the second joint reads the same
     told: Callable[[int], ServoHealth] = lambda _: health()
 
     def run(self, b: Bounds, tell: Callable[[str], None] = lambda _: None) -> str:
@@ -90,12 +92,13 @@ class Fed:
         joints = outcome.terms.joints.copy()
         terms = outcome.terms._replace(kinematics=k._replace(p_object=(x, y, z + self.up_m)), joints=joints)
         terms.tau_feedback[:] = [0.0, self.feedback, 0.0]
-        terms = terms._replace(desired=terms.desired._replace(v=(0.0, 0.0, 0.2, 0.0, 0.0, 0.0)))
+        terms = terms._replace(desired=terms.desired._replace(v=(0.0, 0.0, self.up_m_per_s, 0.0, 0.0, 0.0)))
         tau = outcome.tau.copy()
         if self.tau is not None:
             tau[2] = self.tau
         for tick in range(self.ticks):
-            q = state.q + np.array([self.q, 1e-4 * (tick % 2) if self.feedback == 0.0 else 0.0, 0.0])
+            reads = 1e-4 * (tick % 2) if self.feedback == 0.0 or tick < self.still_from else 0.0
+            q = state.q + np.array([self.q, reads, 0.0])
             dq = np.array([0.0, self.dq, self.turn])
             seen = replace(state, q=q, tau=state.tau + np.array([self.measured, 0.0, 0.0]), stamp_ns=tick * 5_000_000)
             shown = outcome._replace(terms=terms, tau=tau, dq=dq, flags=self.flags)
@@ -170,6 +173,7 @@ WITHIN = {
     "rate_limited": Fed(flags=Flag.RATE_LIMITED, ticks=50),
     "frozen, held by friction": Fed(feedback=usual().frozen_Nm[1] - JUST, ticks=60),
     "frozen, for a moment": Fed(feedback=5.0, ticks=9),
+    "frozen, asked for little since": Fed(feedback=5.0, ticks=415, still_from=400, up_m_per_s=0.02),
     "frozen, while nothing is asked": Fed(feedback=5.0, ticks=60, mode=Mode.READY),
     "load": Fed(tau=0.44 * 4.1, ticks=12_000),
     "gravity, one window": Fed(mode=Mode.READY, measured=2.0, ticks=WINDOWS_TICKS - 1),
@@ -211,6 +215,41 @@ def test_load_is_that_of_half_a_minute() -> None:
     after_s = 30.0 * np.log(0.25 / (0.25 - 0.45**2))
     assert Fed(tau=2.05, ticks=round(200 * after_s * 0.97)).run(b) == ""
     assert Fed(tau=2.05, ticks=round(200 * after_s * 1.03)).run(b) != ""
+
+
+def test_servo_load_is_that_of_half_a_minute_too() -> None:
+    b = replace(usual(), watched=frozenset({Name.SERVO_LOAD}))
+    after_s = 30.0 * np.log(0.25 / (0.25 - 0.45**2))
+    for share, trips in ((0.97, False), (1.03, True)):
+        fed = Fed(told=lambda tick: loaded(tick, 1.15), ticks=round(200 * after_s * share))
+        assert bool(fed.run(b)) == trips
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("component", [0, 2, 4])
+def test_weight_is_judged_by_each_component_in_both_directions(component: int, sign: float) -> None:
+    state, outcome = at_rest()
+    assert outcome.terms is not None
+    joints = outcome.terms.joints.copy()
+    internal = outcome.terms._replace(joints=joints)
+    internal.tau_internal[:] = [3.0, -2.0, 1.0]
+    wrench = np.zeros(6)
+    wrench[component] = sign * usual().gravity[component]
+    for share, trips in ((0.95, False), (1.05, True)):
+        tau = state.tau + outcome.terms.kinematics.Jt @ (share * wrench) + internal.tau_internal
+        watch = Watch(replace(usual(), watched=frozenset({Name.GRAVITY})))
+        shown = replace(state, tau=tau), outcome._replace(terms=internal)
+        said = [watch.after(*shown, Mode.READY, health) for _ in range(WINDOWS_TICKS)][-1]
+        assert bool(said) == trips
+        what = ("N along x", "", "N along z", "", "N·m about y")[component]
+        assert not trips or what in said
+
+
+def test_limited_ticks_that_are_long_past_count_no_more() -> None:
+    watch, (state, outcome) = Watch(usual()), at_rest()
+    for tick in range(1_000):
+        flags = Flag.SATURATED if tick % 150 < 40 else Flag.NONE
+        assert watch.after(state, outcome._replace(flags=flags), Mode.TRACK, health) == ""
 
 
 def test_limited_ticks_are_those_of_the_last_hundred() -> None:

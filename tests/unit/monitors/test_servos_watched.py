@@ -89,7 +89,7 @@ def test_a_hold_of_a_monitor_is_replayed_from_the_rows_alone() -> None:
     for row in run.rows:
         read = (row[name][:3].copy() for name in ("q_measured", "dq_measured", "tau_measured"))
         state = JointState(int(row["stamp_ns"]), *read)
-        _, outcome = chain.pass_row(state, float(row["t"]), Mode(int(row["mode"])), fresh=True)
+        _, outcome = chain.pass_row(state, float(row["t"]), Mode(int(row["mode"])), int(row["flags"]))
         assert outcome.tau.tobytes() == row["tau_limited"][:3].tobytes()
 
 

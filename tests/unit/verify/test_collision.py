@@ -13,7 +13,7 @@ import configs
 from agent.config.cell import Cell, ConfigError, load_cell, placement
 from agent.config.solids import body_of
 from agent.verify.check import examine, start_configurations
-from agent.verify.collision import Scene, Way, collisions
+from agent.verify.collision import Scene, Way, _places, collisions
 from agent.verify.finding import Finding, Verdict
 
 WX200 = (configs.ARMS_DIR / "wx200.urdf").read_text()
@@ -189,3 +189,15 @@ def test_shapes_come_from_the_urdf_alone(change: Callable[[str], str], solids: i
 def test_a_shape_that_cannot_be_read_is_refused(was: str, now: str) -> None:
     with pytest.raises(ConfigError, match=r"of link base_link in mine.urdf: found"):
         body_of(WX200.replace(was, now, 1), "mine.urdf")
+
+
+def test_between_two_places_a_third_is_looked_at_and_many_are_thinned() -> None:
+    path = [np.array([0.0, 1.0]), np.array([2.0, 5.0]), np.array([4.0, 5.0])]
+    times, along = _places([path], [0.0, 1.0, 3.0])
+    assert times == [0.0, 0.5, 1.0, 2.0, 3.0]
+    assert along[1][0].tolist() == [1.0, 3.0]
+    assert along[4][0].tolist() == [4.0, 5.0]
+    times, along = _places([[np.zeros(2)] * 1001], [float(k) for k in range(1001)])
+    assert len(times) == len(along) < 200
+    assert times[0] == 0.0
+    assert times[-1] == 1000.0
