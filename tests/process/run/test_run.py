@@ -182,7 +182,6 @@ def test_only_what_no_network_reaches_gives_up_its_random_layout(stopped: Stoppe
     assert stopped.fixed_layout == expected
 
 
-@pytest.mark.fault("P1")
 def test_a_killed_agent_is_named_and_the_log_is_readable(nothing_left: Path) -> None:
     run = start("run", PAPER, "--duration", "1000", "--out", str(nothing_left / "out"), cwd=nothing_left)
     wait_for_rows(nothing_left / "out", run)

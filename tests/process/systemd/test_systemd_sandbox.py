@@ -110,7 +110,6 @@ def test_the_recorder_writes_logs_and_knows_no_ring(machine: Machine) -> None:
     assert found["AF_INET"] == "ok"
 
 
-@pytest.mark.fault("P2")
 def test_a_hanging_agent_is_ended_named_and_not_started_again(machine: Machine) -> None:
     unit = "coop-agent@hang.service"
     machine.wait_for(unit, "ActiveState", "failed")

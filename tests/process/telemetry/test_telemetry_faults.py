@@ -120,7 +120,6 @@ def test_telemetry_that_is_killed_and_started_again_leaves_no_gap(folder: Path) 
     assert [e.text for e in log.events] == ["mode READY → TRACK"]
 
 
-@pytest.mark.fault("P1")
 def test_a_killed_agent_leaves_its_last_rows_in_the_log(folder: Path) -> None:
     with one_arm(folder, 100_000) as (rec, tel, agent, _):
         wait_for(lambda: written(folder / "left.ring") > 200)
@@ -197,7 +196,6 @@ def test_a_stop_in_the_middle_finishes_the_file_and_says_that_it_is_not_whole(fo
     assert log.agents["left"].tobytes() == prefix(len(log.agents["left"]), 100_000)
 
 
-@pytest.mark.fault("N6")
 def test_an_arm_that_never_published_makes_the_log_incomplete(folder: Path) -> None:
     ring = folder / "left.ring"
     with recorder(folder / "run.mcap") as rec:
