@@ -72,8 +72,22 @@ class RunSummary:
     tracked_s: float  # of the wall clock, from the first to the last tick of the trajectory
 
 
+@dataclass(frozen=True)
+class Beginning:
+    """Where a loop begins that goes on with an arm on which another one has commanded torque."""
+
+    mode: Mode
+    memory: Memory
+    zero_ns: int  # of the trajectory
+    rows: int  # that there are already
+    reason: str  # of the hold
+
+
 class Runner:
-    """The loop of one arm on an enabled driver."""
+    """The loop of one arm on an enabled driver.
+
+    beginning: None for a loop that is the arm's first.
+    """
 
     def __init__(
         self,
@@ -84,6 +98,7 @@ class Runner:
         row: AgentRow,
         sink: LoopLog,
         around: Surroundings,
+        beginning: Beginning | None = None,
     ) -> None:
         self._agent = agent
         self._driver = driver
@@ -106,6 +121,9 @@ class Runner:
         self._zero_ns = self._phase_ns + (schedule.ready_ns if schedule.lockstep else NOT_YET_NS)
         self._tracking_since_ns: int | None = None
         self._tracked_s = 0.0
+        if beginning is not None:
+            self._mode, self._memory, self._zero_ns = beginning.mode, beginning.memory, beginning.zero_ns
+            self._rows, self._reason = beginning.rows, beginning.reason
 
     def run(self) -> RunSummary:
         """Run until the last tick, a release or a fault; leaves the torque as it is."""

@@ -12,8 +12,10 @@ from agent.config.schema.cell import DriverKind
 from agent.config.servo_map import arm_map
 from drivers.clock import MonotonicClock
 from drivers.dynamixel.driver import DynamixelDriver
-from drivers.dynamixel.events import DriverEvent
+from drivers.dynamixel.events import DriverEvent, EventSink
+from drivers.dynamixel.line.port import SerialPort
 from drivers.dynamixel.pace import SHARE as READ_SHARE
+from drivers.dynamixel.standby import StandbyDriver
 from drivers.interface import Clock, ConnectError, Driver, Vector
 from sim_backend.served.driver import SimDriver
 
@@ -32,9 +34,18 @@ class Connection:
 
 
 def build_driver(
-    cell: Cell, arm: Arm, kind: DriverKind, connection: Connection, q_start: Vector, warn: Callable[[str], None]
+    cell: Cell,
+    arm: Arm,
+    kind: DriverKind,
+    connection: Connection,
+    q_start: Vector,
+    warn: Callable[[str], None],
+    borrow: Callable[[], int] | None = None,
 ) -> tuple[Driver, Clock]:
-    """Driver of the arm and its clock; warn is told what the driver notices.  Raises ConnectError."""
+    """Driver of the arm and its clock; warn is told what the driver notices.  Raises ConnectError.
+
+    borrow: gives the serial port, opened by a guard (`drivers.dynamixel.line.port.SerialPort`).
+    """
     if kind is DriverKind.SIM:
         if connection.plant_socket is None:
             raise ConnectError(
@@ -43,18 +54,35 @@ def build_driver(
             )  # fmt: skip
         sim = SimDriver(connection.plant_socket, arm.name, tuple(arm.entry.controlled), cell.config_id)
         return sim, sim.clock
+    clock = MonotonicClock()
+    servos = arm_map(cell, arm, port_of(arm, connection), q_start)
+    port = SerialPort(servos.port, servos.baud, clock, borrow)
+    # emulated servos share the processor with everything else: a slow read there says nothing of a bus
+    share = EMULATED_READ_SHARE if connection.emulated else READ_SHARE
+    return DynamixelDriver(servos, clock, on_event=_in_words(warn), read_share=share, port=port), clock
+
+
+def build_standby(
+    cell: Cell, arm: Arm, port: SerialPort, clock: Clock, q_start: Vector, warn: Callable[[str], None]
+) -> StandbyDriver:
+    """Driver of a guard on the port that it has opened; the rest as `build_driver`."""
+    return StandbyDriver(arm_map(cell, arm, port.path, q_start), clock, on_event=_in_words(warn), port=port)
+
+
+def port_of(arm: Arm, connection: Connection) -> str:
+    """Path of the arm's serial port.  Raises ConnectError where neither cell nor command line names one."""
     port = connection.port or (arm.entry.dynamixel.port if arm.entry.dynamixel is not None else None)
     if port is None:
         raise ConnectError(
             f"port of arm {arm.name}", found="none in the cell file", expected="dynamixel = { port = ... }",
             remedy="add it to the arm, or give --port",
         )  # fmt: skip
+    return port
 
+
+def _in_words(warn: Callable[[str], None]) -> EventSink:
     def tell(event: DriverEvent) -> None:
         where = "" if event.servo_id is None else f" (servo {event.servo_id}, {event.joint})"
         warn(f"{event.kind.value}{where}: {event.text}")
 
-    clock = MonotonicClock()
-    # emulated servos share the processor with everything else: a slow read there says nothing of a bus
-    share = EMULATED_READ_SHARE if connection.emulated else READ_SHARE
-    return DynamixelDriver(arm_map(cell, arm, port, q_start), clock, on_event=tell, read_share=share), clock
+    return tell

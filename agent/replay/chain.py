@@ -52,6 +52,10 @@ class Chain:
         self._memory, self._mode, self._outcome = outcome.memory, mode, outcome
         return memory, outcome
 
+    def holding(self) -> Memory:
+        """The memory with which a hold begins behind the last row."""
+        return self._entered(Mode.HOLD, None)
+
     def _entered(self, mode: Mode, q: Vector | None) -> Memory:
         """The memory with which a row of this mode begins; q: measured, None without a fresh state."""
         if self._memory is None:

@@ -217,6 +217,11 @@ class DynamixelDriver:
             )
         return running
 
+    @property
+    def found(self) -> Sequence[ServoFound]:
+        """The servos as `connect` read them."""
+        return self._found
+
     # --- the cycle ------------------------------------------------------------------------------------------------
 
     def read(self) -> JointState:
