@@ -20,6 +20,7 @@ from drivers.interface import Vector
 
 ROWS = 64  # how far back a fresh state is looked for
 COMMANDING = (Mode.READY, Mode.TRACK, Mode.HOLD, Mode.LOWER)
+SAME_NM = 1e-3  # between what a row says was sent and what a servo says it holds
 GAP_PERIODS = 2  # a longer one is more than the observer bridges: it begins anew
 
 
@@ -50,13 +51,20 @@ def _last_fresh(rows: Rows) -> int | None:
     return None
 
 
-def from_torque(begun: Beginning, tau_held: Vector) -> Beginning:
+def last_speed(rows: Rows, n: int) -> Vector:
+    """Measured joint speeds of the last fresh row, (n,) rad/s; zero without one."""
+    place = _last_fresh(rows)
+    return np.zeros(n) if place is None else rows["dq_measured"][place, :n].copy()
+
+
+def from_torque(begun: Beginning, rows: Rows, tau_held: Vector) -> Beginning:
     """The same, with its first step counted from the torque (n,) that the servos hold; NaN where that is not known.
 
-    The two differ where the agent died between its last write and the row of it, and where it had none.
+    It is another one where the agent died between its last write and the row of it, and where it wrote without a row.
     """
-    known = np.isfinite(tau_held)
-    memory = begun.memory
+    memory, place = begun.memory, _last_fresh(rows)
+    sent = np.full(len(tau_held), np.nan) if place is None else rows["tau_sent"][place, : len(tau_held)]
+    known = np.isfinite(tau_held) & ~(np.abs(tau_held - sent) <= SAME_NM)
     return replace(begun, memory=memory._replace(tau=np.where(known, tau_held, memory.tau)))
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from agent.config.cell import Cell
 from agent.config.schema.cell import DriverKind
+from agent.guard.guarded import Guarded
 from agent.host.notify import Notifier
 from agent.host.realtime import become_realtime, quiet_memory
 from agent.host.signals import StopFlag
@@ -27,10 +28,13 @@ from agent.telemetry.row.sample import AGENT_STATE
 from agent.verify.check import examine
 from drivers.clock import utc_offset_ns
 from drivers.dynamixel.arm_map import WATCHDOG_S
+from drivers.dynamixel.driver import DynamixelDriver
+from drivers.dynamixel.standby import Handover
 from drivers.interface import Clock, Driver, DriverError, Refusal
 
 HEARTBEAT_S = 0.02
 HEALTH_S = 1.0
+UNGUARDED = "no guard: when this process dies, the arm falls limp as soon as its servos' watchdog fires"
 STALE_TO_HOLD = 3  # cycles
 EMULATED_PATIENCE_S = 0.5
 
@@ -47,6 +51,7 @@ class AgentOptions:
     lockstep: bool
     hold: bool  # at a stop and at the end hold the object until it is released
     priority: int | None = None  # SCHED_FIFO; None: leave the scheduler alone
+    guard: Path | None = None  # socket of the arm's guard; None: nobody goes on when this process cannot
 
 
 _STATUS = {
@@ -85,8 +90,12 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             stack.callback(control.close)
         ready(f"ring={options.ring}")
         tell = _Teller(arm.name, texts)
+        guard = Guarded(options.guard, cell.fingerprint) if options.guard else None
+        if guard is None and not options.lockstep:
+            tell.event(Level.WARN, UNGUARDED)
         q_start = report.q_start[cell.arms.index(arm)]
-        driver, clock = build_driver(cell, arm, options.driver, options.connection, q_start, tell.warn)
+        borrow = guard.borrow if guard else None
+        driver, clock = build_driver(cell, arm, options.driver, options.connection, q_start, tell.warn, borrow)
         try:
             info = driver.connect()
             tell.clock = clock  # from here on it has the run's time
@@ -97,17 +106,27 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             notifier.ready(_STATUS[Mode.READY])
             tell.event(Level.INFO, f"torque on: {info.description}", priority=options.priority or 0)
             ready("torque=on")
+            if guard is not None and isinstance(driver, DynamixelDriver):
+                servos_found = Handover.of(driver).servos
+                guard.watch((ring.fileno(), texts.fileno()), tell.event, ring=str(options.ring), servos=servos_found)
             servos = _Servos(driver, texts, clock.utc_offset_ns, max(1, round(HEALTH_S * cell.file.rate_hz)))
-            operator = _Operator(stop, control, options)
+            operator = _Operator(stop, control, options, guard)
             runner = _runner(cell, options, driver, clock, ring, operator, notifier, servos, tell)
             cpu_s = time.process_time()
-            summary = runner.run()
+            try:
+                summary = runner.run()
+            except BaseException as error:
+                if guard is not None:
+                    guard.give_up(error)
+                raise
             tell.end(summary, time.process_time() - cpu_s)
         except Refusal as error:
             tell.event(Level.ERROR, str(error))
             raise
         finally:
             driver.disable()
+            if guard is not None:
+                guard.leave()
             driver.close()
             notifier.stopping("torque off")
     if summary.mode is Mode.FAULT:
@@ -162,9 +181,12 @@ class _Operator:
     Where nothing can fall (simulation), a stop also releases the object; on real arms a stop holds it.
     """
 
-    def __init__(self, stop: StopFlag, control: ControlSocket | None, options: AgentOptions) -> None:
+    def __init__(
+        self, stop: StopFlag, control: ControlSocket | None, options: AgentOptions, guard: Guarded | None = None
+    ) -> None:
         self._stop = stop
         self._control = control
+        self._guard = guard
         self._drops_on_stop = not options.hold
         self._start_ns: int | None = None
 
@@ -178,6 +200,8 @@ class _Operator:
             stopped, released = stopped or requests.stopped, released or requests.released
             requests.released = False
         happened = Event.STOP if stopped else Event.NONE
+        if self._guard is not None and self._guard.poll():
+            happened |= Event.TROUBLE
         if released or (stopped and self._drops_on_stop):
             happened |= Event.RELEASED
         return happened

@@ -1,0 +1,30 @@
+"""From an agent that is gone to a loop in HOLD: what its guard does, in this order, on any clock."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from agent.guard.resume import after_gap, beginning, from_torque, last_speed
+from agent.loop import Agent
+from agent.replay.rows import Rows
+from agent.runner import Beginning
+from drivers.interface import Clock, Vector
+
+WATCH_NS = 2_000_000  # between two looks at the agent
+STALE_NS = 20_000_000  # without a row, after which it is ended: it hangs
+EMULATED_STALE_NS = 100_000_000  # where everything shares a processor; before the servos' own watchdog all the same
+
+
+class Adopts(Protocol):
+    """What a guard needs of its driver before the loop: `drivers.dynamixel.standby.StandbyDriver` is one."""
+
+    def adopt(self, dq: Vector) -> Vector:
+        """Take the arm over as it is; the joint torques (n,) that it holds."""
+        ...
+
+
+def go_on(agent: Agent, driver: Adopts, clock: Clock, rows: Rows, period_ns: int, reason: str) -> Beginning:
+    """Where the loop begins; rows: the last ones of the agent, which is dead.  Raises what `adopt` does."""
+    begun = beginning(agent, rows, reason)
+    held = driver.adopt(last_speed(rows, agent.model.n))
+    return after_gap(from_torque(begun, rows, held), rows, clock.now_ns(), period_ns)
