@@ -6,6 +6,7 @@ The agent says: give me the port; watch me; I am busy for a moment; I leave; go 
 
 from __future__ import annotations
 
+import array
 import contextlib
 import json
 import os
@@ -21,6 +22,7 @@ from drivers.interface import Refusal
 
 MAX_BYTES = 1 << 16
 MAX_FDS = 4
+REFUSED_MAX = 4
 REPLY_S = 2.0
 _CREDENTIALS = struct.Struct("3i")  # pid, uid, gid
 
@@ -82,10 +84,11 @@ class AgentEnd:
 
     def ask(self, word: Word, fds: Sequence[int] = (), **content: Any) -> tuple[int, ...]:
         """Say a word and wait for the answer; the descriptors that came with it.  Raises GuardError."""
-        self.say(word, fds, **content)
+        with contextlib.suppress(GuardError):  # who is refused at the door is told so, and then cannot say it
+            self.say(word, fds, **content)
         self._socket.settimeout(REPLY_S)
         try:
-            data, got, _, _ = socket.recv_fds(self._socket, MAX_BYTES, MAX_FDS, socket.MSG_CMSG_CLOEXEC)
+            data, got = _received(self._socket)
             answer = json.loads(data)
         except (OSError, ValueError) as error:
             raise self._silent(word) from error
@@ -94,7 +97,7 @@ class AgentEnd:
         if not answer.pop("ok", False):
             close_all(got)
             raise GuardError(f"the guard at {self._path} refuses {word.value!r}", **answer)
-        return tuple(got)
+        return got
 
     def say(self, word: Word, fds: Sequence[int] = (), **content: Any) -> None:
         """Say a word and go on; its answer is for `heard`.  Raises GuardError when it cannot be said."""
@@ -139,6 +142,7 @@ class GuardEnd:
         self._path = path
         self._fingerprint = fingerprint
         self._agent: socket.socket | None = None
+        self._refused: list[socket.socket] = []
         self._listening = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_CLOEXEC)
         self._listening.setblocking(False)
         try:
@@ -149,6 +153,9 @@ class GuardEnd:
             self._listening.bind(str(path))
             path.chmod(0o600)
             self._listening.listen(2)
+        except GuardError:
+            self._listening.close()
+            raise
         except OSError as error:
             self._listening.close()
             raise GuardError(
@@ -174,19 +181,21 @@ class GuardEnd:
     def hear(self) -> Said | None:
         """The next word of the agent, None while there is none.  Never blocks; strangers are told why not."""
         self._accept()
+        if self._refused:
+            self._drop_refused()
         agent = self._agent
         if agent is None:
             return None
         try:
-            data, fds, _, _ = socket.recv_fds(agent, MAX_BYTES, MAX_FDS, socket.MSG_DONTWAIT | socket.MSG_CMSG_CLOEXEC)
+            data, fds = _received(agent)
         except BlockingIOError:
             return None
         except OSError:
-            data, fds = b"", []
+            data, fds = b"", ()
         if not data:
             self.hang_up()
             return None
-        said = _understood(data, tuple(fds), self._fingerprint)
+        said = _understood(data, fds, self._fingerprint)
         if isinstance(said, Said):
             return said
         close_all(fds)
@@ -210,6 +219,8 @@ class GuardEnd:
     def close(self) -> None:
         """Remove the socket.  Safe twice."""
         self.hang_up()
+        for caller in self._refused:
+            caller.close()
         if self._listening.fileno() >= 0:
             self._listening.close()
             self._path.unlink(missing_ok=True)
@@ -228,7 +239,21 @@ class GuardEnd:
         refused = {"ok": False, "found": found, "expected": f"one agent, of user {os.getuid()}", "remedy": "stop one"}
         with contextlib.suppress(OSError):
             caller.send(json.dumps(refused).encode(), socket.MSG_DONTWAIT)
-        caller.close()
+        caller.setblocking(False)
+        self._refused.append(caller)
+
+    def _drop_refused(self) -> None:
+        """Close who was refused once it hangs up: earlier, what it still says would hide from it why."""
+        for caller in list(self._refused):
+            data = b""
+            with contextlib.suppress(ConnectionError):
+                try:
+                    data = caller.recv(MAX_BYTES)
+                except BlockingIOError:
+                    data = b"silent"
+            if not data or len(self._refused) > REFUSED_MAX:
+                caller.close()
+                self._refused.remove(caller)
 
     def _reply(self, answer: Mapping[str, Any], fds: Sequence[int] = ()) -> None:
         if self._agent is None:
@@ -237,6 +262,16 @@ class GuardEnd:
             socket.send_fds(self._agent, [json.dumps(answer).encode()], list(fds), socket.MSG_DONTWAIT)
         except OSError:  # it does not listen: its process or its rows will tell
             return
+
+
+def _received(end: socket.socket) -> tuple[bytes, tuple[int, ...]]:
+    """One message and its descriptors, none of them for a program that is started later (`recv_fds` forgets that)."""
+    fds = array.array("i")
+    data, others, _, _ = end.recvmsg(MAX_BYTES, socket.CMSG_LEN(MAX_FDS * fds.itemsize), socket.MSG_CMSG_CLOEXEC)
+    for level, kind, content in others:
+        if (level, kind) == (socket.SOL_SOCKET, socket.SCM_RIGHTS):
+            fds.frombytes(content[: len(content) - len(content) % fds.itemsize])
+    return data, tuple(fds)
 
 
 def _understood(data: bytes, fds: tuple[int, ...], fingerprint: str) -> Said | dict[str, Any]:
