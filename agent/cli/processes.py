@@ -74,6 +74,7 @@ def guard(
     arm: ArmName,
     socket: Annotated[Path | None, typer.Option(help="Socket for the agent (its --guard).")] = None,
     control: Annotated[Path | None, typer.Option(help="Socket for stop and release, once the agent is gone.")] = None,
+    driver: Annotated[DriverName | None, typer.Option(help="Instead of the cell's driver.")] = None,
     port: Annotated[str | None, typer.Option(help="Serial port, instead of the cell's.")] = None,
     post_mortem: Annotated[Path, typer.Option(help="Folder for the log of what went before.")] = Path("runs"),
     hold: Annotated[bool | None, typer.Option(help="At a stop go on holding until released.")] = None,
@@ -91,17 +92,18 @@ def guard(
 
     requested = begin(with_parent)
     loaded = load_cell(cell)
+    kind = DriverKind(driver.value) if driver is not None else loaded.file.driver
     name = loaded.file.name
     if socket is None or control is None:
         make_runtime_dir(name)
     options = AgentOptions(
         arm=arm,
-        driver=DriverKind.DYNAMIXEL,
+        driver=kind,
         connection=Connection(port=port, emulated=emulated),
         ring=ring_path(name, arm),
         control=control or control_path(name, arm),
         lockstep=False,
-        hold=hold if hold is not None else not emulated,
+        hold=hold if hold is not None else kind is DriverKind.DYNAMIXEL and not emulated,
         priority=priority,
     )
     summary = run_guard(

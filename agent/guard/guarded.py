@@ -13,8 +13,10 @@ from agent.guard.line import AgentEnd, GuardError, Word
 from agent.telemetry.row.event import Level
 from drivers.interface import Refusal
 
+HAND_OVER_AFTER = 100  # cycles of a hold, so that the object is at rest
 AGAIN_AFTER = 50  # cycles between two attempts to reach a guard that is gone
 CRASHED = 1  # exit code of a process that ends by an error that is no Refusal
+UNGUARDED = "no guard: when this process dies, the arm falls limp as soon as its servos' watchdog fires"
 Tell = Callable[[Level, str], None]
 
 
@@ -31,6 +33,7 @@ class Guarded:
         self._borrowed = 0
         self._cycles = 0
         self._asked_back = False
+        self._ending = 0
 
     @property
     def there(self) -> bool:
@@ -63,8 +66,15 @@ class Guarded:
         if self._end is not None:
             self._say(Word.BUSY, for_s=for_s)
 
-    def poll(self) -> bool:
-        """Whether the guard has been found gone in this cycle; looks for a new one later."""
+    def poll(self, *, ending: bool = False) -> bool:
+        """Whether the guard has been found gone in this cycle; looks for a new one later.
+
+        ending: this process was asked to end, and holds: some cycles later the guard goes on, and this does not return.
+        """
+        if ending:
+            self._ending += 1
+            if self._ending >= HAND_OVER_AFTER:
+                self._hand_over()
         if self._end is None:
             self._cycles += 1
             if self._cycles % AGAIN_AFTER == 0:
@@ -103,7 +113,7 @@ class Guarded:
         traceback.print_exception(error)
         self._end_process(error.exit_code if isinstance(error, Refusal) else CRASHED)
 
-    def hand_over(self) -> None:
+    def _hand_over(self) -> None:
         """The object is held, and this process was asked to end: the guard goes on.  Returns where there is none."""
         if self.there and self._say(Word.TAKE):
             self._tell(Level.INFO, "hands the arm to the guard, as it was asked to end")

@@ -13,7 +13,7 @@ import numpy as np
 from agent.loop import Agent, initial_memory
 from agent.modes import Mode
 from agent.replay.chain import Chain
-from agent.replay.rows import Rows, is_fresh, mode_of, state_at
+from agent.replay.tick import Rows, is_fresh, mode_of, state_at
 from agent.runner import Beginning
 from agent.safety import Flag
 from drivers.interface import Vector

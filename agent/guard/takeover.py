@@ -6,7 +6,7 @@ from typing import Protocol
 
 from agent.guard.resume import after_gap, beginning, from_torque, last_speed
 from agent.loop import Agent
-from agent.replay.rows import Rows
+from agent.replay.tick import Rows
 from agent.runner import Beginning
 from drivers.interface import Clock, Vector
 

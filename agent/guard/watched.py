@@ -15,7 +15,7 @@ import numpy as np
 from agent.guard.line import GuardError, Said
 from agent.guard.resume import ROWS
 from agent.guard.vigil import Vigil
-from agent.replay.rows import Rows
+from agent.replay.tick import Rows
 from agent.telemetry.ring.ring import RingReader, RingWriter
 from agent.telemetry.ring.texts import TextWriter
 from agent.telemetry.row.sample import AGENT_STATE
@@ -39,14 +39,14 @@ class Watched:
 
     @classmethod
     def of(cls, said: Said, vigil: Vigil) -> Watched:
-        """From its word `watch`.  Raises GuardError, RingError; the descriptors are then closed."""
-        if len(said.fds) != DESCRIPTORS:
+        """From its word `watch`, whose first descriptors are taken.  Raises GuardError, RingError, and closes them."""
+        if len(said.fds) < DESCRIPTORS:
             said.drop()
             raise GuardError(
                 "word 'watch'", found=f"{len(said.fds)} descriptors", expected="process, ring and texts",
                 remedy="start agent and guard from one release",
             )  # fmt: skip
-        pidfd, ring, texts = said.fds
+        pidfd, ring, texts = said.fds[:DESCRIPTORS]
         with contextlib.ExitStack() as undo:
             undo.callback(os.close, pidfd)
             undo.callback(os.close, texts)

@@ -10,13 +10,13 @@ from pathlib import Path
 
 from agent.config.cell import Cell
 from agent.config.schema.cell import DriverKind
-from agent.guard.guarded import Guarded
+from agent.guard.guarded import UNGUARDED, Guarded
 from agent.host.notify import Notifier
 from agent.host.realtime import become_realtime, quiet_memory
 from agent.host.signals import StopFlag
 from agent.modes import Event, Mode
 from agent.operator.socket import ControlSocket
-from agent.process.build import Connection, build_agent, build_driver
+from agent.process.build import Connection, build_agent, build_driver, passed_on
 from agent.runner import Runner, RunSummary, Schedule, Surroundings
 from agent.telemetry.ring.ring import RingWriter
 from agent.telemetry.ring.texts import TextWriter
@@ -28,13 +28,10 @@ from agent.telemetry.row.sample import AGENT_STATE
 from agent.verify.check import examine
 from drivers.clock import utc_offset_ns
 from drivers.dynamixel.arm_map import WATCHDOG_S
-from drivers.dynamixel.driver import DynamixelDriver
-from drivers.dynamixel.standby import Handover
 from drivers.interface import Clock, Driver, DriverError, Refusal
 
 HEARTBEAT_S = 0.02
 HEALTH_S = 1.0
-UNGUARDED = "no guard: when this process dies, the arm falls limp as soon as its servos' watchdog fires"
 STALE_TO_HOLD = 3  # cycles
 EMULATED_PATIENCE_S = 0.5
 
@@ -106,9 +103,9 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             notifier.ready(_STATUS[Mode.READY])
             tell.event(Level.INFO, f"torque on: {info.description}", priority=options.priority or 0)
             ready("torque=on")
-            if guard is not None and isinstance(driver, DynamixelDriver):
-                servos_found = Handover.of(driver).servos
-                guard.watch((ring.fileno(), texts.fileno()), tell.event, ring=str(options.ring), servos=servos_found)
+            if guard is not None:
+                fds, told = passed_on(driver)
+                guard.watch((ring.fileno(), texts.fileno(), *fds), tell.event, ring=str(options.ring), driver=told)
             servos = _Servos(driver, texts, clock.utc_offset_ns, max(1, round(HEALTH_S * cell.file.rate_hz)))
             operator = _Operator(stop, control, options, guard)
             runner = _runner(cell, options, driver, clock, ring, operator, notifier, servos, tell)
@@ -200,7 +197,7 @@ class _Operator:
             stopped, released = stopped or requests.stopped, released or requests.released
             requests.released = False
         happened = Event.STOP if stopped else Event.NONE
-        if self._guard is not None and self._guard.poll():
+        if self._guard is not None and self._guard.poll(ending=self._stop.stopped and not self._drops_on_stop):
             happened |= Event.TROUBLE
         if released or (stopped and self._drops_on_stop):
             happened |= Event.RELEASED

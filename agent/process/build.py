@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from agent.config.agent import HOLD_RATE_MAX_RAD_PER_S, build_agent
 from agent.config.cell import Arm, Cell
@@ -15,12 +16,23 @@ from drivers.dynamixel.driver import DynamixelDriver
 from drivers.dynamixel.events import DriverEvent, EventSink
 from drivers.dynamixel.line.port import SerialPort
 from drivers.dynamixel.pace import SHARE as READ_SHARE
-from drivers.dynamixel.standby import StandbyDriver
+from drivers.dynamixel.standby import Handover, StandbyDriver
 from drivers.interface import Clock, ConnectError, Driver, Vector
 from sim_backend.served.driver import SimDriver
+from sim_backend.served.standby import SimStandby
 
-__all__ = ["HOLD_RATE_MAX_RAD_PER_S", "Connection", "build_agent", "build_driver"]
+__all__ = [
+    "HOLD_RATE_MAX_RAD_PER_S",
+    "Connection",
+    "Standby",
+    "build_agent",
+    "build_driver",
+    "build_standby",
+    "passed_on",
+    "port_of",
+]
 
+Standby = StandbyDriver | SimStandby
 EMULATED_READ_SHARE = 4.0
 
 
@@ -62,11 +74,38 @@ def build_driver(
     return DynamixelDriver(servos, clock, on_event=_in_words(warn), read_share=share, port=port), clock
 
 
+def passed_on(driver: Driver) -> tuple[tuple[int, ...], dict[str, Any]]:
+    """What a guard must have of an agent's driver with torque on: descriptors and words."""
+    if isinstance(driver, SimDriver):
+        fd, told = driver.passed_on()
+        return (fd,), {"plant": told}
+    assert isinstance(driver, DynamixelDriver), "there are two"
+    return (), {"servos": Handover.of(driver).servos}
+
+
 def build_standby(
-    cell: Cell, arm: Arm, port: SerialPort, clock: Clock, q_start: Vector, warn: Callable[[str], None]
-) -> StandbyDriver:
-    """Driver of a guard on the port that it has opened; the rest as `build_driver`."""
-    return StandbyDriver(arm_map(cell, arm, port.path, q_start), clock, on_event=_in_words(warn), port=port)
+    cell: Cell,
+    arm: Arm,
+    connection: Connection,
+    port: SerialPort | None,
+    q_start: Vector,
+    warn: Callable[[str], None],
+    fds: Sequence[int],
+    told: Mapping[str, Any],
+) -> Standby:
+    """Driver of a guard for what an agent has `passed_on`; port: as the guard has opened it, None in simulation.
+
+    Raises AdoptError.
+    """
+    if port is None:
+        path = connection.plant_socket or Path()
+        sim = SimStandby(path, arm.name, tuple(arm.entry.controlled), cell.config_id)
+        sim.prepare(told["plant"], fds[0])
+        return sim
+    servos = arm_map(cell, arm, port.path, q_start)
+    driver = StandbyDriver(servos, MonotonicClock(), on_event=_in_words(warn), port=port)
+    driver.prepare(Handover(tuple(told["servos"])))
+    return driver
 
 
 def port_of(arm: Arm, connection: Connection) -> str:

@@ -9,19 +9,21 @@ from __future__ import annotations
 import contextlib
 import select
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 from agent.config.cell import Arm, Cell
+from agent.config.schema.cell import DriverKind
 from agent.guard.black_box import BlackBox
-from agent.guard.line import GuardEnd, Said, Word
+from agent.guard.line import GuardEnd, GuardError, Said, Word, close_all
 from agent.guard.resume import beginning
 from agent.guard.takeover import EMULATED_STALE_NS, STALE_NS, WATCH_NS, go_on
 from agent.guard.vigil import Vigil
-from agent.guard.watched import Watched
+from agent.guard.watched import DESCRIPTORS, Watched
 from agent.host.notify import Notifier, stored_fds
 from agent.host.realtime import become_realtime, quiet_memory
 from agent.host.signals import StopFlag
@@ -39,20 +41,20 @@ from agent.process.agent import (
     _Servos,
     _Teller,
 )
-from agent.process.build import build_agent, build_standby, port_of
+from agent.process.build import Standby, build_agent, build_standby, port_of
 from agent.runner import Runner, RunSummary, Surroundings
 from agent.telemetry.row.event import Level
 from agent.telemetry.row.fill import AgentRow
 from agent.verify.check import examine
 from drivers.clock import MonotonicClock
 from drivers.dynamixel.line.port import SerialPort
-from drivers.dynamixel.standby import Handover, StandbyDriver
 from drivers.interface import Refusal, Vector
 
 PORT = "port"  # name under which the service manager keeps it
 IDLE_NS = 100_000_000
 REHEARSE_AT = 20  # rows, after which a hold is computed once for nothing, so that its code and memory are warm
 POST_MORTEM_AFTER_S = 0.3  # of the hold, so that its first cycles are in it
+PAUSE_S = 1e-3  # between two steps that compute: LimitRTTIME counts the time without one
 BUSY_MAX_NS = 1_000_000_000
 WAITING, HANDED_OVER = "waits for the agent", "the agent was asked to end"
 
@@ -88,15 +90,16 @@ class _Guard:
         self._arm: Arm = cell.arm(options.agent.arm)
         self._q_start: Vector = report.q_start[cell.arms.index(self._arm)]
         self._agent: Agent = build_agent(cell, self._arm)
-        self._emulated = options.agent.connection.emulated
+        self._emulated = options.agent.connection.emulated or options.agent.driver is DriverKind.SIM
         self._notifier = stack.enter_context(closing(Notifier()))
         self._clock = MonotonicClock()
         self._port = self._open_port()
         stack.callback(self._close_port)
         self._line = stack.enter_context(GuardEnd(options.socket, cell.fingerprint))
-        self._handover = Handover(())
+        self._told: Mapping[str, Any] = {}  # by the agent, of its driver
+        self._drivers: tuple[int, ...] = ()
         self._watched: Watched | None = None
-        self._driver: StandbyDriver | None = None
+        self._driver: Standby | None = None
         self._tell: _Teller | None = None
         stack.callback(self._let_go)
         self._stroked_ns = 0
@@ -105,8 +108,10 @@ class _Guard:
             become_realtime(options.agent.priority)
         self._notifier.ready(WAITING)
 
-    def _open_port(self) -> SerialPort:
-        """The port: kept by the service manager while this guard was gone, or opened and locked."""
+    def _open_port(self) -> SerialPort | None:
+        """None of a simulated arm; else kept by the service manager while this guard was gone, or opened and locked."""
+        if self._options.agent.driver is DriverKind.SIM:
+            return None
         path, kept = port_of(self._arm, self._options.agent.connection), stored_fds()
         port = SerialPort(path, self._arm.baud, self._clock, (lambda: kept[PORT]) if PORT in kept else None)
         port.open()
@@ -114,7 +119,8 @@ class _Guard:
         return port
 
     def _close_port(self) -> None:
-        self._port.close()
+        if self._port is not None:
+            self._port.close()
 
     # --- while there is an agent ----------------------------------------------------------------------------------
 
@@ -176,34 +182,50 @@ class _Guard:
 
     def _lend(self, *, again: bool, now_ns: int) -> None:
         """The port; again: opened anew, for the agent has lost it."""
+        if self._port is None:
+            raise GuardError("port", found="a simulated arm", expected="one with a port", remedy="give both one driver")
         if again:
             self._port.close()
             self._port = self._open_port()
             if self._watched is not None:
                 self._watched.vigil.excuse(now_ns + BUSY_MAX_NS)
-                self._driver = self._prepared(self._handover)
-        self._line.answer((self._port.fileno(),))
+                self._driver = self._prepared()
+        if self._port is not None:
+            self._line.answer((self._port.fileno(),))
 
     def _watch(self, said: Said) -> None:
         """Make ready to go on without this agent.  Raises Refusal."""
         self._let_go()
-        self._handover = Handover(tuple(said.content["servos"]))
-        self._driver = self._prepared(self._handover)
         vigil = Vigil(EMULATED_STALE_NS if self._emulated else STALE_NS, WATCH_NS)
+        own, self._drivers = said.fds[:DESCRIPTORS], said.fds[DESCRIPTORS:]
+        self._told = said.content["driver"]
+        try:
+            self._driver = self._prepared()
+        except BaseException:
+            close_all(own)
+            raise
+        time.sleep(PAUSE_S)
         self._watched = Watched.of(said, vigil)
+        time.sleep(PAUSE_S)
         self._notifier.send("STATUS=watches the agent")
         self._line.answer()
 
-    def _prepared(self, handover: Handover) -> StandbyDriver:
-        driver = build_standby(self._cell, self._arm, self._port, self._clock, self._q_start, self._warn)
-        driver.prepare(handover)
-        return driver
+    def _prepared(self) -> Standby:
+        connection, port = self._options.agent.connection, self._port
+        return build_standby(
+            self._cell, self._arm, connection, port, self._q_start, self._warn, self._drivers, self._told
+        )
 
     def _warn(self, text: str) -> None:
         if self._tell is not None:
             self._tell.warn(text)
 
     def _let_go(self) -> None:
+        if self._driver is not None:
+            self._driver.drop()
+            self._driver = None
+        close_all(self._drivers)
+        self._drivers = ()
         if self._watched is not None:
             self._watched.close()
             self._watched = None
@@ -211,7 +233,7 @@ class _Guard:
 
     # --- without an agent -----------------------------------------------------------------------------------------
 
-    def _hold(self, watched: Watched, driver: StandbyDriver, reason: str) -> RunSummary:
+    def _hold(self, watched: Watched, driver: Standby, reason: str) -> RunSummary:
         """Go on in HOLD until a release.  Raises AdoptError, ArmLost."""
         options, arm = self._options.agent, self._arm
         watched.inherit()
@@ -232,6 +254,7 @@ class _Guard:
             except Refusal as error:
                 tell.event(Level.ERROR, str(error))
                 raise
+            stack.callback(driver.close)
             stack.callback(driver.disable)
             black_box = self._black_box(watched.ring, reason)
             stack.callback(black_box.finish)
@@ -250,7 +273,7 @@ class _Guard:
         return summary
 
     def _around(
-        self, control: ControlSocket | None, driver: StandbyDriver, watched: Watched, clock: MonotonicClock,
+        self, control: ControlSocket | None, driver: Standby, watched: Watched, clock: MonotonicClock,
         tell: _Teller, black_box: BlackBox,
     ) -> Surroundings:  # fmt: skip
         rate_hz = self._cell.file.rate_hz

@@ -77,6 +77,9 @@ class StandbyDriver(DynamixelDriver):
         self._running = Running(self._bus, self.arm, self._found, self._clock, self._on_event, self._link, fast=fast)
         self._phase = Phase.CONNECTED
 
+    def drop(self) -> None:
+        """Nothing is this driver's alone: the port goes on to the next one."""
+
     def adopt(self, dq: Vector) -> Vector:
         """Take the arm over with torque on; the joint torques (n,) its servos hold, NaN where one did not say.
 

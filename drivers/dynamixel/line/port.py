@@ -109,9 +109,10 @@ class SerialPort:
     @property
     def latency_timer_ms(self) -> int | None:
         """USB latency timer as the kernel has it; None when this is no FTDI port."""
-        name = Path(self.path).resolve().name
         try:
-            return int(Path(f"/sys/class/tty/{name}/device/latency_timer").read_text())
+            device = (os.fstat(self._fd) if self.is_open else Path(self.path).stat()).st_rdev
+            at = f"{os.major(device)}:{os.minor(device)}"  # of a borrowed port the path may not be there
+            return int(Path(f"/sys/dev/char/{at}/device/latency_timer").read_text())
         except (OSError, ValueError):
             return None
 

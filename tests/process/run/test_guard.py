@@ -67,18 +67,19 @@ class Host:
         assert process.stdout is not None
         assert process.stdout.readline().startswith("READY "), (self.folder / "words").read_text()
 
-    def guard(self, prefix: tuple[str, ...] = ()) -> subprocess.Popen[str]:
+    def guard(self, *more: str, prefix: tuple[str, ...] = ()) -> subprocess.Popen[str]:
         return self.start(
             "guard", "two_wx200", "--arm", "left", "--port", self.folder / "ports/left", "--emulated",
             "--socket", self.folder / "left.guard", "--control", self.folder / "left.control",
-            "--post-mortem", self.folder / "post_mortem", prefix=prefix, NOTIFY_SOCKET=str(self.folder / "notify"),
+            "--post-mortem", self.folder / "post_mortem", *more,
+            prefix=prefix, NOTIFY_SOCKET=str(self.folder / "notify"),
         )  # fmt: skip
 
-    def agent(self) -> subprocess.Popen[str]:
+    def agent(self, *more: str) -> subprocess.Popen[str]:
         process = self.start(
             "agent", "two_wx200", "--arm", "left", "--port", self.folder / "ports/left", "--emulated", "--driver",
             "dynamixel", "--guard", self.folder / "left.guard", "--control", self.folder / "left.control",
-            "--ring", self.ring,
+            "--ring", self.ring, *more,
         )  # fmt: skip
         self.said(process)
         return process
@@ -180,3 +181,21 @@ def test_a_killed_guard_is_noticed_comes_back_with_the_port_and_holds_for_a_kill
     host.wait(lambda: "the guard is back and watches" in host.told())
     agent.kill()
     check_taken_over(host, guard, agent, "the agent has died")
+
+
+@pytest.mark.realtime
+def test_an_agent_that_is_asked_to_end_leaves_the_hold_to_its_guard(host: Host) -> None:
+    guard = host.guard("--hold")
+    agent = host.agent("--hold")
+    host.wait(lambda: len(host.rows()) > SOME_ROWS)
+    agent.terminate()
+    assert agent.wait(PATIENCE_S) == 0
+    before = len(host.rows())
+    host.wait(lambda: len(host.rows()) > before + SOME_ROWS)
+    guard.terminate()
+    host.wait(lambda: len(host.rows()) > before + 3 * SOME_ROWS)
+    assert guard.poll() is None, "asked to end, it holds until a release"
+    assert "the agent was asked to end: the guard holds the arm" in host.told()
+    ask(host.folder / "left.control", Verb.RELEASE)
+    assert guard.wait(PATIENCE_S) == 0
+    assert not (host.folder / "post_mortem").exists(), "nothing has failed"
