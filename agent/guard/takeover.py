@@ -12,7 +12,8 @@ from drivers.interface import Clock, Vector
 
 WATCH_NS = 2_000_000  # between two looks at the agent
 STALE_NS = 20_000_000  # without a row, after which it is ended: it hangs
-EMULATED_STALE_NS = 100_000_000  # where everything shares a processor; before the servos' own watchdog all the same
+EMULATED_STALE_NS = 150_000_000  # where everything shares a processor; before the servos' own watchdog all the same
+SIMULATED_STALE_NS = 500_000_000  # where there is no such watchdog
 
 
 class Adopts(Protocol):

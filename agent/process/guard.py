@@ -21,7 +21,7 @@ from agent.config.schema.cell import DriverKind
 from agent.guard.black_box import BlackBox
 from agent.guard.line import GuardEnd, GuardError, Said, Word, close_all
 from agent.guard.resume import beginning
-from agent.guard.takeover import EMULATED_STALE_NS, STALE_NS, WATCH_NS, go_on
+from agent.guard.takeover import EMULATED_STALE_NS, SIMULATED_STALE_NS, STALE_NS, WATCH_NS, go_on
 from agent.guard.vigil import Vigil
 from agent.guard.watched import DESCRIPTORS, Watched
 from agent.host.notify import Notifier, stored_fds
@@ -90,7 +90,9 @@ class _Guard:
         self._arm: Arm = cell.arm(options.agent.arm)
         self._q_start: Vector = report.q_start[cell.arms.index(self._arm)]
         self._agent: Agent = build_agent(cell, self._arm)
-        self._emulated = options.agent.connection.emulated or options.agent.driver is DriverKind.SIM
+        self._stale_ns = EMULATED_STALE_NS if options.agent.connection.emulated else STALE_NS
+        if options.agent.driver is DriverKind.SIM:
+            self._stale_ns = SIMULATED_STALE_NS
         self._notifier = stack.enter_context(closing(Notifier()))
         self._clock = MonotonicClock()
         self._port = self._open_port()
@@ -196,7 +198,7 @@ class _Guard:
     def _watch(self, said: Said) -> None:
         """Make ready to go on without this agent.  Raises Refusal."""
         self._let_go()
-        vigil = Vigil(EMULATED_STALE_NS if self._emulated else STALE_NS, WATCH_NS)
+        vigil = Vigil(self._stale_ns, WATCH_NS)
         own, self._drivers = said.fds[:DESCRIPTORS], said.fds[DESCRIPTORS:]
         self._told = said.content["driver"]
         try:

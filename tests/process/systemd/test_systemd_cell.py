@@ -105,6 +105,13 @@ def test_a_killed_recorder_comes_back_and_a_killed_agent_does_not(tmp_path: Path
         machine.run("sleep", "3")
         assert [machine.show(unit, "MainPID") for unit in AGENTS] == agents, "the arms do not notice"
 
+        machine.run("systemctl", "kill", "--signal=SIGKILL", GUARDS[1])
+        machine.wait_for(GUARDS[1], "NRestarts", "1")
+        machine.wait_for(GUARDS[1], "StatusText", "watches the agent")
+        machine.wait_for(
+            AGENTS[1], "StatusText", "HOLDING the object; `coop release` (or SIGUSR1) once it is supported"
+        )
+
         machine.run("systemctl", "kill", "--signal=SIGKILL", AGENTS[0])
         machine.wait_for(AGENTS[0], "ActiveState", "failed")
         assert machine.show(AGENTS[0], "Result") == "signal"
