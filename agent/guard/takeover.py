@@ -11,9 +11,17 @@ from agent.runner import Beginning
 from drivers.interface import Clock, Vector
 
 WATCH_NS = 2_000_000  # between two looks at the agent
-STALE_NS = 20_000_000  # without a row, after which it is ended: it hangs
+STALE_NS = 18_000_000  # without a row, after which it is ended: it hangs
+STALE_PERIODS = 3  # at least, of a slow loop
 EMULATED_STALE_NS = 150_000_000  # where everything shares a processor; before the servos' own watchdog all the same
 SIMULATED_STALE_NS = 500_000_000  # where there is no such watchdog
+
+
+def stale_ns(period_ns: int, emulated: bool, simulated: bool) -> int:
+    """How long an agent with that period may go without a row."""
+    if simulated:
+        return SIMULATED_STALE_NS
+    return EMULATED_STALE_NS if emulated else max(STALE_NS, STALE_PERIODS * period_ns)
 
 
 class Adopts(Protocol):

@@ -21,7 +21,7 @@ from agent.config.schema.cell import DriverKind
 from agent.guard.black_box import BlackBox
 from agent.guard.line import GuardEnd, GuardError, Said, Word, close_all
 from agent.guard.resume import beginning
-from agent.guard.takeover import EMULATED_STALE_NS, SIMULATED_STALE_NS, STALE_NS, WATCH_NS, go_on
+from agent.guard.takeover import WATCH_NS, go_on, stale_ns
 from agent.guard.vigil import Vigil
 from agent.guard.watched import DESCRIPTORS, Watched
 from agent.host.notify import Notifier, stored_fds
@@ -90,9 +90,8 @@ class _Guard:
         self._arm: Arm = cell.arm(options.agent.arm)
         self._q_start: Vector = report.q_start[cell.arms.index(self._arm)]
         self._agent: Agent = build_agent(cell, self._arm)
-        self._stale_ns = EMULATED_STALE_NS if options.agent.connection.emulated else STALE_NS
-        if options.agent.driver is DriverKind.SIM:
-            self._stale_ns = SIMULATED_STALE_NS
+        emulated, simulated = options.agent.connection.emulated, options.agent.driver is DriverKind.SIM
+        self._stale_ns = stale_ns(cell.period_ns, emulated, simulated)
         self._notifier = stack.enter_context(closing(Notifier()))
         self._clock = MonotonicClock()
         self._port = self._open_port()

@@ -15,7 +15,7 @@ import numpy as np
 from agent.config.cell import Arm, Cell
 from agent.config.schema.cell import DriverKind
 from agent.config.servo_map import arm_map
-from agent.guard.takeover import STALE_NS, WATCH_NS, go_on
+from agent.guard.takeover import WATCH_NS, go_on, stale_ns
 from agent.guard.vigil import Vigil
 from agent.modes import Event, Mode
 from agent.process.agent import AgentOptions, _schedule
@@ -142,7 +142,7 @@ class GuardedRun(CoupledRun):
         driver.prepare(handover)
         run.died_ns, run.rows_of_agent = clock.now_ns(), len(run.log.rows)
         if end.hangs:
-            vigil = Vigil(STALE_NS, WATCH_NS)
+            vigil = Vigil(stale_ns(period_ns, emulated=False, simulated=False), WATCH_NS)
             while not vigil.is_stale(clock.now_ns(), run.rows_of_agent):
                 clock.sleep_until(clock.now_ns() + WATCH_NS)
         clock.sleep_until(clock.now_ns() + HOST_NS)

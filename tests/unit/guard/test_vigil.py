@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from agent.guard.takeover import stale_ns
 from agent.guard.vigil import Vigil
 
 MS = 1_000_000
@@ -37,3 +38,10 @@ def test_an_agent_that_said_it_is_busy_is_given_that_time() -> None:
     watch.excuse(1100 * MS)
     assert not any(looks(watch, *[(1002 + 2 * k, 7) for k in range(49)]))
     assert looks(watch, *[(1100 + 2 * k, 7) for k in range(11)])[-1]
+
+
+def test_a_slow_loop_is_given_three_cycles_and_a_simulated_one_more() -> None:
+    assert stale_ns(5 * MS, emulated=False, simulated=False) == 18 * MS
+    assert stale_ns(20 * MS, emulated=False, simulated=False) == 60 * MS
+    assert stale_ns(5 * MS, emulated=True, simulated=False) == 150 * MS
+    assert stale_ns(5 * MS, emulated=False, simulated=True) == 500 * MS
