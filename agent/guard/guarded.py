@@ -13,6 +13,7 @@ from agent.guard.line import AgentEnd, GuardError, Word
 from agent.telemetry.row.event import Level
 from drivers.interface import Refusal
 
+BUSY_S = 0.6  # that bringing an arm back takes at most
 HAND_OVER_AFTER = 100  # cycles of a hold, so that the object is at rest
 AGAIN_AFTER = 50  # cycles between two attempts to reach a guard that is gone
 CRASHED = 1  # exit code of a process that ends by an error that is no Refusal
@@ -61,10 +62,9 @@ class Guarded:
         if self._end is not None:
             self._end.ask(Word.WATCH, self._watch[0], **content)
 
-    def busy(self, for_s: float) -> None:
-        """No row will come for so long, and that is all right."""
-        if self._end is not None:
-            self._say(Word.BUSY, for_s=for_s)
+    def busy(self) -> None:
+        """No row will come for a moment, and that is all right."""
+        self._say(Word.BUSY, for_s=BUSY_S)
 
     def poll(self, *, ending: bool = False) -> bool:
         """Whether the guard has been found gone in this cycle; looks for a new one later.

@@ -5,16 +5,17 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from agent.config.cell import Cell
 from agent.config.schema.cell import DriverKind
+from agent.cycles import Patience
 from agent.guard.guarded import UNGUARDED, Guarded
 from agent.host.notify import Notifier
 from agent.host.realtime import become_realtime, quiet_memory
 from agent.host.signals import StopFlag
-from agent.modes import Event, Mode
+from agent.modes import TABLE, Event, Mode
 from agent.operator.socket import ControlSocket
 from agent.process.build import Connection, build_agent, build_driver, passed_on
 from agent.runner import Runner, RunSummary, Schedule, Surroundings
@@ -32,8 +33,9 @@ from drivers.interface import Clock, Driver, DriverError, Refusal
 
 HEARTBEAT_S = 0.02
 HEALTH_S = 1.0
-STALE_TO_HOLD = 3  # cycles
 EMULATED_PATIENCE_S = 0.5
+QUIET_MARGIN_S = 0.05  # on the servos' watchdogs, which count in steps of 20 ms
+RETRY_S = 0.1
 
 
 @dataclass(frozen=True)
@@ -49,16 +51,6 @@ class AgentOptions:
     hold: bool  # at a stop and at the end hold the object until it is released
     priority: int | None = None  # SCHED_FIFO; None: leave the scheduler alone
     guard: Path | None = None  # socket of the arm's guard; None: nobody goes on when this process cannot
-
-
-_STATUS = {
-    Mode.OFF: "torque off",
-    Mode.READY: "torque on, holding the start pose; `coop start` sets the common start",
-    Mode.TRACK: "following the trajectory",
-    Mode.HOLD: "HOLDING the object; `coop release` (or SIGUSR1) once it is supported",
-    Mode.LOWER: "lowering the object",
-    Mode.FAULT: "the arm does not obey",
-}
 
 
 class ArmLost(DriverError):
@@ -91,8 +83,7 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
         if guard is None and not options.lockstep:
             tell.event(Level.WARN, UNGUARDED)
         q_start = report.q_start[cell.arms.index(arm)]
-        borrow = guard.borrow if guard else None
-        driver, clock = build_driver(cell, arm, options.driver, options.connection, q_start, tell.warn, borrow)
+        driver, clock = build_driver(cell, arm, options.driver, options.connection, q_start, tell.warn, guard)
         try:
             info = driver.connect()
             tell.clock = clock  # from here on it has the run's time
@@ -100,7 +91,7 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             if options.priority is not None:
                 become_realtime(options.priority)
             driver.enable()
-            notifier.ready(_STATUS[Mode.READY])
+            notifier.ready(TABLE[Mode.READY].says)
             tell.event(Level.INFO, f"torque on: {info.description}", priority=options.priority or 0)
             ready("torque=on")
             if guard is not None:
@@ -111,7 +102,7 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             runner = _runner(cell, options, driver, clock, ring, operator, notifier, servos, tell)
             cpu_s = time.process_time()
             try:
-                summary = runner.run()
+                summary = runner.run(Event.ENABLED)
             except BaseException as error:
                 if guard is not None:
                     guard.give_up(error)
@@ -158,18 +149,36 @@ def _runner(
 
 
 def _schedule(cell: Cell, options: AgentOptions) -> Schedule:
-    emulated = options.driver is DriverKind.SIM or options.connection.emulated
     rate_hz = cell.file.rate_hz
     return Schedule(
         cell.period_ns,
         round(cell.file.duration_s * rate_hz),
         options.lockstep,
-        # what is emulated shares the processor with everything else, and stops with it for some ten milliseconds
-        hold_after_stale=round(EMULATED_PATIENCE_S * rate_hz) if emulated else STALE_TO_HOLD,
-        fault_after_stale=round((EMULATED_PATIENCE_S if emulated else WATCHDOG_S) * rate_hz),
         hold_at_end=options.hold,
         ready_ns=round(cell.file.simulation.ready_s * rate_hz) * cell.period_ns,
+        patience=patience_of(cell, emulated=options.driver is DriverKind.SIM or options.connection.emulated),
     )
+
+
+def patience_of(cell: Cell, *, emulated: bool) -> Patience:
+    """How long the loop bears lost states and lost time.
+
+    What is emulated shares the processor with everything else, and stops with it for some ten milliseconds: it is
+    held, silent and late after half a second only, at any share of good cycles.
+    """
+    safety, rate_hz = cell.file.safety, cell.file.rate_hz
+    patient = round(EMULATED_PATIENCE_S * rate_hz)
+    usual = Patience(
+        blind=max(1, round(safety.blind_s * rate_hz)),
+        quiet=round((WATCHDOG_S + QUIET_MARGIN_S) * rate_hz),
+        recover=round(safety.recover_s * rate_hz),
+        retry=max(1, round(RETRY_S * rate_hz)),
+    )
+    if not emulated:
+        return usual
+    return replace(
+        usual, hold=patient, blind=max(patient, usual.blind), gap=max(patient, usual.gap), success_min=0.0
+    )  # fmt: skip
 
 
 class _Operator:
@@ -289,7 +298,7 @@ class _Heart:
 
     def mode(self, mode: Mode) -> None:
         """Tell what the arm is doing."""
-        self._notifier.send(f"STATUS={_STATUS[mode]}")
+        self._notifier.send(f"STATUS={TABLE[mode].says}")
 
     def beat(self) -> None:
         """One cycle with a fresh state has passed."""

@@ -11,6 +11,7 @@ from agent.config.agent import HOLD_RATE_MAX_RAD_PER_S, build_agent
 from agent.config.cell import Arm, Cell
 from agent.config.schema.cell import DriverKind
 from agent.config.servo_map import arm_map
+from agent.guard.guarded import Guarded
 from drivers.clock import MonotonicClock
 from drivers.dynamixel.driver import DynamixelDriver
 from drivers.dynamixel.events import DriverEvent, EventSink
@@ -52,11 +53,11 @@ def build_driver(
     connection: Connection,
     q_start: Vector,
     warn: Callable[[str], None],
-    borrow: Callable[[], int] | None = None,
+    guard: Guarded | None = None,
 ) -> tuple[Driver, Clock]:
     """Driver of the arm and its clock; warn is told what the driver notices.  Raises ConnectError.
 
-    borrow: gives the serial port, opened by a guard (`drivers.dynamixel.line.port.SerialPort`).
+    guard: lends the serial port, and is told before the driver takes longer than a cycle.
     """
     if kind is DriverKind.SIM:
         if connection.plant_socket is None:
@@ -68,10 +69,13 @@ def build_driver(
         return sim, sim.clock
     clock = MonotonicClock()
     servos = arm_map(cell, arm, port_of(arm, connection), q_start)
-    port = SerialPort(servos.port, servos.baud, clock, borrow)
+    port = SerialPort(servos.port, servos.baud, clock, guard.borrow if guard else None)
     # emulated servos share the processor with everything else: a slow read there says nothing of a bus
     share = EMULATED_READ_SHARE if connection.emulated else READ_SHARE
-    return DynamixelDriver(servos, clock, on_event=_in_words(warn), read_share=share, port=port), clock
+    driver = DynamixelDriver(servos, clock, on_event=_in_words(warn), read_share=share, port=port)
+    if guard is not None:
+        driver.before_recovery = guard.busy
+    return driver, clock
 
 
 def passed_on(driver: Driver) -> tuple[tuple[int, ...], dict[str, Any]]:

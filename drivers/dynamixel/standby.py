@@ -68,7 +68,12 @@ class Handover:
 
 
 class StandbyDriver(DynamixelDriver):
-    """A driver that never connects and never enables: `prepare` while another process commands, then `adopt`."""
+    """A driver that never connects and never enables: `prepare` while another process commands, then `adopt`.
+
+    resumed: `adopt` found watchdogs that had fired, and armed them again; the arm has no torque then.
+    """
+
+    resumed = False
 
     def prepare(self, handover: Handover) -> None:
         """Make ready for `adopt`, without a byte on the bus; the port must be open.  Raises AdoptError."""
@@ -98,6 +103,7 @@ class StandbyDriver(DynamixelDriver):
         self._phase = Phase.ENABLED
         if any(row[4] == WATCHDOG_TRIPPED for row in rows.values()):
             self.rearm()
+            self.resumed = True
             return np.zeros(len(torques))
         return np.array(torques)
 

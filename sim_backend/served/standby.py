@@ -17,6 +17,8 @@ from sim_backend.served.driver import SimDriver
 class SimStandby(SimDriver):
     """A driver that never connects: `prepare` while another process commands, then `adopt`.  In real time only."""
 
+    resumed = False  # a plant has no watchdog
+
     def prepare(self, told: Mapping[str, Any], fd: int) -> None:
         """told: what the plant said to the process that connected; fd: its connection, which is then this driver's."""
         self.drop()

@@ -56,33 +56,35 @@ def test_more_than_three_states_lost_in_a_row_hold_the_object(first: int, count:
 
 
 @pytest.mark.parametrize(
-    ("count", "ends"), [(FAULT_AFTER_STALE, Mode.HOLD), (FAULT_AFTER_STALE + 1, Mode.FAULT), (60, Mode.FAULT)]
+    ("count", "ends"), [(FAULT_AFTER_STALE - 1, Mode.HOLD), (FAULT_AFTER_STALE, Mode.FAULT), (60, Mode.FAULT)]
 )
-def test_more_than_eight_states_lost_in_a_row_end_in_a_fault(count: int, ends: Mode) -> None:
+def test_eight_states_lost_in_a_row_end_in_a_fault_where_the_arm_cannot_come_back(count: int, ends: Mode) -> None:
     done = run(failures=lost_at(*reads(count)))
     assert (done.summary.mode, done.summary.reason) == (ends, str(lost()))
     if ends is Mode.FAULT:
-        assert done.arm.reads == FIRST + FAULT_AFTER_STALE
-        assert len(done.arm.written) == done.arm.reads - 1, "the last one gets no torque any more"
+        assert done.arm.reads == FIRST - 1 + FAULT_AFTER_STALE
+        assert len(done.rows) == done.arm.reads + 1, "in the last cycle nothing is asked"
+        assert len(done.arm.written) == done.arm.reads, "and nothing sent"
 
 
 def test_a_fresh_state_in_between_begins_the_count_anew() -> None:
     assert run(failures=lost_at(*reads(3, 14), *reads(3, 18), *reads(3, 22))).modes == [Mode.TRACK]
     assert run(failures=lost_at(*reads(3, 14), *reads(4, 18))).modes == [Mode.TRACK, Mode.HOLD]
-    many = lost_at(*reads(8, 12), *reads(8, 21))
+    many = lost_at(*reads(7, 12), *reads(7, 20))
     assert run(failures=many).summary.mode is Mode.HOLD
 
 
 def test_a_servo_that_complains_but_answers_begins_the_count_anew() -> None:
-    failures = lost_at(*reads(8, 12), *reads(8, 21)) | {20: fault(True)}
+    failures = lost_at(*reads(7, 12), *reads(7, 20)) | {19: fault(True)}
     assert run(failures=failures).summary.mode is Mode.HOLD
-    failures = lost_at(*reads(8, 12), *reads(9, 21)) | {20: fault(True)}
+    failures = lost_at(*reads(7, 12), *reads(8, 20)) | {19: fault(True)}
     assert run(failures=failures).summary.mode is Mode.FAULT
 
 
-def test_only_a_cycle_with_a_fresh_state_is_a_heartbeat() -> None:
+def test_every_cycle_is_a_heartbeat() -> None:
+    """It says that the loop lives; an arm that nobody sees is held by that loop, so nobody may kill it for that."""
     done = run(failures=lost_at(15, 17) | {20: fault(True)})
-    assert done.beats == len(done.rows) - 2
+    assert done.beats == len(done.rows)
 
 
 # --- servos ----------------------------------------------------------------------------------------------------------

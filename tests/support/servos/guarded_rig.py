@@ -150,6 +150,8 @@ class GuardedRun(CoupledRun):
         rows = np.array(run.log.rows[-64:])
 
         class Asked:
+            resumed = False
+
             def adopt(self, dq: Vector) -> Vector:
                 run.held = driver.adopt(dq)
                 return run.held

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from agent.control.memory import Memory, restore
-from agent.guard.resume import after_gap, beginning, from_torque, last_speed
+from agent.guard.resume import beginning, from_torque, last_speed
+from agent.loop import wait_here
 from agent.modes import Event, Mode
 from agent.process.build import build_agent
 from agent.runner import Beginning
 from agent.safety import Flag
-from tests.support.runner_rig import paper, period_ns, q_start, run
+from tests.support.runner_rig import lost_at, paper, q_start, run
 
 AGENT = build_agent(paper(), paper().arms[0])
 STOP_AT = 25  # reads; the rows before it are READY (10) and TRACK
@@ -30,14 +31,14 @@ def moving(read: int) -> np.ndarray:
     return q_start() + 0.002 * read
 
 
-def rows_until(stop_at: int) -> Any:
+def rows_until(stop_at: int, **more: Any) -> Any:
     """Rows of an agent that is stopped at that read, and ends soon after."""
 
     def operator(reads: int) -> Event:
         stopped = Event.STOP if reads >= stop_at else Event.NONE
         return stopped | (Event.RELEASED if reads >= stop_at + 3 else Event.NONE)
 
-    return run(operator, q=moving).rows
+    return run(operator, q=moving, **more).rows
 
 
 def same(memory: Memory, row: Any) -> None:
@@ -70,14 +71,13 @@ def test_a_hold_that_the_agent_had_begun_goes_on_at_the_same_pose() -> None:
     assert begun.reason == "x; it held already"
 
 
-def test_rows_without_a_state_are_passed_over() -> None:
-    before, held = held_by_itself(STOP_AT)
-    stale = before[-2:].copy()
-    stale["flags"] |= int(Flag.STALE)
-    stale["sequence"] += 2
-    begun = beginning(AGENT, np.concatenate([before, stale]), "")
-    same(begun.memory, held)
-    assert begun.rows == held["sequence"] + 2
+def test_behind_rows_without_a_state_the_hold_begins_where_the_arm_is_seen_next() -> None:
+    rows = rows_until(STOP_AT, failures=lost_at(STOP_AT, STOP_AT + 1))
+    held = np.flatnonzero(rows["mode"] == Mode.HOLD)[0]
+    assert (rows["flags"][held - 2 : held] & Flag.STALE).all()
+    begun = beginning(AGENT, rows[:held], "")
+    same(wait_here(AGENT, rows[held]["q_measured"][:3].copy(), begun.memory), rows[held])  # as the loop itself does
+    assert begun.rows == rows[held]["sequence"]
 
 
 def test_without_any_row_the_hold_begins_as_an_arm_that_waits_does() -> None:
@@ -99,12 +99,12 @@ def test_the_first_step_counts_from_the_torque_that_the_servos_hold_where_it_is_
     assert tau.tolist() == [begun.memory.tau[0], held[1], begun.memory.tau[2]]
 
 
-def test_an_observer_that_missed_more_than_it_bridges_begins_anew() -> None:
-    begun, rows = begun_and_rows()
-    last_ns = int(rows[-1]["stamp_ns"])
-    assert begun.memory.primed
-    assert after_gap(begun, rows, last_ns + 2 * period_ns(), period_ns()).memory.primed
-    assert not after_gap(begun, rows, last_ns + 2 * period_ns() + 1, period_ns()).memory.primed
+@pytest.mark.parametrize("mark", [Flag.GAP, Flag.RESUMED])
+def test_after_a_gap_or_without_torque_the_pose_is_found_anew(mark: Flag) -> None:
+    before, _ = held_by_itself(STOP_AT)
+    memory = beginning(AGENT, before, "", mark).memory
+    assert (memory.hold, memory.primed) == (None, False)
+    assert memory.tau.any() == (mark is Flag.GAP)
 
 
 def test_speeds_are_the_measured_ones_of_the_last_fresh_row() -> None:
