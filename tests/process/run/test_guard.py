@@ -36,6 +36,17 @@ os.dup2(int(sys.argv[1]), 3)
 os.environ.update(LISTEN_FDS="1", LISTEN_FDNAMES="port", LISTEN_PID=str(os.getpid()))
 os.execv(sys.argv[2], sys.argv[2:])
 """
+# an agent whose step fails after some cycles
+FAILING = """
+from agent import runner
+works, left = runner.step, [60]
+def step(*arguments):
+    left[0] -= 1
+    return works(*arguments) if left[0] else 1 / 0
+runner.step = step
+from agent.cli.main import main
+main()
+"""
 
 
 class Host:
@@ -53,9 +64,11 @@ class Host:
         self.manager.bind(str(folder / "notify"))
         self.kept: int | None = None
 
-    def start(self, *arguments: str | Path, prefix: tuple[str, ...] = (), **more: str) -> subprocess.Popen[str]:
+    def start(
+        self, *arguments: str | Path, prefix: tuple[str, ...] = (), program: tuple[str, ...] = COOP, **more: str
+    ) -> subprocess.Popen[str]:
         process = subprocess.Popen(
-            [*prefix, *COOP, *map(str, arguments)], cwd=self.folder, env=self.environment | more, text=True,
+            [*prefix, *program, *map(str, arguments)], cwd=self.folder, env=self.environment | more, text=True,
             stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=self.words,
             pass_fds=() if self.kept is None else (self.kept,),
         )  # fmt: skip
@@ -70,16 +83,16 @@ class Host:
     def guard(self, *more: str, prefix: tuple[str, ...] = ()) -> subprocess.Popen[str]:
         return self.start(
             "guard", "two_wx200", "--arm", "left", "--port", self.folder / "ports/left", "--emulated",
-            "--socket", self.folder / "left.guard", "--control", self.folder / "left.control",
+            "--driver", "dynamixel", "--socket", self.folder / "left.guard", "--control", self.folder / "left.control",
             "--post-mortem", self.folder / "post_mortem", *more,
             prefix=prefix, NOTIFY_SOCKET=str(self.folder / "notify"),
         )  # fmt: skip
 
-    def agent(self, *more: str) -> subprocess.Popen[str]:
+    def agent(self, *more: str, program: tuple[str, ...] = COOP) -> subprocess.Popen[str]:
         process = self.start(
             "agent", "two_wx200", "--arm", "left", "--port", self.folder / "ports/left", "--emulated", "--driver",
             "dynamixel", "--guard", self.folder / "left.guard", "--control", self.folder / "left.control",
-            "--ring", self.ring, *more,
+            "--ring", self.ring, *more, program=program,
         )  # fmt: skip
         self.said(process)
         return process
@@ -135,10 +148,12 @@ def of_hold(rows: np.ndarray) -> np.ndarray:
     return rows[rows["mode"] == Mode.HOLD]
 
 
-def check_taken_over(host: Host, guard: subprocess.Popen[str], agent: subprocess.Popen[str], cause: str) -> None:
+def check_taken_over(
+    host: Host, guard: subprocess.Popen[str], agent: subprocess.Popen[str], cause: str, code: int = -signal.SIGKILL
+) -> None:
     """The guard holds, in the agent's ring, as its only writer; a release ends it; the post-mortem reads."""
     before = len(host.rows())
-    host.wait(lambda: agent.poll() == -signal.SIGKILL)
+    host.wait(lambda: agent.poll() == code)
     host.wait(lambda: len(host.rows()) > before + SOME_ROWS and len(of_hold(host.rows())) > SOME_ROWS)
     assert any(text.startswith(cause) and text.endswith("the guard holds the arm") for text in host.told())
     ask(host.folder / "left.control", Verb.RELEASE)
@@ -164,6 +179,15 @@ def test_a_stopped_agent_is_ended_and_held_for(host: Host) -> None:
     host.wait(lambda: len(host.rows()) > SOME_ROWS)
     agent.send_signal(signal.SIGSTOP)
     check_taken_over(host, guard, agent, "the agent hung")
+
+
+@pytest.mark.realtime
+def test_an_agent_that_fails_by_an_error_is_held_for_and_says_why(host: Host) -> None:
+    guard = host.guard()
+    agent = host.agent(program=(sys.executable, "-c", FAILING))
+    check_taken_over(host, guard, agent, "the agent has died", code=1)
+    assert "ZeroDivisionError: division by zero; the guard goes on" in host.told()
+    assert "Traceback" in (host.folder / "words").read_text()
 
 
 @pytest.mark.realtime
