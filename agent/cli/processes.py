@@ -48,6 +48,8 @@ def agent(
     kind = DriverKind(driver.value) if driver is not None else loaded.file.driver
     name = loaded.file.name
     lockstep = kind is DriverKind.SIM and not real_time
+    if guard is not None and lockstep:
+        raise typer.BadParameter("needs --real-time: in lockstep, time waits for the agent", param_hint="--guard")
     if ring is None or (control is None and not lockstep):
         make_runtime_dir(name)
     options = AgentOptions(
