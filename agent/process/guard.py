@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import select
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -97,8 +97,7 @@ class _Guard:
         self._port = self._open_port()
         stack.callback(self._close_port)
         self._line = stack.enter_context(GuardEnd(options.socket, cell.fingerprint))
-        self._told: Mapping[str, Any] = {}  # by the agent, of its driver
-        self._drivers: tuple[int, ...] = ()
+        self._told, self._drivers = dict[str, Any](), tuple[int, ...]()  # by the agent: of its driver
         self._watched: Watched | None = None
         self._driver: Standby | None = None
         self._tell: _Teller | None = None
@@ -180,6 +179,9 @@ class _Guard:
                 self._watched.handed_over = True
         except Refusal as error:
             self._line.refuse(error)
+        except (KeyError, IndexError, TypeError, ValueError) as error:  # it came from another process
+            found, remedy = f"{type(error).__name__} {error}", "start agent and guard from one release"
+            self._line.refuse(GuardError(said.word, found=found, expected="what an agent says", remedy=remedy))
 
     def _lend(self, *, again: bool, now_ns: int) -> None:
         """The port; again: opened anew, for the agent has lost it."""
@@ -199,8 +201,8 @@ class _Guard:
         self._let_go()
         vigil = Vigil(self._stale_ns, WATCH_NS)
         own, self._drivers = said.fds[:DESCRIPTORS], said.fds[DESCRIPTORS:]
-        self._told = said.content["driver"]
         try:
+            self._told = dict(said.content["driver"])
             self._driver = self._prepared()
         except BaseException:
             close_all(own)
@@ -292,8 +294,8 @@ class _Guard:
 
     def _black_box(self, ring: Path, reason: str) -> BlackBox:
         """The post-mortem of what happened before this hold; none of a hand-over that was asked for."""
-        options = self._options
-        name = f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{options.agent.arm}-post-mortem.mcap"
-        arguments = (options.cell, options.agent.arm, ring, options.post_mortem / name, reason)
-        wanted = reason != HANDED_OVER
-        return BlackBox(list(map(str, arguments)), round(POST_MORTEM_AFTER_S * self._cell.file.rate_hz), wanted=wanted)
+        options, arm = self._options, self._arm.name
+        file = options.post_mortem / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{arm}-post-mortem.mcap"
+        arguments = (options.cell, arm, ring, file, reason)
+        cycles = round(POST_MORTEM_AFTER_S * self._cell.file.rate_hz)
+        return BlackBox(list(map(str, arguments)), cycles, wanted=reason != HANDED_OVER)

@@ -17,6 +17,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import configs
+from agent.config.cell import load_cell
+from agent.guard.line import AgentEnd, GuardError, Word
 from agent.log.read import read_log
 from agent.modes import Mode
 from agent.operator.socket import Verb, ask
@@ -175,6 +178,10 @@ def check_taken_over(
 @pytest.mark.realtime
 def test_a_stopped_agent_is_ended_and_held_for(host: Host) -> None:
     guard = host.guard()
+    stranger = AgentEnd(host.folder / "left.guard", load_cell(configs.CELLS_DIR / "two_wx200.toml").fingerprint)
+    with pytest.raises(GuardError, match=r"found KeyError 'driver'.*start agent and guard from one release"):
+        stranger.ask(Word.WATCH)
+    stranger.close()
     agent = host.agent()
     host.wait(lambda: len(host.rows()) > SOME_ROWS)
     agent.send_signal(signal.SIGSTOP)
