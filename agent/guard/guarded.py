@@ -41,6 +41,11 @@ class Guarded:
         """Whether somebody goes on when this process cannot."""
         return self._end is not None and self._watch is not None and not self._asked_back
 
+    @property
+    def state(self) -> str:
+        """The same in a word."""
+        return "watches" if self.there else "gone"
+
     def borrow(self) -> int:
         """Descriptor of the arm's port; a second one is another, for the first was lost.  Raises GuardError."""
         if self._end is None:

@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
+import math
+import os
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, closing
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
+from agent.config import monitors
 from agent.config.cell import Cell
 from agent.config.schema.cell import DriverKind
 from agent.cycles import Patience
 from agent.guard.guarded import UNGUARDED, Guarded
+from agent.host.latency import files, newest
 from agent.host.notify import Notifier
-from agent.host.realtime import become_realtime, quiet_memory
+from agent.host.realtime import become_realtime, granted, quiet_memory
 from agent.host.signals import StopFlag
 from agent.modes import TABLE, Event, Mode
-from agent.operator.socket import ControlSocket
+from agent.monitors.watch import Watch
+from agent.operator.socket import ControlSocket, Standing
 from agent.process.build import Connection, build_agent, build_driver, passed_on
+from agent.process.clocked import ClockWatch, shares_time
+from agent.process.operated import Operator, no_real_time, tick_of
 from agent.runner import Runner, RunSummary, Schedule, Surroundings
 from agent.telemetry.ring.ring import RingWriter
 from agent.telemetry.ring.texts import TextWriter
@@ -27,12 +35,12 @@ from agent.telemetry.row.fill import AgentRow
 from agent.telemetry.row.health import health_values
 from agent.telemetry.row.sample import AGENT_STATE
 from agent.verify.check import examine
-from drivers.clock import utc_offset_ns
 from drivers.dynamixel.arm_map import WATCHDOG_S
 from drivers.interface import Clock, Driver, DriverError, Refusal
 
 HEARTBEAT_S = 0.02
 HEALTH_S = 1.0
+CLOCK_S = 1.0
 EMULATED_PATIENCE_S = 0.5
 QUIET_MARGIN_S = 0.05  # on the servos' watchdogs, which count in steps of 20 ms
 RETRY_S = 0.1
@@ -51,6 +59,7 @@ class AgentOptions:
     hold: bool  # at a stop and at the end hold the object until it is released
     priority: int | None = None  # SCHED_FIFO; None: leave the scheduler alone
     guard: Path | None = None  # socket of the arm's guard; None: nobody goes on when this process cannot
+    no_realtime: bool = False  # a real arm may be started without real time
 
 
 class ArmLost(DriverError):
@@ -74,8 +83,9 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
         stack.callback(ring.finish)
         stack.callback(texts.finish)
         notifier = stack.enter_context(closing(Notifier()))
-        control = ControlSocket(options.control, cell.fingerprint) if options.control else None
-        if control is not None:
+        standing = Standing(arm.name)
+        control = ControlSocket(options.control, cell.fingerprint, standing) if options.control else None
+        if control is not None:  # behind the ring, whose lock refuses a second agent first
             stack.callback(control.close)
         ready(f"ring={options.ring}")
         tell = _Teller(arm.name, texts)
@@ -93,12 +103,17 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             driver.enable()
             notifier.ready(TABLE[Mode.READY].says)
             tell.event(Level.INFO, f"torque on: {info.description}", priority=options.priority or 0)
+            watch = _watching(guard, stop, options)
+            operator = Operator(stop, control, clock, tell.event, drops_on_stop=not options.hold, watch=watch)
+            if shares_time(cell, arm):
+                operator.clock = ClockWatch(clock.now_ns, operator.hold, max(1, round(CLOCK_S * cell.file.rate_hz)))
+            if control is not None:
+                _stand(standing, options, operator, ring, tell, cell.file.rate_hz, guard)
             ready("torque=on")
             if guard is not None:
                 fds, told = passed_on(driver)
                 guard.watch((ring.fileno(), texts.fileno(), *fds), tell.event, ring=str(options.ring), driver=told)
             servos = _Servos(driver, texts, clock.utc_offset_ns, max(1, round(HEALTH_S * cell.file.rate_hz)))
-            operator = _Operator(stop, control, options, guard)
             runner = _runner(cell, options, driver, clock, ring, operator, notifier, servos, tell)
             cpu_s = time.process_time()
             try:
@@ -130,7 +145,7 @@ def _runner(
     driver: Driver,
     clock: Clock,
     ring: RingWriter,
-    operator: _Operator,
+    operator: Operator,
     notifier: Notifier,
     servos: _Servos,
     tell: _Teller,
@@ -142,10 +157,56 @@ def _runner(
     def beat() -> None:
         heart.beat()
         servos.beat()
+        if operator.clock is not None:
+            operator.clock.beat()
 
-    around = Surroundings(time.perf_counter_ns, operator.events, operator.start_ns, beat, heart.mode, tell.trouble)
+    def mode_changed(mode: Mode) -> None:
+        heart.mode(mode)
+        operator.mode(mode)
+
+    def trouble(reason: str) -> None:
+        tell.trouble(reason)
+        operator.trouble(reason)
+
+    around = Surroundings(time.perf_counter_ns, operator.events, operator.start_ns, beat, mode_changed, trouble)
     row = AgentRow(ring.row, arm.n, cell.config_id)
-    return Runner(build_agent(cell, arm), driver, clock, _schedule(cell, options), row, ring, around)
+    watch = Watch(monitors.bounds(cell, arm), tell.warn)
+    return Runner(build_agent(cell, arm), driver, clock, _schedule(cell, options), row, ring, around, watch)
+
+
+def _watching(guard: Guarded | None, stop: StopFlag, options: AgentOptions) -> Callable[[], bool]:
+    """Whether the guard is gone, in every cycle; does not return once it has the hold of an agent told to end."""
+    return lambda: guard is not None and guard.poll(ending=stop.stopped and options.hold)
+
+
+def _stand(
+    standing: Standing, options: AgentOptions, operator: Operator, ring: RingWriter, tell: _Teller, rate_hz: float,
+    guard: Guarded | None,
+) -> None:  # fmt: skip
+    """What the agent answers from here on: it is READY, with what the host has given it."""
+    real = granted()
+    tested = newest(files(os.environ))
+    fitness = f"{tested.fitness(rate_hz)}, {tested.text}" if tested else "not tested"
+    tell.event(
+        Level.INFO, f"real time: {real.text}; latency: {fitness}", policy=real.policy, priority=real.priority,
+        locked_bytes=real.locked_bytes, **({"latency_max_s": tested.histogram.max_s} if tested else {}),
+    )  # fmt: skip
+    if options.driver is DriverKind.DYNAMIXEL and not (options.connection.emulated or real.real or options.no_realtime):
+        standing.no_start = no_real_time(real.text)
+    fixed = {"pid": os.getpid(), "driver": options.driver.value, "real_time": asdict(real)}
+
+    def details() -> dict[str, Any]:
+        start, bound_s = operator.start, operator.clock.bound_s if operator.clock else math.inf
+        return {
+            **fixed,
+            "start_utc_ns": start.start_utc_ns if start else None,
+            "clock_bound_s": bound_s if math.isfinite(bound_s) else None,
+            "guard": None if guard is None else guard.state,
+            "tick": tick_of(ring),
+        }
+
+    standing.details = details
+    standing.mode = Mode.READY
 
 
 def _schedule(cell: Cell, options: AgentOptions) -> Schedule:
@@ -179,49 +240,6 @@ def patience_of(cell: Cell, *, emulated: bool) -> Patience:
     return replace(
         usual, hold=patient, blind=max(patient, usual.blind), gap=max(patient, usual.gap), success_min=0.0
     )  # fmt: skip
-
-
-class _Operator:
-    """Requests of an operator, by signal or over the control socket.
-
-    Where nothing can fall (simulation), a stop also releases the object; on real arms a stop holds it.
-    """
-
-    def __init__(
-        self, stop: StopFlag, control: ControlSocket | None, options: AgentOptions, guard: Guarded | None = None
-    ) -> None:
-        self._stop = stop
-        self._control = control
-        self._guard = guard
-        self._drops_on_stop = not options.hold
-        self._start_ns: int | None = None
-
-    def events(self) -> Event:
-        """What is asked for now.  A release counts once: one that came too early must not drop a later hold."""
-        stopped, released = self._stop.stopped, self._stop.released
-        self._stop.released = False
-        if self._control is not None:
-            self._control.poll()
-            requests = self._control.requests
-            stopped, released = stopped or requests.stopped, released or requests.released
-            requests.released = False
-        happened = Event.STOP if stopped else Event.NONE
-        if self._guard is not None and self._guard.poll(ending=self._stop.stopped and not self._drops_on_stop):
-            happened |= Event.TROUBLE
-        if released or (stopped and self._drops_on_stop):
-            happened |= Event.RELEASED
-        return happened
-
-    def start_ns(self) -> int | None:
-        """The common start on CLOCK_MONOTONIC, which is the clock of every arm that can be given one.
-
-        Mapped once, when it is given: later steps of the wall clock cannot move it.
-        """
-        if self._start_ns is None and self._control is not None:
-            utc_ns = self._control.requests.start_utc_ns
-            if utc_ns is not None:
-                self._start_ns = utc_ns - utc_offset_ns()
-        return self._start_ns
 
 
 class _Teller:

@@ -7,6 +7,7 @@ socket and loads nothing that could; the post-mortem is written by a process of 
 from __future__ import annotations
 
 import contextlib
+import os
 import select
 import time
 from collections.abc import Callable
@@ -16,6 +17,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from agent.config import monitors
 from agent.config.cell import Arm, Cell
 from agent.config.schema.cell import DriverKind
 from agent.guard.black_box import BlackBox
@@ -29,19 +31,20 @@ from agent.host.realtime import become_realtime, quiet_memory
 from agent.host.signals import StopFlag
 from agent.loop import Agent
 from agent.modes import Mode
-from agent.operator.socket import ControlSocket
+from agent.monitors.watch import Watch
+from agent.operator.socket import ControlSocket, Standing
 from agent.process.agent import (
     HEALTH_S,
     HEARTBEAT_S,
     AgentOptions,
     ArmLost,
     _Heart,
-    _Operator,
     _schedule,
     _Servos,
     _Teller,
 )
 from agent.process.build import Standby, build_agent, build_standby, port_of
+from agent.process.operated import Operator, tick_of
 from agent.runner import Runner, RunSummary, Surroundings
 from agent.telemetry.row.event import Level
 from agent.telemetry.row.fill import AgentRow
@@ -56,7 +59,7 @@ REHEARSE_AT = 20  # rows, after which a hold is computed once for nothing, so th
 POST_MORTEM_AFTER_S = 0.3  # of the hold, so that its first cycles are in it
 PAUSE_S = 1e-3  # between two steps that compute: LimitRTTIME counts the time without one
 BUSY_MAX_NS = 1_000_000_000
-WAITING, HANDED_OVER = "waits for the agent", "the agent was asked to end"
+HOLDS, WAITING, HANDED_OVER = "holds in the agent's place", "waits for the agent", "the agent was asked to end"
 
 
 @dataclass(frozen=True)
@@ -249,7 +252,8 @@ class _Guard:
             stack.callback(watched.texts.finish)
             stack.callback(watched.writer.finish)
             tell.event(Level.INFO if reason == HANDED_OVER else Level.ERROR, f"{reason}: the guard holds the arm")
-            control = ControlSocket(options.control, self._cell.fingerprint) if options.control else None
+            standing = Standing(arm.name, Mode.HOLD, reason)
+            control = ControlSocket(options.control, self._cell.fingerprint, standing) if options.control else None
             if control is not None:
                 stack.callback(control.close)
             try:
@@ -264,8 +268,9 @@ class _Guard:
             around = self._around(control, driver, watched, clock, tell, black_box)
             schedule = replace(_schedule(self._cell, options), hold_at_end=True)
             row = AgentRow(watched.writer.row, arm.n, self._cell.config_id)
+            watch = Watch(monitors.bounds(self._cell, arm), tell.warn)
             cpu_s = time.process_time()
-            runner = Runner(self._agent, driver, clock, schedule, row, watched.writer, around, begun)
+            runner = Runner(self._agent, driver, clock, schedule, row, watched.writer, around, watch, begun)
             summary = runner.run()
             tell.end(summary, time.process_time() - cpu_s)
         self._notifier.stopping("torque off")
@@ -282,7 +287,11 @@ class _Guard:
         rate_hz = self._cell.file.rate_hz
         heart = _Heart(self._notifier, max(1, round(HEARTBEAT_S * rate_hz)))
         servos = _Servos(driver, watched.texts, clock.utc_offset_ns, max(1, round(HEALTH_S * rate_hz)))
-        operator = _Operator(self._stop, control, self._options.agent)
+        agent = self._options.agent
+        operator = Operator(self._stop, control, clock, tell.event, drops_on_stop=not agent.hold)
+        fixed = {"pid": os.getpid(), "driver": agent.driver.value, "guard": HOLDS}
+        if control is not None:
+            control.standing.details = lambda: {**fixed, "tick": tick_of(watched.writer)}
         heart.mode(Mode.HOLD)
 
         def beat() -> None:

@@ -288,6 +288,7 @@ class DynamixelDriver:
         except WriteTimeoutError as error:
             raise self._unasked() from error
         answered_ns = clock.now_ns()
+        self._port_lost = False
         reading = running.interpret(cycle, answered_ns)
         self.times.exchange = answered_ns - begin_ns
         if self._phase is Phase.ENABLED:

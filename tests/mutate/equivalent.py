@@ -225,18 +225,11 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
     },
     "agent.operator.socket": {
         (
-            "ControlSocket.__init__",
+            "_remove_unserved",
             "path.unlink(missing_ok=True)",
             "path.unlink(missing_ok=False)",
-        ): "differs when another removes the socket between the question and the removal",
-        ("ControlSocket.poll", "if self._clients:", "if True:"): "saves the making of an empty list",
-        (
-            "ControlSocket._answer",
-            "start_utc_ns = int(request['start_utc_ns']) if verb is Verb.START else 0",
-            "start_utc_ns = int(request['start_utc_ns']) if verb is Verb.START else 1",
-        ): "only a start's instant is read",
-        ("ControlSocket._answer", "if verb is Verb.RELEASE:", "if True:"): "there are three verbs",
-        ("", "REPLY_TIMEOUT_S = 2.0", "REPLY_TIMEOUT_S = 4.0"): "how long a person waits for an agent that hangs",
+        ): "differs when somebody removes the socket between the question and the removal",
+        ("ControlSocket.poll", "if self._clients:", "if True:"): "saves the making of empty lists",
     },
 }
 

@@ -22,13 +22,12 @@ from agent.config.cell import load_cell
 from agent.guard.line import AgentEnd, GuardError, Word
 from agent.log.read import read_log
 from agent.modes import Mode
-from agent.operator.socket import Verb, ask
 from agent.telemetry.ring.ring import RingReader
 from agent.telemetry.ring.texts import TextReader
 from agent.telemetry.row.event import Event
 from agent.telemetry.row.sample import AGENT_STATE
 from agent.telemetry.row.topics import Kind
-from tests.support.coop import COOP
+from tests.support.coop import COOP, coop
 
 PATIENCE_S = 30.0
 SOME_ROWS = 40
@@ -159,7 +158,8 @@ def check_taken_over(
     host.wait(lambda: agent.poll() == code)
     host.wait(lambda: len(host.rows()) > before + SOME_ROWS and len(of_hold(host.rows())) > SOME_ROWS)
     assert any(text.startswith(cause) and text.endswith("the guard holds the arm") for text in host.told())
-    ask(host.folder / "left.control", Verb.RELEASE)
+    released = coop("release", "two_wx200", "--control", host.folder / "left.control", cwd=host.folder)
+    assert released.returncode == 0, released.stderr
     assert guard.wait(PATIENCE_S) == 0
     rows = host.rows()
     assert (rows["sequence"] == np.arange(len(rows))).all(), "two never write"
@@ -227,6 +227,7 @@ def test_an_agent_that_is_asked_to_end_leaves_the_hold_to_its_guard(host: Host) 
     host.wait(lambda: len(host.rows()) > before + 3 * SOME_ROWS)
     assert guard.poll() is None, "asked to end, it holds until a release"
     assert "the agent was asked to end: the guard holds the arm" in host.told()
-    ask(host.folder / "left.control", Verb.RELEASE)
+    released = coop("release", "two_wx200", "--control", host.folder / "left.control", cwd=host.folder)
+    assert released.returncode == 0, released.stderr
     assert guard.wait(PATIENCE_S) == 0
     assert not (host.folder / "post_mortem").exists(), "nothing has failed"

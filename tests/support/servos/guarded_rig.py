@@ -160,7 +160,7 @@ class GuardedRun(CoupledRun):
         until_ns = (self._zero_ns or 0) + self._until_ns
         around = self._around(run, lambda: None, lambda: clock.now_ns() > until_ns)
         schedule = replace(self._schedule(arm), hold_at_end=True)
-        return Runner(agent, driver, clock, schedule, row, run.log, around, begun).run()
+        return Runner(agent, driver, clock, schedule, row, run.log, around, beginning=begun).run()
 
     def _schedule(self, arm: Arm) -> Any:
         options: Any = AgentOptions(

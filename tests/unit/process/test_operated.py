@@ -1,0 +1,198 @@
+"""The operator as the loop sees them: events that are latched or count once, a start that moves, what is answered."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from agent.config.schema.cell import DriverKind
+from agent.host.clock import UNKNOWN
+from agent.host.realtime import RealTime
+from agent.modes import Event, Mode
+from agent.operator.message import Request
+from agent.operator.socket import ControlSocket, Standing
+from agent.operator.table import Verb
+from agent.process import agent, operated
+from agent.process.agent import AgentOptions
+from agent.process.build import Connection
+from agent.process.clocked import ClockWatch
+from agent.process.operated import Operator
+from agent.runner import NOT_YET_NS
+from agent.telemetry.ring.ring import RingWriter
+from agent.telemetry.row.event import Level
+from agent.telemetry.row.sample import AGENT_STATE
+
+NOW_NS = 5_000_000_000
+OFFSET_NS = 1_700_000_000_000_000_000
+
+
+class Clock:
+    """Stands still."""
+
+    utc_offset_ns = OFFSET_NS
+
+    def now_ns(self) -> int:
+        return NOW_NS
+
+    def sleep_until(self, deadline_ns: int) -> None:
+        raise AssertionError(deadline_ns)
+
+
+class Signals:
+    """No signal yet."""
+
+    stopped = False
+    released = False
+
+
+class Rig:
+    """An operator with a control socket that nobody but the test asks."""
+
+    def __init__(self, path: Path, *, drops_on_stop: bool = False) -> None:
+        self.told: list[tuple[Level, str, dict[str, Any]]] = []
+        self.signals: Any = Signals()
+        self.control = ControlSocket(path, "ab" * 32, Standing("left", Mode.TRACK))
+        self.operator = Operator(self.signals, self.control, Clock(), self._tell, drops_on_stop=drops_on_stop)
+
+    def _tell(self, level: Level, text: str, **data: float | str) -> None:
+        self.told.append((level, text, data))
+
+    def hear(self, *words: Verb) -> Event:
+        self.control.requests.words += words
+        return self.operator.events()
+
+
+@pytest.fixture
+def rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Rig]:
+    monkeypatch.setattr(operated, "utc_offset_ns", lambda: OFFSET_NS)
+    made = Rig(tmp_path / "left.control")
+    with closing(made.control):
+        yield made
+
+
+def test_a_stop_is_latched_and_a_release_counts_once(rig: Rig) -> None:
+    assert rig.hear() == Event.NONE
+    assert rig.hear(Verb.RELEASE) == Event.RELEASED
+    assert rig.hear() == Event.NONE
+    assert rig.hear(Verb.STOP) == Event.STOP
+    assert rig.hear() == Event.STOP
+    assert rig.hear(Verb.RELEASE) == Event.STOP | Event.RELEASED
+    assert rig.hear() == Event.STOP
+
+
+def test_signals_say_the_same(rig: Rig) -> None:
+    rig.signals.released = True
+    assert rig.hear() == Event.RELEASED
+    assert rig.signals.released is False
+    rig.signals.stopped = True
+    assert rig.hear() == rig.hear() == Event.STOP
+
+
+def test_where_nothing_can_fall_a_stop_releases(tmp_path: Path) -> None:
+    rig = Rig(tmp_path / "c", drops_on_stop=True)
+    with closing(rig.control):
+        assert rig.hear() == Event.NONE
+        assert rig.hear(Verb.STOP) == rig.hear() == Event.STOP | Event.RELEASED
+
+
+def test_a_start_is_mapped_once_replaced_by_a_later_one_and_taken_back(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert rig.operator.start_ns() is None
+    rig.control.requests.start = Request(Verb.START, "", OFFSET_NS + 7, clock_bound_s=3e-4)
+    assert rig.operator.start_ns() == 7
+    monkeypatch.setattr(operated, "utc_offset_ns", lambda: OFFSET_NS - 1_000_000_000)  # somebody sets the wall clock
+    assert rig.operator.start_ns() == 7
+    rig.control.requests.start = Request(Verb.START, "", OFFSET_NS + 9)
+    assert rig.operator.start_ns() == 1_000_000_009
+    rig.control.requests.start = None
+    assert rig.operator.start_ns() == NOW_NS + NOT_YET_NS
+    assert rig.operator.start_ns() == NOW_NS + NOT_YET_NS
+    (first, second, third) = rig.told
+    assert first == (
+        Level.INFO, "start given: 22:13:20.000000 UTC, clock off by at most 0.3 ms", {"clock_bound_s": 3e-4}
+    )  # fmt: skip
+    assert (second[1].endswith("clock not synchronised"), second[2]) == (True, {})
+    assert third == (Level.WARN, "the start has been taken back", {})
+
+
+def test_a_start_tells_the_watch_over_the_clock_what_its_giver_knew(rig: Rig) -> None:
+    rig.operator.clock = ClockWatch(lambda: NOW_NS, rig.operator.hold, 1, lambda: UNKNOWN)
+    rig.control.requests.start = Request(Verb.START, "", OFFSET_NS + 7, clock_bound_s=3e-4)
+    rig.operator.start_ns()
+    assert rig.operator.clock.bound_s == 3e-4
+
+
+def test_what_else_watches_over_the_arm_is_trouble(rig: Rig) -> None:
+    gone = [False]
+    operator = Operator(rig.signals, None, Clock(), rig._tell, drops_on_stop=True, watch=lambda: gone[0])
+    assert operator.events() == Event.NONE
+    gone[0] = True
+    assert operator.events() == Event.TROUBLE
+    assert operator.start_ns() is None
+
+
+def test_why_an_arm_holds_is_answered(rig: Rig) -> None:
+    standing = rig.control.standing
+    rig.operator.mode(Mode.HOLD)
+    assert (standing.mode, standing.reason) == (Mode.HOLD, "the trajectory has ended")
+    rig.operator.trouble("t = 3 s: OFF_TRACK")
+    assert standing.reason == "t = 3 s: OFF_TRACK"
+    rig.hear(Verb.STOP)
+    rig.operator.mode(Mode.HOLD)
+    assert standing.reason == "it was asked to"
+
+
+def test_a_reason_of_this_host_holds_the_arm_and_is_told_once(rig: Rig) -> None:
+    for _ in range(2):
+        rig.operator.hold("the clock may be off by 5.1 ms")
+    assert rig.hear() == Event.STOP
+    rig.operator.mode(Mode.HOLD)
+    assert rig.control.standing.reason == "the clock may be off by 5.1 ms"
+    assert rig.told == [(Level.WARN, "holds: the clock may be off by 5.1 ms", {})]
+
+
+@pytest.mark.parametrize(
+    ("kind", "emulated", "priority", "allowed", "starts"),
+    [
+        (DriverKind.DYNAMIXEL, False, None, False, False),
+        (DriverKind.DYNAMIXEL, False, None, True, True),
+        (DriverKind.DYNAMIXEL, False, "SCHED_FIFO", False, True),
+        (DriverKind.DYNAMIXEL, True, None, False, True),
+        (DriverKind.SIM, False, None, False, True),
+    ],
+)
+def test_only_a_real_arm_without_real_time_refuses_a_start_unless_that_is_allowed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: DriverKind, emulated: bool, priority: str | None,
+    allowed: bool, starts: bool,
+) -> None:  # fmt: skip
+    monkeypatch.setattr(agent, "granted", lambda: RealTime(priority or "SCHED_OTHER", 0, 0))
+    monkeypatch.setattr(agent, "newest", lambda _: None)
+    told: list[tuple[str, dict[str, Any]]] = []
+    teller: Any = type("Teller", (), {"event": staticmethod(lambda _, text, **data: told.append((text, data)))})
+    connection = Connection(emulated=emulated)
+    options = AgentOptions("left", kind, connection, tmp_path, None, False, True, None, allowed)
+    rig = Rig(tmp_path / "left.control")
+    standing = rig.control.standing
+    with closing(rig.control), RingWriter(tmp_path / "ring", AGENT_STATE, "left", ("waist",)) as ring:
+        agent._stand(standing, options, rig.operator, ring, teller, 200.0)
+        assert standing.mode is Mode.READY
+        assert (standing.no_start is None) is starts
+        assert standing.details()["tick"]["cycles"] == 0
+    assert standing.no_start is None or "--allow-no-realtime" in standing.no_start["remedy"]
+    ((text, data),) = told
+    assert text == f"real time: {priority or 'SCHED_OTHER'} 0, 0 MB of memory locked; latency: not tested"
+    assert data == {"policy": priority or "SCHED_OTHER", "priority": 0, "locked_bytes": 0}
+
+
+def test_the_details_of_an_answer_fit_into_it(rig: Rig) -> None:
+    rig.control.standing.details = lambda: {"pid": os.getpid(), "tick": {"cycles": 10**12, "late_s": 1e-300}}
+    rig.control.standing.reason = "x" * 5000
+    assert len(rig.control._refused("f" * 80, "e", "r").encode()) < 4096
+    assert json.loads(rig.control._reply(ok=True).encode())["reason"] == "x" * 400
