@@ -40,7 +40,8 @@ GROUPS: dict[str, tuple[Callable[..., None], ...]] = {
     ),
     "This installation": (where,),
     "Processes of a cell": (
-        processes.agent, processes.plant, processes.emulate, processes.telemetry, processes.record, processes.ros2,
+        processes.agent, processes.guard, processes.plant, processes.emulate, processes.telemetry, processes.record,
+        processes.ros2,
     ),
 }  # fmt: skip
 

@@ -19,7 +19,7 @@ from agent.control.joint_hold import weight
 from agent.modes import Event, Mode
 from agent.process.build import build_agent
 from agent.replay.chain import Chain
-from agent.replay.rows import mode_of, state_at
+from agent.replay.tick import mode_of, state_at
 from agent.safety import Flag
 from drivers.dynamixel.servo import table
 from sim_backend.wire.faults import Fault, FaultKind
