@@ -175,6 +175,7 @@ def check_taken_over(
     assert cause in log.metadata["post_mortem"]["cause"]
 
 
+@pytest.mark.fault("P2")
 @pytest.mark.realtime
 def test_a_stopped_agent_is_ended_and_held_for(host: Host) -> None:
     guard = host.guard()
@@ -188,6 +189,7 @@ def test_a_stopped_agent_is_ended_and_held_for(host: Host) -> None:
     check_taken_over(host, guard, agent, "the agent hung")
 
 
+@pytest.mark.fault("P1")
 @pytest.mark.realtime
 def test_an_agent_that_fails_by_an_error_is_held_for_and_says_why(host: Host) -> None:
     guard = host.guard()
@@ -197,6 +199,7 @@ def test_an_agent_that_fails_by_an_error_is_held_for_and_says_why(host: Host) ->
     assert "Traceback" in (host.folder / "words").read_text()
 
 
+@pytest.mark.fault("P7")
 @pytest.mark.realtime
 def test_a_killed_guard_is_noticed_comes_back_with_the_port_and_holds_for_a_killed_agent(host: Host) -> None:
     guard = host.guard()

@@ -123,6 +123,7 @@ def test_an_agent_without_its_guard_is_refused(tmp_path: Path) -> None:
         Guarded(path(tmp_path), CELL)
 
 
+@pytest.mark.fault("P7")
 def test_a_guard_that_is_gone_is_noticed_once_and_a_new_one_is_asked_to_watch(tmp_path: Path) -> None:
     told: list[tuple[Level, str]] = []
     first = GuardEnd(path(tmp_path), CELL)

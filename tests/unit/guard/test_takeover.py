@@ -38,6 +38,8 @@ def check_hold(run: Guarded) -> None:
     assert np.abs(rows["t"][k] - rows["t"][k - 1]) < 0.05, "the trajectory's zero is the agent's"
 
 
+@pytest.mark.fault("P1")
+@pytest.mark.fault("P2")
 @pytest.mark.parametrize("seed", [1])
 def test_guards_go_on_within_the_bounds_wherever_in_a_cycle_their_agents_end(seed: int) -> None:
     chance = random.Random(seed)
