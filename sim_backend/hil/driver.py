@@ -1,0 +1,192 @@
+"""The bridge: a driver made of a real arm that holds nothing and of its twin in the simulated cell.
+
+Its caller sees the real arm, pulled at as the twin's grasp is.  What it adds never waits for the plant: with a twin
+that has not started, is stale or has gone the real arm moves by itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.interface import (
+    ArmInfo,
+    BusCounters,
+    Clock,
+    Driver,
+    JointState,
+    ServoFault,
+    ServoHealth,
+    StaleStateError,
+    Vector,
+)
+from sim_backend.hil.coupling import Coupling, Settings, TwinState
+from sim_backend.hil.errors import HilFault
+from sim_backend.hil.guest import Twin
+
+START_S: Final = 60.0  # that the plant may take until all arms are there
+_REMEDY: Final = "see the log of the plant; the rehearsal begins anew with all agents"
+
+
+@dataclass(frozen=True)
+class Patience:
+    """How long the bridge waits before it gives the twin up."""
+
+    stale_s: float  # without a state of the twin: a fault
+    watchdog_s: float  # without a state of the real arm: its servos let go of it, and the twin goes limp
+    start_s: float = START_S
+
+
+class BridgeDriver:
+    """`drivers.interface.Driver` of the real arm `real` with its `twin`.
+
+    inertia: (n, n) of the arm on its own at q (n,).  What the last cycle added is in `addition`, `q_twin` and `age_s`.
+    """
+
+    def __init__(
+        self,
+        real: Driver,
+        twin: Twin,
+        clock: Clock,
+        settings: Settings,
+        patience: Patience,
+        inertia: Callable[[Vector], NDArray[np.float64]],
+    ) -> None:
+        self.coupling = Coupling(settings)
+        self._real, self._twin, self._clock = real, twin, clock
+        self._patience, self._inertia = patience, inertia
+        self._newest: TwinState | None = None
+        self._fault: HilFault | None = None
+        self._heard = False  # the real arm, in this cycle
+        self._heard_ns = 0  # and last
+        self._enabled_ns = 0
+        self._arm = ""
+
+    @property
+    def counters(self) -> BusCounters:
+        """Of the real arm's bus."""
+        return self._real.counters
+
+    @property
+    def addition(self) -> Vector:
+        """What the last command had beside the agent's torque, (n,) N·m."""
+        return self.coupling.addition
+
+    @property
+    def q_twin(self) -> Vector:
+        """The twin's joints at the real arm's last instant, (n,) rad; NaN before there is one."""
+        return self.coupling.q_twin if self._newest is not None else np.full_like(self.coupling.q_twin, np.nan)
+
+    @property
+    def age_s(self) -> float:
+        """Of the twin's state at the last cycle; infinite before there is one."""
+        return self.coupling.age_s if self._newest is not None else np.inf
+
+    def connect(self) -> ArmInfo:
+        """The plant first, which refuses what cannot be; then the real arm."""
+        plant = self._twin.connect()
+        try:
+            info = self._real.connect()
+        except BaseException:
+            self._twin.close()
+            raise
+        self._arm = info.arm
+        text = f"{info.description}; IN THE LOOP of {plant}"
+        return ArmInfo(info.arm, info.joints, info.tau_max_Nm, text)
+
+    def enable(self) -> None:
+        """Torque on: the real arm's, then the twin's, whose plant starts with the last arm.  Raises DriverError."""
+        self._real.enable()
+        self._enabled_ns = self._heard_ns = self._clock.now_ns()
+        self._twin.enable()
+
+    def read(self) -> JointState:
+        """State of the real arm.  Raises what its driver raises, and HilFault once the twin is lost."""
+        try:
+            state = self._real.read()
+        except StaleStateError:
+            self._silent()
+            raise
+        except ServoFault as error:
+            if error.state is None:
+                self._silent()
+            else:
+                self._couple(error.state)
+            raise
+        self._couple(state)
+        if self._fault is not None:
+            raise self._fault.with_state(state)
+        return state
+
+    def write(self, tau_Nm: Vector) -> Vector:
+        """Command τ and the addition to the real arm, τ and the coupling to the twin; what the servos were told.
+
+        Without a state of the real arm in this cycle the twin keeps its last torque, as the servos do.
+        """
+        sent = self._real.write(tau_Nm + self.coupling.addition)
+        if self._heard:
+            self._twin.command(tau_Nm + self.coupling.on_twin)
+        return sent
+
+    def health(self) -> ServoHealth:
+        """Of the real arm."""
+        return self._real.health()
+
+    def disable(self) -> None:
+        """Torque off, the real arm's first."""
+        self._real.disable()
+        self._twin.limp()
+
+    def close(self) -> None:
+        """Give the port back and take leave of the plant."""
+        self._real.close()
+        self._twin.close()
+
+    # --- the cycle ------------------------------------------------------------------------------------------------
+
+    def _couple(self, state: JointState) -> None:
+        """The cycle of a fresh state of the real arm."""
+        self._heard, self._heard_ns = True, self._clock.now_ns()
+        self._newest = self._twin.newest() or self._newest
+        if self._fault is not None or self._newest is None:
+            self.coupling.alone(state.stamp_ns)
+        else:
+            self.coupling.step(state.stamp_ns, state.q, state.dq, self._newest, self._inertia(state.q))
+        if self._fault is None:
+            self._fault = self._trouble(state)
+            if self._fault is not None:
+                self._twin.limp()
+
+    def _silent(self) -> None:
+        """The cycle had no state: like the servos' watchdog, the twin lets go when that lasts."""
+        self._heard = False
+        if self._clock.now_ns() - self._heard_ns > self._patience.watchdog_s * 1e9:
+            self._twin.limp()
+
+    def _trouble(self, state: JointState) -> HilFault | None:
+        """Why arm and twin are no pair any more."""
+        what, ended, coupling = f"twin of arm {self._arm}", self._twin.ended, self.coupling
+        if ended is not None:
+            return HilFault(what, found=f"a plant that is gone ({ended.found})", expected="its state", remedy=_REMEDY)
+        if self._newest is None:
+            waited_s = (self._clock.now_ns() - self._enabled_ns) * 1e-9
+            if waited_s <= self._patience.start_s:
+                return None
+            return HilFault(
+                what, found=f"no state for {waited_s:.0f} s", expected="a plant that all arms of the cell share",
+                remedy="run the plant and every agent of the cell on one host",
+            )  # fmt: skip
+        if coupling.age_s > self._patience.stale_s:
+            found = f"a state {coupling.age_s * 1e3:.0f} ms old"
+            return HilFault(what, found=found, expected=f"≤ {self._patience.stale_s * 1e3:.0f} ms", remedy=_REMEDY)
+        apart_rad, bound_rad = coupling.apart_rad(state.q), coupling.settings.apart_max_rad
+        if apart_rad > bound_rad:
+            return HilFault(
+                what, found=f"{apart_rad:.2f} rad from the arm", expected=f"≤ {bound_rad:g} rad",
+                remedy="see what holds the real arm, or gives it another torque than its model says",
+            )  # fmt: skip
+        return None
