@@ -8,8 +8,8 @@ torque of its grasp over the last cycle),
     a = clip(alive (h + c)) to the real arm,   −b = −alive (c − r) to the twin.
 
 a is what carries the object's part to the real arm.  r is the torque by which the real arm does otherwise than its
-model; the twin is given it, so that the partners feel it.  c takes away what is left.  Stability asks for a delay: w
-times the loop's delay stays below `STIFFEST`, and `frequency` keeps to two thirds of that.
+model; the twin is given it, so that the partners feel it.  c takes away what is left.  w follows from the loop's delay
+(drivers.rehearsal).
 """
 
 from __future__ import annotations
@@ -24,24 +24,10 @@ from numpy.typing import NDArray
 
 from drivers.interface import Vector
 
-STIFFEST: Final = 0.3  # w τ_loop; measured: stable at 0.31, lost at 0.34
-BY_RULE: Final = 0.2  # w τ_loop that the rule aims at
-FASTEST_RAD_PER_S: Final = 25.0  # beyond it nothing is gained
-CYCLES: Final = 1.5  # of delay around the loop: one from a sample to its torque, half a one of the twin's age
 FRESH_CYCLES: Final = 3.0  # a state of the twin older than this is stale
 FADE_S: Final = 0.1  # in which the addition goes to zero when it is
 OBSERVER_PER_S: Final = 40.0  # L
 LOOK_BACK: Final = 2  # cycles until a torque shows in the motion
-
-
-def loop_delay_s(period_s: float, extra_cycles: float) -> float:
-    """Delay around real arm and twin; extra_cycles: on top of what plant and bus of one host have."""
-    return (CYCLES + extra_cycles) * period_s
-
-
-def frequency(delay_s: float) -> float:
-    """w, rad/s, for a loop with this delay."""
-    return min(FASTEST_RAD_PER_S, BY_RULE / delay_s)
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,6 +15,7 @@ from pydantic import Field, model_validator
 from agent.config.schema.arm import Baud
 from agent.config.schema.controller import Controller
 from agent.config.schema.coordination import NoticingSpec
+from agent.config.schema.hil import Hil
 from agent.config.schema.simulation import Simulation
 from agent.config.schema.tolerance import Tolerance
 from agent.config.schema.trajectory import TrajectorySpec
@@ -222,6 +223,7 @@ class CellFile(Strict):
     safety: Safety = Safety()
     tolerance: Tolerance = Tolerance()
     simulation: Simulation = Simulation()
+    hil: Hil | None = None  # real arms that rehearse with simulated partners and object
     report: Report
     embedded: dict[str, str] = Field(default_factory=dict)  # text of the files the cell names, added while loading
     arms: Annotated[list[Arm], Field(min_length=1, max_length=8)]
@@ -284,6 +286,7 @@ class CellFile(Strict):
                 remedy="name one of the cell's arms",
             )  # fmt: skip
         self.simulation.require_fit({a.name: len(a.controlled) for a in self.arms})
+        self._require_rehearsal(names)
         if self.driver is DriverKind.DYNAMIXEL:
             for a in self.arms:
                 if a.dynamixel is None:
@@ -292,3 +295,14 @@ class CellFile(Strict):
                         remedy='add it, or take driver = "sim"',
                     )  # fmt: skip
         return self
+
+    def _require_rehearsal(self, names: list[str]) -> None:
+        """Raises PydanticCustomError where [hil] does not fit the rest."""
+        if self.hil is None:
+            return
+        self.hil.require_fit(names, self.rate_hz)
+        if self.driver is DriverKind.DYNAMIXEL:
+            raise wrong(
+                "hil", found='[hil] with driver = "dynamixel"', expected='driver = "sim"',
+                remedy="a rehearsal simulates the object; remove [hil] for the real carry",
+            )  # fmt: skip
