@@ -112,10 +112,11 @@ class BridgeDriver:
             self._silent()
             raise
         except ServoFault as error:
-            if error.state is None:
-                self._silent()
-            else:
+            whole = error.state is not None and np.isfinite(error.state.q + error.state.dq).all()
+            if whole and error.state is not None:
                 self._couple(error.state)
+            else:  # a joint that cannot tell where it is cannot lead its twin
+                self._silent()
             raise
         self._couple(state)
         if self._fault is not None:
@@ -163,9 +164,17 @@ class BridgeDriver:
 
     def _silent(self) -> None:
         """The cycle had no state: like the servos' watchdog, the twin lets go when that lasts."""
+        now_ns, limit_s = self._clock.now_ns(), self._patience.watchdog_s
         self._heard = False
-        if self._clock.now_ns() - self._heard_ns > self._patience.watchdog_s * 1e9:
+        if now_ns - self._heard_ns <= limit_s * 1e9:
+            return
+        self.coupling.alone(now_ns)
+        if self._fault is None:
             self._twin.limp()
+            self._fault = HilFault(
+                f"twin of arm {self._arm}", found=f"a real arm without a state for {limit_s:g} s",
+                expected="one in every cycle", remedy=_REMEDY,
+            )  # fmt: skip
 
     def _trouble(self, state: JointState) -> HilFault | None:
         """Why arm and twin are no pair any more."""

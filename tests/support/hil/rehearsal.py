@@ -6,6 +6,7 @@ the loop it is the fully simulated cell, which a rehearsal is measured by.
 
 from __future__ import annotations
 
+import random
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -63,11 +64,13 @@ class Seat:
         self.line = DelayLine.of(spec.actuator, plant.physics.spec.substep_s, plant.substeps, index)
         self.limits = TorqueCommand.of(spec.actuator)
         self.on = self.limp = False
+        self.limp_ns: int | None = None
         self.tau = np.zeros(len(spec.controlled))
 
     def switch_off(self) -> None:
         """Torque off for good."""
-        self.limp = True
+        if not self.limp:
+            self.limp, self.limp_ns = True, self.plant.zero_ns + self.plant.tick * self.plant.period_ns
         self.tau = np.zeros_like(self.tau)
         self.line.clear()
 
@@ -124,9 +127,13 @@ class VirtualPlant:
 
 
 class VirtualTwin:
-    """`sim_backend.hil.guest.Twin` on a virtual plant; older_cycles: by which its states come later."""
+    """`sim_backend.hil.guest.Twin` on a virtual plant.
 
-    def __init__(self, seat: Seat, older_cycles: int = 0) -> None:
+    older_cycles: by which its states come later; lost: share of its commands that do not arrive.
+    """
+
+    def __init__(self, seat: Seat, older_cycles: int = 0, lost: float = 0.0) -> None:
+        self._chance, self._lost = random.Random(1), lost
         self.ended: Refusal | None = None
         self._seat, self._told = seat, -1
         self._older: list[TwinState] = []
@@ -150,7 +157,7 @@ class VirtualTwin:
         return self._older.pop(0) if len(self._older) > self._older_cycles else None
 
     def command(self, tau_Nm: Vector) -> None:
-        if not self._seat.limp:
+        if not self._seat.limp and self._chance.random() >= self._lost:
             self._seat.tau = self._seat.limits(tau_Nm)
 
     def limp(self) -> None:
@@ -199,6 +206,16 @@ class VirtualSim:
     def close(self) -> None: ...
 
 
+class LossyDriver(DynamixelDriver):
+    """The real driver on a line that loses a share of the commands."""
+
+    lost = 0.0
+    _chance = random.Random(2)
+
+    def write(self, tau_Nm: Vector) -> Vector:
+        return tau_Nm if self._chance.random() < self.lost else super().write(tau_Nm)
+
+
 class Physics:
     """Emulated servos and plant, advanced together; what `SharedClock` takes for a cell."""
 
@@ -245,6 +262,7 @@ class Rehearsal:
         happenings: Mapping[float, Happening] | None = None,
         phase_ns: int = 1_300_000,
         older_cycles: int = 0,
+        lost: float = 0.0,
     ) -> None:
         q_start = examine(cell).q_start
         hil = cell.file.hil
@@ -254,7 +272,7 @@ class Rehearsal:
         self._injectors = [Injector(arm, None, seed=1) for arm in self._emulated.arms] if self._emulated else []
         self._physics = Physics(self._emulated, self.plant)
         self.clock = SharedClock(self._physics, self._injectors, len(cell.arms))  # type: ignore[arg-type]
-        self.cell, self._faults, self._older = cell, faults, older_cycles
+        self.cell, self._faults, self._late = cell, faults, (older_cycles, lost)
         self._happenings = happenings or {}
         self._ready: set[str] = set()
         self.zero_ns: int | None = None
@@ -303,10 +321,11 @@ class Rehearsal:
         index = next(i for i, a in enumerate(self._emulated.arms) if a.name == arm.name)  # type: ignore[union-attr]
         line: Any = Line(self._physics, index, self._injectors[index], self.clock)  # type: ignore[arg-type]
         port = self.ports[arm.name] = VirtualPort(line, arm.baud)
-        real = DynamixelDriver(
+        real = LossyDriver(
             arm_map(self.cell, arm, "virtual", q_start), self.clock, on_event=run.events.append, scan_s=0.05, port=port
         )
-        twin = VirtualTwin(seat, self._older)
+        real.lost = self._late[1]
+        twin = VirtualTwin(seat, *self._late)
         run.bridge = bridge(self.cell, arm, real, twin, self.clock, emulated=False)
         return run.bridge
 
