@@ -16,6 +16,7 @@ from agent.cli.options import (
     DriverName,
     NetworkConfig,
     WithParent,
+    asked_yes,
     begin,
     ready,
 )
@@ -33,6 +34,9 @@ def agent(
     priority: Annotated[int | None, typer.Option(min=1, max=99, help="SCHED_FIFO priority, or refuse.")] = None,
     emulated: Annotated[bool, typer.Option("--emulated", help="The servos on that port are emulated.")] = False,
     real_time: Annotated[bool, typer.Option("--real-time", help="At the wall clock's pace, not in lockstep.")] = False,
+    gripper_empty: Annotated[
+        bool, typer.Option("--gripper-empty", help="Arm in the loop: a person has looked, it holds nothing.")
+    ] = False,
     with_parent: WithParent = False,
 ) -> None:
     """Run one arm: the process that reads, steps, limits and writes."""
@@ -41,11 +45,15 @@ def agent(
     from agent.host.paths import control_path, make_runtime_dir, plant_socket_path, ring_path
     from agent.process.agent import AgentOptions, run_agent
     from agent.process.build import Connection
+    from agent.process.rehearse import driver_of, in_the_loop, require_empty_gripper, require_wall_clock
 
     requested = begin(with_parent)
     loaded = load_cell(cell)
-    kind = DriverKind(driver.value) if driver is not None else loaded.file.driver
+    kind = driver_of(loaded, arm, DriverKind(driver.value) if driver is not None else None)
     name = loaded.file.name
+    if in_the_loop(loaded, arm) and not emulated:
+        require_empty_gripper(arm, gripper_empty or asked_yes(f"Is the gripper of arm {arm} EMPTY?"))
+    require_wall_clock(loaded, real_time=real_time or kind is DriverKind.DYNAMIXEL)
     lockstep = kind is DriverKind.SIM and not real_time
     if ring is None or (control is None and not lockstep):
         make_runtime_dir(name)
@@ -103,7 +111,7 @@ def emulate(
     from agent.atomic import make_folder
     from agent.config.cell import load_cell
     from agent.host.paths import make_runtime_dir, ring_path
-    from agent.process.emulate import run_emulate
+    from agent.process.emulate import run_emulate, run_emulate_alone
     from agent.telemetry.row.topics import PLANT
     from sim_backend.wire.serve import ServeOptions
 
@@ -111,9 +119,12 @@ def emulate(
     loaded = load_cell(cell)
     make_folder(ports)
     name = loaded.file.name
-    if ring is None:
+    if ring is None and loaded.file.hil is None:
         make_runtime_dir(name)
     options = ServeOptions({arm.name: ports / arm.name for arm in loaded.arms}, faults, control, seed)
+    if loaded.file.hil is not None:
+        typer.echo(run_emulate_alone(loaded, options, timing=not no_timing, stop=requested, ready=ready), err=True)
+        return
     where = ring or ring_path(name, PLANT)
     typer.echo(run_emulate(loaded, options, where, timing=not no_timing, stop=requested, ready=ready), err=True)
 

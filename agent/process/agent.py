@@ -16,6 +16,7 @@ from agent.host.signals import StopFlag
 from agent.modes import Event, Mode
 from agent.operator.socket import ControlSocket
 from agent.process.build import Connection, build_agent, build_driver
+from agent.process.rehearse import BridgedRows
 from agent.runner import Runner, RunSummary, Schedule, Surroundings
 from agent.telemetry.ring.ring import RingWriter
 from agent.telemetry.ring.texts import TextWriter
@@ -28,6 +29,7 @@ from agent.verify.check import examine
 from drivers.clock import utc_offset_ns
 from drivers.dynamixel.arm_map import WATCHDOG_S
 from drivers.interface import Clock, Driver, DriverError, Refusal
+from sim_backend.hil.driver import BridgeDriver
 
 HEARTBEAT_S = 0.02
 HEALTH_S = 1.0
@@ -138,7 +140,8 @@ def _runner(
 
     around = Surroundings(time.perf_counter_ns, operator.events, operator.start_ns, beat, heart.mode, tell.trouble)
     row = AgentRow(ring.row, arm.n, cell.config_id)
-    return Runner(build_agent(cell, arm), driver, clock, _schedule(cell, options), row, ring, around)
+    sink = BridgedRows(ring, row, driver) if isinstance(driver, BridgeDriver) else ring
+    return Runner(build_agent(cell, arm), driver, clock, _schedule(cell, options), row, sink, around)
 
 
 def _schedule(cell: Cell, options: AgentOptions) -> Schedule:

@@ -10,11 +10,14 @@ from agent.config.agent import HOLD_RATE_MAX_RAD_PER_S, build_agent
 from agent.config.cell import Arm, Cell
 from agent.config.schema.cell import DriverKind
 from agent.config.servo_map import arm_map
+from agent.process.rehearse import bridge, in_the_loop
 from drivers.clock import MonotonicClock
+from drivers.dynamixel.arm_map import WATCHDOG_S
 from drivers.dynamixel.driver import DynamixelDriver
 from drivers.dynamixel.events import DriverEvent
 from drivers.dynamixel.pace import SHARE as READ_SHARE
 from drivers.interface import Clock, ConnectError, Driver, Vector
+from sim_backend.hil.guest import ServedTwin
 from sim_backend.served.driver import SimDriver
 
 __all__ = ["HOLD_RATE_MAX_RAD_PER_S", "Connection", "build_agent", "build_driver"]
@@ -26,7 +29,7 @@ EMULATED_READ_SHARE = 4.0
 class Connection:
     """How an agent reaches its arm."""
 
-    plant_socket: Path | None = None  # simulated driver
+    plant_socket: Path | None = None  # simulated driver, and the twin of an arm in the loop
     port: str | None = None  # Dynamixel driver; None: the port of the cell file
     emulated: bool = False  # the servos on that port are emulated: nothing can fall
 
@@ -55,6 +58,16 @@ def build_driver(
         warn(f"{event.kind.value}{where}: {event.text}")
 
     clock = MonotonicClock()
+    if in_the_loop(cell, arm.name) and connection.plant_socket is None:
+        raise ConnectError(
+            f"twin of arm {arm.name}", found="no plant socket", expected="the socket of the cell's plant",
+            remedy="give --plant-socket",
+        )  # fmt: skip
     # emulated servos share the processor with everything else: a slow read there says nothing of a bus
     share = EMULATED_READ_SHARE if connection.emulated else READ_SHARE
-    return DynamixelDriver(arm_map(cell, arm, port, q_start), clock, on_event=tell, read_share=share), clock
+    real = DynamixelDriver(arm_map(cell, arm, port, q_start), clock, on_event=tell, read_share=share)
+    if not in_the_loop(cell, arm.name) or connection.plant_socket is None:
+        return real, clock
+    joints = tuple(arm.entry.controlled)
+    twin = ServedTwin(connection.plant_socket, arm.name, joints, cell.config_id, WATCHDOG_S)
+    return bridge(cell, arm, real, twin, clock, emulated=connection.emulated), clock

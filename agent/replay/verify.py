@@ -25,7 +25,7 @@ from agent.replay.rows import Readable, Rows, Window, arms_of, blocks, is_fresh,
 from agent.replay.source import ReplayError
 from agent.telemetry.row.fill import AgentRow
 from agent.telemetry.row.sample import AGENT_FIELDS, AGENT_STATE
-from drivers.interface import JointState
+from drivers.interface import JointState, Vector
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,6 +141,7 @@ class _Verifier:
         sequences, modes, flags = rows["sequence"].tolist(), rows["mode"].tolist(), rows["flags"].tolist()
         times, t_expected = rows["t"].tolist(), clock.times(rows)
         inputs = _inputs(rows, self._agent.model.n)
+        in_the_loop = bool(np.any(rows["twin_age_s"]))
         for i, (sequence, state) in enumerate(zip(sequences, inputs, strict=True)):
             if not self._ready(sequence, rows, i):
                 self._left_out += len(rows) - i
@@ -159,6 +160,8 @@ class _Verifier:
             sent = rows["tau_sent"][i, : self._agent.model.n] if fresh else memory.tau
             told = state if fresh else self._lost(state)
             self._row.fill(sequence, times[i], int(rows["utc_ns"][i]), mode, told, memory, outcome, sent)
+            if in_the_loop:
+                self._row.fill_bridge(*_bridged(rows[i], self._agent.model.n))
             at = i * size
             same = all(bytes(self._bytes[a:b]) == data[at + a : at + b] for a, b in self._spans)
             if not same or t_expected[i] != times[i]:
@@ -227,6 +230,11 @@ def _inputs(rows: Rows, n: int) -> Iterator[JointState]:
     """The measured joints of each row."""
     arrays = (np.ascontiguousarray(rows[name][:, :n]) for name in ("q_measured", "dq_measured", "tau_measured"))
     return (JointState(*row) for row in zip(rows["stamp_ns"].tolist(), *arrays, strict=True))
+
+
+def _bridged(row: np.void, n: int) -> tuple[Vector, Vector, float]:
+    """What the bridge of an arm in the loop told, which is taken as recorded, as all that a driver tells."""
+    return row["tau_bridge"][:n], row["q_twin"][:n], float(row["twin_age_s"])
 
 
 def _same(a: NDArray[np.generic] | np.generic, b: NDArray[np.generic] | np.generic) -> bool:
