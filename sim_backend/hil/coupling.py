@@ -50,6 +50,7 @@ class TwinState:
     q: Vector  # (n,) rad
     dq: Vector  # (n,) rad/s
     grasp: Vector  # (n,) N·m, mean torque of its grasp over the cycle before
+    pulled: Vector  # (n,) N·m, the same over all cycles since the state that was seen before
 
 
 class Coupling:
@@ -65,6 +66,7 @@ class Coupling:
         self.alive = 0.0  # 0: apart, 1: coupled
         self._estimate: Vector | None = None  # I
         self._r: Vector = np.zeros(n)
+        self._grasp: Vector = np.zeros(n)  # the object's part of the addition
         self._before: deque[Vector] = deque([np.zeros(n)] * LOOK_BACK, LOOK_BACK)  # a + b of the last cycles
         self._stamp_ns: int | None = None
 
@@ -82,12 +84,17 @@ class Coupling:
         self.q_twin = twin.q + dq_t * min(max(self.age_s, -horizon), horizon)
         self._ramp(dt / s.ramp_s if self.fresh else -dt / FADE_S)
         p = B.dot(dq - dq_t)
-        r = self._otherwise(p, twin.grasp, dt)
+        r = self._otherwise(p, twin.pulled, dt)
         inertia, w = np.diagonal(B), s.frequency_rad_per_s
         c = inertia * (w * w * (self.q_twin - q) + 2.0 * s.damping_ratio * w * (dq_t - dq))
-        wanted = self.alive * (twin.grasp + c)
-        self.addition = np.minimum(np.maximum(wanted, -s.clamp_Nm), s.clamp_Nm)
+        self._grasp = self._clamped(self.alive * twin.grasp)
+        self.addition = self._clamped(self.alive * (twin.grasp + c))
         self.on_twin = self.alive * (r - c)
+        self._before.append(self.addition - self.on_twin)
+
+    def unheard(self) -> None:
+        """A cycle without a state of the real arm: the object's part stays, what answered its motion does not."""
+        self.addition = self._grasp
         self._before.append(self.addition - self.on_twin)
 
     def alone(self, stamp_ns: int) -> None:
@@ -103,15 +110,20 @@ class Coupling:
         """Largest difference of a joint between the real arm at q (n,) and the twin."""
         return float(np.abs(self.q_twin - q).max())
 
-    def _otherwise(self, p: Vector, grasp: Vector, dt: float) -> Vector:
+    def _otherwise(self, p: Vector, pulled: Vector, dt: float) -> Vector:
         """r (n,): the torque by which the real arm does otherwise than the twin; zero until both have moved along."""
         if self._estimate is None or self.alive == 0.0:
             self._estimate, self._r = p, np.zeros_like(p)
             return self._r
-        clamp = self.settings.clamp_Nm
-        self._estimate = self._estimate + dt * (self._before[0] - grasp + self._r)
-        self._r = np.minimum(np.maximum(OBSERVER_PER_S * (p - self._estimate), -clamp), clamp)
+        T, (older, newer) = self.settings.period_s, self._before
+        acted = older if dt <= T else (T * older + (dt - T) * newer) / dt
+        self._estimate = self._estimate + dt * (acted - pulled + self._r)
+        self._r = self._clamped(OBSERVER_PER_S * (p - self._estimate))
         return self._r
+
+    def _clamped(self, tau_Nm: Vector) -> Vector:
+        clamp = self.settings.clamp_Nm
+        return np.minimum(np.maximum(tau_Nm, -clamp), clamp)
 
     def _ramp(self, by: float) -> None:
         self.alive = min(1.0, max(0.0, self.alive + by))

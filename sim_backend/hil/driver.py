@@ -166,7 +166,8 @@ class BridgeDriver:
         """The cycle had no state: like the servos' watchdog, the twin lets go when that lasts."""
         now_ns, limit_s = self._clock.now_ns(), self._patience.watchdog_s
         self._heard = False
-        if now_ns - self._heard_ns <= limit_s * 1e9:
+        if now_ns - self._heard_ns <= limit_s * 1e9 and self._fault is None:
+            self.coupling.unheard()
             return
         self.coupling.alone(now_ns)
         if self._fault is None:

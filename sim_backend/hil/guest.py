@@ -6,6 +6,8 @@ import socket
 from pathlib import Path
 from typing import Protocol
 
+import numpy as np
+
 from drivers.interface import BusCounters, ConnectError, DriverError, Refusal, StaleStateError, Vector
 from sim_backend.hil.coupling import TwinState
 from sim_backend.served.link import PlantLink
@@ -98,16 +100,18 @@ class ServedTwin:
 
     def newest(self) -> TwinState | None:
         """The newest state that has come since the last call; older ones are dropped."""
-        link, found = self._link, None
+        link = self._link
         if link is None or self.ended is not None:
             return None
+        pulled: list[Vector] = []
         try:
             while (kind := link.receive(socket.MSG_DONTWAIT)) is not None:
                 if kind is MessageKind.STATE:
-                    found = TwinState(link.stamp_ns, link.q.copy(), link.dq.copy(), link.grasp.copy())
+                    pulled.append(link.grasp.copy())
+                    stamp_ns, q, dq = link.stamp_ns, link.q.copy(), link.dq.copy()
         except StaleStateError as why:
             self.ended = why
-        return found
+        return TwinState(stamp_ns, q, dq, pulled[-1], np.mean(pulled, axis=0)) if pulled else None
 
     def command(self, tau_Nm: Vector) -> None:
         """Torque (n,) from now on."""

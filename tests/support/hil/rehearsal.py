@@ -86,7 +86,7 @@ class VirtualPlant:
         self.period_ns, self.phase_ns = cell.period_ns, phase_ns
         self.tick, self.zero_ns = -1, 0  # -1: not started
         self.killed = False
-        self.grasp = np.zeros(self.physics.joint_count)
+        self.grasps = [np.zeros(self.physics.joint_count)]
         self.reported = self.physics.reported()
         self.seen: list[tuple[int, Observation]] = []
         lines = [s.line for s in self.seats.values()]
@@ -121,7 +121,8 @@ class VirtualPlant:
             else:
                 self.physics.advance(self._acting, count)
         self.tick += 1
-        self.reported, self.grasp = self.physics.reported(), self.physics.grasp_torque()
+        self.reported = self.physics.reported()
+        self.grasps.append(self.physics.grasp_torque())
         if self.tick % 2 == 0:
             self.seen.append((self.zero_ns + self.tick * self.period_ns, self.physics.observe(self._acting)))
 
@@ -135,7 +136,7 @@ class VirtualTwin:
     def __init__(self, seat: Seat, older_cycles: int = 0, lost: float = 0.0) -> None:
         self._chance, self._lost = random.Random(1), lost
         self.ended: Refusal | None = None
-        self._seat, self._told = seat, -1
+        self._seat, self._told, self._pulled = seat, -1, 0
         self._older: list[TwinState] = []
         self._older_cycles = older_cycles
 
@@ -152,7 +153,9 @@ class VirtualTwin:
         self._told = plant.tick
         stamp_ns = plant.zero_ns + plant.tick * plant.period_ns
         physics = plant.physics
-        state = TwinState(stamp_ns, physics.q[part], physics.dq[part], plant.grasp[part].copy())
+        ticks = np.array([g[part] for g in plant.grasps[self._pulled :]])
+        self._pulled = len(plant.grasps)
+        state = TwinState(stamp_ns, physics.q[part], physics.dq[part], ticks[-1], ticks.mean(axis=0))
         self._older.append(state)
         return self._older.pop(0) if len(self._older) > self._older_cycles else None
 
