@@ -157,11 +157,12 @@ class _Verifier:
             except (ArithmeticError, ValueError) as error:
                 self._differs(rows, i, ("t",), f"no torque at all: {error or type(error).__name__}")
                 continue
-            sent = rows["tau_sent"][i, : self._agent.model.n] if fresh else memory.tau
+            recorded = rows["tau_sent"][i, : self._agent.model.n]
+            sent = recorded if fresh else memory.tau
             told = state if fresh else self._lost(state)
             self._row.fill(sequence, times[i], int(rows["utc_ns"][i]), mode, told, memory, outcome, sent)
             if in_the_loop:
-                self._row.fill_bridge(*_bridged(rows[i], self._agent.model.n))
+                self._row.fill_bridge(recorded, *_bridged(rows[i], self._agent.model.n))
             at = i * size
             same = all(bytes(self._bytes[a:b]) == data[at + a : at + b] for a, b in self._spans)
             if not same or t_expected[i] != times[i]:

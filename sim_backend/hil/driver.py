@@ -44,7 +44,8 @@ class Patience:
 class BridgeDriver:
     """`drivers.interface.Driver` of the real arm `real` with its `twin`.
 
-    inertia: (n, n) of the arm on its own at q (n,).  What the last cycle added is in `addition`, `q_twin` and `age_s`.
+    inertia: (n, n) of the arm on its own at q (n,).  Of the last cycle: `sent` (n,) and what of it was `added`,
+    `q_twin` and `age_s`; sent is NaN where the bus did not take it.
     """
 
     def __init__(
@@ -59,6 +60,8 @@ class BridgeDriver:
         self.coupling = Coupling(settings)
         self._real, self._twin, self._clock = real, twin, clock
         self._patience, self._inertia = patience, inertia
+        self._nothing: Vector = np.full(len(settings.clamp_Nm), np.nan)
+        self.sent, self.added = self._nothing, self.coupling.addition
         self._newest: TwinState | None = None
         self._fault: HilFault | None = None
         self._heard = False  # the real arm, in this cycle
@@ -72,14 +75,9 @@ class BridgeDriver:
         return self._real.counters
 
     @property
-    def addition(self) -> Vector:
-        """What the last command had beside the agent's torque, (n,) N·m."""
-        return self.coupling.addition
-
-    @property
     def q_twin(self) -> Vector:
         """The twin's joints at the real arm's last instant, (n,) rad; NaN before there is one."""
-        return self.coupling.q_twin if self._newest is not None else np.full_like(self.coupling.q_twin, np.nan)
+        return self.coupling.q_twin if self._newest is not None else self._nothing
 
     @property
     def age_s(self) -> float:
@@ -128,10 +126,11 @@ class BridgeDriver:
 
         Without a state of the real arm in this cycle the twin keeps its last torque, as the servos do.
         """
-        sent = self._real.write(tau_Nm + self.coupling.addition)
+        self.added, self.sent = self.coupling.addition, self._nothing
+        self.sent = self._real.write(tau_Nm + self.added)
         if self._heard:
             self._twin.command(tau_Nm + self.coupling.on_twin)
-        return sent
+        return self.sent
 
     def health(self) -> ServoHealth:
         """Of the real arm."""

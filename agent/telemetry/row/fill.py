@@ -97,6 +97,7 @@ class AgentRow:
         self._sent, self._sent_at = _packer("tau_limited", "sigma_min", joint_count), _offset("tau_limited")
         self._memory, self._memory_at = _packer("shift", "memory", joint_count), _offset("shift")
         self._bridge, self._bridge_at = _packer("tau_bridge", "twin_age_s", joint_count), _offset("tau_bridge")
+        self._sent_alone, self._sent_alone_at = _packer("tau_sent", "tau_sent", joint_count), _offset("tau_sent")
         self._timing, self._timing_at = _packer("late_s", "bus_retries", joint_count), _offset("late_s")
 
     def fill(
@@ -130,8 +131,12 @@ class AgentRow:
             self._theta_arm[: len(memory.estimate.arm)] = memory.estimate.arm
             self._theta_object[:] = memory.estimate.object
 
-    def fill_bridge(self, added: Vector, q_twin: Vector, age_s: float) -> None:
-        """What is between a real arm and its simulated twin; rows of other arms have zeros.  (n,), (n,), s."""
+    def fill_bridge(self, sent: Vector, added: Vector, q_twin: Vector, age_s: float) -> None:
+        """What is between a real arm and its simulated twin; rows of other arms have zeros.  (n,), (n,), (n,), s.
+
+        sent: with the addition, also in a cycle without a state.
+        """
+        self._sent_alone.pack_into(self._bytes, self._sent_alone_at, sent.tobytes())
         self._bridge.pack_into(self._bytes, self._bridge_at, added.tobytes(), q_twin.tobytes(), age_s)
 
     def fill_timing(self, late_s: float, read_s: float, step_s: float, write_s: float, bus: BusCounters) -> None:

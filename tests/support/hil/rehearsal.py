@@ -9,7 +9,7 @@ from __future__ import annotations
 import random
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,11 +17,11 @@ import numpy as np
 from agent.config.cell import Arm, Cell
 from agent.config.schema.cell import DriverKind
 from agent.config.servo_map import arm_map
-from agent.modes import Event, Mode
+from agent.modes import Event
 from agent.process.agent import AgentOptions, _schedule
 from agent.process.build import Connection, build_agent
 from agent.process.emulate import wiring
-from agent.process.rehearse import bridge
+from agent.process.rehearse import BridgedRows, bridge
 from agent.process.simulated import lone_spec, plant_spec
 from agent.report.series import internal_wrenches
 from agent.runner import Runner, Surroundings
@@ -225,6 +225,7 @@ class Physics:
     def __init__(self, emulated: EmulatedCell | None, plant: VirtualPlant) -> None:
         self.arms: Any = emulated.arms if emulated is not None else ()
         self.time_ns = 0
+        self.watchers: list[Callable[[int], None]] = []
         self.todo: list[tuple[int, Callable[[], None]]] = []
         self._emulated, self._plant = emulated, plant
 
@@ -234,6 +235,8 @@ class Physics:
         if self._emulated is not None:
             self._emulated.advance_to(now_ns)
         self._plant.advance_to(now_ns)
+        for watcher in self.watchers:
+            watcher(now_ns)
 
     def sense(self, arm: Any, now_ns: int) -> None:
         assert self._emulated is not None
@@ -245,7 +248,6 @@ class Hil(ArmRun):
     """What the run of one arm left, and its bridge."""
 
     bridge: BridgeDriver | None = None
-    added: list[tuple[Vector, Vector, Vector]] = field(default_factory=list)  # addition, q_twin, τ_sent − addition
 
 
 Happening = Callable[["Rehearsal"], None]
@@ -347,7 +349,8 @@ class Rehearsal:
         options: Any = AgentOptions(arm.name, kind, Connection(), None, None, lockstep=False, hold=False)  # type: ignore[arg-type]
         row = AgentRow(run.log.message, arm.n, self.cell.config_id)
         schedule = _schedule(self.cell, options)
-        run.summary = Runner(build_agent(self.cell, arm), driver, self.clock, schedule, row, run.log, around).run()
+        sink: Any = BridgedRows(run.log, row, driver) if run.bridge is not None else run.log
+        run.summary = Runner(build_agent(self.cell, arm), driver, self.clock, schedule, row, sink, around).run()
 
     def _start(self, arm: str) -> int | None:
         self._ready.add(arm)
@@ -362,6 +365,19 @@ class Rehearsal:
                 for t, happen in sorted(self._happenings.items())
             ]
         return self.zero_ns
+
+    def watch(self, look: Callable[[float, Any], None], name: str = "left") -> None:
+        """Show the physics of a real arm from now on, at most a millisecond apart, with the time from the start."""
+        self._physics.watchers.append(lambda now_ns: look((now_ns - (self.zero_ns or 0)) * 1e-9, self.lone(name)))
+
+    def apart_m(self, name: str) -> float:
+        """Between the end effectors of a real arm and its twin, as they truly are."""
+        lone = self.lone(name)
+        here, q = lone.end_effector().translation.copy(), lone.q
+        lone.q = self.plant.physics.q[self.plant.seats[name].part]
+        there = lone.end_effector().translation.copy()
+        lone.q = q
+        return float(np.linalg.norm(here - there))
 
     # --- what came of it ----------------------------------------------------------------------------------------------
 
@@ -379,7 +395,7 @@ class Rehearsal:
         internal = internal_wrenches(np.array(wrenches), np.array(quats), offsets)
         return np.array(errors), np.linalg.norm(internal[:, :, :3], axis=2)
 
-    def tracked(self, name: str) -> bool:
-        """Whether an arm followed the trajectory to the end."""
-        summary = self.arms[name].summary
-        return summary is not None and summary.mode is Mode.TRACK
+    def figures(self, from_s: float) -> tuple[float, float]:
+        """Rms of the position error (mm) and of the internal force (N) from a time on."""
+        error, force = self.truth(from_s)
+        return float(np.sqrt(np.mean(error**2))) * 1e3, float(np.sqrt(np.mean(force**2)))

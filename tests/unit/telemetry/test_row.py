@@ -121,7 +121,7 @@ def test_every_number_of_a_tick_lands_in_its_own_field(n: int) -> None:
     fill(row, outcome, state, memory)
     check(message[0], state, memory, outcome)
     added, q_twin = np.arange(1.0, n + 1.0), np.arange(21.0, n + 21.0)
-    row.fill_bridge(added, q_twin, 0.007)
+    row.fill_bridge(outcome.tau + 0.5, added, q_twin, 0.007)
     check(message[0], state, memory, outcome, (added, q_twin, 0.007))
 
 
