@@ -35,6 +35,7 @@ from agent.telemetry.row.topics import PLANT
 READY_TIMEOUT_S = 30.0
 STOP_TIMEOUT_S = 20.0
 START_IN_NS = 500_000_000
+START_LOOP_IN_NS = 2_500_000_000  # arms in the loop come to rest, have their grippers looked at, and are coupled
 ABANDON_TIMEOUT_S = 5.0
 LOOK_EVERY_S = 0.05
 
@@ -140,7 +141,7 @@ class Children:
         progress.phase("torque on")
         for child in self._agents.values():
             child.wait_ready(READY_TIMEOUT_S)
-        start_utc_ns = time.time_ns() + START_IN_NS
+        start_utc_ns = time.time_ns() + (START_LOOP_IN_NS if self._kind is RunKind.HIL else START_IN_NS)
         for arm in self._agents:
             ask(self._control(arm), Verb.START, start_utc_ns=start_utc_ns, fingerprint=self._cell.fingerprint)
 

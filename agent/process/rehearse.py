@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from agent.config.cell import Arm, Cell, ConfigError
 from agent.config.files import CellFiles
 from agent.config.schema.cell import DriverKind
@@ -11,6 +13,7 @@ from drivers.dynamixel.arm_map import WATCHDOG_S
 from drivers.interface import Clock, Driver
 from sim_backend.hil.coupling import FRESH_CYCLES, Settings
 from sim_backend.hil.driver import BridgeDriver, Patience
+from sim_backend.hil.gripper import Carried, GripperCheck
 from sim_backend.hil.guest import Twin
 
 EMULATED_STALE_S = 0.5  # what is emulated shares the processor with everything else, and stops with it
@@ -84,4 +87,12 @@ def bridge(cell: Cell, arm: Arm, real: Driver, twin: Twin, clock: Clock, *, emul
         apart_max_rad=hil.apart_max_rad,
     )
     patience = Patience(EMULATED_STALE_S if emulated else FRESH_CYCLES * period_s, WATCHDOG_S)
-    return BridgeDriver(real, twin, clock, settings, patience, cell.model(arm).inertia)
+    model = cell.model(arm)
+    weight = cell.file.object.mass_kg * -cell.gravity
+    carried = Carried(
+        gravity=lambda q: model.evaluate(q, np.zeros(arm.n)).g,
+        weight=lambda q: model.evaluate(q, np.zeros(arm.n)).Jt[:, :3].dot(weight),
+        friction_Nm=np.array([servo.coulomb_Nm.value for servo in arm.servos]),
+        share_max=hil.gripper_share_max,
+    )
+    return BridgeDriver(real, twin, clock, settings, patience, model.inertia, GripperCheck(carried))

@@ -26,6 +26,7 @@ from drivers.interface import (
 )
 from sim_backend.hil.coupling import Coupling, Settings, TwinState
 from sim_backend.hil.errors import HilFault
+from sim_backend.hil.gripper import GripperCheck
 from sim_backend.hil.guest import Twin
 
 START_S: Final = 60.0  # that the plant may take until all arms are there
@@ -44,8 +45,9 @@ class Patience:
 class BridgeDriver:
     """`drivers.interface.Driver` of the real arm `real` with its `twin`.
 
-    inertia: (n, n) of the arm on its own at q (n,).  Of the last cycle: `sent` (n,) and what of it was `added`,
-    `q_twin` and `age_s`; sent is NaN where the bus did not take it.
+    inertia: (n, n) of the arm on its own at q (n,); gripper: looked at before the twin takes part, if given.
+    Of the last cycle: `sent` (n,) and what of it was `added`, `q_twin` and `age_s`; sent is NaN where the bus did not
+    take it.
     """
 
     def __init__(
@@ -56,10 +58,12 @@ class BridgeDriver:
         settings: Settings,
         patience: Patience,
         inertia: Callable[[Vector], NDArray[np.float64]],
+        gripper: GripperCheck | None = None,
     ) -> None:
         self.coupling = Coupling(settings)
         self._real, self._twin, self._clock = real, twin, clock
-        self._patience, self._inertia = patience, inertia
+        self._patience, self._inertia, self._gripper = patience, inertia, gripper
+        self._joined = False  # the twin's torque is on
         self._nothing: Vector = np.full(len(settings.clamp_Nm), np.nan)
         self.sent, self.added = self._nothing, self.coupling.addition
         self._newest: TwinState | None = None
@@ -97,10 +101,14 @@ class BridgeDriver:
         return ArmInfo(info.arm, info.joints, info.tau_max_Nm, text)
 
     def enable(self) -> None:
-        """Torque on: the real arm's, then the twin's, whose plant starts with the last arm.  Raises DriverError."""
+        """Torque on: the real arm's, and the twin's once the gripper is found empty.  Raises DriverError.
+
+        The plant starts with the last arm of the cell.
+        """
         self._real.enable()
         self._enabled_ns = self._heard_ns = self._clock.now_ns()
-        self._twin.enable()
+        if self._gripper is None:
+            self._join()
 
     def read(self) -> JointState:
         """State of the real arm.  Raises what its driver raises, and HilFault once the twin is lost."""
@@ -148,6 +156,23 @@ class BridgeDriver:
 
     # --- the cycle ------------------------------------------------------------------------------------------------
 
+    def _join(self) -> None:
+        self._joined, self._gripper = True, None
+        self._enabled_ns = self._clock.now_ns()
+        self._twin.enable()
+
+    def _look(self, gripper: GripperCheck, state: JointState) -> HilFault | None:
+        """Before anything is coupled: is there an object in the gripper that the rehearsal does not know of?"""
+        gripper.look(state.stamp_ns, state.q, state.dq, self.sent)
+        if gripper.loaded:
+            return HilFault(
+                f"gripper of arm {self._arm}", found=f"{gripper.share:.0%} of the object's weight in it",
+                expected="an empty one: the object of a rehearsal is simulated", remedy="take it out, then start anew",
+            )  # fmt: skip
+        if gripper.done:
+            self._join()
+        return None
+
     def _couple(self, state: JointState) -> None:
         """The cycle of a fresh state of the real arm."""
         self._heard, self._heard_ns = True, self._clock.now_ns()
@@ -157,7 +182,7 @@ class BridgeDriver:
         else:
             self.coupling.step(state.stamp_ns, state.q, state.dq, self._newest, self._inertia(state.q))
         if self._fault is None:
-            self._fault = self._trouble(state)
+            self._fault = self._trouble(state) if self._gripper is None else self._look(self._gripper, state)
             if self._fault is not None:
                 self._twin.limp()
 

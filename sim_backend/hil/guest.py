@@ -8,21 +8,21 @@ from typing import Protocol
 
 import numpy as np
 
-from drivers.interface import BusCounters, ConnectError, DriverError, Refusal, StaleStateError, Vector
+from drivers.interface import BusCounters, DriverError, Refusal, StaleStateError, Vector
 from sim_backend.hil.coupling import TwinState
 from sim_backend.served.link import PlantLink
 from sim_backend.served.protocol import VERSION, FixedMessage, MessageKind, header_only, words
 
 
 class Twin(Protocol):
-    """One arm of the simulated cell that follows a real one.  No call but `connect` and `enable` waits."""
+    """One arm of the simulated cell that follows a real one.  No call but `connect` waits."""
 
     def connect(self) -> str:
         """Introduce the real arm; a line about the plant.  Raises ConnectError."""
         ...
 
     def enable(self) -> None:
-        """Torque on, at zero; the plant's time starts when every arm has done so.  Raises DriverError."""
+        """Torque on, at zero; the plant's time starts when every arm has done so."""
         ...
 
     def newest(self) -> TwinState | None:
@@ -87,16 +87,14 @@ class ServedTwin:
         return str(info["description"])
 
     def enable(self) -> None:
-        """Torque on, at zero.  Raises DriverError."""
+        """Torque on, at zero; the plant's word that it is so comes among its states."""
         if self._link is None:
-            raise ConnectError(
-                f"twin of arm {self._arm}", found="no connection", expected="one", remedy="call connect() first"
-            )
-        self._link.wait_at_most(self._connect_timeout_s)
-        self._link.send(header_only(MessageKind.ENABLE))
-        while self._link.receive() is not MessageKind.ENABLED:
-            pass
-        self._on = True
+            return
+        try:
+            self._link.send(header_only(MessageKind.ENABLE))
+            self._on = True
+        except DriverError as why:
+            self.ended = why
 
     def newest(self) -> TwinState | None:
         """The newest state that has come since the last call; older ones are dropped."""

@@ -52,7 +52,8 @@ from tests.support.servos.coupled_rig import ArmRun, Line, SharedClock
 from tests.support.servos.dxl_rig import VirtualPort
 
 MS = 1_000_000
-READY_NS = 1_000_000_000  # from the last arm's first cycle to the common start
+GIVE_UP_NS = 3_000_000_000  # of virtual time, for arms that wait for the start
+READY_NS = 1_500_000_000  # from the last arm's first cycle to the common start
 
 
 class Seat:
@@ -188,7 +189,8 @@ class VirtualSim:
         deadline_ns = self._clock.now_ns() + 50 * MS
         while plant.tick <= self._told or plant.tick < 0 or self.silent:
             now_ns = self._clock.now_ns()
-            if (self.silent or plant.killed) and now_ns > deadline_ns:
+            never = plant.tick < 0 and now_ns > GIVE_UP_NS
+            if never or ((self.silent or plant.killed) and now_ns > deadline_ns):
                 raise StaleStateError("plant", found="nothing", expected="a state", remedy="none")
             self._clock.sleep_until(max(now_ns + MS // 4, 0))
         self._told = plant.tick
@@ -268,6 +270,7 @@ class Rehearsal:
         phase_ns: int = 1_300_000,
         older_cycles: int = 0,
         lost: float = 0.0,
+        begin: Happening | None = None,
     ) -> None:
         q_start = examine(cell).q_start
         hil = cell.file.hil
@@ -284,6 +287,8 @@ class Rehearsal:
         self.ports: dict[str, VirtualPort] = {}
         self.sims: dict[str, VirtualSim] = {}
         self.arms = {arm.name: Hil() for arm in cell.arms}
+        if begin is not None:
+            begin(self)
         threads = [
             threading.Thread(target=self._run, args=(arm, q), daemon=True)
             for arm, q in zip(cell.arms, q_start, strict=True)
@@ -340,7 +345,7 @@ class Rehearsal:
         driver.enable()
         around = Surroundings(
             wall_ns=self.clock.now_ns,
-            operator=lambda: Event.NONE,
+            operator=self._operator,
             start_ns=lambda: self._start(arm.name),
             heartbeat=lambda: None,
             mode_changed=lambda _: None,
@@ -351,6 +356,11 @@ class Rehearsal:
         schedule = _schedule(self.cell, options)
         sink: Any = BridgedRows(run.log, row, driver) if run.bridge is not None else run.log
         run.summary = Runner(build_agent(self.cell, arm), driver, self.clock, schedule, row, sink, around).run()
+
+    def _operator(self) -> Event:
+        """Somebody who ends a run that never starts."""
+        never = self.zero_ns is None and self.clock.now_ns() > GIVE_UP_NS
+        return Event.STOP | Event.RELEASED if never else Event.NONE
 
     def _start(self, arm: str) -> int | None:
         self._ready.add(arm)

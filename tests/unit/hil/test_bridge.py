@@ -24,6 +24,7 @@ from drivers.interface import (
 from sim_backend.hil.coupling import Settings, TwinState
 from sim_backend.hil.driver import BridgeDriver, Patience
 from sim_backend.hil.errors import HilFault
+from sim_backend.hil.gripper import Carried, GripperCheck
 
 T_NS = 5_000_000
 LIMIT = np.array([2.0, 2.0])
@@ -178,6 +179,26 @@ def test_the_arm_gets_the_addition_the_twin_the_coupling_and_the_caller_what_was
     assert made.added.max() > 0.25
     assert made.q_twin.tolist() == [0.01, 0.0]
     assert made.age_s == 0.0
+
+
+def test_the_twin_takes_part_once_the_gripper_is_found_empty() -> None:
+    rig = Rig()
+    made = bridge(rig)
+    carried = Carried(lambda _: TAU, lambda _: np.array([0.4, 0.2]), np.zeros(2), 0.3)
+    made._gripper, made._joined = GripperCheck(carried), False
+    rig.told.clear()
+    cycle(made, rig, 61)
+    assert rig.told == []
+    cycle(made, rig, 5)
+    assert rig.told == ["twin on"]
+    loaded = bridge(rig)
+    loaded._gripper = GripperCheck(Carried(lambda _: np.zeros(2), lambda _: TAU, np.zeros(2), 0.3))
+    cycle(loaded, rig, 61)
+    for _ in range(3):
+        rig.ns += T_NS
+        with contextlib.suppress(HilFault):
+            loaded.read()
+    assert "gripper of arm left: found 100% of the object's weight" in str(lasting(loaded, rig))
 
 
 def test_before_the_plant_starts_the_arm_has_its_own_torque_and_after_a_while_a_fault() -> None:
