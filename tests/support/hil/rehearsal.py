@@ -359,7 +359,7 @@ class Rehearsal:
 
     def _operator(self) -> Event:
         """Somebody who ends a run that never starts."""
-        never = self.zero_ns is None and self.clock.now_ns() > GIVE_UP_NS
+        never = self.plant.tick < 0 and self.clock.now_ns() > GIVE_UP_NS
         return Event.STOP | Event.RELEASED if never else Event.NONE
 
     def _start(self, arm: str) -> int | None:
