@@ -37,6 +37,9 @@ def agent(
     gripper_empty: Annotated[
         bool, typer.Option("--gripper-empty", help="Arm in the loop: a person has looked, it holds nothing.")
     ] = False,
+    gripper_word: Annotated[
+        Path | None, typer.Option(help="The same, said by a file that a person makes; it is taken away.")
+    ] = None,
     with_parent: WithParent = False,
 ) -> None:
     """Run one arm: the process that reads, steps, limits and writes."""
@@ -45,14 +48,15 @@ def agent(
     from agent.host.paths import control_path, make_runtime_dir, plant_socket_path, ring_path
     from agent.process.agent import AgentOptions, run_agent
     from agent.process.build import Connection
-    from agent.process.rehearse import driver_of, in_the_loop, require_empty_gripper, require_wall_clock
+    from agent.process.rehearse import driver_of, in_the_loop, require_empty_gripper, require_wall_clock, taken
 
     requested = begin(with_parent)
     loaded = load_cell(cell)
     kind = driver_of(loaded, arm, DriverKind(driver.value) if driver is not None else None)
     name = loaded.file.name
     if in_the_loop(loaded, arm) and not emulated:
-        require_empty_gripper(arm, gripper_empty or asked_yes(f"Is the gripper of arm {arm} EMPTY?"))
+        said = gripper_empty or taken(gripper_word)
+        require_empty_gripper(arm, said or asked_yes(f"Is the gripper of arm {arm} EMPTY?"))
     require_wall_clock(loaded, real_time=real_time or kind is DriverKind.DYNAMIXEL)
     lockstep = kind is DriverKind.SIM and not real_time
     if ring is None or (control is None and not lockstep):

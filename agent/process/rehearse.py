@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
 from agent.config.cell import Arm, Cell, ConfigError
@@ -52,8 +54,19 @@ def require_empty_gripper(arm: str, said_so: bool) -> None:
         raise ConfigError(
             f"gripper of arm {arm}", found="nobody who says that it is empty",
             expected="a person's yes: the object of a rehearsal is simulated",
-            remedy="open the gripper, look, then give --gripper-empty",
+            remedy="open the gripper, look, then give --gripper-empty (a service: touch /run/coop/gripper-empty/ARM)",
         )  # fmt: skip
+
+
+def taken(word: Path | None) -> bool:
+    """Whether a person has made this file; it is taken away, so that a yes counts once."""
+    if word is None:
+        return False
+    try:
+        word.unlink()
+    except OSError:
+        return False
+    return True
 
 
 class BridgedRows:

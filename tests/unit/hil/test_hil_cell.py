@@ -13,7 +13,7 @@ from agent.config.cell import Cell, ConfigError, load_cell
 from agent.config.schema.cell import DriverKind
 from agent.process.build import Connection, build_driver
 from agent.process.children import RunKind
-from agent.process.rehearse import driver_of, require_wall_clock
+from agent.process.rehearse import driver_of, require_wall_clock, taken
 from agent.process.run import RunOptions, run_cell
 from agent.process.simulated import lone_spec, plant_spec
 from agent.verify.check import CheckReport, examine
@@ -93,6 +93,15 @@ def test_an_arm_of_which_nobody_says_that_its_gripper_is_empty_does_not_start(tm
     ran = CliRunner().invoke(app, ["agent", str(file), "--arm", "left", "--ring", str(tmp_path / "ring")])
     assert "gripper of arm left: found nobody who says that it is empty" in str(ran.exception)
     assert not (tmp_path / "ring").exists()
+
+
+def test_a_word_counts_once(tmp_path: Path) -> None:
+    word = tmp_path / "left"
+    assert not taken(None)
+    assert not taken(word)
+    word.touch()
+    assert taken(word)
+    assert not taken(word)
 
 
 def test_what_is_otherwise_about_an_arm_is_so_about_the_real_one_and_not_its_twin() -> None:
