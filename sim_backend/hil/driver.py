@@ -140,6 +140,24 @@ class BridgeDriver:
             self._twin.command(tau_Nm + self.coupling.on_twin)
         return self.sent
 
+    @property
+    def real(self) -> Driver:
+        """The real arm's own driver."""
+        return self._real
+
+    @property
+    def lapsed(self) -> bool:
+        """Whether the real arm has stopped listening by itself, where its driver can tell."""
+        return bool(getattr(self._real, "lapsed", False))
+
+    def recover(self) -> bool:
+        """Let the real arm obey again, where its driver can; it then moves by itself, for its twin has been given up.
+
+        True when it obeys anew.  Raises DriverError.
+        """
+        recover = getattr(self._real, "recover", None)
+        return recover is not None and bool(recover())
+
     def health(self) -> ServoHealth:
         """Of the real arm."""
         return self._real.health()

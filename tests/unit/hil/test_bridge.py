@@ -160,6 +160,15 @@ def test_comings_and_goings_are_in_the_order_that_is_safe() -> None:
     assert made.health().stamp_ns == 7
 
 
+def test_an_arm_that_comes_back_is_the_real_drivers_affair() -> None:
+    made = bridge(Rig())
+    assert not made.lapsed
+    assert not made.recover()
+    made.real.lapsed, made.real.recover = True, lambda: True  # type: ignore[attr-defined]
+    assert made.lapsed
+    assert made.recover()
+
+
 def test_an_arm_that_cannot_be_reached_leaves_no_twin_behind() -> None:
     rig = Rig(failure=refusal(ConnectError))
     with pytest.raises(ConnectError):
