@@ -99,7 +99,8 @@ def verify(
             notes.append(f"{name}: recorded by another release; not compared: {', '.join(lacking)}")
         tell(f"replaying {name}")
         rows = window.of(log.agents[name])
-        checked = _Verifier(build_agent(cell, cell.arm(name)), cell.config_id, readable)
+        looped = cell.file.hil is not None and name in cell.file.hil.arms
+        checked = _Verifier(build_agent(cell, cell.arm(name)), cell.config_id, readable, in_the_loop=looped)
         arms.append(checked.run(rows, blocks(rows, layout, readable)))
     verdict = Verdict(tuple(arms), tuple(notes))
     if not verdict.rows:
@@ -113,8 +114,9 @@ def verify(
 class _Verifier:
     """One arm."""
 
-    def __init__(self, agent: Agent, config_id: int, readable: Readable) -> None:
-        self._agent, self._readable = agent, readable
+    def __init__(self, agent: Agent, config_id: int, readable: Readable, *, in_the_loop: bool = False) -> None:
+        """in_the_loop: its rows have what a bridge told; those of others have zeros there."""
+        self._agent, self._readable, self._in_the_loop = agent, readable, in_the_loop
         self._chain = Chain(agent)
         self._message = np.zeros(1, AGENT_STATE.dtype)
         self._row = AgentRow(self._message, agent.model.n, config_id)
@@ -141,7 +143,6 @@ class _Verifier:
         sequences, modes, flags = rows["sequence"].tolist(), rows["mode"].tolist(), rows["flags"].tolist()
         times, t_expected = rows["t"].tolist(), clock.times(rows)
         inputs = _inputs(rows, self._agent.model.n)
-        in_the_loop = bool(np.any(rows["twin_age_s"]))
         for i, (sequence, state) in enumerate(zip(sequences, inputs, strict=True)):
             if not self._ready(sequence, rows, i):
                 self._left_out += len(rows) - i
@@ -161,7 +162,7 @@ class _Verifier:
             sent = recorded if fresh else memory.tau
             told = state if fresh else self._lost(state)
             self._row.fill(sequence, times[i], int(rows["utc_ns"][i]), mode, told, memory, outcome, sent)
-            if in_the_loop:
+            if self._in_the_loop:
                 self._row.fill_bridge(recorded, *_bridged(rows[i], self._agent.model.n))
             at = i * size
             same = all(bytes(self._bytes[a:b]) == data[at + a : at + b] for a, b in self._spans)

@@ -14,11 +14,17 @@ import pytest
 
 import configs
 from agent.config.cell import Cell, load_cell
+from agent.identify.recording import IdentifyError, from_rows
+from agent.log.read import open_log
 from agent.modes import Mode
 from agent.process.simulated import actuator_spec
+from agent.replay.rows import Window
+from agent.replay.source import recorded_cell
+from agent.replay.verify import verify
 from agent.report.metrics import summarise
 from sim_backend.wire.faults import Fault, FaultKind
 from tests.support.hil.rehearsal import Rehearsal
+from tests.support.telemetry.run_log import write_run
 from tests.support.telemetry.synthetic_run import as_log, run_file
 
 FROM_S = 0.8
@@ -161,3 +167,15 @@ def test_figures_of_the_law_are_without_the_addition() -> None:
     assert found.hil is not None
     assert 0.005 < found.hil.added_max < 0.5
     assert found.hil.apart_max_rad < 0.02
+
+
+def test_the_log_of_a_rehearsal_is_replayed_bit_for_bit_and_cannot_be_identified_from(tmp_path: Path) -> None:
+    made = plain()
+    path = write_run(tmp_path / "run.mcap", made.cell, {"left": made.arms["left"].rows})
+    with open_log(path) as log:
+        verdict = verify(log, recorded_cell(log), Window(), "left")
+        rows = log.agents["left"]
+        with pytest.raises(IdentifyError, match="an arm in the loop"):
+            from_rows(made.cell, made.cell.arms[0], rows)
+    assert (verdict.rows, verdict.different) == (len(made.arms["left"].rows), 0)
+    assert verdict.equal
