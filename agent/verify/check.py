@@ -102,10 +102,8 @@ def examine(cell: Cell, *, wired: bool | None = None, thorough: bool | None = No
         paths.append(path)
     findings += [*plausibility(cell), *internal_force(cell, models), *noticed(cell)]
     findings += buses(cell, q_start, wired=servos if wired is None else wired)
-    findings += [
-        *_stability(cell, models, paths),
-        *examine_rehearsal(cell, models, [p.q for p in paths], instants.times),
-    ]
+    findings += _stability(cell, models, paths)
+    findings += examine_rehearsal(cell, models, [p.q for p in paths], instants.times)
     if cell.file.controller.kind is ControllerKind.ADAPTIVE:
         findings += _adaptation(cell, models, paths, instants.times)
     if not (servos if thorough is None else thorough):

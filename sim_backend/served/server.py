@@ -235,14 +235,14 @@ class _Server:
 
     def _lose(self, seat: Seat, reason: str) -> None:
         name = seat.arm.name
-        if seat.watchdog_s is not None and seat.phase is Attendance.ON and self._lobby.started:
-            seat.orphan(self._tick + round(seat.watchdog_s * self._options.rate_hz))
+        if seat.watchdog_s is not None:
             self._lost_arms.append(name)
+            if seat.phase is Attendance.ON and self._lobby.started:
+                seat.orphan(self._tick + round(seat.watchdog_s * self._options.rate_hz))
+            else:
+                seat.leave(Attendance.ABSENT)
             return
         seat.leave(Attendance.ABSENT)
-        if seat.guest:
-            self._lost_arms.append(name)
-            return
         if self._options.lost_arm is LostArm.END_RUN:
             raise ArmVanished(name, self._tick, reason)
         self._lost_arms.append(name)

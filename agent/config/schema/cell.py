@@ -286,7 +286,8 @@ class CellFile(Strict):
                 remedy="name one of the cell's arms",
             )  # fmt: skip
         self.simulation.require_fit({a.name: len(a.controlled) for a in self.arms})
-        self._require_rehearsal(names)
+        if self.hil is not None:
+            self.hil.require_fit(names, self.rate_hz, simulated=self.driver is DriverKind.SIM)
         if self.driver is DriverKind.DYNAMIXEL:
             for a in self.arms:
                 if a.dynamixel is None:
@@ -295,14 +296,3 @@ class CellFile(Strict):
                         remedy='add it, or take driver = "sim"',
                     )  # fmt: skip
         return self
-
-    def _require_rehearsal(self, names: list[str]) -> None:
-        """Raises PydanticCustomError where [hil] does not fit the rest."""
-        if self.hil is None:
-            return
-        self.hil.require_fit(names, self.rate_hz)
-        if self.driver is DriverKind.DYNAMIXEL:
-            raise wrong(
-                "hil", found='[hil] with driver = "dynamixel"', expected='driver = "sim"',
-                remedy="a rehearsal simulates the object; remove [hil] for the real carry",
-            )  # fmt: skip

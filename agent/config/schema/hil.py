@@ -40,8 +40,16 @@ class Hil(Strict):
             raise wrong("arms", found=", ".join(self.arms), expected="different arms", remedy="name each arm once")
         return self
 
-    def require_fit(self, arms: Sequence[str], rate_hz: float) -> None:
-        """Refuse arms that are not there and a coupling that its delay makes unstable.  Raises PydanticCustomError."""
+    def require_fit(self, arms: Sequence[str], rate_hz: float, *, simulated: bool) -> None:
+        """Refuse arms that are not there, a coupling that its delay makes unstable, and a cell of real arms alone.
+
+        simulated: the cell's driver.  Raises PydanticCustomError.
+        """
+        if not simulated:
+            raise wrong(
+                "hil", found='[hil] with driver = "dynamixel"', expected='driver = "sim"',
+                remedy="a rehearsal simulates the object; remove [hil] for the real carry",
+            )  # fmt: skip
         for name in self.arms:
             if name not in arms:
                 raise wrong("hil.arms", found=name, expected=" or ".join(arms), remedy="name arms of the cell")
