@@ -128,6 +128,8 @@ class Runner:
             happened |= trouble
         if state is not None:
             cycles.fresh(deadline_ns)
+            if self._outcome is None:
+                cycles.first(self._clock.now_ns())
             happened |= self._act(state, late_ns, begin_ns)
         else:
             happened |= self._go_blind(deadline_ns, bus)

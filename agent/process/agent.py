@@ -26,6 +26,7 @@ from agent.operator.socket import ControlSocket, Standing
 from agent.process.build import Connection, build_agent, build_driver, passed_on
 from agent.process.clocked import ClockWatch, shares_time
 from agent.process.operated import Operator, no_real_time, tick_of
+from agent.process.rehearse import BridgedRows
 from agent.runner import Runner, RunSummary, Schedule, Surroundings
 from agent.telemetry.ring.ring import RingWriter
 from agent.telemetry.ring.texts import TextWriter
@@ -37,6 +38,7 @@ from agent.telemetry.row.sample import AGENT_STATE
 from agent.verify.check import examine
 from drivers.dynamixel.arm_map import WATCHDOG_S
 from drivers.interface import Clock, Driver, DriverError, Refusal
+from sim_backend.hil.driver import BridgeDriver
 
 HEARTBEAT_S = 0.02
 HEALTH_S = 1.0
@@ -171,7 +173,8 @@ def _runner(
     around = Surroundings(time.perf_counter_ns, operator.events, operator.start_ns, beat, mode_changed, trouble)
     row = AgentRow(ring.row, arm.n, cell.config_id)
     watch = Watch(monitors.bounds(cell, arm), tell.warn)
-    return Runner(build_agent(cell, arm), driver, clock, _schedule(cell, options), row, ring, around, watch)
+    sink = BridgedRows(ring, row, driver) if isinstance(driver, BridgeDriver) else ring
+    return Runner(build_agent(cell, arm), driver, clock, _schedule(cell, options), row, sink, around, watch)
 
 
 def _watching(guard: Guarded | None, stop: StopFlag, options: AgentOptions) -> Callable[[], bool]:

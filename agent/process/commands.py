@@ -62,7 +62,7 @@ class EmulateCommand(ChildCommand):
 
     verb: ClassVar[str] = "emulate"
     ports: Path
-    ring: Path
+    ring: Path | None
     faults: Path | None
     seed: int
 

@@ -10,15 +10,18 @@ from agent.config.cell import Arm, Cell
 from agent.config.servo_map import resting_joints
 from agent.host.signals import StopFlag
 from agent.process.plant import Truth
-from agent.process.simulated import plant_spec
+from agent.process.rehearse import in_the_loop
+from agent.process.simulated import lone_spec, plant_spec
 from agent.telemetry.ring.ring import RingWriter
 from agent.telemetry.row.sample import PLANT_STATE
 from agent.telemetry.row.topics import PLANT
 from agent.verify.check import examine
 from drivers.clock import utc_offset_ns
 from drivers.interface import Refusal
+from sim_backend.wire.cell import EmulatedCell
+from sim_backend.wire.lone_world import emulate_alone
 from sim_backend.wire.plant_world import emulate
-from sim_backend.wire.serve import ServeOptions, serve
+from sim_backend.wire.serve import ServeOptions, Server, serve
 from sim_backend.wire.timing import BusTiming
 from sim_backend.wire.wiring import ArmWiring, wire_arm
 
@@ -33,6 +36,23 @@ def wiring(arm: Arm, index: int, baud: int) -> ArmWiring:
     return wire_arm(
         arm.name, joints, arm.entry.controlled, baud=baud, plant_arm=index, start_rad=dict(arm.entry.locked_rad)
     )
+
+
+def run_emulate_alone(
+    cell: Cell, options: ServeOptions, *, timing: bool, stop: StopFlag, ready: Callable[[str], None]
+) -> str:
+    """Serve the arms that [hil] names, each on its own and holding nothing; the plant is another process.
+
+    Arguments and errors as of `run_emulate`.
+    """
+    report = examine(cell)
+    report.require()
+    chosen = [(i, arm) for i, arm in enumerate(cell.arms) if in_the_loop(cell, arm.name)]
+    arms = [(i, wiring(arm, place, arm.baud)) for place, (i, arm) in enumerate(chosen)]
+    emulated, _ = emulate_alone(lone_spec(cell, report.q_start), arms, timing=BusTiming() if timing else None)
+    ports = {arm.name: options.ports[arm.name] for _, arm in chosen}
+    ready(f"arms={','.join(ports)}")
+    return f"emulator: {_served(emulated, replace(options, ports=ports), stop).laps} laps, arms on their own"
 
 
 def run_emulate(
@@ -56,14 +76,20 @@ def run_emulate(
         every_ns = round(1e9 / cell.file.simulation.observe_rate_hz)
         try:
             ready(f"ring={ring}")
-            server = serve(emulated, replace(options, on_tick=on_tick, tick_ns=every_ns), stop)
-        except (OSError, UnicodeDecodeError) as error:
-            raise EmulateError(
-                "ports, faults file or control socket of the emulated servos",
-                found=error,
-                expected="a folder for the ports, and files that can be used",
-                remedy="name others with --ports, --faults or --control",
-            ) from error
+            server = _served(emulated, replace(options, on_tick=on_tick, tick_ns=every_ns), stop)
         finally:
             rows.finish()
         return f"emulator: {server.laps} laps, {rows.written} observations"
+
+
+def _served(emulated: EmulatedCell, options: ServeOptions, stop: StopFlag) -> Server:
+    """Serve until a stop.  Raises EmulateError."""
+    try:
+        return serve(emulated, options, stop)
+    except (OSError, UnicodeDecodeError) as error:
+        raise EmulateError(
+            "ports, faults file or control socket of the emulated servos",
+            found=error,
+            expected="a folder for the ports, and files that can be used",
+            remedy="name others with --ports, --faults or --control",
+        ) from error

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from agent.config.cell import Cell
 from agent.host.signals import StopFlag
+from agent.process.rehearse import require_wall_clock
 from agent.process.simulated import plant_spec
 from agent.telemetry.ring.ring import RingWriter
 from agent.telemetry.row.sample import MAX_JOINTS, PLANT_STATE
@@ -33,6 +34,7 @@ def run_plant(
 
     ready is called once the arms can connect.  Raises Refusal.
     """
+    require_wall_clock(cell, real_time=not lockstep)
     report = examine(cell)
     report.require()
     plant = build_plant(plant_spec(cell, report.q_start))

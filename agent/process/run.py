@@ -12,6 +12,7 @@ from agent.config.cell import load_cell
 from agent.log.read import open_log
 from agent.process.children import Children, Progress, RunKind
 from agent.process.folder import LOG_NAME, RunError, output_folder
+from agent.process.rehearse import require_wall_clock
 from agent.report.report import write_report, write_results
 from agent.report.results import Results
 from agent.telemetry.link.session import FREE_PORT
@@ -52,7 +53,7 @@ def run_cell(options: RunOptions, stop: Callable[[], bool], progress: Progress) 
     Raises Refusal: ConfigError before anything starts, ChildFailed when a process ends early (everything else
     is then stopped and the log is closed and readable).
     """
-    if options.faults is not None and options.kind is not RunKind.WIRE:
+    if options.faults is not None and not options.kind.has_servos:
         raise RunError(
             "faults", found=f"{options.faults} without --wire", expected="emulated servos", remedy="add --wire"
         )
@@ -60,8 +61,9 @@ def run_cell(options: RunOptions, stop: Callable[[], bool], progress: Progress) 
     if options.duration_s is not None:
         overrides.append(f"duration_s={options.duration_s}")
     cell = load_cell(options.cell, overrides)
+    require_wall_clock(cell, real_time=options.kind is RunKind.HIL)
     progress.phase("checking")
-    examine(cell, wired=options.kind is RunKind.WIRE).require()
+    examine(cell, wired=options.kind.has_servos).require()
     out = output_folder(options.out, cell.file.name, replace=options.replace)
     log = out / LOG_NAME
     runtime = Path(tempfile.mkdtemp(prefix="coop-", dir="/dev/shm" if Path("/dev/shm").is_dir() else None))

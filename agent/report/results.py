@@ -12,6 +12,7 @@ import numpy as np
 
 from agent.log.runinfo import Bounded, RunInfo
 from agent.report.quantity import Better, Quantity, Unit, flatten, json_ready, units_of
+from agent.report.rehearsal import HilResults
 from agent.report.series import Array
 
 SCHEMA: Final = 1  # of results.json; grows when a key changes its meaning
@@ -83,13 +84,13 @@ class PoseErrors:
 
 @dataclass(frozen=True, slots=True)
 class JointResults:
-    """Torque of one joint over the whole run."""
+    """Torque of one joint over the whole run; of an arm in the loop without what its driver added."""
 
     peak_torque_Nm: Torque
     peak_torque_fraction: Ratio  # of stall
     rms_torque_Nm: Torque
     limited_s: Seconds  # safety changed the commanded torque
-    at_limit_s: Seconds  # |torque sent| at tau_max
+    at_limit_s: Seconds  # |torque sent| at tau_max, with all that was added
     chatter_Nm: Torque  # mean |change of torque sent| per tick
     tau_max_Nm: Annotated[float, Unit("N·m", Better.NEITHER)]
     tau_stall_Nm: Annotated[float, Unit("N·m", Better.NEITHER)]
@@ -137,6 +138,7 @@ class ArmResults:
     unexpected_fast_max_Nm: Torque
     unexpected_slow_max_N: Annotated[float, Unit("N")]
     unexpected_slow_max_Nm: Torque
+    hil: HilResults | None = None  # of an arm in the loop
 
 
 @dataclass(frozen=True, slots=True)

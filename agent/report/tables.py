@@ -84,6 +84,9 @@ def lines(results: Results) -> list[Line]:
         Line("late cycles", str(results.late_cycles)),
         Line("events", str(results.events)),
     ]
+    rehearsing = [name for name, a in results.arms.items() if a.hil is not None]
+    if rehearsing:
+        found.append(Line("REHEARSAL, object simulated; real arms", ", ".join(rehearsing)))
     return found
 
 
@@ -107,6 +110,7 @@ def tables(results: Results) -> list[Table]:
         _torques(results),
         _forces(results),
         _noticed(results),
+        _in_the_loop(results),
         _timing(results),
         _log(results),
         _states(results),
@@ -184,6 +188,22 @@ def _noticed(results: Results) -> Table:
         for name, a in results.arms.items()
     )
     return Table("Largest of what each arm noticed and gave, whole run", header, rows)
+
+
+def _in_the_loop(results: Results) -> Table:
+    header = ("arm", "largest addition", "arm and twin apart by", "oldest state of the twin", "coupled")
+    rows = tuple(
+        (
+            name,
+            f"{number(a.hil.added_max, '%', 100.0)} of the limit",
+            milliradians(a.hil.apart_max_rad),
+            milliseconds(a.hil.twin_age_max_s),
+            f"{number(a.hil.coupled, '%', 100.0)} of the cycles",
+        )
+        for name, a in results.arms.items()
+        if a.hil is not None
+    )
+    return Table("Real arms in the loop of a simulated cell, whole run", header, rows)
 
 
 def _timing(results: Results) -> Table:

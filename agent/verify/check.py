@@ -26,6 +26,7 @@ from agent.verify.force import internal_force
 from agent.verify.margin import Damping, damping, places, sampled_loop
 from agent.verify.noticing import noticed
 from agent.verify.plausible import plausibility
+from agent.verify.rehearsal import examine_rehearsal
 from agent.verify.robustness import Robustness, Walk, robustness
 from drivers.interface import Vector
 
@@ -103,6 +104,7 @@ def examine(cell: Cell, *, wired: bool | None = None, thorough: bool | None = No
     findings += [*plausibility(cell), *internal_force(cell, models), *noticed(cell)]
     findings += buses(cell, q_start, wired=servos if wired is None else wired)
     findings += _stability(cell, models, paths)
+    findings += examine_rehearsal(cell, models, [p.q for p in paths], instants.times)
     if cell.file.controller.kind is ControllerKind.ADAPTIVE:
         findings += _adaptation(cell, models, paths, instants.times)
     if not (servos if thorough is None else thorough):

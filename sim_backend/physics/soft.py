@@ -29,6 +29,7 @@ from sim_backend.physics.composition import check_start
 from sim_backend.physics.free_arm import FreeArms
 from sim_backend.physics.free_body import FreeBody
 from sim_backend.physics.joints import dry_friction
+from sim_backend.physics.meter import GraspMeter
 from sim_backend.physics.pads import KAPPA, Pads
 from sim_backend.physics.plant import Observation
 from sim_backend.physics.spec import PlantError, PlantSpec
@@ -69,6 +70,7 @@ class SoftPlant:
         self._substeps = 0
         self._calendar = Calendar(spec.happenings, spec.substep_s)
         self._behind = False  # pose and openings are of an earlier substep
+        self._meter: GraspMeter | None = None
         self._linearise()
 
     def _make_room(self, nv: int, rows: int) -> None:
@@ -192,6 +194,9 @@ class SoftPlant:
         self._moved += mean
         self._behind = True
         self._acted = D, f
+        if self._meter is not None:  # _joint holds τ_motor + f − D v; the acceleration is −2 step / h
+            pulled = self._M[:J].dot(step) * (-2.0 / self._h) + self._c[:J]
+            self._meter.add(pulled - self._joint - D * step[:J])
         if self._dry is not None:
             self._dry.step(mean[:J])
 
@@ -235,6 +240,14 @@ class SoftPlant:
             s.reported_velocity(self._dq),
             s.reported_torque(self._tau_motor),
         )
+
+    def meter_grasps(self) -> None:
+        """Sum up the torques of the grasps from now on, which takes some time."""
+        self._meter = self._meter or GraspMeter(self.joint_count)
+
+    def grasp_torque(self) -> Vector:
+        """Mean torque (J,) N·m of the grasps on the joints since the last call; zeros unless metered."""
+        return np.zeros(self.joint_count) if self._meter is None else self._meter.take()
 
     def observe(self, tau_cmd_Nm: Vector) -> Observation:
         """What is true now, with commands (J,) acting; changes nothing."""

@@ -11,6 +11,7 @@ from pydantic import Field, model_validator
 
 from agent.config.schema.controller import Controller
 from agent.config.schema.coordination import NoticingSpec
+from agent.config.schema.hil import Hil
 from agent.config.schema.member import Arm
 from agent.config.schema.monitors import MonitorsSpec
 from agent.config.schema.simulation import Simulation
@@ -117,6 +118,8 @@ class CellFile(Strict):
     """Errors that check, tune and study count with."""
     simulation: Simulation = Simulation()
     """The simulated cell; agents do not read it."""
+    hil: Hil | None = None
+    """Real arms that rehearse with simulated partners and object; none: no arm is in the loop."""
     report: Report
     """What the report measures and judges."""
     embedded: dict[str, str] = Field(default_factory=dict)
@@ -192,6 +195,8 @@ class CellFile(Strict):
                 remedy="name one of the cell's arms",
             )  # fmt: skip
         self.simulation.require_fit({a.name: len(a.controlled) for a in self.arms})
+        if self.hil is not None:
+            self.hil.require_fit(names, self.rate_hz, simulated=self.driver is DriverKind.SIM)
         if self.driver is DriverKind.DYNAMIXEL:
             for a in self.arms:
                 if a.dynamixel is None:
