@@ -12,15 +12,17 @@ from typing import Protocol
 import numpy as np
 
 from agent.control.memory import Memory
-from agent.loop import Agent, Outcome, explained, hold_after, initial_memory, step, wait_here
+from agent.loop import Agent, Outcome, entered, explained, hold_after, initial_memory, step, wait_here
 from agent.modes import Event, Mode, next_mode
 from agent.safety import Flag
+from agent.session import SessionLoop
+from agent.session_modes import next_in_session
 from agent.telemetry.row.fill import AgentRow
 from drivers.interface import Clock, Driver, DriverError, JointState, ServoFault, StaleStateError, Vector
 
 NOT_YET_NS = 86_400_000_000_000  # the trajectory's zero while nobody has set it: a day ahead
 _TROUBLE = int(Flag.NOT_FINITE | Flag.SINGULAR | Flag.OFF_TRACK | Flag.UNEXPECTED)  # joining flags takes 1 µs
-_COMMANDING = frozenset({Mode.READY, Mode.TRACK, Mode.HOLD, Mode.LOWER})
+_IDLE = frozenset({Mode.OFF, Mode.FAULT})
 
 
 class LoopLog(Protocol):
@@ -84,8 +86,11 @@ class Runner:
         row: AgentRow,
         sink: LoopLog,
         around: Surroundings,
+        session: SessionLoop | None = None,
     ) -> None:
+        """session: of an arm that begins at its rest, and whose agent has one too."""
         self._agent = agent
+        self._session = session
         self._driver = driver
         self._clock = clock
         self._schedule = schedule
@@ -95,6 +100,8 @@ class Runner:
         self._memory: Memory = initial_memory(agent)
         self._outcome: Outcome | None = None  # of the last tick with a fresh state
         self._mode = Mode.TRACK if schedule.lockstep and not schedule.ready_ns else Mode.READY
+        if session is not None:
+            self._mode = Mode.REST
         self._reason = ""
         self._rows = 0
         self._late_cycles = 0
@@ -109,7 +116,7 @@ class Runner:
 
     def run(self) -> RunSummary:
         """Run until the last tick, a release or a fault; leaves the torque as it is."""
-        while self._mode in _COMMANDING and not self._over():
+        while self._mode not in _IDLE and not self._over():
             deadline_ns = self._phase_ns + self._tick * self._schedule.period_ns
             self._clock.sleep_until(deadline_ns)
             self._cycle(deadline_ns)
@@ -146,10 +153,12 @@ class Runner:
             self._around.heartbeat()
         else:
             self._note_lost_state(deadline_ns)
-        if schedule.hold_at_end and self._past_end(deadline_ns + period_ns):
+        if schedule.hold_at_end and self._tracks_to_end() and self._past_end(deadline_ns + period_ns):
             happened |= Event.STOP
-        if self._mode is Mode.READY and self._started(deadline_ns):
+        if self._mode is Mode.READY and self._may_start() and self._started(deadline_ns):
             happened |= Event.STARTED
+        if self._session is not None:
+            happened = self._judged(self._session, happened)
         if happened:
             self._change_mode(happened, state)
         self._late_cycles += late_ns > period_ns
@@ -243,16 +252,35 @@ class Runner:
             self._tick = 0
         return self._phase_ns + (self._tick + 1) * self._schedule.period_ns >= self._zero_ns
 
+    def _tracks_to_end(self) -> bool:
+        return self._session is None or self._mode is Mode.TRACK
+
+    def _may_start(self) -> bool:
+        return self._session is None or self._session.taken_up(self._mode, self._memory)
+
+    def _judged(self, session: SessionLoop, happened: Event) -> Event:
+        """What counts of what happened, with what the arm found out by itself; a refused word is told."""
+        happened = session.judge(self._mode, happened, self._memory)
+        said, session.reason = session.reason, ""
+        if said and happened & (Event.TROUBLE | Event.STOP):
+            self._reason = said
+        elif said and self._around.trouble is not None:
+            self._around.trouble(said)
+        return happened
+
     def _change_mode(self, happened: Event, state: JointState | None) -> None:
         before = self._mode
-        mode = next_mode(before, happened)
+        mode = next_mode(before, happened) if self._session is None else next_in_session(before, happened)
         if mode is before:
             return
-        if mode is Mode.HOLD and state is not None and self._outcome is not None:
+        if self._session is not None:
+            self._memory = entered(self._agent, mode, self._memory, self._outcome if state is not None else None)
+            self._session.entered(before, mode)
+        elif mode is Mode.HOLD and state is not None and self._outcome is not None:
             self._memory = hold_after(self._agent, self._outcome)
-        if mode is Mode.TRACK:
+        elif mode is Mode.TRACK:
             self._memory = self._memory._replace(hold=None, q_hold=None)
         self._mode = mode
         self._around.mode_changed(mode)
-        if mode is Mode.HOLD and Event.TROUBLE in happened and self._around.trouble is not None:
+        if mode in (Mode.HOLD, Mode.HALT) and Event.TROUBLE in happened and self._around.trouble is not None:
             self._around.trouble(self._reason)

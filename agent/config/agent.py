@@ -6,14 +6,16 @@ import math
 
 from agent.config import coordination, observer
 from agent.config.cell import Arm, Cell
-from agent.loop import Agent
+from agent.control.life import Life
+from agent.loop import Agent, Session
 from agent.safety import Limits
 
 HOLD_RATE_MAX_RAD_PER_S = 20.0
+ALONE_STEP_FRACTION = 0.05  # of the largest torque, from tick to tick, of an arm that holds nothing
 
 
-def build_agent(cell: Cell, arm: Arm) -> Agent:
-    """Everything that determines the arm's torque, from the cell file alone."""
+def build_agent(cell: Cell, arm: Arm, life: Life | None = None) -> Agent:
+    """Everything that determines the arm's torque, from the cell file alone; life: of an arm that begins at rest."""
     safety = cell.file.safety
     tau_max = arm.tau_stall_Nm * safety.tau_max_fraction_of_stall
     return Agent(
@@ -32,6 +34,13 @@ def build_agent(cell: Cell, arm: Arm) -> Agent:
         alignment=coordination.alignment(cell, arm),
         residual=coordination.residual(cell),
         damp_above_rad_per_s=math.inf if safety.hold_speed_max_rad_per_s is None else safety.hold_speed_max_rad_per_s,
+        session=None
+        if life is None or cell.file.session is None
+        else Session(
+            life,
+            Limits(tuple(tau_max.tolist()), tuple((ALONE_STEP_FRACTION * tau_max).tolist())),
+            cell.file.session.start_blend_s,
+        ),
     )
 
 

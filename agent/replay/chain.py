@@ -6,7 +6,7 @@ import numpy as np
 
 from agent.control.adaptation import from_row
 from agent.control.memory import Memory, restore
-from agent.loop import Agent, Outcome, hold_after, initial_memory, step, wait_here
+from agent.loop import Agent, Outcome, entered, hold_after, initial_memory, step, wait_here
 from agent.modes import Mode
 from agent.safety import Flag
 from drivers.interface import JointState, Vector
@@ -58,9 +58,11 @@ class Chain:
             raise AssertionError("neither started nor restored")
         memory = self._memory
         if self._mode is not None and mode is not self._mode:
-            if mode is Mode.HOLD and self._outcome is not None:
+            if self._agent.session is not None:
+                memory = entered(self._agent, mode, memory, self._outcome)
+            elif mode is Mode.HOLD and self._outcome is not None:
                 memory = hold_after(self._agent, self._outcome)
-            if mode is Mode.TRACK:
+            elif mode is Mode.TRACK:
                 memory = memory._replace(hold=None, q_hold=None)
         if mode is not Mode.TRACK and memory.hold is None and q is not None:
             memory = wait_here(self._agent, q, memory)

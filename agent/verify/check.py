@@ -146,7 +146,7 @@ def _same_task_space(cell: Cell, models: Sequence[ArmModel]) -> None:
 def _start(cell: Cell) -> list[Finding]:
     safety, desired = cell.file.safety, cell.trajectory().at(0.0)
     obj = cell.file.object
-    distance = math.dist(obj.p_start_m, desired.p)
+    distance = math.dist(cell.file.p_place_m, desired.p)
     e_eta, e_eps = attitude_error(obj.quat_start, desired.quat)
     angle = 2.0 * math.atan2(math.hypot(*e_eps), abs(e_eta))
     axis = np.round(np.array(e_eps) / max(math.hypot(*e_eps), 1e-12), 3).tolist()

@@ -15,6 +15,7 @@ from pydantic import Field, model_validator
 from agent.config.schema.arm import Baud
 from agent.config.schema.controller import Controller
 from agent.config.schema.coordination import NoticingSpec
+from agent.config.schema.session import Session
 from agent.config.schema.simulation import Simulation
 from agent.config.schema.tolerance import Tolerance
 from agent.config.schema.trajectory import TrajectorySpec
@@ -173,6 +174,8 @@ class Arm(Strict):
     controlled: Annotated[list[Label], Field(min_length=3, max_length=7)]
     locked_rad: dict[Label, Angle] = Field(default_factory=dict)
     q_near_rad: list[Angle]
+    rest_rad: dict[Label, Angle] = Field(default_factory=dict)  # where the arm rests; else as its arm file says
+    grip_width_m: Length | None = None  # of the object between the fingers; None: its size in their direction
     posture: PostureSpec | None = None
     dynamixel: DynamixelPort | None = None
 
@@ -222,9 +225,21 @@ class CellFile(Strict):
     safety: Safety = Safety()
     tolerance: Tolerance = Tolerance()
     simulation: Simulation = Simulation()
+    session: Session | None = None  # None: the arms begin with the object in their grippers
     report: Report
     embedded: dict[str, str] = Field(default_factory=dict)  # text of the files the cell names, added while loading
     arms: Annotated[list[Arm], Field(min_length=1, max_length=8)]
+
+    @property
+    def p_place_m(self) -> tuple[float, float, float]:
+        """Where the object stands before the run: its start pose, or below it where a session lifts it."""
+        lift_m = 0.0 if self.session is None else self.session.lift_m
+        size = math.hypot(*self.world.gravity_m_per_s2)
+        if not lift_m or not size:
+            return self.object.p_start_m
+        (x, y, z), (a, b, c) = self.object.p_start_m, self.world.gravity_m_per_s2
+        k = lift_m / size
+        return (x + k * a, y + k * b, z + k * c)
 
     @property
     def delay_s(self) -> float:

@@ -1,0 +1,77 @@
+"""From the files of a cell to the way of an arm between its rest and its grasp, and to what its gripper closes on."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from agent.config.cell import Arm, Cell
+from agent.config.reading import ConfigError
+from agent.config.schema.session import Session
+from agent.control import ik
+from agent.control.joint_path import JointPath, straight, timed
+from agent.control.life import Life
+from agent.control.models import ArmModel
+from drivers.interface import Vector
+
+KNOTS = 7  # of the straight line along the gripper's axis, from the place before the grasp to the grasp
+FINGER_AXIS = 1  # of the frame `ee`: the fingers close along its y
+LEAST_S = 1.0  # of a leg
+
+
+def rest_joints(arm: Arm) -> Vector:
+    """(n,) rad of the controlled joints at rest.  Raises ConfigError where neither cell nor arm file says it."""
+    rest = {**arm.file.sleep_rad, **arm.entry.rest_rad}
+    missing = [joint for joint in arm.entry.controlled if joint not in rest]
+    if missing:
+        raise ConfigError(
+            f"rest pose of arm {arm.name}", found=f"none of {', '.join(missing)}", expected="an angle of every joint",
+            remedy="give rest_rad in the cell, or sleep_rad in the arm file",
+        )  # fmt: skip
+    return np.array([rest[joint] for joint in arm.entry.controlled])
+
+
+def build_life(cell: Cell, arm: Arm, model: ArmModel, q_grasp: Vector) -> Life:
+    """The way of this arm; q_grasp (n,): with the object where it stands.  Raises ConfigError."""
+    session = cell.file.session or Session()
+    knots = _approach(cell, arm, model, q_grasp, session.back_off_m)
+    speed = session.speed_max_rad_per_s
+    legs = straight(rest_joints(arm), knots[0], speed, LEAST_S), timed(knots, speed, LEAST_S)
+    return Life(
+        path=JointPath(legs),
+        place=(cell.file.p_place_m, cell.file.object.quat_start),
+        ease_s=session.ease_s,
+        take_up_s=session.take_up_s,
+        lower_s=session.lower_s,
+        rate_rad_per_s=session.rate_rad_per_s,
+        soft_rad=session.soft_rad,
+        off_max_rad=session.off_max_rad,
+    )
+
+
+def _approach(cell: Cell, arm: Arm, model: ArmModel, q_grasp: Vector, back_off_m: float) -> Vector:
+    """(K, n) joints on the straight line to the grasp, the gripper's axis being that of its frame, x."""
+    q, backwards = q_grasp, [q_grasp]
+    for part in np.linspace(0.0, 1.0, KNOTS)[1:].tolist():
+        T_ee_back = pin.SE3(np.eye(3), np.array([-part * back_off_m, 0.0, 0.0]))
+        # where the object would be if it came along
+        T_world_object = cell.T_world_object_start * arm.T_object_ee * T_ee_back * arm.T_object_ee.inverse()
+        try:
+            q = ik.solve(model, T_world_object, q)
+        except ik.Unreachable as error:
+            raise ConfigError(
+                f"way of arm {arm.name} to its grasp",
+                found=f"{part * back_off_m * 1e3:.0f} mm before it unreachable by {error.distance_m * 1e3:.3g} mm",
+                expected=f"a straight line of {back_off_m * 1e3:.0f} mm",
+                remedy="lower session.back_off_m, or move the base or the grasp",
+            ) from error
+        backwards.append(q)
+    return np.array(backwards[::-1])
+
+
+def grip_width(cell: Cell, arm: Arm) -> float:
+    """m between the fingers when they hold the object."""
+    if arm.entry.grip_width_m is not None:
+        return arm.entry.grip_width_m
+    across = arm.T_object_ee.rotation[:, FINGER_AXIS]
+    return float(np.abs(across) @ np.array(cell.file.object.size_m))
