@@ -95,7 +95,7 @@ def run_document(outcome: RunOutcome) -> dict[str, Any]:
     return {
         "schema": SCHEMA,
         "log": str(outcome.log),
-        "report": str(outcome.report),
+        "report": None if outcome.report is None else str(outcome.report),
         "interrupted": outcome.interrupted,
         "within_bounds": outcome.within_bounds,
         "results": outcome.results.to_json(),

@@ -20,6 +20,7 @@ def run(
     faults: Annotated[Path | None, typer.Option(help="Faults of the emulated servos, JSON lines.")] = None,
     strict: Annotated[bool, typer.Option("--strict", help="Exit 6 when a bound of the cell file is missed.")] = False,
     listen: Annotated[str | None, typer.Option(help="Endpoint for live viewers (default: a free port).")] = None,
+    report: Annotated[bool, typer.Option("--report/--no-report", help="Draw the report, or results alone.")] = True,
     force: Force = False,
     overrides: Overrides = [],  # noqa: B006
     as_json: AsJson = False,
@@ -35,7 +36,7 @@ def run(
 
     requested = StopFlag()
     kind = RunKind.WIRE if wire else RunKind.REAL_TIME if real_time else RunKind.LOCKSTEP
-    options = RunOptions(cell, tuple(overrides), duration, out, seed, kind, faults, force, listen or FREE_PORT)
+    options = RunOptions(cell, tuple(overrides), duration, out, seed, kind, faults, force, listen or FREE_PORT, report)
     with RunProgress() as progress:
         outcome = run_cell(options, requested, progress)
     if as_json:
@@ -44,7 +45,9 @@ def run(
         print_json(run_document(outcome))
     else:
         console().print(terminal_table(outcome.results))
-        typer.echo(f"log      {outcome.log}\nreport   {outcome.report}")
+        typer.echo(f"log      {outcome.log}")
+        if outcome.report is not None:
+            typer.echo(f"report   {outcome.report}")
     if outcome.interrupted:
         typer.echo("stopped by request; the log ends there and is complete up to it", err=as_json)
         raise typer.Exit(130)

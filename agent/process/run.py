@@ -12,7 +12,7 @@ from agent.config.cell import load_cell
 from agent.log.read import open_log
 from agent.process.children import Children, Progress, RunKind
 from agent.process.folder import LOG_NAME, RunError, output_folder
-from agent.report.report import write_report
+from agent.report.report import write_report, write_results
 from agent.report.results import Results
 from agent.telemetry.link.session import FREE_PORT
 from agent.verify.check import examine
@@ -32,6 +32,7 @@ class RunOptions:
     faults: Path | None = None  # of the emulated servos, JSON lines
     replace: bool = False  # an earlier run in `out`
     listen: str = FREE_PORT  # where the recorder listens, for viewers
+    report: bool = True  # else the results alone
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ class RunOutcome:
     """What a run left behind."""
 
     log: Path
-    report: Path
+    report: Path | None
     results: Results
     interrupted: bool
     within_bounds: bool
@@ -75,7 +76,12 @@ def run_cell(options: RunOptions, stop: Callable[[], bool], progress: Progress) 
     finally:
         shutil.rmtree(runtime, ignore_errors=True)
     progress.phase("report")
+    page: Path | None = None
     with open_log(log) as opened:
-        report = write_report(opened, out, still)
+        if options.report:
+            written = write_report(opened, out, still)
+            page, results = written.html, written.results
+        else:
+            results = write_results(opened, out)
     progress.phase("done")
-    return RunOutcome(log, report.html, report.results, interrupted, report.results.within_bounds)
+    return RunOutcome(log, page, results, interrupted, results.within_bounds)

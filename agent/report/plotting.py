@@ -15,6 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.legend import Legend
+from matplotlib.ticker import ScalarFormatter
 
 from agent.report.series import Array
 
@@ -69,7 +70,6 @@ STYLE: Final[dict[Any, Any]] = {
     "axes.xmargin": 0.0,
     "axes.formatter.useoffset": False,
     "axes.formatter.limits": (-5, 5),
-    "axes.formatter.use_mathtext": True,
     "grid.color": "#e3e6ea",
     "grid.linewidth": 0.7,
     "lines.linewidth": 1.1,
@@ -88,6 +88,19 @@ STYLE: Final[dict[Any, Any]] = {
     "path.simplify_threshold": 0.3,
     "agg.path.chunksize": 20000,
 }
+
+
+_SUPERSCRIPTS: Final = str.maketrans("0123456789\N{MINUS SIGN}-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁻")
+
+
+class _Numbers(ScalarFormatter):
+    """Plain numbers at the ticks and a power of ten in Unicode: a formula for each takes a fifth of a report's time."""
+
+    def get_offset(self) -> str:
+        """The power of ten above the axis."""
+        plain = super().get_offset()
+        mantissa, e, exponent = plain.partition("e")
+        return f"{'×10' if mantissa == '1' else mantissa + '×10'}{exponent.translate(_SUPERSCRIPTS)}" if e else plain
 
 
 def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
@@ -144,6 +157,7 @@ def panels(
     axes = [ax for row in grid for ax in row]
     for ax in axes:
         ax.yaxis.set_label_coords(-0.64 / width, 0.5)  # the labels of all panels stand in one line
+        ax.yaxis.set_major_formatter(_Numbers())
     return figure, axes
 
 

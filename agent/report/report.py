@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -65,17 +66,37 @@ def write_report(log: AnyLog, out_dir: Path, still: Still | None = None) -> Repo
     """
     run = prepare(log)
     results = summarise_prepared(run)
+    with _folder(out_dir) as draft:
+        images = _opening(run, still, draft)
+        images += [(p, save_png(p.draw(), draft / f"{p.stem}.png")) for p in pictures(run)]
+        page = render(results, images, log.events)
+        (draft / PAGE).write_text(page, encoding="utf-8")
+        _write_results(results, draft)
+    figures = {p.stem: out_dir / f"{p.stem}.png" for p, _ in images}
+    return ReportFiles(out_dir / PAGE, out_dir / RESULTS, figures, results)
+
+
+def write_results(log: AnyLog, out_dir: Path) -> Results:
+    """Write results.json alone into `out_dir`, as `write_report` does, and return what it says.  Raises ReportError."""
+    results = summarise_prepared(prepare(log))
+    with _folder(out_dir) as draft:
+        _write_results(results, draft)
+    return results
+
+
+def _write_results(results: Results, folder: Path) -> None:
+    content = json.dumps(results.to_json(), indent=2, ensure_ascii=False, allow_nan=False)
+    (folder / RESULTS).write_text(content + "\n", encoding="utf-8")
+
+
+@contextmanager
+def _folder(out_dir: Path) -> Iterator[Path]:
+    """A folder whose files move to `out_dir` together, once all of them are whole.  Raises ReportError."""
     try:
         out_dir.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=".report-", dir=out_dir) as name:
-            draft = Path(name)
-            images = _opening(run, still, draft)
-            images += [(p, save_png(p.draw(), draft / f"{p.stem}.png")) for p in pictures(run)]
-            page = render(results, images, log.events)
-            (draft / PAGE).write_text(page, encoding="utf-8")
-            content = json.dumps(results.to_json(), indent=2, ensure_ascii=False, allow_nan=False)
-            (draft / RESULTS).write_text(content + "\n", encoding="utf-8")
-            for file in sorted(draft.iterdir()):
+            yield Path(name)
+            for file in sorted(Path(name).iterdir()):
                 file.replace(out_dir / file.name)
     except OSError as error:
         raise ReportError(
@@ -84,8 +105,6 @@ def write_report(log: AnyLog, out_dir: Path, still: Still | None = None) -> Repo
             expected="a directory that can be written, with room for some megabytes",
             remedy="name another directory or make room",
         ) from error
-    figures = {p.stem: out_dir / f"{p.stem}.png" for p, _ in images}
-    return ReportFiles(out_dir / PAGE, out_dir / RESULTS, figures, results)
 
 
 def _opening(run: Prepared, still: Still | None, folder: Path) -> list[tuple[Picture, bytes]]:

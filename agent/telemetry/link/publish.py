@@ -61,8 +61,9 @@ class PublishOptions:
     layout: Layout = AGENT_STATE
     network: Network = field(default_factory=Network)
     pace: Pace = Pace.REAL_TIME
-    # A service follows: it takes only rings whose agent lives, since one that is gone belongs to another log, and goes
-    # on with the ring of the next agent.  Otherwise the one ring is published, and that is it.
+    # A service follows: it takes rings whose agent lives or that are younger than itself, since an older one whose
+    # agent is gone belongs to another log, and goes on with the ring of the next agent.  Otherwise the one ring is
+    # published, and that is it.
     follow: bool = False
     info: Mapping[str, Any] = field(default_factory=dict)  # answer of the `info` queryable, JSON
 
@@ -94,10 +95,11 @@ def run(
     Raises RingError, NetworkError, BadName.
     """
     address = Address(options.cell, options.member, Kind.STATE)
+    since_ns = time.time_ns()
     with open_session(options.network) as opened:
         ready(options.member)
         report = PublishReport(0, 0, 0, End.OPEN)
-        while (reader := _wait_for_ring(options, stop, say)) is not None:
+        while (reader := _wait_for_ring(options, since_ns, stop, say)) is not None:
             with reader:
                 with ExitStack() as stack:  # closed with the ring: its cache must not reach the next run's recorder
                     report = _Telemetry(options, address, opened.session, reader, stack).run(stop, say)
@@ -246,7 +248,9 @@ class _Patience:
             self._tell()
 
 
-def _wait_for_ring(options: PublishOptions, stop: Callable[[], bool], say: Callable[[str], None]) -> RingReader | None:
+def _wait_for_ring(
+    options: PublishOptions, since_ns: int, stop: Callable[[], bool], say: Callable[[str], None]
+) -> RingReader | None:
     maker = "coop plant` or `coop emulate" if options.member == PLANT else f"coop agent --arm {options.member}"
     where = f"the ring {options.ring}, which `{maker}` makes there or where its --ring says"
     patience = _Patience(lambda: say(f"waits for {where}, until it is stopped"))
@@ -254,7 +258,7 @@ def _wait_for_ring(options: PublishOptions, stop: Callable[[], bool], say: Calla
         patience.waiting(True)
         if _exists(options.ring):
             reader = RingReader(options.ring, options.layout, acknowledges=options.pace is Pace.LOCKSTEP)
-            if reader.writer_alive or not options.follow:
+            if reader.writer_alive or reader.header.created_ns >= since_ns or not options.follow:
                 return reader
             reader.close()
         time.sleep(_CYCLE_S)

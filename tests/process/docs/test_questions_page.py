@@ -11,7 +11,7 @@ from tests.support.coop import coop as run_process
 from tests.support.documents import ROOT
 from tests.support.pages import fences
 
-SHORT = ("--duration", "1.5", "--set", "report.transient_s=0.5")  # of every run
+SHORT = ("--no-report", "--duration", "1.5", "--set", "report.transient_s=0.5")  # of every run
 QUESTIONS = re.findall(r"^## (.*)$", (ROOT / "docs/questions.md").read_text(), re.MULTILINE)
 BLOCKS = fences("questions.md", "")
 

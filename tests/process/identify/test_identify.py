@@ -10,6 +10,7 @@ import pytest
 import configs
 from agent.config.cell import cell_from_toml, load_cell
 from tests.support.coop import PAPER, coop
+from tests.support.once import once
 
 CELL = configs.CELLS_DIR / "identify_wx200.toml"
 
@@ -17,10 +18,12 @@ CELL = configs.CELLS_DIR / "identify_wx200.toml"
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of a whole run of the cell."""
-    folder = tmp_path_factory.mktemp("identify")
-    done = coop("run", CELL, "--out", "run", cwd=folder)
-    assert done.returncode == 0, done.stderr
-    return folder / "run"
+
+    def make(folder: Path) -> None:
+        done = coop("run", CELL, "--no-report", "--out", "run", cwd=folder)
+        assert done.returncode == 0, done.stderr
+
+    return once(tmp_path_factory, "identify-run", make) / "run"
 
 
 def test_a_log_becomes_a_table_a_figure_and_an_arm_file_that_a_cell_can_use(run: Path, tmp_path: Path) -> None:

@@ -24,12 +24,9 @@ Messages = dict[str, Any]
 
 
 @pytest.fixture(scope="module")
-def messages(tmp_path_factory: pytest.TempPathFactory) -> Messages:
+def messages(paper_runs: tuple[Path, Path]) -> Messages:
     """The last message of every topic of a run of the paper's cell."""
-    out = tmp_path_factory.mktemp("run") / "run"
-    done = coop("run", PAPER, "--duration", 1, "--out", out)
-    assert done.returncode == 0, done.stderr
-    with AnyReader([out / "run.mcap"]) as reader:
+    with AnyReader([paper_runs[0] / "run.mcap"]) as reader:
         return {c.topic: reader.deserialize(raw, c.msgtype) for c, _, raw in reader.messages()}
 
 

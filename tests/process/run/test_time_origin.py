@@ -20,7 +20,7 @@ TRANSIENT_S = 1.0
 
 
 def run(out: Path, *options: str | float) -> None:
-    done = coop("run", PAPER, "--out", out, "--set", f"report.transient_s={TRANSIENT_S}", *options)
+    done = coop("run", PAPER, "--no-report", "--out", out, "--set", f"report.transient_s={TRANSIENT_S}", *options)
     assert done.returncode == 0, done.stderr
 
 

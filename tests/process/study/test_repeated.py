@@ -20,7 +20,7 @@ def test_the_worst_run_of_a_study_is_repeated_by_coop_run(tmp_path: Path) -> Non
     studied = Laboratory(cell("simulation.ready_s=0.1", "controller.alignment.ready_per_s=2.0"))
     path = tmp_path / "worst.toml"
     path.write_bytes(worst_cell(studied.cell, measure(studied, None, index=3, seed=11)))
-    coop("run", path, "--out", tmp_path / "out")
+    coop("run", path, "--no-report", "--out", tmp_path / "out")
     log = read_log(tmp_path / "out" / "run.mcap")
     rows = log.plant
     assert rows is not None

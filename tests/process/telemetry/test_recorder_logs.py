@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import time
+from functools import partial
 from pathlib import Path
 
 import pytest
 
+from agent.log.collect import LogError
 from agent.log.file import LogFileError
 from agent.log.parts import Limits, make_room, only_recorder
 from agent.log.read import read_log
@@ -24,6 +27,13 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
+def _holds(log: Path, rows: int) -> bool:
+    try:
+        return rows_in(log) == prefix(rows, rows)
+    except LogError:  # not there yet, or without a row
+        return False
+
+
 def test_a_service_records_one_run_after_the_other_each_into_a_log_of_its_own(folder: Path) -> None:
     ring = folder / "left.ring"
     with recorder(folder / "run.mcap", arms=LEFT) as rec:
@@ -33,15 +43,17 @@ def test_a_service_records_one_run_after_the_other_each_into_a_log_of_its_own(fo
             for rows, log_name in ((200, "run.mcap"), (300, "run_2.mcap"), (100, "run_3.mcap")):
                 with writer(ring, "left", rows, RATE_HZ) as agent:
                     assert agent.result() == rows
-                patience_s = time.monotonic() + 20.0
-                while not (folder / log_name).exists() and time.monotonic() < patience_s:
-                    time.sleep(0.05)
-                time.sleep(0.7)  # the service looks for the next ring
+                wait_for(partial(_holds, folder / log_name, rows))
+            service.signal(signal.SIGSTOP)
+            with writer(ring, "left", 50, None) as agent:  # a run that is over before the service looks
+                assert agent.result() == 50
+            service.signal(signal.SIGCONT)
+            wait_for(partial(_holds, folder / "run_4.mcap", 50))
             service.stop()
         report = rec.stop()
-    assert report.logs == tuple(folder / name for name in ("run.mcap", "run_2.mcap", "run_3.mcap"))
+    assert report.logs == tuple(folder / name for name in ("run.mcap", "run_2.mcap", "run_3.mcap", "run_4.mcap"))
     assert report.complete, report
-    for path, rows in zip(report.logs, (200, 300, 100), strict=True):
+    for path, rows in zip(report.logs, (200, 300, 100, 50), strict=True):
         log = read_log(path)
         assert log.complete
         assert log.agents["left"].tobytes() == prefix(rows, rows)

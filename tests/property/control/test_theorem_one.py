@@ -12,6 +12,7 @@ from tests.support.control.ideal_arm import IdealCell, random_cell
 
 STARTS, BATCHES = 200, 10
 SECONDS, STEP_S = 8.0, 0.04  # the fastest mode takes 1 s / 44
+GONE = 5e-4  # an error
 ANGLE_MAX_RAD = math.radians(170.0)
 
 
@@ -42,7 +43,9 @@ def test_errors_vanish_from_random_starts_and_v_never_grows(batch: int) -> None:
                 terms = cell.terms((k + 1) * STEP_S, T, v)
                 V.append(sum(t.lyapunov for t in terms))
                 e_eta.append(terms[0].errors.e_eta)
-        errors = terms[0].errors
+                errors = terms[0].errors
+                if max(*map(abs, (*errors.e_p, *errors.e_eps, *errors.e_v))) < GONE:
+                    break
         assert np.diff(V).max() < 1e-6 * V[0], seed
         assert math.hypot(*errors.e_p) < 1e-3, seed
         assert math.hypot(*errors.e_eps) < 1e-3, seed
