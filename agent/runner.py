@@ -274,8 +274,9 @@ class Runner:
         if mode is before:
             return
         if self._session is not None:
+            self._session.entered(mode)
+        if self._agent.session is not None:
             self._memory = entered(self._agent, mode, self._memory, self._outcome if state is not None else None)
-            self._session.entered(before, mode)
         elif mode is Mode.HOLD and state is not None and self._outcome is not None:
             self._memory = hold_after(self._agent, self._outcome)
         elif mode is Mode.TRACK:

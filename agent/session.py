@@ -79,9 +79,8 @@ class SessionLoop:
         self._watch = self._plan.watch(self._watch, state)
         return events | self._found(mode, memory, self._watch, state)
 
-    def entered(self, before: Mode, mode: Mode) -> None:
+    def entered(self, mode: Mode) -> None:
         """Tell the gripper what this mode asks of it."""
-        del before
         if mode in (Mode.APPROACH, Mode.RELEASE):
             self._open = False
         if mode is Mode.APPROACH:

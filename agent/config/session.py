@@ -17,6 +17,7 @@ from drivers.interface import Vector
 KNOTS = 7  # of the straight line along the gripper's axis, from the place before the grasp to the grasp
 FINGER_AXIS = 1  # of the frame `ee`: the fingers close along its y
 LEAST_S = 1.0  # of a leg
+DECIMALS = 6  # of joint angles on the way, so that hosts agree on them bit for bit
 
 
 def rest_joints(arm: Arm) -> Vector:
@@ -31,10 +32,10 @@ def rest_joints(arm: Arm) -> Vector:
     return np.array([rest[joint] for joint in arm.entry.controlled])
 
 
-def build_life(cell: Cell, arm: Arm, model: ArmModel, q_grasp: Vector) -> Life:
-    """The way of this arm; q_grasp (n,): with the object where it stands.  Raises ConfigError."""
+def build_life(cell: Cell, arm: Arm) -> Life:
+    """The way of this arm, to the microradian the same on every host.  Raises ConfigError."""
     session = cell.file.session or Session()
-    knots = _approach(cell, arm, model, q_grasp, session.back_off_m)
+    knots = _approach(cell, arm, cell.model(arm), session.back_off_m)
     speed = session.speed_max_rad_per_s
     legs = straight(rest_joints(arm), knots[0], speed, LEAST_S), timed(knots, speed, LEAST_S)
     return Life(
@@ -49,10 +50,10 @@ def build_life(cell: Cell, arm: Arm, model: ArmModel, q_grasp: Vector) -> Life:
     )
 
 
-def _approach(cell: Cell, arm: Arm, model: ArmModel, q_grasp: Vector, back_off_m: float) -> Vector:
+def _approach(cell: Cell, arm: Arm, model: ArmModel, back_off_m: float) -> Vector:
     """(K, n) joints on the straight line to the grasp, the gripper's axis being that of its frame, x."""
-    q, backwards = q_grasp, [q_grasp]
-    for part in np.linspace(0.0, 1.0, KNOTS)[1:].tolist():
+    q, backwards = np.array(arm.entry.q_near_rad), []
+    for part in np.linspace(0.0, 1.0, KNOTS).tolist():
         T_ee_back = pin.SE3(np.eye(3), np.array([-part * back_off_m, 0.0, 0.0]))
         # where the object would be if it came along
         T_world_object = cell.T_world_object_start * arm.T_object_ee * T_ee_back * arm.T_object_ee.inverse()
@@ -66,7 +67,7 @@ def _approach(cell: Cell, arm: Arm, model: ArmModel, q_grasp: Vector, back_off_m
                 remedy="lower session.back_off_m, or move the base or the grasp",
             ) from error
         backwards.append(q)
-    return np.array(backwards[::-1])
+    return np.round(np.array(backwards[::-1]), DECIMALS)
 
 
 def grip_width(cell: Cell, arm: Arm) -> float:

@@ -163,4 +163,4 @@ def timed(knots: Matrix, speed_max_rad_per_s: float, least_s: float) -> Leg:
     """Through knots (K, n) in the time that keeps the fastest joint at speed_max_rad_per_s or below."""
     leg = Leg(knots, 1.0)
     fastest = max(float(np.abs(leg.at(t).dq).max()) for t in np.linspace(0.0, 1.0, 8 * len(knots) + 1).tolist())
-    return Leg(knots, max(least_s, 1.01 * fastest / speed_max_rad_per_s))
+    return Leg(knots, max(least_s, round(1.01 * fastest / speed_max_rad_per_s, 3)))

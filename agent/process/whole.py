@@ -8,11 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 
-from agent.config.agent import build_agent
 from agent.config.cell import Arm, Cell
 from agent.config.reading import ConfigError
 from agent.config.servo_map import GRIPPER, fingers_of
-from agent.config.session import build_life, grip_width, rest_joints
+from agent.config.session import grip_width, rest_joints
 from agent.grip import GripPlan
 from agent.loop import Agent
 from agent.process.emulate import wiring
@@ -29,18 +28,13 @@ WHERE_IT_SHOULD = pin.SE3.Identity()
 CLEARANCE_M = 2e-3  # between open fingers and the object, on each side
 
 
-def session_agent(cell: Cell, arm: Arm, q_grasp: Vector) -> Agent:
-    """What determines the torque of an arm that begins at its rest.  Raises ConfigError."""
-    if cell.file.session is None:
+def session_loop(cell: Cell, arm: Arm, agent: Agent, gripper: Gripper) -> SessionLoop:
+    """What the arm does beside its torque.  Raises ConfigError."""
+    if agent.session is None:
         raise ConfigError(
             f"cell {cell.file.name}", found="no [session]", expected="one, for a run from rest to rest",
             remedy="add the table [session]; every key of it has a default",
         )  # fmt: skip
-    return build_agent(cell, arm, build_life(cell, arm, cell.model(arm), q_grasp))
-
-
-def session_loop(cell: Cell, arm: Arm, agent: Agent, gripper: Gripper) -> SessionLoop:
-    """What the arm does beside its torque.  Raises ConfigError."""
     safety = cell.file.safety
     bound = StartBound(safety.start_error_max_m, safety.start_error_max_rad)
     return SessionLoop(agent, gripper, grip_plan(cell, arm), bound)

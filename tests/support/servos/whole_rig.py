@@ -15,13 +15,12 @@ from agent.config.servo_map import arm_map
 from agent.config.session import rest_joints
 from agent.modes import Event, Mode
 from agent.process.agent import AgentOptions, _schedule
-from agent.process.build import Connection
-from agent.process.whole import WHERE_IT_SHOULD, session_agent, session_loop, whole_cell
+from agent.process.build import Connection, build_agent
+from agent.process.whole import WHERE_IT_SHOULD, session_loop, whole_cell
 from agent.runner import Runner, RunSummary, Schedule, Surroundings
 from agent.telemetry.row.fill import AgentRow
 from agent.verify.check import examine
 from drivers.dynamixel.driver import DynamixelDriver
-from drivers.interface import Vector
 from sim_backend.wire.faults import Fault
 from sim_backend.wire.injector import Injector
 from sim_backend.wire.plant_world import emulate_whole
@@ -81,10 +80,7 @@ class WholeRun:
         self._said_ns: dict[str, int] = {}
         self._zero_ns: int | None = None
         self.arms = {arm.name: SessionRun() for arm in cell.arms}
-        threads = [
-            threading.Thread(target=self._run, args=(arm, i, q), daemon=True)
-            for i, (arm, q) in enumerate(zip(cell.arms, q_grasp, strict=True))
-        ]
+        threads = [threading.Thread(target=self._run, args=(arm, i), daemon=True) for i, arm in enumerate(cell.arms)]
         for thread in threads:
             thread.start()
         for thread in threads:
@@ -97,24 +93,24 @@ class WholeRun:
         """Mode of each arm at the end."""
         return {name: run.summary.mode for name, run in self.arms.items() if run.summary is not None}
 
-    def _run(self, arm: Arm, index: int, q_grasp: Vector) -> None:
+    def _run(self, arm: Arm, index: int) -> None:
         run = self.arms[arm.name]
         self.clock.join()
         try:
-            run.summary = self._loop(run, arm, index, q_grasp)
+            run.summary = self._loop(run, arm, index)
         except BaseException as error:  # noqa: BLE001 - raised again where the run was asked for
             run.error = error
         finally:
             self.clock.leave()
 
-    def _loop(self, run: SessionRun, arm: Arm, index: int, q_grasp: Vector) -> RunSummary:
+    def _loop(self, run: SessionRun, arm: Arm, index: int) -> RunSummary:
         line: Any = Line(self.emulated, index, self._injectors[index], self.clock)
         servos = arm_map(self.cell, arm, "virtual", rest_joints(arm))
         port = VirtualPort(line, arm.baud)
         driver = DynamixelDriver(servos, self.clock, on_event=run.events.append, scan_s=0.05, port=port)
         driver.connect()
         driver.enable()
-        run.agent = agent = session_agent(self.cell, arm, q_grasp)
+        run.agent = agent = build_agent(self.cell, arm)
         name = arm.name
 
         def changed(mode: Mode) -> None:
