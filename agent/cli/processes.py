@@ -97,13 +97,15 @@ def emulate(
     control: Annotated[Path | None, typer.Option(help="Datagram socket that takes faults.")] = None,
     seed: Annotated[int, typer.Option(help="Seed of the faults.")] = 0,
     no_timing: Annotated[bool, typer.Option("--no-timing", help="Answer at once, not at the bus's pace.")] = False,
+    whole: Annotated[bool, typer.Option("--whole", help="Arms begin at rest, the object on a table.")] = False,
     with_parent: WithParent = False,
 ) -> None:
     """Emulated Dynamixel servos of the cell's arms on pseudo terminals, for any Dynamixel client."""
     from agent.atomic import make_folder
     from agent.config.cell import load_cell
     from agent.host.paths import make_runtime_dir, ring_path
-    from agent.process.emulate import run_emulate
+    from agent.process.emulate import gripping, run_emulate
+    from agent.process.whole import at_rest
     from agent.telemetry.row.topics import PLANT
     from sim_backend.wire.serve import ServeOptions
 
@@ -115,7 +117,9 @@ def emulate(
         make_runtime_dir(name)
     options = ServeOptions({arm.name: ports / arm.name for arm in loaded.arms}, faults, control, seed)
     where = ring or ring_path(name, PLANT)
-    typer.echo(run_emulate(loaded, options, where, timing=not no_timing, stop=requested, ready=ready), err=True)
+    begins = at_rest if whole else gripping
+    run = run_emulate(loaded, options, where, timing=not no_timing, stop=requested, ready=ready, begin=begins)
+    typer.echo(run, err=True)
 
 
 def telemetry(

@@ -8,15 +8,19 @@ import pinocchio as pin
 from agent.config.cell import Arm, Cell
 from agent.config.reading import ConfigError
 from agent.config.schema.session import Session
+from agent.config.servo_map import fingers_of
 from agent.control import ik
 from agent.control.joint_path import JointPath, straight, timed
 from agent.control.life import Life
 from agent.control.models import ArmModel
+from agent.grip import GripPlan
+from drivers.fingers import Fingers
 from drivers.interface import Vector
 
 KNOTS = 7  # of the straight line along the gripper's axis, from the place before the grasp to the grasp
 FINGER_AXIS = 1  # of the frame `ee`: the fingers close along its y
 LEAST_S = 1.0  # of a leg
+CLEARANCE_M = 2e-3  # between open fingers and the object, on each side
 DECIMALS = 6  # of joint angles on the way, so that hosts agree on them bit for bit
 
 
@@ -67,7 +71,7 @@ def _approach(cell: Cell, arm: Arm, model: ArmModel, back_off_m: float) -> Vecto
                 remedy="lower session.back_off_m, or move the base or the grasp",
             ) from error
         backwards.append(q)
-    return np.round(np.array(backwards[::-1]), DECIMALS)
+    return np.array(np.round(backwards[::-1], DECIMALS), dtype=np.float64)
 
 
 def grip_width(cell: Cell, arm: Arm) -> float:
@@ -76,3 +80,31 @@ def grip_width(cell: Cell, arm: Arm) -> float:
         return arm.entry.grip_width_m
     across = arm.T_object_ee.rotation[:, FINGER_AXIS]
     return float(np.abs(across) @ np.array(cell.file.object.size_m))
+
+
+def grip_plan(cell: Cell, arm: Arm) -> GripPlan:
+    """What the gripper of the arm does with the object.  Raises ConfigError where it cannot."""
+    hand, width = fingers(arm), grip_width(cell, arm)
+    plan = GripPlan(hand.closed_m, hand.open_m, width, arm.file.gripper.grip_effort.value)  # type: ignore[union-attr]
+    low, high = hand.closed_m + plan.tolerance_m, hand.open_m - 2.0 * CLEARANCE_M
+    if not low <= width <= high:
+        raise ConfigError(
+            f"object between the fingers of arm {arm.name}",
+            found=f"{width * 1e3:.1f} mm",
+            expected=f"{low * 1e3:.1f} to {high * 1e3:.1f} mm",
+            remedy="grasp it elsewhere, or say with grip_width_m how wide it is there",
+        )
+    return plan
+
+
+def fingers(arm: Arm) -> Fingers:
+    """Geometry of its gripper.  Raises ConfigError."""
+    found = fingers_of(arm.file)
+    if found is None:
+        raise ConfigError(
+            f"gripper of arm {arm.name} ({arm.file.model})",
+            found="one that this software cannot close on an object",
+            expected="closed_tick, open_tick, horn_radius_m, rod_length_m and grip_effort, of a Protocol 2.0 servo",
+            remedy="add them to [gripper] of the arm file",
+        )
+    return found

@@ -26,6 +26,7 @@ from agent.verify.margin import Damping, damping, places, sampled_loop
 from agent.verify.noticing import noticed
 from agent.verify.plausible import plausibility
 from agent.verify.robustness import Robustness, Walk, robustness
+from agent.verify.session import session
 from drivers.interface import Vector
 
 SAMPLES = 48  # points along the trajectory, beside those that the trajectory names itself
@@ -99,7 +100,7 @@ def examine(cell: Cell, *, wired: bool | None = None, thorough: bool | None = No
         path = _along_trajectory(cell, arm, model, q0, instants.times)
         findings += _arm_findings(cell, arm, path)
         paths.append(path)
-    findings += [*plausibility(cell), *internal_force(cell, models), *noticed(cell)]
+    findings += [*plausibility(cell), *internal_force(cell, models), *noticed(cell), *session(cell)]
     findings += buses(cell, q_start, wired=servos if wired is None else wired)
     findings += _stability(cell, models, paths)
     if cell.file.controller.kind is ControllerKind.ADAPTIVE:
