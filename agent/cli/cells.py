@@ -28,6 +28,7 @@ class FormName(StrEnum):
 def check(cell: CellPath, overrides: Overrides = [], as_json: AsJson = False) -> None:  # noqa: B006
     """Examine a cell before anything moves; exit code 2 when it must not run."""
     from agent.config.cell import load_cell
+    from agent.config.schema.cell import DriverKind
     from agent.verify.check import examine
 
     loaded = load_cell(cell, overrides)
@@ -41,7 +42,21 @@ def check(cell: CellPath, overrides: Overrides = [], as_json: AsJson = False) ->
         for f in report.findings:
             if f.remedy:
                 typer.echo(f"{f.verdict}: {f.what} ({f.where}): {f.remedy}")
+        if loaded.file.driver is DriverKind.DYNAMIXEL:
+            typer.echo(f"this host: {_latency(loaded.file.rate_hz)}")
     report.require()
+
+
+def _latency(rate_hz: float) -> str:
+    """What the last latency test of this host says for a real arm."""
+    import os
+
+    from agent.host.latency import files, newest
+
+    found = newest(files(os.environ))
+    if found is None:
+        return "wake-up latency not measured; run `coop latency-test` where the agents are to run"
+    return f"wake-up latency {found.fitness(rate_hz)} at {rate_hz:g} Hz: {found.text}"
 
 
 def tune(

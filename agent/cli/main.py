@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from agent.cli import answers, cells, doctor, logs, motors, processes, replay, run, study, view, words
+from agent.cli import answers, cells, doctor, latency, logs, motors, processes, replay, run, study, view, words
 from agent.cli.help import Commands
 from agent.cli.where import where
 
@@ -18,7 +18,7 @@ USAGE = 2  # exit code of a command line that says nothing `coop` understands
 
 GROUPS: dict[str, tuple[Callable[..., None], ...]] = {
     "Simulate and examine": (run.run, cells.check, cells.tune, study.study),
-    "Arms of this host": (words.start, words.stop, words.release, doctor.doctor),
+    "Arms of this host": (words.start, words.stop, words.release, words.status, doctor.doctor, latency.latency_test),
     "Logs": (
         logs.report, view.view, logs.compare, answers.events, answers.grasps, replay.replay, logs.identify, logs.export,
         logs.play, logs.recover, logs.layout,

@@ -31,6 +31,9 @@ def agent(
     port: Annotated[str | None, typer.Option(help="Serial port, instead of the cell's.")] = None,
     hold: Annotated[bool | None, typer.Option(help="At a stop and at the end hold the object until released.")] = None,
     priority: Annotated[int | None, typer.Option(min=1, max=99, help="SCHED_FIFO priority, or refuse.")] = None,
+    allow_no_realtime: Annotated[
+        bool, typer.Option("--allow-no-realtime", help="Let a real arm be started at a normal priority.")
+    ] = False,
     emulated: Annotated[bool, typer.Option("--emulated", help="The servos on that port are emulated.")] = False,
     real_time: Annotated[bool, typer.Option("--real-time", help="At the wall clock's pace, not in lockstep.")] = False,
     with_parent: WithParent = False,
@@ -58,6 +61,7 @@ def agent(
         lockstep=lockstep,
         hold=hold if hold is not None else kind is DriverKind.DYNAMIXEL and not emulated,
         priority=priority,
+        no_realtime=allow_no_realtime,
     )
     summary = run_agent(loaded, options, requested, ready)
     typer.echo(

@@ -1,12 +1,22 @@
-"""An operator's words to the agents of this host: start, stop, release."""
+"""An operator's words to the agents of this host: start, stop, release, and how they are."""
 
 from __future__ import annotations
 
+import json
+import sys
+import time
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from agent.cli.options import CellPath, ControlSockets, SomeArms
+from agent.cli.options import AsJson, CellPath, ControlSockets, SomeArms, begin, note
+
+HostName = Annotated[str | None, typer.Option("--host", help="This host's name in the cell file, if not its own.")]
+
+ClockFile = Annotated[Path | None, typer.Option("--clock", help="File that tells the clock's error, not chrony.")]
+CLEAR = "\x1b[H\x1b[2J"
+WATCH_STEP_S, WATCH_EVERY_STEPS = 0.1, 10
 
 
 def start(
@@ -14,22 +24,72 @@ def start(
     at: Annotated[str | None, typer.Option(help="UTC, HH:MM:SS.", metavar="TIME")] = None,
     in_s: Annotated[float | None, typer.Option("--in", min=0.05, max=86400.0, help="Seconds from now.")] = None,
     control: ControlSockets = [],  # noqa: B006
+    host: HostName = None,
+    clock: ClockFile = None,
 ) -> None:
-    """Give this host's agents the common instant at which they begin to follow the trajectory."""
-    from agent.operator.words import start_arms
+    """Give this host's agents the common instant at which they begin to follow the trajectory; all of them or none."""
+    from agent.config.cell import load_cell
+    from agent.host.clock import read_clock
+    from agent.operator.words import Here, start_arms
 
-    typer.echo(start_arms(cell, at, in_s, control))
+    typer.echo(start_arms(load_cell(cell), at, in_s, control, Here(read_clock(clock), host), note))
 
 
-def stop(cell: CellPath, arm: SomeArms = [], control: ControlSockets = []) -> None:  # noqa: B006
-    """Let this host's agents hold the object where it is."""
+def stop(
+    cell: CellPath,
+    arm: SomeArms = [],  # noqa: B006
+    control: ControlSockets = [],  # noqa: B006
+    host: HostName = None,
+) -> None:
+    """Let this host's agents hold the object where it is; says who did not answer."""
+    from agent.config.cell import load_cell
     from agent.operator.words import stop_arms
 
-    typer.echo(stop_arms(cell, arm, control))
+    typer.echo(stop_arms(load_cell(cell), arm, control, host))
 
 
-def release(cell: CellPath, arm: SomeArms = [], control: ControlSockets = []) -> None:  # noqa: B006
+def release(
+    cell: CellPath,
+    arm: SomeArms = [],  # noqa: B006
+    control: ControlSockets = [],  # noqa: B006
+    host: HostName = None,
+) -> None:
     """Confirm that the object is supported: the agents that hold it switch their torque off."""
+    from agent.config.cell import load_cell
     from agent.operator.words import release_arms
 
-    typer.echo(release_arms(cell, arm, control))
+    typer.echo(release_arms(load_cell(cell), arm, control, host))
+
+
+def status(
+    cell: CellPath,
+    watch: Annotated[bool, typer.Option("--watch", help="Again every second, until Ctrl-C.")] = False,
+    host: HostName = None,
+    clock: ClockFile = None,
+    logs: Annotated[list[Path], typer.Option(help="Folders of logs, where a recorder may be at work.")] = [],  # noqa: B006
+    as_json: AsJson = False,
+) -> None:
+    """Show how the arms of this host are: exit code 1 when one does not answer."""
+    from agent.config.cell import load_cell
+    from agent.host.clock import read_clock
+    from agent.operator.show import lines
+    from agent.operator.status import LOG_FOLDERS
+    from agent.operator.status import status as look
+
+    loaded = load_cell(cell)
+    stop = begin(False) if watch else None
+    while True:
+        document = look(loaded, read_clock(clock), host, logs or LOG_FOLDERS)
+        if as_json:
+            typer.echo(json.dumps(document, indent=None if watch else 2, allow_nan=False))
+        else:
+            if watch and sys.stdout.isatty():
+                typer.echo(CLEAR, nl=False)
+            for line in lines(document):
+                typer.echo(f"{typer.style(line.head, fg=line.tone.value)}  {line.rest}")
+        if stop is None:
+            raise typer.Exit(0 if all(arm["answers"] for arm in document["arms"]) else 1)
+        for _ in range(WATCH_EVERY_STEPS):
+            if stop():
+                raise typer.Exit(130)
+            time.sleep(WATCH_STEP_S)

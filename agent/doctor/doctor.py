@@ -72,7 +72,7 @@ def diagnose(cell: Cell, options: DoctorOptions, tell: Tell) -> Diagnosis:
     out = Diagnosis(cell.file.name, cell.fingerprint)
     tell("looking at the host and the cell file")
     facts = host.read_facts(options.logs, ", ".join(f"{name} {v}" for name, v in versions().items()))
-    out.findings += host.judge(facts, len(arms), _log_bytes(cell))
+    out.findings += host.judge(facts, len(arms), _log_bytes(cell), cell.file.rate_hz)
     starts = _examine_cell(cell, out)
     for arm in arms:
         tell(f"looking at arm {arm.name}")

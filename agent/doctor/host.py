@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import math
 import os
 import resource
@@ -11,21 +10,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from agent.verify.finding import Finding, Verdict, judged
+from agent.host.clock import ClockState, read_clock
+from agent.host.latency import LATE_SHARE, Fitness, Latency, files, newest
+from agent.verify.finding import Finding, Verdict, judged, warning
 
 WHERE = "host"
 PRIORITY = 80  # what the agent's unit grants
 CLOCK_ERROR_MAX_S = 1e-3  # between hosts at the start
 CAP_IPC_LOCK = 14
-_STA_UNSYNC = 0x40
-
-
-@dataclass(frozen=True, slots=True)
-class ClockState:
-    """What the kernel knows of its clock's discipline."""
-
-    synchronised: bool
-    max_error_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,15 +35,7 @@ class HostFacts:
     log_folder: Path  # or the nearest parent that exists
     log_free_bytes: int
     versions: str
-
-
-class _Timex(ctypes.Structure):
-    """First fields of the kernel's struct timex, with room for the rest."""
-
-    _fields_ = (
-        ("modes", ctypes.c_uint), ("offset", ctypes.c_long), ("freq", ctypes.c_long), ("maxerror", ctypes.c_long),
-        ("esterror", ctypes.c_long), ("status", ctypes.c_int), ("rest", ctypes.c_char * 256),
-    )  # fmt: skip
+    latency: Latency | None = None  # the last test that is kept
 
 
 def read_facts(log_folder: Path, versions: str) -> HostFacts:
@@ -67,16 +51,32 @@ def read_facts(log_folder: Path, versions: str) -> HostFacts:
         preempt_rt=_preempt_rt(),
         kernel=os.uname().release,
         cores=len(os.sched_getaffinity(0)),
-        clock=_clock(),
+        clock=read_clock(),
         log_folder=folder,
         log_free_bytes=shutil.disk_usage(folder).free,
         versions=versions,
+        latency=newest(files(os.environ)),
     )
 
 
-def judge(facts: HostFacts, arms: int, log_bytes: float) -> list[Finding]:
-    """Findings for `arms` arms on this host and a run whose log takes `log_bytes`."""
-    return [*_real_time(facts), *_processor(facts, arms), _clock_finding(facts), *_rest(facts, log_bytes)]
+def judge(facts: HostFacts, arms: int, log_bytes: float, rate_hz: float) -> list[Finding]:
+    """Findings for `arms` arms on this host at a rate, and a run whose log takes `log_bytes`."""
+    return [
+        *_real_time(facts), latency_finding(facts.latency, rate_hz), *_processor(facts, arms), _clock_finding(facts),
+        *_rest(facts, log_bytes),
+    ]  # fmt: skip
+
+
+def latency_finding(latency: Latency | None, rate_hz: float) -> Finding:
+    """What the last latency test says for a loop of this rate."""
+    bound = f"late ≤ {LATE_SHARE / rate_hz * 1e3:g} ms at {rate_hz:g} Hz, in real time and under load"
+    if latency is None:
+        return warning("wake-up latency", WHERE, "not measured", bound, "run `coop latency-test` for some minutes")
+    return judged(
+        "wake-up latency", WHERE, f"{latency.fitness(rate_hz)}: {latency.text}", bound,
+        holds=latency.fitness(rate_hz) is Fitness.FIT, otherwise=Verdict.WARNING,
+        remedy="a real-time kernel, cores of its own, a fixed CPU frequency; then `coop latency-test` again",
+    )  # fmt: skip
 
 
 def _real_time(facts: HostFacts) -> Sequence[Finding]:
@@ -116,10 +116,8 @@ def _processor(facts: HostFacts, arms: int) -> Sequence[Finding]:
 
 def _clock_finding(facts: HostFacts) -> Finding:
     clock = facts.clock
-    large = clock.max_error_s >= 1.0
-    error = f"{clock.max_error_s:.3g} s" if large else f"{clock.max_error_s * 1e3:.3g} ms"
     return judged(
-        "clock", WHERE, f"{'synchronised' if clock.synchronised else 'not synchronised'}, error at most {error}",
+        "clock", WHERE, clock.text,
         f"synchronised, error ≤ {CLOCK_ERROR_MAX_S * 1e3:g} ms",
         holds=clock.synchronised and clock.max_error_s <= CLOCK_ERROR_MAX_S, otherwise=Verdict.WARNING,
         remedy="install chrony; without effect where one host has all arms",
@@ -165,10 +163,3 @@ def _governors() -> frozenset[str]:
 def _preempt_rt() -> bool:
     marker = Path("/sys/kernel/realtime")
     return (marker.exists() and marker.read_text().strip() == "1") or "PREEMPT_RT" in os.uname().version
-
-
-def _clock() -> ClockState:
-    buffer = _Timex()
-    if ctypes.CDLL(None, use_errno=True).adjtimex(ctypes.byref(buffer)) < 0:
-        return ClockState(False, math.inf)
-    return ClockState(not buffer.status & _STA_UNSYNC, buffer.maxerror * 1e-6)

@@ -69,6 +69,11 @@ def ring_path(cell: str, name: str) -> Path:
     return runtime_dir(cell) / f"{name}.ring"
 
 
+def ring_paths(cell: str, name: str) -> tuple[Path, ...]:
+    """Where the ring of an arm may be: of an agent started by hand, or by its unit."""
+    return ring_path(cell, name), SERVICES_DIR / name / f"{name}.ring"
+
+
 def control_path(cell: str, arm: str) -> Path:
     """Control socket of an arm."""
     return runtime_dir(cell) / f"{arm}.control"

@@ -5,6 +5,8 @@ from __future__ import annotations
 import ctypes
 import gc
 import os
+from dataclasses import dataclass
+from pathlib import Path
 
 from drivers.interface import Refusal
 
@@ -17,6 +19,41 @@ class RealtimeError(Refusal):
     """The host does not give what the control loop was asked to run with."""
 
     exit_code = 8
+
+
+@dataclass(frozen=True, slots=True)
+class RealTime:
+    """What a process runs with."""
+
+    policy: str
+    priority: int
+    locked_bytes: int
+
+    @property
+    def real(self) -> bool:
+        """Whether nothing of normal priority can hold it up."""
+        return self.policy in ("SCHED_FIFO", "SCHED_RR", "SCHED_DEADLINE")
+
+    @property
+    def text(self) -> str:
+        """In words."""
+        return f"{self.policy} {self.priority}, {self.locked_bytes / 2**20:.0f} MB of memory locked"
+
+
+_POLICIES = {
+    os.SCHED_OTHER: "SCHED_OTHER", os.SCHED_FIFO: "SCHED_FIFO", os.SCHED_RR: "SCHED_RR", os.SCHED_BATCH: "SCHED_BATCH",
+    os.SCHED_IDLE: "SCHED_IDLE", 6: "SCHED_DEADLINE",
+}  # fmt: skip
+
+
+def granted() -> RealTime:
+    """What this process has got, as the kernel says."""
+    policy = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
+    locked_kB = 0
+    for line in Path("/proc/self/status").read_text().splitlines():
+        if line.startswith("VmLck:"):
+            locked_kB = int(line.split()[1])
+    return RealTime(_POLICIES.get(policy, f"policy {policy}"), os.sched_getparam(0).sched_priority, locked_kB << 10)
 
 
 def quiet_memory() -> None:

@@ -1,77 +1,86 @@
-"""How an operator commands an agent: a Unix socket on the agent's own host, for its own user and root.
+"""The agent's end of what an operator says: a Unix socket on the agent's own host, for its own user and root.
 
-There are three words: start (follow the trajectory from an instant on), stop (hold the object) and release.  The last
-two can be said by signals too (agent.host.signals); the network carries none of them.
+The words are those of agent.operator.table; stop and release can be said by signals too (agent.host.signals), and the
+network carries none of them.  A socket that somebody serves is left alone, whoever else wants its name.
 """
 
 from __future__ import annotations
 
 import contextlib
-import json
+import fcntl
 import os
 import socket
 import struct
 import time
-from dataclasses import dataclass
-from enum import StrEnum
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from drivers.interface import Refusal
+from agent.modes import Mode
+from agent.operator.error import ControlError
+from agent.operator.message import MAX_BYTES, Reply, Request
+from agent.operator.table import Verb, effect
 
 _CREDENTIALS = struct.Struct("3i")  # pid, uid, gid
-_MAX_BYTES = 2048
 _CLIENTS_MAX = 8
-REPLY_TIMEOUT_S = 2.0
-
-
-class ControlError(Refusal):
-    """An operator's request was not accepted."""
-
-    exit_code = 7
-
-
-class Verb(StrEnum):
-    """What an operator can ask for."""
-
-    START = "start"  # follow the trajectory from a common instant on
-    STOP = "stop"  # hold the object where it is
-    RELEASE = "release"  # the object is supported: torque off
+_NO_SERVER = ConnectionRefusedError, FileNotFoundError
 
 
 @dataclass
 class Requests:
-    """What has been asked for so far."""
+    """What has been asked for and accepted so far."""
 
-    start_utc_ns: int | None = None
-    stopped: bool = False
-    released: bool = False
+    start: Request | None = None  # the last one; None too once it has been taken back
+    words: list[Verb] = field(default_factory=list)  # others, until whoever acts on them has taken them away
+
+    def take(self) -> list[Verb]:
+        """The words since the last call."""
+        taken, self.words = self.words, []
+        return taken
+
+
+@dataclass
+class Standing:
+    """How the agent is, as it answers; the agent keeps it up to date."""
+
+    arm: str
+    mode: Mode = Mode.OFF
+    reason: str = ""  # of a hold or a fault
+    no_start: Mapping[str, str] | None = None  # found, expected, remedy: why this agent starts nothing in any mode
+    details: Callable[[], Mapping[str, Any]] = dict  # asked for with each answer
 
 
 class ControlSocket:
     """The agent's end; `poll` is one system call when nobody asks."""
 
-    def __init__(self, path: Path, fingerprint: str) -> None:
+    def __init__(self, path: Path, fingerprint: str, standing: Standing) -> None:
         """Listen at `path` (mode 0600), in the place of a socket that nobody serves.  Raises ControlError."""
+        self.standing = standing
+        self.requests = Requests()
         self._path = path
         self._fingerprint = fingerprint
-        self.requests = Requests()
         self._clients: list[socket.socket] = []
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_CLOEXEC)
         self._socket.setblocking(False)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            if path.is_socket():  # of an agent that has ended: the ring's lock has already refused a second one
-                path.unlink(missing_ok=True)
-            self._socket.bind(str(path))
-            path.chmod(0o600)
-            self._socket.listen(_CLIENTS_MAX)
+            with _alone_in(path.parent):
+                _remove_unserved(path)
+                self._socket.bind(str(path))
+                self._made = _identity(path)
+                path.chmod(0o600)
+                self._socket.listen(_CLIENTS_MAX)
         except OSError as error:
             self._socket.close()
             raise ControlError(
-                f"control socket {path}", found=error.strerror, expected="a free name in a folder that can be written",
+                f"control socket {path}", found=error.strerror or str(error),
+                expected="a free name in a folder that can be written",
                 remedy="name another with --control",
             ) from error  # fmt: skip
+        except ControlError:
+            self._socket.close()
+            raise
 
     def poll(self) -> None:
         """Take what operators have asked for since the last call; never blocks."""
@@ -81,12 +90,15 @@ class ControlSocket:
                 client.setblocking(False)
                 self._clients.append(client)
         if self._clients:
-            self._clients = [client for client in self._clients[-_CLIENTS_MAX:] if not self._served(client)]
+            silent = [client for client in self._clients if not self._served(client)]
+            for client in silent[:-_CLIENTS_MAX]:
+                client.close()
+            self._clients = silent[-_CLIENTS_MAX:]
 
     def _served(self, client: socket.socket) -> bool:
         """Answer one client; False while it has not said anything yet."""
         try:
-            data = client.recv(_MAX_BYTES)
+            data = client.recv(MAX_BYTES)
         except BlockingIOError:
             return False
         except OSError:
@@ -94,56 +106,102 @@ class ControlSocket:
         with contextlib.suppress(OSError):  # who asked is gone
             if data:
                 credentials = client.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
-                client.send(json.dumps(self._answer(data, _CREDENTIALS.unpack(credentials)[1])).encode())
+                client.send(self._answer(data, _CREDENTIALS.unpack(credentials)[1]).encode())
         client.close()
         return True
 
-    def _answer(self, data: bytes, uid: int) -> dict[str, Any]:
+    def _answer(self, data: bytes, uid: int) -> Reply:
         if uid not in (0, os.getuid()):
-            return _refused(f"user {uid}", f"user {os.getuid()} or root", "ask as the agent's user or root")
+            return self._refused(f"user {uid}", f"user {os.getuid()} or root", "ask as the agent's user or root")
         try:
-            request = json.loads(data)
-            verb = Verb(request["verb"])
-            fingerprint = str(request.get("fingerprint", ""))
-            start_utc_ns = int(request["start_utc_ns"]) if verb is Verb.START else 0
-        except (ValueError, KeyError, TypeError):
-            return _refused(repr(data[:80]), f"one of {', '.join(Verb)}", "use the `coop` command of the same version")
-        if verb is Verb.START:
-            if fingerprint != self._fingerprint:
-                return _refused(f"cell {fingerprint[:12]}", f"cell {self._fingerprint[:12]}", "give both the same file")
-            if start_utc_ns <= time.time_ns():
-                return _refused("a start that has passed", "a start in the future", "start all arms again, later")
-            self.requests.start_utc_ns = start_utc_ns
-        elif verb is Verb.STOP:
-            self.requests.stopped = True
-        elif verb is Verb.RELEASE:
-            self.requests.released = True
-        return {"ok": True}
+            request = Request.decode(data)
+        except ValueError:
+            return self._refused(
+                repr(data[:80]), f"one of {', '.join(Verb)}", "use the `coop` command of the same version"
+            )
+        mode = self.standing.mode
+        found = effect(request.verb, mode)
+        if not found.accepted:
+            return self._refused(f"arm {self.standing.arm} in {mode.name}: {found.does}", "another mode", found.remedy)
+        if request.verb is Verb.START:
+            refused = self._no_start(request)
+            if refused is not None:
+                return refused
+        self._take(request)
+        return self._reply(ok=True)
+
+    def _no_start(self, request: Request) -> Reply | None:
+        """Why a start is refused in a mode that allows it."""
+        if request.fingerprint != self._fingerprint:
+            return self._refused(
+                f"cell {request.fingerprint[:12]}", f"cell {self._fingerprint[:12]}", "give both the same file"
+            )
+        if request.start_utc_ns <= time.time_ns():
+            return self._refused("a start that has passed", "a start in the future", "start all arms again, later")
+        if self.standing.no_start is not None:
+            return self._refused(**self.standing.no_start)
+        return None
+
+    def _take(self, request: Request) -> None:
+        """Keep what was accepted for whoever acts on it."""
+        if request.verb is Verb.START:
+            if not request.prepare:
+                self.requests.start = request
+        elif request.verb is Verb.CANCEL:
+            self.requests.start = None
+            if self.standing.mode is Mode.TRACK:  # it has come true: what is left is to stop it
+                self.requests.words.append(Verb.STOP)
+        elif request.verb is not Verb.STATUS:
+            self.requests.words.append(request.verb)
+
+    def _reply(self, *, ok: bool, refusal: Mapping[str, str] | None = None) -> Reply:
+        own = self.standing
+        return Reply(ok, own.arm, own.mode.name, own.reason, self._fingerprint, refusal or {}, own.details())
+
+    def _refused(self, found: str, expected: str, remedy: str) -> Reply:
+        return self._reply(ok=False, refusal={"found": found, "expected": expected, "remedy": remedy})
 
     def close(self) -> None:
-        """Remove the socket; twice is fine."""
+        """Remove the socket, if its name is still this one's; twice is fine."""
         for client in self._clients:
             client.close()
         self._socket.close()
-        self._path.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # gone already
+            if _identity(self._path) == self._made:
+                self._path.unlink()
 
 
-def ask(path: Path, verb: Verb, **content: Any) -> None:
-    """Send one request to the agent at `path` and wait for its answer.  Raises ControlError."""
-    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as own:
-        own.settimeout(REPLY_TIMEOUT_S)
+def _identity(path: Path) -> tuple[int, int]:
+    """Which file has this name."""
+    status = path.lstat()
+    return status.st_dev, status.st_ino
+
+
+@contextlib.contextmanager
+def _alone_in(folder: Path) -> Iterator[None]:
+    """Two agents that begin at once take this folder one after the other."""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def _remove_unserved(path: Path) -> None:
+    """Remove what an agent that has ended has left.  Raises ControlError when one serves it, OSError."""
+    if not path.is_socket():
+        return
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_CLOEXEC) as probe:
+        probe.setblocking(False)  # with a full queue of clients it is served as well
         try:
-            own.connect(str(path))
-            own.send(json.dumps({"verb": verb.value, **content}).encode())
-            answer = json.loads(own.recv(_MAX_BYTES))
-        except (OSError, ValueError) as error:
-            found = getattr(error, "strerror", None) or "no answer"
-            raise ControlError(
-                f"agent at {path}", found=found, expected="an agent that answers", remedy="start it, or see its log"
-            ) from error
-    if not answer.pop("ok", False):
-        raise ControlError(f"agent at {path} refuses to {verb.value}", **answer)
-
-
-def _refused(found: str, expected: str, remedy: str) -> dict[str, Any]:
-    return {"ok": False, "found": found, "expected": expected, "remedy": remedy}
+            probe.connect(str(path))
+        except _NO_SERVER:
+            path.unlink(missing_ok=True)
+            return
+        except BlockingIOError:
+            pass
+    raise ControlError(
+        f"control socket {path}", found="an agent that listens there", expected="none",
+        remedy="end that agent first, or name another with --control",
+    )  # fmt: skip

@@ -1,65 +1,166 @@
-"""An operator's words to the agents of this host: start, stop, release."""
+"""An operator's words to the agents of this host: all are asked at once; a start is given only when all would take it.
+
+Stop and release reach everybody who is alive, whoever else is not, and say who did not answer.
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-from agent.config.cell import Cell, load_cell
-from agent.host.paths import SERVICES_DIR, control_paths
-from agent.operator.socket import ControlError, Verb, ask
+from agent.config.cell import Cell
+from agent.host.clock import ClockState
+from agent.modes import Mode
+from agent.operator.ask import REPLY_TIMEOUT_S, Heard, ask_arms
+from agent.operator.error import ControlError
+from agent.operator.local import has_other_hosts, judge_clock, named, places
+from agent.operator.message import Reply, Request
+from agent.operator.table import Verb, effect
 
 SOONEST_S = 0.05
 
+Places = Mapping[str, Iterable[Path]]
+_SEE = "see `coop status` and their logs; stop reaches all who answer"
 
-def start_arms(cell: Path, at: str | None, in_s: float | None, sockets: Sequence[Path]) -> str:
-    """Give all agents of this host one start instant; one line about it.  Raises ControlError."""
-    loaded = load_cell(cell)
+
+@dataclass(frozen=True)
+class Here:
+    """What belongs to this host rather than to the cell."""
+
+    clock: ClockState
+    host: str | None = None  # None: this host's own name
+
+
+def start_arms(
+    cell: Cell, at: str | None, in_s: float | None, sockets: Sequence[Path], here: Here, tell: Callable[[str], None]
+) -> str:
+    """Give all agents of this host one start instant, or none of them; one line about it.
+
+    tell: is told how good the clock is.  Raises ControlError; its text says what became of those who had accepted.
+    """
     instant = _instant(at, in_s)
-    start_utc_ns = int(instant.timestamp() * 1e9)
-    if start_utc_ns - time.time_ns() < SOONEST_S * 1e9:
+    request = Request(
+        Verb.START, cell.fingerprint, int(instant.timestamp() * 1e9),
+        clock_bound_s=here.clock.max_error_s if here.clock.synchronised else None,
+    )  # fmt: skip
+    _require_time(request)
+    tell(judge_clock(here.clock, several_hosts=not sockets and has_other_hosts(cell, here.host)))
+    arms = places(cell, [], sockets, here.host)
+    start_together(arms, request)
+    return f"{len(arms)} arms start at {instant:%H:%M:%S.%f} UTC"
+
+
+def start_together(arms: Places, request: Request, timeout_s: float = REPLY_TIMEOUT_S) -> None:
+    """Prepare, then commit.  Raises ControlError when not every arm accepts; then no arm starts that can be reached."""
+    heard = ask_arms(arms, replace(request, prepare=True), timeout_s)
+    refused = _unwilling(heard) | _others(heard, request.fingerprint)
+    if refused:
+        raise ControlError(
+            "start", found=named(refused), expected="every arm of this host READY with this cell",
+            remedy=f"no arm has been given the instant; {_SEE}",
+        )  # fmt: skip
+    _require_time(request)
+    left_s = 1e-9 * (request.start_utc_ns - time.time_ns())
+    refused = _unwilling(ask_arms(arms, request, min(timeout_s, 0.5 * left_s)))  # half is left for taking it back
+    if refused:
+        left_s = max(SOONEST_S, 1e-9 * (request.start_utc_ns - time.time_ns()))
+        taken_back = ask_arms(arms, Request(Verb.CANCEL), min(timeout_s, left_s))
+        raise ControlError(
+            "start", found=named(refused), expected="every arm to take the instant it had agreed to",
+            remedy=f"the start was taken back ({_outcome(taken_back)}); {_SEE}",
+        )  # fmt: skip
+
+
+def _unwilling(heard: Mapping[str, Heard]) -> dict[str, str]:
+    """Those who did not accept, and what is said of each."""
+    return {arm: _told(one) for arm, one in heard.items() if not (isinstance(one, Reply) and one.ok)}
+
+
+def _others(heard: Mapping[str, Heard], fingerprint: str) -> dict[str, str]:
+    """Those who accept a start that is not theirs: agents of another version."""
+    return {
+        arm: f"{one.mode} with cell {one.fingerprint[:12]}, not READY with {fingerprint[:12]}"
+        for arm, one in heard.items()
+        if isinstance(one, Reply) and one.ok and (one.mode, one.fingerprint) != (Mode.READY.name, fingerprint)
+    }
+
+
+def _told(heard: Heard) -> str:
+    if not isinstance(heard, Reply):
+        return f"does not answer ({heard.found})"
+    if heard.ok:
+        return f"{heard.mode} {heard.reason}".strip()
+    refusal = heard.refusal
+    return f"refuses in {heard.mode}, found {refusal['found']}, expected {refusal['expected']}, {refusal['remedy']}"
+
+
+def _outcome(heard: Mapping[str, Heard]) -> str:
+    """What became of a start that was taken back, arm by arm."""
+    said = {}
+    for arm, one in heard.items():
+        if not isinstance(one, Reply):
+            said[arm] = "NOT KNOWN, it does not answer"
+        elif one.mode == "TRACK":
+            said[arm] = "had started, holds now"
+        else:
+            said[arm] = "does not start"
+    return named(said)
+
+
+def stop_arms(
+    cell: Cell,
+    arms: Sequence[str],
+    sockets: Sequence[Path],
+    host: str | None = None,
+    timeout_s: float = REPLY_TIMEOUT_S,
+) -> str:
+    """Let the agents hold the object; what each does.
+
+    Raises ControlError when one did not answer, after all others were told.
+    """
+    return _tell_all(places(cell, arms, sockets, host), Verb.STOP, timeout_s)
+
+
+def release_arms(
+    cell: Cell,
+    arms: Sequence[str],
+    sockets: Sequence[Path],
+    host: str | None = None,
+    timeout_s: float = REPLY_TIMEOUT_S,
+) -> str:
+    """Let the agents that hold the object switch torque off; what each does.  Raises as `stop_arms` does."""
+    return _tell_all(places(cell, arms, sockets, host), Verb.RELEASE, timeout_s)
+
+
+def _tell_all(arms: Places, verb: Verb, timeout_s: float) -> str:
+    heard = ask_arms(arms, Request(verb), timeout_s)
+    refused = _unwilling(heard)
+    if refused:
+        done = _done({arm: one for arm, one in heard.items() if arm not in refused}, verb)
+        raise ControlError(
+            verb.value, found=named(refused), expected="every arm of this host to take it",
+            remedy=f"done: {done or 'none'}; for the others see `coop status` and their logs",
+        )  # fmt: skip
+    return _done(heard, verb)
+
+
+def _done(heard: Mapping[str, Heard], verb: Verb) -> str:
+    """What those do who took the word."""
+    does = {arm: effect(verb, Mode[one.mode]).does for arm, one in heard.items() if isinstance(one, Reply)}
+    return "; ".join(f"{arm} {text}" for arm, text in does.items())
+
+
+def _require_time(request: Request) -> None:
+    """Raise ControlError when the instant is too near to be given to every arm."""
+    if request.start_utc_ns - time.time_ns() < SOONEST_S * 1e9:
+        instant = datetime.fromtimestamp(request.start_utc_ns * 1e-9, UTC)
         raise ControlError(
             "start", found=f"{instant:%H:%M:%S.%f} UTC", expected=f"at least {SOONEST_S:g} s from now",
             remedy="choose a later instant",
         )  # fmt: skip
-    paths = _sockets(loaded, [], sockets)
-    for path in paths:
-        ask(path, Verb.START, start_utc_ns=start_utc_ns, fingerprint=loaded.fingerprint)
-    return f"{len(paths)} arms start at {instant:%H:%M:%S.%f} UTC"
-
-
-def stop_arms(cell: Path, arms: Sequence[str], sockets: Sequence[Path]) -> str:
-    """Let the agents hold the object.  Raises ControlError."""
-    return f"{_ask_all(cell, arms, sockets, Verb.STOP)} arms hold the object"
-
-
-def release_arms(cell: Path, arms: Sequence[str], sockets: Sequence[Path]) -> str:
-    """Let the agents that hold the object switch torque off.  Raises ControlError."""
-    return f"{_ask_all(cell, arms, sockets, Verb.RELEASE)} arms released"
-
-
-def _ask_all(cell: Path, arms: Sequence[str], sockets: Sequence[Path], verb: Verb) -> int:
-    paths = _sockets(load_cell(cell), arms, sockets)
-    for path in paths:
-        ask(path, verb)
-    return len(paths)
-
-
-def _sockets(cell: Cell, arms: Sequence[str], given: Sequence[Path]) -> list[Path]:
-    """The sockets asked for, or those of the cell's arms that run on this host."""
-    if given:
-        return list(given)
-    wanted = [cell.arm(name).name for name in arms] or [a.name for a in cell.arms]
-    paths = [path for name in wanted for path in control_paths(cell.file.name, name)]
-    here = [path for path in paths if path.exists()]
-    if not here:
-        raise ControlError(
-            f"agents of cell {cell.file.name}", found=f"no socket in {paths[0].parent} or {SERVICES_DIR}",
-            expected="at least one running agent", remedy="start the agents first, or give --control",
-        )  # fmt: skip
-    return here
 
 
 def _instant(at: str | None, in_s: float | None) -> datetime:

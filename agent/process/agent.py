@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, closing
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 from agent.config.cell import Cell
 from agent.config.schema.cell import DriverKind
+from agent.host.latency import files, newest
 from agent.host.notify import Notifier
-from agent.host.realtime import become_realtime, quiet_memory
+from agent.host.realtime import become_realtime, granted, quiet_memory
 from agent.host.signals import StopFlag
-from agent.modes import Event, Mode
-from agent.operator.socket import ControlSocket
+from agent.modes import Mode
+from agent.operator.socket import ControlSocket, Standing
 from agent.process.build import Connection, build_agent, build_driver
+from agent.process.operated import Operator, no_real_time, tick_of
 from agent.runner import Runner, RunSummary, Schedule, Surroundings
 from agent.telemetry.ring.ring import RingWriter
 from agent.telemetry.ring.texts import TextWriter
@@ -25,7 +29,6 @@ from agent.telemetry.row.fill import AgentRow
 from agent.telemetry.row.health import health_values
 from agent.telemetry.row.sample import AGENT_STATE
 from agent.verify.check import examine
-from drivers.clock import utc_offset_ns
 from drivers.dynamixel.arm_map import WATCHDOG_S
 from drivers.interface import Clock, Driver, DriverError, Refusal
 
@@ -47,6 +50,7 @@ class AgentOptions:
     lockstep: bool
     hold: bool  # at a stop and at the end hold the object until it is released
     priority: int | None = None  # SCHED_FIFO; None: leave the scheduler alone
+    no_realtime: bool = False  # a real arm may be started without real time
 
 
 _STATUS = {
@@ -80,8 +84,9 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
         stack.callback(ring.finish)
         stack.callback(texts.finish)
         notifier = stack.enter_context(closing(Notifier()))
-        control = ControlSocket(options.control, cell.fingerprint) if options.control else None
-        if control is not None:
+        standing = Standing(arm.name)
+        control = ControlSocket(options.control, cell.fingerprint, standing) if options.control else None
+        if control is not None:  # behind the ring, whose lock refuses a second agent first
             stack.callback(control.close)
         ready(f"ring={options.ring}")
         tell = _Teller(arm.name, texts)
@@ -96,9 +101,11 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             driver.enable()
             notifier.ready(_STATUS[Mode.READY])
             tell.event(Level.INFO, f"torque on: {info.description}", priority=options.priority or 0)
+            operator = Operator(stop, control, clock, tell.event, drops_on_stop=not options.hold)
+            if control is not None:
+                _stand(standing, options, operator, ring, tell, cell.file.rate_hz)
             ready("torque=on")
             servos = _Servos(driver, texts, clock.utc_offset_ns, max(1, round(HEALTH_S * cell.file.rate_hz)))
-            operator = _Operator(stop, control, options)
             runner = _runner(cell, options, driver, clock, ring, operator, notifier, servos, tell)
             cpu_s = time.process_time()
             summary = runner.run()
@@ -123,7 +130,7 @@ def _runner(
     driver: Driver,
     clock: Clock,
     ring: RingWriter,
-    operator: _Operator,
+    operator: Operator,
     notifier: Notifier,
     servos: _Servos,
     tell: _Teller,
@@ -136,9 +143,40 @@ def _runner(
         heart.beat()
         servos.beat()
 
-    around = Surroundings(time.perf_counter_ns, operator.events, operator.start_ns, beat, heart.mode, tell.trouble)
+    def mode_changed(mode: Mode) -> None:
+        heart.mode(mode)
+        operator.mode(mode)
+
+    def trouble(reason: str) -> None:
+        tell.trouble(reason)
+        operator.trouble(reason)
+
+    around = Surroundings(time.perf_counter_ns, operator.events, operator.start_ns, beat, mode_changed, trouble)
     row = AgentRow(ring.row, arm.n, cell.config_id)
     return Runner(build_agent(cell, arm), driver, clock, _schedule(cell, options), row, ring, around)
+
+
+def _stand(
+    standing: Standing, options: AgentOptions, operator: Operator, ring: RingWriter, tell: _Teller, rate_hz: float
+) -> None:
+    """What the agent answers from here on: it is READY, with what the host has given it."""
+    real = granted()
+    tested = newest(files(os.environ))
+    fitness = f"{tested.fitness(rate_hz)}, {tested.text}" if tested else "not tested"
+    tell.event(
+        Level.INFO, f"real time: {real.text}; latency: {fitness}", policy=real.policy, priority=real.priority,
+        locked_bytes=real.locked_bytes, **({"latency_max_s": tested.histogram.max_s} if tested else {}),
+    )  # fmt: skip
+    if options.driver is DriverKind.DYNAMIXEL and not (options.connection.emulated or real.real or options.no_realtime):
+        standing.no_start = no_real_time(real.text)
+    fixed = {"pid": os.getpid(), "driver": options.driver.value, "real_time": asdict(real), "guard": None}
+
+    def details() -> dict[str, Any]:
+        start = operator.start
+        return {**fixed, "start_utc_ns": start.start_utc_ns if start else None, "tick": tick_of(ring)}
+
+    standing.details = details
+    standing.mode = Mode.READY
 
 
 def _schedule(cell: Cell, options: AgentOptions) -> Schedule:
@@ -154,44 +192,6 @@ def _schedule(cell: Cell, options: AgentOptions) -> Schedule:
         hold_at_end=options.hold,
         ready_ns=round(cell.file.simulation.ready_s * rate_hz) * cell.period_ns,
     )
-
-
-class _Operator:
-    """Requests of an operator, by signal or over the control socket.
-
-    Where nothing can fall (simulation), a stop also releases the object; on real arms a stop holds it.
-    """
-
-    def __init__(self, stop: StopFlag, control: ControlSocket | None, options: AgentOptions) -> None:
-        self._stop = stop
-        self._control = control
-        self._drops_on_stop = not options.hold
-        self._start_ns: int | None = None
-
-    def events(self) -> Event:
-        """What is asked for now.  A release counts once: one that came too early must not drop a later hold."""
-        stopped, released = self._stop.stopped, self._stop.released
-        self._stop.released = False
-        if self._control is not None:
-            self._control.poll()
-            requests = self._control.requests
-            stopped, released = stopped or requests.stopped, released or requests.released
-            requests.released = False
-        happened = Event.STOP if stopped else Event.NONE
-        if released or (stopped and self._drops_on_stop):
-            happened |= Event.RELEASED
-        return happened
-
-    def start_ns(self) -> int | None:
-        """The common start on CLOCK_MONOTONIC, which is the clock of every arm that can be given one.
-
-        Mapped once, when it is given: later steps of the wall clock cannot move it.
-        """
-        if self._start_ns is None and self._control is not None:
-            utc_ns = self._control.requests.start_utc_ns
-            if utc_ns is not None:
-                self._start_ns = utc_ns - utc_offset_ns()
-        return self._start_ns
 
 
 class _Teller:

@@ -16,7 +16,9 @@ from agent.config.cell import Cell
 from agent.config.schema.cell import DriverKind
 from agent.host.child import Child
 from agent.host.share import cores_of_arms, keep_to, one_memory_layout
-from agent.operator.socket import Verb, ask
+from agent.operator.message import Request
+from agent.operator.table import Verb
+from agent.operator.words import start_together
 from agent.process.commands import (
     AgentCommand,
     ChildCommand,
@@ -129,9 +131,8 @@ class Children:
         progress.phase("torque on")
         for child in self._agents.values():
             child.wait_ready(READY_TIMEOUT_S)
-        start_utc_ns = time.time_ns() + START_IN_NS
-        for arm in self._agents:
-            ask(self._control(arm), Verb.START, start_utc_ns=start_utc_ns, fingerprint=self._cell.fingerprint)
+        request = Request(Verb.START, self._cell.fingerprint, time.time_ns() + START_IN_NS)
+        start_together({arm: [self._control(arm)] for arm in self._agents}, request)
 
     def _record_command(self) -> RecordCommand:
         return RecordCommand(

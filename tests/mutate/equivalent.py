@@ -223,21 +223,6 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
         ("TextReader.read_new", _TEXTS, _TEXTS.replace("64", "128")): "how many at a time; the loop takes all",
         ("TextReader.read_new", _TEXTS, _TEXTS.replace("64", "32")): "how many at a time; the loop takes all",
     },
-    "agent.operator.socket": {
-        (
-            "ControlSocket.__init__",
-            "path.unlink(missing_ok=True)",
-            "path.unlink(missing_ok=False)",
-        ): "differs when another removes the socket between the question and the removal",
-        ("ControlSocket.poll", "if self._clients:", "if True:"): "saves the making of an empty list",
-        (
-            "ControlSocket._answer",
-            "start_utc_ns = int(request['start_utc_ns']) if verb is Verb.START else 0",
-            "start_utc_ns = int(request['start_utc_ns']) if verb is Verb.START else 1",
-        ): "only a start's instant is read",
-        ("ControlSocket._answer", "if verb is Verb.RELEASE:", "if True:"): "there are three verbs",
-        ("", "REPLY_TIMEOUT_S = 2.0", "REPLY_TIMEOUT_S = 4.0"): "how long a person waits for an agent that hangs",
-    },
 }
 
 

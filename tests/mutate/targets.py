@@ -33,6 +33,7 @@ TARGETS = (
     Target("agent.loop", (*_STEP, f"{UNIT}/test_step_together.py", f"{UNIT}/control/test_adaptive.py")),
     Target("agent.runner", _RUNNER),
     Target("agent.operator.socket", (f"{UNIT}/operator",)),
+    Target("agent.operator.words", (f"{UNIT}/operator",)),
     Target("agent.telemetry.ring.file", _RING),
     Target("agent.telemetry.ring.ring", _RING),
     Target("agent.telemetry.ring.texts", (f"{UNIT}/telemetry/test_texts.py", f"{UNIT}/telemetry/test_event.py")),

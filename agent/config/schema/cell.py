@@ -161,6 +161,7 @@ class Arm(Strict):
     )
 
     name: Name
+    host: Annotated[str, Field(pattern=r"^[A-Za-z0-9]([A-Za-z0-9.-]{0,251}[A-Za-z0-9])?$")] | None = None  # None: any
     model: FileStem
     p_world_base_m: Vec3
     quat_world_base: Quaternion

@@ -36,7 +36,7 @@ def test_the_program_itself_has_help_and_lists_every_command_in_full() -> None:
     done = coop("-h")
     assert done == coop("--help")
     assert done.code == 0
-    listed = re.findall(r"^  (\w+)  ", done.out, re.MULTILINE)
+    listed = re.findall(r"^  (\w[\w-]*)  ", done.out, re.MULTILINE)
     assert sorted(listed) == sorted({words[0] for words in commands()}), "each once"
     assert "..." not in done.out.partition("\n")[2]
     assert "and verify the result." in " ".join(done.out.split()), "the end of a long line"
@@ -69,7 +69,7 @@ def test_a_mistyped_command_is_told_the_near_one(words: tuple[str, ...]) -> None
     done = coop(*group, typo)
     assert done.code == 2
     assert done.out == ""
-    found = re.fullmatch(r"coop: No such command '(\w+)'\. Did you mean (.*)\? \(see `coop.* -h`\)\n", done.err)
+    found = re.fullmatch(r"coop: No such command '([\w-]+)'\. Did you mean (.*)\? \(see `coop.* -h`\)\n", done.err)
     assert found is not None, done.err
     assert found[1] == typo
     assert f"'{name}'" in found[2]

@@ -51,7 +51,7 @@ def test_every_command_and_option_that_is_named_exists(path: Path) -> None:
 
 def _follow(command: Any, words: list[str], code: str) -> None:
     """Go down groups, then hold every option against the command that was reached."""
-    while hasattr(command, "commands") and words and re.fullmatch(r"[a-z0-9]+", words[0]):
+    while hasattr(command, "commands") and words and re.fullmatch(r"[a-z][a-z0-9-]*", words[0]):
         assert words[0] in command.commands, f"no command {words[0]} in `{code}`"
         command, words = command.commands[words[0]], words[1:]
     options = {option for parameter in command.params for option in parameter.opts} | {"--help"}
@@ -68,7 +68,7 @@ def test_every_make_target_that_is_named_exists(path: Path) -> None:
 
 
 def test_the_readme_lists_every_command() -> None:
-    listed = {found for code in read(ROOT / "README.md").code for found in re.findall(r"coop ([a-z0-9]+)", code)}
+    listed = {found for code in read(ROOT / "README.md").code for found in re.findall(r"coop ([a-z0-9-]+)", code)}
     group: Any = typer.main.get_command(app)
     # these two stand in the table without the word `coop`, after `coop start`
     assert set(group.commands) - {"stop", "release"} <= listed

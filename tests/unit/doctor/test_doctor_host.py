@@ -21,6 +21,9 @@ from agent.config.cell import ConfigError, load_cell
 from agent.doctor import host
 from agent.doctor.doctor import Diagnosis, DoctorOptions, diagnose
 from agent.doctor.port import before_opening, latency_timer
+from agent.host.clock import ClockState
+from agent.host.latency import Histogram, Latency
+from agent.host.realtime import RealTime
 from agent.verify.finding import Finding, Verdict, exit_code, worst
 from sim_backend.wire.timing import BusTiming
 from tests.support.servos.dxl_rig import build
@@ -120,15 +123,23 @@ def test_latency_timer_before_and_after_opening(before_ms, opened_ms, verdict: V
 
 # --- host ------------------------------------------------------------------------------------------------------------
 
+
+def measured(late_s: float) -> Latency:
+    """A latency test of a loaded host whose latest cycle was so late."""
+    histogram = Histogram()
+    histogram.add(late_s)
+    return Latency(0, "6.12.1", 4, 300.0, 200.0, True, RealTime("SCHED_FIFO", 80, 1), histogram)
+
+
 FIT = host.HostFacts(
     fifo=True, rtprio_limit=80, memlock_bytes=math.inf, governors=frozenset({"performance"}), preempt_rt=True,
-    kernel="6.12.1", cores=4, clock=host.ClockState(True, 2e-4), log_folder=Path("/runs"),
-    log_free_bytes=2**34, versions="all",
+    kernel="6.12.1", cores=4, clock=ClockState(True, 2e-4), log_folder=Path("/runs"),
+    log_free_bytes=2**34, versions="all", latency=measured(2e-3),
 )  # fmt: skip
 
 
 def test_a_fit_host_has_nothing_but_ok() -> None:
-    assert worst(host.judge(FIT, arms=2, log_bytes=1e8)) is Verdict.OK
+    assert worst(host.judge(FIT, arms=2, log_bytes=1e8, rate_hz=200.0)) is Verdict.OK
 
 
 @pytest.mark.parametrize(
@@ -139,13 +150,15 @@ def test_a_fit_host_has_nothing_but_ok() -> None:
         ({"preempt_rt": False}, "kernel", r"6.12.1, not PREEMPT_RT", Verdict.WARNING),
         ({"governors": frozenset({"performance", "powersave"})}, "governor", "performance, powersave", Verdict.WARNING),
         ({"cores": 1}, "processor cores", "1", Verdict.WARNING),
-        ({"clock": host.ClockState(False, 16.0)}, "clock", "not synchronised, error at most 16 s", Verdict.WARNING),
-        ({"clock": host.ClockState(True, 5e-3)}, "clock", "synchronised, error at most 5 ms", Verdict.WARNING),
+        ({"clock": ClockState(False, 16.0)}, "clock", "not synchronised, error at most 16 s", Verdict.WARNING),
+        ({"clock": ClockState(True, 5e-3)}, "clock", "synchronised, error at most 5 ms", Verdict.WARNING),
+        ({"latency": None}, "wake-up latency", "not measured", Verdict.WARNING),
+        ({"latency": measured(3e-3)}, "wake-up latency", r"unfit: late ≤ 3.00 ms, .* SCHED_FIFO 80", Verdict.WARNING),
         ({"log_free_bytes": 10}, "room for logs in /runs", r"0.00 GB", Verdict.REFUSED),
     ],
 )
 def test_each_shortcoming_of_a_host_is_one_line(change: dict, what: str, found: str, verdict: Verdict) -> None:
-    (finding,) = (f for f in host.judge(replace(FIT, **change), 2, 1e8) if f.verdict is not Verdict.OK)
+    (finding,) = (f for f in host.judge(replace(FIT, **change), 2, 1e8, 200.0) if f.verdict is not Verdict.OK)
     assert what in finding.what
     assert re.search(found, finding.found)
     assert finding.verdict is verdict
@@ -153,7 +166,7 @@ def test_each_shortcoming_of_a_host_is_one_line(change: dict, what: str, found: 
 
 
 def test_a_machine_without_governors_is_not_blamed() -> None:
-    assert worst(host.judge(replace(FIT, governors=frozenset()), 2, 1e8)) is Verdict.OK
+    assert worst(host.judge(replace(FIT, governors=frozenset()), 2, 1e8, 200.0)) is Verdict.OK
 
 
 def test_reading_the_host_changes_nothing_of_it(tmp_path: Path) -> None:
@@ -225,6 +238,6 @@ def test_errno_of_a_directory_is_told(tmp_path: Path) -> None:
 
 def test_every_line_is_explained_in_the_documentation() -> None:
     page = (Path(__file__).parents[3] / "docs" / "doctor.md").read_text()
-    lines = [*host.judge(FIT, 2, 1e8), *examined(build(timing=BusTiming())).findings]
+    lines = [*host.judge(FIT, 2, 1e8, 200.0), *examined(build(timing=BusTiming())).findings]
     for finding in lines:
         assert finding.what.removesuffix(f" in {FIT.log_folder}") in page, finding.what

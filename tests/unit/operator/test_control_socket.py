@@ -11,15 +11,20 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from agent.modes import Mode
 from agent.operator import socket as control_socket
-from agent.operator.socket import ControlError, ControlSocket, Verb, ask
+from agent.operator.ask import Silence, ask_sockets
+from agent.operator.error import ControlError
+from agent.operator.message import Reply, Request
+from agent.operator.socket import ControlSocket, Standing
+from agent.operator.table import Verb
 
 FINGERPRINT = "ab" * 32
 NOW_NS = 1_000_000_000_000
@@ -35,7 +40,7 @@ def path(tmp_path: Path) -> Path:
 def control(path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ControlSocket]:
     """A control socket in a world whose time stands still."""
     monkeypatch.setattr(control_socket.time, "time_ns", lambda: NOW_NS)
-    with closing(ControlSocket(path, FINGERPRINT)) as made:
+    with closing(listening(path)) as made:
         yield made
     assert not path.exists()
 
@@ -58,12 +63,21 @@ def answer_to(control: ControlSocket, path: Path, request: Any) -> dict[str, Any
         return answer
 
 
-def asked_for(control: ControlSocket) -> tuple[int | None, bool, bool]:
-    """Start, stop and release as they have been asked for."""
-    return control.requests.start_utc_ns, control.requests.stopped, control.requests.released
+def listening(path: Path, mode: Mode = Mode.READY) -> ControlSocket:
+    """An agent's socket in a mode."""
+    return ControlSocket(path, FINGERPRINT, Standing("left", mode, "because", details=lambda: {"pid": 7}))
 
 
-NOTHING = (None, False, False)
+def asked_for(control: ControlSocket) -> tuple[int | None, list[Verb]]:
+    """The start that counts, and the words that nobody has taken yet."""
+    start = control.requests.start
+    return start and start.start_utc_ns, control.requests.words
+
+
+NOTHING: tuple[int | None, list[Verb]] = (None, [])
+ACCEPTED = {
+    "ok": True, "arm": "left", "mode": "READY", "reason": "because", "fingerprint": FINGERPRINT, "details": {"pid": 7},
+}  # fmt: skip
 
 
 def start(**changes: Any) -> dict[str, Any]:
@@ -74,27 +88,61 @@ def start(**changes: Any) -> dict[str, Any]:
 
 
 def test_start_is_taken_over(control: ControlSocket, path: Path) -> None:
-    assert answer_to(control, path, start()) == {"ok": True}
-    assert asked_for(control) == (LATER_NS, False, False)
+    assert answer_to(control, path, start(clock_bound_s=2e-4)) == ACCEPTED
+    assert asked_for(control) == (LATER_NS, [])
+    assert control.requests.start is not None
+    assert control.requests.start.clock_bound_s == 2e-4
 
 
-@pytest.mark.parametrize(("verb", "expected"), [("stop", (None, True, False)), ("release", (None, False, True))])
-def test_each_verb_asks_for_itself_alone(
-    control: ControlSocket, path: Path, verb: str, expected: tuple[int | None, bool, bool]
-) -> None:
-    assert answer_to(control, path, {"verb": verb}) == {"ok": True}
-    assert asked_for(control) == expected
+def test_a_start_that_is_only_prepared_changes_nothing(control: ControlSocket, path: Path) -> None:
+    assert answer_to(control, path, start(prepare=True)) == ACCEPTED
+    assert asked_for(control) == NOTHING
 
 
-def test_what_was_asked_for_stays_while_more_is_asked_for(control: ControlSocket, path: Path) -> None:
-    for request in (start(), {"verb": "stop"}, {"verb": "release"}):
-        answer_to(control, path, request)
-    assert asked_for(control) == (LATER_NS, True, True)
+def test_a_second_start_replaces_the_first_and_a_cancel_takes_it_back(control: ControlSocket, path: Path) -> None:
+    answer_to(control, path, start())
+    answer_to(control, path, start(start_utc_ns=LATER_NS + 5))
+    assert asked_for(control) == (LATER_NS + 5, [])
+    assert answer_to(control, path, {"verb": "cancel"}) == ACCEPTED
+    assert asked_for(control) == NOTHING
+
+
+def test_a_cancel_that_comes_after_the_instant_is_a_stop(control: ControlSocket, path: Path) -> None:
+    control.standing.mode = Mode.TRACK
+    assert answer_to(control, path, {"verb": "cancel"})["ok"] is True
+    assert control.requests.take() == [Verb.STOP]
+    assert control.requests.take() == []
+
+
+def test_an_agent_that_starts_nothing_says_why(control: ControlSocket, path: Path) -> None:
+    control.standing.no_start = {"found": "SCHED_OTHER", "expected": "SCHED_FIFO", "remedy": "give --priority"}
+    answer = answer_to(control, path, start(prepare=True))
+    assert (answer["ok"], answer["found"], answer["remedy"]) == (False, "SCHED_OTHER", "give --priority")
+    assert answer_to(control, path, {"verb": "stop"})["ok"] is True
+
+
+@pytest.mark.parametrize("verb", ["stop", "release"])
+def test_each_word_asks_for_itself_alone(control: ControlSocket, path: Path, verb: str) -> None:
+    control.standing.mode = Mode.HOLD
+    assert answer_to(control, path, {"verb": verb}) == ACCEPTED | {"mode": "HOLD"}
+    assert asked_for(control) == (None, [Verb(verb)])
+
+
+def test_asking_how_things_are_asks_for_nothing(control: ControlSocket, path: Path) -> None:
+    assert answer_to(control, path, {"verb": "status"}) == ACCEPTED
+    assert asked_for(control) == NOTHING
+
+
+def test_a_word_out_of_order_is_refused_with_the_mode(control: ControlSocket, path: Path) -> None:
+    answer = answer_to(control, path, {"verb": "release"})
+    assert (answer["ok"], answer["found"]) == (False, "arm left in READY: it waits for the start with torque on")
+    assert answer["remedy"] == "stop it first, support the object, then release it"
+    assert asked_for(control) == NOTHING
 
 
 def test_another_cell_is_refused(control: ControlSocket, path: Path) -> None:
     answer = answer_to(control, path, start(fingerprint="cd" * 32))
-    assert answer == {
+    assert answer == ACCEPTED | {
         "ok": False, "found": "cell cdcdcdcdcdcd", "expected": "cell abababababab",
         "remedy": "give both the same file",
     }  # fmt: skip
@@ -116,6 +164,8 @@ def test_an_instant_that_is_not_ahead_is_refused(control: ControlSocket, path: P
         b'{"verb": "move"}',
         b'{"verb": "start"}',
         b'{"verb": "start", "start_utc_ns": []}',
+        b'{"verb": "start", "start_utc_ns": 1e999}',
+        b'{"verb": "start", "start_utc_ns": 1, "clock_bound_s": []}',
         b"[1]",
     ],
 )
@@ -123,7 +173,7 @@ def test_nonsense_is_refused_and_changes_nothing(control: ControlSocket, path: P
     answer = answer_to(control, path, nonsense)
     assert answer["ok"] is False
     assert answer["found"] == repr(nonsense)
-    assert answer["expected"] == "one of start, stop, release"
+    assert answer["expected"] == "one of start, cancel, stop, release, status"
     assert asked_for(control) == NOTHING
 
 
@@ -131,12 +181,12 @@ def test_a_refusal_repeats_the_beginning_of_long_nonsense(control: ControlSocket
     assert answer_to(control, path, b"x" * 1000)["found"] == repr(b"x" * 80)
 
 
-@pytest.mark.parametrize(("size", "accepted"), [(2048, True), (2049, False)])
-def test_a_request_of_more_than_two_kilobytes_is_not_read_whole(
+@pytest.mark.parametrize(("size", "accepted"), [(4096, True), (4097, False)])
+def test_a_request_of_more_than_four_kilobytes_is_not_read_whole(
     control: ControlSocket, path: Path, size: int, accepted: bool
 ) -> None:
     answer = answer_to(control, path, json.dumps({"verb": "stop"}).encode().rjust(size))
-    assert (answer["ok"], control.requests.stopped) == (accepted, accepted)
+    assert (answer["ok"], bool(control.requests.words)) == (accepted, accepted)
 
 
 # --- from whom -------------------------------------------------------------------------------------------------------
@@ -194,8 +244,8 @@ def test_the_agents_user_and_root_are_heard(control: ControlSocket, monkeypatch:
     own = Client(pid=7, uid=uid, gid=8)
     control._clients.append(own)  # type: ignore[arg-type]
     control.poll()
-    assert own.sent == [{"ok": True}]
-    assert control.requests.stopped
+    assert own.sent == [ACCEPTED]
+    assert control.requests.words == [Verb.STOP]
 
 
 STRANGER = """
@@ -240,12 +290,11 @@ def test_a_client_is_served_once_and_closed(control: ControlSocket) -> None:
 def test_a_client_that_says_nothing_yet_is_waited_for_and_holds_up_nobody(control: ControlSocket, path: Path) -> None:
     with person(path) as slow:
         control.poll()
-        assert answer_to(control, path, {"verb": "release"}) == {"ok": True}
-        assert asked_for(control) == (None, False, True)
+        assert answer_to(control, path, {"verb": "status"}) == ACCEPTED
         slow.send(b'{"verb": "stop"}')
         control.poll()
-        assert json.loads(slow.recv(4096)) == {"ok": True}
-    assert asked_for(control) == (None, True, True)
+        assert json.loads(slow.recv(4096)) == ACCEPTED
+    assert asked_for(control) == (None, [Verb.STOP])
 
 
 def test_a_client_that_is_gone_or_broken_is_let_go(control: ControlSocket, path: Path) -> None:
@@ -255,22 +304,29 @@ def test_a_client_that_is_gone_or_broken_is_let_go(control: ControlSocket, path:
     control._clients.append(broken)  # type: ignore[arg-type]
     control.poll()
     assert (broken.sent, broken.closed) == ([], True)
-    assert answer_to(control, path, {"verb": "stop"}) == {"ok": True}
+    assert answer_to(control, path, {"verb": "stop"}) == ACCEPTED
 
 
 def test_of_many_silent_clients_the_last_eight_are_kept(control: ControlSocket) -> None:
     silent = [Client(BlockingIOError()) for _ in range(10)]
     control._clients += silent  # type: ignore[arg-type]
     control.poll()
-    assert [client.reads for client in silent] == [0] * 2 + [1] * 8
+    assert [client.closed for client in silent] == [True] * 2 + [False] * 8
+
+
+def test_who_has_said_something_is_heard_however_many_are_silent(control: ControlSocket) -> None:
+    first = Client(uid=os.getuid())
+    control._clients += [first, *(Client(BlockingIOError()) for _ in range(10))]  # type: ignore[list-item]
+    control.poll()
+    assert control.requests.words == [Verb.STOP]
 
 
 def test_all_who_wait_are_heard_in_one_poll(control: ControlSocket, path: Path) -> None:
     with person(path) as one, person(path) as other:
         one.send(b'{"verb": "stop"}')
-        other.send(b'{"verb": "release"}')
+        other.send(b'{"verb": "status"}')
         control.poll()
-        assert one.recv(100) == other.recv(100) == b'{"ok": true}'
+        assert json.loads(one.recv(4096)) == json.loads(other.recv(4096)) == ACCEPTED
 
 
 # --- the socket itself -----------------------------------------------------------------------------------------------
@@ -278,7 +334,7 @@ def test_all_who_wait_are_heard_in_one_poll(control: ControlSocket, path: Path) 
 
 def test_the_socket_is_its_owners_alone_and_its_folder_is_made(tmp_path: Path) -> None:
     path = tmp_path / "a" / "b" / "left"
-    with closing(ControlSocket(path, FINGERPRINT)):
+    with closing(listening(path)):
         assert stat.S_IMODE(path.stat().st_mode) == 0o600
         assert stat.S_ISSOCK(path.stat().st_mode)
 
@@ -286,14 +342,34 @@ def test_the_socket_is_its_owners_alone_and_its_folder_is_made(tmp_path: Path) -
 def test_a_socket_that_nobody_serves_is_replaced(path: Path) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as left_behind:
         left_behind.bind(str(path))
-    with closing(ControlSocket(path, FINGERPRINT)) as control:
-        assert answer_to(control, path, {"verb": "stop"}) == {"ok": True}
+    with closing(listening(path)) as control:
+        assert answer_to(control, path, {"verb": "stop"}) == ACCEPTED
+
+
+@pytest.mark.parametrize("clients", [0, 9], ids=["idle", "full queue"])
+def test_a_socket_that_somebody_serves_is_left_alone(control: ControlSocket, path: Path, clients: int) -> None:
+    """P13: a second agent that fails must not harm the first."""
+    with ExitStack() as stack:
+        for _ in range(clients):
+            stack.enter_context(person(path))
+        with pytest.raises(ControlError, match="found an agent that listens there, expected none"):
+            listening(path)
+        control.poll()
+    assert answer_to(control, path, {"verb": "stop"}) == ACCEPTED
+
+
+def test_closing_leaves_a_socket_that_has_taken_the_name(path: Path) -> None:
+    first = listening(path)
+    path.unlink()
+    with closing(listening(path)) as second:
+        first.close()
+        assert answer_to(second, path, {"verb": "stop"}) == ACCEPTED
 
 
 def test_somebodys_own_file_is_refused_and_left_alone(path: Path) -> None:
     path.write_text("mine")
     with pytest.raises(ControlError, match="expected a free name"):
-        ControlSocket(path, FINGERPRINT)
+        listening(path)
     assert path.read_text() == "mine"
 
 
@@ -304,13 +380,13 @@ def test_a_place_that_cannot_be_made_is_refused_and_nothing_stays_open(tmp_path:
     (tmp_path / "file").write_text("")
     before = descriptors()
     with pytest.raises(ControlError, match=r"control socket .*: found .*, expected .* folder that can be written") as e:
-        ControlSocket(tmp_path / "file" / "left.control", FINGERPRINT)
+        listening(tmp_path / "file" / "left.control")
     assert descriptors() == before
     assert (e.value.exit_code, ControlError.exit_code) == (7, 7)
 
 
 def test_closing_twice_is_fine_and_lets_clients_go(path: Path) -> None:
-    control = ControlSocket(path, FINGERPRINT)
+    control = listening(path)
     with person(path) as own:
         control.poll()
         control.close()
@@ -342,41 +418,63 @@ def replies(path: Path, reply: bytes | None) -> Iterator[None]:
         thread.join()
 
 
-def test_asking_sends_the_verb_and_what_belongs_to_it(path: Path) -> None:
-    with closing(ControlSocket(path, FINGERPRINT)) as control:
-        asking = threading.Thread(
-            target=ask, args=(path, Verb.START), kwargs={"start_utc_ns": 10**19, "fingerprint": FINGERPRINT}
-        )
+def one_answer(path: Path, request: Request, timeout_s: float = 5.0) -> Reply | Silence:
+    return ask_sockets([path], request, timeout_s)[path]
+
+
+def test_asking_sends_the_word_and_what_belongs_to_it(path: Path) -> None:
+    heard: list[Reply | Silence] = []
+    request = Request(Verb.START, FINGERPRINT, 10**19, clock_bound_s=1e-3)
+    with closing(listening(path)) as control:
+        asking = threading.Thread(target=lambda: heard.append(one_answer(path, request)))
         asking.start()
         while asking.is_alive():
             control.poll()
-    assert asked_for(control) == (10**19, False, False)
+        assert control.requests.start == request
+    assert heard == [Reply(True, "left", "READY", "because", FINGERPRINT, {}, {"pid": 7})]
 
 
-def test_a_refusal_is_raised_with_what_the_agent_says(path: Path) -> None:
-    answer = {"ok": False, "found": "a", "expected": "b", "remedy": "c"}
-    with (
-        replies(path, json.dumps(answer).encode()),
-        pytest.raises(ControlError, match=r"left\.control refuses to release: found a, expected b; c"),
-    ):
-        ask(path, Verb.RELEASE)
+def test_a_refusal_is_heard_with_what_the_agent_says(path: Path) -> None:
+    refusal = {"found": "a", "expected": "b", "remedy": "c"}
+    with replies(path, Reply(False, "left", "HOLD", refusal=refusal).encode()):
+        heard = one_answer(path, Request(Verb.RELEASE))
+    assert isinstance(heard, Reply)
+    assert (heard.ok, heard.mode, heard.refusal) == (False, "HOLD", refusal)
 
 
-def test_no_agent_is_one_clear_line(tmp_path: Path) -> None:
-    with pytest.raises(ControlError, match="found No such file or directory, expected an agent that answers"):
-        ask(tmp_path / "none.control", Verb.STOP)
+def test_no_agent_is_silence_with_its_reason(tmp_path: Path) -> None:
+    assert one_answer(tmp_path / "none", Request(Verb.STOP)) == Silence("No such file or directory")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as left_behind:
+        left_behind.bind(str(tmp_path / "dead"))
+    assert one_answer(tmp_path / "dead", Request(Verb.STOP)) == Silence("Connection refused")
+    assert one_answer(tmp_path / ("x" * 200), Request(Verb.STOP)) == Silence("AF_UNIX path too long")
 
 
-def test_an_answer_that_does_not_say_yes_is_no(path: Path) -> None:
-    answer = {"found": "a", "expected": "b", "remedy": "c"}
-    with replies(path, json.dumps(answer).encode()), pytest.raises(ControlError, match="refuses to stop"):
-        ask(path, Verb.STOP)
+@pytest.mark.parametrize(
+    ("reply", "found"),
+    [
+        (None, "no answer within 0.05 s"),
+        (b"hello", "an answer that makes no sense"),
+        (b"{}", "an answer that makes no sense"),
+        (ACCEPTED | {"mode": "DANCE"}, "an answer that makes no sense"),
+        (ACCEPTED | {"ok": "yes"}, "an answer that makes no sense"),
+    ],
+)
+def test_an_agent_that_does_not_answer_is_given_up(path: Path, reply: Any, found: str) -> None:
+    sent = json.dumps(reply).encode() if isinstance(reply, dict) else reply
+    with replies(path, sent):
+        assert one_answer(path, Request(Verb.STOP), 0.05 if reply is None else 5.0) == Silence(found, hung=True)
 
 
-@pytest.mark.parametrize("reply", [None, b"hello"], ids=["silence", "nonsense"])
-def test_an_agent_that_does_not_answer_is_given_up(
-    path: Path, monkeypatch: pytest.MonkeyPatch, reply: bytes | None
-) -> None:
-    monkeypatch.setattr(control_socket, "REPLY_TIMEOUT_S", 0.05)
-    with replies(path, reply), pytest.raises(ControlError, match="found no answer, expected an agent that answers"):
-        ask(path, Verb.STOP)
+def test_a_full_queue_of_clients_is_tried_again_until_the_time_is_over(path: Path) -> None:
+    with closing(listening(path)) as control, ExitStack() as stack:
+        for _ in range(9):
+            stack.enter_context(person(path))
+        heard = one_answer(path, Request(Verb.STOP), 0.05)
+        assert heard == Silence("no answer within 0.05 s", hung=True)
+        asking: list[Reply | Silence] = []
+        thread = threading.Thread(target=lambda: asking.append(one_answer(path, Request(Verb.STOP))))
+        thread.start()
+        while thread.is_alive():
+            control.poll()
+        assert isinstance(asking[0], Reply)

@@ -1,0 +1,107 @@
+"""Asks any number of agents at once and waits for all of them until one common time-out."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import selectors
+import socket
+import time
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from agent.operator.message import MAX_BYTES, Reply, Request
+
+REPLY_TIMEOUT_S = 2.0
+_AGAIN_S = 0.005  # how soon an agent is tried again whose queue of clients is full
+
+
+@dataclass(frozen=True)
+class Silence:
+    """An agent that gave no answer, and what was found instead of one."""
+
+    found: str
+    hung: bool = False  # somebody has the socket open
+
+
+Heard = Reply | Silence
+
+
+def ask_arms(
+    arms: Mapping[str, Iterable[Path]], request: Request, timeout_s: float = REPLY_TIMEOUT_S
+) -> dict[str, Heard]:
+    """Send one request to the agent of every arm, by each of the places where it may listen; what each arm answers.
+
+    Of several places the one that answers counts, then one that somebody has open.
+    """
+    places = {arm: list(paths) for arm, paths in arms.items()}
+    heard = ask_sockets([path for paths in places.values() for path in paths], request, timeout_s)
+    return {arm: _telling([heard[path] for path in paths]) for arm, paths in places.items()}
+
+
+def _telling(heard: list[Heard]) -> Heard:
+    """The most telling of what was heard of one arm."""
+    for one in heard:
+        if isinstance(one, Reply):
+            return one
+    silent = [one for one in heard if isinstance(one, Silence)]
+    open_ones = [one for one in silent if one.hung]
+    present = [one for one in silent if one.found != os.strerror(errno.ENOENT)]
+    return (open_ones or present or silent or [Silence("no socket")])[0]
+
+
+def ask_sockets(paths: Iterable[Path], request: Request, timeout_s: float = REPLY_TIMEOUT_S) -> dict[Path, Heard]:
+    """Send one request to every socket; replies and silences, none of which delays another."""
+    deadline = time.monotonic() + timeout_s
+    heard: dict[Path, Heard] = {}
+    waiting: dict[Path, socket.socket] = {}
+    todo = list(dict.fromkeys(paths))
+    with contextlib.ExitStack() as stack, selectors.DefaultSelector() as selector:
+        while True:
+            todo = [path for path in todo if not _sent(path, request, stack, selector, waiting, heard)]
+            left = deadline - time.monotonic()
+            if left <= 0.0 or not (todo or waiting):
+                break
+            for key, _ in selector.select(min(left, _AGAIN_S) if todo else left):
+                heard[key.data] = _received(waiting.pop(key.data))
+                selector.unregister(key.fileobj)
+        for path in (*todo, *waiting):
+            heard[path] = Silence(f"no answer within {timeout_s:.3g} s", hung=True)
+    return heard
+
+
+def _sent(
+    path: Path,
+    request: Request,
+    stack: contextlib.ExitStack,
+    selector: selectors.BaseSelector,
+    waiting: dict[Path, socket.socket],
+    heard: dict[Path, Heard],
+) -> bool:
+    """Connect and send without waiting; False when the agent's queue of clients is full."""
+    own = stack.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_CLOEXEC))
+    own.setblocking(False)
+    try:
+        own.connect(str(path))
+        own.send(request.encode())
+    except BlockingIOError:
+        own.close()
+        return False
+    except OSError as error:
+        heard[path] = Silence(error.strerror or str(error))  # a path that is too long has no strerror
+        return True
+    waiting[path] = own
+    selector.register(own, selectors.EVENT_READ, path)
+    return True
+
+
+def _received(own: socket.socket) -> Heard:
+    try:
+        data = own.recv(MAX_BYTES)
+        return Reply.decode(data) if data else Silence("closed without an answer", hung=True)
+    except OSError as error:
+        return Silence(error.strerror or str(error), hung=True)
+    except ValueError:
+        return Silence("an answer that makes no sense", hung=True)

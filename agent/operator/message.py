@@ -1,0 +1,85 @@
+"""What operator and agent say to each other: one JSON document each way, of at most MAX_BYTES."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from agent.modes import Mode
+from agent.operator.table import Verb
+
+MAX_BYTES = 4096
+_REFUSAL = ("found", "expected", "remedy")
+
+
+@dataclass(frozen=True)
+class Request:
+    """What an operator asks an agent."""
+
+    verb: Verb
+    fingerprint: str = ""  # start: of the cell that the operator means
+    start_utc_ns: int = 0  # start
+    prepare: bool = False  # start: only say whether it would be accepted
+    clock_bound_s: float | None = None  # start: by how much this host's clock may be off; None: not known
+
+    def encode(self) -> bytes:
+        """As it is sent."""
+        content: dict[str, Any] = {"verb": self.verb.value}
+        if self.verb is Verb.START:
+            content |= {
+                "fingerprint": self.fingerprint, "start_utc_ns": self.start_utc_ns, "prepare": self.prepare,
+                "clock_bound_s": self.clock_bound_s,
+            }  # fmt: skip
+        return json.dumps(content).encode()
+
+    @classmethod
+    def decode(cls, data: bytes) -> Request:
+        """A request of anybody.  Raises ValueError when it is none."""
+        try:
+            content = json.loads(data)
+            verb = Verb(content["verb"])
+            if verb is not Verb.START:
+                return cls(verb)
+            bound_s = content.get("clock_bound_s")
+            return cls(
+                verb, str(content.get("fingerprint", "")), int(content["start_utc_ns"]),
+                prepare=content.get("prepare", False) is True,
+                clock_bound_s=None if bound_s is None else float(bound_s),
+            )  # fmt: skip
+        except (KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
+            raise ValueError(f"not a request: {error!r}") from error
+
+
+@dataclass(frozen=True)
+class Reply:
+    """What an agent answers: who it is and how it is, and of a refused word found, expected and remedy."""
+
+    ok: bool
+    arm: str
+    mode: str  # name of an agent.modes.Mode
+    reason: str = ""  # of a hold or a fault
+    fingerprint: str = ""
+    refusal: Mapping[str, str] = field(default_factory=dict)  # found, expected, remedy
+    details: Mapping[str, Any] = field(default_factory=dict)  # pid, start, timing, real time, clock ...
+
+    def encode(self) -> bytes:
+        """As it is sent."""
+        content = {
+            "ok": self.ok, "arm": self.arm, "mode": self.mode, "reason": self.reason[:400],
+            "fingerprint": self.fingerprint, **self.refusal, "details": dict(self.details),
+        }  # fmt: skip
+        return json.dumps(content).encode()
+
+    @classmethod
+    def decode(cls, data: bytes) -> Reply:
+        """A reply of anybody.  Raises ValueError when it is none."""
+        try:
+            content = json.loads(data)
+            texts = {name: str(content[name]) for name in ("arm", "mode", "reason", "fingerprint")}
+            Mode[texts["mode"]]
+            refusal = {} if content["ok"] is True else {name: str(content[name]) for name in _REFUSAL}
+            return cls(content["ok"] is True, refusal=refusal, details=dict(content["details"]), **texts)
+        except (KeyError, TypeError, AttributeError, RecursionError) as error:
+            raise ValueError(f"not a reply: {error!r}") from error

@@ -1,0 +1,99 @@
+"""`coop status` for a person: one line per arm, what is wrong in front, and one line each for clock and recorder."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+WIDTH_REASON = 60
+
+
+class Tone(Enum):
+    """How a line is meant; a terminal shows it as a colour."""
+
+    GOOD = "green"
+    BUSY = "cyan"
+    HELD = "yellow"
+    BAD = "red"
+
+
+_TONES = {"READY": Tone.GOOD, "TRACK": Tone.BUSY, "FAULT": Tone.BAD, "OFF": Tone.BAD}
+
+
+@dataclass(frozen=True)
+class Line:
+    """One line, of which `head` has the tone."""
+
+    head: str
+    rest: str
+    tone: Tone
+
+
+def lines(document: Mapping[str, Any]) -> list[Line]:
+    """The document of agent.operator.status as lines."""
+    arms: Sequence[Mapping[str, Any]] = document["arms"]
+    widest = max(len(arm["arm"]) for arm in arms)
+    return [*(_arm(arm, widest) for arm in arms), _host(document)]
+
+
+def _arm(arm: Mapping[str, Any], widest: int) -> Line:
+    parts = [_loop(arm["timing"]), _servos(arm["servos"]), _errors(arm["errors"])]
+    if arm["answers"]:
+        head, tone = arm["mode"], _TONES.get(arm["mode"], Tone.HELD)
+        if arm["same_cell"] is False:
+            parts.insert(0, "ANOTHER CELL FILE")
+            tone = Tone.BAD
+        if arm["reason"] and arm["mode"] not in ("READY", "TRACK"):
+            parts.insert(0, arm["reason"][:WIDTH_REASON])
+        if arm["start_utc_ns"] is not None and arm["mode"] == "READY":
+            parts.insert(0, "start given")
+        parts.append(_guard(arm["guard"]))
+    else:
+        head, tone = ("HUNG" if arm["alive"] else "DEAD" if arm["mode"] else "NONE"), Tone.BAD
+        last = f"last {arm['mode']}, {arm['last_row_age_s']:.1f} s ago" if arm["mode"] else ""
+        parts = [arm["silence"], last, *parts] if arm["mode"] else [arm["silence"]]
+    return Line(f"{arm['arm']:<{widest}}  {head:<5}", "; ".join(part for part in parts if part), tone)
+
+
+def _loop(timing: Mapping[str, Any] | None) -> str:
+    if not timing or timing["late_max_s"] is None:
+        return ""
+    rate = f"{timing['rate_hz']:.0f} Hz, " if timing["rate_hz"] else ""
+    lost = f", {timing['without_state']} of {timing['rows']} without a state" if timing["without_state"] else ""
+    return f"{rate}late ≤ {timing['late_max_s'] * 1e3:.2f} ms, busy ≤ {timing['busy_max_s'] * 1e3:.2f} ms{lost}"
+
+
+def _servos(servos: Mapping[str, Any] | None) -> str:
+    if not servos or servos["max_C"] is None:
+        return ""
+    volts = f", {servos['min_V']:.1f} V" if servos["min_V"] is not None else ""
+    return f"{servos['max_C']:.0f} °C {servos['joint']}{volts}"
+
+
+def _errors(errors: Mapping[str, Any] | None) -> str:
+    if not errors:
+        return ""
+    found = list(errors["flags"])
+    found += [f"servo {servo['servo_id']} ({servo['joint']}) error {servo['bits']:#04x}" for servo in errors["servos"]]
+    bad = {name.removeprefix("bus_"): errors[name] for name in ("bus_timeouts", "bus_corrupt") if errors[name]}
+    found += [f"{count} bus {name}" for name, count in bad.items()]
+    return ", ".join(found)
+
+
+def _guard(guard: Any) -> str:
+    return f"guard {guard}" if guard else ""
+
+
+def _host(document: Mapping[str, Any]) -> Line:
+    clock, recorder = document["clock"], document["recorder"]
+    error_s = clock["max_error_s"]
+    bound = "error not known" if error_s is None else f"error ≤ {error_s * 1e3:.3g} ms"
+    told = f"clock {'synchronised' if clock['synchronised'] else 'not synchronised'}, {bound}"
+    if recorder["alive"]:
+        size = "" if recorder["log_bytes"] is None else f", {recorder['log']} {recorder['log_bytes'] / 1e6:.1f} MB"
+        record = f"recorder in {recorder['folder']}{size}"
+    else:
+        record = "no recorder here"
+    return Line(f"host {document['host']}", f"{told}; {record}", Tone.GOOD if recorder["alive"] else Tone.HELD)

@@ -1,0 +1,113 @@
+"""How the arms of this host are: what each agent answers, and what its ring says whether it answers or not."""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from agent.config.cell import Cell
+from agent.host.clock import ClockState
+from agent.host.paths import ring_paths
+from agent.operator.ask import Heard, Silence, ask_arms
+from agent.operator.local import host_name, local_arms, places
+from agent.operator.message import Request
+from agent.operator.past import Past, look
+from agent.operator.table import Verb
+
+STATUS_TIMEOUT_S = 0.5  # an agent answers within a cycle
+SCHEMA = 1
+LOG_FOLDERS = (Path("/var/lib/coop/runs"), Path("runs"))  # of the shipped unit, and of `coop record`
+
+
+def status(
+    cell: Cell, clock: ClockState, host: str | None = None, logs: Sequence[Path] = LOG_FOLDERS,
+    timeout_s: float = STATUS_TIMEOUT_S,
+) -> dict[str, Any]:  # fmt: skip
+    """All that `coop status --json` shows.  Raises ControlError when no arm of the cell is on this host."""
+    names = [arm.name for arm in local_arms(cell, host)]
+    heard = ask_arms(places(cell, names, (), host), Request(Verb.STATUS), timeout_s)
+    utc_ns = time.time_ns()
+    pasts = {name: look(ring_paths(cell.file.name, name), cell.file.rate_hz) for name in names}
+    return {
+        "schema": SCHEMA,
+        "cell": cell.file.name,
+        "fingerprint": cell.fingerprint,
+        "host": host or host_name(),
+        "utc_ns": utc_ns,
+        "clock": {"synchronised": clock.synchronised, "max_error_s": _finite(clock.max_error_s)},
+        "recorder": recorder(cell.file.name, logs),
+        "arms": [_arm(cell, name, heard[name], pasts[name], utc_ns) for name in names],
+    }
+
+
+def _arm(cell: Cell, name: str, heard: Heard, past: Past | None, utc_ns: int) -> dict[str, Any]:
+    """One arm; of a dead one the mode is that of its last row."""
+    details: dict[str, Any] = {}
+    silence = heard.found if isinstance(heard, Silence) else None
+    if not isinstance(heard, Silence):
+        details = dict(heard.details)
+    row_utc_ns = past.utc_ns if past else None
+    return {
+        "arm": name,
+        "answers": silence is None,
+        "silence": silence,
+        "alive": silence is None or bool(past and past.written_by_the_living),
+        "mode": heard.mode if not isinstance(heard, Silence) else past.mode if past else None,
+        "reason": heard.reason if not isinstance(heard, Silence) else "",
+        "same_cell": None if isinstance(heard, Silence) else heard.fingerprint == cell.fingerprint,
+        "pid": details.get("pid"),
+        "driver": details.get("driver"),
+        "real_time": details.get("real_time"),
+        "guard": details.get("guard"),
+        "clock_bound_s": details.get("clock_bound_s"),
+        "start_utc_ns": details.get("start_utc_ns"),
+        "last_row_age_s": None if row_utc_ns is None else max(0.0, 1e-9 * (utc_ns - row_utc_ns)),
+        "timing": past.timing() if past else None,
+        "errors": past.errors() if past else None,
+        "servos": past.temperatures() if past else None,
+    }
+
+
+def recorder(cell: str, folders: Sequence[Path]) -> dict[str, Any]:
+    """Whether a recorder of the cell has one of these folders, and the newest log there."""
+    locked = _flocked()
+    for folder in folders:
+        lock = folder / f".{cell}.recording"
+        try:
+            status = lock.stat()
+        except OSError:
+            continue
+        if (os.major(status.st_dev), os.minor(status.st_dev), status.st_ino) in locked:
+            return {"alive": True, "folder": str(folder), **_newest(folder)}
+    return {"alive": False, "folder": None, "log": None, "log_bytes": None}
+
+
+def _newest(folder: Path) -> dict[str, Any]:
+    logs = [(path.stat(), path) for path in folder.glob("*.mcap")]
+    if not logs:
+        return {"log": None, "log_bytes": None}
+    status, path = max(logs, key=lambda pair: pair[0].st_mtime_ns)
+    return {"log": path.name, "log_bytes": status.st_size}
+
+
+def _flocked() -> set[tuple[int, int, int]]:
+    """Device (major, minor) and inode of every file that somebody has locked; asks without taking a lock."""
+    found = set()
+    try:
+        lines = Path("/proc/locks").read_text().splitlines()
+    except OSError:
+        return set()
+    for line in lines:
+        words = line.split()
+        if "FLOCK" in words and len(words) > 5 and "->" not in words:
+            major, minor, inode = words[5].split(":")
+            found.add((int(major, 16), int(minor, 16), int(inode)))
+    return found
+
+
+def _finite(number: float) -> float | None:
+    return number if math.isfinite(number) else None

@@ -1,0 +1,134 @@
+"""The operator as the loop of one arm sees them: events, the common start, and what the agent answers about itself.
+
+Where nothing can fall (simulation), a stop also releases the object; on real arms a stop holds it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from datetime import UTC, datetime
+from typing import Protocol
+
+from agent.host.signals import StopFlag
+from agent.modes import Event, Mode
+from agent.operator.message import Request
+from agent.operator.socket import ControlSocket, Standing
+from agent.operator.table import EVENT_OF
+from agent.runner import NOT_YET_NS
+from agent.telemetry.ring.ring import RingWriter
+from agent.telemetry.row.event import Level
+from drivers.clock import utc_offset_ns
+from drivers.interface import Clock
+
+NO_REAL_TIME_REMEDY = "give --priority 80 (the shipped unit does), or --allow-no-realtime to accept late torques"
+
+
+class Tell(Protocol):
+    """Writes an event of the agent."""
+
+    def __call__(self, level: Level, text: str, **data: float | str) -> None:
+        """Something happened now."""
+        ...
+
+
+class Operator:
+    """Requests of an operator, by signal or over the control socket."""
+
+    def __init__(
+        self,
+        stop: StopFlag,
+        control: ControlSocket | None,
+        clock: Clock,
+        tell: Tell,
+        *,
+        drops_on_stop: bool,
+        watch: Callable[[], bool] = lambda: False,
+    ) -> None:
+        self._signals = stop
+        self._control = control
+        self._clock = clock
+        self._tell = tell
+        self._drops_on_stop = drops_on_stop
+        self._watch = watch  # something else of this host because of which the arm must hold now
+        self._stopped = False
+        self._trouble = ""
+        self._start: Request | None = None
+        self._start_ns: int | None = None
+        self._standing = control.standing if control is not None else Standing("")
+
+    @property
+    def start(self) -> Request | None:
+        """The start that counts now."""
+        return self._start
+
+    def events(self) -> Event:
+        """What is asked for now.  A release counts once: one that came too early must not drop a later hold."""
+        released = self._signals.released
+        self._signals.released = False
+        happened = Event.NONE
+        if self._control is not None:
+            self._control.poll()
+            for verb in self._control.requests.take():
+                happened |= EVENT_OF[verb]
+        self._stopped = self._stopped or Event.STOP in happened or self._signals.stopped
+        released = released or Event.RELEASED in happened
+        happened &= ~Event.RELEASED
+        if self._watch():
+            happened |= Event.TROUBLE
+        if self._stopped:
+            happened |= Event.STOP
+        if released or (self._stopped and self._drops_on_stop):
+            happened |= Event.RELEASED
+        return happened
+
+    def start_ns(self) -> int | None:
+        """The common start on CLOCK_MONOTONIC, which is the clock of every arm that can be given one.
+
+        Mapped once, when it is given: later steps of the wall clock cannot move it.  A later start replaces an
+        earlier one, and one that is taken back is a day away.
+        """
+        given = self._control.requests.start if self._control is not None else None
+        if given is not self._start:
+            self._start = given
+            if given is None:
+                self._start_ns = self._clock.now_ns() + NOT_YET_NS
+                self._tell(Level.WARN, "the start has been taken back")
+            else:
+                self._start_ns = given.start_utc_ns - utc_offset_ns()
+                self._say_start(given)
+        return self._start_ns
+
+    def _say_start(self, given: Request) -> None:
+        instant = datetime.fromtimestamp(given.start_utc_ns * 1e-9, UTC)
+        bound_s = given.clock_bound_s
+        clock = "not synchronised" if bound_s is None else f"off by at most {bound_s * 1e3:.3g} ms"
+        data = {} if bound_s is None else {"clock_bound_s": bound_s}
+        self._tell(Level.INFO, f"start given: {instant:%H:%M:%S.%f} UTC, clock {clock}", **data)
+
+    def hold(self, reason: str) -> None:
+        """Let the arm hold for a reason of this host."""
+        if not self._stopped:
+            self._stopped, self._trouble = True, reason
+            self._tell(Level.WARN, f"holds: {reason}")
+
+    def mode(self, mode: Mode) -> None:
+        """The arm's mode has changed."""
+        self._standing.mode = mode
+        if mode is Mode.HOLD:
+            asked = self._trouble or "it was asked to"
+            self._standing.reason = asked if self._stopped else "the trajectory has ended"
+
+    def trouble(self, reason: str) -> None:
+        """Why the arm holds when nobody asked it to."""
+        self._standing.reason = reason
+
+
+def no_real_time(found: str) -> dict[str, str]:
+    """The refusal of a start without real time."""
+    return {"found": found, "expected": "SCHED_FIFO on a real arm", "remedy": NO_REAL_TIME_REMEDY}
+
+
+def tick_of(ring: RingWriter) -> dict[str, float]:
+    """How long the last cycle took, s, and how many there have been."""
+    row = ring.row
+    return {"cycles": ring.written, **{name: float(row[name]) for name in ("late_s", "read_s", "step_s", "write_s")}}

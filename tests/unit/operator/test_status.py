@@ -1,0 +1,183 @@
+"""`coop status`: what an agent answers, what its ring says of one who is dead, and both as lines and as a document."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import ExitStack, closing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import configs
+from agent.config.cell import load_cell
+from agent.host.clock import ClockState
+from agent.host.paths import ring_path
+from agent.log.parts import only_recorder
+from agent.modes import Mode
+from agent.operator import status as status_module
+from agent.operator.past import look
+from agent.operator.show import Tone, lines
+from agent.operator.status import recorder, status
+from agent.safety import Flag
+from agent.telemetry.ring.ring import RingWriter
+from agent.telemetry.ring.texts import TextWriter
+from agent.telemetry.row.event import Event, Level
+from agent.telemetry.row.sample import AGENT_STATE
+from tests.support.command import coop
+from tests.unit.operator.test_words import DEAD, HUNG, Arm, serving
+
+PAPER = configs.CELLS_DIR / "paper.toml"
+CELL = load_cell(PAPER)
+CLOCK = ClockState(synchronised=True, max_error_s=2.5e-4)
+NOW_NS = 1_700_000_000_000_000_000
+PERIOD_NS = 5_000_000
+ROWS = 500
+
+
+@pytest.fixture(autouse=True)
+def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder of the cell's agents; the time stands still."""
+    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setattr("agent.host.paths.SERVICES_DIR", tmp_path / "services")
+    monkeypatch.setattr(status_module.time, "time_ns", lambda: NOW_NS)
+    folder = tmp_path / "coop" / "paper"
+    folder.mkdir(parents=True)
+    return folder
+
+
+def write_ring(stack: ExitStack, arm: str, *, mode: Mode, age_ns: int, flags: int = 0) -> None:
+    """500 rows of a loop that was 1 ms late once, long ago, and 0.2 ms once; closed with the stack."""
+    path = ring_path("paper", arm)
+    texts = stack.enter_context(closing(TextWriter(path, arm)))
+    texts.event(Event(NOW_NS - 5, arm, Level.WARN, "a servo is warm"))
+    texts.event(Event(NOW_NS - 4, arm, Level.INFO, "torque on"))
+    texts.health(
+        NOW_NS - age_ns,
+        {
+            "servo_id": [1, 2], "joint": ["waist", "shoulder"], "temperature_C": [31.0, None],
+            "voltage_V": [12.1, 11.8], "error_bits": [0, 4], "current_A": [None, None], "load": [None, None],
+        },
+    )  # fmt: skip
+    ring = stack.enter_context(RingWriter(path, AGENT_STATE, arm, ("a",), slots=ROWS))
+    for k in range(ROWS):
+        row: Any = ring.row
+        row["mode"], row["flags"], row["bus_timeouts"] = mode, flags, k // 250
+        row["stamp_ns"], row["utc_ns"] = k * PERIOD_NS, NOW_NS - age_ns - (ROWS - 1 - k) * PERIOD_NS
+        row["late_s"] = {20: 1e-3, 450: 2e-4}.get(k, 1e-5)
+        row["read_s"], row["step_s"], row["write_s"] = 1e-3, 5e-4, 1e-4
+        if k == 499 and flags & Flag.STALE:
+            row["flags"], row["late_s"] = flags, np.nan
+        ring.commit()
+
+
+@pytest.fixture
+def living(home: Path) -> Iterator[Arm]:
+    """Arm left in HOLD, with its ring."""
+    arm = Arm(home / "left.control", Mode.HOLD, CELL.fingerprint)
+    with ExitStack() as stack:
+        write_ring(stack, "left", mode=Mode.HOLD, age_ns=2_000_000, flags=int(Flag.OFF_TRACK | Flag.SATURATED))
+        stack.enter_context(serving([arm]))
+        assert arm.control is not None
+        arm.control.standing.reason = "t = 3 s: OFF_TRACK"
+        arm.control.standing.details = lambda: {"pid": 7, "driver": "dynamixel", "start_utc_ns": 5}
+        yield arm
+
+
+def of(document: dict[str, Any], name: str) -> dict[str, Any]:
+    (found,) = (arm for arm in document["arms"] if arm["arm"] == name)
+    assert isinstance(found, dict)
+    return found
+
+
+def test_a_living_arm_is_shown_with_all_it_has(living: Arm) -> None:
+    found = of(status(CELL, CLOCK, logs=()), "left")
+    assert found == {
+        "arm": "left", "answers": True, "silence": None, "alive": True, "mode": "HOLD", "reason": "t = 3 s: OFF_TRACK",
+        "same_cell": True, "pid": 7, "driver": "dynamixel", "real_time": None, "guard": None, "clock_bound_s": None,
+        "start_utc_ns": 5, "last_row_age_s": pytest.approx(0.002),
+        "timing": {
+            "rows": 400, "without_state": 0, "rate_hz": pytest.approx(200.0), "late_p99_s": 1e-5, "late_max_s": 2e-4,
+            "busy_p99_s": pytest.approx(1.6e-3), "busy_max_s": pytest.approx(1.6e-3),
+        },
+        "errors": {
+            "flags": ["SATURATED", "OFF_TRACK"], "bus_timeouts": 1, "bus_corrupt": 0, "bus_alerts": 0, "bus_retries": 0,
+            "servos": [{"servo_id": 2, "joint": "shoulder", "bits": 4}],
+            "last": "a servo is warm", "last_utc_ns": NOW_NS - 5,
+        },
+        "servos": {"max_C": 31.0, "joint": "waist", "servo_id": 1, "min_V": 11.8},
+    }  # fmt: skip
+
+
+def test_a_dead_arm_is_said_to_be_dead_with_what_its_ring_has(living: Arm, home: Path) -> None:
+    with ExitStack() as stack:
+        write_ring(stack, "right", mode=Mode.TRACK, age_ns=3_200_000_000)
+    dead = Arm(home / "right.control", DEAD)
+    with serving([dead]):
+        document = status(CELL, CLOCK, logs=())
+    found = of(document, "right")
+    assert (found["answers"], found["silence"], found["alive"]) == (False, "Connection refused", False)
+    assert (found["mode"], found["last_row_age_s"], found["same_cell"]) == ("TRACK", pytest.approx(3.2), None)
+    shown = lines(document)
+    assert [(line.head, line.tone) for line in shown] == [
+        ("left   HOLD ", Tone.HELD), ("right  DEAD ", Tone.BAD), (f"host {document['host']}", Tone.HELD)
+    ]  # fmt: skip
+    assert shown[0].rest == (
+        "t = 3 s: OFF_TRACK; 200 Hz, late ≤ 0.20 ms, busy ≤ 1.60 ms; 31 °C waist, 11.8 V; "
+        "SATURATED, OFF_TRACK, servo 2 (shoulder) error 0x04, 1 bus timeouts"
+    )
+    assert shown[1].rest.startswith("Connection refused; last TRACK, 3.2 s ago; 200 Hz")
+    assert shown[2].rest == "clock synchronised, error ≤ 0.25 ms; no recorder here"
+
+
+def test_an_arm_that_hangs_is_not_dead_and_one_without_a_trace_is_neither(home: Path) -> None:
+    hung = Arm(home / "left.control", HUNG)
+    with ExitStack() as stack:
+        write_ring(stack, "left", mode=Mode.READY, age_ns=1)
+        stack.enter_context(serving([hung]))
+        document = status(CELL, CLOCK, logs=(), timeout_s=0.05)
+    assert (of(document, "left")["alive"], of(document, "left")["answers"]) == (True, False)
+    assert [line.head.split()[-1] for line in lines(document)[:2]] == ["HUNG", "NONE"]
+    assert of(document, "right")["timing"] is None
+
+
+def test_a_cycle_without_a_state_counts_and_has_no_timing(home: Path) -> None:
+    with ExitStack() as stack:
+        write_ring(stack, "left", mode=Mode.TRACK, age_ns=1, flags=int(Flag.STALE))
+    past = look([ring_path("paper", "left")], 200.0)
+    assert past is not None
+    assert past.timing()["without_state"] == 400
+    assert past.timing()["late_max_s"] is None
+    assert "STALE" in past.errors()["flags"]
+
+
+def test_an_agent_with_another_cell_file_is_called_that(home: Path) -> None:
+    with serving([Arm(home / "left.control", Mode.READY, "cd" * 32)]):
+        document = status(CELL, CLOCK, logs=())
+    assert of(document, "left")["same_cell"] is False
+    assert (lines(document)[0].rest, lines(document)[0].tone) == ("ANOTHER CELL FILE", Tone.BAD)
+
+
+def test_a_recorder_at_work_is_found_by_its_lock_which_nobody_takes(tmp_path: Path) -> None:
+    (tmp_path / "one.mcap").write_bytes(b"x" * 10)
+    nothing = {"alive": False, "folder": None, "log": None, "log_bytes": None}
+    with only_recorder(tmp_path, "paper"):
+        found = recorder("paper", [tmp_path / "none", tmp_path])
+        assert found == {"alive": True, "folder": str(tmp_path), "log": "one.mcap", "log_bytes": 10}
+        assert recorder("other", [tmp_path]) == nothing
+    assert recorder("paper", [tmp_path]) == nothing, "the lock file stays, its lock does not"
+
+
+def test_the_command_shows_a_line_per_arm_without_colours_and_one_document(living: Arm, tmp_path: Path) -> None:
+    done = coop("status", PAPER, "--logs", tmp_path)
+    assert done.code == 1
+    assert [line.split()[:2] for line in done.out.splitlines()[:2]] == [["left", "HOLD"], ["right", "NONE"]]
+    assert "\x1b" not in done.out
+    done = coop("status", PAPER, "--json", "--logs", tmp_path)
+    found = json.loads(done.out)
+    assert (done.code, found["schema"], found["fingerprint"]) == (1, 1, CELL.fingerprint)
+    assert list(found) == ["schema", "cell", "fingerprint", "host", "utc_ns", "clock", "recorder", "arms"]
+    assert of(found, "left")["mode"] == "HOLD"

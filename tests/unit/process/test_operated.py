@@ -1,0 +1,141 @@
+"""The operator as the loop sees them: events that are latched or count once, a start that moves, what is answered."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from agent.modes import Event, Mode
+from agent.operator.message import Request
+from agent.operator.socket import ControlSocket, Standing
+from agent.operator.table import Verb
+from agent.process import operated
+from agent.process.operated import Operator
+from agent.runner import NOT_YET_NS
+from agent.telemetry.row.event import Level
+
+NOW_NS = 5_000_000_000
+OFFSET_NS = 1_700_000_000_000_000_000
+
+
+class Clock:
+    """Stands still."""
+
+    utc_offset_ns = OFFSET_NS
+
+    def now_ns(self) -> int:
+        return NOW_NS
+
+    def sleep_until(self, deadline_ns: int) -> None:
+        raise AssertionError(deadline_ns)
+
+
+class Signals:
+    """No signal yet."""
+
+    stopped = False
+    released = False
+
+
+class Rig:
+    """An operator with a control socket that nobody but the test asks."""
+
+    def __init__(self, path: Path, *, drops_on_stop: bool = False) -> None:
+        self.told: list[tuple[Level, str, dict[str, Any]]] = []
+        self.signals: Any = Signals()
+        self.control = ControlSocket(path, "ab" * 32, Standing("left", Mode.TRACK))
+        self.operator = Operator(self.signals, self.control, Clock(), self._tell, drops_on_stop=drops_on_stop)
+
+    def _tell(self, level: Level, text: str, **data: float | str) -> None:
+        self.told.append((level, text, data))
+
+    def hear(self, *words: Verb) -> Event:
+        self.control.requests.words += words
+        return self.operator.events()
+
+
+@pytest.fixture
+def rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Rig]:
+    monkeypatch.setattr(operated, "utc_offset_ns", lambda: OFFSET_NS)
+    made = Rig(tmp_path / "left.control")
+    with closing(made.control):
+        yield made
+
+
+def test_a_stop_is_latched_and_a_release_counts_once(rig: Rig) -> None:
+    assert rig.hear() == Event.NONE
+    assert rig.hear(Verb.RELEASE) == Event.RELEASED
+    assert rig.hear() == Event.NONE
+    assert rig.hear(Verb.STOP) == Event.STOP
+    assert rig.hear() == Event.STOP
+    assert rig.hear(Verb.RELEASE) == Event.STOP | Event.RELEASED
+    assert rig.hear() == Event.STOP
+
+
+def test_signals_say_the_same(rig: Rig) -> None:
+    rig.signals.released = True
+    assert rig.hear() == Event.RELEASED
+    assert rig.signals.released is False
+    rig.signals.stopped = True
+    assert rig.hear() == rig.hear() == Event.STOP
+
+
+def test_where_nothing_can_fall_a_stop_releases(tmp_path: Path) -> None:
+    rig = Rig(tmp_path / "c", drops_on_stop=True)
+    with closing(rig.control):
+        assert rig.hear() == Event.NONE
+        assert rig.hear(Verb.STOP) == rig.hear() == Event.STOP | Event.RELEASED
+
+
+def test_a_start_is_mapped_once_replaced_by_a_later_one_and_taken_back(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert rig.operator.start_ns() is None
+    rig.control.requests.start = Request(Verb.START, "", OFFSET_NS + 7, clock_bound_s=3e-4)
+    assert rig.operator.start_ns() == 7
+    monkeypatch.setattr(operated, "utc_offset_ns", lambda: OFFSET_NS - 1_000_000_000)  # somebody sets the wall clock
+    assert rig.operator.start_ns() == 7
+    rig.control.requests.start = Request(Verb.START, "", OFFSET_NS + 9)
+    assert rig.operator.start_ns() == 1_000_000_009
+    rig.control.requests.start = None
+    assert rig.operator.start_ns() == NOW_NS + NOT_YET_NS
+    assert rig.operator.start_ns() == NOW_NS + NOT_YET_NS
+    (first, second, third) = rig.told
+    assert first == (
+        Level.INFO, "start given: 22:13:20.000000 UTC, clock off by at most 0.3 ms", {"clock_bound_s": 3e-4}
+    )  # fmt: skip
+    assert (second[1].endswith("clock not synchronised"), second[2]) == (True, {})
+    assert third == (Level.WARN, "the start has been taken back", {})
+
+
+def test_why_an_arm_holds_is_answered(rig: Rig) -> None:
+    standing = rig.control.standing
+    rig.operator.mode(Mode.HOLD)
+    assert (standing.mode, standing.reason) == (Mode.HOLD, "the trajectory has ended")
+    rig.operator.trouble("t = 3 s: OFF_TRACK")
+    assert standing.reason == "t = 3 s: OFF_TRACK"
+    rig.hear(Verb.STOP)
+    rig.operator.mode(Mode.HOLD)
+    assert standing.reason == "it was asked to"
+
+
+def test_a_reason_of_this_host_holds_the_arm_and_is_told_once(rig: Rig) -> None:
+    for _ in range(2):
+        rig.operator.hold("the clock may be off by 5.1 ms")
+    assert rig.hear() == Event.STOP
+    rig.operator.mode(Mode.HOLD)
+    assert rig.control.standing.reason == "the clock may be off by 5.1 ms"
+    assert rig.told == [(Level.WARN, "holds: the clock may be off by 5.1 ms", {})]
+
+
+def test_the_details_of_an_answer_fit_into_it(rig: Rig) -> None:
+    rig.control.standing.details = lambda: {"pid": os.getpid(), "tick": {"cycles": 10**12, "late_s": 1e-300}}
+    rig.control.standing.reason = "x" * 5000
+    assert len(rig.control._refused("f" * 80, "e", "r").encode()) < 4096
+    assert json.loads(rig.control._reply(ok=True).encode())["reason"] == "x" * 400
