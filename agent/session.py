@@ -60,9 +60,19 @@ class SessionLoop:
         self._watch: Watch | None = None
         self._open = False
         self._holds = False
+        self._now: tuple[Mode, Memory] | None = None  # of the last cycle
+
+    def not_yet(self, word: Event) -> str:
+        """Why this word counts for nothing now, by the last cycle; empty where it does."""
+        if self._now is None:
+            return "it has just begun"
+        if word is Event.STARTED and not self.taken_up(*self._now):
+            return _UNFINISHED[Mode.READY]
+        return self.refusal(self._now[0], word & _SAID, self._now[1]) if word & _SAID else ""
 
     def judge(self, mode: Mode, events: Event, memory: Memory) -> Event:
         """The events that count in this mode, with what the arm has found out by itself."""
+        self._now = mode, memory
         said = events & _SAID
         refused = self.refusal(mode, said, memory) if said else ""
         if refused:
@@ -83,7 +93,7 @@ class SessionLoop:
         """Tell the gripper what this mode asks of it."""
         if mode in (Mode.APPROACH, Mode.RELEASE):
             self._open = False
-        if mode is Mode.APPROACH:
+        if mode is Mode.APPROACH or mode is Mode.PARK:
             self._move(self._plan.open_m)
         elif mode is Mode.GRASP:
             self._open = False

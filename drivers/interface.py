@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -121,6 +121,7 @@ class BusCounters:
     per_servo: dict[int, int] = field(default_factory=dict)
 
 
+@runtime_checkable
 class Gripper(Protocol):
     """The gripper of one arm, beside its `Driver`; between `enable` and `disable` of that."""
 

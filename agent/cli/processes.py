@@ -36,6 +36,7 @@ def agent(
     ] = False,
     emulated: Annotated[bool, typer.Option("--emulated", help="The servos on that port are emulated.")] = False,
     real_time: Annotated[bool, typer.Option("--real-time", help="At the wall clock's pace, not in lockstep.")] = False,
+    whole: Annotated[bool, typer.Option("--whole", help="Begin at rest and wait for `coop approach`.")] = False,
     with_parent: WithParent = False,
 ) -> None:
     """Run one arm: the process that reads, steps, limits and writes."""
@@ -59,7 +60,8 @@ def agent(
         ring=ring or ring_path(name, arm),
         control=None if lockstep else control or control_path(name, arm),
         lockstep=lockstep,
-        hold=hold if hold is not None else kind is DriverKind.DYNAMIXEL and not emulated,
+        hold=whole or (hold if hold is not None else kind is DriverKind.DYNAMIXEL and not emulated),
+        whole=whole,
         priority=priority,
         no_realtime=allow_no_realtime,
     )

@@ -12,6 +12,7 @@ from typing import Any
 
 from agent.config.cell import Cell
 from agent.config.schema.cell import DriverKind
+from agent.config.session import rest_joints
 from agent.host.latency import files, newest
 from agent.host.notify import Notifier
 from agent.host.realtime import become_realtime, granted, quiet_memory
@@ -20,6 +21,7 @@ from agent.modes import Mode
 from agent.operator.socket import ControlSocket, Standing
 from agent.process.build import Connection, build_agent, build_driver
 from agent.process.operated import Operator, no_real_time, tick_of
+from agent.process.session import session_loop
 from agent.runner import Runner, RunSummary, Schedule, Surroundings
 from agent.telemetry.ring.ring import RingWriter
 from agent.telemetry.ring.texts import TextWriter
@@ -51,6 +53,7 @@ class AgentOptions:
     hold: bool  # at a stop and at the end hold the object until it is released
     priority: int | None = None  # SCHED_FIFO; None: leave the scheduler alone
     no_realtime: bool = False  # a real arm may be started without real time
+    whole: bool = False  # it begins at its rest, and is told word by word
 
 
 _STATUS = {
@@ -60,6 +63,12 @@ _STATUS = {
     Mode.HOLD: "HOLDING the object; `coop release` (or SIGUSR1) once it is supported",
     Mode.LOWER: "lowering the object",
     Mode.FAULT: "the arm does not obey",
+    Mode.REST: "torque on, at rest; `coop approach`",
+    Mode.APPROACH: "on its way to its grasp, or there; `coop grasp`",
+    Mode.GRASP: "closing its gripper",
+    Mode.RELEASE: "letting go of the object; `coop park` once its gripper is open",
+    Mode.PARK: "on its way to its rest",
+    Mode.HALT: "STOPPED on its way; `coop approach` or `coop park`",
 }
 
 
@@ -90,7 +99,7 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             stack.callback(control.close)
         ready(f"ring={options.ring}")
         tell = _Teller(arm.name, texts)
-        q_start = report.q_start[cell.arms.index(arm)]
+        q_start = rest_joints(arm) if options.whole else report.q_start[cell.arms.index(arm)]
         driver, clock = build_driver(cell, arm, options.driver, options.connection, q_start, tell.warn)
         try:
             info = driver.connect()
@@ -99,14 +108,18 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             if options.priority is not None:
                 become_realtime(options.priority)
             driver.enable()
-            notifier.ready(_STATUS[Mode.READY])
+            begins = Mode.REST if options.whole else Mode.READY
+            notifier.ready(_STATUS[begins])
             tell.event(Level.INFO, f"torque on: {info.description}", priority=options.priority or 0)
-            operator = Operator(stop, control, clock, tell.event, drops_on_stop=not options.hold)
+            operator = Operator(
+                stop, control, clock, tell.event, drops_on_stop=not options.hold, session=options.whole
+            )  # fmt: skip
             if control is not None:
                 _stand(standing, options, operator, ring, tell, cell.file.rate_hz)
+                standing.mode = begins
             ready("torque=on")
             servos = _Servos(driver, texts, clock.utc_offset_ns, max(1, round(HEALTH_S * cell.file.rate_hz)))
-            runner = _runner(cell, options, driver, clock, ring, operator, notifier, servos, tell)
+            runner = _runner(cell, options, driver, clock, ring, operator, notifier, servos, tell, standing)
             cpu_s = time.process_time()
             summary = runner.run()
             tell.end(summary, time.process_time() - cpu_s)
@@ -134,6 +147,7 @@ def _runner(
     notifier: Notifier,
     servos: _Servos,
     tell: _Teller,
+    standing: Standing,
 ) -> Runner:
     """The loop of the arm on its enabled driver."""
     arm = cell.arm(options.arm)
@@ -153,7 +167,11 @@ def _runner(
 
     around = Surroundings(time.perf_counter_ns, operator.events, operator.start_ns, beat, mode_changed, trouble)
     row = AgentRow(ring.row, arm.n, cell.config_id)
-    return Runner(build_agent(cell, arm), driver, clock, _schedule(cell, options), row, ring, around)
+    agent, session = build_agent(cell, arm), None
+    if options.whole:
+        session = session_loop(cell, arm, agent, driver)
+        standing.session = session.not_yet
+    return Runner(agent, driver, clock, _schedule(cell, options), row, ring, around, session)
 
 
 def _stand(
@@ -169,7 +187,13 @@ def _stand(
     )  # fmt: skip
     if options.driver is DriverKind.DYNAMIXEL and not (options.connection.emulated or real.real or options.no_realtime):
         standing.no_start = no_real_time(real.text)
-    fixed = {"pid": os.getpid(), "driver": options.driver.value, "real_time": asdict(real), "guard": None}
+    fixed = {
+        "pid": os.getpid(),
+        "driver": options.driver.value,
+        "real_time": asdict(real),
+        "guard": None,
+        "session": options.whole,
+    }
 
     def details() -> dict[str, Any]:
         start = operator.start

@@ -1,4 +1,4 @@
-"""A session of one arm from the files of its cell, and the emulated cell in which all arms have theirs."""
+"""The emulated cell in which all arms begin at their rest, from the files of the cell."""
 
 from __future__ import annotations
 
@@ -9,14 +9,11 @@ import numpy as np
 import pinocchio as pin
 
 from agent.config.cell import Arm, Cell
-from agent.config.reading import ConfigError
 from agent.config.servo_map import GRIPPER
-from agent.config.session import fingers, grip_plan, grip_width, rest_joints
-from agent.loop import Agent
+from agent.config.session import fingers, grip_width, rest_joints
 from agent.process.emulate import wiring
 from agent.process.simulated import plant_spec
-from agent.session import SessionLoop, StartBound
-from drivers.interface import Gripper, Vector
+from drivers.interface import Vector
 from sim_backend.physics.spec import GraspSpec, PlantSpec
 from sim_backend.wire.cell import EmulatedCell
 from sim_backend.wire.plant_world import emulate_whole
@@ -26,18 +23,6 @@ from sim_backend.wire.wiring import ArmWiring
 
 PADS = GraspSpec(stiffness_N_per_m=2e4, stiffness_Nm_per_rad=50.0, damping_ratio=0.5)  # where the cell says nothing
 WHERE_IT_SHOULD = pin.SE3.Identity()
-
-
-def session_loop(cell: Cell, arm: Arm, agent: Agent, gripper: Gripper) -> SessionLoop:
-    """What the arm does beside its torque.  Raises ConfigError."""
-    if agent.session is None:
-        raise ConfigError(
-            f"cell {cell.file.name}", found="no [session]", expected="one, for a run from rest to rest",
-            remedy="add the table [session]; every key of it has a default",
-        )  # fmt: skip
-    safety = cell.file.safety
-    bound = StartBound(safety.start_error_max_m, safety.start_error_max_rad)
-    return SessionLoop(agent, gripper, grip_plan(cell, arm), bound)
 
 
 def whole_cell(cell: Cell, q_grasp: Sequence[Vector], object_off: pin.SE3 = WHERE_IT_SHOULD) -> tuple[

@@ -47,11 +47,13 @@ class Support:
         if not touching.any():
             return None
         arms, depth = arms[touching], depth[touching]
-        speed = v[:3] + np.cross(v[3:], arms)
+        a, b, c = v[3:].tolist()
+        speed = v[:3] + arms.dot(np.array([[0.0, c, -b], [-c, 0.0, a], [b, -a, 0.0]]))  # ω × r
         rising = speed @ up
         normal = np.maximum(0.0, self._k * depth - self._c * rising)
         sliding = speed - np.outer(rising, up)
-        size = np.linalg.norm(sliding, axis=1)
+        size = np.sqrt(np.einsum("ij,ij->i", sliding, sliding))
         drag = np.minimum(self._drag, FRICTION * normal / np.maximum(size, 1e-9))
         force = np.outer(normal, up) - drag[:, None] * sliding
-        return np.concatenate([force.sum(axis=0), np.cross(arms, force).sum(axis=0)])
+        x, y, z = arms.T.dot(force)  # of which the moment Σ r × f is the skew part
+        return np.array([*force.sum(axis=0), y[2] - z[1], z[0] - x[2], x[1] - y[0]])

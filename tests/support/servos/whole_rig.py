@@ -16,7 +16,8 @@ from agent.config.session import rest_joints
 from agent.modes import Event, Mode
 from agent.process.agent import AgentOptions, _schedule
 from agent.process.build import Connection, build_agent
-from agent.process.whole import WHERE_IT_SHOULD, session_loop, whole_cell
+from agent.process.session import session_loop
+from agent.process.whole import WHERE_IT_SHOULD, whole_cell
 from agent.runner import Runner, RunSummary, Schedule, Surroundings
 from agent.telemetry.row.fill import AgentRow
 from agent.verify.check import examine

@@ -1,0 +1,87 @@
+"""Somebody who stands beside emulated arms and says the next word once all of them are ready for it.
+
+What `coop guide` asks a person to do is done here by the same words over the same sockets.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+from agent.modes import Mode
+from agent.operator.ask import ask_arms
+from agent.operator.message import Reply, Request
+from agent.operator.table import Verb
+
+AGAIN_S = 0.1
+IN_NS = 500_000_000  # from a word about an instant to that instant
+SILENT_S = 0.5
+
+# The next word of a whole session, by the mode that all arms are in; behind PARK it is over.
+NEXT: Mapping[Mode, Verb] = {
+    Mode.REST: Verb.APPROACH,
+    Mode.APPROACH: Verb.GRASP,
+    Mode.READY: Verb.START,
+    Mode.HOLD: Verb.LOWER,
+    Mode.LOWER: Verb.RELEASE,
+    Mode.RELEASE: Verb.PARK,
+}
+
+
+class Person:
+    """Says word after word; `trouble` says why it went no further."""
+
+    def __init__(
+        self, arms: Mapping[str, Sequence[Path]], fingerprint: str, tell: Callable[[str], None] = lambda _: None
+    ) -> None:
+        """arms: control sockets by arm; tell: what is said and why."""
+        self.trouble = ""
+        self._arms = arms
+        self._fingerprint = fingerprint
+        self._tell = tell
+        self._parked = False
+        self._said: Verb | None = None
+        self._next_s = 0.0
+
+    def look(self) -> None:
+        """Ask all arms how they are, and say what is next; some milliseconds, at most every AGAIN_S."""
+        now_s = time.monotonic()
+        if now_s < self._next_s:
+            return
+        self._next_s = now_s + AGAIN_S
+        heard = ask_arms(self._arms, Request(Verb.STATUS), SILENT_S)
+        replies = {arm: one for arm, one in heard.items() if isinstance(one, Reply)}
+        if len(replies) < len(heard):
+            return  # beginning, or over
+        modes = {Mode[one.mode] for one in replies.values()}
+        stopped = {arm: one.reason for arm, one in replies.items() if one.mode == "HALT" or one.reason}
+        if self.trouble or stopped:
+            self._give_up(stopped)
+            return
+        self._parked = self._parked or Mode.PARK in modes
+        if len(modes) == 1 and (verb := self._word(next(iter(modes)))) is not None:
+            self._say(verb)
+
+    def _word(self, mode: Mode) -> Verb | None:
+        if mode is Mode.REST and self._parked:
+            return Verb.RELEASE
+        return NEXT.get(mode)
+
+    def _say(self, verb: Verb) -> None:
+        if verb is not self._said:
+            self._tell(verb.value)
+            self._said = verb
+        instant = time.time_ns() + IN_NS if verb in (Verb.START, Verb.LOWER) else 0
+        ask_arms(self._arms, Request(verb, self._fingerprint, instant), SILENT_S)
+        if instant:
+            self._next_s = time.monotonic() + 2e-9 * IN_NS
+
+    def _give_up(self, stopped: Mapping[str, str]) -> None:
+        """Stop everybody, then have them let go: nothing can fall that is emulated."""
+        if not self.trouble:
+            self.trouble = "; ".join(f"{arm}: {reason or 'stopped'}" for arm, reason in stopped.items())
+            self._tell(f"stop: {self.trouble}")
+            ask_arms(self._arms, Request(Verb.STOP), SILENT_S)
+            return
+        ask_arms(self._arms, Request(Verb.RELEASE), SILENT_S)
