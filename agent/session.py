@@ -59,6 +59,7 @@ class SessionLoop:
         self._start = start
         self._watch: Watch | None = None
         self._open = False
+        self._opens = False  # it has been told to, in RELEASE
         self._holds = False
         self._now: tuple[Mode, Memory] | None = None  # of the last cycle
 
@@ -92,7 +93,7 @@ class SessionLoop:
     def entered(self, mode: Mode) -> None:
         """Tell the gripper what this mode asks of it."""
         if mode in (Mode.APPROACH, Mode.RELEASE):
-            self._open = False
+            self._open = self._opens = False
         if mode is Mode.APPROACH or mode is Mode.PARK:
             self._move(self._plan.open_m)
         elif mode is Mode.GRASP:
@@ -135,8 +136,9 @@ class SessionLoop:
             self._holds = False
             return self._trouble(f"the gripper lost the object: {state.width_m * 1e3:.1f} mm between its fingers")
         if mode is Mode.RELEASE and phases.arrived(self._life, mode, memory) and not self._open:
-            if self._holds:
-                self._holds = False
+            self._holds = False
+            if not self._opens:
+                self._opens = True
                 self._move(plan.open_m)
                 return Event.NONE
             return self._opened(plan.opening(watch, state), state)
@@ -173,8 +175,8 @@ class SessionLoop:
         return Event.TROUBLE
 
     def _move(self, width_m: float) -> None:
-        self._gripper.grip(width_m)
         state = self._gripper.grip_state()
+        self._gripper.grip(width_m)
         self._watch = None if state is None else self._plan.begin(state)
 
     def _bad_start(self, memory: Memory) -> str:

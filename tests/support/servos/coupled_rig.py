@@ -133,10 +133,12 @@ class ArmRun:
 class CoupledRun:
     """A run of all arms of a cell; faults count from the common start."""
 
-    def __init__(self, cell: Cell, faults: Sequence[Fault] = ()) -> None:
+    def __init__(self, cell: Cell, faults: Sequence[Fault] = (), real: Cell | None = None) -> None:
+        """real: the cell as it is, where that is not what the arms believe."""
         q_start = examine(cell).q_start
+        q_real = q_start if real is None else examine(real).q_start
         wired = [wiring(arm, i, arm.baud) for i, arm in enumerate(cell.arms)]
-        self._emulated, _ = emulate(plant_spec(cell, q_start), wired, timing=BusTiming())
+        self._emulated, _ = emulate(plant_spec(real or cell, q_real), wired, timing=BusTiming())
         self._injectors = [Injector(arm, None, seed=1) for arm in self._emulated.arms]
         self._clock = SharedClock(self._emulated, self._injectors, len(cell.arms))
         self._cell, self._faults = cell, faults

@@ -39,7 +39,7 @@ def test_the_page_says_every_word_of_a_session_in_its_order() -> None:
 
 
 def test_the_words_of_the_page_in_its_order_lead_through_the_phases_that_it_says_are_seen() -> None:
-    """The rig says the next word when all arms are ready for it; what follows is the doing of driver, servos and loop."""
+    """The rig says the next word when all arms are ready for it; the rest is the doing of driver, servos and loop."""
     run = whole()
     said = {EVENT_OF.get(verb, Event.STARTED) for verb in WORDS}
     for arm in run.arms:
