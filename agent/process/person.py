@@ -27,6 +27,11 @@ NEXT: Mapping[Mode, Verb] = {
     Mode.LOWER: Verb.RELEASE,
     Mode.RELEASE: Verb.PARK,
 }
+# Words that an arm which was not done when they were said is told again, whatever the others do; the order of a session.
+_EACH_BY_ITSELF = frozenset({Verb.APPROACH, Verb.GRASP, Verb.RELEASE, Verb.PARK})
+_WAY = (
+    Mode.REST, Mode.APPROACH, Mode.GRASP, Mode.READY, Mode.TRACK, Mode.HOLD, Mode.LOWER, Mode.RELEASE, Mode.PARK
+)  # fmt: skip
 
 
 class Person:
@@ -52,28 +57,35 @@ class Person:
         self._next_s = now_s + AGAIN_S
         heard = ask_arms(self._arms, Request(Verb.STATUS), SILENT_S)
         replies = {arm: one for arm, one in heard.items() if isinstance(one, Reply)}
-        if len(replies) < len(heard):
-            return  # beginning, or over
         modes = {Mode[one.mode] for one in replies.values()}
         stopped = {arm: one.reason for arm, one in replies.items() if one.mode == "HALT" or one.reason}
         if self.trouble or stopped:
             self._give_up(stopped)
             return
+        if len(replies) < len(heard):
+            return  # beginning, or over
         self._parked = self._parked or Mode.PARK in modes
-        if len(modes) == 1 and (verb := self._word(next(iter(modes)))) is not None:
-            self._say(verb)
+        behind = min(modes, key=self._how_far)
+        verb = self._word(behind)
+        if verb is not None and (len(modes) == 1 or verb in _EACH_BY_ITSELF):
+            self._say(verb, [arm for arm, one in replies.items() if one.mode == behind.name])
+
+    def _how_far(self, mode: Mode) -> int:
+        if mode is Mode.REST and self._parked:
+            return len(_WAY)
+        return _WAY.index(mode) if mode in _WAY else len(_WAY)
 
     def _word(self, mode: Mode) -> Verb | None:
         if mode is Mode.REST and self._parked:
             return Verb.RELEASE
         return NEXT.get(mode)
 
-    def _say(self, verb: Verb) -> None:
+    def _say(self, verb: Verb, arms: Sequence[str]) -> None:
         if verb is not self._said:
             self._tell(verb.value)
             self._said = verb
         instant = time.time_ns() + IN_NS if verb in (Verb.START, Verb.LOWER) else 0
-        ask_arms(self._arms, Request(verb, self._fingerprint, instant), SILENT_S)
+        ask_arms({arm: self._arms[arm] for arm in arms}, Request(verb, self._fingerprint, instant), SILENT_S)
         if instant:
             self._next_s = time.monotonic() + 2e-9 * IN_NS
 
