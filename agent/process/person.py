@@ -27,7 +27,7 @@ NEXT: Mapping[Mode, Verb] = {
     Mode.LOWER: Verb.RELEASE,
     Mode.RELEASE: Verb.PARK,
 }
-# Words that an arm which was not done when they were said is told again, whatever the others do; the order of a session.
+# Words that an arm which was not done is told again, whatever the others do; the order of a session.
 _EACH_BY_ITSELF = frozenset({Verb.APPROACH, Verb.GRASP, Verb.RELEASE, Verb.PARK})
 _WAY = (
     Mode.REST, Mode.APPROACH, Mode.GRASP, Mode.READY, Mode.TRACK, Mode.HOLD, Mode.LOWER, Mode.RELEASE, Mode.PARK
