@@ -22,11 +22,14 @@ def latency_test(
     import contextlib
     import os
 
+    from agent.atomic import make_folder
     from agent.host import latency
     from agent.host.realtime import become_realtime, granted, quiet_memory
     from drivers.clock import MonotonicClock
 
     stop, clock = begin(False), MonotonicClock()
+    path = out or latency.own_file(os.environ, os.getuid())
+    make_folder(path.parent)  # before somebody has waited for minutes
     cores = len(os.sched_getaffinity(0))
     with latency.load(cores) if load else contextlib.nullcontext():
         quiet_memory()
@@ -38,7 +41,6 @@ def latency_test(
         found = latency.measure(seconds, rate, clock, stop)
         took_s = 1e-9 * (clock.now_ns() - begin_ns)
     result = latency.finished(took_s, rate, loaded=load, real_time=real_time, histogram=found)
-    path = out or latency.own_file(os.environ, os.getuid())
     latency.keep(path, result)
     if as_json:
         print_json(result.document())

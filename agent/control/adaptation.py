@@ -70,6 +70,7 @@ class Adaptation:
         load = self.upper.arm.reshape(-1, len(self.upper.arm) // ARM_PARAMETERS_PER_JOINT)[-2:].sum(axis=0)
         if self.sticking and (load > LOAD_MAX).any():
             raise ValueError(f"bounds of load friction: {load.tolist()}, at most {LOAD_MAX} in sum")
+        object.__setattr__(self, "start", Estimate(*divided(np.concatenate(self.start))))
         nominal, gain, lower, upper = (np.concatenate(x) for x in (self.nominal, self.gain, self.lower, self.upper))
         weight, alarm = _inverse(gain), np.where(lower == 0.0, -np.inf, lower)
         leaks = np.sign(gain)
@@ -96,18 +97,17 @@ class Adaptation:
         reported as held back.
         """
         dt = min(max(dt, 0.0), MAX_INTERVALS * self.period_s)
-        before = np.concatenate(estimate)
-        theta = before - dt * self._gain * np.concatenate(gradient)  # eq:adaptation laws
+        before = _joined(estimate)
+        theta = before - dt * self._gain * _joined(gradient)  # eq:adaptation laws
         if self.leak_per_s > 0.0:
             theta += math.expm1(-self.leak_per_s * dt) * self._leaks * (before - self._nominal)
         if not math.isfinite(theta.dot(theta)):
             return estimate, True
         inside = to_box(theta, self._lower, self._upper)
         held = bool(np.count_nonzero(inside != theta)) and _outside(theta, self._alarm, self._upper)
-        split = len(estimate.arm)
-        arm, body = inside[:split], inside[split:]
+        arm, body = divided(inside)
         if self.physical:
-            links = arm[: split // ARM_PARAMETERS_PER_JOINT * BODY_PARAMETERS]
+            links = arm[: len(arm) // ARM_PARAMETERS_PER_JOINT * BODY_PARAMETERS]
             bodies = np.concatenate((links, body)).reshape(-1, BODY_PARAMETERS)
             possible = to_physical(bodies)
             if possible is not bodies:
@@ -116,13 +116,27 @@ class Adaptation:
 
     def parameter_error(self, estimate: Estimate) -> float:
         """½ e_θᵀ Γ⁻¹ e_θ with e_θ = nominal − θ̂, over the parameters that are estimated."""
-        error = self._nominal - np.concatenate(estimate)  # eq:adaptation errors
+        error = self._nominal - _joined(estimate)  # eq:adaptation errors
         return 0.5 * float((error * error).dot(self._weight))
 
 
 def from_row(theta_arm: Vector, theta_object: Vector, n: int) -> Estimate:
     """The estimate in the fields `theta_arm` and `theta_object` of a log row of an arm with n joints."""
     return Estimate(np.array(theta_arm[: ARM_PARAMETERS_PER_JOINT * n]), np.array(theta_object))
+
+
+def divided(joined: Vector) -> tuple[Vector, Vector]:
+    """The parts of arm (16 n,) and object (10,) as views of one array."""
+    return joined[:-BODY_PARAMETERS], joined[-BODY_PARAMETERS:]
+
+
+def _joined(parts: Estimate | Gradient) -> Vector:
+    """Arm and object in one array: the one that `divided` made them from, where that is how they came about."""
+    arm, body = parts
+    whole = arm.base
+    if whole is not None and whole is body.base and len(whole) == len(arm) + len(body):
+        return whole
+    return np.concatenate(parts)
 
 
 def _outside(theta: Vector, lower: Vector, upper: Vector) -> bool:

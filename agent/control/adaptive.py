@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from agent.control.adaptation import JOINT_PARAMETERS, Adaptation, Estimate, Gradient
+from agent.control.adaptation import JOINT_PARAMETERS, Adaptation, Estimate, Gradient, divided
 from agent.control.friction import sticking_columns
 from agent.control.law import (
     Offline,
@@ -63,13 +63,12 @@ def torque(
     # only what lies in the task space does work on this arm's side
     e_v_task = e_v if len(P) == 6 else P.T.dot(P.dot(e_v)).tolist()
     e_v_object = rotate_wrench_back(R, e_v_task)
-    object_gradient = Y_object.T.dot([c * x for x in e_v_object])  # eq:adaptation laws
 
     wrench_internal = add_wrenches(model, offline, k, e, load, joints)
     if offline.posture is not None:
         joints[POSTURE] = offline.posture.torque(q, dq, k.J, J_inv)
     tau_law = add_sums(joints)  # eq:adaptive control vector form
-    arm_gradient = np.zeros(len(estimate.arm))
+    arm_gradient, object_gradient = divided(np.zeros(len(estimate.arm) + BODY_PARAMETERS))
     by_joint = arm_gradient[inertial:].reshape(JOINT_PARAMETERS, n)
     _fill_joint_columns(by_joint, adaptation, of_joints, joints, dq)
     if adaptation.friction:
@@ -79,6 +78,7 @@ def torque(
         add_friction(joints, tau_friction)
     by_joint *= dq_error
     arm_gradient[:inertial] = Y.T.dot(dq_error)  # eq:adaptation laws
+    object_gradient[:] = Y_object.T.dot([c * x for x in e_v_object])  # eq:adaptation laws
     terms = Terms(
         desired,
         k,

@@ -192,7 +192,7 @@ def _identity(path: Path) -> tuple[int, int]:
 @contextlib.contextmanager
 def _alone_in(folder: Path) -> Iterator[None]:
     """Two agents that begin at once take this folder one after the other."""
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    descriptor = os.open(folder, os.O_RDONLY)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX)
         yield

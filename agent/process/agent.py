@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import time
 from collections.abc import Callable
@@ -20,6 +21,7 @@ from agent.host.signals import StopFlag
 from agent.modes import Mode
 from agent.operator.socket import ControlSocket, Standing
 from agent.process.build import Connection, build_agent, build_driver
+from agent.process.clocked import ClockWatch, shares_time
 from agent.process.operated import Operator, no_real_time, tick_of
 from agent.process.session import session_loop
 from agent.runner import Runner, RunSummary, Schedule, Surroundings
@@ -36,6 +38,7 @@ from drivers.interface import Clock, Driver, DriverError, Refusal
 
 HEARTBEAT_S = 0.02
 HEALTH_S = 1.0
+CLOCK_S = 1.0
 STALE_TO_HOLD = 3  # cycles
 EMULATED_PATIENCE_S = 0.5
 
@@ -114,6 +117,8 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             operator = Operator(
                 stop, control, clock, tell.event, drops_on_stop=not options.hold, session=options.whole
             )  # fmt: skip
+            if shares_time(cell, arm):
+                operator.clock = ClockWatch(clock.now_ns, operator.hold, max(1, round(CLOCK_S * cell.file.rate_hz)))
             if control is not None:
                 _stand(standing, options, operator, ring, tell, cell.file.rate_hz)
                 standing.mode = begins
@@ -156,6 +161,8 @@ def _runner(
     def beat() -> None:
         heart.beat()
         servos.beat()
+        if operator.clock is not None:
+            operator.clock.beat()
 
     def mode_changed(mode: Mode) -> None:
         heart.mode(mode)
@@ -196,8 +203,13 @@ def _stand(
     }
 
     def details() -> dict[str, Any]:
-        start = operator.start
-        return {**fixed, "start_utc_ns": start.start_utc_ns if start else None, "tick": tick_of(ring)}
+        start, bound_s = operator.start, operator.clock.bound_s if operator.clock else math.inf
+        return {
+            **fixed,
+            "start_utc_ns": start.start_utc_ns if start else None,
+            "clock_bound_s": bound_s if math.isfinite(bound_s) else None,
+            "tick": tick_of(ring),
+        }
 
     standing.details = details
     standing.mode = Mode.READY

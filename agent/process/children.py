@@ -16,6 +16,7 @@ from agent.config.cell import Cell
 from agent.config.schema.cell import DriverKind
 from agent.host.child import Child
 from agent.host.share import cores_of_arms, keep_to, one_memory_layout
+from agent.operator.error import ControlError
 from agent.operator.message import Request
 from agent.operator.table import Verb
 from agent.operator.words import start_together
@@ -37,6 +38,7 @@ from agent.telemetry.row.topics import PLANT
 READY_TIMEOUT_S = 30.0
 STOP_TIMEOUT_S = 20.0
 START_IN_NS = 500_000_000
+START_ATTEMPTS = 3
 ABANDON_TIMEOUT_S = 5.0
 LOOK_EVERY_S = 0.05
 
@@ -139,8 +141,15 @@ class Children:
         progress.phase("torque on")
         for child in self._agents.values():
             child.wait_ready(READY_TIMEOUT_S)
-        request = Request(Verb.START, self._cell.fingerprint, time.time_ns() + START_IN_NS)
-        start_together({arm: [self._control(arm)] for arm in self._agents}, request)
+        places = {arm: [self._control(arm)] for arm in self._agents}
+        for attempt in range(START_ATTEMPTS):
+            try:
+                start_together(places, Request(Verb.START, self._cell.fingerprint, time.time_ns() + START_IN_NS))
+            except ControlError:  # a machine that stalls answers late, and a start that failed has been taken back
+                if attempt + 1 == START_ATTEMPTS:
+                    raise
+            else:
+                return
 
     def _record_command(self) -> RecordCommand:
         return RecordCommand(

@@ -14,6 +14,7 @@ from agent.modes import Event, Mode
 from agent.operator.message import Request
 from agent.operator.socket import ControlSocket, Standing
 from agent.operator.table import EVENT_OF
+from agent.process.clocked import ClockWatch
 from agent.runner import NOT_YET_NS
 from agent.telemetry.ring.ring import RingWriter
 from agent.telemetry.row.event import Level
@@ -57,6 +58,7 @@ class Operator:
         self._trouble = ""
         self._start: Request | None = None
         self._start_ns: int | None = None
+        self.clock: ClockWatch | None = None  # where arms of the cell are on other hosts
         self._standing = control.standing if control is not None else Standing("")
 
     @property
@@ -116,6 +118,8 @@ class Operator:
     def _say_start(self, given: Request) -> None:
         instant = datetime.fromtimestamp(given.start_utc_ns * 1e-9, UTC)
         bound_s = given.clock_bound_s
+        if self.clock is not None:
+            self.clock.given(bound_s)
         clock = "not synchronised" if bound_s is None else f"off by at most {bound_s * 1e3:.3g} ms"
         data = {} if bound_s is None else {"clock_bound_s": bound_s}
         self._tell(Level.INFO, f"start given: {instant:%H:%M:%S.%f} UTC, clock {clock}", **data)

@@ -223,6 +223,14 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
         ("TextReader.read_new", _TEXTS, _TEXTS.replace("64", "128")): "how many at a time; the loop takes all",
         ("TextReader.read_new", _TEXTS, _TEXTS.replace("64", "32")): "how many at a time; the loop takes all",
     },
+    "agent.operator.socket": {
+        (
+            "_remove_unserved",
+            "path.unlink(missing_ok=True)",
+            "path.unlink(missing_ok=False)",
+        ): "differs when somebody removes the socket between the question and the removal",
+        ("ControlSocket.poll", "if self._clients:", "if True:"): "saves the making of empty lists",
+    },
 }
 
 

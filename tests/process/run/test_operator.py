@@ -1,39 +1,40 @@
-"""P11, P13 with real agents: a word reaches the living, who did not answer is named, a failing agent harms nobody."""
+"""P11, P13, C4 with real agents: a word reaches the living and names the others, a failing agent harms nobody."""
 
 from __future__ import annotations
 
 import json
-import os
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 import configs
+from agent.host.clock import ClockState, read_kernel
+from tests.support.command import coop
 
-CELL = str(configs.CELLS_DIR / "paper.toml")
+PAPER = configs.CELLS_DIR / "paper.toml"
 COOP = (sys.executable, "-m", "agent.cli")
 
 
 @dataclass
 class Cell:
-    """The paper's cell in simulation at the wall clock's pace; its agents hold until they are released."""
+    """The paper's cell in simulation at the wall clock's pace, as if on two hosts; its agents hold until released."""
 
-    environment: dict[str, str]
+    file: str
     agents: dict[str, subprocess.Popen[str]]
 
     def coop(self, *words: str) -> tuple[int, str]:
-        done = subprocess.run([*COOP, *words], env=self.environment, capture_output=True, text=True, timeout=60)
-        return done.returncode, done.stdout + done.stderr
+        done = coop(*words)
+        return done.code, done.out + done.err
 
     def process(self, *words: str) -> subprocess.Popen[str]:
-        return subprocess.Popen(
-            [*COOP, *words], env=self.environment, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
-        )
+        return subprocess.Popen([*COOP, *words], text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
 
 
 def await_line(process: subprocess.Popen[str], beginning: str) -> None:
@@ -44,19 +45,25 @@ def await_line(process: subprocess.Popen[str], beginning: str) -> None:
     raise AssertionError(f"ended before {beginning!r}")
 
 
-def agent_of(arm: str) -> tuple[str, ...]:
-    return "agent", CELL, "--arm", arm, "--real-time", "--hold"
+def agent_of(file: str, arm: str) -> tuple[str, ...]:
+    return "agent", file, "--arm", arm, "--real-time", "--hold"
 
 
 @pytest.fixture
-def cell(tmp_path: Path) -> Iterator[Cell]:
-    found = Cell(os.environ | {"XDG_RUNTIME_DIR": str(tmp_path)}, {})
-    found.environment.pop("RUNTIME_DIRECTORY", None)
-    plant = found.process("plant", CELL, "--real-time")
+def cell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Cell]:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
+    file = tmp_path / "cell.toml"
+    text = PAPER.read_text()
+    for arm, host in (("left", "one"), ("right", "two")):
+        text = text.replace(f'name = "{arm}"', f'name = "{arm}"\nhost = "{host}"')
+    file.write_text(text)
+    found = Cell(str(file), {})
+    plant = found.process("plant", found.file, "--real-time")
     try:
         await_line(plant, "READY")
         for arm in ("left", "right"):
-            found.agents[arm] = found.process(*agent_of(arm))
+            found.agents[arm] = found.process(*agent_of(found.file, arm))
         for agent in found.agents.values():
             await_line(agent, "READY torque=on")
         yield found
@@ -66,14 +73,46 @@ def cell(tmp_path: Path) -> Iterator[Cell]:
             process.communicate()
 
 
-@pytest.mark.realtime
-def test_a_stop_reaches_the_living_and_says_who_is_dead(cell: Cell, tmp_path: Path) -> None:
-    code, told = cell.coop("start", CELL, "--in", "1000")
-    assert (code, "2 arms start at" in told) == (0, True), told
-    code, told = cell.coop("release", CELL)
-    assert (code, told.count("refuses in READY")) == (7, 2), told
+def clock_file(path: Path, max_error_s: float) -> str:
+    path.write_bytes(ClockState(synchronised=True, max_error_s=max_error_s).encode(time.time_ns()))
+    return str(path)
 
-    second = cell.process(*agent_of("left"), "--ring", str(tmp_path / "other.ring"))
+
+def status_of(cell: Cell, host: str) -> tuple[int, dict[str, Any]]:
+    code, told = cell.coop("status", cell.file, "--host", host, "--json")
+    (arm,) = json.loads(told)["arms"]
+    return code, arm
+
+
+def wait_until_held(cell: Cell, clock: Path) -> None:
+    """C4: 4.99 ms are allowed, and 100 ppm more have passed 5 ms after 0.1 s."""
+    for _ in range(100):
+        arm = status_of(cell, "one")[1]
+        if arm["mode"] != "READY":
+            break
+    assert (arm["mode"], arm["reason"].startswith("the clock may be off by 5.")) == ("HOLD", True)
+    assert arm["clock_bound_s"] > 5e-3
+    good = clock_file(clock, 1e-4)
+    code, told = cell.coop("start", cell.file, "--in", "5", "--host", "one", "--clock", good)
+    assert (code, "left: refuses in HOLD" in told) == (7, True), told
+
+
+@pytest.mark.realtime
+def test_words_reach_the_living_and_say_who_is_dead(cell: Cell, tmp_path: Path) -> None:
+    clock = clock_file(tmp_path / "clock.json", 5.1e-3)
+    code, told = cell.coop("start", cell.file, "--in", "1000", "--host", "two", "--clock", clock)
+    assert (code, "clock of this host: found synchronised, error at most 5.1 ms" in told) == (7, True), told
+    clock = clock_file(tmp_path / "clock.json", 4.99e-3)
+    code, told = cell.coop("start", cell.file, "--in", "1000", "--host", "one", "--clock", clock)
+    assert (code, "WARNING: above 1 ms" in told, "1 arms start at" in told) == (0, True, True), told
+    if not read_kernel().synchronised:  # else somebody corrects the clock of this host
+        wait_until_held(cell, tmp_path / "clock.json")
+    arm = status_of(cell, "two")[1]
+    assert (arm["mode"], arm["start_utc_ns"]) == ("READY", None)
+    code, told = cell.coop("release", cell.file, "--arm", "right")
+    assert (code, "right: refuses in READY" in told) == (7, True), told
+
+    second = cell.process(*agent_of(cell.file, "left"), "--ring", str(tmp_path / "other.ring"))
     told = second.communicate(timeout=60)[0]
     assert (second.returncode, "found an agent that listens there" in told) == (7, True), told
 
@@ -81,18 +120,15 @@ def test_a_stop_reaches_the_living_and_says_who_is_dead(cell: Cell, tmp_path: Pa
     dead.unlink()
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as left_behind:
         left_behind.bind(str(dead))
-    code, told = cell.coop("start", CELL, "--in", "5")
-    assert (code, "right: does not answer (Connection refused)" in told) == (7, True), told
-    code, told = cell.coop("stop", CELL)
+    code, told = cell.coop("stop", cell.file, "--arm", "left", "--arm", "right")
     assert code == 7
     assert "found right: does not answer (Connection refused)" in told
-    assert "done: left holds; a start that was given counts no more" in told, told
+    assert "; done: left " in told, told
 
-    code, told = cell.coop("status", CELL, "--json")
-    arms = {arm["arm"]: arm for arm in json.loads(told)["arms"]}
-    assert (code, arms["left"]["mode"], arms["left"]["reason"]) == (1, "HOLD", "it was asked to")
-    assert (arms["right"]["answers"], arms["right"]["silence"]) == (False, "Connection refused")
-
-    code, told = cell.coop("release", CELL, "--arm", "left")
+    code, arm = status_of(cell, "one")
+    assert (code, arm["mode"]) == (0, "HOLD")
+    code, arm = status_of(cell, "two")
+    assert (code, arm["answers"], arm["alive"], arm["silence"]) == (1, False, True, "Connection refused")
+    code, told = cell.coop("release", cell.file, "--host", "one")
     assert (code, "left switches its torque off" in told) == (0, True), told
     assert cell.agents["left"].wait(timeout=30) == 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import socket
@@ -358,6 +359,25 @@ def test_a_socket_that_somebody_serves_is_left_alone(control: ControlSocket, pat
     assert answer_to(control, path, {"verb": "stop"}) == ACCEPTED
 
 
+def test_two_agents_that_begin_at_once_take_a_folder_one_after_the_other(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tried: list[str] = []
+
+    def another_tries(_: Path) -> None:
+        other = os.open(path.parent, os.O_RDONLY)
+        try:
+            fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            tried.append("waits")
+        finally:
+            os.close(other)
+
+    monkeypatch.setattr(control_socket, "_remove_unserved", another_tries)
+    with closing(listening(path)):
+        assert tried == ["waits"]
+
+
 def test_closing_leaves_a_socket_that_has_taken_the_name(path: Path) -> None:
     first = listening(path)
     path.unlink()
@@ -368,8 +388,10 @@ def test_closing_leaves_a_socket_that_has_taken_the_name(path: Path) -> None:
 
 def test_somebodys_own_file_is_refused_and_left_alone(path: Path) -> None:
     path.write_text("mine")
-    with pytest.raises(ControlError, match="expected a free name"):
+    with pytest.raises(ControlError, match="found Address already in use, expected a free name"):
         listening(path)
+    with pytest.raises(ControlError, match="found AF_UNIX path too long, expected a free name"):
+        listening(path.parent / ("x" * 150))
     assert path.read_text() == "mine"
 
 

@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from agent.host.clock import ClockState
 from agent.modes import Mode
 from agent.operator import ask, local, words
 from agent.operator.error import ControlError
-from agent.operator.message import Request
+from agent.operator.message import Reply, Request
 from agent.operator.socket import ControlSocket, Standing
 from agent.operator.table import MODES, Verb
 from agent.operator.words import Here, release_arms, start_arms, start_together, stop_arms
@@ -256,18 +256,42 @@ def test_answers_that_come_too_late_for_the_instant_start_nobody(tmp_path: Path)
     assert [arm.heard for arm in arms] == [(False, [])] * 2
 
 
-def test_an_agent_of_another_version_that_says_yes_to_everything_is_not_started(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("reply", "told"),
+    [
+        (Reply(True, "a", "HOLD", "", OWN), f"a: HOLD with cell {OWN[:12]}, not READY with {OWN[:12]}"),
+        (Reply(True, "a", "READY", "", OTHER), f"a: READY with cell {OTHER[:12]}, not READY with {OWN[:12]}"),
+    ],
+)
+def test_an_agent_of_another_version_that_says_yes_to_everything_starts_nobody(
+    tmp_path: Path, reply: Reply, told: str
+) -> None:
     arms = cell_of(tmp_path / "cell", (Mode.READY, Mode.READY))
+    arms[0].wakes = lambda control: setattr(control, "_answer", lambda *_: reply)
     request = Request(Verb.START, OWN, time.time_ns() + 10**12)
+    with serving(arms), pytest.raises(ControlError) as raised:
+        start_together({arm.path.stem: [arm.path] for arm in arms}, request, PATIENT_S)
+    assert told in str(raised.value)
+    assert arms[1].heard == (False, [])
+
+
+@pytest.mark.parametrize(
+    ("places", "found"),
+    [
+        ((ABSENT, DEAD, HUNG), "no answer within 0.04 s"),
+        ((ABSENT, DEAD), "Connection refused"),
+        ((DEAD, ABSENT), "Connection refused"),
+        ((ABSENT, ABSENT), "No such file or directory"),
+        ((), "no socket"),
+    ],
+)
+def test_of_several_places_of_an_arm_the_most_telling_silence_is_told(
+    tmp_path: Path, places: tuple[str, ...], found: str
+) -> None:
+    arms = cell_of(tmp_path / "cell", places)
     with serving(arms):
-        heard = ask.ask_arms({"a": [arms[0].path]}, Request(Verb.STATUS), PATIENT_S)
-    reply = heard["a"]
-    assert isinstance(reply, ask.Reply)
-    assert words._others({"a": reply}, OWN) == {}
-    assert words._others({"a": replace(reply, mode="HOLD")}, OWN) == {
-        "a": f"HOLD with cell {OWN[:12]}, not READY with {OWN[:12]}"
-    }
-    assert "with cell abababababab" in words._others({"a": reply}, request.fingerprint[::-1])["a"]
+        heard = ask.ask_arms({"left": [arm.path for arm in arms]}, Request(Verb.STOP), QUICK_S)
+    assert heard == {"left": ask.Silence(found, hung=HUNG in places)}
 
 
 # --- the arms of a host, and its clock -------------------------------------------------------------------------------

@@ -11,14 +11,22 @@ from typing import Any
 
 import pytest
 
+from agent.config.schema.cell import DriverKind
+from agent.host.clock import UNKNOWN
+from agent.host.realtime import RealTime
 from agent.modes import Event, Mode
 from agent.operator.message import Request
 from agent.operator.socket import ControlSocket, Standing
 from agent.operator.table import Verb
-from agent.process import operated
+from agent.process import agent, operated
+from agent.process.agent import AgentOptions
+from agent.process.build import Connection
+from agent.process.clocked import ClockWatch
 from agent.process.operated import Operator
 from agent.runner import NOT_YET_NS
+from agent.telemetry.ring.ring import RingWriter
 from agent.telemetry.row.event import Level
+from agent.telemetry.row.sample import AGENT_STATE
 
 NOW_NS = 5_000_000_000
 OFFSET_NS = 1_700_000_000_000_000_000
@@ -114,6 +122,22 @@ def test_a_start_is_mapped_once_replaced_by_a_later_one_and_taken_back(
     assert third == (Level.WARN, "the start has been taken back", {})
 
 
+def test_a_start_tells_the_watch_over_the_clock_what_its_giver_knew(rig: Rig) -> None:
+    rig.operator.clock = ClockWatch(lambda: NOW_NS, rig.operator.hold, 1, lambda: UNKNOWN)
+    rig.control.requests.start = Request(Verb.START, "", OFFSET_NS + 7, clock_bound_s=3e-4)
+    rig.operator.start_ns()
+    assert rig.operator.clock.bound_s == 3e-4
+
+
+def test_what_else_watches_over_the_arm_is_trouble(rig: Rig) -> None:
+    gone = [False]
+    operator = Operator(rig.signals, None, Clock(), rig._tell, drops_on_stop=True, watch=lambda: gone[0])
+    assert operator.events() == Event.NONE
+    gone[0] = True
+    assert operator.events() == Event.TROUBLE
+    assert operator.start_ns() is None
+
+
 def test_why_an_arm_holds_is_answered(rig: Rig) -> None:
     standing = rig.control.standing
     rig.operator.mode(Mode.HOLD)
@@ -132,6 +156,39 @@ def test_a_reason_of_this_host_holds_the_arm_and_is_told_once(rig: Rig) -> None:
     rig.operator.mode(Mode.HOLD)
     assert rig.control.standing.reason == "the clock may be off by 5.1 ms"
     assert rig.told == [(Level.WARN, "holds: the clock may be off by 5.1 ms", {})]
+
+
+@pytest.mark.parametrize(
+    ("kind", "emulated", "priority", "allowed", "starts"),
+    [
+        (DriverKind.DYNAMIXEL, False, None, False, False),
+        (DriverKind.DYNAMIXEL, False, None, True, True),
+        (DriverKind.DYNAMIXEL, False, "SCHED_FIFO", False, True),
+        (DriverKind.DYNAMIXEL, True, None, False, True),
+        (DriverKind.SIM, False, None, False, True),
+    ],
+)
+def test_only_a_real_arm_without_real_time_refuses_a_start_unless_that_is_allowed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: DriverKind, emulated: bool, priority: str | None,
+    allowed: bool, starts: bool,
+) -> None:  # fmt: skip
+    monkeypatch.setattr(agent, "granted", lambda: RealTime(priority or "SCHED_OTHER", 0, 0))
+    monkeypatch.setattr(agent, "newest", lambda _: None)
+    told: list[tuple[str, dict[str, Any]]] = []
+    teller: Any = type("Teller", (), {"event": staticmethod(lambda _, text, **data: told.append((text, data)))})
+    connection = Connection(emulated=emulated)
+    options = AgentOptions("left", kind, connection, tmp_path, None, False, True, None, allowed)
+    rig = Rig(tmp_path / "left.control")
+    standing = rig.control.standing
+    with closing(rig.control), RingWriter(tmp_path / "ring", AGENT_STATE, "left", ("waist",)) as ring:
+        agent._stand(standing, options, rig.operator, ring, teller, 200.0)
+        assert standing.mode is Mode.READY
+        assert (standing.no_start is None) is starts
+        assert standing.details()["tick"]["cycles"] == 0
+    assert standing.no_start is None or "--allow-no-realtime" in standing.no_start["remedy"]
+    ((text, data),) = told
+    assert text == f"real time: {priority or 'SCHED_OTHER'} 0, 0 MB of memory locked; latency: not tested"
+    assert data == {"policy": priority or "SCHED_OTHER", "priority": 0, "locked_bytes": 0}
 
 
 def test_the_details_of_an_answer_fit_into_it(rig: Rig) -> None:

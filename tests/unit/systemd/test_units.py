@@ -76,6 +76,19 @@ def test_an_agent_is_never_started_again_by_itself(tmp_path: Path, choices: tupl
     assert "\n[Install]" not in target, "the boot of a host must not start an arm"
 
 
+def test_an_agent_may_read_its_clock_where_hosts_share_time_and_nowhere_set_it(
+    host: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """C4: without the call an agent knows its clock by the bound of the start alone, and holds 40 s later."""
+    several = tmp_path_factory.mktemp("several")
+    install(several, "several-hosts")
+    alone, together = (read_unit(root, "coop-agent@left") for root in (host, several))
+    assert (alone["ProtectClock"], together["ProtectClock"][-1]) == (["yes"], "no")
+    assert "adjtimex" not in alone["SystemCallFilter"][-1]
+    assert together["SystemCallFilter"][-1].split() == ["adjtimex", "clock_adjtime"]
+    assert together["CapabilityBoundingSet"] == [], "an empty set: no CAP_SYS_TIME"
+
+
 def test_no_time_out_ever_kills_an_agent_that_holds(host: Path) -> None:
     agent = read_unit(host, "coop-agent@left")
     assert one(agent, "TimeoutStopSec") == "infinity"
