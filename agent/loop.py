@@ -19,7 +19,6 @@ from agent.control.errors import Errors
 from agent.control.estimator import Observer
 from agent.control.inverse import SingularJacobian
 from agent.control.law import Offline
-from agent.control.life import Life
 from agent.control.memory import Memory, initial
 from agent.control.models import ArmModel
 from agent.control.quaternion import Quat, Vec3
@@ -31,23 +30,20 @@ from agent.safety import Flag, Limits, limit
 from drivers.interface import JointState, Vector
 
 SINGULAR_MARGIN = 1.5  # a stop for singularity holds where the law is not called again at once
-BRAKE_PER_S = 30.0  # of a hold that became too fast, times the arm's inertia
-RESUME_SHARE = 0.2  # of that bound, below which it holds again
+BRAKE_PER_S = 30.0  # of a hold that became too fast, times the arm's inertia; less where four periods are longer
+RESUME_SHARE = 0.2  # of that bound, below which it holds again, by its joints
+LAW, BRAKE, JOINTS = 0, 1, 2  # how a hold is kept (Memory.calm); above JOINTS: gently, for so many ticks more
+RETURN_RAD = 0.04  # a hold that has braked goes back no farther, so that it does not become fast again
+GENTLE_TICKS = 100  # with a state in time, until a hold that was starved is as stiff as its joints allow
+GENTLE_RAD_PER_S = 5.0  # how stiff it is until then; less where 30 periods are longer than a second
+GENTLE_REACH_RAD = 0.1  # beyond it a gentle hold pulls no harder, which bounds how fast it comes back
+STARVED_PERIODS = 3.5  # from one state to the next, above which a hold is gentle
 HOLD_DESIRED_MAX_M = 0.02  # a hold keeps the desired pose when the object is this near to it, else where the object is
 HOLD_DESIRED_MAX_RAD = 0.1
 _TRACK, _HOLD, _READY = Mode.TRACK, Mode.HOLD, Mode.READY  # looking them up in their class takes 0.1 µs each
 _NOT_FINITE = int(Flag.NOT_FINITE)  # asking a flag for another one takes 0.5 µs
 _ALIGNING = (_READY, _TRACK)  # the shift changes while the arm waits for the motion or follows it
 _STILL = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-
-
-@dataclass(frozen=True, slots=True)
-class Session:
-    """What an agent needs to go from its rest to the object and back."""
-
-    life: Life
-    limits: Limits  # while it holds nothing
-    start_blend_s: float  # in which a motion that begins beside the start pose comes to its own
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +68,7 @@ class Agent:
     alignment: Alignment | None = None  # None: READY holds what this arm sees, TRACK follows the common motion
     residual: Residual | None = None  # None: nothing is sensed through the object
     damp_above_rad_per_s: float = math.inf  # a joint faster than this in HOLD is braked
-    session: Session | None = None  # None: the arm begins with the object in its gripper
+    session: phases.Session | None = None  # None: the arm begins with the object in its gripper
 
     def __post_init__(self) -> None:
         n, counts = self.model.n, (len(self.limits.tau_max_Nm), len(self.limits.tau_step_max_Nm))
@@ -101,23 +97,29 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
 
     state: measured joints; t: time since the trajectory's zero, s; memory: as the last tick left it.
     """
+    if mode is _HOLD and memory.primed and t - memory.t > STARVED_PERIODS * agent.period_s:
+        memory = memory._replace(primed=False, calm=JOINTS + GENTLE_TICKS + 1)  # the observer expects the next period
     if agent.observer is None:
         q, dq = state.q, state.dq
     else:
         q, dq = agent.observer.correct(memory, state.q, state.dq)
     if not math.isfinite(sum(q.tolist() + dq.tolist())):
-        return Outcome(q, dq, None, memory.tau, Flag.NOT_FINITE, memory._replace(primed=False))
+        return _without(agent, q, dq, Flag.NOT_FINITE, memory)
+    calm = _calm(agent, dq, memory) if mode is _HOLD else LAW
+    if calm == JOINTS and memory.calm == BRAKE and memory.q_hold is not None:
+        memory = memory._replace(q_hold=q + (memory.q_hold - q).clip(-RETURN_RAD, RETURN_RAD))
     try:
-        terms, estimate, held = _law(agent, t, mode, memory, q, dq)
+        terms, estimate, held = _law(agent, t, mode, memory, q, dq, calm)
     except SingularJacobian:
-        return Outcome(q, dq, None, memory.tau, Flag.SINGULAR, memory._replace(primed=False))
-    damped = mode is _HOLD and _too_fast(agent, dq, memory)
-    wanted = (_braking(terms, dq) if damped else terms.joints[CMD]).tolist()
+        return _without(agent, q, dq, Flag.SINGULAR, memory)
+    damped = calm == BRAKE
+    brake = min(BRAKE_PER_S, 0.25 / agent.period_s)
+    wanted = (_braking(terms, dq, brake) if damped else terms.joints[CMD]).tolist()
     session = agent.session
     alone = session is not None and mode in phases.ALONE
     tau, flags = limit(wanted, memory.tau.tolist(), session.limits if session is not None and alone else agent.limits)
-    if damped:
-        flags |= Flag.DAMPED
+    if calm:
+        flags |= Flag.DAMPED if damped else Flag.GENTLE
     if terms.sigma_min < agent.sigma_min:
         flags |= Flag.SINGULAR
     if held:
@@ -138,24 +140,66 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
         shift = agent.alignment.advance(shift, terms.errors, agent.period_s, ready=mode is _READY)
     if session is not None and mode is _TRACK:
         shift = phases.blended(shift, t, agent.period_s, session.start_blend_s)
-    ddq = -BRAKE_PER_S * dq if damped else terms.joints[DDQ_REF]  # what the torque asks for, as the observer must know
+    ddq = -brake * dq if damped else terms.joints[DDQ_REF]  # what the torque asks for, as the observer must know
     carried = Memory(
-        q, dq, ddq, memory.ddq, limited, memory.tau, True, sense, shift, damped,
+        q, dq, ddq, memory.ddq, limited, memory.tau, True, sense, shift, calm,
         memory.hold, t, estimate, memory.q_hold, memory.age + agent.period_s,
     )  # fmt: skip
     return Outcome(q, dq, terms, limited, flags, carried, sensed)
 
 
-def _too_fast(agent: Agent, dq: Vector, memory: Memory) -> bool:
-    """Whether a hold brakes: from a bound on, and then until the arm is nearly at rest."""
-    bound = agent.damp_above_rad_per_s
+def _without(agent: Agent, q: Vector, dq: Vector, flag: Flag, memory: Memory) -> Outcome:
+    """A tick of which the law made nothing: once the last torque, from then on the weight's."""
+    if memory.primed:
+        return Outcome(q, dq, None, memory.tau, flag, memory._replace(primed=False))
+    tau, flags = _weight(agent, memory)
+    return Outcome(q, dq, None, tau, flag | flags, memory._replace(tau=tau, tau_before=memory.tau))
+
+
+def blind(agent: Agent, memory: Memory) -> Outcome:
+    """A tick that has had no state for too long: weight and load share at the last pose, within the step limit."""
+    nothing = np.full(agent.model.n, np.nan)
+    tau, flags = _weight(agent, memory)
+    calm = JOINTS + GENTLE_TICKS + 1
+    carried = memory._replace(tau=tau, tau_before=memory.tau, primed=False, calm=calm)
+    return Outcome(nothing, nothing, None, tau, Flag.STALE | Flag.BLIND | flags, carried)
+
+
+def _weight(agent: Agent, memory: Memory) -> tuple[Vector, Flag]:
+    """What holds the arm at the last pose it was seen in; one that was never seen has had no torque and gets none."""
+    if not memory.q.any() and not memory.tau.any():
+        return memory.tau, Flag.NONE
+    wanted = joint_hold.weight(agent.model, agent.offline, memory.q)
+    tau, flags = limit(wanted.tolist(), memory.tau.tolist(), agent.limits)
+    return np.array(tau), flags
+
+
+def afresh(memory: Memory, marks: Flag) -> Memory:
+    """Memory of an arm that holds where it will be seen next: after a GAP; RESUMED: it has no torque, and is gentle."""
+    if Flag.RESUMED in marks:
+        zero = 0.0 * memory.tau
+        memory = memory._replace(tau=zero, tau_before=zero, calm=JOINTS + GENTLE_TICKS + 1)
+    return memory._replace(primed=False, hold=None, q_hold=None) if marks else memory
+
+
+def _calm(agent: Agent, dq: Vector, memory: Memory) -> int:
+    """How a hold is kept in this tick.
+
+    By the law, until the arm becomes too fast: then it brakes until it is nearly at rest, and holds its joints from
+    then on.  Gently after states that came too rarely.
+    """
+    if memory.calm > JOINTS:
+        return memory.calm - 1
+    braking = memory.calm == BRAKE
     fastest: float = max(map(abs, dq.tolist()))
-    return fastest > bound * (RESUME_SHARE if memory.damped else 1.0)
+    if fastest > agent.damp_above_rad_per_s * (RESUME_SHARE if braking else 1.0):
+        return BRAKE
+    return JOINTS if braking else memory.calm
 
 
-def _braking(terms: Terms, dq: Vector) -> Vector:
+def _braking(terms: Terms, dq: Vector, brake_per_s: float) -> Vector:
     """Weight and load share, and a torque against the motion that the loop can give at any sampling."""
-    tau: Vector = terms.tau_object - BRAKE_PER_S * terms.kinematics.B.dot(dq) + terms.kinematics.g
+    tau: Vector = terms.tau_object - brake_per_s * terms.kinematics.B.dot(dq) + terms.kinematics.g
     return tau
 
 
@@ -189,14 +233,21 @@ def _off_track(agent: Agent, errors: Errors) -> bool:
 
 
 def _law(
-    agent: Agent, t: float, mode: Mode, memory: Memory, q: Vector, dq: Vector
+    agent: Agent, t: float, mode: Mode, memory: Memory, q: Vector, dq: Vector, calm: int
 ) -> tuple[Terms, Estimate | None, bool]:
     """Terms of this tick's law, the estimate it leaves, and whether a bound held the estimate back."""
     adaptation, estimate, q_hold = agent.offline.adaptation, memory.estimate, memory.q_hold
     life = None if agent.session is None else agent.session.life
     if life is not None and mode in phases.ALONE:
         return phases.alone(agent.model, agent.offline, life, mode, memory, q, dq), estimate, False
-    if mode is not _TRACK and q_hold is not None and (agent.near_singular(q_hold) or agent.near_singular(q)):
+    if calm > JOINTS and q_hold is not None:
+        rate = min(GENTLE_RAD_PER_S, 1.0 / (30.0 * agent.period_s))
+        return joint_hold.torque(agent.model, agent.offline, q, dq, q_hold, rate, GENTLE_REACH_RAD), estimate, False
+    if (
+        mode is not _TRACK
+        and q_hold is not None
+        and (calm == JOINTS or agent.near_singular(q_hold) or agent.near_singular(q))
+    ):
         return joint_hold.torque(agent.model, agent.offline, q, dq, q_hold, agent.hold_rate_rad_per_s), estimate, False
     part = 1.0 if life is None else phases.handing_over(life, mode, memory)
     if life is not None and part < 1.0:
@@ -264,22 +315,6 @@ def hold_after(agent: Agent, outcome: Outcome) -> Memory:
 def _far(errors: Errors) -> bool:
     angle = 2.0 * math.atan2(math.hypot(*errors.e_eps), abs(errors.e_eta))
     return not (math.hypot(*errors.e_p) <= HOLD_DESIRED_MAX_M and angle <= HOLD_DESIRED_MAX_RAD)
-
-
-def entered(agent: Agent, mode: Mode, memory: Memory, outcome: Outcome | None) -> Memory:
-    """Memory with which an arm of a session enters a mode; outcome: of the tick before, None without a fresh state."""
-    memory = memory._replace(age=0.0)
-    if mode is _TRACK:
-        return memory._replace(hold=None, q_hold=None)
-    if outcome is None:
-        return memory
-    if mode is _HOLD or mode is Mode.RELEASE:
-        return hold_after(agent, outcome._replace(memory=memory))
-    if mode is Mode.LOWER:  # from the pose that was held
-        return memory
-    if mode is Mode.HALT and agent.session is not None:  # where it comes to rest
-        return hold_here(agent, outcome.q + outcome.dq / agent.session.life.rate_rad_per_s, memory)
-    return memory._replace(hold=None, q_hold=None)
 
 
 def wait_here(agent: Agent, q: Vector, memory: Memory) -> Memory:

@@ -1,12 +1,15 @@
-"""Operating modes, and which one follows when something happens; no event leads from HOLD back to TRACK.
+"""Operating modes as one table: what each is called, whether it commands torque, and which mode follows which event.
 
-`agent.runner` asks after every cycle.  FAULT it enters by itself, when an arm gives no state any more; no process
-that ships raises ENABLED or SERVO_LOST yet, or enters LOWER.
+Whoever runs an arm asks `next_mode` and never assigns a mode.  No event leads from HOLD back to TRACK, and none out of
+FAULT.  Nothing that ships enters LOWER yet.
 """
 
 from __future__ import annotations
 
 import enum
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
 
 
 class Mode(enum.IntEnum):
@@ -31,7 +34,7 @@ class Event(enum.IntFlag):
     """What can change a mode; several may come at once."""
 
     NONE = 0
-    ENABLED = 1
+    ENABLED = 1  # the agent has switched torque on
     STARTED = 2  # the common start instant has passed
     STOP = 4  # an operator or the service manager asked for a stop
     TROUBLE = 8  # something is wrong, the servos still obey
@@ -47,16 +50,46 @@ class Event(enum.IntFlag):
     ARRIVED = 4096  # the arm has come to the end of its way
 
 
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One mode's line of the table."""
+
+    says: str  # to the service manager and to whoever asks
+    commands: bool  # torque is commanded, so the loop goes on
+    follows: tuple[tuple[Event, Mode], ...] = ()  # the first line of which any event has come decides; none: it stays
+
+
+_LOST = (Event.SERVO_LOST, Mode.FAULT)
+_BAD = Event.STOP | Event.TROUBLE
+_LET_GO = (Event.RELEASED, Mode.OFF)
+
+TABLE: Mapping[Mode, Entry] = MappingProxyType({
+    Mode.OFF: Entry(
+        "torque off", False, ((Event.TROUBLE | Event.SERVO_LOST, Mode.OFF), (Event.ENABLED, Mode.READY))
+    ),
+    Mode.READY: Entry(
+        "torque on, holding the start pose; `coop start` sets the common start", True,
+        (_LOST, (_BAD, Mode.HOLD), (Event.STARTED, Mode.TRACK)),
+    ),
+    Mode.TRACK: Entry("following the trajectory", True, (_LOST, (_BAD, Mode.HOLD))),
+    Mode.HOLD: Entry(
+        "HOLDING the object; `coop release` (or SIGUSR1) once it is supported", True, (_LOST, _LET_GO)
+    ),
+    Mode.LOWER: Entry("lowering the object", True, (_LOST, _LET_GO)),
+    Mode.FAULT: Entry("the arm does not obey", False),
+    # of a session, in which agent.session_modes says what follows
+    Mode.REST: Entry("torque on, at rest; `coop approach`", True),
+    Mode.APPROACH: Entry("on its way to its grasp, or there; `coop grasp`", True),
+    Mode.GRASP: Entry("closing its gripper", True),
+    Mode.RELEASE: Entry("letting go of the object; `coop park` once its gripper is open", True),
+    Mode.PARK: Entry("on its way to its rest", True),
+    Mode.HALT: Entry("STOPPED on its way; `coop approach` or `coop park`", True),
+})  # fmt: skip
+
+
 def next_mode(mode: Mode, events: Event) -> Mode:
-    """Mode of the next tick.  The worst event wins; HOLD and FAULT are latched until an operator releases."""
-    if mode is Mode.OFF:
-        return Mode.READY if Event.ENABLED in events and not events & (Event.TROUBLE | Event.SERVO_LOST) else Mode.OFF
-    if Event.SERVO_LOST in events:
-        return Mode.FAULT
-    if mode is Mode.READY:
-        if events & (Event.TROUBLE | Event.STOP):
-            return Mode.HOLD
-        return Mode.TRACK if Event.STARTED in events else Mode.READY
-    if mode is Mode.TRACK:
-        return Mode.HOLD if events & (Event.TROUBLE | Event.STOP) else Mode.TRACK
-    return Mode.OFF if Event.RELEASED in events else mode  # HOLD, LOWER, FAULT
+    """Mode of the next tick by the table.  HOLD is left by a release or a lost arm alone, FAULT not at all."""
+    for any_of, following in TABLE[mode].follows:
+        if events & any_of:
+            return following
+    return mode

@@ -6,6 +6,8 @@ goes over by s(age / take_up_s) of the minimum-jerk law: in READY towards the la
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from agent.control import joint_track
 from agent.control.alignment import Shift
 from agent.control.joint_path import JointDesired
@@ -18,9 +20,19 @@ from agent.control.terms import Terms
 from agent.control.trajectory import Desired
 from agent.control.trajectory_rest import RestToRest, minimum_jerk
 from agent.modes import Mode
+from agent.safety import Limits
 from drivers.interface import Vector
 
 ALONE = frozenset({Mode.REST, Mode.APPROACH, Mode.GRASP, Mode.PARK, Mode.HALT})
+
+
+@dataclass(frozen=True, slots=True)
+class Session:
+    """What an agent needs to go from its rest to the object and back."""
+
+    life: Life
+    limits: Limits  # while it holds nothing
+    start_blend_s: float  # in which a motion that begins beside the start pose comes to its own
 
 
 def wanted(life: Life, mode: Mode, memory: Memory, q: Vector) -> JointDesired:

@@ -1,77 +1,40 @@
 """The control loop of one arm: wait, read, step, write, log, on an open driver and a clock that are given to it.
 
-Deadlines are absolute: a late cycle keeps the phase of the trajectory, and cycles that were missed are left out.
+Deadlines are absolute: a late cycle keeps the phase of the trajectory, and cycles that were missed are left out.  An
+arm that nobody sees gets the torque of its weight and load share, then none, so that its servos' watchdogs stop it;
+which mode follows what happened is for `agent.modes`, how long what may last for `agent.cycles`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Protocol
-
 import numpy as np
 
+from agent.around import LoopLog, RunSummary, Schedule, Surroundings
 from agent.control.memory import Memory
-from agent.loop import Agent, Outcome, entered, explained, hold_after, initial_memory, step, wait_here
-from agent.modes import Event, Mode, next_mode
+from agent.cycles import WINDOW, Bus, Cycles
+from agent.loop import Agent, Outcome, afresh, blind, explained, hold_after, initial_memory, step, wait_here
+from agent.modes import TABLE, Event, Mode, next_mode
 from agent.safety import Flag
-from agent.session import SessionLoop
+from agent.session import SessionLoop, entered
 from agent.session_modes import next_in_session
 from agent.telemetry.row.fill import AgentRow
-from drivers.interface import Clock, Driver, DriverError, JointState, ServoFault, StaleStateError, Vector
+from drivers.interface import (
+    Clock,
+    Driver,
+    DriverError,
+    JointState,
+    Recovering,
+    ServoFault,
+    StaleStateError,
+    Vector,
+)
+
+__all__ = ["LoopLog", "RunSummary", "Runner", "Schedule", "Surroundings"]
 
 NOT_YET_NS = 86_400_000_000_000  # the trajectory's zero while nobody has set it: a day ahead
 _TROUBLE = int(Flag.NOT_FINITE | Flag.SINGULAR | Flag.OFF_TRACK | Flag.UNEXPECTED)  # joining flags takes 1 µs
-_IDLE = frozenset({Mode.OFF, Mode.FAULT})
-
-
-class LoopLog(Protocol):
-    """Where rows go; the control thread only ever fills and commits."""
-
-    def commit(self) -> None:
-        """Make the filled row visible to readers; never blocks."""
-        ...
-
-    def wait_for_space(self) -> None:
-        """Lockstep simulation only: let time wait for the reader, so that nothing is lost."""
-        ...
-
-
-@dataclass(frozen=True)
-class Schedule:
-    """When the ticks are."""
-
-    period_ns: int
-    ticks: int  # of the trajectory, from its zero on
-    lockstep: bool  # simulated time: the trajectory's zero is ready_ns after the first tick
-    hold_after_stale: int  # cycles in a row without a fresh state, after which the object is held
-    fault_after_stale: int  # and after which the arm is given up: its servos' own watchdog has fired by then
-    hold_at_end: bool  # after the last tick hold the object until an operator releases it (real arms)
-    ready_ns: int = 0  # lockstep: how long the arm waits for the common start
-
-
-@dataclass(frozen=True)
-class Surroundings:
-    """What the loop asks of the process around it; no call may block."""
-
-    wall_ns: Callable[[], int]  # measures durations for the log and nothing else
-    operator: Callable[[], Event]  # requests of an operator
-    start_ns: Callable[[], int | None]  # the trajectory's zero on the driver's clock, once somebody has set it
-    heartbeat: Callable[[], None]  # after every cycle with a fresh state
-    mode_changed: Callable[[Mode], None]
-    trouble: Callable[[str], None] | None = None  # is told why the arm holds when nobody asked it to
-
-
-@dataclass(frozen=True)
-class RunSummary:
-    """What `Runner.run` did."""
-
-    ticks: int
-    late_cycles: int
-    stale_cycles: int
-    mode: Mode  # in which it ended
-    reason: str  # of a hold or a fault, empty without one
-    tracked_s: float  # of the wall clock, from the first to the last tick of the trajectory
+_KEEPS = frozenset({Mode.HOLD, Mode.HALT})  # in which an arm stays until somebody says a word
+_COMMANDING = frozenset(mode for mode, entry in TABLE.items() if entry.commands)
 
 
 class Runner:
@@ -89,8 +52,8 @@ class Runner:
         session: SessionLoop | None = None,
     ) -> None:
         """session: of an arm that begins at its rest, and whose agent has one too."""
-        self._agent = agent
         self._session = session
+        self._agent = agent
         self._driver = driver
         self._clock = clock
         self._schedule = schedule
@@ -99,24 +62,31 @@ class Runner:
         self._around = around
         self._memory: Memory = initial_memory(agent)
         self._outcome: Outcome | None = None  # of the last tick with a fresh state
-        self._mode = Mode.TRACK if schedule.lockstep and not schedule.ready_ns else Mode.READY
-        if session is not None:
-            self._mode = Mode.REST
+        self._mode = Mode.OFF
         self._reason = ""
         self._rows = 0
         self._late_cycles = 0
         self._stale_cycles = 0
-        self._stale_in_a_row = 0
+        self._unseen = ""  # why the last read brought no state
+        self._marks = Flag.NONE  # of the next row
         self._tick = 0  # of the period since the phase
         self._phase_ns = clock.now_ns()  # instant of tick 0
+        self._cycles = Cycles(schedule.patience, schedule.period_ns, self._phase_ns)
+        self._recovering = driver if isinstance(driver, Recovering) else None
         self._utc_offset_ns = clock.utc_offset_ns
         self._zero_ns = self._phase_ns + (schedule.ready_ns if schedule.lockstep else NOT_YET_NS)
         self._tracking_since_ns: int | None = None
         self._tracked_s = 0.0
 
-    def run(self) -> RunSummary:
-        """Run until the last tick, a release or a fault; leaves the torque as it is."""
-        while self._mode not in _IDLE and not self._over():
+    def run(self, happened: Event = Event.ENABLED) -> RunSummary:
+        """Run until the last tick, a release or a fault; leaves the torque as it is.
+
+        happened: what brought the arm here, which says in what mode it begins.
+        """
+        self._mode = self._next(happened)
+        if self._schedule.lockstep and not self._schedule.ready_ns:
+            self._mode = next_mode(self._mode, Event.STARTED)
+        while self._mode in _COMMANDING and not self._over():
             deadline_ns = self._phase_ns + self._tick * self._schedule.period_ns
             self._clock.sleep_until(deadline_ns)
             self._cycle(deadline_ns)
@@ -136,55 +106,116 @@ class Runner:
         return instant_ns - self._zero_ns >= self._schedule.ticks * self._schedule.period_ns
 
     def _cycle(self, deadline_ns: int) -> None:
-        schedule, period_ns = self._schedule, self._schedule.period_ns
+        schedule, period_ns, cycles = self._schedule, self._schedule.period_ns, self._cycles
         late_ns = 0
         if schedule.lockstep:
             self._sink.wait_for_space()
         else:
             late_ns = self._clock.now_ns() - deadline_ns
+            gap_s = cycles.gap_s(deadline_ns + late_ns)
+            if gap_s:
+                self._pass_gap(gap_s)
         begin_ns = self._around.wall_ns()
         happened = self._around.operator()
-        state, trouble = self._read()
-        if trouble:
-            happened |= Event.TROUBLE
-            self._reason = self._reason or trouble
+        bus = Bus.READ if schedule.lockstep else self._bus(deadline_ns)
+        state = None
+        if bus is Bus.READ:
+            state, trouble = self._read()
+            happened |= trouble
         if state is not None:
+            cycles.fresh(deadline_ns)
             happened |= self._act(state, late_ns, begin_ns)
-            self._around.heartbeat()
         else:
-            self._note_lost_state(deadline_ns)
+            happened |= self._go_blind(deadline_ns, bus)
+        self._around.heartbeat()
         if schedule.hold_at_end and self._tracks_to_end() and self._past_end(deadline_ns + period_ns):
             happened |= Event.STOP
         if self._mode is Mode.READY and self._may_start() and self._started(deadline_ns):
             happened |= Event.STARTED
+        late = late_ns > period_ns
+        self._late_cycles += late
+        self._tick += 1
+        if not schedule.lockstep:
+            happened |= self._skip(deadline_ns, good=state is not None and not late)
         if self._session is not None:
             happened = self._judged(self._session, happened)
         if happened:
             self._change_mode(happened, state)
-        self._late_cycles += late_ns > period_ns
-        self._tick += 1
-        if not schedule.lockstep:
-            self._tick += max(0, (self._clock.now_ns() - deadline_ns) // period_ns)
 
-    def _read(self) -> tuple[JointState | None, str]:
-        """Fresh state or None, and what is wrong with the arm or nothing.  A lost state keeps the last torque."""
+    def _tracks_to_end(self) -> bool:
+        return self._session is None or self._mode is Mode.TRACK
+
+    def _may_start(self) -> bool:
+        return self._session is None or self._session.taken_up(self._mode, self._memory)
+
+    def _judged(self, session: SessionLoop, happened: Event) -> Event:
+        """What counts of what happened, with what the arm found out by itself; a refused word is told."""
+        happened = session.judge(self._mode, happened, self._memory)
+        said, session.reason = session.reason, ""
+        if said and happened & (Event.TROUBLE | Event.STOP):
+            self._reason = said
+        elif said and self._around.trouble is not None:
+            self._around.trouble(said)
+        return happened
+
+    def _next(self, happened: Event) -> Mode:
+        if self._session is None:
+            return next_mode(self._mode, happened)
+        return next_in_session(self._mode, happened)
+
+    def _skip(self, deadline_ns: int, *, good: bool) -> Event:
+        """Leave out the cycles that this one took the time of; trouble once too few are good."""
+        skipped = max(0, (self._clock.now_ns() - deadline_ns) // self._schedule.period_ns)
+        self._tick += skipped
+        share = self._cycles.end(skipped, good=good)
+        if share is None:
+            return Event.NONE
+        self._reason = self._reason or f"{share:.0%} of the last {WINDOW} cycles brought a state in time"
+        return Event.TROUBLE
+
+    def _pass_gap(self, gap_s: float) -> None:
+        """Time was lost before this cycle: hold before any torque goes out, at the pose that this cycle finds."""
+        before = self._mode
+        self._reason = self._reason or f"no cycle for {gap_s:.3f} s"
+        self._change_mode(Event.TROUBLE, None)
+        if self._mode is not before:
+            self._begin_afresh(Flag.GAP)
+
+    def _begin_afresh(self, mark: Flag) -> None:
+        self._marks |= mark
+        self._memory = afresh(self._memory, mark)
+
+    def _bus(self, deadline_ns: int) -> Bus:
+        """What this cycle does on the bus; an arm that lapsed is brought back in HOLD, and by its driver."""
+        arm = self._recovering
+        lapsed = arm is not None and self._mode in _KEEPS and arm.lapsed
+        bus = self._cycles.plan(deadline_ns, lapsed=lapsed, recovers=arm is not None)
+        if bus is not Bus.RECOVER or arm is None:
+            return bus
         try:
-            state = self._driver.read()
+            resumed, back = arm.recover(), True
+        except DriverError as error:
+            self._unseen, resumed, back = str(error), False, False
+        self._cycles.tried(deadline_ns, back=back)
+        if resumed:
+            self._begin_afresh(Flag.RESUMED)
+        return Bus.READ if back else Bus.QUIET
+
+    def _read(self) -> tuple[JointState | None, Event]:
+        """Fresh state or None, and whether anything is wrong with the arm."""
+        try:
+            return self._driver.read(), Event.NONE
         except StaleStateError as error:
-            self._stale_cycles += 1
-            self._stale_in_a_row += 1
-            if self._schedule.lockstep or self._stale_in_a_row > self._schedule.fault_after_stale:
-                self._mode, self._reason = Mode.FAULT, str(error)
-                return None, str(error)
-            self._send(self._memory.tau)
-            return None, str(error) if self._stale_in_a_row > self._schedule.hold_after_stale else ""
+            self._unseen = str(error)
+            return None, Event.SERVO_LOST if self._schedule.lockstep else Event.NONE
         except ServoFault as error:
-            self._stale_in_a_row = 0
-            if error.state is None:
-                self._mode, self._reason = Mode.FAULT, str(error)
-            return error.state, str(error)
-        self._stale_in_a_row = 0
-        return state, ""
+            self._unseen = str(error)
+            state = error.state
+            if state is None:
+                return None, Event.SERVO_LOST
+            self._reason = self._reason or self._unseen
+            seen = bool(np.isfinite(state.q).all() and np.isfinite(state.dq).all())
+            return state if seen else None, Event.TROUBLE
 
     def _act(self, state: JointState, late_ns: int, begin_ns: int) -> Event:
         """One step on a fresh state: torque out, row in the log."""
@@ -198,6 +229,8 @@ class Runner:
         tau_sent = self._send(outcome.tau)
         after_write_ns = wall_ns()
         utc_ns = self._utc_offset_ns + state.stamp_ns
+        if self._marks:
+            outcome, self._marks = outcome._replace(flags=outcome.flags | self._marks), Flag.NONE
         row.fill(self._rows, t, utc_ns, mode, state, self._memory, outcome, tau_sent)
         row.fill_timing(
             late_ns * 1e-9,
@@ -231,17 +264,33 @@ class Runner:
             self._reason = self._reason or str(error)
             return np.full_like(tau, np.nan)
 
-    def _note_lost_state(self, deadline_ns: int) -> None:
-        """A row that says that this cycle had no fresh state."""
-        memory, row, mode = self._memory, self._row, self._mode
-        nothing = np.full(self._agent.model.n, np.nan)
-        t = (deadline_ns - self._zero_ns) * 1e-9
-        lost = JointState(deadline_ns, nothing, nothing, nothing)
+    def _go_blind(self, deadline_ns: int, bus: Bus) -> Event:
+        """A cycle without a state: the last torque, then the weight's, then none; and a row that says so."""
+        patience, lost = self._schedule.patience, self._cycles.without_state(deadline_ns)
+        memory, n = self._memory, self._agent.model.n
+        nothing = np.full(n, np.nan)
         outcome = Outcome(nothing, nothing, None, memory.tau, Flag.STALE, memory)
+        if lost > patience.repeat and not self._schedule.lockstep:
+            outcome = blind(self._agent, memory)
+        tau_sent = nothing
+        self._stale_cycles += 1
+        if bus is Bus.READ and not self._schedule.lockstep:
+            tau_sent = self._send(outcome.tau)
+        if self._marks:
+            outcome, self._marks = outcome._replace(flags=outcome.flags | self._marks), Flag.NONE
+        t = (deadline_ns - self._zero_ns) * 1e-9
+        state = JointState(deadline_ns, nothing, nothing, nothing)
         utc_ns = self._utc_offset_ns + deadline_ns
-        row.fill(self._rows, t, utc_ns, mode, lost, memory, outcome, memory.tau)
+        self._row.fill(self._rows, t, utc_ns, self._mode, state, memory, outcome, tau_sent)
         self._sink.commit()
         self._rows += 1
+        self._memory = outcome.memory
+        if bus is Bus.GIVE_UP:
+            return Event.SERVO_LOST
+        if lost <= patience.hold:
+            return Event.NONE
+        self._reason = self._reason or self._unseen
+        return Event.TROUBLE
 
     def _started(self, deadline_ns: int) -> bool:
         """Whether the next tick belongs to the trajectory; takes over the common start once it is known (READY)."""
@@ -252,25 +301,11 @@ class Runner:
             self._tick = 0
         return self._phase_ns + (self._tick + 1) * self._schedule.period_ns >= self._zero_ns
 
-    def _tracks_to_end(self) -> bool:
-        return self._session is None or self._mode is Mode.TRACK
-
-    def _may_start(self) -> bool:
-        return self._session is None or self._session.taken_up(self._mode, self._memory)
-
-    def _judged(self, session: SessionLoop, happened: Event) -> Event:
-        """What counts of what happened, with what the arm found out by itself; a refused word is told."""
-        happened = session.judge(self._mode, happened, self._memory)
-        said, session.reason = session.reason, ""
-        if said and happened & (Event.TROUBLE | Event.STOP):
-            self._reason = said
-        elif said and self._around.trouble is not None:
-            self._around.trouble(said)
-        return happened
-
     def _change_mode(self, happened: Event, state: JointState | None) -> None:
         before = self._mode
-        mode = next_mode(before, happened) if self._session is None else next_in_session(before, happened)
+        mode = self._next(happened)
+        if Event.SERVO_LOST in happened:
+            self._reason = self._unseen or self._reason
         if mode is before:
             return
         if self._session is not None:
@@ -283,5 +318,5 @@ class Runner:
             self._memory = self._memory._replace(hold=None, q_hold=None)
         self._mode = mode
         self._around.mode_changed(mode)
-        if mode in (Mode.HOLD, Mode.HALT) and Event.TROUBLE in happened and self._around.trouble is not None:
+        if mode in _KEEPS and Event.TROUBLE in happened and self._around.trouble is not None:
             self._around.trouble(self._reason)

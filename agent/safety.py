@@ -20,11 +20,15 @@ class Flag(enum.IntFlag):
     SATURATED = 2  # at least one joint hit its torque bound
     RATE_LIMITED = 4  # at least one joint hit its torque step bound
     SINGULAR = 8  # the object Jacobian was not safely invertible
-    STALE = 16  # no fresh state this tick: the last torque was kept
+    STALE = 16  # no fresh state this tick: the last torque was kept, unless BLIND
     ADAPTATION_SATURATED = 32  # an estimate of the adaptive law was held at its bound
     OFF_TRACK = 64  # the object does not follow: by this arm's kinematics it is too far from where it should be
     UNEXPECTED = 128  # more acts on the arm than its load share and the cell explain (agent.control.residual)
     DAMPED = 256  # the arm became too fast in a hold: it only brakes
+    BLIND = 512  # no state for too long: the arm's weight and load share at the last pose, unless nothing was sent
+    RESUMED = 1024  # the servos' watchdogs had fired and are armed again: torque began at zero, the hold where it was
+    GAP = 2048  # cycles were missing before this one: what the arm holds begins here
+    GENTLE = 4096  # a hold by joint angles, because the arm became too fast or states came too rarely
 
 
 # Joining two flags takes half a microsecond, joining their numbers and looking up the flag a tenth of that.

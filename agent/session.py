@@ -12,7 +12,7 @@ from agent import phases
 from agent.control.life import Life
 from agent.control.memory import Memory
 from agent.grip import GripPlan, Verdict, Watch
-from agent.loop import Agent
+from agent.loop import Agent, Outcome, hold_after, hold_here
 from agent.modes import Event, Mode
 from drivers.interface import Gripper, GripState
 
@@ -189,6 +189,22 @@ class SessionLoop:
             f"{self._start.error_max_m * 1e3:g} mm and {self._start.error_max_rad * 1e3:g} mrad; "
             "lower, release and park, then put the object in its place"
         )
+
+
+def entered(agent: Agent, mode: Mode, memory: Memory, outcome: Outcome | None) -> Memory:
+    """Memory with which an arm of a session enters a mode; outcome: of the tick before, None without a fresh state."""
+    memory = memory._replace(age=0.0)
+    if mode is Mode.TRACK:
+        return memory._replace(hold=None, q_hold=None)
+    if outcome is None:
+        return memory
+    if mode is Mode.HOLD or mode is Mode.RELEASE:
+        return hold_after(agent, outcome._replace(memory=memory))
+    if mode is Mode.LOWER:  # from the pose that was held
+        return memory
+    if mode is Mode.HALT and agent.session is not None:  # where it comes to rest
+        return hold_here(agent, outcome.q + outcome.dq / agent.session.life.rate_rad_per_s, memory)
+    return memory._replace(hold=None, q_hold=None)
 
 
 def _names(events: Event) -> str:

@@ -11,6 +11,7 @@ from agent.modes import Event, Mode
 # By mode; of several events the first of the row counts.
 _STOPS = Event.TROUBLE | Event.STOP
 _SESSION: dict[Mode, tuple[tuple[Event, Mode], ...]] = {
+    Mode.OFF: ((Event.TROUBLE, Mode.OFF), (Event.ENABLED, Mode.REST)),
     Mode.REST: ((Event.RELEASED, Mode.OFF), (Event.APPROACH, Mode.APPROACH)),
     Mode.APPROACH: ((_STOPS, Mode.HALT), (Event.GRASP, Mode.GRASP), (Event.PARK, Mode.PARK)),
     Mode.GRASP: ((_STOPS, Mode.HALT), (Event.NOT_GRIPPED, Mode.APPROACH), (Event.GRIPPED, Mode.READY)),

@@ -196,3 +196,22 @@ class Driver(Protocol):
     def close(self) -> None:
         """Give the port back.  Safe in any state and twice."""
         ...
+
+
+@runtime_checkable
+class Recovering(Protocol):
+    """What a driver offers beside `Driver` whose arm can stop listening and come back, without a new `enable`."""
+
+    @property
+    def lapsed(self) -> bool:
+        """True while the port is gone, or the arm has stopped by itself and nothing else is wrong with its torque."""
+        ...
+
+    def recover(self) -> bool:
+        """Open the port again where it is gone, make sure of the arm, and let it obey again; for a loop that holds.
+
+        Nothing is written before every servo has answered as the one it was, with its torque on.  True when the arm
+        obeys anew: its torque is then zero, and must be commanded at once.  False when it never stopped.
+        Raises DriverError, quickly where nobody answers; may be tried again.
+        """
+        ...

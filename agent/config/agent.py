@@ -6,7 +6,8 @@ import math
 
 from agent.config import coordination, observer, session
 from agent.config.cell import Arm, Cell
-from agent.loop import Agent, Session
+from agent.loop import Agent
+from agent.phases import Session
 from agent.safety import Limits
 from drivers.interface import Vector
 

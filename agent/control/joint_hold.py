@@ -31,10 +31,27 @@ def sigma_min(model: ArmModel, q: Vector) -> float:
         return 0.0
 
 
-def torque(model: ArmModel, offline: Offline, q: Vector, dq: Vector, q_hold: Vector, rate_rad_per_s: float) -> Terms:
-    """One tick at this arm's (q, dq), each (n,), to stay at q_hold (n,); rate_rad_per_s: ω.
+def weight(model: ArmModel, offline: Offline, q: Vector) -> Vector:
+    """(n,) g + c_i Jᵀ g_O at q (n,): what keeps an arm there that nobody sees, as far as the model is right."""
+    k = model.evaluate(q, 0.0 * q)
+    carried, (gx, gy, gz) = -offline.load_share * offline.object_mass_kg, offline.gravity
+    tau: Vector = k.g + k.Jt.dot([carried * gx, carried * gy, carried * gz, 0.0, 0.0, 0.0])
+    return tau
 
-    The errors are those to the object's pose at q_hold.  The wrench at the end effector is not known here: NaN.
+
+def torque(
+    model: ArmModel,
+    offline: Offline,
+    q: Vector,
+    dq: Vector,
+    q_hold: Vector,
+    rate_rad_per_s: float,
+    reach_rad: float = math.inf,
+) -> Terms:
+    """One tick at this arm's (q, dq), each (n,), to stay at q_hold (n,).
+
+    rate_rad_per_s: ω; reach_rad: a joint farther from q_hold is pulled as one that is so far from it.  The errors
+    are those to the object's pose at q_hold.  The wrench at the end effector is not known here: NaN.
     """
     held = model.evaluate(q_hold, 0.0 * q_hold)
     k = model.evaluate(q, dq)
@@ -42,7 +59,7 @@ def torque(model: ArmModel, offline: Offline, q: Vector, dq: Vector, q_hold: Vec
     e = error_terms.evaluate(k.p_object, k.quat_object, k.v_object, desired, offline.gains)
     still = e._replace(v_ref=_STILL, dv_ref=_STILL)
     joints = no_terms(model.n)
-    joints[DDQ_REF] = -2.0 * rate_rad_per_s * dq - rate_rad_per_s**2 * (q - q_hold)
+    joints[DDQ_REF] = -2.0 * rate_rad_per_s * dq - rate_rad_per_s**2 * (q - q_hold).clip(-reach_rad, reach_rad)
     joints[INERTIA] = k.B.dot(joints[DDQ_REF])
     joints[CORIOLIS] = k.C.dot(dq)
     joints[GRAVITY] = k.g

@@ -31,7 +31,7 @@ class Memory(NamedTuple):
     primed: bool  # the observer has seen a measurement
     sense: Sense  # of the unexpected wrench
     shift: Shift = NO_SHIFT  # of the desired pose (agent.control.alignment)
-    damped: bool = False  # a hold that only brakes, because the arm became too fast
+    calm: int = 0  # how a hold is kept: agent.loop.LAW, BRAKE, JOINTS, above that so many ticks longer gently
     hold: tuple[float, ...] | None = None  # object pose (p, quat) to hold, once holding
     t: float = 0.0  # time of the last tick, s; the adaptation integrates over the real interval
     estimate: Estimate | None = None  # of the adaptive law; logged in fields of its own
@@ -41,15 +41,15 @@ class Memory(NamedTuple):
     def flatten(self) -> list[float]:
         """The numbers of the log field `memory`.
 
-        Joint arrays padded to seven, None as zeros; pose to hold (7), primed, time, shift (6), damped,
-        age; of `sense` the wrenches (6) and `ticks`.
+        Joint arrays padded to seven, None as zeros; pose to hold (7), primed, time, shift (6), calm, age; of `sense`
+        the wrenches (6) and `ticks`.
         """
         own, sense, n = self[:6], self.sense, len(self.q)
         joints = np.zeros((JOINT_ARRAYS, MEMORY_JOINTS))
         for row, array in zip(joints, (*own, self.q_hold, *sense[:3]), strict=True):
             if array is not None:
                 row[:n] = array
-        rest = *(self.hold or NO_POSE), self.primed, self.t, *self.shift, self.damped, self.age, *sense.wrenches
+        rest = *(self.hold or NO_POSE), self.primed, self.t, *self.shift, self.calm, self.age, *sense.wrenches
         return [*joints.ravel().tolist(), *map(float, rest)]
 
 
@@ -80,7 +80,7 @@ def restore(flat: Vector, n: int, estimate: Estimate | None = None) -> Memory:
         primed=bool(tail[7]),
         sense=Sense(momentum, expected, residual, base, slow, rest, tail[35]),
         shift=(tail[9], tail[10], tail[11], tail[12], tail[13], tail[14]),
-        damped=bool(tail[15]),
+        calm=int(tail[15]),
         hold=hold,
         t=tail[8],
         estimate=estimate,

@@ -22,7 +22,10 @@ ROS_NAME: Final = "diagnostic_msgs/DiagnosticArray"
 _EVERY_NS: Final = 1_000_000_000
 _FIGURES: Final = ("t", "sigma_min", "late_s", "step_s", "bus_timeouts", "bus_corrupt", "bus_alerts", "bus_retries")
 _MODES: Final = {mode.value: mode.name for mode in Mode}
-_WRONG: Final = Flag.NOT_FINITE | Flag.SINGULAR | Flag.STALE | Flag.OFF_TRACK | Flag.UNEXPECTED | Flag.DAMPED
+_WRONG: Final = (
+    Flag.NOT_FINITE | Flag.SINGULAR | Flag.STALE | Flag.OFF_TRACK | Flag.UNEXPECTED | Flag.DAMPED | Flag.BLIND
+    | Flag.RESUMED | Flag.GAP | Flag.GENTLE
+)  # fmt: skip
 
 
 class Health(IntEnum):

@@ -7,18 +7,19 @@ import os
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, closing
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from agent.config.cell import Cell
 from agent.config.schema.cell import DriverKind
 from agent.config.session import rest_joints
+from agent.cycles import Patience
 from agent.host.latency import files, newest
 from agent.host.notify import Notifier
 from agent.host.realtime import become_realtime, granted, quiet_memory
 from agent.host.signals import StopFlag
-from agent.modes import Mode
+from agent.modes import TABLE, Event, Mode
 from agent.operator.socket import ControlSocket, Standing
 from agent.process.build import Connection, build_agent, build_driver
 from agent.process.clocked import ClockWatch, shares_time
@@ -39,8 +40,9 @@ from drivers.interface import Clock, Driver, DriverError, Refusal
 HEARTBEAT_S = 0.02
 HEALTH_S = 1.0
 CLOCK_S = 1.0
-STALE_TO_HOLD = 3  # cycles
 EMULATED_PATIENCE_S = 0.5
+QUIET_MARGIN_S = 0.05  # on the servos' watchdogs, which count in steps of 20 ms
+RETRY_S = 0.1
 
 
 @dataclass(frozen=True)
@@ -57,22 +59,6 @@ class AgentOptions:
     priority: int | None = None  # SCHED_FIFO; None: leave the scheduler alone
     no_realtime: bool = False  # a real arm may be started without real time
     whole: bool = False  # it begins at its rest, and is told word by word
-
-
-_STATUS = {
-    Mode.OFF: "torque off",
-    Mode.READY: "torque on, holding the start pose; `coop start` sets the common start",
-    Mode.TRACK: "following the trajectory",
-    Mode.HOLD: "HOLDING the object; `coop release` (or SIGUSR1) once it is supported",
-    Mode.LOWER: "lowering the object",
-    Mode.FAULT: "the arm does not obey",
-    Mode.REST: "torque on, at rest; `coop approach`",
-    Mode.APPROACH: "on its way to its grasp, or there; `coop grasp`",
-    Mode.GRASP: "closing its gripper",
-    Mode.RELEASE: "letting go of the object; `coop park` once its gripper is open",
-    Mode.PARK: "on its way to its rest",
-    Mode.HALT: "STOPPED on its way; `coop approach` or `coop park`",
-}
 
 
 class ArmLost(DriverError):
@@ -112,7 +98,7 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
                 become_realtime(options.priority)
             driver.enable()
             begins = Mode.REST if options.whole else Mode.READY
-            notifier.ready(_STATUS[begins])
+            notifier.ready(TABLE[begins].says)
             tell.event(Level.INFO, f"torque on: {info.description}", priority=options.priority or 0)
             operator = Operator(
                 stop, control, clock, tell.event, drops_on_stop=not options.hold, session=options.whole
@@ -126,7 +112,7 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             servos = _Servos(driver, texts, clock.utc_offset_ns, max(1, round(HEALTH_S * cell.file.rate_hz)))
             runner = _runner(cell, options, driver, clock, ring, operator, notifier, servos, tell, standing)
             cpu_s = time.process_time()
-            summary = runner.run()
+            summary = runner.run(Event.ENABLED)
             tell.end(summary, time.process_time() - cpu_s)
         except Refusal as error:
             tell.event(Level.ERROR, str(error))
@@ -216,18 +202,36 @@ def _stand(
 
 
 def _schedule(cell: Cell, options: AgentOptions) -> Schedule:
-    emulated = options.driver is DriverKind.SIM or options.connection.emulated
     rate_hz = cell.file.rate_hz
     return Schedule(
         cell.period_ns,
         round(cell.file.duration_s * rate_hz),
         options.lockstep,
-        # what is emulated shares the processor with everything else, and stops with it for some ten milliseconds
-        hold_after_stale=round(EMULATED_PATIENCE_S * rate_hz) if emulated else STALE_TO_HOLD,
-        fault_after_stale=round((EMULATED_PATIENCE_S if emulated else WATCHDOG_S) * rate_hz),
         hold_at_end=options.hold,
         ready_ns=round(cell.file.simulation.ready_s * rate_hz) * cell.period_ns,
+        patience=patience_of(cell, emulated=options.driver is DriverKind.SIM or options.connection.emulated),
     )
+
+
+def patience_of(cell: Cell, *, emulated: bool) -> Patience:
+    """How long the loop bears lost states and lost time.
+
+    What is emulated shares the processor with everything else, and stops with it for some ten milliseconds: it is
+    held, silent and late after half a second only, at any share of good cycles.
+    """
+    safety, rate_hz = cell.file.safety, cell.file.rate_hz
+    patient = round(EMULATED_PATIENCE_S * rate_hz)
+    usual = Patience(
+        blind=max(1, round(safety.blind_s * rate_hz)),
+        quiet=round((WATCHDOG_S + QUIET_MARGIN_S) * rate_hz),
+        recover=round(safety.recover_s * rate_hz),
+        retry=max(1, round(RETRY_S * rate_hz)),
+    )
+    if not emulated:
+        return usual
+    return replace(
+        usual, hold=patient, blind=max(patient, usual.blind), gap=max(patient, usual.gap), success_min=0.0
+    )  # fmt: skip
 
 
 class _Teller:
@@ -304,7 +308,7 @@ class _Heart:
 
     def mode(self, mode: Mode) -> None:
         """Tell what the arm is doing."""
-        self._notifier.send(f"STATUS={_STATUS[mode]}")
+        self._notifier.send(f"STATUS={TABLE[mode].says}")
 
     def beat(self) -> None:
         """One cycle with a fresh state has passed."""

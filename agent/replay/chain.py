@@ -6,12 +6,14 @@ import numpy as np
 
 from agent.control.adaptation import from_row
 from agent.control.memory import Memory, restore
-from agent.loop import Agent, Outcome, entered, hold_after, initial_memory, step, wait_here
+from agent.loop import Agent, Outcome, afresh, blind, hold_after, initial_memory, step, wait_here
 from agent.modes import Mode
 from agent.safety import Flag
+from agent.session import entered
 from drivers.interface import JointState, Vector
 
 Row = np.void
+MARKS = Flag.RESUMED | Flag.GAP
 
 
 class Chain:
@@ -38,21 +40,25 @@ class Chain:
                 estimate = kept or self._agent.offline.adaptation.start
         self._memory, self._mode, self._outcome = restore(row["memory"], n, estimate), None, None
 
-    def pass_row(self, state: JointState, t: float, mode: Mode, *, fresh: bool) -> tuple[Memory, Outcome]:
+    def pass_row(self, state: JointState, t: float, mode: Mode, flags: int) -> tuple[Memory, Outcome]:
         """What the row of this tick holds: the memory it began with, and what came of it.
 
-        fresh: False for a cycle without a state, which keeps the last torque.
+        flags: recorded; what the loop knew and the joints do not tell (STALE, BLIND, RESUMED, GAP) is taken from them.
         """
-        memory = self._entered(mode, state.q if fresh else None)
-        if not fresh:
+        stale, marks = bool(flags & Flag.STALE), Flag(flags) & MARKS
+        memory = self._entered(mode, None if stale else state.q, marks)
+        if not stale:
+            outcome = step(self._agent, state, t, mode, memory)
+        elif flags & Flag.BLIND:
+            outcome = blind(self._agent, memory)
+        else:
             outcome = Outcome(self._nothing, self._nothing, None, memory.tau, Flag.STALE, memory)
-            self._memory, self._mode, self._outcome = memory, mode, None
-            return memory, outcome
-        outcome = step(self._agent, state, t, mode, memory)
-        self._memory, self._mode, self._outcome = outcome.memory, mode, outcome
+        if marks:
+            outcome = outcome._replace(flags=outcome.flags | marks)
+        self._memory, self._mode, self._outcome = outcome.memory, mode, None if stale else outcome
         return memory, outcome
 
-    def _entered(self, mode: Mode, q: Vector | None) -> Memory:
+    def _entered(self, mode: Mode, q: Vector | None, marks: Flag) -> Memory:
         """The memory with which a row of this mode begins; q: measured, None without a fresh state."""
         if self._memory is None:
             raise AssertionError("neither started nor restored")
@@ -64,6 +70,7 @@ class Chain:
                 memory = hold_after(self._agent, self._outcome)
             elif mode is Mode.TRACK:
                 memory = memory._replace(hold=None, q_hold=None)
+        memory = afresh(memory, marks)
         if mode is not Mode.TRACK and memory.hold is None and q is not None:
             memory = wait_here(self._agent, q, memory)
         return memory

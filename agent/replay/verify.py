@@ -152,11 +152,11 @@ class _Verifier:
                 continue
             fresh = is_fresh(flags[i])
             try:
-                memory, outcome = self._chain.pass_row(state, times[i], mode, fresh=fresh)
+                memory, outcome = self._chain.pass_row(state, times[i], mode, flags[i])
             except (ArithmeticError, ValueError) as error:
                 self._differs(rows, i, ("t",), f"no torque at all: {error or type(error).__name__}")
                 continue
-            sent = rows["tau_sent"][i, : self._agent.model.n] if fresh else memory.tau
+            sent = rows["tau_sent"][i, : self._agent.model.n]
             told = state if fresh else self._lost(state)
             self._row.fill(sequence, times[i], int(rows["utc_ns"][i]), mode, told, memory, outcome, sent)
             at = i * size

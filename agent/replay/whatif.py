@@ -134,7 +134,7 @@ def _tick(chain: Chain, rows: Rows, i: int, n: int) -> tuple[NDArray[np.float64]
     if mode is None:
         return np.full(n, np.nan), 0
     try:
-        _, outcome = chain.pass_row(state_at(rows, i, n), float(row["t"]), mode, fresh=is_fresh(flags))
+        _, outcome = chain.pass_row(state_at(rows, i, n), float(row["t"]), mode, flags)
     except (ArithmeticError, ValueError):
         return np.full(n, np.nan), 0
     nothing = outcome.terms is None and is_fresh(flags)

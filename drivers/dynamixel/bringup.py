@@ -28,6 +28,7 @@ from drivers.dynamixel.servo.table import (
     MIN_POSITION_LIMIT,
     PRESENT_POSITION,
     TORQUE_ENABLE,
+    WATCHDOG_TRIPPED,
     OperatingMode,
     Register,
 )
@@ -138,6 +139,14 @@ class BringUp:
         except DriverError:
             torque_off(self._bus, self._arm)
             raise
+
+    def has_tripped(self) -> bool:
+        """Whether any bus watchdog has fired; writes nothing.  Raises DxlServoFault for a servo without torque."""
+        for servo in self._servos:
+            if not self._bus.read(servo.slot.servo_id, TORQUE_ENABLE):
+                raise DxlServoFault.of(FaultCause.TORQUE_LOST, servo.slot, found="Torque Enable 0", expected="1")
+        watchdogs = [self._bus.read(servo.slot.servo_id, BUS_WATCHDOG) for servo in self._servos]
+        return WATCHDOG_TRIPPED in watchdogs
 
     def rearm(self) -> None:
         """After bus watchdogs have fired: no effort, the present place, armed again.  Torque stays on.

@@ -22,6 +22,7 @@ from drivers.dynamixel.errors import (
     NoGripperError,
     NotEnabledError,
     PortError,
+    PortLostError,
     StaleJointsError,
     TorqueError,
     WriteTimeoutError,
@@ -37,6 +38,7 @@ from drivers.dynamixel.servo.found import ServoFound
 from drivers.interface import ArmInfo, Clock, DriverError, GripState, JointState, ServoHealth, Vector
 
 MAX_LATENCY_TIMER_MS = 2
+TORQUE_GONE = frozenset({FaultCause.HARDWARE_ERROR, FaultCause.TORQUE_LOST, FaultCause.REBOOTED})
 
 
 class Phase(enum.Enum):
@@ -87,6 +89,7 @@ class DynamixelDriver:
         self._scan_s = scan_s
         self._read_share = read_share
         self._phase = Phase.CLOSED
+        self._port_lost = False
         self._port = port or SerialPort(arm.port, arm.baud, clock)
         self._bus = Bus(self._port, clock, self.counters)
         self._found: list[ServoFound] = []
@@ -179,6 +182,7 @@ class DynamixelDriver:
         """Give the port back; torque stays as it is until the servos' watchdog fires.  Safe in any state and twice."""
         self._port.close()
         self._phase = Phase.CLOSED
+        self._port_lost = False
         self._running = None
 
     def reopen(self) -> None:
@@ -193,6 +197,7 @@ class DynamixelDriver:
             self._port.open()
             running.recognise()
             undo.pop_all()
+        self._port_lost = False
         self._on_event(DriverEvent(EventKind.PORT_REOPENED, self.arm.port))
 
     def rearm(self) -> None:
@@ -206,6 +211,39 @@ class DynamixelDriver:
         BringUp(self._bus, self.arm, self._found, self._on_event).rearm()
         self._running = running.again()
         self.faults = [fault for fault in self.faults if fault.cause is not FaultCause.WATCHDOG_TRIPPED]
+
+    @property
+    def lapsed(self) -> bool:
+        """True while the port is gone, or watchdogs have fired and no servo has lost its torque otherwise."""
+        causes = {fault.cause for fault in self.faults}
+        return self._port_lost or (FaultCause.WATCHDOG_TRIPPED in causes and not causes & TORQUE_GONE)
+
+    def recover(self) -> bool:
+        """`drivers.interface.Recovering.recover`.
+
+        Raises PortError, IdentityError, StaleStateError, NoReplyError, DxlServoFault; a bus on which a servo is silent
+        costs one period, one that cuts a servo off in between a few tenths of a second.
+        """
+        running = self._need(Phase.ENABLED)
+        if self._port_lost:
+            self.reopen()
+        else:
+            self._make_sure(running)
+        tripped = BringUp(self._bus, self.arm, self._found, self._on_event).has_tripped()
+        if tripped:
+            self.rearm()
+            self._on_event(DriverEvent(EventKind.REARMED, "torque begins at zero"))
+        self.faults = [fault for fault in self.faults if fault.cause is not FaultCause.WATCHDOG_TRIPPED]
+        return tripped
+
+    def _make_sure(self, running: Running) -> None:
+        running.hear_health()
+        cycle = running.reader.read()
+        if None in cycle.rows:
+            raise self._stale(
+                running.interpret(cycle, self._clock.now_ns()), cycle.rows, late=cycle.late, damaged=cycle.damaged
+            )
+        running.recognise()
 
     def _need(self, phase: Phase) -> Running:
         running = self._running
@@ -229,7 +267,13 @@ class DynamixelDriver:
             PortLostError: the adapter is gone, a StaleStateError too; see `reopen`.
 
         """
-        running = self._need(Phase.CONNECTED)
+        try:
+            return self._read(self._need(Phase.CONNECTED))
+        except PortLostError:
+            self._port_lost = True
+            raise
+
+    def _read(self, running: Running) -> JointState:
         clock = self._clock
         begin_ns = self._begin_ns = clock.now_ns()
         running.hear_health()
@@ -238,6 +282,7 @@ class DynamixelDriver:
         except WriteTimeoutError as error:
             raise self._unasked() from error
         answered_ns = clock.now_ns()
+        self._port_lost = False
         reading = running.interpret(cycle, answered_ns)
         self.times.exchange = answered_ns - begin_ns
         if self._phase is Phase.ENABLED:
@@ -285,7 +330,11 @@ class DynamixelDriver:
                 expected=f"{len(self._joints)} finite numbers",
                 remedy="this is a defect of the caller: the safety layer must not let it through",
             )
-        sent = running.write(wanted, self._begin_ns)
+        try:
+            sent = running.write(wanted, self._begin_ns)
+        except PortLostError:
+            self._port_lost = True
+            raise
         self.times.write = self._clock.now_ns() - begin_ns
         return np.array(sent)
 

@@ -20,6 +20,7 @@ class EventKind(enum.Enum):
     PAIR_APART = "servos of one joint moved apart"
     SLOW_CHECKS = "servo checks take longer than they should"
     PORT_REOPENED = "port came back"
+    REARMED = "bus watchdogs had fired and are armed again"
     EXPLAINED = "what is wrong with a servo has a cause"
 
 

@@ -19,9 +19,13 @@ BY_HAND: Mapping[str, tuple[Change, ...]] = {
     ),
     "agent.runner": (
         (" | Flag.OFF_TRACK", ""),
-        ("> self._schedule.fault_after_stale", ">= self._schedule.fault_after_stale"),
-        ("> self._schedule.hold_after_stale", ">= self._schedule.hold_after_stale"),
+        ("if lost <= patience.hold:", "if lost < patience.hold:"),
+        ("lost > patience.repeat", "lost >= patience.repeat"),
         ("late_ns > period_ns", "late_ns > 2 * period_ns"),
+    ),
+    "agent.cycles": (
+        ("if lost <= patience.blind:", "if lost < patience.blind:"),
+        ("share >= self._patience.success_min", "share > self._patience.success_min"),
     ),
     "agent.operator.socket": (("if uid not in (0, os.getuid()):", "if False:"),),
 }

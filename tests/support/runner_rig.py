@@ -11,6 +11,7 @@ import numpy as np
 
 import configs
 from agent.config.cell import Cell, load_cell
+from agent.cycles import Patience
 from agent.loop import Agent
 from agent.modes import Event, Mode
 from agent.process.build import build_agent
@@ -31,6 +32,7 @@ from drivers.interface import (
 
 START_AFTER = 10  # cycles of READY
 HOLD_AFTER_STALE, FAULT_AFTER_STALE = 3, 8
+PATIENCE = Patience(hold=HOLD_AFTER_STALE, blind=FAULT_AFTER_STALE)
 WALL_NS = (
     3_000_000,
     1_000,
@@ -210,7 +212,7 @@ def run(
     beats: list[int] = []
     troubles: list[str] = []
     zero_ns = clock.ns + START_AFTER * period_ns() + period_ns() // 3
-    plan = Schedule(period_ns(), 20, False, HOLD_AFTER_STALE, FAULT_AFTER_STALE, False)
+    plan = Schedule(period_ns(), 20, False, hold_at_end=False, patience=PATIENCE)
     around = Surroundings(
         wall_ns=Wall(),
         operator=lambda: operator(arm.reads),

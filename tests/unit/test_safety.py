@@ -138,6 +138,10 @@ def test_flags_are_the_bits_that_logs_hold() -> None:
         "OFF_TRACK",
         "UNEXPECTED",
         "DAMPED",
+        "BLIND",
+        "RESUMED",
+        "GAP",
+        "GENTLE",
     )
     assert {f.name: f.value for f in Flag} == {name: 1 << bit for bit, name in enumerate(names)}
     assert Flag.NONE == 0

@@ -13,13 +13,14 @@ from agent import loop
 from agent.control.alignment import Alignment, between
 from agent.control.memory import Memory
 from agent.control.residual import Channels, nothing_sensed
-from agent.loop import Agent, Outcome, hold_after, hold_here, initial_memory, step, wait_here
+from agent.loop import BRAKE, JOINTS, LAW, Agent, Outcome, hold_after, hold_here, initial_memory, step, wait_here
 from agent.modes import Mode
 from agent.safety import Flag
 from drivers.interface import JointState, Vector
 from tests.unit.test_step_rules import arm, start
 
 BOUND = 0.5
+T = 0.7
 SHIFT = (0.001, -0.002, 0.003, 0.01, -0.02, 0.03)
 TURNED = (math.cos(0.1), math.sin(0.1), 0.0, 0.0)
 START = (0.3, 0.1, 0.2), TURNED
@@ -29,7 +30,7 @@ def at(
     agent: Agent, dq: tuple[float, ...], mode: Mode, memory: Memory | None = None, q: Vector | None = None
 ) -> Outcome:
     state = JointState(0, start() if q is None else q, np.array(dq), np.zeros(3))
-    return step(agent, state, 0.7, mode, memory or initial_memory(agent))
+    return step(agent, state, T, mode, memory or initial_memory(agent))
 
 
 def holding(agent: Agent, **more: Any) -> Memory:
@@ -40,33 +41,34 @@ def holding(agent: Agent, **more: Any) -> Memory:
 
 
 @pytest.mark.parametrize(
-    ("dq", "before", "damped"),
+    ("dq", "before", "calm"),
     [
-        ((BOUND, 0.0, 0.0), False, False), ((BOUND + 1e-9, 0.0, 0.0), False, True), ((0.0, 0.0, -0.6), False, True),
-        ((0.0, -0.6, 0.3), False, True), ((0.1, -0.1, 0.1), True, False), ((0.0, -0.1001, 0.0), True, True),
-        ((0.0, 0.4, 0.0), False, False),
+        ((BOUND, 0.0, 0.0), LAW, LAW), ((BOUND + 1e-9, 0.0, 0.0), LAW, BRAKE), ((0.0, 0.0, -0.6), LAW, BRAKE),
+        ((0.0, -0.6, 0.3), LAW, BRAKE), ((0.1, -0.1, 0.1), BRAKE, JOINTS), ((0.0, -0.1001, 0.0), BRAKE, BRAKE),
+        ((0.0, 0.4, 0.0), LAW, LAW), ((0.0, 0.4, 0.0), JOINTS, JOINTS), ((0.0, 0.6, 0.0), JOINTS, BRAKE),
     ],
 )  # fmt: skip
 def test_a_hold_brakes_above_a_speed_and_until_it_is_nearly_at_rest(
-    dq: tuple[float, ...], before: bool, damped: bool
+    dq: tuple[float, ...], before: int, calm: int
 ) -> None:
     agent = arm(damp_above_rad_per_s=BOUND)
-    outcome = at(agent, dq, Mode.HOLD, holding(agent, damped=before))
-    assert (Flag.DAMPED in outcome.flags) is damped
-    assert outcome.memory.damped is damped
+    outcome = at(agent, dq, Mode.HOLD, holding(agent, calm=before))
+    assert (Flag.DAMPED in outcome.flags) is (calm == BRAKE)
+    assert (Flag.GENTLE in outcome.flags) is (calm == JOINTS)
+    assert outcome.memory.calm == calm
     terms = outcome.terms
     assert terms is not None
     braking = terms.tau_object - 30.0 * terms.kinematics.B @ np.array(dq) + terms.kinematics.g
-    np.testing.assert_allclose(outcome.tau, braking if damped else terms.tau_cmd, rtol=1e-12)
+    np.testing.assert_allclose(outcome.tau, braking if calm == BRAKE else terms.tau_cmd, rtol=1e-12)
     assert not np.allclose(braking, terms.tau_cmd)
 
 
 @pytest.mark.parametrize("mode", [mode for mode in Mode if mode is not Mode.HOLD])
 def test_only_a_hold_brakes(mode: Mode) -> None:
     agent = arm(damp_above_rad_per_s=BOUND)
-    outcome = at(agent, (0.0, 2.0, 0.0), mode, holding(agent, damped=True))
+    outcome = at(agent, (0.0, 2.0, 0.0), mode, holding(agent, calm=BRAKE))
     assert Flag.DAMPED not in outcome.flags
-    assert outcome.memory.damped is False
+    assert outcome.memory.calm == LAW
 
 
 # --- noticing --------------------------------------------------------------------------------------------------------
@@ -98,7 +100,7 @@ def primed(agent: Agent, **more: Any) -> Memory:
     n = agent.model.n
     sense = nothing_sensed(n)._replace(ticks=7.0)
     tau, before = np.array([0.1, 0.2, 0.3]), np.array([0.4, 0.5, 0.6])
-    return initial_memory(agent)._replace(primed=True, sense=sense, tau=tau, tau_before=before, **more)
+    return initial_memory(agent)._replace(primed=True, t=T, sense=sense, tau=tau, tau_before=before, **more)
 
 
 def test_who_senses_nothing_says_nothing() -> None:

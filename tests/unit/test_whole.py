@@ -83,7 +83,7 @@ def test_a_session_replays_bit_for_bit_from_its_rows() -> None:
     chain.start()
     for row in run.rows:
         state = JointState(int(row["stamp_ns"]), *(row[f][:3] for f in ("q_measured", "dq_measured", "tau_measured")))
-        memory, outcome = chain.pass_row(state, float(row["t"]), Mode(int(row["mode"])), fresh=True)
+        memory, outcome = chain.pass_row(state, float(row["t"]), Mode(int(row["mode"])), int(row["flags"]))
         assert np.array_equal(outcome.tau, row["tau_limited"][:3])
         assert np.array_equal(memory.flatten(), row["memory"])
 

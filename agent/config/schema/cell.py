@@ -123,6 +123,8 @@ class Safety(Strict):
     tracking_error_max_rad: Attitude = 0.3
     spectral_radius_max: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.9999
     hold_speed_max_rad_per_s: Annotated[float, Field(gt=0.0, le=20.0)] = 1.5  # in HOLD; faster: it is braked
+    blind_s: Annotated[float, Field(ge=0.02, le=2.0)] = 0.2  # without a state; then the servos' watchdogs stop the arm
+    recover_s: Annotated[float, Field(ge=0.0, le=60.0)] = 2.0  # after that, for the arm to come back; 0: it is lost
     noticing: NoticingSpec = NoticingSpec()
     inertia_error: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.3
 

@@ -122,7 +122,7 @@ def run_loop(
 ) -> ArmRun:
     """The loop of one arm of the cell on a driver."""
     agent, log, modes = build_agent(cell, cell.arms[arm]), RowLog(), []
-    schedule = Schedule(cell.period_ns, round(duration_s * cell.file.rate_hz), True, 3, 8, False)
+    schedule = Schedule(cell.period_ns, round(duration_s * cell.file.rate_hz), True, False)
     around = Surroundings(
         wall_ns=lambda: 0,
         operator=operator,

@@ -6,7 +6,7 @@ Each arm has a thread, as it has a process in a run; one of them goes at a time,
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -25,7 +25,7 @@ from agent.telemetry.row.fill import AgentRow
 from agent.verify.check import examine
 from drivers.dynamixel.driver import DynamixelDriver
 from drivers.dynamixel.events import DriverEvent
-from drivers.interface import Vector
+from drivers.interface import JointState, StaleStateError, Vector
 from sim_backend.wire.cell import EmulatedCell
 from sim_backend.wire.faults import Fault
 from sim_backend.wire.injector import Injector
@@ -50,6 +50,7 @@ class SharedClock:
         self._missing = members
         self._turn = threading.Condition()
         self._due: dict[int, int] = {}  # by thread
+        self.passing: Callable[[int], None] = lambda _: None  # is told of every millisecond
         self._goes = NOBODY
 
     def now_ns(self) -> int:
@@ -97,6 +98,7 @@ class SharedClock:
             self._cell.advance_to(self._ns)
             for arm in self._cell.arms:
                 arm.bus.tick(self._ns)
+            self.passing(self._ns)
 
 
 @dataclass
@@ -122,6 +124,10 @@ class ArmRun:
     log: Log = field(default_factory=Log)
     events: list[DriverEvent] = field(default_factory=list)
     summary: RunSummary | None = None
+    port: VirtualPort | None = None
+    runner: Runner | None = None
+    driver: Blinking | None = None
+    tripped_ns: int | None = None  # when a servo's watchdog fired first
     error: BaseException | None = None
 
     @property
@@ -130,20 +136,63 @@ class ArmRun:
         return np.array(self.log.rows)
 
 
-class CoupledRun:
-    """A run of all arms of a cell; faults count from the common start."""
+@dataclass(frozen=True)
+class Truth:
+    """What the plant did in a millisecond."""
 
-    def __init__(self, cell: Cell, faults: Sequence[Fault] = (), real: Cell | None = None) -> None:
-        """real: the cell as it is, where that is not what the arms believe."""
+    ns: int
+    q: Vector  # of all arms
+    dq: Vector
+    tau: Vector  # of the servos
+    p_object: Vector
+
+
+class Blinking(DynamixelDriver):
+    """The driver, but that of `every` states it brings one."""
+
+    every = 1
+    _reads = 0
+
+    def read(self) -> JointState:
+        state = super().read()
+        self._reads += 1
+        if self._reads % self.every:
+            raise StaleStateError("state", found="none", expected="one", remedy="let the test end")
+        return state
+
+
+class CoupledRun:
+    """A run of all arms of a cell; faults and actions count from the common start, or from where it would be.
+
+    real: with the patience of real arms; starts: False for arms that are never given the start; operator: words to an
+    arm by its name and the seconds since the start; actions: what the test does at an instant.
+    """
+
+    def __init__(
+        self,
+        cell: Cell,
+        faults: Sequence[Fault] = (),
+        *,
+        real: bool = False,
+        starts: bool = True,
+        operator: Callable[[str, float], Event] = lambda *_: Event.NONE,
+        actions: Sequence[tuple[float, Callable[[CoupledRun], None]]] = (),
+        as_is: Cell | None = None,
+    ) -> None:
+        """as_is: the cell as it is, where that is not what the arms believe."""
         q_start = examine(cell).q_start
-        q_real = q_start if real is None else examine(real).q_start
+        q_real = q_start if as_is is None else examine(as_is).q_start
         wired = [wiring(arm, i, arm.baud) for i, arm in enumerate(cell.arms)]
-        self._emulated, _ = emulate(plant_spec(real or cell, q_real), wired, timing=BusTiming())
+        self._emulated, self.world = emulate(plant_spec(as_is or cell, q_real), wired, timing=BusTiming())
         self._injectors = [Injector(arm, None, seed=1) for arm in self._emulated.arms]
         self._clock = SharedClock(self._emulated, self._injectors, len(cell.arms))
+        self._clock.passing = self._pass
         self._cell, self._faults = cell, faults
+        self._real, self._starts, self._operator, self._actions = real, starts, operator, list(actions)
         self._ready: set[str] = set()
         self._zero_ns: int | None = None
+        self._stalls: dict[str, float] = {}
+        self.truth: list[Truth] = []
         self.arms = {arm.name: ArmRun() for arm in cell.arms}
         threads = [
             threading.Thread(target=self._run, args=(arm, i, q), daemon=True)
@@ -156,6 +205,39 @@ class CoupledRun:
         for run in self.arms.values():
             if run.error is not None:
                 raise run.error
+
+    def since_s(self, ns: int | None = None) -> float:
+        """Seconds since the common start, or until it."""
+        now_ns = self._clock._ns if ns is None else ns
+        return -1e3 if self._zero_ns is None else (now_ns - self._zero_ns) * 1e-9
+
+    def between(self, begin_s: float, end_s: float) -> list[Truth]:
+        """What the plant did in that time."""
+        return [one for one in self.truth if begin_s <= self.since_s(one.ns) < end_s]
+
+    def emulated(self, arm: str) -> Any:
+        """The emulated arm."""
+        return next(one for one in self._emulated.arms if one.name == arm)
+
+    def stall(self, arm: str, seconds: float) -> None:
+        """The arm's process does nothing for a while, from the end of its cycle on."""
+        self._stalls[arm] = seconds
+
+    def _heartbeat(self, arm: str) -> None:
+        seconds = self._stalls.pop(arm, 0.0)
+        if seconds:
+            self._clock.sleep_until(self._clock.now_ns() + round(1e9 * seconds))
+
+    def _pass(self, ns: int) -> None:
+        plant = self.world.plant
+        p_object = self.world.observe().p_object
+        self.truth.append(Truth(ns, plant.q.copy(), plant.dq.copy(), self.world.tau_Nm.copy(), np.array(p_object)))
+        for arm in self._emulated.arms:
+            run = self.arms[arm.name]
+            if run.tripped_ns is None and arm.bus.counters.watchdog_trips:
+                run.tripped_ns = ns
+        while self._actions and self.since_s(ns) >= self._actions[0][0]:
+            self._actions.pop(0)[1](self)
 
     def _run(self, arm: Arm, index: int, q_start: Vector) -> None:
         run = self.arms[arm.name]
@@ -170,23 +252,25 @@ class CoupledRun:
     def _loop(self, run: ArmRun, arm: Arm, index: int, q_start: Vector) -> RunSummary:
         line: Any = Line(self._emulated, index, self._injectors[index], self._clock)
         servos = arm_map(self._cell, arm, "virtual", q_start)
-        port = VirtualPort(line, arm.baud)
-        driver = DynamixelDriver(servos, self._clock, on_event=run.events.append, scan_s=0.05, port=port)
+        port = run.port = VirtualPort(line, arm.baud)
+        driver = run.driver = Blinking(servos, self._clock, on_event=run.events.append, scan_s=0.05, port=port)
         driver.connect()
         driver.enable()
         around = Surroundings(
             wall_ns=self._clock.now_ns,
-            operator=lambda: Event.NONE,
+            operator=lambda: self._operator(arm.name, self.since_s()),
             start_ns=lambda: self._start(arm.name),
-            heartbeat=lambda: None,
+            heartbeat=lambda: self._heartbeat(arm.name),
             mode_changed=lambda _: None,
         )
         options: Any = AgentOptions(
-            arm.name, DriverKind.DYNAMIXEL, Connection(emulated=True), None, None, lockstep=False, hold=False
+            arm.name, DriverKind.DYNAMIXEL, Connection(emulated=not self._real), None, None, lockstep=False, hold=False
         )  # type: ignore[arg-type]
         row = AgentRow(run.log.message, arm.n, self._cell.config_id)
         schedule = _schedule(self._cell, options)
-        return Runner(build_agent(self._cell, arm), driver, self._clock, schedule, row, run.log, around).run()
+        agent = build_agent(self._cell, arm)
+        run.runner = Runner(agent, driver, self._clock, schedule, row, run.log, around)
+        return run.runner.run(Event.ENABLED)
 
     def _start(self, arm: str) -> int | None:
         """The common start, once every arm has asked for it."""
@@ -199,4 +283,4 @@ class CoupledRun:
                 injector.add(
                     [f.model_copy(update={"start_s": f.start_s + START_AFTER_NS * 1e-9}) for f in mine], now_ns
                 )
-        return self._zero_ns
+        return self._zero_ns if self._starts else None

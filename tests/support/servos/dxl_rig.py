@@ -95,11 +95,14 @@ class VirtualPort:
         self.baud = baud
         self.latency_timer_ms: int | None = None
         self.is_open = False
-        self.lost = False
+        self.lost = False  # until it is closed
+        self.gone = False  # until it is plugged in again
         self.writes: list[bytes] = []
         self._rig = rig
 
     def open(self) -> None:
+        if self.gone:
+            raise PortError("port virtual", found="no such device", expected="a port", remedy="plug it in")
         if self._rig.user not in (None, self):
             raise PortError("port virtual", found="in use by this process", expected="nobody", remedy="close the other")
         self._rig.user = self
@@ -145,7 +148,7 @@ class VirtualPort:
         self._rig.bus.receive(data, clock.now_ns(), self.baud)
 
     def _need(self) -> None:
-        if self.lost or not self.is_open:
+        if self.lost or self.gone or not self.is_open:
             raise PortLostError("port virtual", found="closed", expected="open", remedy="none")
 
 

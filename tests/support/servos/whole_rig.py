@@ -133,7 +133,7 @@ class WholeRun:
         row = AgentRow(run.log.message, arm.n, self.cell.config_id)
         schedule: Schedule = _schedule(self.cell, options)
         session = session_loop(self.cell, arm, agent, driver)
-        summary = Runner(agent, driver, self.clock, schedule, row, run.log, around, session).run()
+        summary = Runner(agent, driver, self.clock, schedule, row, run.log, around, session).run(Event.ENABLED)
         driver.disable()
         return summary
 

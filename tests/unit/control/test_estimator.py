@@ -138,9 +138,7 @@ def random_memory(seed: int, n: int, hold: bool) -> Memory:
     pose = (0.1, -0.2, 0.3, 0.5, -0.5, 0.5, -0.5) if hold else None
     sense = Sense(*rng.normal(size=(3, n)), *rng.normal(size=(3, 6)), ticks=float(seed))
     shift = tuple(rng.normal(size=6).tolist())
-    return Memory(
-        *rng.normal(size=(6, n)), primed=bool(seed % 2), sense=sense, shift=shift, damped=not seed % 2, hold=pose
-    )
+    return Memory(*rng.normal(size=(6, n)), primed=bool(seed % 2), sense=sense, shift=shift, calm=seed % 5, hold=pose)
 
 
 @pytest.mark.parametrize("hold", [False, True])
@@ -155,7 +153,7 @@ def test_memory_survives_the_log(seed: int, n: int, hold: bool) -> None:
         assert np.array_equal(getattr(found, name), getattr(memory, name))
     for one, two in zip(found.sense, memory.sense, strict=True):
         assert np.array_equal(one, two)
-    for name in ("primed", "hold", "shift", "damped"):
+    for name in ("primed", "hold", "shift", "calm"):
         assert getattr(found, name) == getattr(memory, name)
     assert np.array_equal(restore(np.array(found.flatten()), n).flatten(), flat)
 

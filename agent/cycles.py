@@ -1,0 +1,91 @@
+"""What the loop makes of its own cycles: gaps, cycles without a state, and what there is left to do on the bus.
+
+Instants and counts in, words out; nothing here knows a clock, a bus or a torque.  Only whoever gets replies feeds the
+servos' watchdogs: any packet does, a read as well as a write, so a blind loop falls silent altogether and stays so for
+as long as the watchdogs need.  Then it may ask again, for nothing that is asked clears a watchdog that has fired.
+"""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass
+
+WINDOW = 100  # cycles of which a share must have brought a state in time
+_MASK = (1 << WINDOW) - 1
+
+
+class Bus(enum.Enum):
+    """What to do on the bus in a cycle."""
+
+    READ = "ask for a state"
+    RECOVER = "bring the arm back, then ask for a state"
+    QUIET = "say nothing"
+    GIVE_UP = "the arm is lost"
+
+
+@dataclass(frozen=True)
+class Patience:
+    """After how many cycles without a fresh state something is done about it; some are no such cycles, and say so."""
+
+    hold: int = 3  # the object is held
+    repeat: int = 3  # the last torque is kept no longer: the arm's weight and load share instead
+    blind: int = 40  # nothing is sent or asked any more
+    quiet: int = 50  # for so long after that, until every watchdog has fired for certain
+    recover: int = 400  # and then the arm may come back; 0: a blind arm is lost at once
+    retry: int = 20  # cycles from one attempt to the next
+    gap: int = 10  # cycles from one to the next, above which time was lost
+    success_min: float = 0.9  # share of the last WINDOW cycles, as above; 0: any
+
+
+class Cycles:
+    """Counts of one loop; instants are deadlines on the driver's clock."""
+
+    def __init__(self, patience: Patience, period_ns: int, begin_ns: int) -> None:
+        self._patience = patience
+        self._period_ns = period_ns
+        self._fresh_ns = begin_ns - period_ns  # deadline of the last cycle with a state
+        self._begun_ns: int | None = None  # when the last cycle really began
+        self._tried_ns = begin_ns - patience.retry * period_ns
+        self._failed = 0  # one bit for each of the last WINDOW cycles
+        self._trusted = True  # the last cycles were as they should be
+
+    def gap_s(self, now_ns: int) -> float:
+        """A cycle begins; seconds since the last one did, 0 where no time was lost."""
+        passed_ns = 0 if self._begun_ns is None else now_ns - self._begun_ns
+        self._begun_ns = now_ns
+        return passed_ns * 1e-9 if passed_ns > self._patience.gap * self._period_ns else 0.0
+
+    def without_state(self, deadline_ns: int) -> int:
+        """Cycles since the last state, this one with them."""
+        return (deadline_ns - self._fresh_ns) // self._period_ns
+
+    def plan(self, deadline_ns: int, *, lapsed: bool, recovers: bool) -> Bus:
+        """What to do in this cycle; lapsed: the arm does nothing until it is brought back, recovers: which can be."""
+        patience, lost = self._patience, self.without_state(deadline_ns)
+        due = recovers and deadline_ns - self._tried_ns >= patience.retry * self._period_ns
+        if lost <= patience.blind:
+            return Bus.RECOVER if lapsed and due else Bus.READ
+        if not recovers or lost > patience.blind + patience.quiet + patience.recover:
+            return Bus.GIVE_UP
+        return Bus.RECOVER if due and lost > patience.blind + patience.quiet else Bus.QUIET
+
+    def tried(self, deadline_ns: int, *, back: bool) -> None:
+        """It was tried to bring the arm back; an arm that is back has answered."""
+        self._tried_ns = deadline_ns
+        if back:
+            self._fresh_ns = deadline_ns - self._period_ns
+
+    def fresh(self, deadline_ns: int) -> None:
+        """This cycle brought a state."""
+        self._fresh_ns = deadline_ns
+
+    def end(self, skipped: int, *, good: bool) -> float | None:
+        """This cycle and `skipped` ones after it are over; the share of good ones once that falls below the least.
+
+        Not after a gap: the next cycle will tell of that, before it acts.
+        """
+        missed = min(skipped, WINDOW)
+        self._failed = ((self._failed << 1 | (not good)) << missed | (1 << missed) - 1) & _MASK
+        share = 1.0 - self._failed.bit_count() / WINDOW
+        trusted, self._trusted = self._trusted, share >= self._patience.success_min
+        return share if trusted and not self._trusted and skipped < self._patience.gap else None

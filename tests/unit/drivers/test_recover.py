@@ -1,0 +1,162 @@
+"""An arm that lapsed and comes back: recognised before a byte is written, armed again only where a watchdog fired."""
+
+from __future__ import annotations
+
+import contextlib
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.dynamixel.errors import DxlServoFault, FaultCause, NotEnabledError, PortError, PortLostError
+from drivers.dynamixel.identify import IdentityError
+from drivers.dynamixel.servo import table
+from drivers.interface import DriverError, Recovering, StaleStateError
+from sim_backend.wire.faults import FaultKind
+from tests.support.servos.dxl_rig import WX200, build, enabled
+
+PING, READ, SYNC_READ, FAST_SYNC_READ = 0x01, 0x02, 0x82, 0x8A
+ASKING = {PING, READ, SYNC_READ, FAST_SYNC_READ}
+IDS = [slot.servo_id for slot in WX200.slots]
+TAU = np.array([0.3, -0.2, 0.1, 0.05])
+
+
+def rest(rig: Any, seconds: float) -> None:
+    rig.clock.sleep_until(rig.clock.now_ns() + round(1e9 * seconds))
+
+
+def working() -> Any:
+    """An arm that has been commanded for a while."""
+    rig = enabled()
+    for _ in range(20):
+        rig.driver.read()
+        rig.driver.write(TAU)
+        rest(rig, 0.004)
+    rig.events.clear()
+    rig.port.writes.clear()
+    return rig
+
+
+def tripped() -> Any:
+    """The same after its watchdogs have fired, and as the driver has noticed."""
+    rig = working()
+    rest(rig, 0.25)
+    for _ in range(20):
+        with contextlib.suppress(DxlServoFault):
+            rig.driver.read()
+        rig.driver.write(0.0 * TAU)
+        rest(rig, 0.004)
+    assert rig.driver.faults[0].cause is FaultCause.WATCHDOG_TRIPPED
+    rig.port.writes.clear()
+    return rig
+
+
+def asked(rig: Any) -> set[int]:
+    """Instructions that have gone out."""
+    return {packet[7] for packet in rig.port.writes}
+
+
+def test_the_driver_says_that_it_can() -> None:
+    assert isinstance(build().driver, Recovering)
+
+
+def test_an_arm_that_works_has_not_lapsed_and_is_left_alone() -> None:
+    rig = working()
+    assert rig.driver.lapsed is False
+    assert rig.driver.recover() is False
+    assert asked(rig) <= ASKING
+    assert rig.events == []
+
+
+def test_watchdogs_that_fired_are_armed_again_with_zero_torque() -> None:
+    rig = tripped()
+    assert rig.driver.lapsed is True
+    assert rig.driver.recover() is True
+    assert rig.kinds() == ["REARMED"]
+    assert rig.driver.lapsed is False
+    assert [rig.get(i, table.BUS_WATCHDOG) for i in IDS] == [10] * len(IDS)
+    assert [rig.get(i, table.TORQUE_ENABLE) for i in IDS] == [1] * len(IDS)
+    assert rig.get(4, table.GOAL_CURRENT) == 0
+    rig.driver.read()
+    rig.driver.write(TAU)
+
+
+def test_servos_are_asked_who_they_are_before_anything_is_written() -> None:
+    rig = tripped()
+    rig.driver.recover()
+    instructions = [packet[7] for packet in rig.port.writes]
+    first_write = next(k for k, instruction in enumerate(instructions) if instruction not in ASKING)
+    assert instructions[:first_write].count(PING) == len(IDS)
+    assert instructions[:first_write].count(READ) == 2 * len(IDS)
+
+
+@pytest.mark.parametrize("servo", [3, 4])
+def test_an_arm_without_torque_is_never_armed_again(servo: int) -> None:
+    rig = tripped()
+    rig.put(servo, table.TORQUE_ENABLE, 0)
+    with pytest.raises(DxlServoFault, match=rf"servo {servo} .*torque is off"):
+        rig.driver.recover()
+    assert asked(rig) <= ASKING
+    assert rig.get(servo, table.TORQUE_ENABLE) == 0
+
+
+@pytest.mark.parametrize("cause", [FaultCause.TORQUE_LOST, FaultCause.HARDWARE_ERROR, FaultCause.REBOOTED])
+def test_an_arm_whose_torque_is_gone_for_another_reason_has_not_lapsed(cause: FaultCause) -> None:
+    rig = tripped()
+    rig.driver.faults.append(DxlServoFault(cause, servo_id=4, joint="elbow", found="", expected=""))
+    assert rig.driver.lapsed is False
+
+
+def test_a_silent_servo_costs_one_period_and_nothing_is_written() -> None:
+    rig = tripped()
+    rig.fault(FaultKind.MUTE, 4)
+    begin_ns = rig.clock.now_ns()
+    with pytest.raises(StaleStateError, match="servo 4"):
+        rig.driver.recover()
+    assert rig.clock.now_ns() - begin_ns < 5_500_000
+    assert asked(rig) <= ASKING
+
+
+@pytest.mark.parametrize("error", ["read", "write"])
+def test_a_port_that_is_gone_lapses_until_it_is_open_again(error: str) -> None:
+    rig = working()
+    rig.port.gone = True
+    with pytest.raises(PortLostError, match="virtual"):
+        rig.driver.read() if error == "read" else rig.driver.write(TAU)
+    assert rig.driver.lapsed is True
+    with pytest.raises(PortError, match="no such device"):
+        rig.driver.recover()
+    assert rig.driver.lapsed is True
+    rig.port.gone = False
+    assert rig.driver.recover() is False, "nothing has fired in this time"
+    assert rig.driver.lapsed is False
+    assert rig.kinds() == ["PORT_REOPENED"]
+    rig.driver.read()
+
+
+def test_a_port_that_was_away_for_too_long_is_opened_and_its_arm_armed_again() -> None:
+    rig = working()
+    rig.port.gone = True
+    with pytest.raises(PortLostError, match="virtual"):
+        rig.driver.read()
+    rest(rig, 0.25)
+    rig.port.gone = False
+    assert rig.driver.recover() is True
+    assert rig.kinds() == ["PORT_REOPENED", "REARMED"]
+
+
+def test_another_arm_is_not_written_to() -> None:
+    rig = tripped()
+    rig.put(5, table.MODEL_NUMBER, 1060)
+    with pytest.raises(IdentityError, match="model"):
+        rig.driver.recover()
+    assert asked(rig) <= ASKING
+
+
+def test_an_arm_whose_torque_is_off_cannot_come_back() -> None:
+    rig = build()
+    rig.driver.connect()
+    with pytest.raises(NotEnabledError, match="torque on"):
+        rig.driver.recover()
+    with pytest.raises(DriverError, match="connection"):
+        build().driver.recover()
