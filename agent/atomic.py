@@ -7,6 +7,7 @@ import os
 import tempfile
 from pathlib import Path
 
+import configs
 from drivers.interface import Refusal
 
 
@@ -32,7 +33,15 @@ def make_folder(path: Path) -> None:
 
 
 def write_atomically(path: Path, content: bytes, refusal: type[Refusal] = WriteError) -> None:
-    """Replace `path` by a file with this content, on disk before it has the name.  Raises `refusal`."""
+    """Replace `path` by a file with this content, on disk before it has the name.
+
+    Raises `refusal`, for a place in an installed package too: what is there belongs to its next version.
+    """
+    if _installed(path):
+        raise refusal(
+            f"file {path}", found="a place in the installed package", expected="a folder of yours",
+            remedy="name another path; a cell names an arm file of its own with arm_file",
+        )  # fmt: skip
     try:
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     except OSError as error:
@@ -48,6 +57,12 @@ def write_atomically(path: Path, content: bytes, refusal: type[Refusal] = WriteE
         with contextlib.suppress(OSError):
             Path(name).unlink()
         raise _refused(refusal, path, error) from error
+
+
+def _installed(path: Path) -> bool:
+    """Whether it lies among the files that ship, and this is no checkout of the sources."""
+    shipped = Path(configs.__file__).resolve().parent
+    return shipped in path.resolve().parents and not (shipped.parent / "pyproject.toml").is_file()
 
 
 def _refused(refusal: type[Refusal], path: Path, error: OSError) -> Refusal:

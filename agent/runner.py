@@ -14,6 +14,7 @@ from agent.control.memory import Memory
 from agent.cycles import WINDOW, Bus, Cycles
 from agent.loop import Agent, Outcome, afresh, blind, explained, hold_after, initial_memory, step, wait_here
 from agent.modes import TABLE, Event, Mode, next_mode
+from agent.monitors.watch import Watch
 from agent.safety import Flag
 from agent.session import SessionLoop, entered
 from agent.session_modes import next_in_session
@@ -49,6 +50,7 @@ class Runner:
         row: AgentRow,
         sink: LoopLog,
         around: Surroundings,
+        watch: Watch | None = None,
         session: SessionLoop | None = None,
     ) -> None:
         """session: of an arm that begins at its rest, and whose agent has one too."""
@@ -60,6 +62,7 @@ class Runner:
         self._row = row
         self._sink = sink
         self._around = around
+        self._watch = watch
         self._memory: Memory = initial_memory(agent)
         self._outcome: Outcome | None = None  # of the last tick with a fresh state
         self._mode = Mode.OFF
@@ -247,10 +250,14 @@ class Runner:
             if self._tracking_since_ns is None:
                 self._tracking_since_ns = begin_ns
             self._tracked_s = (after_write_ns - self._tracking_since_ns) * 1e-9
+        found = "" if self._watch is None else self._watch.after(state, outcome, mode, self._driver.health)
         if int(outcome.flags) & _TROUBLE:
             self._reason = (
                 self._reason or f"t = {t:.3f} s: {outcome.flags!r} {explained(self._agent, outcome)}".rstrip()
             )
+            return Event.TROUBLE
+        if found:
+            self._reason = self._reason or f"t = {t:.3f} s: {found}"
             return Event.TROUBLE
         return Event.NONE
 

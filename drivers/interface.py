@@ -32,6 +32,11 @@ class Refusal(Exception):
         self.expected = expected
         self.remedy = remedy
 
+    @property
+    def lines(self) -> list[str]:
+        """What a person is to read: one line, or one for each of several things that are wrong at once."""
+        return [str(self)]
+
 
 class DriverError(Refusal):
     """Base of all errors a driver raises."""
@@ -91,12 +96,16 @@ class ServoHealth:
     error_bits: NDArray[np.uint8]
     current_A: Vector  # present current, signed as the servo counts
     load: Vector  # present load as a share of the largest, of servos without a current sensor
+    temperature_limit_C: Vector  # at which the servo switches itself off
+    voltage_min_V: Vector  # between which its supply is to be
+    voltage_max_V: Vector
+    stall_current_A: Vector  # at the rated voltage
 
     @classmethod
     def none(cls, stamp_ns: int) -> ServoHealth:
         """Of a driver that has no servos to ask."""
         nothing = np.zeros(0)
-        return cls(stamp_ns, (), (), nothing, nothing, np.zeros(0, np.uint8), nothing, nothing)
+        return cls(stamp_ns, (), (), nothing, nothing, np.zeros(0, np.uint8), *[nothing] * 6)
 
 
 @dataclass(frozen=True, slots=True)

@@ -104,6 +104,19 @@ def tune(
         note(f"written  {write}")
 
 
+def schema(
+    page: Annotated[bool, typer.Option("--page", help="As a page of keys instead (docs/cell.md).")] = False,
+) -> None:
+    """Print the JSON Schema of cell files, by which an editor checks and completes them."""
+    from agent.config.keys import json_schema
+    from agent.config.keys import page as as_page
+
+    if page:
+        typer.echo(as_page(), nl=False)
+    else:
+        print_json(json_schema())
+
+
 def _table(cell: Cell, report: CheckReport) -> Table:
     from rich.table import Table
 

@@ -143,7 +143,7 @@ def identify(
     with Steps() as step:
         result = identify_log(log, arm, Options(cutoff_hz, slow_rad_per_s), arms_dir, tell=step)
         step("writing")
-        files = write(result, out or log.parent, arms_dir, replace=force)
+        files = write(result, out or log.parent, replace=force)
     console().print(estimates_table(result))
     typer.echo("\n".join([*friction_lines(result), *residual_lines(result), delay_line(result)]))
     typer.echo(f"arm file {files.arm}\nfigure   {files.figure}\nall      {files.summary}")

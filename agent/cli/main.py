@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from agent.cli import answers, cells, doctor, latency, logs, motors, processes, replay, run, study, view, words
+from agent.cli import answers, cells, doctor, latency, logs, make, motors, processes, replay, run, study, view, words
 from agent.cli.help import Commands
 from agent.cli.where import where
 
@@ -17,10 +17,10 @@ PROGRAM = "coop"
 USAGE = 2  # exit code of a command line that says nothing `coop` understands
 
 GROUPS: dict[str, tuple[Callable[..., None], ...]] = {
-    "Simulate and examine": (run.run, cells.check, cells.tune, study.study),
+    "Simulate and examine": (make.new, run.run, cells.check, cells.tune, cells.schema, study.study),
     "Arms of this host": (
         words.approach, words.grasp, words.start, words.stop, words.lower, words.release, words.park, words.guide,
-        words.status,        doctor.doctor, latency.latency_test,
+        words.status, doctor.doctor, latency.latency_test,
     ),
     "Logs": (
         logs.report, view.view, logs.compare, answers.events, answers.grasps, replay.replay, logs.identify, logs.export,
@@ -91,7 +91,7 @@ def dispatch(arguments: Sequence[str] | None = None) -> int:
 
         if not isinstance(error, Refusal):
             raise
-        return _refuse(str(error), error.exit_code)
+        return [_refuse(line, error.exit_code) for line in error.lines][-1]
     return code if isinstance(code, int) else 0
 
 

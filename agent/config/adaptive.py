@@ -9,8 +9,8 @@ import numpy as np
 from agent.config.friction import joint_friction
 from agent.config.schema.adaptive import Adaptive, ArmBounds, Bounds, GainFactors, Start
 from agent.config.schema.arm import ServoJoint
-from agent.config.schema.cell import Object
 from agent.config.schema.controller import Controller
+from agent.config.schema.world import Object
 from agent.control.adaptation import LOAD_MAX, Adaptation, Estimate
 from agent.control.friction import JointFriction
 from agent.control.models import ArmModel, Matrix

@@ -14,8 +14,8 @@ from agent.config import adaptive
 from agent.config.files import ArmFiles, CellFiles, files_from_toml, load_arm_file, load_files
 from agent.config.friction import joint_friction
 from agent.config.reading import ConfigError
-from agent.config.schema.cell import Arm as ArmEntry
 from agent.config.schema.controller import ControllerKind
+from agent.config.schema.member import Arm as ArmEntry
 from agent.control.adaptation import Adaptation
 from agent.control.errors import Gains
 from agent.control.friction import Friction
@@ -150,5 +150,5 @@ def cell_from_toml(raw: bytes, source: str, arms_dir: Path = configs.ARMS_DIR) -
 
 
 def _cell(files: CellFiles) -> Cell:
-    arms = tuple(Arm(a.entry, a.file, a.toml, a.urdf_xml, a.servos) for a in files.arms)
+    arms = tuple(Arm(a.entry, a.file, a.toml, a.urdf_xml, a.servos, a.own_urdf) for a in files.arms)
     return Cell(files.file, arms, files.toml, files.fingerprint)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,10 +12,11 @@ import tomli_w
 
 import configs
 from agent.config import trajectory
-from agent.config.reading import ConfigError, override, parse, read_file, shipped_cells, shown, validate
+from agent.config.embed import embed, urdf_beside
+from agent.config.reading import ConfigError, override, parse, read_file, refuse_all, shipped_cells, shown, validate
 from agent.config.schema.arm import ArmFile, ServoJoint
-from agent.config.schema.cell import Arm as ArmEntry
 from agent.config.schema.cell import CellFile
+from agent.config.schema.member import Arm as ArmEntry
 from agent.config.schema.tolerance import Tolerance
 from agent.config.schema.types import nearest
 from agent.config.urdf import text_of_urdf
@@ -33,6 +34,7 @@ class ArmFiles:
     toml: bytes  # of the arm file
     urdf_xml: str
     servos: tuple[ServoJoint, ...]  # of the controlled joints, in order
+    own_urdf: bool = False  # from beside the cell's own arm file, not one that ships
 
     @property
     def name(self) -> str:
@@ -125,7 +127,7 @@ def load_files(cell: Path, overrides: Sequence[str] = ()) -> CellFiles:
         for text in overrides:
             override(document, text)
         raw = tomli_w.dumps(document).encode()
-    return files_from_toml(trajectory.embed(raw, document, path), path.name)
+    return files_from_toml(embed(raw, document, path), path.name)
 
 
 def cell_path(cell: Path) -> Path:
@@ -152,26 +154,59 @@ def files_from_toml(raw: bytes, source: str, arms_dir: Path = configs.ARMS_DIR) 
     file = validate(CellFile, parse(raw, Path(source)), source)
     trajectory.build(file)
     digest = hashlib.sha256(raw)
-    arms = []
+    arms: list[ArmFiles] = []
+    problems: list[ConfigError] = []
     for entry in file.arms:
-        arm_file, arm_bytes = load_arm_file(entry.model, f"model of arm {entry.name} in {source}", arms_dir)
-        urdf = read_file(arms_dir / arm_file.urdf)
-        urdf_xml = text_of_urdf(urdf, arm_file.urdf)
-        digest.update(arm_bytes)
-        digest.update(urdf)
-        by_name = {j.name: j for j in arm_file.joints}
-        unknown = [j for j in (*entry.controlled, *entry.locked_rad) if j not in by_name]
-        if unknown:
-            raise ConfigError(
-                f"joints of arm {entry.name} in {source}",
-                found=", ".join(unknown),
-                expected=f"joints of {entry.model}: {', '.join(by_name)}",
-                remedy="correct `controlled` or `locked_rad`",
-            )
-        servos = tuple(by_name[j] for j in entry.controlled)
-        _refuse_weak_servos(entry, servos, source)
-        arms.append(ArmFiles(entry, arm_file, arm_bytes, urdf_xml, servos))
+        try:
+            arms.append(_arm(entry, file.embedded, source, arms_dir))
+            digest.update(arms[-1].toml)
+            digest.update(arms[-1].urdf_xml.encode())
+        except ConfigError as error:
+            problems.append(error)
+    refuse_all(problems)
     return CellFiles(file, tuple(arms), raw, digest.hexdigest())
+
+
+def _arm(entry: ArmEntry, embedded: Mapping[str, str], source: str, arms_dir: Path) -> ArmFiles:
+    """One arm with what its files say.  Raises ConfigError."""
+    if entry.arm_file is None:
+        arm_file, arm_bytes = load_arm_file(entry.model, f"model of arm {entry.name} in {source}", arms_dir)
+        own = None
+    else:
+        arm_file, arm_bytes = _own_arm_file(entry, entry.arm_file, embedded, source)
+        own = embedded.get(urdf_beside(entry.arm_file, arm_file.urdf))
+    urdf = read_file(arms_dir / arm_file.urdf) if own is None else own.encode()
+    urdf_xml = text_of_urdf(urdf, arm_file.urdf)
+    by_name = {j.name: j for j in arm_file.joints}
+    unknown = [j for j in (*entry.controlled, *entry.locked_rad) if j not in by_name]
+    if unknown:
+        raise ConfigError(
+            f"joints of arm {entry.name} in {source}",
+            found=", ".join(unknown),
+            expected=f"joints of {entry.model}: {', '.join(by_name)}",
+            remedy="correct `controlled` or `locked_rad`",
+        )
+    servos = tuple(by_name[j] for j in entry.controlled)
+    _refuse_weak_servos(entry, servos, source)
+    return ArmFiles(entry, arm_file, arm_bytes, urdf_xml, servos, own is not None)
+
+
+def _own_arm_file(entry: ArmEntry, name: str, embedded: Mapping[str, str], source: str) -> tuple[ArmFile, bytes]:
+    """The file that an arm of the cell names, from the cell's bytes.  Raises ConfigError."""
+    what = f"arm_file of arm {entry.name} in {source}"
+    if name not in embedded:
+        raise ConfigError(
+            what, found=f"{shown(name)}, whose text is not in the cell's bytes", expected="its text under [embedded]",
+            remedy="load the cell from its file, beside which the arm file stands",
+        )  # fmt: skip
+    raw = embedded[name].encode()
+    file = validate(ArmFile, parse(raw, Path(name)), name)
+    if file.model != entry.model:
+        raise ConfigError(
+            what, found=f"{shown(name)}, a file of a {file.model}", expected=f"one of a {entry.model}, as `model` says",
+            remedy="name the file of this arm, or correct `model`",
+        )  # fmt: skip
+    return file, raw
 
 
 def load_arm_file(model: str, what: str, arms_dir: Path = configs.ARMS_DIR) -> tuple[ArmFile, bytes]:

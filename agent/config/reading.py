@@ -5,6 +5,7 @@ What is read is a file of at most 16 MB; a device, a pipe or a folder is refused
 
 from __future__ import annotations
 
+import difflib
 import re
 import stat
 import tomllib
@@ -20,6 +21,7 @@ from drivers.interface import Refusal, one_line
 
 M = TypeVar("M", bound=BaseModel)
 LARGEST_BYTES: Final = 16_000_000
+SCREENFUL: Final = 40  # lines of refusal
 SHOWN: Final = 120  # characters of a value in a refusal
 _IS = re.compile(r"^(Value error, |Input should be )")
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
@@ -27,6 +29,35 @@ _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 class ConfigError(Refusal):
     """A cell file or arm file says something that cannot be used."""
+
+
+class WrongKeys(ConfigError):
+    """Several things are wrong: the first speaks for all where there is one line, `problems` has each."""
+
+    def __init__(self, problems: Sequence[ConfigError]) -> None:
+        first, others = problems[0], [problem.what for problem in problems[1:]]
+        named = shown(", ".join(what.partition(" in ")[0] for what in others))
+        super().__init__(
+            f"{first.what} (and {len(others)} more: {named})",
+            found=first.found, expected=first.expected, remedy=first.remedy,
+        )  # fmt: skip
+        self.problems = tuple(problems)
+
+    @property
+    def lines(self) -> list[str]:
+        """One for each, up to a screenful."""
+        more = len(self.problems) - SCREENFUL
+        told = [line for problem in self.problems[:SCREENFUL] for line in problem.lines]
+        return [*told, f"and {more} more"] if more > 0 else told
+
+
+def refuse_all(problems: Sequence[ConfigError]) -> None:
+    """Raise what is wrong, all of it at once and nothing twice; nothing where nothing is."""
+    problems = list({str(problem): problem for problem in problems}.values())
+    if len(problems) > 1:
+        raise WrongKeys(problems)
+    if problems:
+        raise problems[0]
 
 
 def read_file(path: Path) -> bytes:
@@ -96,16 +127,31 @@ def _not_an_override(text: str, expected: str, remedy: str) -> ConfigError:
 
 
 def validate(model: type[M], document: Mapping[str, Any], source: str) -> M:
-    """The document as an object of `model`.  Raises ConfigError with the first thing that is wrong."""
+    """The document as an object of `model`.  Raises ConfigError; of several things that are wrong, WrongKeys with all.
+
+    What only shows when single values are right (shares that do not sum to 1) is looked at after them.
+    """
     try:
         return model.model_validate(document)
     except ValidationError as error:
-        # a misspelt key is both unknown and missing; the first of the two tells more
-        problems = sorted(error.errors(), key=lambda problem: problem["type"] != "extra_forbidden")
-        first = problems[0]
-        more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
-        what = f"{_place(document, dict(first))} in {source}{more}"
-        raise ConfigError(what, **_explain(model, dict(first))) from error
+        problems = _without_misspelt(model, [dict(problem) for problem in error.errors()])
+        found = [ConfigError(f"{_place(document, p)} in {source}", **_explain(model, p)) for p in problems]
+        raise (WrongKeys(found) if len(found) > 1 else found[0]) from error
+
+
+def _without_misspelt(model: type[BaseModel], problems: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """A misspelt key is both unknown and missing: the first tells all.  Unknown keys come first."""
+    unknown = [p["loc"] for p in problems if p["type"] == "extra_forbidden"]
+    meant = {(*loc[:-1], _meant(model, loc)) for loc in unknown}
+    told = [p for p in problems if p["type"] != "missing" or tuple(p["loc"]) not in meant]
+    return sorted(told, key=lambda problem: problem["type"] != "extra_forbidden")
+
+
+def _meant(model: type[BaseModel], location: Sequence[str | int]) -> str:
+    """The key that an unknown one is most like; empty when there is none."""
+    table = _model_at(model, location[:-1])
+    near = difflib.get_close_matches(str(location[-1]), list(table.model_fields) if table is not None else [], n=1)
+    return near[0] if near else ""
 
 
 def shown(text: str, most: int = SHOWN) -> str:

@@ -1,13 +1,12 @@
-"""From `[trajectory]` of a cell to the motion itself; a file of poses that it names is read while loading."""
+"""From `[trajectory]` of a cell to the motion itself."""
 
 from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import tomli_w
 
 from agent.config.reading import ConfigError, read_file, shown
 from agent.config.schema.cell import CellFile
@@ -66,20 +65,10 @@ def waypoint_times(file: CellFile, end_s: float, at_most: int) -> tuple[list[flo
     return [], 0
 
 
-def embed(raw: bytes, document: dict[str, Any], cell_path: Path) -> bytes:
-    """The cell's bytes with the trajectory file it names appended as a table `embedded`.
-
-    From then on the cell stands alone: every host, every log and every replay has the same motion under the same
-    fingerprint.  A cell that names no file, or already carries it, is returned as it is.  Raises TrajectoryError.
-    """
-    trajectory = document.get("trajectory")
-    if not isinstance(trajectory, dict) or trajectory.get("kind") != "file":
-        return raw
-    name, carried = trajectory.get("path"), document.get("embedded", {})
-    if not isinstance(name, str) or not isinstance(carried, dict) or name in carried:
-        return raw
+def text_of_file(name: str, cell_path: Path) -> str:
+    """Text of the file of poses that a cell names.  Raises TrajectoryError."""
     try:
-        text = read_file(cell_path.parent / name).decode()
+        return read_file(cell_path.parent / name).decode()
     except (ConfigError, UnicodeDecodeError) as error:
         raise TrajectoryError(
             f"trajectory file {shown(name)}",
@@ -87,8 +76,6 @@ def embed(raw: bytes, document: dict[str, Any], cell_path: Path) -> bytes:
             expected="a readable CSV file",
             remedy="give the path relative to the cell file",
         ) from error
-    table = tomli_w.dumps({"embedded": {name: text}}, multiline_strings=True)
-    return raw.rstrip(b"\n") + b"\n\n" + table.encode()
 
 
 def _from_embedded(spec: PoseFileSpec, embedded: dict[str, str]) -> PoseSpline:

@@ -18,9 +18,14 @@ def versions() -> dict[str, str]:
 
 
 def attachments(cell: CellFiles, run_info: bytes) -> dict[str, bytes]:
-    """Files of a log by name: run.json, the cell file, the arms' files and URDFs."""
+    """Files of a log by name: run.json, the cell file, the arms' files and URDFs.
+
+    Those that are not of this installation are in the cell file itself (agent.config.embed).
+    """
     files = {"run.json": run_info, "cell.toml": cell.toml}
     for arm in cell.arms:
-        files[f"{arm.entry.model}.toml"] = arm.toml
-        files[arm.file.urdf] = arm.urdf_xml.encode()
+        if arm.entry.arm_file is None:
+            files[f"{arm.entry.model}.toml"] = arm.toml
+        if not arm.own_urdf:
+            files[arm.file.urdf] = arm.urdf_xml.encode()
     return files

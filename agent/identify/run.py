@@ -42,17 +42,22 @@ def identify(
     return identified(recording, options, fit(recording, options))
 
 
-def write(result: Identified, out: Path, arms_dir: Path = configs.ARMS_DIR, *, replace: bool = False) -> Files:
+def write(result: Identified, out: Path, *, replace: bool = False) -> Files:
     """Write arm file, figure and summary into the folder `out`, which may be new.
 
     Raises WriteError, with nothing written, where one of them is there already and not to be replaced.
     """
-    model = result.recording.arm.entry.model
-    files = Files(out / f"{model}.toml", out / f"identify_{model}.png", out / f"identify_{model}.json")
+    arm = result.recording.arm
+    model, own = arm.entry.model, arm.entry.arm_file
+    files = Files(
+        out / (f"{model}.toml" if own is None else Path(own).name),
+        out / f"identify_{model}.png",
+        out / f"identify_{model}.json",
+    )
     if not replace:
         keep_existing(files.arm, files.figure, files.summary, remedy="name another folder, or give --force")
     make_folder(out)
-    text = result.arm_toml((arms_dir / f"{model}.toml").read_text(encoding="utf-8"))
+    text = result.arm_toml(arm.toml.decode())
     save_png(validation_figure(result), files.figure)
     write_atomically(files.summary, (json.dumps(result.summary(), indent=2) + "\n").encode())
     write_atomically(files.arm, text.encode())

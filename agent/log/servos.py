@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.telemetry.row.health import Health
+from agent.telemetry.row.health import LIMITS, Health
 
 Floats = NDArray[np.float64]
 
@@ -30,6 +30,10 @@ class ServoTable:
     current_A: Floats  # (k, m) signed as the servo counts
     load: Floats  # (k, m) share of the largest torque, signed
     error_bits: NDArray[np.uint8]  # (k, m) Hardware Error Status
+    temperature_limit_C: Floats  # (k, m) at which the servo switches itself off; this and the rest NaN in older logs
+    voltage_min_V: Floats  # (k, m)
+    voltage_max_V: Floats  # (k, m)
+    stall_current_A: Floats  # (k, m)
 
     def __len__(self) -> int:
         return len(self.utc_ns)
@@ -57,6 +61,7 @@ def servo_table(texts: Sequence[Health], row_utc_ns: NDArray[np.uint64], row_t: 
     return ServoTable(
         utc_ns, arrays[1], tuple(joints), tuple(joints.values()), column("temperature_C", np.nan),
         column("voltage_V", np.nan), column("current_A", np.nan), column("load", np.nan), bits,
+        *(column(name, np.nan) for name in LIMITS),
     )  # fmt: skip
 
 

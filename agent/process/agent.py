@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from agent.config import monitors
 from agent.config.cell import Cell
 from agent.config.schema.cell import DriverKind
 from agent.config.session import rest_joints
@@ -20,6 +21,7 @@ from agent.host.notify import Notifier
 from agent.host.realtime import become_realtime, granted, quiet_memory
 from agent.host.signals import StopFlag
 from agent.modes import TABLE, Event, Mode
+from agent.monitors.watch import Watch
 from agent.operator.socket import ControlSocket, Standing
 from agent.process.build import Connection, build_agent, build_driver
 from agent.process.clocked import ClockWatch, shares_time
@@ -164,7 +166,8 @@ def _runner(
     if options.whole:
         session = session_loop(cell, arm, agent, driver)
         standing.session = session.not_yet
-    return Runner(agent, driver, clock, _schedule(cell, options), row, ring, around, session)
+    watch = Watch(monitors.bounds(cell, arm), tell.warn)
+    return Runner(agent, driver, clock, _schedule(cell, options), row, ring, around, watch, session)
 
 
 def _stand(

@@ -71,7 +71,11 @@ def _unpacked(log: AnyLog, folder: Path) -> Path:
 def _require_arm_files(log: AnyLog, raw: bytes, folder: Path) -> None:
     """Refuse a log without an arm file by saying so, not by saying that the model is unknown."""
     arms = parse(raw, Path(CELL_FILE)).get("arms")
-    models = [arm.get("model") for arm in arms if isinstance(arm, dict)] if isinstance(arms, list) else []
+    models = (
+        [arm.get("model") for arm in arms if isinstance(arm, dict) and "arm_file" not in arm]
+        if isinstance(arms, list)
+        else []
+    )
     names = [f"{model}.toml" for model in models if isinstance(model, str)]
     for name in list(names):
         path = folder / name

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from agent.report import figures_together
+from agent.report import figures_servos, figures_together
 from agent.report.picture import Picture
 from agent.report.prepared import Prepared
 from agent.report.series import column
@@ -29,6 +29,10 @@ MARGINS: Final = (
     "Above: the smallest singular value of the object Jacobian; at zero the arm cannot act in some direction. "
     "Below: the torque sent to the most loaded joint, as a part of its limit."
 )
+SERVOS: Final = (
+    "What each servo says of itself about once a second: temperature, supply, and load as a share of stall. Dashed: "
+    "the servo's own limits; of the load, what it may be in the mean square before the arm holds."
+)
 
 
 def together(run: Prepared) -> list[Picture]:
@@ -46,4 +50,8 @@ def together(run: Prepared) -> list[Picture]:
     if any(rows[name][-1] > 0 for rows in run.rows.values() for name in BUS):
         caption = "Timeouts, corrupt answers, alerts and retries since the start."
         found.append(Picture("bus", "Bus errors", caption, partial(figures_together.bus, run)))
-    return found
+    return found + [
+        Picture(f"servos_{arm.name}", f"Servos of {arm.name}", SERVOS, partial(figures_servos.servos, run, arm))
+        for arm in run.arms
+        if arm.name in run.log.servos
+    ]

@@ -10,6 +10,8 @@ import numpy as np
 from pydantic import ValidationError
 
 from agent.config.schema.coordination import AlignmentSpec, NoticingSpec
+from agent.config.schema.monitors import MonitorsSpec
+from agent.monitors.bounds import Name
 from agent.report.series import column
 from drivers.interface import Refusal
 
@@ -48,6 +50,16 @@ def thresholds(log: AnyLog) -> Thresholds:
         return Thresholds(shift_m, fast_N, fast_Nm, slow_N, slow_Nm)
     except (KeyError, ValueError, TypeError, AttributeError, ValidationError):
         return Thresholds()
+
+
+def load_limit(log: AnyLog) -> float:
+    """Share of stall that a servo's load may be in the mean square; NaN for what is off or unreadable."""
+    try:
+        cell = tomllib.loads(log.attachments["cell.toml"].decode())
+        monitors = MonitorsSpec.model_validate(_table(cell, "safety", "monitors"))
+    except (KeyError, ValueError, TypeError, AttributeError, ValidationError):
+        return NAN
+    return NAN if Name.SERVO_LOAD in monitors.off else monitors.load_share
 
 
 def _recorded(log: AnyLog) -> dict[str, Any]:

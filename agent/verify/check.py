@@ -20,6 +20,7 @@ from agent.control.models import ArmModel, ModelError
 from agent.verify.adaptive import examine_adaptation
 from agent.verify.box import largest_internal_wrench
 from agent.verify.bus import buses
+from agent.verify.collision import collisions
 from agent.verify.finding import Finding, Verdict, judged
 from agent.verify.force import internal_force
 from agent.verify.margin import Damping, damping, places, sampled_loop
@@ -82,8 +83,8 @@ def examine(cell: Cell, *, wired: bool | None = None, thorough: bool | None = No
     """Examine the whole cell.  Raises ConfigError where nothing further can be computed (an unreachable grasp).
 
     wired: a rate that the servo buses of the cell cannot carry is refused, not only warned of; None: if servos move
-    the arms (`driver`).  thorough: what reality may make of the cell is computed too, which takes up to a second; None:
-    if servos move the arms.
+    the arms (`driver`).  thorough: how near bodies come and what reality may make of the cell are computed too, which
+    takes up to a second; None: if servos move the arms.
     """
     servos = cell.file.driver is DriverKind.DYNAMIXEL
     try:
@@ -107,6 +108,7 @@ def examine(cell: Cell, *, wired: bool | None = None, thorough: bool | None = No
         findings += _adaptation(cell, models, paths, instants.times)
     if not (servos if thorough is None else thorough):
         return CheckReport(tuple(findings), q_start)
+    findings += collisions(cell, models, [p.q for p in paths], instants.times)
     found = robustness(Walk(cell, models, list(zip(*(p.q for p in paths), strict=True)), instants.times))
     return CheckReport((*findings, *found.findings()), q_start, found)
 

@@ -193,6 +193,8 @@ class Statics:
         return np.full_like(x, math.inf)
 
     def _largest(self, others: Sequence[int], x: Matrix) -> Load:
+        if not np.isfinite(x).all():  # no way of the object balances the weights
+            return Load(math.inf, others[0], 0, 0)
         loads = []
         for i in others:
             share = np.abs(self._arms[i].law(x)[0]) / self._arms[i].stall

@@ -8,8 +8,9 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
+from agent.config.embed import urdf_beside
 from agent.config.files import CellFiles
 from agent.view.arm import ArmDrawing
 from agent.view.error import ViewError
@@ -41,9 +42,7 @@ def drawing_of_log(log: AnyLog) -> CellDrawing:
     files = log.attachments
     try:
         cell = _toml(files, "cell.toml")
-        models = {name: _toml(files, f"{name}.toml") for name in dict.fromkeys(a["model"] for a in cell["arms"])}
-        urdfs = {model["urdf"]: files[model["urdf"]].decode() for model in models.values()}
-        return _drawing(cell, models, urdfs)
+        return _drawing(cell, [_shape(files, cell, arm) for arm in cell["arms"]])
     except (KeyError, TypeError, ValueError) as error:
         raise ViewError(
             f"{log.path} cannot be shown", found=f"no {error}" if isinstance(error, KeyError) else str(error),
@@ -54,22 +53,36 @@ def drawing_of_log(log: AnyLog) -> CellDrawing:
 
 def drawing_of_cell(files: CellFiles) -> CellDrawing:
     """From a cell's own files."""
-    models = {arm.entry.model: {"urdf": arm.file.urdf, "ee_frame": arm.file.ee_frame} for arm in files.arms}
-    urdfs = {arm.file.urdf: arm.urdf_xml for arm in files.arms}
-    return _drawing(tomllib.loads(files.toml.decode()), models, urdfs)
+    shapes = [_Shape(arm.file.urdf, arm.urdf_xml, arm.file.ee_frame) for arm in files.arms]
+    return _drawing(tomllib.loads(files.toml.decode()), shapes)
 
 
-def _drawing(cell: Mapping[str, Any], models: Mapping[str, Any], urdfs: Mapping[str, str]) -> CellDrawing:
+class _Shape(NamedTuple):
+    urdf: str
+    urdf_xml: str
+    ee_frame: str
+
+
+def _shape(files: Mapping[str, bytes], cell: Mapping[str, Any], arm: Mapping[str, Any]) -> _Shape:
+    """Of one arm, from the files of a log, or from the cell itself where the arm has files of its own."""
+    name, carried = arm.get("arm_file"), cell.get("embedded", {})
+    described = _toml(files, f"{arm['model']}.toml") if name is None else tomllib.loads(carried[name])
+    urdf = described["urdf"]
+    own = None if name is None else carried.get(urdf_beside(name, urdf))
+    return _Shape(urdf, files[urdf].decode() if own is None else own, str(described["ee_frame"]))
+
+
+def _drawing(cell: Mapping[str, Any], shapes: Sequence[_Shape]) -> CellDrawing:
     arms = tuple(
         ArmDrawing(
             name=str(arm["name"]),
-            urdf_xml=urdfs[models[arm["model"]]["urdf"]],
-            urdf=models[arm["model"]]["urdf"],
+            urdf_xml=shapes[i].urdf_xml,
+            urdf=shapes[i].urdf,
             controlled=tuple(arm["controlled"]),
             locked_rad=dict(arm.get("locked_rad", {})),
             p_world_base=_floats(arm["p_world_base_m"], 3),
             quat_world_base=_floats(arm["quat_world_base"], 4),
-            ee_frame=str(models[arm["model"]]["ee_frame"]),
+            ee_frame=shapes[i].ee_frame,
             colour=ARM_COLOURS[i % len(ARM_COLOURS)],
         )
         for i, arm in enumerate(cell["arms"])

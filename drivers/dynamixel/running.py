@@ -223,6 +223,10 @@ class Running:
             error_bits=np.array([int(record.hardware) for record in records], dtype=np.uint8),
             current_A=np.array([current for current, _ in said]),
             load=np.array([load for _, load in said]),
+            temperature_limit_C=np.array([record.thermal.limit_C for record in records]),
+            voltage_min_V=np.array([record.voltage_limits_V[0] for record in records]),
+            voltage_max_V=np.array([record.voltage_limits_V[1] for record in records]),
+            stall_current_A=np.array([record.slot.model.stall_current_A for record in records]),
         )
 
     def recognise(self) -> None:

@@ -14,6 +14,7 @@ from agent.config.cell import Cell, load_cell
 from agent.cycles import Patience
 from agent.loop import Agent
 from agent.modes import Event, Mode
+from agent.monitors.watch import Watch
 from agent.process.build import build_agent
 from agent.runner import Runner, RunSummary, Schedule, Surroundings
 from agent.telemetry.row.fill import AgentRow
@@ -117,7 +118,7 @@ class Arm:
         return tau_Nm + 0.001  # what the counts stand for
 
     def health(self) -> ServoHealth:
-        raise NotImplementedError
+        return ServoHealth.none(self.clock.ns)
 
     def disable(self) -> None: ...
 
@@ -196,6 +197,7 @@ def run(
     refused: frozenset[int] = frozenset(),
     q: Callable[[int], Vector] = lambda _: q_start(),
     agent: Mapping[str, Any] | None = None,
+    watch: Watch | None = None,
     start_ns: Callable[[int, int], int | None] = lambda reads, zero_ns: zero_ns if reads > 2 else None,
     **schedule: Any,
 ) -> Done:
@@ -223,6 +225,6 @@ def run(
     )
     row = AgentRow(log.message, 3, paper().config_id)
     made: Agent = replace(build_agent(paper(), paper().arms[0]), **(agent or {}))
-    runner = Runner(made, arm, clock, replace(plan, **schedule), row, log, around)
+    runner = Runner(made, arm, clock, replace(plan, **schedule), row, log, around, watch)
     summary = runner.run()
     return Done(summary, arm, np.array(log.rows), modes, len(beats), log.waits, troubles)

@@ -30,7 +30,7 @@ def run(beside: float) -> CoupledRun:
     half = 0.5 * beside * OFF_RAD
     quat = [math.cos(half), 0.0, math.sin(half), 0.0]
     real = cell_of(f"object.p_start_m={p.tolist()}", f"object.quat_start={quat}", "safety.start_error_max_m=0.05")
-    return CoupledRun(cell_of(), as_is=real)
+    return CoupledRun(real, believed=cell_of())
 
 
 def test_a_start_from_15_mm_and_60_mrad_beside_is_as_gentle_as_an_exact_one() -> None:

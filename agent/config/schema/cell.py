@@ -5,45 +5,31 @@ from __future__ import annotations
 import enum
 import math
 from collections import Counter
-from collections.abc import Mapping
-from types import MappingProxyType
-from typing import Annotated, ClassVar
+from typing import Annotated
 
-import numpy as np
 from pydantic import Field, model_validator
 
-from agent.config.schema.arm import Baud
 from agent.config.schema.controller import Controller
 from agent.config.schema.coordination import NoticingSpec
+from agent.config.schema.member import Arm
+from agent.config.schema.monitors import MonitorsSpec
 from agent.config.schema.session import Session
 from agent.config.schema.simulation import Simulation
 from agent.config.schema.tolerance import Tolerance
 from agent.config.schema.trajectory import TrajectorySpec
 from agent.config.schema.types import (
     AS_LIST,
-    Angle,
     Attitude,
-    FileStem,
     Format,
     Instant,
-    Label,
-    Length,
-    Mass,
-    Moment,
     Name,
-    PerAxis,
-    Quaternion,
-    Share,
     Strict,
-    Vec3,
-    Wrench,
     wrong,
 )
+from agent.config.schema.world import Object, Table, World
 from agent.telemetry.row.topics import RESERVED
 
-TASK_ROWS = 6
 PERIODS_TOLERANCE = 1e-6
-GRAVITY_RANGE_M_PER_S2 = (1.0, 30.0)  # the Moon has 1.6, Jupiter 25; a slip of the unit is outside
 
 
 class DriverKind(enum.StrEnum):
@@ -53,185 +39,93 @@ class DriverKind(enum.StrEnum):
     DYNAMIXEL = "dynamixel"
 
 
-class World(Strict):
-    """The inertial frame {I}."""
-
-    gravity_m_per_s2: Vec3
-
-    @model_validator(mode="after")
-    def _plausible(self) -> World:
-        g = math.hypot(*self.gravity_m_per_s2)
-        low, high = GRAVITY_RANGE_M_PER_S2
-        if g and not low <= g <= high:
-            raise wrong(
-                "gravity_m_per_s2",
-                found=f"{g:.4g} m/s²",
-                expected=f"{low:g} to {high:g} m/s² in all, or zero",
-                remedy="give the acceleration of what falls, world axes: [0.0, 0.0, -9.81] where z points up",
-            )
-        return self
-
-
-class Inertia(Strict):
-    """Inertia tensor about the centre of mass, object axes."""
-
-    xx: Moment
-    yy: Moment
-    zz: Moment
-    xy: Annotated[float, Field(ge=-100.0, le=100.0)] = 0.0
-    xz: Annotated[float, Field(ge=-100.0, le=100.0)] = 0.0
-    yz: Annotated[float, Field(ge=-100.0, le=100.0)] = 0.0
-
-    @model_validator(mode="after")
-    def _physical(self) -> Inertia:
-        moments = np.linalg.eigvalsh(self.matrix())
-        if moments[0] <= 0.0 or moments[2] > (moments[0] + moments[1]) * (1.0 + 1e-9):
-            raise wrong(
-                "",
-                found=f"principal moments {', '.join(f'{m:.3g}' for m in moments)}",
-                expected="positive ones with the largest not above the sum of the others",
-                remedy="a solid box of sides a, b, c has m (b² + c²) / 12 about a",
-            )
-        return self
-
-    def matrix(self) -> list[list[float]]:
-        """(3, 3) tensor."""
-        return [[self.xx, self.xy, self.xz], [self.xy, self.yy, self.yz], [self.xz, self.yz, self.zz]]
-
-
-class Object(Strict):
-    """The grasped rigid body; its frame is at the centre of mass."""
-
-    mass_kg: Mass
-    size_m: Annotated[tuple[Length, Length, Length], AS_LIST]
-    inertia_kg_m2: Inertia
-    p_start_m: Vec3
-    quat_start: Quaternion
-
-
 class Safety(Strict):
     """Bounds that are checked before the start and on every tick."""
 
     e_eta_min: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.1
+    """Smallest |e_η| at the start: below it the attitude error is near half a turn, where the law has no direction."""
     sigma_min: Annotated[float, Field(gt=0.0, le=1.0)] = 0.02
-    tau_step_max_fraction: Annotated[float, Field(gt=0.0, le=2.0)] = 0.5  # of tau_max, from one tick to the next
+    """Smallest singular value of an arm's task Jacobian that a path may have; the agent holds below it."""
+    tau_step_max_fraction: Annotated[float, Field(gt=0.0, le=2.0)] = 0.5
+    """Torque change from one tick to the next, of the torque bound."""
     tau_max_fraction_of_stall: Annotated[float, Field(gt=0.0, le=1.0)] = 0.5
+    """Torque bound of each joint, of its stall torque."""
     start_error_max_m: Annotated[float, Field(gt=0.0, le=1.0)] = 0.02
+    """The start is refused with the object farther than this from its desired position."""
     start_error_max_rad: Attitude = 0.1
-    # beyond it the object is held: a neighbour, a grasp or a person is the reason
+    """The start is refused with the object turned by more than this from its desired attitude."""
     tracking_error_max_m: Annotated[float, Field(gt=0.0, le=1.0)] = 0.05
+    """Beyond it the object is held: a neighbour, a grasp or a person is the reason."""
     tracking_error_max_rad: Attitude = 0.3
+    """Attitude error beyond which the object is held."""
     spectral_radius_max: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.9999
-    hold_speed_max_rad_per_s: Annotated[float, Field(gt=0.0, le=20.0)] = 1.5  # in HOLD; faster: it is braked
-    blind_s: Annotated[float, Field(ge=0.02, le=2.0)] = 0.2  # without a state; then the servos' watchdogs stop the arm
-    recover_s: Annotated[float, Field(ge=0.0, le=60.0)] = 2.0  # after that, for the arm to come back; 0: it is lost
+    """Largest spectral radius of the sampled loop that a check accepts."""
+    hold_speed_max_rad_per_s: Annotated[float, Field(gt=0.0, le=20.0)] = 1.5
+    """A joint that is faster while an arm holds is braked."""
+    blind_s: Annotated[float, Field(ge=0.02, le=2.0)] = 0.2
+    """Time without a state after which the agent falls silent, so that the servos' watchdogs stop the arm."""
+    recover_s: Annotated[float, Field(ge=0.0, le=60.0)] = 2.0
+    """Time after that in which the arm may come back; 0: it is lost at once."""
     noticing: NoticingSpec = NoticingSpec()
+    """From which unexpected wrench an arm holds."""
+    monitors: MonitorsSpec = MonitorsSpec()
+    """What an arm watches in every mode that commands torque, and the bounds."""
+    collision_margin_m: Annotated[float, Field(ge=0.0, le=0.5)] = 0.005
+    """Least distance of bodies along the motion; below it `coop check` refuses."""
     inertia_error: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.3
+    """Part by which the arms' inertia may be off, for checks and `coop tune`."""
 
 
 class Report(Strict):
     """What the report measures and judges."""
 
     transient_s: Instant
+    """Errors are judged after so much of the trajectory."""
     max_position_error_m: Annotated[float, Field(gt=0.0, le=100.0)] | None = None
+    """Largest position error after it that `coop run --strict` accepts; none: not judged."""
     max_attitude_error_rad: Attitude | None = None
-
-
-class DynamixelPort(Strict):
-    """How a host reaches the servos of this arm."""
-
-    port: Annotated[Label, Field(pattern=r"^\S+$")]
-    baud: Baud | None = None  # None: as the arm file says
-
-
-class PostureSpec(Strict):
-    """Null-space posture of an arm with more than six controlled joints."""
-
-    q_rad: list[Angle]
-    stiffness_Nm_per_rad: Annotated[float, Field(ge=0.0, le=1e4)]
-    damping_Nm_s_per_rad: Annotated[float, Field(gt=0.0, le=1e4)]
-
-
-class Arm(Strict):
-    """One arm of the cell."""
-
-    absent: ClassVar[Mapping[str, str]] = MappingProxyType(
-        {
-            "k_v_Nm_s_per_rad": "give the rotation a k_v of its own, N·m·s/rad: the number of k_v_N_s_per_m is mostly "
-            "far too much for a wrist; 0.1 is a beginning, `coop tune` finds a better one"
-        }
-    )
-
-    name: Name
-    host: Annotated[str, Field(pattern=r"^[A-Za-z0-9]([A-Za-z0-9.-]{0,251}[A-Za-z0-9])?$")] | None = None  # None: any
-    model: FileStem
-    p_world_base_m: Vec3
-    quat_world_base: Quaternion
-    p_object_ee_m: Vec3
-    quat_object_ee: Quaternion
-    load_share: Share  # the paper allows 0: such an arm damps the object and carries nothing
-    k_v_N_s_per_m: PerAxis
-    k_v_Nm_s_per_rad: PerAxis  # the paper prints one number for both, which is far too much for a wrist
-    internal_wrench_N_Nm: Wrench | None = None  # at ee, object axes
-    grip_force_max_N: Annotated[float, Field(gt=0.0, le=1e4)] | None = None  # what the gripper holds by friction
-    controlled: Annotated[list[Label], Field(min_length=3, max_length=7)]
-    locked_rad: dict[Label, Angle] = Field(default_factory=dict)
-    q_near_rad: list[Angle]
-    rest_rad: dict[Label, Angle] = Field(default_factory=dict)  # where the arm rests; else as its arm file says
-    grip_width_m: Length | None = None  # of the object between the fingers; None: its size in their direction
-    posture: PostureSpec | None = None
-    dynamixel: DynamixelPort | None = None
-
-    @model_validator(mode="after")
-    def _consistent(self) -> Arm:
-        n = len(self.controlled)
-        if len(self.q_near_rad) != n:
-            raise wrong(
-                "q_near_rad",
-                found=f"{len(self.q_near_rad)} values",
-                expected=f"one q_near_rad per controlled joint, {n}",
-                remedy="give angles near those that hold the object at the start",
-            )
-        if (self.posture is not None) != (n > TASK_ROWS):
-            raise wrong(
-                "posture", found="none" if self.posture is None else f"one with {n} controlled joints",
-                expected="a posture for more than six controlled joints, and for no other",
-                remedy="give q_rad, stiffness and damping, or leave it out",
-            )  # fmt: skip
-        if self.posture is not None and len(self.posture.q_rad) != n:
-            raise wrong(
-                "posture.q_rad", found=f"{len(self.posture.q_rad)} values", expected=f"one per controlled joint, {n}",
-                remedy="give the angles the arm is to rest at in its null space",
-            )  # fmt: skip
-        both = set(self.controlled) & set(self.locked_rad)
-        if both:
-            raise wrong(
-                "locked_rad", found=", ".join(sorted(both)), expected="no joint that is controlled as well",
-                remedy="name each joint either as controlled or as locked",
-            )  # fmt: skip
-        return self
+    """The same for the attitude."""
 
 
 class CellFile(Strict):
     """A whole cell: the same bytes on every host."""
 
     format: Format
+    """Version of this file format."""
     name: Name
+    """Name of the cell, in topics and file names."""
     driver: Annotated[DriverKind, AS_LIST]
+    """What moves the arms: sim, or the servos."""
     rate_hz: Annotated[float, Field(ge=20.0, le=2000.0)]
-    loop_delay_s: Annotated[float, Field(ge=0.0)] | None = None  # from a sample to its torque; None: one period
+    """Control rate; higher allows stiffer gains, the servo bus bounds it."""
+    loop_delay_s: Annotated[float, Field(ge=0.0)] | None = None
+    """Time from a sample to its torque, at most one period; none: one period."""
     duration_s: Annotated[float, Field(gt=0.0, le=1e6)]
+    """Length of a run."""
     world: World
+    """The inertial frame."""
+    table: Table | None = None
+    """The table that the cell stands on; none: nothing is compared with it."""
     object: Object
+    """The grasped rigid body; its frame is at the centre of mass."""
     trajectory: TrajectorySpec
+    """The desired motion of the object."""
     controller: Controller
+    """The law and its gains."""
     safety: Safety = Safety()
+    """Bounds checked before the start and on every tick."""
     tolerance: Tolerance = Tolerance()
+    """Errors that check, tune and study count with."""
     simulation: Simulation = Simulation()
-    session: Session | None = None  # None: the arms begin with the object in their grippers
+    """The simulated cell; agents do not read it."""
+    session: Session | None = None
+    """From rest to the object and back; none: the arms begin with the object in their grippers."""
     report: Report
-    embedded: dict[str, str] = Field(default_factory=dict)  # text of the files the cell names, added while loading
+    """What the report measures and judges."""
+    embedded: dict[str, str] = Field(default_factory=dict)
+    """Text of files that the cell names, by name; added while loading, not written by hand."""
     arms: Annotated[list[Arm], Field(min_length=1, max_length=8)]
+    """The arms, one table each."""
 
     @property
     def p_place_m(self) -> tuple[float, float, float]:
@@ -263,6 +157,16 @@ class CellFile(Strict):
         """Time from a sample to its torque in the simulated cell."""
         own = self.simulation.effects.delay_s
         return self.delay_s if own is None else own
+
+    @model_validator(mode="after")
+    def _table_lies_level(self) -> CellFile:
+        x, y, z = self.world.gravity_m_per_s2
+        if self.table is not None and (z > 0.0 or math.hypot(x, y) > 0.1 * math.hypot(x, y, z)):
+            raise wrong(
+                "table", found=f"gravity {list(self.world.gravity_m_per_s2)}", expected="a world whose z points up",
+                remedy="leave [table] out, or turn the world",
+            )  # fmt: skip
+        return self
 
     @model_validator(mode="after")
     def _delay_within_a_period(self) -> CellFile:

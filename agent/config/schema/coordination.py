@@ -17,22 +17,37 @@ class AlignmentSpec(Strict):
     """Every arm but the anchor shifts its own target towards what it sees (agent.control.alignment)."""
 
     enabled: bool = True
-    anchor: Name | None = None  # the arm that does not; None: the first of the cell
-    ready_per_s: Rate = 2.0  # while waiting for the start
+    """Whether every arm but the anchor shifts its target towards what it sees."""
+    anchor: Name | None = None
+    """The arm that does not; none: the first."""
+    ready_per_s: Rate = 2.0
+    """How quickly it shifts while waiting for the start."""
     track_per_s: Rate = 0.3
+    """How quickly it shifts during the motion."""
     dead_zone_m: Annotated[float, Field(ge=0.0, le=0.05)] = 1.5e-3
+    """Difference of positions that is left alone."""
     dead_zone_rad: Annotated[float, Field(ge=0.0, le=0.5)] = 8e-3
+    """Difference of attitudes that is left alone."""
     max_m: Annotated[float, Field(gt=0.0, le=0.1)] = 0.02
+    """Largest shift of the target."""
     max_rad: Annotated[float, Field(gt=0.0, le=0.5)] = 0.1
+    """Largest turn of the target."""
 
 
 class NoticingSpec(Strict):
     """From which unexpected wrench on an arm it holds (agent.control.residual): a sudden one, and one that stays."""
 
     enabled: bool = True
-    fast_N: Force | None = None  # None: derived from the cell (agent.config.noticing), and so the others
+    """Whether an arm holds on an unexpected wrench."""
+    fast_N: Force | None = None
+    """Sudden unexpected force from which it does; none: derived from the cell, as the next three."""
     fast_Nm: Moment | None = None
+    """Sudden unexpected moment from which it does."""
     slow_N: Force | None = None
+    """Unexpected force that stays, from which it does."""
     slow_Nm: Moment | None = None
+    """Unexpected moment that stays, from which it does."""
     rate_per_s: Annotated[float, Field(gt=0.0, le=200.0)] = 30.0
-    slow_per_s: Annotated[float, Field(gt=0.0, le=50.0)] | None = None  # None: 2 of planar arms, 4 of any other
+    """Bandwidth of the residual."""
+    slow_per_s: Annotated[float, Field(gt=0.0, le=50.0)] | None = None
+    """Bandwidth of the slow channel; none: 2 of planar arms, 4 of others."""

@@ -24,29 +24,47 @@ NOTHING = (0.0, 0.0, 0.0)
 class ArmReality(Strict):
     """Errors of one arm; joint values one per controlled joint."""
 
-    base_m: Offsets = NOTHING  # world axes, true less believed
-    base_rad: Turns = NOTHING  # rotation vector, world axes, about the base's origin
-    grasp_m: Offsets = NOTHING  # object axes
-    grasp_rad: Turns = NOTHING  # rotation vector, object axes
-    zeros_rad: Annotated[tuple[Turn, ...], AS_LIST] = ()  # reported less true; empty: no error
-    masses: Times = 1.0  # of its links
-    friction: Annotated[float, Field(ge=0.0, le=20.0)] = 1.0  # of its joints
-    torque_constant: Annotated[tuple[Times, ...], AS_LIST] = ()  # of its servos, true over believed; empty: no error
-    skew_s: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0  # by which its clock, and so its trajectory, is ahead
+    base_m: Offsets = NOTHING
+    """True base less believed, world axes."""
+    base_rad: Turns = NOTHING
+    """Rotation vector, world axes, about the base's origin."""
+    grasp_m: Offsets = NOTHING
+    """True grasp less believed, object axes."""
+    grasp_rad: Turns = NOTHING
+    """Rotation vector, object axes."""
+    zeros_rad: Annotated[tuple[Turn, ...], AS_LIST] = ()
+    """Reported angle less true, one per controlled joint; empty: no error."""
+    masses: Times = 1.0
+    """Times the masses of its links."""
+    friction: Annotated[float, Field(ge=0.0, le=20.0)] = 1.0
+    """Times the friction of its joints."""
+    torque_constant: Annotated[tuple[Times, ...], AS_LIST] = ()
+    """True over believed, one per controlled joint; empty: no error."""
+    skew_s: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
+    """By which its clock, and so its trajectory, is ahead."""
 
 
 class Reality(Strict):
     """Errors of the cell: drawn from `seed` within the cell's [tolerance], or each as given."""
 
     seed: Annotated[int, Field(ge=0, lt=2**63)] | None = None
-    object: Times = 1.0  # its mass and inertia
-    object_centre_m: Offsets = NOTHING  # object axes, its centre of mass less its frame
-    pads_N_per_m: Annotated[float, Field(ge=10.0, le=1e8)] | None = None  # as of [simulation.grasp]
+    """Errors are drawn from it within [tolerance]; a seed alone, or values without one."""
+    object: Times = 1.0
+    """Times the object's mass and inertia."""
+    object_centre_m: Offsets = NOTHING
+    """True centre of mass less the object's frame, object axes."""
+    pads_N_per_m: Annotated[float, Field(ge=10.0, le=1e8)] | None = None
+    """Stiffness of finger pads; none: [simulation.grasp]."""
     pads_Nm_per_rad: Annotated[float, Field(ge=0.01, le=1e6)] | None = None
+    """The same in rotation."""
     pads_damping_ratio: Annotated[float, Field(ge=0.0, le=10.0)] | None = None
-    delay_s: Seconds | None = None  # of the simulated loop
-    delay_jitter_s: Seconds = 0.0  # by which it differs from tick to tick, at most
+    """Of an arm that swings on its pad."""
+    delay_s: Seconds | None = None
+    """Loop delay of the plant; none: as believed."""
+    delay_jitter_s: Seconds = 0.0
+    """By which it differs from tick to tick, at most."""
     arms: dict[Name, ArmReality] = Field(default_factory=dict)
+    """Errors of single arms, by name."""
 
     @model_validator(mode="after")
     def _drawn_or_given(self) -> Reality:

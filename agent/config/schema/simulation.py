@@ -23,23 +23,36 @@ class Effects(Strict):
     )
 
     friction: bool = True
+    """Whether joints rub."""
     position_quantisation: bool = True
+    """Whether positions come in encoder steps."""
     velocity_quantisation: bool = True
+    """Whether velocities come in servo steps."""
     torque_quantisation: bool = True
+    """Whether torques are made in current steps."""
     saturation: bool = True
-    delay_s: Annotated[float, Field(ge=0.0, le=0.5)] | None = None  # of the simulated loop; None: loop_delay_s
+    """Whether torque ends where the servo's does."""
+    delay_s: Annotated[float, Field(ge=0.0, le=0.5)] | None = None
+    """Loop delay of the simulated cell; none: loop_delay_s."""
     torque_constant_error: Annotated[float, Field(gt=-0.9, lt=1.0)] = 0.0
+    """Part by which the simulated torque constants are off."""
 
 
 class Grasp(Strict):
     """Finger pads of every arm in the simulated cell; without this table grasps are welded."""
 
     stiffness_N_per_m: Annotated[float, Field(ge=10.0, le=1e8)]
+    """Stiffness of finger pads."""
     stiffness_Nm_per_rad: Annotated[float, Field(ge=0.01, le=1e6)]
-    damping_ratio: Annotated[float, Field(ge=0.0, le=10.0)] = 0.25  # of an arm that swings on its pad
-    slip_N: Annotated[float, Field(gt=0.0, le=1e4)] | None = None  # the pads slip above it; None: never
+    """The same in rotation."""
+    damping_ratio: Annotated[float, Field(ge=0.0, le=10.0)] = 0.25
+    """Of an arm that swings on its pad."""
+    slip_N: Annotated[float, Field(gt=0.0, le=1e4)] | None = None
+    """The pads slip above this force; none: never."""
     slip_Nm: Annotated[float, Field(gt=0.0, le=1e4)] | None = None
-    open_m: Length | None = None  # a grasp that has slipped so far opens for good
+    """Or above this moment."""
+    open_m: Length | None = None
+    """A grasp that has slipped so far opens for good; none: never."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Grasp:
@@ -53,32 +66,48 @@ class Grasp(Strict):
 class Push(Strict):
     """A push on the object at its frame's origin, world axes."""
 
-    at_s: Instant  # on the trajectory's clock
+    at_s: Instant
+    """When, on the trajectory's clock."""
     duration_s: Annotated[float, Field(gt=0.0, le=1e6)]
+    """How long."""
     force_N: Annotated[tuple[Effort, Effort, Effort], AS_LIST] = (0.0, 0.0, 0.0)
+    """Force on the object, world axes."""
     moment_Nm: Annotated[tuple[Effort, Effort, Effort], AS_LIST] = (0.0, 0.0, 0.0)
+    """Moment on it."""
 
 
 class Opening(Strict):
     """A gripper that loses the object for good."""
 
-    at_s: Instant  # on the trajectory's clock
+    at_s: Instant
+    """When, on the trajectory's clock."""
     arm: Name
+    """The arm whose gripper loses the object for good."""
 
 
 class Simulation(Strict):
     """The simulated cell; what an agent does, and whether a cell may start, does not depend on it."""
 
-    ready_s: Annotated[float, Field(ge=0.0, le=60.0)] = 0.0  # lockstep: the arms wait so long before the common start
+    ready_s: Annotated[float, Field(ge=0.0, le=60.0)] = 0.0
+    """Lockstep: the arms wait so long before the common start."""
     substeps_per_cycle: Annotated[int, Field(ge=1, le=200)] = 5
-    observe_rate_hz: Annotated[float, Field(ge=0.01, le=2000.0)] = 50.0  # of the truth in the log
+    """Integration steps per control cycle."""
+    observe_rate_hz: Annotated[float, Field(ge=0.01, le=2000.0)] = 50.0
+    """Rate of the truth in the log."""
     friction_smooth_rad_per_s: Smoothing = 0.01
-    object_mass_error: Annotated[float, Field(ge=-0.99, le=10.0)] = 0.0  # the plant's object: 1 = twice as heavy
+    """Speed over which simulated friction changes its sign."""
+    object_mass_error: Annotated[float, Field(ge=-0.99, le=10.0)] = 0.0
+    """Part by which the plant's object is heavier."""
     effects: Effects = Effects()
-    grasp: Grasp | None = None  # None: welded
-    reality: Reality | None = None  # None: what the files say is true
+    """What a real servo adds."""
+    grasp: Grasp | None = None
+    """Finger pads; none: welded grasps."""
+    reality: Reality | None = None
+    """What the plant has against what the files say; none: nothing."""
     push: list[Push] = Field(default_factory=list)
+    """Pushes on the object."""
     opening: list[Opening] = Field(default_factory=list)
+    """Grippers that open."""
 
     def require_fit(self, joints: Mapping[str, int]) -> None:
         """Refuse what befalls arms that are not there; joints: their number by arm.  Raises PydanticCustomError."""

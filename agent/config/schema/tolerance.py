@@ -1,7 +1,8 @@
 """What may stand under `[tolerance]` of a cell file: how far reality may be from what the cell's files say.
 
 Every key is the largest error to be lived with, in both directions where a sign makes sense.  The gains are judged by
-it (`coop check`, `coop tune`), and simulated realities are drawn within it; no agent reads it.
+it (`coop check`, `coop tune`), simulated realities are drawn within it, and from it follows what is no trip of noticing
+and monitors; no torque depends on it.
 """
 
 from __future__ import annotations
@@ -42,21 +43,36 @@ Angular = Annotated[float, Field(ge=0.01, le=1e6)]
 class Tolerance(Strict):
     """Errors of a cell that check, tune and study count with."""
 
-    base_m: Distance = 1e-3  # where a base stands
+    base_m: Distance = 1e-3
+    """Where a base stands."""
     base_rad: Turn = math.radians(0.5)
-    grasp_m: Distance = 2e-3  # where a gripper holds the object
+    """How it is turned; 0.5°."""
+    grasp_m: Distance = 2e-3
+    """Where a gripper holds the object."""
     grasp_rad: Turn = 0.0
-    zeros_rad: Turn | None = None  # of each joint; None: 0.5° of a planar arm, 0.1° of any other
-    masses: Part = 0.1  # of the links of an arm
-    object: Part = 0.2  # of the object's mass and inertia
-    object_centre_m: Distance = 0.0  # the object's centre of mass beside its frame
-    friction: Factors = (0.6, 1.5)  # of the servos
-    torque_constant: Part = 0.1  # of each servo
+    """How it is turned there."""
+    zeros_rad: Turn | None = None
+    """Zero of each joint; none: 0.5° of a planar arm, 0.1° of any other."""
+    masses: Part = 0.1
+    """Part of the masses of an arm's links."""
+    object: Part = 0.2
+    """Part of the object's mass and inertia."""
+    object_centre_m: Distance = 0.0
+    """The object's centre of mass beside its frame."""
+    friction: Factors = (0.6, 1.5)
+    """Times the friction in the arm files, from to."""
+    torque_constant: Part = 0.1
+    """Part, of each servo."""
     pads_N_per_m: Annotated[tuple[Linear, Linear], AS_LIST, AfterValidator(_ascending)] = (1e3, 1e6)
+    """Stiffness of a grasp, from to."""
     pads_Nm_per_rad: Annotated[tuple[Angular, Angular], AS_LIST, AfterValidator(_ascending)] = (5.0, 1e3)
-    pads_damping_ratio: Annotated[float, Field(ge=0.0, le=10.0)] = 0.25  # of an arm that swings on its pad
-    delay: Factors = (0.8, 1.25)  # of the loop, from a sample to its torque
-    skew_s: Annotated[float, Field(ge=0.0, le=1.0)] = 5e-3  # between the starts of two arms
+    """The same in rotation."""
+    pads_damping_ratio: Annotated[float, Field(ge=0.0, le=10.0)] = 0.25
+    """Of an arm that swings on its pad."""
+    delay: Factors = (0.8, 1.25)
+    """Times the loop's delay, from to."""
+    skew_s: Annotated[float, Field(ge=0.0, le=1.0)] = 5e-3
+    """Between the starts of two arms."""
 
     def zeros_of(self, joints: int) -> float:
         """Error of the zero of each joint of an arm with so many controlled joints, rad."""

@@ -29,50 +29,75 @@ class SinusoidSpec(Strict):
     """`agent.control.trajectory.Sinusoid`."""
 
     kind: Literal["sinusoid"]
+    """p_centre + p_amplitude sin, turned by angle sin about axis."""
     p_centre_m: Vec3
+    """Middle of the motion, world axes."""
     p_amplitude_m: Vec3
+    """Amplitude of each axis."""
     quat_centre: Quaternion = UPRIGHT
+    """Attitude in the middle, w x y z."""
     axis: UnitVector
+    """Axis of the turn, world axes."""
     angle_rad: Angle
+    """Amplitude of the turn."""
     period_s: Duration
-    ramp_s: Instant = 0.0  # the motion begins at rest and has its speed after so long; 0: at once, as the paper's
+    """Period."""
+    ramp_s: Instant = 0.0
+    """The motion begins at rest and has its speed after so long; 0: at once."""
 
 
 class RestToRestSpec(Strict):
     """`agent.control.trajectory_rest.RestToRest`: from one pose to another and, if asked, back again."""
 
     kind: Literal["rest_to_rest"]
+    """From one pose to another and, if asked, back."""
     p_from_m: Vec3
+    """First position, world axes."""
     quat_from: Quaternion = UPRIGHT
+    """First attitude, w x y z."""
     p_to_m: Vec3
+    """Second position."""
     quat_to: Quaternion = UPRIGHT
+    """Second attitude."""
     move_s: Duration
-    wait_s: Instant = 0.0  # before the motion, and before the way back
+    """Time of one way."""
+    wait_s: Instant = 0.0
+    """Before the motion, and before the way back."""
     and_back: bool = False
+    """Whether it returns."""
 
 
 class Waypoint(Strict):
     """A pose and the time at which the object passes it."""
 
     t_s: Instant
+    """When the object passes."""
     p_m: Vec3
+    """Where, world axes."""
     quat: Quaternion = UPRIGHT
+    """At which attitude, w x y z."""
 
 
 class WaypointsSpec(Strict):
     """`agent.control.trajectory_spline.PoseSpline` through way-points; at rest at both ends."""
 
     kind: Literal["waypoints"]
+    """A smooth motion through way-points, at rest at both ends."""
     points: Annotated[list[Waypoint], Field(min_length=2)]
+    """The way-points, two at least, times ascending."""
 
 
 class PoseFileSpec(Strict):
     """`agent.control.trajectory_spline.PoseSpline` through the poses of a CSV file beside the cell file."""
 
     kind: Literal["file"]
+    """A smooth motion through the poses of a CSV file."""
     path: Annotated[str, Field(min_length=1)]
-    speed_max_m_per_s: Speed = 0.5  # a faster way from row to row is a jump
+    """The file, relative to the cell file."""
+    speed_max_m_per_s: Speed = 0.5
+    """A faster way from row to row is a jump."""
     speed_max_rad_per_s: Speed = 2.0
+    """The same for the attitude."""
 
 
 HarmonicNumber = Annotated[int, Field(ge=1, le=10**6)]
@@ -89,20 +114,35 @@ class FourierSpec(Strict):
     """
 
     kind: Literal["fourier"]
+    """A band-limited excitation, to identify an arm from."""
     p_centre_m: Vec3
+    """Middle of the motion, world axes."""
     quat_centre: Quaternion = UPRIGHT
+    """Attitude in the middle, w x y z."""
     base_period_s: Duration
+    """Period of harmonic 1."""
     fade_s: Duration
+    """Time of fading in and out."""
     motion_s: Duration
+    """Length of the motion."""
     x_m: Harmonics = Field(default_factory=list)
+    """[harmonic, amplitude, phase] of x."""
     y_m: Harmonics = Field(default_factory=list)
+    """[harmonic, amplitude, phase] of y."""
     z_m: Harmonics = Field(default_factory=list)
+    """[harmonic, amplitude, phase] of z."""
     roll_rad: Harmonics = Field(default_factory=list)
+    """[harmonic, amplitude, phase] of roll."""
     pitch_rad: Harmonics = Field(default_factory=list)
+    """[harmonic, amplitude, phase] of pitch."""
     yaw_rad: Harmonics = Field(default_factory=list)
-    excursion_max_m: Length = 0.15  # of each axis, were all its terms to peak at once
-    excursion_max_rad: Annotated[float, Field(gt=0.0, le=1.2)] = 1.0  # below the pitch of π/2 that angles cannot pass
+    """[harmonic, amplitude, phase] of yaw."""
+    excursion_max_m: Length = 0.15
+    """Bound of each axis, were all its terms to peak at once."""
+    excursion_max_rad: Annotated[float, Field(gt=0.0, le=1.2)] = 1.0
+    """The same for the angles."""
     frequency_max_hz: Annotated[float, Field(gt=0.0, le=50.0)] = 2.0
+    """Highest frequency that is meant."""
 
     def axes(self) -> tuple[Harmonics, Harmonics, Harmonics, Harmonics, Harmonics, Harmonics]:
         """x, y, z, roll, pitch, yaw."""

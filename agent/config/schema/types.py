@@ -77,7 +77,11 @@ Vec3 = Annotated[tuple[Coordinate, Coordinate, Coordinate], AS_LIST]
 Wrench = Annotated[tuple[Effort, Effort, Effort, Effort, Effort, Effort], AS_LIST]
 Quaternion = Annotated[tuple[float, float, float, float], AS_LIST, AfterValidator(_unit_quaternion)]
 UnitVector = Annotated[tuple[float, float, float], AS_LIST, AfterValidator(_unit_axis)]
-PerAxis = Annotated[tuple[Gain, Gain, Gain], AS_LIST, BeforeValidator(_three)]
+PerAxis = Annotated[
+    tuple[Gain, Gain, Gain],
+    AS_LIST,
+    BeforeValidator(_three, json_schema_input_type=Gain | tuple[Gain, Gain, Gain]),
+]
 
 
 def _first_format(value: int) -> int:

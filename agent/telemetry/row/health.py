@@ -1,9 +1,11 @@
 """What the servos of an arm say of themselves about once a second, as a JSON text and back.
 
     {"utc_ns": …, "servo_id": [1, …], "joint": ["waist", …], "temperature_C": […], "voltage_V": […],
-     "error_bits": […], "current_A": […], "load": […]}
+     "error_bits": […], "current_A": […], "load": […],
+     "temperature_limit_C": […], "voltage_min_V": […], "voltage_max_V": […], "stall_current_A": […]}
 
-One number per servo; null where it is not known, or where the servo senses no such thing.
+One number per servo; null where it is not known, or where the servo senses no such thing.  The last four are the
+servo's own limits, which texts of older logs lack.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ from agent.telemetry.row.event import TEXT_MAX_BYTES, check_time
 from drivers.interface import ServoHealth
 
 QUANTITIES: Final = {"temperature_C": 1, "voltage_V": 2, "current_A": 3, "load": 3}  # decimals that are worth telling
+LIMITS: Final = {"temperature_limit_C": 1, "voltage_min_V": 1, "voltage_max_V": 1, "stall_current_A": 2}
 SERVOS_MAX: Final = 64
 
 
@@ -33,6 +36,10 @@ class Health:
     error_bits: tuple[int, ...]  # Hardware Error Status
     current_A: tuple[float, ...]
     load: tuple[float, ...]  # share of the largest torque, of servos that sense no current
+    temperature_limit_C: tuple[float, ...]  # at which the servo switches itself off
+    voltage_min_V: tuple[float, ...]
+    voltage_max_V: tuple[float, ...]
+    stall_current_A: tuple[float, ...]
 
     @classmethod
     def from_json(cls, payload: bytes) -> Health:
@@ -45,6 +52,8 @@ class Health:
             joints = tuple(_name(x) for x in raw["joint"])
             bits = tuple(_whole(x, 255) for x in raw["error_bits"])
             numbers = {name: tuple(_number(x) for x in raw[name]) for name in QUANTITIES}
+            unknown = [None] * len(ids)
+            numbers |= {name: tuple(_number(x) for x in raw.get(name, unknown)) for name in LIMITS}
             utc_ns = check_time(raw["utc_ns"])
         except (KeyError, TypeError, RecursionError) as error:
             raise ValueError(f"not the health of servos: {error!r}") from error
@@ -56,7 +65,7 @@ class Health:
 
 def health_values(health: ServoHealth) -> Mapping[str, Any]:
     """What is written of it, but for the time."""
-    rounded = {name: getattr(health, name).round(places).tolist() for name, places in QUANTITIES.items()}
+    rounded = {name: getattr(health, name).round(places).tolist() for name, places in (QUANTITIES | LIMITS).items()}
     bits = health.error_bits.tolist()
     return {"servo_id": health.servo_ids, "joint": health.joints, "error_bits": bits, **rounded}
 

@@ -13,9 +13,11 @@ from typing import Any
 import numpy as np
 
 from agent.config.cell import Arm, Cell
+from agent.config.monitors import bounds
 from agent.config.schema.cell import DriverKind
 from agent.config.servo_map import arm_map
 from agent.modes import Event
+from agent.monitors.watch import Watch
 from agent.process.agent import AgentOptions, _schedule
 from agent.process.build import Connection, build_agent
 from agent.process.emulate import wiring
@@ -34,7 +36,7 @@ from sim_backend.wire.timing import BusTiming
 from tests.support.runner_rig import Log
 from tests.support.servos.dxl_rig import VirtualPort
 
-START_AFTER_NS = 200_000_000  # from the moment at which the last arm is ready
+READY_S = 0.2  # from the moment at which the last arm is ready to the common start
 NOBODY = 0
 
 
@@ -123,6 +125,7 @@ class ArmRun:
 
     log: Log = field(default_factory=Log)
     events: list[DriverEvent] = field(default_factory=list)
+    told: list[str] = field(default_factory=list)  # by monitors, in a hold
     summary: RunSummary | None = None
     port: VirtualPort | None = None
     runner: Runner | None = None
@@ -165,7 +168,8 @@ class CoupledRun:
     """A run of all arms of a cell; faults and actions count from the common start, or from where it would be.
 
     real: with the patience of real arms; starts: False for arms that are never given the start; operator: words to an
-    arm by its name and the seconds since the start; actions: what the test does at an instant.
+    arm by its name and the seconds since the start; actions: what the test does at an instant; believed: what the
+    agents have for a cell, when it is not that of the servos; ready_s: before the start.
     """
 
     def __init__(
@@ -177,18 +181,18 @@ class CoupledRun:
         starts: bool = True,
         operator: Callable[[str, float], Event] = lambda *_: Event.NONE,
         actions: Sequence[tuple[float, Callable[[CoupledRun], None]]] = (),
-        as_is: Cell | None = None,
+        believed: Cell | None = None,
+        ready_s: float = READY_S,
     ) -> None:
-        """as_is: the cell as it is, where that is not what the arms believe."""
         q_start = examine(cell).q_start
-        q_real = q_start if as_is is None else examine(as_is).q_start
         wired = [wiring(arm, i, arm.baud) for i, arm in enumerate(cell.arms)]
-        self._emulated, self.world = emulate(plant_spec(as_is or cell, q_real), wired, timing=BusTiming())
+        self._emulated, self.world = emulate(plant_spec(cell, q_start), wired, timing=BusTiming())
         self._injectors = [Injector(arm, None, seed=1) for arm in self._emulated.arms]
         self._clock = SharedClock(self._emulated, self._injectors, len(cell.arms))
         self._clock.passing = self._pass
-        self._cell, self._faults = cell, faults
+        self._cell, self._faults = believed or cell, faults
         self._real, self._starts, self._operator, self._actions = real, starts, operator, list(actions)
+        self._start_after_ns = round(ready_s * 1e9)
         self._ready: set[str] = set()
         self._zero_ns: int | None = None
         self._stalls: dict[str, float] = {}
@@ -269,7 +273,8 @@ class CoupledRun:
         row = AgentRow(run.log.message, arm.n, self._cell.config_id)
         schedule = _schedule(self._cell, options)
         agent = build_agent(self._cell, arm)
-        run.runner = Runner(agent, driver, self._clock, schedule, row, run.log, around)
+        watch = Watch(bounds(self._cell, arm), run.told.append)
+        run.runner = Runner(agent, driver, self._clock, schedule, row, run.log, around, watch)
         return run.runner.run(Event.ENABLED)
 
     def _start(self, arm: str) -> int | None:
@@ -277,10 +282,10 @@ class CoupledRun:
         self._ready.add(arm)
         if self._zero_ns is None and len(self._ready) == len(self.arms):
             now_ns = self._clock.now_ns()
-            self._zero_ns = now_ns + START_AFTER_NS
+            self._zero_ns = now_ns + self._start_after_ns
             for injector in self._injectors:
                 mine = [f for f in self._faults if f.arm == injector.arm.name]
                 injector.add(
-                    [f.model_copy(update={"start_s": f.start_s + START_AFTER_NS * 1e-9}) for f in mine], now_ns
+                    [f.model_copy(update={"start_s": f.start_s + self._start_after_ns * 1e-9}) for f in mine], now_ns
                 )
         return self._zero_ns if self._starts else None

@@ -9,11 +9,13 @@ from typing import Any
 
 import pinocchio as pin
 
+from agent.config import monitors
 from agent.config.cell import Arm, Cell
 from agent.config.schema.cell import DriverKind
 from agent.config.servo_map import arm_map
 from agent.config.session import rest_joints
 from agent.modes import Event, Mode
+from agent.monitors.watch import Watch
 from agent.process.agent import AgentOptions, _schedule
 from agent.process.build import Connection, build_agent
 from agent.process.session import session_loop
@@ -133,7 +135,9 @@ class WholeRun:
         row = AgentRow(run.log.message, arm.n, self.cell.config_id)
         schedule: Schedule = _schedule(self.cell, options)
         session = session_loop(self.cell, arm, agent, driver)
-        summary = Runner(agent, driver, self.clock, schedule, row, run.log, around, session).run(Event.ENABLED)
+        watch = Watch(monitors.bounds(self.cell, arm), run.told.append)
+        loop = Runner(agent, driver, self.clock, schedule, row, run.log, around, watch, session)
+        summary = loop.run(Event.ENABLED)
         driver.disable()
         return summary
 

@@ -120,12 +120,10 @@ def test_simulation_is_stable_at_the_recommended_gain_and_not_far_above(rate: fl
     recommended = limit_of(cell_of("paper_ideal", KIND, *wide))
     slow, fast = (
         largest_error(cell_of("paper_ideal", KIND, *wide, f"controller.adaptive.gamma={recommended * factor}"))
-        for factor in (1.0, 32.0)
+        for factor in (1.0, 64.0)
     )
     assert slow < 0.6e-3
-    assert (
-        fast > 2.5e-3
-    )  # torque limits, and the weight's torque at singular poses, keep what is unstable from going farther
+    assert fast > 5.0 * slow  # 14 and 43 times: torque limits keep what is unstable, and chaotic, from going farther
 
 
 def test_an_empty_estimate_that_the_rate_cannot_hold_is_warned_of_and_diverges() -> None:

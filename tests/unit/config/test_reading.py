@@ -9,6 +9,7 @@ import pytest
 
 import configs
 from agent.config.cell import ConfigError, cell_from_toml, load_cell
+from agent.config.reading import WrongKeys
 from agent.control.trajectory_spline import TrajectoryError
 from agent.verify.check import examine
 from agent.verify.finding import Verdict
@@ -158,3 +159,35 @@ def test_a_long_motion_is_examined_in_part_and_says_so() -> None:
 def test_a_refusal_is_one_line_whatever_is_in_it() -> None:
     text = str(Refusal("a\nb", found="\x1b[31m\t\u202e", expected="c\u2028d", remedy="e"))
     assert text == "a b: found \ufffd[31m \ufffd, expected c d; e"
+
+
+def test_all_missing_and_wrong_keys_are_named_at_once() -> None:
+    text = PAPER.read_text().replace("mass_kg", "mas_kg", 1).replace("p_object_ee_m", "# p_object_ee_m", 1)
+    text = text.replace("rate_hz = ", "rate_hz = -", 1).replace("load_share = 0.5", 'load_share = "half"', 1)
+    with pytest.raises(WrongKeys) as caught:
+        cell_from_toml(text.encode(), "mine.toml")
+    found = {p.what: (p.found, p.expected, p.remedy) for p in caught.value.problems}
+    assert set(found) == {
+        "object.mas_kg in mine.toml", "arms.left.p_object_ee_m in mine.toml", "rate_hz in mine.toml",
+        "arms.left.load_share in mine.toml",
+    }  # fmt: skip
+    assert found["object.mas_kg in mine.toml"][2] == "did you mean mass_kg?"
+    assert found["arms.left.p_object_ee_m in mine.toml"] == ("nothing", "a value", "add the key")
+    assert caught.value.lines == [str(p) for p in caught.value.problems]
+    assert str(caught.value).startswith("object.mas_kg in mine.toml (and 3 more: ")
+
+
+def test_every_arm_that_cannot_be_is_named_at_once() -> None:
+    text = PAPER.read_text().replace('model = "widowx_mk2"', 'model = "nothing"')
+    with pytest.raises(WrongKeys, match="model of arm left") as caught:
+        cell_from_toml(text.encode(), "mine.toml")
+    assert [p.what.split(" in ")[0] for p in caught.value.problems] == ["model of arm left", "model of arm right"]
+
+
+def test_of_very_many_wrong_keys_a_screenful_is_shown() -> None:
+    text = "".join(f"k{i} = 1\n" for i in range(60)) + PAPER.read_text()
+    with pytest.raises(WrongKeys) as caught:
+        cell_from_toml(text.encode(), "mine.toml")
+    assert caught.value.lines[-1] == "and 20 more"
+    assert len(caught.value.lines) == 41
+    assert len(str(caught.value)) < 1000

@@ -54,7 +54,9 @@ def _follow(command: Any, words: list[str], code: str) -> None:
     while hasattr(command, "commands") and words and re.fullmatch(r"[a-z][a-z0-9-]*", words[0]):
         assert words[0] in command.commands, f"no command {words[0]} in `{code}`"
         command, words = command.commands[words[0]], words[1:]
-    options = {option for parameter in command.params for option in parameter.opts} | {"--help"}
+    options = {option for parameter in command.params for option in (*parameter.opts, *parameter.secondary_opts)} | {
+        "--help"
+    }
     for word in words:
         option = re.match(r"\[?(--[a-z][a-z-]*)", word)
         assert option is None or option[1] in options, f"{command.name} has no {option[1]} in `{code}`"

@@ -390,6 +390,10 @@ def test_health_is_that_of_each_servo(bench: Bench) -> None:
     amperes[[2, 5, 6]] = np.nan  # one did not answer, two have no current sensor
     np.testing.assert_allclose(health.current_A, amperes)
     np.testing.assert_allclose(health.load, [np.nan] * 5 + [0.5, 0.6])
+    np.testing.assert_allclose(health.temperature_limit_C, [80.0] * 5 + [72.0] * 2)
+    np.testing.assert_allclose(health.voltage_min_V, [9.5] * 5 + [6.0] * 2)
+    np.testing.assert_allclose(health.voltage_max_V, [16.0] * 5 + [14.0] * 2)
+    np.testing.assert_allclose(health.stall_current_A, [2.3] * 5 + [1.4] * 2)
 
 
 def pings(bench: Bench, models: Sequence[int]) -> list[tuple[int, int]]:

@@ -119,6 +119,7 @@ def test_nine_servos_of_a_driver_fit_and_come_back_rounded() -> None:
     health = ServoHealth(
         5, tuple(range(244, 253)), ("forearm_rotation",) * 9, 60.0 + nine, 11.123 + 0.001 * nine,
         np.full(9, 0x2D, np.uint8), np.where(nine < 6, -1.23456, NAN), np.where(nine < 6, NAN, -0.1234),
+        80.0 + nine, np.full(9, 9.5), np.full(9, 16.0), np.full(9, 2.3),
     )  # fmt: skip
     encoded = encode({"utc_ns": UTC_0_NS, **health_values(health)})
     assert len(encoded) <= TEXT_MAX_BYTES
@@ -129,6 +130,14 @@ def test_nine_servos_of_a_driver_fit_and_come_back_rounded() -> None:
     np.testing.assert_array_equal(told.current_A, [-1.235] * 6 + [NAN] * 3)
     np.testing.assert_array_equal(told.load, [NAN] * 6 + [-0.123] * 3)
     assert told.error_bits == (0x2D,) * 9
+    assert told.temperature_limit_C == tuple(80.0 + nine)
+    assert (told.voltage_min_V, told.voltage_max_V, told.stall_current_A) == ((9.5,) * 9, (16.0,) * 9, (2.3,) * 9)
+
+
+def test_a_text_of_an_older_log_has_no_limits() -> None:
+    told = Health.from_json(text(1))
+    for name in ("temperature_limit_C", "voltage_min_V", "voltage_max_V", "stall_current_A"):
+        np.testing.assert_array_equal(getattr(told, name), [NAN] * 3)
 
 
 @pytest.mark.parametrize(

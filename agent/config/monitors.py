@@ -1,0 +1,128 @@
+"""The bounds of an arm's monitors, from the cell file and the arm's files alone; docs/monitors.md has them in words.
+
+How far the wrench W of agent.monitors.gravity may be from zero follows from the cell's `[tolerance]`, by component:
+
+    limit = max over arms of MARGIN √(Σ columns²),   columns = J⁻ᵀ (masses g), J⁻ᵀ e_j torque_constant (g + c Jᵀ w)_j,
+                                                               J⁻ᵀ e_j friction F_j, J⁻ᵀ (object c Jᵀ w)
+
+with friction as breakaway may hold it at rest, and the poses those of the start.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from agent.config.cell import Arm, Cell, ConfigError, placement
+from agent.config.schema.controller import ControllerKind
+from agent.control import ik
+from agent.control.models import ArmModel, Kinematics, Matrix
+from agent.monitors.bounds import Bounds, Name
+from drivers.interface import Vector
+
+MARGIN: Final = 1.4
+SPEED_TIMES: Final = 2.0  # the motion's own
+FASTEST: Final = 0.85  # of no-load speed, whatever the motion asks for
+ADAPTIVE_TIMES: Final = 1.3  # arms that learn at rest share the weight as it happens
+FLOORS: Final = (0.3, 0.3, 0.3, 0.03, 0.03, 0.03)
+FRICTION_TIMES: Final = 3.0  # of the file's Coulomb friction: feedback beyond it moves any joint that is free
+SAMPLES: Final = 100  # of the motion
+
+
+def bounds(cell: Cell, arm: Arm) -> Bounds:
+    """Of one arm.  Raises ConfigError where an arm of the cell cannot reach the object at its start."""
+    spec, file = cell.file.safety.monitors, cell.file
+    no_load = np.array([m.no_load_rad_per_s for m in arm.servo_models])
+    model = cell.model(arm).model
+    low = model.lowerPositionLimit + spec.position_margin_rad
+    high = model.upperPositionLimit - spec.position_margin_rad
+    coulomb = np.array([s.coulomb_Nm.value for s in arm.servos])
+    x, y, z = (-file.object.mass_kg * cell.gravity).tolist()
+    return Bounds(
+        joints=tuple(arm.entry.controlled),
+        period_s=1.0 / file.rate_hz,
+        watched=frozenset(Name) - frozenset(spec.off),
+        speed_rad_per_s=tuple(_speeds(cell, arm, no_load).tolist()),
+        power_W=tuple((spec.power_share * 0.25 * arm.tau_stall_Nm * no_load).tolist()),
+        position_rad=tuple(zip(low.tolist(), high.tolist(), strict=True)),
+        workspace_m=spec.workspace_m or _around_motion(cell, spec.workspace_margin_m),
+        limited_share=spec.limited_share,
+        frozen_rad=spec.frozen_rad,
+        frozen_Nm=tuple((FRICTION_TIMES * coulomb).tolist()),
+        load_share=spec.load_share,
+        stall_Nm=tuple(arm.tau_stall_Nm.tolist()),
+        load_time_s=spec.load_time_s,
+        load_share_of_weight=arm.entry.load_share,
+        object_weight_N=(x, y, z),
+        gravity=tuple((spec.gravity_times * _gravity(cell)).tolist()),
+        temperature_margin_C=spec.temperature_margin_C,
+        voltage_margin_V=spec.voltage_margin_V,
+    )
+
+
+def _around_motion(cell: Cell, margin_m: float) -> tuple[tuple[float, float], ...]:
+    trajectory = cell.trajectory()
+    times = np.linspace(0.0, min(trajectory.period_s, cell.file.duration_s), SAMPLES).tolist()
+    places = np.array([cell.file.object.p_start_m, *(trajectory.at(t).p for t in times)])
+    low, high = places.min(axis=0) - margin_m, places.max(axis=0) + margin_m
+    return tuple(zip(low.tolist(), high.tolist(), strict=True))
+
+
+def _speeds(cell: Cell, arm: Arm, no_load: Vector) -> Vector:
+    """(n,) rad/s: a share of what the servos can, and what the motion asks for twice over."""
+    spec = cell.file.safety.monitors
+    asked = SPEED_TIMES * _speeds_of_motion(cell, arm)
+    found: Vector = np.minimum(spec.speed_share * no_load + asked, max(FASTEST, spec.speed_share) * no_load)
+    return found
+
+
+def _speeds_of_motion(cell: Cell, arm: Arm) -> Vector:
+    """(n,) rad/s: the largest along the desired motion; as far as the arm can follow it."""
+    model, trajectory, P = cell.model(arm), cell.trajectory(), cell.model(arm).task_basis
+    q, fastest = np.array(arm.entry.q_near_rad), np.zeros(model.n)
+    for t in np.linspace(0.0, min(trajectory.period_s, cell.file.duration_s), SAMPLES).tolist():
+        desired = trajectory.at(t)
+        try:
+            q = ik.solve(model, placement(desired.p, desired.quat), q)
+        except ik.Unreachable:  # `coop check` refuses the cell for it
+            break
+        dq = np.linalg.pinv(model.jacobian(q)) @ (P @ np.array(desired.v))
+        fastest = np.maximum(fastest, np.abs(dq))
+    return fastest
+
+
+def _gravity(cell: Cell) -> Vector:
+    """(6,) N, N·m, before `gravity_times`: the same for every arm of the cell."""
+    sizes = [np.linalg.norm(_errors_at_rest(cell, arm), axis=1) for arm in cell.arms]
+    adaptive = cell.file.controller.kind is ControllerKind.ADAPTIVE
+    found: Vector = np.maximum(FLOORS, MARGIN * (ADAPTIVE_TIMES if adaptive else 1.0) * np.max(sizes, axis=0))
+    return found
+
+
+def _errors_at_rest(cell: Cell, arm: Arm) -> Matrix:
+    """(6, s) what errors within the tolerance make of W at the start: a column each."""
+    model, stated = cell.model(arm), cell.tolerance
+    k = _start(cell, arm, model)
+    carried = k.Jt[:, :3] @ (-arm.entry.load_share * cell.file.object.mass_kg * cell.gravity)
+    breakaway = [s.coulomb_Nm.value + (s.breakaway_Nm.value if s.breakaway_Nm else 0.0) for s in arm.servos]
+    torques = [
+        (stated.masses * k.g)[:, None],
+        np.diag(stated.torque_constant * (k.g + carried)),
+        np.diag(stated.friction[1] * np.array(breakaway)),
+        (stated.object * carried)[:, None],
+    ]
+    found: Matrix = model.task_basis.T @ np.linalg.pinv(k.J).T @ np.column_stack(torques)
+    return found
+
+
+def _start(cell: Cell, arm: Arm, model: ArmModel) -> Kinematics:
+    try:
+        q = ik.solve(model, cell.T_world_object_start, np.array(arm.entry.q_near_rad))
+    except ik.Unreachable as error:
+        raise ConfigError(
+            f"bounds of [safety.monitors], arm {arm.name}",
+            found=f"a start pose out of reach ({error})", expected="a pose that the arm holds",
+            remedy="see `coop check`",
+        ) from error  # fmt: skip
+    return model.evaluate(q, np.zeros(model.n))

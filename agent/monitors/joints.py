@@ -1,0 +1,101 @@
+"""Monitors of the joints' motion: speed, power, position, and a reading that does not move."""
+
+from __future__ import annotations
+
+from agent.modes import Mode
+from agent.monitors.bounds import Bounds
+from agent.monitors.tick import Tick, sentence
+
+FROZEN_S = 0.05  # a reading that stays the same for less says nothing
+
+
+class Speed:
+    """No joint turns faster than its bound."""
+
+    def __init__(self, bounds: Bounds) -> None:
+        self._joints, self._bounds = bounds.joints, bounds.speed_rad_per_s
+
+    def check(self, at: Tick) -> str:
+        """See `agent.monitors.tick.Monitor`."""
+        for joint, dq, bound in zip(self._joints, at.dq, self._bounds, strict=True):
+            if not -bound <= dq <= bound:
+                return sentence(
+                    f"speed of {joint}", f"{dq:.2f} rad/s", f"at most {bound:.2f} rad/s",
+                    "look for a gain that is too high, a broken grasp or a slipped load before the next start",
+                )  # fmt: skip
+        return ""
+
+
+class Power:
+    """No joint's torque works faster than its bound, in either direction."""
+
+    def __init__(self, bounds: Bounds) -> None:
+        self._joints, self._bounds = bounds.joints, bounds.power_W
+
+    def check(self, at: Tick) -> str:
+        """See `agent.monitors.tick.Monitor`."""
+        for joint, tau, dq, bound in zip(self._joints, at.tau, at.dq, self._bounds, strict=True):
+            if not -bound <= tau * dq <= bound:
+                return sentence(
+                    f"power of {joint}", f"{tau * dq:.2f} W ({tau:.2f} N·m at {dq:.2f} rad/s)",
+                    f"at most {bound:.2f} W", "look for a gain that is too high, or somebody who pushes the arm",
+                )  # fmt: skip
+        return ""
+
+
+class Position:
+    """Every joint stays away from its end stops."""
+
+    def __init__(self, bounds: Bounds) -> None:
+        self._joints, self._bounds = bounds.joints, bounds.position_rad
+
+    def check(self, at: Tick) -> str:
+        """See `agent.monitors.tick.Monitor`."""
+        for joint, q, (low, high) in zip(self._joints, at.q, self._bounds, strict=True):
+            if not low <= q <= high:
+                return sentence(
+                    f"position of {joint}", f"{q:.3f} rad", f"{low:.3f} to {high:.3f} rad",
+                    "start from the pose that `coop check` shows; move the base or the motion if it ends there",
+                )  # fmt: skip
+        return ""
+
+
+class Frozen:
+    """A joint that the motion moves does not read the same for ever.
+
+    A reading that stays the same to the bit while the motion asks the joint to turn by more than `frozen_rad`, and the
+    feedback pushes harder than friction could resist, is that of a dead encoder or of a joint that is held fast.
+    """
+
+    def __init__(self, bounds: Bounds) -> None:
+        self._joints, self._rad, self._Nm = bounds.joints, bounds.frozen_rad, bounds.frozen_Nm
+        self._period_s, self._least = bounds.period_s, round(FROZEN_S / bounds.period_s)
+        self._last = [float("nan")] * len(bounds.joints)
+        self._same = [0] * len(bounds.joints)  # ticks in a row
+        self._asked_rad = [0.0] * len(bounds.joints)  # since the reading last changed
+
+    def check(self, at: Tick) -> str:
+        """See `agent.monitors.tick.Monitor`."""
+        terms = at.outcome.terms
+        if at.mode is not Mode.TRACK or terms is None or terms.J_inv_P is None:
+            return ""
+        wanted = terms.J_inv_P.dot(terms.desired.v).tolist()
+        pushed = terms.tau_feedback.tolist()
+        last, same, asked, period_s = self._last, self._same, self._asked_rad, self._period_s
+        for j, (q, dq_des) in enumerate(zip(at.q, wanted, strict=True)):
+            if q != last[j]:
+                last[j], same[j], asked[j] = q, 0, 0.0
+                continue
+            same[j] += 1
+            asked[j] += dq_des * period_s
+            if same[j] >= self._least and abs(asked[j]) > self._rad and abs(pushed[j]) > self._Nm[j]:
+                return self._said(j, pushed[j])
+        return ""
+
+    def _said(self, j: int, pushed_Nm: float) -> str:
+        return sentence(
+            f"reading of {self._joints[j]}",
+            f"{self._last[j]:.4f} rad for {self._same[j]} cycles against {pushed_Nm:.2f} N·m of feedback",
+            f"a turn of about {self._asked_rad[j]:.3f} rad",
+            "free the joint; if it turns freely, its encoder is dead: change the servo",
+        )

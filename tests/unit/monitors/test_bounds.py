@@ -1,0 +1,111 @@
+"""The bounds of an arm's monitors are what the page says: from the arm's files, the motion and the tolerance."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import configs
+from agent.config.cell import Cell, load_cell
+from agent.config.monitors import FLOORS, bounds
+from agent.config.reading import ConfigError
+from agent.monitors.bounds import Bounds, Name
+from drivers.dynamixel.servo.table import SERVOS
+
+
+def load(name: str, *overrides: str) -> Cell:
+    return load_cell(configs.CELLS_DIR / f"{name}.toml", overrides)
+
+
+def of_left(*overrides: str) -> Bounds:
+    cell = load("two_wx200", *overrides)
+    return bounds(cell, cell.arm("left"))
+
+
+STILL = ("trajectory.p_amplitude_m=[0.0, 0.0, 0.0]", "trajectory.angle_rad=0.0")
+
+
+def test_they_follow_from_servos_and_urdf() -> None:
+    b, xm430 = of_left(*STILL), SERVOS["XM430-W350"]
+    assert b.joints == ("shoulder", "elbow", "wrist_angle")
+    assert b.stall_Nm == (8.2, 4.1, 4.1)
+    assert b.speed_rad_per_s == pytest.approx([0.2 * xm430.no_load_rad_per_s] * 3)
+    assert b.power_W == pytest.approx([0.5 * stall * xm430.no_load_rad_per_s / 4.0 for stall in b.stall_Nm])
+    np.testing.assert_allclose(b.position_rad[0], [-1.884956 + 0.02, 1.972222 - 0.02])
+    assert b.frozen_Nm == pytest.approx([0.6, 0.3, 0.3])
+    assert b.object_weight_N == pytest.approx((0.0, 0.0, 0.062 * 9.81))
+    assert (b.load_share_of_weight, b.period_s, b.watched) == (0.5, 0.005, frozenset(Name))
+
+
+def test_a_motion_may_be_twice_as_fast_and_no_faster_than_servos_are() -> None:
+    slow, once = np.array(of_left(*STILL).speed_rad_per_s), np.array(of_left().speed_rad_per_s)
+    twice = np.array(of_left("trajectory.period_s=7.5").speed_rad_per_s)
+    assert (once > slow + 0.05).all()
+    np.testing.assert_allclose(twice - slow, 2.0 * (once - slow), rtol=0.02)
+    top = 0.85 * SERVOS["XM430-W350"].no_load_rad_per_s
+    assert of_left("trajectory.period_s=0.3").speed_rad_per_s == pytest.approx([top] * 3)
+
+
+def test_a_motion_out_of_reach_is_for_the_check_to_refuse() -> None:
+    assert min(of_left("trajectory.p_amplitude_m=[0.5, 0.0, 0.0]").speed_rad_per_s) > 0.0
+
+
+def test_the_box_is_around_motion_and_start_or_as_given() -> None:
+    (x0, x1), (y0, y1), (z0, z1) = of_left().workspace_m
+    assert (x0, x1) == pytest.approx((0.225, 0.525), abs=1e-3)
+    assert (y0, y1, z0, z1) == pytest.approx((-0.1, 0.1, 0.15, 0.35))
+    assert of_left(*STILL, "object.p_start_m=[0.36, 0.0, 0.25]").workspace_m[0] == pytest.approx((0.26, 0.475))
+    given = "safety.monitors.workspace_m=[[0.1, 0.7], [-0.2, 0.2], [0.0, 0.5]]"
+    assert of_left(given).workspace_m == ((0.1, 0.7), (-0.2, 0.2), (0.0, 0.5))
+    with pytest.raises(ConfigError, match="low to high"):
+        of_left("safety.monitors.workspace_m=[[0.7, 0.1], [-0.2, 0.2], [0.0, 0.5]]")
+
+
+def test_monitors_are_switched_off_by_name() -> None:
+    b = of_left('safety.monitors.off=["speed", "gravity"]')
+    assert frozenset(Name) - b.watched == {Name.SPEED, Name.GRAVITY}
+    with pytest.raises(ConfigError, match="speed"):
+        of_left('safety.monitors.off=["haste"]')
+
+
+EXACT = (
+    "tolerance.masses=0.0",
+    "tolerance.torque_constant=0.0",
+    "tolerance.friction=[1.0, 1.0]",
+    "tolerance.object=0.0",
+)
+
+
+def test_weight_at_rest_may_be_off_by_what_the_tolerance_allows() -> None:
+    """Each error alone, and all together as their quadratic sum."""
+
+    cell = load("two_wx200")
+    k = cell.model(cell.arms[0]).evaluate(np.array([-0.35281558, 0.68875737, -0.33594179]), np.zeros(3))
+    J_inv_T = np.linalg.inv(k.J).T
+    weight = k.Jt[:, :3] @ np.array([0.0, 0.0, 0.031 * 9.81])
+    friction = np.linalg.norm(J_inv_T * [0.2, 0.1, 0.1], axis=1)[1]
+    parts = {
+        "tolerance.masses=0.5": 0.5 * abs(J_inv_T @ k.g)[1],
+        "tolerance.torque_constant=0.5": 0.5 * np.linalg.norm(J_inv_T * (k.g + weight), axis=1)[1],
+        "tolerance.object=0.9": 0.9 * 0.031 * 9.81,
+    }
+    for given, part in parts.items():
+        assert of_left(*EXACT, given).gravity[2] == pytest.approx(1.4 * math.hypot(part, friction), rel=0.02), given
+    both = math.hypot(*parts.values(), friction)
+    assert of_left(*EXACT, *parts).gravity[2] == pytest.approx(1.4 * both, rel=0.02)
+    assert of_left(*EXACT, "tolerance.friction=[1.0, 3.0]").gravity[2] == pytest.approx(1.4 * 3.0 * friction, rel=0.02)
+
+
+def test_it_has_floors_a_factor_and_more_room_for_an_arm_that_learns() -> None:
+    usual = np.array(of_left().gravity)
+    assert usual[[1, 3, 5]] == pytest.approx(np.array(FLOORS)[[1, 3, 5]])  # out of the plane
+    assert of_left("safety.monitors.gravity_times=2.0").gravity == pytest.approx(2.0 * usual)
+    learning = np.array(of_left("controller.kind=adaptive").gravity)
+    assert learning[[0, 2, 4]] == pytest.approx(1.3 * usual[[0, 2, 4]])
+
+
+def test_a_start_out_of_reach_is_refused() -> None:
+    with pytest.raises(ConfigError, match="start pose out of reach"):
+        of_left("object.p_start_m=[3.0, 0.0, 0.25]")

@@ -1,0 +1,108 @@
+"""Monitors in a closed loop with the plant: what is wrong holds the arms, what the cell tolerates does not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import configs
+from agent.config.cell import Cell, load_cell
+from agent.config.reality import draw
+from agent.config.schema.reality import ArmReality, Reality
+from agent.modes import Mode
+from agent.monitors.bounds import Name
+from drivers.interface import Vector
+from tests.support.watched import only, watched, without
+
+UNNOTICED = ("safety.noticing.enabled=false", "safety.tracking_error_max_m=1.0", "safety.tracking_error_max_rad=1.5")
+AT_ONCE = "simulation.ready_s=0.0"
+
+
+def load(name: str, *overrides: str) -> Cell:
+    return load_cell(configs.CELLS_DIR / f"{name}.toml", overrides)
+
+
+@pytest.mark.parametrize(("name", "seed"), [("two_wx200", 7), ("three_wx250s", 8)])
+def test_a_cell_within_its_tolerance_trips_no_monitor(name: str, seed: int) -> None:
+    cell = load(name, "simulation.ready_s=2.0")
+    seen = watched(cell, 2.5, reality=draw(cell.tolerance, seed, cell))
+    assert seen.first == {}
+    assert all(place.mode is Mode.TRACK for place in seen.places)
+
+
+@pytest.mark.parametrize("factor", [0.7, 1.3])
+def test_s8_torque_constants_and_friction_off_by_a_third_are_no_trip(factor: float) -> None:
+    cell = load("two_wx200", "simulation.ready_s=2.0")
+    wrong = ArmReality(friction=factor, torque_constant=(factor,) * 3)
+    seen = watched(cell, 3.0, reality=Reality(arms={"left": wrong}))
+    assert seen.first == {}
+    assert all(place.mode is Mode.TRACK for place in seen.places)
+
+
+@pytest.mark.parametrize("gravity", ["[0.0, 0.0, 9.81]", "[9.81, 0.0, 0.0]"], ids=["up", "sideways"])
+def test_g6_a_wrong_gravity_is_refused_before_the_start(gravity: str) -> None:
+    wrong = load("two_wx200", f"world.gravity_m_per_s2={gravity}")
+    seen = watched(load("two_wx200"), 0.1, believed=wrong)
+    assert seen.names == {Name.GRAVITY}
+    assert all(t < -2.0 for t, _ in seen.first.values())
+    assert seen.places[0].mode is Mode.HOLD, "no start out of a hold"
+
+
+def test_g6_another_arm_than_the_files_is_refused_before_the_start() -> None:
+    heavy = Reality(arms={name: ArmReality(masses=2.0) for name in ("left", "right")})
+    seen = watched(load("two_wx200"), 0.1, reality=heavy)
+    assert seen.names == {Name.GRAVITY}
+
+
+def test_g6_a_missing_object_is_refused_where_the_arms_are_known_well_enough() -> None:
+    known = ("tolerance.masses=0.02", "tolerance.torque_constant=0.02", "tolerance.friction=[0.9, 1.1]")
+    light = load("three_wx250s", "object.mass_kg=1.2", "simulation.ready_s=1.6", *known)
+    gone = Reality(object=0.05)
+    assert watched(light, 0.0, reality=gone).names == {Name.GRAVITY}
+    assert watched(light, 0.0).first == {}
+    assert watched(light, 0.0, reality=gone, changed=without(Name.GRAVITY)).first == {}
+
+
+@pytest.mark.parametrize("name", ["two_wx200", "three_wx250s"])
+def test_m5_gains_ten_times_too_high_are_noticed_within_20_ms(name: str) -> None:
+    """From the tick on which a joint is faster than any motion that was asked for."""
+    gains = load(name).file
+    c = gains.controller
+    keys = {
+        "controller.k_p_per_s": c.k_p_per_s, "controller.k_eps_rad_per_s": c.k_eps_rad_per_s,
+        "controller.k_p_rate_per_s": c.k_p_rate_per_s, "controller.k_eps_rate_rad_per_s": c.k_eps_rate_rad_per_s,
+    }  # fmt: skip
+    for arm in gains.arms:
+        keys[f"arms.{arm.name}.k_v_N_s_per_m"] = arm.k_v_N_s_per_m
+        keys[f"arms.{arm.name}.k_v_Nm_s_per_rad"] = arm.k_v_Nm_s_per_rad
+    tenfold = [f"{key}={10.0 * value[0]}" for key, value in keys.items() if value is not None]
+    wild, cell = load(name, AT_ONCE, *UNNOTICED, *tenfold), load(name, AT_ONCE)
+    began: list[float] = []
+
+    def fast(t: float, dq: Vector) -> None:
+        if not began and np.abs(dq).max() > 0.15:
+            began.append(t)
+
+    seen = watched(cell, 1.0, believed=wild, until_trip=True, see=fast)
+    t, said = min(seen.first.values())
+    assert t - began[0] <= 0.02
+    assert said.startswith(("monitor speed", "monitor power"))
+    blind = watched(cell, t + 0.1, believed=wild, changed=without(Name.SPEED, Name.POWER, Name.RATE_LIMITED))
+    assert min((t for t, _ in blind.first.values()), default=1.0) > t
+
+
+def test_s5_a_dead_encoder_is_found_and_a_living_one_is_not_suspected() -> None:
+    quick = load("two_wx200", AT_ONCE, "trajectory.period_s=3.0", "trajectory.ramp_s=0.2", *UNNOTICED)
+    kept: list[float] = []
+
+    def dead(t: float, q: Vector) -> Vector:
+        if t < 0.5:
+            return q
+        kept.extend(q[:1].tolist() if not kept else [])
+        return np.array([kept[0], *q[1:]])
+
+    seen = watched(quick, 1.5, lies={"left": dead}, changed=only(Name.FROZEN))
+    t, said = seen.first["left"]
+    assert said.startswith("monitor frozen: reading of shoulder")
+    assert 0.5 + 0.05 <= t <= 0.5 + 0.15
+    assert set(seen.first) == {"left"}
