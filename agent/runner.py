@@ -15,6 +15,7 @@ from agent.cycles import WINDOW, Bus, Cycles
 from agent.loop import Agent, Outcome, afresh, blind, explained, hold_after, initial_memory, step, wait_here
 from agent.modes import TABLE, Event, Mode, next_mode
 from agent.monitors.watch import Watch
+from agent.phases import ALONE
 from agent.safety import Flag
 from agent.session import SessionLoop, entered
 from agent.session_modes import next_in_session
@@ -250,7 +251,9 @@ class Runner:
             if self._tracking_since_ns is None:
                 self._tracking_since_ns = begin_ns
             self._tracked_s = (after_write_ns - self._tracking_since_ns) * 1e-9
-        found = "" if self._watch is None else self._watch.after(state, outcome, mode, self._driver.health)
+        found = ""
+        if self._watch is not None and mode not in ALONE:  # what they watch is the carrying of an object
+            found = self._watch.after(state, outcome, mode, self._driver.health)
         if int(outcome.flags) & _TROUBLE:
             self._reason = (
                 self._reason or f"t = {t:.3f} s: {outcome.flags!r} {explained(self._agent, outcome)}".rstrip()

@@ -33,6 +33,18 @@ _WAY = (
     Mode.REST, Mode.APPROACH, Mode.GRASP, Mode.READY, Mode.TRACK, Mode.HOLD, Mode.LOWER, Mode.RELEASE, Mode.PARK
 )  # fmt: skip
 
+# The way out of a session that is given up.
+_BACK: Mapping[Mode, Verb] = {
+    Mode.READY: Verb.STOP,
+    Mode.TRACK: Verb.STOP,
+    Mode.HOLD: Verb.RELEASE,
+    Mode.LOWER: Verb.RELEASE,
+    Mode.RELEASE: Verb.PARK,
+    Mode.APPROACH: Verb.PARK,
+    Mode.HALT: Verb.RELEASE,
+    Mode.REST: Verb.RELEASE,
+}
+
 
 class Person:
     """Says word after word; `trouble` says why it went no further."""
@@ -60,7 +72,7 @@ class Person:
         modes = {Mode[one.mode] for one in replies.values()}
         stopped = {arm: one.reason for arm, one in replies.items() if one.mode == "HALT" or one.reason}
         if self.trouble or stopped:
-            self._give_up(stopped)
+            self._give_up(stopped, {arm: Mode[one.mode] for arm, one in replies.items()})
             return
         if len(replies) < len(heard):
             return  # beginning, or over
@@ -89,11 +101,14 @@ class Person:
         if instant:
             self._next_s = time.monotonic() + 2e-9 * IN_NS
 
-    def _give_up(self, stopped: Mapping[str, str]) -> None:
-        """Stop everybody, then have them let go: nothing can fall that is emulated."""
+    def _give_up(self, stopped: Mapping[str, str], modes: Mapping[str, Mode]) -> None:
+        """Stop everybody, then have each arm let go and come back: nothing can fall that is emulated."""
         if not self.trouble:
             self.trouble = "; ".join(f"{arm}: {reason or 'stopped'}" for arm, reason in stopped.items())
             self._tell(f"stop: {self.trouble}")
             ask_arms(self._arms, Request(Verb.STOP), SILENT_S)
             return
-        ask_arms(self._arms, Request(Verb.RELEASE), SILENT_S)
+        for arm, mode in modes.items():
+            verb = _BACK.get(mode)
+            if verb is not None:
+                ask_arms({arm: self._arms[arm]}, Request(verb), SILENT_S)
