@@ -9,7 +9,22 @@ from typing import Annotated
 
 import typer
 
-from agent.cli import answers, cells, doctor, latency, logs, make, motors, processes, replay, run, study, view, words
+from agent.cli import (
+    answers,
+    cells,
+    doctor,
+    faults,
+    latency,
+    logs,
+    make,
+    motors,
+    processes,
+    replay,
+    run,
+    study,
+    view,
+    words,
+)
 from agent.cli.help import Commands
 from agent.cli.where import where
 
@@ -28,7 +43,8 @@ GROUPS: dict[str, tuple[Callable[..., None], ...]] = {
     ),
     "This installation": (where,),
     "Processes of a cell": (
-        processes.agent, processes.plant, processes.emulate, processes.telemetry, processes.record, processes.ros2,
+        processes.agent, processes.guard, processes.plant, processes.emulate, processes.telemetry, processes.record,
+        processes.ros2,
     ),
 }  # fmt: skip
 
@@ -43,6 +59,7 @@ for _heading, _commands in GROUPS.items():
     for _command in _commands:
         app.command(rich_help_panel=_heading)(_command)
 app.add_typer(motors.app, name="motors", rich_help_panel="Arms of this host")
+app.add_typer(faults.app, name="faults", rich_help_panel="Simulate and examine")
 
 
 def _version(wanted: bool) -> None:

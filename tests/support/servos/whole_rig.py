@@ -136,7 +136,7 @@ class WholeRun:
         schedule: Schedule = _schedule(self.cell, options)
         session = session_loop(self.cell, arm, agent, driver)
         watch = Watch(monitors.bounds(self.cell, arm), run.told.append)
-        loop = Runner(agent, driver, self.clock, schedule, row, run.log, around, watch, session)
+        loop = Runner(agent, driver, self.clock, schedule, row, run.log, around, watch, session=session)
         summary = loop.run(Event.ENABLED)
         driver.disable()
         return summary
