@@ -37,6 +37,7 @@ def agent(
     ] = False,
     emulated: Annotated[bool, typer.Option("--emulated", help="The servos on that port are emulated.")] = False,
     real_time: Annotated[bool, typer.Option("--real-time", help="At the wall clock's pace, not in lockstep.")] = False,
+    whole: Annotated[bool, typer.Option("--whole", help="Begin at rest and wait for `coop approach`.")] = False,
     guard: Annotated[Path | None, typer.Option(help="Socket of the arm's guard, or refuse.")] = None,
     gripper_empty: Annotated[
         bool, typer.Option("--gripper-empty", help="Arm in the loop: a person has looked, it holds nothing.")
@@ -74,7 +75,8 @@ def agent(
         ring=ring or ring_path(name, arm),
         control=None if lockstep else control or control_path(name, arm),
         lockstep=lockstep,
-        hold=hold if hold is not None else kind is DriverKind.DYNAMIXEL and not emulated,
+        hold=whole or (hold if hold is not None else kind is DriverKind.DYNAMIXEL and not emulated),
+        whole=whole,
         priority=priority,
         guard=guard,
         no_realtime=allow_no_realtime,
@@ -161,13 +163,15 @@ def emulate(
     control: Annotated[Path | None, typer.Option(help="Datagram socket that takes faults.")] = None,
     seed: Annotated[int, typer.Option(help="Seed of the faults.")] = 0,
     no_timing: Annotated[bool, typer.Option("--no-timing", help="Answer at once, not at the bus's pace.")] = False,
+    whole: Annotated[bool, typer.Option("--whole", help="Arms begin at rest, the object on a table.")] = False,
     with_parent: WithParent = False,
 ) -> None:
     """Emulated Dynamixel servos of the cell's arms on pseudo terminals, for any Dynamixel client."""
     from agent.atomic import make_folder
     from agent.config.cell import load_cell
     from agent.host.paths import make_runtime_dir, ring_path
-    from agent.process.emulate import run_emulate, run_emulate_alone
+    from agent.process.emulate import gripping, run_emulate, run_emulate_alone
+    from agent.process.whole import at_rest
     from agent.telemetry.row.topics import PLANT
     from sim_backend.wire.serve import ServeOptions
 
@@ -182,7 +186,9 @@ def emulate(
         typer.echo(run_emulate_alone(loaded, options, timing=not no_timing, stop=requested, ready=ready), err=True)
         return
     where = ring or ring_path(name, PLANT)
-    typer.echo(run_emulate(loaded, options, where, timing=not no_timing, stop=requested, ready=ready), err=True)
+    begins = at_rest if whole else gripping
+    run = run_emulate(loaded, options, where, timing=not no_timing, stop=requested, ready=ready, begin=begins)
+    typer.echo(run, err=True)
 
 
 def telemetry(

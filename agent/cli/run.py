@@ -23,6 +23,7 @@ def run(
             metavar="ARMS", help="Rehearse: these arms (left,right) on emulated servos, each on its own, in the loop."
         ),
     ] = None,
+    whole: Annotated[bool, typer.Option("--whole", help="With --wire: from rest to the object and back.")] = False,
     faults: Annotated[Path | None, typer.Option(help="Faults of the emulated servos, JSON lines.")] = None,
     strict: Annotated[bool, typer.Option("--strict", help="Exit 6 when a bound of the cell file is missed.")] = False,
     listen: Annotated[str | None, typer.Option(help="Endpoint for live viewers (default: a free port).")] = None,
@@ -45,7 +46,8 @@ def run(
     if hil is not None:
         names = ", ".join(f'"{name.strip()}"' for name in hil.split(","))
         kind, overrides = RunKind.HIL, [*overrides, 'driver="sim"', f"hil.arms=[{names}]"]
-    options = RunOptions(cell, tuple(overrides), duration, out, seed, kind, faults, force, listen or FREE_PORT, report)
+    where = listen or FREE_PORT
+    options = RunOptions(cell, tuple(overrides), duration, out, seed, kind, faults, force, where, report, whole)
     with RunProgress() as progress:
         outcome = run_cell(options, requested, progress)
     if as_json:

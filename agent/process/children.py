@@ -29,6 +29,7 @@ from agent.process.commands import (
     TelemetryCommand,
 )
 from agent.process.describe import run_info
+from agent.process.person import Person
 from agent.process.rehearse import in_the_loop
 from agent.telemetry.link.session import FREE_PORT
 from agent.telemetry.ring.ring import RingReader
@@ -87,8 +88,10 @@ class Children:
         log: Path,
         runtime: Path,
         listen: str = FREE_PORT,
+        *,
+        whole: bool = False,
     ) -> None:
-        """`listen`: endpoint of the recorder, where viewers may connect."""
+        """`listen`: endpoint of the recorder, where viewers may connect; `whole`: emulated arms, from rest to rest."""
         self._cell = cell
         self._kind = kind
         self._seed = seed
@@ -96,6 +99,8 @@ class Children:
         self._log = log
         self._runtime = runtime
         self._listen = listen
+        self._whole = whole
+        self.person: Person | None = None  # who stands beside the arms of a whole session
         self._words = log.parent / "logs"
         self._words.mkdir(exist_ok=True)
         self._cell_path = runtime / "cell.toml"
@@ -125,7 +130,10 @@ class Children:
             self._telemetry[name] = self._child(f"telemetry-{name}", self._telemetry_command(name, endpoint))
         for child in (*self._agents.values(), *self._telemetry.values()):
             child.wait_ready(READY_TIMEOUT_S)
-        if not self._lockstep:
+        if self._whole:
+            arms = {arm: [self._control(arm)] for arm in self._agents}
+            self.person = Person(arms, self._cell.fingerprint, lambda word: progress.phase(f"coop {word}"))
+        elif not self._lockstep:
             self._start_together(progress)
         self._began_s = time.monotonic()
 
@@ -175,8 +183,9 @@ class Children:
 
     def _emulate_command(self, ring: Path | None) -> EmulateCommand:
         return EmulateCommand(
-            cell=self._cell_path, ports=self._runtime, ring=ring, faults=self._faults, seed=self._seed
-        )
+            cell=self._cell_path, ports=self._runtime, ring=ring, faults=self._faults, seed=self._seed,
+            whole=self._whole,
+        )  # fmt: skip
 
     def _agent_command(self, arm: str) -> AgentCommand:
         looped = self._kind is RunKind.HIL and in_the_loop(self._cell, arm)
@@ -191,6 +200,7 @@ class Children:
             port=self._runtime / arm if wire else None,
             emulated=wire,
             real_time=self._kind in (RunKind.REAL_TIME, RunKind.HIL),
+            whole=self._whole,
         )
 
     def _telemetry_command(self, member: str, endpoint: str) -> TelemetryCommand:
@@ -205,6 +215,8 @@ class Children:
         with RingReader(self._ring(first), AGENT_STATE) as rows:
             while any(child.process.poll() is None for child in self._agents.values()):
                 self._require_alive()
+                if self.person is not None:
+                    self.person.look()
                 if stop():
                     for child in self._agents.values():
                         child.terminate()

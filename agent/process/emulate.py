@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,13 +17,18 @@ from agent.telemetry.row.sample import PLANT_STATE
 from agent.telemetry.row.topics import PLANT
 from agent.verify.check import examine
 from drivers.clock import utc_offset_ns
-from drivers.interface import Refusal
+from drivers.interface import Refusal, Vector
 from sim_backend.wire.cell import EmulatedCell
 from sim_backend.wire.lone_world import emulate_alone
-from sim_backend.wire.plant_world import emulate
+from sim_backend.wire.plant_world import PlantWorld, emulate
 from sim_backend.wire.serve import ServeOptions, Server, serve
 from sim_backend.wire.timing import BusTiming
+from sim_backend.wire.whole_world import WholeWorld
 from sim_backend.wire.wiring import ArmWiring, wire_arm
+
+Begin = Callable[
+    [Cell, Sequence[Vector], BusTiming | None], tuple[EmulatedCell, PlantWorld] | tuple[EmulatedCell, WholeWorld]
+]
 
 
 class EmulateError(Refusal):
@@ -55,18 +60,30 @@ def run_emulate_alone(
     return f"emulator: {_served(emulated, replace(options, ports=ports), stop).laps} laps, arms on their own"
 
 
+def gripping(cell: Cell, q_start: Sequence[Vector], timing: BusTiming | None) -> tuple[EmulatedCell, PlantWorld]:
+    """Emulated arms that begin with the object in their grippers.  Raises PlantError."""
+    arms = [wiring(arm, i, arm.baud) for i, arm in enumerate(cell.arms)]
+    return emulate(plant_spec(cell, q_start), arms, timing=timing)
+
+
 def run_emulate(
-    cell: Cell, options: ServeOptions, ring: Path, *, timing: bool, stop: StopFlag, ready: Callable[[str], None]
+    cell: Cell,
+    options: ServeOptions,
+    ring: Path,
+    *,
+    timing: bool,
+    stop: StopFlag,
+    ready: Callable[[str], None],
+    begin: Begin = gripping,
 ) -> str:
     """Serve the emulated arms until a stop; returns one line about the run.
 
     options: ports, faults and control socket; what becomes of a tick is added.  timing: False answers at once, not at
-    the pace of the bus.  Raises Refusal.
+    the pace of the bus.  begin: how the arms begin.  Raises Refusal.
     """
     report = examine(cell)
     report.require()
-    arms = [wiring(arm, i, arm.baud) for i, arm in enumerate(cell.arms)]
-    emulated, world = emulate(plant_spec(cell, report.q_start), arms, timing=BusTiming() if timing else None)
+    emulated, world = begin(cell, report.q_start, BusTiming() if timing else None)
     with RingWriter(ring, PLANT_STATE, PLANT) as rows:
         truth = Truth(rows, world.plant, cell, utc_offset_ns(), lockstep=False)
 

@@ -51,7 +51,7 @@ def _believed_spec(cell: Cell, q_start: Sequence[Vector]) -> PlantSpec:
         object=ObjectSpec(
             heavier * obj.mass_kg,
             heavier * np.array(obj.inertia_kg_m2.matrix()),
-            np.array(obj.p_start_m),
+            np.array(cell.file.p_place_m),
             np.array(obj.quat_start),
         ),
         gravity=cell.gravity,

@@ -9,6 +9,7 @@ import numpy as np
 
 from agent.log.runinfo import RunArm, RunInfo
 from agent.modes import Mode
+from agent.report.phases import session_of
 from agent.report.prepared import Prepared, prepare
 from agent.report.rehearsal import added_to, hil_results
 from agent.report.results import (
@@ -56,6 +57,7 @@ def summarise_prepared(run: Prepared) -> Results:
         missing += _complaints(errors, info)
     rows = {arm.name: _completeness(run, arm.name) for arm in info.arms}
     factor = _real_time_factor(run, missing)
+    found, set_down = session_of(run.log)
     return Results(
         info=info,
         complete=run.log.complete and all(not c.gaps for c in rows.values()),
@@ -67,6 +69,9 @@ def summarise_prepared(run: Prepared) -> Results:
         real_time_factor=factor,
         events=len(run.log.events),
         missing=tuple(missing),
+        phases=found,
+        set_down_error_m=set_down[0],
+        set_down_error_rad=set_down[1],
     )
 
 

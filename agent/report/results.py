@@ -11,6 +11,7 @@ from typing import Annotated, Any, Final
 import numpy as np
 
 from agent.log.runinfo import Bounded, RunInfo
+from agent.report.phases import Phase
 from agent.report.quantity import Better, Quantity, Unit, flatten, json_ready, units_of
 from agent.report.rehearsal import HilResults
 from agent.report.series import Array
@@ -165,6 +166,9 @@ class Results:
     real_time_factor: Annotated[float, Unit("", Better.HIGHER)]
     events: Count
     missing: tuple[str, ...]
+    phases: tuple[Phase, ...] = ()  # of a session from rest to rest
+    set_down_error_m: Metres = NAN  # between where the object stands after a session and where it stood before
+    set_down_error_rad: Radians = NAN
 
     @property
     def error_source(self) -> str:
@@ -265,6 +269,9 @@ class Results:
             "rows": self.rows,
             "arms": self.arms,
             "missing": self.missing,
+            "phases": self.phases,
+            "set_down_error_m": self.set_down_error_m,
+            "set_down_error_rad": self.set_down_error_rad,
         }
         out: dict[str, Any] = json_ready(plain)
         return out

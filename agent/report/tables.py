@@ -87,6 +87,9 @@ def lines(results: Results) -> list[Line]:
     rehearsing = [name for name, a in results.arms.items() if a.hil is not None]
     if rehearsing:
         found.append(Line("REHEARSAL, object simulated; real arms", ", ".join(rehearsing)))
+    if math.isfinite(results.set_down_error_m):
+        off = f"{millimetres(results.set_down_error_m)}, {milliradians(results.set_down_error_rad)}"
+        found.append(Line("object set down beside its place by", off))
     return found
 
 
@@ -114,8 +117,16 @@ def tables(results: Results) -> list[Table]:
         _timing(results),
         _log(results),
         _states(results),
+        _phases(results),
     ]
     return [table for table in every if table.rows]
+
+
+def _phases(results: Results) -> Table:
+    rows = tuple(
+        (f"{p.arm} {p.name}", number(p.begin, "s"), number(p.end - p.begin, "s"), p.outcome) for p in results.phases
+    )
+    return Table("Phases", ("phase", "begins", "lasts", "outcome"), rows, words=True)
 
 
 def _errors(results: Results) -> Table:

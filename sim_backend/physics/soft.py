@@ -287,7 +287,35 @@ class SoftPlant:
         self._left = 0
         self._G.reshape(-1, 6, self.joint_count + 6)[:] *= self._pads.closed[:, :, None]
 
-    def brake(self, arm: str, viscous_Nms_rad: float) -> None:
+    def take_hold(self, arm: int) -> None:
+        """Close the grasp of one arm (its place) as it stands: its pad is not stretched."""
+        self._arrive()
+        self._pads.close(arm)
+        self._G[6 * arm : 6 * arm + 6, self.joint_count :] = -np.eye(6)
+        self._linearise()  # the opening of a grasp that was open is known from here on
+        self._pads.rest_at(arm, self._phi[arm], self._T.rotation)
+        self._linearise()
+
+    def let_go(self, q: Vector, T_world_object: pin.SE3) -> None:
+        """Open all grasps, and stand with the arms at q (J,) and the object at its pose, all at rest."""
+        for name in self.spec.names:
+            self.release(name)
+        self._behind = False
+        self._q, self._T = np.array(q), pin.SE3(T_world_object)
+        self._v[:] = 0.0
+        self._linearise()
+
+    def end_effector(self, arm: int) -> pin.SE3:
+        """True pose of the end effector of an arm (its place)."""
+        self._arrive()
+        return self._arms.pose(arm, self._q)
+
+    @property
+    def object_twist(self) -> Vector:
+        """True twist (6,) of the object's frame, world axes: a view."""
+        return self._v[self.joint_count :]
+
+    def brake(self, arm: str, viscous_Nms_rad: float | Vector) -> None:
         """Replace the viscous friction of one arm's joints: large for a seized gear, its own value to let go again."""
         joints = self.slices[self.spec.names.index(arm)]
         self.servos.set_viscous(joints, viscous_Nms_rad)
