@@ -30,7 +30,8 @@ def run(folder: Path) -> RunLog:
         "run", CELL, "--wire", "--duration", "6", "--out", "out", "--faults", "faults.jsonl",
         "--set", "report.transient_s=1", "--set", "safety.tracking_error_max_m=0.02", cwd=folder,
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
+    assert done.returncode == 5, done.stderr  # an arm whose servo is lost for good is given up in the end
+    assert "servo 4" in done.stderr
     return read_log(folder / "out" / "run.mcap")
 
 
@@ -45,12 +46,12 @@ def test_a_lost_servo_is_named_and_both_arms_hold(tmp_path: Path) -> None:
         held_s = left["t"][left["mode"] == Mode.HOLD]
         why = stalled(log, held_s[0] - BEFORE_HOLD_S) if len(held_s) else stalled(log)
         if not why:
-            told = [e.text for e in log.events if e.source == "left" and e.text.startswith("run ended in HOLD")]
+            told = [e.text for e in log.events if e.source == "left" and e.text.startswith("holds: ")]
             assert "servo 4 (elbow)" in told[0]
             assert log.agents["right"]["mode"][-1] == Mode.HOLD, "the object tells the neighbour"
             for rows in log.agents.values():
                 held = np.flatnonzero(rows["mode"] == Mode.HOLD)
-                assert (rows["mode"][held[0] :] == Mode.HOLD).all(), "HOLD is left by nobody but an operator"
+                assert set(rows["mode"][held[0] :]) <= {Mode.HOLD, Mode.FAULT}, "HOLD leads to no motion"
             return
     pytest.skip(f"this machine stalled in each of {ATTEMPTS} runs (the last one: {why})")
 
