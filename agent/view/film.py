@@ -11,8 +11,10 @@ from typing import Final
 from PIL import Image
 
 from agent.report.prepared import Prepared
+from agent.view.camera import Camera
+from agent.view.draw import picture
 from agent.view.error import ViewError
-from agent.view.staged import stage
+from agent.view.staged import Staged, stage, status_text
 
 STILL_PX: Final = (1008, 560)
 FILM_PX: Final = (640, 340)
@@ -32,11 +34,17 @@ class FilmOptions:
     speed: float = 2.5
 
 
+def drawn(staged: Staged, row: int, camera: Camera, size: tuple[int, int], more: str = "") -> Image.Image:
+    """The picture of one instant."""
+    caption = status_text(staged.motion, row) + more
+    return picture(staged.scene, staged.placed, row, camera, size, caption)
+
+
 def still(run: Prepared) -> bytes:
     """The first moment of a run as PNG.  Raises Refusal when the log does not say how the cell looks."""
     staged = stage(run, pictures_hz=1.0)
     out = io.BytesIO()
-    staged.draw(0, staged.camera(STILL_PX), STILL_PX).save(out, "PNG", optimize=True)
+    drawn(staged, 0, staged.camera(STILL_PX), STILL_PX).save(out, "PNG", optimize=True)
     return out.getvalue()
 
 
@@ -61,7 +69,7 @@ def write_film(run: Prepared, options: FilmOptions) -> int:
     staged = stage(run, FILM_HZ / options.speed, options.begin_s, end_s)
     camera = staged.camera(FILM_PX)
     more = f" · {options.speed:g} times as fast" if options.speed != 1.0 else ""
-    frames = [staged.draw(row, camera, FILM_PX, more) for row in range(len(staged.motion.t))]
+    frames = [drawn(staged, row, camera, FILM_PX, more) for row in range(len(staged.motion.t))]
     if kind == "GIF":
         frames = [f.quantize(_COLOURS, dither=Image.Dither.NONE) for f in frames]
     part = options.path.with_name(f".{options.path.name}.part")

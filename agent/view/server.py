@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import io
+import logging
+from collections.abc import Mapping
 from typing import Final
 
 import viser
@@ -18,6 +21,7 @@ class Server(viser.ViserServer):
 
     def __init__(self, port: int, label: str) -> None:
         """Raises ViewError when nobody can listen at `port`."""
+        logging.getLogger("websockets.server").setLevel(logging.CRITICAL)  # a client that goes away is no error
         try:
             with contextlib.redirect_stdout(io.StringIO()):  # it prints a panel that is ours to write
                 super().__init__(LOOPBACK, port, label, verbose=False)
@@ -39,6 +43,16 @@ class Server(viser.ViserServer):
         return None
 
     def stop(self) -> None:
-        """End it, without the line that it prints."""
+        """End it at once, without the line that it prints; left to itself it waits 6 s for a browser's connections."""
+        loop = self._websock_server._background_event_loop
+        if loop is not None and not loop.is_closed():
+            loop.call_soon_threadsafe(_drop_connections, loop)
         with contextlib.redirect_stdout(io.StringIO()):
             super().stop()
+
+
+def _drop_connections(loop: asyncio.AbstractEventLoop) -> None:
+    """Cut every connection; runs in the loop's thread."""
+    transports: Mapping[int, asyncio.Transport] = getattr(loop, "_transports", {})  # by descriptor
+    for transport in list(transports.values()):
+        transport.abort()

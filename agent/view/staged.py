@@ -7,13 +7,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from PIL import Image
 
 from agent.modes import Mode
 from agent.report.moments import Moment
 from agent.report.prepared import Prepared
 from agent.view.camera import Camera, camera_for
-from agent.view.draw import picture
 from agent.view.drawing import drawing_of_log
 from agent.view.error import ViewError
 from agent.view.motion import Motion, motion_of
@@ -36,11 +34,6 @@ class Staged:
         rows = np.unique(np.linspace(0, len(self.motion.t) - 1, _CAMERA_LOOKS).astype(int))
         points = np.vstack([self.scene.points(self.placed, row) for row in rows.tolist()])
         return camera_for(self.scene, points, size[0] / size[1])
-
-    def draw(self, row: int, camera: Camera, size: tuple[int, int], more: str = "") -> Image.Image:
-        """The picture of one instant."""
-        caption = status_text(self.motion, row) + more
-        return picture(self.scene, self.placed, row, camera, size, caption)
 
 
 def modes_at(motion: Motion, row: int) -> str:

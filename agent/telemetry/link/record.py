@@ -7,7 +7,7 @@ import platform
 import threading
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final, Self
@@ -74,7 +74,7 @@ def run(
     topics.check_name(options.scene.cell, "cell")
     for arm in options.scene.arms:
         topics.check_arm_name(arm.name)
-    with open_session(options.network) as opened:
+    with open_session(replace(options.network, passes_on=True)) as opened:
         recorder = _Recorder(options, _about_recorder(options, opened.endpoint))
         try:
             with recorder.listen(opened.session):

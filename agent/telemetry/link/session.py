@@ -34,6 +34,14 @@ _CLOSED: Final[dict[str, Any]] = {
     "adminspace/enabled": False,
     "plugins_loading/enabled": False,
 }
+# On what a process passes on from one member to another: a receiver that stands still loses rows, and nobody waits
+# for it.  With 16 batches of 64 kB for each receiver one that keeps up lost none of 4000 rows/s.
+_PASSES_ON: Final[dict[str, Any]] = {
+    "qos/network": [
+        {"messages": ["put"], "key_exprs": ["**"], "flows": ["egress"], "overwrite": {"congestion_control": "drop"}}
+    ],
+    "transport/link/tx/queue/size/data": 16,
+}
 
 
 class Role(Enum):
@@ -58,6 +66,7 @@ class Network:
     config_file: Path | None = None
     role: Role = Role.MEMBER
     timestamps: bool = False  # on what it publishes, for receivers that recover by time (rmw_zenoh)
+    passes_on: bool = False  # it publishes nothing itself; viewers hear the cell through it and are never waited for
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,6 +141,8 @@ def _from_table(network: Network, listen: str | None) -> zenoh.Config:
     }
     if network.timestamps:
         table |= {"timestamping/enabled": True}
+    if network.passes_on:
+        table |= _PASSES_ON
     if network.role is Role.VIEWER:
         table |= {"connect/exit_on_failure": True, "connect/timeout_ms": _VIEWER_TIMEOUT_MS}
     try:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import signal
 import threading
 import time
 from collections import defaultdict
@@ -21,6 +23,7 @@ from agent.telemetry.link.session import Network, NetworkError, Role
 from agent.telemetry.row.topics import PLANT
 from tests.support.ros import foreign, router
 from tests.support.ros.plain import plain
+from tests.support.telemetry.one_arm import written
 from tests.support.telemetry.scenes import scene
 from tests.support.telemetry.telemetry_cell import ARMS, CELL, CONFIG_ID, Process, recorder, telemetry, writer
 
@@ -128,6 +131,54 @@ def test_a_foreign_client_hears_the_cell_as_the_log_has_it(tmp_path: Path) -> No
     assert [t["child_frame_id"] for t in frames["transforms"]] == [
         t["child_frame_id"] for t in logged["/tf_static"][0]["transforms"]
     ]
+
+
+def test_a_bridge_that_is_stopped_holds_up_no_lockstep_run(tmp_path: Path) -> None:
+    """It is told more than all buffers on the way hold, and whoever waited for it would close its link after 5 s."""
+    port = router.free_port()
+    with router.router(port) as ros_at, recorder(tmp_path / "run.mcap", {"left": ARMS["left"]}) as rec:
+        endpoint = rec.ready()
+        patient = tmp_path / "bridge.json5"  # its silence alone is no reason to close the link
+        patient.write_text(json.dumps({"mode": "client", "connect": {"endpoints": [endpoint]}, **LEASE}))
+        options = bridge.BridgeOptions(
+            scene(CELL, {"left": ARMS["left"]}), CONFIG_ID, False, Network(config_file=patient),
+            Network(connect=(ros_at,), role=Role.VIEWER, timestamps=True),
+        )  # fmt: skip
+        ring = tmp_path / "left.ring"
+        with (
+            router.node(ros_at) as viewer,
+            Process(bridge.run, options) as bridging,
+            telemetry(ring, "left", endpoint, Pace.LOCKSTEP) as publisher,
+        ):
+            heard = threading.Event()
+            subscriber = viewer.declare_subscriber("0/left/joint_states/**", lambda _: heard.set())
+            bridging.ready()
+            with writer(ring, "left", 1_000_000, None, slots=1024) as agent:
+                assert heard.wait(TIMEOUT_S)
+                bridging.signal(signal.SIGSTOP)
+                before = written(ring)
+                wait_for(lambda: written(ring) > before + 6000)
+                assert linked(bridging.process.pid, int(endpoint.rpartition(":")[2]))
+                agent.stop()
+                assert publisher.result().complete
+            bridging.signal(signal.SIGCONT)
+            heard.clear()
+            assert heard.wait(TIMEOUT_S)  # of what the buffers held
+            subscriber.undeclare()
+            assert bridging.stop().refused == 0
+        assert rec.stop().complete
+
+
+LEASE = {"transport": {"link": {"tx": {"lease": 300_000}}}, "scouting": {"multicast": {"enabled": False}}}
+
+
+def linked(pid: int | None, port: int) -> bool:
+    """Whether who listens at a port of this host still has a connection of a process open."""
+    table = [line.split() for line in Path(f"/proc/{pid}/net/tcp").read_text().splitlines()[1:]]
+    own = {link.readlink().name for link in Path(f"/proc/{pid}/fd").iterdir()}
+    of_process = {words[1] for words in table if words[2].endswith(f":{port:04X}") and f"socket:[{words[9]}]" in own}
+    established = {words[2] for words in table if words[1].endswith(f":{port:04X}") and words[3] == "01"}
+    return bool(of_process & established)
 
 
 def test_without_a_router_it_says_so_at_once() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import socket
 import urllib.request
 from collections.abc import Callable, Iterator
@@ -44,6 +45,20 @@ def server() -> Iterator[Server]:
     found = Server(18300, "test")
     yield found
     found.stop()
+
+
+def test_a_stop_waits_for_no_connection(capfd: pytest.CaptureFixture[str]) -> None:
+    """One client says nothing, one went away without a word; left to itself the server waits 10 s for the first."""
+    found = Server(18320, "test")
+    thread = found._websock_server._server_thread
+    assert thread is not None
+    with socket.create_connection(("127.0.0.1", found.get_port())) as silent:
+        socket.create_connection(("127.0.0.1", found.get_port())).close()
+        found.stop()
+        assert not thread.is_alive()
+        with contextlib.suppress(ConnectionResetError):
+            assert silent.recv(1) == b""
+    assert capfd.readouterr() == ("", "")
 
 
 class Clock:

@@ -16,7 +16,7 @@ from agent.report.prepared import Prepared, prepare
 from agent.view.camera import Camera, camera_for
 from agent.view.draw import GROUND, pixels, project
 from agent.view.error import ViewError
-from agent.view.film import FILM_HZ, FILM_PX, STILL_PX, FilmOptions, still, write_film
+from agent.view.film import FILM_HZ, FILM_PX, STILL_PX, FilmOptions, drawn, still, write_film
 from agent.view.raster import AMBIENT, Raster
 from agent.view.scene import OBJECT, OBJECT_COLOUR
 from agent.view.shapes import box
@@ -97,7 +97,7 @@ def hue(colour: object) -> np.ndarray:
 @pytest.mark.parametrize("row", [0, 39])
 def test_arms_and_object_are_in_the_picture_where_they_should_be(row: int) -> None:
     camera = staged().camera(FILM_PX)
-    seen = pixels(staged().draw(row, camera, FILM_PX))
+    seen = pixels(drawn(staged(), row, camera, FILM_PX))
     places = project(staged().scene, staged().placed, row, camera, FILM_PX)
     left, right = (arm.colour for arm in staged().scene.cell.arms)
     for name, colour in (("arms/left/base", left), ("arms/right/base", right), (OBJECT, OBJECT_COLOUR)):
@@ -173,7 +173,7 @@ def test_a_run_that_flew_away_is_drawn() -> None:
     shown = stage(prepare(log), 20.0)
     camera = shown.camera(SIZE)
     for row in (0, 15, 25, 39):
-        assert pixels(shown.draw(row, camera, SIZE)).std() > 5.0
+        assert pixels(drawn(shown, row, camera, SIZE)).std() > 5.0
 
 
 def test_a_log_without_a_row_in_the_run_is_refused() -> None:
