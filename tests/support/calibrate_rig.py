@@ -23,7 +23,7 @@ UNSURE = (  # ± 10 mm, ± 20 mrad of bases, ± 3 mm of grasps, ± 1° of zeros
     "tolerance.grasp_m=0.003",
     f"tolerance.zeros_rad={math.radians(1.0)}",
 )
-POSES = 96
+POSES = 64
 READINGS = 10  # in one pose
 WAY = np.array([0.04, 0.04, 0.03, 0.2, 0.2, 0.25])  # m, rad
 
