@@ -55,14 +55,14 @@ def poses_of(agents: Mapping[str, Table], cell: Cell) -> Poses:
     if not all(len(utc) for utc, _ in readings):
         raise _too_few(0)
     origin = max(int(utc[0]) for utc, _ in readings)
-    windows = [_windows((utc - origin) * 1e-9, q) for utc, q in readings]
+    windows = [_windows(utc - origin, q) for utc, q in readings]
     count = min(len(mean) for mean, _ in windows)
     good = np.all([fine[:count] for _, fine in windows], axis=0)
     q = [mean[:count] for mean, _ in windows]
     chosen = _apart(np.concatenate(q, axis=1), np.flatnonzero(good))
     if len(chosen) < LEAST:
         raise _too_few(len(chosen))
-    return Poses(chosen * WINDOW_S, tuple(angles[chosen] for angles in q), held_out(len(chosen)))
+    return Poses(WINDOW_S * chosen.astype(np.float64), tuple(angles[chosen] for angles in q), held_out(len(chosen)))
 
 
 def held_out(count: int) -> NDArray[np.bool_]:
@@ -79,10 +79,10 @@ def _readings(rows: Table, n: int) -> tuple[NDArray[np.int64], Matrix]:
     return np.asarray(chosen["utc_ns"]), np.asarray(chosen.column("q_measured", slice(0, n)))
 
 
-def _windows(t: Vector, q: Matrix) -> tuple[Matrix, NDArray[np.bool_]]:
-    """Mean angles (w, n) of each window from t = 0 on, and whether it is one to use."""
-    after = t >= 0.0
-    number, q = (t[after] / WINDOW_S).astype(int), q[after]
+def _windows(since_ns: NDArray[np.int64], q: Matrix) -> tuple[Matrix, NDArray[np.bool_]]:
+    """Mean angles (w, n) of each window from zero on, and whether it is one to use."""
+    after = since_ns >= 0
+    number, q = since_ns[after] // round(1e9 * WINDOW_S), q[after]
     if not len(number):
         return np.zeros((0, q.shape[1])), np.zeros(0, dtype=bool)
     windows = int(number[-1]) + 1

@@ -91,7 +91,8 @@ class Calibrated:
                 left = sigma[i] / link.scale[i] if link.scale[i] > KNOWN else 0.0
                 outcome = Outcome.UNSEEN if left > SEEN_BELOW else Outcome.MEASURED
                 outcome = outcome if link.scale[i] > KNOWN else Outcome.GIVEN
-                found.append(Estimate(link.arm.name, name, *map(float, (value[i], sigma[i], link.scale[i])), outcome))
+                of = (float(value[i]), float(sigma[i]), float(link.scale[i]))
+                found.append(Estimate(link.arm.name, name, *of, outcome))
         return found
 
 
@@ -110,7 +111,7 @@ def calibrated(cell: Cell, chain: Chain, poses: Poses) -> Calibrated:
 
 def arm_toml(arm: Arm, zeros_rad: Vector) -> str:
     """The arm's own file with its zeros moved.  Raises CalibrateError for a zero beyond the scale, and EditError."""
-    changes = []
+    changes: list[Change] = []
     for servo, zero in zip(arm.servos, zeros_rad.tolist(), strict=True):
         tick = servo.zero_tick + round(zero / TICK_RAD)
         if not 0 <= tick <= LAST_TICK:
@@ -126,7 +127,7 @@ def arm_toml(arm: Arm, zeros_rad: Vector) -> str:
 
 def cell_toml(result: Calibrated, source: str, arm_files: Sequence[str]) -> str:
     """The cell's text with bases and grasps moved and each arm's file named.  Raises EditError."""
-    changes = []
+    changes: list[Change] = []
     for link, x, file in zip(result.chain.links, result.chain.parts(result.written), arm_files, strict=True):
         changes += _changes(link, x, file, source)
     text = _without_reality(result.cell.toml.decode())

@@ -69,15 +69,21 @@ def solve(chain: Chain, q: Sequence[Matrix], fixed: Vector | None = None) -> Sol
         if step > FIRST_STEPS and float(np.abs(du).max()) < SMALL_STEP:
             break
     seen = np.linalg.svd(columns, compute_uv=False)
-    return Solution(x, scale * np.sqrt(np.diag(np.linalg.inv(H))), spread, seen, weights, step)
+    sigma: Vector = scale * np.sqrt(np.diag(np.linalg.inv(H)))
+    return Solution(x, sigma, spread, np.asarray(seen), weights, step)
 
 
 def disagreement(chain: Chain, x: Vector, q: Sequence[Matrix]) -> tuple[Vector, Vector]:
     """How far each pose's arms see the object from the mean of all, rms over the arms: (k,) m and (k,) rad."""
     seen = chain.see(x, q)
     p, turns = np.array([s.p for s in seen]), np.array([_turn(s.R, seen[0].R) for s in seen])
-    away, turned = ((v - v.mean(axis=0)) @ part.T for v, part in zip((p, turns), _parts(chain), strict=True))
-    return tuple(np.sqrt((v**2).sum(axis=2).mean(axis=0)) for v in (away, turned))  # type: ignore[return-value]
+    away_m, away_rad = ((v - v.mean(axis=0)) @ part.T for v, part in zip((p, turns), _parts(chain), strict=True))
+    return _over_arms(away_m), _over_arms(away_rad)
+
+
+def _over_arms(away: Matrix) -> Vector:
+    size: Vector = np.sqrt((away**2).sum(axis=2).mean(axis=0))
+    return size
 
 
 def rms(values: Vector) -> float:
