@@ -77,4 +77,4 @@ def test_a_quarter_of_the_poses_is_held_out_in_blocks() -> None:
     assert held.mean() == pytest.approx(0.25)
     assert (np.diff(held.astype(int)) != 0).sum() == 8
     assert not held[0]
-    assert math.isclose(held_out(24).mean(), 0.25, abs_tol=0.06)
+    assert math.isclose(held_out(24).mean(), 0.25, abs_tol=0.1)
