@@ -66,7 +66,6 @@ class Motion:
     moved_rad: float  # with the sign of the angle
     torque_Nm: float  # at which it began to move, or the bound
     measured_Nm: float  # by the current at that moment; NaN where the servo cannot tell
-    others_rad: float  # largest motion of another joint
 
 
 class TooFarError(DriverError):
@@ -232,8 +231,7 @@ def _push(driver: Driver, clock: Clock, period_ns: int, j: int, bound: float, jo
         driver.write(0.0 * tau)
         due_ns = _wait(clock, due_ns, period_ns)
         _refuse_far(first, _read(driver), joint)
-    others = np.delete(np.abs(end.q - first.q), j)
-    return Motion(moved, reached, measured, float(others.max(initial=0.0)))
+    return Motion(moved, reached, measured)
 
 
 def _wait(clock: Clock, due_ns: int, period_ns: int) -> int:

@@ -16,8 +16,10 @@ from agent.doctor.move import (
     LIFTED,
     MOVED_RAD,
     Joint,
+    Motion,
     first_motion,
     joints_of,
+    judge,
     judge_rest,
     map_of,
     move,
@@ -261,3 +263,15 @@ def test_an_arm_of_which_something_is_refused_is_not_tried() -> None:
     out = Diagnosis("cell", "", [Finding("servos", "left", "5", "6", Verdict.REFUSED)])
     move_arm(CELL, DoctorOptions(("left",)), lambda _: pytest.fail("no question"), out)
     assert (out.findings[-1].verdict, out.findings[-1].found) == (Verdict.WARNING, "not tried")
+
+
+@pytest.mark.parametrize(
+    ("torque_Nm", "measured_Nm", "told"),
+    [(0.2, 0.2, None), (0.35, 0.35, "coulomb_Nm of joint elbow"), (0.2, 0.1, "torque_constant_Nm_per_A of elbow")],
+)
+def test_implausible_friction_and_current_are_warnings(torque_Nm: float, measured_Nm: float, told: str | None) -> None:
+    up, down = Motion(0.013, torque_Nm, measured_Nm), Motion(-0.013, -torque_Nm, -measured_Nm)
+    found = judge("left", JOINTS[1], up, down, lambda _: True)
+    warned = [f.line for f in found if f.verdict is not Verdict.OK]
+    assert len(warned) == (told is not None)
+    assert told is None or told in warned[0]
