@@ -16,16 +16,20 @@ def doctor(
     arm: SomeArms = [],  # noqa: B006
     ports: Annotated[Path | None, typer.Option(help="Folder of ports named like the arms (`coop emulate`).")] = None,
     logs: Annotated[Path, typer.Option(help="Folder for logs, to see whether there is room.")] = Path("runs"),
+    move: Annotated[bool, typer.Option("--move", help="Then move each joint of one arm a little, with a yes.")] = False,
     overrides: Overrides = [],  # noqa: B006
     as_json: AsJson = False,
 ) -> None:
-    """Look at host, ports, servos and bus timing: exit code 0 ok, 1 warnings, 2 problems.  Torque stays as it is."""
+    """Look at host, ports, servos, bus timing: exit code 0 ok, 1 warnings, 2 problems.  Without --move no torque."""
     from agent.config.cell import load_cell
-    from agent.doctor.doctor import DoctorOptions, diagnose
+    from agent.doctor.doctor import DoctorOptions, diagnose, move_arm
     from agent.verify.finding import Verdict
 
+    described, options = load_cell(cell, overrides), DoctorOptions(arm, ports, logs)
     with Steps(lines=True) as step:
-        diagnosis = diagnose(load_cell(cell, overrides), DoctorOptions(arm, ports, logs), step)
+        diagnosis = diagnose(described, options, step)
+    if move:
+        move_arm(described, options, lambda question: typer.confirm(question, err=True), diagnosis)
     if as_json:
         typer.echo(diagnosis.json())
     else:

@@ -1,4 +1,4 @@
-"""The commands on logs: report, compare, identify, export, play, recover, layout."""
+"""The commands on logs: report, compare, identify, calibrate, export, play, recover, layout."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from agent.cli.options import (
     Force,
     LogPath,
     NetworkConfig,
+    Overrides,
     begin,
     console,
     note,
@@ -147,6 +148,34 @@ def identify(
     console().print(estimates_table(result))
     typer.echo("\n".join([*friction_lines(result), *residual_lines(result), delay_line(result)]))
     typer.echo(f"arm file {files.arm}\nfigure   {files.figure}\nall      {files.summary}")
+
+
+def calibrate(
+    log: Annotated[
+        Path,
+        typer.Argument(metavar="LOG", help="MCAP log of arms that hold one object, slowly moved.", show_default=False),
+    ],
+    out: Annotated[Path | None, typer.Option(help="Folder of the new cell (default: beside the log).")] = None,
+    change: Overrides = [],  # noqa: B006
+    as_json: AsJson = False,
+) -> None:
+    """Calibrate bases, grasps and joint zeros from the joint angles of a log, and write a new cell file."""
+    from agent.calibrate.result import summary
+    from agent.calibrate.run import calibrate as calibrate_log
+    from agent.calibrate.run import write
+    from agent.calibrate.show import estimates_table, lines
+
+    with Steps() as step:
+        result = calibrate_log(log, change, tell=step)
+    if not as_json:
+        console().print(estimates_table(result))
+        typer.echo("\n".join(lines(result)))
+    files = write(result, log, out or log.parent)
+    if as_json:
+        print_json({**summary(result), "log": str(log), "written": str(files.cell)})
+        return
+    arms = "\n".join(f"arm file {arm}" for arm in files.arms)
+    typer.echo(f"cell     {files.cell}\n{arms}\nfigure   {files.figure}\nall      {files.summary}")
 
 
 class FormatName(StrEnum):

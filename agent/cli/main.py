@@ -38,8 +38,8 @@ GROUPS: dict[str, tuple[Callable[..., None], ...]] = {
         words.status, doctor.doctor, latency.latency_test,
     ),
     "Logs": (
-        logs.report, view.view, logs.compare, answers.events, answers.grasps, replay.replay, logs.identify, logs.export,
-        logs.play, logs.recover, logs.layout,
+        logs.report, view.view, logs.compare, answers.events, answers.grasps, replay.replay, logs.identify,
+        logs.calibrate, logs.export, logs.play, logs.recover, logs.layout,
     ),
     "This installation": (where,),
     "Processes of a cell": (

@@ -1,4 +1,4 @@
-"""What is wrong with a cell's arms, buses and host?  Looks and measures; writes to no servo and switches no torque."""
+"""What is wrong with a cell's arms, buses and host?  Looks and measures; `move_arm` alone switches torque."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from agent.config.cell import Arm, Cell
 from agent.config.servo_map import arm_map
 from agent.doctor import cycle, host, servos
 from agent.doctor.cycle import CycleFigures
+from agent.doctor.move import first_motion, map_of
 from agent.doctor.port import before_opening, latency_timer
 from agent.host.info import versions
 from agent.motors.line import refuse_noise
@@ -22,6 +23,7 @@ from agent.verify.check import examine
 from agent.verify.finding import Finding, Verdict, exit_code, from_refusal, refused, warning, worst
 from drivers.clock import MonotonicClock
 from drivers.dynamixel.arm_map import ArmMap
+from drivers.dynamixel.driver import DynamixelDriver
 from drivers.dynamixel.line.bus import Bus, DxlCounters
 from drivers.dynamixel.line.port import Port, SerialPort
 from drivers.interface import Clock, DriverError, Refusal, Vector
@@ -29,6 +31,10 @@ from drivers.interface import Clock, DriverError, Refusal, Vector
 LOG_MARGIN = 1.2  # messages and indices of a log beside its rows
 
 Tell = Callable[[str], None]
+
+
+class MoveError(Refusal):
+    """A first motion that is not asked for as it must be."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +102,7 @@ def _examine_cell(cell: Cell, out: Diagnosis) -> dict[str, Vector]:
 
 
 def _examine_arm(cell: Cell, arm: Arm, q_start: Vector | None, ports: Path | None, out: Diagnosis) -> None:
-    path = str(ports / arm.name) if ports is not None else arm.entry.dynamixel.port if arm.entry.dynamixel else None
+    path = port_path(arm, ports)
     if path is None:
         remedy = 'add dynamixel = { port = "…" } to the arm in the cell file, or give --ports'
         out.findings.append(refused("port", arm.name, "none in the cell file", "the port of its servos", remedy))
@@ -112,6 +118,33 @@ def _examine_arm(cell: Cell, arm: Arm, q_start: Vector | None, ports: Path | Non
     if all(f.verdict is not Verdict.REFUSED for f in found):
         clock = MonotonicClock()
         examine_line(found_map, SerialPort(path, found_map.baud, clock), clock, out)
+
+
+def port_path(arm: Arm, ports: Path | None) -> str | None:
+    """Where the arm's servos are: in a folder of ports, or where the cell has them; None where it does not say."""
+    if ports is not None:
+        return str(ports / arm.name)
+    return arm.entry.dynamixel.port if arm.entry.dynamixel else None
+
+
+def move_arm(cell: Cell, options: DoctorOptions, ask: Callable[[str], bool], out: Diagnosis) -> None:
+    """The first motion of the one arm that is asked for; nothing where something is wrong already.
+
+    Raises MoveError where it is not one arm.
+    """
+    if len(options.arms) != 1:
+        raise MoveError(
+            "--move", found=f"{len(options.arms)} arms", expected="one: --arm NAME", remedy="one arm after the other"
+        )
+    arm = cell.arm(options.arms[0])
+    path = port_path(arm, options.ports)
+    if path is None or worst(out.findings) is Verdict.REFUSED:
+        remedy = "put right what is refused above, then try again"
+        out.findings.append(warning("first motion", arm.name, "not tried", "a sound arm", remedy))
+        return
+    clock = MonotonicClock()
+    driver = DynamixelDriver(map_of(cell, arm, path), clock)
+    out.findings += first_motion(cell, arm, driver, clock, ask)
 
 
 def examine_line(arm: ArmMap, port: Port, clock: Clock, out: Diagnosis) -> None:

@@ -45,6 +45,7 @@ READS = {
     "view --film": ("view", BAD, "--film", "film.gif"),
     "view --network-config": ("view", PAPER, "--live", "--no-browser", "--network-config", BAD),
     "identify": ("identify", BAD),
+    "calibrate": ("calibrate", BAD),
     "play": ("play", BAD, "--listen", "tcp/127.0.0.1:0"),
     "replay": ("replay", BAD),
     "replay --same-as": ("replay", BAD, "--same-as", BAD),

@@ -34,6 +34,7 @@ READERS = {
     "export": ("export", LOG, "--out", "out"),
     "play": ("play", LOG, "--listen", "tcp/127.0.0.1:0", "--speed", "1000"),
     "identify": ("identify", LOG, "--out", "out"),
+    "calibrate": ("calibrate", LOG, "--out", "out"),
 }
 
 

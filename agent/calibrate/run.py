@@ -1,0 +1,91 @@
+"""From one log to a calibrated cell: what the command `coop calibrate` does."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+from agent.atomic import keep_existing, make_folder, write_atomically
+from agent.calibrate.chain import CalibrateError, chain_of
+from agent.calibrate.poses import poses_of
+from agent.calibrate.result import Calibrated, arm_toml, calibrated, cell_toml, summary
+from agent.calibrate.show import figure
+from agent.log.read import open_log
+from agent.replay.source import changed_cell, recorded_cell
+from agent.report.plotting import save_png
+
+
+@dataclass(frozen=True, slots=True)
+class Files:
+    """What was written."""
+
+    cell: Path
+    arms: tuple[Path, ...]
+    figure: Path
+    summary: Path
+
+
+def calibrate(log: Path, changes: Sequence[str] = (), tell: Callable[[str], None] = lambda _: None) -> Calibrated:
+    """Calibrate the cell of a log; changes: of its [tolerance], "tolerance.key=value"; tell: what is being done.
+
+    Raises LogError, ReplayError, ConfigError or CalibrateError.
+    """
+    _refuse_others(changes)
+    tell("reading the log")
+    with open_log(log) as opened:
+        cell = recorded_cell(opened)
+        believed = changed_cell(opened, changes) if changes else cell
+        poses = poses_of(opened.agents, cell)
+    tell("fitting")
+    return calibrated(cell, chain_of(believed), poses)
+
+
+def _refuse_others(changes: Sequence[str]) -> None:
+    for change in changes:
+        if not change.strip().startswith("tolerance."):
+            raise CalibrateError(
+                "--set", found=change, expected="tolerance.KEY=VALUE: how far off the cell may be",
+                remedy="the rest of the cell is as it was when the log was made",
+            )  # fmt: skip
+
+
+def write(result: Calibrated, log: Path, out: Path) -> Files:
+    """Write cell, arm files, figure and summary into the folder `out`, which may be new.
+
+    Raises CalibrateError where the poses held out do not agree better than before, and WriteError, with nothing
+    written, where one of the files is there already.
+    """
+    if not result.better:
+        before_m, after_m, before_rad, after_rad = result.judged
+        raise CalibrateError(
+            "disagreement of the poses held out",
+            found=f"{1e3 * after_m:.2f} mm and {1e3 * after_rad:.2f} mrad after, "
+            f"{1e3 * before_m:.2f} mm and {1e3 * before_rad:.2f} mrad before",
+            expected="less after than before",
+            remedy="nothing is written; record more motion, or say with [tolerance] how far off the cell may be",
+        )
+    name = f"{result.cell.file.name}_calibrated"
+    arms = [f"{name}_{arm.name}.toml" for arm in result.cell.arms]
+    texts = _texts(result, f"calibrated from {log.name}", name, arms)
+    drawn = out / f"{name}.png"
+    keep_existing(*(out / file for file in texts), drawn, remedy="name another folder with --out")
+    make_folder(out)
+    save_png(figure(result), drawn)
+    for file, text in texts.items():
+        write_atomically(out / file, text.encode())
+    return Files(out / f"{name}.toml", tuple(out / arm for arm in arms), drawn, out / f"{name}.json")
+
+
+def _texts(result: Calibrated, source: str, name: str, arms: Sequence[str]) -> dict[str, str]:
+    """Text of each file by its name; the cell's last, as it names the others."""
+    texts = {}
+    parts = result.chain.parts(result.written)
+    for link, x, file in zip(result.chain.links, parts, arms, strict=True):
+        texts[file] = arm_toml(link.arm, x[link.zeros])
+        if link.arm.own_urdf:
+            texts[PurePosixPath(link.arm.file.urdf).name] = link.arm.urdf_xml
+    texts[f"{name}.json"] = json.dumps(summary(result), indent=2, allow_nan=False) + "\n"
+    texts[f"{name}.toml"] = cell_toml(result, source, arms)
+    return texts

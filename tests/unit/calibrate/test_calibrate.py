@@ -1,0 +1,125 @@
+"""Calibration of the closed chain on joint angles made from kinematics, with a truth to compare with."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agent.calibrate.chain import CalibrateError, chain_of
+from agent.calibrate.result import Outcome, calibrated
+from agent.calibrate.solve import disagreement, rms, solve
+from agent.config.cell import load_cell
+from drivers.dynamixel.servo.table import TICK_RAD
+from tests.support.calibrate_rig import Rig, rig
+
+SPATIAL, PLANAR = "three_wx250s", "two_wx200"
+SEEDS = range(8)
+
+
+def judged(made: Rig) -> tuple[float, float, float, float]:
+    return calibrated(made.cell, made.chain, made.poses).judged
+
+
+@pytest.mark.parametrize("cell", [SPATIAL, PLANAR])
+def test_jacobian_is_the_derivative_of_what_each_arm_sees(cell: str) -> None:
+    made = rig(cell, 0, count=3)
+    for link, x, q in zip(made.chain.links, made.chain.parts(made.truth), made.poses.q, strict=True):
+        seen, step = link.see(x, q), 1e-6
+        for i in range(link.size):
+            ahead, behind = (link.see(x + sign * step * np.eye(link.size)[i], q) for sign in (1.0, -1.0))
+            turn = (ahead.R - behind.R) @ seen.R.transpose(0, 2, 1) / (2.0 * step)
+            spin = np.stack([turn[:, 2, 1], turn[:, 0, 2], turn[:, 1, 0]], axis=1)
+            found = np.concatenate([(ahead.p - behind.p) / (2.0 * step), spin], axis=1)
+            np.testing.assert_allclose(seen.by_parameters[:, :, i], found, atol=2e-8)
+
+
+@pytest.mark.parametrize("cell", [SPATIAL, PLANAR])
+@pytest.mark.parametrize(("noise_rad", "bound_m", "bound_rad"), [(0.0, 0.5e-3, 1e-3), (2e-3, 1.2e-3, 3e-3)])
+def test_disagreement_of_held_out_poses_falls_below_the_bounds(
+    cell: str, noise_rad: float, bound_m: float, bound_rad: float
+) -> None:
+    for seed in SEEDS:
+        before_m, after_m, _, after_rad = judged(rig(cell, seed, noise_rad))
+        assert before_m > 1.5e-3
+        assert after_m <= bound_m
+        assert after_rad <= bound_rad
+
+
+@pytest.mark.parametrize("cell", [SPATIAL, PLANAR])
+@pytest.mark.parametrize("noise_rad", [0.0, 2e-3])
+def test_truth_lies_within_three_standard_errors(cell: str, noise_rad: float) -> None:
+    away = []
+    for seed in SEEDS:
+        made = rig(cell, seed, noise_rad)
+        solution = solve(made.chain, made.poses.some(~made.poses.held_out))
+        known = solution.sigma > 0.0
+        away.append((solution.x - made.truth)[known] / solution.sigma[known])
+    sizes = np.abs(np.concatenate(away))
+    assert (sizes <= 3.0).mean() >= 0.99  # of normal errors 0.3 % lie beyond
+    assert sizes.max() <= 4.0
+    assert 0.8 <= rms(sizes) <= 1.15  # the standard errors are neither too large nor too small
+
+
+@pytest.mark.parametrize(("name", "parameters", "axes", "seen"), [(SPATIAL, 36, 12, 20), (PLANAR, 18, 6, 8)])
+def test_what_no_motion_tells_is_counted(name: str, parameters: int, axes: int, seen: int) -> None:
+    """Of two arms 24 parameters in space and 12 in a plane, beside the axes of world and object."""
+    made = rig(name, 0, count=24)
+    both = replace(
+        made.chain, links=tuple(replace(link, scale=np.full(link.size, 0.01)) for link in made.chain.links[:2])
+    )
+    assert both.size == parameters
+    assert solve(both, made.poses.q[:2]).observed == seen
+    assert seen <= parameters - axes - 4  # two first zeros, two last ones
+
+
+def test_unseen_parameters_keep_their_tolerance_and_say_so() -> None:
+    made = rig(SPATIAL, 0)
+    result = calibrated(made.cell, made.chain, made.poses)
+    outcome = {(e.arm, e.name): e.outcome for e in result.estimates()}
+    assert outcome["left", "zero of waist"] is Outcome.UNSEEN
+    assert outcome["left", "zero of elbow"] is Outcome.MEASURED
+    assert outcome["left", "grasp about x"] is Outcome.GIVEN
+    assert result.solution.observed == 33
+    assert result.free == 45
+
+
+def test_a_slipped_pose_counts_little() -> None:
+    made = rig(PLANAR, 0)
+    q = [angles.copy() for angles in made.poses.q]
+    q[0][5:9] += 0.05
+    solution = solve(made.chain, q)
+    clean = solve(made.chain, list(made.poses.q))
+    assert solution.weights[5:9].max() < 0.2
+    assert np.delete(solution.weights, range(5, 9)).min() > 0.5
+    moved = np.abs(solution.x - clean.x)[clean.sigma > 0.0] / clean.sigma[clean.sigma > 0.0]
+    assert moved.max() < 1.0
+
+
+def test_zeros_are_written_as_whole_encoder_steps_to_which_the_rest_is_fitted() -> None:
+    made = rig(SPATIAL, 1)
+    result = calibrated(made.cell, made.chain, made.poses)
+    for link, x in zip(made.chain.links, made.chain.parts(result.written), strict=True):
+        ticks = x[link.zeros] / TICK_RAD
+        np.testing.assert_allclose(ticks, np.rint(ticks), atol=1e-9)
+    used = made.poses.some(~made.poses.held_out)
+    bare = result.solution.x.copy()  # with the zeros alone rounded
+    for link, x, own in zip(made.chain.links, made.chain.parts(result.written), made.chain.parts(bare), strict=True):
+        own[link.zeros] = x[link.zeros]
+    fitted, rounded = (rms(disagreement(made.chain, x, used)[1]) for x in (result.written, bare))
+    assert fitted < rounded
+
+
+def test_the_best_motion_comes_first_and_only_what_the_arms_can_do_is_proposed() -> None:
+    made = rig(PLANAR, 0)
+    proposals = calibrated(made.cell, made.chain, made.poses).proposals
+    assert [p.what[-1] for p in proposals] in (["y", "x", "z"], ["y", "z", "x"])
+    assert all(p.factor > 1.05 for p in proposals)
+    assert [p.factor for p in proposals] == sorted((p.factor for p in proposals), reverse=True)
+
+
+def test_one_arm_is_refused() -> None:
+    with pytest.raises(CalibrateError, match="one arm"):
+        chain_of(load_cell(Path("identify_wx200")))

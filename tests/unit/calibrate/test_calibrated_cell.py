@@ -1,0 +1,126 @@
+"""The files a calibration writes: loaded again they are the calibrated cell, and its arms strain each other less."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agent.atomic import WriteError
+from agent.calibrate.chain import CalibrateError
+from agent.calibrate.result import Calibrated, arm_toml, calibrated
+from agent.calibrate.run import calibrate, write
+from agent.config.cell import Cell, load_cell
+from agent.config.reality import reality_of
+from agent.config.schema.reality import ArmReality, Reality
+from drivers.dynamixel.servo.table import TICK_RAD
+from sim_backend.physics.plant import Observation
+from tests.support.calibrate_rig import UNSURE, rig
+from tests.support.plant.inprocess import simulate
+
+LOG = Path("run.mcap")
+SEED = 0
+SOFT = ("simulation.reality.pads_N_per_m=1e4", "simulation.reality.pads_Nm_per_rad=50.0")
+
+
+def in_error(name: str = "two_wx200") -> tuple[Calibrated, Cell]:
+    """The calibration of a rig, and the rig's cell with its truth as the reality of a simulated one."""
+    made = rig(name, SEED)
+    real = {}
+    for link, x in zip(made.chain.links, made.chain.parts(made.truth), strict=True):
+        base, grasp = link.base @ x[: link.m], link.grasp @ x[link.m : 2 * link.m]
+        real[link.arm.name] = ArmReality(
+            base_m=tuple(base[:3]), base_rad=tuple(base[3:]), grasp_m=tuple(grasp[:3]), grasp_rad=tuple(grasp[3:]),
+            zeros_rad=tuple(x[link.zeros]),
+        )  # fmt: skip
+    keys = [
+        f"simulation.reality.arms.{arm}.{key}={list(value)}"
+        for arm, reality in real.items()
+        for key, value in reality.model_dump().items()
+        if isinstance(value, tuple) and value
+    ]
+    cell = load_cell(Path(name), [*UNSURE, *keys, *SOFT, "controller.alignment.enabled=false"])
+    return calibrated(cell, made.chain, made.poses), cell
+
+
+def strain(cell: Cell, duration_s: float = 2.5) -> float:
+    """Force with which two arms of equal shares pull against each other, rms after a second, N."""
+    pulls: list[float] = []
+
+    def see(t: float, truth: Observation) -> None:
+        if t > 1.0:
+            pulls.append(0.5 * float(np.linalg.norm((truth.grasp_wrench[0] - truth.grasp_wrench[1])[:3])))
+
+    simulate(cell, duration_s, see=see)
+    return float(np.sqrt(np.mean(np.square(pulls))))
+
+
+def test_the_calibrated_cell_strains_a_quarter_of_what_it_did(tmp_path: Path) -> None:
+    result, cell = in_error()
+    files = write(result, LOG, tmp_path)
+    after = load_cell(files.cell)
+    assert strain(after) <= 0.25 * strain(cell)
+
+
+def test_the_truth_of_a_simulated_cell_stays_where_it_was(tmp_path: Path) -> None:
+    result, cell = in_error()
+    after = load_cell(write(result, LOG, tmp_path).cell)
+    before, rest = reality_of(cell), reality_of(after)
+    assert isinstance(before, Reality)
+    assert isinstance(rest, Reality)
+    assert rest.pads_N_per_m == before.pads_N_per_m
+    for old, new in zip(cell.arms, after.arms, strict=True):
+        was, left = before.arms[old.name], rest.arms[old.name]
+        np.testing.assert_allclose(
+            np.add(new.entry.p_world_base_m, left.base_m), np.add(old.entry.p_world_base_m, was.base_m), atol=1e-6
+        )
+        np.testing.assert_allclose(
+            np.add(new.entry.p_object_ee_m, left.grasp_m), np.add(old.entry.p_object_ee_m, was.grasp_m), atol=1e-6
+        )
+        ticks = np.array([n.zero_tick - o.zero_tick for n, o in zip(new.servos, old.servos, strict=True)])
+        assert np.abs(ticks).max() > 0
+        np.testing.assert_allclose(np.add(TICK_RAD * ticks, left.zeros_rad), was.zeros_rad, atol=1e-9)
+
+
+def test_nothing_is_overwritten_and_nothing_written_beside_it(tmp_path: Path) -> None:
+    result, _ = in_error()
+    there = tmp_path / "two_wx200_calibrated_right.toml"
+    there.write_text("mine")
+    with pytest.raises(WriteError, match="right"):
+        write(result, LOG, tmp_path)
+    assert list(tmp_path.iterdir()) == [there]
+    assert there.read_text() == "mine"
+
+
+def test_what_does_not_agree_better_is_not_written(tmp_path: Path) -> None:
+    result, _ = in_error()
+    worse = Calibrated(
+        result.cell, result.chain, result.poses, result.solution, result.written, result.after, result.before, ()
+    )
+    with pytest.raises(CalibrateError, match="nothing is written"):
+        write(worse, LOG, tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_zero_beyond_the_scale_is_refused() -> None:
+    arm = load_cell(Path("two_wx200")).arms[0]
+    with pytest.raises(CalibrateError, match="zero of joint elbow"):
+        arm_toml(arm, np.array([0.0, 4.0, 0.0]))
+
+
+def test_changes_other_than_of_the_tolerance_are_refused() -> None:
+    with pytest.raises(CalibrateError, match=r"tolerance\.KEY"):
+        calibrate(LOG, ["rate_hz=100.0"])
+
+
+def test_comments_of_the_cell_stay_and_say_what_moved(tmp_path: Path) -> None:
+    made = rig("three_wx250s", SEED)
+    cell = load_cell(Path("three_wx250s"))
+    files = write(calibrated(cell, made.chain, made.poses), LOG, tmp_path)
+    text = files.cell.read_text()
+    assert "# Three WidowX-250 arms with six joints" in text
+    assert text.count("# calibrated from run.mcap: moved by") == 6
+    assert "# calibrated, was 2048" in files.arms[0].read_text()
+    assert load_cell(files.cell).arms[0].entry.arm_file == files.arms[0].name
+    assert "simulation.reality" not in text

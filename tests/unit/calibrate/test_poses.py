@@ -1,0 +1,80 @@
+"""Poses are taken where every arm holds the object and moves slowly, at one time, and each once."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from agent.calibrate.chain import CalibrateError
+from agent.calibrate.poses import LEAST, MOST, WINDOW_S, Poses, held_out, poses_of
+from agent.config.cell import load_cell
+from agent.log.columns import Table
+from agent.modes import Mode
+from agent.safety import Flag
+from agent.telemetry.row.sample import AGENT_STATE
+
+CELL = load_cell(Path("two_wx200"))
+RATE_HZ = 200.0
+
+
+def rows(duration_s: float = 20.0, late_s: float = 0.0, rate_rad_per_s: float = 0.1) -> NDArray[np.void]:
+    """An arm that has held and moved all its joints back and forth from late_s on."""
+    made = np.zeros(round(duration_s * RATE_HZ), AGENT_STATE.dtype)
+    t = late_s + np.arange(len(made)) / RATE_HZ
+    made["utc_ns"] = np.rint(1e9 * (1000.0 + t)).astype(np.int64)
+    made["mode"] = Mode.TRACK
+    made["q_measured"][:, :3] = (rate_rad_per_s * 3.0 * np.sin(t / 3.0))[:, None] * [1.0, -0.5, 0.2]
+    return made
+
+
+def poses(left: NDArray[np.void], right: NDArray[np.void]) -> Poses:
+    return poses_of({"left": Table.of(left), "right": Table.of(right)}, CELL)
+
+
+def test_angles_of_all_arms_are_of_one_time_though_their_rows_begin_apart() -> None:
+    found = poses(rows(), rows(late_s=1.37))
+    np.testing.assert_allclose(found.q[0], found.q[1], atol=0.1 / RATE_HZ)
+    assert found.q[0].shape == (len(found.t), 3)
+    middle = 1.37 + found.t + 0.5 * WINDOW_S - 0.5 / RATE_HZ
+    np.testing.assert_allclose(found.q[0][:, 0], 0.3 * np.sin(middle / 3.0), atol=2e-4)
+    assert np.abs(np.diff(found.q[0][:, 0])).min() >= 0.01 - 1e-9
+
+
+def test_stale_rows_and_modes_without_torque_give_no_pose() -> None:
+    whole = poses(rows(), rows())
+    left, right = rows(), rows()
+    left["mode"][: len(left) // 4] = Mode.OFF
+    right["flags"][-len(right) // 4 :] = Flag.STALE
+    fewer = poses(left, right)
+    assert len(fewer.t) < 0.6 * len(whole.t)
+
+
+def test_fast_motion_gives_no_pose() -> None:
+    with pytest.raises(CalibrateError, match="slowly"):
+        poses(rows(rate_rad_per_s=5.0)[:1000], rows(rate_rad_per_s=5.0)[:1000])
+
+
+def test_an_arm_that_stands_is_no_motion() -> None:
+    with pytest.raises(CalibrateError, match=f"at least {LEAST}"):
+        poses(rows(rate_rad_per_s=0.0), rows(rate_rad_per_s=0.0))
+
+
+def test_a_missing_arm_is_named() -> None:
+    with pytest.raises(CalibrateError, match="no rows of right"):
+        poses_of({"left": Table.of(rows())}, CELL)
+
+
+def test_a_long_log_gives_no_more_than_can_be_fitted() -> None:
+    assert LEAST <= len(poses(rows(120.0), rows(120.0)).t) <= MOST
+
+
+def test_a_quarter_of_the_poses_is_held_out_in_blocks() -> None:
+    held = held_out(160)
+    assert held.mean() == pytest.approx(0.25)
+    assert (np.diff(held.astype(int)) != 0).sum() == 8
+    assert not held[0]
+    assert math.isclose(held_out(24).mean(), 0.25, abs_tol=0.1)
