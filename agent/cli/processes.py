@@ -210,6 +210,9 @@ def record(
         typer.echo(f"repaired {path}", err=True)
     for path in report.logs[1:]:
         typer.echo(f"went on in {path}", err=True)
+    for key, count in report.completeness.items():
+        if key.startswith("rejected."):
+            typer.echo(f"left out {count} messages: {key.removeprefix('rejected.').replace('_', ' ')}", err=True)
     typer.echo(f"{report.path}: {'complete' if report.complete else 'INCOMPLETE'} {report.failure or ''}", err=True)
     if report.failure:
         raise typer.Exit(4)

@@ -17,7 +17,7 @@ from agent.log.read import read_log
 from agent.telemetry.link.publish import Pace
 from agent.telemetry.link.session import Network, NetworkError, has_link, open_session
 from agent.telemetry.link.wire import BatchHeader
-from tests.support.telemetry.telemetry_cell import ARMS, make_rows, recorder, telemetry, writer
+from tests.support.telemetry.telemetry_cell import ARMS, make_rows, recorder, sent_by, telemetry, writer
 
 pytestmark = pytest.mark.skipif(shutil.which("openssl") is None, reason="makes its certificates with openssl")
 
@@ -111,7 +111,7 @@ def forge(network: Network, *, may_connect: bool) -> None:
     rows["sequence"] += 10_000
     with contextlib.suppress(NetworkError), open_session(network) as opened:
         for i in range(20):
-            header = BatchHeader(4711, 8 * i, 8 * i + 8, 0).pack()
+            header = BatchHeader(4711, 8 * i, 8 * i + 8, 0).pack(sent_by("left"))
             opened.session.put("coop/paper/left/state", rows.tobytes(), attachment=header,
                                congestion_control=zenoh.CongestionControl.BLOCK)  # fmt: skip
             time.sleep(0.02)
