@@ -9,7 +9,22 @@ from typing import Annotated
 
 import typer
 
-from agent.cli import answers, cells, doctor, latency, logs, make, motors, processes, replay, run, study, view, words
+from agent.cli import (
+    answers,
+    cells,
+    doctor,
+    latency,
+    logs,
+    make,
+    motors,
+    pki,
+    processes,
+    replay,
+    run,
+    study,
+    view,
+    words,
+)
 from agent.cli.help import Commands
 from agent.cli.where import where
 
@@ -23,7 +38,7 @@ GROUPS: dict[str, tuple[Callable[..., None], ...]] = {
         logs.report, view.view, logs.compare, answers.events, answers.grasps, replay.replay, logs.identify, logs.export,
         logs.play, logs.recover, logs.layout,
     ),
-    "This installation": (where,),
+    "This installation": (where, pki.pki),
     "Processes of a cell": (
         processes.agent, processes.plant, processes.emulate, processes.telemetry, processes.record, processes.ros2,
     ),
