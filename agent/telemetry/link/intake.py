@@ -5,6 +5,7 @@ A function of the messages alone, without network, file or clock.
 
 from __future__ import annotations
 
+import hashlib
 from collections import Counter
 from collections.abc import Mapping
 from enum import Enum
@@ -20,6 +21,8 @@ from agent.telemetry.row.sample import AGENT_STATE, CDR_LITTLE_ENDIAN, PLANT_STA
 from agent.telemetry.row.topics import PLANT, PUBLISHED, Address, Kind
 
 TEXTS_MAX: Final = 100_000  # per stream and log: a flood of texts ends there, with a count
+TOLD_MAX: Final = 10_000  # events of an arm that are known again: as many as its telemetry keeps, and its ring has rows
+_DIGEST_BYTES: Final = 16
 
 
 class Rejection(Enum):
@@ -64,7 +67,7 @@ class Intake:
         self._seals = {member: seal_of(cell, fingerprint, member, layout) for member, layout in layouts.items()}
         self._rows_of = {a.member: self.streams[a.key] for a in addresses if a.kind is Kind.STATE}
         self._stream: Stream | None = None  # that the present message is for
-        self._texts: dict[bytes, None] = {}  # events that were told, the oldest first
+        self._told: dict[str, dict[bytes, None]] = {key: {} for key in self.streams}  # digests, the oldest first
         self.another_run = False  # what was just refused is of a new run: it goes into the next log
 
     def take(self, key: str, payload: bytes, attachment: bytes, now_s: float = 0.0) -> list[Rows] | list[Text]:
@@ -139,12 +142,13 @@ class Intake:
         if not stream.turn_to(header.source) or not stream.note(header, 1):
             return []
         if event is not None:  # a telemetry process that was started again tells the same events again
-            if payload in self._texts:
+            told, digest = self._told[stream.address.key], hashlib.sha256(payload).digest()[:_DIGEST_BYTES]
+            if digest in told:
                 stream.duplicates += 1
                 return []
-            self._texts[payload] = None
-            if len(self._texts) > TEXTS_MAX:
-                del self._texts[next(iter(self._texts))]
+            told[digest] = None
+            if len(told) > TOLD_MAX:
+                del told[next(iter(told))]
         return [Text(stream.address, payload, utc_ns, event)]
 
     def _reject(self, why: Rejection) -> list[Any]:

@@ -278,6 +278,16 @@ def test_a_long_run_with_losses_keeps_its_books_bounded() -> None:
     assert len(stream.status.have) <= 16
 
 
+def test_of_very_many_events_the_newest_are_known_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Memory of the recorder stays flat over hours of events."""
+    monkeypatch.setattr("agent.telemetry.link.intake.TOLD_MAX", 50)
+    door, key = intake(), Address(CELL, "left", Kind.EVENT).key
+    texts = [Event(n, "left", Level.INFO, "mode").to_json() for n in range(200)]
+    for n, text in enumerate(texts):
+        assert door.take(key, text, header(n, 200, source=5))
+    assert [len(door.take(key, texts[n], header(n, 200, source=6))) for n in (199, 150, 149)] == [0, 0, 1]
+
+
 @given(
     st.dictionaries(
         st.text(max_size=10),
