@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from agent.around import LoopLog, RunSummary, Schedule, Surroundings
+from agent.around import Beginning, LoopLog, RunSummary, Schedule, Surroundings
 from agent.control.memory import Memory
 from agent.cycles import WINDOW, Bus, Cycles
 from agent.loop import Agent, Outcome, afresh, blind, explained, hold_after, initial_memory, step, wait_here
@@ -28,7 +28,7 @@ from drivers.interface import (
     Vector,
 )
 
-__all__ = ["LoopLog", "RunSummary", "Runner", "Schedule", "Surroundings"]
+__all__ = ["Beginning", "LoopLog", "RunSummary", "Runner", "Schedule", "Surroundings"]
 
 NOT_YET_NS = 86_400_000_000_000  # the trajectory's zero while nobody has set it: a day ahead
 _TROUBLE = int(Flag.NOT_FINITE | Flag.SINGULAR | Flag.OFF_TRACK | Flag.UNEXPECTED)  # joining flags takes 1 µs
@@ -36,7 +36,10 @@ _COMMANDING = frozenset(mode for mode, entry in TABLE.items() if entry.commands)
 
 
 class Runner:
-    """The loop of one arm on an enabled driver."""
+    """The loop of one arm on an enabled driver.
+
+    beginning: None for a loop that is the arm's first.
+    """
 
     def __init__(
         self,
@@ -48,6 +51,7 @@ class Runner:
         sink: LoopLog,
         around: Surroundings,
         watch: Watch | None = None,
+        beginning: Beginning | None = None,
     ) -> None:
         self._agent = agent
         self._driver = driver
@@ -74,6 +78,9 @@ class Runner:
         self._zero_ns = self._phase_ns + (schedule.ready_ns if schedule.lockstep else NOT_YET_NS)
         self._tracking_since_ns: int | None = None
         self._tracked_s = 0.0
+        if beginning is not None:
+            self._mode, self._memory, self._zero_ns = beginning.mode, beginning.memory, beginning.zero_ns
+            self._rows, self._reason, self._marks = beginning.rows, beginning.reason, beginning.marks
 
     def run(self, happened: Event = Event.ENABLED) -> RunSummary:
         """Run until the last tick, a release or a fault; leaves the torque as it is.

@@ -13,6 +13,7 @@ from agent.cli import (
     answers,
     cells,
     doctor,
+    faults,
     latency,
     logs,
     make,
@@ -40,7 +41,8 @@ GROUPS: dict[str, tuple[Callable[..., None], ...]] = {
     ),
     "This installation": (where, pki.pki),
     "Processes of a cell": (
-        processes.agent, processes.plant, processes.emulate, processes.telemetry, processes.record, processes.ros2,
+        processes.agent, processes.guard, processes.plant, processes.emulate, processes.telemetry, processes.record,
+        processes.ros2,
     ),
 }  # fmt: skip
 
@@ -55,6 +57,7 @@ for _heading, _commands in GROUPS.items():
     for _command in _commands:
         app.command(rich_help_panel=_heading)(_command)
 app.add_typer(motors.app, name="motors", rich_help_panel="Arms of this host")
+app.add_typer(faults.app, name="faults", rich_help_panel="Simulate and examine")
 
 
 def _version(wanted: bool) -> None:

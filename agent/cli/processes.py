@@ -44,6 +44,7 @@ def agent(
     ] = False,
     emulated: Annotated[bool, typer.Option("--emulated", help="The servos on that port are emulated.")] = False,
     real_time: Annotated[bool, typer.Option("--real-time", help="At the wall clock's pace, not in lockstep.")] = False,
+    guard: Annotated[Path | None, typer.Option(help="Socket of the arm's guard, or refuse.")] = None,
     with_parent: WithParent = False,
 ) -> None:
     """Run one arm: the process that reads, steps, limits and writes."""
@@ -58,6 +59,8 @@ def agent(
     kind = DriverKind(driver.value) if driver is not None else loaded.file.driver
     name = loaded.file.name
     lockstep = kind is DriverKind.SIM and not real_time
+    if guard is not None and lockstep:
+        raise typer.BadParameter("needs --real-time: in lockstep, time waits for the agent", param_hint="--guard")
     if ring is None or (control is None and not lockstep):
         make_runtime_dir(name)
     options = AgentOptions(
@@ -69,6 +72,7 @@ def agent(
         lockstep=lockstep,
         hold=hold if hold is not None else kind is DriverKind.DYNAMIXEL and not emulated,
         priority=priority,
+        guard=guard,
         no_realtime=allow_no_realtime,
     )
     summary = run_agent(loaded, options, requested, ready)
@@ -77,6 +81,50 @@ def agent(
         f"mode {summary.mode.name} {summary.reason}",
         err=True,
     )
+
+
+def guard(
+    cell: CellPath,
+    arm: ArmName,
+    socket: Annotated[Path | None, typer.Option(help="Socket for the agent (its --guard).")] = None,
+    control: Annotated[Path | None, typer.Option(help="Socket for stop and release, once the agent is gone.")] = None,
+    driver: Annotated[DriverName | None, typer.Option(help="Instead of the cell's driver.")] = None,
+    port: Annotated[str | None, typer.Option(help="Serial port, instead of the cell's.")] = None,
+    post_mortem: Annotated[Path, typer.Option(help="Folder for the log of what went before.")] = Path("runs"),
+    hold: Annotated[bool | None, typer.Option(help="At a stop go on holding until released.")] = None,
+    priority: Annotated[int | None, typer.Option(min=1, max=99, help="SCHED_FIFO priority, or refuse.")] = None,
+    emulated: Annotated[bool, typer.Option("--emulated", help="The servos on that port are emulated.")] = False,
+    with_parent: WithParent = False,
+) -> None:
+    """Guard one arm: lend its agent the port, and go on in HOLD when that dies or hangs."""
+    from agent.config.cell import load_cell
+    from agent.config.schema.cell import DriverKind
+    from agent.host.paths import control_path, guard_path, make_runtime_dir, ring_path
+    from agent.process.agent import AgentOptions
+    from agent.process.build import Connection
+    from agent.process.guard import GuardOptions, run_guard
+
+    requested = begin(with_parent)
+    loaded = load_cell(cell)
+    kind = DriverKind(driver.value) if driver is not None else loaded.file.driver
+    name = loaded.file.name
+    if socket is None or control is None:
+        make_runtime_dir(name)
+    options = AgentOptions(
+        arm=arm,
+        driver=kind,
+        connection=Connection(port=port, emulated=emulated),
+        ring=ring_path(name, arm),
+        control=control or control_path(name, arm),
+        lockstep=False,
+        hold=hold if hold is not None else kind is DriverKind.DYNAMIXEL and not emulated,
+        priority=priority,
+    )
+    summary = run_guard(
+        loaded, GuardOptions(options, cell, socket or guard_path(name, arm), post_mortem), requested, ready
+    )
+    if summary is not None:
+        typer.echo(f"arm {arm}: held for {summary.ticks} cycles, mode {summary.mode.name} {summary.reason}", err=True)
 
 
 def plant(

@@ -15,6 +15,7 @@ from agent.config import monitors
 from agent.config.cell import Cell
 from agent.config.schema.cell import DriverKind
 from agent.cycles import Patience
+from agent.guard.guarded import UNGUARDED, Guarded
 from agent.host.latency import files, newest
 from agent.host.notify import Notifier
 from agent.host.realtime import become_realtime, granted, quiet_memory
@@ -22,7 +23,7 @@ from agent.host.signals import StopFlag
 from agent.modes import TABLE, Event, Mode
 from agent.monitors.watch import Watch
 from agent.operator.socket import ControlSocket, Standing
-from agent.process.build import Connection, build_agent, build_driver
+from agent.process.build import Connection, build_agent, build_driver, passed_on
 from agent.process.clocked import ClockWatch, shares_time
 from agent.process.operated import Operator, no_real_time, tick_of
 from agent.runner import Runner, RunSummary, Schedule, Surroundings
@@ -57,6 +58,7 @@ class AgentOptions:
     lockstep: bool
     hold: bool  # at a stop and at the end hold the object until it is released
     priority: int | None = None  # SCHED_FIFO; None: leave the scheduler alone
+    guard: Path | None = None  # socket of the arm's guard; None: nobody goes on when this process cannot
     no_realtime: bool = False  # a real arm may be started without real time
 
 
@@ -87,8 +89,11 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             stack.callback(control.close)
         ready(f"ring={options.ring}")
         tell = _Teller(arm.name, texts)
+        guard = Guarded(options.guard, cell.fingerprint) if options.guard else None
+        if guard is None and not options.lockstep:
+            tell.event(Level.WARN, UNGUARDED)
         q_start = report.q_start[cell.arms.index(arm)]
-        driver, clock = build_driver(cell, arm, options.driver, options.connection, q_start, tell.warn)
+        driver, clock = build_driver(cell, arm, options.driver, options.connection, q_start, tell.warn, guard)
         try:
             info = driver.connect()
             tell.clock = clock  # from here on it has the run's time
@@ -98,22 +103,33 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             driver.enable()
             notifier.ready(TABLE[Mode.READY].says)
             tell.event(Level.INFO, f"torque on: {info.description}", priority=options.priority or 0)
-            operator = Operator(stop, control, clock, tell.event, drops_on_stop=not options.hold)
+            watch = _watching(guard, stop, options)
+            operator = Operator(stop, control, clock, tell.event, drops_on_stop=not options.hold, watch=watch)
             if shares_time(cell, arm):
                 operator.clock = ClockWatch(clock.now_ns, operator.hold, max(1, round(CLOCK_S * cell.file.rate_hz)))
             if control is not None:
-                _stand(standing, options, operator, ring, tell, cell.file.rate_hz)
+                _stand(standing, options, operator, ring, tell, cell.file.rate_hz, guard)
             ready("torque=on")
+            if guard is not None:
+                fds, told = passed_on(driver)
+                guard.watch((ring.fileno(), texts.fileno(), *fds), tell.event, ring=str(options.ring), driver=told)
             servos = _Servos(driver, texts, clock.utc_offset_ns, max(1, round(HEALTH_S * cell.file.rate_hz)))
             runner = _runner(cell, options, driver, clock, ring, operator, notifier, servos, tell)
             cpu_s = time.process_time()
-            summary = runner.run(Event.ENABLED)
+            try:
+                summary = runner.run(Event.ENABLED)
+            except BaseException as error:
+                if guard is not None:
+                    guard.give_up(error)
+                raise
             tell.end(summary, time.process_time() - cpu_s)
         except Refusal as error:
             tell.event(Level.ERROR, str(error))
             raise
         finally:
             driver.disable()
+            if guard is not None:
+                guard.leave()
             driver.close()
             notifier.stopping("torque off")
     if summary.mode is Mode.FAULT:
@@ -158,9 +174,15 @@ def _runner(
     return Runner(build_agent(cell, arm), driver, clock, _schedule(cell, options), row, ring, around, watch)
 
 
+def _watching(guard: Guarded | None, stop: StopFlag, options: AgentOptions) -> Callable[[], bool]:
+    """Whether the guard is gone, in every cycle; does not return once it has the hold of an agent told to end."""
+    return lambda: guard is not None and guard.poll(ending=stop.stopped and options.hold)
+
+
 def _stand(
-    standing: Standing, options: AgentOptions, operator: Operator, ring: RingWriter, tell: _Teller, rate_hz: float
-) -> None:
+    standing: Standing, options: AgentOptions, operator: Operator, ring: RingWriter, tell: _Teller, rate_hz: float,
+    guard: Guarded | None,
+) -> None:  # fmt: skip
     """What the agent answers from here on: it is READY, with what the host has given it."""
     real = granted()
     tested = newest(files(os.environ))
@@ -171,7 +193,7 @@ def _stand(
     )  # fmt: skip
     if options.driver is DriverKind.DYNAMIXEL and not (options.connection.emulated or real.real or options.no_realtime):
         standing.no_start = no_real_time(real.text)
-    fixed = {"pid": os.getpid(), "driver": options.driver.value, "real_time": asdict(real), "guard": None}
+    fixed = {"pid": os.getpid(), "driver": options.driver.value, "real_time": asdict(real)}
 
     def details() -> dict[str, Any]:
         start, bound_s = operator.start, operator.clock.bound_s if operator.clock else math.inf
@@ -179,6 +201,7 @@ def _stand(
             **fixed,
             "start_utc_ns": start.start_utc_ns if start else None,
             "clock_bound_s": bound_s if math.isfinite(bound_s) else None,
+            "guard": None if guard is None else guard.state,
             "tick": tick_of(ring),
         }
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from agent.config.cell import Cell
 from agent.host.signals import StopFlag
@@ -67,10 +68,27 @@ def _utc_at_zero_ns() -> int:
     return time.time_ns() // SECOND_NS * SECOND_NS
 
 
+class TruthLog(Protocol):
+    """Where rows of the truth go; `RingWriter` is one."""
+
+    @property
+    def row(self) -> NDArray[np.void]:
+        """The row to fill, always the same memory."""
+        ...
+
+    def commit(self) -> None:
+        """Take the filled row."""
+        ...
+
+    def wait_for_space(self) -> None:
+        """Lockstep: let time wait for the reader."""
+        ...
+
+
 class Truth:
     """Writes what the plant observes into its ring."""
 
-    def __init__(self, ring: RingWriter, plant: AnyPlant, cell: Cell, utc_offset_ns: int, *, lockstep: bool) -> None:
+    def __init__(self, ring: TruthLog, plant: AnyPlant, cell: Cell, utc_offset_ns: int, *, lockstep: bool) -> None:
         """utc_offset_ns: UTC minus the clock of the stamps; lockstep: wait for the ring's reader."""
         self._ring = ring
         self._lockstep = lockstep

@@ -57,6 +57,10 @@ class Chain:
         self._memory, self._mode, self._outcome = outcome.memory, mode, None if stale else outcome
         return memory, outcome
 
+    def holding(self, marks: Flag) -> Memory:
+        """The memory with which a hold begins behind the last row; marks: of its first row."""
+        return self._entered(Mode.HOLD, None, marks)
+
     def _entered(self, mode: Mode, q: Vector | None, marks: Flag) -> Memory:
         """The memory with which a row of this mode begins; q: measured, None without a fresh state."""
         if self._memory is None:

@@ -21,8 +21,9 @@ from agent.log.read import ColumnLog
 from agent.loop import Agent, Outcome
 from agent.modes import Mode
 from agent.replay.chain import Chain
-from agent.replay.rows import Readable, Rows, Window, arms_of, blocks, is_fresh, mode_of
+from agent.replay.rows import Readable, Window, arms_of, blocks
 from agent.replay.source import ReplayError
+from agent.replay.tick import Rows, is_fresh, mode_of
 from agent.telemetry.row.fill import AgentRow
 from agent.telemetry.row.sample import AGENT_FIELDS, AGENT_STATE
 from drivers.interface import JointState

@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import enum
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -89,6 +89,7 @@ class DynamixelDriver:
         self._read_share = read_share
         self._phase = Phase.CLOSED
         self._port_lost = False
+        self.before_recovery: Callable[[], None] = lambda: None  # is called before what takes longer than a cycle
         self._port = port or SerialPort(arm.port, arm.baud, clock)
         self._bus = Bus(self._port, clock, self.counters)
         self._found: list[ServoFound] = []
@@ -224,6 +225,7 @@ class DynamixelDriver:
         costs one period, one that cuts a servo off in between a few tenths of a second.
         """
         running = self._need(Phase.ENABLED)
+        self.before_recovery()
         if self._port_lost:
             self.reopen()
         else:
@@ -254,6 +256,11 @@ class DynamixelDriver:
                 remedy="call connect() and, for torque, enable() first",
             )
         return running
+
+    @property
+    def found(self) -> Sequence[ServoFound]:
+        """The servos as `connect` read them."""
+        return self._found
 
     # --- the cycle ------------------------------------------------------------------------------------------------
 

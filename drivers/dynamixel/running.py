@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -114,6 +114,20 @@ class Running:
                 ids = [self._arm.controlled[j].ids[0] for j in joints]
                 writers.append((GroupWrite(register.address, "h", ids), joints))
         return writers
+
+    def resume(self, goals: Mapping[int, int], dq: Sequence[float]) -> list[float]:
+        """Go on from the goal counts that the servos hold (by ID); the joint torques they ask for, NaN where unknown.
+
+        dq: of the joints, rad/s, as last known.
+        """
+        for place, record in enumerate(self._records):
+            count = goals.get(record.slot.servo_id, record.sent)
+            record.sent = record.sent_before = self._goals[place] = count
+        first = [records[0] for records in self._joint_records]
+        return [
+            drive.goal_Nm(record.sent, speed, record.voltage_V) if record.slot.servo_id in goals else math.nan
+            for drive, record, speed in zip(self._drives, first, dq, strict=True)
+        ]
 
     # --- read -----------------------------------------------------------------------------------------------------
 

@@ -22,6 +22,7 @@ import numpy as np
 import zenoh
 import zenoh.ext
 
+from agent.telemetry.link.cut import CutWatch
 from agent.telemetry.link.patience import Patience
 from agent.telemetry.link.sender import HEALTH_KEPT, LockstepPauses, RowSource, Sender, TextSource
 from agent.telemetry.link.session import Network, has_link, open_session
@@ -31,6 +32,7 @@ from agent.telemetry.ring.file import RingError
 from agent.telemetry.ring.ring import RingReader
 from agent.telemetry.ring.texts import TextReader, texts_path
 from agent.telemetry.row.derive import RowEvents
+from agent.telemetry.row.event import Event, Level
 from agent.telemetry.row.sample import AGENT_STATE, Layout
 from agent.telemetry.row.topics import PLANT, RECORDER, Address, Kind
 
@@ -145,6 +147,7 @@ class _Telemetry:
         own = seal_of(options.cell, options.fingerprint, options.member, options.layout)
         self._sent = Sent(own, reader.header.ring_id)
         self._ended_s = 0.0
+        self._cut = CutWatch(lambda: has_link(session))
         self._heard = False  # a recorder has said what it has
         self._pauses = LockstepPauses(_BURST[True])
 
@@ -182,6 +185,7 @@ class _Telemetry:
             self._publishers[Kind.STATE].put(payload, attachment=header.pack(self._sent))
             self._watch(payload)
             sent += 1
+        self._tell_of_cuts(now_s, ended=rows.ended)
         self._collect_texts(ended=rows.ended)
         for kind, sender in self._senders.items():
             if kind is not Kind.STATE:
@@ -198,6 +202,12 @@ class _Telemetry:
         rows = np.frombuffer(payload, self._dtype)
         self._last_row = rows[-1]
         for event in self._derive.watch(rows) if self._derive else ():
+            self._outbox[Kind.EVENT].append(event.to_json())
+
+    def _tell_of_cuts(self, now_s: float, *, ended: bool) -> None:
+        if (away_s := self._cut.ended(now_s)) is not None and not ended:
+            text = f"link to the recorder was cut for {away_s:.1f} s"
+            event = Event(time.time_ns(), self._options.member, Level.WARN, text, {"cut_s": round(away_s, 1)})
             self._outbox[Kind.EVENT].append(event.to_json())
 
     def _collect_texts(self, *, ended: bool) -> None:

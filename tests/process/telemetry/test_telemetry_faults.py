@@ -46,6 +46,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.fault("D4")
 def test_a_killed_recorder_leaves_a_readable_log_and_the_next_one_gets_everything(folder: Path) -> None:
     total = 1500
     with one_arm(folder, total) as (rec, tel, agent, endpoint):
@@ -66,6 +67,8 @@ def test_a_killed_recorder_leaves_a_readable_log_and_the_next_one_gets_everythin
     assert report.complete
     assert report.repaired == (folder / "run.mcap",)
     assert rows_in(folder / "next.mcap") == prefix(total, total)
+    told = [e.text for e in read_log(folder / "next.mcap").events if e.source == "left"]
+    assert [text for text in told if text.startswith("link to the recorder was cut for ")]
     repaired = read_log(folder / "run.mcap")
     assert repaired.agents["left"].tobytes() == prefix(kept, total)
     assert not repaired.complete
@@ -73,6 +76,7 @@ def test_a_killed_recorder_leaves_a_readable_log_and_the_next_one_gets_everythin
     assert kept <= before
 
 
+@pytest.mark.fault("N2")
 def test_a_recorder_that_stands_still_costs_no_row(folder: Path) -> None:
     with one_arm(folder, 2500) as (rec, tel, agent, _):
         wait_for(lambda: written(folder / "left.ring") > 200)
@@ -85,6 +89,7 @@ def test_a_recorder_that_stands_still_costs_no_row(folder: Path) -> None:
     assert rows_in(folder / "run.mcap") == prefix(2500, 2500)
 
 
+@pytest.mark.fault("N1")
 def test_a_recorder_that_comes_late_gets_everything_the_ring_holds(folder: Path) -> None:
     ring = folder / "left.ring"
     with recorder(folder / "first.mcap", arms=LEFT) as first:
@@ -101,6 +106,7 @@ def test_a_recorder_that_comes_late_gets_everything_the_ring_holds(folder: Path)
     assert rows_in(folder / "run.mcap") == prefix(400, 400)
 
 
+@pytest.mark.fault("P10")
 def test_telemetry_that_is_killed_and_started_again_leaves_no_gap(folder: Path) -> None:
     with one_arm(folder, 1500) as (rec, tel, agent, endpoint):
         wait_for(lambda: written(folder / "left.ring") > 300)
@@ -226,6 +232,7 @@ def wrong_messages(good: bytes) -> list[tuple[str, bytes, bytes | None]]:
     ]
 
 
+@pytest.mark.fault("N5")
 def test_a_flood_of_wrong_messages_neither_breaks_nor_pollutes_the_log(folder: Path) -> None:
     with one_arm(folder, 1000) as (rec, tel, agent, endpoint):
         wait_for(lambda: written(folder / "left.ring") > 100)
@@ -253,6 +260,7 @@ def test_a_flood_of_wrong_messages_neither_breaks_nor_pollutes_the_log(folder: P
     assert told == counts.keys()
 
 
+@pytest.mark.fault("N6")
 def test_an_arm_of_which_a_stranger_alone_spoke_is_missing_in_the_log(folder: Path) -> None:
     with recorder(folder / "run.mcap") as rec:
         endpoint = rec.ready()
@@ -288,6 +296,7 @@ def test_telemetry_of_another_cell_file_is_not_recorded_and_says_that_nobody_too
     assert int(kept.completeness["rejected.wrong_cell_or_layout"]) > 0
 
 
+@pytest.mark.fault("N5")
 def test_a_message_of_any_size_does_not_fill_the_recorders_memory(folder: Path) -> None:
     with one_arm(folder, 1000) as (rec, tel, agent, endpoint):
         wait_for(lambda: written(folder / "left.ring") > 100)
@@ -317,6 +326,7 @@ def record_on_a_small_disk(
     return record.run(options, stop, ready)
 
 
+@pytest.mark.fault("D1")
 def test_a_disk_that_is_full_stops_the_log_and_nothing_else(folder: Path) -> None:
     ring, total = folder / "left.ring", 20_000
     options = RecordOptions(folder / "run.mcap", scene(CELL, LEFT), CONFIG_ID, min_free_bytes=1 << 20)

@@ -77,6 +77,7 @@ def forge(network: Network, *, may_connect: bool) -> None:
         assert has_link(opened.session) == may_connect
 
 
+@pytest.mark.fault("N3")
 def test_only_the_arm_itself_gets_into_the_log(tmp_path: Path) -> None:
     port = free_port()
     cell = cell_of(tmp_path / "cell", port)
@@ -97,6 +98,7 @@ def test_only_the_arm_itself_gets_into_the_log(tmp_path: Path) -> None:
     assert read_log(tmp_path / "run.mcap").agents["left"].tobytes() == make_rows("left", 400).tobytes()
 
 
+@pytest.mark.fault("N4")
 def test_an_expired_certificate_costs_no_row_once_it_is_renewed(tmp_path: Path) -> None:
     cell = cell_of(tmp_path / "cell", free_port())
     ring, count = tmp_path / "left.ring", 900

@@ -9,7 +9,7 @@ from collections import defaultdict
 from pathlib import Path
 
 SYSTEMD = Path(__file__).parents[3] / "systemd"
-SERVICES = ("coop-agent@left", "coop-telemetry@left", "coop-recorder", "coop-rings", "coop-ros2")
+SERVICES = ("coop-agent@left", "coop-telemetry@left", "coop-recorder", "coop-rings", "coop-ros2", "coop-guard@left")
 OPTIONAL = ("coop-ros2",)  # started by nobody until it is enabled
 SIMULATED = (*SERVICES, "coop-plant", "coop-telemetry@plant")
 

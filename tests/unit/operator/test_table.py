@@ -14,6 +14,7 @@ ROOT = Path(__file__).parents[3]
 EVERY = list(product(Verb, Mode))
 
 
+@pytest.mark.fault("P11")
 def test_every_word_has_an_effect_in_every_mode() -> None:
     assert [(verb, mode) for verb, row in TABLE.items() for mode in row] == EVERY
     with pytest.raises(ValueError, match="no effect in FAULT, LOWER"):
