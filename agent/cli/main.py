@@ -34,7 +34,10 @@ USAGE = 2  # exit code of a command line that says nothing `coop` understands
 
 GROUPS: dict[str, tuple[Callable[..., None], ...]] = {
     "Simulate and examine": (make.new, run.run, cells.check, cells.tune, cells.schema, study.study),
-    "Arms of this host": (words.start, words.stop, words.release, words.status, doctor.doctor, latency.latency_test),
+    "Arms of this host": (
+        words.approach, words.grasp, words.start, words.stop, words.lower, words.release, words.park, words.guide,
+        words.status, doctor.doctor, latency.latency_test,
+    ),
     "Logs": (
         logs.report, view.view, logs.compare, answers.events, answers.grasps, replay.replay, logs.identify, logs.export,
         logs.play, logs.recover, logs.layout,

@@ -12,13 +12,17 @@ from agent.config.cell import Arm, Cell
 from agent.config.schema.cell import DriverKind
 from agent.config.servo_map import arm_map
 from agent.guard.guarded import Guarded
+from agent.process.rehearse import bridge, in_the_loop
 from drivers.clock import MonotonicClock
+from drivers.dynamixel.arm_map import WATCHDOG_S
 from drivers.dynamixel.driver import DynamixelDriver
 from drivers.dynamixel.events import DriverEvent, EventSink
 from drivers.dynamixel.line.port import SerialPort
 from drivers.dynamixel.pace import SHARE as READ_SHARE
 from drivers.dynamixel.standby import Handover, StandbyDriver
 from drivers.interface import Clock, ConnectError, Driver, Vector
+from sim_backend.hil.driver import BridgeDriver
+from sim_backend.hil.guest import ServedTwin
 from sim_backend.served.driver import SimDriver
 from sim_backend.served.standby import SimStandby
 
@@ -41,7 +45,7 @@ EMULATED_READ_SHARE = 4.0
 class Connection:
     """How an agent reaches its arm."""
 
-    plant_socket: Path | None = None  # simulated driver
+    plant_socket: Path | None = None  # simulated driver, and the twin of an arm in the loop
     port: str | None = None  # Dynamixel driver; None: the port of the cell file
     emulated: bool = False  # the servos on that port are emulated: nothing can fall
 
@@ -67,6 +71,12 @@ def build_driver(
             )  # fmt: skip
         sim = SimDriver(connection.plant_socket, arm.name, tuple(arm.entry.controlled), cell.config_id)
         return sim, sim.clock
+    rehearses = in_the_loop(cell, arm.name)
+    if rehearses and connection.plant_socket is None:
+        raise ConnectError(
+            f"twin of arm {arm.name}", found="no plant socket", expected="the socket of the cell's plant",
+            remedy="give --plant-socket",
+        )  # fmt: skip
     clock = MonotonicClock()
     servos = arm_map(cell, arm, port_of(arm, connection), q_start)
     port = SerialPort(servos.port, servos.baud, clock, guard.borrow if guard else None)
@@ -75,11 +85,20 @@ def build_driver(
     driver = DynamixelDriver(servos, clock, on_event=_in_words(warn), read_share=share, port=port)
     if guard is not None:
         driver.before_recovery = guard.busy
-    return driver, clock
+    if not rehearses or connection.plant_socket is None:
+        return driver, clock
+    joints = tuple(arm.entry.controlled)
+    twin = ServedTwin(connection.plant_socket, arm.name, joints, cell.config_id, WATCHDOG_S)
+    return bridge(cell, arm, driver, twin, clock, emulated=connection.emulated), clock
 
 
 def passed_on(driver: Driver) -> tuple[tuple[int, ...], dict[str, Any]]:
-    """What a guard must have of an agent's driver with torque on: descriptors and words."""
+    """What a guard must have of an agent's driver with torque on: descriptors and words.
+
+    Of an arm in the loop it is the real one: a guard holds that without its twin.
+    """
+    if isinstance(driver, BridgeDriver):
+        driver = driver.real
     if isinstance(driver, SimDriver):
         fd, told = driver.passed_on()
         return (fd,), {"plant": told}

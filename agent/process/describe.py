@@ -44,6 +44,7 @@ def run_info(cell: Cell, driver: DriverKind, seed: int) -> bytes:
         "reality": None if (real := reality_of(cell)) is None else real.model_dump(mode="json"),
         "noticing": thresholds(cell)._asdict() if cell.file.safety.noticing.enabled else None,
         "driver": driver.value,
+        "hil": cell.file.hil.arms if cell.file.hil is not None else [],
         "seed": seed,
         "versions": versions(),
         "host": socket.gethostname(),

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from agent.config.cell import Cell
 from agent.host.signals import StopFlag
+from agent.process.rehearse import require_wall_clock
 from agent.process.simulated import plant_spec
 from agent.telemetry.ring.ring import RingWriter
 from agent.telemetry.row.sample import MAX_JOINTS, PLANT_STATE
@@ -35,6 +36,7 @@ def run_plant(
     lost_arm: what becomes of the run when an agent dies without a word; ready is called
     once the arms can connect.  Raises Refusal.
     """
+    require_wall_clock(cell, real_time=not lockstep)
     report = examine(cell)
     report.require()
     plant = build_plant(plant_spec(cell, report.q_start))

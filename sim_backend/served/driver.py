@@ -113,7 +113,7 @@ class SimDriver:
         return ArmInfo(self._arm, self._joints, tau_largest, str(info["description"]))
 
     def _new_link(self, fd: int | None = None) -> PlantLink:
-        return PlantLink(self._path, self._arm, len(self._joints), self.counters, fd)
+        return PlantLink(self._path, self._arm, len(self._joints), self.counters, fd=fd)
 
     def _introduced(self, info: dict[str, Any], link: PlantLink) -> Vector:
         """Take over what the plant says of itself; the largest torques (n,) N·m."""

@@ -134,3 +134,15 @@ def test_a_gap_is_left_to_the_cycle_after_it(skipped: int) -> None:
 def test_a_patience_without_a_share_asks_for_none() -> None:
     mine = cycles(Patience(success_min=0.0))
     assert [mine.end(0, good=False) for _ in range(WINDOW)] == [None] * WINDOW
+
+
+def test_what_the_first_state_was_waited_for_is_no_lost_time() -> None:
+    mine = cycles()
+    mine.gap_s(0)
+    mine.first(200 * T)
+    assert mine.end(200, good=False) is None
+    assert mine.gap_s(201 * T) == 0.0
+    assert mine.without_state(201 * T) == 1
+    assert mine.end(9, good=False) is None
+    assert mine.end(0, good=False) == pytest.approx(0.89)
+    assert mine.gap_s(222 * T) == pytest.approx(21 * T * 1e-9)

@@ -17,10 +17,13 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "real": (),
     "simulated": ("simulated",),
     "several hosts": ("several-hosts",),
+    "rehearsal": ("rehearsal",),
     "both": ("simulated", "several-hosts"),
 }
 CASES = [  # every unit under every choice of drop-ins
-    (choices, name) for choices in CHOICES.values() for name in (SIMULATED if "simulated" in choices else SERVICES)
+    (choices, name)
+    for choices in CHOICES.values()
+    for name in (SIMULATED if {"simulated", "rehearsal"} & set(choices) else SERVICES)
 ]
 
 Unit = dict[str, list[str]]

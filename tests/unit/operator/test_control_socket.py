@@ -176,7 +176,7 @@ def test_nonsense_is_refused_and_changes_nothing(control: ControlSocket, path: P
     answer = answer_to(control, path, nonsense)
     assert answer["ok"] is False
     assert answer["found"] == repr(nonsense)
-    assert answer["expected"] == "one of start, cancel, stop, release, status"
+    assert answer["expected"] == f"one of {', '.join(Verb)}"
     assert asked_for(control) == NOTHING
 
 

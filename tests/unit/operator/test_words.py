@@ -22,7 +22,7 @@ from agent.operator import ask, local, words
 from agent.operator.error import ControlError
 from agent.operator.message import Reply, Request
 from agent.operator.socket import ControlSocket, Standing
-from agent.operator.table import Verb
+from agent.operator.table import MODES, Verb
 from agent.operator.words import Here, release_arms, start_arms, start_together, stop_arms
 
 OWN, OTHER = "ab" * 32, "cd" * 32
@@ -31,7 +31,7 @@ PATIENT_S = 20.0  # nobody hangs: never waited for
 ABSENT, DEAD, HUNG, FOREIGN = "absent", "dead", "hung", "of another cell"
 SILENT = (ABSENT, DEAD, HUNG)
 Condition = Mode | str
-EVERY: tuple[Condition, ...] = (*Mode, *SILENT, FOREIGN)
+EVERY: tuple[Condition, ...] = (*MODES, *SILENT, FOREIGN)
 
 
 @dataclass
@@ -120,7 +120,7 @@ def takes(verb: Verb, condition: Condition) -> bool:
     """Whether an arm in this condition takes the word."""
     if not isinstance(condition, Mode):
         return condition == FOREIGN and verb is Verb.STOP
-    allowed = {Verb.START: {Mode.READY}, Verb.RELEASE: {Mode.OFF, Mode.HOLD, Mode.LOWER}, Verb.STOP: set(Mode)}
+    allowed = {Verb.START: {Mode.READY}, Verb.RELEASE: {Mode.OFF, Mode.HOLD, Mode.LOWER}, Verb.STOP: set(MODES)}
     return condition in allowed[verb]
 
 

@@ -178,11 +178,11 @@ def test_only_a_real_arm_without_real_time_refuses_a_start_unless_that_is_allowe
     told: list[tuple[str, dict[str, Any]]] = []
     teller: Any = type("Teller", (), {"event": staticmethod(lambda _, text, **data: told.append((text, data)))})
     connection = Connection(emulated=emulated)
-    options = AgentOptions("left", kind, connection, tmp_path, None, False, True, None, allowed)
+    options = AgentOptions("left", kind, connection, tmp_path, None, False, True, no_realtime=allowed)
     rig = Rig(tmp_path / "left.control")
     standing = rig.control.standing
     with closing(rig.control), RingWriter(tmp_path / "ring", AGENT_STATE, "left", ("waist",)) as ring:
-        agent._stand(standing, options, rig.operator, ring, teller, 200.0)
+        agent._stand(standing, options, rig.operator, ring, teller, 200.0, None)
         assert standing.mode is Mode.READY
         assert (standing.no_start is None) is starts
         assert standing.details()["tick"]["cycles"] == 0

@@ -230,12 +230,30 @@ def test_the_simulated_agent_differs_in_driver_and_priority(
     )
 
 
+def test_the_agent_of_a_rehearsal_has_a_plant_and_no_network_and_waits_for_a_persons_word(
+    host: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    root = tmp_path_factory.mktemp("rehearsal")
+    install(root, "rehearsal")
+    real, rehearsing = (read_unit(where, "coop-agent@left") for where in (host, root))
+    assert {key for key in real | rehearsing if real[key] != rehearsing[key]} == {
+        "Requires", "After", "ExecStart", "ReadWritePaths",
+    }  # fmt: skip
+    assert "--driver" not in command(rehearsing), "[hil] of the cell says which arms are real"
+    assert "--gripper-empty" not in command(rehearsing), "a unit is not a person"
+    assert _option(rehearsing, "--gripper-word") == "/run/coop/gripper-empty/left"
+    plant = read_unit(root, "coop-plant")
+    assert _option(rehearsing, "--plant-socket") == _option(plant, "--socket")
+    assert "sim" in command(read_unit(root, "coop-recorder"))
+
+
 # Installing
 
 
 def test_a_choice_that_is_left_out_is_taken_away_again(tmp_path: Path) -> None:
     install(tmp_path / "never")
     install(tmp_path / "then", "simulated", "several-hosts")
+    install(tmp_path / "then", "rehearsal")
     install(tmp_path / "then")
     never, then = (
         {str(path.relative_to(root)) for path in (root / "etc/systemd").rglob("*") if path.is_file()}
