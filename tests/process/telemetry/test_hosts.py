@@ -25,10 +25,13 @@ from tests.support.telemetry.one_arm import wait_for, written
 from tests.support.telemetry.scenes import scene
 from tests.support.telemetry.telemetry_cell import ARMS, CELL, CONFIG_ID, Process, make_rows, sent_by, writer
 
-WHY_NOT = unavailable() or ("" if shutil.which("openssl") else "needs openssl to make certificates")
-pytestmark = pytest.mark.skipif(bool(WHY_NOT), reason=WHY_NOT or "-")
-
 ROWS, RATE_HZ = 1400, 200.0
+
+
+@pytest.fixture(scope="module", autouse=True)
+def namespaces() -> None:
+    if why := unavailable() or ("" if shutil.which("openssl") else "needs openssl to make certificates"):
+        pytest.skip(why)
 
 
 @dataclass(frozen=True)
