@@ -1,6 +1,7 @@
 #!/bin/sh
 # Copies the units and what they need to where systemd looks; enables and starts nothing.
 #   systemd/install.sh [simulated | rehearsal] [several-hosts]     a choice that is not named is taken away again
+#   systemd/install.sh remove                          takes everything away but what is yours: cell, keys, rules, logs
 # DESTDIR=DIR installs below DIR and touches nothing else.  Files that are filled in on the host are never replaced.
 set -eu
 here=$(dirname "$0")
@@ -10,7 +11,11 @@ units=$root/etc/systemd/system
 for choice in "$@"; do
     case $choice in
     simulated | rehearsal | several-hosts) ;;
-    *) echo "install.sh: found '$choice', expected 'simulated', 'rehearsal' or 'several-hosts'" >&2; exit 2 ;;
+    remove) [ $# = 1 ] || { echo "install.sh: found 'remove' and more, expected it alone" >&2; exit 2; } ;;
+    *)
+        echo "install.sh: found '$choice', expected 'simulated', 'rehearsal', 'several-hosts' or 'remove'" >&2
+        exit 2
+        ;;
     esac
 done
 case " $* " in
@@ -21,6 +26,36 @@ if [ -z "$root" ] && [ "$(id -u)" != 0 ]; then
     echo "install.sh: found user $(id -un), expected root; run it with sudo" >&2
     exit 2
 fi
+
+remove() { # units and drop-ins of ours; refuses while an arm is held
+    if [ -z "$root" ]; then
+        held=$(systemctl list-units --plain --no-legend --state=active,activating,deactivating 'coop-agent@*' 'coop-guard@*')
+        if [ -n "$held" ]; then
+            echo "install.sh: found ${held%% *} at work, expected no arm that is held; stop coop.target with a support under the object first" >&2
+            exit 2
+        fi
+        systemctl stop coop.target 'coop*' || true
+        for file in "$here"/coop*.service "$here"/coop.target; do
+            systemctl disable --quiet "$(basename "$file")" 2> /dev/null || true
+        done
+        rm -rf "$units"/coop.target.wants # instances that were enabled
+    fi
+    for file in "$here"/coop*.service "$here"/coop.target "$here"/simulated/*.service; do
+        rm -f "$units/$(basename "$file")"
+    done
+    rm -f "$units"/coop*.service.d/50-simulated.conf "$units"/coop*.service.d/50-rehearsal.conf
+    rm -f "$units"/coop*.service.d/50-several-hosts.conf
+    rm -f "$root/etc/sysusers.d/coop.conf" "$root/etc/tmpfiles.d/coop.conf"
+    for folder in "$units"/coop*.service.d; do
+        if [ -d "$folder" ]; then rmdir "$folder" 2> /dev/null || echo "kept $folder: it holds files of yours"; fi
+    done
+    [ -n "$root" ] || systemctl daemon-reload
+    for path in etc/coop etc/udev/rules.d/60-coop.rules var/lib/coop var/lib/coop-host; do
+        [ ! -e "$root/$path" ] || echo "kept $root/$path"
+    done
+    [ -n "$root" ] || echo "kept the users coop-ctl, coop-tel, coop-rec and their groups (deluser, delgroup), and the program"
+}
+case " $* " in *" remove "*) remove; exit 0 ;; esac
 
 once() { # MODE SOURCE TARGET: a file that is filled in on this host
     [ -e "$3" ] || install -D -m "$1" "$2" "$3"

@@ -18,6 +18,7 @@ from agent.cli import (
     logs,
     make,
     motors,
+    pki,
     processes,
     replay,
     run,
@@ -41,7 +42,7 @@ GROUPS: dict[str, tuple[Callable[..., None], ...]] = {
         logs.report, view.view, logs.compare, answers.events, answers.grasps, replay.replay, logs.identify,
         logs.calibrate, logs.export, logs.play, logs.recover, logs.layout,
     ),
-    "This installation": (where,),
+    "This installation": (where, pki.pki),
     "Processes of a cell": (
         processes.agent, processes.guard, processes.plant, processes.emulate, processes.telemetry, processes.record,
         processes.ros2,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -20,6 +21,13 @@ from agent.cli.options import (
     begin,
     ready,
 )
+
+
+class AfterLoss(StrEnum):
+    """What the simulated cell does when the agent of an arm is gone."""
+
+    END = "end"
+    LIMP = "limp"
 
 
 def agent(
@@ -138,6 +146,9 @@ def plant(
     socket: Annotated[Path | None, typer.Option(help="Socket to listen on.")] = None,
     ring: Annotated[Path | None, typer.Option(help="Ring file in shared memory.")] = None,
     real_time: Annotated[bool, typer.Option("--real-time", help="At the wall clock's pace, not in lockstep.")] = False,
+    lost_arm: Annotated[AfterLoss, typer.Option(help="When an agent dies: end the run, or let its arm go.")] = (
+        AfterLoss.END
+    ),
     with_parent: WithParent = False,
 ) -> None:
     """Run the simulated cell that the agents' simulated drivers connect to."""
@@ -145,6 +156,7 @@ def plant(
     from agent.host.paths import make_runtime_dir, plant_socket_path, ring_path
     from agent.process.plant import run_plant
     from agent.telemetry.row.topics import PLANT
+    from sim_backend.served.options import LostArm
 
     requested = begin(with_parent)
     loaded = load_cell(cell)
@@ -152,7 +164,9 @@ def plant(
     if ring is None or socket is None:
         make_runtime_dir(name)
     where = socket or plant_socket_path(name), ring or ring_path(name, PLANT)
-    typer.echo(run_plant(loaded, *where, lockstep=not real_time, stop=requested, ready=ready), err=True)
+    loss = LostArm.GO_LIMP if lost_arm is AfterLoss.LIMP else LostArm.END_RUN
+    line = run_plant(loaded, *where, lockstep=not real_time, lost_arm=loss, stop=requested, ready=ready)
+    typer.echo(line, err=True)
 
 
 def emulate(
@@ -279,6 +293,9 @@ def record(
         typer.echo(f"repaired {path}", err=True)
     for path in report.logs[1:]:
         typer.echo(f"went on in {path}", err=True)
+    for key, count in report.completeness.items():
+        if key.startswith("rejected."):
+            typer.echo(f"left out {count} messages: {key.removeprefix('rejected.').replace('_', ' ')}", err=True)
     typer.echo(f"{report.path}: {'complete' if report.complete else 'INCOMPLETE'} {report.failure or ''}", err=True)
     if report.failure:
         raise typer.Exit(4)

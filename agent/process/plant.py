@@ -22,17 +22,19 @@ from drivers.clock import utc_offset_ns
 from drivers.interface import Vector
 from sim_backend.physics.build import AnyPlant, build_plant
 from sim_backend.physics.plant import Observation
-from sim_backend.served.server import ServerOptions, serve
+from sim_backend.served.server import LostArm, ServerOptions, serve
 
 SECOND_NS = 1_000_000_000
 
 
 def run_plant(
-    cell: Cell, socket: Path, ring: Path, *, lockstep: bool, stop: StopFlag, ready: Callable[[str], None]
-) -> str:
+    cell: Cell, socket: Path, ring: Path, *, lockstep: bool, lost_arm: LostArm, stop: StopFlag,
+    ready: Callable[[str], None],
+) -> str:  # fmt: skip
     """Serve the simulated cell at `socket` until its arms have left; returns one line about the run.
 
-    ready is called once the arms can connect.  Raises Refusal.
+    lost_arm: what becomes of the run when an agent dies without a word; ready is called
+    once the arms can connect.  Raises Refusal.
     """
     require_wall_clock(cell, real_time=not lockstep)
     report = examine(cell)
@@ -43,6 +45,7 @@ def run_plant(
         rate_hz=cell.file.rate_hz,
         config_id=cell.config_id,
         lockstep=lockstep,
+        lost_arm=lost_arm,
         utc_offset_ns=_utc_at_zero_ns() if lockstep else utc_offset_ns(),
         observe_every=max(1, round(cell.file.rate_hz / cell.file.simulation.observe_rate_hz)),
         stop=stop,
@@ -58,6 +61,7 @@ def run_plant(
     return (
         f"plant: {summary.ticks} ticks, {summary.sim_s:.2f} s simulated in {summary.wall_s:.2f} s, "
         f"{summary.real_time_factor:.1f} times real time, {summary.late_ticks} late"
+        + "".join(f", {arm} lost and limp" for arm in summary.lost_arms)
     )
 
 

@@ -61,6 +61,7 @@ def run_recorder(
         path=log,
         scene=scene_of(cell),
         config_id=cell.config_id,
+        fingerprint=cell.fingerprint,
         has_plant=has_plant,
         network=network,
         attachments=tuple(Attachment(name, _media_type(name), content) for name, content in files.items()),

@@ -36,6 +36,7 @@ def run_telemetry(
         member=member,
         ring=ring,
         layout=PLANT_STATE if is_plant else AGENT_STATE,
+        fingerprint=cell.fingerprint,
         network=network,
         pace=publish.Pace.LOCKSTEP if lockstep else publish.Pace.REAL_TIME,
         follow=follow,

@@ -68,7 +68,7 @@ class Prepared:
 def prepare(log: AnyLog) -> Prepared:
     """Find the rows of the run, match the plant's with the arms'.  A poor log is prepared too: `missing` says why."""
     info = read_info(log)
-    missing = [*info.notes, *log.problems, *_losses(log)]
+    missing = [*info.notes, *log.problems, *_losses(log), *_strangers(log)]
     described = [arm.name for arm in info.arms]
     found = {name: in_run(Table.of(log.agents[name]), info) for name in described if name in log.agents}
     rows = {name: own for name, own in found.items() if len(own)}
@@ -94,6 +94,18 @@ def _losses(log: AnyLog) -> list[str]:
     places = {"lost_in_ring": "in the ring", "lost_on_the_way": "on the way", "lost_on_disk": "on the disk"}
     counts = {(member, place): told.get(f"{member}.{key}", "0") for member in log.gaps for key, place in places.items()}
     return [f"{count} rows of {member} were lost {place}" for (member, place), count in counts.items() if count != "0"]
+
+
+def _strangers(log: AnyLog) -> list[str]:
+    """What the recorder kept out because it was not of this cell, or of another publisher than the arm's own."""
+    told = log.metadata.get("completeness", {})
+    reasons = {key.removeprefix("rejected."): count for key, count in told.items() if key.startswith("rejected.")}
+    harmless = {"another_run", "too_many_texts"}
+    return [
+        f"{count} messages that do not belong to this run were left out: {why.replace('_', ' ')}"
+        for why, count in reasons.items()
+        if why not in harmless
+    ]
 
 
 def _grasp_forces(plant: Table, info: RunInfo, missing: list[str]) -> GraspForces:

@@ -28,7 +28,16 @@ from agent.telemetry.row.topics import Address, Kind
 from drivers.interface import BusCounters, JointState
 from tests.bench.common import Figure, median_us
 from tests.support.telemetry.log_maker import LogMaker
-from tests.support.telemetry.telemetry_cell import ARMS, CELL, CONFIG_ID, make_rows, recorder, telemetry, writer
+from tests.support.telemetry.telemetry_cell import (
+    ARMS,
+    CELL,
+    CONFIG_ID,
+    make_rows,
+    recorder,
+    sent_by,
+    telemetry,
+    writer,
+)
 
 NAMES = ("ring_commit", "row_fill", "recorder_cpu_per_row", "log_100s", "read_100s", "recorder_rows_per_s")
 TICKS = 20_000  # 100 s at 200 Hz
@@ -94,7 +103,7 @@ def log(folder: Path) -> dict[str, Figure]:
     rows = {arm: noisy_rows(arm, TICKS) for arm in ARMS}
     path = folder / "run.mcap"
     batches = [
-        (Address(CELL, arm, Kind.STATE).key, some.tobytes(), BatchHeader(1, first, TICKS, 0).pack())
+        (Address(CELL, arm, Kind.STATE).key, some.tobytes(), BatchHeader(1, first, TICKS, 0).pack(sent_by(arm)))
         for first in range(0, TICKS, BATCH)
         for arm, all_rows in rows.items()
         for some in (all_rows[first : first + BATCH],)

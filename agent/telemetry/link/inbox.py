@@ -28,7 +28,8 @@ class Inbox:
         self._queue: queue.Queue[tuple[str, bytes, bytes]] = queue.Queue()
         self._lock = threading.Lock()
         self._bytes = 0
-        self.rejected: Counter[Rejection] = Counter()
+        self._rejected: Counter[Rejection] = Counter()
+        self._refused: Counter[str] = Counter()  # by known key
         self.overflowed = 0
 
     def put(self, sample: zenoh.Sample) -> None:
@@ -43,7 +44,9 @@ class Inbox:
             why = Rejection.TOO_LARGE
         with self._lock:
             if why is not None:
-                self.rejected[why] += 1
+                self._rejected[why] += 1
+                if why is not Rejection.UNKNOWN_KEY:
+                    self._refused[key] += 1
                 return
             if self._bytes + size > INBOX_BYTES_MAX:
                 self.overflowed += 1  # not acknowledged, so its publisher sends it again
@@ -61,6 +64,18 @@ class Inbox:
         with self._lock:
             self._bytes -= len(item[1])
         return item
+
+    def reasons(self) -> list[Rejection]:
+        """Why messages were kept out since the counts were taken."""
+        with self._lock:
+            return list(self._rejected)
+
+    def take_refused(self) -> tuple[Counter[Rejection], Counter[str]]:
+        """How many messages were kept out, by reason and by key; the counts begin anew."""
+        with self._lock:
+            taken = self._rejected, self._refused
+            self._rejected, self._refused = Counter(), Counter()
+        return taken
 
 
 class Listening:

@@ -22,23 +22,25 @@ import numpy as np
 import zenoh
 import zenoh.ext
 
+from agent.telemetry.link.cut import CutWatch
+from agent.telemetry.link.patience import Patience
 from agent.telemetry.link.sender import HEALTH_KEPT, LockstepPauses, RowSource, Sender, TextSource
 from agent.telemetry.link.session import Network, has_link, open_session
 from agent.telemetry.link.status import StatusQuery
-from agent.telemetry.link.wire import End
+from agent.telemetry.link.wire import End, Sent, seal_of
 from agent.telemetry.ring.file import RingError
 from agent.telemetry.ring.ring import RingReader
 from agent.telemetry.ring.texts import TextReader, texts_path
 from agent.telemetry.row.derive import RowEvents
+from agent.telemetry.row.event import Event, Level
 from agent.telemetry.row.sample import AGENT_STATE, Layout
-from agent.telemetry.row.topics import PLANT, Address, Kind
+from agent.telemetry.row.topics import PLANT, RECORDER, Address, Kind
 
 _CYCLE_S: Final = 0.033  # 30 batches/s in real time; in lockstep see LockstepPauses
 _BURST_PAUSE_S: Final = 0.005  # in real time, between the bursts that catch up
 _BURST: Final = {False: 2, True: 64}  # by lockstep: batches between two looks at the stop flag
 _STATUS_S: Final = {False: 0.25, True: 0.0}  # in lockstep in every cycle
 _LINGER_S: Final = 10.0  # for a recorder that is there and says nothing
-_SAY_AFTER_S: Final = 2.0  # of waiting: processes that start together need not be told of each other
 _WINDOW_ROWS: Final = 4096  # lockstep: rows on their way at most
 _CACHE_S: Final = 20.0  # at 30 batches/s; "cache depth ≥ 10 s"
 _CACHE_BATCHES: Final = round(_CACHE_S * 30)
@@ -59,6 +61,7 @@ class PublishOptions:
     member: str  # arm, or topics.PLANT
     ring: Path
     layout: Layout = AGENT_STATE
+    fingerprint: str = ""  # of the cell's files, which the recorder must have, too
     network: Network = field(default_factory=Network)
     pace: Pace = Pace.REAL_TIME
     # A service follows: it takes rings whose agent lives or that are younger than itself, since an older one whose
@@ -139,13 +142,17 @@ class _Telemetry:
         self._last_row: np.void | None = None
         info = self._address_of(Kind.INFO).key
         stack.enter_context(session.declare_queryable(info, lambda query: query.reply(info, self._info())))
-        self._status = StatusQuery(session, options.cell, _STATUS_S[self._lockstep])
+        seal = seal_of(options.cell, options.fingerprint, RECORDER)
+        self._status = StatusQuery(session, options.cell, seal, _STATUS_S[self._lockstep])
+        own = seal_of(options.cell, options.fingerprint, options.member, options.layout)
+        self._sent = Sent(own, reader.header.ring_id)
         self._ended_s = 0.0
+        self._cut = CutWatch(lambda: has_link(session))
         self._heard = False  # a recorder has said what it has
         self._pauses = LockstepPauses(_BURST[True])
 
     def run(self, stop: Callable[[], bool], say: Callable[[str], None]) -> PublishReport:
-        lonely = _Patience(lambda: say(self._without_recorder()))
+        lonely = Patience(lambda: say(self._without_recorder()))
         while True:
             sent = self._cycle(time.monotonic())
             lonely.waiting(not self._heard)
@@ -175,14 +182,15 @@ class _Telemetry:
         rows = self._senders[Kind.STATE]
         sent = 0
         for header, payload in rows.new(burst, now_s):
-            self._publishers[Kind.STATE].put(payload, attachment=header.pack())
+            self._publishers[Kind.STATE].put(payload, attachment=header.pack(self._sent))
             self._watch(payload)
             sent += 1
+        self._tell_of_cuts(now_s, ended=rows.ended)
         self._collect_texts(ended=rows.ended)
         for kind, sender in self._senders.items():
             if kind is not Kind.STATE:
                 for header, payload in sender.new(burst, now_s):
-                    self._publishers[kind].put(payload, attachment=header.pack())
+                    self._publishers[kind].put(payload, attachment=header.pack(self._sent))
         sent += self._send_again(now_s)
         if self._lockstep:
             self._reader.acknowledge(rows.acknowledged)
@@ -194,6 +202,12 @@ class _Telemetry:
         rows = np.frombuffer(payload, self._dtype)
         self._last_row = rows[-1]
         for event in self._derive.watch(rows) if self._derive else ():
+            self._outbox[Kind.EVENT].append(event.to_json())
+
+    def _tell_of_cuts(self, now_s: float, *, ended: bool) -> None:
+        if (away_s := self._cut.ended(now_s)) is not None and not ended:
+            text = f"link to the recorder was cut for {away_s:.1f} s"
+            event = Event(time.time_ns(), self._options.member, Level.WARN, text, {"cut_s": round(away_s, 1)})
             self._outbox[Kind.EVENT].append(event.to_json())
 
     def _collect_texts(self, *, ended: bool) -> None:
@@ -213,7 +227,7 @@ class _Telemetry:
                 sender.on_status(status.get(self._address_of(kind).key), now_s)
             if self._heard:
                 for header, payload in sender.again(_BURST[self._lockstep], now_s):
-                    self._publishers[kind].put(payload, attachment=header.pack())
+                    self._publishers[kind].put(payload, attachment=header.pack(self._sent))
                     sent += 1
         return sent
 
@@ -233,27 +247,12 @@ class _Telemetry:
         return PublishReport(self._reader.written, rows.lost, rows.unrecorded(), RowSource(self._reader).end)
 
 
-class _Patience:
-    """Tells somebody, once, that something has been waited for for a while."""
-
-    def __init__(self, tell: Callable[[], None]) -> None:
-        self._tell = tell
-        self._since_s = time.monotonic()
-        self._told = False
-
-    def waiting(self, still: bool) -> None:
-        """Called again and again."""
-        if still and not self._told and time.monotonic() - self._since_s > _SAY_AFTER_S:
-            self._told = True
-            self._tell()
-
-
 def _wait_for_ring(
     options: PublishOptions, since_ns: int, stop: Callable[[], bool], say: Callable[[str], None]
 ) -> RingReader | None:
     maker = "coop plant` or `coop emulate" if options.member == PLANT else f"coop agent --arm {options.member}"
     where = f"the ring {options.ring}, which `{maker}` makes there or where its --ring says"
-    patience = _Patience(lambda: say(f"waits for {where}, until it is stopped"))
+    patience = Patience(lambda: say(f"waits for {where}, until it is stopped"))
     while not stop():
         patience.waiting(True)
         if _exists(options.ring):

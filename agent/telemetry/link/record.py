@@ -21,9 +21,9 @@ from agent.log.parts import Limits, make_room, next_path
 from agent.log.recover import repair_leftovers
 from agent.log.scene import Scene
 from agent.telemetry.link.inbox import Inbox, Listening
-from agent.telemetry.link.intake import Intake
+from agent.telemetry.link.intake import STRANGE, Intake
 from agent.telemetry.link.session import FREE_PORT, Network, open_session
-from agent.telemetry.link.wire import pack_status
+from agent.telemetry.link.wire import pack_status, seal_of
 from agent.telemetry.row import topics
 from agent.telemetry.row.event import Event, Level
 from agent.telemetry.row.received import Rows, Text
@@ -42,6 +42,7 @@ class RecordOptions:
     path: Path  # of the first log
     scene: Scene  # the cell's name and its arms
     config_id: int  # rows of another configuration do not belong in this log
+    fingerprint: str = ""  # of the cell's files: messages of who has other files do not count
     has_plant: bool = False
     network: Network = field(default_factory=lambda: Network(listen=FREE_PORT))
     attachments: tuple[Attachment, ...] = ()
@@ -129,7 +130,11 @@ class _Recorder:
         self._about = about
         self._cell = options.scene.cell
         joints = {arm: len(names) for arm, names in options.scene.joints.items()}
-        self._intake = Intake(self._cell, joints, has_plant=options.has_plant, config_id=options.config_id)
+        self._intake = Intake(
+            self._cell, joints, has_plant=options.has_plant, config_id=options.config_id,
+            fingerprint=options.fingerprint,
+        )  # fmt: skip
+        self._seal = seal_of(self._cell, options.fingerprint, topics.RECORDER)
         self._inbox = Inbox(frozenset(self._intake.streams))
         self._zenoh_missed = 0
         self._told: set[str] = set()
@@ -160,6 +165,7 @@ class _Recorder:
             self._take(*item)
         now_s = time.monotonic()
         self._log.tick(now_s)
+        self._tell_of_strangers()
         if now_s - self._budget_s >= _BUDGET_S:
             self._make_room(now_s)
         if self._log.nearly_full and self._completeness is None:
@@ -228,8 +234,7 @@ class _Recorder:
                 self._say(Level.WARN, f"removed {path.name}: the logs here may take {limit >> 20} MB", {})
 
     def _make_completeness(self, continued: bool) -> dict[str, str]:
-        self._intake.rejected.update(self._inbox.rejected)
-        self._inbox.rejected.clear()
+        self._intake.also_refused(*self._inbox.take_refused())
         return self._intake.completeness(self._channels.rows_lost(), continued=continued) | {
             "inbox_overflows": str(self._inbox.overflowed),
             "zenoh_missed_batches": str(self._zenoh_missed),
@@ -240,10 +245,10 @@ class _Recorder:
         age_s = time.monotonic() - self._opened_s
         if payload and self._options.limits.reached(self._log.size, age_s) and self._has_rows():
             self._next("it reached its limit")  # not before there is something to go on with
-        items = self._intake.take(key, payload, attachment)
+        items = self._intake.take(key, payload, attachment, time.monotonic())
         if self._intake.another_run and len(self.logs) < LOGS_MAX:
             self._next(f"{key} started again")
-            items = self._intake.take(key, payload, attachment)  # still nothing when there can be no other log
+            items = self._intake.take(key, payload, attachment, time.monotonic())  # nothing when there can be no other
         for item in items:
             if isinstance(item, Rows):
                 self._channels.write_rows(item)
@@ -256,12 +261,17 @@ class _Recorder:
             self._told.add(text)
             self._channels.write_own(Event(time.time_ns(), topics.RECORDER, level, text, data))
 
+    def _tell_of_strangers(self) -> None:
+        """Once in a log and for each reason; how many there were is told at its end."""
+        for why in STRANGE & {*self._intake.rejected, *self._inbox.reasons()}:
+            self._say(Level.WARN, f"left out what does not belong here: {why.value}", {"reason": why.value})
+
     def _count_missed(self, miss: zenoh.ext.Miss) -> None:
         self._zenoh_missed += miss.nb
 
     def _refresh_status(self) -> None:
         streams = {key: stream.status for key, stream in self._intake.streams.items()}
-        self._status = pack_status(not self._cause, self._cause, streams)
+        self._status = pack_status(not self._cause, self._cause, streams, self._seal)
 
 
 def _about_recorder(options: RecordOptions, endpoint: str | None) -> dict[str, str]:

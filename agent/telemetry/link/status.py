@@ -17,9 +17,11 @@ _STATUS_BYTES_MAX: Final = 1 << 16
 class StatusQuery:
     """One question at a time, at most every `period_s`."""
 
-    def __init__(self, session: zenoh.Session, cell: str, period_s: float) -> None:
+    def __init__(self, session: zenoh.Session, cell: str, seal: bytes, period_s: float) -> None:
+        """`seal` of the recorder that is asked."""
         self._session = session
         self._key = topics.status_key(cell)
+        self._seal = seal
         self._period_s = period_s
         self._asked_s = 0.0
         self._replies: zenoh.Handler[zenoh.Reply] | None = None
@@ -29,7 +31,7 @@ class StatusQuery:
         status = None
         if self._replies is not None:
             try:
-                status = _status_in(self._replies.try_recv())
+                status = _status_in(self._replies.try_recv(), self._seal)
             except zenoh.ZError:  # nobody there, or all answers taken
                 self._replies = None
         if self._replies is None and now_s - self._asked_s >= self._period_s and has_link(self._session):
@@ -38,10 +40,10 @@ class StatusQuery:
         return status
 
 
-def _status_in(reply: zenoh.Reply | None) -> dict[str, StreamStatus] | None:
+def _status_in(reply: zenoh.Reply | None, seal: bytes) -> dict[str, StreamStatus] | None:
     if reply is None or reply.ok is None or len(reply.ok.payload) > _STATUS_BYTES_MAX:
         return None
     try:
-        return unpack_status(reply.ok.payload.to_bytes())
+        return unpack_status(reply.ok.payload.to_bytes(), seal)
     except ValueError:
         return None  # not our recorder's answer: as if nobody had answered

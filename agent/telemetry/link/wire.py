@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import struct
 from collections.abc import Mapping
@@ -10,9 +11,11 @@ from enum import IntEnum
 from typing import Final
 
 from agent.telemetry.link.coverage import Range
+from agent.telemetry.row.sample import Layout
 
-_MAGIC: Final = b"CB1\0"
-_HEADER: Final = struct.Struct("<4sIQQQQ")  # magic end source first written missed
+_MAGIC: Final = b"CB2\0"
+_HEADER: Final = struct.Struct("<4sI16sQQQQQ")  # magic end seal run source first written missed
+_SEAL_BYTES: Final = 16
 BATCH_BYTES_MAX: Final = 60_000  # a Zenoh batch is 64 KiB: larger payloads are cut and, when one piece is dropped, lost
 RANGES_MAX: Final = 16
 
@@ -25,6 +28,26 @@ class End(IntEnum):
     DIED = 2  # the writer is gone without a word
 
 
+def seal_of(cell: str, fingerprint: str, member: str, layout: Layout | None = None) -> bytes:
+    """What a member of the cell puts on every message: one value for its files, its name and its row layout.
+
+    Whoever has the cell's files can make it: it keeps out mistakes and strangers, not a forger (docs/security.md).
+    """
+    rows = "" if layout is None else f"{layout.ros_name}\n{layout.definition}"
+    return hashlib.sha256(f"{cell}\0{fingerprint}\0{member}\0{rows}".encode()).digest()[:_SEAL_BYTES]
+
+
+@dataclass(frozen=True, slots=True)
+class Sent:
+    """Who sends: the seal of a member, and the ring of the run that a message is of."""
+
+    seal: bytes = bytes(_SEAL_BYTES)
+    run: int = 0
+
+
+NOBODY: Final = Sent()
+
+
 @dataclass(frozen=True, slots=True)
 class BatchHeader:
     """Attachment of every publication; the payload is the messages alone, so that any CDR reader can take it."""
@@ -34,20 +57,22 @@ class BatchHeader:
     written: int  # how many messages the source had by then
     missed: int  # how many of them were overwritten before they could be published
     end: End = End.OPEN
+    by: Sent = NOBODY
 
-    def pack(self) -> bytes:
-        """The bytes of the attachment."""
-        return _HEADER.pack(_MAGIC, self.end, self.source, self.first, self.written, self.missed)
+    def pack(self, by: Sent | None = None) -> bytes:
+        """The bytes of the attachment, as sent by `by`."""
+        by = self.by if by is None else by
+        return _HEADER.pack(_MAGIC, self.end, by.seal, by.run, self.source, self.first, self.written, self.missed)
 
     @classmethod
     def unpack(cls, data: bytes) -> BatchHeader:
         """Raises ValueError on anything else."""
         if len(data) != _HEADER.size or data[:4] != _MAGIC:
             raise ValueError("no batch header")
-        _, end, source, first, written, missed = _HEADER.unpack(data)
+        _, end, seal, run, source, first, written, missed = _HEADER.unpack(data)
         if first > written or written >= 1 << 62 or missed > written or not source:
             raise ValueError("a batch header that cannot be")
-        return cls(source, first, written, missed, End(end))
+        return cls(source, first, written, missed, End(end), Sent(seal, run))
 
 
 HEADER_BYTES: Final = _HEADER.size
@@ -62,20 +87,24 @@ class StreamStatus:
     ended: bool  # the end marker is there
 
 
-def pack_status(recording: bool, cause: str, streams: Mapping[str, StreamStatus]) -> bytes:
-    """The recorder's answer; `streams` by key."""
+def pack_status(recording: bool, cause: str, streams: Mapping[str, StreamStatus], seal: bytes) -> bytes:
+    """The recorder's answer; `streams` by key, `seal` of the cell's recorder."""
     plain = {key: {"source": s.source, "have": s.have, "ended": s.ended} for key, s in streams.items()}
-    return json.dumps({"recording": recording, "cause": cause, "streams": plain}, separators=(",", ":")).encode()
+    told = {"recording": recording, "cause": cause, "seal": seal.hex(), "streams": plain}
+    return json.dumps(told, separators=(",", ":")).encode()
 
 
-def unpack_status(payload: bytes) -> dict[str, StreamStatus]:
-    """Status by key.  Raises ValueError when it is not one."""
+def unpack_status(payload: bytes, seal: bytes) -> dict[str, StreamStatus]:
+    """Status by key.  Raises ValueError when it is not one of the recorder with that seal."""
     try:
+        told = json.loads(payload)
+        if told["seal"] != seal.hex():
+            raise ValueError("the status of another recorder")
         return {
             str(key): StreamStatus(
                 int(s["source"]), tuple((int(a), int(b)) for a, b in s["have"][-RANGES_MAX:]), bool(s["ended"])
             )
-            for key, s in json.loads(payload)["streams"].items()
+            for key, s in told["streams"].items()
         }
     except (KeyError, TypeError, AttributeError, RecursionError) as error:
         raise ValueError(f"not a recorder's status: {error!r}") from error

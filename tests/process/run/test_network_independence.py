@@ -1,7 +1,8 @@
-"""One agent's torque is the same bits with the network absent, present, and flooded with wrong messages on its keys."""
+"""An agent's torque is the same bits without network, with it, under a flood, and with telemetry and recorder dead."""
 
 from __future__ import annotations
 
+import signal
 import threading
 import time
 from pathlib import Path
@@ -16,6 +17,7 @@ from agent.telemetry.ring.ring import RingReader
 from agent.telemetry.row.sample import AGENT_STATE
 from tests.process.conftest import PAPER_RUN_S
 from tests.support.coop import PAPER, ready, start
+from tests.support.telemetry.one_arm import wait_for, written
 
 COMPARED = [f.name for f in AGENT_STATE.fields if not f.timing and f.name != "config_id"]
 
@@ -45,14 +47,51 @@ def without_network(folder: Path) -> dict[str, NDArray[np.void]]:
         )
         for arm in ("left", "right")
     }
-    rows = {}
     for process in (*agents.values(), plant):
         _, err = process.communicate(timeout=60)
         assert process.returncode == 0, err
-    for arm in agents:
-        with RingReader(folder / f"{arm}.ring", AGENT_STATE) as ring:
-            rows[arm] = AGENT_STATE.decode(ring.read_at(0, ring.written).payload)
-    return rows
+    return {arm: in_ring(folder / f"{arm}.ring") for arm in agents}
+
+
+def in_ring(path: Path) -> NDArray[np.void]:
+    with RingReader(path, AGENT_STATE) as ring:
+        return AGENT_STATE.decode(ring.read_at(0, ring.written).payload)
+
+
+def bereft(folder: Path) -> dict[str, NDArray[np.void]]:
+    """Early in the run one arm's telemetry and the recorder are killed, the other's telemetry and the plant's stand."""
+    cell, socket = short_cell(folder), folder / "plant.sock"
+    rings = {member: folder / f"{member}.ring" for member in ("left", "right", "plant")}
+    log = ["--out", str(folder / "run.mcap"), "--listen", "tcp/127.0.0.1:0", "--driver", "sim"]
+    recorder = start("record", cell, *log, cwd=folder)
+    endpoint = ready(recorder).split("endpoint=")[1].strip()
+    options = ["--connect", endpoint, "--lockstep"]
+    told = {
+        m: start("telemetry", cell, "--member", m, "--ring", str(r), *options, cwd=folder) for m, r in rings.items()
+    }
+    for process in told.values():
+        ready(process)
+    plant = start("plant", cell, "--socket", str(socket), "--ring", str(rings["plant"]), cwd=folder)
+    ready(plant)
+    place = ["--plant-socket", str(socket), "--ring"]
+    agents = [start("agent", cell, "--arm", arm, *place, str(rings[arm]), cwd=folder) for arm in ("left", "right")]
+    try:
+        wait_for(lambda: written(rings["left"]) > 20)
+        plant.send_signal(signal.SIGSTOP)  # simulated time waits
+        assert written(rings["left"]) < PAPER_RUN_S * 200 / 2, "the run was over too soon"
+        for process in (told["left"], recorder):
+            process.kill()
+        for member in ("right", "plant"):
+            told[member].send_signal(signal.SIGSTOP)
+        plant.send_signal(signal.SIGCONT)
+        for process in (*agents, plant):
+            _, err = process.communicate(timeout=60)
+            assert process.returncode == 0, err
+    finally:
+        for process in (*told.values(), recorder, *agents, plant):
+            process.kill()
+            process.communicate()
+    return {arm: in_ring(rings[arm]) for arm in ("left", "right")}
 
 
 def flooded(folder: Path) -> dict[str, NDArray[np.void]]:
@@ -106,17 +145,17 @@ def flooded(folder: Path) -> dict[str, NDArray[np.void]]:
     return read.agents
 
 
-@pytest.mark.fault("N1")
-def test_torque_is_the_same_without_network_with_it_and_under_a_flood(
+@pytest.mark.fault("N1", "N5", "P10")
+def test_torque_is_the_same_without_network_with_it_under_a_flood_and_bereft_of_telemetry(
     paper_runs: tuple[Path, Path], tmp_path: Path
 ) -> None:
-    folders = [tmp_path / name for name in ("absent", "flooded")]
+    folders = [tmp_path / name for name in ("absent", "flooded", "bereft")]
     for folder in folders:
         folder.mkdir()
-    absent, under_flood = without_network(folders[0]), flooded(folders[1])
+    absent, under_flood, alone = without_network(folders[0]), flooded(folders[1]), bereft(folders[2])
     present = read_log(paper_runs[0] / "run.mcap").agents
     for arm in ("left", "right"):
         assert len(absent[arm]) == PAPER_RUN_S * 200
-        for other in (present[arm], under_flood[arm]):
+        for other in (present[arm], under_flood[arm], alone[arm]):
             for name in COMPARED:
                 assert absent[arm][name].tobytes() == other[name].tobytes(), (arm, name)

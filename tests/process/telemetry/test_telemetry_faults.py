@@ -35,6 +35,7 @@ from tests.support.telemetry.telemetry_cell import (
     Process,
     make_rows,
     recorder,
+    sent_by,
     telemetry,
     writer,
 )
@@ -66,6 +67,8 @@ def test_a_killed_recorder_leaves_a_readable_log_and_the_next_one_gets_everythin
     assert report.complete
     assert report.repaired == (folder / "run.mcap",)
     assert rows_in(folder / "next.mcap") == prefix(total, total)
+    told = [e.text for e in read_log(folder / "next.mcap").events if e.source == "left"]
+    assert [text for text in told if text.startswith("link to the recorder was cut for ")]
     repaired = read_log(folder / "run.mcap")
     assert repaired.agents["left"].tobytes() == prefix(kept, total)
     assert not repaired.complete
@@ -209,13 +212,15 @@ def test_an_arm_that_never_published_makes_the_log_incomplete(folder: Path) -> N
 
 def wrong_messages(good: bytes) -> list[tuple[str, bytes, bytes | None]]:
     """Key, payload, attachment of messages that do not belong in the log, as strangers and mistakes make them."""
-    head = BatchHeader(4711, 0, 8, 0).pack()
+    head = BatchHeader(4711, 0, 8, 0).pack(sent_by("left"))
     foreign = make_rows("left", 8)
     foreign["config_id"] += 1
     return [
         ("coop/paper/left/state", b"", None),
         ("coop/paper/left/state", os.urandom(999), head),
         ("coop/paper/left/state", good, None),
+        ("coop/paper/left/state", good, head),
+        ("coop/paper/left/state", good, BatchHeader(4711, 0, 8, 0).pack()),
         ("coop/paper/left/state", good, b"CB1\0" + os.urandom(36)),
         ("coop/paper/left/state", foreign.tobytes(), head),
         ("coop/paper/left/state", bytes(1 << 19), head),
@@ -245,10 +250,50 @@ def test_a_flood_of_wrong_messages_neither_breaks_nor_pollutes_the_log(folder: P
     counts = {k.removeprefix("rejected."): int(v) for k, v in report.completeness.items() if k.startswith("rejected.")}
     assert sum(counts.values()) == 100 * len(messages)
     assert counts[Rejection.UNKNOWN_KEY.value] == 300
-    assert counts[Rejection.TOO_LARGE.value] == 100
+    assert counts[Rejection.TOO_LARGE.value] == counts[Rejection.WRONG_SEAL.value] == 100
+    assert counts[Rejection.ANOTHER_PUBLISHER.value] == 300  # rows, an event and health of another run
+    assert report.completeness["left.refused"] == str(100 * (len(messages) - 3))
     log = read_log(folder / "run.mcap")
     assert log.agents["left"].tobytes() == prefix(1000, 1000)
     assert {e.source for e in log.events} <= {"left", "recorder"}
+    told = {str(e.data["reason"]) for e in log.events if e.source == "recorder" and "reason" in e.data}
+    assert told == counts.keys()
+
+
+@pytest.mark.fault("N6")
+def test_an_arm_of_which_a_stranger_alone_spoke_is_missing_in_the_log(folder: Path) -> None:
+    with recorder(folder / "run.mcap") as rec:
+        endpoint = rec.ready()
+        with open_session(Network(connect=(endpoint,))) as stranger:
+            wait_for(lambda: bool(stranger.session.info.links()))
+            end = BatchHeader(1, 0, 0, 0, End.FINISHED)
+            for attachment in (end.pack(), end.pack(sent_by("right"))):
+                stranger.session.put("coop/paper/right/state", b"", attachment=attachment)
+            with (
+                telemetry(folder / "left.ring", "left", endpoint, Pace.REAL_TIME) as tel,
+                writer(folder / "left.ring", "left", 50, RATE_HZ),
+            ):
+                assert tel.result().complete
+        report = rec.stop()
+    assert not report.complete
+    assert not read_log(folder / "run.mcap").complete
+    assert (report.completeness["right.rows_expected"], report.completeness["right.refused"]) == ("0", "1")
+
+
+def test_telemetry_of_another_cell_file_is_not_recorded_and_says_that_nobody_took_it(folder: Path) -> None:
+    with recorder(folder / "run.mcap", arms=LEFT, fingerprint="ours") as rec:
+        endpoint = rec.ready()
+        changes = {"pace": Pace.REAL_TIME, "fingerprint": "theirs", "follow": True}
+        with telemetry(folder / "left.ring", "left", endpoint, **changes) as tel:
+            tel.ready()
+            with writer(folder / "left.ring", "left", 50, RATE_HZ) as agent:
+                agent.result()
+            time.sleep(0.5)
+            report = tel.stop()
+        kept = rec.stop()
+    assert report.rows_unrecorded == 50
+    assert not kept.complete
+    assert int(kept.completeness["rejected.wrong_cell_or_layout"]) > 0
 
 
 @pytest.mark.fault("N5")
@@ -260,7 +305,7 @@ def test_a_message_of_any_size_does_not_fill_the_recorders_memory(folder: Path) 
                 stranger.session.put(
                     "coop/paper/left/state",
                     bytes(size_MB << 20),
-                    attachment=BatchHeader(1, 0, 1, 0).pack(),
+                    attachment=BatchHeader(1, 0, 1, 0).pack(sent_by("left")),
                     congestion_control=zenoh.CongestionControl.BLOCK,
                 )
         agent.result()

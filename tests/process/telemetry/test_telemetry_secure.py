@@ -1,102 +1,27 @@
-"""With TLS, client certificates and access control (fault N3), only an arm's own telemetry gets into the log."""
+"""With the files of `coop pki` (faults N3, N4): an arm's own telemetry alone gets into the log."""
 
 from __future__ import annotations
 
 import contextlib
-import json
 import shutil
-import subprocess
 import time
 from pathlib import Path
-from typing import Any
 
 import pytest
 import zenoh
 
+from agent.config.files import load_files
 from agent.log.read import read_log
+from agent.pki.make import Wish, make, renew
 from agent.telemetry.link.publish import Pace
 from agent.telemetry.link.session import Network, NetworkError, has_link, open_session
 from agent.telemetry.link.wire import BatchHeader
-from tests.support.telemetry.telemetry_cell import ARMS, make_rows, recorder, telemetry, writer
+from tests.support.telemetry.telemetry_cell import ARMS, CELL, make_rows, recorder, sent_by, telemetry, writer
 
 pytestmark = pytest.mark.skipif(shutil.which("openssl") is None, reason="makes its certificates with openssl")
 
 LEFT = {"left": ARMS["left"]}
-
-
-def openssl(folder: Path, *arguments: str) -> None:
-    subprocess.run(["openssl", *arguments], cwd=folder, check=True, capture_output=True, timeout=60)
-
-
-def certificate(folder: Path, name: str, authority: str) -> None:
-    """Key and certificate `name` of an authority, valid for localhost."""
-    openssl(folder, "req", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes", "-subj", f"/CN={name}",
-            "-keyout", f"{name}.key", "-out", f"{name}.csr")  # fmt: skip
-    (folder / "ext").write_text("subjectAltName=DNS:localhost,IP:127.0.0.1\n")
-    openssl(folder, "x509", "-req", "-in", f"{name}.csr", "-CA", f"{authority}.pem", "-CAkey", f"{authority}.key",
-            "-CAcreateserial", "-days", "2", "-extfile", "ext", "-out", f"{name}.pem")  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("keys")
-    for authority in ("cell", "other"):
-        openssl(folder, "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes", "-days", "2",
-                "-subj", f"/CN={authority}", "-keyout", f"{authority}.key", "-out", f"{authority}.pem")  # fmt: skip
-    for name in ("recorder", "arm-left", "arm-right"):
-        certificate(folder, name, "cell")
-    certificate(folder, "stranger", "other")
-    return folder
-
-
-def rule(name: str, messages: list[str], flow: str, keys: list[str]) -> dict[str, Any]:
-    return {"id": name, "messages": messages, "flows": [flow], "permission": "allow", "key_exprs": keys}
-
-
-def access(arms: list[str]) -> dict[str, Any]:
-    """Deny by default: an arm publishes under its own name only, and may ask the recorder for its status."""
-    every, status = ["coop/paper/**", "coop/paper/**/@adv/**"], ["coop/paper/recorder/status"]
-    asking = ["query", "declare_subscriber", "liveliness_query", "declare_liveliness_subscriber"]
-    rules = [
-        rule("ask", asking, "egress", every),
-        rule("status", ["query"], "ingress", status),
-        rule("answer", ["reply", "declare_queryable"], "egress", status),
-    ]
-    subjects, policies = [], []
-    for arm in arms:
-        own = [f"coop/paper/{arm}/**", f"coop/paper/{arm}/**/@adv/**"]
-        rules.append(rule(f"publish-{arm}", ["put", "delete"], "ingress", own))
-        rules.append(rule(f"reply-{arm}", ["reply", "declare_queryable", "liveliness_token"], "ingress", own))
-        subjects.append({"id": arm, "cert_common_names": [f"arm-{arm}"]})
-        policies.append({"rules": [f"publish-{arm}", f"reply-{arm}", "ask", "status", "answer"], "subjects": [arm]})
-    return {"enabled": True, "default_permission": "deny", "rules": rules, "subjects": subjects, "policies": policies}
-
-
-def config_file(folder: Path, keys: Path, name: str, port: int, *, authority: str = "cell") -> Path:
-    """Zenoh configuration of the recorder, or of whoever connects with certificate `name`."""
-    side = "listen" if name == "recorder" else "connect"
-    tls = {
-        "root_ca_certificate": str(keys / f"{authority}.pem"),
-        "enable_mtls": True,
-        "verify_name_on_connect": True,
-        f"{side}_certificate": str(keys / f"{name}.pem"),
-        f"{side}_private_key": str(keys / f"{name}.key"),
-    }
-    endpoint = [f"tls/127.0.0.1:{port}"]
-    config = {
-        "mode": "peer",
-        "listen": {"endpoints": endpoint if name == "recorder" else []},
-        "connect": {"endpoints": [] if name == "recorder" else endpoint, "exit_on_failure": False,
-                    "retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2}},
-        "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
-        "transport": {"link": {"protocols": ["tls"], "tls": tls, "rx": {"max_message_size": 1 << 20}},
-                      "shared_memory": {"enabled": False}},
-    }  # fmt: skip
-    if name == "recorder":
-        config["access_control"] = access(["left", "right"])
-    path = folder / f"{name}.json5"
-    path.write_text(json.dumps(config))
-    return path
+FILES = load_files(Path(CELL))
 
 
 def free_port() -> int:
@@ -105,36 +30,92 @@ def free_port() -> int:
         return int(opened.endpoint.rpartition(":")[2])
 
 
+def of(folder: Path, member: str) -> Network:
+    """As a member of that folder's cell."""
+    return Network(config_file=folder / member / "zenoh" / f"{member}.json5")
+
+
+def cell_of(folder: Path, port: int) -> Path:
+    make(Wish(FILES, folder, "localhost", "127.0.0.1", port, in_place=True))
+    return folder
+
+
+def copy_of(cell: Path, folder: Path) -> Path:
+    """The same certificates in another place, for somebody to spoil."""
+    shutil.copytree(cell, folder)
+    for path in folder.glob("*/zenoh/*.json5"):
+        path.write_text(path.read_text().replace(str(cell), str(folder)))
+    return folder
+
+
+def expired(cell: Path, folder: Path) -> Path:
+    """The left arm's certificate has ended."""
+    copy_of(cell, folder)
+    renew(Wish(FILES, folder, days=0), ["left"])
+    time.sleep(1.1)  # the end is given in whole seconds
+    return folder
+
+
+def with_key_of_right(cell: Path, folder: Path) -> Path:
+    """The left arm's certificate with the right arm's key."""
+    shutil.copyfile(cell / "right/keys/right.pem", copy_of(cell, folder) / "left/keys/left.pem")
+    return folder
+
+
 def forge(network: Network, *, may_connect: bool) -> None:
     """Publish rows as the left arm would, from somewhere else."""
     rows = make_rows("left", 8)
     rows["sequence"] += 10_000
     with contextlib.suppress(NetworkError), open_session(network) as opened:
-        for i in range(20):
-            header = BatchHeader(4711, 8 * i, 8 * i + 8, 0).pack()
+        deadline = time.monotonic() + (10.0 if may_connect else 0.7)
+        while not has_link(opened.session) and time.monotonic() < deadline:
+            time.sleep(0.02)
+        for i in range(8):
+            header = BatchHeader(4711, 8 * i, 8 * i + 8, 0).pack(sent_by("left", 4711))
             opened.session.put("coop/paper/left/state", rows.tobytes(), attachment=header,
                                congestion_control=zenoh.CongestionControl.BLOCK)  # fmt: skip
-            time.sleep(0.02)
         assert has_link(opened.session) == may_connect
 
 
 @pytest.mark.fault("N3")
-def test_only_the_arm_itself_gets_into_the_log(tmp_path: Path, keys: Path) -> None:
+def test_only_the_arm_itself_gets_into_the_log(tmp_path: Path) -> None:
     port = free_port()
+    cell = cell_of(tmp_path / "cell", port)
     ring = tmp_path / "left.ring"
-    network = Network(config_file=config_file(tmp_path, keys, "recorder", port))
-    with recorder(tmp_path / "run.mcap", arms=LEFT, network=network) as rec:
+    with recorder(tmp_path / "run.mcap", arms=LEFT, network=of(cell, "recorder")) as rec:
         rec.ready()
         forge(Network(connect=(f"tcp/127.0.0.1:{port}",)), may_connect=False)
-        forge(Network(config_file=config_file(tmp_path, keys, "stranger", port)), may_connect=False)
-        forge(Network(config_file=config_file(tmp_path, keys, "arm-right", port)), may_connect=True)
-        own = Network(config_file=config_file(tmp_path, keys, "arm-left", port))
+        forge(of(cell_of(tmp_path / "other", port), "left"), may_connect=False)
+        forge(of(expired(cell, tmp_path / "old"), "left"), may_connect=False)
+        forge(of(with_key_of_right(cell, tmp_path / "swapped"), "left"), may_connect=False)
+        forge(of(cell, "right"), may_connect=True)
+        own = of(cell, "left")
         with telemetry(ring, "left", "", Pace.REAL_TIME, network=own) as tel, writer(ring, "left", 400, 500.0):
             assert tel.result().complete
         report = rec.stop()
     assert report.complete
     assert not [key for key in report.completeness if key.startswith("rejected.")]
     assert read_log(tmp_path / "run.mcap").agents["left"].tobytes() == make_rows("left", 400).tobytes()
+
+
+@pytest.mark.fault("N4")
+def test_an_expired_certificate_costs_no_row_once_it_is_renewed(tmp_path: Path) -> None:
+    cell = cell_of(tmp_path / "cell", free_port())
+    ring, count = tmp_path / "left.ring", 900
+    renew(Wish(FILES, cell, days=0), ["left"])
+    with recorder(tmp_path / "run.mcap", arms=LEFT, network=of(cell, "recorder")) as rec:
+        rec.ready()
+        with (
+            writer(ring, "left", count, 500.0) as agent,
+            telemetry(ring, "left", "", Pace.REAL_TIME, network=of(cell, "left")) as refused,
+        ):
+            assert agent.result() == count, "the writer of the ring does not notice"
+            assert not refused.stop().complete
+        renew(Wish(FILES, cell), ["left"])
+        with telemetry(ring, "left", "", Pace.REAL_TIME, network=of(cell, "left")) as again:
+            assert again.result().complete
+        assert rec.stop().complete
+    assert read_log(tmp_path / "run.mcap").agents["left"].tobytes() == make_rows("left", count).tobytes()
 
 
 @pytest.mark.parametrize(

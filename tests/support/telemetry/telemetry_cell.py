@@ -18,6 +18,7 @@ from agent.telemetry.link import publish, record
 from agent.telemetry.link.publish import Pace, PublishOptions
 from agent.telemetry.link.record import RecordOptions
 from agent.telemetry.link.session import FREE_PORT, Network
+from agent.telemetry.link.wire import Sent, seal_of
 from agent.telemetry.ring.ring import RingWriter
 from agent.telemetry.ring.texts import TextWriter
 from agent.telemetry.row.event import Event, Level
@@ -42,6 +43,11 @@ SERVOS = {
 
 def layout_of(member: str) -> Layout:
     return PLANT_STATE if member == PLANT else AGENT_STATE
+
+
+def sent_by(member: str, run: int = 0) -> Sent:
+    """As telemetry of the member signs what it publishes."""
+    return Sent(seal_of(CELL, "", member, layout_of(member)), run)
 
 
 def make_rows(member: str, count: int) -> np.ndarray:

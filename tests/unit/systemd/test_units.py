@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import re
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -273,6 +275,32 @@ def test_what_was_filled_in_survives_an_update(tmp_path: Path, path: str) -> Non
     (tmp_path / path).write_text("filled in")
     install(tmp_path, "several-hosts")
     assert (tmp_path / path).read_text() == "filled in"
+
+
+@pytest.mark.parametrize("choices", CHOICES.values(), ids=CHOICES)
+def test_removing_takes_what_was_installed_and_keeps_what_was_filled_in(
+    tmp_path: Path, choices: tuple[str, ...]
+) -> None:
+    install(tmp_path, *choices)
+    units = tmp_path / "etc/systemd/system"
+    mine = {units / "coop-agent@.service.d/mine.conf", units / "coop-of-mine.service", tmp_path / "etc/coop/cell.toml"}
+    for path in mine:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("mine")
+    keys = {path for path in (tmp_path / "etc/coop").rglob("*") if path.is_file()}
+    install(tmp_path, "remove")
+    left = {path for path in tmp_path.rglob("*") if path.is_file()}
+    assert left == mine | keys | {tmp_path / "etc/udev/rules.d/60-coop.rules"}
+    install(tmp_path, "remove")
+
+
+def test_removing_goes_with_no_other_choice(tmp_path: Path) -> None:
+    install(tmp_path)
+    before = {path for path in tmp_path.rglob("*") if path.is_file()}
+    command = ["sh", str(SYSTEMD / "install.sh"), "remove", "simulated"]
+    done = subprocess.run(command, env=os.environ | {"DESTDIR": str(tmp_path)}, capture_output=True, text=True)
+    assert (done.returncode, "expected it alone" in done.stderr) == (2, True)
+    assert {path for path in tmp_path.rglob("*") if path.is_file()} == before
 
 
 # udev

@@ -9,22 +9,32 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.telemetry.link.intake import Intake, Rejection
-from agent.telemetry.link.wire import BatchHeader, End, StreamStatus, pack_status, unpack_status
+from agent.telemetry.link.stream import SILENT_S
+from agent.telemetry.link.wire import BatchHeader, End, Sent, StreamStatus, pack_status, seal_of, unpack_status
 from agent.telemetry.row.event import Event, Level
 from agent.telemetry.row.received import Rows, Text
 from agent.telemetry.row.topics import PLANT, Address, Kind
-from tests.support.telemetry.telemetry_cell import CELL, CONFIG_ID, make_rows
+from tests.support.telemetry.telemetry_cell import CELL, CONFIG_ID, layout_of, make_rows
 
 KEY = Address(CELL, "left", Kind.STATE).key
 RING = 77
 
 
+FILES = "c0ffee" * 10
+
+
 def intake() -> Intake:
-    return Intake(CELL, {"left": 3, "right": 3}, has_plant=True, config_id=CONFIG_ID)
+    return Intake(CELL, {"left": 3, "right": 3}, has_plant=True, config_id=CONFIG_ID, fingerprint=FILES)
 
 
-def header(first: int, written: int, *, end: End = End.OPEN, source: int = RING, missed: int = 0) -> bytes:
-    return BatchHeader(source, first, written, missed, end).pack()
+def sent(member: str = "left", run: int = RING, *, cell: str = CELL, files: str = FILES) -> Sent:
+    return Sent(seal_of(cell, files, member, layout_of(member)), run)
+
+
+def header(
+    first: int, written: int, *, end: End = End.OPEN, source: int = RING, missed: int = 0, by: Sent | None = None
+) -> bytes:
+    return BatchHeader(source, first, written, missed, end).pack(sent() if by is None else by)
 
 
 def sequences(taken: list) -> list[int]:
@@ -63,6 +73,12 @@ GOOD = make_rows("left", 4).tobytes()
         (KEY, GOOD, b"XXXX" + header(0, 4)[4:], Rejection.NO_HEADER),
         (KEY, GOOD, header(9, 4), Rejection.NO_HEADER),
         (KEY, GOOD, header(0, 4, source=0), Rejection.NO_HEADER),
+        (KEY, GOOD, BatchHeader(RING, 0, 4, 0).pack(), Rejection.WRONG_SEAL),
+        (KEY, GOOD, header(0, 4, by=sent("right")), Rejection.WRONG_SEAL),
+        (KEY, GOOD, header(0, 4, by=sent(cell="other")), Rejection.WRONG_SEAL),
+        (KEY, GOOD, header(0, 4, by=sent(files="f00d")), Rejection.WRONG_SEAL),
+        (KEY, GOOD, header(0, 4, by=Sent(seal_of(CELL, FILES, "left", layout_of(PLANT)))), Rejection.WRONG_SEAL),
+        (KEY, b"", BatchHeader(RING, 0, 0, 0, End.FINISHED).pack(), Rejection.WRONG_SEAL),
         (KEY, GOOD[:-1], header(0, 4), Rejection.WRONG_LENGTH),
         (KEY, b"", header(0, 4), Rejection.WRONG_LENGTH),
         (KEY, damaged("encapsulation", 1), header(0, 4), Rejection.WRONG_ENCAPSULATION),
@@ -82,6 +98,7 @@ def test_what_does_not_belong_is_counted_and_left_out(
     assert door.take(key, payload, attachment) == []
     assert dict(door.rejected) == {why: 1}
     assert all(stream.have.count == 0 and not stream.source for stream in door.streams.values())
+    assert door.completeness({})["left.refused"] == str(int(key in door.streams))
 
 
 @given(st.binary(max_size=200), st.binary(max_size=60), st.sampled_from([KEY, "coop/paper/left/event", "x"]))
@@ -106,7 +123,9 @@ def test_a_ring_of_the_next_run_waits_for_the_next_log_and_one_of_the_last_stays
     assert door.take(KEY, rows.tobytes(), header(0, 8, source=99)) == []
     assert door.another_run
     assert door.streams[KEY].source == RING
-    assert door.take(Address(CELL, "right", Kind.STATE).key, make_rows("right", 4).tobytes(), header(0, 4))
+    assert door.take(
+        Address(CELL, "right", Kind.STATE).key, make_rows("right", 4).tobytes(), header(0, 4, by=sent("right"))
+    )
     assert not door.another_run, "of this message alone"
     door.begin_log()
     (item,) = door.take(KEY, rows[:5].tobytes(), header(0, 8, source=99))
@@ -121,6 +140,7 @@ def test_a_ring_of_the_next_run_waits_for_the_next_log_and_one_of_the_last_stays
 def test_a_new_run_of_an_arm_that_has_nothing_in_the_log_needs_no_other_log() -> None:
     door, rows = intake(), make_rows("left", 8)
     door.take(KEY, rows.tobytes(), header(0, 8))
+    door.take(KEY, b"", header(8, 8, end=End.DIED))
     door.begin_log()
     assert door.take(KEY, rows.tobytes(), header(0, 8, source=99))
     assert not door.another_run
@@ -155,8 +175,8 @@ def test_a_part_is_complete_when_all_of_its_rows_are_there(gap: bool) -> None:
     door = intake()
     for member in ("left", "right", PLANT):
         rows, key = make_rows(member, 6), Address(CELL, member, Kind.STATE).key
-        door.take(key, rows[:2].tobytes(), header(0, 6))
-        door.take(key, rows[3 if gap else 2 : 5].tobytes(), header(3 if gap else 2, 6))
+        door.take(key, rows[:2].tobytes(), header(0, 6, by=sent(member)))
+        door.take(key, rows[3 if gap else 2 : 5].tobytes(), header(3 if gap else 2, 6, by=sent(member)))
     assert door.completeness({}, continued=True)["complete"] == str(not gap).lower()
     assert door.completeness({})["complete"] == "false"
 
@@ -180,8 +200,8 @@ def test_completeness_says_what_is_missing_and_why() -> None:
         rows["sequence"] += 100
         parts = [(0, 20)] if member != "right" else [(2, 8), (10, 20)]
         for a, b in parts:
-            door.take(key, rows[a:b].tobytes(), header(a, 20, missed=2 if member == "right" else 0))
-        door.take(key, b"", header(20, 20, end=End.FINISHED, missed=2 if member == "right" else 0))
+            door.take(key, rows[a:b].tobytes(), header(a, 20, missed=2 if member == "right" else 0, by=sent(member)))
+        door.take(key, b"", header(20, 20, end=End.FINISHED, missed=2 if member == "right" else 0, by=sent(member)))
     told = door.completeness({"left": 3})
     assert told["complete"] == "false"
     assert told["left.lost_on_disk"] == "3"
@@ -191,6 +211,48 @@ def test_completeness_says_what_is_missing_and_why() -> None:
     assert told["plant.end"] == "finished"
 
 
+def test_an_end_without_rows_is_taken_and_makes_no_arm_complete() -> None:
+    door = intake()
+    for member in ("left", "right", PLANT):
+        key = Address(CELL, member, Kind.STATE).key
+        if member != "left":
+            door.take(key, make_rows(member, 6).tobytes(), header(0, 6, by=sent(member)))
+        at = 0 if member == "left" else 6
+        door.take(key, b"", header(at, at, end=End.FINISHED, by=sent(member)))
+    assert door.streams[KEY].status.ended, "or its telemetry would send it again for ever"
+    assert door.completeness({})["complete"] == "false"
+    door.take(KEY, GOOD, header(0, 4, source=8))
+    door.take(KEY, b"", header(4, 4, end=End.FINISHED, source=8))
+    assert door.completeness({})["complete"] == "true"
+
+
+def test_another_publisher_has_to_wait_until_the_present_one_is_silent_while_it_speaks() -> None:
+    door, rows = intake(), make_rows("left", 30)
+    door.take(KEY, rows[:10].tobytes(), header(0, 30), 0.0)
+    other = {"key": KEY, "payload": GOOD, "attachment": header(0, 4, source=99)}
+    assert door.take(**other, now_s=9.0) == []  # a recorder that stood still sees the other one first
+    door.take(KEY, rows[10:20].tobytes(), header(10, 30), 9.0)
+    assert door.take(**other, now_s=9.1) == []
+    assert door.take(**other, now_s=9.1 + 0.99 * SILENT_S) == []
+    assert (door.another_run, door.rejected[Rejection.ANOTHER_PUBLISHER]) == (False, 3)
+    door.take(**other, now_s=9.1 + SILENT_S)
+    assert door.another_run
+    door.begin_log()
+    assert sequences(door.take(**other, now_s=9.2 + SILENT_S)) == [0, 1, 2, 3]
+
+
+def test_texts_of_another_run_than_the_one_being_recorded_are_left_out() -> None:
+    door, key = intake(), Address(CELL, "left", Kind.EVENT).key
+    door.take(KEY, GOOD, header(0, 4))
+    text = Event(5, "left", Level.WARN, "HOLD").to_json()
+    assert door.take(key, text, header(0, 1, source=5, by=sent(run=99))) == []
+    assert dict(door.rejected) == {Rejection.ANOTHER_PUBLISHER: 1}
+    assert door.take(key, text, header(0, 1, source=6))
+    door.take(KEY, b"", header(4, 4, end=End.DIED))
+    later = Event(6, "left", Level.INFO, "started").to_json()
+    assert door.take(key, later, header(0, 1, source=7, by=sent(run=99))), "before the first row of the next run"
+
+
 @pytest.mark.parametrize("absent", ["nothing", "a row", "the end", "an arm"])
 def test_complete_means_every_row_and_every_end_of_every_member(absent: str) -> None:
     door = intake()
@@ -198,9 +260,11 @@ def test_complete_means_every_row_and_every_end_of_every_member(absent: str) -> 
         rows, key = make_rows(member, 6), Address(CELL, member, Kind.STATE).key
         if member == "left" and absent == "an arm":
             continue
-        door.take(key, rows[: 5 if member == "left" and absent == "a row" else 6].tobytes(), header(0, 6))
+        door.take(
+            key, rows[: 5 if member == "left" and absent == "a row" else 6].tobytes(), header(0, 6, by=sent(member))
+        )
         if not (member == "left" and absent == "the end"):
-            door.take(key, b"", header(6, 6, end=End.DIED))
+            door.take(key, b"", header(6, 6, end=End.DIED, by=sent(member)))
     assert door.completeness({})["complete"] == str(absent == "nothing").lower()
 
 
@@ -212,6 +276,16 @@ def test_a_long_run_with_losses_keeps_its_books_bounded() -> None:
     assert stream.have.count == 2500
     assert stream.gaps(5000)[:2] == [(1, 1), (3, 3)]
     assert len(stream.status.have) <= 16
+
+
+def test_of_very_many_events_the_newest_are_known_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Memory of the recorder stays flat over hours of events."""
+    monkeypatch.setattr("agent.telemetry.link.intake.TOLD_MAX", 50)
+    door, key = intake(), Address(CELL, "left", Kind.EVENT).key
+    texts = [Event(n, "left", Level.INFO, "mode").to_json() for n in range(200)]
+    for n, text in enumerate(texts):
+        assert door.take(key, text, header(n, 200, source=5))
+    assert [len(door.take(key, texts[n], header(n, 200, source=6))) for n in (199, 150, 149)] == [0, 0, 1]
 
 
 @given(
@@ -226,13 +300,17 @@ def test_a_long_run_with_losses_keeps_its_books_bounded() -> None:
     )
 )
 def test_a_status_comes_back_as_it_was(streams: dict[str, StreamStatus]) -> None:
-    assert unpack_status(pack_status(True, "", streams)) == streams
+    assert unpack_status(pack_status(True, "", streams, b"ours"), b"ours") == streams
 
 
-@pytest.mark.parametrize("payload", [b"", b"[]", b"{}", b'{"streams": 3}', b'{"streams": {"a": {}}}', b"\xff"])
+@pytest.mark.parametrize(
+    "payload",
+    [b"", b"[]", b"{}", b'{"streams": 3}', b'{"seal": "6f757273", "streams": {"a": {}}}', b"\xff",
+     pack_status(True, "", {}, b"theirs")],
+)  # fmt: skip
 def test_what_is_no_status_is_refused(payload: bytes) -> None:
     with pytest.raises(ValueError, match=r"."):
-        unpack_status(payload)
+        unpack_status(payload, b"ours")
 
 
 @given(st.binary(max_size=60))

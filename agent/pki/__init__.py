@@ -1,0 +1,1 @@
+"""Certificates of a cell and the Zenoh configurations that go with them."""

@@ -1,0 +1,128 @@
+"""A cell's authority, certificates and Zenoh configurations in one folder: all or nothing, renewed by name."""
+
+from __future__ import annotations
+
+import datetime
+import shutil
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from agent.config.files import CellFiles
+from agent.config.schema.cell import DriverKind
+from agent.pki.certificates import Leaf, PkiError, expiry, hosts, make_authority, sign
+from agent.pki.zenoh import Paths, common_name, member_config, recorder_config
+from agent.telemetry.row.topics import PLANT, RECORDER
+
+ETC: Final = Path("/etc/coop")
+_UNIT: Final = {True: "coop-recorder.service", False: "coop-telemetry@{}.service"}  # by: is the recorder
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What is wanted of a cell's certificates."""
+
+    cell: CellFiles
+    folder: Path
+    recorder: str = "recorder.cell"  # name or address that arms dial
+    listen: str = "0.0.0.0"  # of the recorder's host; the units' IP filter admits the arms alone
+    port: int = 7447
+    days: int = 365
+    in_place: bool = False  # configurations name the files in this folder, not those that systemd hands over
+
+    @property
+    def members(self) -> tuple[str, ...]:
+        """Who publishes: the arms, and the simulated plant."""
+        plant = (PLANT,) if self.cell.file.driver is DriverKind.SIM else ()
+        return (*(arm.name for arm in self.cell.arms), *plant)
+
+
+def make(wish: Wish) -> dict[str, datetime.datetime]:
+    """Everything, into a folder that is not there yet; the end of each certificate by member.  Raises PkiError."""
+    folder = wish.folder.absolute()
+    if folder.exists():
+        raise PkiError(
+            f"folder {folder}", found="something of that name", expected="none, so that no key is replaced unasked",
+            remedy="name another, or renew single certificates with --renew NAME",
+        )  # fmt: skip
+    try:
+        scratch = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))  # mode 0700
+    except OSError as error:
+        raise PkiError(
+            f"folder {folder}", found=error.strerror, expected="a folder to make it in", remedy="name another path"
+        ) from error
+    try:
+        authority = scratch / "authority"
+        authority.mkdir(mode=0o700)
+        make_authority(authority, wish.cell.file.name)
+        for member in (RECORDER, *wish.members):
+            _member(wish, scratch, member)
+        scratch.rename(folder)
+    except BaseException:
+        shutil.rmtree(scratch, ignore_errors=True)
+        raise
+    return ends(folder)
+
+
+def renew(wish: Wish, names: Sequence[str]) -> dict[str, datetime.datetime]:
+    """New certificates and keys of these members, for the same hosts; all else stays.  Raises PkiError."""
+    folder = wish.folder.absolute()
+    known = [RECORDER, *wish.members]
+    for name in names:
+        if name not in known:
+            raise PkiError("member to renew", found=repr(name), expected=", ".join(known), remedy="name one of them")
+    if not (folder / "authority/ca.key").is_file():
+        raise PkiError(
+            f"folder {folder}", found="no authority/ca.key", expected="a folder that `coop pki` has made",
+            remedy="bring the key from where it is kept",
+        )  # fmt: skip
+    for name in names:
+        with tempfile.TemporaryDirectory(dir=folder) as scratch:
+            part = Path(scratch)
+            leaf = Leaf(common_name(name), hosts(folder / name / "zenoh" / f"{name}.pem"))
+            sign(folder / "authority", part, name, leaf, wish.days)
+            (part / f"{name}.pem").chmod(0o644)
+            (part / f"{name}.key").rename(folder / name / "keys" / f"{name}.pem")
+            (part / f"{name}.pem").rename(folder / name / "zenoh" / f"{name}.pem")
+    return ends(folder)
+
+
+def ends(folder: Path) -> dict[str, datetime.datetime]:
+    """When each certificate of a folder ends, the authority's first.  Raises PkiError."""
+    found = {
+        path.parents[1].name: expiry(path) for path in sorted(folder.glob("*/zenoh/*.pem")) if path.name != "ca.pem"
+    }
+    return {"authority": expiry(folder / "authority/ca.pem"), **found}
+
+
+def _member(wish: Wish, folder: Path, member: str) -> None:
+    """The files of one member as they lie below /etc/coop on its host."""
+    public, secret = folder / member / "zenoh", folder / member / "keys"
+    public.mkdir(parents=True)
+    secret.mkdir(mode=0o700)
+    sign(folder / "authority", public, member, _leaf(wish, member), wish.days)
+    (public / f"{member}.key").rename(secret / f"{member}.pem")
+    shutil.copyfile(folder / "authority/ca.pem", public / "ca.pem")
+    if member == RECORDER:
+        config = recorder_config(
+            _paths(wish, member), f"tls/{wish.listen}:{wish.port}", wish.cell.file.name, wish.members
+        )
+    else:
+        config = member_config(_paths(wish, member), f"tls/{wish.recorder}:{wish.port}")
+    (public / f"{member}.json5").write_bytes(config)
+    for path in public.iterdir():
+        path.chmod(0o644)
+
+
+def _paths(wish: Wish, member: str) -> Paths:
+    if wish.in_place:
+        root = wish.folder.absolute() / member
+        return Paths(root / "zenoh/ca.pem", root / f"zenoh/{member}.pem", root / f"keys/{member}.pem")
+    unit = _UNIT[member == RECORDER].format(member)
+    return Paths(ETC / "zenoh/ca.pem", ETC / f"zenoh/{member}.pem", Path(f"/run/credentials/{unit}/key.pem"))
+
+
+def _leaf(wish: Wish, member: str) -> Leaf:
+    return Leaf(common_name(member), (wish.recorder,) if member == RECORDER else ())

@@ -1,0 +1,131 @@
+"""One key of the recorder: which source it comes from, what of it is there, and what of that is in the present log."""
+
+from __future__ import annotations
+
+import json
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.telemetry.link.coverage import Coverage, count_of
+from agent.telemetry.link.wire import RANGES_MAX, BatchHeader, End, StreamStatus
+from agent.telemetry.row.topics import Address
+
+GAPS_MAX: Final = 100
+SILENT_S: Final = 1.0  # telemetry sends 30 batches a second; what is refused meanwhile it sends again
+_EDGES_MAX: Final = 1024
+
+
+class Stream:
+    """One key: which source it comes from, what of it is there, and what of that is in the present log."""
+
+    def __init__(self, address: Address) -> None:
+        self.address = address
+        self.source = 0
+        self.have = Coverage()
+        self.written = 0
+        self.missed = 0
+        self.end = End.OPEN
+        self.duplicates = 0
+        self.since = 0  # number at which the present log begins
+        self.here = 0  # messages that went into it
+        self.refused = 0  # messages on this key that did not belong
+        self._missed_before = 0
+        self._rival_s: float | None = None  # since when another source has been speaking in this one's silence
+        self._past: set[int] = set()  # sources before this one
+        self._sequence_at: dict[int, int] = {}  # of the first and last row of each range, and of some within
+
+    @property
+    def status(self) -> StreamStatus:
+        """For the publisher."""
+        return StreamStatus(self.source, tuple(self.have.ranges[-RANGES_MAX:]), self.end is not End.OPEN)
+
+    def note(self, header: BatchHeader, count: int) -> list[tuple[int, int]]:
+        """Take over a batch; return the ranges of numbers that are new."""
+        self._rival_s = None
+        self.written, self.missed = max(self.written, header.written), max(self.missed, header.missed)
+        self.end = max(self.end, header.end)
+        new = self.have.add(header.first, header.first + count - 1) if count else []
+        self.duplicates += count - count_of(new)
+        self.here += count_of(new)
+        return new
+
+    def gives_way(self, now_s: float) -> bool:
+        """Whether another source may follow: this one brought nothing, has ended, or is silent while that speaks."""
+        if not self.have.count or self.end is not End.OPEN:
+            return True
+        if self._rival_s is None:
+            self._rival_s = now_s
+        return now_s - self._rival_s >= SILENT_S
+
+    def turn_to(self, source: int) -> bool:
+        """Take messages of this source from now on; False when it is one from before."""
+        if source == self.source:
+            return True
+        if source in self._past:
+            return False
+        self._past.add(self.source)
+        self.source, self.have, self.end = source, Coverage(), End.OPEN
+        self.written = self.missed = self.since = self._missed_before = 0
+        self._sequence_at, self._rival_s = {}, None
+        return True
+
+    def is_past(self, source: int) -> bool:
+        """Whether it was this key's source before the present one."""
+        return source in self._past
+
+    def begin_log(self) -> None:
+        """What comes from now on goes into another log."""
+        self.since, self.here, self.duplicates, self._missed_before = self.have.end, 0, 0, self.missed
+        self.refused = 0
+
+    def note_sequences(self, first: int, rows: NDArray[np.void]) -> None:
+        """Remember the sequence numbers at the edges of what came."""
+        self._sequence_at[first] = int(rows[0]["sequence"])
+        self._sequence_at[first + len(rows) - 1] = int(rows[-1]["sequence"])
+        if len(self._sequence_at) > _EDGES_MAX:
+            edges = {n for r in self.have.ranges for n in r}
+            self._sequence_at = {n: s for n, s in self._sequence_at.items() if n in edges}
+
+    def follows(self, header: BatchHeader, rows: NDArray[np.void]) -> bool:
+        """Whether the sequence numbers go up, within the rows and from the row before them."""
+        sequence = rows["sequence"]
+        before = self._sequence_at.get(header.first - 1, -1) if header.source == self.source else -1
+        return not np.count_nonzero(sequence[1:] <= sequence[:-1]) and before < int(sequence[0])
+
+    def told(self, lost: int, *, continued: bool) -> dict[str, str]:
+        """What of it is in the present log, and what is not and why; continued: another log takes up from here."""
+        goes_on = continued and self.end is End.OPEN
+        until = self.have.end if goes_on else self.written
+        missing = count_of(self.have.missing(self.since, until - 1))
+        in_ring = self.missed - self._missed_before
+        return {
+            "rows_expected": str(until - self.since),
+            "rows_recorded": str(self.here - lost),
+            "end": "continued" if goes_on else self.end.name.lower(),
+            "gaps": json.dumps(self.gaps(until)),
+            "lost_in_ring": str(in_ring),
+            "lost_on_the_way": str(max(0, missing - in_ring)),
+            "lost_on_disk": str(lost),
+            "duplicates": str(self.duplicates),
+        }
+
+    def whole(self, *, continued: bool) -> bool:
+        """Whether the present log has all of it that belongs there; without a single row nothing is whole."""
+        if not self.have.count:
+            return False
+        goes_on = continued and self.end is End.OPEN
+        until = self.have.end if goes_on else self.written
+        return (goes_on or self.end is not End.OPEN) and not self.have.missing(self.since, until - 1)
+
+    def gaps(self, until: int) -> list[tuple[int, int]]:
+        """Sequence numbers (first, last) of the rows that are missing, as far as their neighbours tell."""
+        found = []
+        for first, last in self.have.missing(self.since, until - 1)[:GAPS_MAX]:
+            after = self._sequence_at.get(last + 1)
+            before = self._sequence_at.get(first - 1, None if after is None else after - (last - first + 2))
+            if before is None:
+                continue  # nothing at all was received
+            found.append((before + 1, (before + last - first + 2 if after is None else after) - 1))
+        return found

@@ -1,0 +1,134 @@
+"""Certificates of a cell: whole or not at all, keys for their owner alone, configurations equal to the shipped ones."""
+
+from __future__ import annotations
+
+import datetime
+import json
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+import zenoh
+
+from agent.config.files import load_files
+from agent.pki.certificates import PkiError, hosts
+from agent.pki.make import Wish, ends, make, renew
+from agent.pki.zenoh import Paths, recorder_config
+from tests.support.coop import COOP
+from tests.support.systemd.unit_files import SYSTEMD
+
+pytestmark = pytest.mark.skipif(shutil.which("openssl") is None, reason="needs openssl to make certificates")
+
+CELL = load_files(Path("paper_real"))
+PARTS = ("transport", "listen", "connect", "mode", "scouting", "access_control", "low_pass_filter", "adminspace",
+         "plugins_loading")  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("pki") / "cell"
+    make(Wish(CELL, folder))
+    return folder
+
+
+def openssl(*words: str | Path) -> str:
+    return subprocess.run(["openssl", *map(str, words)], check=True, capture_output=True, text=True).stdout
+
+
+def test_every_member_has_what_its_host_needs_and_no_other_key(made: Path) -> None:
+    found = {str(path.relative_to(made)) for path in made.rglob("*") if path.is_file()}
+    members = ("recorder", "left", "right", "plant")
+    assert found == {"authority/ca.key", "authority/ca.pem"} | {
+        f"{name}/{file}"
+        for name in members
+        for file in ("zenoh/ca.pem", f"zenoh/{name}.pem", f"zenoh/{name}.json5", f"keys/{name}.pem")
+    }
+
+
+def test_keys_are_read_by_their_owner_alone(made: Path) -> None:
+    keys = [made / "authority/ca.key", *made.glob("*/keys/*")]
+    assert len(keys) == 5
+    for path in [*keys, *(key.parent for key in keys)]:
+        assert path.stat().st_mode & 0o077 == 0, path
+
+
+def test_leaves_are_of_this_authority_and_name_their_member(made: Path) -> None:
+    for name, common in (("recorder", "recorder"), ("left", "arm-left"), ("plant", "plant")):
+        certificate = made / name / "zenoh" / f"{name}.pem"
+        assert "OK" in openssl("verify", "-CAfile", made / "authority/ca.pem", certificate)
+        assert openssl("x509", "-in", certificate, "-noout", "-subject").strip().endswith(f"CN = {common}")
+        key = openssl("pkey", "-in", made / name / "keys" / f"{name}.pem", "-pubout")
+        assert openssl("x509", "-in", certificate, "-noout", "-pubkey") == key
+    assert hosts(made / "recorder/zenoh/recorder.pem") == ("recorder.cell",)
+
+
+def test_an_authority_signs_no_further_one_and_a_leaf_signs_nothing(made: Path) -> None:
+    assert "CA:TRUE, pathlen:0" in openssl("x509", "-in", made / "authority/ca.pem", "-noout", "-text")
+    assert "CA:FALSE" in openssl("x509", "-in", made / "left/zenoh/left.pem", "-noout", "-text")
+
+
+def test_configurations_are_the_shipped_ones_filled_in(made: Path) -> None:
+    etc, key = Path("/etc/coop/zenoh"), Path("/run/credentials/coop-recorder.service/key.pem")
+    paths = Paths(etc / "ca.pem", etc / "recorder.pem", key)
+    recorder = recorder_config(paths, "tls/0.0.0.0:7447", CELL.file.name, ("left", "right"))
+    arm = (made / "left/zenoh/left.json5").read_bytes()
+    for file, ours in (("recorder", recorder), ("arm", arm)):
+        shipped = (SYSTEMD / f"several-hosts/zenoh/{file}.json5").read_text().replace("NAME", "left")
+        wanted = zenoh.Config.from_json5(shipped.replace("coop/paper/", f"coop/{CELL.file.name}/"))
+        found = zenoh.Config.from_json5(ours.decode())
+        for part in PARTS:
+            assert json.loads(found.get_json(part)) == json.loads(wanted.get_json(part)), (file, part)
+
+
+def test_the_simulated_plant_publishes_under_its_own_name(made: Path) -> None:
+    access = json.loads((made / "recorder/zenoh/recorder.json5").read_text())["access_control"]
+    assert {"id": "plant", "cert_common_names": ["plant"]} in access["subjects"]
+    (own,) = [rule for rule in access["rules"] if rule["id"] == "own-plant"]
+    assert own["key_exprs"] == [f"coop/{CELL.file.name}/plant/**", f"coop/{CELL.file.name}/plant/**/@adv/**"]
+
+
+def test_certificates_end_when_they_were_told_to(made: Path) -> None:
+    left = {name: end - datetime.datetime.now(datetime.UTC) for name, end in ends(made).items()}
+    assert {name: round(span.total_seconds() / 86400) for name, span in left.items()} == {
+        "authority": 3650, "recorder": 365, "left": 365, "right": 365, "plant": 365,
+    }  # fmt: skip
+
+
+def test_nothing_is_replaced_unasked_and_nothing_is_left_behind(made: Path) -> None:
+    before = {path: path.read_bytes() for path in made.rglob("*") if path.is_file()}
+    with pytest.raises(PkiError, match="replaced unasked"):
+        make(Wish(CELL, made))
+    assert {path: path.read_bytes() for path in made.rglob("*") if path.is_file()} == before
+    with pytest.raises(PkiError, match="member to renew: found 'lift'"):
+        renew(Wish(CELL, made), ["left", "lift"])
+    with pytest.raises(PkiError, match="no authority"):
+        renew(Wish(CELL, made / "left"), ["left"])
+    assert {path: path.read_bytes() for path in made.rglob("*") if path.is_file()} == before
+
+
+def test_what_fails_in_the_middle_leaves_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(PkiError, match="command openssl"):
+        make(Wish(CELL, tmp_path / "cell"))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_renewed_member_has_another_key_for_the_same_host_and_the_others_theirs(tmp_path: Path) -> None:
+    make(Wish(CELL, tmp_path / "cell", recorder="10.0.0.9"))
+    before = {path: path.read_bytes() for path in (tmp_path / "cell").rglob("*") if path.is_file()}
+    renewed = renew(Wish(CELL, tmp_path / "cell", days=30), ["recorder"])
+    after = {path: path.read_bytes() for path in (tmp_path / "cell").rglob("*") if path.is_file()}
+    changed = {str(path.relative_to(tmp_path / "cell")) for path in after if after[path] != before.get(path)}
+    assert changed == {"recorder/zenoh/recorder.pem", "recorder/keys/recorder.pem"}
+    assert hosts(tmp_path / "cell/recorder/zenoh/recorder.pem") == ("10.0.0.9",)
+    assert (tmp_path / "cell/recorder/keys/recorder.pem").stat().st_mode & 0o777 == 0o600
+    assert renewed["recorder"] < renewed["left"]
+
+
+def test_the_command_says_how_long_everything_lasts(tmp_path: Path) -> None:
+    command = [*COOP, "pki", "paper", str(tmp_path / "cell"), "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert json.loads(done.stdout)["ends"].keys() == {"authority", "recorder", "left", "right", "plant"}
+    again = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (again.returncode, again.stdout) == (PkiError.exit_code, "")
