@@ -6,7 +6,7 @@ JOBS   ?= $(shell echo $$(( $$(nproc) + 1 )))  # some tests wait
 CELL   ?= configs/cells/paper.toml
 
 .DEFAULT_GOAL := help
-.PHONY: help run test test-fresh fuzz mutate soak bench format clean
+.PHONY: help run test test-fresh fuzz mutate soak campaign bench format clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## */\1\t/' | expand -t 12
@@ -43,6 +43,9 @@ fuzz: $(VENV)/.installed  ## thousands of changed files through what reads them 
 
 soak: $(VENV)/.installed  ## every cell for 1000 s (SOAK_S), recorder under load, memory and gaps stay flat; SOAK_ONLY=TEXT for some
 	$(BIN)/python -m tests.soak
+
+campaign: $(VENV)/.installed  ## random gains, pads and delays: what the criterion accepts must live (10 min); CAMPAIGN_N, CAMPAIGN_SEED
+	$(BIN)/python -m tests.campaign
 
 bench: $(VENV)/.installed  ## speed and memory; BENCH_OUT=FILE writes the figures as JSON
 	$(BIN)/python -m tests.bench $(if $(BENCH_OUT),--out $(BENCH_OUT))

@@ -6,9 +6,9 @@ encoders and calibration errors push to all sides.  So with W the unexpected wre
     p = −(F·v + (M/a)·(b ω)) / √(v² + (b ω)²),   a = 0.2 m, b = 0.1 m; zero where the arms hardly move,
 
 one number has a lower limit than four sizes.  Two conditions tell: the `level` of p without its own slow part,
-low-passed; and the `climb`, the least of three increments of p over 0.15 s each, one after the other, of means over
-0.05 s.  A push rises once and not three times, so that one of 2 N stays below a limit that a neighbour left behind at
-10 mm/s reaches within half a second.  The state is part of `Memory`.
+low-passed; or half of that level with a `climb`, the least of three increments of p over 0.15 s each, one after the
+other, of means over 0.05 s.  A push rises once and not three times, so that one of 2 N stays below a limit that a
+neighbour left behind at 10 mm/s reaches within half a second.  The state is part of `Memory`.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ MEANS: Final = 3 * STEP + 1  # kept, newest first
 MOMENT_M: Final = 0.2  # a
 TURN_M: Final = 0.1  # b
 STILL_M_PER_S: Final = 2e-3
+WITH_CLIMB: Final = 0.5  # of the limit of the level, where p climbs
 
 
 class Pull(NamedTuple):
@@ -81,5 +82,6 @@ class Against:
         return Pull(level, 0.0, 0.0, (total / ticks, *pull.means_N[:-1]))
 
     def tripped(self, pull: Pull) -> bool:
-        """Whether either is above its limit; what is no number is."""
-        return not (pull.level_N <= self.level_N and pull.climb_N <= self.climb_N)
+        """Whether the level is above its limit, or above half of it and climbs; what is no number is."""
+        climbs = not pull.climb_N <= self.climb_N
+        return not pull.level_N <= (WITH_CLIMB * self.level_N if climbs else self.level_N)

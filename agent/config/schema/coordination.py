@@ -50,7 +50,7 @@ class NoticingSpec(Strict):
     against_N: Force | None = None
     """Pull against the motion from which it does; none: derived, of three arms and more."""
     climb_N: Force | None = None
-    """Climb of that pull, three times in 0.45 s, from which it does; none: derived, of three arms and more."""
+    """Climb of that pull, thrice in 0.45 s, with which half of it is enough; none: derived, of three arms and more."""
     rate_per_s: Annotated[float, Field(gt=0.0, le=200.0)] = 30.0
     """Bandwidth of the residual."""
     slow_per_s: Annotated[float, Field(gt=0.0, le=50.0)] | None = None

@@ -66,7 +66,8 @@ def test_the_pull_is_the_part_of_the_wrench_against_the_twist(
 
 def test_a_pull_that_grows_climbs_and_one_that_came_at_once_does_not() -> None:
     growing = after(0.7, lambda t: -1.2 * t)
-    climbs = [LAW.tripped(p._replace(level_N=0.0)) for p in growing]
+    climbs = [LAW.tripped(p._replace(level_N=0.36)) for p in growing]
+    assert not any(LAW.tripped(p._replace(level_N=0.34)) for p in growing), "half of the level's limit is asked, too"
     assert growing[-1].climb_N == pytest.approx(1.2 * 0.15, rel=0.05)
     assert 0.4 < PERIOD * climbs.index(True) < 0.55
     assert all(p.climb_N < 0.01 for p in after(2.0, lambda t: -9.0 if t > 0.7 else 0.0))
@@ -75,7 +76,7 @@ def test_a_pull_that_grows_climbs_and_one_that_came_at_once_does_not() -> None:
 
 def test_what_is_no_number_trips() -> None:
     assert LAW.tripped(NO_PULL._replace(level_N=math.nan))
-    assert LAW.tripped(NO_PULL._replace(means_N=(math.nan,) * MEANS))
+    assert LAW.tripped(NO_PULL._replace(level_N=0.36, means_N=(math.nan,) * MEANS))
     assert not LAW.tripped(NO_PULL)
 
 
