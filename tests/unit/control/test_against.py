@@ -95,7 +95,7 @@ def test_two_arms_have_it_only_where_it_is_asked_for_and_more_arms_derive_it() -
     assert three is not None
     assert four is not None
     assert (three.level_N, four.level_N) == (0.7, 0.525), "1.05 of an arm's share of 2 N"
-    assert three.climb_N >= four.climb_N
+    assert (three.climb_N, four.climb_N) == (0.138, 0.114), "of such a push; of friction and noise"
     rough = against(load_cell(Path("three_wx250s"), ["tolerance.friction=[0.6, 3.0]"]))
     assert rough is not None
     assert rough.level_N > three.level_N
@@ -109,7 +109,8 @@ def test_limits_are_above_what_24_realities_showed() -> None:
     for name, seen in (("three_wx250s", (0.29, 0.078)), ("four_wx250s", (0.30, 0.078))):
         found = against(load_cell(Path(name)))
         assert found is not None
-        assert (found.level_N, found.climb_N) >= (1.3 * seen[0], 1.3 * seen[1])
+        assert found.level_N >= 1.3 * seen[0]
+        assert found.climb_N >= 1.3 * seen[1]
 
 
 def test_what_pulls_back_is_always_named_as_that() -> None:
@@ -133,6 +134,25 @@ def test_the_neighbours_of_an_arm_that_holds_notice_within_half_a_second(lab: La
     assert Flag.UNEXPECTED in first.flags
     assert str(Cause.BACK) in first.why
     assert "N against the motion" in first.why
+
+
+def test_it_is_given_the_unexpected_wrench_its_slow_part_and_the_motion(lab: Laboratory) -> None:
+    run, before = Run(lab, None), NO_PULL
+    while run.t < 1.2:
+        run.advance()
+        place = run.places[1]
+        outcome, residual = place.outcome, place.agent.residual
+        assert outcome is not None
+        assert residual is not None
+        assert residual.against is not None
+        sense, terms, sensed = outcome.memory.sense, outcome.terms, outcome.sensed
+        if run.t > 2 * PERIOD:
+            assert terms is not None
+            assert sensed is not None
+            expected = residual.against.advance(before, sensed[:6], sense.base.tolist(), terms.desired.v)
+            assert sense.pull.flat == pytest.approx(expected.flat, rel=1e-9, abs=1e-12)
+        before = sense.pull
+    assert before.level_N
 
 
 def test_two_newtons_for_half_a_second_are_no_trip(lab: Laboratory) -> None:
