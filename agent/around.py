@@ -6,8 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
+from agent.control.memory import Memory
 from agent.cycles import Patience
 from agent.modes import Event, Mode
+from agent.safety import Flag
 
 
 class LoopLog(Protocol):
@@ -44,6 +46,18 @@ class Surroundings:
     heartbeat: Callable[[], None]  # after every cycle, also one without a state: the loop lives
     mode_changed: Callable[[Mode], None]
     trouble: Callable[[str], None] | None = None  # is told why the arm holds when nobody asked it to
+
+
+@dataclass(frozen=True)
+class Beginning:
+    """Where a loop begins that goes on with an arm on which another one has commanded torque."""
+
+    mode: Mode
+    memory: Memory
+    zero_ns: int  # of the trajectory
+    rows: int  # that there are already
+    reason: str  # of the hold
+    marks: Flag = Flag.NONE  # of its first row
 
 
 @dataclass(frozen=True)

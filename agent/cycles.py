@@ -47,6 +47,7 @@ class Cycles:
         self._begun_ns: int | None = None  # when the last cycle really began
         self._tried_ns = begin_ns - patience.retry * period_ns
         self._failed = 0  # one bit for each of the last WINDOW cycles
+        self._waited = False  # in this cycle, for the first state
         self._trusted = True  # the last cycles were as they should be
 
     def gap_s(self, now_ns: int) -> float:
@@ -79,11 +80,18 @@ class Cycles:
         """This cycle brought a state."""
         self._fresh_ns = deadline_ns
 
+    def first(self, now_ns: int) -> None:
+        """It was the first one, for which a simulated arm waits until all others are there: that is no time lost."""
+        self._fresh_ns, self._begun_ns, self._waited = now_ns, None, True
+
     def end(self, skipped: int, *, good: bool) -> float | None:
         """This cycle and `skipped` ones after it are over; the share of good ones once that falls below the least.
 
         Not after a gap: the next cycle will tell of that, before it acts.
         """
+        if self._waited:
+            self._waited = False
+            return None
         missed = min(skipped, WINDOW)
         self._failed = ((self._failed << 1 | (not good)) << missed | (1 << missed) - 1) & _MASK
         share = 1.0 - self._failed.bit_count() / WINDOW

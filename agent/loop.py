@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from agent import phases
 from agent.control import adaptive, cause, joint_hold, known
 from agent.control.adaptation import Estimate
 from agent.control.alignment import Alignment, between, shifted
@@ -67,6 +68,7 @@ class Agent:
     alignment: Alignment | None = None  # None: READY holds what this arm sees, TRACK follows the common motion
     residual: Residual | None = None  # None: nothing is sensed through the object
     damp_above_rad_per_s: float = math.inf  # a joint faster than this in HOLD is braked
+    session: phases.Session | None = None  # None: the arm begins with the object in its gripper
 
     def __post_init__(self) -> None:
         n, counts = self.model.n, (len(self.limits.tau_max_Nm), len(self.limits.tau_step_max_Nm))
@@ -113,7 +115,9 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
     damped = calm == BRAKE
     brake = min(BRAKE_PER_S, 0.25 / agent.period_s)
     wanted = (_braking(terms, dq, brake) if damped else terms.joints[CMD]).tolist()
-    tau, flags = limit(wanted, memory.tau.tolist(), agent.limits)
+    session = agent.session
+    alone = session is not None and mode in phases.ALONE
+    tau, flags = limit(wanted, memory.tau.tolist(), session.limits if session is not None and alone else agent.limits)
     if calm:
         flags |= Flag.DAMPED if damped else Flag.GENTLE
     if terms.sigma_min < agent.sigma_min:
@@ -121,6 +125,8 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
     if held:
         flags |= Flag.ADAPTATION_SATURATED
     if mode is _TRACK and _off_track(agent, terms.errors):
+        flags |= Flag.OFF_TRACK
+    if session is not None and alone and phases.off(session.life, mode, memory, q) > session.life.off_max_rad:
         flags |= Flag.OFF_TRACK
     limited = np.array(tau)
     if int(flags) & _NOT_FINITE:  # the memory keeps finite numbers only
@@ -132,10 +138,12 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
             flags |= Flag.UNEXPECTED
     if agent.alignment is not None and memory.primed and mode in _ALIGNING:
         shift = agent.alignment.advance(shift, terms.errors, agent.period_s, ready=mode is _READY)
+    if session is not None and mode is _TRACK:
+        shift = phases.blended(shift, t, agent.period_s, session.start_blend_s)
     ddq = -brake * dq if damped else terms.joints[DDQ_REF]  # what the torque asks for, as the observer must know
     carried = Memory(
         q, dq, ddq, memory.ddq, limited, memory.tau, True, sense, shift, calm,
-        memory.hold, t, estimate, memory.q_hold,
+        memory.hold, t, estimate, memory.q_hold, memory.age + agent.period_s,
     )  # fmt: skip
     return Outcome(q, dq, terms, limited, flags, carried, sensed)
 
@@ -234,6 +242,9 @@ def _law(
 ) -> tuple[Terms, Estimate | None, bool]:
     """Terms of this tick's law, the estimate it leaves, and whether a bound held the estimate back."""
     adaptation, estimate, q_hold = agent.offline.adaptation, memory.estimate, memory.q_hold
+    life = None if agent.session is None else agent.session.life
+    if life is not None and mode in phases.ALONE:
+        return phases.alone(agent.model, agent.offline, life, mode, memory, q, dq), estimate, False
     if calm > JOINTS and q_hold is not None:
         rate = min(GENTLE_RAD_PER_S, 1.0 / (30.0 * agent.period_s))
         return joint_hold.torque(agent.model, agent.offline, q, dq, q_hold, rate, GENTLE_REACH_RAD), estimate, False
@@ -243,6 +254,10 @@ def _law(
         and (calm == JOINTS or agent.near_singular(q_hold) or agent.near_singular(q))
     ):
         return joint_hold.torque(agent.model, agent.offline, q, dq, q_hold, agent.hold_rate_rad_per_s), estimate, False
+    part = 1.0 if life is None else phases.handing_over(life, mode, memory)
+    if life is not None and part < 1.0:
+        law = _of_object(agent, memory, q, dq, _desired(agent, t, mode, memory)) if part > 0.0 else None
+        return phases.handed_over(agent.model, agent.offline, life, memory, part, law, q, dq), estimate, False
     desired = _desired(agent, t, mode, memory)
     if adaptation is None:
         return known.torque(agent.model, agent.offline, q, dq, desired), None, False
@@ -255,6 +270,14 @@ def _law(
     return terms, advanced, held
 
 
+def _of_object(agent: Agent, memory: Memory, q: Vector, dq: Vector, desired: Desired) -> Terms:
+    """The law of the object, learning nothing."""
+    adaptation, estimate = agent.offline.adaptation, memory.estimate
+    if adaptation is None or estimate is None:
+        return known.torque(agent.model, agent.offline, q, dq, desired)
+    return adaptive.torque(agent.model, agent.offline, adaptation, estimate, q, dq, desired)[0]
+
+
 def initial_memory(agent: Agent) -> Memory:
     """Memory before the agent's first tick."""
     adaptation = agent.offline.adaptation
@@ -264,6 +287,9 @@ def initial_memory(agent: Agent) -> Memory:
 def _desired(agent: Agent, t: float, mode: Mode, memory: Memory) -> Desired:
     if mode is _READY and agent.alignment is not None and agent.start is not None:
         return shifted(Desired(*agent.start, _STILL, _STILL), memory.shift)
+    if mode is Mode.LOWER and agent.session is not None:
+        life = agent.session.life
+        return phases.lowering(life, memory, shifted(Desired(*life.place, _STILL, _STILL), memory.shift))
     if mode is _TRACK or memory.hold is None:
         return shifted(agent.trajectory.at(t), memory.shift)
     p, quat = memory.hold[:3], memory.hold[3:]

@@ -21,6 +21,13 @@ class Mode(enum.IntEnum):
     HOLD = 3  # the object is held where it was when the hold began; latched
     LOWER = 4  # the object is lowered to its support
     FAULT = 5  # the arm cannot be commanded; torque off
+    # of a session from rest to rest, in which the arm holds nothing (agent.phases)
+    REST = 6  # torque on, the arm stands where it rests
+    APPROACH = 7  # it goes to its grasp and stands there, gripper open
+    GRASP = 8  # it stands there and closes its gripper
+    RELEASE = 9  # the object stands: the arm gives back its load share, opens its gripper and stands
+    PARK = 10  # it goes back to where it rests
+    HALT = 11  # it was stopped on its way and stands there
 
 
 class Event(enum.IntFlag):
@@ -33,6 +40,14 @@ class Event(enum.IntFlag):
     TROUBLE = 8  # something is wrong, the servos still obey
     SERVO_LOST = 16  # the arm does not obey any more
     RELEASED = 32  # an operator confirmed that the object is supported
+    # of a session: an operator's words, and what the arm finds out by itself
+    APPROACH = 64
+    GRASP = 128
+    LOWER = 256
+    PARK = 512
+    GRIPPED = 1024  # the gripper has closed on something as wide as the object
+    NOT_GRIPPED = 2048  # it has closed on nothing, too early, or not at all
+    ARRIVED = 4096  # the arm has come to the end of its way
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +77,13 @@ TABLE: Mapping[Mode, Entry] = MappingProxyType({
     ),
     Mode.LOWER: Entry("lowering the object", True, (_LOST, _LET_GO)),
     Mode.FAULT: Entry("the arm does not obey", False),
+    # of a session, in which agent.session_modes says what follows
+    Mode.REST: Entry("torque on, at rest; `coop approach`", True),
+    Mode.APPROACH: Entry("on its way to its grasp, or there; `coop grasp`", True),
+    Mode.GRASP: Entry("closing its gripper", True),
+    Mode.RELEASE: Entry("letting go of the object; `coop park` once its gripper is open", True),
+    Mode.PARK: Entry("on its way to its rest", True),
+    Mode.HALT: Entry("STOPPED on its way; `coop approach` or `coop park`", True),
 })  # fmt: skip
 
 

@@ -9,13 +9,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from agent.around import LoopLog, RunSummary, Schedule, Surroundings
+from agent.around import Beginning, LoopLog, RunSummary, Schedule, Surroundings
 from agent.control.memory import Memory
 from agent.cycles import WINDOW, Bus, Cycles
 from agent.loop import Agent, Outcome, afresh, blind, explained, hold_after, initial_memory, step, wait_here
 from agent.modes import TABLE, Event, Mode, next_mode
 from agent.monitors.watch import Watch
+from agent.phases import ALONE
 from agent.safety import Flag
+from agent.session import SessionLoop, entered
+from agent.session_modes import next_in_session
 from agent.telemetry.row.fill import AgentRow
 from drivers.interface import (
     Clock,
@@ -28,15 +31,19 @@ from drivers.interface import (
     Vector,
 )
 
-__all__ = ["LoopLog", "RunSummary", "Runner", "Schedule", "Surroundings"]
+__all__ = ["Beginning", "LoopLog", "RunSummary", "Runner", "Schedule", "Surroundings"]
 
 NOT_YET_NS = 86_400_000_000_000  # the trajectory's zero while nobody has set it: a day ahead
 _TROUBLE = int(Flag.NOT_FINITE | Flag.SINGULAR | Flag.OFF_TRACK | Flag.UNEXPECTED)  # joining flags takes 1 µs
+_KEEPS = frozenset({Mode.HOLD, Mode.HALT})  # in which an arm stays until somebody says a word
 _COMMANDING = frozenset(mode for mode, entry in TABLE.items() if entry.commands)
 
 
 class Runner:
-    """The loop of one arm on an enabled driver."""
+    """The loop of one arm on an enabled driver.
+
+    beginning: None for a loop that is the arm's first.
+    """
 
     def __init__(
         self,
@@ -48,7 +55,11 @@ class Runner:
         sink: LoopLog,
         around: Surroundings,
         watch: Watch | None = None,
+        beginning: Beginning | None = None,
+        session: SessionLoop | None = None,
     ) -> None:
+        """session: of an arm that begins at its rest, and whose agent has one too."""
+        self._session = session
         self._agent = agent
         self._driver = driver
         self._clock = clock
@@ -74,13 +85,16 @@ class Runner:
         self._zero_ns = self._phase_ns + (schedule.ready_ns if schedule.lockstep else NOT_YET_NS)
         self._tracking_since_ns: int | None = None
         self._tracked_s = 0.0
+        if beginning is not None:
+            self._mode, self._memory, self._zero_ns = beginning.mode, beginning.memory, beginning.zero_ns
+            self._rows, self._reason, self._marks = beginning.rows, beginning.reason, beginning.marks
 
     def run(self, happened: Event = Event.ENABLED) -> RunSummary:
         """Run until the last tick, a release or a fault; leaves the torque as it is.
 
         happened: what brought the arm here, which says in what mode it begins.
         """
-        self._mode = next_mode(self._mode, happened)
+        self._mode = self._next(happened)
         if self._schedule.lockstep and not self._schedule.ready_ns:
             self._mode = next_mode(self._mode, Event.STARTED)
         while self._mode in _COMMANDING and not self._over():
@@ -121,21 +135,46 @@ class Runner:
             happened |= trouble
         if state is not None:
             cycles.fresh(deadline_ns)
+            if self._outcome is None:
+                cycles.first(self._clock.now_ns())
             happened |= self._act(state, late_ns, begin_ns)
         else:
             happened |= self._go_blind(deadline_ns, bus)
         self._around.heartbeat()
-        if schedule.hold_at_end and self._past_end(deadline_ns + period_ns):
+        if schedule.hold_at_end and self._tracks_to_end() and self._past_end(deadline_ns + period_ns):
             happened |= Event.STOP
-        if self._mode is Mode.READY and self._started(deadline_ns):
+        if self._mode is Mode.READY and self._may_start() and self._started(deadline_ns):
             happened |= Event.STARTED
         late = late_ns > period_ns
         self._late_cycles += late
         self._tick += 1
         if not schedule.lockstep:
             happened |= self._skip(deadline_ns, good=state is not None and not late)
+        if self._session is not None:
+            happened = self._judged(self._session, happened)
         if happened:
             self._change_mode(happened, state)
+
+    def _tracks_to_end(self) -> bool:
+        return self._session is None or self._mode is Mode.TRACK
+
+    def _may_start(self) -> bool:
+        return self._session is None or self._session.taken_up(self._mode, self._memory)
+
+    def _judged(self, session: SessionLoop, happened: Event) -> Event:
+        """What counts of what happened, with what the arm found out by itself; a refused word is told."""
+        happened = session.judge(self._mode, happened, self._memory)
+        said, session.reason = session.reason, ""
+        if said and happened & (Event.TROUBLE | Event.STOP):
+            self._reason = said
+        elif said and self._around.trouble is not None:
+            self._around.trouble(said)
+        return happened
+
+    def _next(self, happened: Event) -> Mode:
+        if self._session is None:
+            return next_mode(self._mode, happened)
+        return next_in_session(self._mode, happened)
 
     def _skip(self, deadline_ns: int, *, good: bool) -> Event:
         """Leave out the cycles that this one took the time of; trouble once too few are good."""
@@ -162,7 +201,7 @@ class Runner:
     def _bus(self, deadline_ns: int) -> Bus:
         """What this cycle does on the bus; an arm that lapsed is brought back in HOLD, and by its driver."""
         arm = self._recovering
-        lapsed = arm is not None and self._mode is Mode.HOLD and arm.lapsed
+        lapsed = arm is not None and self._mode in _KEEPS and arm.lapsed
         bus = self._cycles.plan(deadline_ns, lapsed=lapsed, recovers=arm is not None)
         if bus is not Bus.RECOVER or arm is None:
             return bus
@@ -221,7 +260,9 @@ class Runner:
             if self._tracking_since_ns is None:
                 self._tracking_since_ns = begin_ns
             self._tracked_s = (after_write_ns - self._tracking_since_ns) * 1e-9
-        found = "" if self._watch is None else self._watch.after(state, outcome, mode, self._driver.health)
+        found = ""
+        if self._watch is not None and mode not in ALONE:  # what they watch is the carrying of an object
+            found = self._watch.after(state, outcome, mode, self._driver.health)
         if int(outcome.flags) & _TROUBLE:
             self._reason = (
                 self._reason or f"t = {t:.3f} s: {outcome.flags!r} {explained(self._agent, outcome)}".rstrip()
@@ -281,16 +322,20 @@ class Runner:
 
     def _change_mode(self, happened: Event, state: JointState | None) -> None:
         before = self._mode
-        mode = next_mode(before, happened)
+        mode = self._next(happened)
         if Event.SERVO_LOST in happened:
             self._reason = self._unseen or self._reason
         if mode is before:
             return
-        if mode is Mode.HOLD and state is not None and self._outcome is not None:
+        if self._session is not None:
+            self._session.entered(mode)
+        if self._agent.session is not None:
+            self._memory = entered(self._agent, mode, self._memory, self._outcome if state is not None else None)
+        elif mode is Mode.HOLD and state is not None and self._outcome is not None:
             self._memory = hold_after(self._agent, self._outcome)
-        if mode is Mode.TRACK:
+        elif mode is Mode.TRACK:
             self._memory = self._memory._replace(hold=None, q_hold=None)
         self._mode = mode
         self._around.mode_changed(mode)
-        if mode is Mode.HOLD and Event.TROUBLE in happened and self._around.trouble is not None:
+        if mode in _KEEPS and Event.TROUBLE in happened and self._around.trouble is not None:
             self._around.trouble(self._reason)

@@ -27,8 +27,9 @@ def utc_offset_ns(utc_ns: Callable[[], int] = time.time_ns, monotonic_ns: Callab
 class MonotonicClock:
     """`Clock` of a real arm (a loop of "now + period" would lose 2.5 % of the rate, hence deadlines)."""
 
-    def __init__(self) -> None:
-        self._utc_offset_ns = utc_offset_ns()
+    def __init__(self, utc_offset_of_run_ns: int | None = None) -> None:
+        """utc_offset_of_run_ns: as another process of the same run has found it."""
+        self._utc_offset_ns = utc_offset_ns() if utc_offset_of_run_ns is None else utc_offset_of_run_ns
 
     @property
     def utc_offset_ns(self) -> int:

@@ -108,6 +108,17 @@ class ServoHealth:
         return cls(stamp_ns, (), (), nothing, nothing, np.zeros(0, np.uint8), *[nothing] * 6)
 
 
+@dataclass(frozen=True, slots=True)
+class GripState:
+    """What a gripper's servo said in the last cycle."""
+
+    stamp_ns: int
+    width_m: float  # between the fingers
+    speed_m_per_s: float  # of the width
+    effort: float  # share of the servo's largest, positive while it closes
+    force_N: float  # of each finger, as the effort lets expect; the friction of the gear is not in it
+
+
 @dataclass(slots=True)
 class BusCounters:
     """Cumulative since `connect`; read every cycle, so plain integers."""
@@ -117,6 +128,22 @@ class BusCounters:
     alerts: int = 0
     retries: int = 0
     per_servo: dict[int, int] = field(default_factory=dict)
+
+
+@runtime_checkable
+class Gripper(Protocol):
+    """The gripper of one arm, beside its `Driver`; between `enable` and `disable` of that."""
+
+    def grip(self, width_m: float) -> None:
+        """Go to this width with the next `write`, as hard as the arm file allows, and keep at it.
+
+        What is wider is held with that effort.  Raises DriverError where the arm has no such gripper.
+        """
+        ...
+
+    def grip_state(self) -> GripState | None:
+        """Return what the last cycle said of it; None when it said nothing.  Never touches the bus."""
+        ...
 
 
 class Clock(Protocol):

@@ -1,6 +1,6 @@
 #!/bin/sh
 # Copies the units and what they need to where systemd looks; enables and starts nothing.
-#   systemd/install.sh [simulated] [several-hosts]     a choice that is not named is taken away again
+#   systemd/install.sh [simulated | rehearsal] [several-hosts]     a choice that is not named is taken away again
 # DESTDIR=DIR installs below DIR and touches nothing else.  Files that are filled in on the host are never replaced.
 set -eu
 here=$(dirname "$0")
@@ -9,10 +9,14 @@ units=$root/etc/systemd/system
 
 for choice in "$@"; do
     case $choice in
-    simulated | several-hosts) ;;
-    *) echo "install.sh: found '$choice', expected 'simulated' or 'several-hosts'" >&2; exit 2 ;;
+    simulated | rehearsal | several-hosts) ;;
+    *) echo "install.sh: found '$choice', expected 'simulated', 'rehearsal' or 'several-hosts'" >&2; exit 2 ;;
     esac
 done
+case " $* " in
+*" simulated "*" rehearsal "* | *" rehearsal "*" simulated "*)
+    echo "install.sh: found 'simulated' and 'rehearsal', expected one of them" >&2; exit 2 ;;
+esac
 if [ -z "$root" ] && [ "$(id -u)" != 0 ]; then
     echo "install.sh: found user $(id -un), expected root; run it with sudo" >&2
     exit 2
@@ -27,17 +31,24 @@ install -D -m 644 -t "$root/etc/sysusers.d" "$here"/sysusers.d/coop.conf
 install -D -m 644 -t "$root/etc/tmpfiles.d" "$here"/tmpfiles.d/coop.conf
 once 644 "$here/udev/60-coop.rules" "$root/etc/udev/rules.d/60-coop.rules"
 
-rm -f "$units"/coop-plant.service "$units"/coop*.service.d/50-simulated.conf
+rm -f "$units"/coop-plant.service "$units"/coop*.service.d/50-simulated.conf "$units"/coop*.service.d/50-rehearsal.conf
 for choice in "$@"; do
     for file in "$here/$choice"/*.service "$here/$choice"/*.service.d/*.conf; do
         [ -e "$file" ] || continue
         name=${file#"$here/$choice/"}
         case $choice in
-        simulated) install -D -m 644 "$file" "$units/$name" ;;
+        simulated | rehearsal) install -D -m 644 "$file" "$units/$name" ;;
         several-hosts) once 644 "$file" "$units/$name" ;; # holds this host's addresses
         esac
     done
 done
+case " $* " in
+*" rehearsal "*) # the simulated cell's units, but for its agents
+    for name in coop-plant.service coop-recorder.service.d/50-simulated.conf coop-ros2.service.d/50-simulated.conf; do
+        install -D -m 644 "$here/simulated/$name" "$units/$name"
+    done
+    ;;
+esac
 case " $* " in
 *" several-hosts "*)
     once 644 "$here/several-hosts/zenoh/recorder.json5" "$root/etc/coop/zenoh/recorder.json5"

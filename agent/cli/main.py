@@ -9,7 +9,22 @@ from typing import Annotated
 
 import typer
 
-from agent.cli import answers, cells, doctor, latency, logs, make, motors, processes, replay, run, study, view, words
+from agent.cli import (
+    answers,
+    cells,
+    doctor,
+    faults,
+    latency,
+    logs,
+    make,
+    motors,
+    processes,
+    replay,
+    run,
+    study,
+    view,
+    words,
+)
 from agent.cli.help import Commands
 from agent.cli.where import where
 
@@ -18,14 +33,18 @@ USAGE = 2  # exit code of a command line that says nothing `coop` understands
 
 GROUPS: dict[str, tuple[Callable[..., None], ...]] = {
     "Simulate and examine": (make.new, run.run, cells.check, cells.tune, cells.schema, study.study),
-    "Arms of this host": (words.start, words.stop, words.release, words.status, doctor.doctor, latency.latency_test),
+    "Arms of this host": (
+        words.approach, words.grasp, words.start, words.stop, words.lower, words.release, words.park, words.guide,
+        words.status, doctor.doctor, latency.latency_test,
+    ),
     "Logs": (
         logs.report, view.view, logs.compare, answers.events, answers.grasps, replay.replay, logs.identify, logs.export,
         logs.play, logs.recover, logs.layout,
     ),
     "This installation": (where,),
     "Processes of a cell": (
-        processes.agent, processes.plant, processes.emulate, processes.telemetry, processes.record, processes.ros2,
+        processes.agent, processes.guard, processes.plant, processes.emulate, processes.telemetry, processes.record,
+        processes.ros2,
     ),
 }  # fmt: skip
 
@@ -40,6 +59,7 @@ for _heading, _commands in GROUPS.items():
     for _command in _commands:
         app.command(rich_help_panel=_heading)(_command)
 app.add_typer(motors.app, name="motors", rich_help_panel="Arms of this host")
+app.add_typer(faults.app, name="faults", rich_help_panel="Simulate and examine")
 
 
 def _version(wanted: bool) -> None:

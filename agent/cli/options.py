@@ -71,6 +71,11 @@ def ready(what: str) -> None:
     sys.stdout.flush()
 
 
+def asked_yes(question: str) -> bool:
+    """Whether a person at the terminal says yes; no where there is none."""
+    return sys.stdin is not None and sys.stdin.isatty() and typer.confirm(question, err=True)
+
+
 def note(text: str) -> None:
     """One line on standard error."""
     typer.echo(text, err=True)

@@ -16,6 +16,7 @@ from agent.cli.options import (
     DriverName,
     NetworkConfig,
     WithParent,
+    asked_yes,
     begin,
     ready,
 )
@@ -36,6 +37,14 @@ def agent(
     ] = False,
     emulated: Annotated[bool, typer.Option("--emulated", help="The servos on that port are emulated.")] = False,
     real_time: Annotated[bool, typer.Option("--real-time", help="At the wall clock's pace, not in lockstep.")] = False,
+    whole: Annotated[bool, typer.Option("--whole", help="Begin at rest and wait for `coop approach`.")] = False,
+    guard: Annotated[Path | None, typer.Option(help="Socket of the arm's guard, or refuse.")] = None,
+    gripper_empty: Annotated[
+        bool, typer.Option("--gripper-empty", help="Arm in the loop: a person has looked, it holds nothing.")
+    ] = False,
+    gripper_word: Annotated[
+        Path | None, typer.Option(help="The same, said by a file that a person makes; it is taken away.")
+    ] = None,
     with_parent: WithParent = False,
 ) -> None:
     """Run one arm: the process that reads, steps, limits and writes."""
@@ -44,12 +53,19 @@ def agent(
     from agent.host.paths import control_path, make_runtime_dir, plant_socket_path, ring_path
     from agent.process.agent import AgentOptions, run_agent
     from agent.process.build import Connection
+    from agent.process.rehearse import driver_of, in_the_loop, require_empty_gripper, require_wall_clock, taken
 
     requested = begin(with_parent)
     loaded = load_cell(cell)
-    kind = DriverKind(driver.value) if driver is not None else loaded.file.driver
+    kind = driver_of(loaded, arm, DriverKind(driver.value) if driver is not None else None)
     name = loaded.file.name
+    if in_the_loop(loaded, arm) and not emulated:
+        said = gripper_empty or taken(gripper_word)
+        require_empty_gripper(arm, said or asked_yes(f"Is the gripper of arm {arm} EMPTY?"))
+    require_wall_clock(loaded, real_time=real_time or kind is DriverKind.DYNAMIXEL)
     lockstep = kind is DriverKind.SIM and not real_time
+    if guard is not None and lockstep:
+        raise typer.BadParameter("needs --real-time: in lockstep, time waits for the agent", param_hint="--guard")
     if ring is None or (control is None and not lockstep):
         make_runtime_dir(name)
     options = AgentOptions(
@@ -59,8 +75,10 @@ def agent(
         ring=ring or ring_path(name, arm),
         control=None if lockstep else control or control_path(name, arm),
         lockstep=lockstep,
-        hold=hold if hold is not None else kind is DriverKind.DYNAMIXEL and not emulated,
+        hold=whole or (hold if hold is not None else kind is DriverKind.DYNAMIXEL and not emulated),
+        whole=whole,
         priority=priority,
+        guard=guard,
         no_realtime=allow_no_realtime,
     )
     summary = run_agent(loaded, options, requested, ready)
@@ -69,6 +87,50 @@ def agent(
         f"mode {summary.mode.name} {summary.reason}",
         err=True,
     )
+
+
+def guard(
+    cell: CellPath,
+    arm: ArmName,
+    socket: Annotated[Path | None, typer.Option(help="Socket for the agent (its --guard).")] = None,
+    control: Annotated[Path | None, typer.Option(help="Socket for stop and release, once the agent is gone.")] = None,
+    driver: Annotated[DriverName | None, typer.Option(help="Instead of the cell's driver.")] = None,
+    port: Annotated[str | None, typer.Option(help="Serial port, instead of the cell's.")] = None,
+    post_mortem: Annotated[Path, typer.Option(help="Folder for the log of what went before.")] = Path("runs"),
+    hold: Annotated[bool | None, typer.Option(help="At a stop go on holding until released.")] = None,
+    priority: Annotated[int | None, typer.Option(min=1, max=99, help="SCHED_FIFO priority, or refuse.")] = None,
+    emulated: Annotated[bool, typer.Option("--emulated", help="The servos on that port are emulated.")] = False,
+    with_parent: WithParent = False,
+) -> None:
+    """Guard one arm: lend its agent the port, and go on in HOLD when that dies or hangs."""
+    from agent.config.cell import load_cell
+    from agent.config.schema.cell import DriverKind
+    from agent.host.paths import control_path, guard_path, make_runtime_dir, ring_path
+    from agent.process.agent import AgentOptions
+    from agent.process.build import Connection
+    from agent.process.guard import GuardOptions, run_guard
+
+    requested = begin(with_parent)
+    loaded = load_cell(cell)
+    kind = DriverKind(driver.value) if driver is not None else loaded.file.driver
+    name = loaded.file.name
+    if socket is None or control is None:
+        make_runtime_dir(name)
+    options = AgentOptions(
+        arm=arm,
+        driver=kind,
+        connection=Connection(port=port, emulated=emulated),
+        ring=ring_path(name, arm),
+        control=control or control_path(name, arm),
+        lockstep=False,
+        hold=hold if hold is not None else kind is DriverKind.DYNAMIXEL and not emulated,
+        priority=priority,
+    )
+    summary = run_guard(
+        loaded, GuardOptions(options, cell, socket or guard_path(name, arm), post_mortem), requested, ready
+    )
+    if summary is not None:
+        typer.echo(f"arm {arm}: held for {summary.ticks} cycles, mode {summary.mode.name} {summary.reason}", err=True)
 
 
 def plant(
@@ -101,13 +163,15 @@ def emulate(
     control: Annotated[Path | None, typer.Option(help="Datagram socket that takes faults.")] = None,
     seed: Annotated[int, typer.Option(help="Seed of the faults.")] = 0,
     no_timing: Annotated[bool, typer.Option("--no-timing", help="Answer at once, not at the bus's pace.")] = False,
+    whole: Annotated[bool, typer.Option("--whole", help="Arms begin at rest, the object on a table.")] = False,
     with_parent: WithParent = False,
 ) -> None:
     """Emulated Dynamixel servos of the cell's arms on pseudo terminals, for any Dynamixel client."""
     from agent.atomic import make_folder
     from agent.config.cell import load_cell
     from agent.host.paths import make_runtime_dir, ring_path
-    from agent.process.emulate import run_emulate
+    from agent.process.emulate import gripping, run_emulate, run_emulate_alone
+    from agent.process.whole import at_rest
     from agent.telemetry.row.topics import PLANT
     from sim_backend.wire.serve import ServeOptions
 
@@ -115,11 +179,16 @@ def emulate(
     loaded = load_cell(cell)
     make_folder(ports)
     name = loaded.file.name
-    if ring is None:
+    if ring is None and loaded.file.hil is None:
         make_runtime_dir(name)
     options = ServeOptions({arm.name: ports / arm.name for arm in loaded.arms}, faults, control, seed)
+    if loaded.file.hil is not None:
+        typer.echo(run_emulate_alone(loaded, options, timing=not no_timing, stop=requested, ready=ready), err=True)
+        return
     where = ring or ring_path(name, PLANT)
-    typer.echo(run_emulate(loaded, options, where, timing=not no_timing, stop=requested, ready=ready), err=True)
+    begins = at_rest if whole else gripping
+    run = run_emulate(loaded, options, where, timing=not no_timing, stop=requested, ready=ready, begin=begins)
+    typer.echo(run, err=True)
 
 
 def telemetry(

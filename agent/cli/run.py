@@ -17,6 +17,13 @@ def run(
     seed: Annotated[int, typer.Option(help="Seed of everything random in the simulated cell.")] = 0,
     real_time: Annotated[bool, typer.Option("--real-time", help="At the wall clock's pace, not in lockstep.")] = False,
     wire: Annotated[bool, typer.Option("--wire", help="The real driver on emulated servos, in real time.")] = False,
+    hil: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ARMS", help="Rehearse: these arms (left,right) on emulated servos, each on its own, in the loop."
+        ),
+    ] = None,
+    whole: Annotated[bool, typer.Option("--whole", help="With --wire: from rest to the object and back.")] = False,
     faults: Annotated[Path | None, typer.Option(help="Faults of the emulated servos, JSON lines.")] = None,
     strict: Annotated[bool, typer.Option("--strict", help="Exit 6 when a bound of the cell file is missed.")] = False,
     listen: Annotated[str | None, typer.Option(help="Endpoint for live viewers (default: a free port).")] = None,
@@ -36,7 +43,11 @@ def run(
 
     requested = StopFlag()
     kind = RunKind.WIRE if wire else RunKind.REAL_TIME if real_time else RunKind.LOCKSTEP
-    options = RunOptions(cell, tuple(overrides), duration, out, seed, kind, faults, force, listen or FREE_PORT, report)
+    if hil is not None:
+        names = ", ".join(f'"{name.strip()}"' for name in hil.split(","))
+        kind, overrides = RunKind.HIL, [*overrides, 'driver="sim"', f"hil.arms=[{names}]"]
+    where = listen or FREE_PORT
+    options = RunOptions(cell, tuple(overrides), duration, out, seed, kind, faults, force, where, report, whole)
     with RunProgress() as progress:
         outcome = run_cell(options, requested, progress)
     if as_json:

@@ -61,6 +61,84 @@ def release(
     typer.echo(release_arms(load_cell(cell), arm, control, host))
 
 
+def approach(
+    cell: CellPath,
+    arm: SomeArms = [],  # noqa: B006
+    control: ControlSockets = [],  # noqa: B006
+    host: HostName = None,
+) -> None:
+    """Send this host's arms from their rest to their grasps, grippers open."""
+    _say("approach", cell, arm, control, host)
+
+
+def grasp(
+    cell: CellPath,
+    arm: SomeArms = [],  # noqa: B006
+    control: ControlSockets = [],  # noqa: B006
+    host: HostName = None,
+) -> None:
+    """Close this host's grippers on the object; each arm that holds it takes its load share up."""
+    _say("grasp", cell, arm, control, host)
+
+
+def lower(
+    cell: CellPath,
+    at: Annotated[str | None, typer.Option(help="UTC, HH:MM:SS.", metavar="TIME")] = None,
+    in_s: Annotated[float | None, typer.Option("--in", min=0.05, max=86400.0, help="Seconds from now.")] = None,
+    control: ControlSockets = [],  # noqa: B006
+    host: HostName = None,
+) -> None:
+    """Set the object down where it stood, all arms from one instant on (without one: in half a second)."""
+    from agent.config.cell import load_cell
+    from agent.operator.words import lower_arms
+
+    typer.echo(lower_arms(load_cell(cell), at, 0.5 if at is None and in_s is None else in_s, control, host))
+
+
+def park(
+    cell: CellPath,
+    arm: SomeArms = [],  # noqa: B006
+    control: ControlSockets = [],  # noqa: B006
+    host: HostName = None,
+) -> None:
+    """Send this host's arms back to their rest."""
+    _say("park", cell, arm, control, host)
+
+
+def guide(
+    cell: CellPath,
+    once: Annotated[bool, typer.Option("--once", help="Say how things are now, and end.")] = False,
+    control: ControlSockets = [],  # noqa: B006
+    host: HostName = None,
+) -> None:
+    """Walk through a session: what is seen at this host's arms, and what to say next, whenever it changes."""
+    from agent.config.cell import load_cell
+    from agent.operator.ask import ask_arms
+    from agent.operator.guide import lines
+    from agent.operator.local import places
+    from agent.operator.message import Request
+    from agent.operator.table import Verb
+
+    arms = places(load_cell(cell), [], control, host)
+    requested, before = begin(False), [""]
+    while not requested():
+        now = lines(ask_arms(arms, Request(Verb.STATUS)), str(cell))
+        if now != before:
+            typer.echo("\n".join([*now, ""]))
+            before = now
+        if once:
+            return
+        time.sleep(WATCH_STEP_S)
+
+
+def _say(word: str, cell: Path, arm: list[str], control: list[Path], host: str | None) -> None:
+    from agent.config.cell import load_cell
+    from agent.operator.table import Verb
+    from agent.operator.words import tell_arms
+
+    typer.echo(tell_arms(load_cell(cell), Verb(word), arm, control, host))
+
+
 def status(
     cell: CellPath,
     watch: Annotated[bool, typer.Option("--watch", help="Again every second, until Ctrl-C.")] = False,

@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import math
 
-from agent.config import coordination, observer
+from agent.config import coordination, observer, session
 from agent.config.cell import Arm, Cell
 from agent.loop import Agent
+from agent.phases import Session
 from agent.safety import Limits
+from drivers.interface import Vector
 
 HOLD_RATE_MAX_RAD_PER_S = 20.0
+ALONE_STEP_FRACTION = 0.05  # of the largest torque, from tick to tick, of an arm that holds nothing
 
 
 def build_agent(cell: Cell, arm: Arm) -> Agent:
-    """Everything that determines the arm's torque, from the cell file alone."""
+    """Everything that determines the arm's torque, from the cell file alone.
+
+    Raises ConfigError where the cell has a session and the arm no way to its grasp.
+    """
     safety = cell.file.safety
     tau_max = arm.tau_stall_Nm * safety.tau_max_fraction_of_stall
     return Agent(
@@ -32,7 +38,15 @@ def build_agent(cell: Cell, arm: Arm) -> Agent:
         alignment=coordination.alignment(cell, arm),
         residual=coordination.residual(cell),
         damp_above_rad_per_s=math.inf if safety.hold_speed_max_rad_per_s is None else safety.hold_speed_max_rad_per_s,
+        session=_session(cell, arm, tau_max),
     )
+
+
+def _session(cell: Cell, arm: Arm, tau_max: Vector) -> Session | None:
+    if cell.file.session is None:
+        return None
+    alone = Limits(tuple(tau_max.tolist()), tuple((ALONE_STEP_FRACTION * tau_max).tolist()))
+    return Session(session.build_life(cell, arm), alone, cell.file.session.start_blend_s)
 
 
 def _hold_rate(cell: Cell) -> float:

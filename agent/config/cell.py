@@ -53,7 +53,7 @@ class Cell(CellFiles):
     @property
     def T_world_object_start(self) -> pin.SE3:
         """Pose of the object before the run."""
-        return placement(self.file.object.p_start_m, self.file.object.quat_start)
+        return placement(self.file.p_place_m, self.file.object.quat_start)
 
     def arm(self, name: str) -> Arm:
         """The arm of that name.  Raises ConfigError."""

@@ -42,4 +42,4 @@ def residual(cell: Cell) -> Residual | None:
 
 def start_pose(cell: Cell) -> tuple[Vec3, Quat]:
     """Where the cell says that the object is before the start."""
-    return cell.file.object.p_start_m, cell.file.object.quat_start
+    return cell.file.p_place_m, cell.file.object.quat_start

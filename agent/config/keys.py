@@ -24,7 +24,8 @@ DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
 UNITS: Final = {
     "_kg_m2": "kg·m²", "_N_s_per_m": "N·s/m", "_Nm_s_per_rad": "N·m·s/rad", "_Nm_per_rad": "N·m/rad",
     "_m_per_s2": "m/s²", "_rad_per_s": "rad/s", "_m_per_s": "m/s", "_N_per_m": "N/m", "_N_Nm": "N, N·m",
-    "_per_s": "1/s", "_Nm": "N·m", "_kg": "kg", "_hz": "Hz", "_rad": "rad", "_m": "m", "_s": "s", "_N": "N",
+    "_per_s": "1/s", "_C": "°C", "_V": "V", "_Nm": "N·m", "_kg": "kg", "_hz": "Hz", "_rad": "rad",
+    "_m": "m", "_s": "s", "_N": "N",
 }  # fmt: skip
 UNSAID: Final = {"baud": "bit/s"} | dict.fromkeys(("xx", "yy", "zz", "xy", "xz", "yz"), "kg·m²")  # not in the name
 

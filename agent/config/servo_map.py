@@ -8,6 +8,8 @@ from agent.config.cell import Arm, Cell
 from agent.config.schema.arm import ArmFile, ServoJoint, Servos
 from drivers.dynamixel.arm_map import ArmMap, JointMap, JointRole
 from drivers.dynamixel.servo.table import SERVOS
+from drivers.dynamixel.servo.units import ticks_rad
+from drivers.fingers import Fingers
 from drivers.interface import Vector
 
 GRIPPER = "gripper"
@@ -39,7 +41,22 @@ def gripper_map(file: ArmFile) -> JointMap | None:
     """The gripper; None when its servo does not speak the arm's protocol."""
     if SERVOS[file.gripper.servo].protocol != file.protocol:
         return None
-    return _joint_map(GRIPPER, file.gripper, JointRole.GRIPPER)
+    gripper, fingers = file.gripper, fingers_of(file)
+    plain = _joint_map(GRIPPER, gripper, JointRole.GRIPPER)
+    if fingers is None or gripper.grip_effort is None:
+        return plain
+    return replace(plain, fingers=fingers, grip_effort=gripper.grip_effort.value)
+
+
+def fingers_of(file: ArmFile) -> Fingers | None:
+    """Geometry of the gripper; None where the file does not say enough to close it on an object."""
+    g = file.gripper
+    if g.closed_tick is None or g.open_tick is None or g.horn_radius_m is None or g.rod_length_m is None:
+        return None
+    if not g.can_grip:
+        return None
+    closed, opened = (ticks_rad(tick - g.zero_tick) for tick in (g.closed_tick, g.open_tick))
+    return Fingers(g.horn_radius_m, g.rod_length_m, closed, opened)
 
 
 def _joint_map(name: str, servos: Servos, role: JointRole) -> JointMap:

@@ -15,6 +15,7 @@ from agent.control.trajectory import Sinusoid, Trajectory
 from agent.control.trajectory_ease import Eased
 from agent.control.trajectory_file import SpeedLimits, read
 from agent.control.trajectory_fourier import Fourier, Term
+from agent.control.trajectory_lift import Lifted
 from agent.control.trajectory_rest import RestToRest
 from agent.control.trajectory_spline import PoseSpline, TrajectoryError
 
@@ -22,7 +23,13 @@ SAMPLES_PER_SHORTEST_PERIOD: Final = 8
 
 
 def build(file: CellFile) -> Trajectory:
-    """The desired motion of the object.  Raises TrajectoryError."""
+    """The desired motion of the object, from where it stands on.  Raises TrajectoryError."""
+    motion, session = _carried(file), file.session
+    return motion if session is None else Lifted(motion, file.p_place_m, file.object.quat_start, session.lift_s)
+
+
+def _carried(file: CellFile) -> Trajectory:
+    """The motion of `[trajectory]`."""
     t = file.trajectory
     if isinstance(t, SinusoidSpec):
         motion = Sinusoid(t.p_centre_m, t.p_amplitude_m, t.quat_centre, t.axis, t.angle_rad, t.period_s)
@@ -44,16 +51,17 @@ def waypoint_times(file: CellFile, end_s: float, at_most: int) -> tuple[list[flo
 
     Where there are more than at_most (≥ 2), it is so many of them, evenly.
     """
-    t, motion = file.trajectory, build(file)
+    t, motion = file.trajectory, _carried(file)
+    later_s = 0.0 if file.session is None else file.session.lift_s
     if isinstance(motion, PoseSpline):
-        times = [time for time in motion.times_s if time <= end_s]
+        times = [time + later_s for time in motion.times_s if time + later_s <= end_s]
         chosen = np.unique(np.linspace(0, len(times) - 1, min(len(times), at_most)).round().astype(int))
         return [times[k] for k in chosen], len(times)
     if isinstance(t, FourierSpec):
         highest = max(number for axis in t.axes() for number, _, _ in axis)
-        end_s = min(end_s, t.motion_s)
+        end_s = min(end_s - later_s, t.motion_s)
         count = math.ceil(SAMPLES_PER_SHORTEST_PERIOD * highest * end_s / t.base_period_s) + 1
-        return np.linspace(0.0, end_s, min(count, at_most)).tolist(), count
+        return np.linspace(later_s, later_s + end_s, min(count, at_most)).tolist(), count
     return [], 0
 
 

@@ -37,11 +37,12 @@ class Memory(NamedTuple):
     t: float = 0.0  # time of the last tick, s; the adaptation integrates over the real interval
     estimate: Estimate | None = None  # of the adaptive law; logged in fields of its own
     q_hold: Vector | None = None  # joint angles at that pose, for a hold that needs no inverse of the Jacobian
+    age: float = 0.0  # s of the ticks in this mode; what goes by it is not hurried by ticks that were missed
 
     def flatten(self) -> list[float]:
         """The numbers of the log field `memory`.
 
-        Joint arrays padded to seven, None as zeros; pose to hold (7), primed, time, shift (6), calm; and of `sense`
+        Joint arrays padded to seven, None as zeros; pose to hold (7), primed, time, shift (6), calm, age; of `sense`
         the wrenches (6), `ticks` and the pull against the motion (13).
         """
         own, sense, n = self[:6], self.sense, len(self.q)
@@ -49,7 +50,7 @@ class Memory(NamedTuple):
         for row, array in zip(joints, (*own, self.q_hold, *sense[:3]), strict=True):
             if array is not None:
                 row[:n] = array
-        rest = *(self.hold or NO_POSE), self.primed, self.t, *self.shift, self.calm, *sense.wrenches
+        rest = *(self.hold or NO_POSE), self.primed, self.t, *self.shift, self.calm, self.age, *sense.wrenches
         return [*joints.ravel().tolist(), *map(float, rest)]
 
 
@@ -69,7 +70,7 @@ def restore(flat: Vector, n: int, estimate: Estimate | None = None) -> Memory:
     tail = flat[count:].tolist()
     hold = tuple(tail[:7]) if any(tail[3:7]) else None
     q, dq, ddq, ddq_before, tau, tau_before, q_hold, momentum, expected, residual = (row.copy() for row in joints)
-    base, slow, rest = (np.array(tail[k : k + 6]) for k in (16, 22, 28))
+    base, slow, rest = (np.array(tail[k : k + 6]) for k in (17, 23, 29))
     return Memory(
         q,
         dq,
@@ -78,11 +79,12 @@ def restore(flat: Vector, n: int, estimate: Estimate | None = None) -> Memory:
         tau,
         tau_before,
         primed=bool(tail[7]),
-        sense=Sense(momentum, expected, residual, base, slow, rest, tail[34], pull_of(tail[35:])),
+        sense=Sense(momentum, expected, residual, base, slow, rest, tail[35], pull_of(tail[36:])),
         shift=(tail[9], tail[10], tail[11], tail[12], tail[13], tail[14]),
         calm=int(tail[15]),
         hold=hold,
         t=tail[8],
         estimate=estimate,
         q_hold=None if hold is None else q_hold,
+        age=tail[16],
     )

@@ -2,9 +2,26 @@
 
 from __future__ import annotations
 
+import array
 import contextlib
 import os
 import socket
+from collections.abc import MutableMapping
+
+FIRST_FD = 3  # of those that a service manager hands over
+
+
+def stored_fds(environment: MutableMapping[str, str] = os.environ) -> dict[str, int]:
+    """Descriptors that the service manager kept for this process, by name; asked once, for they are then its own."""
+    count, pid = environment.pop("LISTEN_FDS", "0"), environment.pop("LISTEN_PID", "")
+    names = environment.pop("LISTEN_FDNAMES", "").split(":")
+    if pid != str(os.getpid()) or not count.isdigit():
+        return {}
+    found = {}
+    for fd, name in zip(range(FIRST_FD, FIRST_FD + int(count)), names, strict=False):
+        os.set_inheritable(fd, False)
+        found[name] = fd
+    return found
 
 
 class Notifier:
@@ -23,6 +40,14 @@ class Notifier:
         if self._socket is not None:
             with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
                 self._socket.send(state.encode())
+
+    def keep(self, name: str, fd: int) -> None:
+        """Let the service manager keep a descriptor for this service's next process, in the place of an older one."""
+        if self._socket is not None:
+            self.send(f"FDSTOREREMOVE=1\nFDNAME={name}")
+            rights = [(socket.SOL_SOCKET, socket.SCM_RIGHTS, array.array("i", [fd]))]
+            with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
+                self._socket.sendmsg([f"FDSTORE=1\nFDNAME={name}".encode()], rights)
 
     def ready(self, status: str) -> None:
         """Tell that start-up is over, with a line for `systemctl status`."""

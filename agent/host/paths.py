@@ -84,6 +84,11 @@ def control_paths(cell: str, arm: str) -> tuple[Path, ...]:
     return control_path(cell, arm), SERVICES_DIR / arm / f"{arm}.control"
 
 
+def guard_path(cell: str, arm: str) -> Path:
+    """Socket of an arm's guard."""
+    return runtime_dir(cell) / f"{arm}.guard"
+
+
 def plant_socket_path(cell: str) -> Path:
     """Socket of the simulated cell."""
     return runtime_dir(cell) / "plant.sock"

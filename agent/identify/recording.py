@@ -85,8 +85,12 @@ def from_log(log: AnyLog, arm: str | None = None, arms_dir: Path = configs.ARMS_
 
 
 def from_rows(cell: Cell, arm: Arm, rows: Table) -> Recording:
-    """Recording of the longest stretch in TRACK.  Raises IdentifyError when it is too short or has holes."""
+    """Recording of the longest stretch in TRACK.
+
+    Raises IdentifyError when it is too short, has holes, or was a rehearsal.
+    """
     rows = _tracking(rows)
+    _refuse_rehearsal(rows, arm.name)
     period_s, n = 1.0 / cell.file.rate_hz, arm.n
     if len(rows) * period_s < SHORTEST_S:
         raise IdentifyError(
@@ -122,6 +126,18 @@ def acted(tau_sent: Matrix, delay_periods: float) -> Matrix:
     before = np.concatenate([np.repeat(tau_sent[:1], oldest, axis=0), tau_sent])
     mean: Matrix = (1.0 - share) * before[:count] + share * before[1 : count + 1]
     return mean
+
+
+def _refuse_rehearsal(rows: Table, arm: str) -> None:
+    try:
+        added = rows["twin_age_s"]
+    except KeyError:  # a log of a release without rehearsals
+        return
+    if np.any(added):
+        raise IdentifyError(
+            f"log of arm {arm}", found="an arm in the loop: it held nothing, and its driver added torques",
+            expected="an arm that holds what its cell says", remedy="record it without [hil]",
+        )  # fmt: skip
 
 
 def _refuse_incomplete(log: AnyLog, arm: str) -> None:

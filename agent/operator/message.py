@@ -20,7 +20,7 @@ class Request:
 
     verb: Verb
     fingerprint: str = ""  # start: of the cell that the operator means
-    start_utc_ns: int = 0  # start
+    start_utc_ns: int = 0  # start, lower
     prepare: bool = False  # start: only say whether it would be accepted
     clock_bound_s: float | None = None  # start: by how much this host's clock may be off; None: not known
 
@@ -32,6 +32,8 @@ class Request:
                 "fingerprint": self.fingerprint, "start_utc_ns": self.start_utc_ns, "prepare": self.prepare,
                 "clock_bound_s": self.clock_bound_s,
             }  # fmt: skip
+        elif self.start_utc_ns:
+            content["start_utc_ns"] = self.start_utc_ns
         return json.dumps(content).encode()
 
     @classmethod
@@ -41,7 +43,7 @@ class Request:
             content = json.loads(data)
             verb = Verb(content["verb"])
             if verb is not Verb.START:
-                return cls(verb)
+                return cls(verb, start_utc_ns=int(content.get("start_utc_ns", 0)))
             bound_s = content.get("clock_bound_s")
             return cls(
                 verb, str(content.get("fingerprint", "")), int(content["start_utc_ns"]),

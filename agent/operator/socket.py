@@ -17,10 +17,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from agent.modes import Mode
+from agent.modes import Event, Mode
 from agent.operator.error import ControlError
 from agent.operator.message import MAX_BYTES, Reply, Request
-from agent.operator.table import Verb, effect
+from agent.operator.session_table import SESSION
+from agent.operator.table import EVENT_OF, Verb, effect
 
 _CREDENTIALS = struct.Struct("3i")  # pid, uid, gid
 _CLIENTS_MAX = 8
@@ -32,6 +33,7 @@ class Requests:
     """What has been asked for and accepted so far."""
 
     start: Request | None = None  # the last one; None too once it has been taken back
+    lower: Request | None = None  # at an instant
     words: list[Verb] = field(default_factory=list)  # others, until whoever acts on them has taken them away
 
     def take(self) -> list[Verb]:
@@ -48,6 +50,7 @@ class Standing:
     mode: Mode = Mode.OFF
     reason: str = ""  # of a hold or a fault
     no_start: Mapping[str, str] | None = None  # found, expected, remedy: why this agent starts nothing in any mode
+    session: Callable[[Event], str] | None = None  # why such an event counts for nothing now; None: there is no session
     details: Callable[[], Mapping[str, Any]] = dict  # asked for with each answer
 
 
@@ -120,9 +123,16 @@ class ControlSocket:
                 repr(data[:80]), f"one of {', '.join(Verb)}", "use the `coop` command of the same version"
             )
         mode = self.standing.mode
-        found = effect(request.verb, mode)
-        if not found.accepted:
-            return self._refused(f"arm {self.standing.arm} in {mode.name}: {found.does}", "another mode", found.remedy)
+        ask = self.standing.session
+        does = effect(request.verb, mode) if ask is None else SESSION[request.verb][mode]
+        if not does.accepted:
+            return self._refused(f"arm {self.standing.arm} in {mode.name}: {does.does}", "another mode", does.remedy)
+        event = Event.STARTED if request.verb is Verb.START else EVENT_OF.get(request.verb)
+        not_yet = ask(event) if ask is not None and event is not None else ""
+        if not_yet:
+            return self._refused(
+                f"arm {self.standing.arm} in {mode.name}: {not_yet}", "one that is done", "say it again"
+            )
         if request.verb is Verb.START:
             refused = self._no_start(request)
             if refused is not None:
@@ -151,6 +161,8 @@ class ControlSocket:
             self.requests.start = None
             if self.standing.mode is Mode.TRACK:  # it has come true: what is left is to stop it
                 self.requests.words.append(Verb.STOP)
+        elif request.verb is Verb.LOWER and request.start_utc_ns:
+            self.requests.lower = request
         elif request.verb is not Verb.STATUS:
             self.requests.words.append(request.verb)
 

@@ -23,6 +23,10 @@ class Verb(StrEnum):
     STOP = "stop"  # hold the object where it is
     RELEASE = "release"  # the object is supported: torque off
     STATUS = "status"  # say how things are
+    APPROACH = "approach"  # of a session (agent.operator.session_table): go to the grasp
+    GRASP = "grasp"  # close the gripper
+    LOWER = "lower"  # set the object down where it stood
+    PARK = "park"  # go back to rest
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,14 +43,20 @@ class Effect:
         return self.becomes is not None
 
 
-EVENT_OF: Final[Mapping[Verb, Event]] = MappingProxyType({Verb.STOP: Event.STOP, Verb.RELEASE: Event.RELEASED})
+EVENT_OF: Final[Mapping[Verb, Event]] = MappingProxyType({
+    Verb.STOP: Event.STOP, Verb.RELEASE: Event.RELEASED, Verb.APPROACH: Event.APPROACH, Verb.GRASP: Event.GRASP,
+    Verb.LOWER: Event.LOWER, Verb.PARK: Event.PARK,
+})  # fmt: skip
+MODES: Final = tuple(mode for mode in Mode if mode <= Mode.FAULT)  # of an agent that begins with the object in its grip
 
+_OF_SESSION = (Verb.APPROACH, Verb.GRASP, Verb.LOWER, Verb.PARK)
+_NO_SESSION = Effect(None, "it began with the object in its gripper", "start its agent with --whole, arms at rest")
 _AGAIN = "release it once the object is supported, and start its agent again"
 _STOP_FIRST = "stop it first, support the object, then release it"
 
 
 def _in_each(row: Mapping[Mode, Effect]) -> Mapping[Mode, Effect]:
-    missing = set(Mode) - set(row)
+    missing = set(MODES) - set(row)
     if missing:
         raise ValueError(f"no effect in {', '.join(sorted(mode.name for mode in missing))}")
     return MappingProxyType(dict(row))
@@ -85,7 +95,8 @@ TABLE: Final[Mapping[Verb, Mapping[Mode, Effect]]] = MappingProxyType({
         Mode.LOWER: Effect(Mode.OFF, "switches its torque off, and its agent ends"),
         Mode.FAULT: Effect(None, "it does not obey, and its agent ends by itself", "support it, then cut its supply"),
     }),
-    Verb.STATUS: _in_each({mode: Effect(mode, "says how things are") for mode in Mode}),
+    Verb.STATUS: _in_each({mode: Effect(mode, "says how things are") for mode in MODES}),
+    **{verb: _in_each(dict.fromkeys(MODES, _NO_SESSION)) for verb in Verb if verb in _OF_SESSION},
 })  # fmt: skip
 
 
@@ -98,7 +109,7 @@ def markdown() -> str:
     """The table as it stands in docs/commands.md, one line per word and mode."""
     lines = ["| word | in | does | mode then |", "|---|---|---|---|"]
     for verb, row in TABLE.items():
-        if verb is Verb.STATUS:
+        if verb is Verb.STATUS or verb in _OF_SESSION:
             continue
         for mode, found in row.items():
             if found.becomes is None:

@@ -18,7 +18,8 @@ from agent.operator.ask import REPLY_TIMEOUT_S, Heard, ask_arms
 from agent.operator.error import ControlError
 from agent.operator.local import has_other_hosts, judge_clock, named, places
 from agent.operator.message import Reply, Request
-from agent.operator.table import Verb, effect
+from agent.operator.session_table import SESSION
+from agent.operator.table import TABLE, Verb
 
 SOONEST_S = 0.05
 
@@ -135,6 +136,33 @@ def release_arms(
     return _tell_all(places(cell, arms, sockets, host), Verb.RELEASE, timeout_s)
 
 
+def tell_arms(
+    cell: Cell,
+    verb: Verb,
+    arms: Sequence[str],
+    sockets: Sequence[Path],
+    host: str | None = None,
+    timeout_s: float = REPLY_TIMEOUT_S,
+) -> str:
+    """Say a word of a session; what each arm does.  Raises as `stop_arms` does."""
+    return _tell_all(places(cell, arms, sockets, host), verb, timeout_s)
+
+
+def lower_arms(cell: Cell, at: str | None, in_s: float | None, sockets: Sequence[Path], host: str | None = None) -> str:
+    """Have all arms of this host set the object down from one instant on.  Raises ControlError."""
+    instant = _instant(at, in_s)
+    request = Request(Verb.LOWER, start_utc_ns=int(instant.timestamp() * 1e9))
+    _require_time(request)
+    arms = places(cell, [], sockets, host)
+    refused = _unwilling(ask_arms(arms, request))
+    if refused:
+        raise ControlError(
+            "lower", found=named(refused), expected="every arm of this host to hold the object",
+            remedy="say `coop stop` at once if only some go down; see `coop status`",
+        )  # fmt: skip
+    return f"{len(arms)} arms lower the object at {instant:%H:%M:%S.%f} UTC"
+
+
 def _tell_all(arms: Places, verb: Verb, timeout_s: float) -> str:
     heard = ask_arms(arms, Request(verb), timeout_s)
     refused = _unwilling(heard)
@@ -149,8 +177,13 @@ def _tell_all(arms: Places, verb: Verb, timeout_s: float) -> str:
 
 def _done(heard: Mapping[str, Heard], verb: Verb) -> str:
     """What those do who took the word."""
-    does = {arm: effect(verb, Mode[one.mode]).does for arm, one in heard.items() if isinstance(one, Reply)}
+    does = {arm: _does(verb, one) for arm, one in heard.items() if isinstance(one, Reply)}
     return "; ".join(f"{arm} {text}" for arm, text in does.items())
+
+
+def _does(verb: Verb, one: Reply) -> str:
+    table = SESSION if one.details.get("session") else TABLE
+    return table[verb][Mode[one.mode]].does
 
 
 def _require_time(request: Request) -> None:

@@ -14,7 +14,9 @@ from typing import Any
 from agent.config import monitors
 from agent.config.cell import Cell
 from agent.config.schema.cell import DriverKind
+from agent.config.session import rest_joints
 from agent.cycles import Patience
+from agent.guard.guarded import UNGUARDED, Guarded
 from agent.host.latency import files, newest
 from agent.host.notify import Notifier
 from agent.host.realtime import become_realtime, granted, quiet_memory
@@ -22,9 +24,11 @@ from agent.host.signals import StopFlag
 from agent.modes import TABLE, Event, Mode
 from agent.monitors.watch import Watch
 from agent.operator.socket import ControlSocket, Standing
-from agent.process.build import Connection, build_agent, build_driver
+from agent.process.build import Connection, build_agent, build_driver, passed_on
 from agent.process.clocked import ClockWatch, shares_time
 from agent.process.operated import Operator, no_real_time, tick_of
+from agent.process.rehearse import BridgedRows
+from agent.process.session import session_loop
 from agent.runner import Runner, RunSummary, Schedule, Surroundings
 from agent.telemetry.ring.ring import RingWriter
 from agent.telemetry.ring.texts import TextWriter
@@ -36,6 +40,7 @@ from agent.telemetry.row.sample import AGENT_STATE
 from agent.verify.check import examine
 from drivers.dynamixel.arm_map import WATCHDOG_S
 from drivers.interface import Clock, Driver, DriverError, Refusal
+from sim_backend.hil.driver import BridgeDriver
 
 HEARTBEAT_S = 0.02
 HEALTH_S = 1.0
@@ -57,7 +62,9 @@ class AgentOptions:
     lockstep: bool
     hold: bool  # at a stop and at the end hold the object until it is released
     priority: int | None = None  # SCHED_FIFO; None: leave the scheduler alone
+    guard: Path | None = None  # socket of the arm's guard; None: nobody goes on when this process cannot
     no_realtime: bool = False  # a real arm may be started without real time
+    whole: bool = False  # it begins at its rest, and is told word by word
 
 
 class ArmLost(DriverError):
@@ -87,8 +94,11 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             stack.callback(control.close)
         ready(f"ring={options.ring}")
         tell = _Teller(arm.name, texts)
-        q_start = report.q_start[cell.arms.index(arm)]
-        driver, clock = build_driver(cell, arm, options.driver, options.connection, q_start, tell.warn)
+        guard = Guarded(options.guard, cell.fingerprint) if options.guard else None
+        if guard is None and not options.lockstep:
+            tell.event(Level.WARN, UNGUARDED)
+        q_start = rest_joints(arm) if options.whole else report.q_start[cell.arms.index(arm)]
+        driver, clock = build_driver(cell, arm, options.driver, options.connection, q_start, tell.warn, guard)
         try:
             info = driver.connect()
             tell.clock = clock  # from here on it has the run's time
@@ -96,24 +106,39 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             if options.priority is not None:
                 become_realtime(options.priority)
             driver.enable()
-            notifier.ready(TABLE[Mode.READY].says)
+            begins = Mode.REST if options.whole else Mode.READY
+            notifier.ready(TABLE[begins].says)
             tell.event(Level.INFO, f"torque on: {info.description}", priority=options.priority or 0)
-            operator = Operator(stop, control, clock, tell.event, drops_on_stop=not options.hold)
+            operator = Operator(
+                stop, control, clock, tell.event, drops_on_stop=not options.hold, session=options.whole,
+                watch=_watching(guard, stop, options),
+            )  # fmt: skip
             if shares_time(cell, arm):
                 operator.clock = ClockWatch(clock.now_ns, operator.hold, max(1, round(CLOCK_S * cell.file.rate_hz)))
             if control is not None:
-                _stand(standing, options, operator, ring, tell, cell.file.rate_hz)
+                _stand(standing, options, operator, ring, tell, cell.file.rate_hz, guard)
+                standing.mode = begins
             ready("torque=on")
+            if guard is not None:
+                fds, told = passed_on(driver)
+                guard.watch((ring.fileno(), texts.fileno(), *fds), tell.event, ring=str(options.ring), driver=told)
             servos = _Servos(driver, texts, clock.utc_offset_ns, max(1, round(HEALTH_S * cell.file.rate_hz)))
-            runner = _runner(cell, options, driver, clock, ring, operator, notifier, servos, tell)
+            runner = _runner(cell, options, driver, clock, ring, operator, notifier, servos, tell, standing)
             cpu_s = time.process_time()
-            summary = runner.run(Event.ENABLED)
+            try:
+                summary = runner.run(Event.ENABLED)
+            except BaseException as error:
+                if guard is not None:
+                    guard.give_up(error)
+                raise
             tell.end(summary, time.process_time() - cpu_s)
         except Refusal as error:
             tell.event(Level.ERROR, str(error))
             raise
         finally:
             driver.disable()
+            if guard is not None:
+                guard.leave()
             driver.close()
             notifier.stopping("torque off")
     if summary.mode is Mode.FAULT:
@@ -133,6 +158,7 @@ def _runner(
     notifier: Notifier,
     servos: _Servos,
     tell: _Teller,
+    standing: Standing,
 ) -> Runner:
     """The loop of the arm on its enabled driver."""
     arm = cell.arm(options.arm)
@@ -154,13 +180,24 @@ def _runner(
 
     around = Surroundings(time.perf_counter_ns, operator.events, operator.start_ns, beat, mode_changed, trouble)
     row = AgentRow(ring.row, arm.n, cell.config_id)
+    agent, session = build_agent(cell, arm), None
+    if options.whole:
+        session = session_loop(cell, arm, agent, driver)
+        standing.session = session.not_yet
     watch = Watch(monitors.bounds(cell, arm), tell.warn)
-    return Runner(build_agent(cell, arm), driver, clock, _schedule(cell, options), row, ring, around, watch)
+    sink = BridgedRows(ring, row, driver) if isinstance(driver, BridgeDriver) else ring
+    return Runner(agent, driver, clock, _schedule(cell, options), row, sink, around, watch, session=session)
+
+
+def _watching(guard: Guarded | None, stop: StopFlag, options: AgentOptions) -> Callable[[], bool]:
+    """Whether the guard is gone, in every cycle; does not return once it has the hold of an agent told to end."""
+    return lambda: guard is not None and guard.poll(ending=stop.stopped and options.hold)
 
 
 def _stand(
-    standing: Standing, options: AgentOptions, operator: Operator, ring: RingWriter, tell: _Teller, rate_hz: float
-) -> None:
+    standing: Standing, options: AgentOptions, operator: Operator, ring: RingWriter, tell: _Teller, rate_hz: float,
+    guard: Guarded | None,
+) -> None:  # fmt: skip
     """What the agent answers from here on: it is READY, with what the host has given it."""
     real = granted()
     tested = newest(files(os.environ))
@@ -171,7 +208,8 @@ def _stand(
     )  # fmt: skip
     if options.driver is DriverKind.DYNAMIXEL and not (options.connection.emulated or real.real or options.no_realtime):
         standing.no_start = no_real_time(real.text)
-    fixed = {"pid": os.getpid(), "driver": options.driver.value, "real_time": asdict(real), "guard": None}
+    of_host = {"pid": os.getpid(), "real_time": asdict(real)}
+    fixed = {**of_host, "driver": options.driver.value, "session": options.whole}
 
     def details() -> dict[str, Any]:
         start, bound_s = operator.start, operator.clock.bound_s if operator.clock else math.inf
@@ -179,6 +217,7 @@ def _stand(
             **fixed,
             "start_utc_ns": start.start_utc_ns if start else None,
             "clock_bound_s": bound_s if math.isfinite(bound_s) else None,
+            "guard": None if guard is None else guard.state,
             "tick": tick_of(ring),
         }
 

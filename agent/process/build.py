@@ -2,23 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from agent.config.agent import HOLD_RATE_MAX_RAD_PER_S, build_agent
 from agent.config.cell import Arm, Cell
 from agent.config.schema.cell import DriverKind
 from agent.config.servo_map import arm_map
+from agent.guard.guarded import Guarded
+from agent.process.rehearse import bridge, in_the_loop
 from drivers.clock import MonotonicClock
+from drivers.dynamixel.arm_map import WATCHDOG_S
 from drivers.dynamixel.driver import DynamixelDriver
-from drivers.dynamixel.events import DriverEvent
+from drivers.dynamixel.events import DriverEvent, EventSink
+from drivers.dynamixel.line.port import SerialPort
 from drivers.dynamixel.pace import SHARE as READ_SHARE
+from drivers.dynamixel.standby import Handover, StandbyDriver
 from drivers.interface import Clock, ConnectError, Driver, Vector
+from sim_backend.hil.driver import BridgeDriver
+from sim_backend.hil.guest import ServedTwin
 from sim_backend.served.driver import SimDriver
+from sim_backend.served.standby import SimStandby
 
-__all__ = ["HOLD_RATE_MAX_RAD_PER_S", "Connection", "build_agent", "build_driver"]
+__all__ = [
+    "HOLD_RATE_MAX_RAD_PER_S",
+    "Connection",
+    "Standby",
+    "build_agent",
+    "build_driver",
+    "build_standby",
+    "passed_on",
+    "port_of",
+]
 
+Standby = StandbyDriver | SimStandby
 EMULATED_READ_SHARE = 4.0
 
 
@@ -26,15 +45,24 @@ EMULATED_READ_SHARE = 4.0
 class Connection:
     """How an agent reaches its arm."""
 
-    plant_socket: Path | None = None  # simulated driver
+    plant_socket: Path | None = None  # simulated driver, and the twin of an arm in the loop
     port: str | None = None  # Dynamixel driver; None: the port of the cell file
     emulated: bool = False  # the servos on that port are emulated: nothing can fall
 
 
 def build_driver(
-    cell: Cell, arm: Arm, kind: DriverKind, connection: Connection, q_start: Vector, warn: Callable[[str], None]
+    cell: Cell,
+    arm: Arm,
+    kind: DriverKind,
+    connection: Connection,
+    q_start: Vector,
+    warn: Callable[[str], None],
+    guard: Guarded | None = None,
 ) -> tuple[Driver, Clock]:
-    """Driver of the arm and its clock; warn is told what the driver notices.  Raises ConnectError."""
+    """Driver of the arm and its clock; warn is told what the driver notices.  Raises ConnectError.
+
+    guard: lends the serial port, and is told before the driver takes longer than a cycle.
+    """
     if kind is DriverKind.SIM:
         if connection.plant_socket is None:
             raise ConnectError(
@@ -43,18 +71,80 @@ def build_driver(
             )  # fmt: skip
         sim = SimDriver(connection.plant_socket, arm.name, tuple(arm.entry.controlled), cell.config_id)
         return sim, sim.clock
+    rehearses = in_the_loop(cell, arm.name)
+    if rehearses and connection.plant_socket is None:
+        raise ConnectError(
+            f"twin of arm {arm.name}", found="no plant socket", expected="the socket of the cell's plant",
+            remedy="give --plant-socket",
+        )  # fmt: skip
+    clock = MonotonicClock()
+    servos = arm_map(cell, arm, port_of(arm, connection), q_start)
+    port = SerialPort(servos.port, servos.baud, clock, guard.borrow if guard else None)
+    # emulated servos share the processor with everything else: a slow read there says nothing of a bus
+    share = EMULATED_READ_SHARE if connection.emulated else READ_SHARE
+    driver = DynamixelDriver(servos, clock, on_event=_in_words(warn), read_share=share, port=port)
+    if guard is not None:
+        driver.before_recovery = guard.busy
+    if not rehearses or connection.plant_socket is None:
+        return driver, clock
+    joints = tuple(arm.entry.controlled)
+    twin = ServedTwin(connection.plant_socket, arm.name, joints, cell.config_id, WATCHDOG_S)
+    return bridge(cell, arm, driver, twin, clock, emulated=connection.emulated), clock
+
+
+def passed_on(driver: Driver) -> tuple[tuple[int, ...], dict[str, Any]]:
+    """What a guard must have of an agent's driver with torque on: descriptors and words.
+
+    Of an arm in the loop it is the real one: a guard holds that without its twin.
+    """
+    if isinstance(driver, BridgeDriver):
+        driver = driver.real
+    if isinstance(driver, SimDriver):
+        fd, told = driver.passed_on()
+        return (fd,), {"plant": told}
+    assert isinstance(driver, DynamixelDriver), "there are two"
+    return (), {"servos": Handover.of(driver).servos}
+
+
+def build_standby(
+    cell: Cell,
+    arm: Arm,
+    connection: Connection,
+    port: SerialPort | None,
+    q_start: Vector,
+    warn: Callable[[str], None],
+    fds: Sequence[int],
+    told: Mapping[str, Any],
+) -> Standby:
+    """Driver of a guard for what an agent has `passed_on`; port: as the guard has opened it, None in simulation.
+
+    Raises AdoptError.
+    """
+    if port is None:
+        path = connection.plant_socket or Path()
+        sim = SimStandby(path, arm.name, tuple(arm.entry.controlled), cell.config_id)
+        sim.prepare(told["plant"], fds[0])
+        return sim
+    servos = arm_map(cell, arm, port.path, q_start)
+    driver = StandbyDriver(servos, MonotonicClock(), on_event=_in_words(warn), port=port)
+    driver.prepare(Handover(tuple(told["servos"])))
+    return driver
+
+
+def port_of(arm: Arm, connection: Connection) -> str:
+    """Path of the arm's serial port.  Raises ConnectError where neither cell nor command line names one."""
     port = connection.port or (arm.entry.dynamixel.port if arm.entry.dynamixel is not None else None)
     if port is None:
         raise ConnectError(
             f"port of arm {arm.name}", found="none in the cell file", expected="dynamixel = { port = ... }",
             remedy="add it to the arm, or give --port",
         )  # fmt: skip
+    return port
 
+
+def _in_words(warn: Callable[[str], None]) -> EventSink:
     def tell(event: DriverEvent) -> None:
         where = "" if event.servo_id is None else f" (servo {event.servo_id}, {event.joint})"
         warn(f"{event.kind.value}{where}: {event.text}")
 
-    clock = MonotonicClock()
-    # emulated servos share the processor with everything else: a slow read there says nothing of a bus
-    share = EMULATED_READ_SHARE if connection.emulated else READ_SHARE
-    return DynamixelDriver(arm_map(cell, arm, port, q_start), clock, on_event=tell, read_share=share), clock
+    return tell

@@ -29,6 +29,8 @@ from agent.process.commands import (
     TelemetryCommand,
 )
 from agent.process.describe import run_info
+from agent.process.person import Person
+from agent.process.rehearse import in_the_loop
 from agent.telemetry.link.session import FREE_PORT
 from agent.telemetry.ring.ring import RingReader
 from agent.telemetry.row.sample import AGENT_STATE
@@ -38,6 +40,7 @@ READY_TIMEOUT_S = 30.0
 STOP_TIMEOUT_S = 20.0
 START_IN_NS = 500_000_000
 START_ATTEMPTS = 3
+START_LOOP_IN_NS = 2_500_000_000  # arms in the loop come to rest, have their grippers looked at, and are coupled
 ABANDON_TIMEOUT_S = 5.0
 LOOK_EVERY_S = 0.05
 
@@ -48,11 +51,17 @@ class RunKind(Enum):
     LOCKSTEP = "lockstep"  # simulated drivers; time waits for every process
     REAL_TIME = "real time"  # simulated drivers at the wall clock's pace
     WIRE = "wire"  # the real driver on emulated servos, at the wall clock's pace
+    HIL = "hil"  # the same for the arms that [hil] names, each on its own; simulated drivers for the others
 
     @property
     def driver(self) -> DriverKind:
         """The driver of the agents."""
         return DriverKind.DYNAMIXEL if self is RunKind.WIRE else DriverKind.SIM
+
+    @property
+    def has_servos(self) -> bool:
+        """Whether servos are emulated."""
+        return self in (RunKind.WIRE, RunKind.HIL)
 
 
 class Progress(Protocol):
@@ -79,8 +88,10 @@ class Children:
         log: Path,
         runtime: Path,
         listen: str = FREE_PORT,
+        *,
+        whole: bool = False,
     ) -> None:
-        """`listen`: endpoint of the recorder, where viewers may connect."""
+        """`listen`: endpoint of the recorder, where viewers may connect; `whole`: emulated arms, from rest to rest."""
         self._cell = cell
         self._kind = kind
         self._seed = seed
@@ -88,6 +99,8 @@ class Children:
         self._log = log
         self._runtime = runtime
         self._listen = listen
+        self._whole = whole
+        self.person: Person | None = None  # who stands beside the arms of a whole session
         self._words = log.parent / "logs"
         self._words.mkdir(exist_ok=True)
         self._cell_path = runtime / "cell.toml"
@@ -96,6 +109,7 @@ class Children:
         self._run_info_path.write_bytes(run_info(cell, kind.driver, seed))
         self._recorder: Child | None = None
         self._plant: Child | None = None
+        self._servos: Child | None = None  # of arms in the loop
         self._agents: dict[str, Child] = {}
         self._telemetry: dict[str, Child] = {}
         self._began_s = 0.0
@@ -107,13 +121,19 @@ class Children:
         with self._together():
             self._plant = self._child("plant", self._plant_command())
             self._plant.wait_ready(READY_TIMEOUT_S)
+            if self._kind is RunKind.HIL:
+                self._servos = self._child("servos", self._emulate_command(None))
+                self._servos.wait_ready(READY_TIMEOUT_S)
             self._start_agents()
         endpoint = self._recorder.wait_ready(READY_TIMEOUT_S)["endpoint"]
         for name in (PLANT, *self._agents):
             self._telemetry[name] = self._child(f"telemetry-{name}", self._telemetry_command(name, endpoint))
         for child in (*self._agents.values(), *self._telemetry.values()):
             child.wait_ready(READY_TIMEOUT_S)
-        if not self._lockstep:
+        if self._whole:
+            arms = {arm: [self._control(arm)] for arm in self._agents}
+            self.person = Person(arms, self._cell.fingerprint, lambda word: progress.phase(f"coop {word}"))
+        elif not self._lockstep:
             self._start_together(progress)
         self._began_s = time.monotonic()
 
@@ -134,9 +154,10 @@ class Children:
         for child in self._agents.values():
             child.wait_ready(READY_TIMEOUT_S)
         places = {arm: [self._control(arm)] for arm in self._agents}
+        start_in_ns = START_LOOP_IN_NS if self._kind is RunKind.HIL else START_IN_NS
         for attempt in range(START_ATTEMPTS):
             try:
-                start_together(places, Request(Verb.START, self._cell.fingerprint, time.time_ns() + START_IN_NS))
+                start_together(places, Request(Verb.START, self._cell.fingerprint, time.time_ns() + start_in_ns))
             except ControlError:  # a machine that stalls answers late, and a start that failed has been taken back
                 if attempt + 1 == START_ATTEMPTS:
                     raise
@@ -157,23 +178,29 @@ class Children:
     def _plant_command(self) -> PlantCommand | EmulateCommand:
         ring = self._ring(PLANT)
         if self._kind is RunKind.WIRE:
-            return EmulateCommand(
-                cell=self._cell_path, ports=self._runtime, ring=ring, faults=self._faults, seed=self._seed
-            )
+            return self._emulate_command(ring)
         return PlantCommand(cell=self._cell_path, socket=self._socket, ring=ring, real_time=not self._lockstep)
 
+    def _emulate_command(self, ring: Path | None) -> EmulateCommand:
+        return EmulateCommand(
+            cell=self._cell_path, ports=self._runtime, ring=ring, faults=self._faults, seed=self._seed,
+            whole=self._whole,
+        )  # fmt: skip
+
     def _agent_command(self, arm: str) -> AgentCommand:
-        wire = self._kind is RunKind.WIRE
+        looped = self._kind is RunKind.HIL and in_the_loop(self._cell, arm)
+        wire = self._kind is RunKind.WIRE or looped
         return AgentCommand(
             cell=self._cell_path,
             arm=arm,
             ring=self._ring(arm),
             control=self._control(arm),
-            driver=self._kind.driver,
-            plant_socket=None if wire else self._socket,
+            driver=DriverKind.DYNAMIXEL if wire else DriverKind.SIM,
+            plant_socket=None if self._kind is RunKind.WIRE else self._socket,
             port=self._runtime / arm if wire else None,
             emulated=wire,
-            real_time=self._kind is RunKind.REAL_TIME,
+            real_time=self._kind in (RunKind.REAL_TIME, RunKind.HIL),
+            whole=self._whole,
         )
 
     def _telemetry_command(self, member: str, endpoint: str) -> TelemetryCommand:
@@ -188,6 +215,8 @@ class Children:
         with RingReader(self._ring(first), AGENT_STATE) as rows:
             while any(child.process.poll() is None for child in self._agents.values()):
                 self._require_alive()
+                if self.person is not None:
+                    self.person.look()
                 if stop():
                     for child in self._agents.values():
                         child.terminate()
@@ -206,6 +235,8 @@ class Children:
         assert self._recorder is not None
         if self._kind is RunKind.WIRE:  # emulated servos serve until they are told to stop
             self._plant.terminate()
+        if self._servos is not None:
+            self._servos.terminate()
         if self._plant.wait(STOP_TIMEOUT_S) is None:
             self._plant.terminate()
         _wait_all(self._telemetry.values(), STOP_TIMEOUT_S)  # each ends when the recorder has its last row
@@ -215,7 +246,8 @@ class Children:
 
     def abandon(self) -> None:
         """Make sure that everything has ended: ask all, give the recorder time to close the log, then kill."""
-        children = [c for c in (*self._agents.values(), self._plant, *self._telemetry.values(), self._recorder) if c]
+        every = (*self._agents.values(), self._plant, self._servos, *self._telemetry.values(), self._recorder)
+        children = [child for child in every if child]
         for child in children:
             child.terminate()
         _wait_all(children, ABANDON_TIMEOUT_S)
@@ -245,7 +277,7 @@ class Children:
         for child in lasting.values():
             if child is not None and child.process.poll() not in (None, 0):
                 raise child.failed("ended during the run")
-        for child in (*self._agents.values(), self._plant):
+        for child in (*self._agents.values(), self._plant, self._servos):
             if child is not None and child.process.poll() not in (None, 0):
                 self._blame(child)
 

@@ -62,9 +62,10 @@ class EmulateCommand(ChildCommand):
 
     verb: ClassVar[str] = "emulate"
     ports: Path
-    ring: Path
+    ring: Path | None
     faults: Path | None
     seed: int
+    whole: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,6 +81,7 @@ class AgentCommand(ChildCommand):
     port: Path | None = None
     emulated: bool = False
     real_time: bool = False
+    whole: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)

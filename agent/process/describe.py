@@ -45,6 +45,7 @@ def run_info(cell: Cell, driver: DriverKind, seed: int) -> bytes:
         "noticing": thresholds(cell)._asdict() if cell.file.safety.noticing.enabled else None,
         "noticing_against": _against(cell),
         "driver": driver.value,
+        "hil": cell.file.hil.arms if cell.file.hil is not None else [],
         "seed": seed,
         "versions": versions(),
         "host": socket.gethostname(),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,17 +10,25 @@ from agent.config.cell import Arm, Cell
 from agent.config.servo_map import resting_joints
 from agent.host.signals import StopFlag
 from agent.process.plant import Truth
-from agent.process.simulated import plant_spec
+from agent.process.rehearse import in_the_loop
+from agent.process.simulated import lone_spec, plant_spec
 from agent.telemetry.ring.ring import RingWriter
 from agent.telemetry.row.sample import PLANT_STATE
 from agent.telemetry.row.topics import PLANT
 from agent.verify.check import examine
 from drivers.clock import utc_offset_ns
-from drivers.interface import Refusal
-from sim_backend.wire.plant_world import emulate
-from sim_backend.wire.serve import ServeOptions, serve
+from drivers.interface import Refusal, Vector
+from sim_backend.wire.cell import EmulatedCell
+from sim_backend.wire.lone_world import emulate_alone
+from sim_backend.wire.plant_world import PlantWorld, emulate
+from sim_backend.wire.serve import ServeOptions, Server, serve
 from sim_backend.wire.timing import BusTiming
+from sim_backend.wire.whole_world import WholeWorld
 from sim_backend.wire.wiring import ArmWiring, wire_arm
+
+Begin = Callable[
+    [Cell, Sequence[Vector], BusTiming | None], tuple[EmulatedCell, PlantWorld] | tuple[EmulatedCell, WholeWorld]
+]
 
 
 class EmulateError(Refusal):
@@ -35,18 +43,47 @@ def wiring(arm: Arm, index: int, baud: int) -> ArmWiring:
     )
 
 
+def run_emulate_alone(
+    cell: Cell, options: ServeOptions, *, timing: bool, stop: StopFlag, ready: Callable[[str], None]
+) -> str:
+    """Serve the arms that [hil] names, each on its own and holding nothing; the plant is another process.
+
+    Arguments and errors as of `run_emulate`.
+    """
+    report = examine(cell)
+    report.require()
+    chosen = [(i, arm) for i, arm in enumerate(cell.arms) if in_the_loop(cell, arm.name)]
+    arms = [(i, wiring(arm, place, arm.baud)) for place, (i, arm) in enumerate(chosen)]
+    emulated, _ = emulate_alone(lone_spec(cell, report.q_start), arms, timing=BusTiming() if timing else None)
+    ports = {arm.name: options.ports[arm.name] for _, arm in chosen}
+    ready(f"arms={','.join(ports)}")
+    return f"emulator: {_served(emulated, replace(options, ports=ports), stop).laps} laps, arms on their own"
+
+
+def gripping(cell: Cell, q_start: Sequence[Vector], timing: BusTiming | None) -> tuple[EmulatedCell, PlantWorld]:
+    """Emulated arms that begin with the object in their grippers.  Raises PlantError."""
+    arms = [wiring(arm, i, arm.baud) for i, arm in enumerate(cell.arms)]
+    return emulate(plant_spec(cell, q_start), arms, timing=timing)
+
+
 def run_emulate(
-    cell: Cell, options: ServeOptions, ring: Path, *, timing: bool, stop: StopFlag, ready: Callable[[str], None]
+    cell: Cell,
+    options: ServeOptions,
+    ring: Path,
+    *,
+    timing: bool,
+    stop: StopFlag,
+    ready: Callable[[str], None],
+    begin: Begin = gripping,
 ) -> str:
     """Serve the emulated arms until a stop; returns one line about the run.
 
     options: ports, faults and control socket; what becomes of a tick is added.  timing: False answers at once, not at
-    the pace of the bus.  Raises Refusal.
+    the pace of the bus.  begin: how the arms begin.  Raises Refusal.
     """
     report = examine(cell)
     report.require()
-    arms = [wiring(arm, i, arm.baud) for i, arm in enumerate(cell.arms)]
-    emulated, world = emulate(plant_spec(cell, report.q_start), arms, timing=BusTiming() if timing else None)
+    emulated, world = begin(cell, report.q_start, BusTiming() if timing else None)
     with RingWriter(ring, PLANT_STATE, PLANT) as rows:
         truth = Truth(rows, world.plant, cell, utc_offset_ns(), lockstep=False)
 
@@ -56,14 +93,20 @@ def run_emulate(
         every_ns = round(1e9 / cell.file.simulation.observe_rate_hz)
         try:
             ready(f"ring={ring}")
-            server = serve(emulated, replace(options, on_tick=on_tick, tick_ns=every_ns), stop)
-        except (OSError, UnicodeDecodeError) as error:
-            raise EmulateError(
-                "ports, faults file or control socket of the emulated servos",
-                found=error,
-                expected="a folder for the ports, and files that can be used",
-                remedy="name others with --ports, --faults or --control",
-            ) from error
+            server = _served(emulated, replace(options, on_tick=on_tick, tick_ns=every_ns), stop)
         finally:
             rows.finish()
         return f"emulator: {server.laps} laps, {rows.written} observations"
+
+
+def _served(emulated: EmulatedCell, options: ServeOptions, stop: StopFlag) -> Server:
+    """Serve until a stop.  Raises EmulateError."""
+    try:
+        return serve(emulated, options, stop)
+    except (OSError, UnicodeDecodeError) as error:
+        raise EmulateError(
+            "ports, faults file or control socket of the emulated servos",
+            found=error,
+            expected="a folder for the ports, and files that can be used",
+            remedy="name others with --ports, --faults or --control",
+        ) from error

@@ -44,13 +44,16 @@ class Operator:
         *,
         drops_on_stop: bool,
         watch: Callable[[], bool] = lambda: False,
+        session: bool = False,
     ) -> None:
+        """session: a stop that was asked for is said once, for the arm may go on from it."""
         self._signals = stop
         self._control = control
         self._clock = clock
         self._tell = tell
         self._drops_on_stop = drops_on_stop
         self._watch = watch  # something else of this host because of which the arm must hold now
+        self._session = session
         self._stopped = False
         self._trouble = ""
         self._start: Request | None = None
@@ -72,7 +75,9 @@ class Operator:
             self._control.poll()
             for verb in self._control.requests.take():
                 happened |= EVENT_OF[verb]
-        self._stopped = self._stopped or Event.STOP in happened or self._signals.stopped
+            happened |= self._lower_now()
+        asked = Event.STOP in happened and not self._session
+        self._stopped = self._stopped or asked or self._signals.stopped
         released = released or Event.RELEASED in happened
         happened &= ~Event.RELEASED
         if self._watch():
@@ -82,6 +87,16 @@ class Operator:
         if released or (self._stopped and self._drops_on_stop):
             happened |= Event.RELEASED
         return happened
+
+    def _lower_now(self) -> Event:
+        """The way down, once its instant has come."""
+        requests = self._control.requests if self._control is not None else None
+        if requests is None or requests.lower is None:
+            return Event.NONE
+        if self._clock.now_ns() < requests.lower.start_utc_ns - utc_offset_ns():
+            return Event.NONE
+        requests.lower = None
+        return Event.LOWER
 
     def start_ns(self) -> int | None:
         """The common start on CLOCK_MONOTONIC, which is the clock of every arm that can be given one.
@@ -118,6 +133,10 @@ class Operator:
     def mode(self, mode: Mode) -> None:
         """The arm's mode has changed."""
         self._standing.mode = mode
+        if self._session:
+            if mode is not Mode.HOLD and mode is not Mode.HALT:
+                self._standing.reason = ""
+            return
         if mode is Mode.HOLD:
             asked = self._trouble or "it was asked to"
             self._standing.reason = asked if self._stopped else "the trajectory has ended"

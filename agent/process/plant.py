@@ -5,12 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from agent.config.cell import Cell
 from agent.host.signals import StopFlag
+from agent.process.rehearse import require_wall_clock
 from agent.process.simulated import plant_spec
 from agent.telemetry.ring.ring import RingWriter
 from agent.telemetry.row.sample import MAX_JOINTS, PLANT_STATE
@@ -32,6 +34,7 @@ def run_plant(
 
     ready is called once the arms can connect.  Raises Refusal.
     """
+    require_wall_clock(cell, real_time=not lockstep)
     report = examine(cell)
     report.require()
     plant = build_plant(plant_spec(cell, report.q_start))
@@ -63,10 +66,27 @@ def _utc_at_zero_ns() -> int:
     return time.time_ns() // SECOND_NS * SECOND_NS
 
 
+class TruthLog(Protocol):
+    """Where rows of the truth go; `RingWriter` is one."""
+
+    @property
+    def row(self) -> NDArray[np.void]:
+        """The row to fill, always the same memory."""
+        ...
+
+    def commit(self) -> None:
+        """Take the filled row."""
+        ...
+
+    def wait_for_space(self) -> None:
+        """Lockstep: let time wait for the reader."""
+        ...
+
+
 class Truth:
     """Writes what the plant observes into its ring."""
 
-    def __init__(self, ring: RingWriter, plant: AnyPlant, cell: Cell, utc_offset_ns: int, *, lockstep: bool) -> None:
+    def __init__(self, ring: TruthLog, plant: AnyPlant, cell: Cell, utc_offset_ns: int, *, lockstep: bool) -> None:
         """utc_offset_ns: UTC minus the clock of the stamps; lockstep: wait for the ring's reader."""
         self._ring = ring
         self._lockstep = lockstep

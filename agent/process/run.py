@@ -12,11 +12,14 @@ from agent.config.cell import load_cell
 from agent.log.read import open_log
 from agent.process.children import Children, Progress, RunKind
 from agent.process.folder import LOG_NAME, RunError, output_folder
+from agent.process.rehearse import require_wall_clock
 from agent.report.report import write_report, write_results
 from agent.report.results import Results
 from agent.telemetry.link.session import FREE_PORT
 from agent.verify.check import examine
 from agent.view.film import still
+
+LIFT_M = 0.02  # of a cell without [session] that is asked for a whole one
 
 
 @dataclass(frozen=True)
@@ -33,6 +36,7 @@ class RunOptions:
     replace: bool = False  # an earlier run in `out`
     listen: str = FREE_PORT  # where the recorder listens, for viewers
     report: bool = True  # else the results alone
+    whole: bool = False  # emulated arms, from rest to rest
 
 
 @dataclass(frozen=True)
@@ -52,21 +56,31 @@ def run_cell(options: RunOptions, stop: Callable[[], bool], progress: Progress) 
     Raises Refusal: ConfigError before anything starts, ChildFailed when a process ends early (everything else
     is then stopped and the log is closed and readable).
     """
-    if options.faults is not None and options.kind is not RunKind.WIRE:
+    if options.faults is not None and not options.kind.has_servos:
         raise RunError(
             "faults", found=f"{options.faults} without --wire", expected="emulated servos", remedy="add --wire"
         )
+    if options.whole and options.kind is not RunKind.WIRE:
+        raise RunError(
+            "--whole", found=f"a run in {options.kind.value}", expected="emulated servos, which have grippers",
+            remedy="add --wire",
+        )  # fmt: skip
     overrides = list(options.overrides)
     if options.duration_s is not None:
         overrides.append(f"duration_s={options.duration_s}")
     cell = load_cell(options.cell, overrides)
+    if options.whole and cell.file.session is None:
+        cell = load_cell(options.cell, [*overrides, f"session.lift_m={LIFT_M}"])
+    require_wall_clock(cell, real_time=options.kind is RunKind.HIL)
     progress.phase("checking")
-    examine(cell, wired=options.kind is RunKind.WIRE).require()
+    examine(cell, wired=options.kind.has_servos).require()
     out = output_folder(options.out, cell.file.name, replace=options.replace)
     log = out / LOG_NAME
     runtime = Path(tempfile.mkdtemp(prefix="coop-", dir="/dev/shm" if Path("/dev/shm").is_dir() else None))
     try:
-        children = Children(cell, options.kind, options.seed, options.faults, log, runtime, options.listen)
+        children = Children(
+            cell, options.kind, options.seed, options.faults, log, runtime, options.listen, whole=options.whole
+        )  # fmt: skip
         try:
             children.start(progress)
             interrupted = children.watch(stop, progress)
@@ -75,6 +89,8 @@ def run_cell(options: RunOptions, stop: Callable[[], bool], progress: Progress) 
             children.abandon()
     finally:
         shutil.rmtree(runtime, ignore_errors=True)
+    if children.person is not None and children.person.trouble:
+        progress.phase(f"stopped: {children.person.trouble}")
     progress.phase("report")
     page: Path | None = None
     with open_log(log) as opened:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
@@ -23,13 +23,25 @@ from sim_backend.physics.spec import ArmSpec, GraspSpec, ObjectSpec, PlantSpec
 def plant_spec(cell: Cell, q_start: Sequence[Vector], reality: RealityEntry | None = None) -> PlantSpec:
     """Plant of the cell as it is: the object at its start pose, arms at q_start or, where they are off, near it.
 
-    reality: in the place of the cell's own.  Raises PlantError (GraspError) where it cannot be.
+    reality: in the place of the cell's own.  Twins of arms in the loop are as the files say: what is otherwise about
+    an arm is so about the real one (`lone_spec`).  Raises PlantError (GraspError) where it cannot be.
     """
-    believed, real = _believed_spec(cell, q_start), reality or reality_of(cell)
+    hil = cell.file.hil
+    return _realised(cell, q_start, reality or reality_of(cell), () if hil is None else hil.arms)
+
+
+def lone_spec(cell: Cell, q_start: Sequence[Vector]) -> PlantSpec:
+    """The cell whose arms are as real ones are, for those in the loop that are emulated, each on its own."""
+    return _realised(cell, q_start, reality_of(cell), ())
+
+
+def _realised(cell: Cell, q_start: Sequence[Vector], real: RealityEntry | None, twins: Collection[str]) -> PlantSpec:
+    believed = _believed_spec(cell, q_start)
     if real is None:
         return believed
     given = real.model_dump(exclude={"seed", "arms"})
-    return realised(believed, Reality(**given, arms={k: ArmReality(**a.model_dump()) for k, a in real.arms.items()}))
+    arms = {name: ArmReality(**arm.model_dump()) for name, arm in real.arms.items() if name not in twins}
+    return realised(believed, Reality(**given, arms=arms))
 
 
 def _believed_spec(cell: Cell, q_start: Sequence[Vector]) -> PlantSpec:
@@ -39,7 +51,7 @@ def _believed_spec(cell: Cell, q_start: Sequence[Vector]) -> PlantSpec:
         object=ObjectSpec(
             heavier * obj.mass_kg,
             heavier * np.array(obj.inertia_kg_m2.matrix()),
-            np.array(obj.p_start_m),
+            np.array(cell.file.p_place_m),
             np.array(obj.quat_start),
         ),
         gravity=cell.gravity,

@@ -9,6 +9,7 @@ from agent.control.memory import Memory, restore
 from agent.loop import Agent, Outcome, afresh, blind, hold_after, initial_memory, step, wait_here
 from agent.modes import Mode
 from agent.safety import Flag
+from agent.session import entered
 from drivers.interface import JointState, Vector
 
 Row = np.void
@@ -57,15 +58,21 @@ class Chain:
         self._memory, self._mode, self._outcome = outcome.memory, mode, None if stale else outcome
         return memory, outcome
 
+    def holding(self, marks: Flag) -> Memory:
+        """The memory with which a hold begins behind the last row; marks: of its first row."""
+        return self._entered(Mode.HOLD, None, marks)
+
     def _entered(self, mode: Mode, q: Vector | None, marks: Flag) -> Memory:
         """The memory with which a row of this mode begins; q: measured, None without a fresh state."""
         if self._memory is None:
             raise AssertionError("neither started nor restored")
         memory = self._memory
         if self._mode is not None and mode is not self._mode:
-            if mode is Mode.HOLD and self._outcome is not None:
+            if self._agent.session is not None:
+                memory = entered(self._agent, mode, memory, self._outcome)
+            elif mode is Mode.HOLD and self._outcome is not None:
                 memory = hold_after(self._agent, self._outcome)
-            if mode is Mode.TRACK:
+            elif mode is Mode.TRACK:
                 memory = memory._replace(hold=None, q_hold=None)
         memory = afresh(memory, marks)
         if mode is not Mode.TRACK and memory.hold is None and q is not None:

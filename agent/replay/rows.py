@@ -7,18 +7,13 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.log.columns import BLOCK_ROWS, Table
 from agent.log.layout import differences
 from agent.log.read import ColumnLog
-from agent.modes import Mode
 from agent.replay.source import ReplayError
-from agent.safety import Flag
+from agent.replay.tick import Rows
 from agent.telemetry.row.sample import AGENT_FIELDS, AGENT_STATE, Layout
-from drivers.interface import JointState
-
-Rows = NDArray[np.void]
 
 # what a step is computed from; without one of these nothing can be computed again
 INPUTS: Final = ("sequence", "stamp_ns", "mode", "flags", "joint_count", "t", "q_measured", "dq_measured")
@@ -75,27 +70,6 @@ def blocks(table: Table, layout: Layout, readable: Readable) -> Iterator[Rows]:
         for name in ("encapsulation", *readable.fields):
             rows[name] = messages[name]
         yield rows
-
-
-def state_at(rows: Rows, i: int, n: int) -> JointState:
-    """The measured joints of a row, in arrays of their own."""
-    row = rows[i]
-    return JointState(
-        int(row["stamp_ns"]),
-        row["q_measured"][:n].copy(),
-        row["dq_measured"][:n].copy(),
-        row["tau_measured"][:n].copy(),
-    )
-
-
-def is_fresh(flags: int) -> bool:
-    """Whether the row's cycle had a fresh state."""
-    return not flags & Flag.STALE
-
-
-def mode_of(number: int) -> Mode | None:
-    """The mode of that number; None where there is none."""
-    return Mode(number) if number in Mode._value2member_map_ else None
 
 
 def arms_of(log: ColumnLog, wanted: str | None) -> list[str]:

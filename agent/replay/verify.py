@@ -21,11 +21,12 @@ from agent.log.read import ColumnLog
 from agent.loop import Agent, Outcome
 from agent.modes import Mode
 from agent.replay.chain import Chain
-from agent.replay.rows import Readable, Rows, Window, arms_of, blocks, is_fresh, mode_of
+from agent.replay.rows import Readable, Window, arms_of, blocks
 from agent.replay.source import ReplayError
+from agent.replay.tick import Rows, is_fresh, mode_of
 from agent.telemetry.row.fill import AgentRow
 from agent.telemetry.row.sample import AGENT_FIELDS, AGENT_STATE
-from drivers.interface import JointState
+from drivers.interface import JointState, Vector
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +100,8 @@ def verify(
             notes.append(f"{name}: recorded by another release; not compared: {', '.join(lacking)}")
         tell(f"replaying {name}")
         rows = window.of(log.agents[name])
-        checked = _Verifier(build_agent(cell, cell.arm(name)), cell.config_id, readable)
+        looped = cell.file.hil is not None and name in cell.file.hil.arms
+        checked = _Verifier(build_agent(cell, cell.arm(name)), cell.config_id, readable, in_the_loop=looped)
         arms.append(checked.run(rows, blocks(rows, layout, readable)))
     verdict = Verdict(tuple(arms), tuple(notes))
     if not verdict.rows:
@@ -113,8 +115,9 @@ def verify(
 class _Verifier:
     """One arm."""
 
-    def __init__(self, agent: Agent, config_id: int, readable: Readable) -> None:
-        self._agent, self._readable = agent, readable
+    def __init__(self, agent: Agent, config_id: int, readable: Readable, *, in_the_loop: bool = False) -> None:
+        """in_the_loop: its rows have what a bridge told; those of others have zeros there."""
+        self._agent, self._readable, self._in_the_loop = agent, readable, in_the_loop
         self._chain = Chain(agent)
         self._message = np.zeros(1, AGENT_STATE.dtype)
         self._row = AgentRow(self._message, agent.model.n, config_id)
@@ -159,6 +162,8 @@ class _Verifier:
             sent = rows["tau_sent"][i, : self._agent.model.n]
             told = state if fresh else self._lost(state)
             self._row.fill(sequence, times[i], int(rows["utc_ns"][i]), mode, told, memory, outcome, sent)
+            if self._in_the_loop:
+                self._row.fill_bridge(sent, *_bridged(rows[i], self._agent.model.n))
             at = i * size
             same = all(bytes(self._bytes[a:b]) == data[at + a : at + b] for a, b in self._spans)
             if not same or t_expected[i] != times[i]:
@@ -227,6 +232,11 @@ def _inputs(rows: Rows, n: int) -> Iterator[JointState]:
     """The measured joints of each row."""
     arrays = (np.ascontiguousarray(rows[name][:, :n]) for name in ("q_measured", "dq_measured", "tau_measured"))
     return (JointState(*row) for row in zip(rows["stamp_ns"].tolist(), *arrays, strict=True))
+
+
+def _bridged(row: np.void, n: int) -> tuple[Vector, Vector, float]:
+    """What the bridge of an arm in the loop told, which is taken as recorded, as all that a driver tells."""
+    return row["tau_bridge"][:n], row["q_twin"][:n], float(row["twin_age_s"])
 
 
 def _same(a: NDArray[np.generic] | np.generic, b: NDArray[np.generic] | np.generic) -> bool:

@@ -20,8 +20,9 @@ from agent.log.columns import Table
 from agent.log.read import ColumnLog
 from agent.loop import Agent
 from agent.replay.chain import Chain
-from agent.replay.rows import Readable, Rows, Window, arms_of, blocks, is_fresh, mode_of, state_at
+from agent.replay.rows import Readable, Window, arms_of, blocks
 from agent.replay.source import ReplayError
+from agent.replay.tick import Rows, is_fresh, mode_of, state_at
 from agent.safety import Flag
 from agent.telemetry.row.sample import Layout
 

@@ -9,7 +9,9 @@ import numpy as np
 
 from agent.log.runinfo import RunArm, RunInfo
 from agent.modes import Mode
+from agent.report.phases import session_of
 from agent.report.prepared import Prepared, prepare
+from agent.report.rehearsal import added_to, hil_results
 from agent.report.results import (
     ArmResults,
     Completeness,
@@ -55,6 +57,7 @@ def summarise_prepared(run: Prepared) -> Results:
         missing += _complaints(errors, info)
     rows = {arm.name: _completeness(run, arm.name) for arm in info.arms}
     factor = _real_time_factor(run, missing)
+    found, set_down = session_of(run.log)
     return Results(
         info=info,
         complete=run.log.complete and all(not c.gaps for c in rows.values()),
@@ -66,6 +69,9 @@ def summarise_prepared(run: Prepared) -> Results:
         real_time_factor=factor,
         events=len(run.log.events),
         missing=tuple(missing),
+        phases=found,
+        set_down_error_m=set_down[0],
+        set_down_error_rad=set_down[1],
     )
 
 
@@ -175,6 +181,7 @@ def _arm(arm: RunArm, run: Prepared) -> ArmResults:
         shift_max_m=largest(rows, "shift", slice(0, 3)),
         shift_max_rad=largest(rows, "shift", slice(3, 6)),
         **_unexpected(rows),
+        hil=hil_results(rows, arm.tau_max_Nm),
     )
 
 
@@ -190,15 +197,16 @@ def _rms_velocity_error(rows: Table, part: slice, info: RunInfo) -> float:
 
 def _joint(arm: RunArm, j: int, rows: Table, period_s: float) -> JointResults:
     cmd, limited, sent = (component(rows, f, j) for f in ("tau_cmd", "tau_limited", "tau_sent"))
+    law = sent - added_to(rows, j)
     consecutive = np.diff(rows["sequence"]) == 1
-    peak = _largest(np.abs(sent))
+    peak = _largest(np.abs(law))
     return JointResults(
         peak_torque_Nm=peak,
         peak_torque_fraction=peak / arm.tau_stall_Nm[j],
-        rms_torque_Nm=_rms(sent),
+        rms_torque_Nm=_rms(law),
         limited_s=float(np.sum(np.abs(limited - cmd) > LIMITED_Nm) * period_s),
         at_limit_s=float(np.sum(np.abs(sent) >= AT_LIMIT_FRACTION * arm.tau_max_Nm[j]) * period_s),
-        chatter_Nm=_mean(np.where(consecutive, np.abs(np.diff(sent)), NAN)),
+        chatter_Nm=_mean(np.where(consecutive, np.abs(np.diff(law)), NAN)),
         tau_max_Nm=arm.tau_max_Nm[j],
         tau_stall_Nm=arm.tau_stall_Nm[j],
     )

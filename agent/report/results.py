@@ -11,7 +11,9 @@ from typing import Annotated, Any, Final
 import numpy as np
 
 from agent.log.runinfo import Bounded, RunInfo
+from agent.report.phases import Phase
 from agent.report.quantity import Better, Quantity, Unit, flatten, json_ready, units_of
+from agent.report.rehearsal import HilResults
 from agent.report.series import Array
 
 SCHEMA: Final = 1  # of results.json; grows when a key changes its meaning
@@ -83,13 +85,13 @@ class PoseErrors:
 
 @dataclass(frozen=True, slots=True)
 class JointResults:
-    """Torque of one joint over the whole run."""
+    """Torque of one joint over the whole run; of an arm in the loop without what its driver added."""
 
     peak_torque_Nm: Torque
     peak_torque_fraction: Ratio  # of stall
     rms_torque_Nm: Torque
     limited_s: Seconds  # safety changed the commanded torque
-    at_limit_s: Seconds  # |torque sent| at tau_max
+    at_limit_s: Seconds  # |torque sent| at tau_max, with all that was added
     chatter_Nm: Torque  # mean |change of torque sent| per tick
     tau_max_Nm: Annotated[float, Unit("N·m", Better.NEITHER)]
     tau_stall_Nm: Annotated[float, Unit("N·m", Better.NEITHER)]
@@ -137,6 +139,7 @@ class ArmResults:
     unexpected_fast_max_Nm: Torque
     unexpected_slow_max_N: Annotated[float, Unit("N")]
     unexpected_slow_max_Nm: Torque
+    hil: HilResults | None = None  # of an arm in the loop
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,6 +166,9 @@ class Results:
     real_time_factor: Annotated[float, Unit("", Better.HIGHER)]
     events: Count
     missing: tuple[str, ...]
+    phases: tuple[Phase, ...] = ()  # of a session from rest to rest
+    set_down_error_m: Metres = NAN  # between where the object stands after a session and where it stood before
+    set_down_error_rad: Radians = NAN
 
     @property
     def error_source(self) -> str:
@@ -263,6 +269,9 @@ class Results:
             "rows": self.rows,
             "arms": self.arms,
             "missing": self.missing,
+            "phases": self.phases,
+            "set_down_error_m": self.set_down_error_m,
+            "set_down_error_rad": self.set_down_error_rad,
         }
         out: dict[str, Any] = json_ready(plain)
         return out

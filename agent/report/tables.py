@@ -84,6 +84,12 @@ def lines(results: Results) -> list[Line]:
         Line("late cycles", str(results.late_cycles)),
         Line("events", str(results.events)),
     ]
+    rehearsing = [name for name, a in results.arms.items() if a.hil is not None]
+    if rehearsing:
+        found.append(Line("REHEARSAL, object simulated; real arms", ", ".join(rehearsing)))
+    if math.isfinite(results.set_down_error_m):
+        off = f"{millimetres(results.set_down_error_m)}, {milliradians(results.set_down_error_rad)}"
+        found.append(Line("object set down beside its place by", off))
     return found
 
 
@@ -107,11 +113,20 @@ def tables(results: Results) -> list[Table]:
         _torques(results),
         _forces(results),
         _noticed(results),
+        _in_the_loop(results),
         _timing(results),
         _log(results),
         _states(results),
+        _phases(results),
     ]
     return [table for table in every if table.rows]
+
+
+def _phases(results: Results) -> Table:
+    rows = tuple(
+        (f"{p.arm} {p.name}", number(p.begin, "s"), number(p.end - p.begin, "s"), p.outcome) for p in results.phases
+    )
+    return Table("Phases", ("phase", "begins", "lasts", "outcome"), rows, words=True)
 
 
 def _errors(results: Results) -> Table:
@@ -184,6 +199,22 @@ def _noticed(results: Results) -> Table:
         for name, a in results.arms.items()
     )
     return Table("Largest of what each arm noticed and gave, whole run", header, rows)
+
+
+def _in_the_loop(results: Results) -> Table:
+    header = ("arm", "largest addition", "arm and twin apart by", "oldest state of the twin", "coupled")
+    rows = tuple(
+        (
+            name,
+            f"{number(a.hil.added_max, '%', 100.0)} of the limit",
+            milliradians(a.hil.apart_max_rad),
+            milliseconds(a.hil.twin_age_max_s),
+            f"{number(a.hil.coupled, '%', 100.0)} of the cycles",
+        )
+        for name, a in results.arms.items()
+        if a.hil is not None
+    )
+    return Table("Real arms in the loop of a simulated cell, whole run", header, rows)
 
 
 def _timing(results: Results) -> Table:

@@ -51,4 +51,4 @@ def _start_error(cell: Cell) -> Vector:
     """e (6,) of the object's first pose."""
     obj, desired = cell.file.object, cell.trajectory().at(0.0)
     e_eta, e_eps = attitude_error(obj.quat_start, desired.quat)
-    return np.array([*(np.array(obj.p_start_m) - desired.p), *(-e_eta * np.array(e_eps))])
+    return np.array([*(np.array(cell.file.p_place_m) - desired.p), *(-e_eta * np.array(e_eps))])

@@ -27,7 +27,9 @@ from agent.verify.force import internal_force
 from agent.verify.margin import Damping, damping, places, sampled_loop
 from agent.verify.noticing import noticed
 from agent.verify.plausible import plausibility
+from agent.verify.rehearsal import examine_rehearsal
 from agent.verify.robustness import Robustness, Walk, robustness
+from agent.verify.session import session
 from drivers.interface import Vector
 
 SAMPLES = 48  # points along the trajectory, beside those that the trajectory names itself
@@ -101,9 +103,10 @@ def examine(cell: Cell, *, wired: bool | None = None, thorough: bool | None = No
         path = _along_trajectory(cell, arm, model, q0, instants.times)
         findings += _arm_findings(cell, arm, path)
         paths.append(path)
-    findings += [*plausibility(cell), *internal_force(cell, models), *noticed(cell)]
+    findings += [*plausibility(cell), *internal_force(cell, models), *noticed(cell), *session(cell)]
     findings += buses(cell, q_start, wired=servos if wired is None else wired)
     findings += _stability(cell, models, paths)
+    findings += examine_rehearsal(cell, models, [p.q for p in paths], instants.times)
     if cell.file.controller.kind is ControllerKind.ADAPTIVE:
         findings += _adaptation(cell, models, paths, instants.times)
     if not (servos if thorough is None else thorough):
@@ -151,7 +154,7 @@ def _same_task_space(cell: Cell, models: Sequence[ArmModel]) -> None:
 def _start(cell: Cell) -> list[Finding]:
     safety, desired = cell.file.safety, cell.trajectory().at(0.0)
     obj = cell.file.object
-    distance = math.dist(obj.p_start_m, desired.p)
+    distance = math.dist(cell.file.p_place_m, desired.p)
     e_eta, e_eps = attitude_error(obj.quat_start, desired.quat)
     angle = 2.0 * math.atan2(math.hypot(*e_eps), abs(e_eta))
     axis = np.round(np.array(e_eps) / max(math.hypot(*e_eps), 1e-12), 3).tolist()

@@ -187,7 +187,7 @@ def _start(cell: CellFiles) -> Motion:
         row["joint_count"] = len(arm.entry.controlled)
         row["q"][0, : len(arm.entry.q_near_rad)] = arm.entry.q_near_rad
         for name in ("p_object", "p_object_des"):
-            row[name] = cell.file.object.p_start_m
+            row[name] = cell.file.p_place_m
         for name in ("quat_object", "quat_object_des"):
             row[name] = cell.file.object.quat_start
         rows[arm.name] = row

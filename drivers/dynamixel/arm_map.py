@@ -13,6 +13,7 @@ from itertools import pairwise
 
 from drivers.dynamixel.servo.table import MAX_ID, SERVOS, TICKS_PER_TURN, OperatingMode, ServoModel
 from drivers.dynamixel.servo.units import watchdog_count, watchdog_s
+from drivers.fingers import Fingers
 from drivers.interface import ConnectError
 
 WATCHDOG_S = 0.2  # without `read` or `write` for so long, the servos of an arm stop by themselves
@@ -49,6 +50,8 @@ class JointMap:
     start_rad: float | None = None  # expected at `enable`; None: anywhere within the limits
     start_tolerance_rad: float = 0.15
     hold_effort: float = 0.4  # held joints: share of full current, or of full voltage where no current is sensed
+    fingers: Fingers | None = None  # of a gripper that can be closed on an object
+    grip_effort: float = 0.0  # of such a gripper: share with which it moves and grips
 
     @property
     def model(self) -> ServoModel:
@@ -140,6 +143,12 @@ class ArmMap:
             0.0 < joint.hold_effort <= 1.0,
             f"{what}: hold_effort", joint.hold_effort, "above 0, at most 1", "0.4 holds a resting arm",
         )  # fmt: skip
+        if joint.fingers is not None:
+            self._need(
+                joint.role is JointRole.GRIPPER and 0.0 < joint.grip_effort <= 1.0,
+                f"{what}: grip_effort", joint.grip_effort, "above 0, at most 1, of a gripper",
+                "0.25 holds light objects for long",
+            )  # fmt: skip
         if joint.role is JointRole.CONTROLLED:
             self._check_torque(what, joint)
 
@@ -169,6 +178,11 @@ class ArmMap:
     def controlled(self) -> tuple[JointMap, ...]:
         """Joints of JointState, in its order."""
         return tuple(joint for joint in self.joints if joint.role is JointRole.CONTROLLED)
+
+    @property
+    def gripper(self) -> JointMap | None:
+        """The gripper, if it can be closed on an object."""
+        return next((joint for joint in self.joints if joint.fingers is not None), None)
 
     @property
     def slots(self) -> tuple[ServoSlot, ...]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import enum
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +19,7 @@ from drivers.dynamixel.budget import LinkTiming
 from drivers.dynamixel.errors import (
     DxlServoFault,
     FaultCause,
+    NoGripperError,
     NotEnabledError,
     PortError,
     PortLostError,
@@ -34,7 +35,7 @@ from drivers.dynamixel.line.port import Port, SerialPort
 from drivers.dynamixel.pace import SHARE, ReadTimes, check_rate, check_read
 from drivers.dynamixel.running import Running
 from drivers.dynamixel.servo.found import ServoFound
-from drivers.interface import ArmInfo, Clock, DriverError, JointState, ServoHealth, Vector
+from drivers.interface import ArmInfo, Clock, DriverError, GripState, JointState, ServoHealth, Vector
 
 MAX_LATENCY_TIMER_MS = 2
 TORQUE_GONE = frozenset({FaultCause.HARDWARE_ERROR, FaultCause.TORQUE_LOST, FaultCause.REBOOTED})
@@ -89,6 +90,7 @@ class DynamixelDriver:
         self._read_share = read_share
         self._phase = Phase.CLOSED
         self._port_lost = False
+        self.before_recovery: Callable[[], None] = lambda: None  # is called before what takes longer than a cycle
         self._port = port or SerialPort(arm.port, arm.baud, clock)
         self._bus = Bus(self._port, clock, self.counters)
         self._found: list[ServoFound] = []
@@ -224,6 +226,7 @@ class DynamixelDriver:
         costs one period, one that cuts a servo off in between a few tenths of a second.
         """
         running = self._need(Phase.ENABLED)
+        self.before_recovery()
         if self._port_lost:
             self.reopen()
         else:
@@ -254,6 +257,11 @@ class DynamixelDriver:
                 remedy="call connect() and, for torque, enable() first",
             )
         return running
+
+    @property
+    def found(self) -> Sequence[ServoFound]:
+        """The servos as `connect` read them."""
+        return self._found
 
     # --- the cycle ------------------------------------------------------------------------------------------------
 
@@ -336,6 +344,22 @@ class DynamixelDriver:
             raise
         self.times.write = self._clock.now_ns() - begin_ns
         return np.array(sent)
+
+    def grip(self, width_m: float) -> None:
+        """Send the fingers to this width with the next `write`.  Raises NotEnabledError, NoGripperError."""
+        control = self._need(Phase.ENABLED).grip
+        if control is None:
+            raise NoGripperError(
+                f"arm {self.arm.arm}: gripper",
+                found="none that its file describes well enough",
+                expected="closed_tick, open_tick, horn_radius_m, rod_length_m and grip_effort",
+                remedy="add them to [gripper] of the arm file",
+            )
+        control.go_to(width_m)
+
+    def grip_state(self) -> GripState | None:
+        """What the gripper said in the last cycle; never touches the bus."""
+        return self._need(Phase.CONNECTED).grip_state(self._clock.now_ns())
 
     def health(self) -> ServoHealth:
         """Latest slow quantities of each servo, and its current or load of the last cycle; never touches the bus."""

@@ -95,6 +95,10 @@ class NotEnabledError(DriverError):
     """A call that needs another state of the driver."""
 
 
+class NoGripperError(DriverError):
+    """The arm has no gripper that this driver can close on an object."""
+
+
 class TorqueError(DriverError):
     """A torque that is no number, or a joint that cannot be torque-controlled."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +15,7 @@ from drivers.dynamixel.checks import FAULT_WITHIN_S
 from drivers.dynamixel.cycle import CycleReader, CycleRows
 from drivers.dynamixel.errors import DxlServoFault, FaultCause
 from drivers.dynamixel.events import DriverEvent, EventKind, EventSink, OncePerServo
+from drivers.dynamixel.grip import GripControl
 from drivers.dynamixel.identify import IdentityError
 from drivers.dynamixel.interpret import Interpreter, Reading
 from drivers.dynamixel.line.bus import BABBLE_BYTES, Bus
@@ -38,7 +39,7 @@ from drivers.dynamixel.servo.table import (
 from drivers.dynamixel.servo.thermal import ThermalWatch
 from drivers.dynamixel.servo.torque import torque_drive
 from drivers.dynamixel.servo.units import current_or_load, volts, watchdog_count
-from drivers.interface import ServoHealth
+from drivers.interface import GripState, ServoHealth
 
 
 def _record(servo: ServoFound, watchdog: int, rest: int) -> ServoRecord:
@@ -91,6 +92,7 @@ class Running:
         self.monitor = GapMonitor(self._records, per_gap, arm.baud, link, tell, fast=fast)
         self._write_ns = round(1e9 * budget.write_s)
         self._writers = self._make_writers()
+        self.grip = GripControl.of(arm, limits)
         self._goals = [record.sent for record in self._records]
         self._health_heard = b""
         self._rows: list[Row | None] = [None] * len(self._records)  # of the last cycle
@@ -103,7 +105,10 @@ class Running:
 
     def again(self) -> Running:
         """The same arm, with nothing remembered: goals at rest, no doubts, no counts."""
-        return Running(*self._made_of, fast=self.fast)
+        made = Running(*self._made_of, fast=self.fast)
+        if made.grip is not None and self.grip is not None:
+            made.grip.go_on(self.grip)
+        return made
 
     def _make_writers(self) -> list[tuple[GroupWrite, list[int]]]:
         """One packet per goal register, with the places of its joints; shadows follow by themselves."""
@@ -114,6 +119,20 @@ class Running:
                 ids = [self._arm.controlled[j].ids[0] for j in joints]
                 writers.append((GroupWrite(register.address, "h", ids), joints))
         return writers
+
+    def resume(self, goals: Mapping[int, int], dq: Sequence[float]) -> list[float]:
+        """Go on from the goal counts that the servos hold (by ID); the joint torques they ask for, NaN where unknown.
+
+        dq: of the joints, rad/s, as last known.
+        """
+        for place, record in enumerate(self._records):
+            count = goals.get(record.slot.servo_id, record.sent)
+            record.sent = record.sent_before = self._goals[place] = count
+        first = [records[0] for records in self._joint_records]
+        return [
+            drive.goal_Nm(record.sent, speed, record.voltage_V) if record.slot.servo_id in goals else math.nan
+            for drive, record, speed in zip(self._drives, first, dq, strict=True)
+        ]
 
     # --- read -----------------------------------------------------------------------------------------------------
 
@@ -181,12 +200,28 @@ class Running:
             self.hear_health()
         now_ns = self._clock.now_ns()
         gap_ns = cycle_begin_ns + self._arm.period_ns - now_ns - self._write_ns
+        if self.grip is not None and (goal := self.grip.packets()):
+            packets, gap_ns = packets + goal, 0  # it takes the place of a question
+            self._note(self.grip.servo_id, self.grip.effort)
         question, question_ns = self.monitor.question(gap_ns)
         self._wire_free_ns = now_ns + self._write_ns + question_ns
         self._bus.port.write(packets + question, now_ns + self._arm.period_ns)
         return sent
 
+    def _note(self, servo_id: int, count: int) -> None:
+        """A servo that is held has been sent another effort."""
+        place = self._place_of[servo_id]
+        record = self._records[place]
+        record.sent_before, record.sent = record.sent, count
+        self._goals[place] = count
+
     # --- the rest -------------------------------------------------------------------------------------------------
+
+    def grip_state(self, now_ns: int) -> GripState | None:
+        """What the gripper said in the last cycle."""
+        grip = self.grip
+        row = None if grip is None else self._rows[self._place_of[grip.servo_id]]
+        return None if grip is None or row is None else grip.state(row, now_ns)
 
     def health(self, now_ns: int) -> ServoHealth:
         """Slow quantities as they were last read, current or load of the last cycle."""

@@ -235,7 +235,7 @@ class Servos:
         np.divide(self._coulomb, out, out)
         return np.add(out, self._viscous, out)
 
-    def set_viscous(self, joints: slice, viscous_Nms_rad: float) -> None:
+    def set_viscous(self, joints: slice, viscous_Nms_rad: float | Vector) -> None:
         """Change the viscous friction of some joints (a seized gear)."""
         self._viscous[joints] = viscous_Nms_rad
         self.has_friction = bool(np.any(self._coulomb) or np.any(self._viscous))

@@ -48,6 +48,11 @@ class FreeArms:
         pose = pin.updateFramePlacement(self.model, self.data, frame)
         return pin.getFrameJacobian(self.model, self.data, frame, _WORLD_AXES), pose
 
+    def pose(self, arm: int, q: Vector) -> pin.SE3:
+        """Pose of an arm's end effector at q (J,); `end_effector` answers for this q from then on."""
+        pin.forwardKinematics(self.model, self.data, q)
+        return pin.SE3(pin.updateFramePlacement(self.model, self.data, self._frames[arm]))
+
     def swinging(self, q: Vector) -> Vector:
         """(N, 6) kg, kg·m² with which each arm at q (J,) swings on its pad."""
         M, _ = self.terms(q, np.zeros_like(q))

@@ -120,6 +120,6 @@ class DryFriction:
         """What the bristles hold, J."""
         return float(0.5 * np.sum(self._stiffness * self._bend**2))
 
-    def set_viscous(self, joints: slice, viscous_Nms_rad: float) -> None:
+    def set_viscous(self, joints: slice, viscous_Nms_rad: float | Vector) -> None:
         """Change the viscous friction of some joints (a seized gear)."""
         self._viscous[joints] = viscous_Nms_rad

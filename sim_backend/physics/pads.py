@@ -53,6 +53,16 @@ class Pads:
         """Open one grasp for good."""
         self.closed[grasp] = 0.0
 
+    def close(self, grasp: int) -> None:
+        """Close one grasp again."""
+        self.closed[grasp] = 1.0
+
+    def rest_at(self, grasp: int, opening: Vector, R_world_object: Vector) -> None:
+        """Take this opening (6,) of a grasp for the one at which its springs rest."""
+        self.slipped[grasp] = opening
+        for part in (_FORCE, _MOMENT):
+            self._slipped_object[grasp, part] = opening[part] @ R_world_object
+
     def energy(self, opening: Vector) -> float:
         """What the springs hold at `opening` (N, 6), J."""
         return float(0.5 * np.sum(self.closed * self.K * (opening - self.slipped) ** 2))

@@ -34,6 +34,7 @@ from sim_backend.physics.chain import Chain
 from sim_backend.physics.composition import check_start
 from sim_backend.physics.gears import gears
 from sim_backend.physics.joints import dry_friction
+from sim_backend.physics.meter import ChainGrasps
 from sim_backend.physics.spec import PlantError, PlantSpec
 
 
@@ -87,6 +88,7 @@ class Plant:
         self._tau_dry = np.zeros(J)  # of the last substep, where friction has presliding
         self._substeps = 0
         self._calendar = Calendar(spec.happenings, spec.substep_s)
+        self._meter: ChainGrasps | None = None
 
     @property
     def t(self) -> float:
@@ -131,7 +133,7 @@ class Plant:
         q_mid, v, v_mid, tau, scratch = self._q_mid, self._v, self._v_mid, self._tau, self._scratch
         dq, dq_mid, tau_joint, scratch_joint = v[:J], v_mid[:J], tau[:J], scratch[:J]
         integrate, multiply, add, subtract = pin.integrate, np.multiply, np.add, np.subtract
-        dry, geared = self._dry, self._gears
+        dry, geared, meter = self._dry, self._gears, self._meter
         servos.command(tau_cmd_Nm)
         with np.errstate(all="ignore"):  # what overflows is refused below, with more to say than numpy has
             for _ in range(substeps):
@@ -153,6 +155,8 @@ class Plant:
                 if self._pushed:
                     tau[J:] = self._push_in_object_axes(q_mid)
                 a = acceleration(q_mid, v_mid, tau)
+                if meter is not None:
+                    meter.observe(q_mid[:J], dq_mid, a[:J], armature, tau_joint)
                 add(v, multiply(a, h, scratch), v)
                 if dry is not None:
                     mean = dq - half_joint * a[:J]
@@ -182,6 +186,14 @@ class Plant:
             servos.reported_velocity(self._v[:J]),
             servos.reported_torque(self._tau_motor),
         )
+
+    def meter_grasps(self) -> None:
+        """Sum up the torques of the grasps from now on, which takes some time."""
+        self._meter = self._meter or ChainGrasps(self.spec)
+
+    def grasp_torque(self) -> Vector:
+        """Mean torque (J,) N·m of the grasps on the joints since the last call; zeros unless metered."""
+        return np.zeros(self.joint_count) if self._meter is None else self._meter.take()
 
     def observe(self, tau_cmd_Nm: Vector) -> Observation:
         """What is true now, with commands (J,) acting; changes nothing."""

@@ -30,6 +30,7 @@ from sim_backend.physics.free_arm import FreeArms
 from sim_backend.physics.free_body import FreeBody
 from sim_backend.physics.gears import gears
 from sim_backend.physics.joints import dry_friction
+from sim_backend.physics.meter import GraspMeter
 from sim_backend.physics.pads import KAPPA, Pads
 from sim_backend.physics.plant import Observation
 from sim_backend.physics.spec import PlantError, PlantSpec
@@ -70,6 +71,7 @@ class SoftPlant:
         self._substeps = 0
         self._calendar = Calendar(spec.happenings, spec.substep_s)
         self._behind = False  # pose and openings are of an earlier substep
+        self._meter: GraspMeter | None = None
         self._linearise()
 
     def _make_room(self, nv: int, rows: int) -> None:
@@ -195,6 +197,9 @@ class SoftPlant:
         self._moved += mean
         self._behind = True
         self._acted = D, f
+        if self._meter is not None:  # _joint holds τ_motor + f − D v; the acceleration is −2 step / h
+            pulled = self._M[:J].dot(step) * (-2.0 / self._h) + self._c[:J]
+            self._meter.add(pulled - self._joint - D * step[:J])
         if self._dry is not None:
             self._dry.step(mean[:J])
 
@@ -239,6 +244,14 @@ class SoftPlant:
             s.reported_torque(self._tau_motor),
         )
 
+    def meter_grasps(self) -> None:
+        """Sum up the torques of the grasps from now on, which takes some time."""
+        self._meter = self._meter or GraspMeter(self.joint_count)
+
+    def grasp_torque(self) -> Vector:
+        """Mean torque (J,) N·m of the grasps on the joints since the last call; zeros unless metered."""
+        return np.zeros(self.joint_count) if self._meter is None else self._meter.take()
+
     def observe(self, tau_cmd_Nm: Vector) -> Observation:
         """What is true now, with commands (J,) acting; changes nothing."""
         self._arrive()
@@ -277,7 +290,35 @@ class SoftPlant:
         self._left = 0
         self._G.reshape(-1, 6, self.joint_count + 6)[:] *= self._pads.closed[:, :, None]
 
-    def brake(self, arm: str, viscous_Nms_rad: float) -> None:
+    def take_hold(self, arm: int) -> None:
+        """Close the grasp of one arm (its place) as it stands: its pad is not stretched."""
+        self._arrive()
+        self._pads.close(arm)
+        self._G[6 * arm : 6 * arm + 6, self.joint_count :] = -np.eye(6)
+        self._linearise()  # the opening of a grasp that was open is known from here on
+        self._pads.rest_at(arm, self._phi[arm], self._T.rotation)
+        self._linearise()
+
+    def let_go(self, q: Vector, T_world_object: pin.SE3) -> None:
+        """Open all grasps, and stand with the arms at q (J,) and the object at its pose, all at rest."""
+        for name in self.spec.names:
+            self.release(name)
+        self._behind = False
+        self._q, self._T = np.array(q), pin.SE3(T_world_object)
+        self._v[:] = 0.0
+        self._linearise()
+
+    def end_effector(self, arm: int) -> pin.SE3:
+        """True pose of the end effector of an arm (its place)."""
+        self._arrive()
+        return self._arms.pose(arm, self._q)
+
+    @property
+    def object_twist(self) -> Vector:
+        """True twist (6,) of the object's frame, world axes: a view."""
+        return self._v[self.joint_count :]
+
+    def brake(self, arm: str, viscous_Nms_rad: float | Vector) -> None:
         """Replace the viscous friction of one arm's joints: large for a seized gear, its own value to let go again."""
         joints = self.slices[self.spec.names.index(arm)]
         self.servos.set_viscous(joints, viscous_Nms_rad)

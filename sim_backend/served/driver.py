@@ -6,7 +6,7 @@ import socket
 import time
 from enum import Enum, auto
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -93,6 +93,7 @@ class SimDriver:
         self._answer_due = False
         self._running = False  # a state has come since the torque went on
         self._serial = 0
+        self._info: dict[str, Any] = {}
 
     def connect(self) -> ArmInfo:
         """Introduce this arm; the plant refuses another cell, an unknown or an occupied arm.  Raises ConnectError."""
@@ -102,23 +103,40 @@ class SimDriver:
             )
         joints = list(self._joints)
         hello = words(MessageKind.HELLO, version=VERSION, arm=self._arm, config_id=self._config_id, joints=joints)
-        link = PlantLink(self._path, self._arm, len(joints), self.counters)
+        link = self._new_link()
         try:
-            info = link.introduce(hello, self._connect_timeout_s)
-            self._lockstep = bool(info["lockstep"])
-            period_s = 1.0 / float(info["rate_hz"])  # type: ignore[arg-type]
-            self.clock.utc_offset_ns = int(info["utc_offset_ns"])  # type: ignore[call-overload]
-            tau_largest = np.array(info["tau_largest_Nm"], dtype=np.float64)
-            self._command = TorqueCommand(tau_largest, np.array(info["torque_lsb_Nm"], dtype=np.float64))
+            info: dict[str, Any] = link.introduce(hello, self._connect_timeout_s)
+            tau_largest = self._introduced(info, link)
         except BaseException:
             link.close()
             raise
+        return ArmInfo(self._arm, self._joints, tau_largest, str(info["description"]))
+
+    def _new_link(self, fd: int | None = None) -> PlantLink:
+        return PlantLink(self._path, self._arm, len(self._joints), self.counters, fd=fd)
+
+    def _introduced(self, info: dict[str, Any], link: PlantLink) -> Vector:
+        """Take over what the plant says of itself; the largest torques (n,) N·m."""
+        self._lockstep = bool(info["lockstep"])
+        period_s = 1.0 / float(info["rate_hz"])
+        self.clock.utc_offset_ns = int(info["utc_offset_ns"])
+        tau_largest = np.array(info["tau_largest_Nm"], dtype=np.float64)
+        self._command = TorqueCommand(tau_largest, np.array(info["torque_lsb_Nm"], dtype=np.float64))
         real_time_s = max(REAL_TIME_READ_PERIODS * period_s, REAL_TIME_READ_TIMEOUT_S)
         default_s = LOCKSTEP_READ_TIMEOUT_S if self._lockstep else real_time_s
         self._read_timeout_s = default_s if self._given_read_timeout_s is None else self._given_read_timeout_s
-        self._link, self._phase = link, _Phase.OFF
+        self._link, self._phase, self._info = link, _Phase.OFF, info
         self.clock.follow(0, lockstep=self._lockstep)
-        return ArmInfo(self._arm, self._joints, tau_largest, str(info["description"]))
+        return tau_largest
+
+    def passed_on(self) -> tuple[int, dict[str, Any]]:
+        """The connection and what the plant said, for a process that may have to go on with this arm."""
+        return self._open_link().fileno(), self._info
+
+    def _goes_on(self) -> None:
+        """Torque is on, and states come."""
+        self._open_link().wait_at_most(self._read_timeout_s)
+        self._phase, self._answer_due, self._running = _Phase.ON, False, True
 
     def enable(self) -> None:
         """Torque on, at zero.  The plant's time starts when every arm has done so.  Raises DriverError."""
@@ -201,6 +219,9 @@ class SimDriver:
         if self._link is not None:
             self._link.say_and_forget(header_only(MessageKind.BYE))
             self._link.close()
+        self._closed()
+
+    def _closed(self) -> None:
         self._link, self._phase, self._answer_due = None, _Phase.CLOSED, False
 
     def _open_link(self) -> PlantLink:

@@ -23,14 +23,21 @@ class PlantLink:
     until the next call.
     """
 
-    def __init__(self, path: Path, arm: str, joint_count: int, counters: BusCounters) -> None:
+    def __init__(
+        self, path: Path, arm: str, joint_count: int, counters: BusCounters, *, fd: int | None = None, arrays: int = 3
+    ) -> None:
+        """fd: a connection that there is already, which is then this link's.
+
+        arrays: of a state; a guest's has the torques of its grasp as a fourth, `grasp`.
+        """
         self._path = path
         self._arm = arm
         self._counters = counters
         self._in = bytearray(MAX_MESSAGE_BYTES)
-        self.q, self.dq, self.tau = np.frombuffer(self._in, np.float64, 3 * joint_count, HEADER.size).reshape(3, -1)
-        self._state_size = HEADER.size + 3 * 8 * joint_count
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        parts = np.frombuffer(self._in, np.float64, arrays * joint_count, HEADER.size).reshape(arrays, -1)
+        self.q, self.dq, self.tau, self.grasp = parts[0], parts[1], parts[2], parts[-1]
+        self._state_size = HEADER.size + 8 * parts.size
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET, fileno=fd)
         self._ended: tuple[str, dict[str, str]] | None = None  # why no state will come any more
         self._timeout_s = 0.0
         self.number = 0
@@ -63,6 +70,10 @@ class PlantLink:
                 remedy="check what serves that socket",
             )
         return info
+
+    def fileno(self) -> int:
+        """Descriptor of the connection."""
+        return self._socket.fileno()
 
     def wait_at_most(self, timeout_s: float) -> None:
         """Bound every send and receive from now on."""

@@ -95,7 +95,7 @@ class Lobby:
                 raise ConnectError(
                     "user", found=f"uid {uid}", expected=os.geteuid(), remedy="run plant and agents as the same user"
                 )
-            seat = self._seat_for(message)
+            seat, watchdog_s = self._seat_for(message)
             connection.send(words(MessageKind.INFO, **self._info, **_limits(seat)), socket.MSG_NOSIGNAL)
         except Refusal as refusal:
             connection.send(refusal_words(MessageKind.REFUSED, refusal), socket.MSG_NOSIGNAL)
@@ -103,10 +103,10 @@ class Lobby:
         except OSError:
             connection.close()  # it left before it said its name
         else:
-            seat.seat(connection)
+            seat.seat(connection, watchdog_s)
 
-    def _seat_for(self, message: bytes) -> Seat:
-        """Seat that a HELLO asks for.  Raises ConnectError with what the agent shall be told."""
+    def _seat_for(self, message: bytes) -> tuple[Seat, float | None]:
+        """Seat that a HELLO asks for, and a guest's watchdog.  Raises ConnectError, which the agent is told."""
         hello = read_words(message)
         kind = HEADER.unpack_from(message)[0] if len(message) >= HEADER.size else None
         if kind != MessageKind.HELLO or hello.get("version") != VERSION:
@@ -127,7 +127,20 @@ class Lobby:
                 remedy="use an arm of the plant's cell",
             )
         self._check(seat, hello)
-        return seat
+        return seat, self._watchdog_s(seat, hello.get("watchdog_s"))
+
+    def _watchdog_s(self, seat: Seat, told: object) -> float | None:
+        """None of an arm that is no guest.  Raises ConnectError for a guest where time waits for answers."""
+        if told is None:
+            return None
+        if self._info["lockstep"] or not isinstance(told, float):
+            raise ConnectError(
+                f"arm {seat.arm.name}",
+                found="a real arm in the loop of a plant in lockstep",
+                expected="a plant at the wall clock's pace",
+                remedy="start the plant with --real-time",
+            )
+        return told
 
     def _check(self, seat: Seat, hello: dict[str, object]) -> None:
         name = seat.arm.name

@@ -15,7 +15,7 @@ import numpy as np
 
 from drivers.interface import Refusal, Vector
 
-VERSION: Final = 2
+VERSION: Final = 3
 MAX_MESSAGE_BYTES: Final = 4096
 HEADER: Final = struct.Struct("=qqq")  # kind, number (tick or serial), stamp_ns
 
@@ -23,7 +23,7 @@ HEADER: Final = struct.Struct("=qqq")  # kind, number (tick or serial), stamp_ns
 class MessageKind(IntEnum):
     """First field of every message."""
 
-    HELLO = 1  # agent, words: version, arm, config_id, joints
+    HELLO = 1  # agent, words: version, arm, config_id, joints; of a guest also watchdog_s
     INFO = 2  # plant, words: lockstep, rate_hz, utc_offset_ns (UTC minus its clock), limits
     REFUSED = 3  # plant, words: a Refusal; the connection ends
     POLL = 4  # agent: tell me the state now; number = serial
@@ -31,7 +31,7 @@ class MessageKind(IntEnum):
     ENABLE = 6  # agent: torque on, at zero
     ENABLED = 7  # plant
     DISABLE = 8  # agent: torque off; in lockstep the plant does not wait for this arm any more
-    STATE = 9  # plant, every tick: q, dq, tau; number = tick
+    STATE = 9  # plant, every tick: q, dq, tau; a guest's: true q and dq, tau, mean torque of its grasp; number = tick
     COMMAND = 10  # agent, once per tick: tau; number = tick of the state it answers
     BYE = 11  # agent: end of the run for this arm
     NOTICE = 12  # plant, words: a Refusal that says why no state will come any more

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import socket
 import struct
+from collections.abc import Sequence
 from enum import Enum, auto
 
 import numpy as np
@@ -57,8 +58,10 @@ class Seat:
         self._skew_ns = round(arm.skew_s * 1e9)
         self._command = TorqueCommand.of(arm.actuator)
         self._connection: socket.socket | None = None
-        self._out = FixedMessage(3 * n)
-        self._out_q, self._out_dq, self._out_tau = self._out.values.reshape(3, n)
+        self.watchdog_s: float | None = None  # of a guest: a real arm's twin, which goes limp so long after its loss
+        self.limp_at_tick: int | None = None  # of a guest that has vanished
+        self._out, self._parts = FixedMessage(0), np.zeros((0, n))
+        self._use_layout(3)
         self._in = bytearray(MAX_MESSAGE_BYTES)
         self._in_tau = np.frombuffer(self._in, np.float64, n, HEADER.size)
         self._command_bytes = HEADER.size + 8 * n
@@ -70,8 +73,20 @@ class Seat:
         """Descriptor for poll; -1 without a connection."""
         return -1 if self._connection is None else self._connection.fileno()
 
-    def seat(self, connection: socket.socket) -> None:
-        """Take over a connection that has introduced itself."""
+    @property
+    def guest(self) -> bool:
+        """Whether it is the twin of a real arm."""
+        return self.watchdog_s is not None
+
+    def _use_layout(self, arrays: int) -> None:
+        n = len(self.arm.controlled)
+        self._out = FixedMessage(arrays * n)
+        self._parts = self._out.values.reshape(arrays, n)
+
+    def seat(self, connection: socket.socket, watchdog_s: float | None = None) -> None:
+        """Take over a connection that has introduced itself; watchdog_s: of a guest."""
+        self.watchdog_s, self.limp_at_tick = watchdog_s, None
+        self._use_layout(4 if self.guest else 3)
         connection.setblocking(True)
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("@ll", 0, int(WAIT_S * 1e6)))
         self._connection = connection
@@ -80,6 +95,13 @@ class Seat:
     def leave(self, phase: Attendance) -> None:
         """Close the connection; torque is off."""
         self.switch_off(phase)
+        if self._connection is not None:
+            self._connection.close()
+            self._connection = None
+
+    def orphan(self, limp_at_tick: int) -> None:
+        """Close the connection of a guest; its last torque stays until a tick, as on servos that nobody asks."""
+        self.limp_at_tick = limp_at_tick
         if self._connection is not None:
             self._connection.close()
             self._connection = None
@@ -112,15 +134,14 @@ class Seat:
         with contextlib.suppress(BlockingIOError):
             self.say(refusal_words(MessageKind.NOTICE, refusal), socket.MSG_DONTWAIT)
 
-    def send_state(
-        self, kind: MessageKind, number: int, stamp_ns: int, q: Vector, dq: Vector, tau: Vector, flags: int
-    ) -> None:
-        """Send this arm's part of the reported (J,) positions, velocities and torques, stamped by this arm's clock."""
-        joints = self.joints
+    def send_state(self, kind: MessageKind, number: int, stamp_ns: int, state: Sequence[Vector], flags: int) -> None:
+        """Send this arm's part of (J,) positions, velocities, torques, and of a guest grasp torques.
+
+        Stamped by this arm's clock.
+        """
         self._out.head(kind, number, stamp_ns + self._skew_ns)
-        self._out_q[:] = q[joints]
-        self._out_dq[:] = dq[joints]
-        self._out_tau[:] = tau[joints]
+        for part, values in zip(self._parts, state, strict=True):
+            part[:] = values[self.joints]
         try:
             self.say(self._out.buffer, flags)
         except BlockingIOError:

@@ -16,7 +16,7 @@ from typing import Final
 
 import numpy as np
 
-from drivers.interface import Refusal
+from drivers.interface import Refusal, Vector
 from sim_backend.physics.build import AnyPlant
 from sim_backend.physics.delay import DelayLine, stretches
 from sim_backend.physics.plant import Observation
@@ -106,6 +106,8 @@ class _Server:
                 return self._summary(time.monotonic())
             self._lobby.attend(WAIT_S)
         self._lobby.started = True
+        if any(s.guest for s in self._seats):
+            self._plant.meter_grasps()
         if not self._options.lockstep:
             self._zero_ns = self._first_instant_ns()
             time.sleep(max(0, self._zero_ns - time.monotonic_ns()) * 1e-9)
@@ -164,17 +166,26 @@ class _Server:
         due = [s for s in on if s.told < tick]
         if not due:
             return
-        q, dq, tau = self._plant.reported()
+        reported = self._plant.reported()
+        true = self._true(reported) if any(s.guest for s in due) else reported
         stamp_ns = self._stamp_ns(tick)
         flags = 0 if self._options.lockstep else socket.MSG_DONTWAIT
         for seat in due:
             seat.told = tick
-            seat.send_state(MessageKind.STATE, tick, stamp_ns, q, dq, tau, flags)
+            seat.send_state(MessageKind.STATE, tick, stamp_ns, true if seat.guest else reported, flags)
+
+    def _true(self, reported: Sequence[Vector]) -> tuple[Vector, ...]:
+        """What a real arm's twin tells, which has no servos: true motion, and the grasps' torques of the last tick."""
+        plant = self._plant
+        return plant.q, plant.dq, reported[2], plant.grasp_torque()
 
     def _reply(self, seat: Seat) -> None:
         """Answer a POLL: the state now, under the number of the question."""
         stamp_ns = round(self._plant.t * 1e9) if self._options.lockstep else time.monotonic_ns()
-        seat.send_state(MessageKind.REPLY, seat.number, stamp_ns, *self._plant.reported(), socket.MSG_DONTWAIT)
+        state: tuple[Vector, ...] = self._plant.reported()
+        if seat.guest:
+            state = self._plant.q, self._plant.dq, state[2], np.zeros(self._plant.joint_count)
+        seat.send_state(MessageKind.REPLY, seat.number, stamp_ns, state, socket.MSG_DONTWAIT)
 
     def _integrate(self, parts: Sequence[tuple[int, int]]) -> None:
         """Let these parts of the tick pass: first substep and number of each."""
@@ -193,6 +204,9 @@ class _Server:
         if not self._options.lockstep:
             self._sleep_to_next_tick()
         for seat in on:
+            if seat.limp_at_tick is not None and self._tick >= seat.limp_at_tick:
+                seat.leave(Attendance.ABSENT)
+                continue
             try:
                 if self._options.lockstep:
                     self._wait_for_answer(seat)
@@ -221,6 +235,13 @@ class _Server:
 
     def _lose(self, seat: Seat, reason: str) -> None:
         name = seat.arm.name
+        if seat.watchdog_s is not None:
+            self._lost_arms.append(name)
+            if seat.phase is Attendance.ON and self._lobby.started:
+                seat.orphan(self._tick + round(seat.watchdog_s * self._options.rate_hz))
+            else:
+                seat.leave(Attendance.ABSENT)
+            return
         seat.leave(Attendance.ABSENT)
         if self._options.lost_arm is LostArm.END_RUN:
             raise ArmVanished(name, self._tick, reason)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from drivers.dynamixel.servo.table import SERVOS, TICK_CENTRE, TICK_RAD
 from sim_backend.wire.bus import DEFAULTS, Bus
+from sim_backend.wire.finger import FingerJoint
 from sim_backend.wire.options import BusOptions, ServoOptions
 from sim_backend.wire.servo import FACTORY, Servo
 from sim_backend.wire.timing import BusTiming
@@ -68,17 +69,17 @@ class EmulatedArm:
                 servos.append(servo)
             free = None
             if joint.index is None or wiring.plant_arm is None:
-                free = FreeJoint(
-                    joint.start_rad,
-                    0.0,
-                    joint.inertia_kg_m2,
-                    joint.coulomb_Nm,
-                    joint.viscous_Nm_s_per_rad,
-                )
+                start = joint.start_rad, 0.0, joint.inertia_kg_m2, joint.coulomb_Nm, joint.viscous_Nm_s_per_rad
+                free = FreeJoint(*start) if joint.fingers is None else FingerJoint(*start, fingers=joint.fingers)
             self.joints.append(MountedJoint(joint.name, mounts, joint.index, free))
         self.bus = Bus(servos, timing, bus_options)
         self._since_supervised_s = 0.0
         self._count = 1 + max((j.index for j in self.joints if j.index is not None and j.free is None), default=-1)
+
+    @property
+    def gripper(self) -> FingerJoint | None:
+        """The joint of its gripper, where that is described."""
+        return next((j.free for j in self.joints if isinstance(j.free, FingerJoint)), None)
 
     def servo(self, servo_id: int) -> Servo:
         """The servo with this ID now.  Raises KeyError."""

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
+from typing import Protocol
 
 from drivers.dynamixel.servo.table import HardwareError
 from sim_backend.wire.arm import EmulatedArm
 from sim_backend.wire.faults import REPLY_FAULTS, Fault, FaultError, FaultKind, FaultSchedule, ReplyTamper, Scheduled
-from sim_backend.wire.pty import PtyPort
 from sim_backend.wire.servo import Servo
 
 log = logging.getLogger(__name__)
@@ -16,10 +16,22 @@ log = logging.getLogger(__name__)
 BABBLE_BYTES_PER_MS = 100  # 1 Mbit/s without a pause
 
 
-class Injector:
-    """Faults of one arm.  `port` is None where servos are driven without a terminal."""
+class Pluggable(Protocol):
+    """A port that can be lost."""
 
-    def __init__(self, arm: EmulatedArm, port: PtyPort | None, seed: int) -> None:
+    def vanish(self) -> None:
+        """Be unplugged."""
+        ...
+
+    def appear(self) -> None:
+        """Be plugged in again."""
+        ...
+
+
+class Injector:
+    """Faults of one arm.  `port` is None where servos are driven without one that could be lost."""
+
+    def __init__(self, arm: EmulatedArm, port: Pluggable | None, seed: int) -> None:
         self.arm = arm
         self.stalled = False
         self.tamper = ReplyTamper(seed)

@@ -10,13 +10,15 @@ import numpy as np
 from sim_backend.physics.actuator import ActuatorSpec
 from sim_backend.physics.build import AnyPlant, build_plant
 from sim_backend.physics.plant import Observation
-from sim_backend.physics.spec import PlantSpec
+from sim_backend.physics.soft import SoftPlant
+from sim_backend.physics.spec import PlantError, PlantSpec
 from sim_backend.wire.arm import EmulatedArm
 from sim_backend.wire.bus import DEFAULTS
 from sim_backend.wire.cell import EmulatedCell
 from sim_backend.wire.options import BusOptions, ServoOptions
 from sim_backend.wire.servo import FACTORY
 from sim_backend.wire.timing import BusTiming
+from sim_backend.wire.whole_world import WholeSpec, WholeWorld
 from sim_backend.wire.wiring import ArmWiring
 
 
@@ -104,4 +106,23 @@ def emulate(
     emulated = [
         EmulatedArm(wiring, timing=timing, servo_options=servo_options, bus_options=bus_options) for wiring in arms
     ]
+    return EmulatedCell(emulated, world), world
+
+
+def emulate_whole(
+    spec: PlantSpec, whole: WholeSpec, arms: Sequence[ArmWiring], *, timing: BusTiming | None
+) -> tuple[EmulatedCell, WholeWorld]:
+    """Build emulated servos on a cell from rest to rest; `spec` has pads, `arms` are in its order.
+
+    Raises PlantError (GraspError) when the plant cannot be built, or an arm has no gripper.
+    """
+    world = WholeWorld(SoftPlant(without_servo_electronics(spec)), whole)
+    emulated = [EmulatedArm(wiring, timing=timing) for wiring in arms]
+    grippers = [arm.gripper for arm in emulated]
+    found = [gripper for gripper in grippers if gripper is not None]
+    if len(found) != len(arms):
+        raise PlantError(
+            "grippers", found=f"{len(found)} for {len(arms)} arms", expected="one each", remedy="wire them"
+        )
+    world.fingers = tuple(found)
     return EmulatedCell(emulated, world), world

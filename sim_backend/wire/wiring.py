@@ -12,6 +12,7 @@ from typing import Protocol
 
 from drivers.dynamixel.servo import table
 from drivers.dynamixel.servo.table import BAUD_RATES, NO_SECONDARY_ID, SERVOS, TICK_CENTRE
+from drivers.fingers import Fingers
 from sim_backend.wire.servo import DEFAULT_FIRMWARE
 
 # Gearbox friction of a servo per N·m of its stall torque: an XM430's 0.1 N·m and 0.05 N·m s/rad, scaled (docs/arms.md)
@@ -86,6 +87,7 @@ class JointWiring:
     index: int | None = None
     start_rad: float = 0.0  # of a joint in no plant
     inertia_kg_m2: float = 0.01
+    fingers: Fingers | None = None  # of a gripper
 
     @property
     def stall_torque_Nm(self) -> float:

@@ -19,7 +19,7 @@ from agent.control.joint_hold import weight
 from agent.modes import Event, Mode
 from agent.process.build import build_agent
 from agent.replay.chain import Chain
-from agent.replay.rows import mode_of, state_at
+from agent.replay.tick import mode_of, state_at
 from agent.safety import Flag
 from drivers.dynamixel.servo import table
 from sim_backend.wire.faults import Fault, FaultKind
@@ -86,6 +86,7 @@ def flagged(rows: Any, flag: Flag) -> Any:
 
 @pytest.mark.parametrize("mode", [Mode.READY, Mode.TRACK, Mode.HOLD])
 @pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.fault("B2", "B3", "B11")
 def test_a_silent_bus_gives_the_weights_torque_then_silence_then_the_watchdogs(kind: str, mode: Mode) -> None:
     stop_s = 0.1 if mode is Mode.HOLD else 1e3
     run = CoupledRun(CELL, [KINDS[kind]], real=True, starts=mode is not Mode.READY, operator=until(0.95, stop_s))
@@ -140,6 +141,7 @@ def port_away(gone: bool) -> Callable[[CoupledRun], None]:
     return act
 
 
+@pytest.mark.fault("B4")
 @pytest.mark.parametrize("away_s", [0.002, 0.08])
 def test_a_port_that_comes_back_before_the_watchdogs_fire_leaves_the_arm_in_hold_without_a_jump(away_s: float) -> None:
     """However soon: nothing is opened again before the arm holds."""
@@ -159,6 +161,7 @@ def test_a_port_that_comes_back_before_the_watchdogs_fire_leaves_the_arm_in_hold
     assert_replays(rows)
 
 
+@pytest.mark.fault("S6")
 def test_an_arm_whose_watchdogs_fired_is_armed_again_and_holds_where_it_is() -> None:
     fault = Fault(kind=FaultKind.MUTE, arm="left", start_s=FAULT_S, duration_s=0.35)
     run = CoupledRun(BACK, [fault], real=True, operator=until(1.2))
@@ -179,6 +182,7 @@ def test_an_arm_whose_watchdogs_fired_is_armed_again_and_holds_where_it_is() -> 
     assert_replays(rows)
 
 
+@pytest.mark.fault("B4")
 def test_nothing_is_written_to_an_arm_that_is_another_one() -> None:
     """A servo of another model answers from the same port: the arm is not commanded any more."""
 
@@ -210,6 +214,7 @@ def stall(seconds: float) -> Callable[[CoupledRun], None]:
 
 
 @pytest.mark.parametrize(("seconds", "held"), [(0.045, False), (0.08, True)])
+@pytest.mark.fault("P12")
 def test_a_process_that_was_stopped_for_more_than_ten_cycles_holds(seconds: float, held: bool) -> None:
     run = CoupledRun(CELL, real=True, operator=until(0.8), actions=[(FAULT_S, stall(seconds))])
     left = run.arms["left"]
@@ -260,6 +265,7 @@ def starving(every: int) -> Callable[[CoupledRun], None]:
 
 
 @pytest.mark.parametrize("every", [4, 6, 10])
+@pytest.mark.fault("M6")
 def test_a_hold_that_is_seen_only_now_and_then_moves_hardly(every: int) -> None:
     """20, 30 and 50 ms from one state to the next; the law alone makes 13 rad/s of 30 ms."""
     run = held(PAPER, (BEGIN_S, starving(every)))
@@ -282,6 +288,7 @@ def louder(run: CoupledRun) -> None:
         arm.runner._agent = replace(agent, offline=replace(agent.offline, gains=replace(gains, **ten)))
 
 
+@pytest.mark.fault("M5")
 def test_a_hold_of_ten_times_the_gain_brakes_and_goes_on_by_its_joints() -> None:
     run = held(PAPER, (BEGIN_S, louder))
     assert fastest(run.between(BEGIN_S, END_S)) < SPEED_MAX
@@ -296,6 +303,7 @@ def test_a_hold_of_ten_times_the_gain_brakes_and_goes_on_by_its_joints() -> None
     assert moved(run.between(brakes_s + 0.3, END_S)) <= 0.03
 
 
+@pytest.mark.fault("M6")
 def test_a_hold_that_is_shaken_stays_below_the_speed_limit_and_the_torque_caps() -> None:
     def push(force_N: float) -> Callable[[CoupledRun], None]:
         return lambda run: run.world.plant.push(np.array([force_N, 0.5 * force_N, 0.0, 0.0, 0.0, 0.0]))

@@ -40,6 +40,7 @@ def test_without_a_fault_both_arms_follow_to_the_end() -> None:
     ],
     ids=["power", "overload", "reboot"],
 )
+@pytest.mark.fault("S1")
 def test_a_lost_servo_is_named_and_both_arms_hold(kind: FaultKind, servo: int, named: str, ends: Mode) -> None:
     arms = CoupledRun(CELL, [Fault(kind=kind, arm="left", servo=servo, start_s=FAULT_S)]).arms
     left, right = arms["left"], arms["right"]

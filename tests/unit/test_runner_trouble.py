@@ -47,6 +47,7 @@ def test_single_lost_states_keep_the_last_torque_and_go_on() -> None:
 
 @pytest.mark.parametrize(("count", "held"), [(HOLD_AFTER_STALE, False), (HOLD_AFTER_STALE + 1, True)])
 @pytest.mark.parametrize("first", [1, FIRST])
+@pytest.mark.fault("B3")
 def test_more_than_three_states_lost_in_a_row_hold_the_object(first: int, count: int, held: bool) -> None:
     done = run(failures=lost_at(*reads(count, first)))
     assert (Mode.HOLD in done.modes) == held

@@ -60,6 +60,7 @@ def run(rows: list[Row]) -> tuple[list[float], Flag]:
 
 
 @pytest.mark.parametrize(("wanted", "last", "bound", "step", "torque", "flags"), EXAMPLES)
+@pytest.mark.fault("M2")
 def test_exact_values(wanted: float, last: float, bound: float, step: float, torque: float, flags: Flag) -> None:
     assert limit([wanted], [last], Limits((bound,), (step,))) == ([torque], flags)
 
@@ -72,6 +73,7 @@ def test_joints_are_limited_one_by_one_and_their_flags_are_joined() -> None:
 
 @given(joints)
 @examples(300)
+@pytest.mark.fault("M1")
 def test_output_is_finite_whatever_the_law_gave(rows: list[Row]) -> None:
     torque, flags = run(rows)
     assert all(map(math.isfinite, torque))
@@ -94,6 +96,7 @@ def test_output_is_within_the_bound_when_the_last_one_was(rows: list[Row]) -> No
 
 @given(joints)
 @examples(300)
+@pytest.mark.fault("M3")
 def test_output_is_within_one_step_of_the_last_unless_the_bound_forces(
     rows: list[Row],
 ) -> None:

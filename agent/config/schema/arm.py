@@ -133,6 +133,14 @@ class GripperJoint(Servos):
     open_tick: Tick | None = None
     horn_radius_m: Length | None = None
     rod_length_m: Length | None = None
+    grip_effort: PositiveFigure | None = None  # share of full voltage or current with which it closes and keeps closed
+    pad_friction: PositiveFigure | None = None  # coefficient between finger and object
+
+    @property
+    def can_grip(self) -> bool:
+        """Whether it is described well enough to close on an object and to know that it has."""
+        needed = self.closed_tick, self.open_tick, self.horn_radius_m, self.rod_length_m, self.grip_effort
+        return None not in needed and SERVOS[self.servo].protocol == PROTOCOLS[-1]
 
 
 class ArmFile(Strict):

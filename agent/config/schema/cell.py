@@ -11,8 +11,10 @@ from pydantic import Field, model_validator
 
 from agent.config.schema.controller import Controller
 from agent.config.schema.coordination import NoticingSpec
+from agent.config.schema.hil import Hil
 from agent.config.schema.member import Arm
 from agent.config.schema.monitors import MonitorsSpec
+from agent.config.schema.session import Session
 from agent.config.schema.simulation import Simulation
 from agent.config.schema.tolerance import Tolerance
 from agent.config.schema.trajectory import TrajectorySpec
@@ -117,12 +119,27 @@ class CellFile(Strict):
     """Errors that check, tune and study count with."""
     simulation: Simulation = Simulation()
     """The simulated cell; agents do not read it."""
+    hil: Hil | None = None
+    """Real arms that rehearse with simulated partners and object; none: no arm is in the loop."""
+    session: Session | None = None
+    """From rest to the object and back; none: the arms begin with the object in their grippers."""
     report: Report
     """What the report measures and judges."""
     embedded: dict[str, str] = Field(default_factory=dict)
     """Text of files that the cell names, by name; added while loading, not written by hand."""
     arms: Annotated[list[Arm], Field(min_length=1, max_length=8)]
     """The arms, one table each."""
+
+    @property
+    def p_place_m(self) -> tuple[float, float, float]:
+        """Where the object stands before the run: its start pose, or below it where a session lifts it."""
+        lift_m = 0.0 if self.session is None else self.session.lift_m
+        size = math.hypot(*self.world.gravity_m_per_s2)
+        if not lift_m or not size:
+            return self.object.p_start_m
+        (x, y, z), (a, b, c) = self.object.p_start_m, self.world.gravity_m_per_s2
+        k = lift_m / size
+        return (x + k * a, y + k * b, z + k * c)
 
     @property
     def delay_s(self) -> float:
@@ -192,6 +209,8 @@ class CellFile(Strict):
                 remedy="name one of the cell's arms",
             )  # fmt: skip
         self.simulation.require_fit({a.name: len(a.controlled) for a in self.arms})
+        if self.hil is not None:
+            self.hil.require_fit(names, self.rate_hz, simulated=self.driver is DriverKind.SIM)
         if self.driver is DriverKind.DYNAMIXEL:
             for a in self.arms:
                 if a.dynamixel is None:

@@ -13,6 +13,7 @@ from agent.config.schema.types import (
     Angle,
     FileStem,
     Label,
+    Length,
     Name,
     PerAxis,
     Quaternion,
@@ -88,6 +89,10 @@ class Arm(Strict):
     """Angles at which all other joints are held, by joint."""
     q_near_rad: list[Angle]
     """Angles near those that hold the object at the start, one per controlled joint: they choose the elbow."""
+    rest_rad: dict[Label, Angle] = Field(default_factory=dict)
+    """Angles at which the arm rests, by joint, in the place of those of its arm file."""
+    grip_width_m: Length | None = None
+    """How wide the object is between the fingers; none: its size in the direction in which they close."""
     posture: PostureSpec | None = None
     """Null-space posture, of an arm with seven controlled joints."""
     dynamixel: DynamixelPort | None = None

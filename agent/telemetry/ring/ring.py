@@ -53,7 +53,7 @@ class RingWriter:
         """
         header = ring_file.make_header(row_format, slots=slots, name=name, joints=joints, created_ns=time.time_ns())
         try:
-            self._fd = ring_file.claim(path, header)
+            fd = ring_file.claim(path, header)
         except OSError as error:
             raise RingError(
                 f"cannot create the telemetry ring {path}",
@@ -61,20 +61,51 @@ class RingWriter:
                 expected=f"a writable directory with {header.file_bytes >> 20} MB free",
                 remedy="create the directory, free space, or take fewer slots",
             ) from error
+        self._begin(fd, header, row_format)
+
+    @classmethod
+    def go_on(cls, fd: int, row_format: RowFormat) -> Self:
+        """The ring of a writer that has died, behind its last row; fd: a descriptor of it that it has passed on.
+
+        The lock stays with whoever holds such a descriptor, so readers notice nothing.  As long as the other writer
+        lives nothing may be committed here.  Raises RingError for a file that is no such ring; fd is then closed.
+        """
+        path = Path(f"/proc/self/fd/{fd}")
+        try:
+            header = RingHeader.unpack(path, os.pread(fd, SLOTS_OFFSET, 0))
+            ring_file.check_format(path, header, row_format, os.fstat(fd).st_size)
+        except BaseException:
+            os.close(fd)
+            raise
+        self = cls.__new__(cls)
+        self._begin(fd, header, row_format)
+        return self
+
+    def _begin(self, fd: int, header: RingHeader, row_format: RowFormat) -> None:
+        self._fd = fd
         self.header = header
-        self._map = ring_file.map_file(self._fd, header.file_bytes, writable=True, at_once=True)
+        self._map = ring_file.map_file(fd, header.file_bytes, writable=True, at_once=True)
         self._bytes = memoryview(self._map)
         self._words = self._bytes.cast("Q")
         self._pack_slot_head = struct.Struct("=QI").pack_into
         self.row, self._staged = _aligned_row(row_format.dtype)
         self.row["encapsulation"] = CDR_LITTLE_ENDIAN
-        self.written = 0
+        self.written = self.catch_up()
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    def fileno(self) -> int:
+        """Descriptor of the file, lock and all, for a process that may have to go on with it."""
+        return self._fd
+
+    def catch_up(self) -> int:
+        """How many rows are in the file, whoever wrote them; the next commit goes behind them."""
+        self.written = self._words[WRITTEN_WORD]
+        return self.written
 
     def commit(self) -> None:
         """Make `row` visible as the next row.  One copy and one checksum; waits for nobody."""

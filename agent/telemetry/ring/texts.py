@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +54,21 @@ class TextWriter:
     def __init__(self, ring: Path, name: str) -> None:
         """Create `texts_path(ring)`; do so before the ring itself, for which telemetry waits.  Raises RingError."""
         self._ring = RingWriter(texts_path(ring), TEXT_FORMAT, name, slots=TEXT_SLOTS)
+
+    @classmethod
+    def go_on(cls, fd: int) -> Self:
+        """The texts of a writer that has died; see `RingWriter.go_on`.  Raises RingError."""
+        self = cls.__new__(cls)
+        self._ring = RingWriter.go_on(fd, TEXT_FORMAT)
+        return self
+
+    def fileno(self) -> int:
+        """Descriptor of the file, for a process that may have to go on with it."""
+        return self._ring.fileno()
+
+    def catch_up(self) -> int:
+        """How many texts are in the file, whoever wrote them; the next one goes behind them."""
+        return self._ring.catch_up()
 
     def event(self, event: Event) -> None:
         """Write an event."""

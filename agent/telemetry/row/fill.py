@@ -81,7 +81,7 @@ class AgentRow:
         """`message`: array of AGENT_STATE.dtype with one element, contiguous, whose memory is filled."""
         base: Any = message.reshape(1)
         for f in AGENT_FIELDS:
-            if _is_of_joints(f) or f.name in ("memory", "theta_arm", "theta_object"):
+            if _is_of_joints(f) or f.name in ("memory", "theta_arm", "theta_object", "twin_age_s"):
                 base[f.name] = 0.0
         base["encapsulation"] = CDR_LITTLE_ENDIAN
         self._bytes = base.view(np.uint8).data
@@ -96,6 +96,8 @@ class AgentRow:
         self._motion, self._motion_at = _packer("p_object_des", "dv_object_ref", joint_count), _offset("p_object_des")
         self._sent, self._sent_at = _packer("tau_limited", "sigma_min", joint_count), _offset("tau_limited")
         self._memory, self._memory_at = _packer("shift", "memory", joint_count), _offset("shift")
+        self._bridge, self._bridge_at = _packer("tau_bridge", "twin_age_s", joint_count), _offset("tau_bridge")
+        self._sent_alone, self._sent_alone_at = _packer("tau_sent", "tau_sent", joint_count), _offset("tau_sent")
         self._timing, self._timing_at = _packer("late_s", "bus_retries", joint_count), _offset("late_s")
 
     def fill(
@@ -123,11 +125,19 @@ class AgentRow:
             memory.q.tobytes(), memory.dq.tobytes(), memory.ddq.tobytes(), memory.ddq_before.tobytes(),
             memory.tau.tobytes(), memory.tau_before.tobytes(),
             _ABSENT if memory.q_hold is None else memory.q_hold.tobytes(), of_sense,
-            *(memory.hold or NO_POSE), memory.primed, memory.t, *memory.shift, memory.calm, behind,
+            *(memory.hold or NO_POSE), memory.primed, memory.t, *memory.shift, memory.calm, memory.age, behind,
         )  # fmt: skip
         if memory.estimate is not None:
             self._theta_arm[: len(memory.estimate.arm)] = memory.estimate.arm
             self._theta_object[:] = memory.estimate.object
+
+    def fill_bridge(self, sent: Vector, added: Vector, q_twin: Vector, age_s: float) -> None:
+        """What is between a real arm and its simulated twin; rows of other arms have zeros.  (n,), (n,), (n,), s.
+
+        sent: with the addition, also in a cycle without a state.
+        """
+        self._sent_alone.pack_into(self._bytes, self._sent_alone_at, sent.tobytes())
+        self._bridge.pack_into(self._bytes, self._bridge_at, added.tobytes(), q_twin.tobytes(), age_s)
 
     def fill_timing(self, late_s: float, read_s: float, step_s: float, write_s: float, bus: BusCounters) -> None:
         """Fields that may differ between two runs."""

@@ -17,7 +17,7 @@ MAX_JOINTS: Final = 7  # arms with fewer joints leave the rest at zero
 MAX_ARMS: Final = 8
 ARM_PARAMETERS: Final = MAX_JOINTS * 16  # per joint: 10 inertial, rotor inertia, 5 of friction
 OBJECT_PARAMETERS: Final = 10
-MEMORY_ARRAYS, MEMORY_REST = 10, 48  # of agent.control.memory.Memory: joint arrays, and what stands behind them
+MEMORY_ARRAYS, MEMORY_REST = 10, 49  # of agent.control.memory.Memory: joint arrays, and what stands behind them
 MEMORY_LENGTH: Final = MEMORY_ARRAYS * MAX_JOINTS + MEMORY_REST
 
 CDR_LITTLE_ENDIAN: Final = 0x00000100  # the encapsulation header 00 01 00 00, read as a little-endian u4
@@ -105,6 +105,9 @@ AGENT_FIELDS: Final[tuple[Field, ...]] = (
     _f("memory", MEMORY_LENGTH, "", "what the agent carried into this tick (agent.control.memory)"),
     _f("theta_arm", ARM_PARAMETERS, "", "adaptive arm estimate before this tick"),
     _f("theta_object", OBJECT_PARAMETERS, "", "adaptive object estimate before this tick"),
+    _f("tau_bridge", J, "N·m", "in the loop ([hil]): what the driver added for the simulated object; else zero"),
+    _f("q_twin", J, "rad", "in the loop: joints of the simulated twin; NaN before it has any; else zero"),
+    _f("twin_age_s", 0, "s", "in the loop: age of the twin's state; else zero"),
     _f("late_s", 0, "s", "how late this tick began", timing=True),
     _f("read_s", 0, "s", "duration of the bus read", timing=True),
     _f("step_s", 0, "s", "duration of the control step", timing=True),

@@ -11,6 +11,7 @@ import os
 import select
 import struct
 import termios
+from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
 
@@ -82,16 +83,23 @@ class Port(Protocol):
 class SerialPort:
     """One open serial port.
 
+    borrow: gives a descriptor of the port that another process has opened and locked; then `open` takes that one, and
+    `close` leaves the port as exclusive as it is.
     Raises PortError from `open`, PortLostError when the device goes away, WriteTimeoutError when
     it takes no more bytes.
     """
 
-    def __init__(self, path: str, baud: int, clock: Now) -> None:
+    def __init__(self, path: str, baud: int, clock: Now, borrow: Callable[[], int] | None = None) -> None:
         self.path = path
         self.baud = baud
         self.low_latency = False
         self._clock = clock
+        self._borrow = borrow
         self._fd = -1
+
+    def fileno(self) -> int:
+        """Descriptor of the open port, for a process that shall use it too.  Raises PortLostError when it is closed."""
+        return self._need_fd()
 
     @property
     def is_open(self) -> bool:
@@ -101,9 +109,10 @@ class SerialPort:
     @property
     def latency_timer_ms(self) -> int | None:
         """USB latency timer as the kernel has it; None when this is no FTDI port."""
-        name = Path(self.path).resolve().name
         try:
-            return int(Path(f"/sys/class/tty/{name}/device/latency_timer").read_text())
+            device = (os.fstat(self._fd) if self.is_open else Path(self.path).stat()).st_rdev
+            at = f"{os.major(device)}:{os.minor(device)}"  # of a borrowed port the path may not be there
+            return int(Path(f"/sys/dev/char/{at}/device/latency_timer").read_text())
         except (OSError, ValueError):
             return None
 
@@ -111,10 +120,7 @@ class SerialPort:
         """Open, lock and configure.  Raises PortError; does nothing when already open."""
         if self.is_open:
             return
-        try:
-            fd = os.open(self.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
-        except OSError as error:
-            raise open_error(self.path, error) from error
+        fd = self._open_path() if self._borrow is None else self._borrow()
         with contextlib.ExitStack() as undo:
             undo.callback(os.close, fd)
             self._claim(fd)
@@ -122,12 +128,19 @@ class SerialPort:
             undo.pop_all()
         self._fd = fd
 
+    def _open_path(self) -> int:
+        try:
+            return os.open(self.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
+        except OSError as error:
+            raise open_error(self.path, error) from error
+
     def close(self) -> None:
         """Give the port back.  Safe twice and on a dead device."""
         fd, self._fd = self._fd, -1
         if fd >= 0:
-            with contextlib.suppress(OSError):
-                fcntl.ioctl(fd, termios.TIOCNXCL)
+            if self._borrow is None:
+                with contextlib.suppress(OSError):
+                    fcntl.ioctl(fd, termios.TIOCNXCL)
             with contextlib.suppress(OSError):
                 os.close(fd)
 

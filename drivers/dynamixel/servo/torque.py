@@ -32,6 +32,10 @@ class TorqueDrive(Protocol):
         """
         ...
 
+    def goal_Nm(self, count: int, dq: float, supply_V: float) -> float:
+        """Joint torque that a goal count really asks for."""
+        ...
+
     def measured_Nm(self, present: list[int], dq: float) -> float:
         """Joint torque from register 126 of the joint's servos; NaN where it says nothing about torque."""
         ...
@@ -67,6 +71,10 @@ class CurrentDrive:
         count = max(-self._limit_count, min(self._limit_count, count))
         return count, (count - no_load) * per_servo
 
+    def goal_Nm(self, count: int, dq: float, supply_V: float) -> float:  # noqa: ARG002 the seam's
+        """See `TorqueDrive`."""
+        return self.measured_Nm([count] * self._servos, dq)
+
     def measured_Nm(self, present: list[int], dq: float) -> float:
         """See `TorqueDrive`."""
         no_load = self._no_load_count * math.tanh(dq / NO_LOAD_SMOOTH_RAD_PER_S) if self._no_load_count else 0.0
@@ -95,6 +103,11 @@ class PwmDrive:
         count_V = pwm_count_V(supply_V)
         count = max(-self._limit_count, min(self._limit_count, round(wanted_V / count_V)))
         return count, (count * count_V - self._back_emf_V_s_per_rad * dq) * per_volt
+
+    def goal_Nm(self, count: int, dq: float, supply_V: float) -> float:
+        """See `TorqueDrive`."""
+        back_emf_V = self._back_emf_V_s_per_rad * dq
+        return (count * pwm_count_V(supply_V) - back_emf_V) * self._servos * self._per_volt_Nm
 
     def measured_Nm(self, present: list[int], dq: float) -> float:  # noqa: ARG002 the seam's
         """NaN: Present Load is the servo's own guess, not a torque."""

@@ -54,6 +54,7 @@ def killed_at_random(path: Path, chance: random.Random) -> int:
 
 
 @pytest.mark.parametrize("seed", range(KILLS))
+@pytest.mark.fault("D4")
 def test_a_second_is_lost_at_most_and_every_reader_reads_the_rest(tmp_path: Path, seed: int) -> None:
     path = tmp_path / "run.mcap"
     batches = killed_at_random(path, random.Random(seed))

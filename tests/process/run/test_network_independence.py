@@ -7,6 +7,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import pytest
 import zenoh
 from numpy.typing import NDArray
 
@@ -105,6 +106,7 @@ def flooded(folder: Path) -> dict[str, NDArray[np.void]]:
     return read.agents
 
 
+@pytest.mark.fault("N1")
 def test_torque_is_the_same_without_network_with_it_and_under_a_flood(
     paper_runs: tuple[Path, Path], tmp_path: Path
 ) -> None:

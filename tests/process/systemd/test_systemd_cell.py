@@ -22,7 +22,7 @@ pytestmark = [
 
 CELL = SYSTEMD.parent / "configs/cells/paper.toml"
 ARMS = ("left", "right")
-AGENTS = tuple(f"coop-agent@{arm}.service" for arm in ARMS)
+AGENTS, GUARDS = (tuple(f"coop-{what}@{arm}.service" for arm in ARMS) for what in ("agent", "guard"))
 
 
 @contextmanager
@@ -105,10 +105,23 @@ def test_a_killed_recorder_comes_back_and_a_killed_agent_does_not(tmp_path: Path
         machine.run("sleep", "3")
         assert [machine.show(unit, "MainPID") for unit in AGENTS] == agents, "the arms do not notice"
 
+        machine.run("systemctl", "kill", "--signal=SIGKILL", GUARDS[1])
+        machine.wait_for(GUARDS[1], "NRestarts", "1")
+        machine.wait_for(GUARDS[1], "StatusText", "watches the agent")
+        machine.wait_for(
+            AGENTS[1], "StatusText", "HOLDING the object; `coop release` (or SIGUSR1) once it is supported"
+        )
+
         machine.run("systemctl", "kill", "--signal=SIGKILL", AGENTS[0])
         machine.wait_for(AGENTS[0], "ActiveState", "failed")
         assert machine.show(AGENTS[0], "Result") == "signal"
+        machine.run("sleep", "2")
+        assert machine.show(GUARDS[0], "ActiveState") == "active", machine.journal(GUARDS[0])
         stop(machine)
+        for guard in GUARDS:
+            machine.wait_for(guard, "ActiveState", "inactive")
+            assert machine.show(guard, "Result") == "success", machine.journal(guard)
+        assert len(list((machine.root / "var/lib/coop/post-mortem/left").glob("*.mcap"))) == 1
         assert machine.show(AGENTS[0], "NRestarts") == "0"
         cut, after = logs(machine)
         with cut.open("rb") as file:
@@ -117,6 +130,6 @@ def test_a_killed_recorder_comes_back_and_a_killed_agent_does_not(tmp_path: Path
     assert summary is not None, "the log that was cut short has been repaired"
     assert summary.statistics is not None
     assert summary.statistics.message_count > 100
-    assert log["left.end"] == "died"
+    assert log["left.end"] == "finished", "the guard went on in the agent's ring"
     for arm in ARMS:
         assert int(log[f"{arm}.rows_recorded"]) > 200, log

@@ -119,6 +119,7 @@ def test_a_hanging_agent_is_ended_named_and_not_started_again(machine: Machine) 
     assert machine.run("cat", "/run/coop/hang/hang.ring") == "last words", "the black box stays"
 
 
+@pytest.mark.fault("P6")
 def test_a_stopped_agent_holds_until_a_person_releases_it(machine: Machine) -> None:
     unit = "coop-agent@hold.service"
     machine.run("systemctl", "start", unit)

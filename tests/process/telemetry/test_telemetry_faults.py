@@ -45,6 +45,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.fault("D4")
 def test_a_killed_recorder_leaves_a_readable_log_and_the_next_one_gets_everything(folder: Path) -> None:
     total = 1500
     with one_arm(folder, total) as (rec, tel, agent, endpoint):
@@ -72,6 +73,7 @@ def test_a_killed_recorder_leaves_a_readable_log_and_the_next_one_gets_everythin
     assert kept <= before
 
 
+@pytest.mark.fault("N2")
 def test_a_recorder_that_stands_still_costs_no_row(folder: Path) -> None:
     with one_arm(folder, 2500) as (rec, tel, agent, _):
         wait_for(lambda: written(folder / "left.ring") > 200)
@@ -84,6 +86,7 @@ def test_a_recorder_that_stands_still_costs_no_row(folder: Path) -> None:
     assert rows_in(folder / "run.mcap") == prefix(2500, 2500)
 
 
+@pytest.mark.fault("N1")
 def test_a_recorder_that_comes_late_gets_everything_the_ring_holds(folder: Path) -> None:
     ring = folder / "left.ring"
     with recorder(folder / "first.mcap", arms=LEFT) as first:
@@ -100,6 +103,7 @@ def test_a_recorder_that_comes_late_gets_everything_the_ring_holds(folder: Path)
     assert rows_in(folder / "run.mcap") == prefix(400, 400)
 
 
+@pytest.mark.fault("P10")
 def test_telemetry_that_is_killed_and_started_again_leaves_no_gap(folder: Path) -> None:
     with one_arm(folder, 1500) as (rec, tel, agent, endpoint):
         wait_for(lambda: written(folder / "left.ring") > 300)
@@ -223,6 +227,7 @@ def wrong_messages(good: bytes) -> list[tuple[str, bytes, bytes | None]]:
     ]
 
 
+@pytest.mark.fault("N5")
 def test_a_flood_of_wrong_messages_neither_breaks_nor_pollutes_the_log(folder: Path) -> None:
     with one_arm(folder, 1000) as (rec, tel, agent, endpoint):
         wait_for(lambda: written(folder / "left.ring") > 100)
@@ -246,6 +251,7 @@ def test_a_flood_of_wrong_messages_neither_breaks_nor_pollutes_the_log(folder: P
     assert {e.source for e in log.events} <= {"left", "recorder"}
 
 
+@pytest.mark.fault("N5")
 def test_a_message_of_any_size_does_not_fill_the_recorders_memory(folder: Path) -> None:
     with one_arm(folder, 1000) as (rec, tel, agent, endpoint):
         wait_for(lambda: written(folder / "left.ring") > 100)
@@ -275,6 +281,7 @@ def record_on_a_small_disk(
     return record.run(options, stop, ready)
 
 
+@pytest.mark.fault("D1")
 def test_a_disk_that_is_full_stops_the_log_and_nothing_else(folder: Path) -> None:
     ring, total = folder / "left.ring", 20_000
     options = RecordOptions(folder / "run.mcap", scene(CELL, LEFT), CONFIG_ID, min_free_bytes=1 << 20)

@@ -118,6 +118,7 @@ def forge(network: Network, *, may_connect: bool) -> None:
         assert has_link(opened.session) == may_connect
 
 
+@pytest.mark.fault("N3")
 def test_only_the_arm_itself_gets_into_the_log(tmp_path: Path, keys: Path) -> None:
     port = free_port()
     ring = tmp_path / "left.ring"

@@ -75,6 +75,7 @@ def test_a_leak_keeps_adaptive_arms_that_disagree_from_winding_up() -> None:
 
 
 @pytest.mark.parametrize("wrench", [0.0, 12.0])
+@pytest.mark.fault("F5")
 def test_a_push_on_the_object_is_noticed_and_nothing_else_is(wrench: float) -> None:
     noticed: list[int] = []
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 import struct
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -29,11 +30,13 @@ def merged_reply(ids, blocks, errors=None) -> bytes:
 
 
 @given(NASTY)
+@pytest.mark.fault("B9")
 def test_stuffing_is_undone(payload):
     assert codec.unstuff(codec.stuff(payload)) == payload
 
 
 @given(NASTY)
+@pytest.mark.fault("B9")
 def test_stuffed_payload_never_shows_a_header(payload):
     assert codec.HEADER not in codec.stuff(payload)
 
@@ -122,6 +125,7 @@ def test_no_part_of_an_answer_to_another_cycle_is_ever_believed(ids, fast, data)
 
 
 @given(IDS, st.data())
+@pytest.mark.fault("B8")
 def test_status_packet_of_another_length_is_late_and_never_a_state(ids, data):
     more = data.draw(st.integers(1, 8))
     late = b"".join(codec.status(i, 0, bytes(10 + more)) for i in ids)
@@ -136,6 +140,7 @@ def test_sync_write_equals_the_general_builder(ids, data):
     assert GroupWrite(100, "h", ids).packet(values) == expected
 
 
+@pytest.mark.fault("B9")
 def test_sync_write_stuffs_what_needs_it():
     group = GroupWrite(116, "i", [1, 2])
     packet = group.packet([-513, 0])  # FF FD FF FF after ID 1: no pattern
@@ -174,6 +179,7 @@ def _mutate(rng: random.Random, packet: bytes) -> bytes:
     return bytes(data)
 
 
+@pytest.mark.fault("B8")
 def test_a_hundred_thousand_damaged_packets_give_no_wrong_value():
     rng = random.Random(20)
     ids = [1, 2, 3]

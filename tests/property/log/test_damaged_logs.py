@@ -96,6 +96,7 @@ def check_rows(got: np.ndarray) -> None:
 @pytest.mark.timeout(7200)
 @EXAMPLES
 @given(damage())
+@pytest.mark.fault("D6")
 def test_no_reader_of_a_damaged_log_says_anything_wrong(data: bytes) -> None:
     with folder() as here:
         path, whole = here / "run.mcap", here / "whole.mcap"

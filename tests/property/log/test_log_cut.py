@@ -8,6 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -44,6 +45,7 @@ def read(data: bytes) -> RunLog | None:
             return None
 
 
+@pytest.mark.fault("D5")
 def test_every_cut_gives_everything_before_it() -> None:
     data, rows, ends = original()
     assert len(ends) == BATCHES
@@ -53,6 +55,7 @@ def test_every_cut_gives_everything_before_it() -> None:
 
 
 @given(st.data())
+@pytest.mark.fault("D5")
 def test_any_cut_gives_everything_before_it(choice: st.DataObject) -> None:
     data, rows, ends = original()
     check_cut(data, rows, ends, choice.draw(st.integers(0, len(data) - 1)))
@@ -73,6 +76,7 @@ def check_cut(data: bytes, rows: dict[str, np.ndarray], ends: list[int], cut: in
 
 
 @given(st.data())
+@pytest.mark.fault("D6")
 def test_a_flipped_bit_is_told_of_and_never_gives_a_wrong_row(choice: st.DataObject) -> None:
     data, rows, _ = original()
     damaged = bytearray(data)

@@ -9,7 +9,7 @@ from collections import defaultdict
 from pathlib import Path
 
 SYSTEMD = Path(__file__).parents[3] / "systemd"
-SERVICES = ("coop-agent@left", "coop-telemetry@left", "coop-recorder", "coop-rings", "coop-ros2")
+SERVICES = ("coop-agent@left", "coop-telemetry@left", "coop-recorder", "coop-rings", "coop-ros2", "coop-guard@left")
 OPTIONAL = ("coop-ros2",)  # started by nobody until it is enabled
 SIMULATED = (*SERVICES, "coop-plant", "coop-telemetry@plant")
 
@@ -17,10 +17,13 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "real": (),
     "simulated": ("simulated",),
     "several hosts": ("several-hosts",),
+    "rehearsal": ("rehearsal",),
     "both": ("simulated", "several-hosts"),
 }
 CASES = [  # every unit under every choice of drop-ins
-    (choices, name) for choices in CHOICES.values() for name in (SIMULATED if "simulated" in choices else SERVICES)
+    (choices, name)
+    for choices in CHOICES.values()
+    for name in (SIMULATED if {"simulated", "rehearsal"} & set(choices) else SERVICES)
 ]
 
 Unit = dict[str, list[str]]

@@ -53,6 +53,7 @@ READS = {
     "export": ("export", BAD),
     "recover": ("recover", BAD),
     "doctor": ("doctor", BAD),
+    "faults inject": ("faults", "inject", BAD, "bus-off"),
     "motors restore": ("motors", "restore", BAD, "--port", "/dev/null"),
 }
 
@@ -85,6 +86,16 @@ OTHERS = {
     "view --live without a recorder": ("view", PAPER, "--live", "--no-browser", "--connect", "tcp/127.0.0.1:9"),
     "compare of one": ("compare", "log.mcap"),
     "where of nothing": ("where", "nothing_here"),
+    "faults list of something": ("faults", "list", "something"),
+    "faults inject of nothing": ("faults", "inject", PAPER, "nothing-off"),
+    "faults inject into an unknown arm": ("faults", "inject", PAPER, "bus-off", "--arm", "middle"),
+    "faults inject into an unknown servo": ("faults", "inject", PAPER, "bus-off", "--servo", "99"),
+    "faults inject --at nan": ("faults", "inject", PAPER, "bus-off", "--at", "nan"),
+    "faults inject --for 0": ("faults", "inject", PAPER, "bus-off", "--for", "0"),
+    "faults inject --size -1": ("faults", "inject", PAPER, "bus-delayed", "--size", "-1"),
+    "faults inject --duration nan": ("faults", "inject", PAPER, "bus-off", "--duration", "nan"),
+    "faults inject --out a file": ("faults", "inject", PAPER, "bus-off", "--out", "a_file"),
+    "faults inject on real arms": ("faults", "inject", PAPER, "bus-off", "--set", "driver=dynamixel"),
     "check --set": ("check", PAPER, "--set", ""),
     "tune --form": ("tune", PAPER, "--form", "other"),
     "tune --damping nan": ("tune", PAPER, "--damping", "nan"),
@@ -112,6 +123,11 @@ OTHERS = {
     "agent --port": ("agent", PAPER, *LEFT, "--driver", "dynamixel", "--port", "a_file", "--control", "socket"),
     "agent --control": ("agent", PAPER, *LEFT, "--driver", "dynamixel", "--port", "x", "--control", "a_file"),
     "agent --priority": ("agent", PAPER, "--arm", "left", "--priority", "100"),
+    "agent without its guard": ("agent", PAPER, *LEFT, "--control", "socket", "--real-time", "--guard", "x"),
+    "agent in lockstep with a guard": ("agent", PAPER, *LEFT, "--guard", "x"),
+    "guard of an unknown arm": ("guard", PAPER, "--arm", "middle"),
+    "guard --port": ("guard", PAPER, "--arm", "left", "--driver", "dynamixel", "--port", "a_file"),
+    "guard --priority": ("guard", PAPER, "--arm", "left", "--priority", "0"),
     "plant --socket": ("plant", PAPER, "--socket", "a_file", "--ring", "ring"),
     "plant --socket nowhere": ("plant", PAPER, "--socket", "no/where", "--ring", "ring"),
     "plant --ring": ("plant", PAPER, "--socket", "socket", "--ring", "a_folder"),
@@ -136,6 +152,11 @@ OTHERS = {
     "export --format": ("export", "a_file", "--format", "xlsx"),
     "identify --cutoff-hz": ("identify", "a_file", "--cutoff-hz", "0"),
     "doctor of an unknown arm": ("doctor", PAPER, "--arm", "middle"),
+    "approach of an unknown arm": ("approach", PAPER, "--arm", "middle"),
+    "grasp of an unknown arm": ("grasp", PAPER, "--arm", "middle"),
+    "park of an unknown arm": ("park", PAPER, "--arm", "middle"),
+    "lower --at": ("lower", PAPER, "--at", "25:00:00"),
+    "guide --ever": ("guide", PAPER, "--ever"),
     "motors setup --arm-model": ("motors", "setup", "--port", "/dev/null", "--arm-model", "other", "--joint", "elbow"),
     "motors setup --joint": ("motors", "setup", "--port", "/dev/null", "--arm-model", "wx200", "--joint", "knee"),
     "motors setup --port": ("motors", "setup", "--port", "a_file", "--arm-model", "wx200", "--joint", "elbow"),
@@ -182,6 +203,7 @@ NO_FAULTS = ("emulate --faults", "empty")  # is a file of no faults, with which 
 
 
 @pytest.mark.parametrize(("case", "bad"), [pair for pair in product(READS, NO_FILES) if pair != NO_FAULTS])
+@pytest.mark.fault("G1")
 def test_a_file_that_is_none_is_one_line(folder: Path, case: str, bad: str) -> None:
     line = refused(*(word.replace(BAD, bad) for word in READS[case]))
     assert bad.rpartition("/")[2] in line, "says which file"
@@ -197,5 +219,7 @@ def test_any_other_bad_word_is_one_line(folder: Path, case: str) -> None:
 
 
 def test_no_command_is_forgotten() -> None:
-    seen = {tuple(words[: 2 if words[0] == "motors" else 1]) for words in (*READS.values(), *OTHERS.values())}
+    seen = {
+        tuple(words[: 2 if words[0] in ("motors", "faults") else 1]) for words in (*READS.values(), *OTHERS.values())
+    }
     assert seen == set(commands())

@@ -85,6 +85,7 @@ def test_every_shipped_cell_passes_its_checks() -> None:
         ("format = 1", "format = 2", "format"),
     ],
 )
+@pytest.mark.fault("G1")
 def test_wrong_values_are_refused_with_the_key(old: str, new: str, expected: str) -> None:
     assert expected in refusal(changed(old, new))
 
@@ -157,6 +158,7 @@ def test_stretched_arm_has_a_singular_jacobian(paper: Cell) -> None:
     assert along < 1e-3 < 0.02 < bent
 
 
+@pytest.mark.fault("S7")
 def test_a_servo_without_torque_cannot_be_controlled() -> None:
     raw = TEXT.replace('"wrist_angle"]', '"wrist_angle", "wrist_rotate"]', 1).replace(", wrist_rotate = 0.0", "", 1)
     raw = raw.replace("q_near_rad = [-0.4, 0.8, -0.4]", "q_near_rad = [-0.4, 0.8, -0.4, 0.0]", 1)
@@ -169,6 +171,7 @@ def test_unstable_rate_is_refused_with_the_radius() -> None:
     assert "raise rate_hz" in text
 
 
+@pytest.mark.fault("G4")
 def test_too_much_torque_is_refused() -> None:
     text = refusal(changed("[report]", "[safety]\ntau_max_fraction_of_stall = 0.05\n\n[report]"))
     assert "torque along the trajectory" in text

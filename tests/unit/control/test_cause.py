@@ -84,6 +84,7 @@ def lab() -> Laboratory:
     ("kind", "cause"),
     [(FaultKind.LIMP, Cause.WEIGHT), (FaultKind.HOLD, Cause.BACK), (FaultKind.LOCKED, Cause.BACK)],
 )
+@pytest.mark.fault("F1", "F2")
 def test_the_neighbour_of_a_fault_names_it(lab: Laboratory, kind: FaultKind, cause: Cause, at_s: float) -> None:
     run = Run(lab, None, [Fault(kind=kind, arm="left", at_s=at_s)])
     while run.t < at_s + 0.15 and run.places[1].mode is not Mode.HOLD:
@@ -95,6 +96,7 @@ def test_the_neighbour_of_a_fault_names_it(lab: Laboratory, kind: FaultKind, cau
 
 
 @pytest.mark.parametrize(("force_N", "noticed"), [(10.0, True), (2.0, False)])
+@pytest.mark.fault("F5")
 def test_a_push_is_noticed_and_a_touch_is_not(lab: Laboratory, force_N: float, noticed: bool) -> None:
     run = Run(lab, None)
     while run.t < 0.8:

@@ -3,30 +3,11 @@
 from __future__ import annotations
 
 import ast
-import importlib
-import pkgutil
 import re
 from pathlib import Path
 
-import agent
-import drivers
-import sim_backend
-from drivers.interface import Refusal
+from tests.faults.page import refusals
 from tests.support.documents import ROOT
-
-
-def refusals() -> set[type[Refusal]]:
-    """Every kind of refusal that any of our modules defines."""
-    for package in (agent, drivers, sim_backend):
-        for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
-            if not module.name.endswith("__main__"):
-                importlib.import_module(module.name)
-    found, todo = set(), {Refusal}
-    while todo:
-        kind = todo.pop()
-        found.add(kind)
-        todo |= set(kind.__subclasses__())
-    return {kind for kind in found if kind.__module__.split(".")[0] in ("agent", "drivers", "sim_backend")}
 
 
 def literal_exits(folder: Path) -> set[int]:

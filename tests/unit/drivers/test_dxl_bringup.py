@@ -42,6 +42,7 @@ def torque_never_on(rig) -> bool:
     return not asked and all(rig.get(s.id, table.TORQUE_ENABLE) == 0 for s in rig.bus.servos)
 
 
+@pytest.mark.fault("P9")
 def test_connect_leaves_the_arm_as_it_is():
     rig = build()
     rig.put(2, table.GOAL_CURRENT, 7)
@@ -52,6 +53,7 @@ def test_connect_leaves_the_arm_as_it_is():
     assert info.tau_max_Nm.tolist() == [4.0, 2.0, 2.0, 0.5]
 
 
+@pytest.mark.fault("S7")
 def test_every_servo_gets_mode_then_goal_then_watchdog_then_torque():
     rig = enabled()
     order = writes(rig)
@@ -148,6 +150,7 @@ def refused(rig, error, match) -> ConnectError:
     return caught.value
 
 
+@pytest.mark.fault("G3")
 def test_missing_servo():
     rig = build()
     rig.servo(5).deaf = True
@@ -170,6 +173,7 @@ def test_extra_servo():
     assert error.servo_id == 9
 
 
+@pytest.mark.fault("B8")
 def test_two_servos_with_one_id():
     rig = build()
     rig.put(7, table.ID, 6)
@@ -177,12 +181,14 @@ def test_two_servos_with_one_id():
     assert error.servo_id == 6
 
 
+@pytest.mark.fault("G3")
 def test_wrong_model():
     other = tuple(replace(j, servo=XM) if j.name == "wrist_rotate" else j for j in WX200.joints)
     rig = build(emulated=at(WX200, joints=other))
     refused(rig, IdentityError, r"servo 6 \(wrist_rotate\): model: found XM430-W350, expected XL430-W250")
 
 
+@pytest.mark.fault("G5")
 def test_old_firmware():
     """One that really is so old has no Drive Mode register to be set up with, so a newer one says that it is."""
     rig = build()
@@ -198,6 +204,7 @@ def test_no_power():
     assert rig.port.baud == WX200.baud
 
 
+@pytest.mark.fault("B10")
 def test_wrong_speed_is_named():
     rig = build(at(WX200, baud=3_000_000), emulated=WX200)
     refused(rig, IdentityError, "answers at 1000000 bit/s, expected 3000000 bit/s")
@@ -213,6 +220,7 @@ def test_wrong_speed_is_named():
         (table.CURRENT_LIMIT, 2, 100, "Current Limit: found 100, expected at least 418"),
     ],
 )
+@pytest.mark.fault("G4", "G5")
 def test_what_says_how_the_arm_is_built_is_not_overwritten(register, servo_id, value, match):
     rig = build()
     rig.put(servo_id, register, value)
@@ -233,11 +241,13 @@ def test_hardware_error_at_start():
     refused(rig, IdentityError, r"servo 4 \(elbow\): hardware error: found OVERLOAD")
 
 
+@pytest.mark.fault("G3")
 def test_arm_far_from_its_start_pose():
     rig = build(at(WX200, joints=tuple(replace(j, start_rad=1.0) if j.name == "elbow" else j for j in WX200.joints)))
     refused(rig, PoseError, r"servo 4 \(elbow\): start pose: found 0.699 rad, expected 0.850")
 
 
+@pytest.mark.fault("P9")
 def test_torque_found_on():
     rig = build()
     rig.put(4, table.TORQUE_ENABLE, 1)
@@ -247,17 +257,20 @@ def test_torque_found_on():
     assert rig.get(2, table.TORQUE_ENABLE) == 0
 
 
+@pytest.mark.fault("B10")
 def test_slow_latency_timer_measured():
     slow = BusTiming(usb=UsbTiming(latency_ns=16_000_000))
     refused(build(timing=slow), PaceError, "latency timer to 1 ms")
 
 
+@pytest.mark.fault("B10")
 def test_slow_latency_timer_as_the_kernel_says():
     rig = build()
     rig.port.latency_timer_ms = 16
     refused(rig, PortError, "USB latency timer: found 16 ms, expected 1 ms")
 
 
+@pytest.mark.fault("B10")
 def test_rate_that_the_wire_cannot_carry():
     refused(build(at(WX200, rate_hz=800.0)), PaceError, r"found 800 Hz, expected at most \d+ Hz for 7 servos")
 

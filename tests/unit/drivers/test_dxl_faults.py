@@ -89,6 +89,7 @@ def test_a_healthy_arm_never_complains():
 
 
 @pytest.mark.parametrize(("kind", "rate_hz"), [(FaultKind.CORRUPT, 200.0), (FaultKind.DROP, 100.0)])
+@pytest.mark.fault("B1")
 def test_one_lost_reply_is_asked_for_again_where_the_period_has_room(kind, rate_hz):
     rig = enabled(at(WX200, rate_hz=rate_hz), timing=WIRE)
     cycles(rig, 20, 0.2 * TAU)
@@ -101,6 +102,7 @@ def test_one_lost_reply_is_asked_for_again_where_the_period_has_room(kind, rate_
 
 @pytest.mark.parametrize("kind", [FaultKind.DROP, FaultKind.CORRUPT])
 @pytest.mark.parametrize("servo_id", [2, 4, 6])
+@pytest.mark.fault("B1")
 def test_a_servo_whose_replies_are_lost_does_not_void_the_others(kind, servo_id):
     rig = warm()
     rig.fault(kind, servo_id)
@@ -117,6 +119,7 @@ def test_a_servo_whose_replies_are_lost_does_not_void_the_others(kind, servo_id)
     assert max(c.read_ns for c in done) < PERIOD_NS
 
 
+@pytest.mark.fault("B1")
 def test_replies_lost_at_random_leave_only_fresh_values():
     rig = warm()
     for kind in (FaultKind.DROP, FaultKind.CORRUPT, FaultKind.DUPLICATE):
@@ -131,6 +134,7 @@ def test_replies_lost_at_random_leave_only_fresh_values():
 
 @pytest.mark.parametrize("delay_ms", [5.0, 10.0, 15.0, 35.0])
 @pytest.mark.parametrize("firmware", [46, 44])
+@pytest.mark.fault("B7")
 def test_answers_to_earlier_cycles_are_never_a_state(delay_ms, firmware):
     rig = enabled(timing=WIRE, firmware=firmware)
     cycles(rig, 20)
@@ -142,6 +146,7 @@ def test_answers_to_earlier_cycles_are_never_a_state(delay_ms, firmware):
 
 @pytest.mark.parametrize("servo_id", [2, 4])
 @pytest.mark.parametrize("firmware", [46, 44])
+@pytest.mark.fault("B7")
 def test_one_servo_a_cycle_late_is_never_a_state(servo_id, firmware):
     rig = enabled(timing=WIRE, firmware=firmware)
     cycles(rig, 20)
@@ -162,6 +167,7 @@ def test_duplicated_replies_do_no_harm():
 @pytest.mark.parametrize("kind", [FaultKind.SILENT, FaultKind.MUTE, FaultKind.POWER_LOSS])
 @pytest.mark.parametrize("servo_id", [2, 3, 6, 7])
 @pytest.mark.parametrize("silent", list(SilentPredecessor))
+@pytest.mark.fault("B2", "S2")
 def test_a_silent_servo_is_named_within_fifty_milliseconds(kind, servo_id, silent):
     rig = warm(bus_options=BusOptions(silent_predecessor=silent))
     rig.fault(kind, servo_id)
@@ -172,6 +178,7 @@ def test_a_silent_servo_is_named_within_fifty_milliseconds(kind, servo_id, silen
     assert max(c.read_ns for c in done) < PERIOD_NS
 
 
+@pytest.mark.fault("B3")
 def test_all_silent():
     rig = warm()
     rig.fault(FaultKind.SILENT)
@@ -181,6 +188,7 @@ def test_all_silent():
 
 
 @pytest.mark.parametrize("servo_id", [1, 2, 3, 6])
+@pytest.mark.fault("S4")
 def test_a_rebooted_servo_is_a_fault_within_fifty_milliseconds(servo_id):
     options = ServoOptions(boot_ns=1_000_000)  # back at once: the hard case, for it answers as if nothing had happened
     rig = warm(servo_options=options)
@@ -202,6 +210,7 @@ def test_lost_torque_is_a_fault_within_fifty_milliseconds(servo_id):
 
 @pytest.mark.parametrize("kind", [FaultKind.OVERLOAD, FaultKind.ELECTRICAL_SHOCK])
 @pytest.mark.parametrize("servo_id", [2, 3, 7])
+@pytest.mark.fault("S1")
 def test_hardware_errors_are_read_within_two_cycles_of_the_alert(kind, servo_id):
     rig = warm()
     rig.fault(kind, servo_id)
@@ -225,6 +234,7 @@ def test_a_fault_is_raised_every_cycle_with_the_fresh_state():
 
 @pytest.mark.parametrize("stop", list(Stop))
 @pytest.mark.parametrize("feed", list(WatchdogFeed))
+@pytest.mark.fault("S6")
 def test_a_tripped_watchdog_is_named(stop, feed):
     rig = warm(servo_options=ServoOptions(watchdog_stop=stop, watchdog_feed=feed))
     rig.clock.sleep_until(rig.clock.now_ns() + 250_000_000)
@@ -233,6 +243,7 @@ def test_a_tripped_watchdog_is_named(stop, feed):
 
 
 @pytest.mark.parametrize("stop", list(Stop))
+@pytest.mark.fault("S6")
 def test_a_tripped_watchdog_can_be_armed_again_without_losing_torque_or_jumping(stop):
     rig = warm(servo_options=ServoOptions(watchdog_stop=stop))
     rig.clock.sleep_until(rig.clock.now_ns() + 250_000_000)
@@ -266,6 +277,7 @@ def test_torque_without_current_is_a_fault():
     assert (done[-1].error.cause, done[-1].error.servo_id) == (FaultCause.NO_EFFECT, 4)
 
 
+@pytest.mark.fault("S5")
 def test_an_impossible_step_is_not_believed_once_and_is_a_fault_twice():
     rig = warm()
     rig.fault(FaultKind.ENCODER_OFFSET, 5, offset_ticks=57)
@@ -283,6 +295,7 @@ def test_whole_turns_in_the_count_change_nothing():
     assert np.allclose(after[0].state.q, before, atol=0.05)
 
 
+@pytest.mark.fault("B5")
 def test_babble_ends_by_its_deadline():
     rig = warm()
     rig.fault(FaultKind.BABBLE)
@@ -291,6 +304,7 @@ def test_babble_ends_by_its_deadline():
     assert max(c.read_ns for c in done) < PERIOD_NS
 
 
+@pytest.mark.fault("B6")
 def test_a_port_that_is_stuck_ends_within_a_cycle():
     rig = warm()
     rig.fault(FaultKind.STALL)
@@ -305,6 +319,7 @@ def test_a_port_that_is_stuck_ends_within_a_cycle():
     assert rig.clock.now_ns() - begin_ns <= 2 * PERIOD_NS
 
 
+@pytest.mark.fault("B4")
 def test_a_port_that_vanishes_is_an_error_and_comes_back_as_the_same_arm():
     rig = warm()
     rig.port.lost = True
@@ -321,6 +336,7 @@ def test_a_port_that_vanishes_is_an_error_and_comes_back_as_the_same_arm():
     assert all(c.error is None for c in cycles(rig, 20))
 
 
+@pytest.mark.fault("B4")
 def test_another_arm_on_the_port_is_not_written_to():
     rig = warm()
     other = build(at(WX200, joints=tuple(replace(j, servo=XL, tau_max_Nm=0.2) for j in WX200.joints)))
@@ -380,6 +396,7 @@ def test_torques_above_the_limit_are_never_sent():
 
 
 @pytest.mark.parametrize("bad", [float("nan"), float("inf")])
+@pytest.mark.fault("M1")
 def test_a_torque_that_is_no_number_sends_nothing(bad):
     rig = warm()
     before = rig.get(2, table.GOAL_CURRENT)

@@ -274,6 +274,7 @@ def test_a_servo_that_restarts_is_silent_while_it_boots_and_restarted_from_then_
     ]
 
 
+@pytest.mark.fault("S4")
 def test_a_dip_of_the_supply_ends_in_restarted_for_every_servo() -> None:
     rig, _ = running(servo_options=ServoOptions(boot_ns=100_000_000))
     rig.fault(FaultKind.POWER_LOSS, duration_s=0.02)

@@ -72,6 +72,7 @@ def largest_file(size: int) -> Iterator[None]:
 
 
 @pytest.mark.parametrize("room", [1, 3_000, 50_000])
+@pytest.mark.fault("D1")
 def test_a_full_disk_ends_the_file_at_its_last_good_chunk_and_raises_nothing(tmp_path: Path, room: int) -> None:
     rows = make_rows("left", 400)
     maker = LogMaker(tmp_path / "run.mcap", has_plant=False)
@@ -105,6 +106,7 @@ def test_a_disk_that_fills_up_is_told_of_while_there_is_room_to_finish(tmp_path:
     assert len(read_log(tmp_path / "run.mcap").agents["left"]) == 10
 
 
+@pytest.mark.fault("D2")
 def test_a_disk_that_takes_its_time_to_sync_stops_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     entered, release = threading.Event(), threading.Event()
 
@@ -122,6 +124,7 @@ def test_a_disk_that_takes_its_time_to_sync_stops_nothing(tmp_path: Path, monkey
     assert maker.finish()
 
 
+@pytest.mark.fault("D3")
 def test_a_disk_that_is_gone_is_noticed_at_the_next_sync(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     entered = threading.Event()
 

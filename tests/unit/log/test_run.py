@@ -54,7 +54,7 @@ def test_rows_are_chosen_by_time_and_by_anything(made: Made) -> None:
         some.where(some["q"][:, 0] > 0)["tau_cmd"], rows["left"][20:40][some["q"][:, 0] > 0]["tau_cmd"][:, :3]
     )
     assert len(run["left"].between(5.0, 6.0)) == 0
-    assert repr(some) == "<left: 20 rows, 0.100 s to 0.195 s, 58 fields>"
+    assert repr(some) == "<left: 20 rows, 0.100 s to 0.195 s, 61 fields>"
 
 
 def test_a_frame_has_the_columns_under_their_names_and_the_time_as_index(

@@ -31,6 +31,7 @@ def test_a_cell_within_its_tolerance_trips_no_monitor(name: str, seed: int) -> N
 
 
 @pytest.mark.parametrize("factor", [0.7, 1.3])
+@pytest.mark.fault("S8")
 def test_s8_torque_constants_and_friction_off_by_a_third_are_no_trip(factor: float) -> None:
     cell = load("two_wx200", "simulation.ready_s=2.0")
     wrong = ArmReality(friction=factor, torque_constant=(factor,) * 3)
@@ -40,6 +41,7 @@ def test_s8_torque_constants_and_friction_off_by_a_third_are_no_trip(factor: flo
 
 
 @pytest.mark.parametrize("gravity", ["[0.0, 0.0, 9.81]", "[9.81, 0.0, 0.0]"], ids=["up", "sideways"])
+@pytest.mark.fault("G6")
 def test_g6_a_wrong_gravity_is_refused_before_the_start(gravity: str) -> None:
     wrong = load("two_wx200", f"world.gravity_m_per_s2={gravity}")
     seen = watched(load("two_wx200"), 0.1, believed=wrong)
@@ -48,12 +50,14 @@ def test_g6_a_wrong_gravity_is_refused_before_the_start(gravity: str) -> None:
     assert seen.places[0].mode is Mode.HOLD, "no start out of a hold"
 
 
+@pytest.mark.fault("G6")
 def test_g6_another_arm_than_the_files_is_refused_before_the_start() -> None:
     heavy = Reality(arms={name: ArmReality(masses=2.0) for name in ("left", "right")})
     seen = watched(load("two_wx200"), 0.1, reality=heavy)
     assert seen.names == {Name.GRAVITY}
 
 
+@pytest.mark.fault("G6")
 def test_g6_a_missing_object_is_refused_where_the_arms_are_known_well_enough() -> None:
     known = ("tolerance.masses=0.02", "tolerance.torque_constant=0.02", "tolerance.friction=[0.9, 1.1]")
     light = load("three_wx250s", "object.mass_kg=1.2", "simulation.ready_s=1.6", *known)
@@ -64,6 +68,7 @@ def test_g6_a_missing_object_is_refused_where_the_arms_are_known_well_enough() -
 
 
 @pytest.mark.parametrize("name", ["two_wx200", "three_wx250s"])
+@pytest.mark.fault("M5")
 def test_m5_gains_ten_times_too_high_are_noticed_within_20_ms(name: str) -> None:
     """From the tick on which a joint is faster than any motion that was asked for."""
     gains = load(name).file
@@ -91,6 +96,7 @@ def test_m5_gains_ten_times_too_high_are_noticed_within_20_ms(name: str) -> None
     assert min((t for t, _ in blind.first.values()), default=1.0) > t
 
 
+@pytest.mark.fault("S5")
 def test_s5_a_dead_encoder_is_found_and_a_living_one_is_not_suspected() -> None:
     quick = load("two_wx200", AT_ONCE, "trajectory.period_s=3.0", "trajectory.ramp_s=0.2", *UNNOTICED)
     kept: list[float] = []

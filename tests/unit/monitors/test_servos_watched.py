@@ -45,6 +45,7 @@ def left_arm(fault: Fault) -> ArmRun:
         ),
     ],
 )
+@pytest.mark.fault("S3")
 def test_an_arm_holds_before_its_servo_switches_itself_off(fault: Fault, named: str) -> None:
     left = left_arm(fault)
     assert left.summary is not None
@@ -70,6 +71,7 @@ def test_an_arm_holds_before_its_servo_switches_itself_off(fault: Fault, named: 
         ),
     ],
 )
+@pytest.mark.fault("S5", "S2")
 def test_what_the_driver_finds_holds_within_100_ms(fault: Fault, named: str) -> None:
     left = CoupledRun(cell("duration_s=0.6"), [fault]).arms["left"]
     assert left.summary is not None
@@ -100,6 +102,7 @@ def test_a_dead_encoder_is_found_while_the_motion_asks_for_a_turn() -> None:
 
 
 @pytest.mark.parametrize(("gravity", "held"), [("[0.0, 0.0, -9.81]", False), ("[0.0, 0.0, 9.81]", True)])
+@pytest.mark.fault("G6")
 def test_measured_currents_contradict_a_wrong_gravity_before_the_start(gravity: str, held: bool) -> None:
     true, believed = cell("duration_s=0.1"), cell("duration_s=0.1", f"world.gravity_m_per_s2={gravity}")
     arms = CoupledRun(true, believed=believed, ready_s=1.7).arms

@@ -38,6 +38,7 @@ class Rig:
             self.watch.beat()
 
 
+@pytest.mark.fault("C4")
 def test_without_correction_the_bound_grows_by_100_ppm_and_the_arm_holds_above_5_ms() -> None:
     rig = Rig()
     rig.watch.given(1e-3)

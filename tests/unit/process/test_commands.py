@@ -31,7 +31,9 @@ FULL = (
         run_info=Path("run.json"),
     ),
     PlantCommand(cell=CELL, socket=Path("plant.sock"), ring=Path("plant.ring"), real_time=True),
-    EmulateCommand(cell=CELL, ports=Path("ports"), ring=Path("plant.ring"), faults=Path("faults.jsonl"), seed=3),
+    EmulateCommand(
+        cell=CELL, ports=Path("ports"), ring=Path("plant.ring"), faults=Path("faults.jsonl"), seed=3, whole=True
+    ),
     AgentCommand(
         cell=CELL,
         arm="left",
@@ -42,6 +44,7 @@ FULL = (
         port=Path("port"),
         emulated=True,
         real_time=True,
+        whole=True,
     ),
     TelemetryCommand(cell=CELL, member="plant", ring=Path("plant.ring"), connect="tcp/127.0.0.1:1", lockstep=True),
 )

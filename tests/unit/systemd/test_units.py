@@ -24,7 +24,7 @@ from tests.support.systemd.unit_files import (
     words,
 )
 
-NETWORKLESS = ("coop-agent@left", "coop-rings", "coop-plant")
+NETWORKLESS = ("coop-agent@left", "coop-guard@left", "coop-rings", "coop-plant")
 
 
 @pytest.fixture
@@ -48,8 +48,8 @@ def test_no_network_where_an_arm_is_commanded(simulated_host: Path, name: str) -
     assert not unit["IPAddressAllow"]
 
 
-@pytest.mark.parametrize("name", ["coop-telemetry@left", "coop-recorder", "coop-rings", "coop-ros2"])
-def test_only_the_agent_reaches_a_device(host: Path, name: str) -> None:
+@pytest.mark.parametrize("name", sorted(set(SERVICES) - {"coop-guard@left"}))
+def test_only_the_guard_reaches_a_device(host: Path, name: str) -> None:
     unit = read_unit(host, name)
     assert not unit["DeviceAllow"]
     assert one(unit, "PrivateDevices") == "yes"
@@ -57,15 +57,41 @@ def test_only_the_agent_reaches_a_device(host: Path, name: str) -> None:
     assert "dialout" not in words(unit, "SupplementaryGroups")
 
 
-def test_the_agent_reaches_usb_serial_adapters_and_nothing_else(
+def test_the_guard_reaches_usb_serial_adapters_and_nothing_else(
     host: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    agent = read_unit(host, "coop-agent@left")
-    assert agent["DeviceAllow"] == ["char-ttyUSB rw", "char-ttyACM rw"]
-    assert one(agent, "DevicePolicy") == "closed"
+    guard = read_unit(host, "coop-guard@left")
+    assert guard["DeviceAllow"] == ["char-ttyUSB rw", "char-ttyACM rw"]
+    assert one(guard, "DevicePolicy") == "closed"
+    assert words(guard, "SupplementaryGroups") == {"dialout"}
     simulated = tmp_path_factory.mktemp("simulated")
     install(simulated, "simulated")
-    assert not read_unit(simulated, "coop-agent@left")["DeviceAllow"]
+    assert not read_unit(simulated, "coop-guard@left")["DeviceAllow"]
+
+
+@pytest.mark.parametrize("choices", CHOICES.values(), ids=CHOICES)
+def test_agent_and_guard_meet_and_the_guard_is_there_first_and_last(tmp_path: Path, choices: tuple[str, ...]) -> None:
+    install(tmp_path, *choices)
+    agent, guard = (read_unit(tmp_path, name) for name in ("coop-agent@left", "coop-guard@left"))
+    assert _option(agent, "--guard") == _option(guard, "--socket")
+    assert "coop-guard@left.service" in words(agent, "After") & words(agent, "Wants")
+    for key in ("Requires", "BindsTo"):  # a guard that comes back would start its agent again
+        assert "coop-guard@left.service" not in words(agent, key)
+    assert _option(guard, "--control") == str(Path(_option(agent, "--ring")).with_suffix(".control"))
+    for key in ("User", "Group", "RuntimeDirectory", "RuntimeDirectoryMode", "RuntimeDirectoryPreserve"):
+        assert one(agent, key) == one(guard, key), key
+    assert _option(guard, "--post-mortem") == f"/var/lib/{one(guard, 'StateDirectory')}"
+
+
+def test_a_killed_or_hanging_guard_comes_back_with_its_port_and_a_refused_one_does_not(host: Path) -> None:
+    guard = read_unit(host, "coop-guard@left")
+    assert one(guard, "Restart") == "on-abnormal"
+    assert one(guard, "RestartForceExitStatus") == "1", "a crash; refusals have other codes"
+    assert one(guard, "RestartSec") == "100ms"
+    assert int(one(guard, "FileDescriptorStoreMax")) >= 1
+    assert one(guard, "WatchdogSec") == "500ms"
+    assert int(_option(guard, "--priority")) > int(_option(read_unit(host, "coop-agent@left"), "--priority"))
+    assert int(one(guard, "LimitRTPRIO")) == int(_option(guard, "--priority"))
 
 
 @pytest.mark.parametrize("choices", CHOICES.values(), ids=CHOICES)
@@ -89,8 +115,9 @@ def test_an_agent_may_read_its_clock_where_hosts_share_time_and_nowhere_set_it(
     assert together["CapabilityBoundingSet"] == [], "an empty set: no CAP_SYS_TIME"
 
 
-def test_no_time_out_ever_kills_an_agent_that_holds(host: Path) -> None:
-    agent = read_unit(host, "coop-agent@left")
+@pytest.mark.parametrize("name", ["coop-agent@left", "coop-guard@left"])
+def test_no_time_out_ever_kills_a_process_that_holds(host: Path, name: str) -> None:
+    agent = read_unit(host, name)
     assert one(agent, "TimeoutStopSec") == "infinity"
     assert one(agent, "KillSignal") == "SIGTERM"
     assert one(agent, "KillMode") == "mixed"
@@ -192,7 +219,7 @@ def test_the_simulated_agent_differs_in_driver_and_priority(
     install(root, "simulated")
     real, simulated = (read_unit(where, "coop-agent@left") for where in (host, root))
     assert {key for key in real | simulated if real[key] != simulated[key]} == {
-        "Requires", "After", "ExecStart", "DeviceAllow", "PrivateDevices", "WatchdogSec",
+        "Requires", "After", "ExecStart", "WatchdogSec",
     }  # fmt: skip
     extra = ["--real-time", "--plant-socket", _option(simulated, "--plant-socket")]
     priority = ["--priority", _option(real, "--priority")]  # a desktop or a virtual machine need not grant it
@@ -201,12 +228,30 @@ def test_the_simulated_agent_differs_in_driver_and_priority(
     )
 
 
+def test_the_agent_of_a_rehearsal_has_a_plant_and_no_network_and_waits_for_a_persons_word(
+    host: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    root = tmp_path_factory.mktemp("rehearsal")
+    install(root, "rehearsal")
+    real, rehearsing = (read_unit(where, "coop-agent@left") for where in (host, root))
+    assert {key for key in real | rehearsing if real[key] != rehearsing[key]} == {
+        "Requires", "After", "ExecStart", "ReadWritePaths",
+    }  # fmt: skip
+    assert "--driver" not in command(rehearsing), "[hil] of the cell says which arms are real"
+    assert "--gripper-empty" not in command(rehearsing), "a unit is not a person"
+    assert _option(rehearsing, "--gripper-word") == "/run/coop/gripper-empty/left"
+    plant = read_unit(root, "coop-plant")
+    assert _option(rehearsing, "--plant-socket") == _option(plant, "--socket")
+    assert "sim" in command(read_unit(root, "coop-recorder"))
+
+
 # Installing
 
 
 def test_a_choice_that_is_left_out_is_taken_away_again(tmp_path: Path) -> None:
     install(tmp_path / "never")
     install(tmp_path / "then", "simulated", "several-hosts")
+    install(tmp_path / "then", "rehearsal")
     install(tmp_path / "then")
     never, then = (
         {str(path.relative_to(root)) for path in (root / "etc/systemd").rglob("*") if path.is_file()}

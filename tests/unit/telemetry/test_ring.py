@@ -135,6 +135,7 @@ def test_a_row_that_its_writer_died_over_has_no_number(writer: RingWriter, monke
     assert writer._words[SLOTS_OFFSET // 8] == 0
 
 
+@pytest.mark.fault("P5")
 def test_a_second_writer_is_refused_and_the_first_goes_on(path: Path, writer: RingWriter) -> None:
     with pytest.raises(RingError, match="has a writer already"):
         RingWriter(path, AGENT_STATE, "left", slots=SLOTS)
@@ -271,3 +272,36 @@ def test_a_ring_that_cannot_be_made_is_refused_before_anything_moves(tmp_path: P
     with pytest.raises(RingError, match="label too long"):
         RingWriter(tmp_path / "left.ring", AGENT_STATE, "left", ("j" * 1000,), slots=SLOTS)
     assert not [p for p in tmp_path.iterdir() if p.name.endswith(".new")]
+
+
+def test_another_process_goes_on_with_the_ring_of_one_that_died(tmp_path: Path) -> None:
+    path = tmp_path / "ring"
+    first = RingWriter(path, AGENT_STATE, "left", ("waist",), slots=8)
+    for sequence in range(3):
+        first.row["sequence"] = sequence
+        first.commit()
+    passed_on = os.dup(first.fileno())
+    reader = RingReader(path, AGENT_STATE)
+    second = RingWriter.go_on(passed_on, AGENT_STATE)
+    first.row["sequence"] = 3
+    first.commit()  # between the passing on and the death
+    first.close()
+    assert reader.writer_alive, "the lock is the file's: readers notice nothing"
+    assert second.header == reader.header
+    assert second.catch_up() == 4
+    second.row["sequence"] = 4
+    second.commit()
+    rows = np.frombuffer(reader.read_new(8).payload, AGENT_STATE.dtype)
+    assert rows["sequence"].tolist() == [0, 1, 2, 3, 4]
+    second.close()
+    assert not reader.writer_alive
+    reader.close()
+
+
+def test_what_is_no_ring_is_not_gone_on_with(tmp_path: Path) -> None:
+    (tmp_path / "other").write_bytes(b"\0" * 8192)
+    fd = os.open(tmp_path / "other", os.O_RDWR)
+    with pytest.raises(RingError, match="is not a telemetry ring"):
+        RingWriter.go_on(fd, AGENT_STATE)
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        os.fstat(fd)

@@ -81,7 +81,13 @@ def good_and_bad() -> tuple[JointState, Outcome, Outcome]:
     return state, good, bad
 
 
-def check(found: np.void, state: JointState, memory: Memory, outcome: Outcome) -> None:
+def check(
+    found: np.void,
+    state: JointState,
+    memory: Memory,
+    outcome: Outcome,
+    bridged: tuple[object, object, float] = ((0.0,), (0.0,), 0.0),
+) -> None:
     """Every field of the row has its own number of the tick, and zeros behind it."""
     terms = outcome.terms
     e, k, d = terms.errors, terms.kinematics, terms.desired
@@ -100,6 +106,7 @@ def check(found: np.void, state: JointState, memory: Memory, outcome: Outcome) -
         "memory": memory.flatten(), "late_s": 0.1, "read_s": 0.2, "step_s": 0.3, "write_s": 0.4,
         "bus_timeouts": 1, "bus_corrupt": 2, "bus_alerts": 3, "bus_retries": 4,
         "theta_arm": estimate.arm, "theta_object": estimate.object,
+        "tau_bridge": bridged[0], "q_twin": bridged[1], "twin_age_s": bridged[2],
         **{name: getattr(terms, name) for name in OF_THE_LAW},
     }  # fmt: skip
     assert set(expected) == set(AGENT_STATE.dtype.names)
@@ -115,6 +122,9 @@ def test_every_number_of_a_tick_lands_in_its_own_field(n: int) -> None:
     state, memory, outcome = all_different(n)
     fill(row, outcome, state, memory)
     check(message[0], state, memory, outcome)
+    added, q_twin = np.arange(1.0, n + 1.0), np.arange(21.0, n + 21.0)
+    row.fill_bridge(outcome.tau + 0.5, added, q_twin, 0.007)
+    check(message[0], state, memory, outcome, (added, q_twin, 0.007))
 
 
 def test_every_field_is_what_a_real_tick_gave() -> None:

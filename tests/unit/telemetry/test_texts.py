@@ -107,3 +107,17 @@ def test_a_closed_reader_has_no_descriptor(ring: Path) -> None:
     before = descriptors()
     TextReader(ring).close()
     assert descriptors() == before
+
+
+def test_another_process_goes_on_with_the_texts_of_one_that_died(ring: Path) -> None:
+    first = TextWriter(ring, "left")
+    first.event(event("first"))
+    second = TextWriter.go_on(os.dup(first.fileno()))
+    first.event(event("last words"))
+    first.close()
+    assert second.catch_up() == 2
+    second.event(event("of the other"))
+    reader = TextReader(ring)
+    assert [Event.from_json(text).text for _, text in reader.read_new()] == ["first", "last words", "of the other"]
+    for end in (reader, second):
+        end.close()

@@ -1,0 +1,160 @@
+"""The commands `coop faults list` and `coop faults inject`."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from agent.cli import complete
+from agent.cli.help import Commands
+from agent.cli.options import AsJson, CellPath, Overrides, console, print_json
+
+if TYPE_CHECKING:
+    from agent.faults.catalogue import Row
+    from agent.faults.measure import Measured
+    from agent.faults.plan import Injection
+
+SCHEMA = 1
+MORE_S = 2.0  # of a rehearsal after its fault
+
+app = typer.Typer(
+    cls=Commands, no_args_is_help=True, rich_markup_mode=None, help="What can fail, and what the cell then does."
+)
+
+
+@app.command("list")
+def list_faults(
+    kinds: Annotated[bool, typer.Option("--kinds", help="Show faults that `inject` knows instead.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Show what can fail, what must happen within which bound, and which tests hold it."""
+    from agent.faults.catalogue import rows
+    from agent.faults.plan import NAMES, POSSIBLE
+
+    if as_json:
+        known = zip(NAMES, POSSIBLE.values(), strict=True)
+        print_json({
+            "schema": SCHEMA,
+            "rows": [_row(row) for row in rows()],
+            "kinds": [{"name": n, "text": p.text, "unit": p.unit or None, "size": p.size or None} for n, p in known],
+        })  # fmt: skip
+    elif kinds:
+        _table(("fault", "what happens", "size"), [
+            (name, p.text, f"{p.size:g} {p.unit}" if p.unit else "")
+            for name, p in zip(NAMES, POSSIBLE.values(), strict=True)
+        ])  # fmt: skip
+    else:
+        _table(("id", "what fails", "what must happen", "bound", "tests"), [
+            (r.id, r.fails, r.must, r.bounds, str(len(r.tests)) if r.is_tested else f"none: {r.untested}")
+            for r in rows()
+        ])  # fmt: skip
+
+
+@app.command()
+def inject(
+    cell: CellPath,
+    fault: Annotated[str, typer.Argument(help="Name of a fault (`coop faults list --kinds`), or a row's id.")],
+    arm: Annotated[str | None, typer.Option(help="Arm (the cell's first).", autocompletion=complete.arms)] = None,
+    servo: Annotated[int | None, typer.Option(help="ID of one servo, instead of all of the arm.")] = None,
+    at: Annotated[float, typer.Option(min=0.0, help="When, s of the trajectory.")] = 3.0,
+    for_s: Annotated[float | None, typer.Option("--for", help="How long, s; for good without it.")] = None,
+    size: Annotated[float | None, typer.Option(help="How much, in the unit of `list --kinds`.")] = None,
+    duration: Annotated[float | None, typer.Option(help="Seconds of the trajectory.")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of what is random on the bus.")] = 1,
+    out: Annotated[Path | None, typer.Option(metavar="LOG", help="Leave a log of it.")] = None,
+    overrides: Overrides = [],  # noqa: B006
+    as_json: AsJson = False,
+) -> None:
+    """Let something fail in a simulated cell of real drivers on emulated servos: who noticed, who held, what it cost.
+
+    Nothing is sent to an arm: time is virtual.
+    """
+    from agent.config.cell import load_cell
+    from agent.faults.bench import rehearse
+    from agent.faults.log import require_new, write_log
+    from agent.faults.measure import measured
+    from agent.faults.plan import require_simulated
+
+    faults = _faults(fault, arm=arm, servo=servo, at_s=at, for_s=for_s, size=size)
+    ends = [f.at_s + (f.for_s if math.isfinite(f.for_s) else 0.0) for f in faults]
+    loaded = load_cell(cell, [*overrides, f"duration_s={max(ends) + MORE_S if duration is None else duration}"])
+    require_simulated(loaded)
+    if out is not None:
+        require_new(out)
+    run = rehearse(loaded, faults, seed)
+    found = measured(run)
+    if out is not None:
+        write_log(out, run)
+    if as_json:
+        given = [f.model_dump(mode="json", exclude_none=True) | {"for_s": _finite(f.for_s)} for f in run.faults]
+        print_json({"schema": SCHEMA, "cell": loaded.file.name, "faults": given, **found.document()})
+    else:
+        _say(run.faults, found)
+        if out is not None:
+            typer.echo(f"log               {out}")
+
+
+def _faults(name: str, **given: Any) -> tuple[Injection, ...]:
+    """The fault of that name, or those of a row's first run.  Raises FaultPlanError."""
+    from agent.faults.catalogue import row
+    from agent.faults.plan import injection
+
+    found = row(name)
+    if found is not None and found.runs:
+        return found.runs[0].faults
+    return (injection(name, **given),)
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _row(row: Row) -> dict[str, Any]:
+    return {
+        "id": row.id,
+        "group": row.group.value,
+        "fails": row.fails,
+        "must": row.must,
+        "never": row.never or None,
+        "bound": row.bounds,
+        "runs": [
+            {"cell": r.cell, "faults": [f.fault for f in r.faults], "bound": r.within.described()} for r in row.runs
+        ],
+        "tests": list(row.tests),
+        "untested": row.untested or None,
+    }
+
+
+def _say(faults: tuple[Injection, ...], found: Measured) -> None:
+    for f in faults:
+        amount = f" ({f.amount:g} {f.possible.unit})" if f.possible.unit else ""
+        typer.echo(f"fault             {f.fault}, arm {f.arm}, at {f.onset_s:g} s: {f.possible.text}{amount}")
+    typer.echo(f"noticed           {_after(found.noticed_s)}{f' ({found.noticed})' if found.noticed else ''}")
+    for arm, at in found.stopped_s.items():
+        ended = found.ended[arm]
+        typer.echo(f"arm {arm:<13} {'goes on' if at is None else f'stopped {_after(at)}'}, ended in {ended}")
+        if found.why[arm]:
+            typer.echo(f"                  {found.why[arm]}")
+    typer.echo(f"internal force    {found.internal_N:.2f} N at most, {found.internal_before_N:.2f} N before")
+    typer.echo(f"sag               {found.sag_m * 1e3:.1f} mm")
+    typer.echo(f"fastest joint     {found.speed_rad_per_s:.2f} rad/s")
+    typer.echo(f"largest torque    {found.torque_share:.0%} of the limit")
+
+
+def _after(at: float | None) -> str:
+    return "never" if at is None else f"after {at * 1e3:.0f} ms"
+
+
+def _table(headings: tuple[str, ...], lines: list[tuple[str, ...]]) -> None:
+    from rich import box
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD)
+    for heading in headings:
+        table.add_column(heading)
+    for line in lines:
+        table.add_row(*line)
+    console().print(table)

@@ -1,0 +1,72 @@
+"""Where a hold begins behind an agent that is gone: the memory it would have held with, from its last rows.  Pure.
+
+A row holds the memory that its tick began with and what the tick was given, so the ticks are computed again, and with
+them what the next one would have begun with in HOLD.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from agent.around import Beginning
+from agent.loop import Agent, initial_memory
+from agent.modes import TABLE, Mode
+from agent.replay.chain import Chain
+from agent.replay.tick import Rows, is_fresh, mode_of, state_at
+from agent.safety import Flag
+from drivers.interface import Vector
+
+ROWS = 64  # how far back a fresh state is looked for
+SAME_NM = 1e-3  # between what a row says was sent and what a servo says it holds
+
+
+def beginning(agent: Agent, rows: Rows, reason: str, marks: Flag = Flag.NONE) -> Beginning:
+    """The hold that follows these rows (k,), the last ones of the agent and without a gap.
+
+    marks: GAP where so much time has passed that the pose is to be found anew, RESUMED where the arm had no torque.
+    """
+    rows = _commanded(rows)
+    if not len(rows):
+        return Beginning(Mode.HOLD, initial_memory(agent), 0, 0, reason, marks)
+    chain = Chain(agent)
+    first = _last_fresh(rows) or 0
+    chain.restore(rows[first])
+    for i in range(first, len(rows)):
+        row = rows[i]
+        chain.pass_row(state_at(rows, i, agent.model.n), float(row["t"]), Mode(int(row["mode"])), int(row["flags"]))
+    last = rows[-1]
+    zero_ns = int(last["stamp_ns"]) - round(float(last["t"]) * 1e9)
+    held = f"{reason}; it held already" if mode_of(int(last["mode"])) is Mode.HOLD else reason
+    return Beginning(Mode.HOLD, chain.holding(marks), zero_ns, int(last["sequence"]) + 1, held, marks)
+
+
+def _commanded(rows: Rows) -> Rows:
+    """The rows up to the last one whose mode commands."""
+    modes = [mode_of(mode) for mode in rows["mode"].tolist()]
+    return rows[: sum(mode is not None and TABLE[mode].commands for mode in modes)]
+
+
+def _last_fresh(rows: Rows) -> int | None:
+    flags = rows["flags"].tolist()
+    return next((i for i in range(len(rows) - 1, -1, -1) if is_fresh(flags[i])), None)
+
+
+def last_speed(rows: Rows, n: int) -> Vector:
+    """Measured joint speeds of the last fresh row, (n,) rad/s; zero without one."""
+    place = _last_fresh(rows)
+    return np.zeros(n) if place is None else rows["dq_measured"][place, :n].copy()
+
+
+def from_torque(begun: Beginning, rows: Rows, tau_held: Vector) -> Beginning:
+    """The same, with its first step counted from the torque (n,) that the servos hold; NaN where that is not known.
+
+    It is another one where the agent died between its last write and the row of it.
+    """
+    memory = begun.memory
+    sent = rows["tau_sent"][-1, : len(tau_held)] if len(rows) else np.full(len(tau_held), np.nan)
+    known = np.isfinite(tau_held) & ~(np.abs(tau_held - sent) <= SAME_NM)
+    if not known.any():
+        return begun
+    return replace(begun, memory=memory._replace(tau=np.where(known, tau_held, memory.tau)))

@@ -1,0 +1,46 @@
+"""From an agent that is gone to a loop in HOLD: what its guard does, in this order, on any clock."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from agent.around import Beginning
+from agent.cycles import Patience
+from agent.guard.resume import beginning, from_torque, last_speed
+from agent.loop import Agent
+from agent.replay.tick import Rows
+from agent.safety import Flag
+from drivers.interface import Clock, Vector
+
+WATCH_NS = 2_000_000  # between two looks at the agent
+STALE_NS = 18_000_000  # without a row, after which it is ended: it hangs
+GAP_PERIODS = Patience.gap  # as the loop has it for itself
+STALE_PERIODS = 3  # at least, of a slow loop
+EMULATED_STALE_NS = 150_000_000  # where everything shares a processor; before the servos' own watchdog all the same
+SIMULATED_STALE_NS = 500_000_000  # where there is no such watchdog
+
+
+def stale_ns(period_ns: int, emulated: bool, simulated: bool) -> int:
+    """How long an agent with that period may go without a row."""
+    if simulated:
+        return SIMULATED_STALE_NS
+    return EMULATED_STALE_NS if emulated else max(STALE_NS, STALE_PERIODS * period_ns)
+
+
+class Adopts(Protocol):
+    """What a guard needs of its driver before the loop: `drivers.dynamixel.standby.StandbyDriver` is one."""
+
+    resumed: bool  # the arm had stopped by itself, and has obeyed again since `adopt`: its torque is zero
+
+    def adopt(self, dq: Vector) -> Vector:
+        """Take the arm over as it is; the joint torques (n,) that it holds."""
+        ...
+
+
+def go_on(agent: Agent, driver: Adopts, clock: Clock, rows: Rows, period_ns: int, reason: str) -> Beginning:
+    """Where the loop begins; rows: the last ones of the agent, which is dead.  Raises what `adopt` does."""
+    held = driver.adopt(last_speed(rows, agent.model.n))
+    marks = Flag.RESUMED if driver.resumed else Flag.NONE
+    if len(rows) and clock.now_ns() - int(rows[-1]["stamp_ns"]) > GAP_PERIODS * period_ns:
+        marks |= Flag.GAP
+    return from_torque(beginning(agent, rows, reason, marks), rows, held)

@@ -1,0 +1,102 @@
+"""An agent that is watched: its process, its ring, and what becomes of both when it is gone."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import signal
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from agent.guard.line import GuardError, Said
+from agent.guard.resume import ROWS
+from agent.guard.vigil import Vigil
+from agent.replay.tick import Rows
+from agent.telemetry.ring.ring import RingReader, RingWriter
+from agent.telemetry.ring.texts import TextWriter
+from agent.telemetry.row.sample import AGENT_STATE
+
+DESCRIPTORS = 3  # of the process, the ring, its texts
+KILL_LOOK_MS = 20
+
+
+@dataclass
+class Watched:
+    """One agent with its torque on.  Nothing is written to ring and texts before `inherit`."""
+
+    pidfd: int
+    ring: Path
+    reader: RingReader
+    writer: RingWriter
+    texts: TextWriter
+    vigil: Vigil
+    handed_over: bool = False  # it has said that it ends, and that the object is held
+    rehearsed: bool = False
+
+    @classmethod
+    def of(cls, said: Said, vigil: Vigil) -> Watched:
+        """From its word `watch`, whose first descriptors are taken.  Raises GuardError, RingError, and closes them."""
+        if len(said.fds) < DESCRIPTORS:
+            said.drop()
+            raise GuardError(
+                "word 'watch'", found=f"{len(said.fds)} descriptors", expected="process, ring and texts",
+                remedy="start agent and guard from one release",
+            )  # fmt: skip
+        pidfd, ring, texts = said.fds[:DESCRIPTORS]
+        with contextlib.ExitStack() as undo:
+            undo.callback(os.close, pidfd)
+            undo.callback(os.close, texts)
+            reader = undo.enter_context(RingReader(Path(f"/proc/self/fd/{ring}"), AGENT_STATE))
+            writer = undo.enter_context(RingWriter.go_on(ring, AGENT_STATE))
+            text_writer = TextWriter.go_on(os.dup(texts))
+            undo.pop_all()
+        os.close(texts)
+        return cls(pidfd, Path(str(said.content.get("ring"))), reader, writer, text_writer, vigil)
+
+    @property
+    def gone(self) -> bool:
+        """Whether its process has ended."""
+        return _ended(self.pidfd, 0)
+
+    @property
+    def hangs_since_ns(self) -> int:
+        """For so long no row has come, ns."""
+        return self.vigil.still_ns
+
+    def hangs(self, now_ns: int) -> bool:
+        """One look at its rows: whether none has come for too long."""
+        return self.vigil.is_stale(now_ns, self.reader.written)
+
+    def kill(self, meanwhile: Callable[[], None]) -> None:
+        """End it, whatever it does, and wait until it has ended; meanwhile is called again and again."""
+        with contextlib.suppress(ProcessLookupError):
+            signal.pidfd_send_signal(self.pidfd, signal.SIGKILL)
+        while not _ended(self.pidfd, KILL_LOOK_MS):
+            meanwhile()
+
+    def last_rows(self) -> Rows:
+        """Its last rows, at most `ROWS`."""
+        written = self.reader.written
+        block = self.reader.read_at(max(0, written - ROWS), min(written, ROWS))
+        return np.frombuffer(block.payload, AGENT_STATE.dtype)
+
+    def inherit(self) -> None:
+        """It is dead: what is written from now on goes behind its last row and its last text."""
+        self.writer.catch_up()
+        self.texts.catch_up()
+
+    def close(self) -> None:
+        """Let go of everything that is the agent's."""
+        for one in (self.reader, self.writer, self.texts):
+            one.close()
+        os.close(self.pidfd)
+
+
+def _ended(pidfd: int, timeout_ms: int) -> bool:
+    poller = select.poll()
+    poller.register(pidfd, select.POLLIN)
+    return bool(poller.poll(timeout_ms))

@@ -1,0 +1,79 @@
+"""The post-mortem of an arm: what its ring still holds of the time before its agent was gone, as a log.
+
+`python -m agent.process.post_mortem CELL ARM RING OUT CAUSE` writes it; a guard starts this beside the hold.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from agent.config.cell import load_cell
+from agent.host.info import attachments, versions
+from agent.log.channels import LogChannels
+from agent.log.file import Attachment, LogFile
+from agent.process.describe import run_info
+from agent.process.scene import scene_of
+from agent.telemetry.ring.file import RingError
+from agent.telemetry.ring.ring import RingReader
+from agent.telemetry.ring.texts import TextReader
+from agent.telemetry.row.event import Event, health_time
+from agent.telemetry.row.received import Rows, Text
+from agent.telemetry.row.sample import AGENT_STATE
+from agent.telemetry.row.topics import Address, Kind
+from drivers.interface import Refusal
+
+MIN_FREE_BYTES = 64 << 20
+NAME = "post_mortem"  # of the metadata record
+
+
+def write_post_mortem(cell_path: Path, arm: str, ring: Path, out: Path, cause: str) -> int:
+    """Write the log; how many rows it has.  Raises Refusal."""
+    cell = load_cell(cell_path)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    info = run_info(cell, cell.file.driver, seed=0)
+    files = [Attachment(name, "text/plain", content) for name, content in attachments(cell, info).items()]
+    about = {
+        "versions": versions(),
+        "cell": {"name": cell.file.name, "fingerprint": cell.fingerprint},
+        NAME: {"arm": arm, "cause": cause},
+    }
+    file = LogFile(out, files, about, created_ns=time.time_ns(), min_free_bytes=MIN_FREE_BYTES)
+    channels = LogChannels(file, scene_of(cell), has_plant=False)
+    rows = _write_rows(channels, Address(cell.file.name, arm, Kind.STATE), ring)
+    _write_texts(channels, cell.file.name, arm, ring)
+    file.finish({"completeness": {"complete": "false", f"{arm}.end": "died", f"{arm}.rows_recorded": str(rows)}})
+    return rows
+
+
+def _write_rows(channels: LogChannels, address: Address, ring: Path) -> int:
+    count = 0
+    with RingReader(ring, AGENT_STATE) as reader:
+        while (block := reader.read_new(1024)).count:
+            channels.write_rows(Rows(address, np.frombuffer(block.payload, AGENT_STATE.dtype)))
+            count += block.count
+    return count
+
+
+def _write_texts(channels: LogChannels, cell: str, arm: str, ring: Path) -> None:
+    try:
+        reader = TextReader(ring)
+    except RingError:
+        return
+    for kind, payload in reader.read_new():
+        event = Event.from_json(payload) if kind is Kind.EVENT else None
+        utc_ns = event.utc_ns if event is not None else health_time(payload)
+        channels.write_text(Text(Address(cell, arm, kind), payload, utc_ns, event))
+    reader.close()
+
+
+if __name__ == "__main__":
+    cell_file, name, ring_file, target, why = sys.argv[1:]
+    try:
+        write_post_mortem(Path(cell_file), name, Path(ring_file), Path(target), why)
+    except Refusal as refusal:
+        sys.stderr.write(f"post-mortem: {refusal}\n")
+        sys.exit(refusal.exit_code)

@@ -1,0 +1,111 @@
+"""An arm in the loop, from the cell file: its bridge, its rows, and what must hold before one may rehearse."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from agent.config.cell import Arm, Cell, ConfigError
+from agent.config.files import CellFiles
+from agent.config.schema.cell import DriverKind
+from agent.runner import LoopLog
+from agent.telemetry.row.fill import AgentRow
+from drivers.dynamixel.arm_map import WATCHDOG_S
+from drivers.interface import Clock, Driver
+from sim_backend.hil.coupling import FRESH_CYCLES, Settings
+from sim_backend.hil.driver import BridgeDriver, Patience
+from sim_backend.hil.gripper import Carried, GripperCheck
+from sim_backend.hil.guest import Twin
+
+EMULATED_STALE_S = 0.5  # what is emulated shares the processor with everything else, and stops with it
+
+
+def in_the_loop(cell: CellFiles, arm: str) -> bool:
+    """Whether [hil] names this arm."""
+    return cell.file.hil is not None and arm in cell.file.hil.arms
+
+
+def driver_of(cell: CellFiles, arm: str, asked: DriverKind | None) -> DriverKind:
+    """What moves this arm; asked: on the command line.  Raises ConfigError where that contradicts [hil]."""
+    if cell.file.hil is None:
+        return asked or cell.file.driver
+    kind = DriverKind.DYNAMIXEL if in_the_loop(cell, arm) else DriverKind.SIM
+    if asked not in (None, kind):
+        raise ConfigError(
+            f"driver of arm {arm}", found=asked.value if asked is not None else "", expected=f"{kind.value}, by [hil]",
+            remedy="name the real arms in [hil], or remove the table for the real carry",
+        )  # fmt: skip
+    return kind
+
+
+def require_wall_clock(cell: CellFiles, *, real_time: bool) -> None:
+    """Refuse a rehearsal in lockstep: a real arm waits for nobody.  Raises ConfigError."""
+    if cell.file.hil is not None and not real_time:
+        raise ConfigError(
+            f"[hil] of cell {cell.file.name}", found="a run in lockstep", expected="one at the wall clock's pace",
+            remedy="coop run CELL --hil ARMS, or --real-time of coop plant and coop agent; or remove [hil]",
+        )  # fmt: skip
+
+
+def require_empty_gripper(arm: str, said_so: bool) -> None:
+    """Refuse an arm of which nobody says that its gripper is empty.  Raises ConfigError."""
+    if not said_so:
+        raise ConfigError(
+            f"gripper of arm {arm}", found="nobody who says that it is empty",
+            expected="a person's yes: the object of a rehearsal is simulated",
+            remedy="open the gripper, look, then give --gripper-empty (a service: touch /run/coop/gripper-empty/ARM)",
+        )  # fmt: skip
+
+
+def taken(word: Path | None) -> bool:
+    """Whether a person has made this file; it is taken away, so that a yes counts once."""
+    if word is None:
+        return False
+    try:
+        word.unlink()
+    except OSError:
+        return False
+    return True
+
+
+class BridgedRows:
+    """A log whose rows say what the bridge has added; `commit` adds that to every row."""
+
+    def __init__(self, sink: LoopLog, row: AgentRow, driver: BridgeDriver) -> None:
+        self._sink, self._row, self._driver = sink, row, driver
+
+    def commit(self) -> None:
+        """Make the filled row visible to readers; never blocks."""
+        driver = self._driver
+        self._row.fill_bridge(driver.sent, driver.added, driver.q_twin, driver.age_s)
+        self._sink.commit()
+
+    def wait_for_space(self) -> None:
+        """A rehearsal is never in lockstep."""
+        self._sink.wait_for_space()
+
+
+def bridge(cell: Cell, arm: Arm, real: Driver, twin: Twin, clock: Clock, *, emulated: bool) -> BridgeDriver:
+    """Driver of an arm that [hil] names; real: its own driver; emulated: its servos are."""
+    hil, period_s = cell.file.hil, 1.0 / cell.file.rate_hz
+    assert hil is not None
+    tau_max = arm.tau_stall_Nm * cell.file.safety.tau_max_fraction_of_stall
+    settings = Settings(
+        period_s=period_s,
+        frequency_rad_per_s=hil.frequency(cell.file.rate_hz),
+        damping_ratio=hil.damping_ratio,
+        clamp_Nm=hil.tau_share * tau_max,
+        ramp_s=hil.ramp_s,
+        apart_max_rad=hil.apart_max_rad,
+    )
+    patience = Patience(EMULATED_STALE_S if emulated else FRESH_CYCLES * period_s, WATCHDOG_S)
+    model = cell.model(arm)
+    weight = cell.file.object.mass_kg * -cell.gravity
+    carried = Carried(
+        gravity=lambda q: model.evaluate(q, np.zeros(arm.n)).g,
+        weight=lambda q: model.evaluate(q, np.zeros(arm.n)).Jt[:, :3].dot(weight),
+        friction_Nm=np.array([servo.coulomb_Nm.value for servo in arm.servos]),
+        share_max=hil.gripper_share_max,
+    )
+    return BridgeDriver(real, twin, clock, settings, patience, model.inertia, GripperCheck(carried))

@@ -1,0 +1,137 @@
+"""How a real arm and its twin in the simulated cell are kept together: formulae and their state, without any clock.
+
+Both get the agent's torque τ.  In every cycle, with q, dq of the real arm and q_t, dq_t, h of the twin (h: the mean
+torque of its grasp over the last cycle),
+
+    c = K (q_t − q) + D (dq_t − dq),   K = w² diag B,   D = 2 z w diag B
+    p = B (dq − dq_t),   I += T (a₋₂ − h + b₋₂ + r),   r = L (p − I)
+    a = clip(alive (h + c)) to the real arm,   −b = −alive (c − r) to the twin.
+
+a is what carries the object's part to the real arm.  r is the torque by which the real arm does otherwise than its
+model; the twin is given it, so that the partners feel it.  c takes away what is left.  w follows from the loop's delay
+(drivers.rehearsal).
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.interface import Vector
+
+FRESH_CYCLES: Final = 3.0  # a state of the twin older than this is stale
+FADE_S: Final = 0.1  # in which the addition goes to zero when it is
+OBSERVER_PER_S: Final = 40.0  # L
+LOOK_BACK: Final = 2  # cycles until a torque shows in the motion
+
+
+@dataclass(frozen=True, eq=False)
+class Settings:
+    """One arm's coupling."""
+
+    period_s: float
+    frequency_rad_per_s: float  # w
+    damping_ratio: float  # z
+    clamp_Nm: Vector  # (n,) largest addition
+    ramp_s: float  # from nothing to the whole coupling
+    apart_max_rad: float  # of any joint, beyond which arm and twin have nothing to do with each other
+
+
+@dataclass(frozen=True, slots=True)
+class TwinState:
+    """What the plant says of a twin; arrays belong to the receiver."""
+
+    stamp_ns: int
+    q: Vector  # (n,) rad
+    dq: Vector  # (n,) rad/s
+    grasp: Vector  # (n,) N·m, mean torque of its grasp over the cycle before
+    pulled: Vector  # (n,) N·m, the same over all cycles since the state that was seen before
+
+
+class Coupling:
+    """The coupling of one arm; `addition` and `on_twin` hold until the next call of `step` or `alone`."""
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+        n = len(settings.clamp_Nm)
+        self.addition: Vector = np.zeros(n)  # to the real arm's torque
+        self.on_twin: Vector = np.zeros(n)  # to the twin's torque
+        self.q_twin: Vector = np.zeros(n)  # at the real arm's instant
+        self.age_s = 0.0
+        self.alive = 0.0  # 0: apart, 1: coupled
+        self._estimate: Vector | None = None  # I
+        self._r: Vector = np.zeros(n)
+        self._grasp: Vector = np.zeros(n)  # the object's part of the addition
+        self._before: deque[Vector] = deque([np.zeros(n)] * LOOK_BACK, LOOK_BACK)  # a + b of the last cycles
+        self._stamp_ns: int | None = None
+
+    @property
+    def fresh(self) -> bool:
+        """Whether the twin's state was fresh at the last step."""
+        return self.age_s <= FRESH_CYCLES * self.settings.period_s
+
+    def step(self, stamp_ns: int, q: Vector, dq: Vector, twin: TwinState, B: NDArray[np.float64]) -> None:
+        """A fresh state of the real arm, the newest one of the twin, and the arm's inertia (n, n) there."""
+        s, dt = self.settings, self._elapsed_s(stamp_ns)
+        self.age_s = (stamp_ns - twin.stamp_ns) * 1e-9
+        horizon = FRESH_CYCLES * s.period_s
+        dq_t = twin.dq
+        self.q_twin = twin.q + dq_t * min(max(self.age_s, -horizon), horizon)
+        self._ramp(dt / s.ramp_s if self.fresh else -dt / FADE_S)
+        p = B.dot(dq - dq_t)
+        r = self._otherwise(p, twin.pulled, dt)
+        inertia, w = np.diagonal(B), s.frequency_rad_per_s
+        c = inertia * (w * w * (self.q_twin - q) + 2.0 * s.damping_ratio * w * (dq_t - dq))
+        self._grasp = self._clamped(self.alive * twin.grasp)
+        self.addition = self._clamped(self.alive * (twin.grasp + c))
+        self.on_twin = self.alive * (r - c)
+        self._before.append(self.addition - self.on_twin)
+
+    def unheard(self) -> None:
+        """A cycle without a state of the real arm: the object's part stays, what answered its motion does not."""
+        self.addition = self._grasp
+        self._before.append(self.addition - self.on_twin)
+
+    def alone(self, stamp_ns: int) -> None:
+        """A fresh state of the real arm, whose twin is not to be followed any more: the addition fades."""
+        before = self.alive
+        self._ramp(-self._elapsed_s(stamp_ns) / FADE_S)
+        self.addition = self.addition * (self.alive / before if before > 0.0 else 0.0)
+        self.on_twin = np.zeros_like(self.on_twin)
+        self._estimate = None
+        self._before.append(self.addition)
+
+    def apart_rad(self, q: Vector) -> float:
+        """Largest difference of a joint between the real arm at q (n,) and the twin."""
+        return float(np.abs(self.q_twin - q).max())
+
+    def _otherwise(self, p: Vector, pulled: Vector, dt: float) -> Vector:
+        """r (n,): the torque by which the real arm does otherwise than the twin; zero until both have moved along."""
+        if self._estimate is None or self.alive == 0.0:
+            self._estimate, self._r = p, np.zeros_like(p)
+            return self._r
+        T, (older, newer) = self.settings.period_s, self._before
+        acted = older if dt <= T else (T * older + (dt - T) * newer) / dt
+        self._estimate = self._estimate + dt * (acted - pulled + self._r)
+        self._r = self._clamped(OBSERVER_PER_S * (p - self._estimate))
+        return self._r
+
+    def _clamped(self, tau_Nm: Vector) -> Vector:
+        clamp = self.settings.clamp_Nm
+        return np.minimum(np.maximum(tau_Nm, -clamp), clamp)
+
+    def _ramp(self, by: float) -> None:
+        self.alive = min(1.0, max(0.0, self.alive + by))
+
+    def _elapsed_s(self, stamp_ns: int) -> float:
+        """Since the last step, at most as long as a state is fresh."""
+        before, self._stamp_ns = self._stamp_ns, stamp_ns
+        period_s = self.settings.period_s
+        if before is None:
+            return period_s
+        return min(max((stamp_ns - before) * 1e-9, 0.0), math.ceil(FRESH_CYCLES) * period_s)

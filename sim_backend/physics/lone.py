@@ -1,0 +1,85 @@
+"""One arm on its own, holding nothing: the dynamics that a real arm has while its object is simulated elsewhere.
+
+The integration of plant.py without its grasps: drift, kick, drift with friction as an implicit coefficient.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+
+from drivers.interface import Vector
+from sim_backend.physics.actuator import Servos
+from sim_backend.physics.free_arm import FreeArms
+from sim_backend.physics.joints import dry_friction
+from sim_backend.physics.spec import PlantError, PlantSpec
+
+
+class LoneArm:
+    """One arm of a cell, by its place in `spec.arms`, from its start pose on; arrays are (n,), controlled joints.
+
+    Raises PlantError as `arm_model`.
+    """
+
+    def __init__(self, spec: PlantSpec, arm: int) -> None:
+        alone = replace(spec, arms=(spec.arms[arm],), happenings=())
+        self.name = alone.arms[0].name
+        self.substep_s = spec.substep_s
+        self.servos = Servos([alone.arms[0].actuator])
+        self._dry = dry_friction(alone)
+        self._free, self._touched = FreeArms(alone), FreeArms(alone)
+        self._rotor_inertia = np.array(self._free.model.armature)
+        self.q: Vector = np.array(alone.arms[0].q_start)
+        self.dq: Vector = np.zeros_like(self.q)
+        self._a: Vector = np.zeros_like(self.q)
+        self._wrench: Vector | None = None
+        self.t = 0.0
+
+    def touch(self, wrench_world: Vector) -> None:
+        """Push at the end effector from now on: wrench (6,) N, N·m, world axes; zeros end it."""
+        self._wrench = np.array(wrench_world, dtype=np.float64) if np.any(wrench_world) else None
+
+    def end_effector(self) -> pin.SE3:
+        """Its true pose, world."""
+        self._touched.terms(self.q, self.dq)
+        return pin.SE3(self._touched.end_effector(0)[1])
+
+    def rest(self) -> None:
+        """Let one substep pass on a support."""
+        self.t += self.substep_s
+
+    def advance(self, tau_Nm: Vector) -> None:
+        """Let one substep pass under motor commands (n,).  Raises PlantError when the motion is no longer finite."""
+        h, dq, model = self.substep_s, self.dq, self._free.model
+        self.servos.command(tau_Nm)
+        q_mid, dq_mid = self.q + 0.5 * h * dq, dq + 0.5 * h * self._a
+        motor = self.servos.motor_torque(dq)
+        if self._dry is None:
+            friction, constant = self.servos.friction_coefficient(dq_mid), np.zeros_like(dq)
+        else:
+            self._dry.load(motor)
+            friction, constant = self._dry.torque(dq)
+        model.armature = self._rotor_inertia + 0.5 * h * friction
+        tau = motor + constant - friction * dq + self._touch(q_mid)
+        self._a = np.array(pin.aba(model, self._free.data, q_mid, dq_mid, tau))
+        self.dq = dq + h * self._a
+        self.q = q_mid + 0.5 * h * self.dq
+        self.t += h
+        if self._dry is not None:
+            self._dry.step(self.dq - 0.5 * h * self._a)
+        if not math.isfinite(float(self.dq.dot(self.dq))):
+            raise PlantError(
+                f"the motion of arm {self.name} on its own", found=f"no finite number at t = {self.t:.4f} s",
+                expected="finite velocities", remedy="the control loop is unstable or substep_s is too long",
+            )  # fmt: skip
+
+    def _touch(self, q: Vector) -> Vector:
+        """Joint torques (n,) of what pushes at the end effector."""
+        if self._wrench is None:
+            return np.zeros_like(q)
+        self._touched.terms(q, self.dq)
+        tau: Vector = self._touched.end_effector(0)[0].T @ self._wrench
+        return tau

@@ -1,0 +1,236 @@
+"""P1, P2, P7 with real processes on a real pseudo terminal: a guard holds the arm of a killed or stopped agent.
+
+How soon, in virtual time: `tests/unit/guard/test_takeover.py`.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import configs
+from agent.config.cell import load_cell
+from agent.guard.line import AgentEnd, GuardError, Word
+from agent.log.read import read_log
+from agent.modes import Mode
+from agent.telemetry.ring.ring import RingReader
+from agent.telemetry.ring.texts import TextReader
+from agent.telemetry.row.event import Event
+from agent.telemetry.row.sample import AGENT_STATE
+from agent.telemetry.row.topics import Kind
+from tests.support.coop import COOP, coop
+
+PATIENCE_S = 30.0
+SOME_ROWS = 40
+# hands over a kept descriptor: argument 1 is its number, the rest is the command
+AS_A_MANAGER_DOES = """
+import os, sys
+os.dup2(int(sys.argv[1]), 3)
+os.environ.update(LISTEN_FDS="1", LISTEN_FDNAMES="port", LISTEN_PID=str(os.getpid()))
+os.execv(sys.argv[2], sys.argv[2:])
+"""
+# an agent whose step fails after some cycles
+FAILING = """
+from agent import runner
+works, left = runner.step, [60]
+def step(*arguments):
+    left[0] -= 1
+    return works(*arguments) if left[0] else 1 / 0
+runner.step = step
+from agent.cli.main import main
+main()
+"""
+
+
+class Host:
+    """Emulated servos of two_wx200 and whoever is started beside them; all of them end with the test."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        (folder / "session").mkdir()
+        self.environment = {k: v for k, v in os.environ.items() if k != "RUNTIME_DIRECTORY"}
+        self.environment["XDG_RUNTIME_DIR"] = str(folder / "session")
+        self.ring = folder / "left.ring"
+        self.words = (folder / "words").open("a")
+        self.processes: list[subprocess.Popen[str]] = []
+        self.manager = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self.manager.bind(str(folder / "notify"))
+        self.kept: int | None = None
+
+    def start(
+        self, *arguments: str | Path, prefix: tuple[str, ...] = (), program: tuple[str, ...] = COOP, **more: str
+    ) -> subprocess.Popen[str]:
+        process = subprocess.Popen(
+            [*prefix, *program, *map(str, arguments)], cwd=self.folder, env=self.environment | more, text=True,
+            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=self.words,
+            pass_fds=() if self.kept is None else (self.kept,),
+        )  # fmt: skip
+        self.processes.append(process)
+        self.said(process)
+        return process
+
+    def said(self, process: subprocess.Popen[str]) -> None:
+        assert process.stdout is not None
+        assert process.stdout.readline().startswith("READY "), (self.folder / "words").read_text()
+
+    def guard(self, *more: str, prefix: tuple[str, ...] = ()) -> subprocess.Popen[str]:
+        return self.start(
+            "guard", "two_wx200", "--arm", "left", "--port", self.folder / "ports/left", "--emulated",
+            "--driver", "dynamixel", "--socket", self.folder / "left.guard", "--control", self.folder / "left.control",
+            "--post-mortem", self.folder / "post_mortem", *more,
+            prefix=prefix, NOTIFY_SOCKET=str(self.folder / "notify"),
+        )  # fmt: skip
+
+    def agent(self, *more: str, program: tuple[str, ...] = COOP) -> subprocess.Popen[str]:
+        process = self.start(
+            "agent", "two_wx200", "--arm", "left", "--port", self.folder / "ports/left", "--emulated", "--driver",
+            "dynamixel", "--guard", self.folder / "left.guard", "--control", self.folder / "left.control",
+            "--ring", self.ring, *more, program=program,
+        )  # fmt: skip
+        self.said(process)
+        return process
+
+    def kept_port(self) -> int:
+        """The descriptor that the service manager would keep."""
+        self.manager.settimeout(PATIENCE_S)
+        while True:
+            text, fds, _, _ = socket.recv_fds(self.manager, 1000, 1)
+            if fds:
+                assert text == b"FDSTORE=1\nFDNAME=port"
+                return fds[0]
+
+    def rows(self) -> np.ndarray:
+        with RingReader(self.ring, AGENT_STATE) as reader:
+            assert reader.writer_alive or reader.finished, "no reader ever finds the ring without a writer"
+            return np.frombuffer(reader.read_at(0, reader.written).payload, AGENT_STATE.dtype)
+
+    def told(self) -> list[str]:
+        reader = TextReader(self.ring)
+        found = [Event.from_json(text).text for kind, text in reader.read_new() if kind is Kind.EVENT]
+        reader.close()
+        return found
+
+    def wait(self, what: Callable[[], bool]) -> None:
+        deadline = time.monotonic() + PATIENCE_S
+        while not what():
+            assert time.monotonic() < deadline, (self.told(), (self.folder / "words").read_text())
+            time.sleep(0.02)
+
+    def close(self) -> None:
+        for process in self.processes:
+            if process.poll() is None:
+                process.kill()
+            process.wait()
+            assert process.stdout is not None
+            process.stdout.close()
+        self.manager.close()
+        self.words.close()
+        if self.kept is not None:
+            os.close(self.kept)
+
+
+@pytest.fixture
+def host(tmp_path: Path) -> Iterator[Host]:
+    made = Host(tmp_path)
+    made.start("emulate", "two_wx200", "--ports", tmp_path / "ports")
+    yield made
+    made.close()
+
+
+def of_hold(rows: np.ndarray) -> np.ndarray:
+    return rows[rows["mode"] == Mode.HOLD]
+
+
+def check_taken_over(
+    host: Host, guard: subprocess.Popen[str], agent: subprocess.Popen[str], cause: str, code: int = -signal.SIGKILL
+) -> None:
+    """The guard holds, in the agent's ring, as its only writer; a release ends it; the post-mortem reads."""
+    before = len(host.rows())
+    host.wait(lambda: agent.poll() == code)
+    host.wait(lambda: len(host.rows()) > before + SOME_ROWS and len(of_hold(host.rows())) > SOME_ROWS)
+    assert any(text.startswith(cause) and text.endswith("the guard holds the arm") for text in host.told())
+    released = coop("release", "two_wx200", "--control", host.folder / "left.control", cwd=host.folder)
+    assert released.returncode == 0, released.stderr
+    assert guard.wait(PATIENCE_S) == 0
+    rows = host.rows()
+    assert (rows["sequence"] == np.arange(len(rows))).all(), "two never write"
+    held = np.flatnonzero(rows["mode"] == Mode.HOLD)
+    assert (rows["mode"][held[0] :] == Mode.HOLD).all()
+    assert np.isfinite(rows["tau_sent"][held[-1], :3]).all()
+    assert any(text.startswith("run ended in OFF") for text in host.told())
+    (file,) = (host.folder / "post_mortem").glob("*-left-post-mortem.mcap")
+    log = read_log(file)
+    assert not log.problems
+    np.testing.assert_array_equal(log.agents["left"]["q"], rows["q"][: len(log.agents["left"])])
+    assert len(log.agents["left"]) > held[0], "the first cycles of the hold are in it"
+    assert cause in log.metadata["post_mortem"]["cause"]
+
+
+@pytest.mark.fault("P2")
+@pytest.mark.realtime
+def test_a_stopped_agent_is_ended_and_held_for(host: Host) -> None:
+    guard = host.guard()
+    stranger = AgentEnd(host.folder / "left.guard", load_cell(configs.CELLS_DIR / "two_wx200.toml").fingerprint)
+    with pytest.raises(GuardError, match=r"found KeyError 'driver'.*start agent and guard from one release"):
+        stranger.ask(Word.WATCH)
+    stranger.close()
+    agent = host.agent()
+    host.wait(lambda: len(host.rows()) > SOME_ROWS)
+    agent.send_signal(signal.SIGSTOP)
+    check_taken_over(host, guard, agent, "the agent hung")
+
+
+@pytest.mark.fault("P1")
+@pytest.mark.realtime
+def test_an_agent_that_fails_by_an_error_is_held_for_and_says_why(host: Host) -> None:
+    guard = host.guard()
+    agent = host.agent(program=(sys.executable, "-c", FAILING))
+    check_taken_over(host, guard, agent, "the agent has died", code=1)
+    assert "ZeroDivisionError: division by zero; the guard goes on" in host.told()
+    assert "Traceback" in (host.folder / "words").read_text()
+
+
+@pytest.mark.fault("P7")
+@pytest.mark.realtime
+def test_a_killed_guard_is_noticed_comes_back_with_the_port_and_holds_for_a_killed_agent(host: Host) -> None:
+    guard = host.guard()
+    host.kept = host.kept_port()
+    agent = host.agent()
+    host.wait(lambda: len(host.rows()) > SOME_ROWS)
+    guard.kill()
+    guard.wait()
+    host.wait(lambda: len(of_hold(host.rows())) > SOME_ROWS)
+    assert any("the guard is gone" in text for text in host.told())
+    assert agent.poll() is None, "the agent itself holds"
+    guard = host.guard(prefix=(sys.executable, "-Sc", AS_A_MANAGER_DOES, str(host.kept)))
+    host.wait(lambda: "the guard is back and watches" in host.told())
+    agent.kill()
+    check_taken_over(host, guard, agent, "the agent has died")
+
+
+@pytest.mark.realtime
+def test_an_agent_that_is_asked_to_end_leaves_the_hold_to_its_guard(host: Host) -> None:
+    guard = host.guard("--hold")
+    agent = host.agent("--hold")
+    host.wait(lambda: len(host.rows()) > SOME_ROWS)
+    agent.terminate()
+    assert agent.wait(PATIENCE_S) == 0
+    before = len(host.rows())
+    host.wait(lambda: len(host.rows()) > before + SOME_ROWS)
+    guard.terminate()
+    host.wait(lambda: len(host.rows()) > before + 3 * SOME_ROWS)
+    assert guard.poll() is None, "asked to end, it holds until a release"
+    assert "the agent was asked to end: the guard holds the arm" in host.told()
+    released = coop("release", "two_wx200", "--control", host.folder / "left.control", cwd=host.folder)
+    assert released.returncode == 0, released.stderr
+    assert guard.wait(PATIENCE_S) == 0
+    assert not (host.folder / "post_mortem").exists(), "nothing has failed"

@@ -1,0 +1,62 @@
+"""`coop faults`: the list, and a rehearsal in words, as JSON and as a log that other commands read."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from agent.faults.catalogue import rows
+from agent.faults.plan import NAMES
+from agent.log.read import read_log
+from agent.modes import Mode
+from tests.support.command import coop
+
+SHORT = ("--at", "0.1", "--duration", "0.5")
+
+
+def test_the_list_has_every_row_and_every_fault() -> None:
+    document = json.loads(coop("faults", "list", "--json").out)
+    assert document["schema"] == 1
+    assert [row["id"] for row in document["rows"]] == [row.id for row in rows()]
+    assert [kind["name"] for kind in document["kinds"]] == list(NAMES)
+    assert all(row["bound"] for row in document["rows"])
+    assert {"bound", "fails", "group", "id", "must", "never", "runs", "tests", "untested"} == set(document["rows"][0])
+    told = coop("faults", "list").out
+    assert all(f" {row.id} " in told for row in rows())
+    kinds = coop("faults", "list", "--kinds").out
+    assert all(f" {name} " in kinds for name in NAMES)
+
+
+def test_a_rehearsal_says_who_noticed_who_stopped_and_what_it_cost(tmp_path: Path) -> None:
+    log = tmp_path / "log.mcap"
+    done = coop("faults", "inject", "paper_real", "bus-off", "--arm", "right", *SHORT, "--out", log, "--json")
+    assert done.code == 0
+    document = json.loads(done.out)
+    assert document["cell"] == "paper_real"
+    assert document["faults"] == [{"fault": "bus-off", "arm": "right", "at_s": 0.1, "for_s": None}]
+    assert document["noticed"].startswith("right: ")
+    assert 0.0 <= document["noticed_s"] <= document["stopped_s"]["right"] <= 0.05
+    assert document["internal_force_N"] > 0.0
+    read = read_log(log)
+    assert set(read.agents) == {"left", "right"}
+    assert read.complete
+    assert len(read.plant) > 50  # type: ignore[arg-type]
+    assert Mode.HOLD in np.asarray(read.agents["right"]["mode"])
+    told = [event.text for event in read.events]
+    assert any(text.startswith("fault: bus-off") for text in told)
+    assert any(text.startswith("holds: ") for text in told)
+    again = coop("faults", "inject", "paper_real", "bus-off", "--out", log)
+    assert again.code == 4
+    assert "name another with --out" in again.err
+
+
+def test_a_row_of_the_list_can_be_let_happen_by_its_id() -> None:
+    done = coop("faults", "inject", "paper_real", "m1", "--duration", "3.2")
+    assert done.code == 0
+    lines = done.out.splitlines()
+    assert lines[0] == "fault             agent-garbage, arm left, at 3 s: what it computes with is no number"
+    assert lines[1].startswith("noticed           after 0 ms (left: ")
+    assert any(line.startswith("arm left          stopped after ") for line in lines)
+    assert any(line.startswith("sag  ") and line.endswith(" mm") for line in lines)

@@ -1,0 +1,97 @@
+"""The gripper of an arm through the real driver on emulated servos: told a width, it goes there and says so."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drivers.dynamixel.arm_map import ArmMap, MapError
+from drivers.dynamixel.driver import DynamixelDriver
+from drivers.dynamixel.errors import NoGripperError, NotEnabledError
+from drivers.dynamixel.servo.table import BUS_WATCHDOG, GOAL_POSITION, GOAL_PWM, SERVOS, TICK_RAD, TORQUE_ENABLE
+from drivers.fingers import Fingers
+from drivers.interface import Gripper
+from tests.support.servos.dxl_rig import WX200, Rig, build, enabled
+
+FINGERS = Fingers(0.014, 0.024, (1802 - 2048) * TICK_RAD, (2875 - 2048) * TICK_RAD)
+GRIPPER, EFFORT = 7, round(0.25 * 885)
+
+
+def with_gripper(**changes: object) -> ArmMap:
+    *others, gripper = WX200.joints
+    return replace(WX200, joints=(*others, replace(gripper, **{"fingers": FINGERS, "grip_effort": 0.25, **changes})))  # type: ignore[arg-type]
+
+
+def cycles(rig: Rig, count: int) -> None:
+    for _ in range(count):
+        begin_ns = rig.clock.now_ns()
+        rig.driver.read()
+        rig.driver.write(np.zeros(4))
+        rig.clock.sleep_until(begin_ns + rig.arm.period_ns)
+
+
+def test_a_width_goes_out_with_the_next_torque_and_the_fingers_follow() -> None:
+    rig = enabled(with_gripper())
+    cycles(rig, 3)
+    before = rig.get(GRIPPER, GOAL_POSITION)
+    rig.driver.grip(0.074)
+    assert rig.get(GRIPPER, GOAL_POSITION) == before, "grip itself touches no bus"
+    cycles(rig, 2)
+    assert rig.get(GRIPPER, GOAL_POSITION) == 2875
+    assert rig.get(GRIPPER, GOAL_PWM) == EFFORT
+    cycles(rig, 300)
+    state = rig.driver.grip_state()
+    assert state is not None
+    assert state.width_m == pytest.approx(0.074, abs=1e-3)
+    assert abs(state.speed_m_per_s) < 1e-3
+    assert rig.driver.faults == [], "the goal that is checked in the gaps is the new one"
+
+
+def test_fingers_that_close_say_a_positive_effort_and_a_force() -> None:
+    rig = enabled(with_gripper())
+    rig.driver.grip(0.03)
+    cycles(rig, 15)
+    state = rig.driver.grip_state()
+    assert state is not None
+    assert state.speed_m_per_s < 0.0
+    assert 0.05 < state.effort <= 0.26
+    stall_Nm, lever = SERVOS["XL430-W250"].stall_torque_Nm, FINGERS.lever(FINGERS.angle(state.width_m))
+    assert state.force_N == pytest.approx(state.effort * stall_Nm / lever)
+
+
+def test_the_grip_is_taken_up_again_after_the_watchdogs_have_fired() -> None:
+    rig = enabled(with_gripper())
+    rig.driver.grip(0.03)
+    cycles(rig, 10)
+    rig.clock.sleep_until(rig.clock.now_ns() + 300_000_000)
+    assert rig.servo(GRIPPER).firmware.tripped
+    rig.driver.rearm()
+    cycles(rig, 2)
+    assert rig.get(GRIPPER, GOAL_POSITION) == 1802
+    assert rig.get(GRIPPER, GOAL_PWM) == EFFORT
+    assert rig.get(GRIPPER, TORQUE_ENABLE) == 1
+    assert rig.get(GRIPPER, BUS_WATCHDOG) > 0
+
+
+def test_the_driver_is_a_gripper_too_and_says_when_it_has_none() -> None:
+    rig = enabled()
+    assert isinstance(rig.driver, Gripper)
+    assert rig.driver.grip_state() is None
+    with pytest.raises(NoGripperError, match=r"found none that its file describes well enough, expected closed_tick"):
+        rig.driver.grip(0.05)
+    with pytest.raises(NotEnabledError, match="torque on"):
+        connected().grip(0.05)
+
+
+def connected() -> DynamixelDriver:
+    rig = build(with_gripper())
+    rig.driver.connect()
+    return rig.driver
+
+
+@pytest.mark.parametrize("effort", [0.0, 1.1])
+def test_an_effort_that_is_no_share_is_refused(effort: float) -> None:
+    with pytest.raises(MapError, match="grip_effort"):
+        with_gripper(grip_effort=effort)

@@ -1,0 +1,122 @@
+"""A driver that goes on with an arm which another one has commanded: torque stays on, the first write is a torque."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drivers.dynamixel.servo.table import BUS_WATCHDOG, GOAL_CURRENT, GOAL_PWM, LED, TORQUE_ENABLE, Instruction
+from drivers.dynamixel.standby import AdoptError, Handover, StandbyDriver
+from sim_backend.wire.faults import FaultKind
+from tests.support.servos.dxl_rig import WX200, Rig, enabled
+
+TAU = np.array([0.4, 0.3, 0.2, 0.05])
+MS = 1_000_000
+CONTROLLED = (2, 4, 5, 6)
+
+
+def commanded(rig: Rig, cycles: int = 30) -> None:
+    for _ in range(cycles):
+        rig.clock.sleep_until(rig.clock.now_ns() + rig.arm.period_ns)
+        rig.driver.read()
+        rig.driver.write(TAU)
+
+
+def standby(rig: Rig) -> StandbyDriver:
+    """One on the rig's port, prepared as a guard's; the driver before it says nothing more."""
+    made = StandbyDriver(rig.arm, rig.clock, on_event=rig.events.append, port=rig.port)
+    made.prepare(Handover.of(rig.driver))
+    return made
+
+
+def goals(rig: Rig) -> list[int]:
+    return [rig.get(i, GOAL_PWM if i == 6 else GOAL_CURRENT) for i in CONTROLLED]
+
+
+def test_it_takes_the_arm_as_it_is_and_commands_it() -> None:
+    rig = enabled()
+    commanded(rig)
+    before, state = goals(rig), rig.driver.read()
+    rig.port.writes.clear()
+    driver = standby(rig)
+    assert rig.port.writes == [], "prepared without a byte on the bus"
+    begin_ns = rig.clock.now_ns()
+    held = driver.adopt(state.dq)
+    assert rig.clock.now_ns() - begin_ns < 8 * MS
+    np.testing.assert_allclose(held, TAU, atol=0.01)
+    assert {packet[7] for packet in rig.port.writes} == {Instruction.SYNC_READ}, "nothing was written"
+    assert goals(rig) == before
+    assert all(rig.get(i, TORQUE_ENABLE) == 1 for i in CONTROLLED)
+    for _ in range(60):
+        rig.clock.sleep_until(rig.clock.now_ns() + rig.arm.period_ns)
+        driver.read()
+        driver.write(TAU)
+    assert driver.faults == []
+
+
+def test_a_handover_survives_the_way_between_two_processes() -> None:
+    import json
+
+    rig = enabled()
+    found = Handover.of(rig.driver)
+    again = Handover(tuple(json.loads(json.dumps(found.servos))))
+    assert again == found
+    assert again.servos_of(rig.arm) == list(rig.driver.found)
+
+
+def test_a_handover_of_another_arm_is_refused() -> None:
+    rig = enabled()
+    shorter = replace(WX200, joints=WX200.joints[:-1])
+    with pytest.raises(AdoptError, match=r"found IDs \[1, 2, 3, 4, 5, 6, 7\], expected IDs \[1, 2, 3, 4, 5, 6\]"):
+        Handover.of(rig.driver).servos_of(shorter)
+
+
+@pytest.mark.parametrize("register", [TORQUE_ENABLE, LED], ids=["torque off", "without the mark of bring-up"])
+def test_an_arm_that_is_not_as_it_was_left_is_refused_and_nothing_is_written(register) -> None:
+    rig = enabled()
+    driver = standby(rig)
+    for i in (2, 3, 4, 5, 6):
+        rig.put(i, register, 0)
+    rig.port.writes.clear()
+    with pytest.raises(AdoptError, match="support the object: nothing holds it"):
+        driver.adopt(np.zeros(4))
+    assert {packet[7] for packet in rig.port.writes} == {Instruction.SYNC_READ}
+
+
+def test_one_servo_without_torque_does_not_keep_the_others_from_holding() -> None:
+    rig = enabled()
+    commanded(rig)
+    dq = rig.driver.read().dq
+    driver = standby(rig)
+    rig.put(4, TORQUE_ENABLE, 0)
+    np.testing.assert_allclose(driver.adopt(dq), TAU, atol=0.01)
+
+
+def test_a_servo_that_does_not_answer_is_not_known_and_the_others_are() -> None:
+    rig = enabled()
+    commanded(rig)
+    driver = standby(rig)
+    rig.fault(FaultKind.POWER_LOSS, 5)
+    held = driver.adopt(np.zeros(4))
+    assert np.isnan(held).tolist() == [False, False, True, False]
+
+
+def test_a_port_that_is_gone_is_the_loops_affair() -> None:
+    rig = enabled()
+    driver = standby(rig)
+    rig.port.lost = True
+    assert np.isnan(driver.adopt(np.zeros(4))).all()
+
+
+def test_servos_whose_watchdog_has_fired_are_armed_again_without_effort() -> None:
+    rig = enabled()
+    commanded(rig)
+    driver = standby(rig)
+    rig.clock.sleep_until(rig.clock.now_ns() + 300 * MS)
+    assert rig.get(2, BUS_WATCHDOG) == -1
+    assert driver.adopt(np.zeros(4)).tolist() == [0.0] * 4
+    assert rig.get(2, BUS_WATCHDOG) == 10
+    driver.write(TAU)
+    assert goals(rig)[0] > 0

@@ -1,0 +1,218 @@
+"""Each fault strikes what it names, when it should: real drivers and loops on emulated servos in virtual time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agent.config.cell import load_cell
+from agent.faults.bench import Rehearsal, rehearse
+from agent.faults.measure import GONE, Measured, measured
+from agent.faults.plan import Injection
+from agent.modes import Mode
+from agent.safety import Flag
+from drivers.dynamixel.arm_map import WATCHDOG_S
+from tests.faults.together import drawn, same
+
+AT_S = 0.1
+SHORT_S = 0.3
+
+
+@cache
+def struck(
+    *names: str, arm: str = "left", cell: str = "paper_real", until_s: float = SHORT_S, **given: float
+) -> Rehearsal:
+    """A short run of a cell with these faults at AT_S."""
+    faults = [Injection(fault=name, arm=arm, at_s=AT_S, **given) for name in names]  # type: ignore[arg-type]
+    return rehearse(load_cell(Path(cell), [f"duration_s={until_s}"]), faults)
+
+
+def seen(run: Rehearsal, key: Callable[..., np.ndarray], *, after_s: float) -> np.ndarray:
+    """A quantity of the truth from a time on, (k, …)."""
+    return np.array([key(truth) for t, truth in run.truth if t >= after_s])
+
+
+def applied(run: Rehearsal, arm: int, after_s: float) -> np.ndarray:
+    return seen(run, lambda truth: truth.tau_applied[3 * arm : 3 * arm + 3], after_s=after_s)
+
+
+def shown(run: Rehearsal) -> Measured:
+    return measured(run)
+
+
+def test_without_a_fault_nobody_says_anything() -> None:
+    run = rehearse(load_cell(Path("paper_real"), [f"duration_s={SHORT_S}"]), [])
+    found = measured(run)
+    assert (found.noticed_s, found.reacted_s, set(found.stopped_s.values())) == (None, None, {None})
+    assert set(found.ended.values()) == {"TRACK"}
+    assert len(run.arms["left"].rows) == len(run.arms["right"].rows)
+
+
+@pytest.mark.fault("P8")
+def test_an_agent_that_is_gone_leaves_its_last_torque_until_the_servos_watchdog() -> None:
+    run = struck("agent-off", until_s=0.6)
+    assert run.arms["left"].gone_s == pytest.approx(AT_S, abs=2e-3)
+    assert applied(run, 0, AT_S + 0.01)[0].any()
+    assert not applied(run, 0, AT_S + WATCHDOG_S + 0.02).any()
+    assert shown(run).ended["left"] == GONE
+    assert shown(run).ended["right"] == "HOLD"
+
+
+@pytest.mark.fault("F7", "B3")
+def test_an_arm_without_supply_is_limp_and_its_own_agent_stops() -> None:
+    run = struck("arm-off")
+    assert not applied(run, 0, AT_S + 0.01).any()
+    assert applied(run, 1, AT_S + 0.01).any()
+    stopped = shown(run).stopped_s["left"]
+    assert stopped is not None
+    assert stopped <= 0.05
+
+
+@pytest.mark.fault("F8")
+def test_after_an_emergency_stop_torque_stays_off_when_the_supply_is_back() -> None:
+    faults = [Injection(fault="arm-off", arm=arm, at_s=AT_S, for_s=0.2) for arm in ("left", "right")]
+    run = rehearse(load_cell(Path("paper_real"), ["duration_s=1.2"]), faults)
+    found = measured(run)
+    assert found.noticed_s is not None
+    assert found.noticed_s <= 0.1
+    assert found.reacted_s is not None
+    assert not seen(run, lambda truth: truth.tau_applied, after_s=AT_S + 0.01).any()
+    assert len(run.truth) > 200, "the log goes on to the end"
+
+
+@pytest.mark.fault("F2")
+def test_a_seized_arm_stands_still_and_the_others_hold() -> None:
+    run = struck("arm-stuck", until_s=1.5)
+    still = seen(run, lambda truth: truth.dq[:3], after_s=AT_S + 0.05)
+    assert np.abs(still).max() < 5e-3
+    assert "HOLD" in shown(run).ended.values()
+
+
+@pytest.mark.fault("F3")
+def test_a_gripper_that_loses_the_object_carries_nothing_and_the_object_stays() -> None:
+    run = struck("grasp-off")
+    assert not seen(run, lambda truth: truth.grasp_wrench[0], after_s=AT_S + 0.01).any()
+    assert seen(run, lambda truth: truth.grasp_wrench[1], after_s=AT_S + 0.01).any()
+    assert shown(run).sag_m < 5e-3
+
+
+@pytest.mark.fault("F4", "M3")
+def test_an_arm_that_pulls_by_itself_is_held_by_all_within_its_bounds() -> None:
+    run = struck("arm-wrong", size=1.0, until_s=0.6)
+    found = shown(run)
+    assert set(found.ended.values()) == {"HOLD"}
+    assert found.torque_share <= 1.02
+    for arm in run.cell.arms:
+        tau, bound = run.arms[arm.name].rows["tau_limited"][:, : arm.n], arm.tau_stall_Nm
+        step = bound * run.cell.file.safety.tau_max_fraction_of_stall * run.cell.file.safety.tau_step_max_fraction
+        assert (np.abs(np.diff(tau, axis=0)) <= step + 1e-9).all()
+
+
+@pytest.mark.fault("F5")
+def test_a_hard_push_is_held_and_a_touch_is_not() -> None:
+    pushed = struck("object-stuck", size=15.0)
+    assert set(shown(pushed).ended.values()) == {"HOLD"}
+    v = pushed.cell.trajectory().at(AT_S).v
+    assert seen(pushed, lambda truth: truth.v_object[0], after_s=AT_S + 0.005)[0] * np.sign(v[0]) < 0.0, "against it"
+    touched = shown(struck("object-stuck", size=0.1, for_s=0.1))
+    assert touched.stopped_s == {"left": None, "right": None}
+
+
+@pytest.mark.fault("F6")
+@pytest.mark.parametrize("size", [0.5, 1.5])
+def test_an_object_of_another_weight_is_carried_with_little_force(size: float) -> None:
+    found = shown(struck("object-wrong", size=size))
+    assert found.stopped_s == {"left": None, "right": None}
+    assert found.internal_N < 6.0
+    assert found.speed_rad_per_s < 1.5
+
+
+@pytest.mark.fault("F6")
+def test_a_grasp_beside_its_place_is_lived_with() -> None:
+    run = struck("grasp-wrong", size=10.0)
+    off = measured(run)
+    assert off.internal_N < 6.0
+    q, right = run.truth[0][1].q, struck("object-wrong", size=1.5).truth[0][1].q
+    assert np.abs(q[:3] - right[:3]).max() > 0.02, "the arm stands where it holds the object 10 mm beside"
+
+
+@pytest.mark.fault("M1")
+def test_what_is_no_number_holds_at_once_and_never_goes_out() -> None:
+    run = struck("agent-garbage")
+    found, rows = shown(run), run.arms["left"].rows
+    assert found.stopped_s["left"] is not None
+    assert found.stopped_s["left"] < 0.011
+    assert Flag.NOT_FINITE in Flag(int(rows["flags"][-1]))
+    assert np.isfinite(rows["tau_sent"][:, :3]).all()
+
+
+@pytest.mark.fault("P3")
+def test_an_agent_that_stands_still_for_a_moment_keeps_the_phase() -> None:
+    run = struck("agent-stuck", for_s=0.03)
+    rows = run.arms["left"].rows
+    gaps = np.diff(rows["stamp_ns"].astype(np.int64)) / run.cell.period_ns
+    assert gaps.max() == pytest.approx(6.0, abs=1.1)
+    assert gaps[-5:] == pytest.approx(np.ones(5), abs=0.05), "no burst to catch up"
+    phase = (rows["stamp_ns"].astype(np.int64) - run.zero_ns) % run.cell.period_ns
+    assert np.ptp(phase[-20:]) < 1e5
+    assert shown(run).ended["left"] == "TRACK"
+
+
+def test_an_agent_that_is_slow_is_late_in_every_cycle() -> None:
+    late = struck("agent-slow", size=1.5).arms["left"].rows["late_s"]
+    assert (late[-20:] > 1.4 * 5e-3).all()
+
+
+@pytest.mark.fault("C2")
+def test_a_clock_that_is_ahead_puts_its_arm_ahead_on_the_motion() -> None:
+    run = struck("clock-wrong", size=5.0)
+    for name, ahead_s in (("left", 5e-3), ("right", 0.0)):
+        rows = run.arms[name].rows[-20:]
+        true_t = (rows["stamp_ns"].astype(np.int64) - run.zero_ns) * 1e-9
+        assert rows["t"] - true_t == pytest.approx(np.full(20, ahead_s), abs=1e-8)
+    assert shown(run).ended == {"left": "TRACK", "right": "TRACK"}
+
+
+@pytest.mark.fault("M5")
+def test_gains_ten_times_as_large_turn_nothing_faster_than_a_hold_may() -> None:
+    found = shown(struck("agent-wrong", cell="two_wx200", until_s=1.0))
+    assert found.ended["left"] == "HOLD"
+    assert found.speed_rad_per_s < 1.5
+    assert found.torque_share <= 1.02
+
+
+@pytest.mark.fault("P6")
+def test_an_operator_who_stops_one_arm_stops_that_one() -> None:
+    run = struck("operator-off")
+    modes = dict(run.arms["left"].modes[::-1])
+    assert [mode for _, mode in run.arms["left"].modes][-1] is Mode.HOLD
+    assert max(modes) == pytest.approx(AT_S, abs=6e-3)
+    assert run.arms["left"].troubles == []
+
+
+@pytest.mark.fault("B4")
+def test_a_port_that_is_unplugged_is_lost_at_once() -> None:
+    found = shown(struck("port-off", for_s=0.1))
+    assert found.noticed_s is not None
+    assert found.noticed_s < 0.01
+    assert found.stopped_s["left"] is not None
+    assert found.stopped_s["left"] <= 0.05
+
+
+@pytest.mark.fault("X1")
+def test_two_at_once_from_a_seed_are_the_same_to_the_bit() -> None:
+    assert drawn(3) == drawn(3)
+    assert drawn(3) != drawn(4)
+    cell = load_cell(Path("paper_real"), [f"duration_s={SHORT_S}"])
+    faults = [
+        Injection(fault="bus-intermittent", arm="left", at_s=AT_S, size=0.5),
+        Injection(fault="servo-garbage", arm="right", servo=3, at_s=AT_S + 0.05),
+    ]
+    one, two = rehearse(cell, faults, seed=7), rehearse(cell, faults, seed=7)
+    assert same(one, two)
+    assert not same(one, rehearse(cell, faults, seed=8))
+    assert measured(one).ended["right"] == "HOLD"

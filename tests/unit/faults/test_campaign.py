@@ -1,0 +1,83 @@
+"""What `make faults` makes of runs and tests: verdicts, worst figures, and pytest's own report."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from agent.faults.catalogue import Row, Shown, Within, rows
+from agent.faults.judge import Judged
+from tests.faults.__main__ import judged, worst
+from tests.faults.false_trips import FalseTrips
+from tests.faults.outside import of_row, read_report
+from tests.faults.together import STOPPING, drawn
+from tests.unit.faults.test_judge import GOOD
+
+ROW = next(row for row in rows() if row.id == "B2")
+SHOWN = Shown(cell="two_wx200", within=Within(noticed_s=0.02, reacted_s=0.05))
+BARE = Row.model_validate(
+    {"id": "P1", "group": "process", "fails": "x", "must": "y", "bound": "z", "untested": "no host for it"}
+)  # fmt: skip
+
+
+def test_a_row_is_met_when_its_runs_and_tests_are() -> None:
+    run = Judged(SHOWN, GOOD, ())
+    document = judged(ROW, [run, Judged(SHOWN, replace(GOOD, noticed_s=0.02, sag_m=0.01), ())], {})
+    assert (document["id"], document["verdict"], document["missed"]) == ("B2", "met", [])
+    assert (document["detected_s"], document["reacted_s"], document["sag_m"]) == (0.02, 0.05, 0.01)
+    assert judged(ROW, [], dict.fromkeys(ROW.tests, "passed"))["verdict"] == "met"
+
+
+def test_one_miss_or_one_failed_test_misses_the_row() -> None:
+    late = Judged(SHOWN, GOOD, ("noticed after 1 s, not ≤ 0.02",))
+    assert judged(ROW, [late], {})["missed"] == ["two_wx200: noticed after 1 s, not ≤ 0.02"]
+    failed = judged(ROW, [Judged(SHOWN, GOOD, ())], {ROW.tests[0]: "failed"})
+    assert failed["verdict"] == "missed"
+    assert failed["missed"] == [f"{ROW.tests[0]} fails"]
+
+
+def test_what_did_not_run_is_not_called_met() -> None:
+    document = judged(ROW, [], dict.fromkeys(ROW.tests, "skipped"))
+    assert document["verdict"] == "not tested"
+    assert document["why_not"]
+    assert judged(BARE, [], {})["why_not"] == "no host for it"
+
+
+def test_what_never_came_is_no_figure() -> None:
+    assert worst([0.1, None]) is None
+    assert worst([]) is None
+    assert worst([0.1, 0.3]) == 0.3
+
+
+def test_a_test_with_one_failed_parameter_has_failed(tmp_path: Path) -> None:
+    report = tmp_path / "report.xml"
+    report.write_text(
+        '<testsuites><testsuite><testcase classname="tests.unit.test_a" name="test_x[1]"/>'
+        '<testcase classname="tests.unit.test_a" name="test_x[2]"><failure/></testcase>'
+        '<testcase classname="tests.unit.test_a" name="test_y"><skipped/></testcase></testsuite></testsuites>'
+    )
+    from collections import defaultdict
+
+    found: dict[str, set[str]] = defaultdict(set)
+    read_report(report, found)
+    assert found == {"tests/unit/test_a.py::test_x": {"passed", "failed"}, "tests/unit/test_a.py::test_y": {"skipped"}}
+    assert of_row(["a", "b"], {"a": "failed", "b": "passed"}) == (["a"], True)
+    assert of_row(["a"], {}) == ([], False)
+
+
+def test_the_rate_of_false_trips_is_an_hours() -> None:
+    found = FalseTrips(1800.0, 72, ("paper_real, reality 3: x",))
+    assert found.per_hour == 2.0
+    assert found.document()["verdict"] == "missed"
+    assert FalseTrips(1800.0, 72, ()).document()["verdict"] == "met"
+    assert FalseTrips(0.0, 0, ()).document()["verdict"] == "not tested"
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_pairs_are_two_different_faults_in_the_run(seed: int) -> None:
+    _, (one, two) = drawn(seed)
+    assert one.fault != two.fault
+    assert {one.fault, two.fault} <= set(STOPPING)
+    assert 1.0 <= one.at_s <= two.at_s <= 3.5

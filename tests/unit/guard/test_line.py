@@ -1,0 +1,178 @@
+"""The line between agent and guard: who is heard, what is refused, and which descriptors come through."""
+
+from __future__ import annotations
+
+import os
+import socket
+import stat
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from agent.guard.guarded import AGAIN_AFTER, Guarded
+from agent.guard.line import AgentEnd, GuardEnd, GuardError, Said, Word
+from agent.telemetry.row.event import Level
+
+CELL, OTHER = "ab" * 32, "cd" * 32
+
+
+@pytest.fixture
+def guard(tmp_path: Path) -> Iterator[GuardEnd]:
+    with GuardEnd(tmp_path / "left.guard", CELL) as end:
+        yield end
+    assert not (tmp_path / "left.guard").exists()
+
+
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "left.guard"
+
+
+def heard(guard: GuardEnd) -> Said:
+    while (said := guard.hear()) is None:
+        pass
+    return said
+
+
+class Asking(threading.Thread):
+    """An agent's question, which waits for its answer."""
+
+    def __init__(self, agent: AgentEnd, word: Word, fds: tuple[int, ...] = ()) -> None:
+        super().__init__(daemon=True)
+        self.fds: tuple[int, ...] = ()
+        self.error: GuardError | None = None
+        self._agent = agent
+        self._ask = lambda: agent.ask(word, fds)
+        self.start()
+
+    def run(self) -> None:
+        try:
+            self.fds = self._ask()
+        except GuardError as error:
+            self.error = error
+        self._agent.close()
+
+
+def test_words_and_descriptors_come_through_both_ways(guard: GuardEnd, tmp_path: Path) -> None:
+    agent = AgentEnd(path(tmp_path), CELL)
+    out, into = os.pipe()
+    asking = Asking(agent, Word.PORT, (out,))
+    said = heard(guard)
+    assert (said.word, len(said.fds)) == (Word.PORT, 1)
+    os.write(into, b"x")
+    assert os.read(said.fds[0], 1) == b"x", "the same pipe"
+    guard.answer((into,))
+    asking.join()
+    assert os.path.sameopenfile(asking.fds[0], into)
+    assert not os.get_inheritable(asking.fds[0])
+    for fd in (out, into, *said.fds, *asking.fds):
+        os.close(fd)
+
+
+def test_a_word_of_another_cell_is_refused_and_what_it_brought_is_closed(guard: GuardEnd, tmp_path: Path) -> None:
+    out, into = os.pipe()
+    asking = Asking(AgentEnd(path(tmp_path), OTHER), Word.WATCH, (into,))
+    while asking.is_alive():
+        assert guard.hear() is None
+    os.close(into)
+    assert os.read(out, 1) == b"", "nobody else has the other end"
+    os.close(out)
+    assert asking.error is not None
+    assert "found cell cdcdcdcdcdcd, expected cell abababababab; give both the same file" in str(asking.error)
+
+
+def test_nonsense_is_refused(guard: GuardEnd, tmp_path: Path) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as stranger:
+        stranger.connect(str(path(tmp_path)))
+        stranger.send(b'{"word": "dance"}')
+        assert guard.hear() is None
+        assert b"one of port, watch, busy, leave, take" in stranger.recv(1000)
+
+
+def test_a_second_agent_is_refused_and_the_first_stays(guard: GuardEnd, tmp_path: Path) -> None:
+    first = AgentEnd(path(tmp_path), CELL)
+    assert guard.hear() is None
+    second = Asking(AgentEnd(path(tmp_path), CELL), Word.PORT)
+    while second.is_alive():
+        assert guard.hear() is None
+    assert second.error is not None
+    assert second.error.found == "a second agent"
+    first.say(Word.BUSY)
+    assert heard(guard).word is Word.BUSY
+    first.close()
+
+
+def test_the_socket_is_its_users_own_and_a_second_guard_is_refused(guard: GuardEnd, tmp_path: Path) -> None:
+    assert stat.S_IMODE(path(tmp_path).stat().st_mode) == 0o600
+    with pytest.raises(GuardError, match="found another guard, expected one per arm"):
+        GuardEnd(path(tmp_path), CELL)
+    AgentEnd(path(tmp_path), CELL).close()
+
+
+def test_the_socket_of_a_dead_guard_is_taken_over(tmp_path: Path) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as dead:
+        dead.bind(str(path(tmp_path)))
+    GuardEnd(path(tmp_path), CELL).close()
+
+
+def test_an_agent_without_its_guard_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(GuardError, match="start it first"):
+        Guarded(path(tmp_path), CELL)
+
+
+@pytest.mark.fault("P7")
+def test_a_guard_that_is_gone_is_noticed_once_and_a_new_one_is_asked_to_watch(tmp_path: Path) -> None:
+    told: list[tuple[Level, str]] = []
+    first = GuardEnd(path(tmp_path), CELL)
+    agent = Guarded(path(tmp_path), CELL)
+    watching = threading.Thread(target=lambda: agent.watch((0,), lambda *event: told.append(event), ring="r"))
+    watching.start()
+    said = heard(first)
+    first.answer()
+    watching.join()
+    assert agent.there
+    assert not agent.poll()
+    said.drop()
+    first.close()
+    assert [agent.poll() for _ in range(3)] == [True, False, False]
+    assert not agent.there
+    second = GuardEnd(path(tmp_path), CELL)
+    for _ in range(AGAIN_AFTER):
+        assert not agent.poll()
+    said = heard(second)
+    assert (said.word, said.content["ring"], len(said.fds)) == (Word.WATCH, "r", 2)
+    assert not agent.there, "it has not said yes yet"
+    second.answer()
+    assert not agent.poll()
+    assert agent.there
+    assert [level for level, _ in told] == [Level.ERROR, Level.INFO]
+    assert "the guard is gone: the arm holds" in told[0][1]
+    said.drop()
+    second.close()
+    agent.leave()
+    agent.leave()
+
+
+@pytest.mark.parametrize(("guarded", "code", "words"), [(True, 3, "the guard goes on"), (False, 0, "")])
+def test_a_loop_that_fails_ends_its_process_at_once_where_somebody_goes_on(
+    guarded: bool, code: int, words: str
+) -> None:
+    program = f"""
+import sys
+from agent.guard.guarded import Guarded
+from drivers.interface import StaleStateError
+agent = Guarded.__new__(Guarded)
+agent._end, agent._watch, agent._asked_back = (object(), ((), {{}}), False) if {guarded} else (None, None, False)
+agent._tell = lambda level, text: print(level.name, text)
+try:
+    raise StaleStateError("state", found="no reply", expected="a reply", remedy="look")
+except Exception as error:
+    agent.give_up(error)
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert done.returncode == code
+    assert words in done.stdout
+    assert ("Traceback" in done.stderr) is guarded

@@ -1,0 +1,115 @@
+"""Where a hold begins behind a dead agent: bit for bit where the agent itself would have begun it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from agent.control.memory import Memory, restore
+from agent.guard.resume import beginning, from_torque, last_speed
+from agent.loop import wait_here
+from agent.modes import Event, Mode
+from agent.process.build import build_agent
+from agent.runner import Beginning
+from agent.safety import Flag
+from tests.support.runner_rig import lost_at, paper, q_start, run
+
+AGENT = build_agent(paper(), paper().arms[0])
+STOP_AT = 25  # reads; the rows before it are READY (10) and TRACK
+
+
+def held_by_itself(stop_at: int) -> tuple[Any, Any]:
+    """Rows before the agent's own hold, and the first one of it."""
+    rows = rows_until(stop_at)
+    first = int(np.flatnonzero(rows["mode"] == Mode.HOLD)[0])
+    return rows[:first], rows[first]
+
+
+def moving(read: int) -> np.ndarray:
+    return q_start() + 0.002 * read
+
+
+def rows_until(stop_at: int, **more: Any) -> Any:
+    """Rows of an agent that is stopped at that read, and ends soon after."""
+
+    def operator(reads: int) -> Event:
+        stopped = Event.STOP if reads >= stop_at else Event.NONE
+        return stopped | (Event.RELEASED if reads >= stop_at + 3 else Event.NONE)
+
+    return run(operator, q=moving, **more).rows
+
+
+def same(memory: Memory, row: Any) -> None:
+    np.testing.assert_array_equal(memory.flatten(), row["memory"])
+
+
+@pytest.mark.parametrize("stop_at", [5, STOP_AT])
+def test_the_hold_begins_with_the_memory_of_the_agents_own_hold(stop_at: int) -> None:
+    before, held = held_by_itself(stop_at)
+    assert before[-1]["mode"] == (Mode.READY if stop_at == 5 else Mode.TRACK)
+    begun = beginning(AGENT, before, "the agent has died")
+    assert begun.mode is Mode.HOLD
+    same(begun.memory, held)
+    assert begun.rows == held["sequence"]
+    assert begun.reason == "the agent has died"
+
+
+def test_the_trajectorys_zero_is_that_of_the_rows() -> None:
+    before, held = held_by_itself(STOP_AT)
+    begun = beginning(AGENT, before, "")
+    assert (int(held["stamp_ns"]) - begun.zero_ns) * 1e-9 == pytest.approx(float(held["t"]), abs=2e-9)
+
+
+def test_a_hold_that_the_agent_had_begun_goes_on_at_the_same_pose() -> None:
+    rows = rows_until(STOP_AT)
+    held = rows[rows["mode"] == Mode.HOLD]
+    begun = beginning(AGENT, held[:2], "x")
+    same(begun.memory, held[2])
+    assert begun.memory.hold == restore(held[0]["memory"], 3).hold
+    assert begun.reason == "x; it held already"
+
+
+def test_behind_rows_without_a_state_the_hold_begins_where_the_arm_is_seen_next() -> None:
+    rows = rows_until(STOP_AT, failures=lost_at(STOP_AT, STOP_AT + 1))
+    held = np.flatnonzero(rows["mode"] == Mode.HOLD)[0]
+    assert (rows["flags"][held - 2 : held] & Flag.STALE).all()
+    begun = beginning(AGENT, rows[:held], "")
+    same(wait_here(AGENT, rows[held]["q_measured"][:3].copy(), begun.memory), rows[held])  # as the loop itself does
+    assert begun.rows == rows[held]["sequence"]
+
+
+def test_without_any_row_the_hold_begins_as_an_arm_that_waits_does() -> None:
+    begun = beginning(AGENT, held_by_itself(STOP_AT)[0][:0], "x")
+    assert (begun.mode, begun.rows, begun.memory.hold, begun.memory.primed) == (Mode.HOLD, 0, None, False)
+    assert last_speed(held_by_itself(STOP_AT)[0][:0], 3).tolist() == [0.0, 0.0, 0.0]
+
+
+def begun_and_rows() -> tuple[Beginning, Any]:
+    before, _ = held_by_itself(STOP_AT)
+    return beginning(AGENT, before, ""), before
+
+
+def test_the_first_step_counts_from_the_torque_that_the_servos_hold_where_it_is_another() -> None:
+    begun, rows = begun_and_rows()
+    sent = rows[-1]["tau_sent"][:3]
+    held = sent + np.array([0.0005, 0.25, np.nan])  # within what a count says; written without a row; no answer
+    tau = from_torque(begun, rows, held).memory.tau
+    assert tau.tolist() == [begun.memory.tau[0], held[1], begun.memory.tau[2]]
+
+
+@pytest.mark.parametrize("mark", [Flag.GAP, Flag.RESUMED])
+def test_after_a_gap_or_without_torque_the_pose_is_found_anew(mark: Flag) -> None:
+    before, _ = held_by_itself(STOP_AT)
+    memory = beginning(AGENT, before, "", mark).memory
+    assert (memory.hold, memory.primed) == (None, False)
+    assert memory.tau.any() == (mark is Flag.GAP)
+
+
+def test_speeds_are_the_measured_ones_of_the_last_fresh_row() -> None:
+    _, rows = begun_and_rows()
+    rows = rows.copy()
+    rows["dq_measured"][-2, :3] = [0.1, 0.2, 0.3]
+    rows["flags"][-1] |= int(Flag.STALE)
+    assert last_speed(rows, 3).tolist() == [0.1, 0.2, 0.3]

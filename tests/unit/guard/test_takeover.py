@@ -1,0 +1,63 @@
+"""P1, P2 in virtual time: agents that die or hang anywhere in a cycle while two arms carry an object.
+
+Real drivers, loops and the guards' own steps on emulated servos; `tests/process/run/test_guard.py` has the processes.
+"""
+
+from __future__ import annotations
+
+import random
+
+import numpy as np
+import pytest
+
+import configs
+from agent.config.cell import load_cell
+from agent.modes import Mode
+from agent.process.build import build_agent
+from tests.support.servos.guarded_rig import End, Guarded, GuardedRun
+
+FROM_DEATH_NS, FROM_HEARTBEAT_NS = 20_000_000, 35_000_000
+MOVES_MAX_M = 5e-3
+UNTIL_S = 2.2
+CELL = load_cell(configs.CELLS_DIR / "two_wx200.toml", ["duration_s=2.2"])
+STEP_MAX_NM = build_agent(CELL, CELL.arms[0]).limits.tau_step_max_Nm
+
+
+def first_torque_ns(run: Guarded) -> int:
+    return min(ns for ns in run.torques_ns if ns > run.died_ns)
+
+
+def check_hold(run: Guarded) -> None:
+    rows, k = run.rows, run.rows_of_agent
+    assert (rows["mode"][k:] == Mode.HOLD).all()
+    assert (rows["sequence"] == np.arange(len(rows))).all(), "one ring, no row twice"
+    assert run.held is not None
+    assert (np.abs(rows["tau_limited"][k, :3] - run.held) <= np.array(STEP_MAX_NM) + 0.01).all()
+    moved = np.linalg.norm(rows["p_object"][k:] - rows["p_object"][k - 1], axis=1)
+    assert moved.max() <= MOVES_MAX_M, f"{moved.max() * 1e3:.1f} mm"
+    assert np.abs(rows["t"][k] - rows["t"][k - 1]) < 0.05, "the trajectory's zero is the agent's"
+
+
+@pytest.mark.fault("P1")
+@pytest.mark.fault("P2")
+@pytest.mark.parametrize("seed", [1])
+def test_guards_go_on_within_the_bounds_wherever_in_a_cycle_their_agents_end(seed: int) -> None:
+    chance = random.Random(seed)
+    ends = {"left": End(chance.uniform(1.5, 1.9)), "right": End(chance.uniform(1.5, 1.9), hangs=True)}
+    arms = GuardedRun(CELL, ends, UNTIL_S).arms
+    left, right = arms["left"], arms["right"]
+    assert isinstance(left, Guarded)
+    assert isinstance(right, Guarded)
+    for run in (left, right):
+        check_hold(run)
+    assert first_torque_ns(left) - left.died_ns <= FROM_DEATH_NS
+    assert first_torque_ns(right) - right.row_ns <= FROM_HEARTBEAT_NS
+    assert first_torque_ns(right) - right.row_ns > 15_000_000, "not before it is plain that the agent hangs"
+
+
+def test_an_agent_that_dies_before_the_start_is_held_where_it_waited() -> None:
+    arms = GuardedRun(CELL, {"left": End(-0.1213)}, until_s=0.4).arms
+    left = arms["left"]
+    assert isinstance(left, Guarded)
+    check_hold(left)
+    assert left.rows["mode"][left.rows_of_agent - 1] == Mode.READY

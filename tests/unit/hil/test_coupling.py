@@ -1,0 +1,136 @@
+"""The coupling of a real arm and its twin against its formulae."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from drivers.interface import Vector
+from drivers.rehearsal import STIFFEST, frequency, loop_delay_s
+from sim_backend.hil.coupling import FADE_S, OBSERVER_PER_S, Coupling, Settings, TwinState
+
+T_NS, T = 5_000_000, 0.005
+W, Z = 20.0, 0.7
+CLAMP = np.array([1.0, 0.5])
+B = np.array([[0.04, 0.01], [0.01, 0.02]])
+SETTINGS = Settings(T, W, Z, CLAMP, ramp_s=0.2, apart_max_rad=0.3)
+ZERO = np.zeros(2)
+vectors = arrays(np.float64, 2, elements=st.floats(-5.0, 5.0))
+
+
+def twin(stamp_ns: int, q: Vector = ZERO, dq: Vector = ZERO, grasp: Vector = ZERO) -> TwinState:
+    return TwinState(stamp_ns, q, dq, grasp, grasp)
+
+
+def coupled(cycles: int = 60) -> tuple[Coupling, int]:
+    """Wholly ramped in with everything at zero; and the next stamp."""
+    coupling = Coupling(SETTINGS)
+    for k in range(cycles):
+        coupling.step(k * T_NS, ZERO, ZERO, twin(k * T_NS), B)
+    return coupling, cycles * T_NS
+
+
+def test_the_rule_keeps_to_two_thirds_of_what_is_stable_at_every_delay() -> None:
+    for extra in (0.0, 1.0, 4.0):
+        for period_s in (0.002, 0.005, 0.02):
+            delay_s = loop_delay_s(period_s, extra)
+            assert frequency(delay_s) * delay_s <= 2.0 / 3.0 * STIFFEST + 1e-12
+    assert loop_delay_s(0.005, 0.0) == pytest.approx(0.0075)
+    assert frequency(0.0075) == 25.0
+    assert frequency(0.0175) == pytest.approx(0.2 / 0.0175)
+
+
+def test_both_sides_get_the_coupling_and_the_twin_alone_what_the_arm_does_otherwise() -> None:
+    coupling, now = coupled()
+    q, dq, q_t, grasp = np.array([0.01, -0.02]), np.array([0.3, 0.1]), np.array([0.0, 0.01]), np.array([0.2, -0.1])
+    coupling.step(now, q, dq, twin(now, q_t, ZERO, grasp), B)
+    c = np.diag(B) * (W**2 * (q_t - q) + 2.0 * Z * W * (ZERO - dq))
+    r = OBSERVER_PER_S * (B @ dq - T * (ZERO - grasp))
+    np.testing.assert_allclose(coupling.addition, np.clip(grasp + c, -CLAMP, CLAMP))
+    np.testing.assert_allclose(coupling.on_twin, np.clip(r, -CLAMP, CLAMP) - c)
+
+
+def test_the_twin_is_looked_at_where_it_will_be_at_the_arms_instant() -> None:
+    coupling, now = coupled()
+    dq = np.array([0.5, -0.5])
+    coupling.step(now, ZERO, dq, twin(now - 4_000_000, ZERO, dq), B)
+    np.testing.assert_allclose(coupling.q_twin, 0.004 * dq)
+    assert coupling.age_s == pytest.approx(0.004)
+    coupling.step(now + T_NS, ZERO, dq, twin(now + T_NS - 900_000_000, ZERO, dq), B)
+    np.testing.assert_allclose(coupling.q_twin, 3 * T * dq, err_msg="not further than a state is fresh")
+
+
+@pytest.mark.parametrize("otherwise", [(0.0, 0.0), (0.1, -0.05)], ids=["as the twin", "another torque"])
+def test_what_the_arm_does_otherwise_is_found(otherwise: tuple[float, float]) -> None:
+    """Arm and twin as two bodies; a torque on the arm alone: r tends to it, and the two stay together."""
+    d, grasp = np.array(otherwise), np.array([0.03, 0.02])
+    coupling, now = coupled()
+    q, dq, q_t, dq_t = ZERO, ZERO, ZERO, ZERO
+    for k in range(400):
+        added, on_twin = coupling.addition, coupling.on_twin
+        coupling.step(now + k * T_NS, q, dq, twin(now + k * T_NS, q_t, dq_t, grasp), B)
+        damping = 2.0 * np.diag(B)
+        dq = dq + T * np.linalg.solve(B, added + d - damping * dq)  # of the command of the cycle before
+        dq_t = dq_t + T * np.linalg.solve(B, on_twin + grasp - damping * dq_t)
+        q, q_t = q + T * dq, q_t + T * dq_t
+    np.testing.assert_allclose(coupling._r, d, atol=4e-3)
+    assert coupling.apart_rad(q) < 0.02
+
+
+def test_the_addition_ramps_in_and_fades_within_a_tenth_of_a_second_when_the_twin_is_stale() -> None:
+    coupling, grasp, sizes = Coupling(SETTINGS), np.array([0.4, 0.2]), []
+    for k in range(60):
+        coupling.step(k * T_NS, ZERO, ZERO, twin(k * T_NS, grasp=grasp), B)
+        sizes.append(coupling.addition[0])
+    assert sizes[0] == pytest.approx(0.4 * T / 0.2)
+    assert np.diff(sizes).max() <= 0.4 * T / 0.2 + 1e-12
+    assert sizes[40] == pytest.approx(0.4)
+    last = twin(59 * T_NS + 1_000_000, grasp=grasp)
+    for k in range(60, 63):
+        coupling.step(k * T_NS, ZERO, ZERO, last, B)
+        assert coupling.alive == 1.0
+    for k in range(63, 63 + round(FADE_S / T)):
+        assert coupling.alive > 0.5 * T / FADE_S
+        coupling.step(k * T_NS, ZERO, ZERO, last, B)
+    np.testing.assert_allclose(coupling.addition, 0.0, atol=1e-12)
+
+
+def test_an_arm_whose_twin_is_given_up_loses_the_addition_in_a_tenth_of_a_second_and_the_twin_at_once() -> None:
+    coupling, now = coupled()
+    coupling.step(now, ZERO, np.array([0.2, 0.0]), twin(now, grasp=np.array([0.4, 0.2])), B)
+    sizes = [float(np.abs(coupling.addition).max())]
+    for k in range(round(FADE_S / T)):
+        coupling.alone(now + (k + 1) * T_NS)
+        sizes.append(float(np.abs(coupling.addition).max()))
+        assert not coupling.on_twin.any()
+    assert all(b < a for a, b in itertools.pairwise(sizes))
+    assert sizes[-1] < 1e-12
+
+
+def test_a_cycle_without_a_state_keeps_the_objects_part_and_drops_what_answered_the_motion() -> None:
+    coupling, now = coupled()
+    grasp = np.array([0.4, 0.2])
+    coupling.step(now, np.array([0.02, 0.0]), ZERO, twin(now, grasp=grasp), B)
+    assert coupling.addition[0] != pytest.approx(0.4)
+    coupling.unheard()
+    np.testing.assert_allclose(coupling.addition, grasp)
+
+
+@settings(max_examples=40)
+@given(st.lists(st.tuples(vectors, vectors, vectors, vectors, st.integers(-2, 9)), min_size=1, max_size=30))
+def test_no_state_whatever_makes_an_addition_above_its_clamp(
+    motions: list[tuple[Vector, Vector, Vector, Vector, int]],
+) -> None:
+    coupling, now = coupled()
+    for k, (q, dq, q_t, grasp, age) in enumerate(motions):
+        state = replace(twin(now + (k - age) * T_NS, q_t, -dq, 9.0 * grasp), pulled=-grasp)
+        coupling.step(now + k * T_NS, q, dq, state, B)
+        assert np.all(np.abs(coupling.addition) <= CLAMP)
+        assert np.isfinite(coupling.on_twin).all()
+        assert 0.0 <= coupling.alive <= 1.0

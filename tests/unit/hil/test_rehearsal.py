@@ -1,0 +1,181 @@
+"""Rehearsals as a whole: the real driver on emulated servos of lone arms, the bridge, loops, and a plant; virtual time.
+
+`make hil` has the long ones: every cell, all arms in the loop, arms that are otherwise than their files say.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import configs
+from agent.config.cell import Cell, load_cell
+from agent.identify.recording import IdentifyError, from_rows
+from agent.log.read import open_log
+from agent.modes import Mode
+from agent.process.simulated import actuator_spec
+from agent.replay.rows import Window
+from agent.replay.source import recorded_cell
+from agent.replay.verify import verify
+from agent.report.metrics import summarise
+from sim_backend.wire.faults import Fault, FaultKind
+from tests.support.hil.rehearsal import Rehearsal
+from tests.support.telemetry.run_log import write_run
+from tests.support.telemetry.synthetic_run import as_log, run_file
+
+FROM_S = 0.8
+FAULT_S = 1.2
+OFF = "simulation.reality.arms.left={friction=1.5,masses=1.1,torque_constant=[0.9,0.9,0.9]}"
+
+
+def cell(*changes: str, real: bool = True) -> Cell:
+    loop = ('hil.arms=["left"]',) if real else ()
+    return load_cell(configs.CELLS_DIR / "two_wx200.toml", ["duration_s=2.0", *loop, *changes])
+
+
+@cache
+def plain() -> Rehearsal:
+    return Rehearsal(cell())
+
+
+def test_an_arm_in_the_loop_carries_as_the_simulated_cell_does() -> None:
+    error_mm, force_N = Rehearsal(cell(real=False)).figures(FROM_S)
+    error, force = plain().figures(FROM_S)
+    assert error <= 1.5 * error_mm
+    assert force <= 1.5 * max(force_N, 0.1)
+    assert {run.summary.mode for run in plain().arms.values() if run.summary} == {Mode.TRACK}
+
+
+def test_an_arm_that_is_otherwise_than_its_file_shows_as_in_the_simulated_cell() -> None:
+    error_mm, force_N = Rehearsal(cell(OFF, real=False)).figures(FROM_S)
+    error, force = Rehearsal(cell(OFF)).figures(FROM_S)
+    assert error_mm > 0.4, "it shows at all"
+    assert error == pytest.approx(error_mm, rel=0.15)
+    assert force == pytest.approx(force_N, rel=0.15)
+
+
+def test_every_row_says_what_was_added_and_the_sum_is_what_was_sent_to_one_count() -> None:
+    made = plain()
+    arm, rows = made.cell.arms[0], made.arms["left"].rows
+    spec, n = actuator_spec(made.cell, arm), arm.n
+    added, limited, sent = (rows[name][:, :n] for name in ("tau_bridge", "tau_limited", "tau_sent"))
+    lsb = spec.torque_lsb_Nm
+    assert np.all(np.abs(sent - np.clip(limited + added, -spec.tau_max_Nm, spec.tau_max_Nm)) <= lsb)
+    assert np.abs(added).max() > 0.02
+    hil = made.cell.file.hil
+    assert hil is not None
+    assert np.all(np.abs(added) <= hil.tau_share * spec.tau_max_Nm + 1e-12)
+    assert np.all(np.abs(sent) <= spec.tau_max_Nm + lsb)
+    coupled = rows["twin_age_s"] < 1.0
+    assert coupled.sum() > 500
+    assert np.abs(rows["q_twin"] - rows["q_measured"])[coupled].max() < 0.02
+    simulated = made.arms["right"].rows
+    for name in ("tau_bridge", "q_twin", "twin_age_s"):
+        assert not simulated[name].any(), "an arm that is not in the loop has none"
+
+
+def test_cycles_without_a_state_also_say_what_was_sent() -> None:
+    faults = [Fault(kind=FaultKind.DROP, arm="left", probability=0.02, start_s=0.1)]
+    made = Rehearsal(cell("duration_s=0.6"), faults=faults)
+    rows, arm = made.arms["left"].rows, made.cell.arms[0]
+    spec = actuator_spec(made.cell, arm)
+    stale = np.isnan(rows["q_measured"][:, 0])
+    assert stale.any()
+    wanted = rows["tau_limited"][:, : arm.n] + rows["tau_bridge"][:, : arm.n]
+    assert np.all(np.abs(rows["tau_sent"][:, : arm.n] - wanted) <= spec.torque_lsb_Nm)
+
+
+def test_a_plant_that_is_killed_holds_the_real_arm_within_25_ms_where_it_is() -> None:
+    motion: list[tuple[float, Any, float]] = []
+
+    def kill(run: Rehearsal) -> None:
+        run.plant.killed = True
+        run.watch(lambda t, lone: motion.append((t, lone.end_effector().translation.copy(), np.abs(lone.dq).max())))
+
+    run = Rehearsal(cell("duration_s=1.8"), happenings={FAULT_S: kill}).arms["left"]
+    assert run.summary is not None
+    assert run.summary.mode is Mode.HOLD
+    assert "twin of arm left" in run.summary.reason
+    held = run.rows[run.rows["mode"] == Mode.HOLD]
+    assert held["t"][0] - FAULT_S <= 0.025 + 1e-9
+    places = np.array([place for _, place, _ in motion])
+    assert np.linalg.norm(places - places[0], axis=1).max() <= 5e-3
+    assert max(speed for *_, speed in motion) <= 0.5
+    assert not held["tau_bridge"][-1].any()
+
+
+def test_the_port_of_the_real_arm_lost_lets_the_twin_go_limp_with_its_servos() -> None:
+    made = Rehearsal(cell("duration_s=1.8"), happenings={FAULT_S: lambda run: setattr(run.ports["left"], "lost", True)})
+    limp_ns = made.plant.seats["left"].limp_ns
+    assert limp_ns is not None
+    assert made.zero_ns is not None
+    assert (limp_ns - made.zero_ns) * 1e-9 == pytest.approx(FAULT_S + 0.2, abs=0.012)
+    summary = made.arms["right"].summary
+    assert summary is not None
+    assert summary.mode is Mode.HOLD
+    assert "neighbour is limp" in summary.reason
+
+
+def test_a_touch_parts_arm_and_twin_by_less_than_30_mm_and_they_come_together() -> None:
+    """5 N for 0.3 s, upwards.  Agents that notice would hold, as on any blow; these do not notice."""
+    apart: list[tuple[float, float]] = []
+
+    def begin(run: Rehearsal) -> None:
+        run.lone("left").touch(np.array([0.0, 0.0, 5.0, 0.0, 0.0, 0.0]))
+        run.watch(lambda t, _: apart.append((t, run.apart_m("left"))))
+
+    def end(run: Rehearsal) -> None:
+        run.lone("left").touch(np.zeros(6))
+
+    changes = ("safety.noticing.enabled=false", "safety.tracking_error_max_m=0.2")
+    made = Rehearsal(cell("duration_s=2.25", *changes), happenings={FAULT_S: begin, FAULT_S + 0.3: end})
+    assert 2e-3 < max(gap for _, gap in apart) <= 30e-3
+    assert max(gap for t, gap in apart if t > FAULT_S + 1.0) < 2e-3
+    bridge, summary = made.arms["left"].bridge, made.arms["left"].summary
+    assert bridge is not None
+    assert bridge.coupling.alive == 1.0
+    assert summary is not None
+    assert summary.mode is Mode.TRACK
+
+
+def test_an_arm_with_the_object_in_its_gripper_is_held_before_anything_is_coupled() -> None:
+    heavy = cell("duration_s=0.1", "object.mass_kg=0.2")
+    weight = np.array([0.0, 0.0, -0.2 * 9.81, 0.0, 0.0, 0.0])
+    made = Rehearsal(heavy, begin=lambda run: run.lone("left").touch(weight))
+    assert made.plant.tick < 0, "the plant has not started"
+    run = made.arms["left"]
+    assert run.summary is not None
+    assert "gripper of arm left" in run.summary.reason
+    assert "of the object's weight in it" in run.summary.reason
+    assert not run.rows["tau_bridge"].any()
+
+
+def test_figures_of_the_law_are_without_the_addition() -> None:
+    """The report of the arm in the loop beside that of the simulated cell."""
+    made = plain()
+    rows = made.arms["left"].rows
+    content = run_file(2.0, 200.0, transient_s=0.5)
+    log = as_log(Path("run.mcap"), {"left": rows}, None, content)
+    found = summarise(log).arms["left"]
+    law = (rows["tau_sent"] - rows["tau_bridge"])[:, :3]
+    for joint, r in enumerate(found.joints.values()):
+        assert r.peak_torque_Nm == pytest.approx(np.nanmax(np.abs(law[:, joint])))
+    assert found.hil is not None
+    assert 0.005 < found.hil.added_max < 0.5
+    assert found.hil.apart_max_rad < 0.02
+
+
+def test_the_log_of_a_rehearsal_is_replayed_bit_for_bit_and_cannot_be_identified_from(tmp_path: Path) -> None:
+    made = plain()
+    path = write_run(tmp_path / "run.mcap", made.cell, {"left": made.arms["left"].rows})
+    with open_log(path) as log:
+        verdict = verify(log, recorded_cell(log), Window(), "left")
+        rows = log.agents["left"]
+        with pytest.raises(IdentifyError, match="an arm in the loop"):
+            from_rows(made.cell, made.cell.arms[0], rows)
+    assert (verdict.rows, verdict.different) == (len(made.arms["left"].rows), 0)
+    assert verdict.equal

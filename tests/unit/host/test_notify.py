@@ -1,0 +1,57 @@
+"""The service manager's socket: descriptors that it keeps while a service is gone, and gives to its next process."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from agent.host.notify import FIRST_FD, Notifier, stored_fds
+
+
+@pytest.fixture
+def manager(tmp_path: Path) -> Iterator[socket.socket]:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as end:
+        end.bind(str(tmp_path / "notify"))
+        end.settimeout(5.0)
+        yield end
+
+
+def test_a_descriptor_is_kept_in_the_place_of_an_older_one(manager: socket.socket, tmp_path: Path) -> None:
+    out, into = os.pipe()
+    notifier = Notifier(str(tmp_path / "notify"))
+    notifier.keep("port", out)
+    assert manager.recv(1000) == b"FDSTOREREMOVE=1\nFDNAME=port"
+    text, (fd,), _, _ = socket.recv_fds(manager, 1000, 4)
+    assert text == b"FDSTORE=1\nFDNAME=port"
+    assert os.path.sameopenfile(fd, out)
+    for one in (fd, out, into):
+        os.close(one)
+    notifier.close()
+
+
+def test_without_a_manager_nothing_is_kept() -> None:
+    notifier = Notifier("")
+    notifier.keep("port", 0)
+    notifier.close()
+
+
+def test_kept_descriptors_are_found_by_name_once() -> None:
+    program = (
+        "import os; from agent.host.notify import stored_fds; found = stored_fds();"
+        "print(found, [os.get_inheritable(fd) for fd in found.values()], stored_fds())"
+    )
+    command = 'LISTEN_FDS=2 LISTEN_FDNAMES=port:other LISTEN_PID=$$ exec "$0" -c "$1" 3</dev/null 4</dev/null'
+    done = subprocess.run(["sh", "-c", command, sys.executable, program], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == f"{{'port': {FIRST_FD}, 'other': {FIRST_FD + 1}}} [False, False] {{}}"
+
+
+def test_what_was_kept_for_another_process_is_not_ours() -> None:
+    environment = {"LISTEN_FDS": "1", "LISTEN_PID": "1", "LISTEN_FDNAMES": "port"}
+    assert stored_fds(environment) == {}
+    assert environment == {}, "and nobody that is started later takes it for its own"

@@ -1,0 +1,54 @@
+"""A motion that begins beside its start pose: blended into it, as gently as an exact start, and refused from too far.
+
+Real drivers, loops and emulated servos in virtual time; the arms see where the object is, and nobody tells them.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numpy as np
+
+import configs
+from agent.config.cell import Cell, load_cell
+from agent.modes import Mode
+from tests.support.servos.coupled_rig import CoupledRun
+
+BLEND_S, DURATION_S = 4.0, 5.0
+OFF_M, OFF_RAD = np.array([0.015, 0.0, 0.0]), 0.06
+
+
+def cell_of(*more: str) -> Cell:
+    session = [f"session.start_blend_s={BLEND_S}", "session.lift_m=0.0", "session.lift_s=0.5", "session.take_up_s=0.3"]
+    return load_cell(configs.CELLS_DIR / "two_wx200.toml", [f"duration_s={DURATION_S}", *session, *more])
+
+
+@cache
+def run(beside: float) -> CoupledRun:
+    p = np.array([0.375, 0.0, 0.25]) + beside * OFF_M
+    half = 0.5 * beside * OFF_RAD
+    quat = [math.cos(half), 0.0, math.sin(half), 0.0]
+    real = cell_of(f"object.p_start_m={p.tolist()}", f"object.quat_start={quat}", "safety.start_error_max_m=0.05")
+    return CoupledRun(real, believed=cell_of())
+
+
+def test_a_start_from_15_mm_and_60_mrad_beside_is_as_gentle_as_an_exact_one() -> None:
+    exact, beside = run(0.0), run(1.0)
+    for name, arm in beside.arms.items():
+        rows = arm.rows[(arm.rows["mode"] == Mode.TRACK) & (arm.rows["t"] < BLEND_S)]
+        there = exact.arms[name].rows
+        there = there[(there["mode"] == Mode.TRACK) & (there["t"] < BLEND_S)]
+        peak, bound = (np.abs(r["tau_sent"][:, :3]).max(axis=0) for r in (rows, there))
+        assert (peak <= 1.3 * bound).all()
+        assert np.abs(rows["dq"][:, :3]).max() <= 0.3
+
+
+def test_the_blend_ends_on_the_motion_of_the_cell() -> None:
+    motion = cell_of().trajectory()
+    for arm in run(1.0).arms.values():
+        row = arm.rows[(arm.rows["mode"] == Mode.TRACK) & (arm.rows["t"] > BLEND_S + 0.5)][0]
+        want = np.array(motion.at(float(row["t"])).p)
+        assert np.linalg.norm(row["p_object"] - want) < 3e-3
+        first = arm.rows[arm.rows["mode"] == Mode.TRACK][0]
+        assert abs(np.linalg.norm(first["p_object"] - np.array(motion.at(0.0).p)) - 0.015) < 3e-3
