@@ -214,7 +214,8 @@ def _sense(
     sense = residual.advance(sense, terms, terms.J_inv_P, dq, sent, ready=mode is _READY)
     wrench = terms.J_inv_P.T.dot(sense.residual)
     found = residual.channels(sense, wrench)
-    return sense, (*wrench.tolist(), *found), mode is _TRACK and residual.tripped(found)
+    unexpected = mode is _TRACK and (residual.tripped(found) or residual.pulled(sense))
+    return sense, (*wrench.tolist(), *found), unexpected
 
 
 def explained(agent: Agent, outcome: Outcome) -> str:
@@ -222,8 +223,12 @@ def explained(agent: Agent, outcome: Outcome) -> str:
     residual, sensed, terms = agent.residual, outcome.sensed, outcome.terms
     if residual is None or sensed is None or terms is None or Flag.UNEXPECTED not in outcome.flags:
         return ""
-    f, limit_N = cause.force(residual, outcome.memory.sense, np.array(sensed[:6]))
-    return cause.described(cause.causes(f, limit_N, terms.desired.v, agent.offline.gravity), Channels(*sensed[6:]))
+    sense, wrench, found, v = outcome.memory.sense, np.array(sensed[:6]), Channels(*sensed[6:]), terms.desired.v
+    if not residual.tripped(found):
+        behind = cause.behind((wrench - sense.base)[:3], v, agent.offline.gravity)
+        return f"{cause.described(behind, found)}, {sense.pull.level_N:.2g} N against the motion"
+    f, limit_N = cause.force(residual, sense, wrench)
+    return cause.described(cause.causes(f, limit_N, v, agent.offline.gravity), found)
 
 
 def _off_track(agent: Agent, errors: Errors) -> bool:

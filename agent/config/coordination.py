@@ -36,6 +36,7 @@ def residual(cell: Cell) -> Residual | None:
         limits=noticing.thresholds(cell),
         rate_per_s=spec.rate_per_s,
         slow_per_s=noticing.slow_rate(cell),
+        against=noticing.against(cell),
     )
 
 

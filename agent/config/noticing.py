@@ -11,8 +11,10 @@ Each is a quadratic sum over independent errors at their bounds in `[tolerance]`
 
     fast = MARGIN (REVERSAL friction + PEAK noise),     slow = MARGIN (CREEP √(friction² + errors²) + HUM √(l/L) noise)
 
-and fast is no less than a touch needs, with L and l the rates of the residual and of the slow channel.  REVERSAL, PEAK,
-CREEP and HUM are calibrated on the largest values that studies of the shipped cells showed (a test has them).
+and fast is no less than a touch needs, with L and l the rates of the residual and of the slow channel.  What pulls
+against the motion (agent.control.against) has limits in cells of three and more arms: what a touch needs, or what
+friction and noise make of it.  REVERSAL, PEAK, CREEP, HUM and ALONG are calibrated on the largest values that studies
+of the shipped cells showed (a test has them).
 """
 
 from __future__ import annotations
@@ -26,6 +28,7 @@ from agent.config import observer
 from agent.config.cell import Arm, Cell, ConfigError, placement
 from agent.config.schema.tolerance import PLANAR_JOINTS
 from agent.control import ik
+from agent.control.against import Against
 from agent.control.inverse import SingularJacobian, invert_jacobian
 from agent.control.law import Offline
 from agent.control.models import ArmModel, Kinematics, Matrix
@@ -42,6 +45,9 @@ HUM: Final = 2.0
 SLOW_PLANAR_PER_S, SLOW_PER_S = 2.0, 4.0
 TOUCH_N: Final = 2.0  # on the object, which is no trip; an arm feels its share of it, and what is usual
 TOUCH: Final = 1.6  # times that share
+ALONG: Final = (0.35, 0.088)  # level, climb: of friction and noise
+TOUCH_ALONG: Final = (1.05, 0.207)  # times an arm's share of a touch
+ALONE: Final = 2  # arms that feel a touch as they feel the other one
 FLOORS: Final = Channels(0.5, 0.05, 0.3, 0.03)
 POSITION_LSB_RAD: Final = 2.0 * math.pi / TICKS_PER_TURN
 HALF_ANGLE: Final = (1.0, 1.0, 1.0, 0.5, 0.5, 0.5)  # H: e is half the angle
@@ -77,6 +83,23 @@ def derived(cell: Cell) -> Channels:
         CREEP * math.hypot(friction_Nm, errors_Nm) + hum * noise_Nm,
     )
     return Channels(*(float(f"{max(floor, MARGIN * x):.3g}") for floor, x in zip(floors, found, strict=True)))
+
+
+def against(cell: Cell) -> Against | None:
+    """Sense of what pulls against the motion, with limits given or derived.
+
+    None where nothing is given and each of two arms feels a touch as much as its neighbour.  Raises ConfigError where
+    an arm cannot be placed.
+    """
+    spec, period_s = cell.file.safety.noticing, 1.0 / cell.file.rate_hz
+    if len(cell.arms) <= ALONE:
+        if spec.against_N is None and spec.climb_N is None:
+            return None
+        return Against(period_s, spec.against_N or math.inf, spec.climb_N or math.inf)
+    (friction_N, _), (noise_N, _), _ = np.max([_sizes(cell, arm) for arm in cell.arms], axis=0).tolist()
+    share, usual = TOUCH_N / len(cell.arms), MARGIN * (friction_N + noise_N)
+    level, climb = (float(f"{max(t * share, a * usual):.3g}") for t, a in zip(TOUCH_ALONG, ALONG, strict=True))
+    return Against(period_s, spec.against_N or level, spec.climb_N or climb)
 
 
 class _Arm(NamedTuple):

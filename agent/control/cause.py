@@ -55,6 +55,12 @@ def causes(f: Vector, limit_N: float, v: Sequence[float], gravity: Sequence[floa
     return tuple(found) or (Cause.PUSH,)
 
 
+def behind(f: Vector, v: Sequence[float], gravity: Sequence[float]) -> tuple[Cause, ...]:
+    """What fits where something pulls against the motion: the unexpected force f (3,) tells what else it may be."""
+    found = tuple(c for c in causes(f, 0.0, v, gravity) if c is not Cause.PUSH)
+    return found if Cause.BACK in found else (*found, Cause.BACK)
+
+
 def _cosine(f: Vector, direction: Sequence[float], least: float) -> float:
     """Of the angle between them; zero where the direction is no longer than `least`."""
     length = math.hypot(*direction)

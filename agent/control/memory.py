@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from agent.control.adaptation import Estimate
+from agent.control.against import pull_of
 from agent.control.alignment import NO_SHIFT, Shift
 from agent.control.residual import Sense, nothing_sensed
 from drivers.interface import Vector
@@ -42,7 +43,7 @@ class Memory(NamedTuple):
         """The numbers of the log field `memory`.
 
         Joint arrays padded to seven, None as zeros; pose to hold (7), primed, time, shift (6), calm, age; of `sense`
-        the wrenches (6) and `ticks`.
+        the wrenches (6), `ticks` and the pull against the motion (13).
         """
         own, sense, n = self[:6], self.sense, len(self.q)
         joints = np.zeros((JOINT_ARRAYS, MEMORY_JOINTS))
@@ -78,7 +79,7 @@ def restore(flat: Vector, n: int, estimate: Estimate | None = None) -> Memory:
         tau,
         tau_before,
         primed=bool(tail[7]),
-        sense=Sense(momentum, expected, residual, base, slow, rest, tail[35]),
+        sense=Sense(momentum, expected, residual, base, slow, rest, tail[35], pull_of(tail[36:])),
         shift=(tail[9], tail[10], tail[11], tail[12], tail[13], tail[14]),
         calm=int(tail[15]),
         hold=hold,

@@ -21,6 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from agent.control.against import NO_PULL, Against, Pull
 from agent.control.models import Matrix
 from agent.control.terms import Terms
 from drivers.interface import Vector
@@ -38,11 +39,12 @@ class Sense(NamedTuple):
     slow: Vector  # (6,) the same for the slow channel
     rest: Vector  # (6,) mean of the slow channel before the start
     ticks: float  # in that mean, and one; 0: the residual has not begun
+    pull: Pull = NO_PULL  # against the motion
 
     @property
     def wrenches(self) -> tuple[float, ...]:
-        """The end of the log field `memory`: three wrenches (6), and `ticks`."""
-        return (*self.base.tolist(), *self.slow.tolist(), *self.rest.tolist(), self.ticks)
+        """The end of the log field `memory`: three wrenches (6), `ticks`, and the pull against the motion."""
+        return (*self.base.tolist(), *self.slow.tolist(), *self.rest.tolist(), self.ticks, *self.pull.flat)
 
 
 def nothing_sensed(n: int) -> Sense:
@@ -70,6 +72,7 @@ class Residual:
     rate_per_s: float = 30.0  # L
     base_per_s: float = 0.5
     slow_per_s: float = 2.0
+    against: Against | None = None  # None: nobody asks what pulls against the motion
 
     def advance(
         self, sense: Sense, terms: Terms, J_inv_P: Matrix, dq: Vector, tau: tuple[Vector, Vector], *, ready: bool
@@ -95,13 +98,20 @@ class Residual:
         if ready:
             ticks += 1.0
             rest = rest + (slow - rest) / min(ticks, REST_S / T)
-        return Sense(estimate, expected, r, base, slow, rest, ticks)
+        pull = sense.pull
+        if self.against is not None and not ready:
+            pull = self.against.advance(pull, W.tolist(), base.tolist(), terms.desired.v)
+        return Sense(estimate, expected, r, base, slow, rest, ticks, pull)
 
     def channels(self, sense: Sense, wrench: Vector) -> Channels:
         """Sizes of the fast and of the slow channel; wrench: the unexpected one (6,)."""
         fast = (wrench - sense.base).tolist()
         slow = (sense.slow - sense.rest).tolist()
         return Channels(math.hypot(*fast[:3]), math.hypot(*fast[3:]), math.hypot(*slow[:3]), math.hypot(*slow[3:]))
+
+    def pulled(self, sense: Sense) -> bool:
+        """Whether something pulls this arm back against the motion."""
+        return self.against is not None and self.against.tripped(sense.pull)
 
     def tripped(self, found: Channels) -> bool:
         """Whether any channel is above its limit; a channel that is no number is."""

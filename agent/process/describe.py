@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from agent.config.cell import Arm, Cell, load_cell
-from agent.config.noticing import thresholds
+from agent.config.noticing import against, thresholds
 from agent.config.reality import reality_of
 from agent.config.schema.cell import DriverKind
 from agent.host.info import versions
@@ -43,6 +43,7 @@ def run_info(cell: Cell, driver: DriverKind, seed: int) -> bytes:
         "simulation": cell.file.simulation.model_dump(mode="json"),
         "reality": None if (real := reality_of(cell)) is None else real.model_dump(mode="json"),
         "noticing": thresholds(cell)._asdict() if cell.file.safety.noticing.enabled else None,
+        "noticing_against": _against(cell),
         "driver": driver.value,
         "hil": cell.file.hil.arms if cell.file.hil is not None else [],
         "seed": seed,
@@ -52,6 +53,12 @@ def run_info(cell: Cell, driver: DriverKind, seed: int) -> bytes:
         "bounds": bounds,
     }
     return json.dumps(content, indent=2).encode()
+
+
+def _against(cell: Cell) -> dict[str, float] | None:
+    """Limits of a pull against the motion."""
+    found = against(cell) if cell.file.safety.noticing.enabled else None
+    return None if found is None else {"level_N": found.level_N, "climb_N": found.climb_N}
 
 
 def _arm(cell: Cell, arm: Arm) -> dict[str, Any]:

@@ -59,7 +59,7 @@ def _follows(cell: Cell, model: ArmModel, q: Vector, part: float) -> bool:
     """Whether the arm at q (n,) reaches the object shifted by this part of the limits, in every direction."""
     here = model.object_pose(q)
     lower, upper = model.model.lowerPositionLimit, model.model.upperPositionLimit
-    for shift in _shifts(cell, model, part):
+    for shift in shifts(cell, model, part):
         moved = pin.SE3(pin.exp3(shift[3:]) @ here.rotation, here.translation + shift[:3])
         try:
             reached = ik.solve(model, moved, q)
@@ -72,7 +72,7 @@ def _follows(cell: Cell, model: ArmModel, q: Vector, part: float) -> bool:
     return True
 
 
-def _shifts(cell: Cell, model: ArmModel, part: float) -> Iterator[Vector]:
+def shifts(cell: Cell, model: ArmModel, part: float) -> Iterator[Vector]:
     """Shifts (6,) along and about every task row, either way."""
     spec = cell.file.controller.alignment
     for row, sign in itertools.product(model.task_basis, (-1.0, 1.0)):

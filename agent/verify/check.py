@@ -18,6 +18,7 @@ from agent.control.errors import attitude_error
 from agent.control.inverse import SingularJacobian
 from agent.control.models import ArmModel, ModelError
 from agent.verify.adaptive import examine_adaptation
+from agent.verify.alignment_room import alignment_room
 from agent.verify.box import largest_internal_wrench
 from agent.verify.bus import buses
 from agent.verify.collision import collisions
@@ -110,8 +111,10 @@ def examine(cell: Cell, *, wired: bool | None = None, thorough: bool | None = No
         findings += _adaptation(cell, models, paths, instants.times)
     if not (servos if thorough is None else thorough):
         return CheckReport(tuple(findings), q_start)
+    along = list(zip(*(p.q for p in paths), strict=True))
     findings += collisions(cell, models, [p.q for p in paths], instants.times)
-    found = robustness(Walk(cell, models, list(zip(*(p.q for p in paths), strict=True)), instants.times))
+    findings += alignment_room(cell, models, along, instants.times)
+    found = robustness(Walk(cell, models, along, instants.times))
     return CheckReport((*findings, *found.findings()), q_start, found)
 
 

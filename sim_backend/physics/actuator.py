@@ -49,6 +49,7 @@ class ActuatorSpec:
     position_lsb_rad: float  # 0: exact
     velocity_lsb_rad_s: float  # 0: exact
     zero_error_rad: Vector  # reported less true angle
+    backlash_rad: Vector  # between motor and joint, from one end of the gap to the other
 
     @classmethod
     def of(
@@ -68,6 +69,7 @@ class ActuatorSpec:
         position_lsb_rad: float = 0.0,
         velocity_lsb_rad_s: float = 0.0,
         zero_error_rad: Numbers = 0.0,
+        backlash_rad: Numbers = 0.0,
     ) -> ActuatorSpec:
         """Servos with the named effects; every default switches its effect off.  A scalar holds for all joints.
 
@@ -91,6 +93,7 @@ class ActuatorSpec:
             position_lsb_rad=position_lsb_rad,
             velocity_lsb_rad_s=velocity_lsb_rad_s,
             zero_error_rad=spread(zero_error_rad),
+            backlash_rad=spread(backlash_rad),
         )
 
     def __post_init__(self) -> None:
@@ -108,6 +111,8 @@ class ActuatorSpec:
         self._require("delay_s", self.delay_s, math.isfinite(self.delay_s), "a finite time")
         jitter = self.delay_jitter_s
         self._require("delay_jitter_s", jitter, jitter <= self.delay_s, "at most the delay")
+        gap = self.backlash_rad
+        self._require("backlash_rad", gap, bool(np.all(np.isfinite(gap))), "finite angles")
         zero = self.zero_error_rad
         self._require("zero_error_rad", zero, bool(np.all(np.isfinite(zero))), "finite angles")
         curve = np.isfinite(self.stall_Nm) | ~np.isfinite(self.no_load_rad_s)

@@ -32,6 +32,7 @@ from sim_backend.physics.actuator import Servos
 from sim_backend.physics.calendar import Calendar
 from sim_backend.physics.chain import Chain
 from sim_backend.physics.composition import check_start
+from sim_backend.physics.gears import gears
 from sim_backend.physics.joints import dry_friction
 from sim_backend.physics.meter import ChainGrasps
 from sim_backend.physics.spec import PlantError, PlantSpec
@@ -65,7 +66,7 @@ class Plant:
         check_start(spec)
         self.spec = spec
         self.servos = Servos([arm.actuator for arm in spec.arms])
-        self._dry = dry_friction(spec)
+        self._dry, self._gears = dry_friction(spec), gears(spec)
         self._chain = Chain(spec)
         # observe() has its own: it can be called at any time, any number of times, and changes no bit of the motion.
         self._observer = Chain(spec)
@@ -132,13 +133,15 @@ class Plant:
         q_mid, v, v_mid, tau, scratch = self._q_mid, self._v, self._v_mid, self._tau, self._scratch
         dq, dq_mid, tau_joint, scratch_joint = v[:J], v_mid[:J], tau[:J], scratch[:J]
         integrate, multiply, add, subtract = pin.integrate, np.multiply, np.add, np.subtract
-        dry, meter = self._dry, self._meter
+        dry, geared, meter = self._dry, self._gears, self._meter
         servos.command(tau_cmd_Nm)
         with np.errstate(all="ignore"):  # what overflows is refused below, with more to say than numpy has
             for _ in range(substeps):
                 q_mid = integrate(model, q_mid, multiply(v, h, scratch))
+                motor = servos.motor_torque(dq)
+                if geared is not None:
+                    motor = geared.passed(motor, dq)
                 if dry is not None:
-                    motor = servos.motor_torque(dq)
                     dry.load(motor)
                     friction, constant = dry.torque(dq)
                     add(rotor_inertia, multiply(friction, half_joint, scratch_joint), armature)
@@ -146,9 +149,9 @@ class Plant:
                 elif servos.has_friction:
                     friction = servos.friction_coefficient(dq_mid)
                     add(rotor_inertia, multiply(friction, half_joint, scratch_joint), armature)
-                    subtract(servos.motor_torque(dq), multiply(friction, dq, scratch_joint), tau_joint)
+                    subtract(motor, multiply(friction, dq, scratch_joint), tau_joint)
                 else:
-                    tau_joint[:] = servos.motor_torque(dq)
+                    tau_joint[:] = motor
                 if self._pushed:
                     tau[J:] = self._push_in_object_axes(q_mid)
                 a = acceleration(q_mid, v_mid, tau)

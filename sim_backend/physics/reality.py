@@ -34,6 +34,7 @@ class ArmReality:
     masses: float = 1.0  # of the links, times what is believed
     friction: float = 1.0  # of the joints, times what is believed
     torque_constant: tuple[float, ...] = ()  # of the servos, times what is believed
+    backlash_rad: tuple[float, ...] = ()  # of the gears, from one end of the gap to the other
     skew_s: float = 0.0  # by which its clock, and so its trajectory, is ahead
 
 
@@ -95,7 +96,7 @@ def _arm(arm: ArmSpec, real: ArmReality, reality: Reality) -> ArmSpec:
 
 def _actuator(arm: ArmSpec, real: ArmReality, reality: Reality) -> ActuatorSpec:
     spec = arm.actuator
-    for key in ("zeros_rad", "torque_constant"):
+    for key in ("zeros_rad", "torque_constant", "backlash_rad"):
         if len(values := getattr(real, key)) not in (0, spec.joint_count):
             raise PlantError(
                 f"reality of arm {arm.name}: {key}",
@@ -107,6 +108,7 @@ def _actuator(arm: ArmSpec, real: ArmReality, reality: Reality) -> ActuatorSpec:
         spec,
         zero_error_rad=spec.zero_error_rad + (np.array(real.zeros_rad) if real.zeros_rad else 0.0),
         torque_scale=spec.torque_scale * (np.array(real.torque_constant) if real.torque_constant else 1.0),
+        backlash_rad=np.array(real.backlash_rad) if real.backlash_rad else spec.backlash_rad,
         coulomb_Nm=real.friction * spec.coulomb_Nm,
         viscous_Nms_rad=real.friction * spec.viscous_Nms_rad,
         delay_s=spec.delay_s if reality.delay_s is None else reality.delay_s,

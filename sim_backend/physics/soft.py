@@ -28,6 +28,7 @@ from sim_backend.physics.calendar import Calendar
 from sim_backend.physics.composition import check_start
 from sim_backend.physics.free_arm import FreeArms
 from sim_backend.physics.free_body import FreeBody
+from sim_backend.physics.gears import gears
 from sim_backend.physics.joints import dry_friction
 from sim_backend.physics.meter import GraspMeter
 from sim_backend.physics.pads import KAPPA, Pads
@@ -50,7 +51,7 @@ class SoftPlant:
         check_start(spec)
         self.spec = spec
         self.servos = Servos([arm.actuator for arm in spec.arms])
-        self._dry = dry_friction(spec)
+        self._dry, self._gears = dry_friction(spec), gears(spec)
         self._arms = FreeArms(spec)
         ends = np.cumsum([len(a.controlled) for a in spec.arms]).tolist()
         self.slices = tuple(slice(e - len(a.controlled), e) for e, a in zip(ends, spec.arms, strict=True))
@@ -176,6 +177,8 @@ class SoftPlant:
         """One substep on the present linearisation; `_pull` carries c + Gᵀ K (φ − s) along."""
         J, v, A, b, dq, half = self.joint_count, self._v, self._A, self._b, self._dq, self._half
         motor = self.servos.motor_torque(dq)
+        if self._gears is not None:
+            motor = self._gears.passed(motor, dq)
         D, f = self._friction(motor, dq)
         np.copyto(A, self._A0)
         np.multiply(D, half[:J], self._joint)

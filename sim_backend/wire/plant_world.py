@@ -26,7 +26,7 @@ def without_servo_electronics(spec: PlantSpec) -> PlantSpec:
     """Return the plant's specification with friction kept and all else that emulated servos bring themselves removed.
 
     Delay (what bus, agent and clock make of it), command resolution, torque limit, back-EMF and quantised readings come
-    from the servos; a wrong torque constant (`torque_scale`), wrong zeros and friction stay with the plant.
+    from the servos; a wrong torque constant (`torque_scale`), wrong zeros, backlash and friction stay with the plant.
     """
 
     def bare(actuator: ActuatorSpec) -> ActuatorSpec:
@@ -37,6 +37,7 @@ def without_servo_electronics(spec: PlantSpec) -> PlantSpec:
             viscous_Nms_rad=actuator.viscous_Nms_rad,
             coulomb_speed_rad_s=actuator.coulomb_speed_rad_s,
             zero_error_rad=actuator.zero_error_rad,
+            backlash_rad=actuator.backlash_rad,
         )
 
     return replace(spec, arms=tuple(replace(arm, actuator=bare(arm.actuator)) for arm in spec.arms))

@@ -79,6 +79,7 @@ class Noticing:
     """Stands in for the residual: remembers what it is asked, and trips when the test says so."""
 
     trips: bool = True
+    pulls: bool = False
     asked: list[dict[str, Any]] = field(default_factory=list)
 
     def advance(self, sense: Any, _terms: Any, _J_inv_P: Any, dq: Any, tau: Any, *, ready: bool) -> Any:
@@ -93,6 +94,10 @@ class Noticing:
     def tripped(self, found: Channels) -> bool:
         assert found == (10.0, 20.0, 30.0, 40.0)
         return self.trips
+
+    def pulled(self, sense: Any) -> bool:
+        assert sense.residual.tolist() == [1.0, 2.0, 3.0]
+        return self.pulls
 
 
 def primed(agent: Agent, **more: Any) -> Memory:
@@ -141,6 +146,12 @@ def test_a_memory_that_was_not_kept_up_begins_anew() -> None:
 def test_only_who_tracks_asks_for_a_hold_and_only_beyond_a_threshold(mode: Mode, trips: bool) -> None:
     outcome = at(arm(residual=Noticing(trips)), (0.0, 0.0, 0.0), mode)
     assert (Flag.UNEXPECTED in outcome.flags) is (trips and mode is Mode.TRACK)
+
+
+@pytest.mark.parametrize("mode", [Mode.READY, Mode.TRACK, Mode.HOLD])
+def test_who_is_pulled_back_while_tracking_asks_for_a_hold(mode: Mode) -> None:
+    outcome = at(arm(residual=Noticing(trips=False, pulls=True)), (0.0, 0.0, 0.0), mode)
+    assert (Flag.UNEXPECTED in outcome.flags) is (mode is Mode.TRACK)
 
 
 def test_a_hold_by_springs_senses_nothing() -> None:

@@ -14,6 +14,7 @@ from agent.config.schema.types import AS_LIST, Name, Strict, wrong
 
 Offset = Annotated[float, Field(ge=-0.1, le=0.1)]  # m
 Turn = Annotated[float, Field(ge=-0.3, le=0.3)]  # rad
+Gap = Annotated[float, Field(ge=0.0, le=0.1)]  # rad
 Offsets = Annotated[tuple[Offset, Offset, Offset], AS_LIST]
 Turns = Annotated[tuple[Turn, Turn, Turn], AS_LIST]
 Times = Annotated[float, Field(ge=0.05, le=20.0)]  # what the files say
@@ -40,6 +41,8 @@ class ArmReality(Strict):
     """Times the friction of its joints."""
     torque_constant: Annotated[tuple[Times, ...], AS_LIST] = ()
     """True over believed, one per controlled joint; empty: no error."""
+    backlash_rad: Annotated[tuple[Gap, ...], AS_LIST] = ()
+    """Of its gears, from one end of the gap to the other, one per controlled joint; empty: none."""
     skew_s: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
     """By which its clock, and so its trajectory, is ahead."""
 
@@ -82,7 +85,8 @@ class Reality(Strict):
             where = f"simulation.reality.arms.{name}"
             if name not in joints:
                 raise wrong(where, found=name, expected=" or ".join(joints), remedy="name an arm of the cell")
-            for key, values in (("zeros_rad", arm.zeros_rad), ("torque_constant", arm.torque_constant)):
+            for key in ("zeros_rad", "torque_constant", "backlash_rad"):
+                values = getattr(arm, key)
                 if values and len(values) != joints[name]:
                     raise wrong(
                         f"{where}.{key}",

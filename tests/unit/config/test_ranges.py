@@ -67,6 +67,7 @@ RANGES: list[tuple[str, float | None, float | None]] = [
     ("simulation.reality.arms.left.masses", 0.05, 20.0),
     ("simulation.reality.arms.left.friction", 0.0, 20.0),
     ("simulation.reality.arms.left.torque_constant", 0.05, 20.0),
+    ("simulation.reality.arms.left.backlash_rad", 0.0, 0.1),
     ("simulation.reality.arms.left.skew_s", 0.0, 1.0),
     ("tolerance.base_m", 0.0, 0.1),
     ("tolerance.base_rad", 0.0, 0.2),
@@ -104,7 +105,16 @@ LENGTHS = {"size_m": 3, "p_start_m": 3, "p_amplitude_m": 3, "q_near_rad": 3, "p_
     "tolerance.pads_N_per_m": 2,
     "tolerance.pads_Nm_per_rad": 2,
 }
-VECTORS = {"object_centre_m", "base_m", "base_rad", "grasp_m", "grasp_rad", "zeros_rad", "torque_constant"}
+VECTORS = {
+    "object_centre_m",
+    "base_m",
+    "base_rad",
+    "grasp_m",
+    "grasp_rad",
+    "zeros_rad",
+    "torque_constant",
+    "backlash_rad",
+}
 
 
 def count_of(key: str) -> int | None:

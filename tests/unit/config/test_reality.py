@@ -112,6 +112,7 @@ def test_the_agents_believe_what_the_file_says_and_the_run_tells_what_was_true()
         ("simulation.reality.arms.middle.masses=1.1", "left or right"),
         ("simulation.reality.arms.left.zeros_rad=[0.1, 0.1]", "one per controlled joint, 3"),
         ("simulation.reality.arms.right.torque_constant=[1.1]", "one per controlled joint, 3"),
+        ("simulation.reality.arms.right.backlash_rad=[0.01]", "one per controlled joint, 3"),
         ("simulation.reality.delay=1.1", "simulation.reality.delay"),
     ],
 )

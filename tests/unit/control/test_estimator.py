@@ -10,6 +10,7 @@ import pytest
 
 import configs
 from agent.config.cell import load_cell
+from agent.control.against import pull_of
 from agent.control.estimator import Observer
 from agent.control.memory import MEMORY_JOINTS, Memory, initial, restore
 from agent.control.residual import Sense
@@ -136,7 +137,12 @@ def test_a_wrong_start_is_forgotten() -> None:
 def random_memory(seed: int, n: int, hold: bool) -> Memory:
     rng = np.random.default_rng(seed)
     pose = (0.1, -0.2, 0.3, 0.5, -0.5, 0.5, -0.5) if hold else None
-    sense = Sense(*rng.normal(size=(3, n)), *rng.normal(size=(3, 6)), ticks=float(seed))
+    sense = Sense(
+        *rng.normal(size=(3, n)),
+        *rng.normal(size=(3, 6)),
+        ticks=float(seed),
+        pull=pull_of(rng.normal(size=13).tolist()),
+    )
     shift = tuple(rng.normal(size=6).tolist())
     return Memory(*rng.normal(size=(6, n)), primed=bool(seed % 2), sense=sense, shift=shift, calm=seed % 5, hold=pose)
 
@@ -151,7 +157,8 @@ def test_memory_survives_the_log(seed: int, n: int, hold: bool) -> None:
     found = restore(flat, n)
     for name in ("q", "dq", "ddq", "ddq_before", "tau", "tau_before"):
         assert np.array_equal(getattr(found, name), getattr(memory, name))
-    for one, two in zip(found.sense, memory.sense, strict=True):
+    assert found.sense.pull == memory.sense.pull
+    for one, two in zip(found.sense[:-1], memory.sense[:-1], strict=True):
         assert np.array_equal(one, two)
     for name in ("primed", "hold", "shift", "calm"):
         assert getattr(found, name) == getattr(memory, name)

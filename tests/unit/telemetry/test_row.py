@@ -11,6 +11,7 @@ import pytest
 import configs
 from agent.config.cell import load_cell
 from agent.control.adaptation import Estimate
+from agent.control.against import pull_of
 from agent.control.errors import Errors
 from agent.control.memory import Memory, initial, restore
 from agent.control.models import Kinematics
@@ -64,7 +65,8 @@ def all_different(n: int) -> tuple[JointState, Memory, Outcome]:
     terms = Terms(desired, kinematics, errors, joints, tuple_of(6), tuple_of(6), next(numbers), next(numbers), None)
     estimate = Estimate(array_of(16 * n), array_of(10))
     arrays = [array_of(n) for _ in range(6)]
-    sense = Sense(array_of(n), array_of(n), array_of(n), array_of(6), array_of(6), array_of(6), next(numbers))
+    pull = pull_of(tuple_of(13))
+    sense = Sense(array_of(n), array_of(n), array_of(n), array_of(6), array_of(6), array_of(6), next(numbers), pull)
     memory = Memory(*arrays, True, sense, tuple_of(6), True, tuple_of(7), next(numbers), estimate, array_of(n))
     state = JointState(5_000_000, array_of(n), array_of(n), array_of(n))
     flags = Flag.SATURATED | Flag.STALE

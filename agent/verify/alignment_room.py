@@ -1,0 +1,90 @@
+"""How near arms that align themselves come to anything, up to the limits of their shifts.
+
+Asked of themselves, each other, object and table, at places along the motion, with one arm at a time shifted by `max_m`
+or `max_rad` in every direction of its task.  The object is where the anchor has it; a gripper is not compared with it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+import pinocchio as pin
+
+from agent.config.cell import Cell, placement
+from agent.config.schema.cell import DriverKind
+from agent.control import ik
+from agent.control.models import ArmModel
+from agent.verify.alignment_reach import shifts
+from agent.verify.collision import Scene
+from agent.verify.finding import Finding, Verdict, judged
+from drivers.interface import Vector
+
+PLACES: Final = 6  # along the motion
+
+
+def alignment_room(
+    cell: Cell, models: Sequence[ArmModel], along: Sequence[Sequence[Vector]], instants: Sequence[float]
+) -> list[Finding]:
+    """One finding per following arm; along[k][i]: joint angles (n,) of arm i at instants[k], s."""
+    spec = cell.file.controller.alignment
+    if not spec.enabled or len(cell.arms) < 2:
+        return []
+    anchor, scene = spec.anchor or cell.arms[0].name, Scene(cell, models)
+    every = max(1, math.ceil(len(instants) / PLACES))
+    places = list(zip(along, instants, strict=True))[::every]
+    return [
+        _judged(cell, arm.name, _nearest(cell, scene, models[i], i, places))
+        for i, arm in enumerate(cell.arms)
+        if arm.name != anchor
+    ]
+
+
+def _nearest(
+    cell: Cell, scene: Scene, model: ArmModel, i: int, places: Sequence[tuple[Sequence[Vector], float]]
+) -> tuple[float, str, float] | None:
+    """Least distance (m) of arm i, between what, and when; None where nothing can be near it."""
+    motion = cell.trajectory()
+    pairs = [*scene.itself(i), *scene.with_object(i), *scene.with_table(i)]
+    for j in range(len(cell.arms)):
+        pairs += scene.between(*sorted((i, j))) if j != i else []
+    if not pairs:
+        return None
+    poses, objects, times = [], [], []
+    for q, t in places:
+        desired = motion.at(t)
+        for moved in _shifted(cell, model, q[i]):
+            poses.append([*q[:i], moved, *q[i + 1 :]])
+            objects.append(placement(desired.p, desired.quat))
+            times.append(t)
+    if not poses:
+        return None
+    found = scene.way(poses, objects).distances(pairs)
+    place, k = divmod(int(found.argmin()), len(pairs))
+    return float(found[place, k]), ", ".join(scene.shapes[n].label for n in pairs[k]), times[place]
+
+
+def _shifted(cell: Cell, model: ArmModel, q: Vector) -> list[Vector]:
+    """Joint angles (n,) at every limit that is within reach; those beyond are told by agent.verify.alignment_reach."""
+    here, found = model.object_pose(q), []
+    for shift in shifts(cell, model, 1.0):
+        moved = pin.SE3(pin.exp3(shift[3:]) @ here.rotation, here.translation + shift[:3])
+        try:
+            found.append(ik.solve(model, moved, q))
+        except ik.Unreachable:
+            continue
+    return found
+
+
+def _judged(cell: Cell, name: str, near: tuple[float, str, float] | None) -> Finding:
+    spec, what = cell.file.controller.alignment, "distances up to the limits of the alignment"
+    if near is None:
+        return Finding(what, name, "nothing is near", "")
+    distance, pair, t = near
+    size = f"overlap by {-distance * 1e3:.1f} mm" if distance < 0.0 else f"{distance * 1e3:.1f} mm"
+    return judged(
+        what, name, f"{size} ({pair}, t = {t:.2f} s)", "no contact", holds=distance > 0.0,
+        remedy=f"lower max_m = {spec.max_m:g} or max_rad = {spec.max_rad:g}, or make room",
+        otherwise=Verdict.REFUSED if cell.file.driver is DriverKind.DYNAMIXEL else Verdict.WARNING,
+    )  # fmt: skip

@@ -1,0 +1,1 @@
+"""Long comparisons of what `coop check` predicts with what the simulated cell does."""

@@ -1,0 +1,172 @@
+"""What pulls against the motion: its sign, a climb that only a growing pull has, and a neighbour noticed by it."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agent.config.cell import load_cell
+from agent.config.noticing import against
+from agent.control.against import MEANS, NO_PULL, Against, Pull, pull_of
+from agent.control.cause import Cause, behind
+from agent.modes import Mode
+from agent.safety import Flag
+from agent.study.fault import Fault, FaultKind
+from agent.study.lab import Laboratory, Run
+
+PERIOD = 5e-3
+LAW = Against(PERIOD, level_N=0.7, climb_N=0.14)
+SLOWLY = (0.01, 0.0, 0.0, 0.0, 0.0, 0.0)
+NOTHING = (0.0,) * 6
+
+
+def after(seconds: float, force_at: object, v: tuple[float, ...] = SLOWLY, begin: Pull = NO_PULL) -> list[Pull]:
+    """States under a force along x that is a function of time."""
+    pulls, pull = [], begin
+    for k in range(round(seconds / PERIOD)):
+        pull = LAW.advance(pull, (force_at(k * PERIOD), *NOTHING[1:]), NOTHING, v)  # type: ignore[operator]
+        pulls.append(pull)
+    return pulls
+
+
+def test_a_pull_back_counts_and_a_pull_ahead_does_not() -> None:
+    assert after(1.0, lambda _: -0.5)[-1].level_N == pytest.approx(0.5, abs=1e-3)
+    assert after(1.0, lambda _: 0.5)[-1].level_N == pytest.approx(-0.5, abs=1e-3)
+    assert LAW.tripped(after(1.0, lambda _: -0.71)[-1])
+    assert not LAW.tripped(after(1.0, lambda _: 9.0)[-1])
+
+
+def test_the_part_that_is_usual_for_a_while_is_not_in_the_level_but_in_the_climb() -> None:
+    base = (-0.4, *NOTHING[1:])
+    pull = NO_PULL
+    for _ in range(100):
+        pull = LAW.advance(pull, (-0.5, *NOTHING[1:]), base, SLOWLY)
+    assert pull.level_N == pytest.approx(0.1, abs=1e-3)
+    assert pull.means_N == pytest.approx((0.5,) * MEANS)
+
+
+@pytest.mark.parametrize(
+    ("wrench", "v", "expected"),
+    [
+        ((0.0, -2.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.02, 0.0, 0.0, 0.0, 0.0), 2.0),
+        ((2.0, 0.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.02, 0.0, 0.0, 0.0, 0.0), 0.0),
+        ((0.0, 0.0, 0.0, 0.0, 0.0, -0.2), (0.0, 0.0, 0.0, 0.0, 0.0, 0.1), 1.0),  # 0.2 N·m at 0.2 m
+        ((-1.0, 0.0, 0.0, 0.0, 0.0, -0.2), (0.01, 0.0, 0.0, 0.0, 0.0, 0.1), math.sqrt(2.0)),  # 0.1 rad/s is 10 mm/s
+        ((-9.0, 0.0, 0.0, 0.0, 0.0, 0.0), (0.0019, 0.0, 0.0, 0.0, 0.0, 0.0), 0.0),  # hardly a direction
+    ],
+)
+def test_the_pull_is_the_part_of_the_wrench_against_the_twist(
+    wrench: tuple[float, ...], v: tuple[float, ...], expected: float
+) -> None:
+    assert LAW.advance(NO_PULL, wrench, NOTHING, v).sum_N == pytest.approx(expected)
+
+
+def test_a_pull_that_grows_climbs_and_one_that_came_at_once_does_not() -> None:
+    growing = after(0.7, lambda t: -1.2 * t)
+    climbs = [LAW.tripped(p._replace(level_N=0.36)) for p in growing]
+    assert not any(LAW.tripped(p._replace(level_N=0.34)) for p in growing), "half of the level's limit is asked, too"
+    assert growing[-1].climb_N == pytest.approx(1.2 * 0.15, rel=0.05)
+    assert 0.4 < PERIOD * climbs.index(True) < 0.55
+    assert all(p.climb_N < 0.01 for p in after(2.0, lambda t: -9.0 if t > 0.7 else 0.0))
+    assert all(p.climb_N < 0.01 for p in after(2.0, lambda t: 1.2 * t))
+
+
+def test_what_is_no_number_trips() -> None:
+    assert LAW.tripped(NO_PULL._replace(level_N=math.nan))
+    assert LAW.tripped(NO_PULL._replace(level_N=0.36, means_N=(math.nan,) * MEANS))
+    assert not LAW.tripped(NO_PULL)
+
+
+def test_its_state_goes_through_a_row() -> None:
+    pull = after(0.333, lambda t: -t)[-1]
+    assert pull.ticks
+    assert pull_of(pull.flat) == pull
+    assert pull_of([]) == NO_PULL
+
+
+def test_two_arms_have_it_only_where_it_is_asked_for_and_more_arms_derive_it() -> None:
+    assert against(load_cell(Path("two_wx200"))) is None
+    given = against(load_cell(Path("two_wx200"), ["safety.noticing.against_N=0.9"]))
+    assert given == Against(PERIOD, 0.9, math.inf)
+    three, four = (against(load_cell(Path(f"{n}_wx250s"))) for n in ("three", "four"))
+    assert three is not None
+    assert four is not None
+    assert (three.level_N, four.level_N) == (0.7, 0.525), "1.05 of an arm's share of 2 N"
+    assert (three.climb_N, four.climb_N) == (0.138, 0.114), "of such a push; of friction and noise"
+    rough = against(load_cell(Path("three_wx250s"), ["tolerance.friction=[0.6, 3.0]"]))
+    assert rough is not None
+    assert rough.level_N > three.level_N
+    assert rough.climb_N > three.climb_N
+    typed = against(load_cell(Path("three_wx250s"), ["safety.noticing.climb_N=0.3"]))
+    assert typed == Against(PERIOD, 0.7, 0.3)
+
+
+def test_limits_are_above_what_24_realities_showed() -> None:
+    """Largest over 24 realities and 20 s of either cell: level, climb."""
+    for name, seen in (("three_wx250s", (0.29, 0.078)), ("four_wx250s", (0.30, 0.078))):
+        found = against(load_cell(Path(name)))
+        assert found is not None
+        assert found.level_N >= 1.3 * seen[0]
+        assert found.climb_N >= 1.3 * seen[1]
+
+
+def test_what_pulls_back_is_always_named_as_that() -> None:
+    down = (0.0, 0.0, -9.81)
+    assert behind(np.array([-0.3, 0.0, 0.0]), SLOWLY, down) == (Cause.BACK,)
+    assert behind(np.array([0.0, 0.3, 0.0]), SLOWLY, down) == (Cause.BACK,)
+    assert behind(np.array([-0.1, 0.0, -0.3]), SLOWLY, down) == (Cause.WEIGHT, Cause.BACK)
+
+
+@pytest.fixture(scope="module")
+def lab() -> Laboratory:
+    return Laboratory(load_cell(Path("three_wx250s"), ["simulation.ready_s=1.0"]))
+
+
+def test_the_neighbours_of_an_arm_that_holds_notice_within_half_a_second(lab: Laboratory) -> None:
+    """At 10 mm/s; no other channel sees it within 0.8 s."""
+    run = Run(lab, None, [Fault(kind=FaultKind.HOLD, arm="left", at_s=2.5)])
+    while run.t < 3.0 and all(place.mode is not Mode.HOLD for place in run.places[1:]):
+        run.advance()
+    first = next(trip for trip in run.trips if trip.arm != "left")
+    assert Flag.UNEXPECTED in first.flags
+    assert str(Cause.BACK) in first.why
+    assert "N against the motion" in first.why
+
+
+def test_it_is_given_the_unexpected_wrench_its_slow_part_and_the_motion(lab: Laboratory) -> None:
+    run, before = Run(lab, None), NO_PULL
+    while run.t < 1.2:
+        run.advance()
+        place = run.places[1]
+        outcome, residual = place.outcome, place.agent.residual
+        assert outcome is not None
+        assert residual is not None
+        assert residual.against is not None
+        sense, terms, sensed = outcome.memory.sense, outcome.terms, outcome.sensed
+        if run.t > 2 * PERIOD:
+            assert terms is not None
+            assert sensed is not None
+            expected = residual.against.advance(before, sensed[:6], sense.base.tolist(), terms.desired.v)
+            assert sense.pull.flat == pytest.approx(expected.flat, rel=1e-9, abs=1e-12)
+        before = sense.pull
+    assert before.level_N
+
+
+def test_two_newtons_for_half_a_second_are_no_trip(lab: Laboratory) -> None:
+    run = Run(lab, None)
+    while run.t < 2.5:
+        run.advance()
+    outcome = run.places[0].outcome
+    assert outcome is not None
+    assert outcome.terms is not None
+    v = np.array(outcome.terms.desired.v[:3])
+    run.plant.push(np.concatenate([-2.0 * v / np.linalg.norm(v), np.zeros(3)]))
+    while run.t < 3.0:
+        run.advance()
+    run.plant.push(np.zeros(6))
+    while run.t < 3.3:
+        run.advance()
+    assert not run.trips
