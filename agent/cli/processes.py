@@ -117,10 +117,11 @@ def guard(
     from agent.process.agent import AgentOptions
     from agent.process.build import Connection
     from agent.process.guard import GuardOptions, run_guard
+    from agent.process.rehearse import driver_of
 
     requested = begin(with_parent)
     loaded = load_cell(cell)
-    kind = DriverKind(driver.value) if driver is not None else loaded.file.driver
+    kind = driver_of(loaded, arm, DriverKind(driver.value) if driver is not None else None)
     name = loaded.file.name
     if socket is None or control is None:
         make_runtime_dir(name)

@@ -27,6 +27,12 @@ class Paths:
     key: Path
 
 
+# A viewer that stands still loses rows, and no arm waits for it (agent.telemetry.link.session).
+_PASSED_ON: Final = {
+    "messages": ["put"], "key_exprs": ["**"], "flows": ["egress"], "overwrite": {"congestion_control": "drop"},
+}  # fmt: skip
+
+
 def common_name(member: str) -> str:
     """The name in a member's certificate, which access control goes by."""
     return member if member in (PLANT, RECORDER) else f"arm-{member}"
@@ -61,7 +67,8 @@ def recorder_config(paths: Paths, endpoint: str, cell: str, members: Sequence[st
         "mode": "peer",
         "listen": {"endpoints": [endpoint]},
         "connect": {"endpoints": []},
-        **_common(paths, tls, max_sessions=16, accept_pending=4),
+        **_common(paths, tls, max_sessions=16, accept_pending=4, tx={"queue": {"size": {"data": 16}}}),
+        "qos": {"network": [_PASSED_ON]},
         "access_control": _access(cell, members),
         "low_pass_filter": [sizes | {"size_limit": 262144}],
     })  # fmt: skip

@@ -113,9 +113,9 @@ def examine(cell: Cell, *, wired: bool | None = None, thorough: bool | None = No
         return CheckReport(tuple(findings), q_start)
     along = list(zip(*(p.q for p in paths), strict=True))
     findings += collisions(cell, models, [p.q for p in paths], instants.times)
-    findings += alignment_room(cell, models, along, instants.times)
     found = robustness(Walk(cell, models, along, instants.times))
-    return CheckReport((*findings, *found.findings()), q_start, found)
+    findings += [*found.findings(), *alignment_room(cell, models, along, instants.times)]
+    return CheckReport(tuple(findings), q_start, found)
 
 
 def reach(arm: Arm, model: ArmModel, T: pin.SE3, q_near: Vector, when: str) -> Vector:

@@ -10,8 +10,8 @@ from collections.abc import Mapping
 
 from drivers.dynamixel.arm_map import ArmMap, JointMap
 from drivers.dynamixel.line.group import GroupWrite, Row
-from drivers.dynamixel.servo.table import GOAL_CURRENT, GOAL_POSITION, GOAL_PWM, LOAD_UNIT_DUTY, TICK_RAD
-from drivers.dynamixel.servo.units import AngleScale, velocity_rad_per_s
+from drivers.dynamixel.servo.table import GOAL_CURRENT, GOAL_POSITION, GOAL_PWM
+from drivers.dynamixel.servo.units import AngleScale, angle_ticks, current_or_load, velocity_rad_per_s
 from drivers.fingers import Fingers
 from drivers.interface import GripState
 
@@ -44,7 +44,7 @@ class GripControl:
     def go_to(self, width_m: float) -> None:
         """Have the next packets send the fingers there."""
         angle = self._fingers.angle(width_m)
-        self._goal = self._joint.zero_tick + round(angle / TICK_RAD)
+        self._goal = self._joint.zero_tick + angle_ticks(angle)
         self._waiting = True
 
     def go_on(self, other: GripControl) -> None:
@@ -64,7 +64,7 @@ class GripControl:
         _, present, velocity, position = row
         angle, fingers = self._scale.angle_rad(position), self._fingers
         model, lever = self._joint.model, fingers.lever(angle)
-        share = present / self._limit if model.has_current_mode else present * LOAD_UNIT_DUTY
+        share = present / self._limit if model.has_current_mode else current_or_load(model, present)[1]
         effort = -share if fingers.open_rad > fingers.closed_rad else share
         return GripState(
             stamp_ns,

@@ -45,6 +45,11 @@ def ticks_rad(count: int) -> float:
     return count * TICK_RAD
 
 
+def angle_ticks(angle_rad: float) -> int:
+    """Number of ticks nearest to an angle."""
+    return round(angle_rad / TICK_RAD)
+
+
 def velocity_rad_per_s(count: int) -> float:
     """Joint speed of a Present Velocity."""
     return count * VELOCITY_UNIT_RAD_PER_S

@@ -18,6 +18,7 @@ from agent.log.export import Choice, Exported, Format, export
 from agent.log.read import LogError, open_log
 from agent.log.run import MissingPackage
 from agent.telemetry.row.event import Event, Level
+from agent.telemetry.row.sample import MEMORY_LENGTH
 from tests.support.command import coop
 from tests.support.telemetry.log_maker import LogMaker, make_log
 from tests.support.telemetry.telemetry_cell import make_rows
@@ -96,7 +97,7 @@ def test_arms_fields_and_times_can_be_chosen(log: Path, tmp_path: Path) -> None:
     assert done.rows == {"right.csv": 20, "events.csv": 1}
     table = read_csv(tmp_path / "out" / "right.csv")
     assert list(table)[:2] == ["t_s", "memory_0"]
-    assert len(table) == 106
+    assert len(table) == 1 + MEMORY_LENGTH
     assert (float(table["t_s"][0]), float(table["t_s"][-1])) == (0.1, 0.195)
 
 
