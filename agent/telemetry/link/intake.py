@@ -34,6 +34,7 @@ class Rejection(Enum):
     TOO_LARGE = "too_large"
     WRONG_LENGTH = "wrong_length"
     WRONG_ENCAPSULATION = "wrong_encapsulation"
+    DAMAGED = "damaged"  # not what was sent; it is sent again
     WRONG_CONFIG = "wrong_config_id"
     WRONG_JOINTS = "wrong_joint_count"
     WRONG_ORDER = "wrong_order"
@@ -45,6 +46,7 @@ class Rejection(Enum):
 
 STRANGE: Final = frozenset(Rejection) - {
     Rejection.ANOTHER_RUN,
+    Rejection.DAMAGED,
     Rejection.TOO_MANY_TEXTS,
 }  # somebody else's, or a mistake
 
@@ -83,6 +85,8 @@ class Intake:
             header = BatchHeader.unpack(attachment)
         except ValueError:
             return self._reject(Rejection.NO_HEADER)
+        if header.damaged(payload):
+            return self._reject(Rejection.DAMAGED)
         if header.by.seal != self._seals[stream.address.member]:
             return self._reject(Rejection.WRONG_SEAL)
         if stream.address.kind is Kind.STATE:

@@ -182,7 +182,7 @@ class _Telemetry:
         rows = self._senders[Kind.STATE]
         sent = 0
         for header, payload in rows.new(burst, now_s):
-            self._publishers[Kind.STATE].put(payload, attachment=header.pack(self._sent))
+            self._publishers[Kind.STATE].put(payload, attachment=header.pack(self._sent, payload))
             self._watch(payload)
             sent += 1
         self._tell_of_cuts(now_s, ended=rows.ended)
@@ -190,7 +190,7 @@ class _Telemetry:
         for kind, sender in self._senders.items():
             if kind is not Kind.STATE:
                 for header, payload in sender.new(burst, now_s):
-                    self._publishers[kind].put(payload, attachment=header.pack(self._sent))
+                    self._publishers[kind].put(payload, attachment=header.pack(self._sent, payload))
         sent += self._send_again(now_s)
         if self._lockstep:
             self._reader.acknowledge(rows.acknowledged)
@@ -227,7 +227,7 @@ class _Telemetry:
                 sender.on_status(status.get(self._address_of(kind).key), now_s)
             if self._heard:
                 for header, payload in sender.again(_BURST[self._lockstep], now_s):
-                    self._publishers[kind].put(payload, attachment=header.pack(self._sent))
+                    self._publishers[kind].put(payload, attachment=header.pack(self._sent, payload))
                     sent += 1
         return sent
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import struct
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
@@ -13,8 +14,8 @@ from typing import Final
 from agent.telemetry.link.coverage import Range
 from agent.telemetry.row.sample import Layout
 
-_MAGIC: Final = b"CB2\0"
-_HEADER: Final = struct.Struct("<4sI16sQQQQQ")  # magic end seal run source first written missed
+_MAGIC: Final = b"CB3\0"
+_HEADER: Final = struct.Struct("<4sI16sQQQQQI")  # magic end seal run source first written missed crc
 _SEAL_BYTES: Final = 16
 BATCH_BYTES_MAX: Final = 60_000  # a Zenoh batch is 64 KiB: larger payloads are cut and, when one piece is dropped, lost
 RANGES_MAX: Final = 16
@@ -58,21 +59,26 @@ class BatchHeader:
     missed: int  # how many of them were overwritten before they could be published
     end: End = End.OPEN
     by: Sent = NOBODY
+    crc: int = 0  # CRC32 of the payload; 0: not said
 
-    def pack(self, by: Sent | None = None) -> bytes:
-        """The bytes of the attachment, as sent by `by`."""
-        by = self.by if by is None else by
-        return _HEADER.pack(_MAGIC, self.end, by.seal, by.run, self.source, self.first, self.written, self.missed)
+    def pack(self, by: Sent | None = None, payload: bytes | None = None) -> bytes:
+        """The bytes of the attachment, as sent by `by` with `payload`."""
+        by, crc = self.by if by is None else by, self.crc if payload is None else zlib.crc32(payload)
+        return _HEADER.pack(_MAGIC, self.end, by.seal, by.run, self.source, self.first, self.written, self.missed, crc)
+
+    def damaged(self, payload: bytes) -> bool:
+        """Whether the payload is not what was sent: a TLS link that is cut can lose a piece of one without a word."""
+        return self.crc != 0 and self.crc != zlib.crc32(payload)
 
     @classmethod
     def unpack(cls, data: bytes) -> BatchHeader:
         """Raises ValueError on anything else."""
         if len(data) != _HEADER.size or data[:4] != _MAGIC:
             raise ValueError("no batch header")
-        _, end, seal, run, source, first, written, missed = _HEADER.unpack(data)
+        _, end, seal, run, source, first, written, missed, crc = _HEADER.unpack(data)
         if first > written or written >= 1 << 62 or missed > written or not source:
             raise ValueError("a batch header that cannot be")
-        return cls(source, first, written, missed, End(end), Sent(seal, run))
+        return cls(source, first, written, missed, End(end), Sent(seal, run), crc)
 
 
 HEADER_BYTES: Final = _HEADER.size

@@ -110,7 +110,9 @@ def test_hosts_whose_cables_are_cut_slow_or_strange_lose_no_row_and_gain_none(tm
             assert right.result().complete
         report = rec.stop()
     assert report.complete
-    assert not [key for key in report.completeness if key.startswith("rejected.")]
+    assert {key for key in report.completeness if key.startswith("rejected.")} <= {"rejected.damaged"}, (
+        "a cut TLS link may lose a piece of a message; it is refused, and sent again"
+    )
     log = read_log(tmp_path / "run.mcap")
     for arm in ARMS:
         rows = log.agents[arm]  # what was sent again comes behind what was not lost

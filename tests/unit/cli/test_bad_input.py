@@ -62,6 +62,7 @@ OTHERS = {
     "run --set without a value": ("run", PAPER, "--set", "rate_hz"),
     "new without an object": ("new", "new.toml", "--arm", "wx200"),
     "new of an unknown arm": ("new", "new.toml", "--arm", "wx2000", "--mass", "1", "--size", "1,1,1"),
+    "pki over a file": ("pki", PAPER, "a_file"),
     "new over a file": ("new", "a_file", "--arm", "wx200", "--mass", "1", "--size", "1,1,1"),
     "schema of a cell": ("schema", PAPER),
     "run --set of no table": ("run", PAPER, "--set", "rate_hz.x.y=1"),

@@ -82,6 +82,7 @@ GOOD = make_rows("left", 4).tobytes()
         (KEY, GOOD[:-1], header(0, 4), Rejection.WRONG_LENGTH),
         (KEY, b"", header(0, 4), Rejection.WRONG_LENGTH),
         (KEY, damaged("encapsulation", 1), header(0, 4), Rejection.WRONG_ENCAPSULATION),
+        (KEY, damaged("sigma_min", 1), BatchHeader(RING, 0, 4, 0).pack(sent(), GOOD), Rejection.DAMAGED),
         (KEY, damaged("config_id", 1), header(0, 4), Rejection.WRONG_CONFIG),
         (KEY, damaged("joint_count", 7), header(0, 4), Rejection.WRONG_JOINTS),
         (KEY, damaged("sequence", 1), header(0, 4), Rejection.WRONG_ORDER),
