@@ -59,9 +59,10 @@ def agent(
     from agent.config.cell import load_cell
     from agent.config.schema.cell import DriverKind
     from agent.host.paths import control_path, make_runtime_dir, plant_socket_path, ring_path
-    from agent.process.agent import AgentOptions, run_agent
+    from agent.process.agent import run_agent
     from agent.process.build import Connection
     from agent.process.rehearse import driver_of, in_the_loop, require_empty_gripper, require_wall_clock, taken
+    from agent.process.schedule import AgentOptions
 
     requested = begin(with_parent)
     loaded = load_cell(cell)
@@ -114,10 +115,10 @@ def guard(
     from agent.config.cell import load_cell
     from agent.config.schema.cell import DriverKind
     from agent.host.paths import control_path, guard_path, make_runtime_dir, ring_path
-    from agent.process.agent import AgentOptions
     from agent.process.build import Connection
     from agent.process.guard import GuardOptions, run_guard
     from agent.process.rehearse import driver_of
+    from agent.process.schedule import AgentOptions
 
     requested = begin(with_parent)
     loaded = load_cell(cell)

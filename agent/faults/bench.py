@@ -25,9 +25,9 @@ from agent.faults.virtual import Line, Plug, SharedClock, VirtualPort
 from agent.loop import Agent
 from agent.modes import Event, Mode
 from agent.monitors.watch import Watch
-from agent.process.agent import AgentOptions, _schedule
 from agent.process.build import Connection, build_agent
 from agent.process.emulate import wiring
+from agent.process.schedule import AgentOptions, schedule_of
 from agent.process.simulated import plant_spec
 from agent.runner import Runner, RunSummary, Surroundings
 from agent.telemetry.row.fill import AgentRow
@@ -230,7 +230,7 @@ class _Bench:
             trouble=lambda text: run.troubles.append((self._t(), text)),
         )
         options: Any = AgentOptions(arm.name, DriverKind.DYNAMIXEL, Connection(), None, None, False, False)  # type: ignore[arg-type]
-        schedule = _schedule(self.cell, options)
+        schedule = schedule_of(self.cell, options)
         row = AgentRow(run.log.message, arm.n, self.cell.config_id)
         watch = Watch(monitors.bounds(self.cell, arm), lambda text: run.warnings.append((self._t(), text)))
         return Runner(self._agent(arm, mine), driver, clock, schedule, row, run.log, around, watch)

@@ -33,18 +33,11 @@ from agent.loop import Agent
 from agent.modes import Mode
 from agent.monitors.watch import Watch
 from agent.operator.socket import ControlSocket, Standing
-from agent.process.agent import (
-    HEALTH_S,
-    HEARTBEAT_S,
-    AgentOptions,
-    ArmLost,
-    _Heart,
-    _schedule,
-    _Servos,
-    _Teller,
-)
+from agent.process.agent import ArmLost
 from agent.process.build import Standby, build_agent, build_standby, port_of
 from agent.process.operated import Operator, tick_of
+from agent.process.schedule import AgentOptions, schedule_of
+from agent.process.tellers import HEARTBEAT_S, Heart, ServoTeller, Teller
 from agent.runner import Runner, RunSummary, Surroundings
 from agent.telemetry.row.event import Level
 from agent.telemetry.row.fill import AgentRow
@@ -103,7 +96,7 @@ class _Guard:
         self._told, self._drivers = dict[str, Any](), tuple[int, ...]()  # by the agent: of its driver
         self._watched: Watched | None = None
         self._driver: Standby | None = None
-        self._tell: _Teller | None = None
+        self._tell: Teller | None = None
         stack.callback(self._let_go)
         self._stroked_ns = 0
         quiet_memory()
@@ -246,7 +239,7 @@ class _Guard:
         rows = watched.last_rows()
         offset_ns = int(rows[-1]["utc_ns"] - rows[-1]["stamp_ns"]) if len(rows) else None
         clock = MonotonicClock(offset_ns)
-        tell = self._tell = _Teller(arm.name, watched.texts)
+        tell = self._tell = Teller(arm.name, watched.texts)
         tell.clock = clock
         with ExitStack() as stack:
             stack.callback(watched.texts.finish)
@@ -266,7 +259,7 @@ class _Guard:
             black_box = self._black_box(watched.ring, reason)
             stack.callback(black_box.finish)
             around = self._around(control, driver, watched, clock, tell, black_box)
-            schedule = replace(_schedule(self._cell, options), hold_at_end=True)
+            schedule = replace(schedule_of(self._cell, options), hold_at_end=True)
             row = AgentRow(watched.writer.row, arm.n, self._cell.config_id)
             watch = Watch(monitors.bounds(self._cell, arm), tell.warn)
             cpu_s = time.process_time()
@@ -282,11 +275,11 @@ class _Guard:
 
     def _around(
         self, control: ControlSocket | None, driver: Standby, watched: Watched, clock: MonotonicClock,
-        tell: _Teller, black_box: BlackBox,
+        tell: Teller, black_box: BlackBox,
     ) -> Surroundings:  # fmt: skip
         rate_hz = self._cell.file.rate_hz
-        heart = _Heart(self._notifier, max(1, round(HEARTBEAT_S * rate_hz)))
-        servos = _Servos(driver, watched.texts, clock.utc_offset_ns, max(1, round(HEALTH_S * rate_hz)))
+        heart = Heart(self._notifier, rate_hz)
+        servos = ServoTeller(driver, watched.texts, clock.utc_offset_ns, rate_hz)
         agent = self._options.agent
         operator = Operator(self._stop, control, clock, tell.event, drops_on_stop=not agent.hold)
         fixed = {"pid": os.getpid(), "driver": agent.driver.value, "guard": HOLDS}

@@ -27,8 +27,8 @@ from agent.loop import (
     step,
 )
 from agent.modes import Mode
-from agent.process.agent import patience_of
 from agent.process.build import build_agent
+from agent.process.schedule import patience_of
 from agent.safety import Flag, Limits
 from drivers.interface import JointState, Vector
 from tests.unit.test_step_rules import arm, start

@@ -18,10 +18,10 @@ from agent.config.cell import Arm, Cell
 from agent.config.schema.cell import DriverKind
 from agent.config.servo_map import arm_map
 from agent.modes import Event
-from agent.process.agent import AgentOptions, _schedule
 from agent.process.build import Connection, build_agent
 from agent.process.emulate import wiring
 from agent.process.rehearse import BridgedRows, bridge
+from agent.process.schedule import AgentOptions, schedule_of
 from agent.process.simulated import lone_spec, plant_spec
 from agent.report.series import internal_wrenches
 from agent.runner import Runner, Surroundings
@@ -353,7 +353,7 @@ class Rehearsal:
         kind = DriverKind.DYNAMIXEL if arm.name in self.real else DriverKind.SIM
         options: Any = AgentOptions(arm.name, kind, Connection(), None, None, lockstep=False, hold=False)  # type: ignore[arg-type]
         row = AgentRow(run.log.message, arm.n, self.cell.config_id)
-        schedule = _schedule(self.cell, options)
+        schedule = schedule_of(self.cell, options)
         sink: Any = BridgedRows(run.log, row, driver) if run.bridge is not None else run.log
         run.summary = Runner(build_agent(self.cell, arm), driver, self.clock, schedule, row, sink, around).run()
 

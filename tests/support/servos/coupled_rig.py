@@ -18,9 +18,9 @@ from agent.config.schema.cell import DriverKind
 from agent.config.servo_map import arm_map
 from agent.modes import Event
 from agent.monitors.watch import Watch
-from agent.process.agent import AgentOptions, _schedule
 from agent.process.build import Connection, build_agent
 from agent.process.emulate import wiring
+from agent.process.schedule import AgentOptions, schedule_of
 from agent.process.simulated import plant_spec
 from agent.runner import Runner, RunSummary, Surroundings
 from agent.telemetry.row.fill import AgentRow
@@ -271,7 +271,7 @@ class CoupledRun:
             arm.name, DriverKind.DYNAMIXEL, Connection(emulated=not self._real), None, None, lockstep=False, hold=False
         )  # type: ignore[arg-type]
         row = AgentRow(run.log.message, arm.n, self._cell.config_id)
-        schedule = _schedule(self._cell, options)
+        schedule = schedule_of(self._cell, options)
         agent = build_agent(self._cell, arm)
         watch = Watch(bounds(self._cell, arm), run.told.append)
         run.runner = Runner(agent, driver, self._clock, schedule, row, run.log, around, watch)

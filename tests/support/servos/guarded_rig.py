@@ -18,8 +18,8 @@ from agent.config.servo_map import arm_map
 from agent.guard.takeover import WATCH_NS, go_on, stale_ns
 from agent.guard.vigil import Vigil
 from agent.modes import Event, Mode
-from agent.process.agent import AgentOptions, _schedule
 from agent.process.build import Connection, build_agent
+from agent.process.schedule import AgentOptions, schedule_of
 from agent.runner import Runner, RunSummary, Surroundings
 from agent.telemetry.row.fill import AgentRow
 from drivers.dynamixel.driver import DynamixelDriver
@@ -172,7 +172,7 @@ class GuardedRun(CoupledRun):
             lockstep=False,
             hold=False,  # type: ignore[arg-type]
         )
-        return _schedule(self._cell, options)
+        return schedule_of(self._cell, options)
 
     def _around(self, run: Guarded, start_ns: Any, over: Any) -> Surroundings:
         def beat() -> None:

@@ -16,8 +16,8 @@ from agent.config.servo_map import arm_map
 from agent.config.session import rest_joints
 from agent.modes import Event, Mode
 from agent.monitors.watch import Watch
-from agent.process.agent import AgentOptions, _schedule
 from agent.process.build import Connection, build_agent
+from agent.process.schedule import AgentOptions, schedule_of
 from agent.process.session import session_loop
 from agent.process.whole import WHERE_IT_SHOULD, whole_cell
 from agent.runner import Runner, RunSummary, Schedule, Surroundings
@@ -133,7 +133,7 @@ class WholeRun:
             name, DriverKind.DYNAMIXEL, Connection(emulated=True), None, None, lockstep=False, hold=True
         )  # type: ignore[arg-type]
         row = AgentRow(run.log.message, arm.n, self.cell.config_id)
-        schedule: Schedule = _schedule(self.cell, options)
+        schedule: Schedule = schedule_of(self.cell, options)
         session = session_loop(self.cell, arm, agent, driver)
         watch = Watch(monitors.bounds(self.cell, arm), run.told.append)
         loop = Runner(agent, driver, self.clock, schedule, row, run.log, around, watch, session=session)

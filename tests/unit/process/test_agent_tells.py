@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.process.agent import _Servos, _Teller
+from agent.process.tellers import ServoTeller, Teller
 from agent.telemetry.ring.ring import RingWriter
 from agent.telemetry.ring.texts import TextReader, TextWriter
 from agent.telemetry.row.event import Event, Level
@@ -21,10 +21,10 @@ from tests.support.servos import dxl_rig
 OFFSET_NS = 1_700_000_000_000_000_000
 
 
-def told(ring: Path, driver: Any, beats: int, cycles: int) -> list[Health]:
+def told(ring: Path, driver: Any, beats: int, rate_hz: float) -> list[Health]:
     writer = TextWriter(ring, "left")
     with RingWriter(ring, AGENT_STATE, "left", ("waist",)):
-        servos = _Servos(driver, writer, OFFSET_NS, cycles)
+        servos = ServoTeller(driver, writer, OFFSET_NS, rate_hz)
         for _ in range(beats):
             servos.beat()
         found = TextReader(ring).read_new()
@@ -73,7 +73,7 @@ class RunClock:
 
 def test_an_agents_event_has_the_time_of_its_rows_once_there_is_one(tmp_path: Path) -> None:
     writer = TextWriter(tmp_path / "ring", "left")
-    teller: Any = _Teller("left", writer)
+    teller: Any = Teller("left", writer)
     begin_ns = time.time_ns()
     teller.event(Level.INFO, "before")
     teller.clock = RunClock()

@@ -19,10 +19,10 @@ from agent.operator.message import Request
 from agent.operator.socket import ControlSocket, Standing
 from agent.operator.table import Verb
 from agent.process import agent, operated
-from agent.process.agent import AgentOptions
 from agent.process.build import Connection
 from agent.process.clocked import ClockWatch
 from agent.process.operated import Operator
+from agent.process.schedule import AgentOptions
 from agent.runner import NOT_YET_NS
 from agent.telemetry.ring.ring import RingWriter
 from agent.telemetry.row.event import Level

@@ -1,0 +1,100 @@
+"""What a loop tells of itself beside its rows: events, its servos' slow quantities, and that it lives."""
+
+from __future__ import annotations
+
+import time
+
+from agent.around import RunSummary
+from agent.host.notify import Notifier
+from agent.modes import TABLE, Mode
+from agent.telemetry.ring.texts import TextWriter
+from agent.telemetry.row.event import Event as TextEvent
+from agent.telemetry.row.event import Level
+from agent.telemetry.row.health import health_values
+from drivers.interface import Clock, Driver
+
+HEARTBEAT_S = 0.02
+HEALTH_S = 1.0
+
+
+class Teller:
+    """Writes the agent's own events; mode changes and flags are told from the rows by telemetry.
+
+    With the clock of the rows an event has their time: the same UTC for the same instant, and `stamp_ns` as they do.
+    """
+
+    def __init__(self, arm: str, texts: TextWriter) -> None:
+        self.clock: Clock | None = None  # none before the arm is connected: the wall's time, then
+        self._arm = arm
+        self._texts = texts
+
+    def event(self, level: Level, text: str, **data: float | str) -> None:
+        """Something happened now."""
+        utc_ns = time.time_ns()
+        if self.clock is not None:
+            stamp_ns = self.clock.now_ns()
+            utc_ns, data = self.clock.utc_offset_ns + stamp_ns, {"stamp_ns": stamp_ns, **data}
+        self._texts.event(TextEvent(utc_ns, self._arm, level, text, data))
+
+    def warn(self, text: str) -> None:
+        """The driver has something to say."""
+        self.event(Level.WARN, text)
+
+    def trouble(self, reason: str) -> None:
+        """The arm holds by itself."""
+        self.event(Level.WARN, f"holds: {reason}")
+
+    def end(self, summary: RunSummary, cpu_s: float) -> None:
+        """The run is over; wall_s is what the report's real-time factor is made of."""
+        level = Level.ERROR if summary.mode is Mode.FAULT else Level.INFO
+        text = f"run ended in {summary.mode.name} {summary.reason}".strip()
+        self.event(
+            level,
+            text,
+            ticks=summary.ticks,
+            late_cycles=summary.late_cycles,
+            wall_s=round(summary.tracked_s, 4),
+            cpu_s=round(cpu_s, 4),
+        )
+
+
+class ServoTeller:
+    """Tells the servos' slow quantities once a second, after the cycle's torque has gone out.
+
+    The driver has read them in its gaps, and the ring waits for nobody; a driver without servos tells nothing.
+    """
+
+    def __init__(self, driver: Driver, texts: TextWriter, utc_offset_ns: int, rate_hz: float) -> None:
+        self._driver = driver
+        self._texts = texts
+        self._utc_offset_ns = utc_offset_ns
+        self._cycles = max(1, round(HEALTH_S * rate_hz))
+        self._count = 0
+
+    def beat(self) -> None:
+        """A cycle has passed, with a state or without."""
+        self._count += 1
+        if self._count % self._cycles:
+            return
+        health = self._driver.health()
+        if health.servo_ids:
+            self._texts.health(self._utc_offset_ns + health.stamp_ns, health_values(health))
+
+
+class Heart:
+    """Strokes the service manager's watchdog from the loop, every 20 ms."""
+
+    def __init__(self, notifier: Notifier, rate_hz: float) -> None:
+        self._notifier = notifier
+        self._cycles = max(1, round(HEARTBEAT_S * rate_hz))
+        self._count = 0
+
+    def mode(self, mode: Mode) -> None:
+        """Tell what the arm is doing."""
+        self._notifier.send(f"STATUS={TABLE[mode].says}")
+
+    def beat(self) -> None:
+        """A cycle has passed, with a state or without."""
+        self._count += 1
+        if self._count % self._cycles == 0:
+            self._notifier.alive()
