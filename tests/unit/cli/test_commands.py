@@ -170,3 +170,8 @@ def test_a_quick_command_loads_nothing_heavy(line: list[str], never: set[str]) -
         f"assert dispatch({line!r}) == 0\nprint('LOADED', *sys.modules)"
     ).rpartition("LOADED")[2]
     assert not never & set(loaded.split())
+
+
+def test_a_run_loads_no_figures_before_its_report() -> None:
+    loaded = python("import sys, agent.process.run; print('LOADED', *sys.modules)").rpartition("LOADED")[2]
+    assert not {"matplotlib", "PIL"} & set(loaded.split())
