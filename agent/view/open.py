@@ -27,7 +27,7 @@ def serve(log: Path, server: Server, stop: Callable[[], bool], ready: Callable[[
         run = prepare(opened)
         staged = stage(run, PICTURES_HZ)
         moments = moments_of(run)
-    player = Player(server, Nodes(server, staged.scene, staged.camera(VIEW_PX)), staged, moments)
+    player = Player(server, Nodes(server, staged.scene, staged.camera(VIEW_PX), titled=False), staged, moments)
     player.step()
     ready()
     while not stop():
