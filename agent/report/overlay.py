@@ -14,7 +14,7 @@ from agent.report.shown import LETTERS, ErrorSeries
 @styled
 def overlay(runs: Sequence[ErrorSeries]) -> Figure:
     """Position error above, attitude error below; left the start, right what follows the transient."""
-    figure, axes = panels(2, 2, height_in=2.1, sharex=False, names_in=room_in(LETTERS))
+    figure, axes = panels(2, 2, height_in=2.1, gap_in=0.6, sharex=False, names_in=room_in(LETTERS))
     start = max(run.start_s for run in runs)
     for number, run in enumerate(runs):
         look = {
