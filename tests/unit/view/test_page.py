@@ -301,10 +301,11 @@ def test_the_browser_is_sent_to_a_page_that_answers_before_the_log_is_read(
     log, told = tmp_path / "run.mcap", list[str]()
     log.write_bytes(MAGIC)
 
-    def serve(path: Path, server: Server, _stop: object, ready: Callable[[], None]) -> int:
+    def serve(path: Path, server: Server, _stop: object, ready: Callable[[], None], say: Callable[[str], None]) -> int:
         assert (path, told) == (log, [server.address])
         assert b"<html" in urllib.request.urlopen(server.address).read()
         assert "READY" not in capsys.readouterr().out
+        say("a word")
         ready()
         assert capsys.readouterr().out == f"READY page={server.address}\n"
         return 7
