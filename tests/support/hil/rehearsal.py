@@ -53,6 +53,7 @@ from tests.support.servos.dxl_rig import VirtualPort
 
 MS = 1_000_000
 GIVE_UP_NS = 3_000_000_000  # of virtual time, for arms that wait for the start
+PHASE_NS = 1_300_000  # of the plant's cycles
 READY_NS = 1_500_000_000  # from the last arm's first cycle to the common start
 
 
@@ -199,7 +200,7 @@ class VirtualSim:
 
     def write(self, tau_Nm: Vector) -> Vector:
         sent = self._seat.limits(tau_Nm)
-        if not self._seat.limp:
+        if not (self._seat.limp or self.silent):  # servos that say nothing hear nothing: the last torque stays
             self._seat.tau = sent
         return sent
 
@@ -267,7 +268,7 @@ class Rehearsal:
         *,
         faults: Sequence[Fault] = (),
         happenings: Mapping[float, Happening] | None = None,
-        phase_ns: int = 1_300_000,
+        phase_ns: int = PHASE_NS,
         older_cycles: int = 0,
         lost: float = 0.0,
         begin: Happening | None = None,
