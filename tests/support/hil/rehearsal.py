@@ -17,6 +17,7 @@ import numpy as np
 from agent.config.cell import Arm, Cell
 from agent.config.schema.cell import DriverKind
 from agent.config.servo_map import arm_map
+from agent.faults.virtual import SharedClock
 from agent.modes import Event
 from agent.process.build import Connection, build_agent
 from agent.process.emulate import wiring
@@ -48,7 +49,7 @@ from sim_backend.wire.faults import Fault
 from sim_backend.wire.injector import Injector
 from sim_backend.wire.lone_world import LoneWorld, emulate_alone
 from sim_backend.wire.timing import BusTiming
-from tests.support.servos.coupled_rig import ArmRun, Line, SharedClock
+from tests.support.servos.coupled_rig import ArmRun, Line
 from tests.support.servos.dxl_rig import VirtualPort
 
 MS = 1_000_000
@@ -280,7 +281,7 @@ class Rehearsal:
         self._emulated, self.world = self._lone(cell, q_start)
         self._injectors = [Injector(arm, None, seed=1) for arm in self._emulated.arms] if self._emulated else []
         self._physics = Physics(self._emulated, self.plant)
-        self.clock = SharedClock(self._physics, self._injectors, len(cell.arms))  # type: ignore[arg-type]
+        self.clock = SharedClock(self._physics, self._injectors, len(cell.arms))
         self.cell, self._faults, self._late = cell, faults, (older_cycles, lost)
         self._happenings = happenings or {}
         self._ready: set[str] = set()

@@ -15,6 +15,7 @@ import numpy as np
 from agent.config.cell import Arm, Cell
 from agent.config.schema.cell import DriverKind
 from agent.config.servo_map import arm_map
+from agent.faults.virtual import SharedClock
 from agent.guard.takeover import WATCH_NS, go_on, stale_ns
 from agent.guard.vigil import Vigil
 from agent.modes import Event, Mode
@@ -26,7 +27,7 @@ from drivers.dynamixel.driver import DynamixelDriver
 from drivers.dynamixel.servo.table import GOAL_CURRENT, GOAL_PWM, Instruction
 from drivers.dynamixel.standby import Handover, StandbyDriver
 from drivers.interface import Vector
-from tests.support.servos.coupled_rig import ArmRun, CoupledRun, Line, SharedClock
+from tests.support.servos.coupled_rig import ArmRun, CoupledRun, Line
 from tests.support.servos.dxl_rig import VirtualPort
 
 HOST_NS = 4_000_000  # to wake, to see a process end, to compute the hold: three times what a small computer needs
