@@ -95,7 +95,8 @@ class Table:
         good = until <= APART_M and (falls or apart <= APART_M)
         self.missed += not good
         sys.stdout.write(
-            f"{name + ', power off':44} limp after {at_s - FAULT_S:.3f} s, all hold after {held_s - FAULT_S:.3f} s: object "
+            f"{name + ', power off':44} limp after {at_s - FAULT_S:.3f} s, all hold after {held_s - FAULT_S:.3f} s: "
+            "object "
             f"{until * 1e3:.2f} mm from the simulated one until then, {apart * 1e3:.2f} mm to the end, which moves "
             f"{moved * 1e3:.1f} mm and is {alike * 1e3:.2f} mm from itself half a cycle later"
             f"{'' if good else '  MISSED'}\n"
