@@ -17,7 +17,7 @@ import numpy as np
 from agent.config.cell import Arm, Cell
 from agent.config.schema.cell import DriverKind
 from agent.config.servo_map import arm_map
-from agent.faults.virtual import SharedClock
+from agent.faults.virtual import Line, SharedClock
 from agent.modes import Event
 from agent.process.build import Connection, build_agent
 from agent.process.emulate import wiring
@@ -49,7 +49,7 @@ from sim_backend.wire.faults import Fault
 from sim_backend.wire.injector import Injector
 from sim_backend.wire.lone_world import LoneWorld, emulate_alone
 from sim_backend.wire.timing import BusTiming
-from tests.support.servos.coupled_rig import ArmRun, Line
+from tests.support.servos.coupled_rig import ArmRun
 from tests.support.servos.dxl_rig import VirtualPort
 
 MS = 1_000_000
@@ -331,7 +331,7 @@ class Rehearsal:
             self.sims[arm.name] = VirtualSim(seat, arm, self.clock)
             return self.sims[arm.name]
         index = next(i for i, a in enumerate(self._emulated.arms) if a.name == arm.name)  # type: ignore[union-attr]
-        line: Any = Line(self._physics, index, self._injectors[index], self.clock)  # type: ignore[arg-type]
+        line = Line(self._physics, index, self._injectors[index], self.clock)
         port = self.ports[arm.name] = VirtualPort(line, arm.baud)
         real = LossyDriver(
             arm_map(self.cell, arm, "virtual", q_start), self.clock, on_event=run.events.append, scan_s=0.05, port=port
