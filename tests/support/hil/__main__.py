@@ -13,9 +13,10 @@ import numpy as np
 
 import configs
 from agent.config.cell import load_cell
+from agent.faults.looped import PHASE_NS
 from agent.modes import Mode
 from sim_backend.wire.faults import Fault, FaultKind
-from tests.support.hil.rehearsal import PHASE_NS, Rehearsal
+from tests.support.hil.rehearsal import Rehearsal
 
 CELLS = ("paper_real", "two_wx200", "three_wx250s", "four_wx250s")
 DURATION_S, FROM_S, FAULT_S = 12.0, 2.0, 2.0
