@@ -48,7 +48,7 @@ def _label(ax: Axes, end: float, height: float, curve: Line2D, name: str) -> Non
     """From the end of a curve, in parts of the panel's height, to its name at another height."""
     width_in = _size_in(ax)[0]
     begin, until = (1.0 + way / width_in for way in (LEADER_IN, LEADER_IN + SAMPLE_IN))
-    look = {"color": curve.get_color(), "transform": ax.transAxes, "clip_on": False}
+    look: dict[str, Any] = {"color": curve.get_color(), "transform": ax.transAxes, "clip_on": False}
     figure = ax.get_figure(root=True)
     assert figure is not None
     figure.add_artist(Line2D([1.0, begin], [end, height], linewidth=0.6, **look))
