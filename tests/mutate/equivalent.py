@@ -28,6 +28,7 @@ _BY_WORDS = "bytes do for every length; words are quicker where it is even"
 _ENDS_OF_BLOCKS = "for end in range(self._block, blocks * self._block + 1, self._block):"
 _OPPOSED = "opposed = followed[1] * shadow[1] < 0 and min(abs(followed[1]), abs(shadow[1])) >= self._fight"
 
+_SIZED = "sized = np.where(np.isfinite(values), np.abs(values), -1.0)"
 _CONJUGATE = "turn = product(pose[:, 3:], against[:, 3:] * [1.0, -1.0, -1.0, -1.0])"
 _SHORTER = "turn = np.where(turn[:, :1] < 0.0, -turn, turn)"
 _AXIS = "axis = np.divide(turn[:, 1:], sine, out=np.zeros_like(turn[:, 1:]), where=sine > _STILL)"
@@ -226,6 +227,9 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
     "agent.telemetry.ring.texts": {
         ("TextReader.read_new", _TEXTS, _TEXTS.replace("64", "128")): "how many at a time; the loop takes all",
         ("TextReader.read_new", _TEXTS, _TEXTS.replace("64", "32")): "how many at a time; the loop takes all",
+    },
+    "agent.view.curves": {
+        ("thinned", _SIZED, _SIZED.replace("-1.0", "-2.0")): "any size below zero is below all others",
     },
     "agent.view.pose": {
         ("", "_STILL: Final = 1e-12", "_STILL: Final = 2e-12"): "no half angle of a log is between the two",
