@@ -222,6 +222,7 @@ def test_before_the_plant_starts_the_arm_has_its_own_torque_and_after_a_while_a_
     assert rig.told[-1] == "twin limp"
 
 
+@pytest.mark.fault("H5")
 def test_a_stale_twin_is_a_fault_after_three_cycles_and_stays_one() -> None:
     pull = np.array([0.3, 0.2])
     rig = Rig(plant=lambda ns: TwinState(ns, np.zeros(2), np.zeros(2), pull, pull))
@@ -250,6 +251,7 @@ def test_a_plant_that_says_its_end_is_named() -> None:
     assert "found a plant that is gone (nothing)" in str(lasting(made, rig))
 
 
+@pytest.mark.fault("H6")
 def test_arm_and_twin_too_far_apart_are_no_pair_any_more() -> None:
     rig = Rig()
     made = bridge(rig)

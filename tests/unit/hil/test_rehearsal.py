@@ -89,6 +89,7 @@ def test_cycles_without_a_state_also_say_what_was_sent() -> None:
     assert np.all(np.abs(rows["tau_sent"][:, : arm.n] - wanted) <= spec.torque_lsb_Nm)
 
 
+@pytest.mark.fault("H5")
 def test_a_plant_that_is_killed_holds_the_real_arm_within_25_ms_where_it_is() -> None:
     motion: list[tuple[float, Any, float]] = []
 
@@ -108,6 +109,7 @@ def test_a_plant_that_is_killed_holds_the_real_arm_within_25_ms_where_it_is() ->
     assert not held["tau_bridge"][-1].any()
 
 
+@pytest.mark.fault("H2", "H3")
 def test_the_port_of_the_real_arm_lost_lets_the_twin_go_limp_with_its_servos() -> None:
     made = Rehearsal(cell("duration_s=1.8"), happenings={FAULT_S: lambda run: setattr(run.ports["left"], "lost", True)})
     limp_ns = made.plant.seats["left"].limp_ns
@@ -120,6 +122,7 @@ def test_the_port_of_the_real_arm_lost_lets_the_twin_go_limp_with_its_servos() -
     assert "neighbour is limp" in summary.reason
 
 
+@pytest.mark.fault("H4")
 def test_a_touch_parts_arm_and_twin_by_less_than_30_mm_and_they_come_together() -> None:
     """5 N for 0.3 s, upwards.  Agents that notice would hold, as on any blow; these do not notice."""
     apart: list[tuple[float, float]] = []
@@ -142,6 +145,7 @@ def test_a_touch_parts_arm_and_twin_by_less_than_30_mm_and_they_come_together() 
     assert summary.mode is Mode.TRACK
 
 
+@pytest.mark.fault("H7")
 def test_an_arm_with_the_object_in_its_gripper_is_held_before_anything_is_coupled() -> None:
     heavy = cell("duration_s=0.1", "object.mass_kg=0.2")
     weight = np.array([0.0, 0.0, -0.2 * 9.81, 0.0, 0.0, 0.0])
