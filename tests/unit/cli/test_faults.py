@@ -64,7 +64,7 @@ def test_a_row_of_the_list_can_be_let_happen_by_its_id() -> None:
 
 def test_a_row_of_a_rehearsal_brings_its_arm_in_the_loop_along(tmp_path: Path) -> None:
     log = tmp_path / "log.mcap"
-    done = coop("faults", "inject", "paper_real", "h5", "--duration", "2.1", "--out", log)
+    done = coop("faults", "inject", "paper_real", "h5", "--duration", "2.13", "--out", log)
     assert done.code == 0, done.err
     assert "twin of arm left: found a plant that is gone" in done.out
     assert "arm from twin     0.00" in done.out
