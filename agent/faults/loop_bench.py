@@ -77,6 +77,7 @@ class LoopBench(Bench):
         if arm not in self._lone:
             self._cell_plant.gone = True
             return
+        self._cell_plant.seats[arm].orphan()
         end_ns = self._clock.now_ns() + round(WATCHDOG_S * 1e9)
         self._agenda.append((end_ns, self._cell_plant.seats[arm].switch_off))
         self._agenda.sort(key=lambda entry: entry[0])

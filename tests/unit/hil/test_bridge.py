@@ -46,6 +46,7 @@ class Rig:
     told: list[str] = field(default_factory=list)
     sent: list[Vector] = field(default_factory=list)
     twins: list[Vector] = field(default_factory=list)
+    lasting: Vector = field(default_factory=lambda: np.zeros(2))
     plant: Callable[[int], TwinState | None] = lambda ns: TwinState(ns, *np.zeros((4, 2)))
     ended: Refusal | None = None
     counters: BusCounters = field(default_factory=BusCounters)
@@ -113,8 +114,9 @@ class Twin:
     def newest(self) -> TwinState | None:
         return self.rig.plant(self.rig.ns)
 
-    def command(self, tau_Nm: Vector) -> None:
+    def command(self, tau_Nm: Vector, lasting_Nm: Vector) -> None:
         self.rig.twins.append(tau_Nm)
+        self.rig.lasting = lasting_Nm
 
     def limp(self) -> None:
         self.rig.told.append("twin limp")
@@ -271,6 +273,7 @@ def test_without_a_state_of_the_arm_the_twin_keeps_its_torque_until_the_servos_w
     rig.q = np.array([0.01, 0.0])
     cycle(made, rig)
     assert abs(rig.twins[-1][0] - TAU[0]) > 0.01, "what answers a motion"
+    np.testing.assert_allclose(rig.lasting, TAU, atol=1e-3, err_msg="it is not what stays without the agent")
     commands = len(rig.twins)
     rig.failure = refusal(StaleStateError)
     if partly:
