@@ -138,7 +138,7 @@ class Table:
         )
 
     def touched(self, name: str) -> None:
-        """5 N for 0.3 s on the first arm, in the direction in which it gives way most, of agents that notice nothing."""
+        """5 N for 0.3 s on the first arm, where it gives way most, of agents that notice nothing."""
         first = load_cell(configs.CELLS_DIR / f"{name}.toml").arms[0].name
         apart: list[tuple[float, float]] = []
 
