@@ -71,6 +71,7 @@ def misses(found: Measured, within: Within) -> Iterator[str]:
         ("sag", found.sag_m, within.sag_m, "m"),
         ("joints moved", found.moved_rad, within.moved_rad, "rad"),
         ("fastest joint", found.speed_rad_per_s, within.speed_rad_per_s, "rad/s"),
+        ("arm and twin apart", found.apart_rad, within.apart_rad, "rad"),
     ):
         if bound is not None and not value <= bound:
             yield f"{name} {value:.3g} {unit}, not ≤ {bound:g}"

@@ -40,6 +40,7 @@ class Measured:
     moved_rad: float  # by a joint of an arm with a fault, within the servos' watchdog time
     speed_rad_per_s: float  # of the fastest joint
     torque_share: float  # of the largest torque allowed, of the joint with the most
+    apart_rad: float = 0.0  # of an arm in the loop and its twin, the joint with the most
 
     @property
     def reacted_s(self) -> float | None:
@@ -62,6 +63,7 @@ class Measured:
             "moved_rad": _rounded(self.moved_rad),
             "speed_rad_per_s": _rounded(self.speed_rad_per_s),
             "torque_share": _rounded(self.torque_share),
+            "apart_rad": _rounded(self.apart_rad),
         }
 
 
@@ -86,6 +88,7 @@ def measured(run: Rehearsal) -> Measured:
         moved_rad=_moved(run, t, onset),
         speed_rad_per_s=_largest(np.array([np.abs(seen.dq).max() for _, seen in run.truth])[after]),
         torque_share=max((_share(run.cell, name, arm, run, onset) for name, arm in run.arms.items()), default=0.0),
+        apart_rad=max((_apart(run.cell, name, arm, run, onset) for name, arm in run.arms.items()), default=0.0),
     )
 
 
@@ -180,6 +183,15 @@ def _share(cell: Cell, name: str, arm: ArmRun, run: Rehearsal, onset: float) -> 
     bound = own.tau_stall_Nm * cell.file.safety.tau_max_fraction_of_stall
     sent = np.abs(rows["tau_sent"][:, : own.n]) / bound
     return _largest(np.nan_to_num(sent[t >= onset]).ravel())
+
+
+def _apart(cell: Cell, name: str, arm: ArmRun, run: Rehearsal, onset: float) -> float:
+    rows, t = _timed(arm, run)
+    looped = cell.file.hil is not None and name in cell.file.hil.arms
+    if not (looped and len(rows)):
+        return 0.0
+    apart = np.abs(rows["q_twin"] - rows["q_measured"])[:, : cell.arm(name).n]
+    return _largest(np.nan_to_num(apart[t >= onset]).ravel())
 
 
 def _largest(values: Vector) -> float:
