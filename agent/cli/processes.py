@@ -61,6 +61,7 @@ def agent(
     from agent.host.paths import control_path, make_runtime_dir, plant_socket_path, ring_path
     from agent.process.agent import run_agent
     from agent.process.build import Connection
+    from agent.process.floats import run_float
     from agent.process.rehearse import driver_of, in_the_loop, require_empty_gripper, require_wall_clock, taken
     from agent.process.schedule import AgentOptions
 
@@ -90,7 +91,8 @@ def agent(
         guard=guard,
         no_realtime=allow_no_realtime,
     )
-    summary = run_agent(loaded, options, requested, ready)
+    floats = loaded.file.floating is not None and arm in loaded.file.floating.arms
+    summary = (run_float if floats else run_agent)(loaded, options, requested, ready)
     typer.echo(
         f"arm {arm}: {summary.ticks} cycles, {summary.late_cycles} late, {summary.stale_cycles} without a state, "
         f"mode {summary.mode.name} {summary.reason}",

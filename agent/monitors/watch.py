@@ -20,7 +20,7 @@ from agent.safety import Flag
 from drivers.interface import JointState, ServoHealth
 
 HEALTH_S = 0.25
-_STARTS = frozenset({Mode.READY, Mode.TRACK})  # from which HOLD is the answer
+_STARTS = frozenset({Mode.READY, Mode.TRACK, Mode.FLOAT})  # from which HOLD or STAND is the answer
 
 
 class Watch:
