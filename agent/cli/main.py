@@ -14,6 +14,7 @@ from agent.cli import (
     cells,
     doctor,
     faults,
+    floats,
     latency,
     logs,
     make,
@@ -36,7 +37,7 @@ GROUPS: dict[str, tuple[Callable[..., None], ...]] = {
     "Simulate and examine": (make.new, run.run, cells.check, cells.tune, cells.schema, study.study),
     "Arms of this host": (
         words.approach, words.grasp, words.start, words.stop, words.lower, words.release, words.park, words.guide,
-        words.status, doctor.doctor, latency.latency_test,
+        words.status, doctor.doctor, floats.float_arms, latency.latency_test,
     ),
     "Logs": (
         logs.report, view.view, logs.compare, answers.events, answers.grasps, replay.replay, logs.identify,
@@ -49,6 +50,8 @@ GROUPS: dict[str, tuple[Callable[..., None], ...]] = {
     ),
 }  # fmt: skip
 
+NAMES: dict[Callable[..., None], str] = {floats.float_arms: "float"}  # where a function cannot have the command's
+
 app = typer.Typer(
     cls=Commands,
     pretty_exceptions_enable=False,
@@ -58,7 +61,7 @@ app = typer.Typer(
 )
 for _heading, _commands in GROUPS.items():
     for _command in _commands:
-        app.command(rich_help_panel=_heading)(_command)
+        app.command(NAMES.get(_command), rich_help_panel=_heading)(_command)
 app.add_typer(motors.app, name="motors", rich_help_panel="Arms of this host")
 app.add_typer(faults.app, name="faults", rich_help_panel="Simulate and examine")
 

@@ -197,10 +197,11 @@ def emulate(
     loaded = load_cell(cell)
     make_folder(ports)
     name = loaded.file.name
-    if ring is None and loaded.file.hil is None:
+    alone = loaded.file.hil is not None or (loaded.file.floating is not None and not loaded.file.floating.holding)
+    if ring is None and not alone:
         make_runtime_dir(name)
     options = ServeOptions({arm.name: ports / arm.name for arm in loaded.arms}, faults, control, seed)
-    if loaded.file.hil is not None:
+    if alone:
         typer.echo(run_emulate_alone(loaded, options, timing=not no_timing, stop=requested, ready=ready), err=True)
         return
     where = ring or ring_path(name, PLANT)

@@ -82,6 +82,7 @@ class AgentCommand(ChildCommand):
     emulated: bool = False
     real_time: bool = False
     whole: bool = False
+    priority: int | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -151,18 +151,19 @@ def require_within(floats: Floats, driver: Driver) -> None:
 class Ending:
     """What happens to a floating arm and when: stop, stand, sink, off."""
 
-    def __init__(self, stop: Callable[[], bool], tell: Teller, rate_hz: float, sink_s: float) -> None:
+    def __init__(self, stop: Callable[[], bool], tell: Teller, now_ns: Callable[[], int], sink_s: float) -> None:
         """sink_s: time in which the weight is let go."""
         self._stop = stop
+        self._now_ns = now_ns
         self._sink_s = sink_s
         self._tell = tell
-        self._rate_hz = rate_hz
         self._mode = Mode.FLOAT
-        self._cycles = self._slow = 0  # in this mode; in a row, in which it lay
+        self._since_ns = self._fast_ns = now_ns()  # in this mode; since a joint moved last
 
     def mode(self, mode: Mode) -> None:
         """The arm's mode has changed."""
-        self._mode, self._cycles, self._slow = mode, 0, 0
+        self._mode = mode
+        self._since_ns = self._fast_ns = self._now_ns()
         said = {Mode.STAND: STANDS, Mode.SINK: SINKS}.get(mode)
         if said is not None:
             self._tell.event(Level.WARN, said)
@@ -173,15 +174,16 @@ class Ending:
             self._tell.warn(text)
 
     def events(self, fastest_rad_per_s: float) -> Event:
-        """Of one cycle, before it; the fastest joint: of the last one."""
-        self._cycles += 1
-        seconds = self._cycles / self._rate_hz
+        """Of one cycle, before it; the fastest joint: of the last one, NaN where nobody saw it."""
+        now_ns = self._now_ns()
+        if fastest_rad_per_s > LIES_RAD_PER_S:
+            self._fast_ns = now_ns
+        seconds, slow_s = (now_ns - self._since_ns) * 1e-9, (now_ns - self._fast_ns) * 1e-9
         if self._mode is Mode.FLOAT:
             return Event.STOP if self._stop() else Event.NONE
         if self._mode is Mode.STAND:
             return Event.RELEASED if seconds >= STAND_S else Event.NONE
-        self._slow = self._slow + 1 if fastest_rad_per_s <= LIES_RAD_PER_S else 0
-        lies = self._slow >= LIES_S * self._rate_hz and seconds >= self._sink_s
+        lies = slow_s >= LIES_S and seconds >= self._sink_s
         return Event.ARRIVED if lies or seconds >= SINK_MAX_S else Event.NONE
 
 
@@ -204,7 +206,7 @@ class FloatLoop:
         self._tell, self._ring, self._driver, self._clock = tell, ring, driver, clock
         self._agent = build_agent(cell, arm)
         assert self._agent.floating is not None, "Floats.of has seen to it"
-        self._ending = Ending(stop, tell, cell.file.rate_hz, self._agent.floating.sink_s)
+        self._ending = Ending(stop, tell, clock.now_ns, self._agent.floating.sink_s)
         self._row = AgentRow(ring.row, arm.n, cell.config_id)
         self._schedule = replace(schedule_of(cell, options), hold_at_end=True, ticks=ENDLESS)
         self._monitors = Monitors(floating.bounds(cell, arm, floats.spec), self._ending.warn)
@@ -245,7 +247,7 @@ class FloatLoop:
         if self._grasp is not None:
             self._grasp.look()
         dq: Vector = self._ring.row["dq"]
-        return self._ending.events(float(np.nan_to_num(np.abs(dq), nan=np.inf).max()))
+        return self._ending.events(float(np.abs(dq).max()))
 
     def _beat(self) -> None:
         self._heart.beat()

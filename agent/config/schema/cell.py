@@ -216,6 +216,11 @@ class CellFile(Strict):
             self.hil.require_fit(names, self.rate_hz, simulated=self.driver is DriverKind.SIM)
         if self.floating is not None:
             self.floating.require_fit(names, self.tolerance)
+            if self.hil is not None:
+                raise wrong(
+                    "floating", found="[hil] beside it", expected="one of them",
+                    remedy="arms that float rehearse nothing: remove one table",
+                )  # fmt: skip
         if self.driver is DriverKind.DYNAMIXEL:
             for a in self.arms:
                 if a.dynamixel is None:

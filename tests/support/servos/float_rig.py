@@ -129,9 +129,7 @@ class FloatRun:
         else:
             one = names.index(spec.arms[0])
             wired = [wiring(cell.arms[one], 0, cell.arms[one].baud)]
-            self.emulated, self.world = emulate_alone(
-                lone_spec(real, starts), [(one, wired[0])], timing=BusTiming()
-            )  # type: ignore[assignment]
+            self.emulated, self.world = emulate_alone(lone_spec(real, starts), [(one, wired[0])], timing=BusTiming())  # type: ignore[assignment]
         self.injectors = [Injector(arm, None, seed=1) for arm in self.emulated.arms]
         self.clock = SharedClock(self.emulated, self.injectors, len(spec.arms))
         self.clock.passing = self._pass
