@@ -23,6 +23,14 @@ def torque(
     return floating.standing(model, offline, own, memory.q_hold, q, dq)
 
 
+def yielding(own: Floating, memory: Memory, q: Vector) -> Memory:
+    """Memory of an arm that stands, at q (n,): pushed beyond its reach, it stays where the hand leaves it."""
+    if memory.q_hold is None:
+        return memory
+    reach = own.stand_reach_rad
+    return memory._replace(q_hold=q + (memory.q_hold - q).clip(-reach, reach))
+
+
 def entered(own: Floating, mode: Mode, memory: Memory, seen: tuple[Vector, Vector] | None) -> Memory:
     """Memory with which a mode begins; seen: (q, dq) of the tick before, None without a fresh state."""
     memory = memory._replace(age=0.0)

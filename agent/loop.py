@@ -110,6 +110,8 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
     calm = _calm(agent, dq, memory) if mode is _HOLD else LAW
     if calm == JOINTS and memory.calm == BRAKE and memory.q_hold is not None:
         memory = memory._replace(q_hold=q + (memory.q_hold - q).clip(-RETURN_RAD, RETURN_RAD))
+    if agent.floating is not None and mode is Mode.STAND:
+        memory = floats.yielding(agent.floating, memory, q)
     try:
         terms, estimate, held = _law(agent, t, mode, memory, q, dq, calm)
     except SingularJacobian:

@@ -6,6 +6,7 @@ it sinks slowly, and its torque goes off once it lies.  Each step is told before
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, closing
@@ -181,9 +182,10 @@ class Ending:
         seconds, slow_s = (now_ns - self._since_ns) * 1e-9, (now_ns - self._fast_ns) * 1e-9
         if self._mode is Mode.FLOAT:
             return Event.STOP if self._stop() else Event.NONE
+        seen = not math.isnan(fastest_rad_per_s)  # of an arm that nobody sees nobody knows whether it sinks
         if self._mode is Mode.STAND:
-            return Event.RELEASED if seconds >= STAND_S else Event.NONE
-        lies = slow_s >= LIES_S and seconds >= self._sink_s
+            return Event.RELEASED if seen and seconds >= STAND_S else Event.NONE
+        lies = seen and slow_s >= LIES_S and seconds >= self._sink_s
         return Event.ARRIVED if lies or seconds >= SINK_MAX_S else Event.NONE
 
 
@@ -208,7 +210,7 @@ class FloatLoop:
         assert self._agent.floating is not None, "Floats.of has seen to it"
         self._ending = Ending(stop, tell, clock.now_ns, self._agent.floating.sink_s)
         self._row = AgentRow(ring.row, arm.n, cell.config_id)
-        self._schedule = replace(schedule_of(cell, options), hold_at_end=True, ticks=ENDLESS)
+        self.schedule = replace(schedule_of(cell, options), hold_at_end=True, ticks=ENDLESS)
         self._monitors = Monitors(floating.bounds(cell, arm, floats.spec), self._ending.warn)
         self._heart = Heart(notifier, cell.file.rate_hz)
         self._servos = ServoTeller(driver, texts, clock.utc_offset_ns, cell.file.rate_hz)
@@ -239,7 +241,7 @@ class FloatLoop:
 
     def _runner(self, beginning: Beginning) -> Runner:
         return Runner(
-            self._agent, self._driver, self._clock, self._schedule, self._row, self._ring, self._around,
+            self._agent, self._driver, self._clock, self.schedule, self._row, self._ring, self._around,
             self._monitors, beginning,
         )  # fmt: skip
 

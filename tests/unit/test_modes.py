@@ -51,7 +51,8 @@ def test_named_transitions(mode: Mode, events: Event, expected: Mode) -> None:
 
 def test_numbers_of_the_modes_are_those_that_logs_hold() -> None:
     names = (
-        "OFF", "READY", "TRACK", "HOLD", "LOWER", "FAULT", "REST", "APPROACH", "GRASP", "RELEASE", "PARK", "HALT"
+        "OFF", "READY", "TRACK", "HOLD", "LOWER", "FAULT", "REST", "APPROACH", "GRASP", "RELEASE", "PARK", "HALT",
+        "FLOAT", "STAND", "SINK",
     )  # fmt: skip
     assert {mode.name: mode.value for mode in Mode} == {name: value for value, name in enumerate(names)}
 

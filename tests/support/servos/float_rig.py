@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -101,7 +102,8 @@ class FloatRun:
     """All arms that [floating] of a cell names; truth: what the emulated arms are, if it is not the cell.
 
     hand: what pushes, at the end effector of the one arm, or at the object of arms that hold it; stop_s: when a stop is
-    asked for; faults count from the first torque; q_start: where the one arm is; at: what the test does at an instant.
+    asked for; faults count from the first torque; q_start: where the one arm is; at: what the test does at an instant;
+    until_s: when the arms are taken away, wherever they are.
     """
 
     def __init__(
@@ -110,14 +112,15 @@ class FloatRun:
         *,
         truth: Cell | None = None,
         hand: Hand | None = None,
-        stop_s: float = 1.0,
+        stop_s: float = math.inf,
         faults: Sequence[Fault] = (),
         q_start: Vector | None = None,
         at: Sequence[tuple[float, Callable[[FloatRun], None]]] = (),
+        until_s: float | None = None,
     ) -> None:
         spec = cell.file.floating
         assert spec is not None
-        self.cell, self._hand, self._stop_s, self._at = cell, hand, stop_s, list(at)
+        self.cell, self._hand, self._stop_s, self._at, self._until_s = cell, hand, stop_s, list(at), until_s
         starts = list(examine(cell).q_start)
         names = [arm.name for arm in cell.arms]
         if q_start is not None:
@@ -222,4 +225,7 @@ class FloatRun:
         run.loop = FloatLoop(
             floats, options, run.driver, self.clock, ring, lambda: self.since_s() >= self._stop_s, tell, texts, notifier
         )
+        if self._until_s is not None:
+            ticks = round(self._until_s * self.cell.file.rate_hz)
+            run.loop.schedule = replace(run.loop.schedule, hold_at_end=False, ticks=ticks)
         return run.loop.run()
