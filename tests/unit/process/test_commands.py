@@ -45,6 +45,7 @@ FULL = (
         emulated=True,
         real_time=True,
         whole=True,
+        priority=80,
     ),
     TelemetryCommand(cell=CELL, member="plant", ring=Path("plant.ring"), connect="tcp/127.0.0.1:1", lockstep=True),
 )
