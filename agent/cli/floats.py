@@ -61,6 +61,9 @@ def float_arms(
         typer.echo(f"log      {log}")
 
 
+float_arms.__name__ = "float"  # the command's word, which a function of this module cannot have
+
+
 def _ask(arms: Sequence[str], *, holding: bool, yes: bool) -> None:
     """Raise FloatError unless a person says that the arms are supported."""
     from agent.process.floats import FloatError
