@@ -13,6 +13,7 @@ import pinocchio as pin
 
 from agent.config.cell import Arm, Cell
 from agent.config.schema.cell import DriverKind
+from agent.faults.virtual import Line, SharedClock
 from agent.process.build import Connection
 from agent.process.emulate import wiring
 from agent.process.floats import FloatLoop, Floats, require_within
@@ -30,7 +31,6 @@ from sim_backend.wire.injector import Injector
 from sim_backend.wire.lone_world import emulate_alone
 from sim_backend.wire.plant_world import emulate
 from sim_backend.wire.timing import BusTiming
-from tests.support.servos.coupled_rig import Line, SharedClock
 from tests.support.servos.dxl_rig import VirtualPort
 
 
@@ -134,8 +134,7 @@ class FloatRun:
             wired = [wiring(cell.arms[one], 0, cell.arms[one].baud)]
             self.emulated, self.world = emulate_alone(lone_spec(real, starts), [(one, wired[0])], timing=BusTiming())  # type: ignore[assignment]
         self.injectors = [Injector(arm, None, seed=1) for arm in self.emulated.arms]
-        self.clock = SharedClock(self.emulated, self.injectors, len(spec.arms))
-        self.clock.passing = self._pass
+        self.clock = SharedClock(self.emulated, self.injectors, len(spec.arms), self._pass)
         self.arms = {name: FloatArm() for name in spec.arms}
         self._faults = list(faults)
         self._on: set[str] = set()
@@ -203,7 +202,7 @@ class FloatRun:
 
     def _loop(self, run: FloatArm, arm: Arm, index: int) -> RunSummary:
         floats = Floats.of(self.cell, arm.name)
-        line: Any = Line(self.emulated, index, self.injectors[index], self.clock)
+        line = Line(self.emulated, index, self.injectors[index], self.clock)
         run.port = VirtualPort(line, arm.baud)
         texts: Any = run.texts
         tell = Teller(arm.name, texts)
