@@ -11,12 +11,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent import phases
+from agent import floats, phases
 from agent.control import adaptive, cause, joint_hold, known
 from agent.control.adaptation import Estimate
 from agent.control.alignment import Alignment, between, shifted
 from agent.control.errors import Errors
 from agent.control.estimator import Observer
+from agent.control.floating import Floating
 from agent.control.inverse import SingularJacobian
 from agent.control.law import Offline
 from agent.control.memory import Memory, initial
@@ -25,7 +26,7 @@ from agent.control.quaternion import Quat, Vec3
 from agent.control.residual import Channels, Residual, Sense, nothing_sensed
 from agent.control.terms import CMD, DDQ_REF, Terms
 from agent.control.trajectory import Desired, Trajectory
-from agent.modes import Mode
+from agent.modes import FLOATING, Mode
 from agent.safety import Flag, Limits, limit
 from drivers.interface import JointState, Vector
 
@@ -69,6 +70,7 @@ class Agent:
     residual: Residual | None = None  # None: nothing is sensed through the object
     damp_above_rad_per_s: float = math.inf  # a joint faster than this in HOLD is braked
     session: phases.Session | None = None  # None: the arm begins with the object in its gripper
+    floating: Floating | None = None  # None: nobody is to guide it by hand
 
     def __post_init__(self) -> None:
         n, counts = self.model.n, (len(self.limits.tau_max_Nm), len(self.limits.tau_step_max_Nm))
@@ -108,6 +110,8 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
     calm = _calm(agent, dq, memory) if mode is _HOLD else LAW
     if calm == JOINTS and memory.calm == BRAKE and memory.q_hold is not None:
         memory = memory._replace(q_hold=q + (memory.q_hold - q).clip(-RETURN_RAD, RETURN_RAD))
+    if agent.floating is not None and mode is Mode.STAND:
+        memory = floats.yielding(agent.floating, memory, q)
     try:
         terms, estimate, held = _law(agent, t, mode, memory, q, dq, calm)
     except SingularJacobian:
@@ -242,6 +246,8 @@ def _law(
 ) -> tuple[Terms, Estimate | None, bool]:
     """Terms of this tick's law, the estimate it leaves, and whether a bound held the estimate back."""
     adaptation, estimate, q_hold = agent.offline.adaptation, memory.estimate, memory.q_hold
+    if agent.floating is not None and mode in FLOATING:
+        return floats.torque(agent.model, agent.offline, agent.floating, mode, memory, q, dq), estimate, False
     life = None if agent.session is None else agent.session.life
     if life is not None and mode in phases.ALONE:
         return phases.alone(agent.model, agent.offline, life, mode, memory, q, dq), estimate, False
