@@ -1,7 +1,7 @@
-"""Every phase of a session met by a stop, by dead agents and by lost power: what the arms do, and whether they come back.
+"""Every phase of a session met by a stop, by dead agents and by lost power: what the arms do, and how they come back.
 
-`python -m tests.campaign.phases [stop,kill-one,kill-all,power-one,power-all]`: a line per phase and event, exit 1 where an
-arm that obeys is not back at its rest, or the object is not where it stood.  About two minutes of CPU.
+`python -m tests.campaign.phases [stop,kill-one,kill-all,power-one,power-all]`: a line per phase and event, exit 1
+where an arm that obeys is not back at its rest, or the object is not where it stood.  About two minutes of CPU.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import configs
 from agent.config.cell import load_cell
 from agent.modes import Mode
 from agent.operator.table import Verb
+from tests.soak.watch import say
 from tests.support.servos.phase_rig import At, PhaseRun, Step
 
 QUICK = [
@@ -81,7 +82,7 @@ def _step_share(rig: PhaseRun) -> float:
 def main(events: Sequence[str]) -> int:
     """Go through all phases; the number of lines with something wrong, at most 1."""
     cell, bad = load_cell(configs.CELLS_DIR / "two_wx200.toml", QUICK), 0
-    print(f"{'event':10} {'phase':26} {'down mm':>8} {'up mm':>7} {'step/limit':>11}  modes of the first arm")
+    say(f"{'event':10} {'phase':26} {'down mm':>8} {'up mm':>7} {'step/limit':>11}  modes of the first arm")
     for event in events:
         for name, phase in PHASES.items():
             steps = [*phase.steps, Step(phase.mode, EVENTS[event], None, phase.after_s)]
@@ -92,10 +93,8 @@ def main(events: Sequence[str]) -> int:
             wrong = _met(rig, LOST.get(event, set()))
             bad += bool(wrong)
             way = " ".join(mode.name for mode in rig.way("left")[:-1])
-            print(
-                f"{event:10} {name:26} {down * 1e3:8.2f} {up * 1e3:7.2f} {_step_share(rig):11.2f}  {way} {wrong}",
-                flush=True,
-            )
+            figures = f"{down * 1e3:8.2f} {up * 1e3:7.2f} {_step_share(rig):11.2f}"
+            say(f"{event:10} {name:26} {figures}  {way} {wrong}")
     return int(bad > 0)
 
 
