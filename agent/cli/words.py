@@ -42,7 +42,7 @@ def stop(
     host: HostName = None,
 ) -> None:
     """Let this host's agents hold the object where it is; says who did not answer."""
-    _say("stop", cell, arm, control, host)
+    _pass_on("stop", cell, arm, control, host)
 
 
 def release(
@@ -52,7 +52,7 @@ def release(
     host: HostName = None,
 ) -> None:
     """Confirm that the object is supported: the agents that hold it switch their torque off."""
-    _say("release", cell, arm, control, host)
+    _pass_on("release", cell, arm, control, host)
 
 
 def approach(
@@ -62,7 +62,7 @@ def approach(
     host: HostName = None,
 ) -> None:
     """Send this host's arms from their rest to their grasps, grippers open."""
-    _say("approach", cell, arm, control, host)
+    _pass_on("approach", cell, arm, control, host)
 
 
 def grasp(
@@ -72,7 +72,7 @@ def grasp(
     host: HostName = None,
 ) -> None:
     """Close this host's grippers on the object; each arm that holds it takes its load share up."""
-    _say("grasp", cell, arm, control, host)
+    _pass_on("grasp", cell, arm, control, host)
 
 
 def lower(
@@ -97,7 +97,7 @@ def park(
     host: HostName = None,
 ) -> None:
     """Send this host's arms back to their rest."""
-    _say("park", cell, arm, control, host)
+    _pass_on("park", cell, arm, control, host)
 
 
 def guide(
@@ -126,7 +126,7 @@ def guide(
         time.sleep(WATCH_STEP_S)
 
 
-def _say(word: str, cell: Path, arm: list[str], control: list[Path], host: str | None) -> None:
+def _pass_on(word: str, cell: Path, arm: list[str], control: list[Path], host: str | None) -> None:
     from agent.config.cell import load_cell
     from agent.operator.table import Verb
     from agent.operator.words import tell_arms

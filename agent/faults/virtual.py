@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 from drivers.dynamixel.errors import PortError, PortLostError, WriteTimeoutError
+from drivers.interface import Clock
 from sim_backend.wire.arm import EmulatedArm
 from sim_backend.wire.bus import Bus
-from sim_backend.wire.cell import EmulatedCell
 from sim_backend.wire.injector import Injector
 
 NOBODY = 0
@@ -121,11 +121,11 @@ class Plug:
 class Line:
     """The serial line of one arm."""
 
-    cell: EmulatedCell
+    cell: Advancing
     index: int
     injector: Injector
-    clock: SharedClock
-    plug: Plug
+    clock: Clock
+    plug: Plug = field(default_factory=Plug)
     user: VirtualPort | None = None
 
     @property

@@ -16,7 +16,7 @@ from agent.config.cell import Arm, Cell
 from agent.config.monitors import bounds
 from agent.config.schema.cell import DriverKind
 from agent.config.servo_map import arm_map
-from agent.faults.virtual import SharedClock
+from agent.faults.virtual import Line, SharedClock
 from agent.modes import Event
 from agent.monitors.watch import Watch
 from agent.process.build import Connection, build_agent
@@ -29,7 +29,6 @@ from agent.verify.check import examine
 from drivers.dynamixel.driver import DynamixelDriver
 from drivers.dynamixel.events import DriverEvent
 from drivers.interface import JointState, StaleStateError, Vector
-from sim_backend.wire.cell import EmulatedCell
 from sim_backend.wire.faults import Fault
 from sim_backend.wire.injector import Injector
 from sim_backend.wire.plant_world import emulate
@@ -38,22 +37,6 @@ from tests.support.runner_rig import Log
 from tests.support.servos.dxl_rig import VirtualPort
 
 READY_S = 0.2  # from the moment at which the last arm is ready to the common start
-
-
-@dataclass
-class Line:
-    """What a `VirtualPort` needs of a rig."""
-
-    cell: EmulatedCell
-    index: int
-    injector: Injector
-    clock: SharedClock
-    user: VirtualPort | None = None
-
-    @property
-    def bus(self) -> Any:
-        """The emulated line of this arm."""
-        return self.cell.arms[self.index].bus
 
 
 @dataclass
@@ -190,7 +173,7 @@ class CoupledRun:
             self._clock.leave()
 
     def _loop(self, run: ArmRun, arm: Arm, index: int, q_start: Vector) -> RunSummary:
-        line: Any = Line(self._emulated, index, self._injectors[index], self._clock)
+        line = Line(self._emulated, index, self._injectors[index], self._clock)
         servos = arm_map(self._cell, arm, "virtual", q_start)
         port = run.port = VirtualPort(line, arm.baud)
         driver = run.driver = Blinking(servos, self._clock, on_event=run.events.append, scan_s=0.05, port=port)
