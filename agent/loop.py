@@ -328,10 +328,10 @@ def _far(errors: Errors) -> bool:
     return not (math.hypot(*errors.e_p) <= HOLD_DESIRED_MAX_M and angle <= HOLD_DESIRED_MAX_RAD)
 
 
-def wait_here(agent: Agent, q: Vector, memory: Memory) -> Memory:
-    """Memory for the wait before the start: the object's pose that this arm sees at q (n,) becomes its start pose."""
+def wait_here(agent: Agent, q: Vector, memory: Memory, mode: Mode = _READY) -> Memory:
+    """Memory for standing at q (n,): in READY the object's pose that this arm sees there becomes its start pose."""
     memory = hold_here(agent, q, memory)
-    if agent.alignment is None or agent.start is None or memory.hold is None:
+    if mode is not _READY or agent.alignment is None or agent.start is None or memory.hold is None:
         return memory
     pose = memory.hold
     return memory._replace(shift=between(pose[:3], pose[3:], *agent.start))  # type: ignore[arg-type]
