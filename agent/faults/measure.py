@@ -89,8 +89,8 @@ def measured(run: Rehearsal) -> Measured:
         sag_m=_sag(run, t, onset, first_stop),
         moved_rad=_moved(run, t, onset),
         speed_rad_per_s=_largest(np.array([np.abs(seen.dq).max() for _, seen in run.truth])[after]),
-        others_rad_per_s=_others(run, after),
-        fall_m_per_s=_fall(run, t, after),
+        others_rad_per_s=_others(run, t, onset),
+        fall_m_per_s=_fall(run, t, onset),
         torque_share=max((_share(run.cell, name, arm, run, onset) for name, arm in run.arms.items()), default=0.0),
     )
 
@@ -178,15 +178,16 @@ def _moved(run: Rehearsal, t: Vector, onset: float) -> float:
     return most
 
 
-def _others(run: Rehearsal, after: Vector) -> float:
+def _others(run: Rehearsal, t: Vector, onset: float) -> float:
     """Speed of the fastest joint of the arms to which nothing was done."""
     struck = {str(fault.arm) for fault in run.faults}
     own = np.concatenate([np.full(arm.n, arm.name not in struck) for arm in run.cell.arms])
-    return _largest(np.abs(np.array([seen.dq for _, seen in run.truth])[after][:, own]).ravel())
+    return _largest(np.abs(np.array([seen.dq for _, seen in run.truth])[t >= onset][:, own]).ravel())
 
 
-def _fall(run: Rehearsal, t: Vector, after: Vector) -> float:
+def _fall(run: Rehearsal, t: Vector, onset: float) -> float:
     """Largest speed at which the object went down."""
+    after = t >= onset
     if after.sum() < 2:
         return 0.0
     g = run.cell.gravity
