@@ -32,7 +32,7 @@ class Memory(NamedTuple):
     primed: bool  # the observer has seen a measurement
     sense: Sense  # of the unexpected wrench
     shift: Shift = NO_SHIFT  # of the desired pose (agent.control.alignment)
-    calm: int = 0  # how a hold is kept: agent.loop.LAW, BRAKE, JOINTS, above that so many ticks longer gently
+    calm: int = 0  # how a hold is kept: agent.calm.LAW, BRAKE, JOINTS, above that so many ticks longer gently
     hold: tuple[float, ...] | None = None  # object pose (p, quat) to hold, once holding
     t: float = 0.0  # time of the last tick, s; the adaptation integrates over the real interval
     estimate: Estimate | None = None  # of the adaptive law; logged in fields of its own

@@ -11,17 +11,19 @@ from typing import Final
 
 import numpy as np
 
+from agent.config import monitors
 from agent.config.cell import Cell
 from agent.config.schema.reality import Reality
 from agent.control.memory import Memory
 from agent.loop import Agent, Outcome, explained, hold_after, initial_memory, step, wait_here
 from agent.modes import Event, Mode, next_mode
+from agent.monitors.watch import Watch
 from agent.process.build import build_agent
 from agent.process.simulated import plant_spec
 from agent.safety import Flag
 from agent.study.fault import Fault, FaultKind
 from agent.verify.check import start_configurations
-from drivers.interface import JointState, Vector
+from drivers.interface import JointState, ServoHealth, Vector
 from sim_backend.physics.actuator import TorqueCommand
 from sim_backend.physics.build import build_plant
 from sim_backend.physics.delay import DelayLine, stretches
@@ -61,6 +63,8 @@ class Place:
         self.memory: Memory = initial_memory(agent)
         self.outcome: Outcome | None = None  # of the last cycle
         self.limp = False
+        self.watch: Watch | None = None
+        self.found = ""  # by the monitors, in the last cycle
         self._command = command
         self._skew_ns = skew_ns
 
@@ -74,7 +78,9 @@ class Place:
             self.memory = wait_here(self.agent, state.q, self.memory)
         outcome = step(self.agent, state, (state.stamp_ns - zero_ns) * NS, self.mode, self.memory)
         self.memory, self.outcome = outcome.memory, outcome
-        if outcome.flags & TROUBLE:
+        if self.watch is not None:
+            self.found = self.watch.after(state, outcome, self.mode, lambda: ServoHealth.none(stamp_ns))
+        if outcome.flags & TROUBLE or self.found:
             happened |= Event.TROUBLE
         if happened:
             self._change_mode(happened, outcome)
@@ -93,8 +99,10 @@ class Place:
 class Run:
     """One run of a laboratory's cell in one reality, tick by tick."""
 
-    def __init__(self, lab: Laboratory, reality: Reality | None, faults: Sequence[Fault] = ()) -> None:
-        """reality None: as the cell file says.  Raises PlantError where it cannot be."""
+    def __init__(
+        self, lab: Laboratory, reality: Reality | None, faults: Sequence[Fault] = (), *, watched: bool = False
+    ) -> None:
+        """reality None: as the cell file says; watched: by the arms' monitors too.  Raises PlantError, ConfigError."""
         file = lab.cell.file
         self.plant = build_plant(plant_spec(lab.cell, lab.q_start, reality))
         self.period_ns = lab.cell.period_ns
@@ -108,6 +116,7 @@ class Run:
             line = DelayLine.of(arm.actuator, spec.substep_s, self._substeps, i)
             place = Place(agent, joints, TorqueCommand.of(arm.actuator), line, round(arm.skew_s * 1e9))
             place.mode = Mode.READY if self.ready_ticks else Mode.TRACK
+            place.watch = Watch(monitors.bounds(lab.cell, lab.cell.arms[i])) if watched else None
             self.places.append(place)
         self._parts = stretches([p.line for p in self.places], self._substeps)
         self._support = max(p.line.first_substep for p in self.places)
@@ -135,7 +144,7 @@ class Run:
             tau = place.cycle(stamp_ns, zero_ns, reported, happened)
             if place.mode is Mode.HOLD and before is not Mode.HOLD and Event.STOP not in happened:
                 assert place.outcome is not None
-                why = explained(place.agent, place.outcome)
+                why = explained(place.agent, place.outcome) or place.found
                 self.trips.append(Trip(self.t, place.agent.name, place.outcome.flags, why))
             place.line.push(self.tick, tau)
             peak = self.peak_Nm[place.joints]

@@ -60,10 +60,14 @@ def run_once(lab: Laboratory, index: int, seed: int, faults: Sequence[Fault] = (
 
 
 def measure(
-    lab: Laboratory, reality: Reality | None, index: int = 0, seed: int = 0, faults: Sequence[Fault] = ()
-) -> RunResult:
-    """Run the cell in this reality (None: as its file says) and measure.  Raises Refusal."""
-    run, seen = Run(lab, reality, faults), _Seen(lab)
+    lab: Laboratory, reality: Reality | None, index: int = 0, seed: int = 0, faults: Sequence[Fault] = (),
+    *, watched: bool = False,
+) -> RunResult:  # fmt: skip
+    """Run the cell in this reality (None: as its file says) and measure.  Raises Refusal.
+
+    watched: by the arms' monitors too, whose trips count as those of noticing do.
+    """
+    run, seen = Run(lab, reality, faults, watched=watched), _Seen(lab)
     file = lab.cell.file
     every = max(1, round(file.rate_hz / file.simulation.observe_rate_hz))
     ticks = run.ready_ticks + round(file.duration_s * file.rate_hz)
