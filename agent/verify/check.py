@@ -30,6 +30,7 @@ from agent.verify.plausible import plausibility
 from agent.verify.rehearsal import examine_rehearsal
 from agent.verify.robustness import Robustness, Walk, robustness
 from agent.verify.session import session
+from agent.verify.watched import watched
 from drivers.interface import Vector
 
 SAMPLES = 48  # points along the trajectory, beside those that the trajectory names itself
@@ -85,8 +86,8 @@ def examine(cell: Cell, *, wired: bool | None = None, thorough: bool | None = No
     """Examine the whole cell.  Raises ConfigError where nothing further can be computed (an unreachable grasp).
 
     wired: a rate that the servo buses of the cell cannot carry is refused, not only warned of; None: if servos move
-    the arms (`driver`).  thorough: how near bodies come and what reality may make of the cell are computed too, which
-    takes up to a second; None: if servos move the arms.
+    the arms (`driver`).  thorough: bounds of the monitors, how near bodies come and what reality may make of the cell
+    are computed too, which takes up to a second; None: if servos move the arms.
     """
     servos = cell.file.driver is DriverKind.DYNAMIXEL
     try:
@@ -112,6 +113,7 @@ def examine(cell: Cell, *, wired: bool | None = None, thorough: bool | None = No
     if not (servos if thorough is None else thorough):
         return CheckReport(tuple(findings), q_start)
     along = list(zip(*(p.q for p in paths), strict=True))
+    findings += watched(cell)
     findings += collisions(cell, models, [p.q for p in paths], instants.times)
     found = robustness(Walk(cell, models, along, instants.times))
     findings += [*found.findings(), *alignment_room(cell, models, along, instants.times)]
