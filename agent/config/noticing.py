@@ -40,6 +40,7 @@ PLACES: Final = 12  # along the motion
 MARGIN: Final = 1.4
 REVERSAL: Final = (0.3, 0.6)  # force, moment: of the friction, the sudden part
 PEAK: Final = 6.7  # of noise, beyond the quadratic sum of half steps
+CALIBRATED_SHARE: Final = 0.2  # position gain of the observer in those studies; a slower one doubles friction's jumps
 CREEP: Final = 0.92
 HUM: Final = 2.0
 SLOW_PLANAR_PER_S, SLOW_PER_S = 2.0, 4.0
@@ -178,7 +179,7 @@ def _friction(known: _Arm, at: _Place) -> Matrix:
 def _noise(known: _Arm, at: _Place) -> Matrix:
     """(6, n) what half a step of each encoder leaves in the unexpected wrench."""
     seen, L = observer.build(known.cell.file), known.cell.file.safety.noticing.rate_per_s
-    share = 1.0 if seen is None else seen.position_gain
+    share = 1.0 if seen is None else max(CALIBRATED_SHARE, seen.position_gain)
     jump = at.J_inv @ known.KH @ at.k.J  # of dq_r, per angle
     found: Matrix = at.to_wrench @ (L * at.k.B @ jump) * (share * 0.5 * POSITION_LSB_RAD)
     return found

@@ -65,9 +65,16 @@ def test_what_does_not_change_along_the_motion_is_usual() -> None:
     assert derived(cell("paper_real", *still)) == derived(cell("paper_real", *still, *rough))
 
 
+def test_an_observer_slower_than_those_of_the_studies_lowers_nothing() -> None:
+    slow, usual = (derived(cell("paper_real", f"controller.observer.position_gain={g}")) for g in (0.02, 0.2))
+    assert slow == usual
+    assert derived(cell("paper_real", "controller.observer.position_gain=0.4")).fast_Nm > usual.fast_Nm
+
+
 def test_the_floors_hold_where_nothing_is_uncertain() -> None:
     exact = ("friction=[1.0, 1.0]", "masses=0.0", "torque_constant=0.0", "zeros_rad=0.0", "base_rad=0.0", "grasp_m=0.0")
-    quiet = ("controller.observer.position_gain=0.001", "tolerance.skew_s=0.0", *(f"tolerance.{x}" for x in exact))
+    no_noise = ("safety.noticing.rate_per_s=0.01", "safety.noticing.slow_per_s=0.001")
+    quiet = (*no_noise, "tolerance.skew_s=0.0", *(f"tolerance.{x}" for x in exact))
     assert derived(cell("paper_real", *quiet)) == noticing.FLOORS._replace(fast_N=1.6)
 
 
