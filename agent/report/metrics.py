@@ -9,6 +9,7 @@ import numpy as np
 
 from agent.log.runinfo import RunArm, RunInfo
 from agent.modes import Mode
+from agent.report.grip import grip_results
 from agent.report.phases import session_of
 from agent.report.prepared import Prepared, prepare
 from agent.report.rehearsal import added_to, hil_results
@@ -182,6 +183,7 @@ def _arm(arm: RunArm, run: Prepared) -> ArmResults:
         shift_max_rad=largest(rows, "shift", slice(3, 6)),
         **_unexpected(rows),
         hil=hil_results(rows, arm.tau_max_Nm),
+        grip=grip_results(rows, run.log.servos.get(arm.name)),
     )
 
 

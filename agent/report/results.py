@@ -11,6 +11,7 @@ from typing import Annotated, Any, Final
 import numpy as np
 
 from agent.log.runinfo import Bounded, RunInfo
+from agent.report.grip import GripResults
 from agent.report.phases import Phase
 from agent.report.quantity import Better, Quantity, Unit, flatten, json_ready, units_of
 from agent.report.rehearsal import HilResults
@@ -140,6 +141,7 @@ class ArmResults:
     unexpected_slow_max_N: Annotated[float, Unit("N")]
     unexpected_slow_max_Nm: Torque
     hil: HilResults | None = None  # of an arm in the loop
+    grip: GripResults | None = None  # of an arm whose gripper says how it is
 
 
 @dataclass(frozen=True, slots=True)
