@@ -26,6 +26,7 @@ from agent.report.results import (
 from agent.report.series import Array, PoseSeries, column, component, grasp_force, joint_columns, missing_ranges
 from agent.report.together import largest
 from agent.safety import Flag
+from drivers.dynamixel.servo.table import CONTINUOUS_SHARE
 
 if TYPE_CHECKING:
     from agent.log.columns import Table
@@ -206,6 +207,7 @@ def _joint(arm: RunArm, j: int, rows: Table, period_s: float) -> JointResults:
         peak_torque_Nm=peak,
         peak_torque_fraction=peak / arm.tau_stall_Nm[j],
         rms_torque_Nm=_rms(law),
+        rms_of_continuous=_rms(law) / (CONTINUOUS_SHARE * arm.tau_stall_Nm[j]),
         limited_s=float(np.sum(np.abs(limited - cmd) > LIMITED_Nm) * period_s),
         at_limit_s=float(np.sum(np.abs(sent) >= AT_LIMIT_FRACTION * arm.tau_max_Nm[j]) * period_s),
         chatter_Nm=_mean(np.where(consecutive, np.abs(np.diff(law)), NAN)),

@@ -91,6 +91,7 @@ class JointResults:
     peak_torque_Nm: Torque
     peak_torque_fraction: Ratio  # of stall
     rms_torque_Nm: Torque
+    rms_of_continuous: Ratio  # rms current of each of its servos, of what one bears for long (an estimate)
     limited_s: Seconds  # safety changed the commanded torque
     at_limit_s: Seconds  # |torque sent| at tau_max, with all that was added
     chatter_Nm: Torque  # mean |change of torque sent| per tick

@@ -152,7 +152,17 @@ def _errors(results: Results) -> Table:
 
 
 def _torques(results: Results) -> Table:
-    header = ("joint", "peak", "of stall", "limit", "rms", "change per tick", "cut by safety", "at the limit")
+    header = (
+        "joint",
+        "peak",
+        "of stall",
+        "limit",
+        "rms",
+        "of continuous",
+        "change per tick",
+        "cut by safety",
+        "at the limit",
+    )
     rows = tuple(
         (
             f"{arm} {joint.replace('_', ' ')}",
@@ -160,6 +170,7 @@ def _torques(results: Results) -> Table:
             number(r.peak_torque_fraction, "%", 100.0),
             number(r.tau_max_Nm, "N·m"),
             number(r.rms_torque_Nm, "N·m"),
+            number(r.rms_of_continuous, "%", 100.0),
             number(r.chatter_Nm, "N·m"),
             number(r.limited_s, "s"),
             number(r.at_limit_s, "s"),
