@@ -94,6 +94,11 @@ def run_float(cell: Cell, options: AgentOptions, stop: Callable[[], bool], ready
             f"arm {arm.name}", found=f"driver {options.driver.value}", expected="servos, real or emulated",
             remedy="`coop float`; without arms, `coop float --emulate`",
         )  # fmt: skip
+    if options.guard is not None or options.whole:
+        raise FloatError(
+            f"arm {arm.name}, which floats", found="--guard" if options.guard else "--whole", expected="neither",
+            remedy="nothing takes a floating arm over, and it knows no session: leave it out",
+        )  # fmt: skip
     with ExitStack() as stack:
         texts = stack.enter_context(closing(TextWriter(options.ring, arm.name)))
         ring = stack.enter_context(RingWriter(options.ring, AGENT_STATE, arm.name, tuple(arm.entry.controlled)))
