@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from agent.calm import brake_per_s
 from agent.config import monitors
 from agent.config.cell import Arm, Cell
 from agent.config.schema.floating import Floating as Spec
 from agent.control.floating import Floating
 from agent.control.law import Offline
-from agent.loop import BRAKE_PER_S
 from agent.monitors.bounds import Bounds, Name
 from drivers.interface import Vector
 
@@ -39,7 +39,7 @@ def build(cell: Cell, arm: Arm, spec: Spec) -> Floating:
         friction_Nm=_fixed(spec.friction_share * coulomb),
         speed_max_rad_per_s=spec.speed_max_rad_per_s,
         drag_per_s=spec.drag_per_s,
-        brake_per_s=min(BRAKE_PER_S, 0.25 * cell.file.rate_hz),
+        brake_per_s=brake_per_s(1.0 / cell.file.rate_hz),
     )
 
 

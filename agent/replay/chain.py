@@ -59,9 +59,14 @@ class Chain:
         self._memory, self._mode, self._outcome = outcome.memory, mode, None if stale else outcome
         return memory, outcome
 
-    def holding(self, marks: Flag) -> Memory:
-        """The memory with which a hold begins behind the last row; marks: of its first row."""
-        return self._entered(Mode.HOLD, None, marks)
+    @property
+    def memory(self) -> Memory | None:
+        """Behind the last row."""
+        return self._memory
+
+    def standing(self, mode: Mode, marks: Flag) -> Memory:
+        """The memory with which an arm stands in this mode behind the last row; marks: of its first row there."""
+        return self._entered(mode, None, marks)
 
     def _entered(self, mode: Mode, q: Vector | None, marks: Flag) -> Memory:
         """The memory with which a row of this mode begins; q: measured, None without a fresh state."""
@@ -81,5 +86,5 @@ class Chain:
                 memory = memory._replace(hold=None, q_hold=None)
         memory = afresh(memory, marks)
         if mode is not Mode.TRACK and memory.hold is None and q is not None:
-            memory = wait_here(self._agent, q, memory)
+            memory = wait_here(self._agent, q, memory, mode)
         return memory
