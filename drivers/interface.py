@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
@@ -117,6 +118,8 @@ class GripState:
     speed_m_per_s: float  # of the width
     effort: float  # share of the servo's largest, positive while it closes
     force_N: float  # of each finger, as the effort lets expect; the friction of the gear is not in it
+    width_cmd_m: float = math.nan  # that it was told to go to; NaN while it was told nothing
+    force_max_N: float = math.nan  # of each finger, with the effort that bounds it
 
 
 @dataclass(slots=True)

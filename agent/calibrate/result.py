@@ -130,7 +130,7 @@ def cell_toml(result: Calibrated, source: str, arm_files: Sequence[str]) -> str:
     changes: list[Change] = []
     for link, x, file in zip(result.chain.links, result.chain.parts(result.written), arm_files, strict=True):
         changes += _changes(link, x, file, source)
-    text = _without_reality(result.cell.toml.decode())
+    text = _of_the_run_alone(result.cell.toml.decode())
     edited = apply(text, changes)
     rest = remaining(result)
     if rest is None:
@@ -182,12 +182,13 @@ def _changes(link: Link, x: Vector, file: str, source: str) -> Iterator[Change]:
     yield Change("arms", "arm_file", f'"{file}"', link.arm.name)
 
 
-def _without_reality(text: str) -> str:
-    """The text without the tables of [simulation.reality], which follow anew with what is left of it."""
+def _of_the_run_alone(text: str) -> str:
+    """The text without what was of the run: [floating], and [simulation.reality], of which the rest follows anew."""
     kept, dropping = [], False
     for line in text.splitlines():
         if line.lstrip().startswith("["):
-            dropping = line.lstrip().lstrip("[").lstrip().startswith("simulation.reality")
+            header = line.lstrip().lstrip("[").lstrip()
+            dropping = header.startswith(("simulation.reality", "floating]"))
         if not dropping:
             kept.append(line)
     return "\n".join(kept) + "\n"

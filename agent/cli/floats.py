@@ -111,10 +111,10 @@ class Shown:
             self._table(glances)
             return
         self._tell(glances)
-        if self._due(LINE_EVERY_S):
-            for glance in glances:
-                if glance.joints:
-                    typer.echo(line(glance))
+        seen = [glance for glance in glances if glance.joints]
+        if seen and self._due(LINE_EVERY_S):
+            for glance in seen:
+                typer.echo(line(glance))
 
     def _tell(self, glances: Sequence[Glance]) -> None:
         """What the arms say, each thing once."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.telemetry.row.health import LIMITS, Health
+from agent.telemetry.row.health import GRIP, LIMITS, Health
 
 Floats = NDArray[np.float64]
 
@@ -34,6 +34,11 @@ class ServoTable:
     voltage_min_V: Floats  # (k, m)
     voltage_max_V: Floats  # (k, m)
     stall_current_A: Floats  # (k, m)
+    # of the gripper, (k,) each; NaN where it says nothing, and in older logs
+    grip_width_m: Floats  # between its fingers
+    grip_width_cmd_m: Floats  # that it was told
+    grip_force_N: Floats  # of each finger, as its current or PWM lets expect
+    grip_force_max_N: Floats  # of each finger, as its effort limit allows
 
     def __len__(self) -> int:
         return len(self.utc_ns)
@@ -61,8 +66,14 @@ def servo_table(texts: Sequence[Health], row_utc_ns: NDArray[np.uint64], row_t: 
     return ServoTable(
         utc_ns, arrays[1], tuple(joints), tuple(joints.values()), column("temperature_C", np.nan),
         column("voltage_V", np.nan), column("current_A", np.nan), column("load", np.nan), bits,
-        *(column(name, np.nan) for name in LIMITS),
+        *(column(name, np.nan) for name in LIMITS), *(_gripper(told, name) for name in GRIP),
     )  # fmt: skip
+
+
+def _gripper(told: Sequence[Health], name: str) -> Floats:
+    values = np.array([getattr(text, name) for text in told], np.float64)
+    values.flags.writeable = False
+    return values
 
 
 def _times(utc_ns: NDArray[np.int64], row_utc_ns: NDArray[np.int64], row_t: Floats) -> Floats:

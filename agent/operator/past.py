@@ -18,7 +18,7 @@ from agent.telemetry.ring.file import RingError
 from agent.telemetry.ring.ring import RingReader
 from agent.telemetry.ring.texts import TextReader
 from agent.telemetry.row.event import Event, Level
-from agent.telemetry.row.health import Health
+from agent.telemetry.row.health import GRIP, Health
 from agent.telemetry.row.sample import AGENT_STATE
 from agent.telemetry.row.topics import Kind
 
@@ -83,7 +83,7 @@ class Past:
         """The hottest servo and the lowest supply; None where no servo tells."""
         health = self.health
         if health is None:
-            return {"max_C": None, "joint": None, "servo_id": None, "min_V": None}
+            return {"max_C": None, "joint": None, "servo_id": None, "min_V": None, "grip": None}
         warm = [(t, i) for i, t in enumerate(health.temperature_C) if math.isfinite(t)]
         volts = [v for v in health.voltage_V if math.isfinite(v)]
         hottest = max(warm)[1] if warm else None
@@ -92,7 +92,16 @@ class Past:
             "joint": None if hottest is None else health.joint[hottest],
             "servo_id": None if hottest is None else health.servo_id[hottest],
             "min_V": min(volts) if volts else None,
+            "grip": _grip(health),
         }
+
+
+def _grip(health: Health) -> dict[str, float | None] | None:
+    """The gripper's width and force; None where it says nothing."""
+    found = {name.removeprefix("grip_"): getattr(health, name) for name in GRIP}
+    if not math.isfinite(found["width_m"]):
+        return None
+    return {name: x if math.isfinite(x) else None for name, x in found.items()}
 
 
 def _share(values: NDArray[np.float64], share: float) -> float | None:

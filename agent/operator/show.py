@@ -69,7 +69,9 @@ def _servos(servos: Mapping[str, Any] | None) -> str:
     if not servos or servos["max_C"] is None:
         return ""
     volts = f", {servos['min_V']:.1f} V" if servos["min_V"] is not None else ""
-    return f"{servos['max_C']:.0f} °C {servos['joint']}{volts}"
+    grip = servos.get("grip")
+    gripper = f", grip {grip['width_m'] * 1e3:.1f} mm {grip['force_N']:.0f} N" if grip else ""
+    return f"{servos['max_C']:.0f} °C {servos['joint']}{volts}{gripper}"
 
 
 def _errors(errors: Mapping[str, Any] | None) -> str:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from agent.config.cell import Cell, load_cell
+from agent.config.cell import Cell, cell_from_toml, load_cell
 from agent.config.schema.cell import DriverKind
 from agent.host.child import Child, ChildFailed
 from agent.modes import Mode
@@ -62,17 +62,27 @@ class Screen(Protocol):
 
 def floating_cell(options: FloatOptions) -> Cell:
     """The cell, told which arms float.  Raises ConfigError, FloatError."""
-    overrides = list(options.overrides)
+    own = [change for change in options.overrides if change.strip().startswith("floating.")]
+    others = [change for change in options.overrides if change not in own]
     if options.arms:
         names = ", ".join(f'"{name}"' for name in options.arms)
-        overrides.append(f"floating.arms=[{names}]")
+        own.append(f"floating.arms=[{names}]")
     if options.holding:
-        overrides.append("floating.holding=true")
-    cell = load_cell(options.cell, overrides)
-    if cell.file.floating is None:
+        own.append("floating.holding=true")
+    cell = load_cell(options.cell, others)
+    if cell.file.floating is None and not options.arms:
         names = " or ".join(arm.name for arm in cell.arms)
         raise FloatError("arms that are to float", found="none", expected="--arm NAME", remedy=f"name {names}")
-    return cell
+    if cell.file.floating is not None:
+        return load_cell(options.cell, [*others, *own])
+    return _with_table(cell, own, options.cell.name)
+
+
+def _with_table(cell: Cell, changes: Sequence[str], source: str) -> Cell:
+    """The cell with a table [floating] behind all else, so that the log keeps its comments.  Raises ConfigError."""
+    lines = [change.strip().removeprefix("floating.") for change in changes]
+    table = "\n".join(["", "[floating]", *lines, ""])
+    return cell_from_toml(cell.toml.rstrip() + b"\n" + table.encode(), source)
 
 
 def require_ports(cell: Cell, options: FloatOptions) -> None:

@@ -94,6 +94,11 @@ def run_float(cell: Cell, options: AgentOptions, stop: Callable[[], bool], ready
             f"arm {arm.name}", found=f"driver {options.driver.value}", expected="servos, real or emulated",
             remedy="`coop float`; without arms, `coop float --emulate`",
         )  # fmt: skip
+    if options.guard is not None or options.whole:
+        raise FloatError(
+            f"arm {arm.name}, which floats", found="--guard" if options.guard else "--whole", expected="neither",
+            remedy="nothing takes a floating arm over, and it knows no session: leave it out",
+        )  # fmt: skip
     with ExitStack() as stack:
         texts = stack.enter_context(closing(TextWriter(options.ring, arm.name)))
         ring = stack.enter_context(RingWriter(options.ring, AGENT_STATE, arm.name, tuple(arm.entry.controlled)))
@@ -113,10 +118,11 @@ def run_float(cell: Cell, options: AgentOptions, stop: Callable[[], bool], ready
             quiet_memory()
             if options.priority is not None:
                 become_realtime(options.priority)
+            # before the torque: from then on the servos' watchdogs run
+            loop = FloatLoop(floats, options, driver, clock, ring, stop, tell, texts, notifier)
             driver.enable()
             notifier.ready(TABLE[Mode.FLOAT].says)
             tell.event(Level.INFO, f"torque on, floating: {info.description}", priority=options.priority or 0)
-            loop = FloatLoop(floats, options, driver, clock, ring, stop, tell, texts, notifier)
             ready("torque=on")
             summary = loop.run()
         except Refusal as error:
@@ -190,7 +196,7 @@ class Ending:
 
 
 class FloatLoop:
-    """The loop of one floating arm on its enabled driver."""
+    """The loop of one floating arm; its driver is connected when it is made, and enabled when it runs."""
 
     def __init__(
         self,
@@ -222,6 +228,8 @@ class FloatLoop:
     def run(self) -> RunSummary:
         """Until the arm lies, or is lost.  An error of the loop itself lets the arm stand and sink all the same."""
         cpu_s = time.process_time()
+        if self._grasp is not None:
+            self._grasp.close()
         begins = Beginning(Mode.OFF, initial_memory(self._agent), self._clock.now_ns(), rows=0, reason="")
         runner = self._runner(begins)
         try:
@@ -269,12 +277,15 @@ class Grasp:
         self._gripper, self._tell = gripper, tell
         self._watch: Watch | None = None
         self._done = False
-        gripper.grip(self._plan.closed_m)
 
     @classmethod
     def of(cls, floats: Floats, gripper: Gripper, tell: Teller) -> Grasp | None:
         """None for an arm whose gripper keeps its place and nothing more."""
         return None if fingers_of(floats.arm.file) is None else cls(floats, gripper, tell)
+
+    def close(self) -> None:
+        """Close it on the object, with the first torque that is sent."""
+        self._gripper.grip(self._plan.closed_m)
 
     def look(self) -> None:
         """In every cycle."""

@@ -72,6 +72,11 @@ def run_cell(options: RunOptions, stop: Callable[[], bool], progress: Progress) 
     cell = load_cell(options.cell, overrides)
     if options.whole and cell.file.session is None:
         cell = load_cell(options.cell, [*overrides, f"session.lift_m={LIFT_M}"])
+    if cell.file.floating is not None:
+        raise RunError(
+            f"cell {cell.file.name}", found="[floating], by which arms wait for a hand", expected="arms that work",
+            remedy="`coop float`, or remove the table",
+        )  # fmt: skip
     require_wall_clock(cell, real_time=options.kind is RunKind.HIL)
     if options.real is not None:
         options.real.require(cell, options.faults)

@@ -10,8 +10,8 @@ from agent.modes import TABLE, Mode
 from agent.telemetry.ring.texts import TextWriter
 from agent.telemetry.row.event import Event as TextEvent
 from agent.telemetry.row.event import Level
-from agent.telemetry.row.health import health_values
-from drivers.interface import Clock, Driver
+from agent.telemetry.row.health import grip_values, health_values
+from drivers.interface import Clock, Driver, Gripper
 
 HEARTBEAT_S = 0.02
 HEALTH_S = 1.0
@@ -66,6 +66,7 @@ class ServoTeller:
 
     def __init__(self, driver: Driver, texts: TextWriter, utc_offset_ns: int, rate_hz: float) -> None:
         self._driver = driver
+        self._gripper = driver if isinstance(driver, Gripper) else None
         self._texts = texts
         self._utc_offset_ns = utc_offset_ns
         self._cycles = max(1, round(HEALTH_S * rate_hz))
@@ -78,7 +79,8 @@ class ServoTeller:
             return
         health = self._driver.health()
         if health.servo_ids:
-            self._texts.health(self._utc_offset_ns + health.stamp_ns, health_values(health))
+            values = {**health_values(health), **grip_values(self._gripper.grip_state() if self._gripper else None)}
+            self._texts.health(self._utc_offset_ns + health.stamp_ns, values)
 
 
 class Heart:

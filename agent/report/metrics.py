@@ -9,6 +9,7 @@ import numpy as np
 
 from agent.log.runinfo import RunArm, RunInfo
 from agent.modes import Mode
+from agent.report.grip import grip_results
 from agent.report.phases import session_of
 from agent.report.prepared import Prepared, prepare
 from agent.report.rehearsal import added_to, hil_results
@@ -25,6 +26,7 @@ from agent.report.results import (
 from agent.report.series import Array, PoseSeries, column, component, grasp_force, joint_columns, missing_ranges
 from agent.report.together import largest
 from agent.safety import Flag
+from drivers.dynamixel.servo.table import CONTINUOUS_SHARE
 
 if TYPE_CHECKING:
     from agent.log.columns import Table
@@ -182,6 +184,7 @@ def _arm(arm: RunArm, run: Prepared) -> ArmResults:
         shift_max_rad=largest(rows, "shift", slice(3, 6)),
         **_unexpected(rows),
         hil=hil_results(rows, arm.tau_max_Nm),
+        grip=grip_results(rows, run.log.servos.get(arm.name)),
     )
 
 
@@ -204,6 +207,7 @@ def _joint(arm: RunArm, j: int, rows: Table, period_s: float) -> JointResults:
         peak_torque_Nm=peak,
         peak_torque_fraction=peak / arm.tau_stall_Nm[j],
         rms_torque_Nm=_rms(law),
+        rms_of_continuous=_rms(law) / (CONTINUOUS_SHARE * arm.tau_stall_Nm[j]),
         limited_s=float(np.sum(np.abs(limited - cmd) > LIMITED_Nm) * period_s),
         at_limit_s=float(np.sum(np.abs(sent) >= AT_LIMIT_FRACTION * arm.tau_max_Nm[j]) * period_s),
         chatter_Nm=_mean(np.where(consecutive, np.abs(np.diff(law)), NAN)),

@@ -11,6 +11,7 @@ from typing import Annotated, Any, Final
 import numpy as np
 
 from agent.log.runinfo import Bounded, RunInfo
+from agent.report.grip import GripResults
 from agent.report.phases import Phase
 from agent.report.quantity import Better, Quantity, Unit, flatten, json_ready, units_of
 from agent.report.rehearsal import HilResults
@@ -90,6 +91,7 @@ class JointResults:
     peak_torque_Nm: Torque
     peak_torque_fraction: Ratio  # of stall
     rms_torque_Nm: Torque
+    rms_of_continuous: Ratio  # rms current of each of its servos, of what one bears for long (an estimate)
     limited_s: Seconds  # safety changed the commanded torque
     at_limit_s: Seconds  # |torque sent| at tau_max, with all that was added
     chatter_Nm: Torque  # mean |change of torque sent| per tick
@@ -140,6 +142,7 @@ class ArmResults:
     unexpected_slow_max_N: Annotated[float, Unit("N")]
     unexpected_slow_max_Nm: Torque
     hil: HilResults | None = None  # of an arm in the loop
+    grip: GripResults | None = None  # of an arm whose gripper says how it is
 
 
 @dataclass(frozen=True, slots=True)

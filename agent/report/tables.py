@@ -116,6 +116,7 @@ def tables(results: Results) -> list[Table]:
         _forces(results),
         _noticed(results),
         _in_the_loop(results),
+        _grips(results),
         _timing(results),
         _log(results),
         _states(results),
@@ -151,7 +152,17 @@ def _errors(results: Results) -> Table:
 
 
 def _torques(results: Results) -> Table:
-    header = ("joint", "peak", "of stall", "limit", "rms", "change per tick", "cut by safety", "at the limit")
+    header = (
+        "joint",
+        "peak",
+        "of stall",
+        "limit",
+        "rms",
+        "of continuous",
+        "change per tick",
+        "cut by safety",
+        "at the limit",
+    )
     rows = tuple(
         (
             f"{arm} {joint.replace('_', ' ')}",
@@ -159,6 +170,7 @@ def _torques(results: Results) -> Table:
             number(r.peak_torque_fraction, "%", 100.0),
             number(r.tau_max_Nm, "N·m"),
             number(r.rms_torque_Nm, "N·m"),
+            number(r.rms_of_continuous, "%", 100.0),
             number(r.chatter_Nm, "N·m"),
             number(r.limited_s, "s"),
             number(r.at_limit_s, "s"),
@@ -217,6 +229,22 @@ def _in_the_loop(results: Results) -> Table:
         if a.hil is not None
     )
     return Table("Real arms in the loop of a simulated cell, whole run", header, rows)
+
+
+def _grips(results: Results) -> Table:
+    header = ("arm", "told", "between the fingers", "force of each", "its limit")
+    rows = tuple(
+        (
+            name,
+            millimetres(a.grip.width_cmd_m),
+            f"{millimetres(a.grip.width_min_m)} to {millimetres(a.grip.width_max_m)}",
+            f"{number(a.grip.force_min_N, 'N')} to {number(a.grip.force_max_N, 'N')}",
+            number(a.grip.force_limit_N, "N"),
+        )
+        for name, a in results.arms.items()
+        if a.grip is not None
+    )
+    return Table("Grippers while they held the object", header, rows)
 
 
 def _timing(results: Results) -> Table:

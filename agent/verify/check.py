@@ -32,6 +32,7 @@ from agent.verify.robustness import Robustness, Walk, robustness
 from agent.verify.session import lives, session
 from agent.verify.watched import watched
 from agent.verify.ways import ways
+from drivers.dynamixel.servo.table import CONTINUOUS_SHARE
 from drivers.interface import Vector
 
 SAMPLES = 48  # points along the trajectory, beside those that the trajectory names itself
@@ -69,6 +70,7 @@ class _Path:
     sigma_min: float
     sigma_min_t: float
     tau_peak: Vector
+    tau_rms: Vector  # (n,) N·m
     limit_margin: Vector
 
 
@@ -212,7 +214,7 @@ def _along_trajectory(cell: Cell, arm: Arm, model: ArmModel, q_start: Vector, in
     trajectory, offline = cell.trajectory(), cell.offline(arm)
     q, qs = q_start, []
     sigma, sigma_t = math.inf, 0.0
-    tau_peak = np.zeros(arm.n)
+    tau_peak, tau_squares = np.zeros(arm.n), []
     lower, upper = model.model.lowerPositionLimit, model.model.upperPositionLimit
     margin = np.minimum(q_start - lower, upper - q_start)
     for t in instants:
@@ -225,11 +227,14 @@ def _along_trajectory(cell: Cell, arm: Arm, model: ArmModel, q_start: Vector, in
             sigma, sigma_t = s, t
         dq = np.linalg.pinv(J) @ (model.task_basis @ np.array(desired.v))
         try:
-            tau_peak = np.maximum(tau_peak, np.abs(known.torque(model, offline, q, dq, desired).tau_cmd))
+            tau = known.torque(model, offline, q, dq, desired).tau_cmd
+            tau_peak = np.maximum(tau_peak, np.abs(tau))
+            tau_squares.append(tau * tau)
         except SingularJacobian:
             sigma, sigma_t = 0.0, t
         margin = np.minimum(margin, np.minimum(q - lower, upper - q))
-    return _Path(qs, sigma, sigma_t, tau_peak, margin)
+    tau_rms = np.sqrt(np.mean(tau_squares, axis=0)) if tau_squares else np.zeros(arm.n)
+    return _Path(qs, sigma, sigma_t, tau_peak, tau_rms, margin)
 
 
 def _arm_findings(cell: Cell, arm: Arm, path: _Path) -> list[Finding]:
@@ -258,7 +263,19 @@ def _arm_findings(cell: Cell, arm: Arm, path: _Path) -> list[Finding]:
                 remedy="move the base or the trajectory, or take the other elbow solution (q_near_rad)",
             )
         )  # fmt: skip
-    return findings
+    return [*findings, _for_long(arm, path)]
+
+
+def _for_long(arm: Arm, path: _Path) -> Finding:
+    """The joint whose servos are warmest of it; a pair shares, so that a share of stall is that of each servo."""
+    shares = path.tau_rms / arm.tau_stall_Nm
+    worst = int(np.argmax(shares))
+    return judged(
+        f"current for long, {arm.entry.controlled[worst]}", arm.name,
+        f"{shares[worst]:.0%} of stall, root mean square along the trajectory",
+        f"≤ {CONTINUOUS_SHARE:.0%}, which ROBOTIS advise", holds=bool(shares[worst] <= CONTINUOUS_SHARE),
+        otherwise=Verdict.WARNING, remedy="rest between runs and watch its temperature, or a pose with less load",
+    )  # fmt: skip
 
 
 def _stability(cell: Cell, models: Sequence[ArmModel], paths: Sequence[_Path]) -> list[Finding]:

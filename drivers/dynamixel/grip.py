@@ -6,6 +6,7 @@ current-based position mode (`JointMap.mode`) the bound is a current, else a vol
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 from drivers.dynamixel.arm_map import ArmMap, JointMap
@@ -72,4 +73,6 @@ class GripControl:
             speed_m_per_s=lever * velocity_rad_per_s(velocity),
             effort=effort,
             force_N=effort * model.stall_torque_Nm / abs(lever),
+            width_cmd_m=math.nan if self._goal is None else fingers.width(self._scale.angle_rad(self._goal)),
+            force_max_N=abs(self.effort) / self._limit * model.stall_torque_Nm / abs(lever),
         )

@@ -14,6 +14,7 @@ import configs
 from agent.config.cell import load_cell
 from agent.modes import Mode
 from agent.replay.chain import Chain
+from drivers.dynamixel.servo.table import CONTINUOUS_SHARE
 from drivers.interface import JointState
 from tests.support.servos.whole_rig import WholeRun
 
@@ -73,6 +74,15 @@ def test_no_torque_steps_in_any_phase_and_no_servo_is_overloaded() -> None:
         assert np.nanmax(share) < STALL_CURRENT_SHARE
         bound = CELL.file.session.speed_max_rad_per_s if CELL.file.session else 0.0
         assert np.nanmax(np.abs(rows["dq_measured"][:, :n])) < 1.1 * bound
+
+
+def test_no_servo_takes_more_current_over_the_session_than_the_cell_is_known_to_ask() -> None:
+    for arm in CELL.arms:
+        rows = whole().arms[arm.name].rows
+        sent = rows["tau_sent"][np.isfinite(rows["tau_sent"][:, 0]), : arm.n]
+        shares = np.sqrt((sent**2).mean(axis=0)) / arm.tau_stall_Nm
+        assert shares.max() < 0.27, "of stall: the elbow's weight, above the fifth that is advised (docs/arms.md)"
+        assert np.sort(shares)[-2] < CONTINUOUS_SHARE, "every other joint is within it"
 
 
 def test_a_session_replays_bit_for_bit_from_its_rows() -> None:

@@ -282,6 +282,11 @@ _ALL_REGISTERS = tuple(sorted(_declared, key=lambda register: register.address))
 # --- servo models ----------------------------------------------------------------------------------------------------
 
 
+# Part of its stall current that a servo bears for long.  ROBOTIS publish continuous ratings of the P and PRO series and
+# none of X and MX; their staff advise 20 % of stall for continuous use (forum.robotis.com, thread 4220): an estimate.
+CONTINUOUS_SHARE = 0.2
+
+
 @dataclass(frozen=True, slots=True)
 class ServoModel:
     """Ratings at 12 V and register table of one servo model.  Torques, speeds and constants are at the output shaft."""
@@ -334,6 +339,11 @@ class ServoModel:
     def resistance_ohm(self) -> float:
         """Terminal resistance from the stall point: V / I_stall."""
         return RATED_VOLTAGE_V / self.stall_current_A
+
+    @property
+    def continuous_current_A(self) -> float:
+        """What it bears for long, root mean square: an estimate, see CONTINUOUS_SHARE."""
+        return CONTINUOUS_SHARE * self.stall_current_A
 
     @property
     def torque_constant_Nm_per_A(self) -> float:

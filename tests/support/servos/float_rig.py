@@ -210,12 +210,6 @@ class FloatRun:
         run.driver.connect()
         tell.clock = self.clock
         require_within(floats, run.driver)
-        run.driver.enable()
-        self._on.add(arm.name)
-        if len(self._on) == len(self.arms):
-            self.zero_ns = self.clock._ns
-            for injector in self.injectors:
-                injector.add([f for f in self._faults if f.arm == injector.arm.name], self.zero_ns)
         ring: Any = run.ring
         options = AgentOptions(
             arm.name, DriverKind.DYNAMIXEL, Connection(), None, None, lockstep=False, hold=True  # type: ignore[arg-type]
@@ -224,6 +218,12 @@ class FloatRun:
         run.loop = FloatLoop(
             floats, options, run.driver, self.clock, ring, lambda: self.since_s() >= self._stop_s, tell, texts, notifier
         )
+        run.driver.enable()
+        self._on.add(arm.name)
+        if len(self._on) == len(self.arms):
+            self.zero_ns = self.clock._ns
+            for injector in self.injectors:
+                injector.add([f for f in self._faults if f.arm == injector.arm.name], self.zero_ns)
         if self._until_s is not None:
             ticks = round(self._until_s * self.cell.file.rate_hz)
             run.loop.schedule = replace(run.loop.schedule, hold_at_end=False, ticks=ticks)

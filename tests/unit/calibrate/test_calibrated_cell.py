@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,11 +10,12 @@ import pytest
 
 from agent.atomic import WriteError
 from agent.calibrate.chain import CalibrateError
-from agent.calibrate.result import Calibrated, arm_toml, calibrated
+from agent.calibrate.result import Calibrated, arm_toml, calibrated, cell_toml
 from agent.calibrate.run import calibrate, write
 from agent.config.cell import Cell, load_cell
 from agent.config.reality import reality_of
 from agent.config.schema.reality import ArmReality, Reality
+from agent.process.floating_arms import FloatOptions, floating_cell
 from drivers.dynamixel.servo.table import TICK_RAD
 from sim_backend.physics.plant import Observation
 from tests.support.calibrate_rig import UNSURE, rig
@@ -21,6 +23,7 @@ from tests.support.plant.inprocess import simulate
 
 LOG = Path("run.mcap")
 SEED = 0
+LEFT_AND_RIGHT = Path("two_wx200")
 SOFT = ("simulation.reality.pads_N_per_m=1e4", "simulation.reality.pads_Nm_per_rad=50.0")
 
 
@@ -112,6 +115,14 @@ def test_a_zero_beyond_the_scale_is_refused() -> None:
 def test_changes_other_than_of_the_tolerance_are_refused() -> None:
     with pytest.raises(CalibrateError, match=r"tolerance\.KEY"):
         calibrate(LOG, ["rate_hz=100.0"])
+
+
+def test_arms_that_floated_work_by_the_calibrated_cell() -> None:
+    result, _ = in_error()
+    floated = floating_cell(FloatOptions(LEFT_AND_RIGHT, ("left", "right"), holding=True))
+    written = cell_toml(replace(result, cell=floated), "a log", ["left.toml", "right.toml"])
+    assert "floating" not in written
+    assert "# the gripper points along +x" in written
 
 
 def test_comments_of_the_cell_stay_and_say_what_moved(tmp_path: Path) -> None:

@@ -155,6 +155,7 @@ OTHERS = {
     "export --format": ("export", "a_file", "--format", "xlsx"),
     "identify --cutoff-hz": ("identify", "a_file", "--cutoff-hz", "0"),
     "doctor of an unknown arm": ("doctor", PAPER, "--arm", "middle"),
+    "run of arms that float": ("run", "two_wx200", "--set", 'floating.arms=["left"]'),
     "float without an arm": ("float", "two_wx200"),
     "float of an unknown arm": ("float", "two_wx200", "--arm", "middle"),
     "float --ports": ("float", "two_wx200", "--arm", "left", "--ports", "nothing_here", "--yes"),

@@ -106,6 +106,16 @@ def test_damping_that_has_no_room_is_scaled_as_a_whole() -> None:
     assert room(np.zeros(1), np.zeros(1), np.ones(1)) == 1.0
 
 
+def test_a_fast_arm_is_damped_within_its_torques_in_the_direction_of_its_momentum() -> None:
+    dq = np.array([3.0, -4.0, 4.0, 2.0, -3.0, 3.0])
+    terms = float_at(Q, dq)
+    momentum = AGENT.model.evaluate(Q, dq).B @ dq
+    assert np.all(np.abs(terms.tau_cmd) <= own().tau_max_Nm + 1e-9)
+    assert np.any(np.abs(own().brake_per_s * momentum) > own().tau_max_Nm), "which is not all that it would take"
+    cosine = terms.tau_feedback @ momentum / (np.linalg.norm(terms.tau_feedback) * np.linalg.norm(momentum))
+    assert cosine == pytest.approx(-1.0)
+
+
 @pytest.mark.parametrize(("limit_rad", "sign"), [("low_rad", 1.0), ("high_rad", -1.0)])
 def test_a_wall_pushes_back_from_a_limit_and_damps_the_way_in_alone(limit_rad: str, sign: float) -> None:
     def wall(depth: float, speed: float, begun: float = -1.0) -> float:
@@ -179,3 +189,12 @@ def test_a_tick_in_float_is_no_trouble_near_a_singular_pose_and_remembers_where_
 def test_what_could_move_by_itself_and_what_is_not_there_is_refused(change: str, told: str) -> None:
     with pytest.raises(ConfigError, match=told):
         load_cell(Path("three_wx250s"), ['floating.arms=["left"]', change])
+
+
+def test_an_arm_that_stands_and_is_pushed_away_stays_where_the_hand_leaves_it() -> None:
+    memory = initial_memory(AGENT)._replace(q_hold=Q + 0.5, hold=(0.0,) * 7, age=1.0)
+    state = JointState(0, Q, np.zeros(N), np.zeros(N))
+    assert step(AGENT, state, 0.0, Mode.STAND, memory).memory.q_hold == pytest.approx(Q + own().stand_reach_rad)
+    near = memory._replace(q_hold=Q - 0.05)
+    assert step(AGENT, state, 0.0, Mode.STAND, near).memory.q_hold == pytest.approx(Q - 0.05)
+    assert step(AGENT, state, 0.0, Mode.FLOAT, memory).memory.q_hold == pytest.approx(Q + 0.5)

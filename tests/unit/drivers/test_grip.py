@@ -46,6 +46,7 @@ def test_a_width_goes_out_with_the_next_torque_and_the_fingers_follow() -> None:
     assert state is not None
     assert state.width_m == pytest.approx(0.074, abs=1e-3)
     assert abs(state.speed_m_per_s) < 1e-3
+    assert state.width_cmd_m == pytest.approx(0.074, abs=1e-4)
     assert rig.driver.faults == [], "the goal that is checked in the gaps is the new one"
 
 
@@ -59,6 +60,8 @@ def test_fingers_that_close_say_a_positive_effort_and_a_force() -> None:
     assert 0.05 < state.effort <= 0.26
     stall_Nm, lever = SERVOS["XL430-W250"].stall_torque_Nm, FINGERS.lever(FINGERS.angle(state.width_m))
     assert state.force_N == pytest.approx(state.effort * stall_Nm / lever)
+    assert state.force_max_N == pytest.approx(EFFORT / 885 * stall_Nm / lever)
+    assert state.width_cmd_m == pytest.approx(0.03, abs=1e-4)
 
 
 def test_the_grip_is_taken_up_again_after_the_watchdogs_have_fired() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +12,15 @@ from mcap.reader import make_reader
 from rosbags.typesys import Stores, get_typestore
 
 from agent.log import Run, load
+from agent.log.columns import Table
 from agent.log.diagnostics import servo_message
 from agent.log.read import read_log
 from agent.log.servos import ServoTable
+from agent.modes import Mode
+from agent.report.grip import GripResults, grip_results
 from agent.telemetry.row.event import TEXT_MAX_BYTES, encode
-from agent.telemetry.row.health import Health, health_values
-from drivers.interface import ServoHealth
+from agent.telemetry.row.health import Health, grip_values, health_values
+from drivers.interface import GripState, ServoHealth
 from tests.support.telemetry.log_maker import LogMaker
 from tests.support.telemetry.telemetry_cell import SERVOS, UTC_0_NS, make_rows
 
@@ -82,6 +86,35 @@ def test_before_a_start_that_is_not_set_the_time_is_that_of_the_rows(tmp_path: P
     np.testing.assert_allclose(found, [-86_400.003, -86_399.753, 0.251], atol=1e-9)
 
 
+def test_a_gripper_has_columns_of_its_own_and_older_texts_have_none_of_it(tmp_path: Path) -> None:
+    maker = LogMaker(tmp_path / "run.mcap", has_plant=False)
+    maker.write("left", make_rows("left", 100))
+    grip = GripState(0, width_m=0.04391, speed_m_per_s=0.0, effort=0.2, force_N=8.26, width_cmd_m=0.03, force_max_N=9.1)
+    for ms, values in (
+        (100, grip_values(grip)),
+        (200, grip_values(None)),
+        (300, grip_values(replace(grip, force_N=3.0))),
+    ):
+        maker.health(UTC_0_NS + ms * 1_000_000, text(UTC_0_NS + ms * 1_000_000, **values))
+    maker.finish()
+    log = read_log(tmp_path / "run.mcap")
+    table = log.servos["left"]
+    np.testing.assert_array_equal(table.grip_width_m, [0.0439, NAN, 0.0439])
+    np.testing.assert_array_equal(table.grip_width_cmd_m, [0.03, NAN, 0.03])
+    np.testing.assert_array_equal(table.grip_force_N, [8.3, NAN, 3.0])
+    np.testing.assert_array_equal(table.grip_force_max_N, [9.1, NAN, 9.1])
+    rows = Table.of(log.agents["left"])
+    assert grip_results(rows, table) == GripResults(0.03, 0.0439, 0.0439, 3.0, 8.3, 9.1)
+    away = np.array(log.agents["left"])
+    away["mode"][away["utc_ns"] < UTC_0_NS + 250_000_000] = Mode.APPROACH
+    held = grip_results(Table.of(away), table)
+    assert held is not None
+    assert (held.force_min_N, held.force_max_N) == (3.0, 3.0), "what it held while the arm held the object alone"
+    assert grip_results(rows, None) is None
+    with pytest.raises(ValueError, match="values to unpack"):
+        Health.from_json(text(1, grip=[0.1]))
+
+
 def test_what_is_no_health_is_told_and_left_out(tmp_path: Path) -> None:
     maker = LogMaker(tmp_path / "run.mcap", has_plant=False)
     maker.write("left", make_rows("left", 10))
@@ -121,7 +154,8 @@ def test_nine_servos_of_a_driver_fit_and_come_back_rounded() -> None:
         np.full(9, 0x2D, np.uint8), np.where(nine < 6, -1.23456, NAN), np.where(nine < 6, NAN, -0.1234),
         80.0 + nine, np.full(9, 9.5), np.full(9, 16.0), np.full(9, 2.3),
     )  # fmt: skip
-    encoded = encode({"utc_ns": UTC_0_NS, **health_values(health)})
+    grip = GripState(0, -0.12345, 0.0, 1.0, -123.45, 0.12345, 123.45)
+    encoded = encode({"utc_ns": UTC_0_NS, **health_values(health), **grip_values(grip)})
     assert len(encoded) <= TEXT_MAX_BYTES
     told = Health.from_json(encoded)
     assert (told.utc_ns, told.servo_id, told.joint) == (UTC_0_NS, health.servo_ids, health.joints)

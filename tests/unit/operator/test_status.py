@@ -60,6 +60,7 @@ def write_ring(stack: ExitStack, arm: str, *, mode: Mode, age_ns: int, flags: in
         {
             "servo_id": [1, 2], "joint": ["waist", "shoulder"], "temperature_C": [31.0, None],
             "voltage_V": [12.1, 11.8], "error_bits": [0, 4], "current_A": [None, None], "load": [None, None],
+            "grip": [0.0439, None, 8.3, 9.1],
         },
     )  # fmt: skip
     ring = stack.enter_context(RingWriter(path, AGENT_STATE, arm, ("a",), slots=ROWS))
@@ -108,7 +109,10 @@ def test_a_living_arm_is_shown_with_all_it_has(living: Arm) -> None:
             "servos": [{"servo_id": 2, "joint": "shoulder", "bits": 4}],
             "last": "a servo is warm", "last_utc_ns": NOW_NS - 5,
         },
-        "servos": {"max_C": 31.0, "joint": "waist", "servo_id": 1, "min_V": 11.8},
+        "servos": {
+            "max_C": 31.0, "joint": "waist", "servo_id": 1, "min_V": 11.8,
+            "grip": {"width_m": 0.0439, "width_cmd_m": None, "force_N": 8.3, "force_max_N": 9.1},
+        },
     }  # fmt: skip
 
 
@@ -126,7 +130,7 @@ def test_a_dead_arm_is_said_to_be_dead_with_what_its_ring_has(living: Arm, home:
         ("left   HOLD ", Tone.HELD), ("right  DEAD ", Tone.BAD), (f"host {document['host']}", Tone.HELD)
     ]  # fmt: skip
     assert shown[0].rest == (
-        "t = 3 s: OFF_TRACK; 200 Hz, late ≤ 0.20 ms, busy ≤ 1.60 ms; 31 °C waist, 11.8 V; "
+        "t = 3 s: OFF_TRACK; 200 Hz, late ≤ 0.20 ms, busy ≤ 1.60 ms; 31 °C waist, 11.8 V, grip 43.9 mm 8 N; "
         "SATURATED, OFF_TRACK, servo 2 (shoulder) error 0x04, 1 bus timeouts"
     )
     assert shown[1].rest.startswith("Connection refused; last TRACK, 3.2 s ago; 200 Hz")

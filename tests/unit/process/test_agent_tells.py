@@ -15,7 +15,7 @@ from agent.telemetry.row.event import Event, Level
 from agent.telemetry.row.health import Health
 from agent.telemetry.row.sample import AGENT_STATE
 from agent.telemetry.row.topics import Kind
-from drivers.interface import ServoHealth
+from drivers.interface import GripState, ServoHealth
 from tests.support.servos import dxl_rig
 
 OFFSET_NS = 1_700_000_000_000_000_000
@@ -49,6 +49,25 @@ def test_what_the_driver_read_in_its_gaps_is_told_once_in_so_many_cycles(tmp_pat
     senses = [slot.model.current_unit_mA is not None for slot in slots]
     assert [not np.isnan(x) for x in found[0].current_A] == senses
     assert [np.isnan(x) for x in found[0].load] == senses
+
+
+class Gripping:
+    """A driver with a servo and a gripper."""
+
+    def health(self) -> ServoHealth:
+        one = np.ones(1)
+        return ServoHealth(5, (7,), ("gripper",), one, one, np.zeros(1, np.uint8), *[one] * 6)
+
+    def grip(self, width_m: float) -> None: ...
+
+    def grip_state(self) -> GripState:
+        return GripState(5, 0.0439, 0.0, 0.2, 8.26, 0.03, 9.1)
+
+
+def test_a_gripper_is_told_with_the_servos(tmp_path: Path) -> None:
+    [found] = told(tmp_path / "ring", Gripping(), 200, 200)
+    assert (found.grip_width_m, found.grip_width_cmd_m) == (0.0439, 0.03)
+    assert (found.grip_force_N, found.grip_force_max_N) == (8.3, 9.1)
 
 
 class Joints:

@@ -5,13 +5,16 @@ from __future__ import annotations
 import itertools
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+import configs
 from agent.calibrate import poses
 from agent.config.cell import Cell, load_cell
+from agent.config.schema.cell import DriverKind
 from agent.control.floating import Floating
 from agent.log.columns import Table
 from agent.modes import Event, Mode
@@ -241,9 +244,20 @@ def test_a_cell_floats_as_asked_and_an_arm_that_works_does_not() -> None:
     cell = floating_cell(FloatOptions(Path("two_wx200"), ("right",), holding=True))
     assert cell.file.floating is not None
     assert (cell.file.floating.arms, cell.file.floating.holding) == (["right"], True)
+    assert cell.toml.startswith((configs.CELLS_DIR / "two_wx200.toml").read_bytes().rstrip()), "comments and all"
+    fast = FloatOptions(Path("two_wx200"), ("left",), ("floating.drag_per_s=7.0", "rate_hz=210.0"))
+    changed = floating_cell(fast).file
+    assert changed.floating is not None
+    assert (changed.floating.drag_per_s, changed.floating.arms, changed.rate_hz) == (7.0, ["left"], 210.0)
     with pytest.raises(FloatError, match="coop float --arm left"):
         Floats.of(cell, "left")
     with pytest.raises(FloatError, match="expected --arm NAME; name left or right"):
         floating_cell(FloatOptions(Path("two_wx200"), ()))
+    guarded: Any = SimpleNamespace(arm="right", driver=DriverKind.DYNAMIXEL, guard=Path("guard"), whole=False)
+    with pytest.raises(FloatError, match="found --guard, expected neither"):
+        floats.run_float(cell, guarded, lambda: False, lambda _: None)
+    guarded.driver = DriverKind.SIM
+    with pytest.raises(FloatError, match="driver sim"):
+        floats.run_float(cell, guarded, lambda: False, lambda _: None)
     servos = Floats.of(cell, "right").servos("virtual")
     assert {j.name for j in servos.joints if j.start_rad is not None} == {"waist", "wrist_rotate"}

@@ -454,6 +454,10 @@ def test_results_json_has_the_documented_keys_and_no_nan() -> None:
     } <= content.keys()
     assert content["by_plant"] is None
     assert content["arms"]["left"]["load_share_realised"] is None
+    assert content["arms"]["left"]["grip"] is None
+    for joint in content["arms"]["left"]["joints"].values():
+        borne = 0.2 * joint["tau_stall_Nm"]
+        assert joint["rms_of_continuous"] == pytest.approx(joint["rms_torque_Nm"] / borne)
 
 
 def test_every_flat_figure_has_a_unit_that_its_name_agrees_with() -> None:

@@ -1,0 +1,50 @@
+"""What `coop float` shows of an arm: a table on a terminal, a line elsewhere, a document for scripts."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+
+import pytest
+from rich.console import Console
+
+from agent.cli.floats import STOPS, Shown, line, tables
+from agent.modes import Mode
+from agent.process.glance import Glance, JointGlance
+
+ELBOW = JointGlance("elbow", 0.5, -0.25, 0.04, 0.237, 41.0)
+WRIST = JointGlance("wrist_angle", -0.1, 0.0, 1.2, 0.05, math.nan)
+SEEN = Glance(
+    "left", Mode.FLOAT, 12.3, (ELBOW, WRIST), (0.31, 0.0, 0.22), (0.0, math.pi / 6, 0.0), ("a servo is warm",)
+)
+
+
+def test_a_table_has_joints_pose_load_limits_and_words() -> None:
+    console = Console(file=io.StringIO(), width=120)
+    console.print(tables([SEEN]))
+    text = console.file.getvalue()  # type: ignore[attr-defined]
+    for part in ("left  FLOAT  12.3 s", "+0.5000", "+28.6", "-0.25", "0.04 rad", "24%", "41", "+0.3100", "pitch +30.0°",
+                 "a servo is warm", STOPS):  # fmt: skip
+        assert part in text, part
+
+
+def test_a_line_and_a_document_say_the_same() -> None:
+    assert line(SEEN) == "   12.3 s  left FLOAT  elbow +0.500  wrist_angle -0.100 rad  at +0.310 +0.000 +0.220 m"
+    document = json.loads(json.dumps(SEEN.document(), allow_nan=False))
+    assert (document["arm"], document["mode"], document["said"]) == ("left", "FLOAT", ["a servo is warm"])
+    assert document["joints"][0] == {
+        "name": "elbow", "q_rad": 0.5, "dq_rad_per_s": -0.25, "room_rad": 0.04, "load": 0.237, "temperature_C": 41.0,
+    }  # fmt: skip
+    assert document["joints"][1]["temperature_C"] is None
+    assert Glance("left", Mode.OFF).document()["p_m"] == [None] * 3
+
+
+def test_what_an_arm_says_is_told_once_and_nothing_before_its_first_row(capsys: pytest.CaptureFixture[str]) -> None:
+    with Shown(as_json=False) as shown:
+        shown.show([Glance("left", Mode.OFF)])
+        shown.show([SEEN])
+        shown.show([SEEN])
+    told = capsys.readouterr()
+    assert told.err == "left: a servo is warm\n"
+    assert told.out == f"{line(SEEN)}\n"

@@ -1,0 +1,36 @@
+"""What servos bear for long: an advice, said by `coop check` and held against what shipped cells ask."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from agent.config.cell import load_cell
+from agent.verify.check import examine
+from agent.verify.finding import Finding, Verdict
+from drivers.dynamixel.servo.table import SERVOS
+
+
+@cache
+def found(name: str) -> list[Finding]:
+    return [f for f in examine(load_cell(Path(name))).findings if f.what.startswith("current for long")]
+
+
+def test_the_elbows_of_two_wx200_carry_more_than_is_advised_for_long() -> None:
+    assert [(f.what, f.where, f.verdict) for f in found("two_wx200")] == [
+        ("current for long, elbow", "left", Verdict.WARNING),
+        ("current for long, elbow", "right", Verdict.WARNING),
+    ]
+    assert all(f.found.startswith("26% of stall") for f in found("two_wx200"))
+    assert all(f.wanted.startswith("≤ 20%") for f in found("two_wx200"))
+
+
+def test_the_arms_of_the_paper_carry_less() -> None:
+    assert [f.verdict for f in found("paper_real")] == [Verdict.OK, Verdict.OK]
+    assert all(f.found.startswith("11% of stall") for f in found("paper_real"))
+
+
+def test_a_servo_bears_a_fifth_of_its_stall_current_for_long() -> None:
+    assert SERVOS["XM430-W350"].continuous_current_A == pytest.approx(0.2 * 2.3)
