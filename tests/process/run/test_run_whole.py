@@ -9,6 +9,7 @@ import pytest
 
 import configs
 from agent.log.read import read_log
+from tests.support.command import coop as line
 from tests.support.coop import coop
 from tests.support.stalls import ATTEMPTS, stalled
 
@@ -41,6 +42,6 @@ def test_two_arms_go_to_the_object_carry_it_and_come_back(tmp_path: Path) -> Non
 
 
 def test_a_whole_run_without_emulated_servos_is_refused_in_one_line(tmp_path: Path) -> None:
-    done = coop("run", CELL, "--whole", "--out", tmp_path / "out")
-    assert done.returncode == 2
-    assert "found a run in lockstep, expected emulated servos, which have grippers; add --wire" in done.stderr
+    done = line("run", CELL, "--whole", "--out", tmp_path / "out")
+    assert done.code == 2
+    assert "found a run in lockstep, expected emulated servos, which have grippers; add --wire" in done.err
