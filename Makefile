@@ -41,6 +41,7 @@ test-fresh: $(VENV)/.installed  ## `make run` on minimal Debian 12 and 13, each 
 
 long: $(VENV)/.installed  ## simulations and repetitions of which `make test` runs some (3 min)
 	$(BIN)/pytest -m long -n $(JOBS) --dist worksteal
+	HYPOTHESIS_PROFILE=whole $(BIN)/pytest -n $(JOBS) --dist worksteal tests/property/control tests/unit/control
 
 mutate: $(VENV)/.installed  ## one-line changes that a test must notice; MUTATE_ONLY=TEXT for some modules
 	$(BIN)/python -m tests.mutate

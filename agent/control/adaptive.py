@@ -33,6 +33,8 @@ from agent.control.terms import ADAPTIVE, DDQ_REF, DQ_REF, LAW, POSTURE, Terms
 from agent.control.trajectory import Desired, Vec6
 from drivers.interface import Vector
 
+_FRICTION = np.array([0.0, 1.0, 1.0, 1.0, 1.0, 1.0])  # all columns of a joint but that of its rotor
+
 
 def torque(
     model: ArmModel,
@@ -72,10 +74,7 @@ def torque(
     by_joint = arm_gradient[inertial:].reshape(JOINT_PARAMETERS, n)
     _fill_joint_columns(by_joint, adaptation, of_joints, joints, dq)
     if adaptation.friction:
-        tau_friction = of_joints[1] * by_joint[1] + of_joints[2] * by_joint[2]
-        if adaptation.sticking:
-            tau_friction += (of_joints[3:] * by_joint[3:]).sum(axis=0)
-        add_friction(joints, tau_friction)
+        add_friction(joints, _FRICTION.dot(of_joints * by_joint))
     by_joint *= dq_error
     dq_error.dot(Y, arm_gradient[:inertial])  # eq:adaptation laws, into the gradient
     np.multiply(c, np.dot(e_v_object, Y_object), object_gradient)  # eq:adaptation laws

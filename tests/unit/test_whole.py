@@ -6,17 +6,22 @@ All in virtual time; `tests/process/run/test_run_whole.py` has the processes.
 from __future__ import annotations
 
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
 import configs
 from agent.config.cell import load_cell
-from agent.modes import Mode
+from agent.modes import Event, Mode
+from agent.operator.table import EVENT_OF
 from agent.replay.chain import Chain
+from agent.session_modes import next_in_session
 from drivers.dynamixel.servo.table import CONTINUOUS_SHARE
 from drivers.interface import JointState
 from tests.support.servos.whole_rig import WholeRun
+from tests.unit.docs.test_first_carry import SEEN
+from tests.unit.docs.test_first_carry import WORDS as SAID
 
 QUICK = [
     "session.speed_max_rad_per_s=2.0", "session.back_off_m=0.04", "session.lift_m=0.015", "session.lift_s=1.0",
@@ -94,3 +99,19 @@ def test_a_session_replays_bit_for_bit_from_its_rows() -> None:
         memory, outcome = chain.pass_row(state, float(row["t"]), Mode(int(row["mode"])), int(row["flags"]))
         assert np.array_equal(outcome.tau, row["tau_limited"][:3])
         assert np.array_equal(memory.flatten(), row["memory"])
+
+
+def test_the_words_of_docs_first_carry_in_their_order_lead_through_the_phases_that_it_says_are_seen() -> None:
+    """The rig says the next word when all arms are ready for it; the rest is the doing of driver, servos and loop."""
+    run = whole()
+    said = {EVENT_OF.get(verb, Event.STARTED) for verb in SAID}
+    for arm in run.arms:
+        way = modes(run, arm)
+        own = {Event.GRIPPED, Event.ARRIVED, Event.STOP}  # what nobody says: STOP is the end of the trajectory
+        for before, after in pairwise(way):
+            assert any(next_in_session(before, event) is after for event in said | own)
+        seen = [mode for told in SEEN for mode in told if mode is not Mode.HALT]
+        assert [mode for mode in way if mode in seen] == seen
+    assert run.place is not None
+    assert run.place[0] < 3e-3, "the object stays where it is"
+    assert CELL.file.session is not None

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 import configs
+from tests.support.command import coop as line
 
 COOP = [sys.executable, "-m", "agent.cli"]
 SHORT = ("run", str(configs.CELLS_DIR / "paper.toml"), "--duration", "1")  # ends within the transient
@@ -53,9 +54,9 @@ def test_a_folder_is_used_again_only_when_asked(run: tuple[Path, subprocess.Comp
     folder, _ = run
     log = folder / "out" / "run.mcap"
     before = log.read_bytes()
-    refused = coop(*SHORT, "--out", "out", cwd=folder)
-    assert (refused.returncode, refused.stdout) == (2, "")
-    assert "earlier run" in refused.stderr
-    assert "--force" in refused.stderr
+    refused = line(*SHORT, "--out", "out", cwd=folder)
+    assert (refused.code, refused.out) == (2, "")
+    assert "earlier run" in refused.err
+    assert "--force" in refused.err
     assert log.read_bytes() == before
     assert (folder / "out" / "notes.txt").read_text() == "mine"

@@ -18,7 +18,8 @@ from agent.config.files import load_files
 from agent.host.shipped import Shipped, folder
 from agent.log.layouts import foxglove, plotjuggler
 from agent.process.scene import scene_of
-from tests.support.coop import PAPER, coop
+from tests.support.command import coop
+from tests.support.coop import PAPER
 
 Messages = dict[str, Any]
 
@@ -99,8 +100,8 @@ def test_plotjuggler_has_curves_of_numbers_that_are_there(messages: Messages) ->
 
 def test_what_ships_is_what_the_command_prints() -> None:
     scene = scene_of(load_files(PAPER))
-    assert shipped("foxglove.json") == foxglove(scene) == coop("layout", PAPER).stdout
-    assert shipped("plotjuggler.xml") == plotjuggler(scene) == coop("layout", PAPER, "--viewer", "plotjuggler").stdout
+    assert shipped("foxglove.json") == foxglove(scene) == coop("layout", PAPER).out
+    assert shipped("plotjuggler.xml") == plotjuggler(scene) == coop("layout", PAPER, "--viewer", "plotjuggler").out
 
 
 @pytest.mark.parametrize("cell", sorted(configs.CELLS_DIR.glob("*.toml")), ids=lambda path: path.stem)

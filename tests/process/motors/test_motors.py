@@ -21,9 +21,9 @@ import pytest
 
 import configs
 from tests.support.command import coop
-from tests.support.coop import COOP, start
+from tests.support.coop import COOP
 from tests.support.servos.motor_emulator import loose_servos
-from tests.support.servos.patience import be_patient
+from tests.support.servos.patience import PATIENT_COOP, be_patient
 
 TWO_WX200 = str(configs.CELLS_DIR / "two_wx200.toml")
 XM, XL = "XM430-W350", "XL430-W250"
@@ -153,7 +153,10 @@ def test_setup_asks_first_and_then_makes_a_shoulder_shadow(tmp_path: Path) -> No
     how = ("--arm-model", "wx200", "--joint", "shoulder", "--shadow")
     asking, sure = tmp_path / "asking", tmp_path / "sure"
     with loose_servos(asking, {"model": XM}), loose_servos(sure, {"model": XM}):
-        done = start("motors", "setup", "--port", sure, *how, "--yes", cwd=tmp_path)
+        done = subprocess.Popen(
+            [*PATIENT_COOP, "motors", "setup", "--port", sure, *how, "--yes"],
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        )  # fmt: skip
         declined = coop("motors", "setup", "--port", asking, *how, stdin="n\n")
         assert declined.code == 1
         for change in ("ID: 1 → 3", "Baud Rate: 1 → 3", "Drive Mode: 0 → 1", "Secondary(Shadow) ID: 255 → 2",

@@ -21,7 +21,8 @@ from agent.host.share import one_memory_layout
 from agent.log.read import RunLog, read_log
 from agent.telemetry.row.sample import AGENT_STATE
 from tests.process.conftest import PAPER_RUN_S
-from tests.support.coop import PAPER, coop, ready, start
+from tests.support.command import coop as line
+from tests.support.coop import PAPER, ready, start
 
 ROWS = 200 * PAPER_RUN_S
 ADDR_NO_RANDOMIZE = 0x0040000
@@ -218,26 +219,26 @@ def test_a_killed_run_takes_its_processes_with_it(nothing_left: Path) -> None:
     ],
 )
 def test_a_wrong_cell_is_one_line_and_leaves_no_folder(nothing_left: Path, setting: str, expected: str) -> None:
-    done = coop("run", PAPER, "--set", setting, "--out", "out", cwd=nothing_left)
-    assert done.returncode == 2
-    assert expected in done.stderr
-    assert len(done.stderr.strip().splitlines()) == 1
+    done = line("run", PAPER, "--set", setting, "--out", "out", cwd=nothing_left)
+    assert done.code == 2
+    assert expected in done.err
+    assert len(done.err.strip().splitlines()) == 1
     assert not (nothing_left / "out").exists()
 
 
 def test_an_output_folder_that_cannot_be_made_is_one_line(nothing_left: Path) -> None:
     (nothing_left / "file").write_text("")
-    done = coop("run", PAPER, "--out", "file/out", cwd=nothing_left)
-    assert done.returncode == 2
-    assert "output folder" in done.stderr
-    assert len(done.stderr.strip().splitlines()) == 1
+    done = line("run", PAPER, "--out", "file/out", cwd=nothing_left)
+    assert done.code == 2
+    assert "output folder" in done.err
+    assert len(done.err.strip().splitlines()) == 1
 
 
 def test_a_second_run_into_the_same_folder_is_refused(paper_runs: tuple[Path, Path]) -> None:
     before = (paper_runs[0] / "run.mcap").read_bytes()
-    done = coop("run", PAPER, "--duration", PAPER_RUN_S, "--out", paper_runs[0], cwd=paper_runs[0])
-    assert done.returncode == 2
-    assert "earlier run" in done.stderr
+    done = line("run", PAPER, "--duration", PAPER_RUN_S, "--out", paper_runs[0], cwd=paper_runs[0])
+    assert done.code == 2
+    assert "earlier run" in done.err
     assert (paper_runs[0] / "run.mcap").read_bytes() == before
 
 
@@ -245,26 +246,26 @@ def test_an_occupied_plant_socket_is_refused(nothing_left: Path) -> None:
     place = ["--socket", str(nothing_left / "p.sock"), "--ring", str(nothing_left / "p.ring")]
     first = start("plant", PAPER, *place, cwd=nothing_left)
     ready(first)
-    second = coop("plant", PAPER, "--socket", place[1], "--ring", str(nothing_left / "q.ring"), cwd=nothing_left)
-    assert second.returncode != 0
-    assert "p.sock" in second.stderr
-    assert len(second.stderr.strip().splitlines()) == 1
+    second = line("plant", PAPER, "--socket", place[1], "--ring", str(nothing_left / "q.ring"), cwd=nothing_left)
+    assert second.code != 0
+    assert "p.sock" in second.err
+    assert len(second.err.strip().splitlines()) == 1
     assert first.poll() is None
     first.terminate()
     first.communicate(timeout=20)
 
 
 def test_an_unknown_arm_is_refused(nothing_left: Path) -> None:
-    done = coop("agent", PAPER, "--arm", "middle", "--ring", str(nothing_left / "r"), cwd=nothing_left)
-    assert done.returncode == 2
-    assert "left or right" in done.stderr
+    done = line("agent", PAPER, "--arm", "middle", "--ring", str(nothing_left / "r"), cwd=nothing_left)
+    assert done.code == 2
+    assert "left or right" in done.err
 
 
 def test_an_agent_without_a_plant_says_so(nothing_left: Path) -> None:
-    done = coop(
+    done = line(
         "agent", PAPER, "--arm", "left", "--ring", str(nothing_left / "r"),
         "--plant-socket", str(nothing_left / "none.sock"), cwd=nothing_left,
     )  # fmt: skip
-    assert done.returncode == 3
-    assert "start the plant of this cell first" in done.stderr
-    assert len(done.stderr.strip().splitlines()) == 1
+    assert done.code == 3
+    assert "start the plant of this cell first" in done.err
+    assert len(done.err.strip().splitlines()) == 1

@@ -14,6 +14,7 @@ import pytest
 import configs
 from agent.log.read import RunLog, read_log
 from agent.modes import Mode
+from tests.support.command import coop as line
 from tests.support.coop import coop
 from tests.support.stalls import ATTEMPTS, stalled
 
@@ -57,7 +58,7 @@ def test_a_lost_servo_is_named_and_both_arms_hold(tmp_path: Path) -> None:
 
 def test_faults_without_emulated_servos_are_refused(tmp_path: Path) -> None:
     (tmp_path / "faults.jsonl").write_text("")
-    done = coop("run", CELL, "--faults", "faults.jsonl", cwd=tmp_path)
-    assert done.returncode == 2
-    assert "add --wire" in done.stderr
+    done = line("run", CELL, "--faults", "faults.jsonl", cwd=tmp_path)
+    assert done.code == 2
+    assert "add --wire" in done.err
     assert not (tmp_path / "runs").exists()

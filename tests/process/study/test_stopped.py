@@ -11,7 +11,8 @@ from pathlib import Path
 import psutil
 import pytest
 
-from tests.support.coop import coop, start
+from tests.support.command import coop
+from tests.support.coop import start
 from tests.support.study import cell_file
 
 
@@ -29,7 +30,9 @@ def under_way(folder: Path, runs: int) -> tuple[subprocess.Popen[str], Path]:
     return study, out
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize(
+    "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long), signal.SIGKILL]
+)
 def test_a_study_that_is_stopped_leaves_no_process_and_goes_on(tmp_path: Path, number: signal.Signals) -> None:
     study, out = under_way(tmp_path, 1000)
     workers = psutil.Process(study.pid).children()
@@ -46,8 +49,8 @@ def test_a_study_that_is_stopped_leaves_no_process_and_goes_on(tmp_path: Path, n
         assert "Traceback" not in errors
         assert json.loads((out / "study.json").read_text())["runs"] == kept
     again = coop("study", tmp_path / "short.toml", "--runs", kept, "--workers", 1, "--out", out, "--json")
-    assert again.returncode == 0, again.stderr
-    document = json.loads(again.stdout)
+    assert again.code == 0, again.err
+    document = json.loads(again.out)
     assert document["runs"] == document["wanted"] == kept
 
 

@@ -22,7 +22,8 @@ from agent.view.motion import motion_now
 from agent.view.scene import OBJECT, OBJECT_COLOUR
 from agent.view.staged import Staged, stage
 from tests.support.chromium import Page, Pixels, chromium
-from tests.support.coop import PAPER, coop, ready, start
+from tests.support.command import coop
+from tests.support.coop import PAPER, ready, start
 
 pytest.importorskip("viser", reason="the extra `view` is not installed")
 
@@ -75,7 +76,7 @@ def test_a_file_opens_from_the_disk_without_a_request(
 ) -> None:
     log, html = paper_runs[0] / "run.mcap", tmp_path / "view.html"
     done = coop("view", log, "--html", html)
-    assert done.returncode == 0, done.stderr
+    assert done.code == 0, done.err
     size = (SIZE[0], SIZE[1] - BAR_PX)
     camera = staged(log).camera(size)
     page.open(html.as_uri())
@@ -88,15 +89,15 @@ def test_a_file_opens_from_the_disk_without_a_request(
 def test_a_report_has_the_run_beside_it_and_a_film_is_made(paper_runs: tuple[Path, Path], tmp_path: Path) -> None:
     log = paper_runs[0] / "run.mcap"
     done = coop("report", log, "--out", tmp_path / "report", "--view")
-    assert done.returncode == 0, done.stderr
+    assert done.code == 0, done.err
     assert {"report.html", "start.png", "view.html"} <= {path.name for path in (tmp_path / "report").iterdir()}
     film = tmp_path / "film.gif"
     done = coop("view", log, "--film", film, "--from", 1, "--to", 2)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout == f"film     {film}, 5 pictures\n"
+    assert done.code == 0, done.err
+    assert done.out == f"film     {film}, 5 pictures\n"
     again = coop("view", log, "--film", film)
-    assert again.returncode == 2
-    assert "is there" in again.stderr
+    assert again.code == 2
+    assert "is there" in again.err
 
 
 def free_port() -> int:

@@ -41,7 +41,10 @@ class Known:
         return [self.fit.base.rotor(j) for j in range(self.recording.arm.n)]
 
 
-RUNS = [("identify_wx200", 1), ("identify_wx200", 2), ("identify_mk2", 3), ("identify_wx250s", 4)]
+RUNS = [
+    ("identify_wx200", 1), ("identify_mk2", 3), ("identify_wx250s", 4),
+    pytest.param(("identify_wx200", 2), marks=pytest.mark.long),
+]  # fmt: skip
 
 
 @pytest.fixture(scope="module", params=RUNS, ids=lambda run: f"{run[0]}-{run[1]}")

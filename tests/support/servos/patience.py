@@ -5,10 +5,19 @@ How long they are is tested in virtual time.
 
 from __future__ import annotations
 
+import sys
+
 import pytest
 
 SDK_MS = 2000
 DRIVER_NS = 200_000_000
+_PROGRAM = f"""
+from drivers.dynamixel.line import bus
+bus.REPLY_WAIT_NS = {DRIVER_NS}
+from agent.cli.main import main
+main()
+"""
+PATIENT_COOP = (sys.executable, "-c", _PROGRAM)  # the command with the driver's longer waits
 
 
 def be_patient(monkeypatch: pytest.MonkeyPatch) -> None:
