@@ -46,7 +46,7 @@ TARGETS = (
     Target("agent.telemetry.ring.file", _RING),
     Target("agent.telemetry.ring.ring", _RING),
     Target("agent.telemetry.ring.texts", (f"{UNIT}/telemetry/test_texts.py", f"{UNIT}/telemetry/test_event.py")),
-    Target("agent.view.camera", _VIEW),
+    Target("agent.view.camera", (f"{UNIT}/view/test_camera.py", *_VIEW)),
     Target("agent.view.curves", _PAGE),
     Target("agent.view.motion", (*_VIEW, *_PAGE)),
     Target("agent.view.player", _PAGE),
