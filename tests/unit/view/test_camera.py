@@ -45,6 +45,7 @@ def seen_from(front: np.ndarray, right: np.ndarray, up: np.ndarray) -> np.ndarra
         (scene(Z, [0.2, 0.1, 0.0]), X, Y),  # one arm, or arms above each other
         (scene(Y, [0.2, 0.1, 0.0], [0.2, 0.8, 0.0]), Z, X),
         (scene(-Z, [0.2, 0.1, 0.0]), X, -Y),
+        (scene(X, [0.2, 0.1, 0.0]), Z, -Y),
     ],
 )  # fmt: skip
 def test_it_is_taken_from_the_front_with_the_first_arm_on_the_left(
