@@ -37,7 +37,8 @@ def report(
 ) -> None:
     """Make the figures, the page and results.json from a log alone; its own earlier report is replaced."""
     from agent.log.read import open_log
-    from agent.report.report import keep_other_reports, terminal_table, write_report
+    from agent.report.report import keep_other_reports, write_report
+    from agent.report.results_file import terminal_table
     from agent.view.film import still
 
     folder = out or log.parent

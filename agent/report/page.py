@@ -10,8 +10,8 @@ from html import escape
 from typing import TYPE_CHECKING, Any, Final
 
 from agent.report.picture import Picture
-from agent.report.results import Judgement, Results
-from agent.report.tables import Line, Table, lines, tables
+from agent.report.results import Results
+from agent.report.tables import WORDS, Line, Table, lines, tables
 
 if TYPE_CHECKING:
     from agent.telemetry.row.event import Event
@@ -41,8 +41,6 @@ code { font: .86em ui-monospace, "DejaVu Sans Mono", monospace; overflow-wrap: a
   figure img { max-height: 108mm; width: auto; max-width: 100%; } table { font-size: 8.5pt; }
   figure, tr, ul { break-inside: avoid; } h2 { break-after: avoid; } .scroll { overflow: visible; } }
 """
-
-WORDS: Final = {Judgement.MET: "✓ met", Judgement.NOT_MET: "✗ not met", Judgement.NOT_SHOWN: "? not shown"}
 
 
 def render(results: Results, images: Sequence[tuple[Picture, bytes]], events: Sequence[Event]) -> str:

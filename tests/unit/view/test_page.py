@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import socket
+import time
 import urllib.request
 from collections.abc import Callable, Iterator
 from functools import cache
@@ -53,9 +54,11 @@ def server() -> Iterator[Server]:
 def test_a_stop_waits_for_no_connection(capfd: pytest.CaptureFixture[str]) -> None:
     """One client says nothing, one went away without a word; left to itself the server waits 10 s for the first."""
     found = Server(18320, "test")
-    thread = found._websock_server._server_thread
+    thread, loop = found._websock_server._server_thread, found._websock_server._background_event_loop
     assert thread is not None
     with socket.create_connection(("127.0.0.1", found.get_port())) as silent:
+        while not getattr(loop, "_transports"):  # noqa: B009 (the stub has none) until it has been let in
+            time.sleep(0.01)
         socket.create_connection(("127.0.0.1", found.get_port())).close()
         found.stop()
         assert not thread.is_alive()
