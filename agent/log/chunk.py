@@ -20,6 +20,7 @@ HEAD: Final = np.dtype(_WHICH + _WHEN)  # of a message record; the message follo
 WHICH: Final = np.dtype(_WHICH)  # the part of it that messages of a channel share
 WHEN: Final = np.dtype(_WHEN)
 RECORD_HEAD_BYTES: Final = 9  # opcode and length, which counts what is behind it
+LIBRARY: Final = "widowx-coop"  # who wrote a log, by its head
 LOG_TIME_AT: Final = RECORD_HEAD_BYTES + 6  # behind channel and sequence
 
 

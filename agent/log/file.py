@@ -21,8 +21,7 @@ from mcap.records import Attachment as AttachmentRecord
 from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
-from agent.log.chunk import Group
-from agent.log.scan import LIBRARY
+from agent.log.chunk import LIBRARY, Group
 from agent.log.writer import BatchWriter, Records
 from drivers.interface import Refusal
 

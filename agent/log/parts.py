@@ -10,8 +10,9 @@ from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 
+from agent.log.chunk import LIBRARY
 from agent.log.file import LogFileError, lock
-from agent.log.scan import LIBRARY, library_of
+from agent.log.scan import library_of
 
 _HEAD_BYTES = 4096
 

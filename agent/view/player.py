@@ -36,7 +36,7 @@ class Player:
         self.pictures = 0  # shown so far
         self._nodes, self._staged, self._moments, self._now = nodes, staged, moments, now
         self._placed, self._t = staged.placed, staged.motion.t
-        self._factor, self._row, self._marked = 1.0, -1, -1
+        self._row = self._marked = -1
         self._wish = threading.Condition()
         self._wanted_s: float | None = float(self._t[0])
         self._started: tuple[float, float] | None = None  # playing: the wall's time and the run's at the last picture
@@ -51,15 +51,16 @@ class Player:
         self._slider = gui.add_slider("time [s]", first, end, step, first, marks=marks(self._moments, first, end))
         self._play = gui.add_button("Play")
         self._speed = gui.add_dropdown("speed", list(SPEEDS), initial_value="1")
-        if self._moments:
-            happened = {moment.line: moment.t for moment in self._moments}
-            go_to = gui.add_dropdown("go to", [NOTHING, *happened])
-            go_to.on_update(lambda _: self.want(happened[go_to.value]) if go_to.value in happened else None)
-        errors = gui.add_dropdown(
+        happened = {moment.line: moment.t for moment in self._moments}
+        self._go_to = gui.add_dropdown("go to", [NOTHING, *happened], visible=bool(happened))
+        self._go_to.on_update(
+            lambda _: self.want(happened[self._go_to.value]) if self._go_to.value in happened else None
+        )
+        self._errors = gui.add_dropdown(
             "desired, beliefs", list(EXAGGERATIONS), initial_value="as they were",
             hint="how far these wires stand from the object: as they were, or so many times as far",
         )  # fmt: skip
-        errors.on_update(lambda _: self._exaggerate(EXAGGERATIONS[errors.value]))
+        self._errors.on_update(lambda _: self._exaggerate(EXAGGERATIONS[self._errors.value]))
         self._words = gui.add_markdown("")
         self._plots = [Plot(server, curve) for curve in curves_of(self._staged.motion)]
         gui.add_markdown(legend(self._staged.scene))

@@ -28,6 +28,9 @@ _BY_WORDS = "bytes do for every length; words are quicker where it is even"
 _ENDS_OF_BLOCKS = "for end in range(self._block, blocks * self._block + 1, self._block):"
 _OPPOSED = "opposed = followed[1] * shadow[1] < 0 and min(abs(followed[1]), abs(shadow[1])) >= self._fight"
 
+_MIDDLE = "middle = look_at + 0.5 * (y.max() + y.min()) * Camera(look_at + back, look_at, up).axes[1]"
+_ALONE = "if np.linalg.norm(along) < 1e-06:"
+_ACROSS = "along = np.cross(up, [0.0, 0.0, 1.0] if abs(up[2]) < 0.9 else [1.0, 0.0, 0.0])"
 _SIZED = "sized = np.where(np.isfinite(values), np.abs(values), -1.0)"
 _CONJUGATE = "turn = product(pose[:, 3:], against[:, 3:] * [1.0, -1.0, -1.0, -1.0])"
 _SHORTER = "turn = np.where(turn[:, :1] < 0.0, -turn, turn)"
@@ -227,6 +230,14 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
     "agent.telemetry.ring.texts": {
         ("TextReader.read_new", _TEXTS, _TEXTS.replace("64", "128")): "how many at a time; the loop takes all",
         ("TextReader.read_new", _TEXTS, _TEXTS.replace("64", "32")): "how many at a time; the loop takes all",
+    },
+    "agent.view.camera": {
+        ("camera_for", _MIDDLE, _MIDDLE.replace("+ back", "- back")): "seen from behind up is up",
+        ("_front", _ALONE, _ALONE.replace("<", "<=")): "no two arms are exactly so near",
+        ("_front", _ALONE, _ALONE.replace("1e", "2e")): "no two arms are so near",
+        ("_front", _ACROSS, _ACROSS.replace("<", "<=")): "either axis does for a slanting up",
+        ("_front", _ACROSS, _ACROSS.replace("0.0, 1.0]", "0.0, 2.0]")): "its length does not matter",
+        ("_front", _ACROSS, _ACROSS.replace("[1.0", "[2.0")): "its length does not matter",
     },
     "agent.view.curves": {
         ("thinned", _SIZED, _SIZED.replace("-1.0", "-2.0")): "any size below zero is below all others",

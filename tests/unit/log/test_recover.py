@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
+from agent.log.chunk import LIBRARY
 from agent.log.file import LogFileError
 from agent.log.read import LogError, read_log
 from agent.log.recover import recover, repair_leftovers

@@ -9,6 +9,7 @@ import urllib.request
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,9 +28,11 @@ from tests.support.view_run import view_log
 
 viser = pytest.importorskip("viser", reason="the extra `view` is not installed")
 
+from viser import GuiEvent  # noqa: E402 (these need viser)
+
 from agent.view.browser import Nodes  # noqa: E402 (these need viser)
 from agent.view.html import VIEW_PX, write_html  # noqa: E402
-from agent.view.player import CURVES_S, WORDS_S, Player  # noqa: E402
+from agent.view.player import CURVES_S, NOTHING, WORDS_S, Player  # noqa: E402
 from agent.view.plots import needle  # noqa: E402
 from agent.view.server import Server  # noqa: E402
 
@@ -95,6 +98,79 @@ def test_the_first_picture_is_the_start(player: Player) -> None:
     assert player.pictures == 1
     assert place(player, OBJECT) == pytest.approx(staged().motion.object[0, :3])
     assert "t = 0.0 s · TRACK" in player._words.content
+
+
+def test_the_slider_goes_over_the_run_in_steps_of_a_picture(player: Player) -> None:
+    slider = player._slider
+    assert (slider.min, slider.max, slider.step, slider.value) == (0.0, pytest.approx(1.95), 0.05, 0.0)
+    assert [mark.label for mark in slider._marks or ()] == ["HOLD"]
+
+
+def test_a_run_of_one_picture_has_a_slider_too(server: Server, clock: Clock) -> None:
+    log = view_log(plant=False)
+    log.agents.update({name: rows[:1] for name, rows in log.agents.items()})
+    single = stage(prepare(log), 20.0)
+    found = Player(server, Nodes(server, single.scene, single.camera(VIEW_PX)), single, [], clock)
+    found.step()
+    assert (found.pictures, found._slider.min, found._slider.max, found._slider.step) == (1, 0.0, 1.0, 1.0)
+    found._toggle()
+    found.step()
+    assert found._play.label == "Play", "it is at its end at once"
+
+
+def test_what_a_person_moves_is_wished_for_and_what_the_run_moves_is_not(player: Player) -> None:
+    (moved,) = player._slider._impl.update_cb
+    player._slider.value = 0.5
+    moved(GuiEvent(client=None, client_id=None, target=player._slider))
+    player.step()
+    assert player.pictures == 1
+    person: Any = object()
+    moved(GuiEvent(client=person, client_id=1, target=player._slider))
+    player.step()
+    assert place(player, OBJECT) == pytest.approx(staged().motion.object[10, :3])
+
+
+def tell(handle: Any) -> None:
+    """What viser does when a person has changed a control."""
+    for told in handle._impl.update_cb:
+        told(GuiEvent(client=None, client_id=None, target=handle))
+
+
+def test_the_button_plays_and_pauses(player: Player) -> None:
+    tell(player._play)
+    assert (player._play.label, player._started is None) == ("Pause", False)
+    tell(player._play)
+    assert (player._play.label, player._started is None) == ("Play", True)
+
+
+def test_what_it_shows_is_explained_beside_it(player: Player, server: Server) -> None:
+    words = [getattr(handle, "content", "") for handle in server.gui._gui_input_handle_from_uuid.values()]
+    words += [
+        getattr(handle, "content", "") for handle in server.gui._container_handle_from_uuid["root"]._children.values()
+    ]
+    assert legend(staged().scene) in words
+
+
+def test_an_event_is_gone_to_and_nothing_is_no_event(player: Player, server: Server, clock: Clock) -> None:
+    assert player._go_to.options == (NOTHING, "0.50 s left: mode TRACK → HOLD")
+    assert player._go_to.visible
+    player._go_to._impl.value = "0.50 s left: mode TRACK → HOLD"
+    tell(player._go_to)
+    player.step()
+    assert place(player, OBJECT) == pytest.approx(staged().motion.object[10, :3])
+    player._go_to._impl.value = NOTHING
+    tell(player._go_to)
+    assert player._wanted_s is None
+    quiet = Player(server, Nodes(server, staged().scene, staged().camera(VIEW_PX)), staged(), [], clock)
+    assert not quiet._go_to.visible
+
+
+def test_errors_are_enlarged_by_the_control(player: Player) -> None:
+    player._errors._impl.value = "10 times"
+    tell(player._errors)
+    player.step()
+    apart = place(player, DESIRED) - place(player, OBJECT)
+    assert apart == pytest.approx(10.0 * (staged().placed.poses[DESIRED][0, :3] - staged().motion.object[0, :3]))
 
 
 def test_the_newest_wish_is_shown(player: Player) -> None:
