@@ -81,7 +81,7 @@ def run(
     from agent.process.real_arms import RealArms
     from agent.process.run import RunOptions, run_cell
     from agent.report.bounds import require_bounds
-    from agent.report.report import terminal_table
+    from agent.report.results_file import terminal_table
     from agent.telemetry.link.session import FREE_PORT
 
     requested = StopFlag()

@@ -14,11 +14,10 @@ from agent.process.children import Children, Progress, RunKind
 from agent.process.folder import LOG_NAME, RunError, output_folder
 from agent.process.real_arms import RealArms, RealChildren
 from agent.process.rehearse import require_wall_clock
-from agent.report.report import write_report, write_results
 from agent.report.results import Results
+from agent.report.results_file import write_results
 from agent.telemetry.link.session import FREE_PORT
 from agent.verify.check import examine
-from agent.view.film import still
 
 LIFT_M = 0.02  # of a cell without [session] that is asked for a whole one
 
@@ -97,6 +96,9 @@ def run_cell(options: RunOptions, stop: Callable[[], bool], progress: Progress) 
     page: Path | None = None
     with open_log(log) as opened:
         if options.report:
+            from agent.report.report import write_report  # noqa: PLC0415 - figures cost 0.3 s, and not every run has any
+            from agent.view.film import still  # noqa: PLC0415 - figures, too
+
             written = write_report(opened, out, still)
             page, results = written.html, written.results
         else:
