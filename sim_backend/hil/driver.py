@@ -141,8 +141,10 @@ class BridgeDriver:
         self.added, self.sent = self.coupling.addition, self._nothing
         if self._heard:
             self._asked[:] = tau_Nm
-        self.sent = self._real.write(tau_Nm + self.added)
-        self._twin.command(self._asked + self.coupling.on_twin, self._asked + self.coupling.lasting)
+        try:
+            self.sent = self._real.write(tau_Nm + self.added)
+        finally:  # also where the bus takes nothing
+            self._twin.command(self._asked + self.coupling.on_twin, self._asked + self.coupling.lasting)
         return self.sent
 
     @property

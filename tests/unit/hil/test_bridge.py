@@ -316,6 +316,8 @@ def test_what_the_bus_did_not_take_is_no_number_in_the_row() -> None:
     made = bridge(rig)
     cycle(made, rig)
     made._real.write = lambda _: (_ for _ in ()).throw(refusal(DriverError))  # type: ignore[method-assign]
+    commands = len(rig.twins)
     with pytest.raises(DriverError):
         made.write(TAU)
+    assert len(rig.twins) == commands + 1, "the twin is told all the same"
     assert np.isnan(made.sent).all()
