@@ -52,11 +52,19 @@ class Lab:
         self.folder, self.cell = folder, cell
         (folder / "cell.toml").write_bytes(cell.toml)
         self._started: list[subprocess.Popen[str]] = []
+
+    def begin(self) -> None:
+        """All processes, torque on.  Raises Stalled."""
         self.plant = self._start("plant", "--socket", "plant.sock", "--ring", "plant.ring", "--real-time")
         self._start("emulate", "--ports", ".")
         self.agents = [self._agent("left", "--port", "left"), self._agent("right", "--real-time")]
-        for agent in self.agents:
-            ready(agent)  # torque is on
+        try:
+            for agent in self.agents:
+                ready(agent)  # torque is on
+        except AssertionError as error:
+            if "the bus is not reliable" in str(error):
+                raise Stalled("emulated servos were too late at the start") from error
+            raise
 
     def _start(self, verb: str, *arguments: str) -> subprocess.Popen[str]:
         process = start(verb, "cell.toml", *arguments, cwd=self.folder)
@@ -95,6 +103,7 @@ def lab(folder: Path) -> Iterator[Lab]:
     cell = load_cell(configs.CELLS_DIR / "two_wx200.toml", ['hil.arms=["left"]'])
     made = Lab(folder, cell)
     try:
+        made.begin()
         yield made
     finally:
         made.close()
