@@ -39,6 +39,8 @@ class Measured:
     sag_m: float  # by how much the object fell below where it should be
     moved_rad: float  # by a joint of an arm with a fault, within the servos' watchdog time
     speed_rad_per_s: float  # of the fastest joint
+    others_rad_per_s: float  # of the fastest joint of an arm without a fault
+    fall_m_per_s: float  # of the object, downwards
     torque_share: float  # of the largest torque allowed, of the joint with the most
     apart_rad: float = 0.0  # of an arm in the loop and its twin, the joint with the most
 
@@ -62,6 +64,8 @@ class Measured:
             "sag_m": _rounded(self.sag_m),
             "moved_rad": _rounded(self.moved_rad),
             "speed_rad_per_s": _rounded(self.speed_rad_per_s),
+            "others_rad_per_s": _rounded(self.others_rad_per_s),
+            "fall_m_per_s": _rounded(self.fall_m_per_s),
             "torque_share": _rounded(self.torque_share),
             "apart_rad": _rounded(self.apart_rad),
         }
@@ -87,6 +91,8 @@ def measured(run: Rehearsal) -> Measured:
         sag_m=_sag(run, t, onset, first_stop),
         moved_rad=_moved(run, t, onset),
         speed_rad_per_s=_largest(np.array([np.abs(seen.dq).max() for _, seen in run.truth])[after]),
+        others_rad_per_s=_others(run, t, onset),
+        fall_m_per_s=_fall(run, t, onset),
         torque_share=max((_share(run.cell, name, arm, run, onset) for name, arm in run.arms.items()), default=0.0),
         apart_rad=max((_apart(run.cell, name, arm, run, onset) for name, arm in run.arms.items()), default=0.0),
     )
@@ -173,6 +179,24 @@ def _moved(run: Rehearsal, t: Vector, onset: float) -> float:
             most = max(most, float(np.abs(q[:, begin : begin + arm.n] - q[0, begin : begin + arm.n]).max()))
         begin += arm.n
     return most
+
+
+def _others(run: Rehearsal, t: Vector, onset: float) -> float:
+    """Speed of the fastest joint of the arms to which nothing was done."""
+    struck = {str(fault.arm) for fault in run.faults}
+    own = np.concatenate([np.full(arm.n, arm.name not in struck) for arm in run.cell.arms])
+    return _largest(np.abs(np.array([seen.dq for _, seen in run.truth])[t >= onset][:, own]).ravel())
+
+
+def _fall(run: Rehearsal, t: Vector, onset: float) -> float:
+    """Largest speed at which the object went down."""
+    after = t >= onset
+    if after.sum() < 2:
+        return 0.0
+    g = run.cell.gravity
+    down = g / np.linalg.norm(g) if g.any() else g
+    depth = np.array([seen.p_object for _, seen in run.truth]) @ down
+    return max(0.0, _largest(np.gradient(depth[after], t[after])))
 
 
 def _share(cell: Cell, name: str, arm: ArmRun, run: Rehearsal, onset: float) -> float:

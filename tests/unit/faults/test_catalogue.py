@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from agent.config.cell import load_cell
+from agent.config.servo_map import resting_joints
 from agent.faults import catalogue
 from agent.faults.catalogue import NODES, Row, rows
 from agent.faults.plan import placed
@@ -45,7 +46,7 @@ def test_the_runs_of_every_row_are_of_cells_arms_and_servos_that_are_there() -> 
             names = [arm.name for arm in cell.arms]
             assert set(shown.within.who) <= set(names), row.id
             for fault in placed(shown.faults, names):
-                ids = {i for servo in cell.arm(str(fault.arm)).servos for i in servo.ids}
+                ids = {i for joint in resting_joints(cell.arm(str(fault.arm)).file) for i in joint.ids}
                 assert fault.servo is None or fault.servo in ids, row.id
                 assert fault.possible.always or fault.at_s < shown.duration_s, row.id
             assert shown.within.described(), f"{row.id}: a run without a bound shows nothing"

@@ -22,11 +22,14 @@ GOOD = Measured(
     moved_rad=0.05,
     speed_rad_per_s=0.7,
     apart_rad=0.02,
+    others_rad_per_s=0.6,
+    fall_m_per_s=0.2,
     torque_share=0.9,
 )
 WITHIN = Within(
-    noticed_s=0.01, reacted_s=0.05, internal_N=2.0, sag_m=0.004, moved_rad=0.05, speed_rad_per_s=0.7, apart_rad=0.02
-)
+    noticed_s=0.01, reacted_s=0.05, internal_N=2.0, sag_m=0.004, moved_rad=0.05, speed_rad_per_s=0.7, apart_rad=0.02,
+    others_rad_per_s=0.6, fall_m_per_s=0.2,
+)  # fmt: skip
 
 
 def test_a_bound_itself_is_held() -> None:
@@ -46,6 +49,8 @@ def test_a_bound_itself_is_held() -> None:
         ({"moved_rad": 0.06}, "joints moved 0.06 rad, not ≤ 0.05"),
         ({"speed_rad_per_s": 0.8}, "fastest joint 0.8 rad/s, not ≤ 0.7"),
         ({"apart_rad": 0.03}, "arm and twin apart 0.03 rad, not ≤ 0.02"),
+        ({"others_rad_per_s": 0.61}, "the others' fastest joint 0.61 rad/s, not ≤ 0.6"),
+        ({"fall_m_per_s": 0.21}, "the object falls at 0.21 m/s, not ≤ 0.2"),
     ],
 )
 def test_each_bound_is_missed_by_itself(change: dict[str, object], text: str) -> None:
