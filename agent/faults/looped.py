@@ -87,6 +87,10 @@ class VirtualPlant:
         self._support = max(line.first_substep for line in lines)
         self._acting = np.zeros(self.physics.joint_count)
 
+    def observe(self) -> Observation:
+        """What is true at the last cycle."""
+        return self.physics.observe(self._acting)
+
     def next_ns(self) -> int:
         """Instant of the next state; soon, while nothing has started."""
         return self.zero_ns + (self.tick + 1) * self.period_ns
@@ -117,7 +121,7 @@ class VirtualPlant:
         self.reported = self.physics.reported()
         self.grasps.append(self.physics.grasp_torque())
         if self.tick % 2 == 0:
-            self.seen.append((self.zero_ns + self.tick * self.period_ns, self.physics.observe(self._acting)))
+            self.seen.append((self.zero_ns + self.tick * self.period_ns, self.observe()))
 
 
 class VirtualTwin:

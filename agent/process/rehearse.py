@@ -99,7 +99,7 @@ class BridgedRows:
     def commit(self) -> None:
         """Make the filled row visible to readers; never blocks."""
         driver = self._driver
-        self._row.fill_bridge(driver.sent, driver.added, driver.q_twin, driver.age_s)
+        self._row.fill_bridge(*driver.taken(), driver.q_twin, driver.age_s)
         self._sink.commit()
 
     def wait_for_space(self) -> None:

@@ -69,6 +69,7 @@ class BridgeDriver:
         self._joined = False  # the twin's torque is on
         self._nothing: Vector = np.full(len(settings.clamp_Nm), np.nan)
         self.sent, self.added = self._nothing, self.coupling.addition
+        self._wrote = False  # since `taken` was asked
         self._newest: TwinState | None = None
         self._fault: HilFault | None = None
         self._asked: Vector = np.zeros_like(settings.clamp_Nm)  # τ of the last cycle in which the real arm was heard
@@ -138,12 +139,19 @@ class BridgeDriver:
 
         Without a state of the real arm in this cycle the twin keeps the last τ, as servos that hear nothing do.
         """
-        self.added, self.sent = self.coupling.addition, self._nothing
+        self.added, self.sent, self._wrote = self.coupling.addition, self._nothing, True
         if self._heard:
             self._asked[:] = tau_Nm
-        self.sent = self._real.write(tau_Nm + self.added)
-        self._twin.command(self._asked + self.coupling.on_twin, self._asked + self.coupling.lasting)
+        try:
+            self.sent = self._real.write(tau_Nm + self.added)
+        finally:  # also where the bus takes nothing
+            self._twin.command(self._asked + self.coupling.on_twin, self._asked + self.coupling.lasting)
         return self.sent
+
+    def taken(self) -> tuple[Vector, Vector]:
+        """`sent` and `added` of this cycle; NaN and zeros of one in which nothing was written."""
+        wrote, self._wrote = self._wrote, False
+        return (self.sent, self.added) if wrote else (self._nothing, np.zeros_like(self.added))
 
     @property
     def real(self) -> Driver:

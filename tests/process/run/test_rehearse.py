@@ -35,7 +35,9 @@ START_NS = 2_500_000_000
 TRACK_S = 0.5  # before the plant is killed
 HOLD_CYCLES = 30  # after it
 PATIENCE_S = 20.0
-IN_TIME_S = 0.025  # from the plant's last state to HOLD
+IN_TIME_S = 0.025  # from the plant's end to HOLD
+IN_A_CYCLE_NS = 5_000_000
+LATE_S = 2e-3  # of a cycle, beyond which this machine stalls
 
 
 class Stalled(Exception):
@@ -50,11 +52,19 @@ class Lab:
         self.folder, self.cell = folder, cell
         (folder / "cell.toml").write_bytes(cell.toml)
         self._started: list[subprocess.Popen[str]] = []
+
+    def begin(self) -> None:
+        """All processes, torque on.  Raises Stalled."""
         self.plant = self._start("plant", "--socket", "plant.sock", "--ring", "plant.ring", "--real-time")
         self._start("emulate", "--ports", ".")
         self.agents = [self._agent("left", "--port", "left"), self._agent("right", "--real-time")]
-        for agent in self.agents:
-            ready(agent)  # torque is on
+        try:
+            for agent in self.agents:
+                ready(agent)  # torque is on
+        except AssertionError as error:
+            if "the bus is not reliable" in str(error):
+                raise Stalled("emulated servos were too late at the start") from error
+            raise
 
     def _start(self, verb: str, *arguments: str) -> subprocess.Popen[str]:
         process = start(verb, "cell.toml", *arguments, cwd=self.folder)
@@ -93,6 +103,7 @@ def lab(folder: Path) -> Iterator[Lab]:
     cell = load_cell(configs.CELLS_DIR / "two_wx200.toml", ['hil.arms=["left"]'])
     made = Lab(folder, cell)
     try:
+        made.begin()
         yield made
     finally:
         made.close()
@@ -129,7 +140,7 @@ def check_rows(cell: Cell, left: Any, right: Any) -> None:
     assert np.all(np.abs(sent - wanted)[taken] <= spec.torque_lsb_Nm)
     assert np.all(np.abs(added) <= hil.tau_share * spec.tau_max_Nm + 1e-12)
     assert np.abs(added).max() > 0.02, "the object's part was there"
-    assert np.abs(left["q_twin"] - left["q_measured"])[left["mode"] == Mode.TRACK, :n].max() < 0.05
+    assert np.nanmax(np.abs(left["q_twin"] - left["q_measured"])[left["mode"] == Mode.TRACK, :n]) < 0.05
     for name in ("tau_bridge", "q_twin", "twin_age_s"):
         assert not right[name].any(), "an arm that is not in the loop has none"
 
@@ -146,11 +157,11 @@ def test_an_arm_in_the_loop_says_what_was_added_and_holds_when_the_plant_is_kill
             continue
         check_rows(made.cell, left, right)
         held = np.flatnonzero(left["mode"] == Mode.HOLD)
-        before = left[held[0] - 1]
-        gap_s = (int(left["stamp_ns"][held[0]]) - killed_ns) * 1e-9
-        if gap_s > IN_TIME_S + float(before["late_s"]):
-            why = f"HOLD came {gap_s * 1e3:.0f} ms after the plant was killed"
+        between = left[(left["stamp_ns"] > killed_ns - IN_A_CYCLE_NS) & (left["mode"] == Mode.TRACK)]
+        if between["late_s"].max(initial=0.0) > LATE_S or np.isnan(between["q_measured"][:, 0]).any():
+            why = "cycles were late, or without a state, while the plant was killed"
             continue
+        assert (int(left["stamp_ns"][held[0]]) - killed_ns) * 1e-9 <= IN_TIME_S
         assert (left["mode"][held[0] :] == Mode.HOLD).all(), "nothing leads back to the motion"
         assert not left["tau_bridge"][-1].any(), "without a plant the addition is gone"
         return

@@ -316,6 +316,23 @@ def test_what_the_bus_did_not_take_is_no_number_in_the_row() -> None:
     made = bridge(rig)
     cycle(made, rig)
     made._real.write = lambda _: (_ for _ in ()).throw(refusal(DriverError))  # type: ignore[method-assign]
+    commands = len(rig.twins)
     with pytest.raises(DriverError):
         made.write(TAU)
+    assert len(rig.twins) == commands + 1, "the twin is told all the same"
     assert np.isnan(made.sent).all()
+
+
+def test_a_cycle_in_which_nothing_was_written_had_no_torque_and_no_addition() -> None:
+    """As of an arm whose servos' watchdog has fired: the loop asks no more, and its rows must not repeat the last."""
+    rig = Rig(plant=lambda ns: TwinState(ns, np.zeros(2), np.zeros(2), np.ones(2), np.ones(2)))
+    made = bridge(rig)
+    cycle(made, rig, 60)
+    sent, added = made.taken()
+    np.testing.assert_array_equal(sent, rig.sent[-1])
+    assert added.any()
+    sent, added = made.taken()
+    assert np.isnan(sent).all()
+    assert not added.any()
+    cycle(made, rig)
+    assert np.isfinite(made.taken()[0]).all()

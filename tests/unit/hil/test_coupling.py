@@ -13,7 +13,7 @@ from hypothesis.extra.numpy import arrays
 
 from drivers.interface import Vector
 from drivers.rehearsal import STIFFEST, frequency, loop_delay_s
-from sim_backend.hil.coupling import FADE_S, OBSERVER_PER_S, Coupling, Settings, TwinState
+from sim_backend.hil.coupling import FADE_S, LASTING_S, OBSERVER_PER_S, Coupling, Settings, TwinState
 
 T_NS, T = 5_000_000, 0.005
 W, Z = 20.0, 0.7
@@ -126,11 +126,14 @@ def test_a_cycle_without_a_state_leaves_the_twin_what_the_arm_does_otherwise_tha
     """The arm is pushed at by 0.1 N·m that its model does not know; then it is silent."""
     coupling, now = coupled()
     extra, dq, dq_t = np.array([0.1, 0.0]), np.zeros(2), np.zeros(2)
+    shares = []
     for _ in range(200):
         now += T_NS
+        shares.append(coupling.lasting[0] / extra[0])
         coupling.step(now, ZERO, dq, replace(twin(now), dq=dq_t), B)
         dq = dq + T * np.linalg.solve(B, extra + coupling.addition)
         dq_t = dq_t + T * np.linalg.solve(B, coupling.on_twin)
+    assert shares[round(LASTING_S / T)] == pytest.approx(1.0 - np.exp(-1.0), abs=0.15), "a mean of this length"
     coupling.unheard()
     np.testing.assert_allclose(coupling.on_twin, extra, atol=0.02)
     coupling.alone(now)

@@ -13,7 +13,7 @@ from agent.config.cell import Cell, ConfigError, load_cell
 from agent.config.schema.cell import DriverKind
 from agent.process.build import Connection, build_driver
 from agent.process.children import RunKind
-from agent.process.rehearse import driver_of, require_wall_clock, taken
+from agent.process.rehearse import driver_of, holds, require_wall_clock, taken
 from agent.process.run import RunOptions, run_cell
 from agent.process.simulated import lone_spec, plant_spec
 from agent.verify.check import CheckReport, examine
@@ -75,6 +75,20 @@ def test_each_arm_has_the_driver_that_hil_gives_it_and_no_other() -> None:
     for arm, asked in (("left", DriverKind.SIM), ("right", DriverKind.DYNAMIXEL)):
         with pytest.raises(ConfigError, match=f"driver of arm {arm}: found {asked.value}, .*by .hil."):
             driver_of(looped, arm, asked)
+
+
+def test_real_arms_and_their_simulated_partners_hold_and_nothing_does_that_is_emulated() -> None:
+    real, simulated = DriverKind.DYNAMIXEL, DriverKind.SIM
+    for given, kind, emulated, expected in (
+        (cell(LOOP), real, False, True),
+        (cell(LOOP), simulated, False, True),
+        (cell(LOOP), real, True, False),
+        (cell(LOOP), simulated, True, False),
+        (cell(), real, False, True),
+        (cell(), simulated, False, False),
+    ):
+        assert holds(given, kind, emulated=emulated, asked=None) is expected
+        assert holds(given, kind, emulated=emulated, asked=not expected) is not expected
 
 
 def test_a_rehearsal_in_lockstep_is_refused_before_anything_starts(tmp_path: Path) -> None:
