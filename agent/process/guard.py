@@ -33,7 +33,7 @@ from agent.loop import Agent
 from agent.modes import Mode
 from agent.monitors.watch import Watch
 from agent.operator.socket import ControlSocket, Standing
-from agent.process.agent import ArmLost
+from agent.process.agent import LOST_REMEDY, ArmLost
 from agent.process.build import Standby, build_agent, build_standby, port_of
 from agent.process.operated import Operator, tick_of
 from agent.process.schedule import AgentOptions, schedule_of
@@ -272,8 +272,9 @@ class _Guard:
         self._notifier.stopping("torque off")
         if summary.mode is Mode.FAULT:
             raise ArmLost(
-                f"arm {arm.name}", found=summary.reason, expected="a fresh state every cycle", remedy="see the log"
-            )
+                f"arm {arm.name}", found=summary.reason, expected="a fresh state every cycle",
+                remedy=LOST_REMEDY if self._session else "see the log",
+            )  # fmt: skip
         return summary
 
     def _around(
