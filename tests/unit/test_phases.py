@@ -15,6 +15,7 @@ from agent.modes import Mode
 from agent.operator.table import Verb
 from agent.replay.chain import Chain
 from drivers.interface import JointState
+from sim_backend.wire.faults import Fault, FaultKind
 from tests.support.servos.phase_rig import At, PhaseArm, PhaseRun, Step
 
 QUICK = [
@@ -230,3 +231,25 @@ def test_a_gripper_that_loses_the_object_is_noticed_and_both_arms_hold() -> None
     (said,) = rig.arms["left"].reasons
     assert said.startswith("the gripper lost the object")
     assert rig.world.holding == [False, True]  # who still has it keeps it
+
+
+def test_a_fault_that_lasts_holds_once_and_does_not_stop_the_way_back() -> None:
+    overload = Fault(kind=FaultKind.OVERLOAD, arm="left", servo=1)  # of the waist, which nobody moves in this cell
+    rig = PhaseRun(
+        CELL,
+        At.GRIPPED,
+        [
+            Step(READY, lambda rig: rig.injectors["left"].add([overload], rig.now_ns), None, 0.35),
+            Step(HOLD, nothing, None, 0.1, ("left",)),
+            Step(READY, Verb.STOP, HOLD, 0.0, ("right",)),
+            Step(HOLD, Verb.LOWER, LOWER),
+            Step(LOWER, Verb.RELEASE, RELEASE),
+            Step(RELEASE, nothing, None, 0.4),
+        ],
+        limit_s=4.0,
+    )
+    assert rig.finished
+    assert rig.way("left")[:-1] == [READY, HOLD, LOWER, RELEASE]
+    (said,) = rig.arms["left"].reasons
+    assert "servo 1 (waist)" in said
+    assert said.endswith("; way back: `coop lower`, `coop release`, `coop park`")
