@@ -6,6 +6,7 @@ All in virtual time; `tests/process/run/test_run_whole.py` has the processes.
 from __future__ import annotations
 
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,9 +14,9 @@ import pytest
 import configs
 from agent.config.cell import load_cell
 from agent.modes import Mode
-from agent.replay.chain import Chain
-from drivers.interface import JointState
 from tests.support.servos.whole_rig import WholeRun
+from tests.support.telemetry.run_log import write_run
+from tests.unit.replay.test_verify import verified
 
 QUICK = [
     "session.speed_max_rad_per_s=2.0", "session.back_off_m=0.04", "session.lift_m=0.015", "session.lift_s=1.0",
@@ -75,12 +76,11 @@ def test_no_torque_steps_in_any_phase_and_no_servo_is_overloaded() -> None:
         assert np.nanmax(np.abs(rows["dq_measured"][:, :n])) < 1.1 * bound
 
 
-def test_a_session_replays_bit_for_bit_from_its_rows() -> None:
-    run = whole().arms["left"]
-    chain = Chain(run.agent)
-    chain.start()
-    for row in run.rows:
-        state = JointState(int(row["stamp_ns"]), *(row[f][:3] for f in ("q_measured", "dq_measured", "tau_measured")))
-        memory, outcome = chain.pass_row(state, float(row["t"]), Mode(int(row["mode"])), int(row["flags"]))
-        assert np.array_equal(outcome.tau, row["tau_limited"][:3])
-        assert np.array_equal(memory.flatten(), row["memory"])
+def test_a_session_replays_bit_for_bit_from_its_log_and_by_one_zero_between_waits(tmp_path: Path) -> None:
+    rows = whole().arms["left"].rows
+    assert verified(write_run(tmp_path / "run.mcap", CELL, {"left": rows})).equal
+    carried = int(np.flatnonzero(rows["mode"] == Mode.LOWER)[10])
+    rows["t"][carried] += 1e-9
+    found = verified(write_run(tmp_path / "wrong.mcap", CELL, {"left": rows[carried - 5 : carried + 5]})).first
+    assert found is not None
+    assert (found.row, found.field) == (carried, "t")
