@@ -123,7 +123,7 @@ class Host:
     def wait(self, what: Callable[[], bool]) -> None:
         deadline = time.monotonic() + PATIENCE_S
         while not what():
-            assert time.monotonic() < deadline, (self.told(), (self.folder / "words").read_text())
+            assert time.monotonic() < deadline, "\n".join([*self.told(), (self.folder / "words").read_text()])
             time.sleep(0.02)
 
     def close(self) -> None:
