@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from agent import floats
 from agent.around import Beginning, LoopLog, RunSummary, Schedule, Surroundings
 from agent.control.memory import Memory
 from agent.cycles import WINDOW, Bus, Cycles
 from agent.loop import Agent, Outcome, afresh, blind, explained, hold_after, initial_memory, step, wait_here
-from agent.modes import TABLE, Event, Mode, next_mode
+from agent.modes import FLOATING, TABLE, Event, Mode, next_mode
 from agent.monitors.watch import Watch
 from agent.safety import Flag
 from agent.session import WAY_BACK, SessionLoop, entered, way_back
@@ -34,7 +35,7 @@ __all__ = ["Beginning", "LoopLog", "RunSummary", "Runner", "Schedule", "Surround
 
 NOT_YET_NS = 86_400_000_000_000  # the trajectory's zero while nobody has set it: a day ahead
 _TROUBLE = int(Flag.NOT_FINITE | Flag.SINGULAR | Flag.OFF_TRACK | Flag.UNEXPECTED)  # joining flags takes 1 µs
-_KEEPS = frozenset({Mode.HOLD, Mode.HALT})  # in which an arm stays until somebody says a word
+_KEEPS = frozenset({Mode.HOLD, Mode.HALT, Mode.STAND})  # in which an arm stays until somebody says a word
 _COMMANDING = frozenset(mode for mode, entry in TABLE.items() if entry.commands)
 
 
@@ -89,6 +90,11 @@ class Runner:
         if beginning is not None:
             self._mode, self._memory, self._zero_ns = beginning.mode, beginning.memory, beginning.zero_ns
             self._rows, self._reason, self._marks = beginning.rows, beginning.reason, beginning.marks
+
+    @property
+    def memory(self) -> Memory:
+        """What the next tick begins with."""
+        return self._memory
 
     def run(self, happened: Event = Event.ENABLED) -> RunSummary:
         """Run until the last tick, a release or a fault; leaves the torque as it is.
@@ -350,7 +356,11 @@ class Runner:
             if mode is Mode.READY:  # what was started before is over
                 self._session.await_start(self._around.start_ns())
                 self._zero_ns = self._clock.now_ns() + NOT_YET_NS
-        if self._agent.session is not None:
+        if self._agent.floating is not None and mode in FLOATING:
+            last = self._outcome if state is not None else None
+            seen = None if last is None else (last.q, last.dq)
+            self._memory = floats.entered(self._agent.floating, mode, self._memory, seen)
+        elif self._agent.session is not None:
             self._memory = entered(self._agent, mode, self._memory, self._outcome if state is not None else None)
         elif mode is Mode.HOLD and state is not None and self._outcome is not None:
             self._memory = hold_after(self._agent, self._outcome)

@@ -30,6 +30,7 @@ from agent.verify.plausible import plausibility
 from agent.verify.rehearsal import examine_rehearsal
 from agent.verify.robustness import Robustness, Walk, robustness
 from agent.verify.session import lives, session
+from agent.verify.watched import watched
 from agent.verify.ways import ways
 from drivers.interface import Vector
 
@@ -86,8 +87,8 @@ def examine(cell: Cell, *, wired: bool | None = None, thorough: bool | None = No
     """Examine the whole cell.  Raises ConfigError where nothing further can be computed (an unreachable grasp).
 
     wired: a rate that the servo buses of the cell cannot carry is refused, not only warned of; None: if servos move
-    the arms (`driver`).  thorough: how near bodies come and what reality may make of the cell are computed too, which
-    takes up to a second; None: if servos move the arms.
+    the arms (`driver`).  thorough: bounds of the monitors, how near bodies come and what reality may make of the cell
+    are computed too, which takes up to a second; None: if servos move the arms.
     """
     servos = cell.file.driver is DriverKind.DYNAMIXEL
     try:
@@ -115,6 +116,7 @@ def examine(cell: Cell, *, wired: bool | None = None, thorough: bool | None = No
         return CheckReport(tuple(findings), q_start)
     along = list(zip(*(p.q for p in paths), strict=True))
     scene = Scene(cell, models)
+    findings += watched(cell)
     findings += collisions(cell, models, [p.q for p in paths], instants.times, scene)
     findings += ways(cell, models, scene, of_arms, [p.q for p in paths], instants.times)
     found = robustness(Walk(cell, models, along, instants.times))
