@@ -40,6 +40,10 @@ from drivers.interface import Clock, Driver, DriverError, Refusal
 from sim_backend.hil.driver import BridgeDriver
 
 CLOCK_S = 1.0
+LOST_REMEDY = (
+    "support it and what it holds, lead the others back; once it has its supply again, fold it into its rest by hand "
+    "and start its agent again"
+)
 
 
 class ArmLost(DriverError):
@@ -121,8 +125,9 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             notifier.stopping("torque off")
     if summary.mode is Mode.FAULT:
         raise ArmLost(
-            f"arm {arm.name}", found=summary.reason, expected="a fresh state every cycle", remedy="see the log"
-        )
+            f"arm {arm.name}", found=summary.reason, expected="a fresh state every cycle",
+            remedy=LOST_REMEDY if options.whole else "see the log",
+        )  # fmt: skip
     return summary
 
 

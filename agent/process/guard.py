@@ -33,7 +33,7 @@ from agent.loop import Agent
 from agent.modes import Mode
 from agent.monitors.watch import Watch
 from agent.operator.socket import ControlSocket, Standing
-from agent.process.agent import ArmLost
+from agent.process.agent import LOST_REMEDY, ArmLost
 from agent.process.build import Standby, build_agent, build_standby, port_of
 from agent.process.operated import Operator, tick_of
 from agent.process.schedule import AgentOptions, schedule_of
@@ -272,8 +272,9 @@ class _Guard:
         self._notifier.stopping("torque off")
         if summary.mode is Mode.FAULT:
             raise ArmLost(
-                f"arm {arm.name}", found=summary.reason, expected="a fresh state every cycle", remedy="see the log"
-            )
+                f"arm {arm.name}", found=summary.reason, expected="a fresh state every cycle",
+                remedy=LOST_REMEDY if self._session else "see the log",
+            )  # fmt: skip
         return summary
 
     def _around(
@@ -285,7 +286,7 @@ class _Guard:
         servos = ServoTeller(driver, watched.texts, clock.utc_offset_ns, rate_hz)
         agent = self._options.agent
         operator = Operator(self._stop, control, clock, tell.event, drops_on_stop=not agent.hold, session=self._session)
-        fixed = {"pid": os.getpid(), "driver": agent.driver.value, "guard": HOLDS}
+        fixed = {"pid": os.getpid(), "driver": agent.driver.value, "guard": HOLDS, "session": self._session}
         if control is not None:
             control.standing.details = lambda: {**fixed, "tick": tick_of(watched.writer)}
         heart.mode(begins)

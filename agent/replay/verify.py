@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -253,25 +254,29 @@ def _index(a: NDArray[np.generic] | np.generic, b: NDArray[np.generic] | np.gene
 
 @dataclass(frozen=True, slots=True)
 class _Clock:
-    """Stamp and time of a row say the same of one another; from the first tick that follows on, by one zero."""
+    """Stamp and time of a row say the same of one another; between one wait in READY and the next by one zero."""
 
-    zero_ns: int | None  # on the driver's clock, once the trajectory has one
+    begins: NDArray[np.int64]  # sequence numbers, of the first rows of what is between two waits
+    zeros_ns: tuple[int, ...]  # on the driver's clock, by which each of these counts
 
     @classmethod
     def of(cls, table: Table) -> _Clock:
-        running = table[table["mode"] != Mode.READY]
-        zeros = Counter(_zeros(running["stamp_ns"], running["t"]))
-        return cls(zeros.most_common(1)[0][0] if zeros else None)
+        waits = table["mode"] == Mode.READY
+        edges = [*np.flatnonzero(np.diff(waits, prepend=True)).tolist(), len(waits)]
+        spans = [slice(k, end) for k, end in pairwise(edges) if not waits[k]]
+        zeros = [Counter(_zeros(table["stamp_ns"][span], table["t"][span])) for span in spans]
+        begins = np.array([table["sequence"][span.start] for span in spans], dtype=np.int64)
+        return cls(begins, tuple(zero.most_common(1)[0][0] for zero in zeros))
 
     def times(self, rows: Rows) -> list[float]:
         """The time (s) that each row should have."""
         zeros = _zeros(rows["stamp_ns"], rows["t"])
         ready = (rows["mode"] == Mode.READY).tolist()
         stamps = rows["stamp_ns"].tolist()
-        zero = self.zero_ns
+        spans = (np.searchsorted(self.begins, rows["sequence"], side="right") - 1).tolist()
         return [
-            (stamp - (own if waits or zero is None else zero)) * 1e-9
-            for stamp, own, waits in zip(stamps, zeros, ready, strict=True)
+            (stamp - (own if waits or span < 0 else self.zeros_ns[span])) * 1e-9
+            for stamp, own, waits, span in zip(stamps, zeros, ready, spans, strict=True)
         ]
 
 

@@ -14,7 +14,10 @@ import configs
 from agent.config.cell import load_cell
 from agent.modes import Mode
 from agent.operator.table import Verb
-from tests.support.servos.phase_rig import At, PhaseRun, Step
+from agent.replay.chain import Chain
+from drivers.interface import JointState
+from sim_backend.wire.faults import Fault, FaultKind
+from tests.support.servos.phase_rig import At, PhaseArm, PhaseRun, Step
 
 QUICK = [
     "session.speed_max_rad_per_s=2.0", "session.back_off_m=0.04", "session.lift_m=0.015", "session.lift_s=0.8",
@@ -42,6 +45,17 @@ def steps_are_bounded(rig: PhaseRun) -> None:
         n = arm.agent.model.n
         steps = np.abs(np.diff(arm.rows["tau_limited"][:, :n], axis=0))
         assert (steps <= np.array(arm.agent.limits.tau_step_max_Nm) + 1e-12).all()
+
+
+def replays(arm: PhaseArm) -> None:
+    """Every row of the agent follows from the one before it, bit for bit."""
+    chain, n = Chain(arm.agent), arm.agent.model.n
+    chain.restore(arm.rows[0])
+    for row in arm.rows:
+        state = JointState(int(row["stamp_ns"]), *(row[f][:n] for f in ("q_measured", "dq_measured", "tau_measured")))
+        memory, outcome = chain.pass_row(state, float(row["t"]), Mode(int(row["mode"])), int(row["flags"]))
+        assert np.array_equal(outcome.tau, row["tau_limited"][:n])
+        assert np.array_equal(memory.flatten(), row["memory"])
 
 
 def test_a_person_stops_before_the_grasp_and_on_the_way_home_and_goes_on_or_back() -> None:
@@ -104,6 +118,7 @@ def test_a_person_stops_at_the_object_and_nothing_is_dropped_and_a_start_of_befo
         assert rig.way(name)[:-1] == way
     down, up = deltas(rig, rig.step_ns[0], 10.0)
     assert max(down, up) < 1e-3  # it stood on the table all the time
+    replays(rig.arms["right"])
     assert rig.world.holding == [False, False]
     steps_are_bounded(rig)
 
@@ -180,6 +195,7 @@ def test_power_lost_by_one_arm_leaves_the_other_holding_and_all_come_back_with_i
     assert right.reasons == []
     down, _ = deltas(rig, rig.step_ns[1], 0.4)
     assert down < SAGS_M  # the other carries all of it
+    replays(left)
     rig.again([Step(REST, Verb.APPROACH, APPROACH), Step(APPROACH, nothing, None, 0.2)])
     assert rig.finished
     assert {name: rig.way(name)[:2] for name in rig.arms} == {name: [REST, APPROACH] for name in rig.arms}
@@ -218,3 +234,25 @@ def test_a_gripper_that_loses_the_object_is_noticed_and_both_arms_hold() -> None
     (said,) = rig.arms["left"].reasons
     assert said.startswith("the gripper lost the object")
     assert rig.world.holding == [False, True]  # who still has it keeps it
+
+
+def test_a_fault_that_lasts_holds_once_and_does_not_stop_the_way_back() -> None:
+    overload = Fault(kind=FaultKind.OVERLOAD, arm="left", servo=1)  # of the waist, which nobody moves in this cell
+    rig = PhaseRun(
+        CELL,
+        At.GRIPPED,
+        [
+            Step(READY, lambda rig: rig.injectors["left"].add([overload], rig.now_ns), None, 0.35),
+            Step(HOLD, nothing, None, 0.1, ("left",)),
+            Step(READY, Verb.STOP, HOLD, 0.0, ("right",)),
+            Step(HOLD, Verb.LOWER, LOWER),
+            Step(LOWER, Verb.RELEASE, RELEASE),
+            Step(RELEASE, nothing, None, 0.4),
+        ],
+        limit_s=4.0,
+    )
+    assert rig.finished
+    assert rig.way("left")[:-1] == [READY, HOLD, LOWER, RELEASE]
+    (said,) = rig.arms["left"].reasons
+    assert "servo 1 (waist)" in said
+    assert said.endswith("; way back: `coop lower`, `coop release`, `coop park`")

@@ -13,7 +13,7 @@ from agent.config.cell import load_cell
 from agent.control.memory import Memory, initial
 from agent.grip import GripPlan
 from agent.modes import Event, Mode
-from agent.session import SessionLoop, StartBound
+from agent.session import SessionLoop, StartBound, entered
 from drivers.interface import GripState
 
 CELL = load_cell(configs.CELLS_DIR / "two_wx200.toml", ["session.lift_m=0.02", "session.take_up_s=1.0"])
@@ -222,3 +222,43 @@ def test_an_arm_that_comes_back_has_arrived() -> None:
     loop = session(Hand())
     assert heard(loop, Mode.PARK, q_hold=GRASP, age=1.0) == Event.NONE
     assert heard(loop, Mode.PARK, q_hold=GRASP) == Event.ARRIVED
+
+
+@pytest.mark.parametrize("mode", [Mode.HOLD, Mode.RELEASE, Mode.HALT, Mode.READY, Mode.TRACK])
+def test_an_arm_that_is_not_seen_stands_where_it_is_seen_next_and_not_where_a_phase_of_before_began(mode: Mode) -> None:
+    before = memory(q_hold=GRASP, age=2.0)
+    after = entered(AGENT, mode, before, None)
+    assert (after.hold, after.q_hold, after.age) == (None, None, 0.0)
+
+
+def test_the_way_down_begins_at_the_pose_that_was_held() -> None:
+    before = memory(q_hold=GRASP, age=2.0)
+    after = entered(AGENT, Mode.LOWER, before, None)
+    assert (after.hold, after.age) == (before.hold, 0.0)
+
+
+def test_a_word_to_an_arm_that_does_not_answer_is_refused() -> None:
+    loop = session(Hand())
+    assert loop.judge(Mode.HOLD, Event.LOWER, memory(), seen=False) == Event.NONE
+    assert loop.reason == "lower: the arm does not answer; check its cable and its supply"
+    assert loop.not_yet(Event.LOWER) == loop.reason
+    assert loop.judge(Mode.HOLD, Event.LOWER, memory()) == Event.LOWER
+
+
+def test_a_guard_leads_back_and_begins_nothing() -> None:
+    loop = SessionLoop(AGENT, Hand(), PLAN, StartBound(0.02, 0.1), leads_back_only=True)
+    for mode, word in ((Mode.REST, Event.APPROACH), (Mode.HALT, Event.APPROACH), (Mode.APPROACH, Event.GRASP)):
+        assert loop.judge(mode, word, memory()) & word == Event.NONE
+        assert "the guard holds the arm in its agent's place and leads it back alone" in loop.reason
+    assert loop.judge(Mode.HOLD, Event.LOWER, memory()) == Event.LOWER
+    assert loop.judge(Mode.REST, Event.RELEASED, memory()) == Event.RELEASED
+
+
+def test_a_start_counts_once_and_only_for_the_ready_it_was_given_in() -> None:
+    loop = session(Hand())
+    loop.await_start(100)
+    assert not loop.counts(100, 50)
+    assert loop.counts(200, 50)
+    assert not loop.counts(40, 50)
+    assert loop.reason == "start: its instant passed before this arm was ready; start all arms again"
+    assert not loop.counts(None, 50)

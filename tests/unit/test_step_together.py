@@ -292,6 +292,8 @@ def test_an_aligned_arm_waits_with_the_shift_between_what_it_sees_and_what_the_c
     pose: Any = memory.hold
     assert memory.shift == between(pose[:3], pose[3:], *START)
     assert memory.shift != initial_memory(aligned).shift
+    held = wait_here(aligned, start(), initial_memory(aligned), Mode.HOLD)  # the way down counts from where it stood
+    assert (held.hold, held.shift) == (memory.hold, initial_memory(aligned).shift)
     blind = wait_here(aligned, start() * math.nan, initial_memory(aligned))
     for other in (
         wait_here(replace(aligned, alignment=None), start(), initial_memory(aligned)),

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from functools import cache
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,13 +16,13 @@ import configs
 from agent.config.cell import load_cell
 from agent.modes import Event, Mode
 from agent.operator.table import EVENT_OF
-from agent.replay.chain import Chain
 from agent.session_modes import next_in_session
 from drivers.dynamixel.servo.table import CONTINUOUS_SHARE
-from drivers.interface import JointState
 from tests.support.servos.whole_rig import WholeRun
+from tests.support.telemetry.run_log import write_run
 from tests.unit.docs.test_first_carry import SEEN
 from tests.unit.docs.test_first_carry import WORDS as SAID
+from tests.unit.replay.test_verify import verified
 
 QUICK = [
     "session.speed_max_rad_per_s=2.0", "session.back_off_m=0.04", "session.lift_m=0.015", "session.lift_s=1.0",
@@ -90,17 +91,6 @@ def test_no_servo_takes_more_current_over_the_session_than_the_cell_is_known_to_
         assert np.sort(shares)[-2] < CONTINUOUS_SHARE, "every other joint is within it"
 
 
-def test_a_session_replays_bit_for_bit_from_its_rows() -> None:
-    run = whole().arms["left"]
-    chain = Chain(run.agent)
-    chain.start()
-    for row in run.rows:
-        state = JointState(int(row["stamp_ns"]), *(row[f][:3] for f in ("q_measured", "dq_measured", "tau_measured")))
-        memory, outcome = chain.pass_row(state, float(row["t"]), Mode(int(row["mode"])), int(row["flags"]))
-        assert np.array_equal(outcome.tau, row["tau_limited"][:3])
-        assert np.array_equal(memory.flatten(), row["memory"])
-
-
 def test_the_words_of_docs_first_carry_in_their_order_lead_through_the_phases_that_it_says_are_seen() -> None:
     """The rig says the next word when all arms are ready for it; the rest is the doing of driver, servos and loop."""
     run = whole()
@@ -115,3 +105,13 @@ def test_the_words_of_docs_first_carry_in_their_order_lead_through_the_phases_th
     assert run.place is not None
     assert run.place[0] < 3e-3, "the object stays where it is"
     assert CELL.file.session is not None
+
+
+def test_a_session_replays_bit_for_bit_from_its_log_and_by_one_zero_between_waits(tmp_path: Path) -> None:
+    rows = whole().arms["left"].rows
+    assert verified(write_run(tmp_path / "run.mcap", CELL, {"left": rows})).equal
+    carried = int(np.flatnonzero(rows["mode"] == Mode.LOWER)[10])
+    rows["t"][carried] += 1e-9
+    found = verified(write_run(tmp_path / "wrong.mcap", CELL, {"left": rows[carried - 5 : carried + 5]})).first
+    assert found is not None
+    assert (found.row, found.field) == (carried, "t")

@@ -65,6 +65,7 @@ class Host:
         self.manager = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self.manager.bind(str(folder / "notify"))
         self.kept: int | None = None
+        self.cell: str | Path = "two_wx200"
 
     def start(
         self, *arguments: str | Path, prefix: tuple[str, ...] = (), program: tuple[str, ...] = COOP, **more: str
@@ -84,7 +85,7 @@ class Host:
 
     def guard(self, *more: str, prefix: tuple[str, ...] = ()) -> subprocess.Popen[str]:
         return self.start(
-            "guard", "two_wx200", "--arm", "left", "--port", self.folder / "ports/left", "--emulated",
+            "guard", self.cell, "--arm", "left", "--port", self.folder / "ports/left", "--emulated",
             "--driver", "dynamixel", "--socket", self.folder / "left.guard", "--control", self.folder / "left.control",
             "--post-mortem", self.folder / "post_mortem", *more,
             prefix=prefix, NOTIFY_SOCKET=str(self.folder / "notify"),
@@ -92,7 +93,7 @@ class Host:
 
     def agent(self, *more: str, program: tuple[str, ...] = COOP) -> subprocess.Popen[str]:
         process = self.start(
-            "agent", "two_wx200", "--arm", "left", "--port", self.folder / "ports/left", "--emulated", "--driver",
+            "agent", self.cell, "--arm", "left", "--port", self.folder / "ports/left", "--emulated", "--driver",
             "dynamixel", "--guard", self.folder / "left.guard", "--control", self.folder / "left.control",
             "--ring", self.ring, *more, program=program,
         )  # fmt: skip
@@ -122,7 +123,7 @@ class Host:
     def wait(self, what: Callable[[], bool]) -> None:
         deadline = time.monotonic() + PATIENCE_S
         while not what():
-            assert time.monotonic() < deadline, (self.told(), (self.folder / "words").read_text())
+            assert time.monotonic() < deadline, "\n".join([*self.told(), (self.folder / "words").read_text()])
             time.sleep(0.02)
 
     def close(self) -> None:
@@ -234,3 +235,37 @@ def test_an_agent_that_is_asked_to_end_leaves_the_hold_to_its_guard(host: Host) 
     assert released.returncode == 0, released.stderr
     assert guard.wait(PATIENCE_S) == 0
     assert not (host.folder / "post_mortem").exists(), "nothing has failed"
+
+
+@pytest.mark.realtime
+def test_an_agent_of_a_session_that_dies_on_its_way_is_parked_by_its_guard(tmp_path: Path) -> None:
+    host = Host(tmp_path)
+    host.cell = tmp_path / "cell.toml"
+    text = (configs.CELLS_DIR / "two_wx200.toml").read_text()
+    host.cell.write_text(f"{text}\n[session]\nspeed_max_rad_per_s = 1.0\nease_s = 0.5\n")
+    try:
+        host.start("emulate", host.cell, "--whole", "--ports", tmp_path / "ports")
+        guard = host.guard("--hold")
+        agent = host.agent("--whole")
+        assert say(host, "approach") == "", "\n".join(host.told()) + (tmp_path / "words").read_text()
+        host.wait(lambda: (host.rows()["mode"] == Mode.APPROACH).sum() > SOME_ROWS)
+        agent.kill()
+        host.wait(lambda: (host.rows()["mode"] == Mode.HALT).sum() > SOME_ROWS)
+        assert (host.rows()["tau_object"][-1][:3] == 0.0).all(), "it holds nothing"
+        assert "the guard holds the arm in its agent's place and leads it back alone" in say(host, "approach")
+        assert say(host, "park") == ""
+        host.wait(lambda: host.rows()["mode"][-1] == Mode.REST)
+        assert say(host, "release") == ""
+        assert guard.wait(PATIENCE_S) == 0
+    finally:
+        host.close()
+
+
+def say(host: Host, word: str) -> str:
+    """What is answered to a word that is refused; it is said again while the arm is not done."""
+    for _ in range(40):
+        done = coop(word, host.cell, "--control", host.folder / "left.control", cwd=host.folder)
+        if "wait for it" not in done.stderr:
+            break
+        time.sleep(0.1)
+    return "" if done.returncode == 0 else done.stderr

@@ -12,8 +12,11 @@ from agent.cli.main import app
 from agent.modes import FLOATING, Mode
 from agent.operator.guide import STEPS
 from agent.operator.table import Verb
+from tests.support.servos.phase_rig import At, PhaseRun, Step
+from tests.unit.test_phases import CELL as QUICK
 
 PAGE = (Path(__file__).parents[3] / "docs/first-carry.md").read_text()
+INLINE = re.findall(r"`coop ([^`]+)`", PAGE)
 COMMANDS = re.findall(r"^    coop (.+)$", PAGE, re.MULTILINE)
 WORDS = [Verb(c.split()[0]) for c in COMMANDS if c.split()[0] in set(Verb)]
 SEEN = [
@@ -22,7 +25,7 @@ SEEN = [
 ]
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("command", sorted({*COMMANDS, *(text for text in INLINE if "CELL" in text)}))
 def test_every_command_of_the_page_is_one(command: str) -> None:
     words = command.replace("CELL", "two_wx200").split()
     found = typer.main.get_command(app).commands[words[0]]  # type: ignore[attr-defined]
@@ -41,3 +44,29 @@ def test_the_guide_has_a_line_for_every_mode_and_names_the_word_that_comes_next(
         (Mode.REST, Mode.APPROACH, Mode.READY, Mode.HOLD, Mode.LOWER, Mode.RELEASE), WORDS, strict=False
     ):
         assert f"coop {verb.value} CELL" in STEPS[before].do
+
+
+def test_two_hosts_say_the_same_words_by_themselves_and_share_but_two_instants() -> None:
+    """Left and right are told apart from each other, as the page has it; start and lower come at one instant."""
+    left, right, both = ("left",), ("right",), ("left", "right")
+    rig = PhaseRun(
+        QUICK,
+        At.GRASP,
+        [
+            Step(Mode.APPROACH, Verb.GRASP, Mode.READY, arms=left),
+            Step(Mode.APPROACH, Verb.GRASP, Mode.READY, arms=right),  # once the first one is READY
+            Step(Mode.READY, Verb.START, Mode.TRACK, 0.35, arms=both),
+            Step(Mode.TRACK, Verb.STOP, Mode.HOLD, 0.7, arms=right),
+            Step(Mode.TRACK, Verb.STOP, Mode.HOLD, 0.05, arms=left),
+            Step(Mode.HOLD, Verb.LOWER, Mode.LOWER, 0.1, arms=both),
+            Step(Mode.LOWER, Verb.RELEASE, Mode.RELEASE, 0.6, arms=right),
+            Step(Mode.RELEASE, Verb.PARK, Mode.PARK, 0.1, arms=right),  # while the other one still holds
+            Step(Mode.LOWER, Verb.RELEASE, Mode.RELEASE, arms=left),
+            Step(Mode.RELEASE, Verb.PARK, Mode.PARK, arms=left),
+        ],
+        limit_s=12.0,
+    )
+    assert rig.finished
+    assert {name: arm.reasons for name, arm in rig.arms.items()} == {"left": [], "right": []}
+    assert rig.world.set_down_error()[0] < 3e-3
+    assert rig.world.holding == [False, False]

@@ -11,7 +11,6 @@ from agent.log.chunk import LIBRARY
 from agent.log.file import LogFileError
 from agent.log.read import LogError, read_log
 from agent.log.recover import recover, repair_leftovers
-from agent.log.scan import LIBRARY
 from tests.support.telemetry.log_maker import LogMaker, make_log
 
 

@@ -301,3 +301,57 @@ def test_a_law_that_gave_nothing_is_watched_too() -> None:
     for _ in range(300):
         for mode in (Mode.READY, Mode.TRACK, Mode.HOLD):
             assert watch.after(state, outcome._replace(terms=None), mode, health) == ""
+
+
+# --- of a session ----------------------------------------------------------------------------------------------------
+
+CARRIES, WAITS, BACK = (
+    [Mode.APPROACH, Mode.GRASP],
+    [Mode.REST, Mode.HALT, Mode.HOLD],
+    [Mode.LOWER, Mode.RELEASE, Mode.PARK],
+)
+IN_EVERY_MODE = [Name.SPEED, Name.POWER, Name.POSITION, Name.SATURATED, Name.LOAD, Name.TEMPERATURE, Name.VOLTAGE]
+
+
+def met(name: Name, mode: Mode) -> tuple[str, list[str]]:
+    """What stops the arm, and what is told, of a fault that is beyond the bounds of every mode."""
+    fed, _ = FAULTS[name]
+    told: list[str] = []
+    beyond = replace(fed, mode=mode, dq=10.0 * fed.dq, q=3.0 * fed.q)
+    return beyond.run(usual(), told.append), told
+
+
+@pytest.mark.parametrize("name", IN_EVERY_MODE)
+@pytest.mark.parametrize("mode", [*CARRIES, *WAITS, *BACK])
+def test_an_arm_of_a_session_is_watched_in_every_mode_and_brought_home_in_spite_of_heat(name: Name, mode: Mode) -> None:
+    said, told = met(name, mode)
+    stops = mode in CARRIES or (mode in BACK and name in (Name.SPEED, Name.POWER))
+    assert said.startswith(f"monitor {name}") == stops
+    assert bool(told) != stops
+
+
+@pytest.mark.parametrize("mode", [Mode.REST, Mode.APPROACH, Mode.GRASP, Mode.PARK, Mode.HALT])
+def test_an_arm_that_holds_nothing_has_no_object_to_lose(mode: Mode) -> None:
+    assert met(Name.WORKSPACE, mode) == ("", [])
+    assert met(Name.GRAVITY, mode) == ("", [])
+
+
+def test_an_arm_that_holds_nothing_may_go_as_fast_as_the_session_and_lie_as_near_to_its_stops_as_it_rests() -> None:
+    own = load_cell(
+        configs.CELLS_DIR / "two_wx200.toml", ["session.speed_max_rad_per_s=1.5", "session.off_max_rad=0.1"]
+    )
+    b, carried = bounds(own, own.arms[0]), usual()
+    alone = b.speed_alone_rad_per_s[1]
+    assert alone == pytest.approx(usual().speed_alone_rad_per_s[1] + 1.5 - 0.6)
+    assert alone > b.speed_rad_per_s[1]
+    assert Fed(dq=alone, mode=Mode.APPROACH).run(b) == ""
+    assert "speed of elbow" in Fed(dq=alone + JUST, mode=Mode.APPROACH).run(b)
+    rest = own.arms[0].file.sleep_rad["shoulder"]
+    (low, _), (low_carried, _) = b.position_alone_rad[0], b.position_rad[0]
+    assert low == pytest.approx(min(low_carried, rest - 0.1))
+    assert low < low_carried
+    here = float(examine(cell()).q_start[0][0])
+    assert Fed(q=low - here, mode=Mode.APPROACH).run(b) == ""
+    assert "position of shoulder" in Fed(q=low - here - JUST, mode=Mode.APPROACH).run(b)
+    assert "position of shoulder" in Fed(q=low - here, mode=Mode.TRACK).run(b)
+    assert carried.position_alone_rad == carried.position_rad  # without a session there is no rest
