@@ -22,6 +22,7 @@ from drivers.interface import Vector
 
 WINDOW_S = 0.5
 WINDOWS = 2  # in a row: a hand that lets go, or an arm that sinks into its hold, is over by then
+REST_S = WINDOW_S * WINDOWS + 0.1  # after so long at rest it has judged
 _FORCES = 3
 _COMPONENTS = ("along x", "along y", "along z", "about x", "about y", "about z")
 STILL_RAD_PER_S = 0.05  # in the mean over a window

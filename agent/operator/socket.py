@@ -50,8 +50,16 @@ class Standing:
     mode: Mode = Mode.OFF
     reason: str = ""  # of a hold or a fault
     no_start: Mapping[str, str] | None = None  # found, expected, remedy: why this agent starts nothing in any mode
+    rest_s: float = 0.0  # of READY before a start, in which the torque at rest is looked at
+    ready_utc_ns: int = 0  # since when it is READY
     session: Callable[[Event], str] | None = None  # why such an event counts for nothing now; None: there is no session
     details: Callable[[], Mapping[str, Any]] = dict  # asked for with each answer
+
+    def enter(self, mode: Mode) -> None:
+        """It is in that mode from now on."""
+        if mode is Mode.READY:
+            self.ready_utc_ns = time.time_ns()
+        self.mode = mode
 
 
 class ControlSocket:
@@ -150,6 +158,12 @@ class ControlSocket:
             return self._refused("a start that has passed", "a start in the future", "start all arms again, later")
         if self.standing.no_start is not None:
             return self._refused(**self.standing.no_start)
+        rest_s, least_s = 1e-9 * (request.start_utc_ns - self.standing.ready_utc_ns), self.standing.rest_s
+        if rest_s < least_s:
+            return self._refused(
+                f"a start {rest_s:.1f} s after READY", f"{least_s:g} s, in which the torque at rest is seen",
+                "start all arms again, later",
+            )  # fmt: skip
         return None
 
     def _take(self, request: Request) -> None:

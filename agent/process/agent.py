@@ -20,6 +20,7 @@ from agent.host.notify import Notifier
 from agent.host.realtime import become_realtime, granted, quiet_memory
 from agent.host.signals import StopFlag
 from agent.modes import TABLE, Event, Mode
+from agent.monitors.gravity import REST_S
 from agent.monitors.watch import Watch
 from agent.operator.socket import ControlSocket, Standing
 from agent.process.build import build_agent, build_driver, passed_on
@@ -96,7 +97,7 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
                 operator.clock = ClockWatch(clock.now_ns, operator.hold, max(1, round(CLOCK_S * cell.file.rate_hz)))
             if control is not None:
                 _stand(standing, options, operator, ring, tell, cell.file.rate_hz, guard)
-                standing.mode = begins
+                standing.enter(begins)
             ready("torque=on")
             if guard is not None:
                 fds, told = passed_on(driver)
@@ -211,4 +212,6 @@ def _stand(
         }
 
     standing.details = details
-    standing.mode = Mode.READY
+    if options.driver is DriverKind.DYNAMIXEL and not options.connection.emulated:
+        standing.rest_s = REST_S
+    standing.enter(Mode.READY)

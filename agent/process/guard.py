@@ -246,7 +246,9 @@ class _Guard:
         with ExitStack() as stack:
             stack.callback(watched.texts.finish)
             stack.callback(watched.writer.finish)
-            tell.event(Level.INFO if reason == HANDED_OVER else Level.ERROR, f"{reason}: the guard holds the arm")
+            since = {"last_row_s": round(1e-9 * (clock.now_ns() - int(rows[-1]["stamp_ns"])), 6)} if len(rows) else {}
+            level = Level.INFO if reason == HANDED_OVER else Level.ERROR
+            tell.event(level, f"{reason}: the guard holds the arm", **since)
             standing = Standing(arm.name, Mode.HOLD, reason)
             control = ControlSocket(options.control, self._cell.fingerprint, standing) if options.control else None
             if control is not None:

@@ -139,7 +139,7 @@ class Operator:
 
     def mode(self, mode: Mode) -> None:
         """The arm's mode has changed."""
-        self._standing.mode = mode
+        self._standing.enter(mode)
         if self._session:
             if mode is not Mode.HOLD and mode is not Mode.HALT:
                 self._standing.reason = ""

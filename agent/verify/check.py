@@ -25,7 +25,7 @@ from agent.verify.collision import Scene, collisions
 from agent.verify.finding import Finding, Verdict, judged
 from agent.verify.force import internal_force
 from agent.verify.margin import Damping, damping, places, sampled_loop
-from agent.verify.noticing import noticed
+from agent.verify.noticing import noticed, rested
 from agent.verify.plausible import plausibility
 from agent.verify.rehearsal import examine_rehearsal
 from agent.verify.robustness import Robustness, Walk, robustness
@@ -108,7 +108,8 @@ def examine(cell: Cell, *, wired: bool | None = None, thorough: bool | None = No
         findings += _arm_findings(cell, arm, path)
         paths.append(path)
     of_arms = lives(cell)
-    findings += [*plausibility(cell), *internal_force(cell, models), *noticed(cell), *session(cell, of_arms)]
+    findings += [*plausibility(cell), *internal_force(cell, models), *noticed(cell), *rested(cell)]
+    findings += session(cell, of_arms)
     findings += buses(cell, q_start, wired=servos if wired is None else wired)
     findings += _stability(cell, models, paths)
     findings += examine_rehearsal(cell, models, [p.q for p in paths], instants.times)

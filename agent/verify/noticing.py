@@ -1,10 +1,26 @@
-"""From which unexpected wrench on the arms of a cell they hold, as a finding."""
+"""From which unexpected wrench on the arms of a cell they hold, and whether they are looked at before, as findings."""
 
 from __future__ import annotations
 
 from agent.config import noticing
 from agent.config.cell import Cell, ConfigError
+from agent.config.schema.cell import DriverKind
+from agent.monitors.bounds import Name
+from agent.monitors.gravity import WINDOW_S, WINDOWS
 from agent.verify.finding import Finding, Verdict
+
+
+def rested(cell: Cell) -> list[Finding]:
+    """Whether the torque at rest is looked at before the motion, and where not, why; nothing where nobody is to."""
+    file = cell.file
+    if Name.GRAVITY in file.safety.monitors.off:
+        return []
+    what, ready_s, least_s = "torque at rest before the motion", file.simulation.ready_s, WINDOW_S * WINDOWS
+    if file.driver is DriverKind.SIM and ready_s < least_s:
+        return [
+            Finding(what, "cell", f"not looked at: simulated arms are READY for {ready_s:g} s alone", f"{least_s:g} s")
+        ]
+    return [Finding(what, "cell", "looked at while READY", f"{least_s:g} s")]
 
 
 def noticed(cell: Cell) -> list[Finding]:

@@ -33,9 +33,12 @@ OBSERVED = load_cell(configs.CELLS_DIR / "paper.toml", ['controller.velocity="ob
         ((0.0, 0.0, 1.4), (0.0, 0.0, -1.6), BOUND, LAW, BRAKE),  # and it cannot
         ((0.0, 0.0, 1.4), (0.0, 0.0, -1.5), BOUND, LAW, LAW),
         ((0.0, 0.0, 1.4), (0.0, 0.0, 1.6), BOUND, JOINTS, BRAKE),
+        ((0.0, 0.0, 1.4), (0.0, 0.0, 1.6), (0.0, -0.999 * 3.0, 0.0), LAW, BRAKE),
         ((0.0, -0.6, 0.0), (0.0, -0.09, 0.0), FREE, LAW, BRAKE),  # imagined
         ((0.0, -0.6, 0.0), (0.0, -0.11, 0.0), FREE, LAW, LAW),
         ((0.0, -0.6, 0.0), (0.0, 0.2, 0.0), FREE, LAW, BRAKE),
+        ((0.0, 0.5, 0.0), (0.0, 0.0, 0.0), FREE, LAW, LAW),
+        ((0.0, -0.6, 0.0), (0.0, 0.6, 0.0), FREE, LAW, LAW),
         ((0.0, -0.2, 0.0), (0.0, 0.6, 0.0), FREE, LAW, LAW),  # pushed the other way
         ((0.0, -0.6, 0.0), (0.0, 0.0, 0.0), FREE, JOINTS, JOINTS),  # whose gains are not the law's
         ((0.0, 0.29, 0.0), (0.0, 9.0, 0.0), BOUND, BRAKE, JOINTS),
@@ -49,6 +52,10 @@ def test_a_hold_brakes_for_speed_where_it_is_overpowered_and_where_it_imagines_o
 ) -> None:
     memory = initial(3)._replace(calm=before, tau=np.array(tau))
     assert kept(np.array(believed), np.array(measured), memory, BOUNDS, ABOVE) == after
+
+
+def test_what_a_log_says_of_a_hold_keeps_its_meaning() -> None:
+    assert (LAW, BRAKE, JOINTS) == (0, 1, 2)
 
 
 def test_a_brake_begins_with_the_speed_that_the_servos_see() -> None:

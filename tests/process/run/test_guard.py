@@ -20,6 +20,7 @@ import pytest
 import configs
 from agent.config.cell import load_cell
 from agent.guard.line import AgentEnd, GuardError, Word
+from agent.guard.takeover import EMULATED_STALE_NS
 from agent.log.read import read_log
 from agent.modes import Mode
 from agent.telemetry.ring.ring import RingReader
@@ -114,11 +115,14 @@ class Host:
             assert reader.writer_alive or reader.finished, "no reader ever finds the ring without a writer"
             return np.frombuffer(reader.read_at(0, reader.written).payload, AGENT_STATE.dtype)
 
-    def told(self) -> list[str]:
+    def events(self) -> list[Event]:
         reader = TextReader(self.ring)
-        found = [Event.from_json(text).text for kind, text in reader.read_new() if kind is Kind.EVENT]
+        found = [Event.from_json(text) for kind, text in reader.read_new() if kind is Kind.EVENT]
         reader.close()
         return found
+
+    def told(self) -> list[str]:
+        return [event.text for event in self.events()]
 
     def wait(self, what: Callable[[], bool]) -> None:
         deadline = time.monotonic() + PATIENCE_S
@@ -158,7 +162,10 @@ def check_taken_over(
     before = len(host.rows())
     host.wait(lambda: agent.poll() == code)
     host.wait(lambda: len(host.rows()) > before + SOME_ROWS and len(of_hold(host.rows())) > SOME_ROWS)
-    assert any(text.startswith(cause) and text.endswith("the guard holds the arm") for text in host.told())
+    (taken,) = [event for event in host.events() if event.text.endswith("the guard holds the arm")]
+    assert taken.text.startswith(cause)
+    hung = cause == "the agent hung"
+    assert 0.0 <= taken.data["last_row_s"] <= 0.2 + hung * EMULATED_STALE_NS * 1e-9, "how old the agent's last row was"
     released = coop("release", "two_wx200", "--control", host.folder / "left.control", cwd=host.folder)
     assert released.returncode == 0, released.stderr
     assert guard.wait(PATIENCE_S) == 0

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
+from agent.log.read import read_log
 from tests.support.systemd.machine import Machine, booted, missing
 from tests.support.systemd.unit_files import OPTIONAL, SIMULATED, SYSTEMD, install
 from tests.support.telemetry.cell_certificates import fill_in, make_certificates
@@ -127,6 +128,9 @@ def test_a_killed_recorder_comes_back_and_a_killed_agent_does_not(tmp_path: Path
         with cut.open("rb") as file:
             summary = make_reader(file).get_summary()
         log = completeness(after)
+        died = [e for e in read_log(after).events if e.text == "the agent has died: the guard holds the arm"]
+    assert [event.source for event in died] == ["left"]
+    assert 0.0 <= died[0].data["last_row_s"] <= 0.2, "by the guard's own clock: the last row of the agent is so old"
     assert summary is not None, "the log that was cut short has been repaired"
     assert summary.statistics is not None
     assert summary.statistics.message_count > 100

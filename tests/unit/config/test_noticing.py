@@ -11,7 +11,7 @@ from agent.config import coordination, noticing
 from agent.config.cell import Cell, ConfigError, load_cell
 from agent.config.noticing import derived, thresholds
 from agent.control.residual import Channels
-from agent.verify.noticing import noticed
+from agent.verify.noticing import noticed, rested
 
 # largest channels over realities without a fault
 SEEN = {
@@ -120,3 +120,17 @@ def test_check_says_them() -> None:
     assert "partly given" in noticed(cell("paper_real", "safety.noticing.fast_N=7.0"))[0].found
     assert "(given)" in noticed(cell("paper_real", *(f"safety.noticing.{x}" for x in TYPED)))[0].found
     assert noticed(cell("paper")) == []
+
+
+@pytest.mark.parametrize(
+    ("settings", "found"),
+    [
+        (("simulation.ready_s=0.99",), "not looked at: simulated arms are READY for 0.99 s alone"),
+        (("simulation.ready_s=1.0",), "looked at while READY"),
+        (('driver="dynamixel"', "simulation.ready_s=0.0"), "looked at while READY"),
+        (('safety.monitors.off=["gravity"]',), None),
+    ],
+)
+@pytest.mark.fault("G6")
+def test_the_check_says_where_the_torque_at_rest_is_not_looked_at(settings: tuple[str, ...], found: str | None) -> None:
+    assert [finding.found for finding in rested(cell("paper_real", *settings))] == ([] if found is None else [found])

@@ -11,6 +11,7 @@ import struct
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
@@ -120,6 +121,21 @@ def test_an_agent_that_starts_nothing_says_why(control: ControlSocket, path: Pat
     answer = answer_to(control, path, start(prepare=True))
     assert (answer["ok"], answer["found"], answer["remedy"]) == (False, "SCHED_OTHER", "give --priority")
     assert answer_to(control, path, {"verb": "stop"})["ok"] is True
+
+
+@pytest.mark.fault("G6")
+def test_a_start_waits_until_the_torque_at_rest_has_been_looked_at(control: ControlSocket, path: Path) -> None:
+    control.standing.enter(Mode.HOLD)
+    assert control.standing.ready_utc_ns == 0
+    control.standing.rest_s = 1.1
+    control.standing.enter(Mode.READY)
+    assert abs(control.standing.ready_utc_ns - time.time_ns()) < 10**9
+    control.standing.ready_utc_ns = LATER_NS - 1_050_000_000
+    answer = answer_to(control, path, start(prepare=True))
+    assert (answer["ok"], answer["found"]) == (False, "a start 1.1 s after READY")
+    assert answer["expected"] == "1.1 s, in which the torque at rest is seen"
+    control.standing.ready_utc_ns -= 50_000_000
+    assert answer_to(control, path, start())["ok"] is True
 
 
 @pytest.mark.parametrize("verb", ["stop", "release"])

@@ -208,6 +208,8 @@ def test_only_a_real_arm_without_real_time_refuses_a_start_unless_that_is_allowe
         agent._stand(standing, options, rig.operator, ring, teller, 200.0, None)
         assert standing.mode is Mode.READY
         assert (standing.no_start is None) is starts
+        assert standing.rest_s == (1.1 if kind is DriverKind.DYNAMIXEL and not emulated else 0.0)
+        assert standing.ready_utc_ns > 0
         assert standing.details()["tick"]["cycles"] == 0
     assert standing.no_start is None or "--allow-no-realtime" in standing.no_start["remedy"]
     ((text, data),) = told
