@@ -33,6 +33,7 @@ from tests.soak.watch import say
 CELLS: Final = "paper_real,two_wx200,two_models,three_wx250s"
 DURATION_S: Final = 3.0
 STRAINED_N: Final = 10.0
+OBSERVERS: Final = ((0.01, 0.08, 0.3), (0.4, 0.5, 6.0))  # least and most: of position, of velocity, and the slope
 QUIET: Final = ("safety.noticing.enabled=false", f"safety.monitors.off={[name.value for name in Name]}")
 
 
@@ -62,12 +63,16 @@ def changed(name: str, rng: np.random.Generator) -> tuple[Cell, str]:
     spec = load_cell(Path(name)).file
     k_p, k_eps, k_v, k_w = np.exp(rng.uniform(np.log(0.5), np.log((1.6, 1.6, 2.0, 2.0)))).tolist()
     ratio = rng.uniform(0.5, 1.0)
+    share_q, share_dq, slope = np.exp(rng.uniform(*np.log(OBSERVERS))).tolist()
     law = spec.controller
     gains = {
         "controller.k_p_per_s": scaled(law.k_p_per_s, k_p),
         "controller.k_eps_rad_per_s": scaled(law.k_eps_rad_per_s, k_eps),
         "controller.k_p_rate_per_s": scaled(law.k_p_per_s, ratio * k_p),
         "controller.k_eps_rate_rad_per_s": scaled(law.k_eps_rad_per_s, ratio * k_eps),
+        "controller.observer.position_gain": share_q,
+        "controller.observer.velocity_gain": share_dq,
+        "controller.observer.velocity_from_position_per_s": slope,
     }
     for arm in spec.arms:
         gains[f"arms.{arm.name}.k_v_N_s_per_m"] = scaled(arm.k_v_N_s_per_m, k_v)
@@ -75,6 +80,7 @@ def changed(name: str, rng: np.random.Generator) -> tuple[Cell, str]:
     changes = [f"{key}={value}" for key, value in gains.items()]
     short = ("simulation.ready_s=0.0", f"duration_s={DURATION_S}", "report.transient_s=1.5")
     words = f"k_p × {k_p:.2f}, k_eps × {k_eps:.2f}, rate {ratio:.2f}, k_v × {k_v:.2f} and {k_w:.2f}"
+    words += f", observer {share_q:.3f}, {share_dq:.3f}, {slope:.2f}/s"
     return load_cell(Path(name), [*changes, *short, *QUIET]), words
 
 
