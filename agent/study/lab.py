@@ -120,7 +120,7 @@ class Run:
     """One run of a laboratory's cell in one reality, tick by tick."""
 
     def __init__(self, lab: Laboratory, reality: Reality | None, faults: Sequence[Fault] = ()) -> None:
-        """reality None: as the cell file says.  Raises PlantError where it cannot be."""
+        """reality None: as the cell file says.  Raises PlantError, ConfigError."""
         file = lab.cell.file
         self.plant = build_plant(plant_spec(lab.cell, lab.q_start, reality))
         self.period_ns = lab.cell.period_ns

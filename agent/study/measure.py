@@ -76,7 +76,10 @@ def run_once(lab: Laboratory, index: int, seed: int, faults: Sequence[Fault] = (
 def measure(
     lab: Laboratory, reality: Reality | None, index: int = 0, seed: int = 0, faults: Sequence[Fault] = ()
 ) -> RunResult:
-    """Run the cell in this reality (None: as its file says) and measure.  Raises Refusal."""
+    """Run the cell in this reality (None: as its file says) and measure.  Raises Refusal.
+
+    Trips of the arms' monitors count as those of noticing do.
+    """
     run, seen = Run(lab, reality, faults), _Seen(lab)
     file = lab.cell.file
     every = max(1, round(file.rate_hz / file.simulation.observe_rate_hz))

@@ -67,7 +67,7 @@ def estimates(observer: Observer) -> Matrix:
     if np.abs(np.linalg.eigvals(A)).max() >= 1.0:
         return np.full((2, 2), math.inf)
     summed = np.linalg.solve(np.eye(4) - np.kron(A, A), (read @ READINGS @ read.T).ravel())
-    found: Matrix = np.asarray(summed, dtype=np.float64).reshape(2, 2)
+    found: Matrix = np.asarray(summed, float).reshape(2, 2)
     return found
 
 

@@ -8,7 +8,6 @@ import re
 import numpy as np
 import pytest
 
-from agent.config.reality import draw
 from agent.config.schema.reality import ArmReality, Reality
 from agent.modes import Mode
 from agent.monitors.bounds import Name
@@ -121,10 +120,10 @@ def test_peak_torque_is_the_largest_sent_over_stall(lab: Laboratory) -> None:
     assert found == pytest.approx(float((largest / lab.stall_Nm).max()), abs=2e-3)  # a step of the command's grid
 
 
-def test_an_object_that_is_thrown_away_is_lost_and_ends_the_run() -> None:
-    unbraked = ("safety.hold_speed_max_rad_per_s=20.0", UNWATCHED)
-    lab = Laboratory(cell("duration_s=3.0", "controller.k_p_rate_per_s=400.0", "controller.k_p_per_s=400.0", *unbraked))
-    result = measure(lab, draw(lab.cell.file.tolerance, 1, lab.cell))
+def test_an_object_that_nobody_holds_is_lost_and_ends_the_run() -> None:
+    lab = Laboratory(cell("duration_s=3.0"))
+    limp = [Fault(kind=FaultKind.LIMP, arm=arm.name, at_s=0.5) for arm in lab.cell.arms]
+    result = measure(lab, None, faults=limp)
     assert result.lost
     assert not result.within_bounds
     assert result.tracked_s < 3.0

@@ -35,6 +35,7 @@ from tests.support.plant.inprocess import History, simulate
 PAPER = configs.CELLS_DIR / "paper.toml"
 EFFECTS = ("friction", "position_quantisation", "velocity_quantisation", "torque_quantisation")
 IDEAL = (*(f"simulation.effects.{effect}=false" for effect in EFFECTS), "controller.friction_feedforward=false")
+WORST = Margin(worst=0.98)
 # a wrong inertia is then nothing but a wrong inertia
 WEIGHTLESS = ("world.gravity_m_per_s2=[0.0, 0.0, 0.0]",)
 
@@ -353,7 +354,10 @@ def test_noise_and_a_slow_observer_are_missed_like_a_radius() -> None:
 
 @pytest.mark.parametrize(
     ("stated", "key"),
-    [("tolerance.delay=[0.8, 10.0]", "tolerance.delay"), ("safety.inertia_error=0.97", "safety.inertia_error")],
+    [
+        pytest.param("tolerance.delay=[0.8, 10.0]", "tolerance.delay", marks=pytest.mark.long),
+        ("safety.inertia_error=0.97", "safety.inertia_error"),
+    ],
 )
 def test_when_nothing_survives_the_demand_and_the_tolerance_that_bind_are_named(
     stated: str, key: str, monkeypatch: pytest.MonkeyPatch
