@@ -22,10 +22,11 @@ from agent.control.estimator import Observer
 from agent.verify import stiffest
 from agent.verify.chatter import Shaking, forgetting
 from agent.verify.check import Verdict, examine
+from agent.verify.proposed import OBSERVER_KEYS
 from agent.verify.robustness import loop_of, ranges_of
 from agent.verify.scale import Scale
 from agent.verify.stiffest import Search, Wanted
-from agent.verify.tune import OBSERVER_KEYS, RIGID, Form, Margin, NoGains, Proposal, Tuner
+from agent.verify.tune import RIGID, Form, Margin, NoGains, Proposal, Tuner
 from agent.verify.tune_table import toml_lines, tune_table
 from drivers.dynamixel.servo.table import VELOCITY_UNIT_RAD_PER_S
 from drivers.interface import Vector
