@@ -52,7 +52,7 @@ fuzz: $(VENV)/.installed  ## thousands of changed files through what reads them 
 soak: $(VENV)/.installed  ## every cell for 1000 s (SOAK_S), recorder under load, memory and gaps stay flat; SOAK_ONLY=TEXT for some
 	$(BIN)/python -m tests.soak
 
-campaign: $(VENV)/.installed  ## random gains, pads and delays: what the criterion accepts must live (10 min); CAMPAIGN_N, CAMPAIGN_SEED
+campaign: $(VENV)/.installed  ## random gains, pads, delays: what the criterion accepts must live; arms that learn and disagree (15 min); CAMPAIGN_N, CAMPAIGN_SEED
 	$(BIN)/python -m tests.campaign
 
 phases: $(VENV)/.installed  ## every phase of a session met by a stop, dead agents and lost power, in virtual time (2 min); PHASES=stop,...

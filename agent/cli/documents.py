@@ -119,7 +119,7 @@ def _run(run: ComparedRun) -> dict[str, Any]:
 
 def _gains(gains: GainSet) -> dict[str, Any]:
     """Gains in the order x, y, z, and what the sampled loop makes of them."""
-    from agent.verify.tune import OBSERVER_KEYS
+    from agent.verify.proposed import OBSERVER_KEYS
 
     common, seen = gains.gains, gains.observer
     return {

@@ -25,7 +25,7 @@ from agent.verify.collision import Scene, collisions
 from agent.verify.finding import Finding, Verdict, judged
 from agent.verify.force import internal_force
 from agent.verify.margin import Damping, damping, places, sampled_loop
-from agent.verify.noticing import noticed, rested
+from agent.verify.noticing import noticed, rested, unlearnt
 from agent.verify.plausible import plausibility
 from agent.verify.rehearsal import examine_rehearsal
 from agent.verify.robustness import Robustness, Walk, robustness
@@ -114,7 +114,7 @@ def examine(cell: Cell, *, wired: bool | None = None, thorough: bool | None = No
     findings += _stability(cell, models, paths)
     findings += examine_rehearsal(cell, models, [p.q for p in paths], instants.times)
     if cell.file.controller.kind is ControllerKind.ADAPTIVE:
-        findings += _adaptation(cell, models, paths, instants.times)
+        findings += [*_adaptation(cell, models, paths, instants.times), *unlearnt(cell, models, q_start)]
     if not (servos if thorough is None else thorough):
         return CheckReport(tuple(findings), q_start)
     along = list(zip(*(p.q for p in paths), strict=True))

@@ -1,13 +1,29 @@
-"""From which unexpected wrench on the arms of a cell they hold, and whether they are looked at before, as findings."""
+"""From which unexpected wrench on the arms of a cell they hold, and whether they are looked at before, as findings.
+
+The residual takes the adaptive law's estimates for what is expected, so what they lack looks like somebody who presses.
+In READY the leak σ forgets that, W(t) = J⁻ᵀ Y (θ̂(0) − θ_nominal) e^{−σ t}; what the estimates do after it answers the
+feedback and makes less of the residual, not more.  A start before W is below every limit holds an arm by its own
+ignorance.
+"""
 
 from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
 
 from agent.config import noticing
 from agent.config.cell import Cell, ConfigError
 from agent.config.schema.cell import DriverKind
+from agent.config.schema.controller import ControllerKind
+from agent.control.adaptation_bound import ReferenceTwist, estimated_wrench
+from agent.control.models import ArmModel
+from agent.control.residual import Channels
 from agent.monitors.bounds import Name
 from agent.monitors.gravity import WINDOW_S, WINDOWS
-from agent.verify.finding import Finding, Verdict
+from agent.verify.finding import Finding, Verdict, judged
+from drivers.interface import Vector
 
 
 def rested(cell: Cell) -> list[Finding]:
@@ -41,3 +57,46 @@ def noticed(cell: Cell) -> list[Finding]:
         along = f"; {pulled.level_N:g} N down or against the motion, or thrice {pulled.climb_N:g} N against it"
     found = f"{x.fast_N:g} N, {x.fast_Nm:g} N·m at once; {x.slow_N:g} N, {x.slow_Nm:g} N·m that stay{along} ({source})"
     return [Finding(what, "cell", found, "")]
+
+
+def unlearnt(cell: Cell, models: Sequence[ArmModel], q_start: Sequence[Vector]) -> list[Finding]:
+    """How long the arms of an adaptive cell must wait before a start; nothing where nothing can be noticed or learnt.
+
+    models, q_start (n,): one for each arm.  Raises ConfigError where the thresholds cannot be derived.
+    """
+    if cell.file.controller.kind is not ControllerKind.ADAPTIVE or not cell.file.safety.noticing.enabled:
+        return []
+    sizes = [_lacking(cell, i, model, q) for i, (model, q) in enumerate(zip(models, q_start, strict=True))]
+    force, moment = np.max(sizes, axis=0).tolist()
+    wait_s = forgotten_s((force, moment), noticing.thresholds(cell), cell.file.controller.adaptive.leak_per_s)
+    ready_s = cell.file.simulation.ready_s
+    lack = f"{force:.2g} N, {moment:.2g} N·m"
+    found = f"{lack}, forgotten after {wait_s:.2g} s" if math.isfinite(wait_s) else f"{lack}, which no leak forgets"
+    return [
+        judged(
+            "what the estimates of the start lack", "cell", found, f"within {ready_s:g} s of READY",
+            holds=wait_s <= ready_s, otherwise=Verdict.WARNING,
+            remedy="wait longer in READY (simulation.ready_s), begin with start = \"nominal\", or set leak_per_s: "
+            "an arm may hold by what it does not know",
+        )
+    ]  # fmt: skip
+
+
+def forgotten_s(lacking: tuple[float, float], limits: Channels, leak_per_s: float) -> float:
+    """Time after which a force and a moment that are forgotten are below the limits, s."""
+    over = max(lacking[0] / min(limits.fast_N, limits.slow_N), lacking[1] / min(limits.fast_Nm, limits.slow_Nm))
+    if over <= 1.0:
+        return 0.0
+    return math.log(over) / leak_per_s if leak_per_s > 0.0 else math.inf
+
+
+def _lacking(cell: Cell, i: int, model: ArmModel, q: Vector) -> tuple[float, float]:
+    """Force (N) and moment (N·m) at the object, at rest at q (n,), between an arm's first estimates and its file."""
+    offline, still, P = cell.offline(cell.arms[i]), np.zeros(6), model.task_basis
+    data = offline.adaptation
+    if data is None:
+        raise TypeError("only an adaptive agent has estimates")
+    Y, Y_O = estimated_wrench(model, offline, q, ReferenceTwist(still, still), P)
+    lack = Y @ (data.start.arm - data.nominal.arm) + Y_O @ (data.start.object - data.nominal.object)
+    world = P.T @ lack
+    return float(np.linalg.norm(world[:3])), float(np.linalg.norm(world[3:]))

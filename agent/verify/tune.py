@@ -16,14 +16,14 @@ from __future__ import annotations
 import enum
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
 from agent.config import observer
-from agent.config.cell import Arm, Cell, ConfigError, cell_from_toml, placement
+from agent.config.cell import Cell, ConfigError, cell_from_toml, placement
 from agent.config.edit import Change, apply
 from agent.control.errors import Gains
 from agent.control.estimator import Observer
@@ -33,6 +33,7 @@ from agent.verify.check import reach, start_configurations
 from agent.verify.criterion.cases import Loop
 from agent.verify.criterion.examine import Criterion, examine
 from agent.verify.margin import Damping, Place, damping, damping_at, places, sampled_loop
+from agent.verify.proposed import changed
 from agent.verify.robustness import Walk, loop_of, poses, ranges_of
 from agent.verify.scale import Scale
 from agent.verify.stiffest import Search, Wanted, binding, scaled
@@ -43,7 +44,6 @@ POSE_MAX: Final = 2.0  # k_p and k_eps are not proposed above this, relative to 
 POSE_FLOORS: Final = (0.5, 0.1)  # nor below the first, unless no k_v keeps the margin with them, nor ever the second
 RATE_RANGE: Final = (0.05, 1.0)
 STEP: Final = 0.93  # between gains that are tried; the last one is refined
-OBSERVER_KEYS: Final = ("position_gain", "velocity_gain", "velocity_from_position_per_s")
 K_V_FACTORS: Final = (1.0, 0.7, 0.5, 0.35, 0.2, 0.1)
 
 
@@ -168,7 +168,7 @@ class Tuner:
         return found
 
     def _proposal(self, form: Form, scale: Scale) -> Proposal:
-        changes = tuple(_changes(self.cell, scale))
+        changes = tuple(changed(self.cell, scale))
         text = apply(self.cell.toml.decode(), changes)
         proposed = cell_from_toml(text.encode(), f"the gains proposed for {self.cell.file.name}")
         return Proposal(form, self.configured(), self._examined(proposed), changes)
@@ -270,38 +270,3 @@ def _descend(keeps: Callable[[float], bool], lowest: float, highest: float) -> f
         else:
             above = middle
     return x
-
-
-def _changes(cell: Cell, scale: Scale) -> Iterator[Change]:
-    """What to write into the cell file."""
-    c, gains = cell.file.controller, scale.of(cell.offline(cell.arms[0]).gains)
-    written = {
-        "k_p_per_s": (c.k_p_per_s, gains.k_p),
-        "k_eps_rad_per_s": (c.k_eps_rad_per_s, gains.k_eps),
-        "k_p_rate_per_s": (c.k_p_rate_per_s or gains.k_p, gains.k_p_rate),
-        "k_eps_rate_rad_per_s": (c.k_eps_rate_rad_per_s or gains.k_eps, gains.k_eps_rate),
-    }
-    for key, (was, now) in written.items():
-        if was != now:
-            yield Change("controller", key, _toml(now))
-    was_seen, seen = observer.build(cell.file), scale.of_observer(observer.build(cell.file))
-    if was_seen is not None and seen is not None:
-        for key in OBSERVER_KEYS:
-            if getattr(was_seen, key) != getattr(seen, key):
-                yield Change("controller.observer", key, repr(getattr(seen, key)))
-    for arm in cell.arms:
-        yield from _k_v_changes(arm, scale.of(cell.offline(arm).gains))
-
-
-def _k_v_changes(arm: Arm, gains: Gains) -> Iterator[Change]:
-    entry, linear, angular = arm.entry, gains.k_v[:3], gains.k_v[3:]
-    if entry.k_v_N_s_per_m != linear:
-        yield Change("arms", "k_v_N_s_per_m", _toml(linear), arm.name)
-    if entry.k_v_Nm_s_per_rad != angular:
-        yield Change("arms", "k_v_Nm_s_per_rad", _toml(angular), arm.name)
-
-
-def _toml(values: Sequence[float]) -> str:
-    """One number when all are equal."""
-    first = values[0]
-    return repr(first) if all(x == first for x in values) else "[" + ", ".join(map(repr, values)) + "]"

@@ -9,7 +9,8 @@ from rich.table import Table
 
 from agent.config import observer
 from agent.config.cell import Cell
-from agent.verify.tune import OBSERVER_KEYS, GainSet, Proposal
+from agent.verify.proposed import OBSERVER_KEYS
+from agent.verify.tune import GainSet, Proposal
 
 
 def tune_table(configured: GainSet, proposals: Sequence[Proposal]) -> Table:

@@ -22,10 +22,11 @@ from agent.control.estimator import Observer
 from agent.verify import stiffest
 from agent.verify.chatter import Shaking, forgetting
 from agent.verify.check import Verdict, examine
+from agent.verify.proposed import OBSERVER_KEYS
 from agent.verify.robustness import loop_of, ranges_of
 from agent.verify.scale import Scale
 from agent.verify.stiffest import Search, Wanted
-from agent.verify.tune import OBSERVER_KEYS, RIGID, Form, Margin, NoGains, Proposal, Tuner
+from agent.verify.tune import RIGID, Form, Margin, NoGains, Proposal, Tuner
 from agent.verify.tune_table import toml_lines, tune_table
 from drivers.dynamixel.servo.table import VELOCITY_UNIT_RAD_PER_S
 from drivers.interface import Vector
@@ -329,6 +330,15 @@ def test_an_observer_forgets_by_its_slowest_error() -> None:
         error = np.array([x[0], w[0]])
     assert forgetting(slow) == pytest.approx(float(np.linalg.norm(error) / np.linalg.norm(last)), rel=1e-3)
     assert forgetting(None) == 0.0
+
+
+def test_shares_of_a_scaled_observer_end_at_one_its_slope_at_a_thousand_and_nothing_stays_nothing() -> None:
+    own = Observer(0.005, position_gain=0.2, velocity_from_position_per_s=5.0, velocity_gain=0.22, delay_periods=1.0)
+    large = Scale(position_gain=9.0, velocity_gain=9.0, velocity_from_position=1e4).of_observer(own)
+    assert large == replace(own, position_gain=1.0, velocity_gain=1.0, velocity_from_position_per_s=1e3)
+    small = Scale(position_gain=0.1239, velocity_gain=0.5).of_observer(replace(own, velocity_from_position_per_s=0.0))
+    assert small == replace(own, position_gain=0.0247, velocity_gain=0.11, velocity_from_position_per_s=0.0)
+    assert Scale().of_observer(own) == own
 
 
 def test_noise_and_a_slow_observer_are_missed_like_a_radius() -> None:
