@@ -11,7 +11,8 @@ other, of means over 0.05 s.  A push rises once and not three times, so that one
 neighbour left behind at 10 mm/s reaches within half a second.
 
 The others of a limp arm feel its weight, which nothing but gravity points at: F along gravity, without its own slow
-part and low-passed as the level, is the `weight`, and has the limit of the level.  The state is part of `Memory`.
+part and low-passed as the level, is the `weight`, with a part of the same limit: a touch that presses down is felt less
+than one against the motion, which friction does not hold.  The state is part of `Memory`.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ MOMENT_M: Final = 0.2  # a
 TURN_M: Final = 0.1  # b
 STILL_M_PER_S: Final = 2e-3
 WITH_CLIMB: Final = 0.6  # of the limit of the level, where p climbs
+HANGS: Final = 0.86  # of that limit, for the weight
 
 
 class Pull(NamedTuple):
@@ -89,9 +91,14 @@ class Against:
             return Pull(level, total, ticks, pull.means_N, weight_N)
         return Pull(level, 0.0, 0.0, (total / ticks, *pull.means_N[:-1]), weight_N)
 
+    @property
+    def hangs_N(self) -> float:
+        """Limit of the weight."""
+        return HANGS * self.level_N
+
     def weighs(self, pull: Pull) -> bool:
         """Whether something hangs on the object; what is no number does."""
-        return not pull.weight_N <= self.level_N
+        return not pull.weight_N <= self.hangs_N
 
     def tripped(self, pull: Pull) -> bool:
         """Whether the level or the weight is above its limit, or a part of the level that climbs; no number is."""
