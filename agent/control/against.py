@@ -25,6 +25,7 @@ from typing import Final, NamedTuple
 BLOCK_S: Final = 0.05
 STEP: Final = 3  # blocks of an increment
 MEANS: Final = 3 * STEP + 1  # kept, newest first
+LEVEL_AT, WEIGHT_AT = -(MEANS + 4), -1  # in the log field `memory`
 MOMENT_M: Final = 0.2  # a
 TURN_M: Final = 0.1  # b
 STILL_M_PER_S: Final = 2e-3
