@@ -76,16 +76,18 @@ class Against:
 
     def advance(self, pull: Pull, wrench: Sequence[float], base: Sequence[float], v: Sequence[float]) -> Pull:
         """State after a tick; wrench: the unexpected one (6,), base: its slow part (6,), v: desired twist (6,)."""
-        size = math.hypot(*v[:3], *(TURN_M * w for w in v[3:]))
+        fx, fy, fz, mx, my, mz = wrench
+        gx, gy, gz, kx, ky, kz = base
+        x, y, z, a, b, c = v
+        turn, weight = TURN_M, TURN_M / MOMENT_M
+        size = math.hypot(x, y, z, turn * a, turn * b, turn * c)
         p = q = 0.0
         if size > STILL_M_PER_S:
-            weight = TURN_M / MOMENT_M
-            along = (v[0], v[1], v[2], weight * v[3], weight * v[4], weight * v[5])
-            p = -sum(a * b for a, b in zip(wrench, along, strict=True)) / size
-            q = p + sum(a * b for a, b in zip(base, along, strict=True)) / size
-        gain, (x, y, z) = self.period_s * self.level_per_s, self.down
+            p = -(fx * x + fy * y + fz * z + weight * (mx * a + my * b + mz * c)) / size
+            q = p + (gx * x + gy * y + gz * z + weight * (kx * a + ky * b + kz * c)) / size
+        gain, (down_x, down_y, down_z) = self.period_s * self.level_per_s, self.down
         level = pull.level_N + gain * (q - pull.level_N)
-        sunk = x * (wrench[0] - base[0]) + y * (wrench[1] - base[1]) + z * (wrench[2] - base[2])
+        sunk = down_x * (fx - gx) + down_y * (fy - gy) + down_z * (fz - gz)
         weight_N = pull.weight_N + gain * (sunk - pull.weight_N)
         total, ticks = pull.sum_N + p, pull.ticks + 1.0
         if ticks + 0.5 < BLOCK_S / self.period_s:
