@@ -6,7 +6,7 @@ JOBS   ?= $(shell echo $$(( $$(nproc) + 1 )))  # some tests wait
 CELL   ?= configs/cells/paper.toml
 
 .DEFAULT_GOAL := help
-.PHONY: help run test test-fresh fuzz mutate soak faults hil campaign bench format clean
+.PHONY: help run test test-fresh long fuzz mutate soak faults hil campaign bench format clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## */\1\t/' | expand -t 12
@@ -24,16 +24,23 @@ $(VENV)/.installed: pyproject.toml
 run: $(VENV)/.installed  ## the paper's experiment in simulation, 100 s, report in runs/
 	$(BIN)/coop run $(CELL)
 
+# Types and contracts are looked at on what the tests leave of the cores, and told of behind them.  The tests start
+# some hundred processes: what Python compiles is kept, even where the environment says otherwise.
+test: export PYTHONDONTWRITEBYTECODE =
 test: $(VENV)/.installed  ## format, lint, types, import contracts, tests
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
-	$(BIN)/mypy
-	$(BIN)/lint-imports
-	$(BIN)/pytest -m "not realtime" -n $(JOBS) --dist worksteal
+	@said=$$(mktemp); { $(BIN)/mypy && $(BIN)/lint-imports; } >$$said 2>&1 & checks=$$!; \
+	trap 'kill $$checks 2>/dev/null; rm -f $$said' EXIT; trap 'exit 130' INT TERM; \
+	$(BIN)/pytest -m "not realtime and not long" -n $(JOBS) --dist worksteal; tests=$$?; \
+	wait $$checks; checked=$$?; cat $$said; exit $$((tests | checked))
 	$(BIN)/pytest -m realtime tests/process
 
 test-fresh: $(VENV)/.installed  ## `make run` on minimal Debian 12 and 13, each in a tree of its own; root, 2 min each
 	$(BIN)/pytest --fresh tests/process/install/test_fresh_machine.py
+
+long: $(VENV)/.installed  ## simulations and repetitions of which `make test` runs some (3 min)
+	$(BIN)/pytest -m long -n $(JOBS) --dist worksteal
 
 mutate: $(VENV)/.installed  ## one-line changes that a test must notice; MUTATE_ONLY=TEXT for some modules
 	$(BIN)/python -m tests.mutate

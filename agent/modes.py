@@ -45,7 +45,9 @@ class Event(enum.IntFlag):
     GRASP = 128
     LOWER = 256
     PARK = 512
-    GRIPPED = 1024  # the gripper has closed on something as wide as the object
+    GRIPPED = (
+        1024  # the gripper has closed on something as wide as the object; in RELEASE: stopped, and it holds it still
+    )
     NOT_GRIPPED = 2048  # it has closed on nothing, too early, or not at all
     ARRIVED = 4096  # the arm has come to the end of its way
 

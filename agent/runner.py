@@ -15,9 +15,8 @@ from agent.cycles import WINDOW, Bus, Cycles
 from agent.loop import Agent, Outcome, afresh, blind, explained, hold_after, initial_memory, step, wait_here
 from agent.modes import TABLE, Event, Mode, next_mode
 from agent.monitors.watch import Watch
-from agent.phases import ALONE
 from agent.safety import Flag
-from agent.session import SessionLoop, entered
+from agent.session import WAY_BACK, SessionLoop, entered, way_back
 from agent.session_modes import next_in_session
 from agent.telemetry.row.fill import AgentRow
 from drivers.interface import (
@@ -76,6 +75,7 @@ class Runner:
         self._late_cycles = 0
         self._stale_cycles = 0
         self._unseen = ""  # why the last read brought no state
+        self._fault = ""  # of the servos, as last read
         self._marks = Flag.NONE  # of the next row
         self._tick = 0  # of the period since the phase
         self._phase_ns = clock.now_ns()  # instant of tick 0
@@ -228,7 +228,13 @@ class Runner:
                 return None, Event.SERVO_LOST
             self._reason = self._reason or self._unseen
             seen = bool(np.isfinite(state.q).all() and np.isfinite(state.dq).all())
-            return state if seen else None, Event.TROUBLE
+            return state if seen else None, self._trouble_of(self._unseen)
+
+    def _trouble_of(self, fault: str) -> Event:
+        """What a servo's fault, which lasts, asks for: on the way back of a session the one of before asks no more."""
+        borne = self._session is not None and self._mode in WAY_BACK and fault == self._fault
+        self._fault = fault
+        return Event.NONE if borne else Event.TROUBLE
 
     def _act(self, state: JointState, late_ns: int, begin_ns: int) -> Event:
         """One step on a fresh state: torque out, row in the log."""
@@ -261,7 +267,7 @@ class Runner:
                 self._tracking_since_ns = begin_ns
             self._tracked_s = (after_write_ns - self._tracking_since_ns) * 1e-9
         found = ""
-        if self._watch is not None and mode not in ALONE:  # what they watch is the carrying of an object
+        if self._watch is not None:
             found = self._watch.after(state, outcome, mode, self._driver.health)
         if int(outcome.flags) & _TROUBLE:
             self._reason = (
@@ -337,5 +343,7 @@ class Runner:
             self._memory = self._memory._replace(hold=None, q_hold=None)
         self._mode = mode
         self._around.mode_changed(mode)
+        if self._session is not None and mode not in _KEEPS and mode in _COMMANDING:
+            self._reason = ""  # of a hold that is over
         if mode in _KEEPS and Event.TROUBLE in happened and self._around.trouble is not None:
-            self._around.trouble(self._reason)
+            self._around.trouble(way_back(mode, self._reason) if self._session is not None else self._reason)

@@ -28,6 +28,12 @@ WORDS: dict[Mode, Event] = {
     Mode.PARK: Event.APPROACH,
     Mode.HALT: Event.APPROACH | Event.PARK | Event.RELEASED,
 }
+# modes that lead back: what was wrong before the word is borne there, for it is the reason to go back
+WAY_BACK = frozenset({Mode.LOWER, Mode.RELEASE, Mode.PARK})
+_BACK: dict[Mode, str] = {
+    Mode.HOLD: "way back: `coop lower`, `coop release`, `coop park`",
+    Mode.HALT: "way back: `coop park`; or on with `coop approach`",
+}
 _SAID = Event.APPROACH | Event.GRASP | Event.LOWER | Event.PARK | Event.RELEASED
 _UNFINISHED = {
     Mode.APPROACH: "the arm is still on its way",
@@ -35,6 +41,7 @@ _UNFINISHED = {
     Mode.LOWER: "the object is still on its way down",
     Mode.RELEASE: "the gripper is not open yet",
 }
+_OPENING = frozenset({Mode.APPROACH, Mode.HALT})  # in which the gripper may still be on its way
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +65,7 @@ class SessionLoop:
         self._plan = plan
         self._start = start
         self._watch: Watch | None = None
+        self._state: GripState | None = None  # of the last cycle, if the gripper said something
         self._open = False
         self._opens = False  # it has been told to, in RELEASE
         self._holds = False
@@ -74,12 +82,14 @@ class SessionLoop:
     def judge(self, mode: Mode, events: Event, memory: Memory) -> Event:
         """The events that count in this mode, with what the arm has found out by itself."""
         self._now = mode, memory
+        state = self._state = self._gripper.grip_state()
         said = events & _SAID
         refused = self.refusal(mode, said, memory) if said else ""
         if refused:
             self.reason = refused
             events &= ~_SAID
-        state = self._gripper.grip_state()
+        if mode is Mode.RELEASE and not self._opens and events & (Event.STOP | Event.TROUBLE):
+            events |= Event.GRIPPED
         if Event.STARTED in events and (reason := self._bad_start(memory)):
             self.reason = reason
             events = (events & ~Event.STARTED) | Event.STOP
@@ -94,7 +104,7 @@ class SessionLoop:
         """Tell the gripper what this mode asks of it."""
         if mode in (Mode.APPROACH, Mode.RELEASE):
             self._open = self._opens = False
-        if mode is Mode.APPROACH or mode is Mode.PARK:
+        if mode is Mode.APPROACH or mode is Mode.PARK or mode is Mode.HALT:  # a hand may be in a gripper that closes
             self._move(self._plan.open_m)
         elif mode is Mode.GRASP:
             self._open = False
@@ -114,6 +124,8 @@ class SessionLoop:
             return f"{_names(said)}: {_UNFINISHED[mode]}; wait for it"
         if Event.PARK in said and mode is Mode.RELEASE and not self._open:
             return f"park: {_UNFINISHED[mode]}; wait for it"
+        if Event.PARK in said and mode in _OPENING and self._is_opening():
+            return f"park: {_UNFINISHED[Mode.RELEASE]}; wait for it"
         going = said & (Event.APPROACH | Event.PARK)
         if going and mode in (Mode.REST, Mode.HALT) and memory.q_hold is not None:
             off = self._life.off(memory.q_hold)
@@ -123,6 +135,18 @@ class SessionLoop:
                     f"{self._life.off_max_rad:g}; release the arm, bring it to its rest by hand and start it again"
                 )
         return ""
+
+    def resume(self, mode: Mode) -> None:
+        """Begin in this mode behind another loop, with what that had the gripper do."""
+        self._holds = mode in HOLDING
+        if mode in HOLDING:
+            self._move(self._plan.closed_m)
+        elif mode is not Mode.REST:
+            self._move(self._plan.open_m)
+
+    def _is_opening(self) -> bool:
+        watch, state = self._watch, self._state
+        return watch is not None and state is not None and self._plan.opening(watch, state) is Verdict.MOVING
 
     def _done(self, mode: Mode, memory: Memory) -> bool:
         return phases.arrived(self._life, mode, memory) and (mode is not Mode.RELEASE or self._open)
@@ -189,6 +213,12 @@ class SessionLoop:
             f"{self._start.error_max_m * 1e3:g} mm and {self._start.error_max_rad * 1e3:g} mrad; "
             "lower, release and park, then put the object in its place"
         )
+
+
+def way_back(mode: Mode, reason: str) -> str:
+    """The reason for which an arm of a session stands, with the words that lead back from there."""
+    back = _BACK.get(mode, "")
+    return "; ".join(part for part in (reason, back) if part)
 
 
 def entered(agent: Agent, mode: Mode, memory: Memory, outcome: Outcome | None) -> Memory:

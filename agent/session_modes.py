@@ -19,7 +19,7 @@ _SESSION: dict[Mode, tuple[tuple[Event, Mode], ...]] = {
     Mode.TRACK: ((_STOPS, Mode.HOLD),),
     Mode.HOLD: ((Event.RELEASED, Mode.RELEASE), (Event.LOWER, Mode.LOWER)),
     Mode.LOWER: ((_STOPS, Mode.HOLD), (Event.RELEASED, Mode.RELEASE)),
-    Mode.RELEASE: ((_STOPS, Mode.HALT), (Event.PARK, Mode.PARK)),
+    Mode.RELEASE: ((Event.GRIPPED, Mode.HOLD), (_STOPS, Mode.HALT), (Event.PARK, Mode.PARK)),
     Mode.PARK: ((_STOPS, Mode.HALT), (Event.ARRIVED, Mode.REST), (Event.APPROACH, Mode.APPROACH)),
     Mode.HALT: ((Event.RELEASED, Mode.OFF), (Event.APPROACH, Mode.APPROACH), (Event.PARK, Mode.PARK)),
 }

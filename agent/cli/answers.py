@@ -28,6 +28,8 @@ def events(
     from agent.log.read import open_log
     from agent.log.when import trajectory_time
 
+    if not from_s < to_s:
+        raise typer.BadParameter(f"no time between --from {from_s:g} and --to {to_s:g}")
     with Steps() as step:
         step("reading the log")
         with open_log(log, any_layout=True) as opened:
@@ -43,7 +45,7 @@ def events(
         when = _day_time(event) if math.isnan(t) else f"{t:.3f} s"
         typer.echo(f"{when:>12}  {event.source:<10} {event.level.name:<6} {event.text}")
     if not chosen:
-        note(f"{log}: no event from there to there")
+        note(f"{log}: no event {'of these' if asked else 'at all'}")
 
 
 def _day_time(event: Event) -> str:

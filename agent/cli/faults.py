@@ -73,10 +73,10 @@ def inject(
     Nothing is sent to an arm: time is virtual.
     """
     from agent.config.cell import load_cell
-    from agent.faults.bench import rehearse
     from agent.faults.log import require_new, write_log
     from agent.faults.measure import measured
     from agent.faults.plan import require_simulated
+    from agent.faults.rehearse import rehearse
 
     faults = _faults(fault, arm=arm, servo=servo, at_s=at, for_s=for_s, size=size)
     ends = [f.at_s + (f.for_s if math.isfinite(f.for_s) else 0.0) for f in faults]

@@ -37,7 +37,8 @@ def report(
 ) -> None:
     """Make the figures, the page and results.json from a log alone; its own earlier report is replaced."""
     from agent.log.read import open_log
-    from agent.report.report import keep_other_reports, terminal_table, write_report
+    from agent.report.report import keep_other_reports, write_report
+    from agent.report.results_file import terminal_table
     from agent.view.film import still
 
     folder = out or log.parent
@@ -96,18 +97,21 @@ def compare(
     _require_some(logs, len(LETTERS))
     if html is not None and html.exists() and not force:
         _refuse_to_replace(html)
-    runs = []
+    runs, problems = [], list[str]()
     with Steps() as step:
         for log in logs:
             step(f"reading {log}")
             with open_log(log) as opened:
                 run = prepare(opened)
+                problems += [f"{log}: {problem}" for problem in opened.problems]
                 runs.append(ComparedRun(log, summarise_prepared(run), settings_of(opened), error_series(run)))
         if html is not None:
             from agent.report.compare_page import write_comparison
 
             step("drawing")
             write_comparison(runs, html)
+    for problem in problems:
+        note(problem)
     if as_json:
         from agent.cli.documents import compare_document
 
@@ -239,6 +243,8 @@ def play(
             note(HELP)
         options = PlayOptions(log, network, speed, start, end, loop, keyboard.orders, keyboard.show)
         done = play_log(options, requested, lambda endpoint: ready(f"endpoint={endpoint}"))
+    for problem in done.problems:
+        note(f"{log}: {problem}")
     note(f"{log}: {done.rows} rows and {done.events} events played, {done.loops} times to the end")
 
 

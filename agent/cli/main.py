@@ -5,9 +5,11 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Sequence
+from functools import cache
 from typing import Annotated
 
 import typer
+from typer.main import get_command_name
 
 from agent.cli import (
     answers,
@@ -49,18 +51,10 @@ GROUPS: dict[str, tuple[Callable[..., None], ...]] = {
     ),
 }  # fmt: skip
 
-app = typer.Typer(
-    cls=Commands,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-    context_settings={"help_option_names": ["-h", "--help"]},
-    help="Cooperative manipulation with several arms.",
-)
-for _heading, _commands in GROUPS.items():
-    for _command in _commands:
-        app.command(rich_help_panel=_heading)(_command)
-app.add_typer(motors.app, name="motors", rich_help_panel="Arms of this host")
-app.add_typer(faults.app, name="faults", rich_help_panel="Simulate and examine")
+_FAMILIES: dict[str, tuple[str, typer.Typer]] = {
+    "motors": ("Arms of this host", motors.app),
+    "faults": ("Simulate and examine", faults.app),
+}
 
 
 def _version(wanted: bool) -> None:
@@ -74,13 +68,42 @@ def _version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
 def _coop(
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
     ] = False,
 ) -> None:
     pass
+
+
+def _tree(only: str | None = None) -> typer.Typer:
+    """All commands, or the one of this name; each that is there costs a millisecond when a line is read."""
+    tree = typer.Typer(
+        cls=Commands,
+        pretty_exceptions_enable=False,
+        rich_markup_mode=None,
+        context_settings={"help_option_names": ["-h", "--help"]},
+        help="Cooperative manipulation with several arms.",
+    )
+    tree.callback()(_coop)
+    for heading, commands in GROUPS.items():
+        for command in commands:
+            if only in (None, get_command_name(command.__name__)):
+                tree.command(rich_help_panel=heading)(command)
+    for name, (heading, family) in _FAMILIES.items():
+        if only in (None, name):
+            tree.add_typer(family, name=name, rich_help_panel=heading)
+    return tree
+
+
+app = _tree()
+
+
+@cache
+def _command(first: str) -> Callable[..., object]:
+    """What reads a line that begins with this word."""
+    tree = _tree(first)
+    return typer.main.get_command(tree if tree.registered_commands or tree.registered_groups else app)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -92,9 +115,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def dispatch(arguments: Sequence[str] | None = None) -> int:
     """Run one command line; its exit code.  What is not meant for a person is raised."""
-    command = typer.main.get_command(app)
+    arguments = sys.argv[1:] if arguments is None else arguments
+    command = _command(arguments[0] if arguments else "")
     try:
-        code = command(arguments, prog_name=PROGRAM, standalone_mode=False)
+        code = command(list(arguments), prog_name=PROGRAM, standalone_mode=False)
     except typer.Abort:
         return _refuse("stopped at a question", 1)
     except typer.TyperException as error:

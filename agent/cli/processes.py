@@ -43,7 +43,7 @@ def agent(
     allow_no_realtime: Annotated[
         bool, typer.Option("--allow-no-realtime", help="Let a real arm be started at a normal priority.")
     ] = False,
-    emulated: Annotated[bool, typer.Option("--emulated", help="The servos on that port are emulated.")] = False,
+    emulated: Annotated[bool, typer.Option("--emulated", help="Servos are emulated: nothing is real.")] = False,
     real_time: Annotated[bool, typer.Option("--real-time", help="At the wall clock's pace, not in lockstep.")] = False,
     whole: Annotated[bool, typer.Option("--whole", help="Begin at rest and wait for `coop approach`.")] = False,
     guard: Annotated[Path | None, typer.Option(help="Socket of the arm's guard, or refuse.")] = None,
@@ -61,13 +61,23 @@ def agent(
     from agent.host.paths import control_path, make_runtime_dir, plant_socket_path, ring_path
     from agent.process.agent import run_agent
     from agent.process.build import Connection
-    from agent.process.rehearse import driver_of, in_the_loop, require_empty_gripper, require_wall_clock, taken
+    from agent.process.rehearse import (
+        driver_of,
+        holds,
+        in_the_loop,
+        require_empty_gripper,
+        require_one_host,
+        require_wall_clock,
+        taken,
+    )
     from agent.process.schedule import AgentOptions
 
     requested = begin(with_parent)
     loaded = load_cell(cell)
     kind = driver_of(loaded, arm, DriverKind(driver.value) if driver is not None else None)
     name = loaded.file.name
+    if not emulated:
+        require_one_host(loaded)
     if in_the_loop(loaded, arm) and not emulated:
         said = gripper_empty or taken(gripper_word)
         require_empty_gripper(arm, said or asked_yes(f"Is the gripper of arm {arm} EMPTY?"))
@@ -84,7 +94,7 @@ def agent(
         ring=ring or ring_path(name, arm),
         control=None if lockstep else control or control_path(name, arm),
         lockstep=lockstep,
-        hold=whole or (hold if hold is not None else kind is DriverKind.DYNAMIXEL and not emulated),
+        hold=whole or holds(loaded, kind, emulated=emulated, asked=hold),
         whole=whole,
         priority=priority,
         guard=guard,
@@ -117,7 +127,7 @@ def guard(
     from agent.host.paths import control_path, guard_path, make_runtime_dir, ring_path
     from agent.process.build import Connection
     from agent.process.guard import GuardOptions, run_guard
-    from agent.process.rehearse import driver_of
+    from agent.process.rehearse import driver_of, holds
     from agent.process.schedule import AgentOptions
 
     requested = begin(with_parent)
@@ -133,7 +143,7 @@ def guard(
         ring=ring_path(name, arm),
         control=control or control_path(name, arm),
         lockstep=False,
-        hold=hold if hold is not None else kind is DriverKind.DYNAMIXEL and not emulated,
+        hold=holds(loaded, kind, emulated=emulated, asked=hold),
         priority=priority,
     )
     summary = run_guard(

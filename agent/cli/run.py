@@ -2,12 +2,36 @@
 
 from __future__ import annotations
 
+import select
+import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from agent.cli.options import AsJson, CellPath, Force, Overrides, console, print_json
+from agent.cli.options import AsJson, CellPath, Force, Overrides, asked_yes, console, note, print_json
+
+
+class _Terminal:
+    """A person at the terminal, beside real arms."""
+
+    def __init__(self, *, empty: bool) -> None:
+        self._empty = empty  # they have said so for all arms
+
+    def says_empty(self, arm: str) -> bool:
+        return self._empty or asked_yes(f"Is the gripper of arm {arm} EMPTY?")
+
+    def lets_go(self) -> bool:
+        """Whether Enter was pressed; never where there is no terminal."""
+        pressed = False
+        while sys.stdin is not None and sys.stdin.isatty() and select.select([sys.stdin], [], [], 0.0)[0]:
+            if not sys.stdin.readline():
+                break
+            pressed = True
+        return pressed
+
+    def tell(self, text: str) -> None:
+        note(text)
 
 
 def run(
@@ -23,6 +47,21 @@ def run(
             metavar="ARMS", help="Rehearse: these arms (left,right) on emulated servos, each on its own, in the loop."
         ),
     ] = None,
+    real_arms: Annotated[
+        bool, typer.Option("--real-arms", help="With --hil or [hil]: those arms are REAL, on the cell's ports.")
+    ] = False,
+    gripper_empty: Annotated[
+        bool, typer.Option("--gripper-empty", help="With --real-arms: a person has looked, all grippers are empty.")
+    ] = False,
+    priority: Annotated[
+        int | None, typer.Option(min=1, max=99, help="With --real-arms: SCHED_FIFO priority, or refuse.")
+    ] = None,
+    allow_no_realtime: Annotated[
+        bool, typer.Option("--allow-no-realtime", help="With --real-arms: let them run at a normal priority.")
+    ] = False,
+    emulated: Annotated[
+        bool, typer.Option("--emulated", help="With --real-arms: the servos on those ports are of `coop emulate`.")
+    ] = False,
     whole: Annotated[bool, typer.Option("--whole", help="With --wire: from rest to the object and back.")] = False,
     faults: Annotated[Path | None, typer.Option(help="Faults of the emulated servos, JSON lines.")] = None,
     strict: Annotated[bool, typer.Option("--strict", help="Exit 6 when a bound of the cell file is missed.")] = False,
@@ -32,13 +71,17 @@ def run(
     overrides: Overrides = [],  # noqa: B006
     as_json: AsJson = False,
 ) -> None:
-    """Run a simulated cell: plant, one agent per arm, recorder, report."""
+    """Run a simulated cell: plant, one agent per arm, recorder, report.
+
+    With --real-arms the arms of --hil move: they hold nothing, and hold their place at the end until you release them.
+    """
     from agent.cli.progress import RunProgress
     from agent.host.signals import StopFlag
     from agent.process.children import RunKind
+    from agent.process.real_arms import RealArms
     from agent.process.run import RunOptions, run_cell
     from agent.report.bounds import require_bounds
-    from agent.report.report import terminal_table
+    from agent.report.results_file import terminal_table
     from agent.telemetry.link.session import FREE_PORT
 
     requested = StopFlag()
@@ -46,8 +89,12 @@ def run(
     if hil is not None:
         names = ", ".join(f'"{name.strip()}"' for name in hil.split(","))
         kind, overrides = RunKind.HIL, [*overrides, 'driver="sim"', f"hil.arms=[{names}]"]
+    real = None
+    if real_arms:
+        kind = RunKind.HIL
+        real = RealArms(_Terminal(empty=gripper_empty), priority, allow_no_realtime, emulated)
     where = listen or FREE_PORT
-    options = RunOptions(cell, tuple(overrides), duration, out, seed, kind, faults, force, where, report, whole)
+    options = RunOptions(cell, tuple(overrides), duration, out, seed, kind, faults, force, where, report, whole, real)
     with RunProgress() as progress:
         outcome = run_cell(options, requested, progress)
     if as_json:

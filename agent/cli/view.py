@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from agent.cli import complete
 from agent.cli.options import DEFAULT_ENDPOINT, Force, NetworkConfig, Overrides, begin, note, ready
 from agent.cli.progress import Steps
+
+if TYPE_CHECKING:
+    from agent.log.read import AnyLog
 
 PORT = 8080
 
@@ -64,13 +67,15 @@ def _film(log: Path, film: Path, start: float, end: float | None, speed: float) 
     from agent.log.read import open_log
     from agent.report.prepared import prepare
     from agent.view.film import FilmOptions, write_film
+    from agent.view.staged import NEEDS
 
     with Steps() as step:
         step("reading the log")
-        with open_log(log) as opened:
+        with open_log(log, needs=NEEDS) as opened:
             run = prepare(opened)
             step("drawing")
             count = write_film(run, FilmOptions(film, start, end, speed))
+    _tell(opened)
     typer.echo(f"film     {film}, {count} pictures")
 
 
@@ -78,14 +83,21 @@ def _html(log: Path, html: Path) -> None:
     from agent.log.read import open_log
     from agent.report.prepared import prepare
     from agent.view.html import write_html
+    from agent.view.staged import NEEDS
 
     with Steps() as step:
         step("reading the log")
-        with open_log(log) as opened:
+        with open_log(log, needs=NEEDS) as opened:
             run = prepare(opened)
             step("drawing")
             count = write_html(run, html)
+    _tell(opened)
     typer.echo(f"page     {html}, {count} pictures")
+
+
+def _tell(log: AnyLog) -> None:
+    for problem in log.problems:
+        note(f"{log.path}: {problem}")
 
 
 def _serve(
@@ -109,7 +121,7 @@ def _serve_log(log: Path, port: int, browser: bool, requested: Callable[[], bool
             _browse(server.address)  # it loads the page while the log is read
         from agent.view.open import serve
 
-        pictures = serve(log, server, requested, lambda: ready(f"page={server.address}"))
+        pictures = serve(log, server, requested, lambda: ready(f"page={server.address}"), note)
     finally:
         server.stop()
     note(f"{log}: {pictures} pictures shown")

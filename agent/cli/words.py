@@ -42,10 +42,7 @@ def stop(
     host: HostName = None,
 ) -> None:
     """Let this host's agents hold the object where it is; says who did not answer."""
-    from agent.config.cell import load_cell
-    from agent.operator.words import stop_arms
-
-    typer.echo(stop_arms(load_cell(cell), arm, control, host))
+    _pass_on("stop", cell, arm, control, host)
 
 
 def release(
@@ -55,10 +52,7 @@ def release(
     host: HostName = None,
 ) -> None:
     """Confirm that the object is supported: the agents that hold it switch their torque off."""
-    from agent.config.cell import load_cell
-    from agent.operator.words import release_arms
-
-    typer.echo(release_arms(load_cell(cell), arm, control, host))
+    _pass_on("release", cell, arm, control, host)
 
 
 def approach(
@@ -68,7 +62,7 @@ def approach(
     host: HostName = None,
 ) -> None:
     """Send this host's arms from their rest to their grasps, grippers open."""
-    _say("approach", cell, arm, control, host)
+    _pass_on("approach", cell, arm, control, host)
 
 
 def grasp(
@@ -78,21 +72,22 @@ def grasp(
     host: HostName = None,
 ) -> None:
     """Close this host's grippers on the object; each arm that holds it takes its load share up."""
-    _say("grasp", cell, arm, control, host)
+    _pass_on("grasp", cell, arm, control, host)
 
 
 def lower(
     cell: CellPath,
     at: Annotated[str | None, typer.Option(help="UTC, HH:MM:SS.", metavar="TIME")] = None,
     in_s: Annotated[float | None, typer.Option("--in", min=0.05, max=86400.0, help="Seconds from now.")] = None,
+    arm: SomeArms = [],  # noqa: B006
     control: ControlSockets = [],  # noqa: B006
     host: HostName = None,
 ) -> None:
-    """Set the object down where it stood, all arms from one instant on (without one: in half a second)."""
+    """Set the object down where it stood, all arms from one instant on (without one: in a second)."""
     from agent.config.cell import load_cell
     from agent.operator.words import lower_arms
 
-    typer.echo(lower_arms(load_cell(cell), at, 0.5 if at is None and in_s is None else in_s, control, host))
+    typer.echo(lower_arms(load_cell(cell), at, 1.0 if at is None and in_s is None else in_s, arm, control, host))
 
 
 def park(
@@ -102,7 +97,7 @@ def park(
     host: HostName = None,
 ) -> None:
     """Send this host's arms back to their rest."""
-    _say("park", cell, arm, control, host)
+    _pass_on("park", cell, arm, control, host)
 
 
 def guide(
@@ -131,7 +126,7 @@ def guide(
         time.sleep(WATCH_STEP_S)
 
 
-def _say(word: str, cell: Path, arm: list[str], control: list[Path], host: str | None) -> None:
+def _pass_on(word: str, cell: Path, arm: list[str], control: list[Path], host: str | None) -> None:
     from agent.config.cell import load_cell
     from agent.operator.table import Verb
     from agent.operator.words import tell_arms

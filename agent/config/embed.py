@@ -5,7 +5,6 @@ From then on the cell stands alone: every host, every log and every replay has t
 
 from __future__ import annotations
 
-import posixpath
 import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -15,6 +14,7 @@ import tomli_w
 
 from agent.config.reading import ConfigError, read_file, shown
 from agent.config.trajectory import text_of_file
+from agent.config.urdf import urdf_beside
 
 
 def embed(raw: bytes, document: dict[str, Any], cell_path: Path) -> bytes:
@@ -31,11 +31,6 @@ def embed(raw: bytes, document: dict[str, Any], cell_path: Path) -> bytes:
     if carried:
         return tomli_w.dumps({**document, "embedded": carried | found}, multiline_strings=True).encode()
     return raw.rstrip(b"\n") + b"\n\n" + tomli_w.dumps({"embedded": found}, multiline_strings=True).encode()
-
-
-def urdf_beside(arm_file: str, urdf: str) -> str:
-    """Name under which the URDF of an arm file of one's own is embedded."""
-    return posixpath.join(posixpath.dirname(arm_file), urdf)
 
 
 def _texts(document: Mapping[str, Any], cell_path: Path, carried: Mapping[str, Any]) -> Iterator[tuple[str, str]]:

@@ -12,14 +12,14 @@ import tomli_w
 
 import configs
 from agent.config import trajectory
-from agent.config.embed import embed, urdf_beside
+from agent.config.embed import embed
 from agent.config.reading import ConfigError, override, parse, read_file, refuse_all, shipped_cells, shown, validate
 from agent.config.schema.arm import ArmFile, ServoJoint
 from agent.config.schema.cell import CellFile
 from agent.config.schema.member import Arm as ArmEntry
 from agent.config.schema.tolerance import Tolerance
 from agent.config.schema.types import nearest
-from agent.config.urdf import text_of_urdf
+from agent.config.urdf import text_of_urdf, urdf_beside
 from agent.control.trajectory import Trajectory
 from drivers.dynamixel.servo.table import SERVOS, ServoModel
 from drivers.interface import Vector

@@ -16,6 +16,8 @@ import numpy as np
 
 from agent.config.cell import Arm, Cell, ConfigError, placement
 from agent.config.schema.controller import ControllerKind
+from agent.config.schema.session import Session
+from agent.config.session import rest_joints
 from agent.control import ik
 from agent.control.models import ArmModel, Kinematics, Matrix
 from agent.monitors.bounds import Bounds, Name
@@ -44,8 +46,10 @@ def bounds(cell: Cell, arm: Arm) -> Bounds:
         period_s=1.0 / file.rate_hz,
         watched=frozenset(Name) - frozenset(spec.off),
         speed_rad_per_s=tuple(_speeds(cell, arm, no_load).tolist()),
+        speed_alone_rad_per_s=tuple(_speeds_alone(cell, no_load).tolist()),
         power_W=tuple((spec.power_share * 0.25 * arm.tau_stall_Nm * no_load).tolist()),
         position_rad=tuple(zip(low.tolist(), high.tolist(), strict=True)),
+        position_alone_rad=_alone(cell, arm, low, high),
         workspace_m=spec.workspace_m or _around_motion(cell, spec.workspace_margin_m),
         limited_share=spec.limited_share,
         frozen_rad=spec.frozen_rad,
@@ -61,6 +65,14 @@ def bounds(cell: Cell, arm: Arm) -> Bounds:
     )
 
 
+def _alone(cell: Cell, arm: Arm, low: Vector, high: Vector) -> tuple[tuple[float, float], ...]:
+    """Wide enough for the rest of an arm that has a session."""
+    if cell.file.session is not None:
+        rest, beside = rest_joints(arm), cell.file.session.off_max_rad
+        low, high = np.minimum(low, rest - beside), np.maximum(high, rest + beside)
+    return tuple(zip(low.tolist(), high.tolist(), strict=True))
+
+
 def _around_motion(cell: Cell, margin_m: float) -> tuple[tuple[float, float], ...]:
     trajectory = cell.trajectory()
     times = np.linspace(0.0, min(trajectory.period_s, cell.file.duration_s), SAMPLES).tolist()
@@ -74,6 +86,13 @@ def _speeds(cell: Cell, arm: Arm, no_load: Vector) -> Vector:
     spec = cell.file.safety.monitors
     asked = SPEED_TIMES * _speeds_of_motion(cell, arm)
     found: Vector = np.minimum(spec.speed_share * no_load + asked, max(FASTEST, spec.speed_share) * no_load)
+    return found
+
+
+def _speeds_alone(cell: Cell, no_load: Vector) -> Vector:
+    """(n,) rad/s: a share of what the servos can, and what the session asks for."""
+    share, asked = cell.file.safety.monitors.speed_share, (cell.file.session or Session()).speed_max_rad_per_s
+    found: Vector = np.minimum(share * no_load + asked, max(FASTEST, share) * no_load)
     return found
 
 

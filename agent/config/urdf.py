@@ -5,6 +5,7 @@ Weights that are missing would be missing in the torque that carries the arm, so
 
 from __future__ import annotations
 
+import posixpath
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
@@ -14,6 +15,11 @@ from agent.config.reading import ConfigError, shown
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?")
 _TRIPLES = (("origin", "xyz"), ("origin", "rpy"), ("axis", "xyz"))
 _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+
+
+def urdf_beside(arm_file: str, urdf: str) -> str:
+    """Name under which the URDF of an arm file of one's own is embedded in its cell."""
+    return posixpath.join(posixpath.dirname(arm_file), urdf)
 
 
 def text_of_urdf(raw: bytes, name: str) -> str:

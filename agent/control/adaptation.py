@@ -57,7 +57,7 @@ class Adaptation:
     sticking: tuple[JointFriction, ...] = ()  # how breakaway falls off, joint by joint; empty: no joint has it or load
     leak_per_s: float = 0.0  # rate at which estimates forget towards what is configured
     weight: Estimate = field(init=False)  # Γ⁻¹, zero where nothing is estimated
-    # What a tick works with, arm and object in one array (16 n + 10,):
+    # What a tick works with, object and arm in one array (10 + 16 n,), so that all bodies stand side by side:
     _nominal: Vector = field(init=False)
     _gain: Vector = field(init=False)
     _leaks: Vector = field(init=False)  # one where anything is estimated
@@ -70,8 +70,8 @@ class Adaptation:
         load = self.upper.arm.reshape(-1, len(self.upper.arm) // ARM_PARAMETERS_PER_JOINT)[-2:].sum(axis=0)
         if self.sticking and (load > LOAD_MAX).any():
             raise ValueError(f"bounds of load friction: {load.tolist()}, at most {LOAD_MAX} in sum")
-        object.__setattr__(self, "start", Estimate(*divided(np.concatenate(self.start))))
-        nominal, gain, lower, upper = (np.concatenate(x) for x in (self.nominal, self.gain, self.lower, self.upper))
+        object.__setattr__(self, "start", Estimate(*divided(_together(self.start))))
+        nominal, gain, lower, upper = (_together(x) for x in (self.nominal, self.gain, self.lower, self.upper))
         weight, alarm = _inverse(gain), np.where(lower == 0.0, -np.inf, lower)
         leaks = np.sign(gain)
         joined = {
@@ -87,8 +87,7 @@ class Adaptation:
             object.__setattr__(self, f"_{name}", array)
         for array in (*self.start, *self.nominal, *self.lower, *self.upper, *self.gain, *joined.values()):
             array.flags.writeable = False
-        split = len(self.gain.arm)
-        object.__setattr__(self, "weight", Estimate(weight[:split], weight[split:]))
+        object.__setattr__(self, "weight", Estimate(*divided(weight)))
 
     def advance(self, estimate: Estimate, gradient: Gradient, dt: float) -> tuple[Estimate, bool]:
         """θ̂ after dt seconds of θ̂̇ = −Γ gradient − σ (θ̂ − nominal), projected; and whether a configured bound held it.
@@ -105,14 +104,13 @@ class Adaptation:
             return estimate, True
         inside = to_box(theta, self._lower, self._upper)
         held = bool(np.count_nonzero(inside != theta)) and _outside(theta, self._alarm, self._upper)
-        arm, body = divided(inside)
         if self.physical:
-            links = arm[: len(arm) // ARM_PARAMETERS_PER_JOINT * BODY_PARAMETERS]
-            bodies = np.concatenate((links, body)).reshape(-1, BODY_PARAMETERS)
+            n = (len(inside) - BODY_PARAMETERS) // ARM_PARAMETERS_PER_JOINT
+            bodies = inside[: BODY_PARAMETERS * (n + 1)].reshape(-1, BODY_PARAMETERS)  # the object's, then the links'
             possible = to_physical(bodies)
             if possible is not bodies:
-                links[:], body[:] = possible[:-1].ravel(), possible[-1]
-        return Estimate(arm, body), held
+                bodies[:] = possible
+        return Estimate(*divided(inside)), held
 
     def parameter_error(self, estimate: Estimate) -> float:
         """½ e_θᵀ Γ⁻¹ e_θ with e_θ = nominal − θ̂, over the parameters that are estimated."""
@@ -126,17 +124,22 @@ def from_row(theta_arm: Vector, theta_object: Vector, n: int) -> Estimate:
 
 
 def divided(joined: Vector) -> tuple[Vector, Vector]:
-    """The parts of arm (16 n,) and object (10,) as views of one array."""
-    return joined[:-BODY_PARAMETERS], joined[-BODY_PARAMETERS:]
+    """The parts of arm (16 n,) and object (10,) as views of one array, in which the object stands first."""
+    return joined[BODY_PARAMETERS:], joined[:BODY_PARAMETERS]
+
+
+def _together(parts: Estimate | Gradient) -> Vector:
+    """Object and arm in one new array."""
+    return np.concatenate((parts.object, parts.arm))
 
 
 def _joined(parts: Estimate | Gradient) -> Vector:
-    """Arm and object in one array: the one that `divided` made them from, where that is how they came about."""
+    """Object and arm in one array: the one that `divided` made them from, where that is how they came about."""
     arm, body = parts
     whole = arm.base
     if whole is not None and whole is body.base and len(whole) == len(arm) + len(body):
         return whole
-    return np.concatenate(parts)
+    return _together(parts)
 
 
 def _outside(theta: Vector, lower: Vector, upper: Vector) -> bool:

@@ -77,8 +77,8 @@ def torque(
             tau_friction += (of_joints[3:] * by_joint[3:]).sum(axis=0)
         add_friction(joints, tau_friction)
     by_joint *= dq_error
-    arm_gradient[:inertial] = Y.T.dot(dq_error)  # eq:adaptation laws
-    object_gradient[:] = Y_object.T.dot([c * x for x in e_v_object])  # eq:adaptation laws
+    dq_error.dot(Y, arm_gradient[:inertial])  # eq:adaptation laws, into the gradient
+    np.multiply(c, np.dot(e_v_object, Y_object), object_gradient)  # eq:adaptation laws
     terms = Terms(
         desired,
         k,

@@ -1,4 +1,4 @@
-"""Three LAPACK routines of scipy, without the 0.2 s that `import scipy.linalg` costs every process.
+"""Four LAPACK routines of scipy, without the 0.2 s that `import scipy.linalg` costs every process.
 
 The routines are functions of one extension module, which needs nothing of the package around it.  Where it is not
 found or is built otherwise, they come by the long way; the functions are the same objects either way.
@@ -15,7 +15,7 @@ from types import ModuleType
 from typing import Final
 
 _NAME: Final = "scipy.linalg._flapack"
-_ROUTINES: Final = ("dgesv", "dposv", "dpbtrf")
+_ROUTINES: Final = ("dgesv", "dposv", "dpbtrf", "dpbsv")
 
 
 def _module() -> ModuleType:
@@ -45,4 +45,4 @@ def _extension() -> ModuleType | None:
 
 
 _flapack = _module()
-dgesv, dposv, dpbtrf = (getattr(_flapack, routine) for routine in _ROUTINES)
+dgesv, dposv, dpbtrf, dpbsv = (getattr(_flapack, routine) for routine in _ROUTINES)

@@ -7,7 +7,7 @@ watchdog.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -19,9 +19,9 @@ from agent.config.reality import reality_of
 from agent.config.schema.cell import DriverKind
 from agent.config.schema.reality import ArmReality, Reality
 from agent.config.servo_map import arm_map
-from agent.faults.plan import FaultPlanError, Injection, Kind, Target, on_the_wire, placed
+from agent.faults.plan import FaultPlanError, Injection, Kind, Target, on_the_wire
 from agent.faults.tampered import AgentClock, AgentGone, TamperedDriver, Tampering, with_gains
-from agent.faults.virtual import Line, Plug, SharedClock, VirtualPort
+from agent.faults.virtual import Advancing, Line, Plug, SharedClock, VirtualPort
 from agent.loop import Agent
 from agent.modes import Event, Mode
 from agent.monitors.watch import Watch
@@ -29,14 +29,15 @@ from agent.process.build import Connection, build_agent
 from agent.process.emulate import wiring
 from agent.process.schedule import AgentOptions, schedule_of
 from agent.process.simulated import plant_spec
-from agent.runner import Runner, RunSummary, Surroundings
+from agent.runner import LoopLog, Runner, RunSummary, Surroundings
 from agent.telemetry.row.fill import AgentRow
 from agent.telemetry.row.sample import AGENT_STATE
 from agent.verify.check import examine
 from drivers.dynamixel.events import DriverEvent
-from drivers.interface import Refusal, Vector
+from drivers.interface import Driver, Refusal, Vector
 from sim_backend.physics.build import AnyPlant
 from sim_backend.physics.plant import Observation
+from sim_backend.wire.cell import EmulatedCell
 from sim_backend.wire.injector import Injector
 from sim_backend.wire.plant_world import emulate
 from sim_backend.wire.timing import BusTiming
@@ -78,7 +79,7 @@ class ArmRun:
     summary: RunSummary | None = None
     gone_s: float | None = None  # when its process was gone
     error: Refusal | None = None  # that ended it
-    defect: BaseException | None = None  # raised again by `rehearse`
+    defect: BaseException | None = None  # raised again by `Bench.run`
 
     @property
     def rows(self) -> Any:
@@ -98,28 +99,24 @@ class Rehearsal:
     plant: AnyPlant  # as the run left it
 
 
-def rehearse(cell: Cell, faults: Sequence[Injection], seed: int = 1) -> Rehearsal:
-    """Run the cell from READY on with these faults; seed: of what is random on the bus.  Raises Refusal."""
-    return _Bench(cell, placed(faults, [arm.name for arm in cell.arms]), seed).run()
-
-
-class _Bench:
+class Bench:
     """The cell, its arms' threads, and what befalls them when."""
+
+    start_after_ns = START_AFTER_NS
 
     def __init__(self, cell: Cell, faults: tuple[Injection, ...], seed: int) -> None:
         self.cell, self.faults = cell, faults
         self._q_start = examine(cell).q_start
-        wired = [wiring(arm, i, arm.baud) for i, arm in enumerate(cell.arms)]
-        spec = plant_spec(cell, self._q_start, _reality(cell, faults))
-        self._emulated, self._world = emulate(spec, wired, timing=BusTiming())
-        self._plugs = [Plug() for _ in cell.arms]
+        self._emulated = self._build(_reality(cell, faults))
+        self._plugs = [Plug() for _ in self._emulated.arms]
         self._injectors = [
             Injector(arm, plug, seed=seed + i)
             for i, (arm, plug) in enumerate(zip(self._emulated.arms, self._plugs, strict=True))
         ]
+        self._place = {arm.name: i for i, arm in enumerate(self._emulated.arms)}  # among those that are emulated
         for fault in faults:
-            _require_servo(fault, self._injectors[cell.index(str(fault.arm))])
-        self._clock = SharedClock(self._emulated, self._injectors, len(cell.arms), self._passed)
+            _require_servo(fault, self._injectors, self._place)
+        self._clock = SharedClock(self._time, self._injectors, len(cell.arms), self._passed)
         self._ready: set[str] = set()
         self._zero_ns: int | None = None
         self._agenda: list[tuple[int, Callable[[], None]]] = []
@@ -129,9 +126,7 @@ class _Bench:
 
     def run(self) -> Rehearsal:
         """All arms to their end."""
-        threads = [
-            threading.Thread(target=self._live, args=(arm, i), daemon=True) for i, arm in enumerate(self.cell.arms)
-        ]
+        threads = [threading.Thread(target=self._live, args=(arm,), daemon=True) for arm in self.cell.arms]
         for thread in threads:
             thread.start()
         for thread in threads:
@@ -139,7 +134,16 @@ class _Bench:
         for run in self.arms.values():
             if run.defect is not None:
                 raise run.defect
-        return Rehearsal(self.cell, self.faults, self.arms, self._zero_ns or 0, tuple(self._truth), self._world.plant)
+        return Rehearsal(self.cell, self.faults, self.arms, self._zero_ns or 0, tuple(self._truth), self._plant)
+
+    def _build(self, reality: Reality | None) -> EmulatedCell:
+        """The servos, and what they move."""
+        wired = [wiring(arm, i, arm.baud) for i, arm in enumerate(self.cell.arms)]
+        spec = plant_spec(self.cell, self._q_start, reality)
+        emulated, world = emulate(spec, wired, timing=BusTiming())
+        self._time: Advancing = emulated
+        self._plant, self._observe = world.plant, world.observe
+        return emulated
 
     # --- what happens to the plant ---------------------------------------------------------------------------------
 
@@ -148,15 +152,20 @@ class _Bench:
             self._agenda.pop(0)[1]()
         if self._zero_ns is not None and now_ns - self._observed_ns >= OBSERVE_NS:
             self._observed_ns = now_ns
-            self._truth.append(((now_ns - self._zero_ns) * NS, self._world.observe()))
+            self._truth.append(((now_ns - self._zero_ns) * NS, self._observe()))
 
     def _plan(self, zero_ns: int) -> None:
         """The common start is known: so is when everything happens."""
-        plant = self._world.plant
+        plant = self._plant
         for fault in self.faults:
             arm, begin = str(fault.arm), zero_ns + round(fault.at_s * 1e9)
             end = None if fault.for_s == np.inf else begin + round(fault.for_s * 1e9)
-            if fault.target is Target.GRASP and fault.kind is Kind.OFF:
+            own = self._own_plan(fault)
+            if own is not None:
+                self._agenda.append((begin, own[0]))
+                if end is not None:
+                    self._agenda.append((end, own[1]))
+            elif fault.target is Target.GRASP and fault.kind is Kind.OFF:
                 self._agenda.append((begin, lambda arm=arm: plant.release(arm)))  # type: ignore[misc]
             elif fault.target is Target.ARM and fault.kind is Kind.STUCK:
                 self._agenda.append((begin, lambda arm=arm: plant.brake(arm, SEIZED_Nms_RAD)))  # type: ignore[misc]
@@ -172,6 +181,11 @@ class _Bench:
             wired = [w for f in self.faults if f.arm == injector.arm.name and (w := on_the_wire(f)) is not None]
             injector.add([w.model_copy(update={"start_s": w.start_s + lead_s}) for w in wired], now_ns)
 
+    def _own_plan(self, fault: Injection) -> tuple[Callable[[], None], Callable[[], None]] | None:
+        """How such a fault begins and ends here, where that is not as on the one plant of emulated arms."""
+        del fault
+        return None
+
     def _against(self, fault: Injection) -> Vector:
         v = np.array(self.cell.trajectory().at(fault.at_s).v[:3])
         speed = float(np.linalg.norm(v))
@@ -180,13 +194,14 @@ class _Bench:
 
     # --- one arm ---------------------------------------------------------------------------------------------------
 
-    def _live(self, arm: Arm, index: int) -> None:
+    def _live(self, arm: Arm) -> None:
         run = self.arms[arm.name]
         self._clock.join()
         try:
-            run.summary = self._loop(run, arm, index)
+            run.summary = self._loop(run, arm)
         except AgentGone:
             run.gone_s = self._t()
+            self._lost(arm.name)
         except Refusal as error:
             run.error = error
         except BaseException as error:  # noqa: BLE001 - raised again where the run was asked for
@@ -194,18 +209,26 @@ class _Bench:
         finally:
             self._clock.leave()
 
-    def _loop(self, run: ArmRun, arm: Arm, index: int) -> RunSummary:
-        line = Line(self._emulated, index, self._injectors[index], self._clock, self._plugs[index])
-        mine = [fault for fault in self.faults if fault.arm == arm.name]
-        clock = AgentClock(self._clock, mine, self.cell.period_ns, lambda: self._zero_ns)
+    def _lost(self, arm: str) -> None:
+        """The process of this arm's agent is gone."""
+
+    def _driver(self, run: ArmRun, arm: Arm, clock: AgentClock, mine: Sequence[Injection]) -> Driver:
+        i, q_start = self._place[arm.name], self._q_start[self.cell.index(arm.name)]
+        line = Line(self._time, i, self._injectors[i], self._clock, self._plugs[i])
         driver = TamperedDriver(
-            arm_map(self.cell, arm, "virtual", self._q_start[index]),
+            arm_map(self.cell, arm, "virtual", q_start),
             clock,
             on_event=lambda event: run.events.append((self._t(), event)),
             scan_s=0.05,
             port=VirtualPort(line, arm.baud),
         )
         driver.tampering = Tampering(mine, self._t)
+        return driver
+
+    def _loop(self, run: ArmRun, arm: Arm) -> RunSummary:
+        mine = [fault for fault in self.faults if fault.arm == arm.name]
+        clock = AgentClock(self._clock, mine, self.cell.period_ns, lambda: self._zero_ns)
+        driver = self._driver(run, arm, clock, mine)
         driver.connect()
         driver.enable()
         try:
@@ -217,9 +240,7 @@ class _Bench:
             driver.disable()  # as the agent's process does when its loop has ended
         return summary
 
-    def _runner(
-        self, run: ArmRun, arm: Arm, driver: TamperedDriver, clock: AgentClock, mine: Sequence[Injection]
-    ) -> Runner:
+    def _runner(self, run: ArmRun, arm: Arm, driver: Driver, clock: AgentClock, mine: Sequence[Injection]) -> Runner:
         stops = [f.at_s for f in mine if (f.target, f.kind) == (Target.OPERATOR, Kind.OFF)]
         around = Surroundings(
             wall_ns=self._clock.now_ns,
@@ -229,11 +250,18 @@ class _Bench:
             mode_changed=lambda mode: run.modes.append((self._t(), mode)),
             trouble=lambda text: run.troubles.append((self._t(), text)),
         )
-        options: Any = AgentOptions(arm.name, DriverKind.DYNAMIXEL, Connection(), None, None, False, False)  # type: ignore[arg-type]
+        kind = DriverKind.DYNAMIXEL if arm.name in self._place else DriverKind.SIM
+        options: Any = AgentOptions(arm.name, kind, Connection(), None, None, False, False)  # type: ignore[arg-type]
         schedule = schedule_of(self.cell, options)
         row = AgentRow(run.log.message, arm.n, self.cell.config_id)
         watch = Watch(monitors.bounds(self.cell, arm), lambda text: run.warnings.append((self._t(), text)))
-        return Runner(self._agent(arm, mine), driver, clock, schedule, row, run.log, around, watch)
+        sink = self._sink(run.log, row, driver)
+        return Runner(self._agent(arm, mine), driver, clock, schedule, row, sink, around, watch)
+
+    def _sink(self, rows: Rows, row: AgentRow, driver: Driver) -> LoopLog:
+        """Where the loop's rows go."""
+        del row, driver
+        return rows
 
     def _agent(self, arm: Arm, mine: Sequence[Injection]) -> Agent:
         agent = build_agent(self.cell, arm)
@@ -246,7 +274,7 @@ class _Bench:
         """The common start, once every arm has asked for it, as this arm's clock has it."""
         self._ready.add(arm)
         if self._zero_ns is None and len(self._ready) == len(self.arms):
-            self._zero_ns = self._clock.now_ns() + START_AFTER_NS
+            self._zero_ns = self._clock.now_ns() + self.start_after_ns
             self._plan(self._zero_ns)
         if self._zero_ns is None:
             return None
@@ -258,9 +286,10 @@ class _Bench:
         return -np.inf if self._zero_ns is None else (self._clock.now_ns() - self._zero_ns) * NS
 
 
-def _require_servo(fault: Injection, injector: Injector) -> None:
+def _require_servo(fault: Injection, injectors: Sequence[Injector], place: Mapping[str, int]) -> None:
     """Refuse a servo that the arm does not have.  Raises FaultPlanError."""
-    known = [servo.id for servo in injector.arm.bus.servos]
+    i = place.get(str(fault.arm))
+    known = [servo.id for servo in injectors[i].arm.bus.servos] if i is not None else []
     if fault.servo is not None and fault.servo not in known:
         raise FaultPlanError(
             f"fault {fault.fault}: servo of arm {fault.arm}", found=fault.servo, expected=f"one of {known}",

@@ -10,9 +10,9 @@ from typing import Any
 
 from agent.config.cell import load_cell
 from agent.config.files import cell_path
-from agent.faults.bench import rehearse
 from agent.faults.catalogue import Shown, Within
 from agent.faults.measure import GONE, Measured, measured
+from agent.faults.rehearse import rehearse
 
 
 class Verdict(enum.StrEnum):

@@ -46,6 +46,8 @@ class Target(enum.StrEnum):
     ARM = "arm"
     OBJECT = "object"
     OPERATOR = "operator"
+    PLANT = "plant"
+    HAND = "hand"
 
 
 @dataclass(frozen=True)
@@ -88,9 +90,17 @@ POSSIBLE: Final[Mapping[tuple[Target, Kind], Possible]] = MappingProxyType(
         (Target.OBJECT, Kind.WRONG): Possible("weighs so many times what the cell says", "times", 1.5, always=True),
         (Target.OBJECT, Kind.STUCK): Possible("is pushed against the motion, so hard", "N", 10.0),
         (Target.OPERATOR, Kind.OFF): Possible("stops this arm alone"),
+        (Target.PLANT, Kind.OFF): Possible("of a rehearsal: the simulated cell's process is gone"),
+        (Target.PLANT, Kind.STUCK): Possible("of a rehearsal: the simulated cell stands still until the fault ends"),
+        (Target.HAND, Kind.STUCK): Possible("of a rehearsal: somebody lifts the real arm, so hard", "N", 5.0),
     }
 )
 
+OF_REHEARSALS: Final = (Target.PLANT, Target.HAND)
+_OF_SIMULATED_ARMS: Final = frozenset({
+    (Target.AGENT, Kind.OFF), (Target.GRASP, Kind.OFF), (Target.GRASP, Kind.WRONG), (Target.OPERATOR, Kind.OFF),
+    (Target.CLOCK, Kind.WRONG),
+})  # fmt: skip
 _NAMED: Final = {f"{target}-{kind}": (target, kind) for target, kind in POSSIBLE}
 NAMES: Final = tuple(_NAMED)
 
@@ -176,6 +186,25 @@ def placed(faults: Sequence[Injection], arms: Sequence[str]) -> tuple[Injection,
         if fault.arm is not None and fault.arm not in arms:
             raise FaultPlanError("fault: arm", found=fault.arm, expected=" or ".join(arms), remedy="name an arm")
     return tuple(fault.model_copy(update={"arm": fault.arm or arms[0]}) for fault in faults)
+
+
+def require_fit(faults: Sequence[Injection], looped: Sequence[str] | None) -> None:
+    """Refuse faults that need a rehearsal, or servos where an arm is simulated.  Raises FaultPlanError.
+
+    faults: `placed`; looped: arms that [hil] names, None without the table.
+    """
+    for fault in faults:
+        if looped is None and fault.target in OF_REHEARSALS:
+            raise FaultPlanError(
+                f"fault {fault.fault}", found="a cell without [hil]", expected="a rehearsal: an arm in the loop",
+                remedy="""name one: --set 'hil.arms=["ARM"]'""",
+            )  # fmt: skip
+        free = fault.target in (Target.PLANT, Target.OBJECT) or (fault.target, fault.kind) in _OF_SIMULATED_ARMS
+        if looped is not None and fault.arm not in looped and not free:
+            raise FaultPlanError(
+                f"fault {fault.fault}: arm", found=f"{fault.arm}, which is simulated", expected=" or ".join(looped),
+                remedy="name an arm in the loop with --arm",
+            )  # fmt: skip
 
 
 _WIRE: Final[Mapping[tuple[Target, Kind], wire.FaultKind]] = MappingProxyType(

@@ -7,15 +7,32 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Protocol
 
 from drivers.dynamixel.errors import PortError, PortLostError, WriteTimeoutError
+from drivers.interface import Clock
+from sim_backend.wire.arm import EmulatedArm
 from sim_backend.wire.bus import Bus
-from sim_backend.wire.cell import EmulatedCell
 from sim_backend.wire.injector import Injector
 
 NOBODY = 0
 STEP_NS = 1_000_000  # in which time passes, so that watchdogs and faults can follow
+
+
+class Advancing(Protocol):
+    """Servos, and what moves them, that go where time goes; the emulated cell is one."""
+
+    @property
+    def arms(self) -> Sequence[EmulatedArm]:
+        """On whose buses time passes."""
+
+    @property
+    def time_ns(self) -> int:
+        """At which it stands."""
+
+    def advance_to(self, now_ns: int) -> None:
+        """Go there."""
 
 
 class SharedClock:
@@ -24,9 +41,10 @@ class SharedClock:
     utc_offset_ns = 0
 
     def __init__(
-        self, cell: EmulatedCell, injectors: Sequence[Injector], members: int, passed: Callable[[int], None]
-    ) -> None:
-        """passed: is told after each step of time what time it is."""
+        self, cell: Advancing, injectors: Sequence[Injector], members: int,
+        passed: Callable[[int], None] = lambda _: None,
+    ) -> None:  # fmt: skip
+        """members: threads that join it; passed: is told after each step of time what time it is."""
         self._ns = cell.time_ns
         self._cell = cell
         self._injectors = injectors
@@ -103,11 +121,11 @@ class Plug:
 class Line:
     """The serial line of one arm."""
 
-    cell: EmulatedCell
+    cell: Advancing
     index: int
     injector: Injector
-    clock: SharedClock
-    plug: Plug
+    clock: Clock
+    plug: Plug = field(default_factory=Plug)
     user: VirtualPort | None = None
 
     @property

@@ -15,6 +15,7 @@ class StopFlag:
 
     def __init__(self) -> None:
         self.stopped = False
+        self.stops = 0  # how often it was asked for
         self.released = False
         signal.signal(signal.SIGTERM, self._stop)
         signal.signal(signal.SIGINT, self._stop)
@@ -23,6 +24,7 @@ class StopFlag:
     def _stop(self, number: int, frame: FrameType | None) -> None:
         del number, frame
         self.stopped = True
+        self.stops += 1
 
     def _release(self, number: int, frame: FrameType | None) -> None:
         del number, frame

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from types import MappingProxyType
 from typing import BinaryIO, Final, Generic, Protocol, TypeVar
 
 import numpy as np
@@ -12,6 +13,7 @@ from mcap.records import Attachment, Channel, Metadata, Schema
 from numpy.typing import NDArray
 
 from agent.log.cdr import text_of
+from agent.log.file import LIBRARY
 from agent.log.layout import OURS, differences, parse
 from agent.log.scan import LogScan, Messages, Run, library_of
 from agent.telemetry.row.event import Event
@@ -20,9 +22,10 @@ from agent.telemetry.row.sample import Layout
 from agent.telemetry.row.topics import Kind, parse_topic
 from drivers.interface import Refusal
 
+Needs = Mapping[str, frozenset[str]]  # names of fields by kind of row
 _OTHER_RELEASE: Final = (
-    "`coop export` and `coop replay` read it as it is; for the rest take the release that recorded it, "
-    "which is in its metadata `versions`"
+    "`coop export`, `coop replay` and `coop events` read it as it is, `coop view` if it has what a picture needs; for "
+    "the rest take the release that recorded it"
 )
 
 
@@ -44,8 +47,18 @@ Sink = TypeVar("Sink", bound=RowSink)
 class Collected(Generic[Sink]):
     """All of one log."""
 
-    def __init__(self, path: Path, new_sink: Callable[[Layout], Sink], *, any_layout: bool = False) -> None:
-        """`new_sink` is called once per member that has a channel of rows; any_layout: rows of other releases too."""
+    def __init__(
+        self,
+        path: Path,
+        new_sink: Callable[[Layout], Sink],
+        *,
+        any_layout: bool = False,
+        needs: Needs = MappingProxyType({}),
+    ) -> None:
+        """`new_sink` is called once per member that has a channel of rows; any_layout: rows of other releases too.
+
+        needs: rows of other releases, if they have these fields.
+        """
         self.cell = ""
         self.rows: dict[str, Sink] = {}
         self.events: list[Event] = []
@@ -55,7 +68,7 @@ class Collected(Generic[Sink]):
         self.problems: list[str] = []
         self.layouts: dict[str, Layout] = {}
         self.path = path
-        self._any_layout = any_layout
+        self._any_layout, self._needs = any_layout, needs
         self._new_sink = new_sink
         self._schemas: dict[int, Schema] = {}
         self._kinds: dict[int, tuple[str, Kind]] = {}  # member and kind by channel
@@ -100,17 +113,23 @@ class Collected(Generic[Sink]):
         own = OURS.get(schema.name) if schema else None
         written = schema.data.decode(errors="replace") if schema else ""
         found = parse(schema.name, written) if schema else None
-        if found is None or own is None or not (self._any_layout or written == own.definition):
+        if found is None or own is None or not (self._any_layout or written == own.definition or self._serves(found)):
             told = "no schema" if schema is None else schema.name
             if found is not None and own is not None:
                 told = f"{told} {differences(found.fields, own.fields) or 'in other words'}"
+            release = self.metadata.get("versions", {}).get(LIBRARY)
             raise LogError(
                 f"{self.path}: {channel.topic} has another layout",
-                found=told,
+                found=f"{told}, of release {release}" if release else told,
                 expected="the layout of this release",
                 remedy=_OTHER_RELEASE if found is not None else "read it with the release that recorded it",
             )
         return found
+
+    def _serves(self, layout: Layout) -> bool:
+        """Whether rows of another release have what the reader needs."""
+        wanted = self._needs.get(layout.ros_name)
+        return wanted is not None and wanted <= {f.name for f in layout.fields}
 
     def _add_run(self, messages: Messages, run: Run) -> None:
         if run.channel not in self._kinds:

@@ -11,12 +11,13 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.log.collect import Collected, LogError
+from agent.log.collect import Collected, LogError, Needs
 from agent.log.columns import ColumnFile, StoredRows, Table
 from agent.log.servos import ServoTable, servo_table
 from agent.telemetry.row.event import Event, Level
@@ -86,14 +87,16 @@ def read_log(path: Path) -> RunLog:
 
 
 @contextmanager
-def open_log(path: Path, folder: Path | None = None, *, any_layout: bool = False) -> Iterator[ColumnLog]:
+def open_log(
+    path: Path, folder: Path | None = None, *, any_layout: bool = False, needs: Needs = MappingProxyType({})
+) -> Iterator[ColumnLog]:
     """The same with rows by column, for the time of the block: memory is needed for the columns in use.
 
     `folder`: where the temporary file with the columns lies, about as large as the log; see ColumnFile.
-    any_layout: rows of another release are read too, with the fields that `layouts` has.
+    any_layout: rows of another release are read too, with the fields that `layouts` has; needs: if they have these.
     """
     with ColumnFile(folder) as file:
-        collected = Collected(path, lambda layout: StoredRows(file, layout.dtype), any_layout=any_layout)
+        collected = Collected(path, lambda layout: StoredRows(file, layout.dtype), any_layout=any_layout, needs=needs)
         collected.read()
         for stored in collected.rows.values():
             stored.finish()

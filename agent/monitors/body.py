@@ -6,6 +6,7 @@ import math
 
 from agent.monitors.bounds import Bounds
 from agent.monitors.tick import Tick, sentence
+from agent.phases import ALONE
 from agent.safety import Flag
 
 LIMITED_TICKS = 100
@@ -14,7 +15,7 @@ _AXES = "xyz"
 
 
 class Workspace:
-    """The object's origin, as this arm sees it, stays in a box in the world."""
+    """The object's origin, as this arm sees it, stays in a box in the world; asked while the arm holds it."""
 
     def __init__(self, bounds: Bounds) -> None:
         self._box = bounds.workspace_m
@@ -22,7 +23,7 @@ class Workspace:
     def check(self, at: Tick) -> str:
         """See `agent.monitors.tick.Monitor`."""
         terms = at.outcome.terms
-        if terms is None:
+        if terms is None or at.mode in ALONE:
             return ""
         for axis, x, (low, high) in zip(_AXES, terms.kinematics.p_object, self._box, strict=True):
             if not low <= x <= high:

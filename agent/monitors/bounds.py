@@ -31,8 +31,10 @@ class Bounds:
     period_s: float
     watched: frozenset[Name]  # the others are switched off
     speed_rad_per_s: tuple[float, ...]
+    speed_alone_rad_per_s: tuple[float, ...]  # of an arm of a session that holds nothing
     power_W: tuple[float, ...]  # |torque x speed|
     position_rad: tuple[tuple[float, float], ...]
+    position_alone_rad: tuple[tuple[float, float], ...]  # of an arm of a session that holds nothing
     workspace_m: tuple[tuple[float, float], ...]  # of the object's origin, world axes: x, y, z
     limited_share: float  # of the last LIMITED_TICKS
     frozen_rad: float  # that the motion asks of a joint whose reading stays the same

@@ -5,6 +5,7 @@ from __future__ import annotations
 from agent.modes import Mode
 from agent.monitors.bounds import Bounds
 from agent.monitors.tick import Tick, sentence
+from agent.phases import ALONE
 
 FROZEN_S = 0.05  # a reading that stays the same for less says nothing
 
@@ -14,10 +15,12 @@ class Speed:
 
     def __init__(self, bounds: Bounds) -> None:
         self._joints, self._bounds = bounds.joints, bounds.speed_rad_per_s
+        self._alone = bounds.speed_alone_rad_per_s
 
     def check(self, at: Tick) -> str:
         """See `agent.monitors.tick.Monitor`."""
-        for joint, dq, bound in zip(self._joints, at.dq, self._bounds, strict=True):
+        bounds = self._alone if at.mode in ALONE else self._bounds
+        for joint, dq, bound in zip(self._joints, at.dq, bounds, strict=True):
             if not -bound <= dq <= bound:
                 return sentence(
                     f"speed of {joint}", f"{dq:.2f} rad/s", f"at most {bound:.2f} rad/s",
@@ -44,14 +47,16 @@ class Power:
 
 
 class Position:
-    """Every joint stays away from its end stops."""
+    """Every joint stays away from its end stops; an arm that holds nothing may also be as near to them as it rests."""
 
     def __init__(self, bounds: Bounds) -> None:
         self._joints, self._bounds = bounds.joints, bounds.position_rad
+        self._alone = bounds.position_alone_rad
 
     def check(self, at: Tick) -> str:
         """See `agent.monitors.tick.Monitor`."""
-        for joint, q, (low, high) in zip(self._joints, at.q, self._bounds, strict=True):
+        bounds = self._alone if at.mode in ALONE else self._bounds
+        for joint, q, (low, high) in zip(self._joints, at.q, bounds, strict=True):
             if not low <= q <= high:
                 return sentence(
                     f"position of {joint}", f"{q:.3f} rad", f"{low:.3f} to {high:.3f} rad",

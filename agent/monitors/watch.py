@@ -1,7 +1,9 @@
 """All monitors of one arm, asked once after every tick with a fresh state.
 
-They compute no torque: what they find is a HOLD, which the rows of the log show as their mode, and from which a replay
-learns of it.  In HOLD, where nothing more can be done, each tells once what it finds.
+They compute no torque: what they find is a HOLD, or a HALT of an arm that holds nothing, which the rows of the log show
+as their mode, and from which a replay learns of it.  Where nothing more can be done, in HOLD, HALT and REST, each tells
+once what it finds; on the way back of a session (LOWER, RELEASE, PARK) so do all but those of the joints' motion, for
+whoever is too hot is to be set down and brought home.
 """
 
 from __future__ import annotations
@@ -20,7 +22,9 @@ from agent.safety import Flag
 from drivers.interface import JointState, ServoHealth
 
 HEALTH_S = 0.25
-_STARTS = frozenset({Mode.READY, Mode.TRACK})  # from which HOLD is the answer
+_STOPS = frozenset({Mode.READY, Mode.TRACK, Mode.APPROACH, Mode.GRASP})  # in which everything is a reason to stop
+_BACK = frozenset({Mode.LOWER, Mode.RELEASE, Mode.PARK})  # and in these the motion alone
+_OF_MOTION = frozenset({Name.SPEED, Name.POWER})
 
 
 class Watch:
@@ -46,7 +50,7 @@ class Watch:
         self._tick = 0
 
     def after(self, state: JointState, outcome: Outcome, mode: Mode, health: Callable[[], ServoHealth]) -> str:
-        """Why the arm must hold, with the monitor's name; empty while it need not, and while it does.
+        """Why the arm must stop, with the monitor's name; empty while it need not, and while it stands.
 
         health: the driver's, which never waits; asked for four times a second.
         """
@@ -64,7 +68,7 @@ class Watch:
 
     def _found(self, name: Name, said: str, mode: Mode) -> str:
         text = f"monitor {name}: {said}"
-        if mode in _STARTS:
+        if mode in _STOPS or (mode in _BACK and name in _OF_MOTION):
             self._told.add(name)
             return text
         if name not in self._told:

@@ -21,16 +21,15 @@ class Request:
     verb: Verb
     fingerprint: str = ""  # start: of the cell that the operator means
     start_utc_ns: int = 0  # start, lower
-    prepare: bool = False  # start: only say whether it would be accepted
+    prepare: bool = False  # only say whether it would be accepted
     clock_bound_s: float | None = None  # start: by how much this host's clock may be off; None: not known
 
     def encode(self) -> bytes:
         """As it is sent."""
-        content: dict[str, Any] = {"verb": self.verb.value}
+        content: dict[str, Any] = {"verb": self.verb.value, "prepare": self.prepare}
         if self.verb is Verb.START:
             content |= {
-                "fingerprint": self.fingerprint, "start_utc_ns": self.start_utc_ns, "prepare": self.prepare,
-                "clock_bound_s": self.clock_bound_s,
+                "fingerprint": self.fingerprint, "start_utc_ns": self.start_utc_ns, "clock_bound_s": self.clock_bound_s,
             }  # fmt: skip
         elif self.start_utc_ns:
             content["start_utc_ns"] = self.start_utc_ns
@@ -42,13 +41,13 @@ class Request:
         try:
             content = json.loads(data)
             verb = Verb(content["verb"])
+            prepare = content.get("prepare", False) is True
             if verb is not Verb.START:
-                return cls(verb, start_utc_ns=int(content.get("start_utc_ns", 0)))
+                return cls(verb, start_utc_ns=int(content.get("start_utc_ns", 0)), prepare=prepare)
             bound_s = content.get("clock_bound_s")
             return cls(
                 verb, str(content.get("fingerprint", "")), int(content["start_utc_ns"]),
-                prepare=content.get("prepare", False) is True,
-                clock_bound_s=None if bound_s is None else float(bound_s),
+                prepare=prepare, clock_bound_s=None if bound_s is None else float(bound_s),
             )  # fmt: skip
         except (KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
             raise ValueError(f"not a request: {error!r}") from error

@@ -37,8 +37,8 @@ _DOES: Final[Mapping[tuple[Verb, Mode], str]] = MappingProxyType({
     (Verb.RELEASE, Mode.OFF): "switches its torque off, and its agent ends",
     (Verb.START, Mode.TRACK): "follows the trajectory from the instant on, which replaces an earlier one",
     (Verb.STOP, Mode.HOLD): "holds the object where it is, gripper closed",
-    (Verb.STOP, Mode.HALT): "stops where it is",
-    (Verb.CANCEL, Mode.HOLD): "holds: the start to be taken back has been",
+    (Verb.STOP, Mode.HALT): "stops where it is, and opens its gripper",
+    (Verb.CANCEL, Mode.HOLD): "holds: what is taken back had begun",
 })  # fmt: skip
 _EVENT: Final = {**EVENT_OF, Verb.START: Event.STARTED}
 
@@ -47,8 +47,11 @@ def _effect(verb: Verb, mode: Mode) -> Effect:
     if verb is Verb.STATUS:
         return Effect(mode, "says how things are")
     if verb is Verb.CANCEL:
-        return Effect(Mode.HOLD, _DOES[verb, Mode.HOLD]) if mode is Mode.TRACK else Effect(mode, "starts no more")
+        begun = mode in (Mode.TRACK, Mode.LOWER)
+        return Effect(Mode.HOLD, _DOES[verb, Mode.HOLD]) if begun else Effect(mode, "does not begin any more")
     after = next_in_session(mode, _EVENT[verb])
+    if verb is Verb.STOP and mode is Mode.RELEASE:
+        return Effect(after, "stops where it is; holds the object (HOLD) as long as its gripper has not begun to open")
     if verb is Verb.STOP:
         return Effect(after, _DOES.get((verb, after), "") if after is not mode else "goes on: nothing moves it")
     if not WORDS.get(mode, Event.NONE) & _EVENT[verb]:

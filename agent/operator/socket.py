@@ -33,7 +33,7 @@ class Requests:
     """What has been asked for and accepted so far."""
 
     start: Request | None = None  # the last one; None too once it has been taken back
-    lower: Request | None = None  # at an instant
+    lower: Request | None = None  # at an instant; None too once it has been taken back
     words: list[Verb] = field(default_factory=list)  # others, until whoever acts on them has taken them away
 
     def take(self) -> list[Verb]:
@@ -153,13 +153,14 @@ class ControlSocket:
         return None
 
     def _take(self, request: Request) -> None:
-        """Keep what was accepted for whoever acts on it."""
+        """Keep what was accepted for whoever acts on it; of what is only prepared nothing is kept."""
+        if request.prepare:
+            return
         if request.verb is Verb.START:
-            if not request.prepare:
-                self.requests.start = request
+            self.requests.start = request
         elif request.verb is Verb.CANCEL:
-            self.requests.start = None
-            if self.standing.mode is Mode.TRACK:  # it has come true: what is left is to stop it
+            self.requests.start = self.requests.lower = None
+            if self.standing.mode in (Mode.TRACK, Mode.LOWER):  # it has come true: what is left is to stop it
                 self.requests.words.append(Verb.STOP)
         elif request.verb is Verb.LOWER and request.start_utc_ns:
             self.requests.lower = request

@@ -1,6 +1,6 @@
-"""An operator's words to the agents of this host: all are asked at once; a start is given only when all would take it.
+"""An operator's words to the agents of this host: all are asked first, and told only when all would take the word.
 
-Stop and release reach everybody who is alive, whoever else is not, and say who did not answer.
+Stop and release are not asked about: they reach everybody who is alive, and say who did not answer.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from types import MappingProxyType
 
 from agent.config.cell import Cell
 from agent.host.clock import ClockState
@@ -25,6 +26,15 @@ SOONEST_S = 0.05
 
 Places = Mapping[str, Iterable[Path]]
 _SEE = "see `coop status` and their logs; stop reaches all who answer"
+_SOME = "name those that are meant with --arm; "
+_REACH_WHO_LIVES = (Verb.STOP, Verb.RELEASE)
+_NEEDED: Mapping[Verb, str] = MappingProxyType({
+    Verb.START: "every arm of this host READY with this cell",
+    Verb.LOWER: "every arm of this host to hold the object",
+    Verb.APPROACH: "every arm of this host ready to approach",
+    Verb.GRASP: "every arm of this host at its grasp",
+    Verb.PARK: "every arm of this host free to go",
+})  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -42,7 +52,7 @@ def start_arms(
 
     tell: is told how good the clock is.  Raises ControlError; its text says what became of those who had accepted.
     """
-    instant = _instant(at, in_s)
+    instant = _instant(Verb.START, at, in_s)
     request = Request(
         Verb.START, cell.fingerprint, int(instant.timestamp() * 1e9),
         clock_bound_s=here.clock.max_error_s if here.clock.synchronised else None,
@@ -55,14 +65,12 @@ def start_arms(
 
 
 def start_together(arms: Places, request: Request, timeout_s: float = REPLY_TIMEOUT_S) -> None:
-    """Prepare, then commit.  Raises ControlError when not every arm accepts; then no arm starts that can be reached."""
-    heard = ask_arms(arms, replace(request, prepare=True), timeout_s)
-    refused = _unwilling(heard) | _others(heard, request.fingerprint)
-    if refused:
-        raise ControlError(
-            "start", found=named(refused), expected="every arm of this host READY with this cell",
-            remedy=f"no arm has been given the instant; {_SEE}",
-        )  # fmt: skip
+    """Give a start or a lowering to all or none: prepare, then commit.  Raises ControlError when not every arm accepts.
+
+    Then no arm begins that can be reached.
+    """
+    verb, needed = request.verb, _NEEDED[request.verb]
+    _ask_first(arms, request, timeout_s)
     _require_time(request)
     left_s = 1e-9 * (request.start_utc_ns - time.time_ns())
     refused = _unwilling(ask_arms(arms, request, min(timeout_s, 0.5 * left_s)))  # half is left for taking it back
@@ -70,8 +78,21 @@ def start_together(arms: Places, request: Request, timeout_s: float = REPLY_TIME
         left_s = max(SOONEST_S, 1e-9 * (request.start_utc_ns - time.time_ns()))
         taken_back = ask_arms(arms, Request(Verb.CANCEL), min(timeout_s, left_s))
         raise ControlError(
-            "start", found=named(refused), expected="every arm to take the instant it had agreed to",
-            remedy=f"the start was taken back ({_outcome(taken_back)}); {_SEE}",
+            verb.value, found=named(refused), expected=f"{needed} still, when it was given the instant",
+            remedy=f"the {verb.value} was taken back ({_outcome(taken_back)}); {_SEE}",
+        )  # fmt: skip
+
+
+def _ask_first(arms: Places, request: Request, timeout_s: float) -> None:
+    """Raise ControlError, nothing having been done, unless all arms would take the word."""
+    heard = ask_arms(arms, replace(request, prepare=True), timeout_s)
+    refused = _unwilling(heard)
+    if request.verb is Verb.START:
+        refused |= _others(heard, request.fingerprint)
+    if refused:
+        raise ControlError(
+            request.verb.value, found=named(refused), expected=_NEEDED[request.verb],
+            remedy=f"no arm has been told; {'' if request.verb is Verb.START else _SOME}{_SEE}",
         )  # fmt: skip
 
 
@@ -99,41 +120,16 @@ def _told(heard: Heard) -> str:
 
 
 def _outcome(heard: Mapping[str, Heard]) -> str:
-    """What became of a start that was taken back, arm by arm."""
+    """What became of what was taken back, arm by arm."""
     said = {}
     for arm, one in heard.items():
         if not isinstance(one, Reply):
             said[arm] = "NOT KNOWN, it does not answer"
-        elif one.mode == "TRACK":
-            said[arm] = "had started, holds now"
+        elif one.mode in ("TRACK", "LOWER"):
+            said[arm] = "had begun, holds now"
         else:
-            said[arm] = "does not start"
+            said[arm] = "does not begin"
     return named(said)
-
-
-def stop_arms(
-    cell: Cell,
-    arms: Sequence[str],
-    sockets: Sequence[Path],
-    host: str | None = None,
-    timeout_s: float = REPLY_TIMEOUT_S,
-) -> str:
-    """Let the agents hold the object; what each does.
-
-    Raises ControlError when one did not answer, after all others were told.
-    """
-    return _tell_all(places(cell, arms, sockets, host), Verb.STOP, timeout_s)
-
-
-def release_arms(
-    cell: Cell,
-    arms: Sequence[str],
-    sockets: Sequence[Path],
-    host: str | None = None,
-    timeout_s: float = REPLY_TIMEOUT_S,
-) -> str:
-    """Let the agents that hold the object switch torque off; what each does.  Raises as `stop_arms` does."""
-    return _tell_all(places(cell, arms, sockets, host), Verb.RELEASE, timeout_s)
 
 
 def tell_arms(
@@ -144,26 +140,34 @@ def tell_arms(
     host: str | None = None,
     timeout_s: float = REPLY_TIMEOUT_S,
 ) -> str:
-    """Say a word of a session; what each arm does.  Raises as `stop_arms` does."""
+    """Say a word that needs no instant to this host's agents; what each does.
+
+    Raises ControlError: of stop and release when one did not answer, after all others were told; of any other word
+    before an arm moves, unless one refuses what it had agreed to.
+    """
     return _tell_all(places(cell, arms, sockets, host), verb, timeout_s)
 
 
-def lower_arms(cell: Cell, at: str | None, in_s: float | None, sockets: Sequence[Path], host: str | None = None) -> str:
-    """Have all arms of this host set the object down from one instant on.  Raises ControlError."""
-    instant = _instant(at, in_s)
+def lower_arms(
+    cell: Cell,
+    at: str | None,
+    in_s: float | None,
+    arms: Sequence[str],
+    sockets: Sequence[Path],
+    host: str | None = None,
+) -> str:
+    """Have the arms meant set the object down from one instant on, all of them or none.  Raises ControlError."""
+    instant = _instant(Verb.LOWER, at, in_s)
     request = Request(Verb.LOWER, start_utc_ns=int(instant.timestamp() * 1e9))
     _require_time(request)
-    arms = places(cell, [], sockets, host)
-    refused = _unwilling(ask_arms(arms, request))
-    if refused:
-        raise ControlError(
-            "lower", found=named(refused), expected="every arm of this host to hold the object",
-            remedy="say `coop stop` at once if only some go down; see `coop status`",
-        )  # fmt: skip
-    return f"{len(arms)} arms lower the object at {instant:%H:%M:%S.%f} UTC"
+    meant = places(cell, arms, sockets, host)
+    start_together(meant, request)
+    return f"{len(meant)} arms lower the object at {instant:%H:%M:%S.%f} UTC"
 
 
 def _tell_all(arms: Places, verb: Verb, timeout_s: float) -> str:
+    if verb not in _REACH_WHO_LIVES:
+        _ask_first(arms, Request(verb), timeout_s)
     heard = ask_arms(arms, Request(verb), timeout_s)
     refused = _unwilling(heard)
     if refused:
@@ -191,19 +195,21 @@ def _require_time(request: Request) -> None:
     if request.start_utc_ns - time.time_ns() < SOONEST_S * 1e9:
         instant = datetime.fromtimestamp(request.start_utc_ns * 1e-9, UTC)
         raise ControlError(
-            "start", found=f"{instant:%H:%M:%S.%f} UTC", expected=f"at least {SOONEST_S:g} s from now",
+            request.verb.value, found=f"{instant:%H:%M:%S.%f} UTC", expected=f"at least {SOONEST_S:g} s from now",
             remedy="choose a later instant",
         )  # fmt: skip
 
 
-def _instant(at: str | None, in_s: float | None) -> datetime:
+def _instant(verb: Verb, at: str | None, in_s: float | None) -> datetime:
     now = datetime.now(UTC)
     if (at is None) == (in_s is None):
-        raise ControlError("start", found="no instant, or two", expected="--at or --in", remedy="e.g. --in 5")
+        raise ControlError(verb.value, found="no instant, or two", expected="--at or --in", remedy="e.g. --in 5")
     if in_s is not None:
         return now + timedelta(seconds=in_s)
     try:
         clock = datetime.strptime(at or "", "%H:%M:%S").time()  # noqa: DTZ007 - the date is today's, in UTC
     except ValueError as error:
-        raise ControlError("start", found=repr(at), expected="HH:MM:SS (UTC)", remedy="e.g. --at 14:30:00") from error
+        raise ControlError(
+            verb.value, found=repr(at), expected="HH:MM:SS (UTC)", remedy="e.g. --at 14:30:00"
+        ) from error
     return datetime.combine(now.date(), clock, UTC)

@@ -113,6 +113,7 @@ class Children:
         self._agents: dict[str, Child] = {}
         self._telemetry: dict[str, Child] = {}
         self._began_s = 0.0
+        self._interrupted = False
 
     def start(self, progress: Progress) -> None:
         """Start everything, recorder first, so that no row is before its time."""
@@ -122,8 +123,7 @@ class Children:
             self._plant = self._child("plant", self._plant_command())
             self._plant.wait_ready(READY_TIMEOUT_S)
             if self._kind is RunKind.HIL:
-                self._servos = self._child("servos", self._emulate_command(None))
-                self._servos.wait_ready(READY_TIMEOUT_S)
+                self._start_servos()
             self._start_agents()
         endpoint = self._recorder.wait_ready(READY_TIMEOUT_S)["endpoint"]
         for name in (PLANT, *self._agents):
@@ -136,6 +136,10 @@ class Children:
         elif not self._lockstep:
             self._start_together(progress)
         self._began_s = time.monotonic()
+
+    def _start_servos(self) -> None:
+        self._servos = self._child("servos", self._emulate_command(None))
+        self._servos.wait_ready(READY_TIMEOUT_S)
 
     def _start_agents(self) -> None:
         cores = cores_of_arms(len(self._cell.arms), os.sched_getaffinity(0))
@@ -198,7 +202,7 @@ class Children:
             driver=DriverKind.DYNAMIXEL if wire else DriverKind.SIM,
             plant_socket=None if self._kind is RunKind.WIRE else self._socket,
             port=self._runtime / arm if wire else None,
-            emulated=wire,
+            emulated=wire or self._kind is RunKind.HIL,
             real_time=self._kind in (RunKind.REAL_TIME, RunKind.HIL),
             whole=self._whole,
         )
@@ -217,15 +221,21 @@ class Children:
                 self._require_alive()
                 if self.person is not None:
                     self.person.look()
-                if stop():
-                    for child in self._agents.values():
-                        child.terminate()
-                    return True
+                if stop() and not self._interrupted:
+                    self._interrupted = True
+                    if self._stop_agents():
+                        return True
                 self._show(rows, progress)
                 time.sleep(LOOK_EVERY_S)
             self._show(rows, progress)
         self._require_alive()
-        return False
+        return self._interrupted
+
+    def _stop_agents(self) -> bool:
+        """Ask for the end of the run; whether nobody watches it any more."""
+        for child in self._agents.values():
+            child.terminate()
+        return True
 
     def end(self, progress: Progress) -> None:
         """End everything in the order in which nothing is lost."""

@@ -82,6 +82,25 @@ class AgentCommand(ChildCommand):
     emulated: bool = False
     real_time: bool = False
     whole: bool = False
+    hold: bool = False
+    guard: Path | None = None
+    gripper_empty: bool = False
+    priority: int | None = None
+    allow_no_realtime: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class GuardCommand(ChildCommand):
+    """`coop guard`: goes on when the agent of a real arm cannot."""
+
+    verb: ClassVar[str] = "guard"
+    arm: str
+    socket: Path
+    control: Path
+    post_mortem: Path
+    hold: bool = False
+    emulated: bool = False
+    priority: int | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -46,7 +46,7 @@ class Operator:
         watch: Callable[[], bool] = lambda: False,
         session: bool = False,
     ) -> None:
-        """session: a stop that was asked for is said once, for the arm may go on from it."""
+        """session: a stop is said once, whoever asks for it, for the arm may go on from it."""
         self._signals = stop
         self._control = control
         self._clock = clock
@@ -55,6 +55,7 @@ class Operator:
         self._watch = watch  # something else of this host because of which the arm must hold now
         self._session = session
         self._stopped = False
+        self._stops_said = 0  # in a session: signals, and holds of this host
         self._trouble = ""
         self._start: Request | None = None
         self._start_ns: int | None = None
@@ -82,11 +83,17 @@ class Operator:
         happened &= ~Event.RELEASED
         if self._watch():
             happened |= Event.TROUBLE
-        if self._stopped:
+        if self._stopped and self._says_stop():
             happened |= Event.STOP
         if released or (self._stopped and self._drops_on_stop):
             happened |= Event.RELEASED
         return happened
+
+    def _says_stop(self) -> bool:
+        """Always, but in a session once for each signal and each reason of this host."""
+        stops = self._signals.stops + bool(self._trouble)
+        said, self._stops_said = self._stops_said, stops
+        return stops != said or not self._session or self._drops_on_stop
 
     def _lower_now(self) -> Event:
         """The way down, once its instant has come."""
@@ -126,7 +133,7 @@ class Operator:
 
     def hold(self, reason: str) -> None:
         """Let the arm hold for a reason of this host."""
-        if not self._stopped:
+        if not self._stopped or (self._session and not self._trouble):
             self._stopped, self._trouble = True, reason
             self._tell(Level.WARN, f"holds: {reason}")
 

@@ -48,6 +48,27 @@ def require_wall_clock(cell: CellFiles, *, real_time: bool) -> None:
         )  # fmt: skip
 
 
+def require_one_host(cell: CellFiles) -> None:
+    """Refuse a rehearsal of arms on several hosts, which share no plant.  Raises ConfigError."""
+    hosts = sorted({arm.host for arm in cell.file.arms if arm.host is not None})
+    if cell.file.hil is not None and len(hosts) > 1:
+        raise ConfigError(
+            f"[hil] of cell {cell.file.name}", found=f"arms on {' and '.join(hosts)}",
+            expected="one host: its plant is shared by all arms, over a Unix socket",
+            remedy="plug the real arms into one host, and remove host of the others (--set arms.NAME.host=...)",
+        )  # fmt: skip
+
+
+def holds(cell: CellFiles, kind: DriverKind, *, emulated: bool, asked: bool | None) -> bool:
+    """Whether an arm holds at a stop and at the end: a real one, and partners of real ones in a rehearsal.
+
+    asked: on the command line.
+    """
+    if asked is not None:
+        return asked
+    return not emulated and (kind is DriverKind.DYNAMIXEL or cell.file.hil is not None)
+
+
 def require_empty_gripper(arm: str, said_so: bool) -> None:
     """Refuse an arm of which nobody says that its gripper is empty.  Raises ConfigError."""
     if not said_so:

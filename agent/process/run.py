@@ -8,16 +8,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from agent.config.cell import load_cell
+from agent.config.cell import Cell, load_cell
 from agent.log.read import open_log
 from agent.process.children import Children, Progress, RunKind
 from agent.process.folder import LOG_NAME, RunError, output_folder
+from agent.process.real_arms import RealArms, RealChildren
 from agent.process.rehearse import require_wall_clock
-from agent.report.report import write_report, write_results
 from agent.report.results import Results
+from agent.report.results_file import write_results
 from agent.telemetry.link.session import FREE_PORT
 from agent.verify.check import examine
-from agent.view.film import still
 
 LIFT_M = 0.02  # of a cell without [session] that is asked for a whole one
 
@@ -37,6 +37,7 @@ class RunOptions:
     listen: str = FREE_PORT  # where the recorder listens, for viewers
     report: bool = True  # else the results alone
     whole: bool = False  # emulated arms, from rest to rest
+    real: RealArms | None = None  # the arms of [hil] are real ones; None: emulated
 
 
 @dataclass(frozen=True)
@@ -72,15 +73,15 @@ def run_cell(options: RunOptions, stop: Callable[[], bool], progress: Progress) 
     if options.whole and cell.file.session is None:
         cell = load_cell(options.cell, [*overrides, f"session.lift_m={LIFT_M}"])
     require_wall_clock(cell, real_time=options.kind is RunKind.HIL)
+    if options.real is not None:
+        options.real.require(cell, options.faults)
     progress.phase("checking")
     examine(cell, wired=options.kind.has_servos).require()
     out = output_folder(options.out, cell.file.name, replace=options.replace)
     log = out / LOG_NAME
     runtime = Path(tempfile.mkdtemp(prefix="coop-", dir="/dev/shm" if Path("/dev/shm").is_dir() else None))
     try:
-        children = Children(
-            cell, options.kind, options.seed, options.faults, log, runtime, options.listen, whole=options.whole
-        )  # fmt: skip
+        children = _children(options, cell, log, runtime)
         try:
             children.start(progress)
             interrupted = children.watch(stop, progress)
@@ -95,9 +96,19 @@ def run_cell(options: RunOptions, stop: Callable[[], bool], progress: Progress) 
     page: Path | None = None
     with open_log(log) as opened:
         if options.report:
+            from agent.report.report import write_report  # noqa: PLC0415 - figures cost 0.3 s, and not every run has any
+            from agent.view.film import still  # noqa: PLC0415 - figures, too
+
             written = write_report(opened, out, still)
             page, results = written.html, written.results
         else:
             results = write_results(opened, out)
     progress.phase("done")
     return RunOutcome(log, page, results, interrupted, results.within_bounds)
+
+
+def _children(options: RunOptions, cell: Cell, log: Path, runtime: Path) -> Children:
+    given = cell, options.kind, options.seed, options.faults, log, runtime, options.listen
+    if options.real is not None:
+        return RealChildren(*given, real=options.real, cell_path=options.cell)
+    return Children(*given, whole=options.whole)

@@ -13,8 +13,8 @@ from agent.report.overlay import overlay
 from agent.report.page import document, figure_html, table_html
 from agent.report.picture import Picture
 from agent.report.plotting import save_png
-from agent.report.report import ReportError
 from agent.report.results import HEADLINE
+from agent.report.results_file import ReportError
 from agent.report.settings import different
 from agent.report.shown import LETTERS, ComparedRun
 from agent.report.tables import Table, number

@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from agent.log.runinfo import Bounded, RunArm
+from agent.report.labels import end_labels, room_in
 from agent.report.plotting import (
     AXIS_COLOURS,
     BLUE,
@@ -19,8 +20,7 @@ from agent.report.plotting import (
     ORANGE,
     PURPLE,
     RED,
-    header_line,
-    legend,
+    headline,
     line,
     panels,
     styled,
@@ -28,7 +28,7 @@ from agent.report.plotting import (
 )
 from agent.report.prepared import Prepared
 from agent.report.series import Array, angle_about, column, component, rotation_vector
-from agent.report.shown import object_series, start_s
+from agent.report.shown import SEEN_BY, object_series, start_s
 
 NEAR_LIMIT = 0.8  # of tau_max: torques above it are drawn with their limits
 OFF_PLANE_SHOWN = 1e-9  # out-of-plane components below it are rounding and are not drawn
@@ -39,14 +39,16 @@ def pose(run: Prepared) -> Figure:
     """Desired (wide) and actual (dashed) object pose: x, y and angle in a plane, else x, y, z and rotation vector."""
     plane = run.info.plane
     columns = 2 if plane is None else 1
-    figure, axes = panels(3, columns, gap_in=0.16, top_in=0.42)
+    series = list(object_series(run))
+    names = ["desired", *(label.removeprefix(SEEN_BY) for label, _ in series)]
+    figure, axes = panels(3, columns, gap_in=0.16, top_in=0.42, names_in=room_in(names))
     if plane is None:
         axes = [*axes[0::2], *axes[1::2]]
         labels = [f"{a} [m]" for a in "xyz"] + [f"rotation {a} [rad]" for a in "xyz"]
     else:
         first, second, normal = plane.names
         labels = [f"{first} [m]", f"{second} [m]", f"angle about {normal} [rad]"]
-    for i, (label, s) in enumerate(object_series(run)):
+    for i, (label, s) in enumerate(series):
         if i == 0:
             for ax, desired in zip(axes, _pose_rows(run, s.p_des, s.quat_des), strict=True):
                 line(ax, s.t, desired, color=LIGHT_BLUE, linewidth=3.4, label="desired")
@@ -54,7 +56,8 @@ def pose(run: Prepared) -> Figure:
             line(ax, s.t, actual, color=(RED, ORANGE, PURPLE, GREEN)[i % 4], label=label)
     for ax, label in zip(axes, labels, strict=True):
         ax.set_ylabel(label)
-    header_line(figure, "Object pose", axes[0])
+        end_labels(ax, SEEN_BY)
+    headline(figure, "Object pose")
     time_axis(axes, run.info.duration_s)
     return figure
 
@@ -85,7 +88,7 @@ def errors_start(run: Prepared) -> Figure:
 
 
 def _errors(run: Prepared, until_s: float, when: str, from_s: float = 0.0) -> Figure:
-    figure, axes = panels(2, height_in=2.1)
+    figure, axes = panels(2, height_in=2.1, names_in=room_in(["bound", r"$e_\eta - 1$"]))
     label, s = next(object_series(run))
     shown = (s.t >= from_s) & (s.t <= until_s)
     t, e_p, e_xi = s.t[shown], s.e_p[shown], s.e_xi[shown]
@@ -112,7 +115,7 @@ def _errors(run: Prepared, until_s: float, when: str, from_s: float = 0.0) -> Fi
     _mark_bound(axes[1], run, until_s, 1e3 * math.sin(0.5 * run.info.bounds.get(Bounded.ATTITUDE, math.nan)))
     for ax in axes:
         _mark_transient(ax, run, until_s)
-        legend(ax)
+        end_labels(ax)
     time_axis(axes, until_s, from_s)
     return figure
 
@@ -143,7 +146,8 @@ def _mark_transient(ax: Axes, run: Prepared, until_s: float) -> None:
 @styled
 def torques(run: Prepared) -> Figure:
     """Joint torques τ_i, one panel per arm; dashed: the limit of each joint that comes near its own."""
-    figure, axes = panels(len(run.arms), height_in=2.1, sharey=True)
+    names = [joint.replace("_", " ") for arm in run.arms for joint in arm.joints]
+    figure, axes = panels(len(run.arms), height_in=2.1, sharey=True, names_in=room_in(names))
     for ax, arm in zip(axes, run.arms, strict=True):
         rows = run.rows[arm.name]
         t = column(rows, "t")
@@ -153,7 +157,8 @@ def torques(run: Prepared) -> Figure:
             _limits(ax, arm, j, tau)
         ax.set_title(rf"$\tau$ of {arm.name}")
         ax.set_ylabel("torque [N·m]")
-        legend(ax)
+    for ax in axes:
+        end_labels(ax)
     time_axis(axes, run.info.duration_s)
     return figure
 
@@ -173,7 +178,7 @@ def wrenches(run: Prepared) -> Figure:
 
 def wrench_panels(run: Prepared, name: str, symbol: str) -> Figure:
     """Forces and moments of one wrench of the rows, one row of panels per arm."""
-    figure, axes = panels(len(run.arms), 2, height_in=1.9, sharey="col")
+    figure, axes = panels(len(run.arms), 2, height_in=1.9, sharey="col", names_in=room_in(["$F_x$"]))
     plane = run.info.plane
     forces = list(range(3)) if plane is None else list(plane.in_plane)
     moments = list(range(3)) if plane is None else [plane.normal]
@@ -188,6 +193,7 @@ def wrench_panels(run: Prepared, name: str, symbol: str) -> Figure:
         for ax, what in ((force, "force [N]"), (moment, "moment [N·m]")):
             ax.set_title(f"{symbol} of {arm.name}")
             ax.set_ylabel(what)
-            legend(ax)
+    for ax in axes:
+        end_labels(ax)
     time_axis(axes, run.info.duration_s)
     return figure

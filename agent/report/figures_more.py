@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from agent.log.runinfo import EstimateBounds, RunArm
-from agent.report.labels import end_labels
+from agent.report.labels import end_labels, name_curve, room_in
 from agent.report.plotting import (
     BLUE,
     CYCLE,
@@ -18,9 +18,10 @@ from agent.report.plotting import (
     GREY,
     HEADER_IN,
     RED,
+    STYLE_WORDS,
     STYLES,
     header_line,
-    legend,
+    headline,
     line,
     panels,
     styled,
@@ -30,8 +31,10 @@ from agent.report.prepared import Prepared
 from agent.report.series import Array, column, component, joint_columns
 
 DURATIONS: Final = {"late_s": "began late", "read_s": "bus read", "step_s": "control step", "write_s": "bus write"}
+NAMED_AT: Final = (0.02, 0.6, 0.2, 0.06)  # the fraction at which the curve of each duration is named
 # feedback first: it carries the noise and would hide the others
 TERMS: Final = ("feedback", "inertia", "coriolis", "gravity", "adaptive", "object", "internal", "friction", "posture")
+COMMANDED, UNEXPECTED = "commanded", "unexpected"  # curves of internal force
 TAIL_POINTS: Final = 300
 BODY_PARAMETERS: Final = 10  # of one link
 # columns of one body or joint in the estimates: what, unit, first column, how many
@@ -52,20 +55,24 @@ def late_arms(run: Prepared) -> list[RunArm]:
 def loop_timing(run: Prepared) -> Figure:
     """How often a duration of the loop is longer than x, and, if any did, when cycles began late."""
     late_ones = late_arms(run)
-    figure, axes = panels(2 if late_ones else 1, height_in=2.1, gap_in=0.85, sharex=False)
+    room = room_in([arm.name for arm in run.arms] if late_ones else [])
+    figure, axes = panels(2 if late_ones else 1, height_in=2.1, gap_in=0.85, sharex=False, names_in=room)
     tail = axes[0]
-    drawn: set[str] = set()
+    named: set[str] = set()
     for i, arm in enumerate(run.arms):
         for j, (name, label) in enumerate(DURATIONS.items()):
             x, fraction = tail_of(1e3 * column(run.rows[arm.name], name))
             if len(x):
-                named = None if label in drawn else label
-                tail.plot(x, fraction, color=CYCLE[j], linestyle=STYLES[i % len(STYLES)], label=named)
-                drawn.add(label)
+                (curve,) = tail.plot(x, fraction, color=CYCLE[j], linestyle=STYLES[i % len(STYLES)])
+                if label not in named:
+                    named.add(label)
+                    name_curve(tail, curve, label, NAMED_AT[j])
     tail.margins(x=0.03)
-    tail.axvline(1e3 / run.info.rate_hz, color=GREY, linestyle="--", linewidth=0.9, label="period")
-    tail.set(xscale="log", yscale="log", xlabel="duration [ms]", ylabel="fraction longer [1]", title="Loop timing")
-    legend(tail)
+    period = tail.axvline(1e3 / run.info.rate_hz, color=GREY, linestyle="--", linewidth=0.9)
+    name_curve(tail, period, "period", 1.0)
+    looks = ", ".join(f"{arm.name} {STYLE_WORDS[i % len(STYLES)]}" for i, arm in enumerate(run.arms))
+    tail.set(xscale="log", yscale="log", xlabel="duration [ms]", ylabel="fraction longer [1]")
+    tail.set_title(f"Loop timing ({looks})")
     if late_ones:
         _lateness(axes[1], run)
     return figure
@@ -78,7 +85,7 @@ def _lateness(ax: Axes, run: Prepared) -> None:
         line(ax, t, late, color=colour, linestyle=style, label=arm.name, linewidth=0.8, clip_on=False)
     ax.set(ylabel="began late [ms]", title="Lateness of each cycle")
     ax.set_ylim(bottom=0.0)
-    legend(ax)
+    end_labels(ax)
     time_axis([ax], run.info.duration_s)
 
 
@@ -95,7 +102,8 @@ def tail_of(values: Array) -> tuple[Array, Array]:
 @styled
 def internal_force(run: Prepared) -> Figure:
     """Internal wrench at each end effector: size of force and moment, commanded, realised, and what the arm feels."""
-    figure, axes = panels(len(run.arms), 2, height_in=1.8, sharey="col", top_in=HEADER_IN)
+    names_in = room_in([COMMANDED, UNEXPECTED if _feels(run) else COMMANDED])
+    figure, axes = panels(len(run.arms), 2, height_in=1.8, sharey="col", top_in=HEADER_IN, names_in=names_in)
     for i, arm in enumerate(run.arms):
         rows = run.rows[arm.name]
         t, number = column(rows, "t"), run.info.arms.index(arm)
@@ -105,14 +113,20 @@ def internal_force(run: Prepared) -> Figure:
                 line(ax, run.grasps.t, real[:, number], color=RED, label="realised", linewidth=0.8)
             felt = np.linalg.norm(column(rows, "unexpected_wrench", part), axis=1)
             if part.start == 0 and np.isfinite(felt).any():  # told at the object, where its moment is another
-                line(ax, t, felt, color=GREEN, label="unexpected, by the arm itself", linewidth=0.8)
+                line(ax, t, felt, color=GREEN, label=UNEXPECTED, linewidth=0.8)
             size = np.linalg.norm(column(rows, "wrench_internal", part), axis=1)
-            line(ax, t, size, color=BLUE, linestyle="--", label="commanded")
+            line(ax, t, size, color=BLUE, linestyle="--", label=COMMANDED)
             ax.set_ylabel(unit)
             ax.set_title(arm.name)
-    header_line(figure, "Internal wrench", axes[0])
+    for ax in axes:
+        end_labels(ax)
+    headline(figure, "Internal wrench")
     time_axis(axes, run.info.duration_s)
     return figure
+
+
+def _feels(run: Prepared) -> bool:
+    return any(np.isfinite(column(rows, "unexpected_wrench")).any() for rows in run.rows.values())
 
 
 @styled
@@ -120,7 +134,7 @@ def torque_terms(run: Prepared, arm: RunArm) -> Figure:
     """The terms of the torque of each joint of one arm; terms that are zero throughout are left out."""
     rows, joints = run.rows[arm.name], len(arm.joints)
     columns = 1 if joints <= 3 else 2
-    figure, axes = panels(-(-joints // columns), columns, height_in=1.7, top_in=HEADER_IN)
+    figure, axes = panels(-(-joints // columns), columns, height_in=1.7, top_in=HEADER_IN, names_in=room_in(TERMS))
     t = column(rows, "t")
     for colour, name in enumerate(TERMS):
         tau = joint_columns(rows, f"tau_{name}", joints)
@@ -131,9 +145,10 @@ def torque_terms(run: Prepared, arm: RunArm) -> Figure:
     for j, joint in enumerate(arm.joints):
         axes[j].set_title(joint.replace("_", " "))
         axes[j].set_ylabel("torque [N·m]")
+        end_labels(axes[j])
     for unused in axes[joints:]:
         unused.remove()
-    header_line(figure, f"Torque of {arm.name}", axes[0])
+    headline(figure, f"Torque of {arm.name}")
     time_axis(axes[:joints], run.info.duration_s)
     return figure
 
@@ -208,7 +223,7 @@ def _draw_bounds(left: Sequence[Axes], right: Sequence[Axes], bounds: EstimateBo
 @styled
 def lyapunov(run: Prepared) -> Figure:
     """The part of the Lyapunov function that each arm computes, and their sum: the function of the whole cell."""
-    figure, axes = panels(1, height_in=2.2)
+    figure, axes = panels(1, height_in=2.2, names_in=room_in(["cell", *(arm.name for arm in run.arms)]))
     parts = [(arm.name, run.rows[arm.name]) for arm in run.arms]
     for i, (name, rows) in enumerate(parts):
         style, colour = STYLES[i % len(STYLES)], CYCLE[i % len(CYCLE)]

@@ -8,7 +8,8 @@ from matplotlib.figure import Figure
 
 from agent.log.runinfo import RunArm
 from agent.log.servos import ServoTable
-from agent.report.plotting import BLUE, CYCLE, HEADER_IN, RED, STYLES, header_line, panels, styled, time_axis
+from agent.report.labels import end_labels, room_in
+from agent.report.plotting import BLUE, CYCLE, HEADER_IN, RED, STYLES, headline, panels, styled, time_axis
 from agent.report.prepared import Prepared
 from agent.report.series import Array
 from agent.report.together import load_limit
@@ -18,7 +19,7 @@ from agent.report.together import load_limit
 def servos(run: Prepared, arm: RunArm) -> Figure:
     """Temperature, supply and load of each servo of one arm over the run; dashed: the limits."""
     table = run.log.servos[arm.name]
-    figure, axes = panels(3, height_in=1.7, top_in=HEADER_IN)
+    figure, axes = panels(3, height_in=1.7, top_in=HEADER_IN, names_in=room_in(map(str, table.servo_id)))
     shown = (
         (axes[0], table.temperature_C, "temperature [°C]"),
         (axes[1], table.voltage_V, "supply [V]"),
@@ -34,7 +35,9 @@ def servos(run: Prepared, arm: RunArm) -> Figure:
     limits(axes[1], table.voltage_max_V, RED)
     limits(axes[2], np.array([[100.0 * load_limit(run.log)]]), BLUE)
     axes[2].set_ylim(bottom=0.0)
-    header_line(figure, f"Servos of {arm.name}, by ID", axes[0])
+    for ax in axes:
+        end_labels(ax)
+    headline(figure, f"Servos of {arm.name}, by ID")
     time_axis(axes, run.info.duration_s)
     return figure
 

@@ -11,13 +11,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from agent.control.against import LEVEL_AT, WEIGHT_AT
-from agent.report.labels import end_labels
-from agent.report.plotting import CYCLE, STYLES, legend, line, panels, styled, time_axis
+from agent.report.labels import end_labels, room_in
+from agent.report.plotting import CYCLE, STYLES, line, panels, styled, time_axis
 from agent.report.prepared import Prepared
 from agent.report.series import Array, column, component, grasp_force, joint_columns
 from agent.report.together import BUS, thresholds
 from agent.telemetry.row.sample import MEMORY_LENGTH
 
+HOLDS_ABOVE: Final = "holds above"
 SHARE_S: Final = 1.0  # a load share is that of so long a stretch
 
 
@@ -25,10 +26,14 @@ def _look(number: int) -> dict[str, Any]:
     return {"color": CYCLE[number % len(CYCLE)], "linestyle": STYLES[number % len(STYLES)]}
 
 
+def _room(run: Prepared, *more: str) -> float:
+    return room_in([*(arm.name for arm in run.info.arms), *more])
+
+
 @styled
 def load_share(run: Prepared) -> Figure:
     """The part of the force on the object that each arm carries, over stretches of SHARE_S; dotted: commanded."""
-    figure, axes = panels(1, height_in=2.0)
+    figure, axes = panels(1, height_in=2.0, names_in=_room(run))
     assert run.grasps is not None
     t, plant = run.grasps.t, run.grasps.plant
     forces = [grasp_force(plant, i) for i in range(len(run.info.arms))]
@@ -61,8 +66,10 @@ def in_stretches(t: Array, part: Array, whole: Array, each_s: float) -> tuple[Ar
 def disagreement(run: Prepared) -> Figure:
     """How far apart the arms see the object, and by how much each has shifted its target to meet the others."""
     shifted = [arm for arm in run.arms if np.any(column(run.rows[arm.name], "shift"))]
-    figure, axes = panels(2 if shifted else 1, height_in=1.9)
-    for number, (one, other, t, apart) in enumerate(apart_by_pair(run)):
+    pairs = list(apart_by_pair(run))
+    room = room_in([f"{one} − {other}" for one, other, _, _ in pairs])
+    figure, axes = panels(2 if shifted else 1, height_in=1.9, names_in=room)
+    for number, (one, other, t, apart) in enumerate(pairs):
         line(axes[0], t, 1e3 * apart, label=f"{one} − {other}", **_look(number))
     axes[0].set(ylabel="distance [mm]", title="Arms disagree on the object by")
     axes[0].set_ylim(bottom=0.0)
@@ -92,7 +99,7 @@ def apart_by_pair(run: Prepared) -> Iterator[tuple[str, str, Array, Array]]:
 @styled
 def noticed(run: Prepared) -> Figure:
     """What acts on each arm beside its load share, as the arm itself finds it: its fast and its slow part."""
-    figure, axes = panels(2, 2, height_in=1.7, sharey="row")
+    figure, axes = panels(2, 2, height_in=1.7, sharey="row", names_in=_room(run, HOLDS_ABOVE))
     limits = thresholds(run.log)
     told = (
         (0, "fast part", "[N]", limits.fast_N), (2, "slow part", "[N]", limits.slow_N),
@@ -102,10 +109,11 @@ def noticed(run: Prepared) -> Figure:
         for number, arm in enumerate(run.arms):
             rows = run.rows[arm.name]
             line(ax, column(rows, "t"), column(rows, "unexpected")[:, place], label=arm.name, **_look(number))
-        _threshold(ax, limit, "holds above")
+        _threshold(ax, limit, HOLDS_ABOVE)
         ax.set(title=f"Unexpected {'force' if unit == '[N]' else 'moment'}, {what}", ylabel=unit)
         ax.set_ylim(bottom=0.0)
-    legend(axes[1])
+    for ax in axes:
+        end_labels(ax)
     time_axis(axes, run.info.duration_s)
     return figure
 
@@ -113,21 +121,17 @@ def noticed(run: Prepared) -> Figure:
 @styled
 def pulled(run: Prepared) -> Figure:
     """What pulls each arm back against the motion, and down, as the arm itself finds it."""
-    figure, axes = panels(2, height_in=1.7)
+    figure, axes = panels(2, height_in=1.7, names_in=_room(run, HOLDS_ABOVE))
     limits = thresholds(run.log)
-    told = (
-        (LEVEL_AT, "Unexpected force against the motion", limits.level_N),
-        (WEIGHT_AT, "Unexpected force down", limits.weight_N),
-    )
-    for ax, (place, title, limit) in zip(axes, told, strict=True):
+    told = ((LEVEL_AT, "against the motion", limits.level_N), (WEIGHT_AT, "down", limits.weight_N))
+    for ax, (place, where, limit) in zip(axes, told, strict=True):
         for number, arm in enumerate(run.arms):
             rows = run.rows[arm.name]
-            line(
-                ax, column(rows, "t"), component(rows, "memory", MEMORY_LENGTH + place), label=arm.name, **_look(number)
-            )
-        _threshold(ax, limit, "holds above")
-        ax.set(title=title, ylabel="[N]")
-    legend(axes[0])
+            found = component(rows, "memory", MEMORY_LENGTH + place)
+            line(ax, column(rows, "t"), found, label=arm.name, **_look(number))
+        _threshold(ax, limit, HOLDS_ABOVE)
+        ax.set(title=f"Unexpected force {where}", ylabel="[N]")
+        end_labels(ax)
     time_axis(axes, run.info.duration_s)
     return figure
 
@@ -141,7 +145,7 @@ def _threshold(ax: Axes, value: float, label: str) -> None:
 @styled
 def margins(run: Prepared) -> Figure:
     """What is left: distance from a singular pose, and torque as a part of what each servo may give."""
-    figure, axes = panels(2, height_in=1.8)
+    figure, axes = panels(2, height_in=1.8, names_in=_room(run))
     for number, arm in enumerate(run.arms):
         rows = run.rows[arm.name]
         t, sigma = column(rows, "t"), column(rows, "sigma_min")
@@ -161,7 +165,7 @@ def margins(run: Prepared) -> Figure:
 @styled
 def bus(run: Prepared) -> Figure:
     """Errors on the bus of each arm since its start."""
-    figure, axes = panels(len(run.arms), height_in=1.5, sharey=True)
+    figure, axes = panels(len(run.arms), height_in=1.5, sharey=True, names_in=room_in(["timeouts"]))
     for ax, arm in zip(axes, run.arms, strict=True):
         rows = run.rows[arm.name]
         for number, name in enumerate(BUS):

@@ -25,12 +25,12 @@ def pictures(run: Prepared) -> list[Picture]:
         return []
     told = marks(moments_of(run), 0.0, run.info.duration_s)
     found = [*_paper(run), *_more(run), *together(run)]
-    return [replace(p, draw=partial(_marked, p.draw, run.info.duration_s, told)) for p in found]
+    return [replace(p, draw=partial(_marked, p.draw, told)) for p in found]
 
 
-def _marked(draw: Callable[[], Figure], until_s: float, told: Sequence[tuple[float, str]]) -> Figure:
+def _marked(draw: Callable[[], Figure], told: Sequence[tuple[float, str]]) -> Figure:
     figure = draw()
-    mark_moments(figure, until_s, told)
+    mark_moments(figure, told)
     return figure
 
 
@@ -94,11 +94,13 @@ def _more(run: Prepared) -> list[Picture]:
         caption = "Size of the internal wrench at each end effector, commanded (dashed)"
         caption += " and realised in the simulation: (I − G*Gᵀ) of the grasp wrenches." if run.grasps else "."
         if any(np.isfinite(column(rows, "unexpected_wrench")).any() for rows in run.rows.values()):
-            caption += " Dash and dot: the force beside its load share, as the arm itself finds it."
+            caption += " Unexpected: the force beside its load share, as the arm itself finds it."
         found.append(Picture("internal_force", "Internal force", caption, partial(figures_more.internal_force, run)))
     for arm in run.arms:
         found += _of_arm(run, arm)
-    caption = "Fraction of cycles whose duration is longer than the value below it. Line styles are arms."
+    caption = (
+        "Fraction of cycles whose duration is longer than the value below it. Line styles are arms, named above it."
+    )
     if figures_more.late_arms(run):
         caption = f"Above: {caption[0].lower()}{caption[1:]} Below: how late each cycle began."
     else:

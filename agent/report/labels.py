@@ -2,18 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-LABEL_HEIGHT, LABEL_TOP = 0.11, 0.9  # of a panel: of a name at the end of a curve, and where the highest stands
+from agent.report.plotting import TIMED
+
+LINE_IN = 0.15  # height of a name beside a panel
+LEADER_IN, SAMPLE_IN, GAP_IN = 0.1, 0.24, 0.04  # from the end of a curve to its sample, the sample, from it to the name
+LETTER_IN = 0.078
+NAME_SIZE = 8.0
 
 
-def end_labels(ax: Axes) -> None:
-    """The name of each curve at its right end, one above the other where they meet."""
+def room_in(names: Iterable[str]) -> float:
+    """What the longest of these names and its sample need beside a panel, in."""
+    longest = max((len(re.sub(r"[$_{}]", "", re.sub(r"\\[a-z]+", "x", name))) for name in names), default=0)
+    return LEADER_IN + SAMPLE_IN + GAP_IN + LETTER_IN * max(longest, 2)
+
+
+def end_labels(ax: Axes, without: str = "") -> None:
+    """The name of each curve beside the panel at the height of its end, with a sample of its dashes.
+
+    To be called when nothing changes the panel's scale any more; `without` is left out of the names.
+    """
     low, high = ax.get_ylim()
     at: list[tuple[float, Line2D]] = []
     for curve in ax.get_lines():
@@ -23,23 +39,61 @@ def end_labels(ax: Axes) -> None:
             last = float(np.median(good[-max(1, len(good) // 50) :]))
             at.append((_of_height(ax, min(max(last, low), high)), curve))
     at.sort(key=lambda pair: pair[0])
-    for height, (_, curve) in zip(_apart([own for own, _ in at]), at, strict=True):
-        ax.annotate(
-            str(curve.get_label()), (1.0, height), xycoords="axes fraction", xytext=(-3, 2), textcoords="offset points",
-            ha="right", va="bottom", color=curve.get_color(), fontsize=8.5, fontweight="bold",
-            bbox={"facecolor": "white", "alpha": 0.75, "edgecolor": "none", "pad": 0.6}, annotation_clip=False,
-        )  # fmt: skip
+    height_in = _size_in(ax)[1]
+    for height, (own, curve) in zip(_apart([own for own, _ in at], LINE_IN / height_in), at, strict=True):
+        _label(ax, own, height, curve, str(curve.get_label()).removeprefix(without))
 
 
-def _apart(heights: Sequence[float]) -> list[float]:
-    """The same ascending heights, none nearer to its neighbour than a line of text and none above the panel."""
+def _label(ax: Axes, end: float, height: float, curve: Line2D, name: str) -> None:
+    """From the end of a curve, in parts of the panel's height, to its name at another height."""
+    width_in = _size_in(ax)[0]
+    begin, until = (1.0 + way / width_in for way in (LEADER_IN, LEADER_IN + SAMPLE_IN))
+    look: dict[str, Any] = {"color": curve.get_color(), "transform": ax.transAxes, "clip_on": False}
+    figure = ax.get_figure(root=True)
+    assert figure is not None
+    figure.add_artist(Line2D([1.0, begin], [end, height], linewidth=0.6, **look))
+    sample = Line2D([begin, until], [height, height], linewidth=1.5, **look)
+    sample.set_linestyle(_dashes(curve))
+    figure.add_artist(sample)
+    ax.annotate(
+        name, (until, height), xycoords="axes fraction", xytext=(72.0 * GAP_IN, 0), textcoords="offset points",
+        ha="left", va="center", fontsize=NAME_SIZE, annotation_clip=False,
+    )  # fmt: skip
+
+
+def name_curve(ax: Axes, curve: Line2D, name: str, y: float) -> None:
+    """The name of a curve in the panel itself, at the right of where it is at about `y`."""
+    height = np.asarray(curve.get_ydata(), float)
+    x = np.asarray(curve.get_xdata(), float)[np.argmin(np.abs(height - y))]
+    ax.annotate(
+        name, (float(x), y), xytext=(4, -2), textcoords="offset points", ha="left", va="top", fontsize=NAME_SIZE,
+        color=curve.get_color(), fontweight="bold",
+        bbox={"facecolor": "white", "alpha": 0.75, "edgecolor": "none", "pad": 0.6},
+    )  # fmt: skip
+
+
+def _dashes(curve: Line2D) -> Any:
+    """The dashes of a curve in units of its own width, as it was given them."""
+    return getattr(curve, "_unscaled_dash_pattern", None) or curve.get_linestyle()
+
+
+def _size_in(ax: Axes) -> tuple[float, float]:
+    figure = ax.get_figure(root=True)
+    assert figure is not None
+    width, height = figure.get_size_inches()
+    box = ax.get_position()
+    return float(box.width * width), float(box.height * height)
+
+
+def _apart(heights: Sequence[float], each: float) -> list[float]:
+    """The same ascending heights, none nearer to its neighbour than `each` and none above the panel."""
     out: list[float] = []
     for own in heights:
-        out.append(max(own, out[-1] + LABEL_HEIGHT) if out else own)
-    top = LABEL_TOP
+        out.append(max(own, out[-1] + each) if out else own)
+    top = 1.0
     for number in reversed(range(len(out))):
         out[number] = min(out[number], top)
-        top = out[number] - LABEL_HEIGHT
+        top = out[number] - each
     return out
 
 
@@ -49,11 +103,14 @@ def _of_height(ax: Axes, y: float) -> float:
     return float(ax.transAxes.inverted().transform((0.0, pixel))[1])
 
 
-def mark_moments(figure: Figure, until_s: float, marks: Sequence[tuple[float, str]]) -> None:
+def mark_moments(figure: Figure, marks: Sequence[tuple[float, str]]) -> None:
     """Thin lines on every panel whose axis is the run's time; what they mean stands in the uppermost of them."""
-    timed = [ax for ax in figure.axes if ax.get_xlim() == (0.0, until_s)]
+    timed = [ax for ax in figure.axes if ax.get_gid() == TIMED]
     for number, ax in enumerate(timed):
+        first, last = ax.get_xlim()
         for t, label in marks:
+            if not first <= t <= last:
+                continue
             ax.axvline(t, color="#444a50", linewidth=0.7, linestyle=(0, (1, 2)), zorder=1.5)
             if number == 0:
                 ax.annotate(

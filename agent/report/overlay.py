@@ -6,14 +6,15 @@ from collections.abc import Sequence
 
 from matplotlib.figure import Figure
 
-from agent.report.plotting import CYCLE, STYLES, legend, line, panels, styled
+from agent.report.labels import end_labels, room_in
+from agent.report.plotting import CYCLE, STYLES, line, panels, styled
 from agent.report.shown import LETTERS, ErrorSeries
 
 
 @styled
 def overlay(runs: Sequence[ErrorSeries]) -> Figure:
     """Position error above, attitude error below; left the start, right what follows the transient."""
-    figure, axes = panels(2, 2, height_in=2.1, sharex=False)
+    figure, axes = panels(2, 2, height_in=2.1, gap_in=0.6, sharex=False, names_in=room_in(LETTERS))
     start = max(run.start_s for run in runs)
     for number, run in enumerate(runs):
         look = {
@@ -31,5 +32,5 @@ def overlay(runs: Sequence[ErrorSeries]) -> Figure:
             ax.set_ylabel(f"[{unit}]")
             ax.set_xlabel("time [s]" if row else "")
             ax.set_ylim(bottom=0.0)
-    legend(axes[1])
+            end_labels(ax)
     return figure

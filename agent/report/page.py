@@ -10,8 +10,8 @@ from html import escape
 from typing import TYPE_CHECKING, Any, Final
 
 from agent.report.picture import Picture
-from agent.report.results import Judgement, Results
-from agent.report.tables import Line, Table, lines, tables
+from agent.report.results import Results
+from agent.report.tables import WORDS, Line, Table, lines, tables
 
 if TYPE_CHECKING:
     from agent.telemetry.row.event import Event
@@ -36,13 +36,11 @@ figure { margin: 0 0 2rem; } figure img { width: 100%; max-width: 1008px; height
 figcaption { color: var(--dim); font-size: .92rem; max-width: 60rem; } figcaption b { color: var(--ink); }
 code { font: .86em ui-monospace, "DejaVu Sans Mono", monospace; overflow-wrap: anywhere; }
 @media (max-width: 44rem) { body { padding: 1rem .8rem 3rem; } figure { overflow-x: auto; }
-  figure img { width: 46rem; max-width: none; } }
+  figure img { width: 38rem; max-width: none; } }
 @media print { body { padding: 0; max-width: none; font-size: 10.5pt; } @page { margin: 16mm; }
   figure img { max-height: 108mm; width: auto; max-width: 100%; } table { font-size: 8.5pt; }
   figure, tr, ul { break-inside: avoid; } h2 { break-after: avoid; } .scroll { overflow: visible; } }
 """
-
-WORDS: Final = {Judgement.MET: "✓ met", Judgement.NOT_MET: "✗ not met", Judgement.NOT_SHOWN: "? not shown"}
 
 
 def render(results: Results, images: Sequence[tuple[Picture, bytes]], events: Sequence[Event]) -> str:

@@ -31,6 +31,7 @@ HEADER_IN: Final = 0.62  # room above panels with titles for `header_line`
 COLUMNS: Final = 900  # a long series is drawn as mean, lowest and highest value of this many stretches
 RANGE_ALPHA: Final = 0.3
 DRAWN_MAX: Final = 1e12  # of whatever unit; what is beyond belongs to a run that went astray, and dwarfs the rest
+TIMED: Final = "time of the run"  # the mark of panels that have it as their axis
 UNDRAWN: Final = "beyond 10¹²: not drawn"
 
 # told apart by the colour-blind; in grey the dashes below tell them apart
@@ -52,6 +53,7 @@ DASHES: Final[dict[str, Dashes]] = {  # of a curve of this colour, unless it has
     TEAL: (0, (2.5, 1)), BROWN: (0, (9, 2)), GREY: (0, (1, 2)),
 }  # fmt: skip
 STYLES: Final = ("-", "--", ":", "-.")  # what colours do not tell
+STYLE_WORDS: Final = ("solid", "dashed", "dotted", "dash and dot")
 
 STYLE: Final[dict[Any, Any]] = {
     "font.family": "DejaVu Sans",
@@ -134,15 +136,16 @@ def panels(
     top_in: float = 0.34,
     sharex: Sharing = True,
     sharey: Sharing = False,
+    names_in: float = 0.0,
 ) -> tuple[Figure, list[Axes]]:
     """A figure of `rows` × `columns` panels, in reading order, with room for titles and labels.
 
-    `top_in` of HEADER_IN leaves room for `header_line`.
+    `top_in` of HEADER_IN leaves room for `header_line`, `names_in` for names of curves at the right of each panel.
     Margins are in inches and set by hand: a layout engine would draw every figure twice.
     """
-    bottom, left, right = 0.5, 0.86, 0.22
+    bottom, left, right = 0.5, 0.86, max(0.22, names_in)
     total = rows * height_in + (rows - 1) * gap_in + bottom + top_in
-    between = 0.98 if columns > 1 else 0.0
+    between = max(0.98, 0.86 + names_in) if columns > 1 else 0.0
     width = (WIDTH_IN - left - right - (columns - 1) * between) / columns
     figure = Figure(figsize=(WIDTH_IN, total), dpi=DPI, facecolor="white")
     figure.subplots_adjust(
@@ -166,6 +169,7 @@ def time_axis(axes: Sequence[Axes], until_s: float, from_s: float = 0.0) -> None
     lowest: dict[float, Axes] = {}
     for ax in axes:
         ax.set_xlim(from_s, until_s)
+        ax.set_gid(TIMED)
         ax.tick_params(labelleft=True, labelbottom=False)
         box = ax.get_position()
         if box.x0 not in lowest or box.y0 < lowest[box.x0].get_position().y0:
@@ -183,10 +187,16 @@ def legend(ax: Axes) -> None:
         _thicken(box)
 
 
-def header_line(figure: Figure, title: str, ax: Axes) -> None:
-    """Title and legend of a whole figure in one line at its top; the legend is that of `ax`."""
+def headline(figure: Figure, title: str) -> None:
+    """Title of a whole figure at its top."""
     width, height = figure.get_size_inches()
     figure.text(0.86 / width, 1 - 0.1 / height, title, va="top", fontweight="bold", fontsize=11)
+
+
+def header_line(figure: Figure, title: str, ax: Axes) -> None:
+    """Title and legend of a whole figure in one line at its top; the legend is that of `ax`."""
+    headline(figure, title)
+    width, height = figure.get_size_inches()
     handles, labels = ax.get_legend_handles_labels()
     if handles:
         corner = (1 - 0.22 / width, 1 - 0.06 / height)

@@ -2,33 +2,27 @@
 
 from __future__ import annotations
 
-import json
-import tempfile
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from matplotlib.figure import Figure
-from rich import box
-from rich.table import Table
 
 from agent.report.gallery import pictures
 from agent.report.metrics import summarise_prepared
-from agent.report.page import WORDS, render
+from agent.report.page import render
 from agent.report.picture import Picture
 from agent.report.plotting import save_png
 from agent.report.prepared import Prepared, prepare
-from agent.report.results import Judgement, Results
-from agent.report.tables import lines
+from agent.report.results import Results
+from agent.report.results_file import RESULTS, ReportError, folder_of, put_results
 from drivers.interface import Refusal
 
 if TYPE_CHECKING:
     from agent.log.read import AnyLog
 
 PAGE: Final = "report.html"
-RESULTS: Final = "results.json"
 START: Final = Picture(
     "start",
     "The cell at the start",
@@ -36,11 +30,6 @@ START: Final = Picture(
     "colour: its commanded force; purple: internal force.",
     Figure,
 )
-COLOURS: Final = {Judgement.MET: "green", Judgement.NOT_MET: "red", Judgement.NOT_SHOWN: "yellow"}
-
-
-class ReportError(Refusal):
-    """The report cannot be written where it was asked for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,45 +55,14 @@ def write_report(log: AnyLog, out_dir: Path, still: Still | None = None) -> Repo
     """
     run = prepare(log)
     results = summarise_prepared(run)
-    with _folder(out_dir) as draft:
+    with folder_of(out_dir) as draft:
         images = _opening(run, still, draft)
         images += [(p, save_png(p.draw(), draft / f"{p.stem}.png")) for p in pictures(run)]
         page = render(results, images, log.events)
         (draft / PAGE).write_text(page, encoding="utf-8")
-        _write_results(results, draft)
+        put_results(results, draft)
     figures = {p.stem: out_dir / f"{p.stem}.png" for p, _ in images}
     return ReportFiles(out_dir / PAGE, out_dir / RESULTS, figures, results)
-
-
-def write_results(log: AnyLog, out_dir: Path) -> Results:
-    """Write results.json alone into `out_dir`, as `write_report` does, and return what it says.  Raises ReportError."""
-    results = summarise_prepared(prepare(log))
-    with _folder(out_dir) as draft:
-        _write_results(results, draft)
-    return results
-
-
-def _write_results(results: Results, folder: Path) -> None:
-    content = json.dumps(results.to_json(), indent=2, ensure_ascii=False, allow_nan=False)
-    (folder / RESULTS).write_text(content + "\n", encoding="utf-8")
-
-
-@contextmanager
-def _folder(out_dir: Path) -> Iterator[Path]:
-    """A folder whose files move to `out_dir` together, once all of them are whole.  Raises ReportError."""
-    try:
-        out_dir.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=".report-", dir=out_dir) as name:
-            yield Path(name)
-            for file in sorted(Path(name).iterdir()):
-                file.replace(out_dir / file.name)
-    except OSError as error:
-        raise ReportError(
-            "report not written",
-            found=f"{error.strerror or error} at {error.filename or out_dir}",
-            expected="a directory that can be written, with room for some megabytes",
-            remedy="name another directory or make room",
-        ) from error
 
 
 def _opening(run: Prepared, still: Still | None, folder: Path) -> list[tuple[Picture, bytes]]:
@@ -132,16 +90,3 @@ def keep_other_reports(log: Path, folder: Path) -> None:
             expected="none, or that of the only log in its folder",
             remedy="name another folder with --out, or give --force",
         )
-
-
-def terminal_table(results: Results) -> Table:
-    """The table of results for the terminal: figure, bound and verdict."""
-    table = Table(
-        title=f"{results.info.cell}: errors of the {results.error_source}", title_justify="left", box=box.SIMPLE_HEAD
-    )
-    for heading in ("result", "figure", "bound", "verdict"):
-        table.add_column(heading, justify="left" if heading == "result" else "right", no_wrap=True)
-    for row in lines(results):
-        verdict = "" if row.verdict is None else f"[{COLOURS[row.verdict]}]{WORDS[row.verdict]}[/]"
-        table.add_row(row.what, row.figure, row.bound, verdict)
-    return table

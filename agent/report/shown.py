@@ -14,6 +14,7 @@ from agent.report.results import Results
 from agent.report.series import Array, PoseSeries
 
 START_MIN_S, START_DECAYS = 0.5, 4.0  # the start is shown for this many times the longest decay
+SEEN_BY: Final = "actual, seen by "
 LETTERS: Final = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"  # names of runs that are compared
 
 
@@ -22,7 +23,7 @@ def object_series(run: Prepared) -> Iterator[tuple[str, PoseSeries]]:
     if run.true is not None:
         yield "actual", run.true
     else:
-        yield from ((f"actual, seen by {name}", run.pose(name)) for name in run.rows)
+        yield from ((f"{SEEN_BY}{name}", run.pose(name)) for name in run.rows)
 
 
 def start_s(run: Prepared) -> float:

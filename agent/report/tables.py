@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Final
 
 from agent.log.runinfo import Bounded
 from agent.report.results import Judgement, PoseErrors, Results, WrenchSize
 
+WORDS: Final = {Judgement.MET: "✓ met", Judgement.NOT_MET: "✗ not met", Judgement.NOT_SHOWN: "? not shown"}
 ABSENT = "–"  # not measured
 SMALLEST = 1e-6  # what is smaller is shown as that
 LARGEST = 1e9  # what is larger is shown as that: a law gone astray

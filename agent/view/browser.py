@@ -21,7 +21,8 @@ LABEL_AT: Final = 0.92  # of the way from the middle of the picture to its upper
 class Nodes:
     """What is seen of a scene; `show` moves it."""
 
-    def __init__(self, server: viser.ViserServer, scene: Scene, camera: Camera) -> None:
+    def __init__(self, server: viser.ViserServer, scene: Scene, camera: Camera, *, titled: bool = True) -> None:
+        """`titled`: the text stands above the picture, too, which costs a browser without a graphics card 0.1 s."""
         self._server, self._scene = server, scene
         up, at = server.scene, server.initial_camera
         up.set_up_direction(scene.up)
@@ -51,7 +52,7 @@ class Nodes:
             )
             for arrow in scene.arrows
         }  # fmt: skip
-        self._label = up.add_label("/status", "", position=_above(camera), anchor="top-center")
+        self._label = up.add_label("/status", "", position=_above(camera), anchor="top-center") if titled else None
 
     def show(self, placed: Placed, row: int, text: str) -> None:
         """The picture of one instant; nodes that stand still cost nothing."""
@@ -62,7 +63,7 @@ class Nodes:
             for name, handle in self._arrows.items():
                 if name in placed.arrows:
                     self._point(name, handle, placed.arrows[name][row])
-            if self._label.text != text:
+            if self._label is not None and self._label.text != text:
                 self._label.text = text
 
     def _move(self, name: str, node: Any, pose: Array) -> None:

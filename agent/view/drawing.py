@@ -10,13 +10,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from agent.config.embed import urdf_beside
-from agent.config.files import CellFiles
+from agent.config.urdf import urdf_beside
 from agent.view.arm import ArmDrawing
 from agent.view.error import ViewError
 from agent.view.shapes import Colour
 
 if TYPE_CHECKING:
+    from agent.config.files import CellFiles
     from agent.log.read import AnyLog
 
 # blue, vermilion, green, purple: told apart by the colour-blind, and by their greys

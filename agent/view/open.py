@@ -13,21 +13,26 @@ from agent.view.browser import Nodes
 from agent.view.motion import PICTURES_HZ
 from agent.view.player import Player
 from agent.view.server import Server
-from agent.view.staged import stage
+from agent.view.staged import NEEDS, stage
 
 VIEW_PX: Final = (880, 720)  # beside the controls
 
 
-def serve(log: Path, server: Server, stop: Callable[[], bool], ready: Callable[[], None]) -> int:
+def serve(
+    log: Path, server: Server, stop: Callable[[], bool], ready: Callable[[], None], say: Callable[[str], None]
+) -> int:
     """Show a log on a server's page; `ready` is called with the first picture.  Returns how many were shown.
 
-    The server runs before the log is read: a browser needs longer for the page than the log takes.  Raises Refusal.
+    The server runs before the log is read: a browser needs longer for the page than the log takes.
+    `say` is told what is wrong with the log.  Raises Refusal.
     """
-    with open_log(log) as opened:
+    with open_log(log, needs=NEEDS) as opened:
         run = prepare(opened)
         staged = stage(run, PICTURES_HZ)
         moments = moments_of(run)
-    player = Player(server, Nodes(server, staged.scene, staged.camera(VIEW_PX)), staged, moments)
+    for problem in run.log.problems:
+        say(f"{log}: {problem}")
+    player = Player(server, Nodes(server, staged.scene, staged.camera(VIEW_PX), titled=False), staged, moments)
     player.step()
     ready()
     while not stop():

@@ -22,6 +22,7 @@ EXAGGERATIONS: Final = {"as they were": 1.0, "10 times": 10.0, "100 times": 100.
 SPEEDS: Final = {"1/4": 0.25, "1": 1.0, "4": 4.0, "16": 16.0}
 PLAY_HZ: Final = 30.0
 CURVES_S: Final = 0.3  # the mark of now moves in the curves at most this often
+WORDS_S: Final = 0.15  # and the text is told at most this often: a browser needs longer for it than for a picture
 NOTHING: Final = "–"
 
 
@@ -39,7 +40,8 @@ class Player:
         self._wish = threading.Condition()
         self._wanted_s: float | None = float(self._t[0])
         self._started: tuple[float, float] | None = None  # playing: the wall's time and the run's at the last picture
-        self._marked_s = self._now()
+        self._marked_s = self._told_s = self._now()
+        self._told = -1
         self._build(server)
 
     def _build(self, server: viser.ViserServer) -> None:
@@ -87,10 +89,22 @@ class Player:
             self._show(self._staged.motion.row_at(t))
         if started is not None and self._row == len(self._t) - 1:
             self._stop()
-        if self._row != self._marked and self._now() - self._marked_s >= CURVES_S:
-            self._marked, self._marked_s = self._row, self._now()
+        self._follow(self._now())
+
+    def _follow(self, now: float) -> None:
+        """Text and curves go after the picture, each at its own pace; the first text comes with the first picture."""
+        row = self._row
+        if row < 0:
+            return  # it is about to be drawn anew
+        t = float(self._t[row])
+        if row != self._told and (self._told < 0 or now - self._told_s >= WORDS_S):
+            self._told, self._told_s = row, now
+            said = [status_text(self._staged.motion, row), *(f"- {moment.line}" for moment in around(self._moments, t))]
+            self._words.content = "\n".join(said)
+        if row != self._marked and now - self._marked_s >= CURVES_S:
+            self._marked, self._marked_s = row, now
             for plot in self._plots:
-                plot.mark(float(self._t[self._row]))
+                plot.mark(t)
 
     def _show(self, row: int) -> None:
         if row == self._row:
@@ -98,8 +112,6 @@ class Player:
         self._row, t = row, float(self._t[row])
         near = around(self._moments, t)
         self._nodes.show(self._placed, row, status_text(self._staged.motion, row, near))
-        said = [status_text(self._staged.motion, row), *(f"- {moment.line}" for moment in near)]
-        self._words.content = "\n".join(said)
         if self._started is not None:
             self._slider.value = t  # type: ignore[misc]
         self.pictures += 1

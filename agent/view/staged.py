@@ -8,15 +8,24 @@ from typing import Final
 
 import numpy as np
 
+from agent.log.collect import Needs
 from agent.modes import Mode
 from agent.report.moments import Moment
 from agent.report.prepared import Prepared
+from agent.telemetry.row.sample import AGENT_STATE, PLANT_STATE
 from agent.view.camera import Camera, camera_for
 from agent.view.drawing import drawing_of_log
 from agent.view.error import ViewError
 from agent.view.motion import Motion, motion_of
 from agent.view.scene import Placed, Scene
 
+NEEDS: Final[Needs] = {  # of a log of another release
+    AGENT_STATE.ros_name: frozenset({
+        "sequence", "stamp_ns", "utc_ns", "mode", "flags", "joint_count", "t", "q", "p_object_des", "quat_object_des",
+        "p_object", "quat_object", "e_eta", "wrench_cmd", "wrench_internal",
+    }),
+    PLANT_STATE.ros_name: frozenset({"sequence", "stamp_ns", "utc_ns", "t", "p_object", "quat_object", "grasp_wrench"}),
+}  # fmt: skip
 TEXT_MAX: Final = 40
 _CAMERA_LOOKS: Final = 40  # instants that the camera must hold
 
@@ -83,7 +92,7 @@ def stage(run: Prepared, pictures_hz: float, begin_s: float = 0.0, end_s: float 
             remedy="see the log's report",
         )  # fmt: skip
     last = max(float(rows["t"][-1]) for rows in run.rows.values())
-    if not begin_s < min(end_s, last):
+    if not (begin_s < end_s and begin_s <= last):
         raise ViewError(
             "part of the run", found=f"{begin_s:g} to {min(end_s, last):g} s", expected=f"some of 0 to {last:g} s",
             remedy="correct --from and --to",

@@ -28,6 +28,7 @@ FRESH_CYCLES: Final = 3.0  # a state of the twin older than this is stale
 FADE_S: Final = 0.1  # in which the addition goes to zero when it is
 OBSERVER_PER_S: Final = 40.0  # L
 LOOK_BACK: Final = 2  # cycles until a torque shows in the motion
+LASTING_S: Final = 0.2  # over which r is averaged for a twin whose arm is silent
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +67,7 @@ class Coupling:
         self.alive = 0.0  # 0: apart, 1: coupled
         self._estimate: Vector | None = None  # I
         self._r: Vector = np.zeros(n)
+        self._lasting: Vector = np.zeros(n)  # alive r, averaged
         self._grasp: Vector = np.zeros(n)  # the object's part of the addition
         self._before: deque[Vector] = deque([np.zeros(n)] * LOOK_BACK, LOOK_BACK)  # a + b of the last cycles
         self._stamp_ns: int | None = None
@@ -90,11 +92,15 @@ class Coupling:
         self._grasp = self._clamped(self.alive * twin.grasp)
         self.addition = self._clamped(self.alive * (twin.grasp + c))
         self.on_twin = self.alive * (r - c)
+        self._lasting = self._lasting + min(1.0, dt / LASTING_S) * (self.alive * r - self._lasting)
         self._before.append(self.addition - self.on_twin)
 
     def unheard(self) -> None:
-        """A cycle without a state of the real arm: the object's part stays, what answered its motion does not."""
-        self.addition = self._grasp
+        """A cycle without a state of the real arm: what answered its motion is gone, on both sides.
+
+        The object's part stays on the arm; on the twin it is what the arm has lately done otherwise than its model.
+        """
+        self.addition, self.on_twin = self._grasp, self._lasting
         self._before.append(self.addition - self.on_twin)
 
     def alone(self, stamp_ns: int) -> None:
@@ -102,7 +108,7 @@ class Coupling:
         before = self.alive
         self._ramp(-self._elapsed_s(stamp_ns) / FADE_S)
         self.addition = self.addition * (self.alive / before if before > 0.0 else 0.0)
-        self.on_twin = np.zeros_like(self.on_twin)
+        self.on_twin = self._lasting = np.zeros_like(self.on_twin)
         self._estimate = None
         self._before.append(self.addition)
 

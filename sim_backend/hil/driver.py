@@ -71,6 +71,7 @@ class BridgeDriver:
         self.sent, self.added = self._nothing, self.coupling.addition
         self._newest: TwinState | None = None
         self._fault: HilFault | None = None
+        self._asked: Vector = np.zeros_like(settings.clamp_Nm)  # τ of the last cycle in which the real arm was heard
         self._heard = False  # the real arm, in this cycle
         self._heard_ns = 0  # and last
         self._enabled_ns = 0
@@ -135,12 +136,13 @@ class BridgeDriver:
     def write(self, tau_Nm: Vector) -> Vector:
         """Command τ and the addition to the real arm, τ and the coupling to the twin; what the servos were told.
 
-        Without a state of the real arm in this cycle the twin keeps its last torque, as the servos do.
+        Without a state of the real arm in this cycle the twin keeps the last τ, as servos that hear nothing do.
         """
         self.added, self.sent = self.coupling.addition, self._nothing
-        self.sent = self._real.write(tau_Nm + self.added)
         if self._heard:
-            self._twin.command(tau_Nm + self.coupling.on_twin)
+            self._asked[:] = tau_Nm
+        self.sent = self._real.write(tau_Nm + self.added)
+        self._twin.command(self._asked + self.coupling.on_twin)
         return self.sent
 
     @property

@@ -42,6 +42,13 @@ class LoneArm:
         """Push at the end effector from now on: wrench (6,) N, N·m, world axes; zeros end it."""
         self._wrench = np.array(wrench_world, dtype=np.float64) if np.any(wrench_world) else None
 
+    def brake(self, viscous_Nms_rad: float) -> None:
+        """Replace the viscous friction of its joints: large for a seized gear."""
+        joints = slice(0, len(self.q))
+        self.servos.set_viscous(joints, viscous_Nms_rad)
+        if self._dry is not None:
+            self._dry.set_viscous(joints, viscous_Nms_rad)
+
     def end_effector(self) -> pin.SE3:
         """Its true pose, world."""
         self._touched.terms(self.q, self.dq)

@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 
 from agent.config.cell import Cell, load_cell
-from agent.faults.bench import Rehearsal, rehearse
+from agent.faults.bench import Rehearsal
 from agent.faults.measure import GONE, Measured, measured
 from agent.faults.plan import Injection
+from agent.faults.rehearse import rehearse
 from agent.modes import Mode
 
 CELLS = ("two_wx200", "paper_real")

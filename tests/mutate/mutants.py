@@ -6,6 +6,7 @@ import ast
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from difflib import SequenceMatcher
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -15,6 +16,7 @@ from typing import Any
 from tests.mutate.by_hand import BY_HAND
 from tests.mutate.edits import Edit, edits
 
+SHOWN = 160  # characters of a statement
 _FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
 
 
@@ -38,8 +40,15 @@ class Mutant:
 
     @property
     def text(self) -> str:
-        """One line for a person."""
-        return f"{self.module}:{self.line} {self.where or 'module'}: {self.before}  →  {self.after}"
+        """One line for a person; of a long statement what is around the change."""
+        before, after = self.before, self.after
+        if max(len(before), len(after)) > SHOWN:
+            changed = SequenceMatcher(None, before, after, autojunk=False).get_opcodes()
+            _, from_, to, other_from, other_to = next(code for code in changed if code[0] != "equal")
+            around = SHOWN // 4
+            before = f"…{before[max(0, from_ - around) : to + around]}…"
+            after = f"…{after[max(0, other_from - around) : other_to + around]}…"
+        return f"{self.module}:{self.line} {self.where or 'module'}: {before}  →  {after}"
 
     def code(self) -> CodeType:
         """The changed module, compiled under its own name; the tree stays changed."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import signal
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,12 +24,23 @@ class Done:
     err: str
 
 
-def coop(*arguments: str | Path, err: io.StringIO | None = None) -> Done:
-    """Run one command line as `coop` does, but for the end of the process; err: where standard error goes."""
+def coop(
+    *arguments: str | Path | float, err: io.StringIO | None = None, cwd: Path | None = None, stdin: str | None = None
+) -> Done:
+    """Run one command line as `coop` does, but for the end of the process.
+
+    err: where standard error goes; cwd: the folder it runs in; stdin: what a person types.
+    """
     out, err = io.StringIO(), err or io.StringIO()
     before = {number: signal.getsignal(number) for number in _TAKEN}
     try:
-        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        with contextlib.ExitStack() as around:
+            around.enter_context(contextlib.redirect_stdout(out))
+            around.enter_context(contextlib.redirect_stderr(err))
+            if cwd is not None:
+                around.enter_context(contextlib.chdir(cwd))
+            if stdin is not None:
+                around.enter_context(_typed(stdin))
             try:
                 code = dispatch([str(a) for a in arguments])
             except SystemExit as end:  # completion answers and ends
@@ -37,6 +49,15 @@ def coop(*arguments: str | Path, err: io.StringIO | None = None) -> Done:
         for number, handler in before.items():
             signal.signal(number, handler)
     return Done(code, out.getvalue(), err.getvalue())
+
+
+@contextlib.contextmanager
+def _typed(text: str) -> Iterator[None]:
+    before, sys.stdin = sys.stdin, io.StringIO(text)
+    try:
+        yield
+    finally:
+        sys.stdin = before
 
 
 def commands() -> Iterator[tuple[str, ...]]:

@@ -107,6 +107,7 @@ def test_a_start_is_given_once_the_load_is_taken_up_and_from_near_enough() -> No
 
 def test_no_journey_begins_away_from_the_path() -> None:
     loop = session(Hand())
+    loop.entered(Mode.HALT)
     away = REST + np.array([0.0, 0.3, 0.0])
     assert heard(loop, Mode.HALT, Event.PARK, q_hold=away) == Event.NONE
     assert "a joint is 0.30 rad from the arm's path, expected at most 0.25; release the arm" in loop.reason
@@ -166,6 +167,53 @@ def test_an_arm_gives_its_load_back_before_its_gripper_opens() -> None:
     assert hand.told == []
     heard(loop, Mode.RELEASE, cycles=1, age=1.0)
     assert hand.told == [PLAN.open_m]
+
+
+@pytest.mark.parametrize("bad", [Event.STOP, Event.TROUBLE])
+def test_a_stop_in_release_holds_until_the_gripper_has_been_told_to_open(bad: Event) -> None:
+    hand = Hand(width_m=0.044)
+    loop = session(hand)
+    loop.entered(Mode.READY)
+    loop.entered(Mode.RELEASE)
+    assert loop.judge(Mode.RELEASE, bad, memory(age=0.5)) == bad | Event.GRIPPED
+    assert loop.judge(Mode.RELEASE, Event.NONE, memory(age=1.0)) == Event.NONE
+    assert hand.told == [PLAN.open_m]
+    assert loop.judge(Mode.RELEASE, bad, memory(age=1.1)) == bad
+
+
+def test_a_stop_while_the_gripper_closes_opens_it_and_nobody_parks_before_it_is_open() -> None:
+    hand = Hand(width_m=0.044)
+    loop = session(hand)
+    loop.entered(Mode.GRASP)
+    loop.entered(Mode.HALT)
+    assert hand.told == [PLAN.closed_m, PLAN.open_m]
+    hand.told[-1] = 0.05  # on its way
+    assert heard(loop, Mode.HALT, Event.PARK, q_hold=GRASP) == Event.NONE
+    assert loop.reason == "park: the gripper is not open yet; wait for it"
+    hand.told[-1] = PLAN.open_m
+    assert heard(loop, Mode.HALT, Event.PARK, q_hold=GRASP) == Event.PARK
+
+
+def test_a_gripper_that_cannot_open_keeps_no_arm_from_its_rest() -> None:
+    hand = Hand(width_m=0.05)
+    loop = session(hand)
+    loop.entered(Mode.HALT)
+    hand.told[-1] = 0.05
+    assert heard(loop, Mode.HALT, cycles=200) == Event.NONE
+    assert heard(loop, Mode.HALT, Event.PARK, q_hold=GRASP) == Event.PARK
+
+
+@pytest.mark.parametrize(
+    ("mode", "told"),
+    [(Mode.HOLD, [PLAN.closed_m]), (Mode.HALT, [PLAN.open_m]), (Mode.REST, [])],
+)
+def test_who_goes_on_behind_another_keeps_the_grip_of_what_is_held(mode: Mode, told: list[float]) -> None:
+    hand = Hand(width_m=0.044)
+    loop = session(hand)
+    loop.resume(mode)
+    assert hand.told == told
+    hand.width_m = hand.thick_m = 0.0405  # it slips out
+    assert (heard(loop, mode) is Event.TROUBLE) == (mode is Mode.HOLD)
 
 
 def test_an_arm_that_comes_back_has_arrived() -> None:

@@ -36,6 +36,7 @@ BESIDE = [
     (Mode.HALT, Event.PARK, Mode.PARK),
     (Mode.HALT, Event.RELEASED, Mode.OFF),
     (Mode.LOWER, Event.STOP, Mode.HOLD),
+    (Mode.RELEASE, Event.STOP | Event.GRIPPED, Mode.HOLD),
     (Mode.READY, Event.TROUBLE, Mode.HOLD),
     *((mode, Event.TROUBLE, Mode.HALT) for mode in (Mode.APPROACH, Mode.GRASP, Mode.RELEASE, Mode.PARK)),
 ]
@@ -61,6 +62,8 @@ def test_a_stop_holds_what_is_gripped_and_halts_what_is_free_whatever_else_is_sa
     after = {next_in_session(mode, events | bad) for events in ALL_EVENTS if Event.SERVO_LOST not in events}
     if mode is Mode.HOLD:  # it holds already, and a person who is at it may go on
         assert after == {Mode.HOLD, Mode.LOWER, Mode.RELEASE}
+    elif mode is Mode.RELEASE:  # it holds until its gripper opens
+        assert after == {Mode.HOLD, Mode.HALT}
     else:
         assert after == ({Mode.HOLD} if mode in GRIPPED else {Mode.HALT})
 

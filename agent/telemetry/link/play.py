@@ -7,7 +7,7 @@ import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
@@ -56,13 +56,14 @@ class PlayReport:
     rows: int
     events: int
     loops: int  # times played to the end
+    problems: tuple[str, ...]  # what is wrong with the log
 
 
 def run(options: PlayOptions, stop: Callable[[], bool], ready: Callable[[str], None] = lambda _: None) -> PlayReport:
     """Play until the end, or `stop`; `ready` gets the endpoint.  Raises LogError, NetworkError."""
-    report = PlayReport(0, 0, 0)
     with ExitStack() as stack:
-        tracks = _tracks(options, stack.enter_context(open_log(options.path)))
+        log = stack.enter_context(open_log(options.path))
+        report, tracks = PlayReport(0, 0, 0, log.problems), _tracks(options, log)
         player = _Player(tracks, options)
         opened = stack.enter_context(open_session(options.network))
         publishers = {
@@ -75,7 +76,9 @@ def run(options: PlayOptions, stop: Callable[[], bool], ready: Callable[[str], N
         while not stop() and not player.head.quit:
             rows, events = player.play_once(publishers, stop)
             finished = all(track.done for track in tracks)
-            report = PlayReport(report.rows + rows, report.events + events, report.loops + finished)
+            report = replace(
+                report, rows=report.rows + rows, events=report.events + events, loops=report.loops + finished
+            )
             if not options.loop:
                 break
             player.seek(0.0)
@@ -155,7 +158,8 @@ def _tracks(options: PlayOptions, log: ColumnLog) -> list[_Track]:
     times = np.concatenate(utc)
     length_s = float(times.max() - times.min()) / 1e9 if len(times) else 0.0
     stop_s = length_s if options.stop_s is None else options.stop_s
-    if options.speed <= 0 or not len(times) or not 0 <= options.start_s <= min(stop_s, length_s):
+    empty = options.start_s > stop_s or (options.loop and options.start_s >= min(stop_s, length_s))  # loops need time
+    if options.speed <= 0 or not len(times) or not 0 <= options.start_s <= length_s or empty:
         raise LogError(
             f"nothing to play of {options.path}",
             found=f"speed {options.speed:g}, from {options.start_s:g} s to {stop_s:g} s of {length_s:g} s",

@@ -7,7 +7,7 @@ This stands behind Zenoh's own recovery, which gives up silently when a link is 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Final, Protocol
 
 from agent.telemetry.link.coverage import Coverage, Range, count_of
@@ -120,6 +120,8 @@ class Sender:
         self._lost = 0  # vanished before they were published
         self._have = Coverage()  # with the recorder, or gone for good
         self._gone = Coverage()
+        self._recorded = Coverage()  # with the recorder, as it said itself
+        self._unpublished = Coverage()  # vanished before they were published
         self._end_acknowledged = False
         self._end = End.OPEN
         self._written_at_end = 0
@@ -177,6 +179,8 @@ class Sender:
             block = self._source.read(self._next, min(self._source.batch_max, written - self._next))
             self._lost += block.first - self._next
             self._note_gone(self._next, block.first - 1)
+            if block.first > self._next:
+                self._unpublished.add(self._next, block.first - 1)
             self._next = block.first + block.count
             if not block.count:
                 break
@@ -191,6 +195,7 @@ class Sender:
             self._have, self._end_acknowledged = Coverage(self._gone.ranges), False
         else:
             self._have, self._end_acknowledged = Coverage((*status.have, *self._gone.ranges)), status.ended
+        self._note_recorded(() if status is None or status.source != self._source.source_id else status.have)
         at, had = (self.acknowledged, self._end_acknowledged), self._have.count
         if at != self._stuck_at or had > self._had:
             self._stuck_at, self._stuck_since_s, self._patience_s = at, now_s, RESEND_AFTER_S
@@ -241,9 +246,20 @@ class Sender:
             self._gone.add(first, last)
             self._have.add(first, last)
 
+    def _note_recorded(self, have: Sequence[Range]) -> None:
+        """It tells of its last ranges alone, and what it has once told it has; one that forgot is another recorder."""
+        told = Coverage(have)
+        newest = self._recorded.end - 1
+        if newest >= 0 and told.missing(newest, newest):
+            self._recorded = told
+            return
+        for first, last in have:
+            self._recorded.add(first, last)
+
     def unrecorded(self) -> int:
-        """How many published messages the recorder does not have."""
-        return count_of(self._missing())
+        """How many published messages the recorder has not said it has, whether or not they are still there."""
+        known = Coverage((*self._recorded.ranges, *self._unpublished.ranges))
+        return count_of(known.missing(0, self._next - 1)) if self._next else 0
 
     def _missing(self) -> list[Range]:
         """Published numbers that the recorder does not have and that are still there."""

@@ -7,20 +7,15 @@ from pathlib import Path
 
 import pytest
 
-from tests.process.conftest import PAPER_RUN_S
+from tests.process.conftest import PAPER_RUN_S, SHORT, WAITING, WIRE_RUN, RunOf
 from tests.support.command import coop
-from tests.support.coop import PAPER
-from tests.support.coop import coop as run_process
 
 RUNS = {
-    "adaptive": ("paper_adaptive",),
-    "waiting before the start, alignment": (
-        "paper", "--set", "simulation.ready_s=0.5", "--set", "controller.alignment.max_m=0.02",
-    ),
-    "a hold": ("paper", "--set", "safety.tracking_error_max_m=0.002"),
-    "emulated servos in real time": ("two_wx200", "--wire"),
-    "six joints, internal force": ("three_wx250s",),
-}  # fmt: skip
+    "adaptive": ("paper_adaptive", "--set", "simulation.object_mass_error=1.0", *SHORT),
+    "waiting before the start, alignment": WAITING,
+    "a hold": ("paper", "--set", "safety.tracking_error_max_m=0.0002", *SHORT),
+    "six joints, internal force": ("three_wx250s", "--duration", 0.7, "--no-report"),
+}
 
 
 def test_a_run_of_two_arms_is_verified(paper_runs: tuple[Path, Path]) -> None:
@@ -32,12 +27,19 @@ def test_a_run_of_two_arms_is_verified(paper_runs: tuple[Path, Path]) -> None:
 
 @pytest.mark.parametrize("words", RUNS.values(), ids=RUNS)
 def test_every_kind_of_run_is_verified_from_its_first_row_and_from_its_middle(
-    tmp_path: Path, words: tuple[str, ...]
+    run_of: RunOf, words: tuple[str | float, ...]
 ) -> None:
-    done = run_process("run", *words, "--duration", "1", "--no-report", "--out", tmp_path / "run")
-    assert done.returncode == 0, done.stderr
+    require_verified(run_of(*words))
+
+
+@pytest.mark.realtime
+def test_a_run_of_the_real_driver_is_verified(run_of: RunOf) -> None:
+    require_verified(run_of(*WIRE_RUN))
+
+
+def require_verified(run: Path) -> None:
     for begin in ((), ("--row", "71"), ("--from", "0.5")):
-        verified = coop("replay", "--verify", tmp_path / "run" / "run.mcap", *begin)
+        verified = coop("replay", "--verify", run / "run.mcap", *begin)
         assert verified.code == 0, verified.out + verified.err
         assert "differ" not in verified.out
 
@@ -61,24 +63,10 @@ def test_a_log_cut_anywhere_is_verified_as_far_as_it_goes(tmp_path: Path, paper_
 
 
 def test_two_runs_of_one_cell_are_the_same_and_another_cell_is_not(
-    tmp_path: Path, paper_runs: tuple[Path, Path]
+    run_of: RunOf, paper_runs: tuple[Path, Path]
 ) -> None:
     a, b = (folder / "run.mcap" for folder in paper_runs)
     assert coop("replay", a, "--same-as", b).code == 0
-    done = run_process(
-        "run",
-        PAPER,
-        "--duration",
-        PAPER_RUN_S,
-        "--seed",
-        "1",
-        "--out",
-        tmp_path / "other",
-        "--no-report",
-        "--set",
-        "object.mass_kg=0.07",
-    )
-    assert done.returncode == 0
-    done = coop("replay", a, "--same-as", tmp_path / "other" / "run.mcap")
+    done = coop("replay", a, "--same-as", run_of(*RUNS["a hold"]) / "run.mcap")
     assert done.code == 1
     assert "first difference: row 0 of left" in done.out

@@ -14,14 +14,7 @@ from numpy.typing import NDArray
 from agent.log.columns import Table
 from agent.log.read import read_log
 from agent.log.when import trajectory_time
-from tests.support.coop import PAPER, coop
-
-TRANSIENT_S = 1.0
-
-
-def run(out: Path, *options: str | float) -> None:
-    done = coop("run", PAPER, "--no-report", "--out", out, "--set", f"report.transient_s={TRANSIENT_S}", *options)
-    assert done.returncode == 0, done.stderr
+from tests.process.conftest import TRANSIENT_S, WAITING, RunOf
 
 
 def positions(log: Path, topic: str) -> dict[int, NDArray[np.float64]]:
@@ -34,24 +27,21 @@ def positions(log: Path, topic: str) -> dict[int, NDArray[np.float64]]:
     return found
 
 
-def test_poses_of_one_stamp_give_the_error_of_the_report(tmp_path: Path) -> None:
-    run(tmp_path / "out", "--duration", 3)
-    log = tmp_path / "out" / "run.mcap"
+def test_poses_of_one_stamp_give_the_error_of_the_report(paper_runs: tuple[Path, Path]) -> None:
+    log = paper_runs[0] / "run.mcap"
     true, desired = positions(log, "/object/pose"), positions(log, "/object/pose_des")
     zero_ns = min(true)
     assert zero_ns == min(desired)
     assert set(desired) <= set(true), "every desired pose has a true one of its instant"
     assert len(desired) == 150
     errors = [np.linalg.norm(true[s] - p) for s, p in desired.items() if s - zero_ns >= TRANSIENT_S * 1e9]
-    results = json.loads((tmp_path / "out" / "results.json").read_text())
+    results = json.loads((paper_runs[0] / "results.json").read_text())
     assert max(errors) == pytest.approx(results["max_position_error_m"], rel=1e-9)
 
 
-def test_an_agents_own_events_are_on_the_runs_time(tmp_path: Path) -> None:
+def test_an_agents_own_events_are_on_the_runs_time(run_of: RunOf) -> None:
     """In lockstep, where the wall's time says nothing."""
-    run(tmp_path / "out", "--duration", 2, "--set", "simulation.ready_s=0.5")
-    path = tmp_path / "out" / "run.mcap"
-    log = read_log(path)
+    log = read_log(run_of(*WAITING) / "run.mcap")
     for arm, rows in log.agents.items():
         on, *_, ended = [e for e in log.events if e.source == arm and "stamp_ns" in e.data]
         assert on.text.startswith("torque on")
@@ -64,9 +54,8 @@ def test_an_agents_own_events_are_on_the_runs_time(tmp_path: Path) -> None:
 
 
 @pytest.mark.realtime
-def test_simulated_arms_in_real_time_have_one_origin(tmp_path: Path) -> None:
-    run(tmp_path / "out", "--duration", 2, "--real-time")
-    log = read_log(tmp_path / "out" / "run.mcap")
+def test_simulated_arms_in_real_time_have_one_origin(run_of: RunOf) -> None:
+    log = read_log(run_of("paper", "--duration", 2, "--real-time", "--no-report") / "run.mcap")
     assert log.plant is not None
     members = [log.plant, *log.agents.values()]
     offsets = np.concatenate([np.unique(rows["utc_ns"] - rows["stamp_ns"]) for rows in members])

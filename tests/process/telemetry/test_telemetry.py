@@ -223,9 +223,16 @@ def test_a_seek_goes_on_elsewhere_with_the_same_bytes_as_a_run_of_its_own(run: R
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"speed": 0.0}, {"start_s": 99.0}, {"start_s": 3.0, "stop_s": 2.0}, {"start_s": -1.0}]
+    "wrong",
+    [
+        {"speed": 0.0},
+        {"start_s": 99.0},
+        {"start_s": 3.0, "stop_s": 2.0},
+        {"start_s": -1.0},
+        {"start_s": 3.0, "stop_s": 3.0, "loop": True},
+    ],
 )
-def test_play_refuses_what_cannot_be_played(run: RunLog, wrong: dict[str, float]) -> None:
+def test_play_refuses_what_cannot_be_played(run: RunLog, wrong: dict[str, Any]) -> None:
     with pytest.raises(LogError, match="nothing to play"):
         play.run(PlayOptions(run.path, **wrong), stop=lambda: False)
 

@@ -19,6 +19,7 @@ from tests.support.control.gentle import gentle_cell
 from tests.support.control.strategies import RandomCell
 
 STEP = 0.005  # s
+LONG = pytest.mark.long
 EVERY = 4  # steps to a record where no derivative is judged
 
 
@@ -91,8 +92,14 @@ def agents_of(cell: RandomCell, scale: float, gamma: float = 0.03, gamma_object:
     ]  # fmt: skip
 
 
-@pytest.mark.parametrize("scale", [0.0, 0.5, 2.0])
-@pytest.mark.parametrize(("planar", "arm_count"), [(True, 2), (False, 3)])
+@pytest.mark.parametrize(
+    ("planar", "arm_count", "scale"),
+    [
+        (True, 2, 0.0), (True, 2, 2.0), (False, 3, 0.5),
+        pytest.param(True, 2, 0.5, marks=LONG), pytest.param(False, 3, 0.0, marks=LONG),
+        pytest.param(False, 3, 2.0, marks=LONG),
+    ],
+)  # fmt: skip
 def test_lyapunov_function_falls_by_exactly_what_the_theorem_says(planar: bool, arm_count: int, scale: float) -> None:
     """V(t) + ∫ (eᵀKe + Σ k_v ‖e_v‖²) is constant up to an integration error that vanishes with the step."""
     cell, trajectory = gentle_cell(31 + arm_count, planar, arm_count)
@@ -128,8 +135,15 @@ def test_with_a_leak_towards_something_else_the_mean_dissipation_is_what_the_doc
     assert 1e-5 < late.max() < 0.1
 
 
-@pytest.mark.parametrize("scale", [0.0, 0.5, 2.0])
-@pytest.mark.parametrize(("planar", "arm_count", "sign"), [(True, 2, 1.0), (True, 3, -1.0), (False, 2, 1.0)])
+@pytest.mark.parametrize(
+    ("planar", "arm_count", "sign", "scale"),
+    [
+        (True, 2, 1.0, 0.0), (True, 3, -1.0, 2.0), (False, 2, 1.0, 0.5),
+        pytest.param(True, 2, 1.0, 0.5, marks=LONG), pytest.param(True, 2, 1.0, 2.0, marks=LONG),
+        pytest.param(True, 3, -1.0, 0.0, marks=LONG), pytest.param(True, 3, -1.0, 0.5, marks=LONG),
+        pytest.param(False, 2, 1.0, 0.0, marks=LONG), pytest.param(False, 2, 1.0, 2.0, marks=LONG),
+    ],
+)  # fmt: skip
 def test_errors_vanish_and_everything_stays_bounded(planar: bool, arm_count: int, sign: float, scale: float) -> None:
     cell, trajectory = gentle_cell(51 + arm_count, planar, arm_count, sign)
     agents = agents_of(cell, scale, gamma=0.1, gamma_object=10.0)

@@ -106,7 +106,40 @@ def test_what_the_source_lost_is_counted_and_does_not_keep_the_end_away(steps: l
     assert sender.complete
     assert sender.published == source.written
     assert sender.lost <= source.written - recorder.have.count
+    assert sender.lost + sender.unrecorded() == source.written - recorder.have.count, "each missing row is in one count"
     assert recorder.have.missing(source.oldest, source.written - 1) == []
+
+
+def test_what_was_published_dropped_and_overwritten_is_not_called_recorded() -> None:
+    source, recorder = Numbers(4), Recorder()
+    sender = Sender(source, window=None)
+    for _ in range(5):
+        source.written += 4
+        batches = list(sender.new(3, 0.0))
+        if source.written != 8:  # the second batch is lost on the way, and the source keeps four
+            for batch in batches:
+                recorder.receive(*batch)
+        sender.on_status(recorder.status(), 0.0)
+    assert (sender.published, sender.lost, sender.unrecorded()) == (20, 0, 4)
+    for now_s in (2.0, 4.0, 8.0):
+        assert list(sender.again(3, now_s)) == []
+        sender.on_status(recorder.status(), now_s)
+    assert (sender.lost, sender.unrecorded()) == (0, 4)
+
+
+def test_ranges_that_no_answer_has_room_for_any_more_stay_recorded_and_another_recorders_are_its_own() -> None:
+    source = Numbers(1000)
+    sender = Sender(source, window=None)
+    source.written = 100
+    for _ in range(9):
+        list(sender.new(3, 0.0))
+    sender.on_status(StreamStatus(42, ((0, 9), (20, 29)), False), 0.0)
+    sender.on_status(StreamStatus(42, ((20, 39), (50, 99)), False), 0.0)
+    assert sender.unrecorded() == 20
+    sender.on_status(StreamStatus(42, ((0, 4),), False), 0.0)
+    assert sender.unrecorded() == 95
+    sender.on_status(None, 0.0)
+    assert sender.unrecorded() == 100
 
 
 def test_nothing_is_sent_twice_while_the_answers_keep_up() -> None:

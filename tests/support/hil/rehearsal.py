@@ -17,198 +17,32 @@ import numpy as np
 from agent.config.cell import Arm, Cell
 from agent.config.schema.cell import DriverKind
 from agent.config.servo_map import arm_map
+from agent.faults.looped import GIVE_UP_NS, PHASE_NS, Physics, VirtualPlant, VirtualSim, VirtualTwin
+from agent.faults.virtual import Line, SharedClock
 from agent.modes import Event
 from agent.process.build import Connection, build_agent
 from agent.process.emulate import wiring
 from agent.process.rehearse import BridgedRows, bridge
 from agent.process.schedule import AgentOptions, schedule_of
-from agent.process.simulated import lone_spec, plant_spec
+from agent.process.simulated import lone_spec
 from agent.report.series import internal_wrenches
 from agent.runner import Runner, Surroundings
 from agent.telemetry.row.fill import AgentRow
 from agent.verify.check import examine
 from drivers.dynamixel.driver import DynamixelDriver
 from drivers.interface import (
-    ArmInfo,
-    BusCounters,
-    JointState,
-    Refusal,
-    ServoHealth,
-    StaleStateError,
     Vector,
 )
-from sim_backend.hil.coupling import TwinState
 from sim_backend.hil.driver import BridgeDriver
-from sim_backend.physics.actuator import TorqueCommand
-from sim_backend.physics.build import build_plant
-from sim_backend.physics.delay import DelayLine, stretches
-from sim_backend.physics.plant import Observation
 from sim_backend.wire.cell import EmulatedCell
 from sim_backend.wire.faults import Fault
 from sim_backend.wire.injector import Injector
 from sim_backend.wire.lone_world import LoneWorld, emulate_alone
 from sim_backend.wire.timing import BusTiming
-from tests.support.servos.coupled_rig import ArmRun, Line, SharedClock
+from tests.support.servos.coupled_rig import ArmRun
 from tests.support.servos.dxl_rig import VirtualPort
 
-MS = 1_000_000
-GIVE_UP_NS = 3_000_000_000  # of virtual time, for arms that wait for the start
 READY_NS = 1_500_000_000  # from the last arm's first cycle to the common start
-
-
-class Seat:
-    """One arm's place at the virtual plant."""
-
-    def __init__(self, plant: VirtualPlant, index: int) -> None:
-        spec = plant.physics.spec.arms[index]
-        self.plant, self.part = plant, plant.physics.slices[index]
-        self.line = DelayLine.of(spec.actuator, plant.physics.spec.substep_s, plant.substeps, index)
-        self.limits = TorqueCommand.of(spec.actuator)
-        self.on = self.limp = False
-        self.limp_ns: int | None = None
-        self.tau = np.zeros(len(spec.controlled))
-
-    def switch_off(self) -> None:
-        """Torque off for good."""
-        if not self.limp:
-            self.limp, self.limp_ns = True, self.plant.zero_ns + self.plant.tick * self.plant.period_ns
-        self.tau = np.zeros_like(self.tau)
-        self.line.clear()
-
-
-class VirtualPlant:
-    """The plant in the order of `sim_backend.served.server` in real time, paced by a clock that others move."""
-
-    def __init__(self, cell: Cell, q_start: Sequence[Vector], phase_ns: int) -> None:
-        self.physics = build_plant(plant_spec(cell, q_start))
-        self.physics.meter_grasps()
-        self.substeps = cell.file.simulation.substeps_per_cycle
-        self.seats = {arm.name: Seat(self, i) for i, arm in enumerate(cell.arms)}
-        self.period_ns, self.phase_ns = cell.period_ns, phase_ns
-        self.tick, self.zero_ns = -1, 0  # -1: not started
-        self.killed = False
-        self.grasps = [np.zeros(self.physics.joint_count)]
-        self.reported = self.physics.reported()
-        self.seen: list[tuple[int, Observation]] = []
-        lines = [s.line for s in self.seats.values()]
-        self._parts = stretches(lines, self.substeps)
-        self._support = max(line.first_substep for line in lines)
-        self._acting = np.zeros(self.physics.joint_count)
-
-    def next_ns(self) -> int:
-        """Instant of the next state; soon, while nothing has started."""
-        return self.zero_ns + (self.tick + 1) * self.period_ns
-
-    def advance_to(self, now_ns: int) -> None:
-        """Let the ticks until then pass."""
-        if self.killed:
-            return
-        if self.tick < 0:
-            if all(s.on for s in self.seats.values()):
-                self.zero_ns = now_ns + self.phase_ns
-                self.tick = 0
-            return
-        while self.next_ns() <= now_ns:
-            self._one_tick()
-
-    def _one_tick(self) -> None:
-        for seat in self.seats.values():
-            seat.line.push(self.tick, seat.tau)
-        for begin, count in self._parts:
-            for seat in self.seats.values():
-                self._acting[seat.part] = seat.line.acting(self.tick, begin)
-            if self.tick * self.substeps + begin < self._support:
-                self.physics.rest(count)
-            else:
-                self.physics.advance(self._acting, count)
-        self.tick += 1
-        self.reported = self.physics.reported()
-        self.grasps.append(self.physics.grasp_torque())
-        if self.tick % 2 == 0:
-            self.seen.append((self.zero_ns + self.tick * self.period_ns, self.physics.observe(self._acting)))
-
-
-class VirtualTwin:
-    """`sim_backend.hil.guest.Twin` on a virtual plant.
-
-    older_cycles: by which its states come later; lost: share of its commands that do not arrive.
-    """
-
-    def __init__(self, seat: Seat, older_cycles: int = 0, lost: float = 0.0) -> None:
-        self._chance, self._lost = random.Random(1), lost
-        self.ended: Refusal | None = None
-        self._seat, self._told, self._pulled = seat, -1, 0
-        self._older: list[TwinState] = []
-        self._older_cycles = older_cycles
-
-    def connect(self) -> str:
-        return "virtual plant"
-
-    def enable(self) -> None:
-        self._seat.on = True
-
-    def newest(self) -> TwinState | None:
-        plant, part = self._seat.plant, self._seat.part
-        if plant.tick == self._told or plant.tick < 0:
-            return None
-        self._told = plant.tick
-        stamp_ns = plant.zero_ns + plant.tick * plant.period_ns
-        physics = plant.physics
-        ticks = np.array([g[part] for g in plant.grasps[self._pulled :]])
-        self._pulled = len(plant.grasps)
-        state = TwinState(stamp_ns, physics.q[part], physics.dq[part], ticks[-1], ticks.mean(axis=0))
-        self._older.append(state)
-        return self._older.pop(0) if len(self._older) > self._older_cycles else None
-
-    def command(self, tau_Nm: Vector) -> None:
-        if not self._seat.limp and self._chance.random() >= self._lost:
-            self._seat.tau = self._seat.limits(tau_Nm)
-
-    def limp(self) -> None:
-        self._seat.switch_off()
-
-    def close(self) -> None: ...
-
-
-class VirtualSim:
-    """A simulated partner's driver, as `SimDriver` in real time."""
-
-    def __init__(self, seat: Seat, arm: Arm, clock: SharedClock) -> None:
-        self.counters = BusCounters()
-        self.silent = False
-        self._seat, self._arm, self._clock, self._told = seat, arm, clock, -1
-
-    def connect(self) -> ArmInfo:
-        return ArmInfo(self._arm.name, tuple(self._arm.entry.controlled), self._seat.tau, "virtual")
-
-    def enable(self) -> None:
-        self._seat.on = True
-
-    def read(self) -> JointState:
-        plant, part = self._seat.plant, self._seat.part
-        deadline_ns = self._clock.now_ns() + 50 * MS
-        while plant.tick <= self._told or plant.tick < 0 or self.silent:
-            now_ns = self._clock.now_ns()
-            never = plant.tick < 0 and now_ns > GIVE_UP_NS
-            if never or ((self.silent or plant.killed) and now_ns > deadline_ns):
-                raise StaleStateError("plant", found="nothing", expected="a state", remedy="none")
-            self._clock.sleep_until(max(now_ns + MS // 4, 0))
-        self._told = plant.tick
-        q, dq, tau = (values[part].copy() for values in plant.reported)
-        return JointState(plant.zero_ns + plant.tick * plant.period_ns, q, dq, tau)
-
-    def write(self, tau_Nm: Vector) -> Vector:
-        sent = self._seat.limits(tau_Nm)
-        if not self._seat.limp:
-            self._seat.tau = sent
-        return sent
-
-    def health(self) -> ServoHealth:
-        return ServoHealth.none(self._clock.now_ns())
-
-    def disable(self) -> None: ...
-
-    def close(self) -> None: ...
 
 
 class LossyDriver(DynamixelDriver):
@@ -219,30 +53,6 @@ class LossyDriver(DynamixelDriver):
 
     def write(self, tau_Nm: Vector) -> Vector:
         return tau_Nm if self._chance.random() < self.lost else super().write(tau_Nm)
-
-
-class Physics:
-    """Emulated servos and plant, advanced together; what `SharedClock` takes for a cell."""
-
-    def __init__(self, emulated: EmulatedCell | None, plant: VirtualPlant) -> None:
-        self.arms: Any = emulated.arms if emulated is not None else ()
-        self.time_ns = 0
-        self.watchers: list[Callable[[int], None]] = []
-        self.todo: list[tuple[int, Callable[[], None]]] = []
-        self._emulated, self._plant = emulated, plant
-
-    def advance_to(self, now_ns: int) -> None:
-        while self.todo and self.todo[0][0] <= now_ns:
-            self.todo.pop(0)[1]()
-        if self._emulated is not None:
-            self._emulated.advance_to(now_ns)
-        self._plant.advance_to(now_ns)
-        for watcher in self.watchers:
-            watcher(now_ns)
-
-    def sense(self, arm: Any, now_ns: int) -> None:
-        assert self._emulated is not None
-        self._emulated.sense(arm, now_ns)
 
 
 @dataclass
@@ -267,7 +77,7 @@ class Rehearsal:
         *,
         faults: Sequence[Fault] = (),
         happenings: Mapping[float, Happening] | None = None,
-        phase_ns: int = 1_300_000,
+        phase_ns: int = PHASE_NS,
         older_cycles: int = 0,
         lost: float = 0.0,
         begin: Happening | None = None,
@@ -279,7 +89,7 @@ class Rehearsal:
         self._emulated, self.world = self._lone(cell, q_start)
         self._injectors = [Injector(arm, None, seed=1) for arm in self._emulated.arms] if self._emulated else []
         self._physics = Physics(self._emulated, self.plant)
-        self.clock = SharedClock(self._physics, self._injectors, len(cell.arms))  # type: ignore[arg-type]
+        self.clock = SharedClock(self._physics, self._injectors, len(cell.arms))
         self.cell, self._faults, self._late = cell, faults, (older_cycles, lost)
         self._happenings = happenings or {}
         self._ready: set[str] = set()
@@ -329,7 +139,7 @@ class Rehearsal:
             self.sims[arm.name] = VirtualSim(seat, arm, self.clock)
             return self.sims[arm.name]
         index = next(i for i, a in enumerate(self._emulated.arms) if a.name == arm.name)  # type: ignore[union-attr]
-        line: Any = Line(self._physics, index, self._injectors[index], self.clock)  # type: ignore[arg-type]
+        line = Line(self._physics, index, self._injectors[index], self.clock)
         port = self.ports[arm.name] = VirtualPort(line, arm.baud)
         real = LossyDriver(
             arm_map(self.cell, arm, "virtual", q_start), self.clock, on_event=run.events.append, scan_s=0.05, port=port

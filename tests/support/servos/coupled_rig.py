@@ -16,6 +16,7 @@ from agent.config.cell import Arm, Cell
 from agent.config.monitors import bounds
 from agent.config.schema.cell import DriverKind
 from agent.config.servo_map import arm_map
+from agent.faults.virtual import Line, SharedClock
 from agent.modes import Event
 from agent.monitors.watch import Watch
 from agent.process.build import Connection, build_agent
@@ -28,7 +29,6 @@ from agent.verify.check import examine
 from drivers.dynamixel.driver import DynamixelDriver
 from drivers.dynamixel.events import DriverEvent
 from drivers.interface import JointState, StaleStateError, Vector
-from sim_backend.wire.cell import EmulatedCell
 from sim_backend.wire.faults import Fault
 from sim_backend.wire.injector import Injector
 from sim_backend.wire.plant_world import emulate
@@ -37,86 +37,6 @@ from tests.support.runner_rig import Log
 from tests.support.servos.dxl_rig import VirtualPort
 
 READY_S = 0.2  # from the moment at which the last arm is ready to the common start
-NOBODY = 0
-
-
-class SharedClock:
-    """One `Clock` for all arms; time passes while all of them wait, and stops for the one that is due."""
-
-    utc_offset_ns = 0
-
-    def __init__(self, cell: EmulatedCell, injectors: Sequence[Injector], members: int) -> None:
-        self._ns = cell.time_ns
-        self._cell = cell
-        self._injectors = injectors
-        self._missing = members
-        self._turn = threading.Condition()
-        self._due: dict[int, int] = {}  # by thread
-        self.passing: Callable[[int], None] = lambda _: None  # is told of every millisecond
-        self._goes = NOBODY
-
-    def now_ns(self) -> int:
-        """Virtual now; asking takes a little time, as everything does."""
-        self._ns += 200
-        return self._ns
-
-    def sleep_until(self, deadline_ns: int) -> None:
-        """Let the others go on until it is time."""
-        me = threading.get_ident()
-        with self._turn:
-            self._due[me] = deadline_ns
-            if self._goes == me:
-                self._next()
-            self._turn.wait_for(lambda: self._goes == me)
-
-    def join(self) -> None:
-        """Called by each thread before it does anything; returns when all have, one after the other."""
-        me = threading.get_ident()
-        with self._turn:
-            self._due[me] = self._ns + self._missing  # they begin in the order in which they came
-            self._missing -= 1
-            if not self._missing:
-                self._next()
-            self._turn.wait_for(lambda: self._goes == me)
-
-    def leave(self) -> None:
-        """The calling thread waits for nothing any more."""
-        with self._turn:
-            self._due.pop(threading.get_ident(), None)
-            self._next()
-
-    def _next(self) -> None:
-        self._goes = min(self._due, key=self._due.__getitem__, default=NOBODY)
-        if self._goes != NOBODY:
-            self._pass_until(self._due[self._goes])
-        self._turn.notify_all()
-
-    def _pass_until(self, deadline_ns: int) -> None:
-        """In steps that watchdogs and faults can follow."""
-        while self._ns < deadline_ns:
-            self._ns = min(deadline_ns, self._ns + 1_000_000)
-            for injector in self._injectors:
-                injector.tick(self._ns)
-            self._cell.advance_to(self._ns)
-            for arm in self._cell.arms:
-                arm.bus.tick(self._ns)
-            self.passing(self._ns)
-
-
-@dataclass
-class Line:
-    """What a `VirtualPort` needs of a rig."""
-
-    cell: EmulatedCell
-    index: int
-    injector: Injector
-    clock: SharedClock
-    user: VirtualPort | None = None
-
-    @property
-    def bus(self) -> Any:
-        """The emulated line of this arm."""
-        return self.cell.arms[self.index].bus
 
 
 @dataclass
@@ -188,8 +108,7 @@ class CoupledRun:
         wired = [wiring(arm, i, arm.baud) for i, arm in enumerate(cell.arms)]
         self._emulated, self.world = emulate(plant_spec(cell, q_start), wired, timing=BusTiming())
         self._injectors = [Injector(arm, None, seed=1) for arm in self._emulated.arms]
-        self._clock = SharedClock(self._emulated, self._injectors, len(cell.arms))
-        self._clock.passing = self._pass
+        self._clock = SharedClock(self._emulated, self._injectors, len(cell.arms), self._pass)
         self._cell, self._faults = believed or cell, faults
         self._real, self._starts, self._operator, self._actions = real, starts, operator, list(actions)
         self._start_after_ns = round(ready_s * 1e9)
@@ -254,7 +173,7 @@ class CoupledRun:
             self._clock.leave()
 
     def _loop(self, run: ArmRun, arm: Arm, index: int, q_start: Vector) -> RunSummary:
-        line: Any = Line(self._emulated, index, self._injectors[index], self._clock)
+        line = Line(self._emulated, index, self._injectors[index], self._clock)
         servos = arm_map(self._cell, arm, "virtual", q_start)
         port = run.port = VirtualPort(line, arm.baud)
         driver = run.driver = Blinking(servos, self._clock, on_event=run.events.append, scan_s=0.05, port=port)

@@ -8,10 +8,11 @@ import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from agent.faults import virtual
 from drivers.clock import MonotonicClock
 from drivers.dynamixel.arm_map import ArmMap, JointMap, JointRole
 from drivers.dynamixel.driver import DynamixelDriver
-from drivers.dynamixel.errors import PortError, PortLostError, WriteTimeoutError
+from drivers.dynamixel.errors import PortError, PortLostError
 from drivers.dynamixel.servo.table import Register
 from sim_backend.wire.arm import EmulatedArm
 from sim_backend.wire.cell import EmulatedCell
@@ -88,68 +89,28 @@ class VirtualClock:
             self._cell.arms[0].bus.tick(self._ns)
 
 
-class VirtualPort:
-    """`drivers.dynamixel.line.port.Port` straight on the emulated bus."""
+class VirtualPort(virtual.VirtualPort):
+    """The virtual port of the product, which also keeps what is written and can be lost."""
 
-    def __init__(self, rig: Rig, baud: int) -> None:
-        self.baud = baud
-        self.latency_timer_ms: int | None = None
-        self.is_open = False
-        self.lost = False  # until it is closed
+    def __init__(self, line: virtual.Line, baud: int) -> None:
+        super().__init__(line, baud)
+        self.lost = False  # whoever opens it again
         self.gone = False  # until it is plugged in again
         self.writes: list[bytes] = []
-        self._rig = rig
 
     def open(self) -> None:
         if self.gone:
             raise PortError("port virtual", found="no such device", expected="a port", remedy="plug it in")
-        if self._rig.user not in (None, self):
-            raise PortError("port virtual", found="in use by this process", expected="nobody", remedy="close the other")
-        self._rig.user = self
-        self.is_open = True
-
-    def close(self) -> None:
-        self.is_open = False
-        if self._rig.user is self:
-            self._rig.user = None
-
-    def set_baud(self, baud: int) -> None:
-        self.baud = baud
-
-    def read_now(self) -> bytes:
-        self._need()
-        clock = self._rig.clock
-        clock.sleep_until(clock.now_ns())
-        return self._rig.bus.take(clock.now_ns())[:4096]
-
-    def read_until(self, deadline_ns: int) -> bytes:
-        clock, bus = self._rig.clock, self._rig.bus
-        while True:
-            data = self.read_now()
-            now_ns = clock.now_ns()
-            if data or now_ns >= deadline_ns:
-                return data
-            due_ns = bus.due_ns()
-            wake_ns = min(deadline_ns, now_ns + 1_000_000)
-            clock.sleep_until(min(wake_ns, max(due_ns, now_ns + 1)) if due_ns is not None else wake_ns)
-
-    def discard_input(self) -> int:
-        return len(self.read_now())
+        super().open()
 
     def write(self, data: bytes, deadline_ns: int) -> None:
-        self._need()
-        if self._rig.injector.stalled:
-            self._rig.clock.sleep_until(deadline_ns)
-            raise WriteTimeoutError("port virtual", found="0 bytes taken", expected="all", remedy="none")
+        super().write(data, deadline_ns)
         self.writes.append(data)
-        clock = self._rig.clock
-        clock.sleep_until(clock.now_ns())
-        self._rig.cell.advance_to(clock.now_ns())
-        self._rig.bus.receive(data, clock.now_ns(), self.baud)
 
     def _need(self) -> None:
-        if self.lost or self.gone or not self.is_open:
+        if self.lost or self.gone:
             raise PortLostError("port virtual", found="closed", expected="open", remedy="none")
+        super()._need()
 
 
 @dataclass
@@ -163,7 +124,7 @@ class Rig:
     driver: DynamixelDriver
     port: VirtualPort
     events: list
-    user: VirtualPort | None = None  # who has the port open
+    line: virtual.Line
 
     @property
     def bus(self):
@@ -214,15 +175,15 @@ def build(
     injector = Injector(emulation, None, seed=1)
     clock = VirtualClock(cell, injector)
     events: list = []
-    rig = Rig(arm, cell, injector, clock, None, None, events)
-    rig.port = VirtualPort(rig, arm.baud)
+    line = virtual.Line(cell, 0, injector, clock)
+    rig = Rig(arm, cell, injector, clock, None, VirtualPort(line, arm.baud), events, line)
     rig.driver = driver_on(rig, rig.port)
     return rig
 
 
 def driver_on(rig: Rig, port: VirtualPort | None = None) -> DynamixelDriver:
     """Another driver for the same arm."""
-    port = port or VirtualPort(rig, rig.arm.baud)
+    port = port or VirtualPort(rig.line, rig.arm.baud)
     return DynamixelDriver(rig.arm, rig.clock, on_event=rig.events.append, scan_s=0.05, port=port)
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from agent.config.cell import Arm, Cell
 from agent.config.schema.cell import DriverKind
 from agent.config.servo_map import arm_map
+from agent.faults.virtual import Line, SharedClock
 from agent.guard.takeover import WATCH_NS, go_on, stale_ns
 from agent.guard.vigil import Vigil
 from agent.modes import Event, Mode
@@ -26,7 +27,7 @@ from drivers.dynamixel.driver import DynamixelDriver
 from drivers.dynamixel.servo.table import GOAL_CURRENT, GOAL_PWM, Instruction
 from drivers.dynamixel.standby import Handover, StandbyDriver
 from drivers.interface import Vector
-from tests.support.servos.coupled_rig import ArmRun, CoupledRun, Line, SharedClock
+from tests.support.servos.coupled_rig import ArmRun, CoupledRun
 from tests.support.servos.dxl_rig import VirtualPort
 
 HOST_NS = 4_000_000  # to wake, to see a process end, to compute the hold: three times what a small computer needs
@@ -75,7 +76,7 @@ class TimedPort(VirtualPort):
     def write(self, data: bytes, deadline_ns: int) -> None:
         super().write(data, deadline_ns)
         if data[7] == Instruction.SYNC_WRITE and data[8:10] in GOALS:
-            self.torques_ns.append(self._rig.clock.now_ns())
+            self.torques_ns.append(self._line.clock.now_ns())
 
 
 @dataclass
@@ -104,7 +105,7 @@ class GuardedRun(CoupledRun):
     def _loop(self, run: ArmRun, arm: Arm, index: int, q_start: Vector) -> RunSummary:
         assert isinstance(run, Guarded)
         clock = MortalClock(self._clock)
-        line: Any = Line(self._emulated, index, self._injectors[index], clock)  # type: ignore[arg-type]
+        line = Line(self._emulated, index, self._injectors[index], clock)
         servos = arm_map(self._cell, arm, "virtual", q_start)
         port = TimedPort(line, arm.baud)
         port.torques_ns = run.torques_ns

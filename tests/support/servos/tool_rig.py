@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from agent.doctor.doctor import Diagnosis, examine_line
+from agent.faults.virtual import Line
 from drivers.dynamixel.arm_map import ArmMap
 from drivers.dynamixel.line.bus import Bus, DxlCounters
 from drivers.dynamixel.line.codec import HEADER
@@ -55,9 +56,8 @@ def _rig(arm: ArmMap, wiring: ArmWiring, timing: BusTiming | None) -> Rig:
     emulation = EmulatedArm(wiring, timing=timing)
     cell = EmulatedCell([emulation], None, start_ns=10_000_000_000)
     injector = Injector(emulation, None, seed=1)
-    rig = Rig(arm, cell, injector, VirtualClock(cell, injector), None, None, [])
-    rig.port = CuttablePort(rig, arm.baud)
-    return rig
+    line = Line(cell, 0, injector, VirtualClock(cell, injector))
+    return Rig(arm, cell, injector, line.clock, None, CuttablePort(line, arm.baud), [], line)
 
 
 def bus_of(rig: Rig) -> Bus:

@@ -14,6 +14,7 @@ from agent.config.cell import Arm, Cell
 from agent.config.schema.cell import DriverKind
 from agent.config.servo_map import arm_map
 from agent.config.session import rest_joints
+from agent.faults.virtual import Line, SharedClock
 from agent.modes import Event, Mode
 from agent.monitors.watch import Watch
 from agent.process.build import Connection, build_agent
@@ -28,7 +29,7 @@ from sim_backend.wire.faults import Fault
 from sim_backend.wire.injector import Injector
 from sim_backend.wire.plant_world import emulate_whole
 from sim_backend.wire.timing import BusTiming
-from tests.support.servos.coupled_rig import ArmRun, Line, SharedClock
+from tests.support.servos.coupled_rig import ArmRun
 from tests.support.servos.dxl_rig import VirtualPort
 
 START_AFTER_NS = 200_000_000
@@ -107,7 +108,7 @@ class WholeRun:
             self.clock.leave()
 
     def _loop(self, run: SessionRun, arm: Arm, index: int) -> RunSummary:
-        line: Any = Line(self.emulated, index, self._injectors[index], self.clock)
+        line = Line(self.emulated, index, self._injectors[index], self.clock)
         servos = arm_map(self.cell, arm, "virtual", rest_joints(arm))
         port = VirtualPort(line, arm.baud)
         driver = DynamixelDriver(servos, self.clock, on_event=run.events.append, scan_s=0.05, port=port)

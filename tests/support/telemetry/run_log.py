@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -23,16 +24,21 @@ from agent.telemetry.row.topics import Address, Kind
 BATCH = 100
 
 
-def write_run(path: Path, cell: Cell, rows: Mapping[str, np.ndarray], *, left_out: tuple[str, ...] = ()) -> Path:
-    """A complete log of these rows by arm; left_out: files of the cell that shall not be in it."""
+def write_run(
+    path: Path, cell: Cell, rows: Mapping[str, np.ndarray], *, left_out: tuple[str, ...] = (), in_chunk: int = 0
+) -> Path:
+    """A complete log of these rows by arm; left_out: files of the cell that shall not be in it; in_chunk: rows in each
+    chunk, as many as fit without it."""
     files = attachments(cell, run_info(cell, DriverKind.SIM, 0))
     kept = [Attachment(name, "text/plain", data) for name, data in files.items() if name not in left_out]
     log = LogFile(path, kept, {}, created_ns=1, min_free_bytes=0)
     name = cell.file.name
     channels = LogChannels(log, scene_of(cell), has_plant=False)
     for arm, own in rows.items():
-        for begin in range(0, len(own), BATCH):
-            channels.write_rows(Rows(Address(name, arm, Kind.STATE), own[begin : begin + BATCH]))
+        for begin in range(0, len(own), in_chunk or BATCH):
+            channels.write_rows(Rows(Address(name, arm, Kind.STATE), own[begin : begin + (in_chunk or BATCH)]))
+            if in_chunk:
+                log.tick(math.inf)
     assert log.finish({"completeness": {"complete": "true"}})
     return path
 
@@ -52,6 +58,7 @@ def write_other_release(
         writer.start("ros2", "widowx-coop")
         for name, data in attachments(cell, run_info(cell, DriverKind.SIM, 0)).items():
             writer.add_attachment(0, 0, name, "text/plain", data)
+        writer.add_metadata("versions", {"widowx-coop": "0.0.7"})
         schema = writer.register_schema("coop_msgs/msg/AgentState", "ros2msg", layout.definition.encode())
         for arm, own in rows.items():
             channel = writer.register_channel(Address(cell.file.name, arm, Kind.STATE).topic, "cdr", schema)

@@ -8,6 +8,7 @@ import signal
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any, Self
 
@@ -50,8 +51,19 @@ def sent_by(member: str, run: int = 0) -> Sent:
     return Sent(seal_of(CELL, "", member, layout_of(member)), run)
 
 
+@cache
+def _same_rows(member: str, count: int) -> np.ndarray:
+    rows = _new_rows(member, count)
+    rows.flags.writeable = False
+    return rows
+
+
 def make_rows(member: str, count: int) -> np.ndarray:
     """Rows whose every number follows from member and sequence, so that both ends can be compared."""
+    return _same_rows(member, count).copy()
+
+
+def _new_rows(member: str, count: int) -> np.ndarray:
     layout = layout_of(member)
     rows = np.zeros(count, layout.dtype)
     sequence = np.arange(count)

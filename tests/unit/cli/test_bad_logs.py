@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
@@ -15,6 +16,9 @@ from mcap.writer import Writer
 import configs
 from agent.config.cell import load_cell
 from agent.log import load
+from agent.log.scan import MAGIC
+from agent.telemetry.row.sample import AGENT_STATE
+from agent.view.staged import NEEDS
 from tests.support.command import coop
 from tests.support.plant.plant_arm import run_one
 from tests.support.telemetry.run_log import write_other_release, write_run
@@ -35,7 +39,10 @@ READERS = {
     "play": ("play", LOG, "--listen", "tcp/127.0.0.1:0", "--speed", "1000"),
     "identify": ("identify", LOG, "--out", "out"),
     "calibrate": ("calibrate", LOG, "--out", "out"),
+    "view": ("view", LOG, "--film", "out.png"),
+    "view --from": ("view", LOG, "--film", "out.png", "--from", "0.05"),
 }
+REPAIR = ("recover", LOG)
 
 
 @cache
@@ -179,5 +186,81 @@ def test_a_log_of_another_release_says_what_can_still_be_read(
     done = coop(*(word.replace(LOG, "run.mcap") for word in READERS[reader]))
     assert done.code == code, done.err
     if code:
-        assert "AgentState without e_p, memory, shift, with another memory" in done.err
-        assert "`coop export` and `coop replay` read it as it is" in done.err
+        assert "AgentState without e_p, memory, shift, with another memory, of release 0.0.7" in done.err
+        assert "`coop export`, `coop replay` and `coop events` read it as it is" in done.err
+
+
+# --------------------------------------------------------------------------------------- files that are damaged or none
+
+
+@cache
+def whole() -> bytes:
+    """A good log, five rows in each chunk."""
+    with TemporaryDirectory() as name:
+        return write_run(Path(name) / "run.mcap", CELL, {ARM: rows()}, in_chunk=5).read_bytes()
+
+
+def bit_changed() -> bytes:
+    data = bytearray(whole())
+    data[int(0.55 * len(data))] ^= 4
+    return bytes(data)
+
+
+NONE_OF_OURS = {"empty": b"", "of text": b"time,q\n0,1\n", "a start alone": MAGIC, "an absent file": None}
+DAMAGED = {"cut": ("the file ends without its index", lambda: whole()[: int(0.6 * len(whole()))]),
+           "a bit changed": ("damaged at byte", bit_changed)}  # fmt: skip
+TOO_SHORT = ("identify", "calibrate")  # these need more rows than a test has, damaged or not
+
+
+@pytest.mark.parametrize("reader", [*READERS, "recover"])
+def test_what_is_no_log_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reader: str) -> None:
+    monkeypatch.chdir(tmp_path)
+    words = [word.replace(LOG, "run.mcap") for word in READERS.get(reader, REPAIR)]
+    for what, data in NONE_OF_OURS.items():
+        Path("run.mcap").unlink(missing_ok=True)
+        if data is not None:
+            Path("run.mcap").write_bytes(data)
+        done = coop(*words)
+        if (reader, what) == ("recover", "a start alone"):
+            assert (done.code, "0 messages" in done.out) == (0, True)  # nothing was in it, and that can be had
+            continue
+        assert done.code == 2, what
+        assert "Traceback" not in done.err
+        assert [line for line in done.err.splitlines() if line.startswith("coop: ")] == done.err.splitlines(), what
+        assert "run.mcap" in done.err, what
+        assert [path.name for path in Path().iterdir()] == (["run.mcap"] if data is not None else []), what
+
+
+@pytest.mark.parametrize("damage", DAMAGED)
+@pytest.mark.parametrize("reader", [*(name for name in READERS if name not in TOO_SHORT), "recover"])
+def test_what_is_left_of_a_damaged_log_is_read_and_the_damage_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, damage: str, reader: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("agent.report.report.pictures", lambda _: [])
+    told, damaged = DAMAGED[damage]
+    Path("run.mcap").write_bytes(damaged())
+    done = coop(*(word.replace(LOG, "run.mcap") for word in READERS.get(reader, REPAIR)))
+    assert done.code == 0, done.err
+    page = Path("out/report.html")
+    assert told in done.err + done.out + (page.read_text() if page.exists() else ""), "a figure of a part says so"
+
+
+def test_a_log_of_one_row_is_one_picture(tmp_path: Path) -> None:
+    one_row(tmp_path / "run.mcap")
+    done = coop("view", tmp_path / "run.mcap", "--film", tmp_path / "film.png")
+    assert done.out == f"film     {tmp_path / 'film.png'}, 1 pictures\n", done.err
+
+
+def test_another_release_is_shown_in_3d_if_it_has_what_a_picture_needs_and_named_if_not(tmp_path: Path) -> None:
+    film, needs = tmp_path / "film.png", NEEDS[AGENT_STATE.ros_name]
+    others = tuple(f.name for f in AGENT_STATE.fields if f.name not in {*needs, "config_id"})  # keeps the alignment
+    write_other_release(tmp_path / "a.mcap", CELL, {ARM: rows()}, without=others)
+    done = coop("view", tmp_path / "a.mcap", "--film", film)
+    assert done.code == 0, done.err
+    for name in needs - {"sequence", "utc_ns"}:  # a message itself has these
+        pair = (name, "config_id") if name in {"mode", "flags", "joint_count"} else (name,)
+        write_other_release(tmp_path / "b.mcap", CELL, {ARM: rows()[:1]}, without=pair)
+        done = coop("view", tmp_path / "b.mcap", "--film", film, "--force")
+        assert done.code == 2
+        assert f"AgentState without {', '.join(sorted(pair))}, of release 0.0.7" in done.err

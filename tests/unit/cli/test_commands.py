@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 import configs
+from agent.cli import main
 from tests.support.command import commands, coop
 
 PROJECT = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text())["project"]
@@ -170,3 +171,16 @@ def test_a_quick_command_loads_nothing_heavy(line: list[str], never: set[str]) -
         f"assert dispatch({line!r}) == 0\nprint('LOADED', *sys.modules)"
     ).rpartition("LOADED")[2]
     assert not never & set(loaded.split())
+
+
+def test_a_run_loads_no_figures_before_its_report() -> None:
+    loaded = python("import sys, agent.process.run; print('LOADED', *sys.modules)").rpartition("LOADED")[2]
+    assert not {"matplotlib", "PIL"} & set(loaded.split())
+
+
+def test_a_line_is_read_by_the_command_that_it_names_or_by_all() -> None:
+    for name in ("run", "latency-test", "motors"):
+        assert list(main._command(name).commands) == [name]  # type: ignore[attr-defined]
+    assert main._command("run") is main._command("run")
+    for word in ("", "rnu", "--version"):
+        assert len(main._command(word).commands) > 30  # type: ignore[attr-defined]

@@ -16,9 +16,11 @@ def python(code: str) -> None:
     assert done.returncode == 0, done.stderr
 
 
-def test_the_control_law_does_not_load_scipys_linear_algebra() -> None:
+def test_neither_the_control_law_nor_a_motion_through_poses_loads_more_of_scipy() -> None:
     python(
-        "import sys, agent.control.known\n"
+        "import sys, agent.control.known, configs\n"
+        "from agent.config.cell import load_cell\n"
+        "load_cell(configs.CELLS_DIR / 'three_wx250s.toml').trajectory()\n"
         "loaded = sorted(m for m in sys.modules if m.startswith('scipy'))\n"
         "assert loaded == ['scipy.linalg._flapack'], loaded"
     )
@@ -34,7 +36,7 @@ def test_the_control_law_does_not_load_scipys_linear_algebra() -> None:
 def test_both_ways_give_the_same_functions(first: str, second: str) -> None:
     python(
         f"{first}\n{second}\nimport numpy as np, scipy.linalg\n"
-        "for name in ('dgesv', 'dposv', 'dpbtrf'):\n"
+        "for name in ('dgesv', 'dposv', 'dpbtrf', 'dpbsv'):\n"
         "    assert getattr(ours, name) is getattr(theirs, name), name\n"
         "A = np.array([[2.0, 1.0], [0.0, 4.0]])\n"
         "assert np.allclose(scipy.linalg.inv(A) @ A, np.eye(2))"

@@ -11,6 +11,7 @@ import pinocchio as pin
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.interpolate import make_interp_spline
 
 import configs
 from agent.config.cell import ConfigError, cell_from_toml, load_cell
@@ -19,7 +20,7 @@ from agent.control.quaternion import Quat, angle_between, conjugate, from_axis_a
 from agent.control.trajectory import Desired, Trajectory
 from agent.control.trajectory_file import COLUMNS, SpeedLimits, read
 from agent.control.trajectory_rest import RestToRest
-from agent.control.trajectory_spline import PoseSpline, TrajectoryError, same_hemisphere
+from agent.control.trajectory_spline import PoseSpline, TrajectoryError, quintic, same_hemisphere
 from agent.verify.check import Verdict, examine
 from drivers.interface import Refusal
 from tests.support.control.strategies import examples, random_pose, random_unit
@@ -126,6 +127,20 @@ def test_the_spline_passes_its_poses(seed: int) -> None:
         assert spline.at(t).p == pytest.approx(p, abs=1e-12)
         assert angle_between(spline.at(t).quat, quat) < 1e-7
     assert spline.period_s == 4.0
+
+
+@pytest.mark.parametrize("count", [2, 3, 4, 7, 60])
+@pytest.mark.parametrize("unevenness", [0.0, 1.5])
+def test_the_spline_is_that_of_scipy(count: int, unevenness: float) -> None:
+    """All coefficients, as parts of the values; times between neighbours differ up to thirty-fold."""
+    rng = np.random.default_rng(count)
+    times = np.cumsum(10.0 ** rng.uniform(-unevenness, 0.0, count))
+    values, still = rng.normal(size=(count, 7)), [(1, np.zeros(7)), (2, np.zeros(7))]
+    theirs = make_interp_spline(times, values, k=5, bc_type=(still, still))
+    parts = np.diff(times)[:, None, None] ** np.arange(6.0)[None, :, None]
+    expected = np.stack([theirs(times[:-1], nu=k) / math.factorial(k) for k in range(6)], axis=1) * parts
+    found = quintic(times.tolist(), values) * parts
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-10 * np.abs(expected).max())
 
 
 @given(SEEDS)

@@ -50,7 +50,7 @@ class StrictPort(VirtualPort):
 
 def on(rig: Rig, **more: Any) -> tuple[DynamixelDriver, StrictPort]:
     """Another driver for that arm, with a strict port."""
-    port = StrictPort(rig, rig.arm.baud)
+    port = StrictPort(rig.line, rig.arm.baud)
     more.setdefault("scan_s", 0.05)
     return DynamixelDriver(rig.arm, rig.clock, on_event=rig.events.append, port=port, **more), port
 

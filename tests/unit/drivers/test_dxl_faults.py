@@ -340,7 +340,7 @@ def test_a_port_that_vanishes_is_an_error_and_comes_back_as_the_same_arm():
 def test_another_arm_on_the_port_is_not_written_to():
     rig = warm()
     other = build(at(WX200, joints=tuple(replace(j, servo=XL, tau_max_Nm=0.2) for j in WX200.joints)))
-    rig.port._rig = other
+    rig.port._line = other.line
     with pytest.raises(Exception, match="model: found XL430-W250, expected XM430-W350"):
         rig.driver.reopen()
     with pytest.raises(PortLostError, match="virtual"):

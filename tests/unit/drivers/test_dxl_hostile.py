@@ -28,7 +28,7 @@ class HostilePort(VirtualPort):
     """A port whose adapter echoes what is sent, or gives one old reply for whatever is sent."""
 
     def __init__(self, rig: Rig) -> None:
-        super().__init__(rig, rig.arm.baud)
+        super().__init__(rig.line, rig.arm.baud)
         self.echoes = False
         self.repeats: bytes | None = None
         self.last = b""  # what the host has read since it wrote last

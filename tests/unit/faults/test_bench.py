@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from agent.config.cell import load_cell
-from agent.faults.bench import Rehearsal, rehearse
+from agent.faults.bench import Rehearsal
 from agent.faults.measure import GONE, Measured, measured
 from agent.faults.plan import Injection
+from agent.faults.rehearse import rehearse
 from agent.modes import Mode
 from agent.safety import Flag
 from drivers.dynamixel.arm_map import WATCHDOG_S

@@ -265,7 +265,10 @@ def test_arm_and_twin_too_far_apart_are_no_pair_any_more() -> None:
 def test_without_a_state_of_the_arm_the_twin_keeps_its_torque_until_the_servos_watchdog(partly: bool) -> None:
     rig = Rig()
     made = bridge(rig)
-    cycle(made, rig, 20)
+    cycle(made, rig, 60)
+    rig.q = np.array([0.01, 0.0])
+    cycle(made, rig)
+    assert abs(rig.twins[-1][0] - TAU[0]) > 0.01, "what answers a motion"
     commands = len(rig.twins)
     rig.failure = refusal(StaleStateError)
     if partly:
@@ -276,8 +279,9 @@ def test_without_a_state_of_the_arm_the_twin_keeps_its_torque_until_the_servos_w
         rig.ns += T_NS
         with pytest.raises(type(rig.failure)):
             made.read()
-        made.write(TAU)
-    assert len(rig.twins) == commands
+        made.write(3.0 * TAU)
+    assert len(rig.twins) == commands + 39
+    np.testing.assert_allclose(rig.twins[commands:], np.tile(TAU, (39, 1)), atol=1e-3, err_msg="nothing of one cycle")
     assert "twin limp" not in rig.told
     rig.ns += T_NS
     with pytest.raises(type(rig.failure)):

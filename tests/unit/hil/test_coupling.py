@@ -122,6 +122,22 @@ def test_a_cycle_without_a_state_keeps_the_objects_part_and_drops_what_answered_
     np.testing.assert_allclose(coupling.addition, grasp)
 
 
+def test_a_cycle_without_a_state_leaves_the_twin_what_the_arm_does_otherwise_than_its_model_for_long() -> None:
+    """The arm is pushed at by 0.1 N·m that its model does not know; then it is silent."""
+    coupling, now = coupled()
+    extra, dq, dq_t = np.array([0.1, 0.0]), np.zeros(2), np.zeros(2)
+    for _ in range(200):
+        now += T_NS
+        coupling.step(now, ZERO, dq, replace(twin(now), dq=dq_t), B)
+        dq = dq + T * np.linalg.solve(B, extra + coupling.addition)
+        dq_t = dq_t + T * np.linalg.solve(B, coupling.on_twin)
+    coupling.unheard()
+    np.testing.assert_allclose(coupling.on_twin, extra, atol=0.02)
+    coupling.alone(now)
+    coupling.unheard()
+    assert not coupling.on_twin.any(), "nothing is left of it after they have parted"
+
+
 @settings(max_examples=40)
 @given(st.lists(st.tuples(vectors, vectors, vectors, vectors, st.integers(-2, 9)), min_size=1, max_size=30))
 def test_no_state_whatever_makes_an_addition_above_its_clamp(

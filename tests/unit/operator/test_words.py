@@ -23,7 +23,7 @@ from agent.operator.error import ControlError
 from agent.operator.message import Reply, Request
 from agent.operator.socket import ControlSocket, Standing
 from agent.operator.table import MODES, Verb
-from agent.operator.words import Here, release_arms, start_arms, start_together, stop_arms
+from agent.operator.words import Here, start_arms, start_together, tell_arms
 
 OWN, OTHER = "ab" * 32, "cd" * 32
 QUICK_S = 0.04  # how long an agent that hangs is waited for
@@ -44,6 +44,7 @@ class Arm:
     control: ControlSocket | None = None
     listener: socket.socket | None = None
     wakes: Callable[[ControlSocket], None] | None = None  # is told before each poll
+    session: bool = False  # goes from its rest to the object and back
 
     def open(self) -> None:
         if self.condition == ABSENT:
@@ -56,7 +57,10 @@ class Arm:
             return
         mode = self.condition if isinstance(self.condition, Mode) else Mode.READY
         fingerprint = OTHER if self.condition == FOREIGN else self.fingerprint
-        self.control = ControlSocket(self.path, fingerprint, Standing(self.path.stem, mode))
+        standing = Standing(self.path.stem, mode, session=(lambda _: "") if self.session else None)
+        if self.session:
+            standing.details = lambda: {"session": True}
+        self.control = ControlSocket(self.path, fingerprint, standing)
 
     def close(self) -> None:
         for one in (self.control, self.listener):
@@ -158,6 +162,68 @@ def test_any_subset_of_three_arms_may_be_dead_or_hung(tmp_path: Path, verb: Verb
         check(tmp_path / str(number), verb, conditions)
 
 
+SESSION_WORDS = {
+    Verb.APPROACH: Mode.REST, Verb.GRASP: Mode.APPROACH, Verb.LOWER: Mode.HOLD, Verb.PARK: Mode.RELEASE,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("verb", SESSION_WORDS)
+@pytest.mark.fault("P11")
+def test_a_word_of_a_session_moves_all_arms_or_none(tmp_path: Path, verb: Verb) -> None:
+    """P11: one arm not at its phase, dead or hung, and the other is not told to go on."""
+    able = SESSION_WORDS[verb]
+    for number, conditions in enumerate(product((able, Mode.TRACK, DEAD, HUNG), repeat=2)):
+        arms = cell_of(tmp_path / str(number), conditions)
+        for arm in arms:
+            arm.session = True
+        where = {arm.path.stem: [arm.path] for arm in arms}
+        told, timeout_s = "", QUICK_S if HUNG in conditions else PATIENT_S
+        with serving(arms):
+            try:
+                if verb is Verb.LOWER:
+                    start_together(where, Request(verb, start_utc_ns=time.time_ns() + 10**12), timeout_s)
+                else:
+                    told = words._tell_all(where, verb, timeout_s)
+            except ControlError as error:
+                told = str(error)
+        goes = conditions == (able, able)
+        assert ("no arm has been told" in told) is not goes, (conditions, told)
+        for arm in arms:
+            assert goes or (f"{arm.path.stem}: " in told) is (arm.condition != able)
+            if arm.control is not None:
+                requests = arm.control.requests
+                assert (requests.lower is not None) is (goes and verb is Verb.LOWER)
+                assert requests.words == [verb] * (goes and verb is not Verb.LOWER)
+
+
+def test_a_lowering_that_one_arm_does_not_take_is_taken_back(tmp_path: Path) -> None:
+    """The first has begun by then, and holds again; the second has been hit by a fault between the two questions."""
+    arms = cell_of(tmp_path / "cell", (Mode.HOLD, Mode.HOLD))
+    able = [True]
+
+    def first(control: ControlSocket) -> None:
+        if control.requests.lower is not None:
+            control.standing.mode = Mode.LOWER
+
+    def answered() -> dict[str, Any]:
+        able[0] = False
+        return {"session": True}
+
+    def second(control: ControlSocket) -> None:
+        control.standing.details = answered
+        control.standing.mode = Mode.HOLD if able[0] else Mode.FAULT
+
+    arms[0].wakes, arms[1].wakes = first, second
+    for arm in arms:
+        arm.session = True
+    request = Request(Verb.LOWER, start_utc_ns=time.time_ns() + 10**12)
+    with serving(arms), pytest.raises(ControlError, match="a: had begun, holds now; b: does not begin"):
+        start_together({arm.path.stem: [arm.path] for arm in arms}, request, PATIENT_S)
+    assert arms[0].control is not None
+    assert arms[0].control.requests.lower is None
+    assert arms[0].heard == (False, [Verb.STOP])
+
+
 # --- a start that fails between its two halves -----------------------------------------------------------------------
 
 
@@ -184,7 +250,7 @@ def test_when_one_refuses_the_instant_it_had_agreed_to_the_others_are_told_to_fo
 
     told, (first, second) = started_with(tmp_path / "cell", wakes)
     assert "b: refuses in HOLD" in told
-    assert "the start was taken back (a: does not start; b: does not start)" in told
+    assert "the start was taken back (a: does not begin; b: does not begin)" in told
     assert first.heard == second.heard == (False, [])
 
 
@@ -206,7 +272,7 @@ def test_an_arm_that_has_started_by_then_is_stopped(tmp_path: Path) -> None:
 
     arms[0].wakes, arms[1].wakes = first, second
     request = Request(Verb.START, OWN, time.time_ns() + 10**12)
-    with serving(arms), pytest.raises(ControlError, match="a: had started, holds now; b: does not start"):
+    with serving(arms), pytest.raises(ControlError, match="a: had begun, holds now; b: does not begin"):
         start_together({arm.path.stem: [arm.path] for arm in arms}, request, PATIENT_S)
     assert arms[0].heard == (False, [Verb.STOP])
 
@@ -236,7 +302,7 @@ def test_an_agent_that_hangs_at_the_instant_finds_the_start_taken_back_when_it_w
         sleeping[0].poll()
         sleeping[0].close()
     assert "b: does not answer (no answer within 0.2 s)" in str(raised.value)
-    assert "a: does not start; b: NOT KNOWN, it does not answer" in str(raised.value)
+    assert "a: does not begin; b: NOT KNOWN, it does not answer" in str(raised.value)
     assert sleeping[0].requests.start is None
     assert arms[0].heard == (False, [])
 
@@ -326,7 +392,7 @@ def test_all_arms_means_those_of_this_host(home: Path) -> None:
         local.places(cell, [], [], "three")
     arm = Arm(home / "right.control", Mode.TRACK)
     with serving([arm]):
-        assert stop_arms(cell, [], [], "two") == "right holds the object where it is"
+        assert tell_arms(cell, Verb.STOP, [], [], "two") == "right holds the object where it is"
     assert arm.heard == (False, [Verb.STOP])
 
 
@@ -345,7 +411,10 @@ def test_a_service_that_lives_counts_before_what_an_agent_by_hand_has_left(home:
     (tmp_path / "services" / "left").mkdir(parents=True)
     dead, alive = Arm(home / "left.control", DEAD), Arm(tmp_path / "services" / "left" / "left.control", Mode.HOLD)
     with serving([dead, alive]):
-        assert release_arms(load_cell(PAPER), ["left"], []) == "left switches its torque off, and its agent ends"
+        assert (
+            tell_arms(load_cell(PAPER), Verb.RELEASE, ["left"], [])
+            == "left switches its torque off, and its agent ends"
+        )
     assert alive.heard == (False, [Verb.RELEASE])
 
 

@@ -14,6 +14,7 @@ from agent.process.commands import (
     AgentCommand,
     ChildCommand,
     EmulateCommand,
+    GuardCommand,
     PlantCommand,
     RecordCommand,
     TelemetryCommand,
@@ -45,6 +46,21 @@ FULL = (
         emulated=True,
         real_time=True,
         whole=True,
+        hold=True,
+        guard=Path("left.guard"),
+        gripper_empty=True,
+        priority=80,
+        allow_no_realtime=True,
+    ),
+    GuardCommand(
+        cell=CELL,
+        arm="left",
+        socket=Path("left.guard"),
+        control=Path("left.control"),
+        post_mortem=Path("out"),
+        hold=True,
+        emulated=True,
+        priority=81,
     ),
     TelemetryCommand(cell=CELL, member="plant", ring=Path("plant.ring"), connect="tcp/127.0.0.1:1", lockstep=True),
 )
@@ -75,11 +91,13 @@ def test_every_field_of_a_command_arrives_under_its_name(command: ChildCommand) 
 @pytest.mark.parametrize("kind", [type(command) for command in FULL], ids=lambda k: k.verb)
 def test_what_a_command_leaves_out_keeps_the_parsers_default(kind: type[ChildCommand]) -> None:
     full = next(command for command in FULL if type(command) is kind)
-    needed = {f.name: getattr(full, f.name) for f in fields(kind) if f.type not in ("bool", "Path | None")}
+    needed = {
+        f.name: getattr(full, f.name) for f in fields(kind) if f.type not in ("bool", "Path | None", "int | None")
+    }
     left_out = {f.name: False if f.type == "bool" else None for f in fields(kind) if f.name not in needed}
     command = kind(**needed, **left_out)
     understood = parsed(command)
-    assert {name: understood[name] for name in left_out} == left_out
+    assert {name: understood[name] or value for name, value in left_out.items()} == left_out
     assert {name: plain(understood[name]) for name in needed} == {name: plain(value) for name, value in needed.items()}
 
 

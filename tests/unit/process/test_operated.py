@@ -49,16 +49,19 @@ class Signals:
 
     stopped = False
     released = False
+    stops = 0
 
 
 class Rig:
     """An operator with a control socket that nobody but the test asks."""
 
-    def __init__(self, path: Path, *, drops_on_stop: bool = False) -> None:
+    def __init__(self, path: Path, *, drops_on_stop: bool = False, session: bool = False) -> None:
         self.told: list[tuple[Level, str, dict[str, Any]]] = []
         self.signals: Any = Signals()
         self.control = ControlSocket(path, "ab" * 32, Standing("left", Mode.TRACK))
-        self.operator = Operator(self.signals, self.control, Clock(), self._tell, drops_on_stop=drops_on_stop)
+        self.operator = Operator(
+            self.signals, self.control, Clock(), self._tell, drops_on_stop=drops_on_stop, session=session
+        )
 
     def _tell(self, level: Level, text: str, **data: float | str) -> None:
         self.told.append((level, text, data))
@@ -92,6 +95,26 @@ def test_signals_say_the_same(rig: Rig) -> None:
     assert rig.signals.released is False
     rig.signals.stopped = True
     assert rig.hear() == rig.hear() == Event.STOP
+
+
+def test_in_a_session_every_stop_is_said_once_for_the_arm_goes_on_from_it(tmp_path: Path) -> None:
+    rig = Rig(tmp_path / "c", session=True)
+    with closing(rig.control):
+        assert (rig.hear(Verb.STOP), rig.hear()) == (Event.STOP, Event.NONE)
+        for _ in range(2):  # a second signal stops the way back
+            rig.signals.stopped, rig.signals.stops = True, rig.signals.stops + 1
+            assert (rig.hear(), rig.hear()) == (Event.STOP, Event.NONE)
+        for _ in range(2):
+            rig.operator.hold("the clock may be off by 5.1 ms")
+        assert (rig.hear(), rig.hear()) == (Event.STOP, Event.NONE)
+        assert [text for _, text, _ in rig.told] == ["holds: the clock may be off by 5.1 ms"]
+
+
+def test_a_simulated_session_is_over_with_a_stop(tmp_path: Path) -> None:
+    rig = Rig(tmp_path / "c", session=True, drops_on_stop=True)
+    with closing(rig.control):
+        rig.signals.stopped, rig.signals.stops = True, 1
+        assert rig.hear() == rig.hear() == Event.STOP | Event.RELEASED
 
 
 def test_where_nothing_can_fall_a_stop_releases(tmp_path: Path) -> None:

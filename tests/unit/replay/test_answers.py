@@ -82,7 +82,13 @@ def test_events_are_chosen_by_arm_and_time(tmp_path: Path) -> None:
     assert [e["t_s"] for e in document["events"]] == [31.005, 31.01, None]
     assert document["events"][0]["data"]["flag"] == "OFF_TRACK"
     done = coop("events", log, "--arm", "nobody")
-    assert (done.code, done.out, done.err) == (0, "", f"{log}: no event from there to there\n")
+    assert (done.code, done.out, done.err) == (0, "", f"{log}: no event at all\n")
+    assert coop("events", log, "--arm", "left", "--from", "99").err == f"{log}: no event of these\n"
+    done = coop("events", log, "--from", "9", "--to", "3")
+    assert (done.code, done.err) == (
+        2,
+        "coop: Invalid value: no time between --from 9 and --to 3 (see `coop events -h`)\n",
+    )
 
 
 # grasps

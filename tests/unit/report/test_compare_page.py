@@ -14,7 +14,7 @@ from agent.report.compare_page import render, write_comparison
 from agent.report.metrics import summarise_prepared
 from agent.report.overlay import overlay
 from agent.report.prepared import prepare
-from agent.report.report import ReportError
+from agent.report.results_file import ReportError
 from agent.report.settings import ABSENT, different, settings_of
 from agent.report.shown import ComparedRun, error_series
 from agent.report.tables import number

@@ -19,7 +19,7 @@ from matplotlib.lines import Line2D
 
 from agent.log.read import RunLog
 from agent.report import figures
-from agent.report.figures_more import DURATIONS, estimates, tail_of
+from agent.report.figures_more import DURATIONS, estimates, loop_timing, tail_of
 from agent.report.figures_together import in_stretches
 from agent.report.gallery import pictures
 from agent.report.plotting import DRAWN_MAX, UNDRAWN, drawable, in_columns, panels, unbroken
@@ -106,15 +106,30 @@ def test_limits_are_drawn_only_when_a_torque_comes_near_them() -> None:
 def test_lateness_has_a_panel_only_where_a_cycle_began_late() -> None:
     log = RUNS["paper"]()
     timing = {picture.stem: picture for picture in pictures(prepare(log))}["loop_timing"]
-    assert [ax.get_title(loc="left") for ax in timing.draw().axes] == ["Loop timing", "Lateness of each cycle"]
+    assert [ax.get_title(loc="left") for ax in timing.draw().axes] == [
+        "Loop timing (left solid, right dashed)", "Lateness of each cycle"
+    ]  # fmt: skip
     assert "how late each cycle began" in timing.caption
     for rows in log.agents.values():
         rows["late_s"] = 0.0
     timing = {picture.stem: picture for picture in pictures(prepare(log))}["loop_timing"]
     (tail,) = timing.draw().axes
     assert "No cycle began late" in timing.caption
-    assert "began late" not in [text.get_text() for text in tail.get_legend().get_texts()]
-    assert "control step" in [text.get_text() for text in tail.get_legend().get_texts()]
+    assert "began late" not in [text.get_text() for text in tail.texts]
+    assert "control step" in [text.get_text() for text in tail.texts]
+
+
+def test_a_duration_is_named_once_at_its_curve_and_the_title_tells_the_arms() -> None:
+    (tail, _) = loop_timing(prepare(RUNS["paper"]())).axes
+    names = sorted(text.get_text() for text in tail.texts)
+    assert names == ["began late", "bus read", "bus write", "control step", "period"]
+    assert tail.get_title(loc="left") == "Loop timing (left solid, right dashed)"
+    step = next(text for text in tail.texts if text.get_text() == "control step")
+    x, y = step.xy  # type: ignore[attr-defined]
+    curve = next(c for c in tail.lines if c.get_color() == step.get_color() and c.get_linestyle() == "-")
+    fraction = np.asarray(curve.get_ydata(), float)
+    assert x in np.asarray(curve.get_xdata(), float)
+    assert np.abs(fraction - y).min() == abs(fraction[list(np.asarray(curve.get_xdata(), float)).index(x)] - y)
 
 
 def astray(log: RunLog) -> RunLog:

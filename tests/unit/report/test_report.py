@@ -13,7 +13,8 @@ import pytest
 from rich.console import Console
 
 from agent.report.prepared import prepare
-from agent.report.report import ReportError, ReportFiles, terminal_table, write_report
+from agent.report.report import ReportFiles, write_report
+from agent.report.results_file import ReportError, terminal_table
 from agent.telemetry.row.event import Event, Level
 from agent.view.film import still
 from tests.support.telemetry.synthetic_run import paper_run, spatial_run

@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.lines import Line2D
 
 from agent.control.against import NO_PULL
 from agent.control.memory import initial
@@ -16,9 +18,9 @@ from agent.control.residual import nothing_sensed
 from agent.log.read import RunLog
 from agent.report import figures, figures_more, figures_together
 from agent.report.gallery import pictures
-from agent.report.labels import end_labels, mark_moments
+from agent.report.labels import LINE_IN, end_labels, mark_moments, room_in
 from agent.report.metrics import summarise
-from agent.report.plotting import DASHES, line, panels, time_axis
+from agent.report.plotting import DASHES, PANEL_IN, line, panels, time_axis
 from agent.report.prepared import prepare
 from agent.report.together import Thresholds, thresholds
 from agent.telemetry.row.event import Event, Level
@@ -195,34 +197,72 @@ def test_end_labels_stand_at_their_curves_and_apart_and_inside() -> None:
     end_labels(ax)
     heights = {text.get_text(): text.xy[1] for text in ax.texts}  # type: ignore[attr-defined]
     assert heights["low"] == pytest.approx(0.045, abs=0.01)
-    assert heights["high"] - heights["near"] == pytest.approx(0.11)
-    assert heights["high"] == pytest.approx(0.9)
+    assert heights["high"] - heights["near"] == pytest.approx(LINE_IN / PANEL_IN)
+    assert heights["high"] == pytest.approx(1.0)
+
+
+def test_a_name_beside_a_panel_has_the_look_of_its_curve_and_room() -> None:
+    names = ["left", r"$e_\varepsilon$ z", "wrist rotate"]
+    figure, (ax,) = panels(1, names_in=room_in(names))
+    for number, name in enumerate(names):
+        line(ax, np.arange(5.0), np.full(5, float(number)), color=list(DASHES)[number], label=name)
+    end_labels(ax)
+    renderer = FigureCanvasAgg(figure).get_renderer()
+    inside, page = ax.get_window_extent(renderer), figure.bbox
+    for text in ax.texts:
+        where = text.get_window_extent(renderer)
+        assert inside.x1 < where.x0, "beside the panel, where it hides no curve"
+        assert where.x1 < page.x1, "and on the page"
+    samples = [mark for mark in figure.artists if isinstance(mark, Line2D) and mark.get_linewidth() > 1.0]
+    drawn = [
+        [(c.get_color(), str(c._unscaled_dash_pattern)) for c in some]  # type: ignore[attr-defined]
+        for some in (samples, ax.get_lines())
+    ]
+    assert drawn[0] == drawn[1]
+    ends = [mark.get_ydata()[0] for mark in figure.artists if isinstance(mark, Line2D) and mark.get_linewidth() < 1.0]
+    assert ends == pytest.approx([0.5 / 1.1 * (0.1 + number) for number in range(3)], abs=0.01), "a line from its end"
+
+
+def test_names_leave_out_what_all_of_them_have() -> None:
+    _, (ax,) = panels(1)
+    ax.plot([0.0, 1.0], [0.0, 1.0], label="actual, seen by left")
+    end_labels(ax, "actual, seen by ")
+    assert [text.get_text() for text in ax.texts] == ["left"]
 
 
 def test_moments_are_marked_on_time_axes_alone_and_named_once() -> None:
     figure, axes = panels(3, sharex=False)
     time_axis(axes[:2], 25.0)
     axes[2].set_xlim(0.0, 1.0)
-    mark_moments(figure, 25.0, [(5.0, "HOLD")])
+    mark_moments(figure, [(5.0, "HOLD")])
     assert [[c.get_xdata()[0] for c in ax.get_lines()] for ax in axes] == [[5.0], [5.0], []]
     assert [[t.get_text() for t in ax.texts] for ax in axes] == [["HOLD"], [], []]
+
+
+def test_a_part_of_the_run_has_the_moments_of_that_part() -> None:
+    figure, axes = panels(1)
+    time_axis(axes, 25.0, 20.0)
+    mark_moments(figure, [(5.0, "HOLD"), (22.0, "stale")])
+    assert [c.get_xdata()[0] for c in axes[0].get_lines()] == [22.0]
 
 
 def test_a_hold_is_marked_in_the_figures_of_a_run() -> None:
     log = log_with()
     log.events.append(Event(1_800_000_000_000_000_000, "left", Level.ERROR, "mode TRACK → HOLD", {"t": 12.5}))
     drawn = {
-        picture.stem: picture.draw() for picture in pictures(prepare(log)) if picture.stem in {"errors", "margins"}
+        picture.stem: picture.draw()
+        for picture in pictures(prepare(log))
+        if picture.stem in {"errors", "margins", "errors_start"}
     }
-    for figure in drawn.values():
-        assert [t.get_text() for t in figure.axes[0].texts if t.get_text() == "HOLD"] == ["HOLD"]
+    told = {stem: [t.get_text() for t in figure.axes[0].texts].count("HOLD") for stem, figure in drawn.items()}
+    assert told == {"errors": 1, "margins": 1, "errors_start": 0}
 
 
 def test_internal_force_shows_what_the_arm_itself_finds() -> None:
     log = view_log()
     for rows in log.agents.values():
         rows["unexpected_wrench"] = np.nan
-    name = "unexpected, by the arm itself"
+    name = "unexpected"
     assert all(name not in labelled(ax) for ax in figures_more.internal_force(prepare(log)).axes)
     log.agents["right"]["unexpected_wrench"] = [3.0, 4.0, 0.0, 1.0, 1.0, 1.0]
     force, _, other, moment = figures_more.internal_force(prepare(log)).axes

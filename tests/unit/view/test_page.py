@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import socket
+import time
 import urllib.request
 from collections.abc import Callable, Iterator
 from functools import cache
@@ -28,7 +29,7 @@ viser = pytest.importorskip("viser", reason="the extra `view` is not installed")
 
 from agent.view.browser import Nodes  # noqa: E402 (these need viser)
 from agent.view.html import VIEW_PX, write_html  # noqa: E402
-from agent.view.player import CURVES_S, Player  # noqa: E402
+from agent.view.player import CURVES_S, WORDS_S, Player  # noqa: E402
 from agent.view.plots import needle  # noqa: E402
 from agent.view.server import Server  # noqa: E402
 
@@ -50,9 +51,11 @@ def server() -> Iterator[Server]:
 def test_a_stop_waits_for_no_connection(capfd: pytest.CaptureFixture[str]) -> None:
     """One client says nothing, one went away without a word; left to itself the server waits 10 s for the first."""
     found = Server(18320, "test")
-    thread = found._websock_server._server_thread
+    thread, loop = found._websock_server._server_thread, found._websock_server._background_event_loop
     assert thread is not None
     with socket.create_connection(("127.0.0.1", found.get_port())) as silent:
+        while not getattr(loop, "_transports"):  # noqa: B009 (the stub has none) until it has been let in
+            time.sleep(0.01)
         socket.create_connection(("127.0.0.1", found.get_port())).close()
         found.stop()
         assert not thread.is_alive()
@@ -160,6 +163,26 @@ def test_the_curves_follow_now_and_then(player: Player, clock: Clock) -> None:
     player.step()
     peak = np.nanargmax(player._plots[0]._handle.data[-1])
     assert player._plots[0]._handle.data[0][peak] == pytest.approx(1.5)
+
+
+def test_the_text_follows_a_while_later_and_ends_at_the_picture(player: Player, clock: Clock) -> None:
+    for t in (0.3, 0.6):
+        player.want(t)
+        player.step()
+        assert player._words.content.startswith("t = 0.0 s")
+    clock.s += WORDS_S
+    player.step()
+    assert player._words.content.startswith("t = 0.6 s")
+
+
+def test_a_scene_without_a_title_has_no_text_in_the_picture(server: Server) -> None:
+    nodes = Nodes(server, staged().scene, staged().camera(VIEW_PX), titled=False)
+    nodes.show(staged().placed, 3, "a text")
+    assert nodes._label is None
+    titled = Nodes(server, staged().scene, staged().camera(VIEW_PX))
+    titled.show(staged().placed, 3, "a text")
+    assert titled._label is not None
+    assert titled._label.text == "a text"
 
 
 def test_it_listens_on_this_host_alone_and_opens_no_tunnel(server: Server) -> None:
@@ -281,10 +304,11 @@ def test_the_browser_is_sent_to_a_page_that_answers_before_the_log_is_read(
     log, told = tmp_path / "run.mcap", list[str]()
     log.write_bytes(MAGIC)
 
-    def serve(path: Path, server: Server, _stop: object, ready: Callable[[], None]) -> int:
+    def serve(path: Path, server: Server, _stop: object, ready: Callable[[], None], say: Callable[[str], None]) -> int:
         assert (path, told) == (log, [server.address])
         assert b"<html" in urllib.request.urlopen(server.address).read()
         assert "READY" not in capsys.readouterr().out
+        say("a word")
         ready()
         assert capsys.readouterr().out == f"READY page={server.address}\n"
         return 7

@@ -1,0 +1,241 @@
+"""`coop run --real-arms`: what it refuses in one line, what it starts, and that nobody but a person lets an arm go."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import configs
+from agent.config.cell import Cell, load_cell
+from agent.modes import Mode
+from agent.operator.ask import ask_arms
+from agent.operator.message import Request
+from agent.operator.socket import ControlSocket, Standing
+from agent.operator.table import Verb
+from agent.process import real_arms
+from agent.process.children import RunKind
+from agent.process.commands import GuardCommand
+from agent.process.real_arms import GONE_AFTER, Holding, RealArms, RealChildren
+from tests.support.command import coop
+
+NO_REALTIME, EMPTY = "--allow-no-realtime", "--gripper-empty"
+LOOP = ("--hil", "left", "--real-arms")
+
+
+@dataclass
+class Person:
+    """Says what it is told to say, and remembers what it was told."""
+
+    empty: bool = True
+    presses: list[bool] = field(default_factory=list)
+    told: list[str] = field(default_factory=list)
+
+    def says_empty(self, arm: str) -> bool:
+        del arm
+        return self.empty
+
+    def lets_go(self) -> bool:
+        return self.presses.pop(0) if self.presses else False
+
+    def tell(self, text: str) -> None:
+        self.told.append(text)
+
+
+def cell(*changes: str) -> Cell:
+    return load_cell(configs.CELLS_DIR / "two_wx200.toml", ['hil.arms=["left"]', *changes])
+
+
+# --- what is refused ------------------------------------------------------------------------------------------------
+
+WITHOUT_PORT = "two_wx200.toml without ports"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("two_wx200", "--real-arms", NO_REALTIME, EMPTY), "--real-arms: found no arm in the loop"),
+        (("two_wx200", *LOOP, EMPTY), "--real-arms: found a normal priority, expected SCHED_FIFO on a real arm"),
+        (("two_wx200", *LOOP, NO_REALTIME), "gripper of arm left: found nobody who says that it is empty"),
+        ((WITHOUT_PORT, *LOOP, NO_REALTIME, EMPTY), "port of arm left: found none in the cell file"),
+        (("two_wx200", *LOOP, NO_REALTIME, EMPTY, "--faults", "f.jsonl"), "faults: found f.jsonl for real arms"),
+        (
+            ("two_wx200", *LOOP, NO_REALTIME, EMPTY, "--set", "arms.left.host=one", "--set", "arms.right.host=two"),
+            "[hil] of cell two_wx200: found arms on one and two, expected one host",
+        ),
+        (
+            ("two_wx200", *LOOP, NO_REALTIME, EMPTY, "--set", "hil.frequency_rad_per_s=45.0"),
+            "45 rad/s, 7.5 ms of delay: 0.34, expected a product ≤ 0.3",
+        ),
+        (("two_wx200", "--hil", "middle", "--real-arms", NO_REALTIME, EMPTY), "found middle, expected left or right"),
+    ],
+)
+def test_what_real_arms_cannot_rehearse_is_one_line_and_nothing_starts(
+    arguments: tuple[str, ...], message: str, tmp_path: Path
+) -> None:
+    name, *more = arguments
+    if name == WITHOUT_PORT:
+        text = (configs.CELLS_DIR / "two_wx200.toml").read_text()
+        name = str(tmp_path / "cell.toml")
+        Path(name).write_text("\n".join(line for line in text.splitlines() if not line.startswith("dynamixel")))
+    done = coop("run", name, *more, "--out", tmp_path / "out")
+    assert done.code in (2, 3)
+    (line,) = [line for line in done.err.splitlines() if line.startswith("coop: ")]
+    assert message in line
+    assert not (tmp_path / "out").exists()
+
+
+def test_arms_of_several_hosts_are_refused_by_their_agents_too(tmp_path: Path) -> None:
+    path = tmp_path / "cell.toml"
+    path.write_bytes(cell("arms.left.host=one", "arms.right.host=two").toml)
+    for arm in ("left", "right"):
+        done = coop("agent", path, "--arm", arm, "--real-time", "--gripper-empty")
+        assert done.code == 2
+        assert "expected one host: its plant is shared by all arms" in done.err
+
+
+# --- what is started ------------------------------------------------------------------------------------------------
+
+
+class Recorded(RealChildren):
+    """Starts nothing; keeps what would be started."""
+
+    def __init__(self, *given: Any, **more: Any) -> None:
+        self.commands: dict[str, Any] = {}
+        super().__init__(*given, **more)
+
+    def _child(self, name: str, command: Any) -> Any:
+        self.commands[name] = command
+        return self
+
+    def wait_ready(self, timeout_s: float) -> dict[str, str]:
+        del timeout_s
+        return {}
+
+
+def recorded(folder: Path, monkeypatch: pytest.MonkeyPatch, **how: Any) -> Recorded:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder))
+    given = cell(), RunKind.HIL, 0, None, folder / "run.mcap", folder, "tcp/127.0.0.1:0"
+    return Recorded(*given, real=RealArms(Person(), **how), cell_path=Path("mine.toml"))
+
+
+def test_the_real_arm_gets_its_own_port_a_guard_and_real_time_and_nobody_lets_go(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = recorded(tmp_path, monkeypatch, priority=80)
+    place = tmp_path / "coop" / "two_wx200"
+    left, right = (made._agent_command(arm) for arm in ("left", "right"))
+    assert (left.port, left.emulated, left.hold, left.gripper_empty) == (None, False, True, True)
+    assert (left.priority, left.allow_no_realtime, left.guard) == (80, False, place / "left.guard")
+    assert left.plant_socket is not None
+    assert (right.driver.value, right.hold, right.emulated, right.priority, right.guard) == (
+        "sim", True, False, None, None,
+    )  # fmt: skip
+    assert (left.control, right.control) == (place / "left.control", place / "right.control")
+    made._start_servos()
+    guard = made.commands["guard-left"]
+    assert isinstance(guard, GuardCommand)
+    assert (guard.arm, guard.hold, guard.emulated, guard.priority) == ("left", True, False, 80)
+    assert (guard.socket, guard.control) == (left.guard, left.control)
+    assert set(made.commands) == {"guard-left"}, "no emulated servos"
+
+
+def test_an_emulated_port_has_the_patience_of_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = recorded(tmp_path, monkeypatch, emulated=True)
+    made._start_servos()
+    assert made._agent_command("left").emulated
+    assert made.commands["guard-left"].emulated
+    assert made._agent_command("left").hold, "and is held all the same"
+
+
+# --- who lets go ----------------------------------------------------------------------------------------------------
+
+
+class Arm:
+    """An agent's end of the control socket, in a thread."""
+
+    def __init__(self, folder: Path, name: str, mode: Mode) -> None:
+        self.path = folder / f"{name}.control"
+        self.standing = Standing(name, mode, "the trajectory has ended")
+        self.words: list[Verb] = []
+        self._control = ControlSocket(self.path, "", self.standing)
+        self._thread = threading.Thread(target=self._live)
+        self._thread.start()
+
+    def _live(self) -> None:
+        while self.standing.mode is not Mode.OFF:
+            self._control.poll()
+            for word in self._control.requests.take():
+                self.words.append(word)
+                self.standing.mode = {Verb.STOP: Mode.HOLD, Verb.RELEASE: Mode.OFF}[word]
+            time.sleep(2e-3)
+        self._control.close()
+
+    def end(self) -> None:
+        self.standing.mode = Mode.OFF
+        self._thread.join()
+
+
+@pytest.fixture
+def arms(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, Arm]]:
+    monkeypatch.setattr(real_arms, "ASK_EVERY_S", 0.01)
+    made = {name: Arm(tmp_path, name, Mode.TRACK) for name in ("left", "right")}
+    yield made
+    for arm in made.values():
+        arm.end()
+
+
+def holding(arms: dict[str, Arm], person: Person) -> Holding:
+    return Holding({name: arm.path for name, arm in arms.items()}, ["left"], "mine.toml", person)
+
+
+def look(beside: Holding, times: int = 1) -> None:
+    for _ in range(times):
+        time.sleep(0.011)
+        beside.look()
+
+
+def test_a_person_is_told_once_that_the_arm_holds_and_lets_it_go_by_a_key(arms: dict[str, Arm]) -> None:
+    person = Person(presses=[True])
+    beside = holding(arms, person)
+    look(beside, 2)
+    assert not person.told, "it follows the motion"
+    assert person.presses, "a key says nothing yet"
+    arms["left"].standing.mode = Mode.HOLD
+    look(beside, 3)
+    assert person.told == [
+        "arm left HOLDS (the trajectory has ended): support it, then press Enter here, or say `coop release mine.toml`"
+    ]
+    assert arms["left"].standing.mode is Mode.HOLD, "a key from before it held counts for nothing"
+    arms["right"].standing.mode = Mode.HOLD
+    person.presses = [False, True]
+    look(beside, 2)
+    arms["left"].end()
+    assert arms["left"].words == arms["right"].words == [Verb.RELEASE]
+    look(beside, GONE_AFTER - 1)
+    assert not beside.over
+    look(beside)
+    assert beside.over
+
+
+def test_the_end_waits_for_a_release_from_elsewhere_and_lets_the_simulated_partner_go(arms: dict[str, Arm]) -> None:
+    person = Person()
+    beside = holding(arms, person)
+    seeing_off = threading.Thread(target=beside.see_off)
+    seeing_off.start()
+    deadline = time.monotonic() + 10.0
+    while not person.told:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    assert arms["left"].words == arms["right"].words == [Verb.STOP]
+    time.sleep(0.05 * GONE_AFTER)
+    assert seeing_off.is_alive(), "it holds as long as nobody lets it go"
+    ask_arms({"left": [arms["left"].path]}, Request(Verb.RELEASE))
+    seeing_off.join(10.0)
+    assert not seeing_off.is_alive()
+    assert arms["right"].words == [Verb.STOP, Verb.RELEASE]
