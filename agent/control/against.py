@@ -30,7 +30,7 @@ MOMENT_M: Final = 0.2  # a
 TURN_M: Final = 0.1  # b
 STILL_M_PER_S: Final = 2e-3
 WITH_CLIMB: Final = 0.6  # of the limit of the level, where p climbs
-HANGS: Final = 0.86  # of that limit, for the weight
+HANGS: Final = 0.92  # of that limit, for the weight
 
 
 class Pull(NamedTuple):

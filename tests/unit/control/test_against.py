@@ -90,8 +90,8 @@ def test_what_pulls_down_is_a_weight_whatever_the_motion_is() -> None:
             pull = LAW.advance(pull, (3.0, 0.0, -0.9, 0.0, 0.0, 1.0), (0.0, 0.0, -0.1, 0.0, 0.0, 0.0), v)
         assert pull.weight_N == pytest.approx(0.8 * (1.0 - (1.0 - 15.0 * PERIOD) ** 20))
         heavy = NO_PULL._replace(weight_N=pull.weight_N + 0.1)
-        assert not LAW.weighs(NO_PULL._replace(weight_N=0.86 * 0.7))
-        assert LAW.weighs(NO_PULL._replace(weight_N=0.87 * 0.7))
+        assert not LAW.weighs(NO_PULL._replace(weight_N=0.92 * 0.7))
+        assert LAW.weighs(NO_PULL._replace(weight_N=0.93 * 0.7))
         assert LAW.weighs(heavy)
         assert LAW.tripped(heavy)
     assert LAW.advance(NO_PULL, (0.0, 0.0, 5.0, *NOTHING[3:]), NOTHING, SLOWLY).weight_N < 0.0, "a lift is none"
