@@ -95,6 +95,9 @@ def test_what_pulls_down_is_a_weight_whatever_the_motion_is() -> None:
         assert LAW.weighs(heavy)
         assert LAW.tripped(heavy)
     assert LAW.advance(NO_PULL, (0.0, 0.0, 5.0, *NOTHING[3:]), NOTHING, SLOWLY).weight_N < 0.0, "a lift is none"
+    tilted = Against(PERIOD, 0.7, 0.14, down=(0.6, -0.48, -0.64))
+    first = tilted.advance(NO_PULL, (1.0, 2.0, 3.0, *NOTHING[3:]), (0.5, 4.0, 1.0, *NOTHING[3:]), SLOWLY)
+    assert first.weight_N == pytest.approx(15.0 * PERIOD * (0.6 * 0.5 + 0.48 * 2.0 - 0.64 * 2.0))
     nowhere = Against(PERIOD, 0.7, 0.14)
     assert nowhere.advance(NO_PULL, (0.0, 0.0, -5.0, *NOTHING[3:]), NOTHING, SLOWLY).weight_N == 0.0
 
