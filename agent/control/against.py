@@ -11,7 +11,8 @@ other, of means over 0.05 s.  A push rises once and not three times, so that one
 neighbour left behind at 10 mm/s reaches within half a second.
 
 The others of a limp arm feel its weight, which nothing but gravity points at: F along gravity, without its own slow
-part and low-passed as the level, is the `weight`, and has the limit of the level.  The state is part of `Memory`.
+part and low-passed as the level, is the `weight`, with a part of the same limit: a touch that presses down is felt less
+than one against the motion, which friction does not hold.  The state is part of `Memory`.
 """
 
 from __future__ import annotations
@@ -24,10 +25,12 @@ from typing import Final, NamedTuple
 BLOCK_S: Final = 0.05
 STEP: Final = 3  # blocks of an increment
 MEANS: Final = 3 * STEP + 1  # kept, newest first
+LEVEL_AT, WEIGHT_AT = -(MEANS + 4), -1  # in the log field `memory`
 MOMENT_M: Final = 0.2  # a
 TURN_M: Final = 0.1  # b
 STILL_M_PER_S: Final = 2e-3
 WITH_CLIMB: Final = 0.6  # of the limit of the level, where p climbs
+HANGS: Final = 0.92  # of that limit, for the weight
 
 
 class Pull(NamedTuple):
@@ -73,25 +76,32 @@ class Against:
 
     def advance(self, pull: Pull, wrench: Sequence[float], base: Sequence[float], v: Sequence[float]) -> Pull:
         """State after a tick; wrench: the unexpected one (6,), base: its slow part (6,), v: desired twist (6,)."""
-        size = math.hypot(*v[:3], *(TURN_M * w for w in v[3:]))
+        fx, fy, fz, mx, my, mz = wrench
+        gx, gy, gz, kx, ky, kz = base
+        x, y, z, a, b, c = v
+        turn, weight = TURN_M, TURN_M / MOMENT_M
+        size = math.hypot(x, y, z, turn * a, turn * b, turn * c)
         p = q = 0.0
         if size > STILL_M_PER_S:
-            weight = TURN_M / MOMENT_M
-            along = (v[0], v[1], v[2], weight * v[3], weight * v[4], weight * v[5])
-            p = -sum(a * b for a, b in zip(wrench, along, strict=True)) / size
-            q = p + sum(a * b for a, b in zip(base, along, strict=True)) / size
-        gain, (x, y, z) = self.period_s * self.level_per_s, self.down
+            p = -(fx * x + fy * y + fz * z + weight * (mx * a + my * b + mz * c)) / size
+            q = p + (gx * x + gy * y + gz * z + weight * (kx * a + ky * b + kz * c)) / size
+        gain, (down_x, down_y, down_z) = self.period_s * self.level_per_s, self.down
         level = pull.level_N + gain * (q - pull.level_N)
-        sunk = x * (wrench[0] - base[0]) + y * (wrench[1] - base[1]) + z * (wrench[2] - base[2])
+        sunk = down_x * (fx - gx) + down_y * (fy - gy) + down_z * (fz - gz)
         weight_N = pull.weight_N + gain * (sunk - pull.weight_N)
         total, ticks = pull.sum_N + p, pull.ticks + 1.0
         if ticks + 0.5 < BLOCK_S / self.period_s:
             return Pull(level, total, ticks, pull.means_N, weight_N)
         return Pull(level, 0.0, 0.0, (total / ticks, *pull.means_N[:-1]), weight_N)
 
+    @property
+    def hangs_N(self) -> float:
+        """Limit of the weight."""
+        return HANGS * self.level_N
+
     def weighs(self, pull: Pull) -> bool:
         """Whether something hangs on the object; what is no number does."""
-        return not pull.weight_N <= self.level_N
+        return not pull.weight_N <= self.hangs_N
 
     def tripped(self, pull: Pull) -> bool:
         """Whether the level or the weight is above its limit, or a part of the level that climbs; no number is."""

@@ -56,9 +56,9 @@ def run_info(cell: Cell, driver: DriverKind, seed: int) -> bytes:
 
 
 def _against(cell: Cell) -> dict[str, float] | None:
-    """Limits of a pull against the motion."""
+    """Limits of a pull against the motion, and down."""
     found = against(cell) if cell.file.safety.noticing.enabled else None
-    return None if found is None else {"level_N": found.level_N, "climb_N": found.climb_N}
+    return None if found is None else {"level_N": found.level_N, "climb_N": found.climb_N, "weight_N": found.hangs_N}
 
 
 def _arm(cell: Cell, arm: Arm) -> dict[str, Any]:

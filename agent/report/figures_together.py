@@ -10,11 +10,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from agent.control.against import LEVEL_AT, WEIGHT_AT
 from agent.report.labels import end_labels, room_in
 from agent.report.plotting import CYCLE, STYLES, line, panels, styled, time_axis
 from agent.report.prepared import Prepared
-from agent.report.series import Array, column, grasp_force, joint_columns
+from agent.report.series import Array, column, component, grasp_force, joint_columns
 from agent.report.together import BUS, thresholds
+from agent.telemetry.row.sample import MEMORY_LENGTH
 
 HOLDS_ABOVE: Final = "holds above"
 SHARE_S: Final = 1.0  # a load share is that of so long a stretch
@@ -111,6 +113,24 @@ def noticed(run: Prepared) -> Figure:
         ax.set(title=f"Unexpected {'force' if unit == '[N]' else 'moment'}, {what}", ylabel=unit)
         ax.set_ylim(bottom=0.0)
     for ax in axes:
+        end_labels(ax)
+    time_axis(axes, run.info.duration_s)
+    return figure
+
+
+@styled
+def pulled(run: Prepared) -> Figure:
+    """What pulls each arm back against the motion, and down, as the arm itself finds it."""
+    figure, axes = panels(2, height_in=1.7, names_in=_room(run, HOLDS_ABOVE))
+    limits = thresholds(run.log)
+    told = ((LEVEL_AT, "against the motion", limits.level_N), (WEIGHT_AT, "down", limits.weight_N))
+    for ax, (place, where, limit) in zip(axes, told, strict=True):
+        for number, arm in enumerate(run.arms):
+            rows = run.rows[arm.name]
+            found = component(rows, "memory", MEMORY_LENGTH + place)
+            line(ax, column(rows, "t"), found, label=arm.name, **_look(number))
+        _threshold(ax, limit, HOLDS_ABOVE)
+        ax.set(title=f"Unexpected force {where}", ylabel="[N]")
         end_labels(ax)
     time_axis(axes, run.info.duration_s)
     return figure

@@ -11,7 +11,7 @@ from agent.report import figures_servos, figures_together
 from agent.report.picture import Picture
 from agent.report.prepared import Prepared
 from agent.report.series import column
-from agent.report.together import BUS
+from agent.report.together import BUS, thresholds
 
 SHARE: Final = (
     "The part of the force on the object that each arm carried, over stretches of one second: Σ f·F / Σ F·F. "
@@ -24,6 +24,10 @@ APART: Final = (
 NOTICED: Final = (
     "Force and moment on each arm beside its load share, as the arm finds them from its own joints: the sudden part on "
     "top, the part that stays below. Dotted: above it the arm holds."
+)
+PULLED: Final = (
+    "The force on each arm beside its load share, without its slow part: above what points against the motion, as of a "
+    "neighbour that holds or is locked, below what points down, as of one that is limp. Dotted: above it the arm holds."
 )
 MARGINS: Final = (
     "Above: the smallest singular value of the object Jacobian; at zero the arm cannot act in some direction. "
@@ -46,6 +50,10 @@ def together(run: Prepared) -> list[Picture]:
     if any(np.isfinite(column(rows, "unexpected")).any() for rows in run.rows.values()):
         draw = partial(figures_together.noticed, run)
         found.append(Picture("noticed", "What the arms notice of each other", NOTICED, draw))
+    if np.isfinite(thresholds(run.log).weight_N):
+        found.append(
+            Picture("pulled", "What pulls the arms back or down", PULLED, partial(figures_together.pulled, run))
+        )
     found.append(Picture("margins", "Margins", MARGINS, partial(figures_together.margins, run)))
     if any(rows[name][-1] > 0 for rows in run.rows.values() for name in BUS):
         caption = "Timeouts, corrupt answers, alerts and retries since the start."

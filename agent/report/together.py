@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 BUS: Final = ("bus_timeouts", "bus_corrupt", "bus_alerts", "bus_retries")
 CHANNELS: Final = ("fast_N", "fast_Nm", "slow_N", "slow_Nm")
+ALONG: Final = ("level_N", "weight_N")
 NAN: Final = float("nan")
 
 
@@ -33,6 +34,8 @@ class Thresholds:
     fast_Nm: float = NAN
     slow_N: float = NAN
     slow_Nm: float = NAN
+    level_N: float = NAN  # against the motion
+    weight_N: float = NAN
 
 
 def thresholds(log: AnyLog) -> Thresholds:
@@ -45,9 +48,10 @@ def thresholds(log: AnyLog) -> Thresholds:
         alignment, noticing = _table(cell, "controller", "alignment"), _table(cell, "safety", "noticing")
         aligned, told = AlignmentSpec.model_validate(alignment), NoticingSpec.model_validate(noticing)
         shift_m = aligned.max_m if aligned.enabled else NAN
-        limits = (_recorded(log) or told.model_dump()) if told.enabled else {}
-        fast_N, fast_Nm, slow_N, slow_Nm = (_number(limits.get(name)) for name in CHANNELS)
-        return Thresholds(shift_m, fast_N, fast_Nm, slow_N, slow_Nm)
+        limits = (_recorded(log, "noticing") or told.model_dump()) if told.enabled else {}
+        along = _recorded(log, "noticing_against")
+        found = (_number(limits.get(name)) for name in CHANNELS)
+        return Thresholds(shift_m, *found, *(_number(along.get(name)) for name in ALONG))
     except (KeyError, ValueError, TypeError, AttributeError, ValidationError):
         return Thresholds()
 
@@ -62,9 +66,9 @@ def load_limit(log: AnyLog) -> float:
     return NAN if Name.SERVO_LOAD in monitors.off else monitors.load_share
 
 
-def _recorded(log: AnyLog) -> dict[str, Any]:
+def _recorded(log: AnyLog, what: str) -> dict[str, Any]:
     try:
-        return dict(log.run_info().get("noticing") or {})
+        return dict(log.run_info().get(what) or {})
     except Refusal:
         return {}
 

@@ -54,7 +54,9 @@ def noticed(cell: Cell) -> list[Finding]:
     pulled = noticing.against(cell)
     along = ""
     if pulled is not None:
-        along = f"; {pulled.level_N:g} N down or against the motion, or thrice {pulled.climb_N:g} N against it"
+        along = (
+            f"; {pulled.level_N:g} N, or thrice {pulled.climb_N:g} N, against the motion; {pulled.hangs_N:.2g} N down"
+        )
     found = f"{x.fast_N:g} N, {x.fast_Nm:g} N·m at once; {x.slow_N:g} N, {x.slow_Nm:g} N·m that stay{along} ({source})"
     return [Finding(what, "cell", found, "")]
 

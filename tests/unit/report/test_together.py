@@ -12,6 +12,9 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.lines import Line2D
 
+from agent.control.against import NO_PULL
+from agent.control.memory import initial
+from agent.control.residual import nothing_sensed
 from agent.log.read import RunLog
 from agent.report import figures, figures_more, figures_together
 from agent.report.gallery import pictures
@@ -134,6 +137,22 @@ def test_what_an_arm_notices_is_shown_by_part_with_its_threshold() -> None:
     left = summarise(log).arms["left"]
     assert (left.unexpected_fast_max_N, left.unexpected_fast_max_Nm) == (4.0, 0.5)
     assert (left.unexpected_slow_max_N, left.unexpected_slow_max_Nm) == (3.0, 0.25)
+
+
+def test_what_pulls_back_and_down_is_shown_where_the_run_has_limits_for_it() -> None:
+    log = view_log()
+    run = json.loads(log.attachments.get("run.json", b"{}"))
+    for rows in log.agents.values():
+        rows["unexpected"] = 0.1
+    assert "pulled" not in stems(log), "arms of two have no such limits, nor do older logs"
+    limits = {"level_N": 0.7, "climb_N": 0.1, "weight_N": 0.6}
+    log.attachments["run.json"] = json.dumps(run | {"noticing_against": limits}).encode()
+    assert "pulled" in stems(log)
+    sense = nothing_sensed(3)._replace(pull=NO_PULL._replace(level_N=0.5, weight_N=0.4))
+    log.agents["left"]["memory"][:] = initial(3)._replace(sense=sense).flatten()
+    back, down = figures_together.pulled(prepare(log)).axes
+    assert (labelled(back)["left"][5], labelled(down)["left"][5]) == (0.5, 0.4)
+    assert (labelled(back)["holds above"][0], labelled(down)["holds above"][0]) == (0.7, 0.6)
 
 
 def test_margins_are_sigma_and_the_torque_of_the_most_loaded_joint() -> None:
