@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack, closing
 from dataclasses import asdict
-from typing import Any
+from typing import Any, NamedTuple
 
 from agent.config import monitors
 from agent.config.cell import Cell
@@ -19,6 +19,7 @@ from agent.host.latency import files, newest
 from agent.host.notify import Notifier
 from agent.host.realtime import become_realtime, granted, quiet_memory
 from agent.host.signals import StopFlag
+from agent.loop import Agent
 from agent.modes import TABLE, Event, Mode
 from agent.monitors.gravity import REST_S
 from agent.monitors.watch import Watch
@@ -31,6 +32,7 @@ from agent.process.schedule import AgentOptions, schedule_of
 from agent.process.session import session_loop
 from agent.process.tellers import Heart, ServoTeller, Teller
 from agent.runner import Runner, RunSummary, Surroundings
+from agent.session import SessionLoop
 from agent.telemetry.ring.ring import RingWriter
 from agent.telemetry.ring.texts import TextWriter
 from agent.telemetry.row.event import Level
@@ -85,6 +87,7 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             quiet_memory()
             if options.priority is not None:
                 become_realtime(options.priority)
+            law = _law(cell, options, driver, tell)  # takes longer than the servos' watchdog waits on a busy host
             driver.enable()
             begins = Mode.REST if options.whole else Mode.READY
             notifier.ready(TABLE[begins].says)
@@ -106,7 +109,7 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
                     session=options.whole,
                 )  # fmt: skip
             servos = ServoTeller(driver, texts, clock.utc_offset_ns, cell.file.rate_hz)
-            runner = _runner(cell, options, driver, clock, ring, operator, notifier, servos, tell, standing)
+            runner = _runner(cell, options, law, driver, clock, ring, operator, notifier, servos, tell, standing)
             cpu_s = time.process_time()
             try:
                 summary = runner.run(Event.ENABLED)
@@ -132,9 +135,26 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
     return summary
 
 
+class _Law(NamedTuple):
+    """What computes and judges the arm's torque."""
+
+    agent: Agent
+    session: SessionLoop | None
+    watch: Watch
+
+
+def _law(cell: Cell, options: AgentOptions, driver: Driver, tell: Teller) -> _Law:
+    """Of the arm on its connected driver."""
+    arm = cell.arm(options.arm)
+    agent = build_agent(cell, arm)
+    session = session_loop(cell, arm, agent, driver) if options.whole else None
+    return _Law(agent, session, Watch(monitors.bounds(cell, arm), tell.warn))
+
+
 def _runner(
     cell: Cell,
     options: AgentOptions,
+    law: _Law,
     driver: Driver,
     clock: Clock,
     ring: RingWriter,
@@ -170,13 +190,11 @@ def _runner(
         time.perf_counter_ns, operator.events, operator.start_ns, beat, mode_changed, trouble, refused
     )
     row = AgentRow(ring.row, arm.n, cell.config_id)
-    agent, session = build_agent(cell, arm), None
-    if options.whole:
-        session = session_loop(cell, arm, agent, driver)
-        standing.session = session.not_yet
-    watch = Watch(monitors.bounds(cell, arm), tell.warn)
+    if law.session is not None:
+        standing.session = law.session.not_yet
     sink = BridgedRows(ring, row, driver) if isinstance(driver, BridgeDriver) else ring
-    return Runner(agent, driver, clock, schedule_of(cell, options), row, sink, around, watch, session=session)
+    schedule = schedule_of(cell, options)
+    return Runner(law.agent, driver, clock, schedule, row, sink, around, law.watch, session=law.session)
 
 
 def _watching(guard: Guarded | None, stop: StopFlag, options: AgentOptions) -> Callable[[], bool]:
