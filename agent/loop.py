@@ -11,12 +11,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent import phases
+from agent import floats, phases
+from agent.calm import BRAKE, JOINTS, LAW, brake_per_s, braking, kept, slowed
 from agent.control import adaptive, cause, joint_hold, known
 from agent.control.adaptation import Estimate
 from agent.control.alignment import Alignment, between, shifted
 from agent.control.errors import Errors
 from agent.control.estimator import Observer
+from agent.control.floating import Floating
 from agent.control.inverse import SingularJacobian
 from agent.control.law import Offline
 from agent.control.memory import Memory, initial
@@ -25,14 +27,11 @@ from agent.control.quaternion import Quat, Vec3
 from agent.control.residual import Channels, Residual, Sense, nothing_sensed
 from agent.control.terms import CMD, DDQ_REF, Terms
 from agent.control.trajectory import Desired, Trajectory
-from agent.modes import Mode
+from agent.modes import FLOATING, Mode
 from agent.safety import Flag, Limits, limit
 from drivers.interface import JointState, Vector
 
 SINGULAR_MARGIN = 1.5  # a stop for singularity holds where the law is not called again at once
-BRAKE_PER_S = 30.0  # of a hold that became too fast, times the arm's inertia; less where four periods are longer
-RESUME_SHARE = 0.2  # of that bound, below which it holds again, by its joints
-LAW, BRAKE, JOINTS = 0, 1, 2  # how a hold is kept (Memory.calm); above JOINTS: gently, for so many ticks more
 RETURN_RAD = 0.04  # a hold that has braked goes back no farther, so that it does not become fast again
 GENTLE_TICKS = 100  # with a state in time, until a hold that was starved is as stiff as its joints allow
 GENTLE_RAD_PER_S = 5.0  # how stiff it is until then; less where 30 periods are longer than a second
@@ -69,6 +68,7 @@ class Agent:
     residual: Residual | None = None  # None: nothing is sensed through the object
     damp_above_rad_per_s: float = math.inf  # a joint faster than this in HOLD is braked
     session: phases.Session | None = None  # None: the arm begins with the object in its gripper
+    floating: Floating | None = None  # None: nobody is to guide it by hand
 
     def __post_init__(self) -> None:
         n, counts = self.model.n, (len(self.limits.tau_max_Nm), len(self.limits.tau_step_max_Nm))
@@ -105,19 +105,27 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
         q, dq = agent.observer.correct(memory, state.q, state.dq)
     if not math.isfinite(sum(q.tolist() + dq.tolist())):
         return _without(agent, q, dq, Flag.NOT_FINITE, memory)
-    calm = _calm(agent, dq, memory) if mode is _HOLD else LAW
+    calm = LAW
+    if mode is _HOLD:
+        calm = kept(dq, state.dq, memory, agent.limits.tau_max_Nm, agent.damp_above_rad_per_s)
+    damped = calm == BRAKE
+    if damped and memory.calm != BRAKE:  # a brake needs the speed that there is, not one that was asked for
+        q, dq = state.q, state.dq
     if calm == JOINTS and memory.calm == BRAKE and memory.q_hold is not None:
         memory = memory._replace(q_hold=q + (memory.q_hold - q).clip(-RETURN_RAD, RETURN_RAD))
+    if agent.floating is not None and mode is Mode.STAND:
+        memory = floats.yielding(agent.floating, memory, q)
     try:
         terms, estimate, held = _law(agent, t, mode, memory, q, dq, calm)
     except SingularJacobian:
         return _without(agent, q, dq, Flag.SINGULAR, memory)
-    damped = calm == BRAKE
-    brake = min(BRAKE_PER_S, 0.25 / agent.period_s)
-    wanted = (_braking(terms, dq, brake) if damped else terms.joints[CMD]).tolist()
+    brake = brake_per_s(agent.period_s)
+    wanted = braking(terms, dq, brake) if damped else terms.joints[CMD]
     session = agent.session
     alone = session is not None and mode in phases.ALONE
-    tau, flags = limit(wanted, memory.tau.tolist(), session.limits if session is not None and alone else agent.limits)
+    tau, flags = limit(
+        wanted.tolist(), memory.tau.tolist(), session.limits if session is not None and alone else agent.limits
+    )
     if calm:
         flags |= Flag.DAMPED if damped else Flag.GENTLE
     if terms.sigma_min < agent.sigma_min:
@@ -140,7 +148,8 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
         shift = agent.alignment.advance(shift, terms.errors, agent.period_s, ready=mode is _READY)
     if session is not None and mode is _TRACK:
         shift = phases.blended(shift, t, agent.period_s, session.start_blend_s)
-    ddq = -brake * dq if damped else terms.joints[DDQ_REF]  # what the torque asks for, as the observer must know
+    # what the torque asks for, as the observer must know
+    ddq = slowed(dq, brake, wanted, limited) if damped else terms.joints[DDQ_REF]
     carried = Memory(
         q, dq, ddq, memory.ddq, limited, memory.tau, True, sense, shift, calm,
         memory.hold, t, estimate, memory.q_hold, memory.age + agent.period_s,
@@ -182,27 +191,6 @@ def afresh(memory: Memory, marks: Flag) -> Memory:
     return memory._replace(primed=False, hold=None, q_hold=None) if marks else memory
 
 
-def _calm(agent: Agent, dq: Vector, memory: Memory) -> int:
-    """How a hold is kept in this tick.
-
-    By the law, until the arm becomes too fast: then it brakes until it is nearly at rest, and holds its joints from
-    then on.  Gently after states that came too rarely.
-    """
-    if memory.calm > JOINTS:
-        return memory.calm - 1
-    braking = memory.calm == BRAKE
-    fastest: float = max(map(abs, dq.tolist()))
-    if fastest > agent.damp_above_rad_per_s * (RESUME_SHARE if braking else 1.0):
-        return BRAKE
-    return JOINTS if braking else memory.calm
-
-
-def _braking(terms: Terms, dq: Vector, brake_per_s: float) -> Vector:
-    """Weight and load share, and a torque against the motion that the loop can give at any sampling."""
-    tau: Vector = terms.tau_object - brake_per_s * terms.kinematics.B.dot(dq) + terms.kinematics.g
-    return tau
-
-
 def _sense(
     residual: Residual, mode: Mode, memory: Memory, terms: Terms, dq: Vector
 ) -> tuple[Sense, tuple[float, ...] | None, bool]:
@@ -225,8 +213,9 @@ def explained(agent: Agent, outcome: Outcome) -> str:
         return ""
     sense, wrench, found, v = outcome.memory.sense, np.array(sensed[:6]), Channels(*sensed[6:]), terms.desired.v
     if not residual.tripped(found):
-        behind = cause.behind((wrench - sense.base)[:3], v, agent.offline.gravity)
-        return f"{cause.described(behind, found)}, {sense.pull.level_N:.2g} N against the motion"
+        pull, f = sense.pull, (wrench - sense.base)[:3]
+        behind = cause.behind(f, v, agent.offline.gravity, weighs=residual.weighed(sense))
+        return f"{cause.described(behind, found)}, {pull.level_N:.2g} N against the motion, {pull.weight_N:.2g} N down"
     f, limit_N = cause.force(residual, sense, wrench)
     return cause.described(cause.causes(f, limit_N, v, agent.offline.gravity), found)
 
@@ -242,6 +231,8 @@ def _law(
 ) -> tuple[Terms, Estimate | None, bool]:
     """Terms of this tick's law, the estimate it leaves, and whether a bound held the estimate back."""
     adaptation, estimate, q_hold = agent.offline.adaptation, memory.estimate, memory.q_hold
+    if agent.floating is not None and mode in FLOATING:
+        return floats.torque(agent.model, agent.offline, agent.floating, mode, memory, q, dq), estimate, False
     life = None if agent.session is None else agent.session.life
     if life is not None and mode in phases.ALONE:
         return phases.alone(agent.model, agent.offline, life, mode, memory, q, dq), estimate, False
@@ -322,10 +313,10 @@ def _far(errors: Errors) -> bool:
     return not (math.hypot(*errors.e_p) <= HOLD_DESIRED_MAX_M and angle <= HOLD_DESIRED_MAX_RAD)
 
 
-def wait_here(agent: Agent, q: Vector, memory: Memory) -> Memory:
-    """Memory for the wait before the start: the object's pose that this arm sees at q (n,) becomes its start pose."""
+def wait_here(agent: Agent, q: Vector, memory: Memory, mode: Mode = _READY) -> Memory:
+    """Memory for standing at q (n,): in READY the object's pose that this arm sees there becomes its start pose."""
     memory = hold_here(agent, q, memory)
-    if agent.alignment is None or agent.start is None or memory.hold is None:
+    if mode is not _READY or agent.alignment is None or agent.start is None or memory.hold is None:
         return memory
     pose = memory.hold
     return memory._replace(shift=between(pose[:3], pose[3:], *agent.start))  # type: ignore[arg-type]

@@ -32,7 +32,7 @@ class Memory(NamedTuple):
     primed: bool  # the observer has seen a measurement
     sense: Sense  # of the unexpected wrench
     shift: Shift = NO_SHIFT  # of the desired pose (agent.control.alignment)
-    calm: int = 0  # how a hold is kept: agent.loop.LAW, BRAKE, JOINTS, above that so many ticks longer gently
+    calm: int = 0  # how a hold is kept: agent.calm.LAW, BRAKE, JOINTS, above that so many ticks longer gently
     hold: tuple[float, ...] | None = None  # object pose (p, quat) to hold, once holding
     t: float = 0.0  # time of the last tick, s; the adaptation integrates over the real interval
     estimate: Estimate | None = None  # of the adaptive law; logged in fields of its own
@@ -43,7 +43,7 @@ class Memory(NamedTuple):
         """The numbers of the log field `memory`.
 
         Joint arrays padded to seven, None as zeros; pose to hold (7), primed, time, shift (6), calm, age; of `sense`
-        the wrenches (6), `ticks` and the pull against the motion (13).
+        the wrenches (6), `ticks` and the pull against the motion and down (14).
         """
         own, sense, n = self[:6], self.sense, len(self.q)
         joints = np.zeros((JOINT_ARRAYS, MEMORY_JOINTS))

@@ -39,7 +39,10 @@ class Measured:
     sag_m: float  # by how much the object fell below where it should be
     moved_rad: float  # by a joint of an arm with a fault, within the servos' watchdog time
     speed_rad_per_s: float  # of the fastest joint
+    others_rad_per_s: float  # of the fastest joint of an arm without a fault
+    fall_m_per_s: float  # of the object, downwards
     torque_share: float  # of the largest torque allowed, of the joint with the most
+    apart_rad: float = 0.0  # of an arm in the loop and its twin, the joint with the most
 
     @property
     def reacted_s(self) -> float | None:
@@ -61,7 +64,10 @@ class Measured:
             "sag_m": _rounded(self.sag_m),
             "moved_rad": _rounded(self.moved_rad),
             "speed_rad_per_s": _rounded(self.speed_rad_per_s),
+            "others_rad_per_s": _rounded(self.others_rad_per_s),
+            "fall_m_per_s": _rounded(self.fall_m_per_s),
             "torque_share": _rounded(self.torque_share),
+            "apart_rad": _rounded(self.apart_rad),
         }
 
 
@@ -85,7 +91,10 @@ def measured(run: Rehearsal) -> Measured:
         sag_m=_sag(run, t, onset, first_stop),
         moved_rad=_moved(run, t, onset),
         speed_rad_per_s=_largest(np.array([np.abs(seen.dq).max() for _, seen in run.truth])[after]),
+        others_rad_per_s=_others(run, t, onset),
+        fall_m_per_s=_fall(run, t, onset),
         torque_share=max((_share(run.cell, name, arm, run, onset) for name, arm in run.arms.items()), default=0.0),
+        apart_rad=max((_apart(run.cell, name, arm, run, onset) for name, arm in run.arms.items()), default=0.0),
     )
 
 
@@ -172,6 +181,24 @@ def _moved(run: Rehearsal, t: Vector, onset: float) -> float:
     return most
 
 
+def _others(run: Rehearsal, t: Vector, onset: float) -> float:
+    """Speed of the fastest joint of the arms to which nothing was done."""
+    struck = {str(fault.arm) for fault in run.faults}
+    own = np.concatenate([np.full(arm.n, arm.name not in struck) for arm in run.cell.arms])
+    return _largest(np.abs(np.array([seen.dq for _, seen in run.truth])[t >= onset][:, own]).ravel())
+
+
+def _fall(run: Rehearsal, t: Vector, onset: float) -> float:
+    """Largest speed at which the object went down."""
+    after = t >= onset
+    if after.sum() < 2:
+        return 0.0
+    g = run.cell.gravity
+    down = g / np.linalg.norm(g) if g.any() else g
+    depth = np.array([seen.p_object for _, seen in run.truth]) @ down
+    return max(0.0, _largest(np.gradient(depth[after], t[after])))
+
+
 def _share(cell: Cell, name: str, arm: ArmRun, run: Rehearsal, onset: float) -> float:
     rows, t = _timed(arm, run)
     own = cell.arm(name)
@@ -180,6 +207,15 @@ def _share(cell: Cell, name: str, arm: ArmRun, run: Rehearsal, onset: float) -> 
     bound = own.tau_stall_Nm * cell.file.safety.tau_max_fraction_of_stall
     sent = np.abs(rows["tau_sent"][:, : own.n]) / bound
     return _largest(np.nan_to_num(sent[t >= onset]).ravel())
+
+
+def _apart(cell: Cell, name: str, arm: ArmRun, run: Rehearsal, onset: float) -> float:
+    rows, t = _timed(arm, run)
+    looped = cell.file.hil is not None and name in cell.file.hil.arms
+    if not (looped and len(rows)):
+        return 0.0
+    apart = np.abs(rows["q_twin"] - rows["q_measured"])[:, : cell.arm(name).n]
+    return _largest(np.nan_to_num(apart[t >= onset]).ravel())
 
 
 def _largest(values: Vector) -> float:

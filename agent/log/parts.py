@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import fcntl
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 
-from agent.log.file import LIBRARY, LogFileError, lock
-from agent.log.scan import library_of
+from agent.log.file import LogFileError, lock
+from agent.log.scan import LIBRARY, library_of
 
 _HEAD_BYTES = 4096
 
@@ -58,8 +58,11 @@ def make_room(folder: Path, limit_bytes: int) -> tuple[Path, ...]:
 
 
 @contextmanager
-def only_recorder(folder: Path, cell: str) -> Iterator[None]:
-    """Keep other recorders of this cell out of the folder for the time of the block.  Raises LogFileError."""
+def only_recorder(folder: Path, cell: str) -> Iterator[Callable[[bytes], None]]:
+    """Keep other recorders of this cell out of the folder for the time of the block.  Raises LogFileError.
+
+    Gives a function that writes a note into the lock file, in the place of the one before.
+    """
     try:
         fd = os.open(folder / f".{cell}.recording", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
     except OSError as error:
@@ -75,9 +78,17 @@ def only_recorder(folder: Path, cell: str) -> Iterator[None]:
                 f"cell {cell} is being recorded into {folder}", found="another recorder of it",
                 expected="one recorder per cell", remedy="stop that one first; a cell tells one recorder what it has",
             ) from error  # fmt: skip
-        yield
+        os.ftruncate(fd, 0)
+        yield lambda note: _note(fd, note)
     finally:
         os.close(fd)
+
+
+def _note(fd: int, note: bytes) -> None:
+    """A note that cannot be written is none: a full disk ends the log, not the recorder."""
+    with suppress(OSError):
+        os.pwrite(fd, note, 0)
+        os.ftruncate(fd, len(note))
 
 
 def _is_ours(path: Path) -> bool:

@@ -94,6 +94,10 @@ def _host(document: Mapping[str, Any]) -> Line:
     if recorder["alive"]:
         size = "" if recorder["log_bytes"] is None else f", {recorder['log']} {recorder['log_bytes'] / 1e6:.1f} MB"
         record = f"recorder in {recorder['folder']}{size}"
+        if left_out := recorder["left_out"]:
+            whys = ", ".join(f"{count} {why}" for why, count in left_out.items())
+            record += f"; LEFT OUT what does not belong here: {whys}"
     else:
         record = "no recorder here"
-    return Line(f"host {document['host']}", f"{told}; {record}", Tone.GOOD if recorder["alive"] else Tone.HELD)
+    good = recorder["alive"] and not recorder["left_out"]
+    return Line(f"host {document['host']}", f"{told}; {record}", Tone.GOOD if good else Tone.HELD)

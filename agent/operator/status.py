@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import time
@@ -20,6 +21,7 @@ from agent.operator.table import Verb
 
 STATUS_TIMEOUT_S = 0.5  # an agent answers within a cycle
 SCHEMA = 1
+NOTE_BYTES_MAX = 1 << 16
 LOG_FOLDERS = (Path("/var/lib/coop/runs"), Path("runs"))  # of the shipped unit, and of `coop record`
 
 
@@ -82,8 +84,17 @@ def recorder(cell: str, folders: Sequence[Path]) -> dict[str, Any]:
         except OSError:
             continue
         if (os.major(status.st_dev), os.minor(status.st_dev), status.st_ino) in locked:
-            return {"alive": True, "folder": str(folder), **_newest(folder)}
-    return {"alive": False, "folder": None, "log": None, "log_bytes": None}
+            return {"alive": True, "folder": str(folder), **_newest(folder), "left_out": _left_out(lock)}
+    return {"alive": False, "folder": None, "log": None, "log_bytes": None, "left_out": {}}
+
+
+def _left_out(lock: Path) -> dict[str, int]:
+    """Messages that the recorder did not take because they do not belong to the cell, by reason, as it has noted."""
+    try:
+        noted = json.loads(lock.read_bytes()[:NOTE_BYTES_MAX] or b"{}").get("left_out", {})
+        return {str(why): int(count) for why, count in noted.items()}
+    except (OSError, ValueError, AttributeError, TypeError):
+        return {}
 
 
 def _newest(folder: Path) -> dict[str, Any]:

@@ -11,6 +11,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 
 from agent.config.files import CellFiles
@@ -68,7 +69,9 @@ def run_recorder(
         limits=limits,
         metadata={"versions": info["versions"], "cell": {"name": cell.file.name, "fingerprint": cell.fingerprint}},
     )
-    with only_recorder(log.parent, cell.file.name) if alone else nullcontext():
+    with only_recorder(log.parent, cell.file.name) if alone else nullcontext() as note:
+        if note is not None:  # for `coop status`
+            options = replace(options, left_out=lambda counts: note(json.dumps({"left_out": dict(counts)}).encode()))
         return record.run(options, stop, lambda endpoint: ready(f"endpoint={endpoint}"))
 
 

@@ -1,6 +1,7 @@
 """`make faults`: every row of the list of faults, on virtual time where it can be, and how often nothing trips.
 
-FAULTS_S: simulated seconds of the false-trip rate (default 7200; 0: none).  FAULTS_PAIRS: pairs of faults at once (20).
+FAULTS_S: simulated seconds of the false-trip rate (default 7200; 0: none); FAULTS_TRIPS: see tests.faults.false_trips.
+FAULTS_PAIRS: pairs of faults at once (20).
 FAULTS_SEED: of pairs and realities (1).  FAULTS_ONLY: take the rows whose id begins with one of these texts (A,B,…).
 FAULTS_TESTS=no: leave out the tests that are marked with rows.  FAULTS_OUT: a file for all of it as JSON.
 
@@ -42,12 +43,10 @@ def main() -> int:
         documents.append(together(next(row for row in chosen if row.id == TOGETHER), range(seed, seed + pairs)))
         tell(documents[-1])
     if not only:
-        found = false_trips(float(os.environ.get("FAULTS_S", "7200")), seed)
+        kept = os.environ.get("FAULTS_TRIPS")
+        found = false_trips(float(os.environ.get("FAULTS_S", "7200")), seed, Path(kept) if kept else None)
         documents.append(found.document())
-        say(
-            f"false trips: {len(found.trips)} in {found.simulated_s / 3600:.2f} h, {found.runs} runs: "
-            f"{found.per_hour:.2g} an hour"
-        )
+        say(found.told())
         for trip in found.trips:
             say(f"      {trip}")
     counted = {v.value: sum(d["verdict"] == v.value for d in documents) for v in Verdict}

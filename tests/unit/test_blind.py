@@ -298,19 +298,18 @@ def louder(run: CoupledRun) -> None:
         arm.runner._agent = replace(agent, offline=replace(agent.offline, gains=replace(gains, **ten)))
 
 
+@pytest.mark.parametrize("name", ["paper", "paper_real"])
 @pytest.mark.fault("M5")
-def test_a_hold_of_ten_times_the_gain_brakes_and_goes_on_by_its_joints() -> None:
-    run = held(PAPER, (BEGIN_S, louder))
-    assert fastest(run.between(BEGIN_S, END_S)) < SPEED_MAX
-    brakes_s = BEGIN_S
+def test_a_hold_of_ten_times_the_gain_brakes_and_goes_on_by_its_joints(name: str) -> None:
+    """Without the brake by what the observer imagines it is 2.4 rad/s, and 0.6 after 100 ms."""
+    run = held(load_cell(configs.CELLS_DIR / f"{name}.toml", ["duration_s=10.0"]), (BEGIN_S, louder))
+    assert fastest(run.between(BEGIN_S, END_S)) < 2.0
+    assert fastest(run.between(BEGIN_S + 0.1, END_S)) <= 0.5
+    assert moved(run.between(BEGIN_S, END_S)) < 0.1
     for arm in run.arms.values():
         damped, gentle = flagged(arm.rows, Flag.DAMPED), flagged(arm.rows, Flag.GENTLE)
         assert 0 < len(damped) < 20
         assert gentle[-1] == len(arm.rows) - 1
-        brakes_s = max(brakes_s, arm.rows["t"][damped[0]])
-    assert brakes_s < BEGIN_S + 0.1
-    assert fastest(run.between(brakes_s + 0.1, END_S)) <= 0.5
-    assert moved(run.between(brakes_s + 0.3, END_S)) <= 0.03
 
 
 @pytest.mark.fault("M6")

@@ -8,16 +8,14 @@ import numpy as np
 import pytest
 
 import configs
+from agent.calm import BRAKE, JOINTS, LAW
 from agent.config.cell import load_cell
 from agent.control.joint_hold import torque, weight
 from agent.control.law import Offline
 from agent.control.memory import Memory
 from agent.cycles import Patience
 from agent.loop import (
-    BRAKE,
     GENTLE_TICKS,
-    JOINTS,
-    LAW,
     Agent,
     Outcome,
     afresh,

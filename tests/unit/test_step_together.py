@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from agent import loop
+from agent.calm import BRAKE, JOINTS, LAW
 from agent.control.alignment import Alignment, between
 from agent.control.memory import Memory
 from agent.control.residual import Channels, nothing_sensed
-from agent.loop import BRAKE, JOINTS, LAW, Agent, Outcome, hold_after, hold_here, initial_memory, step, wait_here
+from agent.loop import Agent, Outcome, hold_after, hold_here, initial_memory, step, wait_here
 from agent.modes import Mode
 from agent.safety import Flag
 from drivers.interface import JointState, Vector

@@ -65,10 +65,10 @@ class Inbox:
             self._bytes -= len(item[1])
         return item
 
-    def reasons(self) -> list[Rejection]:
-        """Why messages were kept out since the counts were taken."""
+    def rejected(self) -> Counter[Rejection]:
+        """How many messages were kept out since the counts were taken, by reason."""
         with self._lock:
-            return list(self._rejected)
+            return self._rejected.copy()
 
     def take_refused(self) -> tuple[Counter[Rejection], Counter[str]]:
         """How many messages were kept out, by reason and by key; the counts begin anew."""

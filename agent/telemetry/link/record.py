@@ -6,6 +6,7 @@ import json
 import platform
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from importlib.metadata import version
@@ -21,7 +22,7 @@ from agent.log.parts import Limits, make_room, next_path
 from agent.log.recover import repair_leftovers
 from agent.log.scene import Scene
 from agent.telemetry.link.inbox import Inbox, Listening
-from agent.telemetry.link.intake import STRANGE, Intake
+from agent.telemetry.link.intake import STRANGE, Intake, Rejection
 from agent.telemetry.link.session import FREE_PORT, Network, open_session
 from agent.telemetry.link.wire import pack_status, seal_of
 from agent.telemetry.row import topics
@@ -31,8 +32,13 @@ from agent.telemetry.row.received import Rows, Text
 _WAIT_S: Final = 0.02
 _DRAIN_MAX: Final = 64  # batches between two looks at the clock
 _STATUS_S: Final = 0.005  # the status is made anew at most this often
+_LEFT_OUT_S: Final = 1.0  # what was left out is told at most this often
 _BUDGET_S: Final = 10.0  # between two looks at what the folder's logs take
 LOGS_MAX: Final = 10_000  # in one recording
+
+
+def _tell_nobody(_: Mapping[str, int]) -> None:
+    """Where nobody asks."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +56,7 @@ class RecordOptions:
     min_free_bytes: int = MIN_FREE_BYTES
     limits: Limits = field(default_factory=Limits)
     repair: bool = True  # first mend what an earlier recorder left unfinished in the same folder
+    left_out: Callable[[Mapping[str, int]], None] = _tell_nobody  # is told what did not belong here, by reason
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,6 +145,9 @@ class _Recorder:
         self._inbox = Inbox(frozenset(self._intake.streams))
         self._zenoh_missed = 0
         self._told: set[str] = set()
+        self._left_out: Counter[Rejection] = Counter()  # of the logs before
+        self._left_out_told: Mapping[str, int] = {}
+        self._left_out_s = 0.0
         self.logs: list[Path] = []
         self.complete = True  # all logs that are finished
         self.failure: str | None = None
@@ -165,7 +175,7 @@ class _Recorder:
             self._take(*item)
         now_s = time.monotonic()
         self._log.tick(now_s)
-        self._tell_of_strangers()
+        self._tell_of_strangers(now_s)
         if now_s - self._budget_s >= _BUDGET_S:
             self._make_room(now_s)
         if self._log.nearly_full and self._completeness is None:
@@ -215,6 +225,7 @@ class _Recorder:
         path = next_path(self._options.path)
         self._say(Level.INFO, f"goes on in {path.name}: {why}", {})
         completeness = self._close(continued=True)
+        self._left_out.update(self._intake.rejected)
         self._intake.begin_log()
         self._told.clear()
         try:
@@ -261,10 +272,18 @@ class _Recorder:
             self._told.add(text)
             self._channels.write_own(Event(time.time_ns(), topics.RECORDER, level, text, data))
 
-    def _tell_of_strangers(self) -> None:
-        """Once in a log and for each reason; how many there were is told at its end."""
-        for why in STRANGE & {*self._intake.rejected, *self._inbox.reasons()}:
+    def _tell_of_strangers(self, now_s: float) -> None:
+        """Once in a log and for each reason; how many there were is told beside it, and in the log at its end."""
+        here = self._intake.rejected + self._inbox.rejected()
+        for why in STRANGE & here.keys():
             self._say(Level.WARN, f"left out what does not belong here: {why.value}", {"reason": why.value})
+        if now_s - self._left_out_s >= _LEFT_OUT_S:
+            self._left_out_s = now_s
+            every = self._left_out + here
+            counts = {why.value: every[why] for why in sorted(STRANGE & every.keys(), key=lambda why: why.value)}
+            if counts != self._left_out_told:
+                self._left_out_told = counts
+                self._options.left_out(counts)
 
     def _count_missed(self, miss: zenoh.ext.Miss) -> None:
         self._zenoh_missed += miss.nb

@@ -8,7 +8,8 @@ import random
 import resource
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from typing import Any
 import pytest
 import zenoh
 
+from agent.atomic import write_atomically
 from agent.log.file import LogFileError
 from agent.log.read import LogError, read_log
 from agent.log.scan import library_of
@@ -260,15 +262,22 @@ def test_a_flood_of_wrong_messages_neither_breaks_nor_pollutes_the_log(folder: P
     assert told == counts.keys()
 
 
+def noted(path: Path, counts: Mapping[str, int]) -> None:
+    write_atomically(path, json.dumps(dict(counts)).encode())
+
+
 @pytest.mark.fault("N6")
 def test_an_arm_of_which_a_stranger_alone_spoke_is_missing_in_the_log(folder: Path) -> None:
-    with recorder(folder / "run.mcap") as rec:
+    note = folder / "left_out.json"
+    with recorder(folder / "run.mcap", left_out=partial(noted, note)) as rec:
         endpoint = rec.ready()
         with open_session(Network(connect=(endpoint,))) as stranger:
             wait_for(lambda: bool(stranger.session.info.links()))
             end = BatchHeader(1, 0, 0, 0, End.FINISHED)
             for attachment in (end.pack(), end.pack(sent_by("right"))):
                 stranger.session.put("coop/paper/right/state", b"", attachment=attachment)
+            wait_for(note.exists)  # while the recorder is at work, as `coop status` shows it
+            assert json.loads(note.read_bytes()) == {Rejection.WRONG_SEAL.value: 1}
             with (
                 telemetry(folder / "left.ring", "left", endpoint, Pace.REAL_TIME) as tel,
                 writer(folder / "left.ring", "left", 50, RATE_HZ),

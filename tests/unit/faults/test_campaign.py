@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from agent.config.cell import load_cell
 from agent.faults.catalogue import Row, Shown, Within, rows
 from agent.faults.judge import Judged
+from agent.study.lab import Laboratory
+from agent.study.measure import measure
 from tests.faults.__main__ import judged, worst
-from tests.faults.false_trips import FalseTrips
+from tests.faults.false_trips import Done, FalseTrips, Job, false_trips, jobs
 from tests.faults.outside import of_row, read_report
 from tests.faults.together import STOPPING, drawn
 from tests.unit.faults.test_judge import GOOD
@@ -73,6 +78,40 @@ def test_the_rate_of_false_trips_is_an_hours() -> None:
     assert found.document()["verdict"] == "missed"
     assert FalseTrips(1800.0, 72, ()).document()["verdict"] == "met"
     assert FalseTrips(0.0, 0, ()).document()["verdict"] == "not tested"
+
+
+def test_false_trips_are_looked_for_in_every_cell_by_turns_and_a_kept_run_is_not_done_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    todo = jobs(300.0, 5)
+    assert Counter(job.seed for job in todo) == {5: 6, 6: 6, None: 2}
+    assert {job.cell for job in todo if job.seed is None} == {"paper", "paper_ideal"}
+    assert jobs(0.0, 5) == []
+    kept, ran = tmp_path / "kept", []
+
+    def carried_out(some: Sequence[Job]) -> Iterator[Done]:
+        ran.append(len(some))
+        return iter([Done(job, "monitor speed" if job.cell == "paper" else "", 2.0) for job in some])
+
+    monkeypatch.setattr("tests.faults.false_trips._carried_out", carried_out)
+    for seconds in (150.0, 300.0):
+        found = false_trips(seconds, 5, kept)
+        kept.write_text(kept.read_text() + '{"of": "cut sh')
+        kept.write_text(kept.read_text() + "\n")
+    assert ran == [8, 6]
+    assert (found.runs, found.cpu_s, found.trips) == (14, 28.0, ("paper, reality None: monitor speed",))
+    monkeypatch.setattr("tests.faults.false_trips.state", lambda: "changed")
+    false_trips(150.0, 5, kept)
+    assert ran[-1] == 8
+
+
+def test_a_watched_run_trips_where_a_monitor_finds_something() -> None:
+    cell = load_cell(Path("paper_real"), ["duration_s=0.5", "simulation.ready_s=0.5"])
+    assert measure(Laboratory(cell), None).why == ""
+    tight = load_cell(
+        Path("paper_real"), ["duration_s=0.5", "simulation.ready_s=0.5", "safety.monitors.load_share=0.01"]
+    )
+    assert "monitor load: load of" in measure(Laboratory(tight), None).why
 
 
 @pytest.mark.parametrize("seed", range(20))

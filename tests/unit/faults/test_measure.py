@@ -166,4 +166,13 @@ def test_speed_and_torque_are_the_largest_from_the_fault_on() -> None:
     found = figures(right=arm(tau=-2.05), truth={0.2: {"dq": np.full(6, 9.0)}, 0.3: slow, 1.5: fast})
     bound = CELL.arm("right").tau_stall_Nm[0] * CELL.file.safety.tau_max_fraction_of_stall
     assert found.speed_rad_per_s == 2.5
+    assert found.others_rad_per_s == 2.5
+    assert figures(truth={1.5: {"dq": np.array([9.0, 0, 0, 0, 0, -1.5])}}).others_rad_per_s == 1.5, "left has the fault"
     assert found.torque_share == pytest.approx(2.05 / bound)
+
+
+def test_the_fall_is_the_largest_speed_downwards_from_the_fault_on() -> None:
+    p = np.array(CELL.trajectory().at(0.0).p)
+    way = {0.2: 0.5, 0.4: 0.0, 1.5: -0.01, 1.6: -0.03, 1.7: 0.2}
+    found = figures(truth={at: {"p_object": p + np.array([0.1, 0.0, z])} for at, z in way.items()})
+    assert found.fall_m_per_s == pytest.approx(0.2)  # 20 mm in 0.1 s

@@ -163,12 +163,22 @@ def test_an_agent_with_another_cell_file_is_called_that(home: Path) -> None:
 
 def test_a_recorder_at_work_is_found_by_its_lock_which_nobody_takes(tmp_path: Path) -> None:
     (tmp_path / "one.mcap").write_bytes(b"x" * 10)
-    nothing = {"alive": False, "folder": None, "log": None, "log_bytes": None}
-    with only_recorder(tmp_path, "paper"):
+    nothing = {"alive": False, "folder": None, "log": None, "log_bytes": None, "left_out": {}}
+    with only_recorder(tmp_path, "paper") as note:
         found = recorder("paper", [tmp_path / "none", tmp_path])
-        assert found == {"alive": True, "folder": str(tmp_path), "log": "one.mcap", "log_bytes": 10}
+        known = {"alive": True, "folder": str(tmp_path), "log": "one.mcap", "log_bytes": 10}
+        assert found == {**known, "left_out": {}}
+        note(b'{"left_out": {"unknown_key": 12}}')
+        note(b'{"left_out": {"wrong_order": 3}}')
+        assert recorder("paper", [tmp_path]) == {**known, "left_out": {"wrong_order": 3}}
+        for garbage in (b"{", b"[]", b'{"left_out": 1}', b'{"left_out": {"a": []}}', b"\xff"):
+            note(garbage)
+            assert recorder("paper", [tmp_path]) == {**known, "left_out": {}}
+        note(b'{"left_out": {"wrong_order": 3}}')
         assert recorder("other", [tmp_path]) == nothing
     assert recorder("paper", [tmp_path]) == nothing, "the lock file stays, its lock does not"
+    with only_recorder(tmp_path, "paper"):
+        assert recorder("paper", [tmp_path])["left_out"] == {}, "of the recorder before"
 
 
 def test_the_command_shows_a_line_per_arm_without_colours_and_one_document(living: Arm, tmp_path: Path) -> None:
@@ -181,3 +191,18 @@ def test_the_command_shows_a_line_per_arm_without_colours_and_one_document(livin
     assert (done.code, found["schema"], found["fingerprint"]) == (1, 1, CELL.fingerprint)
     assert list(found) == ["schema", "cell", "fingerprint", "host", "utc_ns", "clock", "recorder", "arms"]
     assert of(found, "left")["mode"] == "HOLD"
+
+
+def test_what_the_recorder_left_out_is_said_and_is_not_good(monkeypatch: pytest.MonkeyPatch) -> None:
+    quiet: dict[str, Any] = {"alive": True, "folder": "runs", "log": None, "log_bytes": None, "left_out": {}}
+    for left_out, tone, said in (
+        ({}, Tone.GOOD, ""),
+        (
+            {"unknown_key": 2, "wrong_order": 1},
+            Tone.HELD,
+            "; LEFT OUT what does not belong here: 2 unknown_key, 1 wrong_order",
+        ),
+    ):
+        monkeypatch.setattr("agent.operator.status.recorder", lambda *_, found=left_out: {**quiet, "left_out": found})
+        shown = lines(status(CELL, CLOCK, logs=()))[-1]
+        assert (shown.tone, shown.rest) == (tone, f"clock synchronised, error ≤ 0.25 ms; recorder in runs{said}")

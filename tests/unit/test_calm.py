@@ -1,0 +1,75 @@
+"""How a hold is kept: when it brakes, by the observer's speed and by the servos' own, and what a brake expects."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import configs
+from agent.calm import BRAKE, JOINTS, LAW, kept, slowed
+from agent.config.cell import load_cell
+from agent.control.memory import initial
+from agent.loop import step
+from agent.modes import Mode
+from agent.process.build import build_agent
+from agent.safety import Flag, Limits
+from drivers.interface import JointState
+from tests.unit.test_hold import T, holding, tick
+from tests.unit.test_step_rules import arm, start
+
+ABOVE = 1.5
+BOUNDS = (3.0, 3.0, 1.0)
+FREE, BOUND = (0.0, -2.9, 0.9), (0.0, -2.999, 0.0)
+OBSERVED = load_cell(configs.CELLS_DIR / "paper.toml", ['controller.velocity="observer"'])
+
+
+@pytest.mark.parametrize(
+    ("believed", "measured", "tau", "before", "after"),
+    [
+        ((0.0, 0.0, 1.51), (0.0, 0.0, 1.4), FREE, LAW, BRAKE),
+        ((0.0, 0.0, 1.4), (0.0, 0.0, 1.6), FREE, LAW, LAW),  # a push: the law resists it best
+        ((0.0, 0.0, 1.4), (0.0, 0.0, -1.6), BOUND, LAW, BRAKE),  # and it cannot
+        ((0.0, 0.0, 1.4), (0.0, 0.0, -1.5), BOUND, LAW, LAW),
+        ((0.0, 0.0, 1.4), (0.0, 0.0, 1.6), BOUND, JOINTS, BRAKE),
+        ((0.0, -0.6, 0.0), (0.0, -0.09, 0.0), FREE, LAW, BRAKE),  # imagined
+        ((0.0, -0.6, 0.0), (0.0, -0.11, 0.0), FREE, LAW, LAW),
+        ((0.0, -0.6, 0.0), (0.0, 0.2, 0.0), FREE, LAW, BRAKE),
+        ((0.0, -0.2, 0.0), (0.0, 0.6, 0.0), FREE, LAW, LAW),  # pushed the other way
+        ((0.0, -0.6, 0.0), (0.0, 0.0, 0.0), FREE, JOINTS, JOINTS),  # whose gains are not the law's
+        ((0.0, 0.29, 0.0), (0.0, 9.0, 0.0), BOUND, BRAKE, JOINTS),
+        ((0.0, 0.31, 0.0), (0.0, 0.0, 0.0), FREE, BRAKE, BRAKE),
+        ((9.0, 9.0, 9.0), (0.0, 0.0, 0.0), BOUND, JOINTS + 3, JOINTS + 2),
+    ],
+)
+@pytest.mark.fault("M5")
+def test_a_hold_brakes_for_speed_where_it_is_overpowered_and_where_it_imagines_one(
+    believed: Any, measured: Any, tau: Any, before: int, after: int
+) -> None:
+    memory = initial(3)._replace(calm=before, tau=np.array(tau))
+    assert kept(np.array(believed), np.array(measured), memory, BOUNDS, ABOVE) == after
+
+
+def test_a_brake_begins_with_the_speed_that_the_servos_see() -> None:
+    agent = arm(observer=build_agent(OBSERVED, OBSERVED.arms[0]).observer, damp_above_rad_per_s=ABOVE)
+    imagining = holding(agent, dq=np.array([0.0, 5.0, 0.0]), ddq=np.array([0.0, 100.0, 0.0]))
+    outcome = tick(agent, imagining, 1.0, dq=(0.1, -0.2, 0.3))
+    assert Flag.DAMPED in outcome.flags
+    np.testing.assert_array_equal(outcome.dq, [0.1, -0.2, 0.3])
+    np.testing.assert_array_equal(outcome.q, start())
+    again = tick(agent, imagining._replace(calm=BRAKE), 1.0, dq=(0.1, -0.2, 0.3))
+    assert Flag.DAMPED in again.flags
+    assert abs(again.dq[1]) > 1.0, "once it brakes, the observer has its say"
+
+
+def test_a_brake_expects_nothing_of_a_joint_whose_torque_was_limited() -> None:
+    dq = np.array([1.0, -2.0, 3.0])
+    wanted = np.array([0.5, 0.6, 0.7])
+    np.testing.assert_array_equal(slowed(dq, 30.0, wanted, np.array([0.5, 0.3, 0.7])), [-30.0, 0.0, -90.0])
+    n = 3
+    agent = arm(damp_above_rad_per_s=ABOVE, limits=Limits((50.0,) * n, (1e-9,) * n))
+    state = JointState(0, start(), np.array([0.0, 2.0, 0.0]), np.zeros(n))
+    outcome = step(agent, state, T, Mode.HOLD, holding(agent))
+    assert Flag.DAMPED | Flag.RATE_LIMITED in outcome.flags
+    np.testing.assert_array_equal(outcome.memory.ddq, np.zeros(n))
