@@ -84,8 +84,18 @@ def flagged(rows: Any, flag: Flag) -> Any:
 # --- silence ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("mode", [Mode.READY, Mode.TRACK, Mode.HOLD])
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    ("kind", "mode"),
+    [
+        ("all", Mode.READY), ("all", Mode.TRACK), ("all", Mode.HOLD), ("one", Mode.TRACK), ("dropped", Mode.HOLD),
+        *(
+            pytest.param(*pair, marks=pytest.mark.long)
+            for pair in (
+                ("one", Mode.READY), ("one", Mode.HOLD), ("dropped", Mode.READY), ("dropped", Mode.TRACK),
+            )
+        ),
+    ],
+)  # fmt: skip
 @pytest.mark.fault("B2", "B3", "B11")
 def test_a_silent_bus_gives_the_weights_torque_then_silence_then_the_watchdogs(kind: str, mode: Mode) -> None:
     stop_s = 0.1 if mode is Mode.HOLD else 1e3

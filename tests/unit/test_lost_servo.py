@@ -35,7 +35,7 @@ def test_without_a_fault_both_arms_follow_to_the_end() -> None:
     ("kind", "servo", "named", "ends"),
     [
         (FaultKind.POWER_LOSS, 4, "servo 4 (joint elbow)", Mode.FAULT),  # nobody sees this joint any more
-        (FaultKind.OVERLOAD, 2, "servo 2 (shoulder)", Mode.HOLD),
+        pytest.param(FaultKind.OVERLOAD, 2, "servo 2 (shoulder)", Mode.HOLD, marks=pytest.mark.long),
         (FaultKind.REBOOT, 5, "servo 5 (wrist_angle)", Mode.HOLD),
     ],
     ids=["power", "overload", "reboot"],
