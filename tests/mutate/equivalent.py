@@ -35,6 +35,8 @@ _NO_ROW = "self._row = self._marked = -1"
 _STEP = "step = round(float(self._t[1] - self._t[0]), 6) if len(self._t) > 1 else 1.0"
 _IDLE = "if self._wanted_s is None:"
 _PLAYING = "if t is None and started is not None:"
+_AT_END = "if started is not None and self._row == len(self._t) - 1:"
+_TELLS = "if row != self._told and (self._told < 0 or now - self._told_s >= WORDS_S):"
 _MIDDLE = "middle = look_at + 0.5 * (y.max() + y.min()) * Camera(look_at + back, look_at, up).axes[1]"
 _ALONE = "if np.linalg.norm(along) < 1e-06:"
 _ACROSS = "along = np.cross(up, [0.0, 0.0, 1.0] if abs(up[2]) < 0.9 else [1.0, 0.0, 0.0])"
@@ -250,6 +252,7 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
         ("_front", _ACROSS, _ACROSS.replace("<", "<=")): "either axis does for a slanting up",
         ("_front", _ACROSS, _ACROSS.replace("0.0, 1.0]", "0.0, 2.0]")): "its length does not matter",
         ("_front", _ACROSS, _ACROSS.replace("[1.0", "[2.0")): "its length does not matter",
+        ("_front", _ACROSS, _ACROSS.replace("[1.0, 0.0, 0.0", "[1.0, 0.0, 1.0")): "up is along z there",
     },
     "agent.view.curves": {
         ("thinned", _SIZED, _SIZED.replace("-1.0", "-2.0")): "any size below zero is below all others",
@@ -268,6 +271,10 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
         ("Player.step", "self._wish.wait(1.0 / PLAY_HZ)", "self._wish.wait(2.0 / PLAY_HZ)"): "it looks less often",
         ("Player.step", _PLAYING, _PLAYING.replace("t is None", "True")): "a wish sets the start of playing, too",
         ("Player.step", "if self._started is started:", "if True:"): "differs when a pause comes within microseconds",
+        ("Player.step", _AT_END, _AT_END.replace("started is not None", "True")): "what does not play stops as well",
+        ("Player._follow", "if row < 0:", "if False:"): "so for microseconds, while errors are enlarged",
+        ("Player._follow", "return", "pass"): "so for microseconds, while errors are enlarged",
+        ("Player._follow", _TELLS, _TELLS.replace("row != self._told", "True")): "the same text is told again",
     },
     "agent.view.pose": {
         ("", "_STILL: Final = 1e-12", "_STILL: Final = 2e-12"): "no half angle of a log is between the two",
