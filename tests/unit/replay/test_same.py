@@ -53,6 +53,15 @@ def test_the_largest_difference_of_torque_is_told_with_the_first_row() -> None:
     assert (arm.first.row, arm.first.field, arm.first.index) == (int(a["sequence"][7]), "tau_limited", 1)
 
 
+def test_a_field_that_is_one_number_has_no_index() -> None:
+    b = rows()
+    b["mode"][5] += 1
+    (arm,) = same(log("a.mcap", left=rows()), log("b.mcap", left=b)).arms
+    assert arm.first is not None
+    assert (arm.first.field, arm.first.index, arm.first.fields) == ("mode", None, ("mode",))
+    assert arm.first.replayed == arm.first.recorded + 1  # type: ignore[operator]
+
+
 @pytest.mark.filterwarnings("error")
 def test_torques_that_are_no_numbers_are_different_and_no_crash() -> None:
     a, b = rows(), rows()

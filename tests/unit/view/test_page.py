@@ -106,6 +106,12 @@ def test_the_slider_goes_over_the_run_in_steps_of_a_picture(player: Player) -> N
     assert [mark.label for mark in slider._marks or ()] == ["HOLD"]
 
 
+def test_a_part_of_two_pictures_has_its_own_steps(server: Server, clock: Clock) -> None:
+    part = stage(prepare(view_log()), 20.0, 0.5, 0.6)
+    slider = Player(server, Nodes(server, part.scene, part.camera(VIEW_PX)), part, [], clock)._slider
+    assert (slider.min, slider.max, slider.step) == (0.5, pytest.approx(0.55), 0.05)
+
+
 def test_a_run_of_one_picture_has_a_slider_too(server: Server, clock: Clock) -> None:
     log = view_log(plant=False)
     log.agents.update({name: rows[:1] for name, rows in log.agents.items()})
