@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final
 
-from agent.modes import Mode
+from agent.modes import TABLE, Mode
 from agent.operator.ask import Heard
 from agent.operator.message import Reply
 
@@ -67,6 +67,9 @@ def lines(heard: Mapping[str, Heard], cell: str) -> list[str]:
             said.append(f"{arm}: does not answer ({one.found})")
             continue
         mode = Mode[one.mode]
+        if mode not in STEPS:  # a hand guides it
+            said.append(f"{arm}: {one.mode}: {TABLE[mode].says}")
+            continue
         modes.append(mode)
         said.append(f"{arm}: {one.mode}: {STEPS[mode].seen}" + (f"; {one.reason}" if one.reason else ""))
     if len(set(modes)) == 1:

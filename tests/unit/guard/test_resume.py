@@ -7,9 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+import configs
+from agent.config.cell import load_cell
 from agent.control.memory import Memory, restore
-from agent.guard.resume import beginning, from_torque, last_speed
-from agent.loop import wait_here
+from agent.guard.resume import beginning, from_torque, last_speed, stood_in
+from agent.loop import initial_memory, wait_here
 from agent.modes import Event, Mode
 from agent.process.build import build_agent
 from agent.runner import Beginning
@@ -113,3 +115,27 @@ def test_speeds_are_the_measured_ones_of_the_last_fresh_row() -> None:
     rows["dq_measured"][-2, :3] = [0.1, 0.2, 0.3]
     rows["flags"][-1] |= int(Flag.STALE)
     assert last_speed(rows, 3).tolist() == [0.1, 0.2, 0.3]
+
+
+CELL = load_cell(configs.CELLS_DIR / "two_wx200.toml", ["session.take_up_s=1.0"])
+SESSION = build_agent(CELL, CELL.arms[0])
+
+
+@pytest.mark.parametrize(
+    ("before", "age_s", "stands"),
+    [
+        (Mode.REST, 9.0, Mode.REST),
+        *((mode, 9.0, Mode.HALT) for mode in (Mode.APPROACH, Mode.GRASP, Mode.PARK, Mode.HALT)),
+        *((mode, 0.1, Mode.HOLD) for mode in (Mode.READY, Mode.TRACK, Mode.HOLD, Mode.LOWER)),
+        (Mode.RELEASE, 0.9, Mode.HOLD),  # its gripper has not been told to open
+        (Mode.RELEASE, 1.0, Mode.HALT),
+    ],
+)
+def test_an_arm_of_a_session_stands_as_it_holds_something_or_nothing(before: Mode, age_s: float, stands: Mode) -> None:
+    assert stood_in(SESSION, before, initial_memory(SESSION)._replace(age=age_s)) is stands
+
+
+def test_a_session_that_has_no_row_yet_stands_at_rest() -> None:
+    none = held_by_itself(STOP_AT)[0][:0]
+    assert beginning(SESSION, none, "x", session=True).mode is Mode.REST
+    assert beginning(SESSION, none, "x").mode is Mode.HOLD

@@ -18,7 +18,7 @@ def told(text: str) -> list[Verb]:
     return [Verb(word) for word in re.findall(r"coop (\w+) CELL", text)]
 
 
-@pytest.mark.parametrize("mode", Mode)
+@pytest.mark.parametrize("mode", STEPS)
 def test_what_is_said_to_stop_stops_where_something_moves_and_the_words_behind_it_lead_on(mode: Mode) -> None:
     stopped = next_in_session(mode, Event.STOP)
     moves = mode not in (Mode.OFF, Mode.REST, Mode.HOLD, Mode.HALT, Mode.FAULT)
@@ -33,7 +33,7 @@ def test_what_is_said_to_stop_stops_where_something_moves_and_the_words_behind_i
         assert any(WORDS[end] & EVENT_OF[word] for end in ends)
 
 
-@pytest.mark.parametrize("mode", Mode)
+@pytest.mark.parametrize("mode", STEPS)
 def test_every_word_that_is_told_next_is_taken(mode: Mode) -> None:
     for word in told(STEPS[mode].do):
         assert WORDS[mode] & EVENT_OF.get(word, Event.STARTED)
@@ -49,3 +49,9 @@ def test_the_cell_stands_in_every_line_and_an_arm_that_is_behind_is_waited_for()
     said = lines(apart, "mine.toml")
     assert "right: HOLD: the arms hold the object and stand; the gripper lost the object" in said
     assert said[-1].startswith("next: wait until all arms are equally far")
+
+
+def test_an_arm_that_a_hand_guides_is_told_of_and_not_waited_for() -> None:
+    said = lines({"left": Reply(True, "left", "REST"), "right": Reply(True, "right", "FLOAT")}, "c")
+    assert said[1].startswith("right: FLOAT: ")
+    assert said[-1].startswith("next: put the object in its place")
