@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -117,8 +118,8 @@ def test_peak_torque_is_the_largest_sent_over_stall(lab: Laboratory) -> None:
 
 
 def test_an_object_that_is_thrown_away_is_lost_and_ends_the_run() -> None:
-    unbraked = "safety.hold_speed_max_rad_per_s=20.0"
-    lab = Laboratory(cell("duration_s=3.0", "controller.k_p_rate_per_s=400.0", "controller.k_p_per_s=400.0", unbraked))
+    lab = Laboratory(cell("duration_s=3.0", "controller.k_p_rate_per_s=400.0", "controller.k_p_per_s=400.0"))
+    lab.agents = tuple(replace(agent, damp_above_rad_per_s=math.inf) for agent in lab.agents)  # no hold brakes
     result = measure(lab, draw(lab.cell.file.tolerance, 1, lab.cell))
     assert result.lost
     assert not result.within_bounds
