@@ -6,7 +6,7 @@ JOBS   ?= $(shell echo $$(( $$(nproc) + 1 )))  # some tests wait
 CELL   ?= configs/cells/paper.toml
 
 .DEFAULT_GOAL := help
-.PHONY: help run test test-fresh long fuzz mutate soak faults false-trips hil campaign bench format clean
+.PHONY: help run test test-fresh long fuzz mutate soak faults false-trips hil campaign phases bench format clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## */\1\t/' | expand -t 12
@@ -53,6 +53,9 @@ soak: $(VENV)/.installed  ## every cell for 1000 s (SOAK_S), recorder under load
 
 campaign: $(VENV)/.installed  ## random gains, pads and delays: what the criterion accepts must live (10 min); CAMPAIGN_N, CAMPAIGN_SEED
 	$(BIN)/python -m tests.campaign
+
+phases: $(VENV)/.installed  ## every phase of a session met by a stop, dead agents and lost power, in virtual time (2 min); PHASES=stop,...
+	$(BIN)/python -m tests.campaign.phases $(PHASES)
 
 faults: $(VENV)/.installed  ## the whole list of faults, what each costs, false trips; FAULTS_OUT=FILE as JSON, FAULTS_S seconds
 	FAULTS_OUT=$(FAULTS_OUT) $(BIN)/python -m tests.faults

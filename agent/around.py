@@ -46,6 +46,7 @@ class Surroundings:
     heartbeat: Callable[[], None]  # after every cycle, also one without a state: the loop lives
     mode_changed: Callable[[Mode], None]
     trouble: Callable[[str], None] | None = None  # is told why the arm holds when nobody asked it to
+    refused: Callable[[str], None] | None = None  # is told why a session goes no further: a word too early, no object
 
 
 @dataclass(frozen=True)

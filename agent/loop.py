@@ -11,13 +11,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent import phases
+from agent import floats, phases
 from agent.calm import BRAKE, JOINTS, LAW, brake_per_s, braking, kept, slowed
 from agent.control import adaptive, cause, joint_hold, known
 from agent.control.adaptation import Estimate
 from agent.control.alignment import Alignment, between, shifted
 from agent.control.errors import Errors
 from agent.control.estimator import Observer
+from agent.control.floating import Floating
 from agent.control.inverse import SingularJacobian
 from agent.control.law import Offline
 from agent.control.memory import Memory, initial
@@ -26,7 +27,7 @@ from agent.control.quaternion import Quat, Vec3
 from agent.control.residual import Channels, Residual, Sense, nothing_sensed
 from agent.control.terms import CMD, DDQ_REF, Terms
 from agent.control.trajectory import Desired, Trajectory
-from agent.modes import Mode
+from agent.modes import FLOATING, Mode
 from agent.safety import Flag, Limits, limit
 from drivers.interface import JointState, Vector
 
@@ -67,6 +68,7 @@ class Agent:
     residual: Residual | None = None  # None: nothing is sensed through the object
     damp_above_rad_per_s: float = math.inf  # a joint faster than this in HOLD is braked
     session: phases.Session | None = None  # None: the arm begins with the object in its gripper
+    floating: Floating | None = None  # None: nobody is to guide it by hand
 
     def __post_init__(self) -> None:
         n, counts = self.model.n, (len(self.limits.tau_max_Nm), len(self.limits.tau_step_max_Nm))
@@ -111,6 +113,8 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
         q, dq = state.q, state.dq
     if calm == JOINTS and memory.calm == BRAKE and memory.q_hold is not None:
         memory = memory._replace(q_hold=q + (memory.q_hold - q).clip(-RETURN_RAD, RETURN_RAD))
+    if agent.floating is not None and mode is Mode.STAND:
+        memory = floats.yielding(agent.floating, memory, q)
     try:
         terms, estimate, held = _law(agent, t, mode, memory, q, dq, calm)
     except SingularJacobian:
@@ -209,8 +213,9 @@ def explained(agent: Agent, outcome: Outcome) -> str:
         return ""
     sense, wrench, found, v = outcome.memory.sense, np.array(sensed[:6]), Channels(*sensed[6:]), terms.desired.v
     if not residual.tripped(found):
-        behind = cause.behind((wrench - sense.base)[:3], v, agent.offline.gravity)
-        return f"{cause.described(behind, found)}, {sense.pull.level_N:.2g} N against the motion"
+        pull, f = sense.pull, (wrench - sense.base)[:3]
+        behind = cause.behind(f, v, agent.offline.gravity, weighs=residual.weighed(sense))
+        return f"{cause.described(behind, found)}, {pull.level_N:.2g} N against the motion, {pull.weight_N:.2g} N down"
     f, limit_N = cause.force(residual, sense, wrench)
     return cause.described(cause.causes(f, limit_N, v, agent.offline.gravity), found)
 
@@ -226,6 +231,8 @@ def _law(
 ) -> tuple[Terms, Estimate | None, bool]:
     """Terms of this tick's law, the estimate it leaves, and whether a bound held the estimate back."""
     adaptation, estimate, q_hold = agent.offline.adaptation, memory.estimate, memory.q_hold
+    if agent.floating is not None and mode in FLOATING:
+        return floats.torque(agent.model, agent.offline, agent.floating, mode, memory, q, dq), estimate, False
     life = None if agent.session is None else agent.session.life
     if life is not None and mode in phases.ALONE:
         return phases.alone(agent.model, agent.offline, life, mode, memory, q, dq), estimate, False
@@ -306,10 +313,10 @@ def _far(errors: Errors) -> bool:
     return not (math.hypot(*errors.e_p) <= HOLD_DESIRED_MAX_M and angle <= HOLD_DESIRED_MAX_RAD)
 
 
-def wait_here(agent: Agent, q: Vector, memory: Memory) -> Memory:
-    """Memory for the wait before the start: the object's pose that this arm sees at q (n,) becomes its start pose."""
+def wait_here(agent: Agent, q: Vector, memory: Memory, mode: Mode = _READY) -> Memory:
+    """Memory for standing at q (n,): in READY the object's pose that this arm sees there becomes its start pose."""
     memory = hold_here(agent, q, memory)
-    if agent.alignment is None or agent.start is None or memory.hold is None:
+    if mode is not _READY or agent.alignment is None or agent.start is None or memory.hold is None:
         return memory
     pose = memory.hold
     return memory._replace(shift=between(pose[:3], pose[3:], *agent.start))  # type: ignore[arg-type]

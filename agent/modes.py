@@ -28,6 +28,10 @@ class Mode(enum.IntEnum):
     RELEASE = 9  # the object stands: the arm gives back its load share, opens its gripper and stands
     PARK = 10  # it goes back to where it rests
     HALT = 11  # it was stopped on its way and stands there
+    # of an arm that a hand guides (agent.floats)
+    FLOAT = 12  # its weight is carried, a hand moves it
+    STAND = 13  # it was stopped: it brakes and stands where it came to rest
+    SINK = 14  # it goes down slowly under its own weight, until it lies
 
 
 class Event(enum.IntFlag):
@@ -50,6 +54,10 @@ class Event(enum.IntFlag):
     )
     NOT_GRIPPED = 2048  # it has closed on nothing, too early, or not at all
     ARRIVED = 4096  # the arm has come to the end of its way
+    FLOATED = 8192  # the agent has switched torque on, of an arm that a hand is to guide
+
+
+FLOATING = frozenset({Mode.FLOAT, Mode.STAND, Mode.SINK})
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +75,8 @@ _LET_GO = (Event.RELEASED, Mode.OFF)
 
 TABLE: Mapping[Mode, Entry] = MappingProxyType({
     Mode.OFF: Entry(
-        "torque off", False, ((Event.TROUBLE | Event.SERVO_LOST, Mode.OFF), (Event.ENABLED, Mode.READY))
+        "torque off", False,
+        ((Event.TROUBLE | Event.SERVO_LOST, Mode.OFF), (Event.ENABLED, Mode.READY), (Event.FLOATED, Mode.FLOAT)),
     ),
     Mode.READY: Entry(
         "torque on, holding the start pose; `coop start` sets the common start", True,
@@ -86,6 +95,9 @@ TABLE: Mapping[Mode, Entry] = MappingProxyType({
     Mode.RELEASE: Entry("letting go of the object; `coop park` once its gripper is open", True),
     Mode.PARK: Entry("on its way to its rest", True),
     Mode.HALT: Entry("STOPPED on its way; `coop approach` or `coop park`", True),
+    Mode.FLOAT: Entry("floating: a hand may guide it", True, (_LOST, (_BAD, Mode.STAND))),
+    Mode.STAND: Entry("STOPPED while it floated; put a hand under it", True, (_LOST, (Event.RELEASED, Mode.SINK))),
+    Mode.SINK: Entry("sinking slowly, then its torque goes off", True, (_LOST, (Event.ARRIVED, Mode.OFF))),
 })  # fmt: skip
 
 

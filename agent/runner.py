@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from agent import floats
 from agent.around import Beginning, LoopLog, RunSummary, Schedule, Surroundings
 from agent.control.memory import Memory
 from agent.cycles import WINDOW, Bus, Cycles
 from agent.loop import Agent, Outcome, afresh, blind, explained, hold_after, initial_memory, step, wait_here
-from agent.modes import TABLE, Event, Mode, next_mode
+from agent.modes import FLOATING, TABLE, Event, Mode, next_mode
 from agent.monitors.watch import Watch
 from agent.safety import Flag
 from agent.session import WAY_BACK, SessionLoop, entered, way_back
@@ -34,7 +35,7 @@ __all__ = ["Beginning", "LoopLog", "RunSummary", "Runner", "Schedule", "Surround
 
 NOT_YET_NS = 86_400_000_000_000  # the trajectory's zero while nobody has set it: a day ahead
 _TROUBLE = int(Flag.NOT_FINITE | Flag.SINGULAR | Flag.OFF_TRACK | Flag.UNEXPECTED)  # joining flags takes 1 µs
-_KEEPS = frozenset({Mode.HOLD, Mode.HALT})  # in which an arm stays until somebody says a word
+_KEEPS = frozenset({Mode.HOLD, Mode.HALT, Mode.STAND})  # in which an arm stays until somebody says a word
 _COMMANDING = frozenset(mode for mode, entry in TABLE.items() if entry.commands)
 
 
@@ -83,11 +84,17 @@ class Runner:
         self._recovering = driver if isinstance(driver, Recovering) else None
         self._utc_offset_ns = clock.utc_offset_ns
         self._zero_ns = self._phase_ns + (schedule.ready_ns if schedule.lockstep else NOT_YET_NS)
+        self._told_at_rest = ""
         self._tracking_since_ns: int | None = None
         self._tracked_s = 0.0
         if beginning is not None:
             self._mode, self._memory, self._zero_ns = beginning.mode, beginning.memory, beginning.zero_ns
             self._rows, self._reason, self._marks = beginning.rows, beginning.reason, beginning.marks
+
+    @property
+    def memory(self) -> Memory:
+        """What the next tick begins with."""
+        return self._memory
 
     def run(self, happened: Event = Event.ENABLED) -> RunSummary:
         """Run until the last tick, a release or a fault; leaves the torque as it is.
@@ -151,7 +158,8 @@ class Runner:
         if not schedule.lockstep:
             happened |= self._skip(deadline_ns, good=state is not None and not late)
         if self._session is not None:
-            happened = self._judged(self._session, happened)
+            seen = cycles.without_state(deadline_ns) <= schedule.patience.hold
+            happened = self._judged(self._session, happened, seen=seen)
         if happened:
             self._change_mode(happened, state)
 
@@ -161,14 +169,14 @@ class Runner:
     def _may_start(self) -> bool:
         return self._session is None or self._session.taken_up(self._mode, self._memory)
 
-    def _judged(self, session: SessionLoop, happened: Event) -> Event:
+    def _judged(self, session: SessionLoop, happened: Event, *, seen: bool) -> Event:
         """What counts of what happened, with what the arm found out by itself; a refused word is told."""
-        happened = session.judge(self._mode, happened, self._memory)
+        happened = session.judge(self._mode, happened, self._memory, seen=seen)
         said, session.reason = session.reason, ""
         if said and happened & (Event.TROUBLE | Event.STOP):
             self._reason = said
-        elif said and self._around.trouble is not None:
-            self._around.trouble(said)
+        elif said and self._around.refused is not None:
+            self._around.refused(said)
         return happened
 
     def _next(self, happened: Event) -> Mode:
@@ -240,7 +248,7 @@ class Runner:
         """One step on a fresh state: torque out, row in the log."""
         row, wall_ns, mode = self._row, self._around.wall_ns, self._mode
         if mode is not Mode.TRACK and self._memory.hold is None:
-            self._memory = wait_here(self._agent, state.q, self._memory)
+            self._memory = wait_here(self._agent, state.q, self._memory, mode)
         after_read_ns = wall_ns()
         t = (state.stamp_ns - self._zero_ns) * 1e-9
         outcome = step(self._agent, state, t, mode, self._memory)
@@ -320,11 +328,20 @@ class Runner:
     def _started(self, deadline_ns: int) -> bool:
         """Whether the next tick belongs to the trajectory; takes over the common start once it is known (READY)."""
         zero_ns = self._around.start_ns()
-        if zero_ns is not None and zero_ns != self._zero_ns:
+        session = self._session
+        counts = zero_ns != self._zero_ns and (session is None or session.counts(zero_ns, deadline_ns))
+        if zero_ns is not None and counts:
             self._zero_ns = zero_ns
             self._phase_ns = zero_ns - (zero_ns - deadline_ns) // self._schedule.period_ns * self._schedule.period_ns
             self._tick = 0
         return self._phase_ns + (self._tick + 1) * self._schedule.period_ns >= self._zero_ns
+
+    def _tell_at_rest(self, happened: Event) -> None:
+        """What is wrong with an arm that rests, once: nothing else comes of it."""
+        if self._mode is Mode.REST and Event.TROUBLE in happened and self._reason != self._told_at_rest:
+            self._told_at_rest = self._reason
+            if self._around.trouble is not None:
+                self._around.trouble(way_back(Mode.REST, self._reason))
 
     def _change_mode(self, happened: Event, state: JointState | None) -> None:
         before = self._mode
@@ -332,10 +349,18 @@ class Runner:
         if Event.SERVO_LOST in happened:
             self._reason = self._unseen or self._reason
         if mode is before:
+            self._tell_at_rest(happened)
             return
         if self._session is not None:
             self._session.entered(mode)
-        if self._agent.session is not None:
+            if mode is Mode.READY:  # what was started before is over
+                self._session.await_start(self._around.start_ns())
+                self._zero_ns = self._clock.now_ns() + NOT_YET_NS
+        if self._agent.floating is not None and mode in FLOATING:
+            last = self._outcome if state is not None else None
+            seen = None if last is None else (last.q, last.dq)
+            self._memory = floats.entered(self._agent.floating, mode, self._memory, seen)
+        elif self._agent.session is not None:
             self._memory = entered(self._agent, mode, self._memory, self._outcome if state is not None else None)
         elif mode is Mode.HOLD and state is not None and self._outcome is not None:
             self._memory = hold_after(self._agent, self._outcome)
@@ -346,4 +371,6 @@ class Runner:
         if self._session is not None and mode not in _KEEPS and mode in _COMMANDING:
             self._reason = ""  # of a hold that is over
         if mode in _KEEPS and Event.TROUBLE in happened and self._around.trouble is not None:
-            self._around.trouble(way_back(mode, self._reason) if self._session is not None else self._reason)
+            back = self._session is not None
+            said = way_back(mode, self._reason, seen=state is not None) if back else self._reason
+            self._around.trouble(said)

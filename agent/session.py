@@ -31,8 +31,9 @@ WORDS: dict[Mode, Event] = {
 # modes that lead back: what was wrong before the word is borne there, for it is the reason to go back
 WAY_BACK = frozenset({Mode.LOWER, Mode.RELEASE, Mode.PARK})
 _BACK: dict[Mode, str] = {
-    Mode.HOLD: "way back: `coop lower`, `coop release`, `coop park`",
-    Mode.HALT: "way back: `coop park`; or on with `coop approach`",
+    Mode.HOLD: "`coop lower`, `coop release`, `coop park`",
+    Mode.HALT: "`coop park`",
+    Mode.REST: "`coop release`",
 }
 _SAID = Event.APPROACH | Event.GRASP | Event.LOWER | Event.PARK | Event.RELEASED
 _UNFINISHED = {
@@ -55,8 +56,10 @@ class StartBound:
 class SessionLoop:
     """One arm's session.  `reason` says why a word was refused or the arm stopped."""
 
-    def __init__(self, agent: Agent, gripper: Gripper, plan: GripPlan, start: StartBound) -> None:
-        """The agent has a session."""
+    def __init__(
+        self, agent: Agent, gripper: Gripper, plan: GripPlan, start: StartBound, *, leads_back_only: bool = False
+    ) -> None:
+        """The agent has a session; leads_back_only: for a guard, that begins nothing."""
         if agent.session is None:
             raise ValueError("an agent without a session")
         self.reason = ""
@@ -64,12 +67,15 @@ class SessionLoop:
         self._gripper = gripper
         self._plan = plan
         self._start = start
+        self._refused = Event.APPROACH | Event.GRASP if leads_back_only else Event.NONE
         self._watch: Watch | None = None
         self._state: GripState | None = None  # of the last cycle, if the gripper said something
         self._open = False
         self._opens = False  # it has been told to, in RELEASE
         self._holds = False
         self._now: tuple[Mode, Memory] | None = None  # of the last cycle
+        self._seen = True
+        self._void_ns: int | None = None  # a start that counts no more
 
     def not_yet(self, word: Event) -> str:
         """Why this word counts for nothing now, by the last cycle; empty where it does."""
@@ -79,9 +85,9 @@ class SessionLoop:
             return _UNFINISHED[Mode.READY]
         return self.refusal(self._now[0], word & _SAID, self._now[1]) if word & _SAID else ""
 
-    def judge(self, mode: Mode, events: Event, memory: Memory) -> Event:
-        """The events that count in this mode, with what the arm has found out by itself."""
-        self._now = mode, memory
+    def judge(self, mode: Mode, events: Event, memory: Memory, *, seen: bool = True) -> Event:
+        """The events that count in this mode, with what the arm has found out by itself; seen: it answers."""
+        self._now, self._seen = (mode, memory), seen
         state = self._state = self._gripper.grip_state()
         said = events & _SAID
         refused = self.refusal(mode, said, memory) if said else ""
@@ -112,6 +118,20 @@ class SessionLoop:
         elif mode is Mode.READY:
             self._holds = True
 
+    def await_start(self, given_ns: int | None) -> None:
+        """READY has begun: a start that was given before counts no more."""
+        self._void_ns = given_ns
+
+    def counts(self, zero_ns: int | None, deadline_ns: int) -> bool:
+        """Whether a start at zero_ns counts: none that was given before this READY, and none that has passed."""
+        if zero_ns is None or zero_ns == self._void_ns:
+            return False
+        if zero_ns <= deadline_ns:
+            self._void_ns = zero_ns
+            self.reason = "start: its instant passed before this arm was ready; start all arms again"
+            return False
+        return True
+
     def taken_up(self, mode: Mode, memory: Memory) -> bool:
         """Whether a common start may be taken over."""
         return mode is Mode.READY and phases.arrived(self._life, mode, memory)
@@ -120,6 +140,10 @@ class SessionLoop:
         """Why these words cannot be followed now; empty where they can."""
         if said & ~WORDS.get(mode, Event.NONE):
             return f"{_names(said)} in {mode.name}: found {mode.name}, expected {_where(said)}; {_way(mode)}"
+        if said & self._refused:
+            return f"{_names(said)}: the guard holds the arm in its agent's place and leads it back alone"
+        if not self._seen:
+            return f"{_names(said)}: the arm does not answer; check its cable and its supply"
         if mode in _UNFINISHED and not self._done(mode, memory) and said != Event.PARK:
             return f"{_names(said)}: {_UNFINISHED[mode]}; wait for it"
         if Event.PARK in said and mode is Mode.RELEASE and not self._open:
@@ -215,26 +239,23 @@ class SessionLoop:
         )
 
 
-def way_back(mode: Mode, reason: str) -> str:
-    """The reason for which an arm of a session stands, with the words that lead back from there."""
-    back = _BACK.get(mode, "")
-    return "; ".join(part for part in (reason, back) if part)
+def way_back(mode: Mode, reason: str, *, seen: bool = True) -> str:
+    """The reason for which an arm of a session stands, with the words that lead back; seen: it answers now."""
+    words = _BACK.get(mode, "")
+    when = "way back" if seen else "way back once it answers again"
+    return "; ".join(part for part in (reason, f"{when}: {words}" if words else "") if part)
 
 
 def entered(agent: Agent, mode: Mode, memory: Memory, outcome: Outcome | None) -> Memory:
     """Memory with which an arm of a session enters a mode; outcome: of the tick before, None without a fresh state."""
     memory = memory._replace(age=0.0)
-    if mode is Mode.TRACK:
-        return memory._replace(hold=None, q_hold=None)
-    if outcome is None:
-        return memory
-    if mode is Mode.HOLD or mode is Mode.RELEASE:
-        return hold_after(agent, outcome._replace(memory=memory))
     if mode is Mode.LOWER:  # from the pose that was held
         return memory
-    if mode is Mode.HALT and agent.session is not None:  # where it comes to rest
+    if outcome is not None and (mode is Mode.HOLD or mode is Mode.RELEASE):
+        return hold_after(agent, outcome._replace(memory=memory))
+    if outcome is not None and mode is Mode.HALT and agent.session is not None:  # where it comes to rest
         return hold_here(agent, outcome.q + outcome.dq / agent.session.life.rate_rad_per_s, memory)
-    return memory._replace(hold=None, q_hold=None)
+    return memory._replace(hold=None, q_hold=None)  # where it is seen first
 
 
 def _names(events: Event) -> str:

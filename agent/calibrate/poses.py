@@ -27,7 +27,7 @@ MOST: Final = 400
 LEAST: Final = 24
 READINGS_LEAST: Final = 3  # of every arm in a window
 BLOCKS: Final = 16  # of poses; of four, one is held out
-HOLDING: Final = (Mode.READY, Mode.TRACK, Mode.HOLD)
+HOLDING: Final = (Mode.READY, Mode.TRACK, Mode.HOLD, Mode.FLOAT, Mode.STAND)
 
 
 @dataclass(frozen=True, eq=False)

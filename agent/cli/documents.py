@@ -119,18 +119,21 @@ def _run(run: ComparedRun) -> dict[str, Any]:
 
 def _gains(gains: GainSet) -> dict[str, Any]:
     """Gains in the order x, y, z, and what the sampled loop makes of them."""
-    common = gains.gains
+    from agent.verify.tune import OBSERVER_KEYS
+
+    common, seen = gains.gains, gains.observer
     return {
         "k_p_per_s": common.k_p,
         "k_p_rate_per_s": common.k_p_rate,
         "k_eps_rad_per_s": common.k_eps,
         "k_eps_rate_rad_per_s": common.k_eps_rate,
+        "observer": None if seen is None else {key: getattr(seen, key) for key in OBSERVER_KEYS},
         "arms": {
-            arm.name: {"k_v_N_s_per_m": k_v[:3], "k_v_Nm_s_per_rad": k_v[3:], "velocity_noise_Nm": chatter}
-            for arm, k_v, chatter in zip(
+            arm.name: {"k_v_N_s_per_m": k_v[:3], "k_v_Nm_s_per_rad": k_v[3:], "torque_noise_Nm": noise}
+            for arm, k_v, noise in zip(
                 gains.cell.arms,
                 (gains.cell.offline(a).gains.k_v for a in gains.cell.arms),
-                gains.chatter_Nm,
+                gains.noise_Nm,
                 strict=True,
             )
         },

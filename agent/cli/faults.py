@@ -78,9 +78,11 @@ def inject(
     from agent.faults.plan import require_simulated
     from agent.faults.rehearse import rehearse
 
-    faults = _faults(fault, arm=arm, servo=servo, at_s=at, for_s=for_s, size=size)
+    faults, made_so = _faults(fault, arm=arm, servo=servo, at_s=at, for_s=for_s, size=size)
     ends = [f.at_s + (f.for_s if math.isfinite(f.for_s) else 0.0) for f in faults]
-    loaded = load_cell(cell, [*overrides, f"duration_s={max(ends) + MORE_S if duration is None else duration}"])
+    loaded = load_cell(
+        cell, [*made_so, *overrides, f"duration_s={max(ends) + MORE_S if duration is None else duration}"]
+    )
     require_simulated(loaded)
     if out is not None:
         require_new(out)
@@ -97,15 +99,15 @@ def inject(
             typer.echo(f"log               {out}")
 
 
-def _faults(name: str, **given: Any) -> tuple[Injection, ...]:
-    """The fault of that name, or those of a row's first run.  Raises FaultPlanError."""
+def _faults(name: str, **given: Any) -> tuple[tuple[Injection, ...], tuple[str, ...]]:
+    """The fault of that name, or those of a row's first run and what that makes of its cell.  Raises FaultPlanError."""
     from agent.faults.catalogue import row
     from agent.faults.plan import injection
 
     found = row(name)
     if found is not None and found.runs:
-        return found.runs[0].faults
-    return (injection(name, **given),)
+        return found.runs[0].faults, found.runs[0].set
+    return (injection(name, **given),), ()
 
 
 def _finite(value: float) -> float | None:
@@ -142,6 +144,8 @@ def _say(faults: tuple[Injection, ...], found: Measured) -> None:
     typer.echo(f"sag               {found.sag_m * 1e3:.1f} mm")
     typer.echo(f"fastest joint     {found.speed_rad_per_s:.2f} rad/s")
     typer.echo(f"largest torque    {found.torque_share:.0%} of the limit")
+    if found.apart_rad > 0.0:
+        typer.echo(f"arm from twin     {found.apart_rad:.3f} rad at most")
 
 
 def _after(at: float | None) -> str:

@@ -16,6 +16,7 @@ from agent.cli import (
     cells,
     doctor,
     faults,
+    floats,
     latency,
     logs,
     make,
@@ -38,7 +39,7 @@ GROUPS: dict[str, tuple[Callable[..., None], ...]] = {
     "Simulate and examine": (make.new, run.run, cells.check, cells.tune, cells.schema, study.study),
     "Arms of this host": (
         words.approach, words.grasp, words.start, words.stop, words.lower, words.release, words.park, words.guide,
-        words.status, doctor.doctor, latency.latency_test,
+        words.status, doctor.doctor, floats.float_arms, latency.latency_test,
     ),
     "Logs": (
         logs.report, view.view, logs.compare, answers.events, answers.grasps, replay.replay, logs.identify,

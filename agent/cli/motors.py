@@ -173,12 +173,15 @@ def _print_servos(seen: Sequence[ServoSeen]) -> None:
     for servo in seen:
         if line != (line := f"{servo.port} at {servo.baud} bit/s"):
             typer.echo(line)
-            typer.echo(f"  {'id':>3}  {'model':<12}{'firmware':>8}  {'supply':>7}  {'temperature':>11}  hardware error")
+            heads = f"{'firmware':>8}  {'supply':>7}  {'temperature':>11}  {'position':>8}  hardware error"
+            typer.echo(f"  {'id':>3}  {'model':<12}{heads}")
         volts = f"{servo.voltage_V:.1f} V" if servo.voltage_V is not None else "-"
         celsius = f"{servo.temperature_C} °C" if servo.temperature_C is not None else "-"
         firmware = "-" if servo.firmware is None else servo.firmware
+        tick = "-" if servo.position_tick is None else servo.position_tick
         rest = servo.note or servo.hardware_text + ("; torque is on" if servo.torque_on else "")
-        typer.echo(f"  {servo.servo_id:>3}  {servo.model_name:<12}{firmware:>8}  {volts:>7}  {celsius:>11}  {rest}")
+        cells = f"{firmware:>8}  {volts:>7}  {celsius:>11}  {tick:>8}  {rest}"
+        typer.echo(f"  {servo.servo_id:>3}  {servo.model_name:<12}{cells}")
 
 
 def _as_row(servo: ServoSeen) -> dict[str, Any]:
@@ -194,5 +197,6 @@ def _as_row(servo: ServoSeen) -> dict[str, Any]:
         "hardware_error": None if servo.hardware_error is None else int(servo.hardware_error),
         "hardware_error_text": servo.hardware_text,
         "torque_on": servo.torque_on,
+        "position_tick": servo.position_tick,
         "note": servo.note,
     }

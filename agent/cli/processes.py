@@ -61,6 +61,7 @@ def agent(
     from agent.host.paths import control_path, make_runtime_dir, plant_socket_path, ring_path
     from agent.process.agent import run_agent
     from agent.process.build import Connection
+    from agent.process.floats import run_float
     from agent.process.rehearse import (
         driver_of,
         holds,
@@ -100,7 +101,8 @@ def agent(
         guard=guard,
         no_realtime=allow_no_realtime,
     )
-    summary = run_agent(loaded, options, requested, ready)
+    floats = loaded.file.floating is not None and arm in loaded.file.floating.arms
+    summary = (run_float if floats else run_agent)(loaded, options, requested, ready)
     typer.echo(
         f"arm {arm}: {summary.ticks} cycles, {summary.late_cycles} late, {summary.stale_cycles} without a state, "
         f"mode {summary.mode.name} {summary.reason}",
@@ -205,10 +207,11 @@ def emulate(
     loaded = load_cell(cell)
     make_folder(ports)
     name = loaded.file.name
-    if ring is None and loaded.file.hil is None:
+    alone = loaded.file.hil is not None or (loaded.file.floating is not None and not loaded.file.floating.holding)
+    if ring is None and not alone:
         make_runtime_dir(name)
     options = ServeOptions({arm.name: ports / arm.name for arm in loaded.arms}, faults, control, seed)
-    if loaded.file.hil is not None:
+    if alone:
         typer.echo(run_emulate_alone(loaded, options, timing=not no_timing, stop=requested, ready=ready), err=True)
         return
     where = ring or ring_path(name, PLANT)

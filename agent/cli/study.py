@@ -56,7 +56,11 @@ def study(
     if as_json:
         print_json(dict(outcome.document))
     else:
+        from agent.study.summary import verdict
+
         console().print(_table(outcome))
+        for name, found in outcome.document["cells"].items():
+            typer.echo(f"{name} {verdict(found)}")
         typer.echo(f"results  {out / 'study.json'}\nreport   {out / 'report.html'}\nworst    {out / 'worst.toml'}")
     if outcome.interrupted:
         typer.echo(f"stopped by request; the same command with --out {out} goes on", err=as_json)
@@ -79,13 +83,17 @@ def _table(outcome: StudyOutcome) -> Table:
     from rich import box
     from rich.table import Table
 
+    from agent.study.summary import FIGURES, PROMISED
+
     document = outcome.document
     counts = ", ".join(f"{document[key]} {key.replace('_', ' ')}" for key in ("lost", "tripped", "within_bounds"))
     table = Table(title=f"{document['runs']} runs: {counts}", title_justify="left", box=box.SIMPLE_HEAD)
-    for heading in ("cell", "figure", "50 %", "95 %", "100 %"):
+    for heading in ("cell", "figure", "50 %", "95 %", "100 %", f"bound of {PROMISED} %"):
         table.add_column(heading, justify="left" if heading in ("cell", "figure") else "right")
     for name, found in document["cells"].items():
-        for figure, values in found.items():
-            if isinstance(values, dict) and values["100"] is not None:
-                table.add_row(name, figure, *(f"{values[q]:.4g}" for q in ("50", "95", "100")))
+        for figure in FIGURES:
+            values, bound = found[figure], found["bounds"].get(figure)
+            if values["100"] is not None:
+                cells = [f"{values[q]:.4g}" for q in ("50", "95", "100")]
+                table.add_row(name, figure, *cells, "" if bound is None else f"{bound:g}")
     return table

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
-from agent.config import coordination, observer, session
+from agent.config import coordination, floating, observer, session
 from agent.config.cell import Arm, Cell
 from agent.loop import Agent
 from agent.phases import Session
@@ -20,6 +21,22 @@ def build_agent(cell: Cell, arm: Arm) -> Agent:
 
     Raises ConfigError where the cell has a session and the arm no way to its grasp.
     """
+    spec = floating.spec_of(cell, arm)
+    if spec is None:
+        return _working(cell, arm)
+    agent = _working(cell, arm, alone=True)
+    return replace(
+        agent,
+        offline=floating.carried(agent.offline, spec),
+        floating=floating.build(cell, arm, spec),
+        sigma_min=0.0,
+        alignment=None,
+        residual=None,
+    )
+
+
+def _working(cell: Cell, arm: Arm, *, alone: bool = False) -> Agent:
+    """An agent that works; alone: it needs no way to a grasp."""
     safety = cell.file.safety
     tau_max = arm.tau_stall_Nm * safety.tau_max_fraction_of_stall
     return Agent(
@@ -38,7 +55,7 @@ def build_agent(cell: Cell, arm: Arm) -> Agent:
         alignment=coordination.alignment(cell, arm),
         residual=coordination.residual(cell),
         damp_above_rad_per_s=math.inf if safety.hold_speed_max_rad_per_s is None else safety.hold_speed_max_rad_per_s,
-        session=_session(cell, arm, tau_max),
+        session=None if alone else _session(cell, arm, tau_max),
     )
 
 

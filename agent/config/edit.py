@@ -30,10 +30,12 @@ class Change:
 def apply(text: str, changes: Sequence[Change]) -> str:
     """The text with these values changed; a key that is not there yet becomes the last of its table.
 
-    Raises EditError where a table is written in another way (inline, dotted keys) than under a header of its own.
+    A table within another ("controller.observer") that is not there yet comes behind that one.  Raises EditError where
+    a table is written in another way (inline, dotted keys) than under a header of its own.
     """
     lines = text.splitlines()
     for change in changes:
+        _make_room(lines, change)
         begin, end = _section(lines, change)
         at = _key(lines, change.key, begin, end)
         lines[at[0] : at[1]] = [f"{change.key} = {change.toml}"]
@@ -41,9 +43,22 @@ def apply(text: str, changes: Sequence[Change]) -> str:
     wanted = tomllib.loads(text)
     for change in changes:
         _table(wanted, change)[change.key] = tomllib.loads(f"value = {change.toml}")["value"]
-    if tomllib.loads(edited) != wanted:
+    try:
+        same = tomllib.loads(edited) == wanted
+    except tomllib.TOMLDecodeError:  # the table is there, inline or by dotted keys
+        same = False
+    if not same:
         raise _refusal(changes[0], "an unusual way of writing it")
     return edited
+
+
+def _make_room(lines: list[str], change: Change) -> None:
+    """A header behind the table that this one is in, where it has none yet."""
+    parent, dot, _ = change.table.rpartition(".")
+    headers = [match["name"] for line in lines if (match := _HEADER.match(line))]
+    if dot and change.table not in headers and parent in headers:
+        at = _last(lines, *_section(lines, Change(parent, "", "")))
+        lines[at:at] = ["", f"[{change.table}]"]
 
 
 def _section(lines: Sequence[str], change: Change) -> tuple[int, int]:
@@ -65,15 +80,19 @@ def _is_name(line: str, name: str) -> bool:
 
 def _key(lines: Sequence[str], key: str, begin: int, end: int) -> tuple[int, int]:
     """Lines of a key with its value, or the empty place for a new one."""
-    last = begin
     for i in range(begin, end):
         if re.match(rf"\s*{re.escape(key)}\s*=", lines[i]):
             for stop in range(i + 1, end + 1):
                 if _complete("\n".join(lines[i:stop])):
                     return i, stop
-        if lines[i].strip() and not lines[i].lstrip().startswith("#"):
-            last = i + 1
+    last = _last(lines, begin, end)
     return last, last
+
+
+def _last(lines: Sequence[str], begin: int, end: int) -> int:
+    """Line behind the last one that is neither empty nor a comment."""
+    meant = (i + 1 for i in reversed(range(begin, end)) if lines[i].strip() and not lines[i].lstrip().startswith("#"))
+    return next(meant, begin)
 
 
 def _complete(text: str) -> bool:
@@ -87,7 +106,7 @@ def _complete(text: str) -> bool:
 def _table(document: dict[str, Any], change: Change) -> dict[str, Any]:
     found: Any = document
     for part in change.table.split("."):
-        found = found.get(part, {})
+        found = found.setdefault(part, {})
     if change.name is not None:
         found = next((entry for entry in found if entry.get("name") == change.name), {})
     if not isinstance(found, dict):

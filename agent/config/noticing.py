@@ -9,12 +9,12 @@ Without a fault, what the channels of the residual (agent.control.residual) carr
 
 Each is a quadratic sum over independent errors at their bounds in `[tolerance]`, the largest over arms and places:
 
-    fast = MARGIN (REVERSAL friction + PEAK noise),     slow = MARGIN (CREEP √(friction² + errors²) + HUM √(l/L) noise)
+    fast = BLOW (REVERSAL friction + PEAK noise),     slow = MARGIN (CREEP √(friction² + errors²) + HUM √(l/L) noise)
 
 and fast is no less than a touch needs, with L and l the rates of the residual and of the slow channel.  What pulls
-against the motion (agent.control.against) has limits in cells of three and more arms: what a touch needs, or what
-friction and noise make of it.  REVERSAL, PEAK, CREEP, HUM and ALONG are calibrated on the largest values that studies
-of the shipped cells showed (a test has them).
+against the motion or down (agent.control.against) has limits in cells of three and more arms: what a touch needs, or
+what friction and noise make of it.  REVERSAL, PEAK, CREEP, HUM and ALONG are calibrated on the largest values that
+studies of the shipped cells showed (a test has them).
 """
 
 from __future__ import annotations
@@ -38,15 +38,18 @@ from drivers.interface import Vector
 
 PLACES: Final = 12  # along the motion
 MARGIN: Final = 1.4
+BLOW: Final = 1.5  # margin of the fast channel, in which a touch comes on top of what is usual
 REVERSAL: Final = (0.3, 0.6)  # force, moment: of the friction, the sudden part
 PEAK: Final = 6.7  # of noise, beyond the quadratic sum of half steps
+CALIBRATED_SHARE: Final = 0.2  # position gain of the observer in those studies; a slower one doubles friction's jumps
 CREEP: Final = 0.92
 HUM: Final = 2.0
 SLOW_PLANAR_PER_S, SLOW_PER_S = 2.0, 4.0
 TOUCH_N: Final = 2.0  # on the object, which is no trip; an arm feels its share of it, and what is usual
-TOUCH: Final = 1.6  # times that share
-ALONG: Final = (0.35, 0.088)  # level, climb: of friction and noise
-TOUCH_ALONG: Final = (1.05, 0.207)  # times an arm's share of a touch
+TOUCH: Final = 1.75  # times that share
+TOUCH_LEVER_M: Final = 0.2  # moment that the arms' inertia makes of that force
+ALONG: Final = (0.35, 0.079)  # level, climb: of friction and noise
+TOUCH_ALONG: Final = (1.05, 0.15)  # times an arm's share of a touch
 ALONE: Final = 2  # arms that feel a touch as they feel the other one
 FLOORS: Final = Channels(0.5, 0.05, 0.3, 0.03)
 POSITION_LSB_RAD: Final = 2.0 * math.pi / TICKS_PER_TURN
@@ -74,7 +77,8 @@ def derived(cell: Cell) -> Channels:
     """What follows from the cell file: N, N·m, to three digits.  Raises ConfigError where an arm cannot be placed."""
     sizes = np.max([_sizes(cell, arm) for arm in cell.arms], axis=0)
     (friction_N, friction_Nm), (noise_N, noise_Nm), (errors_N, errors_Nm) = sizes.tolist()
-    floors = FLOORS._replace(fast_N=max(FLOORS.fast_N, TOUCH * TOUCH_N / len(cell.arms)))
+    touch = TOUCH * TOUCH_N / len(cell.arms)
+    floors = FLOORS._replace(fast_N=max(FLOORS.fast_N, touch), fast_Nm=max(FLOORS.fast_Nm, TOUCH_LEVER_M * touch))
     hum = HUM * math.sqrt(slow_rate(cell) / cell.file.safety.noticing.rate_per_s)
     found = (
         REVERSAL[0] * friction_N + PEAK * noise_N,
@@ -82,7 +86,8 @@ def derived(cell: Cell) -> Channels:
         CREEP * math.hypot(friction_N, errors_N) + hum * noise_N,
         CREEP * math.hypot(friction_Nm, errors_Nm) + hum * noise_Nm,
     )
-    return Channels(*(float(f"{max(floor, MARGIN * x):.3g}") for floor, x in zip(floors, found, strict=True)))
+    margins = (BLOW, BLOW, MARGIN, MARGIN)
+    return Channels(*(float(f"{max(f, m * x):.3g}") for f, m, x in zip(floors, margins, found, strict=True)))
 
 
 def against(cell: Cell) -> Against | None:
@@ -95,11 +100,18 @@ def against(cell: Cell) -> Against | None:
     if len(cell.arms) <= ALONE:
         if spec.against_N is None and spec.climb_N is None:
             return None
-        return Against(period_s, spec.against_N or math.inf, spec.climb_N or math.inf)
+        return Against(period_s, spec.against_N or math.inf, spec.climb_N or math.inf, _down(cell))
     (friction_N, _), (noise_N, _), _ = np.max([_sizes(cell, arm) for arm in cell.arms], axis=0).tolist()
     share, usual = TOUCH_N / len(cell.arms), MARGIN * (friction_N + noise_N)
     level, climb = (float(f"{max(t * share, a * usual):.3g}") for t, a in zip(TOUCH_ALONG, ALONG, strict=True))
-    return Against(period_s, spec.against_N or level, spec.climb_N or climb)
+    return Against(period_s, spec.against_N or level, spec.climb_N or climb, _down(cell))
+
+
+def _down(cell: Cell) -> tuple[float, float, float]:
+    """Direction of gravity, world axes; zero where there is none."""
+    x, y, z = cell.gravity.tolist()
+    size = math.hypot(x, y, z) or math.inf
+    return (x / size, y / size, z / size)
 
 
 class _Arm(NamedTuple):
@@ -178,7 +190,7 @@ def _friction(known: _Arm, at: _Place) -> Matrix:
 def _noise(known: _Arm, at: _Place) -> Matrix:
     """(6, n) what half a step of each encoder leaves in the unexpected wrench."""
     seen, L = observer.build(known.cell.file), known.cell.file.safety.noticing.rate_per_s
-    share = 1.0 if seen is None else seen.position_gain
+    share = 1.0 if seen is None else max(CALIBRATED_SHARE, seen.position_gain)
     jump = at.J_inv @ known.KH @ at.k.J  # of dq_r, per angle
     found: Matrix = at.to_wrench @ (L * at.k.B @ jump) * (share * 0.5 * POSITION_LSB_RAD)
     return found

@@ -53,7 +53,7 @@ def fingers_of(file: ArmFile) -> Fingers | None:
     g = file.gripper
     if g.closed_tick is None or g.open_tick is None or g.horn_radius_m is None or g.rod_length_m is None:
         return None
-    if not g.can_grip:
+    if g.missing or not g.obeys:
         return None
     closed, opened = (ticks_rad(tick - g.zero_tick) for tick in (g.closed_tick, g.open_tick))
     return Fingers(g.horn_radius_m, g.rod_length_m, closed, opened)

@@ -21,6 +21,13 @@ KNOTS = 7  # of the straight line along the gripper's axis, from the place befor
 FINGER_AXIS = 1  # of the frame `ee`: the fingers close along its y
 LEAST_S = 1.0  # of a leg
 CLEARANCE_M = 2e-3  # between open fingers and the object, on each side
+MEASURED = {  # how, by key of [gripper]
+    "closed_tick": "closed_tick (position in `coop motors scan`, fingers shut by hand)",
+    "open_tick": "open_tick (the same, wide open)",
+    "horn_radius_m": "horn_radius_m (axis of the servo to the rod's pin)",
+    "rod_length_m": "rod_length_m (a rod from pin to pin)",
+    "grip_effort": "grip_effort (share of full voltage that the servo bears standing; 0.25 on the shipped arms)",
+}
 DECIMALS = 6  # of joint angles on the way, so that hosts agree on them bit for bit
 
 
@@ -99,12 +106,21 @@ def grip_plan(cell: Cell, arm: Arm) -> GripPlan:
 
 def fingers(arm: Arm) -> Fingers:
     """Geometry of its gripper.  Raises ConfigError."""
-    found = fingers_of(arm.file)
-    if found is None:
+    gripper, found = arm.file.gripper, fingers_of(arm.file)
+    if found is not None:
+        return found
+    where = f"gripper of arm {arm.name} ({arm.file.model})"
+    if not gripper.obeys:
         raise ConfigError(
-            f"gripper of arm {arm.name} ({arm.file.model})",
-            found="one that this software cannot close on an object",
-            expected="closed_tick, open_tick, horn_radius_m, rod_length_m and grip_effort, of a Protocol 2.0 servo",
-            remedy="add them to [gripper] of the arm file",
+            where,
+            found=f"{gripper.servo}, which takes no command on this bus",
+            expected="a servo with Protocol 2.0",
+            remedy="fit one, and describe it in [gripper] of a file of this arm's own (arm_file)",
         )
-    return found
+    raise ConfigError(
+        where,
+        found=f"no {', no '.join(gripper.missing)}",
+        expected="what it takes to close on an object and to know that it has",
+        remedy=f"measure {'; '.join(MEASURED[key] for key in gripper.missing)}; write it into [gripper] of a file of "
+        "this arm's own (arm_file; docs/arms.md)",
+    )

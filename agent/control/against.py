@@ -1,4 +1,4 @@
-"""What pulls an arm back against the motion: the unexpected wrench along the desired twist, one number a tick.
+"""What pulls an arm back against the motion, or down: the unexpected wrench along two directions, a number of each.
 
 A neighbour that holds or is locked pulls against the motion and ever harder, whatever else it does, while friction,
 encoders and calibration errors push to all sides.  So with W the unexpected wrench and v the desired twist
@@ -6,9 +6,12 @@ encoders and calibration errors push to all sides.  So with W the unexpected wre
     p = −(F·v + (M/a)·(b ω)) / √(v² + (b ω)²),   a = 0.2 m, b = 0.1 m; zero where the arms hardly move,
 
 one number has a lower limit than four sizes.  Two conditions tell: the `level` of p without its own slow part,
-low-passed; or half of that level with a `climb`, the least of three increments of p over 0.15 s each, one after the
+low-passed; or a part of that level with a `climb`, the least of three increments of p over 0.15 s each, one after the
 other, of means over 0.05 s.  A push rises once and not three times, so that one of 2 N stays below a limit that a
-neighbour left behind at 10 mm/s reaches within half a second.  The state is part of `Memory`.
+neighbour left behind at 10 mm/s reaches within half a second.
+
+The others of a limp arm feel its weight, which nothing but gravity points at: F along gravity, without its own slow
+part and low-passed as the level, is the `weight`, and has the limit of the level.  The state is part of `Memory`.
 """
 
 from __future__ import annotations
@@ -24,7 +27,7 @@ MEANS: Final = 3 * STEP + 1  # kept, newest first
 MOMENT_M: Final = 0.2  # a
 TURN_M: Final = 0.1  # b
 STILL_M_PER_S: Final = 2e-3
-WITH_CLIMB: Final = 0.5  # of the limit of the level, where p climbs
+WITH_CLIMB: Final = 0.6  # of the limit of the level, where p climbs
 
 
 class Pull(NamedTuple):
@@ -34,11 +37,12 @@ class Pull(NamedTuple):
     sum_N: float = 0.0  # of p in the block that is not finished
     ticks: float = 0.0  # in it
     means_N: tuple[float, ...] = (0.0,) * MEANS  # of the blocks before, the newest first
+    weight_N: float = 0.0  # along gravity
 
     @property
     def flat(self) -> tuple[float, ...]:
-        """For the log field `memory`: 3 + MEANS numbers."""
-        return (self.level_N, self.sum_N, self.ticks, *self.means_N)
+        """For the log field `memory`: 4 + MEANS numbers."""
+        return (self.level_N, self.sum_N, self.ticks, *self.means_N, self.weight_N)
 
     @property
     def climb_N(self) -> float:
@@ -51,10 +55,10 @@ NO_PULL: Final = Pull()
 
 
 def pull_of(flat: Sequence[float]) -> Pull:
-    """Inverse of `Pull.flat`; nothing from a row of a log that is older than this sense."""
+    """Inverse of `Pull.flat`; nothing from a row of a log that is older than this sense, or than its weight."""
     if not flat:
         return NO_PULL
-    return Pull(flat[0], flat[1], flat[2], tuple(flat[3 : 3 + MEANS]))
+    return Pull(flat[0], flat[1], flat[2], tuple(flat[3 : 3 + MEANS]), sum(flat[3 + MEANS : 4 + MEANS]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +68,7 @@ class Against:
     period_s: float
     level_N: float
     climb_N: float
+    down: tuple[float, float, float] = (0.0, 0.0, 0.0)  # gravity's direction, world axes; zero where there is none
     level_per_s: float = 15.0
 
     def advance(self, pull: Pull, wrench: Sequence[float], base: Sequence[float], v: Sequence[float]) -> Pull:
@@ -75,13 +80,20 @@ class Against:
             along = (v[0], v[1], v[2], weight * v[3], weight * v[4], weight * v[5])
             p = -sum(a * b for a, b in zip(wrench, along, strict=True)) / size
             q = p + sum(a * b for a, b in zip(base, along, strict=True)) / size
-        level = pull.level_N + self.period_s * self.level_per_s * (q - pull.level_N)
+        gain, (x, y, z) = self.period_s * self.level_per_s, self.down
+        level = pull.level_N + gain * (q - pull.level_N)
+        sunk = x * (wrench[0] - base[0]) + y * (wrench[1] - base[1]) + z * (wrench[2] - base[2])
+        weight_N = pull.weight_N + gain * (sunk - pull.weight_N)
         total, ticks = pull.sum_N + p, pull.ticks + 1.0
         if ticks + 0.5 < BLOCK_S / self.period_s:
-            return Pull(level, total, ticks, pull.means_N)
-        return Pull(level, 0.0, 0.0, (total / ticks, *pull.means_N[:-1]))
+            return Pull(level, total, ticks, pull.means_N, weight_N)
+        return Pull(level, 0.0, 0.0, (total / ticks, *pull.means_N[:-1]), weight_N)
+
+    def weighs(self, pull: Pull) -> bool:
+        """Whether something hangs on the object; what is no number does."""
+        return not pull.weight_N <= self.level_N
 
     def tripped(self, pull: Pull) -> bool:
-        """Whether the level is above its limit, or above half of it and climbs; what is no number is."""
+        """Whether the level or the weight is above its limit, or a part of the level that climbs; no number is."""
         climbs = not pull.climb_N <= self.climb_N
-        return not pull.level_N <= (WITH_CLIMB * self.level_N if climbs else self.level_N)
+        return not pull.level_N <= (WITH_CLIMB * self.level_N if climbs else self.level_N) or self.weighs(pull)

@@ -55,9 +55,14 @@ def causes(f: Vector, limit_N: float, v: Sequence[float], gravity: Sequence[floa
     return tuple(found) or (Cause.PUSH,)
 
 
-def behind(f: Vector, v: Sequence[float], gravity: Sequence[float]) -> tuple[Cause, ...]:
-    """What fits where something pulls against the motion: the unexpected force f (3,) tells what else it may be."""
+def behind(f: Vector, v: Sequence[float], gravity: Sequence[float], *, weighs: bool) -> tuple[Cause, ...]:
+    """What fits where something pulls down (`weighs`) or against the motion.
+
+    The unexpected force f (3,) tells what else it may be.
+    """
     found = tuple(c for c in causes(f, 0.0, v, gravity) if c is not Cause.PUSH)
+    if weighs:
+        return (Cause.WEIGHT, *(c for c in found if c is not Cause.WEIGHT))
     return found if Cause.BACK in found else (*found, Cause.BACK)
 
 

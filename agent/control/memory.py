@@ -43,7 +43,7 @@ class Memory(NamedTuple):
         """The numbers of the log field `memory`.
 
         Joint arrays padded to seven, None as zeros; pose to hold (7), primed, time, shift (6), calm, age; of `sense`
-        the wrenches (6), `ticks` and the pull against the motion (13).
+        the wrenches (6), `ticks` and the pull against the motion and down (14).
         """
         own, sense, n = self[:6], self.sense, len(self.q)
         joints = np.zeros((JOINT_ARRAYS, MEMORY_JOINTS))

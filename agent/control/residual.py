@@ -110,8 +110,12 @@ class Residual:
         return Channels(math.hypot(*fast[:3]), math.hypot(*fast[3:]), math.hypot(*slow[:3]), math.hypot(*slow[3:]))
 
     def pulled(self, sense: Sense) -> bool:
-        """Whether something pulls this arm back against the motion."""
+        """Whether something pulls this arm back against the motion, or down."""
         return self.against is not None and self.against.tripped(sense.pull)
+
+    def weighed(self, sense: Sense) -> bool:
+        """Whether something pulls this arm down."""
+        return self.against is not None and self.against.weighs(sense.pull)
 
     def tripped(self, found: Channels) -> bool:
         """Whether any channel is above its limit; a channel that is no number is."""

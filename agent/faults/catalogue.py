@@ -37,6 +37,7 @@ class Group(enum.StrEnum):
     CONFIGURATION = "configuration"
     NUMERIC = "numeric"
     PHYSICAL = "physical"
+    REHEARSAL = "rehearsal"
     TOGETHER = "together"
 
 
@@ -51,6 +52,7 @@ class Within(Strict):
     sag_m: Bound | None = None
     moved_rad: Bound | None = None  # an arm with the fault, until its servos' watchdog
     speed_rad_per_s: Bound | None = None
+    apart_rad: Bound | None = None  # a joint of an arm in the loop, and its twin's
     others_rad_per_s: Bound | None = None  # of the arms without a fault
     fall_m_per_s: Bound | None = None
 
@@ -64,6 +66,7 @@ class Within(Strict):
             "sag_m": "sag ≤ {:g} m",
             "moved_rad": "joints ≤ {:g} rad until the watchdog",
             "speed_rad_per_s": "joints ≤ {:g} rad/s",
+            "apart_rad": "arm and twin ≤ {:g} rad apart",
             "others_rad_per_s": "the others' joints ≤ {:g} rad/s",
             "fall_m_per_s": "the object falls at ≤ {:g} m/s",
         }

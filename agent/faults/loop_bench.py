@@ -26,7 +26,6 @@ from agent.telemetry.row.fill import AgentRow
 from drivers.dynamixel.arm_map import WATCHDOG_S
 from drivers.interface import Driver
 from sim_backend.hil.driver import BridgeDriver
-from sim_backend.physics.lone import LoneArm
 from sim_backend.physics.plant import Observation
 from sim_backend.wire.cell import EmulatedCell
 from sim_backend.wire.lone_world import emulate_alone
@@ -68,7 +67,8 @@ class LoopBench(Bench):
             what = "gone" if fault.kind is Kind.OFF else "killed"
             return lambda: setattr(plant, what, True), lambda: setattr(plant, what, False)
         if fault.target is Target.HAND and lone is not None:
-            return _lifted(lone, fault.amount)
+            wrench = self._against(fault)
+            return lambda: lone.touch(wrench), lambda: lone.touch(np.zeros(6))
         if (fault.target, fault.kind) == (Target.ARM, Kind.STUCK) and lone is not None:
             return lambda: lone.brake(SEIZED_Nms_RAD), lambda: None
         return None
@@ -77,6 +77,7 @@ class LoopBench(Bench):
         if arm not in self._lone:
             self._cell_plant.gone = True
             return
+        self._cell_plant.seats[arm].orphan()
         end_ns = self._clock.now_ns() + round(WATCHDOG_S * 1e9)
         self._agenda.append((end_ns, self._cell_plant.seats[arm].switch_off))
         self._agenda.sort(key=lambda entry: entry[0])
@@ -90,8 +91,3 @@ class LoopBench(Bench):
 
     def _sink(self, rows: Rows, row: AgentRow, driver: Driver) -> LoopLog:
         return BridgedRows(rows, row, driver) if isinstance(driver, BridgeDriver) else rows
-
-
-def _lifted(lone: LoneArm, force_N: float) -> tuple[Callable[[], None], Callable[[], None]]:
-    up = np.array([0.0, 0.0, force_N, 0.0, 0.0, 0.0])
-    return lambda: lone.touch(up), lambda: lone.touch(np.zeros(6))

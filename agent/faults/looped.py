@@ -49,7 +49,12 @@ class Seat:
         self.limits = TorqueCommand.of(spec.actuator)
         self.on = self.limp = False
         self.limp_ns: int | None = None
-        self.tau = np.zeros(len(spec.controlled))
+        self.tau = self.lasting = np.zeros(len(spec.controlled))
+
+    def orphan(self) -> None:
+        """The agent's process is gone: what lasts of its torque stays."""
+        if not self.limp:
+            self.tau = self.lasting
 
     def switch_off(self) -> None:
         """Torque off for good."""
@@ -154,10 +159,10 @@ class VirtualTwin:
         self._older.append(state)
         return self._older.pop(0) if len(self._older) > self._older_cycles else None
 
-    def command(self, tau_Nm: Vector) -> None:
-        """Torque (n,) from now on."""
+    def command(self, tau_Nm: Vector, lasting_Nm: Vector) -> None:
+        """Torque (n,) from now on, and what stays of it when the agent's process is gone."""
         if not self._seat.limp and self._chance.random() >= self._lost:
-            self._seat.tau = self._seat.limits(tau_Nm)
+            self._seat.tau, self._seat.lasting = self._seat.limits(tau_Nm), self._seat.limits(lasting_Nm)
 
     def limp(self) -> None:
         """Torque off for good."""

@@ -42,6 +42,7 @@ class Measured:
     others_rad_per_s: float  # of the fastest joint of an arm without a fault
     fall_m_per_s: float  # of the object, downwards
     torque_share: float  # of the largest torque allowed, of the joint with the most
+    apart_rad: float = 0.0  # of an arm in the loop and its twin, the joint with the most
 
     @property
     def reacted_s(self) -> float | None:
@@ -66,6 +67,7 @@ class Measured:
             "others_rad_per_s": _rounded(self.others_rad_per_s),
             "fall_m_per_s": _rounded(self.fall_m_per_s),
             "torque_share": _rounded(self.torque_share),
+            "apart_rad": _rounded(self.apart_rad),
         }
 
 
@@ -92,6 +94,7 @@ def measured(run: Rehearsal) -> Measured:
         others_rad_per_s=_others(run, t, onset),
         fall_m_per_s=_fall(run, t, onset),
         torque_share=max((_share(run.cell, name, arm, run, onset) for name, arm in run.arms.items()), default=0.0),
+        apart_rad=max((_apart(run.cell, name, arm, run, onset) for name, arm in run.arms.items()), default=0.0),
     )
 
 
@@ -204,6 +207,15 @@ def _share(cell: Cell, name: str, arm: ArmRun, run: Rehearsal, onset: float) -> 
     bound = own.tau_stall_Nm * cell.file.safety.tau_max_fraction_of_stall
     sent = np.abs(rows["tau_sent"][:, : own.n]) / bound
     return _largest(np.nan_to_num(sent[t >= onset]).ravel())
+
+
+def _apart(cell: Cell, name: str, arm: ArmRun, run: Rehearsal, onset: float) -> float:
+    rows, t = _timed(arm, run)
+    looped = cell.file.hil is not None and name in cell.file.hil.arms
+    if not (looped and len(rows)):
+        return 0.0
+    apart = np.abs(rows["q_twin"] - rows["q_measured"])[:, : cell.arm(name).n]
+    return _largest(np.nan_to_num(apart[t >= onset]).ravel())
 
 
 def _largest(values: Vector) -> float:

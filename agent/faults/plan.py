@@ -92,7 +92,9 @@ POSSIBLE: Final[Mapping[tuple[Target, Kind], Possible]] = MappingProxyType(
         (Target.OPERATOR, Kind.OFF): Possible("stops this arm alone"),
         (Target.PLANT, Kind.OFF): Possible("of a rehearsal: the simulated cell's process is gone"),
         (Target.PLANT, Kind.STUCK): Possible("of a rehearsal: the simulated cell stands still until the fault ends"),
-        (Target.HAND, Kind.STUCK): Possible("of a rehearsal: somebody lifts the real arm, so hard", "N", 5.0),
+        (Target.HAND, Kind.STUCK): Possible(
+            "of a rehearsal: somebody pushes the real arm against the motion, so hard", "N", 5.0
+        ),
     }
 )
 

@@ -11,25 +11,29 @@ from dataclasses import replace
 import numpy as np
 
 from agent.around import Beginning
+from agent.control.memory import Memory
 from agent.loop import Agent, initial_memory
-from agent.modes import TABLE, Mode
+from agent.modes import TABLE, Event, Mode
+from agent.phases import arrived
 from agent.replay.chain import Chain
 from agent.replay.tick import Rows, is_fresh, mode_of, state_at
 from agent.safety import Flag
+from agent.session_modes import next_in_session
 from drivers.interface import Vector
 
 ROWS = 64  # how far back a fresh state is looked for
 SAME_NM = 1e-3  # between what a row says was sent and what a servo says it holds
 
 
-def beginning(agent: Agent, rows: Rows, reason: str, marks: Flag = Flag.NONE) -> Beginning:
+def beginning(agent: Agent, rows: Rows, reason: str, marks: Flag = Flag.NONE, *, session: bool = False) -> Beginning:
     """The hold that follows these rows (k,), the last ones of the agent and without a gap.
 
     marks: GAP where so much time has passed that the pose is to be found anew, RESUMED where the arm had no torque.
+    session: the agent had one; an arm of it that held nothing stands as it is, without any share of the object.
     """
     rows = _commanded(rows)
     if not len(rows):
-        return Beginning(Mode.HOLD, initial_memory(agent), 0, 0, reason, marks)
+        return Beginning(Mode.REST if session else Mode.HOLD, initial_memory(agent), 0, 0, reason, marks)
     chain = Chain(agent)
     first = _last_fresh(rows) or 0
     chain.restore(rows[first])
@@ -38,8 +42,19 @@ def beginning(agent: Agent, rows: Rows, reason: str, marks: Flag = Flag.NONE) ->
         chain.pass_row(state_at(rows, i, agent.model.n), float(row["t"]), Mode(int(row["mode"])), int(row["flags"]))
     last = rows[-1]
     zero_ns = int(last["stamp_ns"]) - round(float(last["t"]) * 1e9)
-    held = f"{reason}; it held already" if mode_of(int(last["mode"])) is Mode.HOLD else reason
-    return Beginning(Mode.HOLD, chain.holding(marks), zero_ns, int(last["sequence"]) + 1, held, marks)
+    before = Mode(int(last["mode"]))
+    mode = stood_in(agent, before, chain.memory) if session else Mode.HOLD
+    held = f"{reason}; it held already" if before is Mode.HOLD else reason
+    return Beginning(mode, chain.standing(mode, marks), zero_ns, int(last["sequence"]) + 1, held, marks)
+
+
+def stood_in(agent: Agent, mode: Mode, memory: Memory | None) -> Mode:
+    """How an arm of a session that was in this mode stands: REST, HALT of one that holds nothing, else HOLD."""
+    events = Event.TROUBLE
+    gives_back = mode is Mode.RELEASE and agent.session is not None and memory is not None
+    if gives_back and not arrived(agent.session.life, mode, memory):  # type: ignore[union-attr, arg-type]
+        events |= Event.GRIPPED
+    return next_in_session(mode, events)
 
 
 def _commanded(rows: Rows) -> Rows:

@@ -37,10 +37,15 @@ class Adopts(Protocol):
         ...
 
 
-def go_on(agent: Agent, driver: Adopts, clock: Clock, rows: Rows, period_ns: int, reason: str) -> Beginning:
-    """Where the loop begins; rows: the last ones of the agent, which is dead.  Raises what `adopt` does."""
+def go_on(
+    agent: Agent, driver: Adopts, clock: Clock, rows: Rows, period_ns: int, reason: str, *, session: bool = False
+) -> Beginning:
+    """Where the loop begins; rows: the last ones of the agent, which is dead.  Raises what `adopt` does.
+
+    session: the agent had one.
+    """
     held = driver.adopt(last_speed(rows, agent.model.n))
     marks = Flag.RESUMED if driver.resumed else Flag.NONE
     if len(rows) and clock.now_ns() - int(rows[-1]["stamp_ns"]) > GAP_PERIODS * period_ns:
         marks |= Flag.GAP
-    return from_torque(beginning(agent, rows, reason, marks), rows, held)
+    return from_torque(beginning(agent, rows, reason, marks, session=session), rows, held)

@@ -13,9 +13,8 @@ from mcap.records import Attachment, Channel, Metadata, Schema
 from numpy.typing import NDArray
 
 from agent.log.cdr import text_of
-from agent.log.file import LIBRARY
 from agent.log.layout import OURS, differences, parse
-from agent.log.scan import LogScan, Messages, Run, library_of
+from agent.log.scan import LIBRARY, LogScan, Messages, Run, library_of
 from agent.telemetry.row.event import Event
 from agent.telemetry.row.health import Health
 from agent.telemetry.row.sample import Layout

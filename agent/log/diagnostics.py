@@ -88,7 +88,7 @@ def health(mode: int, wrong: Flag) -> Health:
     """A fault is an error; a hold, and whatever is wrong in another mode, a warning."""
     if mode == Mode.FAULT:
         return Health.ERROR
-    return Health.WARN if wrong or mode in (Mode.HOLD, Mode.LOWER) else Health.OK
+    return Health.WARN if wrong or mode in (Mode.HOLD, Mode.LOWER, Mode.STAND) else Health.OK
 
 
 def _names(flags: Flag) -> str:

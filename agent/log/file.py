@@ -22,10 +22,10 @@ from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
 from agent.log.chunk import Group
+from agent.log.scan import LIBRARY
 from agent.log.writer import BatchWriter, Records
 from drivers.interface import Refusal
 
-LIBRARY: Final = "widowx-coop"
 PROFILE: Final = "ros2"
 FLUSH_S: Final = 0.25
 SYNC_S: Final = 1.0

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 
-from agent.log.file import LIBRARY, LogFileError, lock
-from agent.log.scan import library_of
+from agent.log.file import LogFileError, lock
+from agent.log.scan import LIBRARY, library_of
 
 _HEAD_BYTES = 4096
 

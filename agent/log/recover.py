@@ -16,9 +16,9 @@ from typing import Any, BinaryIO, Final
 
 from mcap.records import Attachment, Channel, Metadata, Schema
 
-from agent.log.file import LIBRARY, PROFILE, LogFileError, lock
+from agent.log.file import PROFILE, LogFileError, lock
 from agent.log.read import RECOVERY, LogError
-from agent.log.scan import LogScan, Messages, library_of
+from agent.log.scan import LIBRARY, LogScan, Messages, library_of
 from agent.log.writer import BatchWriter
 
 SUFFIX: Final = ".repairing"

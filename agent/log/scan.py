@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from agent.log.chunk import HEAD, LOG_TIME_AT, RECORD_HEAD_BYTES, RecordCopy
 
+LIBRARY: Final = "widowx-coop"  # which the header of our logs names
 CHUNK_BYTES_MAX: Final = 1 << 28
 RECORD_BYTES_MAX: Final = 1 << 28
 _RECORD_HEAD: Final = struct.Struct("<BQ")

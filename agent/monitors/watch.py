@@ -22,7 +22,7 @@ from agent.safety import Flag
 from drivers.interface import JointState, ServoHealth
 
 HEALTH_S = 0.25
-_STOPS = frozenset({Mode.READY, Mode.TRACK, Mode.APPROACH, Mode.GRASP})  # in which everything is a reason to stop
+_STOPS = frozenset({Mode.READY, Mode.TRACK, Mode.APPROACH, Mode.GRASP, Mode.FLOAT})  # everything is a reason to stop
 _BACK = frozenset({Mode.LOWER, Mode.RELEASE, Mode.PARK})  # and in these the motion alone
 _OF_MOTION = frozenset({Name.SPEED, Name.POWER})
 

@@ -14,6 +14,7 @@ from drivers.dynamixel.servo.table import (
     HARDWARE_ERROR_STATUS,
     MAX_ID,
     PRESENT_INPUT_VOLTAGE,
+    PRESENT_POSITION,
     PRESENT_TEMPERATURE,
     SERVOS_BY_NUMBER,
     TORQUE_ENABLE,
@@ -24,6 +25,7 @@ from drivers.dynamixel.servo.units import volts
 from drivers.interface import Refusal
 
 ALL_BAUDS = tuple(sorted(BAUD_RATES.values(), key=lambda baud: (baud != 1_000_000, baud != 57_600, baud)))
+_ASKED = PRESENT_INPUT_VOLTAGE, PRESENT_TEMPERATURE, HARDWARE_ERROR_STATUS, TORQUE_ENABLE, PRESENT_POSITION
 _PING_BYTES, _SLOT_S, _HOST_S = 14, 3e-3, 0.02
 
 Tell = Callable[[str], None]
@@ -51,6 +53,7 @@ class ServoSeen:
     temperature_C: int | None = None
     hardware_error: HardwareError | None = None
     torque_on: bool | None = None
+    position_tick: int | None = None
     note: str = ""
 
     @property
@@ -133,15 +136,12 @@ def look(bus: Bus, port: str, ping: Ping) -> ServoSeen:
     if seen.model is None or not seen.model.registers:
         return seen
     try:
-        supply, celsius, errors, torque = (
-            bus.read(ping.servo_id, register)
-            for register in (PRESENT_INPUT_VOLTAGE, PRESENT_TEMPERATURE, HARDWARE_ERROR_STATUS, TORQUE_ENABLE)
-        )
+        supply, celsius, errors, torque, tick = (bus.read(ping.servo_id, register) for register in _ASKED)
     except (NoReplyError, RejectedError) as error:
         return ServoSeen(port, seen.baud, seen.servo_id, seen.model_number, seen.firmware, note=f"reads: {error.found}")
     return ServoSeen(
         port, seen.baud, seen.servo_id, seen.model_number, seen.firmware, volts(supply), celsius,
-        HardwareError(errors), bool(torque),
+        HardwareError(errors), bool(torque), tick,
     )  # fmt: skip
 
 

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final
 
-from agent.modes import Event, Mode
+from agent.modes import FLOATING, Event, Mode
 from agent.operator.table import EVENT_OF, Effect, Verb
 from agent.session import WORDS
 from agent.session_modes import next_in_session
@@ -40,6 +40,7 @@ _DOES: Final[Mapping[tuple[Verb, Mode], str]] = MappingProxyType({
     (Verb.STOP, Mode.HALT): "stops where it is, and opens its gripper",
     (Verb.CANCEL, Mode.HOLD): "holds: what is taken back had begun",
 })  # fmt: skip
+MODES: Final = tuple(mode for mode in Mode if mode not in FLOATING)
 _EVENT: Final = {**EVENT_OF, Verb.START: Event.STARTED}
 
 
@@ -70,14 +71,14 @@ def _way(mode: Mode) -> str:
 
 
 SESSION: Final[Mapping[Verb, Mapping[Mode, Effect]]] = MappingProxyType(
-    {verb: MappingProxyType({mode: _effect(verb, mode) for mode in Mode}) for verb in Verb}
+    {verb: MappingProxyType({mode: _effect(verb, mode) for mode in MODES}) for verb in Verb}
 )
 
 
 def markdown() -> str:
     """The words that are taken, by mode, as they stand in docs/session.md."""
     lines = ["| in | word | does | mode then |", "|---|---|---|---|"]
-    for mode in Mode:
+    for mode in MODES:
         for verb, row in SESSION.items():
             found = row[mode]
             plain = verb in (Verb.STATUS, Verb.CANCEL) or (verb is Verb.STOP and found.becomes is mode)

@@ -97,7 +97,10 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             ready("torque=on")
             if guard is not None:
                 fds, told = passed_on(driver)
-                guard.watch((ring.fileno(), texts.fileno(), *fds), tell.event, ring=str(options.ring), driver=told)
+                guard.watch(
+                    (ring.fileno(), texts.fileno(), *fds), tell.event, ring=str(options.ring), driver=told,
+                    session=options.whole,
+                )  # fmt: skip
             servos = ServoTeller(driver, texts, clock.utc_offset_ns, cell.file.rate_hz)
             runner = _runner(cell, options, driver, clock, ring, operator, notifier, servos, tell, standing)
             cpu_s = time.process_time()
@@ -154,7 +157,13 @@ def _runner(
         tell.trouble(reason)
         operator.trouble(reason)
 
-    around = Surroundings(time.perf_counter_ns, operator.events, operator.start_ns, beat, mode_changed, trouble)
+    def refused(reason: str) -> None:
+        tell.event(Level.WARN, reason)
+        operator.trouble(reason)
+
+    around = Surroundings(
+        time.perf_counter_ns, operator.events, operator.start_ns, beat, mode_changed, trouble, refused
+    )
     row = AgentRow(ring.row, arm.n, cell.config_id)
     agent, session = build_agent(cell, arm), None
     if options.whole:

@@ -27,12 +27,14 @@ from sim_backend.served.driver import SimDriver
 from sim_backend.served.standby import SimStandby
 
 __all__ = [
+    "EMULATED_READ_SHARE",
     "HOLD_RATE_MAX_RAD_PER_S",
     "Connection",
     "Standby",
     "build_agent",
     "build_driver",
     "build_standby",
+    "in_words",
     "passed_on",
     "port_of",
 ]
@@ -82,7 +84,7 @@ def build_driver(
     port = SerialPort(servos.port, servos.baud, clock, guard.borrow if guard else None)
     # emulated servos share the processor with everything else: a slow read there says nothing of a bus
     share = EMULATED_READ_SHARE if connection.emulated else READ_SHARE
-    driver = DynamixelDriver(servos, clock, on_event=_in_words(warn), read_share=share, port=port)
+    driver = DynamixelDriver(servos, clock, on_event=in_words(warn), read_share=share, port=port)
     if guard is not None:
         driver.before_recovery = guard.busy
     if not rehearses or connection.plant_socket is None:
@@ -126,7 +128,7 @@ def build_standby(
         sim.prepare(told["plant"], fds[0])
         return sim
     servos = arm_map(cell, arm, port.path, q_start)
-    driver = StandbyDriver(servos, MonotonicClock(), on_event=_in_words(warn), port=port)
+    driver = StandbyDriver(servos, MonotonicClock(), on_event=in_words(warn), port=port)
     driver.prepare(Handover(tuple(told["servos"])))
     return driver
 
@@ -142,7 +144,9 @@ def port_of(arm: Arm, connection: Connection) -> str:
     return port
 
 
-def _in_words(warn: Callable[[str], None]) -> EventSink:
+def in_words(warn: Callable[[str], None]) -> EventSink:
+    """Where a driver's events go: a sentence to `warn`."""
+
     def tell(event: DriverEvent) -> None:
         where = "" if event.servo_id is None else f" (servo {event.servo_id}, {event.joint})"
         warn(f"{event.kind.value}{where}: {event.text}")

@@ -46,13 +46,14 @@ def wiring(arm: Arm, index: int, baud: int) -> ArmWiring:
 def run_emulate_alone(
     cell: Cell, options: ServeOptions, *, timing: bool, stop: StopFlag, ready: Callable[[str], None]
 ) -> str:
-    """Serve the arms that [hil] names, each on its own and holding nothing; the plant is another process.
+    """Serve the arms that [hil] or [floating] names, each on its own and holding nothing.
 
     Arguments and errors as of `run_emulate`.
     """
     report = examine(cell)
     report.require()
-    chosen = [(i, arm) for i, arm in enumerate(cell.arms) if in_the_loop(cell, arm.name)]
+    floating = cell.file.floating.arms if cell.file.floating is not None else ()
+    chosen = [(i, a) for i, a in enumerate(cell.arms) if in_the_loop(cell, a.name) or a.name in floating]
     arms = [(i, wiring(arm, place, arm.baud)) for place, (i, arm) in enumerate(chosen)]
     emulated, _ = emulate_alone(lone_spec(cell, report.q_start), arms, timing=BusTiming() if timing else None)
     ports = {arm.name: options.ports[arm.name] for _, arm in chosen}

@@ -37,6 +37,7 @@ from agent.process.agent import ArmLost
 from agent.process.build import Standby, build_agent, build_standby, port_of
 from agent.process.operated import Operator, tick_of
 from agent.process.schedule import AgentOptions, schedule_of
+from agent.process.session import led_back
 from agent.process.tellers import HEARTBEAT_S, Heart, ServoTeller, Teller
 from agent.runner import Runner, RunSummary, Surroundings
 from agent.telemetry.row.event import Level
@@ -94,6 +95,7 @@ class _Guard:
         stack.callback(self._close_port)
         self._line = stack.enter_context(GuardEnd(options.socket, cell.fingerprint))
         self._told, self._drivers = dict[str, Any](), tuple[int, ...]()  # by the agent: of its driver
+        self._session = False  # whether the agent goes from rest to rest
         self._watched: Watched | None = None
         self._driver: Standby | None = None
         self._tell: Teller | None = None
@@ -156,7 +158,7 @@ class _Guard:
             return f"the agent hung (no row for {watched.vigil.still_ns * 1e-6:.0f} ms) and was ended"
         if not watched.rehearsed and watched.reader.written >= REHEARSE_AT:
             watched.rehearsed = True
-            beginning(self._agent, watched.last_rows(), "")
+            beginning(self._agent, watched.last_rows(), "", session=self._session)
         return ""
 
     def _answer(self, said: Said, now_ns: int) -> None:
@@ -198,7 +200,7 @@ class _Guard:
         vigil = Vigil(self._stale_ns, WATCH_NS)
         own, self._drivers = said.fds[:DESCRIPTORS], said.fds[DESCRIPTORS:]
         try:
-            self._told = dict(said.content["driver"])
+            self._told, self._session = dict(said.content["driver"]), bool(said.content.get("session"))
             self._driver = self._prepared()
         except BaseException:
             close_all(own)
@@ -233,7 +235,7 @@ class _Guard:
     # --- without an agent -----------------------------------------------------------------------------------------
 
     def _hold(self, watched: Watched, driver: Standby, reason: str) -> RunSummary:
-        """Go on in HOLD until a release.  Raises AdoptError, ArmLost."""
+        """Go on in HOLD, or as a session stands there, until a release.  Raises AdoptError, ArmLost."""
         options, arm = self._options.agent, self._arm
         watched.inherit()
         rows = watched.last_rows()
@@ -252,7 +254,7 @@ class _Guard:
             if control is not None:
                 stack.callback(control.close)
             try:
-                begun = go_on(self._agent, driver, clock, rows, self._cell.period_ns, reason)
+                begun = go_on(self._agent, driver, clock, rows, self._cell.period_ns, reason, session=self._session)
             except Refusal as error:
                 tell.event(Level.ERROR, str(error))
                 raise
@@ -260,12 +262,13 @@ class _Guard:
             stack.callback(driver.disable)
             black_box = self._black_box(watched.ring, reason)
             stack.callback(black_box.finish)
-            around = self._around(control, driver, watched, clock, tell, black_box)
+            session = led_back(self._cell, arm, self._agent, driver, begun, standing) if self._session else None
+            around = self._around(control, driver, watched, clock, tell, black_box, begun.mode)
             schedule = replace(schedule_of(self._cell, options), hold_at_end=True)
             row = AgentRow(watched.writer.row, arm.n, self._cell.config_id)
             watch = Watch(monitors.bounds(self._cell, arm), tell.warn)
             cpu_s = time.process_time()
-            runner = Runner(self._agent, driver, clock, schedule, row, watched.writer, around, watch, begun)
+            runner = Runner(self._agent, driver, clock, schedule, row, watched.writer, around, watch, begun, session)
             summary = runner.run()
             tell.end(summary, time.process_time() - cpu_s)
         self._notifier.stopping("torque off")
@@ -277,24 +280,28 @@ class _Guard:
 
     def _around(
         self, control: ControlSocket | None, driver: Standby, watched: Watched, clock: MonotonicClock,
-        tell: Teller, black_box: BlackBox,
+        tell: Teller, black_box: BlackBox, begins: Mode,
     ) -> Surroundings:  # fmt: skip
         rate_hz = self._cell.file.rate_hz
         heart = Heart(self._notifier, rate_hz)
         servos = ServoTeller(driver, watched.texts, clock.utc_offset_ns, rate_hz)
         agent = self._options.agent
-        operator = Operator(self._stop, control, clock, tell.event, drops_on_stop=not agent.hold)
+        operator = Operator(self._stop, control, clock, tell.event, drops_on_stop=not agent.hold, session=self._session)
         fixed = {"pid": os.getpid(), "driver": agent.driver.value, "guard": HOLDS}
         if control is not None:
             control.standing.details = lambda: {**fixed, "tick": tick_of(watched.writer)}
-        heart.mode(Mode.HOLD)
+        heart.mode(begins)
+
+        def mode_changed(mode: Mode) -> None:
+            heart.mode(mode)
+            operator.mode(mode)
 
         def beat() -> None:
             heart.beat()
             servos.beat()
             black_box.beat()
 
-        return Surroundings(time.perf_counter_ns, operator.events, lambda: None, beat, heart.mode, tell.trouble)
+        return Surroundings(time.perf_counter_ns, operator.events, lambda: None, beat, mode_changed, tell.trouble)
 
     def _black_box(self, ring: Path, reason: str) -> BlackBox:
         """The post-mortem of what happened before this hold; none of a hand-over that was asked for."""

@@ -7,8 +7,10 @@ from agent.log.scene import Pose, Scene, SceneArm
 
 
 def scene_of(cell: CellFiles) -> Scene:
-    """What viewers must know of the cell beside its rows."""
-    return Scene(cell.file.name, tuple(_arm(arm) for arm in cell.arms), cell.file.world.gravity_m_per_s2)
+    """What viewers must know of the cell beside its rows; where arms float, of those alone, for no other has rows."""
+    spec = cell.file.floating
+    arms = [arm for arm in cell.arms if spec is None or arm.name in spec.arms]
+    return Scene(cell.file.name, tuple(_arm(arm) for arm in arms), cell.file.world.gravity_m_per_s2)
 
 
 def _arm(arm: ArmFiles) -> SceneArm:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from agent import floats
 from agent.control.adaptation import from_row
 from agent.control.memory import Memory, restore
 from agent.loop import Agent, Outcome, afresh, blind, hold_after, initial_memory, step, wait_here
-from agent.modes import Mode
+from agent.modes import FLOATING, Mode
 from agent.safety import Flag
 from agent.session import entered
 from drivers.interface import JointState, Vector
@@ -58,9 +59,14 @@ class Chain:
         self._memory, self._mode, self._outcome = outcome.memory, mode, None if stale else outcome
         return memory, outcome
 
-    def holding(self, marks: Flag) -> Memory:
-        """The memory with which a hold begins behind the last row; marks: of its first row."""
-        return self._entered(Mode.HOLD, None, marks)
+    @property
+    def memory(self) -> Memory | None:
+        """Behind the last row."""
+        return self._memory
+
+    def standing(self, mode: Mode, marks: Flag) -> Memory:
+        """The memory with which an arm stands in this mode behind the last row; marks: of its first row there."""
+        return self._entered(mode, None, marks)
 
     def _entered(self, mode: Mode, q: Vector | None, marks: Flag) -> Memory:
         """The memory with which a row of this mode begins; q: measured, None without a fresh state."""
@@ -68,7 +74,11 @@ class Chain:
             raise AssertionError("neither started nor restored")
         memory = self._memory
         if self._mode is not None and mode is not self._mode:
-            if self._agent.session is not None:
+            if self._agent.floating is not None and mode in FLOATING:
+                last = self._outcome
+                seen = None if last is None else (last.q, last.dq)
+                memory = floats.entered(self._agent.floating, mode, memory, seen)
+            elif self._agent.session is not None:
                 memory = entered(self._agent, mode, memory, self._outcome)
             elif mode is Mode.HOLD and self._outcome is not None:
                 memory = hold_after(self._agent, self._outcome)
@@ -76,5 +86,5 @@ class Chain:
                 memory = memory._replace(hold=None, q_hold=None)
         memory = afresh(memory, marks)
         if mode is not Mode.TRACK and memory.hold is None and q is not None:
-            memory = wait_here(self._agent, q, memory)
+            memory = wait_here(self._agent, q, memory, mode)
         return memory

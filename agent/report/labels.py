@@ -48,13 +48,14 @@ def _label(ax: Axes, end: float, height: float, curve: Line2D, name: str) -> Non
     """From the end of a curve, in parts of the panel's height, to its name at another height."""
     width_in = _size_in(ax)[0]
     begin, until = (1.0 + way / width_in for way in (LEADER_IN, LEADER_IN + SAMPLE_IN))
-    look: dict[str, Any] = {"color": curve.get_color(), "transform": ax.transAxes, "clip_on": False}
+    leader = Line2D([1.0, begin], [end, height], linewidth=0.6, color=curve.get_color())
+    sample = Line2D([begin, until], [height, height], linewidth=1.5, color=curve.get_color())
+    sample.set_linestyle(_dashes(curve))
     figure = ax.get_figure(root=True)
     assert figure is not None
-    figure.add_artist(Line2D([1.0, begin], [end, height], linewidth=0.6, **look))
-    sample = Line2D([begin, until], [height, height], linewidth=1.5, **look)
-    sample.set_linestyle(_dashes(curve))
-    figure.add_artist(sample)
+    for mark in (leader, sample):
+        mark.set(transform=ax.transAxes, clip_on=False)
+        figure.add_artist(mark)
     ax.annotate(
         name, (until, height), xycoords="axes fraction", xytext=(72.0 * GAP_IN, 0), textcoords="offset points",
         ha="left", va="center", fontsize=NAME_SIZE, annotation_clip=False,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 import numpy as np
 
 from agent.log.columns import Table
-from agent.modes import Mode
+from agent.modes import FLOATING, Mode
 from agent.report.quantity import Unit
 from agent.report.series import attitude_error
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from agent.log.read import AnyLog
 
 NAN: Final = float("nan")
-_OF_SESSION: Final = frozenset(mode for mode in Mode if mode > Mode.FAULT)
+_OF_SESSION: Final = frozenset(mode for mode in Mode if mode > Mode.FAULT) - FLOATING
 _OUTCOME: Final[Mapping[tuple[Mode, Mode], str]] = {
     (Mode.REST, Mode.APPROACH): "left",
     (Mode.APPROACH, Mode.GRASP): "at the grasp",

@@ -1,4 +1,4 @@
-"""A simulated cell in one process: its plant as it is and `agent.loop.step` of each arm, without sockets or a log.
+"""A simulated cell in one process: its plant, and `agent.loop.step` and monitors of each arm, no sockets and no log.
 
 Order of events, support at the start, clocks and delays are those of a lockstep run, and so is the motion, bit for bit.
 """
@@ -30,6 +30,7 @@ from sim_backend.physics.delay import DelayLine, stretches
 from sim_backend.physics.plant import Observation
 
 TROUBLE: Final = Flag.NOT_FINITE | Flag.SINGULAR | Flag.OFF_TRACK | Flag.UNEXPECTED
+_TROUBLE: Final = int(TROUBLE)  # asking a flag for another one takes 0.5 µs
 NS: Final = 1e-9
 SEIZED_Nms_RAD: Final = 200.0  # viscous friction of a seized joint: it creeps by 5 mrad/s per N·m
 
@@ -41,6 +42,7 @@ class Laboratory:
         self.cell = cell
         self.q_start = start_configurations(cell, [cell.model(arm) for arm in cell.arms])
         self.agents: tuple[Agent, ...] = tuple(build_agent(cell, arm) for arm in cell.arms)
+        self.bounds = tuple(monitors.bounds(cell, arm) for arm in cell.arms)
         self.stall_Nm = np.concatenate([arm.tau_stall_Nm for arm in cell.arms])
 
 
@@ -52,19 +54,34 @@ class Trip:
     arm: str
     flags: Flag
     why: str = ""  # of an unexpected wrench: what may be behind it
+    monitor: str = ""  # what the monitor that stopped it says, its name first
+
+    @property
+    def by(self) -> str:
+        """What stopped the arm: its flags, or its monitor."""
+        wrong = self.flags & TROUBLE
+        return str(wrong.name) if wrong else self.monitor.partition(":")[0]
+
+    @property
+    def told(self) -> str:
+        """For a person."""
+        words = f"{self.flags!r} {self.why}".rstrip() if self.flags & TROUBLE else self.monitor
+        return f"t = {self.t:.3f} s: arm {self.arm} {words}"
 
 
 class Place:
     """One arm of a run: its agent, what it remembers, and its torque on the way."""
 
-    def __init__(self, agent: Agent, joints: slice, command: TorqueCommand, line: DelayLine, skew_ns: int) -> None:
+    def __init__(
+        self, agent: Agent, joints: slice, command: TorqueCommand, line: DelayLine, skew_ns: int, watch: Watch
+    ) -> None:
         self.agent, self.joints, self.line = agent, joints, line
+        self.watch: Watch | None = watch
+        self.said = ""  # by the monitor that stopped it
         self.mode = Mode.TRACK
         self.memory: Memory = initial_memory(agent)
         self.outcome: Outcome | None = None  # of the last cycle
         self.limp = False
-        self.watch: Watch | None = None
-        self.found = ""  # by the monitors, in the last cycle
         self._command = command
         self._skew_ns = skew_ns
 
@@ -79,8 +96,11 @@ class Place:
         outcome = step(self.agent, state, (state.stamp_ns - zero_ns) * NS, self.mode, self.memory)
         self.memory, self.outcome = outcome.memory, outcome
         if self.watch is not None:
-            self.found = self.watch.after(state, outcome, self.mode, lambda: ServoHealth.none(stamp_ns))
-        if outcome.flags & TROUBLE or self.found:
+            said = self.watch.after(state, outcome, self.mode, lambda: ServoHealth.none(stamp_ns))
+            if said:
+                self.said = said
+                happened |= Event.TROUBLE
+        if int(outcome.flags) & _TROUBLE:
             happened |= Event.TROUBLE
         if happened:
             self._change_mode(happened, outcome)
@@ -99,10 +119,8 @@ class Place:
 class Run:
     """One run of a laboratory's cell in one reality, tick by tick."""
 
-    def __init__(
-        self, lab: Laboratory, reality: Reality | None, faults: Sequence[Fault] = (), *, watched: bool = False
-    ) -> None:
-        """reality None: as the cell file says; watched: by the arms' monitors too.  Raises PlantError, ConfigError."""
+    def __init__(self, lab: Laboratory, reality: Reality | None, faults: Sequence[Fault] = ()) -> None:
+        """reality None: as the cell file says.  Raises PlantError, ConfigError."""
         file = lab.cell.file
         self.plant = build_plant(plant_spec(lab.cell, lab.q_start, reality))
         self.period_ns = lab.cell.period_ns
@@ -112,11 +130,12 @@ class Run:
         self.peak_Nm = np.zeros(self.plant.joint_count)  # largest torque sent so far
         spec, self._substeps = self.plant.spec, file.simulation.substeps_per_cycle
         self.places = []
-        for i, (agent, arm, joints) in enumerate(zip(lab.agents, spec.arms, self.plant.slices, strict=True)):
+        each = zip(lab.agents, spec.arms, self.plant.slices, lab.bounds, strict=True)
+        for i, (agent, arm, joints, bounds) in enumerate(each):
             line = DelayLine.of(arm.actuator, spec.substep_s, self._substeps, i)
-            place = Place(agent, joints, TorqueCommand.of(arm.actuator), line, round(arm.skew_s * 1e9))
+            skew_ns, watch = round(arm.skew_s * 1e9), Watch(bounds)
+            place = Place(agent, joints, TorqueCommand.of(arm.actuator), line, skew_ns, watch)
             place.mode = Mode.READY if self.ready_ticks else Mode.TRACK
-            place.watch = Watch(monitors.bounds(lab.cell, lab.cell.arms[i])) if watched else None
             self.places.append(place)
         self._parts = stretches([p.line for p in self.places], self._substeps)
         self._support = max(p.line.first_substep for p in self.places)
@@ -144,8 +163,8 @@ class Run:
             tau = place.cycle(stamp_ns, zero_ns, reported, happened)
             if place.mode is Mode.HOLD and before is not Mode.HOLD and Event.STOP not in happened:
                 assert place.outcome is not None
-                why = explained(place.agent, place.outcome) or place.found
-                self.trips.append(Trip(self.t, place.agent.name, place.outcome.flags, why))
+                why = explained(place.agent, place.outcome)
+                self.trips.append(Trip(self.t, place.agent.name, place.outcome.flags, why, place.said))
             place.line.push(self.tick, tau)
             peak = self.peak_Nm[place.joints]
             np.maximum(peak, np.abs(tau), out=peak)

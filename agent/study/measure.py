@@ -9,8 +9,10 @@ from typing import Final
 
 import numpy as np
 
+from agent.config.cell import Cell
 from agent.config.reality import draw
 from agent.config.schema.reality import Reality
+from agent.config.schema.tolerance import PLANAR_JOINTS
 from agent.control.quaternion import angle_between
 from agent.report.series import internal_wrenches
 from agent.study.fault import Fault
@@ -26,6 +28,17 @@ ATTITUDE_BEYOND_ANCHOR_RAD: Final = 6e-3
 FORCE_PLANAR_N: Final = 1.0
 FORCE_SPATIAL_N: Final = 4.0
 PEAK_FRACTION: Final = 0.5  # of stall
+
+
+def bounds_of(cell: Cell) -> dict[str, float]:
+    """What a run of the cell must not exceed, by figure."""
+    planar = all(arm.n <= PLANAR_JOINTS for arm in cell.arms)
+    return {
+        "position_beyond_anchor_m": POSITION_BEYOND_ANCHOR_M,
+        "attitude_beyond_anchor_rad": ATTITUDE_BEYOND_ANCHOR_RAD,
+        "internal_force_mean_N": FORCE_PLANAR_N if planar else FORCE_SPATIAL_N,
+        "peak_torque_fraction": PEAK_FRACTION,
+    }
 
 
 @dataclass(frozen=True)
@@ -50,6 +63,7 @@ class RunResult:
     internal_force_max_N: float
     peak_torque_fraction: float  # of stall, of the joint and instant with the largest; the whole run
     reaction_s: float | None  # from the first fault to the first other arm that trips; None: no fault, or nobody did
+    tripped_by: str  # flags of the first trip, or the monitor that stopped the arm; empty without one
     why: str  # it was lost, or the first trip; empty without one
 
 
@@ -60,14 +74,13 @@ def run_once(lab: Laboratory, index: int, seed: int, faults: Sequence[Fault] = (
 
 
 def measure(
-    lab: Laboratory, reality: Reality | None, index: int = 0, seed: int = 0, faults: Sequence[Fault] = (),
-    *, watched: bool = False,
-) -> RunResult:  # fmt: skip
+    lab: Laboratory, reality: Reality | None, index: int = 0, seed: int = 0, faults: Sequence[Fault] = ()
+) -> RunResult:
     """Run the cell in this reality (None: as its file says) and measure.  Raises Refusal.
 
-    watched: by the arms' monitors too, whose trips count as those of noticing do.
+    Trips of the arms' monitors count as those of noticing do.
     """
-    run, seen = Run(lab, reality, faults, watched=watched), _Seen(lab)
+    run, seen = Run(lab, reality, faults), _Seen(lab)
     file = lab.cell.file
     every = max(1, round(file.rate_hz / file.simulation.observe_rate_hz))
     ticks = run.ready_ticks + round(file.duration_s * file.rate_hz)
@@ -134,30 +147,28 @@ class _Seen:
             settled = np.ones(len(seen), dtype=bool)
         _, off_m, off_rad, own_m, own_rad = seen[settled].T
         force = self._internal_force_N()[settled]
-        position, attitude = _largest(off_m - own_m), _largest(off_rad - own_rad)
-        peak = float((run.peak_Nm / lab.stall_Nm).max())
-        mean_N = float(force.mean()) if len(force) else 0.0
-        bound_N = FORCE_SPATIAL_N if lab.agents[0].model.plane_normal is None else FORCE_PLANAR_N
-        good = position <= POSITION_BEYOND_ANCHOR_M and attitude <= ATTITUDE_BEYOND_ANCHOR_RAD
-        good &= mean_N <= bound_N and peak <= PEAK_FRACTION
+        bounded = {
+            "position_beyond_anchor_m": _largest(off_m - own_m),
+            "attitude_beyond_anchor_rad": _largest(off_rad - own_rad),
+            "internal_force_mean_N": float(force.mean()) if len(force) else 0.0,
+            "peak_torque_fraction": float((run.peak_Nm / lab.stall_Nm).max()),
+        }
+        kept = all(bounded[figure] <= bound for figure, bound in bounds_of(lab.cell).items())
         return RunResult(
             cell=file.name,
             index=index,
             seed=seed,
             lost=bool(lost),
             tripped=trip is not None,
-            within_bounds=good and not lost and trip is None,
+            within_bounds=kept and not lost and trip is None,
             tracked_s=max(0.0, until_s),
             position_error_m=max(_largest(off_m), LOST_M if lost else 0.0),
             attitude_error_rad=_largest(off_rad),
-            position_beyond_anchor_m=position,
-            attitude_beyond_anchor_rad=attitude,
-            internal_force_mean_N=mean_N,
             internal_force_max_N=_largest(force),
-            peak_torque_fraction=peak,
             reaction_s=_reaction_s(run, faults),
-            why=lost
-            or ("" if trip is None else f"t = {trip.t:.3f} s: arm {trip.arm} {trip.flags!r} {trip.why}".rstrip()),
+            tripped_by="" if trip is None else trip.by,
+            why=lost or ("" if trip is None else trip.told),
+            **bounded,
         )
 
     def _internal_force_N(self) -> Vector:

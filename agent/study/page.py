@@ -16,7 +16,7 @@ from agent.config.cell import Cell
 from agent.report.page import STYLE
 from agent.report.plotting import BLUE, RED, panels, save_png, styled
 from agent.study.measure import RunResult
-from agent.study.summary import FIGURES, QUANTILES, Influence
+from agent.study.summary import FIGURES, PROMISED, QUANTILES, Influence, verdict
 
 SHOWN: Final = 12  # influences in the table
 DRAWN: Final = (  # figure, its axis, factor
@@ -34,6 +34,7 @@ def render(title: str, parts: Sequence[tuple[Cell, Sequence[RunResult], dict[str
         body += [
             f"<h2>{escape(cell.file.name)}</h2>",
             f'<p class="dim">{escape(_about(cell, found))}</p>',
+            f"<p>{escape(verdict(found))}</p>",
             _counts(found),
             _quantiles(found),
             _picture(cell.file.name, _distribution(results)),
@@ -66,11 +67,11 @@ def _counts(found: dict[str, Any]) -> str:
 
 
 def _quantiles(found: dict[str, Any]) -> str:
-    head = "".join(f"<th>{q} %</th>" for q in QUANTILES)
-    body = "".join(
-        f"<tr><td>{figure}</td>" + "".join(f"<td>{_number(found[figure][str(q)])}</td>" for q in QUANTILES) + "</tr>"
-        for figure in FIGURES
-    )
+    head = "".join(f"<th>{q} %</th>" for q in QUANTILES) + f"<th>bound of {PROMISED} %</th>"
+    body = ""
+    for figure in FIGURES:
+        values = "".join(f"<td>{_number(found[figure][str(q)])}</td>" for q in QUANTILES)
+        body += f"<tr><td>{figure}</td>{values}<td>{_number(found['bounds'].get(figure))}</td></tr>"
     return f"<table><thead><tr><th>not above, in so many of the runs</th>{head}</tr></thead>{body}</table>"
 
 

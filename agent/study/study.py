@@ -22,7 +22,7 @@ from agent.study.measure import RunResult
 from agent.study.page import render
 from agent.study.plan import Plan, Task
 from agent.study.store import RUNS_FILE, Store
-from agent.study.summary import errors_of, influences, summary, worst
+from agent.study.summary import errors_of, influences, judged, summary, worst
 from agent.verify.check import examine
 
 SCHEMA: Final = 1  # of study.json; grows when a key changes its meaning
@@ -79,15 +79,16 @@ def _write(plan: Plan, out: Path, results: Sequence[Sequence[RunResult]]) -> dic
     """Every file of the results, and the content of study.json.  Raises WriteError."""
     together = [r for some in results for r in some]
     parts = [
-        (cell, some, summary(some), influences(cell, some))
+        (cell, some, found | judged(cell, found), influences(cell, some))
         for cell, some in zip(plan.cells, results, strict=True)
-        if some
+        if some and (found := summary(some))
     ]
     document = {
         "schema": SCHEMA,
         "seed": plan.seed,
         "wanted": plan.runs * len(plan.cells),
         **summary(together),
+        "holds": bool(parts) and all(found["holds"] for _, _, found, _ in parts),
         "cells": {
             cell.file.name: {
                 "fingerprint": cell.fingerprint,

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any, Final
@@ -13,7 +14,7 @@ from scipy.stats import rankdata
 from agent.config.cell import Cell
 from agent.config.reality import draw
 from agent.config.schema.reality import Reality
-from agent.study.measure import RunResult
+from agent.study.measure import RunResult, bounds_of
 from drivers.interface import Vector
 
 QUANTILES: Final = (50, 95, 100)  # %
@@ -27,6 +28,7 @@ FIGURES: Final = (
     "peak_torque_fraction",
     "reaction_s",
 )
+PROMISED: Final = "95"  # % of the runs in which a cell's figures are to be within bounds
 LEAST_RUNS: Final = 8  # a rank correlation of fewer says nothing
 
 
@@ -45,8 +47,34 @@ def summary(results: Sequence[RunResult]) -> dict[str, Any]:
         "runs": len(results),
         "lost": sum(r.lost for r in results),
         "tripped": sum(r.tripped for r in results),
+        "tripped_by": dict(Counter(sorted(r.tripped_by for r in results if r.tripped))),
         "within_bounds": sum(r.within_bounds for r in results),
     } | {figure: _quantiles([getattr(r, figure) for r in results]) for figure in FIGURES}
+
+
+def judged(cell: Cell, found: Mapping[str, Any]) -> dict[str, Any]:
+    """Whether the cell keeps its bounds: nothing lost, nothing tripped, and 95 % of the runs below each bound.
+
+    found: the summary of its runs.  `missed` names what it does not keep.
+    """
+    bounds = bounds_of(cell)
+    missed = [key for key in ("lost", "tripped") if found[key]]
+    missed += [figure for figure, bound in bounds.items() if not _kept(found[figure][PROMISED], bound)]
+    return {"bounds": bounds, "missed": missed, "holds": not missed}
+
+
+def verdict(found: Mapping[str, Any]) -> str:
+    """Whether a cell keeps its bounds, in words; found: its summary with what `judged` says."""
+    if found["holds"]:
+        return f"holds: {found['runs']} runs, none lost, none tripped, {PROMISED} % of them below every bound"
+    by = ", ".join(f"{name} {count}" for name, count in found["tripped_by"].items())
+    words = {"lost": f"{found['lost']} lost", "tripped": f"{found['tripped']} tripped ({by})"}
+    missed = [words.get(key, f"{PROMISED} % quantile of {key} above its bound") for key in found["missed"]]
+    return f"does not hold: of {found['runs']} runs " + ", ".join(missed)
+
+
+def _kept(value: float | None, bound: float) -> bool:
+    return value is not None and value <= bound
 
 
 def _quantiles(values: Sequence[float | None]) -> dict[str, float | None]:

@@ -25,13 +25,17 @@ PLACES: Final = 6  # along the motion
 
 
 def alignment_room(
-    cell: Cell, models: Sequence[ArmModel], along: Sequence[Sequence[Vector]], instants: Sequence[float]
+    cell: Cell,
+    models: Sequence[ArmModel],
+    along: Sequence[Sequence[Vector]],
+    instants: Sequence[float],
+    scene: Scene | None = None,
 ) -> list[Finding]:
     """One finding per following arm; along[k][i]: joint angles (n,) of arm i at instants[k], s."""
     spec = cell.file.controller.alignment
     if not spec.enabled or len(cell.arms) < 2:
         return []
-    anchor, scene = spec.anchor or cell.arms[0].name, Scene(cell, models)
+    anchor, scene = spec.anchor or cell.arms[0].name, scene or Scene(cell, models)
     every = max(1, math.ceil(len(instants) / PLACES))
     places = list(zip(along, instants, strict=True))[::every]
     return [
@@ -60,9 +64,10 @@ def _nearest(
             times.append(t)
     if not poses:
         return None
-    found = scene.way(poses, objects).distances(pairs)
-    place, k = divmod(int(found.argmin()), len(pairs))
-    return float(found[place, k]), ", ".join(scene.shapes[n].label for n in pairs[k]), times[place]
+    found = scene.way(poses, objects).least(pairs)
+    if found is None:
+        return None
+    return found.distance_m, ", ".join(scene.shapes[n].label for n in found.pair), times[found.place]
 
 
 def _shifted(cell: Cell, model: ArmModel, q: Vector) -> list[Vector]:

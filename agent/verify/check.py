@@ -21,7 +21,7 @@ from agent.verify.adaptive import examine_adaptation
 from agent.verify.alignment_room import alignment_room
 from agent.verify.box import largest_internal_wrench
 from agent.verify.bus import buses
-from agent.verify.collision import collisions
+from agent.verify.collision import Scene, collisions
 from agent.verify.finding import Finding, Verdict, judged
 from agent.verify.force import internal_force
 from agent.verify.margin import Damping, damping, places, sampled_loop
@@ -29,7 +29,9 @@ from agent.verify.noticing import noticed, rested
 from agent.verify.plausible import plausibility
 from agent.verify.rehearsal import examine_rehearsal
 from agent.verify.robustness import Robustness, Walk, robustness
-from agent.verify.session import session
+from agent.verify.session import lives, session
+from agent.verify.watched import watched
+from agent.verify.ways import ways
 from drivers.interface import Vector
 
 SAMPLES = 48  # points along the trajectory, beside those that the trajectory names itself
@@ -85,8 +87,8 @@ def examine(cell: Cell, *, wired: bool | None = None, thorough: bool | None = No
     """Examine the whole cell.  Raises ConfigError where nothing further can be computed (an unreachable grasp).
 
     wired: a rate that the servo buses of the cell cannot carry is refused, not only warned of; None: if servos move
-    the arms (`driver`).  thorough: how near bodies come and what reality may make of the cell are computed too, which
-    takes up to a second; None: if servos move the arms.
+    the arms (`driver`).  thorough: bounds of the monitors, how near bodies come and what reality may make of the cell
+    are computed too, which takes up to a second; None: if servos move the arms.
     """
     servos = cell.file.driver is DriverKind.DYNAMIXEL
     try:
@@ -103,7 +105,14 @@ def examine(cell: Cell, *, wired: bool | None = None, thorough: bool | None = No
         path = _along_trajectory(cell, arm, model, q0, instants.times)
         findings += _arm_findings(cell, arm, path)
         paths.append(path)
-    findings += [*plausibility(cell), *internal_force(cell, models), *noticed(cell), *rested(cell), *session(cell)]
+    of_arms = lives(cell)
+    findings += [
+        *plausibility(cell),
+        *internal_force(cell, models),
+        *noticed(cell),
+        *rested(cell),
+        *session(cell, of_arms),
+    ]
     findings += buses(cell, q_start, wired=servos if wired is None else wired)
     findings += _stability(cell, models, paths)
     findings += examine_rehearsal(cell, models, [p.q for p in paths], instants.times)
@@ -112,9 +121,12 @@ def examine(cell: Cell, *, wired: bool | None = None, thorough: bool | None = No
     if not (servos if thorough is None else thorough):
         return CheckReport(tuple(findings), q_start)
     along = list(zip(*(p.q for p in paths), strict=True))
-    findings += collisions(cell, models, [p.q for p in paths], instants.times)
+    scene = Scene(cell, models)
+    findings += watched(cell)
+    findings += collisions(cell, models, [p.q for p in paths], instants.times, scene)
+    findings += ways(cell, models, scene, of_arms, [p.q for p in paths], instants.times)
     found = robustness(Walk(cell, models, along, instants.times))
-    findings += [*found.findings(), *alignment_room(cell, models, along, instants.times)]
+    findings += [*found.findings(), *alignment_room(cell, models, along, instants.times, scene)]
     return CheckReport(tuple(findings), q_start, found)
 
 

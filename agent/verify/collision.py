@@ -30,6 +30,7 @@ from drivers.interface import Vector
 
 STANDS_M: Final = 1e-3  # by which an object that stands on the table may be in it
 PLACES_MAX: Final = 150
+AT_ONCE: Final = 12  # pairs whose distances are computed before it is asked whether any other can be nearer
 EVERYWHERE_M: Final = 1e3  # radius of the table
 OBJECT, TABLE = "object", "table"
 
@@ -74,9 +75,33 @@ class Way:
         """The least distance of these pairs on the way; None where there are none."""
         if not pairs:
             return None
-        distances, (a, b) = self.distances(pairs), np.array(pairs).T
-        low = distances - 0.5 * (self._moved[:, a] + self._moved[:, b])
-        found = Nearest(math.inf, pairs[0], 0)
+        a, b = np.array(pairs).T
+        slack, found = 0.5 * (self._moved[:, a] + self._moved[:, b]), Nearest(math.inf, pairs[0], 0)
+        bound = (self._balls(pairs) - slack).min(axis=0)
+        for chosen in _in_turn(bound):
+            if bound[chosen[0]] >= found.distance_m:
+                break
+            found = self._nearer(found, [pairs[k] for k in chosen], slack[:, chosen])
+        return found
+
+    def least(self, pairs: Sequence[Pair]) -> Nearest | None:
+        """The same at these places alone, whatever is between them."""
+        if not pairs:
+            return None
+        bound, found = self._balls(pairs).min(axis=0), Nearest(math.inf, pairs[0], 0)
+        for chosen in _in_turn(bound):
+            if bound[chosen[0]] >= found.distance_m:
+                break
+            distances = self.distances([pairs[k] for k in chosen])
+            place, k = divmod(int(distances.argmin()), len(chosen))
+            if distances[place, k] < found.distance_m:
+                found = Nearest(float(distances[place, k]), pairs[chosen[k]], place)
+        return found
+
+    def _nearer(self, found: Nearest, pairs: Sequence[Pair], slack: Matrix) -> Nearest:
+        """What was found, or what is nearer among these pairs; slack (K, pairs): by which each may be nearer."""
+        distances = self.distances(pairs)
+        low = distances - slack
         for flat in np.argsort(low, axis=None).tolist():
             place, k = divmod(flat, len(pairs))
             if low[place, k] >= found.distance_m:
@@ -85,6 +110,13 @@ class Way:
             if distance < found.distance_m:
                 found = Nearest(distance, pairs[k], place)
         return found
+
+    def _balls(self, pairs: Sequence[Pair]) -> Matrix:
+        """(K, pairs) distances of the balls about them: no more than those of the shapes."""
+        a, b = np.array(pairs).T
+        radii = np.array([shape.radius for shape in self.shapes])
+        apart: Matrix = np.linalg.norm(self.p[:, a] - self.p[:, b], axis=2) - radii[a] - radii[b]
+        return apart
 
     def distances(self, pairs: Sequence[Pair]) -> Matrix:
         """(K, pairs) at each place, below zero where they overlap."""
@@ -103,14 +135,30 @@ class Way:
             row[:] = [result.min_distance for result in data.distanceResults]
         return found
 
+    def first(self, pairs: Sequence[Pair]) -> list[float]:
+        """The distances of these pairs at the first place."""
+        return [] if not pairs else Way(self.shapes, self.R[:1], self.p[:1]).distances(pairs)[0].tolist()
+
     @functools.cached_property
     def _moved(self) -> Matrix:
         """(K, S) how far a point of each shape moves at most, to the next place or from the one before."""
-        radii = np.array([0.0 if shape.owner == TABLE else shape.radius for shape in self.shapes])
-        angle = 0.5 * math.pi * np.linalg.norm(np.diff(self.R, axis=0), axis=(2, 3))  # no less than the angle
-        step = np.pad(np.linalg.norm(np.diff(self.p, axis=0), axis=2) + angle * radii, ((1, 1), (0, 0)))
+        step = np.pad(self._steps, ((1, 1), (0, 0)))
         moved: Matrix = np.maximum(step[:-1], step[1:])
         return moved
+
+    @functools.cached_property
+    def _steps(self) -> Matrix:
+        """(K - 1, S) how far a point of each shape moves at most, from each place to the next."""
+        radii = np.array([0.0 if shape.owner == TABLE else shape.radius for shape in self.shapes])
+        angle = 0.5 * math.pi * np.linalg.norm(np.diff(self.R, axis=0), axis=(2, 3))  # no less than the angle
+        steps: Matrix = np.linalg.norm(np.diff(self.p, axis=0), axis=2) + angle * radii
+        return steps
+
+    @property
+    def gone(self) -> Matrix:
+        """(S, K) how far a point of each shape has moved at most since the first place."""
+        gone: Matrix = np.pad(np.cumsum(self._steps, axis=0), ((1, 0), (0, 0))).T
+        return gone
 
     def _travel(self, pair: Pair, place: int) -> float:
         """Half of what one moves as seen from the other, from this place to the next one or the one before."""
@@ -127,6 +175,12 @@ class Way:
         return 0.5 * max(ways, default=0.0)
 
 
+def _in_turn(bound: Vector) -> Iterator[list[int]]:
+    """Places of pairs in the order of how near they may be, some at a time."""
+    order = np.argsort(bound).tolist()
+    yield from (order[k : k + AT_ONCE] for k in range(0, len(order), AT_ONCE))
+
+
 def _angle(R: Matrix) -> float:
     return math.acos(min(1.0, max(-1.0, 0.5 * (float(np.trace(R)) - 1.0))))
 
@@ -136,6 +190,7 @@ class Scene:
 
     def __init__(self, cell: Cell, models: Sequence[ArmModel]) -> None:
         self._cell, self._models = cell, models
+        self.names = [arm.name for arm in cell.arms]
         self.bodies = [body_of(arm.urdf_xml, arm.file.urdf) for arm in cell.arms]
         each = zip(cell.arms, models, self.bodies, strict=True)
         self._arms = [list(_shapes(arm, model, body)) for arm, model, body in each]
@@ -157,6 +212,17 @@ class Scene:
             poses.append([*itertools.chain(*arms), T_world_object, *still])
         R = np.array([[T.rotation for T in row] for row in poses])
         return Way(self.shapes, R, np.array([[T.translation for T in row] for row in poses]))
+
+    def alone(self, i: int, along: Sequence[Vector], T_world_object: pin.SE3) -> Way:
+        """One arm at along[k], the object where it stands; shapes of the other arms are nowhere."""
+        mine = self._owned[self.names[i]]
+        R, p = np.tile(np.eye(3), (len(along), len(self.shapes), 1, 1)), np.zeros((len(along), len(self.shapes), 3))
+        (standing,) = self._of(OBJECT)
+        R[:, standing], p[:, standing] = T_world_object.rotation, T_world_object.translation
+        for place, q in enumerate(along):
+            for k, T in zip(mine, self._placed(i, q), strict=True):
+                R[place, k], p[place, k] = T.rotation, T.translation
+        return Way(self.shapes, R, p)
 
     def _of(self, owner: str) -> list[int]:
         return [i for i, shape in enumerate(self.shapes) if shape.owner == owner]
@@ -196,6 +262,11 @@ class Scene:
         mine = self._owned[self._cell.arms[i].name]
         return [(k, o) for k in mine if not self.shapes[k].holds for o in self._of(OBJECT)]
 
+    def gripper_with_object(self, i: int) -> list[Pair]:
+        """Pairs of an arm's gripper and the object, as long as it does not hold it."""
+        mine = self._owned[self._cell.arms[i].name]
+        return [(k, o) for k in mine if self.shapes[k].holds for o in self._of(OBJECT)]
+
     def with_table(self, i: int) -> list[Pair]:
         """Pairs of an arm, but what stands still, and the table; none where the cell has no table."""
         mine = self._owned[self._cell.arms[i].name]
@@ -227,10 +298,14 @@ def _geometry(solid: Solid) -> tuple[coal.ShapeBase, float]:
 
 
 def collisions(
-    cell: Cell, models: Sequence[ArmModel], paths: Sequence[Sequence[Vector]], instants: Sequence[float]
+    cell: Cell,
+    models: Sequence[ArmModel],
+    paths: Sequence[Sequence[Vector]],
+    instants: Sequence[float],
+    scene: Scene | None = None,
 ) -> list[Finding]:
     """Findings on distances along the trajectory; paths[i][k]: joint angles (n,) of arm i at instants[k], s."""
-    scene, times, along = Scene(cell, models), *_places(paths, instants)
+    scene, times, along = scene or Scene(cell, models), *_places(paths, instants)
     motion = cell.trajectory()
     desired = [motion.at(t) for t in times]
     way = scene.way(along, [placement(d.p, d.quat) for d in desired])

@@ -55,12 +55,15 @@ def disagreement(
     instants: Sequence[float],
 ) -> tuple[Disagreement, ...]:
     """Of every arm, largest over all places; along[k][i]: joint angles (n,) of arm i at instants[k], s."""
-    each = [_at(cell, models, at, q, t) for at, q, t in zip(poses, along, instants, strict=True)]
+    motion = cell.trajectory()
+    each = [_at(cell, models, at, q, motion.at(t).v) for at, q, t in zip(poses, along, instants, strict=True)]
     return tuple(max(of_arm, key=lambda d: d.force_N) for of_arm in zip(*each, strict=True))
 
 
-def _at(cell: Cell, models: Sequence[ArmModel], at: Pose, q: Sequence[Vector], t: float) -> list[Disagreement]:
-    P, v = at.P, at.P @ np.array(cell.trajectory().at(t).v)
+def _at(
+    cell: Cell, models: Sequence[ArmModel], at: Pose, q: Sequence[Vector], twist: Sequence[float]
+) -> list[Disagreement]:
+    P, v = at.P, at.P @ np.array(twist)
     S = laws(at, [cell.offline(arm).gains for arm in cell.arms]).S
     errors = [_errors(cell, arm, model, q_i, P, v) for arm, model, q_i in zip(cell.arms, models, q, strict=True)]
     follows = _followers(cell)

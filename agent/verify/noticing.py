@@ -36,6 +36,8 @@ def noticed(cell: Cell) -> list[Finding]:
     given = [spec.fast_N, spec.fast_Nm, spec.slow_N, spec.slow_Nm]
     source = "derived from the cell" if given == [None] * 4 else "given" if None not in given else "partly given"
     pulled = noticing.against(cell)
-    along = "" if pulled is None else f"; {pulled.level_N:g} N, or thrice {pulled.climb_N:g} N, against the motion"
+    along = ""
+    if pulled is not None:
+        along = f"; {pulled.level_N:g} N down or against the motion, or thrice {pulled.climb_N:g} N against it"
     found = f"{x.fast_N:g} N, {x.fast_Nm:g} N·m at once; {x.slow_N:g} N, {x.slow_Nm:g} N·m that stay{along} ({source})"
     return [Finding(what, "cell", found, "")]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -19,16 +20,20 @@ SHARE_WHILE_GOING = 0.5  # of stall torque
 REST_OFF_MAX_RAD = 0.15  # of a joint that is not controlled, between how it rests and where it is locked
 
 
-def session(cell: Cell) -> list[Finding]:
-    """Findings on the session of each arm; none for a cell without one.  Raises ConfigError."""
-    if cell.file.session is None:
-        return []
-    return [finding for arm in cell.arms for finding in _of_arm(cell, arm)]
+def lives(cell: Cell) -> list[Life]:
+    """The way of each arm; none for a cell without a session.  Raises ConfigError."""
+    return [] if cell.file.session is None else [build_life(cell, arm) for arm in cell.arms]
 
 
-def _of_arm(cell: Cell, arm: Arm) -> list[Finding]:
+def session(cell: Cell, of_arms: Sequence[Life]) -> list[Finding]:
+    """Findings on the session of each arm; of_arms: its `lives`.  Raises ConfigError."""
+    each = zip(cell.arms, of_arms, strict=False)  # a cell without a session has none
+    return [finding for arm, life in each for finding in _of_arm(cell, arm, life)]
+
+
+def _of_arm(cell: Cell, arm: Arm, life: Life) -> list[Finding]:
     width_m = grip_plan(cell, arm).width_m
-    return [*_along(cell, arm, build_life(cell, arm)), *_locked(arm), _grip(cell, arm, width_m)]
+    return [*_along(cell, arm, life), *_locked(arm), _grip(cell, arm, width_m)]
 
 
 def _along(cell: Cell, arm: Arm, life: Life) -> list[Finding]:

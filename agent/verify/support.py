@@ -132,7 +132,8 @@ class Statics:
         self._weight = P @ np.concatenate([-cell.file.object.mass_kg * cell.gravity, np.zeros(3)])
         each = enumerate(zip(cell.arms, models, strict=True))
         self._arms = [_arm(cell, arm, model, [q[i] for q in along], P, self._weight) for i, (arm, model) in each]
-        self._speed = np.array([P @ np.array(cell.trajectory().at(t).v) for t in instants])
+        motion = cell.trajectory()
+        self._speed = np.array([P @ np.array(motion.at(t).v) for t in instants])
         # an arm's weight against its torque: masses and torque constants are independent
         off = math.hypot(tolerance.masses, tolerance.torque_constant)
         low, high = tolerance.friction

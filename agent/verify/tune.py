@@ -15,23 +15,27 @@ from __future__ import annotations
 
 import enum
 import itertools
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
+from agent.config import observer
 from agent.config.cell import Arm, Cell, ConfigError, cell_from_toml, placement
 from agent.config.edit import Change, apply
 from agent.control.errors import Gains
+from agent.control.estimator import Observer
 from agent.control.models import ArmModel
-from agent.verify.chatter import velocity_chatter
+from agent.verify.chatter import Shaking
 from agent.verify.check import reach, start_configurations
+from agent.verify.criterion.cases import Loop
 from agent.verify.criterion.examine import Criterion, examine
 from agent.verify.margin import Damping, Place, damping, damping_at, places, sampled_loop
 from agent.verify.robustness import Walk, loop_of, poses, ranges_of
 from agent.verify.scale import Scale
-from agent.verify.stiffest import Search, binding
+from agent.verify.stiffest import Search, Wanted, binding, scaled
 from drivers.interface import Vector
 
 PLACES: Final = 12  # along the trajectory
@@ -39,6 +43,7 @@ POSE_MAX: Final = 2.0  # k_p and k_eps are not proposed above this, relative to 
 POSE_FLOORS: Final = (0.5, 0.1)  # nor below the first, unless no k_v keeps the margin with them, nor ever the second
 RATE_RANGE: Final = (0.05, 1.0)
 STEP: Final = 0.93  # between gains that are tried; the last one is refined
+OBSERVER_KEYS: Final = ("position_gain", "velocity_gain", "velocity_from_position_per_s")
 K_V_FACTORS: Final = (1.0, 0.7, 0.5, 0.35, 0.2, 0.1)
 
 
@@ -76,13 +81,18 @@ class GainSet:
 
     cell: Cell
     damping: Mapping[float, Damping]  # by the error of the arms' inertia
-    chatter_Nm: tuple[float, ...]  # per arm: largest rms joint torque that the grid of measured velocity causes
+    noise_Nm: tuple[float, ...]  # per arm: largest rms joint torque that the grids of measured angle and velocity cause
     criterion: Criterion
 
     @property
     def gains(self) -> Gains:
         """Of the first arm; k_p and k_eps are those of all."""
         return self.cell.offline(self.cell.arms[0]).gains
+
+    @property
+    def observer(self) -> Observer | None:
+        """Of every arm, where there is one."""
+        return observer.build(self.cell.file)
 
     @property
     def slowest_s(self) -> float:
@@ -116,8 +126,13 @@ class Tuner:
         self._cases = [(true, place.believed) for place in self._places for true in place.true.values()]
         self._offline = [cell.offline(arm) for arm in cell.arms]
         self._gains = [o.gains for o in self._offline]
-        each = zip(self._models, self._offline, self._along[0], strict=True)
-        self._quiet = [velocity_chatter(model, offline, q) for model, offline, q in each]
+        self._shaking = [[self._shaken(i, q[i]) for q in self._along] for i in range(len(cell.arms))]
+        own = loop_of(cell)
+        self._loudest = [
+            max(where, key=lambda s, g=g: s.torque_Nm(g, own.observer))  # type: ignore[misc]
+            for g, where in zip(own.gains, self._shaking, strict=True)
+        ]
+        self._quiet = [s.torque_Nm(g, own.observer) for g, s in zip(own.gains, self._loudest, strict=True)]
         self._poses = poses(Walk(cell, self._models, self._along, ()))
 
     def configured(self) -> GainSet:
@@ -161,27 +176,34 @@ class Tuner:
     def _stiffest(self, margin: Margin) -> Scale:
         """By the criterion of `coop check`.  Raises NoGains, naming what binds."""
         cell, loop, ranges = self.cell, loop_of(self.cell), ranges_of(self.cell)
-        found = Search(self._poses, loop, ranges, margin.worst, self._noise).run()
+        L = cell.file.safety.noticing.rate_per_s
+        wanted = Wanted(margin.worst, self._noise, math.exp(-L * loop.period_s))
+        found = Search(self._poses, loop, ranges, wanted).run()
         if found.kept:
             return found.scale
-        loop_there = replace(loop, gains=tuple(map(found.scale.of, loop.gains)))
-        keys, least = binding(self._poses, loop_there, ranges, margin.worst, self._noise)
+        keys, least = binding(self._poses, scaled(loop, found.scale), ranges, wanted)
         exact = "gains could be found" if least <= margin.worst * (1.0 + 1e-9) else f"it would be {least:.4f}"
         raise NoGains(
             f"gains for {cell.file.name} at {cell.file.rate_hz:g} Hz",
-            found=f"none; the nearest have a radius of {found.worst.radius:.4f} ({found.worst.case.demand.value})",
-            expected=f"at most {margin.worst:g} whatever of the stated tolerance is true",
+            found=f"none; the nearest have a radius of {found.worst.radius:.4f} ({found.worst.case.demand.value}) "
+            f"and {found.noise:.2f} times the torque noise",
+            expected=f"at most {margin.worst:g} whatever of the stated tolerance is true, and no more noise",
             remedy=f"{' or '.join(keys)} binds ({exact} without): state less of it if that is true, or raise rate_hz",
         )
 
-    def _noise(self, gains: Sequence[Gains]) -> float:
-        """Torque noise of the velocity grid at the start, relative to that of the configured gains."""
-        return max(
-            velocity_chatter(model, replace(offline, gains=g), q) / quiet
-            for model, offline, g, q, quiet in zip(
-                self._models, self._offline, gains, self._along[0], self._quiet, strict=True
-            )
-        )
+    def _shaken(self, arm: int, q: Vector) -> Shaking:
+        viscous = np.array([servo.viscous_Nm_s_per_rad.value for servo in self.cell.arms[arm].servos])
+        return Shaking(self._models[arm], self._offline[arm], viscous, q)
+
+    def _noise(self, loop: Loop) -> float:
+        """Torque noise relative to that of the configured gains, of each arm where it is largest with those."""
+        each = zip(loop.gains, self._loudest, self._quiet, strict=True)
+        return max(s.torque_Nm(gains, loop.observer) / quiet for gains, s, quiet in each)
+
+    def _torque_noise(self, loop: Loop) -> tuple[float, ...]:
+        """Of each arm the largest along the trajectory, N·m."""
+        each = zip(loop.gains, self._shaking, strict=True)
+        return tuple(max(s.torque_Nm(gains, loop.observer) for s in where) for gains, where in each)
 
     def _largest(self, form: Form, margin: Margin, floor: float, base: Scale) -> Scale | None:
         def keeps(scale: Scale) -> bool:
@@ -206,17 +228,11 @@ class Tuner:
                 return False
         return True
 
-    def _damping(self, gains: Sequence[Gains]) -> dict[float, Damping]:
-        return damping(self._places, self._models[0].task_basis, sampled_loop(self.cell, gains))
-
     def _examined(self, cell: Cell) -> GainSet:
-        offline = [cell.offline(arm) for arm in cell.arms]
-        chatter = [
-            max(velocity_chatter(model, o, q[i]) for q in self._along)
-            for i, (model, o) in enumerate(zip(self._models, offline, strict=True))
-        ]
-        found = examine(self._poses, loop_of(cell), ranges_of(cell))
-        return GainSet(cell, self._damping([o.gains for o in offline]), tuple(chatter), found)
+        loop, P = loop_of(cell), self._models[0].task_basis
+        found = examine(self._poses, loop, ranges_of(cell))
+        rigid = damping(self._places, P, sampled_loop(cell))
+        return GainSet(cell, rigid, self._torque_noise(loop), found)
 
 
 def _walk(cell: Cell, models: Sequence[ArmModel]) -> list[list[Vector]]:
@@ -268,6 +284,11 @@ def _changes(cell: Cell, scale: Scale) -> Iterator[Change]:
     for key, (was, now) in written.items():
         if was != now:
             yield Change("controller", key, _toml(now))
+    was_seen, seen = observer.build(cell.file), scale.of_observer(observer.build(cell.file))
+    if was_seen is not None and seen is not None:
+        for key in OBSERVER_KEYS:
+            if getattr(was_seen, key) != getattr(seen, key):
+                yield Change("controller.observer", key, repr(getattr(seen, key)))
     for arm in cell.arms:
         yield from _k_v_changes(arm, scale.of(cell.offline(arm).gains))
 

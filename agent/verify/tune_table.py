@@ -7,8 +7,9 @@ from collections.abc import Callable, Sequence
 
 from rich.table import Table
 
+from agent.config import observer
 from agent.config.cell import Cell
-from agent.verify.tune import GainSet, Proposal
+from agent.verify.tune import OBSERVER_KEYS, GainSet, Proposal
 
 
 def tune_table(configured: GainSet, proposals: Sequence[Proposal]) -> Table:
@@ -51,6 +52,8 @@ def _rows(cell: Cell) -> list[tuple[str, Callable[[GainSet], str]]]:
             (f"k_v_N_s_per_m, {arm.name}", lambda s, i=i: _numbers(_k_v(s, i)[:3])),  # type: ignore[misc]
             (f"k_v_Nm_s_per_rad, {arm.name}", lambda s, i=i: _numbers(_k_v(s, i)[3:])),  # type: ignore[misc]
         ]
+    if observer.build(cell.file) is not None:
+        rows += [(f"observer, {key}", lambda s, key=key: f"{getattr(s.observer, key):g}") for key in OBSERVER_KEYS]  # type: ignore[misc]
     error = cell.file.safety.inertia_error
     for e in dict.fromkeys((0.0, -error, error)):
         what = "" if e == 0.0 else f", arms' inertia {e:+.0%}"
@@ -63,7 +66,7 @@ def _rows(cell: Cell) -> list[tuple[str, Callable[[GainSet], str]]]:
     )
     rows.append(("longest delay that all survives", lambda s: _delay(s.criterion.delay_margin_s)))
     rows.append(("slowest mode, time constant", lambda s: "—" if math.isinf(s.slowest_s) else f"{s.slowest_s:.2f} s"))
-    rows.append(("torque noise of the velocity grid, rms", lambda s: f"{max(s.chatter_Nm):.3f} N·m"))
+    rows.append(("torque noise of the encoders' grids, rms", lambda s: f"{max(s.noise_Nm):.3f} N·m"))
     return rows
 
 

@@ -62,12 +62,12 @@ class Coupling:
         n = len(settings.clamp_Nm)
         self.addition: Vector = np.zeros(n)  # to the real arm's torque
         self.on_twin: Vector = np.zeros(n)  # to the twin's torque
+        self.lasting: Vector = np.zeros(n)  # of that what stays when the arm is silent: alive r, averaged
         self.q_twin: Vector = np.zeros(n)  # at the real arm's instant
         self.age_s = 0.0
         self.alive = 0.0  # 0: apart, 1: coupled
         self._estimate: Vector | None = None  # I
         self._r: Vector = np.zeros(n)
-        self._lasting: Vector = np.zeros(n)  # alive r, averaged
         self._grasp: Vector = np.zeros(n)  # the object's part of the addition
         self._before: deque[Vector] = deque([np.zeros(n)] * LOOK_BACK, LOOK_BACK)  # a + b of the last cycles
         self._stamp_ns: int | None = None
@@ -92,7 +92,7 @@ class Coupling:
         self._grasp = self._clamped(self.alive * twin.grasp)
         self.addition = self._clamped(self.alive * (twin.grasp + c))
         self.on_twin = self.alive * (r - c)
-        self._lasting = self._lasting + min(1.0, dt / LASTING_S) * (self.alive * r - self._lasting)
+        self.lasting = self.lasting + min(1.0, dt / LASTING_S) * (self.alive * r - self.lasting)
         self._before.append(self.addition - self.on_twin)
 
     def unheard(self) -> None:
@@ -100,7 +100,7 @@ class Coupling:
 
         The object's part stays on the arm; on the twin it is what the arm has lately done otherwise than its model.
         """
-        self.addition, self.on_twin = self._grasp, self._lasting
+        self.addition, self.on_twin = self._grasp, self.lasting
         self._before.append(self.addition - self.on_twin)
 
     def alone(self, stamp_ns: int) -> None:
@@ -108,7 +108,7 @@ class Coupling:
         before = self.alive
         self._ramp(-self._elapsed_s(stamp_ns) / FADE_S)
         self.addition = self.addition * (self.alive / before if before > 0.0 else 0.0)
-        self.on_twin = self._lasting = np.zeros_like(self.on_twin)
+        self.on_twin = self.lasting = np.zeros_like(self.on_twin)
         self._estimate = None
         self._before.append(self.addition)
 

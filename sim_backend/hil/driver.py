@@ -142,7 +142,7 @@ class BridgeDriver:
         if self._heard:
             self._asked[:] = tau_Nm
         self.sent = self._real.write(tau_Nm + self.added)
-        self._twin.command(self._asked + self.coupling.on_twin)
+        self._twin.command(self._asked + self.coupling.on_twin, self._asked + self.coupling.lasting)
         return self.sent
 
     @property

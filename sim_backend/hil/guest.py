@@ -34,8 +34,8 @@ class Twin(Protocol):
         """Why no state will come any more."""
         ...
 
-    def command(self, tau_Nm: Vector) -> None:
-        """Torque (n,) from now on; where the plant is gone nothing happens."""
+    def command(self, tau_Nm: Vector, lasting_Nm: Vector) -> None:
+        """Torque (n,) from now on, and what stays of it when this process is gone; without a plant nothing happens."""
         ...
 
     def limp(self) -> None:
@@ -69,7 +69,7 @@ class ServedTwin:
             watchdog_s=float(watchdog_s),
         )  # fmt: skip
         self._connect_timeout_s = connect_timeout_s
-        self._out = FixedMessage(self._n)
+        self._out = FixedMessage(2 * self._n)
         self._out.head(MessageKind.COMMAND, 0, 0)
         self._link: PlantLink | None = None
         self._on = False
@@ -111,11 +111,11 @@ class ServedTwin:
             self.ended = why
         return TwinState(stamp_ns, q, dq, pulled[-1], np.mean(pulled, axis=0)) if pulled else None
 
-    def command(self, tau_Nm: Vector) -> None:
-        """Torque (n,) from now on."""
+    def command(self, tau_Nm: Vector, lasting_Nm: Vector) -> None:
+        """Torque (n,) from now on, and what stays of it when this process is gone."""
         if self._link is None or not self._on or self.ended is not None:
             return
-        self._out.values[:] = tau_Nm
+        self._out.values[: self._n], self._out.values[self._n :] = tau_Nm, lasting_Nm
         try:
             self._link.send(self._out.buffer)
         except DriverError as why:

@@ -15,7 +15,7 @@ import numpy as np
 
 from drivers.interface import Refusal, Vector
 
-VERSION: Final = 3
+VERSION: Final = 4
 MAX_MESSAGE_BYTES: Final = 4096
 HEADER: Final = struct.Struct("=qqq")  # kind, number (tick or serial), stamp_ns
 
@@ -32,7 +32,7 @@ class MessageKind(IntEnum):
     ENABLED = 7  # plant
     DISABLE = 8  # agent: torque off; in lockstep the plant does not wait for this arm any more
     STATE = 9  # plant, every tick: q, dq, tau; a guest's: true q and dq, tau, mean torque of its grasp; number = tick
-    COMMAND = 10  # agent, once per tick: tau; number = tick of the state it answers
+    COMMAND = 10  # agent, once per tick: tau; a guest's: also what stays of it without it; number = tick it answers
     BYE = 11  # agent: end of the run for this arm
     NOTICE = 12  # plant, words: a Refusal that says why no state will come any more
 

@@ -63,10 +63,10 @@ class Seat:
         self._out, self._parts = FixedMessage(0), np.zeros((0, n))
         self._use_layout(3)
         self._in = bytearray(MAX_MESSAGE_BYTES)
-        self._in_tau = np.frombuffer(self._in, np.float64, n, HEADER.size)
-        self._command_bytes = HEADER.size + 8 * n
+        self._in_tau = np.frombuffer(self._in, np.float64, 2 * n, HEADER.size).reshape(2, n)
         self.number = 0  # of the last message received
         self.tau = np.zeros(n)  # last command, as the servos were told
+        self._lasting = np.zeros(n)  # what stays of it when a guest has vanished
 
     @property
     def fileno(self) -> int:
@@ -100,8 +100,8 @@ class Seat:
             self._connection = None
 
     def orphan(self, limp_at_tick: int) -> None:
-        """Close the connection of a guest; its last torque stays until a tick, as on servos that nobody asks."""
-        self.limp_at_tick = limp_at_tick
+        """Close the connection of a guest; what lasts of its torque stays until a tick, as on servos nobody asks."""
+        self.limp_at_tick, self.tau = limp_at_tick, self._lasting
         if self._connection is not None:
             self._connection.close()
             self._connection = None
@@ -115,7 +115,7 @@ class Seat:
         """Torque off; commands on their way are lost, and so are states: the arm looks for none."""
         self.phase = phase
         self.told = -1
-        self.tau[:] = 0.0
+        self.tau[:] = self._lasting[:] = 0.0
         self.delay.clear()
 
     def say(self, message: bytes | bytearray, flags: int = 0) -> None:
@@ -171,9 +171,12 @@ class Seat:
         return known
 
     def _take_command(self, size: int) -> None:
-        if size != self._command_bytes:
-            raise Vanished(f"it sent a command of {size} bytes instead of {self._command_bytes}")
+        expected = HEADER.size + 8 * len(self.tau) * (2 if self.guest else 1)
+        if size != expected:
+            raise Vanished(f"it sent a command of {size} bytes instead of {expected}")
         try:
-            self.tau = self._command(self._in_tau)
+            self.tau = self._command(self._in_tau[0])
+            if self.guest:
+                self._lasting = self._command(self._in_tau[1])
         except TorqueCommandError as e:
             raise Vanished(f"it commanded {e.found}") from e

@@ -1,1 +1,1 @@
-"""Long comparisons of what `coop check` predicts with what the simulated cell does."""
+"""Long comparisons: predictions of `coop check` with simulated cells, and each phase of a session with its mishaps."""

@@ -137,7 +137,7 @@ def run(job: Job) -> Done:
     before = _cpu_s()
     lab = _laboratory(job.cell)
     reality = None if job.seed is None else draw(lab.cell.file.tolerance, job.seed, lab.cell)
-    found = measure(lab, reality, seed=job.seed or 0, watched=True)
+    found = measure(lab, reality, seed=job.seed or 0)
     gc.collect()
     return Done(job, found.why, _cpu_s() - before)
 

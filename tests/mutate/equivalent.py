@@ -28,6 +28,11 @@ _BY_WORDS = "bytes do for every length; words are quicker where it is even"
 _ENDS_OF_BLOCKS = "for end in range(self._block, blocks * self._block + 1, self._block):"
 _OPPOSED = "opposed = followed[1] * shadow[1] < 0 and min(abs(followed[1]), abs(shadow[1])) >= self._fight"
 
+_SIZED = "sized = np.where(np.isfinite(values), np.abs(values), -1.0)"
+_CONJUGATE = "turn = product(pose[:, 3:], against[:, 3:] * [1.0, -1.0, -1.0, -1.0])"
+_SHORTER = "turn = np.where(turn[:, :1] < 0.0, -turn, turn)"
+_AXIS = "axis = np.divide(turn[:, 1:], sine, out=np.zeros_like(turn[:, 1:]), where=sine > _STILL)"
+
 EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
     "agent.safety": {
         ("", _TABLE, _TABLE.replace("+ 1", "+ 2")): "one flag more than the three that are looked up can make",
@@ -222,6 +227,15 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
     "agent.telemetry.ring.texts": {
         ("TextReader.read_new", _TEXTS, _TEXTS.replace("64", "128")): "how many at a time; the loop takes all",
         ("TextReader.read_new", _TEXTS, _TEXTS.replace("64", "32")): "how many at a time; the loop takes all",
+    },
+    "agent.view.curves": {
+        ("thinned", _SIZED, _SIZED.replace("-1.0", "-2.0")): "any size below zero is below all others",
+    },
+    "agent.view.pose": {
+        ("", "_STILL: Final = 1e-12", "_STILL: Final = 2e-12"): "no half angle of a log is between the two",
+        ("exaggerated", _CONJUGATE, _CONJUGATE.replace(" * ", " / ")): "1 and −1 are their own inverses",
+        ("exaggerated", _SHORTER, _SHORTER.replace("<", "<=")): "half a turn is the same in both senses",
+        ("exaggerated", _AXIS, _AXIS.replace(">", ">=")): "no half angle is exactly so small",
     },
     "agent.operator.socket": {
         (

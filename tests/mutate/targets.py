@@ -25,6 +25,9 @@ _RING = (
     f"{UNIT}/telemetry/test_ring_reader.py",
     "tests/property/telemetry/test_ring_model.py",
 )
+_VIEW = tuple(f"{UNIT}/view/{name}.py" for name in ("test_scene", "test_pictures"))
+_PAGE = (f"{UNIT}/view/test_page.py",)
+_VERIFY = tuple(f"{UNIT}/replay/{name}.py" for name in ("test_verify", "test_replay_command"))
 _SOFT = tuple(f"{UNIT}/sim_backend/{name}.py" for name in ("test_soft", "test_reality", "test_calendar"))
 
 TARGETS = (
@@ -35,9 +38,20 @@ TARGETS = (
     Target("agent.cycles", (f"{UNIT}/test_cycles.py",)),
     Target("agent.runner", _RUNNER),
     Target("agent.operator.socket", (f"{UNIT}/operator/test_control_socket.py",)),
+    Target("agent.replay.chain", _VERIFY),
+    Target("agent.replay.grasps", (f"{UNIT}/replay/test_answers.py",)),
+    Target("agent.replay.rows", _VERIFY),
+    Target("agent.replay.same", (f"{UNIT}/replay/test_answers.py",)),
+    Target("agent.replay.verify", _VERIFY),
+    Target("agent.telemetry.link.sender", ("tests/property/telemetry/test_sender.py",)),
     Target("agent.telemetry.ring.file", _RING),
     Target("agent.telemetry.ring.ring", _RING),
     Target("agent.telemetry.ring.texts", (f"{UNIT}/telemetry/test_texts.py", f"{UNIT}/telemetry/test_event.py")),
+    Target("agent.view.camera", _VIEW),
+    Target("agent.view.curves", _PAGE),
+    Target("agent.view.motion", (*_VIEW, *_PAGE)),
+    Target("agent.view.player", _PAGE),
+    Target("agent.view.pose", _VIEW),
     Target("drivers.dynamixel.checks", (f"{UNIT}/drivers/test_checks.py",)),
     Target("drivers.dynamixel.cycle", (f"{UNIT}/drivers/test_cycle.py",)),
     Target("drivers.dynamixel.driver", (f"{UNIT}/drivers/test_driver.py",)),

@@ -3,6 +3,7 @@ is lost.
 
 SOAK_S: simulated seconds of each cell (default 1000).  SOAK_RATE_S: seconds of `recorder-rate` (60), four arms at
 500 Hz in real time.  SOAK_FLAT_S: seconds of arms' time of `recorder-flat` (7200), as fast as it goes.
+SOAK_HOURS_S: of `recorder-hours` (600), in one process, from which what two hours would add is worked out.
 SOAK_ONLY: take the cells and entries whose name holds this text.
 """
 
@@ -23,6 +24,7 @@ import psutil
 
 import configs
 from agent.log.read import read_log
+from tests.soak.hours import hours
 from tests.soak.recorder import complete, flat
 from tests.soak.watch import Series, grown, say
 from tests.support.coop import COOP
@@ -91,6 +93,7 @@ def lost(out: Path) -> list[str]:
 
 _RECORDER: Final[dict[str, tuple[Callable[[Path, float], list[str]], str, str]]] = {
     "recorder-rate": (complete, "SOAK_RATE_S", "60"),
+    "recorder-hours": (hours, "SOAK_HOURS_S", "600"),
     "recorder-flat": (flat, "SOAK_FLAT_S", "7200"),
 }
 

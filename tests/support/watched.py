@@ -83,7 +83,7 @@ def watched(
     run = Run(lab, reality) if believed is None else _run_of(lab, cell, reality)
     seen = Watched(places=run.places)
     for arm, place in zip(own.arms, run.places, strict=True):
-        lie = (lies or {}).get(arm.name)
+        lie, place.watch = (lies or {}).get(arm.name), None
         setattr(place, "cycle", _Watching(place, Watch(changed(bounds(own, arm))), seen, lie))  # noqa: B010
     while run.t < duration_s and not (until_trip and seen.first):
         run.advance()

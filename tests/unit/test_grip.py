@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 import configs
-from agent.config.cell import load_cell
-from agent.config.session import fingers, grip_plan
+from agent.config.cell import ConfigError, cell_from_toml, load_cell
+from agent.config.schema.arm import GRIP_KEYS, GripperJoint
+from agent.config.session import MEASURED, fingers, grip_plan
 from agent.grip import GripPlan, Verdict
 from drivers.dynamixel.servo.table import TICK_RAD
 from drivers.fingers import Fingers
@@ -93,3 +96,38 @@ def test_the_plan_of_a_cell_closes_on_the_side_of_the_object_that_the_fingers_fa
     assert (plan.width_m, plan.effort) == (0.044, 0.25)
     assert (plan.closed_m, plan.open_m) == (WX200.closed_m, WX200.open_m)
     assert math.isclose(fingers(cell.arms[0]).rod_length_m, 0.024)
+
+
+def test_a_gripper_that_is_not_measured_is_refused_with_each_measure_and_its_key() -> None:
+    text = (configs.CELLS_DIR / "three_wx250s.toml").read_text().replace('model = "wx250s"', 'model = "awx250s"')
+    arm = cell_from_toml(text.encode(), "three_awx250s.toml").arms[0]
+    with pytest.raises(ConfigError) as refused:
+        fingers(arm)
+    said = str(refused.value)
+    assert "found no closed_tick, no open_tick, no rod_length_m, no grip_effort, expected" in said
+    assert "measure closed_tick (position in `coop motors scan`, fingers shut by hand); open_tick (the same" in said
+    assert "rod_length_m (a rod from pin to pin); grip_effort (share of full voltage" in said
+    assert "horn_radius_m" not in said  # its file has that
+    assert set(MEASURED) == set(GRIP_KEYS) < set(GripperJoint.model_fields)
+
+
+def test_a_gripper_measured_in_a_file_of_its_own_closes(tmp_path: Path) -> None:
+    own = (configs.ARMS_DIR / "awx250s.toml").read_text().replace(
+        "horn_radius_m = 0.02",
+        "horn_radius_m = 0.02\nrod_length_m = 0.03\nclosed_tick = 1802\nopen_tick = 2875\n"
+        'grip_effort = { value = 0.25, status = "estimated", source = "a test" }',
+    )  # fmt: skip
+    (tmp_path / "mine.toml").write_text(own)
+    text = (configs.CELLS_DIR / "three_wx250s.toml").read_text()
+    (tmp_path / "cell.toml").write_text(text.replace('model = "wx250s"', 'model = "awx250s"\narm_file = "mine.toml"'))
+    arm = load_cell(tmp_path / "cell.toml").arms[0]
+    assert (fingers(arm).horn_radius_m, fingers(arm).rod_length_m) == (0.02, 0.03)
+    assert fingers(arm).closed_m < 0.044 < fingers(arm).open_m
+
+
+def test_a_servo_that_takes_no_command_on_the_bus_is_named() -> None:
+    arm = load_cell(configs.CELLS_DIR / "two_wx200.toml").arms[0]
+    gripper = arm.file.gripper.model_copy(update={"servo": "AX-12A"})
+    old = replace(arm, file=arm.file.model_copy(update={"gripper": gripper}))
+    with pytest.raises(ConfigError, match="found AX-12A, which takes no command on this bus, expected a servo with"):
+        fingers(old)

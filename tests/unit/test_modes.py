@@ -6,7 +6,7 @@ from itertools import product
 
 import pytest
 
-from agent.modes import TABLE, Event, Mode, next_mode
+from agent.modes import FLOATING, TABLE, Event, Mode, next_mode
 
 OF_OBJECT = [mode for mode in Mode if mode <= Mode.FAULT]  # the others are of a session: test_session_modes.py
 ALL_EVENTS = [Event(bits) for bits in range(2 * Event.RELEASED)]
@@ -51,7 +51,8 @@ def test_named_transitions(mode: Mode, events: Event, expected: Mode) -> None:
 
 def test_numbers_of_the_modes_are_those_that_logs_hold() -> None:
     names = (
-        "OFF", "READY", "TRACK", "HOLD", "LOWER", "FAULT", "REST", "APPROACH", "GRASP", "RELEASE", "PARK", "HALT"
+        "OFF", "READY", "TRACK", "HOLD", "LOWER", "FAULT", "REST", "APPROACH", "GRASP", "RELEASE", "PARK", "HALT",
+        "FLOAT", "STAND", "SINK",
     )  # fmt: skip
     assert {mode.name: mode.value for mode in Mode} == {name: value for value, name in enumerate(names)}
 
@@ -128,3 +129,24 @@ def test_every_mode_has_a_line_and_words_of_its_own() -> None:
 def test_one_more_bad_event_never_leads_to_a_more_active_mode(bad: Event) -> None:
     for mode, events in ALL:
         assert ACTIVITY[next_mode(mode, events | bad)] <= ACTIVITY[next_mode(mode, events)]
+
+
+FLOATS = [Event.NONE, Event.STOP, Event.TROUBLE, Event.RELEASED, Event.ARRIVED, Event.STARTED, Event.ENABLED]
+
+
+@pytest.mark.parametrize(
+    ("mode", "after"),
+    [
+        (Mode.FLOAT, {Event.STOP: Mode.STAND, Event.TROUBLE: Mode.STAND}),
+        (Mode.STAND, {Event.RELEASED: Mode.SINK}),
+        (Mode.SINK, {Event.ARRIVED: Mode.OFF}),
+    ],
+)
+def test_a_floating_arm_stands_then_sinks_before_its_torque_goes_off(mode: Mode, after: dict[Event, Mode]) -> None:
+    assert {event: next_mode(mode, event) for event in FLOATS} == {event: after.get(event, mode) for event in FLOATS}
+    assert all(next_mode(mode, event | Event.SERVO_LOST) is Mode.FAULT for event in FLOATS)
+
+
+def test_float_is_entered_from_off_alone() -> None:
+    assert next_mode(Mode.OFF, Event.FLOATED) is Mode.FLOAT
+    assert {m for m in Mode if next_mode(m, Event.FLOATED) in FLOATING} == {Mode.OFF, *FLOATING}

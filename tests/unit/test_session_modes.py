@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from agent.modes import Event, Mode
+from agent.modes import FLOATING, Event, Mode
 from agent.session import WORDS
 from agent.session_modes import next_in_session
 
-SESSION = [mode for mode in Mode if mode not in (Mode.OFF, Mode.FAULT)]
+SESSION = [mode for mode in Mode if mode not in {Mode.OFF, Mode.FAULT, *FLOATING}]
 ALL_EVENTS = [Event(bits) for bits in range(2 * Event.ARRIVED)]
 GRIPPED = {Mode.READY, Mode.TRACK, Mode.HOLD, Mode.LOWER}
 FREE = {Mode.REST, Mode.APPROACH, Mode.GRASP, Mode.PARK, Mode.HALT}

@@ -8,7 +8,6 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-import pinocchio as pin
 import pytest
 
 import configs
@@ -16,14 +15,13 @@ from agent.config.cell import load_cell
 from agent.modes import Mode
 from agent.replay.chain import Chain
 from drivers.interface import JointState
-from tests.support.servos.whole_rig import WORDS, WholeRun
+from tests.support.servos.whole_rig import WholeRun
 
 QUICK = [
     "session.speed_max_rad_per_s=2.0", "session.back_off_m=0.04", "session.lift_m=0.015", "session.lift_s=1.0",
     "session.lower_s=1.2", "session.take_up_s=0.6", "session.ease_s=0.5", "duration_s=2.0",
 ]  # fmt: skip
 CELL = load_cell(configs.CELLS_DIR / "two_wx200.toml", QUICK)
-UNTIL_GRASP = {mode: WORDS[mode] for mode in (Mode.REST, Mode.APPROACH)}
 STALL_CURRENT_SHARE = 0.4  # above it servos are reported to trip
 
 
@@ -86,33 +84,3 @@ def test_a_session_replays_bit_for_bit_from_its_rows() -> None:
         memory, outcome = chain.pass_row(state, float(row["t"]), Mode(int(row["mode"])), int(row["flags"]))
         assert np.array_equal(outcome.tau, row["tau_limited"][:3])
         assert np.array_equal(memory.flatten(), row["memory"])
-
-
-@pytest.mark.fault("F9")
-def test_an_object_ten_millimetres_off_is_refused_and_the_gripper_opens_again() -> None:
-    run = WholeRun(CELL, object_off=pin.SE3(np.eye(3), np.array([0.01, 0.0, 0.0])), says=UNTIL_GRASP, limit_s=4.9)
-    for arm in run.arms.values():
-        after = [mode for _, mode in arm.modes[2:4]]
-        assert after == [Mode.GRASP, Mode.APPROACH]
-        assert any("closed on nothing: found 30.1 mm, expected 44.0 mm" in text for text in arm.told)
-    assert run.world.holding == [False, False]
-
-
-@pytest.mark.fault("F9")
-def test_a_gripper_that_loses_the_object_is_noticed_and_both_arms_hold() -> None:
-    lost: list[float] = []
-
-    def lose(rig: WholeRun) -> None:
-        if not lost and set(rig.mode.values()) == {Mode.TRACK} and rig.clock._ns * 1e-9 > tracking(rig) + 1.5:
-            rig.world.lose(0)
-            lost.append(rig.clock._ns * 1e-9)
-
-    run = WholeRun(CELL, at_tick=lose, says=UNTIL_GRASP, limit_s=8.0)
-    held = {name: next(at for at, mode in arm.modes if mode is Mode.HOLD) for name, arm in run.arms.items()}
-    assert 0.0 < held["left"] - lost[0] < 0.4
-    assert "the gripper lost the object" in run.arms["left"].told[-1]
-    assert run.world.holding == [False, True]  # who still has it keeps it
-
-
-def tracking(rig: WholeRun) -> float:
-    return max(at for arm in rig.arms.values() for at, mode in arm.modes if mode is Mode.TRACK)

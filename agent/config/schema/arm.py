@@ -126,6 +126,9 @@ class ServoJoint(Servos):
         return self
 
 
+GRIP_KEYS = ("closed_tick", "open_tick", "horn_radius_m", "rod_length_m", "grip_effort")
+
+
 class GripperJoint(Servos):
     """The gripper, with the geometry that turns its servo's angle into the way of the fingers."""
 
@@ -137,10 +140,14 @@ class GripperJoint(Servos):
     pad_friction: PositiveFigure | None = None  # coefficient between finger and object
 
     @property
-    def can_grip(self) -> bool:
-        """Whether it is described well enough to close on an object and to know that it has."""
-        needed = self.closed_tick, self.open_tick, self.horn_radius_m, self.rod_length_m, self.grip_effort
-        return None not in needed and SERVOS[self.servo].protocol == PROTOCOLS[-1]
+    def obeys(self) -> bool:
+        """Whether its servo can be told to close on the bus of the arm."""
+        return SERVOS[self.servo].protocol == PROTOCOLS[-1]
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """Keys without which nobody can close it on an object and know that it has."""
+        return tuple(key for key in GRIP_KEYS if getattr(self, key) is None)
 
 
 class ArmFile(Strict):

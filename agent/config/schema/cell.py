@@ -11,6 +11,7 @@ from pydantic import Field, model_validator
 
 from agent.config.schema.controller import Controller
 from agent.config.schema.coordination import NoticingSpec
+from agent.config.schema.floating import Floating
 from agent.config.schema.hil import Hil
 from agent.config.schema.member import Arm
 from agent.config.schema.monitors import MonitorsSpec
@@ -123,6 +124,8 @@ class CellFile(Strict):
     """Real arms that rehearse with simulated partners and object; none: no arm is in the loop."""
     session: Session | None = None
     """From rest to the object and back; none: the arms begin with the object in their grippers."""
+    floating: Floating | None = None
+    """Arms that a hand guides (`coop float`); none: every arm works."""
     report: Report
     """What the report measures and judges."""
     embedded: dict[str, str] = Field(default_factory=dict)
@@ -211,6 +214,13 @@ class CellFile(Strict):
         self.simulation.require_fit({a.name: len(a.controlled) for a in self.arms})
         if self.hil is not None:
             self.hil.require_fit(names, self.rate_hz, simulated=self.driver is DriverKind.SIM)
+        if self.floating is not None:
+            self.floating.require_fit(names, self.tolerance)
+            if self.hil is not None:
+                raise wrong(
+                    "floating", found="[hil] beside it", expected="one of them",
+                    remedy="arms that float rehearse nothing: remove one table",
+                )  # fmt: skip
         if self.driver is DriverKind.DYNAMIXEL:
             for a in self.arms:
                 if a.dynamixel is None:

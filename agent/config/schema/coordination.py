@@ -48,9 +48,9 @@ class NoticingSpec(Strict):
     slow_Nm: Moment | None = None
     """Unexpected moment that stays, from which it does."""
     against_N: Force | None = None
-    """Pull against the motion from which it does; none: derived, of three arms and more."""
+    """Pull against the motion, or down, from which it does; none: derived, of three arms and more."""
     climb_N: Force | None = None
-    """Climb of that pull, thrice in 0.45 s, with which half of it is enough; none: derived, of three arms and more."""
+    """Climb against the motion, thrice in 0.45 s, with which 0.6 of it does; none: derived, of three arms and more."""
     rate_per_s: Annotated[float, Field(gt=0.0, le=200.0)] = 30.0
     """Bandwidth of the residual."""
     slow_per_s: Annotated[float, Field(gt=0.0, le=50.0)] | None = None

@@ -151,8 +151,8 @@ def _from_table(network: Network, listen: str | None) -> zenoh.Config:
     except zenoh.ZError as error:
         raise NetworkError(
             "endpoint",
-            found=f"{listen} {network.connect}",
-            expected="like tcp/127.0.0.1:7447",
+            found=", ".join(filter(None, (listen, *network.connect))),
+            expected="like tcp/127.0.0.1:7448",
             remedy="correct it",
         ) from error
     return config

@@ -12,7 +12,7 @@ from agent.safety import Flag
 from agent.telemetry.row.event import Event, Level
 
 FLAG_PAUSE_NS: Final = 1_000_000_000  # a flag that flutters is told of at most once in this time
-_LEVEL_OF_MODE: Final = {Mode.HOLD: Level.WARN, Mode.FAULT: Level.ERROR}
+_LEVEL_OF_MODE: Final = {Mode.HOLD: Level.WARN, Mode.STAND: Level.WARN, Mode.FAULT: Level.ERROR}
 
 
 class RowEvents:

@@ -17,16 +17,16 @@ import dynamixel_sdk as sdk
 import pytest
 from dynamixel_easy_sdk import Connector, OperatingMode
 
+from tests.support.servos.patience import SDK_MS, be_patient
 from tests.support.servos.wire_emulator import emulator
 
 IDS = tuple(range(1, 8))
 OK = sdk.COMM_SUCCESS
-WAIT_MS = 2000
 
 
 @pytest.fixture(autouse=True)
-def patient_sdk(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dynamixel_sdk.port_handler.LATENCY_TIMER", WAIT_MS)
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    be_patient(monkeypatch)
 
 
 @pytest.fixture(scope="module")
@@ -145,7 +145,7 @@ def test_wrong_baud_hears_nothing_until_it_is_set_right(
     handler.setBaudRate(57_600)
     monkeypatch.setattr("dynamixel_sdk.port_handler.LATENCY_TIMER", 16)
     assert packets.ping(handler, 1)[1] == sdk.COMM_RX_TIMEOUT
-    monkeypatch.setattr("dynamixel_sdk.port_handler.LATENCY_TIMER", WAIT_MS)
+    monkeypatch.setattr("dynamixel_sdk.port_handler.LATENCY_TIMER", SDK_MS)
     handler.setBaudRate(1_000_000)
     assert packets.ping(handler, 1)[1] == OK
     handler.closePort()
@@ -198,7 +198,7 @@ def test_reboot_through_the_easy_sdk_comes_back(tmp_path: Path, monkeypatch: pyt
         for _ in range(1000):  # silent while it boots
             if connector._packet_handler.ping(connector._port_handler, 5)[1] == OK:
                 break
-        monkeypatch.setattr("dynamixel_sdk.port_handler.LATENCY_TIMER", WAIT_MS)
+        monkeypatch.setattr("dynamixel_sdk.port_handler.LATENCY_TIMER", SDK_MS)
         assert motor.isTorqueOn() == 0
         connector.closePort()
 
@@ -238,7 +238,7 @@ def test_faults_are_taken_over_the_control_socket(
         assert command(tmp_path, json.dumps({"kind": "silent", "arm": "left", "servo": 1})) == "ok"
         monkeypatch.setattr("dynamixel_sdk.port_handler.LATENCY_TIMER", 16)
         assert packets.ping(handler, 1)[1] == sdk.COMM_RX_TIMEOUT
-        monkeypatch.setattr("dynamixel_sdk.port_handler.LATENCY_TIMER", WAIT_MS)
+        monkeypatch.setattr("dynamixel_sdk.port_handler.LATENCY_TIMER", SDK_MS)
         assert command(tmp_path, "clear") == "ok"
         assert packets.ping(handler, 1)[1] == OK
         handler.closePort()

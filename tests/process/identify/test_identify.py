@@ -1,4 +1,7 @@
-"""From a simulated run to a new arm file by the commands a person types; and the logs the command refuses."""
+"""From a simulated run to a new arm file by the commands a person types; and the logs the command refuses.
+
+The run is by processes, the commands are in this one.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,9 @@ import pytest
 
 import configs
 from agent.config.cell import cell_from_toml, load_cell
-from tests.support.coop import PAPER, coop
+from tests.support.command import coop
+from tests.support.coop import PAPER
+from tests.support.coop import coop as run_process
 from tests.support.once import once
 
 CELL = configs.CELLS_DIR / "identify_wx200.toml"
@@ -20,7 +25,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of a whole run of the cell."""
 
     def make(folder: Path) -> None:
-        done = coop("run", CELL, "--no-report", "--out", "run", cwd=folder)
+        done = run_process("run", CELL, "--no-report", "--out", "run", cwd=folder)
         assert done.returncode == 0, done.stderr
 
     return once(tmp_path_factory, "identify-run", make) / "run"
@@ -28,9 +33,9 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_log_becomes_a_table_a_figure_and_an_arm_file_that_a_cell_can_use(run: Path, tmp_path: Path) -> None:
     done = coop("identify", run / "run.mcap", "--out", tmp_path / "new", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert "coulomb_Nm" in done.stdout
-    assert done.stdout.count("replaced") == 9
+    assert done.code == 0, done.err
+    assert "coulomb_Nm" in done.out
+    assert done.out.count("replaced") == 9
     new = tmp_path / "new"
     assert {path.name for path in new.iterdir()} == {"wx200.toml", "identify_wx200.png", "identify_wx200.json"}
     assert (new / "identify_wx200.png").read_bytes().startswith(b"\x89PNG")
@@ -45,7 +50,7 @@ def test_a_log_becomes_a_table_a_figure_and_an_arm_file_that_a_cell_can_use(run:
 
 
 def test_the_summary_is_complete(run: Path, tmp_path: Path) -> None:
-    assert coop("identify", run / "run.mcap", "--out", tmp_path, cwd=tmp_path).returncode == 0
+    assert coop("identify", run / "run.mcap", "--out", tmp_path, cwd=tmp_path).code == 0
     summary = json.loads((tmp_path / "identify_wx200.json").read_text())
     assert summary["fingerprint"] == load_cell(CELL).fingerprint
     assert len(summary["base_parameters"]) == 17
@@ -58,9 +63,9 @@ def test_a_log_of_several_arms_is_refused_in_one_line_and_nothing_is_written(
     paper_runs: tuple[Path, Path], tmp_path: Path
 ) -> None:
     done = coop("identify", paper_runs[0] / "run.mcap", "--out", "new", cwd=tmp_path)
-    assert done.returncode == 2
-    assert done.stderr.count("\n") == 1
-    assert "found 2 arms on one object" in done.stderr
+    assert done.code == 2
+    assert done.err.count("\n") == 1
+    assert "found 2 arms on one object" in done.err
     assert not (tmp_path / "new").exists()
 
 
@@ -68,18 +73,18 @@ def test_a_log_that_was_cut_is_refused_in_one_line(run: Path, tmp_path: Path) ->
     whole = (run / "run.mcap").read_bytes()
     (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) // 2])
     done = coop("identify", "cut.mcap", cwd=tmp_path)
-    assert done.returncode == 2
-    assert done.stderr.count("\n") == 1
-    assert "expected a complete log" in done.stderr
+    assert done.code == 2
+    assert done.err.count("\n") == 1
+    assert "expected a complete log" in done.err
 
 
 def test_gains_are_proposed_and_written_and_pass_the_check(tmp_path: Path) -> None:
     slow = ("--set", "rate_hz=120.0")
-    assert coop("check", PAPER, *slow, cwd=tmp_path).returncode == 2
+    assert coop("check", PAPER, *slow, cwd=tmp_path).code == 2
     done = coop("tune", PAPER, *slow, "--write", "slow.toml", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert "k_p_per_s = " in done.stdout
+    assert done.code == 0, done.err
+    assert "k_p_per_s = " in done.out
     checked = coop("check", "slow.toml", cwd=tmp_path)
-    assert checked.returncode == 0, checked.stderr
-    warned = [line for line in checked.stdout.splitlines() if line.startswith("warning: ")]
+    assert checked.code == 0, checked.err
+    warned = [line for line in checked.out.splitlines() if line.startswith("warning: ")]
     assert all(line.startswith("warning: this arm limp") for line in warned)  # gains do not lift what motors cannot

@@ -1,4 +1,7 @@
-"""`coop motors` and `coop doctor` as a person runs them, on real ptys; the official SDK is the witness."""
+"""`coop motors` and `coop doctor` as a person runs them, on real ptys; the official SDK is the witness.
+
+The servos are processes of their own, the commands are in this one, but for one that runs beside another.
+"""
 
 from __future__ import annotations
 
@@ -17,8 +20,10 @@ import dynamixel_sdk as sdk
 import pytest
 
 import configs
-from tests.support.coop import COOP, coop, start
+from tests.support.command import coop
+from tests.support.coop import COOP, start
 from tests.support.servos.motor_emulator import loose_servos
+from tests.support.servos.patience import be_patient
 
 TWO_WX200 = str(configs.CELLS_DIR / "two_wx200.toml")
 XM, XL = "XM430-W350", "XL430-W250"
@@ -54,6 +59,11 @@ class Witness:
 
     def write(self, servo_id: int, address: int, value: int) -> None:
         assert self._packets.write1ByteTxRx(self._handler, servo_id, address, value) == (0, 0)
+
+
+@pytest.fixture(autouse=True)
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    be_patient(monkeypatch)
 
 
 @pytest.fixture
@@ -92,22 +102,22 @@ BY_DRIVER = (
 
 def test_scan_lists_what_the_sdk_sees_and_how_it_is(three: Path) -> None:
     done = coop("motors", "scan", "--port", three, "--baud", "1000000", "--json")
-    assert done.returncode == 0, done.stderr
-    rows = json.loads(done.stdout)
+    assert done.code == 0, done.err
+    rows = json.loads(done.out)
     with Witness(three) as witness:
         assert {row["id"]: [row["model_number"], row["firmware"]] for row in rows} == witness.servos()
         assert [witness.byte(i, 64) for i in (2, 3, 9)] == [0, 0, 0]
     assert [row["model"] for row in rows] == [XM, XM, XL]
     assert all(row["voltage_V"] == 12.0 and row["temperature_C"] == 25 and row["hardware_error"] == 0 for row in rows)
-    table = coop("motors", "scan", "--port", three, "--baud", "1000000").stdout
+    table = coop("motors", "scan", "--port", three, "--baud", "1000000").out
     assert re.search(r"9\s+XL430-W250\s+46\s+12\.0 V\s+25 °C\s+none", table)
 
 
 def test_scan_finds_nothing_and_says_so_in_its_exit_code(three: Path) -> None:
     done = coop("motors", "scan", "--port", three, "--baud", "2000000", "--json")
-    assert done.returncode == 1
-    assert json.loads(done.stdout) == []
-    assert "is the 12 V supply on?" in done.stderr
+    assert done.code == 1
+    assert json.loads(done.out) == []
+    assert "is the 12 V supply on?" in done.err
 
 
 def test_a_shared_id_is_named_which_the_sdk_does_not_see(port: Path) -> None:
@@ -115,26 +125,24 @@ def test_a_shared_id_is_named_which_the_sdk_does_not_see(port: Path) -> None:
         with Witness(port) as witness:
             assert 5 not in witness.servos()
         done = coop("motors", "scan", "--port", port, "--baud", "1000000", "--json")
-    assert [(row["id"], row["note"]) for row in json.loads(done.stdout)] == [(5, "more than one servo has this ID")]
+    assert [(row["id"], row["note"]) for row in json.loads(done.out)] == [(5, "more than one servo has this ID")]
 
 
 @pytest.mark.parametrize("how", [BY_SDK, BY_DRIVER], ids=["without a lock", "locked"])
 def test_a_port_in_use_is_refused_naming_the_program(three: Path, how: str) -> None:
     with held(three, how) as pid:
         done = coop("motors", "scan", "--port", three)
-    assert done.returncode == 3
-    assert re.search(
-        rf"^coop: port .*: found in use by .*\({pid}\), expected nobody else on the bus; ", done.stderr, re.M
-    )
+    assert done.code == 3
+    assert re.search(rf"^coop: port .*: found in use by .*\({pid}\), expected nobody else on the bus; ", done.err, re.M)
 
 
 def test_a_port_that_is_not_there_and_a_speed_nobody_knows_are_refused(tmp_path: Path) -> None:
     done = coop("motors", "scan", "--port", tmp_path / "nothing")
-    assert done.returncode == 3
-    assert "found nothing of that name, expected a serial port" in done.stderr
+    assert done.code == 3
+    assert "found nothing of that name, expected a serial port" in done.err
     done = coop("motors", "scan", "--port", tmp_path / "nothing", "--baud", "1234")
-    assert done.returncode == 2
-    assert "baud rate: found 1234, expected 9600" in done.stderr
+    assert done.code == 2
+    assert "baud rate: found 1234, expected 9600" in done.err
 
 
 # --- setup -----------------------------------------------------------------------------------------------------------
@@ -147,10 +155,10 @@ def test_setup_asks_first_and_then_makes_a_shoulder_shadow(tmp_path: Path) -> No
     with loose_servos(asking, {"model": XM}), loose_servos(sure, {"model": XM}):
         done = start("motors", "setup", "--port", sure, *how, "--yes", cwd=tmp_path)
         declined = coop("motors", "setup", "--port", asking, *how, stdin="n\n")
-        assert declined.returncode == 1
+        assert declined.code == 1
         for change in ("ID: 1 → 3", "Baud Rate: 1 → 3", "Drive Mode: 0 → 1", "Secondary(Shadow) ID: 255 → 2",
                        "Return Delay Time: 250 → 0", "Min Position Limit: 0 → 819"):  # fmt: skip
-            assert change in declined.stdout
+            assert change in declined.out
         with Witness(asking, 57_600) as witness:
             assert witness.byte(1, 9) == 250
         _, err = done.communicate(timeout=SEARCH_S)
@@ -161,17 +169,15 @@ def test_setup_asks_first_and_then_makes_a_shoulder_shadow(tmp_path: Path) -> No
 
 def test_setup_on_an_arm_is_refused(three: Path) -> None:
     done = coop("motors", "setup", "--port", three, "--arm-model", "wx200", "--joint", "elbow", "--yes")
-    assert done.returncode == 3
-    assert (
-        "found ID 2 at 1000000 bit/s, ID 3 at 1000000 bit/s, ID 9 at 1000000 bit/s, expected exactly one" in done.stderr
-    )
+    assert done.code == 3
+    assert "found ID 2 at 1000000 bit/s, ID 3 at 1000000 bit/s, ID 9 at 1000000 bit/s, expected exactly one" in done.err
 
 
 def test_setup_for_an_arm_or_joint_that_is_not_described_is_refused_before_the_port_is_opened() -> None:
     for arm, joint, text in (("wx2000", "elbow", "arm model: found 'wx2000'"), ("wx200", "elbov", "joint of wx200")):
         done = coop("motors", "setup", "--port", "/dev/coop-not-there", "--arm-model", arm, "--joint", joint)
-        assert done.returncode == 2
-        assert text in done.stderr
+        assert done.code == 2
+        assert text in done.err
 
 
 # --- dump and restore ------------------------------------------------------------------------------------------------
@@ -180,7 +186,7 @@ def test_setup_for_an_arm_or_joint_that_is_not_described_is_refused_before_the_p
 def test_what_the_sdk_changed_a_restore_brings_back(three: Path, tmp_path: Path) -> None:
     file = tmp_path / "arm.toml"
     done = coop("motors", "dump", "--port", three, "--baud", "1000000", "--out", file)
-    assert done.returncode == 0, done.stderr
+    assert done.code == 0, done.err
     content = tomllib.loads(file.read_text())
     assert [servo["id"] for servo in content["servos"]] == [2, 3, 9]
     assert [p.name for p in tmp_path.iterdir() if p.name.startswith(".arm")] == []
@@ -188,8 +194,8 @@ def test_what_the_sdk_changed_a_restore_brings_back(three: Path, tmp_path: Path)
         witness.write(3, 9, 77)  # Return Delay Time
         witness.write(9, 31, 60)  # Temperature Limit
     dry = coop("motors", "restore", file, "--port", three, "--dry-run")
-    assert dry.returncode == 0, dry.stderr
-    assert dry.stdout.splitlines() == [
+    assert dry.code == 0, dry.err
+    assert dry.out.splitlines() == [
         "servo 3: Return Delay Time: found 77, wanted 250",
         "servo 9: Temperature Limit: found 60, wanted 72",
         "2 registers would be written",
@@ -197,49 +203,49 @@ def test_what_the_sdk_changed_a_restore_brings_back(three: Path, tmp_path: Path)
     with Witness(three) as witness:
         assert witness.byte(3, 9) == 77
     done = coop("motors", "restore", file, "--port", three)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.endswith("2 registers written and read back\n")
+    assert done.code == 0, done.err
+    assert done.out.endswith("2 registers written and read back\n")
     with Witness(three) as witness:
         assert [witness.byte(3, 9), witness.byte(9, 31)] == [250, 72]
         assert [witness.byte(i, 64) for i in (2, 3, 9)] == [0, 0, 0]
-    assert coop("motors", "restore", file, "--port", three).stdout == "no differences\n"
+    assert coop("motors", "restore", file, "--port", three).out == "no differences\n"
 
 
 def test_a_dump_does_not_replace_a_file_unless_told_to(three: Path, tmp_path: Path) -> None:
     file = tmp_path / "arm.toml"
     file.write_text("the only one")
     done = coop("motors", "dump", "--port", three, "--baud", "1000000", "--out", file)
-    assert (done.returncode, file.read_text()) == (2, "the only one")
+    assert (done.code, file.read_text()) == (2, "the only one")
     done = coop("motors", "dump", "--port", three, "--baud", "1000000", "--out", file, "--force")
-    assert done.returncode == 0
+    assert done.code == 0
     assert "servos" in tomllib.loads(file.read_text())
 
 
 def test_torque_on_and_another_model_refuse_a_restore(three: Path, tmp_path: Path) -> None:
     file = tmp_path / "arm.toml"
-    assert coop("motors", "dump", "--port", three, "--baud", "1000000", "--out", file).returncode == 0
+    assert coop("motors", "dump", "--port", three, "--baud", "1000000", "--out", file).code == 0
     with Witness(three) as witness:
         witness.write(3, 9, 77)
         witness.write(9, 64, 1)
     done = coop("motors", "restore", file, "--port", three)
-    assert done.returncode == 3
-    assert "servo 9: torque: found on, expected off" in done.stderr
+    assert done.code == 3
+    assert "servo 9: torque: found on, expected off" in done.err
     with Witness(three) as witness:
         assert [witness.byte(3, 9), witness.byte(9, 64)] == [77, 1]
     text = file.read_text().replace("id = 2", "id = 9").replace("ID = 2", "ID = 9")
     file.write_text(text[: text.index("[[servos]]", text.index("[[servos]]") + 1)])
     done = coop("motors", "restore", file, "--port", three)
-    assert done.returncode == 3
-    assert "servo 9: model: found XL430-W250, expected XM430-W350 as in the file" in done.stderr
+    assert done.code == 3
+    assert "servo 9: model: found XL430-W250, expected XM430-W350 as in the file" in done.err
 
 
 def test_a_missing_servo_is_one_line_and_exit_code_1(three: Path, tmp_path: Path) -> None:
     file = tmp_path / "arm.toml"
-    assert coop("motors", "dump", "--port", three, "--baud", "1000000", "--out", file).returncode == 0
+    assert coop("motors", "dump", "--port", three, "--baud", "1000000", "--out", file).code == 0
     file.write_text(file.read_text().replace("id = 9", "id = 8").replace("ID = 9", "ID = 8"))
     done = coop("motors", "restore", file, "--port", three, "--dry-run")
-    assert done.returncode == 1
-    assert "servo 8: found none, wanted a XL430-W250; check its cable and supply" in done.stdout
+    assert done.code == 1
+    assert "servo 8: found none, wanted a XL430-W250; check its cable and supply" in done.out
 
 
 # --- doctor ----------------------------------------------------------------------------------------------------------
@@ -283,13 +289,13 @@ def against_arms(document: dict[str, Any]) -> list[str]:
 
 def test_doctor_finds_an_emulated_cell_fit_and_leaves_it_as_it_was(cell: Path, tmp_path: Path) -> None:
     files = [tmp_path / name for name in ("before.toml", "after.toml")]
-    assert coop("motors", "dump", "--port", cell / "left", "--baud", "1000000", "--out", files[0]).returncode == 0
+    assert coop("motors", "dump", "--port", cell / "left", "--baud", "1000000", "--out", files[0]).code == 0
     done = coop("doctor", TWO_WX200, "--ports", cell, "--logs", tmp_path, "--json")
-    document = json.loads(done.stdout)
-    assert done.returncode == {"ok": 0, "warning": 1, "refused": 2}[document["verdict"]]
+    document = json.loads(done.out)
+    assert done.code == {"ok": 0, "warning": 1, "refused": 2}[document["verdict"]]
     assert against_arms(document) == []
     assert set(document["cycles"]) == {"left", "right"}
-    assert coop("motors", "dump", "--port", cell / "left", "--baud", "1000000", "--out", files[1]).returncode == 0
+    assert coop("motors", "dump", "--port", cell / "left", "--baud", "1000000", "--out", files[1]).code == 0
     before, after = (tomllib.loads(file.read_text())["servos"] for file in files)
     assert before == after
     with Witness(cell / "left") as witness:
@@ -299,27 +305,27 @@ def test_doctor_finds_an_emulated_cell_fit_and_leaves_it_as_it_was(cell: Path, t
 def test_doctor_names_the_program_that_has_the_port_and_looks_at_the_other_arm(cell: Path, tmp_path: Path) -> None:
     with held(cell / "left", BY_DRIVER) as pid:
         done = coop("doctor", TWO_WX200, "--ports", cell, "--logs", tmp_path)
-    assert done.returncode == 2
+    assert done.code == 2
     assert re.search(
-        rf"^refused  left: port .*: found in use by .*\({pid}\), wanted nobody else on the bus; ", done.stdout, re.M
+        rf"^refused  left: port .*: found in use by .*\({pid}\), wanted nobody else on the bus; ", done.out, re.M
     )
-    assert re.search(r"^ok       right: servos: 7, IDs 1, 2, 3, 4, 5, 6, 7", done.stdout, re.M)
-    assert "left: servos" not in done.stdout
+    assert re.search(r"^ok       right: servos: 7, IDs 1, 2, 3, 4, 5, 6, 7", done.out, re.M)
+    assert "left: servos" not in done.out
 
 
 def test_doctor_sees_a_defect_that_the_sdk_made(cell: Path, tmp_path: Path) -> None:
     with Witness(cell / "left") as witness:
         witness.write(4, 10, 0)  # Drive Mode of the reversed elbow
     done = coop("doctor", TWO_WX200, "--arm", "left", "--ports", cell, "--logs", tmp_path)
-    assert done.returncode == 2
+    assert done.code == 2
     assert re.search(
         r"^refused  left: servo 4 \(elbow\): Drive Mode, direction: found normal .*, wanted reverse .*;",
-        done.stdout,
+        done.out,
         re.M,
     )
 
 
 def test_check_refuses_a_rate_that_the_bus_cannot_carry() -> None:
     done = coop("check", TWO_WX200, "--set", "rate_hz=500")
-    assert done.returncode == 2
-    assert re.search(r"rate on the servo bus \(left\): found 500 Hz, expected ≤ \d+ Hz \(7 servos", done.stderr)
+    assert done.code == 2
+    assert re.search(r"rate on the servo bus \(left\): found 500 Hz, expected ≤ \d+ Hz \(7 servos", done.err)

@@ -95,7 +95,7 @@ def test_a_foreign_client_hears_the_cell_as_the_log_has_it(tmp_path: Path) -> No
         found = dict(client.ready())
         rings = {member: tmp_path / f"{member}.ring" for member in MEMBERS}
         publishers = [telemetry(ring, m, endpoint, Pace.REAL_TIME) for m, ring in rings.items()]
-        writers = [writer(ring, m, 400, 200.0, texts=m == "left") for m, ring in rings.items()]
+        writers = [writer(ring, m, 400, 100.0, texts=m == "left") for m, ring in rings.items()]
         assert [w.result() for w in writers] == [400] * 3
         assert all(p.result().complete for p in publishers)
         with router.node(ros_at) as viewer:

@@ -12,8 +12,9 @@ from agent.safety import Flag
 from tests.support.plant.inprocess import simulate
 
 BOUND_M = 0.5e-3  # over one period of the motion behind the transient
-DURATION_S = 45.0
-TRANSIENT_S = 30.0
+DURATION_S = 25.0
+TRANSIENT_S = 10.0
+LONG_S = 45.0  # of the run that begins with nothing: estimates go on moving
 IDEAL = (
     "simulation.effects.friction=false",
     "simulation.effects.position_quantisation=false",
@@ -36,11 +37,17 @@ def paper(*overrides: str) -> Cell:
 
 
 @pytest.mark.parametrize(
-    ("start", "effects"),
-    [("nothing", ()), ("half", ()), ("double", ()), ("nothing", (*IDEAL, "controller.adaptive.rotor_inertia=true"))],
-    ids=["nothing", "half", "double", "nothing, ideal actuators"],
+    ("start", "effects", "duration_s"),
+    [
+        pytest.param("nothing", (), LONG_S, id="nothing"),
+        pytest.param("half", (), DURATION_S, id="half", marks=pytest.mark.long),
+        pytest.param("double", (), DURATION_S, id="double"),
+        pytest.param(
+            "nothing", (*IDEAL, "controller.adaptive.rotor_inertia=true"), DURATION_S, id="nothing, ideal actuators"
+        ),
+    ],
 )
-def test_it_tracks_whatever_it_believes_at_first(start: str, effects: tuple[str, ...]) -> None:
+def test_it_tracks_whatever_it_believes_at_first(start: str, effects: tuple[str, ...], duration_s: float) -> None:
     """Ideal actuators: the reflected inertia is unknown too."""
     estimates: list[np.ndarray] = []
 
@@ -49,7 +56,7 @@ def test_it_tracks_whatever_it_believes_at_first(start: str, effects: tuple[str,
         estimates.append(np.concatenate([o.memory.estimate.arm for o in outcomes if o.memory.estimate is not None]))
 
     cell = paper(*STARTS[start], *effects)
-    history = simulate(cell, DURATION_S, watch=watch)
+    history = simulate(cell, duration_s, watch=watch)
     assert history.after(TRANSIENT_S)[0] <= BOUND_M
     upper = np.concatenate([data.upper.arm for data in (cell.offline(a).adaptation for a in cell.arms) if data])
     assert np.linalg.norm(estimates, axis=1).max() <= 2.0 * np.linalg.norm(upper)
@@ -67,7 +74,12 @@ def test_an_object_twice_as_heavy_as_configured_is_learnt() -> None:
 
 
 @pytest.mark.parametrize(
-    ("cell", "kind"), [("three_wx250s", "known"), ("four_wx250s", "known"), ("three_wx250s", "adaptive")]
+    ("cell", "kind"),
+    [
+        pytest.param("three_wx250s", "known", marks=pytest.mark.long),
+        ("four_wx250s", "known"),
+        ("three_wx250s", "adaptive"),
+    ],
 )
 def test_arms_with_six_joints_carry_the_box_along_its_way(cell: str, kind: str) -> None:
     """2 mm and 10 mrad with every servo effect on."""
@@ -79,6 +91,6 @@ def test_arms_with_six_joints_carry_the_box_along_its_way(cell: str, kind: str) 
 
 def test_two_different_arms_share_a_plane() -> None:
     cell = load_cell(configs.CELLS_DIR / "two_models.toml")
-    position_m, attitude_rad = simulate(cell, 35.0).after(20.0)
+    position_m, attitude_rad = simulate(cell, DURATION_S).after(TRANSIENT_S)
     assert position_m <= 1e-3
     assert attitude_rad <= 2e-3

@@ -11,8 +11,8 @@ import configs
 from agent.config.cell import load_cell
 from tests.support.plant.inprocess import History, simulate
 
-DURATION_S = 35.0  # one period of the trajectory behind the transient
-TRANSIENT_S = 20.0
+DURATION_S = 25.0  # one period of the trajectory behind the transient
+TRANSIENT_S = 10.0
 SERVOS = ('controller.velocity="servo"',)
 
 

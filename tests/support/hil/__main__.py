@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 import configs
-from agent.config.cell import load_cell
+from agent.config.cell import Cell, load_cell
 from agent.faults.looped import PHASE_NS
 from agent.modes import Mode
 from sim_backend.wire.faults import Fault, FaultKind
@@ -26,6 +27,9 @@ MORE_S = 0.1  # of a hold
 FALL_M = 0.1  # beyond which nobody holds the object any more
 IN_A_CYCLE_S = 0.003  # of the plant, so that its arm goes limp with the next one, as in the rehearsal
 HALF_A_CYCLE_NS = 2_500_000
+HOLD_S, MOVES_M, TURNS_RAD_PER_S = 0.025, 5e-3, 0.5  # once the plant is gone
+TOUCH_N, TOUCH_S = 5.0, 0.3
+PARTED_M, TOGETHER_M = 30e-3, 2e-3
 SOFT = "simulation.grasp={stiffness_N_per_m=2e3,stiffness_Nm_per_rad=20.0}"
 
 
@@ -67,19 +71,29 @@ class Table:
         self.line(f"{name}, soft grasps", self.run(name, [first], (SOFT,)), self.run(name, [], (SOFT,)), within=None)
 
     def loss(self, name: str) -> None:
-        """The first arm's power off, beside the simulated cell whose arm goes limp in the same cycle.
+        """The first arm without power, unplugged, its agent killed: beside the simulated cell with the same limp arm.
 
         Until all others hold, and a tenth of a second more; and to the end, where they can carry the object.  Where
-        they cannot it falls, and two simulated falls that differ by half a cycle are told beside it.
+        they cannot it falls, and how far two simulated falls are apart that differ by half a cycle is told beside it.
         """
         first = load_cell(configs.CELLS_DIR / f"{name}.toml").arms[0].name
-        changes = ["duration_s=4.0", f'hil.arms=["{first}"]']
         power = [Fault(kind=FaultKind.POWER_LOSS, arm=first, start_s=FAULT_S)]
-        real = Rehearsal(load_cell(configs.CELLS_DIR / f"{name}.toml", changes), faults=power)
+        self.lost(name, "power off", lambda cell: Rehearsal(cell, faults=power))
+        for what, happening in (
+            ("unplugged", lambda run: setattr(run.ports[first], "lost", True)),
+            ("agent killed", lambda run: run.kill(first)),
+        ):
+            self.lost(name, what, lambda cell, do=happening: Rehearsal(cell, happenings={FAULT_S: do}))
+
+    def lost(self, name: str, what: str, make: Callable[[Cell], Rehearsal]) -> None:
+        """One line of it."""
+        cell = load_cell(configs.CELLS_DIR / f"{name}.toml", ["duration_s=4.0"])
+        first = cell.arms[0].name
+        real = make(load_cell(configs.CELLS_DIR / f"{name}.toml", ["duration_s=4.0", f'hil.arms=["{first}"]']))
         at_s = ((real.plant.seats[first].limp_ns or 0) - (real.zero_ns or 0)) * 1e-9
-        sim, other = (
+        sims = [
             Rehearsal(
-                load_cell(configs.CELLS_DIR / f"{name}.toml", changes[:1]),
+                cell,
                 phase_ns=phase_ns,
                 happenings={
                     FAULT_S: lambda run: setattr(run.sims[first], "silent", True),
@@ -87,21 +101,82 @@ class Table:
                 },
             )
             for phase_ns in (PHASE_NS, PHASE_NS + HALF_A_CYCLE_NS)
+        ]
+        held_s = max(_holds_s(run) for run in (real, sims[0]))
+        until, _ = _apart(real, sims[0], held_s + MORE_S)
+        apart, moved = _apart(real, sims[0])
+        good = until <= APART_M and (moved > FALL_M or apart <= APART_M)
+        self.tell(
+            f"{name}, {what}",
+            f"limp after {at_s - FAULT_S:.3f} s, all hold after {held_s - FAULT_S:.3f} s: object {until * 1e3:.2f} mm "
+            f"from the simulated one until then, {apart * 1e3:.2f} mm to the end, which moves {moved * 1e3:.1f} mm and "
+            f"is {_apart(sims[1], sims[0])[0] * 1e3:.2f} mm from itself half a cycle later",
+            good=good,
         )
-        held_s = max(_holds_s(run) for run in (real, sim))
-        until, _ = _apart(real, sim, held_s + MORE_S)
-        apart, moved = _apart(real, sim)
-        alike, _ = _apart(other, sim)
-        falls = moved > FALL_M
-        good = until <= APART_M and (falls or apart <= APART_M)
+
+    def plant_killed(self, name: str) -> None:
+        """The plant's process: how soon every real arm holds, how far and how fast the first one moves from then on."""
+        motion: list[tuple[Any, float]] = []
+        first = load_cell(configs.CELLS_DIR / f"{name}.toml").arms[0].name
+
+        def kill(run: Rehearsal) -> None:
+            run.plant.killed = True
+            run.watch(
+                lambda _, lone: motion.append((lone.end_effector().translation.copy(), np.abs(lone.dq).max())), first
+            )
+
+        changes = ["duration_s=3.0", f'hil.arms=["{first}"]']
+        run = Rehearsal(load_cell(configs.CELLS_DIR / f"{name}.toml", changes), happenings={FAULT_S: kill})
+        rows = run.arms[first].rows
+        after_s = float(rows["t"][rows["mode"] == Mode.HOLD][0]) - FAULT_S
+        way_m = max(float(np.linalg.norm(place - motion[0][0])) for place, _ in motion)
+        speed = max(speed for _, speed in motion)
+        self.tell(
+            f"{name}, plant killed",
+            f"HOLD after {after_s * 1e3:.0f} ms, the real arm moves {way_m * 1e3:.2f} mm, {speed:.2f} rad/s at most",
+            good=after_s <= HOLD_S and way_m <= MOVES_M and speed <= TURNS_RAD_PER_S,
+        )
+
+    def touched(self, name: str) -> None:
+        """5 N for 0.3 s on the first arm, where it gives way most, of agents that notice nothing."""
+        first = load_cell(configs.CELLS_DIR / f"{name}.toml").arms[0].name
+        apart: list[tuple[float, float]] = []
+
+        def begin(run: Rehearsal) -> None:
+            run.lone(first).touch(TOUCH_N * _soft(run, first))
+            run.watch(lambda t, _: apart.append((t, run.apart_m(first))), first)
+
+        def end(run: Rehearsal) -> None:
+            run.lone(first).touch(np.zeros(6))
+
+        blind = ("safety.noticing.enabled=false", "safety.tracking_error_max_m=0.2")
+        changes = ["duration_s=4.0", f'hil.arms=["{first}"]', *blind]
+        happenings = {FAULT_S: begin, FAULT_S + TOUCH_S: end}
+        run = Rehearsal(load_cell(configs.CELLS_DIR / f"{name}.toml", changes), happenings=happenings)
+        modes = {arm.summary.mode for arm in run.arms.values() if arm.summary is not None}
+        most = max(gap for _, gap in apart)
+        later = max(gap for t, gap in apart if t > FAULT_S + TOUCH_S + 1.0)
+        self.tell(
+            f"{name}, {TOUCH_N:g} N for {TOUCH_S:g} s",
+            f"{most * 1e3:.1f} mm apart at most, {later * 1e3:.2f} mm from a second after it on",
+            good=modes == {Mode.TRACK} and most <= PARTED_M and later <= TOGETHER_M,
+        )
+
+    def tell(self, what: str, found: str, *, good: bool) -> None:
+        """One line that is no ratio."""
         self.missed += not good
-        sys.stdout.write(
-            f"{name + ', power off':44} limp after {at_s - FAULT_S:.3f} s, all hold after {held_s - FAULT_S:.3f} s: "
-            "object "
-            f"{until * 1e3:.2f} mm from the simulated one until then, {apart * 1e3:.2f} mm to the end, which moves "
-            f"{moved * 1e3:.1f} mm and is {alike * 1e3:.2f} mm from itself half a cycle later"
-            f"{'' if good else '  MISSED'}\n"
-        )
+        sys.stdout.write(f"{what:44} {found}{'' if good else '  MISSED'}\n")
+        sys.stdout.flush()
+
+
+def _soft(run: Rehearsal, arm: str) -> Any:
+    """Direction (6,) in which a force moves the end effector most: of the largest J B⁻¹ Jᵀ."""
+    own = run.cell.arm(arm)
+    model = run.cell.model(own)
+    q = run.lone(arm).q
+    J = model.jacobian(q)[:3]
+    _, directions = np.linalg.eigh(J @ np.linalg.solve(model.inertia(q), J.T))
+    return np.append(directions[:, -1], np.zeros(3))
 
 
 def _holds_s(run: Rehearsal) -> float:
@@ -130,6 +205,8 @@ if __name__ == "__main__":
     for cell in sys.argv[1:] or CELLS:
         table.cell(cell)
         table.loss(cell)
+        table.plant_killed(cell)
+        table.touched(cell)
     if not sys.argv[1:]:
         full = table.run("paper_adaptive", [])
         table.line("paper_adaptive, left", table.run("paper_adaptive", ["left"]), full, within=None)

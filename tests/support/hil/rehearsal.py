@@ -29,6 +29,7 @@ from agent.report.series import internal_wrenches
 from agent.runner import Runner, Surroundings
 from agent.telemetry.row.fill import AgentRow
 from agent.verify.check import examine
+from drivers.dynamixel.arm_map import WATCHDOG_S
 from drivers.dynamixel.driver import DynamixelDriver
 from drivers.interface import (
     Vector,
@@ -62,6 +63,10 @@ class Hil(ArmRun):
     bridge: BridgeDriver | None = None
 
 
+class Killed(Exception):
+    """The process of an agent is gone."""
+
+
 Happening = Callable[["Rehearsal"], None]
 
 
@@ -93,6 +98,7 @@ class Rehearsal:
         self.cell, self._faults, self._late = cell, faults, (older_cycles, lost)
         self._happenings = happenings or {}
         self._ready: set[str] = set()
+        self._killed: set[str] = set()
         self.zero_ns: int | None = None
         self.ports: dict[str, VirtualPort] = {}
         self.sims: dict[str, VirtualSim] = {}
@@ -128,6 +134,8 @@ class Rehearsal:
         self.clock.join()
         try:
             self._loop(run, arm, q_start)
+        except Killed:
+            pass
         except BaseException as error:  # noqa: BLE001 - raised again where the run was asked for
             run.error = error
         finally:
@@ -157,7 +165,7 @@ class Rehearsal:
             wall_ns=self.clock.now_ns,
             operator=self._operator,
             start_ns=lambda: self._start(arm.name),
-            heartbeat=lambda: None,
+            heartbeat=lambda: self._beat(arm.name),
             mode_changed=lambda _: None,
         )
         kind = DriverKind.DYNAMIXEL if arm.name in self.real else DriverKind.SIM
@@ -185,6 +193,18 @@ class Rehearsal:
                 for t, happen in sorted(self._happenings.items())
             ]
         return self.zero_ns
+
+    def _beat(self, arm: str) -> None:
+        if arm in self._killed:
+            raise Killed
+
+    def kill(self, name: str) -> None:
+        """The process of a real arm's agent is gone: its servos and its twin keep what they have for a while."""
+        seat = self.plant.seats[name]
+        self._killed.add(name)
+        seat.orphan()
+        self._physics.todo.append((self.clock.now_ns() + round(WATCHDOG_S * 1e9), seat.switch_off))
+        self._physics.todo.sort(key=lambda entry: entry[0])
 
     def watch(self, look: Callable[[float, Any], None], name: str = "left") -> None:
         """Show the physics of a real arm from now on, at most a millisecond apart, with the time from the start."""

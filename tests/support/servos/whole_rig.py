@@ -44,6 +44,14 @@ WORDS = {
 }
 
 
+def session_schedule(cell: Cell, arm: Arm) -> Schedule:
+    """As an agent has it that is held on to at its end."""
+    options: Any = AgentOptions(
+        arm.name, DriverKind.DYNAMIXEL, Connection(emulated=True), None, None, lockstep=False, hold=True
+    )  # type: ignore[arg-type]
+    return schedule_of(cell, options)
+
+
 @dataclass
 class SessionRun(ArmRun):
     """What the session of one arm left."""
@@ -129,12 +137,10 @@ class WholeRun:
             heartbeat=lambda: None,
             mode_changed=changed,
             trouble=run.told.append,
+            refused=run.told.append,
         )
-        options: Any = AgentOptions(
-            name, DriverKind.DYNAMIXEL, Connection(emulated=True), None, None, lockstep=False, hold=True
-        )  # type: ignore[arg-type]
         row = AgentRow(run.log.message, arm.n, self.cell.config_id)
-        schedule: Schedule = schedule_of(self.cell, options)
+        schedule = session_schedule(self.cell, arm)
         session = session_loop(self.cell, arm, agent, driver)
         watch = Watch(monitors.bounds(self.cell, arm), run.told.append)
         loop = Runner(agent, driver, self.clock, schedule, row, run.log, around, watch, session=session)

@@ -60,3 +60,14 @@ def test_a_row_of_the_list_can_be_let_happen_by_its_id() -> None:
     assert lines[1].startswith("noticed           after 0 ms (left: ")
     assert any(line.startswith("arm left          stopped after ") for line in lines)
     assert any(line.startswith("sag  ") and line.endswith(" mm") for line in lines)
+
+
+def test_a_row_of_a_rehearsal_brings_its_arm_in_the_loop_along(tmp_path: Path) -> None:
+    log = tmp_path / "log.mcap"
+    done = coop("faults", "inject", "paper_real", "h5", "--duration", "2.13", "--out", log)
+    assert done.code == 0, done.err
+    assert "twin of arm left: found a plant that is gone" in done.out
+    assert "arm from twin     0.00" in done.out
+    rows = read_log(log).agents["left"]
+    assert np.abs(rows["tau_bridge"]).max() > 0.01
+    assert not rows["tau_bridge"][-1].any()

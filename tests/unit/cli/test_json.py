@@ -98,10 +98,12 @@ def test_what_cannot_be_examined_is_an_error_line_and_no_document(tmp_path: Path
         assert done.err.count("\n") == 1
 
 
-ARM = {"k_v_N_s_per_m": ["float"], "k_v_Nm_s_per_rad": ["float"], "velocity_noise_Nm": "float"}
+ARM = {"k_v_N_s_per_m": ["float"], "k_v_Nm_s_per_rad": ["float"], "torque_noise_Nm": "float"}
 GAINS: dict[str, Any] = {
     "k_p_per_s": ["float"], "k_p_rate_per_s": ["float"], "k_eps_rad_per_s": ["float"],
-    "k_eps_rate_rad_per_s": ["float"], "arms": {"left": ARM, "right": ARM},
+    "k_eps_rate_rad_per_s": ["float"],
+    "observer": {"position_gain": "float", "velocity_gain": "float", "velocity_from_position_per_s": "float"},
+    "arms": {"left": ARM, "right": ARM},
     "loop": [{"inertia_error": "float", "spectral_radius": "float", "damping_ratio": "float"}],
     "slowest_time_constant_s": "float", "worst_spectral_radius": "float", "delay_margin_s": "NoneType",
 }  # fmt: skip

@@ -48,6 +48,13 @@ def test_a_new_key_goes_to_the_end_of_its_own_table() -> None:
     assert edited.index("k_rate") < edited.index("# the end of the table") < edited.index("k_w") < edited.index("right")
 
 
+def test_a_table_within_another_that_is_not_there_yet_comes_behind_it() -> None:
+    seen = [Change("controller.observer", "slope", "2.0"), Change("controller.observer", "gain", "0.1")]
+    edited = apply(TEXT, seen)
+    assert edited == TEXT.replace("  2.0,\n]\n", "  2.0,\n]\n\n[controller.observer]\nslope = 2.0\ngain = 0.1\n")
+    assert apply(edited, [Change("controller.observer", "gain", "0.3")]) == edited.replace("0.1", "0.3")
+
+
 @pytest.mark.parametrize("path", sorted(configs.ARMS_DIR.glob("*.toml")), ids=lambda path: path.stem)
 def test_every_shipped_arm_file_can_be_edited(path: Path) -> None:
     text = path.read_text()
@@ -65,6 +72,9 @@ def test_every_shipped_arm_file_can_be_edited(path: Path) -> None:
         (TEXT, Change("world", "g", "9.81"), "no such header"),
         (TEXT, Change("arms", "k_v", "1.0", "middle"), "no such header"),
         ("controller = { k = 1.0 }\n", Change("controller", "k", "2.0"), "no such header"),
+        (TEXT, Change("world.sky", "g", "9.81"), "no such header"),
+        ("[a]\nb = { c = 1 }\n", Change("a.b", "c", "2"), "an unusual way"),
+        ("[a]\nb.c = 1\n", Change("a.b", "d", "2"), "an unusual way"),
         ('[a]\nnote = """\n[b]\n"""\n\n[b]\nk = 1\n', Change("b", "k", "2"), "an unusual way"),
     ],
 )

@@ -21,7 +21,7 @@ SCHEMA_FILE = Path(configs.__file__).parent / "cell.schema.json"
 CELLS = sorted(configs.CELLS_DIR.glob("*.toml"))
 BARE = (  # numbers that have no unit
     "format", "e_eta_min", "sigma_min", "tau_step_max_fraction", "tau_max_fraction_of_stall", "spectral_radius_max",
-    "speed_share", "power_share", "limited_share", "load_share",
+    "friction_share", "speed_share", "power_share", "limited_share", "load_share",
     "gravity_times", "tau_share", "extra_cycles", "gripper_share_max",
     "inertia_error", "load_share", "position_gain", "velocity_gain", "gamma", "gamma_object", "mass", "first_moment",
     "inertia", "rotor_inertia", "viscous", "coulomb", "breakaway", "load", "start_scale", "relative_min",

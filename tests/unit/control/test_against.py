@@ -10,7 +10,7 @@ import pytest
 
 from agent.config.cell import load_cell
 from agent.config.noticing import against
-from agent.control.against import MEANS, NO_PULL, Against, Pull, pull_of
+from agent.control.against import MEANS, NO_PULL, WITH_CLIMB, Against, Pull, pull_of
 from agent.control.cause import Cause, behind
 from agent.modes import Mode
 from agent.safety import Flag
@@ -18,7 +18,8 @@ from agent.study.fault import Fault, FaultKind
 from agent.study.lab import Laboratory, Run
 
 PERIOD = 5e-3
-LAW = Against(PERIOD, level_N=0.7, climb_N=0.14)
+DOWN = (0.0, 0.0, -1.0)
+LAW = Against(PERIOD, level_N=0.7, climb_N=0.14, down=DOWN)
 SLOWLY = (0.01, 0.0, 0.0, 0.0, 0.0, 0.0)
 NOTHING = (0.0,) * 6
 
@@ -66,8 +67,9 @@ def test_the_pull_is_the_part_of_the_wrench_against_the_twist(
 
 def test_a_pull_that_grows_climbs_and_one_that_came_at_once_does_not() -> None:
     growing = after(0.7, lambda t: -1.2 * t)
-    climbs = [LAW.tripped(p._replace(level_N=0.36)) for p in growing]
-    assert not any(LAW.tripped(p._replace(level_N=0.34)) for p in growing), "half of the level's limit is asked, too"
+    climbs = [LAW.tripped(p._replace(level_N=0.43)) for p in growing]
+    assert not any(LAW.tripped(p._replace(level_N=0.41)) for p in growing), "a part of the level's limit is asked, too"
+    assert WITH_CLIMB == 0.6
     assert growing[-1].climb_N == pytest.approx(1.2 * 0.15, rel=0.05)
     assert 0.4 < PERIOD * climbs.index(True) < 0.55
     assert all(p.climb_N < 0.01 for p in after(2.0, lambda t: -9.0 if t > 0.7 else 0.0))
@@ -76,32 +78,55 @@ def test_a_pull_that_grows_climbs_and_one_that_came_at_once_does_not() -> None:
 
 def test_what_is_no_number_trips() -> None:
     assert LAW.tripped(NO_PULL._replace(level_N=math.nan))
-    assert LAW.tripped(NO_PULL._replace(level_N=0.36, means_N=(math.nan,) * MEANS))
+    assert LAW.tripped(NO_PULL._replace(level_N=0.43, means_N=(math.nan,) * MEANS))
+    assert LAW.tripped(NO_PULL._replace(weight_N=math.nan))
     assert not LAW.tripped(NO_PULL)
 
 
+def test_what_pulls_down_is_a_weight_whatever_the_motion_is() -> None:
+    for v in (SLOWLY, NOTHING):
+        pull = NO_PULL
+        for _ in range(20):
+            pull = LAW.advance(pull, (3.0, 0.0, -0.9, 0.0, 0.0, 1.0), (0.0, 0.0, -0.1, 0.0, 0.0, 0.0), v)
+        assert pull.weight_N == pytest.approx(0.8 * (1.0 - (1.0 - 15.0 * PERIOD) ** 20))
+        heavy = NO_PULL._replace(weight_N=pull.weight_N + 0.1)
+        assert not LAW.weighs(NO_PULL._replace(weight_N=0.7))
+        assert LAW.weighs(heavy)
+        assert LAW.tripped(heavy)
+    assert LAW.advance(NO_PULL, (0.0, 0.0, 5.0, *NOTHING[3:]), NOTHING, SLOWLY).weight_N < 0.0, "a lift is none"
+    nowhere = Against(PERIOD, 0.7, 0.14)
+    assert nowhere.advance(NO_PULL, (0.0, 0.0, -5.0, *NOTHING[3:]), NOTHING, SLOWLY).weight_N == 0.0
+
+
 def test_its_state_goes_through_a_row() -> None:
-    pull = after(0.333, lambda t: -t)[-1]
+    pull = after(0.333, lambda t: -t)[-1]._replace(weight_N=0.3)
     assert pull.ticks
     assert pull_of(pull.flat) == pull
+    assert pull_of(pull.flat[:-1]) == pull._replace(weight_N=0.0), "a row that is older than the weight"
     assert pull_of([]) == NO_PULL
 
 
 def test_two_arms_have_it_only_where_it_is_asked_for_and_more_arms_derive_it() -> None:
     assert against(load_cell(Path("two_wx200"))) is None
     given = against(load_cell(Path("two_wx200"), ["safety.noticing.against_N=0.9"]))
-    assert given == Against(PERIOD, 0.9, math.inf)
+    assert given == Against(PERIOD, 0.9, math.inf, DOWN)
     three, four = (against(load_cell(Path(f"{n}_wx250s"))) for n in ("three", "four"))
     assert three is not None
     assert four is not None
     assert (three.level_N, four.level_N) == (0.7, 0.525), "1.05 of an arm's share of 2 N"
-    assert (three.climb_N, four.climb_N) == (0.138, 0.114), "of such a push; of friction and noise"
+    assert (three.climb_N, four.climb_N) == (0.102, 0.102), "of friction and noise"
     rough = against(load_cell(Path("three_wx250s"), ["tolerance.friction=[0.6, 3.0]"]))
     assert rough is not None
     assert rough.level_N > three.level_N
     assert rough.climb_N > three.climb_N
     typed = against(load_cell(Path("three_wx250s"), ["safety.noticing.climb_N=0.3"]))
-    assert typed == Against(PERIOD, 0.7, 0.3)
+    assert typed == Against(PERIOD, 0.7, 0.3, DOWN)
+    tilted = against(load_cell(Path("three_wx250s"), ["world.gravity_m_per_s2=[0.0, 3.0, -4.0]"]))
+    assert tilted is not None
+    assert tilted.down == (0.0, 0.6, -0.8)
+    weightless = against(load_cell(Path("three_wx250s"), ["world.gravity_m_per_s2=[0.0, 0.0, 0.0]"]))
+    assert weightless is not None
+    assert weightless.down == (0.0, 0.0, 0.0)
 
 
 def test_limits_are_above_what_24_realities_showed() -> None:
@@ -113,11 +138,13 @@ def test_limits_are_above_what_24_realities_showed() -> None:
         assert found.climb_N >= 1.3 * seen[1]
 
 
-def test_what_pulls_back_is_always_named_as_that() -> None:
+def test_what_pulls_back_or_down_is_always_named_as_that() -> None:
     down = (0.0, 0.0, -9.81)
-    assert behind(np.array([-0.3, 0.0, 0.0]), SLOWLY, down) == (Cause.BACK,)
-    assert behind(np.array([0.0, 0.3, 0.0]), SLOWLY, down) == (Cause.BACK,)
-    assert behind(np.array([-0.1, 0.0, -0.3]), SLOWLY, down) == (Cause.WEIGHT, Cause.BACK)
+    assert behind(np.array([-0.3, 0.0, 0.0]), SLOWLY, down, weighs=False) == (Cause.BACK,)
+    assert behind(np.array([0.0, 0.3, 0.0]), SLOWLY, down, weighs=False) == (Cause.BACK,)
+    assert behind(np.array([-0.1, 0.0, -0.3]), SLOWLY, down, weighs=False) == (Cause.WEIGHT, Cause.BACK)
+    assert behind(np.array([0.3, 0.0, -0.1]), SLOWLY, down, weighs=True) == (Cause.WEIGHT,)
+    assert behind(np.array([-0.3, 0.0, -0.2]), SLOWLY, down, weighs=True) == (Cause.WEIGHT, Cause.BACK)
 
 
 @pytest.fixture(scope="module")

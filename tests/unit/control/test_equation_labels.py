@@ -66,7 +66,7 @@ PLACES = {
     ("adaptation_bound", "_adaptation_matrices", "G_arm"): "tmp",
     ("adaptive", "torque", "tau_law"): "adaptive control vector form",
     ("adaptive", "torque", "arm_gradient[:inertial]"): "adaptation laws",
-    ("adaptive", "torque", "object_gradient[:]"): "adaptation laws",
+    ("adaptive", "torque", "object_gradient"): "adaptation laws",
     ("adaptation", "advance", "theta"): "adaptation laws",
     ("adaptation", "parameter_error", "error"): "adaptation errors",
 }

@@ -141,7 +141,7 @@ def random_memory(seed: int, n: int, hold: bool) -> Memory:
         *rng.normal(size=(3, n)),
         *rng.normal(size=(3, 6)),
         ticks=float(seed),
-        pull=pull_of(rng.normal(size=13).tolist()),
+        pull=pull_of(rng.normal(size=14).tolist()),
     )
     shift = tuple(rng.normal(size=6).tolist())
     return Memory(*rng.normal(size=(6, n)), primed=bool(seed % 2), sense=sense, shift=shift, calm=seed % 5, hold=pose)

@@ -19,6 +19,7 @@ from sim_backend.wire.faults import FaultKind
 from tests.support.driver_contract import DriverContract, Rig
 from tests.support.plant.served_plant import ServedPlant
 from tests.support.servos import dxl_rig
+from tests.support.servos.patience import be_patient
 
 
 def _simulated(directory: Path, *, lockstep: bool) -> Iterator[Rig]:
@@ -56,16 +57,19 @@ def dynamixel_on_emulated_servos(directory: Path) -> Iterator[Rig]:
         driver.close()
 
 
+REAL_PORT = "emulated servos, real port"
 IMPLEMENTATIONS: dict[str, Callable[[Path], AbstractContextManager[Rig]]] = {
     "simulated plant, lockstep": simulated_in_lockstep,
     "simulated plant, real time": simulated_in_real_time,
     "emulated servos, virtual time": dynamixel_in_virtual_time,
-    "emulated servos, real port": dynamixel_on_emulated_servos,
+    REAL_PORT: dynamixel_on_emulated_servos,
 }
 
 
 class TestContract(DriverContract):
     @pytest.fixture(params=IMPLEMENTATIONS)
-    def rig(self, request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Rig]:
+    def rig(self, request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Rig]:
+        if request.param == REAL_PORT:
+            be_patient(monkeypatch)
         with IMPLEMENTATIONS[request.param](tmp_path) as made:
             yield made

@@ -18,7 +18,8 @@ from tests.faults.nodes import marked, written
 MATRIX = (
     *(f"P{i}" for i in range(1, 14)), *(f"B{i}" for i in range(1, 12)), *(f"S{i}" for i in range(1, 9)),
     *(f"C{i}" for i in range(1, 6)), *(f"N{i}" for i in range(1, 7)), *(f"D{i}" for i in range(1, 7)),
-    *(f"G{i}" for i in range(1, 7)), *(f"M{i}" for i in range(1, 7)), *(f"F{i}" for i in range(1, 10)), "X1",
+    *(f"G{i}" for i in range(1, 7)), *(f"M{i}" for i in range(1, 7)), *(f"F{i}" for i in range(1, 10)),
+    *(f"H{i}" for i in range(1, 8)), "X1",
 )  # fmt: skip
 
 
@@ -77,11 +78,11 @@ def test_a_list_that_cannot_be_is_refused(text: str, message: str) -> None:
 def test_bounds_are_said_with_their_units() -> None:
     within = catalogue.Within(
         noticed_s=0.1, reacted_s=0.2, who=("left",), goes_on=True, internal_N=3.0, sag_m=0.02, moved_rad=0.1,
-        speed_rad_per_s=1.5,
+        speed_rad_per_s=1.5, apart_rad=0.1,
     )  # fmt: skip
     assert within.described() == (
         "motion goes on, noticed ≤ 0.1 s, left stopped ≤ 0.2 s, internal force ≤ 3 N, sag ≤ 0.02 m, "
-        "joints ≤ 0.1 rad until the watchdog, joints ≤ 1.5 rad/s"
+        "joints ≤ 0.1 rad until the watchdog, joints ≤ 1.5 rad/s, arm and twin ≤ 0.1 rad apart"
     )
     row = Row.model_validate({"id": "P1", "group": "process", "fails": "x", "must": "y", "bound": "z"})
     assert row.bounds == "z"

@@ -21,12 +21,13 @@ GOOD = Measured(
     sag_m=0.004,
     moved_rad=0.05,
     speed_rad_per_s=0.7,
+    apart_rad=0.02,
     others_rad_per_s=0.6,
     fall_m_per_s=0.2,
     torque_share=0.9,
 )
 WITHIN = Within(
-    noticed_s=0.01, reacted_s=0.05, internal_N=2.0, sag_m=0.004, moved_rad=0.05, speed_rad_per_s=0.7,
+    noticed_s=0.01, reacted_s=0.05, internal_N=2.0, sag_m=0.004, moved_rad=0.05, speed_rad_per_s=0.7, apart_rad=0.02,
     others_rad_per_s=0.6, fall_m_per_s=0.2,
 )  # fmt: skip
 
@@ -47,6 +48,7 @@ def test_a_bound_itself_is_held() -> None:
         ({"sag_m": 0.005}, "sag 0.005 m, not ≤ 0.004"),
         ({"moved_rad": 0.06}, "joints moved 0.06 rad, not ≤ 0.05"),
         ({"speed_rad_per_s": 0.8}, "fastest joint 0.8 rad/s, not ≤ 0.7"),
+        ({"apart_rad": 0.03}, "arm and twin apart 0.03 rad, not ≤ 0.02"),
         ({"others_rad_per_s": 0.61}, "the others' fastest joint 0.61 rad/s, not ≤ 0.6"),
         ({"fall_m_per_s": 0.21}, "the object falls at 0.21 m/s, not ≤ 0.2"),
     ],

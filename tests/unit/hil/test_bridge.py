@@ -46,6 +46,7 @@ class Rig:
     told: list[str] = field(default_factory=list)
     sent: list[Vector] = field(default_factory=list)
     twins: list[Vector] = field(default_factory=list)
+    lasting: Vector = field(default_factory=lambda: np.zeros(2))
     plant: Callable[[int], TwinState | None] = lambda ns: TwinState(ns, *np.zeros((4, 2)))
     ended: Refusal | None = None
     counters: BusCounters = field(default_factory=BusCounters)
@@ -113,8 +114,9 @@ class Twin:
     def newest(self) -> TwinState | None:
         return self.rig.plant(self.rig.ns)
 
-    def command(self, tau_Nm: Vector) -> None:
+    def command(self, tau_Nm: Vector, lasting_Nm: Vector) -> None:
         self.rig.twins.append(tau_Nm)
+        self.rig.lasting = lasting_Nm
 
     def limp(self) -> None:
         self.rig.told.append("twin limp")
@@ -222,6 +224,7 @@ def test_before_the_plant_starts_the_arm_has_its_own_torque_and_after_a_while_a_
     assert rig.told[-1] == "twin limp"
 
 
+@pytest.mark.fault("H5")
 def test_a_stale_twin_is_a_fault_after_three_cycles_and_stays_one() -> None:
     pull = np.array([0.3, 0.2])
     rig = Rig(plant=lambda ns: TwinState(ns, np.zeros(2), np.zeros(2), pull, pull))
@@ -250,6 +253,7 @@ def test_a_plant_that_says_its_end_is_named() -> None:
     assert "found a plant that is gone (nothing)" in str(lasting(made, rig))
 
 
+@pytest.mark.fault("H6")
 def test_arm_and_twin_too_far_apart_are_no_pair_any_more() -> None:
     rig = Rig()
     made = bridge(rig)
@@ -269,6 +273,7 @@ def test_without_a_state_of_the_arm_the_twin_keeps_its_torque_until_the_servos_w
     rig.q = np.array([0.01, 0.0])
     cycle(made, rig)
     assert abs(rig.twins[-1][0] - TAU[0]) > 0.01, "what answers a motion"
+    np.testing.assert_allclose(rig.lasting, TAU, atol=1e-3, err_msg="it is not what stays without the agent")
     commands = len(rig.twins)
     rig.failure = refusal(StaleStateError)
     if partly:

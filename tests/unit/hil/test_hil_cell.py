@@ -87,6 +87,7 @@ def test_a_rehearsal_in_lockstep_is_refused_before_anything_starts(tmp_path: Pat
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.fault("H7")
 def test_an_arm_of_which_nobody_says_that_its_gripper_is_empty_does_not_start(tmp_path: Path) -> None:
     file = tmp_path / "cell.toml"
     file.write_bytes(cell(LOOP).toml)

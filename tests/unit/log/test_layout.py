@@ -68,5 +68,6 @@ def test_rows_of_another_release_are_read_by_name_where_they_are_asked_for(tmp_p
         assert own["memory"].tobytes() == rows["memory"][:, :51].tobytes()
         with pytest.raises(KeyError):
             own["shift"]
-    with pytest.raises(LogError, match=r"found .*AgentState without memory, shift, with another memory, expected"):
+    found = r"found .*AgentState without memory, shift, with another memory, of release 0\.0\.7, expected"
+    with pytest.raises(LogError, match=found):
         read_log(path)

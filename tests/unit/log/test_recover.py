@@ -7,9 +7,10 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
-from agent.log.file import LIBRARY, LogFileError
+from agent.log.file import LogFileError
 from agent.log.read import LogError, read_log
 from agent.log.recover import recover, repair_leftovers
+from agent.log.scan import LIBRARY
 from tests.support.telemetry.log_maker import LogMaker, make_log
 
 

@@ -30,6 +30,7 @@ from drivers.dynamixel.servo.table import (
     ID,
     MAX_POSITION_LIMIT,
     MIN_POSITION_LIMIT,
+    PRESENT_POSITION,
     SERVOS,
     TORQUE_ENABLE,
 )
@@ -89,6 +90,8 @@ def test_servos_are_found_at_their_speeds_with_how_they_are() -> None:
     ]  # fmt: skip
     assert [s.hardware_text for s in seen] == ["none", "OVERLOAD", "none"]
     assert all(s.voltage_V == pytest.approx(12.0) and s.temperature_C == 25 and s.torque_on is False for s in seen)
+    assert all(s.position_tick is not None for s in seen)
+    assert seen[1].position_tick == rig.get(7, PRESENT_POSITION)
     assert codes(rig) <= LOOKING
 
 

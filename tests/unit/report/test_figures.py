@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -24,7 +25,7 @@ from agent.report.figures_together import in_stretches
 from agent.report.gallery import pictures
 from agent.report.plotting import DRAWN_MAX, UNDRAWN, drawable, in_columns, panels, unbroken
 from agent.report.plotting import line as draw_line
-from agent.report.prepared import Prepared, prepare
+from agent.report.prepared import prepare
 from agent.report.report import write_report
 from tests.support.telemetry.synthetic_run import paper_run, spatial_run
 
@@ -39,33 +40,40 @@ BODY = ("mass", *("first moment",) * 3, *("inertia",) * 6)
 OF_JOINTS = ("rotor inertia", "viscous friction", "Coulomb friction", "breakaway", "load friction", "breakaway load")
 
 
+@dataclass(frozen=True)
+class Drawn:
+    """Every figure of a run, and the settings of matplotlib before and after they were drawn."""
+
+    figures: dict[str, Figure]
+    before: dict[str, Any]
+    after: dict[str, Any]
+
+
 @pytest.fixture(scope="module", params=RUNS.values(), ids=RUNS.keys())
-def run(request: pytest.FixtureRequest) -> Prepared:
-    return prepare(request.param())
+def drawn(request: pytest.FixtureRequest) -> Drawn:
+    run, before = prepare(request.param()), dict(mpl.rcParams)
+    return Drawn({picture.stem: picture.draw() for picture in pictures(run)}, before, dict(mpl.rcParams))
 
 
-def test_every_axis_of_every_figure_names_its_unit(run: Prepared) -> None:
-    for picture in pictures(run):
-        figure = picture.draw()
+def test_every_axis_of_every_figure_names_its_unit(drawn: Drawn) -> None:
+    assert len(drawn.figures) > 10
+    for stem, figure in drawn.figures.items():
         rows = {round(ax.get_position().x0, 3): ax for ax in figure.axes}  # the lowest panel of each column
         for ax in figure.axes:
-            assert "[" in ax.get_ylabel(), picture.stem
+            assert "[" in ax.get_ylabel(), stem
         for ax in rows.values():
-            assert "[" in ax.get_xlabel(), picture.stem
+            assert "[" in ax.get_xlabel(), stem
 
 
-def test_every_figure_shows_something(run: Prepared) -> None:
-    for picture in pictures(run):
-        for ax in picture.draw().axes:
-            drawn = [y for line in ax.lines for y in np.asarray(line.get_ydata(), dtype=float)]
-            assert np.isfinite(drawn).any(), f"{picture.stem}: {ax.get_title()}"
+def test_every_figure_shows_something(drawn: Drawn) -> None:
+    for stem, figure in drawn.figures.items():
+        for ax in figure.axes:
+            shown = [y for line in ax.lines for y in np.asarray(line.get_ydata(), dtype=float)]
+            assert np.isfinite(shown).any(), f"{stem}: {ax.get_title()}"
 
 
-def test_figures_leave_the_settings_of_matplotlib_alone(run: Prepared) -> None:
-    before = dict(mpl.rcParams)
-    for picture in pictures(run):
-        picture.draw()
-    assert dict(mpl.rcParams) == before
+def test_figures_leave_the_settings_of_matplotlib_alone(drawn: Drawn) -> None:
+    assert drawn.after == drawn.before
 
 
 def test_a_run_without_rows_has_no_figures() -> None:

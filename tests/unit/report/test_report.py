@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import itertools
 import json
 import resource
 from dataclasses import replace
@@ -12,6 +13,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
+from agent.report.gallery import pictures
 from agent.report.prepared import prepare
 from agent.report.report import ReportFiles, write_report
 from agent.report.results_file import ReportError, terminal_table
@@ -118,13 +120,20 @@ def test_the_terminal_table_fits_eighty_columns_and_has_the_verdicts(written: Re
     assert "largest position error" in text
 
 
+@pytest.fixture
+def few(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two pictures instead of twenty, where nothing is said of them."""
+    monkeypatch.setattr("agent.report.report.pictures", lambda run: itertools.islice(pictures(run), 2))
+
+
+@pytest.mark.usefixtures("few")
 def test_a_report_that_fails_leaves_the_last_one_untouched(tmp_path: Path) -> None:
     log = paper_run(Path("run.mcap"), duration_s=25.0)
-    write_report(log, tmp_path)
+    largest = max(path.stat().st_size for path in write_report(log, tmp_path).figures.values())
     before = {path: path.read_bytes() for path in tmp_path.iterdir()}
     log.agents["left"]["p_object"] += 1.0
     unlimited = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (600_000, unlimited[1]))  # figures fit, the page does not
+    resource.setrlimit(resource.RLIMIT_FSIZE, (largest + 20_000, unlimited[1]))  # figures fit, the page does not
     try:
         with pytest.raises(ReportError, match="File too large"):
             write_report(log, tmp_path)
@@ -171,6 +180,7 @@ def test_three_six_joint_arms_without_a_plant_have_a_report(tmp_path: Path) -> N
     assert "no simulation in the log" in text
 
 
+@pytest.mark.usefixtures("few")
 def test_the_page_opens_with_the_cell_at_the_start(tmp_path: Path) -> None:
     files = write_report(view_log(), tmp_path, still)
     picture = (tmp_path / "start.png").read_bytes()
@@ -179,6 +189,7 @@ def test_the_page_opens_with_the_cell_at_the_start(tmp_path: Path) -> None:
     assert base64.b64decode(read_page(files.html).images[0].removeprefix("data:image/png;base64,")) == picture
 
 
+@pytest.mark.usefixtures("few")
 def test_a_log_that_does_not_say_how_its_cell_looks_has_no_such_picture(tmp_path: Path) -> None:
     files = write_report(paper_run(Path("run.mcap"), duration_s=2.0), tmp_path, still)
     assert "start" not in files.figures

@@ -54,7 +54,7 @@ def test_a_guest_is_told_true_motion_and_its_grasps_torque_and_waits_for_nothing
         twin.enable()
         assert twin.newest() is None, "the plant has not started, and nobody waits for it"
         partner.enable()
-        twin.command(TAU)
+        twin.command(TAU, 0.5 * TAU)
         states = [until(twin.newest) for _ in range(40)]
         assert [s.stamp_ns for s in states] == sorted({s.stamp_ns for s in states})
         assert max(float(np.abs(s.grasp).max()) for s in states) > 0.01, "the object pulls"
@@ -76,7 +76,7 @@ def test_a_guest_that_vanishes_keeps_its_torque_for_its_watchdog_and_the_others_
         partner.enable()
         for _ in range(20):
             until(twin.newest)
-            twin.command(TAU)
+            twin.command(TAU, 0.5 * TAU)
         assert twin._link is not None
         gone = applied[-1][0]
         twin._link.close()  # as a process that is killed: without a word
@@ -86,6 +86,7 @@ def test_a_guest_that_vanishes_keeps_its_torque_for_its_watchdog_and_the_others_
     torque = dict(applied)
     kept = [tick for tick in torque if tick > gone and torque[tick] != 0.0]
     assert max(kept) - gone >= 0.1 * 200, "the watchdog's time, and the delay"
+    assert torque[max(kept)] == pytest.approx(0.5 * TAU[0], rel=0.02), "what lasts of it"
     assert torque[max(torque)] == 0.0
     assert served.error is None
     assert served.summary is not None
@@ -102,10 +103,10 @@ def test_a_guest_that_lets_go_is_limp_at_once(tmp_path: Path) -> None:
         partner.enable()
         for _ in range(10):
             until(twin.newest)
-            twin.command(TAU)
+            twin.command(TAU, 0.5 * TAU)
         assert applied[-1] != 0.0
         twin.limp()
-        twin.command(TAU)
+        twin.command(TAU, 0.5 * TAU)
         for _ in range(10):
             partner.read()
             partner.write(-TAU)

@@ -59,7 +59,7 @@ def test_stranger_who_talks_nonsense_is_refused_and_does_no_harm(tmp_path: Path)
 
 def test_other_protocol_version_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sim_backend.served.driver.VERSION", 7)
-    with ServedPlant(tmp_path) as served, pytest.raises(ConnectError, match="found version 7, expected 3"):
+    with ServedPlant(tmp_path) as served, pytest.raises(ConnectError, match="found version 7, expected 4"):
         served.driver().connect()
 
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+import re
 
 import numpy as np
 import pytest
 
-from agent.config.reality import draw
 from agent.config.schema.reality import ArmReality, Reality
 from agent.modes import Mode
+from agent.monitors.bounds import Name
 from agent.safety import Flag
 from agent.study import measure as measuring
 from agent.study.fault import Fault, FaultKind
@@ -27,6 +27,9 @@ IDEAL = (
     "report.transient_s=1.0",
     "duration_s=1.5",
 )
+
+
+UNWATCHED = f"safety.monitors.off={[name.value for name in Name]}"
 
 
 @pytest.fixture(scope="module")
@@ -117,10 +120,10 @@ def test_peak_torque_is_the_largest_sent_over_stall(lab: Laboratory) -> None:
     assert found == pytest.approx(float((largest / lab.stall_Nm).max()), abs=2e-3)  # a step of the command's grid
 
 
-def test_an_object_that_is_thrown_away_is_lost_and_ends_the_run() -> None:
-    lab = Laboratory(cell("duration_s=3.0", "controller.k_p_rate_per_s=400.0", "controller.k_p_per_s=400.0"))
-    lab.agents = tuple(replace(agent, damp_above_rad_per_s=math.inf) for agent in lab.agents)  # no hold brakes
-    result = measure(lab, draw(lab.cell.file.tolerance, 1, lab.cell))
+def test_an_object_that_nobody_holds_is_lost_and_ends_the_run() -> None:
+    lab = Laboratory(cell("duration_s=3.0"))
+    limp = [Fault(kind=FaultKind.LIMP, arm=arm.name, at_s=0.5) for arm in lab.cell.arms]
+    result = measure(lab, None, faults=limp)
     assert result.lost
     assert not result.within_bounds
     assert result.tracked_s < 3.0
@@ -136,12 +139,24 @@ def test_an_arm_that_trips_holds_and_the_run_ends_a_little_later() -> None:
     assert not result.within_bounds
     assert result.tracked_s < 1.0
     assert "OFF_TRACK" in result.why
+    assert result.tripped_by == "OFF_TRACK"
     run = Run(lab, None)
     while not run.trips:
         run.advance()
     struck = [place.mode for place in run.places if place.agent.name == run.trips[0].arm]
     assert struck == [Mode.HOLD]
     assert Flag.OFF_TRACK in run.trips[0].flags
+
+
+def test_a_monitor_that_would_stop_an_arm_trips_the_run_by_its_name() -> None:
+    slow = ("safety.monitors.speed_share=1e-3", "trajectory.p_amplitude_m=[0.0, 0.0, 0.0]", "trajectory.angle_rad=0.0")
+    shaken = Reality(arms={"left": ArmReality(base_m=(2e-3, 0.0, 0.0))})
+    stopped, free = (
+        measure(Laboratory(cell(*slow, *more)), shaken) for more in ((), ("safety.monitors.off=['speed']",))
+    )
+    assert (stopped.tripped, stopped.tripped_by, stopped.within_bounds) == (True, "monitor speed", False)
+    assert re.match(r"t = 0\.\d{3} s: arm \w+ monitor speed: speed of \w+: found -?\d", stopped.why)
+    assert (free.tripped, free.tripped_by, free.why) == (False, "", "")
 
 
 FAULTY = ("duration_s=2.0", "simulation.grasp={stiffness_N_per_m=1e5, stiffness_Nm_per_rad=100.0}")

@@ -17,11 +17,11 @@ from agent.config.cell import load_cell
 from agent.config.reality import draw, reality_of
 from agent.study import work
 from agent.study.lab import Laboratory
-from agent.study.measure import RunResult, measure
+from agent.study.measure import RunResult, bounds_of, measure
 from agent.study.plan import Plan, Task, load_plan
 from agent.study.store import StudyError
 from agent.study.study import OURS, run_study
-from agent.study.summary import errors_of, influences, summary, worst
+from agent.study.summary import errors_of, influences, judged, summary, verdict, worst
 from agent.study.work import ATTEMPTS, here, in_processes
 from tests.support.command import coop
 from tests.support.study import PAPER, SHORT, cell, cell_file
@@ -63,7 +63,8 @@ def a_result(index: int, **changes: object) -> RunResult:
     good = RunResult(
         "c", index, index, lost=False, tripped=False, within_bounds=True, tracked_s=60.0, position_error_m=1e-3,
         attitude_error_rad=1e-3, position_beyond_anchor_m=1e-4, attitude_beyond_anchor_rad=1e-3,
-        internal_force_mean_N=0.5, internal_force_max_N=1.0, peak_torque_fraction=0.2, reaction_s=None, why="",
+        internal_force_mean_N=0.5, internal_force_max_N=1.0, peak_torque_fraction=0.2, reaction_s=None, tripped_by="",
+        why="",
     )  # fmt: skip
     return replace(good, **changes)  # type: ignore[arg-type]
 
@@ -80,6 +81,9 @@ def test_a_study_leaves_its_figures_its_table_a_page_and_its_worst_run(
     document = json.loads((tmp_path / "study.json").read_text())
     assert (document["runs"], document["lost"], document["tripped"]) == (4, 0, 0)
     assert document["within_bounds"] == sum(r.within_bounds for r in results)
+    assert document["tripped_by"] == {}
+    assert document["holds"] is document["cells"]["paper"]["holds"]
+    assert document["cells"]["paper"]["bounds"]["peak_torque_fraction"] == 0.5
     for key in KEYS:
         values = sorted(getattr(r, key) for r in results)
         assert document[key] == {"50": values[1], "95": values[3], "100": values[3]}
@@ -93,6 +97,7 @@ def test_a_study_leaves_its_figures_its_table_a_page_and_its_worst_run(
     assert float(rows[0]["error_base_m"]) == table.column("error_base_m").to_pylist()[0]
     page = (tmp_path / "report.html").read_text()
     assert "within bounds" in page
+    assert "bound of 95 %" in page
     assert page.count("<img") == 1
 
 
@@ -197,6 +202,43 @@ def test_quantiles_are_of_all_runs_and_counts_of_each_kind() -> None:
     assert summary([])["reaction_s"] == {"50": None, "95": None, "100": None}
 
 
+def test_a_cell_holds_when_nothing_is_lost_or_tripped_and_the_95_percent_quantiles_are_within_bounds() -> None:
+    c = cell()
+    good = [a_result(i) for i in range(100)]
+    bounds = bounds_of(c)
+    assert bounds == {
+        "position_beyond_anchor_m": 1e-3,
+        "attitude_beyond_anchor_rad": 6e-3,
+        "internal_force_mean_N": 1.0,
+        "peak_torque_fraction": 0.5,
+    }
+    assert bounds_of(load_cell(Path("three_wx250s")))["internal_force_mean_N"] == 4.0
+    for figure, bound in bounds.items():
+        some, more = ([a_result(i, **{figure: 1.01 * bound}) for i in range(n)] for n in (5, 6))
+        found = judged(c, summary([*some, *good[5:]]))
+        assert found == {"bounds": bounds, "missed": [], "holds": True}
+        found = judged(c, summary([*more, *good[6:]]))
+        assert (found["missed"], found["holds"]) == ([figure], False)
+    for key in ("lost", "tripped"):
+        assert judged(c, summary([*good[1:], a_result(0, **{key: True})]))["missed"] == [key]
+    assert not judged(c, summary([]))["holds"]
+
+
+def test_the_verdict_says_how_many_runs_it_is_of_and_what_stopped_arms() -> None:
+    c = cell()
+    stopped = [a_result(i, tripped=True, tripped_by=by) for i, by in enumerate(["monitor load", "UNEXPECTED"] * 2)]
+    for results, words in (
+        ([a_result(0)], "holds: 1 runs, none lost, none tripped, 95 % of them below every bound"),
+        (stopped, "does not hold: of 4 runs 4 tripped (UNEXPECTED 2, monitor load 2)"),
+        (
+            [a_result(0, lost=True, internal_force_mean_N=2.0)],
+            "does not hold: of 1 runs 1 lost, 95 % quantile of internal_force_mean_N above its bound",
+        ),
+    ):
+        found = summary(results)
+        assert verdict(found | judged(c, found)) == words
+
+
 def test_the_worst_is_lost_before_tripped_before_strained() -> None:
     strained = a_result(3, internal_force_mean_N=9.0)
     tripped = [a_result(2, tripped=True, tracked_s=t) for t in (9.0, 5.0)]
@@ -239,6 +281,7 @@ def test_the_command_runs_a_cell_and_says_where_its_results_are(tmp_path: Path) 
     done = coop("study", path, "--runs", "2", "--workers", "1", "--out", out)
     assert done.code == 0, done.err
     assert "2 runs: 0 lost" in done.out
+    assert "\npaper does not hold: of 2 runs 95 % quantile of position_beyond_anchor_m above its bound" in done.out
     assert str(out / "worst.toml") in done.out
     again = coop("study", path, "--runs", "2", "--workers", "1", "--out", out, "--json")
     assert "2 of 2 runs are there already" in again.err

@@ -65,7 +65,7 @@ def all_different(n: int) -> tuple[JointState, Memory, Outcome]:
     terms = Terms(desired, kinematics, errors, joints, tuple_of(6), tuple_of(6), next(numbers), next(numbers), None)
     estimate = Estimate(array_of(16 * n), array_of(10))
     arrays = [array_of(n) for _ in range(6)]
-    pull = pull_of(tuple_of(13))
+    pull = pull_of(tuple_of(14))
     sense = Sense(array_of(n), array_of(n), array_of(n), array_of(6), array_of(6), array_of(6), next(numbers), pull)
     memory = Memory(*arrays, True, sense, tuple_of(6), True, tuple_of(7), next(numbers), estimate, array_of(n))
     state = JointState(5_000_000, array_of(n), array_of(n), array_of(n))

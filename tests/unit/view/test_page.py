@@ -19,7 +19,7 @@ from agent.log.scan import MAGIC
 from agent.report.moments import Moment, around, marks, moments_of
 from agent.report.prepared import prepare
 from agent.telemetry.row.event import Event, Level
-from agent.view.curves import BEYOND, Curve, curves_of, thinned
+from agent.view.curves import Curve, curves_of, thinned
 from agent.view.error import ViewError
 from agent.view.scene import DESIRED, OBJECT, Placed
 from agent.view.staged import Staged, legend, stage
@@ -270,17 +270,30 @@ def test_curves_are_error_disagreement_and_forces() -> None:
     assert found["internal force"].lines[0][1][0] == pytest.approx(1.5)
 
 
+def test_arms_disagree_by_the_distance_of_their_beliefs_and_one_arm_with_nobody() -> None:
+    log = view_log()
+    log.agents["right"]["p_object"] = log.agents["left"]["p_object"] + [3e-3, 0.0, 4e-3]
+    (apart,) = [c for c in curves_of(stage(prepare(log), 20.0).motion) if c.unit == "mm" and "disagree" in c.title]
+    assert apart.lines[0][1] == pytest.approx(np.full(40, 5.0))
+    del log.agents["right"]
+    assert [c.title for c in curves_of(stage(prepare(log), 20.0).motion)] == [
+        "position error", "commanded force", "internal force"
+    ]  # fmt: skip
+
+
 def test_a_thinned_curve_keeps_its_peaks_and_what_is_no_number_is_a_gap() -> None:
     t = np.arange(10_000) * 0.01
     values = np.sin(t)
     values[5432], values[77] = -7.0, np.nan
     found = thinned(Curve("x", "m", t, (("a", values),)), 100)
     assert len(found.t) == 100
+    assert thinned(found, 100) is found
+    assert len(thinned(Curve("x", "m", t, (("a", values),))).t) == 400
     assert found.lines[0][1].min() == -7.0
     assert np.isfinite(found.lines[0][1]).all()
     log = view_log()
     log.agents["left"]["wrench_cmd"][100:110] = np.inf
-    log.agents["left"]["wrench_cmd"][150:160, 0] = 10 * BEYOND
+    log.agents["left"]["wrench_cmd"][150:160] = [1e6, 0.0, 0.0, 0.0, 0.0, 0.0]
     force = next(c for c in curves_of(stage(prepare(log), 20.0).motion) if c.title == "commanded force")
     assert np.isnan(force.lines[0][1][[10, 15]]).all()
     assert np.isfinite(force.lines[0][1][[9, 11, 14, 16]]).all()

@@ -70,6 +70,14 @@ def test_an_exaggerated_pose_is_so_many_times_as_far_and_as_turned() -> None:
     assert exaggerated(against, against, 100.0) == pytest.approx(against)
 
 
+def test_an_exaggerated_turn_is_about_the_axis_it_had() -> None:
+    against, turn = pin.exp3(np.array([0.4, -0.7, 1.1])), np.array([0.02, -0.03, 0.01])
+    rotations = [against, pin.exp3(turn) @ against, pin.exp3(4.0 * turn) @ against]
+    rows = [np.hstack([[[1.0, 2.0, 3.0]], [np.roll(pin.Quaternion(R).coeffs(), 1)]]) for R in rotations]
+    found = exaggerated(rows[1], rows[0], 4.0)
+    assert matrices(found[:, 3:])[0] == pytest.approx(rotations[2], abs=1e-12)
+
+
 def test_an_exaggerated_turn_ends_at_half_a_turn() -> None:
     found = exaggerated(poses([0.0] * 3, turned(0.5)), poses([0.0] * 3, turned(0.0)), 100.0)
     assert found[0, 3:] == pytest.approx(turned(np.pi), abs=1e-12)

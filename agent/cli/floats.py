@@ -1,0 +1,179 @@
+"""The command `coop float`: arms that a hand guides, with what they are doing on the screen."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Self
+
+import typer
+
+from agent.cli.options import CellPath, Overrides, SomeArms, begin, note
+from agent.cli.progress import Steps
+
+if TYPE_CHECKING:
+    from rich.console import Group
+    from rich.live import Live
+
+    from agent.process.glance import Glance
+
+LINE_EVERY_S = 2.0  # where no terminal shows it
+JSON_EVERY_S = 0.1
+QUESTION = (
+    "Is arm {arms} supported by somebody's hand or by what it lies on, is nobody's hand between its links, and is "
+    "somebody ready to pull the plug? Torque comes on now, {what}."
+)
+STOPS = "Ctrl-C: it brakes and stands for 3 s, sinks slowly, and its torque goes off once it lies"
+
+
+def float_arms(
+    cell: CellPath,
+    arm: SomeArms = [],  # noqa: B006
+    holding: Annotated[
+        bool, typer.Option("--holding", help="The arms hold the object: grippers close, each carries its load share.")
+    ] = False,
+    ports: Annotated[Path | None, typer.Option(help="Folder of ports named like the arms, not the cell's.")] = None,
+    emulate: Annotated[bool, typer.Option("--emulate", help="Try it on emulated servos; nothing real moves.")] = False,
+    out: Annotated[Path | None, typer.Option(help="Folder of the log (default runs/<UTC>-<cell>-float).")] = None,
+    priority: Annotated[int | None, typer.Option(min=1, max=99, help="SCHED_FIFO priority, or refuse.")] = None,
+    yes: Annotated[bool, typer.Option("--yes", help="The arm is supported: do not ask.")] = False,
+    overrides: Overrides = [],  # noqa: B006
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON document a line, ten a second.")] = False,
+) -> None:
+    """Let arms float so that a hand can guide them: weight compensated, damped; writes a log for `coop calibrate`."""
+    from agent.process.floating_arms import FloatOptions, float_arms, floating_cell, require_ports
+
+    requested = begin(with_parent=False)
+    options = FloatOptions(cell, tuple(arm), tuple(overrides), holding, ports, emulate, out, priority)
+    loaded = floating_cell(options)
+    if not emulate:
+        require_ports(loaded, options)
+        _ask(loaded.file.floating.arms if loaded.file.floating else [], holding=holding, yes=yes)
+    with Shown(as_json=as_json) as shown:
+        log = float_arms(loaded, options, requested, shown)
+    if as_json:
+        typer.echo(json.dumps({"log": str(log)}))
+    else:
+        typer.echo(f"log      {log}")
+
+
+float_arms.__name__ = "float"  # the command's word, which a function of this module cannot have
+
+
+def _ask(arms: Sequence[str], *, holding: bool, yes: bool) -> None:
+    """Raise FloatError unless a person says that the arms are supported."""
+    from agent.process.floats import FloatError
+
+    what = "and the grippers close on the object" if holding else "and the arm floats"
+    if yes:
+        return
+    if sys.stdin is None or not sys.stdin.isatty() or not typer.confirm(
+        QUESTION.format(arms=" and ".join(arms), what=what), err=True
+    ):  # fmt: skip
+        raise FloatError(
+            "a person's yes", found="none", expected="that the arm is supported",
+            remedy="support it and answer yes, or give --yes",
+        )  # fmt: skip
+
+
+class Shown:
+    """What is on the screen: a table that lives on a terminal, a line now and then elsewhere, or JSON lines."""
+
+    def __init__(self, *, as_json: bool) -> None:
+        self._as_json = as_json
+        self._steps = Steps(lines=True)
+        self._live: Live | None = None
+        self._next_s = 0.0
+        self._said: set[tuple[str, str]] = set()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._end()
+
+    def phase(self, what: str) -> None:
+        """What is being done."""
+        self._end()
+        self._steps(what)
+
+    def show(self, glances: Sequence[Glance]) -> None:
+        """How the arms are."""
+        if self._as_json:
+            if self._due(JSON_EVERY_S):
+                typer.echo(json.dumps([glance.document() for glance in glances], allow_nan=False))
+            return
+        if sys.stdout.isatty():
+            self._table(glances)
+            return
+        self._tell(glances)
+        if self._due(LINE_EVERY_S):
+            for glance in glances:
+                if glance.joints:
+                    typer.echo(line(glance))
+
+    def _tell(self, glances: Sequence[Glance]) -> None:
+        """What the arms say, each thing once."""
+        for glance in glances:
+            for text in glance.said:
+                if (glance.arm, text) not in self._said:
+                    self._said.add((glance.arm, text))
+                    note(f"{glance.arm}: {text}")
+
+    def _table(self, glances: Sequence[Glance]) -> None:
+        from rich.live import Live
+
+        if self._live is None:
+            self._steps.clear()
+            self._live = Live(auto_refresh=False)
+            self._live.start()
+        self._live.update(tables(glances), refresh=True)
+
+    def _due(self, every_s: float) -> bool:
+        now_s = time.monotonic()
+        if now_s < self._next_s:
+            return False
+        self._next_s = now_s + every_s
+        return True
+
+    def _end(self) -> None:
+        self._steps.clear()
+        if self._live is not None:
+            self._live.stop()
+            self._live = None
+
+
+def line(glance: Glance) -> str:
+    """An arm in one line."""
+    joints = "  ".join(f"{j.name} {j.q_rad:+.3f}" for j in glance.joints)
+    x, y, z = glance.p_m
+    return f"{glance.t:7.1f} s  {glance.arm} {glance.mode.name}  {joints} rad  at {x:+.3f} {y:+.3f} {z:+.3f} m"
+
+
+def tables(glances: Sequence[Glance]) -> Group:
+    """All arms as tables, with what they say below."""
+    from rich.console import Group
+    from rich.table import Table
+    from rich.text import Text
+
+    parts: list[Table | Text] = []
+    for glance in glances:
+        x, y, z = glance.p_m
+        roll, pitch, yaw = map(math.degrees, glance.rpy_rad)
+        place = f"end effector {x:+.4f} {y:+.4f} {z:+.4f} m, roll {roll:+.1f}° pitch {pitch:+.1f}° yaw {yaw:+.1f}°"
+        table = Table(title=f"{glance.arm}  {glance.mode.name}  {glance.t:.1f} s", caption=place, title_justify="left")
+        for heading in ("joint", "rad", "°", "rad/s", "to its limit", "load", "°C"):
+            table.add_column(heading, justify="left" if heading == "joint" else "right")
+        for j in glance.joints:
+            near = "red" if j.room_rad < 0.1 else ""
+            table.add_row(
+                j.name, f"{j.q_rad:+.4f}", f"{math.degrees(j.q_rad):+.1f}", f"{j.dq_rad_per_s:+.2f}",
+                Text(f"{j.room_rad:.2f} rad", style=near), f"{j.load:.0%}",
+                "-" if math.isnan(j.temperature_C) else f"{j.temperature_C:.0f}",
+            )  # fmt: skip
+        parts += [table, *(Text(f"  {text}", style="yellow") for text in glance.said)]
+    return Group(*parts, Text(STOPS, style="dim"))

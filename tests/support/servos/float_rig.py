@@ -1,0 +1,230 @@
+"""Arms that a hand guides, with the real driver, loop and ending on emulated servos, in virtual time."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from agent.config.cell import Arm, Cell
+from agent.config.schema.cell import DriverKind
+from agent.faults.virtual import Line, SharedClock
+from agent.process.build import Connection
+from agent.process.emulate import wiring
+from agent.process.floats import FloatLoop, Floats, require_within
+from agent.process.schedule import AgentOptions
+from agent.process.simulated import lone_spec, plant_spec
+from agent.process.tellers import Teller
+from agent.runner import RunSummary
+from agent.telemetry.row.event import Event as TextEvent
+from agent.telemetry.row.sample import AGENT_STATE
+from agent.verify.check import examine
+from drivers.dynamixel.driver import DynamixelDriver
+from drivers.interface import Vector
+from sim_backend.wire.faults import Fault
+from sim_backend.wire.injector import Injector
+from sim_backend.wire.lone_world import emulate_alone
+from sim_backend.wire.plant_world import emulate
+from sim_backend.wire.timing import BusTiming
+from tests.support.servos.dxl_rig import VirtualPort
+
+
+class Rows:
+    """A ring that keeps everything."""
+
+    def __init__(self) -> None:
+        self.row: Any = np.zeros((), AGENT_STATE.dtype)
+        self.kept: list[Any] = []
+
+    @property
+    def written(self) -> int:
+        return len(self.kept)
+
+    def commit(self) -> None:
+        self.kept.append(self.row.copy())
+
+    def wait_for_space(self) -> None: ...
+
+
+@dataclass
+class Texts:
+    """Events and health texts as they were told."""
+
+    events: list[TextEvent] = field(default_factory=list)
+    healths: list[Any] = field(default_factory=list)
+
+    def event(self, event: TextEvent) -> None:
+        self.events.append(event)
+
+    def health(self, utc_ns: int, values: Any) -> None:
+        self.healths.append((utc_ns, values))
+
+    @property
+    def said(self) -> list[str]:
+        return [event.text for event in self.events]
+
+
+class Silent:
+    """Nobody manages this service."""
+
+    def send(self, state: str) -> None: ...
+
+    def alive(self) -> None: ...
+
+
+@dataclass
+class FloatArm:
+    """What one floating arm left."""
+
+    ring: Rows = field(default_factory=Rows)
+    texts: Texts = field(default_factory=Texts)
+    summary: RunSummary | None = None
+    error: BaseException | None = None
+    driver: DynamixelDriver | None = None
+    port: VirtualPort | None = None
+    loop: FloatLoop | None = None
+
+    @property
+    def rows(self) -> Any:
+        """Its rows."""
+        return np.array(self.ring.kept)
+
+
+Hand = Callable[["FloatRun", float], Vector]  # wrench (6,) N, N·m, world axes, at an instant after torque came on
+
+
+class FloatRun:
+    """All arms that [floating] of a cell names; truth: what the emulated arms are, if it is not the cell.
+
+    hand: what pushes, at the end effector of the one arm, or at the object of arms that hold it; stop_s: when a stop is
+    asked for; faults count from the first torque; q_start: where the one arm is; at: what the test does at an instant;
+    until_s: when the arms are taken away, wherever they are.
+    """
+
+    def __init__(
+        self,
+        cell: Cell,
+        *,
+        truth: Cell | None = None,
+        hand: Hand | None = None,
+        stop_s: float = math.inf,
+        faults: Sequence[Fault] = (),
+        q_start: Vector | None = None,
+        at: Sequence[tuple[float, Callable[[FloatRun], None]]] = (),
+        until_s: float | None = None,
+    ) -> None:
+        spec = cell.file.floating
+        assert spec is not None
+        self.cell, self._hand, self._stop_s, self._at, self._until_s = cell, hand, stop_s, list(at), until_s
+        starts = list(examine(cell).q_start)
+        names = [arm.name for arm in cell.arms]
+        if q_start is not None:
+            starts[names.index(spec.arms[0])] = q_start
+        real = truth or cell
+        if spec.holding:
+            wired = [wiring(arm, i, arm.baud) for i, arm in enumerate(cell.arms)]
+            self.emulated, self.world = emulate(plant_spec(real, starts), wired, timing=BusTiming())
+        else:
+            one = names.index(spec.arms[0])
+            wired = [wiring(cell.arms[one], 0, cell.arms[one].baud)]
+            self.emulated, self.world = emulate_alone(lone_spec(real, starts), [(one, wired[0])], timing=BusTiming())  # type: ignore[assignment]
+        self.injectors = [Injector(arm, None, seed=1) for arm in self.emulated.arms]
+        self.clock = SharedClock(self.emulated, self.injectors, len(spec.arms), self._pass)
+        self.arms = {name: FloatArm() for name in spec.arms}
+        self._faults = list(faults)
+        self._on: set[str] = set()
+        self.zero_ns: int | None = None
+        self.seen: list[tuple[float, Vector, Vector]] = []  # s, q and dq of the one arm
+        self._everybody()
+
+    @property
+    def one(self) -> FloatArm:
+        """The arm of a run that has one."""
+        return next(iter(self.arms.values()))
+
+    @property
+    def lone(self) -> Any:
+        """The physics of the one arm."""
+        return self.world.arms[0]  # type: ignore[attr-defined]
+
+    def since_s(self, now_ns: int | None = None) -> float:
+        """Seconds since all of them have torque."""
+        now_ns = self.clock._ns if now_ns is None else now_ns
+        return -1.0 if self.zero_ns is None else (now_ns - self.zero_ns) * 1e-9
+
+    def tip(self) -> pin.SE3:
+        """Where the one arm's end effector is, world."""
+        return self.lone.end_effector()
+
+    def _everybody(self) -> None:
+        threads = [
+            threading.Thread(target=self._run, args=(self.cell.arm(name), i), daemon=True)
+            for i, name in enumerate(self.arms)
+        ]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+
+    def _pass(self, ns: int) -> None:
+        if self.zero_ns is None:
+            return
+        t = self.since_s(ns)
+        while self._at and self._at[0][0] <= t:
+            self._at.pop(0)[1](self)
+        lone = not self.cell.file.floating.holding  # type: ignore[union-attr]
+        if lone:
+            self.seen.append((t, self.lone.q.copy(), self.lone.dq.copy()))
+        if self._hand is not None:
+            wrench = self._hand(self, t)
+            if lone:
+                self.lone.touch(wrench)
+            else:
+                self.world.plant.push(wrench)
+
+    def _run(self, arm: Arm, index: int) -> None:
+        run = self.arms[arm.name]
+        self.clock.join()
+        try:
+            run.summary = self._loop(run, arm, index)
+        except BaseException as error:  # noqa: BLE001 - the test looks at it
+            run.error = error
+        finally:
+            if run.driver is not None:
+                run.driver.disable()
+                run.driver.close()
+            self.clock.leave()
+
+    def _loop(self, run: FloatArm, arm: Arm, index: int) -> RunSummary:
+        floats = Floats.of(self.cell, arm.name)
+        line = Line(self.emulated, index, self.injectors[index], self.clock)
+        run.port = VirtualPort(line, arm.baud)
+        texts: Any = run.texts
+        tell = Teller(arm.name, texts)
+        run.driver = DynamixelDriver(floats.servos("virtual"), self.clock, scan_s=0.05, port=run.port)
+        run.driver.connect()
+        tell.clock = self.clock
+        require_within(floats, run.driver)
+        run.driver.enable()
+        self._on.add(arm.name)
+        if len(self._on) == len(self.arms):
+            self.zero_ns = self.clock._ns
+            for injector in self.injectors:
+                injector.add([f for f in self._faults if f.arm == injector.arm.name], self.zero_ns)
+        ring: Any = run.ring
+        options = AgentOptions(
+            arm.name, DriverKind.DYNAMIXEL, Connection(), None, None, lockstep=False, hold=True  # type: ignore[arg-type]
+        )  # fmt: skip
+        notifier: Any = Silent()
+        run.loop = FloatLoop(
+            floats, options, run.driver, self.clock, ring, lambda: self.since_s() >= self._stop_s, tell, texts, notifier
+        )
+        if self._until_s is not None:
+            ticks = round(self._until_s * self.cell.file.rate_hz)
+            run.loop.schedule = replace(run.loop.schedule, hold_at_end=False, ticks=ticks)
+        return run.loop.run()

@@ -1,0 +1,249 @@
+"""An arm that a hand guides: real driver, loop and ending on emulated servos in virtual time, and a hand."""
+
+from __future__ import annotations
+
+import itertools
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from agent.calibrate import poses
+from agent.config.cell import Cell, load_cell
+from agent.control.floating import Floating
+from agent.log.columns import Table
+from agent.modes import Event, Mode
+from agent.process import floats
+from agent.process.floating_arms import FloatOptions, floating_cell
+from agent.process.floats import SINKS, STANDS, Ending, FloatError, Floats
+from agent.replay.chain import Chain
+from agent.safety import Flag
+from agent.telemetry.row.event import Level
+from drivers.dynamixel.servo.table import TORQUE_ENABLE
+from drivers.interface import JointState, Vector
+from sim_backend.wire.faults import Fault, FaultKind
+from tests.support.servos.float_rig import FloatRun
+
+LEFT = 'floating.arms=["left"]'
+CELL = load_cell(Path("two_wx200"), [LEFT])
+SPEED = 1.0
+NOTHING = np.zeros(6)
+SINK_S = 0.5
+
+
+@pytest.fixture(autouse=True)
+def _soon(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(floats, "STAND_S", 0.2)
+    monkeypatch.setattr("agent.config.floating.Floating", partial(Floating, sink_s=SINK_S))
+
+
+def modes(run: FloatRun) -> list[str]:
+    return [Mode(m).name for m, _ in itertools.groupby(run.one.rows["mode"].tolist())]
+
+
+def part(run: FloatRun, begin_s: float, end_s: float) -> tuple[Vector, Vector]:
+    """True q and dq of the one arm in that time."""
+    chosen = [(q, dq) for t, q, dq in run.seen if begin_s <= t < end_s]
+    return np.array([q for q, _ in chosen]), np.array([dq for _, dq in chosen])
+
+
+def pushed(force: tuple[float, float, float], begin_s: float, end_s: float) -> Any:
+    wrench = np.array([*force, 0.0, 0.0, 0.0])
+    return lambda _, t: wrench if begin_s <= t < end_s else NOTHING
+
+
+def real(**figures: float) -> Cell:
+    return load_cell(Path("two_wx200"), [LEFT, *(f"simulation.reality.arms.left.{k}={v}" for k, v in figures.items())])
+
+
+def test_a_stop_lets_the_arm_stand_then_sink_and_says_so_before_its_torque_goes_off() -> None:
+    run = FloatRun(CELL, stop_s=0.4, q_start=np.array([-0.35, 1.55, -0.33]))
+    arm = run.one
+    assert arm.error is None
+    assert arm.summary is not None
+    assert (arm.summary.mode, arm.summary.late_cycles, arm.summary.stale_cycles) == (Mode.OFF, 0, 0)
+    assert modes(run) == ["FLOAT", "STAND", "SINK"]
+    rows = arm.rows
+    begins = {Mode(m): rows["t"][rows["mode"] == m][0] for m in set(rows["mode"].tolist())}
+    assert begins[Mode.SINK] - begins[Mode.STAND] == pytest.approx(0.2, abs=0.02)
+    assert arm.texts.said.index(STANDS) < arm.texts.said.index(SINKS) < len(arm.texts.said) - 1
+    assert np.abs(rows["dq"][rows["mode"] == Mode.SINK]).max() < 0.4
+    lies = rows[rows["t"] > rows["t"][-1] - 0.4]
+    assert np.abs(lies["dq"]).max() <= floats.LIES_RAD_PER_S
+    assert rows["t"][-1] > begins[Mode.SINK] + SINK_S, "the weight is gone before the torque is"
+    bounds = arm.loop._agent.limits  # type: ignore[union-attr]
+    steps = np.abs(np.diff(rows["tau_limited"][:, :3], axis=0)).max(axis=0)
+    assert np.all(steps <= np.array(bounds.tau_step_max_Nm) + 1e-9)
+    assert not arm.port.is_open  # type: ignore[union-attr]
+    servos = [run.emulated.arms[0].servo(i) for i in range(1, 8)]
+    assert not any(servo.firmware.memory.get(TORQUE_ENABLE) for servo in servos)
+    replayed(run, CELL)
+
+
+def replayed(run: FloatRun, cell: Cell) -> None:
+    """The rows of the arm follow from each other, as a replay of the log computes them."""
+    chain = Chain(run.one.loop._agent)  # type: ignore[union-attr]
+    chain.start()
+    n = run.cell.arm("left").n
+    for row in run.one.rows:
+        state = JointState(int(row["stamp_ns"]), *(row[f][:n] for f in ("q_measured", "dq_measured", "tau_measured")))
+        _, outcome = chain.pass_row(state, float(row["t"]), Mode(int(row["mode"])), int(row["flags"]))
+        assert np.array_equal(outcome.tau, row["tau_limited"][:n])
+
+
+@pytest.mark.parametrize(("masses", "fastest"), [(1.1, 0.4), (0.9, 0.4), (1.0, 0.02)])
+def test_an_arm_that_is_let_go_rests_or_drifts_slowly_where_its_weight_is_not_what_the_files_say(
+    masses: float, fastest: float
+) -> None:
+    run = FloatRun(CELL, truth=real(masses=masses, friction=0.6), until_s=1.2)
+    _, dq = part(run, 0.7, 1.2)
+    assert np.abs(dq).max() <= fastest
+    assert modes(run) == ["FLOAT"]
+    tau = run.one.rows["tau_limited"][-60:, :3]
+    assert np.abs(np.diff(tau, axis=0)).max() < 0.05, "no chatter"
+
+
+def test_a_hand_moves_it_against_the_drag_and_what_it_leaves_comes_to_rest() -> None:
+    run = FloatRun(CELL, hand=pushed((3.0, 0.0, 2.0), 0.2, 0.7), until_s=1.3)
+    (q0, _), (q1, dq) = part(run, 0.1, 0.2), part(run, 1.1, 1.3)
+    assert np.abs(q1[-1] - q0[-1]).max() > 0.15
+    assert np.abs(dq).max() < 0.06
+    assert np.abs(run.one.rows["dq"]).max() < SPEED
+
+
+def test_a_push_beyond_the_largest_speed_meets_all_that_the_arm_has_and_stops_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(floats, "STAND_S", 9.0)
+    run = FloatRun(CELL, hand=pushed((0.0, 0.0, -20.0), 0.2, 0.4), until_s=1.0)
+    rows = run.one.rows
+    assert "STAND" in modes(run)
+    assert "monitor speed" in next(text for text in run.one.texts.said if "holds" in text)
+    pushed_rows = rows[(rows["t"] > 0.2) & (np.abs(rows["dq"][:, 1]) > 1.2 * SPEED) & (rows["t"] < 0.4)]
+    assert len(pushed_rows) > 3
+    against = pushed_rows["tau_limited"][:, 1] * np.sign(pushed_rows["dq"][:, 1])
+    assert np.all(against[2:] < -1.9), "N·m of 2.05: it resists with what it has"
+    _, dq = part(run, 0.9, 1.0)
+    assert np.abs(dq).max() < 0.5, "it stays where the hand left it"
+
+
+def test_a_wall_keeps_a_joint_from_its_end_stop() -> None:
+    start = np.array([-0.35, 1.35, -0.33])  # the elbow ends at 1.62
+    run = FloatRun(CELL, q_start=start, hand=pushed((0.0, 0.0, -1.5), 0.1, 0.8), until_s=1.0)
+    q, _ = part(run, 0.0, 1.0)
+    assert 1.5 < q[:, 1].max() < 1.65
+    assert modes(run) == ["FLOAT"]
+
+
+def test_an_arm_beyond_its_limits_gets_no_torque() -> None:
+    run = FloatRun(CELL, q_start=np.array([-0.35, 1.7, -0.33]), until_s=0.2)
+    assert isinstance(run.one.error, FloatError)
+    assert "arm left: joint elbow: found 1.70 rad" in str(run.one.error)
+    assert not len(run.one.rows)
+
+
+@pytest.mark.fault("S1")
+def test_a_silent_bus_gets_the_weight_then_nothing_and_the_loop_ends_as_lost() -> None:
+    silence = Fault(kind=FaultKind.MUTE, arm="left", start_s=0.3, duration_s=60.0)
+    run = FloatRun(CELL, faults=[silence], stop_s=60.0)
+    rows = run.one.rows
+    assert run.one.summary is not None
+    assert run.one.summary.mode is Mode.FAULT
+    assert modes(run)[:2] == ["FLOAT", "STAND"]
+    blind = rows[(rows["flags"] & int(Flag.BLIND)) != 0]
+    before = rows[rows["t"] < 0.29][-1]["tau_limited"][:3]
+    assert np.allclose(blind["tau_limited"][5, :3], before, atol=0.1), "its weight"
+    assert rows["t"][np.isfinite(rows["tau_sent"][:, 0])][-1] < 0.3 + 0.25, "then silence, for the watchdogs"
+
+
+def test_an_error_of_the_loop_itself_lets_the_arm_sink_and_is_raised() -> None:
+    def break_it(run: FloatRun) -> None:
+        loop: Any = run.one.loop
+        servos = loop._servos
+
+        class Bad:
+            def beat(self) -> None:
+                loop._servos = servos
+                raise RuntimeError("a defect")
+
+        loop._servos = Bad()
+
+    run = FloatRun(CELL, at=[(0.3, break_it)], q_start=np.array([-0.35, 1.6, -0.33]))
+    assert isinstance(run.one.error, RuntimeError)
+    assert modes(run) == ["FLOAT", "STAND", "SINK"]
+    assert any("the loop failed: RuntimeError: a defect" in text for text in run.one.texts.said)
+    rows = run.one.rows
+    assert np.array_equal(rows["sequence"], np.arange(len(rows)))
+    assert np.abs(np.diff(rows["tau_limited"][:, :3], axis=0)).max() < 0.7, "no fall in between"
+
+
+def test_arms_that_float_with_the_object_leave_a_log_that_calibrate_reads(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(poses, "LEAST", 5)
+    cell = load_cell(Path("two_wx200"), ['floating.arms=["left", "right"]', "floating.holding=true"])
+
+    def hand(_: FloatRun, t: float) -> Vector:
+        return np.array([3.5 * np.sin(2.0 * t), 0.0, 2.5 * np.sin(3.0 * t), 0.0, 0.2 * np.sin(2.4 * t), 0.0])
+
+    run = FloatRun(cell, hand=hand, until_s=1.6)
+    for name, arm in run.arms.items():
+        assert arm.error is None, name
+        assert set(arm.rows["mode"].tolist()) == {Mode.FLOAT}
+        assert np.abs(arm.rows["tau_object"]).max() > 0.05
+    found = poses.poses_of({name: Table.of(arm.rows) for name, arm in run.arms.items()}, cell)
+    assert len(found.t) >= 5
+    assert np.ptp(found.q[0], axis=0).max() > 0.05
+
+
+class Clock:
+    def __init__(self) -> None:
+        self.ns = 0
+
+    def __call__(self) -> int:
+        return self.ns
+
+
+def test_what_ends_follows_from_time_and_speed() -> None:
+    class Tell:
+        def event(self, level: Level, text: str) -> None:
+            said.append((level, text))
+
+    said: list[tuple[Level, str]] = []
+    clock, stopped = Clock(), []
+    tell: Any = Tell()
+    ending = Ending(lambda: bool(stopped), tell, clock, sink_s=3.0)
+    assert ending.events(2.0) is Event.NONE
+    stopped.append(1)
+    assert ending.events(0.0) is Event.STOP
+    ending.mode(Mode.STAND)
+    assert ending.events(0.0) is Event.NONE
+    clock.ns = 200_000_000
+    assert ending.events(float("nan")) is Event.NONE, "nobody sees it"
+    assert ending.events(0.0) is Event.RELEASED
+    ending.mode(Mode.SINK)
+    assert said == [(Level.WARN, STANDS), (Level.WARN, SINKS)]
+    clock.ns += 2_900_000_000
+    assert ending.events(0.01) is Event.NONE, "the weight is not gone yet"
+    clock.ns += 200_000_000
+    assert ending.events(0.2) is Event.NONE, "it moves"
+    clock.ns += 400_000_000
+    assert ending.events(float("nan")) is Event.NONE, "not for long enough"
+    clock.ns += 200_000_000
+    assert ending.events(float("nan")) is Event.NONE, "nobody sees it"
+    assert ending.events(0.01) is Event.ARRIVED
+    assert ending.events(0.2) is Event.NONE
+    clock.ns += 30_000_000_000
+    assert ending.events(0.2) is Event.ARRIVED, "at last"
+
+
+def test_a_cell_floats_as_asked_and_an_arm_that_works_does_not() -> None:
+    cell = floating_cell(FloatOptions(Path("two_wx200"), ("right",), holding=True))
+    assert cell.file.floating is not None
+    assert (cell.file.floating.arms, cell.file.floating.holding) == (["right"], True)
+    with pytest.raises(FloatError, match="coop float --arm left"):
+        Floats.of(cell, "left")
+    with pytest.raises(FloatError, match="expected --arm NAME; name left or right"):
+        floating_cell(FloatOptions(Path("two_wx200"), ()))
+    servos = Floats.of(cell, "right").servos("virtual")
+    assert {j.name for j in servos.joints if j.start_rad is not None} == {"waist", "wrist_rotate"}
