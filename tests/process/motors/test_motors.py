@@ -110,7 +110,7 @@ def test_scan_lists_what_the_sdk_sees_and_how_it_is(three: Path) -> None:
     assert [row["model"] for row in rows] == [XM, XM, XL]
     assert all(row["voltage_V"] == 12.0 and row["temperature_C"] == 25 and row["hardware_error"] == 0 for row in rows)
     table = coop("motors", "scan", "--port", three, "--baud", "1000000").out
-    assert re.search(r"9\s+XL430-W250\s+46\s+12\.0 V\s+25 °C\s+none", table)
+    assert re.search(r"9\s+XL430-W250\s+46\s+12\.0 V\s+25 °C\s+2048\s+none", table)
 
 
 def test_scan_finds_nothing_and_says_so_in_its_exit_code(three: Path) -> None:

@@ -344,6 +344,7 @@ def test_an_arm_that_holds_nothing_may_go_as_fast_as_the_session_and_lie_as_near
     alone = b.speed_alone_rad_per_s[1]
     assert alone == pytest.approx(usual().speed_alone_rad_per_s[1] + 1.5 - 0.6)
     assert alone > b.speed_rad_per_s[1]
+    b = replace(b, power_W=(9.0,) * 3)
     assert Fed(dq=alone, mode=Mode.APPROACH).run(b) == ""
     assert "speed of elbow" in Fed(dq=alone + JUST, mode=Mode.APPROACH).run(b)
     rest = own.arms[0].file.sleep_rad["shoulder"]
