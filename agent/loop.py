@@ -103,7 +103,7 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
         q, dq = state.q, state.dq
     else:
         q, dq = agent.observer.correct(memory, state.q, state.dq)
-    if not math.isfinite(sum(q.tolist() + dq.tolist())):
+    if not math.isfinite(q.dot(dq)):  # also where one of two factors is zero
         return _without(agent, q, dq, Flag.NOT_FINITE, memory)
     calm = LAW
     if mode is _HOLD:
@@ -119,7 +119,7 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
         terms, estimate, held = _law(agent, t, mode, memory, q, dq, calm)
     except SingularJacobian:
         return _without(agent, q, dq, Flag.SINGULAR, memory)
-    brake = brake_per_s(agent.period_s)
+    brake = brake_per_s(agent.period_s) if damped else 0.0
     wanted = braking(terms, dq, brake) if damped else terms.joints[CMD]
     session = agent.session
     alone = session is not None and mode in phases.ALONE
