@@ -89,7 +89,8 @@ class RunProgress:
         if not _on_terminal():
             if self._clock_s() >= self._next_line_s:
                 self._next_line_s = self._clock_s() + LINE_EVERY_S
-                note(f"{t_s:.1f} s of {duration_s:g} s, {speed:.1f}x real time, error {error}")
+                so_far = f"{t_s:.1f} s of {duration_s:g} s, {speed:.1f}x real time, error {error}"
+                note(so_far if t_s >= 0.0 else "before the start of the trajectory")
             return
         if self._bar is None:
             self._steps.clear()
@@ -97,8 +98,9 @@ class RunProgress:
             self._bar.add_task("running", total=1.0, t=0.0, duration=0.0, speed=0.0, error="-")
             self._bar.start()
         self._bar.update(
-            self._bar.task_ids[0], completed=t_s / duration_s, t=t_s, duration=duration_s, speed=speed, error=error
-        )
+            self._bar.task_ids[0], completed=max(0.0, t_s / duration_s), t=max(0.0, t_s), duration=duration_s,
+            speed=max(0.0, speed), error=error,
+        )  # fmt: skip
 
 
 class StudyProgress:

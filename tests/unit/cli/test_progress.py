@@ -118,6 +118,18 @@ def test_a_run_without_a_terminal_says_now_and_then_where_it_is() -> None:
     assert LINE_EVERY_S == 10.0
 
 
+def test_before_the_start_no_time_of_the_trajectory_is_told(terminal: Terminal) -> None:
+    """A session's arms go to the object first, and nobody knows when the start will be."""
+    now = [0.0]
+    with redirect_stderr(io.StringIO()) as shown, RunProgress(lambda: now[0]) as progress:
+        now[0] = 100.0
+        progress.advance(-86400.0, 100.0, -1e4, 0.0)
+    assert shown.getvalue() == "before the start of the trajectory\n"
+    with redirect_stderr(terminal), RunProgress() as progress:
+        progress.advance(-86400.0, 100.0, -1e4, 0.0)
+    assert re.search(r"running .* 0\.0 s of 100 s +0\.0x real time", "".join(lines(terminal)))
+
+
 def test_a_cell_that_is_not_there_draws_nothing(terminal: Terminal, tmp_path: Path) -> None:
     done = coop("run", tmp_path / "nothere.toml", err=terminal)
     assert done.code == 2
