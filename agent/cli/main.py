@@ -13,6 +13,7 @@ from typer.main import get_command_name
 
 from agent.cli import (
     answers,
+    arms,
     cells,
     doctor,
     faults,
@@ -47,7 +48,7 @@ GROUPS: dict[str, tuple[Callable[..., None], ...]] = {
     ),
     "This installation": (where, pki.pki),
     "Processes of a cell": (
-        processes.agent, processes.guard, processes.plant, processes.emulate, processes.telemetry, processes.record,
+        arms.agent, arms.guard, processes.plant, processes.emulate, processes.telemetry, processes.record,
         processes.ros2,
     ),
 }  # fmt: skip

@@ -1,6 +1,7 @@
 """The processes that `coop run` starts, as typed commands; each renders its own command line.
 
-A field has the name of the command's parameter in `agent.cli.processes`; a test parses every one with that parser.
+A field has the name of the command's parameter in `agent.cli.arms` or `agent.cli.processes`; a test parses every one
+with that parser.
 """
 
 from __future__ import annotations
