@@ -6,9 +6,9 @@ watchdog.
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -79,7 +79,6 @@ class ArmRun:
     summary: RunSummary | None = None
     gone_s: float | None = None  # when its process was gone
     error: Refusal | None = None  # that ended it
-    defect: BaseException | None = None  # raised again by `Bench.run`
 
     @property
     def rows(self) -> Any:
@@ -126,14 +125,7 @@ class Bench:
 
     def run(self) -> Rehearsal:
         """All arms to their end."""
-        threads = [threading.Thread(target=self._live, args=(arm,), daemon=True) for arm in self.cell.arms]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
-        for run in self.arms.values():
-            if run.defect is not None:
-                raise run.defect
+        self._clock.live([partial(self._live, arm) for arm in self.cell.arms])
         return Rehearsal(self.cell, self.faults, self.arms, self._zero_ns or 0, tuple(self._truth), self._plant)
 
     def _build(self, reality: Reality | None) -> EmulatedCell:
@@ -196,7 +188,6 @@ class Bench:
 
     def _live(self, arm: Arm) -> None:
         run = self.arms[arm.name]
-        self._clock.join()
         try:
             run.summary = self._loop(run, arm)
         except AgentGone:
@@ -204,10 +195,6 @@ class Bench:
             self._lost(arm.name)
         except Refusal as error:
             run.error = error
-        except BaseException as error:  # noqa: BLE001 - raised again where the run was asked for
-            run.defect = error
-        finally:
-            self._clock.leave()
 
     def _lost(self, arm: str) -> None:
         """The process of this arm's agent is gone."""

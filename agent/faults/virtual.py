@@ -68,7 +68,31 @@ class SharedClock:
                 self._next()
             self._turn.wait_for(lambda: self._goes == me)
 
-    def join(self) -> None:
+    def live(self, lives: Sequence[Callable[[], None]]) -> None:
+        """Carry these out, each in a thread of its own, to the end of all; as many as there are members.
+
+        Raises what the first in order that failed has raised.
+        """
+        failed: dict[int, BaseException] = {}
+
+        def one(place: int) -> None:
+            self._join()
+            try:
+                lives[place]()
+            except BaseException as error:  # noqa: BLE001 - raised again below
+                failed[place] = error
+            finally:
+                self._leave()
+
+        threads = [threading.Thread(target=one, args=(place,), daemon=True) for place in range(len(lives))]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        if failed:
+            raise failed[min(failed)]
+
+    def _join(self) -> None:
         """Called by each thread before it does anything; returns when all have, one after the other."""
         me = threading.get_ident()
         with self._turn:
@@ -78,7 +102,7 @@ class SharedClock:
                 self._next()
             self._turn.wait_for(lambda: self._goes == me)
 
-    def leave(self) -> None:
+    def _leave(self) -> None:
         """The calling thread waits for nothing any more."""
         with self._turn:
             self._due.pop(threading.get_ident(), None)

@@ -6,10 +6,11 @@ the loop it is the fully simulated cell, which a rehearsal is measured by.
 
 from __future__ import annotations
 
+import contextlib
 import random
-import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -105,17 +106,7 @@ class Rehearsal:
         self.arms = {arm.name: Hil() for arm in cell.arms}
         if begin is not None:
             begin(self)
-        threads = [
-            threading.Thread(target=self._run, args=(arm, q), daemon=True)
-            for arm, q in zip(cell.arms, q_start, strict=True)
-        ]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
-        for run in self.arms.values():
-            if run.error is not None:
-                raise run.error
+        self.clock.live([partial(self._run, arm, q) for arm, q in zip(cell.arms, q_start, strict=True)])
 
     def _lone(self, cell: Cell, q_start: Sequence[Vector]) -> tuple[EmulatedCell | None, LoneWorld | None]:
         if not self.real:
@@ -130,16 +121,8 @@ class Rehearsal:
         return next(arm for arm in self.world.arms if arm.name == name)
 
     def _run(self, arm: Arm, q_start: Vector) -> None:
-        run = self.arms[arm.name]
-        self.clock.join()
-        try:
-            self._loop(run, arm, q_start)
-        except Killed:
-            pass
-        except BaseException as error:  # noqa: BLE001 - raised again where the run was asked for
-            run.error = error
-        finally:
-            self.clock.leave()
+        with contextlib.suppress(Killed):
+            self._loop(self.arms[arm.name], arm, q_start)
 
     def _driver(self, run: Hil, arm: Arm, q_start: Vector) -> Any:
         seat = self.plant.seats[arm.name]

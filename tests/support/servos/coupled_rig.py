@@ -5,9 +5,9 @@ Each arm has a thread, as it has a process in a run; one of them goes at a time,
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -51,7 +51,6 @@ class ArmRun:
     runner: Runner | None = None
     driver: Blinking | None = None
     tripped_ns: int | None = None  # when a servo's watchdog fired first
-    error: BaseException | None = None
 
     @property
     def rows(self) -> Any:
@@ -117,17 +116,8 @@ class CoupledRun:
         self._stalls: dict[str, float] = {}
         self.truth: list[Truth] = []
         self.arms = {arm.name: ArmRun() for arm in cell.arms}
-        threads = [
-            threading.Thread(target=self._run, args=(arm, i, q), daemon=True)
-            for i, (arm, q) in enumerate(zip(cell.arms, q_start, strict=True))
-        ]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
-        for run in self.arms.values():
-            if run.error is not None:
-                raise run.error
+        each = enumerate(zip(cell.arms, q_start, strict=True))
+        self._clock.live([partial(self._run, arm, i, q) for i, (arm, q) in each])
 
     def since_s(self, ns: int | None = None) -> float:
         """Seconds since the common start, or until it."""
@@ -164,13 +154,7 @@ class CoupledRun:
 
     def _run(self, arm: Arm, index: int, q_start: Vector) -> None:
         run = self.arms[arm.name]
-        self._clock.join()
-        try:
-            run.summary = self._loop(run, arm, index, q_start)
-        except BaseException as error:  # noqa: BLE001 - raised again where the run was asked for
-            run.error = error
-        finally:
-            self._clock.leave()
+        run.summary = self._loop(run, arm, index, q_start)
 
     def _loop(self, run: ArmRun, arm: Arm, index: int, q_start: Vector) -> RunSummary:
         line = Line(self._emulated, index, self._injectors[index], self._clock)

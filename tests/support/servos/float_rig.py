@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -140,7 +140,7 @@ class FloatRun:
         self._on: set[str] = set()
         self.zero_ns: int | None = None
         self.seen: list[tuple[float, Vector, Vector]] = []  # s, q and dq of the one arm
-        self._everybody()
+        self.clock.live([partial(self._run, self.cell.arm(name), i) for i, name in enumerate(self.arms)])
 
     @property
     def one(self) -> FloatArm:
@@ -161,16 +161,6 @@ class FloatRun:
         """Where the one arm's end effector is, world."""
         return self.lone.end_effector()
 
-    def _everybody(self) -> None:
-        threads = [
-            threading.Thread(target=self._run, args=(self.cell.arm(name), i), daemon=True)
-            for i, name in enumerate(self.arms)
-        ]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
-
     def _pass(self, ns: int) -> None:
         if self.zero_ns is None:
             return
@@ -189,7 +179,6 @@ class FloatRun:
 
     def _run(self, arm: Arm, index: int) -> None:
         run = self.arms[arm.name]
-        self.clock.join()
         try:
             run.summary = self._loop(run, arm, index)
         except BaseException as error:  # noqa: BLE001 - the test looks at it
@@ -198,7 +187,6 @@ class FloatRun:
             if run.driver is not None:
                 run.driver.disable()
                 run.driver.close()
-            self.clock.leave()
 
     def _loop(self, run: FloatArm, arm: Arm, index: int) -> RunSummary:
         floats = Floats.of(self.cell, arm.name)

@@ -7,10 +7,10 @@ own steps go on, as in `guarded_rig`.
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -128,7 +128,7 @@ class PhaseRun:
         self._back, self._boot_ns = back, 0
         self._begin(steps)
         self._linger_ns, self._limit_ns = round(1e9 * linger_s), round(1e9 * limit_s)
-        self._threads()
+        self.clock.live([partial(self._run, arm, i) for i, arm in enumerate(self.cell.arms)])
 
     def _begin(self, steps: Sequence[Step]) -> None:
         """A new clock on the servos as they are, and new agents."""
@@ -140,18 +140,6 @@ class PhaseRun:
         self.done_ns: int | None = None
         self._zero_ns: int | None = None  # the common start
         self.step_ns: list[int] = []  # when each was said
-
-    def _threads(self) -> None:
-        threads = [
-            threading.Thread(target=self._run, args=(arm, i), daemon=True) for i, arm in enumerate(self.cell.arms)
-        ]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
-        for run in self.arms.values():
-            if run.error is not None:
-                raise run.error
 
     # --- for tests ------------------------------------------------------------------------------------------------
 
@@ -189,7 +177,7 @@ class PhaseRun:
         self.world.plant.let_go(np.concatenate(self._begins), self.world.T_world_place)
         self._begin(steps)
         self._limit_ns, self._boot_ns = self._limit_ns + self.now_ns, BOOT_NS
-        self._threads()
+        self.clock.live([partial(self._run, arm, i) for i, arm in enumerate(self.cell.arms)])
 
     def interrupt(self, *arms: str) -> None:
         """SIGINT to these agents; none named: to all."""
@@ -221,14 +209,10 @@ class PhaseRun:
 
     def _run(self, arm: Arm, index: int) -> None:
         run = self.arms[arm.name]
-        self.clock.join()
         try:
             run.summary = self._loop(run, arm, index)
-        except BaseException as error:  # noqa: BLE001 - raised again where the run was asked for
-            run.error = error
         finally:
             self.mode[arm.name] = Mode.OFF if run.summary is None else run.summary.mode
-            self.clock.leave()
 
     def _loop(self, run: PhaseArm, arm: Arm, index: int) -> RunSummary:
         clock = run.clock = MortalClock(self.clock)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import pinocchio as pin
@@ -92,14 +92,7 @@ class WholeRun:
         self._said_ns: dict[str, int] = {}
         self._zero_ns: int | None = None
         self.arms = {arm.name: SessionRun() for arm in cell.arms}
-        threads = [threading.Thread(target=self._run, args=(arm, i), daemon=True) for i, arm in enumerate(cell.arms)]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
-        for run in self.arms.values():
-            if run.error is not None:
-                raise run.error
+        self.clock.live([partial(self._run, arm, i) for i, arm in enumerate(cell.arms)])
 
     def ended_in(self) -> dict[str, Mode]:
         """Mode of each arm at the end."""
@@ -107,13 +100,7 @@ class WholeRun:
 
     def _run(self, arm: Arm, index: int) -> None:
         run = self.arms[arm.name]
-        self.clock.join()
-        try:
-            run.summary = self._loop(run, arm, index)
-        except BaseException as error:  # noqa: BLE001 - raised again where the run was asked for
-            run.error = error
-        finally:
-            self.clock.leave()
+        run.summary = self._loop(run, arm, index)
 
     def _loop(self, run: SessionRun, arm: Arm, index: int) -> RunSummary:
         line = Line(self.emulated, index, self._injectors[index], self.clock)
