@@ -30,14 +30,12 @@ from agent.process.operated import Operator, no_real_time, tick_of
 from agent.process.rehearse import BridgedRows
 from agent.process.schedule import AgentOptions, schedule_of
 from agent.process.session import session_loop
-from agent.process.tellers import Heart, ServoTeller, Teller
+from agent.process.tellers import Heart, ServoTeller, Teller, opened
 from agent.runner import Runner, RunSummary, Surroundings
 from agent.session import SessionLoop
 from agent.telemetry.ring.ring import RingWriter
-from agent.telemetry.ring.texts import TextWriter
 from agent.telemetry.row.event import Level
 from agent.telemetry.row.fill import AgentRow
-from agent.telemetry.row.sample import AGENT_STATE
 from agent.verify.check import examine
 from drivers.interface import Clock, Driver, DriverError, Refusal
 from sim_backend.hil.driver import BridgeDriver
@@ -65,10 +63,7 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
     report = examine(cell)
     report.require()
     with ExitStack() as stack:
-        texts = stack.enter_context(closing(TextWriter(options.ring, arm.name)))
-        ring = stack.enter_context(RingWriter(options.ring, AGENT_STATE, arm.name, tuple(arm.entry.controlled)))
-        stack.callback(ring.finish)
-        stack.callback(texts.finish)
+        texts, ring = opened(stack, options.ring, arm)
         notifier = stack.enter_context(closing(Notifier()))
         standing = Standing(arm.name)
         control = ControlSocket(options.control, cell.fingerprint, standing) if options.control else None

@@ -28,13 +28,12 @@ from agent.monitors.watch import Watch as Monitors
 from agent.process.agent import ArmLost
 from agent.process.build import EMULATED_READ_SHARE, build_agent, in_words, port_of
 from agent.process.schedule import AgentOptions, schedule_of
-from agent.process.tellers import Heart, ServoTeller, Teller
+from agent.process.tellers import Heart, ServoTeller, Teller, opened
 from agent.runner import Beginning, Runner, RunSummary, Surroundings
 from agent.telemetry.ring.ring import RingWriter
 from agent.telemetry.ring.texts import TextWriter
 from agent.telemetry.row.event import Level
 from agent.telemetry.row.fill import AgentRow
-from agent.telemetry.row.sample import AGENT_STATE
 from drivers.clock import MonotonicClock
 from drivers.dynamixel.arm_map import ArmMap
 from drivers.dynamixel.driver import DynamixelDriver
@@ -100,10 +99,7 @@ def run_float(cell: Cell, options: AgentOptions, stop: Callable[[], bool], ready
             remedy="nothing takes a floating arm over, and it knows no session: leave it out",
         )  # fmt: skip
     with ExitStack() as stack:
-        texts = stack.enter_context(closing(TextWriter(options.ring, arm.name)))
-        ring = stack.enter_context(RingWriter(options.ring, AGENT_STATE, arm.name, tuple(arm.entry.controlled)))
-        stack.callback(ring.finish)
-        stack.callback(texts.finish)
+        texts, ring = opened(stack, options.ring, arm)
         notifier = stack.enter_context(closing(Notifier()))
         ready(f"ring={options.ring}")
         tell = Teller(arm.name, texts)

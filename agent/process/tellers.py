@@ -1,20 +1,34 @@
-"""What a loop tells of itself beside its rows: events, its servos' slow quantities, and that it lives."""
+"""What a loop tells of itself: where its rows go, events, its servos' slow quantities, and that it lives."""
 
 from __future__ import annotations
 
 import time
+from contextlib import ExitStack, closing
+from pathlib import Path
 
 from agent.around import RunSummary
+from agent.config.cell import Arm
 from agent.host.notify import Notifier
 from agent.modes import TABLE, Mode
+from agent.telemetry.ring.ring import RingWriter
 from agent.telemetry.ring.texts import TextWriter
 from agent.telemetry.row.event import Event as TextEvent
 from agent.telemetry.row.event import Level
 from agent.telemetry.row.health import grip_values, health_values
+from agent.telemetry.row.sample import AGENT_STATE
 from drivers.interface import Clock, Driver, Gripper
 
 HEARTBEAT_S = 0.02
 HEALTH_S = 1.0
+
+
+def opened(stack: ExitStack, path: Path, arm: Arm) -> tuple[TextWriter, RingWriter]:
+    """Texts and rows of an arm's loop, in the ring at `path`; finished when the stack ends.  Raises Refusal."""
+    texts = stack.enter_context(closing(TextWriter(path, arm.name)))
+    ring = stack.enter_context(RingWriter(path, AGENT_STATE, arm.name, tuple(arm.entry.controlled)))
+    stack.callback(ring.finish)
+    stack.callback(texts.finish)
+    return texts, ring
 
 
 class Teller:

@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from sim_backend.physics.actuator import ActuatorSpec
 from sim_backend.physics.build import AnyPlant, build_plant
-from sim_backend.physics.plant import Observation
 from sim_backend.physics.soft import SoftPlant
 from sim_backend.physics.spec import PlantError, PlantSpec
 from sim_backend.wire.arm import EmulatedArm
 from sim_backend.wire.bus import DEFAULTS
 from sim_backend.wire.cell import EmulatedCell
+from sim_backend.wire.coupled_world import CoupledWorld
 from sim_backend.wire.options import BusOptions, ServoOptions
 from sim_backend.wire.servo import FACTORY
 from sim_backend.wire.timing import BusTiming
@@ -43,7 +41,7 @@ def without_servo_electronics(spec: PlantSpec) -> PlantSpec:
     return replace(spec, arms=tuple(replace(arm, actuator=bare(arm.actuator)) for arm in spec.arms))
 
 
-class PlantWorld:
+class PlantWorld(CoupledWorld):
     """The plant of sim_backend.physics.  Build the plant from `without_servo_electronics`.
 
     With `supported` the cell rests on a support until the servos of every arm have given torque once; before that
@@ -51,23 +49,14 @@ class PlantWorld:
     """
 
     def __init__(self, plant: AnyPlant, *, supported: bool = True) -> None:
+        super().__init__(plant)
         self.plant = plant
-        self.substep_s = plant.spec.substep_s
-        self.tau_Nm = np.zeros(plant.joint_count)
-        self._zero_error = [arm.actuator.zero_error_rad for arm in plant.spec.arms]
         self._idle = set(range(len(plant.slices))) if supported else set()
 
     @property
     def supported(self) -> bool:
         """True while the cell rests on its support."""
         return bool(self._idle)
-
-    def state(self, arm: int) -> tuple[Sequence[float], Sequence[float]]:
-        """Positions, from where encoders believe zero to be, and velocities of an arm's controlled joints, in order."""
-        joints = self.plant.slices[arm]
-        q: list[float] = (self.plant.q[joints] + self._zero_error[arm]).tolist()
-        dq: list[float] = self.plant.dq[joints].tolist()
-        return q, dq
 
     def apply(self, arm: int, tau_Nm: Sequence[float]) -> None:
         """Set the torques of an arm's servos."""
@@ -81,10 +70,6 @@ class PlantWorld:
             self.plant.rest(1)
         else:
             self.plant.advance(self.tau_Nm, 1)
-
-    def observe(self) -> Observation:
-        """What is true now, with the servos' torques acting; changes nothing."""
-        return self.plant.observe(self.tau_Nm)
 
 
 def emulate(

@@ -15,10 +15,10 @@ import pinocchio as pin
 
 from drivers.fingers import Fingers
 from drivers.interface import Vector
-from sim_backend.physics.plant import Observation
 from sim_backend.physics.soft import SoftPlant
 from sim_backend.physics.spec import PlantError
 from sim_backend.physics.support import Support
+from sim_backend.wire.coupled_world import CoupledWorld
 from sim_backend.wire.finger import FingerJoint
 
 HOLDS_FROM_N, HOLDS_TO_N = 2.0, 0.3  # of a finger: from the first on it holds, below the second it has let go
@@ -47,20 +47,18 @@ class WholeSpec:
     object_off: pin.SE3  # where the object really stands, in the frame in which the cell believes it to
 
 
-class WholeWorld:
+class WholeWorld(CoupledWorld):
     """The plant with open grasps, a support and grippers; a `sim_backend.wire.world.JointWorld`."""
 
     def __init__(self, plant: SoftPlant, whole: WholeSpec) -> None:
         if not float(np.abs(plant.spec.gravity).max()):
             raise PlantError("gravity", found="none", expected="some", remedy="a run from rest to rest needs a support")
+        super().__init__(plant)
         self.plant = plant
         self.whole = whole
-        self.substep_s = plant.spec.substep_s
-        self.tau_Nm: Vector = np.zeros(plant.joint_count)
         self.fingers: tuple[FingerJoint, ...] = ()  # of each arm, once its servos are there
         self.holding = [False] * len(plant.slices)
         self._lying = [False] * len(plant.slices)
-        self._zero_error = [arm.actuator.zero_error_rad for arm in plant.spec.arms]
         self._viscous = [np.array(arm.actuator.viscous_Nms_rad) for arm in plant.spec.arms]
         self._substeps = 0
         stands = plant.spec.object.T_world_object * whole.object_off
@@ -70,13 +68,6 @@ class WholeWorld:
         plant.let_go(np.concatenate(whole.q_rest), stands)
         for i in range(len(plant.slices)):
             self._lie(i, lying=True)
-
-    def state(self, arm: int) -> tuple[Sequence[float], Sequence[float]]:
-        """Positions, from where encoders believe zero to be, and velocities of an arm's controlled joints, in order."""
-        joints = self.plant.slices[arm]
-        q: list[float] = (self.plant.q[joints] + self._zero_error[arm]).tolist()
-        dq: list[float] = self.plant.dq[joints].tolist()
-        return q, dq
 
     def apply(self, arm: int, tau_Nm: Sequence[float]) -> None:
         """Set the torques of an arm's servos."""
@@ -95,10 +86,6 @@ class WholeWorld:
                 self._look(arm, T)
         self._substeps += 1
         plant.advance(self.tau_Nm, 1)
-
-    def observe(self) -> Observation:
-        """What is true now, with the servos' torques acting; changes nothing."""
-        return self.plant.observe(self.tau_Nm)
 
     def lose(self, arm: int) -> None:
         """Fault: what the gripper of an arm holds slips out of it for good."""
