@@ -21,7 +21,7 @@ from agent.config.schema.tolerance import Tolerance
 from agent.config.schema.types import nearest
 from agent.config.urdf import text_of_urdf, urdf_beside
 from agent.control.trajectory import Trajectory
-from drivers.dynamixel.servo.table import SERVOS, ServoModel
+from drivers.dynamixel.servo.models import SERVOS, ServoModel
 from drivers.interface import Vector
 
 

@@ -6,7 +6,7 @@ import enum
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from drivers.dynamixel.servo.table import HardwareError, StatusError
+from drivers.dynamixel.servo.codes import HardwareError, StatusError
 from drivers.interface import ConnectError, DriverError, JointState, ServoFault, StaleStateError
 
 if TYPE_CHECKING:

@@ -18,8 +18,8 @@ from drivers.dynamixel.errors import PortLostError, WriteTimeoutError
 from drivers.dynamixel.line.group import GroupRead, Row
 from drivers.dynamixel.monitor import Page
 from drivers.dynamixel.running import Running
+from drivers.dynamixel.servo.codes import WATCHDOG_TRIPPED
 from drivers.dynamixel.servo.found import ServoFound
-from drivers.dynamixel.servo.table import WATCHDOG_TRIPPED
 from drivers.interface import ConnectError, Vector
 
 ATTEMPTS = 3

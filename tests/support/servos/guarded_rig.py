@@ -24,7 +24,8 @@ from agent.process.schedule import AgentOptions, schedule_of
 from agent.runner import Runner, RunSummary, Surroundings
 from agent.telemetry.row.fill import AgentRow
 from drivers.dynamixel.driver import DynamixelDriver
-from drivers.dynamixel.servo.table import GOAL_CURRENT, GOAL_PWM, Instruction
+from drivers.dynamixel.servo.codes import Instruction
+from drivers.dynamixel.servo.table import GOAL_CURRENT, GOAL_PWM
 from drivers.dynamixel.standby import Handover, StandbyDriver
 from drivers.interface import Vector
 from tests.support.servos.coupled_rig import ArmRun, CoupledRun

@@ -28,7 +28,7 @@ from agent.verify.scale import Scale
 from agent.verify.stiffest import Search, Wanted
 from agent.verify.tune import RIGID, Form, Margin, NoGains, Proposal, Tuner
 from agent.verify.tune_table import toml_lines, tune_table
-from drivers.dynamixel.servo.table import VELOCITY_UNIT_RAD_PER_S
+from drivers.dynamixel.servo.counts import VELOCITY_UNIT_RAD_PER_S
 from drivers.interface import Vector
 from tests.support.arm_files import with_true_arms
 from tests.support.plant.inprocess import History, simulate
