@@ -100,7 +100,17 @@ class NoGripperError(DriverError):
 
 
 class TorqueError(DriverError):
-    """A torque that is no number, or a joint that cannot be torque-controlled."""
+    """A torque that is no number."""
+
+    @classmethod
+    def of(cls, arm: str, wanted: Sequence[float], joints: int) -> TorqueError:
+        """Torques that an arm was to be commanded."""
+        return cls(
+            f"arm {arm}: torque",
+            found=wanted,
+            expected=f"{joints} finite numbers",
+            remedy="this is a defect of the caller: the safety layer must not let it through",
+        )
 
 
 class StaleJointsError(StaleStateError):

@@ -109,7 +109,7 @@ class StandbyDriver(DynamixelDriver):
 
     def _ask(self) -> dict[int, Row]:
         """The status page of every servo that answers, by ID, asked again while one is missing."""
-        ids = [slot.servo_id for slot in self._slots]
+        ids = [slot.servo_id for slot in self.arm.slots]
         rows: dict[int, Row] = {}
         for _ in range(ATTEMPTS):
             self._quiet()
