@@ -33,7 +33,7 @@ from agent.process.session import session_loop
 from agent.process.tellers import Heart, ServoTeller, Teller, opened
 from agent.runner import Runner, RunSummary, Surroundings
 from agent.session import SessionLoop
-from agent.telemetry.ring.ring import RingWriter
+from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.event import Level
 from agent.telemetry.row.fill import AgentRow
 from agent.verify.check import examine

@@ -32,7 +32,7 @@ from agent.process.describe import run_info
 from agent.process.person import Person
 from agent.process.rehearse import in_the_loop
 from agent.telemetry.link.session import FREE_PORT
-from agent.telemetry.ring.ring import RingReader
+from agent.telemetry.ring.reader import RingReader
 from agent.telemetry.row.sample import AGENT_STATE
 from agent.telemetry.row.topics import PLANT
 

@@ -30,8 +30,8 @@ from agent.process.build import EMULATED_READ_SHARE, build_agent, in_words, port
 from agent.process.schedule import AgentOptions, schedule_of
 from agent.process.tellers import Heart, ServoTeller, Teller, opened
 from agent.runner import Beginning, Runner, RunSummary, Surroundings
-from agent.telemetry.ring.ring import RingWriter
 from agent.telemetry.ring.texts import TextWriter
+from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.event import Level
 from agent.telemetry.row.fill import AgentRow
 from drivers.clock import MonotonicClock

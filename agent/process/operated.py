@@ -16,7 +16,7 @@ from agent.operator.socket import ControlSocket, Standing
 from agent.operator.table import EVENT_OF
 from agent.process.clocked import ClockWatch
 from agent.runner import NOT_YET_NS
-from agent.telemetry.ring.ring import RingWriter
+from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.event import Level
 from drivers.clock import utc_offset_ns
 from drivers.interface import Clock

@@ -14,7 +14,7 @@ from agent.config.cell import Cell
 from agent.host.signals import StopFlag
 from agent.process.rehearse import require_wall_clock
 from agent.process.simulated import plant_spec
-from agent.telemetry.ring.ring import RingWriter
+from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.sample import MAX_JOINTS, PLANT_STATE
 from agent.telemetry.row.topics import PLANT
 from agent.verify.check import examine

@@ -206,14 +206,7 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
         ): "somebody's own file has been refused before",
         ("map_file", _MAPPED, _MAPPED.replace("else 0", "else 1")): "MAP_SHARED is 1",
     },
-    "agent.telemetry.ring.ring": {
-        ("RingWriter.wait_for_space", _HAS_SPACE, "if False:"): _NO_CLOCK,
-        ("RingWriter.wait_for_space", _HAS_SPACE, _HAS_SPACE.replace(" - ", " + ")): _NO_CLOCK,
-        ("RingWriter.wait_for_space", "return", "pass"): _NO_CLOCK,
-        ("RingWriter.wait_for_space", "time.sleep(_POLL_S)", "pass"): "saves computing while it waits",
-        ("RingWriter.close", "if self._fd < 0:", "if self._fd <= 0:"): _STANDARD_INPUT,
-        ("RingWriter.close", "if self._fd < 0:", "if self._fd < 1:"): _STANDARD_INPUT,
-        ("RingWriter.close", "self._fd = -1", "self._fd = -2"): "both are no descriptor",
+    "agent.telemetry.ring.reader": {
         ("RingReader.close", "if self._fd < 0:", "if self._fd <= 0:"): _STANDARD_INPUT,
         ("RingReader.close", "if self._fd < 0:", "if self._fd < 1:"): _STANDARD_INPUT,
         ("RingReader.close", "self._fd = -1", "self._fd = -2"): "both are no descriptor",
@@ -222,6 +215,15 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
             _INTACT,
             _INTACT.replace(" & ", " | "),
         ): "saves checksums: the index is in them, so a copy of another row fails there",
+    },
+    "agent.telemetry.ring.writer": {
+        ("RingWriter.wait_for_space", _HAS_SPACE, "if False:"): _NO_CLOCK,
+        ("RingWriter.wait_for_space", _HAS_SPACE, _HAS_SPACE.replace(" - ", " + ")): _NO_CLOCK,
+        ("RingWriter.wait_for_space", "return", "pass"): _NO_CLOCK,
+        ("RingWriter.wait_for_space", "time.sleep(_POLL_S)", "pass"): "saves computing while it waits",
+        ("RingWriter.close", "if self._fd < 0:", "if self._fd <= 0:"): _STANDARD_INPUT,
+        ("RingWriter.close", "if self._fd < 0:", "if self._fd < 1:"): _STANDARD_INPUT,
+        ("RingWriter.close", "self._fd = -1", "self._fd = -2"): "both are no descriptor",
         ("_aligned_row", _ROOM, _ROOM.replace("16", "17")): "seven bytes to spare are enough",
         ("_aligned_row", _ROOM, _ROOM.replace("16", "15")): "seven bytes to spare are enough",
         (

@@ -24,7 +24,7 @@ from agent.process.clocked import ClockWatch
 from agent.process.operated import Operator
 from agent.process.schedule import AgentOptions
 from agent.runner import NOT_YET_NS
-from agent.telemetry.ring.ring import RingWriter
+from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.event import Level
 from agent.telemetry.row.sample import AGENT_STATE
 
