@@ -59,7 +59,7 @@ TARGETS = (
     Target("drivers.dynamixel.interpret", (f"{UNIT}/drivers/test_interpret.py",)),
     Target("drivers.dynamixel.line.group", (f"{UNIT}/drivers/test_group.py",)),
     Target("drivers.dynamixel.monitor", (f"{UNIT}/drivers/test_monitor.py",)),
-    Target("drivers.dynamixel.pace", (f"{UNIT}/drivers/test_pace.py",)),
+    Target("drivers.dynamixel.pace", tuple(f"{UNIT}/drivers/{name}.py" for name in ("test_pace", "test_driver"))),
     Target(
         "drivers.dynamixel.recovery", tuple(f"{UNIT}/drivers/{name}.py" for name in ("test_driver", "test_recover"))
     ),
