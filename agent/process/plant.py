@@ -22,7 +22,8 @@ from drivers.clock import utc_offset_ns
 from drivers.interface import Vector
 from sim_backend.physics.build import AnyPlant, build_plant
 from sim_backend.physics.plant import Observation
-from sim_backend.served.server import LostArm, ServerOptions, serve
+from sim_backend.served.options import LostArm, ServerOptions
+from sim_backend.served.server import serve
 
 SECOND_NS = 1_000_000_000
 
