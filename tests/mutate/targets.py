@@ -67,6 +67,7 @@ TARGETS = (
     Target("drivers.dynamixel.stale", (f"{UNIT}/drivers/test_driver.py",)),
     Target("sim_backend.physics.calendar", _SOFT),
     Target("sim_backend.physics.free_body", _SOFT),
+    Target("sim_backend.physics.openings", _SOFT),
     Target("sim_backend.physics.pads", _SOFT),
     Target("sim_backend.physics.reality", (f"{UNIT}/sim_backend/test_reality.py",)),
 )
