@@ -358,6 +358,7 @@ def test_noise_and_a_slow_observer_are_missed_like_a_radius() -> None:
     [
         pytest.param("tolerance.delay=[0.8, 10.0]", "tolerance.delay", marks=pytest.mark.long),
         ("safety.inertia_error=0.97", "safety.inertia_error"),
+        pytest.param("tolerance.masses=0.9", "tolerance.masses", marks=pytest.mark.long),
     ],
 )
 def test_when_nothing_survives_the_demand_and_the_tolerance_that_bind_are_named(
