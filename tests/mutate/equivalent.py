@@ -56,13 +56,20 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
             "return memory._replace(shift=between(pose[:4], pose[3:], *agent.start))",
         ): "of a position three numbers are read",
     },
+    "agent.cycles": {
+        (
+            "Cycles.gap_s",
+            "passed_ns = 0 if self._begun_ns is None else now_ns - self._begun_ns",
+            "passed_ns = 1 if self._begun_ns is None else now_ns - self._begun_ns",
+        ): "no gap is as short as a nanosecond",
+    },
     "agent.runner": {
         ("Runner._cycle", "happened |= Event.STOP", "happened |= Event.TROUBLE"): "either makes the object held",
         ("Runner._cycle", "if happened:", "if True:"): "saves a call: nothing changes without an event (test_runner)",
         (
             "Runner._started",
-            "if zero_ns is not None and zero_ns != self._zero_ns:",
-            "if zero_ns is not None and True:",
+            "counts = zero_ns != self._zero_ns and (session is None or session.counts(zero_ns, deadline_ns))",
+            "counts = True and (session is None or session.counts(zero_ns, deadline_ns))",
         ): "the same start gives the same phase",
         (
             "Runner._change_mode",
