@@ -28,7 +28,13 @@ _STEP = tuple(
         "control/test_adaptive", "control/test_floating", "guard/test_resume", "monitors/test_monitors",
     )
 )  # fmt: skip
-_RUNNER = tuple(f"{UNIT}/{name}.py" for name in ("test_runner", "test_runner_trouble", "test_runner_record"))
+_RUNNER = tuple(
+    f"{UNIT}/{name}.py"
+    for name in (
+        "test_runner", "test_runner_trouble", "test_runner_record", "test_runner_return", "test_runner_session",
+        "monitors/test_watch_in_runner",
+    )
+)  # fmt: skip
 _CYCLE = (f"{UNIT}/drivers/test_dxl_faults.py", f"{UNIT}/drivers/test_dxl_hostile.py")
 _RING = (
     f"{UNIT}/telemetry/test_ring.py",
@@ -47,7 +53,15 @@ TARGETS = (
     Target("agent.loop", _STEP),
     Target("agent.calm", tuple(f"{UNIT}/{name}.py" for name in ("test_calm", "test_hold", "test_step_together"))),
     Target("agent.cycles", (f"{UNIT}/test_cycles.py",)),
-    Target("agent.runner", _RUNNER, warm=("tests.support.runner_rig:q_start", "tests.support.runner_rig:period_ns")),
+    Target(
+        "agent.runner",
+        _RUNNER,
+        warm=(
+            "tests.support.runner_rig:q_start",
+            "tests.support.runner_rig:period_ns",
+            "tests.unit.test_runner_session:made",
+        ),
+    ),
     Target("agent.operator.socket", (f"{UNIT}/operator/test_control_socket.py",)),
     Target("agent.replay.chain", _VERIFY),
     Target("agent.replay.grasps", (f"{UNIT}/replay/test_answers.py",)),
