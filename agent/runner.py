@@ -234,9 +234,11 @@ class Runner:
             state = error.state
             if state is None:
                 return None, Event.SERVO_LOST
-            self._reason = self._reason or self._unseen
+            trouble = self._trouble_of(self._unseen)
+            if trouble:  # one that is borne is no reason of a later stop
+                self._reason = self._reason or self._unseen
             seen = bool(np.isfinite(state.q).all() and np.isfinite(state.dq).all())
-            return state if seen else None, self._trouble_of(self._unseen)
+            return state if seen else None, trouble
 
     def _trouble_of(self, fault: str) -> Event:
         """What a servo's fault, which lasts, asks for: on the way back of a session the one of before asks no more."""

@@ -9,15 +9,32 @@ UNIT = "tests/unit"
 
 @dataclass(frozen=True)
 class Target:
-    """A module and the tests that must notice every change to it; generate: whether changes are generated."""
+    """A module and the tests that must notice every change to it.
+
+    generate: whether changes are generated; warm: cached functions of tests as module:name, which are called once for
+    all changes; they call nothing of the module itself.
+    """
 
     module: str
     tests: tuple[str, ...]
     generate: bool = True
+    warm: tuple[str, ...] = ()
 
 
-_STEP = tuple(f"{UNIT}/{name}.py" for name in ("test_step", "test_step_rules", "test_singular"))
-_RUNNER = tuple(f"{UNIT}/{name}.py" for name in ("test_runner", "test_runner_trouble", "test_runner_record"))
+_STEP = tuple(
+    f"{UNIT}/{name}.py"
+    for name in (
+        "test_step", "test_step_rules", "test_step_together", "test_singular", "test_hold", "test_calm",
+        "control/test_adaptive", "control/test_floating", "guard/test_resume", "monitors/test_monitors",
+    )
+)  # fmt: skip
+_RUNNER = tuple(
+    f"{UNIT}/{name}.py"
+    for name in (
+        "test_runner", "test_runner_trouble", "test_runner_record", "test_runner_return", "test_runner_session",
+        "monitors/test_watch_in_runner",
+    )
+)  # fmt: skip
 _CYCLE = (f"{UNIT}/drivers/test_dxl_faults.py", f"{UNIT}/drivers/test_dxl_hostile.py")
 _RING = (
     f"{UNIT}/telemetry/test_ring.py",
@@ -33,10 +50,18 @@ _SOFT = tuple(f"{UNIT}/sim_backend/{name}.py" for name in ("test_soft", "test_re
 TARGETS = (
     Target("agent.safety", (f"{UNIT}/test_safety.py",)),
     Target("agent.modes", (f"{UNIT}/test_modes.py",)),
-    Target("agent.loop", (*_STEP, f"{UNIT}/test_step_together.py", f"{UNIT}/control/test_adaptive.py")),
+    Target("agent.loop", _STEP),
     Target("agent.calm", tuple(f"{UNIT}/{name}.py" for name in ("test_calm", "test_hold", "test_step_together"))),
     Target("agent.cycles", (f"{UNIT}/test_cycles.py",)),
-    Target("agent.runner", _RUNNER),
+    Target(
+        "agent.runner",
+        _RUNNER,
+        warm=(
+            "tests.support.runner_rig:q_start",
+            "tests.support.runner_rig:period_ns",
+            "tests.unit.test_runner_session:made",
+        ),
+    ),
     Target("agent.operator.socket", (f"{UNIT}/operator/test_control_socket.py",)),
     Target("agent.replay.chain", _VERIFY),
     Target("agent.replay.grasps", (f"{UNIT}/replay/test_answers.py",)),
