@@ -69,19 +69,9 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
         ("Runner._cycle", "if happened:", "if True:"): "saves a call: nothing changes without an event (test_runner)",
         (
             "Runner._started",
-            "counts = zero_ns != self._zero_ns and (session is None or session.counts(zero_ns, deadline_ns))",
+            "counts = zero_ns != ticks.zero_ns and (session is None or session.counts(zero_ns, deadline_ns))",
             "counts = True and (session is None or session.counts(zero_ns, deadline_ns))",
         ): "the same start gives the same phase",
-        (
-            "Runner._change_mode",
-            "if mode is Mode.HOLD and state is not None and (self._outcome is not None):",
-            "if True and state is not None and (self._outcome is not None):",
-        ): "every other change ends the loop, or begins to track and forgets what was held",
-        (
-            "Runner._change_mode",
-            "if mode is Mode.HOLD and state is not None and (self._outcome is not None):",
-            "if mode is Mode.HOLD and state is not None and True:",
-        ): "a state of this cycle was acted on, so there is an outcome; said for the type checker",
     },
     "drivers.dynamixel.checks": {
         ("SilenceCheck.check", "if None not in rows:", "if False:"): "the short way for a cycle with all answers",

@@ -35,6 +35,11 @@ _RUNNER = tuple(
         "monitors/test_watch_in_runner",
     )
 )  # fmt: skip
+_WARM = (
+    "tests.support.runner_rig:q_start",
+    "tests.support.runner_rig:period_ns",
+    "tests.unit.test_runner_session:made",
+)
 _CYCLE = (f"{UNIT}/drivers/test_dxl_faults.py", f"{UNIT}/drivers/test_dxl_hostile.py")
 _RING = (
     f"{UNIT}/telemetry/test_ring.py",
@@ -53,15 +58,11 @@ TARGETS = (
     Target("agent.loop", _STEP),
     Target("agent.calm", tuple(f"{UNIT}/{name}.py" for name in ("test_calm", "test_hold", "test_step_together"))),
     Target("agent.cycles", (f"{UNIT}/test_cycles.py",)),
-    Target(
-        "agent.runner",
-        _RUNNER,
-        warm=(
-            "tests.support.runner_rig:q_start",
-            "tests.support.runner_rig:period_ns",
-            "tests.unit.test_runner_session:made",
-        ),
-    ),
+    Target("agent.runner", _RUNNER, warm=_WARM),
+    Target("agent.sight", (*_RUNNER, f"{UNIT}/test_lost_servo.py"), warm=_WARM),
+    Target("agent.telling", _RUNNER, warm=_WARM),
+    Target("agent.ticks", _RUNNER, warm=_WARM),
+    Target("agent.transition", (*_RUNNER, *_VERIFY), warm=_WARM),
     Target("agent.operator.socket", (f"{UNIT}/operator/test_control_socket.py",)),
     Target("agent.replay.chain", _VERIFY),
     Target("agent.replay.grasps", (f"{UNIT}/replay/test_answers.py",)),
