@@ -60,7 +60,7 @@ TARGETS = (
     Target("agent.cycles", (f"{UNIT}/test_cycles.py",)),
     Target("agent.runner", _RUNNER, warm=_WARM),
     Target("agent.sight", (*_RUNNER, f"{UNIT}/test_lost_servo.py"), warm=_WARM),
-    Target("agent.telling", _RUNNER, warm=_WARM),
+    Target("agent.telling", (f"{UNIT}/test_telling.py",)),
     Target("agent.ticks", _RUNNER, warm=_WARM),
     Target("agent.transition", (*_RUNNER, *_VERIFY), warm=_WARM),
     Target("agent.operator.socket", (f"{UNIT}/operator/test_control_socket.py",)),

@@ -98,6 +98,15 @@ def test_a_start_counts_once_the_load_is_taken_up_and_not_one_that_was_given_bef
     assert Mode.TRACK not in run_of(early, last=30, start_ns=lambda _, zero: zero).modes, "it was given before READY"
 
 
+def test_a_trajectory_that_was_tracked_is_over_when_the_arm_is_ready_again() -> None:
+    back = {16: Event.STOP, 18: Event.LOWER, 20: Event.RELEASED, 22: Event.PARK}
+    again = {24: Event.APPROACH, 26: Event.GRASP, 28: Event.GRIPPED}
+    done = run_of(Script(TO_READY | back | again), last=32, start_ns=lambda reads, zero: zero + (reads > 8))
+    ready = done.of(Mode.READY)
+    assert Mode.TRACK in done.modes
+    assert ready["t"][-1] == pytest.approx(-86_400.0, abs=1.0), "and not the time of the trajectory that was tracked"
+
+
 def test_a_word_that_is_refused_is_told_and_no_reason_of_a_hold() -> None:
     done = run_of(Script({}, {3: "not now"}), last=6)
     assert done.refused == ["not now"]
