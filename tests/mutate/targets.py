@@ -62,7 +62,7 @@ TARGETS = (
     Target("agent.sight", (*_RUNNER, f"{UNIT}/test_lost_servo.py"), warm=_WARM),
     Target("agent.telling", (f"{UNIT}/test_telling.py",)),
     Target("agent.ticks", _RUNNER, warm=_WARM),
-    Target("agent.transition", (*_RUNNER, *_VERIFY), warm=_WARM),
+    Target("agent.transition", (f"{UNIT}/test_transition.py",)),
     Target("agent.operator.socket", (f"{UNIT}/operator/test_control_socket.py",)),
     Target("agent.replay.chain", _VERIFY),
     Target("agent.replay.grasps", (f"{UNIT}/replay/test_answers.py",)),
