@@ -59,7 +59,7 @@ TARGETS = (
         warm=(
             "tests.support.runner_rig:q_start",
             "tests.support.runner_rig:period_ns",
-            "tests.unit.test_runner_session:made",
+            "tests.support.session_script:made",
         ),
     ),
     Target("agent.operator.socket", (f"{UNIT}/operator/test_control_socket.py",)),

@@ -1,79 +1,16 @@
-"""What the loop does with a session: whom it asks, what it tells, when the motion starts."""
+"""What the loop does with a session: whom it asks, what it tells, when the motion starts; and with a guided arm."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from functools import cache
 from typing import Any
 
+import numpy as np
 import pytest
 
-import configs
-from agent.config.cell import Cell, load_cell
-from agent.control.memory import Memory
-from agent.loop import Agent
 from agent.modes import Event, Mode
-from agent.process.build import build_agent
 from drivers.interface import ServoFault
-from tests.support.runner_rig import HOLD_AFTER_STALE, Done, fault, lost, lost_at, run
-
-
-@cache
-def cell() -> Cell:
-    return load_cell(configs.CELLS_DIR / "two_wx200.toml", ["session.take_up_s=0.02", "session.lower_s=0.02"])
-
-
-@cache
-def made() -> Agent:
-    return build_agent(cell(), cell().arms[0])
-
-
-@dataclass
-class Script:
-    """Stands in for a session: what happens and why, by cycle from 1 on, whatever the gripper."""
-
-    happens: Mapping[int, Event]
-    why: Mapping[int, str] = field(default_factory=dict)
-    taken_up_in: int = 0
-    reason: str = ""
-    cycle: int = 0
-    entered_modes: list[Mode] = field(default_factory=list)
-    seen: list[bool] = field(default_factory=list)
-    voids: list[int | None] = field(default_factory=list)
-
-    def judge(self, _mode: Mode, events: Event, _memory: Memory, *, seen: bool) -> Event:
-        self.cycle += 1
-        self.seen.append(seen)
-        self.reason = self.why.get(self.cycle, "")
-        return events | self.happens.get(self.cycle, Event.NONE)
-
-    def entered(self, mode: Mode) -> None:
-        self.entered_modes.append(mode)
-
-    def await_start(self, given_ns: int | None) -> None:
-        self.voids.append(given_ns)
-
-    def counts(self, zero_ns: int | None, _deadline_ns: int) -> bool:
-        return zero_ns is not None and zero_ns not in self.voids
-
-    def taken_up(self, _mode: Mode, _memory: Memory) -> bool:
-        return self.cycle >= self.taken_up_in
-
-
-def run_of(script: Script, last: int = 40, **kw: Any) -> Done:
-    """The loop with this session, released in the read `last`; nothing is off the arm's path."""
-    agent = made()
-    assert agent.session is not None
-    life = replace(agent.session.life, off_max_rad=math.inf)
-    at_grasp = life.path.at(life.path.seconds).q
-    script.happens = {last: Event.SERVO_LOST, **script.happens}
-    kw = {"agent": {"session": replace(agent.session, life=life)}, "q": lambda _: at_grasp, "hold_at_end": True} | kw
-    return run(cell=cell(), session=script, **kw)
-
-
-TO_READY = {2: Event.APPROACH, 4: Event.GRASP, 6: Event.GRIPPED}
+from tests.support.runner_rig import HOLD_AFTER_STALE, fault, lost, lost_at
+from tests.support.session_script import TO_READY, Script, guided, pushed, run_of
 
 
 def test_a_session_goes_from_mode_to_mode_and_its_gripper_is_told_of_each() -> None:
@@ -148,6 +85,13 @@ def test_a_fault_that_lasts_is_borne_on_the_way_back_and_another_one_stops_it(la
     assert [text.startswith("servo 3") for text in done.troubles] == ([False] if ends is Mode.PARK else [False, True])
 
 
+def test_a_first_fault_on_the_way_back_stops_it() -> None:
+    script = Script({2: Event.APPROACH, 4: Event.STOP, 6: Event.PARK})
+    done = run_of(script, last=12, failures={9: fault(True)})
+    assert done.modes == [Mode.APPROACH, Mode.HALT, Mode.PARK, Mode.HALT, Mode.FAULT]
+    assert done.troubles == [f"{fault(True)}; way back: `coop park`"]
+
+
 def test_the_end_of_the_trajectory_stops_the_motion_and_not_the_way_down() -> None:
     done = run_of(Script(TO_READY | {45: Event.LOWER}), last=60, start_ns=lambda reads, zero: zero + (reads > 8))
     assert done.modes[:6] == [Mode.APPROACH, Mode.GRASP, Mode.READY, Mode.TRACK, Mode.HOLD, Mode.LOWER]
@@ -160,3 +104,14 @@ def test_an_arm_that_goes_on_has_no_reason_to_hold() -> None:
     done = run_of(script, last=10)
     assert done.troubles == ["first; way back: `coop park`", "second; way back: `coop park`"]
     assert done.modes == [Mode.APPROACH, Mode.HALT, Mode.PARK, Mode.HALT, Mode.FAULT]
+
+
+# --- an arm that a hand guides ---------------------------------------------------------------------------------------
+
+
+def test_a_guided_arm_that_is_stopped_stands_where_it_was_then() -> None:
+    np.testing.assert_allclose(guided({}).memory.q_hold, pushed(6), atol=1e-12)
+
+
+def test_a_guided_arm_that_is_stopped_while_it_is_not_seen_stands_where_it_is_seen_next() -> None:
+    np.testing.assert_allclose(guided(lost_at(6)).memory.q_hold, pushed(7), atol=1e-12)
