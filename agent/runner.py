@@ -148,7 +148,7 @@ class Runner:
         else:
             happened |= self._go_blind(deadline_ns, bus)
         self._around.heartbeat()
-        if schedule.hold_at_end and self._tracks_to_end() and self._past_end(deadline_ns + period_ns):
+        if schedule.hold_at_end and self._mode is Mode.TRACK and self._past_end(deadline_ns + period_ns):
             happened |= Event.STOP
         if self._mode is Mode.READY and self._may_start() and self._started(deadline_ns):
             happened |= Event.STARTED
@@ -162,9 +162,6 @@ class Runner:
             happened = self._judged(self._session, happened, seen=seen)
         if happened:
             self._change_mode(happened, state)
-
-    def _tracks_to_end(self) -> bool:
-        return self._session is None or self._mode is Mode.TRACK
 
     def _may_start(self) -> bool:
         return self._session is None or self._session.taken_up(self._mode, self._memory)
@@ -242,7 +239,7 @@ class Runner:
 
     def _trouble_of(self, fault: str) -> Event:
         """What a servo's fault, which lasts, asks for: on the way back of a session the one of before asks no more."""
-        borne = self._session is not None and self._mode in WAY_BACK and fault == self._fault
+        borne = self._mode in WAY_BACK and fault == self._fault
         self._fault = fault
         return Event.NONE if borne else Event.TROUBLE
 

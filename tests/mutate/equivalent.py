@@ -9,6 +9,7 @@ from tests.mutate.mutants import Mutant
 Key = tuple[str, str, str]  # where, first line of the statement before and after
 
 _SAVES_A_TEXT = "saves the making of a text that nobody is told"
+_SAVES_A_CALL = "saves a call: joining no flag changes nothing"
 _NONE = "a function without a result returns None"
 _READ_AFTER_A_JUMP = "read only after a jump, which sets it"
 _SET_BY_A_QUESTION = "read while an answer is awaited only, and each question sets it"
@@ -65,6 +66,13 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
         ): "no gap is as short as a nanosecond",
     },
     "agent.runner": {
+        ("Runner._act", "if self._marks:", "if True:"): _SAVES_A_CALL,
+        ("Runner._go_blind", "if self._marks:", "if True:"): _SAVES_A_CALL,
+        (
+            "Runner._bus",
+            "if bus is not Bus.RECOVER or arm is None:",
+            "if bus is not Bus.RECOVER or False:",
+        ): "nobody is brought back by a driver that cannot; said for the type checker",
         ("Runner._cycle", "happened |= Event.STOP", "happened |= Event.TROUBLE"): "either makes the object held",
         ("Runner._cycle", "if happened:", "if True:"): "saves a call: nothing changes without an event (test_runner)",
         (

@@ -85,6 +85,18 @@ def test_a_fault_that_lasts_is_borne_on_the_way_back_and_another_one_stops_it(la
     assert [text.startswith("servo 3") for text in done.troubles] == ([False] if ends is Mode.PARK else [False, True])
 
 
+def test_a_fault_that_lasts_stops_an_arm_that_goes_on_and_not_back() -> None:
+    failures = dict.fromkeys(range(4, 12), fault(True))
+    done = run_of(Script({2: Event.APPROACH, 6: Event.APPROACH}), last=10, failures=failures)
+    assert done.modes == [Mode.APPROACH, Mode.HALT, Mode.APPROACH, Mode.HALT, Mode.FAULT]
+
+
+def test_a_session_that_nobody_listens_to_goes_on() -> None:
+    done = run_of(Script({2: Event.APPROACH, 5: Event.TROUBLE}, {3: "not now", 5: "no object"}), last=8, told=False)
+    assert (done.modes[:2], done.summary.reason) == ([Mode.APPROACH, Mode.HALT], "no object")
+    assert run_of(Script({}), last=6, failures={3: fault(True)}, told=False).modes == [Mode.FAULT]
+
+
 def test_a_first_fault_on_the_way_back_stops_it() -> None:
     script = Script({2: Event.APPROACH, 4: Event.STOP, 6: Event.PARK})
     done = run_of(script, last=12, failures={9: fault(True)})

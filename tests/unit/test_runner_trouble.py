@@ -115,10 +115,10 @@ def test_an_arm_that_is_lost_in_the_cycle_of_a_release_is_a_fault() -> None:
     assert run(lambda n: words.get(n, Event.NONE), hold_at_end=True).summary.mode is Mode.OFF
 
 
-def test_a_fault_without_a_whole_state_is_a_cycle_without_one() -> None:
+@pytest.mark.parametrize("of", ["q", "dq"])
+def test_a_fault_without_a_whole_state_is_a_cycle_without_one(of: str) -> None:
     part = fault(True)
-    assert part.state is not None
-    part.state.q[1] = np.nan
+    getattr(part.state, of)[1] = np.nan
     done = run(failures=dict.fromkeys(reads(60), part), patience=Patience(blind=8))
     assert done.modes == [Mode.TRACK, Mode.HOLD, Mode.FAULT]
     stale = done.rows[FIRST - 1 :]
