@@ -67,6 +67,7 @@ def test_what_is_wrong_with_an_arm_at_rest_is_told_once() -> None:
     done = run_of(Script({}), last=9, failures={3: fault(True), 4: fault(True), 6: fault(True)})
     assert done.modes == [Mode.FAULT]
     assert done.troubles == [f"{fault(True)}; way back: `coop release`"]
+    assert run_of(Script({4: Event.GRASP}), last=6, refused=frozenset({3})).troubles == [], "a word is no trouble"
 
 
 def other_fault() -> ServoFault:
