@@ -66,6 +66,11 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
         ): "no gap is as short as a nanosecond",
     },
     "agent.runner": {
+        (
+            "Runner._change_mode",
+            "if self._agent.floating is not None and mode in FLOATING:",
+            "if True and mode in FLOATING:",
+        ): "only an agent that floats comes into these modes; said for the type checker",
         ("Runner._act", "if self._marks:", "if True:"): _SAVES_A_CALL,
         ("Runner._go_blind", "if self._marks:", "if True:"): _SAVES_A_CALL,
         (

@@ -224,7 +224,7 @@ def run(
     watch: Watch | None = None,
     session: Any = None,
     beginning: Beginning | None = None,
-    happened: Event = Event.ENABLED,
+    happened: Event | None = None,
     returning: Mapping[str, Any] | None = None,
     told: bool = True,
     start_ns: Callable[[int, int], int | None] = lambda reads, zero_ns: zero_ns if reads > 2 else None,
@@ -259,6 +259,6 @@ def run(
     row = AgentRow(log.message, 3, of.config_id)
     made: Agent = replace(build_agent(of, of.arms[0]), **(agent or {}))
     runner = Runner(made, arm, clock, replace(plan, **schedule), row, log, around, watch, beginning, session)
-    summary = runner.run(happened)
+    summary = runner.run() if happened is None else runner.run(happened)
     rows = np.array(log.rows)
     return Done(summary, arm, rows, modes, len(beats), log.waits, troubles, refusals, runner.memory)

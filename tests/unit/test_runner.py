@@ -104,6 +104,11 @@ def test_a_hold_in_simulation_lasts_until_the_trajectory_ends() -> None:
     assert len(done.of(Mode.TRACK)) + len(done.of(Mode.HOLD)) == 20
 
 
+def test_who_follows_the_trajectory_has_nothing_to_hold() -> None:
+    memory = run().memory
+    assert (memory.hold, memory.q_hold) == (None, None)
+
+
 def test_an_early_release_does_nothing_while_tracking() -> None:
     done = run(lambda n: Event.RELEASED if n == 20 else Event.NONE)
     assert done.modes == [Mode.TRACK]

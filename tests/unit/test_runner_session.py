@@ -7,10 +7,18 @@ from typing import Any
 import numpy as np
 import pytest
 
+from agent.control.memory import Memory, restore
 from agent.modes import Event, Mode
 from drivers.interface import ServoFault
-from tests.support.runner_rig import HOLD_AFTER_STALE, fault, lost, lost_at
-from tests.support.session_script import TO_READY, Script, guided, pushed, run_of
+from tests.support.runner_rig import HOLD_AFTER_STALE, Done, fault, lost, lost_at, run
+from tests.support.session_script import TO_READY, Script, cell, floating, guided, pushed, run_of
+
+STILL = {"observer": None}
+
+
+def at_last_row(done: Done) -> Memory:
+    """What the last row began with."""
+    return restore(done.rows[-1]["memory"], 3, None)
 
 
 def test_a_session_goes_from_mode_to_mode_and_its_gripper_is_told_of_each() -> None:
@@ -33,6 +41,26 @@ def test_a_start_counts_once_the_load_is_taken_up_and_not_one_that_was_given_bef
     assert done.of(Mode.TRACK)["sequence"][0] == 17
     early = Script(TO_READY)
     assert Mode.TRACK not in run_of(early, last=30, start_ns=lambda _, zero: zero).modes, "it was given before READY"
+
+
+def test_a_second_motion_begins_a_day_ahead_again() -> None:
+    again = {14: Event.STOP, 16: Event.RELEASED, 18: Event.PARK, 20: Event.ARRIVED}
+    again |= {22: Event.APPROACH, 24: Event.GRASP, 26: Event.GRIPPED}
+    done = run_of(Script(TO_READY | again), last=29, start_ns=lambda reads, zero: zero + (reads > 8))
+    assert [mode for mode in done.modes if mode in (Mode.READY, Mode.TRACK)] == [Mode.READY, Mode.TRACK, Mode.READY]
+    assert done.rows["t"][-1] == pytest.approx(-86_400.0, abs=1.0)
+
+
+def test_time_in_a_mode_counts_from_its_beginning() -> None:
+    done = run_of(Script({5: Event.APPROACH}), last=8)
+    assert at_last_row(done).age == pytest.approx(2 * cell().period_ns * 1e-9)
+
+
+@pytest.mark.parametrize(("lost", "stands"), [((), 9), ((9,), 10)], ids=["seen", "unseen"])
+def test_an_arm_that_is_stopped_holds_where_it_is_seen_then_or_next(lost: tuple[int, ...], stands: int) -> None:
+    done = run_of(Script(TO_READY | {9: Event.STOP}), last=13, q=pushed, failures=lost_at(*lost), agent=STILL)
+    assert done.modes[-2:] == [Mode.HOLD, Mode.FAULT]
+    np.testing.assert_allclose(at_last_row(done).q_hold, pushed(stands), atol=1e-12)
 
 
 def test_a_word_that_is_refused_is_told_and_no_reason_of_a_hold() -> None:
@@ -128,3 +156,21 @@ def test_a_guided_arm_that_is_stopped_stands_where_it_was_then() -> None:
 
 def test_a_guided_arm_that_is_stopped_while_it_is_not_seen_stands_where_it_is_seen_next() -> None:
     np.testing.assert_allclose(guided(lost_at(6)).memory.q_hold, pushed(7), atol=1e-12)
+
+
+def test_what_stops_a_guided_arm_is_told() -> None:
+    lost_at_last = lambda n: Event.SERVO_LOST if n == 8 else Event.NONE  # noqa: E731
+    done = run(lost_at_last, {5: fault(True)}, cell=floating(), q=pushed, happened=Event.FLOATED)
+    assert (done.modes, done.troubles) == ([Mode.STAND, Mode.FAULT], [str(fault(True))])
+
+
+def test_an_arm_that_could_be_guided_holds_the_object_as_any_other() -> None:
+    done = run(
+        lambda n: Event.STOP if n == 14 else Event.RELEASED if n == 20 else Event.NONE,
+        cell=floating(),
+        agent=STILL,
+        q=pushed,
+        hold_at_end=True,
+    )
+    assert done.modes[:2] == [Mode.TRACK, Mode.HOLD]
+    np.testing.assert_allclose(done.memory.q_hold, pushed(15), atol=1e-12)

@@ -183,6 +183,11 @@ def test_a_torque_that_was_not_taken_is_no_number_in_the_log_and_a_reason_but_no
     assert np.isfinite(np.delete(done.rows["tau_sent"], [14, 15], axis=0)[:, :3]).all()
 
 
+def test_a_torque_that_was_not_taken_before_the_start_is_told_at_the_end() -> None:
+    assert "0 bytes taken" in run(refused=frozenset({3})).summary.reason
+    assert run(failures={15: fault(True)}, told=False).summary.reason == str(fault(True))
+
+
 def test_the_reason_of_a_refused_torque_is_the_first_one_too() -> None:
     done = run(refused=frozenset({20}), failures={15: fault(True)})
     assert done.summary.reason == str(fault(True))
