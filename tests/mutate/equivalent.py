@@ -10,6 +10,8 @@ Key = tuple[str, str, str]  # where, first line of the statement before and afte
 
 _SAVES_A_TEXT = "saves the making of a text that nobody is told"
 _SAVES_A_CALL = "saves a call: joining no flag changes nothing"
+_TAKES_ON = "if made.grip is not None and self.grip is not None:"
+_SAME_GRIPPER = "the same arm has the same gripper; said for the type checker"
 _NONE = "a function without a result returns None"
 _READ_AFTER_A_JUMP = "read only after a jump, which sets it"
 _SET_BY_A_QUESTION = "read while an answer is awaited only, and each question sets it"
@@ -207,6 +209,9 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
         ): "a closed port refuses what is written to it, and that is suppressed",
     },
     "drivers.dynamixel.running": {
+        ("Running.again", _TAKES_ON, _TAKES_ON.replace("made.grip is not None", "True")): _SAME_GRIPPER,
+        ("Running.again", _TAKES_ON, _TAKES_ON.replace("self.grip is not None", "True")): _SAME_GRIPPER,
+        ("Running.again", _TAKES_ON, _TAKES_ON.replace(" and ", " or ")): _SAME_GRIPPER,
         ("Running.__init__", "self._wire_free_ns = 0", "pass"): _SET_BY_A_QUESTION,
         ("Running.__init__", "self._wire_free_ns = 0", "self._wire_free_ns = 1"): _SET_BY_A_QUESTION,
         (

@@ -101,6 +101,30 @@ def test_what_was_measured_counts_after_a_long_time_and_not_what_was_expected() 
     for after, seen in ((4.0, True), (1.0, False)):
         outcome = tick(agent, holding(agent), after, moved, (0.1, 0.1, 0.1))
         assert np.array_equal(outcome.q, moved) is seen
+    followed = tick(agent, holding(agent), 4.0, moved, (0.1, 0.1, 0.1), Mode.TRACK)
+    assert not np.array_equal(followed.q, moved), "a hold alone"
+
+
+def test_three_periods_and_a_half_are_not_too_long() -> None:
+    agent = arm()
+    memory = holding(agent)._replace(t=0.0)
+    state = JointState(0, start(), np.zeros(3), np.zeros(3))
+    for t, calm in ((3.5 * agent.period_s, LAW), (np.nextafter(3.5 * agent.period_s, 1.0), GENTLE)):
+        assert step(agent, state, float(t), Mode.HOLD, memory).memory.calm == calm
+
+
+def test_a_hold_that_brakes_on_goes_back_to_where_it_began() -> None:
+    agent = arm(damp_above_rad_per_s=0.5)
+    memory = holding(agent, calm=BRAKE)
+    outcome = tick(agent, memory, 1.0, start() + 0.3, (0.4, 0.0, 0.0))
+    assert outcome.memory.calm == BRAKE
+    assert outcome.memory.q_hold is memory.q_hold
+
+
+def test_a_hold_that_has_braked_with_nothing_to_go_back_to_goes_nowhere() -> None:
+    agent = arm(damp_above_rad_per_s=0.5)
+    outcome = tick(agent, holding(agent, calm=BRAKE)._replace(q_hold=None), 1.0)
+    assert (outcome.memory.calm, outcome.memory.q_hold) == (JOINTS, None)
 
 
 def test_a_hold_that_has_braked_goes_back_a_little_way_only() -> None:
