@@ -68,35 +68,28 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
         ): "no gap is as short as a nanosecond",
     },
     "agent.runner": {
-        (
-            "Runner._change_mode",
-            "if self._agent.floating is not None and mode in FLOATING:",
-            "if True and mode in FLOATING:",
-        ): "only an agent that floats comes into these modes; said for the type checker",
         ("Runner._act", "if self._marks:", "if True:"): _SAVES_A_CALL,
         ("Runner._go_blind", "if self._marks:", "if True:"): _SAVES_A_CALL,
-        (
-            "Runner._bus",
-            "if bus is not Bus.RECOVER or arm is None:",
-            "if bus is not Bus.RECOVER or False:",
-        ): "nobody is brought back by a driver that cannot; said for the type checker",
-        ("Runner._cycle", "happened |= Event.STOP", "happened |= Event.TROUBLE"): "either makes the object held",
         ("Runner._cycle", "if happened:", "if True:"): "saves a call: nothing changes without an event (test_runner)",
         (
             "Runner._started",
-            "counts = zero_ns != self._zero_ns and (session is None or session.counts(zero_ns, deadline_ns))",
+            "counts = zero_ns != ticks.zero_ns and (session is None or session.counts(zero_ns, deadline_ns))",
             "counts = True and (session is None or session.counts(zero_ns, deadline_ns))",
         ): "the same start gives the same phase",
+    },
+    "agent.sight": {
         (
-            "Runner._change_mode",
-            "if mode is Mode.HOLD and state is not None and (self._outcome is not None):",
-            "if True and state is not None and (self._outcome is not None):",
-        ): "every other change ends the loop, or begins to track and forgets what was held",
+            "Sight.plan",
+            "if bus is not Bus.RECOVER or arm is None:",
+            "if bus is not Bus.RECOVER or False:",
+        ): "nobody is brought back by a driver that cannot; said for the type checker",
+    },
+    "agent.transition": {
         (
-            "Runner._change_mode",
-            "if mode is Mode.HOLD and state is not None and (self._outcome is not None):",
-            "if mode is Mode.HOLD and state is not None and True:",
-        ): "a state of this cycle was acted on, so there is an outcome; said for the type checker",
+            "entered",
+            "if agent.floating is not None and mode in FLOATING:",
+            "if True and mode in FLOATING:",
+        ): "only an agent that floats comes into these modes; said for the type checker",
     },
     "drivers.dynamixel.checks": {
         ("SilenceCheck.check", "if None not in rows:", "if False:"): "the short way for a cycle with all answers",
@@ -232,14 +225,7 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
         ): "somebody's own file has been refused before",
         ("map_file", _MAPPED, _MAPPED.replace("else 0", "else 1")): "MAP_SHARED is 1",
     },
-    "agent.telemetry.ring.ring": {
-        ("RingWriter.wait_for_space", _HAS_SPACE, "if False:"): _NO_CLOCK,
-        ("RingWriter.wait_for_space", _HAS_SPACE, _HAS_SPACE.replace(" - ", " + ")): _NO_CLOCK,
-        ("RingWriter.wait_for_space", "return", "pass"): _NO_CLOCK,
-        ("RingWriter.wait_for_space", "time.sleep(_POLL_S)", "pass"): "saves computing while it waits",
-        ("RingWriter.close", "if self._fd < 0:", "if self._fd <= 0:"): _STANDARD_INPUT,
-        ("RingWriter.close", "if self._fd < 0:", "if self._fd < 1:"): _STANDARD_INPUT,
-        ("RingWriter.close", "self._fd = -1", "self._fd = -2"): "both are no descriptor",
+    "agent.telemetry.ring.reader": {
         ("RingReader.close", "if self._fd < 0:", "if self._fd <= 0:"): _STANDARD_INPUT,
         ("RingReader.close", "if self._fd < 0:", "if self._fd < 1:"): _STANDARD_INPUT,
         ("RingReader.close", "self._fd = -1", "self._fd = -2"): "both are no descriptor",
@@ -248,6 +234,15 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
             _INTACT,
             _INTACT.replace(" & ", " | "),
         ): "saves checksums: the index is in them, so a copy of another row fails there",
+    },
+    "agent.telemetry.ring.writer": {
+        ("RingWriter.wait_for_space", _HAS_SPACE, "if False:"): _NO_CLOCK,
+        ("RingWriter.wait_for_space", _HAS_SPACE, _HAS_SPACE.replace(" - ", " + ")): _NO_CLOCK,
+        ("RingWriter.wait_for_space", "return", "pass"): _NO_CLOCK,
+        ("RingWriter.wait_for_space", "time.sleep(_POLL_S)", "pass"): "saves computing while it waits",
+        ("RingWriter.close", "if self._fd < 0:", "if self._fd <= 0:"): _STANDARD_INPUT,
+        ("RingWriter.close", "if self._fd < 0:", "if self._fd < 1:"): _STANDARD_INPUT,
+        ("RingWriter.close", "self._fd = -1", "self._fd = -2"): "both are no descriptor",
         ("_aligned_row", _ROOM, _ROOM.replace("16", "17")): "seven bytes to spare are enough",
         ("_aligned_row", _ROOM, _ROOM.replace("16", "15")): "seven bytes to spare are enough",
         (

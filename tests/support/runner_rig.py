@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 import configs
+from agent.around import Beginning, RunSummary, Schedule, Surroundings
 from agent.config.cell import Cell, load_cell
 from agent.control.memory import Memory
 from agent.cycles import Patience
@@ -17,7 +18,7 @@ from agent.loop import Agent
 from agent.modes import Event, Mode
 from agent.monitors.watch import Watch
 from agent.process.build import build_agent
-from agent.runner import Beginning, Runner, RunSummary, Schedule, Surroundings
+from agent.runner import Runner
 from agent.telemetry.row.fill import AgentRow
 from agent.telemetry.row.sample import AGENT_STATE
 from agent.verify.check import examine

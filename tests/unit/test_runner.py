@@ -95,7 +95,7 @@ def test_the_end_of_the_trajectory_is_held_on_real_arms() -> None:
     done = run(lambda n: Event.RELEASED if n == 80 else Event.NONE, hold_at_end=True)
     assert done.modes == [Mode.TRACK, Mode.HOLD, Mode.OFF]
     assert len(done.of(Mode.TRACK)) == 20
-    assert done.summary.reason == "", "an end is nothing wrong"
+    assert (done.summary.reason, done.troubles) == ("", []), "an end is nothing wrong"
 
 
 def test_a_hold_in_simulation_lasts_until_the_trajectory_ends() -> None:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from agent.around import Beginning
 from agent.cycles import Patience
 from agent.loop import initial_memory
 from agent.modes import Event, Mode
 from agent.process.build import build_agent
-from agent.runner import Beginning
 from agent.safety import Flag, Limits
 from drivers.interface import DriverError, Vector
 from tests.support.runner_rig import fault, lost, lost_at, paper, period_ns, q_start, run

@@ -23,7 +23,7 @@ from agent.guard.line import AgentEnd, GuardError, Word
 from agent.guard.takeover import EMULATED_STALE_NS
 from agent.log.read import read_log
 from agent.modes import Mode
-from agent.telemetry.ring.ring import RingReader
+from agent.telemetry.ring.reader import RingReader
 from agent.telemetry.ring.texts import TextReader
 from agent.telemetry.row.event import Event
 from agent.telemetry.row.sample import AGENT_STATE

@@ -24,7 +24,7 @@ from agent.operator.message import Reply, Request
 from agent.operator.table import Verb
 from agent.operator.words import start_together
 from agent.process.simulated import actuator_spec
-from agent.telemetry.ring.ring import RingReader
+from agent.telemetry.ring.reader import RingReader
 from agent.telemetry.row.sample import AGENT_STATE
 from tests.support.coop import ready, start
 from tests.support.stalls import ATTEMPTS

@@ -8,7 +8,8 @@ import pytest
 from drivers.dynamixel.arm_map import MapError
 from drivers.dynamixel.driver import DynamixelDriver
 from drivers.dynamixel.errors import NoGripperError, NotEnabledError
-from drivers.dynamixel.servo.table import BUS_WATCHDOG, GOAL_POSITION, GOAL_PWM, SERVOS, TORQUE_ENABLE
+from drivers.dynamixel.servo.models import SERVOS
+from drivers.dynamixel.servo.table import BUS_WATCHDOG, GOAL_POSITION, GOAL_PWM, TORQUE_ENABLE
 from drivers.interface import Gripper
 from tests.support.servos.dxl_rig import FINGERS, Rig, build, enabled, with_gripper
 
