@@ -13,7 +13,8 @@ from drivers.clock import MonotonicClock
 from drivers.dynamixel.arm_map import ArmMap, JointMap, JointRole
 from drivers.dynamixel.driver import DynamixelDriver
 from drivers.dynamixel.errors import PortError, PortLostError
-from drivers.dynamixel.servo.table import TICK_RAD, Register
+from drivers.dynamixel.servo.counts import TICK_RAD
+from drivers.dynamixel.servo.table import Register
 from drivers.fingers import Fingers
 from sim_backend.wire.arm import EmulatedArm
 from sim_backend.wire.cell import EmulatedCell
