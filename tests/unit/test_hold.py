@@ -27,7 +27,7 @@ from agent.loop import (
 from agent.modes import Mode
 from agent.process.build import build_agent
 from agent.process.schedule import patience_of
-from agent.safety import Flag, Limits
+from agent.safety import Flag, Limits, limit
 from drivers.interface import JointState, Vector
 from tests.unit.test_step_rules import arm, start
 
@@ -184,11 +184,23 @@ def test_an_arm_that_was_never_seen_gets_no_torque() -> None:
     np.testing.assert_array_equal(outcome.tau, 0.0)
 
 
+def test_an_arm_that_was_seen_gets_its_weights_torque_though_it_had_none() -> None:
+    agent = arm()
+    np.testing.assert_array_equal(
+        blind(agent, holding(agent)).tau, limit_of(agent, weight(agent.model, agent.offline, start()))
+    )
+
+
+def limit_of(agent: Agent, tau_Nm: Vector) -> Vector:
+    """What goes out of a torque behind none."""
+    return np.array(limit(tau_Nm.tolist(), [0.0] * 3, agent.limits)[0])
+
+
 @pytest.mark.parametrize(
     ("marks", "gone", "calm"), [(Flag.GAP, False, JOINTS), (Flag.RESUMED, True, GENTLE + 1), (Flag.NONE, False, JOINTS)]
 )
 def test_a_hold_that_begins_afresh_forgets_where_it_was(marks: Flag, gone: bool, calm: int) -> None:
-    agent, tau = arm(), np.array([1.0, 2.0, 3.0])
+    agent, tau = arm(), np.array([1.0, 0.0, 3.0])
     memory = holding(agent, tau=tau, tau_before=2.0 * tau, calm=JOINTS)
     after = afresh(memory, marks)
     assert after.calm == calm

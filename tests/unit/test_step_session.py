@@ -82,6 +82,16 @@ def test_an_arm_that_holds_nothing_is_off_its_track_beyond_its_joints_bound(mode
         assert (Flag.OFF_TRACK in flags) is off, aside
 
 
+def test_the_joints_bound_itself_is_on_the_track() -> None:
+    agent = arm()
+    of = memory(agent)
+    off_rad = phases.off(life(), Mode.HALT, of, q_grasp() + 0.1)
+    for bound_rad, flagged in ((off_rad, False), (math.nextafter(off_rad, 0.0), True)):
+        session = replace(limited(1e3), life=replace(life(), off_max_rad=bound_rad))
+        flags = tick(arm(session=session), Mode.HALT, of, 0.1).flags
+        assert (Flag.OFF_TRACK in flags) is flagged
+
+
 @pytest.mark.parametrize("mode", sorted(phases.ALONE))
 def test_an_arm_that_holds_nothing_follows_its_joints(mode: Mode) -> None:
     agent = arm()
