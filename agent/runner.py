@@ -72,8 +72,8 @@ class Runner:
         begin_ns = clock.now_ns()
         self._ticks = Ticks(schedule, begin_ns)
         self._cycles = Cycles(schedule.patience, schedule.period_ns, begin_ns)
-        resumed, in_session = partial(self._begin_afresh, Flag.RESUMED), session is not None
-        self._sight = Sight(driver, self._cycles, resumed, lockstep=schedule.lockstep, in_session=in_session)
+        resumed = partial(self._begin_afresh, Flag.RESUMED)
+        self._sight = Sight(driver, self._cycles, resumed, lockstep=schedule.lockstep)
         self._utc_offset_ns = clock.utc_offset_ns
         self._tracking_since_ns: int | None = None
         self._tracked_s = 0.0
@@ -134,7 +134,7 @@ class Runner:
         else:
             happened |= self._go_blind(deadline_ns, bus)
         self._around.heartbeat()
-        if schedule.hold_at_end and self._tracks_to_end() and self._ticks.past_end(deadline_ns + period_ns):
+        if schedule.hold_at_end and self._mode is Mode.TRACK and self._ticks.past_end(deadline_ns + period_ns):
             happened |= Event.STOP
         if self._mode is Mode.READY and self._may_start() and self._started(deadline_ns):
             happened |= Event.STARTED
@@ -148,9 +148,6 @@ class Runner:
             happened = self._judged(self._session, happened, seen=seen)
         if happened:
             self._change_mode(happened, state)
-
-    def _tracks_to_end(self) -> bool:
-        return self._session is None or self._mode is Mode.TRACK
 
     def _may_start(self) -> bool:
         return self._session is None or self._session.taken_up(self._mode, self._memory)

@@ -24,7 +24,8 @@ class Target:
 _STEP = tuple(
     f"{UNIT}/{name}.py"
     for name in (
-        "test_step", "test_step_rules", "test_step_together", "test_singular", "test_hold", "test_calm",
+        "test_step", "test_step_rules", "test_step_together", "test_step_session", "test_singular", "test_hold",
+        "test_calm",
         "control/test_adaptive", "control/test_floating", "guard/test_resume", "monitors/test_monitors",
     )
 )  # fmt: skip
@@ -38,7 +39,7 @@ _RUNNER = tuple(
 _WARM = (
     "tests.support.runner_rig:q_start",
     "tests.support.runner_rig:period_ns",
-    "tests.unit.test_runner_session:made",
+    "tests.support.session_script:made",
 )
 _CYCLE = (f"{UNIT}/drivers/test_dxl_faults.py", f"{UNIT}/drivers/test_dxl_hostile.py")
 _RING = (
@@ -49,7 +50,7 @@ _RING = (
 )
 _VIEW = tuple(f"{UNIT}/view/{name}.py" for name in ("test_scene", "test_pictures"))
 _PAGE = (f"{UNIT}/view/test_page.py",)
-_VERIFY = tuple(f"{UNIT}/replay/{name}.py" for name in ("test_verify", "test_replay_command"))
+_VERIFY = tuple(f"{UNIT}/replay/{name}.py" for name in ("test_verify", "test_verify_trouble", "test_replay_command"))
 _SOFT = tuple(f"{UNIT}/sim_backend/{name}.py" for name in ("test_soft", "test_reality", "test_calendar"))
 
 TARGETS = (
@@ -64,7 +65,7 @@ TARGETS = (
     Target("agent.ticks", _RUNNER, warm=_WARM),
     Target("agent.transition", (f"{UNIT}/test_transition.py",)),
     Target("agent.operator.socket", (f"{UNIT}/operator/test_control_socket.py",)),
-    Target("agent.replay.chain", _VERIFY),
+    Target("agent.replay.chain", (*_VERIFY, f"{UNIT}/replay/test_whatif.py", f"{UNIT}/guard/test_resume.py")),
     Target("agent.replay.grasps", (f"{UNIT}/replay/test_answers.py",)),
     Target("agent.replay.rows", _VERIFY),
     Target("agent.replay.same", (f"{UNIT}/replay/test_same.py", f"{UNIT}/replay/test_answers.py")),
