@@ -48,6 +48,7 @@ _RING = (
     f"{UNIT}/telemetry/test_ring_reader.py",
     "tests/property/telemetry/test_ring_model.py",
 )
+_DRIVER = (f"{UNIT}/drivers/test_driver.py", f"{UNIT}/drivers/test_driver_cycle.py")
 _VIEW = tuple(f"{UNIT}/view/{name}.py" for name in ("test_scene", "test_pictures"))
 _PAGE = (f"{UNIT}/view/test_page.py",)
 _VERIFY = tuple(f"{UNIT}/replay/{name}.py" for name in ("test_verify", "test_verify_trouble", "test_replay_command"))
@@ -81,8 +82,8 @@ TARGETS = (
     Target("agent.view.pose", _VIEW),
     Target("drivers.dynamixel.checks", (f"{UNIT}/drivers/test_checks.py",)),
     Target("drivers.dynamixel.connected", (f"{UNIT}/drivers/test_driver.py",)),
-    Target("drivers.dynamixel.cycle", (f"{UNIT}/drivers/test_cycle.py",)),
-    Target("drivers.dynamixel.driver", (f"{UNIT}/drivers/test_driver.py",)),
+    Target("drivers.dynamixel.cycle", (f"{UNIT}/drivers/test_cycle.py", f"{UNIT}/drivers/test_cycle_again.py")),
+    Target("drivers.dynamixel.driver", _DRIVER),
     Target("drivers.dynamixel.interpret", (f"{UNIT}/drivers/test_interpret.py",)),
     Target("drivers.dynamixel.line.group", (f"{UNIT}/drivers/test_group.py",)),
     Target("drivers.dynamixel.monitor", (f"{UNIT}/drivers/test_monitor.py",)),
@@ -91,7 +92,7 @@ TARGETS = (
         "drivers.dynamixel.recovery", tuple(f"{UNIT}/drivers/{name}.py" for name in ("test_driver", "test_recover"))
     ),
     Target("drivers.dynamixel.running", (f"{UNIT}/drivers/test_running.py",)),
-    Target("drivers.dynamixel.stale", (f"{UNIT}/drivers/test_driver.py",)),
+    Target("drivers.dynamixel.stale", _DRIVER),
     Target("sim_backend.physics.calendar", _SOFT),
     Target("sim_backend.physics.free_body", _SOFT),
     Target("sim_backend.physics.openings", _SOFT),
