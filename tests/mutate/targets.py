@@ -61,7 +61,7 @@ TARGETS = (
     Target("agent.calm", tuple(f"{UNIT}/{name}.py" for name in ("test_calm", "test_hold", "test_step_together"))),
     Target("agent.cycles", (f"{UNIT}/test_cycles.py",)),
     Target("agent.runner", _RUNNER, warm=_WARM),
-    Target("agent.sight", (*_RUNNER, f"{UNIT}/test_lost_servo.py"), warm=_WARM),
+    Target("agent.sight", (f"{UNIT}/test_sight.py",)),
     Target("agent.telling", (f"{UNIT}/test_telling.py",)),
     Target("agent.ticks", _RUNNER, warm=_WARM),
     Target("agent.transition", (f"{UNIT}/test_transition.py",)),
