@@ -52,7 +52,7 @@ _DRIVER = (f"{UNIT}/drivers/test_driver.py", f"{UNIT}/drivers/test_driver_cycle.
 _VIEW = tuple(f"{UNIT}/view/{name}.py" for name in ("test_scene", "test_pictures"))
 _PAGE = (f"{UNIT}/view/test_page.py",)
 _VERIFY = tuple(f"{UNIT}/replay/{name}.py" for name in ("test_verify", "test_verify_trouble", "test_replay_command"))
-_SOFT = tuple(f"{UNIT}/sim_backend/{name}.py" for name in ("test_soft", "test_reality", "test_calendar"))
+_SOFT = tuple(f"{UNIT}/sim_backend/{name}.py" for name in ("test_soft", "test_pads", "test_reality", "test_calendar"))
 
 TARGETS = (
     Target("agent.safety", (f"{UNIT}/test_safety.py",)),
