@@ -161,6 +161,15 @@ def test_a_silent_bus_gets_the_weight_then_nothing_and_the_loop_ends_as_lost() -
     assert rows["t"][np.isfinite(rows["tau_sent"][:, 0])][-1] < 0.3 + 0.25, "then silence, for the watchdogs"
 
 
+def test_an_arm_whose_process_is_killed_keeps_its_torque_for_a_fifth_of_a_second_and_falls() -> None:
+    run = FloatRun(CELL, dies_s=0.3)
+    assert run.one.error is None
+    (q0, _), (before, _), (after, fell) = part(run, 0.25, 0.3), part(run, 0.3, 0.48), part(run, 0.52, 1.3)
+    assert np.abs(before - q0[-1]).max() < 0.01, "its weight is still carried"
+    assert np.abs(after[-1] - q0[-1]).max() > 0.5
+    assert np.abs(fell).max() > 2.0, "rad/s: nobody guards it, as docs/float.md says"
+
+
 def test_an_error_of_the_loop_itself_lets_the_arm_sink_and_is_raised() -> None:
     def break_it(run: FloatRun) -> None:
         loop: Any = run.one.loop
