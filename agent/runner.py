@@ -279,7 +279,7 @@ class Runner:
             found = self._watch.after(state, outcome, mode, self._driver.health)
         if int(outcome.flags) & _TROUBLE:
             self._reason = (
-                self._reason or f"t = {t:.3f} s: {outcome.flags!r} {explained(self._agent, outcome)}".rstrip()
+                self._reason or f"t = {t:.3f} s: {outcome.flags.name} {explained(self._agent, outcome)}".rstrip()
             )
             return Event.TROUBLE
         if found:
