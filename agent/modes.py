@@ -1,7 +1,7 @@
 """Operating modes as one table: what each is called, whether it commands torque, and which mode follows which event.
 
-Whoever runs an arm asks `next_mode` and never assigns a mode.  No event leads from HOLD back to TRACK, and none out of
-FAULT.  Nothing that ships enters LOWER yet.
+Whoever runs an arm asks `next_mode` for the mode that follows.  No event leads from HOLD back to TRACK, and none out of
+FAULT.  A session from rest to rest has a table beside this one, `agent.session_modes`, where the way into LOWER is.
 """
 
 from __future__ import annotations

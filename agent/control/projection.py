@@ -1,4 +1,4 @@
-"""Keeps parameter estimates inside their bounds and physically possible; pure, never unbounded, never NaN in.
+"""Keeps parameter estimates inside their bounds and physically possible; pure.
 
 Two convex sets.  The box is the exact projection in the norm of the Lyapunov function (any diagonal gain), so it
 never raises V.  The cone keeps every body's second moment Σ = ½ tr(I) E − I positive semidefinite, which says

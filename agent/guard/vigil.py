@@ -1,4 +1,4 @@
-"""Whether an agent still works, judged from a count that it raises every cycle; pure."""
+"""Whether an agent still works, judged from a count that it raises every cycle."""
 
 from __future__ import annotations
 
