@@ -17,16 +17,13 @@ KEEPS = frozenset({Mode.HOLD, Mode.HALT, Mode.STAND})  # in which an arm stays u
 class Sight:
     """One arm as its loop sees it.  unseen: what the last read, or attempt to bring the arm back, failed by."""
 
-    def __init__(
-        self, driver: Driver, cycles: Cycles, resumed: Callable[[], None], *, lockstep: bool, in_session: bool
-    ) -> None:
+    def __init__(self, driver: Driver, cycles: Cycles, resumed: Callable[[], None], *, lockstep: bool) -> None:
         """resumed: is called when the arm was brought back and its torque begins at zero."""
         self.unseen = ""
         self._driver = driver
         self._cycles = cycles
         self._resumed = resumed
         self._lockstep = lockstep
-        self._in_session = in_session
         self._recovering = driver if isinstance(driver, Recovering) else None
         self._fault = ""  # of the servos, as last read
 
@@ -63,6 +60,6 @@ class Sight:
 
     def _trouble_of(self, fault: str, mode: Mode) -> Event:
         """What a servo's fault, which lasts, asks for: on the way back of a session the one of before asks no more."""
-        borne = self._in_session and mode in WAY_BACK and fault == self._fault
+        borne = mode in WAY_BACK and fault == self._fault
         self._fault = fault
         return Event.NONE if borne else Event.TROUBLE

@@ -218,9 +218,10 @@ class Running:
 
     def grip_state(self, now_ns: int) -> GripState | None:
         """What the gripper said in the last cycle."""
-        grip = self.grip
-        row = None if grip is None else self._rows[self._place_of[grip.servo_id]]
-        return None if grip is None or row is None else grip.state(row, now_ns)
+        if self.grip is None:
+            return None
+        row = self._rows[self._place_of[self.grip.servo_id]]
+        return None if row is None else self.grip.state(row, now_ns)
 
     def health(self, now_ns: int) -> ServoHealth:
         """Slow quantities as they were last read, current or load of the last cycle."""

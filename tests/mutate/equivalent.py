@@ -9,6 +9,9 @@ from tests.mutate.mutants import Mutant
 Key = tuple[str, str, str]  # where, first line of the statement before and after
 
 _SAVES_A_TEXT = "saves the making of a text that nobody is told"
+_SAVES_A_CALL = "saves a call: joining no flag changes nothing"
+_TAKES_ON = "if made.grip is not None and self.grip is not None:"
+_SAME_GRIPPER = "the same arm has the same gripper; said for the type checker"
 _NONE = "a function without a result returns None"
 _READ_AFTER_A_JUMP = "read only after a jump, which sets it"
 _SET_BY_A_QUESTION = "read while an answer is awaited only, and each question sets it"
@@ -65,13 +68,21 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
         ): "no gap is as short as a nanosecond",
     },
     "agent.runner": {
-        ("Runner._cycle", "happened |= Event.STOP", "happened |= Event.TROUBLE"): "either makes the object held",
+        ("Runner._act", "if self._marks:", "if True:"): _SAVES_A_CALL,
+        ("Runner._go_blind", "if self._marks:", "if True:"): _SAVES_A_CALL,
         ("Runner._cycle", "if happened:", "if True:"): "saves a call: nothing changes without an event (test_runner)",
         (
             "Runner._started",
             "counts = zero_ns != ticks.zero_ns and (session is None or session.counts(zero_ns, deadline_ns))",
             "counts = True and (session is None or session.counts(zero_ns, deadline_ns))",
         ): "the same start gives the same phase",
+    },
+    "agent.sight": {
+        (
+            "Sight.plan",
+            "if bus is not Bus.RECOVER or arm is None:",
+            "if bus is not Bus.RECOVER or False:",
+        ): "nobody is brought back by a driver that cannot; said for the type checker",
     },
     "drivers.dynamixel.checks": {
         ("SilenceCheck.check", "if None not in rows:", "if False:"): "the short way for a cycle with all answers",
@@ -184,6 +195,9 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
         ): "a closed port refuses what is written to it, and that is suppressed",
     },
     "drivers.dynamixel.running": {
+        ("Running.again", _TAKES_ON, _TAKES_ON.replace("made.grip is not None", "True")): _SAME_GRIPPER,
+        ("Running.again", _TAKES_ON, _TAKES_ON.replace("self.grip is not None", "True")): _SAME_GRIPPER,
+        ("Running.again", _TAKES_ON, _TAKES_ON.replace(" and ", " or ")): _SAME_GRIPPER,
         ("Running.__init__", "self._wire_free_ns = 0", "pass"): _SET_BY_A_QUESTION,
         ("Running.__init__", "self._wire_free_ns = 0", "self._wire_free_ns = 1"): _SET_BY_A_QUESTION,
         (

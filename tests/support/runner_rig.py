@@ -225,8 +225,9 @@ def run(
     watch: Watch | None = None,
     session: Any = None,
     beginning: Beginning | None = None,
-    happened: Event = Event.ENABLED,
+    happened: Event | None = None,
     returning: Mapping[str, Any] | None = None,
+    told: bool = True,
     start_ns: Callable[[int, int], int | None] = lambda reads, zero_ns: zero_ns if reads > 2 else None,
     **schedule: Any,
 ) -> Done:
@@ -234,7 +235,8 @@ def run(
 
     operator: requests by the number of reads; agent: changed fields of the agent; start_ns: the common start as the
     loop is told, from the number of reads and an instant START_AFTER cycles and a third from the beginning; returning:
-    fields of an arm that can come back; schedule: changed fields of the schedule.
+    fields of an arm that can come back; told: whether anybody hears of troubles and refusals; schedule: changed fields
+    of the schedule.
     """
     clock, of = MovedClock(oversleeps_ns or {}), cell or paper()
     given = (clock, q, failures or {}, pauses_ns or {}, refused)
@@ -252,12 +254,12 @@ def run(
         start_ns=lambda: start_ns(arm.reads, zero_ns),
         heartbeat=lambda: beats.append(arm.reads),
         mode_changed=modes.append,
-        trouble=troubles.append,
-        refused=refusals.append,
+        trouble=troubles.append if told else None,
+        refused=refusals.append if told else None,
     )
     row = AgentRow(log.message, 3, of.config_id)
     made: Agent = replace(build_agent(of, of.arms[0]), **(agent or {}))
     runner = Runner(made, arm, clock, replace(plan, **schedule), row, log, around, watch, beginning, session)
-    summary = runner.run(happened)
+    summary = runner.run() if happened is None else runner.run(happened)
     rows = np.array(log.rows)
     return Done(summary, arm, rows, modes, len(beats), log.waits, troubles, refusals, runner.memory)

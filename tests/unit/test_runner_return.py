@@ -111,6 +111,13 @@ def test_an_arm_that_has_stopped_is_left_alone_while_it_tracks() -> None:
     assert done.modes == [Mode.TRACK]
 
 
+def test_in_lockstep_no_arm_is_brought_back() -> None:
+    done = run(
+        lambda n: Event.STOP if n == STOP_AT else Event.NONE, returning={"lapses": frozenset({18})}, lockstep=True
+    )
+    assert (done.modes[-1], done.arm.tried) == (Mode.HOLD, [])  # type: ignore[attr-defined]
+
+
 def test_an_arm_that_does_not_come_back_is_asked_and_told_nothing_in_that_cycle() -> None:
     gone = DriverError("port", found="none", expected="one", remedy="plug it in")
     done = run(
@@ -121,6 +128,7 @@ def test_an_arm_that_does_not_come_back_is_asked_and_told_nothing_in_that_cycle(
     )
     # read 20 is the last: every fourth cycle it is tried, and asked in between only as long as it is not blind
     assert done.arm.tried[0] == 20  # type: ignore[attr-defined]
+    assert flagged(done.rows, Flag.RESUMED) == []
     first = done.rows[20]
     assert first["flags"] & Flag.STALE.value
     assert np.isnan(first["tau_sent"][:3]).all()

@@ -115,10 +115,25 @@ def test_an_arm_that_is_lost_in_the_cycle_of_a_release_is_a_fault() -> None:
     assert run(lambda n: words.get(n, Event.NONE), hold_at_end=True).summary.mode is Mode.OFF
 
 
-def test_a_fault_without_a_whole_state_is_a_cycle_without_one() -> None:
+def test_a_blind_arm_goes_to_its_weights_torque_step_by_step() -> None:
+    aside = lambda read: q_start() + (0.2 if read > 5 else 0.0)  # noqa: E731 - a spring pulls it back
+    weak = {"limits": Limits((5.0,) * 3, (0.01,) * 3), "error_max_m": np.inf, "error_max_rad": np.inf}
+    done = run(q=aside, failures=lost_at(*reads(8)), agent=weak)
+    blind = np.flatnonzero(done.rows["flags"] & Flag.BLIND.value)[:4]
+    steps = np.diff(np.array(done.arm.written)[blind], axis=0)
+    assert np.abs(steps).max(axis=1) == pytest.approx(0.01)
+
+
+def test_in_lockstep_a_lost_state_makes_no_arm_blind() -> None:
+    done = run(failures=lost_at(5), lockstep=True, patience=Patience(repeat=0))
+    assert done.summary.mode is Mode.FAULT
+    assert not (done.rows["flags"] & Flag.BLIND.value).any()
+
+
+@pytest.mark.parametrize("of", ["q", "dq"])
+def test_a_fault_without_a_whole_state_is_a_cycle_without_one(of: str) -> None:
     part = fault(True)
-    assert part.state is not None
-    part.state.q[1] = np.nan
+    getattr(part.state, of)[1] = np.nan
     done = run(failures=dict.fromkeys(reads(60), part), patience=Patience(blind=8))
     assert done.modes == [Mode.TRACK, Mode.HOLD, Mode.FAULT]
     stale = done.rows[FIRST - 1 :]
@@ -166,6 +181,11 @@ def test_a_torque_that_was_not_taken_is_no_number_in_the_log_and_a_reason_but_no
     assert "0 bytes taken" in done.summary.reason
     assert np.isnan(done.rows["tau_sent"][[14, 15], :3]).all()
     assert np.isfinite(np.delete(done.rows["tau_sent"], [14, 15], axis=0)[:, :3]).all()
+
+
+def test_a_torque_that_was_not_taken_before_the_start_is_told_at_the_end() -> None:
+    assert "0 bytes taken" in run(refused=frozenset({3})).summary.reason
+    assert run(failures={15: fault(True)}, told=False).summary.reason == str(fault(True))
 
 
 def test_the_reason_of_a_refused_torque_is_the_first_one_too() -> None:

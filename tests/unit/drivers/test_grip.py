@@ -2,28 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from drivers.dynamixel.arm_map import ArmMap, MapError
+from drivers.dynamixel.arm_map import MapError
 from drivers.dynamixel.driver import DynamixelDriver
 from drivers.dynamixel.errors import NoGripperError, NotEnabledError
-from drivers.dynamixel.servo.counts import TICK_RAD
 from drivers.dynamixel.servo.models import SERVOS
 from drivers.dynamixel.servo.table import BUS_WATCHDOG, GOAL_POSITION, GOAL_PWM, TORQUE_ENABLE
-from drivers.fingers import Fingers
 from drivers.interface import Gripper
-from tests.support.servos.dxl_rig import WX200, Rig, build, enabled
+from tests.support.servos.dxl_rig import FINGERS, Rig, build, enabled, with_gripper
 
-FINGERS = Fingers(0.014, 0.024, (1802 - 2048) * TICK_RAD, (2875 - 2048) * TICK_RAD)
 GRIPPER, EFFORT = 7, round(0.25 * 885)
-
-
-def with_gripper(**changes: object) -> ArmMap:
-    *others, gripper = WX200.joints
-    return replace(WX200, joints=(*others, replace(gripper, **{"fingers": FINGERS, "grip_effort": 0.25, **changes})))  # type: ignore[arg-type]
 
 
 def cycles(rig: Rig, count: int) -> None:
