@@ -82,7 +82,7 @@ TARGETS = (
     Target("drivers.dynamixel.checks", (f"{UNIT}/drivers/test_checks.py",)),
     Target("drivers.dynamixel.connected", (f"{UNIT}/drivers/test_driver.py",)),
     Target("drivers.dynamixel.cycle", (f"{UNIT}/drivers/test_cycle.py",)),
-    Target("drivers.dynamixel.driver", (f"{UNIT}/drivers/test_driver.py",)),
+    Target("drivers.dynamixel.driver", tuple(f"{UNIT}/drivers/{name}.py" for name in ("test_driver", "test_recover"))),
     Target("drivers.dynamixel.interpret", (f"{UNIT}/drivers/test_interpret.py",)),
     Target("drivers.dynamixel.line.group", (f"{UNIT}/drivers/test_group.py",)),
     Target("drivers.dynamixel.monitor", (f"{UNIT}/drivers/test_monitor.py",)),
@@ -90,7 +90,7 @@ TARGETS = (
     Target(
         "drivers.dynamixel.recovery", tuple(f"{UNIT}/drivers/{name}.py" for name in ("test_driver", "test_recover"))
     ),
-    Target("drivers.dynamixel.running", (f"{UNIT}/drivers/test_running.py",)),
+    Target("drivers.dynamixel.running", tuple(f"{UNIT}/drivers/{name}.py" for name in ("test_running", "test_grip"))),
     Target("drivers.dynamixel.stale", (f"{UNIT}/drivers/test_driver.py",)),
     Target("sim_backend.physics.calendar", _SOFT),
     Target("sim_backend.physics.free_body", _SOFT),
