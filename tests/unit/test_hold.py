@@ -92,6 +92,12 @@ def test_a_gentle_hold_is_one_of_the_joints(calm: int, rate: float, reach: float
     assert np.abs(q - start()).max() > 0.1, "so that the reach counts"
 
 
+def test_a_gentle_hold_with_nothing_to_go_back_to_is_one_of_the_law() -> None:
+    terms = tick(arm(), holding(arm(), calm=GENTLE)._replace(q_hold=None), 1.0).terms
+    assert terms is not None
+    assert terms.J_inv_P is not None
+
+
 def test_a_joint_beyond_the_reach_is_pulled_as_one_at_it() -> None:
     agent, q_hold, dq = arm(), start(), np.array([0.2, -0.1, 0.3])
     terms = torque(agent.model, agent.offline, q_hold + np.array([0.05, -0.3, 0.4]), dq, q_hold, 5.0, 0.1)

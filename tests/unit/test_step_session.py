@@ -137,6 +137,9 @@ def test_an_arm_that_takes_its_load_up_learns_nothing_yet() -> None:
     adaptation, of = agent.offline.adaptation, memory(agent, age=0.5 * TAKE_UP_S)
     assert adaptation is not None
     assert of.estimate is not None
+    learnt = of.estimate._replace(arm=1.5 * of.estimate.arm, object=2.0 * of.estimate.object)
+    of = of._replace(estimate=learnt)
+    assert of.estimate is not None
     half = tick(agent, Mode.READY, of, 0.02)
     alone = tick(agent, Mode.READY, of._replace(age=0.0), 0.02)
     assert half.memory.estimate == of.estimate == alone.memory.estimate

@@ -200,3 +200,10 @@ def test_an_arm_that_stands_and_is_pushed_away_stays_where_the_hand_leaves_it() 
     floating = step(AGENT, state, 0.0, Mode.FLOAT, memory)
     assert floating.memory.q_hold == pytest.approx(Q + 0.5)
     assert Flag.ADAPTATION_SATURATED not in floating.flags
+
+
+def test_an_arm_that_could_float_is_held_by_its_law() -> None:
+    state = JointState(0, Q, np.zeros(N), np.zeros(N))
+    terms = step(AGENT, state, 0.0, Mode.HOLD, initial_memory(AGENT)).terms
+    assert terms is not None
+    assert terms.J_inv_P is not None

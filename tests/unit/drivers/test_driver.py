@@ -327,6 +327,10 @@ def test_reopen_is_the_same_arm_or_a_closed_port() -> None:
     assert len(rig.events) == 1
 
 
+def test_what_connect_found_is_every_servo_of_the_map() -> None:
+    assert [servo.slot.servo_id for servo in enabled().driver.found] == [1, 2, 3, 4, 5, 6, 7]
+
+
 def test_an_arm_has_lapsed_from_a_lost_port_until_it_is_open_again_or_given_back() -> None:
     assert build().driver.lapsed is False, "before anything"
     rig = enabled()
