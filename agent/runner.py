@@ -222,7 +222,7 @@ class Runner:
             self._tracked_s = (after_write_ns - self._tracking_since_ns) * 1e-9
         found = "" if self._watch is None else self._watch.after(state, outcome, mode, self._driver.health)
         if int(outcome.flags) & _TROUBLE:
-            found = self._reason or f"{outcome.flags!r} {explained(self._agent, outcome)}".rstrip()
+            found = self._reason or f"{outcome.flags.name} {explained(self._agent, outcome)}".rstrip()
         if not found:
             return Event.NONE
         self._reason = self._reason or f"t = {t:.3f} s: {found}"

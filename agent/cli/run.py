@@ -109,5 +109,8 @@ def run(
     if outcome.interrupted:
         typer.echo("stopped by request; the log ends there and is complete up to it", err=as_json)
         raise typer.Exit(130)
+    if outcome.gave_up:
+        note(f"coop: the session was given up: {outcome.gave_up}")
+        raise typer.Exit(5)
     if strict:
         require_bounds(outcome.results)

@@ -51,6 +51,7 @@ class RunOutcome:
     results: Results
     interrupted: bool
     within_bounds: bool
+    gave_up: str = ""  # why a session went no further; its arms came back as far as they could
 
 
 def run_cell(options: RunOptions, stop: Callable[[], bool], progress: Progress) -> RunOutcome:
@@ -97,8 +98,6 @@ def run_cell(options: RunOptions, stop: Callable[[], bool], progress: Progress) 
             children.abandon()
     finally:
         shutil.rmtree(runtime, ignore_errors=True)
-    if children.person is not None and children.person.trouble:
-        progress.phase(f"stopped: {children.person.trouble}")
     progress.phase("report")
     page: Path | None = None
     with open_log(log) as opened:
@@ -111,7 +110,8 @@ def run_cell(options: RunOptions, stop: Callable[[], bool], progress: Progress) 
         else:
             results = write_results(opened, out)
     progress.phase("done")
-    return RunOutcome(log, page, results, interrupted, results.within_bounds)
+    gave_up = "" if children.person is None else children.person.trouble
+    return RunOutcome(log, page, results, interrupted, results.within_bounds, gave_up)
 
 
 def _children(options: RunOptions, cell: Cell, log: Path, runtime: Path) -> Children:
