@@ -43,7 +43,7 @@ long: $(VENV)/.installed  ## simulations and repetitions of which `make test` ru
 	$(BIN)/pytest -m long -n $(JOBS) --dist worksteal
 	HYPOTHESIS_PROFILE=whole $(BIN)/pytest -n $(JOBS) --dist worksteal tests/property/control tests/unit/control
 
-mutate: $(VENV)/.installed  ## one-line changes that a test must notice; MUTATE_ONLY=TEXT for some modules
+mutate: $(VENV)/.installed  ## one-line changes that a test must notice; MUTATE_ONLY=TEXT for some modules, MUTATE_DONE=FILE goes on where it stopped
 	$(BIN)/python -m tests.mutate
 
 fuzz: $(VENV)/.installed  ## thousands of changed files through what reads them (half an hour)
