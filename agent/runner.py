@@ -13,12 +13,13 @@ from agent import floats
 from agent.around import Beginning, LoopLog, RunSummary, Schedule, Surroundings
 from agent.control.memory import Memory
 from agent.cycles import WINDOW, Bus, Cycles
-from agent.loop import Agent, Outcome, afresh, blind, explained, hold_after, initial_memory, step, wait_here
+from agent.loop import Agent, Outcome, blind, explained, initial_memory, step
 from agent.modes import FLOATING, TABLE, Event, Mode, next_mode
 from agent.monitors.watch import Watch
 from agent.safety import Flag
 from agent.session import WAY_BACK, SessionLoop, entered, way_back
 from agent.session_modes import next_in_session
+from agent.standing import afresh, hold_after, wait_here
 from agent.telemetry.row.fill import AgentRow
 from drivers.interface import (
     Clock,

@@ -7,10 +7,11 @@ import numpy as np
 from agent import floats
 from agent.control.adaptation import from_row
 from agent.control.memory import Memory, restore
-from agent.loop import Agent, Outcome, afresh, blind, hold_after, initial_memory, step, wait_here
+from agent.loop import Agent, Outcome, blind, initial_memory, step
 from agent.modes import FLOATING, Mode
 from agent.safety import Flag
 from agent.session import entered
+from agent.standing import afresh, hold_after, wait_here
 from drivers.interface import JointState, Vector
 
 Row = np.void

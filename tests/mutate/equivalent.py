@@ -49,7 +49,7 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
     "agent.safety": {
         ("", _TABLE, _TABLE.replace("+ 1", "+ 2")): "one flag more than the three that are looked up can make",
     },
-    "agent.loop": {
+    "agent.standing": {
         (
             "wait_here",
             "return memory._replace(shift=between(pose[:3], pose[3:], *agent.start))",

@@ -34,6 +34,7 @@ TARGETS = (
     Target("agent.safety", (f"{UNIT}/test_safety.py",)),
     Target("agent.modes", (f"{UNIT}/test_modes.py",)),
     Target("agent.loop", (*_STEP, f"{UNIT}/test_step_together.py", f"{UNIT}/control/test_adaptive.py")),
+    Target("agent.standing", (*_STEP, f"{UNIT}/test_step_together.py", f"{UNIT}/test_hold.py")),
     Target("agent.calm", tuple(f"{UNIT}/{name}.py" for name in ("test_calm", "test_hold", "test_step_together"))),
     Target("agent.cycles", (f"{UNIT}/test_cycles.py",)),
     Target("agent.runner", _RUNNER),
