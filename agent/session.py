@@ -12,8 +12,9 @@ from agent import phases
 from agent.control.life import Life
 from agent.control.memory import Memory
 from agent.grip import GripPlan, Verdict, Watch
-from agent.loop import Agent, Outcome, hold_after, hold_here
+from agent.loop import Agent, Outcome
 from agent.modes import Event, Mode
+from agent.standing import hold_after, hold_here
 from drivers.interface import Gripper, GripState
 
 HOLDING = frozenset({Mode.READY, Mode.TRACK, Mode.HOLD, Mode.LOWER})

@@ -15,6 +15,7 @@ from drivers.dynamixel.errors import (
     FaultCause,
     NotEnabledError,
     PortError,
+    PortLostError,
 )
 from drivers.dynamixel.identify import IdentityError
 from drivers.dynamixel.pace import PaceError
