@@ -148,5 +148,5 @@ def bridge(cell: Cell, arm: Arm, real: Driver, twin: Twin, clock: Clock, *, emul
 def _here(model: ArmModel, q: Vector) -> Here:
     """What the bridge knows of the arm at q (n,)."""
     J = (model.task_basis.T @ model.jacobian(q))[:3]
-    to_force: Matrix = np.linalg.pinv(J.T, rcond=FLAT)
+    to_force: Matrix = np.asarray(np.linalg.pinv(J.T, rcond=FLAT), np.float64)
     return Here(model.inertia(q), to_force)
