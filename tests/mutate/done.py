@@ -1,4 +1,4 @@
-"""What earlier runs noticed, as lines of a file: a line counts while the module and the noticing test's file stand.
+"""What earlier runs noticed, as lines of a file: a line counts while the module and the noticing test are the same.
 
 Survivors are not kept, so a run that goes on tries them again.  A change to what a test imports is not seen here: the
 figure that counts is that of a run that began with an empty file.
@@ -6,6 +6,7 @@ figure that counts is that of a run that began with an empty file.
 
 from __future__ import annotations
 
+import ast
 import json
 from functools import cache
 from hashlib import sha256
@@ -41,9 +42,28 @@ def _name(mutant: Mutant) -> str:
 
 
 def _state(mutant: Mutant, test: str) -> str:
-    return _hash(source_of(mutant.module)) + _hash(ROOT / test.split("::", maxsplit=1)[0].split(" ", maxsplit=1)[0])
+    return _hash(source_of(mutant.module).read_text()) + _hash(_text_of(test))
+
+
+def _text_of(test: str) -> str:
+    """Of the function; the whole file where it is none."""
+    path, _, name = test.split(" ", maxsplit=1)[0].partition("::")
+    names = _functions(ROOT / path)
+    return names.get(name.split("[", maxsplit=1)[0], names[""])
 
 
 @cache
-def _hash(path: Path) -> str:
-    return sha256(path.read_bytes() if path.is_file() else b"").hexdigest()[:12]
+def _functions(path: Path) -> dict[str, str]:
+    text = path.read_text() if path.is_file() else ""
+    lines = text.splitlines()
+    found = {"": text}
+    for node in ast.parse(text).body:
+        if isinstance(node, ast.FunctionDef):
+            first = min([node.lineno, *(decorator.lineno for decorator in node.decorator_list)])
+            found[node.name] = "\n".join(lines[first - 1 : node.end_lineno])
+    return found
+
+
+@cache
+def _hash(text: str) -> str:
+    return sha256(text.encode()).hexdigest()[:12]

@@ -12,6 +12,18 @@ _SAVES_A_TEXT = "saves the making of a text that nobody is told"
 _SAVES_A_CALL = "saves a call: joining no flag changes nothing"
 _TAKES_ON = "if made.grip is not None and self.grip is not None:"
 _SAME_GRIPPER = "the same arm has the same gripper; said for the type checker"
+_BRAKES = "brake = brake_per_s(agent.period_s) if damped else 0.0"
+_WHILE_IT_BRAKES = "read only while the arm brakes"
+_ALONE_IN = "alone = session is not None and mode in phases.ALONE"
+_LIMITED = (
+    "tau, flags = limit(wanted.tolist(), memory.tau.tolist(), "
+    "session.limits if session is not None and alone else agent.limits)"
+)
+_OFF = "if session is not None and alone and (phases.off(session.life, mode, memory, q) > session.life.off_max_rad):"
+_WITH_A_SESSION = "asked for twice, for the type checker: whoever is alone has a session"
+_PART = "part = 1.0 if life is None else phases.handing_over(life, mode, memory)"
+_LEARNS = "if adaptation is None or estimate is None:"
+_BOTH = "who learns has an estimate; said for the type checker"
 _NONE = "a function without a result returns None"
 _READ_AFTER_A_JUMP = "read only after a jump, which sets it"
 _SET_BY_A_QUESTION = "read while an answer is awaited only, and each question sets it"
@@ -54,6 +66,18 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
         ("", _TABLE, _TABLE.replace("+ 1", "+ 2")): "one flag more than the three that are looked up can make",
     },
     "agent.loop": {
+        ("_law", _PART, _PART.replace("1.0", "2.0")): "all of it is the law's, as with one",
+        ("_law", "if life is not None and part < 1.0:", "if True and part < 1.0:"): _WITH_A_SESSION,
+        ("_of_object", _LEARNS, _LEARNS.replace(" or ", " and ")): _BOTH,
+        ("_of_object", _LEARNS, _LEARNS.replace("adaptation is None", "False")): _BOTH,
+        ("_of_object", _LEARNS, _LEARNS.replace("estimate is None", "False")): _BOTH,
+        ("step", _BRAKES, _BRAKES.replace("if damped", "if True")): _WHILE_IT_BRAKES,
+        ("step", _BRAKES, _BRAKES.replace("0.0", "1.0")): _WHILE_IT_BRAKES,
+        ("step", _ALONE_IN, _ALONE_IN.replace("session is not None", "True")): _WITH_A_SESSION,
+        ("step", _LIMITED, _LIMITED.replace("session is not None", "True")): _WITH_A_SESSION,
+        ("step", _OFF, _OFF.replace("session is not None", "True")): _WITH_A_SESSION,
+    },
+    "agent.standing": {
         (
             "wait_here",
             "return memory._replace(shift=between(pose[:3], pose[3:], *agent.start))",

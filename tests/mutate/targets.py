@@ -58,6 +58,7 @@ TARGETS = (
     Target("agent.safety", (f"{UNIT}/test_safety.py",)),
     Target("agent.modes", (f"{UNIT}/test_modes.py",)),
     Target("agent.loop", _STEP),
+    Target("agent.standing", _STEP),
     Target("agent.calm", tuple(f"{UNIT}/{name}.py" for name in ("test_calm", "test_hold", "test_step_together"))),
     Target("agent.cycles", (f"{UNIT}/test_cycles.py",)),
     Target("agent.runner", _RUNNER, warm=_WARM),
@@ -83,7 +84,7 @@ TARGETS = (
     Target("drivers.dynamixel.checks", (f"{UNIT}/drivers/test_checks.py",)),
     Target("drivers.dynamixel.connected", (f"{UNIT}/drivers/test_driver.py",)),
     Target("drivers.dynamixel.cycle", (f"{UNIT}/drivers/test_cycle.py", f"{UNIT}/drivers/test_cycle_again.py")),
-    Target("drivers.dynamixel.driver", _DRIVER),
+    Target("drivers.dynamixel.driver", (*_DRIVER, f"{UNIT}/drivers/test_recover.py")),
     Target("drivers.dynamixel.interpret", (f"{UNIT}/drivers/test_interpret.py",)),
     Target("drivers.dynamixel.line.group", (f"{UNIT}/drivers/test_group.py",)),
     Target("drivers.dynamixel.monitor", (f"{UNIT}/drivers/test_monitor.py",)),
@@ -91,7 +92,7 @@ TARGETS = (
     Target(
         "drivers.dynamixel.recovery", tuple(f"{UNIT}/drivers/{name}.py" for name in ("test_driver", "test_recover"))
     ),
-    Target("drivers.dynamixel.running", (f"{UNIT}/drivers/test_running.py",)),
+    Target("drivers.dynamixel.running", tuple(f"{UNIT}/drivers/{name}.py" for name in ("test_running", "test_grip"))),
     Target("drivers.dynamixel.stale", _DRIVER),
     Target("sim_backend.physics.calendar", _SOFT),
     Target("sim_backend.physics.free_body", _SOFT),

@@ -14,20 +14,12 @@ from agent.control.joint_hold import torque, weight
 from agent.control.law import Offline
 from agent.control.memory import Memory
 from agent.cycles import Patience
-from agent.loop import (
-    GENTLE_TICKS,
-    Agent,
-    Outcome,
-    afresh,
-    blind,
-    hold_here,
-    initial_memory,
-    step,
-)
+from agent.loop import GENTLE_TICKS, Agent, Outcome, blind, initial_memory, step
 from agent.modes import Mode
 from agent.process.build import build_agent
 from agent.process.schedule import patience_of
 from agent.safety import Flag, Limits, limit
+from agent.standing import afresh, hold_here
 from drivers.interface import JointState, Vector
 from tests.unit.test_step_rules import arm, start
 
@@ -76,16 +68,26 @@ def test_other_modes_are_not_gentle(mode: Mode) -> None:
     assert (outcome.memory.calm, Flag.GENTLE in outcome.flags) == (LAW, False)
 
 
-@pytest.mark.parametrize(("calm", "rate", "reach"), [(GENTLE, 5.0, 0.1), (JOINTS + 1, 20.0, np.inf)])
-def test_a_gentle_hold_is_one_of_the_joints(calm: int, rate: float, reach: float) -> None:
-    agent, dq = arm(hold_rate_rad_per_s=20.0), np.array([0.2, -0.1, 0.3])
+@pytest.mark.parametrize(
+    ("calm", "rate", "reach", "period_s"),
+    [(GENTLE, 5.0, 0.1, 0.005), (GENTLE, 1.0 / 0.6, 0.1, 0.02), (JOINTS + 1, 20.0, np.inf, 0.005)],
+)
+def test_a_gentle_hold_is_one_of_the_joints(calm: int, rate: float, reach: float, period_s: float) -> None:
+    agent, dq = arm(hold_rate_rad_per_s=20.0, period_s=period_s), np.array([0.2, -0.1, 0.3])
     q = start() + np.array([0.05, -0.3, 0.02])
     memory = holding(agent, calm=calm)
     outcome = tick(agent, memory, 1.0, q, dq)
     assert memory.q_hold is not None
     wanted = torque(agent.model, agent.offline, q, dq, memory.q_hold, rate, reach)
     np.testing.assert_array_equal(outcome.tau, wanted.tau_cmd)
+    assert Flag.ADAPTATION_SATURATED not in outcome.flags
     assert np.abs(q - start()).max() > 0.1, "so that the reach counts"
+
+
+def test_a_gentle_hold_with_nothing_to_go_back_to_is_one_of_the_law() -> None:
+    terms = tick(arm(), holding(arm(), calm=GENTLE)._replace(q_hold=None), 1.0).terms
+    assert terms is not None
+    assert terms.J_inv_P is not None
 
 
 def test_a_joint_beyond_the_reach_is_pulled_as_one_at_it() -> None:

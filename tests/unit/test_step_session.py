@@ -98,7 +98,9 @@ def test_an_arm_that_holds_nothing_follows_its_joints(mode: Mode) -> None:
     of, zero = memory(agent, age=0.3), np.zeros(3)
     q = q_grasp() + 0.02
     terms = phases.alone(agent.model, agent.offline, life(), mode, of, q, zero)
-    np.testing.assert_array_equal(tau(tick(agent, mode, of, 0.02)), terms.joints[CMD])
+    outcome = tick(agent, mode, of, 0.02)
+    np.testing.assert_array_equal(tau(outcome), terms.joints[CMD])
+    assert Flag.ADAPTATION_SATURATED not in outcome.flags
 
 
 def law_at(agent: Agent, mode: Mode) -> Outcome:
@@ -135,9 +137,13 @@ def test_an_arm_that_takes_its_load_up_learns_nothing_yet() -> None:
     adaptation, of = agent.offline.adaptation, memory(agent, age=0.5 * TAKE_UP_S)
     assert adaptation is not None
     assert of.estimate is not None
+    learnt = of.estimate._replace(arm=1.5 * of.estimate.arm, object=2.0 * of.estimate.object)
+    of = of._replace(estimate=learnt)
+    assert of.estimate is not None
     half = tick(agent, Mode.READY, of, 0.02)
     alone = tick(agent, Mode.READY, of._replace(age=0.0), 0.02)
     assert half.memory.estimate == of.estimate == alone.memory.estimate
+    assert Flag.ADAPTATION_SATURATED not in half.flags | alone.flags
     assert half.terms is not None
     q = q_grasp() + 0.02
     law = adaptive.torque(agent.model, agent.offline, adaptation, of.estimate, q, np.zeros(3), half.terms.desired)[0]

@@ -15,6 +15,7 @@ from drivers.dynamixel.errors import (
     FaultCause,
     NotEnabledError,
     PortError,
+    PortLostError,
 )
 from drivers.dynamixel.identify import IdentityError
 from drivers.dynamixel.pace import PaceError
@@ -316,6 +317,29 @@ def test_reopen_is_the_same_arm_or_a_closed_port() -> None:
         driver.reopen()
     assert (port.opened, port.is_open) == (3, False)
     assert len(rig.events) == 1
+
+
+def test_what_connect_found_is_every_servo_of_the_map() -> None:
+    assert [servo.slot.servo_id for servo in enabled().driver.found] == [1, 2, 3, 4, 5, 6, 7]
+
+
+def test_an_arm_has_lapsed_from_a_lost_port_until_it_is_open_again_or_given_back() -> None:
+    assert build().driver.lapsed is False, "before anything"
+    rig = enabled()
+    driver = rig.driver
+    for use in (driver.read, lambda: driver.write(np.zeros(4))):
+        rig.port.lost = True
+        with pytest.raises(PortLostError):
+            use()
+        assert driver.lapsed is True
+        rig.port.lost = False
+        driver.reopen()
+        assert driver.lapsed is False, "before the next read"
+    rig.port.lost = True
+    with pytest.raises(PortLostError):
+        driver.read()
+    driver.close()
+    assert driver.lapsed is False
 
 
 def test_rearm_forgets_the_watchdog_and_nothing_else() -> None:

@@ -76,8 +76,10 @@ def test_the_driver_is_a_gripper_too_and_says_when_it_has_none() -> None:
     assert rig.driver.grip_state() is None
     with pytest.raises(NoGripperError, match=r"found none that its file describes well enough, expected closed_tick"):
         rig.driver.grip(0.05)
+    without_torque = connected()
+    assert without_torque.grip_state() is None, "nothing has been read yet"
     with pytest.raises(NotEnabledError, match="torque on"):
-        connected().grip(0.05)
+        without_torque.grip(0.05)
 
 
 def connected() -> DynamixelDriver:
