@@ -60,6 +60,34 @@ def run_cell(options: RunOptions, stop: Callable[[], bool], progress: Progress) 
     Raises Refusal: ConfigError before anything starts, ChildFailed when a process ends early (everything else
     is then stopped and the log is closed and readable).
     """
+    cell = _cell_of(options)
+    require_wall_clock(cell, real_time=options.kind is RunKind.HIL)
+    if options.real is not None:
+        options.real.require(cell, options.faults)
+    progress.phase("checking")
+    examine(cell, wired=options.kind.has_servos).require()
+    out = output_folder(options.out, cell.file.name, replace=options.replace)
+    log = out / LOG_NAME
+    runtime = Path(tempfile.mkdtemp(prefix="coop-", dir="/dev/shm" if Path("/dev/shm").is_dir() else None))
+    try:
+        children = _children(options, cell, log, runtime)
+        try:
+            children.start(progress)
+            interrupted = children.watch(stop, progress)
+            children.end(progress)
+        finally:
+            children.abandon()
+    finally:
+        shutil.rmtree(runtime, ignore_errors=True)
+    progress.phase("report")
+    page, results = _reported(log, out, drawn=options.report)
+    progress.phase("done")
+    gave_up = "" if children.person is None else children.person.trouble
+    return RunOutcome(log, page, results, interrupted, results.within_bounds, gave_up)
+
+
+def _cell_of(options: RunOptions) -> Cell:
+    """The cell as it is to run.  Raises RunError for what it cannot be asked, ConfigError."""
     if options.faults is not None and not options.kind.has_servos:
         raise RunError(
             "faults", found=f"{options.faults} without --wire", expected="emulated servos", remedy="add --wire"
@@ -80,38 +108,7 @@ def run_cell(options: RunOptions, stop: Callable[[], bool], progress: Progress) 
             f"cell {cell.file.name}", found="[floating], by which arms wait for a hand", expected="arms that work",
             remedy="`coop float`, or remove the table",
         )  # fmt: skip
-    require_wall_clock(cell, real_time=options.kind is RunKind.HIL)
-    if options.real is not None:
-        options.real.require(cell, options.faults)
-    progress.phase("checking")
-    examine(cell, wired=options.kind.has_servos).require()
-    out = output_folder(options.out, cell.file.name, replace=options.replace)
-    log = out / LOG_NAME
-    runtime = Path(tempfile.mkdtemp(prefix="coop-", dir="/dev/shm" if Path("/dev/shm").is_dir() else None))
-    try:
-        children = _children(options, cell, log, runtime)
-        try:
-            children.start(progress)
-            interrupted = children.watch(stop, progress)
-            children.end(progress)
-        finally:
-            children.abandon()
-    finally:
-        shutil.rmtree(runtime, ignore_errors=True)
-    progress.phase("report")
-    page: Path | None = None
-    with open_log(log) as opened:
-        if options.report:
-            from agent.report.report import write_report  # noqa: PLC0415 - figures cost 0.3 s, and not every run has any
-            from agent.view.film import still  # noqa: PLC0415 - figures, too
-
-            written = write_report(opened, out, still)
-            page, results = written.html, written.results
-        else:
-            results = write_results(opened, out)
-    progress.phase("done")
-    gave_up = "" if children.person is None else children.person.trouble
-    return RunOutcome(log, page, results, interrupted, results.within_bounds, gave_up)
+    return cell
 
 
 def _children(options: RunOptions, cell: Cell, log: Path, runtime: Path) -> Children:
@@ -119,3 +116,15 @@ def _children(options: RunOptions, cell: Cell, log: Path, runtime: Path) -> Chil
     if options.real is not None:
         return RealChildren(*given, real=options.real, cell_path=options.cell)
     return Children(*given, whole=options.whole)
+
+
+def _reported(log: Path, out: Path, *, drawn: bool) -> tuple[Path | None, Results]:
+    """Write the results beside a log, with the page of the report if it is to be drawn."""
+    with open_log(log) as opened:
+        if not drawn:
+            return None, write_results(opened, out)
+        from agent.report.report import write_report  # noqa: PLC0415 - figures cost 0.3 s, and not every run has any
+        from agent.view.film import still  # noqa: PLC0415 - figures, too
+
+        written = write_report(opened, out, still)
+        return written.html, written.results
