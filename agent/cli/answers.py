@@ -19,7 +19,7 @@ SCHEMA = 1
 
 def events(
     log: LogPath,
-    arm: Annotated[list[str], typer.Option("--arm", help="Only from this arm; also: plant, recorder.")] = [],  # noqa: B006
+    arm: Annotated[list[str], typer.Option("--arm", help="Only from this arm; also: plant, recorder.")] = [],
     from_s: Annotated[float, typer.Option("--from", help="First second of the trajectory.")] = -math.inf,
     to_s: Annotated[float, typer.Option("--to", help="Where to end, s.")] = math.inf,
     as_json: AsJson = False,

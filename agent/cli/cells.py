@@ -25,7 +25,7 @@ class FormName(StrEnum):
     RATE = "rate"
 
 
-def check(cell: CellPath, overrides: Overrides = [], as_json: AsJson = False) -> None:  # noqa: B006
+def check(cell: CellPath, overrides: Overrides = [], as_json: AsJson = False) -> None:
     """Examine a cell before anything moves; exit code 2 when it must not run."""
     from agent.config.cell import load_cell
     from agent.config.schema.cell import DriverKind
@@ -72,7 +72,7 @@ def tune(
     radius: Annotated[float, typer.Option(min=0.0, max=1.0, help="Largest spectral radius, other forms.")] = 0.999,
     write: Annotated[Path | None, typer.Option(help="Write the cell file with these gains; a new file.")] = None,
     force: Force = False,
-    overrides: Overrides = [],  # noqa: B006
+    overrides: Overrides = [],
     as_json: AsJson = False,
 ) -> None:
     """Propose the stiffest gains that survive what reality may make of the cell, as `coop check` sees it."""

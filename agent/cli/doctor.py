@@ -13,11 +13,11 @@ from agent.cli.progress import Steps
 
 def doctor(
     cell: CellPath,
-    arm: SomeArms = [],  # noqa: B006
+    arm: SomeArms = [],
     ports: Annotated[Path | None, typer.Option(help="Folder of ports named like the arms (`coop emulate`).")] = None,
     logs: Annotated[Path, typer.Option(help="Folder for logs, to see whether there is room.")] = Path("runs"),
     move: Annotated[bool, typer.Option("--move", help="Then move each joint of one arm a little, with a yes.")] = False,
-    overrides: Overrides = [],  # noqa: B006
+    overrides: Overrides = [],
     as_json: AsJson = False,
 ) -> None:
     """Look at host, ports, servos, bus timing: exit code 0 ok, 1 warnings, 2 problems.  Without --move no torque."""

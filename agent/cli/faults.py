@@ -65,7 +65,7 @@ def inject(
     duration: Annotated[float | None, typer.Option(help="Seconds of the trajectory.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of what is random on the bus.")] = 1,
     out: Annotated[Path | None, typer.Option(metavar="LOG", help="Leave a log of it.")] = None,
-    overrides: Overrides = [],  # noqa: B006
+    overrides: Overrides = [],
     as_json: AsJson = False,
 ) -> None:
     """Let something fail in a simulated cell of real drivers on emulated servos: who noticed, who held, what it cost.

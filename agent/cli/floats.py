@@ -32,7 +32,7 @@ STOPS = "Ctrl-C: it brakes and stands for 3 s, sinks slowly, and its torque goes
 
 def float_arms(
     cell: CellPath,
-    arm: SomeArms = [],  # noqa: B006
+    arm: SomeArms = [],
     holding: Annotated[
         bool, typer.Option("--holding", help="The arms hold the object: grippers close, each carries its load share.")
     ] = False,
@@ -41,7 +41,7 @@ def float_arms(
     out: Annotated[Path | None, typer.Option(help="Folder of the log (default runs/<UTC>-<cell>-float).")] = None,
     priority: Annotated[int | None, typer.Option(min=1, max=99, help="SCHED_FIFO priority, or refuse.")] = None,
     yes: Annotated[bool, typer.Option("--yes", help="The arm is supported: do not ask.")] = False,
-    overrides: Overrides = [],  # noqa: B006
+    overrides: Overrides = [],
     as_json: Annotated[bool, typer.Option("--json", help="One JSON document a line, ten a second.")] = False,
 ) -> None:
     """Let arms float so that a hand can guide them: weight compensated, damped; writes a log for `coop calibrate`.

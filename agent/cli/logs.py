@@ -160,7 +160,7 @@ def calibrate(
         typer.Argument(metavar="LOG", help="MCAP log of arms that hold one object, slowly moved.", show_default=False),
     ],
     out: Annotated[Path | None, typer.Option(help="Folder of the new cell (default: beside the log).")] = None,
-    change: Overrides = [],  # noqa: B006
+    change: Overrides = [],
     as_json: AsJson = False,
 ) -> None:
     """Calibrate bases, grasps and joint zeros from the joint angles of a log, and write a new cell file."""
@@ -195,10 +195,10 @@ def export(
         Path | None, typer.Option(help="Folder of the tables (default: the log's name and the format, beside it).")
     ] = None,
     form: Annotated[FormatName, typer.Option("--format", help="parquet needs pyarrow.")] = FormatName.CSV,
-    arm: Annotated[list[str], typer.Option("--arm", help="Only this arm; also: plant.")] = [],  # noqa: B006
+    arm: Annotated[list[str], typer.Option("--arm", help="Only this arm; also: plant.")] = [],
     field: Annotated[
         list[str], typer.Option("--field", metavar="NAME", help="Only this field; all but `memory` otherwise.")
-    ] = [],  # noqa: B006
+    ] = [],
     from_s: Annotated[float, typer.Option("--from", help="First second of the trajectory.")] = -math.inf,
     to_s: Annotated[float, typer.Option("--to", help="Where to end, s.")] = math.inf,
     force: Force = False,

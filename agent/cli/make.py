@@ -45,7 +45,7 @@ def new(
             "pose=X,Y,Z,QW,QX,QY,QZ of the hand in object axes, share=PART, name=NAME as wanted. One per arm.",
             show_default=False,
         ),
-    ] = [],  # noqa: B006
+    ] = [],
     mass: Annotated[float | None, typer.Option(help="Mass of the object, kg.", show_default=False)] = None,
     size: Annotated[str | None, typer.Option(help="Its sides X,Y,Z, m.", show_default=False)] = None,
     shape: Annotated[ShapeName, typer.Option(help="For its inertia; bar and cylinder are long in x.")] = ShapeName.BOX,
@@ -53,7 +53,7 @@ def new(
     motion: Annotated[MotionName, typer.Option(help="What the object is to do.")] = MotionName.LIFT,
     by: Annotated[str | None, typer.Option(help="How far, or amplitudes, DX,DY,DZ, m.", show_default=False)] = None,
     time: Annotated[float, typer.Option(min=0.5, max=600.0, help="Of one way, or a period, s.")] = 5.0,
-    point: Annotated[list[str], typer.Option(help="Way-point T,DX,DY,DZ after the start; repeated.")] = [],  # noqa: B006
+    point: Annotated[list[str], typer.Option(help="Way-point T,DX,DY,DZ after the start; repeated.")] = [],
     height: Annotated[float | None, typer.Option(help="Of the object at the start, m.", show_default=False)] = None,
     rate: Annotated[float, typer.Option(min=20.0, max=2000.0, help="Control rate, Hz.")] = 200.0,
     search_gains: Annotated[bool, typer.Option("--tune/--no-tune", help="Search gains, or take usual ones.")] = True,

@@ -28,8 +28,8 @@ Bauds = Annotated[
 
 @app.command()
 def scan(
-    port: Annotated[list[str], typer.Option("--port", help="Serial ports (default: all of this machine).")] = [],  # noqa: B006
-    baud: Bauds = [],  # noqa: B006
+    port: Annotated[list[str], typer.Option("--port", help="Serial ports (default: all of this machine).")] = [],
+    baud: Bauds = [],
     protocol_1: Annotated[
         bool, typer.Option("--protocol-1", help="Look for Protocol 1.0 instead (9 s per speed; 1 Mbit/s and 57600).")
     ] = False,
@@ -106,7 +106,7 @@ def setup(
 def dump(
     port: Port,
     out: Annotated[Path, typer.Option(help="File to write (TOML).", show_default=False)],
-    baud: Bauds = [],  # noqa: B006
+    baud: Bauds = [],
     force: Force = False,
 ) -> None:
     """Save all EEPROM registers of all servos on a line."""

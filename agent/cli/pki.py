@@ -19,7 +19,7 @@ def pki(
     listen: Annotated[str, typer.Option(help="Address on which the recorder listens.")] = "0.0.0.0",
     port: Annotated[int, typer.Option(min=1, max=65535, help="Its port.")] = 7447,
     days: Annotated[int, typer.Option(min=1, max=398, help="How long certificates last.")] = 365,
-    renew: Annotated[list[str], typer.Option(help="Only make this member's certificate and key anew.")] = [],  # noqa: B006
+    renew: Annotated[list[str], typer.Option(help="Only make this member's certificate and key anew.")] = [],
     in_place: Annotated[bool, typer.Option("--in-place", help="Configurations name FOLDER, not /etc/coop.")] = False,
     as_json: AsJson = False,
 ) -> None:

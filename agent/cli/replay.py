@@ -30,7 +30,7 @@ def replay(
     changes: Annotated[
         list[str],
         typer.Option("--set", metavar="KEY=VALUE", help="Show the torque with this value of the cell file instead."),
-    ] = [],  # noqa: B006
+    ] = [],
     from_s: Annotated[float | None, typer.Option("--from", help="Begin at this time of the trajectory, s.")] = None,
     row: Annotated[int | None, typer.Option("--row", min=0, help="Begin at this row number.")] = None,
     arm: Annotated[str | None, typer.Option("--arm", help="Only this arm.")] = None,

@@ -68,7 +68,7 @@ def run(
     listen: Annotated[str | None, typer.Option(help="Endpoint for live viewers (default: a free port).")] = None,
     report: Annotated[bool, typer.Option("--report/--no-report", help="Draw the report, or results alone.")] = True,
     force: Force = False,
-    overrides: Overrides = [],  # noqa: B006
+    overrides: Overrides = [],
     as_json: AsJson = False,
 ) -> None:
     """Run a simulated cell: plant, one agent per arm, recorder, report.

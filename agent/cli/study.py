@@ -36,7 +36,7 @@ def study(
         str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler whose workers do the runs instead.")
     ] = None,
     force: Force = False,
-    overrides: Overrides = [],  # noqa: B006
+    overrides: Overrides = [],
     as_json: AsJson = False,
 ) -> None:
     """Run a cell in many realities within its tolerance: what share holds its bounds, and which error matters."""

@@ -35,7 +35,7 @@ def view(
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in a browser.")] = True,
     connect: Annotated[str, typer.Option(help="Endpoint of the recorder (--live).")] = DEFAULT_ENDPOINT,
     network_config: NetworkConfig = None,
-    overrides: Overrides = [],  # noqa: B006
+    overrides: Overrides = [],
     force: Force = False,
 ) -> None:
     """Show a run in 3D: arms, object, desired pose, forces, events; in a browser, or as a file."""

@@ -23,7 +23,7 @@ def start(
     cell: CellPath,
     at: Annotated[str | None, typer.Option(help="UTC, HH:MM:SS.", metavar="TIME")] = None,
     in_s: Annotated[float | None, typer.Option("--in", min=0.05, max=86400.0, help="Seconds from now.")] = None,
-    control: ControlSockets = [],  # noqa: B006
+    control: ControlSockets = [],
     host: HostName = None,
     clock: ClockFile = None,
 ) -> None:
@@ -37,8 +37,8 @@ def start(
 
 def stop(
     cell: CellPath,
-    arm: SomeArms = [],  # noqa: B006
-    control: ControlSockets = [],  # noqa: B006
+    arm: SomeArms = [],
+    control: ControlSockets = [],
     host: HostName = None,
 ) -> None:
     """Let this host's agents hold the object where it is; says who did not answer."""
@@ -47,8 +47,8 @@ def stop(
 
 def release(
     cell: CellPath,
-    arm: SomeArms = [],  # noqa: B006
-    control: ControlSockets = [],  # noqa: B006
+    arm: SomeArms = [],
+    control: ControlSockets = [],
     host: HostName = None,
 ) -> None:
     """Confirm that the object is supported: the agents that hold it switch their torque off."""
@@ -57,8 +57,8 @@ def release(
 
 def approach(
     cell: CellPath,
-    arm: SomeArms = [],  # noqa: B006
-    control: ControlSockets = [],  # noqa: B006
+    arm: SomeArms = [],
+    control: ControlSockets = [],
     host: HostName = None,
 ) -> None:
     """Send this host's arms from their rest to their grasps, grippers open."""
@@ -67,8 +67,8 @@ def approach(
 
 def grasp(
     cell: CellPath,
-    arm: SomeArms = [],  # noqa: B006
-    control: ControlSockets = [],  # noqa: B006
+    arm: SomeArms = [],
+    control: ControlSockets = [],
     host: HostName = None,
 ) -> None:
     """Close this host's grippers on the object; each arm that holds it takes its load share up."""
@@ -79,8 +79,8 @@ def lower(
     cell: CellPath,
     at: Annotated[str | None, typer.Option(help="UTC, HH:MM:SS.", metavar="TIME")] = None,
     in_s: Annotated[float | None, typer.Option("--in", min=0.05, max=86400.0, help="Seconds from now.")] = None,
-    arm: SomeArms = [],  # noqa: B006
-    control: ControlSockets = [],  # noqa: B006
+    arm: SomeArms = [],
+    control: ControlSockets = [],
     host: HostName = None,
 ) -> None:
     """Set the object down where it stood, all arms from one instant on (without one: in a second)."""
@@ -92,8 +92,8 @@ def lower(
 
 def park(
     cell: CellPath,
-    arm: SomeArms = [],  # noqa: B006
-    control: ControlSockets = [],  # noqa: B006
+    arm: SomeArms = [],
+    control: ControlSockets = [],
     host: HostName = None,
 ) -> None:
     """Send this host's arms back to their rest."""
@@ -103,7 +103,7 @@ def park(
 def guide(
     cell: CellPath,
     once: Annotated[bool, typer.Option("--once", help="Say how things are now, and end.")] = False,
-    control: ControlSockets = [],  # noqa: B006
+    control: ControlSockets = [],
     host: HostName = None,
 ) -> None:
     """Walk through a session: what is seen at this host's arms, and what to say next, whenever it changes."""
@@ -139,7 +139,7 @@ def status(
     watch: Annotated[bool, typer.Option("--watch", help="Again every second, until Ctrl-C.")] = False,
     host: HostName = None,
     clock: ClockFile = None,
-    logs: Annotated[list[Path], typer.Option(help="Folders of logs, where a recorder may be at work.")] = [],  # noqa: B006
+    logs: Annotated[list[Path], typer.Option(help="Folders of logs, where a recorder may be at work.")] = [],
     as_json: AsJson = False,
 ) -> None:
     """Show how the arms of this host are: exit code 1 when one does not answer."""
