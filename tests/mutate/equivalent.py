@@ -66,6 +66,11 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
         ("", _TABLE, _TABLE.replace("+ 1", "+ 2")): "one flag more than the three that are looked up can make",
     },
     "agent.loop": {
+        (
+            "step",
+            "speed = felt(dq, state.dq) if damped else dq",
+            "speed = felt(dq, state.dq) if True else dq",
+        ): _WHILE_IT_BRAKES,
         ("_law", _PART, _PART.replace("1.0", "2.0")): "all of it is the law's, as with one",
         ("_law", "if life is not None and part < 1.0:", "if True and part < 1.0:"): _WITH_A_SESSION,
         ("_of_object", _LEARNS, _LEARNS.replace(" or ", " and ")): _BOTH,
