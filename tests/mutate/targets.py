@@ -82,7 +82,10 @@ TARGETS = (
     Target("drivers.dynamixel.checks", (f"{UNIT}/drivers/test_checks.py",)),
     Target("drivers.dynamixel.connected", (f"{UNIT}/drivers/test_driver.py",)),
     Target("drivers.dynamixel.cycle", (f"{UNIT}/drivers/test_cycle.py",)),
-    Target("drivers.dynamixel.driver", tuple(f"{UNIT}/drivers/{name}.py" for name in ("test_driver", "test_recover"))),
+    Target(
+        "drivers.dynamixel.driver",
+        tuple(f"{UNIT}/drivers/{n}.py" for n in ("test_driver", "test_recover", "test_grip")),
+    ),
     Target("drivers.dynamixel.interpret", (f"{UNIT}/drivers/test_interpret.py",)),
     Target("drivers.dynamixel.line.group", (f"{UNIT}/drivers/test_group.py",)),
     Target("drivers.dynamixel.monitor", (f"{UNIT}/drivers/test_monitor.py",)),
