@@ -67,8 +67,7 @@ class Runner:
         self._mode = Mode.OFF
         self._reason = ""
         self._rows = 0
-        self._late_cycles = 0
-        self._stale_cycles = 0
+        self._late_cycles, self._stale_cycles = 0, 0
         self._marks = Flag.NONE  # of the next row
         begin_ns = clock.now_ns()
         self._ticks = Ticks(schedule, begin_ns)

@@ -111,13 +111,6 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
             "if bus is not Bus.RECOVER or False:",
         ): "nobody is brought back by a driver that cannot; said for the type checker",
     },
-    "agent.transition": {
-        (
-            "entered",
-            "if agent.floating is not None and mode in FLOATING:",
-            "if True and mode in FLOATING:",
-        ): "only an agent that floats comes into these modes; said for the type checker",
-    },
     "drivers.dynamixel.checks": {
         ("SilenceCheck.check", "if None not in rows:", "if False:"): "the short way for a cycle with all answers",
         ("SilenceCheck.check", "if any(missed):", "if True:"): "saves the making of a list of zeros",

@@ -48,10 +48,11 @@ _RING = (
     f"{UNIT}/telemetry/test_ring_reader.py",
     "tests/property/telemetry/test_ring_model.py",
 )
+_DRIVER = (f"{UNIT}/drivers/test_driver.py", f"{UNIT}/drivers/test_driver_cycle.py")
 _VIEW = tuple(f"{UNIT}/view/{name}.py" for name in ("test_scene", "test_pictures"))
 _PAGE = (f"{UNIT}/view/test_page.py",)
 _VERIFY = tuple(f"{UNIT}/replay/{name}.py" for name in ("test_verify", "test_verify_trouble", "test_replay_command"))
-_SOFT = tuple(f"{UNIT}/sim_backend/{name}.py" for name in ("test_soft", "test_reality", "test_calendar"))
+_SOFT = tuple(f"{UNIT}/sim_backend/{name}.py" for name in ("test_soft", "test_pads", "test_reality", "test_calendar"))
 
 TARGETS = (
     Target("agent.safety", (f"{UNIT}/test_safety.py",)),
@@ -60,10 +61,10 @@ TARGETS = (
     Target("agent.calm", tuple(f"{UNIT}/{name}.py" for name in ("test_calm", "test_hold", "test_step_together"))),
     Target("agent.cycles", (f"{UNIT}/test_cycles.py",)),
     Target("agent.runner", _RUNNER, warm=_WARM),
-    Target("agent.sight", (*_RUNNER, f"{UNIT}/test_lost_servo.py"), warm=_WARM),
+    Target("agent.sight", (f"{UNIT}/test_sight.py",)),
     Target("agent.telling", (f"{UNIT}/test_telling.py",)),
     Target("agent.ticks", _RUNNER, warm=_WARM),
-    Target("agent.transition", (*_RUNNER, *_VERIFY), warm=_WARM),
+    Target("agent.transition", (f"{UNIT}/test_transition.py",)),
     Target("agent.operator.socket", (f"{UNIT}/operator/test_control_socket.py",)),
     Target("agent.replay.chain", (*_VERIFY, f"{UNIT}/replay/test_whatif.py", f"{UNIT}/guard/test_resume.py")),
     Target("agent.replay.grasps", (f"{UNIT}/replay/test_answers.py",)),
@@ -81,11 +82,8 @@ TARGETS = (
     Target("agent.view.pose", _VIEW),
     Target("drivers.dynamixel.checks", (f"{UNIT}/drivers/test_checks.py",)),
     Target("drivers.dynamixel.connected", (f"{UNIT}/drivers/test_driver.py",)),
-    Target("drivers.dynamixel.cycle", (f"{UNIT}/drivers/test_cycle.py",)),
-    Target(
-        "drivers.dynamixel.driver",
-        tuple(f"{UNIT}/drivers/{n}.py" for n in ("test_driver", "test_recover", "test_grip")),
-    ),
+    Target("drivers.dynamixel.cycle", (f"{UNIT}/drivers/test_cycle.py", f"{UNIT}/drivers/test_cycle_again.py")),
+    Target("drivers.dynamixel.driver", (*_DRIVER, f"{UNIT}/drivers/test_recover.py", f"{UNIT}/drivers/test_grip.py")),
     Target("drivers.dynamixel.interpret", (f"{UNIT}/drivers/test_interpret.py",)),
     Target("drivers.dynamixel.line.group", (f"{UNIT}/drivers/test_group.py",)),
     Target("drivers.dynamixel.monitor", (f"{UNIT}/drivers/test_monitor.py",)),
@@ -94,7 +92,7 @@ TARGETS = (
         "drivers.dynamixel.recovery", tuple(f"{UNIT}/drivers/{name}.py" for name in ("test_driver", "test_recover"))
     ),
     Target("drivers.dynamixel.running", tuple(f"{UNIT}/drivers/{name}.py" for name in ("test_running", "test_grip"))),
-    Target("drivers.dynamixel.stale", (f"{UNIT}/drivers/test_driver.py",)),
+    Target("drivers.dynamixel.stale", _DRIVER),
     Target("sim_backend.physics.calendar", _SOFT),
     Target("sim_backend.physics.free_body", _SOFT),
     Target("sim_backend.physics.openings", _SOFT),

@@ -24,6 +24,12 @@ def test_an_arm_that_stands_says_why_and_in_a_session_what_leads_back() -> None:
         assert texts == [said]
 
 
+def test_a_word_that_counts_for_nothing_is_told_as_it_is() -> None:
+    telling, texts = told(in_session=True)
+    telling.refused("park: wait for it")
+    assert texts == ["park: wait for it"]
+
+
 def test_an_arm_at_rest_says_each_reason_once() -> None:
     telling, texts = told(in_session=True)
     for reason in (TEXT, TEXT, "its supply is low"):

@@ -129,3 +129,8 @@ def names(eeprom: dict[str, int]) -> dict[str, int]:
         for register in SERVOS["XM430-W350"].registers
     }
     return {known[key]: value for key, value in eeprom.items()}
+
+
+def horn(servo: Servo, position_rad: float = 0.0, velocity_rad_per_s: float = 0.0) -> None:
+    body = servo.firmware.body
+    body.horn.position_rad, body.horn.velocity_rad_per_s = position_rad, velocity_rad_per_s

@@ -27,7 +27,7 @@ from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.event import Event, Level
 from agent.telemetry.row.sample import AGENT_STATE
 from tests.support.command import coop
-from tests.unit.operator.test_words import DEAD, HUNG, Arm, serving
+from tests.support.operated_arms import DEAD, HUNG, Arm, serving
 
 PAPER = configs.CELLS_DIR / "paper.toml"
 CELL = load_cell(PAPER)

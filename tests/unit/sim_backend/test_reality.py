@@ -21,7 +21,7 @@ from sim_backend.physics.spec import ArmSpec, GraspError, GraspSpec, PlantError,
 from sim_backend.wire.plant_world import PlantWorld, without_servo_electronics
 from tests.support.plant.plant_cells import planar_cell, spatial_cell
 from tests.support.plant.served_plant import SERVOS, TAU, ServedPlant
-from tests.unit.sim_backend.test_soft import viscous
+from tests.support.plant.soft_cells import viscous
 
 CELLS: dict[str, Callable[..., PlantSpec]] = {
     "two planar arms": planar_cell,

@@ -1,0 +1,169 @@
+"""Torques, timing and internal force of a run against rows whose every figure is known in closed form."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from agent.report.metrics import summarise
+from agent.report.series import internal_wrenches, rotate
+from agent.safety import Flag
+from agent.telemetry.row.event import Event, Level
+from tests.support.telemetry.small_run import RATE_HZ, TICKS, keep, small_run
+from tests.support.telemetry.synthetic_run import (
+    paper_run,
+    run_file,
+)
+
+# -------------------------------------------------------------------------------------------------- torques and timing
+
+
+def test_peak_torque_is_a_fraction_of_stall_and_the_worst_is_named() -> None:
+    log = small_run()
+    log.agents["left"]["tau_sent"][3, 0] = -1.5
+    log.agents["right"]["tau_sent"][5, 2] = 1.0
+    results = summarise(log)
+    assert results.arms["left"].joints["shoulder"].peak_torque_fraction == pytest.approx(1.5 / 6.0)
+    assert results.worst_torque == (pytest.approx(0.4), "right", "wrist_angle")
+    assert results.to_json()["peak_torque_fraction"]["worst"] == {
+        "value": pytest.approx(0.4),
+        "arm": "right",
+        "joint": "wrist_angle",
+    }
+
+
+def test_chatter_is_the_mean_change_per_tick_and_a_gap_is_no_change() -> None:
+    log = small_run()
+    rows = log.agents["left"]
+    rows["tau_sent"][:, 1] = np.where(rows["sequence"] % 2, 0.1, -0.1)
+    rows["tau_sent"][200:, 1] += 5.0
+    keep(log, "left", np.r_[0:199, 201:TICKS])
+    assert summarise(log).arms["left"].joints["elbow"].chatter_Nm == pytest.approx(0.2)
+
+
+def test_time_at_and_beyond_the_limit() -> None:
+    log = small_run()
+    rows = log.agents["left"]
+    rows["tau_cmd"][:, 0] = 4.0
+    rows["tau_limited"][:, 0] = np.where(rows["t"] < 0.5, 3.0, 4.0)
+    rows["tau_sent"][:, 0] = np.where(rows["t"] < 0.25, -3.0, 0.0)
+    shoulder = summarise(log).arms["left"].joints["shoulder"]
+    assert shoulder.limited_s == pytest.approx(0.5)
+    assert shoulder.at_limit_s == pytest.approx(0.25)
+
+
+def test_flags_are_counted_by_name() -> None:
+    log = small_run()
+    log.agents["left"]["flags"][:7] = Flag.SATURATED | Flag.STALE
+    log.agents["left"]["flags"][7] = Flag.STALE
+    flags = summarise(log).arms["left"].flags
+    assert (flags["SATURATED"], flags["STALE"], flags["SINGULAR"]) == (7, 8, 0)
+
+
+def test_late_cycles_and_overruns() -> None:
+    log = small_run()
+    rows = log.agents["left"]
+    rows["late_s"][:3], rows["late_s"][3] = 1.01 / RATE_HZ, 0.99 / RATE_HZ
+    rows["step_s"][10:12] = 1.5 / RATE_HZ
+    results = summarise(log)
+    assert results.arms["left"].late_cycles == results.late_cycles == 3
+    assert results.arms["left"].overruns == 5
+
+
+def test_percentiles_of_the_loop() -> None:
+    log = small_run()
+    log.agents["left"]["step_s"] = np.arange(TICKS) * 1e-6
+    spread = summarise(log).arms["left"].timing["step_s"]
+    assert spread.p50_s == pytest.approx(200e-6)
+    assert spread.p99_s == pytest.approx(396e-6)
+    assert spread.max_s == pytest.approx(399e-6)
+
+
+def test_real_time_factor_is_run_time_over_wall_time() -> None:
+    assert summarise(small_run()).real_time_factor == pytest.approx(2.0)
+
+
+def test_real_time_factor_of_simulated_utc_is_not_known_and_said() -> None:
+    log = small_run()
+    for rows in log.agents.values():
+        rows["utc_ns"] = 1_800_000_000_000_000_000 + rows["stamp_ns"]
+    results = summarise(log)
+    assert math.isnan(results.real_time_factor)
+    assert any("follows the simulated clock" in text for text in results.missing)
+
+
+def test_real_time_factor_is_by_the_agents_own_wall_time_where_they_tell_it() -> None:
+    log = small_run()
+    for arm, wall_s in (("left", 0.1), ("right", 0.2)):
+        log.events.append(Event(1, arm, Level.INFO, "run ended", {"wall_s": wall_s}))
+    assert summarise(log).real_time_factor == pytest.approx((TICKS - 1) / RATE_HZ / 0.2)
+
+
+def test_unwinding_is_seen_in_the_sign_of_e_eta() -> None:
+    log = small_run()
+    log.agents["left"]["e_eta"] = np.linspace(-0.5, 1.0, TICKS)
+    arm = summarise(log).arms["left"]
+    assert (arm.e_eta_start, arm.e_eta_end, arm.e_eta_sign_changes) == (-0.5, 1.0, 1)
+
+
+# ----------------------------------------------------------------------------------------------------- internal force
+
+unit_quaternions = arrays(float, 4, elements=st.floats(-1, 1)).filter(lambda q: np.linalg.norm(q) > 0.1)
+three = arrays(float, (3, 3), elements=st.floats(-0.3, 0.3))
+wrench_stacks = arrays(float, (3, 6), elements=st.floats(-10, 10))
+
+
+def grasp_matrix(p_ee_object: np.ndarray) -> np.ndarray:
+    blocks = []
+    for x, y, z in p_ee_object:
+        J = np.eye(6)
+        J[:3, 3:] = [[0, -z, y], [z, 0, -x], [-y, x, 0]]
+        blocks.append(J)
+    return np.vstack(blocks)
+
+
+@given(unit_quaternions, three, wrench_stacks)
+def test_internal_wrench_is_the_papers_projection_and_has_no_net_wrench(q, offsets, wrenches) -> None:
+    quat = (q / np.linalg.norm(q))[None]
+    internal = internal_wrenches(wrenches[None], quat, offsets)[0]
+    p_ee_object = np.array([-rotate(quat, offset)[0] for offset in offsets])
+    G = grasp_matrix(p_ee_object)
+    G_star = np.hstack([np.linalg.inv(G[6 * i : 6 * i + 6]) for i in range(3)]).T / 3.0
+    expected = (np.eye(18) - G_star @ G.T) @ wrenches.ravel()
+    np.testing.assert_allclose(internal.ravel(), expected, atol=1e-11)
+    np.testing.assert_allclose(G.T @ internal.ravel(), 0.0, atol=1e-11)
+
+
+def test_a_squeeze_is_all_internal_and_the_weight_is_shared() -> None:
+    results = summarise(paper_run(Path("run.mcap"), duration_s=25.0))
+    for arm in results.arms.values():
+        assert arm.internal_cmd.max_force_N == pytest.approx(1.5)
+        assert arm.internal_realised.max_force_N == pytest.approx(1.5 * 1.05, rel=1e-3)
+        assert arm.load_share_realised == pytest.approx(0.5)
+
+
+def test_load_shares_realised_add_up_to_one() -> None:
+    log = small_run()
+    wrench = log.plant["grasp_wrench"].reshape(TICKS, -1, 6)
+    wrench[:, 0, 1], wrench[:, 1, 1] = 0.9, 0.3
+    arms = summarise(log).arms
+    assert arms["left"].load_share_realised == pytest.approx(0.75)
+    assert arms["right"].load_share_realised == pytest.approx(0.25)
+
+
+def test_without_grasp_offsets_the_internal_force_is_known_and_its_moment_is_not() -> None:
+    content = run_file(TICKS / RATE_HZ, RATE_HZ, transient_s=0.5)
+    for arm in content["arms"]:
+        del arm["p_object_ee_m"]
+    log = small_run(arms=content["arms"])
+    log.plant["grasp_wrench"][:, 0], log.plant["grasp_wrench"][:, 6] = 2.0, -2.0
+    results = summarise(log)
+    assert results.arms["left"].internal_realised.max_force_N == pytest.approx(2.0)
+    assert math.isnan(results.arms["left"].internal_realised.max_moment_Nm)
+    assert any("grasp offsets" in text for text in results.missing)
