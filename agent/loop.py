@@ -15,7 +15,7 @@ from agent import floats, phases
 from agent.calm import BRAKE, JOINTS, LAW, brake_per_s, braking, felt, kept, slowed
 from agent.control import adaptive, cause, joint_hold, known
 from agent.control.adaptation import Estimate
-from agent.control.alignment import Alignment, between, shifted
+from agent.control.alignment import Alignment, shifted
 from agent.control.errors import Errors
 from agent.control.estimator import Observer
 from agent.control.floating import Floating
@@ -37,8 +37,6 @@ GENTLE_TICKS = 100  # with a state in time, until a hold that was starved is as 
 GENTLE_RAD_PER_S = 5.0  # how stiff it is until then; less where 30 periods are longer than a second
 GENTLE_REACH_RAD = 0.1  # beyond it a gentle hold pulls no harder, which bounds how fast it comes back
 STARVED_PERIODS = 3.5  # from one state to the next, above which a hold is gentle
-HOLD_DESIRED_MAX_M = 0.02  # a hold keeps the desired pose when the object is this near to it, else where the object is
-HOLD_DESIRED_MAX_RAD = 0.1
 _TRACK, _HOLD, _READY = Mode.TRACK, Mode.HOLD, Mode.READY  # looking them up in their class takes 0.1 µs each
 _NOT_FINITE = int(Flag.NOT_FINITE)  # asking a flag for another one takes 0.5 µs
 _ALIGNING = (_READY, _TRACK)  # the shift changes while the arm waits for the motion or follows it
@@ -184,14 +182,6 @@ def _weight(agent: Agent, memory: Memory) -> tuple[Vector, Flag]:
     return np.array(tau), flags
 
 
-def afresh(memory: Memory, marks: Flag) -> Memory:
-    """Memory of an arm that holds where it will be seen next: after a GAP; RESUMED: it has no torque, and is gentle."""
-    if Flag.RESUMED in marks:
-        zero = 0.0 * memory.tau
-        memory = memory._replace(tau=zero, tau_before=zero, calm=JOINTS + GENTLE_TICKS + 1)
-    return memory._replace(primed=False, hold=None, q_hold=None) if marks else memory
-
-
 def _sense(
     residual: Residual, mode: Mode, memory: Memory, terms: Terms, dq: Vector
 ) -> tuple[Sense, tuple[float, ...] | None, bool]:
@@ -286,38 +276,3 @@ def _desired(agent: Agent, t: float, mode: Mode, memory: Memory) -> Desired:
         return shifted(agent.trajectory.at(t), memory.shift)
     p, quat = memory.hold[:3], memory.hold[3:]
     return Desired(p, quat, _STILL, _STILL)  # type: ignore[arg-type]
-
-
-def hold_here(agent: Agent, q: Vector, memory: Memory) -> Memory:
-    """Memory with the object's present pose, and this arm's q (n,), as what to hold; nothing while q is no number."""
-    if not np.isfinite(q).all():
-        return memory._replace(hold=None, q_hold=None)
-    k = agent.model.evaluate(q, np.zeros_like(q))
-    return memory._replace(hold=(*k.p_object, *k.quat_object), q_hold=q)
-
-
-def hold_after(agent: Agent, outcome: Outcome) -> Memory:
-    """Memory after `outcome` with what to hold from then on.
-
-    An arm that aligns itself with the others holds the pose that it was following, and goes on pulling as it did.  Any
-    other holds the object where it is, and so does every arm where the object is far from that pose, where the arm
-    nears a singular one, and where the law gave nothing.
-    """
-    terms = outcome.terms
-    if agent.alignment is None or terms is None or Flag.SINGULAR in outcome.flags or _far(terms.errors):
-        return hold_here(agent, outcome.q, outcome.memory)
-    return outcome.memory._replace(hold=(*terms.desired.p, *terms.desired.quat), q_hold=outcome.q)
-
-
-def _far(errors: Errors) -> bool:
-    angle = 2.0 * math.atan2(math.hypot(*errors.e_eps), abs(errors.e_eta))
-    return not (math.hypot(*errors.e_p) <= HOLD_DESIRED_MAX_M and angle <= HOLD_DESIRED_MAX_RAD)
-
-
-def wait_here(agent: Agent, q: Vector, memory: Memory, mode: Mode = _READY) -> Memory:
-    """Memory for standing at q (n,): in READY the object's pose that this arm sees there becomes its start pose."""
-    memory = hold_here(agent, q, memory)
-    if mode is not _READY or agent.alignment is None or agent.start is None or memory.hold is None:
-        return memory
-    pose = memory.hold
-    return memory._replace(shift=between(pose[:3], pose[3:], *agent.start))  # type: ignore[arg-type]

@@ -14,13 +14,14 @@ import numpy as np
 from agent.around import Beginning, LoopLog, RunSummary, Schedule, Surroundings
 from agent.control.memory import Memory
 from agent.cycles import WINDOW, Bus, Cycles
-from agent.loop import Agent, Outcome, afresh, blind, explained, initial_memory, step, wait_here
+from agent.loop import Agent, Outcome, blind, explained, initial_memory, step
 from agent.modes import TABLE, Event, Mode, next_mode
 from agent.monitors.watch import Watch
 from agent.safety import Flag
 from agent.session import SessionLoop
 from agent.session_modes import next_in_session
 from agent.sight import KEEPS, Sight
+from agent.standing import afresh, wait_here
 from agent.telemetry.row.fill import AgentRow
 from agent.telling import Telling
 from agent.ticks import Ticks

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from agent import floats, session
 from agent.control.memory import Memory
-from agent.loop import Agent, Outcome, hold_after
+from agent.loop import Agent, Outcome
 from agent.modes import FLOATING, Mode
+from agent.standing import hold_after
 
 
 def entered(agent: Agent, mode: Mode, memory: Memory, last: Outcome | None) -> Memory:

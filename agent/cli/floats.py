@@ -152,6 +152,8 @@ class Shown:
 
 def line(glance: Glance) -> str:
     """An arm in one line."""
+    if math.isnan(glance.p_m[0]):
+        return f"{glance.t:7.1f} s  {glance.arm} {glance.mode.name}  not seen: its servos do not answer"
     joints = "  ".join(f"{j.name} {j.q_rad:+.3f}" for j in glance.joints)
     x, y, z = glance.p_m
     return f"{glance.t:7.1f} s  {glance.arm} {glance.mode.name}  {joints} rad  at {x:+.3f} {y:+.3f} {z:+.3f} m"

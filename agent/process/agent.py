@@ -188,7 +188,7 @@ def _runner(
     row = AgentRow(ring.row, arm.n, cell.config_id)
     if law.session is not None:
         standing.session = law.session.not_yet
-    sink = BridgedRows(ring, row, driver) if isinstance(driver, BridgeDriver) else ring
+    sink = BridgedRows(ring, row, driver, tell.warn) if isinstance(driver, BridgeDriver) else ring
     schedule = schedule_of(cell, options)
     return Runner(law.agent, driver, clock, schedule, row, sink, around, law.watch, session=law.session)
 

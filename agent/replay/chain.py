@@ -6,9 +6,10 @@ import numpy as np
 
 from agent.control.adaptation import from_row
 from agent.control.memory import Memory, restore
-from agent.loop import Agent, Outcome, afresh, blind, initial_memory, step, wait_here
+from agent.loop import Agent, Outcome, blind, initial_memory, step
 from agent.modes import Mode
 from agent.safety import Flag
+from agent.standing import afresh, wait_here
 from agent.transition import entered
 from drivers.interface import JointState, Vector
 

@@ -15,13 +15,14 @@ from agent.config import monitors
 from agent.config.cell import Cell
 from agent.config.schema.reality import Reality
 from agent.control.memory import Memory
-from agent.loop import Agent, Outcome, explained, initial_memory, step, wait_here
+from agent.loop import Agent, Outcome, explained, initial_memory, step
 from agent.modes import Event, Mode, next_mode
 from agent.monitors.watch import Watch
 from agent.process.build import build_agent
 from agent.process.simulated import plant_spec
 from agent.runner import TROUBLE
 from agent.safety import Flag
+from agent.standing import wait_here
 from agent.study.fault import Fault, FaultKind
 from agent.transition import entered
 from agent.verify.check import start_configurations

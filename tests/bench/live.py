@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from agent.telemetry.link.publish import Pace
-from agent.telemetry.ring.ring import RingWriter
+from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.sample import AGENT_STATE
 from drivers.clock import MonotonicClock
 from tests.bench.browser import DRAWS, first, served

@@ -14,20 +14,12 @@ from agent.control.joint_hold import torque, weight
 from agent.control.law import Offline
 from agent.control.memory import Memory
 from agent.cycles import Patience
-from agent.loop import (
-    GENTLE_TICKS,
-    Agent,
-    Outcome,
-    afresh,
-    blind,
-    hold_here,
-    initial_memory,
-    step,
-)
+from agent.loop import GENTLE_TICKS, Agent, Outcome, blind, initial_memory, step
 from agent.modes import Mode
 from agent.process.build import build_agent
 from agent.process.schedule import patience_of
 from agent.safety import Flag, Limits, limit
+from agent.standing import afresh, hold_here
 from drivers.interface import JointState, Vector
 from tests.unit.test_step_rules import arm, start
 

@@ -17,10 +17,11 @@ from agent.control.joint_hold import weight
 from agent.control.memory import Memory
 from agent.control.quaternion import angle_between
 from agent.control.trajectory import Desired, Trajectory
-from agent.loop import Agent, Outcome, hold_here, initial_memory, step
+from agent.loop import Agent, Outcome, initial_memory, step
 from agent.modes import Mode
 from agent.process.build import build_agent
 from agent.safety import Flag, Limits
+from agent.standing import hold_here
 from agent.verify.check import examine
 from drivers.interface import JointState, Vector
 

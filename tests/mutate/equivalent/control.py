@@ -40,6 +40,8 @@ CONTROL: Entries = {
         ("step", _ALONE_IN, _ALONE_IN.replace("session is not None", "True")): _WITH_A_SESSION,
         ("step", _LIMITED, _LIMITED.replace("session is not None", "True")): _WITH_A_SESSION,
         ("step", _OFF, _OFF.replace("session is not None", "True")): _WITH_A_SESSION,
+    },
+    "agent.standing": {
         (
             "wait_here",
             "return memory._replace(shift=between(pose[:3], pose[3:], *agent.start))",

@@ -19,7 +19,8 @@ import pytest
 
 import configs
 from agent.config.cell import load_cell
-from agent.guard.line import AgentEnd, GuardError, Word
+from agent.guard.agent_end import AgentEnd
+from agent.guard.line import GuardError, Word
 from agent.guard.takeover import EMULATED_STALE_NS
 from agent.log.read import read_log
 from agent.modes import Mode

@@ -32,7 +32,7 @@ def test_nothing_is_in_the_loop_unless_the_file_says_so() -> None:
     assert not [f for f in examine(cell()).findings if "twin" in f.what or "own" in f.what]
     hil = cell(LOOP).file.hil
     assert hil is not None
-    assert (hil.arms, hil.frequency(200.0), hil.tau_share) == (["left"], 25.0, 0.5)
+    assert (hil.arms, hil.frequency(200.0), hil.tau_share) == (["left"], 25.0, 1.0)
     slower = cell(LOOP, "hil.extra_cycles=2.0").file.hil
     assert slower is not None
     assert slower.frequency(200.0) == pytest.approx(0.2 / 0.0175)
