@@ -20,6 +20,8 @@ _BOTH = "who learns has an estimate; said for the type checker"
 _NONE = "a function without a result returns None"
 _TABLE = "_FLAGS = tuple(map(Flag, range((_NOT_FINITE | _SATURATED | _RATE_LIMITED) + 1)))"
 
+_FLAGGED = "found = self._reason or f'{outcome.flags.name} {explained(self._agent, outcome)}'.rstrip()"
+
 CONTROL: Entries = {
     "agent.safety": {
         ("", _TABLE, _TABLE.replace("+ 1", "+ 2")): "one flag more than the three that are looked up can make",
@@ -56,6 +58,11 @@ CONTROL: Entries = {
         ): "no gap is as short as a nanosecond",
     },
     "agent.runner": {
+        (
+            "Runner._act",
+            _FLAGGED,
+            _FLAGGED.replace("self._reason", "False"),
+        ): "saves the making of a text that is not told",
         ("Runner._act", "if self._marks:", "if True:"): _SAVES_A_CALL,
         ("Runner._go_blind", "if self._marks:", "if True:"): _SAVES_A_CALL,
         ("Runner._cycle", "if happened:", "if True:"): "saves a call: nothing changes without an event (test_runner)",
