@@ -171,21 +171,19 @@ class Bodies:
         A[..., n + k, k] = -(self.frequency**2) / unit
         A[..., n : 2 * n, n : 2 * n] = -self.damping
         A[..., n : 2 * n, 2 * n :] = np.swapaxes(self.arms, -1, -2)
-        F1, G1 = _held(A, share * period_s, 2 * n)
-        F2, G2 = _held(A, (1.0 - share) * period_s, 2 * n)
+        (F1, G1), (F2, G2) = _held(A, (share * period_s, (1.0 - share) * period_s), 2 * n)
         zero = np.zeros_like(self.arms)
         sees_x = np.concatenate([self.arms / unit[..., None, :], zero], axis=-1)
         sees_w = np.concatenate([zero, self.arms], axis=-1)
         return Motion(F2 @ F1, F2 @ G1, G2, sees_x, sees_w, late)
 
 
-def _held(A: Matrix, duration_s: float, states: int) -> tuple[Matrix, Matrix]:
-    """Transition and input matrix of ẏ = A y with inputs held."""
-    if duration_s == 0.0:
-        one = np.broadcast_to(np.eye(states), (*A.shape[:-2], states, states))
-        return one, np.zeros((*A.shape[:-2], states, A.shape[-1] - states))
-    E = exponential(duration_s * A)
-    return E[..., :states, :states], E[..., :states, states:]
+def _held(A: Matrix, durations_s: tuple[float, float], states: int) -> list[tuple[Matrix, Matrix]]:
+    """Transition and input matrix of ẏ = A y with inputs held, for each of two durations."""
+    E = iter(exponential(np.stack([duration * A for duration in durations_s if duration != 0.0])))
+    still = np.broadcast_to(np.eye(A.shape[-1]), A.shape)
+    each = [next(E) if duration != 0.0 else still for duration in durations_s]
+    return [(e[..., :states, :states], e[..., :states, states:]) for e in each]
 
 
 def bare(at: Pose, i: int, truth: Truth) -> Bodies:
