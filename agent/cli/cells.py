@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from agent.cli.options import AsJson, CellPath, Force, Overrides, console, note, print_json
+from agent.cli.options import AsJson, CellPath, Force, Overrides, console, note, print_json, uncollected
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -27,6 +27,11 @@ class FormName(StrEnum):
 
 def check(cell: CellPath, overrides: Overrides = [], as_json: AsJson = False) -> None:
     """Examine a cell before anything moves; exit code 2 when it must not run."""
+    with uncollected():
+        _check(cell, overrides, as_json)
+
+
+def _check(cell: Path, overrides: list[str], as_json: bool) -> None:
     from agent.config.cell import load_cell
     from agent.config.schema.cell import DriverKind
     from agent.verify.check import examine

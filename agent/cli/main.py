@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -112,7 +113,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Entry point: ends the process; a Refusal is one line for a person and an exit code for a script."""
     for library in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):  # read when they are loaded: our matrices are small
         os.environ.setdefault(library, "1")
-    sys.exit(dispatch(arguments))
+    code = dispatch(arguments)
+    gc.freeze()  # or the interpreter looks for garbage in all that is there before it ends: a tenth of a short command
+    sys.exit(code)
 
 
 def dispatch(arguments: Sequence[str] | None = None) -> int:

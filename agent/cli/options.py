@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -81,12 +84,24 @@ def note(text: str) -> None:
     typer.echo(text, err=True)
 
 
+@contextmanager
+def uncollected() -> Iterator[None]:
+    """Without looking for garbage: what a command loads and computes in a second makes hardly any."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
+
+
 def console() -> Console:
     """Standard output for tables: as wide as the terminal, or as wide as a table wants to be."""
     from rich.console import Console
 
-    shown = Console()
-    return shown if shown.is_terminal else Console(width=max(shown.width, WIDTH_ELSEWHERE))
+    shown = Console(emoji=False)
+    return shown if shown.is_terminal else Console(width=max(shown.width, WIDTH_ELSEWHERE), emoji=False)
 
 
 def print_json(document: dict[str, Any]) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pinocchio as pin
 
@@ -27,19 +29,19 @@ def solve(model: ArmModel, T_world_object: pin.SE3, q_near: Vector, tolerance: f
     """
     q = np.array(q_near, dtype=np.float64)
     P = model.task_basis
-    best = np.inf
+    one, best = np.eye(len(P)), np.inf
     for _ in range(200):
         T = model.object_pose(q)
         error = np.concatenate(
             [T_world_object.translation - T.translation, pin.log3(T_world_object.rotation @ T.rotation.T)]
         )
         task_error = P @ error
-        size = float(np.linalg.norm(task_error))
+        size = math.sqrt(task_error @ task_error)
         best = min(best, size)
         if size < tolerance:
             break
         J = model.jacobian(q)
-        damping = min(1e-4, size * size) * np.eye(J.shape[0])
+        damping = min(1e-4, size * size) * one
         try:
             dq = J.T @ np.linalg.solve(J @ J.T + damping, task_error)
         except np.linalg.LinAlgError:  # a singular pose near the goal, where the damping is below rounding

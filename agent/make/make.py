@@ -14,7 +14,7 @@ from agent.make.place import HEIGHTS_M, RADII_M, Bend, base, bends, grasp
 from agent.make.wish import ArmWish, MotionKind, Wish, WishError
 from agent.make.write import Placed, cell_text, duration_s
 from agent.verify.check import CheckReport, examine, reach
-from agent.verify.collision import collisions
+from agent.verify.collision.findings import collisions
 from agent.verify.finding import Finding, Verdict
 from agent.verify.tune import Form, Margin, NoGains, Tuner
 from drivers.dynamixel.servo.models import SERVOS

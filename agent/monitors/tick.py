@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
-from agent.loop import Outcome
-from agent.modes import Mode
-from drivers.interface import JointState
+if TYPE_CHECKING:  # bounds and windows are read without the loop
+    from agent.loop import Outcome
+    from agent.modes import Mode
+    from drivers.interface import JointState
 
 
 class Tick(NamedTuple):

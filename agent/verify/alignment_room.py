@@ -17,7 +17,7 @@ from agent.config.schema.cell import DriverKind
 from agent.control import ik
 from agent.control.models import ArmModel
 from agent.verify.alignment_reach import shifts
-from agent.verify.collision import Scene
+from agent.verify.collision.scene import Scene
 from agent.verify.finding import Finding, Verdict, judged
 from drivers.interface import Vector
 

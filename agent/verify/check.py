@@ -7,32 +7,30 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import pinocchio as pin
 
 from agent.config import trajectory as motion
-from agent.config.cell import Arm, Cell, ConfigError, placement
+from agent.config.cell import Cell, ConfigError
 from agent.config.schema.cell import DriverKind
 from agent.config.schema.controller import ControllerKind
-from agent.control import ik, known
 from agent.control.errors import attitude_error
-from agent.control.inverse import SingularJacobian
 from agent.control.models import ArmModel, ModelError
 from agent.verify.adaptive import examine_adaptation
 from agent.verify.alignment_room import alignment_room
 from agent.verify.box import largest_internal_wrench
 from agent.verify.bus import buses
-from agent.verify.collision import Scene, collisions
+from agent.verify.collision.findings import collisions
+from agent.verify.collision.scene import Scene
 from agent.verify.finding import Finding, Verdict, judged
 from agent.verify.force import internal_force
 from agent.verify.margin import Damping, damping, places, sampled_loop
 from agent.verify.noticing import noticed, rested, unlearnt
+from agent.verify.path import Path, along_trajectory, arm_findings, reach, start_configurations
 from agent.verify.plausible import plausibility
 from agent.verify.rehearsal import examine_rehearsal
 from agent.verify.robustness import Robustness, Walk, robustness
 from agent.verify.session import lives, session
 from agent.verify.watched import watched
 from agent.verify.ways import ways
-from drivers.dynamixel.servo.models import CONTINUOUS_SHARE
 from drivers.interface import Vector
 
 SAMPLES = 48  # points along the trajectory, beside those that the trajectory names itself
@@ -62,29 +60,6 @@ class CheckReport:
                 raise ConfigError(f"{f.what} ({f.where})", found=f.found, expected=f.wanted, remedy=f.remedy)
 
 
-@dataclass(frozen=True)
-class _Path:
-    """One arm along the trajectory."""
-
-    q: list[Vector]
-    sigma_min: float
-    sigma_min_t: float
-    tau_peak: Vector
-    tau_rms: Vector  # (n,) N·m
-    limit_margin: Vector
-
-
-def start_configurations(cell: Cell, models: Sequence[ArmModel]) -> tuple[Vector, ...]:
-    """Joint angles (n,) of each arm with the object at its start pose, nearest to q_near_rad.
-
-    Raises ConfigError naming the arm when its grasp cannot be reached.
-    """
-    return tuple(
-        reach(arm, model, cell.T_world_object_start, np.array(arm.entry.q_near_rad), "at the start")
-        for arm, model in zip(cell.arms, models, strict=True)
-    )
-
-
 def examine(cell: Cell, *, wired: bool | None = None, thorough: bool | None = None) -> CheckReport:
     """Examine the whole cell.  Raises ConfigError where nothing further can be computed (an unreachable grasp).
 
@@ -104,8 +79,8 @@ def examine(cell: Cell, *, wired: bool | None = None, thorough: bool | None = No
     instants, paths = _instants(cell), []
     findings += _thinned(instants)
     for arm, model, q0 in zip(cell.arms, models, q_start, strict=True):
-        path = _along_trajectory(cell, arm, model, q0, instants.times)
-        findings += _arm_findings(cell, arm, path)
+        path = along_trajectory(cell, arm, model, q0, instants.times)
+        findings += arm_findings(cell, arm, path)
         paths.append(path)
     of_arms = lives(cell)
     findings += [*plausibility(cell), *internal_force(cell, models), *noticed(cell), *rested(cell)]
@@ -125,24 +100,6 @@ def examine(cell: Cell, *, wired: bool | None = None, thorough: bool | None = No
     found = robustness(Walk(cell, models, along, instants.times))
     findings += [*found.findings(), *alignment_room(cell, models, along, instants.times, scene)]
     return CheckReport(tuple(findings), q_start, found)
-
-
-def reach(arm: Arm, model: ArmModel, T: pin.SE3, q_near: Vector, when: str) -> Vector:
-    """Joint angles (n,) of the arm with the object at T, nearest to q_near.  Raises ConfigError naming arm and time."""
-    try:
-        return ik.solve(model, T, q_near)
-    except ik.Unreachable as error:
-        remedy = (
-            "the rest lies outside the plane of the controlled joints: align base and grasp poses"
-            if error.out_of_task
-            else "move the base, the grasp or the trajectory, or give q_near_rad nearer to the solution"
-        )
-        raise ConfigError(
-            f"grasp of arm {arm.name} {when}",
-            found=f"unreachable by {error.distance_m * 1e3:.3g} mm and {error.angle_rad * 1e3:.3g} mrad",
-            expected="a pose the arm reaches",
-            remedy=remedy,
-        ) from error
 
 
 def _same_task_space(cell: Cell, models: Sequence[ArmModel]) -> None:
@@ -211,75 +168,7 @@ def _thinned(instants: _Instants) -> list[Finding]:
     ]  # fmt: skip
 
 
-def _along_trajectory(cell: Cell, arm: Arm, model: ArmModel, q_start: Vector, instants: Sequence[float]) -> _Path:
-    trajectory, offline = cell.trajectory(), cell.offline(arm)
-    q, qs = q_start, []
-    sigma, sigma_t = math.inf, 0.0
-    tau_peak, tau_squares = np.zeros(arm.n), []
-    lower, upper = model.model.lowerPositionLimit, model.model.upperPositionLimit
-    margin = np.minimum(q_start - lower, upper - q_start)
-    for t in instants:
-        desired = trajectory.at(t)
-        q = reach(arm, model, placement(desired.p, desired.quat), q, f"at t = {t:.2f} s")
-        qs.append(q)
-        J = model.jacobian(q)
-        s = float(np.linalg.svd(J, compute_uv=False)[-1])
-        if s < sigma:
-            sigma, sigma_t = s, t
-        dq = np.linalg.pinv(J) @ (model.task_basis @ np.array(desired.v))
-        try:
-            tau = known.torque(model, offline, q, dq, desired).tau_cmd
-            tau_peak = np.maximum(tau_peak, np.abs(tau))
-            tau_squares.append(tau * tau)
-        except SingularJacobian:
-            sigma, sigma_t = 0.0, t
-        margin = np.minimum(margin, np.minimum(q - lower, upper - q))
-    tau_rms = np.sqrt(np.mean(tau_squares, axis=0)) if tau_squares else np.zeros(arm.n)
-    return _Path(qs, sigma, sigma_t, tau_peak, tau_rms, margin)
-
-
-def _arm_findings(cell: Cell, arm: Arm, path: _Path) -> list[Finding]:
-    safety = cell.file.safety
-    findings = [
-        judged(
-            "smallest singular value of J", arm.name, f"{path.sigma_min:.4f} at t = {path.sigma_min_t:.2f} s",
-            f"≥ {safety.sigma_min:g}", holds=path.sigma_min >= safety.sigma_min,
-            remedy="stay away from stretched or folded poses",
-        )
-    ]  # fmt: skip
-    bound = safety.tau_max_fraction_of_stall
-    for joint, tau, stall, room in zip(
-        arm.entry.controlled, path.tau_peak, arm.tau_stall_Nm, path.limit_margin, strict=True
-    ):
-        findings.append(
-            judged(
-                f"torque along the trajectory, {joint}", arm.name,
-                f"{tau:.3f} N·m, {tau / stall:.0%} of stall", f"≤ {bound:.0%} of {stall:g} N·m",
-                holds=tau <= bound * stall, remedy="use a stronger arm, a lighter object or a pose with less load",
-            )
-        )  # fmt: skip
-        findings.append(
-            judged(
-                f"distance to joint limit, {joint}", arm.name, f"{room:.3f} rad", "> 0", holds=room > 0.0,
-                remedy="move the base or the trajectory, or take the other elbow solution (q_near_rad)",
-            )
-        )  # fmt: skip
-    return [*findings, _for_long(arm, path)]
-
-
-def _for_long(arm: Arm, path: _Path) -> Finding:
-    """The joint whose servos are warmest of it; a pair shares, so that a share of stall is that of each servo."""
-    shares = path.tau_rms / arm.tau_stall_Nm
-    worst = int(np.argmax(shares))
-    return judged(
-        f"current for long, {arm.entry.controlled[worst]}", arm.name,
-        f"{shares[worst]:.0%} of stall, root mean square along the trajectory",
-        f"≤ {CONTINUOUS_SHARE:.0%}, which ROBOTIS advise", holds=bool(shares[worst] <= CONTINUOUS_SHARE),
-        otherwise=Verdict.WARNING, remedy="rest between runs and watch its temperature, or a pose with less load",
-    )  # fmt: skip
-
-
-def _stability(cell: Cell, models: Sequence[ArmModel], paths: Sequence[_Path]) -> list[Finding]:
+def _stability(cell: Cell, models: Sequence[ArmModel], paths: Sequence[Path]) -> list[Finding]:
     file, P = cell.file, models[0].task_basis
     along = list(zip(*(p.q for p in paths), strict=True))
     where = places(cell, models, along[:: max(1, len(along) // STABILITY_SAMPLES)])
@@ -305,7 +194,7 @@ def _radius(cell: Cell, what: str, found: Damping, *, gate: bool) -> Finding:
 
 
 def _adaptation(
-    cell: Cell, models: Sequence[ArmModel], paths: Sequence[_Path], instants: Sequence[float]
+    cell: Cell, models: Sequence[ArmModel], paths: Sequence[Path], instants: Sequence[float]
 ) -> list[Finding]:
     along = list(zip(*(p.q for p in paths), strict=True))
     every = max(1, len(along) // STABILITY_SAMPLES)

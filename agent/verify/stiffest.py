@@ -20,8 +20,9 @@ import numpy as np
 
 from agent.verify.chatter import forgetting
 from agent.verify.criterion.bodies import Pose
-from agent.verify.criterion.cases import Block, Case, Demand, Judge, Loop, Ranges, alone, blocks, rigid, soft
+from agent.verify.criterion.cases import Case, Demand, Loop, Ranges, alone, rigid, soft
 from agent.verify.criterion.examine import Found, sweep
+from agent.verify.criterion.judge import Block, Judge, blocks
 from agent.verify.scale import Scale
 from agent.verify.search import Miss, climb
 from drivers.interface import Vector

@@ -25,7 +25,8 @@ from agent.control import ik
 from agent.control.life import Life
 from agent.control.models import ArmModel
 from agent.control.trajectory_rest import RestToRest
-from agent.verify.collision import Pair, Scene, Way
+from agent.verify.collision.scene import Scene
+from agent.verify.collision.way import Pair, Way
 from agent.verify.finding import Finding, judged
 from drivers.interface import Vector
 

@@ -16,7 +16,7 @@ springs' limits are cases of their own: nothing between arm and object (a grippe
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -29,7 +29,7 @@ from drivers.interface import Vector
 
 @dataclass(frozen=True, eq=False)
 class Grip:
-    """One arm at one pose of the object, on the task rows."""
+    """One arm at one pose of the object, on the task rows; a stack of poses has leading axes (…) in all arrays."""
 
     inertia: Matrix  # (m, m) M_i as believed
     viscous: Matrix  # (m, m) V_i as believed
@@ -48,13 +48,16 @@ class Grip:
         return self._at_grasp(pads.damping(self._six(k_t, k_r), swinging, ratio))
 
     def _at_grasp(self, diagonal: Vector) -> Matrix:
-        found: Matrix = self.lever.T @ (diagonal[..., None] * self.lever)
+        found: Matrix = np.swapaxes(self.lever, -1, -2) @ (diagonal[..., None] * self.lever)
         return found
 
     @staticmethod
     def _six(k_t: Vector, k_r: Vector) -> Vector:
         k_t, k_r = np.asarray(k_t), np.asarray(k_r)
         return np.stack([k_t, k_t, k_t, k_r, k_r, k_r], axis=-1)
+
+
+_OF_BODIES = ("inertia", "viscous", "lever", "swinging")
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +96,15 @@ def _grip(model: ArmModel, offline: Offline, viscous: Vector, q: Vector, P: Matr
     V = J_inv.T @ (viscous[:, None] * J_inv)
     swinging = pads.swinging_inertia(J_ee @ B_inv @ J_ee.T)
     return Grip(M, V, A @ P.T, swinging, offline.load_share, offline.friction is not None)
+
+
+def together(poses: Sequence[Pose]) -> Pose:
+    """A stack of poses (K, …) for what is asked of the bodies; what only the laws ask for is that of the first."""
+    grips = [
+        replace(each[0], **{part: np.array([getattr(g, part) for g in each]) for part in _OF_BODIES})
+        for each in zip(*(at.grips for at in poses), strict=True)
+    ]
+    return replace(poses[0], object_inertia=np.array([at.object_inertia for at in poses]), grips=tuple(grips))
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,21 +171,19 @@ class Bodies:
         A[..., n + k, k] = -(self.frequency**2) / unit
         A[..., n : 2 * n, n : 2 * n] = -self.damping
         A[..., n : 2 * n, 2 * n :] = np.swapaxes(self.arms, -1, -2)
-        F1, G1 = _held(A, share * period_s, 2 * n)
-        F2, G2 = _held(A, (1.0 - share) * period_s, 2 * n)
+        (F1, G1), (F2, G2) = _held(A, (share * period_s, (1.0 - share) * period_s), 2 * n)
         zero = np.zeros_like(self.arms)
         sees_x = np.concatenate([self.arms / unit[..., None, :], zero], axis=-1)
         sees_w = np.concatenate([zero, self.arms], axis=-1)
         return Motion(F2 @ F1, F2 @ G1, G2, sees_x, sees_w, late)
 
 
-def _held(A: Matrix, duration_s: float, states: int) -> tuple[Matrix, Matrix]:
-    """Transition and input matrix of ẏ = A y with inputs held."""
-    if duration_s == 0.0:
-        one = np.broadcast_to(np.eye(states), (*A.shape[:-2], states, states))
-        return one, np.zeros((*A.shape[:-2], states, A.shape[-1] - states))
-    E = exponential(duration_s * A)
-    return E[..., :states, :states], E[..., :states, states:]
+def _held(A: Matrix, durations_s: tuple[float, float], states: int) -> list[tuple[Matrix, Matrix]]:
+    """Transition and input matrix of ẏ = A y with inputs held, for each of two durations."""
+    E = iter(exponential(np.stack([duration * A for duration in durations_s if duration != 0.0])))
+    still = np.broadcast_to(np.eye(A.shape[-1]), A.shape)
+    each = [next(E) if duration != 0.0 else still for duration in durations_s]
+    return [(e[..., :states, :states], e[..., :states, states:]) for e in each]
 
 
 def bare(at: Pose, i: int, truth: Truth) -> Bodies:

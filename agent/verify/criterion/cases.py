@@ -1,27 +1,19 @@
-"""Cases of the criterion: which loop, where on the trajectory, in which reality; and their spectral radii, in stacks.
-
-Cases that differ in numbers only are computed together, and their motion, which knows no gains, is computed once.
-"""
+"""Cases of the criterion: which loop, where on the trajectory, in which reality."""
 
 from __future__ import annotations
 
 import enum
 import itertools
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from agent.control.errors import Gains
 from agent.control.estimator import Observer
-from agent.verify.criterion import bodies
-from agent.verify.criterion.bodies import Bodies, Motion, Pose, Springs, Truth
-from agent.verify.criterion.loop import Laws, Shifting, laws, spectral_radii
-from drivers.interface import Vector
 
 SOFTER_LINEAR, SOFTER_ANGULAR = 10.0, 5.0  # than the softest stated pad
-STACK = 16  # cases at a time: more of them do not fit into the cache
 
 
 class Demand(enum.Enum):
@@ -140,78 +132,3 @@ def near(ranges: Ranges, case: Case, factor: float) -> list[Case]:
         (min(max(case.k_t * a, low_t), high_t), min(max(case.k_r * b, low_r), high_r)) for a in around for b in around
     }
     return [replace(case, k_t=k_t, k_r=k_r) for k_t, k_r in sorted(pairs - {(case.k_t, case.k_r)})]
-
-
-@dataclass(frozen=True, eq=False)
-class Block:
-    """Cases that differ in inertia and stiffness only, and their motion between two samples."""
-
-    cases: tuple[Case, ...]
-    motion: Motion
-
-    def only(self, k: int) -> Block:
-        """Case k alone."""
-        return Block((self.cases[k],), self.motion.only(k))
-
-
-def blocks(poses: Sequence[Pose], loop: Loop, ranges: Ranges, cases: Sequence[Case]) -> list[Block]:
-    """The cases in stacks; poses: one per place.  Of the loop its period and anchor count, not its gains."""
-    groups: dict[tuple[Case, bool], list[Case]] = {}
-    for case in dict.fromkeys(cases):
-        groups.setdefault((replace(case, inertia=0.0, load=0.0, k_t=0.0, k_r=0.0), case.k_t > 0.0), []).append(case)
-    stacks = [group[k : k + STACK] for group in groups.values() for k in range(0, len(group), STACK)]
-    return [
-        Block(tuple(s), _bodies(poses[s[0].place], ranges, s).motion(loop.period_s, s[0].delay_periods)) for s in stacks
-    ]
-
-
-def _bodies(at: Pose, ranges: Ranges, stack: Sequence[Case]) -> Bodies:
-    case = stack[0]
-    truth = Truth(np.array([c.inertia for c in stack]), np.array([c.load for c in stack]), ranges.friction)
-    if case.arm is not None:
-        return (bodies.bare if case.demand is Demand.BARE else bodies.holding)(at, case.arm, truth)
-    if case.k_t > 0.0:
-        k_t, k_r = np.array([[c.k_t, c.k_r] for c in stack]).T
-        return bodies.soft(at, truth, Springs(k_t, k_r, ranges.pads_damping_ratio))
-    one = bodies.rigid(at, truth)
-    return one.seen_by(2) if case.demand is Demand.ALIGNING else one
-
-
-@dataclass(frozen=True)
-class Judge:
-    """Poses and a loop, whose laws are made once per pose."""
-
-    poses: Sequence[Pose]
-    loop: Loop
-    _laws: dict[int, Laws] = field(default_factory=dict, repr=False)
-
-    def radii(self, block: Block) -> Vector:
-        """Spectral radius of every case of the block."""
-        case, observer = block.cases[0], self.loop.observer
-        law = self._at(case.place)
-        if case.demand is Demand.ALIGNING:
-            return self._aligning(block, law)
-        if case.arm is not None:
-            law = law.of([case.arm])
-        elif case.demand is Demand.RIGID:
-            law = law.together()
-        return spectral_radii(block.motion, law, observer)
-
-    def _aligning(self, block: Block, law: Laws) -> Vector:
-        aligning, m = self.loop.aligning, len(law.R)
-        if aligning is None:
-            raise TypeError("a cell that does not align itself has no such case")
-        per_tick, anchor = aligning.per_s * self.loop.period_s, aligning.anchor
-        if block.cases[0].k_t == 0.0:
-            shifting = Shifting(slice(m, None), per_tick)
-            return spectral_radii(block.motion, law.anchor_and_followers(anchor), self.loop.observer, shifting)
-        # the anchor last, so that the followers' rows are in one piece
-        order = [i for i in range(len(law.S)) if i != anchor] + [anchor]
-        shifting = Shifting(slice(0, m * (len(order) - 1)), per_tick)
-        rows = np.concatenate([np.arange(m * i, m * (i + 1)) for i in order])
-        return spectral_radii(block.motion.reordered(rows), law.of(order), self.loop.observer, shifting)
-
-    def _at(self, place: int) -> Laws:
-        if place not in self._laws:
-            self._laws[place] = laws(self.poses[place], self.loop.gains)
-        return self._laws[place]

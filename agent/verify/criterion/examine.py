@@ -11,22 +11,13 @@ at again more finely, at the other delays, where the rigid cell is worst, and wi
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from agent.verify.criterion.bodies import Pose
-from agent.verify.criterion.cases import (
-    Case,
-    Demand,
-    Judge,
-    Loop,
-    Ranges,
-    alone,
-    blocks,
-    near,
-    rigid,
-    soft,
-)
+from agent.verify.criterion.cases import Case, Demand, Loop, Ranges, alone, near, rigid, soft
+from agent.verify.criterion.judge import Block, Judge, blocks
 
 PER_DECADE_PLANAR, PER_DECADE_SPATIAL = 3, 1
 SPATIAL_ROWS = 6
@@ -36,6 +27,7 @@ MARGIN_SUSPECTS = 4  # of all cases, with which the longest delay is looked for
 PLACES_ALONE = 4  # at which the arms are looked at alone
 DELAY_MAX_PERIODS = 3.0  # up to which the longest delay is looked for
 DELAY_STEP = 1 / 16  # of a period, to which it is found
+KEPT = 12  # worst cases of a demand: enough for the suspects, whatever delays they have in common
 STABLE = 1.0
 
 
@@ -49,7 +41,7 @@ class Found:
 
 @dataclass(frozen=True)
 class Criterion:
-    """All cases, the largest radius first, and the longest delay that all survive."""
+    """The worst cases of every demand, the largest radius first, and the longest delay that all survive."""
 
     cases: tuple[Found, ...]
     delay_margin_s: float | None  # None: something is unstable at the shortest stated delay
@@ -76,33 +68,39 @@ def examine(poses: Sequence[Pose], loop: Loop, ranges: Ranges) -> Criterion:
 
 
 def sweep(judge: Judge, ranges: Ranges) -> list[Found]:
-    """All cases, the largest radius first."""
+    """The worst cases of every demand, the largest radius first."""
     every, count = range(len(judge.poses)), len(judge.loop.gains)
     longest, *others = ranges.delays
     if count == 1:
-        return rank(judge, ranges, alone(1, ranges, every, ranges.delays))
-    found = rank(judge, ranges, rigid(ranges, every, ranges.delays))
+        return rank(judge, ranges, alone(1, ranges, every, ranges.delays), kept=KEPT)
+    found = rank(judge, ranges, rigid(ranges, every, ranges.delays), kept=KEPT)
     elsewhere = found[0].case.place
     places = sorted({0, elsewhere, *every[:: max(1, len(every) // PLACES_ALONE)]})
-    found += rank(judge, ranges, alone(count, ranges, places, ranges.delays))
+    found += rank(judge, ranges, alone(count, ranges, places, ranges.delays), kept=KEPT)
     found += _soft(judge, ranges, elsewhere, longest, others)
     return sorted(found, key=_by_radius)
 
 
 def _soft(judge: Judge, ranges: Ranges, elsewhere: int, longest: float, others: Sequence[float]) -> list[Found]:
-    found = rank(judge, ranges, soft(ranges, 0, longest, per_decade(judge.poses[0])))
+    found = rank(judge, ranges, soft(ranges, 0, longest, per_decade(judge.poses[0])), kept=KEPT)
     for count, factor in FINER:
-        found += rank(judge, ranges, [c for f in found[:count] for c in near(ranges, f.case, factor)])
+        around = [c for f in found[:count] for c in near(ranges, f.case, factor)]
+        found += rank(judge, ranges, around, least=_kept(found))
         found.sort(key=_by_radius)
     suspects = [f.case for f in found[:SUSPECTS]]
     again = [replace(c, delay_periods=delay) for c in suspects for delay in others]
     again += [replace(c, place=elsewhere) for c in suspects if elsewhere]
-    found += rank(judge, ranges, again)
+    found += rank(judge, ranges, again, least=_kept(found))
     if judge.loop.aligning is not None:
         aligning = rigid(ranges, {0, elsewhere}, [longest], Demand.ALIGNING)
         aligning += [replace(c, demand=Demand.ALIGNING) for c in suspects]
-        found += rank(judge, ranges, aligning)
+        found += rank(judge, ranges, aligning, kept=1)
     return found
+
+
+def _kept(ranked: Sequence[Found]) -> float:
+    """The radius below which a case is not one of the worst."""
+    return ranked[KEPT - 1].radius if len(ranked) >= KEPT else 0.0
 
 
 def per_decade(at: Pose) -> int:
@@ -110,14 +108,29 @@ def per_decade(at: Pose) -> int:
     return PER_DECADE_PLANAR if len(at.P) < SPATIAL_ROWS else PER_DECADE_SPATIAL
 
 
-def rank(judge: Judge, ranges: Ranges, cases: Sequence[Case]) -> list[Found]:
-    """All of these with their radii, the largest first."""
-    found = [
-        Found(radius, case)
-        for block in blocks(judge.poses, judge.loop, ranges, cases)
-        for radius, case in zip(judge.radii(block).tolist(), block.cases, strict=True)
-    ]
-    return sorted(found, key=_by_radius)
+def rank(
+    judge: Judge, ranges: Ranges, cases: Sequence[Case], *, kept: int | None = None, least: float = 0.0
+) -> list[Found]:
+    """These with their radii, the largest first.
+
+    Left out are those of which a power of their map shows that they are below the least, or, of every demand, not
+    among so many as are to be kept.
+    """
+    found: dict[Demand, list[Found]] = {}
+    stacks = blocks(judge.poses, judge.loop, ranges, cases, mixed=True)
+    for block in _ends_first(stacks) if stacks and stacks[0].cases[0].k_t > 0.0 else stacks:
+        like = found.setdefault(block.cases[0].demand, [])
+        beside = least if kept is None or len(like) < kept else max(least, like[kept - 1].radius)
+        like += [Found(radius, case) for radius, case in judge.largest(block, beside)]
+        like.sort(key=_by_radius)
+    order = {case: k for k, case in enumerate(cases)}
+    return sorted(itertools.chain(*found.values()), key=lambda f: (-f.radius, order[f.case]))
+
+
+def _ends_first(stacks: Sequence[Block]) -> list[Block]:
+    """First and last, second and last but one, and so on: the softest or the stiffest grasps are mostly the worst."""
+    both = itertools.chain(*zip(stacks, reversed(stacks), strict=True))
+    return list(dict.fromkeys(both))
 
 
 def _by_radius(found: Found) -> float:
@@ -135,7 +148,7 @@ def delay_margin(judge: Judge, ranges: Ranges, ranked: Sequence[Case]) -> float 
 
     def stable(delay: float) -> bool:
         for k, case in enumerate(suspects):
-            if rank(judge, ranges, [replace(case, delay_periods=delay)])[0].radius >= STABLE:
+            if any(f.radius >= STABLE for f in rank(judge, ranges, [replace(case, delay_periods=delay)], least=STABLE)):
                 suspects.insert(0, suspects.pop(k))  # it will mostly be the one that refuses next
                 return False
         return True
@@ -145,7 +158,7 @@ def delay_margin(judge: Judge, ranges: Ranges, ranked: Sequence[Case]) -> float 
     while True:
         high = high if stable(high) else _bisect(stable, low, high)
         worst = _soft_like(judge, ranges, suspects, high)
-        if worst is None or worst.radius < STABLE:
+        if worst is None:
             return high
         if high <= low:
             return None
@@ -153,12 +166,13 @@ def delay_margin(judge: Judge, ranges: Ranges, ranked: Sequence[Case]) -> float 
 
 
 def _soft_like(judge: Judge, ranges: Ranges, suspects: Sequence[Case], delay: float) -> Found | None:
-    """The worst of all grasps with the inertias of the first suspect that has some; None when none has."""
+    """The worst of all grasps with the inertias of the first suspect that has some; None when all are stable."""
     like = next((c for c in suspects if c.demand is Demand.SOFT), None)
     if like is None:
         return None
     every = soft(ranges, like.place, delay, per_decade(judge.poses[0]))
-    return rank(judge, ranges, [c for c in every if (c.inertia, c.load) == (like.inertia, like.load)])[0]
+    alike = [c for c in every if (c.inertia, c.load) == (like.inertia, like.load)]
+    return next((f for f in rank(judge, ranges, alike, kept=1, least=STABLE) if f.radius >= STABLE), None)
 
 
 def _suspects(ranked: Sequence[Case]) -> list[Case]:

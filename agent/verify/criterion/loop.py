@@ -31,7 +31,7 @@ _MEASURED = Observer(1.0, position_gain=1.0, velocity_from_position_per_s=0.0, v
 
 
 class Laws(NamedTuple):
-    """Of N arms: u_i = −S_i x̃_i − D_i ŵ_i, and a_i = −R ŵ_i, which the observer expects."""
+    """Of N arms: u_i = −S_i x̃_i − D_i ŵ_i, and a_i = −R ŵ_i, which the observer expects; S and D may be a stack."""
 
     S: Matrix  # (N, m, m) (k_v + V̂) K H + c H
     D: Matrix  # (N, m, m) k_v + (M̂ + c M̂_O) K' H
@@ -52,10 +52,11 @@ class Laws(NamedTuple):
         return Laws(np.concatenate([own.S, rest.S]), np.concatenate([own.D, rest.D]), self.R)
 
     def commands(self, x: Matrix, w: Matrix) -> tuple[Matrix, Matrix]:
-        """Reference accelerations and wrenches (N m, s) of x̃ and ŵ (N m, s)."""
-        shape = (len(self.S), len(self.R), x.shape[-1])
-        x, w = x.reshape(shape), w.reshape(shape)
-        return -(self.R @ w).reshape(-1, shape[-1]), -(self.S @ x + self.D @ w).reshape(-1, shape[-1])
+        """Reference accelerations and wrenches (…, N m, s) of x̃ and ŵ (N m, s)."""
+        rows, columns = x.shape
+        x, w = (part.reshape(-1, len(self.R), columns) for part in (x, w))
+        u = self.S @ x + self.D @ w
+        return -(self.R @ w).reshape(rows, columns), -u.reshape(*u.shape[:-3], rows, columns)
 
 
 def laws(at: Pose, gains: Sequence[Gains]) -> Laws:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import re
 import subprocess
 import sys
@@ -184,3 +185,11 @@ def test_a_line_is_read_by_the_command_that_it_names_or_by_all() -> None:
     assert main._command("run") is main._command("run")
     for word in ("", "rnu", "--version"):
         assert len(main._command(word).commands) > 30  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("found", [True, False])
+def test_garbage_is_looked_for_again_after_a_check_and_after_one_that_refuses(found: bool) -> None:
+    assert gc.isenabled()
+    done = coop("check", str(PAPER) if found else "nowhere.toml")
+    assert (done.code == 0) is found
+    assert gc.isenabled()

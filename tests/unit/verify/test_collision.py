@@ -13,7 +13,9 @@ import configs
 from agent.config.cell import Cell, ConfigError, load_cell, placement
 from agent.config.solids import body_of
 from agent.verify.check import examine, start_configurations
-from agent.verify.collision import Scene, Way, _places, collisions
+from agent.verify.collision.findings import _places, collisions
+from agent.verify.collision.scene import Scene
+from agent.verify.collision.way import Way
 from agent.verify.finding import Finding, Verdict
 
 WX200 = (configs.ARMS_DIR / "wx200.urdf").read_text()
@@ -145,7 +147,7 @@ def test_a_table_wants_a_world_whose_z_points_up() -> None:
 def test_links_that_touch_at_zero_are_left_out_and_listed(monkeypatch: pytest.MonkeyPatch) -> None:
     wide = WX200.replace('<box size="0.065 0.035 0.035"/>', '<box size="0.5 0.035 0.035"/>')
     cell = load_cell(Path("two_wx200"))
-    monkeypatch.setattr("agent.verify.collision.body_of", lambda _, name: body_of(wide, name))
+    monkeypatch.setattr("agent.verify.collision.scene.body_of", lambda _, name: body_of(wide, name))
     models = [cell.model(arm) for arm in cell.arms]
     findings = collisions(cell, models, [[q] for q in start_configurations(cell, models)], [0.0])
     listed = [f.found for f in findings if f.what.startswith("links that touch")]

@@ -8,7 +8,8 @@ import pytest
 import configs
 from agent.config.cell import Cell, load_cell
 from agent.verify.check import examine, start_configurations
-from agent.verify.collision import Scene, Way
+from agent.verify.collision.scene import Scene
+from agent.verify.collision.way import Way
 from agent.verify.finding import Finding, Verdict
 from agent.verify.session import lives
 from agent.verify.ways import NEAR_ENOUGH, _opening, nearest, ways

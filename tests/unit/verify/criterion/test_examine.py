@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agent.verify.criterion.cases import Aligning, Case, Demand, Judge, Ranges, alone, near, rigid, soft
+from agent.verify.criterion.cases import Aligning, Case, Demand, Ranges, alone, near, rigid, soft
 from agent.verify.criterion.examine import DELAY_STEP, Criterion, examine, rank
+from agent.verify.criterion.judge import Judge
 from tests.support.control.criterion_cells import cell_of, first, gentle, loop_of, ranges_of, start_pose
 
 

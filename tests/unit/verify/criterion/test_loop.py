@@ -19,8 +19,9 @@ from agent.verify.check import start_configurations
 from agent.verify.criterion import bodies
 from agent.verify.criterion.bodies import Pose, Springs, Truth
 from agent.verify.criterion.cases import Aligning, Case, Demand, Loop
-from agent.verify.criterion.examine import Judge, rank
+from agent.verify.criterion.examine import rank
 from agent.verify.criterion.exponential import exponential
+from agent.verify.criterion.judge import Judge
 from agent.verify.criterion.loop import Laws, Shifting, laws, one_period, spectral_radii
 from drivers import pads
 from drivers.interface import Vector
