@@ -59,9 +59,9 @@ def fastest(truth: list[Truth]) -> float:
     return float(max(np.abs(one.dq).max() for one in truth))
 
 
-def assert_replays(rows: Any, arm: int = 0) -> None:
+def assert_replays(rows: Any, arm: int = 0, cell: Cell = CELL) -> None:
     """Every row from the one before it, bit for bit; and from itself alone."""
-    agent = build_agent(CELL, CELL.arms[arm])
+    agent = build_agent(cell, cell.arms[arm])
     chain = Chain(agent)
     chain.start()
     for i, row in enumerate(rows):
@@ -335,3 +335,4 @@ def test_a_hold_that_is_shaken_stays_below_the_speed_limit_and_the_torque_caps(
         caps = np.array(build_agent(cell, arm).limits.tau_max_Nm)
         assert (np.abs(rows["tau_limited"][:, :N]) <= caps + 1e-12).all(), i
         assert bool(len(flagged(rows, Flag.DAMPED))) == (force_N > 20.0), "where the law suffices it is not braked"
+        assert_replays(rows, i, cell)
