@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from agent import floats, phases
-from agent.calm import BRAKE, JOINTS, LAW, brake_per_s, braking, kept, slowed
+from agent.calm import BRAKE, JOINTS, LAW, brake_per_s, braking, felt, kept, slowed
 from agent.control import adaptive, cause, joint_hold, known
 from agent.control.adaptation import Estimate
 from agent.control.alignment import Alignment, between, shifted
@@ -107,10 +107,11 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
         return _without(agent, q, dq, Flag.NOT_FINITE, memory)
     calm = LAW
     if mode is _HOLD:
-        calm = kept(dq, state.dq, memory, agent.limits.tau_max_Nm, agent.damp_above_rad_per_s)
+        calm = kept(dq, state.dq, memory, agent.limits, agent.damp_above_rad_per_s)
     damped = calm == BRAKE
     if damped and memory.calm != BRAKE:  # a brake needs the speed that there is, not one that was asked for
-        q, dq = state.q, state.dq
+        q, dq, memory = state.q, state.dq, memory._replace(ddq=0.0 * memory.ddq)
+    speed = felt(dq, state.dq) if damped else dq
     if calm == JOINTS and memory.calm == BRAKE and memory.q_hold is not None:
         memory = memory._replace(q_hold=q + (memory.q_hold - q).clip(-RETURN_RAD, RETURN_RAD))
     if agent.floating is not None and mode is Mode.STAND:
@@ -120,7 +121,7 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
     except SingularJacobian:
         return _without(agent, q, dq, Flag.SINGULAR, memory)
     brake = brake_per_s(agent.period_s) if damped else 0.0
-    wanted = braking(terms, dq, brake) if damped else terms.joints[CMD]
+    wanted = braking(terms, speed, brake) if damped else terms.joints[CMD]
     session = agent.session
     alone = session is not None and mode in phases.ALONE
     tau, flags = limit(
@@ -149,7 +150,7 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
     if session is not None and mode is _TRACK:
         shift = phases.blended(shift, t, agent.period_s, session.start_blend_s)
     # what the torque asks for, as the observer must know
-    ddq = slowed(dq, brake, wanted, limited) if damped else terms.joints[DDQ_REF]
+    ddq = slowed(speed, brake, wanted, limited) if damped else terms.joints[DDQ_REF]
     carried = Memory(
         q, dq, ddq, memory.ddq, limited, memory.tau, True, sense, shift, calm,
         memory.hold, t, estimate, memory.q_hold, memory.age + agent.period_s,

@@ -25,7 +25,7 @@ from agent.config.edit import Change, apply
 from agent.config.reality import reality_of
 from agent.config.schema.arm import LAST_TICK
 from agent.config.schema.reality import ArmReality, Reality
-from drivers.dynamixel.servo.table import TICK_RAD
+from drivers.dynamixel.servo.counts import TICK_RAD
 from drivers.interface import Vector
 
 SEEN_BELOW: Final = 0.5  # of the prior's standard deviation is left

@@ -77,9 +77,9 @@ def run(
     """
     from agent.cli.progress import RunProgress
     from agent.host.signals import StopFlag
-    from agent.process.children import RunKind
     from agent.process.real_arms import RealArms
     from agent.process.run import RunOptions, run_cell
+    from agent.process.run_kind import RunKind
     from agent.report.bounds import require_bounds
     from agent.report.results_file import terminal_table
     from agent.telemetry.link.session import FREE_PORT

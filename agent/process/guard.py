@@ -17,6 +17,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from agent.around import RunSummary, Surroundings
 from agent.config import monitors
 from agent.config.cell import Arm, Cell
 from agent.config.schema.cell import DriverKind
@@ -39,7 +40,7 @@ from agent.process.operated import Operator, tick_of
 from agent.process.schedule import AgentOptions, schedule_of
 from agent.process.session import led_back
 from agent.process.tellers import HEARTBEAT_S, Heart, ServoTeller, Teller
-from agent.runner import Runner, RunSummary, Surroundings
+from agent.runner import Runner
 from agent.telemetry.row.event import Level
 from agent.telemetry.row.fill import AgentRow
 from agent.verify.check import examine

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
+from agent.around import LoopLog
 from agent.config.cell import Arm, Cell, ConfigError
 from agent.config.files import CellFiles
 from agent.config.schema.cell import DriverKind
-from agent.runner import LoopLog
 from agent.telemetry.row.fill import AgentRow
 from drivers.dynamixel.arm_map import WATCHDOG_S
 from drivers.interface import Clock, Driver

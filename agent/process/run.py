@@ -10,10 +10,12 @@ from pathlib import Path
 
 from agent.config.cell import Cell, load_cell
 from agent.log.read import open_log
-from agent.process.children import Children, Progress, RunKind
+from agent.process.children import Children
 from agent.process.folder import LOG_NAME, RunError, output_folder
+from agent.process.progress import Progress
 from agent.process.real_arms import RealArms, RealChildren
 from agent.process.rehearse import require_wall_clock
+from agent.process.run_kind import RunKind
 from agent.report.results import Results
 from agent.report.results_file import write_results
 from agent.telemetry.link.session import FREE_PORT

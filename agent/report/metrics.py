@@ -26,7 +26,7 @@ from agent.report.results import (
 from agent.report.series import Array, PoseSeries, column, component, grasp_force, joint_columns, missing_ranges
 from agent.report.together import largest
 from agent.safety import Flag
-from drivers.dynamixel.servo.table import CONTINUOUS_SHARE
+from drivers.dynamixel.servo.models import CONTINUOUS_SHARE
 
 if TYPE_CHECKING:
     from agent.log.columns import Table

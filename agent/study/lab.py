@@ -65,7 +65,7 @@ class Trip:
     @property
     def told(self) -> str:
         """For a person."""
-        words = f"{self.flags!r} {self.why}".rstrip() if self.flags & TROUBLE else self.monitor
+        words = f"{self.flags.name} {self.why}".rstrip() if self.flags & TROUBLE else self.monitor
         return f"t = {self.t:.3f} s: arm {self.arm} {words}"
 
 

@@ -22,10 +22,10 @@ from drivers.dynamixel.line.bus import BABBLE_BYTES, Bus
 from drivers.dynamixel.line.group import GroupWrite, Row
 from drivers.dynamixel.line.port import Now
 from drivers.dynamixel.monitor import GapMonitor, ServoRecord
+from drivers.dynamixel.servo.codes import ALERT_BIT, HardwareError
 from drivers.dynamixel.servo.found import ServoFound
 from drivers.dynamixel.servo.judge import MODEL, broken
 from drivers.dynamixel.servo.table import (
-    ALERT_BIT,
     GOAL_CURRENT,
     GOAL_PWM,
     MAX_VOLTAGE_LIMIT,
@@ -34,7 +34,6 @@ from drivers.dynamixel.servo.table import (
     PRESENT_TEMPERATURE,
     SHUTDOWN,
     TEMPERATURE_LIMIT,
-    HardwareError,
 )
 from drivers.dynamixel.servo.thermal import ThermalWatch
 from drivers.dynamixel.servo.torque import torque_drive

@@ -10,6 +10,7 @@ import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from importlib import import_module
 from types import FrameType
 from typing import Any
 
@@ -43,6 +44,7 @@ class Noticing:
     wanted: Sequence[int]
     at_once: int
     tell: Tell
+    warm: Sequence[str] = ()
     problem: str = ""
     _measured: dict[str, Measured] = field(default_factory=dict)
     _kills: Counter[str] = field(default_factory=Counter)
@@ -55,6 +57,7 @@ class Noticing:
             self.problem = "the tests cannot be collected"
         else:
             run_all([Job(lambda tell: self._measure(session, tell), FIRST_S, self._take_measure)], 1)
+            self._warm()
         if self.problem:
             self.tell(("problem", self.problem))
         else:
@@ -83,6 +86,16 @@ class Noticing:
         elif not said or said[-1] != ("complete",):
             self.problem = f"the tests ended in {said[-1] if said else 'nothing'}"
         self._measured = {entry[1]: entry[2] for entry in said if entry[0] == "measured"}
+
+    def _warm(self) -> None:
+        """Fill the caches that no change can be seen in, for all children."""
+        watch = CallWatch(str(source_of(self.module)))
+        watch.begin()
+        for name in self.warm:
+            module, function = name.split(":")
+            getattr(import_module(module), function)()
+        if called := watch.seen():
+            self.problem = f"{', '.join(self.warm)}: called once for all changes, yet they run {sorted(called)}"
 
     # --- with a change ------------------------------------------------------------------------------------------------
 
@@ -147,10 +160,14 @@ class CallWatch:
 
     def called(self, item: pytest.Item) -> frozenset[str]:
         """Functions called since `begin`, and those by fixtures that were set up for an earlier test."""
+        shared = (self._by_fixture.get(name, set()) for name in getattr(item, "fixturenames", ()))
+        return self.seen().union(*shared)
+
+    def seen(self) -> frozenset[str]:
+        """Functions called since `begin`, after which nothing is noted."""
         sys.setprofile(None)
         threading.setprofile(None)  # type: ignore[arg-type]
-        shared = (self._by_fixture.get(name, set()) for name in getattr(item, "fixturenames", ()))
-        return frozenset(self._names.union(*shared))
+        return frozenset(self._names)
 
     @pytest.hookimpl(hookwrapper=True)
     def pytest_fixture_setup(self, fixturedef: pytest.FixtureDef[Any]) -> Iterator[None]:

@@ -12,7 +12,7 @@ from typing import Final, Protocol
 
 from agent.telemetry.link.coverage import Coverage, Range, count_of
 from agent.telemetry.link.wire import BATCH_BYTES_MAX, BatchHeader, End, StreamStatus
-from agent.telemetry.ring.ring import RingReader, RowBlock
+from agent.telemetry.ring.reader import RingReader, RowBlock
 
 RESEND_AFTER_S: Final = 1.0  # Zenoh's recovery needs less
 RESEND_AFTER_MAX_S: Final = 8.0

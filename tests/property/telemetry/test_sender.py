@@ -17,7 +17,7 @@ from agent.telemetry.link.sender import (
     TextSource,
 )
 from agent.telemetry.link.wire import RANGES_MAX, BatchHeader, End, StreamStatus
-from agent.telemetry.ring.ring import RowBlock
+from agent.telemetry.ring.reader import RowBlock
 
 
 class Numbers:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from agent.around import RunSummary
 from agent.config.cell import Arm, Cell
 from agent.config.schema.cell import DriverKind
 from agent.faults.virtual import Line, SharedClock
@@ -20,7 +21,6 @@ from agent.process.floats import FloatLoop, Floats, require_within
 from agent.process.schedule import AgentOptions
 from agent.process.simulated import lone_spec, plant_spec
 from agent.process.tellers import Teller
-from agent.runner import RunSummary
 from agent.telemetry.row.event import Event as TextEvent
 from agent.telemetry.row.sample import AGENT_STATE
 from agent.verify.check import examine

@@ -12,7 +12,7 @@ from agent.calibrate.chain import CalibrateError, chain_of
 from agent.calibrate.result import Outcome, calibrated
 from agent.calibrate.solve import disagreement, rms, solve
 from agent.config.cell import load_cell
-from drivers.dynamixel.servo.table import TICK_RAD
+from drivers.dynamixel.servo.counts import TICK_RAD
 from tests.support.calibrate_rig import Rig, rig
 
 SPATIAL, PLANAR = "three_wx250s", "two_wx200"

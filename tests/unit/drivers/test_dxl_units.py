@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.dynamixel.servo import units
-from drivers.dynamixel.servo.table import SERVOS
+from drivers.dynamixel.servo.models import SERVOS
 
 ROOT = Path(__file__).parents[3]
 ROOMS = ("drivers", "agent/motors", "agent/doctor")

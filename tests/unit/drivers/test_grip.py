@@ -10,7 +10,9 @@ import pytest
 from drivers.dynamixel.arm_map import ArmMap, MapError
 from drivers.dynamixel.driver import DynamixelDriver
 from drivers.dynamixel.errors import NoGripperError, NotEnabledError
-from drivers.dynamixel.servo.table import BUS_WATCHDOG, GOAL_POSITION, GOAL_PWM, SERVOS, TICK_RAD, TORQUE_ENABLE
+from drivers.dynamixel.servo.counts import TICK_RAD
+from drivers.dynamixel.servo.models import SERVOS
+from drivers.dynamixel.servo.table import BUS_WATCHDOG, GOAL_POSITION, GOAL_PWM, TORQUE_ENABLE
 from drivers.fingers import Fingers
 from drivers.interface import Gripper
 from tests.support.servos.dxl_rig import WX200, Rig, build, enabled

@@ -21,7 +21,7 @@ from drivers.dynamixel.interpret import Reading
 from drivers.dynamixel.line.bus import BABBLE_BYTES
 from drivers.dynamixel.line.group import Row
 from drivers.dynamixel.running import Running
-from drivers.dynamixel.servo.table import HardwareError
+from drivers.dynamixel.servo.codes import HardwareError
 from drivers.interface import JointState
 from tests.support.servos.dxl_rig import WX200, XL, at, build
 
