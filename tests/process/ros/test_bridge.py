@@ -161,7 +161,8 @@ def test_a_bridge_that_is_stopped_holds_up_no_lockstep_run(tmp_path: Path) -> No
             heard = threading.Event()
             subscriber = viewer.declare_subscriber("0/left/joint_states/**", lambda _: heard.set())
             bridging.ready()
-            with writer(ring, "left", 1_000_000, None, slots=1024) as agent:
+            with writer(ring, "left", 100_000, None, slots=1024) as agent:
+                agent.ready()
                 assert heard.wait(TIMEOUT_S)
                 bridging.signal(signal.SIGSTOP)
                 before = written(ring)
