@@ -36,7 +36,7 @@ figure { margin: 0 0 2rem; } figure img { width: 100%; max-width: 1008px; height
 figcaption { color: var(--dim); font-size: .92rem; max-width: 60rem; } figcaption b { color: var(--ink); }
 code { font: .86em ui-monospace, "DejaVu Sans Mono", monospace; overflow-wrap: anywhere; }
 @media (max-width: 44rem) { body { padding: 1rem .8rem 3rem; } figure { overflow-x: auto; }
-  figure img { width: 38rem; max-width: none; } }
+  figure img { width: 38rem; max-width: none; } #start img { width: 100%; } }
 @media print { body { padding: 0; max-width: none; font-size: 10.5pt; } @page { margin: 16mm; }
   figure img { max-height: 108mm; width: auto; max-width: 100%; } table { font-size: 8.5pt; }
   figure, tr, ul { break-inside: avoid; } h2 { break-after: avoid; } .scroll { overflow: visible; } }

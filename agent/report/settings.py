@@ -59,7 +59,7 @@ def settings_table(settings: Sequence[Mapping[str, str]]) -> RichTable:
     table = RichTable(title="different settings", title_justify="left", box=box.SIMPLE_HEAD)
     for heading in ("setting", *(chr(ord("A") + number) for number in range(len(settings)))):
         table.add_column(heading, overflow="fold")
-    for row in different(settings):
+    for row in different(settings) or [Setting("none", ())]:
         table.add_row(row.key, *row.values)
     return table
 

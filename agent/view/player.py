@@ -28,6 +28,7 @@ DRAG_S: Final = 0.2  # wishes that come sooner upon each other are of one drag
 HALF_WAY_S: Final = 0.025  # half of the 50 ms in which a browser tells one place of a drag
 CURVES_S: Final = 0.3  # the mark of now moves in the curves at most this often
 WORDS_S: Final = 0.15  # and the text is told at most this often: a browser needs longer for it than for a picture
+DRAGGED: Final = 2.0  # so many times as long while the slider is dragged: pictures come first
 NOTHING: Final = "–"
 
 
@@ -123,11 +124,12 @@ class Player:
         if row < 0:
             return  # it is about to be drawn anew
         t = float(self._t[row])
-        if row != self._told and (self._told < 0 or now - self._told_s >= WORDS_S):
+        slower = DRAGGED if self._dragged and now - self._wished_s < DRAG_S else 1.0
+        if row != self._told and (self._told < 0 or now - self._told_s >= slower * WORDS_S):
             self._told, self._told_s = row, now
             said = [status_text(self._staged.motion, row), *(f"- {moment.line}" for moment in around(self._moments, t))]
             self._words.content = "\n".join(said)
-        if row != self._marked and now - self._marked_s >= CURVES_S:
+        if row != self._marked and now - self._marked_s >= slower * CURVES_S:
             self._marked, self._marked_s = row, now
             for plot in self._plots:
                 plot.mark(t)

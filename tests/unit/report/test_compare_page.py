@@ -16,7 +16,7 @@ from agent.report.numbers import number
 from agent.report.overlay import overlay
 from agent.report.prepared import prepare
 from agent.report.results_file import ReportError
-from agent.report.settings import ABSENT, different, settings_of
+from agent.report.settings import ABSENT, different, settings_of, settings_table
 from agent.report.shown import ComparedRun, error_series
 from tests.support.view_run import view_log
 from tests.unit.report.test_report import Page
@@ -52,6 +52,14 @@ def test_settings_are_told_by_key_and_arms_by_name(runs: list[ComparedRun]) -> N
         "arms.right.load_share": ("0.5", "0.4", "0.5"),
         "seed": (ABSENT, ABSENT, "3"),
     }
+
+
+def test_that_no_setting_differs_is_said(runs: list[ComparedRun]) -> None:
+    def keys(*letters: int) -> list[object]:
+        return list(settings_table([runs[i].settings for i in letters]).columns[0].cells)
+
+    assert keys(0, 0) == ["none"]
+    assert keys(0, 1) == ["arms.left.load_share", "arms.right.load_share"]
 
 
 def test_another_arm_file_is_another_setting() -> None:

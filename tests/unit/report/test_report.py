@@ -186,6 +186,8 @@ def test_the_page_opens_with_the_cell_at_the_start(tmp_path: Path) -> None:
     picture = (tmp_path / "start.png").read_bytes()
     assert picture == still(prepare(view_log()))
     assert next(iter(files.figures)) == "start"
+    assert '<figure id="start">' in files.html.read_text()
+    assert "#start img { width: 100%; }" in files.html.read_text(), "a phone shows both arms at once"
     assert base64.b64decode(read_page(files.html).images[0].removeprefix("data:image/png;base64,")) == picture
 
 

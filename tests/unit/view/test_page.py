@@ -292,9 +292,29 @@ def test_the_text_follows_a_while_later_and_ends_at_the_picture(player: Player, 
         player.want(t)
         player.step()
         assert player._words.content.startswith("t = 0.0 s")
-    clock.s += WORDS_S
+    clock.s += DRAG_S
     player.step()
     assert player._words.content.startswith("t = 0.6 s")
+
+
+def test_text_and_curves_follow_a_drag_half_as_often_and_its_end_as_ever(player: Player, clock: Clock) -> None:
+    def drag(t: float) -> None:
+        player.want(t)
+        player.step()
+        player.step()
+
+    clock.s += 1.0
+    drag(0.2)
+    assert player._words.content.startswith("t = 0.2 s")
+    clock.s += 1.05 * WORDS_S
+    drag(0.5)
+    assert player._words.content.startswith("t = 0.2 s")
+    clock.s += 1.05 * WORDS_S
+    drag(0.9)
+    assert player._words.content.startswith("t = 0.7 s"), "half the way"
+    clock.s += DRAG_S
+    player.step()
+    assert player._words.content.startswith("t = 0.9 s"), "the hand rests"
 
 
 def test_a_scene_without_a_title_has_no_text_in_the_picture(server: Server) -> None:
