@@ -148,4 +148,4 @@ def bridge(cell: Cell, arm: Arm, real: Driver, twin: Twin, clock: Clock, *, emul
 def _here(model: ArmModel, q: Vector) -> Here:
     """What the bridge knows of the arm at q (n,)."""
     J = (model.task_basis.T @ model.jacobian(q))[:3]
-    return Here(model.inertia(q), np.linalg.pinv(J.T, rcond=FLAT))
+    return Here(model.inertia(q), np.linalg.pinv(J.T, rcond=FLAT).astype(np.float64, copy=False))
