@@ -75,8 +75,9 @@ class Table:
     def loss(self, name: str) -> None:
         """The first arm without power, unplugged, its agent killed: beside the simulated cell with the same limp arm.
 
-        Until all others hold, and a tenth of a second more; and to the end, where they can carry the object.  Where
-        they cannot it falls, and how far two simulated falls are apart that differ by half a cycle is told beside it.
+        Plants that begin at the same instant of a cycle, and the same cycle of the watchdog.  Until all others hold and
+        a tenth of a second more; and to the end, where they can carry the object.  Where they cannot it falls, and how
+        far a simulated fall is from the one that begins half a cycle later is told beside it.
         """
         first = load_cell(configs.CELLS_DIR / f"{name}.toml").arms[0].name
         power = [Fault(kind=FaultKind.POWER_LOSS, arm=first, start_s=FAULT_S)]
@@ -93,27 +94,31 @@ class Table:
         first = cell.arms[0].name
         real = make(load_cell(configs.CELLS_DIR / f"{name}.toml", ["duration_s=4.0", f'hil.arms=["{first}"]']))
         at_s = ((real.plant.seats[first].limp_ns or 0) - (real.zero_ns or 0)) * 1e-9
-        sims = [
-            Rehearsal(
-                cell,
-                phase_ns=phase_ns,
-                happenings={
-                    FAULT_S: lambda run: setattr(run.sims[first], "silent", True),
-                    at_s + IN_A_CYCLE_S: lambda run: run.plant.seats[first].switch_off(),
-                },
-            )
-            for phase_ns in (PHASE_NS, PHASE_NS + HALF_A_CYCLE_NS)
-        ]
-        held_s = max(_holds_s(run) for run in (real, sims[0]))
-        until, _ = _apart(real, sims[0], held_s + MORE_S)
-        apart, moved = _apart(real, sims[0])
+        same = self.limp(cell, at_s, PHASE_NS)
+        same = self.limp(cell, at_s, (PHASE_NS + _phase_ns(real) - _phase_ns(same)) % cell.period_ns)
+        later = self.limp(cell, at_s, (PHASE_NS + HALF_A_CYCLE_NS) % cell.period_ns)
+        held_s = max(_holds_s(run) for run in (real, same))
+        until, _ = _apart(real, same, held_s + MORE_S)
+        apart, moved = _apart(real, same)
         good = until <= APART_M and (moved > FALL_M or apart <= APART_M)
         self.tell(
             f"{name}, {what}",
             f"limp after {at_s - FAULT_S:.3f} s, all hold after {held_s - FAULT_S:.3f} s: object {until * 1e3:.2f} mm "
             f"from the simulated one until then, {apart * 1e3:.2f} mm to the end, which moves {moved * 1e3:.1f} mm and "
-            f"is {_apart(sims[1], sims[0])[0] * 1e3:.2f} mm from itself half a cycle later",
+            f"is {_apart(later, same)[0] * 1e3:.2f} mm from itself half a cycle later",
             good=good,
+        )
+
+    def limp(self, cell: Cell, at_s: float, phase_ns: int) -> Rehearsal:
+        """The simulated cell whose first arm falls silent, and limp in the cycle after at_s."""
+        first = cell.arms[0].name
+        return Rehearsal(
+            cell,
+            phase_ns=phase_ns,
+            happenings={
+                FAULT_S: lambda run: setattr(run.sims[first], "silent", True),
+                at_s + IN_A_CYCLE_S: lambda run: run.plant.seats[first].switch_off(),
+            },
         )
 
     def plant_killed(self, name: str) -> None:
@@ -227,6 +232,11 @@ def _share_of_torque(run: Rehearsal, arm: str, push: Any) -> float:
     J = (model.task_basis.T @ model.jacobian(run.lone(arm).q))[:3]
     bound = own.tau_stall_Nm * run.cell.file.safety.tau_max_fraction_of_stall
     return float((np.abs(bridge.sent - TOUCH_N * J.T @ push) / bound).max())
+
+
+def _phase_ns(run: Rehearsal) -> int:
+    """Of the plant's cycles, from the common start."""
+    return (run.plant.zero_ns - (run.zero_ns or 0)) % run.plant.period_ns
 
 
 def _holds_s(run: Rehearsal) -> float:

@@ -58,7 +58,7 @@ def test_what_is_too_strong_is_felt_by_all_at_once_and_until_it_is_over(force: t
     touch = touched()
     touch.advance(*force, T)
     assert touch.share == 0.0
-    assert after(touch, 1.0, 5.0).share == 0.0
+    assert after(touch, 0.3, 5.0).share == 0.0
     after(touch, T, 0.0)
     assert after(touch, T, 5.0).share == 1.0
 
@@ -70,3 +70,11 @@ def test_what_lasts_too_long_is_felt_by_all_within_a_fifth_of_a_second() -> None
     assert touch.share == 0.0
     assert after(touch, 1.0, 5.0).share == 0.0
     assert touch.count == 1
+
+
+def test_the_next_touch_may_last_as_long_as_the_one_before() -> None:
+    touch = after(touched(), 0.5, 5.0)
+    after(touch, QUIET_S + BACK_S + 2 * T, 0.0)
+    assert touch.share == 0.0
+    assert after(touch, 0.5, 5.0).share == 1.0
+    assert touch.count == 2
