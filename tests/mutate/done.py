@@ -23,7 +23,7 @@ class Done:
     def __init__(self, path: Path | None) -> None:
         self._path = path
         lines = path.read_text().splitlines() if path is not None and path.exists() else []
-        self._tests: dict[str, str] = dict(map(json.loads, lines))
+        self._tests: dict[str, str] = dict(json.loads(line) for line in lines if line.endswith("]"))  # the last may not
 
     def noticed_by(self, mutant: Mutant) -> str:
         """The test that noticed this change, or nothing."""
@@ -42,7 +42,13 @@ def _name(mutant: Mutant) -> str:
 
 
 def _state(mutant: Mutant, test: str) -> str:
-    return _hash(source_of(mutant.module).read_text()) + _hash(_text_of(test))
+    return _state_of(mutant.module) + _hash(_text_of(test))
+
+
+@cache
+def _state_of(module: str) -> str:
+    """As it was when this run asked first, which is what its changes were made of."""
+    return _hash(source_of(module).read_text())
 
 
 def _text_of(test: str) -> str:
@@ -64,6 +70,5 @@ def _functions(path: Path) -> dict[str, str]:
     return found
 
 
-@cache
 def _hash(text: str) -> str:
     return sha256(text.encode()).hexdigest()[:12]

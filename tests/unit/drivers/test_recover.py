@@ -88,6 +88,24 @@ def test_watchdogs_that_fired_are_armed_again_with_zero_torque() -> None:
     rig.driver.write(TAU)
 
 
+def test_whoever_waits_for_the_arm_is_told_before_it_is_brought_back() -> None:
+    rig, written = tripped(), []
+    rig.driver.before_recovery = lambda: written.append(len(rig.port.writes))
+    rig.driver.recover()
+    assert written == [0]
+
+
+def test_a_watchdog_that_is_said_to_have_fired_and_has_not_is_forgotten() -> None:
+    rig = working()
+    fired, other = (
+        DxlServoFault(cause, servo_id=4, joint="elbow", found="", expected="")
+        for cause in (FaultCause.WATCHDOG_TRIPPED, FaultCause.NO_EFFECT)
+    )
+    rig.driver.faults = [fired, other]
+    assert rig.driver.recover() is False
+    assert rig.driver.faults == [other]
+
+
 def test_servos_are_asked_who_they_are_before_anything_is_written() -> None:
     rig = tripped()
     rig.driver.recover()
@@ -167,3 +185,13 @@ def test_an_arm_whose_torque_is_off_cannot_come_back() -> None:
         rig.driver.recover()
     with pytest.raises(DriverError, match="connection"):
         build().driver.recover()
+
+
+def test_a_port_that_answers_again_by_itself_has_not_lapsed() -> None:
+    rig = working()
+    rig.port.lost = True
+    with pytest.raises(PortLostError):
+        rig.driver.read()
+    rig.port.lost = False
+    rig.driver.read()
+    assert rig.driver.lapsed is False

@@ -12,11 +12,13 @@ import pytest
 import configs
 from agent.config.agent import build_agent
 from agent.config.cell import Cell, ConfigError, load_cell
+from agent.control.adaptation import Estimate
 from agent.control.memory import restore
 from agent.log.read import open_log
 from agent.loop import initial_memory, step
 from agent.modes import Mode
 from agent.replay import whatif
+from agent.replay.chain import Chain
 from agent.replay.picture import save_picture
 from agent.replay.rows import Window
 from agent.replay.source import ReplayError, changed_cell, recorded_cell
@@ -155,3 +157,32 @@ def test_the_picture_is_a_picture(log: Path, tmp_path: Path) -> None:
     save_picture([changed(log, "object.mass_kg=0.5")], ["object.mass_kg=0.5"], path)
     assert path.read_bytes().startswith(b"\x89PNG")
     assert len(path.read_bytes()) > 10_000
+
+
+def test_behind_rows_that_are_missing_another_law_goes_on_with_what_it_has_learnt() -> None:
+    cell = load_cell(configs.CELLS_DIR / "paper.toml", ['controller.kind="adaptive"'])
+    agent, rows = build_agent(cell, cell.arms[0]), run(ticks=4).rows
+    adaptation = agent.offline.adaptation
+    assert adaptation is not None
+    chain = Chain(agent)
+    chain.restore(rows[3], keep_estimate=True)
+    begun = estimate_of(chain)
+    np.testing.assert_array_equal(begun.object, adaptation.start.object)
+    learnt = rows[3].copy()
+    learnt["theta_object"] = 7.0
+    chain.restore(learnt)
+    chain.restore(rows[4], keep_estimate=True)
+    assert estimate_of(chain).object.tolist() == [7.0] * 10
+
+
+def test_a_law_that_learns_nothing_has_no_estimate() -> None:
+    chain = Chain(build_agent(paper(), paper().arms[0]))
+    chain.restore(run(ticks=4).rows[3])
+    assert chain.memory is not None
+    assert chain.memory.estimate is None
+
+
+def estimate_of(chain: Chain) -> Estimate:
+    assert chain.memory is not None
+    assert chain.memory.estimate is not None
+    return chain.memory.estimate

@@ -306,3 +306,12 @@ def test_what_is_no_ring_is_not_gone_on_with(tmp_path: Path) -> None:
         RingWriter.go_on(fd, AGENT_STATE)
     with pytest.raises(OSError, match="Bad file descriptor"):
         os.fstat(fd)
+
+
+def test_a_ring_of_other_rows_and_one_cut_short_are_not_gone_on_with(path: Path, writer: RingWriter) -> None:
+    with pytest.raises(RingError, match="another layout"):
+        RingWriter.go_on(os.dup(writer.fileno()), PLANT_STATE)
+    short = path.with_name("short")
+    short.write_bytes(path.read_bytes()[:-1])
+    with pytest.raises(RingError, match="cut short"):
+        RingWriter.go_on(os.open(short, os.O_RDWR), AGENT_STATE)

@@ -1,0 +1,91 @@
+"""Of the loop: the tick and its bounds, what a cycle sees and does, the operator's socket."""
+
+from __future__ import annotations
+
+from tests.mutate.equivalent.entries import Entries
+
+_SAVES_A_CALL = "saves a call: joining no flag changes nothing"
+_BRAKES = "brake = brake_per_s(agent.period_s) if damped else 0.0"
+_WHILE_IT_BRAKES = "read only while the arm brakes"
+_ALONE_IN = "alone = session is not None and mode in phases.ALONE"
+_LIMITED = (
+    "tau, flags = limit(wanted.tolist(), memory.tau.tolist(), "
+    "session.limits if session is not None and alone else agent.limits)"
+)
+_OFF = "if session is not None and alone and (phases.off(session.life, mode, memory, q) > session.life.off_max_rad):"
+_WITH_A_SESSION = "asked for twice, for the type checker: whoever is alone has a session"
+_PART = "part = 1.0 if life is None else phases.handing_over(life, mode, memory)"
+_LEARNS = "if adaptation is None or estimate is None:"
+_BOTH = "who learns has an estimate; said for the type checker"
+_NONE = "a function without a result returns None"
+_TABLE = "_FLAGS = tuple(map(Flag, range((_NOT_FINITE | _SATURATED | _RATE_LIMITED) + 1)))"
+
+_FLAGGED = "found = self._reason or f'{outcome.flags.name} {explained(self._agent, outcome)}'.rstrip()"
+
+CONTROL: Entries = {
+    "agent.safety": {
+        ("", _TABLE, _TABLE.replace("+ 1", "+ 2")): "one flag more than the three that are looked up can make",
+    },
+    "agent.loop": {
+        (
+            "step",
+            "speed = felt(dq, state.dq) if damped else dq",
+            "speed = felt(dq, state.dq) if True else dq",
+        ): _WHILE_IT_BRAKES,
+        ("_law", _PART, _PART.replace("1.0", "2.0")): "all of it is the law's, as with one",
+        ("_law", "if life is not None and part < 1.0:", "if True and part < 1.0:"): _WITH_A_SESSION,
+        ("_of_object", _LEARNS, _LEARNS.replace(" or ", " and ")): _BOTH,
+        ("_of_object", _LEARNS, _LEARNS.replace("adaptation is None", "False")): _BOTH,
+        ("_of_object", _LEARNS, _LEARNS.replace("estimate is None", "False")): _BOTH,
+        ("step", _BRAKES, _BRAKES.replace("if damped", "if True")): _WHILE_IT_BRAKES,
+        ("step", _BRAKES, _BRAKES.replace("0.0", "1.0")): _WHILE_IT_BRAKES,
+        ("step", _ALONE_IN, _ALONE_IN.replace("session is not None", "True")): _WITH_A_SESSION,
+        ("step", _LIMITED, _LIMITED.replace("session is not None", "True")): _WITH_A_SESSION,
+        ("step", _OFF, _OFF.replace("session is not None", "True")): _WITH_A_SESSION,
+    },
+    "agent.standing": {
+        (
+            "wait_here",
+            "return memory._replace(shift=between(pose[:3], pose[3:], *agent.start))",
+            "return memory._replace(shift=between(pose[:4], pose[3:], *agent.start))",
+        ): "of a position three numbers are read",
+    },
+    "agent.cycles": {
+        (
+            "Cycles.gap_s",
+            "passed_ns = 0 if self._begun_ns is None else now_ns - self._begun_ns",
+            "passed_ns = 1 if self._begun_ns is None else now_ns - self._begun_ns",
+        ): "no gap is as short as a nanosecond",
+    },
+    "agent.runner": {
+        (
+            "Runner._act",
+            _FLAGGED,
+            _FLAGGED.replace("self._reason", "False"),
+        ): "saves the making of a text that is not told",
+        ("Runner._act", "if self._marks:", "if True:"): _SAVES_A_CALL,
+        ("Runner._go_blind", "if self._marks:", "if True:"): _SAVES_A_CALL,
+        ("Runner._cycle", "if happened:", "if True:"): "saves a call: nothing changes without an event (test_runner)",
+        (
+            "Runner._started",
+            "counts = zero_ns != ticks.zero_ns and (session is None or session.counts(zero_ns, deadline_ns))",
+            "counts = True and (session is None or session.counts(zero_ns, deadline_ns))",
+        ): "the same start gives the same phase",
+    },
+    "agent.sight": {
+        (
+            "Sight.plan",
+            "if bus is not Bus.RECOVER or arm is None:",
+            "if bus is not Bus.RECOVER or False:",
+        ): "nobody is brought back by a driver that cannot; said for the type checker",
+    },
+    "agent.operator.socket": {
+        (
+            "_remove_unserved",
+            "path.unlink(missing_ok=True)",
+            "path.unlink(missing_ok=False)",
+        ): "differs when somebody removes the socket between the question and the removal",
+        ("ControlSocket._no_start", "return None", "pass"): _NONE,
+        ("ControlSocket.poll", "if self._clients:", "if True:"): "saves the making of empty lists",
+    },
+}

@@ -1,0 +1,74 @@
+"""Of the ring, its files and texts, and of the replay of logs."""
+
+from __future__ import annotations
+
+from tests.mutate.equivalent.entries import Entries
+
+_OPENS = "fd = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 416)"
+_FCHMOD = "the next line sets the mode, before anything is in the file"
+_HAS_SPACE = "if self.written - self._words[ACKNOWLEDGED_WORD] < enough:"
+_NO_CLOCK = "the short way, without asking the clock; the loop behind it ends as soon"
+_TEXTS = "while (block := self._ring.read_new(64)).count:"
+_INTACT = "intact = (copy.view(np.uint64)[:, 0] == expected) & (live_index[where] == expected)"
+_ROOM = "memory = np.zeros(dtype.itemsize + 16, np.uint8)"
+_STANDARD_INPUT = "descriptor 0 is a process's standard input"
+_MAPPED = "return mmap.mmap(fd, size, mmap.MAP_SHARED | (mmap.MAP_POPULATE if at_once else 0), protection)"
+_COMMON = "_, i, j = np.intersect1d(a['sequence'], b['sequence'], assume_unique=True, return_indices=True)"
+_ENCODED = "rows = [np.ascontiguousarray(part.messages()).reshape(-1).view(layout.dtype) for part in (one, other)]"
+_BYTES = "x, y = (np.ascontiguousarray(rows[name]).view(np.uint8).reshape(len(rows), -1) for rows in (a, b))"
+
+LOGS: Entries = {
+    "agent.telemetry.ring.file": {
+        ("_create_as", _OPENS, _OPENS.replace("416", "832")): _FCHMOD,
+        ("_create_as", _OPENS, _OPENS.replace("416", "208")): _FCHMOD,
+        ("_create_as", "raise AssertionError('nobody else knows this file')", "pass"): "an assertion",
+        ("_is_file", "return False", "pass"): "None is no file either",
+        (
+            "_is_unfinished",
+            "if len(head) < SLOTS_OFFSET or head[:8] != MAGIC:",
+            "if len(head) < SLOTS_OFFSET or False:",
+        ): "somebody's own file has been refused before",
+        ("map_file", _MAPPED, _MAPPED.replace("else 0", "else 1")): "MAP_SHARED is 1",
+    },
+    "agent.telemetry.ring.reader": {
+        ("RingReader.close", "if self._fd < 0:", "if self._fd <= 0:"): _STANDARD_INPUT,
+        ("RingReader.close", "if self._fd < 0:", "if self._fd < 1:"): _STANDARD_INPUT,
+        ("RingReader.close", "self._fd = -1", "self._fd = -2"): "both are no descriptor",
+        (
+            "RingReader._copy",
+            _INTACT,
+            _INTACT.replace(" & ", " | "),
+        ): "saves checksums: the index is in them, so a copy of another row fails there",
+    },
+    "agent.telemetry.ring.writer": {
+        ("RingWriter.wait_for_space", _HAS_SPACE, "if False:"): _NO_CLOCK,
+        ("RingWriter.wait_for_space", _HAS_SPACE, _HAS_SPACE.replace(" - ", " + ")): _NO_CLOCK,
+        ("RingWriter.wait_for_space", "return", "pass"): _NO_CLOCK,
+        ("RingWriter.wait_for_space", "time.sleep(_POLL_S)", "pass"): "saves computing while it waits",
+        ("RingWriter.close", "if self._fd < 0:", "if self._fd <= 0:"): _STANDARD_INPUT,
+        ("RingWriter.close", "if self._fd < 0:", "if self._fd < 1:"): _STANDARD_INPUT,
+        ("RingWriter.close", "self._fd = -1", "self._fd = -2"): "both are no descriptor",
+        ("_aligned_row", _ROOM, _ROOM.replace("16", "17")): "seven bytes to spare are enough",
+        ("_aligned_row", _ROOM, _ROOM.replace("16", "15")): "seven bytes to spare are enough",
+        (
+            "_aligned_row",
+            "offset = (4 - memory.ctypes.data) % 8",
+            "offset = (4 + memory.ctypes.data) % 8",
+        ): "memory begins at a multiple of 16",
+        ("", "_POLL_S: Final = 0.0002", "_POLL_S: Final = 0.0004"): "how often a writer in lockstep looks again",
+        (
+            "",
+            "LOCKSTEP_TIMEOUT_S: Final = 30.0",
+            "LOCKSTEP_TIMEOUT_S: Final = 60.0",
+        ): "how long a run in simulated time waits for telemetry that hangs",
+    },
+    "agent.telemetry.ring.texts": {
+        ("TextReader.read_new", _TEXTS, _TEXTS.replace("64", "128")): "how many at a time; the loop takes all",
+        ("TextReader.read_new", _TEXTS, _TEXTS.replace("64", "32")): "how many at a time; the loop takes all",
+    },
+    "agent.replay.same": {
+        ("_of_member", _COMMON, _COMMON.replace("unique=True", "unique=False")): "numbers of rows are unique",
+        ("_pairs", _ENCODED, _ENCODED.replace("-1", "-2")): "numpy takes any number below zero",
+        ("_bytes_differ", _BYTES, _BYTES.replace("-1", "-2")): "numpy takes any number below zero",
+    },
+}
