@@ -92,7 +92,9 @@ def test_an_arm_that_a_hand_guides_replays(tmp_path: Path, lost: tuple[int, ...]
 
 def test_a_row_without_a_state_holds_nothing_whatever_stands_in_it() -> None:
     chain = Chain(build_agent(paper(), paper().arms[0]))
-    chain.start()
     state = JointState(0, q_start(), np.zeros(3), np.zeros(3))
+    with pytest.raises(AssertionError, match="neither started nor restored"):
+        chain.pass_row(state, 0.0, Mode.READY, 0)
+    chain.start()
     assert chain.pass_row(state, 0.0, Mode.READY, int(Flag.STALE))[0].hold is None
     assert chain.pass_row(state, 0.0, Mode.READY, 0)[0].hold is not None
