@@ -78,7 +78,7 @@ TARGETS = (
     Target("agent.telemetry.ring.writer", _RING),
     Target("agent.view.camera", (f"{UNIT}/view/test_camera.py", *_VIEW)),
     Target("agent.view.curves", _PAGE),
-    Target("agent.view.motion", (*_VIEW, *_PAGE)),
+    Target("agent.view.motion", (f"{UNIT}/view/test_motion.py", *_VIEW, *_PAGE)),
     Target("agent.view.player", _PAGE),
     Target("agent.view.pose", _VIEW),
     Target("drivers.dynamixel.checks", (f"{UNIT}/drivers/test_checks.py",)),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import configs
-from agent.calm import BRAKE, JOINTS, LAW, braking, felt, kept, slowed
+from agent.calm import BRAKE, JOINTS, LAW, SEEN_TIMES, braking, felt, kept, slowed
 from agent.config.cell import load_cell
 from agent.control.memory import initial
 from agent.loop import step
@@ -44,6 +44,7 @@ OBSERVED = load_cell(configs.CELLS_DIR / "paper.toml", ['controller.velocity="ob
         ((0.0, 0.29, 0.0), (0.0, 9.0, 0.0), BOUND, BRAKE, JOINTS),
         ((0.0, 0.31, 0.0), (0.0, 0.0, 0.0), FREE, BRAKE, BRAKE),
         ((0.0, 0.0, 0.0), (0.0, -1.94, 0.0), FREE, LAW, LAW),
+        ((0.0, 0.0, 0.0), (0.0, SEEN_TIMES * ABOVE, 0.0), FREE, LAW, LAW),
         ((0.0, 0.0, 0.0), (0.0, -1.96, 0.0), FREE, LAW, BRAKE),  # a push that the law hardly knows of
         ((0.0, 0.0, 0.0), (0.0, 0.0, 1.96), FREE, JOINTS, BRAKE),
         ((9.0, 9.0, 9.0), (0.0, 0.0, 0.0), BOUND, JOINTS + 3, JOINTS + 2),
@@ -70,6 +71,11 @@ def test_a_hold_brakes_for_speed_where_it_is_overpowered_and_where_it_imagines_o
 def test_a_hold_whose_law_steps_as_far_as_it_may_brakes(step: Any, before: int, after: int) -> None:
     memory = initial(3)._replace(calm=before, tau=np.array(FREE) + np.array(step), tau_before=np.array(FREE))
     assert kept(np.zeros(3), np.zeros(3), memory, LIMITS, ABOVE) == after
+
+
+def test_a_brake_is_for_the_larger_of_two_speeds_and_of_equal_ones_for_the_believed() -> None:
+    believed, measured = np.array([0.5, -2.0, 1.0, 0.0]), np.array([-1.5, 1.0, -1.0, 0.1])
+    assert felt(believed, measured).tolist() == [-1.5, -2.0, 1.0, 0.1]
 
 
 def test_what_a_log_says_of_a_hold_keeps_its_meaning() -> None:

@@ -66,6 +66,9 @@ LOGS: Entries = {
         ("TextReader.read_new", _TEXTS, _TEXTS.replace("64", "128")): "how many at a time; the loop takes all",
         ("TextReader.read_new", _TEXTS, _TEXTS.replace("64", "32")): "how many at a time; the loop takes all",
     },
+    "agent.replay.chain": {
+        ("Chain.pass_row", "if marks:", "if True:"): "saves a call: joining no flag changes nothing",
+    },
     "agent.replay.same": {
         ("_of_member", _COMMON, _COMMON.replace("unique=True", "unique=False")): "numbers of rows are unique",
         ("_pairs", _ENCODED, _ENCODED.replace("-1", "-2")): "numpy takes any number below zero",

@@ -18,7 +18,13 @@ _CONJUGATE = "turn = product(pose[:, 3:], against[:, 3:] * [1.0, -1.0, -1.0, -1.
 _SHORTER = "turn = np.where(turn[:, :1] < 0.0, -turn, turn)"
 _AXIS = "axis = np.divide(turn[:, 1:], sine, out=np.zeros_like(turn[:, 1:]), where=sine > _STILL)"
 
+_WITHIN = "which = (self.t >= begin_s - 1e-09) & (self.t < end_s - 1e-09)"
+
 VIEW: Entries = {
+    "agent.view.motion": {
+        ("Motion.within", _WITHIN, _WITHIN.replace(">=", ">")): "no instant is exactly a nanosecond before",
+        ("Motion.within", _WITHIN, _WITHIN.replace("<", "<=")): "no instant is exactly a nanosecond before",
+    },
     "agent.view.camera": {
         ("camera_for", _MIDDLE, _MIDDLE.replace("+ back", "- back")): "seen from behind up is up",
         ("_front", _ALONE, _ALONE.replace("<", "<=")): "no two arms are exactly so near",

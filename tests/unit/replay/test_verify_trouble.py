@@ -12,11 +12,13 @@ from agent.config.cell import Cell
 from agent.cycles import Patience
 from agent.log.read import open_log
 from agent.modes import Event, Mode
+from agent.process.build import build_agent
+from agent.replay.chain import Chain
 from agent.replay.rows import Window
 from agent.replay.source import recorded_cell
 from agent.replay.verify import Verdict, verify
 from agent.safety import Flag
-from drivers.interface import Vector
+from drivers.interface import JointState, Vector
 from tests.support.runner_rig import fault, lost_at, paper, period_ns, q_start, run
 from tests.support.session_script import TO_READY, Script, cell, floating, guided, q_grasp, run_of
 from tests.support.telemetry.run_log import write_run
@@ -86,3 +88,13 @@ def test_an_arm_that_a_hand_guides_replays(tmp_path: Path, lost: tuple[int, ...]
     rows = guided(lost_at(*lost), observer=True).rows
     assert {Mode.FLOAT, Mode.STAND, Mode.SINK} == set(rows["mode"].tolist())
     assert replayed(tmp_path, floating(), rows, 0).equal
+
+
+def test_a_row_without_a_state_holds_nothing_whatever_stands_in_it() -> None:
+    chain = Chain(build_agent(paper(), paper().arms[0]))
+    state = JointState(0, q_start(), np.zeros(3), np.zeros(3))
+    with pytest.raises(AssertionError, match="neither started nor restored"):
+        chain.pass_row(state, 0.0, Mode.READY, 0)
+    chain.start()
+    assert chain.pass_row(state, 0.0, Mode.READY, int(Flag.STALE))[0].hold is None
+    assert chain.pass_row(state, 0.0, Mode.READY, 0)[0].hold is not None
