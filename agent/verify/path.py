@@ -14,7 +14,7 @@ from agent.control import ik, known
 from agent.control.inverse import SingularJacobian
 from agent.control.models import ArmModel
 from agent.verify.finding import Finding, Verdict, judged
-from drivers.dynamixel.servo.table import CONTINUOUS_SHARE
+from drivers.dynamixel.servo.models import CONTINUOUS_SHARE
 from drivers.interface import Vector
 
 
