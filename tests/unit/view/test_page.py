@@ -226,6 +226,10 @@ def test_playing_goes_on_from_where_a_drag_is(player: Player, clock: Clock) -> N
     clock.s += 0.1
     player.step()
     assert place(player, OBJECT) == pytest.approx(staged().motion.object[12, :3])
+    for t in (1.2, 1.8):
+        player.want(t)
+    player.step()
+    assert place(player, OBJECT) == pytest.approx(staged().motion.object[36, :3]), "what plays shows no way between"
 
 
 def test_it_plays_at_the_pace_of_the_run_and_ends(player: Player, clock: Clock) -> None:
