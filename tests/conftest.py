@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import gc
 import os
+from collections.abc import Generator
 
 import pytest
 from hypothesis import Phase, settings
 
 for _library in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):  # as `coop` has it; read when numpy is loaded
     os.environ.setdefault(_library, "1")
-
-gc.disable()  # what is collected stays to the end: see `pytest_collection_finish`
 
 pytest.register_assert_rewrite("tests.support.driver_contract")
 
@@ -47,7 +46,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             item.add_marker(pytest.mark.skip(reason="needs a real arm: --hardware CELL --arm NAME"))
 
 
-def pytest_collection_finish() -> None:
-    """Spare the garbage collector 400 000 objects of modules and tests, which it looked through again and again."""
-    gc.freeze()
-    gc.enable()
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Spare the garbage collector 400 000 objects of modules and tests, which it would look through again and again."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()

@@ -6,7 +6,8 @@ import json
 from pathlib import Path
 
 from agent.config.cell import load_cell
-from tests.support.coop import coop
+from tests.support.command import coop
+from tests.support.coop import coop as run_process
 
 REALITY = (
     "simulation.reality.arms.left.base_m=[0.006,0.0,-0.005]",
@@ -20,12 +21,12 @@ UNSURE = ("tolerance.base_m=0.01", "tolerance.zeros_rad=0.017")
 
 def test_a_run_becomes_a_cell_whose_arms_agree(tmp_path: Path) -> None:
     real = [word for key in REALITY for word in ("--set", key)]
-    done = coop("run", "two_wx200", *real, "--duration", 7, "--no-report", "--out", "run", cwd=tmp_path)
+    done = run_process("run", "two_wx200", *real, "--duration", 7, "--no-report", "--out", "run", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     unsure = [word for key in UNSURE for word in ("--set", key)]
     done = coop("calibrate", "run/run.mcap", "--out", "new", "--json", *unsure, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
+    assert done.code == 0, done.err
+    found = json.loads(done.out)
     assert found["disagreement_before"]["rms_m"] > 2e-3
     assert found["disagreement_after"]["rms_m"] < 0.5e-3
     assert found["disagreement_after"]["rms_rad"] < 1e-3

@@ -14,7 +14,7 @@ from agent.modes import Mode
 pytestmark = [pytest.mark.realtime, pytest.mark.timeout(400)]
 # 1.5 times the bounds of the simulated driver with all servo effects
 BOUND_M, BOUND_RAD = 1.5e-3, 3e-3
-TRACKED_S = 10.0
+TRACKED_S = 12.0
 
 
 def test_the_real_driver_tracks_on_an_emulated_bus(whole_run: tuple[Path, RunLog]) -> None:
