@@ -12,10 +12,10 @@ from typing import NamedTuple
 import numpy as np
 
 from agent import floats, phases
-from agent.calm import BRAKE, JOINTS, LAW, brake_per_s, braking, kept, slowed
+from agent.calm import BRAKE, JOINTS, LAW, brake_per_s, braking, felt, kept, slowed
 from agent.control import adaptive, cause, joint_hold, known
 from agent.control.adaptation import Estimate
-from agent.control.alignment import Alignment, between, shifted
+from agent.control.alignment import Alignment, shifted
 from agent.control.errors import Errors
 from agent.control.estimator import Observer
 from agent.control.floating import Floating
@@ -37,8 +37,6 @@ GENTLE_TICKS = 100  # with a state in time, until a hold that was starved is as 
 GENTLE_RAD_PER_S = 5.0  # how stiff it is until then; less where 30 periods are longer than a second
 GENTLE_REACH_RAD = 0.1  # beyond it a gentle hold pulls no harder, which bounds how fast it comes back
 STARVED_PERIODS = 3.5  # from one state to the next, above which a hold is gentle
-HOLD_DESIRED_MAX_M = 0.02  # a hold keeps the desired pose when the object is this near to it, else where the object is
-HOLD_DESIRED_MAX_RAD = 0.1
 _TRACK, _HOLD, _READY = Mode.TRACK, Mode.HOLD, Mode.READY  # looking them up in their class takes 0.1 µs each
 _NOT_FINITE = int(Flag.NOT_FINITE)  # asking a flag for another one takes 0.5 µs
 _ALIGNING = (_READY, _TRACK)  # the shift changes while the arm waits for the motion or follows it
@@ -107,10 +105,11 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
         return _without(agent, q, dq, Flag.NOT_FINITE, memory)
     calm = LAW
     if mode is _HOLD:
-        calm = kept(dq, state.dq, memory, agent.limits.tau_max_Nm, agent.damp_above_rad_per_s)
+        calm = kept(dq, state.dq, memory, agent.limits, agent.damp_above_rad_per_s)
     damped = calm == BRAKE
     if damped and memory.calm != BRAKE:  # a brake needs the speed that there is, not one that was asked for
-        q, dq = state.q, state.dq
+        q, dq, memory = state.q, state.dq, memory._replace(ddq=0.0 * memory.ddq)
+    speed = felt(dq, state.dq) if damped else dq
     if calm == JOINTS and memory.calm == BRAKE and memory.q_hold is not None:
         memory = memory._replace(q_hold=q + (memory.q_hold - q).clip(-RETURN_RAD, RETURN_RAD))
     if agent.floating is not None and mode is Mode.STAND:
@@ -120,7 +119,7 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
     except SingularJacobian:
         return _without(agent, q, dq, Flag.SINGULAR, memory)
     brake = brake_per_s(agent.period_s) if damped else 0.0
-    wanted = braking(terms, dq, brake) if damped else terms.joints[CMD]
+    wanted = braking(terms, speed, brake) if damped else terms.joints[CMD]
     session = agent.session
     alone = session is not None and mode in phases.ALONE
     tau, flags = limit(
@@ -149,7 +148,7 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
     if session is not None and mode is _TRACK:
         shift = phases.blended(shift, t, agent.period_s, session.start_blend_s)
     # what the torque asks for, as the observer must know
-    ddq = slowed(dq, brake, wanted, limited) if damped else terms.joints[DDQ_REF]
+    ddq = slowed(speed, brake, wanted, limited) if damped else terms.joints[DDQ_REF]
     carried = Memory(
         q, dq, ddq, memory.ddq, limited, memory.tau, True, sense, shift, calm,
         memory.hold, t, estimate, memory.q_hold, memory.age + agent.period_s,
@@ -181,14 +180,6 @@ def _weight(agent: Agent, memory: Memory) -> tuple[Vector, Flag]:
     wanted = joint_hold.weight(agent.model, agent.offline, memory.q)
     tau, flags = limit(wanted.tolist(), memory.tau.tolist(), agent.limits)
     return np.array(tau), flags
-
-
-def afresh(memory: Memory, marks: Flag) -> Memory:
-    """Memory of an arm that holds where it will be seen next: after a GAP; RESUMED: it has no torque, and is gentle."""
-    if Flag.RESUMED in marks:
-        zero = 0.0 * memory.tau
-        memory = memory._replace(tau=zero, tau_before=zero, calm=JOINTS + GENTLE_TICKS + 1)
-    return memory._replace(primed=False, hold=None, q_hold=None) if marks else memory
 
 
 def _sense(
@@ -285,38 +276,3 @@ def _desired(agent: Agent, t: float, mode: Mode, memory: Memory) -> Desired:
         return shifted(agent.trajectory.at(t), memory.shift)
     p, quat = memory.hold[:3], memory.hold[3:]
     return Desired(p, quat, _STILL, _STILL)  # type: ignore[arg-type]
-
-
-def hold_here(agent: Agent, q: Vector, memory: Memory) -> Memory:
-    """Memory with the object's present pose, and this arm's q (n,), as what to hold; nothing while q is no number."""
-    if not np.isfinite(q).all():
-        return memory._replace(hold=None, q_hold=None)
-    k = agent.model.evaluate(q, np.zeros_like(q))
-    return memory._replace(hold=(*k.p_object, *k.quat_object), q_hold=q)
-
-
-def hold_after(agent: Agent, outcome: Outcome) -> Memory:
-    """Memory after `outcome` with what to hold from then on.
-
-    An arm that aligns itself with the others holds the pose that it was following, and goes on pulling as it did.  Any
-    other holds the object where it is, and so does every arm where the object is far from that pose, where the arm
-    nears a singular one, and where the law gave nothing.
-    """
-    terms = outcome.terms
-    if agent.alignment is None or terms is None or Flag.SINGULAR in outcome.flags or _far(terms.errors):
-        return hold_here(agent, outcome.q, outcome.memory)
-    return outcome.memory._replace(hold=(*terms.desired.p, *terms.desired.quat), q_hold=outcome.q)
-
-
-def _far(errors: Errors) -> bool:
-    angle = 2.0 * math.atan2(math.hypot(*errors.e_eps), abs(errors.e_eta))
-    return not (math.hypot(*errors.e_p) <= HOLD_DESIRED_MAX_M and angle <= HOLD_DESIRED_MAX_RAD)
-
-
-def wait_here(agent: Agent, q: Vector, memory: Memory, mode: Mode = _READY) -> Memory:
-    """Memory for standing at q (n,): in READY the object's pose that this arm sees there becomes its start pose."""
-    memory = hold_here(agent, q, memory)
-    if mode is not _READY or agent.alignment is None or agent.start is None or memory.hold is None:
-        return memory
-    pose = memory.hold
-    return memory._replace(shift=between(pose[:3], pose[3:], *agent.start))  # type: ignore[arg-type]

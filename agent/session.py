@@ -12,8 +12,9 @@ from agent import phases
 from agent.control.life import Life
 from agent.control.memory import Memory
 from agent.grip import GripPlan, Verdict, Watch
-from agent.loop import Agent, Outcome, hold_after, hold_here
+from agent.loop import Agent, Outcome
 from agent.modes import Event, Mode
+from agent.standing import hold_after, hold_here
 from drivers.interface import Gripper, GripState
 
 HOLDING = frozenset({Mode.READY, Mode.TRACK, Mode.HOLD, Mode.LOWER})
@@ -43,6 +44,11 @@ _UNFINISHED = {
     Mode.RELEASE: "the gripper is not open yet",
 }
 _OPENING = frozenset({Mode.APPROACH, Mode.HALT})  # in which the gripper may still be on its way
+_MEND: dict[Verdict, str] = {
+    Verdict.STUCK: "free its fingers",
+    Verdict.NO_FORCE: "it is open again: see what keeps its fingers apart",
+}
+_MEND_ELSE = "it is open again: put the object in its place"
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,7 +210,7 @@ class SessionLoop:
         wanted = f"{self._plan.width_m * 1e3:.1f} mm"
         self.reason = (
             f"the gripper {verdict.value}: found {state.width_m * 1e3:.1f} mm, expected {wanted}; "
-            "it is open again: put the object in its place, then `coop grasp`, or `coop park`"
+            f"{_MEND.get(verdict, _MEND_ELSE)}, then `coop grasp`, or `coop park`"
         )
         return Event.NOT_GRIPPED
 

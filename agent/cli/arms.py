@@ -114,9 +114,10 @@ def guard(
     from agent.config.schema.cell import DriverKind
     from agent.host.paths import control_path, guard_path, make_runtime_dir, ring_path
     from agent.process.build import Connection
-    from agent.process.guard import GuardOptions, run_guard
+    from agent.process.guard import run_guard
     from agent.process.rehearse import driver_of, holds
     from agent.process.schedule import AgentOptions
+    from agent.process.successor import GuardOptions
 
     requested = begin(with_parent)
     loaded = load_cell(cell)

@@ -46,6 +46,7 @@ class Within(Strict):
 
     noticed_s: Bound | None = None
     reacted_s: Bound | None = None  # until `who` have left the motion
+    or_grown_N: Bound | None = None  # later is as good where the internal force grows by no more than this, to the end
     who: Annotated[tuple[str, ...], AS_LIST] = ()  # arms that must; none named: all whose process lives
     goes_on: bool = False  # nobody may leave the motion
     internal_N: Bound | None = None
@@ -62,6 +63,7 @@ class Within(Strict):
         texts = {
             "noticed_s": "noticed ≤ {:g} s",
             "reacted_s": f"{who} stopped ≤ {{:g}} s",
+            "or_grown_N": "or the internal force grows by ≤ {:g} N",
             "internal_N": "internal force ≤ {:g} N",
             "sag_m": "sag ≤ {:g} m",
             "moved_rad": "joints ≤ {:g} rad until the watchdog",

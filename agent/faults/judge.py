@@ -62,7 +62,8 @@ def misses(found: Measured, within: Within) -> Iterator[str]:
         if stopped:
             yield f"{' and '.join(stopped)} left the motion: {found.noticed}"
     yield from _late("noticed", found.noticed_s, within.noticed_s)
-    if within.reacted_s is not None:
+    harmless = within.or_grown_N is not None and found.internal_N - found.internal_before_N <= within.or_grown_N
+    if within.reacted_s is not None and not harmless:
         for arm, at in found.stopped_s.items():
             if (arm in within.who or not within.who) and found.ended[arm] != GONE:
                 yield from _late(f"{arm} stopped", at, within.reacted_s)

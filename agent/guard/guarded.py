@@ -9,7 +9,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from agent.guard.line import AgentEnd, GuardError, Word
+from agent.guard.agent_end import AgentEnd
+from agent.guard.line import GuardError, Word
 from agent.telemetry.row.event import Level
 from drivers.interface import Refusal
 

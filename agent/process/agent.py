@@ -10,6 +10,7 @@ from contextlib import ExitStack, closing
 from dataclasses import asdict
 from typing import Any, NamedTuple
 
+from agent.around import RunSummary, Surroundings
 from agent.config import monitors
 from agent.config.cell import Cell
 from agent.config.schema.cell import DriverKind
@@ -31,9 +32,9 @@ from agent.process.rehearse import BridgedRows
 from agent.process.schedule import AgentOptions, schedule_of
 from agent.process.session import session_loop
 from agent.process.tellers import Heart, ServoTeller, Teller, opened
-from agent.runner import Runner, RunSummary, Surroundings
+from agent.runner import Runner
 from agent.session import SessionLoop
-from agent.telemetry.ring.ring import RingWriter
+from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.event import Level
 from agent.telemetry.row.fill import AgentRow
 from agent.verify.check import examine

@@ -7,41 +7,28 @@ socket and loads nothing that could; the post-mortem is written by a process of 
 from __future__ import annotations
 
 import contextlib
-import os
 import select
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, closing
-from dataclasses import dataclass, replace
-from datetime import UTC, datetime
-from pathlib import Path
 from typing import Any
 
-from agent.config import monitors
+from agent.around import RunSummary
 from agent.config.cell import Arm, Cell
 from agent.config.schema.cell import DriverKind
-from agent.guard.black_box import BlackBox
-from agent.guard.line import GuardEnd, GuardError, Said, Word, close_all
+from agent.guard.guard_end import GuardEnd
+from agent.guard.line import GuardError, Said, Word, close_all
 from agent.guard.resume import beginning
-from agent.guard.takeover import WATCH_NS, go_on, stale_ns
+from agent.guard.takeover import WATCH_NS, stale_ns
 from agent.guard.vigil import Vigil
 from agent.guard.watched import DESCRIPTORS, Watched
 from agent.host.notify import Notifier, stored_fds
 from agent.host.realtime import become_realtime, quiet_memory
 from agent.host.signals import StopFlag
 from agent.loop import Agent
-from agent.modes import Mode
-from agent.monitors.watch import Watch
-from agent.operator.socket import ControlSocket, Standing
-from agent.process.agent import LOST_REMEDY, ArmLost
 from agent.process.build import Standby, build_agent, build_standby, port_of
-from agent.process.operated import Operator, tick_of
-from agent.process.schedule import AgentOptions, schedule_of
-from agent.process.session import led_back
-from agent.process.tellers import HEARTBEAT_S, Heart, ServoTeller, Teller
-from agent.runner import Runner, RunSummary, Surroundings
-from agent.telemetry.row.event import Level
-from agent.telemetry.row.fill import AgentRow
+from agent.process.successor import HANDED_OVER, GuardOptions, Successor
+from agent.process.tellers import HEARTBEAT_S
 from agent.verify.check import examine
 from drivers.clock import MonotonicClock
 from drivers.dynamixel.line.port import SerialPort
@@ -50,20 +37,9 @@ from drivers.interface import Refusal, Vector
 PORT = "port"  # name under which the service manager keeps it
 IDLE_NS = 100_000_000
 REHEARSE_AT = 20  # rows, after which a hold is computed once for nothing, so that its code and memory are warm
-POST_MORTEM_AFTER_S = 0.3  # of the hold, so that its first cycles are in it
 PAUSE_S = 1e-3  # between two steps that compute: LimitRTTIME counts the time without one
 BUSY_MAX_NS = 1_000_000_000
-HOLDS, WAITING, HANDED_OVER = "holds in the agent's place", "waits for the agent", "the agent was asked to end"
-
-
-@dataclass(frozen=True)
-class GuardOptions:
-    """How one guard is started."""
-
-    agent: AgentOptions  # what the hold after the agent is run with
-    cell: Path
-    socket: Path
-    post_mortem: Path  # folder
+WAITING = "waits for the agent"
 
 
 def run_guard(cell: Cell, options: GuardOptions, stop: StopFlag, ready: Callable[[str], None]) -> RunSummary | None:
@@ -90,6 +66,7 @@ class _Guard:
         emulated, simulated = options.agent.connection.emulated, options.agent.driver is DriverKind.SIM
         self._stale_ns = stale_ns(cell.period_ns, emulated, simulated)
         self._notifier = stack.enter_context(closing(Notifier()))
+        self._successor = Successor(cell, self._arm, self._agent, options, stop, self._notifier)
         self._clock = MonotonicClock()
         self._port = self._open_port()
         stack.callback(self._close_port)
@@ -98,7 +75,6 @@ class _Guard:
         self._session = False  # whether the agent goes from rest to rest
         self._watched: Watched | None = None
         self._driver: Standby | None = None
-        self._tell: Teller | None = None
         stack.callback(self._let_go)
         self._stroked_ns = 0
         quiet_memory()
@@ -127,7 +103,7 @@ class _Guard:
         while not self._stop.stopped:
             reason = self._look()
             if reason and self._watched is not None and self._driver is not None:
-                return self._hold(self._watched, self._driver, reason)
+                return self._successor.hold(self._watched, self._driver, reason, session=self._session)
             self._wait()
         return None
 
@@ -214,12 +190,8 @@ class _Guard:
     def _prepared(self) -> Standby:
         connection, port = self._options.agent.connection, self._port
         return build_standby(
-            self._cell, self._arm, connection, port, self._q_start, self._warn, self._drivers, self._told
+            self._cell, self._arm, connection, port, self._q_start, self._successor.warn, self._drivers, self._told
         )
-
-    def _warn(self, text: str) -> None:
-        if self._tell is not None:
-            self._tell.warn(text)
 
     def _let_go(self) -> None:
         if self._driver is not None:
@@ -231,83 +203,3 @@ class _Guard:
             self._watched.close()
             self._watched = None
             self._notifier.send(f"STATUS={WAITING}")
-
-    # --- without an agent -----------------------------------------------------------------------------------------
-
-    def _hold(self, watched: Watched, driver: Standby, reason: str) -> RunSummary:
-        """Go on in HOLD, or as a session stands there, until a release.  Raises AdoptError, ArmLost."""
-        options, arm = self._options.agent, self._arm
-        watched.inherit()
-        rows = watched.last_rows()
-        offset_ns = int(rows[-1]["utc_ns"] - rows[-1]["stamp_ns"]) if len(rows) else None
-        clock = MonotonicClock(offset_ns)
-        tell = self._tell = Teller(arm.name, watched.texts)
-        tell.clock = clock
-        with ExitStack() as stack:
-            stack.callback(watched.texts.finish)
-            stack.callback(watched.writer.finish)
-            since = {"last_row_s": round(1e-9 * (clock.now_ns() - int(rows[-1]["stamp_ns"])), 6)} if len(rows) else {}
-            level = Level.INFO if reason == HANDED_OVER else Level.ERROR
-            tell.event(level, f"{reason}: the guard holds the arm", **since)
-            standing = Standing(arm.name, Mode.HOLD, reason)
-            control = ControlSocket(options.control, self._cell.fingerprint, standing) if options.control else None
-            if control is not None:
-                stack.callback(control.close)
-            try:
-                begun = go_on(self._agent, driver, clock, rows, self._cell.period_ns, reason, session=self._session)
-            except Refusal as error:
-                tell.event(Level.ERROR, str(error))
-                raise
-            stack.callback(driver.close)
-            stack.callback(driver.disable)
-            black_box = self._black_box(watched.ring, reason)
-            stack.callback(black_box.finish)
-            session = led_back(self._cell, arm, self._agent, driver, begun, standing) if self._session else None
-            around = self._around(control, driver, watched, clock, tell, black_box, begun.mode)
-            schedule = replace(schedule_of(self._cell, options), hold_at_end=True)
-            row = AgentRow(watched.writer.row, arm.n, self._cell.config_id)
-            watch = Watch(monitors.bounds(self._cell, arm), tell.warn)
-            cpu_s = time.process_time()
-            runner = Runner(self._agent, driver, clock, schedule, row, watched.writer, around, watch, begun, session)
-            summary = runner.run()
-            tell.end(summary, time.process_time() - cpu_s)
-        self._notifier.stopping("torque off")
-        if summary.mode is Mode.FAULT:
-            raise ArmLost(
-                f"arm {arm.name}", found=summary.reason, expected="a fresh state every cycle",
-                remedy=LOST_REMEDY if self._session else "see the log",
-            )  # fmt: skip
-        return summary
-
-    def _around(
-        self, control: ControlSocket | None, driver: Standby, watched: Watched, clock: MonotonicClock,
-        tell: Teller, black_box: BlackBox, begins: Mode,
-    ) -> Surroundings:  # fmt: skip
-        rate_hz = self._cell.file.rate_hz
-        heart = Heart(self._notifier, rate_hz)
-        servos = ServoTeller(driver, watched.texts, clock.utc_offset_ns, rate_hz)
-        agent = self._options.agent
-        operator = Operator(self._stop, control, clock, tell.event, drops_on_stop=not agent.hold, session=self._session)
-        fixed = {"pid": os.getpid(), "driver": agent.driver.value, "guard": HOLDS, "session": self._session}
-        if control is not None:
-            control.standing.details = lambda: {**fixed, "tick": tick_of(watched.writer)}
-        heart.mode(begins)
-
-        def mode_changed(mode: Mode) -> None:
-            heart.mode(mode)
-            operator.mode(mode)
-
-        def beat() -> None:
-            heart.beat()
-            servos.beat()
-            black_box.beat()
-
-        return Surroundings(time.perf_counter_ns, operator.events, lambda: None, beat, mode_changed, tell.trouble)
-
-    def _black_box(self, ring: Path, reason: str) -> BlackBox:
-        """The post-mortem of what happened before this hold; none of a hand-over that was asked for."""
-        options, arm = self._options, self._arm.name
-        file = options.post_mortem / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{arm}-post-mortem.mcap"
-        arguments = (options.cell, arm, ring, file, reason)
-        cycles = round(POST_MORTEM_AFTER_S * self._cell.file.rate_hz)
-        return BlackBox(list(map(str, arguments)), cycles, wanted=reason != HANDED_OVER)

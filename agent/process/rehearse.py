@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
+from agent.around import LoopLog
 from agent.config.cell import Arm, Cell, ConfigError
 from agent.config.files import CellFiles
 from agent.config.schema.cell import DriverKind
-from agent.control.models import ArmModel
-from agent.runner import LoopLog
+from agent.control.models import ArmModel, Matrix
 from agent.telemetry.row.fill import AgentRow
 from drivers.dynamixel.arm_map import WATCHDOG_S
 from drivers.interface import Clock, Driver, Vector
@@ -148,4 +148,5 @@ def bridge(cell: Cell, arm: Arm, real: Driver, twin: Twin, clock: Clock, *, emul
 def _here(model: ArmModel, q: Vector) -> Here:
     """What the bridge knows of the arm at q (n,)."""
     J = (model.task_basis.T @ model.jacobian(q))[:3]
-    return Here(model.inertia(q), np.linalg.pinv(J.T, rcond=FLAT).astype(np.float64, copy=False))
+    to_force: Matrix = np.asarray(np.linalg.pinv(J.T, rcond=FLAT), np.float64)
+    return Here(model.inertia(q), to_force)

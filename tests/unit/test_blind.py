@@ -15,6 +15,7 @@ import pytest
 
 import configs
 from agent.config.cell import Cell, load_cell
+from agent.config.monitors import FASTEST
 from agent.control.joint_hold import weight
 from agent.modes import Event, Mode
 from agent.process.build import build_agent
@@ -250,7 +251,6 @@ def test_a_process_that_was_stopped_for_more_than_ten_cycles_holds(seconds: floa
 
 PAPER = load_cell(configs.CELLS_DIR / "paper.toml", ["duration_s=10.0"])
 HOLD_S, BEGIN_S, END_S = 0.2, 0.4, 1.0
-SPEED_MAX = 3.0  # rad/s, what the arm files say of the slowest joint
 
 
 def held(cell: Cell = PAPER, *actions: tuple[float, Callable[[CoupledRun], None]]) -> CoupledRun:
@@ -298,29 +298,40 @@ def louder(run: CoupledRun) -> None:
         arm.runner._agent = replace(agent, offline=replace(agent.offline, gains=replace(gains, **ten)))
 
 
-@pytest.mark.parametrize("name", ["paper", "paper_real"])
+@pytest.mark.parametrize("name", ["paper_real", "two_wx200"])
 @pytest.mark.fault("M5")
 def test_a_hold_of_ten_times_the_gain_brakes_and_goes_on_by_its_joints(name: str) -> None:
-    """Without the brake by what the observer imagines it is 2.4 rad/s, and 0.6 after 100 ms."""
+    """Without the sign of the torque's steps `two_wx200`, which begins to swing after 0.12 s, makes 0.5 rad/s."""
     run = held(load_cell(configs.CELLS_DIR / f"{name}.toml", ["duration_s=10.0"]), (BEGIN_S, louder))
-    assert fastest(run.between(BEGIN_S, END_S)) < 2.0
-    assert fastest(run.between(BEGIN_S + 0.1, END_S)) <= 0.5
-    assert moved(run.between(BEGIN_S, END_S)) < 0.1
+    assert fastest(run.between(BEGIN_S, END_S)) < 1.0
+    assert fastest(run.between(BEGIN_S + 0.1, END_S)) <= 0.3
+    assert moved(run.between(BEGIN_S, END_S)) < 0.05
     for arm in run.arms.values():
         damped, gentle = flagged(arm.rows, Flag.DAMPED), flagged(arm.rows, Flag.GENTLE)
         assert 0 < len(damped) < 20
         assert gentle[-1] == len(arm.rows) - 1
 
 
+@pytest.mark.parametrize(
+    ("name", "force_N", "swing_s", "most_rad_per_s"), [("paper", 15.0, 0.08, 1.3), ("paper_real", 30.0, 0.125, 3.0)]
+)
 @pytest.mark.fault("M6")
-def test_a_hold_that_is_shaken_stays_below_the_speed_limit_and_the_torque_caps() -> None:
-    def push(force_N: float) -> Callable[[CoupledRun], None]:
-        return lambda run: run.world.plant.push(np.array([force_N, 0.5 * force_N, 0.0, 0.0, 0.0, 0.0]))
+def test_a_hold_that_is_shaken_stays_below_the_speed_limit_and_the_torque_caps(
+    name: str, force_N: float, swing_s: float, most_rad_per_s: float
+) -> None:
+    """Pushed by more than it can resist it is braked, by the speed that the servos see: by the observer's it is 3.7."""
 
-    swings = [(BEGIN_S + 0.08 * k, push(15.0 * (-1.0) ** k)) for k in range(6)]
-    run = held(PAPER, *swings, (0.9, push(0.0)))
-    assert fastest(run.between(BEGIN_S, END_S)) < SPEED_MAX
-    assert moved(run.between(BEGIN_S, END_S)) < 0.2
-    for i, arm in enumerate(PAPER.arms):
-        caps = np.array(build_agent(PAPER, arm).limits.tau_max_Nm)
-        assert (np.abs(run.arms[arm.name].rows["tau_limited"][:, :N]) <= caps + 1e-12).all(), i
+    def push(size: float) -> Callable[[CoupledRun], None]:
+        return lambda run: run.world.plant.push(np.array([size, 0.5 * size, 0.0, 0.0, 0.0, 0.0]))
+
+    cell = load_cell(configs.CELLS_DIR / f"{name}.toml", ["duration_s=10.0"])
+    swings = [(BEGIN_S + swing_s * k, push(force_N * (-1.0) ** k)) for k in range(4)]
+    run = held(cell, *swings, (0.9, push(0.0)))
+    assert fastest(run.between(BEGIN_S, END_S)) < most_rad_per_s
+    assert most_rad_per_s < FASTEST * min(m.no_load_rad_per_s for arm in cell.arms for m in arm.servo_models)
+    assert moved(run.between(BEGIN_S, END_S)) < 0.4
+    for i, arm in enumerate(cell.arms):
+        rows = run.arms[arm.name].rows
+        caps = np.array(build_agent(cell, arm).limits.tau_max_Nm)
+        assert (np.abs(rows["tau_limited"][:, :N]) <= caps + 1e-12).all(), i
+        assert bool(len(flagged(rows, Flag.DAMPED))) == (force_N > 20.0), "where the law suffices it is not braked"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import configs
-from agent.calm import BRAKE, JOINTS, LAW, kept, slowed
+from agent.calm import BRAKE, JOINTS, LAW, braking, felt, kept, slowed
 from agent.config.cell import load_cell
 from agent.control.memory import initial
 from agent.loop import step
@@ -20,7 +20,7 @@ from tests.unit.test_hold import T, holding, tick
 from tests.unit.test_step_rules import arm, start
 
 ABOVE = 1.5
-BOUNDS = (3.0, 3.0, 1.0)
+LIMITS = Limits((3.0, 3.0, 1.0), (1.5, 1.5, 0.5))
 FREE, BOUND = (0.0, -2.9, 0.9), (0.0, -2.999, 0.0)
 OBSERVED = load_cell(configs.CELLS_DIR / "paper.toml", ['controller.velocity="observer"'])
 
@@ -43,6 +43,9 @@ OBSERVED = load_cell(configs.CELLS_DIR / "paper.toml", ['controller.velocity="ob
         ((0.0, -0.6, 0.0), (0.0, 0.0, 0.0), FREE, JOINTS, JOINTS),  # whose gains are not the law's
         ((0.0, 0.29, 0.0), (0.0, 9.0, 0.0), BOUND, BRAKE, JOINTS),
         ((0.0, 0.31, 0.0), (0.0, 0.0, 0.0), FREE, BRAKE, BRAKE),
+        ((0.0, 0.0, 0.0), (0.0, -1.94, 0.0), FREE, LAW, LAW),
+        ((0.0, 0.0, 0.0), (0.0, -1.96, 0.0), FREE, LAW, BRAKE),  # a push that the law hardly knows of
+        ((0.0, 0.0, 0.0), (0.0, 0.0, 1.96), FREE, JOINTS, BRAKE),
         ((9.0, 9.0, 9.0), (0.0, 0.0, 0.0), BOUND, JOINTS + 3, JOINTS + 2),
     ],
 )
@@ -50,8 +53,23 @@ OBSERVED = load_cell(configs.CELLS_DIR / "paper.toml", ['controller.velocity="ob
 def test_a_hold_brakes_for_speed_where_it_is_overpowered_and_where_it_imagines_one(
     believed: Any, measured: Any, tau: Any, before: int, after: int
 ) -> None:
-    memory = initial(3)._replace(calm=before, tau=np.array(tau))
-    assert kept(np.array(believed), np.array(measured), memory, BOUNDS, ABOVE) == after
+    memory = initial(3)._replace(calm=before, tau=np.array(tau), tau_before=np.array(tau))
+    assert kept(np.array(believed), np.array(measured), memory, LIMITS, ABOVE) == after
+
+
+@pytest.mark.parametrize(
+    ("step", "before", "after"),
+    [
+        ((0.0, 1.49, -0.49), LAW, LAW),
+        ((0.0, 1.499, 0.0), LAW, BRAKE),
+        ((0.0, 0.0, -0.5), LAW, BRAKE),
+        ((1.5, 0.0, 0.0), JOINTS, JOINTS),
+    ],
+)
+@pytest.mark.fault("M5")
+def test_a_hold_whose_law_steps_as_far_as_it_may_brakes(step: Any, before: int, after: int) -> None:
+    memory = initial(3)._replace(calm=before, tau=np.array(FREE) + np.array(step), tau_before=np.array(FREE))
+    assert kept(np.zeros(3), np.zeros(3), memory, LIMITS, ABOVE) == after
 
 
 def test_what_a_log_says_of_a_hold_keeps_its_meaning() -> None:
@@ -65,9 +83,21 @@ def test_a_brake_begins_with_the_speed_that_the_servos_see() -> None:
     assert Flag.DAMPED in outcome.flags
     np.testing.assert_array_equal(outcome.dq, [0.1, -0.2, 0.3])
     np.testing.assert_array_equal(outcome.q, start())
+    assert not outcome.memory.ddq_before.any(), "nor is what the law asked for expected of the next one"
     again = tick(agent, imagining._replace(calm=BRAKE), 1.0, dq=(0.1, -0.2, 0.3))
     assert Flag.DAMPED in again.flags
     assert abs(again.dq[1]) > 1.0, "once it brakes, the observer has its say"
+
+
+def test_a_brake_acts_against_the_larger_of_the_speeds_that_are_believed_and_seen() -> None:
+    np.testing.assert_array_equal(felt(np.array([0.5, -0.5, 0.5]), np.array([0.6, 0.4, -0.7])), [0.6, -0.5, -0.7])
+    agent = arm(observer=build_agent(OBSERVED, OBSERVED.arms[0]).observer, damp_above_rad_per_s=ABOVE)
+    pushed = holding(agent, calm=BRAKE, dq=np.full(3, 0.5))
+    outcome = tick(agent, pushed, 1.0, dq=(2.0, 2.0, 2.0))
+    assert (outcome.dq < 1.9).all(), "news to the observer"
+    assert outcome.terms is not None
+    np.testing.assert_array_equal(outcome.tau, braking(outcome.terms, np.full(3, 2.0), 30.0))
+    np.testing.assert_array_equal(outcome.memory.ddq, np.full(3, -60.0))
 
 
 def test_a_brake_expects_nothing_of_a_joint_whose_torque_was_limited() -> None:

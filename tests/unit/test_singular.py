@@ -12,10 +12,11 @@ import pytest
 import configs
 from agent.config.cell import load_cell
 from agent.control import joint_hold
-from agent.loop import hold_here, initial_memory, step
+from agent.loop import initial_memory, step
 from agent.modes import Mode
 from agent.process.build import HOLD_RATE_MAX_RAD_PER_S, build_agent
 from agent.safety import Flag
+from agent.standing import hold_here
 from drivers.interface import JointState
 
 ONE_ARM = configs.CELLS_DIR / "identify_wx200.toml"

@@ -12,10 +12,11 @@ import configs
 from agent.config.cell import load_cell
 from agent.control.friction import Friction, JointFriction
 from agent.control.models import ArmModel, Kinematics
-from agent.loop import Agent, Outcome, hold_here, initial_memory, step
+from agent.loop import Agent, Outcome, initial_memory, step
 from agent.modes import Mode
 from agent.process.build import build_agent
 from agent.safety import Flag, Limits
+from agent.standing import hold_here
 from drivers.interface import JointState
 
 PERIOD = 0.005

@@ -17,10 +17,11 @@ from agent.control.joint_hold import weight
 from agent.control.memory import Memory
 from agent.control.quaternion import angle_between
 from agent.control.trajectory import Desired, Trajectory
-from agent.loop import Agent, Outcome, hold_here, initial_memory, step
+from agent.loop import Agent, Outcome, initial_memory, step
 from agent.modes import Mode
 from agent.process.build import build_agent
 from agent.safety import Flag, Limits
+from agent.standing import hold_here
 from agent.verify.check import examine
 from drivers.interface import JointState, Vector
 
@@ -191,6 +192,13 @@ def test_without_a_held_pose_the_law_holds(sigma: dict[float, float]) -> None:
 
 
 # --- what is carried on ----------------------------------------------------------------------------------------------
+
+
+def test_the_observer_is_told_what_the_torque_asks_for() -> None:
+    outcome = tick(arm(), start(0.02, 0.0, -0.03), t=0.5)
+    assert outcome.terms is not None
+    np.testing.assert_array_equal(outcome.memory.ddq, outcome.terms.ddq_ref)
+    assert np.abs(outcome.memory.ddq).min() > 0.1
 
 
 @pytest.mark.parametrize("primed", [False, True])

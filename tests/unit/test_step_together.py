@@ -9,14 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agent import loop
+from agent import standing
 from agent.calm import BRAKE, JOINTS, LAW
 from agent.control.alignment import Alignment, between
 from agent.control.memory import Memory
 from agent.control.residual import Channels, nothing_sensed
-from agent.loop import Agent, Outcome, hold_after, hold_here, initial_memory, step, wait_here
+from agent.loop import Agent, Outcome, initial_memory, step
 from agent.modes import Mode
 from agent.safety import Flag
+from agent.standing import hold_after, hold_here, wait_here
 from drivers.interface import JointState, Vector
 from tests.unit.test_step_rules import arm, start
 
@@ -268,7 +269,7 @@ def test_the_distance_and_the_angle_themselves_are_near(monkeypatch: pytest.Monk
     assert turned.terms is not None
     errors = turned.terms.errors
     angle = 2.0 * math.atan2(math.hypot(*errors.e_eps), abs(errors.e_eta))
-    monkeypatch.setattr(loop, "HOLD_DESIRED_MAX_RAD", angle)
+    monkeypatch.setattr(standing, "HOLD_DESIRED_MAX_RAD", angle)
     assert keeps_the_desired(aligned, turned)
     outcome = off(aligned, 0.0)
     assert outcome.terms is not None

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from agent.config.cell import Cell
-from agent.loop import hold_after, initial_memory, step
+from agent.loop import initial_memory, step
 from agent.modes import Mode
 from agent.process.build import build_agent
 from agent.process.simulated import plant_spec
+from agent.standing import hold_after
 from agent.verify.check import examine
 from drivers.interface import JointState, Vector
 from sim_backend.physics.build import build_plant

@@ -11,10 +11,11 @@ import configs
 from agent.config.cell import load_cell
 from agent.control.adaptation import Estimate, from_row
 from agent.control.memory import Memory, initial, restore
-from agent.loop import Agent, Outcome, hold_here, initial_memory, step
+from agent.loop import Agent, Outcome, initial_memory, step
 from agent.modes import Mode
 from agent.process.build import build_agent
 from agent.safety import Flag
+from agent.standing import hold_here
 from agent.telemetry.row.fill import AgentRow
 from agent.telemetry.row.sample import AGENT_STATE
 from drivers.interface import BusCounters, JointState

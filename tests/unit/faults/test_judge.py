@@ -64,6 +64,14 @@ def test_only_who_must_stop_is_asked_and_who_is_gone_is_not() -> None:
     assert list(misses(replace(slow, ended={"left": "HOLD", "right": GONE}), Within(reacted_s=0.05))) == []
 
 
+@pytest.mark.parametrize(("before_N", "after_N", "late"), [(1.0, 6.0, False), (1.0, 6.01, True), (0.0, 5.5, True)])
+def test_a_late_reaction_is_as_good_where_the_force_has_not_grown(before_N: float, after_N: float, late: bool) -> None:
+    slow = replace(GOOD, stopped_s={"left": 0.2}, internal_before_N=before_N, internal_N=after_N)
+    told = ["left stopped after 0.2 s, not ≤ 0.15"] if late else []
+    assert list(misses(slow, Within(reacted_s=0.15, or_grown_N=5.0))) == told
+    assert list(misses(slow, Within(reacted_s=0.15))) == ["left stopped after 0.2 s, not ≤ 0.15"]
+
+
 def test_a_motion_that_must_go_on_is_left_by_nobody() -> None:
     assert list(misses(GOOD, Within(goes_on=True))) == ["left and right left the motion: left: STALE"]
     still = replace(GOOD, stopped_s={"left": None, "right": None})

@@ -13,8 +13,10 @@ from pathlib import Path
 
 import pytest
 
+from agent.guard.agent_end import AgentEnd
+from agent.guard.guard_end import GuardEnd
 from agent.guard.guarded import AGAIN_AFTER, Guarded
-from agent.guard.line import AgentEnd, GuardEnd, GuardError, Said, Word
+from agent.guard.line import GuardError, Said, Word
 from agent.telemetry.row.event import Level
 
 CELL, OTHER = "ab" * 32, "cd" * 32

@@ -12,9 +12,9 @@ from agent.cli.main import app
 from agent.config.cell import Cell, ConfigError, load_cell
 from agent.config.schema.cell import DriverKind
 from agent.process.build import Connection, build_driver
-from agent.process.children import RunKind
 from agent.process.rehearse import driver_of, holds, require_wall_clock, taken
 from agent.process.run import RunOptions, run_cell
+from agent.process.run_kind import RunKind
 from agent.process.simulated import lone_spec, plant_spec
 from agent.verify.check import CheckReport, examine
 from agent.verify.finding import Verdict

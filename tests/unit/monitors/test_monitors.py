@@ -12,13 +12,14 @@ import pytest
 import configs
 from agent.config.cell import Cell, load_cell
 from agent.config.monitors import bounds
-from agent.loop import Agent, Outcome, initial_memory, step, wait_here
+from agent.loop import Agent, Outcome, initial_memory, step
 from agent.modes import Mode
 from agent.monitors.bounds import Bounds, Name
 from agent.monitors.gravity import WINDOW_S, WINDOWS
 from agent.monitors.watch import Watch
 from agent.process.build import build_agent
 from agent.safety import Flag
+from agent.standing import wait_here
 from agent.verify.check import examine
 from drivers.interface import JointState, ServoHealth
 

@@ -1,0 +1,85 @@
+"""The agent's end of the line to its guard: it connects, says words, and learns of what is answered without waiting."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import socket
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from agent.guard.line import MAX_BYTES, GuardError, Word, close_all, received
+
+REPLY_S = 2.0
+
+
+class AgentEnd:
+    """The agent's end."""
+
+    def __init__(self, path: Path, fingerprint: str, patience_s: float = REPLY_S) -> None:
+        """Connect; patience_s: 0 never blocks.  Raises GuardError when nobody listens."""
+        self._path = path
+        self._fingerprint = fingerprint
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_CLOEXEC)
+        self._socket.settimeout(patience_s)
+        try:
+            self._socket.connect(str(path))
+            self._socket.setblocking(False)
+        except OSError as error:
+            self._socket.close()
+            raise GuardError(
+                f"guard at {path}", found=error.strerror, expected="the guard of this arm",
+                remedy="start it first (`coop guard`), or leave out --guard",
+            ) from error  # fmt: skip
+
+    def ask(self, word: Word, fds: Sequence[int] = (), **content: Any) -> tuple[int, ...]:
+        """Say a word and wait for the answer; the descriptors that came with it.  Raises GuardError."""
+        with contextlib.suppress(GuardError):  # who is refused at the door is told so, and then cannot say it
+            self.say(word, fds, **content)
+        self._socket.settimeout(REPLY_S)
+        try:
+            data, got = received(self._socket)
+            answer = json.loads(data)
+        except (OSError, ValueError) as error:
+            raise self._silent(word) from error
+        finally:
+            self._socket.setblocking(False)
+        if not answer.pop("ok", False):
+            close_all(got)
+            raise GuardError(f"the guard at {self._path} refuses {word.value!r}", **answer)
+        return got
+
+    def say(self, word: Word, fds: Sequence[int] = (), **content: Any) -> None:
+        """Say a word and go on; its answer is for `heard`.  Raises GuardError when it cannot be said."""
+        message = json.dumps({"word": word.value, "fingerprint": self._fingerprint, **content}).encode()
+        try:
+            socket.send_fds(self._socket, [message], list(fds))
+        except OSError as error:
+            raise self._silent(word) from error
+
+    def heard(self) -> Mapping[str, Any] | None:
+        """An answer that has come, {} when none has; None when the guard is gone.  Never blocks."""
+        try:
+            data = self._socket.recv(MAX_BYTES, socket.MSG_DONTWAIT)
+        except BlockingIOError:
+            return {}
+        except OSError:
+            return None
+        if not data:
+            return None
+        try:
+            answer = json.loads(data)
+        except ValueError:
+            return None
+        return answer if isinstance(answer, dict) else None
+
+    def close(self) -> None:
+        """Hang up.  Safe twice."""
+        self._socket.close()
+
+    def _silent(self, word: Word) -> GuardError:
+        return GuardError(
+            f"guard at {self._path}", found=f"no answer to {word.value!r}", expected="an answer",
+            remedy="see the guard's log",
+        )  # fmt: skip

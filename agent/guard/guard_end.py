@@ -1,0 +1,158 @@
+"""The guard's end of the line: it listens for one agent of its own user, and tells everybody else why not."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import socket
+import struct
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Self
+
+from agent.guard.line import MAX_BYTES, GuardError, Said, close_all, received, understood
+from drivers.interface import Refusal
+
+REFUSED_MAX = 4
+_CREDENTIALS = struct.Struct("3i")  # pid, uid, gid
+
+
+class GuardEnd:
+    """The guard's end: one agent at a time, of the guard's own user, with the same cell file."""
+
+    def __init__(self, path: Path, fingerprint: str) -> None:
+        """Listen at `path` (mode 0600), in the place of a socket that nobody serves.  Raises GuardError."""
+        self._path = path
+        self._fingerprint = fingerprint
+        self._agent: socket.socket | None = None
+        self._refused: list[socket.socket] = []
+        self._listening = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_CLOEXEC)
+        self._listening.setblocking(False)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            if path.is_socket():
+                _refuse_served(path)
+                path.unlink(missing_ok=True)
+            self._listening.bind(str(path))
+            path.chmod(0o600)
+            self._listening.listen(2)
+        except GuardError:
+            self._listening.close()
+            raise
+        except OSError as error:
+            self._listening.close()
+            raise GuardError(
+                f"guard socket {path}", found=error.strerror, expected="a free name in a folder that can be written",
+                remedy="name another with --guard",
+            ) from error  # fmt: skip
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def connected(self) -> bool:
+        """Whether an agent is there."""
+        return self._agent is not None
+
+    def filenos(self) -> list[int]:
+        """Descriptors to wait on."""
+        return [end.fileno() for end in (self._listening, self._agent) if end is not None]
+
+    def hear(self) -> Said | None:
+        """The next word of the agent, None while there is none.  Never blocks; strangers are told why not."""
+        self._accept()
+        if self._refused:
+            self._drop_refused()
+        agent = self._agent
+        if agent is None:
+            return None
+        try:
+            data, fds = received(agent)
+        except BlockingIOError:
+            return None
+        except OSError:
+            data, fds = b"", ()
+        if not data:
+            self.hang_up()
+            return None
+        said = understood(data, fds, self._fingerprint)
+        if isinstance(said, Said):
+            return said
+        close_all(fds)
+        self._reply(said)
+        return None
+
+    def answer(self, fds: Sequence[int] = ()) -> None:
+        """Say yes."""
+        self._reply({"ok": True}, fds)
+
+    def refuse(self, error: Refusal) -> None:
+        """Say no, and why."""
+        self._reply({"ok": False, "found": str(error.found), "expected": str(error.expected), "remedy": error.remedy})
+
+    def hang_up(self) -> None:
+        """Let the agent go."""
+        if self._agent is not None:
+            self._agent.close()
+            self._agent = None
+
+    def close(self) -> None:
+        """Remove the socket.  Safe twice."""
+        self.hang_up()
+        for caller in self._refused:
+            caller.close()
+        if self._listening.fileno() >= 0:
+            self._listening.close()
+            self._path.unlink(missing_ok=True)
+
+    def _accept(self) -> None:
+        try:
+            caller, _ = self._listening.accept()
+        except OSError:
+            return
+        uid = _CREDENTIALS.unpack(caller.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size))[1]
+        if self._agent is None and uid in (0, os.getuid()):
+            caller.setblocking(False)
+            self._agent = caller
+            return
+        found = f"user {uid}" if uid not in (0, os.getuid()) else "a second agent"
+        refused = {"ok": False, "found": found, "expected": f"one agent, of user {os.getuid()}", "remedy": "stop one"}
+        with contextlib.suppress(OSError):
+            caller.send(json.dumps(refused).encode(), socket.MSG_DONTWAIT)
+        caller.setblocking(False)
+        self._refused.append(caller)
+
+    def _drop_refused(self) -> None:
+        """Close who was refused once it hangs up: earlier, what it still says would hide from it why."""
+        for caller in list(self._refused):
+            data = b""
+            with contextlib.suppress(ConnectionError):
+                try:
+                    data = caller.recv(MAX_BYTES)
+                except BlockingIOError:
+                    data = b"silent"
+            if not data or len(self._refused) > REFUSED_MAX:
+                caller.close()
+                self._refused.remove(caller)
+
+    def _reply(self, answer: Mapping[str, Any], fds: Sequence[int] = ()) -> None:
+        if self._agent is None:
+            return
+        try:
+            socket.send_fds(self._agent, [json.dumps(answer).encode()], list(fds), socket.MSG_DONTWAIT)
+        except OSError:  # it does not listen: its process or its rows will tell
+            return
+
+
+def _refuse_served(path: Path) -> None:
+    """Raise GuardError when somebody listens there."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_CLOEXEC) as probe:
+        try:
+            probe.connect(str(path))
+        except OSError:
+            return
+    raise GuardError(f"guard socket {path}", found="another guard", expected="one per arm", remedy="stop it first")

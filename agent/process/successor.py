@@ -1,0 +1,143 @@
+"""What a guard does once its agent is gone: it holds the arm in the agent's place, until a release."""
+
+from __future__ import annotations
+
+import os
+import time
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+from agent.around import RunSummary, Surroundings
+from agent.config import monitors
+from agent.config.cell import Arm, Cell
+from agent.guard.black_box import BlackBox
+from agent.guard.takeover import go_on
+from agent.guard.watched import Watched
+from agent.host.notify import Notifier
+from agent.host.signals import StopFlag
+from agent.loop import Agent
+from agent.modes import Mode
+from agent.monitors.watch import Watch
+from agent.operator.socket import ControlSocket, Standing
+from agent.process.agent import LOST_REMEDY, ArmLost
+from agent.process.build import Standby
+from agent.process.operated import Operator, tick_of
+from agent.process.schedule import AgentOptions, schedule_of
+from agent.process.session import led_back
+from agent.process.tellers import Heart, ServoTeller, Teller
+from agent.runner import Runner
+from agent.telemetry.row.event import Level
+from agent.telemetry.row.fill import AgentRow
+from drivers.clock import MonotonicClock
+from drivers.interface import Refusal
+
+POST_MORTEM_AFTER_S = 0.3  # of the hold, so that its first cycles are in it
+HOLDS, HANDED_OVER = "holds in the agent's place", "the agent was asked to end"
+
+
+@dataclass(frozen=True)
+class GuardOptions:
+    """How one guard is started."""
+
+    agent: AgentOptions  # what the hold after the agent is run with
+    cell: Path
+    socket: Path
+    post_mortem: Path  # folder
+
+
+class Successor:
+    """Whoever holds one arm after its agent."""
+
+    def __init__(
+        self, cell: Cell, arm: Arm, agent: Agent, options: GuardOptions, stop: StopFlag, notifier: Notifier
+    ) -> None:  # fmt: skip
+        self._cell, self._arm, self._agent = cell, arm, agent
+        self._options, self._stop, self._notifier = options, stop, notifier
+        self._session = False  # whether the agent went from rest to rest
+        self._tell: Teller | None = None
+
+    def warn(self, text: str) -> None:
+        """What the driver has to say, once there is somebody to tell."""
+        if self._tell is not None:
+            self._tell.warn(text)
+
+    def hold(self, watched: Watched, driver: Standby, reason: str, *, session: bool) -> RunSummary:
+        """Go on in HOLD, or as a session stands there, until a release.  Raises AdoptError, ArmLost."""
+        options, arm = self._options.agent, self._arm
+        self._session = session
+        watched.inherit()
+        rows = watched.last_rows()
+        offset_ns = int(rows[-1]["utc_ns"] - rows[-1]["stamp_ns"]) if len(rows) else None
+        clock = MonotonicClock(offset_ns)
+        tell = self._tell = Teller(arm.name, watched.texts)
+        tell.clock = clock
+        with ExitStack() as stack:
+            stack.callback(watched.texts.finish)
+            stack.callback(watched.writer.finish)
+            since = {"last_row_s": round(1e-9 * (clock.now_ns() - int(rows[-1]["stamp_ns"])), 6)} if len(rows) else {}
+            level = Level.INFO if reason == HANDED_OVER else Level.ERROR
+            tell.event(level, f"{reason}: the guard holds the arm", **since)
+            standing = Standing(arm.name, Mode.HOLD, reason)
+            control = ControlSocket(options.control, self._cell.fingerprint, standing) if options.control else None
+            if control is not None:
+                stack.callback(control.close)
+            try:
+                begun = go_on(self._agent, driver, clock, rows, self._cell.period_ns, reason, session=session)
+            except Refusal as error:
+                tell.event(Level.ERROR, str(error))
+                raise
+            stack.callback(driver.close)
+            stack.callback(driver.disable)
+            black_box = self._black_box(watched.ring, reason)
+            stack.callback(black_box.finish)
+            led = led_back(self._cell, arm, self._agent, driver, begun, standing) if session else None
+            around = self._around(control, driver, watched, clock, tell, black_box, begun.mode)
+            schedule = replace(schedule_of(self._cell, options), hold_at_end=True)
+            row = AgentRow(watched.writer.row, arm.n, self._cell.config_id)
+            watch = Watch(monitors.bounds(self._cell, arm), tell.warn)
+            cpu_s = time.process_time()
+            runner = Runner(self._agent, driver, clock, schedule, row, watched.writer, around, watch, begun, led)
+            summary = runner.run()
+            tell.end(summary, time.process_time() - cpu_s)
+        self._notifier.stopping("torque off")
+        if summary.mode is Mode.FAULT:
+            raise ArmLost(
+                f"arm {arm.name}", found=summary.reason, expected="a fresh state every cycle",
+                remedy=LOST_REMEDY if session else "see the log",
+            )  # fmt: skip
+        return summary
+
+    def _around(
+        self, control: ControlSocket | None, driver: Standby, watched: Watched, clock: MonotonicClock,
+        tell: Teller, black_box: BlackBox, begins: Mode,
+    ) -> Surroundings:  # fmt: skip
+        rate_hz = self._cell.file.rate_hz
+        heart = Heart(self._notifier, rate_hz)
+        servos = ServoTeller(driver, watched.texts, clock.utc_offset_ns, rate_hz)
+        agent = self._options.agent
+        operator = Operator(self._stop, control, clock, tell.event, drops_on_stop=not agent.hold, session=self._session)
+        fixed = {"pid": os.getpid(), "driver": agent.driver.value, "guard": HOLDS, "session": self._session}
+        if control is not None:
+            control.standing.details = lambda: {**fixed, "tick": tick_of(watched.writer)}
+        heart.mode(begins)
+
+        def mode_changed(mode: Mode) -> None:
+            heart.mode(mode)
+            operator.mode(mode)
+
+        def beat() -> None:
+            heart.beat()
+            servos.beat()
+            black_box.beat()
+
+        return Surroundings(time.perf_counter_ns, operator.events, lambda: None, beat, mode_changed, tell.trouble)
+
+    def _black_box(self, ring: Path, reason: str) -> BlackBox:
+        """The post-mortem of what happened before this hold; none of a hand-over that was asked for."""
+        options, arm = self._options, self._arm.name
+        file = options.post_mortem / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{arm}-post-mortem.mcap"
+        arguments = (options.cell, arm, ring, file, reason)
+        cycles = round(POST_MORTEM_AFTER_S * self._cell.file.rate_hz)
+        return BlackBox(list(map(str, arguments)), cycles, wanted=reason != HANDED_OVER)
