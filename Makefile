@@ -67,7 +67,7 @@ faults: $(VENV)/.installed  ## the whole list of faults, what each costs, false 
 false-trips: $(VENV)/.installed  ## how often nothing trips: FAULTS_S simulated seconds of drawn realities; FAULTS_TRIPS=FILE goes on where it stopped
 	FAULTS_TRIPS=$(FAULTS_TRIPS) $(BIN)/python -m tests.faults.false_trips
 
-hil: $(VENV)/.installed  ## rehearsals against simulated cells: every cell, arms that are otherwise, faults, in virtual time (5 min)
+hil: $(VENV)/.installed  ## rehearsals against simulated cells: every cell, arms that are otherwise, faults, in virtual time (8 min)
 	$(BIN)/python -m tests.support.hil
 
 bench: $(VENV)/.installed  ## speed and memory; BENCH_OUT=FILE writes the figures as JSON

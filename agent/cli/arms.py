@@ -44,7 +44,7 @@ def agent(
     from agent.config.schema.cell import DriverKind
     from agent.host.paths import control_path, make_runtime_dir, plant_socket_path, ring_path
     from agent.process.agent import run_agent
-    from agent.process.build import Connection
+    from agent.process.build import Connection, port_of
     from agent.process.floats import run_float
     from agent.process.rehearse import (
         driver_of,
@@ -63,6 +63,8 @@ def agent(
     name = loaded.file.name
     if not emulated:
         require_one_host(loaded)
+    if in_the_loop(loaded, arm):
+        port_of(loaded.arm(arm), Connection(port=port))
     if in_the_loop(loaded, arm) and not emulated:
         said = gripper_empty or taken(gripper_word)
         require_empty_gripper(arm, said or asked_yes(f"Is the gripper of arm {arm} EMPTY?"))

@@ -20,6 +20,7 @@ from tests.support.ladder import COMPARED, STEPS
 from tests.support.stalls import ATTEMPTS
 
 ON_EMULATED = ("--emulated", "--allow-no-realtime", "--gripper-empty")
+STALLED = (5, 7)  # a run that ended early, arms that could not start together
 PRIORITY = ("--priority", "80")  # of a real arm
 
 
@@ -48,14 +49,14 @@ def climb(step: tuple[str, ...], folder: Path, out: str) -> tuple[int | None, st
     words = [word for word in step if word not in PRIORITY]
     with servos(folder, words[words.index("--hil") + 1]) as cell:
         words[words.index("two_wx200")] = str(cell)
-        run = start(*words, *ON_EMULATED, *told, cwd=folder)
-        assert run.stderr is not None
         said = ""
-        while run.poll() is None and (line := run.stderr.readline()):
-            said += line
-            if "HOLDS" in line:  # until somebody says so
-                coop("release", cell, cwd=folder)
-        return run.wait(), said
+        with start(*words, *ON_EMULATED, *told, cwd=folder) as run:
+            assert run.stderr is not None
+            for line in run.stderr:
+                said += line
+                if "HOLDS" in line:  # until somebody says so
+                    coop("release", cell, cwd=folder)
+        return run.returncode, said
 
 
 @pytest.mark.long
@@ -67,7 +68,7 @@ def test_each_step_runs_and_is_compared_with_the_one_before(tmp_path: Path, monk
             code, said = climb(step, tmp_path, f"step-{k}")
             if code == 0:
                 break
-        if code == 5 and k:
+        if code in STALLED and k:
             pytest.skip(f"this machine stalled in step {k + 1}: {said.splitlines()[-1]}")
         assert code == 0, (step, said)
         log = read_log(tmp_path / f"step-{k}" / "run.mcap")

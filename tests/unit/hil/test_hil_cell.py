@@ -110,6 +110,17 @@ def test_an_arm_of_which_nobody_says_that_its_gripper_is_empty_does_not_start(tm
     assert not (tmp_path / "ring").exists()
 
 
+def test_an_arm_without_a_port_does_not_start(tmp_path: Path) -> None:
+    file = tmp_path / "cell.toml"
+    shipped = (configs.CELLS_DIR / "two_wx200.toml").read_text().splitlines()
+    file.write_text("\n".join([*(line for line in shipped if not line.startswith("dynamixel")), "[hil]", LOOP[4:]]))
+    ran = CliRunner().invoke(
+        app, ["agent", str(file), "--arm", "left", "--gripper-empty", "--ring", str(tmp_path / "r")]
+    )
+    assert "port of arm left: found none in the cell file" in str(ran.exception)
+    assert not (tmp_path / "r").exists()
+
+
 def test_a_word_counts_once(tmp_path: Path) -> None:
     word = tmp_path / "left"
     assert not taken(None)
