@@ -6,7 +6,7 @@ JOBS   ?= $(shell echo $$(( $$(nproc) + 1 )))  # some tests wait
 CELL   ?= configs/cells/paper.toml
 
 .DEFAULT_GOAL := help
-.PHONY: help run test test-fresh long fuzz mutate soak faults false-trips hil campaign phases bench format clean
+.PHONY: help run test test-fresh long fuzz mutate soak kills faults false-trips hil campaign phases bench format clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## */\1\t/' | expand -t 12
@@ -43,7 +43,7 @@ long: $(VENV)/.installed  ## simulations and repetitions of which `make test` ru
 	$(BIN)/pytest -m long -n $(JOBS) --dist worksteal
 	HYPOTHESIS_PROFILE=whole $(BIN)/pytest -n $(JOBS) --dist worksteal tests/property/control tests/unit/control
 
-mutate: $(VENV)/.installed  ## one-line changes that a test must notice; MUTATE_ONLY=TEXT for some modules
+mutate: $(VENV)/.installed  ## one-line changes that a test must notice; MUTATE_ONLY=TEXT for some modules, MUTATE_DONE=FILE goes on where it stopped
 	$(BIN)/python -m tests.mutate
 
 fuzz: $(VENV)/.installed  ## thousands of changed files through what reads them (half an hour)
@@ -51,6 +51,9 @@ fuzz: $(VENV)/.installed  ## thousands of changed files through what reads them 
 
 soak: $(VENV)/.installed  ## every cell for 1000 s (SOAK_S), recorder under load, memory and gaps stay flat; SOAK_ONLY=TEXT for some
 	$(BIN)/python -m tests.soak
+
+kills: $(VENV)/.installed  ## a recorder killed at random, KILLS times (20): what is lost, and four readers of what is left (3 min)
+	$(BIN)/python -m tests.campaign.kills
 
 campaign: $(VENV)/.installed  ## random gains, pads, delays: what the criterion accepts must live; arms that learn and disagree (15 min); CAMPAIGN_N, CAMPAIGN_SEED
 	$(BIN)/python -m tests.campaign

@@ -7,36 +7,29 @@ which mode follows what happened is for `agent.modes`, how long what may last fo
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
-from agent import floats
 from agent.around import Beginning, LoopLog, RunSummary, Schedule, Surroundings
 from agent.control.memory import Memory
 from agent.cycles import WINDOW, Bus, Cycles
 from agent.loop import Agent, Outcome, blind, explained, initial_memory, step
-from agent.modes import FLOATING, TABLE, Event, Mode, next_mode
+from agent.modes import TABLE, Event, Mode, next_mode
 from agent.monitors.watch import Watch
 from agent.safety import Flag
-from agent.session import WAY_BACK, SessionLoop, entered, way_back
+from agent.session import SessionLoop
 from agent.session_modes import next_in_session
-from agent.standing import afresh, hold_after, wait_here
+from agent.sight import KEEPS, Sight
+from agent.standing import afresh, wait_here
 from agent.telemetry.row.fill import AgentRow
-from drivers.interface import (
-    Clock,
-    Driver,
-    DriverError,
-    JointState,
-    Recovering,
-    ServoFault,
-    StaleStateError,
-    Vector,
-)
+from agent.telling import Telling
+from agent.ticks import Ticks
+from agent.transition import entered
+from drivers.interface import Clock, Driver, DriverError, JointState, Vector
 
-__all__ = ["Beginning", "LoopLog", "RunSummary", "Runner", "Schedule", "Surroundings"]
-
-NOT_YET_NS = 86_400_000_000_000  # the trajectory's zero while nobody has set it: a day ahead
-_TROUBLE = int(Flag.NOT_FINITE | Flag.SINGULAR | Flag.OFF_TRACK | Flag.UNEXPECTED)  # joining flags takes 1 µs
-_KEEPS = frozenset({Mode.HOLD, Mode.HALT, Mode.STAND})  # in which an arm stays until somebody says a word
+TROUBLE = Flag.NOT_FINITE | Flag.SINGULAR | Flag.OFF_TRACK | Flag.UNEXPECTED  # for which an arm holds
+_TROUBLE = int(TROUBLE)  # asking a flag for another one takes 0.5 µs
 _COMMANDING = frozenset(mode for mode, entry in TABLE.items() if entry.commands)
 
 
@@ -68,28 +61,25 @@ class Runner:
         self._row = row
         self._sink = sink
         self._around = around
+        self._telling = Telling(around, in_session=session is not None)
         self._watch = watch
         self._memory: Memory = initial_memory(agent)
         self._outcome: Outcome | None = None  # of the last tick with a fresh state
         self._mode = Mode.OFF
         self._reason = ""
         self._rows = 0
-        self._late_cycles = 0
-        self._stale_cycles = 0
-        self._unseen = ""  # why the last read brought no state
-        self._fault = ""  # of the servos, as last read
+        self._late_cycles, self._stale_cycles = 0, 0
         self._marks = Flag.NONE  # of the next row
-        self._tick = 0  # of the period since the phase
-        self._phase_ns = clock.now_ns()  # instant of tick 0
-        self._cycles = Cycles(schedule.patience, schedule.period_ns, self._phase_ns)
-        self._recovering = driver if isinstance(driver, Recovering) else None
+        begin_ns = clock.now_ns()
+        self._ticks = Ticks(schedule, begin_ns)
+        self._cycles = Cycles(schedule.patience, schedule.period_ns, begin_ns)
+        resumed = partial(self._begin_afresh, Flag.RESUMED)
+        self._sight = Sight(driver, self._cycles, resumed, lockstep=schedule.lockstep)
         self._utc_offset_ns = clock.utc_offset_ns
-        self._zero_ns = self._phase_ns + (schedule.ready_ns if schedule.lockstep else NOT_YET_NS)
-        self._told_at_rest = ""
         self._tracking_since_ns: int | None = None
         self._tracked_s = 0.0
         if beginning is not None:
-            self._mode, self._memory, self._zero_ns = beginning.mode, beginning.memory, beginning.zero_ns
+            self._mode, self._memory, self._ticks.zero_ns = beginning.mode, beginning.memory, beginning.zero_ns
             self._rows, self._reason, self._marks = beginning.rows, beginning.reason, beginning.marks
 
     @property
@@ -105,8 +95,8 @@ class Runner:
         self._mode = self._next(happened)
         if self._schedule.lockstep and not self._schedule.ready_ns:
             self._mode = next_mode(self._mode, Event.STARTED)
-        while self._mode in _COMMANDING and not self._over():
-            deadline_ns = self._phase_ns + self._tick * self._schedule.period_ns
+        while self._mode in _COMMANDING and not self._ticks.over():
+            deadline_ns = self._ticks.deadline_ns
             self._clock.sleep_until(deadline_ns)
             self._cycle(deadline_ns)
         return RunSummary(
@@ -117,12 +107,6 @@ class Runner:
             reason=self._reason,
             tracked_s=self._tracked_s,
         )
-
-    def _over(self) -> bool:
-        return not self._schedule.hold_at_end and self._past_end(self._phase_ns + self._tick * self._schedule.period_ns)
-
-    def _past_end(self, instant_ns: int) -> bool:
-        return instant_ns - self._zero_ns >= self._schedule.ticks * self._schedule.period_ns
 
     def _cycle(self, deadline_ns: int) -> None:
         schedule, period_ns, cycles = self._schedule, self._schedule.period_ns, self._cycles
@@ -136,11 +120,13 @@ class Runner:
                 self._pass_gap(gap_s)
         begin_ns = self._around.wall_ns()
         happened = self._around.operator()
-        bus = Bus.READ if schedule.lockstep else self._bus(deadline_ns)
+        bus = Bus.READ if schedule.lockstep else self._sight.plan(deadline_ns, self._mode)
         state = None
         if bus is Bus.READ:
-            state, trouble = self._read()
-            happened |= trouble
+            state, trouble = self._sight.read(self._mode)
+            if trouble:
+                happened |= trouble
+                self._reason = self._reason or self._sight.unseen
         if state is not None:
             cycles.fresh(deadline_ns)
             if self._outcome is None:
@@ -149,13 +135,13 @@ class Runner:
         else:
             happened |= self._go_blind(deadline_ns, bus)
         self._around.heartbeat()
-        if schedule.hold_at_end and self._tracks_to_end() and self._past_end(deadline_ns + period_ns):
+        if schedule.hold_at_end and self._mode is Mode.TRACK and self._ticks.past_end(deadline_ns + period_ns):
             happened |= Event.STOP
         if self._mode is Mode.READY and self._may_start() and self._started(deadline_ns):
             happened |= Event.STARTED
         late = late_ns > period_ns
         self._late_cycles += late
-        self._tick += 1
+        self._ticks.deadline_ns += period_ns
         if not schedule.lockstep:
             happened |= self._skip(deadline_ns, good=state is not None and not late)
         if self._session is not None:
@@ -163,9 +149,6 @@ class Runner:
             happened = self._judged(self._session, happened, seen=seen)
         if happened:
             self._change_mode(happened, state)
-
-    def _tracks_to_end(self) -> bool:
-        return self._session is None or self._mode is Mode.TRACK
 
     def _may_start(self) -> bool:
         return self._session is None or self._session.taken_up(self._mode, self._memory)
@@ -176,8 +159,8 @@ class Runner:
         said, session.reason = session.reason, ""
         if said and happened & (Event.TROUBLE | Event.STOP):
             self._reason = said
-        elif said and self._around.refused is not None:
-            self._around.refused(said)
+        elif said:
+            self._telling.refused(said)
         return happened
 
     def _next(self, happened: Event) -> Mode:
@@ -188,7 +171,7 @@ class Runner:
     def _skip(self, deadline_ns: int, *, good: bool) -> Event:
         """Leave out the cycles that this one took the time of; trouble once too few are good."""
         skipped = max(0, (self._clock.now_ns() - deadline_ns) // self._schedule.period_ns)
-        self._tick += skipped
+        self._ticks.deadline_ns += skipped * self._schedule.period_ns
         share = self._cycles.end(skipped, good=good)
         if share is None:
             return Event.NONE
@@ -207,51 +190,13 @@ class Runner:
         self._marks |= mark
         self._memory = afresh(self._memory, mark)
 
-    def _bus(self, deadline_ns: int) -> Bus:
-        """What this cycle does on the bus; an arm that lapsed is brought back in HOLD, and by its driver."""
-        arm = self._recovering
-        lapsed = arm is not None and self._mode in _KEEPS and arm.lapsed
-        bus = self._cycles.plan(deadline_ns, lapsed=lapsed, recovers=arm is not None)
-        if bus is not Bus.RECOVER or arm is None:
-            return bus
-        try:
-            resumed, back = arm.recover(), True
-        except DriverError as error:
-            self._unseen, resumed, back = str(error), False, False
-        self._cycles.tried(deadline_ns, back=back)
-        if resumed:
-            self._begin_afresh(Flag.RESUMED)
-        return Bus.READ if back else Bus.QUIET
-
-    def _read(self) -> tuple[JointState | None, Event]:
-        """Fresh state or None, and whether anything is wrong with the arm."""
-        try:
-            return self._driver.read(), Event.NONE
-        except StaleStateError as error:
-            self._unseen = str(error)
-            return None, Event.SERVO_LOST if self._schedule.lockstep else Event.NONE
-        except ServoFault as error:
-            self._unseen = str(error)
-            state = error.state
-            if state is None:
-                return None, Event.SERVO_LOST
-            self._reason = self._reason or self._unseen
-            seen = bool(np.isfinite(state.q).all() and np.isfinite(state.dq).all())
-            return state if seen else None, self._trouble_of(self._unseen)
-
-    def _trouble_of(self, fault: str) -> Event:
-        """What a servo's fault, which lasts, asks for: on the way back of a session the one of before asks no more."""
-        borne = self._session is not None and self._mode in WAY_BACK and fault == self._fault
-        self._fault = fault
-        return Event.NONE if borne else Event.TROUBLE
-
     def _act(self, state: JointState, late_ns: int, begin_ns: int) -> Event:
         """One step on a fresh state: torque out, row in the log."""
         row, wall_ns, mode = self._row, self._around.wall_ns, self._mode
         if mode is not Mode.TRACK and self._memory.hold is None:
             self._memory = wait_here(self._agent, state.q, self._memory, mode)
         after_read_ns = wall_ns()
-        t = (state.stamp_ns - self._zero_ns) * 1e-9
+        t = (state.stamp_ns - self._ticks.zero_ns) * 1e-9
         outcome = step(self._agent, state, t, mode, self._memory)
         after_step_ns = wall_ns()
         tau_sent = self._send(outcome.tau)
@@ -275,18 +220,13 @@ class Runner:
             if self._tracking_since_ns is None:
                 self._tracking_since_ns = begin_ns
             self._tracked_s = (after_write_ns - self._tracking_since_ns) * 1e-9
-        found = ""
-        if self._watch is not None:
-            found = self._watch.after(state, outcome, mode, self._driver.health)
+        found = "" if self._watch is None else self._watch.after(state, outcome, mode, self._driver.health)
         if int(outcome.flags) & _TROUBLE:
-            self._reason = (
-                self._reason or f"t = {t:.3f} s: {outcome.flags!r} {explained(self._agent, outcome)}".rstrip()
-            )
-            return Event.TROUBLE
-        if found:
-            self._reason = self._reason or f"t = {t:.3f} s: {found}"
-            return Event.TROUBLE
-        return Event.NONE
+            found = self._reason or f"{outcome.flags.name} {explained(self._agent, outcome)}".rstrip()
+        if not found:
+            return Event.NONE
+        self._reason = self._reason or f"t = {t:.3f} s: {found}"
+        return Event.TROUBLE
 
     def _send(self, tau: Vector) -> Vector:
         """Write torques; NaN where the bus did not take them, which the next read tells more about."""
@@ -312,7 +252,7 @@ class Runner:
             tau_sent = self._send(outcome.tau)
         if self._marks:
             outcome, self._marks = outcome._replace(flags=outcome.flags | self._marks), Flag.NONE
-        t = (deadline_ns - self._zero_ns) * 1e-9
+        t = (deadline_ns - self._ticks.zero_ns) * 1e-9
         state = JointState(deadline_ns, nothing, nothing, nothing)
         utc_ns = self._utc_offset_ns + deadline_ns
         self._row.fill(self._rows, t, utc_ns, self._mode, state, memory, outcome, tau_sent)
@@ -323,55 +263,36 @@ class Runner:
             return Event.SERVO_LOST
         if lost <= patience.hold:
             return Event.NONE
-        self._reason = self._reason or self._unseen
+        self._reason = self._reason or self._sight.unseen
         return Event.TROUBLE
 
     def _started(self, deadline_ns: int) -> bool:
         """Whether the next tick belongs to the trajectory; takes over the common start once it is known (READY)."""
         zero_ns = self._around.start_ns()
-        session = self._session
-        counts = zero_ns != self._zero_ns and (session is None or session.counts(zero_ns, deadline_ns))
+        session, ticks = self._session, self._ticks
+        counts = zero_ns != ticks.zero_ns and (session is None or session.counts(zero_ns, deadline_ns))
         if zero_ns is not None and counts:
-            self._zero_ns = zero_ns
-            self._phase_ns = zero_ns - (zero_ns - deadline_ns) // self._schedule.period_ns * self._schedule.period_ns
-            self._tick = 0
-        return self._phase_ns + (self._tick + 1) * self._schedule.period_ns >= self._zero_ns
-
-    def _tell_at_rest(self, happened: Event) -> None:
-        """What is wrong with an arm that rests, once: nothing else comes of it."""
-        if self._mode is Mode.REST and Event.TROUBLE in happened and self._reason != self._told_at_rest:
-            self._told_at_rest = self._reason
-            if self._around.trouble is not None:
-                self._around.trouble(way_back(Mode.REST, self._reason))
+            ticks.start(zero_ns)
+        return ticks.starts_next()
 
     def _change_mode(self, happened: Event, state: JointState | None) -> None:
         before = self._mode
         mode = self._next(happened)
         if Event.SERVO_LOST in happened:
-            self._reason = self._unseen or self._reason
+            self._reason = self._sight.unseen or self._reason
         if mode is before:
-            self._tell_at_rest(happened)
+            if mode is Mode.REST and Event.TROUBLE in happened:
+                self._telling.at_rest(self._reason)
             return
         if self._session is not None:
             self._session.entered(mode)
             if mode is Mode.READY:  # what was started before is over
                 self._session.await_start(self._around.start_ns())
-                self._zero_ns = self._clock.now_ns() + NOT_YET_NS
-        if self._agent.floating is not None and mode in FLOATING:
-            last = self._outcome if state is not None else None
-            seen = None if last is None else (last.q, last.dq)
-            self._memory = floats.entered(self._agent.floating, mode, self._memory, seen)
-        elif self._agent.session is not None:
-            self._memory = entered(self._agent, mode, self._memory, self._outcome if state is not None else None)
-        elif mode is Mode.HOLD and state is not None and self._outcome is not None:
-            self._memory = hold_after(self._agent, self._outcome)
-        elif mode is Mode.TRACK:
-            self._memory = self._memory._replace(hold=None, q_hold=None)
+                self._ticks.await_start(self._clock.now_ns())
+        self._memory = entered(self._agent, mode, self._memory, self._outcome if state is not None else None)
         self._mode = mode
         self._around.mode_changed(mode)
-        if self._session is not None and mode not in _KEEPS and mode in _COMMANDING:
+        if self._session is not None and mode not in KEEPS and mode in _COMMANDING:
             self._reason = ""  # of a hold that is over
-        if mode in _KEEPS and Event.TROUBLE in happened and self._around.trouble is not None:
-            back = self._session is not None
-            said = way_back(mode, self._reason, seen=state is not None) if back else self._reason
-            self._around.trouble(said)
+        if mode in KEEPS and Event.TROUBLE in happened:
+            self._telling.stands(mode, self._reason, seen=state is not None)

@@ -44,6 +44,11 @@ _UNFINISHED = {
     Mode.RELEASE: "the gripper is not open yet",
 }
 _OPENING = frozenset({Mode.APPROACH, Mode.HALT})  # in which the gripper may still be on its way
+_MEND: dict[Verdict, str] = {
+    Verdict.STUCK: "free its fingers",
+    Verdict.NO_FORCE: "it is open again: see what keeps its fingers apart",
+}
+_MEND_ELSE = "it is open again: put the object in its place"
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,7 +210,7 @@ class SessionLoop:
         wanted = f"{self._plan.width_m * 1e3:.1f} mm"
         self.reason = (
             f"the gripper {verdict.value}: found {state.width_m * 1e3:.1f} mm, expected {wanted}; "
-            "it is open again: put the object in its place, then `coop grasp`, or `coop park`"
+            f"{_MEND.get(verdict, _MEND_ELSE)}, then `coop grasp`, or `coop park`"
         )
         return Event.NOT_GRIPPED
 

@@ -25,7 +25,7 @@ from agent.config.edit import Change, apply
 from agent.config.reality import reality_of
 from agent.config.schema.arm import LAST_TICK
 from agent.config.schema.reality import ArmReality, Reality
-from drivers.dynamixel.servo.table import TICK_RAD
+from drivers.dynamixel.servo.counts import TICK_RAD
 from drivers.interface import Vector
 
 SEEN_BELOW: Final = 0.5  # of the prior's standard deviation is left
@@ -46,8 +46,8 @@ class Estimate:
 
     arm: str
     name: str
-    value: float
-    sigma: float
+    value: float  # as written
+    sigma: float  # standard error of that: of the fit, and what whole encoder steps have moved it by
     prior: float
     outcome: Outcome
 
@@ -85,13 +85,14 @@ class Calibrated:
 
     def estimates(self) -> list[Estimate]:
         """Each parameter, base before grasp before zeros, arm after arm."""
-        found, x, s = [], *(self.chain.parts(v) for v in (self.written, self.solution.sigma))
-        for link, value, sigma in zip(self.chain.links, x, s, strict=True):
+        all_of = (self.written, self.solution.sigma, self.written - self.solution.x)
+        found, parts = [], [self.chain.parts(v) for v in all_of]
+        for link, value, sigma, moved in zip(self.chain.links, *parts, strict=True):
             for i, name in enumerate(_names(link)):
                 left = sigma[i] / link.scale[i] if link.scale[i] > KNOWN else 0.0
                 outcome = Outcome.UNSEEN if left > SEEN_BELOW else Outcome.MEASURED
                 outcome = outcome if link.scale[i] > KNOWN else Outcome.GIVEN
-                of = (float(value[i]), float(sigma[i]), float(link.scale[i]))
+                of = (float(value[i]), math.hypot(sigma[i], moved[i]), float(link.scale[i]))
                 found.append(Estimate(link.arm.name, name, *of, outcome))
         return found
 

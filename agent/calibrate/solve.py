@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 
 from agent.calibrate.chain import Chain, Matrix, Seen
-from drivers.dynamixel.servo.table import TICK_RAD
+from drivers.dynamixel.servo.counts import TICK_RAD
 from drivers.interface import Vector
 
 JOINT_NOISE_RAD: Final = TICK_RAD / math.sqrt(12.0)  # of a reading on the encoder's grid

@@ -97,6 +97,7 @@ def run_document(outcome: RunOutcome) -> dict[str, Any]:
         "log": str(outcome.log),
         "report": None if outcome.report is None else str(outcome.report),
         "interrupted": outcome.interrupted,
+        "gave_up": outcome.gave_up or None,
         "within_bounds": outcome.within_bounds,
         "results": outcome.results.to_json(),
     }

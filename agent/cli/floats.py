@@ -44,7 +44,10 @@ def float_arms(
     overrides: Overrides = [],  # noqa: B006
     as_json: Annotated[bool, typer.Option("--json", help="One JSON document a line, ten a second.")] = False,
 ) -> None:
-    """Let arms float so that a hand can guide them: weight compensated, damped; writes a log for `coop calibrate`."""
+    """Let arms float so that a hand can guide them: weight compensated, damped; writes a log for `coop calibrate`.
+
+    A stop lets them stand, then sink.  Nothing guards them: keep a hand on an arm, for it falls when its process dies.
+    """
     from agent.process.floating_arms import FloatOptions, float_arms, floating_cell, require_ports
 
     requested = begin(with_parent=False)
@@ -149,6 +152,8 @@ class Shown:
 
 def line(glance: Glance) -> str:
     """An arm in one line."""
+    if math.isnan(glance.p_m[0]):
+        return f"{glance.t:7.1f} s  {glance.arm} {glance.mode.name}  not seen: its servos do not answer"
     joints = "  ".join(f"{j.name} {j.q_rad:+.3f}" for j in glance.joints)
     x, y, z = glance.p_m
     return f"{glance.t:7.1f} s  {glance.arm} {glance.mode.name}  {joints} rad  at {x:+.3f} {y:+.3f} {z:+.3f} m"

@@ -77,9 +77,9 @@ def run(
     """
     from agent.cli.progress import RunProgress
     from agent.host.signals import StopFlag
-    from agent.process.children import RunKind
     from agent.process.real_arms import RealArms
     from agent.process.run import RunOptions, run_cell
+    from agent.process.run_kind import RunKind
     from agent.report.bounds import require_bounds
     from agent.report.results_file import terminal_table
     from agent.telemetry.link.session import FREE_PORT
@@ -109,5 +109,8 @@ def run(
     if outcome.interrupted:
         typer.echo("stopped by request; the log ends there and is complete up to it", err=as_json)
         raise typer.Exit(130)
+    if outcome.gave_up:
+        note(f"coop: the session was given up: {outcome.gave_up}")
+        raise typer.Exit(5)
     if strict:
         require_bounds(outcome.results)

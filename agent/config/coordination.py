@@ -15,7 +15,7 @@ def alignment(cell: Cell, arm: Arm) -> Alignment | None:
     if not spec.enabled:
         return None
     return Alignment(
-        follows=arm.name != (spec.anchor or cell.arms[0].name),
+        follows=arm.name != cell.arms[cell.anchor].name,
         ready_per_s=spec.ready_per_s,
         track_per_s=spec.track_per_s,
         dead_zone_m=spec.dead_zone_m,

@@ -21,7 +21,7 @@ from agent.config.schema.tolerance import Tolerance
 from agent.config.schema.types import nearest
 from agent.config.urdf import text_of_urdf, urdf_beside
 from agent.control.trajectory import Trajectory
-from drivers.dynamixel.servo.table import SERVOS, ServoModel
+from drivers.dynamixel.servo.models import SERVOS, ServoModel
 from drivers.interface import Vector
 
 
@@ -93,9 +93,20 @@ class CellFiles:
         return self.file.tolerance
 
     @property
+    def inertia_error(self) -> float:
+        """Part by which the arms' inertia may be off: what is checked for, or what is stated of masses if more."""
+        return max(self.file.safety.inertia_error, self.tolerance.masses)
+
+    @property
     def period_ns(self) -> int:
         """Control period."""
         return round(1e9 / self.file.rate_hz)
+
+    @property
+    def anchor(self) -> int:
+        """Place of the arm that aligns itself with none; the others do with it."""
+        name = self.file.controller.alignment.anchor
+        return 0 if name is None else self.index(name)
 
     def index(self, name: str) -> int:
         """Place of the arm of that name among the cell's arms.  Raises ConfigError."""

@@ -26,7 +26,7 @@ from drivers.interface import Vector
 MARGIN: Final = 1.4
 SPEED_TIMES: Final = 2.0  # the motion's own
 FASTEST: Final = 0.85  # of no-load speed, whatever the motion asks for
-ADAPTIVE_TIMES: Final = 1.3  # arms that learn at rest share the weight as it happens
+ADAPTIVE_TIMES: Final = 1.9  # arms that learn at rest share the weight as it happens
 FLOORS: Final = (0.3, 0.3, 0.3, 0.03, 0.03, 0.03)
 FRICTION_TIMES: Final = 3.0  # of the file's Coulomb friction: feedback beyond it moves any joint that is free
 SAMPLES: Final = 100  # of the motion

@@ -33,7 +33,7 @@ from agent.control.inverse import SingularJacobian, invert_jacobian
 from agent.control.law import Offline
 from agent.control.models import ArmModel, Kinematics, Matrix
 from agent.control.residual import Channels
-from drivers.dynamixel.servo.table import TICKS_PER_TURN
+from drivers.dynamixel.servo.counts import TICKS_PER_TURN
 from drivers.interface import Vector
 
 PLACES: Final = 12  # along the motion

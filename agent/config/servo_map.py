@@ -7,7 +7,7 @@ from dataclasses import replace
 from agent.config.cell import Arm, Cell
 from agent.config.schema.arm import ArmFile, ServoJoint, Servos
 from drivers.dynamixel.arm_map import ArmMap, JointMap, JointRole
-from drivers.dynamixel.servo.table import SERVOS
+from drivers.dynamixel.servo.models import SERVOS
 from drivers.dynamixel.servo.units import ticks_rad
 from drivers.fingers import Fingers
 from drivers.interface import Vector

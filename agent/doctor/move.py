@@ -20,7 +20,7 @@ from agent.config.servo_map import arm_map
 from agent.control.models import ArmModel
 from agent.verify.finding import Finding, Verdict, from_refusal, refused, warning
 from drivers.dynamixel.arm_map import ArmMap
-from drivers.dynamixel.servo.table import SERVOS
+from drivers.dynamixel.servo.models import SERVOS
 from drivers.interface import Clock, Driver, DriverError, JointState, StaleStateError, Vector
 
 MOVED_RAD: Final = 0.012  # eight encoder steps

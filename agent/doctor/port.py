@@ -6,8 +6,8 @@ import os
 from pathlib import Path
 
 from agent.verify.finding import Finding, Verdict, from_refusal, judged, refused, warning
-from drivers.dynamixel.driver import MAX_LATENCY_TIMER_MS
 from drivers.dynamixel.line.ports import CANDIDATES, busy_error, holders, open_error
+from drivers.dynamixel.pace import MAX_LATENCY_TIMER_MS
 
 _SHIFTING = ("/dev/ttyUSB", "/dev/ttyACM")
 UDEV = "install the udev rule shipped in systemd/udev, then unplug and plug the adapter"

@@ -13,6 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from agent.around import LoopLog, RunSummary, Surroundings
 from agent.config import monitors
 from agent.config.cell import Arm, Cell
 from agent.config.reality import reality_of
@@ -29,7 +30,7 @@ from agent.process.build import Connection, build_agent
 from agent.process.emulate import wiring
 from agent.process.schedule import AgentOptions, schedule_of
 from agent.process.simulated import plant_spec
-from agent.runner import LoopLog, Runner, RunSummary, Surroundings
+from agent.runner import Runner
 from agent.telemetry.row.fill import AgentRow
 from agent.telemetry.row.sample import AGENT_STATE
 from agent.verify.check import examine

@@ -12,6 +12,7 @@ from typing import Final
 
 import numpy as np
 
+from agent.around import LoopLog
 from agent.config.cell import Arm
 from agent.config.schema.reality import Reality
 from agent.faults.bench import ArmRun, Bench, Rows, SEIZED_Nms_RAD
@@ -21,7 +22,6 @@ from agent.faults.tampered import AgentClock
 from agent.process.emulate import wiring
 from agent.process.rehearse import BridgedRows, bridge
 from agent.process.simulated import lone_spec
-from agent.runner import LoopLog
 from agent.telemetry.row.fill import AgentRow
 from drivers.dynamixel.arm_map import WATCHDOG_S
 from drivers.interface import Driver

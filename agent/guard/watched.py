@@ -16,8 +16,9 @@ from agent.guard.line import GuardError, Said
 from agent.guard.resume import ROWS
 from agent.guard.vigil import Vigil
 from agent.replay.tick import Rows
-from agent.telemetry.ring.ring import RingReader, RingWriter
+from agent.telemetry.ring.reader import RingReader
 from agent.telemetry.ring.texts import TextWriter
+from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.sample import AGENT_STATE
 
 DESCRIPTORS = 3  # of the process, the ring, its texts

@@ -15,7 +15,7 @@ from agent.modes import Mode
 from agent.safety import Flag
 from agent.telemetry.row.health import QUANTITIES
 from agent.telemetry.row.health import Health as ServoTexts
-from drivers.dynamixel.servo.table import HardwareError
+from drivers.dynamixel.servo.codes import HardwareError
 
 TOPIC: Final = "/diagnostics"
 ROS_NAME: Final = "diagnostic_msgs/DiagnosticArray"

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import fcntl
 import os
-import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
@@ -22,12 +21,12 @@ from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
 from agent.log.chunk import LIBRARY, Group
+from agent.log.disk import Sink, Syncer, free_bytes, sync_directory
 from agent.log.writer import BatchWriter, Records
 from drivers.interface import Refusal
 
 PROFILE: Final = "ros2"
 FLUSH_S: Final = 0.25
-SYNC_S: Final = 1.0
 MIN_FREE_BYTES: Final = 64 << 20
 
 
@@ -72,7 +71,7 @@ class LogFile:
         self._unsafe: Counter[int] = Counter()  # the same, since the last whole chunk
         self._min_free = min_free_bytes
         self._fd = _create(path, min_free_bytes)
-        self._sink = _Sink(self._fd)
+        self._sink = Sink(self._fd)
         self._writer = BatchWriter(self._sink.write)
         self._flushed_s = time.monotonic()
         try:
@@ -81,7 +80,7 @@ class LogFile:
             os.close(self._fd)
             path.unlink(missing_ok=True)
             raise _cannot_write(path, error) from error
-        self._syncer = _Syncer(self._fd)
+        self._syncer = Syncer(self._fd)
 
     def _write_head(
         self, attachments: Iterable[Attachment], metadata: Mapping[str, Mapping[str, str]], created_ns: int
@@ -93,7 +92,7 @@ class LogFile:
             self._writer.add_metadata(name, values)
         self._flush()
         os.fsync(self._fd)
-        _sync_directory(self.path.parent)
+        sync_directory(self.path.parent)
 
     def channel(self, topic: str, schema_name: str, definition: str, metadata: Mapping[str, str]) -> int:
         """Register a channel of ROS 2 messages in CDR; returns its number."""
@@ -147,7 +146,7 @@ class LogFile:
                 self._flush()
             if self._syncer.error is not None:
                 raise self._syncer.error
-            self.nearly_full = _free_bytes(self.path) < self._min_free
+            self.nearly_full = free_bytes(self.path) < self._min_free
         except OSError as error:
             self._fail(error)
 
@@ -185,48 +184,6 @@ class LogFile:
         os.close(self._fd)
 
 
-class _Sink:
-    """What the MCAP writer writes to: straight to the descriptor, and it knows how far all was well."""
-
-    def __init__(self, fd: int) -> None:
-        self._fd = fd
-        self.position = 0
-        self.good = 0
-
-    def write(self, data: bytes) -> None:
-        view = memoryview(data)
-        while view:
-            count = os.write(self._fd, view)
-            self.position += count
-            view = view[count:]
-
-
-class _Syncer:
-    """fdatasync once a second in a thread of its own: a disk that takes seconds must not stop the receiving."""
-
-    def __init__(self, fd: int) -> None:
-        self.error: OSError | None = None
-        self._fd = os.dup(fd)
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="log-sync", daemon=True)
-        self._thread.start()
-
-    def stop(self) -> None:
-        """End the thread.  Safe twice."""
-        if not self._stop.is_set():
-            self._stop.set()
-            self._thread.join()
-            os.close(self._fd)
-
-    def _run(self) -> None:
-        while not self._stop.wait(SYNC_S):
-            try:
-                os.fdatasync(self._fd)
-            except OSError as error:
-                self.error = error
-                return
-
-
 def lock(fd: int) -> bool:
     """Take a log's lock; False when the recorder that writes it is alive."""
     try:
@@ -253,7 +210,7 @@ def remove_log(path: Path) -> None:
 
 def _create(path: Path, min_free_bytes: int) -> int:
     try:
-        free = _free_bytes(path)
+        free = free_bytes(path)
         if free < min_free_bytes:
             raise LogFileError(
                 f"no room for a log in {path.parent}",
@@ -291,16 +248,3 @@ def _cannot_write(path: Path, error: OSError) -> LogFileError:
         expected="an existing directory that can be written",
         remedy=f"create it with `mkdir -p {path.parent}`, or record elsewhere",
     )
-
-
-def _free_bytes(path: Path) -> int:
-    found = os.statvfs(path.parent)
-    return found.f_bavail * found.f_frsize
-
-
-def _sync_directory(directory: Path) -> None:
-    fd = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(fd)
-    finally:
-        os.close(fd)

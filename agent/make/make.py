@@ -17,7 +17,7 @@ from agent.verify.check import CheckReport, examine, reach
 from agent.verify.collision import collisions
 from agent.verify.finding import Finding, Verdict
 from agent.verify.tune import Form, Margin, NoGains, Tuner
-from drivers.dynamixel.servo.table import SERVOS
+from drivers.dynamixel.servo.models import SERVOS
 
 IN_PLANE: Final = ("shoulder", "elbow", "wrist_angle")
 SPATIAL_JOINTS: Final = 6

@@ -15,8 +15,10 @@ from agent.motors import eeprom
 from agent.motors.find import ServoSeen
 from drivers.dynamixel.errors import NoReplyError
 from drivers.dynamixel.line.bus import Bus, Ping
+from drivers.dynamixel.servo.codes import BAUD_RATES, MAX_ID
 from drivers.dynamixel.servo.found import RegisterChange
-from drivers.dynamixel.servo.table import BAUD_RATE, BAUD_RATES, ID, MAX_ID, SERVOS, SERVOS_BY_NUMBER, ServoModel
+from drivers.dynamixel.servo.models import SERVOS, SERVOS_BY_NUMBER, ServoModel
+from drivers.dynamixel.servo.table import BAUD_RATE, ID
 from drivers.interface import DriverError, Refusal
 
 

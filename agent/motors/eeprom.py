@@ -6,10 +6,11 @@ from collections.abc import Mapping, Sequence
 
 from drivers.dynamixel.errors import NoReplyError, RejectedError
 from drivers.dynamixel.line.bus import Bus
+from drivers.dynamixel.servo.codes import BAUD_RATES, StatusError
 from drivers.dynamixel.servo.found import RegisterChange
+from drivers.dynamixel.servo.models import ServoModel
 from drivers.dynamixel.servo.table import (
     BAUD_RATE,
-    BAUD_RATES,
     ID,
     MAX_POSITION_LIMIT,
     MAX_VOLTAGE_LIMIT,
@@ -19,8 +20,6 @@ from drivers.dynamixel.servo.table import (
     Access,
     Area,
     Register,
-    ServoModel,
-    StatusError,
 )
 from drivers.interface import DriverError
 

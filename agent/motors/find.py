@@ -9,17 +9,14 @@ from agent.motors.line import open_line
 from drivers.dynamixel.errors import NoReplyError, PortError, RejectedError, hardware_names
 from drivers.dynamixel.line import protocol1
 from drivers.dynamixel.line.bus import Bus, Ping
+from drivers.dynamixel.servo.codes import BAUD_RATES, MAX_ID, HardwareError
+from drivers.dynamixel.servo.models import SERVOS_BY_NUMBER, ServoModel
 from drivers.dynamixel.servo.table import (
-    BAUD_RATES,
     HARDWARE_ERROR_STATUS,
-    MAX_ID,
     PRESENT_INPUT_VOLTAGE,
     PRESENT_POSITION,
     PRESENT_TEMPERATURE,
-    SERVOS_BY_NUMBER,
     TORQUE_ENABLE,
-    HardwareError,
-    ServoModel,
 )
 from drivers.dynamixel.servo.units import volts
 from drivers.interface import Refusal

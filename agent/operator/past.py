@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from agent.modes import Mode
 from agent.safety import Flag
 from agent.telemetry.ring.file import RingError
-from agent.telemetry.ring.ring import RingReader
+from agent.telemetry.ring.reader import RingReader
 from agent.telemetry.ring.texts import TextReader
 from agent.telemetry.row.event import Event, Level
 from agent.telemetry.row.health import GRIP, Health

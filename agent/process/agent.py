@@ -10,6 +10,7 @@ from contextlib import ExitStack, closing
 from dataclasses import asdict
 from typing import Any, NamedTuple
 
+from agent.around import RunSummary, Surroundings
 from agent.config import monitors
 from agent.config.cell import Cell
 from agent.config.schema.cell import DriverKind
@@ -31,9 +32,9 @@ from agent.process.rehearse import BridgedRows
 from agent.process.schedule import AgentOptions, schedule_of
 from agent.process.session import session_loop
 from agent.process.tellers import Heart, ServoTeller, Teller, opened
-from agent.runner import Runner, RunSummary, Surroundings
+from agent.runner import Runner
 from agent.session import SessionLoop
-from agent.telemetry.ring.ring import RingWriter
+from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.event import Level
 from agent.telemetry.row.fill import AgentRow
 from agent.verify.check import examine
@@ -187,7 +188,7 @@ def _runner(
     row = AgentRow(ring.row, arm.n, cell.config_id)
     if law.session is not None:
         standing.session = law.session.not_yet
-    sink = BridgedRows(ring, row, driver) if isinstance(driver, BridgeDriver) else ring
+    sink = BridgedRows(ring, row, driver, tell.warn) if isinstance(driver, BridgeDriver) else ring
     schedule = schedule_of(cell, options)
     return Runner(law.agent, driver, clock, schedule, row, sink, around, law.watch, session=law.session)
 

@@ -6,11 +6,7 @@ import contextlib
 import os
 import time
 from collections.abc import Callable, Iterable
-from enum import Enum
 from pathlib import Path
-from typing import Protocol
-
-import numpy as np
 
 from agent.config.cell import Cell
 from agent.config.schema.cell import DriverKind
@@ -30,9 +26,11 @@ from agent.process.commands import (
 )
 from agent.process.describe import run_info
 from agent.process.person import Person
+from agent.process.progress import Progress, show
 from agent.process.rehearse import in_the_loop
+from agent.process.run_kind import RunKind
 from agent.telemetry.link.session import FREE_PORT
-from agent.telemetry.ring.ring import RingReader
+from agent.telemetry.ring.reader import RingReader
 from agent.telemetry.row.sample import AGENT_STATE
 from agent.telemetry.row.topics import PLANT
 
@@ -43,37 +41,6 @@ START_ATTEMPTS = 3
 START_LOOP_IN_NS = 2_500_000_000  # arms in the loop come to rest, have their grippers looked at, and are coupled
 ABANDON_TIMEOUT_S = 5.0
 LOOK_EVERY_S = 0.05
-
-
-class RunKind(Enum):
-    """What moves the arms, and how fast time passes."""
-
-    LOCKSTEP = "lockstep"  # simulated drivers; time waits for every process
-    REAL_TIME = "real time"  # simulated drivers at the wall clock's pace
-    WIRE = "wire"  # the real driver on emulated servos, at the wall clock's pace
-    HIL = "hil"  # the same for the arms that [hil] names, each on its own; simulated drivers for the others
-
-    @property
-    def driver(self) -> DriverKind:
-        """The driver of the agents."""
-        return DriverKind.DYNAMIXEL if self is RunKind.WIRE else DriverKind.SIM
-
-    @property
-    def has_servos(self) -> bool:
-        """Whether servos are emulated."""
-        return self in (RunKind.WIRE, RunKind.HIL)
-
-
-class Progress(Protocol):
-    """Somebody who watches."""
-
-    def phase(self, what: str) -> None:
-        """What is being done."""
-        ...
-
-    def advance(self, t_s: float, duration_s: float, speed: float, error_mm: float | None) -> None:
-        """How far the run is."""
-        ...
 
 
 class Children:
@@ -215,7 +182,7 @@ class Children:
     def watch(self, stop: Callable[[], bool], progress: Progress) -> bool:
         """Watch until every agent has ended; True when a stop was requested.  Raises ChildFailed."""
         progress.phase("running")
-        first = self._cell.arms[0].name
+        first, duration_s = self._cell.arms[0].name, self._cell.file.duration_s
         with RingReader(self._ring(first), AGENT_STATE) as rows:
             while any(child.process.poll() is None for child in self._agents.values()):
                 self._require_alive()
@@ -225,9 +192,9 @@ class Children:
                     self._interrupted = True
                     if self._stop_agents():
                         return True
-                self._show(rows, progress)
+                show(rows, progress, began_s=self._began_s, duration_s=duration_s)
                 time.sleep(LOOK_EVERY_S)
-            self._show(rows, progress)
+            show(rows, progress, began_s=self._began_s, duration_s=duration_s)
         self._require_alive()
         return self._interrupted
 
@@ -296,15 +263,6 @@ class Children:
         time.sleep(0.3)
         killed = [c for c in self._agents.values() if (c.process.poll() or 0) < 0]
         raise (killed[0] if killed else child).failed("ended during the run")
-
-    def _show(self, rows: RingReader, progress: Progress) -> None:
-        block = rows.read_at(rows.written - 1, 1) if rows.written else None
-        if block is None or not block.count:
-            return
-        row = AGENT_STATE.decode(block.payload)[0]
-        t = float(row["t"])
-        elapsed = max(time.monotonic() - self._began_s, 1e-3)
-        progress.advance(t, self._cell.file.duration_s, t / elapsed, float(np.linalg.norm(row["e_p"])) * 1e3)
 
 
 def _wait_all(children: Iterable[Child], timeout_s: float) -> None:

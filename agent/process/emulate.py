@@ -12,7 +12,7 @@ from agent.host.signals import StopFlag
 from agent.process.plant import Truth
 from agent.process.rehearse import in_the_loop
 from agent.process.simulated import lone_spec, plant_spec
-from agent.telemetry.ring.ring import RingWriter
+from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.sample import PLANT_STATE
 from agent.telemetry.row.topics import PLANT
 from agent.verify.check import examine

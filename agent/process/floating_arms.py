@@ -166,7 +166,7 @@ class FloatingArms:
                 window.close()
         for child in self._agents.values():
             if child.process.poll() != 0:
-                raise child.failed("ended while it floated")
+                raise child.failed("ended while it floated, so its arm has no torque any more")
 
     def end(self, screen: Screen) -> None:
         """End the rest in the order in which nothing is lost.  Raises ChildFailed."""

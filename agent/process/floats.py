@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from agent.around import Beginning, RunSummary, Surroundings
 from agent.config import floating, session
 from agent.config.cell import Arm, Cell
 from agent.config.schema.cell import DriverKind
@@ -29,9 +30,9 @@ from agent.process.agent import ArmLost
 from agent.process.build import EMULATED_READ_SHARE, build_agent, in_words, port_of
 from agent.process.schedule import AgentOptions, schedule_of
 from agent.process.tellers import Heart, ServoTeller, Teller, opened
-from agent.runner import Beginning, Runner, RunSummary, Surroundings
-from agent.telemetry.ring.ring import RingWriter
+from agent.runner import Runner
 from agent.telemetry.ring.texts import TextWriter
+from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.event import Level
 from agent.telemetry.row.fill import AgentRow
 from drivers.clock import MonotonicClock

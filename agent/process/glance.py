@@ -14,7 +14,7 @@ import pinocchio as pin
 
 from agent.config.cell import Arm, Cell
 from agent.modes import Mode
-from agent.telemetry.ring.ring import RingReader
+from agent.telemetry.ring.reader import RingReader
 from agent.telemetry.ring.texts import TextReader
 from agent.telemetry.row.event import Event, Level
 from agent.telemetry.row.health import Health

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from contextlib import ExitStack, closing
 from typing import Any
 
+from agent.around import RunSummary
 from agent.config.cell import Arm, Cell
 from agent.config.schema.cell import DriverKind
 from agent.guard.guard_end import GuardEnd
@@ -28,7 +29,6 @@ from agent.loop import Agent
 from agent.process.build import Standby, build_agent, build_standby, port_of
 from agent.process.successor import HANDED_OVER, GuardOptions, Successor
 from agent.process.tellers import HEARTBEAT_S
-from agent.runner import RunSummary
 from agent.verify.check import examine
 from drivers.clock import MonotonicClock
 from drivers.dynamixel.line.port import SerialPort

@@ -15,9 +15,9 @@ from agent.operator.message import Request
 from agent.operator.socket import ControlSocket, Standing
 from agent.operator.table import EVENT_OF
 from agent.process.clocked import ClockWatch
-from agent.runner import NOT_YET_NS
-from agent.telemetry.ring.ring import RingWriter
+from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.event import Level
+from agent.ticks import NOT_YET_NS
 from drivers.clock import utc_offset_ns
 from drivers.interface import Clock
 

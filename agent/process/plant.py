@@ -14,7 +14,7 @@ from agent.config.cell import Cell
 from agent.host.signals import StopFlag
 from agent.process.rehearse import require_wall_clock
 from agent.process.simulated import plant_spec
-from agent.telemetry.ring.ring import RingWriter
+from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.sample import MAX_JOINTS, PLANT_STATE
 from agent.telemetry.row.topics import PLANT
 from agent.verify.check import examine
@@ -22,7 +22,8 @@ from drivers.clock import utc_offset_ns
 from drivers.interface import Vector
 from sim_backend.physics.build import AnyPlant, build_plant
 from sim_backend.physics.plant import Observation
-from sim_backend.served.server import LostArm, ServerOptions, serve
+from sim_backend.served.options import LostArm, ServerOptions
+from sim_backend.served.server import serve
 
 SECOND_NS = 1_000_000_000
 

@@ -18,7 +18,7 @@ from agent.log.file import Attachment, LogFile
 from agent.process.describe import run_info
 from agent.process.scene import scene_of
 from agent.telemetry.ring.file import RingError
-from agent.telemetry.ring.ring import RingReader
+from agent.telemetry.ring.reader import RingReader
 from agent.telemetry.ring.texts import TextReader
 from agent.telemetry.row.event import Event, health_time
 from agent.telemetry.row.received import Rows, Text

@@ -19,10 +19,11 @@ from agent.operator.ask import ask_arms
 from agent.operator.message import Reply, Request
 from agent.operator.table import Verb
 from agent.process.build import Connection, port_of
-from agent.process.children import READY_TIMEOUT_S, START_LOOP_IN_NS, STOP_TIMEOUT_S, Children, Progress
+from agent.process.children import READY_TIMEOUT_S, START_LOOP_IN_NS, STOP_TIMEOUT_S, Children
 from agent.process.commands import AgentCommand, GuardCommand
 from agent.process.folder import RunError
 from agent.process.operated import NO_REAL_TIME_REMEDY
+from agent.process.progress import Progress
 from agent.process.rehearse import require_empty_gripper, require_one_host
 
 ASK_EVERY_S: Final = 0.1

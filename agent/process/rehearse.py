@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
+from agent.around import LoopLog
 from agent.config.cell import Arm, Cell, ConfigError
 from agent.config.files import CellFiles
 from agent.config.schema.cell import DriverKind
-from agent.runner import LoopLog
+from agent.control.models import ArmModel, Matrix
 from agent.telemetry.row.fill import AgentRow
 from drivers.dynamixel.arm_map import WATCHDOG_S
-from drivers.interface import Clock, Driver
-from sim_backend.hil.coupling import FRESH_CYCLES, Settings
+from drivers.interface import Clock, Driver, Vector
+from sim_backend.hil.coupling import FRESH_CYCLES, Here, Settings
 from sim_backend.hil.driver import BridgeDriver, Patience
 from sim_backend.hil.gripper import Carried, GripperCheck
 from sim_backend.hil.guest import Twin
+from sim_backend.hil.touch import Borne
 
+FLAT = 1e-3  # of the largest singular value: a direction in which joints feel no force
 EMULATED_STALE_S = 0.5  # what is emulated shares the processor with everything else, and stops with it
 
 
@@ -93,14 +98,21 @@ def taken(word: Path | None) -> bool:
 class BridgedRows:
     """A log whose rows say what the bridge has added; `commit` adds that to every row."""
 
-    def __init__(self, sink: LoopLog, row: AgentRow, driver: BridgeDriver) -> None:
-        self._sink, self._row, self._driver = sink, row, driver
+    def __init__(
+        self, sink: LoopLog, row: AgentRow, driver: BridgeDriver, tell: Callable[[str], None] = lambda _: None
+    ) -> None:
+        """tell: of each touch."""
+        self._sink, self._row, self._driver, self._tell = sink, row, driver, tell
+        self._touches = 0
 
     def commit(self) -> None:
         """Make the filled row visible to readers; never blocks."""
         driver = self._driver
         self._row.fill_bridge(*driver.taken(), driver.q_twin, driver.age_s)
         self._sink.commit()
+        if driver.touches != self._touches:
+            self._touches = driver.touches
+            self._tell("somebody touches the arm: the rehearsal goes on without it")
 
     def wait_for_space(self) -> None:
         """A rehearsal is never in lockstep."""
@@ -119,6 +131,7 @@ def bridge(cell: Cell, arm: Arm, real: Driver, twin: Twin, clock: Clock, *, emul
         clamp_Nm=hil.tau_share * tau_max,
         ramp_s=hil.ramp_s,
         apart_max_rad=hil.apart_max_rad,
+        touch=Borne(hil.touch_max_N, hil.touch_max_s),
     )
     patience = Patience(EMULATED_STALE_S if emulated else FRESH_CYCLES * period_s, WATCHDOG_S)
     model = cell.model(arm)
@@ -129,4 +142,11 @@ def bridge(cell: Cell, arm: Arm, real: Driver, twin: Twin, clock: Clock, *, emul
         friction_Nm=np.array([servo.coulomb_Nm.value for servo in arm.servos]),
         share_max=hil.gripper_share_max,
     )
-    return BridgeDriver(real, twin, clock, settings, patience, model.inertia, GripperCheck(carried))
+    return BridgeDriver(real, twin, clock, settings, patience, partial(_here, model), GripperCheck(carried))
+
+
+def _here(model: ArmModel, q: Vector) -> Here:
+    """What the bridge knows of the arm at q (n,)."""
+    J = (model.task_basis.T @ model.jacobian(q))[:3]
+    to_force: Matrix = np.asarray(np.linalg.pinv(J.T, rcond=FLAT), np.float64)
+    return Here(model.inertia(q), to_force)

@@ -10,10 +10,12 @@ from pathlib import Path
 
 from agent.config.cell import Cell, load_cell
 from agent.log.read import open_log
-from agent.process.children import Children, Progress, RunKind
+from agent.process.children import Children
 from agent.process.folder import LOG_NAME, RunError, output_folder
+from agent.process.progress import Progress
 from agent.process.real_arms import RealArms, RealChildren
 from agent.process.rehearse import require_wall_clock
+from agent.process.run_kind import RunKind
 from agent.report.results import Results
 from agent.report.results_file import write_results
 from agent.telemetry.link.session import FREE_PORT
@@ -49,6 +51,7 @@ class RunOutcome:
     results: Results
     interrupted: bool
     within_bounds: bool
+    gave_up: str = ""  # why a session went no further; its arms came back as far as they could
 
 
 def run_cell(options: RunOptions, stop: Callable[[], bool], progress: Progress) -> RunOutcome:
@@ -95,8 +98,6 @@ def run_cell(options: RunOptions, stop: Callable[[], bool], progress: Progress) 
             children.abandon()
     finally:
         shutil.rmtree(runtime, ignore_errors=True)
-    if children.person is not None and children.person.trouble:
-        progress.phase(f"stopped: {children.person.trouble}")
     progress.phase("report")
     page: Path | None = None
     with open_log(log) as opened:
@@ -109,7 +110,8 @@ def run_cell(options: RunOptions, stop: Callable[[], bool], progress: Progress) 
         else:
             results = write_results(opened, out)
     progress.phase("done")
-    return RunOutcome(log, page, results, interrupted, results.within_bounds)
+    gave_up = "" if children.person is None else children.person.trouble
+    return RunOutcome(log, page, results, interrupted, results.within_bounds, gave_up)
 
 
 def _children(options: RunOptions, cell: Cell, log: Path, runtime: Path) -> Children:

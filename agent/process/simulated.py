@@ -11,7 +11,8 @@ from agent.config.friction import joint_friction
 from agent.config.reality import reality_of
 from agent.config.schema.reality import Reality as RealityEntry
 from agent.config.schema.simulation import Effects
-from drivers.dynamixel.servo.table import PWM_UNIT_DUTY, RATED_VOLTAGE_V, TICK_RAD, VELOCITY_UNIT_RAD_PER_S
+from drivers.dynamixel.servo.counts import PWM_UNIT_DUTY, TICK_RAD, VELOCITY_UNIT_RAD_PER_S
+from drivers.dynamixel.servo.models import RATED_VOLTAGE_V
 from drivers.interface import Vector
 from sim_backend.physics.actuator import ActuatorSpec
 from sim_backend.physics.calendar import Opening, Push

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
+from agent.around import RunSummary, Surroundings
 from agent.config import monitors
 from agent.config.cell import Arm, Cell
 from agent.guard.black_box import BlackBox
@@ -26,7 +27,7 @@ from agent.process.operated import Operator, tick_of
 from agent.process.schedule import AgentOptions, schedule_of
 from agent.process.session import led_back
 from agent.process.tellers import Heart, ServoTeller, Teller
-from agent.runner import Runner, RunSummary, Surroundings
+from agent.runner import Runner
 from agent.telemetry.row.event import Level
 from agent.telemetry.row.fill import AgentRow
 from drivers.clock import MonotonicClock

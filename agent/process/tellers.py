@@ -10,8 +10,8 @@ from agent.around import RunSummary
 from agent.config.cell import Arm
 from agent.host.notify import Notifier
 from agent.modes import TABLE, Mode
-from agent.telemetry.ring.ring import RingWriter
 from agent.telemetry.ring.texts import TextWriter
+from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.event import Event as TextEvent
 from agent.telemetry.row.event import Level
 from agent.telemetry.row.health import grip_values, health_values

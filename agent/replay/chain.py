@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from agent import floats
 from agent.control.adaptation import from_row
 from agent.control.memory import Memory, restore
 from agent.loop import Agent, Outcome, blind, initial_memory, step
-from agent.modes import FLOATING, Mode
+from agent.modes import Mode
 from agent.safety import Flag
-from agent.session import entered
-from agent.standing import afresh, hold_after, wait_here
+from agent.standing import afresh, wait_here
+from agent.transition import entered
 from drivers.interface import JointState, Vector
 
 Row = np.void
@@ -75,16 +74,7 @@ class Chain:
             raise AssertionError("neither started nor restored")
         memory = self._memory
         if self._mode is not None and mode is not self._mode:
-            if self._agent.floating is not None and mode in FLOATING:
-                last = self._outcome
-                seen = None if last is None else (last.q, last.dq)
-                memory = floats.entered(self._agent.floating, mode, memory, seen)
-            elif self._agent.session is not None:
-                memory = entered(self._agent, mode, memory, self._outcome)
-            elif mode is Mode.HOLD and self._outcome is not None:
-                memory = hold_after(self._agent, self._outcome)
-            elif mode is Mode.TRACK:
-                memory = memory._replace(hold=None, q_hold=None)
+            memory = entered(self._agent, mode, memory, self._outcome)
         memory = afresh(memory, marks)
         if mode is not Mode.TRACK and memory.hold is None and q is not None:
             memory = wait_here(self._agent, q, memory, mode)

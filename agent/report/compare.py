@@ -11,9 +11,9 @@ from typing import Final
 from rich import box
 from rich.table import Table
 
+from agent.report.numbers import number
 from agent.report.quantity import Better, Quantity
 from agent.report.results import HEADLINE, Results
-from agent.report.tables import number
 from drivers.interface import Refusal
 
 MANY: Final = 1000.0

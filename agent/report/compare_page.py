@@ -9,6 +9,7 @@ from typing import Final
 
 from agent.atomic import write_atomically
 from agent.report.compare import Change, Difference, compare, label
+from agent.report.numbers import number
 from agent.report.overlay import overlay
 from agent.report.page import document, figure_html, table_html
 from agent.report.picture import Picture
@@ -17,7 +18,7 @@ from agent.report.results import HEADLINE
 from agent.report.results_file import ReportError
 from agent.report.settings import different
 from agent.report.shown import LETTERS, ComparedRun
-from agent.report.tables import Table, number
+from agent.report.tables import Table
 
 CAPTION: Final = (
     "Size of the errors of each run: left while the start error decays, right after the transient, at scales of their "

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from itertools import combinations
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from agent.log.runinfo import RunArm, RunInfo
 from agent.modes import Mode
+from agent.report.arithmetic import NAN, mean, most, rms
+from agent.report.errors import complaints, disagreement, pose_errors
 from agent.report.grip import grip_results
 from agent.report.phases import session_of
 from agent.report.prepared import Prepared, prepare
@@ -16,17 +17,15 @@ from agent.report.rehearsal import added_to, hil_results
 from agent.report.results import (
     ArmResults,
     Completeness,
-    Decay,
     JointResults,
-    PoseErrors,
     Results,
     Spread,
     WrenchSize,
 )
-from agent.report.series import Array, PoseSeries, column, component, grasp_force, joint_columns, missing_ranges
+from agent.report.series import Array, column, component, grasp_force, joint_columns, missing_ranges
 from agent.report.together import largest
 from agent.safety import Flag
-from drivers.dynamixel.servo.table import CONTINUOUS_SHARE
+from drivers.dynamixel.servo.models import CONTINUOUS_SHARE
 
 if TYPE_CHECKING:
     from agent.log.columns import Table
@@ -35,7 +34,6 @@ if TYPE_CHECKING:
 LATE_PERIODS: Final = 1.0  # a cycle that begins later than this many periods is late, as agent.loop counts them
 LIMITED_Nm: Final = 1e-9  # safety changed a torque when it differs from the command by more than rounding
 AT_LIMIT_FRACTION: Final = 0.999  # of tau_max: a torque above it is at its limit
-NAN: Final = float("nan")
 
 
 def summarise(log: AnyLog) -> Results:
@@ -56,7 +54,7 @@ def summarise_prepared(run: Prepared) -> Results:
     by_plant = None if run.true is None else pose_errors(run.true, info)
     missing = [*run.missing]
     for errors in [*by_arm.values(), *([by_plant] if by_plant else [])]:
-        missing += _complaints(errors, info)
+        missing += complaints(errors, info)
     rows = {arm.name: _completeness(run, arm.name) for arm in info.arms}
     factor = _real_time_factor(run, missing)
     found, set_down = session_of(run.log)
@@ -67,7 +65,7 @@ def summarise_prepared(run: Prepared) -> Results:
         by_arm=by_arm,
         arms={arm.name: _arm(arm, run) for arm in run.arms},
         rows=rows,
-        arm_disagreement_m=_disagreement(run),
+        arm_disagreement_m=disagreement(run),
         real_time_factor=factor,
         events=len(run.log.events),
         missing=tuple(missing),
@@ -75,76 +73,6 @@ def summarise_prepared(run: Prepared) -> Results:
         set_down_error_m=set_down[0],
         set_down_error_rad=set_down[1],
     )
-
-
-# ------------------------------------------------------------------------------------------------------------- errors
-
-
-def pose_errors(series: PoseSeries, info: RunInfo) -> PoseErrors:
-    """Errors of one series of poses; NaN throughout when no usable row is left after the transient."""
-    position, attitude = series.position_error, series.attitude_error
-    usable = np.isfinite(position) & np.isfinite(attitude)
-    window = (series.t >= info.transient_s) & (series.t <= info.duration_s)
-    settled = usable & window & series.tracking
-    t = series.t[settled]
-    in_plane = out_of_plane = NAN
-    if info.plane is not None:
-        in_plane = _largest(np.linalg.norm(series.e_p[settled][:, list(info.plane.in_plane)], axis=1))
-        out_of_plane = _largest(np.abs(series.e_p[settled][:, info.plane.normal]))
-    return PoseErrors(
-        source=series.source,
-        rows=int(settled.sum()),
-        unusable_rows=int((~usable).sum()),
-        not_tracking_rows=int((window & ~series.tracking).sum()),
-        max_position_error_m=_largest(position[settled]),
-        max_attitude_error_rad=_largest(attitude[settled]),
-        rms_position_error_m=_rms(position[settled]),
-        rms_attitude_error_rad=_rms(attitude[settled]),
-        t_max_position_s=_when(t, position[settled]),
-        t_max_attitude_s=_when(t, attitude[settled]),
-        max_in_plane_error_m=in_plane,
-        max_out_of_plane_error_m=out_of_plane,
-        position=_decay(series.t[usable], position[usable]),
-        attitude=_decay(series.t[usable], attitude[usable]),
-    )
-
-
-def _complaints(errors: PoseErrors, info: RunInfo) -> list[str]:
-    found = []
-    if errors.rows == 0:
-        found.append(f"no usable row of {errors.source} after the transient of {info.transient_s:g} s")
-    if errors.unusable_rows:
-        found.append(f"{errors.unusable_rows} rows of {errors.source} hold a pose that is not a number")
-    if errors.not_tracking_rows:
-        ticks = f"{errors.not_tracking_rows} ticks of {errors.source} after the transient"
-        found.append(f"{ticks} did not follow the trajectory and count in no error")
-    return found
-
-
-def _decay(t: Array, error: Array) -> Decay:
-    if not len(error):
-        return Decay(NAN, NAN, NAN)
-    start = float(error[0])
-    if start == 0.0:
-        return Decay(0.0, NAN, NAN)
-    below_half = np.flatnonzero(error <= 0.5 * start)
-    above_tenth = np.flatnonzero(error > 0.1 * start)
-    last = int(above_tenth[-1])
-    return Decay(
-        initial=start,
-        half_s=float(t[below_half[0]] - t[0]) if len(below_half) else NAN,
-        tenth_s=float(t[last + 1] - t[0]) if last + 1 < len(t) else NAN,
-    )
-
-
-def _disagreement(run: Prepared) -> float:
-    worst = NAN
-    for one, other in combinations(run.seen.values(), 2):
-        _, here, there = np.intersect1d(one["sequence"], other["sequence"], assume_unique=True, return_indices=True)
-        settled = column(one, "t")[here] >= run.info.transient_s
-        apart = column(one, "p_object")[here[settled]] - column(other, "p_object")[there[settled]]
-        worst = float(np.fmax(worst, _largest(np.linalg.norm(apart, axis=1))))
-    return worst
 
 
 # --------------------------------------------------------------------------------------------------------- one arm
@@ -179,7 +107,7 @@ def _arm(arm: RunArm, run: Prepared) -> ArmResults:
         lyapunov_start_J=float(lyapunov[0]),
         lyapunov_end_J=float(lyapunov[-1]),
         sigma_min=float(np.nanmin(column(rows, "sigma_min"), initial=np.inf)),
-        load_max=_largest(np.abs(joint_columns(rows, "tau_sent", len(arm.joints))) / np.array(arm.tau_max_Nm)),
+        load_max=most(np.abs(joint_columns(rows, "tau_sent", len(arm.joints))) / np.array(arm.tau_max_Nm)),
         shift_max_m=largest(rows, "shift", slice(0, 3)),
         shift_max_rad=largest(rows, "shift", slice(3, 6)),
         **_unexpected(rows),
@@ -190,27 +118,27 @@ def _arm(arm: RunArm, run: Prepared) -> ArmResults:
 
 def _unexpected(rows: Table) -> dict[str, float]:
     names = ("fast_max_N", "fast_max_Nm", "slow_max_N", "slow_max_Nm")
-    return {f"unexpected_{name}": _largest(component(rows, "unexpected", i)) for i, name in enumerate(names)}
+    return {f"unexpected_{name}": most(component(rows, "unexpected", i)) for i, name in enumerate(names)}
 
 
 def _rms_velocity_error(rows: Table, part: slice, info: RunInfo) -> float:
     error = column(rows, "v_object", part) - column(rows, "v_object_des", part)
-    return _rms(np.linalg.norm(error[column(rows, "t") >= info.transient_s], axis=1))
+    return rms(np.linalg.norm(error[column(rows, "t") >= info.transient_s], axis=1))
 
 
 def _joint(arm: RunArm, j: int, rows: Table, period_s: float) -> JointResults:
     cmd, limited, sent = (component(rows, f, j) for f in ("tau_cmd", "tau_limited", "tau_sent"))
     law = sent - added_to(rows, j)
     consecutive = np.diff(rows["sequence"]) == 1
-    peak = _largest(np.abs(law))
+    peak = most(np.abs(law))
     return JointResults(
         peak_torque_Nm=peak,
         peak_torque_fraction=peak / arm.tau_stall_Nm[j],
-        rms_torque_Nm=_rms(law),
-        rms_of_continuous=_rms(law) / (CONTINUOUS_SHARE * arm.tau_stall_Nm[j]),
+        rms_torque_Nm=rms(law),
+        rms_of_continuous=rms(law) / (CONTINUOUS_SHARE * arm.tau_stall_Nm[j]),
         limited_s=float(np.sum(np.abs(limited - cmd) > LIMITED_Nm) * period_s),
         at_limit_s=float(np.sum(np.abs(sent) >= AT_LIMIT_FRACTION * arm.tau_max_Nm[j]) * period_s),
-        chatter_Nm=_mean(np.where(consecutive, np.abs(np.diff(law)), NAN)),
+        chatter_Nm=mean(np.where(consecutive, np.abs(np.diff(law)), NAN)),
         tau_max_Nm=arm.tau_max_Nm[j],
         tau_stall_Nm=arm.tau_stall_Nm[j],
     )
@@ -224,7 +152,7 @@ def _internal_realised(arm: RunArm, run: Prepared) -> WrenchSize:
         return WrenchSize(NAN, NAN, NAN, NAN)
     settled, i = run.grasps.t >= run.info.transient_s, run.info.arms.index(arm)
     force, moment = run.grasps.internal_force[settled, i], run.grasps.internal_moment[settled, i]
-    return WrenchSize(_largest(force), _rms(force), _largest(moment), _rms(moment))
+    return WrenchSize(most(force), rms(force), most(moment), rms(moment))
 
 
 def _load_share(arm: RunArm, run: Prepared) -> float:
@@ -282,27 +210,6 @@ def _real_time_factor(run: Prepared, missing: list[str]) -> float:
     return min(factors, default=NAN)
 
 
-# -------------------------------------------------------------------------------------------------------- arithmetic
-
-
 def _wrench_size(wrenches: Array) -> WrenchSize:
     force, moment = np.linalg.norm(wrenches[:, :3], axis=1), np.linalg.norm(wrenches[:, 3:], axis=1)
-    return WrenchSize(_largest(force), _rms(force), _largest(moment), _rms(moment))
-
-
-def _largest(values: Array) -> float:
-    return float(np.fmax.reduce(values, axis=None)) if len(values) else NAN
-
-
-def _rms(values: Array) -> float:
-    good = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(good * good))) if len(good) else NAN
-
-
-def _mean(values: Array) -> float:
-    good = values[np.isfinite(values)]
-    return float(np.mean(good)) if len(good) else NAN
-
-
-def _when(t: Array, values: Array) -> float:
-    return float(t[int(np.nanargmax(values))]) if len(values) and np.isfinite(values).any() else NAN
+    return WrenchSize(most(force), rms(force), most(moment), rms(moment))

@@ -20,9 +20,11 @@ from agent.modes import Event, Mode, next_mode
 from agent.monitors.watch import Watch
 from agent.process.build import build_agent
 from agent.process.simulated import plant_spec
+from agent.runner import TROUBLE
 from agent.safety import Flag
-from agent.standing import hold_after, wait_here
+from agent.standing import wait_here
 from agent.study.fault import Fault, FaultKind
+from agent.transition import entered
 from agent.verify.check import start_configurations
 from drivers.interface import JointState, ServoHealth, Vector
 from sim_backend.physics.actuator import TorqueCommand
@@ -30,7 +32,6 @@ from sim_backend.physics.build import build_plant
 from sim_backend.physics.delay import DelayLine, stretches
 from sim_backend.physics.plant import Observation
 
-TROUBLE: Final = Flag.NOT_FINITE | Flag.SINGULAR | Flag.OFF_TRACK | Flag.UNEXPECTED
 _TROUBLE: Final = int(TROUBLE)  # asking a flag for another one takes 0.5 µs
 NS: Final = 1e-9
 SEIZED_Nms_RAD: Final = 200.0  # viscous friction of a seized joint: it creeps by 5 mrad/s per N·m
@@ -66,7 +67,7 @@ class Trip:
     @property
     def told(self) -> str:
         """For a person."""
-        words = f"{self.flags!r} {self.why}".rstrip() if self.flags & TROUBLE else self.monitor
+        words = f"{self.flags.name} {self.why}".rstrip() if self.flags & TROUBLE else self.monitor
         return f"t = {self.t:.3f} s: arm {self.arm} {words}"
 
 
@@ -111,10 +112,7 @@ class Place:
         before, self.mode = self.mode, next_mode(self.mode, happened)
         if self.mode is before:
             return
-        if self.mode is Mode.HOLD:
-            self.memory = hold_after(self.agent, outcome)
-        if self.mode is Mode.TRACK:
-            self.memory = self.memory._replace(hold=None, q_hold=None)
+        self.memory = entered(self.agent, self.mode, self.memory, outcome)
 
 
 class Run:

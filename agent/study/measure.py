@@ -105,9 +105,7 @@ class _Seen:
     """What has been seen of a run, one entry per observation."""
 
     def __init__(self, lab: Laboratory) -> None:
-        file = lab.cell.file
-        anchor = file.controller.alignment.anchor or lab.cell.arms[0].name
-        self._lab, self._anchor = lab, lab.cell.index(anchor)
+        self._lab, self._anchor = lab, lab.cell.anchor
         self._trajectory = lab.cell.trajectory()
         self._errors: list[tuple[float, float, float, float, float]] = []  # t, errors, errors of what the anchor sees
         self._quat: list[Vector] = []

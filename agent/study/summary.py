@@ -9,7 +9,6 @@ from itertools import combinations
 from typing import Any, Final
 
 import numpy as np
-from scipy.stats import rankdata
 
 from agent.config.cell import Cell
 from agent.config.reality import draw
@@ -134,7 +133,14 @@ def influences(cell: Cell, results: Sequence[RunResult]) -> list[Influence]:
 
 def _spearman(x: Vector, y: Vector) -> float:
     """Spearman's rank correlation: Pearson's, of the ranks, ties having the mean of theirs."""
-    return float(np.corrcoef(rankdata(x), rankdata(y))[0, 1])
+    return float(np.corrcoef(_ranks(x), _ranks(y))[0, 1])
+
+
+def _ranks(x: Vector) -> Vector:
+    """The rank of each number, 1 for the least; without the 0.6 s that `import scipy.stats` costs every study."""
+    _, which, counts = np.unique(x, return_inverse=True, return_counts=True)
+    ranks: Vector = (np.cumsum(counts) - (counts - 1) / 2)[which]
+    return ranks
 
 
 def worst(results: Sequence[RunResult]) -> RunResult:

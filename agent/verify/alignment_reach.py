@@ -25,9 +25,9 @@ def alignment_reach(
     spec = cell.file.controller.alignment
     if not spec.enabled or len(cell.arms) < 2:
         return []
-    anchor, findings = spec.anchor or cell.arms[0].name, []
+    findings = []
     for i, (arm, model) in enumerate(zip(cell.arms, models, strict=True)):
-        if arm.name == anchor:
+        if i == cell.anchor:
             continue
         lost = next((t for q, t in zip(along, instants, strict=True) if not _follows(cell, model, q[i], 1.0)), None)
         share = 1.0 if lost is None else _largest(cell, model, [q[i] for q in along])

@@ -35,13 +35,13 @@ def alignment_room(
     spec = cell.file.controller.alignment
     if not spec.enabled or len(cell.arms) < 2:
         return []
-    anchor, scene = spec.anchor or cell.arms[0].name, scene or Scene(cell, models)
+    scene = scene or Scene(cell, models)
     every = max(1, math.ceil(len(instants) / PLACES))
     places = list(zip(along, instants, strict=True))[::every]
     return [
         _judged(cell, arm.name, _nearest(cell, scene, models[i], i, places))
         for i, arm in enumerate(cell.arms)
-        if arm.name != anchor
+        if i != cell.anchor
     ]
 
 

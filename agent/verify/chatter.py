@@ -19,7 +19,7 @@ from agent.control.errors import Gains
 from agent.control.estimator import Observer
 from agent.control.law import Offline
 from agent.control.models import ArmModel, Matrix
-from drivers.dynamixel.servo.table import TICKS_PER_TURN, VELOCITY_UNIT_RAD_PER_S
+from drivers.dynamixel.servo.counts import TICKS_PER_TURN, VELOCITY_UNIT_RAD_PER_S
 from drivers.interface import Vector
 
 READINGS = np.diag([(2.0 * math.pi / TICKS_PER_TURN) ** 2 / 12.0, VELOCITY_UNIT_RAD_PER_S**2 / 12.0])  # covariance

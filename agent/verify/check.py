@@ -32,7 +32,7 @@ from agent.verify.robustness import Robustness, Walk, robustness
 from agent.verify.session import lives, session
 from agent.verify.watched import watched
 from agent.verify.ways import ways
-from drivers.dynamixel.servo.table import CONTINUOUS_SHARE
+from drivers.dynamixel.servo.models import CONTINUOUS_SHARE
 from drivers.interface import Vector
 
 SAMPLES = 48  # points along the trajectory, beside those that the trajectory names itself

@@ -8,7 +8,8 @@ trajectory's speed times the skew of the starts.  Its law pulls with the stiffne
 
 is the wrench beyond its share of the load; with two equal arms and Δτ = 0 it is ½ S δ.  Δτ_i: error of the torque
 constants times the torque that holds arm and share, error of the arm's weight, and what friction is beside that of the
-feed-forward.  Arms that align themselves give way to the anchor: of their pose errors the dead zone is left.
+feed-forward.  Arms that align themselves give way to the anchor: of their pose errors the dead zone is left, and of
+what lies between an arm and the anchor what is beyond the largest shift.
 
 What is given is the quadratic sum over all errors, each at its stated bound, a vector's direction at random.  Soft pads
 make less of it.
@@ -69,11 +70,10 @@ def _at(
     follows = _followers(cell)
     stiff = np.array([np.zeros_like(S_i) if f else S_i for S_i, f in zip(S, follows, strict=True)])
     given = [_wrenches(cell, P, S_i, e, follows=f) for S_i, e, f in zip(S, errors, follows, strict=True)]
-    ends = np.cumsum([0, *(g.shape[1] for g in given)])
-    F = np.zeros((len(S), len(P), ends[-1]))
-    for i, g in enumerate(given):
-        F[i, :, ends[i] : ends[i + 1]] = g
-    w = F - stiff @ np.linalg.inv(stiff.sum(axis=0)) @ F.sum(axis=0)
+    w = _internal(stiff, given)
+    if any(follows):
+        beyond = _beyond(cell, P, errors)
+        w = np.concatenate([w, _internal(S, [-S_i @ (beyond * e.off) for S_i, e in zip(S, errors, strict=True)])], -1)
     world = P.T @ w
     return [Disagreement(float(np.linalg.norm(x[_FORCE])), float(np.linalg.norm(x[_MOMENT]))) for x in world]
 
@@ -82,8 +82,29 @@ def _followers(cell: Cell) -> list[bool]:
     spec = cell.file.controller.alignment
     if not spec.enabled or spec.track_per_s == 0.0:
         return [False] * len(cell.arms)
-    anchor = spec.anchor or cell.arms[0].name
-    return [arm.name != anchor for arm in cell.arms]
+    return [i != cell.anchor for i in range(len(cell.arms))]
+
+
+def _internal(stiff: Matrix, given: Sequence[Matrix]) -> Matrix:
+    """(N, m, columns of all arms): wrenches beyond the shares when one column is all that acts."""
+    ends = np.cumsum([0, *(g.shape[1] for g in given)])
+    F = np.zeros((*stiff.shape[:2], ends[-1]))
+    for i, g in enumerate(given):
+        F[i, :, ends[i] : ends[i + 1]] = g
+    found: Matrix = F - stiff @ np.linalg.inv(stiff.sum(axis=0)) @ F.sum(axis=0)
+    return found
+
+
+def _beyond(cell: Cell, P: Matrix, errors: Sequence[_Errors]) -> Matrix:
+    """(m, 1): the part of the errors that the largest shift leaves, of the arm that is farthest from the anchor."""
+    spec, linear = cell.file.controller.alignment, np.linalg.norm(P[:, _FORCE], axis=1) > 0.5
+    sizes = [np.linalg.norm(e.off, axis=1) for e in errors]
+    apart = np.hypot(sizes[cell.anchor], np.max([s for i, s in enumerate(sizes) if i != cell.anchor], axis=0))
+    part = np.ones(len(P))
+    for rows, most in ((linear, spec.max_m), (~linear, spec.max_rad)):
+        size = float(np.linalg.norm(apart[rows]))
+        part[rows] = max(0.0, 1.0 - most / size) if size > 0.0 else 0.0
+    return part[:, None]
 
 
 def _wrenches(cell: Cell, P: Matrix, S: Matrix, errors: _Errors, *, follows: bool) -> Matrix:

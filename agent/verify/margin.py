@@ -40,7 +40,7 @@ class Damping:
 
 def places(cell: Cell, models: Sequence[ArmModel], along: Sequence[Sequence[Vector]]) -> tuple[Place, ...]:
     """Coupled inertia where the arms (one model each) are at along[k][i], the joint angles (n,) of arm i at place k."""
-    error, obj = cell.file.safety.inertia_error, cell.file.object
+    error, obj = cell.inertia_error, cell.file.object
     inertia_object = np.array(obj.inertia_kg_m2.matrix())
     found = []
     for q in along:

@@ -16,10 +16,11 @@ from agent.control.terms import INTERNAL, OBJECT
 from agent.verify.finding import Finding, Verdict, judged
 from agent.verify.margin import sampled_loop
 from drivers.interface import Vector
-from drivers.rehearsal import STIFFEST
+from drivers.rehearsal import LEAST_TOUCH_N, STIFFEST
 
 PLACES = 12  # along the trajectory
 NO_OBJECT_KG = 1e-9
+SHORTEST_M = 1e-3  # lever, of a joint that feels nothing
 
 
 def examine_rehearsal(
@@ -36,6 +37,7 @@ def examine_rehearsal(
     for arm, model, path in zip(cell.arms, models, along, strict=True):
         if arm.name in hil.arms:
             findings += [_port(arm), _alone(cell, arm, model, path), _clamp(cell, hil, arm, model, path, instants)]
+            findings.append(_touch(cell, hil, arm, model, path))
     return findings
 
 
@@ -93,3 +95,22 @@ def _clamp(
         "object's part, of the largest addition", arm.name, f"{most:.0%}", "≤ 100%", holds=most <= 1.0,
         remedy="raise tau_share of [hil], or rehearse with a lighter object",
     )  # fmt: skip
+
+
+def _touch(cell: Cell, hil: Hil, arm: Arm, model: ArmModel, path: Sequence[Vector]) -> Finding:
+    """Force at the end effector that the joints stand against to any side, beside weight and share of the object."""
+    bound = cell.file.safety.tau_max_fraction_of_stall * arm.tau_stall_Nm
+    carried_N, least_N = arm.entry.load_share * cell.file.object.mass_kg * -cell.gravity, np.inf
+    for q in path[:: max(1, len(path) // PLACES)]:
+        J = (model.task_basis.T @ model.jacobian(q))[:3]
+        held = model.evaluate(q, np.zeros(arm.n)).g + J.T @ carried_N
+        levers = np.maximum(np.linalg.norm(J, axis=0), SHORTEST_M)
+        least_N = min(least_N, float(((bound - np.abs(held)) / levers).min()))
+    found = f"{least_N:.2g} N to its weakest side"
+    return Finding("touch that the arm stands against", arm.name, found, _goes_on(hil))
+
+
+def _goes_on(hil: Hil) -> str:
+    if hil.touch_max_N < LEAST_TOUCH_N:
+        return "none: the cell holds"
+    return f"the cell goes on with up to {hil.touch_max_N:g} N for {hil.touch_max_s:g} s, else holds"

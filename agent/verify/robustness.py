@@ -223,8 +223,7 @@ def _aligning(cell: Cell) -> Aligning | None:
     spec = cell.file.controller.alignment
     if not spec.enabled or len(cell.arms) < 2:
         return None
-    anchor = 0 if spec.anchor is None else cell.index(spec.anchor)
-    return Aligning(anchor, max(spec.ready_per_s, spec.track_per_s))
+    return Aligning(cell.anchor, max(spec.ready_per_s, spec.track_per_s))
 
 
 def ranges_of(cell: Cell) -> Ranges:
@@ -232,7 +231,7 @@ def ranges_of(cell: Cell) -> Ranges:
     stated, periods = cell.tolerance, cell.file.delay_periods
     return Ranges(
         delay_periods=(stated.delay[0] * periods, periods, stated.delay[1] * periods),
-        inertia_error=cell.file.safety.inertia_error,
+        inertia_error=cell.inertia_error,
         object_error=stated.object,
         friction=stated.friction[0],
         pads_N_per_m=stated.pads_N_per_m,

@@ -12,7 +12,7 @@ from agent.config.session import build_life, fingers, grip_plan, rest_joints
 from agent.control import joint_track
 from agent.control.life import Life
 from agent.verify.finding import Finding, Verdict, judged
-from drivers.dynamixel.servo.table import SERVOS
+from drivers.dynamixel.servo.models import SERVOS
 
 SAMPLES = 60  # along the path
 GRIP_MARGIN = 2.0  # of what friction needs at the least

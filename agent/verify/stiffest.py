@@ -152,13 +152,13 @@ def _excess(miss: Miss) -> float:
     return miss.excess
 
 
-def binding(poses: Sequence[Pose], loop: Loop, ranges: Ranges, wanted: Wanted) -> tuple[list[str], float]:
+def binding(poses: Sequence[Pose], loop: Loop, ranges: Ranges, wanted: Wanted, inertia: str) -> tuple[list[str], float]:
     """The stated tolerances that bind: keys of which one is enough, and the smallest radius that a short search finds
-    when one of them is exact."""
+    when one of them is exact; inertia: the key that states how far the arms' may be off."""
     believed, (_, stiffest_t), (_, stiffest_r) = ranges.delay_periods[1], ranges.pads_N_per_m, ranges.pads_Nm_per_rad
     exact = {
         "tolerance.delay": replace(ranges, delay_periods=(believed, believed, believed)),
-        "safety.inertia_error": replace(ranges, inertia_error=0.0),
+        inertia: replace(ranges, inertia_error=0.0),
         "tolerance.object": replace(ranges, object_error=0.0),
         "tolerance.friction": replace(ranges, friction=1.0),
         "tolerance.pads_N_per_m": replace(ranges, pads_N_per_m=(stiffest_t, stiffest_t)),

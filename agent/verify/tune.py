@@ -181,7 +181,8 @@ class Tuner:
         found = Search(self._poses, loop, ranges, wanted).run()
         if found.kept:
             return found.scale
-        keys, least = binding(self._poses, scaled(loop, found.scale), ranges, wanted)
+        inertia = "tolerance.masses" if cell.tolerance.masses >= ranges.inertia_error else "safety.inertia_error"
+        keys, least = binding(self._poses, scaled(loop, found.scale), ranges, wanted, inertia)
         exact = "gains could be found" if least <= margin.worst * (1.0 + 1e-9) else f"it would be {least:.4f}"
         raise NoGains(
             f"gains for {cell.file.name} at {cell.file.rate_hz:g} Hz",

@@ -55,7 +55,7 @@ def _rows(cell: Cell) -> list[tuple[str, Callable[[GainSet], str]]]:
         ]
     if observer.build(cell.file) is not None:
         rows += [(f"observer, {key}", lambda s, key=key: f"{getattr(s.observer, key):g}") for key in OBSERVER_KEYS]  # type: ignore[misc]
-    error = cell.file.safety.inertia_error
+    error = cell.inertia_error
     for e in dict.fromkeys((0.0, -error, error)):
         what = "" if e == 0.0 else f", arms' inertia {e:+.0%}"
         rows += [

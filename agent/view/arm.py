@@ -14,7 +14,7 @@ import pinocchio as pin
 from agent.config.urdf import text_of_urdf
 from agent.view.error import ViewError
 from agent.view.pose import Array
-from agent.view.shapes import Colour, Mesh, ball, box, cylinder
+from agent.view.shapes import Colour, Mesh, ball, box, by_colour, cylinder
 
 _DARK: Final = 0.3  # a material darker than this is a shell, which takes the arm's colour
 
@@ -107,7 +107,7 @@ def _solids(model: pin.Model, drawing: ArmDrawing) -> dict[str, tuple[Mesh, ...]
             if mesh is not None:
                 at = frame.placement * _origin(visual.find("origin"))
                 found.setdefault(joint, []).append(mesh.placed(at.rotation, at.translation))
-    return {joint: tuple(meshes) for joint, meshes in found.items()}
+    return {joint: by_colour(meshes) for joint, meshes in found.items()}
 
 
 def _mesh(visual: ET.Element, colour: Colour) -> Mesh | None:

@@ -1,6 +1,8 @@
 """The page of a recorded run: time slider with what happened on it, play, the curves beside the picture.
 
 A browser that is moved asks for more pictures than can be shown: the newest wish counts, others are passed over.
+While its slider is dragged it says at most twenty times a second where that is: what lies half the way to the newest
+place is shown before it.
 """
 
 from __future__ import annotations
@@ -10,6 +12,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Final
 
+import numpy as np
 import viser
 
 from agent.report.moments import Moment, around, marks
@@ -21,6 +24,8 @@ from agent.view.staged import Staged, legend, status_text
 EXAGGERATIONS: Final = {"as they were": 1.0, "10 times": 10.0, "100 times": 100.0}
 SPEEDS: Final = {"1/4": 0.25, "1": 1.0, "4": 4.0, "16": 16.0}
 PLAY_HZ: Final = 30.0
+DRAG_S: Final = 0.2  # wishes that come sooner upon each other are of one drag
+HALF_WAY_S: Final = 0.025  # half of the 50 ms in which a browser tells one place of a drag
 CURVES_S: Final = 0.3  # the mark of now moves in the curves at most this often
 WORDS_S: Final = 0.15  # and the text is told at most this often: a browser needs longer for it than for a picture
 NOTHING: Final = "–"
@@ -39,6 +44,8 @@ class Player:
         self._row = self._marked = -1
         self._wish = threading.Condition()
         self._wanted_s: float | None = float(self._t[0])
+        self._then_s: float | None = None  # wished for, while what is half the way to it is shown
+        self._wished_s, self._dragged = -np.inf, False
         self._started: tuple[float, float] | None = None  # playing: the wall's time and the run's at the last picture
         self._marked_s = self._told_s = self._now()
         self._told = -1
@@ -70,16 +77,18 @@ class Player:
     def want(self, t: float) -> None:
         """The picture of this time is wished for."""
         with self._wish:
-            self._wanted_s = t
-            self._started = None if self._started is None else (self._now(), t)
+            now = self._now()
+            self._dragged, self._wished_s = now - self._wished_s < DRAG_S and self._started is None, now
+            self._wanted_s, self._then_s = t, None
+            self._started = None if self._started is None else (now, t)
             self._wish.notify()
 
     def step(self) -> None:
         """Wait for a wish, or for the next picture while it plays, and show it."""
         with self._wish:
             if self._wanted_s is None:
-                self._wish.wait(1.0 / PLAY_HZ)
-            t, self._wanted_s, started = self._wanted_s, None, self._started
+                self._wish.wait(1.0 / PLAY_HZ if self._then_s is None else HALF_WAY_S)
+            t, started = self._next(), self._started
         if t is None and started is not None:
             now = self._now()
             t = min(started[1] + (now - started[0]) * SPEEDS[self._speed.value], float(self._t[-1]))
@@ -91,6 +100,22 @@ class Player:
         if started is not None and self._row == len(self._t) - 1:
             self._stop()
         self._follow(self._now())
+
+    def _next(self) -> float | None:
+        """The time whose picture is wished for now, if any; half the way first, where a drag goes further than that."""
+        t, self._wanted_s, then = self._wanted_s, None, self._then_s
+        self._then_s = None
+        if t is None:
+            return then
+        half = 0.5 * (t + float(self._t[self._row]))
+        if (
+            not self._dragged
+            or self._row < 0
+            or self._staged.motion.row_at(half) in (self._row, self._staged.motion.row_at(t))
+        ):
+            return t
+        self._then_s = t
+        return half
 
     def _follow(self, now: float) -> None:
         """Text and curves go after the picture, each at its own pace; the first text comes with the first picture."""
@@ -122,6 +147,7 @@ class Player:
             if self._started is not None:
                 self._stop()
                 return
+            self._then_s = None
             row = 0 if self._row == len(self._t) - 1 else max(self._row, 0)
             self._started = self._now(), float(self._t[row])
             self._play.label = "Pause"
@@ -134,5 +160,6 @@ class Player:
         placed = self._staged.scene.place(self._staged.motion, factor)
         with self._wish:
             self._placed, row = placed, max(self._row, 0)
-            self._row, self._wanted_s = -1, float(self._t[row])
+            wishes = (self._wanted_s, self._then_s, float(self._t[row]))
+            self._row, self._wanted_s = -1, next(t for t in wishes if t is not None)
             self._wish.notify()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -28,6 +29,20 @@ class Mesh:
     def placed(self, R: Array, p: Array) -> Mesh:
         """The same in a frame in which its own has rotation `R` and origin `p`."""
         return Mesh(self.vertices @ R.T + p, self.faces, self.colour)
+
+
+def by_colour(meshes: Sequence[Mesh]) -> tuple[Mesh, ...]:
+    """The same solids with all of one colour as one: a browser draws a body by each of them."""
+    found: dict[Colour, list[Mesh]] = {}
+    for mesh in meshes:
+        found.setdefault(mesh.colour, []).append(mesh)
+    return tuple(_together(alike) for alike in found.values())
+
+
+def _together(meshes: Sequence[Mesh]) -> Mesh:
+    first = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+    faces = [mesh.faces + begin for mesh, begin in zip(meshes, first[:-1], strict=True)]
+    return Mesh(np.vstack([mesh.vertices for mesh in meshes]), np.vstack(faces), meshes[0].colour)
 
 
 _CORNERS: Final = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])

@@ -11,7 +11,9 @@ import math
 from dataclasses import dataclass
 from itertools import pairwise
 
-from drivers.dynamixel.servo.table import MAX_ID, SERVOS, TICKS_PER_TURN, OperatingMode, ServoModel
+from drivers.dynamixel.servo.codes import MAX_ID, OperatingMode
+from drivers.dynamixel.servo.counts import TICKS_PER_TURN
+from drivers.dynamixel.servo.models import SERVOS, ServoModel
 from drivers.dynamixel.servo.units import watchdog_count, watchdog_s
 from drivers.fingers import Fingers
 from drivers.interface import ConnectError
@@ -36,7 +38,7 @@ class JointMap:
     """One joint and the servos that move it; the second ID follows the first by Secondary ID and is never commanded."""
 
     name: str
-    servo: str  # key of `table.SERVOS`
+    servo: str  # key of `models.SERVOS`
     ids: tuple[int, ...]
     reverse: tuple[bool, ...]  # expected Drive Mode reverse bit of each
     zero_tick: int = 2048  # Present Position at joint angle 0

@@ -15,6 +15,7 @@ from drivers.dynamixel.events import DriverEvent, EventKind, EventSink
 from drivers.dynamixel.identify import IdentityError
 from drivers.dynamixel.line.bus import Bus
 from drivers.dynamixel.monitor import status_bytes
+from drivers.dynamixel.servo.codes import WATCHDOG_TRIPPED, OperatingMode
 from drivers.dynamixel.servo.found import ServoFound
 from drivers.dynamixel.servo.judge import POSE, TORQUE, broken
 from drivers.dynamixel.servo.table import (
@@ -28,8 +29,6 @@ from drivers.dynamixel.servo.table import (
     MIN_POSITION_LIMIT,
     PRESENT_POSITION,
     TORQUE_ENABLE,
-    WATCHDOG_TRIPPED,
-    OperatingMode,
     Register,
 )
 from drivers.dynamixel.servo.units import watchdog_count

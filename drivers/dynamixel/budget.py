@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass
 
 from drivers.dynamixel.arm_map import ArmMap, JointRole
-from drivers.dynamixel.servo.table import OperatingMode
+from drivers.dynamixel.servo.codes import OperatingMode
 
 CYCLE_BYTES = 10  # Present Current or Load, Velocity, Position
 PLAIN_BYTES, PLAIN_BYTES_MAX = 14, 18  # the same without merged replies, where the length tells cycles apart

@@ -12,7 +12,7 @@ from drivers.dynamixel.arm_map import ArmMap, ServoSlot
 from drivers.dynamixel.errors import DxlServoFault, FaultCause
 from drivers.dynamixel.events import DriverEvent, EventKind, OncePerServo
 from drivers.dynamixel.line.group import Row
-from drivers.dynamixel.servo.table import OperatingMode
+from drivers.dynamixel.servo.codes import OperatingMode
 from drivers.dynamixel.servo.units import AngleScale, current_unit_A, ticks_rad, velocity_count
 
 FAULT_WITHIN_S = 0.05

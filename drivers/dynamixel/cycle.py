@@ -20,7 +20,8 @@ from drivers.dynamixel.budget import CYCLE_BYTES, PLAIN_BYTES_MAX, CycleBudget, 
 from drivers.dynamixel.line.bus import BABBLE_BYTES, Bus, DxlCounters
 from drivers.dynamixel.line.group import GroupRead, GroupReply, Row
 from drivers.dynamixel.line.port import Now
-from drivers.dynamixel.servo.table import ALERT_BIT, PRESENT_POSITION
+from drivers.dynamixel.servo.codes import ALERT_BIT
+from drivers.dynamixel.servo.table import PRESENT_POSITION
 
 END_SHARE = 0.9  # of the period: the read is over by then, whatever happens
 CAREFUL_CYCLES = 10  # after a merged reply that a servo cut short

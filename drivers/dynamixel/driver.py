@@ -16,29 +16,25 @@ import numpy as np
 from drivers.dynamixel.arm_map import ArmMap
 from drivers.dynamixel.bringup import BringUp, torque_off
 from drivers.dynamixel.budget import LinkTiming
+from drivers.dynamixel.connected import all_fast, arm_info
 from drivers.dynamixel.errors import (
     DxlServoFault,
-    FaultCause,
-    NoGripperError,
     NotEnabledError,
-    PortError,
     PortLostError,
-    StaleJointsError,
     TorqueError,
     WriteTimeoutError,
 )
 from drivers.dynamixel.events import DriverEvent, EventKind, EventSink, ignore
+from drivers.dynamixel.grip import no_gripper
 from drivers.dynamixel.identify import IdentityError, identify
-from drivers.dynamixel.interpret import Reading, servo_names
 from drivers.dynamixel.line.bus import Bus, DxlCounters
 from drivers.dynamixel.line.port import Port, SerialPort
-from drivers.dynamixel.pace import SHARE, ReadTimes, check_rate, check_read
+from drivers.dynamixel.pace import SHARE, check_latency_timer, check_rate, check_read
+from drivers.dynamixel.recovery import make_sure, only_tripped, open_again, without_trips
 from drivers.dynamixel.running import Running
 from drivers.dynamixel.servo.found import ServoFound
+from drivers.dynamixel.stale import stale, unasked
 from drivers.interface import ArmInfo, Clock, DriverError, GripState, JointState, ServoHealth, Vector
-
-MAX_LATENCY_TIMER_MS = 2
-TORQUE_GONE = frozenset({FaultCause.HARDWARE_ERROR, FaultCause.TORQUE_LOST, FaultCause.REBOOTED})
 
 
 class Phase(enum.Enum):
@@ -96,8 +92,7 @@ class DynamixelDriver:
         self._found: list[ServoFound] = []
         self._running: Running | None = None
         self._begin_ns = 0
-        self._joints = tuple(joint.name for joint in arm.controlled)
-        self._slots = arm.slots
+        self._joint_count = len(arm.controlled)
 
     # --- coming and going -----------------------------------------------------------------------------------------
 
@@ -115,42 +110,18 @@ class DynamixelDriver:
         return info
 
     def _connect(self) -> ArmInfo:
-        self._check_latency_timer()
+        check_latency_timer(self._port, self.arm)
         self._found, self.problems = identify(self._bus, self.arm, self._scan_s)
         if self.problems:
             raise self.problems[0]
-        fast = all(servo.fast for servo in self._found)
-        if not fast:
-            slow = [f"{s.slot.servo_id} ({s.slot.joint.servo}, {s.firmware})" for s in self._found if not s.fast]
-            text = f"servo {', '.join(slow)}: one status packet per servo instead"
-            self._on_event(DriverEvent(EventKind.SLOW_SYNC_READ, text))
+        fast = all_fast(self._found, self._on_event)
         check_rate(self.arm, fast=fast, link=self._link)
         times = None
         if not any(change for servo in self._found for change in servo.changes):  # else after they are made
             times = check_read(self._bus, self.arm, self._clock, fast=fast, link=self._link, share=self._read_share)
         self._running = Running(self._bus, self.arm, self._found, self._clock, self._on_event, self._link, fast=fast)
         self._phase = Phase.CONNECTED
-        tau_max = np.array([joint.tau_max_Nm for joint in self.arm.controlled])
-        tau_max.flags.writeable = False
-        return ArmInfo(self.arm.arm, self._joints, tau_max, self._describe(fast, times))
-
-    def _check_latency_timer(self) -> None:
-        timer = self._port.latency_timer_ms
-        if timer is not None and timer > MAX_LATENCY_TIMER_MS:
-            raise PortError(
-                f"port {self.arm.port}: USB latency timer",
-                found=f"{timer} ms",
-                expected="1 ms",
-                remedy="install the udev rule shipped in systemd/, then unplug and plug the adapter",
-            )
-
-    def _describe(self, fast: bool, times: ReadTimes | None) -> str:
-        firmware = sorted({servo.firmware for servo in self._found})
-        read = f", read {times.median_s * 1e3:.2f} ms of {1e3 / self.arm.rate_hz:.2f} ms" if times else ""
-        return (
-            f"{self.arm.port} at {self.arm.baud} bit/s, {len(self._found)} servos, "
-            f"firmware {'/'.join(map(str, firmware))}, {'fast' if fast else 'plain'} sync read{read}"
-        )
+        return arm_info(self.arm, self._found, fast, times)
 
     def enable(self) -> None:
         """Configure, zero the goals, check the pose, arm the watchdog, torque on; in this order.
@@ -191,13 +162,7 @@ class DynamixelDriver:
 
         Raises PortError, IdentityError.  Torque is as the servos have kept it; the next reads tell.
         """
-        running = self._need(Phase.CONNECTED)
-        self._port.close()
-        with contextlib.ExitStack() as undo:
-            undo.callback(self._port.close)
-            self._port.open()
-            running.recognise()
-            undo.pop_all()
+        open_again(self._port, self._need(Phase.CONNECTED))
         self._port_lost = False
         self._on_event(DriverEvent(EventKind.PORT_REOPENED, self.arm.port))
 
@@ -211,13 +176,12 @@ class DynamixelDriver:
         self._bus.settle()
         BringUp(self._bus, self.arm, self._found, self._on_event).rearm()
         self._running = running.again()
-        self.faults = [fault for fault in self.faults if fault.cause is not FaultCause.WATCHDOG_TRIPPED]
+        self.faults = without_trips(self.faults)
 
     @property
     def lapsed(self) -> bool:
         """True while the port is gone, or watchdogs have fired and no servo has lost its torque otherwise."""
-        causes = {fault.cause for fault in self.faults}
-        return self._port_lost or (FaultCause.WATCHDOG_TRIPPED in causes and not causes & TORQUE_GONE)
+        return self._port_lost or only_tripped(self.faults)
 
     def recover(self) -> bool:
         """`drivers.interface.Recovering.recover`.
@@ -230,22 +194,13 @@ class DynamixelDriver:
         if self._port_lost:
             self.reopen()
         else:
-            self._make_sure(running)
+            make_sure(running, self.arm, self._clock)
         tripped = BringUp(self._bus, self.arm, self._found, self._on_event).has_tripped()
         if tripped:
             self.rearm()
             self._on_event(DriverEvent(EventKind.REARMED, "torque begins at zero"))
-        self.faults = [fault for fault in self.faults if fault.cause is not FaultCause.WATCHDOG_TRIPPED]
+        self.faults = without_trips(self.faults)
         return tripped
-
-    def _make_sure(self, running: Running) -> None:
-        running.hear_health()
-        cycle = running.reader.read()
-        if None in cycle.rows:
-            raise self._stale(
-                running.interpret(cycle, self._clock.now_ns()), cycle.rows, late=cycle.late, damaged=cycle.damaged
-            )
-        running.recognise()
 
     def _need(self, phase: Phase) -> Running:
         running = self._running
@@ -287,7 +242,7 @@ class DynamixelDriver:
         try:
             cycle = running.reader.read()
         except WriteTimeoutError as error:
-            raise self._unasked() from error
+            raise unasked(self.arm) from error
         answered_ns = clock.now_ns()
         self._port_lost = False
         reading = running.interpret(cycle, answered_ns)
@@ -299,27 +254,8 @@ class DynamixelDriver:
         if self.faults:
             raise self.faults[0].with_state(reading.state)
         if reading.stale:
-            raise self._stale(reading, cycle.rows, late=cycle.late, damaged=cycle.damaged)
+            raise stale(self.arm, cycle, reading)
         return reading.state
-
-    def _unasked(self) -> StaleJointsError:
-        ids = [slot.servo_id for slot in self._slots]
-        reason = "no answer, for the port took no request,"
-        return StaleJointsError(joints=self._joints, servo_ids=ids, partial=None, reason=reason)
-
-    def _stale(
-        self, reading: Reading, rows: Sequence[tuple[int, ...] | None], *, late: bool, damaged: bool
-    ) -> StaleJointsError:
-        reason = "no reply"
-        if reading.jumped:
-            reason = "a position it cannot have reached"
-        elif late:
-            reason = "only a late reply to an earlier request"
-        elif damaged:
-            reason = "a damaged reply"
-        partial = reading.state if len(reading.stale) < len(self._joints) else None
-        servos = servo_names(self._slots, rows)
-        return StaleJointsError(joints=reading.stale, servo_ids=servos, partial=partial, reason=reason)
 
     def write(self, tau_Nm: Vector) -> Vector:
         """Command joint torques (n,); returns those that the sent counts stand for.
@@ -330,13 +266,8 @@ class DynamixelDriver:
         running = self._need(Phase.ENABLED)
         begin_ns = self._clock.now_ns()
         wanted = tau_Nm.tolist()
-        if len(wanted) != len(self._joints) or not all(map(math.isfinite, wanted)):
-            raise TorqueError(
-                f"arm {self.arm.arm}: torque",
-                found=wanted,
-                expected=f"{len(self._joints)} finite numbers",
-                remedy="this is a defect of the caller: the safety layer must not let it through",
-            )
+        if len(wanted) != self._joint_count or not all(map(math.isfinite, wanted)):
+            raise TorqueError.of(self.arm.arm, wanted, self._joint_count)
         try:
             sent = running.write(wanted, self._begin_ns)
         except PortLostError:
@@ -349,12 +280,7 @@ class DynamixelDriver:
         """Send the fingers to this width with the next `write`.  Raises NotEnabledError, NoGripperError."""
         control = self._need(Phase.ENABLED).grip
         if control is None:
-            raise NoGripperError(
-                f"arm {self.arm.arm}: gripper",
-                found="none that its file describes well enough",
-                expected="closed_tick, open_tick, horn_radius_m, rod_length_m and grip_effort",
-                remedy="add them to [gripper] of the arm file",
-            )
+            raise no_gripper(self.arm)
         control.go_to(width_m)
 
     def grip_state(self) -> GripState | None:

@@ -6,7 +6,7 @@ import enum
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from drivers.dynamixel.servo.table import HardwareError, StatusError
+from drivers.dynamixel.servo.codes import HardwareError, StatusError
 from drivers.interface import ConnectError, DriverError, JointState, ServoFault, StaleStateError
 
 if TYPE_CHECKING:
@@ -100,7 +100,17 @@ class NoGripperError(DriverError):
 
 
 class TorqueError(DriverError):
-    """A torque that is no number, or a joint that cannot be torque-controlled."""
+    """A torque that is no number."""
+
+    @classmethod
+    def of(cls, arm: str, wanted: Sequence[float], joints: int) -> TorqueError:
+        """Torques that an arm was to be commanded."""
+        return cls(
+            f"arm {arm}: torque",
+            found=wanted,
+            expected=f"{joints} finite numbers",
+            remedy="this is a defect of the caller: the safety layer must not let it through",
+        )
 
 
 class StaleJointsError(StaleStateError):

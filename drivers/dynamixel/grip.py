@@ -10,6 +10,7 @@ import math
 from collections.abc import Mapping
 
 from drivers.dynamixel.arm_map import ArmMap, JointMap
+from drivers.dynamixel.errors import NoGripperError
 from drivers.dynamixel.line.group import GroupWrite, Row
 from drivers.dynamixel.servo.table import GOAL_CURRENT, GOAL_POSITION, GOAL_PWM
 from drivers.dynamixel.servo.units import AngleScale, angle_ticks, current_or_load, velocity_rad_per_s
@@ -76,3 +77,13 @@ class GripControl:
             width_cmd_m=math.nan if self._goal is None else fingers.width(self._scale.angle_rad(self._goal)),
             force_max_N=abs(self.effort) / self._limit * model.stall_torque_Nm / abs(lever),
         )
+
+
+def no_gripper(arm: ArmMap) -> NoGripperError:
+    """Of an arm that has none which can be closed on an object."""
+    return NoGripperError(
+        f"arm {arm.arm}: gripper",
+        found="none that its file describes well enough",
+        expected="closed_tick, open_tick, horn_radius_m, rod_length_m and grip_effort",
+        remedy="add them to [gripper] of the arm file",
+    )

@@ -13,8 +13,9 @@ from drivers.dynamixel.arm_map import ArmMap, ServoSlot
 from drivers.dynamixel.errors import Heard, NoReplyError, PortError, RejectedError
 from drivers.dynamixel.line.bus import Bus, Ping
 from drivers.dynamixel.servo import judge
+from drivers.dynamixel.servo.codes import BAUD_RATES, StatusError
 from drivers.dynamixel.servo.found import Consequence, Misfit, ServoFound
-from drivers.dynamixel.servo.table import BAUD_RATES, SINCE_FIRMWARE, STATUS_RETURN_LEVEL, StatusError
+from drivers.dynamixel.servo.table import SINCE_FIRMWARE, STATUS_RETURN_LEVEL
 from drivers.interface import ConnectError
 
 _SETUP_ID = "set its ID with `coop motors setup`"

@@ -17,6 +17,7 @@ from drivers.dynamixel.budget import LinkTiming, group_read_s
 from drivers.dynamixel.errors import NO_ERROR, DxlServoFault, FaultCause, hardware_names
 from drivers.dynamixel.events import DriverEvent, EventKind, OncePerServo
 from drivers.dynamixel.line.group import GroupRead, Row
+from drivers.dynamixel.servo.codes import WATCHDOG_TRIPPED, HardwareError
 from drivers.dynamixel.servo.table import (
     BUS_WATCHDOG,
     HARDWARE_ERROR_STATUS,
@@ -24,8 +25,6 @@ from drivers.dynamixel.servo.table import (
     LED,
     PRESENT_INPUT_VOLTAGE,
     TORQUE_ENABLE,
-    WATCHDOG_TRIPPED,
-    HardwareError,
     Register,
 )
 from drivers.dynamixel.servo.thermal import ThermalWatch

@@ -1,4 +1,4 @@
-"""How long a bus really takes for a cycle's read, against what the rate allows; measured at connect and at enable."""
+"""Whether adapter and bus are quick enough for the rate: latency timer, computed cycle, and a read that is measured."""
 
 from __future__ import annotations
 
@@ -6,14 +6,16 @@ from dataclasses import dataclass
 
 from drivers.dynamixel.arm_map import ArmMap
 from drivers.dynamixel.budget import CycleBudget, LinkTiming, cycle_budget
+from drivers.dynamixel.errors import PortError
 from drivers.dynamixel.line.bus import Bus
 from drivers.dynamixel.line.group import GroupRead
-from drivers.dynamixel.line.port import Now
+from drivers.dynamixel.line.port import Now, Port
 from drivers.dynamixel.servo.table import PRESENT_CURRENT
 from drivers.interface import ConnectError
 
 SHARE = 0.6  # of the period for the read: the rest is for control step, write and checks
 WAIT_NS = 200_000_000
+MAX_LATENCY_TIMER_MS = 2
 _SLOW_TIMER_S = 5e-3  # more than this above the wire time is a latency timer, not a cable
 
 
@@ -29,6 +31,18 @@ class ReadTimes:
     p99_s: float
     missed: int  # reads that did not bring every servo
     reads: int
+
+
+def check_latency_timer(port: Port, arm: ArmMap) -> None:
+    """Raise PortError for an adapter that keeps answers back; the port must be open."""
+    timer = port.latency_timer_ms
+    if timer is not None and timer > MAX_LATENCY_TIMER_MS:
+        raise PortError(
+            f"port {arm.port}: USB latency timer",
+            found=f"{timer} ms",
+            expected="1 ms",
+            remedy="install the udev rule shipped in systemd/, then unplug and plug the adapter",
+        )
 
 
 def measure_read(bus: Bus, arm: ArmMap, clock: Now, *, fast: bool, reads: int = 20) -> ReadTimes:

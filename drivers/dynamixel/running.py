@@ -22,10 +22,10 @@ from drivers.dynamixel.line.bus import BABBLE_BYTES, Bus
 from drivers.dynamixel.line.group import GroupWrite, Row
 from drivers.dynamixel.line.port import Now
 from drivers.dynamixel.monitor import GapMonitor, ServoRecord
+from drivers.dynamixel.servo.codes import ALERT_BIT, HardwareError
 from drivers.dynamixel.servo.found import ServoFound
 from drivers.dynamixel.servo.judge import MODEL, broken
 from drivers.dynamixel.servo.table import (
-    ALERT_BIT,
     GOAL_CURRENT,
     GOAL_PWM,
     MAX_VOLTAGE_LIMIT,
@@ -34,7 +34,6 @@ from drivers.dynamixel.servo.table import (
     PRESENT_TEMPERATURE,
     SHUTDOWN,
     TEMPERATURE_LIMIT,
-    HardwareError,
 )
 from drivers.dynamixel.servo.thermal import ThermalWatch
 from drivers.dynamixel.servo.torque import torque_drive
@@ -219,9 +218,10 @@ class Running:
 
     def grip_state(self, now_ns: int) -> GripState | None:
         """What the gripper said in the last cycle."""
-        grip = self.grip
-        row = None if grip is None else self._rows[self._place_of[grip.servo_id]]
-        return None if grip is None or row is None else grip.state(row, now_ns)
+        if self.grip is None:
+            return None
+        row = self._rows[self._place_of[self.grip.servo_id]]
+        return None if row is None else self.grip.state(row, now_ns)
 
     def health(self, now_ns: int) -> ServoHealth:
         """Slow quantities as they were last read, current or load of the last cycle."""

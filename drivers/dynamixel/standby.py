@@ -18,8 +18,8 @@ from drivers.dynamixel.errors import PortLostError, WriteTimeoutError
 from drivers.dynamixel.line.group import GroupRead, Row
 from drivers.dynamixel.monitor import Page
 from drivers.dynamixel.running import Running
+from drivers.dynamixel.servo.codes import WATCHDOG_TRIPPED
 from drivers.dynamixel.servo.found import ServoFound
-from drivers.dynamixel.servo.table import WATCHDOG_TRIPPED
 from drivers.interface import ConnectError, Vector
 
 ATTEMPTS = 3
@@ -109,7 +109,7 @@ class StandbyDriver(DynamixelDriver):
 
     def _ask(self) -> dict[int, Row]:
         """The status page of every servo that answers, by ID, asked again while one is missing."""
-        ids = [slot.servo_id for slot in self._slots]
+        ids = [slot.servo_id for slot in self.arm.slots]
         rows: dict[int, Row] = {}
         for _ in range(ATTEMPTS):
             self._quiet()

@@ -1,7 +1,7 @@
 """The bridge: a driver made of a real arm that holds nothing and of its twin in the simulated cell.
 
-Its caller sees the real arm, pulled at as the twin's grasp is.  What it adds never waits for the plant: with a twin
-that has not started, is stale or has gone the real arm moves by itself.
+Its caller sees the real arm, pulled at as the twin's grasp is; while somebody touches the arm, its twin.  What it adds
+never waits for the plant: with a twin that has not started, is stale or has gone the real arm moves by itself.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.interface import (
     ArmInfo,
@@ -24,7 +23,7 @@ from drivers.interface import (
     StaleStateError,
     Vector,
 )
-from sim_backend.hil.coupling import Coupling, Settings, TwinState
+from sim_backend.hil.coupling import Coupling, Here, Settings, TwinState
 from sim_backend.hil.errors import HilFault
 from sim_backend.hil.gripper import GripperCheck
 from sim_backend.hil.guest import Twin
@@ -48,7 +47,7 @@ _SLACK_S = 0.003  # of the instants of cycles: the loop asks no more once the wa
 class BridgeDriver:
     """`drivers.interface.Driver` of the real arm `real` with its `twin`.
 
-    inertia: (n, n) of the arm on its own at q (n,); gripper: looked at before the twin takes part, if given.
+    here: what is known of the arm on its own at q (n,); gripper: looked at before the twin takes part, if given.
     Of the last cycle: `sent` (n,) and what of it was `added`, `q_twin` and `age_s`; sent is NaN where the bus did not
     take it.
     """
@@ -60,17 +59,18 @@ class BridgeDriver:
         clock: Clock,
         settings: Settings,
         patience: Patience,
-        inertia: Callable[[Vector], NDArray[np.float64]],
+        here: Callable[[Vector], Here],
         gripper: GripperCheck | None = None,
     ) -> None:
         self.coupling = Coupling(settings)
         self._real, self._twin, self._clock = real, twin, clock
-        self._patience, self._inertia, self._gripper = patience, inertia, gripper
+        self._patience, self._here, self._gripper = patience, here, gripper
         self._joined = False  # the twin's torque is on
         self._nothing: Vector = np.full(len(settings.clamp_Nm), np.nan)
         self.sent, self.added = self._nothing, self.coupling.addition
         self._wrote = False  # since `taken` was asked
         self._newest: TwinState | None = None
+        self._other: Vector = self._nothing
         self._fault: HilFault | None = None
         self._asked: Vector = np.zeros_like(settings.clamp_Nm)  # τ of the last cycle in which the real arm was heard
         self._heard = False  # the real arm, in this cycle
@@ -85,8 +85,16 @@ class BridgeDriver:
 
     @property
     def q_twin(self) -> Vector:
-        """The twin's joints at the real arm's last instant, (n,) rad; NaN before there is one."""
-        return self.coupling.q_twin if self._newest is not None else self._nothing
+        """The twin's joints at the real arm's last instant, (n,) rad; the arm's while the caller sees its twin.
+
+        NaN before there is a twin.
+        """
+        return self._other if self._newest is not None else self._nothing
+
+    @property
+    def touches(self) -> int:
+        """How often somebody has touched the arm."""
+        return self.coupling.touch.count
 
     @property
     def age_s(self) -> float:
@@ -116,7 +124,10 @@ class BridgeDriver:
             self._join()
 
     def read(self) -> JointState:
-        """State of the real arm.  Raises what its driver raises, and HilFault once the twin is lost."""
+        """State of the real arm, or of its twin while somebody touches it.
+
+        Raises what its driver raises, and HilFault once the twin is lost.
+        """
         try:
             state = self._real.read()
         except StaleStateError:
@@ -126,13 +137,15 @@ class BridgeDriver:
             whole = error.state is not None and np.isfinite(error.state.q + error.state.dq).all()
             if whole and error.state is not None:
                 self._couple(error.state)
+                self.coupling.touch.over()  # the caller goes by this state
             else:  # a joint that cannot tell where it is cannot lead its twin
                 self._silent()
             raise
         self._couple(state)
         if self._fault is not None:
             raise self._fault.with_state(state)
-        return state
+        q, dq, self._other = self.coupling.seen(state.q, state.dq)
+        return JointState(state.stamp_ns, q, dq, state.tau)
 
     def write(self, tau_Nm: Vector) -> Vector:
         """Command τ and the addition to the real arm, τ and the coupling to the twin; what the servos were told.
@@ -213,7 +226,8 @@ class BridgeDriver:
         if self._fault is not None or self._newest is None:
             self.coupling.alone(state.stamp_ns)
         else:
-            self.coupling.step(state.stamp_ns, state.q, state.dq, self._newest, self._inertia(state.q))
+            self.coupling.step(state.stamp_ns, state.q, state.dq, self._newest, self._here(state.q))
+            self._other = self.coupling.q_twin
         if self._fault is None:
             self._fault = self._trouble(state) if self._gripper is None else self._look(self._gripper, state)
             if self._fault is not None:

@@ -27,7 +27,7 @@ class FreeArms:
             for arm, (joint, T_joint_ee) in zip(spec.arms, ends, strict=True)
         ]
         joints = np.cumsum([0, *(len(arm.controlled) for arm in spec.arms)]).tolist()
-        self._slices = [slice(a, b) for a, b in itertools.pairwise(joints)]
+        self.slices = tuple(slice(a, b) for a, b in itertools.pairwise(joints))  # of each arm's joints
         model.gravity = pin.Motion(np.array(spec.gravity), np.zeros(3))
         model.armature = np.concatenate([arm.rotor_inertia for arm in spec.arms])
         self.model, self.data = model, model.createData()
@@ -56,8 +56,8 @@ class FreeArms:
     def swinging(self, q: Vector) -> Vector:
         """(N, 6) kg, kg·m² with which each arm at q (J,) swings on its pad."""
         M, _ = self.terms(q, np.zeros_like(q))
-        jacobians = [self.end_effector(i)[0][:, own] for i, own in enumerate(self._slices)]
-        inertias = [np.linalg.inv(M[own, own]) for own in self._slices]
+        jacobians = [self.end_effector(i)[0][:, own] for i, own in enumerate(self.slices)]
+        inertias = [np.linalg.inv(M[own, own]) for own in self.slices]
         return np.array([swinging_inertia(J @ B @ J.T) for J, B in zip(jacobians, inertias, strict=True)])
 
     def potential(self, q: Vector) -> float:

@@ -15,7 +15,7 @@ from drivers.interface import Vector
 from sim_backend.physics.actuator import Servos
 from sim_backend.physics.free_arm import FreeArms
 from sim_backend.physics.joints import dry_friction
-from sim_backend.physics.spec import PlantError, PlantSpec
+from sim_backend.physics.spec import PlantSpec, diverged
 
 
 class LoneArm:
@@ -78,10 +78,7 @@ class LoneArm:
         if self._dry is not None:
             self._dry.step(self.dq - 0.5 * h * self._a)
         if not math.isfinite(float(self.dq.dot(self.dq))):
-            raise PlantError(
-                f"the motion of arm {self.name} on its own", found=f"no finite number at t = {self.t:.4f} s",
-                expected="finite velocities", remedy="the control loop is unstable or substep_s is too long",
-            )  # fmt: skip
+            raise diverged(f"the motion of arm {self.name} on its own", self.t)
 
     def _touch(self, q: Vector) -> Vector:
         """Joint torques (n,) of what pushes at the end effector."""

@@ -35,7 +35,7 @@ from sim_backend.physics.composition import check_start
 from sim_backend.physics.gears import gears
 from sim_backend.physics.joints import dry_friction
 from sim_backend.physics.meter import ChainGrasps
-from sim_backend.physics.spec import PlantError, PlantSpec
+from sim_backend.physics.spec import PlantSpec, diverged
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,12 +167,7 @@ class Plant:
         np.copyto(self._tau_motor, servos.motor_torque(dq))
         self._substeps += substeps
         if not math.isfinite(v.dot(v)):
-            raise PlantError(
-                "the motion of the plant",
-                found=f"no finite number at t = {self.t:.4f} s",
-                expected="finite velocities",
-                remedy="the control loop is unstable or substep_s is too long",
-            )
+            raise diverged("the motion of the plant", self.t)
 
     def rest(self, substeps: int) -> None:
         """Let time pass while the cell rests on a support."""

@@ -31,9 +31,10 @@ from sim_backend.physics.free_body import FreeBody
 from sim_backend.physics.gears import gears
 from sim_backend.physics.joints import dry_friction
 from sim_backend.physics.meter import GraspMeter
+from sim_backend.physics.openings import Openings
 from sim_backend.physics.pads import KAPPA, Pads
 from sim_backend.physics.plant import Observation
-from sim_backend.physics.spec import PlantError, PlantSpec
+from sim_backend.physics.spec import PlantError, PlantSpec, diverged
 
 MAX_TURN_RAD: Final = 5e-3  # of a joint, on one linearisation
 FASTEST: Final = 1e4  # rad/s, m/s; faster is divergence
@@ -53,10 +54,8 @@ class SoftPlant:
         self.servos = Servos([arm.actuator for arm in spec.arms])
         self._dry, self._gears = dry_friction(spec), gears(spec)
         self._arms = FreeArms(spec)
-        ends = np.cumsum([len(a.controlled) for a in spec.arms]).tolist()
-        self.slices = tuple(slice(e - len(a.controlled), e) for e, a in zip(ends, spec.arms, strict=True))
-        self.joint_count = J = int(ends[-1])
-        self._grasps = [pin.SE3(a.T_object_ee) for a in spec.arms]
+        self.slices = self._arms.slices
+        self.joint_count = J = self.slices[-1].stop
         self._T = spec.object.T_world_object
         self._q: Vector = np.concatenate([a.q_start for a in spec.arms])
         self._h = spec.substep_s
@@ -64,25 +63,22 @@ class SoftPlant:
         self._push: Vector = np.zeros(6)
         self._tau_motor, self._joint = np.zeros((2, J))
         self._acted: tuple[Vector, Vector | None] = (np.zeros(J), None)  # friction of the last substep
-        self._make_room(J + 6, 6 * len(spec.arms))
+        self._make_room(J + 6)
         self._body = FreeBody(spec.object, spec.gravity)
-        for i in range(len(spec.arms)):
-            self._G[6 * i : 6 * i + 6, J:] = -np.eye(6)
+        self._openings = Openings(self._arms, [a.T_object_ee for a in spec.arms], J)
         self._substeps = 0
         self._calendar = Calendar(spec.happenings, spec.substep_s)
         self._behind = False  # pose and openings are of an earlier substep
         self._meter: GraspMeter | None = None
         self._linearise()
 
-    def _make_room(self, nv: int, rows: int) -> None:
-        """Arrays of a substep, written in place; nv: joints and twist, rows: of all openings."""
+    def _make_room(self, nv: int) -> None:
+        """Arrays of a substep, written in place; nv: joints and twist."""
         self._v, self._b, self._c, self._mean, self._moved = np.zeros((5, nv))  # twist last: of the frame, world axes
         self._dq = self._v[: self.joint_count]
         self._half = np.full(nv, 0.5 * self._h)
         self._M, self._A = np.zeros((nv, nv)), np.zeros((nv, nv), order="F")
         self._diagonal = np.einsum("ii->i", self._A)[: self.joint_count]
-        self._G = np.zeros((rows, nv))
-        self._phi = np.zeros((len(self.slices), 6))
 
     @property
     def t(self) -> float:
@@ -115,23 +111,11 @@ class SoftPlant:
 
     def _linearise(self) -> None:
         """M, c, G and φ at the present pose, and for how many substeps they will do."""
-        J, h, v, pads, M, G = self.joint_count, self._h, self._v, self._pads, self._M, self._G
-        N, T = len(self.slices), self._T
-        M[:J, :J], bias = self._arms.terms(self._q, v[:J])
-        self._c[:J] = bias
+        J, h, v, pads, M, G = self.joint_count, self._h, self._v, self._pads, self._M, self._openings.G
+        T = self._T
+        M[:J, :J], self._c[:J] = self._arms.terms(self._q, v[:J])
         self._c[J:] = self._body.terms(T.rotation, v[J + 3 :], M[J:, J:]) - self._push
-        openings = G.reshape(N, 6, J + 6)
-        for i, grasp in enumerate(self._grasps):
-            closed = float(pads.closed[i, 0])  # the rows of G of a grasp that has opened are zero
-            jacobian, T_world_ee = self._arms.end_effector(i)
-            T_world_grasp = T * grasp
-            if closed:
-                openings[i, :, :J] = jacobian
-            x, y, z = (closed * (T_world_grasp.translation - T.translation)).tolist()
-            openings[i, :3, J + 3 :] = ((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0))
-            self._phi[i, :3] = T_world_ee.translation - T_world_grasp.translation
-            R = T_world_grasp.rotation
-            self._phi[i, 3:] = R.dot(pin.log3(R.T.dot(T_world_ee.rotation)))
+        self._phi = self._phi0 = self._openings.measure(T, pads.closed)
         pads.turn(T.rotation)
         GtK, GtC = G.T * pads.K.ravel(), G.T * pads.C.ravel()
         stiff, damped = GtK.dot(G), GtC.dot(G)
@@ -139,7 +123,7 @@ class SoftPlant:
         self._drag = 0.5 * h * stiff + damped
         self._A0 = M + KAPPA * h * h * stiff + 0.5 * h * damped
         self._pull = self._c + GtK.dot((self._phi - pads.slipped).ravel())
-        self._q0, self._T0, self._phi0 = self._q, T, self._phi.copy()
+        self._q0, self._T0 = self._q, T
         self._moved[:] = 0.0
         turning = max(map(abs, (*v[:J].tolist(), *v[J + 3 :].tolist(), 1e-9)))
         self._left = max(1, math.floor(min(self.spec.relinearise_s, MAX_TURN_RAD / turning) / h + 1e-9))
@@ -166,12 +150,7 @@ class SoftPlant:
         np.copyto(self._tau_motor, self.servos.motor_torque(self._dq))
         self._substeps += substeps
         if not float(self._v.dot(self._v)) < FASTEST**2:
-            raise PlantError(
-                "the motion of the plant",
-                found=f"no finite number at t = {self.t:.4f} s",
-                expected="finite velocities",
-                remedy="the control loop is unstable or substep_s is too long",
-            )
+            raise diverged("the motion of the plant", self.t)
 
     def _substep(self) -> None:
         """One substep on the present linearisation; `_pull` carries c + Gᵀ K (φ − s) along."""
@@ -219,14 +198,14 @@ class SoftPlant:
         self._q = self._q0 + moved[:J]
         turn = pin.exp3(moved[J + 3 :])
         self._T = pin.SE3(turn.dot(self._T0.rotation), self._T0.translation + moved[J : J + 3])
-        self._phi = self._phi0 + self._G.dot(moved).reshape(self._phi0.shape)
+        self._phi = self._phi0 + self._openings.G.dot(moved).reshape(self._phi0.shape)
 
     def _slip(self) -> None:
         """Let springs beyond their bound give way, and grasps that have slipped too far open."""
         self._arrive()
         pads, before = self._pads, self._pads.slipped.copy()
         opened = pads.slip(self._phi, self._T.rotation)
-        self._pull -= (self._G.T * pads.K.ravel()).dot((pads.slipped - before).ravel())
+        self._pull -= (self._openings.G.T * pads.K.ravel()).dot((pads.slipped - before).ravel())
         for grasp in opened:
             self.release(self.spec.names[grasp])
 
@@ -238,11 +217,7 @@ class SoftPlant:
         """What the servos say: positions (J,) rad, velocities (J,) rad/s, torques (J,) N·m estimated from current."""
         self._arrive()
         s = self.servos
-        return (
-            s.reported_position(self._q),
-            s.reported_velocity(self._dq),
-            s.reported_torque(self._tau_motor),
-        )
+        return s.reported_position(self._q), s.reported_velocity(self._dq), s.reported_torque(self._tau_motor)
 
     def meter_grasps(self) -> None:
         """Sum up the torques of the grasps from now on, which takes some time."""
@@ -259,19 +234,18 @@ class SoftPlant:
         D, f = self._acted
         dq, friction = v[:J].copy(), -D * self._mean[:J]
         self.servos.command(tau_cmd_Nm)
-        x, y, z, w = pin.Quaternion(self._T.rotation).coeffs().tolist()
-        phi_dot = self._G.dot(v).reshape(-1, 6)
+        phi_dot = self._openings.G.dot(v).reshape(-1, 6)
         W = pads.closed * (pads.K * (self._phi - pads.slipped) + pads.C * phi_dot)
-        gap = np.where(pads.closed > 0.0, self._phi, np.nan)
+        gap_m, gap_rad = self._openings.gaps(self._phi, pads.closed)
         potential = self._arms.potential(self._q) + self._body.potential(self._T)
         return Observation(
             t=self.t,
             p_object=self._T.translation.copy(),
-            quat_object=np.array([w, x, y, z]),
+            quat_object=pin.Quaternion(self._T.rotation).coeffs()[[3, 0, 1, 2]],
             v_object=v[J:].copy(),
             grasp_wrench=W,
-            contact_error_m=np.linalg.norm(gap[:, :3], axis=1),
-            contact_error_rad=np.linalg.norm(gap[:, 3:], axis=1),
+            contact_error_m=gap_m,
+            contact_error_rad=gap_rad,
             q=self._q.copy(),
             dq=dq,
             tau_applied=self.servos.motor_torque(dq).copy(),
@@ -288,13 +262,13 @@ class SoftPlant:
         """Open the grasp of one arm for good: its wrench is zero and its contact error NaN from now on."""
         self._pads.open(self.spec.names.index(arm))
         self._left = 0
-        self._G.reshape(-1, 6, self.joint_count + 6)[:] *= self._pads.closed[:, :, None]
+        self._openings.keep(self._pads.closed)
 
     def take_hold(self, arm: int) -> None:
         """Close the grasp of one arm (its place) as it stands: its pad is not stretched."""
         self._arrive()
         self._pads.close(arm)
-        self._G[6 * arm : 6 * arm + 6, self.joint_count :] = -np.eye(6)
+        self._openings.close(arm)
         self._linearise()  # the opening of a grasp that was open is known from here on
         self._pads.rest_at(arm, self._phi[arm], self._T.rotation)
         self._linearise()

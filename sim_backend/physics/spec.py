@@ -27,6 +27,16 @@ class PlantError(Refusal):
     exit_code = 4
 
 
+def diverged(what: str, t_s: float) -> PlantError:
+    """Of a motion that is no longer finite at this time of the plant."""
+    return PlantError(
+        what,
+        found=f"no finite number at t = {t_s:.4f} s",
+        expected="finite velocities",
+        remedy="the control loop is unstable or substep_s is too long",
+    )
+
+
 class GraspError(PlantError):
     """An arm's start pose does not put its end effector on its grasp."""
 

@@ -21,13 +21,12 @@ from sim_backend.physics.build import AnyPlant
 from sim_backend.physics.delay import DelayLine, stretches
 from sim_backend.physics.plant import Observation
 from sim_backend.physics.spec import WHOLE_SUBSTEPS_TOLERANCE, PlantError, substep_of
+from sim_backend.served.instants import Instants
 from sim_backend.served.listener import Listener
 from sim_backend.served.lobby import Lobby
 from sim_backend.served.options import ArmVanished, LostArm, ServerOptions, Summary
 from sim_backend.served.protocol import MessageKind
 from sim_backend.served.seat import WAIT_S, Attendance, Seat, Vanished
-
-__all__ = ["ArmVanished", "LostArm", "ServerOptions", "Summary", "serve"]
 
 LOBBY_EVERY_TICKS: Final = 32  # in lockstep with all arms on, nobody else is in a hurry
 
@@ -96,8 +95,7 @@ class _Server:
         self._tau = np.zeros(plant.joint_count)
         self._tick = 0
         self._reached = 0  # tick whose state is known: the present one, or the next while answers are due
-        self._late_ticks = 0
-        self._zero_ns = 0  # real time: CLOCK_MONOTONIC at tick 0
+        self._instants = Instants(options)
         self._lost_arms: list[str] = []
 
     def run(self) -> Summary:
@@ -108,9 +106,7 @@ class _Server:
         self._lobby.started = True
         if any(s.guest for s in self._seats):
             self._plant.meter_grasps()
-        if not self._options.lockstep:
-            self._zero_ns = self._first_instant_ns()
-            time.sleep(max(0, self._zero_ns - time.monotonic_ns()) * 1e-9)
+        self._instants.begin()
         begin = time.monotonic()
         while not self._over():
             self._one_tick()
@@ -168,7 +164,7 @@ class _Server:
             return
         reported = self._plant.reported()
         true = self._true(reported) if any(s.guest for s in due) else reported
-        stamp_ns = self._stamp_ns(tick)
+        stamp_ns = self._instants.stamp_ns(tick)
         flags = 0 if self._options.lockstep else socket.MSG_DONTWAIT
         for seat in due:
             seat.told = tick
@@ -194,7 +190,7 @@ class _Server:
             for seat in self._seats:
                 tau[seat.joints] = seat.delay.acting(tick, begin)
             if begin == 0 and self._on_tick is not None and tick % self._options.observe_every == 0:
-                self._on_tick(tick, self._stamp_ns(tick), self._plant.observe(tau))
+                self._on_tick(tick, self._instants.stamp_ns(tick), self._plant.observe(tau))
             if tick * self._substeps + begin < self._support_substeps:
                 self._plant.rest(count)
             else:
@@ -202,7 +198,7 @@ class _Server:
 
     def _collect(self, on: list[Seat]) -> None:
         if not self._options.lockstep:
-            self._sleep_to_next_tick()
+            self._instants.sleep_until(self._tick + 1)
         for seat in on:
             if seat.limp_at_tick is not None and self._tick >= seat.limp_at_tick:
                 seat.leave(Attendance.ABSENT)
@@ -247,32 +243,12 @@ class _Server:
             raise ArmVanished(name, self._tick, reason)
         self._lost_arms.append(name)
 
-    def _stamp_ns(self, tick: int) -> int:
-        since_zero = round(tick * 1e9 / self._options.rate_hz)
-        return since_zero if self._options.lockstep else self._zero_ns + since_zero
-
-    def _first_instant_ns(self) -> int:
-        """Real time: the next instant at which UTC is a whole number of observations, as it is at tick 0 in lockstep.
-
-        Rows of arms and plant that are thinned out by UTC are then of the same instants.
-        """
-        now_ns = time.monotonic_ns()
-        every_ns = round(self._options.observe_every * 1e9 / self._options.rate_hz)
-        return now_ns + -(now_ns + self._options.utc_offset_ns) % every_ns
-
-    def _sleep_to_next_tick(self) -> None:
-        period_s = 1.0 / self._options.rate_hz
-        remaining_s = (self._zero_ns - time.monotonic_ns()) * 1e-9 + (self._tick + 1) * period_s
-        if remaining_s > 0:
-            time.sleep(remaining_s)
-        self._late_ticks += remaining_s < -period_s
-
     def _summary(self, begin_s: float) -> Summary:
         return Summary(
             ticks=self._tick,
             sim_s=self._tick / self._options.rate_hz,
             wall_s=time.monotonic() - begin_s,
-            late_ticks=self._late_ticks,
+            late_ticks=self._instants.late,
             dropped_states=sum(s.dropped_states for s in self._seats),
             lost_arms=tuple(self._lost_arms),
         )

@@ -8,7 +8,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from drivers.dynamixel.servo.table import SERVOS, TICK_CENTRE, TICK_RAD
+from drivers.dynamixel.servo.counts import TICK_CENTRE, TICK_RAD
+from drivers.dynamixel.servo.models import SERVOS
 from sim_backend.wire.bus import DEFAULTS, Bus
 from sim_backend.wire.finger import FingerJoint
 from sim_backend.wire.options import BusOptions, ServoOptions

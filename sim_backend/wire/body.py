@@ -8,7 +8,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from drivers.dynamixel.servo.table import TICK_CENTRE, TICK_RAD, TICKS_PER_TURN, DriveMode, OperatingMode, ServoModel
+from drivers.dynamixel.servo.codes import DriveMode, OperatingMode
+from drivers.dynamixel.servo.counts import TICK_CENTRE, TICK_RAD, TICKS_PER_TURN
+from drivers.dynamixel.servo.models import ServoModel
 from sim_backend.wire.drive import Drive
 from sim_backend.wire.motor import Motor, MotorData
 

@@ -10,13 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-from drivers.dynamixel.servo.table import (
-    PWM_UNIT_DUTY,
-    TICK_RAD,
-    VELOCITY_UNIT_RAD_PER_S,
-    DriveMode,
-    OperatingMode,
-)
+from drivers.dynamixel.servo.codes import DriveMode, OperatingMode
+from drivers.dynamixel.servo.counts import PWM_UNIT_DUTY, TICK_RAD, VELOCITY_UNIT_RAD_PER_S
 from sim_backend.wire.motor import Motor
 from sim_backend.wire.profile import Profile
 

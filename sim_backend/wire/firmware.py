@@ -10,17 +10,16 @@ import struct
 from collections.abc import Callable
 
 from drivers.dynamixel.servo import table
-from drivers.dynamixel.servo.table import (
-    TICK_RAD,
-    VELOCITY_UNIT_RAD_PER_S,
-    Area,
+from drivers.dynamixel.servo.codes import (
+    WATCHDOG_TRIPPED,
     DriveMode,
     HardwareError,
     OperatingMode,
-    Register,
-    ServoModel,
     StartupConfiguration,
 )
+from drivers.dynamixel.servo.counts import TICK_RAD, VELOCITY_UNIT_RAD_PER_S
+from drivers.dynamixel.servo.models import ServoModel
+from drivers.dynamixel.servo.table import Area, Register
 from sim_backend.wire.backup import GAINS, Backup
 from sim_backend.wire.body import Body
 from sim_backend.wire.drive import POSITION_MODES
@@ -258,7 +257,7 @@ class Firmware:
         period = self.memory.bytes[table.BUS_WATCHDOG.address] if self.body.drive.torque_on else 0
         if not 0 < period < 0x80 or now_ns - self._last_packet_ns <= period * WATCHDOG_UNIT_NS:
             return False
-        self.memory.put(table.BUS_WATCHDOG, table.WATCHDOG_TRIPPED)
+        self.memory.put(table.BUS_WATCHDOG, WATCHDOG_TRIPPED)
         self.body.drive.restart(self.body.position_tick())
         self.body.drive.stop = self.options.watchdog_stop
         return True

@@ -6,7 +6,7 @@ import logging
 from collections.abc import Mapping, Sequence
 from typing import Protocol
 
-from drivers.dynamixel.servo.table import HardwareError
+from drivers.dynamixel.servo.codes import HardwareError
 from sim_backend.wire.arm import EmulatedArm
 from sim_backend.wire.faults import REPLY_FAULTS, Fault, FaultError, FaultKind, FaultSchedule, ReplyTamper, Scheduled
 from sim_backend.wire.servo import Servo

@@ -8,7 +8,9 @@ from __future__ import annotations
 from functools import lru_cache
 
 from drivers.dynamixel.servo import table
-from drivers.dynamixel.servo.table import Register, ServoModel, StatusError
+from drivers.dynamixel.servo.codes import StatusError
+from drivers.dynamixel.servo.models import SERVOS, ServoModel
+from drivers.dynamixel.servo.table import Register
 
 RAM_START = 64
 SIZE = 662  # the last indirect data byte is 661
@@ -53,7 +55,7 @@ class Layout:
 @lru_cache(maxsize=64)
 def layout_of(model_name: str, firmware: int) -> Layout:
     """Return the shared layout of a model and firmware."""
-    return Layout(table.SERVOS[model_name], firmware)
+    return Layout(SERVOS[model_name], firmware)
 
 
 class Memory:

@@ -1,7 +1,7 @@
 """Winding, gearbox and heat of one servo: what current flows and what torque reaches the horn.
 
 Time comes in as a step; registers are outside.
-Figures: stall and no-load points of the e-manual, through drivers.dynamixel.servo.table.  The heat path is an
+Figures: stall and no-load points of the e-manual, through drivers.dynamixel.servo.models.  The heat path is an
 assumption: at the 0.9 A that an XM430 can hold for long it settles near its limit of 80 degrees C.
 """
 
@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from drivers.dynamixel.servo.table import ServoModel
+from drivers.dynamixel.servo.models import ServoModel
 
 AMBIENT_C = 25.0
 

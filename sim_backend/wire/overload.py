@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-from drivers.dynamixel.servo.table import OperatingMode
+from drivers.dynamixel.servo.codes import OperatingMode
 
 _OPEN_LOOP = frozenset({OperatingMode.CURRENT, OperatingMode.PWM})
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from drivers.dynamixel.servo.table import Instruction, StatusError
+from drivers.dynamixel.servo.codes import Instruction, StatusError
 from sim_backend.wire.options import BusOptions, SilentPredecessor
 from sim_backend.wire.packet import BROADCAST_ID, MAX_LENGTH, Command, Damaged, FastBlock, fast_status, status_packet
 from sim_backend.wire.servo import Servo

@@ -7,7 +7,9 @@ Source: ROBOTIS e-manual, Protocol 2.0 (error numbers) and the notes at each reg
 from __future__ import annotations
 
 from drivers.dynamixel.servo import table
-from drivers.dynamixel.servo.table import Access, OperatingMode, Register, ServoModel, StatusError
+from drivers.dynamixel.servo.codes import WATCHDOG_TRIPPED, DriveMode, OperatingMode, StatusError
+from drivers.dynamixel.servo.models import ServoModel
+from drivers.dynamixel.servo.table import Access, Register
 from sim_backend.wire.memory import RAM_START, Memory
 
 GOALS = frozenset(
@@ -36,7 +38,7 @@ def refusal(
     if register.address < RAM_START and (secondary or memory.get(table.TORQUE_ENABLE)):
         return StatusError.ACCESS
     if register.name in GOALS or register.name == table.BUS_WATCHDOG.name:
-        tripped = memory.has(table.BUS_WATCHDOG) and memory.get(table.BUS_WATCHDOG) == table.WATCHDOG_TRIPPED
+        tripped = memory.has(table.BUS_WATCHDOG) and memory.get(table.BUS_WATCHDOG) == WATCHDOG_TRIPPED
         if tripped and (register.name in GOALS or value != 0):
             return StatusError.DATA_RANGE
     if not register.minimum <= value <= register.maximum or not _representable(model, firmware, register, value):
@@ -53,9 +55,9 @@ def _representable(model: ServoModel, firmware: int, register: Register, value: 
     allowed = register.maximum or 0
     if register.name == table.DRIVE_MODE.name:
         if firmware < _TIME_PROFILE_FIRMWARE:
-            allowed &= ~table.DriveMode.TIME_BASED_PROFILE
+            allowed &= ~DriveMode.TIME_BASED_PROFILE
         if firmware < _TORQUE_BY_GOAL_FIRMWARE:
-            allowed &= ~table.DriveMode.TORQUE_ON_BY_GOAL_UPDATE
+            allowed &= ~DriveMode.TORQUE_ON_BY_GOAL_UPDATE
     return value & ~allowed == 0
 
 

@@ -9,7 +9,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from drivers.dynamixel.servo import table
-from drivers.dynamixel.servo.table import ALERT_BIT, BAUD_RATES, Area, ServoModel, StatusError
+from drivers.dynamixel.servo.codes import ALERT_BIT, BAUD_RATES, StatusError
+from drivers.dynamixel.servo.models import ServoModel
+from drivers.dynamixel.servo.table import Area
 from sim_backend.wire import rules
 from sim_backend.wire.firmware import Firmware
 from sim_backend.wire.options import ServoOptions

@@ -11,7 +11,9 @@ from types import MappingProxyType
 from typing import Protocol
 
 from drivers.dynamixel.servo import table
-from drivers.dynamixel.servo.table import BAUD_RATES, NO_SECONDARY_ID, SERVOS, TICK_CENTRE
+from drivers.dynamixel.servo.codes import BAUD_RATES, NO_SECONDARY_ID
+from drivers.dynamixel.servo.counts import TICK_CENTRE
+from drivers.dynamixel.servo.models import SERVOS
 from drivers.fingers import Fingers
 from sim_backend.wire.servo import DEFAULT_FIRMWARE
 

@@ -13,7 +13,8 @@ from drivers.clock import MonotonicClock
 from drivers.dynamixel.driver import DynamixelDriver
 from drivers.dynamixel.line import codec
 from drivers.dynamixel.line.group import GroupRead
-from drivers.dynamixel.servo.table import INDIRECT_DATA, PRESENT_CURRENT, Instruction
+from drivers.dynamixel.servo.codes import Instruction
+from drivers.dynamixel.servo.table import INDIRECT_DATA, PRESENT_CURRENT
 from tests.bench.common import Figure, median_us
 from tests.support.servos.dxl_rig import enabled
 

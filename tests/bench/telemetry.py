@@ -20,7 +20,7 @@ from agent.process.build import build_agent
 from agent.telemetry.link.intake import Intake
 from agent.telemetry.link.publish import Pace
 from agent.telemetry.link.wire import BatchHeader
-from agent.telemetry.ring.ring import RingWriter
+from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.fill import AgentRow
 from agent.telemetry.row.received import Rows
 from agent.telemetry.row.sample import AGENT_STATE

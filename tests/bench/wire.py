@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from drivers.dynamixel.servo.table import Instruction, OperatingMode
+from drivers.dynamixel.servo.codes import Instruction, OperatingMode
 from sim_backend.wire.arm import EmulatedArm
 from sim_backend.wire.cell import EmulatedCell
 from sim_backend.wire.timing import BusTiming

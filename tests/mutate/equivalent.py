@@ -9,6 +9,22 @@ from tests.mutate.mutants import Mutant
 Key = tuple[str, str, str]  # where, first line of the statement before and after
 
 _SAVES_A_TEXT = "saves the making of a text that nobody is told"
+_SAVES_A_CALL = "saves a call: joining no flag changes nothing"
+_TAKES_ON = "if made.grip is not None and self.grip is not None:"
+_SAME_GRIPPER = "the same arm has the same gripper; said for the type checker"
+_BRAKES = "brake = brake_per_s(agent.period_s) if damped else 0.0"
+_WHILE_IT_BRAKES = "read only while the arm brakes"
+_ALONE_IN = "alone = session is not None and mode in phases.ALONE"
+_LIMITED = (
+    "tau, flags = limit(wanted.tolist(), memory.tau.tolist(), "
+    "session.limits if session is not None and alone else agent.limits)"
+)
+_OFF = "if session is not None and alone and (phases.off(session.life, mode, memory, q) > session.life.off_max_rad):"
+_WITH_A_SESSION = "asked for twice, for the type checker: whoever is alone has a session"
+_PART = "part = 1.0 if life is None else phases.handing_over(life, mode, memory)"
+_LEARNS = "if adaptation is None or estimate is None:"
+_BOTH = "who learns has an estimate; said for the type checker"
+_NONE = "a function without a result returns None"
 _READ_AFTER_A_JUMP = "read only after a jump, which sets it"
 _SET_BY_A_QUESTION = "read while an answer is awaited only, and each question sets it"
 _BOTH_ARE_LARGE = "both currents are large in the other half of the condition, so their product is not zero"
@@ -49,6 +65,18 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
     "agent.safety": {
         ("", _TABLE, _TABLE.replace("+ 1", "+ 2")): "one flag more than the three that are looked up can make",
     },
+    "agent.loop": {
+        ("_law", _PART, _PART.replace("1.0", "2.0")): "all of it is the law's, as with one",
+        ("_law", "if life is not None and part < 1.0:", "if True and part < 1.0:"): _WITH_A_SESSION,
+        ("_of_object", _LEARNS, _LEARNS.replace(" or ", " and ")): _BOTH,
+        ("_of_object", _LEARNS, _LEARNS.replace("adaptation is None", "False")): _BOTH,
+        ("_of_object", _LEARNS, _LEARNS.replace("estimate is None", "False")): _BOTH,
+        ("step", _BRAKES, _BRAKES.replace("if damped", "if True")): _WHILE_IT_BRAKES,
+        ("step", _BRAKES, _BRAKES.replace("0.0", "1.0")): _WHILE_IT_BRAKES,
+        ("step", _ALONE_IN, _ALONE_IN.replace("session is not None", "True")): _WITH_A_SESSION,
+        ("step", _LIMITED, _LIMITED.replace("session is not None", "True")): _WITH_A_SESSION,
+        ("step", _OFF, _OFF.replace("session is not None", "True")): _WITH_A_SESSION,
+    },
     "agent.standing": {
         (
             "wait_here",
@@ -56,24 +84,29 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
             "return memory._replace(shift=between(pose[:4], pose[3:], *agent.start))",
         ): "of a position three numbers are read",
     },
+    "agent.cycles": {
+        (
+            "Cycles.gap_s",
+            "passed_ns = 0 if self._begun_ns is None else now_ns - self._begun_ns",
+            "passed_ns = 1 if self._begun_ns is None else now_ns - self._begun_ns",
+        ): "no gap is as short as a nanosecond",
+    },
     "agent.runner": {
-        ("Runner._cycle", "happened |= Event.STOP", "happened |= Event.TROUBLE"): "either makes the object held",
+        ("Runner._act", "if self._marks:", "if True:"): _SAVES_A_CALL,
+        ("Runner._go_blind", "if self._marks:", "if True:"): _SAVES_A_CALL,
         ("Runner._cycle", "if happened:", "if True:"): "saves a call: nothing changes without an event (test_runner)",
         (
             "Runner._started",
-            "if zero_ns is not None and zero_ns != self._zero_ns:",
-            "if zero_ns is not None and True:",
+            "counts = zero_ns != ticks.zero_ns and (session is None or session.counts(zero_ns, deadline_ns))",
+            "counts = True and (session is None or session.counts(zero_ns, deadline_ns))",
         ): "the same start gives the same phase",
+    },
+    "agent.sight": {
         (
-            "Runner._change_mode",
-            "if mode is Mode.HOLD and state is not None and (self._outcome is not None):",
-            "if True and state is not None and (self._outcome is not None):",
-        ): "every other change ends the loop, or begins to track and forgets what was held",
-        (
-            "Runner._change_mode",
-            "if mode is Mode.HOLD and state is not None and (self._outcome is not None):",
-            "if mode is Mode.HOLD and state is not None and True:",
-        ): "a state of this cycle was acted on, so there is an outcome; said for the type checker",
+            "Sight.plan",
+            "if bus is not Bus.RECOVER or arm is None:",
+            "if bus is not Bus.RECOVER or False:",
+        ): "nobody is brought back by a driver that cannot; said for the type checker",
     },
     "drivers.dynamixel.checks": {
         ("SilenceCheck.check", "if None not in rows:", "if False:"): "the short way for a cycle with all answers",
@@ -88,7 +121,7 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
         ("JumpCheck.__init__", "self._jumped_rad = 0.0", "self._jumped_rad = 1.0"): _READ_AFTER_A_JUMP,
         ("JumpCheck.__init__", "self.in_a_row = 0", "pass"): "the first angle, which is always believed, sets it",
         ("JumpCheck.__init__", "self.in_a_row = 0", "self.in_a_row = 1"): "the first angle, always believed, sets it",
-        ("EffectCheck.check", "return None", "pass"): "a function without a result returns None",
+        ("EffectCheck.check", "return None", "pass"): _NONE,
         (
             "PairCheck.check",
             "if apart or tell.is_active(EventKind.PAIR_APART, slot.servo_id):",
@@ -186,6 +219,9 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
         ): "a closed port refuses what is written to it, and that is suppressed",
     },
     "drivers.dynamixel.running": {
+        ("Running.again", _TAKES_ON, _TAKES_ON.replace("made.grip is not None", "True")): _SAME_GRIPPER,
+        ("Running.again", _TAKES_ON, _TAKES_ON.replace("self.grip is not None", "True")): _SAME_GRIPPER,
+        ("Running.again", _TAKES_ON, _TAKES_ON.replace(" and ", " or ")): _SAME_GRIPPER,
         ("Running.__init__", "self._wire_free_ns = 0", "pass"): _SET_BY_A_QUESTION,
         ("Running.__init__", "self._wire_free_ns = 0", "self._wire_free_ns = 1"): _SET_BY_A_QUESTION,
         (
@@ -206,14 +242,7 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
         ): "somebody's own file has been refused before",
         ("map_file", _MAPPED, _MAPPED.replace("else 0", "else 1")): "MAP_SHARED is 1",
     },
-    "agent.telemetry.ring.ring": {
-        ("RingWriter.wait_for_space", _HAS_SPACE, "if False:"): _NO_CLOCK,
-        ("RingWriter.wait_for_space", _HAS_SPACE, _HAS_SPACE.replace(" - ", " + ")): _NO_CLOCK,
-        ("RingWriter.wait_for_space", "return", "pass"): _NO_CLOCK,
-        ("RingWriter.wait_for_space", "time.sleep(_POLL_S)", "pass"): "saves computing while it waits",
-        ("RingWriter.close", "if self._fd < 0:", "if self._fd <= 0:"): _STANDARD_INPUT,
-        ("RingWriter.close", "if self._fd < 0:", "if self._fd < 1:"): _STANDARD_INPUT,
-        ("RingWriter.close", "self._fd = -1", "self._fd = -2"): "both are no descriptor",
+    "agent.telemetry.ring.reader": {
         ("RingReader.close", "if self._fd < 0:", "if self._fd <= 0:"): _STANDARD_INPUT,
         ("RingReader.close", "if self._fd < 0:", "if self._fd < 1:"): _STANDARD_INPUT,
         ("RingReader.close", "self._fd = -1", "self._fd = -2"): "both are no descriptor",
@@ -222,6 +251,15 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
             _INTACT,
             _INTACT.replace(" & ", " | "),
         ): "saves checksums: the index is in them, so a copy of another row fails there",
+    },
+    "agent.telemetry.ring.writer": {
+        ("RingWriter.wait_for_space", _HAS_SPACE, "if False:"): _NO_CLOCK,
+        ("RingWriter.wait_for_space", _HAS_SPACE, _HAS_SPACE.replace(" - ", " + ")): _NO_CLOCK,
+        ("RingWriter.wait_for_space", "return", "pass"): _NO_CLOCK,
+        ("RingWriter.wait_for_space", "time.sleep(_POLL_S)", "pass"): "saves computing while it waits",
+        ("RingWriter.close", "if self._fd < 0:", "if self._fd <= 0:"): _STANDARD_INPUT,
+        ("RingWriter.close", "if self._fd < 0:", "if self._fd < 1:"): _STANDARD_INPUT,
+        ("RingWriter.close", "self._fd = -1", "self._fd = -2"): "both are no descriptor",
         ("_aligned_row", _ROOM, _ROOM.replace("16", "17")): "seven bytes to spare are enough",
         ("_aligned_row", _ROOM, _ROOM.replace("16", "15")): "seven bytes to spare are enough",
         (
@@ -288,6 +326,7 @@ EQUIVALENT: Mapping[str, Mapping[Key, str]] = {
             "path.unlink(missing_ok=True)",
             "path.unlink(missing_ok=False)",
         ): "differs when somebody removes the socket between the question and the removal",
+        ("ControlSocket._no_start", "return None", "pass"): _NONE,
         ("ControlSocket.poll", "if self._clients:", "if True:"): "saves the making of empty lists",
     },
 }

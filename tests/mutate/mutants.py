@@ -29,6 +29,7 @@ class Mutant:
     before: str  # first line of the statement
     after: str
     line: int
+    end: int  # of a compound statement's head, or of the statement
     tree: ast.Module
     edit: Edit | None  # None: `tree` is changed already
     in_function: bool  # the change lies in a body, so that running code can be exchanged without importing again
@@ -73,7 +74,7 @@ def generated(module: str) -> list[Mutant]:
     found = []
     for place in _places(tree, "", None, in_function=False):
         for edit in edits(place.node, names):
-            line = getattr(place.statement_of(edit), "lineno", 0)
+            line, end = _lines(place.statement_of(edit))
             before = _first_line(place.statement_of(edit))
             with edit.made():
                 after = _first_line(place.statement_of(edit))
@@ -81,7 +82,7 @@ def generated(module: str) -> list[Mutant]:
             seen[key] += 1
             if seen[key] > 1:
                 after = f"{after}  ({seen[key]})"
-            found.append(Mutant(module, place.where, before, after, line, tree, edit, place.in_function))
+            found.append(Mutant(module, place.where, before, after, line, end, tree, edit, place.in_function))
     return sorted(found, key=lambda m: m.line)
 
 
@@ -95,7 +96,9 @@ def written(module: str) -> list[Mutant]:
         line = text[: text.index(before)].count("\n") + 1
         tree = ast.parse(text.replace(before, after))
         flat = [" ".join(part.split()) for part in (before, after)]
-        found.append(Mutant(module, "by hand", flat[0], flat[1] or "nothing", line, tree, None, in_function=False))
+        found.append(
+            Mutant(module, "by hand", flat[0], flat[1] or "nothing", line, line, tree, None, in_function=False)
+        )
     return found
 
 
@@ -130,6 +133,13 @@ def _places(node: ast.AST, where: str, statement: ast.stmt | None, *, in_functio
         for part in value if isinstance(value, list) else [value]:
             if isinstance(part, ast.AST):
                 yield from _places(part, where, statement, in_function=inside)
+
+
+def _lines(node: ast.AST) -> tuple[int, int]:
+    """First and last line; of a compound statement those of its head."""
+    first, body = getattr(node, "lineno", 0), getattr(node, "body", None)
+    last = body[0].lineno - 1 if isinstance(body, list) else getattr(node, "end_lineno", first)
+    return first, max(first, last)
 
 
 def _first_line(node: ast.AST) -> str:

@@ -8,8 +8,9 @@ import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from importlib import import_module
 from types import FrameType
 from typing import Any
 
@@ -20,7 +21,7 @@ from tests.mutate.mutants import Mutant, exchange, source_of
 
 FIRST_S = 600.0  # for all tests of a module without a change
 WALL_S = 60.0  # of one test, however little it computes
-CPU_S = 3.0  # of one test, and ten times what it takes without a change
+CPU_S = 1.0  # of one test, and ten times what it takes without a change
 
 
 @dataclass
@@ -28,7 +29,7 @@ class Measured:
     """One test without a change."""
 
     cpu_s: float
-    called: frozenset[str]  # functions of the module, as qualified names
+    ran: frozenset[str | int]  # of the module: functions as qualified names, and lines
 
 
 @dataclass(eq=False)
@@ -43,6 +44,7 @@ class Noticing:
     wanted: Sequence[int]
     at_once: int
     tell: Tell
+    warm: Sequence[str] = ()
     problem: str = ""
     _measured: dict[str, Measured] = field(default_factory=dict)
     _kills: Counter[str] = field(default_factory=Counter)
@@ -55,6 +57,7 @@ class Noticing:
             self.problem = "the tests cannot be collected"
         else:
             run_all([Job(lambda tell: self._measure(session, tell), FIRST_S, self._take_measure)], 1)
+            self._warm()
         if self.problem:
             self.tell(("problem", self.problem))
         else:
@@ -72,8 +75,8 @@ class Noticing:
             begin_s = time.process_time()
             watch.begin()
             session.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
-            called = watch.called(item)
-            tell(("measured", item.nodeid, Measured(time.process_time() - begin_s, called)))
+            ran = watch.ran(item)
+            tell(("measured", item.nodeid, Measured(time.process_time() - begin_s, ran)))
         tell(("complete",))
 
     def _take_measure(self, said: list[Any]) -> None:
@@ -83,6 +86,18 @@ class Noticing:
         elif not said or said[-1] != ("complete",):
             self.problem = f"the tests ended in {said[-1] if said else 'nothing'}"
         self._measured = {entry[1]: entry[2] for entry in said if entry[0] == "measured"}
+
+    def _warm(self) -> None:
+        """Fill the caches that no change can be seen in, for all children."""
+        watch = CallWatch(str(source_of(self.module)))
+        watch.begin()
+        for name in self.warm:
+            module, function = name.split(":")
+            getattr(import_module(module), function)()
+        if called := watch.seen():
+            self.problem = (
+                f"{', '.join(self.warm)}: called once for all changes, yet they run {sorted(map(str, called))}"
+            )
 
     # --- with a change ------------------------------------------------------------------------------------------------
 
@@ -102,11 +117,14 @@ class Noticing:
         return Job(lambda tell: self._run(session, mutant, items, tell), limit_s, done)
 
     def _chosen(self, items: Sequence[pytest.Item], mutant: Mutant) -> list[pytest.Item]:
-        """Those that run the function, first the quick ones that noticed most so far; all when none is seen to run it.
+        """Those that run the statement, first the quick ones that noticed most so far; where none is seen to run it
+        those that run the function, or else all.
 
         Another test could notice only through a result that one of these left behind.
         """
-        calling = [item for item in items if mutant.where in self._measured[item.nodeid].called]
+        ran, lines = self._measured, range(mutant.line, mutant.end + 1)
+        reaching = [item for item in items if not ran[item.nodeid].ran.isdisjoint(lines)]
+        calling = reaching or [item for item in items if mutant.where in ran[item.nodeid].ran]
         return sorted(
             calling or items, key=lambda item: self._measured[item.nodeid].cpu_s / (1 + self._kills[item.nodeid])
         )
@@ -133,37 +151,45 @@ class Noticing:
 
 @dataclass(eq=False)
 class CallWatch:
-    """A pytest plugin that notes which functions of one file each test calls, itself or by a fixture it shares."""
+    """A pytest plugin that notes what each test runs of one file, itself or by a fixture it shares."""
 
     file: str
-    _names: set[str] = field(default_factory=set)
-    _by_fixture: dict[str, set[str]] = field(default_factory=dict)
+    _ran: set[str | int] = field(default_factory=set)
+    _by_fixture: dict[str, set[str | int]] = field(default_factory=dict)
 
     def begin(self) -> None:
-        """Note calls from here on, in all threads."""
-        self._names = set()
-        threading.setprofile(self._see)
-        sys.setprofile(self._see)
+        """Note functions and lines from here on, in all threads."""
+        self._ran = set()
+        threading.settrace(self._see)
+        sys.settrace(self._see)
 
-    def called(self, item: pytest.Item) -> frozenset[str]:
-        """Functions called since `begin`, and those by fixtures that were set up for an earlier test."""
-        sys.setprofile(None)
-        threading.setprofile(None)  # type: ignore[arg-type]
+    def ran(self, item: pytest.Item) -> frozenset[str | int]:
+        """What was run since `begin`, and by fixtures that were set up for an earlier test."""
         shared = (self._by_fixture.get(name, set()) for name in getattr(item, "fixturenames", ()))
-        return frozenset(self._names.union(*shared))
+        return self.seen().union(*shared)
+
+    def seen(self) -> frozenset[str | int]:
+        """What was run since `begin`, after which nothing is noted."""
+        sys.settrace(None)
+        threading.settrace(None)  # type: ignore[arg-type]
+        return frozenset(self._ran)
 
     @pytest.hookimpl(hookwrapper=True)
     def pytest_fixture_setup(self, fixturedef: pytest.FixtureDef[Any]) -> Iterator[None]:
-        """Remember what a fixture calls."""
-        before = set(self._names)
-        self._names.clear()
+        """Remember what a fixture runs."""
+        before = set(self._ran)
+        self._ran.clear()
         yield
-        self._by_fixture.setdefault(fixturedef.argname, set()).update(self._names)
-        self._names |= before
+        self._by_fixture.setdefault(fixturedef.argname, set()).update(self._ran)
+        self._ran |= before
 
-    def _see(self, frame: FrameType, event: str, _: Any) -> None:
-        if event == "call" and frame.f_code.co_filename == self.file:
-            self._names.add(frame.f_code.co_qualname.split(".<locals>")[0])
+    def _see(self, frame: FrameType, event: str, _: Any) -> Callable[[FrameType, str, Any], Any] | None:
+        if frame.f_code.co_filename != self.file:
+            return None
+        if event == "call":
+            self._ran.add(frame.f_code.co_qualname.split(".<locals>")[0])
+        self._ran.add(frame.f_lineno)
+        return self._see
 
 
 def _in_turn(items: Sequence[pytest.Item]) -> Iterator[tuple[pytest.Item, pytest.Item | None]]:

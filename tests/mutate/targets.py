@@ -9,15 +9,38 @@ UNIT = "tests/unit"
 
 @dataclass(frozen=True)
 class Target:
-    """A module and the tests that must notice every change to it; generate: whether changes are generated."""
+    """A module and the tests that must notice every change to it.
+
+    generate: whether changes are generated; warm: cached functions of tests as module:name, which are called once for
+    all changes; they call nothing of the module itself.
+    """
 
     module: str
     tests: tuple[str, ...]
     generate: bool = True
+    warm: tuple[str, ...] = ()
 
 
-_STEP = tuple(f"{UNIT}/{name}.py" for name in ("test_step", "test_step_rules", "test_singular"))
-_RUNNER = tuple(f"{UNIT}/{name}.py" for name in ("test_runner", "test_runner_trouble", "test_runner_record"))
+_STEP = tuple(
+    f"{UNIT}/{name}.py"
+    for name in (
+        "test_step", "test_step_rules", "test_step_together", "test_step_session", "test_singular", "test_hold",
+        "test_calm",
+        "control/test_adaptive", "control/test_floating", "guard/test_resume", "monitors/test_monitors",
+    )
+)  # fmt: skip
+_RUNNER = tuple(
+    f"{UNIT}/{name}.py"
+    for name in (
+        "test_runner", "test_runner_trouble", "test_runner_record", "test_runner_return", "test_runner_session",
+        "monitors/test_watch_in_runner",
+    )
+)  # fmt: skip
+_WARM = (
+    "tests.support.runner_rig:q_start",
+    "tests.support.runner_rig:period_ns",
+    "tests.support.session_script:made",
+)
 _CYCLE = (f"{UNIT}/drivers/test_dxl_faults.py", f"{UNIT}/drivers/test_dxl_hostile.py")
 _RING = (
     f"{UNIT}/telemetry/test_ring.py",
@@ -25,43 +48,55 @@ _RING = (
     f"{UNIT}/telemetry/test_ring_reader.py",
     "tests/property/telemetry/test_ring_model.py",
 )
+_DRIVER = (f"{UNIT}/drivers/test_driver.py", f"{UNIT}/drivers/test_driver_cycle.py")
 _VIEW = tuple(f"{UNIT}/view/{name}.py" for name in ("test_scene", "test_pictures"))
 _PAGE = (f"{UNIT}/view/test_page.py",)
-_VERIFY = tuple(f"{UNIT}/replay/{name}.py" for name in ("test_verify", "test_replay_command"))
+_VERIFY = tuple(f"{UNIT}/replay/{name}.py" for name in ("test_verify", "test_verify_trouble", "test_replay_command"))
 _SOFT = tuple(f"{UNIT}/sim_backend/{name}.py" for name in ("test_soft", "test_reality", "test_calendar"))
 
 TARGETS = (
     Target("agent.safety", (f"{UNIT}/test_safety.py",)),
     Target("agent.modes", (f"{UNIT}/test_modes.py",)),
-    Target("agent.loop", (*_STEP, f"{UNIT}/test_step_together.py", f"{UNIT}/control/test_adaptive.py")),
-    Target("agent.standing", (*_STEP, f"{UNIT}/test_step_together.py", f"{UNIT}/test_hold.py")),
+    Target("agent.loop", _STEP),
+    Target("agent.standing", _STEP),
     Target("agent.calm", tuple(f"{UNIT}/{name}.py" for name in ("test_calm", "test_hold", "test_step_together"))),
     Target("agent.cycles", (f"{UNIT}/test_cycles.py",)),
-    Target("agent.runner", _RUNNER),
+    Target("agent.runner", _RUNNER, warm=_WARM),
+    Target("agent.sight", (f"{UNIT}/test_sight.py",)),
+    Target("agent.telling", (f"{UNIT}/test_telling.py",)),
+    Target("agent.ticks", _RUNNER, warm=_WARM),
+    Target("agent.transition", (f"{UNIT}/test_transition.py",)),
     Target("agent.operator.socket", (f"{UNIT}/operator/test_control_socket.py",)),
-    Target("agent.replay.chain", _VERIFY),
+    Target("agent.replay.chain", (*_VERIFY, f"{UNIT}/replay/test_whatif.py", f"{UNIT}/guard/test_resume.py")),
     Target("agent.replay.grasps", (f"{UNIT}/replay/test_answers.py",)),
     Target("agent.replay.rows", _VERIFY),
     Target("agent.replay.same", (f"{UNIT}/replay/test_same.py", f"{UNIT}/replay/test_answers.py")),
     Target("agent.replay.verify", _VERIFY),
     Target("agent.telemetry.ring.file", _RING),
-    Target("agent.telemetry.ring.ring", _RING),
+    Target("agent.telemetry.ring.reader", _RING),
     Target("agent.telemetry.ring.texts", (f"{UNIT}/telemetry/test_texts.py", f"{UNIT}/telemetry/test_event.py")),
+    Target("agent.telemetry.ring.writer", _RING),
     Target("agent.view.camera", (f"{UNIT}/view/test_camera.py", *_VIEW)),
     Target("agent.view.curves", _PAGE),
     Target("agent.view.motion", (*_VIEW, *_PAGE)),
     Target("agent.view.player", _PAGE),
     Target("agent.view.pose", _VIEW),
     Target("drivers.dynamixel.checks", (f"{UNIT}/drivers/test_checks.py",)),
-    Target("drivers.dynamixel.cycle", (f"{UNIT}/drivers/test_cycle.py",)),
-    Target("drivers.dynamixel.driver", (f"{UNIT}/drivers/test_driver.py",)),
+    Target("drivers.dynamixel.connected", (f"{UNIT}/drivers/test_driver.py",)),
+    Target("drivers.dynamixel.cycle", (f"{UNIT}/drivers/test_cycle.py", f"{UNIT}/drivers/test_cycle_again.py")),
+    Target("drivers.dynamixel.driver", (*_DRIVER, f"{UNIT}/drivers/test_recover.py")),
     Target("drivers.dynamixel.interpret", (f"{UNIT}/drivers/test_interpret.py",)),
     Target("drivers.dynamixel.line.group", (f"{UNIT}/drivers/test_group.py",)),
     Target("drivers.dynamixel.monitor", (f"{UNIT}/drivers/test_monitor.py",)),
-    Target("drivers.dynamixel.pace", (f"{UNIT}/drivers/test_pace.py",)),
-    Target("drivers.dynamixel.running", (f"{UNIT}/drivers/test_running.py",)),
+    Target("drivers.dynamixel.pace", tuple(f"{UNIT}/drivers/{name}.py" for name in ("test_pace", "test_driver"))),
+    Target(
+        "drivers.dynamixel.recovery", tuple(f"{UNIT}/drivers/{name}.py" for name in ("test_driver", "test_recover"))
+    ),
+    Target("drivers.dynamixel.running", tuple(f"{UNIT}/drivers/{name}.py" for name in ("test_running", "test_grip"))),
+    Target("drivers.dynamixel.stale", _DRIVER),
     Target("sim_backend.physics.calendar", _SOFT),
     Target("sim_backend.physics.free_body", _SOFT),
+    Target("sim_backend.physics.openings", _SOFT),
     Target("sim_backend.physics.pads", _SOFT),
     Target("sim_backend.physics.reality", (f"{UNIT}/sim_backend/test_reality.py",)),
 )

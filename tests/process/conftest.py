@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from agent.log.read import RunLog, read_log
 from tests.support.coop import coop
 from tests.support.once import once
-from tests.support.stalls import ATTEMPTS
+from tests.support.stalls import ATTEMPTS, stalled
 
 PAPER_RUN_S = 3
 TRANSIENT_S = 1.0
@@ -20,8 +21,15 @@ WAITING = (
     "paper", "--duration", 2, "--set", "simulation.ready_s=0.5", "--set", "controller.alignment.max_m=0.02",
     "--set", "report.transient_s=1", "--no-report",
 )  # fmt: skip
-WIRE_RUN_S = 12
-WIRE_RUN = ("two_wx200", "--wire", "--duration", WIRE_RUN_S, "--set", "report.transient_s=4")
+# as quick as the emulated servos' motions are in tests/unit/test_whole.py, and eight seconds that count
+QUICK = (
+    "session.speed_max_rad_per_s=2.0", "session.back_off_m=0.04", "session.lift_m=0.015", "session.lift_s=1.0",
+    "session.lower_s=1.2", "session.take_up_s=0.6", "session.ease_s=0.5", "report.transient_s=2",
+)  # fmt: skip
+WHOLE_RUN = (
+    "two_wx200", "--wire", "--whole", "--duration", 10, "--no-report",
+    *(word for setting in QUICK for word in ("--set", setting)),
+)  # fmt: skip
 
 RunOf = Callable[..., Path]
 
@@ -49,3 +57,19 @@ def run_of(tmp_path_factory: pytest.TempPathFactory) -> RunOf:
 def paper_runs(run_of: RunOf) -> tuple[Path, Path]:
     """Folders of two runs of the paper's cell, `PAPER_RUN_S` long, the first with its report."""
     return run_of(*PAPER_RUN), run_of(*PAPER_RUN, "--no-report")
+
+
+@pytest.fixture(scope="session")
+def whole_run(run_of: RunOf) -> tuple[Path, RunLog]:
+    """Folder and log of two arms from rest to rest: the real driver on emulated servos, in real time.
+
+    A control loop at 200 Hz says nothing on a machine that stops for 50 ms: such a run is repeated.
+    """
+    why = ""
+    for attempt in range(ATTEMPTS):
+        out = run_of(*WHOLE_RUN, *(("--seed", attempt) if attempt else ()))
+        log = read_log(out / "run.mcap")
+        why = stalled(log)
+        if not why:
+            return out, log
+    pytest.skip(f"this machine stalled in each of {ATTEMPTS} runs (the last one: {why})")

@@ -17,8 +17,8 @@ from agent.log.parts import Limits
 from agent.log.read import open_log
 from agent.telemetry.link.publish import Pace, PublishReport
 from agent.telemetry.link.record import RecordReport
-from agent.telemetry.ring.ring import RingWriter
 from agent.telemetry.ring.texts import TextWriter
+from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.event import Event, Level
 from agent.telemetry.row.sample import AGENT_STATE
 from drivers.clock import MonotonicClock

@@ -14,7 +14,7 @@ from agent.calibrate.chain import Chain, Link, Matrix, chain_of
 from agent.calibrate.poses import Poses, held_out
 from agent.config.cell import Cell, load_cell
 from agent.verify.check import examine
-from drivers.dynamixel.servo.table import TICK_RAD
+from drivers.dynamixel.servo.counts import TICK_RAD
 from drivers.interface import Vector
 
 UNSURE = (  # ± 10 mm, ± 20 mrad of bases, ± 3 mm of grasps, ± 1° of zeros

@@ -10,13 +10,15 @@ from typing import Any
 import numpy as np
 
 import configs
+from agent.around import Beginning, RunSummary, Schedule, Surroundings
 from agent.config.cell import Cell, load_cell
+from agent.control.memory import Memory
 from agent.cycles import Patience
 from agent.loop import Agent
 from agent.modes import Event, Mode
 from agent.monitors.watch import Watch
 from agent.process.build import build_agent
-from agent.runner import Runner, RunSummary, Schedule, Surroundings
+from agent.runner import Runner
 from agent.telemetry.row.fill import AgentRow
 from agent.telemetry.row.sample import AGENT_STATE
 from agent.verify.check import examine
@@ -126,6 +128,26 @@ class Arm:
 
 
 @dataclass
+class Returning(Arm):
+    """An arm that can come back, after the answers of its attempts; the last one stands for all that follow."""
+
+    lapses: frozenset[int] = frozenset()  # reads after which it does nothing until it is brought back
+    answers: tuple[bool | DriverError, ...] = (True,)
+    tried: list[int] = field(default_factory=list)  # after how many reads
+
+    @property
+    def lapsed(self) -> bool:
+        return self.reads in self.lapses
+
+    def recover(self) -> bool:
+        self.tried.append(self.reads)
+        answer = self.answers[min(len(self.tried), len(self.answers)) - 1]
+        if isinstance(answer, DriverError):
+            raise answer
+        return answer
+
+
+@dataclass
 class Log:
     """Rows as they were committed."""
 
@@ -164,6 +186,8 @@ class Done:
     beats: int
     waits: int
     troubles: list[str]  # why it held, as the process was told
+    refused: list[str]  # why a session went no further
+    memory: Memory
 
     def of(self, mode: Mode) -> Any:
         """Rows in a mode."""
@@ -196,23 +220,32 @@ def run(
     oversleeps_ns: Mapping[int, int] | None = None,
     refused: frozenset[int] = frozenset(),
     q: Callable[[int], Vector] = lambda _: q_start(),
+    cell: Cell | None = None,
     agent: Mapping[str, Any] | None = None,
     watch: Watch | None = None,
+    session: Any = None,
+    beginning: Beginning | None = None,
+    happened: Event | None = None,
+    returning: Mapping[str, Any] | None = None,
+    told: bool = True,
     start_ns: Callable[[int, int], int | None] = lambda reads, zero_ns: zero_ns if reads > 2 else None,
     **schedule: Any,
 ) -> Done:
     """Run the loop to its end.
 
     operator: requests by the number of reads; agent: changed fields of the agent; start_ns: the common start as the
-    loop is told, from the number of reads and an instant START_AFTER cycles and a third from the beginning; schedule:
-    changed fields of the schedule.
+    loop is told, from the number of reads and an instant START_AFTER cycles and a third from the beginning; returning:
+    fields of an arm that can come back; told: whether anybody hears of troubles and refusals; schedule: changed fields
+    of the schedule.
     """
-    clock = MovedClock(oversleeps_ns or {})
-    arm = Arm(clock, q, failures or {}, pauses_ns or {}, refused)
+    clock, of = MovedClock(oversleeps_ns or {}), cell or paper()
+    given = (clock, q, failures or {}, pauses_ns or {}, refused)
+    arm = Arm(*given) if returning is None else Returning(*given, **returning)
     log = Log()
     modes: list[Mode] = []
     beats: list[int] = []
     troubles: list[str] = []
+    refusals: list[str] = []
     zero_ns = clock.ns + START_AFTER * period_ns() + period_ns() // 3
     plan = Schedule(period_ns(), 20, False, hold_at_end=False, patience=PATIENCE)
     around = Surroundings(
@@ -221,10 +254,12 @@ def run(
         start_ns=lambda: start_ns(arm.reads, zero_ns),
         heartbeat=lambda: beats.append(arm.reads),
         mode_changed=modes.append,
-        trouble=troubles.append,
+        trouble=troubles.append if told else None,
+        refused=refusals.append if told else None,
     )
-    row = AgentRow(log.message, 3, paper().config_id)
-    made: Agent = replace(build_agent(paper(), paper().arms[0]), **(agent or {}))
-    runner = Runner(made, arm, clock, replace(plan, **schedule), row, log, around, watch)
-    summary = runner.run()
-    return Done(summary, arm, np.array(log.rows), modes, len(beats), log.waits, troubles)
+    row = AgentRow(log.message, 3, of.config_id)
+    made: Agent = replace(build_agent(of, of.arms[0]), **(agent or {}))
+    runner = Runner(made, arm, clock, replace(plan, **schedule), row, log, around, watch, beginning, session)
+    summary = runner.run() if happened is None else runner.run(happened)
+    rows = np.array(log.rows)
+    return Done(summary, arm, rows, modes, len(beats), log.waits, troubles, refusals, runner.memory)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
 import pytest
 
 from agent.cycles import WINDOW, Bus, Cycles, Patience
@@ -73,6 +75,11 @@ def test_cycles_that_were_left_out_count_as_cycles_without_a_state() -> None:
     assert mine.without_state(at(8)) == 7
 
 
+def test_what_a_loop_of_real_arms_bears_unless_its_cell_says_more_or_less() -> None:
+    lost = {"hold": 3, "repeat": 3, "blind": 40, "quiet": 50, "recover": 400, "retry": 20}
+    assert asdict(Patience()) == lost | {"gap": 10, "success_min": 0.9}
+
+
 # --- time ------------------------------------------------------------------------------------------------------------
 
 
@@ -103,6 +110,17 @@ def test_bad_cycles_are_forgotten_after_a_hundred() -> None:
         assert mine.end(0, good=True) is None
     assert [mine.end(0, good=False) for _ in range(10)] == [None] * 10, "each takes the place of an old one"
     assert mine.end(0, good=False) == pytest.approx(0.89)
+
+
+def test_a_bad_cycle_counts_until_a_hundred_have_followed_it() -> None:
+    mine = cycles()
+    assert [mine.end(0, good=False) for _ in range(10)] == [None] * 10
+    assert [mine.end(0, good=True) for _ in range(WINDOW - 11)] == [None] * (WINDOW - 11)
+    assert mine.end(0, good=False) == pytest.approx(0.89)
+
+
+def test_the_first_cycle_may_lose_all_trust() -> None:
+    assert cycles(Patience(gap=50)).end(20, good=True) == pytest.approx(0.8)
 
 
 def test_an_arm_that_was_trusted_again_may_lose_trust_again() -> None:

@@ -13,7 +13,7 @@ from agent.config.cell import ConfigError, cell_from_toml, load_cell
 from agent.config.schema.arm import GRIP_KEYS, GripperJoint
 from agent.config.session import MEASURED, fingers, grip_plan
 from agent.grip import GripPlan, Verdict
-from drivers.dynamixel.servo.table import TICK_RAD
+from drivers.dynamixel.servo.counts import TICK_RAD
 from drivers.fingers import Fingers
 from drivers.interface import GripState
 

@@ -18,7 +18,7 @@ from agent.loop import GENTLE_TICKS, Agent, Outcome, blind, initial_memory, step
 from agent.modes import Mode
 from agent.process.build import build_agent
 from agent.process.schedule import patience_of
-from agent.safety import Flag, Limits
+from agent.safety import Flag, Limits, limit
 from agent.standing import afresh, hold_here
 from drivers.interface import JointState, Vector
 from tests.unit.test_step_rules import arm, start
@@ -68,16 +68,26 @@ def test_other_modes_are_not_gentle(mode: Mode) -> None:
     assert (outcome.memory.calm, Flag.GENTLE in outcome.flags) == (LAW, False)
 
 
-@pytest.mark.parametrize(("calm", "rate", "reach"), [(GENTLE, 5.0, 0.1), (JOINTS + 1, 20.0, np.inf)])
-def test_a_gentle_hold_is_one_of_the_joints(calm: int, rate: float, reach: float) -> None:
-    agent, dq = arm(hold_rate_rad_per_s=20.0), np.array([0.2, -0.1, 0.3])
+@pytest.mark.parametrize(
+    ("calm", "rate", "reach", "period_s"),
+    [(GENTLE, 5.0, 0.1, 0.005), (GENTLE, 1.0 / 0.6, 0.1, 0.02), (JOINTS + 1, 20.0, np.inf, 0.005)],
+)
+def test_a_gentle_hold_is_one_of_the_joints(calm: int, rate: float, reach: float, period_s: float) -> None:
+    agent, dq = arm(hold_rate_rad_per_s=20.0, period_s=period_s), np.array([0.2, -0.1, 0.3])
     q = start() + np.array([0.05, -0.3, 0.02])
     memory = holding(agent, calm=calm)
     outcome = tick(agent, memory, 1.0, q, dq)
     assert memory.q_hold is not None
     wanted = torque(agent.model, agent.offline, q, dq, memory.q_hold, rate, reach)
     np.testing.assert_array_equal(outcome.tau, wanted.tau_cmd)
+    assert Flag.ADAPTATION_SATURATED not in outcome.flags
     assert np.abs(q - start()).max() > 0.1, "so that the reach counts"
+
+
+def test_a_gentle_hold_with_nothing_to_go_back_to_is_one_of_the_law() -> None:
+    terms = tick(arm(), holding(arm(), calm=GENTLE)._replace(q_hold=None), 1.0).terms
+    assert terms is not None
+    assert terms.J_inv_P is not None
 
 
 def test_a_joint_beyond_the_reach_is_pulled_as_one_at_it() -> None:
@@ -93,6 +103,30 @@ def test_what_was_measured_counts_after_a_long_time_and_not_what_was_expected() 
     for after, seen in ((4.0, True), (1.0, False)):
         outcome = tick(agent, holding(agent), after, moved, (0.1, 0.1, 0.1))
         assert np.array_equal(outcome.q, moved) is seen
+    followed = tick(agent, holding(agent), 4.0, moved, (0.1, 0.1, 0.1), Mode.TRACK)
+    assert not np.array_equal(followed.q, moved), "a hold alone"
+
+
+def test_three_periods_and_a_half_are_not_too_long() -> None:
+    agent = arm()
+    memory = holding(agent)._replace(t=0.0)
+    state = JointState(0, start(), np.zeros(3), np.zeros(3))
+    for t, calm in ((3.5 * agent.period_s, LAW), (np.nextafter(3.5 * agent.period_s, 1.0), GENTLE)):
+        assert step(agent, state, float(t), Mode.HOLD, memory).memory.calm == calm
+
+
+def test_a_hold_that_brakes_on_goes_back_to_where_it_began() -> None:
+    agent = arm(damp_above_rad_per_s=0.5)
+    memory = holding(agent, calm=BRAKE)
+    outcome = tick(agent, memory, 1.0, start() + 0.3, (0.4, 0.0, 0.0))
+    assert outcome.memory.calm == BRAKE
+    assert outcome.memory.q_hold is memory.q_hold
+
+
+def test_a_hold_that_has_braked_with_nothing_to_go_back_to_goes_nowhere() -> None:
+    agent = arm(damp_above_rad_per_s=0.5)
+    outcome = tick(agent, holding(agent, calm=BRAKE)._replace(q_hold=None), 1.0)
+    assert (outcome.memory.calm, outcome.memory.q_hold) == (JOINTS, None)
 
 
 def test_a_hold_that_has_braked_goes_back_a_little_way_only() -> None:
@@ -152,11 +186,23 @@ def test_an_arm_that_was_never_seen_gets_no_torque() -> None:
     np.testing.assert_array_equal(outcome.tau, 0.0)
 
 
+def test_an_arm_that_was_seen_gets_its_weights_torque_though_it_had_none() -> None:
+    agent = arm()
+    np.testing.assert_array_equal(
+        blind(agent, holding(agent)).tau, limit_of(agent, weight(agent.model, agent.offline, start()))
+    )
+
+
+def limit_of(agent: Agent, tau_Nm: Vector) -> Vector:
+    """What goes out of a torque behind none."""
+    return np.array(limit(tau_Nm.tolist(), [0.0] * 3, agent.limits)[0])
+
+
 @pytest.mark.parametrize(
     ("marks", "gone", "calm"), [(Flag.GAP, False, JOINTS), (Flag.RESUMED, True, GENTLE + 1), (Flag.NONE, False, JOINTS)]
 )
 def test_a_hold_that_begins_afresh_forgets_where_it_was(marks: Flag, gone: bool, calm: int) -> None:
-    agent, tau = arm(), np.array([1.0, 2.0, 3.0])
+    agent, tau = arm(), np.array([1.0, 0.0, 3.0])
     memory = holding(agent, tau=tau, tau_before=2.0 * tau, calm=JOINTS)
     after = afresh(memory, marks)
     assert after.calm == calm

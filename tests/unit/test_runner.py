@@ -95,13 +95,18 @@ def test_the_end_of_the_trajectory_is_held_on_real_arms() -> None:
     done = run(lambda n: Event.RELEASED if n == 80 else Event.NONE, hold_at_end=True)
     assert done.modes == [Mode.TRACK, Mode.HOLD, Mode.OFF]
     assert len(done.of(Mode.TRACK)) == 20
-    assert done.summary.reason == "", "an end is nothing wrong"
+    assert (done.summary.reason, done.troubles) == ("", []), "an end is nothing wrong"
 
 
 def test_a_hold_in_simulation_lasts_until_the_trajectory_ends() -> None:
     done = run(lambda n: Event.STOP if n == 20 else Event.NONE)
     assert done.modes == [Mode.TRACK, Mode.HOLD]
     assert len(done.of(Mode.TRACK)) + len(done.of(Mode.HOLD)) == 20
+
+
+def test_who_follows_the_trajectory_has_nothing_to_hold() -> None:
+    memory = run().memory
+    assert (memory.hold, memory.q_hold) == (None, None)
 
 
 def test_an_early_release_does_nothing_while_tracking() -> None:

@@ -115,10 +115,25 @@ def test_an_arm_that_is_lost_in_the_cycle_of_a_release_is_a_fault() -> None:
     assert run(lambda n: words.get(n, Event.NONE), hold_at_end=True).summary.mode is Mode.OFF
 
 
-def test_a_fault_without_a_whole_state_is_a_cycle_without_one() -> None:
+def test_a_blind_arm_goes_to_its_weights_torque_step_by_step() -> None:
+    aside = lambda read: q_start() + (0.2 if read > 5 else 0.0)  # noqa: E731 - a spring pulls it back
+    weak = {"limits": Limits((5.0,) * 3, (0.01,) * 3), "error_max_m": np.inf, "error_max_rad": np.inf}
+    done = run(q=aside, failures=lost_at(*reads(8)), agent=weak)
+    blind = np.flatnonzero(done.rows["flags"] & Flag.BLIND.value)[:4]
+    steps = np.diff(np.array(done.arm.written)[blind], axis=0)
+    assert np.abs(steps).max(axis=1) == pytest.approx(0.01)
+
+
+def test_in_lockstep_a_lost_state_makes_no_arm_blind() -> None:
+    done = run(failures=lost_at(5), lockstep=True, patience=Patience(repeat=0))
+    assert done.summary.mode is Mode.FAULT
+    assert not (done.rows["flags"] & Flag.BLIND.value).any()
+
+
+@pytest.mark.parametrize("of", ["q", "dq"])
+def test_a_fault_without_a_whole_state_is_a_cycle_without_one(of: str) -> None:
     part = fault(True)
-    assert part.state is not None
-    part.state.q[1] = np.nan
+    getattr(part.state, of)[1] = np.nan
     done = run(failures=dict.fromkeys(reads(60), part), patience=Patience(blind=8))
     assert done.modes == [Mode.TRACK, Mode.HOLD, Mode.FAULT]
     stale = done.rows[FIRST - 1 :]
@@ -168,6 +183,11 @@ def test_a_torque_that_was_not_taken_is_no_number_in_the_log_and_a_reason_but_no
     assert np.isfinite(np.delete(done.rows["tau_sent"], [14, 15], axis=0)[:, :3]).all()
 
 
+def test_a_torque_that_was_not_taken_before_the_start_is_told_at_the_end() -> None:
+    assert "0 bytes taken" in run(refused=frozenset({3})).summary.reason
+    assert run(failures={15: fault(True)}, told=False).summary.reason == str(fault(True))
+
+
 def test_the_reason_of_a_refused_torque_is_the_first_one_too() -> None:
     done = run(refused=frozenset({20}), failures={15: fault(True)})
     assert done.summary.reason == str(fault(True))
@@ -198,8 +218,8 @@ def test_what_step_flags_as_trouble_holds_the_object_and_is_told_with_its_time(f
     done = run(lambda n: Event.RELEASED if n == 40 else Event.NONE, **FLAGGED[flag])
     first = done.rows[np.flatnonzero(done.rows["flags"] & Flag[flag].value)[0]]
     cause = f" {Cause.LIFT} (" if flag == "UNEXPECTED" else ""
-    assert done.summary.reason.startswith(f"t = {first['t']:.3f} s: {Flag[flag]!r}{cause}")
-    assert bool(cause) or done.summary.reason.endswith(">")
+    assert done.summary.reason.startswith(f"t = {first['t']:.3f} s: {flag}{cause}")
+    assert bool(cause) or done.summary.reason.endswith(f": {flag}"), "the names of flags, as docs/failures.md has them"
     assert done.troubles == [done.summary.reason]
     assert Mode.HOLD in done.modes
     assert done.rows["mode"][first["sequence"] + 1] == Mode.HOLD

@@ -127,7 +127,12 @@ def test_the_gripper_opens_on_the_way_and_closes_at_the_grasp() -> None:
     [
         (0.044, Event.GRIPPED, ""),
         (0.030, Event.NOT_GRIPPED, "closed on nothing: found 30.0 mm, expected 44.0 mm"),
-        (0.055, Event.NOT_GRIPPED, "wider than the object: found 55.0 mm"),
+        (0.055, Event.NOT_GRIPPED, "wider than the object: found 55.0 mm, expected 44.0 mm; it is open again: put"),
+        (
+            0.074,
+            Event.NOT_GRIPPED,
+            "does not move: found 74.0 mm, expected 44.0 mm; free its fingers, then `coop grasp`",
+        ),
     ],
 )
 @pytest.mark.fault("F9")

@@ -194,6 +194,13 @@ def test_without_a_held_pose_the_law_holds(sigma: dict[float, float]) -> None:
 # --- what is carried on ----------------------------------------------------------------------------------------------
 
 
+def test_the_observer_is_told_what_the_torque_asks_for() -> None:
+    outcome = tick(arm(), start(0.02, 0.0, -0.03), t=0.5)
+    assert outcome.terms is not None
+    np.testing.assert_array_equal(outcome.memory.ddq, outcome.terms.ddq_ref)
+    assert np.abs(outcome.memory.ddq).min() > 0.1
+
+
 @pytest.mark.parametrize("primed", [False, True])
 def test_a_tick_without_numbers_ends_what_the_observer_knew(primed: bool) -> None:
     agent = arm()

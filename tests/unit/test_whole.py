@@ -17,7 +17,7 @@ from agent.config.cell import load_cell
 from agent.modes import Event, Mode
 from agent.operator.table import EVENT_OF
 from agent.session_modes import next_in_session
-from drivers.dynamixel.servo.table import CONTINUOUS_SHARE
+from drivers.dynamixel.servo.models import CONTINUOUS_SHARE
 from tests.support.servos.whole_rig import WholeRun
 from tests.support.telemetry.run_log import write_run
 from tests.unit.docs.test_first_carry import SEEN

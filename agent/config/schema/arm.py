@@ -10,7 +10,8 @@ from typing import Annotated
 from pydantic import AfterValidator, Field, model_validator
 
 from agent.config.schema.types import AS_LIST, Angle, FileStem, Format, Label, Length, Strict, nearest, wrong
-from drivers.dynamixel.servo.table import BAUD_RATES, MAX_ID, SERVOS
+from drivers.dynamixel.servo.codes import BAUD_RATES, MAX_ID
+from drivers.dynamixel.servo.models import SERVOS
 
 PROTOCOLS = (1.0, 2.0)
 LAST_TICK = 4095

@@ -19,7 +19,7 @@ class Hil(Strict):
 
     arms: Annotated[list[Name], Field(min_length=1, max_length=8)]
     """Arms in the loop."""
-    tau_share: Annotated[float, Field(gt=0.0, le=1.0)] = 0.5
+    tau_share: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
     """Largest addition of the coupling to a torque, of the torque bound."""
     damping_ratio: Annotated[float, Field(ge=0.1, le=2.0)] = 0.7
     """Of the coupling of an arm and its twin."""
@@ -31,6 +31,10 @@ class Hil(Strict):
     """Time in which the coupling begins and ends."""
     apart_max_rad: Annotated[float, Field(gt=0.0, le=1.0)] = 0.3
     """Difference of a joint and its twin at which the rehearsal ends."""
+    touch_max_N: Annotated[float, Field(ge=0.0, le=20.0)] = 7.5
+    """Largest force of somebody who touches an arm with which the rehearsal goes on; 0: with none."""
+    touch_max_s: Annotated[float, Field(gt=0.0, le=5.0)] = 0.6
+    """Longest touch with which it does."""
     gripper_share_max: Annotated[float, Field(gt=0.0, le=1.0)] = 0.3
     """Part of the object's weight that may be felt before it begins: the gripper must be empty."""
 

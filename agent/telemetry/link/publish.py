@@ -24,12 +24,13 @@ import zenoh.ext
 
 from agent.telemetry.link.cut import CutWatch
 from agent.telemetry.link.patience import Patience
-from agent.telemetry.link.sender import HEALTH_KEPT, LockstepPauses, RowSource, Sender, TextSource
+from agent.telemetry.link.sender import LockstepPauses, Sender
 from agent.telemetry.link.session import Network, has_link, open_session
+from agent.telemetry.link.source import HEALTH_KEPT, RowSource, TextSource
 from agent.telemetry.link.status import StatusQuery
 from agent.telemetry.link.wire import End, Sent, seal_of
 from agent.telemetry.ring.file import RingError
-from agent.telemetry.ring.ring import RingReader
+from agent.telemetry.ring.reader import RingReader
 from agent.telemetry.ring.texts import TextReader, texts_path
 from agent.telemetry.row.derive import RowEvents
 from agent.telemetry.row.event import Event, Level

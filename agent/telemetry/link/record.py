@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import json
 import platform
-import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Final
 
 import zenoh
 import zenoh.ext
@@ -19,10 +18,10 @@ import zenoh.ext
 from agent.log.channels import LogChannels
 from agent.log.file import MIN_FREE_BYTES, Attachment, LogFile, LogFileError
 from agent.log.parts import Limits, make_room, next_path
-from agent.log.recover import repair_leftovers
 from agent.log.scene import Scene
 from agent.telemetry.link.inbox import Inbox, Listening
 from agent.telemetry.link.intake import STRANGE, Intake, Rejection
+from agent.telemetry.link.repair import Repair
 from agent.telemetry.link.session import FREE_PORT, Network, open_session
 from agent.telemetry.link.wire import pack_status, seal_of
 from agent.telemetry.row import topics
@@ -87,7 +86,7 @@ def run(
         try:
             with recorder.listen(opened.session):
                 ready(opened.endpoint or "")
-                with _Repair(options) as repair:
+                with Repair(options.path, wanted=options.repair) as repair:
                     while not stop():
                         recorder.step(_WAIT_S)
             recorder.drain()
@@ -102,31 +101,6 @@ def run(
         not_repaired=repair.failed,
         logs=tuple(recorder.logs),
     )
-
-
-class _Repair:
-    """Mends, beside the recording, what earlier recorders left in the folder; given up when recording ends."""
-
-    def __init__(self, options: RecordOptions) -> None:
-        self.repaired: tuple[Path, ...] = ()
-        self.failed: tuple[str, ...] = ()
-        self._options = options
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="log-repair", daemon=True)
-
-    def __enter__(self) -> Self:
-        if self._options.repair:
-            self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._stop.set()
-        if self._options.repair:
-            self._thread.join()
-
-    def _run(self) -> None:
-        path = self._options.path
-        self.repaired, self.failed = repair_leftovers(path.parent, but=path, stop=self._stop.is_set)
 
 
 class _Recorder:

@@ -11,7 +11,8 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.telemetry.ring.ring import RingReader, RingWriter
+from agent.telemetry.ring.reader import RingReader
+from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.event import TEXT_MAX_BYTES, Event, encode
 from agent.telemetry.row.topics import Kind
 

@@ -106,7 +106,7 @@ AGENT_FIELDS: Final[tuple[Field, ...]] = (
     _f("theta_arm", ARM_PARAMETERS, "", "adaptive arm estimate before this tick"),
     _f("theta_object", OBJECT_PARAMETERS, "", "adaptive object estimate before this tick"),
     _f("tau_bridge", J, "N·m", "in the loop ([hil]): what the driver added for the simulated object; else zero"),
-    _f("q_twin", J, "rad", "in the loop: joints of the simulated twin; NaN before it has any; else zero"),
+    _f("q_twin", J, "rad", "in the loop: joints of the twin, of the arm while it is touched; NaN before; else zero"),
     _f("twin_age_s", 0, "s", "in the loop: age of the twin's state; else zero"),
     _f("late_s", 0, "s", "how late this tick began", timing=True),
     _f("read_s", 0, "s", "duration of the bus read", timing=True),

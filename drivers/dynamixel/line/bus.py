@@ -16,7 +16,8 @@ from drivers.dynamixel.line import codec
 from drivers.dynamixel.line.codec import Status, StatusScanner
 from drivers.dynamixel.line.group import GroupRead, GroupReply
 from drivers.dynamixel.line.port import Now, Port
-from drivers.dynamixel.servo.table import BROADCAST_ID, Register
+from drivers.dynamixel.servo.codes import BROADCAST_ID
+from drivers.dynamixel.servo.table import Register
 from drivers.interface import BusCounters
 
 ATTEMPTS = 3

@@ -15,7 +15,7 @@ from struct import Struct
 from struct import unpack as struct_unpack
 from typing import NamedTuple
 
-from drivers.dynamixel.servo.table import ALERT_BIT, BROADCAST_ID, MAX_ID, Instruction
+from drivers.dynamixel.servo.codes import ALERT_BIT, BROADCAST_ID, MAX_ID, Instruction
 from drivers.interface import DriverError
 
 HEADER = b"\xff\xff\xfd\x00"

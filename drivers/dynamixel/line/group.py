@@ -17,7 +17,7 @@ from struct import Struct
 
 from drivers.dynamixel.line import codec
 from drivers.dynamixel.line.codec import CRC_TABLE, HEADER, MAX_PACKET, StatusScanner
-from drivers.dynamixel.servo.table import ALERT_BIT, BROADCAST_ID, Instruction
+from drivers.dynamixel.servo.codes import ALERT_BIT, BROADCAST_ID, Instruction
 
 Row = tuple[int, ...]  # (error byte, value, value, …) of one servo
 

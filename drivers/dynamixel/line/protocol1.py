@@ -13,7 +13,7 @@ from typing import NamedTuple
 import dynamixel_sdk as sdk
 
 from drivers.dynamixel.errors import PortError
-from drivers.dynamixel.servo.table import MAX_ID
+from drivers.dynamixel.servo.codes import MAX_ID
 
 BAUDS = (1_000_000, 57_600)  # as AX and MX servos leave the factory
 REFLASHABLE = {29: "MX-28", 310: "MX-64"}  # model number under Protocol 1.0

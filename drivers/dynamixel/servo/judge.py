@@ -9,9 +9,11 @@ from __future__ import annotations
 from drivers.dynamixel.arm_map import JointRole
 from drivers.dynamixel.errors import hardware_names
 from drivers.dynamixel.servo import table
+from drivers.dynamixel.servo.codes import WATCHDOG_TRIPPED, DriveMode, HardwareError, OperatingMode
+from drivers.dynamixel.servo.codes import StartupConfiguration as Startup
 from drivers.dynamixel.servo.found import Check, Consequence, Misfit, Rule, Said, ServoFound
-from drivers.dynamixel.servo.table import DriveMode, HardwareError, OperatingMode, Register, ServoModel
-from drivers.dynamixel.servo.table import StartupConfiguration as Startup
+from drivers.dynamixel.servo.models import RATED_VOLTAGE_V, SERVOS_BY_NUMBER, ServoModel
+from drivers.dynamixel.servo.table import Register
 from drivers.dynamixel.servo.thermal import MARGIN_C
 from drivers.dynamixel.servo.torque import CurrentDrive
 from drivers.dynamixel.servo.units import AngleScale, volts
@@ -47,7 +49,7 @@ def registers(model: ServoModel) -> list[Register]:
 
 def model_name(number: int) -> str:
     """Name of a model number."""
-    model = table.SERVOS_BY_NUMBER.get(number)
+    model = SERVOS_BY_NUMBER.get(number)
     return model.name if model is not None else f"servo of model number {number}"
 
 
@@ -90,7 +92,7 @@ def _supply(servo: ServoFound) -> Said | None:
 
 
 def _rated_supply(servo: ServoFound) -> Said | None:
-    near, far = (table.RATED_VOLTAGE_V * (1.0 + sign * SUPPLY_TOLERANCE) for sign in (-1.0, 1.0))
+    near, far = (RATED_VOLTAGE_V * (1.0 + sign * SUPPLY_TOLERANCE) for sign in (-1.0, 1.0))
     now = volts(servo.value(table.PRESENT_INPUT_VOLTAGE))
     if near <= now <= far or _supply(servo) is not None:
         return None
@@ -112,7 +114,7 @@ def _warmth(servo: ServoFound) -> Said | None:
 
 
 def _watchdog(servo: ServoFound) -> Said | None:
-    tripped = servo.value(table.BUS_WATCHDOG) == table.WATCHDOG_TRIPPED
+    tripped = servo.value(table.BUS_WATCHDOG) == WATCHDOG_TRIPPED
     found = "fired: the last program did not end as it should"
     return Said(found, "not fired", "the agent clears it before torque comes on") if tripped else None
 

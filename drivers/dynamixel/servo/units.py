@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from drivers.dynamixel.servo.table import (
+from drivers.dynamixel.servo.counts import (
     LOAD_UNIT_DUTY,
     PWM_UNIT_DUTY,
     RETURN_DELAY_UNIT_S,
@@ -19,8 +19,8 @@ from drivers.dynamixel.servo.table import (
     VELOCITY_UNIT_RAD_PER_S,
     VOLTAGE_UNIT_V,
     WATCHDOG_UNIT_S,
-    ServoModel,
 )
+from drivers.dynamixel.servo.models import ServoModel
 
 if TYPE_CHECKING:
     from drivers.dynamixel.arm_map import JointMap

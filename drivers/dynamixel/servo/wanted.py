@@ -6,23 +6,21 @@ Computed from the arm's map alone.  `judge` compares it with what a servo holds.
 from __future__ import annotations
 
 from drivers.dynamixel.arm_map import ServoSlot
+from drivers.dynamixel.servo.codes import BAUD_RATES, NO_SECONDARY_ID, DriveMode
 from drivers.dynamixel.servo.table import (
     BAUD_RATE,
-    BAUD_RATES,
     CURRENT_LIMIT,
     DRIVE_MODE,
     HOMING_OFFSET,
     ID,
     MAX_POSITION_LIMIT,
     MIN_POSITION_LIMIT,
-    NO_SECONDARY_ID,
     OPERATING_MODE,
     PWM_LIMIT,
     RETURN_DELAY_TIME,
     SECONDARY_ID,
     SHUTDOWN,
     STARTUP_CONFIGURATION,
-    DriveMode,
     Register,
 )
 

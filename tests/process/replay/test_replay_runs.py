@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.process.conftest import PAPER_RUN_S, SHORT, WAITING, WIRE_RUN, RunOf
+from agent.log.read import RunLog
+from tests.process.conftest import PAPER_RUN_S, SHORT, WAITING, RunOf
 from tests.support.command import coop
 
 RUNS = {
@@ -33,8 +34,9 @@ def test_every_kind_of_run_is_verified_from_its_first_row_and_from_its_middle(
 
 
 @pytest.mark.realtime
-def test_a_run_of_the_real_driver_is_verified(run_of: RunOf) -> None:
-    require_verified(run_of(*WIRE_RUN))
+@pytest.mark.timeout(400)
+def test_a_run_of_the_real_driver_from_rest_to_rest_is_verified(whole_run: tuple[Path, RunLog]) -> None:
+    require_verified(whole_run[0])
 
 
 def require_verified(run: Path) -> None:

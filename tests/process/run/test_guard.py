@@ -24,12 +24,13 @@ from agent.guard.line import GuardError, Word
 from agent.guard.takeover import EMULATED_STALE_NS
 from agent.log.read import read_log
 from agent.modes import Mode
-from agent.telemetry.ring.ring import RingReader
+from agent.telemetry.ring.reader import RingReader
 from agent.telemetry.ring.texts import TextReader
 from agent.telemetry.row.event import Event
 from agent.telemetry.row.sample import AGENT_STATE
 from agent.telemetry.row.topics import Kind
-from tests.support.coop import COOP, coop
+from tests.support.command import coop
+from tests.support.coop import COOP
 
 PATIENCE_S = 30.0
 SOME_ROWS = 40
@@ -168,7 +169,7 @@ def check_taken_over(
     hung = cause == "the agent hung"
     assert 0.0 <= taken.data["last_row_s"] <= 0.2 + hung * EMULATED_STALE_NS * 1e-9, "how old the agent's last row was"
     released = coop("release", "two_wx200", "--control", host.folder / "left.control", cwd=host.folder)
-    assert released.returncode == 0, released.stderr
+    assert released.code == 0, released.err
     assert guard.wait(PATIENCE_S) == 0
     rows = host.rows()
     assert (rows["sequence"] == np.arange(len(rows))).all(), "two never write"
@@ -240,7 +241,7 @@ def test_an_agent_that_is_asked_to_end_leaves_the_hold_to_its_guard(host: Host) 
     assert guard.poll() is None, "asked to end, it holds until a release"
     assert "the agent was asked to end: the guard holds the arm" in host.told()
     released = coop("release", "two_wx200", "--control", host.folder / "left.control", cwd=host.folder)
-    assert released.returncode == 0, released.stderr
+    assert released.code == 0, released.err
     assert guard.wait(PATIENCE_S) == 0
     assert not (host.folder / "post_mortem").exists(), "nothing has failed"
 
@@ -272,8 +273,8 @@ def test_an_agent_of_a_session_that_dies_on_its_way_is_parked_by_its_guard(tmp_p
 def say(host: Host, word: str) -> str:
     """What is answered to a word that is refused; it is said again while the arm is not done."""
     for _ in range(40):
-        done = coop(word, host.cell, "--control", host.folder / "left.control", cwd=host.folder)
-        if "wait for it" not in done.stderr:
+        done = coop(word, host.cell, "--control", host.folder / "left.control", cwd=host.folder, stdin="")
+        if "wait for it" not in done.err:
             break
         time.sleep(0.1)
-    return "" if done.returncode == 0 else done.stderr
+    return "" if done.code == 0 else done.err

@@ -13,7 +13,7 @@ import zenoh
 from numpy.typing import NDArray
 
 from agent.log.read import read_log
-from agent.telemetry.ring.ring import RingReader
+from agent.telemetry.ring.reader import RingReader
 from agent.telemetry.row.sample import AGENT_STATE
 from tests.process.conftest import PAPER_RUN_S
 from tests.support.coop import PAPER, ready, start

@@ -24,7 +24,7 @@ from agent.operator.message import Reply, Request
 from agent.operator.table import Verb
 from agent.operator.words import start_together
 from agent.process.simulated import actuator_spec
-from agent.telemetry.ring.ring import RingReader
+from agent.telemetry.ring.reader import RingReader
 from agent.telemetry.row.sample import AGENT_STATE
 from tests.support.coop import ready, start
 from tests.support.stalls import ATTEMPTS
@@ -55,8 +55,9 @@ class Lab:
 
     def begin(self) -> None:
         """All processes, torque on.  Raises Stalled."""
-        self.plant = self._start("plant", "--socket", "plant.sock", "--ring", "plant.ring", "--real-time")
-        self._start("emulate", "--ports", ".")
+        self.plant = self._begin("plant", "--socket", "plant.sock", "--ring", "plant.ring", "--real-time")
+        for process in (self.plant, self._begin("emulate", "--ports", ".")):
+            ready(process)
         self.agents = [self._agent("left", "--port", "left"), self._agent("right", "--real-time")]
         try:
             for agent in self.agents:
@@ -66,15 +67,16 @@ class Lab:
                 raise Stalled("emulated servos were too late at the start") from error
             raise
 
-    def _start(self, verb: str, *arguments: str) -> subprocess.Popen[str]:
+    def _begin(self, verb: str, *arguments: str) -> subprocess.Popen[str]:
         process = start(verb, "cell.toml", *arguments, cwd=self.folder)
         self._started.append(process)
-        ready(process)
         return process
 
     def _agent(self, arm: str, *more: str) -> subprocess.Popen[str]:
         own = ("--ring", f"{arm}.ring", "--control", f"{arm}.control", "--plant-socket", "plant.sock")
-        return self._start("agent", "--arm", arm, "--emulated", "--hold", *own, *more)
+        process = self._begin("agent", "--arm", arm, "--emulated", "--hold", *own, *more)
+        ready(process)
+        return process
 
     @property
     def controls(self) -> dict[str, list[Path]]:

@@ -55,7 +55,7 @@ def test_an_agents_own_events_are_on_the_runs_time(run_of: RunOf) -> None:
 
 @pytest.mark.realtime
 def test_simulated_arms_in_real_time_have_one_origin(run_of: RunOf) -> None:
-    log = read_log(run_of("paper", "--duration", 2, "--real-time", "--no-report") / "run.mcap")
+    log = read_log(run_of("paper", "--duration", 1, "--real-time", "--no-report") / "run.mcap")
     assert log.plant is not None
     members = [log.plant, *log.agents.values()]
     offsets = np.concatenate([np.unique(rows["utc_ns"] - rows["stamp_ns"]) for rows in members])

@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.telemetry.ring.ring import RingReader, RingWriter
+from agent.telemetry.ring.reader import RingReader
+from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.sample import AGENT_STATE
 
 FLOATS = [f.name for f in AGENT_STATE.fields if f.ros_type == "float64"]

@@ -8,7 +8,8 @@ from tempfile import TemporaryDirectory
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.telemetry.ring.ring import RingReader, RingWriter
+from agent.telemetry.ring.reader import RingReader
+from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.sample import PLANT_STATE
 
 actions = st.lists(st.tuples(st.integers(0, 40), st.integers(1, 40)), max_size=12)

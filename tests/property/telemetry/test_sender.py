@@ -14,10 +14,10 @@ from agent.telemetry.link.sender import (
     PRESSING_PAUSE_S,
     LockstepPauses,
     Sender,
-    TextSource,
 )
+from agent.telemetry.link.source import TextSource
 from agent.telemetry.link.wire import RANGES_MAX, BatchHeader, End, StreamStatus
-from agent.telemetry.ring.ring import RowBlock
+from agent.telemetry.ring.reader import RowBlock
 
 
 class Numbers:

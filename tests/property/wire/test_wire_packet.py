@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.dynamixel.servo import table
-from drivers.dynamixel.servo.table import Instruction
+from drivers.dynamixel.servo.codes import WATCHDOG_TRIPPED, Instruction
 from sim_backend.wire.options import BusOptions
 from sim_backend.wire.packet import (
     HEADER,
@@ -143,7 +143,7 @@ def registers_in_range(servo: Servo) -> bool:
         if register.minimum is None or register.maximum is None:
             continue
         value = memory.get(register)
-        tripped = register.name == table.BUS_WATCHDOG.name and value == table.WATCHDOG_TRIPPED
+        tripped = register.name == table.BUS_WATCHDOG.name and value == WATCHDOG_TRIPPED
         if not (tripped or register.minimum <= value <= register.maximum):
             return False
     return True

@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from drivers.dynamixel.servo import table
-from drivers.dynamixel.servo.table import HardwareError, Instruction, OperatingMode, Register
+from drivers.dynamixel.servo.codes import SHUTDOWN_DEFAULT, HardwareError, Instruction, OperatingMode
+from drivers.dynamixel.servo.table import Register
 from tests.support.servos.wire_bench import MS, Bench, xm430
 
 OK, RANGE, LIMIT, ACCESS, ALERT = 0, 4, 6, 7, 0x80
@@ -115,7 +116,7 @@ class ControlTable(RuleBasedStateMachine):
     @rule(on=st.booleans())
     def switch_torque(self, on: bool) -> None:
         assert self.bench.write(1, table.TORQUE_ENABLE, on) == self.alert(OK)
-        self.torque = on and not self.errors & table.SHUTDOWN_DEFAULT
+        self.torque = on and not self.errors & SHUTDOWN_DEFAULT
 
     @rule(period=st.integers(1, 127))
     def arm_watchdog(self, period: int) -> None:
@@ -140,7 +141,7 @@ class ControlTable(RuleBasedStateMachine):
     def fail(self, error: HardwareError) -> None:
         self.servo.firmware.raise_error(error)
         self.errors |= error
-        if self.errors & table.SHUTDOWN_DEFAULT:
+        if self.errors & SHUTDOWN_DEFAULT:
             self.torque = False
 
     @precondition(lambda self: self.errors or self.watchdog < 0)

@@ -30,6 +30,8 @@ HALF_A_CYCLE_NS = 2_500_000
 HOLD_S, MOVES_M, TURNS_RAD_PER_S = 0.025, 5e-3, 0.5  # once the plant is gone
 TOUCH_N, TOUCH_S = 5.0, 0.3
 PARTED_M, TOGETHER_M = 30e-3, 2e-3
+EVERY_S = 1.6  # a touch
+BEARABLE = 0.95  # of a joint's torque bound, from which on no law stands against a touch
 SOFT = "simulation.grasp={stiffness_N_per_m=2e3,stiffness_Nm_per_rad=20.0}"
 
 
@@ -137,29 +139,65 @@ class Table:
             good=after_s <= HOLD_S and way_m <= MOVES_M and speed <= TURNS_RAD_PER_S,
         )
 
-    def touched(self, name: str) -> None:
-        """5 N for 0.3 s on the first arm, where it gives way most, of agents that notice nothing."""
-        first = load_cell(configs.CELLS_DIR / f"{name}.toml").arms[0].name
+    def touched(self, name: str, arms: list[str]) -> None:
+        """5 N for 0.3 s on the first arm to all sides, one after the other; where its joints can give that torque."""
+        first, going = arms[0], load_cell(configs.CELLS_DIR / f"{name}.toml")
         apart: list[tuple[float, float]] = []
+        begun: list[float] = []
+        beyond: list[Any] = []
 
-        def begin(run: Rehearsal) -> None:
-            run.lone(first).touch(TOUCH_N * _soft(run, first))
-            run.watch(lambda t, _: apart.append((t, run.apart_m(first))), first)
+        def begin(run: Rehearsal, at_s: float, push: Any) -> None:
+            if not begun:
+                run.watch(lambda t, _: apart.append((t, run.apart_m(first))), first)
+            if _share_of_torque(run, first, push) > BEARABLE:
+                beyond.append(push)
+                return
+            begun.append(at_s)
+            run.lone(first).touch(np.append(TOUCH_N * push, np.zeros(3)))
 
         def end(run: Rehearsal) -> None:
             run.lone(first).touch(np.zeros(6))
 
-        blind = ("safety.noticing.enabled=false", "safety.tracking_error_max_m=0.2")
-        changes = ["duration_s=4.0", f'hil.arms=["{first}"]', *blind]
-        happenings = {FAULT_S: begin, FAULT_S + TOUCH_S: end}
+        happenings: dict[float, Any] = {}
+        for k, push in enumerate(_sides(going)):
+            at_s = FAULT_S + k * EVERY_S
+            happenings[at_s] = lambda run, at_s=at_s, push=push: begin(run, at_s, push)
+            happenings[at_s + TOUCH_S] = end
+        changes = [f"duration_s={max(happenings) + EVERY_S}", f"hil.arms={json.dumps(arms)}"]
+        run = Rehearsal(load_cell(configs.CELLS_DIR / f"{name}.toml", changes), happenings=happenings)
+        ended = {arm.summary.mode: arm.summary.reason for arm in run.arms.values() if arm.summary is not None}
+        most = max(gap for _, gap in apart)
+        later = max(gap for t, gap in apart if any(1.0 < t - TOUCH_S - at < EVERY_S - TOUCH_S for at in begun))
+        reasons = " ".join(reason for reason in ended.values() if reason)
+        self.tell(
+            f"{name}, {TOUCH_N:g} N for {TOUCH_S:g} s, {len(arms)} in the loop",
+            f"{len(begun)} touches, {'none noticed' if set(ended) == {Mode.TRACK} else reasons}; {most * 1e3:.1f} mm "
+            f"apart at most, {later * 1e3:.2f} mm from a second after them on"
+            + (f"; beyond the arm's torque: {', '.join(_named(push) for push in beyond)}" if beyond else ""),
+            good=set(ended) == {Mode.TRACK} and most <= PARTED_M and later <= TOGETHER_M,
+        )
+        for push in beyond:
+            self.beyond(name, arms, push)
+
+    def beyond(self, name: str, arms: list[str], push: Any) -> None:
+        """The same where a joint cannot give as much: the arm yields, and all go on or all hold."""
+        first, apart = arms[0], list[tuple[float, float]]()
+
+        def begin(run: Rehearsal) -> None:
+            run.watch(lambda t, _: apart.append((t, run.apart_m(first))), first)
+            run.lone(first).touch(np.append(TOUCH_N * push, np.zeros(3)))
+
+        changes = [f"duration_s={FAULT_S + TOUCH_S + EVERY_S}", f"hil.arms={json.dumps(arms)}"]
+        happenings = {FAULT_S: begin, FAULT_S + TOUCH_S: lambda run: run.lone(first).touch(np.zeros(6))}
         run = Rehearsal(load_cell(configs.CELLS_DIR / f"{name}.toml", changes), happenings=happenings)
         modes = {arm.summary.mode for arm in run.arms.values() if arm.summary is not None}
-        most = max(gap for _, gap in apart)
         later = max(gap for t, gap in apart if t > FAULT_S + TOUCH_S + 1.0)
+        ended = " and ".join(sorted(mode.name for mode in modes))
         self.tell(
-            f"{name}, {TOUCH_N:g} N for {TOUCH_S:g} s",
-            f"{most * 1e3:.1f} mm apart at most, {later * 1e3:.2f} mm from a second after it on",
-            good=modes == {Mode.TRACK} and most <= PARTED_M and later <= TOGETHER_M,
+            f"{name}, {TOUCH_N:g} N to {_named(push)}, beyond its torque",
+            f"all {ended}; {max(gap for _, gap in apart) * 1e3:.0f} mm apart at most, {later * 1e3:.2f} mm from a "
+            "second after it on",
+            good=len(modes) == 1 and modes <= {Mode.TRACK, Mode.HOLD} and later <= TOGETHER_M,
         )
 
     def tell(self, what: str, found: str, *, good: bool) -> None:
@@ -169,14 +207,26 @@ class Table:
         sys.stdout.flush()
 
 
-def _soft(run: Rehearsal, arm: str) -> Any:
-    """Direction (6,) in which a force moves the end effector most: of the largest J B⁻¹ Jᵀ."""
-    own = run.cell.arm(arm)
+def _sides(cell: Cell) -> list[Any]:
+    """Directions (3,) in which the cell's arms can move: along the axes, to both sides, and two oblique ones."""
+    P = cell.model(cell.arms[0]).task_basis[:, :3]
+    sides = [sign * axis for axis in np.eye(3) if np.linalg.norm(P @ axis) > 0.5 for sign in (1.0, -1.0)]
+    oblique = [a + b for a, b in ((sides[0], sides[2]), (sides[1], sides[-2]))]
+    return [*sides, *(side / np.linalg.norm(side) for side in oblique)]
+
+
+def _named(push: Any) -> str:
+    return f"({', '.join(f'{x + 0.0:.1f}' for x in push)})"
+
+
+def _share_of_torque(run: Rehearsal, arm: str, push: Any) -> float:
+    """Of its bound, what a joint of the arm must give to stand against 5 N of this direction: the largest."""
+    own, bridge = run.cell.arm(arm), run.arms[arm].bridge
+    assert bridge is not None
     model = run.cell.model(own)
-    q = run.lone(arm).q
-    J = model.jacobian(q)[:3]
-    _, directions = np.linalg.eigh(J @ np.linalg.solve(model.inertia(q), J.T))
-    return np.append(directions[:, -1], np.zeros(3))
+    J = (model.task_basis.T @ model.jacobian(run.lone(arm).q))[:3]
+    bound = own.tau_stall_Nm * run.cell.file.safety.tau_max_fraction_of_stall
+    return float((np.abs(bridge.sent - TOUCH_N * J.T @ push) / bound).max())
 
 
 def _holds_s(run: Rehearsal) -> float:
@@ -206,7 +256,9 @@ if __name__ == "__main__":
         table.cell(cell)
         table.loss(cell)
         table.plant_killed(cell)
-        table.touched(cell)
+        names = [arm.name for arm in load_cell(configs.CELLS_DIR / f"{cell}.toml").arms]
+        table.touched(cell, names[:1])
+        table.touched(cell, names)
     if not sys.argv[1:]:
         full = table.run("paper_adaptive", [])
         table.line("paper_adaptive, left", table.run("paper_adaptive", ["left"]), full, within=None)

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from agent.around import Surroundings
 from agent.config.cell import Arm, Cell
 from agent.config.schema.cell import DriverKind
 from agent.config.servo_map import arm_map
@@ -27,7 +28,7 @@ from agent.process.rehearse import BridgedRows, bridge
 from agent.process.schedule import AgentOptions, schedule_of
 from agent.process.simulated import lone_spec
 from agent.report.series import internal_wrenches
-from agent.runner import Runner, Surroundings
+from agent.runner import Runner
 from agent.telemetry.row.fill import AgentRow
 from agent.verify.check import examine
 from drivers.dynamixel.arm_map import WATCHDOG_S

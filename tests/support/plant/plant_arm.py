@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from agent.around import RunSummary, Schedule, Surroundings
 from agent.config.cell import Cell
 from agent.loop import Agent
 from agent.modes import Event, Mode
 from agent.process.build import build_agent
 from agent.process.simulated import plant_spec
-from agent.runner import Runner, RunSummary, Schedule, Surroundings
+from agent.runner import Runner
 from agent.telemetry.row.fill import AgentRow
 from agent.telemetry.row.sample import AGENT_STATE
 from agent.verify.check import start_configurations

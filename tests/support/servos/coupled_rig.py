@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from agent.around import RunSummary, Surroundings
 from agent.config.cell import Arm, Cell
 from agent.config.monitors import bounds
 from agent.config.schema.cell import DriverKind
@@ -23,7 +24,7 @@ from agent.process.build import Connection, build_agent
 from agent.process.emulate import wiring
 from agent.process.schedule import AgentOptions, schedule_of
 from agent.process.simulated import plant_spec
-from agent.runner import Runner, RunSummary, Surroundings
+from agent.runner import Runner
 from agent.telemetry.row.fill import AgentRow
 from agent.verify.check import examine
 from drivers.dynamixel.driver import DynamixelDriver

@@ -13,7 +13,9 @@ from drivers.clock import MonotonicClock
 from drivers.dynamixel.arm_map import ArmMap, JointMap, JointRole
 from drivers.dynamixel.driver import DynamixelDriver
 from drivers.dynamixel.errors import PortError, PortLostError
+from drivers.dynamixel.servo.counts import TICK_RAD
 from drivers.dynamixel.servo.table import Register
+from drivers.fingers import Fingers
 from sim_backend.wire.arm import EmulatedArm
 from sim_backend.wire.cell import EmulatedCell
 from sim_backend.wire.faults import Fault, FaultKind
@@ -41,6 +43,15 @@ WX200 = ArmMap(
         JointMap("gripper", XL, (7,), (False,), role=JointRole.GRIPPER),
     ),
 )
+
+
+FINGERS = Fingers(0.014, 0.024, (1802 - 2048) * TICK_RAD, (2875 - 2048) * TICK_RAD)
+
+
+def with_gripper(**changes: object) -> ArmMap:
+    """The same arm with fingers that can close on an object."""
+    *others, gripper = WX200.joints
+    return replace(WX200, joints=(*others, replace(gripper, **{"fingers": FINGERS, "grip_effort": 0.25, **changes})))  # type: ignore[arg-type]
 
 
 def wiring(arm: ArmMap, firmware: int = 46, **eeprom: int) -> ArmWiring:

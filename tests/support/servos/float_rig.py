@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from agent.around import RunSummary
 from agent.config.cell import Arm, Cell
 from agent.config.schema.cell import DriverKind
 from agent.faults.virtual import Line, SharedClock
@@ -20,7 +21,6 @@ from agent.process.floats import FloatLoop, Floats, require_within
 from agent.process.schedule import AgentOptions
 from agent.process.simulated import lone_spec, plant_spec
 from agent.process.tellers import Teller
-from agent.runner import RunSummary
 from agent.telemetry.row.event import Event as TextEvent
 from agent.telemetry.row.sample import AGENT_STATE
 from agent.verify.check import examine
@@ -32,6 +32,7 @@ from sim_backend.wire.lone_world import emulate_alone
 from sim_backend.wire.plant_world import emulate
 from sim_backend.wire.timing import BusTiming
 from tests.support.servos.dxl_rig import VirtualPort
+from tests.support.servos.guarded_rig import Died, MortalClock
 
 
 class Rows:
@@ -103,7 +104,8 @@ class FloatRun:
 
     hand: what pushes, at the end effector of the one arm, or at the object of arms that hold it; stop_s: when a stop is
     asked for; faults count from the first torque; q_start: where the one arm is; at: what the test does at an instant;
-    until_s: when the arms are taken away, wherever they are.
+    until_s: when the arms are taken away, wherever they are; dies_s: when their processes are killed, a second before
+    the end.
     """
 
     def __init__(
@@ -117,10 +119,12 @@ class FloatRun:
         q_start: Vector | None = None,
         at: Sequence[tuple[float, Callable[[FloatRun], None]]] = (),
         until_s: float | None = None,
+        dies_s: float | None = None,
     ) -> None:
         spec = cell.file.floating
         assert spec is not None
         self.cell, self._hand, self._stop_s, self._at, self._until_s = cell, hand, stop_s, list(at), until_s
+        self._dies_s = dies_s
         starts = list(examine(cell).q_start)
         names = [arm.name for arm in cell.arms]
         if q_start is not None:
@@ -181,6 +185,9 @@ class FloatRun:
         run = self.arms[arm.name]
         try:
             run.summary = self._loop(run, arm, index)
+        except Died:
+            self.clock.sleep_until(self.clock.now_ns() + 1_000_000_000)
+            run.driver = None  # it sends nothing any more
         except BaseException as error:  # noqa: BLE001 - the test looks at it
             run.error = error
         finally:
@@ -190,13 +197,14 @@ class FloatRun:
 
     def _loop(self, run: FloatArm, arm: Arm, index: int) -> RunSummary:
         floats = Floats.of(self.cell, arm.name)
-        line = Line(self.emulated, index, self.injectors[index], self.clock)
+        clock = MortalClock(self.clock)
+        line = Line(self.emulated, index, self.injectors[index], clock)
         run.port = VirtualPort(line, arm.baud)
         texts: Any = run.texts
         tell = Teller(arm.name, texts)
-        run.driver = DynamixelDriver(floats.servos("virtual"), self.clock, scan_s=0.05, port=run.port)
+        run.driver = DynamixelDriver(floats.servos("virtual"), clock, scan_s=0.05, port=run.port)
         run.driver.connect()
-        tell.clock = self.clock
+        tell.clock = clock
         require_within(floats, run.driver)
         ring: Any = run.ring
         options = AgentOptions(
@@ -204,7 +212,7 @@ class FloatRun:
         )  # fmt: skip
         notifier: Any = Silent()
         run.loop = FloatLoop(
-            floats, options, run.driver, self.clock, ring, lambda: self.since_s() >= self._stop_s, tell, texts, notifier
+            floats, options, run.driver, clock, ring, lambda: self.since_s() >= self._stop_s, tell, texts, notifier
         )
         run.driver.enable()
         self._on.add(arm.name)
@@ -212,6 +220,8 @@ class FloatRun:
             self.zero_ns = self.clock._ns
             for injector in self.injectors:
                 injector.add([f for f in self._faults if f.arm == injector.arm.name], self.zero_ns)
+        if self._dies_s is not None:
+            clock.end_ns = self.clock._ns + round(1e9 * self._dies_s)
         if self._until_s is not None:
             ticks = round(self._until_s * self.cell.file.rate_hz)
             run.loop.schedule = replace(run.loop.schedule, hold_at_end=False, ticks=ticks)

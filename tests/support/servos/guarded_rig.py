@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from agent.around import RunSummary, Surroundings
 from agent.config.cell import Arm, Cell
 from agent.config.schema.cell import DriverKind
 from agent.config.servo_map import arm_map
@@ -21,10 +22,11 @@ from agent.guard.vigil import Vigil
 from agent.modes import Event, Mode
 from agent.process.build import Connection, build_agent
 from agent.process.schedule import AgentOptions, schedule_of
-from agent.runner import Runner, RunSummary, Surroundings
+from agent.runner import Runner
 from agent.telemetry.row.fill import AgentRow
 from drivers.dynamixel.driver import DynamixelDriver
-from drivers.dynamixel.servo.table import GOAL_CURRENT, GOAL_PWM, Instruction
+from drivers.dynamixel.servo.codes import Instruction
+from drivers.dynamixel.servo.table import GOAL_CURRENT, GOAL_PWM
 from drivers.dynamixel.standby import Handover, StandbyDriver
 from drivers.interface import Vector
 from tests.support.servos.coupled_rig import ArmRun, CoupledRun

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from agent.around import Beginning
+from agent.around import Beginning, RunSummary, Surroundings
 from agent.config import monitors
 from agent.config.cell import Arm, Cell
 from agent.config.servo_map import arm_map
@@ -33,9 +33,10 @@ from agent.process.build import build_agent
 from agent.process.operated import Operator
 from agent.process.session import led_back, session_loop
 from agent.process.whole import WHERE_IT_SHOULD, whole_cell
-from agent.runner import NOT_YET_NS, Runner, RunSummary, Surroundings
+from agent.runner import Runner
 from agent.telemetry.row.fill import AgentRow
 from agent.telemetry.row.sample import AGENT_STATE
+from agent.ticks import NOT_YET_NS
 from agent.verify.check import examine
 from drivers.dynamixel.driver import DynamixelDriver
 from drivers.dynamixel.standby import Handover, StandbyDriver

@@ -9,7 +9,9 @@ from agent.faults.virtual import Line
 from drivers.dynamixel.arm_map import ArmMap
 from drivers.dynamixel.line.bus import Bus, DxlCounters
 from drivers.dynamixel.line.codec import HEADER
-from drivers.dynamixel.servo.table import ID, SERVOS, TORQUE_ENABLE, Area, Instruction
+from drivers.dynamixel.servo.codes import Instruction
+from drivers.dynamixel.servo.models import SERVOS
+from drivers.dynamixel.servo.table import ID, TORQUE_ENABLE, Area
 from sim_backend.wire.arm import EmulatedArm
 from sim_backend.wire.cell import EmulatedCell
 from sim_backend.wire.injector import Injector

@@ -9,6 +9,7 @@ from typing import Any
 
 import pinocchio as pin
 
+from agent.around import RunSummary, Schedule, Surroundings
 from agent.config import monitors
 from agent.config.cell import Arm, Cell
 from agent.config.schema.cell import DriverKind
@@ -21,7 +22,7 @@ from agent.process.build import Connection, build_agent
 from agent.process.schedule import AgentOptions, schedule_of
 from agent.process.session import session_loop
 from agent.process.whole import WHERE_IT_SHOULD, whole_cell
-from agent.runner import Runner, RunSummary, Schedule, Surroundings
+from agent.runner import Runner
 from agent.telemetry.row.fill import AgentRow
 from agent.verify.check import examine
 from drivers.dynamixel.driver import DynamixelDriver

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from drivers.dynamixel.servo.table import SERVOS, Instruction, Register
+from drivers.dynamixel.servo.codes import Instruction
+from drivers.dynamixel.servo.models import SERVOS
+from drivers.dynamixel.servo.table import Register
 from sim_backend.wire.bus import DEFAULTS, Bus
 from sim_backend.wire.options import BusOptions
 from sim_backend.wire.packet import crc16

@@ -10,7 +10,7 @@ from typing import Any
 
 from agent.log.read import read_log
 from agent.telemetry.link.publish import Pace
-from agent.telemetry.ring.ring import RingReader
+from agent.telemetry.ring.reader import RingReader
 from agent.telemetry.row.sample import AGENT_STATE
 from tests.support.telemetry.telemetry_cell import ARMS, Process, make_rows, recorder, telemetry, writer
 

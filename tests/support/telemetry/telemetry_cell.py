@@ -20,8 +20,8 @@ from agent.telemetry.link.publish import Pace, PublishOptions
 from agent.telemetry.link.record import RecordOptions
 from agent.telemetry.link.session import FREE_PORT, Network
 from agent.telemetry.link.wire import Sent, seal_of
-from agent.telemetry.ring.ring import RingWriter
 from agent.telemetry.ring.texts import TextWriter
+from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.event import Event, Level
 from agent.telemetry.row.sample import AGENT_STATE, PLANT_STATE, Layout
 from agent.telemetry.row.topics import PLANT

@@ -12,7 +12,7 @@ from agent.calibrate.chain import CalibrateError, chain_of
 from agent.calibrate.result import Outcome, calibrated
 from agent.calibrate.solve import disagreement, rms, solve
 from agent.config.cell import load_cell
-from drivers.dynamixel.servo.table import TICK_RAD
+from drivers.dynamixel.servo.counts import TICK_RAD
 from tests.support.calibrate_rig import Rig, rig
 
 SPATIAL, PLANAR = "three_wx250s", "two_wx200"
@@ -104,7 +104,7 @@ def test_a_slipped_pose_counts_little() -> None:
 
 
 def test_zeros_are_written_as_whole_encoder_steps_to_which_the_rest_is_fitted() -> None:
-    made = rig(SPATIAL, 1)
+    made = rig(SPATIAL, 6)
     result = calibrated(made.cell, made.chain, made.poses)
     for link, x in zip(made.chain.links, made.chain.parts(result.written), strict=True):
         ticks = x[link.zeros] / TICK_RAD
@@ -115,6 +115,10 @@ def test_zeros_are_written_as_whole_encoder_steps_to_which_the_rest_is_fitted() 
         own[link.zeros] = x[link.zeros]
     fitted, rounded = (rms(disagreement(made.chain, x, used)[1]) for x in (result.written, bare))
     assert fitted < rounded
+    told = np.array([(e.value, e.sigma) for e in result.estimates()])
+    known = told[:, 1] > 0.0
+    away = np.abs(told[:, 0] - made.truth)[known] / told[known, 1]
+    assert away.max() < 3.0, "the table's standard errors are of what is written"
 
 
 def test_the_best_motion_comes_first_and_only_what_the_arms_can_do_is_proposed() -> None:

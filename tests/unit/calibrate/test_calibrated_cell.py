@@ -16,7 +16,7 @@ from agent.config.cell import Cell, load_cell
 from agent.config.reality import reality_of
 from agent.config.schema.reality import ArmReality, Reality
 from agent.process.floating_arms import FloatOptions, floating_cell
-from drivers.dynamixel.servo.table import TICK_RAD
+from drivers.dynamixel.servo.counts import TICK_RAD
 from sim_backend.physics.plant import Observation
 from tests.support.calibrate_rig import UNSURE, rig
 from tests.support.plant.inprocess import simulate

@@ -31,6 +31,8 @@ def test_a_table_has_joints_pose_load_limits_and_words() -> None:
 
 def test_a_line_and_a_document_say_the_same() -> None:
     assert line(SEEN) == "   12.3 s  left FLOAT  elbow +0.500  wrist_angle -0.100 rad  at +0.310 +0.000 +0.220 m"
+    unseen = Glance("left", Mode.STAND, 2.9, (JointGlance("elbow", *[math.nan] * 5),))
+    assert line(unseen) == "    2.9 s  left STAND  not seen: its servos do not answer"
     document = json.loads(json.dumps(SEEN.document(), allow_nan=False))
     assert (document["arm"], document["mode"], document["said"]) == ("left", "FLOAT", ["a servo is warm"])
     assert document["joints"][0] == {

@@ -146,8 +146,17 @@ def test_a_run_says_how_it_ended(interrupted: bool) -> None:
     outcome = RunOutcome(Path("out/run.mcap"), Path("out/report.html"), results, interrupted, not interrupted)
     assert run_document(outcome) == {
         "schema": 1, "log": "out/run.mcap", "report": "out/report.html", "interrupted": interrupted,
-        "within_bounds": not interrupted, "results": results.to_json(),
+        "gave_up": None, "within_bounds": not interrupted, "results": results.to_json(),
     }  # fmt: skip
+
+
+def test_a_session_that_was_given_up_says_why_and_is_no_success(monkeypatch: pytest.MonkeyPatch) -> None:
+    results = summarise(paper_run(Path("run.mcap"), duration_s=22.0))
+    outcome = RunOutcome(Path("run.mcap"), None, results, False, True, "left: closed on nothing")
+    monkeypatch.setattr("agent.process.run.run_cell", lambda *_: outcome)
+    done = coop("run", "two_wx200", "--wire", "--whole", "--json")
+    assert (done.code, done.err) == (5, "coop: the session was given up: left: closed on nothing\n")
+    assert document(done)["gave_up"] == "left: closed on nothing"
 
 
 def test_no_document_has_what_is_no_json() -> None:

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import configs
-from drivers.dynamixel.servo.table import SERVOS
+from drivers.dynamixel.servo.models import SERVOS
 
 ARMS_DIR = Path(configs.__file__).parent / "arms"
 URDFS = ("widowx_mk2", "wx200", "wx250", "wx250s")

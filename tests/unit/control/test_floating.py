@@ -16,7 +16,7 @@ from agent.control.floating import BEGIN_RAD_PER_S, FULL_RAD_PER_S, Floating, af
 from agent.control.terms import Terms
 from agent.loop import Agent, initial_memory, step
 from agent.modes import Mode
-from agent.safety import limit
+from agent.safety import Flag, limit
 from drivers.interface import JointState, Vector
 
 CELL = load_cell(Path("three_wx250s"), ['floating.arms=["left"]'])
@@ -197,4 +197,13 @@ def test_an_arm_that_stands_and_is_pushed_away_stays_where_the_hand_leaves_it() 
     assert step(AGENT, state, 0.0, Mode.STAND, memory).memory.q_hold == pytest.approx(Q + own().stand_reach_rad)
     near = memory._replace(q_hold=Q - 0.05)
     assert step(AGENT, state, 0.0, Mode.STAND, near).memory.q_hold == pytest.approx(Q - 0.05)
-    assert step(AGENT, state, 0.0, Mode.FLOAT, memory).memory.q_hold == pytest.approx(Q + 0.5)
+    floating = step(AGENT, state, 0.0, Mode.FLOAT, memory)
+    assert floating.memory.q_hold == pytest.approx(Q + 0.5)
+    assert Flag.ADAPTATION_SATURATED not in floating.flags
+
+
+def test_an_arm_that_could_float_is_held_by_its_law() -> None:
+    state = JointState(0, Q, np.zeros(N), np.zeros(N))
+    terms = step(AGENT, state, 0.0, Mode.HOLD, initial_memory(AGENT)).terms
+    assert terms is not None
+    assert terms.J_inv_P is not None

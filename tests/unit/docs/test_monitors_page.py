@@ -47,6 +47,6 @@ def test_defaults_are_those_of_the_code() -> None:
     assert joints.FROZEN_S == 0.05
     assert servos.READINGS == 2
     assert (gravity.WINDOW_S, gravity.WINDOWS) == (0.5, 2)
-    assert (derived.MARGIN, derived.ADAPTIVE_TIMES) == (1.4, 1.3)
+    assert (derived.MARGIN, derived.ADAPTIVE_TIMES) == (1.4, 1.9)
     assert watch.HEALTH_S == 0.25
     assert spec.load_time_s == 30.0

@@ -13,9 +13,10 @@ from agent.verify.finding import Verdict
 from drivers.dynamixel.arm_map import ServoSlot
 from drivers.dynamixel.identify import IdentityError
 from drivers.dynamixel.servo import judge, table
+from drivers.dynamixel.servo.codes import StatusError
 from drivers.dynamixel.servo.found import Consequence, Rule, ServoFound
 from drivers.dynamixel.servo.judge import RULES, broken
-from drivers.dynamixel.servo.table import FIRMWARE_VERSION, Register, StatusError
+from drivers.dynamixel.servo.table import FIRMWARE_VERSION, Register
 from drivers.dynamixel.servo.wanted import setup_values
 from sim_backend.wire.faults import FaultKind
 from sim_backend.wire.timing import BusTiming

@@ -14,7 +14,7 @@ from drivers.dynamixel.identify import IdentityError
 from drivers.dynamixel.line import codec
 from drivers.dynamixel.pace import PaceError
 from drivers.dynamixel.servo import table
-from drivers.dynamixel.servo.table import Instruction, OperatingMode
+from drivers.dynamixel.servo.codes import Instruction, OperatingMode
 from drivers.interface import ConnectError, DriverError
 from sim_backend.wire.faults import FaultKind
 from sim_backend.wire.options import GoalAtTorqueOn, ServoOptions

@@ -7,7 +7,7 @@ from dynamixel_sdk.protocol2_packet_handler import Protocol2PacketHandler
 
 from drivers.dynamixel.line import codec
 from drivers.dynamixel.line.codec import PacketError, PacketFault, StatusScanner
-from drivers.dynamixel.servo.table import Instruction
+from drivers.dynamixel.servo.codes import Instruction
 
 # Published by ROBOTIS in the e-manual's Protocol 2.0 page, but for the last, which is computed.
 BUILT = [

@@ -14,7 +14,8 @@ from drivers.dynamixel.budget import LinkTiming, cycle_budget, health_servos_per
 from drivers.dynamixel.checks import SILENT_LIMIT_CYCLES
 from drivers.dynamixel.cycle import MARKS
 from drivers.dynamixel.pace import PaceError, check_rate
-from drivers.dynamixel.servo.table import SERVOS, TICK_RAD
+from drivers.dynamixel.servo.counts import TICK_RAD
+from drivers.dynamixel.servo.models import SERVOS
 from drivers.dynamixel.servo.thermal import ThermalWatch
 from drivers.dynamixel.servo.torque import CurrentDrive, PwmDrive, torque_drive
 from drivers.dynamixel.servo.units import AngleScale, current_unit_A

@@ -11,11 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.dynamixel.servo import units
-from drivers.dynamixel.servo.table import SERVOS
+from drivers.dynamixel.servo.models import SERVOS
 
 ROOT = Path(__file__).parents[3]
 ROOMS = ("drivers", "agent/motors", "agent/doctor")
-HOMES = ("table.py", "units.py")  # the figures, and where they are applied
+HOMES = ("counts.py", "models.py", "units.py")  # the figures, which servo has which, and where they are applied
 FACTORS = {
     "TICK_RAD", "AX_TICK_RAD", "VELOCITY_UNIT_RAD_PER_S", "ACCELERATION_UNIT_RAD_PER_S2", "PWM_UNIT_DUTY",
     "LOAD_UNIT_DUTY", "VOLTAGE_UNIT_V", "WATCHDOG_UNIT_S", "RETURN_DELAY_UNIT_S", "X_CURRENT_UNIT_MA",

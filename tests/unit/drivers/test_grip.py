@@ -2,26 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from drivers.dynamixel.arm_map import ArmMap, MapError
+from drivers.dynamixel.arm_map import MapError
 from drivers.dynamixel.driver import DynamixelDriver
 from drivers.dynamixel.errors import NoGripperError, NotEnabledError
-from drivers.dynamixel.servo.table import BUS_WATCHDOG, GOAL_POSITION, GOAL_PWM, SERVOS, TICK_RAD, TORQUE_ENABLE
-from drivers.fingers import Fingers
+from drivers.dynamixel.servo.models import SERVOS
+from drivers.dynamixel.servo.table import BUS_WATCHDOG, GOAL_POSITION, GOAL_PWM, TORQUE_ENABLE
 from drivers.interface import Gripper
-from tests.support.servos.dxl_rig import WX200, Rig, build, enabled
+from tests.support.servos.dxl_rig import FINGERS, Rig, build, enabled, with_gripper
 
-FINGERS = Fingers(0.014, 0.024, (1802 - 2048) * TICK_RAD, (2875 - 2048) * TICK_RAD)
 GRIPPER, EFFORT = 7, round(0.25 * 885)
-
-
-def with_gripper(**changes: object) -> ArmMap:
-    *others, gripper = WX200.joints
-    return replace(WX200, joints=(*others, replace(gripper, **{"fingers": FINGERS, "grip_effort": 0.25, **changes})))  # type: ignore[arg-type]
 
 
 def cycles(rig: Rig, count: int) -> None:
@@ -84,8 +76,10 @@ def test_the_driver_is_a_gripper_too_and_says_when_it_has_none() -> None:
     assert rig.driver.grip_state() is None
     with pytest.raises(NoGripperError, match=r"found none that its file describes well enough, expected closed_tick"):
         rig.driver.grip(0.05)
+    without_torque = connected()
+    assert without_torque.grip_state() is None, "nothing has been read yet"
     with pytest.raises(NotEnabledError, match="torque on"):
-        connected().grip(0.05)
+        without_torque.grip(0.05)
 
 
 def connected() -> DynamixelDriver:

@@ -11,7 +11,7 @@ import pytest
 from drivers.dynamixel.line import codec
 from drivers.dynamixel.line.codec import MAX_PACKET
 from drivers.dynamixel.line.group import GroupRead, GroupReply, GroupWrite, Row
-from drivers.dynamixel.servo.table import Instruction
+from drivers.dynamixel.servo.codes import Instruction
 
 IDS = (4, 9, 2, 7, 1, 30, 5)
 MANY = tuple(range(60, 30, -1))  # so many that the length of a merged reply needs its second byte

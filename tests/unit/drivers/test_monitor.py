@@ -12,7 +12,7 @@ from drivers.dynamixel.events import DriverEvent, OncePerServo
 from drivers.dynamixel.line import codec
 from drivers.dynamixel.monitor import GapMonitor, Page, ServoRecord, status_bytes
 from drivers.dynamixel.servo import table
-from drivers.dynamixel.servo.table import HardwareError
+from drivers.dynamixel.servo.codes import HardwareError
 from drivers.dynamixel.servo.thermal import ThermalWatch
 from tests.support.servos.dxl_rig import WX200
 

@@ -12,7 +12,7 @@ from drivers.dynamixel.budget import LinkTiming, cycle_budget
 from drivers.dynamixel.line import codec
 from drivers.dynamixel.line.bus import Bus, DxlCounters
 from drivers.dynamixel.pace import PaceError, ReadTimes, check_rate, check_read, measure_read
-from drivers.dynamixel.servo.table import Instruction
+from drivers.dynamixel.servo.codes import Instruction
 from tests.support.servos.dxl_rig import WX200, at
 
 US, MS = 1_000, 1_000_000

@@ -68,6 +68,13 @@ def test_an_arm_that_works_has_not_lapsed_and_is_left_alone() -> None:
     assert rig.events == []
 
 
+def test_what_a_servo_said_of_its_health_before_is_heard_and_not_missed() -> None:
+    rig = working()
+    rig.driver.recover()
+    rig.driver.read()
+    assert rig.driver.counters.health_misses == 0
+
+
 def test_watchdogs_that_fired_are_armed_again_with_zero_torque() -> None:
     rig = tripped()
     assert rig.driver.lapsed is True

@@ -21,9 +21,9 @@ from drivers.dynamixel.interpret import Reading
 from drivers.dynamixel.line.bus import BABBLE_BYTES
 from drivers.dynamixel.line.group import Row
 from drivers.dynamixel.running import Running
-from drivers.dynamixel.servo.table import HardwareError
+from drivers.dynamixel.servo.codes import HardwareError
 from drivers.interface import JointState
-from tests.support.servos.dxl_rig import WX200, XL, at, build
+from tests.support.servos.dxl_rig import WX200, XL, at, build, with_gripper
 
 NOTHING = JointState(0, np.zeros(4), np.zeros(4), np.zeros(4))
 OVERLOAD, HOT = HardwareError.OVERLOAD, HardwareError.OVERHEATING
@@ -356,6 +356,66 @@ def test_the_gap_is_what_the_period_leaves_after_the_write(bench: Bench) -> None
     ((packets, deadline_ns),) = bench.line.writes
     assert packets.endswith(b"?")
     assert deadline_ns == bench.clock.ns + 5_000_000
+
+
+def test_a_width_goes_out_once_behind_the_torques_in_the_place_of_a_question() -> None:
+    bench = Bench(with_gripper())
+    running = bench.alone()
+    grip, gripper = running.grip, running._records[6]
+    assert grip is not None
+    running.write([0.0] * 4, bench.clock.ns)
+    rest = gripper.sent
+    assert rest != grip.effort
+    grip.go_to(0.074)
+    running.write([0.0] * 4, bench.clock.ns)
+    assert (gripper.sent_before, gripper.sent, running._goals[6]) == (rest, grip.effort, grip.effort)
+    running.write([0.0] * 4, bench.clock.ns)
+    assert gripper.sent_before == rest, "nothing more has been sent to it"
+    torques, width, after = (packets for packets, _ in bench.line.writes)
+    assert torques == after
+    grip.go_on(grip)
+    assert width == torques + grip.packets()
+    assert [gap_ns == 0 for gap_ns in bench.monitor.gaps] == [False, True, False]
+
+
+def test_a_gripper_says_what_its_servo_said_in_the_last_cycle() -> None:
+    bench = Bench(with_gripper())
+    running = bench.alone()
+    assert running.grip_state(5) is None, "before the first cycle"
+    rows: list[Row | None] = [(0, 0, 0, 2048)] * 6
+    running.interpret(CycleRows(5, [*rows, (0, 0, 0, 2875)], b"", False, False), 7)
+    state = running.grip_state(77)
+    assert state is not None
+    assert (state.stamp_ns, state.width_m) == (77, pytest.approx(0.074, abs=1e-4))
+    running.interpret(CycleRows(5, [*rows, None], b"", False, False), 7)
+    assert running.grip_state(77) is None
+    assert Bench().running.grip_state(77) is None, "an arm without one"
+
+
+def test_made_again_it_takes_its_grip_up_again() -> None:
+    running = Bench(with_gripper()).running
+    assert running.grip is not None
+    first = running.again().grip
+    assert first is not None
+    assert first.packets() == b""
+    running.grip.go_to(0.03)
+    second = running.again().grip
+    assert second is not None
+    assert second.packets() == running.grip.packets() != b""
+
+
+def test_who_goes_on_takes_the_goals_that_the_servos_hold_and_says_what_they_ask_for(bench: Bench) -> None:
+    running = bench.running
+    rest = list(running._goals)
+    running._records[3].voltage_V = 11.0
+    torques = running.resume({2: 30, 3: 30, 6: -40}, [0.1, 0.2, 0.3, 0.4])
+    one, _, _, four = running._drives
+    assert torques[0] == one.goal_Nm(30, 0.1, running._records[1].voltage_V)
+    assert torques[3] == four.goal_Nm(-40, 0.4, running._records[5].voltage_V)
+    assert np.isnan(torques[1:3]).all(), "nobody knows what these hold"
+    held = [rest[0], 30, 30, rest[3], rest[4], -40, rest[6]]
+    assert running._goals == held
+    assert [(record.sent, record.sent_before) for record in running._records] == [(count, count) for count in held]
 
 
 @pytest.mark.parametrize("awaited", [True, False])

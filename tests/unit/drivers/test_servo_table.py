@@ -4,14 +4,18 @@ import ast
 import dataclasses
 import sys
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 from dynamixel_easy_sdk.control_table import ControlTable
 from dynamixel_easy_sdk.data_types import OperatingMode as SdkOperatingMode
 from dynamixel_sdk import protocol2_packet_handler, robotis_def
 
-from drivers.dynamixel.servo import table
-from drivers.dynamixel.servo.table import SERVOS, Access, Area, OperatingMode, Register, ServoModel
+from drivers.dynamixel.servo import codes, counts, models, table
+from drivers.dynamixel.servo.codes import ALERT_BIT, Instruction, OperatingMode, StatusError
+from drivers.dynamixel.servo.counts import VELOCITY_UNIT_RAD_PER_S
+from drivers.dynamixel.servo.models import RATED_VOLTAGE_V, SERVOS, ServoModel
+from drivers.dynamixel.servo.table import Access, Area, Register
 
 PROTOCOL_2 = [servo for servo in SERVOS.values() if servo.protocol == 2.0]
 
@@ -95,7 +99,7 @@ def test_instruction_codes_match_the_sdk() -> None:
     theirs = {
         name.removeprefix("INST_"): value for name, value in vars(robotis_def).items() if name.startswith("INST_")
     }
-    ours = {instruction.name: instruction.value for instruction in table.Instruction}
+    ours = {instruction.name: instruction.value for instruction in Instruction}
     assert len(theirs) == 15
     assert ours == {**theirs, "CONTROL_TABLE_BACKUP": 0x20}
 
@@ -103,8 +107,8 @@ def test_instruction_codes_match_the_sdk() -> None:
 def test_status_error_codes_match_the_sdk() -> None:
     constants = vars(protocol2_packet_handler)
     theirs = {name.removeprefix("ERRNUM_"): value for name, value in constants.items() if name.startswith("ERRNUM_")}
-    assert {error.name: error.value for error in table.StatusError} == {**theirs, "NONE": 0}
-    assert constants["ERRBIT_ALERT"] == table.ALERT_BIT
+    assert {error.name: error.value for error in StatusError} == {**theirs, "NONE": 0}
+    assert constants["ERRBIT_ALERT"] == ALERT_BIT
 
 
 def test_indirect_registers_map_onto_their_data_by_default() -> None:
@@ -138,7 +142,7 @@ def test_current_limit_does_not_protect_from_stall(servo: ServoModel) -> None:
 
 @pytest.mark.parametrize("servo", SERVOS.values(), ids=lambda s: s.name)
 def test_motor_model_meets_both_datasheet_points(servo: ServoModel) -> None:
-    full = servo.stall_torque_Nm_per_V * table.RATED_VOLTAGE_V
+    full = servo.stall_torque_Nm_per_V * RATED_VOLTAGE_V
     assert full == pytest.approx(servo.stall_torque_Nm)
     assert full - servo.back_emf_damping_Nm_s_per_rad * servo.no_load_rad_per_s == pytest.approx(0.0, abs=1e-12)
 
@@ -166,7 +170,7 @@ def test_motor_constants_are_those_derived_by_hand(
 
 
 def test_velocity_unit_is_that_of_the_manual_and_close_to_the_sdk() -> None:
-    unit = table.VELOCITY_UNIT_RAD_PER_S
+    unit = VELOCITY_UNIT_RAD_PER_S
     assert unit == pytest.approx(0.0239808, rel=1e-5)
     assert unit == pytest.approx(0.0239691227, rel=6e-4)  # what the SDK ships
 
@@ -193,8 +197,10 @@ def test_tables_are_read_only() -> None:
         SERVOS["MX-64"].registers["ID"] = table.LED  # type: ignore[index]
 
 
-def test_table_imports_only_the_standard_library() -> None:
-    tree = ast.parse(Path(table.__file__).read_text(encoding="utf-8"))
-    imported = {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+@pytest.mark.parametrize("module", [codes, counts, models, table], ids=lambda m: m.__name__.rpartition(".")[2])
+def test_tables_import_nothing_but_the_standard_library_and_each_other(module: ModuleType) -> None:
+    tree = ast.parse(Path(str(module.__file__)).read_text(encoding="utf-8"))
+    imported = {str(node.module) for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
     imported |= {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
-    assert {str(name).partition(".")[0] for name in imported} <= sys.stdlib_module_names
+    others = imported - {m.__name__ for m in (codes, counts, models, table)}
+    assert {name.partition(".")[0] for name in others} <= sys.stdlib_module_names

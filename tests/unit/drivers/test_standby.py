@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivers.dynamixel.servo.table import BUS_WATCHDOG, GOAL_CURRENT, GOAL_PWM, LED, TORQUE_ENABLE, Instruction
+from drivers.dynamixel.servo.codes import Instruction
+from drivers.dynamixel.servo.table import BUS_WATCHDOG, GOAL_CURRENT, GOAL_PWM, LED, TORQUE_ENABLE
 from drivers.dynamixel.standby import AdoptError, Handover, StandbyDriver
 from sim_backend.wire.faults import FaultKind
 from tests.support.servos.dxl_rig import WX200, Rig, enabled

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from agent.around import RunSummary
 from agent.config.cell import load_cell
 from agent.faults.bench import ArmRun, Rehearsal
 from agent.faults.measure import Measured, measured
 from agent.faults.plan import Injection
 from agent.modes import Mode
-from agent.runner import RunSummary
 from agent.safety import Flag
 from agent.telemetry.row.sample import AGENT_STATE
 from drivers.dynamixel.events import DriverEvent, EventKind

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 import configs
+from agent.around import Beginning
 from agent.config.cell import load_cell
 from agent.control.memory import Memory, restore
 from agent.guard.resume import beginning, from_torque, last_speed, stood_in
 from agent.loop import initial_memory
 from agent.modes import Event, Mode
 from agent.process.build import build_agent
-from agent.runner import Beginning
 from agent.safety import Flag
 from agent.standing import wait_here
 from tests.support.runner_rig import lost_at, paper, q_start, run

@@ -21,10 +21,11 @@ from drivers.interface import (
     StaleStateError,
     Vector,
 )
-from sim_backend.hil.coupling import Settings, TwinState
+from sim_backend.hil.coupling import Here, Settings, TwinState
 from sim_backend.hil.driver import BridgeDriver, Patience
 from sim_backend.hil.errors import HilFault
 from sim_backend.hil.gripper import Carried, GripperCheck
+from sim_backend.hil.touch import Borne
 
 T_NS = 5_000_000
 LIMIT = np.array([2.0, 2.0])
@@ -126,8 +127,9 @@ class Twin:
 
 
 def bridge(rig: Rig) -> BridgeDriver:
-    settings = Settings(0.005, 20.0, 0.7, 0.5 * LIMIT, ramp_s=0.05, apart_max_rad=0.3)
-    made = BridgeDriver(Real(rig), Twin(rig), rig, settings, PATIENCE, lambda _: np.eye(2) * 0.02)
+    settings = Settings(0.005, 20.0, 0.7, 0.5 * LIMIT, ramp_s=0.05, apart_max_rad=0.3, touch=Borne(9.0, 0.6))
+    here = Here(np.eye(2) * 0.02, np.zeros((3, 2)))
+    made = BridgeDriver(Real(rig), Twin(rig), rig, settings, PATIENCE, lambda _: here)
     made.connect()
     made.enable()
     return made
@@ -336,3 +338,24 @@ def test_a_cycle_in_which_nothing_was_written_had_no_torque_and_no_addition() ->
     assert not added.any()
     cycle(made, rig)
     assert np.isfinite(made.taken()[0]).all()
+
+
+def test_the_caller_sees_the_twin_while_the_arm_is_touched_and_the_arm_with_a_fault() -> None:
+    rig = Rig(plant=lambda ns: TwinState(ns, np.array([0.1, 0.0]), *np.zeros((3, 2))))
+    made = bridge(rig)
+    cycle(made, rig, 20)
+    np.testing.assert_array_equal(made.read().q, rig.q)
+    np.testing.assert_array_equal(made.q_twin, [0.1, 0.0])
+    made.coupling.touch.share, made.coupling.touch._quiet_s = 1.0, 0.0
+    rig.ns += T_NS
+    np.testing.assert_array_equal(made.read().q, [0.1, 0.0])
+    np.testing.assert_array_equal(made.q_twin, rig.q)
+    fault = refusal(ServoFault)
+    assert isinstance(fault, ServoFault)
+    fault.state = JointState(rig.ns, rig.q, np.zeros(2), np.zeros(2))
+    rig.failure = fault
+    made.coupling.touch.share = 1.0
+    with pytest.raises(ServoFault):
+        made.read()
+    assert made.coupling.touch.share == 0.0
+    np.testing.assert_array_equal(made.q_twin, [0.1, 0.0])

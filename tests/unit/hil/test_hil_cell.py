@@ -12,9 +12,9 @@ from agent.cli.main import app
 from agent.config.cell import Cell, ConfigError, load_cell
 from agent.config.schema.cell import DriverKind
 from agent.process.build import Connection, build_driver
-from agent.process.children import RunKind
 from agent.process.rehearse import driver_of, holds, require_wall_clock, taken
 from agent.process.run import RunOptions, run_cell
+from agent.process.run_kind import RunKind
 from agent.process.simulated import lone_spec, plant_spec
 from agent.verify.check import CheckReport, examine
 from agent.verify.finding import Verdict
@@ -32,7 +32,7 @@ def test_nothing_is_in_the_loop_unless_the_file_says_so() -> None:
     assert not [f for f in examine(cell()).findings if "twin" in f.what or "own" in f.what]
     hil = cell(LOOP).file.hil
     assert hil is not None
-    assert (hil.arms, hil.frequency(200.0), hil.tau_share) == (["left"], 25.0, 0.5)
+    assert (hil.arms, hil.frequency(200.0), hil.tau_share) == (["left"], 25.0, 1.0)
     slower = cell(LOOP, "hil.extra_cycles=2.0").file.hil
     assert slower is not None
     assert slower.frequency(200.0) == pytest.approx(0.2 / 0.0175)

@@ -19,9 +19,9 @@ from agent.operator.message import Request
 from agent.operator.socket import ControlSocket, Standing
 from agent.operator.table import Verb
 from agent.process import real_arms
-from agent.process.children import RunKind
 from agent.process.commands import GuardCommand
 from agent.process.real_arms import GONE_AFTER, Holding, RealArms, RealChildren
+from agent.process.run_kind import RunKind
 from tests.support.command import coop
 
 NO_REALTIME, EMPTY = "--allow-no-realtime", "--gripper-empty"

@@ -122,9 +122,9 @@ def test_the_port_of_the_real_arm_lost_lets_the_twin_go_limp_with_its_servos() -
     assert "neighbour is limp" in summary.reason
 
 
-@pytest.mark.fault("H4")
-def test_a_touch_parts_arm_and_twin_by_less_than_30_mm_and_they_come_together() -> None:
-    """5 N for 0.3 s, upwards.  Agents that notice would hold, as on any blow; these do not notice."""
+@cache
+def touched() -> tuple[Rehearsal, list[tuple[float, float]]]:
+    """5 N for 0.3 s, upwards; and how far arm and twin were apart."""
     apart: list[tuple[float, float]] = []
 
     def begin(run: Rehearsal) -> None:
@@ -134,15 +134,32 @@ def test_a_touch_parts_arm_and_twin_by_less_than_30_mm_and_they_come_together() 
     def end(run: Rehearsal) -> None:
         run.lone("left").touch(np.zeros(6))
 
-    changes = ("safety.noticing.enabled=false", "safety.tracking_error_max_m=0.2")
-    made = Rehearsal(cell("duration_s=1.45", *changes), happenings={FAULT_S: begin, FAULT_S + 0.3: end})
+    return Rehearsal(cell("duration_s=1.8"), happenings={FAULT_S: begin, FAULT_S + 0.3: end}), apart
+
+
+@pytest.mark.fault("H4")
+def test_a_touch_parts_arm_and_twin_by_less_than_30_mm_and_nobody_holds() -> None:
+    made, apart = touched()
     assert 2e-3 < max(gap for _, gap in apart) <= 30e-3
-    assert max(gap for t, gap in apart if t > FAULT_S + 1.0) < 2e-3
-    bridge, summary = made.arms["left"].bridge, made.arms["left"].summary
+    assert max(gap for t, gap in apart if t > FAULT_S + 1.3) < 1e-3
+    bridge = made.arms["left"].bridge
     assert bridge is not None
-    assert bridge.coupling.alive == 1.0
-    assert summary is not None
-    assert summary.mode is Mode.TRACK
+    assert (bridge.touches, bridge.coupling.touch.share, bridge.coupling.alive) == (1, 0.0, 1.0)
+    assert {run.summary.mode for run in made.arms.values() if run.summary} == {Mode.TRACK}
+    t, felt = (made.arms["right"].rows[name] for name in ("t", "unexpected"))
+    assert np.nanmax(np.abs(felt[(t > FAULT_S) & (t < 1.8), 0])) < 0.6, "its partner feels next to nothing"
+
+
+@pytest.mark.fault("H4")
+def test_rows_of_a_touched_arm_say_how_far_it_was_from_its_twin_and_replay_bit_for_bit(tmp_path: Path) -> None:
+    made, _ = touched()
+    rows, n = made.arms["left"].rows, made.cell.arms[0].n
+    apart = np.abs(rows["q_twin"] - rows["q_measured"])[:, :n].max(axis=1)
+    during = (rows["t"] > FAULT_S) & (rows["t"] < FAULT_S + 0.5)
+    assert 0.02 < apart[during].max() < 0.2
+    path = write_run(tmp_path / "run.mcap", made.cell, {"left": rows})
+    with open_log(path) as log:
+        assert verify(log, recorded_cell(log), Window(), "left").equal
 
 
 @pytest.mark.fault("H7")

@@ -12,7 +12,7 @@ from agent.config.cell import Cell, load_cell
 from agent.config.monitors import FLOORS, bounds
 from agent.config.reading import ConfigError
 from agent.monitors.bounds import Bounds, Name
-from drivers.dynamixel.servo.table import SERVOS
+from drivers.dynamixel.servo.models import SERVOS
 
 
 def load(name: str, *overrides: str) -> Cell:

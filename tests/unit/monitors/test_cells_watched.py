@@ -30,6 +30,11 @@ def test_a_cell_within_its_tolerance_trips_no_monitor(name: str, seed: int) -> N
     assert all(place.mode is Mode.TRACK for place in seen.places)
 
 
+def test_arms_that_learn_at_rest_and_share_the_weight_as_it_happens_trip_nothing() -> None:
+    cell = load("paper_adaptive", "simulation.ready_s=1.6")
+    assert watched(cell, 0.0, reality=draw(cell.tolerance, 1617223562, cell)).first == {}
+
+
 @pytest.mark.parametrize("factor", [0.7, 1.3])
 @pytest.mark.fault("S8")
 def test_s8_torque_constants_and_friction_off_by_a_third_are_no_trip(factor: float) -> None:
@@ -40,11 +45,15 @@ def test_s8_torque_constants_and_friction_off_by_a_third_are_no_trip(factor: flo
     assert all(place.mode is Mode.TRACK for place in seen.places)
 
 
-@pytest.mark.parametrize("gravity", ["[0.0, 0.0, 9.81]", "[9.81, 0.0, 0.0]"], ids=["up", "sideways"])
+@pytest.mark.parametrize(
+    ("name", "gravity"),
+    [("two_wx200", "[0.0, 0.0, 9.81]"), ("two_wx200", "[9.81, 0.0, 0.0]"), ("paper_adaptive", "[0.0, 9.81, 0.0]")],
+    ids=["up", "sideways", "up, learning"],
+)
 @pytest.mark.fault("G6")
-def test_g6_a_wrong_gravity_is_refused_before_the_start(gravity: str) -> None:
-    wrong = load("two_wx200", f"world.gravity_m_per_s2={gravity}")
-    seen = watched(load("two_wx200"), 0.1, believed=wrong)
+def test_g6_a_wrong_gravity_is_refused_before_the_start(name: str, gravity: str) -> None:
+    wrong = load(name, f"world.gravity_m_per_s2={gravity}")
+    seen = watched(load(name), 0.1, believed=wrong)
     assert seen.names == {Name.GRAVITY}
     assert all(t < -2.0 for t, _ in seen.first.values())
     assert seen.places[0].mode is Mode.HOLD, "no start out of a hold"

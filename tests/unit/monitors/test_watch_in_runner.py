@@ -56,3 +56,6 @@ def test_a_flag_of_the_law_is_told_before_a_monitor_and_an_earlier_reason_stays(
     assert "NOT_FINITE" in done.summary.reason
     done = run(q=lambda n: beyond(1) if n == 16 else q_start(), failures={15: fault(True)}, watch=watch())
     assert done.summary.reason == str(fault(True))
+    done = run(q=lambda n: beyond(1) if n == 16 else q_start(), refused=frozenset({14}), watch=watch())
+    assert Mode.HOLD in done.modes
+    assert "0 bytes taken" in done.summary.reason

@@ -20,18 +20,18 @@ from agent.motors.setup import JointError, SetupError, apply_setup, plan_setup, 
 from agent.verify.check import start_configurations
 from drivers.dynamixel.arm_map import ServoSlot
 from drivers.dynamixel.errors import PortLostError
+from drivers.dynamixel.servo.codes import BAUD_RATES
 from drivers.dynamixel.servo.found import ServoFound
 from drivers.dynamixel.servo.judge import MODE, judge
+from drivers.dynamixel.servo.models import SERVOS
 from drivers.dynamixel.servo.table import (
     BAUD_RATE,
-    BAUD_RATES,
     HARDWARE_ERROR_STATUS,
     HOMING_OFFSET,
     ID,
     MAX_POSITION_LIMIT,
     MIN_POSITION_LIMIT,
     PRESENT_POSITION,
-    SERVOS,
     TORQUE_ENABLE,
 )
 from sim_backend.wire.wiring import ArmWiring, JointWiring, ServoWiring

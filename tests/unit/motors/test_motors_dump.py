@@ -10,14 +10,14 @@ from agent.motors import dump, eeprom
 from agent.motors.eeprom import EepromError
 from agent.motors.find import ALL_BAUDS, survey
 from drivers.dynamixel.errors import NoReplyError
+from drivers.dynamixel.servo.codes import OperatingMode
+from drivers.dynamixel.servo.models import SERVOS
 from drivers.dynamixel.servo.table import (
     BAUD_RATE,
     ID,
     OPERATING_MODE,
     RETURN_DELAY_TIME,
-    SERVOS,
     TORQUE_ENABLE,
-    OperatingMode,
     Register,
 )
 from sim_backend.wire.faults import FaultKind

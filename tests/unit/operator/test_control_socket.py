@@ -20,7 +20,7 @@ from typing import Any
 
 import pytest
 
-from agent.modes import Mode
+from agent.modes import Event, Mode
 from agent.operator import socket as control_socket
 from agent.operator.ask import Silence, ask_sockets
 from agent.operator.error import ControlError
@@ -126,7 +126,7 @@ def test_an_agent_that_starts_nothing_says_why(control: ControlSocket, path: Pat
 @pytest.mark.fault("G6")
 def test_a_start_waits_until_the_torque_at_rest_has_been_looked_at(control: ControlSocket, path: Path) -> None:
     control.standing.enter(Mode.HOLD)
-    assert control.standing.ready_utc_ns == 0
+    assert (control.standing.mode, control.standing.ready_utc_ns) == (Mode.HOLD, 0)
     control.standing.rest_s = 1.1
     control.standing.enter(Mode.READY)
     assert abs(control.standing.ready_utc_ns - time.time_ns()) < 10**9
@@ -206,6 +206,72 @@ def test_a_request_of_more_than_four_kilobytes_is_not_read_whole(
 ) -> None:
     answer = answer_to(control, path, json.dumps({"verb": "stop"}).encode().rjust(size))
     assert (answer["ok"], bool(control.requests.words)) == (accepted, accepted)
+
+
+# --- in a session ----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def asked(control: ControlSocket) -> list[Event]:
+    """What the agent's session is asked about; it bears nothing but a stop and an approach."""
+    heard: list[Event] = []
+
+    def why_not(event: Event) -> str:
+        heard.append(event)
+        return "" if event in Event.STOP | Event.APPROACH | Event.LOWER | Event.PARK else "the load is being taken up"
+
+    control.standing.session = why_not
+    return heard
+
+
+def test_a_word_of_a_session_counts_in_the_modes_of_its_table(
+    control: ControlSocket, path: Path, asked: list[Event]
+) -> None:
+    control.standing.mode = Mode.REST
+    assert answer_to(control, path, {"verb": "approach"})["ok"] is True
+    assert (asked, control.requests.take()) == ([Event.APPROACH], [Verb.APPROACH])
+    assert answer_to(control, path, {"verb": "grasp"})["expected"] == "another mode"
+    assert answer_to(control, path, {"verb": "status"})["ok"] is True
+    assert (asked, asked_for(control)) == ([Event.APPROACH], NOTHING)
+
+
+@pytest.mark.parametrize(("request_", "event"), [(start(), Event.STARTED), ({"verb": "release"}, Event.RELEASED)])
+def test_a_word_before_its_time_is_refused_with_the_reason_of_the_session(
+    control: ControlSocket, path: Path, asked: list[Event], request_: dict[str, Any], event: Event
+) -> None:
+    answer = answer_to(control, path, request_)
+    assert (answer["ok"], answer["expected"], answer["remedy"]) == (False, "one that is done", "say it again")
+    assert answer["found"] == "arm left in READY: the load is being taken up"
+    assert (asked, asked_for(control)) == ([event], NOTHING)
+
+
+def test_a_lowering_at_an_instant_is_kept_until_it_is_taken_back(
+    control: ControlSocket, path: Path, asked: list[Event]
+) -> None:
+    control.standing.mode = Mode.HOLD
+    assert answer_to(control, path, {"verb": "lower", "start_utc_ns": LATER_NS})["ok"] is True
+    assert control.requests.lower == Request(Verb.LOWER, start_utc_ns=LATER_NS)
+    assert answer_to(control, path, {"verb": "cancel"})["ok"] is True
+    assert (control.requests.lower, control.requests.words) == (None, [])
+    answer_to(control, path, {"verb": "lower"})
+    assert (control.requests.lower, control.requests.take()) == (None, [Verb.LOWER])
+    control.standing.mode = Mode.HALT
+    answer_to(control, path, {"verb": "park", "start_utc_ns": LATER_NS})
+    assert (control.requests.lower, control.requests.take()) == (None, [Verb.PARK])
+    assert asked == [Event.LOWER, Event.LOWER, Event.PARK]
+
+
+def test_a_cancel_that_comes_when_the_arm_is_on_its_way_down_is_a_stop(
+    control: ControlSocket, path: Path, asked: list[Event]
+) -> None:
+    control.standing.mode = Mode.LOWER
+    assert answer_to(control, path, {"verb": "cancel"})["ok"] is True
+    assert (asked, control.requests.words) == ([], [Verb.STOP])
+
+
+def test_an_agent_that_has_said_nothing_yet_is_off_and_looks_at_no_torque() -> None:
+    own = Standing("left")
+    assert (own.mode, own.rest_s) == (Mode.OFF, 0.0)
 
 
 # --- from whom -------------------------------------------------------------------------------------------------------

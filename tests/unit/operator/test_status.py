@@ -22,8 +22,8 @@ from agent.operator.past import look
 from agent.operator.show import Tone, lines
 from agent.operator.status import recorder, status
 from agent.safety import Flag
-from agent.telemetry.ring.ring import RingWriter
 from agent.telemetry.ring.texts import TextWriter
+from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.event import Event, Level
 from agent.telemetry.row.sample import AGENT_STATE
 from tests.support.command import coop

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from agent.process.tellers import ServoTeller, Teller
-from agent.telemetry.ring.ring import RingWriter
 from agent.telemetry.ring.texts import TextReader, TextWriter
+from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.event import Event, Level
 from agent.telemetry.row.health import Health
 from agent.telemetry.row.sample import AGENT_STATE

@@ -12,11 +12,10 @@ import numpy as np
 import pytest
 
 import configs
-from agent.calibrate import poses
+from agent.calibrate.run import calibrate, write
 from agent.config.cell import Cell, load_cell
 from agent.config.schema.cell import DriverKind
 from agent.control.floating import Floating
-from agent.log.columns import Table
 from agent.modes import Event, Mode
 from agent.process import floats
 from agent.process.floating_arms import FloatOptions, floating_cell
@@ -28,6 +27,7 @@ from drivers.dynamixel.servo.table import TORQUE_ENABLE
 from drivers.interface import JointState, Vector
 from sim_backend.wire.faults import Fault, FaultKind
 from tests.support.servos.float_rig import FloatRun
+from tests.support.telemetry.run_log import write_run
 
 LEFT = 'floating.arms=["left"]'
 CELL = load_cell(Path("two_wx200"), [LEFT])
@@ -161,6 +161,15 @@ def test_a_silent_bus_gets_the_weight_then_nothing_and_the_loop_ends_as_lost() -
     assert rows["t"][np.isfinite(rows["tau_sent"][:, 0])][-1] < 0.3 + 0.25, "then silence, for the watchdogs"
 
 
+def test_an_arm_whose_process_is_killed_keeps_its_torque_for_a_fifth_of_a_second_and_falls() -> None:
+    run = FloatRun(CELL, dies_s=0.3)
+    assert run.one.error is None
+    (q0, _), (before, _), (after, fell) = part(run, 0.25, 0.3), part(run, 0.3, 0.48), part(run, 0.52, 1.3)
+    assert np.abs(before - q0[-1]).max() < 0.01, "its weight is still carried"
+    assert np.abs(after[-1] - q0[-1]).max() > 0.5
+    assert np.abs(fell).max() > 2.0, "rad/s: nobody guards it, as docs/float.md says"
+
+
 def test_an_error_of_the_loop_itself_lets_the_arm_sink_and_is_raised() -> None:
     def break_it(run: FloatRun) -> None:
         loop: Any = run.one.loop
@@ -182,21 +191,31 @@ def test_an_error_of_the_loop_itself_lets_the_arm_sink_and_is_raised() -> None:
     assert np.abs(np.diff(rows["tau_limited"][:, :3], axis=0)).max() < 0.7, "no fall in between"
 
 
-def test_arms_that_float_with_the_object_leave_a_log_that_calibrate_reads(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(poses, "LEAST", 5)
-    cell = load_cell(Path("two_wx200"), ['floating.arms=["left", "right"]', "floating.holding=true"])
+def test_the_log_of_arms_that_floated_with_the_object_calibrates_their_cell(tmp_path: Path) -> None:
+    off = [
+        "simulation.reality.arms.left.base_m=[0.006,0.0,-0.005]",
+        "simulation.reality.arms.left.zeros_rad=[0.012,-0.01,0.014]",
+        "simulation.reality.arms.right.zeros_rad=[-0.01,0.013,-0.012]",
+        "simulation.reality.pads_N_per_m=1e4", "simulation.reality.pads_Nm_per_rad=400.0",
+    ]  # fmt: skip
+    cell = floating_cell(FloatOptions(Path("two_wx200"), ("left", "right"), tuple(off), holding=True))
 
     def hand(_: FloatRun, t: float) -> Vector:
         return np.array([3.5 * np.sin(2.0 * t), 0.0, 2.5 * np.sin(3.0 * t), 0.0, 0.2 * np.sin(2.4 * t), 0.0])
 
-    run = FloatRun(cell, hand=hand, until_s=1.6)
+    run = FloatRun(cell, hand=hand, until_s=5.0)
     for name, arm in run.arms.items():
         assert arm.error is None, name
         assert set(arm.rows["mode"].tolist()) == {Mode.FLOAT}
         assert np.abs(arm.rows["tau_object"]).max() > 0.05
-    found = poses.poses_of({name: Table.of(arm.rows) for name, arm in run.arms.items()}, cell)
-    assert len(found.t) >= 5
-    assert np.ptp(found.q[0], axis=0).max() > 0.05
+    log = write_run(tmp_path / "run.mcap", cell, {name: arm.rows for name, arm in run.arms.items()})
+    found = calibrate(log, ["tolerance.base_m=0.01", "tolerance.zeros_rad=0.017"])
+    before_m, after_m, _, after_rad = found.judged
+    assert before_m > 2.5e-3
+    assert after_m < 0.25e-3, "what the pads give under the hand is left"
+    assert after_rad < 1e-3
+    written = load_cell(write(found, log, tmp_path / "new").cell)
+    assert written.file.floating is None, "arms of the new cell work"
 
 
 class Clock:

@@ -23,10 +23,10 @@ from agent.process.build import Connection
 from agent.process.clocked import ClockWatch
 from agent.process.operated import Operator
 from agent.process.schedule import AgentOptions
-from agent.runner import NOT_YET_NS
-from agent.telemetry.ring.ring import RingWriter
+from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.event import Level
 from agent.telemetry.row.sample import AGENT_STATE
+from agent.ticks import NOT_YET_NS
 
 NOW_NS = 5_000_000_000
 OFFSET_NS = 1_700_000_000_000_000_000

@@ -12,12 +12,12 @@ from agent.log.read import RunLog
 from agent.report.compare import Change, Difference
 from agent.report.compare_page import render, write_comparison
 from agent.report.metrics import summarise_prepared
+from agent.report.numbers import number
 from agent.report.overlay import overlay
 from agent.report.prepared import prepare
 from agent.report.results_file import ReportError
 from agent.report.settings import ABSENT, different, settings_of
 from agent.report.shown import ComparedRun, error_series
-from agent.report.tables import number
 from tests.support.view_run import view_log
 from tests.unit.report.test_report import Page
 

@@ -521,3 +521,16 @@ def test_an_arm_swings_with_its_inverse_mean_mobility_and_not_at_all_where_it_ha
     assert swinging_inertia(J @ np.linalg.inv(M) @ J.T).tolist() == [0.75, 0.75, 0.75, 0.0, 0.0, 0.0]
     J[3, 0] = J[4, 1] = 1.0  # 1 and 1/2, in two directions
     np.testing.assert_allclose(swinging_inertia(J @ np.linalg.inv(M) @ J.T)[3:], 2.0 / 1.5)
+
+
+def test_a_grasp_that_closes_as_it_was_holds_as_if_it_had_not_opened(cell: Callable[..., PlantSpec]) -> None:
+    spec = cell(viscous(len(cell().arms[0].controlled)))
+    held, taken = (soft(spec, GraspSpec(3e3, 20.0, damping_ratio=1.0)) for _ in range(2))
+    taken.release(spec.names[0])
+    taken.take_hold(0)
+    tau, _ = holding_torque(spec)
+    for plant in (held, taken):
+        plant.push(np.array([0.5, 0.0, 0.5, 0.0, 0.02, 0.0]))
+        plant.advance(tau, 100)
+    np.testing.assert_allclose(taken.q, held.q, atol=1e-12)
+    np.testing.assert_allclose(taken.observe(tau).grasp_wrench, held.observe(tau).grasp_wrench, atol=1e-9)

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from agent.telemetry.ring.file import ACKNOWLEDGED_WORD, MESSAGE_IN_SLOT, SLOTS_OFFSET, RingError
-from agent.telemetry.ring.ring import RingReader, RingWriter
+from agent.telemetry.ring.reader import RingReader
+from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.sample import AGENT_STATE, PLANT_STATE
 
 SLOTS = 16

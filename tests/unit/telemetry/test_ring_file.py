@@ -17,7 +17,8 @@ import pytest
 
 from agent.telemetry.ring import file as ring_file
 from agent.telemetry.ring.file import RingError, RingHeader, check_format, layout_hash, make_header
-from agent.telemetry.ring.ring import RingReader, RingWriter
+from agent.telemetry.ring.reader import RingReader
+from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.sample import AGENT_STATE, PLANT_STATE
 
 SLOTS = 4

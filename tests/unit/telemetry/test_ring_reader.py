@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from agent.telemetry.ring.file import SLOTS_OFFSET, RingError
-from agent.telemetry.ring.ring import RingReader, RingWriter
+from agent.telemetry.ring.reader import RingReader
+from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.sample import AGENT_STATE, PLANT_STATE
 
 SLOTS = 8
@@ -237,7 +238,7 @@ def test_a_ring_that_was_removed_is_not_called_replaced(path: Path, reader: Ring
 def test_a_writer_in_lockstep_gives_up_at_its_deadline(writer: RingWriter, monkeypatch: pytest.MonkeyPatch) -> None:
     write(writer, SLOTS)
     now = iter([10.0, 10.5, 12.0])
-    monkeypatch.setattr("agent.telemetry.ring.ring.time.monotonic", lambda: next(now))
+    monkeypatch.setattr("agent.telemetry.ring.writer.time.monotonic", lambda: next(now))
     with pytest.raises(RingError, match=f"found {SLOTS} rows waiting for 2 s, expected fewer than {SLOTS // 2}"):
         writer.wait_for_space(2.0)
     assert next(now, None) is None, "the last look was the one at the deadline"

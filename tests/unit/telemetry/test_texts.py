@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from agent.telemetry.ring.ring import RingReader, RingWriter
+from agent.telemetry.ring.reader import RingReader
 from agent.telemetry.ring.texts import TEXT_FORMAT, TextReader, TextWriter, texts_path
+from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.event import TEXT_MAX_BYTES, Event, Level
 from agent.telemetry.row.topics import Kind
 

@@ -10,7 +10,7 @@ import pytest
 from agent.config.cell import load_cell
 from agent.verify.check import examine
 from agent.verify.finding import Finding, Verdict
-from drivers.dynamixel.servo.table import SERVOS
+from drivers.dynamixel.servo.models import SERVOS
 
 
 @cache

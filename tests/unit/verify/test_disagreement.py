@@ -82,7 +82,7 @@ def test_of_friction_counts_what_the_feed_forward_does_not_know() -> None:
 
 
 def test_arms_that_align_themselves_keep_their_dead_zone_only() -> None:
-    stiff = ("tolerance.base_m=0.02",)
+    stiff = ("tolerance.base_m=0.01",)
     rigid = found(gentle("paper", *EXACT, *stiff))
     aligned = found(gentle("paper", *EXACT, *stiff, "controller.alignment.dead_zone_m=0.001"))
     assert aligned[0].force_N < 0.2 * rigid[0].force_N
@@ -90,6 +90,20 @@ def test_arms_that_align_themselves_keep_their_dead_zone_only() -> None:
     assert zone[0].force_N == pytest.approx(2.0 * aligned[0].force_N, rel=0.05)
     off = found(gentle("paper", *EXACT, *stiff, "controller.alignment.track_per_s=0.0"))
     assert off == rigid
+
+
+def test_what_the_largest_shift_leaves_of_both_arms_errors_squeezes() -> None:
+    """An arm that may give way by 20 mm leaves of 50 mm what remains, however small its dead zone is."""
+    wide = ("tolerance.base_m=0.05", "controller.alignment.dead_zone_m=0.0")
+
+    def force(*settings: str) -> float:
+        return found(gentle("paper", *EXACT, *wide, *settings))[0].force_N
+
+    apart = math.sqrt(2.0) * 0.05  # both bases are off
+    rigid, bound = force("controller.alignment.max_m=1e-6"), force("controller.alignment.max_m=0.02")
+    assert rigid > 1.0
+    assert bound == pytest.approx(rigid * (apart - 0.02) / apart, rel=0.01)
+    assert force("controller.alignment.max_m=0.08") == pytest.approx(0.0, abs=1e-9)
 
 
 @pytest.mark.parametrize("anchor", [0, 2])

@@ -94,6 +94,7 @@ def test_the_ranges_are_those_that_the_cell_states() -> None:
     assert (found.inertia_error, found.object_error, found.friction) == (0.15, 0.1, 0.2)
     assert (found.pads_N_per_m, found.pads_Nm_per_rad) == ((2e3, 2e4), (7.0, 70.0))
     assert found.pads_damping_ratio == 0.1
+    assert ranges_of(cell_of("paper", "tolerance.masses=0.5")).inertia_error == 0.5  # above what is checked for
 
 
 @pytest.mark.parametrize(("anchor", "index"), [(None, 0), ("left", 0), ("right", 1)])

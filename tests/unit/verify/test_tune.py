@@ -28,7 +28,7 @@ from agent.verify.scale import Scale
 from agent.verify.stiffest import Search, Wanted
 from agent.verify.tune import RIGID, Form, Margin, NoGains, Proposal, Tuner
 from agent.verify.tune_table import toml_lines, tune_table
-from drivers.dynamixel.servo.table import VELOCITY_UNIT_RAD_PER_S
+from drivers.dynamixel.servo.counts import VELOCITY_UNIT_RAD_PER_S
 from drivers.interface import Vector
 from tests.support.arm_files import with_true_arms
 from tests.support.plant.inprocess import History, simulate
@@ -358,6 +358,7 @@ def test_noise_and_a_slow_observer_are_missed_like_a_radius() -> None:
     [
         pytest.param("tolerance.delay=[0.8, 10.0]", "tolerance.delay", marks=pytest.mark.long),
         ("safety.inertia_error=0.97", "safety.inertia_error"),
+        pytest.param("tolerance.masses=0.9", "tolerance.masses", marks=pytest.mark.long),
     ],
 )
 def test_when_nothing_survives_the_demand_and_the_tolerance_that_bind_are_named(

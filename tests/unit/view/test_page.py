@@ -32,7 +32,7 @@ from viser import GuiEvent  # noqa: E402 (these need viser)
 
 from agent.view.browser import Nodes  # noqa: E402 (these need viser)
 from agent.view.html import VIEW_PX, write_html  # noqa: E402
-from agent.view.player import CURVES_S, NOTHING, WORDS_S, Player  # noqa: E402
+from agent.view.player import CURVES_S, DRAG_S, NOTHING, WORDS_S, Player  # noqa: E402
 from agent.view.plots import needle  # noqa: E402
 from agent.view.server import Server  # noqa: E402
 
@@ -179,13 +179,53 @@ def test_errors_are_enlarged_by_the_control(player: Player) -> None:
     assert apart == pytest.approx(10.0 * (staged().placed.poses[DESIRED][0, :3] - staged().motion.object[0, :3]))
 
 
-def test_the_newest_wish_is_shown(player: Player) -> None:
+def test_the_newest_wish_is_shown_and_what_lies_half_the_way_to_it_before(player: Player) -> None:
     for t in (0.3, 0.9, 1.5):
         player.want(t)
     player.step()
     assert player.pictures == 2
+    assert place(player, OBJECT) == pytest.approx(staged().motion.object[15, :3])
+    player.step()
+    assert player.pictures == 3
     assert place(player, OBJECT) == pytest.approx(staged().motion.object[30, :3])
     assert place(player, "arms/left/elbow") == pytest.approx(staged().placed.poses["arms/left/elbow"][30, :3])
+    player.step()
+    assert player.pictures == 3
+
+
+@pytest.mark.parametrize(("first", "second", "after_s"), [(0.5, 1.5, DRAG_S), (0.5, 0.55, 0.0)])
+def test_no_way_is_shown_to_what_is_not_of_a_drag_or_near(
+    player: Player, clock: Clock, first: float, second: float, after_s: float
+) -> None:
+    for t in (first, second):
+        player.want(t)
+        player.step()
+        assert place(player, OBJECT) == pytest.approx(staged().motion.object[round(20 * t), :3])
+        clock.s += after_s
+
+
+def test_a_newer_wish_ends_the_way_to_the_one_before(player: Player) -> None:
+    player.want(0.2)
+    player.step()
+    player.want(1.8)
+    player.step()
+    assert place(player, OBJECT) == pytest.approx(staged().motion.object[20, :3])
+    player.want(0.6)
+    player.step()
+    assert place(player, OBJECT) == pytest.approx(staged().motion.object[16, :3])
+    player._exaggerate(10.0)
+    player.step()
+    assert place(player, OBJECT) == pytest.approx(staged().motion.object[12, :3])
+
+
+def test_playing_goes_on_from_where_a_drag_is(player: Player, clock: Clock) -> None:
+    player.want(0.2)
+    player.want(1.0)
+    player.step()
+    player._toggle()
+    clock.s += 0.1
+    player.step()
+    assert place(player, OBJECT) == pytest.approx(staged().motion.object[12, :3])
 
 
 def test_it_plays_at_the_pace_of_the_run_and_ends(player: Player, clock: Clock) -> None:

@@ -118,10 +118,13 @@ def test_links_have_the_solids_of_the_urdf_and_the_arms_own_colour() -> None:
     body = ArmBody(drawing)
     assert list(body.links) == ["base", "waist", "shoulder", "elbow", "wrist_angle", "wrist_rotate"]
     upper_arm = body.links["shoulder"]
-    assert len(upper_arm) == 4
-    assert [mesh.colour for mesh in upper_arm] == [(115, 115, 122), drawing.colour, drawing.colour, (115, 115, 122)]
-    assert upper_arm[1].vertices.min(axis=0) == pytest.approx([-0.0175, -0.025, 0.071 - 0.071015])
-    assert np.ptp(upper_arm[3].vertices, axis=0) == pytest.approx([0.044, 0.06, 0.044])  # its axis turned to y
+    assert [mesh.colour for mesh in upper_arm] == [(115, 115, 122), drawing.colour], "what has one colour is one"
+    assert [len(mesh.faces) for mesh in upper_arm] == [2 * 80, 2 * 12]
+    assert upper_arm[1].vertices[:8].min(axis=0) == pytest.approx([-0.0175, -0.025, 0.071 - 0.071015])
+    tube, box = upper_arm[0].vertices[-42:], upper_arm[1].vertices[-8:]
+    assert np.ptp(tube, axis=0) == pytest.approx([0.044, 0.06, 0.044])  # its axis turned to y
+    assert set(upper_arm[1].faces[-12:].ravel()) == set(range(8, 16)), "each face has the corners of its own solid"
+    assert not np.array_equal(box, upper_arm[1].vertices[:8])
     gripper = np.vstack([mesh.vertices for mesh in body.links["wrist_rotate"]])
     assert gripper[:, 0].max() == pytest.approx(0.043 + 0.05)  # the fingers, behind a fixed joint
 

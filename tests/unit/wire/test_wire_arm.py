@@ -10,7 +10,9 @@ import pytest
 from agent.config.cell import load_arm_file
 from agent.config.servo_map import resting_joints
 from drivers.dynamixel.servo import table
-from drivers.dynamixel.servo.table import SERVOS, TICK_RAD, Instruction, OperatingMode
+from drivers.dynamixel.servo.codes import Instruction, OperatingMode
+from drivers.dynamixel.servo.counts import TICK_RAD
+from drivers.dynamixel.servo.models import SERVOS
 from sim_backend.wire.arm import EmulatedArm
 from sim_backend.wire.cell import CATCH_UP_NS, EmulatedCell
 from sim_backend.wire.wiring import ArmWiring, JointData, JointWiring, ServoWiring, baud_code, servo_eeprom, wire_arm

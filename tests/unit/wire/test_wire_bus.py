@@ -5,7 +5,9 @@ from __future__ import annotations
 import pytest
 
 from drivers.dynamixel.servo import table
-from drivers.dynamixel.servo.table import SERVOS, TICK_RAD, HardwareError, Instruction, OperatingMode
+from drivers.dynamixel.servo.codes import HardwareError, Instruction, OperatingMode
+from drivers.dynamixel.servo.counts import TICK_RAD, VELOCITY_UNIT_RAD_PER_S
+from drivers.dynamixel.servo.models import SERVOS
 from sim_backend.wire.drive import Stop
 from sim_backend.wire.options import BusOptions, SilentPredecessor, WatchdogFeed
 from sim_backend.wire.packet import crc16
@@ -115,7 +117,7 @@ class TestGroups:
         bench = Bench(servo)
         # velocity -3 (FD FF FF FF) behind current -1 (FF FF): what a servo near standstill says
         servo.firmware.body.motor.current_A = -2.69e-3
-        servo.firmware.body.horn.velocity_rad_per_s = -3 * table.VELOCITY_UNIT_RAD_PER_S
+        servo.firmware.body.horn.velocity_rad_per_s = -3 * VELOCITY_UNIT_RAD_PER_S
         sync = bench.raw(build(0xFE, Instruction.SYNC_READ, READ_BLOCK + b"\1"))
         assert b"\xff\xff\xfd\xfd" in sync[8:]
         assert answers(sync)[0].data[:6] == b"\xff\xff\xfd\xff\xff\xff"

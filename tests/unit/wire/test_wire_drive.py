@@ -8,7 +8,9 @@ import math
 import pytest
 
 from drivers.dynamixel.servo import table
-from drivers.dynamixel.servo.table import SERVOS, TICK_RAD, VELOCITY_UNIT_RAD_PER_S, OperatingMode
+from drivers.dynamixel.servo.codes import OperatingMode
+from drivers.dynamixel.servo.counts import TICK_RAD, VELOCITY_UNIT_RAD_PER_S
+from drivers.dynamixel.servo.models import SERVOS
 from sim_backend.wire.motor import Motor, MotorData
 from sim_backend.wire.profile import Profile, ProfileType
 from sim_backend.wire.servo import Servo

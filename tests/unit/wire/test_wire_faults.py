@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from drivers.dynamixel.servo import table
-from drivers.dynamixel.servo.table import HardwareError, Instruction
+from drivers.dynamixel.servo.codes import HardwareError, Instruction
 from sim_backend.wire.arm import EmulatedArm
 from sim_backend.wire.faults import Fault, FaultError, FaultKind, parse_lines
 from sim_backend.wire.injector import Injector, by_arm

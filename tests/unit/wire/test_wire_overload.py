@@ -7,7 +7,8 @@ from dataclasses import replace
 import pytest
 
 from drivers.dynamixel.servo import table
-from drivers.dynamixel.servo.table import SERVOS, HardwareError, Instruction, OperatingMode
+from drivers.dynamixel.servo.codes import HardwareError, Instruction, OperatingMode
+from drivers.dynamixel.servo.models import SERVOS
 from sim_backend.wire.options import ServoOptions
 from sim_backend.wire.overload import REPORTED, OverloadModes, OverloadWatch
 from tests.support.servos.dxl_rig import build

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.dynamixel.servo.table import Instruction
+from drivers.dynamixel.servo.codes import Instruction
 from sim_backend.wire.packet import (
     GAP_NS,
     HEADER,

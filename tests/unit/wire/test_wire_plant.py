@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from drivers.dynamixel.servo import table
-from drivers.dynamixel.servo.table import SERVOS, TICK_RAD, OperatingMode
+from drivers.dynamixel.servo.codes import OperatingMode
+from drivers.dynamixel.servo.counts import TICK_RAD, VELOCITY_UNIT_RAD_PER_S
+from drivers.dynamixel.servo.models import SERVOS
 from sim_backend.physics.actuator import ActuatorSpec
 from sim_backend.physics.plant import Plant
 from sim_backend.wire.cell import EmulatedCell
@@ -64,7 +66,7 @@ def test_present_registers_are_the_physics_on_their_grids() -> None:
     q, dq = world.state(1)
     for i in range(3):
         assert benches[1].read(i + 1, table.PRESENT_POSITION) == 2048 + round(q[i] / TICK_RAD)
-        assert benches[1].read(i + 1, table.PRESENT_VELOCITY) == round(dq[i] / table.VELOCITY_UNIT_RAD_PER_S)
+        assert benches[1].read(i + 1, table.PRESENT_VELOCITY) == round(dq[i] / VELOCITY_UNIT_RAD_PER_S)
 
 
 def test_cell_rests_on_its_support_until_every_arm_gives_torque() -> None:

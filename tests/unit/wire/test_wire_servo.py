@@ -5,7 +5,9 @@ from __future__ import annotations
 import pytest
 
 from drivers.dynamixel.servo import table
-from drivers.dynamixel.servo.table import TICK_RAD, VELOCITY_UNIT_RAD_PER_S, HardwareError, Instruction, OperatingMode
+from drivers.dynamixel.servo.codes import BAUD_RATES, HardwareError, Instruction, OperatingMode
+from drivers.dynamixel.servo.counts import TICK_RAD, VELOCITY_UNIT_RAD_PER_S
+from drivers.dynamixel.servo.models import SERVOS
 from sim_backend.wire.options import GoalAtTorqueOn, ServoOptions
 from sim_backend.wire.servo import Servo
 from tests.support.servos.wire_bench import MS, Bench, word, xl430, xm430
@@ -32,7 +34,7 @@ def test_ping_tells_model_and_firmware() -> None:
 
 def test_factory_values_are_those_of_the_table() -> None:
     bench = Bench(xm430())
-    for register in table.SERVOS["XM430-W350"].registers.values():
+    for register in SERVOS["XM430-W350"].registers.values():
         if register.default is not None and register.address < 64:
             assert bench.read(1, register) == register.default, register.name
 
@@ -247,7 +249,7 @@ def test_factory_reset_keeps_what_its_option_says(option: int, servo_id: int, ba
     bench.baud = 1_000_000
     assert bench.one(7, Instruction.FACTORY_RESET, bytes((option,))).error == OK
     bench.now_ns += 301 * MS
-    bench.baud = table.BAUD_RATES[baud_code]
+    bench.baud = BAUD_RATES[baud_code]
     assert bench.read(servo_id, table.RETURN_DELAY_TIME) == 250
     assert bench.read(servo_id, table.BAUD_RATE) == baud_code
 

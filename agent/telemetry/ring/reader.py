@@ -1,15 +1,12 @@
-"""The ring between control thread and telemetry: one writer, many readers; a commit waits for none of them.
+"""The reading end of the ring between control thread and telemetry; there may be many.
 
-A row is committed when it lies in its slot with index and checksum and `written` counts it.  A reader copies first
-and believes nothing that does not carry the right index before and after the copy and the right CRC32, so a torn row is
-never returned, whatever the order in which another core sees the stores.  The file survives its writer: the black box.
+A reader copies first and believes nothing that does not carry the right index before and after the copy and the right
+CRC32, so a torn row is never returned, whatever the order in which another core sees the writer's stores.
 """
 
 from __future__ import annotations
 
 import os
-import struct
-import time
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,129 +26,8 @@ from agent.telemetry.ring.file import (
     RingHeader,
     RowFormat,
 )
-from agent.telemetry.row.sample import CDR_LITTLE_ENDIAN
 
-DEFAULT_SLOTS: Final = 8192  # 22 MB of AgentState: 41 s at 200 Hz, 16 s at 500 Hz
-LOCKSTEP_TIMEOUT_S: Final = 30.0
-_POLL_S: Final = 0.0002
 _READ_ATTEMPTS: Final = 3  # a row that is bad this often is damaged, not late in coming from another core
-
-
-class RingWriter:
-    """The writing end, for the control thread: fill `row` in place, call `commit`.
-
-    `row` stays the same object for the whole life of the writer, so views of its fields may be taken once and kept.
-    """
-
-    def __init__(
-        self, path: Path, row_format: RowFormat, name: str, joints: tuple[str, ...] = (), *, slots: int = DEFAULT_SLOTS
-    ) -> None:
-        """Create the ring at `path` (mode 0640) and take its lock.
-
-        An unfinished ring of an earlier run is kept beside it as `<path>.previous`: it is that run's black box.
-        Raises RingError when another writer is alive, or the memory is not there.
-        """
-        header = ring_file.make_header(row_format, slots=slots, name=name, joints=joints, created_ns=time.time_ns())
-        try:
-            fd = ring_file.claim(path, header)
-        except OSError as error:
-            raise RingError(
-                f"cannot create the telemetry ring {path}",
-                found=error.strerror,
-                expected=f"a writable directory with {header.file_bytes >> 20} MB free",
-                remedy="create the directory, free space, or take fewer slots",
-            ) from error
-        self._begin(fd, header, row_format)
-
-    @classmethod
-    def go_on(cls, fd: int, row_format: RowFormat) -> Self:
-        """The ring of a writer that has died, behind its last row; fd: a descriptor of it that it has passed on.
-
-        The lock stays with whoever holds such a descriptor, so readers notice nothing.  As long as the other writer
-        lives nothing may be committed here.  Raises RingError for a file that is no such ring; fd is then closed.
-        """
-        path = Path(f"/proc/self/fd/{fd}")
-        try:
-            header = RingHeader.unpack(path, os.pread(fd, SLOTS_OFFSET, 0))
-            ring_file.check_format(path, header, row_format, os.fstat(fd).st_size)
-        except BaseException:
-            os.close(fd)
-            raise
-        self = cls.__new__(cls)
-        self._begin(fd, header, row_format)
-        return self
-
-    def _begin(self, fd: int, header: RingHeader, row_format: RowFormat) -> None:
-        self._fd = fd
-        self.header = header
-        self._map = ring_file.map_file(fd, header.file_bytes, writable=True, at_once=True)
-        self._bytes = memoryview(self._map)
-        self._words = self._bytes.cast("Q")
-        self._pack_slot_head = struct.Struct("=QI").pack_into
-        self.row, self._staged = _aligned_row(row_format.dtype)
-        self.row["encapsulation"] = CDR_LITTLE_ENDIAN
-        self.written = self.catch_up()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def fileno(self) -> int:
-        """Descriptor of the file, lock and all, for a process that may have to go on with it."""
-        return self._fd
-
-    def catch_up(self) -> int:
-        """How many rows are in the file, whoever wrote them; the next commit goes behind them."""
-        self.written = self._words[WRITTEN_WORD]
-        return self.written
-
-    def commit(self) -> None:
-        """Make `row` visible as the next row.  One copy and one checksum; waits for nobody."""
-        index = self.written
-        header = self.header
-        slot = SLOTS_OFFSET + index % header.slots * header.stride
-        word = slot >> 3
-        self._words[word] = 0  # a writer killed between here and the last store leaves a row nobody believes
-        start = slot + MESSAGE_IN_SLOT
-        self._bytes[start : start + header.row_bytes] = self._staged
-        self._pack_slot_head(self._bytes, slot, index + 1, zlib.crc32(self._staged, index & 0xFFFFFFFF))
-        self.written = index + 1
-        self._words[WRITTEN_WORD] = index + 1
-
-    def wait_for_space(self, timeout_s: float = LOCKSTEP_TIMEOUT_S) -> None:
-        """Lockstep simulation only: wait until less than half the ring is unacknowledged.
-
-        Raises RingError when that takes longer than `timeout_s`: telemetry is missing or stuck.
-        """
-        enough = self.header.slots // 2
-        if self.written - self._words[ACKNOWLEDGED_WORD] < enough:
-            return
-        deadline = time.monotonic() + timeout_s
-        while (waiting := self.written - self._words[ACKNOWLEDGED_WORD]) >= enough:
-            if time.monotonic() >= deadline:
-                raise RingError(
-                    f"the telemetry of {self.header.name} does not keep up",
-                    found=f"{waiting} rows waiting for {timeout_s:g} s",
-                    expected=f"fewer than {enough}",
-                    remedy="start `coop telemetry` and `coop record`, or see why they stand still",
-                )
-            time.sleep(_POLL_S)
-
-    def finish(self) -> None:
-        """Say that no row will follow."""
-        self._words[FINISHED_WORD] = 1
-
-    def close(self) -> None:
-        """Unmap and give the lock back; the file stays for its readers.  Safe twice."""
-        if self._fd < 0:
-            return
-        self._words.release()
-        self._bytes.release()
-        self._map.close()
-        os.close(self._fd)
-        self._fd = -1
 
 
 @dataclass(frozen=True, slots=True)
@@ -301,11 +177,3 @@ class RingReader:
             ):
                 intact[i] = False
         return copy, intact
-
-
-def _aligned_row(dtype: np.dtype[np.void]) -> tuple[NDArray[np.void], memoryview]:
-    """One zeroed row whose payload, behind the 4-byte header, is 8-byte aligned, and its bytes."""
-    memory = np.zeros(dtype.itemsize + 16, np.uint8)
-    offset = (4 - memory.ctypes.data) % 8
-    raw = memory[offset : offset + dtype.itemsize]
-    return raw.view(dtype).reshape(()), raw.data

@@ -1,0 +1,82 @@
+"""How far the object was from where it should be, and the arms' beliefs from each other."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+
+from agent.log.runinfo import RunInfo
+from agent.report.arithmetic import NAN, instant_of_most, most, rms
+from agent.report.prepared import Prepared
+from agent.report.results import Decay, PoseErrors
+from agent.report.series import Array, PoseSeries, column
+
+
+def pose_errors(series: PoseSeries, info: RunInfo) -> PoseErrors:
+    """Errors of one series of poses; NaN throughout when no usable row is left after the transient."""
+    position, attitude = series.position_error, series.attitude_error
+    usable = np.isfinite(position) & np.isfinite(attitude)
+    window = (series.t >= info.transient_s) & (series.t <= info.duration_s)
+    settled = usable & window & series.tracking
+    t = series.t[settled]
+    in_plane = out_of_plane = NAN
+    if info.plane is not None:
+        in_plane = most(np.linalg.norm(series.e_p[settled][:, list(info.plane.in_plane)], axis=1))
+        out_of_plane = most(np.abs(series.e_p[settled][:, info.plane.normal]))
+    return PoseErrors(
+        source=series.source,
+        rows=int(settled.sum()),
+        unusable_rows=int((~usable).sum()),
+        not_tracking_rows=int((window & ~series.tracking).sum()),
+        max_position_error_m=most(position[settled]),
+        max_attitude_error_rad=most(attitude[settled]),
+        rms_position_error_m=rms(position[settled]),
+        rms_attitude_error_rad=rms(attitude[settled]),
+        t_max_position_s=instant_of_most(t, position[settled]),
+        t_max_attitude_s=instant_of_most(t, attitude[settled]),
+        max_in_plane_error_m=in_plane,
+        max_out_of_plane_error_m=out_of_plane,
+        position=_decay(series.t[usable], position[usable]),
+        attitude=_decay(series.t[usable], attitude[usable]),
+    )
+
+
+def complaints(errors: PoseErrors, info: RunInfo) -> list[str]:
+    """What a person must know of them."""
+    found = []
+    if errors.rows == 0:
+        found.append(f"no usable row of {errors.source} after the transient of {info.transient_s:g} s")
+    if errors.unusable_rows:
+        found.append(f"{errors.unusable_rows} rows of {errors.source} hold a pose that is not a number")
+    if errors.not_tracking_rows:
+        ticks = f"{errors.not_tracking_rows} ticks of {errors.source} after the transient"
+        found.append(f"{ticks} did not follow the trajectory and count in no error")
+    return found
+
+
+def _decay(t: Array, error: Array) -> Decay:
+    if not len(error):
+        return Decay(NAN, NAN, NAN)
+    start = float(error[0])
+    if start == 0.0:
+        return Decay(0.0, NAN, NAN)
+    below_half = np.flatnonzero(error <= 0.5 * start)
+    above_tenth = np.flatnonzero(error > 0.1 * start)
+    last = int(above_tenth[-1])
+    return Decay(
+        initial=start,
+        half_s=float(t[below_half[0]] - t[0]) if len(below_half) else NAN,
+        tenth_s=float(t[last + 1] - t[0]) if last + 1 < len(t) else NAN,
+    )
+
+
+def disagreement(run: Prepared) -> float:
+    """How far two arms at most believed the object to be apart, after the transient, m."""
+    worst = NAN
+    for one, other in combinations(run.seen.values(), 2):
+        _, here, there = np.intersect1d(one["sequence"], other["sequence"], assume_unique=True, return_indices=True)
+        settled = column(one, "t")[here] >= run.info.transient_s
+        apart = column(one, "p_object")[here[settled]] - column(other, "p_object")[there[settled]]
+        worst = float(np.fmax(worst, most(np.linalg.norm(apart, axis=1))))
+    return worst

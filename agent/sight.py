@@ -1,0 +1,65 @@
+"""Whether the loop sees its arm: what a cycle does on the bus, the state that a read brings, an arm brought back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from agent.cycles import Bus, Cycles
+from agent.modes import Event, Mode
+from agent.session import WAY_BACK
+from drivers.interface import Driver, DriverError, JointState, Recovering, ServoFault, StaleStateError
+
+KEEPS = frozenset({Mode.HOLD, Mode.HALT, Mode.STAND})  # in which an arm stays until somebody says a word
+
+
+class Sight:
+    """One arm as its loop sees it.  unseen: what the last read, or attempt to bring the arm back, failed by."""
+
+    def __init__(self, driver: Driver, cycles: Cycles, resumed: Callable[[], None], *, lockstep: bool) -> None:
+        """resumed: is called when the arm was brought back and its torque begins at zero."""
+        self.unseen = ""
+        self._driver = driver
+        self._cycles = cycles
+        self._resumed = resumed
+        self._lockstep = lockstep
+        self._recovering = driver if isinstance(driver, Recovering) else None
+        self._fault = ""  # of the servos, as last read
+
+    def plan(self, deadline_ns: int, mode: Mode) -> Bus:
+        """What this cycle does on the bus; an arm that lapsed is brought back in HOLD, and by its driver."""
+        arm = self._recovering
+        lapsed = arm is not None and mode in KEEPS and arm.lapsed
+        bus = self._cycles.plan(deadline_ns, lapsed=lapsed, recovers=arm is not None)
+        if bus is not Bus.RECOVER or arm is None:
+            return bus
+        try:
+            resumed, back = arm.recover(), True
+        except DriverError as error:
+            self.unseen, resumed, back = str(error), False, False
+        self._cycles.tried(deadline_ns, back=back)
+        if resumed:
+            self._resumed()
+        return Bus.READ if back else Bus.QUIET
+
+    def read(self, mode: Mode) -> tuple[JointState | None, Event]:
+        """Fresh state or None, and whether anything is wrong with the arm, which `unseen` says then."""
+        try:
+            return self._driver.read(), Event.NONE
+        except StaleStateError as error:
+            self.unseen = str(error)
+            return None, Event.SERVO_LOST if self._lockstep else Event.NONE
+        except ServoFault as error:
+            self.unseen = str(error)
+            state = error.state
+            if state is None:
+                return None, Event.SERVO_LOST
+            seen = bool(np.isfinite(state.q).all() and np.isfinite(state.dq).all())
+            return state if seen else None, self._trouble_of(self.unseen, mode)
+
+    def _trouble_of(self, fault: str, mode: Mode) -> Event:
+        """What a servo's fault, which lasts, asks for: on the way back of a session the one of before asks no more."""
+        borne = mode in WAY_BACK and fault == self._fault
+        self._fault = fault
+        return Event.NONE if borne else Event.TROUBLE

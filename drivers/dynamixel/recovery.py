@@ -1,0 +1,53 @@
+"""What brings an arm back that lapsed: whether it can be, its port again, and the certainty that it is the same arm.
+
+Nothing here writes to a servo; `DynamixelDriver.recover` arms the watchdogs again once this is done.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Sequence
+
+from drivers.dynamixel.arm_map import ArmMap
+from drivers.dynamixel.errors import DxlServoFault, FaultCause
+from drivers.dynamixel.line.port import Now, Port
+from drivers.dynamixel.running import Running
+from drivers.dynamixel.stale import stale
+
+TORQUE_GONE = frozenset({FaultCause.HARDWARE_ERROR, FaultCause.TORQUE_LOST, FaultCause.REBOOTED})
+
+
+def only_tripped(faults: Sequence[DxlServoFault]) -> bool:
+    """True where watchdogs have fired and no servo has lost its torque otherwise."""
+    causes = {fault.cause for fault in faults}
+    return FaultCause.WATCHDOG_TRIPPED in causes and not causes & TORQUE_GONE
+
+
+def without_trips(faults: Sequence[DxlServoFault]) -> list[DxlServoFault]:
+    """What is wrong besides watchdogs that had fired."""
+    return [fault for fault in faults if fault.cause is not FaultCause.WATCHDOG_TRIPPED]
+
+
+def open_again(port: Port, running: Running) -> None:
+    """Open a port that was lost and ask every servo who it is; the port is closed when this raises.
+
+    Raises PortError, IdentityError.
+    """
+    port.close()
+    with contextlib.ExitStack() as undo:
+        undo.callback(port.close)
+        port.open()
+        running.recognise()
+        undo.pop_all()
+
+
+def make_sure(running: Running, arm: ArmMap, clock: Now) -> None:
+    """See that every servo answers and is the one that was there before.
+
+    Raises StaleJointsError, NoReplyError, IdentityError, PortLostError.
+    """
+    running.hear_health()
+    cycle = running.reader.read()
+    if None in cycle.rows:
+        raise stale(arm, cycle, running.interpret(cycle, clock.now_ns()))
+    running.recognise()

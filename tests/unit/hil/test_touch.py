@@ -1,0 +1,72 @@
+"""When a rehearsal goes on without an arm that somebody touches, and when it does not."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from drivers.rehearsal import LEAST_TOUCH_N as LEAST_N
+from sim_backend.hil.touch import BACK_S, QUIET_S, Borne, Touch
+
+T = 0.005
+BORNE = Borne(most_N=7.5, most_s=0.6)
+
+
+def touched() -> Touch:
+    touch = Touch(BORNE)
+    touch.advance(LEAST_N, 0.0, T)
+    assert touch.share == 1.0
+    return touch
+
+
+def after(touch: Touch, seconds: float, sudden_N: float, drawn_N: float = 0.0) -> Touch:
+    for _ in range(round(seconds / T)):
+        touch.advance(sudden_N, drawn_N, T)
+    return touch
+
+
+@pytest.mark.parametrize(("sudden_N", "share"), [(0.0, 0.0), (LEAST_N - 0.01, 0.0), (7.5, 1.0), (7.51, 0.0)])
+def test_a_force_between_two_bounds_is_a_touch(sudden_N: float, share: float) -> None:
+    touch = Touch(BORNE)
+    touch.advance(sudden_N, 0.0, T)
+    assert (touch.share, touch.count) == (share, int(share))
+
+
+def test_nothing_is_borne_where_the_cell_says_so() -> None:
+    assert after(Touch(Borne(0.0, 0.6)), 0.5, 5.0).count == 0
+
+
+def test_the_arm_is_led_by_again_once_nobody_touches_it_and_it_is_near_its_twin() -> None:
+    touch = after(touched(), QUIET_S - 2 * T, 0.0)
+    assert touch.share == 1.0
+    after(touch, 3 * T, 0.0)
+    assert 0.9 < touch.share < 1.0
+    assert after(touch, BACK_S, 0.0).share == 0.0
+    assert after(touched(), 0.4, 0.0, drawn_N=LEAST_N).share == 1.0, "not while it is drawn to it"
+
+
+def test_who_touches_it_again_on_the_way_back_is_borne_again_in_the_same_touch() -> None:
+    touch = after(touched(), QUIET_S + 0.1, 0.0)
+    assert 0.0 < touch.share < 1.0
+    touch.advance(LEAST_N, 0.0, T)
+    assert (touch.share, touch.count) == (1.0, 1)
+
+
+@pytest.mark.parametrize("force", [(7.6, 0.0), (3.0, 7.6), (math.nan, 0.0)], ids=["push", "draw", "no number"])
+def test_what_is_too_strong_is_felt_by_all_at_once_and_until_it_is_over(force: tuple[float, float]) -> None:
+    touch = touched()
+    touch.advance(*force, T)
+    assert touch.share == 0.0
+    assert after(touch, 1.0, 5.0).share == 0.0
+    after(touch, T, 0.0)
+    assert after(touch, T, 5.0).share == 1.0
+
+
+def test_what_lasts_too_long_is_felt_by_all_within_a_fifth_of_a_second() -> None:
+    touch = after(touched(), BORNE.most_s - T, 5.0)
+    assert touch.share == 1.0
+    after(touch, BACK_S + 3 * T, 5.0)
+    assert touch.share == 0.0
+    assert after(touch, 1.0, 5.0).share == 0.0
+    assert touch.count == 1

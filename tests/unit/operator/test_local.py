@@ -1,0 +1,118 @@
+"""C1: the arms of a host, and its clock."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import configs
+from agent.config.cell import load_cell
+from agent.host.clock import ClockState
+from agent.modes import Mode
+from agent.operator import local
+from agent.operator.error import ControlError
+from agent.operator.table import Verb
+from agent.operator.words import Here, start_arms, tell_arms
+from tests.support.operated_arms import DEAD, Arm, serving
+
+PAPER = configs.CELLS_DIR / "paper.toml"
+GOOD = ClockState(synchronised=True, max_error_s=2e-4)
+TWO_HOSTS = ["arms.left.host=one.lab", "arms.right.host=two"]
+
+
+@pytest.fixture
+def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder in which the agents of cell `paper` are, and none that run as services."""
+    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setattr("agent.host.paths.SERVICES_DIR", tmp_path / "services")
+    folder = tmp_path / "coop" / "paper"
+    folder.mkdir(parents=True)
+    return folder
+
+
+def test_all_arms_means_those_of_this_host(home: Path) -> None:
+    cell = load_cell(PAPER, TWO_HOSTS)
+    assert list(local.places(cell, [], [], "one")) == ["left"]
+    assert list(local.places(cell, [], [], "two.lab")) == ["right"]
+    assert list(local.places(cell, ["right"], [], "one")) == ["right"], "an arm that is named is meant"
+    assert list(local.places(load_cell(PAPER), [], [], "three")) == ["left", "right"], "no host: every host"
+    with pytest.raises(ControlError, match=r"arms of host three: found left on one\.lab, right on two, expected"):
+        local.places(cell, [], [], "three")
+    arm = Arm(home / "right.control", Mode.TRACK)
+    with serving([arm]):
+        assert tell_arms(cell, Verb.STOP, [], [], "two") == "right holds the object where it is"
+    assert arm.heard == (False, [Verb.STOP])
+
+
+def test_a_start_without_one_of_this_hosts_arms_is_refused(home: Path) -> None:
+    cell = load_cell(PAPER)
+    arm = Arm(home / "left.control", Mode.READY, cell.fingerprint)
+    with (
+        serving([arm]),
+        pytest.raises(ControlError, match=r"start: found right: does not answer \(No such file or directory\), exp"),
+    ):
+        start_arms(cell, None, 60.0, [], Here(GOOD, "one"), print)
+    assert arm.heard == (False, [])
+
+
+def test_a_service_that_lives_counts_before_what_an_agent_by_hand_has_left(home: Path, tmp_path: Path) -> None:
+    (tmp_path / "services" / "left").mkdir(parents=True)
+    dead, alive = Arm(home / "left.control", DEAD), Arm(tmp_path / "services" / "left" / "left.control", Mode.HOLD)
+    with serving([dead, alive]):
+        assert (
+            tell_arms(load_cell(PAPER), Verb.RELEASE, ["left"], [])
+            == "left switches its torque off, and its agent ends"
+        )
+    assert alive.heard == (False, [Verb.RELEASE])
+
+
+@pytest.mark.parametrize(
+    ("clock", "two_hosts", "outcome"),
+    [
+        (GOOD, True, "clock of this host: synchronised, error at most 0.2 ms"),
+        (ClockState(True, 1.1e-3), True, "error at most 1.1 ms; WARNING: above 1 ms arms press on each other"),
+        (ClockState(True, 5e-3), True, "WARNING"),
+        (ClockState(True, 5.1e-3), True, None),
+        (ClockState(False, 1e-4), True, None),
+        (ClockState(True, float("nan")), True, None),
+        (ClockState(False, 16.0), False, "not synchronised, error at most 16 s; without effect where one host"),
+    ],
+)
+@pytest.mark.fault("C1")
+def test_a_start_on_several_hosts_needs_their_time(
+    home: Path, clock: ClockState, two_hosts: bool, outcome: str | None
+) -> None:
+    """C1, C2: refused before anybody is asked; without effect where one host has all arms."""
+    cell = load_cell(PAPER, TWO_HOSTS if two_hosts else ["arms.left.host=one", "arms.right.host=one"])
+    here = ["left"] if two_hosts else ["left", "right"]
+    arms = [Arm(home / f"{name}.control", Mode.READY, cell.fingerprint) for name in here]
+    told: list[str] = []
+    with serving(arms):
+        if outcome is None:
+            with pytest.raises(
+                ControlError, match=r"clock of this host: found .*, expected synchronised, error ≤ 5 ms"
+            ):
+                start_arms(cell, None, 60.0, [], Here(clock, "one"), told.append)
+        else:
+            start_arms(cell, None, 60.0, [], Here(clock, "one"), told.append)
+            assert outcome in told[0]
+    assert [arm.heard for arm in arms] == [(outcome is not None, [])] * len(arms)
+
+
+@pytest.mark.parametrize(
+    ("at", "in_s", "complaint"),
+    [
+        (None, None, "no instant, or two"),
+        ("10:00:00", 1.0, "no instant, or two"),
+        ("noon", None, "'noon'"),
+        (None, 0.01, "at least 0.05 s from now"),
+    ],
+)
+def test_an_instant_that_makes_no_sense_is_one_line(
+    home: Path, at: str | None, in_s: float | None, complaint: str
+) -> None:
+    """C5."""
+    with pytest.raises(ControlError, match=complaint):
+        start_arms(load_cell(PAPER), at, in_s, [], Here(GOOD), print)

@@ -1,0 +1,157 @@
+"""C5: a start that fails between its two halves, and what is told of an arm that says nothing."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from agent.modes import Mode
+from agent.operator import ask, words
+from agent.operator.error import ControlError
+from agent.operator.message import Reply, Request
+from agent.operator.socket import ControlSocket
+from agent.operator.table import Verb
+from agent.operator.words import start_together
+from tests.support.operated_arms import ABSENT, DEAD, HUNG, OTHER, OWN, PATIENT_S, QUICK_S, Arm, cell_of, serving
+
+
+def started_with(folder: Path, wakes: Callable[[ControlSocket], None]) -> tuple[str, list[Arm]]:
+    """A start to two READY arms, of which the second does `wakes` before each poll."""
+    arms = cell_of(folder, (Mode.READY, Mode.READY))
+    arms[1].wakes = wakes
+    request = Request(Verb.START, OWN, time.time_ns() + 10**12)
+    with serving(arms), pytest.raises(ControlError) as raised:
+        start_together({arm.path.stem: [arm.path] for arm in arms}, request, PATIENT_S)
+    return str(raised.value), arms
+
+
+def test_when_one_refuses_the_instant_it_had_agreed_to_the_others_are_told_to_forget_it(tmp_path: Path) -> None:
+    modes = [Mode.READY]
+
+    def answers_once_ready() -> dict[str, Any]:
+        modes[0] = Mode.HOLD
+        return {}
+
+    def wakes(control: ControlSocket) -> None:
+        control.standing.details = answers_once_ready
+        control.standing.mode = modes[0]
+
+    told, (first, second) = started_with(tmp_path / "cell", wakes)
+    assert "b: refuses in HOLD" in told
+    assert "the start was taken back (a: does not begin; b: does not begin)" in told
+    assert first.heard == second.heard == (False, [])
+
+
+def test_an_arm_that_has_started_by_then_is_stopped(tmp_path: Path) -> None:
+    arms = cell_of(tmp_path / "cell", (Mode.READY, Mode.READY))
+    ready = [True]
+
+    def first(control: ControlSocket) -> None:
+        if control.requests.start is not None:
+            control.standing.mode = Mode.TRACK
+
+    def answered() -> dict[str, Any]:
+        ready[0] = False
+        return {}
+
+    def second(control: ControlSocket) -> None:
+        control.standing.details = answered
+        control.standing.mode = Mode.READY if ready[0] else Mode.FAULT
+
+    arms[0].wakes, arms[1].wakes = first, second
+    request = Request(Verb.START, OWN, time.time_ns() + 10**12)
+    with serving(arms), pytest.raises(ControlError, match="a: had begun, holds now; b: does not begin"):
+        start_together({arm.path.stem: [arm.path] for arm in arms}, request, PATIENT_S)
+    assert arms[0].heard == (False, [Verb.STOP])
+
+
+@pytest.mark.fault("C5")
+def test_an_agent_that_hangs_at_the_instant_finds_the_start_taken_back_when_it_wakes(tmp_path: Path) -> None:
+    arms = cell_of(tmp_path / "cell", (Mode.READY, Mode.READY))
+    asleep = threading.Event()
+    awake = threading.Event()
+
+    def answered() -> dict[str, Any]:
+        asleep.set()
+        return {}
+
+    def sleeps(control: ControlSocket) -> None:
+        control.standing.details = answered
+        if asleep.is_set():
+            arms[1].control, sleeping[0] = None, control
+            awake.set()
+
+    sleeping: list[ControlSocket] = [None]  # type: ignore[list-item]
+    arms[1].wakes = sleeps
+    request = Request(Verb.START, OWN, time.time_ns() + 10**12)
+    with serving(arms):
+        with pytest.raises(ControlError) as raised:
+            start_together({arm.path.stem: [arm.path] for arm in arms}, request, 0.2)
+        sleeping[0].poll()
+        sleeping[0].close()
+    assert "b: does not answer (no answer within 0.2 s)" in str(raised.value)
+    assert "a: does not begin; b: NOT KNOWN, it does not answer" in str(raised.value)
+    assert sleeping[0].requests.start is None
+    assert arms[0].heard == (False, [])
+
+
+@pytest.mark.fault("C5")
+def test_answers_that_come_too_late_for_the_instant_start_nobody(tmp_path: Path) -> None:
+    arms = cell_of(tmp_path / "cell", (Mode.READY, Mode.READY))
+    request = Request(Verb.START, OWN, time.time_ns() + 10**12)
+
+    class Late:
+        """A clock by which the answers took until just before the instant."""
+
+        @staticmethod
+        def time_ns() -> int:
+            return request.start_utc_ns - 49_999_999
+
+    with serving(arms), pytest.MonkeyPatch.context() as patch:
+        patch.setattr(words, "time", Late)
+        with pytest.raises(ControlError, match=r"start: found .* UTC, expected at least 0.05 s from now; choose"):
+            start_together({arm.path.stem: [arm.path] for arm in arms}, request, PATIENT_S)
+    assert [arm.heard for arm in arms] == [(False, [])] * 2
+
+
+@pytest.mark.parametrize(
+    ("reply", "told"),
+    [
+        (Reply(True, "a", "HOLD", "", OWN), f"a: HOLD with cell {OWN[:12]}, not READY with {OWN[:12]}"),
+        (Reply(True, "a", "READY", "", OTHER), f"a: READY with cell {OTHER[:12]}, not READY with {OWN[:12]}"),
+    ],
+)
+def test_an_agent_of_another_version_that_says_yes_to_everything_starts_nobody(
+    tmp_path: Path, reply: Reply, told: str
+) -> None:
+    arms = cell_of(tmp_path / "cell", (Mode.READY, Mode.READY))
+    arms[0].wakes = lambda control: setattr(control, "_answer", lambda *_: reply)
+    request = Request(Verb.START, OWN, time.time_ns() + 10**12)
+    with serving(arms), pytest.raises(ControlError) as raised:
+        start_together({arm.path.stem: [arm.path] for arm in arms}, request, PATIENT_S)
+    assert told in str(raised.value)
+    assert arms[1].heard == (False, [])
+
+
+@pytest.mark.parametrize(
+    ("places", "found"),
+    [
+        ((ABSENT, DEAD, HUNG), "no answer within 0.04 s"),
+        ((ABSENT, DEAD), "Connection refused"),
+        ((DEAD, ABSENT), "Connection refused"),
+        ((ABSENT, ABSENT), "No such file or directory"),
+        ((), "no socket"),
+    ],
+)
+def test_of_several_places_of_an_arm_the_most_telling_silence_is_told(
+    tmp_path: Path, places: tuple[str, ...], found: str
+) -> None:
+    arms = cell_of(tmp_path / "cell", places)
+    with serving(arms):
+        heard = ask.ask_arms({"left": [arm.path for arm in arms]}, Request(Verb.STOP), QUICK_S)
+    assert heard == {"left": ask.Silence(found, hung=HUNG in places)}
