@@ -11,9 +11,10 @@ import configs
 from agent import session
 from agent.config.cell import load_cell
 from agent.control.memory import Memory
-from agent.loop import Agent, Outcome, hold_after, initial_memory, step, wait_here
+from agent.loop import Agent, Outcome, initial_memory, step
 from agent.modes import Mode
 from agent.process.build import build_agent
+from agent.standing import hold_after, wait_here
 from agent.transition import entered
 from drivers.interface import JointState
 
