@@ -157,6 +157,12 @@ def of_hold(rows: np.ndarray) -> np.ndarray:
     return rows[rows["mode"] == Mode.HOLD]
 
 
+def commanded(rows: np.ndarray) -> np.ndarray:
+    """(k,) whether a row's torque went out."""
+    found: np.ndarray = np.isfinite(rows["tau_sent"][:, :3]).all(axis=1)
+    return found
+
+
 def check_taken_over(
     host: Host, guard: subprocess.Popen[str], agent: subprocess.Popen[str], cause: str, code: int = -signal.SIGKILL
 ) -> None:
@@ -164,6 +170,7 @@ def check_taken_over(
     before = len(host.rows())
     host.wait(lambda: agent.poll() == code)
     host.wait(lambda: len(host.rows()) > before + SOME_ROWS and len(of_hold(host.rows())) > SOME_ROWS)
+    host.wait(lambda: bool(commanded(host.rows()[before + SOME_ROWS :]).any()))  # also after watchdogs that had fired
     (taken,) = [event for event in host.events() if event.text.endswith("the guard holds the arm")]
     assert taken.text.startswith(cause)
     hung = cause == "the agent hung"
@@ -175,7 +182,6 @@ def check_taken_over(
     assert (rows["sequence"] == np.arange(len(rows))).all(), "two never write"
     held = np.flatnonzero(rows["mode"] == Mode.HOLD)
     assert (rows["mode"][held[0] :] == Mode.HOLD).all()
-    assert np.isfinite(rows["tau_sent"][held[-1], :3]).all()
     assert any(text.startswith("run ended in OFF") for text in host.told())
     (file,) = (host.folder / "post_mortem").glob("*-left-post-mortem.mcap")
     log = read_log(file)
