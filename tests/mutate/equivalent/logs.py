@@ -17,6 +17,8 @@ _COMMON = "_, i, j = np.intersect1d(a['sequence'], b['sequence'], assume_unique=
 _ENCODED = "rows = [np.ascontiguousarray(part.messages()).reshape(-1).view(layout.dtype) for part in (one, other)]"
 _BYTES = "x, y = (np.ascontiguousarray(rows[name]).view(np.uint8).reshape(len(rows), -1) for rows in (a, b))"
 
+_BLOCK = "messages = np.ascontiguousarray(part.messages()).reshape(-1).view(layout.dtype)"
+
 LOGS: Entries = {
     "agent.telemetry.ring.file": {
         ("_create_as", _OPENS, _OPENS.replace("416", "832")): _FCHMOD,
@@ -68,6 +70,10 @@ LOGS: Entries = {
     },
     "agent.replay.chain": {
         ("Chain.pass_row", "if marks:", "if True:"): "saves a call: joining no flag changes nothing",
+    },
+    "agent.replay.rows": {
+        ("blocks", _BLOCK, _BLOCK.replace("-1", "-2")): "numpy takes any number below zero",
+        ("blocks", "if layout.dtype == AGENT_STATE.dtype:", "if False:"): "saves the copying of field after field",
     },
     "agent.replay.same": {
         ("_of_member", _COMMON, _COMMON.replace("unique=True", "unique=False")): "numbers of rows are unique",

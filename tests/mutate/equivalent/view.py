@@ -20,6 +20,8 @@ _AXIS = "axis = np.divide(turn[:, 1:], sine, out=np.zeros_like(turn[:, 1:]), whe
 
 _WITHIN = "which = (self.t >= begin_s - 1e-09) & (self.t < end_s - 1e-09)"
 
+_WAITS = "self._wish.wait(1.0 / PLAY_HZ if self._then_s is None else HALF_WAY_S)"
+
 VIEW: Entries = {
     "agent.view.motion": {
         ("Motion.within", _WITHIN, _WITHIN.replace(">=", ">")): "no instant is exactly a nanosecond before",
@@ -47,8 +49,8 @@ VIEW: Entries = {
         ("Player.step", _IDLE, "if False:"): "it looks more often",
         ("Player.step", _IDLE, "if True:"): "the picture comes a thirtieth of a second later",
         ("Player.step", _IDLE, _IDLE.replace("is None", "is not None")): "the picture comes a thirtieth later",
-        ("Player.step", "self._wish.wait(1.0 / PLAY_HZ)", "pass"): "it looks more often",
-        ("Player.step", "self._wish.wait(1.0 / PLAY_HZ)", "self._wish.wait(2.0 / PLAY_HZ)"): "it looks less often",
+        ("Player.step", _WAITS, "pass"): "it looks more often",
+        ("Player.step", _WAITS, _WAITS.replace("1.0", "2.0")): "it looks less often",
         ("Player.step", _PLAYING, _PLAYING.replace("t is None", "True")): "a wish sets the start of playing, too",
         ("Player.step", "if self._started is started:", "if True:"): "differs when a pause comes within microseconds",
         ("Player.step", _AT_END, _AT_END.replace("started is not None", "True")): "what does not play stops as well",
