@@ -103,7 +103,7 @@ def test_it_has_floors_a_factor_and_more_room_for_an_arm_that_learns() -> None:
     assert usual[[1, 3, 5]] == pytest.approx(np.array(FLOORS)[[1, 3, 5]])  # out of the plane
     assert of_left("safety.monitors.gravity_times=2.0").gravity == pytest.approx(2.0 * usual)
     learning = np.array(of_left("controller.kind=adaptive").gravity)
-    assert learning[[0, 2, 4]] == pytest.approx(1.3 * usual[[0, 2, 4]])
+    assert learning[[0, 2, 4]] == pytest.approx(1.9 * usual[[0, 2, 4]])
 
 
 def test_a_start_out_of_reach_is_refused() -> None:
