@@ -14,7 +14,7 @@ from agent.safety import Flag
 from tests.support.runner_rig import paper, run
 from tests.support.telemetry.run_log import write_run
 
-TURN = 0.02  # rad, of what one arm sees against the other
+TURN = 0.6  # rad, of what one arm sees against the other
 
 
 def two_arms() -> tuple[np.ndarray, np.ndarray]:
@@ -24,7 +24,7 @@ def two_arms() -> tuple[np.ndarray, np.ndarray]:
     left["quat_object"] = [1.0, 0.0, 0.0, 0.0]
     right = left.copy()
     right["p_object"][:, 0] += 2e-3
-    right["quat_object"] = [-np.cos(TURN / 2), 0.0, -np.sin(TURN / 2), 0.0]
+    right["quat_object"] = [-np.cos(TURN / 2), -0.6 * np.sin(TURN / 2), -0.8 * np.sin(TURN / 2), 0.0]
     track = np.flatnonzero(left["mode"] == Mode.TRACK)
     left["wrench_cmd"][track[3], :6] = [3.0, 4.0, 12.0, 99.0, 0.0, 0.0]
     left["wrench_cmd"][track[5], 0] = 77.0
@@ -42,5 +42,5 @@ def test_arms_differ_from_their_mean_by_half_of_what_they_differ_by(tmp_path: Pa
     assert [arm.rows for arm in found.arms] == [19, 19], "without the tick that one of them did not see"
     for arm in found.arms:
         assert arm.offset_m == pytest.approx(1e-3)
-        assert arm.offset_rad == pytest.approx(TURN / 2, rel=1e-4)
+        assert arm.offset_rad == pytest.approx(2.0 * np.sin(TURN / 4), rel=1e-9)
     assert [arm.force_max_N for arm in found.arms] == [13.0, 0.25]
