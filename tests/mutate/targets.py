@@ -68,7 +68,7 @@ TARGETS = (
     Target("agent.transition", (f"{UNIT}/test_transition.py",)),
     Target("agent.operator.socket", (f"{UNIT}/operator/test_control_socket.py",)),
     Target("agent.replay.chain", (*_VERIFY, f"{UNIT}/replay/test_whatif.py", f"{UNIT}/guard/test_resume.py")),
-    Target("agent.replay.grasps", (f"{UNIT}/replay/test_answers.py",)),
+    Target("agent.replay.grasps", (f"{UNIT}/replay/test_grasps.py", f"{UNIT}/replay/test_answers.py")),
     Target("agent.replay.rows", _VERIFY),
     Target("agent.replay.same", (f"{UNIT}/replay/test_same.py", f"{UNIT}/replay/test_answers.py")),
     Target("agent.replay.verify", _VERIFY),

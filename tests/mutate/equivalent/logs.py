@@ -19,6 +19,8 @@ _BYTES = "x, y = (np.ascontiguousarray(rows[name]).view(np.uint8).reshape(len(ro
 
 _BLOCK = "messages = np.ascontiguousarray(part.messages()).reshape(-1).view(layout.dtype)"
 
+_ALIGNED = "aligned = [quat * np.sign(np.sum(quat * first, axis=1, keepdims=True)) for _, quat in poses.values()]"
+
 LOGS: Entries = {
     "agent.telemetry.ring.file": {
         ("_create_as", _OPENS, _OPENS.replace("416", "832")): _FCHMOD,
@@ -70,6 +72,9 @@ LOGS: Entries = {
     },
     "agent.replay.chain": {
         ("Chain.pass_row", "if marks:", "if True:"): "saves a call: joining no flag changes nothing",
+    },
+    "agent.replay.grasps": {
+        ("_mean", _ALIGNED, _ALIGNED.replace("quat * np.sign", "quat / np.sign")): "1 and −1 are their own inverses",
     },
     "agent.replay.rows": {
         ("blocks", _BLOCK, _BLOCK.replace("-1", "-2")): "numpy takes any number below zero",
