@@ -9,7 +9,7 @@ _STEP = "step = round(float(self._t[1] - self._t[0]), 6) if len(self._t) > 1 els
 _IDLE = "if self._wanted_s is None:"
 _PLAYING = "if t is None and started is not None:"
 _AT_END = "if started is not None and self._row == len(self._t) - 1:"
-_TELLS = "if row != self._told and (self._told < 0 or now - self._told_s >= WORDS_S):"
+_TELLS = "if row != self._told and (self._told < 0 or now - self._told_s >= slower * WORDS_S):"
 _MIDDLE = "middle = look_at + 0.5 * (y.max() + y.min()) * Camera(look_at + back, look_at, up).axes[1]"
 _ALONE = "if np.linalg.norm(along) < 1e-06:"
 _ACROSS = "along = np.cross(up, [0.0, 0.0, 1.0] if abs(up[2]) < 0.9 else [1.0, 0.0, 0.0])"
