@@ -43,8 +43,9 @@ def arm_models(incomplete: str) -> list[str]:
 
 
 def joints(ctx: typer.Context, incomplete: str) -> list[str]:
-    """Joints of the arm model on the line, and its gripper."""
-    model = _read(configs.ARMS_DIR / f"{ctx.params.get('arm_model') or ''}.toml")
+    """Joints of the arm on the line, and its gripper."""
+    own = ctx.params.get("arm_file")
+    model = _read(Path(own) if own else configs.ARMS_DIR / f"{ctx.params.get('arm_model') or ''}.toml")
     described = model.get("joints", [])
     named = [str(joint.get("name", "")) for joint in described if isinstance(joint, dict)]
     return [name for name in (*named, "gripper") if name.startswith(incomplete)]

@@ -16,6 +16,7 @@ from agent.cli.progress import Steps
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from agent.config.schema.arm import ArmFile
     from agent.motors.find import ServoSeen
 
 app = typer.Typer(cls=Commands, rich_markup_mode=None, help="Servos one by one: find, set up, save, restore.")
@@ -71,22 +72,25 @@ def scan(
 @app.command()
 def setup(
     port: Port,
-    arm_model: Annotated[
-        str, typer.Option(help="Arm description, e.g. wx200.", show_default=False, autocompletion=complete.arm_models)
-    ],
     joint: Annotated[
         str,
         typer.Option(help="Joint the servo is for, or `gripper`.", show_default=False, autocompletion=complete.joints),
     ],
+    arm_model: Annotated[
+        str | None,
+        typer.Option(help="Arm description, e.g. wx200.", show_default=False, autocompletion=complete.arm_models),
+    ] = None,
+    arm_file: Annotated[
+        Path | None, typer.Option(help="Arm file of your own, instead of --arm-model.", show_default=False)
+    ] = None,
     shadow: Annotated[bool, typer.Option("--shadow", help="The second servo of that joint.")] = False,
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask.")] = False,
 ) -> None:
     """Set up the one servo on a line for its place in an arm: ID, speed, direction, shadow, limits, return delay."""
-    from agent.config.files import load_arm_file
     from agent.motors.line import open_line
     from agent.motors.setup import apply_setup, plan_setup, servo_of
 
-    file, _ = load_arm_file(arm_model, "arm model")
+    file = _described(arm_model, arm_file)
     slot = servo_of(file, joint, shadow=shadow)
     with open_line(port) as bus:
         plan = plan_setup(bus, slot, file.baud, note)
@@ -100,6 +104,16 @@ def setup(
             typer.confirm("write this", abort=True)
         apply_setup(bus, plan, file.baud)
     typer.echo(f"servo {slot.servo_id} is set up and was read back; torque was never on")
+
+
+def _described(arm_model: str | None, arm_file: Path | None) -> ArmFile:
+    from agent.config.files import load_arm_file, load_own_arm_file
+
+    if arm_model is not None and arm_file is None:
+        return load_arm_file(arm_model, "arm model")[0]
+    if arm_file is not None and arm_model is None:
+        return load_own_arm_file(arm_file)
+    raise typer.BadParameter("either --arm-model or --arm-file says what the servo is to be")
 
 
 @app.command()

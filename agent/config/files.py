@@ -228,10 +228,15 @@ def load_arm_file(model: str, what: str, arms_dir: Path = configs.ARMS_DIR) -> t
             what,
             found=repr(model),
             expected=" or ".join(sorted(p.stem for p in arms_dir.glob("*.toml"))),
-            remedy="name a described arm, or describe yours beside them",
+            remedy="name a described arm; a file of your own goes by `arm_file`, --arm-file",
         )
     raw = read_file(path)
     return validate(ArmFile, parse(raw, path), path.name), raw
+
+
+def load_own_arm_file(path: Path) -> ArmFile:
+    """An arm file of one's own.  Raises ConfigError."""
+    return validate(ArmFile, parse(read_file(path), path), path.name)
 
 
 def _refuse_weak_servos(entry: ArmEntry, servos: Sequence[ServoJoint], source: str) -> None:

@@ -35,7 +35,7 @@ def test_a_run_gives_one_document_with_results_and_paths(
 ) -> None:
     folder, done = run
     document = json.loads(done.stdout)
-    assert set(document) == {"schema", "log", "report", "interrupted", "within_bounds", "results"}
+    assert set(document) == {"schema", "log", "report", "interrupted", "gave_up", "within_bounds", "results"}
     assert (document["schema"], document["interrupted"], document["within_bounds"]) == (1, False, False)
     assert document["results"] == json.loads((folder / "out" / "results.json").read_text())
     assert (folder / document["log"]).read_bytes().startswith(b"\x89MCAP0")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import shutil
 import subprocess
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -41,6 +42,8 @@ def unavailable() -> str:
     """Why there can be no namespaces here; empty when there can."""
     if os.geteuid() != 0:
         return "network namespaces need root"
+    if absent := [tool for tool in ("ip", "tc") if shutil.which(tool) is None]:
+        return f"no {' or '.join(absent)} in the search path of this process"
     name = f"coop{os.getpid()}try"
     try:
         run("ip", "netns", "add", name)

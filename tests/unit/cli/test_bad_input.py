@@ -168,6 +168,11 @@ OTHERS = {
     "lower --at": ("lower", PAPER, "--at", "25:00:00"),
     "guide --ever": ("guide", PAPER, "--ever"),
     "motors setup --arm-model": ("motors", "setup", "--port", "/dev/null", "--arm-model", "other", "--joint", "elbow"),
+    "motors setup of no arm": ("motors", "setup", "--port", "/dev/null", "--joint", "elbow"),
+    "motors setup of two arms": (
+        "motors", "setup", "--port", "/dev/null", "--arm-model", "wx200", "--arm-file", "a_file", "--joint", "elbow",
+    ),
+    "motors setup --arm-file": ("motors", "setup", "--port", "/dev/null", "--arm-file", "a_file", "--joint", "elbow"),
     "motors setup --joint": ("motors", "setup", "--port", "/dev/null", "--arm-model", "wx200", "--joint", "knee"),
     "motors setup --port": ("motors", "setup", "--port", "a_file", "--arm-model", "wx200", "--joint", "elbow"),
     "motors dump --port": ("motors", "dump", "--port", "a_file", "--out", "dump.toml"),

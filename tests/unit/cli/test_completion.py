@@ -110,6 +110,7 @@ def test_arm_models_and_their_joints() -> None:
     assert complete.joints(context(arm_model="wx200"), "") == [
         "waist", "shoulder", "elbow", "wrist_angle", "wrist_rotate", "gripper",
     ]  # fmt: skip
+    assert complete.joints(context(arm_file=str(configs.ARMS_DIR / "wx200.toml")), "el") == ["elbow"]
     assert complete.joints(context(arm_model="other"), "") == ["gripper"]
     assert complete.joints(context(), "grip") == ["gripper"]
 

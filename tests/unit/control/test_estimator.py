@@ -179,7 +179,7 @@ def test_step_from_a_restored_memory_gives_the_same_bits(source: str, mode: Mode
     for k in range(12):
         state = JointState(k, q + 0.001 * k, 0.1 * np.ones(3), np.zeros(3))
         if k == 6:
-            memory = memory._replace(hold=(0.3, 0.12, 0.0, 1.0, 0.0, 0.0, 0.0))
+            memory = memory._replace(hold=(0.3, 0.12, 0.0, 1.0, 0.0, 0.0, 0.0), q_hold=q)
         restored = restore(np.array(memory.flatten()), 3)
         one, two = (step(agent, state, PERIOD * k, mode, m) for m in (memory, restored))
         assert one.tau.tobytes() == two.tau.tobytes()
