@@ -44,6 +44,6 @@ def test_arms_of_one_make_with_ids_of_their_own_are_refused_at_each_others_port(
     if not swapped:
         rig.driver.connect()
         return
-    with pytest.raises(IdentityError, match="found IDs 11, .* expected IDs 1, .* another arm"):
+    with pytest.raises(IdentityError, match=r"found IDs 11, .* expected IDs 1, .* another arm"):
         rig.driver.connect()
     assert all(rig.get(id_, table.TORQUE_ENABLE) == 0 for joint in right.joints for id_ in joint.ids)
