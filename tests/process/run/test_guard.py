@@ -280,7 +280,7 @@ def say(host: Host, word: str) -> str:
     """What is answered to a word that is refused; it is said again while the arm is not done."""
     for _ in range(40):
         done = coop(word, host.cell, "--control", host.folder / "left.control", cwd=host.folder, stdin="")
-        if "wait for it" not in done.err:
+        if "wait for it" not in done.err and "it has just begun" not in done.err:
             break
         time.sleep(0.1)
     return "" if done.code == 0 else done.err
