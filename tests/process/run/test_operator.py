@@ -90,6 +90,7 @@ def wait_until_held(cell: Cell, clock: Path) -> None:
         arm = status_of(cell, "one")[1]
         if arm["mode"] != "READY":
             break
+        time.sleep(0.1)
     assert (arm["mode"], arm["reason"].startswith("the clock may be off by 5.")) == ("HOLD", True)
     assert arm["clock_bound_s"] > 5e-3
     good = clock_file(clock, 1e-4)
