@@ -121,10 +121,8 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
     brake = brake_per_s(agent.period_s) if damped else 0.0
     wanted = braking(terms, speed, brake) if damped else terms.joints[CMD]
     session = agent.session
-    alone = session is not None and mode in phases.ALONE
-    tau, flags = limit(
-        wanted.tolist(), memory.tau.tolist(), session.limits if session is not None and alone else agent.limits
-    )
+    alone = session if mode in phases.ALONE else None  # its session, of an arm that holds nothing yet or any more
+    tau, flags = limit(wanted.tolist(), memory.tau.tolist(), agent.limits if alone is None else alone.limits)
     if calm:
         flags |= Flag.DAMPED if damped else Flag.GENTLE
     if terms.sigma_min < agent.sigma_min:
@@ -133,7 +131,7 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
         flags |= Flag.ADAPTATION_SATURATED
     if mode is _TRACK and _off_track(agent, terms.errors):
         flags |= Flag.OFF_TRACK
-    if session is not None and alone and phases.off(session.life, mode, memory, q) > session.life.off_max_rad:
+    if alone is not None and phases.off(alone.life, mode, memory, q) > alone.life.off_max_rad:
         flags |= Flag.OFF_TRACK
     limited = np.array(tau)
     if int(flags) & _NOT_FINITE:  # the memory keeps finite numbers only

@@ -22,6 +22,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from agent.config.cell import Arm, Cell
 from agent.control.models import ArmModel, Matrix
@@ -97,14 +98,20 @@ def _internal(stiff: Matrix, given: Sequence[Matrix]) -> Matrix:
 
 def _beyond(cell: Cell, P: Matrix, errors: Sequence[_Errors]) -> Matrix:
     """(m, 1): the part of the errors that the largest shift leaves, of the arm that is farthest from the anchor."""
-    spec, linear = cell.file.controller.alignment, np.linalg.norm(P[:, _FORCE], axis=1) > 0.5
+    spec, linear = cell.file.controller.alignment, _linear(P)
     sizes = [np.linalg.norm(e.off, axis=1) for e in errors]
     apart = np.hypot(sizes[cell.anchor], np.max([s for i, s in enumerate(sizes) if i != cell.anchor], axis=0))
-    part = np.ones(len(P))
+    part = np.zeros(len(P))
     for rows, most in ((linear, spec.max_m), (~linear, spec.max_rad)):
         size = float(np.linalg.norm(apart[rows]))
         part[rows] = max(0.0, 1.0 - most / size) if size > 0.0 else 0.0
     return part[:, None]
+
+
+def _linear(P: Matrix) -> NDArray[np.bool_]:
+    """(m,) which task rows are displacements; the others are turns."""
+    found: NDArray[np.bool_] = np.linalg.norm(P[:, _FORCE], axis=1) > 0.5
+    return found
 
 
 def _wrenches(cell: Cell, P: Matrix, S: Matrix, errors: _Errors, *, follows: bool) -> Matrix:
@@ -112,7 +119,7 @@ def _wrenches(cell: Cell, P: Matrix, S: Matrix, errors: _Errors, *, follows: boo
     off, spec = errors.off, cell.file.controller.alignment
     if follows:
         # no more of an error is left than the dead zone, in any direction
-        linear = np.linalg.norm(P[:, _FORCE], axis=1) > 0.5
+        linear = _linear(P)
         zone = np.where(
             linear, spec.dead_zone_m / math.sqrt(linear.sum()), spec.dead_zone_rad / math.sqrt((~linear).sum())
         )

@@ -26,7 +26,7 @@ from tests.bench.browser import DRAWS, first, served
 from tests.bench.common import Figure
 from tests.support.coop import COOP
 from tests.support.drawn import Frame, drawn
-from tests.support.telemetry.telemetry_cell import ARMS, Process, make_rows, recorder, telemetry
+from tests.support.telemetry.telemetry_cell import ARMS, Process, make_rows, recording
 
 NAMES = ("live_behind", "live_behind_99", "live_cpu")
 BEHIND_MS, CPU_PERCENT = 150.0, 15.0  # what must hold
@@ -70,18 +70,13 @@ def write(load: Load, stop: Callable[[], bool], ready: Callable[[Any], None]) ->
 def bench() -> dict[str, Figure]:
     with tempfile.TemporaryDirectory(dir="/var/tmp") as name, ExitStack() as stack:
         folder = Path(name)
-        kept = stack.enter_context(recorder(folder / "run.mcap"))
-        endpoint = kept.ready()
-        rings = {arm: folder / f"{arm}.ring" for arm in ARMS}
-        told = [stack.enter_context(telemetry(ring, arm, endpoint, Pace.REAL_TIME)) for arm, ring in rings.items()]
-        for process in told:
-            process.ready()
-        view = [*COOP, "view", "paper", "--live", "--connect", endpoint, "--no-browser", "--port"]
+        cell = recording(stack, folder, Pace.REAL_TIME)
+        view = [*COOP, "view", "paper", "--live", "--connect", cell.endpoint, "--no-browser", "--port"]
         browser = stack.enter_context(drawn(folder / "browser"))
         page = stack.enter_context(served(view))
         browser.page.open(page.address)
         first(browser, DRAWS)
-        writers = [stack.enter_context(Process(write, Load(ring, arm))) for arm, ring in rings.items()]
+        writers = [stack.enter_context(Process(write, Load(ring, arm))) for arm, ring in cell.rings.items()]
         time.sleep(RUN_S - WATCHED_S)
         cpu_s, begin, _ = page.cpu_s(), time.monotonic(), browser.frames()
         time.sleep(WATCHED_S - 2.0)

@@ -26,7 +26,7 @@ from agent.telemetry.link.publish import Pace
 from tests.soak.watch import say
 from tests.support.mcap_core import install, read_by_node, read_by_python
 from tests.support.telemetry.one_arm import written
-from tests.support.telemetry.telemetry_cell import ARMS, make_rows, recorder, telemetry, writer
+from tests.support.telemetry.telemetry_cell import ARMS, make_rows, recording, writer
 
 RATE_HZ: Final = 200.0
 ROWS: Final = 4000
@@ -88,18 +88,14 @@ def judged(folder: Path, library: Path | None, after_s: float) -> tuple[int, lis
 def killed(folder: Path, after_s: float) -> dict[str, int]:
     """How many rows each arm had written when the recorder was killed."""
     with ExitStack() as stack:
-        kept = stack.enter_context(recorder(folder / "run.mcap"))
-        endpoint = kept.ready()
-        rings = {arm: folder / f"{arm}.ring" for arm in ARMS}
-        told = [stack.enter_context(telemetry(ring, arm, endpoint, Pace.REAL_TIME)) for arm, ring in rings.items()]
-        for process in told:
-            process.ready()
+        cell = recording(stack, folder, Pace.REAL_TIME)
+        rings = cell.rings
         writers = [stack.enter_context(writer(ring, arm, ROWS, RATE_HZ, texts=True)) for arm, ring in rings.items()]
         for process in writers:
             process.ready()
         time.sleep(after_s)
         before = {arm: written(ring) for arm, ring in rings.items()}
-        kept.kill()
+        cell.recorder.kill()
         return before
 
 

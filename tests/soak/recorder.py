@@ -23,7 +23,7 @@ from agent.telemetry.row.event import Event, Level
 from agent.telemetry.row.sample import AGENT_STATE
 from drivers.clock import MonotonicClock
 from tests.soak.watch import Series, grown, say
-from tests.support.telemetry.telemetry_cell import SERVOS, TIMEOUT_S, UTC_0_NS, Process, make_rows, recorder, telemetry
+from tests.support.telemetry.telemetry_cell import SERVOS, TIMEOUT_S, UTC_0_NS, Process, make_rows, recording
 
 ARMS = dict.fromkeys(("first", "second", "third", "fourth"), ("waist", "shoulder", "elbow"))
 RATE_HZ = 500
@@ -100,13 +100,9 @@ def loaded(folder: Path, seconds: float, *, real_time: bool, limits: Limits) -> 
     os.sched_setaffinity(0, set(sorted(cores)[:CORES]))  # children have the same
     try:
         with ExitStack() as stack:
-            kept = stack.enter_context(recorder(folder / "run.mcap", ARMS, limits=limits))
-            endpoint = kept.ready()
-            rings = {arm: folder / f"{arm}.ring" for arm in ARMS}
-            told = {arm: stack.enter_context(telemetry(ring, arm, endpoint, pace)) for arm, ring in rings.items()}
-            for process in told.values():
-                process.ready()
-            loads = [Load(ring, arm, rows, real_time) for arm, ring in rings.items()]
+            cell = recording(stack, folder, pace, ARMS, limits=limits)
+            kept, told = cell.recorder, cell.told
+            loads = [Load(ring, arm, rows, real_time) for arm, ring in cell.rings.items()]
             writers = [stack.enter_context(Process(write_arm, load)) for load in loads]
             watched = {"recorder": kept} | {f"telemetry {arm}": process for arm, process in told.items()}
             series, cpu_s = _watch({name: each.process.pid or 0 for name, each in watched.items()}, list(told.values()))

@@ -14,7 +14,7 @@ from agent.control.models import Matrix
 from agent.verify.criterion import bodies
 from agent.verify.criterion.bodies import Bodies, Motion, Pose, Springs, Truth
 from agent.verify.criterion.cases import Aligning, Case, Demand, Loop, Ranges
-from agent.verify.criterion.loop import Laws, Shifting, laws, one_period
+from agent.verify.criterion.loop import Laws, Shifting, laws, one_period, radii
 from agent.verify.criterion.power import below
 from drivers.interface import Vector
 
@@ -143,9 +143,3 @@ class Judge:
         if place not in self._laws:
             self._laws[place] = laws(self.poses[place], self.loop.gains)
         return self._laws[place]
-
-
-def radii(A: Matrix) -> Vector:
-    """Spectral radius (…,) of every matrix (…, s, s)."""
-    found: Vector = np.abs(np.linalg.eigvals(A)).max(axis=-1)
-    return found

@@ -111,7 +111,7 @@ def one_period(motion: Motion, law: Laws, observer: Observer | None, shifting: S
     return A
 
 
-def spectral_radii(motion: Motion, law: Laws, observer: Observer | None, shifting: Shifting | None = None) -> Vector:
-    """Spectral radius (…,) of the map of every variant."""
-    radii: Vector = np.abs(np.linalg.eigvals(one_period(motion, law, observer, shifting))).max(axis=-1)
-    return radii
+def radii(A: Matrix) -> Vector:
+    """Spectral radius (…,) of every map (…, s, s)."""
+    found: Vector = np.abs(np.linalg.eigvals(A)).max(axis=-1)
+    return found

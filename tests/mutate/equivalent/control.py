@@ -7,12 +7,6 @@ from tests.mutate.equivalent.entries import Entries
 _SAVES_A_CALL = "saves a call: joining no flag changes nothing"
 _BRAKES = "brake = brake_per_s(agent.period_s) if damped else 0.0"
 _WHILE_IT_BRAKES = "read only while the arm brakes"
-_ALONE_IN = "alone = session is not None and mode in phases.ALONE"
-_LIMITED = (
-    "tau, flags = limit(wanted.tolist(), memory.tau.tolist(), "
-    "session.limits if session is not None and alone else agent.limits)"
-)
-_OFF = "if session is not None and alone and (phases.off(session.life, mode, memory, q) > session.life.off_max_rad):"
 _WITH_A_SESSION = "asked for twice, for the type checker: whoever is alone has a session"
 _PART = "part = 1.0 if life is None else phases.handing_over(life, mode, memory)"
 _LEARNS = "if adaptation is None or estimate is None:"
@@ -39,9 +33,6 @@ CONTROL: Entries = {
         ("_of_object", _LEARNS, _LEARNS.replace("estimate is None", "False")): _BOTH,
         ("step", _BRAKES, _BRAKES.replace("if damped", "if True")): _WHILE_IT_BRAKES,
         ("step", _BRAKES, _BRAKES.replace("0.0", "1.0")): _WHILE_IT_BRAKES,
-        ("step", _ALONE_IN, _ALONE_IN.replace("session is not None", "True")): _WITH_A_SESSION,
-        ("step", _LIMITED, _LIMITED.replace("session is not None", "True")): _WITH_A_SESSION,
-        ("step", _OFF, _OFF.replace("session is not None", "True")): _WITH_A_SESSION,
     },
     "agent.standing": {
         (

@@ -25,7 +25,16 @@ from agent.telemetry.link.session import Network, Role, open_session
 from agent.telemetry.link.wire import BatchHeader
 from agent.telemetry.row.topics import PLANT
 from tests.support.telemetry.scenes import LOCKED_RAD
-from tests.support.telemetry.telemetry_cell import ARMS, UTC_0_NS, Process, make_rows, recorder, telemetry, writer
+from tests.support.telemetry.telemetry_cell import (
+    ARMS,
+    UTC_0_NS,
+    Process,
+    make_rows,
+    recorder,
+    recording,
+    telemetry,
+    writer,
+)
 
 MEMBERS = (*ARMS, PLANT)
 
@@ -34,14 +43,12 @@ def record_cell(folder: Path, rows: int, rate_hz: float | None, **changes: Any) 
     """A whole run of two arms and a plant; everything ends by itself but the recorder."""
     pace = Pace.LOCKSTEP if rate_hz is None else Pace.REAL_TIME
     with contextlib.ExitStack() as stack:
-        rec = stack.enter_context(recorder(folder / "run.mcap", has_plant=True, **changes))
-        endpoint = rec.ready()
-        rings = {member: folder / f"{member}.ring" for member in MEMBERS}
-        publishers = [stack.enter_context(telemetry(ring, m, endpoint, pace)) for m, ring in rings.items()]
-        writers = [stack.enter_context(writer(ring, m, rows, rate_hz, texts=m == "left")) for m, ring in rings.items()]
+        cell = recording(stack, folder, pace, has_plant=True, **changes)
+        each = cell.rings.items()
+        writers = [stack.enter_context(writer(ring, m, rows, rate_hz, texts=m == "left")) for m, ring in each]
         assert [w.result() for w in writers] == [rows] * 3
-        assert all(p.result().complete for p in publishers)
-        report = rec.stop()
+        assert all(p.result().complete for p in cell.told.values())
+        report = cell.recorder.stop()
     assert report.complete, report
     assert report.failure is None
     return read_log(folder / "run.mcap")

@@ -7,6 +7,7 @@ import os
 import signal
 import time
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -198,6 +199,30 @@ def recorder(path: Path, arms: Mapping[str, tuple[str, ...]] = ARMS, **changes: 
 def telemetry(ring: Path, member: str, endpoint: str, pace: Pace, **changes: Any) -> Process:
     options = {"network": Network(connect=(endpoint,)), "layout": layout_of(member), "pace": pace} | changes
     return Process(publish.run, PublishOptions(CELL, member, ring, **options))
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A recorder, and telemetry of every member that waits for its ring to be written."""
+
+    recorder: Process
+    endpoint: str
+    rings: dict[str, Path]
+    told: dict[str, Process]
+
+
+def recording(
+    stack: ExitStack, folder: Path, pace: Pace, arms: Mapping[str, tuple[str, ...]] = ARMS, **changes: Any
+) -> Recording:
+    """Started and ready; they end with the stack."""
+    kept = stack.enter_context(recorder(folder / "run.mcap", arms, **changes))
+    endpoint = kept.ready()
+    members = (*arms, PLANT) if changes.get("has_plant") else tuple(arms)
+    rings = {member: folder / f"{member}.ring" for member in members}
+    told = {member: stack.enter_context(telemetry(ring, member, endpoint, pace)) for member, ring in rings.items()}
+    for process in told.values():
+        process.ready()
+    return Recording(kept, endpoint, rings, told)
 
 
 def writer(ring: Path, member: str, rows: int, rate_hz: float | None, **changes: Any) -> Process:

@@ -17,12 +17,12 @@ from agent.control.trajectory import Desired
 from agent.process.simulated import plant_spec
 from agent.verify.check import start_configurations
 from agent.verify.criterion import bodies
-from agent.verify.criterion.bodies import Pose, Springs, Truth
+from agent.verify.criterion.bodies import Motion, Pose, Springs, Truth
 from agent.verify.criterion.cases import Aligning, Case, Demand, Loop
 from agent.verify.criterion.examine import rank
 from agent.verify.criterion.exponential import exponential
 from agent.verify.criterion.judge import Judge
-from agent.verify.criterion.loop import Laws, Shifting, laws, one_period, spectral_radii
+from agent.verify.criterion.loop import Laws, Shifting, laws, one_period, radii
 from drivers import pads
 from drivers.interface import Vector
 from sim_backend.physics.free_arm import FreeArms
@@ -32,6 +32,10 @@ CELLS = ("paper", "two_models", "three_wx250s")
 REST = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 NO_WEIGHT = ("world.gravity_m_per_s2=[0.0, 0.0, 0.0]",)
 NO_FEED = ("controller.friction_feedforward=false",)
+
+
+def spectral_radii(motion: Motion, law: Laws, observer: Observer | None) -> Vector:
+    return radii(one_period(motion, law, observer))
 
 
 def truth(inertia: float = 1.0, load: float = 1.0, friction: float = 0.6) -> Truth:
