@@ -52,6 +52,7 @@ _DRIVER = (f"{UNIT}/drivers/test_driver.py", f"{UNIT}/drivers/test_driver_cycle.
 _VIEW = tuple(f"{UNIT}/view/{name}.py" for name in ("test_scene", "test_pictures"))
 _PAGE = (f"{UNIT}/view/test_page.py",)
 _VERIFY = tuple(f"{UNIT}/replay/{name}.py" for name in ("test_verify", "test_verify_trouble", "test_replay_command"))
+_CRITERION = f"{UNIT}/verify/criterion"
 _SOFT = tuple(f"{UNIT}/sim_backend/{name}.py" for name in ("test_soft", "test_pads", "test_reality", "test_calendar"))
 
 TARGETS = (
@@ -81,6 +82,9 @@ TARGETS = (
     Target("agent.view.motion", (f"{UNIT}/view/test_motion.py", *_VIEW, *_PAGE)),
     Target("agent.view.player", _PAGE),
     Target("agent.view.pose", _VIEW),
+    Target("agent.verify.criterion.exponential", (f"{_CRITERION}/test_exponential.py",)),
+    Target("agent.verify.criterion.power", (f"{_CRITERION}/test_power.py",)),
+    Target("agent.verify.disagreement", (f"{UNIT}/verify/test_disagreement.py",)),
     Target("drivers.dynamixel.checks", (f"{UNIT}/drivers/test_checks.py",)),
     Target("drivers.dynamixel.connected", (f"{UNIT}/drivers/test_driver.py",)),
     Target("drivers.dynamixel.cycle", (f"{UNIT}/drivers/test_cycle.py", f"{UNIT}/drivers/test_cycle_again.py")),
@@ -94,6 +98,7 @@ TARGETS = (
     ),
     Target("drivers.dynamixel.running", tuple(f"{UNIT}/drivers/{name}.py" for name in ("test_running", "test_grip"))),
     Target("drivers.dynamixel.stale", _DRIVER),
+    Target("sim_backend.hil.touch", (f"{UNIT}/hil/test_touch.py",)),
     Target("sim_backend.physics.calendar", _SOFT),
     Target("sim_backend.physics.free_body", _SOFT),
     Target("sim_backend.physics.openings", _SOFT),
