@@ -268,14 +268,17 @@ def test_the_difference_says_both_values_and_how_much_torque_it_is(tmp_path: Pat
     assert verdict.arms[0].torque_difference_Nm == pytest.approx(0.25)
 
 
+@pytest.mark.parametrize("row", [20, 30], ids=["followed", "held"])
 @pytest.mark.parametrize("t", [np.nan, np.inf, 1e300])
-def test_a_time_that_is_none_is_a_difference_and_no_crash(tmp_path: Path, t: float) -> None:
+def test_a_time_that_is_none_is_a_difference_and_no_crash(tmp_path: Path, t: float, row: int) -> None:
     rows = eventful().copy()
-    rows["t"][30] = t
+    rows["t"][row] = t
     verdict = replayed(tmp_path, rows)
-    assert verdict.different >= 1
+    assert verdict.different == 1
     assert verdict.first is not None
-    assert verdict.first.row == 30
+    assert (verdict.first.row, verdict.first.fields[0]) == (row, "t")
+    says_why = str(verdict.first.replayed).startswith("no torque at all: ")
+    assert says_why == (row == 20 and np.isinf(t))
 
 
 # ------------------------------------------------------------------------------------------- built from the log alone
@@ -334,6 +337,7 @@ def test_without_a_memory_that_can_be_read_a_change_is_found_too(tmp_path: Path)
     verdict = verified(write_other_release(tmp_path / "run.mcap", paper(), {"left": rows}, **OLDER))
     assert verdict.first is not None
     assert (verdict.first.row, verdict.first.field) == (30, "q")
+    assert (verdict.rows, verdict.arms[0].left_out) == (60, 0), "and the rows behind it are compared still"
 
 
 def test_without_a_memory_that_can_be_read_nothing_behind_a_gap_is_called_equal(tmp_path: Path) -> None:
