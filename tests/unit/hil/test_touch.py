@@ -78,6 +78,13 @@ def test_the_first_force_of_all_may_be_a_touch_and_what_is_felt_by_all_ends_with
     assert (touch.share, touch.count) == (1.0, 2)
 
 
+def test_the_way_back_waits_while_the_arm_is_drawn_again() -> None:
+    touch = after(touched(), QUIET_S + 0.1, 0.0)
+    share = touch.share
+    assert 0.0 < share < 1.0
+    assert after(touch, 0.3, 0.0, drawn_N=LEAST_N).share == share
+
+
 def test_arm_and_twin_that_have_parted_end_the_touch() -> None:
     touch = touched()
     touch.over()

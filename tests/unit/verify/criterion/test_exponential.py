@@ -32,5 +32,11 @@ def test_what_a_column_adds_up_to_says_how_often_one_is_squared() -> None:
     np.testing.assert_allclose(exponential(A), np.eye(11) + A, rtol=1e-14)
 
 
+def test_stacks_of_stacks_are_taken_too() -> None:
+    stack = np.random.default_rng(2).normal(size=(3, 5, 2, 2)) * np.array([0.1, 1.0, 30.0])[:, None, None, None]
+    for found, A in zip(exponential(stack), stack, strict=True):
+        np.testing.assert_array_equal(found, exponential(A))
+
+
 def test_an_empty_stack_has_no_exponential() -> None:
     assert exponential(np.zeros((0, 3, 3))).shape == (0, 3, 3)
