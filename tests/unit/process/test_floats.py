@@ -208,13 +208,17 @@ def test_the_log_of_arms_that_floated_with_the_object_calibrates_their_cell(tmp_
         assert arm.error is None, name
         assert set(arm.rows["mode"].tolist()) == {Mode.FLOAT}
         assert np.abs(arm.rows["tau_object"]).max() > 0.05
-    log = write_run(tmp_path / "run.mcap", cell, {name: arm.rows for name, arm in run.arms.items()})
-    found = calibrate(log, ["tolerance.base_m=0.01", "tolerance.zeros_rad=0.017"])
+    logs = []
+    for name, arm in run.arms.items():  # each on a host of its own, whose cell lets that arm float
+        own = floating_cell(FloatOptions(Path("two_wx200"), (name,), tuple(off), holding=True))
+        (tmp_path / name).mkdir()
+        logs.append(write_run(tmp_path / name / "run.mcap", own, {name: arm.rows}))
+    found = calibrate(logs, ["tolerance.base_m=0.01", "tolerance.zeros_rad=0.017"])
     before_m, after_m, _, after_rad = found.judged
     assert before_m > 2.5e-3
     assert after_m < 0.25e-3, "what the pads give under the hand is left"
     assert after_rad < 1e-3
-    written = load_cell(write(found, log, tmp_path / "new").cell)
+    written = load_cell(write(found, logs, tmp_path / "new").cell)
     assert written.file.floating is None, "arms of the new cell work"
 
 
