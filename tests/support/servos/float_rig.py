@@ -16,10 +16,10 @@ from agent.config.cell import Arm, Cell
 from agent.config.schema.cell import DriverKind
 from agent.faults.virtual import Line, SharedClock
 from agent.process.build import Connection
-from agent.process.emulate import wiring
+from agent.process.emulate import about_the_object, wiring
 from agent.process.floats import FloatLoop, Floats, require_within
 from agent.process.schedule import AgentOptions
-from agent.process.simulated import lone_spec, plant_spec
+from agent.process.simulated import lone_spec
 from agent.process.tellers import Teller
 from agent.telemetry.row.event import Event as TextEvent
 from agent.telemetry.row.sample import AGENT_STATE
@@ -29,7 +29,6 @@ from drivers.interface import Vector
 from sim_backend.wire.faults import Fault
 from sim_backend.wire.injector import Injector
 from sim_backend.wire.lone_world import emulate_alone
-from sim_backend.wire.plant_world import emulate
 from sim_backend.wire.timing import BusTiming
 from tests.support.servos.dxl_rig import VirtualPort
 from tests.support.servos.guarded_rig import Died, MortalClock
@@ -131,8 +130,7 @@ class FloatRun:
             starts[names.index(spec.arms[0])] = q_start
         real = truth or cell
         if spec.holding:
-            wired = [wiring(arm, i, arm.baud) for i, arm in enumerate(cell.arms)]
-            self.emulated, self.world = emulate(plant_spec(real, starts), wired, timing=BusTiming())
+            self.emulated, self.world = about_the_object(real, starts, BusTiming())
         else:
             one = names.index(spec.arms[0])
             wired = [wiring(cell.arms[one], 0, cell.arms[one].baud)]

@@ -208,6 +208,7 @@ def test_the_log_of_arms_that_floated_with_the_object_calibrates_their_cell(tmp_
         assert arm.error is None, name
         assert set(arm.rows["mode"].tolist()) == {Mode.FLOAT}
         assert np.abs(arm.rows["tau_object"]).max() > 0.05
+        assert any(text.startswith("gripper holds the object") for text in arm.texts.said)
     logs = []
     for name, arm in run.arms.items():  # each on a host of its own, whose cell lets that arm float
         own = floating_cell(FloatOptions(Path("two_wx200"), (name,), tuple(off), holding=True))
