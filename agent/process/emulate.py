@@ -87,8 +87,8 @@ def _about(arm: Arm, wired: ArmWiring) -> ArmWiring:
     fingers = fingers_of(arm.file)
     if fingers is None:
         return wired
-    open_ = {"fingers": fingers, "start_rad": fingers.open_rad}
-    return replace(wired, joints=tuple(replace(j, **open_) if j.name == GRIPPER else j for j in wired.joints))
+    joints = (replace(j, fingers=fingers, start_rad=fingers.open_rad) if j.name == GRIPPER else j for j in wired.joints)
+    return replace(wired, joints=tuple(joints))
 
 
 def run_emulate(
