@@ -46,7 +46,7 @@ def float_arms(
 ) -> None:
     """Let arms float so that a hand can guide them: weight compensated, damped; writes a log for `coop calibrate`.
 
-    A stop lets them stand, then sink, and so does the guard of one whose process dies.  Keep a hand on them all the same.
+    A stop lets them stand, then sink; so does the guard of one whose process dies.  Keep a hand on them all the same.
     """
     from agent.process.floating_arms import FloatOptions, float_arms, floating_cell, require_ports
 

@@ -78,20 +78,22 @@ class Floats:
 class Ending:
     """What happens to a floating arm and when: stop, stand, sink, off."""
 
-    def __init__(self, stop: Callable[[], bool], tell: Teller, now_ns: Callable[[], int], sink_s: float) -> None:
-        """sink_s: time in which the weight is let go."""
+    def __init__(
+        self, stop: Callable[[], bool], tell: Teller, now_ns: Callable[[], int], sink_s: float, period_s: float
+    ) -> None:
+        """sink_s: time of cycles with a state, each period_s long, in which the weight is let go."""
         self._stop = stop
         self._now_ns = now_ns
-        self._sink_s = sink_s
+        self._sink_s, self._period_s = sink_s, period_s
         self._tell = tell
         self._mode = Mode.FLOAT
-        self._since_ns = self._looked_ns = now_ns()  # in this mode; last cycle
-        self._slow_ns = 0  # for so long it has been seen not to move
+        self._since_ns = now_ns()  # in this mode
+        self._seen_s = self._slow_s = 0.0  # in cycles with a state: in this mode, and since a joint moved last
 
     def mode(self, mode: Mode) -> None:
         """The arm's mode has changed."""
         self._mode = mode
-        self._since_ns, self._slow_ns = self._now_ns(), 0
+        self._since_ns, self._seen_s, self._slow_s = self._now_ns(), 0.0, 0.0
         said = {Mode.STAND: STANDS, Mode.SINK: SINKS}.get(mode)
         if said is not None:
             self._tell.event(Level.WARN, said)
@@ -103,18 +105,16 @@ class Ending:
 
     def events(self, fastest_rad_per_s: float) -> Event:
         """Of one cycle, before it; the fastest joint: of the last one, NaN where nobody saw it."""
-        now_ns = self._now_ns()
-        seconds, passed_ns, self._looked_ns = (now_ns - self._since_ns) * 1e-9, now_ns - self._looked_ns, now_ns
-        if fastest_rad_per_s > LIES_RAD_PER_S:
-            self._slow_ns = 0
-        elif fastest_rad_per_s <= LIES_RAD_PER_S:  # not NaN
-            self._slow_ns += passed_ns
+        seconds = (self._now_ns() - self._since_ns) * 1e-9
+        seen = not math.isnan(fastest_rad_per_s)  # of an arm that nobody sees nobody knows whether it sinks
+        if seen:
+            self._seen_s += self._period_s
+            self._slow_s = self._slow_s + self._period_s if fastest_rad_per_s <= LIES_RAD_PER_S else 0.0
         if self._mode is Mode.FLOAT:
             return Event.STOP if self._stop() else Event.NONE
-        seen = not math.isnan(fastest_rad_per_s)  # of an arm that nobody sees nobody knows whether it sinks
         if self._mode is Mode.STAND:
             return Event.RELEASED if seen and seconds >= STAND_S else Event.NONE
-        lies = seen and self._slow_ns >= LIES_S * 1e9 and seconds >= self._sink_s
+        lies = seen and self._slow_s >= LIES_S and self._seen_s >= self._sink_s
         return Event.ARRIVED if lies or seconds >= SINK_MAX_S else Event.NONE
 
 
@@ -139,7 +139,7 @@ class FloatLoop:
         self._tell, self._ring, self._driver, self._clock = tell, ring, driver, clock
         self._agent = agent or build_agent(cell, arm)
         assert self._agent.floating is not None, "Floats.of has seen to it"
-        self._ending = Ending(stop, tell, clock.now_ns, self._agent.floating.sink_s)
+        self._ending = Ending(stop, tell, clock.now_ns, self._agent.floating.sink_s, cell.period_ns * 1e-9)
         self._row = AgentRow(ring.row, arm.n, cell.config_id)
         self.schedule = replace(schedule_of(cell, options), hold_at_end=True, ticks=ENDLESS)
         self._monitors = Monitors(floating.bounds(cell, arm, floats.spec), self._ending.warn)
