@@ -19,7 +19,7 @@ from agent.host.notify import Notifier
 from agent.host.realtime import become_realtime, quiet_memory
 from agent.modes import TABLE, Mode
 from agent.process.agent import ArmLost
-from agent.process.build import EMULATED_READ_SHARE, in_words, passed_on, port_of
+from agent.process.build import EMULATED_READ_SHARE, in_words, passed_on, patient, port_of
 from agent.process.float_loop import FloatError, FloatLoop, Floats
 from agent.process.schedule import AgentOptions
 from agent.process.tellers import Teller, opened
@@ -59,7 +59,7 @@ def run_float(cell: Cell, options: AgentOptions, stop: Callable[[], bool], ready
         if guard is None:
             tell.event(Level.WARN, UNGUARDED)
         clock, emulated = MonotonicClock(), options.connection.emulated
-        servos = floats.servos(port_of(arm, options.connection))
+        servos = patient(floats.servos(port_of(arm, options.connection)), options.connection)
         share = EMULATED_READ_SHARE if emulated else SHARE
         port = SerialPort(servos.port, servos.baud, clock, guard.borrow if guard else None)
         driver = DynamixelDriver(servos, clock, on_event=in_words(tell.warn), read_share=share, port=port)

@@ -18,6 +18,7 @@ from agent.config.schema.cell import DriverKind
 from agent.control.floating import Floating
 from agent.modes import Event, Mode
 from agent.process import float_loop, floats
+from agent.process.build import Connection, patient
 from agent.process.float_loop import SINKS, STANDS, Ending, FloatError, Floats
 from agent.process.floating_arms import FloatOptions, floating_cell
 from agent.replay.chain import Chain
@@ -312,4 +313,6 @@ def test_a_cell_floats_as_asked_and_an_arm_that_works_does_not() -> None:
     with pytest.raises(FloatError, match="driver sim"):
         floats.run_float(cell, asked, lambda: False, lambda _: None)
     servos = Floats.of(cell, "right").servos("virtual")
+    borne = [patient(servos, Connection(emulated=emulated)).line_patience_cycles for emulated in (False, True)]
+    assert borne == [0, 100], "half a second, of a host that stalls, and of no real line"
     assert {j.name for j in servos.joints if j.start_rad is not None} == {"waist", "wrist_rotate"}
