@@ -214,6 +214,6 @@ def test_enter_takes_every_default_that_is_shown() -> None:
 
     from agent.cli import make
 
-    with CliRunner().isolation(input="\n" * 6):
+    with CliRunner().isolation(input="\n" * 7):
         found = make._asked(None, None, make.MotionName.LIFT, None)
     assert found == (["wx250s", "wx250s"], 0.2, "0.2,0.1,0.04", make.MotionName.LIFT, make.BY["lift"])
