@@ -293,6 +293,16 @@ def test_what_ends_follows_from_time_and_speed() -> None:
     assert after(0.1, 0.2) is Event.ARRIVED, "at last"
 
 
+@pytest.mark.fault("P7")
+def test_an_arm_that_floats_stops_when_its_guard_is_gone() -> None:
+    gone: Any = SimpleNamespace(poll=lambda: True)
+    there: Any = SimpleNamespace(poll=lambda: False)
+    assert floats._stops(lambda: False, gone)
+    assert not floats._stops(lambda: False, there)
+    assert floats._stops(lambda: True, there)
+    assert not floats._stops(lambda: False, None)
+
+
 def test_a_cell_floats_as_asked_and_an_arm_that_works_does_not() -> None:
     cell = floating_cell(FloatOptions(Path("two_wx200"), ("right",), holding=True))
     assert cell.file.floating is not None
