@@ -6,7 +6,7 @@ JOBS   ?= $(shell echo $$(( $$(nproc) + 1 )))  # some tests wait
 CELL   ?= configs/cells/paper.toml
 
 .DEFAULT_GOAL := help
-.PHONY: help run test test-fresh long fuzz mutate soak kills faults false-trips hil campaign phases bench format clean
+.PHONY: help run test test-fresh long fuzz mutate soak kills faults false-trips hil campaign phases by-hand bench format clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## */\1\t/' | expand -t 12
@@ -60,6 +60,9 @@ campaign: $(VENV)/.installed  ## random gains, pads, delays: what the criterion 
 
 phases: $(VENV)/.installed  ## every phase of a session met by a stop, dead agents and lost power, in virtual time (2 min); PHASES=stop,...
 	$(BIN)/python -m tests.campaign.phases $(PHASES)
+
+by-hand: $(VENV)/.installed  ## float, calibrate, run by real processes on emulated servos that are off: disagreement, internal force (6 min); BY_HAND=N realities
+	$(BIN)/python -m tests.campaign.by_hand
 
 faults: $(VENV)/.installed  ## the whole list of faults, what each costs, false trips; FAULTS_OUT=FILE as JSON, FAULTS_S seconds
 	FAULTS_OUT=$(FAULTS_OUT) $(BIN)/python -m tests.faults

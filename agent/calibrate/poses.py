@@ -1,12 +1,13 @@
-"""Poses of a log in which every arm holds the object, slowly moved: joint angles of all arms at one time, thinned out.
+"""Poses of logs in which every arm holds the object, slowly moved: joint angles of all arms at one time, thinned out.
 
 Each is the mean over a short time, in which the encoders' grid and their noise average out and the arms move so little
-that it does no harm.  Every fourth block of poses is held out from the fit.
+that it does no harm.  An arm's rows may lie in several logs, as where each host has its own.  Every fourth block of
+poses is held out from the fit.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -43,26 +44,27 @@ class Poses:
         return [q[chosen] for q in self.q]
 
 
-def poses_of(agents: Mapping[str, Table], cell: Cell) -> Poses:
-    """Poses of a log's rows, by arm.  Raises CalibrateError where arms are missing, or there are too few poses."""
-    absent = [arm.name for arm in cell.arms if arm.name not in agents]
+def poses_of(logs: Sequence[Mapping[str, Table]], cell: Cell) -> Poses:
+    """Poses of the rows of some logs, by arm.  Raises CalibrateError where arms are missing, or there are too few."""
+    absent = [arm.name for arm in cell.arms if not any(len(agents.get(arm.name, ())) for agents in logs)]
     if absent:
         raise CalibrateError(
             f"arms of cell {cell.file.name}", found=f"no rows of {', '.join(absent)}", expected="rows of every arm",
-            remedy="record all arms while they hold the object",
+            remedy="record all arms while they hold the object; arms of two hosts may lie in two logs, given together",
         )  # fmt: skip
-    readings = [_readings(agents[arm.name], arm.n) for arm in cell.arms]
+    readings = [_readings([agents[arm.name] for agents in logs if arm.name in agents], arm.n) for arm in cell.arms]
     if not all(len(utc) for utc, _ in readings):
         raise _too_few(0)
     origin = max(int(utc[0]) for utc, _ in readings)
     windows = [_windows(utc - origin, q) for utc, q in readings]
-    count = min(len(mean) for mean, _ in windows)
-    good = np.all([fine[:count] for _, fine in windows], axis=0)
-    q = [mean[:count] for mean, _ in windows]
-    chosen = _apart(np.concatenate(q, axis=1), np.flatnonzero(good))
+    common = _in_all([number for number, _ in windows])
+    q = [mean[np.searchsorted(number, common)] for number, mean in windows]
+    chosen = _apart(np.concatenate(q, axis=1))
     if len(chosen) < LEAST:
         raise _too_few(len(chosen))
-    return Poses(WINDOW_S * chosen.astype(np.float64), tuple(angles[chosen] for angles in q), held_out(len(chosen)))
+    return Poses(
+        WINDOW_S * common[chosen].astype(np.float64), tuple(angles[chosen] for angles in q), held_out(len(chosen))
+    )
 
 
 def held_out(count: int) -> NDArray[np.bool_]:
@@ -71,33 +73,44 @@ def held_out(count: int) -> NDArray[np.bool_]:
     return block
 
 
-def _readings(rows: Table, n: int) -> tuple[NDArray[np.int64], Matrix]:
-    """Times and joint angles of the fresh rows in which an arm holds the object."""
-    holds = np.isin(rows["mode"], [int(mode) for mode in HOLDING])
-    fresh = rows["flags"] & np.uint32(Flag.STALE.value) == 0
-    chosen = rows[holds & fresh]
-    return np.asarray(chosen["utc_ns"]), np.asarray(chosen.column("q_measured", slice(0, n)))
+def _readings(tables: Sequence[Table], n: int) -> tuple[NDArray[np.int64], Matrix]:
+    """Times and joint angles of the fresh rows in which an arm holds the object, in their order in time."""
+    times, angles = [], []
+    for rows in tables:
+        holds = np.isin(rows["mode"], [int(mode) for mode in HOLDING])
+        fresh = rows["flags"] & np.uint32(Flag.STALE.value) == 0
+        chosen = rows[holds & fresh]
+        times.append(np.asarray(chosen["utc_ns"], dtype=np.int64))
+        angles.append(np.asarray(chosen.column("q_measured", slice(0, n))))
+    utc, q = np.concatenate(times), np.concatenate(angles)
+    order = np.argsort(utc, kind="stable")
+    return utc[order], q[order]
 
 
-def _windows(since_ns: NDArray[np.int64], q: Matrix) -> tuple[Matrix, NDArray[np.bool_]]:
-    """Mean angles (w, n) of each window from zero on, and whether it is one to use."""
-    after = since_ns >= 0
-    number, q = since_ns[after] // round(1e9 * WINDOW_S), q[after]
-    if not len(number):
-        return np.zeros((0, q.shape[1])), np.zeros(0, dtype=bool)
-    windows = int(number[-1]) + 1
-    readings = np.bincount(number, minlength=windows)
-    means = [np.bincount(number, column, windows) / np.maximum(readings, 1) for column in q.T]
-    lowest, highest = np.full((windows, q.shape[1]), np.inf), np.full((windows, q.shape[1]), -np.inf)
-    np.minimum.at(lowest, number, q)
-    np.maximum.at(highest, number, q)
-    return np.stack(means, axis=1), (readings >= READINGS_LEAST) & ((highest - lowest).max(axis=1) <= TURN_MAX_RAD)
+def _windows(since_ns: NDArray[np.int64], q: Matrix) -> tuple[NDArray[np.int64], Matrix]:
+    """Numbers (w,) of the windows that are ones to use, rising, and the mean angles (w, n) of each."""
+    numbers, place = np.unique(since_ns // round(1e9 * WINDOW_S), return_inverse=True)
+    readings = np.bincount(place)
+    means = np.stack([np.bincount(place, column) / readings for column in q.T], axis=1)
+    lowest, highest = np.full(means.shape, np.inf), np.full(means.shape, -np.inf)
+    np.minimum.at(lowest, place, q)
+    np.maximum.at(highest, place, q)
+    good = (readings >= READINGS_LEAST) & ((highest - lowest).max(axis=1) <= TURN_MAX_RAD)
+    return numbers[good], means[good]
 
 
-def _apart(q: Matrix, good: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Good windows of which each differs from the one before, at most MOST of them."""
+def _in_all(numbers: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
+    """Windows that every arm has."""
+    common = numbers[0]
+    for others in numbers[1:]:
+        common = np.intersect1d(common, others)
+    return common
+
+
+def _apart(q: Matrix) -> NDArray[np.intp]:
+    """Windows (w, n) of which each differs from the one before, at most MOST of them."""
     chosen: list[int] = []
-    for i in good.tolist():
+    for i in range(len(q)):
         if not chosen or np.abs(q[i] - q[chosen[-1]]).max() >= APART_RAD:
             chosen.append(i)
     every = max(1, -(-len(chosen) // MOST))

@@ -1,9 +1,10 @@
-"""From one log to a calibrated cell: what the command `coop calibrate` does."""
+"""From the logs of a cell to a calibrated cell: what the command `coop calibrate` does."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
@@ -12,6 +13,7 @@ from agent.calibrate.chain import CalibrateError, chain_of
 from agent.calibrate.poses import poses_of
 from agent.calibrate.result import Calibrated, arm_toml, calibrated, cell_toml, summary
 from agent.calibrate.show import figure
+from agent.config.cell import Cell
 from agent.log.read import open_log
 from agent.replay.source import changed_cell, recorded_cell
 from agent.report.plotting import save_png
@@ -27,19 +29,37 @@ class Files:
     summary: Path
 
 
-def calibrate(log: Path, changes: Sequence[str] = (), tell: Callable[[str], None] = lambda _: None) -> Calibrated:
-    """Calibrate the cell of a log; changes: of its [tolerance], "tolerance.key=value"; tell: what is being done.
+def calibrate(
+    logs: Sequence[Path], changes: Sequence[str] = (), tell: Callable[[str], None] = lambda _: None
+) -> Calibrated:
+    """Calibrate the cell of one log, or of several of one cell that have the arms between them.
 
-    Raises LogError, ReplayError, ConfigError or CalibrateError.
+    changes: of its [tolerance], "tolerance.key=value"; tell: what is being done.  Raises LogError, ReplayError,
+    ConfigError or CalibrateError.
     """
     _refuse_others(changes)
     tell("reading the log")
-    with open_log(log) as opened:
-        cell = recorded_cell(opened)
-        believed = changed_cell(opened, changes) if changes else cell
-        poses = poses_of(opened.agents, cell)
+    with ExitStack() as stack:
+        opened = [stack.enter_context(open_log(log)) for log in logs]
+        cells = [recorded_cell(log) for log in opened]
+        for log, other in zip(logs[1:], cells[1:], strict=True):
+            _require_same(cells[0], other, log)
+        believed = changed_cell(opened[0], changes) if changes else cells[0]
+        poses = poses_of([log.agents for log in opened], cells[0])
     tell("fitting")
-    return calibrated(cell, chain_of(believed), poses)
+    return calibrated(cells[0], chain_of(believed), poses)
+
+
+def _require_same(cell: Cell, other: Cell, log: Path) -> None:
+    """Refuse a log of another cell; which arms float, and what befalls a simulated one, may differ."""
+    one, two = (c.file.model_dump(exclude={"floating": True, "simulation": {"push"}}) for c in (cell, other))
+    differ = sorted(key for key in one if one[key] != two[key])
+    differ += [f"arm file of {a.name}" for a, b in zip(cell.arms, other.arms, strict=False) if a.toml != b.toml]
+    if differ:
+        raise CalibrateError(
+            f"cell of {log}", found=f"another one: {', '.join(differ)} differ", expected="that of the first log",
+            remedy="give logs of arms that had one cell file",
+        )  # fmt: skip
 
 
 def _refuse_others(changes: Sequence[str]) -> None:
@@ -51,7 +71,7 @@ def _refuse_others(changes: Sequence[str]) -> None:
             )  # fmt: skip
 
 
-def write(result: Calibrated, log: Path, out: Path) -> Files:
+def write(result: Calibrated, logs: Sequence[Path], out: Path) -> Files:
     """Write cell, arm files, figure and summary into the folder `out`, which may be new.
 
     Raises CalibrateError where the poses held out do not agree better than before, and WriteError, with nothing
@@ -68,7 +88,8 @@ def write(result: Calibrated, log: Path, out: Path) -> Files:
         )
     name = f"{result.cell.file.name}_calibrated"
     arms = [f"{name}_{arm.name}.toml" for arm in result.cell.arms]
-    texts = _texts(result, f"calibrated from {log.name}", name, arms)
+    source = " and ".join(dict.fromkeys(log.name for log in logs))
+    texts = _texts(result, f"calibrated from {source}", name, arms)
     drawn = out / f"{name}.png"
     keep_existing(*(out / file for file in texts), drawn, remedy="name another folder with --out")
     make_folder(out)

@@ -46,7 +46,7 @@ def float_arms(
 ) -> None:
     """Let arms float so that a hand can guide them: weight compensated, damped; writes a log for `coop calibrate`.
 
-    A stop lets them stand, then sink.  Nothing guards them: keep a hand on an arm, for it falls when its process dies.
+    A stop lets them stand, then sink; so does the guard of one whose process dies.  Keep a hand on them all the same.
     """
     from agent.process.floating_arms import FloatOptions, float_arms, floating_cell, require_ports
 
@@ -69,7 +69,7 @@ float_arms.__name__ = "float"  # the command's word, which a function of this mo
 
 def _ask(arms: Sequence[str], *, holding: bool, yes: bool) -> None:
     """Raise FloatError unless a person says that the arms are supported."""
-    from agent.process.floats import FloatError
+    from agent.process.float_loop import FloatError
 
     what = "and the grippers close on the object" if holding else "and the arm floats"
     if yes:

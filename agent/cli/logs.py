@@ -155,28 +155,34 @@ def identify(
 
 
 def calibrate(
-    log: Annotated[
-        Path,
-        typer.Argument(metavar="LOG", help="MCAP log of arms that hold one object, slowly moved.", show_default=False),
+    logs: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="LOG...",
+            help="MCAP log of arms that hold one object, slowly moved; or one of each host.",
+            show_default=False,
+        ),
     ],
-    out: Annotated[Path | None, typer.Option(help="Folder of the new cell (default: beside the log).")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder of the new cell (default: beside the first log).")] = None,
     change: Overrides = [],
     as_json: AsJson = False,
 ) -> None:
-    """Calibrate bases, grasps and joint zeros from the joint angles of a log, and write a new cell file."""
+    """Calibrate bases, grasps and joint zeros from the joint angles of logs, and write a new cell file."""
     from agent.calibrate.result import summary
-    from agent.calibrate.run import calibrate as calibrate_log
+    from agent.calibrate.run import calibrate as calibrate_logs
     from agent.calibrate.run import write
     from agent.calibrate.show import estimates_table, lines
 
     with Steps() as step:
-        result = calibrate_log(log, change, tell=step)
+        result = calibrate_logs(logs, change, tell=step)
     if not as_json:
         console().print(estimates_table(result))
         typer.echo("\n".join(lines(result)))
-    files = write(result, log, out or log.parent)
+    files = write(result, logs, out or logs[0].parent)
     if as_json:
-        print_json({**summary(result), "log": str(log), "written": str(files.cell)})
+        print_json(
+            {**summary(result), "log": str(logs[0]), "logs": [str(log) for log in logs], "written": str(files.cell)}
+        )
         return
     arms = "\n".join(f"arm file {arm}" for arm in files.arms)
     typer.echo(f"cell     {files.cell}\n{arms}\nfigure   {files.figure}\nall      {files.summary}")

@@ -92,7 +92,7 @@ def _asked(
     mass: float | None, size: str | None, motion: MotionName, by: str | None
 ) -> tuple[list[str], float, str, MotionName, str]:
     """Questions with defaults, in the order in which a cell is thought of."""
-    count = typer.prompt("How many arms", 2, value_proc=_count)
+    count = typer.prompt("How many arms", "2", value_proc=_count)
     arms = [typer.prompt(f"Arm {i + 1} (MODEL face=... base=..., see -h)", "wx250s") for i in range(count)]
     kg = mass if mass is not None else typer.prompt("Mass of the object, kg", 0.2, type=float)
     sides = size if size is not None else typer.prompt("Its sides x,y,z, m", "0.2,0.1,0.04")

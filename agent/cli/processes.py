@@ -71,7 +71,7 @@ def emulate(
     from agent.atomic import make_folder
     from agent.config.cell import load_cell
     from agent.host.paths import make_runtime_dir, ring_path
-    from agent.process.emulate import gripping, run_emulate, run_emulate_alone
+    from agent.process.emulate import about_the_object, gripping, run_emulate, run_emulate_alone
     from agent.process.whole import at_rest
     from agent.telemetry.row.topics import PLANT
     from sim_backend.wire.serve import ServeOptions
@@ -80,7 +80,8 @@ def emulate(
     loaded = load_cell(cell)
     make_folder(ports)
     name = loaded.file.name
-    alone = loaded.file.hil is not None or (loaded.file.floating is not None and not loaded.file.floating.holding)
+    floating = loaded.file.floating
+    alone = loaded.file.hil is not None or (floating is not None and not floating.holding)
     if ring is None and not alone:
         make_runtime_dir(name)
     options = ServeOptions({arm.name: ports / arm.name for arm in loaded.arms}, faults, control, seed)
@@ -88,7 +89,7 @@ def emulate(
         typer.echo(run_emulate_alone(loaded, options, timing=not no_timing, stop=requested, ready=ready), err=True)
         return
     where = ring or ring_path(name, PLANT)
-    begins = at_rest if whole else gripping
+    begins = at_rest if whole else gripping if floating is None else about_the_object
     run = run_emulate(loaded, options, where, timing=not no_timing, stop=requested, ready=ready, begin=begins)
     typer.echo(run, err=True)
 

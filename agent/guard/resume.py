@@ -29,11 +29,13 @@ def beginning(agent: Agent, rows: Rows, reason: str, marks: Flag = Flag.NONE, *,
     """The hold that follows these rows (k,), the last ones of the agent and without a gap.
 
     marks: GAP where so much time has passed that the pose is to be found anew, RESUMED where the arm had no torque.
-    session: the agent had one; an arm of it that held nothing stands as it is, without any share of the object.
+    session: the agent had one; an arm of it that held nothing stands as it is, without any share of the object.  An
+    arm that floated stands, and carries what it did.
     """
     rows = _commanded(rows)
+    stands = Mode.HOLD if agent.floating is None else Mode.STAND
     if not len(rows):
-        return Beginning(Mode.REST if session else Mode.HOLD, initial_memory(agent), 0, 0, reason, marks)
+        return Beginning(Mode.REST if session else stands, initial_memory(agent), 0, 0, reason, marks)
     chain = Chain(agent)
     first = _last_fresh(rows) or 0
     chain.restore(rows[first])
@@ -43,7 +45,7 @@ def beginning(agent: Agent, rows: Rows, reason: str, marks: Flag = Flag.NONE, *,
     last = rows[-1]
     zero_ns = int(last["stamp_ns"]) - round(float(last["t"]) * 1e9)
     before = Mode(int(last["mode"]))
-    mode = stood_in(agent, before, chain.memory) if session else Mode.HOLD
+    mode = stood_in(agent, before, chain.memory) if session else stands
     held = f"{reason}; it held already" if before is Mode.HOLD else reason
     return Beginning(mode, chain.standing(mode, marks), zero_ns, int(last["sequence"]) + 1, held, marks)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from agent.config.servo_map import arm_map
 from agent.guard.guarded import Guarded
 from agent.process.rehearse import bridge, in_the_loop
 from drivers.clock import MonotonicClock
-from drivers.dynamixel.arm_map import WATCHDOG_S
+from drivers.dynamixel.arm_map import WATCHDOG_S, ArmMap
 from drivers.dynamixel.driver import DynamixelDriver
 from drivers.dynamixel.events import DriverEvent, EventSink
 from drivers.dynamixel.line.port import SerialPort
@@ -36,11 +36,13 @@ __all__ = [
     "build_standby",
     "in_words",
     "passed_on",
+    "patient",
     "port_of",
 ]
 
 Standby = StandbyDriver | SimStandby
 EMULATED_READ_SHARE = 4.0
+EMULATED_PATIENCE_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -80,7 +82,7 @@ def build_driver(
             remedy="give --plant-socket",
         )  # fmt: skip
     clock = MonotonicClock()
-    servos = arm_map(cell, arm, port_of(arm, connection), q_start)
+    servos = patient(arm_map(cell, arm, port_of(arm, connection), q_start), connection)
     port = SerialPort(servos.port, servos.baud, clock, guard.borrow if guard else None)
     # emulated servos share the processor with everything else: a slow read there says nothing of a bus
     share = EMULATED_READ_SHARE if connection.emulated else READ_SHARE
@@ -92,6 +94,12 @@ def build_driver(
     joints = tuple(arm.entry.controlled)
     twin = ServedTwin(connection.plant_socket, arm.name, joints, cell.config_id, WATCHDOG_S)
     return bridge(cell, arm, driver, twin, clock, emulated=connection.emulated), clock
+
+
+def patient(servos: ArmMap, connection: Connection) -> ArmMap:
+    """The same; emulated servos share the processor with everything else, and stop with it for a while."""
+    cycles = round(EMULATED_PATIENCE_S * servos.rate_hz) if connection.emulated else 0
+    return replace(servos, line_patience_cycles=cycles)
 
 
 def passed_on(driver: Driver) -> tuple[tuple[int, ...], dict[str, Any]]:
@@ -127,7 +135,7 @@ def build_standby(
         sim = SimStandby(path, arm.name, tuple(arm.entry.controlled), cell.config_id)
         sim.prepare(told["plant"], fds[0])
         return sim
-    servos = arm_map(cell, arm, port.path, q_start)
+    servos = patient(arm_map(cell, arm, port.path, q_start), connection)
     driver = StandbyDriver(servos, MonotonicClock(), on_event=in_words(warn), port=port)
     driver.prepare(Handover(tuple(told["servos"])))
     return driver

@@ -99,6 +99,8 @@ class GuardCommand(ChildCommand):
     socket: Path
     control: Path
     post_mortem: Path
+    driver: DriverKind | None = None  # None: the cell's
+    port: Path | None = None
     hold: bool = False
     emulated: bool = False
     priority: int | None = None

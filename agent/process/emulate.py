@@ -7,7 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from agent.config.cell import Arm, Cell
-from agent.config.servo_map import resting_joints
+from agent.config.servo_map import GRIPPER, fingers_of, resting_joints
+from agent.config.session import grip_width
 from agent.host.signals import StopFlag
 from agent.process.plant import Truth
 from agent.process.rehearse import in_the_loop
@@ -65,6 +66,29 @@ def gripping(cell: Cell, q_start: Sequence[Vector], timing: BusTiming | None) ->
     """Emulated arms that begin with the object in their grippers.  Raises PlantError."""
     arms = [wiring(arm, i, arm.baud) for i, arm in enumerate(cell.arms)]
     return emulate(plant_spec(cell, q_start), arms, timing=timing)
+
+
+def about_the_object(
+    cell: Cell, q_start: Sequence[Vector], timing: BusTiming | None
+) -> tuple[EmulatedCell, PlantWorld]:
+    """The same, with grippers that stand open about the object and can close on it: of arms that float with it.
+
+    Raises ConfigError, PlantError.
+    """
+    arms = [_about(arm, wiring(arm, i, arm.baud)) for i, arm in enumerate(cell.arms)]
+    emulated, world = emulate(plant_spec(cell, q_start), arms, timing=timing)
+    for arm, hand in zip(cell.arms, (one.gripper for one in emulated.arms), strict=True):
+        if hand is not None and hand.fingers is not None:
+            hand.blocked_rad = hand.fingers.angle(grip_width(cell, arm))
+    return emulated, world
+
+
+def _about(arm: Arm, wired: ArmWiring) -> ArmWiring:
+    fingers = fingers_of(arm.file)
+    if fingers is None:
+        return wired
+    joints = (replace(j, fingers=fingers, start_rad=fingers.open_rad) if j.name == GRIPPER else j for j in wired.joints)
+    return replace(wired, joints=tuple(joints))
 
 
 def run_emulate(

@@ -1,6 +1,7 @@
 """`coop float`: arms of a cell that a hand guides, as processes of one machine, with a log; none of them outlives it.
 
 A stop, one arm that stops by itself and one that fails let all of them stand and sink; nobody kills one that sinks.
+Each arm has a guard: where its process is killed or hangs, that lets it stand and sink.
 """
 
 from __future__ import annotations
@@ -19,9 +20,16 @@ from agent.config.schema.cell import DriverKind
 from agent.host.child import Child, ChildFailed
 from agent.modes import Mode
 from agent.process.build import Connection, port_of
-from agent.process.commands import AgentCommand, EmulateCommand, RecordCommand, TelemetryCommand
+from agent.process.commands import (
+    AgentCommand,
+    ChildCommand,
+    EmulateCommand,
+    GuardCommand,
+    RecordCommand,
+    TelemetryCommand,
+)
 from agent.process.describe import run_info
-from agent.process.floats import SINK_MAX_S, STAND_S, FloatError
+from agent.process.float_loop import SINK_MAX_S, STAND_S, FloatError
 from agent.process.folder import LOG_NAME, output_folder
 from agent.process.glance import Glance, Window
 from agent.telemetry.link.session import FREE_PORT
@@ -130,6 +138,8 @@ class FloatingArms:
         self._recorder: Child | None = None
         self._servos: Child | None = None
         self._agents: dict[str, Child] = {}
+        self._guards: dict[str, Child] = {}
+        self._killed_s: dict[str, float] = {}
         self._telemetry: dict[str, Child] = {}
 
     def start(self, screen: Screen) -> None:
@@ -140,6 +150,9 @@ class FloatingArms:
             self._servos = self._child("servos", self._emulate_command())
             self._servos.wait_ready(READY_TIMEOUT_S)
         for name in _floating(self._cell):
+            self._guards[name] = self._child(f"guard-{name}", self._guard_command(name))
+        for name, guard in self._guards.items():
+            guard.wait_ready(READY_TIMEOUT_S)
             self._agents[name] = self._child(f"arm-{name}", self._agent_command(name))
         endpoint = self._recorder.wait_ready(READY_TIMEOUT_S)["endpoint"]
         for name, child in self._agents.items():
@@ -164,9 +177,9 @@ class FloatingArms:
         finally:
             for window in windows:
                 window.close()
-        for child in self._agents.values():
+        for name, child in self._agents.items():
             if child.process.poll() != 0:
-                raise child.failed("ended while it floated, so its arm has no torque any more")
+                raise child.failed(self._ended(name))
 
     def end(self, screen: Screen) -> None:
         """End the rest in the order in which nothing is lost.  Raises ChildFailed."""
@@ -181,16 +194,34 @@ class FloatingArms:
         """Make sure that everything has ended: arms first, which take their time to sink, then the rest."""
         self._stop_all()
         _wait_all(self._agents.values(), END_TIMEOUT_S)
+        _wait_all([guard for name, guard in self._guards.items() if self._in_its_place(name)], END_TIMEOUT_S)
+        for guard in self._guards.values():
+            guard.terminate()
+        _wait_all(self._guards.values(), STOP_TIMEOUT_S)
         others = [c for c in (*self._telemetry.values(), self._servos, self._recorder) if c is not None]
         _wait_all(self._telemetry.values(), STOP_TIMEOUT_S if self._agents else 0.0)
         for child in others:
             child.terminate()
         _wait_all(others, STOP_TIMEOUT_S)
-        for child in (*self._agents.values(), *others):
+        for child in (*self._agents.values(), *self._guards.values(), *others):
             child.kill()
 
     def _alive(self) -> bool:
-        return any(child.process.poll() is None for child in self._agents.values())
+        return any(child.process.poll() is None or self._in_its_place(name) for name, child in self._agents.items())
+
+    def _in_its_place(self, name: str) -> bool:
+        """Whether the arm's process was killed, and its guard may still be letting the arm down."""
+        agent, guard = self._agents.get(name), self._guards[name]
+        code = None if agent is None else agent.process.poll()
+        if code is None or code >= 0 or guard.process.poll() is not None:
+            return False
+        now_s = time.monotonic()
+        return now_s - self._killed_s.setdefault(name, now_s) < END_TIMEOUT_S  # longer: it has nothing to let down
+
+    def _ended(self, name: str) -> str:
+        let_down = self._guards[name].process.poll() == 0
+        how = "its guard has let the arm down" if let_down else "the arm has no torque any more"
+        return f"ended while it floated; {how}"
 
     def _one_stopped(self, glances: Sequence[Glance]) -> bool:
         """Whether an arm has stopped by itself, or is gone: the others must not go on floating with the object."""
@@ -214,18 +245,28 @@ class FloatingArms:
         )
 
     def _agent_command(self, name: str) -> AgentCommand:
-        path = self._runtime / name if self._options.emulate else Path(_port(self._cell, self._options, name))
         return AgentCommand(
             cell=self._cell_path, arm=name, ring=self._ring(name), control=self._runtime / f"{name}.control",
-            driver=DriverKind.DYNAMIXEL, port=path, emulated=self._options.emulate, priority=self._options.priority,
+            driver=DriverKind.DYNAMIXEL, port=self._port(name), emulated=self._options.emulate,
+            priority=self._options.priority, guard=self._runtime / f"{name}.guard",
         )  # fmt: skip
+
+    def _guard_command(self, name: str) -> GuardCommand:
+        return GuardCommand(
+            cell=self._cell_path, arm=name, socket=self._runtime / f"{name}.guard",
+            control=self._runtime / f"{name}.control", post_mortem=self._out, driver=DriverKind.DYNAMIXEL,
+            port=self._port(name), emulated=self._options.emulate, priority=self._options.priority,
+        )  # fmt: skip
+
+    def _port(self, name: str) -> Path:
+        return self._runtime / name if self._options.emulate else Path(_port(self._cell, self._options, name))
 
     def _telemetry_command(self, name: str, endpoint: str) -> TelemetryCommand:
         return TelemetryCommand(
             cell=self._cell_path, member=name, ring=self._ring(name), connect=endpoint, lockstep=False
         )
 
-    def _child(self, name: str, command: AgentCommand | EmulateCommand | RecordCommand | TelemetryCommand) -> Child:
+    def _child(self, name: str, command: ChildCommand) -> Child:
         return Child(name, command.argv(), self._words)
 
     def _ring(self, name: str) -> Path:

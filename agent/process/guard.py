@@ -13,8 +13,11 @@ from collections.abc import Callable
 from contextlib import ExitStack, closing
 from typing import Any
 
+import numpy as np
+
 from agent.around import RunSummary
 from agent.config.cell import Arm, Cell
+from agent.config.floating import spec_of
 from agent.config.schema.cell import DriverKind
 from agent.guard.guard_end import GuardEnd
 from agent.guard.line import GuardError, Said, Word, close_all
@@ -27,6 +30,7 @@ from agent.host.realtime import become_realtime, quiet_memory
 from agent.host.signals import StopFlag
 from agent.loop import Agent
 from agent.process.build import Standby, build_agent, build_standby, port_of
+from agent.process.float_successor import FloatSuccessor
 from agent.process.successor import HANDED_OVER, GuardOptions, Successor
 from agent.process.tellers import HEARTBEAT_S
 from agent.verify.check import examine
@@ -53,20 +57,31 @@ def run_guard(cell: Cell, options: GuardOptions, stop: StopFlag, ready: Callable
         return guard.run()
 
 
+def _q_start(cell: Cell, arm: Arm) -> Vector:
+    """Where the arm begins; one that floats does so anywhere, in a cell that need not be right.  Raises CheckError."""
+    if spec_of(cell, arm) is not None:
+        return np.array(arm.entry.q_near_rad)
+    report = examine(cell)
+    report.require()
+    return report.q_start[cell.arms.index(arm)]
+
+
 class _Guard:
     """One arm's guard."""
 
     def __init__(self, cell: Cell, options: GuardOptions, stop: StopFlag, stack: ExitStack) -> None:
-        report = examine(cell)
-        report.require()
         self._cell, self._options, self._stop = cell, options, stop
         self._arm: Arm = cell.arm(options.agent.arm)
-        self._q_start: Vector = report.q_start[cell.arms.index(self._arm)]
+        self._q_start = _q_start(cell, self._arm)
         self._agent: Agent = build_agent(cell, self._arm)
         emulated, simulated = options.agent.connection.emulated, options.agent.driver is DriverKind.SIM
         self._stale_ns = stale_ns(cell.period_ns, emulated, simulated)
         self._notifier = stack.enter_context(closing(Notifier()))
-        self._successor = Successor(cell, self._arm, self._agent, options, stop, self._notifier)
+        self._successor: Successor | FloatSuccessor
+        if spec_of(cell, self._arm) is None:
+            self._successor = Successor(cell, self._arm, self._agent, options, stop, self._notifier)
+        else:
+            self._successor = FloatSuccessor(cell, self._arm, self._agent, options.agent, self._notifier)
         self._clock = MonotonicClock()
         self._port = self._open_port()
         stack.callback(self._close_port)

@@ -9,10 +9,9 @@ from agent.around import Schedule
 from agent.config.cell import Cell
 from agent.config.schema.cell import DriverKind
 from agent.cycles import Patience
-from agent.process.build import Connection
+from agent.process.build import EMULATED_PATIENCE_S, Connection
 from drivers.dynamixel.arm_map import WATCHDOG_S
 
-EMULATED_PATIENCE_S = 0.5
 QUIET_MARGIN_S = 0.05  # on the servos' watchdogs, which count in steps of 20 ms
 RETRY_S = 0.1
 

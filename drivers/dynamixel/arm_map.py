@@ -99,6 +99,7 @@ class ArmMap:
     rate_hz: float
     joints: tuple[JointMap, ...]  # base to tip, the gripper last; controlled ones in the order of the cell file
     watchdog_s: float = WATCHDOG_S
+    line_patience_cycles: int = 0  # without any answer that are no silence yet: of emulated servos, whose host stalls
 
     def __post_init__(self) -> None:
         ids = [servo_id for joint in self.joints for servo_id in joint.ids]

@@ -30,8 +30,10 @@ PAIR_APART_RAD = ticks_rad(40)  # 3.5 degrees; backlash is 0.25
 class SilenceCheck:
     """Counts cycles without an answer, per servo, and what came on the line instead."""
 
-    def __init__(self, slots: Sequence[ServoSlot]) -> None:
+    def __init__(self, slots: Sequence[ServoSlot], line_patience: int = 0) -> None:
+        """line_patience: cycles in a row without any answer that do not count."""
         self._slots = tuple(slots)
+        self._line_patience, self._line = line_patience, 0
         self._missed = [0] * len(self._slots)
         self._damaged = self._late = 0  # cycles in a row in which such answers came
 
@@ -43,6 +45,10 @@ class SilenceCheck:
         if None not in rows:
             if any(missed):
                 self._missed = [0] * len(missed)
+            self._line = 0
+            return []
+        self._line = self._line + 1 if rows.count(None) == len(rows) else 0
+        if 0 < self._line <= self._line_patience:
             return []
         found = []
         for place, row in enumerate(rows):

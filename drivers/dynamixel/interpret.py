@@ -49,7 +49,7 @@ class Interpreter:
         for joint, drive in zip(arm.controlled, drives, strict=True):
             places = tuple(place_of[servo_id] for servo_id in joint.ids)
             self._joints.append(_Joint(joint, places, AngleScale(joint), drive, JumpCheck(slots[places[0]])))
-        self._silence = SilenceCheck(slots)
+        self._silence = SilenceCheck(slots, arm.line_patience_cycles)
         self._effects = effect_checks(arm)
         self._pairs = [
             (place_of[a], place_of[b], PairCheck(slots[place_of[a]], slots[place_of[b]], arm.rate_hz))

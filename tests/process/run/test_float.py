@@ -1,14 +1,18 @@
-"""`coop float` as processes: told to stop, the arm stands, sinks, and everything has ended with a complete log."""
+"""`coop float` as processes: told to stop, or killed, the arm stands and sinks, and all end with a complete log."""
 
 from __future__ import annotations
 
 import contextlib
 import itertools
 import json
+import os
 import signal
 import subprocess
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+import pytest
 
 from agent.log.read import read_log
 from agent.modes import Mode
@@ -37,6 +41,34 @@ def test_a_stop_by_signal_ends_in_off_with_a_complete_log_and_nothing_left(tmp_p
     runtime = Path(port).parent
     assert not runtime.exists()
     assert not users(runtime)
+
+
+@pytest.mark.long  # a quarter of a minute until it lies; in virtual time `make test` has it
+@pytest.mark.fault("P1")
+def test_an_arm_whose_process_is_killed_is_let_down_by_its_guard(tmp_path: Path) -> None:
+    process, _, log = floating(tmp_path)
+    [pid] = [pid for pid in children(process.pid) if b"agent" in words_of(pid)]
+    os.kill(pid, signal.SIGKILL)
+    _, err = process.communicate(timeout=TIMEOUT_S)
+    assert process.returncode == 5
+    assert "arm-left: found ended while it floated; its guard has let the arm down (exit code -9)" in err
+    run = read_log(tmp_path / log / "run.mcap")
+    assert run.complete
+    rows = run.agents["left"]
+    modes = [Mode(mode).name for mode, _ in itertools.groupby(rows["mode"].tolist())]
+    assert modes == ["FLOAT", "STAND", "SINK"]
+    assert "the agent has died: the guard lets the arm down" in [event.text for event in run.events]
+    assert (rows["sequence"] == np.arange(len(rows))).all(), "two never write"
+
+
+def children(pid: int) -> list[int]:
+    """Processes that this one has started."""
+    return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
+def words_of(pid: int) -> list[bytes]:
+    """Its command line."""
+    return Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
 
 
 def floating(folder: Path) -> tuple[subprocess.Popen[str], Any, str]:

@@ -14,25 +14,29 @@ import pinocchio as pin
 from agent.around import RunSummary
 from agent.config.cell import Arm, Cell
 from agent.config.schema.cell import DriverKind
+from agent.config.servo_map import arm_map
 from agent.faults.virtual import Line, SharedClock
-from agent.process.build import Connection
-from agent.process.emulate import wiring
-from agent.process.floats import FloatLoop, Floats, require_within
+from agent.guard.takeover import go_on
+from agent.loop import Agent
+from agent.process.build import Connection, build_agent
+from agent.process.emulate import about_the_object, wiring
+from agent.process.float_loop import FloatLoop, Floats
+from agent.process.floats import require_within
 from agent.process.schedule import AgentOptions
-from agent.process.simulated import lone_spec, plant_spec
+from agent.process.simulated import lone_spec
 from agent.process.tellers import Teller
 from agent.telemetry.row.event import Event as TextEvent
 from agent.telemetry.row.sample import AGENT_STATE
 from agent.verify.check import examine
 from drivers.dynamixel.driver import DynamixelDriver
+from drivers.dynamixel.standby import Handover, StandbyDriver
 from drivers.interface import Vector
 from sim_backend.wire.faults import Fault
 from sim_backend.wire.injector import Injector
 from sim_backend.wire.lone_world import emulate_alone
-from sim_backend.wire.plant_world import emulate
 from sim_backend.wire.timing import BusTiming
 from tests.support.servos.dxl_rig import VirtualPort
-from tests.support.servos.guarded_rig import Died, MortalClock
+from tests.support.servos.guarded_rig import HOST_NS, Died, MortalClock
 
 
 class Rows:
@@ -89,6 +93,7 @@ class FloatArm:
     driver: DynamixelDriver | None = None
     port: VirtualPort | None = None
     loop: FloatLoop | None = None
+    handover: Handover | None = None
 
     @property
     def rows(self) -> Any:
@@ -105,7 +110,7 @@ class FloatRun:
     hand: what pushes, at the end effector of the one arm, or at the object of arms that hold it; stop_s: when a stop is
     asked for; faults count from the first torque; q_start: where the one arm is; at: what the test does at an instant;
     until_s: when the arms are taken away, wherever they are; dies_s: when their processes are killed, a second before
-    the end.
+    the end, or, guarded, before their guards let them down.
     """
 
     def __init__(
@@ -120,19 +125,19 @@ class FloatRun:
         at: Sequence[tuple[float, Callable[[FloatRun], None]]] = (),
         until_s: float | None = None,
         dies_s: float | None = None,
+        guarded: bool = False,
     ) -> None:
         spec = cell.file.floating
         assert spec is not None
         self.cell, self._hand, self._stop_s, self._at, self._until_s = cell, hand, stop_s, list(at), until_s
-        self._dies_s = dies_s
+        self._dies_s, self._guarded = dies_s, guarded
         starts = list(examine(cell).q_start)
         names = [arm.name for arm in cell.arms]
         if q_start is not None:
             starts[names.index(spec.arms[0])] = q_start
         real = truth or cell
         if spec.holding:
-            wired = [wiring(arm, i, arm.baud) for i, arm in enumerate(cell.arms)]
-            self.emulated, self.world = emulate(plant_spec(real, starts), wired, timing=BusTiming())
+            self.emulated, self.world = about_the_object(real, starts, BusTiming())
         else:
             one = names.index(spec.arms[0])
             wired = [wiring(cell.arms[one], 0, cell.arms[one].baud)]
@@ -186,6 +191,9 @@ class FloatRun:
         try:
             run.summary = self._loop(run, arm, index)
         except Died:
+            if self._guarded:
+                run.summary = self._let_down(run, arm)
+                return
             self.clock.sleep_until(self.clock.now_ns() + 1_000_000_000)
             run.driver = None  # it sends nothing any more
         except BaseException as error:  # noqa: BLE001 - the test looks at it
@@ -206,14 +214,8 @@ class FloatRun:
         run.driver.connect()
         tell.clock = clock
         require_within(floats, run.driver)
-        ring: Any = run.ring
-        options = AgentOptions(
-            arm.name, DriverKind.DYNAMIXEL, Connection(), None, None, lockstep=False, hold=True  # type: ignore[arg-type]
-        )  # fmt: skip
-        notifier: Any = Silent()
-        run.loop = FloatLoop(
-            floats, options, run.driver, clock, ring, lambda: self.since_s() >= self._stop_s, tell, texts, notifier
-        )
+        run.handover = Handover.of(run.driver)
+        run.loop = self._float_loop(run, floats, clock, tell)
         run.driver.enable()
         self._on.add(arm.name)
         if len(self._on) == len(self.arms):
@@ -226,3 +228,36 @@ class FloatRun:
             ticks = round(self._until_s * self.cell.file.rate_hz)
             run.loop.schedule = replace(run.loop.schedule, hold_at_end=False, ticks=ticks)
         return run.loop.run()
+
+    def _float_loop(
+        self, run: FloatArm, floats: Floats, clock: Any, tell: Teller, agent: Agent | None = None
+    ) -> FloatLoop:
+        ring: Any = run.ring
+        texts: Any = run.texts
+        notifier: Any = Silent()
+        options = AgentOptions(
+            floats.arm.name, DriverKind.DYNAMIXEL, Connection(), None, None, lockstep=False, hold=True  # type: ignore[arg-type]
+        )  # fmt: skip
+        assert run.driver is not None
+        return FloatLoop(
+            floats, options, run.driver, clock, ring, lambda: self.since_s() >= self._stop_s, tell, texts, notifier,
+            agent,
+        )  # fmt: skip
+
+    def _let_down(self, run: FloatArm, arm: Arm) -> RunSummary:
+        """What a guard does, from the instant at which the arm's process has done nothing more."""
+        floats, clock = Floats.of(self.cell, arm.name), self.clock
+        assert run.port is not None
+        assert run.handover is not None
+        run.port._line.clock = clock
+        servos = arm_map(self.cell, arm, "virtual", np.array(arm.entry.q_near_rad))
+        driver = run.driver = StandbyDriver(servos, clock, port=run.port)
+        driver.prepare(run.handover)
+        clock.sleep_until(clock.now_ns() + HOST_NS)
+        texts: Any = run.texts
+        tell = Teller(arm.name, texts)
+        tell.clock = clock
+        agent = build_agent(self.cell, arm)
+        begun = go_on(agent, driver, clock, run.rows[-64:], self.cell.period_ns, "the agent has died")
+        run.loop = self._float_loop(run, floats, clock, tell, agent)
+        return run.loop.run(begun)

@@ -16,13 +16,16 @@ from agent.config.cell import Cell, load_cell
 from agent.config.reality import reality_of
 from agent.config.schema.reality import ArmReality, Reality
 from agent.process.floating_arms import FloatOptions, floating_cell
+from agent.telemetry.row.sample import AGENT_STATE
 from drivers.dynamixel.servo.counts import TICK_RAD
 from sim_backend.physics.plant import Observation
 from tests.support.calibrate_rig import UNSURE, rig
 from tests.support.plant.inprocess import simulate
+from tests.support.telemetry.run_log import write_run
 
 LOG = Path("run.mcap")
 SEED = 0
+LEFT_FLOATS = 'floating.arms=["left"]'
 LEFT_AND_RIGHT = Path("two_wx200")
 SOFT = ("simulation.reality.pads_N_per_m=1e4", "simulation.reality.pads_Nm_per_rad=50.0")
 
@@ -61,14 +64,14 @@ def strain(cell: Cell, duration_s: float = 2.5) -> float:
 
 def test_the_calibrated_cell_strains_a_quarter_of_what_it_did(tmp_path: Path) -> None:
     result, cell = in_error()
-    files = write(result, LOG, tmp_path)
+    files = write(result, [LOG], tmp_path)
     after = load_cell(files.cell)
     assert strain(after) <= 0.25 * strain(cell)
 
 
 def test_the_truth_of_a_simulated_cell_stays_where_it_was(tmp_path: Path) -> None:
     result, cell = in_error()
-    after = load_cell(write(result, LOG, tmp_path).cell)
+    after = load_cell(write(result, [LOG], tmp_path).cell)
     before, rest = reality_of(cell), reality_of(after)
     assert isinstance(before, Reality)
     assert isinstance(rest, Reality)
@@ -91,7 +94,7 @@ def test_nothing_is_overwritten_and_nothing_written_beside_it(tmp_path: Path) ->
     there = tmp_path / "two_wx200_calibrated_right.toml"
     there.write_text("mine")
     with pytest.raises(WriteError, match="right"):
-        write(result, LOG, tmp_path)
+        write(result, [LOG], tmp_path)
     assert list(tmp_path.iterdir()) == [there]
     assert there.read_text() == "mine"
 
@@ -102,7 +105,7 @@ def test_what_does_not_agree_better_is_not_written(tmp_path: Path) -> None:
         result.cell, result.chain, result.poses, result.solution, result.written, result.after, result.before, ()
     )
     with pytest.raises(CalibrateError, match="nothing is written"):
-        write(worse, LOG, tmp_path)
+        write(worse, [LOG], tmp_path)
     assert not list(tmp_path.iterdir())
 
 
@@ -114,7 +117,20 @@ def test_a_zero_beyond_the_scale_is_refused() -> None:
 
 def test_changes_other_than_of_the_tolerance_are_refused() -> None:
     with pytest.raises(CalibrateError, match=r"tolerance\.KEY"):
-        calibrate(LOG, ["rate_hz=100.0"])
+        calibrate([LOG], ["rate_hz=100.0"])
+
+
+def test_logs_of_two_cells_are_refused(tmp_path: Path) -> None:
+    logs = []
+    for number, changes in enumerate([[], ["arms.left.p_world_base_m=[0.001,0.0,0.0]"], [LEFT_FLOATS]]):
+        cell = load_cell(LEFT_AND_RIGHT, changes)
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        logs.append(write_run(folder / "run.mcap", cell, {"left": np.zeros(3, AGENT_STATE.dtype)}))
+    with pytest.raises(CalibrateError, match="found another one: arms differ"):
+        calibrate(logs[:2])
+    with pytest.raises(CalibrateError, match="no rows of right"):
+        calibrate([logs[0], logs[2]])
 
 
 def test_arms_that_floated_work_by_the_calibrated_cell() -> None:
@@ -128,7 +144,7 @@ def test_arms_that_floated_work_by_the_calibrated_cell() -> None:
 def test_comments_of_the_cell_stay_and_say_what_moved(tmp_path: Path) -> None:
     made = rig("three_wx250s", SEED)
     cell = load_cell(Path("three_wx250s"))
-    files = write(calibrated(cell, made.chain, made.poses), LOG, tmp_path)
+    files = write(calibrated(cell, made.chain, made.poses), [LOG], tmp_path)
     text = files.cell.read_text()
     assert "# Three WidowX-250 arms with six joints" in text
     assert text.count("# calibrated from run.mcap: moved by") == 6

@@ -32,7 +32,7 @@ def rows(duration_s: float = 20.0, late_s: float = 0.0, rate_rad_per_s: float = 
 
 
 def poses(left: NDArray[np.void], right: NDArray[np.void]) -> Poses:
-    return poses_of({"left": Table.of(left), "right": Table.of(right)}, CELL)
+    return poses_of([{"left": Table.of(left), "right": Table.of(right)}], CELL)
 
 
 def test_angles_of_all_arms_are_of_one_time_though_their_rows_begin_apart() -> None:
@@ -65,7 +65,23 @@ def test_an_arm_that_stands_is_no_motion() -> None:
 
 def test_a_missing_arm_is_named() -> None:
     with pytest.raises(CalibrateError, match="no rows of right"):
-        poses_of({"left": Table.of(rows())}, CELL)
+        poses_of([{"left": Table.of(rows())}], CELL)
+
+
+def test_arms_of_two_hosts_and_of_two_days_are_put_together() -> None:
+    left, right = Table.of(rows()), Table.of(rows(late_s=1.37))
+    whole = poses_of([{"left": left, "right": right}], CELL)
+    apart = poses_of([{"right": right}, {"left": left}], CELL)
+    for one, other in zip((*whole.q, whole.t), (*apart.q, apart.t), strict=True):
+        np.testing.assert_array_equal(one, other)
+    later = rows()
+    later["utc_ns"] += 86_400 * 10**9
+    more = poses_of([{"left": left, "right": right}, {"left": Table.of(later), "right": Table.of(later)}], CELL)
+    np.testing.assert_array_equal(more.q[0][: len(whole.t)], whole.q[0])
+    assert more.t[len(whole.t)] == pytest.approx(86_400.0 - 1.37, abs=2 * WINDOW_S), "nothing between the days"
+    assert len(more.t) == pytest.approx(len(whole.t) + len(poses(later, later).t), abs=2)
+    with pytest.raises(CalibrateError, match="found 0, in which all arms hold"):
+        poses_of([{"left": left}, {"right": Table.of(later)}], CELL)
 
 
 def test_a_long_log_gives_no_more_than_can_be_fitted() -> None:

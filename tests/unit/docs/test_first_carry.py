@@ -25,7 +25,7 @@ SEEN = [
 ]
 
 
-@pytest.mark.parametrize("command", sorted({*COMMANDS, *(text for text in INLINE if "CELL" in text)}))
+@pytest.mark.parametrize("command", sorted({*COMMANDS, *(text for text in INLINE if re.search("CELL|LOG", text))}))
 def test_every_command_of_the_page_is_one(command: str) -> None:
     words = command.replace("CELL", "two_wx200").split()
     found = typer.main.get_command(app).commands[words[0]]  # type: ignore[attr-defined]

@@ -62,6 +62,19 @@ def test_one_answer_begins_the_count_anew_whether_others_are_silent_or_not() -> 
             assert silent(check, others, False) == []
 
 
+def test_a_line_that_stalls_as_a_whole_is_borne_where_that_is_asked_for_and_one_servo_is_not() -> None:
+    check = SilenceCheck((WAIST, SHOULDER), line_patience=20)
+    for _ in range(3):
+        assert all(silent(check, True, True) == [] for _ in range(20))
+        assert silent(check, False, False) == []
+    assert all(silent(check, True, True) == [] for _ in range(27))
+    assert len(silent(check, True, True)) == 2
+    check = SilenceCheck((WAIST, SHOULDER), line_patience=20)
+    assert all(silent(check, True, True) == [] for _ in range(20))
+    assert all(silent(check, False, True) == [] for _ in range(7))
+    assert len(silent(check, False, True)) == 1
+
+
 def test_an_arm_that_answers_has_no_fault() -> None:
     check = SilenceCheck((WAIST, SHOULDER))
     assert all(silent(check, False, False) == [] for _ in range(30))

@@ -207,3 +207,13 @@ def test_it_asks_on_a_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     assert result.exit_code == 0, result.output
     assert load_cell(path).trajectory().at(6.0).p[2] == pytest.approx(0.28)
     assert [arm.file.model for arm in load_cell(path).arms] == ["wx200", "wx200"]
+
+
+def test_enter_takes_every_default_that_is_shown() -> None:
+    from typer.testing import CliRunner
+
+    from agent.cli import make
+
+    with CliRunner().isolation(input="\n" * 7):
+        found = make._asked(None, None, make.MotionName.LIFT, None)
+    assert found == (["wx250s", "wx250s"], 0.2, "0.2,0.1,0.04", make.MotionName.LIFT, make.BY["lift"])

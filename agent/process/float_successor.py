@@ -1,0 +1,76 @@
+"""What a guard does once the process of a floating arm is gone: the arm stands, sinks, and its torque goes off."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+
+from agent.around import RunSummary
+from agent.config.cell import Arm, Cell
+from agent.guard.takeover import go_on
+from agent.guard.watched import Watched
+from agent.host.notify import Notifier
+from agent.loop import Agent
+from agent.modes import Mode
+from agent.process.agent import ArmLost
+from agent.process.build import Standby
+from agent.process.float_loop import FloatLoop, Floats
+from agent.process.schedule import AgentOptions
+from agent.process.tellers import Teller
+from agent.telemetry.row.event import Level
+from drivers.clock import MonotonicClock
+from drivers.dynamixel.standby import StandbyDriver
+from drivers.interface import Refusal
+
+
+class FloatSuccessor:
+    """Whoever lets one arm down after the process that let it float."""
+
+    def __init__(self, cell: Cell, arm: Arm, agent: Agent, options: AgentOptions, notifier: Notifier) -> None:
+        self._floats = Floats.of(cell, arm.name)
+        self._agent, self._options, self._notifier = agent, options, notifier
+        self._tell: Teller | None = None
+
+    def warn(self, text: str) -> None:
+        """What the driver has to say, once there is somebody to tell."""
+        if self._tell is not None:
+            self._tell.warn(text)
+
+    def hold(self, watched: Watched, driver: Standby, reason: str, *, session: bool) -> RunSummary:
+        """Let the arm stand, then sink; its torque is off when this returns or raises.  Raises AdoptError, ArmLost.
+
+        session: a floating arm has none.
+        """
+        assert isinstance(driver, StandbyDriver), "an arm that floats has servos"
+        assert not session, "it is told no words"
+        cell, arm = self._floats.cell, self._floats.arm
+        watched.inherit()
+        rows = watched.last_rows()
+        clock = MonotonicClock(int(rows[-1]["utc_ns"] - rows[-1]["stamp_ns"]) if len(rows) else None)
+        tell = self._tell = Teller(arm.name, watched.texts)
+        tell.clock = clock
+        with ExitStack() as stack:
+            stack.callback(watched.texts.finish)
+            stack.callback(watched.writer.finish)
+            tell.event(Level.ERROR, f"{reason}: the guard lets the arm down")
+            try:
+                begun = go_on(self._agent, driver, clock, rows, cell.period_ns, reason)
+            except Refusal as error:
+                tell.event(Level.ERROR, str(error))
+                raise
+            stack.callback(driver.close)
+            stack.callback(driver.disable)
+            loop = FloatLoop(
+                self._floats, self._options, driver, clock, watched.writer, _never, tell, watched.texts,
+                self._notifier, self._agent,
+            )  # fmt: skip
+            summary = loop.run(begun)
+        self._notifier.stopping("torque off")
+        if summary.mode is Mode.FAULT:
+            raise ArmLost(
+                f"arm {arm.name}", found=summary.reason, expected="a fresh state every cycle", remedy="see the log"
+            )
+        return summary
+
+
+def _never() -> bool:
+    return False  # it stops already
