@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path
 from typing import Annotated
 
@@ -31,6 +32,7 @@ def agent(
     real_time: Annotated[bool, typer.Option("--real-time", help="At the wall clock's pace, not in lockstep.")] = False,
     whole: Annotated[bool, typer.Option("--whole", help="Begin at rest and wait for `coop approach`.")] = False,
     guard: Annotated[Path | None, typer.Option(help="Socket of the arm's guard, or refuse.")] = None,
+    wait: Annotated[float, typer.Option(min=0.0, help="Seconds that guard and plant may take to be there.")] = 0.0,
     gripper_empty: Annotated[
         bool, typer.Option("--gripper-empty", help="Arm in the loop: a person has looked, it holds nothing.")
     ] = False,
@@ -86,6 +88,7 @@ def agent(
         priority=priority,
         guard=guard,
         no_realtime=allow_no_realtime,
+        wait_s=wait,
     )
     floats = loaded.file.floating is not None and arm in loaded.file.floating.arms
     summary = (run_float if floats else run_agent)(loaded, options, requested, ready)
@@ -110,6 +113,10 @@ def guard(
     with_parent: WithParent = False,
 ) -> None:
     """Guard one arm: lend its agent the port, and go on in HOLD when that dies or hangs."""
+    from agent.host.notify import Notifier
+
+    with closing(Notifier()) as notifier:
+        notifier.loading("loads")  # before that takes a second: its agent loads meanwhile, and waits for the socket
     from agent.config.cell import load_cell
     from agent.config.schema.cell import DriverKind
     from agent.host.paths import control_path, guard_path, make_runtime_dir, ring_path

@@ -9,6 +9,7 @@ import socket
 from collections.abc import MutableMapping
 
 FIRST_FD = 3  # of those that a service manager hands over
+LOADING_US = 60_000_000  # in place of the watchdog's interval, while a process that is `loading` strokes nothing
 
 
 def stored_fds(environment: MutableMapping[str, str] = os.environ) -> dict[str, int]:
@@ -29,6 +30,8 @@ class Notifier:
 
     def __init__(self, address: str | None = None) -> None:
         path = address if address is not None else os.environ.get("NOTIFY_SOCKET", "")
+        self._loading = False
+        self._watchdog_us = os.environ.get("WATCHDOG_USEC", "")  # the unit's interval; empty without one
         self._socket: socket.socket | None = None
         if path:
             self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
@@ -49,13 +52,24 @@ class Notifier:
             with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
                 self._socket.sendmsg([f"FDSTORE=1\nFDNAME={name}".encode()], rights)
 
+    def loading(self, status: str) -> None:
+        """Tell that units ordered behind this one may start; `ready`, or the first stroke, begins the watchdog."""
+        self.send(f"READY=1\nSTATUS={status}{self._watched_every(str(LOADING_US))}")
+        self._loading = True
+
     def ready(self, status: str) -> None:
         """Tell that start-up is over, with a line for `systemctl status`."""
-        self.send(f"READY=1\nSTATUS={status}")
+        self.send(f"READY=1\nSTATUS={status}{self._watched_every(self._watchdog_us)}")
+        self._loading = False
 
     def alive(self) -> None:
         """Stroke the watchdog."""
-        self.send("WATCHDOG=1")
+        self.send("WATCHDOG=1" + (self._watched_every(self._watchdog_us) if self._loading else ""))
+        self._loading = False
+
+    def _watched_every(self, microseconds: str) -> str:
+        """The line that sets the watchdog's interval, where the unit has one."""
+        return f"\nWATCHDOG_USEC={microseconds}" if self._watchdog_us else ""
 
     def stopping(self, status: str) -> None:
         """Tell that the process is on its way out."""

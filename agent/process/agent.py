@@ -16,6 +16,7 @@ from agent.config.cell import Cell
 from agent.config.schema.cell import DriverKind
 from agent.config.session import rest_joints
 from agent.guard.guarded import UNGUARDED, Guarded
+from agent.guard.line import GuardError
 from agent.host.latency import files, newest
 from agent.host.notify import Notifier
 from agent.host.realtime import become_realtime, granted, quiet_memory
@@ -28,7 +29,7 @@ from agent.operator.socket import ControlSocket, Standing
 from agent.process.build import build_agent, build_driver, passed_on
 from agent.process.clocked import ClockWatch, shares_time
 from agent.process.operated import Operator, no_real_time, tick_of
-from agent.process.rehearse import BridgedRows
+from agent.process.rehearse import BridgedRows, in_the_loop
 from agent.process.schedule import AgentOptions, schedule_of
 from agent.process.session import session_loop
 from agent.process.tellers import Heart, ServoTeller, Teller, opened
@@ -42,6 +43,7 @@ from drivers.interface import Clock, Driver, DriverError, Refusal
 from sim_backend.hil.driver import BridgeDriver
 
 CLOCK_S = 1.0
+LOOK_S = 0.02  # from one look for a guard or plant that starts beside this process to the next
 LOST_REMEDY = (
     "support it and what it holds, lead the others back; once it has its supply again, fold it into its rest by hand "
     "and start its agent again"
@@ -72,7 +74,7 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             stack.callback(control.close)
         ready(f"ring={options.ring}")
         tell = Teller(arm.name, texts)
-        guard = Guarded(options.guard, cell.fingerprint) if options.guard else None
+        guard = _reached(cell, options, stop)
         if guard is None and not options.lockstep:
             tell.event(Level.WARN, UNGUARDED)
         q_start = rest_joints(arm) if options.whole else report.q_start[cell.arms.index(arm)]
@@ -86,7 +88,8 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             law = _law(cell, options, driver, tell)  # takes longer than the servos' watchdog waits on a busy host
             driver.enable()
             begins = Mode.REST if options.whole else Mode.READY
-            notifier.ready(TABLE[begins].says)
+            # the first state of a simulated arm needs all the others
+            (notifier.loading if options.driver is DriverKind.SIM else notifier.ready)(TABLE[begins].says)
             tell.event(Level.INFO, f"torque on: {info.description}", priority=options.priority or 0)
             operator = Operator(
                 stop, control, clock, tell.event, drops_on_stop=not options.hold, session=options.whole,
@@ -129,6 +132,26 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             remedy=LOST_REMEDY if options.whole else "see the log",
         )  # fmt: skip
     return summary
+
+
+def _reached(cell: Cell, options: AgentOptions, stop: StopFlag) -> Guarded | None:
+    """The guard; behind it a plant has its socket too.  Raises GuardError where nobody listens in time."""
+    deadline_s = time.monotonic() + options.wait_s
+    guard: Guarded | None = None
+    plant = options.connection.plant_socket if options.wait_s else None
+    simulated = options.driver is DriverKind.SIM or in_the_loop(cell, options.arm)
+    while options.guard is not None and guard is None:
+        try:
+            guard = Guarded(options.guard, cell.fingerprint)
+        except GuardError:
+            if stop.stopped or time.monotonic() >= deadline_s:
+                raise
+            time.sleep(LOOK_S)
+    while plant is not None and simulated and not plant.is_socket() and not stop.stopped:
+        if time.monotonic() >= deadline_s:
+            break  # who connects is told
+        time.sleep(LOOK_S)
+    return guard
 
 
 class _Law(NamedTuple):

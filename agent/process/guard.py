@@ -144,13 +144,17 @@ class _Guard:
             return ""
         if watched.gone:
             return HANDED_OVER if watched.handed_over else "the agent has died"
-        if watched.hangs(now_ns):
+        if watched.hangs(now_ns) and not self._waits_for_others(watched):
             watched.kill(self._notifier.alive)
             return f"the agent hung (no row for {watched.vigil.still_ns * 1e-6:.0f} ms) and was ended"
         if not watched.rehearsed and watched.reader.written >= REHEARSE_AT:
             watched.rehearsed = True
             beginning(self._agent, watched.last_rows(), "", session=self._session)
         return ""
+
+    def _waits_for_others(self, watched: Watched) -> bool:
+        """Whether its arm is simulated and time has not begun there: that needs every arm, and holds nothing."""
+        return self._options.agent.driver is DriverKind.SIM and watched.reader.written == 0
 
     def _answer(self, said: Said, now_ns: int) -> None:
         """Do what the agent says.  What a stranger could send is refused, and its descriptors are closed."""

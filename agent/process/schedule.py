@@ -31,6 +31,7 @@ class AgentOptions:
     guard: Path | None = None  # socket of the arm's guard; None: nobody goes on when this process cannot
     no_realtime: bool = False  # a real arm may be started without real time
     whole: bool = False  # it begins at its rest, and is told word by word
+    wait_s: float = 0.0  # for guard and plant, where they start beside it
 
 
 def schedule_of(cell: Cell, options: AgentOptions) -> Schedule:

@@ -106,6 +106,7 @@ class Host:
     def kept_port(self) -> int:
         """The descriptor that the service manager would keep."""
         self.manager.settimeout(PATIENCE_S)
+        assert self.manager.recv(1000) == b"READY=1\nSTATUS=loads", "before anything else: its agent loads meanwhile"
         while True:
             text, fds, _, _ = socket.recv_fds(self.manager, 1000, 1)
             if fds:

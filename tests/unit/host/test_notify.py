@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.host.notify import FIRST_FD, Notifier, stored_fds
+from agent.host.notify import FIRST_FD, LOADING_US, Notifier, stored_fds
 
 
 @pytest.fixture
@@ -38,6 +38,34 @@ def test_a_descriptor_is_kept_in_the_place_of_an_older_one(manager: socket.socke
 def test_without_a_manager_nothing_is_kept() -> None:
     notifier = Notifier("")
     notifier.keep("port", 0)
+    notifier.close()
+
+
+@pytest.mark.parametrize("interval", ["500000", ""])
+def test_a_process_that_loads_is_watched_from_its_first_stroke_on(
+    manager: socket.socket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, interval: str
+) -> None:
+    monkeypatch.setenv("WATCHDOG_USEC", interval)
+    notifier = Notifier(str(tmp_path / "notify"))
+
+    def heard() -> list[str]:
+        return manager.recv(1000).decode().split("\n")
+
+    def every(microseconds: object) -> list[str]:
+        return [f"WATCHDOG_USEC={microseconds}"] if interval else []
+
+    notifier.loading("loads")
+    assert heard() == ["READY=1", "STATUS=loads", *every(LOADING_US)]
+    notifier.alive()
+    assert heard() == ["WATCHDOG=1", *every(interval)]
+    notifier.alive()
+    assert heard() == ["WATCHDOG=1"]
+    notifier.loading("again")
+    notifier.ready("waits")
+    assert heard() == ["READY=1", "STATUS=again", *every(LOADING_US)]
+    assert heard() == ["READY=1", "STATUS=waits", *every(interval)]
+    notifier.alive()
+    assert heard() == ["WATCHDOG=1"]
     notifier.close()
 
 

@@ -247,6 +247,16 @@ def test_the_agent_of_a_rehearsal_has_a_plant_and_no_network_and_waits_for_a_per
     assert "sim" in command(read_unit(root, "coop-recorder"))
 
 
+def test_agents_load_beside_their_guards_and_plant_and_wait_for_both_no_longer_than_a_start_may_take(
+    tmp_path: Path,
+) -> None:
+    for choice in ("simulated", "rehearsal"):
+        install(tmp_path / choice, choice)
+        agent, plant = (read_unit(tmp_path / choice, name) for name in ("coop-agent@left", "coop-plant"))
+        assert 10.0 <= float(_option(agent, "--wait")) < float(one(agent, "TimeoutStartSec").removesuffix("s"))
+        assert "ExecStartPost" not in plant, "nobody waits for the plant before it loads"
+
+
 # Installing
 
 

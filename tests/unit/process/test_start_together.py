@@ -1,0 +1,84 @@
+"""Agent, guard and plant that start at once: who is there first waits, and nobody takes that for a hang."""
+
+from __future__ import annotations
+
+import socket
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+import configs
+from agent.config.cell import load_cell
+from agent.config.schema.cell import DriverKind
+from agent.guard.guard_end import GuardEnd
+from agent.guard.line import GuardError
+from agent.host.signals import StopFlag
+from agent.process import agent as process
+from agent.process import guard
+from agent.process.build import Connection
+from agent.process.schedule import AgentOptions
+
+CELL = load_cell(configs.CELLS_DIR / "paper.toml")
+
+
+def options(folder: Path, wait_s: float, driver: DriverKind = DriverKind.DYNAMIXEL) -> AgentOptions:
+    return AgentOptions(
+        "left", driver, Connection(plant_socket=folder / "plant.sock"), folder / "left.ring", None, lockstep=False,
+        hold=True, guard=folder / "left.guard", wait_s=wait_s,
+    )  # fmt: skip
+
+
+def test_a_guard_that_is_not_there_is_refused_once_the_wait_is_over_or_a_person_says_stop(tmp_path: Path) -> None:
+    stop = StopFlag()
+    with pytest.raises(GuardError, match="No such file"):
+        process._reached(CELL, options(tmp_path, 0.0), stop)
+    with pytest.raises(GuardError, match="No such file"):
+        process._reached(CELL, options(tmp_path, 0.05), stop)
+    stop.stopped = True
+    with pytest.raises(GuardError, match="No such file"):
+        process._reached(CELL, options(tmp_path, 1e3), stop)
+
+
+@pytest.mark.parametrize("driver", [DriverKind.DYNAMIXEL, DriverKind.SIM])
+def test_a_guard_and_a_plant_that_come_later_are_waited_for(
+    tmp_path: Path, driver: DriverKind, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each is there after a look that did not find it; an arm with servos of its own needs no plant."""
+    looks, here = list[float](), list[Any]()
+
+    def comes(_: float) -> None:
+        looks.append(_)
+        if len(looks) == 2:
+            here.append(GuardEnd(tmp_path / "left.guard", CELL.fingerprint))
+        if len(looks) == 4:
+            here.append(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM))
+            here[-1].bind(str(tmp_path / "plant.sock"))
+
+    monkeypatch.setattr(process, "time", SimpleNamespace(sleep=comes, monotonic=lambda: 0.0))
+    reached = process._reached(CELL, options(tmp_path, 1.0, driver), StopFlag())
+    assert reached is not None
+    assert len(looks) == (4 if driver is DriverKind.SIM else 2)
+    reached.leave()
+    for one in here:
+        one.close()
+
+
+def test_a_plant_that_does_not_come_is_left_to_who_connects(tmp_path: Path) -> None:
+    with GuardEnd(tmp_path / "left.guard", CELL.fingerprint):
+        reached = process._reached(CELL, options(tmp_path, 0.05, DriverKind.SIM), StopFlag())
+    assert reached is not None
+    reached.leave()
+
+
+@pytest.mark.parametrize(
+    ("driver", "rows", "waits"),
+    [(DriverKind.SIM, 0, True), (DriverKind.SIM, 1, False), (DriverKind.DYNAMIXEL, 0, False)],
+)
+def test_a_simulated_arm_without_a_row_waits_for_the_others_and_does_not_hang(
+    driver: DriverKind, rows: int, waits: bool
+) -> None:
+    own: Any = SimpleNamespace(_options=SimpleNamespace(agent=SimpleNamespace(driver=driver)))
+    watched: Any = SimpleNamespace(reader=SimpleNamespace(written=rows))
+    assert guard._Guard._waits_for_others(own, watched) is waits
