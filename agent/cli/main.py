@@ -36,6 +36,12 @@ from agent.cli.where import where
 
 PROGRAM = "coop"
 USAGE = 2  # exit code of a command line that says nothing `coop` understands
+GARBAGE_AFTER = 50_000  # new objects, of which the interpreter looks for cycles; a start makes hundreds of thousands
+SETTINGS = {  # of libraries, read when they are loaded, where a person has not said otherwise
+    "OPENBLAS_NUM_THREADS": "1",  # our matrices are small
+    "OMP_NUM_THREADS": "1",
+    "PYDANTIC_DISABLE_PLUGINS": "__all__",  # or the first model looks through all that is installed for some
+}
 
 GROUPS: dict[str, tuple[Callable[..., None], ...]] = {
     "Simulate and examine": (make.new, run.run, cells.check, cells.tune, cells.schema, study.study),
@@ -111,8 +117,9 @@ def _command(first: str) -> Callable[..., object]:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Entry point: ends the process; a Refusal is one line for a person and an exit code for a script."""
-    for library in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):  # read when they are loaded: our matrices are small
-        os.environ.setdefault(library, "1")
+    for setting, value in SETTINGS.items():
+        os.environ.setdefault(setting, value)
+    gc.set_threshold(GARBAGE_AFTER)
     code = dispatch(arguments)
     gc.freeze()  # or the interpreter looks for garbage in all that is there before it ends: a tenth of a short command
     sys.exit(code)

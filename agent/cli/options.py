@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import json
+import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -102,6 +103,11 @@ def console() -> Console:
 
     shown = Console(emoji=False)
     return shown if shown.is_terminal else Console(width=max(shown.width, WIDTH_ELSEWHERE), emoji=False)
+
+
+def coloured() -> bool:
+    """Whether a person looks at standard output, or wants to be treated as one who does."""
+    return sys.stdout.isatty() or bool(os.environ.get("FORCE_COLOR"))
 
 
 def print_json(document: dict[str, Any]) -> None:

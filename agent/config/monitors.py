@@ -30,6 +30,7 @@ ADAPTIVE_TIMES: Final = 1.9  # arms that learn at rest share the weight as it ha
 FLOORS: Final = (0.3, 0.3, 0.3, 0.03, 0.03, 0.03)
 FRICTION_TIMES: Final = 3.0  # of the file's Coulomb friction: feedback beyond it moves any joint that is free
 SAMPLES: Final = 100  # of the motion
+AHEAD_MAX_RAD: Final = 0.1  # from which the next of them is looked for
 
 
 def bounds(cell: Cell, arm: Arm) -> Bounds:
@@ -99,15 +100,19 @@ def _speeds_alone(cell: Cell, no_load: Vector) -> Vector:
 def _speeds_of_motion(cell: Cell, arm: Arm) -> Vector:
     """(n,) rad/s: the largest along the desired motion; as far as the arm can follow it."""
     model, trajectory, P = cell.model(arm), cell.trajectory(), cell.model(arm).task_basis
-    q, fastest = np.array(arm.entry.q_near_rad), np.zeros(model.n)
-    for t in np.linspace(0.0, min(trajectory.period_s, cell.file.duration_s), SAMPLES).tolist():
+    q, ahead, fastest = np.array(arm.entry.q_near_rad), np.zeros(model.n), np.zeros(model.n)
+    times = np.linspace(0.0, min(trajectory.period_s, cell.file.duration_s), SAMPLES)
+    for t in times.tolist():
         desired = trajectory.at(t)
         try:
-            q = ik.solve(model, placement(desired.p, desired.quat), q)
+            q = ik.solve(model, placement(desired.p, desired.quat), q + ahead)
         except ik.Unreachable:  # `coop check` refuses the cell for it
             break
         dq = np.linalg.pinv(model.jacobian(q)) @ (P @ np.array(desired.v))
         fastest = np.maximum(fastest, np.abs(dq))
+        ahead = dq * times[1]
+        if np.abs(ahead).max() > AHEAD_MAX_RAD:  # beside a singular pose it leads to other solutions
+            ahead = np.zeros(model.n)
     return fastest
 
 

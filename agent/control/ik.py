@@ -29,18 +29,14 @@ def solve(model: ArmModel, T_world_object: pin.SE3, q_near: Vector, tolerance: f
     """
     q = np.array(q_near, dtype=np.float64)
     P = model.task_basis
-    one, best = np.eye(len(P)), np.inf
+    one, p_wanted, R_wanted = np.eye(len(P)), T_world_object.translation, T_world_object.rotation
     for _ in range(200):
-        T = model.object_pose(q)
-        error = np.concatenate(
-            [T_world_object.translation - T.translation, pin.log3(T_world_object.rotation @ T.rotation.T)]
-        )
+        T, J = model.pose_and_jacobian(q)
+        error = np.concatenate([p_wanted - T.translation, pin.log3(R_wanted @ T.rotation.T)])
         task_error = P @ error
         size = math.sqrt(task_error @ task_error)
-        best = min(best, size)
         if size < tolerance:
             break
-        J = model.jacobian(q)
         damping = min(1e-4, size * size) * one
         try:
             dq = J.T @ np.linalg.solve(J @ J.T + damping, task_error)

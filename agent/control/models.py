@@ -154,11 +154,15 @@ class ArmModel:
 
     def jacobian(self, q: Vector) -> Matrix:
         """Task-space Jacobian of the object frame (m, n) at q."""
+        return self.pose_and_jacobian(q)[1]
+
+    def pose_and_jacobian(self, q: Vector) -> tuple[pin.SE3, Matrix]:
+        """Both at q, for less than each of them; the pose stands until the model is asked again."""
         pin.computeJointJacobians(self.model, self.data, q)
-        pin.updateFramePlacement(self.model, self.data, self.object_id)
+        T_world_object = pin.updateFramePlacement(self.model, self.data, self.object_id)
         J6 = pin.getFrameJacobian(self.model, self.data, self.object_id, _WORLD_AXES)
         J: Matrix = self.task_basis.dot(J6)
-        return J
+        return T_world_object, J
 
     def inertia(self, q: Vector) -> Matrix:
         """Joint-space inertia (n, n) with reflected rotor inertia."""

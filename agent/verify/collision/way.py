@@ -15,7 +15,7 @@ import pinocchio as pin
 from agent.control.models import Matrix
 from drivers.interface import Vector
 
-AT_ONCE: Final = 12  # pairs whose distances are computed before it is asked whether any other can be nearer
+AT_FIRST: Final = 512  # pairs, each at a place, that are put in order before the others
 OBJECT, TABLE = "object", "table"
 
 
@@ -54,45 +54,34 @@ class Way:
 
     def __init__(self, shapes: Sequence[Shape], R: Matrix, p: Matrix) -> None:
         self.shapes, self.R, self.p = shapes, R, p
+        self._travels: dict[Pair, Vector] = {}
 
     def nearest(self, pairs: Sequence[Pair]) -> Nearest | None:
         """The least distance of these pairs on the way; None where there are none."""
         if not pairs:
             return None
         a, b = np.array(pairs).T
-        slack, found = 0.5 * (self._moved[:, a] + self._moved[:, b]), Nearest(math.inf, pairs[0], 0)
-        bound = (self._balls(pairs) - slack).min(axis=0)
-        for chosen in _in_turn(bound):
-            if bound[chosen[0]] >= found.distance_m:
+        slack = 0.5 * (self._moved[:, a] + self._moved[:, b])
+        bound, found = self._balls(pairs) - slack, Nearest(math.inf, pairs[0], 0)
+        for place, k in _in_turn(bound):
+            if bound[place, k] >= found.distance_m:
                 break
-            found = self._nearer(found, [pairs[k] for k in chosen], slack[:, chosen])
+            distance = self._distance(pairs[k], place)
+            low = distance - float(slack[place, k])
+            if low < found.distance_m:
+                low = max(low, distance - float(self._travel(pairs[k])[place]))
+                found = min(found, Nearest(low, pairs[k], place), key=_distance_of)
         return found
 
     def least(self, pairs: Sequence[Pair]) -> Nearest | None:
         """The same at these places alone, whatever is between them."""
         if not pairs:
             return None
-        bound, found = self._balls(pairs).min(axis=0), Nearest(math.inf, pairs[0], 0)
-        for chosen in _in_turn(bound):
-            if bound[chosen[0]] >= found.distance_m:
+        bound, found = self._balls(pairs), Nearest(math.inf, pairs[0], 0)
+        for place, k in _in_turn(bound):
+            if bound[place, k] >= found.distance_m:
                 break
-            distances = self.distances([pairs[k] for k in chosen])
-            place, k = divmod(int(distances.argmin()), len(chosen))
-            if distances[place, k] < found.distance_m:
-                found = Nearest(float(distances[place, k]), pairs[chosen[k]], place)
-        return found
-
-    def _nearer(self, found: Nearest, pairs: Sequence[Pair], slack: Matrix) -> Nearest:
-        """What was found, or what is nearer among these pairs; slack (K, pairs): by which each may be nearer."""
-        distances = self.distances(pairs)
-        low = distances - slack
-        for flat in np.argsort(low, axis=None).tolist():
-            place, k = divmod(flat, len(pairs))
-            if low[place, k] >= found.distance_m:
-                break
-            distance = max(float(low[place, k]), float(distances[place, k]) - self._travel(pairs[k], place))
-            if distance < found.distance_m:
-                found = Nearest(distance, pairs[k], place)
+            found = min(found, Nearest(self._distance(pairs[k], place), pairs[k], place), key=_distance_of)
         return found
 
     def _balls(self, pairs: Sequence[Pair]) -> Matrix:
@@ -100,7 +89,17 @@ class Way:
         a, b = np.array(pairs).T
         radii = np.array([shape.radius for shape in self.shapes])
         apart: Matrix = np.linalg.norm(self.p[:, a] - self.p[:, b], axis=2) - radii[a] - radii[b]
+        for k, (one, other) in enumerate(pairs):
+            if self.shapes[other].owner == TABLE:
+                apart[:, k] = self.p[:, one, 2] - radii[one] - self.shapes[other].geometry.d
         return apart
+
+    def _distance(self, pair: Pair, place: int) -> float:
+        """Of one pair at one place, below zero where they overlap."""
+        a, b = pair
+        T_a, T_b = (coal.Transform3s(self.R[place, i], self.p[place, i]) for i in pair)
+        first, second = self.shapes[a].geometry, self.shapes[b].geometry
+        return float(coal.distance(first, T_a, second, T_b, coal.DistanceRequest(), coal.DistanceResult()))
 
     def distances(self, pairs: Sequence[Pair]) -> Matrix:
         """(K, pairs) at each place, below zero where they overlap."""
@@ -144,26 +143,30 @@ class Way:
         gone: Matrix = np.pad(np.cumsum(self._steps, axis=0), ((1, 0), (0, 0))).T
         return gone
 
-    def _travel(self, pair: Pair, place: int) -> float:
-        """Half of what one moves as seen from the other, from this place to the next one or the one before."""
-        a, b = pair
-        if self.shapes[b].radius > self.shapes[a].radius:
-            a, b = b, a  # the smaller one, seen from the larger one
-        seen = [
-            (self.R[j, a].T @ (self.p[j, b] - self.p[j, a]), self.R[j, a].T @ self.R[j, b])
-            for j in (place, place - 1, place + 1)
-            if 0 <= j < len(self.p)
-        ]
-        p, R = seen[0]
-        ways = [math.dist(p, q) + _angle(R.T @ S) * self.shapes[b].radius for q, S in seen[1:]]
-        return 0.5 * max(ways, default=0.0)
+    def _travel(self, pair: Pair) -> Vector:
+        """(K,) half of what one moves as seen from the other, from each place to the next one or the one before."""
+        if pair not in self._travels:
+            a, b = pair
+            if self.shapes[b].radius > self.shapes[a].radius:
+                a, b = b, a  # the smaller one, seen from the larger one
+            p = np.einsum("kji,kj->ki", self.R[:, a], self.p[:, b] - self.p[:, a])
+            R = np.einsum("kji,kjl->kil", self.R[:, a], self.R[:, b])
+            cosine = 0.5 * (np.einsum("kij,kij->k", R[:-1], R[1:]) - 1.0)
+            angle = np.arccos(np.minimum(1.0, np.maximum(-1.0, cosine)))
+            way = np.sqrt(np.square(np.diff(p, axis=0)).sum(axis=1)) + angle * self.shapes[b].radius
+            step = np.concatenate([[0.0], way, [0.0]])
+            self._travels[pair] = 0.5 * np.maximum(step[:-1], step[1:])
+        return self._travels[pair]
 
 
-def _in_turn(bound: Vector) -> Iterator[list[int]]:
-    """Places of pairs in the order of how near they may be, some at a time."""
-    order = np.argsort(bound).tolist()
-    yield from (order[k : k + AT_ONCE] for k in range(0, len(order), AT_ONCE))
+def _in_turn(bound: Matrix) -> Iterator[tuple[int, int]]:
+    """Rows and columns in the order of how near there may be; mostly the first of them are enough."""
+    flat, few = bound.ravel(), min(bound.size, AT_FIRST)
+    first = np.argpartition(flat, few - 1)
+    for part in (np.sort(first[:few]), first[few:]):
+        for k in part[np.argsort(flat[part])].tolist():
+            yield divmod(k, bound.shape[1])
 
 
-def _angle(R: Matrix) -> float:
-    return math.acos(min(1.0, max(-1.0, 0.5 * (float(np.trace(R)) - 1.0))))
+def _distance_of(near: Nearest) -> float:
+    return near.distance_m

@@ -145,15 +145,13 @@ def test_an_exit_code_reaches_the_caller(tmp_path: Path) -> None:
     assert subprocess.run(command, capture_output=True, timeout=60).returncode == 2
 
 
-def test_linear_algebra_has_one_thread_unless_the_user_says_otherwise() -> None:
-    code = "import os, sys; from agent.cli.main import main\ntry: main(['--version'])\nexcept SystemExit: pass\n"
-    assert "threads 1 1" in python(
-        code + "print('threads', os.environ['OPENBLAS_NUM_THREADS'], os.environ['OMP_NUM_THREADS'])"
-    )
-    assert "threads 3" in python(
-        "import os; os.environ['OPENBLAS_NUM_THREADS'] = '3'\n"
-        + code
-        + "print('threads', os.environ['OPENBLAS_NUM_THREADS'])"
+def test_libraries_start_as_a_command_needs_them_unless_the_user_says_otherwise() -> None:
+    code = "import gc, os; from agent.cli.main import main\ntry: main(['--version'])\nexcept SystemExit: pass\n"
+    code += "print('found', os.environ['OPENBLAS_NUM_THREADS'], os.environ['OMP_NUM_THREADS'],"
+    code += " os.environ['PYDANTIC_DISABLE_PLUGINS'], gc.isenabled(), gc.get_threshold()[0])"
+    assert "found 1 1 __all__ True 50000" in python(code)
+    assert "found 3 1 none True" in python(
+        f"import os; os.environ |= {{'OPENBLAS_NUM_THREADS': '3', 'PYDANTIC_DISABLE_PLUGINS': 'none'}}\n{code}"
     )
 
 

@@ -96,11 +96,8 @@ class FoldedArm:
 
     task_basis = np.eye(6)[:2]
 
-    def object_pose(self, _q: np.ndarray) -> pin.SE3:
-        return pin.SE3(np.eye(3), np.zeros(3))
-
-    def jacobian(self, _q: np.ndarray) -> np.ndarray:
-        return np.array([[1.0, 1.0], [1.0, 1.0]])
+    def pose_and_jacobian(self, _q: np.ndarray) -> tuple[pin.SE3, np.ndarray]:
+        return pin.SE3(np.eye(3), np.zeros(3)), np.array([[1.0, 1.0], [1.0, 1.0]])
 
 
 @pytest.mark.parametrize(("distance_m", "reached"), [(5e-9, True), (2e-8, False)])
