@@ -14,7 +14,7 @@ from agent.control.joint_hold import torque, weight
 from agent.control.law import Offline
 from agent.control.memory import Memory
 from agent.cycles import Patience
-from agent.loop import GENTLE_TICKS, Agent, Outcome, blind, initial_memory, step
+from agent.loop import Agent, Outcome, blind, initial_memory, step
 from agent.modes import Mode
 from agent.process.build import build_agent
 from agent.process.schedule import patience_of
@@ -24,7 +24,7 @@ from drivers.interface import JointState, Vector
 from tests.unit.test_step_rules import arm, start
 
 T = 0.7
-GENTLE = JOINTS + GENTLE_TICKS
+GENTLE = JOINTS + 100  # half a second at 200 Hz
 
 
 def holding(agent: Agent, **more: Any) -> Memory:

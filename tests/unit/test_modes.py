@@ -149,4 +149,5 @@ def test_a_floating_arm_stands_then_sinks_before_its_torque_goes_off(mode: Mode,
 
 def test_float_is_entered_from_off_alone() -> None:
     assert next_mode(Mode.OFF, Event.FLOATED) is Mode.FLOAT
+    assert {Mode.FLOAT, Mode.STAND, Mode.SINK} == FLOATING
     assert {m for m in Mode if next_mode(m, Event.FLOATED) in FLOATING} == {Mode.OFF, *FLOATING}

@@ -9,6 +9,7 @@ in all.  M is taken as the largest norm among the powers that are computed.
 
 from __future__ import annotations
 
+from itertools import count
 from typing import Final
 
 import numpy as np
@@ -33,8 +34,8 @@ def below(A: Matrix, bound: float) -> NDArray[np.bool_]:
     power, open_ = A * (scale / scale[:, None] / (bound * (1.0 - APART))), np.arange(len(A))
     size = _norm(power)
     largest = np.maximum(size, 1.0)
-    for k in range(SQUARINGS + 1):
-        off = 2.0**k * A.shape[-1] * _ROUNDING * largest**4
+    for k in count():
+        off = 2.0**k * len(scale) * _ROUNDING * largest**4
         small = size + off < 1.0
         seen[open_[small]] = True
         on = ~small & (off < 1.0)
@@ -49,14 +50,16 @@ def below(A: Matrix, bound: float) -> NDArray[np.bool_]:
 
 
 def _balance(A: Matrix) -> Vector:
-    """A diagonal D (s,) of powers of two for all matrices, with which D⁻¹ A D has a small norm and the same radius."""
+    """A diagonal D (s,) of powers of two for all matrices, with which D⁻¹ A D has a small norm and the same radius.
+
+    What stands on the diagonal keeps rounds, in which all states are scaled at once, from going too far.
+    """
     sizes: Matrix = np.abs(A[:: 1 + len(A) // ENOUGH]).max(axis=0)
-    np.fill_diagonal(sizes, 0.0)
     scale: Vector = np.ones(len(sizes))
     for _ in range(BALANCING):
         rows, columns = sizes.sum(axis=1), sizes.sum(axis=0)
         coupled = (rows > 0.0) & (columns > 0.0)
-        ratio = np.where(coupled, rows, 1.0) / np.where(coupled, columns, 1.0)
+        ratio = np.divide(rows, columns, out=np.ones_like(rows), where=coupled)
         step = np.exp2(np.round(0.5 * np.log2(ratio)))
         sizes *= step / step[:, None]
         scale *= step

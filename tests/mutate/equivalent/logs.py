@@ -19,6 +19,13 @@ _BYTES = "x, y = (np.ascontiguousarray(rows[name]).view(np.uint8).reshape(len(ro
 
 _BLOCK = "messages = np.ascontiguousarray(part.messages()).reshape(-1).view(layout.dtype)"
 
+_LOOPED = "def __init__(self, agent: Agent, config_id: int, readable: Readable, *, in_the_loop: bool=False) -> None:"
+_ZERO = "return cls(begins, tuple((zero.most_common(1)[0][0] for zero in zeros)))"
+_TIMES = (
+    "return [(stamp - (own if waits or span < 0 else self.zeros_ns[span])) * 1e-09 "
+    "for stamp, own, waits, span in zip(stamps, zeros, ready, spans, strict=True)]"
+)
+
 _ALIGNED = "aligned = [quat * np.sign(np.sum(quat * first, axis=1, keepdims=True)) for _, quat in poses.values()]"
 
 LOGS: Entries = {
@@ -81,6 +88,14 @@ LOGS: Entries = {
         ("blocks", "if layout.dtype == AGENT_STATE.dtype:", "if False:"): "saves the copying of field after field",
     },
     "agent.replay.verify": {
+        ("_Verifier.__init__", _LOOPED, _LOOPED.replace("False", "True")): "whoever makes one says it",
+        (
+            "_Clock.of",
+            "spans = [slice(k, end) for k, end in pairwise(edges) if not waits[k]]",
+            "spans = [slice(k, end) for k, end in pairwise(edges) if True]",
+        ): "saves the zeros of waits, whose rows count by their own",
+        ("_Clock.of", _ZERO, _ZERO.replace("(1)", "(2)")): "the first of the two most common ones is the most common",
+        ("_Clock.times", _TIMES, _TIMES.replace("span < 0", "False")): "what comes before all spans waits",
         (
             "_spans",
             "if spans and spans[-1][1] == begin:",

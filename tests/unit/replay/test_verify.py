@@ -281,6 +281,20 @@ def test_a_time_that_is_none_is_a_difference_and_no_crash(tmp_path: Path, t: flo
     assert says_why == (row == 20 and np.isinf(t))
 
 
+@pytest.mark.parametrize("begin", [0, 20])
+def test_a_time_beside_the_others_is_found_wherever_the_replay_begins(tmp_path: Path, begin: int) -> None:
+    verdict = replayed(tmp_path, flipped(eventful(), 30, "t"), window=Window(from_row=begin))
+    assert (verdict.rows, verdict.different) == (60 - begin, 1)
+
+
+@pytest.mark.parametrize("t", [-1.5e9, 1.5e9])
+def test_a_time_of_decades_is_none_in_a_wait_too(tmp_path: Path, t: float) -> None:
+    rows = eventful().copy()
+    assert rows["mode"][3] == Mode.READY
+    rows["t"][3] = t
+    assert replayed(tmp_path, rows).different == 1
+
+
 # ------------------------------------------------------------------------------------------- built from the log alone
 
 

@@ -85,6 +85,17 @@ def test_what_has_slipped_turns_with_the_object() -> None:
     np.testing.assert_allclose(pads.slipped[:, 3:], before[:, 3:] @ turn.T, atol=1e-15)
 
 
+def test_springs_rest_where_they_are_told_to_and_are_carried_along_from_there() -> None:
+    pads = two_pads()
+    R, turn = pin.exp3(np.array([0.2, -0.4, 0.3])), pin.exp3(np.array([0.5, 0.1, -0.2]))
+    opening = np.array([0.01, 0.02, -0.03, 0.1, -0.2, 0.3])
+    pads.rest_at(1, opening, R)
+    assert pads.slipped.tolist() == [[0.0] * 6, opening.tolist()]
+    pads.turn(turn @ R)
+    np.testing.assert_allclose(pads.slipped[1], [*turn @ opening[:3], *turn @ opening[3:]], atol=1e-15)
+    assert not pads.slipped[0].any()
+
+
 def test_pads_open_beyond_their_bound_once_and_each_by_itself() -> None:
     pads = two_pads(slip_N=2.0, slip_Nm=0.5, open_m=0.03)
     still = np.zeros((2, 6))

@@ -132,12 +132,14 @@ def test_friction_torque_constants_delay_and_skew_reach_the_servos() -> None:
     dry = FrictionSpec(*np.full((7, 3), 0.1))
     spec = planar_cell(SERVOS)
     spec = replace(spec, arms=tuple(replace(a, friction=dry) for a in spec.arms))
-    errors = only(spec, friction=0.5, torque_constant=(1.1, 0.9, 1.0), skew_s=0.004)
+    errors = only(spec, friction=0.5, torque_constant=(1.1, 0.9, 1.0), skew_s=0.004, backlash_rad=(0.01, 0.0, 0.02))
     real = realised(spec, replace(errors, delay_s=0.0055, delay_jitter_s=0.001))
     left, right = real.arms
     np.testing.assert_allclose(left.actuator.viscous_Nms_rad, 0.5 * SERVOS.viscous_Nms_rad)
     np.testing.assert_allclose(left.actuator.torque_scale, [1.1, 0.9, 1.0])
     assert (left.actuator.delay_s, right.actuator.delay_s, left.actuator.delay_jitter_s) == (0.0055, 0.0055, 0.001)
+    assert left.actuator.backlash_rad.tolist() == [0.01, 0.0, 0.02]
+    assert np.array_equal(right.actuator.backlash_rad, SERVOS.backlash_rad)
     assert (left.skew_s, right.skew_s) == (0.004, 0.0)
     assert left.friction is not None
     assert right.friction is not None

@@ -9,7 +9,16 @@ import pytest
 
 from agent.config.cell import Cell
 from agent.verify.check import start_configurations
-from agent.verify.disagreement import Disagreement, _beyond, _Errors, disagreement
+from agent.verify.disagreement import (
+    Disagreement,
+    _beyond,
+    _Errors,
+    _errors,
+    _followers,
+    _turn,
+    _wrenches,
+    disagreement,
+)
 from agent.verify.robustness import Walk, poses
 from tests.support.control.criterion_cells import gentle
 from tests.support.plant.inprocess import simulate
@@ -24,9 +33,11 @@ IDEAL = (
 )  # fmt: skip
 
 
-def found(cell: Cell, t: float = 0.0) -> tuple[Disagreement, ...]:
+def found(cell: Cell, *times: float) -> tuple[Disagreement, ...]:
+    """At these times, or at the first; the arms stand at the start."""
     models = [cell.model(a) for a in cell.arms]
-    walk = Walk(cell, models, [start_configurations(cell, models)], [t])
+    instants = times or (0.0,)
+    walk = Walk(cell, models, [start_configurations(cell, models)] * len(instants), list(instants))
     return disagreement(cell, models, poses(walk), walk.along, walk.instants)
 
 
@@ -104,6 +115,71 @@ def test_what_the_largest_shift_leaves_of_both_arms_errors_squeezes() -> None:
     assert rigid > 1.0
     assert bound == pytest.approx(rigid * (apart - 0.02) / apart, rel=0.01)
     assert force("controller.alignment.max_m=0.08") == pytest.approx(0.0, abs=1e-9)
+
+
+def test_arms_that_do_not_align_themselves_keep_all_of_an_error_however_large() -> None:
+    small, large = (found(gentle("paper", *EXACT, f"tolerance.base_m={size}"))[0].force_N for size in (2e-3, 0.05))
+    assert large == pytest.approx(25.0 * small)
+
+
+@pytest.mark.parametrize("anchor", [0, 1, 2])
+def test_all_arms_but_the_anchor_give_way_where_they_align_themselves(anchor: int) -> None:
+    names = [arm.name for arm in gentle("three_wx250s").arms]
+    chosen = f'controller.alignment.anchor="{names[anchor]}"'
+    assert _followers(gentle("three_wx250s", chosen)) == [i != anchor for i in range(3)]
+    assert not any(_followers(gentle("three_wx250s", chosen, "controller.alignment.track_per_s=0.0")))
+    assert not any(_followers(gentle("three_wx250s")))
+
+
+def test_of_several_places_the_one_of_the_largest_force_counts() -> None:
+    cell = gentle("paper", *EXACT, "tolerance.skew_s=0.002")
+    fast, slow = found(cell, 0.0), found(cell, 3.0)
+    assert 1.5 * slow[0].force_N < fast[0].force_N
+    assert found(cell, 0.0, 3.0) == found(cell, 3.0, 0.0) == fast
+
+
+PLANE = np.eye(6)[[0, 1, 5]]
+
+
+def test_a_turn_moves_the_object_by_its_lever_and_turns_it_about_any_axis_there_is() -> None:
+    lever = np.array([0.3, -0.2, 0.5])
+    twists = np.vstack([np.cross(np.eye(3), lever).T, np.eye(3)])
+    np.testing.assert_allclose(_turn(np.eye(6), 0.3, lever), 0.3 / math.sqrt(3.0) * twists)
+    np.testing.assert_allclose(_turn(PLANE, 0.3, lever), 0.3 * PLANE @ twists * [0.0, 0.0, 1.0])
+
+
+def test_of_a_follower_s_error_the_dead_zone_is_left_in_metres_and_in_angle() -> None:
+    cell = gentle("paper", "controller.alignment.dead_zone_m=0.003", "controller.alignment.dead_zone_rad=0.006")
+    for P, zone in ((np.eye(6), [3e-3 / math.sqrt(3.0)] * 3 + [6e-3 / math.sqrt(3.0)] * 3),
+                    (PLANE, [3e-3 / math.sqrt(2.0)] * 2 + [6e-3])):  # fmt: skip
+        m = len(P)
+        large = _Errors(np.full((m, 2), 0.1), np.ones((m, 1)))
+        kept = _wrenches(cell, P, np.eye(m), large, follows=True)
+        np.testing.assert_allclose(np.abs(kept), np.hstack([np.diag(zone), np.ones((m, 1))]))
+        small = _Errors(np.full((m, 2), 1e-4), np.ones((m, 1)))
+        kept = _wrenches(cell, P, np.eye(m), small, follows=True)
+        np.testing.assert_allclose(np.abs(kept[:, :m]), math.sqrt(2.0) * 1e-4 * np.eye(m))
+
+
+def test_an_error_of_the_torque_constant_is_a_part_of_what_holds_arm_and_share_and_a_base_turns_about_itself() -> None:
+    cell = gentle("paper", *EXACT, "tolerance.torque_constant=0.1", "tolerance.base_rad=0.01")
+    arm = cell.arms[1]
+    model, share = cell.model(arm), cell.offline(arm).load_share
+    q = start_configurations(cell, [cell.model(a) for a in cell.arms])[1]
+    k = model.evaluate(q, np.zeros(model.n))
+
+    def lifted(q: np.ndarray) -> float:
+        p = np.array(model.evaluate(q, np.zeros(model.n)).p_object)
+        return -share * cell.file.object.mass_kg * float(cell.gravity @ p)
+
+    carries = [(lifted(q + step) - lifted(q - step)) / 2e-6 for step in 1e-6 * np.eye(model.n)]
+    errors = _errors(cell, arm, model, q, PLANE, np.zeros(3))
+    J = PLANE @ model.task_basis.T @ k.J
+    np.testing.assert_allclose(J.T @ errors.wrench[:, : model.n], 0.1 * np.diag(k.g + carries), atol=1e-8)
+    assert float(np.abs(carries).max()) > 0.05
+    lever = np.array(k.p_object) - arm.T_world_base.translation
+    np.testing.assert_allclose(errors.off[:, 3:6], _turn(PLANE, 0.01, lever))
+    assert float(np.abs(arm.T_world_base.translation).max()) > 0.1
 
 
 def off_by(shift_m: float, turn_rad: float) -> _Errors:

@@ -61,6 +61,42 @@ def test_rounding_is_counted() -> None:
     assert below(np.array([0.1 * lost, lost]), 1.0).tolist() == [True, False]
 
 
+def test_what_rounding_adds_is_counted_to_its_last_unit() -> None:
+    """Of a number near one it is one unit of rounding; behind one squaring two, times the norm's fourth power."""
+    unit, bound = float(np.finfo(np.float64).eps), 1.0 / (1.0 - APART)
+    assert bound * (1.0 - APART) == 1.0
+    for units, proved in ((0.5, False), (1.0, False), (3.0, True)):
+        assert below(np.array([[[1.0 - units * unit]]]), bound).tolist() == [proved], units
+    for part, proved in ((0.8, True), (1.1, False)):
+        norm = (part / (2.0 * 2.0 * unit)) ** 0.25
+        assert below(np.array([[[0.0, norm], [0.0, 0.0]]]), bound).tolist() == [proved], part
+
+
+@pytest.mark.parametrize(("radius", "proved"), [(0.995, True), (0.997, False)])
+def test_ten_squarings_tell_radii_apart_by_half_a_per_cent(radius: float, proved: bool) -> None:
+    assert below(np.array([[[radius, 0.1], [0.0, radius]]]), 1.0).tolist() == [proved]
+
+
+@pytest.mark.parametrize("count", [2, 8])
+def test_a_stack_is_balanced_by_more_than_its_first_matrix(count: int) -> None:
+    mixed = stack(0.9, np.random.default_rng(4), 1e4)[:count]
+    mixed[0] = 0.0
+    assert below(mixed, 1.0).all()
+
+
+@pytest.mark.parametrize(("states", "units", "proved"), [(4, 1e5, True), (6, 1e2, False)])
+def test_a_chain_of_states_is_balanced_in_four_rounds(states: int, units: float, proved: bool) -> None:
+    """Of a radius below 0.8; three rounds are too few for the first chain, five would do for the second."""
+    up, down = (np.diag(np.full(states - 1, 0.2 * u), k) for u, k in ((units, 1), (1.0 / units, -1)))
+    assert below((0.4 * np.eye(states) + up + down)[None], 1.0).tolist() == [proved]
+
+
+def test_states_that_are_coupled_one_way_alone_are_proved_too() -> None:
+    one_way = np.array([[0.5, 100.0], [0.0, 0.5]])
+    for A in (one_way, one_way.T):
+        assert below(A[None], 1.0).all()
+
+
 def test_no_bound_and_no_matrices_prove_nothing() -> None:
     A = stack(0.1, np.random.default_rng(3))
     assert not below(A, 0.0).any()

@@ -1,0 +1,52 @@
+"""Of what is worked out before a run, and of what touches an arm in a rehearsal."""
+
+from __future__ import annotations
+
+from tests.mutate.equivalent.entries import Entries
+
+_SQUARINGS = "squarings = np.ceil(np.log2(np.maximum(norm / _NORM_MAX, 1.0))).astype(int)"
+_ONE = "b, one = (_PADE, np.eye(A.shape[-1]))"
+_FLAT = "flat = A.reshape(len(A), -1)"
+_ON = "on = ~small & (off < 1.0)"
+_LEFT = "w = np.concatenate([w, _internal(S, [-S_i @ (beyond * e.off) for S_i, e in zip(S, errors, strict=True)])], -1)"
+_GIVEN = "return np.concatenate([-S @ off, errors.wrench], axis=1)"
+_ENDS = "ends = np.cumsum([0, *(g.shape[1] for g in given)])"
+_LINEAR = "found: NDArray[np.bool_] = np.linalg.norm(P[:, _FORCE], axis=1) > 0.5"
+_PARTS = "_FORCE, _MOMENT = (slice(0, 3), slice(3, 6))"
+_NO_SIGN = "an error may have either sign, and the sizes of columns are given"
+_A_TOUCH_SETS_IT = "a touch sets it as it begins, and nothing asks for it before"
+_NOTHING_MORE = "where rounding alone is as large as one nothing is proved any more"
+
+CHECKS: Entries = {
+    "agent.verify.criterion.exponential": {
+        (
+            "exponential",
+            _SQUARINGS,
+            _SQUARINGS.replace("1.0", "2.0"),
+        ): "squared once more than it needs, which is the same but for rounding",
+        ("exponential", _ONE, _ONE.replace("-1", "-2")): "matrices are square",
+        (
+            "exponential",
+            "for k in range(int(squarings.max(initial=0))):",
+            "for k in range(int(squarings.max(initial=1))):",
+        ): "nothing is squared that has been squared as often as it needs",
+    },
+    "agent.verify.criterion.power": {
+        ("below", _ON, _ON.replace("<", "<=")): _NOTHING_MORE,
+        ("below", _ON, _ON.replace("1.0", "2.0")): _NOTHING_MORE,
+        ("below", "if not on.all():", "if True:"): "saves the copying of what is not thinned out",
+        ("_norm", _FLAT, _FLAT.replace("-1", "-2")): "numpy takes any number below zero",
+    },
+    "agent.verify.disagreement": {
+        ("_at", _LEFT, _LEFT.replace("-S_i", "S_i")): _NO_SIGN,
+        ("_wrenches", _GIVEN, _GIVEN.replace("-S", "S")): _NO_SIGN,
+        ("_internal", _ENDS, _ENDS.replace("[0", "[1")): "a column of zeros more adds nothing to any size",
+        ("_linear", _LINEAR, _LINEAR.replace(">", ">=")): "a row is of length one or of none",
+        ("", _PARTS, _PARTS.replace("6", "7")): "a wrench has six numbers",
+    },
+    "sim_backend.hil.touch": {
+        ("Touch.__init__", "self._lasted_s = 0.0", "pass"): _A_TOUCH_SETS_IT,
+        ("Touch.__init__", "self._lasted_s = 0.0", "self._lasted_s = 1.0"): _A_TOUCH_SETS_IT,
+        ("Touch.__init__", "self._quiet_s = 0.0", "self._quiet_s = 1.0"): _A_TOUCH_SETS_IT,
+    },
+}
