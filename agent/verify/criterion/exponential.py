@@ -15,14 +15,13 @@ import numpy as np
 from agent.control.models import Matrix
 
 TERMS: Final = 5  # of each of so many polynomials in A, which stand before the powers of its fifth
-NORM_MAX: Final = 1.0  # up to this 1-norm the polynomial is exact to rounding: what it lacks is below 1 / 20!
 _TAYLOR: Final = np.array([1.0 / math.factorial(k) for k in range(4 * TERMS)]).reshape(4, TERMS)
 
 
 def exponential(A: Matrix) -> Matrix:
     """e^A of every matrix (..., n, n), each squared as often as its own 1-norm asks for."""
-    norm = np.abs(A).sum(axis=-2).max(axis=-1, initial=0.0)
-    squarings = np.ceil(np.log2(np.maximum(norm / NORM_MAX, 1.0))).astype(int)
+    norm = np.abs(A).sum(axis=-2).max(axis=-1, initial=1.0)  # up to 1 the polynomial lacks less than 1 / 20!
+    squarings = np.ceil(np.log2(norm)).astype(int)
     A = A / 2.0 ** squarings[..., None, None]
     powers = np.empty((TERMS, *A.shape))
     powers[0] = np.eye(A.shape[-1])

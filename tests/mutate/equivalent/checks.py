@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from tests.mutate.equivalent.entries import Entries
 
-_SQUARINGS = "squarings = np.ceil(np.log2(np.maximum(norm / _NORM_MAX, 1.0))).astype(int)"
-_ONE = "b, one = (_PADE, np.eye(A.shape[-1]))"
+_NORM = "norm = np.abs(A).sum(axis=-2).max(axis=-1, initial=1.0)"
+_ONE = "powers[0] = np.eye(A.shape[-1])"
 _FLAT = "flat = A.reshape(len(A), -1)"
 _ON = "on = ~small & (off < 1.0)"
 _LEFT = "w = np.concatenate([w, _internal(S, [-S_i @ (beyond * e.off) for S_i, e in zip(S, errors, strict=True)])], -1)"
@@ -19,11 +19,13 @@ _NOTHING_MORE = "where rounding alone is as large as one nothing is proved any m
 
 CHECKS: Entries = {
     "agent.verify.criterion.exponential": {
+        ("", "TERMS: Final = 5", "TERMS: Final = 6"): "four terms more, all below rounding",
+        ("exponential", _NORM, _NORM.replace("-2", "-1", 1)): "any norm of a matrix bounds what the polynomial lacks",
         (
             "exponential",
-            _SQUARINGS,
-            _SQUARINGS.replace("1.0", "2.0"),
-        ): "squared once more than it needs, which is the same but for rounding",
+            _NORM,
+            _NORM.replace("1.0", "2.0"),
+        ): "squared once more than it needs, the same but for rounding",
         ("exponential", _ONE, _ONE.replace("-1", "-2")): "matrices are square",
         (
             "exponential",

@@ -25,6 +25,11 @@ def test_large_and_small_ones_of_a_stack_are_each_squared_as_often_as_they_need(
         assert found.ravel().tolist() == pytest.approx([math.exp(sign * size) for size in sizes], rel=1e-13)
 
 
+def test_numbers_are_exact_to_rounding_up_to_where_they_are_squared_and_beyond() -> None:
+    for x in (0.3, 0.999, 1.0, 1.001, 1.99, 2.0, -1.0, -1.99):
+        assert exponential(np.array([[[x]]])).item() == pytest.approx(math.exp(x), rel=2e-15, abs=0.0)
+
+
 def test_what_a_column_adds_up_to_says_how_often_one_is_squared() -> None:
     """A column of norm 40, rows of norm 4: e^A of a nilpotent A is one and A."""
     A = np.zeros((11, 11))
