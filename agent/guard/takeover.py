@@ -17,14 +17,17 @@ STALE_NS = 18_000_000  # without a row, after which it is ended: it hangs
 GAP_PERIODS = Patience.gap  # as the loop has it for itself
 STALE_PERIODS = 3  # at least, of a slow loop
 EMULATED_STALE_NS = 150_000_000  # where everything shares a processor; before the servos' own watchdog all the same
+FLOATING_STALE_NS = 100_000_000  # its last torque is its weight's, and a hand is on it
 SIMULATED_STALE_NS = 500_000_000  # where there is no such watchdog
 
 
-def stale_ns(period_ns: int, emulated: bool, simulated: bool) -> int:
+def stale_ns(period_ns: int, emulated: bool, simulated: bool, *, floating: bool = False) -> int:
     """How long an agent with that period may go without a row."""
     if simulated:
         return SIMULATED_STALE_NS
-    return EMULATED_STALE_NS if emulated else max(STALE_NS, STALE_PERIODS * period_ns)
+    if emulated:
+        return EMULATED_STALE_NS
+    return max(FLOATING_STALE_NS if floating else STALE_NS, STALE_PERIODS * period_ns)
 
 
 class Adopts(Protocol):

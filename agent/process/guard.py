@@ -75,13 +75,14 @@ class _Guard:
         self._q_start = _q_start(cell, self._arm)
         self._agent: Agent = build_agent(cell, self._arm)
         emulated, simulated = options.agent.connection.emulated, options.agent.driver is DriverKind.SIM
-        self._stale_ns = stale_ns(cell.period_ns, emulated, simulated)
+        floats = spec_of(cell, self._arm) is not None
+        self._stale_ns = stale_ns(cell.period_ns, emulated, simulated, floating=floats)
         self._notifier = stack.enter_context(closing(Notifier()))
         self._successor: Successor | FloatSuccessor
-        if spec_of(cell, self._arm) is None:
-            self._successor = Successor(cell, self._arm, self._agent, options, stop, self._notifier)
-        else:
+        if floats:
             self._successor = FloatSuccessor(cell, self._arm, self._agent, options.agent, self._notifier)
+        else:
+            self._successor = Successor(cell, self._arm, self._agent, options, stop, self._notifier)
         self._clock = MonotonicClock()
         self._port = self._open_port()
         stack.callback(self._close_port)

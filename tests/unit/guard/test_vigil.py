@@ -43,5 +43,6 @@ def test_an_agent_that_said_it_is_busy_is_given_that_time() -> None:
 def test_a_slow_loop_is_given_three_cycles_and_a_simulated_one_more() -> None:
     assert stale_ns(5 * MS, emulated=False, simulated=False) == 18 * MS
     assert stale_ns(20 * MS, emulated=False, simulated=False) == 60 * MS
+    assert stale_ns(5 * MS, emulated=False, simulated=False, floating=True) == 100 * MS
     assert stale_ns(5 * MS, emulated=True, simulated=False) == 150 * MS
     assert stale_ns(5 * MS, emulated=False, simulated=True) == 500 * MS
