@@ -18,6 +18,7 @@ from agent.modes import Mode
 from agent.safety import Flag
 from drivers.dynamixel.arm_map import WATCHDOG_S
 from tests.faults.together import drawn, same
+from tests.support.control.level_wx200 import LEVEL, STIFF
 
 AT_S = 0.1
 SHORT_S = 0.3
@@ -96,7 +97,8 @@ def test_an_arm_without_supply_is_limp_and_its_own_agent_stops() -> None:
 @pytest.mark.fault("F1", "P8")
 def test_where_nobody_can_hold_it_the_object_falls_hardly_faster_than_the_torque_bound_makes_it() -> None:
     """0.26 m/s here; by the observer's speed alone the brake came too late and made 0.36 of 0.23 elsewhere."""
-    run = struck("arm-off", cell="two_wx200", until_s=1.8)
+    level = load_cell(Path("two_wx200"), [*LEVEL, *STIFF, "duration_s=1.8"])
+    run = rehearse(level, [Injection(fault="arm-off", arm="left", at_s=AT_S)])
     found, arm = shown(run), run.cell.arms[1]
     assert found.sag_m > 0.1, "check says so: 81 % of stall in the elbow, of 50 % allowed"
     assert found.fall_m_per_s < 0.28
@@ -215,7 +217,7 @@ def test_a_clock_that_is_ahead_puts_its_arm_ahead_on_the_motion() -> None:
 
 @pytest.mark.fault("M5")
 def test_gains_ten_times_as_large_turn_nothing_faster_than_a_hold_may() -> None:
-    found = shown(struck("agent-wrong", cell="two_wx200", until_s=1.0))
+    found = shown(struck("agent-wrong", cell="two_wx200", until_s=2.0))
     assert found.ended["left"] == "HOLD"
     assert found.speed_rad_per_s < 1.5
     assert found.torque_share <= 1.02

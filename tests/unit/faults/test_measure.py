@@ -140,7 +140,7 @@ def test_of_three_arms_the_one_with_the_most_counts() -> None:
 
 def test_sag_is_below_the_motion_while_it_is_followed_and_below_the_hold_after_it() -> None:
     def at(z: float) -> dict[str, Any]:
-        return {"p_object": np.array([0.375, 0.0, 0.25 + z])}
+        return {"p_object": np.array([0.27, 0.0, 0.25 + z])}
 
     assert figures(truth={1.2: at(-0.03), 1.3: at(0.02)}).sag_m == pytest.approx(0.03)
     assert figures(truth={1.2: at(0.03)}).sag_m == pytest.approx(0.0)

@@ -10,6 +10,7 @@ from agent.config.cell import Cell, load_cell
 from agent.verify.alignment_room import alignment_room
 from agent.verify.check import examine, start_configurations
 from agent.verify.finding import Finding, Verdict
+from tests.support.control.level_wx200 import LEVEL
 
 WHAT = "distances up to the limits of the alignment"
 SERVOS = ('driver="dynamixel"', 'arms.left.dynamixel={port="/dev/a"}', 'arms.right.dynamixel={port="/dev/b"}')
@@ -32,20 +33,20 @@ def test_followers_have_room_in_shipped_cells_and_the_anchor_is_not_asked() -> N
 
 
 def test_the_distance_is_that_of_the_shifted_arm() -> None:
-    (near,), (far,) = (room(LONG, STRAIGHT, f"controller.alignment.max_m={x}") for x in (0.002, 0.007))
+    (near,), (far,) = (room(*LEVEL, LONG, STRAIGHT, f"controller.alignment.max_m={x}") for x in (0.002, 0.007))
     assert "right" in near.found
     assert "object" in near.found
     assert float(near.found.split(" ")[0]) - float(far.found.split(" ")[0]) == pytest.approx(5.0, abs=0.3)
 
 
 def test_a_turn_counts_too() -> None:
-    narrow = ("controller.alignment.max_m=1e-4", LONG)
+    narrow = (*LEVEL, "controller.alignment.max_m=1e-4", LONG)
     (straight,), (turned,) = (room(*narrow, f"controller.alignment.max_rad={a}") for a in (0.001, 0.1))
     assert float(turned.found.split(" ")[0]) < float(straight.found.split(" ")[0]) - 1.0
 
 
 def test_limits_that_touch_are_a_warning_in_simulation_and_refused_on_servos() -> None:
-    wide = (LONG, STRAIGHT, "controller.alignment.max_m=0.02")
+    wide = (*LEVEL, LONG, STRAIGHT, "controller.alignment.max_m=0.02")
     (found,) = room(*wide)
     assert found.verdict is Verdict.WARNING
     assert "overlap by" in found.found

@@ -17,6 +17,7 @@ from agent.verify.collision.findings import _places, collisions
 from agent.verify.collision.scene import Scene
 from agent.verify.collision.way import Way
 from agent.verify.finding import Finding, Verdict
+from tests.support.control.level_wx200 import LEVEL
 
 WX200 = (configs.ARMS_DIR / "wx200.urdf").read_text()
 
@@ -50,7 +51,7 @@ def nearest(way: Way, pairs: list[tuple[int, int]]) -> float:
 
 
 def test_distances_are_those_of_the_shapes() -> None:
-    cell, scene = scene_of("two_wx200", "table.z_m=0.0")
+    cell, scene = scene_of("two_wx200", *LEVEL, "table.z_m=0.0")
     way = still(cell, scene)
     index = {shape.label: i for i, shape in enumerate(scene.shapes)}
     # both grippers are level and point at each other; a finger is 40 mm long

@@ -11,6 +11,7 @@ from agent.config.cell import Cell, placement
 from agent.verify.check import reach, start_configurations
 from agent.verify.support import HELD_SAG_M, Fate, Statics, Support
 from tests.support.control.criterion_cells import gentle
+from tests.support.control.level_wx200 import LEVEL
 from tests.support.plant.limp import sag_of_limp
 
 HOLDS_DESIRED = "controller.alignment.track_per_s=0.0"  # an arm without alignment holds where it has sagged to
@@ -29,11 +30,18 @@ def without(cell: Cell, arm: int, *instants: float) -> Support:
 
 @pytest.mark.parametrize(
     ("name", "limp", "at_s"),
-    [("paper", 0, 5.0), ("paper", 1, 0.5), ("two_wx200", 0, 5.0), ("two_wx200", 1, 5.0), ("two_models", 1, 0.5)],
+    [
+        ("paper", 0, 5.0),
+        ("paper", 1, 0.5),
+        ("two_wx200", 1, 5.0),
+        ("level", 0, 5.0),
+        ("level", 1, 5.0),
+        ("two_models", 1, 0.5),
+    ],
 )
 @pytest.mark.fault("F1")
 def test_the_plant_holds_what_statics_hold_and_drops_what_they_drop(name: str, limp: int, at_s: float) -> None:
-    cell = gentle(name, HOLDS_DESIRED)
+    cell = gentle("two_wx200", *LEVEL, HOLDS_DESIRED) if name == "level" else gentle(name, HOLDS_DESIRED)
     predicted, simulated = without(cell, limp, at_s).sag_m, sag_of_limp(cell, limp, at_s)
     if math.isfinite(predicted):
         assert 0.8 * predicted < simulated < predicted + 5e-3  # it comes with a swing
@@ -44,7 +52,7 @@ def test_the_plant_holds_what_statics_hold_and_drops_what_they_drop(name: str, l
 def test_shares_of_stall_are_those_of_an_independent_prototype() -> None:
     along = np.linspace(0.0, 15.0, 16).tolist()
     assert without(gentle("paper"), 0, *along).limp.share == pytest.approx(0.51, abs=0.01)
-    assert without(gentle("two_wx200"), 0, *along).limp.share == pytest.approx(0.81, abs=0.01)
+    assert without(gentle("two_wx200", *LEVEL), 0, *along).limp.share == pytest.approx(0.81, abs=0.01)
     assert without(gentle("two_models"), 1, *along).limp.share == pytest.approx(1.03, abs=0.01)
 
 
@@ -67,13 +75,14 @@ def test_one_survivor_carries_both_weights() -> None:
 
 def test_held_is_only_what_holds_at_every_stated_error() -> None:
     assert without(gentle("paper"), 1, 0.5).fate is Fate.HELD
-    assert without(gentle("two_wx200"), 0, 0.5).fate is Fate.MAY_FALL
+    assert without(gentle("two_wx200"), 0, 0.5).fate is Fate.HELD
+    assert without(gentle("two_wx200", *LEVEL), 0, 0.5).fate is Fate.MAY_FALL
     assert without(gentle("two_models"), 1, 10.0, 11.0, 12.0).fate is not Fate.HELD
     known = ("tolerance.masses=0.0", "tolerance.object=0.0", "tolerance.torque_constant=0.0")
-    exact = without(gentle("two_wx200", *known, "tolerance.friction=[1.0, 1.0]"), 0, 10.0)
+    exact = without(gentle("two_wx200", *LEVEL, *known, "tolerance.friction=[1.0, 1.0]"), 0, 10.0)
     assert exact.fate is Fate.HELD
-    assert without(gentle("two_wx200", *known, "tolerance.friction=[0.2, 1.0]"), 0, 10.0).fate is Fate.MAY_FALL
-    assert without(gentle("two_wx200", "object.mass_kg=2.0"), 0, 0.5).fate is Fate.NOT_HELD
+    assert without(gentle("two_wx200", *LEVEL, *known, "tolerance.friction=[0.2, 1.0]"), 0, 10.0).fate is Fate.MAY_FALL
+    assert without(gentle("two_wx200", *LEVEL, "object.mass_kg=2.0"), 0, 0.5).fate is Fate.NOT_HELD
 
 
 def test_more_arms_share_the_weight_of_a_limp_one() -> None:

@@ -11,6 +11,7 @@ from agent.verify.criterion.cases import Aligning, Case, Demand, Ranges, alone, 
 from agent.verify.criterion.examine import DELAY_STEP, Criterion, examine, rank
 from agent.verify.criterion.judge import Judge
 from tests.support.control.criterion_cells import cell_of, first, gentle, loop_of, ranges_of, start_pose
+from tests.support.control.level_wx200 import LEVEL
 
 
 def examined(name: str, *overrides: str, **changes: object) -> Criterion:
@@ -31,7 +32,7 @@ def test_the_gains_as_printed_do_not_survive_an_open_gripper(
     name: str, radius: float, demand: Demand, arm: int
 ) -> None:
     """Figures of an independent prototype."""
-    cell = first(name)
+    cell = first(name, *(LEVEL if name == "two_wx200" else ()))
     found = examine([start_pose(cell)], loop_of(cell), ranges_of(cell))
     assert found.radius == pytest.approx(radius, abs=1e-3)
     assert found.cases[0].case.demand is demand
