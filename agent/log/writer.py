@@ -138,7 +138,8 @@ class BatchWriter:
             return
         content = chunk.buffer[: chunk.size].data
         packed = self._compressor.compress(content)
-        begin, end = min(int(some.min()) for some in times), max(int(some.max()) for some in times)
+        every = np.concatenate(times)
+        begin, end = int(every.min()), int(every.max())
         at = self._position
         self._write(
             _CHUNK_HEAD.pack(
