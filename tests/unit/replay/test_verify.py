@@ -287,6 +287,8 @@ def test_a_time_beside_the_others_is_found_wherever_the_replay_begins(tmp_path: 
     rows["t"][30] = round(1e9 * rows["t"][30] + 1e6) * 1e-9  # a millisecond late, in whole nanoseconds as all are
     verdict = replayed(tmp_path, rows, window=Window(from_row=begin))
     assert (verdict.rows, verdict.different) == (60 - begin, 1)
+    assert verdict.first is not None
+    assert (verdict.first.row, verdict.first.fields) == (30, ("t",))
 
 
 @pytest.mark.parametrize("t", [-1.5e9, 1.5e9])
