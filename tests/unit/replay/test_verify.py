@@ -283,8 +283,12 @@ def test_a_time_that_is_none_is_a_difference_and_no_crash(tmp_path: Path, t: flo
 
 @pytest.mark.parametrize("begin", [0, 20])
 def test_a_time_beside_the_others_is_found_wherever_the_replay_begins(tmp_path: Path, begin: int) -> None:
-    verdict = replayed(tmp_path, flipped(eventful(), 30, "t"), window=Window(from_row=begin))
+    rows = eventful().copy()
+    rows["t"][30] = round(1e9 * rows["t"][30] + 1e6) * 1e-9  # a millisecond late, in whole nanoseconds as all are
+    verdict = replayed(tmp_path, rows, window=Window(from_row=begin))
     assert (verdict.rows, verdict.different) == (60 - begin, 1)
+    assert verdict.first is not None
+    assert (verdict.first.row, verdict.first.fields) == (30, ("t",))
 
 
 @pytest.mark.parametrize("t", [-1.5e9, 1.5e9])

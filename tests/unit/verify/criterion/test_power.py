@@ -84,6 +84,17 @@ def test_a_stack_is_balanced_by_more_than_its_first_matrix(count: int) -> None:
     assert below(mixed, 1.0).all()
 
 
+@pytest.mark.parametrize(("count", "proved"), [(3, True), (4, False)])
+def test_every_second_of_four_matrices_is_enough_to_balance_all(count: int, proved: bool) -> None:
+    mixed = stack(0.9, np.random.default_rng(4), 1e4)[:count]
+    mixed[::2] = 0.0
+    assert below(mixed, 1.0)[1] == proved
+
+
+def test_a_radius_is_below_by_a_millionth_of_the_bound_at_least() -> None:
+    assert below(np.array([[[1.0 - 1.5e-6]], [[1.0 - 0.9e-6]]]), 1.0).tolist() == [True, False]
+
+
 @pytest.mark.parametrize(("states", "units", "proved"), [(4, 1e5, True), (6, 1e2, False)])
 def test_a_chain_of_states_is_balanced_in_four_rounds(states: int, units: float, proved: bool) -> None:
     """Of a radius below 0.8; three rounds are too few for the first chain, five would do for the second."""
