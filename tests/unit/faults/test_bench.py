@@ -217,7 +217,8 @@ def test_a_clock_that_is_ahead_puts_its_arm_ahead_on_the_motion() -> None:
 
 @pytest.mark.fault("M5")
 def test_gains_ten_times_as_large_turn_nothing_faster_than_a_hold_may() -> None:
-    found = shown(struck("agent-wrong", cell="two_wx200", until_s=2.0))
+    level = load_cell(Path("two_wx200"), [*LEVEL, *STIFF, "duration_s=1.0"])
+    found = shown(rehearse(level, [Injection(fault="agent-wrong", arm="left", at_s=AT_S, size=10.0)]))
     assert found.ended["left"] == "HOLD"
     assert found.speed_rad_per_s < 1.5
     assert found.torque_share <= 1.02
