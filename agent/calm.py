@@ -29,7 +29,7 @@ def kept(dq: Vector, measured: Vector, memory: Memory, limits: Limits, above_rad
     """How a hold is kept in this tick; dq, measured: (n,) the observer's and the servos' joint velocities.
 
     By the law, until a joint is faster than `above_rad_per_s`, or the law does not get what it asks for; then it brakes
-    until it is nearly at rest, and holds its joints from then on.  Gently after states that came too rarely.
+    until it is nearly at rest, and holds its joints from then on.  Gently while states come too rarely.
     """
     if memory.calm > JOINTS:
         return memory.calm - 1
@@ -45,9 +45,13 @@ def kept(dq: Vector, measured: Vector, memory: Memory, limits: Limits, above_rad
         or (moves > above_rad_per_s and _at_bound(memory.tau.tolist(), limits.tau_max_Nm))
     ):
         return BRAKE
-    if memory.calm == LAW and (
-        _imagined(believed, seen, DOUBT_SHARE * above_rad_per_s)
-        or _at_bound((memory.tau - memory.tau_before).tolist(), limits.tau_step_max_Nm)
+    if (
+        memory.calm == LAW
+        and not memory.missed
+        and (  # a law that was not heard for a while has something to make up
+            _imagined(believed, seen, DOUBT_SHARE * above_rad_per_s)
+            or _at_bound((memory.tau - memory.tau_before).tolist(), limits.tau_step_max_Nm)
+        )
     ):
         return BRAKE
     return memory.calm

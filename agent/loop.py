@@ -36,7 +36,8 @@ RETURN_RAD = 0.04  # a hold that has braked goes back no farther, so that it doe
 GENTLE_TICKS = 100  # with a state in time, until a hold that was starved is as stiff as its joints allow
 GENTLE_RAD_PER_S = 5.0  # how stiff it is until then; less where 30 periods are longer than a second
 GENTLE_REACH_RAD = 0.1  # beyond it a gentle hold pulls no harder, which bounds how fast it comes back
-STARVED_PERIODS = 3.5  # from one state to the next, above which a hold is gentle
+STARVED_PERIODS = 3.5  # from one state to the next, above which a hold has missed some
+FORGIVEN_TICKS = 20  # with a state in time, until that is forgotten; a hold that misses some again before is gentle
 _TRACK, _HOLD, _READY = Mode.TRACK, Mode.HOLD, Mode.READY  # looking them up in their class takes 0.1 µs each
 _NOT_FINITE = int(Flag.NOT_FINITE)  # asking a flag for another one takes 0.5 µs
 _ALIGNING = (_READY, _TRACK)  # the shift changes while the arm waits for the motion or follows it
@@ -95,8 +96,7 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
 
     state: measured joints; t: time since the trajectory's zero, s; memory: as the last tick left it.
     """
-    if mode is _HOLD and memory.primed and t - memory.t > STARVED_PERIODS * agent.period_s:
-        memory = memory._replace(primed=False, calm=JOINTS + GENTLE_TICKS + 1)  # the observer expects the next period
+    memory = _in_time(agent, t, memory) if mode is _HOLD else memory
     if agent.observer is None:
         q, dq = state.q, state.dq
     else:
@@ -150,8 +150,23 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
     carried = Memory(
         q, dq, ddq, memory.ddq, limited, memory.tau, True, sense, shift, calm,
         memory.hold, t, estimate, memory.q_hold, memory.age + agent.period_s,
+        memory.missed if mode is _HOLD else 0,
     )  # fmt: skip
     return Outcome(q, dq, terms, limited, flags, carried, sensed)
+
+
+def _in_time(agent: Agent, t: float, memory: Memory) -> Memory:
+    """Memory of a hold that has a state at t, and knows whether it had none for some cycles, and for how long.
+
+    Missed once, the hold goes on as it was: only the law knows what the arm carries beyond its share, as of a limp
+    neighbour.  Its observer begins anew, for it expects the next period.  Missed again before that is forgotten, the
+    law itself would shake the arm.
+    """
+    if t - memory.t > STARVED_PERIODS * agent.period_s:
+        again = memory.missed or memory.calm > JOINTS
+        calm = JOINTS + GENTLE_TICKS + 1 if again else memory.calm
+        return memory._replace(primed=False, calm=calm, missed=FORGIVEN_TICKS)
+    return memory._replace(missed=memory.missed - 1) if memory.missed else memory
 
 
 def _without(agent: Agent, q: Vector, dq: Vector, flag: Flag, memory: Memory) -> Outcome:
@@ -166,8 +181,7 @@ def blind(agent: Agent, memory: Memory) -> Outcome:
     """A tick that has had no state for too long: weight and load share at the last pose, within the step limit."""
     nothing = np.full(agent.model.n, np.nan)
     tau, flags = _weight(agent, memory)
-    calm = JOINTS + GENTLE_TICKS + 1
-    carried = memory._replace(tau=tau, tau_before=memory.tau, primed=False, calm=calm)
+    carried = memory._replace(tau=tau, tau_before=memory.tau, primed=False)
     return Outcome(nothing, nothing, None, tau, Flag.STALE | Flag.BLIND | flags, carried)
 
 

@@ -14,7 +14,7 @@ Each is a quadratic sum over independent errors at their bounds in `[tolerance]`
 and fast is no less than a touch needs, with L and l the rates of the residual and of the slow channel.  What pulls
 against the motion or down (agent.control.against) has limits in cells of three and more arms: what a touch needs, or
 what friction and noise make of it.  REVERSAL, PEAK, CREEP, HUM and ALONG are calibrated on the largest values that
-studies of the shipped cells showed (a test has them).
+studies of the shipped cells showed (a test has them); a planar moment has a CREEP of its own.
 """
 
 from __future__ import annotations
@@ -44,6 +44,7 @@ REVERSAL: Final = (0.3, 0.6)  # force, moment: of the friction, the sudden part
 PEAK: Final = 6.7  # of noise, beyond the quadratic sum of half steps
 CALIBRATED_SHARE: Final = 0.2  # position gain of the observer in those studies; a slower one doubles friction's jumps
 CREEP: Final = 0.92
+CREEP_TWIST_PLANAR: Final = 1.15  # moment of three joints: all weak and all stiff is rare, but it comes
 HUM: Final = 2.0
 SLOW_PLANAR_PER_S, SLOW_PER_S = 2.0, 4.0
 TOUCH_N: Final = 2.0  # on the object, which is no trip; an arm feels its share of it, and what is usual
@@ -71,7 +72,11 @@ def slow_rate(cell: Cell) -> float:
     given = cell.file.safety.noticing.slow_per_s
     if given is not None:
         return given
-    return SLOW_PLANAR_PER_S if all(arm.n <= PLANAR_JOINTS for arm in cell.arms) else SLOW_PER_S
+    return SLOW_PLANAR_PER_S if _planar(cell) else SLOW_PER_S
+
+
+def _planar(cell: Cell) -> bool:
+    return all(arm.n <= PLANAR_JOINTS for arm in cell.arms)
 
 
 def derived(cell: Cell) -> Channels:
@@ -81,11 +86,12 @@ def derived(cell: Cell) -> Channels:
     touch = TOUCH * TOUCH_N / len(cell.arms)
     floors = FLOORS._replace(fast_N=max(FLOORS.fast_N, touch), fast_Nm=max(FLOORS.fast_Nm, TOUCH_LEVER_M * touch))
     hum = HUM * math.sqrt(slow_rate(cell) / cell.file.safety.noticing.rate_per_s)
+    twist = CREEP_TWIST_PLANAR if _planar(cell) else CREEP
     found = (
         REVERSAL[0] * friction_N + PEAK * noise_N,
         REVERSAL[1] * friction_Nm + PEAK * noise_Nm,
         CREEP * math.hypot(friction_N, errors_N) + hum * noise_N,
-        CREEP * math.hypot(friction_Nm, errors_Nm) + hum * noise_Nm,
+        twist * math.hypot(friction_Nm, errors_Nm) + hum * noise_Nm,
     )
     margins = (BLOW, BLOW, MARGIN, MARGIN)
     return Channels(*(float(f"{max(f, m * x):.3g}") for f, m, x in zip(floors, margins, found, strict=True)))

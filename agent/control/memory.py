@@ -15,6 +15,7 @@ from drivers.interface import Vector
 MEMORY_JOINTS = 7  # room per joint array in the flattened form
 JOINT_ARRAYS = 10
 NO_POSE = (0.0,) * 7  # what the log has where nothing is held
+MISSED = 1024  # in the log `calm` and `missed` share a number
 
 
 class Memory(NamedTuple):
@@ -38,19 +39,26 @@ class Memory(NamedTuple):
     estimate: Estimate | None = None  # of the adaptive law; logged in fields of its own
     q_hold: Vector | None = None  # joint angles at that pose, for a hold that needs no inverse of the Jacobian
     age: float = 0.0  # s of the ticks in this mode; what goes by it is not hurried by ticks that were missed
+    missed: int = 0  # ticks until a hold forgets that it had no state for some (agent.loop)
+
+    @property
+    def calm_and_missed(self) -> int:
+        """One number of the log field `memory`."""
+        return self.calm + MISSED * self.missed
 
     def flatten(self) -> list[float]:
         """The numbers of the log field `memory`.
 
-        Joint arrays padded to seven, None as zeros; pose to hold (7), primed, time, shift (6), calm, age; of `sense`
-        the wrenches (6), `ticks` and the pull against the motion and down (14).
+        Joint arrays padded to seven, None as zeros; pose to hold (7), primed, time, shift (6), calm and MISSED times
+        `missed`, age; of `sense` the wrenches (6), `ticks` and the pull against the motion and down (14).
         """
         own, sense, n = self[:6], self.sense, len(self.q)
         joints = np.zeros((JOINT_ARRAYS, MEMORY_JOINTS))
         for row, array in zip(joints, (*own, self.q_hold, *sense[:3]), strict=True):
             if array is not None:
                 row[:n] = array
-        rest = *(self.hold or NO_POSE), self.primed, self.t, *self.shift, self.calm, self.age, *sense.wrenches
+        behind = self.calm_and_missed, self.age, *sense.wrenches
+        rest = *(self.hold or NO_POSE), self.primed, self.t, *self.shift, *behind
         return [*joints.ravel().tolist(), *map(float, rest)]
 
 
@@ -70,6 +78,7 @@ def restore(flat: Vector, n: int, estimate: Estimate | None = None) -> Memory:
     tail = flat[count:].tolist()
     hold = tuple(tail[:7]) if any(tail[3:7]) else None
     q, dq, ddq, ddq_before, tau, tau_before, q_hold, momentum, expected, residual = (row.copy() for row in joints)
+    missed, calm = divmod(int(tail[15]), MISSED)
     base, slow, rest = (np.array(tail[k : k + 6]) for k in (17, 23, 29))
     return Memory(
         q,
@@ -81,10 +90,11 @@ def restore(flat: Vector, n: int, estimate: Estimate | None = None) -> Memory:
         primed=bool(tail[7]),
         sense=Sense(momentum, expected, residual, base, slow, rest, tail[35], pull_of(tail[36:])),
         shift=(tail[9], tail[10], tail[11], tail[12], tail[13], tail[14]),
-        calm=int(tail[15]),
+        calm=calm,
         hold=hold,
         t=tail[8],
         estimate=estimate,
         q_hold=None if hold is None else q_hold,
         age=tail[16],
+        missed=missed,
     )

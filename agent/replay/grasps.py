@@ -13,7 +13,7 @@ from agent.log.columns import Table
 from agent.log.read import ColumnLog
 from agent.modes import Mode
 from agent.replay.source import ReplayError
-from agent.report.series import attitude_error, grasp_force, nearest
+from agent.report.series import attitude_error, grasp_force, nearest, rotation_vector
 from agent.safety import Flag
 
 Array = NDArray[np.float64]
@@ -62,12 +62,12 @@ def grasps(log: ColumnLog, cell: Cell) -> Grasps:
     p, quat = _pose(plant, np.flatnonzero(common)) if plant is not None else _mean(poses)
     found = []
     for name, (p_arm, quat_arm) in poses.items():
-        turned = attitude_error(quat, quat_arm)
+        turned = rotation_vector(attitude_error(quat, quat_arm))
         arm = cell.arm(name)
         found.append(
             Grasp(
                 name, int(common.sum()), float(np.linalg.norm((p_arm - p).mean(axis=0))),
-                float(np.linalg.norm((2.0 * np.sign(turned[:, :1]) * turned[:, 1:]).mean(axis=0))),
+                float(np.linalg.norm(turned.mean(axis=0))),
                 _force(seen[name], plant, cell.index(name)), arm.entry.grip_force_max_N,
             )
         )  # fmt: skip
@@ -85,12 +85,11 @@ def _pose(rows: Table, at: NDArray[np.intp]) -> tuple[Array, Array]:
 
 
 def _mean(poses: Mapping[str, tuple[Array, Array]]) -> tuple[Array, Array]:
-    """The mean of near poses."""
+    """The mean of near poses; its quaternions are not of length 1."""
     p = np.mean([p for p, _ in poses.values()], axis=0)
     first = next(iter(poses.values()))[1]
     aligned = [quat * np.sign(np.sum(quat * first, axis=1, keepdims=True)) for _, quat in poses.values()]
-    quat = np.mean(aligned, axis=0)
-    return p, quat / np.linalg.norm(quat, axis=1, keepdims=True)
+    return p, np.mean(aligned, axis=0)
 
 
 def _force(rows: Table, plant: Table | None, number: int) -> float:

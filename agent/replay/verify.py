@@ -183,7 +183,6 @@ class _Verifier:
             elif self._readable.memory:
                 self._chain.restore(rows[i])
             else:
-                self._next = -1
                 return False
         self._next = sequence + 1
         return True
@@ -206,12 +205,11 @@ class _Verifier:
         if self._first is not None:
             return
         row, name = rows[i], fields[0]
-        index = None if instead is not None else _index(row[name], self._message[0][name])
-        recorded = row[name] if index is None else row[name][index]
-        replayed = self._message[0][name] if index is None else self._message[0][name][index]
+        index = _index(row[name], self._message[0][name])
+        recorded, replayed = (np.ravel(of[name])[index or 0].item() for of in (row, self._message[0]))
         self._first = Difference(
-            self._agent.name, int(row["sequence"]), float(row["t"]), name, index, recorded.item(),
-            replayed.item() if instead is None else instead, fields,
+            self._agent.name, int(row["sequence"]), float(row["t"]), name, index, recorded,
+            replayed if instead is None else instead, fields,
         )  # fmt: skip
 
 
@@ -221,7 +219,7 @@ def _spans(names: list[str]) -> list[tuple[int, int]]:
     fields = AGENT_STATE.dtype.fields
     assert fields is not None
     for name in names:
-        dtype, begin = fields[name][:2]
+        dtype, begin, *_ = fields[name]
         if spans and spans[-1][1] == begin:
             spans[-1] = (spans[-1][0], begin + dtype.itemsize)
         else:
@@ -246,7 +244,7 @@ def _same(a: NDArray[np.generic] | np.generic, b: NDArray[np.generic] | np.gener
 
 def _index(a: NDArray[np.generic] | np.generic, b: NDArray[np.generic] | np.generic) -> int | None:
     """The first place at which two arrays differ by a bit; None for single numbers."""
-    if not isinstance(a, np.ndarray) or not isinstance(b, np.ndarray):
+    if not isinstance(a, np.ndarray):
         return None
     bits = (np.ascontiguousarray(x).view(np.uint64) for x in (a, b))
     return int(np.flatnonzero(np.not_equal(*bits))[0])

@@ -48,7 +48,7 @@ class Touch:
                 self.share, self._lasted_s, self.count = 1.0, 0.0, self.count + 1
             return
         self._lasted_s += dt
-        self._bears = self._bears and self._lasted_s <= self.borne.most_s
+        self._bears = self._lasted_s <= self.borne.most_s
         if not max(sudden_N, drawn_N) <= most_N:  # also what is no number
             self.share, self._bears = 0.0, False
         elif not self._bears or (self._quiet_s >= QUIET_S and drawn_N < LEAST_TOUCH_N):

@@ -52,6 +52,8 @@ _DRIVER = (f"{UNIT}/drivers/test_driver.py", f"{UNIT}/drivers/test_driver_cycle.
 _VIEW = tuple(f"{UNIT}/view/{name}.py" for name in ("test_scene", "test_pictures"))
 _PAGE = (f"{UNIT}/view/test_page.py",)
 _VERIFY = tuple(f"{UNIT}/replay/{name}.py" for name in ("test_verify", "test_verify_trouble", "test_replay_command"))
+_CRITERION = f"{UNIT}/verify/criterion"
+_RECORDED = (*_WARM, "tests.unit.replay.test_verify:eventful")
 _SOFT = tuple(f"{UNIT}/sim_backend/{name}.py" for name in ("test_soft", "test_pads", "test_reality", "test_calendar"))
 
 TARGETS = (
@@ -67,11 +69,15 @@ TARGETS = (
     Target("agent.ticks", _RUNNER, warm=_WARM),
     Target("agent.transition", (f"{UNIT}/test_transition.py",)),
     Target("agent.operator.socket", (f"{UNIT}/operator/test_control_socket.py",)),
-    Target("agent.replay.chain", (*_VERIFY, f"{UNIT}/replay/test_whatif.py", f"{UNIT}/guard/test_resume.py")),
+    Target(
+        "agent.replay.chain",
+        (*_VERIFY, f"{UNIT}/replay/test_whatif.py", f"{UNIT}/guard/test_resume.py"),
+        warm=_RECORDED,
+    ),
     Target("agent.replay.grasps", (f"{UNIT}/replay/test_grasps.py", f"{UNIT}/replay/test_answers.py")),
-    Target("agent.replay.rows", _VERIFY),
+    Target("agent.replay.rows", _VERIFY, warm=_RECORDED),
     Target("agent.replay.same", (f"{UNIT}/replay/test_same.py", f"{UNIT}/replay/test_answers.py")),
-    Target("agent.replay.verify", _VERIFY),
+    Target("agent.replay.verify", _VERIFY, warm=_RECORDED),
     Target("agent.telemetry.ring.file", _RING),
     Target("agent.telemetry.ring.reader", _RING),
     Target("agent.telemetry.ring.texts", (f"{UNIT}/telemetry/test_texts.py", f"{UNIT}/telemetry/test_event.py")),
@@ -81,6 +87,9 @@ TARGETS = (
     Target("agent.view.motion", (f"{UNIT}/view/test_motion.py", *_VIEW, *_PAGE)),
     Target("agent.view.player", _PAGE),
     Target("agent.view.pose", _VIEW),
+    Target("agent.verify.criterion.exponential", (f"{_CRITERION}/test_exponential.py",)),
+    Target("agent.verify.criterion.power", (f"{_CRITERION}/test_power.py",)),
+    Target("agent.verify.disagreement", (f"{UNIT}/verify/test_disagreement.py",)),
     Target("drivers.dynamixel.checks", (f"{UNIT}/drivers/test_checks.py",)),
     Target("drivers.dynamixel.connected", (f"{UNIT}/drivers/test_driver.py",)),
     Target("drivers.dynamixel.cycle", (f"{UNIT}/drivers/test_cycle.py", f"{UNIT}/drivers/test_cycle_again.py")),
@@ -94,6 +103,7 @@ TARGETS = (
     ),
     Target("drivers.dynamixel.running", tuple(f"{UNIT}/drivers/{name}.py" for name in ("test_running", "test_grip"))),
     Target("drivers.dynamixel.stale", _DRIVER),
+    Target("sim_backend.hil.touch", (f"{UNIT}/hil/test_touch.py",)),
     Target("sim_backend.physics.calendar", _SOFT),
     Target("sim_backend.physics.free_body", _SOFT),
     Target("sim_backend.physics.openings", _SOFT),

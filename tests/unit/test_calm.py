@@ -73,6 +73,14 @@ def test_a_hold_whose_law_steps_as_far_as_it_may_brakes(step: Any, before: int, 
     assert kept(np.zeros(3), np.zeros(3), memory, LIMITS, ABOVE) == after
 
 
+def test_a_law_that_was_not_heard_for_a_while_may_step_and_imagine_but_not_be_fast() -> None:
+    memory = initial(3)._replace(tau=np.array(FREE) + np.array((0.0, 1.5, 0.0)), tau_before=np.array(FREE))
+    still = np.zeros(3)
+    for missed, imagined, after in ((1, ABOVE, LAW), (0, 0.0, BRAKE), (20, 1.01 * ABOVE, BRAKE)):
+        believed = np.array([imagined, 0.0, 0.0])
+        assert kept(believed, still, memory._replace(missed=missed), LIMITS, ABOVE) == after
+
+
 def test_a_brake_is_for_the_larger_of_two_speeds_and_of_equal_ones_for_the_believed() -> None:
     believed, measured = np.array([0.5, -2.0, 1.0, 0.0]), np.array([-1.5, 1.0, -1.0, 0.1])
     assert felt(believed, measured).tolist() == [-1.5, -2.0, 1.0, 0.1]

@@ -49,23 +49,37 @@ def tick(
 
 
 @pytest.mark.parametrize(
-    ("after", "before", "calm"),
+    ("after", "before", "known", "calm", "knows"),
     [
-        (1.0, LAW, LAW), (3.0, LAW, LAW), (3.49, LAW, LAW), (3.51, LAW, GENTLE), (4.0, BRAKE, GENTLE),
-        (4.0, JOINTS, GENTLE), (1.0, GENTLE, GENTLE - 1), (4.0, JOINTS + 3, GENTLE), (1.0, JOINTS + 1, JOINTS),
+        (1.0, LAW, 0, LAW, 0), (3.0, LAW, 0, LAW, 0), (3.49, LAW, 0, LAW, 0), (3.49, LAW, 20, LAW, 19),
+        (1.0, LAW, 1, LAW, 0),
+        # missed once: it goes on as it was
+        (3.51, LAW, 0, LAW, 20), (4.0, JOINTS, 0, JOINTS, 20), (30.0, LAW, 0, LAW, 20),
+        # and again before that is forgotten
+        (3.51, LAW, 1, GENTLE, 20), (4.0, BRAKE, 20, GENTLE, 20), (4.0, JOINTS, 7, GENTLE, 20),
+        (4.0, JOINTS + 3, 0, GENTLE, 20), (4.0, JOINTS + 1, 0, GENTLE, 20),
+        (1.0, GENTLE, 0, GENTLE - 1, 0), (1.0, GENTLE, 20, GENTLE - 1, 19), (1.0, JOINTS + 1, 0, JOINTS, 0),
     ],
 )  # fmt: skip
-def test_a_hold_that_was_starved_is_gentle_for_a_hundred_ticks(after: float, before: int, calm: int) -> None:
-    outcome = tick(arm(), holding(arm(), calm=before), after)
-    assert outcome.memory.calm == calm
+def test_a_hold_that_misses_states_again_and_again_is_gentle_for_a_hundred_ticks(
+    after: float, before: int, known: int, calm: int, knows: int
+) -> None:
+    outcome = tick(arm(), holding(arm(), calm=before, missed=known), after)
+    assert (outcome.memory.calm, outcome.memory.missed) == (calm, knows)
     assert (Flag.GENTLE in outcome.flags) is (calm >= JOINTS)
     assert Flag.DAMPED not in outcome.flags
 
 
+def test_a_brake_that_missed_states_brakes_on_until_it_is_nearly_at_rest() -> None:
+    agent = arm(damp_above_rad_per_s=1.0)
+    for dq, calm in ((0.21, BRAKE), (0.19, JOINTS)):
+        assert tick(agent, holding(agent, calm=BRAKE), 4.0, dq=(dq, 0.0, 0.0)).memory.calm == calm
+
+
 @pytest.mark.parametrize("mode", [Mode.READY, Mode.TRACK])
 def test_other_modes_are_not_gentle(mode: Mode) -> None:
-    outcome = tick(arm(), holding(arm(), calm=GENTLE), 10.0, mode=mode)
-    assert (outcome.memory.calm, Flag.GENTLE in outcome.flags) == (LAW, False)
+    outcome = tick(arm(), holding(arm(), calm=GENTLE, missed=20), 10.0, mode=mode)
+    assert (outcome.memory.calm, outcome.memory.missed, Flag.GENTLE in outcome.flags) == (LAW, 0, False)
 
 
 @pytest.mark.parametrize(
@@ -111,8 +125,8 @@ def test_three_periods_and_a_half_are_not_too_long() -> None:
     agent = arm()
     memory = holding(agent)._replace(t=0.0)
     state = JointState(0, start(), np.zeros(3), np.zeros(3))
-    for t, calm in ((3.5 * agent.period_s, LAW), (np.nextafter(3.5 * agent.period_s, 1.0), GENTLE)):
-        assert step(agent, state, float(t), Mode.HOLD, memory).memory.calm == calm
+    for t, missed in ((3.5 * agent.period_s, 0), (np.nextafter(3.5 * agent.period_s, 1.0), 20)):
+        assert step(agent, state, float(t), Mode.HOLD, memory).memory.missed == missed
 
 
 def test_a_hold_that_brakes_on_goes_back_to_where_it_began() -> None:
@@ -173,7 +187,7 @@ def test_a_blind_tick_goes_to_the_weights_torque_within_the_step_limit() -> None
     assert np.isnan(outcome.q).all()
     np.testing.assert_array_equal(outcome.memory.tau, outcome.tau)
     np.testing.assert_array_equal(outcome.memory.tau_before, before)
-    assert (outcome.memory.primed, outcome.memory.calm) == (False, GENTLE + 1)
+    assert (outcome.memory.primed, outcome.memory.calm) == (False, LAW)
     for _ in range(60):
         outcome = blind(agent, outcome.memory)
     np.testing.assert_array_equal(outcome.tau, wanted)

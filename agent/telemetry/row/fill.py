@@ -125,7 +125,8 @@ class AgentRow:
             memory.q.tobytes(), memory.dq.tobytes(), memory.ddq.tobytes(), memory.ddq_before.tobytes(),
             memory.tau.tobytes(), memory.tau_before.tobytes(),
             _ABSENT if memory.q_hold is None else memory.q_hold.tobytes(), of_sense,
-            *(memory.hold or NO_POSE), memory.primed, memory.t, *memory.shift, memory.calm, memory.age, behind,
+            *(memory.hold or NO_POSE), memory.primed, memory.t, *memory.shift, memory.calm_and_missed, memory.age,
+            behind,
         )  # fmt: skip
         if memory.estimate is not None:
             self._theta_arm[: len(memory.estimate.arm)] = memory.estimate.arm

@@ -19,7 +19,7 @@ _NORM_MAX = 5.371920351148152  # up to this 1-norm the approximant is exact to r
 
 def exponential(A: Matrix) -> Matrix:
     """e^A of every matrix (..., n, n), each squared as often as its own 1-norm asks for."""
-    norm = np.abs(A).sum(axis=-2).max(axis=-1, initial=0.0)
+    norm = np.abs(A).sum(axis=-2).max(axis=-1)
     squarings = np.ceil(np.log2(np.maximum(norm / _NORM_MAX, 1.0))).astype(int)
     b, one = _PADE, np.eye(A.shape[-1])
     A = A / 2.0 ** squarings[..., None, None]

@@ -14,6 +14,9 @@ _BOTH = "who learns has an estimate; said for the type checker"
 _NONE = "a function without a result returns None"
 _TABLE = "_FLAGS = tuple(map(Flag, range((_NOT_FINITE | _SATURATED | _RATE_LIMITED) + 1)))"
 
+_SQUARINGS = "squarings = np.ceil(np.log2(np.maximum(norm / _NORM_MAX, 1.0))).astype(int)"
+_ONE = "b, one = (_PADE, np.eye(A.shape[-1]))"
+_A_TOUCH_SETS_IT = "a touch sets it as it begins, and nothing asks for it before"
 _FLAGGED = "found = self._reason or f'{outcome.flags.name} {explained(self._agent, outcome)}'.rstrip()"
 
 CONTROL: Entries = {
@@ -69,6 +72,24 @@ CONTROL: Entries = {
             "if bus is not Bus.RECOVER or arm is None:",
             "if bus is not Bus.RECOVER or False:",
         ): "nobody is brought back by a driver that cannot; said for the type checker",
+    },
+    "agent.verify.criterion.exponential": {
+        (
+            "exponential",
+            _SQUARINGS,
+            _SQUARINGS.replace("1.0", "2.0"),
+        ): "squared once more than it needs, which is the same but for rounding",
+        ("exponential", _ONE, _ONE.replace("-1", "-2")): "matrices are square",
+        (
+            "exponential",
+            "for k in range(int(squarings.max(initial=0))):",
+            "for k in range(int(squarings.max(initial=1))):",
+        ): "nothing is squared that has been squared as often as it needs",
+    },
+    "sim_backend.hil.touch": {
+        ("Touch.__init__", "self._lasted_s = 0.0", "pass"): _A_TOUCH_SETS_IT,
+        ("Touch.__init__", "self._lasted_s = 0.0", "self._lasted_s = 1.0"): _A_TOUCH_SETS_IT,
+        ("Touch.__init__", "self._quiet_s = 0.0", "self._quiet_s = 1.0"): _A_TOUCH_SETS_IT,
     },
     "agent.operator.socket": {
         (

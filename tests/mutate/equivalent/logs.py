@@ -80,6 +80,13 @@ LOGS: Entries = {
         ("blocks", _BLOCK, _BLOCK.replace("-1", "-2")): "numpy takes any number below zero",
         ("blocks", "if layout.dtype == AGENT_STATE.dtype:", "if False:"): "saves the copying of field after field",
     },
+    "agent.replay.verify": {
+        (
+            "_spans",
+            "if spans and spans[-1][1] == begin:",
+            "if False:",
+        ): "saves comparing what is beside one another alone",
+    },
     "agent.replay.same": {
         ("_of_member", _COMMON, _COMMON.replace("unique=True", "unique=False")): "numbers of rows are unique",
         ("_pairs", _ENCODED, _ENCODED.replace("-1", "-2")): "numpy takes any number below zero",

@@ -6,7 +6,7 @@ from tests.mutate.equivalent.entries import Entries
 
 _NO_ROW = "self._row = self._marked = -1"
 _STEP = "step = round(float(self._t[1] - self._t[0]), 6) if len(self._t) > 1 else 1.0"
-_IDLE = "if self._wanted_s is None:"
+_ANEW = "self._row, self._wanted_s = (-1, next((t for t in wishes if t is not None)))"
 _PLAYING = "if t is None and started is not None:"
 _AT_END = "if started is not None and self._row == len(self._t) - 1:"
 _TELLS = "if row != self._told and (self._told < 0 or now - self._told_s >= slower * WORDS_S):"
@@ -19,8 +19,6 @@ _SHORTER = "turn = np.where(turn[:, :1] < 0.0, -turn, turn)"
 _AXIS = "axis = np.divide(turn[:, 1:], sine, out=np.zeros_like(turn[:, 1:]), where=sine > _STILL)"
 
 _WITHIN = "which = (self.t >= begin_s - 1e-09) & (self.t < end_s - 1e-09)"
-
-_WAITS = "self._wish.wait(1.0 / PLAY_HZ if self._then_s is None else HALF_WAY_S)"
 
 VIEW: Entries = {
     "agent.view.motion": {
@@ -42,20 +40,17 @@ VIEW: Entries = {
     "agent.view.player": {
         ("Player.__init__", _NO_ROW, _NO_ROW.replace("-1", "1")): "the first picture is that of row 0",
         ("Player.__init__", _NO_ROW, _NO_ROW.replace("-1", "-2")): "any number below zero is no row",
+        (
+            "Player.__init__",
+            "self._wished_s, self._dragged = (-np.inf, False)",
+            "self._wished_s, self._dragged = (-np.inf, True)",
+        ): "nothing is on its way before the first wish, and each wish says whether it is of a drag",
         ("Player.__init__", "self._told = -1", "self._told = -2"): "any number below zero is no row",
         ("Player._build", _STEP, _STEP.replace("6)", "7)")): "the step of a slider has few decimals",
         ("Player._build", _STEP, _STEP.replace("6)", "5)")): "the step of a slider has few decimals",
-        ("Player.want", "self._wish.notify()", "pass"): "the picture comes a thirtieth of a second later",
-        ("Player.step", _IDLE, "if False:"): "it looks more often",
-        ("Player.step", _IDLE, "if True:"): "the picture comes a thirtieth of a second later",
-        ("Player.step", _IDLE, _IDLE.replace("is None", "is not None")): "the picture comes a thirtieth later",
-        ("Player.step", _WAITS, "pass"): "it looks more often",
-        ("Player.step", _WAITS, _WAITS.replace("1.0", "2.0")): "it looks less often",
         ("Player.step", _PLAYING, _PLAYING.replace("t is None", "True")): "a wish sets the start of playing, too",
-        ("Player.step", "if self._started is started:", "if True:"): "differs when a pause comes within microseconds",
         ("Player.step", _AT_END, _AT_END.replace("started is not None", "True")): "what does not play stops as well",
-        ("Player._follow", "if row < 0:", "if False:"): "so for microseconds, while errors are enlarged",
-        ("Player._follow", "return", "pass"): "so for microseconds, while errors are enlarged",
+        ("Player._exaggerate", _ANEW, _ANEW.replace("-1", "-2")): "any number below zero is no row",
         ("Player._follow", _TELLS, _TELLS.replace("row != self._told", "True")): "the same text is told again",
     },
     "agent.view.pose": {

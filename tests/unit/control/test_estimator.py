@@ -144,7 +144,9 @@ def random_memory(seed: int, n: int, hold: bool) -> Memory:
         pull=pull_of(rng.normal(size=14).tolist()),
     )
     shift = tuple(rng.normal(size=6).tolist())
-    return Memory(*rng.normal(size=(6, n)), primed=bool(seed % 2), sense=sense, shift=shift, calm=seed % 5, hold=pose)
+    calm, missed = 102 - 100 * seed, 20 * seed
+    more = {"sense": sense, "shift": shift, "calm": calm, "missed": missed, "hold": pose}
+    return Memory(*rng.normal(size=(6, n)), primed=bool(seed % 2), **more)
 
 
 @pytest.mark.parametrize("hold", [False, True])
@@ -160,7 +162,7 @@ def test_memory_survives_the_log(seed: int, n: int, hold: bool) -> None:
     assert found.sense.pull == memory.sense.pull
     for one, two in zip(found.sense[:-1], memory.sense[:-1], strict=True):
         assert np.array_equal(one, two)
-    for name in ("primed", "hold", "shift", "calm"):
+    for name in ("primed", "hold", "shift", "calm", "missed"):
         assert getattr(found, name) == getattr(memory, name)
     assert np.array_equal(restore(np.array(found.flatten()), n).flatten(), flat)
 

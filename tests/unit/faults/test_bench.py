@@ -63,6 +63,26 @@ def test_an_agent_that_is_gone_leaves_its_last_torque_until_the_servos_watchdog(
     assert shown(run).ended["right"] == "HOLD"
 
 
+@pytest.mark.fault("P12", "B3", "X1")
+def test_a_hold_beside_a_limp_neighbour_that_misses_a_few_cycles_goes_on_carrying_it() -> None:
+    """20 ms of the host, then 50 ms of the bus: 8 mm; by its joints alone, which know nothing of the neighbour, 70."""
+    faults = [
+        Injection(fault="agent-off", arm="left", at_s=0.3),
+        Injection(fault="agent-stuck", arm="right", at_s=0.9, for_s=0.02),
+        Injection(fault="bus-off", arm="right", at_s=1.1, for_s=0.05),
+    ]
+    run = rehearse(load_cell(Path("paper_real"), ["duration_s=1.5"]), faults)
+    found, rows = shown(run), run.arms["right"].rows
+    stopped = found.stopped_s["right"]
+    assert stopped is not None
+    assert stopped < 0.6, "before its host loses time"
+    assert np.diff(rows["t"]).max() > 0.019
+    assert (rows["flags"] & Flag.BLIND.value).any()
+    assert not (rows["flags"] & (Flag.GENTLE | Flag.DAMPED).value).any()
+    assert found.ended["right"] == "HOLD"
+    assert found.sag_m <= 0.02
+
+
 @pytest.mark.fault("F7", "B3")
 def test_an_arm_without_supply_is_limp_and_its_own_agent_stops() -> None:
     run = struck("arm-off")

@@ -1,4 +1,4 @@
-"""What each arm of a log without a simulation sees and carries, to the last digit."""
+"""What each arm of a log sees and carries, to the last digit."""
 
 from __future__ import annotations
 
@@ -7,12 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.log.read import open_log
+from agent.log.columns import Table
+from agent.log.read import ColumnLog, open_log
 from agent.modes import Mode
 from agent.replay.grasps import grasps
 from agent.safety import Flag
 from tests.support.runner_rig import paper, run
 from tests.support.telemetry.run_log import write_run
+from tests.support.telemetry.synthetic_run import agent_rows, plant_rows
 
 TURN = 0.6  # rad, of what one arm sees against the other
 
@@ -42,5 +44,49 @@ def test_arms_differ_from_their_mean_by_half_of_what_they_differ_by(tmp_path: Pa
     assert [arm.rows for arm in found.arms] == [19, 19], "without the tick that one of them did not see"
     for arm in found.arms:
         assert arm.offset_m == pytest.approx(1e-3)
-        assert arm.offset_rad == pytest.approx(2.0 * np.sin(TURN / 4), rel=1e-9)
+        assert arm.offset_rad == pytest.approx(TURN / 2, rel=1e-9)
     assert [arm.force_max_N for arm in found.arms] == [13.0, 0.25]
+
+
+PERIOD_NS = 5_000_000  # of the paper's cell
+
+
+def log_of(left: np.ndarray, right: np.ndarray, plant: np.ndarray | None = None) -> ColumnLog:
+    agents = {"left": Table.of(left), "right": Table.of(right)}
+    return ColumnLog(Path("run"), "paper", agents, None if plant is None else Table.of(plant), [], {}, {}, True, {})
+
+
+def rows(count: int, first: int = 0) -> np.ndarray:
+    own: np.ndarray = agent_rows(count, first=first)
+    own["utc_ns"] = 1_800_000_000_000_000_000 + PERIOD_NS * own["sequence"].astype(np.int64)
+    return own
+
+
+def test_with_a_simulation_arms_are_held_against_the_truth_of_the_same_ticks_and_its_forces_count() -> None:
+    left, right, plant = rows(10, 6), rows(10, 5), plant_rows(rows(20))
+    plant["p_object"][:, 0] = np.arange(20.0)  # another place at each tick
+    left["p_object"][:, 0] = np.arange(6.0, 16.0) + 1e-3
+    right["p_object"][:, 0] = np.arange(5.0, 15.0) - 3e-3
+    plant["grasp_wrench"][2, :9] = [3.0, 0.0, 4.0, 99.0, 99.0, 99.0, 0.0, 6.0, 8.0]
+    left["wrench_cmd"][:, 0] = 77.0
+    found = grasps(log_of(left, right, plant), paper())
+    assert found.truth
+    assert [arm.rows for arm in found.arms] == [9, 9]
+    assert [arm.offset_m for arm in found.arms] == pytest.approx([1e-3, 3e-3])
+    assert [arm.offset_rad for arm in found.arms] == [0.0, 0.0]
+    assert [arm.force_max_N for arm in found.arms] == [5.0, 10.0]
+
+
+def test_a_simulation_that_left_no_row_is_no_truth() -> None:
+    left, right = rows(10), rows(10)
+    right["p_object"][:, 2] = 4e-3
+    found = grasps(log_of(left, right, plant_rows(rows(0))), paper())
+    assert not found.truth
+    assert [arm.offset_m for arm in found.arms] == pytest.approx([2e-3, 2e-3])
+
+
+def test_ticks_are_the_same_up_to_half_a_period_apart() -> None:
+    left, right = rows(10), rows(10)
+    right["utc_ns"][:3] += PERIOD_NS // 2
+    right["utc_ns"][6] += PERIOD_NS // 2 + 1
+    assert [arm.rows for arm in grasps(log_of(left, right), paper()).arms] == [9, 9]

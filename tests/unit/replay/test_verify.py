@@ -146,6 +146,28 @@ def test_every_law_replays_with_a_hold_in_it_and_from_its_middle(tmp_path: Path,
         assert verified(tmp_path / "run.mcap", Window(from_row=begin)).equal
 
 
+def looped(arm: str, *, bridged: bool) -> tuple[Cell, np.ndarray]:
+    """Rows of the left arm in a cell with this arm in the loop; bridged: with what a bridge tells."""
+    cell = load_cell(configs.CELLS_DIR / "paper.toml", [f'hil.arms=["{arm}"]'])
+    rows = eventful().copy()
+    rows["config_id"] = cell.config_id
+    if bridged:
+        rows["tau_bridge"][:, :3], rows["q_twin"][:, :3], rows["twin_age_s"] = 0.25, 1.5, 3e-3
+    return cell, rows
+
+
+@pytest.mark.parametrize(
+    ("arm", "bridged", "equal"), [("left", True, True), ("right", False, True), ("right", True, False)]
+)
+def test_what_a_bridge_tells_is_taken_as_recorded_for_an_arm_in_the_loop_alone(
+    tmp_path: Path, arm: str, bridged: bool, equal: bool
+) -> None:
+    cell, rows = looped(arm, bridged=bridged)
+    verdict = replayed(tmp_path, rows, cell)
+    assert (verdict.rows, verdict.equal) == (60, equal)
+    assert verdict.first is None or verdict.first.fields == ("tau_bridge", "q_twin", "twin_age_s")
+
+
 def test_rows_that_are_missing_leave_the_others_equal(tmp_path: Path) -> None:
     rows = eventful()
     kept = rows[np.r_[0:7, 9:20, 30:60]]
@@ -207,6 +229,21 @@ def test_the_first_difference_is_that_of_the_earliest_row() -> None:
     assert verdict.first is early
 
 
+def test_a_verdict_is_equal_where_no_arm_differs_or_left_a_row_out() -> None:
+    good, other, short = (ArmVerdict("left", 9, d, n, None, 0.0) for d, n in ((0, 0), (1, 0), (0, 1)))
+    assert Verdict((good, good), ()).equal
+    for arms in ((good, other), (short, good), (good, short), (short, short)):
+        assert not Verdict(arms, ()).equal
+
+
+def test_it_says_at_which_arm_it_is(tmp_path: Path) -> None:
+    told: list[str] = []
+    path = write_run(tmp_path / "run.mcap", paper(), {"left": eventful()[:3]})
+    with open_log(path) as log:
+        verify(log, recorded_cell(log), Window(), tell=told.append)
+    assert told == ["replaying left", "replaying right"]
+
+
 def test_a_change_of_the_first_memory_is_found_because_a_run_begins_with_nothing(tmp_path: Path) -> None:
     verdict = replayed(tmp_path, flipped(eventful(), 0, "memory", 8 * 28))
     assert verdict.first is not None
@@ -231,14 +268,17 @@ def test_the_difference_says_both_values_and_how_much_torque_it_is(tmp_path: Pat
     assert verdict.arms[0].torque_difference_Nm == pytest.approx(0.25)
 
 
+@pytest.mark.parametrize("row", [20, 30], ids=["followed", "held"])
 @pytest.mark.parametrize("t", [np.nan, np.inf, 1e300])
-def test_a_time_that_is_none_is_a_difference_and_no_crash(tmp_path: Path, t: float) -> None:
+def test_a_time_that_is_none_is_a_difference_and_no_crash(tmp_path: Path, t: float, row: int) -> None:
     rows = eventful().copy()
-    rows["t"][30] = t
+    rows["t"][row] = t
     verdict = replayed(tmp_path, rows)
-    assert verdict.different >= 1
+    assert verdict.different == 1
     assert verdict.first is not None
-    assert verdict.first.row == 30
+    assert (verdict.first.row, verdict.first.fields[0]) == (row, "t")
+    says_why = str(verdict.first.replayed).startswith("no torque at all: ")
+    assert says_why == (row == 20 and np.isinf(t))
 
 
 # ------------------------------------------------------------------------------------------- built from the log alone
@@ -297,6 +337,7 @@ def test_without_a_memory_that_can_be_read_a_change_is_found_too(tmp_path: Path)
     verdict = verified(write_other_release(tmp_path / "run.mcap", paper(), {"left": rows}, **OLDER))
     assert verdict.first is not None
     assert (verdict.first.row, verdict.first.field) == (30, "q")
+    assert (verdict.rows, verdict.arms[0].left_out) == (60, 0), "and the rows behind it are compared still"
 
 
 def test_without_a_memory_that_can_be_read_nothing_behind_a_gap_is_called_equal(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from agent.config.cell import Cell
 from agent.verify.check import start_configurations
-from agent.verify.disagreement import Disagreement, disagreement
+from agent.verify.disagreement import Disagreement, _beyond, _Errors, disagreement
 from agent.verify.robustness import Walk, poses
 from tests.support.control.criterion_cells import gentle
 from tests.support.plant.inprocess import simulate
@@ -104,6 +104,28 @@ def test_what_the_largest_shift_leaves_of_both_arms_errors_squeezes() -> None:
     assert rigid > 1.0
     assert bound == pytest.approx(rigid * (apart - 0.02) / apart, rel=0.01)
     assert force("controller.alignment.max_m=0.08") == pytest.approx(0.0, abs=1e-9)
+
+
+def off_by(shift_m: float, turn_rad: float) -> _Errors:
+    """An arm that is off by so much, half of it in each of two columns, in the direction of no axis."""
+    sizes = np.repeat([shift_m, turn_rad], 3) / math.sqrt(3.0)
+    return _Errors(np.outer(sizes, [1.0, -1.0]) / math.sqrt(2.0), np.zeros((6, 0)))
+
+
+@pytest.mark.parametrize("anchor", [0, 1, 2])
+def test_what_a_shift_leaves_is_that_of_the_arm_farthest_from_the_anchor_in_metres_and_in_angle(anchor: int) -> None:
+    names = [arm.name for arm in gentle("three_wx250s").arms]
+    most = ("controller.alignment.max_m=0.02", "controller.alignment.max_rad=0.065")
+    cell = gentle("three_wx250s", f'controller.alignment.anchor="{names[anchor]}"', *most)
+
+    def left(anchors: _Errors, *others: _Errors) -> list[float]:
+        errors = [*others[:anchor], anchors, *others[anchor:]]
+        return [float(x) for x in _beyond(cell, np.eye(6), errors)[[0, 5], 0]]
+
+    assert left(off_by(0.03, 0.05), off_by(0.04, 0.03), off_by(0.01, 0.12)) == pytest.approx([0.6, 0.5])
+    assert left(off_by(0.03, 0.05), off_by(0.0, 0.12), off_by(0.04, 0.0)) == pytest.approx([0.6, 0.5])
+    assert left(off_by(0.0, 0.06), off_by(0.019, 0.0), off_by(0.0, 0.02)) == [0.0, 0.0]
+    assert left(off_by(0.0, 0.0), off_by(0.0, 0.0), off_by(0.0, 0.0)) == [0.0, 0.0]
 
 
 @pytest.mark.parametrize("anchor", [0, 2])

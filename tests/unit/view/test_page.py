@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import socket
+import threading
 import time
 import urllib.request
 from collections.abc import Callable, Iterator
+from fractions import Fraction
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -32,7 +34,7 @@ from viser import GuiEvent  # noqa: E402 (these need viser)
 
 from agent.view.browser import Nodes  # noqa: E402 (these need viser)
 from agent.view.html import VIEW_PX, write_html  # noqa: E402
-from agent.view.player import CURVES_S, DRAG_S, NOTHING, WORDS_S, Player  # noqa: E402
+from agent.view.player import CURVES_S, DRAG_S, EXAGGERATIONS, NOTHING, SPEEDS, WORDS_S, Player  # noqa: E402
 from agent.view.plots import needle  # noqa: E402
 from agent.view.server import Server  # noqa: E402
 
@@ -71,7 +73,7 @@ class Clock:
     """Time by hand."""
 
     def __init__(self) -> None:
-        self.s = 100.0
+        self.s = 0.0  # what is added to it is then exactly what has passed
 
     def __call__(self) -> float:
         return self.s
@@ -88,6 +90,32 @@ def player(server: Server, clock: Clock) -> Player:
     found = Player(server, nodes, staged(), [Moment(0.5, "left", "mode TRACK → HOLD", True)], clock)
     found.step()
     return found
+
+
+class Waits(threading.Condition):
+    """Waits for nothing, and remembers for how long it should have; `told`: how often somebody was to be woken."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.s: list[float | None] = []
+        self.told = 0
+
+    def wait(self, timeout: float | None = None) -> bool:
+        self.s.append(timeout)
+        return False
+
+    def notify(self, n: int = 1) -> None:
+        self.told += n
+
+
+class Marks:
+    """In place of a plot: the times at which its needle was put."""
+
+    def __init__(self) -> None:
+        self.t: list[float] = []
+
+    def mark(self, t: float) -> None:
+        self.t.append(t)
 
 
 def place(player: Player, name: str) -> np.ndarray:
@@ -179,6 +207,24 @@ def test_errors_are_enlarged_by_the_control(player: Player) -> None:
     assert apart == pytest.approx(10.0 * (staged().placed.poses[DESIRED][0, :3] - staged().motion.object[0, :3]))
 
 
+def test_the_controls_do_what_they_say() -> None:
+    assert [float(Fraction(said)) for said in SPEEDS] == list(SPEEDS.values())
+    as_is, *enlarged = EXAGGERATIONS.items()
+    assert as_is == ("as they were", 1.0)
+    assert [said for said, _ in enlarged] == [f"{factor:.0f} times" for _, factor in enlarged]
+
+
+def test_enlarged_errors_are_shown_at_the_time_that_was_shown_and_a_wish_leaves_the_slider_to_the_hand(
+    player: Player,
+) -> None:
+    player.want(0.5)
+    player.step()
+    assert player._slider.value == 0.0
+    player._exaggerate(10.0)
+    player.step()
+    assert place(player, OBJECT) == pytest.approx(staged().motion.object[10, :3])
+
+
 def test_the_newest_wish_is_shown_and_what_lies_half_the_way_to_it_before(player: Player) -> None:
     for t in (0.3, 0.9, 1.5):
         player.want(t)
@@ -193,7 +239,7 @@ def test_the_newest_wish_is_shown_and_what_lies_half_the_way_to_it_before(player
     assert player.pictures == 3
 
 
-@pytest.mark.parametrize(("first", "second", "after_s"), [(0.5, 1.5, DRAG_S), (0.5, 0.55, 0.0)])
+@pytest.mark.parametrize(("first", "second", "after_s"), [(0.5, 1.5, 0.2), (0.5, 0.55, 0.0)])
 def test_no_way_is_shown_to_what_is_not_of_a_drag_or_near(
     player: Player, clock: Clock, first: float, second: float, after_s: float
 ) -> None:
@@ -202,6 +248,50 @@ def test_no_way_is_shown_to_what_is_not_of_a_drag_or_near(
         player.step()
         assert place(player, OBJECT) == pytest.approx(staged().motion.object[round(20 * t), :3])
         clock.s += after_s
+
+
+def test_a_wish_is_not_waited_for_and_the_end_of_a_way_comes_half_a_browsers_step_later(player: Player) -> None:
+    player._wish = waits = Waits()
+    player.step()
+    assert waits.s == [1.0 / 30.0]
+    player.want(0.2)
+    player.want(1.8)
+    assert waits.told == 2
+    player.step()
+    assert waits.s == [1.0 / 30.0], "it is shown at once"
+    player.step()
+    player.step()
+    assert waits.s == [1.0 / 30.0, 0.025, 1.0 / 30.0]
+    player._exaggerate(10.0)
+    assert waits.told == 3
+    player.step()
+    assert len(waits.s) == 3
+
+
+def test_what_is_shown_already_is_not_shown_again(player: Player) -> None:
+    player.want(0.01)
+    player.step()
+    assert player.pictures == 1
+    player._exaggerate(10.0)
+    player.step()
+    assert player.pictures == 2
+
+
+def test_who_pauses_while_the_next_picture_is_chosen_has_paused(player: Player, clock: Clock) -> None:
+    player._toggle()
+    clock.s += 0.5
+
+    asked: list[float] = []
+
+    def pauses() -> float:
+        asked.append(clock())
+        if len(asked) == 1:
+            player._toggle()
+        return clock()
+
+    player._now = pauses
+    player.step()
+    assert (player._started, player._play.label) == (None, "Play")
 
 
 def test_a_newer_wish_ends_the_way_to_the_one_before(player: Player) -> None:
@@ -291,6 +381,32 @@ def test_the_curves_follow_now_and_then(player: Player, clock: Clock) -> None:
     assert player._plots[0]._handle.data[0][peak] == pytest.approx(1.5)
 
 
+def test_the_needle_is_put_once_to_a_picture_and_not_before_its_time(player: Player, clock: Clock) -> None:
+    player._plots[:] = [marks := Marks()]  # type: ignore[list-item]
+    player.want(0.5)
+    for at_s, t in ((0.29, []), (0.3, [0.5]), (0.3, [0.5]), (0.6, [0.5]), (0.9, [0.5])):
+        clock.s = at_s
+        player.step()
+        assert marks.t == t
+    player.want(1.0)
+    player.step()
+    assert marks.t == [0.5, 1.0]
+
+
+def test_the_text_is_told_at_its_time_and_of_no_picture_that_is_about_to_be_drawn_anew(
+    player: Player, clock: Clock
+) -> None:
+    player.want(0.6)
+    for at_s, t in ((0.14, 0.0), (0.15, 0.6)):
+        clock.s = at_s
+        player.step()
+        assert player._words.content.startswith(f"t = {t} s")
+    clock.s = 9.0
+    player._exaggerate(10.0)
+    player._follow(clock())
+    assert player._words.content.startswith("t = 0.6 s")
+
+
 def test_the_text_follows_a_while_later_and_ends_at_the_picture(player: Player, clock: Clock) -> None:
     for t in (0.3, 0.6):
         player.want(t)
@@ -316,7 +432,7 @@ def test_text_and_curves_follow_a_drag_half_as_often_and_its_end_as_ever(player:
     clock.s += 1.05 * WORDS_S
     drag(0.9)
     assert player._words.content.startswith("t = 0.7 s"), "half the way"
-    clock.s += DRAG_S
+    clock.s += 1.05 * DRAG_S
     player.step()
     assert player._words.content.startswith("t = 0.9 s"), "the hand rests"
 

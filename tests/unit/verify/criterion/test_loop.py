@@ -20,7 +20,6 @@ from agent.verify.criterion import bodies
 from agent.verify.criterion.bodies import Motion, Pose, Springs, Truth
 from agent.verify.criterion.cases import Aligning, Case, Demand, Loop
 from agent.verify.criterion.examine import rank
-from agent.verify.criterion.exponential import exponential
 from agent.verify.criterion.judge import Judge
 from agent.verify.criterion.loop import Laws, Shifting, laws, one_period, radii
 from drivers import pads
@@ -274,13 +273,6 @@ def test_without_a_rate_the_shift_changes_nothing() -> None:
     plain = one_period(motion, law, loop.observer)
     assert shifted[: len(plain), : len(plain)] == pytest.approx(plain)
     assert shifted[len(plain) :, len(plain) :] == pytest.approx(np.eye(3))
-
-
-@pytest.mark.parametrize("scale", [1e-8, 1e-3, 1.0, 30.0, 1e3])
-def test_exponentials_of_a_stack_are_those_of_each(scale: float) -> None:
-    stack = scale * np.random.default_rng(1).normal(size=(3, 9, 9)) / 9.0 - scale * np.eye(9)
-    for found, A in zip(exponential(stack), stack, strict=True):
-        assert found == pytest.approx(expm(A), rel=1e-9, abs=1e-12 * np.abs(expm(A)).max())
 
 
 def test_an_observer_that_takes_everything_is_no_observer() -> None:
