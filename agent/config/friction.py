@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from agent.config.schema.arm import Figure, ServoJoint
 from agent.control.friction import JointFriction
 
@@ -17,6 +19,16 @@ def joint_friction(servo: ServoJoint) -> JointFriction:
         load=_value(servo.load_friction, 0.0),
         breakaway_load=_value(servo.breakaway_load_friction, 0.0),
     )
+
+
+def at_rest_Nm(servo: ServoJoint, held_Nm: float) -> float:
+    """Largest friction of the joint at rest, N·m, while its motor gives so much."""
+    return joint_friction(servo).bound(1.0, held_Nm, 0.0)
+
+
+def lifting_Nm(servo: ServoJoint, held_Nm: float) -> float:
+    """The same while its motor gives so much and what overcomes the friction, which presses on it too."""
+    return joint_friction(servo).bound(1.0, held_Nm, math.copysign(1.0, held_Nm))
 
 
 def _value(figure: Figure | None, absent: float) -> float:

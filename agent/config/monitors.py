@@ -5,7 +5,8 @@ How far the wrench W of agent.monitors.gravity may be from zero follows from the
     limit = max over arms of MARGIN √(Σ columns²),   columns = J⁻ᵀ (masses g), J⁻ᵀ e_j torque_constant (g + c Jᵀ w)_j,
                                                                J⁻ᵀ e_j friction F_j, J⁻ᵀ (object c Jᵀ w)
 
-with friction as breakaway may hold it at rest, and the poses those of the start.
+with F_j all that may hold a joint at rest: Coulomb friction, breakaway, and what grows with the load.  The poses are
+those of the start.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from typing import Final
 import numpy as np
 
 from agent.config.cell import Arm, Cell, ConfigError, placement
+from agent.config.friction import lifting_Nm
 from agent.config.schema.controller import ControllerKind
 from agent.config.schema.session import Session
 from agent.config.session import rest_joints
@@ -28,7 +30,7 @@ SPEED_TIMES: Final = 2.0  # the motion's own
 FASTEST: Final = 0.85  # of no-load speed, whatever the motion asks for
 ADAPTIVE_TIMES: Final = 1.9  # arms that learn at rest share the weight as it happens
 FLOORS: Final = (0.3, 0.3, 0.3, 0.03, 0.03, 0.03)
-FRICTION_TIMES: Final = 3.0  # of the file's Coulomb friction: feedback beyond it moves any joint that is free
+FRICTION_TIMES: Final = 3.0  # of the file's friction at rest: feedback beyond it moves any joint that is free
 SAMPLES: Final = 100  # of the motion
 AHEAD_MAX_RAD: Final = 0.1  # from which the next of them is looked for
 
@@ -40,7 +42,7 @@ def bounds(cell: Cell, arm: Arm) -> Bounds:
     model = cell.model(arm).model
     low = model.lowerPositionLimit + spec.position_margin_rad
     high = model.upperPositionLimit - spec.position_margin_rad
-    coulomb = np.array([s.coulomb_Nm.value for s in arm.servos])
+    k = _start(cell, arm, cell.model(arm))
     x, y, z = (-file.object.mass_kg * cell.gravity).tolist()
     return Bounds(
         joints=tuple(arm.entry.controlled),
@@ -54,7 +56,7 @@ def bounds(cell: Cell, arm: Arm) -> Bounds:
         workspace_m=spec.workspace_m or _around_motion(cell, spec.workspace_margin_m),
         limited_share=spec.limited_share,
         frozen_rad=spec.frozen_rad,
-        frozen_Nm=tuple((FRICTION_TIMES * coulomb).tolist()),
+        frozen_Nm=tuple((FRICTION_TIMES * _friction(arm, k.g + _carried(cell, arm, k))).tolist()),
         load_share=spec.load_share,
         stall_Nm=tuple(arm.tau_stall_Nm.tolist()),
         load_time_s=spec.load_time_s,
@@ -128,16 +130,26 @@ def _errors_at_rest(cell: Cell, arm: Arm) -> Matrix:
     """(6, s) what errors within the tolerance make of W at the start: a column each."""
     model, stated = cell.model(arm), cell.tolerance
     k = _start(cell, arm, model)
-    carried = k.Jt[:, :3] @ (-arm.entry.load_share * cell.file.object.mass_kg * cell.gravity)
-    breakaway = [s.coulomb_Nm.value + (s.breakaway_Nm.value if s.breakaway_Nm else 0.0) for s in arm.servos]
+    carried = _carried(cell, arm, k)
     torques = [
         (stated.masses * k.g)[:, None],
         np.diag(stated.torque_constant * (k.g + carried)),
-        np.diag(stated.friction[1] * np.array(breakaway)),
+        np.diag(stated.friction[1] * _friction(arm, k.g + carried)),
         (stated.object * carried)[:, None],
     ]
     found: Matrix = model.task_basis.T @ np.linalg.pinv(k.J).T @ np.column_stack(torques)
     return found
+
+
+def _carried(cell: Cell, arm: Arm, k: Kinematics) -> Vector:
+    """(n,) N·m that the arm's share of the object takes."""
+    taken: Vector = k.Jt[:, :3] @ (-arm.entry.load_share * cell.file.object.mass_kg * cell.gravity)
+    return taken
+
+
+def _friction(arm: Arm, held_Nm: Vector) -> Vector:
+    """(n,) N·m that friction may be at rest where so much is to be held."""
+    return np.array([lifting_Nm(servo, tau) for servo, tau in zip(arm.servos, held_Nm.tolist(), strict=True)])
 
 
 def _start(cell: Cell, arm: Arm, model: ArmModel) -> Kinematics:

@@ -26,6 +26,7 @@ import numpy as np
 
 from agent.config import observer
 from agent.config.cell import Arm, Cell, ConfigError, placement
+from agent.config.friction import at_rest_Nm
 from agent.config.schema.tolerance import PLANAR_JOINTS
 from agent.control import ik
 from agent.control.against import Against
@@ -186,11 +187,19 @@ def _places(known: _Arm) -> list[_Place]:
 
 
 def _friction(known: _Arm, at: _Place) -> Matrix:
-    """(6, n) J⁻ᵀ of what friction may be beside the feed-forward."""
+    """(6, n) J⁻ᵀ of what friction may be beside the feed-forward, breakaway and load in it."""
     low, high = known.cell.tolerance.friction
     unknown = high if known.offline.friction is None else max(high - 1.0, 1.0 - low)
-    coulomb = np.array([s.coulomb_Nm.value for s in known.arm.servos])
-    return at.to_wrench * (unknown * coulomb)
+    held = _held(known, at.k).tolist()
+    friction = np.array([at_rest_Nm(s, tau) for s, tau in zip(known.arm.servos, held, strict=True)])
+    return at.to_wrench * (unknown * friction)
+
+
+def _held(known: _Arm, k: Kinematics) -> Vector:
+    """(n,) torque that holds the arm and its share of the object."""
+    weight = np.concatenate([-known.cell.file.object.mass_kg * known.cell.gravity, np.zeros(3)])
+    held: Vector = k.g + k.Jt @ (known.offline.load_share * weight)
+    return held
 
 
 def _noise(known: _Arm, at: _Place) -> Matrix:
@@ -206,8 +215,7 @@ def _errors(known: _Arm, at: _Place) -> Matrix:
     """(6, s) what constant errors make of the unexpected wrench here: a column each."""
     cell, arm, P, k = known.cell, known.arm, known.model.task_basis, at.k
     stated = cell.tolerance
-    weight = np.concatenate([-cell.file.object.mass_kg * cell.gravity, np.zeros(3)])
-    held = k.g + k.Jt @ (known.offline.load_share * weight)
+    held = _held(known, k)
     x, y, z = (np.array(k.p_object) - arm.T_world_base.translation).tolist()
     across = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])  # ω × reach
     R = np.reshape(k.R_world_object, (3, 3))

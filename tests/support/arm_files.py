@@ -53,6 +53,17 @@ def sticking(joint: ServoJoint) -> Mapping[str, float]:
     return {"breakaway_Nm": breakaway, "stribeck_rad_per_s": 0.3, "load_friction": 0.05}
 
 
+def pressed_on(joint: ServoJoint) -> Mapping[str, float]:
+    """BAM's model M4 of the MX-64 (docs/arms.md): at breakaway half of the motor's torque is friction."""
+    breakaway = 0.39 * joint.coulomb_Nm.value
+    return {
+        "breakaway_Nm": breakaway,
+        "stribeck_rad_per_s": 1.52,
+        "stribeck_exponent": 1.33,
+        "breakaway_load_friction": 0.469,
+    }
+
+
 def _scaled(joint: str, key: str, value: float) -> Change:
     return Change("joints", key, f'{{ value = {value!r}, status = "estimated", source = "of this test" }}', joint)
 

@@ -9,9 +9,11 @@ import pytest
 
 from agent.config import coordination, noticing
 from agent.config.cell import Cell, ConfigError, load_cell
+from agent.config.friction import at_rest_Nm, lifting_Nm
 from agent.config.noticing import derived, thresholds
 from agent.control.residual import Channels
 from agent.verify.noticing import noticed, rested
+from tests.support.arm_files import pressed_on, with_figures
 
 # largest channels over realities without a fault; of two_models, the slow ones, over 200
 SEEN = {
@@ -65,6 +67,18 @@ def test_thresholds_are_above_what_is_usual_and_no_higher_than_a_push(name: str)
 def test_each_tolerance_counts_where_it_acts(override: str, larger: tuple[bool, ...]) -> None:
     before, after = derived(cell()), derived(cell("paper_real", override))
     assert tuple(bool(x) for x in np.array(after) > np.array(before)) == larger
+
+
+def test_friction_that_sticks_and_grows_with_the_load_counts_as_it_is_at_rest(tmp_path: Path) -> None:
+    """Above 1.3 times the largest of three realities; without breakaway and load in it the slow ones were below."""
+    found = derived(with_figures(cell(), tmp_path, pressed_on))
+    assert (np.array(found) >= 1.3 * np.array((2.51, 0.392, 1.09, 0.248))).all(), found
+    shoulder, held_Nm = with_figures(cell(), tmp_path, pressed_on).arms[0].servos[0], -0.5
+    wanted = 1.39 * shoulder.coulomb_Nm.value + 0.469 * 0.5
+    assert at_rest_Nm(shoulder, held_Nm) == pytest.approx(wanted)
+    assert lifting_Nm(shoulder, held_Nm) == pytest.approx(wanted / (1.0 - 0.469))
+    as_shipped = cell().arms[0].servos[0]
+    assert at_rest_Nm(as_shipped, held_Nm) == lifting_Nm(as_shipped, held_Nm) == as_shipped.coulomb_Nm.value
 
 
 def test_what_does_not_change_along_the_motion_is_usual() -> None:

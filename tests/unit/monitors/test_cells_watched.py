@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 import configs
 from agent.config.cell import Cell, load_cell
+from agent.config.monitors import bounds
 from agent.config.reality import draw
 from agent.config.schema.reality import ArmReality, Reality
 from agent.modes import Mode
 from agent.monitors.bounds import Name
 from drivers.interface import Vector
+from tests.support.arm_files import pressed_on, with_figures
 from tests.support.watched import only, watched, without
 
 UNNOTICED = ("safety.noticing.enabled=false", "safety.tracking_error_max_m=1.0", "safety.tracking_error_max_rad=1.5")
@@ -33,6 +37,13 @@ def test_a_cell_within_its_tolerance_trips_no_monitor(name: str, seed: int) -> N
 def test_arms_that_learn_at_rest_and_share_the_weight_as_it_happens_trip_nothing() -> None:
     cell = load("paper_adaptive", "simulation.ready_s=1.6")
     assert watched(cell, 0.0, reality=draw(cell.tolerance, 1617223562, cell)).first == {}
+
+
+def test_arms_whose_friction_grows_with_the_load_trip_nothing_at_rest(tmp_path: Path) -> None:
+    cell = with_figures(load("paper_real", "simulation.ready_s=1.2"), tmp_path, pressed_on)
+    assert watched(cell, 0.0, reality=draw(cell.tolerance, 2083679832, cell)).first == {}
+    stuck = bounds(cell, cell.arms[0]).frozen_Nm  # such a joint moves at no less than three times what may hold it
+    assert all(most > 3.0 * 1.39 * s.coulomb_Nm.value for most, s in zip(stuck, cell.arms[0].servos, strict=True))
 
 
 @pytest.mark.parametrize("factor", [0.7, 1.3])
