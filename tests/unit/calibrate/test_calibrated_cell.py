@@ -122,7 +122,7 @@ def test_changes_other_than_of_the_tolerance_are_refused() -> None:
 
 def test_logs_of_two_cells_are_refused(tmp_path: Path) -> None:
     logs = []
-    for number, changes in enumerate([[], ["arms.left.p_world_base_m=[0.001,0.0,0.0]"], [LEFT_FLOATS]]):
+    for number, changes in enumerate([[], ["arms.left.p_world_base_m=[0.001,0.0,0.23]"], [LEFT_FLOATS]]):
         cell = load_cell(LEFT_AND_RIGHT, changes)
         folder = tmp_path / str(number)
         folder.mkdir()
@@ -138,7 +138,7 @@ def test_arms_that_floated_work_by_the_calibrated_cell() -> None:
     floated = floating_cell(FloatOptions(LEFT_AND_RIGHT, ("left", "right"), holding=True))
     written = cell_toml(replace(result, cell=floated), "a log", ["left.toml", "right.toml"])
     assert "floating" not in written
-    assert "# the gripper points along +x" in written
+    assert "# the gripper points down" in written
 
 
 def test_comments_of_the_cell_stay_and_say_what_moved(tmp_path: Path) -> None:
