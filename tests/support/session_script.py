@@ -7,13 +7,15 @@ from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
+import numpy as np
+
 import configs
 from agent.config.cell import Cell, load_cell
 from agent.control.memory import Memory
 from agent.loop import Agent
 from agent.modes import Event, Mode
 from agent.process.build import build_agent
-from drivers.interface import Vector
+from drivers.interface import JointState, ServoFault, Vector
 from tests.support.runner_rig import Done, run
 
 TO_READY = {2: Event.APPROACH, 4: Event.GRASP, 6: Event.GRIPPED}
@@ -36,6 +38,13 @@ def q_grasp() -> Vector:
     session = made().session
     assert session is not None
     return session.life.path.at(session.life.path.seconds).q
+
+
+def faulty(servo: str = "servo 2") -> ServoFault:
+    """A servo that does not do its part, with a state of the arm at its grasp."""
+    error = ServoFault(servo, found="torque off", expected="on", remedy="look")
+    error.state = JointState(0, q_grasp(), np.zeros(3), np.full(3, np.nan))
+    return error
 
 
 @dataclass

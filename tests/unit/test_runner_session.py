@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
 from agent.control.memory import Memory, restore
 from agent.modes import Event, Mode
-from drivers.interface import ServoFault
-from tests.support.runner_rig import HOLD_AFTER_STALE, Done, fault, lost, lost_at, run
-from tests.support.session_script import TO_READY, Script, cell, floating, guided, pushed, run_of
+from tests.support.runner_rig import HOLD_AFTER_STALE, Done, lost, lost_at, run
+from tests.support.session_script import TO_READY, Script, cell, faulty, floating, guided, pushed, run_of
 
 STILL = {"observer": None}
 
@@ -92,22 +89,15 @@ def test_whether_the_arm_answers_is_told_to_its_session() -> None:
 
 
 def test_what_is_wrong_with_an_arm_at_rest_is_told_once() -> None:
-    done = run_of(Script({}), last=9, failures={3: fault(True), 4: fault(True), 6: fault(True)})
+    done = run_of(Script({}), last=9, failures={3: faulty(), 4: faulty(), 6: faulty()})
     assert done.modes == [Mode.FAULT]
-    assert done.troubles == [f"{fault(True)}; way back: `coop release`"]
+    assert done.troubles == [f"{faulty()}; way back: `coop release`"]
     assert run_of(Script({4: Event.GRASP}), last=6, refused=frozenset({3})).troubles == [], "a word is no trouble"
 
 
-def other_fault() -> ServoFault:
-    error = ServoFault("servo 3", found="overload", expected="none", remedy="look")
-    error.state = fault(True).state
-    return error
-
-
-@pytest.mark.parametrize(("later", "ends"), [(fault, Mode.PARK), (other_fault, Mode.HALT)])
-def test_a_fault_that_lasts_is_borne_on_the_way_back_and_another_one_stops_it(later: Any, ends: Mode) -> None:
-    error = later(True) if later is fault else later()
-    failures = dict.fromkeys(range(4, 8), fault(True)) | dict.fromkeys(range(8, 12), error)
+@pytest.mark.parametrize(("later", "ends"), [("servo 2", Mode.PARK), ("servo 3", Mode.HALT)])
+def test_a_fault_that_lasts_is_borne_on_the_way_back_and_another_one_stops_it(later: str, ends: Mode) -> None:
+    failures = dict.fromkeys(range(4, 8), faulty()) | dict.fromkeys(range(8, 12), faulty(later))
     done = run_of(Script({2: Event.APPROACH, 6: Event.PARK}), last=13, failures=failures)
     assert done.modes[:3] == [Mode.APPROACH, Mode.HALT, Mode.PARK]
     assert done.rows["mode"][9] == ends
@@ -115,7 +105,7 @@ def test_a_fault_that_lasts_is_borne_on_the_way_back_and_another_one_stops_it(la
 
 
 def test_a_fault_that_lasts_stops_an_arm_that_goes_on_and_not_back() -> None:
-    failures = dict.fromkeys(range(4, 12), fault(True))
+    failures = dict.fromkeys(range(4, 12), faulty())
     done = run_of(Script({2: Event.APPROACH, 6: Event.APPROACH}), last=10, failures=failures)
     assert done.modes == [Mode.APPROACH, Mode.HALT, Mode.APPROACH, Mode.HALT, Mode.FAULT]
 
@@ -123,14 +113,14 @@ def test_a_fault_that_lasts_stops_an_arm_that_goes_on_and_not_back() -> None:
 def test_a_session_that_nobody_listens_to_goes_on() -> None:
     done = run_of(Script({2: Event.APPROACH, 5: Event.TROUBLE}, {3: "not now", 5: "no object"}), last=8, told=False)
     assert (done.modes[:2], done.summary.reason) == ([Mode.APPROACH, Mode.HALT], "no object")
-    assert run_of(Script({}), last=6, failures={3: fault(True)}, told=False).modes == [Mode.FAULT]
+    assert run_of(Script({}), last=6, failures={3: faulty()}, told=False).modes == [Mode.FAULT]
 
 
 def test_a_first_fault_on_the_way_back_stops_it() -> None:
     script = Script({2: Event.APPROACH, 4: Event.STOP, 6: Event.PARK})
-    done = run_of(script, last=12, failures={9: fault(True)})
+    done = run_of(script, last=12, failures={9: faulty()})
     assert done.modes == [Mode.APPROACH, Mode.HALT, Mode.PARK, Mode.HALT, Mode.FAULT]
-    assert done.troubles == [f"{fault(True)}; way back: `coop park`"]
+    assert done.troubles == [f"{faulty()}; way back: `coop park`"]
 
 
 def test_the_end_of_the_trajectory_stops_the_motion_and_not_the_way_down() -> None:
@@ -160,8 +150,8 @@ def test_a_guided_arm_that_is_stopped_while_it_is_not_seen_stands_where_it_is_se
 
 def test_what_stops_a_guided_arm_is_told() -> None:
     lost_at_last = lambda n: Event.SERVO_LOST if n == 8 else Event.NONE  # noqa: E731
-    done = run(lost_at_last, {5: fault(True)}, cell=floating(), q=pushed, happened=Event.FLOATED)
-    assert (done.modes, done.troubles) == ([Mode.STAND, Mode.FAULT], [str(fault(True))])
+    done = run(lost_at_last, {5: faulty()}, cell=floating(), q=pushed, happened=Event.FLOATED)
+    assert (done.modes, done.troubles) == ([Mode.STAND, Mode.FAULT], [str(faulty())])
 
 
 def test_an_arm_that_could_be_guided_holds_the_object_as_any_other() -> None:

@@ -150,7 +150,7 @@ def test_the_check_knows_the_arm_on_its_own_and_the_clamp() -> None:
     lost = examine(cell(LOOP, name="paper"))
     assert found(lost, "on its own") is Verdict.REFUSED, "the printed gains are lost without the object"
     assert not lost.ok
-    assert found(examine(cell(LOOP, "hil.tau_share=0.05")), "of the largest addition") is Verdict.REFUSED
+    assert found(examine(cell(LOOP, "hil.tau_share=0.02")), "of the largest addition") is Verdict.REFUSED
 
 
 class _Quiet:
