@@ -86,8 +86,8 @@ def test_held_is_only_what_holds_at_every_stated_error() -> None:
 
 
 def test_more_arms_share_the_weight_of_a_limp_one() -> None:
-    three = without(gentle("three_wx250s"), 0, 0.0)
-    four = without(gentle("four_wx250s"), 0, 0.0)
+    three = without(gentle("three_wx250s", "object.mass_kg=0.4"), 0, 0.0)
+    four = without(gentle("four_wx250s", "object.mass_kg=0.4"), 0, 0.0)
     assert three.fate is four.fate is Fate.HELD
     assert four.limp.share <= three.limp.share
     assert four.sag_m < three.sag_m < HELD_SAG_M
