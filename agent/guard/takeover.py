@@ -18,6 +18,8 @@ GAP_PERIODS = Patience.gap  # as the loop has it for itself
 STALE_PERIODS = 3  # at least, of a slow loop
 EMULATED_STALE_NS = 150_000_000  # where everything shares a processor; before the servos' own watchdog all the same
 FLOATING_STALE_NS = 100_000_000  # its last torque is its weight's, and a hand is on it
+EMULATED_FLOATING_STALE_NS = 500_000_000  # nothing can fall, and its loop bears a line that is silent for as long
+FLOATING_FIRST_NS = 500_000_000  # for its first row: until then its goals are zero, and nothing of it holds the arm
 SIMULATED_STALE_NS = 500_000_000  # where there is no such watchdog
 
 
@@ -26,7 +28,7 @@ def stale_ns(period_ns: int, emulated: bool, simulated: bool, *, floating: bool 
     if simulated:
         return SIMULATED_STALE_NS
     if emulated:
-        return EMULATED_STALE_NS
+        return EMULATED_FLOATING_STALE_NS if floating else EMULATED_STALE_NS
     return max(FLOATING_STALE_NS if floating else STALE_NS, STALE_PERIODS * period_ns)
 
 

@@ -9,13 +9,14 @@ LATE_LOOK = 2  # periods of looking; what is beyond was the watcher's own latene
 
 @dataclass(slots=True)
 class Vigil:
-    """Stale when the count has stood still for stale_ns of looking every look_ns.
+    """Stale when the count has stood still for stale_ns of looking every look_ns; at 0, for first_ns if that is more.
 
     A host that stalls stalls both: the time in which nobody looked is not held against the agent.
     """
 
     stale_ns: int
     look_ns: int
+    first_ns: int = 0
     count: int = -1
     still_ns: int = 0  # for so long it has stood still
     looked_ns: int = 0
@@ -33,4 +34,4 @@ class Vigil:
             self.count, self.still_ns = count, 0
             return False
         self.still_ns += passed_ns
-        return self.still_ns >= self.stale_ns
+        return self.still_ns >= (self.stale_ns if count else max(self.stale_ns, self.first_ns))

@@ -22,7 +22,7 @@ from agent.config.schema.cell import DriverKind
 from agent.guard.guard_end import GuardEnd
 from agent.guard.line import GuardError, Said, Word, close_all
 from agent.guard.resume import beginning
-from agent.guard.takeover import WATCH_NS, stale_ns
+from agent.guard.takeover import FLOATING_FIRST_NS, WATCH_NS, stale_ns
 from agent.guard.vigil import Vigil
 from agent.guard.watched import DESCRIPTORS, Watched
 from agent.host.notify import Notifier, stored_fds
@@ -77,6 +77,7 @@ class _Guard:
         emulated, simulated = options.agent.connection.emulated, options.agent.driver is DriverKind.SIM
         floats = spec_of(cell, self._arm) is not None
         self._stale_ns = stale_ns(cell.period_ns, emulated, simulated, floating=floats)
+        self._first_ns = FLOATING_FIRST_NS if floats else 0
         self._notifier = stack.enter_context(closing(Notifier()))
         self._successor: Successor | FloatSuccessor
         if floats:
@@ -193,7 +194,7 @@ class _Guard:
     def _watch(self, said: Said) -> None:
         """Make ready to go on without this agent.  Raises Refusal."""
         self._let_go()
-        vigil = Vigil(self._stale_ns, WATCH_NS)
+        vigil = Vigil(self._stale_ns, WATCH_NS, self._first_ns)
         own, self._drivers = said.fds[:DESCRIPTORS], said.fds[DESCRIPTORS:]
         try:
             self._told, self._session = dict(said.content["driver"]), bool(said.content.get("session"))

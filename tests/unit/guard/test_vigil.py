@@ -40,9 +40,17 @@ def test_an_agent_that_said_it_is_busy_is_given_that_time() -> None:
     assert looks(watch, *[(1100 + 2 * k, 7) for k in range(11)])[-1]
 
 
+def test_an_agent_is_given_more_time_for_its_first_row_and_none_of_it_afterwards() -> None:
+    watch = Vigil(stale_ns=20 * MS, look_ns=2 * MS, first_ns=50 * MS)
+    assert looks(watch, *[(1000 + 2 * k, 0) for k in range(27)]) == [False] * 25 + [True] * 2
+    assert not any(looks(watch, *[(1054 + 2 * k, 1) for k in range(10)]))
+    assert looks(watch, (1074, 1)) == [True]
+
+
 def test_a_slow_loop_is_given_three_cycles_and_a_simulated_one_more() -> None:
     assert stale_ns(5 * MS, emulated=False, simulated=False) == 18 * MS
     assert stale_ns(20 * MS, emulated=False, simulated=False) == 60 * MS
     assert stale_ns(5 * MS, emulated=False, simulated=False, floating=True) == 100 * MS
     assert stale_ns(5 * MS, emulated=True, simulated=False) == 150 * MS
+    assert stale_ns(5 * MS, emulated=True, simulated=False, floating=True) == 500 * MS
     assert stale_ns(5 * MS, emulated=False, simulated=True) == 500 * MS

@@ -27,12 +27,14 @@ from agent.telemetry.row.event import Level
 from drivers.dynamixel.servo.table import TORQUE_ENABLE
 from drivers.interface import JointState, Vector
 from sim_backend.wire.faults import Fault, FaultKind
+from tests.support.control.level_wx200 import LEVEL
 from tests.support.servos.float_rig import FloatRun
 from tests.support.telemetry.run_log import write_run
 
 LEFT = 'floating.arms=["left"]'
 CELL = load_cell(Path("two_wx200"), [LEFT])
 SPEED = 1.0
+FORWARD = np.array([-0.35, 0.69, -0.33])  # the gripper level: what a hand lifts turns the elbow alone, or nearly so
 NOTHING = np.zeros(6)
 SINK_S = 0.5
 
@@ -110,7 +112,7 @@ def test_an_arm_that_is_let_go_rests_or_drifts_slowly_where_its_weight_is_not_wh
 
 
 def test_a_hand_moves_it_against_the_drag_and_what_it_leaves_comes_to_rest() -> None:
-    run = FloatRun(CELL, hand=pushed((3.0, 0.0, 2.0), 0.2, 0.7), until_s=1.3)
+    run = FloatRun(CELL, q_start=FORWARD, hand=pushed((3.0, 0.0, 2.0), 0.2, 0.7), until_s=1.3)
     (q0, _), (q1, dq) = part(run, 0.1, 0.2), part(run, 1.1, 1.3)
     assert np.abs(q1[-1] - q0[-1]).max() > 0.15
     assert np.abs(dq).max() < 0.06
@@ -121,7 +123,7 @@ def test_a_push_beyond_the_largest_speed_meets_all_that_the_arm_has_and_stops_it
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(float_loop, "STAND_S", 9.0)
-    run = FloatRun(CELL, hand=pushed((0.0, 0.0, -20.0), 0.2, 0.4), until_s=1.0)
+    run = FloatRun(CELL, q_start=FORWARD, hand=pushed((0.0, 0.0, -20.0), 0.2, 0.4), until_s=1.0)
     rows = run.one.rows
     assert "STAND" in modes(run)
     assert "monitor speed" in next(text for text in run.one.texts.said if "holds" in text)
@@ -217,6 +219,7 @@ def test_an_error_of_the_loop_itself_lets_the_arm_sink_and_is_raised() -> None:
 
 def test_the_log_of_arms_that_floated_with_the_object_calibrates_their_cell(tmp_path: Path) -> None:
     off = [
+        *LEVEL,
         "simulation.reality.arms.left.base_m=[0.006,0.0,-0.005]",
         "simulation.reality.arms.left.zeros_rad=[0.012,-0.01,0.014]",
         "simulation.reality.arms.right.zeros_rad=[-0.01,0.013,-0.012]",
