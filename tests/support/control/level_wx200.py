@@ -12,6 +12,7 @@ LEVEL = (
     "arms.right.quat_object_ee=[0.0, 0.0, 0.0, 1.0]",
     "arms.left.q_near_rad=[-0.4, 0.8, -0.4]",
     "arms.right.q_near_rad=[-0.4, 0.8, -0.4]",
+    "safety.tau_max_fraction_of_stall=0.5",
 )
 
 # gains for it
