@@ -16,6 +16,7 @@ from agent.config.friction import joint_friction
 from agent.config.reading import ConfigError
 from agent.config.schema.controller import ControllerKind
 from agent.config.schema.member import Arm as ArmEntry
+from agent.config.schema.tolerance import PLANAR_JOINTS
 from agent.control.adaptation import Adaptation
 from agent.control.errors import Gains
 from agent.control.friction import Friction
@@ -54,6 +55,11 @@ class Cell(CellFiles):
     def T_world_object_start(self) -> pin.SE3:
         """Pose of the object before the run."""
         return placement(self.file.p_place_m, self.file.object.quat_start)
+
+    @property
+    def planar(self) -> bool:
+        """Whether every arm moves in a plane."""
+        return all(arm.n <= PLANAR_JOINTS for arm in self.arms)
 
     def arm(self, name: str) -> Arm:
         """The arm of that name.  Raises ConfigError."""

@@ -20,6 +20,7 @@ from agent.config.friction import lifting_Nm
 from agent.config.schema.controller import ControllerKind
 from agent.config.schema.session import Session
 from agent.config.session import rest_joints
+from agent.config.statics import carried_Nm
 from agent.control import ik
 from agent.control.models import ArmModel, Kinematics, Matrix
 from agent.monitors.bounds import Bounds, Name
@@ -56,7 +57,7 @@ def bounds(cell: Cell, arm: Arm) -> Bounds:
         workspace_m=spec.workspace_m or _around_motion(cell, spec.workspace_margin_m),
         limited_share=spec.limited_share,
         frozen_rad=spec.frozen_rad,
-        frozen_Nm=tuple((FRICTION_TIMES * _friction(arm, k.g + _carried(cell, arm, k))).tolist()),
+        frozen_Nm=tuple((FRICTION_TIMES * _friction(arm, k.g + carried_Nm(cell, arm, k))).tolist()),
         load_share=spec.load_share,
         stall_Nm=tuple(arm.tau_stall_Nm.tolist()),
         load_time_s=spec.load_time_s,
@@ -130,7 +131,7 @@ def _errors_at_rest(cell: Cell, arm: Arm) -> Matrix:
     """(6, s) what errors within the tolerance make of W at the start: a column each."""
     model, stated = cell.model(arm), cell.tolerance
     k = _start(cell, arm, model)
-    carried = _carried(cell, arm, k)
+    carried = carried_Nm(cell, arm, k)
     torques = [
         (stated.masses * k.g)[:, None],
         np.diag(stated.torque_constant * (k.g + carried)),
@@ -139,12 +140,6 @@ def _errors_at_rest(cell: Cell, arm: Arm) -> Matrix:
     ]
     found: Matrix = model.task_basis.T @ np.linalg.pinv(k.J).T @ np.column_stack(torques)
     return found
-
-
-def _carried(cell: Cell, arm: Arm, k: Kinematics) -> Vector:
-    """(n,) N·m that the arm's share of the object takes."""
-    taken: Vector = k.Jt[:, :3] @ (-arm.entry.load_share * cell.file.object.mass_kg * cell.gravity)
-    return taken
 
 
 def _friction(arm: Arm, held_Nm: Vector) -> Vector:

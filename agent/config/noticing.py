@@ -27,7 +27,7 @@ import numpy as np
 from agent.config import observer
 from agent.config.cell import Arm, Cell, ConfigError, placement
 from agent.config.friction import at_rest_Nm
-from agent.config.schema.tolerance import PLANAR_JOINTS
+from agent.config.statics import carried_Nm
 from agent.control import ik
 from agent.control.against import Against
 from agent.control.inverse import SingularJacobian, invert_jacobian
@@ -72,11 +72,7 @@ def slow_rate(cell: Cell) -> float:
     given = cell.file.safety.noticing.slow_per_s
     if given is not None:
         return given
-    return SLOW_PLANAR_PER_S if _planar(cell) else SLOW_PER_S
-
-
-def _planar(cell: Cell) -> bool:
-    return all(arm.n <= PLANAR_JOINTS for arm in cell.arms)
+    return SLOW_PLANAR_PER_S if cell.planar else SLOW_PER_S
 
 
 def derived(cell: Cell) -> Channels:
@@ -86,7 +82,7 @@ def derived(cell: Cell) -> Channels:
     touch = TOUCH * TOUCH_N / len(cell.arms)
     floors = FLOORS._replace(fast_N=max(FLOORS.fast_N, touch), fast_Nm=max(FLOORS.fast_Nm, TOUCH_LEVER_M * touch))
     hum = HUM * math.sqrt(slow_rate(cell) / cell.file.safety.noticing.rate_per_s)
-    twist = CREEP_TWIST_PLANAR if _planar(cell) else CREEP
+    twist = CREEP_TWIST_PLANAR if cell.planar else CREEP
     found = (
         REVERSAL[0] * friction_N + PEAK * noise_N,
         REVERSAL[1] * friction_Nm + PEAK * noise_Nm,
@@ -190,16 +186,9 @@ def _friction(known: _Arm, at: _Place) -> Matrix:
     """(6, n) J⁻ᵀ of what friction may be beside the feed-forward, breakaway and load in it."""
     low, high = known.cell.tolerance.friction
     unknown = high if known.offline.friction is None else max(high - 1.0, 1.0 - low)
-    held = _held(known, at.k).tolist()
-    friction = np.array([at_rest_Nm(s, tau) for s, tau in zip(known.arm.servos, held, strict=True)])
+    held = at.k.g + carried_Nm(known.cell, known.arm, at.k)
+    friction = np.array([at_rest_Nm(s, tau) for s, tau in zip(known.arm.servos, held.tolist(), strict=True)])
     return at.to_wrench * (unknown * friction)
-
-
-def _held(known: _Arm, k: Kinematics) -> Vector:
-    """(n,) torque that holds the arm and its share of the object."""
-    weight = np.concatenate([-known.cell.file.object.mass_kg * known.cell.gravity, np.zeros(3)])
-    held: Vector = k.g + k.Jt @ (known.offline.load_share * weight)
-    return held
 
 
 def _noise(known: _Arm, at: _Place) -> Matrix:
@@ -215,7 +204,7 @@ def _errors(known: _Arm, at: _Place) -> Matrix:
     """(6, s) what constant errors make of the unexpected wrench here: a column each."""
     cell, arm, P, k = known.cell, known.arm, known.model.task_basis, at.k
     stated = cell.tolerance
-    held = _held(known, k)
+    held = k.g + carried_Nm(cell, arm, k)
     x, y, z = (np.array(k.p_object) - arm.T_world_base.translation).tolist()
     across = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])  # ω × reach
     R = np.reshape(k.R_world_object, (3, 3))

@@ -12,7 +12,6 @@ import numpy as np
 from agent.config.cell import Cell
 from agent.config.reality import draw
 from agent.config.schema.reality import Reality
-from agent.config.schema.tolerance import PLANAR_JOINTS
 from agent.control.quaternion import angle_between
 from agent.report.series import internal_wrenches
 from agent.study.fault import Fault
@@ -32,11 +31,10 @@ PEAK_FRACTION: Final = 0.5  # of stall
 
 def bounds_of(cell: Cell) -> dict[str, float]:
     """What a run of the cell must not exceed, by figure."""
-    planar = all(arm.n <= PLANAR_JOINTS for arm in cell.arms)
     return {
         "position_beyond_anchor_m": POSITION_BEYOND_ANCHOR_M,
         "attitude_beyond_anchor_rad": ATTITUDE_BEYOND_ANCHOR_RAD,
-        "internal_force_mean_N": FORCE_PLANAR_N if planar else FORCE_SPATIAL_N,
+        "internal_force_mean_N": FORCE_PLANAR_N if cell.planar else FORCE_SPATIAL_N,
         "peak_torque_fraction": PEAK_FRACTION,
     }
 
