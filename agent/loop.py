@@ -156,7 +156,7 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
 
 
 def _in_time(agent: Agent, t: float, memory: Memory) -> Memory:
-    """Memory of a hold that has a state at t, and knows whether it had none for some cycles, and for how long.
+    """Memory of a hold that has a state at t, and knows for a while that it had none for some cycles.
 
     Missed once, the hold goes on as it was: only the law knows what the arm carries beyond its share, as of a limp
     neighbour.  Its observer begins anew, for it expects the next period.  Missed again before that is forgotten, the

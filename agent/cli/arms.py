@@ -116,7 +116,7 @@ def guard(
     from agent.host.notify import Notifier
 
     with closing(Notifier()) as notifier:
-        notifier.loading("loads")  # before that takes a second: its agent loads meanwhile, and waits for the socket
+        notifier.loading("loads")  # for a second from here on; its agent loads meanwhile, and waits for the socket
     from agent.config.cell import load_cell
     from agent.config.schema.cell import DriverKind
     from agent.host.paths import control_path, guard_path, make_runtime_dir, ring_path

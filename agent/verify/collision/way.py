@@ -6,6 +6,7 @@ import functools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Final
 
 import coal
@@ -17,6 +18,7 @@ from drivers.interface import Vector
 
 AT_FIRST: Final = 512  # pairs, each at a place, that are put in order before the others
 OBJECT, TABLE = "object", "table"
+_DISTANCE = attrgetter("distance_m")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,7 +72,7 @@ class Way:
             low = distance - float(slack[place, k])
             if low < found.distance_m:
                 low = max(low, distance - float(self._travel(pairs[k])[place]))
-                found = min(found, Nearest(low, pairs[k], place), key=_distance_of)
+                found = min(found, Nearest(low, pairs[k], place), key=_DISTANCE)
         return found
 
     def least(self, pairs: Sequence[Pair]) -> Nearest | None:
@@ -81,7 +83,7 @@ class Way:
         for place, k in _in_turn(bound):
             if bound[place, k] >= found.distance_m:
                 break
-            found = min(found, Nearest(self._distance(pairs[k], place), pairs[k], place), key=_distance_of)
+            found = min(found, Nearest(self._distance(pairs[k], place), pairs[k], place), key=_DISTANCE)
         return found
 
     def _balls(self, pairs: Sequence[Pair]) -> Matrix:
@@ -166,7 +168,3 @@ def _in_turn(bound: Matrix) -> Iterator[tuple[int, int]]:
     for part in (np.sort(first[:few]), first[few:]):
         for k in part[np.argsort(flat[part])].tolist():
             yield divmod(k, bound.shape[1])
-
-
-def _distance_of(near: Nearest) -> float:
-    return near.distance_m
