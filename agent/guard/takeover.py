@@ -10,6 +10,7 @@ from agent.guard.resume import beginning, from_torque, last_speed
 from agent.loop import Agent
 from agent.replay.tick import Rows
 from agent.safety import Flag
+from drivers.clock import MonotonicClock
 from drivers.interface import Clock, Vector
 
 WATCH_NS = 2_000_000  # between two looks at the agent
@@ -40,6 +41,11 @@ class Adopts(Protocol):
     def adopt(self, dq: Vector) -> Vector:
         """Take the arm over as it is; the joint torques (n,) that it holds."""
         ...
+
+
+def clock_of(rows: Rows) -> MonotonicClock:
+    """A clock with the time of the run that these rows (k,) are of; with this host's where there are none."""
+    return MonotonicClock(int(rows[-1]["utc_ns"] - rows[-1]["stamp_ns"]) if len(rows) else None)
 
 
 def go_on(

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack, closing
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from agent.around import RunSummary, Surroundings
@@ -54,6 +55,16 @@ class ArmLost(DriverError):
     """The run ended because the arm could not be commanded any more."""
 
     exit_code = 5
+
+    @classmethod
+    def check(cls, arm: str, summary: RunSummary, *, session: bool = False) -> RunSummary:
+        """The summary of a run that ended otherwise.  Raises ArmLost."""
+        if summary.mode is Mode.FAULT:
+            raise cls(
+                f"arm {arm}", found=summary.reason, expected="a fresh state every cycle",
+                remedy=LOST_REMEDY if session else "see the log",
+            )  # fmt: skip
+        return summary
 
 
 def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable[[str], None]) -> RunSummary:
@@ -126,32 +137,34 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
                 guard.leave()
             driver.close()
             notifier.stopping("torque off")
-    if summary.mode is Mode.FAULT:
-        raise ArmLost(
-            f"arm {arm.name}", found=summary.reason, expected="a fresh state every cycle",
-            remedy=LOST_REMEDY if options.whole else "see the log",
-        )  # fmt: skip
-    return summary
+    return ArmLost.check(arm.name, summary, session=options.whole)
 
 
 def _reached(cell: Cell, options: AgentOptions, stop: StopFlag) -> Guarded | None:
-    """The guard; behind it a plant has its socket too.  Raises GuardError where nobody listens in time."""
+    """The guard, with a plant that has its socket behind it.  Raises GuardError where nobody listens in time."""
     deadline_s = time.monotonic() + options.wait_s
-    guard: Guarded | None = None
-    plant = options.connection.plant_socket if options.wait_s else None
-    simulated = options.driver is DriverKind.SIM or in_the_loop(cell, options.arm)
-    while options.guard is not None and guard is None:
-        try:
-            guard = Guarded(options.guard, cell.fingerprint)
-        except GuardError:
-            if stop.stopped or time.monotonic() >= deadline_s:
-                raise
-            time.sleep(LOOK_S)
-    while plant is not None and simulated and not plant.is_socket() and not stop.stopped:
-        if time.monotonic() >= deadline_s:
-            break  # who connects is told
+
+    def waits() -> bool:
+        if stop.stopped or time.monotonic() >= deadline_s:
+            return False
         time.sleep(LOOK_S)
+        return True
+
+    guard = _guard(options.guard, cell.fingerprint, waits) if options.guard is not None else None
+    plant = options.connection.plant_socket
+    if plant is not None and (options.driver is DriverKind.SIM or in_the_loop(cell, options.arm)):
+        while not plant.is_socket() and waits():
+            pass  # who connects is told why it cannot
     return guard
+
+
+def _guard(socket: Path, fingerprint: str, waits: Callable[[], bool]) -> Guarded:
+    while True:
+        try:
+            return Guarded(socket, fingerprint)
+        except GuardError:
+            if not waits():
+                raise
 
 
 class _Law(NamedTuple):

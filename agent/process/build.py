@@ -27,7 +27,6 @@ from sim_backend.served.driver import SimDriver
 from sim_backend.served.standby import SimStandby
 
 __all__ = [
-    "EMULATED_READ_SHARE",
     "HOLD_RATE_MAX_RAD_PER_S",
     "Connection",
     "Standby",
@@ -38,6 +37,7 @@ __all__ = [
     "passed_on",
     "patient",
     "port_of",
+    "servo_driver",
 ]
 
 Standby = StandbyDriver | SimStandby
@@ -82,18 +82,26 @@ def build_driver(
             remedy="give --plant-socket",
         )  # fmt: skip
     clock = MonotonicClock()
-    servos = patient(arm_map(cell, arm, port_of(arm, connection), q_start), connection)
+    driver = servo_driver(arm_map(cell, arm, port_of(arm, connection), q_start), connection, clock, warn, guard)
+    if not rehearses or connection.plant_socket is None:
+        return driver, clock
+    joints = tuple(arm.entry.controlled)
+    twin = ServedTwin(connection.plant_socket, arm.name, joints, cell.config_id, WATCHDOG_S)
+    return bridge(cell, arm, driver, twin, clock, emulated=connection.emulated), clock
+
+
+def servo_driver(
+    servos: ArmMap, connection: Connection, clock: Clock, warn: Callable[[str], None], guard: Guarded | None
+) -> DynamixelDriver:
+    """Driver of these servos, real or emulated; arguments as of `build_driver`."""
+    servos = patient(servos, connection)
     port = SerialPort(servos.port, servos.baud, clock, guard.borrow if guard else None)
     # emulated servos share the processor with everything else: a slow read there says nothing of a bus
     share = EMULATED_READ_SHARE if connection.emulated else READ_SHARE
     driver = DynamixelDriver(servos, clock, on_event=in_words(warn), read_share=share, port=port)
     if guard is not None:
         driver.before_recovery = guard.busy
-    if not rehearses or connection.plant_socket is None:
-        return driver, clock
-    joints = tuple(arm.entry.controlled)
-    twin = ServedTwin(connection.plant_socket, arm.name, joints, cell.config_id, WATCHDOG_S)
-    return bridge(cell, arm, driver, twin, clock, emulated=connection.emulated), clock
+    return driver
 
 
 def patient(servos: ArmMap, connection: Connection) -> ArmMap:

@@ -18,6 +18,7 @@ from agent.telemetry.row.sample import PLANT_STATE
 from agent.telemetry.row.topics import PLANT
 from agent.verify.check import examine
 from drivers.clock import utc_offset_ns
+from drivers.fingers import Fingers
 from drivers.interface import Refusal, Vector
 from sim_backend.wire.cell import EmulatedCell
 from sim_backend.wire.lone_world import emulate_alone
@@ -83,12 +84,15 @@ def about_the_object(
     return emulated, world
 
 
+def with_fingers(wired: ArmWiring, fingers: Fingers, start_rad: float = 0.0) -> ArmWiring:
+    """The same arm with a gripper that closes on things; start_rad: angle of its horn when power comes."""
+    joints = (replace(j, fingers=fingers, start_rad=start_rad) if j.name == GRIPPER else j for j in wired.joints)
+    return replace(wired, joints=tuple(joints))
+
+
 def _about(arm: Arm, wired: ArmWiring) -> ArmWiring:
     fingers = fingers_of(arm.file)
-    if fingers is None:
-        return wired
-    joints = (replace(j, fingers=fingers, start_rad=fingers.open_rad) if j.name == GRIPPER else j for j in wired.joints)
-    return replace(wired, joints=tuple(joints))
+    return wired if fingers is None else with_fingers(wired, fingers, fingers.open_rad)
 
 
 def run_emulate(

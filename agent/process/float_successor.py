@@ -6,18 +6,16 @@ from contextlib import ExitStack
 
 from agent.around import RunSummary
 from agent.config.cell import Arm, Cell
-from agent.guard.takeover import go_on
+from agent.guard.takeover import clock_of, go_on
 from agent.guard.watched import Watched
 from agent.host.notify import Notifier
 from agent.loop import Agent
-from agent.modes import Mode
 from agent.process.agent import ArmLost
 from agent.process.build import Standby
 from agent.process.float_loop import FloatLoop, Floats
 from agent.process.schedule import AgentOptions
 from agent.process.tellers import Teller
 from agent.telemetry.row.event import Level
-from drivers.clock import MonotonicClock
 from drivers.dynamixel.standby import StandbyDriver
 from drivers.interface import Refusal
 
@@ -45,7 +43,7 @@ class FloatSuccessor:
         cell, arm = self._floats.cell, self._floats.arm
         watched.inherit()
         rows = watched.last_rows()
-        clock = MonotonicClock(int(rows[-1]["utc_ns"] - rows[-1]["stamp_ns"]) if len(rows) else None)
+        clock = clock_of(rows)
         tell = self._tell = Teller(arm.name, watched.texts)
         tell.clock = clock
         with ExitStack() as stack:
@@ -65,11 +63,7 @@ class FloatSuccessor:
             )  # fmt: skip
             summary = loop.run(begun)
         self._notifier.stopping("torque off")
-        if summary.mode is Mode.FAULT:
-            raise ArmLost(
-                f"arm {arm.name}", found=summary.reason, expected="a fresh state every cycle", remedy="see the log"
-            )
-        return summary
+        return ArmLost.check(arm.name, summary)
 
 
 def _never() -> bool:

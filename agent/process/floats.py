@@ -19,15 +19,12 @@ from agent.host.notify import Notifier
 from agent.host.realtime import become_realtime, quiet_memory
 from agent.modes import TABLE, Mode
 from agent.process.agent import ArmLost
-from agent.process.build import EMULATED_READ_SHARE, in_words, passed_on, patient, port_of
+from agent.process.build import passed_on, port_of, servo_driver
 from agent.process.float_loop import FloatError, FloatLoop, Floats
 from agent.process.schedule import AgentOptions
 from agent.process.tellers import Teller, opened
 from agent.telemetry.row.event import Level
 from drivers.clock import MonotonicClock
-from drivers.dynamixel.driver import DynamixelDriver
-from drivers.dynamixel.line.port import SerialPort
-from drivers.dynamixel.pace import SHARE
 from drivers.interface import Driver, Refusal, StaleStateError
 
 STALE_MAX = 3
@@ -38,18 +35,8 @@ def run_float(cell: Cell, options: AgentOptions, stop: Callable[[], bool], ready
 
     ready is called once the ring exists, and once more when the arm floats.  Raises Refusal.
     """
-    floats = Floats.of(cell, options.arm)
+    floats = _floats(cell, options)
     arm = floats.arm
-    if options.driver is not DriverKind.DYNAMIXEL:
-        raise FloatError(
-            f"arm {arm.name}", found=f"driver {options.driver.value}", expected="servos, real or emulated",
-            remedy="`coop float`; without arms, `coop float --emulate`",
-        )  # fmt: skip
-    if options.whole:
-        raise FloatError(
-            f"arm {arm.name}, which floats", found="--whole", expected="no session, of which it knows nothing",
-            remedy="leave it out",
-        )  # fmt: skip
     with ExitStack() as stack:
         texts, ring = opened(stack, options.ring, arm)
         notifier = stack.enter_context(closing(Notifier()))
@@ -58,13 +45,8 @@ def run_float(cell: Cell, options: AgentOptions, stop: Callable[[], bool], ready
         guard = Guarded(options.guard, cell.fingerprint) if options.guard else None
         if guard is None:
             tell.event(Level.WARN, UNGUARDED)
-        clock, emulated = MonotonicClock(), options.connection.emulated
-        servos = patient(floats.servos(port_of(arm, options.connection)), options.connection)
-        share = EMULATED_READ_SHARE if emulated else SHARE
-        port = SerialPort(servos.port, servos.baud, clock, guard.borrow if guard else None)
-        driver = DynamixelDriver(servos, clock, on_event=in_words(tell.warn), read_share=share, port=port)
-        if guard is not None:
-            driver.before_recovery = guard.busy
+        clock, servos = MonotonicClock(), floats.servos(port_of(arm, options.connection))
+        driver = servo_driver(servos, options.connection, clock, tell.warn, guard)
         try:
             info = driver.connect()
             tell.clock = clock
@@ -93,11 +75,23 @@ def run_float(cell: Cell, options: AgentOptions, stop: Callable[[], bool], ready
                 guard.leave()
             driver.close()
             notifier.stopping("torque off")
-    if summary.mode is Mode.FAULT:
-        raise ArmLost(
-            f"arm {arm.name}", found=summary.reason, expected="a fresh state every cycle", remedy="see the log"
-        )
-    return summary
+    return ArmLost.check(arm.name, summary)
+
+
+def _floats(cell: Cell, options: AgentOptions) -> Floats:
+    """The arm, if it can float as it is asked to.  Raises Refusal."""
+    floats = Floats.of(cell, options.arm)
+    if options.driver is not DriverKind.DYNAMIXEL:
+        raise FloatError(
+            f"arm {options.arm}", found=f"driver {options.driver.value}", expected="servos, real or emulated",
+            remedy="`coop float`; without arms, `coop float --emulate`",
+        )  # fmt: skip
+    if options.whole:
+        raise FloatError(
+            f"arm {options.arm}, which floats", found="--whole", expected="no session, of which it knows nothing",
+            remedy="leave it out",
+        )  # fmt: skip
+    return floats
 
 
 def _stops(stop: Callable[[], bool], guard: Guarded | None) -> bool:

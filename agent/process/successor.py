@@ -13,7 +13,7 @@ from agent.around import RunSummary, Surroundings
 from agent.config import monitors
 from agent.config.cell import Arm, Cell
 from agent.guard.black_box import BlackBox
-from agent.guard.takeover import go_on
+from agent.guard.takeover import clock_of, go_on
 from agent.guard.watched import Watched
 from agent.host.notify import Notifier
 from agent.host.signals import StopFlag
@@ -21,7 +21,7 @@ from agent.loop import Agent
 from agent.modes import Mode
 from agent.monitors.watch import Watch
 from agent.operator.socket import ControlSocket, Standing
-from agent.process.agent import LOST_REMEDY, ArmLost
+from agent.process.agent import ArmLost
 from agent.process.build import Standby
 from agent.process.operated import Operator, tick_of
 from agent.process.schedule import AgentOptions, schedule_of
@@ -69,8 +69,7 @@ class Successor:
         self._session = session
         watched.inherit()
         rows = watched.last_rows()
-        offset_ns = int(rows[-1]["utc_ns"] - rows[-1]["stamp_ns"]) if len(rows) else None
-        clock = MonotonicClock(offset_ns)
+        clock = clock_of(rows)
         tell = self._tell = Teller(arm.name, watched.texts)
         tell.clock = clock
         with ExitStack() as stack:
@@ -102,12 +101,7 @@ class Successor:
             summary = runner.run()
             tell.end(summary, time.process_time() - cpu_s)
         self._notifier.stopping("torque off")
-        if summary.mode is Mode.FAULT:
-            raise ArmLost(
-                f"arm {arm.name}", found=summary.reason, expected="a fresh state every cycle",
-                remedy=LOST_REMEDY if session else "see the log",
-            )  # fmt: skip
-        return summary
+        return ArmLost.check(arm.name, summary, session=session)
 
     def _around(
         self, control: ControlSocket | None, driver: Standby, watched: Watched, clock: MonotonicClock,

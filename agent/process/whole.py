@@ -8,10 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 
-from agent.config.cell import Arm, Cell
-from agent.config.servo_map import GRIPPER
+from agent.config.cell import Cell
 from agent.config.session import fingers, grip_width, rest_joints
-from agent.process.emulate import wiring
+from agent.process.emulate import wiring, with_fingers
 from agent.process.simulated import plant_spec
 from drivers.interface import Vector
 from sim_backend.physics.spec import GraspSpec, PlantSpec
@@ -38,16 +37,10 @@ def whole_cell(cell: Cell, q_grasp: Sequence[Vector], object_off: pin.SE3 = WHER
     hands = tuple(HandSpec(fingers(arm), grip_width(cell, arm)) for arm in cell.arms)
     rest = tuple(rest_joints(arm) for arm in cell.arms)
     whole = WholeSpec(rest, hands, np.array(cell.file.object.size_m), object_off)
-    return spec, whole, [_wiring(arm, i) for i, arm in enumerate(cell.arms)]
+    return spec, whole, [with_fingers(wiring(arm, i, arm.baud), fingers(arm)) for i, arm in enumerate(cell.arms)]
 
 
 def at_rest(cell: Cell, q_start: Sequence[Vector], timing: BusTiming | None) -> tuple[EmulatedCell, WholeWorld]:
     """Emulated arms that begin at their rest, the object on a table.  Raises ConfigError, PlantError."""
     spec, whole, wired = whole_cell(cell, q_start)
     return emulate_whole(spec, whole, wired, timing=timing)
-
-
-def _wiring(arm: Arm, index: int) -> ArmWiring:
-    wired = wiring(arm, index, arm.baud)
-    joints = (replace(j, fingers=fingers(arm)) if j.name == GRIPPER else j for j in wired.joints)
-    return replace(wired, joints=tuple(joints))
