@@ -1,4 +1,7 @@
-"""What an arm that a hand guides does by mode: floats, stands where it was stopped, sinks; pure."""
+"""What an arm that a hand guides does by mode: floats, stands where it was stopped, sinks; pure.
+
+An arm that moves while others float works by the law until it is stopped, and from then on does as they do.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ from agent.control.law import Offline
 from agent.control.memory import Memory
 from agent.control.models import ArmModel
 from agent.control.terms import Terms
-from agent.modes import Mode
+from agent.modes import Event, Mode, next_mode
 from drivers.interface import Vector
 
 
@@ -21,6 +24,12 @@ def torque(
     if mode is Mode.SINK:
         return floating.sinking(model, offline, own, memory.age, q, dq)
     return floating.standing(model, offline, own, memory.q_hold, q, dq)
+
+
+def following(mode: Mode, happened: Event) -> Mode:
+    """Mode of the next tick of an arm that floats, or moves while others do: where others hold, it stands."""
+    found = next_mode(mode, happened)
+    return Mode.STAND if found is Mode.HOLD else found
 
 
 def yielding(own: Floating, memory: Memory, q: Vector) -> Memory:

@@ -11,6 +11,7 @@ from functools import partial
 
 import numpy as np
 
+from agent import floats
 from agent.around import Beginning, LoopLog, RunSummary, Schedule, Surroundings
 from agent.control.memory import Memory
 from agent.cycles import WINDOW, Bus, Cycles
@@ -165,7 +166,8 @@ class Runner:
 
     def _next(self, happened: Event) -> Mode:
         if self._session is None:
-            return next_mode(self._mode, happened)
+            follows = next_mode if self._agent.floating is None else floats.following
+            return follows(self._mode, happened)
         return next_in_session(self._mode, happened)
 
     def _skip(self, deadline_ns: int, *, good: bool) -> Event:

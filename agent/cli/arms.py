@@ -43,6 +43,7 @@ def agent(
 ) -> None:
     """Run one arm: the process that reads, steps, limits and writes."""
     from agent.config.cell import load_cell
+    from agent.config.floating import spec_of
     from agent.config.schema.cell import DriverKind
     from agent.host.paths import control_path, make_runtime_dir, plant_socket_path, ring_path
     from agent.process.agent import run_agent
@@ -90,7 +91,7 @@ def agent(
         no_realtime=allow_no_realtime,
         wait_s=wait,
     )
-    floats = loaded.file.floating is not None and arm in loaded.file.floating.arms
+    floats = spec_of(loaded, loaded.arm(arm)) is not None
     summary = (run_float if floats else run_agent)(loaded, options, requested, ready)
     typer.echo(
         f"arm {arm}: {summary.ticks} cycles, {summary.late_cycles} late, {summary.stale_cycles} without a state, "

@@ -36,10 +36,16 @@ def float_arms(
     holding: Annotated[
         bool, typer.Option("--holding", help="The arms hold the object: grippers close, each carries its load share.")
     ] = False,
+    others_move: Annotated[
+        bool, typer.Option("--others-move", help="With the object: the other arms carry it along the cell's motion.")
+    ] = False,
     ports: Annotated[Path | None, typer.Option(help="Folder of ports named like the arms, not the cell's.")] = None,
     emulate: Annotated[bool, typer.Option("--emulate", help="Try it on emulated servos; nothing real moves.")] = False,
     out: Annotated[Path | None, typer.Option(help="Folder of the log (default runs/<UTC>-<cell>-float).")] = None,
     priority: Annotated[int | None, typer.Option(min=1, max=99, help="SCHED_FIFO priority, or refuse.")] = None,
+    allow_no_realtime: Annotated[
+        bool, typer.Option("--allow-no-realtime", help="Let real arms move at a normal priority.")
+    ] = False,
     yes: Annotated[bool, typer.Option("--yes", help="The arm is supported: do not ask.")] = False,
     overrides: Overrides = [],
     as_json: Annotated[bool, typer.Option("--json", help="One JSON document a line, ten a second.")] = False,
@@ -48,14 +54,27 @@ def float_arms(
 
     A stop lets them stand, then sink; so does the guard of one whose process dies.  Keep a hand on them all the same.
     """
-    from agent.process.floating_arms import FloatOptions, float_arms, floating_cell, require_ports
+    from agent.process.floating_arms import float_arms
+    from agent.process.floating_cell import (
+        FloatOptions,
+        floating_cell,
+        moving,
+        names_of,
+        require_motion,
+        require_ports,
+    )
 
     requested = begin(with_parent=False)
-    options = FloatOptions(cell, tuple(arm), tuple(overrides), holding, ports, emulate, out, priority)
+    options = FloatOptions(
+        cell, tuple(arm), tuple(overrides), holding, ports, emulate, out, priority, others_move, allow_no_realtime
+    )
     loaded = floating_cell(options)
     if not emulate:
         require_ports(loaded, options)
-        _ask(loaded.file.floating.arms if loaded.file.floating else [], holding=holding, yes=yes)
+    require_motion(loaded, options)
+    spec = loaded.file.floating
+    if not emulate and spec is not None:
+        _ask(names_of(loaded), [one.name for one in moving(loaded)], holding=spec.holding, yes=yes)
     with Shown(as_json=as_json) as shown:
         log = float_arms(loaded, options, requested, shown)
     if as_json:
@@ -67,11 +86,13 @@ def float_arms(
 float_arms.__name__ = "float"  # the command's word, which a function of this module cannot have
 
 
-def _ask(arms: Sequence[str], *, holding: bool, yes: bool) -> None:
-    """Raise FloatError unless a person says that the arms are supported."""
+def _ask(arms: Sequence[str], moving: Sequence[str], *, holding: bool, yes: bool) -> None:
+    """Raise FloatError unless a person says that the arms are supported; moving: those that move the object."""
     from agent.process.float_loop import FloatError
 
     what = "and the grippers close on the object" if holding else "and the arm floats"
+    if moving:
+        what += f"; {' and '.join(moving)} MOVES it 3 s later"
     if yes:
         return
     if sys.stdin is None or not sys.stdin.isatty() or not typer.confirm(

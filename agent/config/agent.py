@@ -25,6 +25,8 @@ def build_agent(cell: Cell, arm: Arm) -> Agent:
     if spec is None:
         return _working(cell, arm)
     agent = _working(cell, arm, alone=True)
+    if spec.moves(arm.name):  # a hand, and an arm that gives way, are what it would notice
+        return replace(agent, floating=floating.build(cell, arm, spec), residual=None)
     return replace(
         agent,
         offline=floating.carried(agent.offline, spec),

@@ -23,9 +23,14 @@ WATCHED = frozenset({
 
 
 def spec_of(cell: Cell, arm: Arm) -> Spec | None:
-    """What the cell says of this arm's floating; None for an arm that works."""
+    """What the cell says of this arm's floating, or of its motion while others float; None for an arm that works."""
     spec = cell.file.floating
-    return spec if spec is not None and arm.name in spec.arms else None
+    return spec if spec is not None and (arm.name in spec.arms or spec.moves(arm.name)) else None
+
+
+def taking_part(cell: Cell) -> tuple[Arm, ...]:
+    """The arms that float, and those that move while they do."""
+    return tuple(arm for arm in cell.arms if spec_of(cell, arm) is not None)
 
 
 def build(cell: Cell, arm: Arm, spec: Spec) -> Floating:
@@ -49,13 +54,19 @@ def carried(offline: Offline, spec: Spec) -> Offline:
 
 
 def bounds(cell: Cell, arm: Arm, spec: Spec) -> Bounds:
-    """Of the monitors that stop a floating arm; those of an object's motion are off.  Raises ConfigError."""
+    """Of the monitors that stop a floating arm; those of an object's motion are off.  Raises ConfigError.
+
+    An arm that moves while others float has all of its own, and the bound of the speed.
+    """
     model, usual = cell.model(arm).model, monitors.bounds(cell, arm)
+    fastest = TOO_FAST * spec.speed_max_rad_per_s
+    if spec.moves(arm.name):
+        return replace(usual, speed_rad_per_s=tuple(min(own, fastest) for own in usual.speed_rad_per_s))
     low, high = model.lowerPositionLimit - BEYOND_RAD, model.upperPositionLimit + BEYOND_RAD
     return replace(
         usual,
         watched=usual.watched & WATCHED,
-        speed_rad_per_s=(TOO_FAST * spec.speed_max_rad_per_s,) * arm.n,
+        speed_rad_per_s=(fastest,) * arm.n,
         position_rad=tuple(zip(low.tolist(), high.tolist(), strict=True)),
     )
 

@@ -83,6 +83,21 @@ def start_together(arms: Places, request: Request, timeout_s: float = REPLY_TIME
         )  # fmt: skip
 
 
+def start_patiently(arms: Places, fingerprint: str, in_ns: int, attempts: int = 3) -> None:
+    """The same, so many ns from now, and again where that fails: a machine that stalls answers late.
+
+    Raises ControlError of the last attempt; a start that failed has been taken back.
+    """
+    for attempt in range(attempts):
+        try:
+            start_together(arms, Request(Verb.START, fingerprint, time.time_ns() + in_ns))
+        except ControlError:
+            if attempt + 1 == attempts:
+                raise
+        else:
+            return
+
+
 def _ask_first(arms: Places, request: Request, timeout_s: float) -> None:
     """Raise ControlError, nothing having been done, unless all arms would take the word."""
     heard = ask_arms(arms, replace(request, prepare=True), timeout_s)

@@ -12,10 +12,7 @@ from agent.config.cell import Cell
 from agent.config.schema.cell import DriverKind
 from agent.host.child import Child
 from agent.host.share import cores_of_arms, keep_to, one_memory_layout
-from agent.operator.error import ControlError
-from agent.operator.message import Request
-from agent.operator.table import Verb
-from agent.operator.words import start_together
+from agent.operator.words import start_patiently
 from agent.process.commands import (
     AgentCommand,
     ChildCommand,
@@ -37,7 +34,6 @@ from agent.telemetry.row.topics import PLANT
 READY_TIMEOUT_S = 30.0
 STOP_TIMEOUT_S = 20.0
 START_IN_NS = 500_000_000
-START_ATTEMPTS = 3
 START_LOOP_IN_NS = 2_500_000_000  # arms in the loop come to rest, have their grippers looked at, and are coupled
 ABANDON_TIMEOUT_S = 5.0
 LOOK_EVERY_S = 0.05
@@ -126,14 +122,7 @@ class Children:
             child.wait_ready(READY_TIMEOUT_S)
         places = {arm: [self._control(arm)] for arm in self._agents}
         start_in_ns = START_LOOP_IN_NS if self._kind is RunKind.HIL else START_IN_NS
-        for attempt in range(START_ATTEMPTS):
-            try:
-                start_together(places, Request(Verb.START, self._cell.fingerprint, time.time_ns() + start_in_ns))
-            except ControlError:  # a machine that stalls answers late, and a start that failed has been taken back
-                if attempt + 1 == START_ATTEMPTS:
-                    raise
-            else:
-                return
+        start_patiently(places, self._cell.fingerprint, start_in_ns)
 
     def _record_command(self) -> RecordCommand:
         return RecordCommand(

@@ -1,7 +1,8 @@
 """The loop of an arm that a hand guides, from FLOAT or from where another process left it, until its torque goes off.
 
 A stop brakes the arm and lets it stand for STAND_S; then it sinks slowly until it lies.  Each step is told before it
-comes.
+comes.  An arm that moves while others float holds the start pose first, follows the motion from the common start on,
+and ends like them: at a stop, and where the motion ends.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -31,6 +33,7 @@ from agent.telemetry.ring.texts import TextWriter
 from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.event import Level
 from agent.telemetry.row.fill import AgentRow
+from agent.verify.check import examine
 from drivers.dynamixel.arm_map import ArmMap
 from drivers.dynamixel.driver import DynamixelDriver
 from drivers.interface import Clock, ConnectError, Gripper, Refusal, Vector
@@ -50,7 +53,7 @@ class FloatError(ConnectError):
 
 @dataclass(frozen=True)
 class Floats:
-    """One arm of a cell that floats."""
+    """One arm of a cell that floats, or moves while others do."""
 
     cell: Cell
     arm: Arm
@@ -58,7 +61,7 @@ class Floats:
 
     @classmethod
     def of(cls, cell: Cell, arm: str) -> Floats:
-        """Raises ConfigError for an arm that is not there, FloatError for one that works."""
+        """Raises ConfigError for an arm that is not there, FloatError for one that takes no part."""
         found = cell.arm(arm)
         spec = floating.spec_of(cell, found)
         if spec is None:
@@ -67,8 +70,20 @@ class Floats:
             )
         return cls(cell, found, spec)
 
+    @property
+    def moves(self) -> bool:
+        """Whether it follows the cell's motion while others float."""
+        return self.spec.moves(self.arm.name)
+
     def servos(self, port: str) -> ArmMap:
-        """Its servos, wherever it stands: only joints that are held must be where the cell has them."""
+        """Its servos, wherever it stands: only joints that are held must be where the cell has them.
+
+        An arm that moves begins where the motion does.  Raises ConfigError where the cell may not run.
+        """
+        if self.moves:
+            report = examine(self.cell)
+            report.require()
+            return arm_map(self.cell, self.arm, port, report.q_start[self.cell.arms.index(self.arm)])
         servos = arm_map(self.cell, self.arm, port, np.array(self.arm.entry.q_near_rad))
         free = set(self.arm.entry.controlled)
         joints = tuple(replace(j, start_rad=None) if j.name in free else j for j in servos.joints)
@@ -110,12 +125,24 @@ class Ending:
         if seen:
             self._seen_s += self._period_s
             self._slow_s = self._slow_s + self._period_s if fastest_rad_per_s <= LIES_RAD_PER_S else 0.0
-        if self._mode is Mode.FLOAT:
-            return Event.STOP if self._stop() else Event.NONE
         if self._mode is Mode.STAND:
             return Event.RELEASED if seen and seconds >= STAND_S else Event.NONE
+        if self._mode is not Mode.SINK:
+            return Event.STOP if self._stop() else Event.NONE
         lies = seen and self._slow_s >= LIES_S and self._seen_s >= self._sink_s
         return Event.ARRIVED if lies or seconds >= SINK_MAX_S else Event.NONE
+
+
+class Told(Protocol):
+    """What an arm that moves is told: `agent.process.float_words.Words` is one."""
+
+    def start_ns(self) -> int | None:
+        """The common start on its clock, once it has been given."""
+        ...
+
+    def entered(self, mode: Mode) -> None:
+        """Its mode has changed."""
+        ...
 
 
 class FloatLoop:
@@ -133,21 +160,30 @@ class FloatLoop:
         texts: TextWriter,
         notifier: Notifier,
         agent: Agent | None = None,
+        told: Told | None = None,
     ) -> None:
-        """agent: of this arm, where somebody has built it already."""
+        """agent: of this arm, where somebody has built it already; told: of one that moves."""
         cell, arm = floats.cell, floats.arm
         self._tell, self._ring, self._driver, self._clock = tell, ring, driver, clock
         self._agent = agent or build_agent(cell, arm)
         assert self._agent.floating is not None, "Floats.of has seen to it"
         self._ending = Ending(stop, tell, clock.now_ns, self._agent.floating.sink_s, cell.period_ns * 1e-9)
         self._row = AgentRow(ring.row, arm.n, cell.config_id)
-        self.schedule = replace(schedule_of(cell, options), hold_at_end=True, ticks=ENDLESS)
+        self._begins = Event.ENABLED if floats.moves else Event.FLOATED
+        schedule = replace(schedule_of(cell, options), hold_at_end=True)
+        self.schedule = schedule if floats.moves else replace(schedule, ticks=ENDLESS)
+        self._told = told
         self._monitors = Monitors(floating.bounds(cell, arm, floats.spec), self._ending.warn)
         self._heart = Heart(notifier, cell.file.rate_hz)
         self._servos = ServoTeller(driver, texts, clock.utc_offset_ns, cell.file.rate_hz)
         self._grasp = Grasp.of(floats, driver, tell) if floats.spec.holding else None
         self._around = Surroundings(
-            time.perf_counter_ns, self._events, lambda: None, self._beat, self._mode_changed, tell.trouble
+            time.perf_counter_ns,
+            self._events,
+            told.start_ns if told else lambda: None,
+            self._beat,
+            self._mode_changed,
+            tell.trouble,
         )
 
     def run(self, stands: Beginning | None = None) -> RunSummary:
@@ -163,7 +199,7 @@ class FloatLoop:
         begins = stands or Beginning(Mode.OFF, initial_memory(self._agent), self._clock.now_ns(), rows=0, reason="")
         runner = self._runner(begins)
         try:
-            summary = runner.run(Event.FLOATED if stands is None else Event.NONE)
+            summary = runner.run(self._begins if stands is None else Event.NONE)
         except Refusal:
             raise
         except Exception as error:
@@ -196,6 +232,8 @@ class FloatLoop:
     def _mode_changed(self, mode: Mode) -> None:
         self._heart.mode(mode)
         self._ending.mode(mode)
+        if self._told is not None:
+            self._told.entered(mode)
 
 
 class Grasp:

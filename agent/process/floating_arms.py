@@ -1,25 +1,24 @@
 """`coop float`: arms of a cell that a hand guides, as processes of one machine, with a log; none of them outlives it.
 
+Arms that move while others float do so from one instant on, and end as they do: at a stop, and where the motion ends.
 A stop, one arm that stops by itself and one that fails let all of them stand and sink; nobody kills one that sinks.
 Each arm has a guard: where its process is killed or hangs, that lets it stand and sink.
 """
 
 from __future__ import annotations
 
-import os
 import shutil
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from agent.config.cell import Cell, cell_from_toml, load_cell
+from agent.config.cell import Cell
 from agent.config.schema.cell import DriverKind
-from agent.host.child import Child, ChildFailed
+from agent.host.child import Child
 from agent.modes import Mode
-from agent.process.build import Connection, port_of
+from agent.operator.words import start_patiently
 from agent.process.commands import (
     AgentCommand,
     ChildCommand,
@@ -29,31 +28,18 @@ from agent.process.commands import (
     TelemetryCommand,
 )
 from agent.process.describe import run_info
-from agent.process.float_loop import SINK_MAX_S, STAND_S, FloatError
+from agent.process.float_loop import SINK_MAX_S, STAND_S
+from agent.process.floating_cell import FloatOptions, moving, names_of, port_for
 from agent.process.folder import LOG_NAME, output_folder
 from agent.process.glance import Glance, Window
 from agent.telemetry.link.session import FREE_PORT
-from drivers.dynamixel.line.ports import busy_error, holders, open_error
 
 READY_TIMEOUT_S = 30.0
 END_TIMEOUT_S = STAND_S + SINK_MAX_S + 10.0
 STOP_TIMEOUT_S = 20.0
+START_IN_NS = 3_000_000_000  # grippers have closed by then, and the torque at rest has been looked at
 LOOK_EVERY_S = 0.1
 _STOPPED = frozenset({Mode.STAND, Mode.SINK, Mode.FAULT})
-
-
-@dataclass(frozen=True)
-class FloatOptions:
-    """How arms are let float."""
-
-    cell: Path
-    arms: tuple[str, ...]
-    overrides: tuple[str, ...] = ()
-    holding: bool = False
-    ports: Path | None = None  # folder with a port per arm; None: the cell's
-    emulate: bool = False  # on emulated servos of this command's own
-    out: Path | None = None
-    priority: int | None = None
 
 
 class Screen(Protocol):
@@ -66,43 +52,6 @@ class Screen(Protocol):
     def show(self, glances: Sequence[Glance]) -> None:
         """How the arms are."""
         ...
-
-
-def floating_cell(options: FloatOptions) -> Cell:
-    """The cell, told which arms float.  Raises ConfigError, FloatError."""
-    own = [change for change in options.overrides if change.strip().startswith("floating.")]
-    others = [change for change in options.overrides if change not in own]
-    if options.arms:
-        names = ", ".join(f'"{name}"' for name in options.arms)
-        own.append(f"floating.arms=[{names}]")
-    if options.holding:
-        own.append("floating.holding=true")
-    cell = load_cell(options.cell, others)
-    if cell.file.floating is None and not options.arms:
-        names = " or ".join(arm.name for arm in cell.arms)
-        raise FloatError("arms that are to float", found="none", expected="--arm NAME", remedy=f"name {names}")
-    if cell.file.floating is not None:
-        return load_cell(options.cell, [*others, *own])
-    return _with_table(cell, own, options.cell.name)
-
-
-def _with_table(cell: Cell, changes: Sequence[str], source: str) -> Cell:
-    """The cell with a table [floating] behind all else, so that the log keeps its comments.  Raises ConfigError."""
-    lines = [change.strip().removeprefix("floating.") for change in changes]
-    table = "\n".join(["", "[floating]", *lines, ""])
-    return cell_from_toml(cell.toml.rstrip() + b"\n" + table.encode(), source)
-
-
-def require_ports(cell: Cell, options: FloatOptions) -> None:
-    """Refuse ports that are not there, may not be used or are in use.  Raises ConnectError."""
-    for name in _floating(cell):
-        path = _port(cell, options, name)
-        try:
-            os.close(os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC))
-        except OSError as error:
-            raise open_error(path, error) from error
-        if holders(path):
-            raise busy_error(path)
 
 
 def float_arms(cell: Cell, options: FloatOptions, stop: Callable[[], bool], screen: Screen) -> Path:
@@ -143,13 +92,16 @@ class FloatingArms:
         self._telemetry: dict[str, Child] = {}
 
     def start(self, screen: Screen) -> None:
-        """Start everything, recorder first; returns once every arm floats.  Raises ChildFailed."""
+        """Start everything, recorder first; returns once every arm floats, or is told when to move.
+
+        Raises ChildFailed, ControlError.
+        """
         screen.phase("starting")
         self._recorder = self._child("recorder", self._record_command())
         if self._options.emulate:
             self._servos = self._child("servos", self._emulate_command())
             self._servos.wait_ready(READY_TIMEOUT_S)
-        for name in _floating(self._cell):
+        for name in names_of(self._cell):
             self._guards[name] = self._child(f"guard-{name}", self._guard_command(name))
         for name, guard in self._guards.items():
             guard.wait_ready(READY_TIMEOUT_S)
@@ -161,6 +113,9 @@ class FloatingArms:
         screen.phase("torque on")
         for child in (*self._telemetry.values(), *self._agents.values()):
             child.wait_ready(READY_TIMEOUT_S)
+        moved = {arm.name: [self._control(arm.name)] for arm in moving(self._cell)}
+        if moved:
+            start_patiently(moved, self._cell.fingerprint, START_IN_NS)
 
     def watch(self, stop: Callable[[], bool], screen: Screen) -> None:
         """Show the arms until every one of them has ended.  Raises ChildFailed for one that failed."""
@@ -246,20 +201,21 @@ class FloatingArms:
 
     def _agent_command(self, name: str) -> AgentCommand:
         return AgentCommand(
-            cell=self._cell_path, arm=name, ring=self._ring(name), control=self._runtime / f"{name}.control",
+            cell=self._cell_path, arm=name, ring=self._ring(name), control=self._control(name),
             driver=DriverKind.DYNAMIXEL, port=self._port(name), emulated=self._options.emulate,
             priority=self._options.priority, guard=self._runtime / f"{name}.guard",
+            allow_no_realtime=self._options.no_realtime,
         )  # fmt: skip
 
     def _guard_command(self, name: str) -> GuardCommand:
         return GuardCommand(
             cell=self._cell_path, arm=name, socket=self._runtime / f"{name}.guard",
-            control=self._runtime / f"{name}.control", post_mortem=self._out, driver=DriverKind.DYNAMIXEL,
+            control=self._control(name), post_mortem=self._out, driver=DriverKind.DYNAMIXEL,
             port=self._port(name), emulated=self._options.emulate, priority=self._options.priority,
         )  # fmt: skip
 
     def _port(self, name: str) -> Path:
-        return self._runtime / name if self._options.emulate else Path(_port(self._cell, self._options, name))
+        return self._runtime / name if self._options.emulate else Path(port_for(self._cell, self._options, name))
 
     def _telemetry_command(self, name: str, endpoint: str) -> TelemetryCommand:
         return TelemetryCommand(
@@ -269,24 +225,14 @@ class FloatingArms:
     def _child(self, name: str, command: ChildCommand) -> Child:
         return Child(name, command.argv(), self._words)
 
+    def _control(self, name: str) -> Path:
+        return self._runtime / f"{name}.control"
+
     def _ring(self, name: str) -> Path:
         return self._runtime / f"{name}.ring"
-
-
-def _floating(cell: Cell) -> Sequence[str]:
-    assert cell.file.floating is not None, "floating_cell has seen to it"
-    return cell.file.floating.arms
-
-
-def _port(cell: Cell, options: FloatOptions, name: str) -> str:
-    given = None if options.ports is None else str(options.ports / name)
-    return port_of(cell.arm(name), Connection(port=given))
 
 
 def _wait_all(children: Iterable[Child], timeout_s: float) -> None:
     deadline = time.monotonic() + timeout_s
     for child in children:
         child.wait(max(0.0, deadline - time.monotonic()))
-
-
-__all__ = ["ChildFailed", "FloatOptions", "FloatingArms", "Screen", "float_arms", "floating_cell", "require_ports"]

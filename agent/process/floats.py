@@ -1,4 +1,4 @@
-"""The process of one arm that a hand guides: the loop of an agent, in FLOAT until it is told to stop.
+"""The process of one arm that a hand guides, or that moves while others float, until it is told to stop.
 
 A stop (SIGTERM, SIGINT, a monitor, lost states, an error of its own, a guard that is gone) brakes the arm and lets it
 stand; then it sinks slowly, and its torque goes off once it lies.
@@ -17,23 +17,25 @@ from agent.config.schema.cell import DriverKind
 from agent.guard.guarded import UNGUARDED, Guarded
 from agent.host.notify import Notifier
 from agent.host.realtime import become_realtime, quiet_memory
+from agent.host.signals import StopFlag
 from agent.modes import TABLE, Mode
 from agent.process.agent import ArmLost
 from agent.process.build import passed_on, port_of, servo_driver
 from agent.process.float_loop import FloatError, FloatLoop, Floats
+from agent.process.float_words import Words
 from agent.process.schedule import AgentOptions
 from agent.process.tellers import Teller, opened
 from agent.telemetry.row.event import Level
 from drivers.clock import MonotonicClock
-from drivers.interface import Driver, Refusal, StaleStateError
+from drivers.interface import Clock, Driver, Refusal, StaleStateError
 
 STALE_MAX = 3
 
 
-def run_float(cell: Cell, options: AgentOptions, stop: Callable[[], bool], ready: Callable[[str], None]) -> RunSummary:
-    """Let one arm float until a stop; its torque is off when this returns or raises.
+def run_float(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable[[str], None]) -> RunSummary:
+    """Let one arm float, or move with those that do, until a stop; its torque is off when this returns or raises.
 
-    ready is called once the ring exists, and once more when the arm floats.  Raises Refusal.
+    ready is called once the ring exists, and once more when the arm has torque.  Raises Refusal.
     """
     floats = _floats(cell, options)
     arm = floats.arm
@@ -46,6 +48,7 @@ def run_float(cell: Cell, options: AgentOptions, stop: Callable[[], bool], ready
         if guard is None:
             tell.event(Level.WARN, UNGUARDED)
         clock, servos = MonotonicClock(), floats.servos(port_of(arm, options.connection))
+        words = _words(floats, options, stop, clock, tell, stack)
         driver = servo_driver(servos, options.connection, clock, tell.warn, guard)
         try:
             info = driver.connect()
@@ -55,11 +58,14 @@ def run_float(cell: Cell, options: AgentOptions, stop: Callable[[], bool], ready
             if options.priority is not None:
                 become_realtime(options.priority)
             # before the torque: from then on the servos' watchdogs run
-            stops = partial(_stops, stop, guard)
-            loop = FloatLoop(floats, options, driver, clock, ring, stops, tell, texts, notifier)
+            stops = partial(_stops, stop if words is None else words.stops, guard)
+            loop = FloatLoop(floats, options, driver, clock, ring, stops, tell, texts, notifier, told=words)
             driver.enable()
-            notifier.ready(TABLE[Mode.FLOAT].says)
-            tell.event(Level.INFO, f"torque on, floating: {info.description}", priority=options.priority or 0)
+            notifier.ready(TABLE[Mode.FLOAT if words is None else Mode.READY].says)
+            how = "torque on, floating" if words is None else "torque on"
+            tell.event(Level.INFO, f"{how}: {info.description}", priority=options.priority or 0)
+            if words is not None:
+                words.ready()
             if guard is not None:
                 fds, told = passed_on(driver)
                 watched = ring.fileno(), texts.fileno(), *fds
@@ -92,6 +98,23 @@ def _floats(cell: Cell, options: AgentOptions) -> Floats:
             remedy="leave it out",
         )  # fmt: skip
     return floats
+
+
+def _words(
+    floats: Floats, options: AgentOptions, stop: StopFlag, clock: Clock, tell: Teller, stack: ExitStack
+) -> Words | None:
+    """What an arm that moves is told, until the stack ends; None of one that floats.
+
+    Raises FloatError, ControlError.
+    """
+    if not floats.moves:
+        return None
+    if options.control is None:
+        raise FloatError(
+            f"arm {options.arm}, which moves", found="no control socket", expected="one, for its start",
+            remedy="give --control",
+        )  # fmt: skip
+    return stack.enter_context(closing(Words(options.control, floats.cell, options, stop, clock, tell)))
 
 
 def _stops(stop: Callable[[], bool], guard: Guarded | None) -> bool:

@@ -59,7 +59,8 @@ def run_guard(cell: Cell, options: GuardOptions, stop: StopFlag, ready: Callable
 
 def _q_start(cell: Cell, arm: Arm) -> Vector:
     """Where the arm begins; one that floats does so anywhere, in a cell that need not be right.  Raises CheckError."""
-    if spec_of(cell, arm) is not None:
+    spec = spec_of(cell, arm)
+    if spec is not None and not spec.moves(arm.name):
         return np.array(arm.entry.q_near_rad)
     report = examine(cell)
     report.require()

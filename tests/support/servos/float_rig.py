@@ -13,11 +13,13 @@ import pinocchio as pin
 
 from agent.around import RunSummary
 from agent.config.cell import Arm, Cell
+from agent.config.floating import taking_part
 from agent.config.schema.cell import DriverKind
 from agent.config.servo_map import arm_map
 from agent.faults.virtual import Line, SharedClock
 from agent.guard.takeover import go_on
 from agent.loop import Agent
+from agent.modes import Mode
 from agent.process.build import Connection, build_agent
 from agent.process.emulate import about_the_object, wiring
 from agent.process.float_loop import FloatLoop, Floats
@@ -110,7 +112,7 @@ class FloatRun:
     hand: what pushes, at the end effector of the one arm, or at the object of arms that hold it; stop_s: when a stop is
     asked for; faults count from the first torque; q_start: where the one arm is; at: what the test does at an instant;
     until_s: when the arms are taken away, wherever they are; dies_s: when their processes are killed, a second before
-    the end, or, guarded, before their guards let them down.
+    the end, or, guarded, before their guards let them down; starts_s: when arms that move while others float begin.
     """
 
     def __init__(
@@ -126,6 +128,7 @@ class FloatRun:
         until_s: float | None = None,
         dies_s: float | None = None,
         guarded: bool = False,
+        starts_s: float = math.inf,
     ) -> None:
         spec = cell.file.floating
         assert spec is not None
@@ -143,8 +146,9 @@ class FloatRun:
             wired = [wiring(cell.arms[one], 0, cell.arms[one].baud)]
             self.emulated, self.world = emulate_alone(lone_spec(real, starts), [(one, wired[0])], timing=BusTiming())  # type: ignore[assignment]
         self.injectors = [Injector(arm, None, seed=1) for arm in self.emulated.arms]
-        self.clock = SharedClock(self.emulated, self.injectors, len(spec.arms), self._pass)
-        self.arms = {name: FloatArm() for name in spec.arms}
+        self.arms = {arm.name: FloatArm() for arm in taking_part(cell)}
+        self.clock = SharedClock(self.emulated, self.injectors, len(self.arms), self._pass)
+        self._starts_s = starts_s
         self._faults = list(faults)
         self._on: set[str] = set()
         self.zero_ns: int | None = None
@@ -213,7 +217,8 @@ class FloatRun:
         run.driver = DynamixelDriver(floats.servos("virtual"), clock, scan_s=0.05, port=run.port)
         run.driver.connect()
         tell.clock = clock
-        require_within(floats, run.driver)
+        if not floats.moves:
+            require_within(floats, run.driver)
         run.handover = Handover.of(run.driver)
         run.loop = self._float_loop(run, floats, clock, tell)
         run.driver.enable()
@@ -225,7 +230,7 @@ class FloatRun:
         if self._dies_s is not None:
             clock.end_ns = self.clock._ns + round(1e9 * self._dies_s)
         if self._until_s is not None:
-            ticks = round(self._until_s * self.cell.file.rate_hz)
+            ticks = round((self._until_s - (self._starts_s if floats.moves else 0.0)) * self.cell.file.rate_hz)
             run.loop.schedule = replace(run.loop.schedule, hold_at_end=False, ticks=ticks)
         return run.loop.run()
 
@@ -241,8 +246,17 @@ class FloatRun:
         assert run.driver is not None
         return FloatLoop(
             floats, options, run.driver, clock, ring, lambda: self.since_s() >= self._stop_s, tell, texts, notifier,
-            agent,
+            agent, told=self if floats.moves else None,
         )  # fmt: skip
+
+    def start_ns(self) -> int | None:
+        """As an arm that moves is told it."""
+        if self.zero_ns is None or self._starts_s == math.inf:
+            return None
+        return self.zero_ns + round(1e9 * self._starts_s)
+
+    def entered(self, mode: Mode) -> None:
+        """An arm that moves has entered it."""
 
     def _let_down(self, run: FloatArm, arm: Arm) -> RunSummary:
         """What a guard does, from the instant at which the arm's process has done nothing more."""

@@ -15,7 +15,7 @@ from agent.calibrate.run import calibrate, write
 from agent.config.cell import Cell, load_cell
 from agent.config.reality import reality_of
 from agent.config.schema.reality import ArmReality, Reality
-from agent.process.floating_arms import FloatOptions, floating_cell
+from agent.process.floating_cell import FloatOptions, floating_cell
 from agent.telemetry.row.sample import AGENT_STATE
 from drivers.dynamixel.servo.counts import TICK_RAD
 from sim_backend.physics.plant import Observation

@@ -20,7 +20,7 @@ from agent.modes import Event, Mode
 from agent.process import float_loop, floats
 from agent.process.build import Connection, patient
 from agent.process.float_loop import SINKS, STANDS, Ending, FloatError, Floats
-from agent.process.floating_arms import FloatOptions, floating_cell
+from agent.process.floating_cell import FloatOptions, floating_cell
 from agent.replay.chain import Chain
 from agent.safety import Flag
 from agent.telemetry.row.event import Level
@@ -28,7 +28,7 @@ from drivers.dynamixel.servo.table import TORQUE_ENABLE
 from drivers.interface import JointState, Vector
 from sim_backend.wire.faults import Fault, FaultKind
 from tests.support.control.level_wx200 import LEVEL
-from tests.support.servos.float_rig import FloatRun
+from tests.support.servos.float_rig import FloatArm, FloatRun
 from tests.support.telemetry.run_log import write_run
 
 LEFT = 'floating.arms=["left"]'
@@ -37,6 +37,13 @@ SPEED = 1.0
 FORWARD = np.array([-0.35, 0.69, -0.33])  # the gripper level: what a hand lifts turns the elbow alone, or nearly so
 NOTHING = np.zeros(6)
 SINK_S = 0.5
+OFF = (
+    "simulation.reality.arms.left.base_m=[0.006,0.0,-0.005]",
+    "simulation.reality.arms.left.zeros_rad=[0.012,-0.01,0.014]",
+    "simulation.reality.arms.right.zeros_rad=[-0.01,0.013,-0.012]",
+    "simulation.reality.pads_N_per_m=1e4", "simulation.reality.pads_Nm_per_rad=400.0",
+)  # fmt: skip
+MOTION = ("trajectory.period_s=5.0", "trajectory.ramp_s=1.0")
 
 
 @pytest.fixture(autouse=True)
@@ -46,7 +53,11 @@ def _soon(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def modes(run: FloatRun) -> list[str]:
-    return [Mode(m).name for m, _ in itertools.groupby(run.one.rows["mode"].tolist())]
+    return modes_of(run.one.rows)
+
+
+def modes_of(rows: Any) -> list[str]:
+    return [Mode(m).name for m, _ in itertools.groupby(rows["mode"].tolist())]
 
 
 def part(run: FloatRun, begin_s: float, end_s: float) -> tuple[Vector, Vector]:
@@ -85,15 +96,15 @@ def test_a_stop_lets_the_arm_stand_then_sink_and_says_so_before_its_torque_goes_
     assert not arm.port.is_open  # type: ignore[union-attr]
     servos = [run.emulated.arms[0].servo(i) for i in range(1, 8)]
     assert not any(servo.firmware.memory.get(TORQUE_ENABLE) for servo in servos)
-    replayed(run, CELL)
+    replayed(run.one)
 
 
-def replayed(run: FloatRun, cell: Cell) -> None:
+def replayed(arm: FloatArm) -> None:
     """The rows of the arm follow from each other, as a replay of the log computes them."""
-    chain = Chain(run.one.loop._agent)  # type: ignore[union-attr]
+    agent = arm.loop._agent  # type: ignore[union-attr]
+    chain, n = Chain(agent), agent.model.n
     chain.start()
-    n = run.cell.arm("left").n
-    for row in run.one.rows:
+    for row in arm.rows:
         state = JointState(int(row["stamp_ns"]), *(row[f][:n] for f in ("q_measured", "dq_measured", "tau_measured")))
         _, outcome = chain.pass_row(state, float(row["t"]), Mode(int(row["mode"])), int(row["flags"]))
         assert np.array_equal(outcome.tau, row["tau_limited"][:n])
@@ -218,14 +229,8 @@ def test_an_error_of_the_loop_itself_lets_the_arm_sink_and_is_raised() -> None:
 
 
 def test_the_log_of_arms_that_floated_with_the_object_calibrates_their_cell(tmp_path: Path) -> None:
-    off = [
-        *LEVEL,
-        "simulation.reality.arms.left.base_m=[0.006,0.0,-0.005]",
-        "simulation.reality.arms.left.zeros_rad=[0.012,-0.01,0.014]",
-        "simulation.reality.arms.right.zeros_rad=[-0.01,0.013,-0.012]",
-        "simulation.reality.pads_N_per_m=1e4", "simulation.reality.pads_Nm_per_rad=400.0",
-    ]  # fmt: skip
-    cell = floating_cell(FloatOptions(Path("two_wx200"), ("left", "right"), tuple(off), holding=True))
+    off = (*LEVEL, *OFF)
+    cell = floating_cell(FloatOptions(Path("two_wx200"), ("left", "right"), off, holding=True))
 
     def hand(_: FloatRun, t: float) -> Vector:
         return np.array([3.5 * np.sin(2.0 * t), 0.0, 2.5 * np.sin(3.0 * t), 0.0, 0.2 * np.sin(2.4 * t), 0.0])
@@ -238,7 +243,7 @@ def test_the_log_of_arms_that_floated_with_the_object_calibrates_their_cell(tmp_
         assert any(text.startswith("gripper holds the object") for text in arm.texts.said)
     logs = []
     for name, arm in run.arms.items():  # each on a host of its own, whose cell lets that arm float
-        own = floating_cell(FloatOptions(Path("two_wx200"), (name,), tuple(off), holding=True))
+        own = floating_cell(FloatOptions(Path("two_wx200"), (name,), off, holding=True))
         (tmp_path / name).mkdir()
         logs.append(write_run(tmp_path / name / "run.mcap", own, {name: arm.rows}))
     found = calibrate(logs, ["tolerance.base_m=0.01", "tolerance.zeros_rad=0.017"])
@@ -248,6 +253,54 @@ def test_the_log_of_arms_that_floated_with_the_object_calibrates_their_cell(tmp_
     assert after_rad < 1e-3
     written = load_cell(write(found, logs, tmp_path / "new").cell)
     assert written.file.floating is None, "arms of the new cell work"
+
+
+def test_the_log_of_an_arm_that_floats_while_the_other_moves_the_object_calibrates_their_cell(tmp_path: Path) -> None:
+    changes = (*OFF, *MOTION)
+    cell = floating_cell(FloatOptions(Path("two_wx200"), ("left",), changes, others_move=True))
+    run = FloatRun(cell, starts_s=0.6, until_s=4.6)
+    left, right = run.arms["left"], run.arms["right"]
+    assert left.error is right.error is None
+    assert modes(run) == ["FLOAT"]
+    assert modes_of(right.rows) == ["READY", "TRACK"]
+    assert np.abs(right.rows["tau_object"]).max() > 0.05
+    assert all(any(said.startswith("gripper holds the object") for said in arm.texts.said) for arm in (left, right))
+    assert not any("monitor" in said for arm in (left, right) for said in arm.texts.said)
+    assert not np.nan_to_num(right.rows["unexpected"]).any(), "it notices nobody"
+    log = write_run(tmp_path / "run.mcap", cell, {name: arm.rows for name, arm in run.arms.items()})
+    found = calibrate([log], ["tolerance.base_m=0.01", "tolerance.zeros_rad=0.017"])
+    before_m, after_m, _, after_rad = found.judged
+    assert before_m > 2.5e-3
+    assert after_m < 0.1 * before_m
+    assert after_rad < 1e-3
+    assert load_cell(write(found, [log], tmp_path / "new").cell).file.floating is None
+
+
+@pytest.mark.parametrize(
+    ("change", "stop_s"),
+    [("duration_s=100.0", 0.6), ("duration_s=0.3", 0.8), ("safety.tracking_error_max_m=5e-5", 0.8)],
+)
+def test_an_arm_that_moves_while_others_float_stands_and_sinks_where_it_is_stopped_ends_or_is_off_its_track(
+    change: str, stop_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(float_loop, "SINK_MAX_S", 0.6)
+    cell = floating_cell(FloatOptions(Path("two_wx200"), ("left",), (*MOTION, change), others_move=True))
+    run = FloatRun(cell, starts_s=0.3, stop_s=stop_s)
+    for name, begins in (("left", ["FLOAT"]), ("right", ["READY", "TRACK"])):
+        arm = run.arms[name]
+        assert arm.error is None
+        assert modes_of(arm.rows) == [*begins, "STAND", "SINK"], name
+        assert arm.summary is not None
+        assert arm.summary.mode is Mode.OFF
+        bounds = np.array(arm.loop._agent.limits.tau_step_max_Nm)  # type: ignore[union-attr]
+        assert np.all(np.abs(np.diff(arm.rows["tau_limited"][:, :3], axis=0)) <= bounds + 1e-9)
+        replayed(arm)
+    rows, texts = run.arms["right"].rows, run.arms["right"].texts
+    stood, before = rows[rows["mode"] == Mode.STAND], rows[rows["mode"] == Mode.TRACK][-1]
+    assert any("OFF_TRACK" in said for said in texts.said) == ("error" in change)
+    assert stood["t"][0] < 0.32, "s after its start, whatever stopped it"
+    assert np.abs(stood["q"][:, :3] - before["q"][:3]).max() < 0.01, "it lets go of nothing"
+    assert np.abs(stood["tau_object"][:, :3] - before["tau_object"][:3]).max() < 0.02, "N·m: its share"
 
 
 class Clock:
@@ -319,12 +372,13 @@ def test_a_cell_floats_as_asked_and_an_arm_that_works_does_not() -> None:
         Floats.of(cell, "left")
     with pytest.raises(FloatError, match="expected --arm NAME; name left or right"):
         floating_cell(FloatOptions(Path("two_wx200"), ()))
+    stop: Any = lambda: False  # noqa: E731
     asked: Any = SimpleNamespace(arm="right", driver=DriverKind.DYNAMIXEL, guard=None, whole=True)
     with pytest.raises(FloatError, match="found --whole, expected no session"):
-        floats.run_float(cell, asked, lambda: False, lambda _: None)
+        floats.run_float(cell, asked, stop, lambda _: None)
     asked.driver = DriverKind.SIM
     with pytest.raises(FloatError, match="driver sim"):
-        floats.run_float(cell, asked, lambda: False, lambda _: None)
+        floats.run_float(cell, asked, stop, lambda _: None)
     servos = Floats.of(cell, "right").servos("virtual")
     borne = [patient(servos, Connection(emulated=emulated)).line_patience_cycles for emulated in (False, True)]
     assert borne == [0, 100], "half a second, of a host that stalls, and of no real line"

@@ -1,0 +1,113 @@
+"""The cell of `coop float`: told which arms float and whether the others move, and what must hold before any torque."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from agent.config.cell import Arm, Cell, cell_from_toml, load_cell
+from agent.config.floating import taking_part
+from agent.config.monitors import speeds_of_motion
+from agent.process.build import Connection, port_of
+from agent.process.float_loop import FloatError
+from agent.process.operated import NO_REAL_TIME_REMEDY
+from agent.verify.check import examine
+from drivers.dynamixel.line.ports import busy_error, holders, open_error
+
+
+@dataclass(frozen=True)
+class FloatOptions:
+    """How arms are let float."""
+
+    cell: Path
+    arms: tuple[str, ...]
+    overrides: tuple[str, ...] = ()
+    holding: bool = False
+    ports: Path | None = None  # folder with a port per arm; None: the cell's
+    emulate: bool = False  # on emulated servos of this command's own
+    out: Path | None = None
+    priority: int | None = None
+    others_move: bool = False  # the other arms carry the object along the cell's motion
+    no_realtime: bool = False  # arms that move may do so at a normal priority
+
+
+def floating_cell(options: FloatOptions) -> Cell:
+    """The cell, told which arms float.  Raises ConfigError, FloatError."""
+    own = [change for change in options.overrides if change.strip().startswith("floating.")]
+    others = [change for change in options.overrides if change not in own]
+    if options.arms:
+        names = ", ".join(f'"{name}"' for name in options.arms)
+        own.append(f"floating.arms=[{names}]")
+    if options.holding or options.others_move:
+        own.append("floating.holding=true")
+    if options.others_move:
+        own.append("floating.others_move=true")
+    cell = load_cell(options.cell, others)
+    if cell.file.floating is None and not options.arms:
+        names = " or ".join(arm.name for arm in cell.arms)
+        raise FloatError("arms that are to float", found="none", expected="--arm NAME", remedy=f"name {names}")
+    if cell.file.floating is not None:
+        return load_cell(options.cell, [*others, *own])
+    return _with_table(cell, own, options.cell.name)
+
+
+def _with_table(cell: Cell, changes: Sequence[str], source: str) -> Cell:
+    """The cell with a table [floating] behind all else, so that the log keeps its comments.  Raises ConfigError."""
+    lines = [change.strip().removeprefix("floating.") for change in changes]
+    table = "\n".join(["", "[floating]", *lines, ""])
+    return cell_from_toml(cell.toml.rstrip() + b"\n" + table.encode(), source)
+
+
+def require_ports(cell: Cell, options: FloatOptions) -> None:
+    """Refuse ports that are not there, may not be used or are in use.  Raises ConnectError."""
+    for name in names_of(cell):
+        path = port_for(cell, options, name)
+        try:
+            os.close(os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC))
+        except OSError as error:
+            raise open_error(path, error) from error
+        if holders(path):
+            raise busy_error(path)
+
+
+def require_motion(cell: Cell, options: FloatOptions) -> None:
+    """Refuse a motion of the arms that move: unsafe, too fast beside a hand, or of real arms without real time.
+
+    Raises ConfigError, FloatError.
+    """
+    spec, movers = cell.file.floating, moving(cell)
+    if spec is None or not movers:
+        return
+    if not (options.emulate or options.priority is not None or options.no_realtime):
+        raise FloatError(
+            "arms that move while others float", found="a normal priority", expected="SCHED_FIFO on a real arm",
+            remedy=NO_REAL_TIME_REMEDY,
+        )  # fmt: skip
+    examine(cell, wired=True).require()
+    for arm in movers:
+        fastest = float(speeds_of_motion(cell, arm).max())
+        if fastest > spec.speed_max_rad_per_s:
+            raise FloatError(
+                f"motion of arm {arm.name}", found=f"a joint at {fastest:.2f} rad/s",
+                expected=f"at most {spec.speed_max_rad_per_s:g} (floating.speed_max_rad_per_s), beside a hand",
+                remedy="give the cell a slower motion: --set trajectory.KEY=VALUE",
+            )  # fmt: skip
+
+
+def moving(cell: Cell) -> tuple[Arm, ...]:
+    """The arms that move while others float."""
+    spec = cell.file.floating
+    return tuple(arm for arm in cell.arms if spec is not None and spec.moves(arm.name))
+
+
+def names_of(cell: Cell) -> list[str]:
+    """Of the arms that float, and of those that move while they do."""
+    return [arm.name for arm in taking_part(cell)]
+
+
+def port_for(cell: Cell, options: FloatOptions, name: str) -> str:
+    """Path of the port of an arm.  Raises ConnectError."""
+    given = None if options.ports is None else str(options.ports / name)
+    return port_of(cell.arm(name), Connection(port=given))
