@@ -39,10 +39,16 @@ def has_other_hosts(cell: Cell, host: str | None = None) -> bool:
 
 
 def places(cell: Cell, arms: Sequence[str], given: Sequence[Path], host: str | None = None) -> dict[str, list[Path]]:
-    """Where each agent may listen, by arm: those named, or all of this host; of sockets that are given, by path."""
+    """Where each agent may listen, by arm: those named, or all of this host; of sockets that are given, by path.
+
+    Arms that float while others move listen to nobody.
+    """
     if given:
         return {str(path): [path] for path in given}
-    wanted = [cell.arm(name).name for name in arms] or [arm.name for arm in local_arms(cell, host)]
+    spec = cell.file.floating
+    deaf = spec.arms if spec is not None and spec.others_move else ()
+    wanted = [cell.arm(name).name for name in arms]
+    wanted = wanted or [arm.name for arm in local_arms(cell, host) if arm.name not in deaf]
     return {name: list(control_paths(cell.file.name, name)) for name in wanted}
 
 

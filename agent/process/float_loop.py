@@ -33,6 +33,7 @@ from agent.telemetry.ring.texts import TextWriter
 from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.event import Level
 from agent.telemetry.row.fill import AgentRow
+from agent.ticks import NOT_YET_NS
 from agent.verify.check import examine
 from drivers.dynamixel.arm_map import ArmMap
 from drivers.dynamixel.driver import DynamixelDriver
@@ -196,7 +197,7 @@ class FloatLoop:
             self._mode_changed(stands.mode)
         elif self._grasp is not None:
             self._grasp.close()
-        begins = stands or Beginning(Mode.OFF, initial_memory(self._agent), self._clock.now_ns(), rows=0, reason="")
+        begins = stands or Beginning(Mode.OFF, initial_memory(self._agent), self._zero_ns(), rows=0, reason="")
         runner = self._runner(begins)
         try:
             summary = runner.run(self._begins if stands is None else Event.NONE)
@@ -212,6 +213,10 @@ class FloatLoop:
             raise
         self._tell.end(summary, time.process_time() - cpu_s)
         return summary
+
+    def _zero_ns(self) -> int:
+        """Of the time in the rows: when it begins to float, or a motion that has not been started."""
+        return self._clock.now_ns() + (NOT_YET_NS if self._begins is Event.ENABLED else 0)
 
     def _runner(self, beginning: Beginning) -> Runner:
         return Runner(

@@ -44,7 +44,7 @@ class Glance:
 
     arm: str
     mode: Mode
-    t: float = 0.0  # s since it floats
+    t: float = 0.0  # s since it floats, or moves with those that do
     joints: tuple[JointGlance, ...] = ()
     p_m: tuple[float, float, float] = (math.nan,) * 3  # of the end effector, world
     rpy_rad: tuple[float, float, float] = (math.nan,) * 3  # roll, pitch, yaw of the same
@@ -125,7 +125,9 @@ class Window:
             for name, angle, speed, left, share in zip(names, *columns, strict=True)
         )
         p, rpy = self._pose(q)
-        return Glance(self._arm.name, Mode(int(row["mode"])), float(row["t"]), joints, p, rpy, tuple(self._said))
+        mode = Mode(int(row["mode"]))
+        t = 0.0 if mode is Mode.READY else float(row["t"])
+        return Glance(self._arm.name, mode, t, joints, p, rpy, tuple(self._said))
 
     def _pose(self, q: Vector) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
         if not np.isfinite(q).all():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -27,12 +28,13 @@ from agent.process.floats import require_within
 from agent.process.schedule import AgentOptions
 from agent.process.simulated import lone_spec
 from agent.process.tellers import Teller
+from agent.replay.chain import Chain
 from agent.telemetry.row.event import Event as TextEvent
 from agent.telemetry.row.sample import AGENT_STATE
 from agent.verify.check import examine
 from drivers.dynamixel.driver import DynamixelDriver
 from drivers.dynamixel.standby import Handover, StandbyDriver
-from drivers.interface import Vector
+from drivers.interface import JointState, Vector
 from sim_backend.wire.faults import Fault
 from sim_backend.wire.injector import Injector
 from sim_backend.wire.lone_world import emulate_alone
@@ -104,6 +106,14 @@ class FloatArm:
 
 
 Hand = Callable[["FloatRun", float], Vector]  # wrench (6,) N, N·m, world axes, at an instant after torque came on
+
+
+OFF = (
+    "simulation.reality.arms.left.base_m=[0.006,0.0,-0.005]",
+    "simulation.reality.arms.left.zeros_rad=[0.012,-0.01,0.014]",
+    "simulation.reality.arms.right.zeros_rad=[-0.01,0.013,-0.012]",
+    "simulation.reality.pads_N_per_m=1e4", "simulation.reality.pads_Nm_per_rad=400.0",
+)  # fmt: skip
 
 
 class FloatRun:
@@ -250,8 +260,8 @@ class FloatRun:
         )  # fmt: skip
 
     def start_ns(self) -> int | None:
-        """As an arm that moves is told it."""
-        if self.zero_ns is None or self._starts_s == math.inf:
+        """As an arm that moves is told it, when half of the time until then is over."""
+        if self.zero_ns is None or self.since_s() < 0.5 * self._starts_s:
             return None
         return self.zero_ns + round(1e9 * self._starts_s)
 
@@ -275,3 +285,18 @@ class FloatRun:
         begun = go_on(agent, driver, clock, run.rows[-64:], self.cell.period_ns, "the agent has died")
         run.loop = self._float_loop(run, floats, clock, tell, agent)
         return run.loop.run(begun)
+
+
+def modes_of(rows: Any) -> list[str]:
+    return [Mode(m).name for m, _ in itertools.groupby(rows["mode"].tolist())]
+
+
+def replayed(arm: FloatArm) -> None:
+    """The rows of the arm follow from each other, as a replay of the log computes them."""
+    agent = arm.loop._agent  # type: ignore[union-attr]
+    chain, n = Chain(agent), agent.model.n
+    chain.start()
+    for row in arm.rows:
+        state = JointState(int(row["stamp_ns"]), *(row[f][:n] for f in ("q_measured", "dq_measured", "tau_measured")))
+        _, outcome = chain.pass_row(state, float(row["t"]), Mode(int(row["mode"])), int(row["flags"]))
+        assert np.array_equal(outcome.tau, row["tau_limited"][:n])

@@ -38,6 +38,8 @@ def test_all_arms_means_those_of_this_host(home: Path) -> None:
     assert list(local.places(cell, [], [], "two.lab")) == ["right"]
     assert list(local.places(cell, ["right"], [], "one")) == ["right"], "an arm that is named is meant"
     assert list(local.places(load_cell(PAPER), [], [], "three")) == ["left", "right"], "no host: every host"
+    floats = ['floating.arms=["left"]', "floating.holding=true", "floating.others_move=true"]
+    assert list(local.places(load_cell(PAPER, floats), [], [])) == ["right"], "who floats listens to nobody"
     with pytest.raises(ControlError, match=r"arms of host three: found left on one\.lab, right on two, expected"):
         local.places(cell, [], [], "three")
     arm = Arm(home / "right.control", Mode.TRACK)

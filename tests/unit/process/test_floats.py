@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -21,14 +20,13 @@ from agent.process import float_loop, floats
 from agent.process.build import Connection, patient
 from agent.process.float_loop import SINKS, STANDS, Ending, FloatError, Floats
 from agent.process.floating_cell import FloatOptions, floating_cell
-from agent.replay.chain import Chain
 from agent.safety import Flag
 from agent.telemetry.row.event import Level
 from drivers.dynamixel.servo.table import TORQUE_ENABLE
-from drivers.interface import JointState, Vector
+from drivers.interface import Vector
 from sim_backend.wire.faults import Fault, FaultKind
 from tests.support.control.level_wx200 import LEVEL
-from tests.support.servos.float_rig import FloatArm, FloatRun
+from tests.support.servos.float_rig import OFF, FloatRun, modes_of, replayed
 from tests.support.telemetry.run_log import write_run
 
 LEFT = 'floating.arms=["left"]'
@@ -37,13 +35,6 @@ SPEED = 1.0
 FORWARD = np.array([-0.35, 0.69, -0.33])  # the gripper level: what a hand lifts turns the elbow alone, or nearly so
 NOTHING = np.zeros(6)
 SINK_S = 0.5
-OFF = (
-    "simulation.reality.arms.left.base_m=[0.006,0.0,-0.005]",
-    "simulation.reality.arms.left.zeros_rad=[0.012,-0.01,0.014]",
-    "simulation.reality.arms.right.zeros_rad=[-0.01,0.013,-0.012]",
-    "simulation.reality.pads_N_per_m=1e4", "simulation.reality.pads_Nm_per_rad=400.0",
-)  # fmt: skip
-MOTION = ("trajectory.period_s=5.0", "trajectory.ramp_s=1.0")
 
 
 @pytest.fixture(autouse=True)
@@ -54,10 +45,6 @@ def _soon(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def modes(run: FloatRun) -> list[str]:
     return modes_of(run.one.rows)
-
-
-def modes_of(rows: Any) -> list[str]:
-    return [Mode(m).name for m, _ in itertools.groupby(rows["mode"].tolist())]
 
 
 def part(run: FloatRun, begin_s: float, end_s: float) -> tuple[Vector, Vector]:
@@ -97,17 +84,6 @@ def test_a_stop_lets_the_arm_stand_then_sink_and_says_so_before_its_torque_goes_
     servos = [run.emulated.arms[0].servo(i) for i in range(1, 8)]
     assert not any(servo.firmware.memory.get(TORQUE_ENABLE) for servo in servos)
     replayed(run.one)
-
-
-def replayed(arm: FloatArm) -> None:
-    """The rows of the arm follow from each other, as a replay of the log computes them."""
-    agent = arm.loop._agent  # type: ignore[union-attr]
-    chain, n = Chain(agent), agent.model.n
-    chain.start()
-    for row in arm.rows:
-        state = JointState(int(row["stamp_ns"]), *(row[f][:n] for f in ("q_measured", "dq_measured", "tau_measured")))
-        _, outcome = chain.pass_row(state, float(row["t"]), Mode(int(row["mode"])), int(row["flags"]))
-        assert np.array_equal(outcome.tau, row["tau_limited"][:n])
 
 
 @pytest.mark.parametrize(("masses", "fastest"), [(1.1, 0.4), (0.9, 0.4), (1.0, 0.02)])
@@ -253,54 +229,6 @@ def test_the_log_of_arms_that_floated_with_the_object_calibrates_their_cell(tmp_
     assert after_rad < 1e-3
     written = load_cell(write(found, logs, tmp_path / "new").cell)
     assert written.file.floating is None, "arms of the new cell work"
-
-
-def test_the_log_of_an_arm_that_floats_while_the_other_moves_the_object_calibrates_their_cell(tmp_path: Path) -> None:
-    changes = (*OFF, *MOTION)
-    cell = floating_cell(FloatOptions(Path("two_wx200"), ("left",), changes, others_move=True))
-    run = FloatRun(cell, starts_s=0.6, until_s=4.6)
-    left, right = run.arms["left"], run.arms["right"]
-    assert left.error is right.error is None
-    assert modes(run) == ["FLOAT"]
-    assert modes_of(right.rows) == ["READY", "TRACK"]
-    assert np.abs(right.rows["tau_object"]).max() > 0.05
-    assert all(any(said.startswith("gripper holds the object") for said in arm.texts.said) for arm in (left, right))
-    assert not any("monitor" in said for arm in (left, right) for said in arm.texts.said)
-    assert not np.nan_to_num(right.rows["unexpected"]).any(), "it notices nobody"
-    log = write_run(tmp_path / "run.mcap", cell, {name: arm.rows for name, arm in run.arms.items()})
-    found = calibrate([log], ["tolerance.base_m=0.01", "tolerance.zeros_rad=0.017"])
-    before_m, after_m, _, after_rad = found.judged
-    assert before_m > 2.5e-3
-    assert after_m < 0.1 * before_m
-    assert after_rad < 1e-3
-    assert load_cell(write(found, [log], tmp_path / "new").cell).file.floating is None
-
-
-@pytest.mark.parametrize(
-    ("change", "stop_s"),
-    [("duration_s=100.0", 0.6), ("duration_s=0.3", 0.8), ("safety.tracking_error_max_m=5e-5", 0.8)],
-)
-def test_an_arm_that_moves_while_others_float_stands_and_sinks_where_it_is_stopped_ends_or_is_off_its_track(
-    change: str, stop_s: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(float_loop, "SINK_MAX_S", 0.6)
-    cell = floating_cell(FloatOptions(Path("two_wx200"), ("left",), (*MOTION, change), others_move=True))
-    run = FloatRun(cell, starts_s=0.3, stop_s=stop_s)
-    for name, begins in (("left", ["FLOAT"]), ("right", ["READY", "TRACK"])):
-        arm = run.arms[name]
-        assert arm.error is None
-        assert modes_of(arm.rows) == [*begins, "STAND", "SINK"], name
-        assert arm.summary is not None
-        assert arm.summary.mode is Mode.OFF
-        bounds = np.array(arm.loop._agent.limits.tau_step_max_Nm)  # type: ignore[union-attr]
-        assert np.all(np.abs(np.diff(arm.rows["tau_limited"][:, :3], axis=0)) <= bounds + 1e-9)
-        replayed(arm)
-    rows, texts = run.arms["right"].rows, run.arms["right"].texts
-    stood, before = rows[rows["mode"] == Mode.STAND], rows[rows["mode"] == Mode.TRACK][-1]
-    assert any("OFF_TRACK" in said for said in texts.said) == ("error" in change)
-    assert stood["t"][0] < 0.32, "s after its start, whatever stopped it"
-    assert np.abs(stood["q"][:, :3] - before["q"][:3]).max() < 0.01, "it lets go of nothing"
-    assert np.abs(stood["tau_object"][:, :3] - before["tau_object"][:3]).max() < 0.02, "N·m: its share"
 
 
 class Clock:
