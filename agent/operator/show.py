@@ -8,6 +8,8 @@ from enum import Enum
 from typing import Any
 
 WIDTH_REASON = 60
+HANGS_S = 1.0  # without a row, of an arm that is asked nothing
+_DEAF = frozenset({"FLOAT", "STAND", "SINK"})
 
 
 class Tone(Enum):
@@ -50,6 +52,9 @@ def _arm(arm: Mapping[str, Any], widest: int) -> Line:
         if arm["start_utc_ns"] is not None and arm["mode"] == "READY":
             parts.insert(0, "start given")
         parts.append(_guard(arm["guard"]))
+    elif arm["alive"] and arm["mode"] in _DEAF and arm["last_row_age_s"] < HANGS_S:
+        head, tone = arm["mode"], Tone.HELD
+        parts.insert(0, "listens to nobody")
     else:
         head, tone = ("HUNG" if arm["alive"] else "DEAD" if arm["mode"] else "NONE"), Tone.BAD
         last = f"last {arm['mode']}, {arm['last_row_age_s']:.1f} s ago" if arm["mode"] else ""

@@ -33,7 +33,7 @@ class Words:
         self._accepts_late = options.no_realtime
 
     def stops(self) -> bool:
-        """Whether it is to stop, asked in every cycle."""
+        """Whether it is to stop, asked in every cycle until it does."""
         return Event.STOP in self._operator.events()
 
     def start_ns(self) -> int | None:

@@ -148,6 +148,15 @@ def test_an_arm_that_hangs_is_not_dead_and_one_without_a_trace_is_neither(home: 
     assert of(document, "right")["timing"] is None
 
 
+@pytest.mark.parametrize(("age_ns", "head"), [(1, "FLOAT"), (2_000_000_000, "HUNG")])
+def test_an_arm_that_floats_listens_to_nobody_and_does_not_hang(home: Path, age_ns: int, head: str) -> None:
+    with ExitStack() as stack:
+        write_ring(stack, "left", mode=Mode.FLOAT, age_ns=age_ns)
+        shown = lines(status(CELL, CLOCK, logs=(), timeout_s=0.05))[0]
+    assert shown.head.split()[-1] == head
+    assert shown.rest.startswith("listens to nobody; ") == (head == "FLOAT")
+
+
 def test_a_cycle_without_a_state_counts_and_has_no_timing(home: Path) -> None:
     with ExitStack() as stack:
         write_ring(stack, "left", mode=Mode.TRACK, age_ns=1, flags=int(Flag.STALE))
