@@ -154,13 +154,14 @@ def test_what_stops_a_guided_arm_is_told() -> None:
     assert (done.modes, done.troubles) == ([Mode.STAND, Mode.FAULT], [str(faulty())])
 
 
-def test_an_arm_that_could_be_guided_holds_the_object_as_any_other() -> None:
+def test_an_arm_that_works_while_others_float_stands_where_another_one_holds() -> None:
+    events = {14: Event.STOP, 20: Event.RELEASED, 22: Event.ARRIVED}
     done = run(
-        lambda n: Event.STOP if n == 14 else Event.RELEASED if n == 20 else Event.NONE,
+        lambda n: events.get(n, Event.NONE),
         cell=floating(),
         agent=STILL,
         q=pushed,
         hold_at_end=True,
     )
-    assert done.modes[:2] == [Mode.TRACK, Mode.HOLD]
+    assert done.modes == [Mode.TRACK, Mode.STAND, Mode.SINK, Mode.OFF]
     np.testing.assert_allclose(done.memory.q_hold, pushed(15), atol=1e-12)

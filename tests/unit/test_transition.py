@@ -72,6 +72,8 @@ def test_an_arm_that_floats_stands_where_it_comes_to_rest_or_where_it_is_seen_ne
     standing = entered(agent, Mode.STAND, last.memory, last)
     assert standing.q_hold == pytest.approx(agent.floating.came_to_rest(last.q, last.dq))
     assert standing.age == 0.0
+    followed = last.memory._replace(hold=None, q_hold=None)
+    assert entered(agent, Mode.STAND, followed, last).q_hold == pytest.approx(standing.q_hold), "a motion before it"
     unseen = entered(agent, Mode.STAND, last.memory, None)
     assert (unseen.hold, unseen.q_hold) == (None, None)
     assert same(entered(agent, Mode.HOLD, last.memory, last), hold_after(agent, last)), "it does not float there"
