@@ -18,6 +18,7 @@ from agent.report.metrics import summarise
 from agent.report.quantity import Better
 from agent.report.results import Judgement, Results
 from agent.report.series import attitude_error, rotation_angle, rotation_vector
+from agent.report.tables import lines
 from tests.support.telemetry.small_run import RATE_HZ, TICKS, keep, small_run
 from tests.support.telemetry.synthetic_run import (
     agent_rows,
@@ -181,6 +182,11 @@ def test_an_exceeded_bound_stays_exceeded_though_rows_are_missing() -> None:
     assert summarise(log).verdict(Bounded.POSITION) is Judgement.NOT_MET
 
 
+def held(results: Results) -> list[str]:
+    """What the table of results says of arms that held."""
+    return [line.figure for line in lines(results) if line.what == "HELD before its end"]
+
+
 def test_a_held_object_counts_in_no_error_and_leaves_the_bound_open() -> None:
     log = small_run()
     log.agents["right"]["mode"][300:] = Mode.HOLD
@@ -190,6 +196,15 @@ def test_a_held_object_counts_in_no_error_and_leaves_the_bound_open() -> None:
     assert results.by_plant.not_tracking_rows == 100
     assert results.verdict(Bounded.POSITION) is Judgement.NOT_SHOWN
     assert results.arms["right"].modes == ((0.0, "TRACK"), (1.5, "HOLD"))
+    assert held(results) == ["right from 1.50\N{NO-BREAK SPACE}s"]
+
+
+def test_a_hold_at_the_end_of_the_motion_is_none_before_it() -> None:
+    log = small_run()
+    log.agents["right"]["mode"][-1:] = Mode.HOLD
+    for t, found in ((1.995, ["right from 2.00\N{NO-BREAK SPACE}s"]), (2.0, [])):
+        log.agents["right"]["t"][-1:] = t
+        assert held(summarise(log)) == found
 
 
 def test_a_log_that_ends_in_the_transient_has_no_errors_and_says_so() -> None:
