@@ -56,9 +56,8 @@ def lines(results: Results) -> list[Line]:
         Line("late cycles", str(results.late_cycles)),
         Line("events", str(results.events)),
     ]
-    rehearsing = [name for name, a in results.arms.items() if a.hil is not None]
-    if rehearsing:
-        found.append(Line("REHEARSAL, object simulated; real arms", ", ".join(rehearsing)))
+    if results.rehearsing:
+        found.append(Line("REHEARSAL, object simulated; real arms", ", ".join(results.rehearsing)))
     found += [Line("HELD before its end", f"{arm} from {number(t, 's')}") for arm, t in _held(results)]
     if math.isfinite(results.set_down_error_m):
         off = f"{millimetres(results.set_down_error_m)}, {milliradians(results.set_down_error_rad)}"

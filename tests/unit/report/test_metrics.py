@@ -14,8 +14,11 @@ from hypothesis.extra.numpy import arrays
 
 from agent.log.runinfo import Bounded
 from agent.modes import Mode
+from agent.report.compare import label
 from agent.report.metrics import summarise
+from agent.report.page import _summary
 from agent.report.quantity import Better
+from agent.report.rehearsal import HilResults
 from agent.report.results import Judgement, Results
 from agent.report.series import attitude_error, rotation_angle, rotation_vector
 from agent.report.tables import lines
@@ -205,6 +208,25 @@ def test_a_hold_at_the_end_of_the_motion_is_none_before_it() -> None:
     for t, found in ((1.995, ["right from 2.00\N{NO-BREAK SPACE}s"]), (2.0, [])):
         log.agents["right"]["t"][-1:] = t
         assert held(summarise(log)) == found
+
+
+def test_a_rehearsal_is_called_one_and_says_what_was_added_and_how_far_the_twin_was() -> None:
+    log = small_run()
+    rows = log.agents["right"]
+    tau_max = summarise(log).info.arm("right").tau_max_Nm
+    assert not summarise(log).rehearsing
+    rows["twin_age_s"], rows["twin_age_s"][:100], rows["twin_age_s"][7] = 0.002, np.inf, 0.02
+    rows["tau_bridge"][100:, 0], rows["tau_bridge"][200, 1] = 0.1 * tau_max[0], -0.25 * tau_max[1]
+    rows["q_twin"] = rows["q_measured"]
+    rows["q_twin"][300, 0] -= 0.01
+    results = summarise(log)
+    assert results.rehearsing == ["right"]
+    assert results.arms["right"].hil == HilResults(
+        added_max=pytest.approx(0.25), apart_max_rad=pytest.approx(0.01), twin_age_max_s=0.02, coupled=0.75
+    )
+    assert "sim, REHEARSAL of right, 200 Hz" in label(results)
+    assert "200 Hz in a rehearsal of right with a simulated object" in _summary(results)
+    assert "REHEARSAL" not in label(summarise(small_run()))
 
 
 def test_a_log_that_ends_in_the_transient_has_no_errors_and_says_so() -> None:
