@@ -42,12 +42,23 @@ def calibrate(
     with ExitStack() as stack:
         opened = [stack.enter_context(open_log(log)) for log in logs]
         cells = [recorded_cell(log) for log in opened]
+        _refuse_rehearsal(cells[0], logs[0])
         for log, other in zip(logs[1:], cells[1:], strict=True):
             _require_same(cells[0], other, log)
         believed = changed_cell(opened[0], changes) if changes else cells[0]
         poses = poses_of([log.agents for log in opened], cells[0])
     tell("fitting")
     return calibrated(cells[0], chain_of(believed), poses)
+
+
+def _refuse_rehearsal(cell: Cell, log: Path) -> None:
+    """Refuse arms that follow simulated twins: they agree with the cell file however wrong that is."""
+    hil = cell.file.hil
+    if hil is not None:
+        raise CalibrateError(
+            f"log {log.name}", found=f"a rehearsal: arms in the loop ({', '.join(hil.arms)}) follow their twins",
+            expected="arms that hold the object", remedy="record a log without [hil], as `coop float` does",
+        )  # fmt: skip
 
 
 def _require_same(cell: Cell, other: Cell, log: Path) -> None:

@@ -44,11 +44,14 @@ def driver_of(cell: CellFiles, arm: str, asked: DriverKind | None) -> DriverKind
     return kind
 
 
-def require_wall_clock(cell: CellFiles, *, real_time: bool) -> None:
-    """Refuse a rehearsal in lockstep: a real arm waits for nobody.  Raises ConfigError."""
+def require_wall_clock(cell: CellFiles, *, real_time: bool, found: str = "a run in lockstep") -> None:
+    """Refuse a rehearsal in lockstep: a real arm waits for nobody.  Raises ConfigError.
+
+    found: what it is instead of a rehearsal at the wall clock's pace.
+    """
     if cell.file.hil is not None and not real_time:
         raise ConfigError(
-            f"[hil] of cell {cell.file.name}", found="a run in lockstep", expected="one at the wall clock's pace",
+            f"[hil] of cell {cell.file.name}", found=found, expected="a rehearsal at the wall clock's pace",
             remedy="coop run CELL --hil ARMS, or --real-time of coop plant and coop agent; or remove [hil]",
         )  # fmt: skip
 

@@ -61,7 +61,7 @@ def run_cell(options: RunOptions, stop: Callable[[], bool], progress: Progress) 
     is then stopped and the log is closed and readable).
     """
     cell = _cell_of(options)
-    require_wall_clock(cell, real_time=options.kind is RunKind.HIL)
+    require_wall_clock(cell, real_time=options.kind is RunKind.HIL, found=f"a run in {options.kind.value}")
     if options.real is not None:
         options.real.require(cell, options.faults)
     progress.phase("checking")

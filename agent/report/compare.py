@@ -107,4 +107,5 @@ def label(results: Results) -> str:
     """What a run is, in a line."""
     info = results.info
     law = info.controller.get("kind", "unknown")
-    return f"{info.cell}, {law} law, {info.driver}, {info.rate_hz:g} Hz, cell {info.fingerprint[:8]}"
+    rehearsing = f", REHEARSAL of {', '.join(results.rehearsing)}" if results.rehearsing else ""
+    return f"{info.cell}, {law} law, {info.driver}{rehearsing}, {info.rate_hz:g} Hz, cell {info.fingerprint[:8]}"

@@ -77,6 +77,8 @@ def _summary(results: Results) -> str:
     arms = ", ".join(f"{arm.name} ({arm.model})" for arm in info.arms)
     law = str(info.controller.get("kind", "unknown"))
     where = {"sim": "in simulation", "dynamixel": "on real servos"}.get(info.driver, f"with driver {info.driver}")
+    if results.rehearsing:
+        where = f"in a rehearsal of {', '.join(results.rehearsing)} with a simulated object"
     return (
         f"{info.duration_s:g} s at {info.rate_hz:g} Hz {where}, {law} law, arms {arms}. "
         f"Errors are of the {results.error_source}, from {info.transient_s:g} s on."

@@ -201,6 +201,11 @@ class Results:
         return all(self.verdict(bounded) is Judgement.MET for bounded in self.info.bounds)
 
     @property
+    def rehearsing(self) -> list[str]:
+        """Arms in the loop."""
+        return [name for name, arm in self.arms.items() if arm.hil is not None]
+
+    @property
     def worst_torque(self) -> tuple[float, str, str]:
         """Largest peak torque as a fraction of stall, with its arm and joint; (NaN, "", "") without any."""
         every = [

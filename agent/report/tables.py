@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from agent.log.runinfo import Bounded
+from agent.modes import Mode
 from agent.report.numbers import ABSENT, millimetres, milliradians, milliseconds, number
 from agent.report.results import Judgement, PoseErrors, Results, WrenchSize
 
@@ -55,13 +56,22 @@ def lines(results: Results) -> list[Line]:
         Line("late cycles", str(results.late_cycles)),
         Line("events", str(results.events)),
     ]
-    rehearsing = [name for name, a in results.arms.items() if a.hil is not None]
-    if rehearsing:
-        found.append(Line("REHEARSAL, object simulated; real arms", ", ".join(rehearsing)))
+    if results.rehearsing:
+        found.append(Line("REHEARSAL, object simulated; real arms", ", ".join(results.rehearsing)))
+    found += [Line("HELD before its end", f"{arm} from {number(t, 's')}") for arm, t in _held(results)]
     if math.isfinite(results.set_down_error_m):
         off = f"{millimetres(results.set_down_error_m)}, {milliradians(results.set_down_error_rad)}"
         found.append(Line("object set down beside its place by", off))
     return found
+
+
+def _held(results: Results) -> list[tuple[str, float]]:
+    """Arms that left the motion before it was over, and when."""
+    end_s = results.info.duration_s - 0.5 / results.info.rate_hz
+    begun = {
+        name: [t for t, mode in a.modes if mode == Mode.HOLD.name and t < end_s] for name, a in results.arms.items()
+    }
+    return [(name, times[0]) for name, times in begun.items() if times]
 
 
 def _bounded(results: Results, what: str, bounded: Bounded) -> Line:

@@ -98,7 +98,7 @@ def _clamp(
 
 
 def _touch(cell: Cell, hil: Hil, arm: Arm, model: ArmModel, path: Sequence[Vector]) -> Finding:
-    """Force at the end effector that the joints stand against to any side, beside weight and share of the object."""
+    """Force where the object is that the joints stand against to any side, beside weight and share of the object."""
     bound = cell.file.safety.tau_max_fraction_of_stall * arm.tau_stall_Nm
     carried_N, least_N = arm.entry.load_share * cell.file.object.mass_kg * -cell.gravity, np.inf
     for q in path[:: max(1, len(path) // PLACES)]:

@@ -67,7 +67,7 @@ class Here:
     """The arm's own dynamics where it is."""
 
     inertia: NDArray[np.float64]  # B (n, n)
-    to_force: NDArray[np.float64]  # (3, n) force at the end effector of joint torques
+    to_force: NDArray[np.float64]  # (3, n) force where the object is, of joint torques
 
 
 class _Otherwise:

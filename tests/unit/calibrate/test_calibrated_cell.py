@@ -133,6 +133,13 @@ def test_logs_of_two_cells_are_refused(tmp_path: Path) -> None:
         calibrate([logs[0], logs[2]])
 
 
+def test_a_rehearsal_is_refused_whose_arms_agree_by_construction(tmp_path: Path) -> None:
+    cell = load_cell(LEFT_AND_RIGHT, ['hil.arms=["left"]'])
+    log = write_run(tmp_path / "run.mcap", cell, {arm: np.zeros(3, AGENT_STATE.dtype) for arm in ("left", "right")})
+    with pytest.raises(CalibrateError, match=r"run.mcap: found a rehearsal: arms in the loop \(left\) follow"):
+        calibrate([log])
+
+
 def test_arms_that_floated_work_by_the_calibrated_cell() -> None:
     result, _ = in_error()
     floated = floating_cell(FloatOptions(LEFT_AND_RIGHT, ("left", "right"), holding=True))

@@ -126,10 +126,11 @@ class Twin:
         self.rig.told.append("twin close")
 
 
-def bridge(rig: Rig) -> BridgeDriver:
+def bridge(rig: Rig, carried: Carried | None = None) -> BridgeDriver:
     settings = Settings(0.005, 20.0, 0.7, 0.5 * LIMIT, ramp_s=0.05, apart_max_rad=0.3, touch=Borne(9.0, 0.6))
     here = Here(np.eye(2) * 0.02, np.zeros((3, 2)))
-    made = BridgeDriver(Real(rig), Twin(rig), rig, settings, PATIENCE, lambda _: here)
+    gripper = GripperCheck(carried) if carried is not None else None
+    made = BridgeDriver(Real(rig), Twin(rig), rig, settings, PATIENCE, lambda _: here, gripper)
     made.connect()
     made.enable()
     return made
@@ -189,6 +190,9 @@ def test_the_arm_gets_the_addition_the_twin_the_coupling_and_the_caller_what_was
     np.testing.assert_array_equal(sent, TAU + made.added)
     np.testing.assert_array_equal(made.sent, sent)
     np.testing.assert_array_equal(rig.twins[-1], TAU + made.coupling.on_twin)
+    made.coupling.lasting = np.array([0.1, -0.2])
+    made.write(TAU)
+    np.testing.assert_array_equal(rig.lasting, TAU + made.coupling.lasting)
     assert made.added.max() > 0.25
     assert made.q_twin.tolist() == [0.01, 0.0]
     assert made.age_s == 0.0
@@ -196,22 +200,19 @@ def test_the_arm_gets_the_addition_the_twin_the_coupling_and_the_caller_what_was
 
 def test_the_twin_takes_part_once_the_gripper_is_found_empty() -> None:
     rig = Rig()
-    made = bridge(rig)
-    carried = Carried(lambda _: TAU, lambda _: np.array([0.4, 0.2]), np.zeros(2), 0.3)
-    made._gripper, made._joined = GripperCheck(carried), False
-    rig.told.clear()
+    made = bridge(rig, Carried(lambda _: TAU, lambda _: np.array([0.4, 0.2]), np.zeros(2), 0.3))
     cycle(made, rig, 61)
-    assert rig.told == []
+    assert rig.told[-1] == "arm on"
     cycle(made, rig, 5)
-    assert rig.told == ["twin on"]
-    loaded = bridge(rig)
-    loaded._gripper = GripperCheck(Carried(lambda _: np.zeros(2), lambda _: TAU, np.zeros(2), 0.3))
+    assert rig.told[-2:] == ["arm on", "twin on"]
+    loaded = bridge(rig, Carried(lambda _: np.zeros(2), lambda _: TAU, np.zeros(2), 0.3))
     cycle(loaded, rig, 61)
     for _ in range(3):
         rig.ns += T_NS
         with contextlib.suppress(HilFault):
             loaded.read()
     assert "gripper of arm left: found 100% of the object's weight" in str(lasting(loaded, rig))
+    assert rig.told[-2:] == ["arm on", "twin limp"], "its twin has never taken part"
 
 
 def test_before_the_plant_starts_the_arm_has_its_own_torque_and_after_a_while_a_fault() -> None:
@@ -296,6 +297,21 @@ def test_without_a_state_of_the_arm_the_twin_keeps_its_torque_until_the_servos_w
     assert rig.told[-1] == "twin limp"
     rig.failure = None
     rig.ns += T_NS
+    assert "a real arm without a state for 0.2 s" in str(lasting(made, rig))
+
+
+def test_an_arm_that_obeys_anew_after_the_servos_watchdog_has_no_twin_any_more() -> None:
+    """The loop asks such an arm no more; `recover` is all that it calls."""
+    rig = Rig()
+    made = bridge(rig)
+    made._real.recover = lambda: True  # type: ignore[attr-defined]
+    cycle(made, rig, 20)
+    rig.ns += 39 * T_NS
+    assert made.recover()
+    assert "twin limp" not in rig.told
+    rig.ns += T_NS
+    assert made.recover()
+    assert rig.told[-1] == "twin limp"
     assert "a real arm without a state for 0.2 s" in str(lasting(made, rig))
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -12,15 +14,18 @@ from agent.cli.main import app
 from agent.config.cell import Cell, ConfigError, load_cell
 from agent.config.schema.cell import DriverKind
 from agent.process.build import Connection, build_driver
-from agent.process.rehearse import driver_of, holds, require_wall_clock, taken
+from agent.process.rehearse import bridge, driver_of, holds, require_wall_clock, taken
 from agent.process.run import RunOptions, run_cell
 from agent.process.run_kind import RunKind
-from agent.process.simulated import lone_spec, plant_spec
+from agent.process.simulated import actuator_spec, lone_spec, plant_spec
 from agent.verify.check import CheckReport, examine
 from agent.verify.finding import Verdict
+from agent.verify.rehearsal import examine_rehearsal
 from drivers.interface import ConnectError
+from sim_backend.hil.touch import Borne
 
 LOOP = 'hil.arms=["left"]'
+SQUEEZE = (("left", 3.0), ("right", -3.0))
 
 
 def cell(*changes: str, name: str = "two_wx200") -> Cell:
@@ -92,12 +97,13 @@ def test_real_arms_and_their_simulated_partners_hold_and_nothing_does_that_is_em
 
 
 def test_a_rehearsal_in_lockstep_is_refused_before_anything_starts(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="found a run in lockstep, expected one at the wall clock's pace"):
+    with pytest.raises(ConfigError, match="found a run in lockstep, expected a rehearsal at the wall clock's pace"):
         require_wall_clock(cell(LOOP), real_time=False)
     require_wall_clock(cell(), real_time=False)
-    options = RunOptions(Path("two_wx200"), (LOOP,), 1.0, tmp_path / "out", 0, RunKind.LOCKSTEP)
-    with pytest.raises(ConfigError, match="coop run CELL --hil"):
-        run_cell(options, lambda: False, _Quiet())
+    for kind in set(RunKind) - {RunKind.HIL}:
+        options = RunOptions(Path("two_wx200"), (LOOP,), 1.0, tmp_path / "out", 0, kind)
+        with pytest.raises(ConfigError, match=f"found a run in {kind.value}, .*coop run CELL --hil"):
+            run_cell(options, lambda: False, _Quiet())
     assert not (tmp_path / "out").exists()
 
 
@@ -151,6 +157,80 @@ def test_the_check_knows_the_arm_on_its_own_and_the_clamp() -> None:
     assert found(lost, "on its own") is Verdict.REFUSED, "the printed gains are lost without the object"
     assert not lost.ok
     assert found(examine(cell(LOOP, "hil.tau_share=0.02")), "of the largest addition") is Verdict.REFUSED
+
+
+def told(report: CheckReport, what: str) -> float:
+    """The number at the beginning of what a finding says."""
+    return float(next(f.found for f in report.findings if what in f.what).split()[0].rstrip("%"))
+
+
+def test_an_arm_on_its_own_believes_in_an_object_that_it_does_not_hold() -> None:
+    """So a heavier one makes it less stable; in the cell it is the other way round."""
+    light, heavy = (examine(cell(LOOP, *more, name="paper")) for more in ((), ("object.mass_kg=0.5",)))
+    assert told(light, "on its own") == pytest.approx(1.41, abs=0.01)
+    assert told(heavy, "on its own") > told(light, "on its own") + 0.1
+
+
+def test_what_the_object_asks_of_a_joint_is_its_weight_and_the_internal_force() -> None:
+    squeezed = [f"arms.{arm}.internal_wrench_N_Nm=[{force},0.0,0.0,0.0,0.0,0.0]" for arm, force in SQUEEZE]
+    assert told(examine(cell(LOOP)), "of the largest addition") <= 4.0
+    assert told(examine(cell(LOOP, *squeezed)), "of the largest addition") >= 15.0
+
+
+def test_an_arm_stands_against_the_touch_that_no_joint_must_give_more_for_than_it_may() -> None:
+    """Found by trying all directions."""
+    looped = cell(LOOP)
+    arm, q = looped.arms[0], examine(looped).q_start
+    models = [looped.model(a) for a in looped.arms]
+    findings = examine_rehearsal(looped, models, [[of_arm] for of_arm in q], [0.0])
+    (found,) = [f.found for f in findings if "touch" in f.what]
+    model, bound = models[0], actuator_spec(looped, arm).tau_max_Nm
+    J = (model.task_basis.T @ model.jacobian(q[0]))[:3]
+    lifted = np.array([0.0, 0.0, arm.entry.load_share * looped.file.object.mass_kg * 9.81])
+    held = model.evaluate(q[0], np.zeros(arm.n)).g + J.T @ lifted
+    away = [np.array([np.cos(a), 0.0, np.sin(a)]) for a in np.linspace(0.0, 2.0 * np.pi, 721)]
+    least_N = min(float(((bound - np.sign(J.T @ to) * held) / np.abs(J.T @ to)).min()) for to in away)
+    assert float(found.split()[0]) == pytest.approx(least_N, rel=0.02)
+
+
+class _Clock:
+    utc_offset_ns = 0
+
+    def now_ns(self) -> int:
+        return 0
+
+    def sleep_until(self, deadline_ns: int) -> None: ...
+
+
+def test_the_bridge_is_as_the_cell_says() -> None:
+    said = (
+        "tau_share=0.4",
+        "damping_ratio=0.9",
+        "ramp_s=0.5",
+        "apart_max_rad=0.2",
+        "touch_max_N=3.0",
+        "touch_max_s=0.4",
+    )
+    looped = cell(LOOP, *(f"hil.{key}" for key in said), "hil.gripper_share_max=0.25", "hil.extra_cycles=1.0")
+    arm, q = looped.arms[0], examine(looped).q_start[0]
+    nothing: Any = object()  # no driver is called
+    made, emulated = (bridge(looped, arm, nothing, nothing, _Clock(), emulated=how) for how in (False, True))
+    settings = made.coupling.settings
+    np.testing.assert_allclose(settings.clamp_Nm, 0.4 * actuator_spec(looped, arm).tau_max_Nm)
+    assert settings.frequency_rad_per_s == pytest.approx(0.2 / 0.0125)
+    assert (settings.period_s, settings.damping_ratio, settings.ramp_s) == (0.005, 0.9, 0.5)
+    assert (settings.apart_max_rad, settings.touch) == (0.2, Borne(3.0, 0.4))
+    assert (made._patience.stale_s, emulated._patience.stale_s, made._patience.watchdog_s) == (0.015, 0.5, 0.2)
+    assert made._gripper is not None
+    carried, model = made._gripper._carried, looped.model(arm)
+    assert carried.share_max == 0.25
+    assert carried.friction_Nm.tolist() == [servo.coulomb_Nm.value for servo in arm.servos]
+    rise = [
+        [(looped.file.object.mass_kg * 9.81) * model.object_pose(q + dq).translation[2] for dq in (step, -step)]
+        for step in 1e-5 * np.eye(arm.n)
+    ]
+    lifts = np.array([(up - down) / 2e-5 for up, down in rise])
+    np.testing.assert_allclose(carried.weight(q), lifts, rtol=1e-4, atol=1e-6)
 
 
 class _Quiet:

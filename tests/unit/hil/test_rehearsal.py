@@ -17,6 +17,7 @@ from agent.config.cell import Cell, load_cell
 from agent.identify.recording import IdentifyError, from_rows
 from agent.log.read import open_log
 from agent.modes import Mode
+from agent.process.build import passed_on
 from agent.process.simulated import actuator_spec
 from agent.replay.rows import Window
 from agent.replay.source import recorded_cell
@@ -76,6 +77,15 @@ def test_every_row_says_what_was_added_and_the_sum_is_what_was_sent_to_one_count
     simulated = made.arms["right"].rows
     for name in ("tau_bridge", "q_twin", "twin_age_s"):
         assert not simulated[name].any(), "an arm that is not in the loop has none"
+
+
+def test_a_guard_is_handed_the_real_arm_and_nothing_of_its_twin() -> None:
+    driver = plain().arms["left"].bridge
+    assert driver is not None
+    fds, told = passed_on(driver)
+    assert fds == ()
+    assert told == passed_on(driver.real)[1]
+    assert len(told["servos"]) == 7
 
 
 def test_cycles_without_a_state_also_say_what_was_sent() -> None:

@@ -14,10 +14,14 @@ from hypothesis.extra.numpy import arrays
 
 from agent.log.runinfo import Bounded
 from agent.modes import Mode
+from agent.report.compare import label
 from agent.report.metrics import summarise
+from agent.report.page import _summary
 from agent.report.quantity import Better
+from agent.report.rehearsal import HilResults
 from agent.report.results import Judgement, Results
 from agent.report.series import attitude_error, rotation_angle, rotation_vector
+from agent.report.tables import lines
 from tests.support.telemetry.small_run import RATE_HZ, TICKS, keep, small_run
 from tests.support.telemetry.synthetic_run import (
     agent_rows,
@@ -181,6 +185,11 @@ def test_an_exceeded_bound_stays_exceeded_though_rows_are_missing() -> None:
     assert summarise(log).verdict(Bounded.POSITION) is Judgement.NOT_MET
 
 
+def held(results: Results) -> list[str]:
+    """What the table of results says of arms that held."""
+    return [line.figure for line in lines(results) if line.what == "HELD before its end"]
+
+
 def test_a_held_object_counts_in_no_error_and_leaves_the_bound_open() -> None:
     log = small_run()
     log.agents["right"]["mode"][300:] = Mode.HOLD
@@ -190,6 +199,34 @@ def test_a_held_object_counts_in_no_error_and_leaves_the_bound_open() -> None:
     assert results.by_plant.not_tracking_rows == 100
     assert results.verdict(Bounded.POSITION) is Judgement.NOT_SHOWN
     assert results.arms["right"].modes == ((0.0, "TRACK"), (1.5, "HOLD"))
+    assert held(results) == ["right from 1.50\N{NO-BREAK SPACE}s"]
+
+
+def test_a_hold_at_the_end_of_the_motion_is_none_before_it() -> None:
+    log = small_run()
+    log.agents["right"]["mode"][-1:] = Mode.HOLD
+    for t, found in ((1.995, ["right from 2.00\N{NO-BREAK SPACE}s"]), (2.0, [])):
+        log.agents["right"]["t"][-1:] = t
+        assert held(summarise(log)) == found
+
+
+def test_a_rehearsal_is_called_one_and_says_what_was_added_and_how_far_the_twin_was() -> None:
+    log = small_run()
+    rows = log.agents["right"]
+    tau_max = summarise(log).info.arm("right").tau_max_Nm
+    assert not summarise(log).rehearsing
+    rows["twin_age_s"], rows["twin_age_s"][:100], rows["twin_age_s"][7] = 0.002, np.inf, 0.02
+    rows["tau_bridge"][100:, 0], rows["tau_bridge"][200, 1] = 0.1 * tau_max[0], -0.25 * tau_max[1]
+    rows["q_twin"] = rows["q_measured"]
+    rows["q_twin"][300, 0] -= 0.01
+    results = summarise(log)
+    assert results.rehearsing == ["right"]
+    assert results.arms["right"].hil == HilResults(
+        added_max=pytest.approx(0.25), apart_max_rad=pytest.approx(0.01), twin_age_max_s=0.02, coupled=0.75
+    )
+    assert "sim, REHEARSAL of right, 200 Hz" in label(results)
+    assert "200 Hz in a rehearsal of right with a simulated object" in _summary(results)
+    assert "REHEARSAL" not in label(summarise(small_run()))
 
 
 def test_a_log_that_ends_in_the_transient_has_no_errors_and_says_so() -> None:

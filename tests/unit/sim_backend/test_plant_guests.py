@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -12,6 +13,7 @@ import pytest
 from drivers.interface import ConnectError
 from sim_backend.hil.coupling import TwinState
 from sim_backend.hil.guest import ServedTwin
+from sim_backend.served.protocol import MessageKind
 from tests.support.plant.plant_cells import PLANAR_JOINTS
 from tests.support.plant.served_plant import CONFIG_ID, TAU, ServedPlant
 
@@ -62,6 +64,32 @@ def test_a_guest_is_told_true_motion_and_its_grasps_torque_and_waits_for_nothing
         assert np.abs(np.rint(states[-1].q / lsb) * lsb - states[-1].q).max() > 1e-9, "not as an encoder counts"
         twin.close()
         assert twin.newest() is None
+
+
+class Told:
+    """A connection on which three states have come since anybody looked."""
+
+    def __init__(self) -> None:
+        self.stamp_ns, self.q, self.dq, self.grasp = 0, np.zeros(3), np.zeros(3), np.zeros(3)
+
+    def receive(self, flags: int) -> MessageKind | None:
+        assert flags == socket.MSG_DONTWAIT
+        self.stamp_ns += 5
+        self.q[:], self.dq[:], self.grasp[:] = self.stamp_ns, -self.stamp_ns, 0.1 * self.stamp_ns
+        return MessageKind.STATE if self.stamp_ns <= 15 else None
+
+    say_and_forget, close = staticmethod(lambda _: None), staticmethod(lambda: None)
+
+
+def test_of_states_that_came_together_the_last_counts_and_what_pulled_over_all_of_them(tmp_path: Path) -> None:
+    twin = ServedTwin(tmp_path, "left", PLANAR_JOINTS, CONFIG_ID, WATCHDOG_S)
+    twin._link = Told()  # type: ignore[assignment]
+    state = twin.newest()
+    assert state is not None
+    assert (state.stamp_ns, state.q.tolist(), state.dq.tolist()) == (15, [15.0] * 3, [-15.0] * 3)
+    np.testing.assert_allclose(state.grasp, 1.5)
+    np.testing.assert_allclose(state.pulled, 1.0)
+    assert twin.newest() is None
 
 
 def test_a_guest_that_vanishes_keeps_its_torque_for_its_watchdog_and_the_others_go_on(tmp_path: Path) -> None:
