@@ -67,14 +67,16 @@ def seen(t: float, **given: Any) -> Observation:
     return replace(still, **given)
 
 
-def figures(left: ArmRun | None = None, right: ArmRun | None = None, truth: dict[float, Any] | None = None) -> Measured:
-    """Of a run with a fault of the left arm at AT_S; truth: what is seen at a time and from then on."""
+def figures(
+    left: ArmRun | None = None, right: ArmRun | None = None, truth: dict[float, Any] | None = None, struck: str = "left"
+) -> Measured:
+    """Of a run with a fault of one arm at AT_S; truth: what is seen at a time and from then on."""
     taken: list[tuple[float, Observation]] = []
     given: dict[str, Any] = {}
     for t in TIMES:
         given = {**given, **next((v for at, v in (truth or {}).items() if abs(at - t) < 1e-9), {})}
         taken.append((float(t), seen(float(t), **given)))
-    fault = Injection(fault="bus-off", arm="left", at_s=AT_S)
+    fault = Injection(fault="bus-off", arm=struck, at_s=AT_S)
     arms = {"left": left or arm(), "right": right or arm()}
     return measured(Rehearsal(CELL, (fault,), arms, ZERO_NS, tuple(taken), None))  # type: ignore[arg-type]
 
@@ -175,6 +177,7 @@ def test_the_object_strays_from_its_way_and_from_where_it_was_first_stopped() ->
 def test_a_joint_is_taken_to_be_elsewhere_while_its_arm_follows_and_has_a_state() -> None:
     truth = {0.0: {"q": np.zeros(6)}, 1.2: {"q": np.array([0.0, 0.02, 0.0, 0.5, 0.0, 0.0])}}
     assert figures(truth=truth).misled_rad == pytest.approx(0.02), "the other arm's joints are not its own"
+    assert figures(truth=truth, struck="right").misled_rad == pytest.approx(0.5)
     assert figures(arm(holds_s=1.2), truth=truth).misled_rad == 0.0
     assert figures(arm(flags={at: Flag.STALE for at in TIMES if at >= 1.2}), truth=truth).misled_rad == 0.0
     assert figures(truth={0.5: {"q": np.ones(6)}, 0.9: {"q": np.zeros(6)}}).misled_rad == 0.0, "before the fault"
