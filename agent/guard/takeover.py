@@ -21,9 +21,7 @@ STALE_PERIODS = 3  # at least, of a slow loop
 EMULATED_STALE_NS = 150_000_000  # where everything shares a processor; before the servos' own watchdog all the same
 FLOATING_STALE_NS = 100_000_000  # its last torque is its weight's, and a hand is on it
 EMULATED_FLOATING_STALE_NS = 500_000_000  # nothing can fall, and its loop bears a line that is silent for as long
-FIRST_NS = (
-    100_000_000  # for its first row: until then its goals are zero; half of the time that the servos' watchdog has
-)
+FIRST_NS = 100_000_000  # for its first row: until then its goals are zero; before the servos' watchdog
 FLOATING_FIRST_NS = 500_000_000  # nothing of it holds the arm yet, and its hand waits
 SIMULATED_STALE_NS = 500_000_000  # where there is no such watchdog
 
