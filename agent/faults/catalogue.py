@@ -50,12 +50,15 @@ class Within(Strict):
     who: Annotated[tuple[str, ...], AS_LIST] = ()  # arms that must; none named: all whose process lives
     goes_on: bool = False  # nobody may leave the motion
     internal_N: Bound | None = None
+    grown_N: Bound | None = None  # the internal force, above its largest before
     sag_m: Bound | None = None
     moved_rad: Bound | None = None  # an arm with the fault, until its servos' watchdog
     speed_rad_per_s: Bound | None = None
     apart_rad: Bound | None = None  # a joint of an arm in the loop, and its twin's
     others_rad_per_s: Bound | None = None  # of the arms without a fault
     fall_m_per_s: Bound | None = None
+    strayed_m: Bound | None = None  # the object, from its way
+    misled_rad: Bound | None = None  # what an arm with the fault computes with, from where its joint is
 
     def described(self) -> str:
         """In words, with units."""
@@ -65,12 +68,15 @@ class Within(Strict):
             "reacted_s": f"{who} stopped ≤ {{:g}} s",
             "or_grown_N": "or the internal force grows by ≤ {:g} N",
             "internal_N": "internal force ≤ {:g} N",
+            "grown_N": "internal force rises by ≤ {:g} N",
             "sag_m": "sag ≤ {:g} m",
             "moved_rad": "joints ≤ {:g} rad until the watchdog",
             "speed_rad_per_s": "joints ≤ {:g} rad/s",
             "apart_rad": "arm and twin ≤ {:g} rad apart",
             "others_rad_per_s": "the others' joints ≤ {:g} rad/s",
             "fall_m_per_s": "the object falls at ≤ {:g} m/s",
+            "strayed_m": "the object moves by ≤ {:g} m",
+            "misled_rad": "no command from a value that is off by > {:g} rad",
         }
         found = [text.format(value) for key, text in texts.items() if (value := getattr(self, key)) is not None]
         return ", ".join((["motion goes on"] if self.goes_on else []) + found)

@@ -62,19 +62,22 @@ def misses(found: Measured, within: Within) -> Iterator[str]:
         if stopped:
             yield f"{' and '.join(stopped)} left the motion: {found.noticed}"
     yield from _late("noticed", found.noticed_s, within.noticed_s)
-    harmless = within.or_grown_N is not None and found.internal_N - found.internal_before_N <= within.or_grown_N
+    harmless = within.or_grown_N is not None and found.grown_N <= within.or_grown_N
     if within.reacted_s is not None and not harmless:
         for arm, at in found.stopped_s.items():
             if (arm in within.who or not within.who) and found.ended[arm] != GONE:
                 yield from _late(f"{arm} stopped", at, within.reacted_s)
     for name, value, bound, unit in (
         ("internal force", found.internal_N, within.internal_N, "N"),
+        ("internal force grown by", found.grown_N, within.grown_N, "N"),
         ("sag", found.sag_m, within.sag_m, "m"),
         ("joints moved", found.moved_rad, within.moved_rad, "rad"),
         ("fastest joint", found.speed_rad_per_s, within.speed_rad_per_s, "rad/s"),
         ("arm and twin apart", found.apart_rad, within.apart_rad, "rad"),
         ("the others' fastest joint", found.others_rad_per_s, within.others_rad_per_s, "rad/s"),
         ("the object falls at", found.fall_m_per_s, within.fall_m_per_s, "m/s"),
+        ("the object moved by", found.strayed_m, within.strayed_m, "m"),
+        ("a value used was off by", found.misled_rad, within.misled_rad, "rad"),
     ):
         if bound is not None and not value <= bound:
             yield f"{name} {value:.3g} {unit}, not ≤ {bound:g}"

@@ -43,6 +43,13 @@ class Measured:
     fall_m_per_s: float  # of the object, downwards
     torque_share: float  # of the largest torque allowed, of the joint with the most
     apart_rad: float = 0.0  # of an arm in the loop and its twin, the joint with the most
+    strayed_m: float = 0.0  # by which the object left its way, or the place at which it was first stopped
+    misled_rad: float = 0.0  # by which a joint was not where an arm with a fault took it to be while it followed
+
+    @property
+    def grown_N(self) -> float:
+        """By how much the internal force is more than the largest before the fault."""
+        return self.internal_N - self.internal_before_N
 
     @property
     def reacted_s(self) -> float | None:
@@ -68,6 +75,8 @@ class Measured:
             "fall_m_per_s": _rounded(self.fall_m_per_s),
             "torque_share": _rounded(self.torque_share),
             "apart_rad": _rounded(self.apart_rad),
+            "strayed_m": _rounded(self.strayed_m),
+            "misled_rad": _rounded(self.misled_rad),
         }
 
 
@@ -95,6 +104,8 @@ def measured(run: Rehearsal) -> Measured:
         fall_m_per_s=_fall(run, t, onset),
         torque_share=max((_share(run.cell, name, arm, run, onset) for name, arm in run.arms.items()), default=0.0),
         apart_rad=max((_apart(run.cell, name, arm, run, onset) for name, arm in run.arms.items()), default=0.0),
+        strayed_m=_strayed(run, t, onset, first_stop),
+        misled_rad=max((_misled(run, str(fault.arm), onset) for fault in run.faults if fault.arm), default=0.0),
     )
 
 
@@ -165,6 +176,27 @@ def _sag(run: Rehearsal, t: Vector, onset: float, stop: float) -> float:
     at_stop = float(np.interp(stop, t, height)) if math.isfinite(stop) else math.inf
     wanted = [at_stop if at >= stop else float(np.dot(desired.at(max(at, 0.0)).p, up)) for at in t]
     return max(0.0, _largest((np.array(wanted) - height)[t >= onset]))
+
+
+def _strayed(run: Rehearsal, t: Vector, onset: float, stop: float) -> float:
+    """Farthest from its desired position, counted from how it was off at onset; from the first stop on that stands."""
+    desired = run.cell.trajectory()
+    wanted = np.array([desired.at(max(min(at, stop), 0.0)).p for at in t])
+    off = np.array([seen.p_object for _, seen in run.truth]) - wanted
+    after = t >= onset
+    return _largest(np.linalg.norm(off[after] - off[after][:1], axis=1))
+
+
+def _misled(run: Rehearsal, name: str, onset: float) -> float:
+    """Largest error of a joint's value that the arm computed a torque of the motion from."""
+    arm, (rows, t) = run.cell.arm(name), _timed(run.arms[name], run)
+    used = (t >= onset) & (rows["mode"] == Mode.TRACK) & (rows["flags"] & int(Flag.STALE) == 0)
+    if not used.any():
+        return 0.0
+    begin = sum(each.n for each in run.cell.arms[: run.cell.index(name)])
+    times, true = np.array([at for at, _ in run.truth]), np.array([seen.q for _, seen in run.truth])
+    joints = (np.interp(t[used], times, true[:, begin + j]) for j in range(arm.n))
+    return _largest(np.abs(rows["q_measured"][used][:, : arm.n].T - np.array(list(joints))).ravel())
 
 
 def _moved(run: Rehearsal, t: Vector, onset: float) -> float:

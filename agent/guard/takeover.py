@@ -7,6 +7,7 @@ from typing import Protocol
 from agent.around import Beginning
 from agent.cycles import Patience
 from agent.guard.resume import beginning, from_torque, last_speed
+from agent.guard.vigil import Vigil
 from agent.loop import Agent
 from agent.replay.tick import Rows
 from agent.safety import Flag
@@ -20,7 +21,8 @@ STALE_PERIODS = 3  # at least, of a slow loop
 EMULATED_STALE_NS = 150_000_000  # where everything shares a processor; before the servos' own watchdog all the same
 FLOATING_STALE_NS = 100_000_000  # its last torque is its weight's, and a hand is on it
 EMULATED_FLOATING_STALE_NS = 500_000_000  # nothing can fall, and its loop bears a line that is silent for as long
-FLOATING_FIRST_NS = 500_000_000  # for its first row: until then its goals are zero, and nothing of it holds the arm
+FIRST_NS = 100_000_000  # for its first row: until then its goals are zero; before the servos' watchdog
+FLOATING_FIRST_NS = 500_000_000  # nothing of it holds the arm yet, and its hand waits
 SIMULATED_STALE_NS = 500_000_000  # where there is no such watchdog
 
 
@@ -31,6 +33,12 @@ def stale_ns(period_ns: int, emulated: bool, simulated: bool, *, floating: bool 
     if emulated:
         return EMULATED_FLOATING_STALE_NS if floating else EMULATED_STALE_NS
     return max(FLOATING_STALE_NS if floating else STALE_NS, STALE_PERIODS * period_ns)
+
+
+def vigil_of(period_ns: int, *, emulated: bool, simulated: bool, floating: bool) -> Vigil:
+    """Whoever watches an agent with that period from when its torque is on."""
+    stale = stale_ns(period_ns, emulated, simulated, floating=floating)
+    return Vigil(stale, WATCH_NS, FLOATING_FIRST_NS if floating else FIRST_NS)
 
 
 class Adopts(Protocol):

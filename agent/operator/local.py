@@ -33,8 +33,13 @@ def local_arms(cell: Cell, host: str | None = None) -> list[Arm]:
     return found
 
 
-def has_other_hosts(cell: Cell, host: str | None = None) -> bool:
-    """Whether the cell has arms elsewhere, with which this host shares nothing but the time."""
+def has_other_hosts(cell: Cell, given: Sequence[Path], host: str | None = None) -> bool:
+    """Whether the cell has arms elsewhere, with which this host shares nothing but the time.
+
+    given: sockets of agents, whose arms nobody knows here; then any two hosts in the cell file are enough.
+    """
+    if given:
+        return len({arm.entry.host for arm in cell.arms}) > 1
     return len(local_arms(cell, host)) < len(cell.arms)
 
 

@@ -58,7 +58,7 @@ def start_arms(
         clock_bound_s=here.clock.max_error_s if here.clock.synchronised else None,
     )  # fmt: skip
     _require_time(request)
-    tell(judge_clock(here.clock, several_hosts=not sockets and has_other_hosts(cell, here.host)))
+    tell(judge_clock(here.clock, several_hosts=has_other_hosts(cell, sockets, here.host)))
     arms = places(cell, [], sockets, here.host)
     start_together(arms, request)
     return f"{len(arms)} arms start at {instant:%H:%M:%S.%f} UTC"

@@ -11,6 +11,7 @@ import select
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, closing
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,8 +23,7 @@ from agent.config.schema.cell import DriverKind
 from agent.guard.guard_end import GuardEnd
 from agent.guard.line import GuardError, Said, Word, close_all
 from agent.guard.resume import beginning
-from agent.guard.takeover import FLOATING_FIRST_NS, WATCH_NS, stale_ns
-from agent.guard.vigil import Vigil
+from agent.guard.takeover import WATCH_NS, vigil_of
 from agent.guard.watched import DESCRIPTORS, Watched
 from agent.host.notify import Notifier, stored_fds
 from agent.host.realtime import become_realtime, quiet_memory
@@ -77,8 +77,7 @@ class _Guard:
         self._agent: Agent = build_agent(cell, self._arm)
         emulated, simulated = options.agent.connection.emulated, options.agent.driver is DriverKind.SIM
         floats = spec_of(cell, self._arm) is not None
-        self._stale_ns = stale_ns(cell.period_ns, emulated, simulated, floating=floats)
-        self._first_ns = FLOATING_FIRST_NS if floats else 0
+        self._vigil = partial(vigil_of, cell.period_ns, emulated=emulated, simulated=simulated, floating=floats)
         self._notifier = stack.enter_context(closing(Notifier()))
         self._successor: Successor | FloatSuccessor
         if floats:
@@ -195,7 +194,6 @@ class _Guard:
     def _watch(self, said: Said) -> None:
         """Make ready to go on without this agent.  Raises Refusal."""
         self._let_go()
-        vigil = Vigil(self._stale_ns, WATCH_NS, self._first_ns)
         own, self._drivers = said.fds[:DESCRIPTORS], said.fds[DESCRIPTORS:]
         try:
             self._told, self._session = dict(said.content["driver"]), bool(said.content.get("session"))
@@ -204,7 +202,7 @@ class _Guard:
             close_all(own)
             raise
         time.sleep(PAUSE_S)
-        self._watched = Watched.of(said, vigil)
+        self._watched = Watched.of(said, self._vigil())
         time.sleep(PAUSE_S)
         self._notifier.send("STATUS=watches the agent")
         self._line.answer()

@@ -12,6 +12,7 @@ from pathlib import Path
 from drivers.dynamixel.errors import PortError
 
 CANDIDATES = ("coop/*", "serial/by-id/*", "ttyDXL*", "ttyUSB*", "ttyACM*")
+_GROUP_MAY = stat.S_IRGRP | stat.S_IWGRP
 _PTMX, _PTY_MAJOR = os.makedev(5, 2), 136
 
 
@@ -46,8 +47,15 @@ def permission_error(path: str) -> PortError:
         f"port {path}",
         found=f"no permission (mode {stat.filemode(info.st_mode)}, group {group})",
         expected="read and write",
-        remedy=f"add the user to group {group} (`sudo usermod -aG {group} $USER`) and log in again",
+        remedy=way_in(info.st_mode, group),
     )
+
+
+def way_in(mode: int, group: str) -> str:
+    """How a user comes to a port: by its group where that may use it and is not root's, else by the udev rule."""
+    if mode & _GROUP_MAY == _GROUP_MAY and group != "root":
+        return f"add the user to group {group} (`sudo usermod -aG {group} $USER`) and log in again"
+    return "install the udev rule shipped in systemd/udev, then unplug and plug the adapter"
 
 
 def busy_error(path: str) -> PortError:

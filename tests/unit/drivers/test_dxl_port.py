@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import grp
 import os
+import stat
 import struct
 import subprocess
 import sys
@@ -17,7 +18,7 @@ import pytest
 from drivers.clock import MonotonicClock
 from drivers.dynamixel.errors import PortError, PortLostError, WriteTimeoutError
 from drivers.dynamixel.line.port import SerialPort
-from drivers.dynamixel.line.ports import holders, open_error
+from drivers.dynamixel.line.ports import holders, open_error, way_in
 from drivers.interface import DriverError
 
 CLOCK = MonotonicClock()
@@ -142,10 +143,10 @@ def test_a_file_is_not_a_port(tmp_path):
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may open anything")
-def test_missing_permission_names_the_group(pty):
+def test_missing_permission_names_the_way_in(pty):
     _, path, _ = pty
     Path(path).chmod(0)
-    with pytest.raises(PortError, match=r"no permission .* add the user to group"):
+    with pytest.raises(PortError, match=r"no permission .* install the udev rule"):
         opened(path)
 
 
@@ -154,7 +155,19 @@ def test_permission_refusal_names_mode_and_group(pty):
     error = open_error(path, PermissionError(13, "denied"))
     group = grp.getgrgid(Path(path).stat().st_gid).gr_name
     assert f"group {group}" in str(error)
-    assert f"usermod -aG {group}" in str(error)
+
+
+@pytest.mark.parametrize(
+    ("mode", "group", "said"),
+    [
+        (0o660, "dialout", "usermod -aG dialout"),
+        (0o620, "dialout", "udev rule"),
+        (0o640, "tty", "udev rule"),
+        (0o660, "root", "udev rule"),
+    ],
+)
+def test_nobody_is_told_to_join_a_group_that_does_not_help_or_is_roots(mode, group, said):
+    assert said in way_in(stat.S_IFCHR | mode, group)
 
 
 def test_busy_device_is_named_as_such(pty):

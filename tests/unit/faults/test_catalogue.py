@@ -78,11 +78,12 @@ def test_a_list_that_cannot_be_is_refused(text: str, message: str) -> None:
 def test_bounds_are_said_with_their_units() -> None:
     within = catalogue.Within(
         noticed_s=0.1, reacted_s=0.2, who=("left",), goes_on=True, internal_N=3.0, sag_m=0.02, moved_rad=0.1,
-        speed_rad_per_s=1.5, apart_rad=0.1,
+        speed_rad_per_s=1.5, apart_rad=0.1, grown_N=3.5, strayed_m=0.005, misled_rad=0.03,
     )  # fmt: skip
     assert within.described() == (
-        "motion goes on, noticed ≤ 0.1 s, left stopped ≤ 0.2 s, internal force ≤ 3 N, sag ≤ 0.02 m, "
-        "joints ≤ 0.1 rad until the watchdog, joints ≤ 1.5 rad/s, arm and twin ≤ 0.1 rad apart"
+        "motion goes on, noticed ≤ 0.1 s, left stopped ≤ 0.2 s, internal force ≤ 3 N, internal force rises by ≤ 3.5 N, "
+        "sag ≤ 0.02 m, joints ≤ 0.1 rad until the watchdog, joints ≤ 1.5 rad/s, arm and twin ≤ 0.1 rad apart, "
+        "the object moves by ≤ 0.005 m, no command from a value that is off by > 0.03 rad"
     )
     row = Row.model_validate({"id": "P1", "group": "process", "fails": "x", "must": "y", "bound": "z"})
     assert row.bounds == "z"

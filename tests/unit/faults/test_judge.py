@@ -25,10 +25,12 @@ GOOD = Measured(
     others_rad_per_s=0.6,
     fall_m_per_s=0.2,
     torque_share=0.9,
+    strayed_m=0.006,
+    misled_rad=0.01,
 )
 WITHIN = Within(
     noticed_s=0.01, reacted_s=0.05, internal_N=2.0, sag_m=0.004, moved_rad=0.05, speed_rad_per_s=0.7, apart_rad=0.02,
-    others_rad_per_s=0.6, fall_m_per_s=0.2,
+    others_rad_per_s=0.6, fall_m_per_s=0.2, grown_N=1.5, strayed_m=0.006, misled_rad=0.01,
 )  # fmt: skip
 
 
@@ -43,14 +45,17 @@ def test_a_bound_itself_is_held() -> None:
         ({"noticed_s": None}, "noticed never, not ≤ 0.01 s"),
         ({"stopped_s": {"left": 0.02, "right": 0.06}}, "right stopped after 0.06 s, not ≤ 0.05"),
         ({"stopped_s": {"left": None, "right": 0.05}}, "left stopped never, not ≤ 0.05 s"),
-        ({"internal_N": 2.1}, "internal force 2.1 N, not ≤ 2"),
-        ({"internal_N": float("nan")}, "internal force nan N, not ≤ 2"),
+        ({"internal_N": 2.1, "internal_before_N": 0.6}, "internal force 2.1 N, not ≤ 2"),
+        ({"internal_before_N": 0.4}, "internal force grown by 1.6 N, not ≤ 1.5"),
         ({"sag_m": 0.005}, "sag 0.005 m, not ≤ 0.004"),
         ({"moved_rad": 0.06}, "joints moved 0.06 rad, not ≤ 0.05"),
         ({"speed_rad_per_s": 0.8}, "fastest joint 0.8 rad/s, not ≤ 0.7"),
         ({"apart_rad": 0.03}, "arm and twin apart 0.03 rad, not ≤ 0.02"),
         ({"others_rad_per_s": 0.61}, "the others' fastest joint 0.61 rad/s, not ≤ 0.6"),
         ({"fall_m_per_s": 0.21}, "the object falls at 0.21 m/s, not ≤ 0.2"),
+        ({"strayed_m": 0.007}, "the object moved by 0.007 m, not ≤ 0.006"),
+        ({"strayed_m": float("nan")}, "the object moved by nan m, not ≤ 0.006"),
+        ({"misled_rad": 0.011}, "a value used was off by 0.011 rad, not ≤ 0.01"),
     ],
 )
 def test_each_bound_is_missed_by_itself(change: dict[str, object], text: str) -> None:

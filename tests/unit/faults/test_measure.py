@@ -36,12 +36,20 @@ class Row:
         return self._rows
 
 
-def arm(*, flags: dict[float, Flag] | None = None, tau: float = 0.0, mode: Mode = Mode.TRACK, **given: Any) -> ArmRun:
-    """What an arm left: flags by time, one torque all the time, and the rest."""
+def arm(
+    *,
+    flags: dict[float, Flag] | None = None,
+    tau: float = 0.0,
+    mode: Mode = Mode.TRACK,
+    holds_s: float = 9.0,
+    **given: Any,
+) -> ArmRun:
+    """What an arm left: flags by time, one torque all the time, rows of HOLD from then on, and the rest."""
     rows = np.zeros(len(TIMES), AGENT_STATE.dtype)
     rows["stamp_ns"] = ZERO_NS + np.round(TIMES * 1e9).astype(np.int64)
     rows["t"] = TIMES + 0.3  # its own clock, which may be wrong
     rows["tau_sent"][:, 0] = tau
+    rows["mode"] = np.where(holds_s - 1e-9 > TIMES, Mode.TRACK, Mode.HOLD)
     for t, flag in (flags or {}).items():
         rows["flags"][np.searchsorted(TIMES, t - 1e-9)] = int(flag)
     run = ArmRun(**given)
@@ -59,14 +67,16 @@ def seen(t: float, **given: Any) -> Observation:
     return replace(still, **given)
 
 
-def figures(left: ArmRun | None = None, right: ArmRun | None = None, truth: dict[float, Any] | None = None) -> Measured:
-    """Of a run with a fault of the left arm at AT_S; truth: what is seen at a time and from then on."""
+def figures(
+    left: ArmRun | None = None, right: ArmRun | None = None, truth: dict[float, Any] | None = None, struck: str = "left"
+) -> Measured:
+    """Of a run with a fault of one arm at AT_S; truth: what is seen at a time and from then on."""
     taken: list[tuple[float, Observation]] = []
     given: dict[str, Any] = {}
     for t in TIMES:
         given = {**given, **next((v for at, v in (truth or {}).items() if abs(at - t) < 1e-9), {})}
         taken.append((float(t), seen(float(t), **given)))
-    fault = Injection(fault="bus-off", arm="left", at_s=AT_S)
+    fault = Injection(fault="bus-off", arm=struck, at_s=AT_S)
     arms = {"left": left or arm(), "right": right or arm()}
     return measured(Rehearsal(CELL, (fault,), arms, ZERO_NS, tuple(taken), None))  # type: ignore[arg-type]
 
@@ -147,6 +157,30 @@ def test_sag_is_below_the_motion_while_it_is_followed_and_below_the_hold_after_i
     held = figures(arm(modes=[(1.2, Mode.HOLD)]), truth={1.2: at(-0.03), 1.5: at(-0.05)})
     assert held.sag_m == pytest.approx(0.02)
     assert figures(truth={0.5: at(-0.03), 0.6: at(0.0)}).sag_m == pytest.approx(0.0), "before the fault"
+
+
+def test_the_object_strays_from_its_way_and_from_where_it_was_first_stopped() -> None:
+    """It is 9 mm off before the fault, which is not the fault's."""
+    motion = CELL.trajectory()
+
+    def beside(t: float, by: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> dict[str, Any]:
+        return {"p_object": np.add(motion.at(t).p, np.add((0.009, 0.0, 0.0), by))}
+
+    way = {t: beside(t) for t in TIMES}
+    assert figures(truth=way).strayed_m == pytest.approx(0.0)
+    assert figures(truth=way | {TIMES[30]: beside(TIMES[30], (0.003, 0.0, 0.004))}).strayed_m == pytest.approx(0.005)
+    stands = {t: beside(1.1, (0.0, 0.004, 0.003)) for t in TIMES if t > 1.1}
+    assert figures(arm(modes=[(1.1, Mode.HOLD)]), truth=way | stands).strayed_m == pytest.approx(0.005)
+    assert figures(truth=way | stands).strayed_m > 0.006, "the motion goes on without it"
+
+
+def test_a_joint_is_taken_to_be_elsewhere_while_its_arm_follows_and_has_a_state() -> None:
+    truth = {0.0: {"q": np.zeros(6)}, 1.2: {"q": np.array([0.0, 0.02, 0.0, 0.5, 0.0, 0.0])}}
+    assert figures(truth=truth).misled_rad == pytest.approx(0.02), "the other arm's joints are not its own"
+    assert figures(truth=truth, struck="right").misled_rad == pytest.approx(0.5)
+    assert figures(arm(holds_s=1.2), truth=truth).misled_rad == 0.0
+    assert figures(arm(flags={at: Flag.STALE for at in TIMES if at >= 1.2}), truth=truth).misled_rad == 0.0
+    assert figures(truth={0.5: {"q": np.ones(6)}, 0.9: {"q": np.zeros(6)}}).misled_rad == 0.0, "before the fault"
 
 
 def test_moved_is_by_the_arm_with_the_fault_within_the_watchdogs_time() -> None:

@@ -82,23 +82,25 @@ def test_a_service_that_lives_counts_before_what_an_agent_by_hand_has_left(home:
         (ClockState(False, 16.0), False, "not synchronised, error at most 16 s; without effect where one host"),
     ],
 )
+@pytest.mark.parametrize("named", [False, True], ids=["of this host", "sockets named"])
 @pytest.mark.fault("C1")
 def test_a_start_on_several_hosts_needs_their_time(
-    home: Path, clock: ClockState, two_hosts: bool, outcome: str | None
+    home: Path, clock: ClockState, two_hosts: bool, outcome: str | None, named: bool
 ) -> None:
     """C1, C2: refused before anybody is asked; without effect where one host has all arms."""
     cell = load_cell(PAPER, TWO_HOSTS if two_hosts else ["arms.left.host=one", "arms.right.host=one"])
     here = ["left"] if two_hosts else ["left", "right"]
     arms = [Arm(home / f"{name}.control", Mode.READY, cell.fingerprint) for name in here]
+    sockets = [home / f"{name}.control" for name in here] if named else []
     told: list[str] = []
     with serving(arms):
         if outcome is None:
             with pytest.raises(
                 ControlError, match=r"clock of this host: found .*, expected synchronised, error ≤ 5 ms"
             ):
-                start_arms(cell, None, 60.0, [], Here(clock, "one"), told.append)
+                start_arms(cell, None, 60.0, sockets, Here(clock, "one"), told.append)
         else:
-            start_arms(cell, None, 60.0, [], Here(clock, "one"), told.append)
+            start_arms(cell, None, 60.0, sockets, Here(clock, "one"), told.append)
             assert outcome in told[0]
     assert [arm.heard for arm in arms] == [(outcome is not None, [])] * len(arms)
 

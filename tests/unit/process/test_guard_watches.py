@@ -1,0 +1,107 @@
+"""How long the guard process waits for rows of the agent that it was told to watch; its own looks, time by hand."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from agent.config.cell import load_cell
+from agent.config.schema.cell import DriverKind
+from agent.guard.agent_end import AgentEnd
+from agent.guard.line import Word
+from agent.host.signals import StopFlag
+from agent.process import guard
+from agent.process.build import Connection
+from agent.process.schedule import AgentOptions
+from agent.process.successor import GuardOptions
+from agent.process.tellers import opened
+from agent.telemetry.ring.writer import RingWriter
+
+MS = 1_000_000
+LOOK_MS = 2
+WORKS, FLOATS = list[str](), ['floating.arms=["left"]']
+
+
+class Clock:
+    """What the guard's looks take for the time."""
+
+    def __init__(self) -> None:
+        self.now_ms = 1000
+        self.sleep = lambda _: None
+
+    def monotonic_ns(self) -> int:
+        return self.now_ms * MS
+
+
+@pytest.fixture
+def port() -> Iterator[str]:
+    master, slave = os.openpty()
+    yield os.ttyname(slave)
+    os.close(master)
+    os.close(slave)
+
+
+@pytest.fixture
+def agent() -> Iterator[subprocess.Popen[bytes]]:
+    with subprocess.Popen(["sleep", "100"]) as process:
+        yield process
+        process.kill()
+
+
+def watching(
+    stack: ExitStack, folder: Path, port: str, more: list[str], emulated: bool, pid: int
+) -> tuple[guard._Guard, RingWriter]:
+    """A guard that has just been told to watch that process, and the ring that it reads."""
+    cell = load_cell(Path("two_wx200"), more)
+    texts, ring = opened(stack, folder / "left.ring", cell.arm("left"))
+    options = AgentOptions(
+        "left", DriverKind.DYNAMIXEL, Connection(port=port, emulated=emulated), folder / "left.ring", None,
+        lockstep=False, hold=True,
+    )  # fmt: skip
+    made = guard._Guard(cell, GuardOptions(options, Path(), folder / "socket", folder), StopFlag(), stack)
+    end = AgentEnd(folder / "socket", cell.fingerprint)
+    stack.callback(end.close)
+    pidfd = os.pidfd_open(pid)
+    end.say(Word.WATCH, (pidfd, ring.fileno(), texts.fileno()), ring="left.ring", driver={})
+    os.close(pidfd)
+    assert made._look() == ""
+    assert end.heard() == {"ok": True}
+    return made, ring
+
+
+@pytest.mark.fault("P2")
+@pytest.mark.parametrize(
+    ("more", "emulated", "first_ms", "then_ms"),
+    [(WORKS, False, 100, 18), (WORKS, True, 150, 150), (FLOATS, False, 500, 100), (FLOATS, True, 500, 500)],
+)
+@pytest.mark.parametrize("rows", [0, 1])
+def test_a_guard_waits_longer_for_the_first_row_than_for_the_next(
+    tmp_path: Path, port: str, agent: subprocess.Popen[bytes], monkeypatch: pytest.MonkeyPatch,
+    more: list[str], emulated: bool, first_ms: int, then_ms: int, rows: int,
+) -> None:  # fmt: skip
+    clock = Clock()
+    monkeypatch.setattr(guard, "time", clock)
+    monkeypatch.setattr(guard, "quiet_memory", lambda: None)
+    monkeypatch.setattr(guard, "_q_start", lambda *_: np.zeros(3))
+    monkeypatch.setattr(guard, "build_standby", lambda *_: SimpleNamespace(drop=lambda: None))
+    with ExitStack() as stack:
+        made, ring = watching(stack, tmp_path, port, more, emulated, agent.pid)
+        for _ in range(rows):
+            ring.commit()
+            assert made._look() == ""
+        clock.now_ms, waited_ms = clock.now_ms + 1000, 2 * LOOK_MS  # a host that stalls: nobody looked meanwhile
+        while not (reason := made._look()):
+            assert agent.poll() is None
+            clock.now_ms, waited_ms = clock.now_ms + LOOK_MS, waited_ms + LOOK_MS
+    expected_ms = then_ms if rows else first_ms
+    assert reason == f"the agent hung (no row for {expected_ms} ms) and was ended"
+    assert agent.wait() == -signal.SIGKILL
+    assert waited_ms == expected_ms
