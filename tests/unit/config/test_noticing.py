@@ -81,6 +81,33 @@ def test_friction_that_sticks_and_grows_with_the_load_counts_as_it_is_at_rest(tm
     assert at_rest_Nm(as_shipped, held_Nm) == lifting_Nm(as_shipped, held_Nm) == as_shipped.coulomb_Nm.value
 
 
+def test_friction_that_grows_with_the_load_is_that_of_arm_and_object_together(tmp_path: Path) -> None:
+    heavy = with_figures(cell("two_wx200", "object.mass_kg=0.4"), tmp_path, pressed_on)
+    known = noticing._known(heavy, heavy.arms[1])
+    at = noticing._places(known)[4]
+    held = at.k.g + at.k.Jt[:, :3] @ np.array([0.0, 0.0, 0.5 * 0.4 * 9.81])
+    friction = [at_rest_Nm(s, tau) for s, tau in zip(known.arm.servos, held.tolist(), strict=True)]
+    low, high = heavy.tolerance.friction
+    wanted = np.linalg.inv(at.k.J).T * (max(high - 1.0, 1.0 - low) * np.array(friction))
+    np.testing.assert_allclose(noticing._friction(known, at), known.model.task_basis.T @ wanted, atol=1e-12)
+
+
+def test_errors_of_base_and_grasp_shift_the_object_as_a_turn_and_a_slip_do() -> None:
+    """Columns of the three turns about the base's origin, and of slips along the object's axes."""
+    three = cell("three_wx250s")
+    arm = three.arms[1]
+    known = noticing._known(three, arm)
+    at = noticing._places(known)[4]
+    R = np.reshape(at.k.R_world_object, (3, 3))
+    reach = np.array(at.k.p_object) - arm.T_world_base.translation
+    turns = [three.tolerance.base_rad * np.cross(axis, reach) for axis in np.eye(3)]
+    slips = [three.tolerance.grasp_m * R[:, axis] for axis in range(3)]
+    wanted = [known.S @ known.model.task_basis[:, :3] @ shift / np.sqrt(3.0) for shift in (*turns, *slips)]
+    torques = 1 + arm.n
+    np.testing.assert_allclose(noticing._errors(known, at)[:, torques : torques + 6].T, wanted, atol=1e-12)
+    assert np.abs(reach).min() > 0.01
+
+
 def test_what_does_not_change_along_the_motion_is_usual() -> None:
     still = ("trajectory.p_amplitude_m=[0.0, 0.0, 0.0]", "trajectory.angle_rad=0.0", "tolerance.friction=[1.0, 1.0]")
     rough = ("tolerance.masses=0.5", "tolerance.zeros_rad=0.1", "tolerance.base_rad=0.1", "tolerance.skew_s=0.5")

@@ -91,6 +91,8 @@ def test_without_rows_no_time_is_known_to_be_lost() -> None:
     found = begun(1_000 * GAP_NS, rows()[:0])
     assert (found.marks, found.mode, found.rows) == (Flag.NONE, Mode.HOLD, 0)
     assert begun(0, rows()[:0], session=True).mode is Mode.REST
+    now: Any = Now(0)
+    assert go_on(AGENT, Servos(np.zeros(3)), now, rows()[:0], period_ns(), "x").mode is Mode.HOLD
 
 
 def test_an_arm_that_had_stopped_by_itself_is_marked_and_a_gap_beside_it() -> None:

@@ -75,3 +75,5 @@ def test_grippers_about_the_object_stand_open_and_meet_it_where_it_is_wide() -> 
         assert hand.width_m() > grip_width(cell, arm) + 1e-3
         assert hand.blocked_rad is not None
         assert fingers(arm).width(hand.blocked_rad) == pytest.approx(grip_width(cell, arm), abs=1e-6)
+    without, _ = about_the_object(CELL, examine(CELL).q_start, None)
+    assert [made.gripper for made in without.arms] == [None, None], "arms whose files say nothing of one"

@@ -72,6 +72,26 @@ def test_at_the_places_alone_it_is_where_it_is() -> None:
     )
 
 
+def test_no_more_distances_are_asked_for_than_can_be_the_least(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[int, int]] = []
+    distance = Way._distance
+
+    def counted(self: Way, pair: tuple[int, int], place: int) -> float:
+        asked.append(pair)
+        return distance(self, pair, place)
+
+    monkeypatch.setattr(Way, "_distance", counted)
+    passing().nearest([(0, 1), (2, 3)])
+    assert asked == [(2, 3)]
+    asked.clear()
+    passing().least([(0, 1), (2, 3)])
+    assert set(asked) == {(0, 1)}
+
+
+def test_a_shape_is_called_by_its_arm_and_link_and_the_table_by_its_name() -> None:
+    assert (ball().label, table().label, ball().holds) == ("left a ball", "table", False)
+
+
 def test_without_pairs_there_is_no_distance() -> None:
     assert passing().nearest([]) is None
     assert passing().least([]) is None
@@ -99,19 +119,33 @@ def test_a_ball_above_the_table_is_as_near_as_its_surface_is(gap: float) -> None
 
 def test_what_turns_together_stays_as_far_apart_as_it_is() -> None:
     """As parts of one link do that turns about an axis far away."""
-    angles = (0.0, 0.4, 1.0)
+    angles = np.linspace(0.0, 3.0, 60).tolist()
     legs = [(math.cos(a), math.sin(a)) for a in angles]
     at = [[(r * c, r * s, 1.0) for c, s in legs] for r in (1.0, 1.0 + 2 * R_BALL + NEAR)]
     found = way((ball(), at[0]), (ball(), at[1]), turns={0: angles, 1: angles}).nearest([(0, 1)])
     assert found is not None
     assert found.distance_m == pytest.approx(NEAR, abs=1e-7)
+    straight = [[(x + r, x, 1.0) for x in (0.0, 0.1, 0.3)] for r in (0.0, 2 * R_BALL + NEAR)]
+    found = way((ball(), straight[0]), (ball(), straight[1])).nearest([(0, 1)])
+    assert found is not None
+    assert found.distance_m == pytest.approx(NEAR)
+
+
+def test_half_a_turn_is_the_largest_there_is() -> None:
+    one, other = still(0.0), still(NEAR + 2 * R_BALL)
+    both = Way([one[0], other[0]], np.tile(np.eye(3), (60, 2, 1, 1)), np.array([[one[1][0], other[1][0]]] * 60))
+    for k, axis in enumerate(np.random.default_rng(1).normal(size=(59, 3))):
+        both.R[k + 1, 1] = both.R[k, 1] @ pin.exp3(math.pi * axis / np.linalg.norm(axis))
+    found = both.nearest([(0, 1)])
+    assert found is not None
+    assert found.distance_m == pytest.approx(NEAR - 0.5 * math.pi * R_BALL, abs=1e-7)
 
 
 @pytest.mark.parametrize("order", [(0, 1), (1, 0)])
 def test_a_shape_that_turns_sweeps_as_far_as_its_radius(order: tuple[int, int]) -> None:
     """The smaller one as seen from the larger one, or each by itself, whichever says more."""
-    angles, between = (0.0, 0.2, 0.2), 0.1 - R_BALL - R_LARGE
-    shapes = (ball(R_LARGE), [(0.0, 0.0, 1.0)] * 3), (ball(), [(0.1, 0.0, 1.0)] * 3)
+    angles, between = (0.0, 0.2, 0.4, 0.6), 0.1 - R_BALL - R_LARGE
+    shapes = (ball(R_LARGE), [(0.0, 0.0, 1.0)] * 4), (ball(), [(0.1, 0.0, 1.0)] * 4)
     small = way(*shapes, turns={1: angles}).nearest([order])
     assert small is not None
     assert small.distance_m == pytest.approx(between - 0.5 * 0.2 * R_BALL)
@@ -119,6 +153,11 @@ def test_a_shape_that_turns_sweeps_as_far_as_its_radius(order: tuple[int, int]) 
     assert large is not None
     no_less = 0.5 * math.pi * 2.0 * math.sqrt(2.0) * math.sin(0.1)  # than the angle
     assert large.distance_m == pytest.approx(between - 0.5 * no_less * R_LARGE)
+    alike = [(ball(), places) for _, places in shapes]
+    seen_from_first = 0.5 * (0.2 if order == (0, 1) else no_less) * R_BALL
+    assert way(*alike, turns={1: angles}).nearest([order]) == Nearest(
+        pytest.approx(0.1 - 2 * R_BALL - seen_from_first), order, pytest.approx(2, abs=2)
+    )
 
 
 def test_how_far_a_shape_has_gone_adds_up_from_the_first_place() -> None:
@@ -132,7 +171,6 @@ def test_how_far_a_shape_has_gone_adds_up_from_the_first_place() -> None:
 @pytest.mark.parametrize("few", [1, 2, 7, 512])
 def test_all_pairs_are_looked_at_however_few_are_put_in_order_first(few: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "AT_FIRST", few)
-    bound = np.array([[0.3, 0.1, 0.9], [0.2, 0.8, 0.4]])
+    bound = np.random.default_rng(few).permutation(300).reshape(100, 3).astype(float)
     turn = list(module._in_turn(bound))
-    assert turn[:few] == [(0, 1), (1, 0), (0, 0), (1, 2), (1, 1), (0, 2)][:few]
-    assert turn == [(0, 1), (1, 0), (0, 0), (1, 2), (1, 1), (0, 2)]
+    assert [bound[place] for place in turn] == list(range(300))
