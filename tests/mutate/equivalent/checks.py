@@ -13,6 +13,8 @@ _GIVEN = "return np.concatenate([-S @ off, errors.wrench], axis=1)"
 _ENDS = "ends = np.cumsum([0, *(g.shape[1] for g in given)])"
 _LINEAR = "found: NDArray[np.bool_] = np.linalg.norm(P[:, _FORCE], axis=1) > 0.5"
 _PARTS = "_FORCE, _MOMENT = (slice(0, 3), slice(3, 6))"
+_HELD = "block: NDArray[np.bool_] = np.arange(count) * BLOCKS // max(count, 1) % 4 == 2"
+_AHEAD = "if np.abs(ahead).max() > AHEAD_MAX_RAD:"
 _BALLS = "bound, found = (self._balls(pairs) - slack, Nearest(math.inf, pairs[0], 0))"
 _AT_PLACES = "bound, found = (self._balls(pairs), Nearest(math.inf, pairs[0], 0))"
 _SHAPE = "geometry.addGeometryObject(pin.GeometryObject(str(i), 0, pin.SE3.Identity(), shape.geometry))"
@@ -29,6 +31,16 @@ _A_TOUCH_SETS_IT = "a touch sets it as it begins, and nothing asks for it before
 _NOTHING_MORE = "where rounding alone is as large as one nothing is proved any more"
 
 CHECKS: Entries = {
+    "agent.calibrate.poses": {
+        ("held_out", _HELD, _HELD.replace("max(count, 1)", "max(count, 2)")): "one pose is in the first block",
+    },
+    "agent.config.monitors": {
+        (
+            "_speeds_of_motion",
+            _AHEAD,
+            _AHEAD.replace(">", ">="),
+        ): "joints found are the same, from wherever they are sought",
+    },
     "agent.verify.collision.way": {
         ("", "AT_FIRST: Final = 512", "AT_FIRST: Final = 1024"): _IN_ORDER,
         ("", "AT_FIRST: Final = 512", "AT_FIRST: Final = 256"): _IN_ORDER,

@@ -39,6 +39,7 @@ def test_angles_of_all_arms_are_of_one_time_though_their_rows_begin_apart() -> N
     found = poses(rows(), rows(late_s=1.37))
     np.testing.assert_allclose(found.q[0], found.q[1], atol=0.1 / RATE_HZ)
     assert found.q[0].shape == (len(found.t), 3)
+    np.testing.assert_array_equal(found.some(~found.held_out), [q[~found.held_out] for q in found.q])
     middle = 1.37 + found.t + 0.5 * WINDOW_S - 0.5 / RATE_HZ
     np.testing.assert_allclose(found.q[0][:, 0], 0.3 * np.sin(middle / 3.0), atol=2e-4)
     assert np.abs(np.diff(found.q[0][:, 0])).min() >= 0.01 - 1e-9

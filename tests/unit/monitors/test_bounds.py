@@ -13,7 +13,7 @@ import configs
 from agent.config import monitors
 from agent.config.cell import Cell, load_cell
 from agent.config.friction import lifting_Nm
-from agent.config.monitors import FLOORS, bounds
+from agent.config.monitors import bounds
 from agent.config.reading import ConfigError
 from agent.control import ik
 from agent.monitors.bounds import Bounds, Name
@@ -100,6 +100,26 @@ def test_speeds_are_those_at_the_joints_of_the_motion_each_looked_for_ahead_of_t
     led = np.array(sought.near[1:]) - np.array(sought.found[:-1])
     np.testing.assert_allclose(led, np.where(far[:, None], 0.0, steps), atol=1e-12)
     assert (~far).sum() == leads
+    if samples == 100:
+        usual = 0.2 * SERVOS["XM430-W350"].no_load_rad_per_s
+        assert of_left("duration_s=3.0").speed_rad_per_s == pytest.approx(usual + 2.0 * sought.fastest)
+
+
+def test_an_arm_alone_may_be_as_fast_as_its_session_says_and_lie_as_it_rests() -> None:
+    no_load = SERVOS["XM430-W350"].no_load_rad_per_s
+    without = of_left(*STILL)
+    assert without.speed_alone_rad_per_s == pytest.approx([0.2 * no_load + 0.6] * 3), "as a session is by itself"
+    assert without.position_alone_rad == without.position_rad
+    quick = of_left("session.speed_max_rad_per_s=1.5", "session.off_max_rad=0.31")
+    assert quick.speed_alone_rad_per_s == pytest.approx([0.2 * no_load + 1.5] * 3)
+    assert of_left("session.speed_max_rad_per_s=2.0", "safety.monitors.speed_share=0.8").speed_alone_rad_per_s == (
+        pytest.approx([0.85 * no_load] * 3)
+    )
+    rest = [load("two_wx200").arm("left").file.sleep_rad[joint] for joint in quick.joints]
+    wanted = [(min(a, r - 0.31), max(b, r + 0.31)) for (a, b), r in zip(quick.position_rad, rest, strict=True)]
+    np.testing.assert_allclose(quick.position_alone_rad, wanted)
+    wider = np.array(quick.position_alone_rad) != np.array(quick.position_rad)
+    assert wider.any(axis=0).all(), "below and above"
 
 
 def test_a_motion_out_of_reach_is_for_the_check_to_refuse(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -113,6 +133,10 @@ def test_the_box_is_around_motion_and_start_or_as_given() -> None:
     assert (x0, x1) == pytest.approx((0.12, 0.42), abs=1e-3)
     assert (y0, y1, z0, z1) == pytest.approx((-0.1, 0.1, 0.15, 0.35))
     assert of_left(*STILL, "object.p_start_m=[0.255, 0.0, 0.25]").workspace_m[0] == pytest.approx((0.155, 0.37))
+    short = ("trajectory.period_s=1.2", "duration_s=0.9")
+    at = load("two_wx200", *short).trajectory().at
+    along = [0.27, *(at(t).p[0] for t in np.linspace(0.0, 0.9, 100))]
+    assert of_left(*short).workspace_m[0] == pytest.approx((min(along) - 0.1, max(along) + 0.1), abs=1e-12)
     given = "safety.monitors.workspace_m=[[0.1, 0.7], [-0.2, 0.2], [0.0, 0.5]]"
     assert of_left(given).workspace_m == ((0.1, 0.7), (-0.2, 0.2), (0.0, 0.5))
     with pytest.raises(ConfigError, match="low to high"):
@@ -171,10 +195,15 @@ def test_a_joint_that_is_pressed_on_may_stick_as_its_load_at_the_start_lets_it(t
 
 def test_it_has_floors_a_factor_and_more_room_for_an_arm_that_learns() -> None:
     usual = np.array(of_left().gravity)
-    assert usual[[1, 3, 5]] == pytest.approx(np.array(FLOORS)[[1, 3, 5]])  # out of the plane
+    assert usual[[1, 3, 5]] == pytest.approx([0.3, 0.03, 0.03])  # out of the plane
     assert of_left("safety.monitors.gravity_times=2.0").gravity == pytest.approx(2.0 * usual)
     learning = np.array(of_left("controller.kind=adaptive").gravity)
     assert learning[[0, 2, 4]] == pytest.approx(1.9 * usual[[0, 2, 4]])
+
+
+def test_the_floors_hold_where_nothing_is_uncertain(tmp_path: Path) -> None:
+    smooth = with_figures(load("two_wx200", *EXACT), tmp_path, lambda _: {"coulomb_Nm": 1e-6})
+    assert bounds(smooth, smooth.arms[0]).gravity == pytest.approx((0.3, 0.3, 0.3, 0.03, 0.03, 0.03))
 
 
 def test_a_start_out_of_reach_is_refused() -> None:
