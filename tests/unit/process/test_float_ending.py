@@ -18,11 +18,11 @@ NAN = float("nan")
 class Bench:
     """An ending in a mode that has just begun, None: as it is made; and what it said."""
 
-    def __init__(self, mode: Mode | None) -> None:
+    def __init__(self, mode: Mode | None, sink_s: float = SINK_S) -> None:
         self.now_ns, self.stops = 7 * NS, False
         self.said: list[tuple[Level, str]] = []
         self.warned: list[str] = []
-        self.ending = Ending(lambda: self.stops, self._tell(), lambda: self.now_ns, SINK_S, PERIOD_S)
+        self.ending = Ending(lambda: self.stops, self._tell(), lambda: self.now_ns, sink_s, PERIOD_S)
         if mode is not None:
             self.ending.mode(mode)
 
@@ -72,6 +72,7 @@ def test_it_lies_once_it_was_slow_for_half_a_second() -> None:
     assert set(bench.cycles(3, 0.05)) == {Event.NONE}
     assert bench.after(1.0, 0.051) is Event.NONE
     assert bench.cycles(4, 0.05) == [Event.NONE] * 3 + [Event.ARRIVED], "one cycle of motion begins the count anew"
+    assert Bench(Mode.SINK, 0.0).cycles(4, 0.05) == [Event.NONE] * 3 + [Event.ARRIVED], "of an arm without weight"
 
 
 def test_it_lies_no_earlier_than_its_weight_is_gone_by_cycles_that_saw_it() -> None:
