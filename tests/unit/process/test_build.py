@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,11 +12,13 @@ import pytest
 import configs
 from agent.around import RunSummary
 from agent.config.cell import load_cell
+from agent.config.schema.cell import DriverKind
 from agent.config.servo_map import arm_map
 from agent.faults.virtual import Line
 from agent.modes import Mode
 from agent.process.agent import LOST_REMEDY, ArmLost
 from agent.process.build import Connection, build_standby, passed_on, servo_driver
+from agent.process.schedule import AgentOptions, schedule_of
 from drivers.dynamixel.driver import DynamixelDriver
 from drivers.dynamixel.pace import SHARE
 from drivers.dynamixel.standby import StandbyDriver
@@ -69,6 +72,19 @@ def test_the_driver_of_a_guard_is_as_patient_as_that_of_its_agent() -> None:
         assert isinstance(standby, StandbyDriver)
         assert standby.arm.line_patience_cycles == patience
         assert [one.values for one in standby.found] == [one.values for one in driver.found]
+
+
+def test_the_schedule_of_an_agent_is_that_of_its_cell_and_of_how_it_is_started() -> None:
+    """Half a second is borne of what is emulated or simulated, and 15 ms of a real arm."""
+    ready = load_cell(configs.CELLS_DIR / "two_wx200.toml", ["simulation.ready_s=1.5", "duration_s=3.0"])
+    sim, real = DriverKind.SIM, DriverKind.DYNAMIXEL
+    for driver, emulated, held in ((sim, False, 100), (real, True, 100), (real, False, 3)):
+        for hold, lockstep in ((True, False), (False, True)):
+            ring = Path("ring")
+            options = AgentOptions("left", driver, Connection(emulated=emulated), ring, None, lockstep, hold)
+            found = schedule_of(ready, options)
+            assert (found.period_ns, found.ticks, found.ready_ns) == (5_000_000, 600, 1_500_000_000)
+            assert (found.hold_at_end, found.lockstep, found.patience.hold) == (hold, lockstep, held)
 
 
 def ended(mode: Mode) -> RunSummary:

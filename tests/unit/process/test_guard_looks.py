@@ -184,6 +184,13 @@ def test_an_agent_that_leaves_is_let_go_and_answered(monkeypatch: pytest.MonkeyP
     assert (bench.agent.dead, bench.line.answers) == (True, [()])
 
 
+def test_an_agent_is_watched_once_it_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench, watched = Bench(monkeypatch), list[Said]()
+    bench.guard._watch = watched.append
+    bench.says(Word.WATCH, driver={})
+    assert [said.word for said in watched] == [Word.WATCH]
+
+
 def test_what_makes_no_sense_is_refused_and_nothing_ends(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(monkeypatch)
     for content in ({}, {"for_s": "soon"}, {"for_s": None}):
