@@ -60,6 +60,7 @@ TARGETS = (
     Target("agent.safety", (f"{UNIT}/test_safety.py",)),
     Target("agent.calibrate.poses", (f"{UNIT}/calibrate/test_poses.py",)),
     Target("agent.config.monitors", (f"{UNIT}/monitors/test_bounds.py",)),
+    Target("agent.config.noticing", (f"{UNIT}/config/test_noticing.py", f"{UNIT}/control/test_against.py")),
     Target("agent.config.statics", (f"{UNIT}/monitors/test_bounds.py",)),
     Target("agent.guard.takeover", tuple(f"{UNIT}/guard/{name}.py" for name in ("test_vigil", "test_go_on"))),
     Target("agent.guard.vigil", (f"{UNIT}/guard/test_vigil.py",)),

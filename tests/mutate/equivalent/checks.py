@@ -15,6 +15,7 @@ _LINEAR = "found: NDArray[np.bool_] = np.linalg.norm(P[:, _FORCE], axis=1) > 0.5
 _PARTS = "_FORCE, _MOMENT = (slice(0, 3), slice(3, 6))"
 _HELD = "block: NDArray[np.bool_] = np.arange(count) * BLOCKS // max(count, 1) % 4 == 2"
 _AHEAD = "if np.abs(ahead).max() > AHEAD_MAX_RAD:"
+_FLOORS = "FLOORS: Final = Channels(0.5, 0.05, 0.3, 0.03)"
 _BALLS = "bound, found = (self._balls(pairs) - slack, Nearest(math.inf, pairs[0], 0))"
 _AT_PLACES = "bound, found = (self._balls(pairs), Nearest(math.inf, pairs[0], 0))"
 _SHAPE = "geometry.addGeometryObject(pin.GeometryObject(str(i), 0, pin.SE3.Identity(), shape.geometry))"
@@ -40,6 +41,9 @@ CHECKS: Entries = {
             _AHEAD,
             _AHEAD.replace(">", ">="),
         ): "joints found are the same, from wherever they are sought",
+    },
+    "agent.config.noticing": {
+        ("", _FLOORS, _FLOORS.replace("0.05", "0.1")): "what seven arms or fewer feel of a touch is more",
     },
     "agent.verify.collision.way": {
         ("", "AT_FIRST: Final = 512", "AT_FIRST: Final = 1024"): _IN_ORDER,

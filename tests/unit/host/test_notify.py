@@ -54,6 +54,7 @@ def test_a_process_that_loads_is_watched_from_its_first_stroke_on(
     def every(microseconds: object) -> list[str]:
         return [f"WATCHDOG_USEC={microseconds}"] if interval else []
 
+    assert LOADING_US == 60_000_000, "a minute, in which the other arms must be there"
     notifier.loading("loads")
     assert heard() == ["READY=1", "STATUS=loads", *every(LOADING_US)]
     notifier.alive()
