@@ -62,6 +62,10 @@ TARGETS = (
     Target("agent.config.monitors", (f"{UNIT}/monitors/test_bounds.py",)),
     Target("agent.config.noticing", (f"{UNIT}/config/test_noticing.py", f"{UNIT}/control/test_against.py")),
     Target("agent.config.statics", (f"{UNIT}/monitors/test_bounds.py",)),
+    Target(
+        "agent.control.memory",
+        tuple(f"{UNIT}/{name}.py" for name in ("control/test_estimator", "test_hold", "telemetry/test_row")),
+    ),
     Target("agent.guard.takeover", tuple(f"{UNIT}/guard/{name}.py" for name in ("test_vigil", "test_go_on"))),
     Target("agent.guard.vigil", (f"{UNIT}/guard/test_vigil.py",)),
     Target("agent.modes", (f"{UNIT}/test_modes.py",)),
