@@ -58,6 +58,16 @@ _SOFT = tuple(f"{UNIT}/sim_backend/{name}.py" for name in ("test_soft", "test_pa
 
 TARGETS = (
     Target("agent.safety", (f"{UNIT}/test_safety.py",)),
+    Target("agent.calibrate.poses", (f"{UNIT}/calibrate/test_poses.py",)),
+    Target("agent.config.monitors", (f"{UNIT}/monitors/test_bounds.py",)),
+    Target("agent.config.noticing", (f"{UNIT}/config/test_noticing.py", f"{UNIT}/control/test_against.py")),
+    Target("agent.config.statics", (f"{UNIT}/monitors/test_bounds.py",)),
+    Target(
+        "agent.control.memory",
+        tuple(f"{UNIT}/{name}.py" for name in ("control/test_estimator", "test_hold", "telemetry/test_row")),
+    ),
+    Target("agent.guard.takeover", tuple(f"{UNIT}/guard/{name}.py" for name in ("test_vigil", "test_go_on"))),
+    Target("agent.guard.vigil", (f"{UNIT}/guard/test_vigil.py",)),
     Target("agent.modes", (f"{UNIT}/test_modes.py",)),
     Target("agent.loop", _STEP),
     Target("agent.standing", _STEP),
@@ -87,6 +97,7 @@ TARGETS = (
     Target("agent.view.motion", (f"{UNIT}/view/test_motion.py", *_VIEW, *_PAGE)),
     Target("agent.view.player", _PAGE),
     Target("agent.view.pose", _VIEW),
+    Target("agent.verify.collision.way", (f"{UNIT}/verify/test_way.py",)),
     Target("agent.verify.criterion.exponential", (f"{_CRITERION}/test_exponential.py",)),
     Target("agent.verify.criterion.power", (f"{_CRITERION}/test_power.py",)),
     Target("agent.verify.disagreement", (f"{UNIT}/verify/test_disagreement.py",)),

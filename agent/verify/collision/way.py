@@ -122,7 +122,8 @@ class Way:
 
     def first(self, pairs: Sequence[Pair]) -> list[float]:
         """The distances of these pairs at the first place."""
-        return [] if not pairs else Way(self.shapes, self.R[:1], self.p[:1]).distances(pairs)[0].tolist()
+        found: list[float] = Way(self.shapes, self.R[:1], self.p[:1]).distances(pairs)[0].tolist()
+        return found
 
     @functools.cached_property
     def _moved(self) -> Matrix:
@@ -134,7 +135,7 @@ class Way:
     @functools.cached_property
     def _steps(self) -> Matrix:
         """(K - 1, S) how far a point of each shape moves at most, from each place to the next."""
-        radii = np.array([0.0 if shape.owner == TABLE else shape.radius for shape in self.shapes])
+        radii = np.array([shape.radius for shape in self.shapes])  # the table's, which does not turn, does not count
         angle = 0.5 * math.pi * np.linalg.norm(np.diff(self.R, axis=0), axis=(2, 3))  # no less than the angle
         steps: Matrix = np.linalg.norm(np.diff(self.p, axis=0), axis=2) + angle * radii
         return steps

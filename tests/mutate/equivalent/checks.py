@@ -1,4 +1,4 @@
-"""Of what is worked out before a run, and of what touches an arm in a rehearsal."""
+"""Of what is worked out before a run, of the eye that a guard has on its agent, and of what touches an arm."""
 
 from __future__ import annotations
 
@@ -13,11 +13,59 @@ _GIVEN = "return np.concatenate([-S @ off, errors.wrench], axis=1)"
 _ENDS = "ends = np.cumsum([0, *(g.shape[1] for g in given)])"
 _LINEAR = "found: NDArray[np.bool_] = np.linalg.norm(P[:, _FORCE], axis=1) > 0.5"
 _PARTS = "_FORCE, _MOMENT = (slice(0, 3), slice(3, 6))"
+_HELD = "block: NDArray[np.bool_] = np.arange(count) * BLOCKS // max(count, 1) % 4 == 2"
+_AHEAD = "if np.abs(ahead).max() > AHEAD_MAX_RAD:"
+_FLOORS = "FLOORS: Final = Channels(0.5, 0.05, 0.3, 0.03)"
+_BALLS = "bound, found = (self._balls(pairs) - slack, Nearest(math.inf, pairs[0], 0))"
+_AT_PLACES = "bound, found = (self._balls(pairs), Nearest(math.inf, pairs[0], 0))"
+_SHAPE = "geometry.addGeometryObject(pin.GeometryObject(str(i), 0, pin.SE3.Identity(), shape.geometry))"
+_AT_FIRST = "found: list[float] = Way(self.shapes, self.R[:1], self.p[:1]).distances(pairs)[0].tolist()"
+_STEP = "step = np.pad(self._steps, ((1, 1), (0, 0)))"
+_AS_NEAR = "if bound[place, k] >= found.distance_m:"
+_LOWER = "if low < found.distance_m:"
+_ANY_IS_NEARER = "the first distance takes its place"
+_FIRST_STAYS = "of two that are as near the first one stays"
+_IN_ORDER = "how many are put in order first changes the time it takes"
+_FIRST_LOOK = "the first look sets it"
 _NO_SIGN = "an error may have either sign, and the sizes of columns are given"
 _A_TOUCH_SETS_IT = "a touch sets it as it begins, and nothing asks for it before"
 _NOTHING_MORE = "where rounding alone is as large as one nothing is proved any more"
 
 CHECKS: Entries = {
+    "agent.calibrate.poses": {
+        ("held_out", _HELD, _HELD.replace("max(count, 1)", "max(count, 2)")): "one pose is in the first block",
+    },
+    "agent.config.monitors": {
+        (
+            "_speeds_of_motion",
+            _AHEAD,
+            _AHEAD.replace(">", ">="),
+        ): "joints found are the same, from wherever they are sought",
+    },
+    "agent.config.noticing": {
+        ("", _FLOORS, _FLOORS.replace("0.05", "0.1")): "what seven arms or fewer feel of a touch is more",
+    },
+    "agent.verify.collision.way": {
+        ("", "AT_FIRST: Final = 512", "AT_FIRST: Final = 1024"): _IN_ORDER,
+        ("", "AT_FIRST: Final = 512", "AT_FIRST: Final = 256"): _IN_ORDER,
+        ("Way.nearest", _BALLS, _BALLS.replace("0))", "1))")): _ANY_IS_NEARER,
+        ("Way.least", _AT_PLACES, _AT_PLACES.replace("0))", "1))")): _ANY_IS_NEARER,
+        ("Way.nearest", _AS_NEAR, _AS_NEAR.replace(">=", ">")): _FIRST_STAYS,
+        ("Way.least", _AS_NEAR, _AS_NEAR.replace(">=", ">")): _FIRST_STAYS,
+        ("Way.nearest", _LOWER, "if True:"): "what the other bound raises is no nearer than the nearest either",
+        ("Way.nearest", _LOWER, _LOWER.replace("<", "<=")): _FIRST_STAYS,
+        ("Way.distances", _SHAPE, _SHAPE.replace("0", "1")): "its place is given for each place of the way",
+        ("Way.first", _AT_FIRST, _AT_FIRST.replace("R[:1]", "R[:2]")): "places count by their centres",
+        ("Way._moved", _STEP, _STEP.replace("(0, 0)", "(0, 1)")): "no pair names a shape behind the last",
+        ("Way._travel", "if pair not in self._travels:", "if True:"): "the same is worked out again",
+    },
+    "agent.guard.vigil": {
+        ("Vigil", "first_ns: int = 0", "first_ns: int = 1"): "no stale_ns is as short",
+        ("Vigil", "count: int = -1", "count: int = -2"): "no count is below zero",
+        ("Vigil", "still_ns: int = 0", "still_ns: int = 1"): _FIRST_LOOK,
+        ("Vigil", "looked_ns: int = 0", "looked_ns: int = 1"): _FIRST_LOOK,
+        ("Vigil", "excused_until_ns: int = 0", "excused_until_ns: int = 1"): "no host looks in its first nanosecond",
+    },
     "agent.verify.criterion.exponential": {
         ("", "TERMS: Final = 5", "TERMS: Final = 6"): "four terms more, all below rounding",
         ("exponential", _NORM, _NORM.replace("-2", "-1", 1)): "any norm of a matrix bounds what the polynomial lacks",

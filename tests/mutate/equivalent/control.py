@@ -14,6 +14,7 @@ _BOTH = "who learns has an estimate; said for the type checker"
 _NONE = "a function without a result returns None"
 _TABLE = "_FLAGS = tuple(map(Flag, range((_NOT_FINITE | _SATURATED | _RATE_LIMITED) + 1)))"
 
+_HOLD = "hold = tuple(tail[:7]) if any(tail[3:7]) else None"
 _FLAGGED = "found = self._reason or f'{outcome.flags.name} {explained(self._agent, outcome)}'.rstrip()"
 
 CONTROL: Entries = {
@@ -33,6 +34,9 @@ CONTROL: Entries = {
         ("_of_object", _LEARNS, _LEARNS.replace("estimate is None", "False")): _BOTH,
         ("step", _BRAKES, _BRAKES.replace("if damped", "if True")): _WHILE_IT_BRAKES,
         ("step", _BRAKES, _BRAKES.replace("0.0", "1.0")): _WHILE_IT_BRAKES,
+    },
+    "agent.control.memory": {
+        ("restore", _HOLD, _HOLD.replace("[3:7]", "[2:7]")): "no pose without a quaternion has a height",
     },
     "agent.standing": {
         (

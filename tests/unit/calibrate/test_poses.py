@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from agent.calibrate.chain import CalibrateError
-from agent.calibrate.poses import LEAST, MOST, WINDOW_S, Poses, held_out, poses_of
+from agent.calibrate.poses import LEAST, MOST, WINDOW_S, Poses, _apart, _readings, _windows, held_out, poses_of
 from agent.config.cell import load_cell
 from agent.log.columns import Table
 from agent.modes import Mode
@@ -39,6 +39,7 @@ def test_angles_of_all_arms_are_of_one_time_though_their_rows_begin_apart() -> N
     found = poses(rows(), rows(late_s=1.37))
     np.testing.assert_allclose(found.q[0], found.q[1], atol=0.1 / RATE_HZ)
     assert found.q[0].shape == (len(found.t), 3)
+    np.testing.assert_array_equal(found.some(~found.held_out), [q[~found.held_out] for q in found.q])
     middle = 1.37 + found.t + 0.5 * WINDOW_S - 0.5 / RATE_HZ
     np.testing.assert_allclose(found.q[0][:, 0], 0.3 * np.sin(middle / 3.0), atol=2e-4)
     assert np.abs(np.diff(found.q[0][:, 0])).min() >= 0.01 - 1e-9
@@ -53,13 +54,44 @@ def test_stale_rows_and_modes_without_torque_give_no_pose() -> None:
     assert len(fewer.t) < 0.6 * len(whole.t)
 
 
+@pytest.mark.parametrize("mode", list(Mode))
+def test_an_arm_holds_the_object_in_these_modes_alone(mode: Mode) -> None:
+    holds = mode in (Mode.READY, Mode.TRACK, Mode.HOLD, Mode.FLOAT, Mode.STAND)
+    one = rows(6.0)
+    one["mode"] = mode
+    times, _ = _readings([Table.of(one)], 3)
+    assert len(times) == (len(one) if holds else 0)
+
+
+def test_an_arm_that_never_held_the_object_gives_no_pose() -> None:
+    idle = rows()
+    idle["mode"] = Mode.OFF
+    for arms in ((idle, rows()), (rows(), idle), (idle, idle)):
+        with pytest.raises(CalibrateError, match="found 0, in which all arms hold"):
+            poses(*arms)
+
+
+def test_a_window_counts_from_three_readings_on_in_which_no_joint_turns_by_more_than_a_twentieth() -> None:
+    ms, turned = 1_000_000, {0: [0.0] * 3, 1: [0.0] * 2, 2: [0.0, 0.02, 0.05], 3: [0.0, 0.02, 0.051]}
+    since = [(100 * window + 20 * k) * ms for window, q in turned.items() for k in range(len(q))]
+    q = np.array([[0.0, x] for of in turned.values() for x in of])
+    numbers, means = _windows(np.array(since), q)
+    assert numbers.tolist() == [0, 2]
+    np.testing.assert_allclose(means, [[0.0, 0.0], [0.0, 0.07 / 3]])
+
+
+def test_poses_lie_a_hundredth_apart_and_are_four_hundred_at_most() -> None:
+    assert _apart(np.array([[0.0], [0.009], [0.01], [0.0199], [0.021], [0.0]])).tolist() == [0, 2, 4, 5]
+    assert [len(_apart(np.arange(float(count))[:, None])) for count in (400, 401, 800, 801)] == [400, 201, 400, 267]
+
+
 def test_fast_motion_gives_no_pose() -> None:
     with pytest.raises(CalibrateError, match="slowly"):
         poses(rows(rate_rad_per_s=5.0)[:1000], rows(rate_rad_per_s=5.0)[:1000])
 
 
 def test_an_arm_that_stands_is_no_motion() -> None:
-    with pytest.raises(CalibrateError, match=f"at least {LEAST}"):
+    with pytest.raises(CalibrateError, match=r"at least 24, 0\.01 rad apart"):
         poses(rows(rate_rad_per_s=0.0), rows(rate_rad_per_s=0.0))
 
 
@@ -84,6 +116,18 @@ def test_arms_of_two_hosts_and_of_two_days_are_put_together() -> None:
         poses_of([{"left": left}, {"right": Table.of(later)}], CELL)
 
 
+def test_as_few_as_can_be_fitted_are_enough() -> None:
+    def steps(count: int) -> NDArray[np.void]:
+        made = rows(count * WINDOW_S)
+        made["q_measured"][:, 0] = 0.02 * (np.arange(len(made)) // round(RATE_HZ * WINDOW_S))
+        made["q_measured"][:, 1:] = 0.0
+        return made
+
+    assert len(poses(steps(LEAST), steps(LEAST)).t) == LEAST
+    with pytest.raises(CalibrateError, match=f"found {LEAST - 1}"):
+        poses(steps(LEAST - 1), steps(LEAST - 1))
+
+
 def test_a_long_log_gives_no_more_than_can_be_fitted() -> None:
     assert LEAST <= len(poses(rows(120.0), rows(120.0)).t) <= MOST
 
@@ -92,5 +136,5 @@ def test_a_quarter_of_the_poses_is_held_out_in_blocks() -> None:
     held = held_out(160)
     assert held.mean() == pytest.approx(0.25)
     assert (np.diff(held.astype(int)) != 0).sum() == 8
-    assert not held[0]
+    assert np.flatnonzero(held_out(16)).tolist() == [2, 6, 10, 14]
     assert math.isclose(held_out(24).mean(), 0.25, abs_tol=0.1)

@@ -80,6 +80,17 @@ def test_the_shipped_cells_adapt_within_the_recommended_gains() -> None:
         assert all(f.verdict is Verdict.OK for f in report.findings if f.what in ("gamma", "gamma_object"))
 
 
+def test_an_arm_learns_and_forgets_as_fast_as_its_cell_says() -> None:
+    rates = ("gamma=0.5", "gamma_object=3.0", "leak_per_s=2.5")
+    cell = cell_of("paper_adaptive", *(f"controller.adaptive.{rate}" for rate in rates))
+    learns = cell.offline(cell.arms[0]).adaptation
+    assert learns is not None
+    factors, of_object = cell.file.controller.adaptive.factor, cell.file.controller.adaptive.factor_object
+    assert learns.leak_per_s == 2.5
+    assert learns.gain.arm[0] == pytest.approx(0.5 * factors.mass)
+    assert learns.gain.object[0] == pytest.approx(3.0 * of_object.mass)
+
+
 @pytest.mark.parametrize("key", ["gamma", "gamma_object"])
 def test_a_gain_above_the_stable_bound_is_warned_of_with_the_bound(key: str) -> None:
     found = finding(cell_of("paper", KIND, f"controller.adaptive.{key}=50.0"), key)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -107,6 +108,12 @@ def test_the_simulated_delay_may_differ_and_only_the_plant_takes_it() -> None:
     assert {arm.actuator.delay_s for arm in plant_spec(cell, examine(cell).q_start).arms} == {0.0123}
     own = load_cell(PAPER, ["loop_delay_s=0.001"])
     assert {arm.actuator.delay_s for arm in plant_spec(own, examine(own).q_start).arms} == {0.001}
+
+
+def test_a_cell_is_planar_where_every_arm_is() -> None:
+    flat, spatial = (load_cell(configs.CELLS_DIR / f"{name}.toml") for name in ("two_wx200", "three_wx250s"))
+    assert (flat.planar, spatial.planar) == (True, False)
+    assert not replace(flat, arms=(flat.arms[0], spatial.arms[0])).planar
 
 
 def test_text_that_is_not_toml_is_refused_with_the_line() -> None:

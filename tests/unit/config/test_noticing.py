@@ -9,7 +9,7 @@ import pytest
 
 from agent.config import coordination, noticing
 from agent.config.cell import Cell, ConfigError, load_cell
-from agent.config.friction import at_rest_Nm, lifting_Nm
+from agent.config.friction import at_rest_Nm, joint_friction, lifting_Nm
 from agent.config.noticing import derived, thresholds
 from agent.control.residual import Channels
 from agent.verify.noticing import noticed, rested
@@ -78,7 +78,74 @@ def test_friction_that_sticks_and_grows_with_the_load_counts_as_it_is_at_rest(tm
     assert at_rest_Nm(shoulder, held_Nm) == pytest.approx(wanted)
     assert lifting_Nm(shoulder, held_Nm) == pytest.approx(wanted / (1.0 - 0.469))
     as_shipped = cell().arms[0].servos[0]
+    none = joint_friction(as_shipped)
+    assert (none.stribeck_rad_per_s, none.stribeck_exponent) == (1.0, 1.0), "which say nothing without breakaway"
     assert at_rest_Nm(as_shipped, held_Nm) == lifting_Nm(as_shipped, held_Nm) == as_shipped.coulomb_Nm.value
+
+
+def test_friction_that_grows_with_the_load_is_that_of_arm_and_object_together(tmp_path: Path) -> None:
+    heavy = with_figures(cell("two_wx200", "object.mass_kg=0.4"), tmp_path, pressed_on)
+    known = noticing._known(heavy, heavy.arms[1])
+    at = noticing._places(known)[4]
+    held = at.k.g + at.k.Jt[:, :3] @ np.array([0.0, 0.0, 0.5 * 0.4 * 9.81])
+    friction = [at_rest_Nm(s, tau) for s, tau in zip(known.arm.servos, held.tolist(), strict=True)]
+    low, high = heavy.tolerance.friction
+    wanted = np.linalg.inv(at.k.J).T * (max(high - 1.0, 1.0 - low) * np.array(friction))
+    np.testing.assert_allclose(noticing._friction(known, at), known.model.task_basis.T @ wanted, atol=1e-12)
+
+
+def test_errors_of_base_and_grasp_shift_the_object_as_a_turn_and_a_slip_do() -> None:
+    """Columns of the three turns about the base's origin, and of slips along the object's axes."""
+    three = cell("three_wx250s")
+    arm = three.arms[1]
+    known = noticing._known(three, arm)
+    at = noticing._places(known)[4]
+    R = np.reshape(at.k.R_world_object, (3, 3))
+    reach = np.array(at.k.p_object) - arm.T_world_base.translation
+    turns = [three.tolerance.base_rad * np.cross(axis, reach) for axis in np.eye(3)]
+    slips = [three.tolerance.grasp_m * R[:, axis] for axis in range(3)]
+    wanted = [known.S @ known.model.task_basis[:, :3] @ shift / np.sqrt(3.0) for shift in (*turns, *slips)]
+    torques = 1 + arm.n
+    np.testing.assert_allclose(noticing._errors(known, at)[:, torques : torques + 6].T, wanted, atol=1e-12)
+    assert np.abs(reach).min() > 0.01
+
+
+def test_sizes_are_those_of_twelve_places_of_the_run_against_the_first() -> None:
+    short = cell("three_wx250s", "duration_s=3.0")
+    arm = short.arms[0]
+    known = noticing._known(short, arm)
+    gains, half = known.offline.gains, np.array([1.0, 1.0, 1.0, 0.5, 0.5, 0.5])
+    feedback = np.array([*gains.k_p, *gains.k_eps]) * half
+    np.testing.assert_allclose(known.S, np.diag(np.array(gains.k_v) * feedback + known.offline.load_share * half))
+    np.testing.assert_allclose(known.KH, np.diag(feedback))
+    places = noticing._places(known)
+    desired = [short.trajectory().at(t) for t in np.arange(12) * 0.25]
+    np.testing.assert_allclose([at.k.p_object for at in places], [d.p for d in desired], atol=1e-7)
+    np.testing.assert_allclose([at.v for at in places], [d.v for d in desired], atol=1e-12)
+    errors = [noticing._errors(known, at) for at in places]
+    changes = [
+        np.column_stack([e - errors[0], known.S @ (short.tolerance.skew_s * at.v)])
+        for e, at in zip(errors, places, strict=True)
+    ]
+    wanted = [
+        [max(np.linalg.norm(columns[rows]) for columns in of) for rows in (slice(3), slice(3, 6))]
+        for of in (
+            [noticing._friction(known, at) for at in places],
+            [noticing._noise(known, at) for at in places],
+            changes,
+        )
+    ]
+    np.testing.assert_allclose(noticing._sizes(short, arm), wanted)
+
+
+def test_without_an_observer_all_of_an_encoders_step_comes_through() -> None:
+    direct, usual = cell("paper_real", 'controller.velocity="servo"'), cell("paper_real")
+    noise = []
+    for one in (direct, usual):
+        known = noticing._known(one, one.arms[0])
+        noise.append(noticing._noise(known, noticing._places(known)[0]))
+    gain = usual.file.controller.observer.position_gain
+    np.testing.assert_allclose(noise[0] * max(0.2, gain), noise[1])
 
 
 def test_what_does_not_change_along_the_motion_is_usual() -> None:
@@ -93,11 +160,12 @@ def test_an_observer_slower_than_those_of_the_studies_lowers_nothing() -> None:
     assert derived(cell("paper_real", "controller.observer.position_gain=0.4")).fast_Nm > usual.fast_Nm
 
 
-def test_the_floors_hold_where_nothing_is_uncertain() -> None:
+@pytest.mark.parametrize(("name", "fast"), [("paper_real", (1.75, 0.35)), ("four_wx250s", (0.875, 0.175))])
+def test_the_floors_hold_where_nothing_is_uncertain(name: str, fast: tuple[float, float]) -> None:
     exact = ("friction=[1.0, 1.0]", "masses=0.0", "torque_constant=0.0", "zeros_rad=0.0", "base_rad=0.0", "grasp_m=0.0")
     no_noise = ("safety.noticing.rate_per_s=0.01", "safety.noticing.slow_per_s=0.001")
     quiet = (*no_noise, "tolerance.skew_s=0.0", *(f"tolerance.{x}" for x in exact))
-    assert derived(cell("paper_real", *quiet)) == noticing.FLOORS._replace(fast_N=1.75, fast_Nm=0.35)
+    assert derived(cell(name, *quiet)) == Channels(*fast, 0.3, 0.03)
 
 
 def test_what_the_file_gives_counts_and_the_rest_is_derived() -> None:
@@ -122,6 +190,8 @@ def test_a_pose_out_of_reach_names_the_arm_and_the_way_out() -> None:
     far = cell("paper_real", "trajectory.p_amplitude_m=[0.5, 0.0, 0.0]")
     with pytest.raises(ConfigError, match=r"arm left at t = .*give fast_N"):
         derived(far)
+    typed = tuple(f"safety.noticing.{x}" for x in TYPED)
+    assert thresholds(cell("paper_real", "trajectory.p_amplitude_m=[0.5, 0.0, 0.0]", *typed)).fast_N == 3.0
     (finding,) = noticed(far)
     assert finding.verdict == "refused"
 

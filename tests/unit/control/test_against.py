@@ -114,6 +114,8 @@ def test_two_arms_have_it_only_where_it_is_asked_for_and_more_arms_derive_it() -
     assert against(load_cell(Path("two_wx200"))) is None
     given = against(load_cell(Path("two_wx200"), ["safety.noticing.against_N=0.9"]))
     assert given == Against(PERIOD, 0.9, math.inf, DOWN)
+    climbs = against(load_cell(Path("two_wx200"), ["safety.noticing.climb_N=0.2"]))
+    assert climbs == Against(PERIOD, math.inf, 0.2, DOWN)
     three, four = (against(load_cell(Path(f"{n}_wx250s"))) for n in ("three", "four"))
     assert three is not None
     assert four is not None
@@ -125,6 +127,8 @@ def test_two_arms_have_it_only_where_it_is_asked_for_and_more_arms_derive_it() -
     assert rough.climb_N > three.climb_N
     typed = against(load_cell(Path("three_wx250s"), ["safety.noticing.climb_N=0.3"]))
     assert typed == Against(PERIOD, 0.7, 0.3, DOWN)
+    typed = against(load_cell(Path("three_wx250s"), ["safety.noticing.against_N=0.9"]))
+    assert typed == Against(PERIOD, 0.9, 0.102, DOWN)
 
 
 def test_down_is_where_gravity_points() -> None:

@@ -136,7 +136,7 @@ def test_a_wrong_start_is_forgotten() -> None:
 
 def random_memory(seed: int, n: int, hold: bool) -> Memory:
     rng = np.random.default_rng(seed)
-    pose = (0.1, -0.2, 0.3, 0.5, -0.5, 0.5, -0.5) if hold else None
+    pose = (0.1, -0.2, 0.3, *((0.5, -0.5, 0.5, -0.5) if seed else (0.0, 0.0, 0.0, 1.0))) if hold else None
     sense = Sense(
         *rng.normal(size=(3, n)),
         *rng.normal(size=(3, 6)),
@@ -165,6 +165,14 @@ def test_memory_survives_the_log(seed: int, n: int, hold: bool) -> None:
     for name in ("primed", "hold", "shift", "calm", "missed"):
         assert getattr(found, name) == getattr(memory, name)
     assert np.array_equal(restore(np.array(found.flatten()), n).flatten(), flat)
+
+
+def test_one_number_of_every_log_says_how_a_hold_is_kept_and_what_it_missed() -> None:
+    memory = random_memory(1, 3, hold=True)._replace(calm=102, missed=20)
+    assert memory.calm_and_missed == 102 + 20 * 1024
+    assert memory.flatten()[85] == memory.calm_and_missed
+    begun = initial(3)
+    assert (begun.t, begun.age, begun.calm, begun.missed) == (0.0, 0.0, 0, 0)
 
 
 def test_memory_and_log_agree_on_the_room_per_joint_array() -> None:

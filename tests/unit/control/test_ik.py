@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
 
 from agent.control import ik
+from agent.control.models import ArmModel
+from drivers.interface import Vector
 from tests.support.control.strategies import Holder, make_cell
 
 SEEDS = range(12)
@@ -42,6 +45,23 @@ def test_the_start_is_left_as_it_is() -> None:
     kept = near.copy()
     ik.solve(arm.model, arm.model.object_pose(arm.q), near)
     assert np.array_equal(near, kept)
+
+
+def test_no_joint_is_turned_by_more_than_a_third_of_a_radian_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """So that the solution found is the one of the side on which it was looked for."""
+    arm, tried = holder(3, True), list[np.ndarray]()
+    at = ArmModel.pose_and_jacobian
+
+    def seen(model: ArmModel, q: Vector) -> Any:
+        tried.append(q.copy())
+        return at(model, q)
+
+    wanted = arm.model.object_pose(arm.q)
+    monkeypatch.setattr(ArmModel, "pose_and_jacobian", seen)
+    ik.solve(arm.model, wanted, arm.q + 0.8)
+    steps = np.abs(np.diff(tried, axis=0)).max(axis=1)
+    assert steps.max() == pytest.approx(0.3), "where the goal is far"
+    assert (steps[-2:] < 0.01).all()
 
 
 def test_both_elbow_solutions_are_found_from_their_own_side() -> None:

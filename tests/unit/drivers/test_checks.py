@@ -69,10 +69,11 @@ def test_a_line_that_stalls_as_a_whole_is_borne_where_that_is_asked_for_and_one_
         assert silent(check, False, False) == []
     assert all(silent(check, True, True) == [] for _ in range(27))
     assert len(silent(check, True, True)) == 2
-    check = SilenceCheck((WAIST, SHOULDER), line_patience=20)
-    assert all(silent(check, True, True) == [] for _ in range(20))
-    assert all(silent(check, False, True) == [] for _ in range(7))
-    assert len(silent(check, False, True)) == 1
+    for stalled in (20, 0):
+        check = SilenceCheck((WAIST, SHOULDER), line_patience=20)
+        assert all(silent(check, True, True) == [] for _ in range(stalled))
+        assert all(silent(check, False, True) == [] for _ in range(7))
+        assert len(silent(check, False, True)) == 1
 
 
 def test_an_arm_that_answers_has_no_fault() -> None:

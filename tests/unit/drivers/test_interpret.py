@@ -105,6 +105,14 @@ def test_a_joint_that_jumps_keeps_its_last_speed_and_does_not_hide_the_joints_af
     assert np.isfinite(reading.state.q[1:]).all()
 
 
+def test_an_arm_whose_whole_line_may_stall_is_borne_for_that_long() -> None:
+    whole, alone = [None] * 7, rows(s4=None)
+    for patience, cycle, borne in ((20, whole, 27), (0, whole, 7), (20, alone, 7)):
+        bench = Bench(replace(WX200, line_patience_cycles=patience))
+        assert not any(bench.read(cycle).faults for _ in range(borne))
+        assert bench.read(cycle).faults
+
+
 def test_a_servo_that_stays_silent_is_a_fault_with_what_came_instead() -> None:
     for late, damaged, cause in ((False, False, "SILENT"), (True, False, "OUTDATED"), (False, True, "GARBLED")):
         bench = Bench()

@@ -21,6 +21,11 @@ def test_an_agent_whose_count_stands_still_is_stale_after_the_time_and_not_befor
     assert found == [False] * 10 + [True] * 2
 
 
+def test_the_first_look_finds_nobody_hanging_whatever_the_count() -> None:
+    for count in range(3):
+        assert looks(vigil(), *[(1000 + 2 * k, count) for k in range(11)]) == [False] * 10 + [True]
+
+
 def test_every_row_counts_from_the_beginning_again() -> None:
     found = looks(vigil(), *[(1000 + 2 * k, 7 + (k >= 9)) for k in range(19)])
     assert found == [False] * 19
@@ -37,7 +42,7 @@ def test_an_agent_that_said_it_is_busy_is_given_that_time() -> None:
     looks(watch, (1000, 7))
     watch.excuse(1100 * MS)
     assert not any(looks(watch, *[(1002 + 2 * k, 7) for k in range(49)]))
-    assert looks(watch, *[(1100 + 2 * k, 7) for k in range(11)])[-1]
+    assert looks(watch, *[(1100 + 2 * k, 7) for k in range(10)]) == [False] * 9 + [True]
 
 
 def test_an_agent_is_given_more_time_for_its_first_row_and_none_of_it_afterwards() -> None:

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -54,6 +55,7 @@ def test_a_process_that_loads_is_watched_from_its_first_stroke_on(
     def every(microseconds: object) -> list[str]:
         return [f"WATCHDOG_USEC={microseconds}"] if interval else []
 
+    assert LOADING_US == 60_000_000, "a minute, in which the other arms must be there"
     notifier.loading("loads")
     assert heard() == ["READY=1", "STATUS=loads", *every(LOADING_US)]
     notifier.alive()
@@ -67,6 +69,68 @@ def test_a_process_that_loads_is_watched_from_its_first_stroke_on(
     notifier.alive()
     assert heard() == ["WATCHDOG=1"]
     notifier.close()
+
+
+def test_a_process_that_does_not_load_strokes_and_says_nothing_of_its_interval(
+    manager: socket.socket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("WATCHDOG_USEC", "500000")
+    monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
+    notifier = Notifier()
+    notifier.alive()
+    assert manager.recv(1000) == b"WATCHDOG=1"
+    notifier.close()
+
+
+def test_a_manager_that_does_not_read_holds_nobody_up(manager: socket.socket, tmp_path: Path) -> None:
+    notifier: Any = Notifier(str(tmp_path / "notify"))
+    assert not notifier._socket.getblocking()
+    for _ in range(2000):  # more than the line takes
+        notifier.alive()
+    assert manager.recv(1000) == b"WATCHDOG=1"
+    notifier.close()
+
+
+def test_a_manager_may_have_a_name_without_a_file() -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as end:
+        end.bind(f"\0coop-test-{os.getpid()}")
+        end.settimeout(5.0)
+        notifier = Notifier(f"@coop-test-{os.getpid()}")
+        notifier.stopping("torque off")
+        assert end.recv(1000) == b"STOPPING=1\nSTATUS=torque off"
+        notifier.close()
+
+
+def test_without_a_manager_nothing_is_said() -> None:
+    notifier = Notifier("")
+    notifier.alive()
+    notifier.loading("x")
+    notifier.ready("x")
+    notifier.close()
+
+
+@pytest.mark.parametrize(
+    ("told", "found"),
+    [
+        ({"LISTEN_FDS": "2", "LISTEN_FDNAMES": "port:other"}, {"port": 900, "other": 901}),
+        ({"LISTEN_FDS": "1", "LISTEN_FDNAMES": "port:other"}, {"port": 900}),
+        ({"LISTEN_FDS": "two", "LISTEN_FDNAMES": "port"}, {}),
+        ({"LISTEN_FDS": "2", "LISTEN_FDNAMES": "port:other", "LISTEN_PID": "1"}, {}),
+    ],
+)
+def test_what_a_manager_kept_is_for_the_process_it_was_given_to(
+    told: dict[str, str], found: dict[str, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("agent.host.notify.FIRST_FD", 900)
+    ends = os.pipe()
+    for fd, end in zip((900, 901), ends, strict=True):
+        os.dup2(end, fd)
+    environment = {"LISTEN_PID": str(os.getpid()), **told}
+    assert stored_fds(environment) == found
+    assert [os.get_inheritable(fd) for fd in found.values()] == [False] * len(found)
+    assert stored_fds(environment) == {}, "once"
+    for fd in (900, 901, *ends):
+        os.close(fd)
 
 
 def test_kept_descriptors_are_found_by_name_once() -> None:

@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import configs
+from agent.config import monitors
 from agent.config.cell import Cell, load_cell
-from agent.config.monitors import FLOORS, bounds
+from agent.config.friction import lifting_Nm
+from agent.config.monitors import bounds
 from agent.config.reading import ConfigError
+from agent.control import ik
 from agent.monitors.bounds import Bounds, Name
 from drivers.dynamixel.servo.models import SERVOS
+from drivers.interface import Vector
+from tests.support.arm_files import pressed_on, with_figures
 from tests.support.control.level_wx200 import LEVEL
 
 
@@ -25,6 +32,7 @@ def of_left(*overrides: str) -> Bounds:
     return bounds(cell, cell.arm("left"))
 
 
+Q_NEAR = np.array(load("two_wx200").arm("left").entry.q_near_rad)
 STILL = ("trajectory.p_amplitude_m=[0.0, 0.0, 0.0]", "trajectory.angle_rad=0.0")
 
 
@@ -49,8 +57,75 @@ def test_a_motion_may_be_twice_as_fast_and_no_faster_than_servos_are() -> None:
     assert of_left("trajectory.period_s=0.3").speed_rad_per_s == pytest.approx([top] * 3)
 
 
-def test_a_motion_out_of_reach_is_for_the_check_to_refuse() -> None:
-    assert min(of_left("trajectory.p_amplitude_m=[0.5, 0.0, 0.0]").speed_rad_per_s) > 0.0
+class Sought:
+    """Poses of the motion that joints were looked for, from where on, and what was found."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, *overrides: str) -> None:
+        self.cell = load("two_wx200", *overrides)
+        self.places: list[Vector] = []
+        self.near: list[Vector] = []
+        self.found: list[Vector] = []
+        solve = ik.solve
+
+        def seen(model: Any, T_world_object: Any, q_near: Vector) -> Vector:
+            self.places.append(T_world_object.translation.copy())
+            self.near.append(q_near.copy())
+            self.found.append(solve(model, T_world_object, q_near))
+            return self.found[-1]
+
+        monkeypatch.setattr(ik, "solve", seen)
+        self.fastest = monitors._speeds_of_motion(self.cell, self.cell.arms[0])
+
+    def speeds(self, times: Vector) -> Vector:
+        """(k, n) rad/s at the joints found."""
+        model, at = self.cell.model(self.cell.arms[0]), self.cell.trajectory().at
+        twists = [model.task_basis @ np.array(at(t).v) for t in times.tolist()[: len(self.found)]]
+        return np.array([np.linalg.solve(model.jacobian(q), v) for q, v in zip(self.found, twists, strict=True)])
+
+
+@pytest.mark.parametrize(("samples", "period_s", "leads"), [(100, 15.0, 99), (12, 3.0, 7)])
+def test_speeds_are_those_at_the_joints_of_the_motion_each_looked_for_ahead_of_the_last(
+    monkeypatch: pytest.MonkeyPatch, samples: int, period_s: float, leads: int
+) -> None:
+    """Ahead by what the last speed makes of the time between, unless that is far: some of 12 steps are."""
+    if samples != 100:
+        monkeypatch.setattr(monitors, "SAMPLES", samples)
+    sought = Sought(monkeypatch, "duration_s=3.0", f"trajectory.period_s={period_s}")
+    times = np.linspace(0.0, 3.0, samples)
+    np.testing.assert_allclose(sought.places, [sought.cell.trajectory().at(t).p for t in times], atol=1e-12)
+    speeds = sought.speeds(times)
+    np.testing.assert_allclose(sought.fastest, np.abs(speeds).max(axis=0), rtol=1e-9)
+    steps = speeds[:-1] * times[1]
+    far = np.abs(steps).max(axis=1) > 0.1
+    led = np.array(sought.near[1:]) - np.array(sought.found[:-1])
+    np.testing.assert_allclose(led, np.where(far[:, None], 0.0, steps), atol=1e-12)
+    assert (~far).sum() == leads
+    if samples == 100:
+        usual = 0.2 * SERVOS["XM430-W350"].no_load_rad_per_s
+        assert of_left("duration_s=3.0").speed_rad_per_s == pytest.approx(usual + 2.0 * sought.fastest)
+
+
+def test_an_arm_alone_may_be_as_fast_as_its_session_says_and_lie_as_it_rests() -> None:
+    no_load = SERVOS["XM430-W350"].no_load_rad_per_s
+    without = of_left(*STILL)
+    assert without.speed_alone_rad_per_s == pytest.approx([0.2 * no_load + 0.6] * 3), "as a session is by itself"
+    assert without.position_alone_rad == without.position_rad
+    quick = of_left("session.speed_max_rad_per_s=1.5", "session.off_max_rad=0.31")
+    assert quick.speed_alone_rad_per_s == pytest.approx([0.2 * no_load + 1.5] * 3)
+    assert of_left("session.speed_max_rad_per_s=2.0", "safety.monitors.speed_share=0.8").speed_alone_rad_per_s == (
+        pytest.approx([0.85 * no_load] * 3)
+    )
+    rest = [load("two_wx200").arm("left").file.sleep_rad[joint] for joint in quick.joints]
+    wanted = [(min(a, r - 0.31), max(b, r + 0.31)) for (a, b), r in zip(quick.position_rad, rest, strict=True)]
+    np.testing.assert_allclose(quick.position_alone_rad, wanted)
+    wider = np.array(quick.position_alone_rad) != np.array(quick.position_rad)
+    assert wider.any(axis=0).all(), "below and above"
+
+
+def test_a_motion_out_of_reach_is_for_the_check_to_refuse(monkeypatch: pytest.MonkeyPatch) -> None:
+    sought = Sought(monkeypatch, "trajectory.p_amplitude_m=[0.5, 0.0, 0.0]")
+    assert len(sought.places) == len(sought.found) + 1 < 100, "nothing is looked for behind it"
+    assert (sought.fastest > 0.0).all()
 
 
 def test_the_box_is_around_motion_and_start_or_as_given() -> None:
@@ -58,6 +133,10 @@ def test_the_box_is_around_motion_and_start_or_as_given() -> None:
     assert (x0, x1) == pytest.approx((0.12, 0.42), abs=1e-3)
     assert (y0, y1, z0, z1) == pytest.approx((-0.1, 0.1, 0.15, 0.35))
     assert of_left(*STILL, "object.p_start_m=[0.255, 0.0, 0.25]").workspace_m[0] == pytest.approx((0.155, 0.37))
+    short = ("trajectory.period_s=1.2", "duration_s=0.9")
+    at = load("two_wx200", *short).trajectory().at
+    along = [0.27, *(at(t).p[0] for t in np.linspace(0.0, 0.9, 100))]
+    assert of_left(*short).workspace_m[0] == pytest.approx((min(along) - 0.1, max(along) + 0.1), abs=1e-12)
     given = "safety.monitors.workspace_m=[[0.1, 0.7], [-0.2, 0.2], [0.0, 0.5]]"
     assert of_left(given).workspace_m == ((0.1, 0.7), (-0.2, 0.2), (0.0, 0.5))
     with pytest.raises(ConfigError, match="low to high"):
@@ -100,12 +179,31 @@ def test_weight_at_rest_may_be_off_by_what_the_tolerance_allows() -> None:
     assert of_left(*level, "tolerance.friction=[1.0, 3.0]").gravity[2] == pytest.approx(1.4 * 3.0 * friction, rel=0.02)
 
 
+def test_a_joint_that_is_pressed_on_may_stick_as_its_load_at_the_start_lets_it(tmp_path: Path) -> None:
+    """The object's part in that load is of its own sign."""
+    cell = with_figures(load("two_wx200", *EXACT, "object.mass_kg=0.4"), tmp_path, pressed_on)
+    arm = cell.arm("left")
+    k = cell.model(arm).evaluate(ik.solve(cell.model(arm), cell.T_world_object_start, Q_NEAR), np.zeros(3))
+    held = k.g + k.Jt[:, :3] @ np.array([0.0, 0.0, 0.5 * 0.4 * 9.81])
+    friction = np.array([lifting_Nm(s, tau) for s, tau in zip(arm.servos, held.tolist(), strict=True)])
+    unloaded = np.array([lifting_Nm(s, tau) for s, tau in zip(arm.servos, k.g.tolist(), strict=True)])
+    assert (np.abs(friction - unloaded) > 0.01).all()
+    found = bounds(cell, arm)
+    assert found.frozen_Nm == pytest.approx(3.0 * friction)
+    assert found.gravity[2] == pytest.approx(1.4 * np.linalg.norm(np.linalg.inv(k.J).T * friction, axis=1)[1])
+
+
 def test_it_has_floors_a_factor_and_more_room_for_an_arm_that_learns() -> None:
     usual = np.array(of_left().gravity)
-    assert usual[[1, 3, 5]] == pytest.approx(np.array(FLOORS)[[1, 3, 5]])  # out of the plane
+    assert usual[[1, 3, 5]] == pytest.approx([0.3, 0.03, 0.03])  # out of the plane
     assert of_left("safety.monitors.gravity_times=2.0").gravity == pytest.approx(2.0 * usual)
     learning = np.array(of_left("controller.kind=adaptive").gravity)
     assert learning[[0, 2, 4]] == pytest.approx(1.9 * usual[[0, 2, 4]])
+
+
+def test_the_floors_hold_where_nothing_is_uncertain(tmp_path: Path) -> None:
+    smooth = with_figures(load("two_wx200", *EXACT), tmp_path, lambda _: {"coulomb_Nm": 1e-6})
+    assert bounds(smooth, smooth.arms[0]).gravity == pytest.approx((0.3, 0.3, 0.3, 0.03, 0.03, 0.03))
 
 
 def test_a_start_out_of_reach_is_refused() -> None:

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 import configs
+from agent.around import RunSummary
 from agent.config.agent import build_agent
 from agent.config.cell import load_cell
 from agent.config.schema.cell import DriverKind
 from agent.config.servo_map import arm_map
 from agent.faults.virtual import Line
 from agent.host.signals import StopFlag
+from agent.modes import TABLE, Mode
 from agent.process import agent as process
 from agent.process.build import Connection
 from agent.process.schedule import AgentOptions
@@ -27,15 +30,29 @@ from tests.support.servos.dxl_rig import START, VirtualClock, VirtualPort, wirin
 SLOW_NS = 500_000_000  # longer than any watchdog of a cell
 
 
-def test_a_host_that_builds_the_law_slowly_trips_no_watchdog(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The real loop and driver on emulated servos, in virtual time."""
-    cell = load_cell(configs.CELLS_DIR / "two_wx200.toml")
-    arm = cell.arm("left")
-    servos = arm_map(cell, arm, "virtual", np.array([START[name] for name in arm.entry.controlled]))
+CELL = load_cell(configs.CELLS_DIR / "two_wx200.toml")
+
+
+def rig() -> tuple[EmulatedCell, VirtualClock, DynamixelDriver]:
+    arm = CELL.arm("left")
+    servos = arm_map(CELL, arm, "virtual", np.array([START[name] for name in arm.entry.controlled]))
     emulated = EmulatedCell([EmulatedArm(wiring(servos))], None, start_ns=10_000_000_000)
     injector = Injector(emulated.arms[0], None, seed=1)
     clock = VirtualClock(emulated, injector)
-    driver = DynamixelDriver(servos, clock, scan_s=0.05, port=VirtualPort(Line(emulated, 0, injector, clock), arm.baud))
+    port = VirtualPort(Line(emulated, 0, injector, clock), arm.baud)
+    return emulated, clock, DynamixelDriver(servos, clock, scan_s=0.05, port=port)
+
+
+def options(folder: Path, **more: Any) -> AgentOptions:
+    usual: dict[str, Any] = {"driver": DriverKind.DYNAMIXEL, "connection": Connection(emulated=True)}
+    return AgentOptions(
+        arm="left", ring=folder / "left.ring", control=None, lockstep=False, hold=False, **(usual | more)
+    )
+
+
+def test_a_host_that_builds_the_law_slowly_trips_no_watchdog(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The real loop and driver on emulated servos, in virtual time."""
+    emulated, clock, driver = rig()
     build = build_agent
 
     def slowly(*given: Any) -> Any:
@@ -50,16 +67,51 @@ def test_a_host_that_builds_the_law_slowly_trips_no_watchdog(tmp_path: Path, mon
 
     monkeypatch.setattr(process, "build_agent", slowly)
     monkeypatch.setattr(process, "build_driver", lambda *_: (driver, clock))
-    options = AgentOptions(
-        "left",
-        DriverKind.DYNAMIXEL,
-        Connection(emulated=True),
-        tmp_path / "left.ring",
-        None,
-        lockstep=False,
-        hold=False,
-    )
-    summary = process.run_agent(cell, options, stop, ready)
+    summary = process.run_agent(CELL, options(tmp_path), stop, ready)
     assert said[-1] == "torque=on"
     assert summary.ticks >= 1
     assert emulated.arms[0].bus.counters.watchdog_trips == 0
+
+
+class Notified:
+    """What a service manager is told."""
+
+    def __init__(self) -> None:
+        self.told: list[str] = []
+
+    def loading(self, status: str) -> None:
+        self.told.append(f"loading: {status}")
+
+    def ready(self, status: str) -> None:
+        self.told.append(f"ready: {status}")
+
+    def stopping(self, status: str) -> None:
+        self.told.append(f"stopping: {status}")
+
+    def alive(self) -> None: ...
+
+    def close(self) -> None: ...
+
+
+@pytest.mark.parametrize(
+    ("driver", "whole", "told", "remedy"),
+    [
+        (DriverKind.DYNAMIXEL, False, "ready: ", "see the log"),
+        (DriverKind.SIM, True, "loading: ", process.LOST_REMEDY),
+    ],
+)
+def test_an_arm_that_is_lost_ends_its_process_with_that_and_a_simulated_one_is_not_ready_before_all_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, driver: DriverKind, whole: bool, told: str, remedy: str
+) -> None:
+    _, clock, servos = rig()
+    lost = RunSummary(1, 0, 1, Mode.FAULT, "nobody answers", 0.0)
+    notified = Notified()
+    monkeypatch.setattr(process, "Notifier", lambda: notified)
+    monkeypatch.setattr(process, "build_driver", lambda *_: (servos, clock))
+    monkeypatch.setattr(process, "_law", lambda *_: None)
+    monkeypatch.setattr(process, "_runner", lambda *_: SimpleNamespace(run=lambda _: lost))
+    with pytest.raises(process.ArmLost, match="nobody answers") as caught:
+        process.run_agent(CELL, options(tmp_path, driver=driver, whole=whole), StopFlag(), lambda _: None)
+    assert caught.value.remedy == remedy
+    begins = TABLE[Mode.REST if whole else Mode.READY].says
+    assert notified.told == [told + begins, "stopping: torque off"]

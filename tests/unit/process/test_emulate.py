@@ -10,7 +10,10 @@ import pytest
 
 import configs
 from agent.config.cell import load_cell
-from agent.process.emulate import EmulateError, run_emulate
+from agent.config.servo_map import GRIPPER, fingers_of
+from agent.config.session import fingers, grip_width
+from agent.process.emulate import EmulateError, about_the_object, run_emulate, wiring, with_fingers
+from agent.verify.check import examine
 from sim_backend.wire.faults import FaultError
 from sim_backend.wire.serve import ServeOptions
 
@@ -48,3 +51,29 @@ def test_what_cannot_be_used_is_refused(
     with pytest.raises((EmulateError, FaultError), match=found):
         emulate(replace(options(tmp_path), **changes), tmp_path)
     assert not (tmp_path / "ports" / "left").exists()
+
+
+def test_a_gripper_that_can_close_is_given_to_that_joint_alone_and_stands_where_it_is_told_to() -> None:
+    arm = load_cell(configs.CELLS_DIR / "two_wx200.toml").arm("left")
+    wired, hand = wiring(arm, 0, arm.baud), fingers(arm)
+    for angle_rad, given in ((0.0, with_fingers(wired, hand)), (0.4, with_fingers(wired, hand, 0.4))):
+        assert (given.name, given.baud, given.plant_arm) == (wired.name, wired.baud, wired.plant_arm)
+        for before, after in zip(wired.joints, given.joints, strict=True):
+            gripper = before.name == GRIPPER
+            assert after == (replace(before, fingers=hand, start_rad=angle_rad) if gripper else before)
+    assert GRIPPER in {joint.name for joint in wired.joints}
+
+
+def test_grippers_about_the_object_stand_open_and_meet_it_where_it_is_wide() -> None:
+    cell = load_cell(configs.CELLS_DIR / "two_wx200.toml")
+    emulated, _ = about_the_object(cell, examine(cell).q_start, None)
+    for arm, made in zip(cell.arms, emulated.arms, strict=True):
+        hand = made.gripper
+        assert hand is not None
+        assert hand.fingers == fingers_of(arm.file)
+        assert hand.q_rad == fingers(arm).open_rad
+        assert hand.width_m() > grip_width(cell, arm) + 1e-3
+        assert hand.blocked_rad is not None
+        assert fingers(arm).width(hand.blocked_rad) == pytest.approx(grip_width(cell, arm), abs=1e-6)
+    without, _ = about_the_object(CELL, examine(CELL).q_start, None)
+    assert [made.gripper for made in without.arms] == [None, None], "arms whose files say nothing of one"

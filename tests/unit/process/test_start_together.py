@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -41,28 +42,51 @@ def test_a_guard_that_is_not_there_is_refused_once_the_wait_is_over_or_a_person_
         process._reached(CELL, options(tmp_path, 1e3), stop)
 
 
-@pytest.mark.parametrize("driver", [DriverKind.DYNAMIXEL, DriverKind.SIM])
+@pytest.mark.parametrize(
+    ("driver", "looped", "waited"),
+    [(DriverKind.DYNAMIXEL, [], 2), (DriverKind.DYNAMIXEL, ['hil.arms=["left"]'], 4), (DriverKind.SIM, [], 4)],
+)
 def test_a_guard_and_a_plant_that_come_later_are_waited_for(
-    tmp_path: Path, driver: DriverKind, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, driver: DriverKind, looped: list[str], waited: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Each is there after a look that did not find it; an arm with servos of its own needs no plant."""
+    """Each is there after a look that did not find it; an arm with servos of its own needs no plant out of the loop."""
+    cell = load_cell(configs.CELLS_DIR / "two_wx200.toml", looped)
     looks, here = list[float](), list[Any]()
 
     def comes(_: float) -> None:
         looks.append(_)
         if len(looks) == 2:
-            here.append(GuardEnd(tmp_path / "left.guard", CELL.fingerprint))
+            here.append(GuardEnd(tmp_path / "left.guard", cell.fingerprint))
         if len(looks) == 4:
             here.append(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM))
             here[-1].bind(str(tmp_path / "plant.sock"))
 
     monkeypatch.setattr(process, "time", SimpleNamespace(sleep=comes, monotonic=lambda: 0.0))
-    reached = process._reached(CELL, options(tmp_path, 1.0, driver), StopFlag())
+    reached = process._reached(cell, options(tmp_path, 1.0, driver), StopFlag())
     assert reached is not None
-    assert len(looks) == (4 if driver is DriverKind.SIM else 2)
+    assert len(looks) == waited
     reached.leave()
     for one in here:
         one.close()
+
+
+def test_an_agent_looks_for_its_guard_and_hands_over_only_when_it_is_told_to_end_and_holds(tmp_path: Path) -> None:
+    stop, polled = StopFlag(), list[bool]()
+
+    def poll(*, ending: bool) -> bool:
+        polled.append(ending)
+        return gone
+
+    gone = True
+    guarded: Any = SimpleNamespace(poll=poll)
+    holds = options(tmp_path, 0.0)
+    for one in (holds, replace(holds, hold=False)):
+        for stop.stopped in (False, True):
+            assert process._watching(guarded, stop, one)()
+            assert not process._watching(None, stop, one)()
+    assert polled == [False, True, False, False]
+    gone = False
+    assert not process._watching(guarded, stop, holds)()
 
 
 def test_a_plant_that_does_not_come_is_left_to_who_connects(tmp_path: Path) -> None:

@@ -67,7 +67,9 @@ def all_different(n: int) -> tuple[JointState, Memory, Outcome]:
     arrays = [array_of(n) for _ in range(6)]
     pull = pull_of(tuple_of(14))
     sense = Sense(array_of(n), array_of(n), array_of(n), array_of(6), array_of(6), array_of(6), next(numbers), pull)
-    memory = Memory(*arrays, True, sense, tuple_of(6), True, tuple_of(7), next(numbers), estimate, array_of(n))
+    memory = Memory(
+        *arrays, True, sense, tuple_of(6), 103, tuple_of(7), next(numbers), estimate, array_of(n), next(numbers), 19
+    )  # fmt: skip
     state = JointState(5_000_000, array_of(n), array_of(n), array_of(n))
     flags = Flag.SATURATED | Flag.STALE
     return state, memory, Outcome(array_of(n), array_of(n), terms, array_of(n), flags, memory, tuple_of(10))

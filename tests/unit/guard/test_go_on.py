@@ -1,0 +1,120 @@
+"""What a guard begins with: the time of the run, the torque that the servos hold, and marks for what was lost."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+from agent.around import Beginning
+from agent.guard.takeover import (
+    EMULATED_FLOATING_STALE_NS,
+    FLOATING_FIRST_NS,
+    FLOATING_STALE_NS,
+    WATCH_NS,
+    clock_of,
+    go_on,
+    stale_ns,
+)
+from agent.modes import Event, Mode
+from agent.process.build import build_agent
+from agent.safety import Flag
+from drivers.clock import utc_offset_ns
+from drivers.dynamixel.arm_map import WATCHDOG_S
+from drivers.interface import Vector
+from tests.support.runner_rig import paper, period_ns, run
+
+AGENT = build_agent(paper(), paper().arms[0])
+GAP_NS = 10 * period_ns()
+NANOSECOND = 1
+
+
+@cache
+def _rows() -> Any:
+    """Of an agent, up to the hold of its own."""
+    made = run(lambda reads: Event.STOP | (Event.RELEASED if reads > 26 else Event.NONE) if reads > 24 else Event.NONE)
+    return made.rows[made.rows["mode"] != Mode.HOLD]
+
+
+def rows() -> Any:
+    return _rows().copy()
+
+
+@dataclass
+class Servos:
+    """As a guard finds them."""
+
+    held: Vector
+    resumed: bool = False
+    dq: Vector | None = None
+
+    def adopt(self, dq: Vector) -> Vector:
+        self.dq = dq
+        return self.held
+
+
+@dataclass
+class Now:
+    ns: int
+
+    def now_ns(self) -> int:
+        return self.ns
+
+    def sleep_until(self, deadline_ns: int) -> None: ...
+
+
+def begun(late_ns: int = 0, of: Any = None, *, session: bool = False, resumed: bool = False) -> Beginning:
+    """So long after the last row, on servos that hold a torque of their own."""
+    of = rows() if of is None else of
+    now: Any = Now(int(rows()[-1]["stamp_ns"]) + late_ns)
+    return go_on(AGENT, Servos(np.full(3, 0.7), resumed), now, of, period_ns(), "x", session=session)
+
+
+def test_a_guard_tells_the_time_of_the_run_and_without_rows_of_its_host() -> None:
+    of_run = rows()
+    of_run["stamp_ns"][-1], of_run["utc_ns"][-1] = 5_000, 1_700_000_000_000_000_123
+    assert clock_of(of_run).utc_offset_ns == 1_699_999_999_999_995_123
+    assert clock_of(of_run[:0]).utc_offset_ns == pytest.approx(utc_offset_ns(), abs=1e9)
+
+
+def test_more_than_ten_cycles_without_a_command_are_a_gap_and_the_pose_is_found_anew() -> None:
+    at_once, late = begun(GAP_NS), begun(GAP_NS + NANOSECOND)
+    assert (at_once.marks, late.marks) == (Flag.NONE, Flag.GAP)
+    assert at_once.memory.hold is not None
+    assert late.memory.hold is None
+
+
+def test_without_rows_no_time_is_known_to_be_lost() -> None:
+    found = begun(1_000 * GAP_NS, rows()[:0])
+    assert (found.marks, found.mode, found.rows) == (Flag.NONE, Mode.HOLD, 0)
+    assert begun(0, rows()[:0], session=True).mode is Mode.REST
+    now: Any = Now(0)
+    assert go_on(AGENT, Servos(np.zeros(3)), now, rows()[:0], period_ns(), "x").mode is Mode.HOLD
+
+
+def test_an_arm_that_had_stopped_by_itself_is_marked_and_a_gap_beside_it() -> None:
+    assert begun(0, resumed=True).marks is Flag.RESUMED
+    assert begun(GAP_NS + NANOSECOND, resumed=True).marks is Flag.RESUMED | Flag.GAP
+
+
+def test_the_first_step_counts_from_what_the_servos_hold_and_they_are_told_how_fast_the_arm_was() -> None:
+    of, servos = rows(), Servos(np.full(3, 0.7))
+    of["dq_measured"][-1, :3] = [0.1, -0.2, 0.3]
+    now: Any = Now(int(of[-1]["stamp_ns"]))
+    found = go_on(AGENT, servos, now, of, period_ns(), "the agent has died")
+    assert found.memory.tau.tolist() == [0.7] * 3
+    assert (found.reason, found.rows) == ("the agent has died", int(of[-1]["sequence"]) + 1)
+    assert servos.dq is not None
+    assert servos.dq.tolist() == [0.1, -0.2, 0.3]
+
+
+def test_a_guard_looks_often_enough_and_gives_up_on_an_agent_before_its_servos_do() -> None:
+    """What must lie between what; ms."""
+    hangs_ns = stale_ns(period_ns(), emulated=False, simulated=False)
+    assert WATCH_NS == 2_000_000
+    assert hangs_ns + WATCH_NS < 1e9 * WATCHDOG_S
+    assert FLOATING_STALE_NS + WATCH_NS < 1e9 * WATCHDOG_S
+    assert FLOATING_FIRST_NS == EMULATED_FLOATING_STALE_NS == 500_000_000

@@ -1,0 +1,186 @@
+"""What a run of a study counts as: figures from the transient's end to the first trip, against bounds of a cell."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from functools import cache
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from agent.config.cell import Cell, load_cell
+from agent.safety import Flag
+from agent.study import measure as module
+from agent.study.fault import Fault, FaultKind
+from agent.study.lab import Trip
+from agent.study.measure import RunResult, bounds_of, measure
+from sim_backend.physics.spec import PlantError
+
+STALL_NM = np.array([2.0, 2.0, 4.0, 4.0])
+TRIP = Trip(3.0, "left", Flag.UNEXPECTED, "a blow")
+GRASP = np.zeros((2, 6))
+GRASP[0, 0], GRASP[1, 0] = 0.4, -0.4  # N, against each other
+
+
+@cache
+def cell() -> Cell:
+    changes = ("duration_s=8.0", "rate_hz=100.0", "trajectory.angle_rad=0.0")
+    return load_cell(Path("paper"), [*changes, "report.transient_s=1.0", "simulation.observe_rate_hz=10.0"])
+
+
+Seen = tuple[float, float, float, float]  # errors of the object and of what the anchor sees of it: m, rad, m, rad
+
+
+class Scripted:
+    """A run in which the object is off as the test says, and arms trip when it says."""
+
+    def __init__(self, off: Callable[[float], Seen], trips: Sequence[Trip], ends_s: float, skew_s: float) -> None:
+        self.ready_ticks, self.tick = 50, 0
+        self._off, self._trips, self._ends_s = off, trips, ends_s
+        self.peak_Nm, self.observed = np.array([0.2, 0.2, 0.2, 1.6]), list[float]()
+        anchor = SimpleNamespace(skew_s=skew_s)
+        self.plant = SimpleNamespace(spec=SimpleNamespace(arms=[anchor, anchor]))
+        self.places = [SimpleNamespace(outcome=None), SimpleNamespace(outcome=None)]
+        self._skew_s = skew_s
+
+    @property
+    def t(self) -> float:
+        return (self.tick - self.ready_ticks) * 0.01
+
+    @property
+    def trips(self) -> list[Trip]:
+        return [trip for trip in self._trips if trip.t <= self.t]
+
+    def observe(self) -> Any:
+        self.observed.append(self.t)
+        desired = cell().trajectory().at(max(self.t + self._skew_s, 0.0))
+        off_m, off_rad, own_m, own_rad = self._off(self.t)
+        p = np.array(desired.p) + np.array([off_m, 0.0, 0.0])
+        quat = about_z(off_rad)
+        own = p + np.array([0.0, own_m, 0.0])
+        k = SimpleNamespace(p_object=tuple(own), quat_object=tuple(about_z(off_rad - own_rad)))
+        seen = SimpleNamespace(terms=SimpleNamespace(kinematics=k))
+        self.places[cell().anchor].outcome = seen
+        return SimpleNamespace(p_object=p, quat_object=quat, grasp_wrench=GRASP)
+
+    def advance(self) -> None:
+        if self.t >= self._ends_s:
+            raise PlantError("the plant", found="nan", expected="numbers", remedy="none")
+        self.tick += 1
+
+
+def about_z(angle: float) -> np.ndarray:
+    """The desired attitude of the cell, turned further."""
+    w, x, y, z = cell().trajectory().at(0.0).quat
+    assert (x, y) == (0.0, 0.0)
+    half = 0.5 * angle + math.atan2(z, w)
+    return np.array([math.cos(half), 0.0, 0.0, math.sin(half)])
+
+
+def result(
+    monkeypatch: pytest.MonkeyPatch,
+    off: Callable[[float], Seen] = lambda _: (1e-3, 2e-3, 0.4e-3, 0.5e-3),
+    *,
+    trips: Sequence[Trip] = (),
+    faults: Sequence[Fault] = (),
+    ends_s: float = math.inf,
+    skew_s: float = 0.0,
+) -> tuple[RunResult, Scripted]:
+    run = Scripted(off, trips, ends_s, skew_s)
+    monkeypatch.setattr(module, "Run", lambda *_: run)
+    lab: Any = SimpleNamespace(cell=cell(), stall_Nm=STALL_NM)
+    return measure(lab, None, 4, 9, faults), run
+
+
+def test_bounds_are_those_of_planar_and_spatial_cells() -> None:
+    planar, spatial = (bounds_of(load_cell(Path(name))) for name in ("two_wx200", "three_wx250s"))
+    assert planar == {
+        "position_beyond_anchor_m": 1e-3, "attitude_beyond_anchor_rad": 6e-3, "internal_force_mean_N": 1.0,
+        "peak_torque_fraction": 0.5,
+    }  # fmt: skip
+    assert spatial == planar | {"internal_force_mean_N": 4.0}
+
+
+def test_figures_are_the_largest_and_beyond_what_the_anchor_sees_wrongly(monkeypatch: pytest.MonkeyPatch) -> None:
+    found, run = result(monkeypatch)
+    assert (found.index, found.seed, found.lost, found.tripped, found.within_bounds) == (4, 9, False, False, True)
+    assert found.tracked_s == pytest.approx(8.0)
+    assert found.position_error_m == pytest.approx(1e-3)
+    assert found.attitude_error_rad == pytest.approx(2e-3, rel=1e-3)
+    assert found.position_beyond_anchor_m == pytest.approx(0.6e-3)
+    assert found.attitude_beyond_anchor_rad == pytest.approx(1.5e-3, rel=1e-3)
+    assert found.internal_force_max_N == pytest.approx(0.4)
+    assert found.internal_force_mean_N == pytest.approx(0.4)
+    assert found.peak_torque_fraction == pytest.approx(0.4)
+    assert (found.reaction_s, found.tripped_by, found.why) == (None, "", "")
+    np.testing.assert_allclose(np.diff(run.observed), 0.1)
+    assert (run.observed[0], run.tick) == (-0.5, 850)
+
+
+@pytest.mark.parametrize(
+    ("off", "kept"),
+    [
+        ((1.99e-3, 0.0, 1e-3, 0.0), True), ((2.01e-3, 0.0, 1e-3, 0.0), False),
+        ((0.0, 7.9e-3, 0.0, 2e-3), True), ((0.0, 8.1e-3, 0.0, 2e-3), False),
+    ],
+)  # fmt: skip
+def test_a_run_is_within_bounds_when_every_figure_is(monkeypatch: pytest.MonkeyPatch, off: Seen, kept: bool) -> None:
+    assert result(monkeypatch, lambda _: off)[0].within_bounds is kept
+
+
+def test_what_comes_before_the_transient_ends_or_behind_a_trip_does_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
+    def off(t: float) -> Seen:
+        return (0.05 if t < 0.95 or t > 3.05 else 0.2e-3, 0.0, 0.0, 0.0)
+
+    found, run = result(monkeypatch, off, trips=[TRIP])
+    assert found.position_error_m == pytest.approx(0.2e-3)
+    assert (found.tripped, found.within_bounds, found.tripped_by) == (True, False, "UNEXPECTED")
+    assert found.why == "t = 3.000 s: arm left UNEXPECTED a blow"
+    assert found.tracked_s == 3.0
+    assert run.t == pytest.approx(6.01), "it goes on for three seconds"
+
+
+def test_a_run_that_trips_within_the_transient_counts_from_its_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    early = Trip(0.55, "left", Flag.UNEXPECTED)
+    found, _ = result(monkeypatch, lambda t: (1e-3 if t >= 0.0 else 0.02, 0.0, 0.0, 0.0), trips=[early])
+    assert found.position_error_m == pytest.approx(1e-3)
+    before = Trip(-0.2, "left", Flag.UNEXPECTED)
+    assert result(monkeypatch, trips=[before])[0].tracked_s == 0.0
+
+
+@pytest.mark.parametrize(
+    ("off", "lost"),
+    [((0.0999, 0.0), False), ((0.1001, 0.0), True), ((0.0, 0.999), False), ((0.0, 1.001), True)],
+)
+def test_an_object_a_tenth_of_a_metre_or_a_radian_off_is_lost(
+    monkeypatch: pytest.MonkeyPatch, off: tuple[float, float], lost: bool
+) -> None:
+    found, run = result(monkeypatch, lambda t: (*(off if t > 2.0 else (0.0, 0.0)), 0.0, 0.0))
+    assert found.lost is lost
+    assert found.within_bounds is False
+    assert ("the object is off by" in found.why) is lost
+    assert run.t == pytest.approx(2.11 if lost else 8.0)
+
+
+def test_a_plant_that_fails_is_a_lost_run_however_near_its_object_was(monkeypatch: pytest.MonkeyPatch) -> None:
+    found, _ = result(monkeypatch, ends_s=4.0)
+    assert (found.lost, found.within_bounds, found.why) == (True, False, "t = 4.000 s: the plant")
+    assert found.position_error_m == 0.1
+    assert found.position_beyond_anchor_m == pytest.approx(0.6e-3)
+
+
+def test_the_motion_is_timed_by_the_anchors_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert result(monkeypatch, skew_s=0.3)[0].position_error_m == pytest.approx(1e-3)
+
+
+def test_a_reaction_is_that_of_an_arm_that_nothing_befell_and_not_before_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    trips = [Trip(1.0, "right", Flag.UNEXPECTED), Trip(2.1, "left", Flag.UNEXPECTED), Trip(2.3, "right", Flag.NONE)]
+    late, first = (Fault(kind=FaultKind.LIMP, arm="left", at_s=at) for at in (2.5, 2.0))
+    found, _ = result(monkeypatch, trips=trips, faults=[late, first])
+    assert found.reaction_s == pytest.approx(0.3)
+    assert result(monkeypatch, trips=trips[:2], faults=[first])[0].reaction_s is None
+    assert result(monkeypatch, trips=trips)[0].reaction_s is None
