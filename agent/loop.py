@@ -205,7 +205,7 @@ def _sense(
     sense = residual.advance(sense, terms, terms.J_inv_P, dq, sent, ready=mode is _READY)
     wrench = terms.J_inv_P.T.dot(sense.residual)
     found = residual.channels(sense, wrench)
-    unexpected = mode is _TRACK and (residual.tripped(found) or residual.pulled(sense))
+    unexpected = mode is _TRACK and (residual.tripped(found, sense, wrench) or residual.pulled(sense))
     return sense, (*wrench.tolist(), *found), unexpected
 
 
@@ -215,7 +215,7 @@ def explained(agent: Agent, outcome: Outcome) -> str:
     if residual is None or sensed is None or terms is None or Flag.UNEXPECTED not in outcome.flags:
         return ""
     sense, wrench, found, v = outcome.memory.sense, np.array(sensed[:6]), Channels(*sensed[6:]), terms.desired.v
-    if not residual.tripped(found):
+    if not residual.tripped(found, sense, wrench):
         pull, f = sense.pull, (wrench - sense.base)[:3]
         behind = cause.behind(f, v, agent.offline.gravity, weighs=residual.weighed(sense))
         return f"{cause.described(behind, found)}, {pull.level_N:.2g} N against the motion, {pull.weight_N:.2g} N down"

@@ -30,13 +30,15 @@ def residual(cell: Cell) -> Residual | None:
     spec = cell.file.safety.noticing
     if not spec.enabled:
         return None
+    limits = noticing.thresholds(cell)
     return Residual(
         period_s=1.0 / cell.file.rate_hz,
         delay_periods=cell.file.delay_periods,
-        limits=noticing.thresholds(cell),
+        limits=limits,
         rate_per_s=spec.rate_per_s,
         slow_per_s=noticing.slow_rate(cell),
         against=noticing.against(cell),
+        touch=noticing.touch(cell, limits),
     )
 
 

@@ -11,7 +11,8 @@ Each is a quadratic sum over independent errors at their bounds in `[tolerance]`
 
     fast = BLOW (REVERSAL friction + PEAK noise),     slow = MARGIN (CREEP √(friction² + errors²) + HUM √(l/L) noise)
 
-and fast is no less than a touch needs, with L and l the rates of the residual and of the slow channel.  What pulls
+and fast is no less than a touch needs, with L and l the rates of the residual and of the slow channel.  Where nothing
+but a touch sets the limit of the sudden force, agent.control.touch tells one that is above it.  What pulls
 against the motion or down (agent.control.against) has limits in cells of three and more arms: what a touch needs, or
 what friction and noise make of it.  REVERSAL, PEAK, CREEP, HUM and ALONG are calibrated on the largest values that
 studies of the shipped cells showed (a test has them); a planar moment has a CREEP of its own.
@@ -34,6 +35,7 @@ from agent.control.inverse import SingularJacobian, invert_jacobian
 from agent.control.law import Offline
 from agent.control.models import ArmModel, Kinematics, Matrix
 from agent.control.residual import Channels
+from agent.control.touch import Touch
 from drivers.dynamixel.servo.counts import TICKS_PER_TURN
 from drivers.interface import Vector
 
@@ -49,6 +51,9 @@ HUM: Final = 2.0
 SLOW_PLANAR_PER_S, SLOW_PER_S = 2.0, 4.0
 TOUCH_N: Final = 2.0  # on the object, which is no trip; an arm feels its share of it, and what is usual
 TOUCH: Final = 1.75  # times that share
+TOUCH_MOST: Final = 2.6  # times that share, the most of a touch along the motion (2.42 seen)
+TOUCH_DOWN: Final = 1.95  # and down (1.81 seen)
+TOUCH_PLAIN: Final = 1.0  # times that share, of the plain force (0.91 seen)
 TOUCH_LEVER_M: Final = 0.2  # moment that the arms' inertia makes of that force
 ALONG: Final = (0.35, 0.079)  # level, climb: of friction and noise
 TOUCH_ALONG: Final = (1.05, 0.15)  # times an arm's share of a touch
@@ -108,6 +113,18 @@ def against(cell: Cell) -> Against | None:
     share, usual = TOUCH_N / len(cell.arms), MARGIN * (friction_N + noise_N)
     level, climb = (float(f"{max(t * share, a * usual):.3g}") for t, a in zip(TOUCH_ALONG, ALONG, strict=True))
     return Against(period_s, spec.against_N or level, spec.climb_N or climb, _down(cell))
+
+
+def touch(cell: Cell, limits: Channels) -> Touch | None:
+    """What may be a touch above the limit of the sudden force; None where that is given, or more than a touch needs.
+
+    limits: `thresholds` of the cell.
+    """
+    spec, share = cell.file.safety.noticing, TOUCH_N / len(cell.arms)
+    needed, most_N, down_N, plain_N = (float(f"{t * share:.3g}") for t in (TOUCH, TOUCH_MOST, TOUCH_DOWN, TOUCH_PLAIN))
+    if spec.fast_N is not None or limits.fast_N > needed:
+        return None
+    return Touch(1.0 / cell.file.rate_hz, spec.rate_per_s, most_N, down_N, plain_N, _down(cell))
 
 
 def _down(cell: Cell) -> tuple[float, float, float]:

@@ -25,7 +25,8 @@ from typing import Final, NamedTuple
 BLOCK_S: Final = 0.05
 STEP: Final = 3  # blocks of an increment
 MEANS: Final = 3 * STEP + 1  # kept, newest first
-LEVEL_AT, WEIGHT_AT = -(MEANS + 4), -1  # in the log field `memory`
+FLAT: Final = MEANS + 4  # numbers in the log field `memory`
+LEVEL_AT, WEIGHT_AT = 106, 106 + FLAT - 1  # there
 MOMENT_M: Final = 0.2  # a
 TURN_M: Final = 0.1  # b
 STILL_M_PER_S: Final = 2e-3
@@ -44,7 +45,7 @@ class Pull(NamedTuple):
 
     @property
     def flat(self) -> tuple[float, ...]:
-        """For the log field `memory`: 4 + MEANS numbers."""
+        """For the log field `memory`: FLAT numbers."""
         return (self.level_N, self.sum_N, self.ticks, *self.means_N, self.weight_N)
 
     @property

@@ -24,6 +24,7 @@ import numpy as np
 from agent.control.against import NO_PULL, Against, Pull
 from agent.control.models import Matrix
 from agent.control.terms import Terms
+from agent.control.touch import Plain, Touch
 from drivers.interface import Vector
 
 REST_S = 2.0  # of the mean of the slow channel before the start
@@ -39,18 +40,20 @@ class Sense(NamedTuple):
     slow: Vector  # (6,) the same for the slow channel
     rest: Vector  # (6,) mean of the slow channel before the start
     ticks: float  # in that mean, and one; 0: the residual has not begun
-    pull: Pull = NO_PULL  # against the motion
+    pull: Pull  # against the motion
+    plain: Plain  # of what may be a touch
 
     @property
     def wrenches(self) -> tuple[float, ...]:
-        """The end of the log field `memory`: three wrenches (6), `ticks`, and the pull against the motion."""
-        return (*self.base.tolist(), *self.slow.tolist(), *self.rest.tolist(), self.ticks, *self.pull.flat)
+        """The end of the log field `memory`: three wrenches (6), `ticks`, the pull against the motion, and `plain`."""
+        base, slow, rest = self.base.tolist(), self.slow.tolist(), self.rest.tolist()
+        return (*base, *slow, *rest, self.ticks, *self.pull.flat, *self.plain.flat)
 
 
 def nothing_sensed(n: int) -> Sense:
     """Before the first tick of an arm with n joints."""
     joints, wrench = np.zeros(n), np.zeros(6)
-    return Sense(joints, joints, joints, wrench, wrench, wrench, 0.0)
+    return Sense(joints, joints, joints, wrench, wrench, wrench, 0.0, NO_PULL, Plain(joints))
 
 
 class Channels(NamedTuple):
@@ -73,6 +76,7 @@ class Residual:
     base_per_s: float = 0.5
     slow_per_s: float = 2.0
     against: Against | None = None  # None: nobody asks what pulls against the motion
+    touch: Touch | None = None  # None: no touch is above the limit of the sudden force
 
     def advance(
         self, sense: Sense, terms: Terms, J_inv_P: Matrix, dq: Vector, tau: tuple[Vector, Vector], *, ready: bool
@@ -87,7 +91,8 @@ class Residual:
         momentum = k.B.dot(s)
         expected = k.C.T.dot(s) - (terms.tau_cmd - terms.tau_feedback)
         if sense.ticks == 0.0:
-            return sense._replace(momentum=momentum, expected=expected, ticks=1.0)
+            plain = sense.plain if self.touch is None else self.touch.begin(terms, dq)
+            return sense._replace(momentum=momentum, expected=expected, ticks=1.0, plain=plain)
         acting = (1.0 - f) * tau[0] + f * tau[1]
         estimate = sense.momentum + T * (sense.expected + acting + sense.residual)
         r = self.rate_per_s * (momentum - estimate)
@@ -98,10 +103,12 @@ class Residual:
         if ready:
             ticks += 1.0
             rest = rest + (slow - rest) / min(ticks, REST_S / T)
-        pull = sense.pull
+        pull, plain = sense.pull, sense.plain
+        if self.touch is not None:
+            plain = self.touch.advance(plain, terms, J_inv_P, dq, acting, base)
         if self.against is not None and not ready:
             pull = self.against.advance(pull, W.tolist(), base.tolist(), terms.desired.v)
-        return Sense(estimate, expected, r, base, slow, rest, ticks, pull)
+        return Sense(estimate, expected, r, base, slow, rest, ticks, pull, plain)
 
     def channels(self, sense: Sense, wrench: Vector) -> Channels:
         """Sizes of the fast and of the slow channel; wrench: the unexpected one (6,)."""
@@ -117,6 +124,13 @@ class Residual:
         """Whether something pulls this arm down."""
         return self.against is not None and self.against.weighs(sense.pull)
 
-    def tripped(self, found: Channels) -> bool:
-        """Whether any channel is above its limit; a channel that is no number is."""
-        return not all(x <= bound for x, bound in zip(found, self.limits, strict=True))
+    def tripped(self, found: Channels, sense: Sense, wrench: Vector) -> bool:
+        """Whether any channel is above its limit, beside a sudden force that may be a touch; one that is no number is.
+
+        found: as `channels` makes it of `sense` and `wrench`.
+        """
+        if all(x <= bound for x, bound in zip(found, self.limits, strict=True)):
+            return False
+        if self.touch is None or not all(x <= bound for x, bound in zip(found[1:], self.limits[1:], strict=True)):
+            return True
+        return not self.touch.may_be((wrench - sense.base)[:3].tolist(), sense.plain)

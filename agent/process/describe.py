@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from agent.config.cell import Arm, Cell, load_cell
-from agent.config.noticing import against, thresholds
+from agent.config.noticing import against, thresholds, touch
 from agent.config.reality import reality_of
 from agent.config.schema.cell import DriverKind
 from agent.host.info import versions
@@ -44,6 +44,7 @@ def run_info(cell: Cell, driver: DriverKind, seed: int) -> bytes:
         "reality": None if (real := reality_of(cell)) is None else real.model_dump(mode="json"),
         "noticing": thresholds(cell)._asdict() if cell.file.safety.noticing.enabled else None,
         "noticing_against": _against(cell),
+        "noticing_touch": _touch(cell),
         "driver": driver.value,
         "hil": cell.file.hil.arms if cell.file.hil is not None else [],
         "seed": seed,
@@ -59,6 +60,12 @@ def _against(cell: Cell) -> dict[str, float] | None:
     """Limits of a pull against the motion, and down."""
     found = against(cell) if cell.file.safety.noticing.enabled else None
     return None if found is None else {"level_N": found.level_N, "climb_N": found.climb_N, "weight_N": found.hangs_N}
+
+
+def _touch(cell: Cell) -> dict[str, float] | None:
+    """Up to where a sudden force may be a touch."""
+    found = touch(cell, thresholds(cell)) if cell.file.safety.noticing.enabled else None
+    return None if found is None else {"most_N": found.most_N, "down_N": found.down_N, "plain_N": found.plain_N}
 
 
 def _arm(cell: Cell, arm: Arm) -> dict[str, Any]:

@@ -16,7 +16,6 @@ from agent.report.plotting import CYCLE, STYLES, line, panels, styled, time_axis
 from agent.report.prepared import Prepared
 from agent.report.series import Array, column, component, grasp_force, joint_columns
 from agent.report.together import BUS, thresholds
-from agent.telemetry.row.sample import MEMORY_LENGTH
 
 HOLDS_ABOVE: Final = "holds above"
 SHARE_S: Final = 1.0  # a load share is that of so long a stretch
@@ -127,7 +126,7 @@ def pulled(run: Prepared) -> Figure:
     for ax, (place, where, limit) in zip(axes, told, strict=True):
         for number, arm in enumerate(run.arms):
             rows = run.rows[arm.name]
-            found = component(rows, "memory", MEMORY_LENGTH + place)
+            found = component(rows, "memory", place)
             line(ax, column(rows, "t"), found, label=arm.name, **_look(number))
         _threshold(ax, limit, HOLDS_ABOVE)
         ax.set(title=f"Unexpected force {where}", ylabel="[N]")

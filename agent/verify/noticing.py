@@ -57,7 +57,10 @@ def noticed(cell: Cell) -> list[Finding]:
         along = (
             f"; {pulled.level_N:g} N, or thrice {pulled.climb_N:g} N, against the motion; {pulled.hangs_N:.2g} N down"
         )
-    found = f"{x.fast_N:g} N, {x.fast_Nm:g} N·m at once; {x.slow_N:g} N, {x.slow_Nm:g} N·m that stay{along} ({source})"
+    may_be = noticing.touch(cell, x)
+    touched = "" if may_be is None else f" ({may_be.most_N:g} N where it may be a touch)"
+    at_once, staying = f"{x.fast_N:g} N{touched}, {x.fast_Nm:g} N·m", f"{x.slow_N:g} N, {x.slow_Nm:g} N·m"
+    found = f"{at_once} at once; {staying} that stay{along} ({source})"
     return [Finding(what, "cell", found, "")]
 
 

@@ -93,8 +93,10 @@ class Noticing:
         self.asked[-1]["wrench"] = wrench
         return Channels(10.0, 20.0, 30.0, 40.0)
 
-    def tripped(self, found: Channels) -> bool:
+    def tripped(self, found: Channels, sense: Any, wrench: Any) -> bool:
         assert found == (10.0, 20.0, 30.0, 40.0)
+        assert sense.residual.tolist() == [1.0, 2.0, 3.0]
+        assert wrench is self.asked[-1]["wrench"]
         return self.trips
 
     def pulled(self, sense: Any) -> bool:

@@ -14,6 +14,7 @@ from agent.control.against import pull_of
 from agent.control.estimator import Observer
 from agent.control.memory import MEMORY_JOINTS, Memory, initial, restore
 from agent.control.residual import Sense
+from agent.control.touch import PLAIN_JOINTS, Plain
 from agent.loop import step
 from agent.modes import Mode
 from agent.process.build import build_agent
@@ -142,6 +143,7 @@ def random_memory(seed: int, n: int, hold: bool) -> Memory:
         *rng.normal(size=(3, 6)),
         ticks=float(seed),
         pull=pull_of(rng.normal(size=14).tolist()),
+        plain=Plain(rng.normal(size=n), float(rng.normal())),
     )
     shift = tuple(rng.normal(size=6).tolist())
     calm, missed = 102 - 100 * seed, 20 * seed
@@ -160,8 +162,13 @@ def test_memory_survives_the_log(seed: int, n: int, hold: bool) -> None:
     for name in ("q", "dq", "ddq", "ddq_before", "tau", "tau_before"):
         assert np.array_equal(getattr(found, name), getattr(memory, name))
     assert found.sense.pull == memory.sense.pull
-    for one, two in zip(found.sense[:-1], memory.sense[:-1], strict=True):
+    for one, two in zip(
+        (*found.sense[:-2], *found.sense.plain), (*memory.sense[:-2], *memory.sense.plain), strict=True
+    ):
         assert np.array_equal(one, two)
+    older = restore(flat[:-8], n).sense
+    assert (older.pull, older.plain.force_N) == (memory.sense.pull, 0.0), "a row that is older than what is plain"
+    assert older.plain.momentum.tolist() == [0.0] * n
     for name in ("primed", "hold", "shift", "calm", "missed"):
         assert getattr(found, name) == getattr(memory, name)
     assert np.array_equal(restore(np.array(found.flatten()), n).flatten(), flat)
@@ -176,7 +183,7 @@ def test_one_number_of_every_log_says_how_a_hold_is_kept_and_what_it_missed() ->
 
 
 def test_memory_and_log_agree_on_the_room_per_joint_array() -> None:
-    assert MEMORY_JOINTS == MAX_JOINTS
+    assert MEMORY_JOINTS == PLAIN_JOINTS == MAX_JOINTS
 
 
 @pytest.mark.parametrize("mode", [Mode.TRACK, Mode.HOLD])

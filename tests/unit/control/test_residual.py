@@ -13,6 +13,7 @@ from agent.config.cell import load_cell
 from agent.control import known
 from agent.control.residual import Channels, Residual, Sense, nothing_sensed
 from agent.control.terms import Terms
+from agent.control.touch import Touch
 from agent.control.trajectory import Desired
 from agent.verify.check import examine
 
@@ -22,16 +23,22 @@ STILL = (0.0,) * 6
 WRENCH = np.array([1.5, -2.0, 0.0, 0.0, 0.0, 0.08])  # in the plane of the cell
 
 
-def alone(wrench: np.ndarray, seconds: float, *, delay: float = 0.0, ready_s: float = 0.0) -> list[tuple[Sense, Terms]]:
-    """One arm of the paper's cell under the law, alone, with a wrench at the object from ready_s on; exact model."""
+def alone(
+    wrench: np.ndarray, seconds: float, *, delay: float = 0.0, ready_s: float = 0.0, touch: Touch | None = None,
+    dq: np.ndarray | None = None,
+) -> list[tuple[Sense, Terms]]:  # fmt: skip
+    """One arm of the paper's cell under the law, alone, with a wrench at the object from ready_s on; exact model.
+
+    dq: (3,) with which it begins, none: at rest.
+    """
     cell = load_cell(configs.CELLS_DIR / "paper.toml")
     arm = cell.arms[0]
     model, offline = cell.model(arm), replace(cell.offline(arm), load_share=0.0, friction=None)
-    q, dq = np.array(examine(cell).q_start[0]), np.zeros(3)
+    q, dq = np.array(examine(cell).q_start[0]), np.zeros(3) if dq is None else dq
     data = model.model.createData()
     pose = model.evaluate(q, dq)
     desired = Desired((pose.p_object[0] + 0.002, *pose.p_object[1:]), pose.quat_object, STILL, STILL)
-    residual, sense = Residual(PERIOD, delay, LIMITS), nothing_sensed(3)
+    residual, sense = Residual(PERIOD, delay, LIMITS, touch=touch), nothing_sensed(3)
     sent = [model.evaluate(q, dq).g] * 2
     history = []
     for k in range(round(seconds / PERIOD)):
@@ -78,8 +85,8 @@ def test_a_load_that_stays_leaves_the_fast_channel_and_fills_the_slow_one() -> N
     early, late = sizes(150), sizes(-1)
     assert early.fast_N > 2.0 > late.fast_N
     assert early.slow_N < 0.8 < 1.2 < late.slow_N
-    assert residual.tripped(early)
-    assert residual.tripped(late)
+    for k, found in ((150, early), (-1, late)):
+        assert residual.tripped(found, history[k][0], WRENCH)
 
 
 def test_what_was_there_before_the_start_is_usual() -> None:
@@ -97,10 +104,10 @@ def test_what_was_there_before_the_start_is_usual() -> None:
 
 @pytest.mark.parametrize("channel", range(4))
 def test_each_channel_has_its_limit(channel: int) -> None:
-    residual = Residual(PERIOD, 0.0, LIMITS)
+    residual, nothing = Residual(PERIOD, 0.0, LIMITS), (nothing_sensed(3), np.zeros(6))
     at = list(LIMITS)
-    assert not residual.tripped(Channels(*at))
+    assert not residual.tripped(Channels(*at), *nothing)
     at[channel] *= 1.001
-    assert residual.tripped(Channels(*at))
+    assert residual.tripped(Channels(*at), *nothing)
     at[channel] = np.nan
-    assert residual.tripped(Channels(*at))
+    assert residual.tripped(Channels(*at), *nothing)

@@ -17,6 +17,7 @@ from agent.control.memory import Memory, initial, restore
 from agent.control.models import Kinematics
 from agent.control.residual import Sense
 from agent.control.terms import JOINT_TERMS, Terms
+from agent.control.touch import Plain
 from agent.control.trajectory import Desired
 from agent.loop import Agent, Outcome, initial_memory, step
 from agent.modes import Mode
@@ -65,8 +66,9 @@ def all_different(n: int) -> tuple[JointState, Memory, Outcome]:
     terms = Terms(desired, kinematics, errors, joints, tuple_of(6), tuple_of(6), next(numbers), next(numbers), None)
     estimate = Estimate(array_of(16 * n), array_of(10))
     arrays = [array_of(n) for _ in range(6)]
-    pull = pull_of(tuple_of(14))
-    sense = Sense(array_of(n), array_of(n), array_of(n), array_of(6), array_of(6), array_of(6), next(numbers), pull)
+    pull, plain = pull_of(tuple_of(14)), Plain(array_of(n), next(numbers))
+    wrenches = array_of(6), array_of(6), array_of(6)
+    sense = Sense(array_of(n), array_of(n), array_of(n), *wrenches, next(numbers), pull, plain)
     memory = Memory(
         *arrays, True, sense, tuple_of(6), 103, tuple_of(7), next(numbers), estimate, array_of(n), next(numbers), 19
     )  # fmt: skip
