@@ -27,7 +27,12 @@ def run(name: str, *overrides: str, sticks: bool = True) -> History:
 
 @pytest.mark.parametrize(
     ("cell", "bound_m", "bound_rad"),
-    [("paper", 0.5e-3, 2e-3), ("two_wx200", 0.5e-3, 2e-3), ("two_models", 0.5e-3, 2e-3), ("three_wx250s", 1e-3, 6e-3)],
+    [
+        ("paper", 0.5e-3, 2e-3),
+        ("three_wx250s", 1e-3, 6e-3),
+        pytest.param("two_wx200", 0.5e-3, 2e-3, marks=pytest.mark.long),
+        pytest.param("two_models", 0.5e-3, 2e-3, marks=pytest.mark.long),
+    ],
 )
 def test_joints_that_stick_cost_no_more_than_the_bound(cell: str, bound_m: float, bound_rad: float) -> None:
     position_m, attitude_rad = run(cell).after(TRANSIENT_S)
