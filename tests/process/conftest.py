@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -54,9 +55,24 @@ def run_of(tmp_path_factory: pytest.TempPathFactory) -> RunOf:
 
 
 @pytest.fixture(scope="session")
-def paper_runs(run_of: RunOf) -> tuple[Path, Path]:
+def first_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a run of the paper's cell in `out`, over an earlier one; `said.json`: its code, output, errors."""
+
+    def make(folder: Path) -> None:
+        (folder / "out").mkdir()
+        (folder / "out" / "run.mcap").write_text("an earlier run")
+        (folder / "out" / "notes.txt").write_text("mine")
+        done = coop("run", *PAPER_RUN, "--out", "out", "--force", "--json", "--strict", cwd=folder)
+        assert done.returncode == 0, done.stderr
+        (folder / "said.json").write_text(json.dumps([done.returncode, done.stdout, done.stderr]))
+
+    return once(tmp_path_factory, "first-run", make)
+
+
+@pytest.fixture(scope="session")
+def paper_runs(first_run: Path, run_of: RunOf) -> tuple[Path, Path]:
     """Folders of two runs of the paper's cell, `PAPER_RUN_S` long, the first with its report."""
-    return run_of(*PAPER_RUN), run_of(*PAPER_RUN, "--no-report")
+    return first_run / "out", run_of(*PAPER_RUN, "--no-report")
 
 
 @pytest.fixture(scope="session")
