@@ -47,10 +47,10 @@ def test_without_feed_forward_they_cost_ten_times_as_much() -> None:
 
 def test_a_model_without_breakaway_and_load_does_not_do_it() -> None:
     """The plant sticks, and the agents believe in Coulomb and viscous friction alone."""
-    plain = load_cell(configs.CELLS_DIR / "two_wx200.toml")
+    plain = load_cell(configs.CELLS_DIR / "paper.toml")
     with TemporaryDirectory() as folder:
         believing = simulate(with_figures(plain, Path(folder), sticking), DURATION_S, agents_cell=plain)
-    assert believing.after(TRANSIENT_S)[0] > 1.5 * run("two_wx200").after(TRANSIENT_S)[0]
+    assert believing.after(TRANSIENT_S)[0] > 1.5 * run("paper").after(TRANSIENT_S)[0]
 
 
 def test_torque_is_as_calm_at_turns_as_where_nothing_sticks() -> None:
