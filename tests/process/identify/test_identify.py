@@ -25,7 +25,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of a whole run of the cell."""
 
     def make(folder: Path) -> None:
-        done = run_process("run", CELL, "--duration", 40, "--no-report", "--out", "run", cwd=folder)
+        done = run_process("run", CELL, "--no-report", "--out", "run", cwd=folder)
         assert done.returncode == 0, done.stderr
 
     return once(tmp_path_factory, "identify-run", make) / "run"
