@@ -25,22 +25,25 @@ run: $(VENV)/.installed  ## the paper's experiment in simulation, 100 s, report 
 	$(BIN)/coop run $(CELL)
 
 # Types and contracts are looked at on what the tests leave of the cores, and told of behind them.  The tests start
-# some hundred processes: what Python compiles is kept, even where the environment says otherwise.
+# some hundred processes: what Python compiles is kept, even where the environment says otherwise, and in a fresh tree it
+# is compiled once before the workers, each of which would do it for itself.
 test: export PYTHONDONTWRITEBYTECODE =
 test: $(VENV)/.installed  ## format, lint, types, import contracts, tests
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	@said=$$(mktemp); { $(BIN)/mypy && $(BIN)/lint-imports; } >$$said 2>&1 & checks=$$!; \
 	trap 'kill $$checks 2>/dev/null; rm -f $$said' EXIT; trap 'exit 130' INT TERM; \
+	test -d tests/unit/__pycache__ || $(BIN)/pytest --collect-only -qq -p no:xdist >/dev/null 2>&1; \
 	$(BIN)/pytest -m "not realtime and not long" -n $(JOBS) --dist worksteal; tests=$$?; \
 	wait $$checks; checked=$$?; cat $$said; exit $$((tests | checked))
-	$(BIN)/pytest -m realtime tests/process
+	$(BIN)/pytest -m "realtime and not long" tests/process
 
 test-fresh: $(VENV)/.installed  ## `make run` on minimal Debian 12 and 13, each in a tree of its own; root, 2 min each
 	$(BIN)/pytest --fresh tests/process/install/test_fresh_machine.py
 
 long: $(VENV)/.installed  ## simulations and repetitions of which `make test` runs some (3 min)
-	$(BIN)/pytest -m long -n $(JOBS) --dist worksteal
+	$(BIN)/pytest -m "long and not realtime" -n $(JOBS) --dist worksteal
+	$(BIN)/pytest -m "long and realtime" tests/process
 	HYPOTHESIS_PROFILE=whole $(BIN)/pytest -n $(JOBS) --dist worksteal tests/property/control tests/unit/control
 
 mutate: $(VENV)/.installed  ## one-line changes that a test must notice; MUTATE_ONLY=TEXT for some modules, MUTATE_DONE=FILE goes on where it stopped

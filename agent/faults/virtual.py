@@ -66,7 +66,8 @@ class SharedClock:
             self._due[me] = deadline_ns
             if self._goes == me:
                 self._next()
-            self._turn.wait_for(lambda: self._goes == me)
+            if self._goes != me:
+                self._turn.wait_for(lambda: self._goes == me)
 
     def live(self, lives: Sequence[Callable[[], None]]) -> None:
         """Carry these out, each in a thread of its own, to the end of all; as many as there are members.
@@ -109,10 +110,13 @@ class SharedClock:
             self._next()
 
     def _next(self) -> None:
+        """Let time pass until somebody is due, and wake the threads where that is another than before."""
+        before = self._goes
         self._goes = min(self._due, key=self._due.__getitem__, default=NOBODY)
         if self._goes != NOBODY:
             self._pass_until(self._due[self._goes])
-        self._turn.notify_all()
+        if self._goes != before:
+            self._turn.notify_all()
 
     def _pass_until(self, deadline_ns: int) -> None:
         while self._ns < deadline_ns:

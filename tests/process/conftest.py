@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,19 +16,20 @@ from tests.support.stalls import ATTEMPTS
 
 PAPER_RUN_S = 3
 TRANSIENT_S = 1.0
+WHOLE_S = 8.0
 PAPER_RUN = ("paper", "--duration", PAPER_RUN_S, "--set", f"report.transient_s={TRANSIENT_S}")
 SHORT = ("--duration", 1.5, "--set", "report.transient_s=0.5", "--no-report")  # of a run whose length says nothing
 WAITING = (
     "paper", "--duration", 2, "--set", "simulation.ready_s=0.5", "--set", "controller.alignment.max_m=0.02",
     "--set", "report.transient_s=1", "--no-report",
 )  # fmt: skip
-# as quick as the emulated servos' motions are in tests/unit/test_whole.py, and eight seconds of tracking that count
+# as quick as the emulated servos' motions are in tests/unit/test_whole.py, and four seconds of tracking that count
 QUICK = (
     "session.speed_max_rad_per_s=2.0", "session.back_off_m=0.04", "session.lift_m=0.015", "session.lift_s=1.0",
     "session.lower_s=1.2", "session.take_up_s=0.6", "session.ease_s=0.5", "report.transient_s=4",
 )  # fmt: skip
 WHOLE_RUN = (
-    "two_wx200", "--wire", "--whole", "--duration", 12, "--no-report",
+    "two_wx200", "--wire", "--whole", "--duration", WHOLE_S, "--no-report",
     *(word for setting in QUICK for word in ("--set", setting)),
 )  # fmt: skip
 
@@ -54,9 +56,24 @@ def run_of(tmp_path_factory: pytest.TempPathFactory) -> RunOf:
 
 
 @pytest.fixture(scope="session")
-def paper_runs(run_of: RunOf) -> tuple[Path, Path]:
+def first_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a run of the paper's cell in `out`, over an earlier one; `said.json`: its code, output, errors."""
+
+    def make(folder: Path) -> None:
+        (folder / "out").mkdir()
+        (folder / "out" / "run.mcap").write_text("an earlier run")
+        (folder / "out" / "notes.txt").write_text("mine")
+        done = coop("run", *PAPER_RUN, "--out", "out", "--force", "--json", "--strict", cwd=folder)
+        assert done.returncode == 0, done.stderr
+        (folder / "said.json").write_text(json.dumps([done.returncode, done.stdout, done.stderr]))
+
+    return once(tmp_path_factory, "first-run", make)
+
+
+@pytest.fixture(scope="session")
+def paper_runs(first_run: Path, run_of: RunOf) -> tuple[Path, Path]:
     """Folders of two runs of the paper's cell, `PAPER_RUN_S` long, the first with its report."""
-    return run_of(*PAPER_RUN), run_of(*PAPER_RUN, "--no-report")
+    return first_run / "out", run_of(*PAPER_RUN, "--no-report")
 
 
 @pytest.fixture(scope="session")

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import pytest
+
 from agent.config.cell import load_cell
 from tests.support.command import coop
 from tests.support.coop import coop as run_process
@@ -19,6 +21,7 @@ REALITY = (
 UNSURE = ("tolerance.base_m=0.01", "tolerance.zeros_rad=0.017")
 
 
+@pytest.mark.long  # tests/unit/process/test_floats.py has the way from a log to a cell without processes
 def test_a_run_becomes_a_cell_whose_arms_agree(tmp_path: Path) -> None:
     real = [word for key in REALITY for word in ("--set", key)]
     done = run_process("run", "two_wx200", *real, "--duration", 7, "--no-report", "--out", "run", cwd=tmp_path)

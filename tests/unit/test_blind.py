@@ -88,11 +88,12 @@ def flagged(rows: Any, flag: Flag) -> Any:
 @pytest.mark.parametrize(
     ("kind", "mode"),
     [
-        ("all", Mode.READY), ("all", Mode.TRACK), ("all", Mode.HOLD), ("one", Mode.TRACK), ("dropped", Mode.HOLD),
+        ("all", Mode.TRACK), ("one", Mode.READY), ("dropped", Mode.HOLD),
         *(
             pytest.param(*pair, marks=pytest.mark.long)
             for pair in (
-                ("one", Mode.READY), ("one", Mode.HOLD), ("dropped", Mode.READY), ("dropped", Mode.TRACK),
+                ("all", Mode.READY), ("all", Mode.HOLD), ("one", Mode.TRACK), ("one", Mode.HOLD),
+                ("dropped", Mode.READY), ("dropped", Mode.TRACK),
             )
         ),
     ],
@@ -153,7 +154,7 @@ def port_away(gone: bool) -> Callable[[CoupledRun], None]:
 
 
 @pytest.mark.fault("B4")
-@pytest.mark.parametrize("away_s", [0.002, 0.08])
+@pytest.mark.parametrize("away_s", [0.002, pytest.param(0.08, marks=pytest.mark.long)])
 def test_a_port_that_comes_back_before_the_watchdogs_fire_leaves_the_arm_in_hold_without_a_jump(away_s: float) -> None:
     """However soon: nothing is opened again before the arm holds."""
     actions = [(FAULT_S, port_away(True)), (FAULT_S + away_s, port_away(False))]
@@ -291,7 +292,7 @@ def starving(every: int) -> Callable[[CoupledRun], None]:
     return act
 
 
-@pytest.mark.parametrize("every", [4, 6, 10])
+@pytest.mark.parametrize("every", [10, *(pytest.param(every, marks=pytest.mark.long) for every in (4, 6))])
 @pytest.mark.fault("M6")
 def test_a_hold_that_is_seen_only_now_and_then_moves_hardly(every: int) -> None:
     """20, 30 and 50 ms from one state to the next; the law alone makes 13 rad/s of 30 ms."""
@@ -316,7 +317,7 @@ def louder(run: CoupledRun) -> None:
         arm.runner._agent = replace(agent, offline=replace(agent.offline, gains=replace(gains, **ten)))
 
 
-@pytest.mark.parametrize("name", ["paper_real", "two_wx200"])
+@pytest.mark.parametrize("name", ["two_wx200", pytest.param("paper_real", marks=pytest.mark.long)])
 @pytest.mark.fault("M5")
 def test_a_hold_of_ten_times_the_gain_brakes_and_goes_on_by_its_joints(name: str) -> None:
     """Without the sign of the torque's steps `two_wx200`, which begins to swing after 0.12 s, makes 0.5 rad/s."""
@@ -333,7 +334,8 @@ def test_a_hold_of_ten_times_the_gain_brakes_and_goes_on_by_its_joints(name: str
 
 
 @pytest.mark.parametrize(
-    ("name", "force_N", "swing_s", "most_rad_per_s"), [("paper", 15.0, 0.08, 1.3), ("paper_real", 30.0, 0.125, 2.8)]
+    ("name", "force_N", "swing_s", "most_rad_per_s"),
+    [("paper_real", 30.0, 0.125, 2.8), pytest.param("paper", 15.0, 0.08, 1.3, marks=pytest.mark.long)],
 )
 @pytest.mark.fault("M6")
 def test_a_hold_that_is_shaken_stays_below_the_speed_limit_and_the_torque_caps(

@@ -9,25 +9,28 @@ import numpy as np
 import pytest
 
 import configs
-from agent.config.cell import load_cell
+from agent.config.cell import Cell, load_cell
 from agent.modes import Mode
 from sim_backend.wire.faults import Fault, FaultKind
 from tests.support.servos.coupled_rig import CoupledRun
 
-FAULT_S, DURATION_S = 1.0, 4.0
-CELL = load_cell(
-    configs.CELLS_DIR / "two_wx200.toml", [f"duration_s={DURATION_S}", "safety.tracking_error_max_m=0.02"]
-)  # fmt: skip
+FAULT_S, DURATION_S, GIVEN_UP_S = 1.0, 2.4, 4.0
+
+
+def cell(duration_s: float = DURATION_S) -> Cell:
+    return load_cell(
+        configs.CELLS_DIR / "two_wx200.toml", [f"duration_s={duration_s}", "safety.tracking_error_max_m=0.02"]
+    )
 
 
 def test_without_a_fault_both_arms_follow_to_the_end() -> None:
-    arms = CoupledRun(CELL).arms
+    arms = CoupledRun(cell()).arms
     for run in arms.values():
         assert run.summary is not None
         assert (run.summary.mode, run.summary.reason) == (Mode.TRACK, "")
         assert (run.summary.late_cycles, run.summary.stale_cycles) == (0, 0)
         tracked = run.rows[run.rows["mode"] == Mode.TRACK]
-        assert np.abs(np.diff(tracked["t"]) - CELL.period_ns * 1e-9).max() < 1e-4
+        assert np.abs(np.diff(tracked["t"]) - cell().period_ns * 1e-9).max() < 1e-4
         assert tracked["t"][-1] == pytest.approx(DURATION_S, abs=0.01)
 
 
@@ -42,7 +45,8 @@ def test_without_a_fault_both_arms_follow_to_the_end() -> None:
 )
 @pytest.mark.fault("S1")
 def test_a_lost_servo_is_named_and_both_arms_hold(kind: FaultKind, servo: int, named: str, ends: Mode) -> None:
-    arms = CoupledRun(CELL, [Fault(kind=kind, arm="left", servo=servo, start_s=FAULT_S)]).arms
+    seen_s = GIVEN_UP_S if ends is Mode.FAULT else DURATION_S
+    arms = CoupledRun(cell(seen_s), [Fault(kind=kind, arm="left", servo=servo, start_s=FAULT_S)]).arms
     left, right = arms["left"], arms["right"]
     assert left.summary is not None
     assert right.summary is not None

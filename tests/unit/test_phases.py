@@ -58,6 +58,7 @@ def replays(arm: PhaseArm) -> None:
         assert np.array_equal(memory.flatten(), row["memory"])
 
 
+@pytest.mark.long  # the same is stopped at the object below; `make phases` goes through every phase
 def test_a_person_stops_before_the_grasp_and_on_the_way_home_and_goes_on_or_back() -> None:
     rig = PhaseRun(
         CELL,

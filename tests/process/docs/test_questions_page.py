@@ -41,6 +41,7 @@ def answer(tmp_path: Path, run_of: RunOf, paper_runs: tuple[Path, Path]) -> Call
     return say
 
 
+@pytest.mark.long  # two runs of which nobody else needs one; `coop compare` is in tests/unit/cli
 def test_did_the_adaptive_law_help(answer: Callable[[str], str]) -> None:
     said = answer(BLOCKS[0])
     assert re.search(r"A: paper_adaptive, known law.*\n.*B: paper_adaptive, adaptive law", said)
@@ -63,6 +64,7 @@ def test_which_arm_is_badly_calibrated(answer: Callable[[str], str]) -> None:
     assert all(float(mm) < 0.3 for _, mm in offsets), "both are as the cell says"
 
 
+@pytest.mark.long  # a run that nobody else needs; the same command answers the question above
 def test_how_much_friction_margin_is_left(answer: Callable[[str], str]) -> None:
     said = answer(BLOCKS[3])
     found = re.findall(r"(left|right) .* ([\d.]+) N +6\.00 N +([\d.]+) N", said)

@@ -78,6 +78,7 @@ def test_a_log_that_was_cut_is_refused_in_one_line(run: Path, tmp_path: Path) ->
     assert "expected a complete log" in done.err
 
 
+@pytest.mark.long  # `coop tune` is in tests/unit/cli and tests/unit/verify
 def test_gains_are_proposed_and_written_and_pass_the_check(tmp_path: Path) -> None:
     slow = ("--set", "rate_hz=120.0")
     assert coop("check", PAPER, *slow, cwd=tmp_path).code == 2

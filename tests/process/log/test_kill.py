@@ -1,6 +1,6 @@
 """A recorder killed at any moment: what is older than a second is there, and every reader reads it.
 
-Six times, and twenty in `make long`.
+Twice, and twenty in `make long`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from tests.support.telemetry.telemetry_cell import ARMS, Process, make_rows
 
 BATCH = 10  # rows of each arm; 20 batches a second at 200 Hz
 SECOND = 20
-KILLS, QUICK = 20, 6
+KILLS, QUICK = 20, 2
 ROWS = 20_000
 
 

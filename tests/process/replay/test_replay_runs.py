@@ -11,11 +11,16 @@ from agent.log.read import RunLog
 from tests.process.conftest import PAPER_RUN_S, SHORT, WAITING, RunOf
 from tests.support.command import coop
 
+BOX = ("three_wx250s", "--duration", 0.7, "--no-report")
+HELD = ("paper", "--set", "safety.tracking_error_max_m=0.0002", *SHORT)
 RUNS = {
-    "adaptive": ("paper_adaptive", "--set", "simulation.object_mass_error=1.0", *SHORT),
     "waiting before the start, alignment": WAITING,
-    "a hold": ("paper", "--set", "safety.tracking_error_max_m=0.0002", *SHORT),
-    "six joints, internal force": ("three_wx250s", "--duration", 0.7, "--no-report"),
+    "a hold": HELD,
+    "six joints, internal force, adaptive": (*BOX, "--set", 'controller.kind="adaptive"'),
+}
+MORE = {
+    "adaptive": ("paper_adaptive", "--set", "simulation.object_mass_error=1.0", *SHORT),
+    "six joints, internal force": BOX,
 }
 
 
@@ -26,7 +31,11 @@ def test_a_run_of_two_arms_is_verified(paper_runs: tuple[Path, Path]) -> None:
     assert document["rows_compared"] == 2 * 200 * PAPER_RUN_S
 
 
-@pytest.mark.parametrize("words", RUNS.values(), ids=RUNS)
+@pytest.mark.parametrize(
+    "words",
+    [*RUNS.values(), *(pytest.param(words, marks=pytest.mark.long) for words in MORE.values())],
+    ids=[*RUNS, *MORE],
+)
 def test_every_kind_of_run_is_verified_from_its_first_row_and_from_its_middle(
     run_of: RunOf, words: tuple[str | float, ...]
 ) -> None:
@@ -69,6 +78,6 @@ def test_two_runs_of_one_cell_are_the_same_and_another_cell_is_not(
 ) -> None:
     a, b = (folder / "run.mcap" for folder in paper_runs)
     assert coop("replay", a, "--same-as", b).code == 0
-    done = coop("replay", a, "--same-as", run_of(*RUNS["a hold"]) / "run.mcap")
+    done = coop("replay", a, "--same-as", run_of(*HELD) / "run.mcap")
     assert done.code == 1
     assert "first difference: row 0 of left" in done.out

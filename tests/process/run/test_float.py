@@ -21,6 +21,7 @@ from tests.support.coop import TIMEOUT_S, start
 ATTEMPTS = 3
 
 
+@pytest.mark.long  # a quarter of a minute until it lies; in virtual time `make test` has it
 def test_a_stop_by_signal_ends_in_off_with_a_complete_log_and_nothing_left(tmp_path: Path) -> None:
     process, seen, log = floating(tmp_path)
     assert [joint["name"] for joint in seen["joints"]] == ["shoulder", "elbow", "wrist_angle"]

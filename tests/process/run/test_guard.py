@@ -209,6 +209,7 @@ def test_a_stopped_agent_is_ended_and_held_for(host: Host) -> None:
 
 @pytest.mark.fault("P1")
 @pytest.mark.realtime
+@pytest.mark.long  # a killed agent is held for in the same way below, and in virtual time
 def test_an_agent_that_fails_by_an_error_is_held_for_and_says_why(host: Host) -> None:
     guard = host.guard()
     agent = host.agent(program=(sys.executable, "-c", FAILING))

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import threading
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -58,51 +60,12 @@ def in_ring(path: Path) -> NDArray[np.void]:
         return AGENT_STATE.decode(ring.read_at(0, ring.written).payload)
 
 
-def bereft(folder: Path) -> dict[str, NDArray[np.void]]:
-    """Early in the run one arm's telemetry and the recorder are killed, the other's telemetry and the plant's stand."""
-    cell, socket = short_cell(folder), folder / "plant.sock"
-    rings = {member: folder / f"{member}.ring" for member in ("left", "right", "plant")}
-    log = ["--out", str(folder / "run.mcap"), "--listen", "tcp/127.0.0.1:0", "--driver", "sim"]
-    recorder = start("record", cell, *log, cwd=folder)
-    endpoint = ready(recorder).split("endpoint=")[1].strip()
-    options = ["--connect", endpoint, "--lockstep"]
-    told = {
-        m: start("telemetry", cell, "--member", m, "--ring", str(r), *options, cwd=folder) for m, r in rings.items()
-    }
-    for process in told.values():
-        ready(process)
-    plant = start("plant", cell, "--socket", str(socket), "--ring", str(rings["plant"]), cwd=folder)
-    ready(plant)
-    place = ["--plant-socket", str(socket), "--ring"]
-    agents = [start("agent", cell, "--arm", arm, *place, str(rings[arm]), cwd=folder) for arm in ("left", "right")]
-    try:
-        wait_for(lambda: written(rings["left"]) > 20)
-        plant.send_signal(signal.SIGSTOP)  # simulated time waits
-        assert written(rings["left"]) < RUN_S * 200 / 2, "the run was over too soon"
-        for process in (told["left"], recorder):
-            process.kill()
-        for member in ("right", "plant"):
-            told[member].send_signal(signal.SIGSTOP)
-        plant.send_signal(signal.SIGCONT)
-        for process in (*agents, plant):
-            _, err = process.communicate(timeout=60)
-            assert process.returncode == 0, err
-    finally:
-        for process in (*told.values(), recorder, *agents, plant):
-            process.kill()
-            process.communicate()
-    return {arm: in_ring(rings[arm]) for arm in ("left", "right")}
-
-
-def flooded(folder: Path) -> dict[str, NDArray[np.void]]:
-    """A whole run while a stranger floods the keys of both arms with wrong messages."""
-    cell, socket = short_cell(folder), folder / "plant.sock"
-    log = folder / "run.mcap"
-    recorder = start("record", cell, "--out", str(log), "--listen", "tcp/127.0.0.1:0", "--driver", "sim", cwd=folder)
-    endpoint = ready(recorder).split("endpoint=")[1].strip()
+@contextlib.contextmanager
+def flood(endpoint: str) -> Iterator[list[int]]:
+    """A stranger floods the keys of both arms with wrong messages; yields how many it has sent."""
     stop, sent = threading.Event(), [0]
 
-    def flood() -> None:
+    def pour() -> None:
         config = zenoh.Config()
         config.insert_json5("connect/endpoints", f'["{endpoint}"]')
         config.insert_json5("scouting/multicast/enabled", "false")
@@ -114,28 +77,80 @@ def flooded(folder: Path) -> dict[str, NDArray[np.void]]:
                         sent[0] += 1
                 time.sleep(0.001)
 
-    stranger = threading.Thread(target=flood)
+    stranger = threading.Thread(target=pour)
     stranger.start()
     try:
-        plant = start("plant", cell, "--socket", str(socket), "--ring", str(folder / "plant.ring"), cwd=folder)
-        ready(plant)
-        members = []
-        for arm in ("left", "right"):
-            place = ["--ring", str(folder / f"{arm}.ring")]
-            members.append(start("agent", cell, "--arm", arm, "--plant-socket", str(socket), *place, cwd=folder))
-            members.append(
-                start("telemetry", cell, "--arm", arm, *place, "--connect", endpoint, "--lockstep", cwd=folder)
-            )
-        place = ["--ring", str(folder / "plant.ring")]
-        members.append(
-            start("telemetry", cell, "--member", "plant", *place, "--connect", endpoint, "--lockstep", cwd=folder)
-        )
-        for process in (*members, plant):
-            _, err = process.communicate(timeout=90)
-            assert process.returncode == 0, err
+        yield sent
     finally:
         stop.set()
         stranger.join()
+
+
+def bereft(folder: Path) -> dict[str, NDArray[np.void]]:
+    """Under a flood; early in the run one arm's telemetry and the recorder are killed, the others' telemetry stands."""
+    cell, socket = short_cell(folder), folder / "plant.sock"
+    rings = {member: folder / f"{member}.ring" for member in ("left", "right", "plant")}
+    log = ["--out", str(folder / "run.mcap"), "--listen", "tcp/127.0.0.1:0", "--driver", "sim"]
+    recorder = start("record", cell, *log, cwd=folder)
+    endpoint = ready(recorder).split("endpoint=")[1].strip()
+    options = ["--connect", endpoint, "--lockstep"]
+    told = {
+        m: start("telemetry", cell, "--member", m, "--ring", str(r), *options, cwd=folder) for m, r in rings.items()
+    }
+    started, place = [recorder, *told.values()], ["--plant-socket", str(socket), "--ring"]
+    try:
+        for process in told.values():
+            ready(process)
+        with flood(endpoint) as sent:
+            plant = start("plant", cell, "--socket", str(socket), "--ring", str(rings["plant"]), cwd=folder)
+            started.append(plant)
+            ready(plant)
+            agents = [start("agent", cell, "--arm", a, *place, str(rings[a]), cwd=folder) for a in ("left", "right")]
+            started += agents
+            wait_for(lambda: written(rings["left"]) > 20)
+            plant.send_signal(signal.SIGSTOP)  # simulated time waits
+            assert written(rings["left"]) < RUN_S * 200 - 50, "the run was over too soon"
+            wait_for(lambda: sent[0] > 1000)
+        for process in (told["left"], recorder):
+            process.kill()
+        for member in ("right", "plant"):
+            told[member].send_signal(signal.SIGSTOP)
+        plant.send_signal(signal.SIGCONT)
+        for process in (*agents, plant):
+            _, err = process.communicate(timeout=60)
+            assert process.returncode == 0, err
+    finally:
+        for process in started:
+            process.kill()
+            process.communicate()
+    return {arm: in_ring(rings[arm]) for arm in ("left", "right")}
+
+
+def flooded(folder: Path) -> dict[str, NDArray[np.void]]:
+    """A whole run while a stranger floods the keys of both arms with wrong messages."""
+    cell, socket = short_cell(folder), folder / "plant.sock"
+    log = folder / "run.mcap"
+    recorder = start("record", cell, "--out", str(log), "--listen", "tcp/127.0.0.1:0", "--driver", "sim", cwd=folder)
+    endpoint = ready(recorder).split("endpoint=")[1].strip()
+    try:
+        with flood(endpoint) as sent:
+            plant = start("plant", cell, "--socket", str(socket), "--ring", str(folder / "plant.ring"), cwd=folder)
+            ready(plant)
+            members = []
+            for arm in ("left", "right"):
+                place = ["--ring", str(folder / f"{arm}.ring")]
+                members.append(start("agent", cell, "--arm", arm, "--plant-socket", str(socket), *place, cwd=folder))
+                members.append(
+                    start("telemetry", cell, "--arm", arm, *place, "--connect", endpoint, "--lockstep", cwd=folder)
+                )
+            place = ["--ring", str(folder / "plant.ring")]
+            members.append(
+                start("telemetry", cell, "--member", "plant", *place, "--connect", endpoint, "--lockstep", cwd=folder)
+            )
+            for process in (*members, plant):
+                _, err = process.communicate(timeout=90)
+                assert process.returncode == 0, err
+    finally:
         recorder.terminate()
         _, err = recorder.communicate(timeout=30)
     assert recorder.returncode == 0, err
@@ -146,17 +161,16 @@ def flooded(folder: Path) -> dict[str, NDArray[np.void]]:
 
 
 @pytest.mark.fault("N1", "N5", "P10")
-def test_torque_is_the_same_without_network_with_it_under_a_flood_and_bereft_of_telemetry(
-    paper_runs: tuple[Path, Path], tmp_path: Path
+@pytest.mark.parametrize(
+    "run", [without_network, bereft, pytest.param(flooded, marks=pytest.mark.long)], ids=lambda run: run.__name__
+)
+def test_torque_is_the_same_with_network_without_it_under_a_flood_and_bereft_of_telemetry(
+    paper_runs: tuple[Path, Path], tmp_path: Path, run: Callable[[Path], dict[str, NDArray[np.void]]]
 ) -> None:
-    folders = [tmp_path / name for name in ("absent", "flooded", "bereft")]
-    for folder in folders:
-        folder.mkdir()
-    absent, under_flood, alone = without_network(folders[0]), flooded(folders[1]), bereft(folders[2])
-    present = read_log(paper_runs[0] / "run.mcap").agents
+    """The flood of a whole run is in `make long`; here it lasts until there is no recorder."""
+    found, present = run(tmp_path), read_log(paper_runs[0] / "run.mcap").agents
     for arm in ("left", "right"):
-        assert len(absent[arm]) == RUN_S * 200
-        begin = present[arm][: len(absent[arm])]  # of a longer run
-        for other in (begin, under_flood[arm], alone[arm]):
-            for name in COMPARED:
-                assert absent[arm][name].tobytes() == other[name].tobytes(), (arm, name)
+        assert len(found[arm]) == RUN_S * 200
+        begin = present[arm][: len(found[arm])]  # of a longer run
+        for name in COMPARED:
+            assert begin[name].tobytes() == found[arm][name].tobytes(), (arm, name)

@@ -54,6 +54,7 @@ def test_a_study_that_is_stopped_leaves_no_process_and_goes_on(tmp_path: Path, n
     assert document["runs"] == document["wanted"] == kept
 
 
+@pytest.mark.long  # tests/unit/study/test_study.py kills workers by their own processes
 def test_a_worker_that_is_killed_is_replaced(tmp_path: Path) -> None:
     study, out = under_way(tmp_path, 12)
     psutil.Process(study.pid).children()[0].kill()

@@ -39,9 +39,10 @@ def paper(*overrides: str) -> Cell:
 @pytest.mark.parametrize(
     ("start", "effects", "duration_s"),
     [
-        pytest.param("nothing", (), LONG_S, id="nothing"),
+        pytest.param("nothing", (), DURATION_S, id="nothing"),
+        pytest.param("nothing", (), LONG_S, id="nothing, for long", marks=pytest.mark.long),
         pytest.param("half", (), DURATION_S, id="half", marks=pytest.mark.long),
-        pytest.param("double", (), DURATION_S, id="double"),
+        pytest.param("double", (), DURATION_S, id="double", marks=pytest.mark.long),
         pytest.param(
             "nothing", (*IDEAL, "controller.adaptive.rotor_inertia=true"), DURATION_S, id="nothing, ideal actuators"
         ),
@@ -66,8 +67,8 @@ def test_an_object_twice_as_heavy_as_configured_is_learnt() -> None:
     """Beside the non-adaptive law, which keeps its error.  The agents begin with what the cell file says."""
     believed = ("object.mass_kg=0.031", 'controller.adaptive.start="nominal"', *IDEAL)
     adaptive, known = (
-        simulate(paper(*IDEAL), DURATION_S, agents_cell=paper(*believed, *kind)).after(TRANSIENT_S)[0]
-        for kind in ((), ('controller.kind="known"',))
+        simulate(paper(*IDEAL), duration_s, agents_cell=paper(*believed, *kind)).after(TRANSIENT_S)[0]
+        for kind, duration_s in (((), DURATION_S), (('controller.kind="known"',), TRANSIENT_S + 5.0))
     )
     assert adaptive <= BOUND_M
     assert known > 5.0 * adaptive
@@ -77,7 +78,7 @@ def test_an_object_twice_as_heavy_as_configured_is_learnt() -> None:
     ("cell", "kind"),
     [
         pytest.param("three_wx250s", "known", marks=pytest.mark.long),
-        ("four_wx250s", "known"),
+        pytest.param("four_wx250s", "known", marks=pytest.mark.long),
         ("three_wx250s", "adaptive"),
     ],
 )

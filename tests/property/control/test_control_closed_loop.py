@@ -18,6 +18,7 @@ from tests.support.control.strategies import RandomCell, with_internal_wrenches
 
 DURATION = 1.0  # s
 STEP = 0.005  # s
+LONG = (pytest.param(True, 2, marks=pytest.mark.long), pytest.param(False, 4, marks=pytest.mark.long))
 
 
 @dataclass(frozen=True)
@@ -68,7 +69,7 @@ def share_error(record: Record) -> float:
     return float(np.abs(record.shares - record.V).max() / record.V[0])
 
 
-@pytest.mark.parametrize(("planar", "arm_count"), [(True, 2), (True, 3), (False, 2), (False, 4)])
+@pytest.mark.parametrize(("planar", "arm_count"), [(True, 3), (False, 2), *LONG])
 def test_lyapunov_function_falls_by_exactly_what_the_theorem_says(planar: bool, arm_count: int) -> None:
     """V(t) + ∫ (eᵀKe + Σ k_v ‖e_v‖²) is constant, and the agents' shares sum to V, up to an integration error.
 

@@ -29,7 +29,7 @@ def run(name: str, *overrides: str) -> History:
         ("paper", (), 1e-3, 2e-3),
         ("paper", SERVOS, 1e-3, 2e-3),
         ("paper", ("controller.friction_feedforward=false",), 4e-3, np.inf),
-        ("two_wx200", (), 1e-3, 2e-3),
+        pytest.param("two_wx200", (), 1e-3, 2e-3, marks=pytest.mark.long),
     ],
     ids=["ideal", "all servo effects", "servo velocities", "no feed-forward", "two wx200"],
 )

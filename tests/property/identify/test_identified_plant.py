@@ -42,9 +42,12 @@ class Known:
 
 
 RUNS = [
-    ("identify_wx200", 1), ("identify_mk2", 3), ("identify_wx250s", 4),
-    pytest.param(("identify_wx200", 2), marks=pytest.mark.long),
-]  # fmt: skip
+    ("identify_wx250s", 4),
+    *(
+        pytest.param(run, marks=pytest.mark.long)
+        for run in (("identify_wx200", 1), ("identify_wx200", 2), ("identify_mk2", 3))
+    ),
+]
 
 
 @pytest.fixture(scope="module", params=RUNS, ids=lambda run: f"{run[0]}-{run[1]}")

@@ -144,8 +144,8 @@ class CoupledRun:
 
     def _pass(self, ns: int) -> None:
         plant = self.world.plant
-        p_object = self.world.observe().p_object
-        self.truth.append(Truth(ns, plant.q.copy(), plant.dq.copy(), self.world.tau_Nm.copy(), np.array(p_object)))
+        p_object = plant.T_world_object.translation
+        self.truth.append(Truth(ns, plant.q, plant.dq, self.world.tau_Nm.copy(), np.array(p_object)))
         for arm in self._emulated.arms:
             run = self.arms[arm.name]
             if run.tripped_ns is None and arm.bus.counters.watchdog_trips:

@@ -118,7 +118,7 @@ def largest_error(cell: Cell) -> float:
         return np.inf
 
 
-@pytest.mark.parametrize("rate", [200.0, 500.0])
+@pytest.mark.parametrize("rate", [200.0, pytest.param(500.0, marks=pytest.mark.long)])
 def test_simulation_is_stable_at_the_recommended_gain_and_not_far_above(rate: float) -> None:
     """Bounds of the estimates wide open, so that nothing but the gain keeps the loop together."""
     wide = (

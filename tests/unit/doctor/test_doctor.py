@@ -238,13 +238,20 @@ DEFECTS = {
 }  # fmt: skip
 
 
-@pytest.fixture(params=DEFECTS, ids=lambda name: name.replace(" ", "_"))
+@pytest.fixture(scope="module", params=DEFECTS, ids=lambda name: name.replace(" ", "_"))
 def defect(request: pytest.FixtureRequest) -> str:
     return request.param
 
 
-def test_each_defect_is_one_line_with_found_wanted_and_remedy(defect: str) -> None:
-    diagnosis = examined(DEFECTS[defect].rig())
+@pytest.fixture(scope="module")
+def seen(defect: str) -> tuple[Rig, Diagnosis]:
+    """A rig with the defect, and what the doctor says of it."""
+    rig = DEFECTS[defect].rig()
+    return rig, examined(rig)
+
+
+def test_each_defect_is_one_line_with_found_wanted_and_remedy(defect: str, seen: tuple[Rig, Diagnosis]) -> None:
+    _, diagnosis = seen
     said = list(lines(diagnosis))
     assert any(re.search(DEFECTS[defect].says, line) for line in said), said
     for finding in diagnosis.findings:
@@ -255,9 +262,8 @@ def test_each_defect_is_one_line_with_found_wanted_and_remedy(defect: str) -> No
         assert (finding.remedy == "") == (finding.verdict is Verdict.OK)
 
 
-def test_what_the_driver_refuses_the_doctor_does_not_call_ok(defect: str) -> None:
-    rig = DEFECTS[defect].rig()
-    diagnosis = examined(rig)
+def test_what_the_driver_refuses_the_doctor_does_not_call_ok(defect: str, seen: tuple[Rig, Diagnosis]) -> None:
+    rig, diagnosis = seen
     refusal: DriverError | None = None
     rig.port.baud = rig.arm.baud
     try:
@@ -292,7 +298,7 @@ def test_a_port_that_vanishes_is_a_finding_and_no_crash() -> None:
 # --- the cycle -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("usb_ms", [1, 2])
+@pytest.mark.parametrize("usb_ms", [1, pytest.param(2, marks=pytest.mark.long)])
 @pytest.mark.parametrize("firmware", [44, 46])
 @pytest.mark.parametrize(
     ("baud", "rate_hz"), [(57_600, 15.0), (1_000_000, 150.0), (3_000_000, 250.0), (4_000_000, 100.0)]

@@ -56,7 +56,9 @@ def made(which: Wish) -> Made:
     return Maker(which).make(tune=False)
 
 
-@pytest.mark.parametrize("name", CELLS)
+@pytest.mark.parametrize(
+    "name", ["box", "mixed", *(pytest.param(name, marks=pytest.mark.long) for name in ("tray", "bar"))]
+)
 def test_a_made_cell_runs_within_a_millimetre_at_the_first_try(name: str) -> None:
     cell = made(CELLS[name])
     assert all(f.verdict is not Verdict.REFUSED for f in cell.report.findings)

@@ -20,6 +20,7 @@ from tests.support.control.level_wx200 import LEVEL, STIFF
 from tests.support.watched import only, watched, without
 
 UNNOTICED = ("safety.noticing.enabled=false", "safety.tracking_error_max_m=1.0", "safety.tracking_error_max_rad=1.5")
+LONG = pytest.mark.long
 AT_ONCE = "simulation.ready_s=0.0"
 
 
@@ -27,7 +28,7 @@ def load(name: str, *overrides: str) -> Cell:
     return load_cell(configs.CELLS_DIR / f"{name}.toml", overrides)
 
 
-@pytest.mark.parametrize(("name", "seed"), [("two_wx200", 7), ("three_wx250s", 8)])
+@pytest.mark.parametrize(("name", "seed"), [("two_wx200", 7), pytest.param("three_wx250s", 8, marks=LONG)])
 def test_a_cell_within_its_tolerance_trips_no_monitor(name: str, seed: int) -> None:
     cell = load(name, "simulation.ready_s=2.0")
     seen = watched(cell, 2.5, reality=draw(cell.tolerance, seed, cell))
@@ -47,7 +48,7 @@ def test_arms_whose_friction_grows_with_the_load_trip_nothing_at_rest(tmp_path: 
     assert all(most > 3.0 * 1.39 * s.coulomb_Nm.value for most, s in zip(stuck, cell.arms[0].servos, strict=True))
 
 
-@pytest.mark.parametrize("factor", [0.7, 1.3])
+@pytest.mark.parametrize("factor", [1.3, pytest.param(0.7, marks=LONG)])
 @pytest.mark.fault("S8")
 def test_s8_torque_constants_and_friction_off_by_a_third_are_no_trip(factor: float) -> None:
     cell = load("two_wx200", "simulation.ready_s=2.0")
@@ -62,8 +63,8 @@ def test_s8_torque_constants_and_friction_off_by_a_third_are_no_trip(factor: flo
     [
         # the right arm moves 3 mrad too far for one window to count, and then the left one holds and moves it
         ("two_wx200", (), "[0.0, 0.0, 9.81]", -1.0),
-        ("two_wx200", LEVEL, "[0.0, 0.0, 9.81]", -2.0),
-        ("two_wx200", (), "[9.81, 0.0, 0.0]", -2.0),
+        pytest.param("two_wx200", LEVEL, "[0.0, 0.0, 9.81]", -2.0, marks=LONG),
+        pytest.param("two_wx200", (), "[9.81, 0.0, 0.0]", -2.0, marks=LONG),
         ("paper_adaptive", (), "[0.0, 9.81, 0.0]", -2.0),
     ],
     ids=["up", "up, level", "sideways", "up, learning"],
@@ -99,7 +100,7 @@ def test_g6_a_missing_object_is_refused_where_the_arms_are_known_well_enough() -
 
 @pytest.mark.parametrize(
     ("name", "pose", "wild_rad_per_s"),
-    [("two_wx200", (*LEVEL, *STIFF), 0.15), ("three_wx250s", (), 0.156)],
+    [("two_wx200", (*LEVEL, *STIFF), 0.15), pytest.param("three_wx250s", (), 0.156, marks=LONG)],
     ids=["two_wx200, level", "three_wx250s"],
 )
 @pytest.mark.fault("M5")

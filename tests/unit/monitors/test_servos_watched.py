@@ -37,6 +37,7 @@ def left_arm(fault: Fault) -> ArmRun:
             Fault(kind=FaultKind.OVERHEAT, arm="left", servo=3, start_s=0.2, temperature_C=79.0),
             "monitor temperature: temperature of servo 3 (shoulder): found 79 °C, expected below 78 °C",
             id="S3 shadow servo hot",
+            marks=pytest.mark.long,
         ),
         pytest.param(
             LOW_SUPPLY,
@@ -101,7 +102,10 @@ def test_a_dead_encoder_is_found_while_the_motion_asks_for_a_turn() -> None:
     assert "monitor frozen: reading of shoulder" in left.summary.reason
 
 
-@pytest.mark.parametrize(("gravity", "held"), [("[0.0, 0.0, -9.81]", False), ("[0.0, 0.0, 9.81]", True)])
+@pytest.mark.parametrize(
+    ("gravity", "held"),
+    [pytest.param("[0.0, 0.0, -9.81]", False, marks=pytest.mark.long), ("[0.0, 0.0, 9.81]", True)],
+)
 @pytest.mark.fault("G6")
 def test_measured_currents_contradict_a_wrong_gravity_before_the_start(gravity: str, held: bool) -> None:
     true, believed = cell("duration_s=0.1"), cell("duration_s=0.1", f"world.gravity_m_per_s2={gravity}")

@@ -165,14 +165,15 @@ def test_motion_converges_with_the_square_of_the_step_under_torque_steps_and_fri
     assert errors[0] / errors[1] > 2.5
 
 
-def test_grasps_stay_closed_to_10_micrometres_over_100_s() -> None:
+@pytest.mark.parametrize("seconds", [20.0, pytest.param(100.0, marks=pytest.mark.long)])
+def test_grasps_stay_closed_to_10_micrometres(seconds: float) -> None:
     plant = Plant(planar_cell(MX))
     phase = np.arange(6)
     worst = 0.0
-    for k in range(2000):
+    for k in range(round(seconds / 0.05)):
         plant.advance(np.array([0.8, 0.5, 0.2] * 2) * np.sin(2 * np.pi * k * 0.05 / 3 + phase), 50)
         worst = max(worst, float(plant.observe(nothing(plant)).contact_error_m.max()))
-    assert plant.t == pytest.approx(100.0)
+    assert plant.t == pytest.approx(seconds)
     assert worst < 1e-5
 
 

@@ -16,7 +16,7 @@ def limits(cell: Cell) -> list[Finding]:
     return [f for f in examine(cell, thorough=True).findings if f.what == "limits of the alignment"]
 
 
-@pytest.mark.parametrize("name", ["paper", "two_wx200", "three_wx250s"])
+@pytest.mark.parametrize("name", ["paper", "three_wx250s", pytest.param("two_wx200", marks=pytest.mark.long)])
 def test_the_default_limits_are_within_reach_of_every_follower(name: str) -> None:
     found = limits(gentle(name, "controller.alignment.track_per_s=0.3"))
     arms = cell_of(name).arms
@@ -51,7 +51,9 @@ def test_an_anchor_that_does_not_exist_is_refused_with_those_that_do() -> None:
         cell_of("paper", 'controller.alignment.anchor="middle"')
 
 
-@pytest.mark.parametrize(("anchor", "follower"), [("left", "right"), ("right", "left")])
+@pytest.mark.parametrize(
+    ("anchor", "follower"), [("right", "left"), pytest.param("left", "right", marks=pytest.mark.long)]
+)
 def test_away_from_the_base_is_out_of_reach_first_on_either_side(anchor: str, follower: str) -> None:
     far = ("controller.alignment.max_m=0.1", "controller.alignment.max_rad=0.001", "safety.sigma_min=0.05")
     found = limits(gentle("paper", *far, f'controller.alignment.anchor="{anchor}"'))

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
+from functools import cache
 
 import pytest
 
 from agent.cli.documents import check_document
-from agent.config.cell import ConfigError
+from agent.config.cell import Cell, ConfigError
 from agent.verify.check import CheckReport, examine
 from agent.verify.criterion.cases import Aligning, Demand
 from agent.verify.finding import Finding, Verdict
@@ -22,12 +24,18 @@ SERVOS = (
 ALIGNED = ("controller.alignment.ready_per_s=2.0",)
 
 
+@cache
+def looked_at(gains: Callable[..., Cell], name: str, *overrides: str) -> CheckReport:
+    """The whole check of a cell."""
+    return examine(gains(name, *overrides), thorough=True)
+
+
 def findings(report: CheckReport) -> dict[str, Finding]:
     return {f.what: f for f in report.findings if f.what.startswith("stable") or f.what.startswith("longest")}
 
 
 def test_the_worst_case_is_named_with_its_reality() -> None:
-    found = findings(examine(first("paper"), thorough=True))
+    found = findings(looked_at(first, "paper"))
     alone = found["stable: arm alone"]
     assert alone.where == "left"
     assert alone.found.startswith("1.5")
@@ -38,7 +46,7 @@ def test_the_worst_case_is_named_with_its_reality() -> None:
 
 
 def test_in_simulation_it_warns_and_where_servos_move_the_arms_it_refuses() -> None:
-    simulated = examine(first("paper"), thorough=True)
+    simulated = looked_at(first, "paper")
     assert simulated.ok
     assert {f.verdict for f in findings(simulated).values()} == {Verdict.WARNING}
     real = examine(first("paper", *SERVOS))
@@ -47,11 +55,13 @@ def test_in_simulation_it_warns_and_where_servos_move_the_arms_it_refuses() -> N
         real.require()
 
 
-def test_gains_that_survive_are_neither_warned_of_nor_refused() -> None:
-    for cell in (gentle("paper", *SERVOS), gentle("two_wx200"), gentle("three_wx250s")):
-        report = examine(cell, thorough=True)
-        assert report.ok
-        assert {f.verdict for f in findings(report).values()} == {Verdict.OK}
+@pytest.mark.parametrize(
+    "cell", [("paper", *SERVOS), ("two_wx200",), pytest.param(("three_wx250s",), marks=pytest.mark.long)]
+)
+def test_gains_that_survive_are_neither_warned_of_nor_refused(cell: tuple[str, ...]) -> None:
+    report = examine(gentle(*cell), thorough=True)
+    assert report.ok
+    assert {f.verdict for f in findings(report).values()} == {Verdict.OK}
 
 
 def test_a_simulated_cell_is_looked_at_thoroughly_only_where_that_is_asked() -> None:
@@ -62,7 +72,7 @@ def test_a_simulated_cell_is_looked_at_thoroughly_only_where_that_is_asked() -> 
 
 def test_the_document_carries_the_figures() -> None:
     cell = first("paper")
-    document = json.loads(json.dumps(check_document(cell, examine(cell, thorough=True))))["robustness"]
+    document = json.loads(json.dumps(check_document(cell, looked_at(first, "paper"))))["robustness"]
     assert document["spectral_radius"] == pytest.approx(1.546, abs=1e-3)
     assert document["delay_margin_s"] is None
     worst = document["worst"]["bare"]
@@ -72,8 +82,7 @@ def test_the_document_carries_the_figures() -> None:
 
 
 def test_the_delay_margin_is_in_milliseconds_and_wants_the_stated_delay() -> None:
-    cell = gentle("paper")
-    found = examine(cell, thorough=True)
+    found = looked_at(gentle, "paper")
     margin = findings(found)["longest delay with all of this stable"]
     assert found.robustness is not None
     assert found.robustness.criterion.delay_margin_s is not None

@@ -8,7 +8,9 @@ from __future__ import annotations
 import math
 import re
 import tomllib
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +36,7 @@ from tests.support.arm_files import with_true_arms
 from tests.support.plant.inprocess import History, simulate
 
 PAPER = configs.CELLS_DIR / "paper.toml"
+LONG = pytest.mark.long
 EFFECTS = ("friction", "position_quantisation", "velocity_quantisation", "torque_quantisation")
 IDEAL = (*(f"simulation.effects.{effect}=false" for effect in EFFECTS), "controller.friction_feedforward=false")
 WORST = Margin(worst=0.98)
@@ -54,17 +57,22 @@ def settles(history: History) -> bool:
 
 TABLE = [
     ("servo", 120.0, 0.0, True),
-    ("servo", 150.0, 0.75, True),
     ("servo", 90.0, 0.75, False),
-    ("servo", 120.0, 1.0, False),
     ("servo", 150.0, 1.0, False),
     ("servo", 170.0, 1.0, True),
-    ("servo", 200.0, 1.0, True),
     ("observer", 100.0, 0.3, False),
-    ("observer", 150.0, 0.3, True),
-    ("observer", 120.0, 1.0, False),
     ("observer", 180.0, 1.0, True),
-    ("observer", 200.0, 1.0, True),
+    *(
+        pytest.param(*row, marks=LONG)
+        for row in (
+            ("servo", 150.0, 0.75, True),
+            ("servo", 120.0, 1.0, False),
+            ("servo", 200.0, 1.0, True),
+            ("observer", 150.0, 0.3, True),
+            ("observer", 120.0, 1.0, False),
+            ("observer", 200.0, 1.0, True),
+        )
+    ),
 ]
 
 
@@ -81,11 +89,16 @@ def test_what_the_check_refuses_diverges_and_what_it_accepts_converges(
     ("velocity", "rate_hz", "delay", "stable"),
     [
         ("servo", 200.0, 2.0, False),
-        ("servo", 190.0, 1.8, False),
-        ("servo", 300.0, 2.0, True),
-        ("observer", 200.0, 2.0, False),
-        ("observer", 200.0, 0.5, True),
         ("observer", 320.0, 2.0, True),
+        *(
+            pytest.param(*row, marks=LONG)
+            for row in (
+                ("servo", 190.0, 1.8, False),
+                ("servo", 300.0, 2.0, True),
+                ("observer", 200.0, 2.0, False),
+                ("observer", 200.0, 0.5, True),
+            )
+        ),
     ],
 )
 def test_a_simulated_delay_that_nobody_believes_is_warned_of_where_it_diverges(
@@ -102,7 +115,14 @@ def test_a_simulated_delay_that_nobody_believes_is_warned_of_where_it_diverges(
 
 
 @pytest.mark.parametrize("velocity", ["servo", "observer"])
-@pytest.mark.parametrize(("rate_hz", "delay"), [(110.0, 1.0), (120.0, 1.0), (140.0, 1.0), (90.0, 0.7), (80.0, 0.85)])
+@pytest.mark.parametrize(
+    ("rate_hz", "delay"),
+    [
+        (120.0, 1.0),
+        (80.0, 0.85),
+        *(pytest.param(*row, marks=LONG) for row in ((110.0, 1.0), (140.0, 1.0), (90.0, 0.7))),
+    ],
+)
 def test_a_small_disturbance_grows_by_the_spectral_radius(velocity: str, rate_hz: float, delay: float) -> None:
     cell = ideal(
         f"rate_hz={rate_hz}",
@@ -130,9 +150,15 @@ def tuner(request: pytest.FixtureRequest) -> Tuner:
     return Tuner(ideal(f'controller.velocity="{request.param}"', *WEIGHTLESS))
 
 
+@pytest.fixture(scope="module")
+def proposed(tuner: Tuner) -> Callable[[Form], Proposal]:
+    """What it proposes with the usual margin, searched once."""
+    return cache(lambda form: tuner.propose(form, Margin()))
+
+
 @pytest.mark.parametrize("form", RIGID)
-def test_a_proposal_keeps_the_margin(tuner: Tuner, form: Form) -> None:
-    proposal = tuner.propose(form, Margin())
+def test_a_proposal_keeps_the_margin(proposed: Callable[[Form], Proposal], form: Form) -> None:
+    proposal = proposed(form)
     assert set(proposal.after.damping) == {0.0, -0.3, 0.3}
     for found in proposal.after.damping.values():
         assert found.radius <= 0.999
@@ -141,7 +167,10 @@ def test_a_proposal_keeps_the_margin(tuner: Tuner, form: Form) -> None:
     assert again.damping == pytest.approx(proposal.after.damping)
 
 
-@pytest.mark.parametrize(("velocity", "form"), [("servo", Form.RATIO), ("observer", Form.RATIO), ("servo", Form.RATE)])
+@pytest.mark.parametrize(
+    ("velocity", "form"),
+    [("observer", Form.RATIO), ("servo", Form.RATE), pytest.param("servo", Form.RATIO, marks=LONG)],
+)
 def test_a_proposal_is_the_largest(velocity: str, form: Form) -> None:
     margin = Margin(damping=0.1)
     proposal = Tuner(ideal(f'controller.velocity="{velocity}"')).propose(form, margin)
@@ -183,8 +212,8 @@ def test_no_gains_are_refused_with_the_rate() -> None:
         tuner.proposals(Margin(damping=0.4))
 
 
-def test_lines_to_paste_are_the_changes_of_the_written_file(tuner: Tuner) -> None:
-    proposal = tuner.propose(Form.RATIO, Margin())
+def test_lines_to_paste_are_the_changes_of_the_written_file(proposed: Callable[[Form], Proposal]) -> None:
+    proposal = proposed(Form.RATIO)
     pasted = tomllib.loads(toml_lines(proposal))
     written = tomllib.loads(proposal.toml())
     assert pasted["controller"].items() <= written["controller"].items()
@@ -192,8 +221,10 @@ def test_lines_to_paste_are_the_changes_of_the_written_file(tuner: Tuner) -> Non
         assert lines.items() <= arm.items()
 
 
-def test_the_table_has_a_column_for_every_proposal_and_marks_what_is_unstable(tuner: Tuner) -> None:
-    proposals = tuner.proposals(Margin())
+def test_the_table_has_a_column_for_every_proposal_and_marks_what_is_unstable(
+    tuner: Tuner, proposed: Callable[[Form], Proposal]
+) -> None:
+    proposals = [proposed(form) for form in RIGID]
     table = tune_table(tuner.configured(), proposals)
     assert [column.header for column in table.columns] == ["", "configured", "--form ratio", "--form rate"]
     cells = {row: list(column.cells) for row, column in zip(("label", "configured"), table.columns, strict=False)}
@@ -255,13 +286,15 @@ def test_torque_noise_through_the_observer_is_what_a_long_run_of_it_shows() -> N
     assert shaking.torque_Nm(offline.gains, replace(seen, velocity_gain=3.0)) == np.inf
 
 
-@pytest.mark.parametrize("form", RIGID)
-def test_the_proposal_settles_where_the_configured_gains_diverge(tuner: Tuner, form: Form, tmp_path: Path) -> None:
+@pytest.mark.parametrize("form", [Form.RATIO, pytest.param(Form.RATE, marks=LONG)])
+def test_the_proposal_settles_where_the_configured_gains_diverge(
+    tuner: Tuner, proposed: Callable[[Form], Proposal], form: Form, tmp_path: Path
+) -> None:
     """The plant's arms 30 % lighter than the agents believe, in every mass, inertia and rotor."""
-    proposed = tuner.propose(form, Margin()).after.cell
+    better = proposed(form).after.cell
     assert not settles(simulate(with_true_arms(tuner.cell, tmp_path, inertia=0.7), 2.0, agents_cell=tuner.cell))
     for inertia in (0.7, 1.0, 1.3):
-        assert settles(simulate(with_true_arms(proposed, tmp_path, inertia=inertia), 2.0, agents_cell=proposed))
+        assert settles(simulate(with_true_arms(better, tmp_path, inertia=inertia), 2.0, agents_cell=better))
 
 
 FEW = Margin(worst=0.98)

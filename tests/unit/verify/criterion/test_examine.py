@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -13,7 +14,10 @@ from agent.verify.criterion.judge import Judge
 from tests.support.control.criterion_cells import cell_of, first, gentle, loop_of, ranges_of, start_pose
 from tests.support.control.level_wx200 import LEVEL
 
+LONG = pytest.mark.long
 
+
+@cache
 def examined(name: str, *overrides: str, **changes: object) -> Criterion:
     cell = gentle(name, *overrides)
     return examine([start_pose(cell)], loop_of(cell), replace(ranges_of(cell), **changes))  # type: ignore[arg-type]
@@ -33,8 +37,8 @@ THEIRS = {
     ("name", "radius", "demand", "arm"),
     [
         ("paper", 1.533, Demand.BARE, 0),
-        ("two_wx200", 1.238, Demand.BARE, 1),
-        ("two_models", 1.238, Demand.BARE, 0),
+        pytest.param("two_wx200", 1.238, Demand.BARE, 1, marks=LONG),
+        pytest.param("two_models", 1.238, Demand.BARE, 0, marks=LONG),
         ("three_wx250s", 1.104, Demand.BARE, 0),
     ],
 )
@@ -50,10 +54,11 @@ def test_the_gains_as_printed_do_not_survive_an_open_gripper(
     assert found.delay_margin_s is None
 
 
-@pytest.mark.parametrize("name", ["paper", "two_wx200", "two_models", "three_wx250s"])
+@pytest.mark.parametrize(
+    "name", ["paper", "two_wx200", *(pytest.param(name, marks=LONG) for name in ("two_models", "three_wx250s"))]
+)
 def test_gentler_gains_survive_it(name: str) -> None:
-    cell = gentle(name)
-    found = examined(name)
+    cell, found = gentle(name), examined(name)
     assert 0.95 < found.radius < 0.995
     assert set(found.worst) == set(Demand) - {Demand.ALIGNING}
     assert found.delay_margin_s is not None
@@ -79,13 +84,13 @@ def test_at_the_longest_delay_all_is_stable_and_a_little_later_something_is_not(
     "wider",
     [
         {"inertia_error": 0.5},
-        {"object_error": 0.6},
-        {"friction": 0.0},
         {"delay_periods": (0.8, 1.0, 1.6)},
-        {"delay_periods": (0.2, 1.0, 1.25)},
         {"pads_N_per_m": (1e2, 1e7)},
-        {"pads_Nm_per_rad": (0.5, 1e4)},
-        {"pads_damping_ratio": 0.05},
+        pytest.param({"object_error": 0.6}, marks=LONG),
+        pytest.param({"friction": 0.0}, marks=LONG),
+        pytest.param({"delay_periods": (0.2, 1.0, 1.25)}, marks=LONG),
+        pytest.param({"pads_Nm_per_rad": (0.5, 1e4)}, marks=LONG),
+        pytest.param({"pads_damping_ratio": 0.05}, marks=LONG),
     ],
 )
 def test_more_reality_is_never_easier(wider: dict[str, object]) -> None:
