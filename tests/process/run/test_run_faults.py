@@ -20,7 +20,7 @@ from tests.support.stalls import stalled
 
 CELL = configs.CELLS_DIR / "two_wx200.toml"
 # of the emulator's time, which begins some four seconds before the trajectory: later where the arms took longer
-FAULT_S = (6.0, 9.5, 16.0)  # by attempt
+FAULT_S = (7.0, 10.0, 16.0)  # by attempt
 SEEN_S = 1.0  # the neighbour takes up to 0.8 s to notice where the object turns round, at 3.7 to 5.2 s
 BEFORE_HOLD_S = 0.1  # the silence of the servo itself is within
 
@@ -41,25 +41,26 @@ def run(folder: Path, fault_s: float) -> RunLog:
 @pytest.mark.realtime
 @pytest.mark.timeout(200)
 def test_a_lost_servo_is_named_and_both_arms_hold(tmp_path: Path) -> None:
-    """A run that the machine stalled before the fault is repeated: the object is off its track without any."""
+    """A run that the machine stalled before the fault is repeated: the object is off its track without any.
+
+    So is one whose motion began when the fault was there, or hardly before: not for ever.
+    """
     why = ""
     for attempt, fault_s in enumerate(FAULT_S):
         log = run(tmp_path / str(attempt), fault_s)
         left = log.agents["left"]
         held_s = left["t"][left["mode"] == Mode.HOLD]
         why = stalled(log, held_s[0] - BEFORE_HOLD_S) if len(held_s) else stalled(log)
-        if not why:
+        early = not len(held_s) or held_s[0] < SEEN_S
+        if not why and not (early and fault_s < FAULT_S[-1]):
             told = [e.text for e in log.events if e.source == "left" and e.text.startswith("holds: ")]
             assert "servo 4 (elbow)" in told[0]
-            if held_s[0] < SEEN_S:
-                why = f"the fault came {held_s[0]:.1f} s after the start of the motion"
-                continue
             assert log.agents["right"]["mode"][-1] == Mode.HOLD, "the object tells the neighbour"
             for rows in log.agents.values():
                 held = np.flatnonzero(rows["mode"] == Mode.HOLD)
                 assert set(rows["mode"][held[0] :]) <= {Mode.HOLD, Mode.FAULT}, "HOLD leads to no motion"
             return
-    pytest.skip(f"this machine stalled in each of {len(FAULT_S)} runs (the last one: {why})")
+    pytest.skip(f"this machine stalled in the last of {len(FAULT_S)} runs ({why})")
 
 
 def test_faults_without_emulated_servos_are_refused(tmp_path: Path) -> None:
