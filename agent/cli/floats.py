@@ -92,7 +92,7 @@ def _ask(arms: Sequence[str], moving: Sequence[str], *, holding: bool, yes: bool
 
     what = "and the grippers close on the object" if holding else "and the arm floats"
     if moving:
-        what += f"; {' and '.join(moving)} MOVES it 3 s later"
+        what += f"; 3 s later it MOVES, carried by {' and '.join(moving)}"
     if yes:
         return
     if sys.stdin is None or not sys.stdin.isatty() or not typer.confirm(

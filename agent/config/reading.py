@@ -22,6 +22,7 @@ from drivers.interface import Refusal, one_line
 M = TypeVar("M", bound=BaseModel)
 LARGEST_BYTES: Final = 16_000_000
 SCREENFUL: Final = 40  # lines of refusal
+NO_SUCH_KIND, WITHOUT_KIND = "union_tag_invalid", "union_tag_not_found"  # as pydantic says it
 SHOWN: Final = 120  # characters of a value in a refusal
 _IS = re.compile(r"^(Value error, |Input should be )")
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
@@ -172,6 +173,8 @@ def _place(document: Any, problem: dict[str, Any]) -> str:
         node = inside
     if problem["type"] == MISFIT and problem["ctx"]["key"]:
         parts.append(problem["ctx"]["key"])
+    if problem["type"] in (NO_SUCH_KIND, WITHOUT_KIND):
+        parts.append(problem["ctx"]["discriminator"].strip("'"))
     return ".".join(shown(part if _BARE_KEY.fullmatch(part) else repr(part)) for part in parts) or "the whole file"
 
 
@@ -187,6 +190,12 @@ def _explain(model: type[BaseModel], problem: dict[str, Any]) -> dict[str, str]:
     if kind == MISFIT:
         context = problem["ctx"]
         return {"found": shown(context["found"])} | {k: shown(context[k], 4 * SHOWN) for k in ("expected", "remedy")}
+    if kind == NO_SUCH_KIND:
+        tag, kinds = problem["ctx"]["tag"], problem["ctx"]["expected_tags"].replace("'", "").split(", ")
+        remedy = nearest(tag, kinds) or "name one of these kinds"
+        return {"found": shown(repr(tag)), "expected": " or ".join(kinds), "remedy": remedy}
+    if kind == WITHOUT_KIND:
+        return {"found": "nothing", "expected": "which kind of table it is", "remedy": "add the key"}
     if kind == "missing":
         reasons = getattr(_model_at(model, problem["loc"][:-1]), "absent", {})
         return {

@@ -158,6 +158,21 @@ def test_a_long_motion_is_examined_in_part_and_says_so(monkeypatch: pytest.Monke
     assert not any(f.what == "instants examined" for f in examine(load_cell(IDENTIFY)).findings)
 
 
+@pytest.mark.parametrize(
+    ("kind", "said"),
+    [
+        ("kind = 'sinusid'", r"found 'sinusid', expected sinusoid or rest_to_rest or .*; did you mean sinusoid\?"),
+        ("kind = 'zzz'", "found 'zzz', expected sinusoid or .*; name one of these kinds"),
+        ("", "found nothing, expected which kind of table it is; add the key"),
+    ],
+)
+def test_a_kind_of_motion_that_there_is_not_is_told_by_its_key(tmp_path: Path, kind: str, said: str) -> None:
+    own = tmp_path / "own.toml"
+    own.write_text((configs.CELLS_DIR / "paper.toml").read_text().replace('kind = "sinusoid"', kind))
+    with pytest.raises(ConfigError, match=rf"^trajectory\.kind in own\.toml: {said}"):
+        load_cell(own)
+
+
 def test_a_refusal_is_one_line_whatever_is_in_it() -> None:
     text = str(Refusal("a\nb", found="\x1b[31m\t\u202e", expected="c\u2028d", remedy="e"))
     assert text == "a b: found \ufffd[31m \ufffd, expected c d; e"

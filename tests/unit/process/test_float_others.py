@@ -14,7 +14,7 @@ from agent.config.cell import Cell, load_cell
 from agent.control.floating import Floating
 from agent.modes import Mode
 from agent.process import float_loop
-from agent.process.float_loop import Floats
+from agent.process.float_loop import FloatError, Floats
 from agent.process.floating_cell import FloatOptions, floating_cell, names_of, require_motion
 from agent.process.scene import scene_of
 from drivers.interface import Refusal
@@ -125,3 +125,9 @@ def test_all_arms_take_part_where_others_move_and_begin_where_the_motion_does() 
     bounds = floating.bounds(cell, cell.arm("right"), Floats.of(cell, "right").spec)
     assert bounds.watched == monitors.bounds(cell, cell.arm("right")).watched
     assert max(bounds.speed_rad_per_s) <= floating.TOO_FAST * 1.0
+    slow = moved("floating.speed_max_rad_per_s=0.3")
+    assert floating.bounds(slow, slow.arm("right"), Floats.of(slow, "right").spec).speed_rad_per_s == (0.75,) * 3
+    assert Floats.of(slow, "left").moves is False
+    alone = load_cell(TWO, ['floating.arms=["left"]', "floating.holding=true"])
+    with pytest.raises(FloatError, match="found no floating"):
+        Floats.of(alone, "right")
