@@ -13,7 +13,6 @@ from hypothesis.extra.numpy import arrays
 from drivers.interface import Vector
 from drivers.rehearsal import STIFFEST, frequency, loop_delay_s
 from sim_backend.hil.coupling import (
-    FADE_S,
     LASTING_S,
     OBSERVER_PER_S,
     SUDDEN_PER_S,
@@ -25,6 +24,7 @@ from sim_backend.hil.coupling import (
 from sim_backend.hil.touch import Borne
 
 T_NS, T = 5_000_000, 0.005
+TENTH = 20  # cycles of a tenth of a second
 W, Z = 20.0, 0.7
 CLAMP = np.array([1.0, 0.5])
 B = np.array([[0.04, 0.01], [0.01, 0.02]])
@@ -109,8 +109,8 @@ def test_the_addition_ramps_in_and_fades_within_a_tenth_of_a_second_when_the_twi
     for k in range(60, 63):
         coupling.step(k * T_NS, ZERO, ZERO, last, HERE)
         assert coupling.alive == 1.0
-    for k in range(63, 63 + round(FADE_S / T)):
-        assert coupling.alive > 0.5 * T / FADE_S
+    for k in range(63, 63 + TENTH):
+        assert coupling.alive > 0.5 / TENTH
         coupling.step(k * T_NS, ZERO, ZERO, last, HERE)
     np.testing.assert_allclose(coupling.addition, 0.0, atol=1e-12)
 
@@ -119,7 +119,7 @@ def test_an_arm_whose_twin_is_given_up_loses_the_addition_in_a_tenth_of_a_second
     coupling, now = coupled()
     coupling.step(now, ZERO, np.array([0.2, 0.0]), twin(now, grasp=np.array([0.4, 0.2])), HERE)
     sizes = [float(np.abs(coupling.addition).max())]
-    for k in range(round(FADE_S / T)):
+    for k in range(TENTH):
         coupling.alone(now + (k + 1) * T_NS)
         sizes.append(float(np.abs(coupling.addition).max()))
         assert not coupling.on_twin.any()

@@ -19,6 +19,7 @@ from agent.operator.message import Request
 from agent.operator.socket import ControlSocket, Standing
 from agent.operator.table import Verb
 from agent.process import real_arms
+from agent.process.children import Children
 from agent.process.commands import GuardCommand
 from agent.process.real_arms import GONE_AFTER, Holding, RealArms, RealChildren
 from agent.process.run_kind import RunKind
@@ -151,6 +152,15 @@ def test_an_emulated_port_has_the_patience_of_one(tmp_path: Path, monkeypatch: p
     assert made._agent_command("left").emulated
     assert made.commands["guard-left"].emulated
     assert made._agent_command("left").hold, "and is held all the same"
+
+
+def test_on_emulated_servos_a_partner_is_at_the_wall_clocks_pace_and_nobody_holds_for_a_person(tmp_path: Path) -> None:
+    made = Children(cell(), RunKind.HIL, 0, None, tmp_path / "run.mcap", tmp_path)
+    left, right = (made._agent_command(arm) for arm in ("left", "right"))
+    assert (left.driver.value, right.driver.value) == ("dynamixel", "sim")
+    assert (left.emulated, right.emulated, right.real_time) == (True, True, True)
+    assert left.plant_socket == right.plant_socket is not None
+    assert (left.port, right.port) == (tmp_path / "left", None)
 
 
 # --- who lets go ----------------------------------------------------------------------------------------------------
