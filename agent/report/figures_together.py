@@ -18,6 +18,7 @@ from agent.report.series import Array, column, component, grasp_force, joint_col
 from agent.report.together import BUS, thresholds
 
 HOLDS_ABOVE: Final = "holds above"
+A_TOUCH: Final = "a touch below"
 SHARE_S: Final = 1.0  # a load share is that of so long a stretch
 
 
@@ -98,7 +99,7 @@ def apart_by_pair(run: Prepared) -> Iterator[tuple[str, str, Array, Array]]:
 @styled
 def noticed(run: Prepared) -> Figure:
     """What acts on each arm beside its load share, as the arm itself finds it: its fast and its slow part."""
-    figure, axes = panels(2, 2, height_in=1.7, sharey="row", names_in=_room(run, HOLDS_ABOVE))
+    figure, axes = panels(2, 2, height_in=1.7, sharey="row", names_in=_room(run, HOLDS_ABOVE, A_TOUCH))
     limits = thresholds(run.log)
     told = (
         (0, "fast part", "[N]", limits.fast_N), (2, "slow part", "[N]", limits.slow_N),
@@ -109,6 +110,8 @@ def noticed(run: Prepared) -> Figure:
             rows = run.rows[arm.name]
             line(ax, column(rows, "t"), column(rows, "unexpected")[:, place], label=arm.name, **_look(number))
         _threshold(ax, limit, HOLDS_ABOVE)
+        if place == 0:
+            _threshold(ax, limits.touch_N, A_TOUCH)
         ax.set(title=f"Unexpected {'force' if unit == '[N]' else 'moment'}, {what}", ylabel=unit)
         ax.set_ylim(bottom=0.0)
     for ax in axes:

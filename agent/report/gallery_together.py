@@ -23,7 +23,8 @@ APART: Final = (
 )
 NOTICED: Final = (
     "Force and moment on each arm beside its load share, as the arm finds them from its own joints: the sudden part on "
-    "top, the part that stays below. Dotted: above it the arm holds."
+    "top, the part that stays below. Dotted: above it the arm holds; where a sudden force has two such lines, it holds "
+    "above the upper one, and between them for what 2 N on the object do not make."
 )
 PULLED: Final = (
     "The force on each arm beside its load share, without its slow part: above what points against the motion, as of a "

@@ -36,6 +36,7 @@ class Thresholds:
     slow_Nm: float = NAN
     level_N: float = NAN  # against the motion
     weight_N: float = NAN
+    touch_N: float = NAN  # sudden, up to which it may be a touch
 
 
 def thresholds(log: AnyLog) -> Thresholds:
@@ -50,8 +51,9 @@ def thresholds(log: AnyLog) -> Thresholds:
         shift_m = aligned.max_m if aligned.enabled else NAN
         limits = (_recorded(log, "noticing") or told.model_dump()) if told.enabled else {}
         along = _recorded(log, "noticing_against")
-        found = (_number(limits.get(name)) for name in CHANNELS)
-        return Thresholds(shift_m, *found, *(_number(along.get(name)) for name in ALONG))
+        touched = _recorded(log, "noticing_touch")
+        found = [limits.get(name) for name in CHANNELS] + [along.get(name) for name in ALONG] + [touched.get("most_N")]
+        return Thresholds(shift_m, *map(_number, found))
     except (KeyError, ValueError, TypeError, AttributeError, ValidationError):
         return Thresholds()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +13,7 @@ import pytest
 
 from agent.config import noticing
 from agent.config.cell import Cell, load_cell
+from agent.config.schema.cell import DriverKind
 from agent.control import known
 from agent.control.memory import restore
 from agent.control.residual import Channels, Residual, nothing_sensed
@@ -19,6 +21,7 @@ from agent.control.touch import Plain, Touch, plain_of
 from agent.control.trajectory import Desired
 from agent.loop import step
 from agent.modes import Mode
+from agent.process.describe import run_info
 from agent.safety import Flag
 from agent.study.fault import Fault, FaultKind
 from agent.study.lab import Laboratory, Run
@@ -31,6 +34,9 @@ DOWN = (0.0, 0.0, -1.0)
 TOUCH = Touch(bench.PERIOD, 30.0, most_N=2.6, down_N=1.95, plain_N=1.0, down=DOWN)
 WITHIN = Plain(np.zeros(3), 1.0)
 FROM_REST, TURNING = np.zeros(3), np.array([3.0, -4.0, 5.0])
+
+
+TOLD = {"two_wx200": {"most_N": 2.6, "down_N": 1.95, "plain_N": 1.0}, "paper_real": None, "paper": None}
 
 
 # --- the plain force -------------------------------------------------------------------------------------------------
@@ -134,7 +140,7 @@ def test_cells_in_which_only_a_touch_sets_the_limit_have_it() -> None:
 
 
 def test_limits_are_above_what_618_pushes_showed() -> None:
-    """2 N for half a second, in 22 realities, to all sides and at speeds of 0 to 21 mm/s: size, down, plain."""
+    """2 N for half a second, in 16 realities and as the file says, to all sides, at 0 to 21 mm/s: size, down, plain."""
     found = touch_of(cell())
     assert found is not None
     assert found.most_N >= 1.07 * 2.42
@@ -142,9 +148,14 @@ def test_limits_are_above_what_618_pushes_showed() -> None:
     assert found.plain_N >= 1.07 * 0.91
 
 
-def test_check_says_it() -> None:
+def test_the_check_says_it() -> None:
     assert noticed(cell())[0].found.startswith("1.75 N (2.6 N where it may be a touch), 0.35 N·m at once; ")
     assert "touch" not in noticed(cell("paper_real"))[0].found
+
+
+def test_the_log_says_it() -> None:
+    told = {name: json.loads(run_info(cell(name), DriverKind.SIM, 0))["noticing_touch"] for name in TOLD}
+    assert told == TOLD
 
 
 # --- a push and a neighbour that holds -------------------------------------------------------------------------------

@@ -134,6 +134,12 @@ def test_what_an_arm_notices_is_shown_by_part_with_its_threshold() -> None:
     ]  # fmt: skip
     assert labelled(axes[0])["holds above"][0] == 2.5
     assert labelled(axes[3])["holds above"][0] == 0.3
+    assert "a touch below" not in labelled(axes[0]), "a cell or a log without that sense"
+    run = json.loads(log.attachments.get("run.json", b"{}"))
+    log.attachments["run.json"] = json.dumps(run | {"noticing_touch": {"most_N": 2.6}}).encode()
+    sudden, *others = figures_together.noticed(prepare(log)).axes
+    assert labelled(sudden)["a touch below"][0] == 2.6
+    assert not any("a touch below" in labelled(ax) for ax in others)
     left = summarise(log).arms["left"]
     assert (left.unexpected_fast_max_N, left.unexpected_fast_max_Nm) == (4.0, 0.5)
     assert (left.unexpected_slow_max_N, left.unexpected_slow_max_Nm) == (3.0, 0.25)
