@@ -17,6 +17,11 @@ class CutWatch:
         self._was_linked = False
         self._since_s: float | None = None
 
+    @property
+    def away(self) -> bool:
+        """Whether the link was away at the last look."""
+        return self._since_s is not None
+
     def ended(self, now_s: float) -> float | None:
         """Seconds for which the link was away, once, when it has just come back."""
         if now_s - self._looked_s < _LOOK_S:

@@ -186,8 +186,8 @@ class _Telemetry:
             self._publishers[Kind.STATE].put(payload, attachment=header.pack(self._sent, payload))
             self._watch(payload)
             sent += 1
-        self._tell_of_cuts(now_s, ended=rows.ended)
-        self._collect_texts(ended=rows.ended)
+        self._tell_of_cuts(now_s)
+        self._collect_texts(ended=rows.ended and not self._cut.away)
         for kind, sender in self._senders.items():
             if kind is not Kind.STATE:
                 for header, payload in sender.new(burst, now_s):
@@ -205,8 +205,8 @@ class _Telemetry:
         for event in self._derive.watch(rows) if self._derive else ():
             self._outbox[Kind.EVENT].append(event.to_json())
 
-    def _tell_of_cuts(self, now_s: float, *, ended: bool) -> None:
-        if (away_s := self._cut.ended(now_s)) is not None and not ended:
+    def _tell_of_cuts(self, now_s: float) -> None:
+        if (away_s := self._cut.ended(now_s)) is not None and self._outbox[Kind.EVENT].end is End.OPEN:
             text = f"link to the recorder was cut for {away_s:.1f} s"
             event = Event(time.time_ns(), self._options.member, Level.WARN, text, {"cut_s": round(away_s, 1)})
             self._outbox[Kind.EVENT].append(event.to_json())

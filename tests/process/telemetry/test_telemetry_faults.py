@@ -48,11 +48,20 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
+def recorded(path: Path) -> int:
+    """Rows that a reader finds by now."""
+    try:
+        return len(read_log(path).agents["left"])
+    except LogError:
+        return 0
+
+
 @pytest.mark.fault("D4")
 def test_a_killed_recorder_leaves_a_readable_log_and_the_next_one_gets_everything(folder: Path) -> None:
-    total = 1500
+    """The agent has ended before the next one is there, as on a slow host: telemetry waits with all of it."""
+    total = 1000
     with one_arm(folder, total) as (rec, tel, agent, endpoint):
-        wait_for(lambda: written(folder / "left.ring") > 300)
+        wait_for(lambda: written(folder / "left.ring") > 300 and recorded(folder / "run.mcap") > 0)
         time.sleep(random.uniform(0.0, 0.7))
         before = written(folder / "left.ring")
         rec.kill()
@@ -60,9 +69,9 @@ def test_a_killed_recorder_leaves_a_readable_log_and_the_next_one_gets_everythin
         assert rows_in(folder / "run.mcap") == prefix(kept, total)
         assert kept > 0
         network = Network(listen=endpoint)
+        assert agent.result() == total
         with recorder(folder / "next.mcap", arms=LEFT, network=network) as second:
             second.ready()
-            assert agent.result() == total
             assert tel.result().complete
             wait_for(lambda: "recovery" in read_log(folder / "run.mcap").metadata)
             report = second.stop()

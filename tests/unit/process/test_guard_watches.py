@@ -100,6 +100,7 @@ def test_a_guard_waits_longer_for_the_first_row_than_for_the_next(
         clock.now_ms, waited_ms = clock.now_ms + 1000, 2 * LOOK_MS  # a host that stalls: nobody looked meanwhile
         while not (reason := made._look()):
             assert agent.poll() is None
+            assert waited_ms < 1000
             clock.now_ms, waited_ms = clock.now_ms + LOOK_MS, waited_ms + LOOK_MS
     expected_ms = then_ms if rows else first_ms
     assert reason == f"the agent hung (no row for {expected_ms} ms) and was ended"
