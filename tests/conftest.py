@@ -12,6 +12,8 @@ from hypothesis import Phase, settings
 for _library in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):  # as `coop` has it; read when numpy is loaded
     os.environ.setdefault(_library, "1")
 
+GARBAGE_AFTER = 50_000  # as `coop` has it
+
 pytest.register_assert_rewrite("tests.support.driver_contract")
 
 # The same examples in every run, so that a red run means a change; HYPOTHESIS_PROFILE=explore looks for new ones.
@@ -55,3 +57,15 @@ def pytest_collection() -> Generator[None, object, object]:
     finally:
         gc.freeze()
         gc.enable()
+        gc.set_threshold(GARBAGE_AFTER)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> Generator[None, object, object]:
+    """Behind each file spare it what the file has loaded, too: who serves a plant or servos asks for a collection."""
+    try:
+        return (yield)
+    finally:
+        if nextitem is not None and nextitem.path != item.path:
+            gc.collect()
+            gc.freeze()

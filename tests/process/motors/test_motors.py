@@ -254,28 +254,21 @@ def test_a_missing_servo_is_one_line_and_exit_code_1(three: Path, tmp_path: Path
 # --- doctor ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def cell(tmp_path: Path) -> Iterator[Path]:
-    """`coop emulate` of the wx200 cell; yields the folder of its ports."""
-    command = [
-        *COOP,
-        "emulate",
-        TWO_WX200,
-        "--ports",
-        tmp_path / "ports",
-        "--ring",
-        tmp_path / "plant.ring",
-        "--with-parent",
-    ]
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """`coop emulate` of the wx200 cell, which the doctor only looks at; yields the folder of its ports."""
+    folder = tmp_path_factory.mktemp("emulated")
+    place = ["--ports", folder / "ports", "--ring", folder / "plant.ring"]
+    command = [*COOP, "emulate", TWO_WX200, *place, "--with-parent"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as emulator:
         try:
             assert emulator.stdout is not None
             assert emulator.stdout.readline().startswith("READY")
             deadline = time.monotonic() + SEARCH_S
-            while not (tmp_path / "ports" / "right").exists():
+            while not (folder / "ports" / "right").exists():
                 assert time.monotonic() < deadline
                 time.sleep(0.01)
-            yield tmp_path / "ports"
+            yield folder / "ports"
         finally:
             emulator.terminate()
             assert emulator.wait(SEARCH_S) == 0
@@ -318,8 +311,11 @@ def test_doctor_names_the_program_that_has_the_port_and_looks_at_the_other_arm(c
 
 def test_doctor_sees_a_defect_that_the_sdk_made(cell: Path, tmp_path: Path) -> None:
     with Witness(cell / "left") as witness:
+        before = witness.byte(4, 10)
         witness.write(4, 10, 0)  # Drive Mode of the reversed elbow
     done = coop("doctor", TWO_WX200, "--arm", "left", "--ports", cell, "--logs", tmp_path)
+    with Witness(cell / "left") as witness:
+        witness.write(4, 10, before)
     assert done.code == 2
     assert re.search(
         r"^refused  left: servo 4 \(elbow\): Drive Mode, direction: found normal .*, wanted reverse .*;",

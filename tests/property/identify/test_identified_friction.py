@@ -49,11 +49,7 @@ class Known:
     fit: Fit
 
 
-@pytest.fixture(
-    scope="module",
-    params=["both", *(pytest.param(name, marks=pytest.mark.long) for name in ("simple", "load"))],
-    ids=str,
-)
+@pytest.fixture(scope="module", params=["simple", pytest.param("load", marks=pytest.mark.long), "both"], ids=str)
 def known(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Known:
     case = CASES[request.param]
 

@@ -34,10 +34,10 @@ SIGMA_MIN = 0.1
 def examples(count: int) -> settings:
     """Hypothesis settings of the loaded profile (tests/conftest.py) with so many examples in `make long`.
 
-    Two fifths in `make test`: what is wrong with a law shows in the first.
+    A quarter in `make test`: what is wrong with a law shows in the first.
     """
     whole = settings().max_examples > settings.get_profile("repeatable").max_examples
-    return settings(max_examples=count if whole else max(8, 2 * count // 5))
+    return settings(max_examples=count if whole else max(8, count // 4))
 
 
 @dataclass(frozen=True)

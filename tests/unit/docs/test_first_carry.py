@@ -46,6 +46,7 @@ def test_the_guide_has_a_line_for_every_mode_and_names_the_word_that_comes_next(
         assert f"coop {verb.value} CELL" in STEPS[before].do
 
 
+@pytest.mark.long  # the same words, said to both arms together, are in tests/unit/test_whole.py and test_phases.py
 def test_two_hosts_say_the_same_words_by_themselves_and_share_but_two_instants() -> None:
     """Left and right are told apart from each other, as the page has it; start and lower come at one instant."""
     left, right, both = ("left",), ("right",), ("left", "right")

@@ -51,6 +51,7 @@ def test_an_arm_in_the_loop_carries_as_the_simulated_cell_does() -> None:
     assert {run.summary.mode for run in plain().arms.values() if run.summary} == {Mode.TRACK}
 
 
+@pytest.mark.long  # `make hil` has more of them
 def test_an_arm_that_is_otherwise_than_its_file_shows_as_in_the_simulated_cell() -> None:
     error_mm, force_N = Rehearsal(cell(OFF, real=False)).figures(FROM_S)
     error, force = Rehearsal(cell(OFF)).figures(FROM_S)

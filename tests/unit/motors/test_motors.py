@@ -163,7 +163,7 @@ def test_an_arm_set_up_servo_by_servo_is_one_that_the_driver_takes() -> None:
     rig.driver.disable()
 
 
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.data())
 def test_a_setup_that_was_cut_anywhere_is_completed_by_the_next(data: st.DataObject) -> None:
     """Power or cable may go after any packet; nothing but running the same command again is needed."""

@@ -327,10 +327,11 @@ def results_of(pairs: Sequence[tuple[Task, RunResult]]) -> list[RunResult]:
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_a_dask_cluster_of_two_workers_finds_the_same_to_the_bit(plan: Plan, results: list[RunResult]) -> None:
+@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.long)])
+def test_a_dask_cluster_finds_the_same_to_the_bit(plan: Plan, results: list[RunResult], workers: int) -> None:
     from distributed import LocalCluster
 
     from agent.study.cluster import on_cluster
 
-    with LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
+    with LocalCluster(n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
         assert results_of(list(on_cluster(plan.tasks(), cluster.scheduler_address))) == results
