@@ -68,6 +68,7 @@ TARGETS = (
     ),
     Target("agent.guard.takeover", tuple(f"{UNIT}/guard/{name}.py" for name in ("test_vigil", "test_go_on"))),
     Target("agent.guard.vigil", (f"{UNIT}/guard/test_vigil.py",)),
+    Target("agent.host.notify", (f"{UNIT}/host/test_notify.py",)),
     Target("agent.modes", (f"{UNIT}/test_modes.py",)),
     Target("agent.loop", _STEP),
     Target("agent.standing", _STEP),

@@ -67,11 +67,10 @@ def all_different(n: int) -> tuple[JointState, Memory, Outcome]:
     arrays = [array_of(n) for _ in range(6)]
     pull = pull_of(tuple_of(14))
     sense = Sense(array_of(n), array_of(n), array_of(n), array_of(6), array_of(6), array_of(6), next(numbers), pull)
-    memory = Memory(
-        *arrays, True, sense, tuple_of(6), 103, tuple_of(7), next(numbers), estimate, array_of(n), next(numbers), 19
-    )  # fmt: skip
+    memory = Memory(*arrays, True, sense, tuple_of(6), True, tuple_of(7), next(numbers), estimate, array_of(n))
     state = JointState(5_000_000, array_of(n), array_of(n), array_of(n))
     flags = Flag.SATURATED | Flag.STALE
+    memory = memory._replace(calm=103, age=next(numbers), missed=19)
     return state, memory, Outcome(array_of(n), array_of(n), terms, array_of(n), flags, memory, tuple_of(10))
 
 
