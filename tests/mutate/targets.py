@@ -63,6 +63,13 @@ TARGETS = (
     Target("agent.config.noticing", (f"{UNIT}/config/test_noticing.py", f"{UNIT}/control/test_against.py")),
     Target("agent.config.statics", (f"{UNIT}/monitors/test_bounds.py",)),
     Target(
+        "agent.control.adaptation",
+        (
+            *(f"{UNIT}/control/{name}.py" for name in ("test_adaptation", "test_adaptive")),
+            "tests/property/control/test_adaptive_projection.py",
+        ),
+    ),
+    Target(
         "agent.control.memory",
         tuple(f"{UNIT}/{name}.py" for name in ("control/test_estimator", "test_hold", "telemetry/test_row")),
     ),
