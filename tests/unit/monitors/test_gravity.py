@@ -14,26 +14,30 @@ from agent.monitors.gravity import REST_S, Gravity
 WINDOW = 100  # ticks of 5 ms
 FORCES = np.hstack([np.eye(3), np.zeros((3, 3))])  # from joint torques to the object's wrench, and back
 MOMENTS = np.hstack([np.zeros((3, 3)), np.eye(3)])
-FITS = (0.0, 0.0, 1.0)  # N·m: half of an object of 2 N, which the third joint bears
+G = np.array([0.25, -0.5, 0.75])  # N·m: the arm's own weight
+OBJECT = (0.0, 0.0, 1.0)  # N·m: half of an object of 2 N, which the third joint bears
+HEAVIER = (0.0, 0.0, 2.01)
 NO_NUMBER = (float("nan"),) * 3
 
 
 def gravity(period_s: float = 0.005) -> Gravity:
     bounds: Any = SimpleNamespace(
-        joints=("a", "b", "c"), period_s=period_s, gravity=(1.0,) * 6, object_weight_N=(0.0, 0.0, 2.0),
-        load_share_of_weight=0.5,
+        joints=("a", "b", "c"), period_s=period_s, gravity=(1.0, 1.0, 1.0, 0.5, 0.5, 0.5),
+        object_weight_N=(0.0, 0.0, 2.0), load_share_of_weight=0.5,
     )  # fmt: skip
     return Gravity(bounds)
 
 
 def tick(
-    tau: Any = FITS, *, q: float = 0.0, mode: Mode = Mode.READY, to_wrench: Any = FORCES, sent: Any = FITS, **terms: Any
-) -> Any:
-    k = SimpleNamespace(g=np.zeros(3), Jt=FORCES)
+    beside: Any = OBJECT, *, q: float = 0.3, mode: Mode = Mode.READY, to_wrench: Any = FORCES, sent: Any = OBJECT,
+    **terms: Any,
+) -> Any:  # fmt: skip
+    """beside, sent: joint torques measured and sent, beside the arm's weight."""
+    k = SimpleNamespace(g=G, Jt=FORCES + MOMENTS)
     usual = {"J_inv_P": to_wrench, "kinematics": k, "tau_internal": np.zeros(3)}
     found = terms["terms"] if "terms" in terms else SimpleNamespace(**(usual | terms))
-    state = SimpleNamespace(tau=np.array(tau), q=np.full(3, q))
-    return SimpleNamespace(mode=mode, outcome=SimpleNamespace(terms=found, tau=np.array(sent)), state=state)
+    state = SimpleNamespace(tau=G + beside, q=np.full(3, q))
+    return SimpleNamespace(mode=mode, outcome=SimpleNamespace(terms=found, tau=G + sent), state=state)
 
 
 def said(monitor: Gravity, *runs: tuple[int, Any]) -> list[int]:
@@ -42,7 +46,7 @@ def said(monitor: Gravity, *runs: tuple[int, Any]) -> list[int]:
     return [i for i, one in enumerate(ticks, 1) if monitor.check(one)]
 
 
-HEAVY = tick((0.0, 0.0, 2.01))
+HEAVY = tick(HEAVIER)
 
 
 def test_it_takes_two_windows_in_a_row_at_rest() -> None:
@@ -55,9 +59,10 @@ def test_a_host_with_slow_ticks_has_one_in_a_window() -> None:
     assert said(gravity(2.0), (3, HEAVY)) == [2, 3]
 
 
-@pytest.mark.parametrize("between", [tick((0.0, 0.0, 2.01), mode=Mode.TRACK), tick(terms=None)])
+@pytest.mark.parametrize("between", [tick(HEAVIER, mode=Mode.TRACK), tick(terms=None)])
 def test_what_was_seen_before_a_motion_counts_no_more(between: Any) -> None:
     assert said(gravity(), (199, HEAVY), (1, between), (200, HEAVY)) == [400]
+    assert said(gravity(), (99, HEAVY), (1, between), (200, HEAVY)) == [300]
     assert said(gravity(), (100, HEAVY), (1, between), (200, HEAVY)) == [301], "also between two windows"
 
 
@@ -74,19 +79,25 @@ def test_a_joint_without_a_measured_torque_gives_what_was_sent() -> None:
 
 
 def test_an_arm_that_moves_or_has_no_law_is_not_compared() -> None:
-    for turned, rests in ((0.0249, True), (0.0251, False)):
-        still, last = tick((0.0, 0.0, 2.01)), tick((0.0, 0.0, 2.01), q=turned)
+    for begins, ends, rests in ((0.3, 0.3249, True), (0.3, 0.3251, False), (0.0, 0.025, True), (0.3, 0.2751, True)):
+        still, last = tick(HEAVIER, q=begins), tick(HEAVIER, q=ends)
         assert bool(said(gravity(), (99, still), (1, last), (99, still), (1, last))) is rests
     assert said(gravity(), (200, tick((0.0, 0.0, 9.0), to_wrench=None))) == []
 
 
 @pytest.mark.parametrize(
     ("to_wrench", "words"),
-    [(FORCES, ("-1.50 N along x", "+2.00 N along z")), (MOMENTS, ("-1.50 N·m about x", "+2.00 N·m about z"))],
+    [
+        (FORCES, ("-1.50 N along x", "+2.00 N along z", "at most 1.00 N")),
+        (MOMENTS, ("-1.50 N·m about x", "+2.00 N·m about z", "at most 0.50 N·m")),
+    ],
 )
-def test_the_worst_component_is_named_with_its_unit(to_wrench: Any, words: tuple[str, str]) -> None:
-    for tau, text in zip(((-1.5, 0.0, 1.0), (-1.5, 0.0, 3.0)), words, strict=True):
+def test_the_worst_component_is_named_with_its_unit(to_wrench: Any, words: tuple[str, str, str]) -> None:
+    for tau, text in zip(((-1.5, 0.0, 1.0), (-1.5, 0.0, 3.0)), words[:2], strict=True):
         monitor, one = gravity(), tick(tau, to_wrench=to_wrench)
         told = [monitor.check(one) for _ in range(200)][-1]
         assert f"{text} at the object" in told
-        assert f"at most 1.00 {text.split()[1]}" in told
+        assert words[2] in told
+    both = tick((1.9, 0.0, 1.0), to_wrench=FORCES + 0.6 * MOMENTS)
+    monitor = gravity()
+    assert "about x" in [monitor.check(both) for _ in range(200)][-1], "it is judged by its share of the limit"
