@@ -88,7 +88,7 @@ def _around_motion(cell: Cell, margin_m: float) -> tuple[tuple[float, float], ..
 def _speeds(cell: Cell, arm: Arm, no_load: Vector) -> Vector:
     """(n,) rad/s: a share of what the servos can, and what the motion asks for twice over."""
     spec = cell.file.safety.monitors
-    asked = SPEED_TIMES * _speeds_of_motion(cell, arm)
+    asked = SPEED_TIMES * speeds_of_motion(cell, arm)
     found: Vector = np.minimum(spec.speed_share * no_load + asked, max(FASTEST, spec.speed_share) * no_load)
     return found
 
@@ -100,7 +100,7 @@ def _speeds_alone(cell: Cell, no_load: Vector) -> Vector:
     return found
 
 
-def _speeds_of_motion(cell: Cell, arm: Arm) -> Vector:
+def speeds_of_motion(cell: Cell, arm: Arm) -> Vector:
     """(n,) rad/s: the largest along the desired motion; as far as the arm can follow it."""
     model, trajectory, P = cell.model(arm), cell.trajectory(), cell.model(arm).task_basis
     q, ahead, fastest = np.array(arm.entry.q_near_rad), np.zeros(model.n), np.zeros(model.n)

@@ -46,7 +46,7 @@ CHECKS: Entries = {
     },
     "agent.config.monitors": {
         (
-            "_speeds_of_motion",
+            "speeds_of_motion",
             _AHEAD,
             _AHEAD.replace(">", ">="),
         ): "joints found are the same, from wherever they are sought",
