@@ -46,7 +46,7 @@ class Gravity:
     def check(self, at: Tick) -> str:
         """See `agent.monitors.tick.Monitor`."""
         if at.mode is not Mode.READY or at.outcome.terms is None:
-            if self._count:
+            if self._count or self._bad:
                 self._bad = 0
                 self._begin()
             return ""

@@ -60,14 +60,29 @@ TARGETS = (
     Target("agent.safety", (f"{UNIT}/test_safety.py",)),
     Target("agent.calibrate.poses", (f"{UNIT}/calibrate/test_poses.py",)),
     Target("agent.config.monitors", (f"{UNIT}/monitors/test_bounds.py",)),
-    Target("agent.config.noticing", (f"{UNIT}/config/test_noticing.py", f"{UNIT}/control/test_against.py")),
+    Target(
+        "agent.config.noticing",
+        (f"{UNIT}/config/test_noticing.py", f"{UNIT}/control/test_against.py", f"{UNIT}/control/test_touch.py"),
+    ),
     Target("agent.config.statics", (f"{UNIT}/monitors/test_bounds.py",)),
+    Target(
+        "agent.control.adaptation",
+        (
+            *(f"{UNIT}/control/{name}.py" for name in ("test_adaptation", "test_adaptive")),
+            "tests/property/control/test_adaptive_projection.py",
+        ),
+    ),
     Target(
         "agent.control.memory",
         tuple(f"{UNIT}/{name}.py" for name in ("control/test_estimator", "test_hold", "telemetry/test_row")),
     ),
-    Target("agent.guard.takeover", tuple(f"{UNIT}/guard/{name}.py" for name in ("test_vigil", "test_go_on"))),
+    Target("agent.guard.resume", (f"{UNIT}/guard/test_resume.py",)),
+    Target(
+        "agent.guard.takeover",
+        (f"{UNIT}/guard/test_vigil.py", f"{UNIT}/guard/test_go_on.py", f"{UNIT}/process/test_guard_watches.py"),
+    ),
     Target("agent.guard.vigil", (f"{UNIT}/guard/test_vigil.py",)),
+    Target("agent.host.notify", (f"{UNIT}/host/test_notify.py",)),
     Target("agent.modes", (f"{UNIT}/test_modes.py",)),
     Target("agent.loop", _STEP),
     Target("agent.standing", _STEP),
@@ -79,6 +94,7 @@ TARGETS = (
     Target("agent.ticks", _RUNNER, warm=_WARM),
     Target("agent.transition", (f"{UNIT}/test_transition.py",)),
     Target("agent.operator.socket", (f"{UNIT}/operator/test_control_socket.py",)),
+    Target("agent.monitors.gravity", (f"{UNIT}/monitors/test_gravity.py",)),
     Target(
         "agent.replay.chain",
         (*_VERIFY, f"{UNIT}/replay/test_whatif.py", f"{UNIT}/guard/test_resume.py"),
@@ -113,6 +129,7 @@ TARGETS = (
         "drivers.dynamixel.recovery", tuple(f"{UNIT}/drivers/{name}.py" for name in ("test_driver", "test_recover"))
     ),
     Target("drivers.dynamixel.running", tuple(f"{UNIT}/drivers/{name}.py" for name in ("test_running", "test_grip"))),
+    Target("drivers.dynamixel.servo.torque", (f"{UNIT}/drivers/test_dxl_torque.py",)),
     Target("drivers.dynamixel.stale", _DRIVER),
     Target("sim_backend.hil.touch", (f"{UNIT}/hil/test_touch.py",)),
     Target("sim_backend.physics.calendar", _SOFT),

@@ -74,6 +74,10 @@ def test_an_arm_that_floats_stands_where_it_comes_to_rest_or_where_it_is_seen_ne
     assert standing.age == 0.0
     followed = last.memory._replace(hold=None, q_hold=None)
     assert entered(agent, Mode.STAND, followed, last).q_hold == pytest.approx(standing.q_hold), "a motion before it"
+    elsewhere = (9.0, 9.0, 9.0, 1.0, 0.0, 0.0, 0.0)
+    assert entered(agent, Mode.STAND, last.memory._replace(hold=elsewhere), last).hold == elsewhere
     unseen = entered(agent, Mode.STAND, last.memory, None)
+    assert (unseen.hold, unseen.q_hold) == (None, None)
+    unseen = entered(agent, Mode.STAND, followed, None)
     assert (unseen.hold, unseen.q_hold) == (None, None)
     assert same(entered(agent, Mode.HOLD, last.memory, last), hold_after(agent, last)), "it does not float there"

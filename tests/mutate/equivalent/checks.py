@@ -27,6 +27,15 @@ _ANY_IS_NEARER = "the first distance takes its place"
 _FIRST_STAYS = "of two that are as near the first one stays"
 _IN_ORDER = "how many are put in order first changes the time it takes"
 _FIRST_LOOK = "the first look sets it"
+_FIRST = "first = _last_fresh(rows) or 0"
+_GIVES = "gives_back = mode is Mode.RELEASE and agent.session is not None and (memory is not None)"
+_KNOWN = "known = np.isfinite(tau_held) & ~(np.abs(tau_held - sent) <= SAME_NM)"
+_NO_LAW = "if terms is None or terms.J_inv_P is None:"
+_CURRENT = "limit = model.register(GOAL_CURRENT).maximum or 0"
+_PWM = "limit = model.register(GOAL_PWM).maximum or 0"
+_GEARS = "no_load = self._no_load_count * math.tanh(dq / NO_LOAD_SMOOTH_RAD_PER_S) if self._no_load_count else 0.0"
+_HAS_MOST = "every servo in that mode says the most of it"
+_NO_GEARS = "zero times anything"
 _NO_SIGN = "an error may have either sign, and the sizes of columns are given"
 _A_TOUCH_SETS_IT = "a touch sets it as it begins, and nothing asks for it before"
 _NOTHING_MORE = "where rounding alone is as large as one nothing is proved any more"
@@ -37,13 +46,31 @@ CHECKS: Entries = {
     },
     "agent.config.monitors": {
         (
-            "_speeds_of_motion",
+            "speeds_of_motion",
             _AHEAD,
             _AHEAD.replace(">", ">="),
         ): "joints found are the same, from wherever they are sought",
     },
     "agent.config.noticing": {
         ("", _FLOORS, _FLOORS.replace("0.05", "0.1")): "what seven arms or fewer feel of a touch is more",
+    },
+    "agent.guard.resume": {
+        ("", "ROWS = 64", "ROWS = 128"): "more rows behind a fresh one change nothing",
+        ("beginning", _FIRST, _FIRST.replace("_last_fresh(rows)", "False")): "rows follow from each other",
+        ("stood_in", _GIVES, _GIVES.replace("mode is Mode.RELEASE", "True")): "no other mode asks what is gripped",
+        ("from_torque", _KNOWN, _KNOWN.replace("<=", "<")): "of exactly so much either is right",
+    },
+    "agent.monitors.gravity": {
+        ("Gravity.check", "if self._count or self._bad:", "if True:"): "to begin again what has not begun",
+        ("Gravity._compared", _NO_LAW, _NO_LAW.replace("terms is None", "False")): "asked for, for the type checker",
+    },
+    "drivers.dynamixel.servo.torque": {
+        ("CurrentDrive.__init__", _CURRENT, _CURRENT.replace("0", "1")): _HAS_MOST,
+        ("CurrentDrive.__init__", _CURRENT, _CURRENT.replace("0", "False")): _HAS_MOST,
+        ("PwmDrive.__init__", _PWM, _PWM.replace("0", "1")): _HAS_MOST,
+        ("PwmDrive.__init__", _PWM, _PWM.replace("0", "False")): _HAS_MOST,
+        ("CurrentDrive.command", _GEARS, _GEARS.replace("if self._no_load_count", "if True")): _NO_GEARS,
+        ("CurrentDrive.measured_Nm", _GEARS, _GEARS.replace("if self._no_load_count", "if True")): _NO_GEARS,
     },
     "agent.verify.collision.way": {
         ("", "AT_FIRST: Final = 512", "AT_FIRST: Final = 1024"): _IN_ORDER,

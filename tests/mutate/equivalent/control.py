@@ -15,6 +15,17 @@ _NONE = "a function without a result returns None"
 _TABLE = "_FLAGS = tuple(map(Flag, range((_NOT_FINITE | _SATURATED | _RATE_LIMITED) + 1)))"
 
 _HOLD = "hold = tuple(tail[:7]) if any(tail[3:7]) else None"
+_PULL = "pull, plain = (pull_of(tail[36:36 + FLAT]), plain_of(tail[36 + FLAT:], n))"
+_LOAD = "load = self.upper.arm.reshape(-1, len(self.upper.arm) // ARM_PARAMETERS_PER_JOINT)[-2:].sum(axis=0)"
+_START = "object.__setattr__(self, 'start', Estimate(*divided(_together(self.start))))"
+_LEAKS = "if self.leak_per_s > 0.0:"
+_HELD = "held = inside.tobytes() != theta.tobytes() and _outside(theta, self._alarm, self._upper)"
+_BODIES = "bodies = inside[:BODY_PARAMETERS * (n + 1)].reshape(-1, BODY_PARAMETERS)"
+_WHOLE = "if whole is not None and whole is body.base and (len(whole) == len(arm) + len(body)):"
+_ANY_BELOW_ZERO = "numpy takes any number below zero"
+_FORGETS_NOTHING = "at a rate of zero it forgets nothing"
+_PUT_TOGETHER = "put together again it is the same"
+_PARTS = "nobody has parts of one array that are not all of it"
 _FLAGGED = "found = self._reason or f'{outcome.flags.name} {explained(self._agent, outcome)}'.rstrip()"
 
 CONTROL: Entries = {
@@ -35,8 +46,29 @@ CONTROL: Entries = {
         ("step", _BRAKES, _BRAKES.replace("if damped", "if True")): _WHILE_IT_BRAKES,
         ("step", _BRAKES, _BRAKES.replace("0.0", "1.0")): _WHILE_IT_BRAKES,
     },
+    "agent.control.adaptation": {
+        ("Adaptation.__post_init__", _LOAD, _LOAD.replace("(-1", "(-2")): _ANY_BELOW_ZERO,
+        ("Adaptation.__post_init__", _START, "pass"): _PUT_TOGETHER,
+        ("Adaptation.advance", _LEAKS, "if True:"): _FORGETS_NOTHING,
+        ("Adaptation.advance", _LEAKS, _LEAKS.replace(">", ">=")): _FORGETS_NOTHING,
+        (
+            "Adaptation.advance",
+            _HELD,
+            _HELD.replace("inside.tobytes() != theta.tobytes()", "True"),
+        ): "what no bound changed is not outside",
+        ("Adaptation.advance", _BODIES, _BODIES.replace("-1", "-2")): _ANY_BELOW_ZERO,
+        ("Adaptation.advance", "if possible is not bodies:", "if True:"): "copies what is there already",
+        ("_joined", _WHOLE, "if False:"): _PUT_TOGETHER,
+        ("_joined", _WHOLE, _WHOLE.replace("whole is body.base", "True")): "nobody mixes parts of two estimates",
+        ("_joined", _WHOLE, _WHOLE.replace("(len(whole) == len(arm) + len(body))", "True")): _PARTS,
+        ("_joined", _WHOLE, _WHOLE.replace("is body", "is not body")): _PUT_TOGETHER,
+        ("_joined", _WHOLE, _WHOLE.replace("==", "!=")): _PUT_TOGETHER,
+        ("_joined", _WHOLE, _WHOLE.replace(" + ", " - ")): _PUT_TOGETHER,
+        ("_joined", "return whole", "pass"): _PUT_TOGETHER,
+    },
     "agent.control.memory": {
         ("restore", _HOLD, _HOLD.replace("[3:7]", "[2:7]")): "no pose without a quaternion has a height",
+        ("restore", _PULL, _PULL.replace("[36:36 + FLAT]", "[36:72 + FLAT]")): "it takes no more than is its own",
     },
     "agent.standing": {
         (

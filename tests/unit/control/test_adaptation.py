@@ -74,11 +74,20 @@ def test_load_friction_that_no_torque_overcomes_is_refused_where_joints_stick(
             continue
         with pytest.raises(ValueError, match=r"at most 0\.95 in sum"):
             replace(one, upper=upper, sticking=STICKS)
-    halves = one.upper.arm.copy()
-    halves[-2 * JOINTS :] = 0.5 * sum_of_loads
-    if not allowed:
-        with pytest.raises(ValueError, match=r"at most 0\.95 in sum"):
-            replace(one, upper=Estimate(halves, one.upper.object), sticking=STICKS)
+    both = one.upper.arm.copy()
+    both[-2 * JOINTS :] = 0.5 * sum_of_loads
+    if allowed:
+        replace(one, upper=Estimate(both, one.upper.object), sticking=STICKS)
+        return
+    with pytest.raises(ValueError, match=r"at most 0\.95 in sum"):
+        replace(one, upper=Estimate(both, one.upper.object), sticking=STICKS)
+
+
+def test_the_load_of_another_joint_and_breakaway_do_not_count() -> None:
+    one = data()
+    arm = one.upper.arm.copy()
+    arm[-3 * JOINTS :] = [5.0] * JOINTS + [0.9] * JOINTS + [0.0] * JOINTS
+    assert replace(one, upper=Estimate(arm, one.upper.object), sticking=STICKS).sticking == STICKS
 
 
 def test_a_bound_that_holds_an_estimate_is_told_and_a_mass_that_stays_above_zero_is_not() -> None:

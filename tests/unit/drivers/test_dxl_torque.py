@@ -61,6 +61,39 @@ def test_no_load_current_helps_the_motion_and_is_not_counted_as_torque(dq, tau):
     assert extra == pytest.approx(0.13 * math.tanh(dq / 0.1), abs=2.7e-3)
 
 
+@pytest.mark.parametrize("joint", [ONE, TWO, WRIST, replace(WRIST, ids=(6, 7), reverse=(False, True))])
+def test_a_goal_stands_for_the_torque_that_it_was_made_of(joint):
+    helped = joint if joint.servo == XL else replace(joint, no_load_current_A=0.13)
+    drive = torque_drive(helped)
+    for tau, dq in ((0.5, 0.05), (-0.3, 1.5), (0.2, -0.7)):
+        count, sent = drive.command(tau, dq, 11.5)
+        assert drive.goal_Nm(count, dq, 11.5) == pytest.approx(sent)
+        assert sent == pytest.approx(tau, abs=0.02)
+        if joint.servo != XL:
+            assert drive.measured_Nm([count] * len(joint.ids), dq) == pytest.approx(sent)
+
+
+def test_a_joint_s_own_torque_constant_goes_before_that_of_its_model():
+    count, sent = CurrentDrive(replace(ONE, torque_constant_Nm_per_A=2.0)).command(1.0, 0.0, 12.0)
+    assert count == round(1.0 / (2.0 * current_unit_A(ONE.model)))
+    assert sent == pytest.approx(count * 2.0 * current_unit_A(ONE.model))
+
+
+def test_the_current_that_a_joint_needs_is_that_of_its_largest_torque_and_of_its_gears():
+    unit = current_unit_A(ONE.model)
+    for joint in (ONE, TWO):
+        assert CurrentDrive(joint).needed_count == math.ceil(2.0 / (ONE.model.torque_constant_Nm_per_A * unit))
+        with_gears = CurrentDrive(replace(joint, no_load_current_A=0.13)).needed_count
+        assert with_gears == math.ceil(2.0 / (ONE.model.torque_constant_Nm_per_A * unit) + 0.13 / unit)
+
+
+@pytest.mark.parametrize(("limit", "count"), [(None, 885), (300, 300), (2000, 885)])
+def test_a_servo_s_lower_limit_bounds_its_voltage(limit, count):
+    strong = replace(WRIST, tau_max_Nm=50.0)
+    assert PwmDrive(strong, limit).command(40.0, 0.0, 12.0)[0] == count
+    assert PwmDrive(strong, limit).command(-40.0, 0.0, 12.0)[0] == -count
+
+
 @given(TORQUE, SPEED, st.floats(10.0, 13.0))
 def test_pwm_torque_is_right_where_the_supply_allows_it(tau, dq, supply_V):
     model = SERVOS[XL]

@@ -34,8 +34,13 @@ NANOSECOND = 1
 
 @cache
 def _rows() -> Any:
-    """Of an agent, up to the hold of its own."""
-    made = run(lambda reads: Event.STOP | (Event.RELEASED if reads > 26 else Event.NONE) if reads > 24 else Event.NONE)
+    """Of an agent that is stopped, up to the hold of its own."""
+
+    def operator(reads: int) -> Event:
+        stopped = Event.STOP if reads > 24 else Event.NONE
+        return stopped | (Event.RELEASED if reads > 26 else Event.NONE)
+
+    made = run(operator)
     return made.rows[made.rows["mode"] != Mode.HOLD]
 
 
@@ -112,7 +117,6 @@ def test_the_first_step_counts_from_what_the_servos_hold_and_they_are_told_how_f
 
 
 def test_a_guard_looks_often_enough_and_gives_up_on_an_agent_before_its_servos_do() -> None:
-    """What must lie between what; ms."""
     hangs_ns = stale_ns(period_ns(), emulated=False, simulated=False)
     assert WATCH_NS == 2_000_000
     assert hangs_ns + WATCH_NS < 1e9 * WATCHDOG_S

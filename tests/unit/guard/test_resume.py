@@ -11,7 +11,8 @@ import configs
 from agent.around import Beginning
 from agent.config.cell import load_cell
 from agent.control.memory import Memory, restore
-from agent.guard.resume import beginning, from_torque, last_speed, stood_in
+from agent.cycles import Patience
+from agent.guard.resume import ROWS, beginning, from_torque, last_speed, stood_in
 from agent.loop import initial_memory
 from agent.modes import Event, Mode
 from agent.process.build import build_agent
@@ -83,6 +84,31 @@ def test_behind_rows_without_a_state_the_hold_begins_where_the_arm_is_seen_next(
     assert begun.rows == rows[held]["sequence"]
 
 
+@pytest.mark.parametrize("mode", [Mode.OFF, Mode.FAULT, 250])
+def test_rows_behind_the_last_command_say_nothing_of_the_hold(mode: int) -> None:
+    before, held = held_by_itself(STOP_AT)
+    more = np.concatenate([before, before[-2:]])
+    more["mode"][-2:] = int(mode)
+    begun = beginning(AGENT, more, "x")
+    same(begun.memory, held)
+    assert begun.rows == held["sequence"]
+
+
+def test_a_single_row_without_a_state_is_enough_to_go_on() -> None:
+    one = held_by_itself(STOP_AT)[0][-1:].copy()
+    one["flags"] |= int(Flag.STALE)
+    begun = beginning(AGENT, one, "x")
+    assert (begun.mode, begun.rows) == (Mode.HOLD, int(one[0]["sequence"]) + 1)
+    assert Patience().blind < ROWS, "of a loop that has seen nothing for longer nothing is left to go on with"
+
+
+def test_an_arm_that_floated_stands() -> None:
+    cell = load_cell(configs.CELLS_DIR / "two_wx200.toml", ['floating.arms=["left"]'])
+    floats = build_agent(cell, cell.arms[0])
+    begun = beginning(floats, held_by_itself(STOP_AT)[0][:0], "x")
+    assert (begun.mode, begun.zero_ns, begun.rows) == (Mode.STAND, 0, 0)
+
+
 def test_without_any_row_the_hold_begins_as_an_arm_that_waits_does() -> None:
     begun = beginning(AGENT, held_by_itself(STOP_AT)[0][:0], "x")
     assert (begun.mode, begun.rows, begun.memory.hold, begun.memory.primed) == (Mode.HOLD, 0, None, False)
@@ -100,6 +126,13 @@ def test_the_first_step_counts_from_the_torque_that_the_servos_hold_where_it_is_
     held = sent + np.array([0.0005, 0.25, np.nan])  # within what a count says; written without a row; no answer
     tau = from_torque(begun, rows, held).memory.tau
     assert tau.tolist() == [begun.memory.tau[0], held[1], begun.memory.tau[2]]
+    rows = rows.copy()
+    rows["tau_sent"][-2, :3] += 0.1
+    assert from_torque(begun, rows, sent + 0.0009) is begun
+    assert from_torque(begun, rows, np.full(3, np.nan)) is begun
+    beyond = sent + 0.0011
+    assert from_torque(begun, rows, beyond).memory.tau.tolist() == beyond.tolist()
+    assert from_torque(begun, rows[:0], sent).memory.tau.tolist() == sent.tolist(), "nobody knows what was sent"
 
 
 @pytest.mark.parametrize("mark", [Flag.GAP, Flag.RESUMED])
@@ -116,6 +149,9 @@ def test_speeds_are_the_measured_ones_of_the_last_fresh_row() -> None:
     rows["dq_measured"][-2, :3] = [0.1, 0.2, 0.3]
     rows["flags"][-1] |= int(Flag.STALE)
     assert last_speed(rows, 3).tolist() == [0.1, 0.2, 0.3]
+    assert last_speed(rows[:-1], 3).tolist() == [0.1, 0.2, 0.3]
+    assert last_speed(rows[-2:], 3).tolist() == [0.1, 0.2, 0.3]
+    assert last_speed(rows[-1:], 3).tolist() == [0.0, 0.0, 0.0]
 
 
 CELL = load_cell(configs.CELLS_DIR / "two_wx200.toml", ["session.take_up_s=1.0"])
@@ -140,3 +176,19 @@ def test_a_session_that_has_no_row_yet_stands_at_rest() -> None:
     none = held_by_itself(STOP_AT)[0][:0]
     assert beginning(SESSION, none, "x", session=True).mode is Mode.REST
     assert beginning(SESSION, none, "x").mode is Mode.HOLD
+
+
+def test_a_session_whose_arm_is_at_rest_stays_there_and_one_that_carries_holds() -> None:
+    rows = held_by_itself(STOP_AT)[0].copy()
+    assert beginning(SESSION, rows, "x", session=True).mode is Mode.HOLD
+    rows["mode"] = int(Mode.REST)
+    assert beginning(SESSION, rows, "x", session=True).mode is Mode.REST
+    assert beginning(SESSION, rows, "x").mode is Mode.HOLD
+
+
+def test_an_arm_that_gives_back_and_of_which_nothing_more_is_known_stands_as_it_is() -> None:
+    memory = initial_memory(AGENT)
+    for agent, known in ((AGENT, memory), (SESSION, None)):
+        assert stood_in(agent, Mode.RELEASE, known) is Mode.HALT
+        assert stood_in(agent, Mode.APPROACH, known) is Mode.HALT
+        assert stood_in(agent, Mode.TRACK, known) is Mode.HOLD

@@ -80,6 +80,8 @@ def test_a_process_that_does_not_load_strokes_and_says_nothing_of_its_interval(
     notifier.alive()
     assert manager.recv(1000) == b"WATCHDOG=1"
     notifier.close()
+    notifier.alive()
+    notifier.close()
 
 
 def test_a_manager_that_does_not_read_holds_nobody_up(manager: socket.socket, tmp_path: Path) -> None:

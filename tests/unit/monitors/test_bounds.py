@@ -74,7 +74,7 @@ class Sought:
             return self.found[-1]
 
         monkeypatch.setattr(ik, "solve", seen)
-        self.fastest = monitors._speeds_of_motion(self.cell, self.cell.arms[0])
+        self.fastest = monitors.speeds_of_motion(self.cell, self.cell.arms[0])
 
     def speeds(self, times: Vector) -> Vector:
         """(k, n) rad/s at the joints found."""

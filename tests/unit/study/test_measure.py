@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,13 +17,13 @@ from agent.safety import Flag
 from agent.study import measure as module
 from agent.study.fault import Fault, FaultKind
 from agent.study.lab import Trip
-from agent.study.measure import RunResult, bounds_of, measure
+from agent.study.measure import RunResult, bounds_of, measure, run_once
 from sim_backend.physics.spec import PlantError
 
 STALL_NM = np.array([2.0, 2.0, 4.0, 4.0])
 TRIP = Trip(3.0, "left", Flag.UNEXPECTED, "a blow")
 GRASP = np.zeros((2, 6))
-GRASP[0, 0], GRASP[1, 0] = 0.4, -0.4  # N, against each other
+GRASP[0, :3], GRASP[1, :3] = (0.24, 0.0, 0.32), (-0.24, 0.0, -0.32)  # N, against each other
 
 
 @cache
@@ -46,6 +46,7 @@ class Scripted:
         self.plant = SimpleNamespace(spec=SimpleNamespace(arms=[anchor, anchor]))
         self.places = [SimpleNamespace(outcome=None), SimpleNamespace(outcome=None)]
         self._skew_s = skew_s
+        self.blind: Any = ...  # what the anchor gives instead of what it sees
 
     @property
     def t(self) -> float:
@@ -64,13 +65,18 @@ class Scripted:
         own = p + np.array([0.0, own_m, 0.0])
         k = SimpleNamespace(p_object=tuple(own), quat_object=tuple(about_z(off_rad - own_rad)))
         seen = SimpleNamespace(terms=SimpleNamespace(kinematics=k))
-        self.places[cell().anchor].outcome = seen
+        self.places[cell().anchor].outcome = seen if self.blind is ... else self.blind
         return SimpleNamespace(p_object=p, quat_object=quat, grasp_wrench=GRASP)
 
     def advance(self) -> None:
         if self.t >= self._ends_s:
             raise PlantError("the plant", found="nan", expected="numbers", remedy="none")
         self.tick += 1
+
+
+def off_at(errors_m: Mapping[float, float], usual_m: float) -> Callable[[float], Seen]:
+    """An object that is so far off at some instants."""
+    return lambda t: (dict(errors_m).get(round(t, 6), usual_m), 0.0, 0.0, 0.0)
 
 
 def about_z(angle: float) -> np.ndarray:
@@ -132,6 +138,39 @@ def test_a_run_is_within_bounds_when_every_figure_is(monkeypatch: pytest.MonkeyP
     assert result(monkeypatch, lambda _: off)[0].within_bounds is kept
 
 
+@pytest.mark.parametrize(("peak_Nm", "kept"), [(2.0, True), (2.01, False)])
+def test_half_of_stall_is_within_bounds(monkeypatch: pytest.MonkeyPatch, peak_Nm: float, kept: bool) -> None:
+    run = Scripted(lambda _: (0.0,) * 4, (), math.inf, 0.0)
+    run.peak_Nm[3] = peak_Nm
+    monkeypatch.setattr(module, "Run", lambda *_: run)
+    lab: Any = SimpleNamespace(cell=cell(), stall_Nm=STALL_NM)
+    assert measure(lab, None).within_bounds is kept
+    assert (measure(lab, None).index, measure(lab, None).seed) == (0, 0)
+    again = run_once(lab, 3, 11)
+    assert (again.index, again.seed) == (3, 11)
+
+
+@pytest.mark.parametrize("blind", [None, SimpleNamespace(terms=None)])
+def test_an_anchor_that_sees_nothing_excuses_nothing(monkeypatch: pytest.MonkeyPatch, blind: Any) -> None:
+    run = Scripted(lambda _: (0.8e-3, 2e-3, 0.0, 0.0), (), math.inf, 0.0)
+    run.blind = blind
+    monkeypatch.setattr(module, "Run", lambda *_: run)
+    lab: Any = SimpleNamespace(cell=cell(), stall_Nm=STALL_NM)
+    assert measure(lab, None).position_beyond_anchor_m == pytest.approx(0.8e-3)
+
+
+def test_a_run_of_which_nothing_was_seen_is_lost_and_has_no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    found, _ = result(monkeypatch, ends_s=-0.5)
+    assert (found.lost, found.tracked_s, found.position_error_m) == (True, 0.0, 0.1)
+    assert (found.attitude_error_rad, found.internal_force_max_N, found.internal_force_mean_N) == (0.0, 0.0, 0.0)
+
+
+def test_the_instants_at_which_the_transient_ends_and_an_arm_trips_count(monkeypatch: pytest.MonkeyPatch) -> None:
+    for at, size in ((1.0, 0.7e-3), (3.0, 0.8e-3)):
+        found, _ = result(monkeypatch, off_at({at: size}, 1e-4), trips=[TRIP])
+        assert found.position_error_m == pytest.approx(size)
+
+
 def test_what_comes_before_the_transient_ends_or_behind_a_trip_does_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
     def off(t: float) -> Seen:
         return (0.05 if t < 0.95 or t > 3.05 else 0.2e-3, 0.0, 0.0, 0.0)
@@ -146,8 +185,9 @@ def test_what_comes_before_the_transient_ends_or_behind_a_trip_does_not_count(mo
 
 def test_a_run_that_trips_within_the_transient_counts_from_its_start(monkeypatch: pytest.MonkeyPatch) -> None:
     early = Trip(0.55, "left", Flag.UNEXPECTED)
-    found, _ = result(monkeypatch, lambda t: (1e-3 if t >= 0.0 else 0.02, 0.0, 0.0, 0.0), trips=[early])
-    assert found.position_error_m == pytest.approx(1e-3)
+    for at in (0.0, 0.9):
+        found, _ = result(monkeypatch, off_at({-0.1: 0.02, at: 5e-3}, 1e-3), trips=[early])
+        assert found.position_error_m == pytest.approx(5e-3)
     before = Trip(-0.2, "left", Flag.UNEXPECTED)
     assert result(monkeypatch, trips=[before])[0].tracked_s == 0.0
 
@@ -184,3 +224,5 @@ def test_a_reaction_is_that_of_an_arm_that_nothing_befell_and_not_before_it(monk
     assert found.reaction_s == pytest.approx(0.3)
     assert result(monkeypatch, trips=trips[:2], faults=[first])[0].reaction_s is None
     assert result(monkeypatch, trips=trips)[0].reaction_s is None
+    at_once = Fault(kind=FaultKind.LIMP, arm="left", at_s=2.3)
+    assert result(monkeypatch, trips=trips, faults=[at_once])[0].reaction_s == 0.0
