@@ -36,7 +36,7 @@ RETURN_RAD = 0.04  # a hold that has braked goes back no farther, so that it doe
 GENTLE_TICKS = 100  # with a state in time, until a hold that was starved is as stiff as its joints allow
 GENTLE_RAD_PER_S = 5.0  # how stiff it is until then; less where 30 periods are longer than a second
 GENTLE_REACH_RAD = 0.1  # beyond it a gentle hold pulls no harder, which bounds how fast it comes back
-STARVED_PERIODS = 3.5  # from one state to the next, above which a hold has missed some
+STARVED_PERIODS, MANY = 3.5, 4  # from one state to the next, above which an arm has missed some
 FORGIVEN_TICKS = 20  # with a state in time, until that is forgotten; a hold that misses some again before is gentle
 _TRACK, _HOLD, _READY = Mode.TRACK, Mode.HOLD, Mode.READY  # looking them up in their class takes 0.1 µs each
 _NOT_FINITE = int(Flag.NOT_FINITE)  # asking a flag for another one takes 0.5 µs
@@ -138,7 +138,7 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
         return Outcome(q, dq, terms, limited, flags, memory._replace(tau=limited, primed=False))
     sense, sensed, shift = memory.sense, None, memory.shift
     if agent.residual is not None:
-        sense, sensed, unexpected = _sense(agent.residual, mode, memory, terms, dq)
+        sense, sensed, unexpected = _sense(agent.residual, mode, memory, terms, dq, _periods(agent, t, memory))
         if unexpected:
             flags |= Flag.UNEXPECTED
     if agent.alignment is not None and memory.primed and mode in _ALIGNING:
@@ -162,11 +162,17 @@ def _in_time(agent: Agent, t: float, memory: Memory) -> Memory:
     neighbour.  Its observer begins anew, for it expects the next period.  Missed again before that is forgotten, the
     law itself would shake the arm.
     """
-    if t - memory.t > STARVED_PERIODS * agent.period_s:
+    if _periods(agent, t, memory) == MANY:
         again = memory.missed or memory.calm > JOINTS
         calm = JOINTS + GENTLE_TICKS + 1 if again else memory.calm
         return memory._replace(primed=False, calm=calm, missed=FORGIVEN_TICKS)
     return memory._replace(missed=memory.missed - 1) if memory.missed else memory
+
+
+def _periods(agent: Agent, t: float, memory: Memory) -> int:
+    """Since the last tick that had a state; MANY: it is not to be worked out what has been meanwhile."""
+    passed = (t - memory.t) / agent.period_s
+    return MANY if passed > STARVED_PERIODS else max(1, round(passed))
 
 
 def _without(agent: Agent, q: Vector, dq: Vector, flag: Flag, memory: Memory) -> Outcome:
@@ -195,14 +201,18 @@ def _weight(agent: Agent, memory: Memory) -> tuple[Vector, Flag]:
 
 
 def _sense(
-    residual: Residual, mode: Mode, memory: Memory, terms: Terms, dq: Vector
+    residual: Residual, mode: Mode, memory: Memory, terms: Terms, dq: Vector, periods: int
 ) -> tuple[Sense, tuple[float, ...] | None, bool]:
     """State of the residual after this tick, what the row says of it, and whether it asks for a hold."""
     if terms.J_inv_P is None:
         return nothing_sensed(len(dq)), None, False
     sense = memory.sense if memory.primed else nothing_sensed(len(dq))
     sent = (memory.tau, memory.tau_before)
-    sense = residual.advance(sense, terms, terms.J_inv_P, dq, sent, ready=mode is _READY)
+    if mode is _TRACK and periods == MANY and sense.ticks:
+        sense = residual.over_a_gap(sense, terms, dq)
+    else:
+        passed = periods if mode is _TRACK else 1  # before the start, t jumps to it
+        sense = residual.advance(sense, terms, terms.J_inv_P, dq, sent, ready=mode is _READY, periods=passed)
     wrench = terms.J_inv_P.T.dot(sense.residual)
     found = residual.channels(sense, wrench)
     unexpected = mode is _TRACK and (residual.tripped(found, sense, wrench) or residual.pulled(sense))

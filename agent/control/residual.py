@@ -79,22 +79,23 @@ class Residual:
     touch: Touch | None = None  # None: no touch is above the limit of the sudden force
 
     def advance(
-        self, sense: Sense, terms: Terms, J_inv_P: Matrix, dq: Vector, tau: tuple[Vector, Vector], *, ready: bool
-    ) -> Sense:
+        self, sense: Sense, terms: Terms, J_inv_P: Matrix, dq: Vector, tau: tuple[Vector, Vector], *, ready: bool,
+        periods: int = 1,
+    ) -> Sense:  # fmt: skip
         """State after a tick of the law at joint velocities dq (n,).
 
         J_inv_P: (n, 6) joint velocities of an object twist; tau: what was sent (n,) one tick and two ticks before;
-        ready: before the start, when the slow channel learns what is usual.
+        ready: before the start, when the slow channel learns what is usual; periods: since the last tick.
         """
-        k, T, f = terms.kinematics, self.period_s, self.delay_periods
-        s = dq - terms.dq_ref
-        momentum = k.B.dot(s)
-        expected = k.C.T.dot(s) - (terms.tau_cmd - terms.tau_feedback)
+        T, f = self.period_s, self.delay_periods
+        momentum, expected = _momentum(terms, dq)
         if sense.ticks == 0.0:
             plain = sense.plain if self.touch is None else self.touch.begin(terms, dq)
             return sense._replace(momentum=momentum, expected=expected, ticks=1.0, plain=plain)
         acting = (1.0 - f) * tau[0] + f * tau[1]
         estimate = sense.momentum + T * (sense.expected + acting + sense.residual)
+        if periods > 1:
+            estimate += (periods - 1) * T * (sense.expected + tau[0] + sense.residual)
         r = self.rate_per_s * (momentum - estimate)
         W = J_inv_P.T.dot(r)
         base = sense.base + (T * self.base_per_s) * (W - sense.base)
@@ -109,6 +110,15 @@ class Residual:
         if self.against is not None and not ready:
             pull = self.against.advance(pull, W.tolist(), base.tolist(), terms.desired.v)
         return Sense(estimate, expected, r, base, slow, rest, ticks, pull, plain)
+
+    def over_a_gap(self, sense: Sense, terms: Terms, dq: Vector) -> Sense:
+        """The same where more than a period has passed since the last tick: what has been found stands.
+
+        How dq_r, and with it s, went meanwhile is known to nobody.
+        """
+        momentum, expected = _momentum(terms, dq)
+        plain = sense.plain if self.touch is None else self.touch.begin(terms, dq)
+        return sense._replace(momentum=momentum - sense.residual / self.rate_per_s, expected=expected, plain=plain)
 
     def channels(self, sense: Sense, wrench: Vector) -> Channels:
         """Sizes of the fast and of the slow channel; wrench: the unexpected one (6,)."""
@@ -134,3 +144,9 @@ class Residual:
         if self.touch is None or not all(x <= bound for x, bound in zip(found[1:], self.limits[1:], strict=True)):
             return True
         return not self.touch.may_be((wrench - sense.base)[:3].tolist(), sense.plain)
+
+
+def _momentum(terms: Terms, dq: Vector) -> tuple[Vector, Vector]:
+    """B s, and its rate without the torque that acts, (n,) each."""
+    k, s = terms.kinematics, dq - terms.dq_ref
+    return k.B.dot(s), k.C.T.dot(s) - (terms.tau_cmd - terms.tau_feedback)

@@ -84,9 +84,13 @@ class Noticing:
     pulls: bool = False
     asked: list[dict[str, Any]] = field(default_factory=list)
 
-    def advance(self, sense: Any, _terms: Any, _J_inv_P: Any, dq: Any, tau: Any, *, ready: bool) -> Any:
-        self.asked.append({"sense": sense, "dq": dq, "tau": tau, "ready": ready})
+    def advance(self, sense: Any, _terms: Any, _J_inv_P: Any, dq: Any, tau: Any, *, ready: bool, periods: int) -> Any:
+        self.asked.append({"sense": sense, "dq": dq, "tau": tau, "ready": ready, "periods": periods})
         return sense._replace(residual=np.array([1.0, 2.0, 3.0]), ticks=sense.ticks + 1.0)
+
+    def over_a_gap(self, sense: Any, _terms: Any, dq: Any) -> Any:
+        self.asked.append({"sense": sense, "dq": dq, "gap": True})
+        return sense._replace(residual=np.array([1.0, 2.0, 3.0]))
 
     def channels(self, sense: Any, wrench: Any) -> Channels:
         assert sense.residual.tolist() == [1.0, 2.0, 3.0]
@@ -136,6 +140,35 @@ def test_the_residual_is_given_the_memory_of_the_last_tick(mode: Mode) -> None:
     np.testing.assert_allclose(asked["wrench"], wrench, rtol=1e-12)
     assert outcome.sensed == (*asked["wrench"].tolist(), 10.0, 20.0, 30.0, 40.0)
     assert outcome.memory.sense.ticks == 8.0
+
+
+@pytest.mark.parametrize(
+    ("mode", "passed", "periods"),
+    [
+        (Mode.TRACK, 0.4, 1), (Mode.TRACK, 1.4, 1), (Mode.TRACK, 1.6, 2), (Mode.TRACK, 3.4, 3), (Mode.TRACK, 3.6, None),
+        (Mode.READY, 1000.0, 1), (Mode.READY, 2.0, 1), (Mode.HOLD, 3.6, 1), (Mode.HOLD, 2.0, 1),
+    ],
+)  # fmt: skip
+def test_an_arm_that_missed_cycles_of_the_motion_counts_them_or_keeps_what_it_has_found(
+    mode: Mode, passed: float, periods: int | None
+) -> None:
+    """Before the start, t jumps to it; a hold that missed many begins to sense anew."""
+    noticing = Noticing()
+    agent = arm(residual=noticing)
+    memory = primed(agent)._replace(t=T - passed * agent.period_s)
+    at(agent, (0.1, 0.2, 0.3), mode, memory)
+    (asked,) = noticing.asked
+    assert asked.get("periods") == periods
+    assert ("gap" in asked) is (periods is None)
+    assert asked["dq"].tolist() == [0.1, 0.2, 0.3]
+    assert (asked["sense"] is memory.sense) is (mode is not Mode.HOLD or passed < 3.5)
+
+
+def test_an_arm_that_missed_cycles_before_it_sensed_anything_begins() -> None:
+    noticing = Noticing()
+    agent = arm(residual=noticing)
+    at(agent, (0.0, 0.0, 0.0), Mode.TRACK, primed(agent)._replace(t=T - 5 * agent.period_s, primed=False))
+    assert "gap" not in noticing.asked[0]
 
 
 def test_a_memory_that_was_not_kept_up_begins_anew() -> None:

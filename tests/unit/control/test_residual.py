@@ -25,11 +25,11 @@ WRENCH = np.array([1.5, -2.0, 0.0, 0.0, 0.0, 0.08])  # in the plane of the cell
 
 def alone(
     wrench: np.ndarray, seconds: float, *, delay: float = 0.0, ready_s: float = 0.0, touch: Touch | None = None,
-    dq: np.ndarray | None = None,
+    dq: np.ndarray | None = None, gap: range = range(0),
 ) -> list[tuple[Sense, Terms]]:  # fmt: skip
     """One arm of the paper's cell under the law, alone, with a wrench at the object from ready_s on; exact model.
 
-    dq: (3,) with which it begins, none: at rest.
+    dq: (3,) with which it begins, none: at rest; gap: ticks that are missed.
     """
     cell = load_cell(configs.CELLS_DIR / "paper.toml")
     arm = cell.arms[0]
@@ -45,9 +45,14 @@ def alone(
         ready = k * PERIOD < ready_s
         terms = known.torque(model, offline, q, dq, desired)
         assert terms.J_inv_P is not None
-        sense = residual.advance(sense, terms, terms.J_inv_P, dq, (sent[0], sent[1]), ready=ready)
+        missed = len(gap) if k == gap.stop else 0
+        if missed > 2:
+            sense = residual.over_a_gap(sense, terms, dq)
+        elif k not in gap:
+            before = sent[0], sent[0] if missed else sent[1]
+            sense = residual.advance(sense, terms, terms.J_inv_P, dq, before, ready=ready, periods=1 + missed)
         history.append((sense, terms))
-        sent = [terms.tau_cmd, sent[0]]
+        sent = [sent[0] if k in gap else terms.tau_cmd, sent[0]]
         acting = delay * sent[1] + (1.0 - delay) * sent[0]
         outside = 0.0 if ready else terms.kinematics.Jt.dot(wrench)
         dq = dq + PERIOD * pin.aba(model.model, data, q, dq, acting + outside)
@@ -71,6 +76,35 @@ def test_it_follows_within_its_rate() -> None:
     found = [terms.J_inv_P.T.dot(sense.residual)[1] for sense, terms in alone(WRENCH, 0.2)]  # type: ignore[union-attr]
     reached = next(k for k, f in enumerate(found) if f < 0.632 * WRENCH[1])
     assert 0.8 / 30.0 < reached * PERIOD < 1.3 / 30.0
+
+
+@pytest.mark.parametrize("touch", [None, Touch(PERIOD, 30.0, 2.6, 1.95, 1.0)])
+def test_over_a_gap_nothing_is_found_and_afterwards_what_is_there(touch: Touch | None) -> None:
+    gap = range(20, 60)
+    history = alone(WRENCH, 0.4, gap=gap, touch=touch)
+    before, after, then = (history[k][0] for k in (gap.start - 1, gap.stop, gap.stop + 1))
+    assert then.residual == pytest.approx(before.residual, abs=0.025), "a tick makes 3 % of what acts"
+    assert after.residual.tolist() == before.residual.tolist()
+    assert after.slow.tolist() == before.slow.tolist()
+    assert after.plain.force_N == 0.0
+    sense, terms = history[-1]
+    assert terms.J_inv_P is not None
+    assert terms.J_inv_P.T.dot(sense.residual) == pytest.approx(WRENCH, abs=0.05)
+    residual, dq, nothing = Residual(PERIOD, 0.0, LIMITS), np.array([0.1, -0.2, 0.3]), np.zeros(3)
+    usual = residual.advance(sense, terms, terms.J_inv_P, dq, (nothing, nothing), ready=False)
+    assert residual.over_a_gap(sense, terms, dq).expected.tolist() == usual.expected.tolist() != sense.expected.tolist()
+    if touch is not None:
+        assert sense.plain.force_N == pytest.approx(np.hypot(*(WRENCH - sense.base)[:2]), rel=0.1)
+
+
+@pytest.mark.parametrize("missed", [1, 2])
+def test_ticks_that_were_missed_are_counted(missed: int) -> None:
+    def found(gap: range) -> np.ndarray:
+        return np.array(alone(WRENCH, 0.1, gap=gap)[60 + missed][0].residual)
+
+    all_seen, nothing = found(range(0)), np.array(alone(WRENCH, 0.1)[59][0].residual)
+    grown = all_seen - nothing
+    assert np.linalg.norm(found(range(60, 60 + missed)) - all_seen) < 0.2 * np.linalg.norm(grown)
 
 
 def test_a_load_that_stays_leaves_the_fast_channel_and_fills_the_slow_one() -> None:

@@ -200,6 +200,13 @@ def test_an_agent_that_stands_still_for_a_moment_keeps_the_phase() -> None:
     assert shown(run).ended["left"] == "TRACK"
 
 
+@pytest.mark.parametrize("cell", ["paper_real", "two_wx200"])
+def test_an_agent_that_misses_nine_cycles_goes_on(cell: str) -> None:
+    found = shown(struck("agent-stuck", cell=cell, for_s=0.045))
+    assert found.ended == {"left": "TRACK", "right": "TRACK"}
+    assert found.grown_N <= 0.5
+
+
 def test_an_agent_that_is_slow_is_late_in_every_cycle() -> None:
     late = struck("agent-slow", size=1.5).arms["left"].rows["late_s"]
     assert (late[-20:] > 1.4 * 5e-3).all()
