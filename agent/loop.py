@@ -171,8 +171,8 @@ def _in_time(agent: Agent, t: float, memory: Memory) -> Memory:
 
 def _periods(agent: Agent, t: float, memory: Memory) -> int:
     """Since the last tick that had a state; MANY: it is not to be worked out what has been meanwhile."""
-    passed = (t - memory.t) / agent.period_s
-    return MANY if passed > STARVED_PERIODS else max(1, round(passed))
+    passed, T = t - memory.t, agent.period_s
+    return MANY if passed > STARVED_PERIODS * T else 1 + (passed > 1.5 * T) + (passed > 2.5 * T)
 
 
 def _without(agent: Agent, q: Vector, dq: Vector, flag: Flag, memory: Memory) -> Outcome:
