@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import combinations
 
 import numpy as np
@@ -10,7 +11,7 @@ from agent.log.runinfo import RunInfo
 from agent.report.arithmetic import NAN, instant_of_most, most, rms
 from agent.report.prepared import Prepared
 from agent.report.results import Decay, PoseErrors
-from agent.report.series import Array, PoseSeries, column
+from agent.report.series import Array, PoseSeries, column, same_ticks
 
 
 def pose_errors(series: PoseSeries, info: RunInfo) -> PoseErrors:
@@ -74,9 +75,15 @@ def _decay(t: Array, error: Array) -> Decay:
 def disagreement(run: Prepared) -> float:
     """How far two arms at most believed the object to be apart, after the transient, m."""
     worst = NAN
-    for one, other in combinations(run.seen.values(), 2):
-        _, here, there = np.intersect1d(one["sequence"], other["sequence"], assume_unique=True, return_indices=True)
-        settled = column(one, "t")[here] >= run.info.transient_s
-        apart = column(one, "p_object")[here[settled]] - column(other, "p_object")[there[settled]]
-        worst = float(np.fmax(worst, most(np.linalg.norm(apart, axis=1))))
+    for _, _, t, apart_m in apart_by_pair(run):
+        worst = float(np.fmax(worst, most(apart_m[t >= run.info.transient_s])))
     return worst
+
+
+def apart_by_pair(run: Prepared) -> Iterator[tuple[str, str, Array, Array]]:
+    """Names, times (k,) and distances (k,) m of every pair of arms, on the ticks that both have."""
+    for one, other in combinations(run.seen, 2):
+        a, b = run.seen[one], run.seen[other]
+        here, there = same_ticks(a, b, 1.0 / run.info.rate_hz)
+        apart = column(a, "p_object")[here] - column(b, "p_object")[there]
+        yield one, other, column(a, "t")[here], np.asarray(np.linalg.norm(apart, axis=1))

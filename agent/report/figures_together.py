@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from itertools import combinations
 from typing import Any, Final
 
 import numpy as np
@@ -11,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from agent.control.against import LEVEL_AT, WEIGHT_AT
+from agent.report.errors import apart_by_pair
 from agent.report.labels import end_labels, room_in
 from agent.report.plotting import CYCLE, STYLES, line, panels, styled, time_axis
 from agent.report.prepared import Prepared
@@ -85,15 +84,6 @@ def disagreement(run: Prepared) -> Figure:
         end_labels(axes[1])
     time_axis(axes, run.info.duration_s)
     return figure
-
-
-def apart_by_pair(run: Prepared) -> Iterator[tuple[str, str, Array, Array]]:
-    """Names, times (k,) and distances (k,) m of every pair of arms, on the ticks that both have."""
-    for one, other in combinations(run.seen, 2):
-        a, b = run.seen[one], run.seen[other]
-        _, here, there = np.intersect1d(a["sequence"], b["sequence"], assume_unique=True, return_indices=True)
-        apart = column(a, "p_object")[here] - column(b, "p_object")[there]
-        yield one, other, column(a, "t")[here], np.asarray(np.linalg.norm(apart, axis=1))
 
 
 @styled

@@ -156,14 +156,15 @@ def pose_by_arm(name: str, rows: Table) -> PoseSeries:
 def pose_by_plant(arms: Mapping[str, Table], plant: Table, period_s: float) -> tuple[PoseSeries | None, str]:
     """The true pose against the desired one of the same tick, and a note for the reader, empty when all is well.
 
-    `arms`: rows by arm.  Rows are matched by sequence number, unless their time stamps tell that plant and arms count
-    from different instants; then by the stamps, or by UTC where the stamps are of different clocks.
+    `arms`: rows by arm.  Rows are matched by sequence number, unless the time stamps of one tell that plant and arm
+    count from different instants, or that an arm has missed cycles; then by the stamps, or by UTC where the stamps are
+    of different clocks.
     """
     half_ns = round(0.5e9 * period_s)
-    for clock, tolerance, witness, allowed_ns in (
-        ("sequence", 0, "stamp_ns", half_ns),
-        ("stamp_ns", half_ns, "utc_ns", SAME_CLOCK_NS),
-        ("utc_ns", half_ns, "utc_ns", half_ns),
+    for clock, tolerance, witness, allowed_ns, judged in (
+        ("sequence", 0, "stamp_ns", half_ns, np.max),
+        ("stamp_ns", half_ns, "utc_ns", SAME_CLOCK_NS, np.median),
+        ("utc_ns", half_ns, "utc_ns", half_ns, np.median),
     ):
         at = [nearest(rows[clock], plant[clock], tolerance) for rows in arms.values()]
         if not any((i >= 0).any() for i in at):
@@ -171,7 +172,7 @@ def pose_by_plant(arms: Mapping[str, Table], plant: Table, period_s: float) -> t
         apart_ns = [
             plant[witness][i >= 0] - rows[witness][i[i >= 0]] for rows, i in zip(arms.values(), at, strict=True)
         ]
-        if np.median(np.abs(np.concatenate(apart_ns))) > allowed_ns:
+        if judged(np.abs(np.concatenate(apart_ns))) > allowed_ns:
             continue
         held: NDArray[np.bool_] = np.any([i >= 0 for i in at], axis=0)
         note = f"plant rows are matched by {clock}: their sequence numbers are of other instants than the arms'"
@@ -205,6 +206,17 @@ def nearest(keys: NDArray[np.generic], wanted: NDArray[np.generic], tolerance: i
     below = np.maximum(above - 1, 0)
     index = np.where(np.abs(have[below] - want) < np.abs(have[above] - want), below, above)
     return np.asarray(np.where(np.abs(have[index] - want) <= tolerance, index, -1))
+
+
+def same_ticks(one: Table, other: Table, period_s: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Indices of the rows of two arms that are of one instant of the trajectory, to half a period; each (k,).
+
+    Their sequence numbers part where one of them misses a cycle.
+    """
+    keys = [np.rint(rows["t"] * 1e9).astype(np.int64) for rows in (one, other)]
+    there = nearest(keys[1], keys[0], round(0.5e9 * period_s))
+    here = np.flatnonzero(there >= 0)
+    return here, there[here]
 
 
 def _with_sign_of(e_eta: Array, e_xi: Array) -> Array:

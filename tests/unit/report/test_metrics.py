@@ -128,6 +128,22 @@ def test_plant_that_began_before_the_trajectory_is_matched_by_a_common_clock(com
     assert any(f"matched by {common}" in text for text in results.missing)
 
 
+def test_an_arm_that_missed_cycles_is_matched_by_its_clock() -> None:
+    """Its rows are numbered one after the other, so that from the first cycle that it missed on they are of others."""
+    log, missed = small_run(), 4
+    for rows in (*log.agents.values(), log.plant):
+        for field in ("p_object", "p_object_des"):
+            if field in rows.dtype.names:
+                rows[field][:, 0] = 0.01 * np.arange(TICKS)
+    late = np.delete(log.agents["left"], slice(TICKS - 50, TICKS - 50 + missed))
+    late["sequence"] = np.arange(len(late))
+    log.agents["left"] = late
+    results = summarise(log)
+    assert results.headline("max_position_error_m") == 0.0
+    assert results.arm_disagreement_m == 0.0
+    assert any("matched by stamp_ns" in text for text in results.missing)
+
+
 def test_plant_rows_of_other_instants_are_refused_and_said() -> None:
     log = small_run()
     for clock in ("t", "stamp_ns", "utc_ns"):
