@@ -138,7 +138,8 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
         return Outcome(q, dq, terms, limited, flags, memory._replace(tau=limited, primed=False))
     sense, sensed, shift = memory.sense, None, memory.shift
     if agent.residual is not None:
-        sense, sensed, unexpected = _sense(agent.residual, mode, memory, terms, dq, _periods(agent, t, memory))
+        periods = _periods(agent, t, memory) if mode is _TRACK else 1  # before the start, t jumps to it
+        sense, sensed, unexpected = _sense(agent.residual, mode, memory, terms, dq, periods)
         if unexpected:
             flags |= Flag.UNEXPECTED
     if agent.alignment is not None and memory.primed and mode in _ALIGNING:
@@ -208,11 +209,10 @@ def _sense(
         return nothing_sensed(len(dq)), None, False
     sense = memory.sense if memory.primed else nothing_sensed(len(dq))
     sent = (memory.tau, memory.tau_before)
-    if mode is _TRACK and periods == MANY and sense.ticks:
+    if periods == MANY and sense.ticks:
         sense = residual.over_a_gap(sense, terms, dq)
     else:
-        passed = periods if mode is _TRACK else 1  # before the start, t jumps to it
-        sense = residual.advance(sense, terms, terms.J_inv_P, dq, sent, ready=mode is _READY, periods=passed)
+        sense = residual.advance(sense, terms, terms.J_inv_P, dq, sent, ready=mode is _READY, periods=periods)
     wrench = terms.J_inv_P.T.dot(sense.residual)
     found = residual.channels(sense, wrench)
     unexpected = mode is _TRACK and (residual.tripped(found, sense, wrench) or residual.pulled(sense))

@@ -25,7 +25,7 @@ WATCHED = frozenset({
 def spec_of(cell: Cell, arm: Arm) -> Spec | None:
     """What the cell says of this arm's floating, or of its motion while others float; None for an arm that works."""
     spec = cell.file.floating
-    return spec if spec is not None and (arm.name in spec.arms or spec.moves(arm.name)) else None
+    return spec if spec is not None and spec.takes_part(arm.name) else None
 
 
 def taking_part(cell: Cell) -> tuple[Arm, ...]:

@@ -63,11 +63,6 @@ class Watched:
         """Whether its process has ended."""
         return _ended(self.pidfd, 0)
 
-    @property
-    def hangs_since_ns(self) -> int:
-        """For so long no row has come, ns."""
-        return self.vigil.still_ns
-
     def hangs(self, now_ns: int) -> bool:
         """One look at its rows: whether none has come for too long."""
         return self.vigil.is_stale(now_ns, self.reader.written)

@@ -9,7 +9,7 @@ from agent.log.scene import Pose, Scene, SceneArm
 def scene_of(cell: CellFiles) -> Scene:
     """What viewers must know of the cell beside its rows; where arms float, of those that take part alone."""
     spec = cell.file.floating
-    arms = [arm for arm in cell.arms if spec is None or arm.name in spec.arms or spec.moves(arm.name)]
+    arms = [arm for arm in cell.arms if spec is None or spec.takes_part(arm.name)]
     return Scene(cell.file.name, tuple(_arm(arm) for arm in arms), cell.file.world.gravity_m_per_s2)
 
 

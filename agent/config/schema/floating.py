@@ -47,6 +47,10 @@ class Floating(Strict):
         """Whether this arm of the cell carries the object while others float."""
         return self.others_move and arm not in self.arms
 
+    def takes_part(self, arm: str) -> bool:
+        """Whether this arm of the cell floats, or moves while others do."""
+        return self.others_move or arm in self.arms
+
     def require_fit(self, arms: Sequence[str], tolerance: Tolerance) -> None:
         """Refuse arms that are not there, and a compensation that may exceed the friction.
 
