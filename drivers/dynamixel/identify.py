@@ -15,7 +15,7 @@ from drivers.dynamixel.line.bus import Bus, Ping
 from drivers.dynamixel.servo import judge
 from drivers.dynamixel.servo.codes import BAUD_RATES, StatusError
 from drivers.dynamixel.servo.found import Consequence, Misfit, ServoFound
-from drivers.dynamixel.servo.table import SINCE_FIRMWARE, STATUS_RETURN_LEVEL
+from drivers.dynamixel.servo.table import MOVING_THRESHOLD, SINCE_FIRMWARE, STATUS_RETURN_LEVEL
 from drivers.interface import ConnectError
 
 _SETUP_ID = "set its ID with `coop motors setup`"
@@ -52,7 +52,21 @@ def identify(bus: Bus, arm: ArmMap, scan_s: float) -> tuple[list[ServoFound], li
     line = survey(bus, arm, scan_s, waking=True)
     misfits = [misfit for servo in line.servos for misfit in judge.judge(servo)]
     refused = [IdentityError.of(m) for m in misfits if m.rule.consequence is Consequence.NO_CONNECTION]
+    if (other := another_arm(arm, line.servos)) is not None:
+        refused.insert(0, other)
     return list(line.servos), [*line.problems, *refused]
+
+
+def another_arm(arm: ArmMap, servos: Sequence[ServoFound]) -> IdentityError | None:
+    """What to say where all servos of the map agree on a mark that is not the arm's: it is the arm, not one servo."""
+    misfits = [misfit for servo in servos if (misfit := judge.broken(judge.MARK, servo)) is not None]
+    marks = {servo.value(MOVING_THRESHOLD) for servo in servos}
+    if len(misfits) < len(arm.slots) or len(marks) > 1:
+        return None
+    found, expected, remedy = misfits[0].said
+    if (owner := arm.mark.owner(marks.pop())) is not None:
+        remedy = f"the cables of {arm.arm} and {owner} are swapped"
+    return IdentityError(None, f"mark on {arm.port}", found=found, expected=expected, remedy=remedy)
 
 
 def survey(bus: Bus, arm: ArmMap, scan_s: float, *, waking: bool) -> Line:
