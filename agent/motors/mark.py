@@ -99,8 +99,9 @@ def lit(bus: Bus, arm: ArmMap) -> Iterator[None]:
 
 
 def _refuse_another(arm: ArmMap, servos: Sequence[ServoFound]) -> None:
-    owners = {arm.mark.owner(servo.value(MOVING_THRESHOLD)) for servo in servos}
-    if len(owners) == 1 and (owner := owners.pop()) is not None:
+    owners = [arm.mark.owner(servo.value(MOVING_THRESHOLD)) for servo in servos]
+    owner = owners[0]
+    if owner is not None and owners.count(owner) == len(owners):
         raise MarkError(
             f"mark on {arm.port}", found=f"{servos[0].value(MOVING_THRESHOLD)}, arm {owner}'s",
             expected=f"that of no other arm, or {arm.mark.own}",

@@ -143,8 +143,8 @@ def test_what_cannot_be_marked_is_refused_and_nothing_is_written(happens, error:
 
 def test_a_servo_that_comes_from_the_other_arm_gets_the_mark_of_its_new_one() -> None:
     rig = build(ARM, timing=BusTiming())
-    rig.put(4, table.MOVING_THRESHOLD, 2)
-    assert [change.line for change in plan_mark(bus_of(rig), ARM)] == ["servo 4: Moving Threshold: found 2, wanted 1"]
+    rig.put(1, table.MOVING_THRESHOLD, 2)
+    assert [change.line for change in plan_mark(bus_of(rig), ARM)] == ["servo 1: Moving Threshold: found 2, wanted 1"]
 
 
 def test_an_arm_without_a_mark_in_its_cell_is_refused_and_a_folder_of_ports_is_taken() -> None:
