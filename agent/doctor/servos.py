@@ -41,7 +41,7 @@ class Section:
 
 def look(bus: Bus, arm: ArmMap) -> tuple[list[Finding], Servos]:
     """Find the arm's servos and all others; findings about who is there, and the servos that could be read."""
-    line = survey(bus, arm, listen_s(arm.baud), waking=False)
+    line = survey(bus, arm, listen_s(arm.baud))
     findings = [from_refusal(problem, arm.arm) for problem in line.problems]
     if not findings:
         ids = ", ".join(str(slot.servo_id) for slot in arm.slots)

@@ -54,7 +54,7 @@ def plan_mark(bus: Bus, arm: ArmMap) -> list[RegisterChange]:
     Raises IdentityError (not the servos of the arm); EepromError (torque is on); MarkError (all of them have the mark
     of another arm); NoReplyError.
     """
-    line = survey(bus, arm, listen_s(arm.baud), waking=False)
+    line = survey(bus, arm, listen_s(arm.baud))
     if line.problems:
         raise line.problems[0]
     for servo in line.servos:

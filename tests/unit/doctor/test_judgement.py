@@ -22,7 +22,7 @@ from sim_backend.wire.faults import FaultKind
 from sim_backend.wire.timing import BusTiming
 from sim_backend.wire.wiring import ServoWiring, servo_eeprom
 from tests.support.servos.dxl_rig import WX200, XL, Rig, at, build
-from tests.support.servos.tool_rig import bus_of, eeprom, examined, servo_rig, torque_is_off
+from tests.support.servos.tool_rig import LOOKING, bus_of, codes, eeprom, examined, servo_rig, torque_is_off
 
 SLOTS = {slot.servo_id: slot for slot in WX200.slots}
 WIRE = BusTiming()
@@ -241,6 +241,7 @@ def test_a_register_that_a_servo_denies_is_a_refusal_unless_its_firmware_is_too_
         servo.read = deny
         refusal = refusal_of(rig, connected=False)
         assert (refusal is not None) == refused
+        assert codes(rig) <= LOOKING
         assert refusal is None or "refused with ACCESS" in str(refusal.found)
 
 

@@ -97,6 +97,21 @@ def test_an_arm_with_another_mark_than_its_own_is_refused_before_anything_is_wri
 
 
 @pytest.mark.fault("G3")
+@pytest.mark.parametrize("level", [0, 1])
+def test_another_arm_keeps_even_the_level_of_its_answers(level: int) -> None:
+    rig = marked_rig(1, 2, dict.fromkeys(IDS, 2))
+    rig.put(4, table.STATUS_RETURN_LEVEL, level)
+    with pytest.raises(IdentityError, match="found 2, arm right's"):
+        rig.driver.connect()
+    assert codes(rig) <= LOOKING
+    assert rig.get(4, table.STATUS_RETURN_LEVEL) == level
+    rig = marked_rig(1, 2, dict.fromkeys(IDS, 1))
+    rig.put(4, table.STATUS_RETURN_LEVEL, level)
+    rig.driver.connect()
+    assert rig.get(4, table.STATUS_RETURN_LEVEL) == 2
+
+
+@pytest.mark.fault("G3")
 def test_an_arm_exchanged_while_its_port_was_away_is_not_taken_for_the_one_before() -> None:
     rig = enabled(at(WX200, mark=Mark("left", 1, ((2, "right"),))))
     rig.driver.reopen()
