@@ -10,7 +10,7 @@ import typer
 
 from agent.cli import complete
 from agent.cli.help import Commands
-from agent.cli.options import AsJson, Force, note
+from agent.cli.options import ArmName, AsJson, CellPath, Force, Overrides, note
 from agent.cli.progress import Steps
 
 if TYPE_CHECKING:
@@ -173,6 +173,35 @@ def restore(
     typer.echo(f"{changes} registers {what}" if changes else "no differences")
     if any(plan.baud is None for plan in plans):
         raise typer.Exit(1)
+
+
+@app.command()
+def mark(
+    cell: CellPath,
+    arm: ArmName,
+    ports: Annotated[Path | None, typer.Option(help="Folder of ports named like the arms (`coop emulate`).")] = None,
+    overrides: Overrides = [],
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask, and leave the LEDs dark.")] = False,
+) -> None:
+    """Give all servos of an arm the mark that the cell has for it, by which swapped cables are noticed."""
+    from agent.config.cell import load_cell
+    from agent.motors.line import open_line
+    from agent.motors.mark import apply_mark, lit, marked, plan_mark
+
+    described = load_cell(cell, overrides)
+    servos = marked(described, described.arm(arm), ports)
+    with open_line(servos.port, servos.baud) as bus:
+        changes = plan_mark(bus, servos)
+        for change in changes:
+            typer.echo(change.line)
+        if not changes:
+            typer.echo(f"arm {arm}: all servos have mark {servos.mark.own} already")
+            return
+        if not yes:
+            with lit(bus, servos):
+                typer.confirm(f"the LEDs of this arm are lit: is it {arm}, and is this to be written", abort=True)
+        apply_mark(bus, servos, changes)
+    typer.echo(f"arm {arm}: mark {servos.mark.own} is in {len(changes)} servos, read back; torque was never on")
 
 
 def _bauds(wanted: Sequence[int]) -> Sequence[int]:

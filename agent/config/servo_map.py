@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from agent.config.cell import Arm, Cell
 from agent.config.schema.arm import ArmFile, ServoJoint, Servos
-from drivers.dynamixel.arm_map import ArmMap, JointMap, JointRole
+from drivers.dynamixel.arm_map import ArmMap, JointMap, JointRole, Mark
 from drivers.dynamixel.servo.models import SERVOS
 from drivers.dynamixel.servo.units import ticks_rad
 from drivers.fingers import Fingers
@@ -22,7 +22,14 @@ def arm_map(cell: Cell, arm: Arm, port: str, q_start: Vector) -> ArmMap:
     gripper = gripper_map(arm.file)
     if gripper is not None:
         joints.append(gripper)
-    return ArmMap(arm=arm.name, port=port, baud=arm.baud, rate_hz=cell.file.rate_hz, joints=tuple(joints))
+    rate_hz = cell.file.rate_hz
+    return ArmMap(arm.name, port, arm.baud, rate_hz, tuple(joints), mark=mark_of(cell, arm))
+
+
+def mark_of(cell: Cell, arm: Arm) -> Mark:
+    """By what the arm is told from the others of the cell."""
+    others = [(a.entry.mark, a.name) for a in cell.arms if a.name != arm.name]
+    return Mark(arm.name, arm.entry.mark, tuple((mark, name) for mark, name in others if mark is not None))
 
 
 def drivable(file: ArmFile) -> list[ServoJoint]:

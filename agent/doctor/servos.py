@@ -15,7 +15,7 @@ from drivers.dynamixel.identify import survey
 from drivers.dynamixel.line.bus import Bus
 from drivers.dynamixel.servo import judge as rules
 from drivers.dynamixel.servo.found import Consequence, Misfit, Rule, ServoFound
-from drivers.dynamixel.servo.table import PRESENT_INPUT_VOLTAGE, PRESENT_POSITION, PRESENT_TEMPERATURE
+from drivers.dynamixel.servo.table import MOVING_THRESHOLD, PRESENT_INPUT_VOLTAGE, PRESENT_POSITION, PRESENT_TEMPERATURE
 from drivers.dynamixel.servo.units import AngleScale, volts
 
 VERDICTS = {
@@ -41,7 +41,7 @@ class Section:
 
 def look(bus: Bus, arm: ArmMap) -> tuple[list[Finding], Servos]:
     """Find the arm's servos and all others; findings about who is there, and the servos that could be read."""
-    line = survey(bus, arm, listen_s(arm.baud), waking=False)
+    line = survey(bus, arm, listen_s(arm.baud))
     findings = [from_refusal(problem, arm.arm) for problem in line.problems]
     if not findings:
         ids = ", ".join(str(slot.servo_id) for slot in arm.slots)
@@ -110,12 +110,22 @@ def _pose(servos: Servos) -> str:
     return ", ".join(f"{name} {angle:.2f}" for name, angle in angles.items()) + " rad"
 
 
+def _mark(servos: Servos) -> str:
+    return ", ".join(str(mark) for mark in sorted({servo.value(MOVING_THRESHOLD) for servo in servos}))
+
+
+def _wanted_mark(servos: Servos) -> str:
+    mark = servos[0].slot.mark
+    return mark.wanted if mark.known else "any: this cell has no marks"
+
+
 def _text(words: str) -> Callable[[Servos], str]:
     return lambda _: words
 
 
 SECTIONS = (
     Section("firmware", (rules.MODEL, rules.FIRMWARE, rules.FAST_READ), _versions, _least_firmware),
+    Section("mark", (rules.MARK,), _mark, _wanted_mark),
     Section("supply", (rules.SUPPLY, rules.RATED_SUPPLY), _supply, _text("near 12 V and within the servos' limits")),
     Section("temperature", (rules.HEAT, rules.WARMTH), _hottest, _text("5 °C below the servo's limit")),
     Section("hardware errors", (rules.HARDWARE,), _text("none"), _text("none")),

@@ -61,8 +61,8 @@ def cell_text(wish: Wish, height_m: float, arms: Sequence[Placed], *, spatial: b
     """The whole file."""
     gains = SPATIAL if spatial else PLANAR
     parts = [*_head(wish, height_m, spatial), *_control(wish, gains)]
-    for arm in arms:
-        parts += _arm(arm, gains)
+    for mark, arm in enumerate(arms, start=1):
+        parts += _arm(arm, gains, mark)
     return "\n".join(parts) + "\n"
 
 
@@ -118,7 +118,7 @@ def _control(wish: Wish, gains: Gains) -> Iterator[str]:
     yield f"\n[report]\ntransient_s = {transient!r}\nmax_position_error_m = 1e-3\nmax_attitude_error_rad = 3e-3"
 
 
-def _arm(arm: Placed, gains: Gains) -> Iterator[str]:
+def _arm(arm: Placed, gains: Gains, mark: int) -> Iterator[str]:
     wish, (x, y, z, yaw) = arm.wish, arm.base
     down = "" if wish.pose is not None else f", face {wish.face}"
     yield f'\n[[arms]]\nname = "{wish.name}"\nmodel = "{wish.model}"'
@@ -134,7 +134,8 @@ def _arm(arm: Placed, gains: Gains) -> Iterator[str]:
     if arm.locked:
         yield "locked_rad = { " + ", ".join(f"{joint} = 0.0" for joint in arm.locked) + " }"
     yield f"q_near_rad = {_list([round(float(q), 3) for q in arm.q_near])}  # holds the object at the start"
-    yield f'dynamixel = {{ port = "/dev/coop/{wish.name}" }}'
+    yield "# `coop motors mark` writes the mark into its servos, so that arms whose cables are swapped are refused"
+    yield f'dynamixel = {{ port = "/dev/coop/{wish.name}", mark = {mark} }}'
 
 
 def _plus(a: Vec3, b: Vec3) -> list[float]:

@@ -38,11 +38,12 @@ class EmulateError(Refusal):
 
 
 def wiring(arm: Arm, index: int, baud: int) -> ArmWiring:
-    """The servos of an arm as its file describes them."""
+    """The servos of an arm as its file describes them, with the mark that the cell gives it."""
     joints = resting_joints(arm.file)
     return wire_arm(
-        arm.name, joints, arm.entry.controlled, baud=baud, plant_arm=index, start_rad=dict(arm.entry.locked_rad)
-    )
+        arm.name, joints, arm.entry.controlled, baud=baud, plant_arm=index, start_rad=dict(arm.entry.locked_rad),
+        mark=arm.entry.mark,
+    )  # fmt: skip
 
 
 def run_emulate_alone(

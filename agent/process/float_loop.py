@@ -130,7 +130,7 @@ class Ending:
             return Event.RELEASED if seen and seconds >= STAND_S else Event.NONE
         if self._mode is not Mode.SINK:
             return Event.STOP if self._stop() else Event.NONE
-        lies = seen and self._slow_s >= LIES_S and self._seen_s >= self._sink_s
+        lies = self._slow_s >= LIES_S and self._seen_s >= self._sink_s
         return Event.ARRIVED if lies or seconds >= SINK_MAX_S else Event.NONE
 
 

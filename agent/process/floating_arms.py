@@ -149,6 +149,7 @@ class FloatingArms:
         """Make sure that everything has ended: arms first, which take their time to sink, then the rest."""
         self._stop_all()
         _wait_all(self._agents.values(), END_TIMEOUT_S)
+        self._note_deaths()
         _wait_all([guard for name, guard in self._guards.items() if self._in_its_place(name)], END_TIMEOUT_S)
         for guard in self._guards.values():
             guard.terminate()
@@ -162,16 +163,21 @@ class FloatingArms:
             child.kill()
 
     def _alive(self) -> bool:
-        return any(child.process.poll() is None or self._in_its_place(name) for name, child in self._agents.items())
+        return any(code is None or self._in_its_place(name) for name, code in self._note_deaths().items())
+
+    def _note_deaths(self) -> dict[str, int | None]:
+        """How each arm's process has ended, None: not yet; keeps since when it is known to be killed."""
+        codes = {name: child.process.poll() for name, child in self._agents.items()}
+        for name, code in codes.items():
+            if code is not None and code < 0:
+                self._killed_s.setdefault(name, time.monotonic())
+        return codes
 
     def _in_its_place(self, name: str) -> bool:
         """Whether the arm's process was killed, and its guard may still be letting the arm down."""
-        agent, guard = self._agents.get(name), self._guards[name]
-        code = None if agent is None else agent.process.poll()
-        if code is None or code >= 0 or guard.process.poll() is not None:
+        if name not in self._killed_s or self._guards[name].process.poll() is not None:
             return False
-        now_s = time.monotonic()
-        return now_s - self._killed_s.setdefault(name, now_s) < END_TIMEOUT_S  # longer: it has nothing to let down
+        return time.monotonic() - self._killed_s[name] < END_TIMEOUT_S  # longer: it has nothing to let down
 
     def _ended(self, name: str) -> str:
         let_down = self._guards[name].process.poll() == 0

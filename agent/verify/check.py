@@ -23,6 +23,7 @@ from agent.verify.collision.scene import Scene
 from agent.verify.finding import Finding, Verdict, judged
 from agent.verify.force import internal_force
 from agent.verify.margin import Damping, damping, places, sampled_loop
+from agent.verify.marks import marks
 from agent.verify.noticing import noticed, rested, unlearnt
 from agent.verify.path import Path, along_trajectory, arm_findings, reach, start_configurations
 from agent.verify.plausible import plausibility
@@ -86,6 +87,7 @@ def examine(cell: Cell, *, wired: bool | None = None, thorough: bool | None = No
     findings += [*plausibility(cell), *internal_force(cell, models), *noticed(cell), *rested(cell)]
     findings += session(cell, of_arms)
     findings += buses(cell, q_start, wired=servos if wired is None else wired)
+    findings += marks(cell, wired=servos if wired is None else wired)
     findings += _stability(cell, models, paths)
     findings += examine_rehearsal(cell, models, [p.q for p in paths], instants.times)
     if cell.file.controller.kind is ControllerKind.ADAPTIVE:

@@ -70,6 +70,39 @@ class JointMap:
 
 
 @dataclass(frozen=True, slots=True)
+class Mark:
+    """What tells an arm from others of its make: a number that each of its servos keeps (`table.MOVING_THRESHOLD`).
+
+    others: marks of the cell's other arms, with their names.
+    """
+
+    arm: str = ""
+    own: int | None = None  # None: any but those of others
+    others: tuple[tuple[int, str], ...] = ()
+
+    @property
+    def known(self) -> bool:
+        """Whether there is anything to compare with."""
+        return self.own is not None or bool(self.others)
+
+    @property
+    def wanted(self) -> str:
+        """What a servo of the arm is to have, for a person."""
+        return "that of no other arm" if self.own is None else f"{self.own}, arm {self.arm}'s"
+
+    def fits(self, found: int) -> bool:
+        """Whether a servo with that number can be one of the arm's."""
+        return self.owner(found) is None if self.own is None else found == self.own
+
+    def owner(self, found: int) -> str | None:
+        """The other arm that has that number; None: no other arm of the cell."""
+        return next((arm for mark, arm in self.others if mark == found), None)
+
+
+UNMARKED = Mark()
+
+
+@dataclass(frozen=True, slots=True)
 class ServoSlot:
     """One physical servo of the arm."""
 
@@ -77,6 +110,7 @@ class ServoSlot:
     joint: JointMap
     shadow: bool
     reverse: bool
+    mark: Mark = UNMARKED
 
     @property
     def model(self) -> ServoModel:
@@ -100,6 +134,7 @@ class ArmMap:
     joints: tuple[JointMap, ...]  # base to tip, the gripper last; controlled ones in the order of the cell file
     watchdog_s: float = WATCHDOG_S
     line_patience_cycles: int = 0  # without any answer that are no silence yet: of emulated servos, whose host stalls
+    mark: Mark = UNMARKED
 
     def __post_init__(self) -> None:
         ids = [servo_id for joint in self.joints for servo_id in joint.ids]
@@ -191,7 +226,7 @@ class ArmMap:
     def slots(self) -> tuple[ServoSlot, ...]:
         """All physical servos, shadows right behind the servo they follow."""
         return tuple(
-            ServoSlot(servo_id, joint, place > 0, reverse)
+            ServoSlot(servo_id, joint, place > 0, reverse, self.mark)
             for joint in self.joints
             for place, (servo_id, reverse) in enumerate(zip(joint.ids, joint.reverse, strict=True))
         )

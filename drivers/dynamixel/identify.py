@@ -1,13 +1,13 @@
 """Is this the arm the cell describes?  Looks at who is on the line and reads them; `servo.judge` says what must hold.
 
-Writes no goal, mode or EEPROM and switches no torque.  `waking` allows one write, which moves nothing: a servo set to
-answer less than everything is set to answer, or it could be neither judged nor commanded.
+Writes no goal, mode or EEPROM and switches no torque.  `identify` writes one register, which moves nothing: a servo set
+to answer less than everything is set to answer, once no other servo says that this is not the arm.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from drivers.dynamixel.arm_map import ArmMap, ServoSlot
 from drivers.dynamixel.errors import Heard, NoReplyError, PortError, RejectedError
@@ -15,7 +15,7 @@ from drivers.dynamixel.line.bus import Bus, Ping
 from drivers.dynamixel.servo import judge
 from drivers.dynamixel.servo.codes import BAUD_RATES, StatusError
 from drivers.dynamixel.servo.found import Consequence, Misfit, ServoFound
-from drivers.dynamixel.servo.table import SINCE_FIRMWARE, STATUS_RETURN_LEVEL
+from drivers.dynamixel.servo.table import MOVING_THRESHOLD, SINCE_FIRMWARE, STATUS_RETURN_LEVEL
 from drivers.interface import ConnectError
 
 _SETUP_ID = "set its ID with `coop motors setup`"
@@ -42,6 +42,7 @@ class Line:
 
     servos: tuple[ServoFound, ...]
     problems: tuple[IdentityError, ...]
+    mute: tuple[int, ...] = ()  # IDs that answer pings and no read
 
 
 def identify(bus: Bus, arm: ArmMap, scan_s: float) -> tuple[list[ServoFound], list[IdentityError]]:
@@ -49,14 +50,44 @@ def identify(bus: Bus, arm: ArmMap, scan_s: float) -> tuple[list[ServoFound], li
 
     scan_s: how long to wait for answers to a broadcast ping, with which servos that are not in the map are found.
     """
-    line = survey(bus, arm, scan_s, waking=True)
+    line = survey(bus, arm, scan_s)
+    refused, asleep = _refused(arm, line), _asleep(line)
+    if asleep and {error.servo_id for error in refused} <= set(line.mute):
+        bus.write_blind(STATUS_RETURN_LEVEL, dict.fromkeys(asleep, judge.ANSWERS_ALL))
+        line = survey(bus, arm, scan_s, woken=True)
+        refused = _refused(arm, line)
+    return list(line.servos), refused
+
+
+def _refused(arm: ArmMap, line: Line) -> list[IdentityError]:
     misfits = [misfit for servo in line.servos for misfit in judge.judge(servo)]
     refused = [IdentityError.of(m) for m in misfits if m.rule.consequence is Consequence.NO_CONNECTION]
-    return list(line.servos), [*line.problems, *refused]
+    if (other := another_arm(arm, line.servos)) is not None:
+        refused.insert(0, other)
+    unread = [error for error in line.problems if error.servo_id in line.mute]  # tell the least: last
+    return [*(error for error in line.problems if error not in unread), *refused, *unread]
 
 
-def survey(bus: Bus, arm: ArmMap, scan_s: float, *, waking: bool) -> Line:
-    """Find the arm's servos and all others, and read the former.  waking: see the module."""
+def _asleep(line: Line) -> list[int]:
+    """IDs of servos that answer less than everything."""
+    curt = [s.slot.servo_id for s in line.servos if s.value(STATUS_RETURN_LEVEL) != judge.ANSWERS_ALL]
+    return [*line.mute, *curt]
+
+
+def another_arm(arm: ArmMap, servos: Sequence[ServoFound]) -> IdentityError | None:
+    """What to say where all servos of the map agree on a mark that is not the arm's: it is the arm, not one servo."""
+    misfits = [misfit for servo in servos if (misfit := judge.broken(judge.MARK, servo)) is not None]
+    marks = {servo.value(MOVING_THRESHOLD) for servo in servos}
+    if len(misfits) < len(arm.slots) or len(marks) > 1:
+        return None
+    found, expected, remedy = misfits[0].said
+    if (owner := arm.mark.owner(marks.pop())) is not None:
+        remedy = f"the cables of {arm.arm} and {owner} are swapped"
+    return IdentityError(None, f"mark on {arm.port}", found=found, expected=expected, remedy=remedy)
+
+
+def survey(bus: Bus, arm: ArmMap, scan_s: float, *, woken: bool = False) -> Line:
+    """Find the arm's servos and all others, and read the former.  Writes nothing.  woken: all were set to answer."""
     heard = bus.ping_all(scan_s)
     pings: dict[int, Ping] = {}
     silent: dict[int, NoReplyError] = {}
@@ -74,15 +105,21 @@ def survey(bus: Bus, arm: ArmMap, scan_s: float, *, waking: bool) -> Line:
         return Line((), (_nobody(bus, arm, heard, list(silent.values())),))
     problems += [_missing(slot, silent[slot.servo_id]) for slot in arm.slots if slot.servo_id in silent]
     problems += _strangers(arm, heard)
-    servos = []
+    servos, mute = [], []
     for slot in arm.slots:
-        if slot.servo_id in pings:
-            read = _read(bus, slot, pings[slot.servo_id], waking=waking)
-            if isinstance(read, IdentityError):
-                problems.append(read)
-            else:
-                servos.append(read)
-    return Line(tuple(servos), tuple(problems))
+        if slot.servo_id not in pings:
+            continue
+        _, model_number, firmware = pings[slot.servo_id]
+        servo = ServoFound(slot, model_number, firmware, {})
+        if (other := _of_another_kind(servo)) is not None:
+            problems.append(other)
+            continue
+        try:
+            servos.append(replace(servo, values=_values(bus, slot)))
+        except (NoReplyError, RejectedError) as error:
+            problems.append(_unread(slot, error, woken=woken))
+            mute += [slot.servo_id] if isinstance(error, NoReplyError) else []
+    return Line(tuple(servos), tuple(problems), tuple(mute))
 
 
 def _missing(slot: ServoSlot, error: NoReplyError) -> IdentityError:
@@ -168,34 +205,21 @@ def _at_another_speed(bus: Bus, arm: ArmMap) -> tuple[int, int] | None:
     return None
 
 
-def _read(bus: Bus, slot: ServoSlot, ping: Ping, *, waking: bool) -> ServoFound | IdentityError:
-    """One servo with the values of all registers that are judged, or why it cannot be read."""
-    servo = ServoFound(slot, ping.model_number, ping.firmware, {})
-    for misfit in judge.judge(servo):
-        if misfit.rule.consequence is Consequence.NO_CONNECTION:  # another model or firmware has other registers
-            return IdentityError.of(misfit)
-    try:
-        if waking:
-            _wake(bus, slot)
-        return ServoFound(slot, ping.model_number, ping.firmware, _values(bus, slot))
-    except (NoReplyError, RejectedError) as error:
-        remedy = "check its cable: the bus is not reliable" if waking else (
-            "if only this servo: its Status Return Level may be 0, switch its supply off and on; if several: check the "
-            "cable"
-        )  # fmt: skip
-        return IdentityError(
-            slot.servo_id, slot.title, found=f"{error.found}, though it answers pings",
-            expected="values of its registers", remedy=remedy,
-        )  # fmt: skip
+def _of_another_kind(servo: ServoFound) -> IdentityError | None:
+    """Another model or firmware, which has other registers."""
+    misfits = (m for m in judge.judge(servo) if m.rule.consequence is Consequence.NO_CONNECTION)
+    return next((IdentityError.of(misfit) for misfit in misfits), None)
 
 
-def _wake(bus: Bus, slot: ServoSlot) -> None:
-    try:
-        level = bus.read(slot.servo_id, STATUS_RETURN_LEVEL)
-    except NoReplyError:
-        level = 0  # it answers pings only
-    if level != judge.ANSWERS_ALL:
-        bus.write_blind(STATUS_RETURN_LEVEL, {slot.servo_id: judge.ANSWERS_ALL})
+def _unread(slot: ServoSlot, error: NoReplyError | RejectedError, *, woken: bool) -> IdentityError:
+    remedy = "check its cable: the bus is not reliable" if woken else (
+        "if only this servo: its Status Return Level may be 0, switch its supply off and on; if several: check the "
+        "cable"
+    )  # fmt: skip
+    return IdentityError(
+        slot.servo_id, slot.title, found=f"{error.found}, though it answers pings",
+        expected="values of its registers", remedy=remedy,
+    )  # fmt: skip
 
 
 def _values(bus: Bus, slot: ServoSlot) -> dict[str, int]:

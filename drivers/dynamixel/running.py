@@ -24,12 +24,13 @@ from drivers.dynamixel.line.port import Now
 from drivers.dynamixel.monitor import GapMonitor, ServoRecord
 from drivers.dynamixel.servo.codes import ALERT_BIT, HardwareError
 from drivers.dynamixel.servo.found import ServoFound
-from drivers.dynamixel.servo.judge import MODEL, broken
+from drivers.dynamixel.servo.judge import MARK, MODEL, broken
 from drivers.dynamixel.servo.table import (
     GOAL_CURRENT,
     GOAL_PWM,
     MAX_VOLTAGE_LIMIT,
     MIN_VOLTAGE_LIMIT,
+    MOVING_THRESHOLD,
     PRESENT_INPUT_VOLTAGE,
     PRESENT_TEMPERATURE,
     SHUTDOWN,
@@ -244,9 +245,18 @@ class Running:
         )
 
     def recognise(self) -> None:
-        """Ping every servo of the map.  Raises IdentityError unless all are the models that were there before."""
+        """Ping every servo of the map, and ask the first for its mark where the cell has marks.
+
+        Raises IdentityError unless all are the models that were there before, of the same arm.
+        """
         for servo in self._found:
             model = self._bus.ping(servo.slot.servo_id, attempts=2).model_number
             misfit = broken(MODEL, replace(servo, model_number=model))
+            if misfit is not None:
+                raise IdentityError.of(misfit)
+        first = self._found[0]
+        if first.slot.mark.known:
+            values = {MOVING_THRESHOLD.name: self._bus.read(first.slot.servo_id, MOVING_THRESHOLD)}
+            misfit = broken(MARK, replace(first, values=values))
             if misfit is not None:
                 raise IdentityError.of(misfit)

@@ -132,11 +132,14 @@ def servo_eeprom(
     secondary_id: int = NO_SECONDARY_ID,
     position_limit_ticks: tuple[int, int] = (0, 4095),
     return_delay: int = 0,
+    mark: int | None = None,
 ) -> Mapping[str, int]:
-    """EEPROM of a servo as Interbotix ships it: return delay 0, its direction, shadow and limits set."""
+    """EEPROM of a servo as Interbotix ships it: return delay 0, its direction, shadow and limits set; and its mark."""
     low, high = position_limit_ticks
+    marked = {} if mark is None else {table.MOVING_THRESHOLD.name: mark}
     return MappingProxyType(
         {
+            **marked,
             table.BAUD_RATE.name: baud_code(baud),
             table.RETURN_DELAY_TIME.name: return_delay,
             table.DRIVE_MODE.name: int(reverse),
@@ -147,7 +150,9 @@ def servo_eeprom(
     )
 
 
-def wire_joint(entry: JointEntry, baud: int, *, index: int | None, start_rad: float = 0.0) -> JointWiring:
+def wire_joint(
+    entry: JointEntry, baud: int, *, index: int | None, start_rad: float = 0.0, mark: int | None = None
+) -> JointWiring:
     """Return the servos of one joint of an arm file, the first one leading, the others its shadows."""
     leader = entry.ids[0]
     servos = []
@@ -157,6 +162,7 @@ def wire_joint(entry: JointEntry, baud: int, *, index: int | None, start_rad: fl
             reverse=reverse,
             secondary_id=NO_SECONDARY_ID if servo_id == leader else leader,
             position_limit_ticks=entry.position_limit_ticks,
+            mark=mark,
         )
         servos.append(ServoWiring(servo_id, entry.servo, reverse, entry.zero_tick, eeprom=eeprom))
     return JointWiring(entry.name, tuple(servos), index, start_rad)
@@ -170,14 +176,15 @@ def wire_arm(
     baud: int,
     plant_arm: int | None,
     start_rad: Mapping[str, float] = MappingProxyType({}),
+    mark: int | None = None,
 ) -> ArmWiring:
     """Return an arm whose `controlled` joints are the plant's, in that order; the others move by themselves.
 
-    Give the gripper as one more entry of `joints`.  `start_rad` places joints of no plant.
+    Give the gripper as one more entry of `joints`.  `start_rad` places joints of no plant, `mark` is in all servos.
     """
     places = {joint: index for index, joint in enumerate(controlled)} if plant_arm is not None else {}
     wired = (
-        wire_joint(entry, baud, index=places.get(entry.name), start_rad=start_rad.get(entry.name, 0.0))
+        wire_joint(entry, baud, index=places.get(entry.name), start_rad=start_rad.get(entry.name, 0.0), mark=mark)
         for entry in joints
     )
     return ArmWiring(name, tuple(wired), baud, plant_arm)

@@ -186,6 +186,18 @@ class CellFile(Strict):
         return self
 
     @model_validator(mode="after")
+    def _marks_differ(self) -> CellFile:
+        by_mark: dict[int, str] = {}
+        for a in self.arms:
+            other = None if a.mark is None else by_mark.setdefault(a.mark, a.name)
+            if other not in (None, a.name):
+                raise wrong(
+                    "arms", found=f"mark {a.mark} of {other} and of {a.name}", expected="a mark of its own for each",
+                    remedy="give one of them another, then `coop motors mark`",
+                )  # fmt: skip
+        return self
+
+    @model_validator(mode="after")
     def _arms_agree(self) -> CellFile:
         names = [a.name for a in self.arms]
         repeated = [name for name, count in Counter(names).items() if count > 1]

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Annotated, ClassVar
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from agent.config.schema.arm import Baud
 from agent.config.schema.types import (
@@ -23,8 +23,21 @@ from agent.config.schema.types import (
     Wrench,
     wrong,
 )
+from drivers.dynamixel.servo.models import SERVOS
+from drivers.dynamixel.servo.table import MOVING_THRESHOLD
 
 TASK_ROWS = 6
+FACTORY_MARKS = sorted({mark for model in SERVOS.values() if (mark := model.default(MOVING_THRESHOLD)) is not None})
+
+
+def _telling(mark: int) -> int:
+    """A number that no servo has by itself."""
+    if mark in FACTORY_MARKS:
+        raise wrong(
+            "", found=mark, expected="a number with which no servo leaves the factory",
+            remedy=f"they have {' or '.join(map(str, FACTORY_MARKS))}: take another",
+        )  # fmt: skip
+    return mark
 
 
 class DynamixelPort(Strict):
@@ -34,6 +47,8 @@ class DynamixelPort(Strict):
     """Serial device of the arm's bus."""
     baud: Baud | None = None
     """Speed of the bus, bit/s; none: as the arm file says."""
+    mark: Annotated[int, Field(ge=1, le=MOVING_THRESHOLD.maximum), AfterValidator(_telling)] | None = None
+    """Number that its servos keep and no other arm's do, written by `coop motors mark`; none: no such number."""
 
 
 class PostureSpec(Strict):
@@ -97,6 +112,11 @@ class Arm(Strict):
     """Null-space posture, of an arm with seven controlled joints."""
     dynamixel: DynamixelPort | None = None
     """Where the servos of this arm are; needed with driver = "dynamixel"."""
+
+    @property
+    def mark(self) -> int | None:
+        """By which it is told from others of its make; None: by nothing."""
+        return None if self.dynamixel is None else self.dynamixel.mark
 
     @model_validator(mode="after")
     def _consistent(self) -> Arm:

@@ -23,6 +23,7 @@ SUPPLY_TOLERANCE = 0.08  # of the 12 V that torque constants are rated at
 ANSWERS_ALL = 2  # Status Return Level
 _SECONDARY_OFF = 253  # and above
 _SETUP = "`coop motors setup` on this servo alone"
+_MARK = "`coop motors mark` on this arm"
 _WIZARD = "update it with DYNAMIXEL Wizard 2.0"
 
 
@@ -61,6 +62,17 @@ def _model(servo: ServoFound) -> Said | None:
         return None
     remedy = "this may be another arm or another servo: check the port, the arm file, the joint"
     return Said(model_name(servo.model_number), servo.slot.joint.servo, remedy)
+
+
+def _mark(servo: ServoFound) -> Said | None:
+    mark, found = servo.slot.mark, servo.value(table.MOVING_THRESHOLD)
+    if mark.fits(found):
+        return None
+    if (owner := mark.owner(found)) is not None:
+        remedy = f"the cables of {mark.arm} and {owner} are swapped; if this servo alone comes from {owner}: {_MARK}"
+        return Said(f"{found}, arm {owner}'s", mark.wanted, remedy)
+    factory = ", as it leaves the factory" if found == servo.slot.model.default(table.MOVING_THRESHOLD) else ""
+    return Said(f"{found}{factory}", mark.wanted, f"check that this is arm {mark.arm}, then {_MARK}")
 
 
 def _firmware(servo: ServoFound) -> Said | None:
@@ -208,6 +220,7 @@ _BY_AGENT = f"the agent sets it before torque comes on, or {_SETUP}"
 _NO_OFFSET = f"{_SETUP}: with an offset some firmware moves when its watchdog fires"
 
 MODEL = Rule("model", (), Consequence.NO_CONNECTION, _model)
+MARK = Rule("mark", (table.MOVING_THRESHOLD,), Consequence.NO_CONNECTION, _mark)
 FIRMWARE = Rule("firmware", (), Consequence.NO_CONNECTION, _firmware)
 FAST_READ = Rule("fast sync read", (), Consequence.TOLERATED, _fast_read)
 HARDWARE = Rule("hardware error", (table.HARDWARE_ERROR_STATUS,), Consequence.NO_CONNECTION, _hardware)
@@ -233,7 +246,7 @@ HIGH_LIMIT = _plain(table.MAX_POSITION_LIMIT, Consequence.TOLERATED)
 SHUTDOWN = _plain(table.SHUTDOWN, Consequence.TOLERATED)
 
 RULES = (
-    MODEL, FIRMWARE, FAST_READ, SUPPLY, RATED_SUPPLY, HEAT, WARMTH, HARDWARE, WATCHDOG, RETURN_LEVEL, TORQUE, POSE,
-    DIRECTION, DRIVE_BITS, SECONDARY, HOMING, STARTUP, CURRENT_LIMIT, MODE, RETURN_DELAY, PWM_LIMIT, LOW_LIMIT,
+    MODEL, MARK, FIRMWARE, FAST_READ, SUPPLY, RATED_SUPPLY, HEAT, WARMTH, HARDWARE, WATCHDOG, RETURN_LEVEL, TORQUE,
+    POSE, DIRECTION, DRIVE_BITS, SECONDARY, HOMING, STARTUP, CURRENT_LIMIT, MODE, RETURN_DELAY, PWM_LIMIT, LOW_LIMIT,
     HIGH_LIMIT, SHUTDOWN,
 )  # fmt: skip

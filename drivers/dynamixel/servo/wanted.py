@@ -15,6 +15,7 @@ from drivers.dynamixel.servo.table import (
     ID,
     MAX_POSITION_LIMIT,
     MIN_POSITION_LIMIT,
+    MOVING_THRESHOLD,
     OPERATING_MODE,
     PWM_LIMIT,
     RETURN_DELAY_TIME,
@@ -50,6 +51,7 @@ def setup_values(slot: ServoSlot) -> dict[Register, int]:
         HOMING_OFFSET: None if slot.shadow else 0,
         MIN_POSITION_LIMIT: low,
         MAX_POSITION_LIMIT: high,
+        MOVING_THRESHOLD: slot.mark.own,  # says when the bit Moving is set, which nobody here reads
         **{register: slot.model.default(register) for register in factory},
     }
     return {r: value for r, value in values.items() if value is not None and r.name in slot.model.registers}

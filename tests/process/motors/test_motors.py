@@ -17,9 +17,15 @@ from pathlib import Path
 from typing import Any
 
 import dynamixel_sdk as sdk
+import numpy as np
 import pytest
 
 import configs
+from agent.config.cell import load_cell
+from agent.config.servo_map import arm_map
+from drivers.clock import MonotonicClock
+from drivers.dynamixel.driver import DynamixelDriver
+from drivers.dynamixel.identify import IdentityError
 from tests.support.command import coop
 from tests.support.coop import COOP
 from tests.support.servos.motor_emulator import loose_servos
@@ -322,6 +328,31 @@ def test_doctor_sees_a_defect_that_the_sdk_made(cell: Path, tmp_path: Path) -> N
         done.out,
         re.M,
     )
+
+
+MARKS = ("--set", "arms.left.dynamixel.mark=1", "--set", "arms.right.dynamixel.mark=2")
+
+
+def test_an_arm_that_was_given_a_mark_is_refused_at_the_port_of_another(cell: Path) -> None:
+    """The real driver on real ports; the servos are an emulator's, alike but for what `coop motors mark` writes."""
+    asked = coop("motors", "mark", TWO_WX200, "--arm", "left", "--ports", cell, *MARKS, stdin="y\n")
+    assert asked.code == 0, asked.err
+    assert "servo 7: Moving Threshold: found 10, wanted 1\n" in asked.out
+    assert "arm left: mark 1 is in 7 servos, read back; torque was never on" in asked.out
+    assert coop("motors", "mark", TWO_WX200, "--arm", "right", "--ports", cell, "--yes", *MARKS).code == 0
+    for arm, mark in (("left", 1), ("right", 2)):
+        with Witness(cell / arm) as witness:
+            assert [witness.byte(i, 24) for i in range(1, 8)] == [mark] * 7
+    described = load_cell(configs.CELLS_DIR / "two_wx200.toml", MARKS[1::2])
+    left = described.arms[0]
+    for arm, fits in (("left", True), ("right", False)):
+        servos = arm_map(described, left, str(cell / arm), np.array(left.entry.q_near_rad))
+        driver = DynamixelDriver(servos, MonotonicClock(), scan_s=0.05, read_share=4.0)
+        with contextlib.ExitStack() as after:
+            after.callback(driver.close)
+            if not fits:
+                after.enter_context(pytest.raises(IdentityError, match=r"found 2, arm right's, .* swapped$"))
+            driver.connect()
 
 
 def test_check_refuses_a_rate_that_the_bus_cannot_carry() -> None:

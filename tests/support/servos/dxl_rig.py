@@ -65,7 +65,7 @@ def wiring(arm: ArmMap, firmware: int = 46, **eeprom: int) -> ArmWiring:
                 {
                     **servo_eeprom(
                         baud=arm.baud, reverse=reverse, secondary_id=joint.ids[0] if place else 255,
-                        position_limit_ticks=joint.position_limit_ticks,
+                        position_limit_ticks=joint.position_limit_ticks, mark=arm.mark.own,
                     ),
                     **more,
                 },

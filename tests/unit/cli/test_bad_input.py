@@ -175,6 +175,12 @@ OTHERS = {
     "motors setup --arm-file": ("motors", "setup", "--port", "/dev/null", "--arm-file", "a_file", "--joint", "elbow"),
     "motors setup --joint": ("motors", "setup", "--port", "/dev/null", "--arm-model", "wx200", "--joint", "knee"),
     "motors setup --port": ("motors", "setup", "--port", "a_file", "--arm-model", "wx200", "--joint", "elbow"),
+    "motors mark of an unknown arm": ("motors", "mark", "two_wx200", "--arm", "middle"),
+    "motors mark of a cell without": ("motors", "mark", "two_wx200", "--arm", "left"),
+    "motors mark --set": ("motors", "mark", "two_wx200", "--arm", "left", "--set", "arms.left.dynamixel.mark=10"),
+    "motors mark --ports": (
+        "motors", "mark", "two_wx200", "--arm", "left", "--set", "arms.left.dynamixel.mark=1", "--ports", "names",
+    ),
     "motors dump --port": ("motors", "dump", "--port", "a_file", "--out", "dump.toml"),
     "motors dump --baud": ("motors", "dump", "--port", "a_file", "--out", "dump.toml", "--baud", "7"),
     "motors scan --baud": ("motors", "scan", "--port", "a_file", "--baud", "x"),

@@ -10,7 +10,7 @@ import pytest
 from agent.doctor.servos import SECTIONS, VERDICTS
 from agent.motors.setup import apply_setup, plan_setup
 from agent.verify.finding import Verdict
-from drivers.dynamixel.arm_map import ServoSlot
+from drivers.dynamixel.arm_map import Mark, ServoSlot
 from drivers.dynamixel.identify import IdentityError
 from drivers.dynamixel.servo import judge, table
 from drivers.dynamixel.servo.codes import StatusError
@@ -22,7 +22,7 @@ from sim_backend.wire.faults import FaultKind
 from sim_backend.wire.timing import BusTiming
 from sim_backend.wire.wiring import ServoWiring, servo_eeprom
 from tests.support.servos.dxl_rig import WX200, XL, Rig, at, build
-from tests.support.servos.tool_rig import bus_of, eeprom, examined, servo_rig, torque_is_off
+from tests.support.servos.tool_rig import LOOKING, bus_of, codes, eeprom, examined, servo_rig, torque_is_off
 
 SLOTS = {slot.servo_id: slot for slot in WX200.slots}
 WIRE = BusTiming()
@@ -77,7 +77,10 @@ def displaced(rig: Rig) -> None:
     rig.servo(4).firmware.body.encoder_offset_ticks = 600
 
 
+MARKED = at(WX200, mark=Mark("left", 1, ((2, "right"),)))
+
 BREAKS: dict[Rule, Break] = {
+    judge.MARK: replace(put(4, table.MOVING_THRESHOLD, 2), rig=lambda: build(MARKED, timing=WIRE)),
     judge.MODEL: Break(4, as_built, other_model),
     judge.FIRMWARE: Break(4, old_firmware),
     judge.FAST_READ: Break(4, as_built, lambda: build(firmware=44, timing=WIRE)),
@@ -105,8 +108,8 @@ BREAKS: dict[Rule, Break] = {
 }
 EXPECTED = {
     Consequence.NO_CONNECTION: {
-        judge.MODEL, judge.FIRMWARE, judge.HARDWARE, judge.SUPPLY, judge.HEAT, judge.DIRECTION, judge.SECONDARY,
-        judge.HOMING, judge.STARTUP, judge.CURRENT_LIMIT,
+        judge.MODEL, judge.MARK, judge.FIRMWARE, judge.HARDWARE, judge.SUPPLY, judge.HEAT, judge.DIRECTION,
+        judge.SECONDARY, judge.HOMING, judge.STARTUP, judge.CURRENT_LIMIT,
     },
     Consequence.NO_TORQUE: {judge.TORQUE},
     Consequence.MOVE_FIRST: {judge.POSE},
@@ -127,7 +130,7 @@ def rule(request: pytest.FixtureRequest) -> Rule:
 
 def as_it_is(rig: Rig, servo_id: int) -> ServoFound:
     """A servo past the bus, as a survey would find it."""
-    slot, servo = SLOTS[servo_id], rig.servo(servo_id)
+    slot, servo = next(s for s in rig.arm.slots if s.servo_id == servo_id), rig.servo(servo_id)
     servo.firmware.refresh(rig.clock.now_ns())
     memory = servo.firmware.memory
     values = {r.name: memory.get(r) for r in judge.registers(slot.model) if memory.has(r)}
@@ -211,6 +214,7 @@ def test_setup_writes_a_value_for_each_rule_about_eeprom_that_the_driver_does_no
     written = {register.name for register in setup_values(slot)}
     kept = {table.HOMING_OFFSET.name} if slot.shadow else set()
     limits = (table.TEMPERATURE_LIMIT, table.MAX_VOLTAGE_LIMIT, table.MIN_VOLTAGE_LIMIT)  # the owner's, of what is read
+    kept |= {table.MOVING_THRESHOLD.name}  # of a cell without marks; what `coop motors mark` writes elsewhere
     judged = {r.name for r in judge.registers(slot.model) if r.area is table.Area.EEPROM}
     assert judged - kept - {r.name for r in limits} - {table.OPERATING_MODE.name} <= written
 
@@ -237,6 +241,7 @@ def test_a_register_that_a_servo_denies_is_a_refusal_unless_its_firmware_is_too_
         servo.read = deny
         refusal = refusal_of(rig, connected=False)
         assert (refusal is not None) == refused
+        assert codes(rig) <= LOOKING
         assert refusal is None or "refused with ACCESS" in str(refusal.found)
 
 

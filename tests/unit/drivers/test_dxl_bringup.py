@@ -14,7 +14,7 @@ from drivers.dynamixel.identify import IdentityError
 from drivers.dynamixel.line import codec
 from drivers.dynamixel.pace import PaceError
 from drivers.dynamixel.servo import table
-from drivers.dynamixel.servo.codes import Instruction, OperatingMode
+from drivers.dynamixel.servo.codes import Instruction, OperatingMode, StatusError
 from drivers.interface import ConnectError, DriverError
 from sim_backend.wire.faults import FaultKind
 from sim_backend.wire.options import GoalAtTorqueOn, ServoOptions
@@ -280,6 +280,10 @@ def test_servo_that_answers_pings_only_is_still_found():
     rig.put(4, table.STATUS_RETURN_LEVEL, 0)
     rig.driver.connect()
     assert rig.get(4, table.STATUS_RETURN_LEVEL) == 2
+    rig.driver.close()
+    rig.put(4, table.STATUS_RETURN_LEVEL, 0)
+    rig.servo(4).write = lambda *_, **__: StatusError.NONE
+    refused(rig, IdentityError, r"servo 4 \(elbow\): .* though it answers pings, .*; check its cable: the bus is not")
 
 
 def test_failure_half_way_ends_with_torque_off():

@@ -173,7 +173,10 @@ def test_the_command_writes_a_file_that_check_accepts(tmp_path: Path, capsys: py
     document = json.loads(capsys.readouterr().out)
     assert document["written"] == str(path)
     assert document["verdict"] in {"ok", "warning"}
-    assert examine(load_cell(path), wired=True).ok
+    report = examine(load_cell(path), wired=True)
+    assert report.ok
+    assert "what tells arms apart" not in {finding.what for finding in report.findings}
+    assert [arm.mark for arm in load_cell(path).file.arms] == [1, 2]
     assert tomllib.loads(path.read_text())["name"] == "my_cell"
     before = path.read_bytes()
     assert dispatch(["new", str(path), *ASK]) == 2

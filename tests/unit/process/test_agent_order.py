@@ -22,15 +22,49 @@ from agent.process import agent as process
 from agent.process.build import Connection
 from agent.process.schedule import AgentOptions
 from drivers.dynamixel.driver import DynamixelDriver
+from drivers.dynamixel.line.codec import HEADER
+from drivers.interface import ConnectError
 from sim_backend.wire.arm import EmulatedArm
 from sim_backend.wire.cell import EmulatedCell
 from sim_backend.wire.injector import Injector
 from tests.support.servos.dxl_rig import START, VirtualClock, VirtualPort, wiring
+from tests.support.servos.tool_rig import WRITING
 
 SLOW_NS = 500_000_000  # longer than any watchdog of a cell
 
 
+MARKS = {"left": 1, "right": 2}
 CELL = load_cell(configs.CELLS_DIR / "two_wx200.toml")
+
+
+def swapped() -> tuple[EmulatedCell, VirtualPort, VirtualClock, DynamixelDriver]:
+    """The driver of the left arm on the servos of the right one: they are alike but for their marks."""
+    cell = load_cell(configs.CELLS_DIR / "two_wx200.toml", [f"arms.{n}.dynamixel.mark={m}" for n, m in MARKS.items()])
+    left, right = (arm_map(cell, arm, f"/dev/coop/{arm.name}", np.zeros(3)) for arm in cell.arms)
+    emulated = EmulatedCell([EmulatedArm(wiring(right))], None, start_ns=10_000_000_000)
+    injector = Injector(emulated.arms[0], None, seed=1)
+    clock = VirtualClock(emulated, injector)
+    port = VirtualPort(Line(emulated, 0, injector, clock), left.baud)
+    return emulated, port, clock, DynamixelDriver(left, clock, scan_s=0.05, port=port)
+
+
+@pytest.mark.fault("G3")
+def test_an_agent_at_another_arms_port_ends_in_one_line_and_has_written_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    emulated, port, clock, driver = swapped()
+    monkeypatch.setattr(process, "build_driver", lambda *_: (driver, clock))
+    said = list[str]()
+    with pytest.raises(ConnectError) as refused:
+        process.run_agent(CELL, options(tmp_path), StopFlag(), said.append)
+    assert refused.value.exit_code == 3
+    assert str(refused.value) == (
+        "mark on /dev/coop/left: found 2, arm right's, expected 1, arm left's; the cables of left and right are swapped"
+    )
+    assert not [text for text in said if "torque" in text]
+    assert port.writes
+    assert not {data[len(HEADER) + 3] for data in port.writes} & WRITING
+    assert emulated.arms[0].bus.counters.watchdog_trips == 0
 
 
 def rig() -> tuple[EmulatedCell, VirtualClock, DynamixelDriver]:

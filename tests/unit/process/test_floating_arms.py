@@ -76,8 +76,9 @@ def test_only_the_guard_of_a_killed_process_lets_an_arm_down(
     agent: int | None, guard: int | None, lets_down: bool
 ) -> None:
     one = arms({"left": agent}, {"left": guard})
-    assert one._in_its_place("left") is lets_down
+    assert not one._in_its_place("left"), "nobody has looked yet"
     assert one._alive() is (agent is None or lets_down)
+    assert one._in_its_place("left") is lets_down
 
 
 def test_an_arm_whose_process_was_never_there_has_nobody_in_its_place() -> None:

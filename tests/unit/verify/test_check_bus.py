@@ -27,7 +27,9 @@ def highest(cell: Cell) -> float:
 
 def test_the_highest_rate_that_fits_is_accepted_and_the_next_is_refused_naming_it() -> None:
     rate_hz = highest(load_cell(WX200))
-    examine(load_cell(WX200, [f"rate_hz={rate_hz}"]), wired=True).require()
+    fits = examine(load_cell(WX200, [f"rate_hz={rate_hz}"]), wired=True)
+    fits.require()
+    assert [f.where for f in fits.findings if f.what == "what tells arms apart"] == ["left, right"]
     with pytest.raises(ConfigError, match=re.escape(f"found {rate_hz + 1:g} Hz, expected ≤ {rate_hz:g} Hz (7 servos")):
         examine(load_cell(WX200, [f"rate_hz={rate_hz + 1}"]), wired=True).require()
 
@@ -69,6 +71,7 @@ def test_a_simulated_run_is_warned_and_goes_on() -> None:
     rate_hz = highest(load_cell(WX200)) + 1
     report = examine(load_cell(WX200, [f"rate_hz={rate_hz}"]))
     assert {f.verdict for f in report.findings if f.what == WHAT} == {Verdict.WARNING}
+    assert not [f for f in report.findings if f.what == "what tells arms apart"], "no servos, no cables"
     report.require()
 
 
