@@ -167,9 +167,8 @@ class SampledBody:
         for tau, duration_s in ((first, share * self.period_s), (rest, (1.0 - share) * self.period_s)):
             held = np.split(self.at_rest + tau, np.cumsum([a.model.n for a in self.agents])[:-1])
             for _ in range(substeps if duration_s else 0):
-                motion = coupled_motion.step(
-                    self.body, 0.0, motion, lambda _now, held=held: (held, 0.0), duration_s / substeps
-                )  # fmt: skip
+                now = coupled_motion.observe(self.body, 0.0, motion)
+                motion = coupled_motion.step(self.body, now, lambda _now, held=held: (held, 0.0), duration_s / substeps)
         P, T = self.body.P, self.body.T_world_object
         R = pin.Quaternion(*motion.quat.tolist()).matrix()
         shift = np.concatenate([motion.p - T.translation, pin.log3(R @ T.rotation.T)])
