@@ -85,8 +85,13 @@ def test_lyapunov_function_falls_by_exactly_what_the_theorem_says(planar: bool, 
     assert share_error(fine) < share_error(coarse) / 8.0
 
 
-@pytest.mark.parametrize(("planar", "arm_count"), [(True, 4), (False, 3)])
-@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize(
+    ("planar", "arm_count", "sign"),
+    [
+        (True, 4, 1.0), (False, 3, -1.0),
+        pytest.param(True, 4, -1.0, marks=pytest.mark.long), pytest.param(False, 3, 1.0, marks=pytest.mark.long),
+    ],
+)  # fmt: skip
 def test_errors_converge_without_unwinding(planar: bool, arm_count: int, sign: float) -> None:
     """From e_η < 0 the attitude goes on to −1, the same attitude by the short way."""
     cell, trajectory = gentle_cell(23, planar, arm_count, sign)

@@ -24,7 +24,7 @@ def grasp_wrenches(*overrides: str) -> Vector:
     return end.grasp_wrench
 
 
-@pytest.mark.parametrize("squeeze_N", [1.0, -0.6])
+@pytest.mark.parametrize("squeeze_N", [pytest.param(1.0, marks=pytest.mark.long), -0.6])
 def test_internal_force_is_realised_within_five_percent(squeeze_N: float) -> None:
     wanted = [[squeeze_N, 0.0, 0.0, 0.0, 0.0, 0.1], [-squeeze_N, 0.0, 0.0, 0.0, 0.0, -0.1]]
     names = ("left", "right")
