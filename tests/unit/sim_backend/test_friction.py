@@ -117,7 +117,7 @@ def test_jitter_below_breakaway_moves_nothing_a_servo_could_read() -> None:
     assert not rotor.friction.sliding.any()
 
 
-@pytest.mark.parametrize("h", [2e-4, 1e-3, 4e-3])
+@pytest.mark.parametrize("h", [pytest.param(2e-4, marks=pytest.mark.long), 1e-3, 4e-3])
 def test_friction_gives_no_energy_over_a_random_motion(h: float) -> None:
     """Rotor and bristle together gain at most the motor's work, but for the step in which a sliding joint turns."""
     rng = np.random.default_rng(5)
