@@ -109,10 +109,16 @@ app = _tree()
 
 
 @cache
+def whole() -> Callable[..., object]:
+    """All commands, as what reads a line."""
+    return typer.main.get_command(app)
+
+
+@cache
 def _command(first: str) -> Callable[..., object]:
     """What reads a line that begins with this word."""
     tree = _tree(first)
-    return typer.main.get_command(tree if tree.registered_commands or tree.registered_groups else app)
+    return typer.main.get_command(tree) if tree.registered_commands or tree.registered_groups else whole()
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

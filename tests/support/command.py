@@ -10,9 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import typer
-
-from agent.cli.main import app, dispatch
+from agent.cli.main import dispatch, whole
 
 _TAKEN = (signal.SIGTERM, signal.SIGINT, signal.SIGUSR1)
 
@@ -62,7 +60,7 @@ def _typed(text: str) -> Iterator[None]:
 
 def commands() -> Iterator[tuple[str, ...]]:
     """Every command of `coop` by its words."""
-    group = typer.main.get_command(app)
+    group = whole()
     for name, command in group.commands.items():  # type: ignore[attr-defined]
         inner = getattr(command, "commands", None)
         yield from ((name, word) for word in inner) if inner else ((name,),)

@@ -39,7 +39,7 @@ def test_without_a_fault_both_arms_follow_to_the_end() -> None:
     [
         (FaultKind.POWER_LOSS, 4, "servo 4 (joint elbow)", Mode.FAULT),  # nobody sees this joint any more
         pytest.param(FaultKind.OVERLOAD, 2, "servo 2 (shoulder)", Mode.HOLD, marks=pytest.mark.long),
-        (FaultKind.REBOOT, 5, "servo 5 (wrist_angle)", Mode.HOLD),
+        pytest.param(FaultKind.REBOOT, 5, "servo 5 (wrist_angle)", Mode.HOLD, marks=pytest.mark.long),
     ],
     ids=["power", "overload", "reboot"],
 )

@@ -1,6 +1,6 @@
 """From a simulated run to a new arm file by the commands a person types; and the logs the command refuses.
 
-The run is by processes, the commands are in this one.
+The run is by the loop, the plant and the log's writer in this process, and so are the commands.
 """
 
 from __future__ import annotations
@@ -14,8 +14,9 @@ import configs
 from agent.config.cell import cell_from_toml, load_cell
 from tests.support.command import coop
 from tests.support.coop import PAPER
-from tests.support.coop import coop as run_process
 from tests.support.once import once
+from tests.support.plant.plant_arm import run_one
+from tests.support.telemetry.run_log import write_run
 
 CELL = configs.CELLS_DIR / "identify_wx200.toml"
 
@@ -25,10 +26,11 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of a whole run of the cell."""
 
     def make(folder: Path) -> None:
-        done = run_process("run", CELL, "--no-report", "--out", "run", cwd=folder)
-        assert done.returncode == 0, done.stderr
+        cell = load_cell(CELL)
+        rows = run_one(cell, cell.file.duration_s).rows
+        write_run(folder / "run.mcap", cell, {cell.arms[0].name: rows})
 
-    return once(tmp_path_factory, "identify-run", make) / "run"
+    return once(tmp_path_factory, "identify-run", make)
 
 
 def test_a_log_becomes_a_table_a_figure_and_an_arm_file_that_a_cell_can_use(run: Path, tmp_path: Path) -> None:

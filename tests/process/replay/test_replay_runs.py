@@ -16,9 +16,9 @@ HELD = ("paper", "--set", "safety.tracking_error_max_m=0.0002", *SHORT)
 RUNS = {
     "waiting before the start, alignment": WAITING,
     "a hold": HELD,
-    "six joints, internal force, adaptive": (*BOX, "--set", 'controller.kind="adaptive"'),
 }
 MORE = {
+    "six joints, internal force, adaptive": (*BOX, "--set", 'controller.kind="adaptive"'),
     "adaptive": ("paper_adaptive", "--set", "simulation.object_mass_error=1.0", *SHORT),
     "six joints, internal force": BOX,
 }

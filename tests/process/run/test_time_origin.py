@@ -54,6 +54,7 @@ def test_an_agents_own_events_are_on_the_runs_time(run_of: RunOf) -> None:
 
 
 @pytest.mark.realtime
+@pytest.mark.long  # that all processes tie their clocks alike is held by the run in test_run_wire.py
 def test_simulated_arms_in_real_time_have_one_origin(run_of: RunOf) -> None:
     log = read_log(run_of("paper", "--duration", 1, "--real-time", "--no-report") / "run.mcap")
     assert log.plant is not None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import random
 import signal
@@ -15,6 +14,7 @@ import pytest
 from agent.telemetry.ring.reader import RingReader
 from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.sample import AGENT_STATE
+from tests.support.forked import FORKED
 
 FLOATS = [f.name for f in AGENT_STATE.fields if f.ros_type == "float64"]
 
@@ -37,12 +37,11 @@ def values(payload: bytes) -> np.ndarray:
 
 @pytest.mark.parametrize(("slots", "kills"), [(4, 4), (4096, 3)])
 def test_no_reader_ever_sees_a_torn_row_and_a_killed_writer_leaves_none(tmp_path: Path, slots: int, kills: int) -> None:
-    spawn = multiprocessing.get_context("spawn")
     seed = random.randrange(1 << 30)
     chance = random.Random(seed)
     for turn in range(kills):
-        path, ready = tmp_path / f"{turn}.ring", spawn.Event()
-        child = spawn.Process(target=write_for_ever, args=(path, slots, ready))
+        path, ready = tmp_path / f"{turn}.ring", FORKED.Event()
+        child = FORKED.Process(target=write_for_ever, args=(path, slots, ready))
         child.start()
         try:
             assert ready.wait(60)

@@ -37,6 +37,7 @@ from tests.support.telemetry.telemetry_cell import (
 )
 
 MEMBERS = (*ARMS, PLANT)
+ROWS, SLOTS = 4500, 1024  # of each member's run, and of its ring
 
 
 def record_cell(folder: Path, rows: int, rate_hz: float | None, **changes: Any) -> RunLog:
@@ -45,7 +46,9 @@ def record_cell(folder: Path, rows: int, rate_hz: float | None, **changes: Any) 
     with contextlib.ExitStack() as stack:
         cell = recording(stack, folder, pace, has_plant=True, **changes)
         each = cell.rings.items()
-        writers = [stack.enter_context(writer(ring, m, rows, rate_hz, texts=m == "left")) for m, ring in each]
+        writers = [
+            stack.enter_context(writer(ring, m, rows, rate_hz, texts=m == "left", slots=SLOTS)) for m, ring in each
+        ]
         assert [w.result() for w in writers] == [rows] * 3
         assert all(p.result().complete for p in cell.told.values())
         report = cell.recorder.stop()
@@ -57,28 +60,28 @@ def record_cell(folder: Path, rows: int, rate_hz: float | None, **changes: Any) 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> RunLog:
     """A lockstep run, several rings long, recorded as fast as it goes."""
-    return record_cell(tmp_path_factory.mktemp("run"), 9000, None)
+    return record_cell(tmp_path_factory.mktemp("run"), ROWS, None)
 
 
 def test_lockstep_loses_nothing_however_fast_it_is(run: RunLog) -> None:
     assert run.complete
     assert run.gaps == dict.fromkeys(MEMBERS, ())
     for arm in ARMS:
-        assert run.agents[arm].tobytes() == make_rows(arm, 9000).tobytes()
+        assert run.agents[arm].tobytes() == make_rows(arm, ROWS).tobytes()
     assert run.plant is not None
-    assert run.plant.tobytes() == make_rows(PLANT, 9000).tobytes()
+    assert run.plant.tobytes() == make_rows(PLANT, ROWS).tobytes()
 
 
 def test_events_of_the_agent_and_of_its_rows_are_there_once(run: RunLog) -> None:
     told = [e.text for e in run.events if e.source == "left"]
-    assert sorted(told) == sorted([f"row {i}" for i in range(0, 9000, 100)] + ["mode READY → TRACK"])
+    assert sorted(told) == sorted([f"row {i}" for i in range(0, ROWS, 100)] + ["mode READY → TRACK"])
     assert [e.text for e in run.events if e.source == "right"] == ["mode READY → TRACK"]
 
 
 def test_the_log_says_who_made_it_and_that_it_is_whole(run: RunLog) -> None:
     assert run.run_info() == {"cell": "paper"}
     assert run.metadata["recorder"]["cell"] == "paper"
-    assert run.metadata["completeness"]["left.rows_recorded"] == "9000"
+    assert run.metadata["completeness"]["left.rows_recorded"] == str(ROWS)
     assert run.metadata["completeness"]["complete"] == "true"
 
 
@@ -89,7 +92,7 @@ def test_real_time_loses_nothing_either(tmp_path: Path) -> None:
 
 
 def test_mcap_tools_decode_every_message(run: RunLog) -> None:
-    rows = make_rows("left", 9000)
+    rows = make_rows("left", ROWS)
     count: dict[str, int] = {}
     with run.path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
@@ -104,8 +107,8 @@ def test_mcap_tools_decode_every_message(run: RunLog) -> None:
                 row = rows[message.sequence]
                 assert list(decoded.name) == [*ARMS["left"], *LOCKED_RAD]
                 assert np.array_equal(decoded.position, [*row["q_measured"][:3], *LOCKED_RAD.values()])
-    assert count["/coop/paper/left/state"] == 8999
-    expected = 9000 / 4  # 50 Hz of 200 Hz
+    assert count["/coop/paper/left/state"] == ROWS - 1
+    expected = ROWS / 4  # 50 Hz of 200 Hz
     for topic in ("left/joint_states", "right/wrench", "object/pose", "object/pose_des"):
         assert count[f"/{topic}"] + 1 == expected, topic
     for topic in ("tf_static", "left/robot_description", "right/robot_description"):
@@ -115,7 +118,7 @@ def test_mcap_tools_decode_every_message(run: RunLog) -> None:
 
 
 def test_rosbags_reads_it_with_nothing_but_what_is_in_the_file(run: RunLog) -> None:
-    rows = make_rows("right", 9000)
+    rows = make_rows("right", ROWS)
     with AnyReader([run.path]) as reader:
         found = [c for c in reader.connections if c.topic == "/coop/paper/right/state"]
         for i, (connection, time_ns, raw) in enumerate(reader.messages(found)):
@@ -123,7 +126,7 @@ def test_rosbags_reads_it_with_nothing_but_what_is_in_the_file(run: RunLog) -> N
                 message = reader.deserialize(raw, connection.msgtype)
                 assert (time_ns, message.sequence) == (rows[i]["utc_ns"], i)
                 assert np.array_equal(message.tau_sent, rows[i]["tau_sent"])
-        assert i == 8999
+        assert i == ROWS - 1
 
 
 @contextlib.contextmanager
@@ -151,7 +154,7 @@ def test_play_gives_the_recorded_bytes_back_under_a_prefix_of_its_own(run: RunLo
     whole = [source for source in sources(heard, key) if is_whole(heard, key, source)]
     assert whole, "no loop was heard from its begin to its end"
     played = b"".join(p for k, p, h in heard if k == key and h.source == whole[0])
-    assert played == make_rows("left", 9000)[200:601].tobytes()
+    assert played == make_rows("left", ROWS)[200:601].tobytes()
 
 
 def sources(heard: list[tuple[str, bytes, BatchHeader]], key: str) -> list[int]:
@@ -223,7 +226,7 @@ def test_a_seek_goes_on_elsewhere_with_the_same_bytes_as_a_run_of_its_own(run: R
     *_, last = sources(heard, key)
     parts = [(p, h) for k, p, h in heard if k == key and h.source == last]
     played = b"".join(p for p, _ in parts)
-    rows = make_rows("left", 9000)
+    rows = make_rows("left", ROWS)
     first = parts[0][1].first
     assert first == pytest.approx(3000, abs=600), "fifteen seconds in, and what it had played before"
     assert played == rows[first:4001].tobytes()

@@ -35,10 +35,19 @@ PANEL_PX = 388  # the controls of a server take so much of the width
 PATCH_PX = 5
 
 
-@pytest.fixture
-def page(tmp_path: Path) -> Iterator[Page]:
-    with chromium(tmp_path / "browser", SIZE) as found:
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    with chromium(tmp_path_factory.mktemp("browser"), SIZE) as found:
         yield found
+
+
+@pytest.fixture
+def page(browser: Page) -> Page:
+    """The tab, with nothing in it and no request of an earlier page."""
+    browser.open("about:blank")
+    assert not np.ptp(browser.wait(lambda seen: seen.max() > 0 and not np.ptp(seen)))
+    browser.requests.clear()
+    return browser
 
 
 @cache

@@ -74,15 +74,15 @@ def simulate(
     start = np.concatenate([*(x for a in agents for x in a.start), [0.0, 0.0]])
     motion, rows, thetas = replace(coupled_motion.start(cell), work=start), [], []
     for i in range(round(duration / h) + 1):
+        now = coupled_motion.observe(cell, i * h, motion)
         if i % every == 0:
-            now = coupled_motion.observe(cell, i * h, motion)
             e = oracle.error_signals(cell.arms[0], motion.p, motion.quat, cell.P.T @ motion.v, trajectory.at(i * h))
             wrong = sum(a.parameter_error(x) for a, x in zip(agents, estimates(motion.work), strict=True))
             share = sum(terms.lyapunov for terms, _ in laws(now))
             V = oracle.lyapunov(e, now.terms.M, cell.P) + wrong
             rows.append((V, *motion.work[-2:], share, np.linalg.norm(e.e_p), np.linalg.norm(e.e_eps)))
             thetas.append(motion.work[:-2])
-        motion = coupled_motion.step(cell, i * h, motion, torques, h)
+        motion = coupled_motion.step(cell, now, torques, h)
     return Record(*np.array(rows).T, np.array(thetas))
 
 
@@ -138,7 +138,7 @@ def test_with_a_leak_towards_something_else_the_mean_dissipation_is_what_the_doc
 @pytest.mark.parametrize(
     ("planar", "arm_count", "sign", "scale"),
     [
-        (True, 3, -1.0, 2.0), (False, 2, 1.0, 0.5), pytest.param(True, 2, 1.0, 0.0, marks=LONG),
+        (True, 3, -1.0, 2.0), pytest.param(False, 2, 1.0, 0.5, marks=LONG), pytest.param(True, 2, 1.0, 0.0, marks=LONG),
         pytest.param(True, 2, 1.0, 0.5, marks=LONG), pytest.param(True, 2, 1.0, 2.0, marks=LONG),
         pytest.param(True, 3, -1.0, 0.0, marks=LONG), pytest.param(True, 3, -1.0, 0.5, marks=LONG),
         pytest.param(False, 2, 1.0, 0.0, marks=LONG), pytest.param(False, 2, 1.0, 2.0, marks=LONG),

@@ -11,8 +11,8 @@ import configs
 from agent.config.cell import load_cell
 from tests.support.plant.inprocess import History, simulate
 
-DURATION_S = 25.0  # one period of the trajectory behind the transient
-TRANSIENT_S = 10.0
+TRANSIENT_S = 2.5  # every cell is settled by then
+DURATION_S = TRANSIENT_S + 15.0  # one period of the trajectory behind it
 SERVOS = ('controller.velocity="servo"',)
 
 

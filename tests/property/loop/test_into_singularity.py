@@ -33,6 +33,7 @@ def towards(x_m: float, z_m: float, move_s: float, *overrides: str, cell: str = 
     return load_cell(path, [f"trajectory={motion}", *blind, *overrides])
 
 
+REST_S = 2.5  # behind the motion
 # slow and fast, forward and up: the arm stretches; the last is fast enough to pass the margin within one tick or two
 INTO = [
     (0.6, 0.25, 3.0, "identify_wx200"),
@@ -51,7 +52,7 @@ def target(into: tuple[float, float, float, str]) -> Cell:
 
 @pytest.fixture(scope="module", params=INTO, ids=lambda into: f"{into[3]} to {into[0]} {into[1]} in {into[2]} s")
 def run(request: pytest.FixtureRequest) -> ArmRun:
-    return run_one(target(request.param), 9.0)
+    return run_one(target(request.param), request.param[2] + REST_S)
 
 
 def test_the_check_would_have_refused_each_of_them() -> None:

@@ -24,7 +24,7 @@ def grasp_wrenches(*overrides: str) -> Vector:
     return end.grasp_wrench
 
 
-@pytest.mark.parametrize("squeeze_N", [1.0, -0.6])
+@pytest.mark.parametrize("squeeze_N", [pytest.param(1.0, marks=pytest.mark.long), -0.6])
 def test_internal_force_is_realised_within_five_percent(squeeze_N: float) -> None:
     wanted = [[squeeze_N, 0.0, 0.0, 0.0, 0.0, 0.1], [-squeeze_N, 0.0, 0.0, 0.0, 0.0, -0.1]]
     names = ("left", "right")
@@ -38,7 +38,7 @@ def test_internal_force_is_realised_within_five_percent(squeeze_N: float) -> Non
     np.testing.assert_allclose(moved[:, [0, 1, 5]], expected[:, [0, 1, 5]], atol=0.05 * abs(squeeze_N))
 
 
-@pytest.mark.parametrize("left_share", [0.5, 0.3])
+@pytest.mark.parametrize("left_share", [pytest.param(0.5, marks=pytest.mark.long), 0.3])
 def test_vertical_load_is_shared_as_configured_within_three_percent(left_share: float) -> None:
     wrenches = grasp_wrenches(f"arms.left.load_share={left_share}", f"arms.right.load_share={1 - left_share}")
     weight = 0.062 * 9.81

@@ -75,22 +75,22 @@ def observe(cell: RandomCell, t: float, motion: Motion) -> Instant:
     return Instant(t, motion, tuple(dq), terms)
 
 
-def rate(cell: RandomCell, t: float, motion: Motion, torques: Torques) -> Motion:
+def rate(cell: RandomCell, now: Instant, torques: Torques) -> Motion:
     """Time derivative of the state."""
-    now = observe(cell, t, motion)
     tau, work = torques(now)
-    c = now.terms
+    c, motion = now.terms, now.motion
     wrench = sum(s.J_O.T @ s.J_inv.T @ tau_i for s, tau_i in zip(c.arms, tau, strict=True))  # Gᵀ u
     dv = np.linalg.solve(c.M, wrench - c.C @ motion.v - c.g)
     v_object = cell.P.T @ motion.v
     return Motion(v_object[:3], 0.5 * oracle.E(motion.quat) @ v_object[3:], dv, now.dq, work)
 
 
-def step(cell: RandomCell, t: float, motion: Motion, torques: Torques, h: float) -> Motion:
-    """One Runge–Kutta 4 step; the torques are evaluated at every stage (continuous control)."""
-    k1 = rate(cell, t, motion, torques)
-    k2 = rate(cell, t + 0.5 * h, motion.plus(k1, 0.5 * h), torques)
-    k3 = rate(cell, t + 0.5 * h, motion.plus(k2, 0.5 * h), torques)
-    k4 = rate(cell, t + h, motion.plus(k3, h), torques)
+def step(cell: RandomCell, now: Instant, torques: Torques, h: float) -> Motion:
+    """One Runge–Kutta 4 step from an observed state; the torques are evaluated at every stage (continuous control)."""
+    t, motion = now.t, now.motion
+    k1 = rate(cell, now, torques)
+    k2 = rate(cell, observe(cell, t + 0.5 * h, motion.plus(k1, 0.5 * h)), torques)
+    k3 = rate(cell, observe(cell, t + 0.5 * h, motion.plus(k2, 0.5 * h)), torques)
+    k4 = rate(cell, observe(cell, t + h, motion.plus(k3, h)), torques)
     after = motion.plus(k1, h / 6).plus(k2, h / 3).plus(k3, h / 3).plus(k4, h / 6)
     return after.normalised()

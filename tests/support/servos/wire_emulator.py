@@ -1,14 +1,10 @@
-"""An emulated arm in a process of its own, for tests: ends when its standard input closes."""
+"""An emulated arm in a process of its own, for tests."""
 
 from __future__ import annotations
 
 import contextlib
-import json
-import select
-import subprocess
-import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +13,9 @@ from sim_backend.wire.cell import EmulatedCell
 from sim_backend.wire.serve import ServeOptions, serve
 from sim_backend.wire.timing import BusTiming
 from sim_backend.wire.wiring import ArmWiring, JointWiring, ServoWiring, servo_eeprom
+from tests.support.forked import serving
 
 START_S = 30.0
-
-
-def standard_input_closed() -> bool:
-    """True once the parent has let go."""
-    return bool(select.select((sys.stdin,), (), (), 0)[0])
 
 
 def like_wx200(baud: int, firmware: int) -> ArmWiring:
@@ -45,43 +37,27 @@ def like_wx200(baud: int, firmware: int) -> ArmWiring:
     return ArmWiring("left", joints, baud)
 
 
-def main(options: dict[str, Any]) -> None:
-    """Serve until standard input closes."""
+def serve_arm(folder: Path, options: dict[str, Any], stop: Callable[[], bool]) -> None:
+    """Serve until `stop` says so."""
     timing = BusTiming() if options.get("timing") else None
     arm = EmulatedArm(like_wx200(options.get("baud", 1_000_000), options.get("firmware", 46)), timing=timing)
-    folder = Path(options["folder"])
     serve(
         EmulatedCell([arm], None),
         ServeOptions(ports={"left": folder / "arm-left"}, control_socket=folder / "control"),
-        standard_input_closed,
+        stop,
     )
 
 
 @contextlib.contextmanager
 def emulator(folder: Path, **options: Any) -> Iterator[Path]:
     """Start the process; yield the path of its port."""
-    arguments = [
-        sys.executable,
-        "-m",
-        "tests.support.servos.wire_emulator",
-        json.dumps({"folder": str(folder)} | options),
-    ]
-    with subprocess.Popen(arguments, stdin=subprocess.PIPE) as process:
-        try:
-            port = folder / "arm-left"
-            deadline = time.monotonic() + START_S
-            while not (port.exists() and (folder / "control").exists()):
-                assert process.poll() is None, "the emulator ended by itself"
-                assert time.monotonic() < deadline, "the emulator did not start"
-                time.sleep(0.01)
-            yield port
-        finally:
-            assert process.stdin is not None
-            process.stdin.close()
-            assert process.wait(START_S) == 0
+    with serving(serve_arm, folder, options) as process:
+        port = folder / "arm-left"
+        deadline = time.monotonic() + START_S
+        while not (port.exists() and (folder / "control").exists()):
+            assert process.is_alive(), "the emulator ended by itself"
+            assert time.monotonic() < deadline, "the emulator did not start"
+            time.sleep(0.01)
+        yield port
     assert not port.is_symlink()
     assert not (folder / "control").exists()
-
-
-if __name__ == "__main__":
-    main(json.loads(sys.argv[1]))

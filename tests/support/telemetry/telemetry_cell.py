@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import signal
 import time
@@ -27,6 +26,7 @@ from agent.telemetry.row.event import Event, Level
 from agent.telemetry.row.sample import AGENT_STATE, PLANT_STATE, Layout
 from agent.telemetry.row.topics import PLANT
 from drivers.interface import Refusal
+from tests.support.forked import FORKED
 from tests.support.telemetry.scenes import scene
 
 CELL = "paper"
@@ -34,7 +34,6 @@ CONFIG_ID = 0xC0FFEE
 ARMS = {"left": ("waist", "shoulder", "elbow"), "right": ("waist", "shoulder", "elbow")}
 UTC_0_NS = 1_800_000_000_000_000_000
 PERIOD_NS = 5_000_000
-SPAWN = multiprocessing.get_context("spawn")
 TIMEOUT_S = 60.0
 SERVOS = {
     "servo_id": [1, 2, 3], "joint": ["waist", "shoulder", "shoulder"], "temperature_C": [30.0, 31.0, float("nan")],
@@ -132,9 +131,9 @@ class Process:
     """A child that runs `function(options, stop, ready)`, ends on SIGTERM, and hands back what the function returns."""
 
     def __init__(self, function: Callable[..., Any], options: Any) -> None:
-        self._ready, ready = SPAWN.Pipe(duplex=False)
-        self._result, result = SPAWN.Pipe(duplex=False)
-        self.process = SPAWN.Process(target=_child, args=(function, options, ready, result))
+        self._ready, ready = FORKED.Pipe(duplex=False)
+        self._result, result = FORKED.Pipe(duplex=False)
+        self.process = FORKED.Process(target=_child, args=(function, options, ready, result))
         self.process.start()
         ready.close()
         result.close()

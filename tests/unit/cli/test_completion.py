@@ -14,7 +14,7 @@ import typer
 
 import configs
 from agent.cli import complete
-from agent.cli.main import app
+from agent.cli.main import whole
 from tests.support.command import coop
 
 SHIPPED = sorted(path.stem for path in configs.CELLS_DIR.glob("*.toml"))
@@ -73,7 +73,7 @@ def test_a_folder_named_like_a_cell_does_not_hide_it(offered: Offered, tmp_path:
 
 
 def context(**parameters: object) -> typer.Context:
-    found = typer.Context(typer.main.get_command(app))
+    found = typer.Context(whole())
     found.params.update(parameters)
     return found
 

@@ -6,9 +6,8 @@ import re
 from pathlib import Path
 
 import pytest
-import typer
 
-from agent.cli.main import app
+from agent.cli.main import whole
 from agent.modes import FLOATING, Mode
 from agent.operator.guide import STEPS
 from agent.operator.table import Verb
@@ -28,7 +27,7 @@ SEEN = [
 @pytest.mark.parametrize("command", sorted({*COMMANDS, *(text for text in INLINE if re.search("CELL|LOG", text))}))
 def test_every_command_of_the_page_is_one(command: str) -> None:
     words = command.replace("CELL", "two_wx200").split()
-    found = typer.main.get_command(app).commands[words[0]]  # type: ignore[attr-defined]
+    found = whole().commands[words[0]]  # type: ignore[attr-defined]
     found.make_context(words[0], words[1:])
 
 

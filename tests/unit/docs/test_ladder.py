@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import pytest
-import typer
 
-from agent.cli.main import app
+from agent.cli.main import whole
 from tests.support.ladder import COMPARED, STEPS
 
 
@@ -17,5 +16,5 @@ def test_the_ladder_goes_from_all_simulated_to_all_real_arms_in_the_loop() -> No
 
 @pytest.mark.parametrize("words", [*STEPS, COMPARED], ids=" ".join)
 def test_every_step_is_a_command(words: tuple[str, ...]) -> None:
-    found = typer.main.get_command(app).commands[words[0]]  # type: ignore[attr-defined]
+    found = whole().commands[words[0]]  # type: ignore[attr-defined]
     found.make_context(words[0], list(words[1:]))

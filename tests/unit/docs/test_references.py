@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import typer.main
 
-from agent.cli.main import app
+from agent.cli.main import whole
 from tests.support.documents import DOCUMENTS, ROOT, read
 
 TOP = "agent|configs|docs|drivers|sim_backend|systemd|tests"
@@ -43,7 +42,7 @@ def test_every_path_of_the_checkout_that_is_named_is_there(path: Path) -> None:
 
 @pages
 def test_every_command_and_option_that_is_named_exists(path: Path) -> None:
-    root = typer.main.get_command(app)
+    root = whole()
     for code in read(path).code:
         for found in COMMAND.finditer(code):
             _follow(root, found["words"].split(), code)
@@ -71,7 +70,7 @@ def test_every_make_target_that_is_named_exists(path: Path) -> None:
 
 def test_the_readme_lists_every_command() -> None:
     listed = {found for code in read(ROOT / "README.md").code for found in re.findall(r"coop ([a-z0-9-]+)", code)}
-    group: Any = typer.main.get_command(app)
+    group: Any = whole()
     # these two stand in the table without the word `coop`, after `coop start`
     assert set(group.commands) - {"stop", "release"} <= listed
 

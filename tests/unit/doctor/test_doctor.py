@@ -301,7 +301,8 @@ def test_a_port_that_vanishes_is_a_finding_and_no_crash() -> None:
 @pytest.mark.parametrize("usb_ms", [1, pytest.param(2, marks=pytest.mark.long)])
 @pytest.mark.parametrize("firmware", [44, 46])
 @pytest.mark.parametrize(
-    ("baud", "rate_hz"), [(57_600, 15.0), (1_000_000, 150.0), (3_000_000, 250.0), (4_000_000, 100.0)]
+    ("baud", "rate_hz"),
+    [pytest.param(57_600, 15.0, marks=pytest.mark.long), (1_000_000, 150.0), (3_000_000, 250.0), (4_000_000, 100.0)],
 )
 def test_computed_and_measured_read_agree_within_15_percent(
     baud: int, rate_hz: float, firmware: int, usb_ms: int

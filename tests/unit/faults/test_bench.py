@@ -200,7 +200,7 @@ def test_an_agent_that_stands_still_for_a_moment_keeps_the_phase() -> None:
     assert shown(run).ended["left"] == "TRACK"
 
 
-@pytest.mark.parametrize("cell", ["paper_real", "two_wx200"])
+@pytest.mark.parametrize("cell", [pytest.param("paper_real", marks=pytest.mark.long), "two_wx200"])
 def test_an_agent_that_misses_nine_cycles_goes_on(cell: str) -> None:
     found = shown(struck("agent-stuck", cell=cell, for_s=0.045))
     assert found.ended == {"left": "TRACK", "right": "TRACK"}

@@ -51,6 +51,7 @@ from tests.support.servos.tool_rig import (
 from tests.support.servos.tool_rig import eeprom as eeprom_of
 
 MODELS = sorted(path.stem for path in configs.ARMS_DIR.glob("*.toml"))
+QUICK = ("wx250s", "widowx_mk2")  # seven joints, two with a shadow; and the other make of servos
 WX200_FILE, _ = load_arm_file("wx200", "test")
 
 
@@ -124,7 +125,9 @@ def test_a_servo_that_answers_pings_only_is_listed_with_the_reason() -> None:
 # --- setup -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize(
+    "model", [*QUICK, *(pytest.param(model, marks=pytest.mark.long) for model in MODELS if model not in QUICK)]
+)
 def test_every_servo_of_every_arm_can_be_set_up_from_the_factory(model: str) -> None:
     file, _ = load_arm_file(model, "test")
     for joint, shadow in places(model):

@@ -6,9 +6,8 @@ from dataclasses import asdict, fields
 from pathlib import Path
 
 import pytest
-import typer
 
-from agent.cli.main import app
+from agent.cli.main import whole
 from agent.config.schema.cell import DriverKind
 from agent.process.commands import (
     AgentCommand,
@@ -71,7 +70,7 @@ FULL = (
 def parsed(command: ChildCommand) -> dict[str, object]:
     """What the real parser makes of the command, by parameter; empty lists of repeatable options apart."""
     verb, *arguments = command.argv()
-    parser = typer.main.get_command(app).commands[verb]  # type: ignore[attr-defined]
+    parser = whole().commands[verb]  # type: ignore[attr-defined]
     return dict(parser.make_context(verb, arguments).params)
 
 

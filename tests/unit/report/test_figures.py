@@ -49,7 +49,10 @@ class Drawn:
     after: dict[str, Any]
 
 
-@pytest.fixture(scope="module", params=RUNS.values(), ids=RUNS.keys())
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(run, id=name, marks=[pytest.mark.long] * (name == "paper")) for name, run in RUNS.items()],
+)
 def drawn(request: pytest.FixtureRequest) -> Drawn:
     run, before = prepare(request.param()), dict(mpl.rcParams)
     return Drawn({picture.stem: picture.draw() for picture in pictures(run)}, before, dict(mpl.rcParams))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pytest
 
@@ -46,8 +48,13 @@ class Rotor:
         return 0.5 * INERTIA * float(self.dq[0]) ** 2 + self.friction.energy
 
 
-@pytest.mark.parametrize("h", [2e-4, 1e-3, 4e-3])
-@pytest.mark.parametrize("share", [-0.95, 0.5, 0.95])
+@pytest.mark.parametrize(
+    ("share", "h"),
+    [
+        *product((-0.95, 0.5, 0.95), (1e-3, 4e-3)), (0.95, 2e-4),
+        pytest.param(-0.95, 2e-4, marks=pytest.mark.long), pytest.param(0.5, 2e-4, marks=pytest.mark.long),
+    ],
+)  # fmt: skip
 def test_load_below_breakaway_is_held_without_creep(share: float, h: float) -> None:
     rotor = Rotor(spec(), h)
     for _ in range(round(1.0 / h)):
@@ -110,7 +117,7 @@ def test_jitter_below_breakaway_moves_nothing_a_servo_could_read() -> None:
     assert not rotor.friction.sliding.any()
 
 
-@pytest.mark.parametrize("h", [2e-4, 1e-3, 4e-3])
+@pytest.mark.parametrize("h", [pytest.param(2e-4, marks=pytest.mark.long), 1e-3, 4e-3])
 def test_friction_gives_no_energy_over_a_random_motion(h: float) -> None:
     """Rotor and bristle together gain at most the motor's work, but for the step in which a sliding joint turns."""
     rng = np.random.default_rng(5)

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import typer
 
-from agent.cli.main import app
+from agent.cli.main import whole
 from agent.host.paths import ring_path
 from tests.support.systemd.unit_files import (
     CASES,
@@ -206,7 +206,7 @@ def test_coop_understands_its_command_line(tmp_path: Path, choices: tuple[str, .
     install(tmp_path, *choices)
     program, verb, *arguments = command(read_unit(tmp_path, name))
     assert program == "/opt/coop/bin/coop"
-    group = typer.main.get_command(app)
+    group = whole()
     context = typer.Context(group)
     found = group.get_command(context, verb)  # type: ignore[attr-defined]
     assert found is not None, verb

@@ -16,7 +16,9 @@ def limits(cell: Cell) -> list[Finding]:
     return [f for f in examine(cell, thorough=True).findings if f.what == "limits of the alignment"]
 
 
-@pytest.mark.parametrize("name", ["paper", "three_wx250s", pytest.param("two_wx200", marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "name", ["paper", *(pytest.param(name, marks=pytest.mark.long) for name in ("three_wx250s", "two_wx200"))]
+)
 def test_the_default_limits_are_within_reach_of_every_follower(name: str) -> None:
     found = limits(gentle(name, "controller.alignment.track_per_s=0.3"))
     arms = cell_of(name).arms

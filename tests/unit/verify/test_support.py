@@ -31,10 +31,10 @@ def without(cell: Cell, arm: int, *instants: float) -> Support:
 @pytest.mark.parametrize(
     ("name", "limp", "at_s"),
     [
-        ("paper", 0, 5.0),
+        pytest.param("paper", 0, 5.0, marks=pytest.mark.long),
         ("paper", 1, 0.5),
         ("two_wx200", 1, 5.0),
-        ("level", 0, 5.0),
+        pytest.param("level", 0, 5.0, marks=pytest.mark.long),
         ("level", 1, 5.0),
         ("two_models", 1, 0.5),
     ],

@@ -115,7 +115,7 @@ def test_no_bound_and_no_matrices_prove_nothing() -> None:
     assert below(A[:0], 1.0).shape == (0,)
 
 
-@pytest.mark.parametrize("name", ["paper", "three_wx250s"])
+@pytest.mark.parametrize("name", ["paper", pytest.param("three_wx250s", marks=pytest.mark.long)])
 def test_the_worst_cases_are_the_same_with_and_without_proof(name: str) -> None:
     cell = gentle(name)
     judge, ranges = Judge([start_pose(cell)], loop_of(cell, Aligning(0, 2.0))), ranges_of(cell)
