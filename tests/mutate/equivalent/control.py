@@ -22,6 +22,7 @@ _LEAKS = "if self.leak_per_s > 0.0:"
 _HELD = "held = inside.tobytes() != theta.tobytes() and _outside(theta, self._alarm, self._upper)"
 _BODIES = "bodies = inside[:BODY_PARAMETERS * (n + 1)].reshape(-1, BODY_PARAMETERS)"
 _WHOLE = "if whole is not None and whole is body.base and (len(whole) == len(arm) + len(body)):"
+_MANY = "STARVED_PERIODS, MANY = (3.5, 4)"
 _ANY_BELOW_ZERO = "numpy takes any number below zero"
 _FORGETS_NOTHING = "at a rate of zero it forgets nothing"
 _PUT_TOGETHER = "put together again it is the same"
@@ -33,6 +34,7 @@ CONTROL: Entries = {
         ("", _TABLE, _TABLE.replace("+ 1", "+ 2")): "one flag more than the three that are looked up can make",
     },
     "agent.loop": {
+        ("", _MANY, _MANY.replace("4", "5")): "a name for more than three: it is compared with itself alone",
         (
             "step",
             "speed = felt(dq, state.dq) if damped else dq",
