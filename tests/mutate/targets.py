@@ -29,6 +29,13 @@ _STEP = tuple(
         "control/test_adaptive", "control/test_floating", "guard/test_resume", "monitors/test_monitors",
     )
 )  # fmt: skip
+_LAW = tuple(
+    f"tests/property/control/test_{name}.py"
+    for name in (
+        "control_law", "control_derivatives", "control_internal_force", "control_inverse", "control_posture",
+        "adaptive_law",
+    )
+)  # fmt: skip
 _RUNNER = tuple(
     f"{UNIT}/{name}.py"
     for name in (
@@ -72,10 +79,18 @@ TARGETS = (
             "tests/property/control/test_adaptive_projection.py",
         ),
     ),
+    Target("agent.control.against", (f"{UNIT}/control/test_against.py",)),
+    Target("agent.control.errors", _LAW),
+    Target("agent.control.floating", (f"{UNIT}/control/test_floating.py",)),
+    Target("agent.control.friction", (f"{UNIT}/control/test_friction.py",)),
+    Target("agent.control.known", _LAW),
+    Target("agent.control.law", _LAW),
     Target(
         "agent.control.memory",
         tuple(f"{UNIT}/{name}.py" for name in ("control/test_estimator", "test_hold", "telemetry/test_row")),
     ),
+    Target("agent.control.residual", tuple(f"{UNIT}/control/{name}.py" for name in ("test_residual", "test_touch"))),
+    Target("agent.control.touch", (f"{UNIT}/control/test_touch.py",)),
     Target("agent.guard.resume", (f"{UNIT}/guard/test_resume.py",)),
     Target(
         "agent.guard.takeover",
@@ -94,7 +109,11 @@ TARGETS = (
     Target("agent.ticks", _RUNNER, warm=_WARM),
     Target("agent.transition", (f"{UNIT}/test_transition.py",)),
     Target("agent.operator.socket", (f"{UNIT}/operator/test_control_socket.py",)),
+    Target("agent.monitors.body", (f"{UNIT}/monitors/test_monitors.py",)),
     Target("agent.monitors.gravity", (f"{UNIT}/monitors/test_gravity.py",)),
+    Target("agent.monitors.joints", (f"{UNIT}/monitors/test_monitors.py",)),
+    Target("agent.monitors.servos", (f"{UNIT}/monitors/test_monitors.py",)),
+    Target("agent.monitors.watch", (f"{UNIT}/monitors/test_monitors.py",)),
     Target(
         "agent.replay.chain",
         (*_VERIFY, f"{UNIT}/replay/test_whatif.py", f"{UNIT}/guard/test_resume.py"),

@@ -29,6 +29,15 @@ _PUT_TOGETHER = "put together again it is the same"
 _PARTS = "nobody has parts of one array that are not all of it"
 _FLAGGED = "found = self._reason or f'{outcome.flags.name} {explained(self._agent, outcome)}'.rstrip()"
 
+_FELT = "if below.max() <= 0.0 and above.max() <= 0.0:"
+_NO_WALL = "saves an inverse: in no wall the sum is zero"
+_ROOM = "if abs(there + wanted) > bound and wanted:"
+_HAS_ROOM = "what has room is not made smaller"
+_ALONG = "along = sign if tau_rest >= 0.0 else -sign"
+_TURNED = "if size + along * bound >= 0.0:"
+_PAIRS = "_pairs: tuple[tuple[float, float], ...] = field(init=False, repr=False)"
+_NO_INTERNAL = "return _NO_WRENCH if wanted is None else shift_to_ee(k, internal)"
+
 CONTROL: Entries = {
     "agent.safety": {
         ("", _TABLE, _TABLE.replace("+ 1", "+ 2")): "one flag more than the three that are looked up can make",
@@ -47,6 +56,23 @@ CONTROL: Entries = {
         ("_of_object", _LEARNS, _LEARNS.replace("estimate is None", "False")): _BOTH,
         ("step", _BRAKES, _BRAKES.replace("if damped", "if True")): _WHILE_IT_BRAKES,
         ("step", _BRAKES, _BRAKES.replace("0.0", "1.0")): _WHILE_IT_BRAKES,
+    },
+    "agent.control.floating": {
+        ("walls", _FELT, _FELT.replace("below.max() <= 0.0", "below.max() < 0.0")): _NO_WALL,
+        ("walls", _FELT, _FELT.replace("above.max() <= 0.0", "above.max() < 0.0")): _NO_WALL,
+        ("walls", _FELT, "if False:"): _NO_WALL,
+        ("walls", "return np.zeros_like(q)", "pass"): _NO_WALL,
+        ("room", _ROOM, _ROOM.replace(">", ">=")): _HAS_ROOM,
+        ("room", _ROOM, _ROOM.replace("abs(there + wanted) > bound", "True")): _HAS_ROOM,
+    },
+    "agent.control.friction": {
+        ("solved", _ALONG, _ALONG.replace(">=", ">")): "beside no other torque both ways are one",
+        ("solved", _TURNED, _TURNED.replace(">=", ">")): "at no torque both ways are one",
+        ("Friction", _PAIRS, _PAIRS.replace("False)", "True)")): "how it is printed",
+    },
+    "agent.control.law": {
+        ("reference", "if model.task_is_identity:", "if False:"): "saves a product with the identity",
+        ("add_wrenches", _NO_INTERNAL, _NO_INTERNAL.replace("wanted is None", "False")): "saves a shift of nothing",
     },
     "agent.control.adaptation": {
         ("Adaptation.__post_init__", _LOAD, _LOAD.replace("(-1", "(-2")): _ANY_BELOW_ZERO,
