@@ -35,6 +35,7 @@ _ROOM = "if abs(there + wanted) > bound and wanted:"
 _HAS_ROOM = "what has room is not made smaller"
 _ALONG = "along = sign if tau_rest >= 0.0 else -sign"
 _TURNED = "if size + along * bound >= 0.0:"
+_NO_MORE = "adds nothing where no more than one period has passed"
 _PAIRS = "_pairs: tuple[tuple[float, float], ...] = field(init=False, repr=False)"
 _NO_INTERNAL = "return _NO_WRENCH if wanted is None else shift_to_ee(k, internal)"
 
@@ -73,6 +74,10 @@ CONTROL: Entries = {
     "agent.control.law": {
         ("reference", "if model.task_is_identity:", "if False:"): "saves a product with the identity",
         ("add_wrenches", _NO_INTERNAL, _NO_INTERNAL.replace("wanted is None", "False")): "saves a shift of nothing",
+    },
+    "agent.control.residual": {
+        ("Residual.advance", "if periods > 1:", "if periods >= 1:"): _NO_MORE,
+        ("Residual.advance", "if periods > 1:", "if True:"): _NO_MORE,
     },
     "agent.control.adaptation": {
         ("Adaptation.__post_init__", _LOAD, _LOAD.replace("(-1", "(-2")): _ANY_BELOW_ZERO,
