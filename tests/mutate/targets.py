@@ -83,6 +83,8 @@ TARGETS = (
     Target("agent.control.errors", _LAW),
     Target("agent.control.floating", (f"{UNIT}/control/test_floating.py",)),
     Target("agent.control.friction", (f"{UNIT}/control/test_friction.py",)),
+    Target("agent.control.joint_hold", tuple(f"{UNIT}/{name}.py" for name in ("test_singular", "test_hold"))),
+    Target("agent.control.joint_track", (f"{UNIT}/test_phase_torques.py",)),
     Target("agent.control.known", _LAW),
     Target("agent.control.law", _LAW),
     Target(
@@ -103,6 +105,7 @@ TARGETS = (
     Target("agent.standing", _STEP),
     Target("agent.calm", tuple(f"{UNIT}/{name}.py" for name in ("test_calm", "test_hold", "test_step_together"))),
     Target("agent.cycles", (f"{UNIT}/test_cycles.py",)),
+    Target("agent.phases", (f"{UNIT}/test_phase_torques.py",)),
     Target("agent.runner", _RUNNER, warm=_WARM),
     Target("agent.sight", (f"{UNIT}/test_sight.py",)),
     Target("agent.telling", (f"{UNIT}/test_telling.py",)),
