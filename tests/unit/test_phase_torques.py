@@ -29,12 +29,10 @@ GLIDING = Friction((JointFriction(0.08, 0.03),) * 3, 0.05)
 STICKING = Friction((JointFriction(0.08, 0.03, 0.05, load=0.2),) * 3, 0.05)
 
 
-def life(**changes: float) -> Life:
+def life() -> Life:
     session = made().session
     assert session is not None
-    return replace(
-        session.life, **{"take_up_s": 0.8, "lower_s": 2.0, "rate_rad_per_s": 7.0, "soft_rad": 0.05} | changes
-    )  # type: ignore[arg-type]
+    return replace(session.life, take_up_s=0.8, lower_s=2.0, rate_rad_per_s=7.0, soft_rad=0.05)
 
 
 def remembering(**more: Any) -> Memory:
