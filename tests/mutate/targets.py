@@ -36,6 +36,7 @@ _LAW = tuple(
         "adaptive_law",
     )
 )  # fmt: skip
+_MONITORS = tuple(f"{UNIT}/monitors/{name}.py" for name in ("test_each_monitor", "test_monitors"))
 _RUNNER = tuple(
     f"{UNIT}/{name}.py"
     for name in (
@@ -112,11 +113,11 @@ TARGETS = (
     Target("agent.ticks", _RUNNER, warm=_WARM),
     Target("agent.transition", (f"{UNIT}/test_transition.py",)),
     Target("agent.operator.socket", (f"{UNIT}/operator/test_control_socket.py",)),
-    Target("agent.monitors.body", (f"{UNIT}/monitors/test_monitors.py",)),
+    Target("agent.monitors.body", _MONITORS),
     Target("agent.monitors.gravity", (f"{UNIT}/monitors/test_gravity.py",)),
-    Target("agent.monitors.joints", (f"{UNIT}/monitors/test_monitors.py",)),
-    Target("agent.monitors.servos", (f"{UNIT}/monitors/test_monitors.py",)),
-    Target("agent.monitors.watch", (f"{UNIT}/monitors/test_monitors.py",)),
+    Target("agent.monitors.joints", _MONITORS),
+    Target("agent.monitors.servos", _MONITORS),
+    Target("agent.monitors.watch", _MONITORS),
     Target(
         "agent.replay.chain",
         (*_VERIFY, f"{UNIT}/replay/test_whatif.py", f"{UNIT}/guard/test_resume.py"),

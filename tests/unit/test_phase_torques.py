@@ -66,6 +66,10 @@ def test_alone_an_arm_follows_its_joints_critically_damped_with_a_bounded_pull(f
     assert terms.J_inv_P is None
 
 
+def test_in_five_modes_an_arm_is_alone() -> None:
+    assert {Mode.REST, Mode.APPROACH, Mode.GRASP, Mode.PARK, Mode.HALT} == phases.ALONE
+
+
 @pytest.mark.parametrize("q_hold", [None, Q + 0.01])
 @pytest.mark.parametrize("mode", sorted(phases.ALONE))
 def test_where_the_joints_are_to_be_is_that_of_the_mode(mode: Mode, q_hold: Any) -> None:
@@ -118,6 +122,9 @@ def test_the_way_down_is_minimum_jerk_from_what_was_held() -> None:
     assert found.p == pytest.approx([h + QUARTER * (p - h) for h, p in zip(held[:3], place.p, strict=True)])
     angle = 0.1 * (1.0 - QUARTER)
     assert found.quat == pytest.approx((math.cos(angle), 0.0, math.sin(angle), 0.0))
+    for age in (2.0, 9.0):
+        below = phases.lowering(life(), remembering(hold=held, age=age), place)
+        assert (below.p, below.v) == (pytest.approx(place.p), pytest.approx(STILL)), "and it stays there"
     assert found.v[2] == pytest.approx(-0.1 * 30.0 * (0.25 * 0.75) ** 2 / 2.0)
 
 
@@ -128,7 +135,7 @@ def test_a_start_beside_the_place_goes_away_as_one_less_minimum_jerk() -> None:
         assert phases.blended(shift, t, 0.25, 1.0) == pytest.approx(expected)
     for t in (math.nextafter(0.0, -1.0), 1.0, 9.0):
         assert phases.blended(shift, t, 0.25, 1.0) is shift
-    assert phases.blended(shift, math.nextafter(1.0, 0.0), 0.25, 1.0) == (0.0,) * 6, "nothing is left to divide by"
+    assert phases.blended(shift, 1.0 - 1e-7, 0.25, 1.0) == (0.0,) * 6, "nothing is left to divide by"
 
 
 def test_a_phase_is_done_when_its_time_is_over() -> None:

@@ -35,6 +35,14 @@ _ROOM = "if abs(there + wanted) > bound and wanted:"
 _HAS_ROOM = "what has room is not made smaller"
 _ALONG = "along = sign if tau_rest >= 0.0 else -sign"
 _TURNED = "if size + along * bound >= 0.0:"
+_SAME = "self._same = [0] * len(bounds.joints)"
+_ASKED = "self._asked_rad = [0.0] * len(bounds.joints)"
+_FIRST = "the first reading is another than none, and begins both"
+_EVERY = "every so many ticks, whichever way they are counted"
+_HELD_POSE = "p, quat = (memory.hold[:3], memory.hold[3:])"
+_AT_Q = "k = model.evaluate(q, 0.0 * q)"
+_AT_HOLD = "held = model.evaluate(q_hold, 0.0 * q_hold)"
+_NO_SPEED = "nothing that depends on a speed is read of it"
 _NO_MORE = "adds nothing where no more than one period has passed"
 _PAIRS = "_pairs: tuple[tuple[float, float], ...] = field(init=False, repr=False)"
 _NO_INTERNAL = "return _NO_WRENCH if wanted is None else shift_to_ee(k, internal)"
@@ -74,6 +82,26 @@ CONTROL: Entries = {
     "agent.control.law": {
         ("reference", "if model.task_is_identity:", "if False:"): "saves a product with the identity",
         ("add_wrenches", _NO_INTERNAL, _NO_INTERNAL.replace("wanted is None", "False")): "saves a shift of nothing",
+    },
+    "agent.monitors.body": {
+        ("Limited.check", "if now != ticks[place]:", "if True:"): "saves a write of what is there",
+        ("Load.check", "self._tick += 1", "self._tick -= 1"): _EVERY,
+    },
+    "agent.monitors.joints": {
+        ("Frozen.__init__", _SAME, _SAME.replace("[0]", "[1]")): _FIRST,
+        ("Frozen.__init__", _ASKED, _ASKED.replace("[0.0]", "[1.0]")): _FIRST,
+    },
+    "agent.monitors.watch": {
+        ("Watch.after", "self._tick += 1", "self._tick -= 1"): _EVERY,
+    },
+    "agent.phases": {
+        ("lowering", _HELD_POSE, _HELD_POSE.replace("[:3]", "[:4]")): "of a place three numbers are read",
+    },
+    "agent.control.joint_hold": {
+        ("weight", _AT_Q, _AT_Q.replace("0.0 * q", "0.0 / q")): _NO_SPEED,
+        ("weight", _AT_Q, _AT_Q.replace("0.0 * q", "1.0 * q")): _NO_SPEED,
+        ("torque", _AT_HOLD, _AT_HOLD.replace("0.0 * q", "0.0 / q")): _NO_SPEED,
+        ("torque", _AT_HOLD, _AT_HOLD.replace("0.0 * q", "1.0 * q")): _NO_SPEED,
     },
     "agent.control.residual": {
         ("Residual.advance", "if periods > 1:", "if periods >= 1:"): _NO_MORE,
