@@ -62,7 +62,7 @@ def pull_of(flat: Sequence[float]) -> Pull:
     """Inverse of `Pull.flat`; nothing from a row of a log that is older than this sense, or than its weight."""
     if not flat:
         return NO_PULL
-    return Pull(flat[0], flat[1], flat[2], tuple(flat[3 : 3 + MEANS]), sum(flat[3 + MEANS : 4 + MEANS]))
+    return Pull(flat[0], flat[1], flat[2], tuple(flat[3 : 3 + MEANS]), sum(flat[3 + MEANS :]))
 
 
 @dataclass(frozen=True, slots=True)

@@ -80,7 +80,7 @@ class Residual:
 
     def advance(
         self, sense: Sense, terms: Terms, J_inv_P: Matrix, dq: Vector, tau: tuple[Vector, Vector], *, ready: bool,
-        periods: int = 1,
+        periods: int,
     ) -> Sense:  # fmt: skip
         """State after a tick of the law at joint velocities dq (n,).
 

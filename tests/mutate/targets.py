@@ -29,6 +29,14 @@ _STEP = tuple(
         "control/test_adaptive", "control/test_floating", "guard/test_resume", "monitors/test_monitors",
     )
 )  # fmt: skip
+_LAW = tuple(
+    f"tests/property/control/test_{name}.py"
+    for name in (
+        "control_law", "control_derivatives", "control_internal_force", "control_inverse", "control_posture",
+        "adaptive_law",
+    )
+)  # fmt: skip
+_MONITORS = tuple(f"{UNIT}/monitors/{name}.py" for name in ("test_each_monitor", "test_monitors"))
 _RUNNER = tuple(
     f"{UNIT}/{name}.py"
     for name in (
@@ -72,10 +80,20 @@ TARGETS = (
             "tests/property/control/test_adaptive_projection.py",
         ),
     ),
+    Target("agent.control.against", (f"{UNIT}/control/test_against.py",)),
+    Target("agent.control.errors", _LAW),
+    Target("agent.control.floating", (f"{UNIT}/control/test_floating.py",)),
+    Target("agent.control.friction", (f"{UNIT}/control/test_friction.py",)),
+    Target("agent.control.joint_hold", tuple(f"{UNIT}/{name}.py" for name in ("test_singular", "test_hold"))),
+    Target("agent.control.joint_track", (f"{UNIT}/test_phase_torques.py",)),
+    Target("agent.control.known", _LAW),
+    Target("agent.control.law", _LAW),
     Target(
         "agent.control.memory",
         tuple(f"{UNIT}/{name}.py" for name in ("control/test_estimator", "test_hold", "telemetry/test_row")),
     ),
+    Target("agent.control.residual", tuple(f"{UNIT}/control/{name}.py" for name in ("test_residual", "test_touch"))),
+    Target("agent.control.touch", (f"{UNIT}/control/test_touch.py",)),
     Target("agent.guard.resume", (f"{UNIT}/guard/test_resume.py",)),
     Target(
         "agent.guard.takeover",
@@ -88,13 +106,18 @@ TARGETS = (
     Target("agent.standing", _STEP),
     Target("agent.calm", tuple(f"{UNIT}/{name}.py" for name in ("test_calm", "test_hold", "test_step_together"))),
     Target("agent.cycles", (f"{UNIT}/test_cycles.py",)),
+    Target("agent.phases", (f"{UNIT}/test_phase_torques.py",)),
     Target("agent.runner", _RUNNER, warm=_WARM),
     Target("agent.sight", (f"{UNIT}/test_sight.py",)),
     Target("agent.telling", (f"{UNIT}/test_telling.py",)),
     Target("agent.ticks", _RUNNER, warm=_WARM),
     Target("agent.transition", (f"{UNIT}/test_transition.py",)),
     Target("agent.operator.socket", (f"{UNIT}/operator/test_control_socket.py",)),
+    Target("agent.monitors.body", _MONITORS),
     Target("agent.monitors.gravity", (f"{UNIT}/monitors/test_gravity.py",)),
+    Target("agent.monitors.joints", _MONITORS),
+    Target("agent.monitors.servos", _MONITORS),
+    Target("agent.monitors.watch", _MONITORS),
     Target(
         "agent.replay.chain",
         (*_VERIFY, f"{UNIT}/replay/test_whatif.py", f"{UNIT}/guard/test_resume.py"),

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -59,6 +61,24 @@ def test_a_hold_at_a_singular_pose_is_gravity_and_a_spring() -> None:
     assert pulled is not None
     stiffness = agent.model.inertia(aside) * agent.hold_rate_rad_per_s**2
     assert np.allclose(pulled.tau_inertia, -stiffness @ (aside - q), atol=1e-12)
+
+
+def test_a_jacobian_without_any_inverse_has_no_singular_value() -> None:
+    flat: Any = SimpleNamespace(jacobian=lambda _: np.zeros((3, 3)), inertia=lambda _: np.eye(3))
+    assert joint_hold.sigma_min(flat, np.zeros(3)) == 0.0
+
+
+def test_six_joints_are_held_by_their_weight_and_share_whatever_the_pose() -> None:
+    cell = load_cell(configs.CELLS_DIR / "three_wx250s.toml")
+    agent, q = build_agent(cell, cell.arms[0]), np.array([0.1, -0.2, 0.3, 0.4, 0.9, -0.5])
+    k = agent.model.evaluate(q, np.zeros(6))
+    share = cell.arms[0].entry.load_share * cell.file.object.mass_kg * 9.81
+    weight = k.g + k.Jt @ [0.0, 0.0, share, 0.0, 0.0, 0.0]
+    np.testing.assert_allclose(joint_hold.weight(agent.model, agent.offline, q), weight, atol=1e-9)
+    terms = joint_hold.torque(agent.model, agent.offline, q, np.zeros(6), q, 10.0)
+    np.testing.assert_allclose(terms.tau_cmd, weight, atol=1e-9)
+    assert (*terms.desired.v, *terms.desired.a) == (0.0,) * 12
+    assert np.isnan((*terms.wrench_cmd, *terms.wrench_internal)).sum() == 12
 
 
 def test_joint_errors_of_a_hold_fall_critically_damped_with_an_exact_model() -> None:

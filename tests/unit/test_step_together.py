@@ -164,6 +164,16 @@ def test_an_arm_that_missed_cycles_of_the_motion_counts_them_or_keeps_what_it_ha
     assert (asked["sense"] is memory.sense) is (mode is not Mode.HOLD or passed < 3.5)
 
 
+@pytest.mark.parametrize("periods", [1, 2])
+def test_a_cycle_is_missed_when_more_than_half_a_period_is_over(periods: int) -> None:
+    noticing = Noticing()
+    agent = arm(residual=noticing)
+    memory, limit = primed(agent)._replace(t=0.0), (periods + 0.5) * agent.period_s
+    for t in (limit, np.nextafter(limit, 1.0)):
+        step(agent, JointState(0, start(), np.zeros(3), np.zeros(3)), float(t), Mode.TRACK, memory)
+    assert [asked["periods"] for asked in noticing.asked] == [periods, periods + 1]
+
+
 def test_an_arm_that_missed_cycles_before_it_sensed_anything_begins() -> None:
     noticing = Noticing()
     agent = arm(residual=noticing)

@@ -22,17 +22,37 @@ _LEAKS = "if self.leak_per_s > 0.0:"
 _HELD = "held = inside.tobytes() != theta.tobytes() and _outside(theta, self._alarm, self._upper)"
 _BODIES = "bodies = inside[:BODY_PARAMETERS * (n + 1)].reshape(-1, BODY_PARAMETERS)"
 _WHOLE = "if whole is not None and whole is body.base and (len(whole) == len(arm) + len(body)):"
+_MANY = "STARVED_PERIODS, MANY = (3.5, 4)"
 _ANY_BELOW_ZERO = "numpy takes any number below zero"
 _FORGETS_NOTHING = "at a rate of zero it forgets nothing"
 _PUT_TOGETHER = "put together again it is the same"
 _PARTS = "nobody has parts of one array that are not all of it"
 _FLAGGED = "found = self._reason or f'{outcome.flags.name} {explained(self._agent, outcome)}'.rstrip()"
 
+_FELT = "if below.max() <= 0.0 and above.max() <= 0.0:"
+_NO_WALL = "saves an inverse: in no wall the sum is zero"
+_ROOM = "if abs(there + wanted) > bound and wanted:"
+_HAS_ROOM = "what has room is not made smaller"
+_ALONG = "along = sign if tau_rest >= 0.0 else -sign"
+_TURNED = "if size + along * bound >= 0.0:"
+_SAME = "self._same = [0] * len(bounds.joints)"
+_ASKED = "self._asked_rad = [0.0] * len(bounds.joints)"
+_FIRST = "the first reading is another than none, and begins both"
+_EVERY = "every so many ticks, whichever way they are counted"
+_HELD_POSE = "p, quat = (memory.hold[:3], memory.hold[3:])"
+_AT_Q = "k = model.evaluate(q, 0.0 * q)"
+_AT_HOLD = "held = model.evaluate(q_hold, 0.0 * q_hold)"
+_NO_SPEED = "nothing that depends on a speed is read of it"
+_NO_MORE = "adds nothing where no more than one period has passed"
+_PAIRS = "_pairs: tuple[tuple[float, float], ...] = field(init=False, repr=False)"
+_NO_INTERNAL = "return _NO_WRENCH if wanted is None else shift_to_ee(k, internal)"
+
 CONTROL: Entries = {
     "agent.safety": {
         ("", _TABLE, _TABLE.replace("+ 1", "+ 2")): "one flag more than the three that are looked up can make",
     },
     "agent.loop": {
+        ("", _MANY, _MANY.replace("4", "5")): "a name for more than three: it is compared with itself alone",
         (
             "step",
             "speed = felt(dq, state.dq) if damped else dq",
@@ -45,6 +65,47 @@ CONTROL: Entries = {
         ("_of_object", _LEARNS, _LEARNS.replace("estimate is None", "False")): _BOTH,
         ("step", _BRAKES, _BRAKES.replace("if damped", "if True")): _WHILE_IT_BRAKES,
         ("step", _BRAKES, _BRAKES.replace("0.0", "1.0")): _WHILE_IT_BRAKES,
+    },
+    "agent.control.floating": {
+        ("walls", _FELT, _FELT.replace("below.max() <= 0.0", "below.max() < 0.0")): _NO_WALL,
+        ("walls", _FELT, _FELT.replace("above.max() <= 0.0", "above.max() < 0.0")): _NO_WALL,
+        ("walls", _FELT, "if False:"): _NO_WALL,
+        ("walls", "return np.zeros_like(q)", "pass"): _NO_WALL,
+        ("room", _ROOM, _ROOM.replace(">", ">=")): _HAS_ROOM,
+        ("room", _ROOM, _ROOM.replace("abs(there + wanted) > bound", "True")): _HAS_ROOM,
+    },
+    "agent.control.friction": {
+        ("solved", _ALONG, _ALONG.replace(">=", ">")): "beside no other torque both ways are one",
+        ("solved", _TURNED, _TURNED.replace(">=", ">")): "at no torque both ways are one",
+        ("Friction", _PAIRS, _PAIRS.replace("False)", "True)")): "how it is printed",
+    },
+    "agent.control.law": {
+        ("reference", "if model.task_is_identity:", "if False:"): "saves a product with the identity",
+        ("add_wrenches", _NO_INTERNAL, _NO_INTERNAL.replace("wanted is None", "False")): "saves a shift of nothing",
+    },
+    "agent.monitors.body": {
+        ("Limited.check", "if now != ticks[place]:", "if True:"): "saves a write of what is there",
+        ("Load.check", "self._tick += 1", "self._tick -= 1"): _EVERY,
+    },
+    "agent.monitors.joints": {
+        ("Frozen.__init__", _SAME, _SAME.replace("[0]", "[1]")): _FIRST,
+        ("Frozen.__init__", _ASKED, _ASKED.replace("[0.0]", "[1.0]")): _FIRST,
+    },
+    "agent.monitors.watch": {
+        ("Watch.after", "self._tick += 1", "self._tick -= 1"): _EVERY,
+    },
+    "agent.phases": {
+        ("lowering", _HELD_POSE, _HELD_POSE.replace("[:3]", "[:4]")): "of a place three numbers are read",
+    },
+    "agent.control.joint_hold": {
+        ("weight", _AT_Q, _AT_Q.replace("0.0 * q", "0.0 / q")): _NO_SPEED,
+        ("weight", _AT_Q, _AT_Q.replace("0.0 * q", "1.0 * q")): _NO_SPEED,
+        ("torque", _AT_HOLD, _AT_HOLD.replace("0.0 * q", "0.0 / q")): _NO_SPEED,
+        ("torque", _AT_HOLD, _AT_HOLD.replace("0.0 * q", "1.0 * q")): _NO_SPEED,
+    },
+    "agent.control.residual": {
+        ("Residual.advance", "if periods > 1:", "if periods >= 1:"): _NO_MORE,
+        ("Residual.advance", "if periods > 1:", "if True:"): _NO_MORE,
     },
     "agent.control.adaptation": {
         ("Adaptation.__post_init__", _LOAD, _LOAD.replace("(-1", "(-2")): _ANY_BELOW_ZERO,

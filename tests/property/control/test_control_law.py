@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
@@ -11,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.control import errors, known
+from agent.control.friction import Friction, JointFriction
 from agent.control.inverse import SingularJacobian
 from tests.support.control import oracle
 from tests.support.control.strategies import (
@@ -120,6 +122,18 @@ def test_friction_feedforward_never_enters_the_wrench(cell: RandomCell, seed: in
     left = np.exp(-((np.abs(plain.dq) / speed) ** exponent))
     bound = coulomb + breakaway * left + (load + breakaway_load * left) * np.abs(after.tau_cmd)
     assert_close(after.tau_cmd - before.tau_cmd, sign * bound + viscous * before.dq_ref, 1e-9)
+
+
+@given(cells())
+@examples(5)
+def test_friction_of_joints_that_only_glide_is_that_of_the_reference(cell: RandomCell) -> None:
+    arm = cell.arms[0]
+    friction = Friction((JointFriction(0.08, 0.03),) * arm.model.n, 0.05)
+    found = known.torque(arm.model, replace(arm.offline, friction=friction), arm.q, arm.dq, cell.desired)
+    assert found.tau_friction.tolist() == friction.gliding(found.dq_ref.tolist())
+    without = known.torque(arm.model, arm.offline, arm.q, arm.dq, cell.desired)
+    assert_close(found.tau_cmd, without.tau_cmd + found.tau_friction, 1e-12)
+    assert found.wrench_cmd == without.wrench_cmd
 
 
 @given(cells(), SEEDS)

@@ -10,8 +10,20 @@ import pytest
 
 from agent.config.cell import load_cell
 from agent.config.noticing import against
-from agent.control.against import HANGS, MEANS, NO_PULL, WITH_CLIMB, Against, Pull, pull_of
+from agent.control.against import (
+    FLAT,
+    HANGS,
+    LEVEL_AT,
+    MEANS,
+    NO_PULL,
+    WEIGHT_AT,
+    WITH_CLIMB,
+    Against,
+    Pull,
+    pull_of,
+)
 from agent.control.cause import Cause, behind
+from agent.control.memory import initial
 from agent.modes import Mode
 from agent.safety import Flag
 from agent.study.fault import Fault, FaultKind
@@ -65,6 +77,55 @@ def test_the_pull_is_the_part_of_the_wrench_against_the_twist(
     assert LAW.advance(NO_PULL, wrench, NOTHING, v).sum_N == pytest.approx(expected)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_every_part_of_the_wrench_and_of_its_slow_part_counts_along_the_twist(seed: int) -> None:
+    """p = −(F·v + (M/a)·(b ω)) / √(v² + (b ω)²) with a = 0.2 m, b = 0.1 m."""
+    W, base, v = np.random.default_rng(seed).normal(size=(3, 6))
+    turn = np.array([1.0] * 3 + [0.1] * 3)
+    lever = np.array([1.0] * 3 + [1.0 / 0.2] * 3)
+    direction = turn * v / np.linalg.norm(turn * v)
+    pull = LAW.advance(NO_PULL, W.tolist(), base.tolist(), v.tolist())
+    assert pull.sum_N == pytest.approx(-(lever * W) @ direction, rel=1e-12)
+    assert pull.level_N == pytest.approx(15.0 * PERIOD * -(lever * (W - base)) @ direction, rel=1e-12)
+
+
+def test_a_twist_has_a_direction_above_two_millimetres_a_second() -> None:
+    for speed, pulled in ((2e-3, 0.0), (np.nextafter(2e-3, 1.0), 9.0)):
+        assert LAW.advance(NO_PULL, (-9.0, *NOTHING[1:]), NOTHING, (speed, *NOTHING[1:])).sum_N == pulled
+
+
+def test_a_block_of_two_periods_and_a_half_has_two() -> None:
+    slow = Against(0.02, level_N=0.7, climb_N=0.14)
+    first = slow.advance(NO_PULL, (-1.0, *NOTHING[1:]), NOTHING, SLOWLY)
+    second = slow.advance(first, (-2.0, *NOTHING[1:]), NOTHING, SLOWLY)
+    assert (first.ticks, second.ticks) == (1.0, 0.0)
+    assert second.means_N[:2] == pytest.approx((1.5, 0.0))
+
+
+@pytest.mark.parametrize("steps", [(1.0, 2.0, 3.0), (2.0, 1.0, 3.0), (3.0, 2.0, 1.0)])
+def test_the_climb_is_the_least_of_three_increments(steps: tuple[float, float, float]) -> None:
+    newest, middle, oldest = steps
+    blocks = [math.nan] * MEANS
+    blocks[0], blocks[3], blocks[6], blocks[9] = (
+        5.0 + newest + middle + oldest,
+        5.0 + middle + oldest,
+        5.0 + oldest,
+        5.0,
+    )
+    assert NO_PULL._replace(means_N=tuple(blocks)).climb_N == 1.0
+
+
+def test_at_its_limits_a_pull_trips_nothing() -> None:
+    law = Against(PERIOD, level_N=0.75, climb_N=0.125)
+    climbing = NO_PULL._replace(means_N=tuple(0.125 * (3 - k // 3) for k in range(MEANS)))
+    assert climbing.climb_N == 0.125
+    assert not law.tripped(climbing._replace(level_N=0.75))
+    assert law.tripped(climbing._replace(level_N=np.nextafter(0.75, 1.0)))
+    assert not law.tripped(climbing._replace(level_N=0.46))
+    steeper = climbing._replace(means_N=tuple(1.01 * mean for mean in climbing.means_N))
+    assert law.tripped(steeper._replace(level_N=0.46))
+
+
 def test_a_pull_that_grows_climbs_and_one_that_came_at_once_does_not() -> None:
     growing = after(0.7, lambda t: -1.2 * t)
     climbs = [LAW.tripped(p._replace(level_N=0.43)) for p in growing]
@@ -99,15 +160,21 @@ def test_what_pulls_down_is_a_weight_whatever_the_motion_is() -> None:
     first = tilted.advance(NO_PULL, (1.0, 2.0, 3.0, *NOTHING[3:]), (0.5, 4.0, 1.0, *NOTHING[3:]), SLOWLY)
     assert first.weight_N == pytest.approx(15.0 * PERIOD * (0.6 * 0.5 + 0.48 * 2.0 - 0.64 * 2.0))
     nowhere = Against(PERIOD, 0.7, 0.14)
-    assert nowhere.advance(NO_PULL, (0.0, 0.0, -5.0, *NOTHING[3:]), NOTHING, SLOWLY).weight_N == 0.0
+    assert nowhere.advance(NO_PULL, (3.0, 2.0, -5.0, *NOTHING[3:]), NOTHING, SLOWLY).weight_N == 0.0
 
 
 def test_its_state_goes_through_a_row() -> None:
-    pull = after(0.333, lambda t: -t)[-1]._replace(weight_N=0.3)
+    pull = after(0.733, lambda t: -1.0 - t)[-1]._replace(weight_N=0.3)
     assert pull.ticks
+    assert all(pull.means_N)
     assert pull_of(pull.flat) == pull
     assert pull_of(pull.flat[:-1]) == pull._replace(weight_N=0.0), "a row that is older than the weight"
     assert pull_of([]) == NO_PULL
+    assert len(pull.flat) == FLAT
+    assert not any(NO_PULL.flat)
+    memory = initial(3)
+    flat = memory._replace(sense=memory.sense._replace(pull=pull)).flatten()
+    assert (flat[LEVEL_AT], flat[WEIGHT_AT]) == (pull.level_N, 0.3)
 
 
 def test_two_arms_have_it_only_where_it_is_asked_for_and_more_arms_derive_it() -> None:

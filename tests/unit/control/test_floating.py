@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from agent.config.agent import build_agent
 from agent.config.cell import ConfigError, load_cell
-from agent.control.floating import BEGIN_RAD_PER_S, FULL_RAD_PER_S, Floating, afloat, friction, room, sinking, standing
+from agent.control.floating import Floating, afloat, damping, friction, room, sinking, standing, walls
 from agent.control.terms import Terms
 from agent.loop import Agent, initial_memory, step
 from agent.modes import Mode
@@ -76,7 +76,9 @@ def test_beside_the_weight_it_takes_energy_out_but_for_less_than_the_friction(q:
     assert float((np.array(tau) - weight(q) - terms.tau_friction) @ dq) <= 1e-9, "limited, too"
 
 
-@pytest.mark.parametrize(("speed", "share"), [(0.0, 0.0), (BEGIN_RAD_PER_S, 0.0), (FULL_RAD_PER_S, 1.0), (-3.0, -1.0)])
+@pytest.mark.parametrize(
+    ("speed", "share"), [(0.0, 0.0), (0.15, 0.0), (0.16, 6.022144e-4), (0.275, 0.5), (0.4, 1.0), (-3.0, -1.0)]
+)
 def test_no_friction_is_compensated_at_rest_and_all_of_the_share_in_motion(speed: float, share: float) -> None:
     assert friction(own(), np.full(N, speed)) == pytest.approx(share * own().friction_Nm, abs=1e-12)
 
@@ -94,6 +96,9 @@ def test_the_damping_grows_from_drag_to_brake_up_to_the_largest_speed() -> None:
     assert rates == sorted(rates)
     assert rates[-2:] == pytest.approx([own().brake_per_s] * 2)
     assert own().brake_per_s == 30.0
+    quick = replace(own(), speed_max_rad_per_s=2.0)
+    assert [damping(quick, 5.0, np.array([0.1, -speed])) for speed in (1.0, 2.0)] == [5.0, 30.0]
+    assert damping(quick, 40.0, np.array([2.0])) == 40.0, "never less than what is asked for"
 
 
 def test_damping_that_has_no_room_is_scaled_as_a_whole() -> None:
@@ -104,6 +109,7 @@ def test_damping_that_has_no_room_is_scaled_as_a_whole() -> None:
     assert room(np.array([3.0]), np.array([1.0]), np.array([2.0])) == 0.0
     assert room(np.array([3.0]), np.array([-1.0]), np.array([2.0])) == 1.0, "it makes it smaller"
     assert room(np.zeros(1), np.zeros(1), np.ones(1)) == 1.0
+    assert room(np.array([3.0]), np.zeros(1), np.array([2.0])) == 1.0, "nothing to scale"
 
 
 def test_a_fast_arm_is_damped_within_its_torques_in_the_direction_of_its_momentum() -> None:
@@ -114,6 +120,32 @@ def test_a_fast_arm_is_damped_within_its_torques_in_the_direction_of_its_momentu
     assert np.any(np.abs(own().brake_per_s * momentum) > own().tau_max_Nm), "which is not all that it would take"
     cosine = terms.tau_feedback @ momentum / (np.linalg.norm(terms.tau_feedback) * np.linalg.norm(momentum))
     assert cosine == pytest.approx(-1.0)
+
+
+def test_damping_has_the_room_that_weight_load_friction_and_walls_leave() -> None:
+    q, dq, bounds = Q.copy(), np.full(N, -0.9), np.full(N, 1e3)
+    q[1], bounds[1] = own(HELD).low_rad[1] + 0.08, 9.0
+    terms = afloat(HELD.model, HELD.offline, replace(own(HELD), tau_max_Nm=bounds), 9.0, Q, q, dq)
+    unbounded = afloat(HELD.model, HELD.offline, replace(own(HELD), tau_max_Nm=np.full(N, 1e3)), 9.0, Q, q, dq)
+    assert terms.tau_object[1] * terms.tau_friction[1] != 0.0
+    assert terms.tau_cmd[1] == pytest.approx(9.0, rel=1e-12)
+    assert unbounded.tau_cmd[1] > 9.5
+    assert len(terms.wrench_cmd) == len(terms.wrench_internal) == 6, "not known"
+
+
+def test_a_wall_is_as_stiff_as_the_inertia_that_the_joint_feels() -> None:
+    """400 / s² into the wall and 40 / s on the way in; a joint that is in none is left alone."""
+    two = replace(own(), low_rad=np.array([-1.0, -1.0]), high_rad=np.array([1.0, 1.0]))
+    B, begun = np.array([[0.5, 0.2], [0.2, 0.4]]), np.zeros(2)
+    felt = (0.5 - 0.2**2 / 0.4, 0.4 - 0.2**2 / 0.5)
+
+    def wall(q: tuple[float, float], dq: tuple[float, float]) -> list[float]:
+        return walls(two, B, begun, np.array(q), np.array(dq)).tolist()
+
+    assert wall((-0.92, 0.3), (0.0, 0.7)) == pytest.approx([felt[0] * 400.0 * 0.02, 0.0])
+    assert wall((-0.92, 0.3), (-0.1, -0.7)) == pytest.approx([felt[0] * (400.0 * 0.02 + 40.0 * 0.1), 0.0])
+    assert wall((0.2, 0.93), (0.7, 0.1)) == pytest.approx([0.0, -felt[1] * (400.0 * 0.03 + 40.0 * 0.1)])
+    assert wall((0.2, 0.93), (0.7, -0.1)) == pytest.approx([0.0, -felt[1] * 400.0 * 0.03])
 
 
 @pytest.mark.parametrize(("limit_rad", "sign"), [("low_rad", 1.0), ("high_rad", -1.0)])
@@ -146,8 +178,9 @@ def test_a_sinking_arm_lets_its_weight_go_but_not_its_speed() -> None:
         return float(terms.tau_gravity[1] / weight(Q)[1])
 
     assert carried(0.0, 0.0) == 1.0
-    assert carried(own().sink_s, 0.0) == 0.0
-    assert carried(9.0, 0.5 * own().sink_rad_per_s) == pytest.approx(0.5)
+    assert carried(1.5, 0.0) == pytest.approx(0.5)
+    assert carried(3.0, 0.0) == 0.0
+    assert carried(9.0, 0.25) == pytest.approx(0.5)
     assert carried(9.0, -1.0) == 1.0
     dq = np.full(N, 0.3)
     assert float(sinking(AGENT.model, AGENT.offline, own(), 9.0, Q, dq).tau_feedback @ dq) < 0.0
@@ -164,6 +197,11 @@ def test_a_standing_arm_pulls_back_no_harder_than_its_reach_says_and_is_damped()
     assert back(0.05) < 0.0 < back(-0.05)
     assert back(0.5) == pytest.approx(back(0.1), rel=0.1)
     assert back(0.0, 0.1) < 0.0
+    wide, away, dq = replace(own(), tau_max_Nm=np.full(N, 1e3)), np.full(N, 0.03), np.linspace(-0.2, 0.2, N)
+    terms = standing(AGENT.model, AGENT.offline, wide, Q - away, Q, dq)
+    inertia = AGENT.model.evaluate(Q, dq).B
+    assert terms.tau_feedback == pytest.approx(-inertia @ (64.0 * away + 16.0 * dq)), "critically, at 8 / s"
+    assert terms.tau_gravity == pytest.approx(weight(Q))
     q_hold = own().came_to_rest(Q, np.full(N, 0.4))
     assert np.allclose(q_hold - Q, 0.05)
     assert not standing(AGENT.model, AGENT.offline, own(), None, Q, np.zeros(N)).tau_feedback.any()

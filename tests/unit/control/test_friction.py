@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.control.friction import Friction, JointFriction, solved
+from agent.control.friction import Friction, JointFriction, solved, sticking_columns
 from drivers.interface import Vector
 from sim_backend.physics.friction import DryFriction, FrictionSpec
 
@@ -58,7 +58,8 @@ def test_the_bound_belongs_to_the_torque_that_it_is_part_of(
 def test_without_breakaway_and_load_it_is_coulomb_with_a_smooth_sign_and_viscous() -> None:
     joints = (JointFriction(0.0843, 0.0347), JointFriction(0.0078, 0.0362))
     dq_ref = np.array([0.03, -0.2])
-    found = Friction(joints, 0.05).torque(dq_ref, np.array([9.0, 9.0]), np.array([9.0, 9.0]))
+    nobody_asks = np.full(2, np.nan)  # the joints' own speeds, nor the torques
+    found = Friction(joints, 0.05).torque(dq_ref, nobody_asks, nobody_asks)
     expected = [0.0843 * math.tanh(0.6) + 0.0347 * 0.03, 0.0078 * math.tanh(-4.0) - 0.0362 * 0.2]
     assert found.tolist() == pytest.approx(expected, rel=1e-15)
 
@@ -100,4 +101,30 @@ def test_a_joint_without_load_friction_is_exact_beside_one_that_has_it() -> None
     alone = Friction((JointFriction(0.1, 0.05),), 0.05)
     both = Friction((JointFriction(0.1, 0.05), MX64), 0.05)
     dq_ref, tau = np.array([0.02, 0.3]), np.array([1.0, 1.0])
-    assert both.torque(dq_ref, dq_ref, tau)[0] == alone.torque(dq_ref[:1], dq_ref[:1], tau[:1])[0]
+    found = both.torque(dq_ref, dq_ref, tau)
+    assert found[0] == alone.torque(dq_ref[:1], dq_ref[:1], tau[:1])[0]
+    assert found[1] == Friction((MX64,), 0.05).torque(dq_ref[1:], dq_ref[1:], tau[1:])[0]
+    assert solved(0.1, 0.0, math.inf, 1.0) == 0.1, "whatever the motor does"
+
+
+@pytest.mark.parametrize(("part", "sticks"), [(2, True), (5, True), (6, True), (None, False)])
+def test_a_joint_sticks_by_any_part_beside_coulomb_and_viscous_friction(part: int | None, sticks: bool) -> None:
+    values = [0.1, 0.05, 0.0, 1.5, 1.3, 0.0, 0.0]
+    if part is not None:
+        values[part] = 1e-3
+    assert JointFriction(*values).sticks is sticks
+    usual = JointFriction(0.1, 0.05, 0.1)
+    assert [usual.breakaway_left(v) for v in (1.0, -2.0)] == [math.exp(-1.0), math.exp(-2.0)]
+
+
+def test_columns_make_the_friction_with_their_parameters() -> None:
+    """sign Γ is the sum of parameter times column, with Γ at the motor's torque that contains it."""
+    theta = np.array([[0.06, 0.1, 0.2], [0.03, 0.02, 0.01], [0.1, 0.2, 0.3], [0.4, 0.3, 0.2]])
+    sign, dq, tau_rest = np.array([0.9, -0.8, 0.7]), np.array([0.4, 1.1, -0.8]), np.array([0.5, 0.4, -0.3])
+    shapes = (MX64, MX64._replace(stribeck_rad_per_s=0.7), MX64._replace(stribeck_exponent=1.9))
+    columns = sticking_columns(shapes, theta, sign, dq, tau_rest)
+    made = sign * theta[0] + (theta[1:] * columns).sum(axis=0)
+    left = np.array([p.breakaway_left(v) for p, v in zip(shapes, dq, strict=True)])
+    size = np.abs(tau_rest + made)
+    assert columns == pytest.approx(np.array([sign * left, sign * size, sign * left * size]), rel=1e-12)
+    assert np.sign(tau_rest + made).tolist() == [1.0, 1.0, -1.0]

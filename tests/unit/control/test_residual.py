@@ -11,6 +11,7 @@ import pytest
 import configs
 from agent.config.cell import load_cell
 from agent.control import known
+from agent.control.against import NO_PULL, Against
 from agent.control.residual import Channels, Residual, Sense, nothing_sensed
 from agent.control.terms import Terms
 from agent.control.touch import Touch
@@ -91,7 +92,7 @@ def test_over_a_gap_nothing_is_found_and_afterwards_what_is_there(touch: Touch |
     assert terms.J_inv_P is not None
     assert terms.J_inv_P.T.dot(sense.residual) == pytest.approx(WRENCH, abs=0.05)
     residual, dq, nothing = Residual(PERIOD, 0.0, LIMITS), np.array([0.1, -0.2, 0.3]), np.zeros(3)
-    usual = residual.advance(sense, terms, terms.J_inv_P, dq, (nothing, nothing), ready=False)
+    usual = residual.advance(sense, terms, terms.J_inv_P, dq, (nothing, nothing), ready=False, periods=1)
     assert residual.over_a_gap(sense, terms, dq).expected.tolist() == usual.expected.tolist() != sense.expected.tolist()
     if touch is not None:
         assert sense.plain.force_N == pytest.approx(np.hypot(*(WRENCH - sense.base)[:2]), rel=0.1)
@@ -123,17 +124,70 @@ def test_a_load_that_stays_leaves_the_fast_channel_and_fills_the_slow_one() -> N
         assert residual.tripped(found, history[k][0], WRENCH)
 
 
-def test_what_was_there_before_the_start_is_usual() -> None:
-    heavy = alone(WRENCH, 4.0, ready_s=0.0)
-    residual = Residual(PERIOD, 0.0, LIMITS)
-    sense = nothing_sensed(3)
-    for known_sense, terms in heavy:
-        assert terms.J_inv_P is not None
-        sense = known_sense._replace(rest=known_sense.slow)
-    assert residual.channels(sense, sense.base).slow_N == 0.0
-    waited, _ = alone(WRENCH, 2.5, ready_s=2.5)[-1]
-    assert waited.ticks > 2000
+def test_nothing_is_usual_of_an_arm_that_only_follows_its_law() -> None:
+    waited, _ = alone(WRENCH, 0.5, ready_s=0.5)[-1]
+    assert waited.ticks == 500.0
     assert np.abs(waited.rest).max() < 0.05
+
+
+@pytest.mark.parametrize(("periods", "ready"), [(1, False), (3, False), (1, True)])
+def test_a_tick_does_what_the_equations_say(periods: int, ready: bool) -> None:
+    sense, terms = alone(WRENCH, 0.05, delay=0.4)[-1]
+    assert terms.J_inv_P is not None
+    moving = terms._replace(desired=terms.desired._replace(v=(0.02, -0.01, 0.0, 0.0, 0.0, 0.1)))
+    against = Against(PERIOD, 0.7, 0.14, (0.0, 0.0, -1.0))
+    residual = Residual(PERIOD, 0.4, LIMITS, against=against)
+    dq, last, before = np.array([[0.1, -0.2, 0.3], [0.5, 0.3, -0.1], [-0.2, 0.4, 0.6]])
+    found = residual.advance(sense, moving, terms.J_inv_P, dq, (last, before), ready=ready, periods=periods)
+    acting = (0.6 * last + 0.4 * before) + (periods - 1) * last
+    estimate = sense.momentum + PERIOD * (acting + periods * (sense.expected + sense.residual))
+    k, s = terms.kinematics, dq - terms.dq_ref
+    assert found.momentum == pytest.approx(estimate)
+    assert found.residual == pytest.approx(30.0 * (k.B @ s - estimate))
+    assert found.expected == pytest.approx(k.C.T @ s - (terms.tau_cmd - terms.tau_feedback))
+    W = terms.J_inv_P.T @ found.residual
+    assert found.base == pytest.approx(sense.base + PERIOD * 0.5 * (W - sense.base))
+    assert found.slow == pytest.approx(sense.slow + PERIOD * 2.0 * (W - sense.slow))
+    assert found.ticks == sense.ticks + ready
+    if ready:
+        assert found.pull is sense.pull
+        return
+    assert found.rest is sense.rest
+    expected = against.advance(sense.pull, W.tolist(), found.base.tolist(), moving.desired.v)
+    assert found.pull.flat == pytest.approx(expected.flat)
+    assert found.pull.sum_N
+
+
+def test_what_is_usual_is_the_mean_of_the_slow_channel_and_later_of_two_seconds() -> None:
+    _, terms = alone(WRENCH, 0.02)[-1]
+    assert terms.J_inv_P is not None
+    residual, sense = Residual(0.1, 0.0, LIMITS, rate_per_s=3.0), nothing_sensed(3)
+    dq, tau = np.array([0.1, -0.2, 0.3]), np.array([0.3, -0.2, 0.1])
+    seen, usual = [], np.zeros(6)
+    for _ in range(30):
+        sense = residual.advance(sense, terms, terms.J_inv_P, dq, (tau, tau), ready=True, periods=1)
+        seen.append(sense.slow)
+        usual = np.mean(seen, axis=0) if len(seen) <= 20 else usual + (sense.slow - usual) / 20.0
+        assert sense.rest == pytest.approx(usual, rel=1e-9)
+    assert np.abs(usual).max() > 0.1
+
+
+def test_sizes_are_of_force_and_moment_without_what_is_slow_and_what_is_usual() -> None:
+    wrench, base, slow, rest = np.random.default_rng(1).normal(size=(4, 6))
+    found = Residual(PERIOD, 0.0, LIMITS).channels(nothing_sensed(3)._replace(base=base, slow=slow, rest=rest), wrench)
+    sizes = [np.linalg.norm(part) for w in (wrench - base, slow - rest) for part in (w[:3], w[3:])]
+    assert found == pytest.approx(sizes)
+
+
+def test_who_asks_for_it_is_told_of_a_pull_back_and_of_a_weight() -> None:
+    against = Against(PERIOD, 0.7, 0.14)
+    asked, nobody = Residual(PERIOD, 0.0, LIMITS, against=against), Residual(PERIOD, 0.0, LIMITS)
+    for level, weight in ((0.0, 0.0), (0.8, 0.0), (0.0, 0.8)):
+        sense = nothing_sensed(3)._replace(pull=NO_PULL._replace(level_N=level, weight_N=weight))
+        assert asked.pulled(sense) is (level + weight > 0.0)
+        assert asked.weighed(sense) is (weight > 0.0)
+        assert not nobody.pulled(sense)
+        assert not nobody.weighed(sense)
 
 
 @pytest.mark.parametrize("channel", range(4))

@@ -63,6 +63,19 @@ def test_what_is_expected_of_the_momentum_is_what_the_joints_do_at_speed() -> No
     assert (begin - pose.B.dot(dq)) / TOUCH.period_s + tau == pytest.approx(changed, abs=1e-4)
 
 
+def test_a_tick_does_what_the_equations_say_in_six_dimensions() -> None:
+    _, terms = bench.alone(bench.WRENCH, 0.02, dq=TURNING)[-1]
+    rng, dq = np.random.default_rng(2), np.array([0.1, -0.2, 0.3])
+    J_inv_P, acting, base, before = rng.normal(size=(3, 6)), *rng.normal(size=(3, 6))
+    found = TOUCH.advance(Plain(before[:3]), terms, J_inv_P, dq, acting[:3], base)
+    k = terms.kinematics
+    estimate = before[:3] + bench.PERIOD * acting[:3]
+    r = 30.0 * (k.B @ dq - estimate)
+    assert found.force_N == pytest.approx(float(np.linalg.norm((J_inv_P.T @ r - base)[:3])))
+    expected = k.C.T @ dq - (terms.tau_cmd - terms.tau_feedback) + k.B @ terms.ddq_ref + k.C @ terms.dq_ref
+    assert found.momentum == pytest.approx(estimate + bench.PERIOD * (expected + r))
+
+
 def test_nobody_looks_for_it_where_no_touch_is_above_the_limit() -> None:
     sense, _ = bench.alone(bench.WRENCH, 0.05)[-1]
     assert sense.plain.flat == (0.0,) * 8
@@ -97,11 +110,19 @@ def test_a_touch_is_within_each_of_three_limits(force: tuple[float, ...], plain_
     assert residual.tripped(found, sense, wrench) is not may_be
 
 
+@pytest.mark.parametrize("force", [(2.6, 0.0, 0.0), (0.0, 0.0, -1.95)])
+def test_at_its_limits_it_may_be_one(force: tuple[float, ...]) -> None:
+    assert TOUCH.may_be(force, WITHIN)
+    assert not TOUCH.may_be(np.nextafter(force, 9.0 * np.array(force)).tolist(), WITHIN)
+
+
 def test_down_is_where_gravity_points() -> None:
     tilted = Touch(0.005, 30.0, 2.6, 1.95, 1.0, (0.6, -0.48, -0.64))
     assert not tilted.may_be((1.2, -0.96, -1.28), WITHIN)
     assert tilted.may_be((1.2, 0.96, -1.28), WITHIN)
-    assert Touch(0.005, 30.0, 2.6, 1.95, 1.0).may_be((0.0, 0.0, -2.5), WITHIN), "where there is none"
+    nowhere = Touch(0.005, 30.0, 2.6, 1.95, 1.0)
+    for to_a_side in 2.5 * np.vstack([np.eye(3), -np.eye(3)]):
+        assert nowhere.may_be(to_a_side.tolist(), WITHIN)
 
 
 @pytest.mark.parametrize("channel", [1, 2, 3])
