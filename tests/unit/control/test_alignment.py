@@ -88,6 +88,8 @@ def test_either_part_of_a_shift_may_be_at_its_limit(place: int, limit: float) ->
         shift = [0.0] * 6
         shift[place] = -share * limit
         assert FOLLOWER.at_limit(tuple(shift)) is there
+    shift[place] = 0.999
+    assert Alignment(follows=True, max_m=1.0, max_rad=1.0).at_limit(tuple(shift))
 
 
 def test_a_shift_moves_and_turns_about_every_axis_and_none_leaves_the_motion_itself() -> None:
