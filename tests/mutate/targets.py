@@ -81,6 +81,7 @@ TARGETS = (
         ),
     ),
     Target("agent.control.against", (f"{UNIT}/control/test_against.py",)),
+    Target("agent.control.alignment", (f"{UNIT}/control/test_alignment.py",)),
     Target("agent.control.errors", _LAW),
     Target("agent.control.floating", (f"{UNIT}/control/test_floating.py",)),
     Target("agent.control.friction", (f"{UNIT}/control/test_friction.py",)),

@@ -43,6 +43,12 @@ _HELD_POSE = "p, quat = (memory.hold[:3], memory.hold[3:])"
 _AT_Q = "k = model.evaluate(q, 0.0 * q)"
 _AT_HOLD = "held = model.evaluate(q_hold, 0.0 * q_hold)"
 _NO_SPEED = "nothing that depends on a speed is read of it"
+_LIMIT = "return _size(shift[:3]) >= 0.999 * self.max_m or _size(shift[3:]) >= 0.999 * self.max_rad"
+_NO_SHIFT = "if shift is NO_SHIFT or shift == NO_SHIFT:"
+_HALF = "k = 2.0 if size < _SMALL_ANGLE else 2.0 * math.atan2(size, w) / size"
+_SMALL = "if angle < _SMALL_ANGLE:"
+_ALMOST_NONE = "so small an angle is its sine, and its cosine is one"
+_DEAD = "if not size > dead_zone:"
 _NO_MORE = "adds nothing where no more than one period has passed"
 _PAIRS = "_pairs: tuple[tuple[float, float], ...] = field(init=False, repr=False)"
 _NO_INTERNAL = "return _NO_WRENCH if wanted is None else shift_to_ee(k, internal)"
@@ -65,6 +71,16 @@ CONTROL: Entries = {
         ("_of_object", _LEARNS, _LEARNS.replace("estimate is None", "False")): _BOTH,
         ("step", _BRAKES, _BRAKES.replace("if damped", "if True")): _WHILE_IT_BRAKES,
         ("step", _BRAKES, _BRAKES.replace("0.0", "1.0")): _WHILE_IT_BRAKES,
+    },
+    "agent.control.alignment": {
+        ("Alignment.at_limit", _LIMIT, _LIMIT.replace("[:3]", "[:4]")): "of a place three numbers are read",
+        ("shifted", _NO_SHIFT, _NO_SHIFT.replace("shift is NO_SHIFT", "False")): "saves a comparison",
+        ("between", "if w < 0.0:", "if w <= 0.0:"): "half a turn to either side is one attitude",
+        ("between", _HALF, _HALF.replace("<", "<=")): _ALMOST_NONE,
+        ("_quaternion", _SMALL, _SMALL.replace("<", "<=")): _ALMOST_NONE,
+        ("", "_SMALL_ANGLE = 1e-09", "_SMALL_ANGLE = 2e-09"): _ALMOST_NONE,
+        ("_towards", _DEAD, _DEAD.replace(">", ">=")): "at the edge of the dead zone it moves by nothing",
+        ("_towards", "if length <= bound:", "if length < bound:"): "at its bound it is scaled by one",
     },
     "agent.control.floating": {
         ("walls", _FELT, _FELT.replace("below.max() <= 0.0", "below.max() < 0.0")): _NO_WALL,

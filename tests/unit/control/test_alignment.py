@@ -61,6 +61,52 @@ def test_before_the_start_it_shifts_faster() -> None:
     assert tracking == pytest.approx(0.3 * 0.005 * (0.01 - FOLLOWER.dead_zone_m))
 
 
+@pytest.mark.parametrize("ready", [True, False])
+def test_a_tick_moves_a_shift_by_what_is_beyond_the_dead_zone(ready: bool) -> None:
+    p, axis = np.array([0.004, -0.006, 0.003]), np.array([0.48, -0.6, 0.64])
+    e = errors_at(tuple(p), from_axis_angle(tuple(axis), 0.03), Desired((0.0,) * 3, ONE, STILL, STILL))
+    before, gain = np.array([1e-3, 2e-3, -3e-3, 0.01, -0.02, 0.03]), 0.1 * (2.0 if ready else 0.3)
+    turned, size = 2.0 * math.sin(0.015) * math.cos(0.015) * axis, math.sin(0.03)
+    d = before[:3] + gain * (1.0 - 1.5e-3 / np.linalg.norm(p)) * p
+    rho = before[3:] + gain * (1.0 - 8e-3 / size) * turned
+    found = FOLLOWER.advance(tuple(before.tolist()), e, 0.1, ready=ready)
+    assert found == pytest.approx((*d, *rho), rel=1e-9)
+
+
+def test_at_the_edge_of_the_dead_zone_nothing_shifts_and_beyond_the_limit_the_direction_stays() -> None:
+    common = Desired((0.0,) * 3, ONE, STILL, STILL)
+    edge = errors_at((1.5e-3, 0.0, 0.0), ONE, common)
+    assert FOLLOWER.advance(NO_SHIFT, edge, 0.1, ready=True) == NO_SHIFT
+    far = errors_at((3.0, -4.0, 12.0), ONE, common)
+    found = FOLLOWER.advance((0.003, -0.004, 0.012, 0.0, 0.0, 0.0), far, 1.0, ready=True)
+    assert found == pytest.approx((0.06 / 13.0, -0.08 / 13.0, 0.24 / 13.0, 0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize(("place", "limit"), [(0, 0.02), (2, 0.02), (3, 0.1), (5, 0.1)])
+def test_either_part_of_a_shift_may_be_at_its_limit(place: int, limit: float) -> None:
+    for share, there in ((0.9991, True), (0.9989, False)):
+        shift = [0.0] * 6
+        shift[place] = -share * limit
+        assert FOLLOWER.at_limit(tuple(shift)) is there
+    shift[place] = 0.999
+    assert Alignment(follows=True, max_m=1.0, max_rad=1.0).at_limit(tuple(shift))
+
+
+def test_a_shift_moves_and_turns_about_every_axis_and_none_leaves_the_motion_itself() -> None:
+    desired = Desired((1.0, 2.0, 3.0), from_axis_angle((0.0, 1.0, 0.0), 0.5), STILL, STILL)
+    assert shifted(desired, NO_SHIFT) is desired
+    assert shifted(desired, tuple([0.0] * 6)) is desired
+    for size in (0.3, 1e-10):
+        rho = (0.48 * size, -0.6 * size, 0.64 * size)
+        moved = shifted(desired, (0.1, 0.2, 0.3, *rho))
+        assert moved.p == pytest.approx((1.1, 2.2, 3.3))
+        half = 0.5 * np.array(rho)
+        turn = (math.cos(0.5 * size), *(math.sin(0.5 * size) / (0.5 * size) * half))
+        assert moved.quat == pytest.approx(multiply(turn, desired.quat), abs=1e-13)
+        back = between(moved.p, moved.quat, desired.p, desired.quat)
+        assert back == pytest.approx((0.1, 0.2, 0.3, *rho), abs=1e-13)
+
+
 def test_the_shift_has_limits_and_says_when_it_is_there() -> None:
     shift = settled((0.5, 0.0, 0.0), from_axis_angle((0.0, 1.0, 0.0), 0.6), FOLLOWER, ready=True)
     assert math.hypot(*shift[:3]) == pytest.approx(FOLLOWER.max_m)

@@ -46,6 +46,9 @@ def test_what_is_at_its_bound_is_met_with_an_empty_text() -> None:
         at = tick(q=[sign * 1.0] * 3, dq=[sign * 0.5] * 3, tau=[1.0] * 3)
         for monitor in (Speed(b), Power(b), Position(b), Workspace(b)):
             assert monitor.check(at) == ""
+    corner: Any = SimpleNamespace(terms=SimpleNamespace(kinematics=SimpleNamespace(p_object=(0.5, -0.5, 0.0))))
+    box = replace(b, workspace_m=((0.5, 1.0), (-1.0, -0.5), (0.0, 0.0)))
+    assert Workspace(box).check(tick()._replace(outcome=corner)) == ""
 
 
 # --- a reading that stays the same -----------------------------------------------------------------------------------
