@@ -391,6 +391,11 @@ def test_the_needle_is_put_once_to_a_picture_and_not_before_its_time(player: Pla
     player.want(1.0)
     player.step()
     assert marks.t == [0.5, 1.0]
+    player.want(0.5)
+    for at_s, count in ((1.1, 2), (1.3, 3)):
+        clock.s = at_s
+        player.step()
+        assert len(marks.t) == count, "0.3 s after the last"
 
 
 def test_the_text_is_told_at_its_time_and_of_no_picture_that_is_about_to_be_drawn_anew(
