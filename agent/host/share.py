@@ -1,4 +1,4 @@
-"""How the processes of a lockstep run share the processor: who keeps to which core, all code in one memory layout.
+"""How the processes of a lockstep run share the processor: arms on distinct cores, all code in one memory layout.
 
 Neither changes a result, and both only ask: where the host refuses, a run is slower.
 """
@@ -9,45 +9,23 @@ import contextlib
 import ctypes
 import os
 from collections.abc import Collection, Iterator
-from pathlib import Path
-from typing import NamedTuple
 
 _ADDR_NO_RANDOMIZE = 0x0040000
 _ASK = 0xFFFFFFFF
-_TOGETHER_MAX = 3  # arms whose ticks one core does in less time than it takes to wake others
 
 
-class Cores(NamedTuple):
-    """What each part of a lockstep run keeps to."""
-
-    plant: frozenset[int]
-    arms: tuple[frozenset[int], ...]
-    rest: frozenset[int]  # telemetry and the recorder
-
-
-def cores_of_run(arms: int, allowed: Collection[int], turn: int) -> Cores:
-    """Cores for the parts of a run of so many arms out of those allowed; on a single core there is no choice.
-
-    Plant and agents wait for each other at every tick.  Waking a core that idles costs more than a few agents' ticks,
-    so they share one and leave the others to what only follows; more arms share the work instead, a core each, in
-    turn.  `turn` is any number that differs between runs, so that runs side by side do not meet on one core.
-    """
-    every = frozenset(allowed)
-    cores = sorted(every)
+def cores_of_arms(arms: int, allowed: Collection[int]) -> list[frozenset[int]]:
+    """Cores for each of so many agents out of those allowed: one each, in turn; on a single core there is no choice."""
+    cores = sorted(allowed)
     if len(cores) < 2:
-        return Cores(every, (every,) * arms, every)
-    if arms > _TOGETHER_MAX:
-        return Cores(every, tuple(frozenset({cores[i % len(cores)]}) for i in range(arms)), every)
-    one = frozenset({cores[turn % len(cores)]})
-    return Cores(one, (one,) * arms, every - one)
+        return [frozenset(cores)] * arms
+    return [frozenset({cores[i % len(cores)]}) for i in range(arms)]
 
 
 def keep_to(pid: int, cores: frozenset[int]) -> None:
-    """Let all threads of a process run on these cores only; nothing happens when it has ended."""
-    with contextlib.suppress(OSError):  # no such process
-        for thread in Path(f"/proc/{pid}/task").iterdir():
-            with contextlib.suppress(OSError):  # it has just ended, or the host refuses
-                os.sched_setaffinity(int(thread.name), cores)
+    """Let a process that has just been started run on these cores only; nothing happens when it has ended."""
+    with contextlib.suppress(ProcessLookupError, PermissionError):
+        os.sched_setaffinity(pid, cores)
 
 
 @contextlib.contextmanager

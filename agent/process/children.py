@@ -11,7 +11,7 @@ from pathlib import Path
 from agent.config.cell import Cell
 from agent.config.schema.cell import DriverKind
 from agent.host.child import Child
-from agent.host.share import cores_of_run, keep_to, one_memory_layout
+from agent.host.share import cores_of_arms, keep_to, one_memory_layout
 from agent.operator.words import start_patiently
 from agent.process.commands import (
     AgentCommand,
@@ -93,8 +93,6 @@ class Children:
             self._telemetry[name] = self._child(f"telemetry-{name}", self._telemetry_command(name, endpoint))
         for child in (*self._agents.values(), *self._telemetry.values()):
             child.wait_ready(READY_TIMEOUT_S)
-        if self._lockstep:
-            self._share_cores(self._plant, self._recorder)
         if self._whole:
             arms = {arm: [self._control(arm)] for arm in self._agents}
             self.person = Person(arms, self._cell.fingerprint, lambda word: progress.phase(f"coop {word}"))
@@ -107,17 +105,11 @@ class Children:
         self._servos.wait_ready(READY_TIMEOUT_S)
 
     def _start_agents(self) -> None:
-        for arm in self._cell.arms:
-            self._agents[arm.name] = self._child(f"arm-{arm.name}", self._agent_command(arm.name))
-
-    def _share_cores(self, plant: Child, recorder: Child) -> None:
-        """Once all are there: until then each takes any core, so that a run starts sooner."""
-        cores = cores_of_run(len(self._agents), os.sched_getaffinity(0), os.getpid())
-        members = [(plant, cores.plant), (recorder, cores.rest)]
-        members += zip(self._agents.values(), cores.arms, strict=True)
-        members += ((telemetry, cores.rest) for telemetry in self._telemetry.values())
-        for child, own in members:
-            keep_to(child.process.pid, own)
+        cores = cores_of_arms(len(self._cell.arms), os.sched_getaffinity(0))
+        for arm, own in zip(self._cell.arms, cores, strict=True):
+            child = self._agents[arm.name] = self._child(f"arm-{arm.name}", self._agent_command(arm.name))
+            if self._lockstep:
+                keep_to(child.process.pid, own)
 
     def _together(self) -> contextlib.AbstractContextManager[None]:
         """For processes that wait for each other all the time, and that no network reaches."""
