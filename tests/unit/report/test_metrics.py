@@ -128,16 +128,17 @@ def test_plant_that_began_before_the_trajectory_is_matched_by_a_common_clock(com
     assert any(f"matched by {common}" in text for text in results.missing)
 
 
-def test_an_arm_that_missed_cycles_is_matched_by_its_clock() -> None:
+@pytest.mark.parametrize("arm", ["left", "right"])
+def test_an_arm_that_missed_cycles_is_matched_by_its_clock(arm: str) -> None:
     """Its rows are numbered one after the other, so that from the first cycle that it missed on they are of others."""
     log, missed = small_run(), 4
     for rows in (*log.agents.values(), log.plant):
         for field in ("p_object", "p_object_des"):
             if field in rows.dtype.names:
                 rows[field][:, 0] = 0.01 * np.arange(TICKS)
-    late = np.delete(log.agents["left"], slice(TICKS - 50, TICKS - 50 + missed))
+    late = np.delete(log.agents[arm], slice(TICKS - 50, TICKS - 50 + missed))
     late["sequence"] = np.arange(len(late))
-    log.agents["left"] = late
+    log.agents[arm] = late
     results = summarise(log)
     assert results.headline("max_position_error_m") == 0.0
     assert results.arm_disagreement_m == 0.0
