@@ -132,19 +132,19 @@ class Runner:
             cycles.fresh(deadline_ns)
             if self._outcome is None:
                 cycles.first(self._clock.now_ns())
-            happened |= self._act(state, late_ns, begin_ns)
+            found = self._act(state, late_ns, begin_ns)
         else:
-            happened |= self._go_blind(deadline_ns, bus)
+            found = self._go_blind(deadline_ns, bus)
+        happened = happened | found if found else happened  # combining takes 1 µs, and mostly there is nothing
         self._around.heartbeat()
         if schedule.hold_at_end and self._mode is Mode.TRACK and self._ticks.past_end(deadline_ns + period_ns):
             happened |= Event.STOP
         if self._mode is Mode.READY and self._may_start() and self._started(deadline_ns):
             happened |= Event.STARTED
-        late = late_ns > period_ns
-        self._late_cycles += late
+        self._late_cycles += late_ns > period_ns
         self._ticks.deadline_ns += period_ns
         if not schedule.lockstep:
-            happened |= self._skip(deadline_ns, good=state is not None and not late)
+            happened |= self._skip(deadline_ns, good=state is not None and late_ns <= period_ns)
         if self._session is not None:
             seen = cycles.without_state(deadline_ns) <= schedule.patience.hold
             happened = self._judged(self._session, happened, seen=seen)

