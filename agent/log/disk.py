@@ -18,7 +18,7 @@ class Sink:
         self.position = 0
         self.good = 0
 
-    def write(self, data: bytes) -> None:
+    def write(self, data: bytes | bytearray) -> None:
         """All of it.  Raises OSError."""
         view = memoryview(data)
         while view:

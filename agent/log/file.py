@@ -30,6 +30,10 @@ FLUSH_S: Final = 0.25
 MIN_FREE_BYTES: Final = 64 << 20
 
 
+def _nothing() -> None:
+    """Where nothing waits."""
+
+
 class LogFileError(Refusal):
     """The log cannot be written where it was asked for."""
 
@@ -65,6 +69,7 @@ class LogFile:
         self.failure: str | None = None
         self.nearly_full = False  # there is just room enough to finish
         self.lost: Counter[int] = Counter()  # messages by channel that came and are not in the file
+        self.before_flush: Callable[[], None] = _nothing  # writes what waits to be written
         self._open = True
         self._schemas: dict[str, int] = {}
         self._channel_count = 0
@@ -142,6 +147,7 @@ class LogFile:
             return
         self._flushed_s = now_s
         try:
+            self.before_flush()
             if self._unsafe:
                 self._flush()
             if self._syncer.error is not None:
@@ -152,6 +158,7 @@ class LogFile:
 
     def finish(self, metadata: Mapping[str, Mapping[str, str]]) -> bool:
         """Write the last metadata and the index, and close; False when the file has failed."""
+        self.before_flush()
         if self._open:
             try:
                 self._finish(metadata)

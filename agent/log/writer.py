@@ -52,7 +52,9 @@ Numbers = NDArray[np.integer[Any]]
 class BatchWriter:
     """One file.  `write` takes bytes in their order; what it raises leaves the writer unusable."""
 
-    def __init__(self, write: Callable[[bytes], object], *, chunk_bytes: int = CHUNK_BYTES, level: int = LEVEL) -> None:
+    def __init__(
+        self, write: Callable[[bytes | bytearray], object], *, chunk_bytes: int = CHUNK_BYTES, level: int = LEVEL
+    ) -> None:
         self._sink = write
         self._position = 0
         self._crc = 0
@@ -150,12 +152,13 @@ class BatchWriter:
             )
         )  # fmt: skip
         self._write(packed)
-        index_at, offsets = self._position, {}
+        index_at, index, offsets = self._position, bytearray(), {}
         for channel, entries in chunk.index().items():
-            offsets[channel] = self._position
+            offsets[channel] = index_at + len(index)
             self._counts[channel] += len(entries)
-            self._write(_INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + entries.nbytes, channel, entries.nbytes))
-            self._write(entries.tobytes())
+            index += _INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + entries.nbytes, channel, entries.nbytes)
+            index += entries.tobytes()
+        self._write(index)
         self._chunks.append(
             ChunkIndex(
                 chunk_length=index_at - at, chunk_start_offset=at, compression=COMPRESSION, compressed_size=len(packed),
@@ -208,7 +211,7 @@ class BatchWriter:
         """Into the chunk in progress, which holds what its messages need."""
         self._chunk.reserve(len(encoded))[...] = np.frombuffer(encoded, np.uint8)
 
-    def _write(self, data: bytes) -> int:
+    def _write(self, data: bytes | bytearray) -> int:
         self._sink(data)
         self._crc = zlib.crc32(data, self._crc)
         self._position += len(data)

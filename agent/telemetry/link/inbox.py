@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import queue
 import threading
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable
 from typing import Final
 
@@ -17,6 +16,9 @@ from agent.telemetry.row import topics
 
 INBOX_BYTES_MAX: Final = 256 << 20
 BATCH_BYTES_MAX: Final = 1 << 18
+MUCH_BYTES: Final = 1 << 20  # so much does not wait to be fetched together with what follows
+
+Message = tuple[str, bytes, bytes]  # key, payload, attachment
 
 
 class Inbox:
@@ -25,9 +27,10 @@ class Inbox:
     def __init__(self, keys: frozenset[str]) -> None:
         self._keys = keys
         # Not SimpleQueue: a signal that comes as its timeout ends makes it wait for ever (CPython 3.11, measured here).
-        self._queue: queue.Queue[tuple[str, bytes, bytes]] = queue.Queue()
-        self._lock = threading.Lock()
+        self._messages: deque[Message] = deque()
+        self._lock = threading.Condition(threading.Lock())
         self._bytes = 0
+        self._pressing = False  # there is much, or the end of something
         self._rejected: Counter[Rejection] = Counter()
         self._refused: Counter[str] = Counter()  # by known key
         self.overflowed = 0
@@ -53,17 +56,25 @@ class Inbox:
                 return
             self._bytes += size
         assert attachment is not None
-        self._queue.put((key, sample.payload.to_bytes(), attachment.to_bytes()))
-
-    def get(self, timeout_s: float) -> tuple[str, bytes, bytes] | None:
-        """The next message: key, payload, attachment; None when none has come in time."""
-        try:
-            item = self._queue.get(timeout=timeout_s) if timeout_s > 0 else self._queue.get_nowait()
-        except queue.Empty:
-            return None
+        message = key, sample.payload.to_bytes(), attachment.to_bytes()
         with self._lock:
-            self._bytes -= len(item[1])
-        return item
+            self._messages.append(message)
+            if not self._pressing and (not size or self._bytes >= MUCH_BYTES):
+                self._pressing = True
+                self._lock.notify()
+
+    def take(self, most: int, wait_s: float = 0.0) -> list[Message]:
+        """The next messages, at most so many: what has come when `wait_s` is over, or before when it presses.
+
+        Waking for each message costs more than what is in it.
+        """
+        with self._lock:
+            if not self._pressing and wait_s > 0.0:
+                self._lock.wait(wait_s)
+            taken = [self._messages.popleft() for _ in range(min(most, len(self._messages)))]
+            self._bytes -= sum(len(payload) for _, payload, _ in taken)
+            self._pressing = bool(self._messages)
+        return taken
 
     def rejected(self) -> Counter[Rejection]:
         """How many messages were kept out since the counts were taken, by reason."""

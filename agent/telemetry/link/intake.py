@@ -12,6 +12,7 @@ from enum import Enum
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from agent.telemetry.link.stream import Stream
 from agent.telemetry.link.wire import BatchHeader, End, seal_of
@@ -51,6 +52,15 @@ STRANGE: Final = frozenset(Rejection) - {
 }  # somebody else's, or a mistake
 
 
+def _constants(config_id: int, joints: int | None) -> list[tuple[str, int, Rejection]]:
+    """Fields that are the same in every row of a member, with what they are; joints: None of the plant."""
+    found = [
+        ("encapsulation", CDR_LITTLE_ENDIAN, Rejection.WRONG_ENCAPSULATION),
+        ("config_id", config_id, Rejection.WRONG_CONFIG),
+    ]
+    return found if joints is None else [*found, ("joint_count", joints, Rejection.WRONG_JOINTS)]
+
+
 class Intake:
     """All streams of a cell."""
 
@@ -58,14 +68,13 @@ class Intake:
         self, cell: str, arms: Mapping[str, int], *, has_plant: bool, config_id: int, fingerprint: str = ""
     ) -> None:
         """`arms`: joint count by arm name; `fingerprint`: what every publisher of the cell must have."""
-        self._arms = dict(arms)
-        self._config_id = config_id
         self.rejected: Counter[Rejection] = Counter()
         members = [*arms, PLANT] if has_plant else [*arms]
         addresses = [Address(cell, member, kind) for member in members for kind in PUBLISHED]
         self.streams = {a.key: Stream(a) for a in addresses}
         layouts = {member: PLANT_STATE if member == PLANT else AGENT_STATE for member in members}
         self._dtypes = {member: layout.dtype for member, layout in layouts.items()}
+        self._constants = {member: _constants(config_id, arms.get(member)) for member in members}
         self._seals = {member: seal_of(cell, fingerprint, member, layout) for member, layout in layouts.items()}
         self._rows_of = {a.member: self.streams[a.key] for a in addresses if a.kind is Kind.STATE}
         self._stream: Stream | None = None  # that the present message is for
@@ -99,20 +108,24 @@ class Intake:
         if len(payload) % dtype.itemsize or (not payload and header.end is End.OPEN):
             return self._reject(Rejection.WRONG_LENGTH)
         rows = np.frombuffer(payload, dtype)
-        if np.count_nonzero(rows["encapsulation"] != CDR_LITTLE_ENDIAN):  # several times as fast as any()
-            return self._reject(Rejection.WRONG_ENCAPSULATION)
-        if np.count_nonzero(rows["config_id"] != self._config_id):
-            return self._reject(Rejection.WRONG_CONFIG)
-        if member in self._arms and np.count_nonzero(rows["joint_count"] != self._arms[member]):
-            return self._reject(Rejection.WRONG_JOINTS)
-        if header.first + len(rows) > header.written or (len(rows) and not stream.follows(header, rows)):
+        if why := self._wrong(member, rows):
+            return self._reject(why)
+        sequences: list[int] = rows["sequence"].tolist()
+        if header.first + len(rows) > header.written or not stream.follows(header, sequences):
             return self._reject(Rejection.WRONG_ORDER)
         if header.source != stream.source and not self._turn(stream, header.source, now_s):
             return []
         new = stream.note(header, len(rows))
-        if len(rows):
-            stream.note_sequences(header.first, rows)
+        if sequences:
+            stream.note_sequences(header.first, sequences)
         return [Rows(stream.address, rows[a - header.first : b + 1 - header.first]) for a, b in new]
+
+    def _wrong(self, member: str, rows: NDArray[np.void]) -> Rejection | None:
+        """What in any of the rows is not as it must be."""
+        for name, value, why in self._constants[member]:
+            if rows[name].tolist().count(value) != len(rows):  # a quarter of what comparing the array costs
+                return why
+        return None
 
     def _turn(self, stream: Stream, source: int, now_s: float) -> bool:
         """Whether the rows of another source than the present one go into this log from now on."""

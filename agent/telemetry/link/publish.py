@@ -28,7 +28,7 @@ from agent.telemetry.link.sender import LockstepPauses, Sender
 from agent.telemetry.link.session import Network, has_link, open_session
 from agent.telemetry.link.source import HEALTH_KEPT, RowSource, TextSource
 from agent.telemetry.link.status import StatusQuery
-from agent.telemetry.link.wire import End, Sent, seal_of
+from agent.telemetry.link.wire import BATCH_BYTES_MAX, LOCKSTEP_BATCH_BYTES_MAX, End, Sent, seal_of
 from agent.telemetry.ring.file import RingError
 from agent.telemetry.ring.reader import RingReader
 from agent.telemetry.ring.texts import TextReader, texts_path
@@ -44,7 +44,8 @@ _STATUS_S: Final = {False: 0.25, True: 0.0}  # in lockstep in every cycle
 _LINGER_S: Final = 10.0  # for a recorder that is there and says nothing
 _WINDOW_ROWS: Final = 4096  # lockstep: rows on their way at most
 _CACHE_S: Final = 20.0  # at 30 batches/s; "cache depth ≥ 10 s"
-_CACHE_BATCHES: Final = round(_CACHE_S * 30)
+_CACHE_BATCHES: Final = {False: round(_CACHE_S * 30), True: 4}  # in lockstep the ring keeps what is not acknowledged
+_BATCH_BYTES: Final = {False: BATCH_BYTES_MAX, True: LOCKSTEP_BATCH_BYTES_MAX}
 
 
 class Pace(Enum):
@@ -131,7 +132,9 @@ class _Telemetry:
         text_id = int.from_bytes(os.urandom(8), "little") | 1
         self._outbox = {Kind.EVENT: TextSource(text_id), Kind.HEALTH: TextSource(text_id, HEALTH_KEPT)}
         self._senders = {
-            Kind.STATE: Sender(RowSource(reader), window=_WINDOW_ROWS if self._lockstep else None),
+            Kind.STATE: Sender(
+                RowSource(reader, _BATCH_BYTES[self._lockstep]), window=_WINDOW_ROWS if self._lockstep else None
+            ),
             Kind.EVENT: Sender(self._outbox[Kind.EVENT], window=None),
             Kind.HEALTH: Sender(self._outbox[Kind.HEALTH], window=None),
         }
@@ -294,7 +297,7 @@ def _publisher(session: zenoh.Session, address: Address, lockstep: bool) -> zeno
         address.key,
         encoding=zenoh.Encoding.APPLICATION_CDR if address.kind is Kind.STATE else zenoh.Encoding.APPLICATION_JSON,
         congestion_control=zenoh.CongestionControl.BLOCK if lockstep else zenoh.CongestionControl.DROP,
-        cache=zenoh.ext.CacheConfig(max_samples=_CACHE_BATCHES),
+        cache=zenoh.ext.CacheConfig(max_samples=_CACHE_BATCHES[lockstep]),
         sample_miss_detection=zenoh.ext.MissDetectionConfig(heartbeat=0.5),  # type: ignore[call-arg]
         publisher_detection=True,
     )

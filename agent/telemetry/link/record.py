@@ -28,7 +28,7 @@ from agent.telemetry.row import topics
 from agent.telemetry.row.event import Event, Level
 from agent.telemetry.row.received import Rows, Text
 
-_WAIT_S: Final = 0.02
+_WAIT_S: Final = 0.05
 _DRAIN_MAX: Final = 64  # batches between two looks at the clock
 _STATUS_S: Final = 0.005  # the status is made anew at most this often
 _LEFT_OUT_S: Final = 1.0  # what was left out is told at most this often
@@ -138,15 +138,9 @@ class _Recorder:
         return Listening(session, self._cell, self._inbox, lambda: self._status, self._count_missed)
 
     def step(self, timeout_s: float) -> None:
-        """Wait for a message, take what is there, flush when it is time."""
-        item = self._inbox.get(timeout_s)
-        for _ in range(_DRAIN_MAX):
-            if item is None:
-                break
-            self._take(*item)
-            item = self._inbox.get(0.0)
-        if item is not None:
-            self._take(*item)
+        """Take what has come when the time is over, or before when it is much; flush when it is time."""
+        for message in self._inbox.take(_DRAIN_MAX, timeout_s):
+            self._take(*message)
         now_s = time.monotonic()
         self._log.tick(now_s)
         self._tell_of_strangers(now_s)
@@ -162,8 +156,9 @@ class _Recorder:
 
     def drain(self) -> None:
         """Take what is still in the inbox."""
-        while (item := self._inbox.get(0.0)) is not None:
-            self._take(*item)
+        while messages := self._inbox.take(_DRAIN_MAX):
+            for message in messages:
+                self._take(*message)
 
     def finish(self) -> Mapping[str, str]:
         """End the last file; returns its last metadata record.  Safe twice: the first time counts."""

@@ -16,7 +16,7 @@ from agent.telemetry.link.wire import BatchHeader, End, StreamStatus
 RESEND_AFTER_S: Final = 1.0  # Zenoh's recovery needs less
 RESEND_AFTER_MAX_S: Final = 8.0
 RESEND_BATCHES_MAX: Final = 256  # between two signs that they help
-LOCKSTEP_PAUSE_S: Final = 0.06  # each look costs the run CPU time
+LOCKSTEP_PAUSE_S: Final = 0.1  # each look costs the run CPU time
 PRESSING_PAUSE_S: Final = 0.005
 
 

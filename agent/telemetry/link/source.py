@@ -41,10 +41,11 @@ class Source(Protocol):
 class RowSource:
     """The rows of a ring.  A writer that died counts as an end: its ring is the black box."""
 
-    def __init__(self, reader: RingReader) -> None:
+    def __init__(self, reader: RingReader, batch_bytes: int = BATCH_BYTES_MAX) -> None:
+        """`batch_bytes`: of one publication at most, but for a row that is larger."""
         self._reader = reader
         self.source_id = reader.header.ring_id
-        self.batch_max = max(1, BATCH_BYTES_MAX // reader.header.row_bytes)
+        self.batch_max = max(1, batch_bytes // reader.header.row_bytes)
 
     @property
     def written(self) -> int:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
+from operator import lt
 from typing import Final
-
-import numpy as np
-from numpy.typing import NDArray
 
 from agent.telemetry.link.coverage import Coverage, count_of
 from agent.telemetry.link.wire import RANGES_MAX, BatchHeader, End, StreamStatus
@@ -80,19 +79,18 @@ class Stream:
         self.since, self.here, self.duplicates, self._missed_before = self.have.end, 0, 0, self.missed
         self.refused = 0
 
-    def note_sequences(self, first: int, rows: NDArray[np.void]) -> None:
+    def note_sequences(self, first: int, sequences: Sequence[int]) -> None:
         """Remember the sequence numbers at the edges of what came."""
-        self._sequence_at[first] = int(rows[0]["sequence"])
-        self._sequence_at[first + len(rows) - 1] = int(rows[-1]["sequence"])
+        self._sequence_at[first] = sequences[0]
+        self._sequence_at[first + len(sequences) - 1] = sequences[-1]
         if len(self._sequence_at) > _EDGES_MAX:
             edges = {n for r in self.have.ranges for n in r}
             self._sequence_at = {n: s for n, s in self._sequence_at.items() if n in edges}
 
-    def follows(self, header: BatchHeader, rows: NDArray[np.void]) -> bool:
+    def follows(self, header: BatchHeader, sequences: Sequence[int]) -> bool:
         """Whether the sequence numbers go up, within the rows and from the row before them."""
-        sequence = rows["sequence"]
         before = self._sequence_at.get(header.first - 1, -1) if header.source == self.source else -1
-        return not np.count_nonzero(sequence[1:] <= sequence[:-1]) and before < int(sequence[0])
+        return all(map(lt, (before, *sequences), sequences))
 
     def told(self, lost: int, *, continued: bool) -> dict[str, str]:
         """What of it is in the present log, and what is not and why; continued: another log takes up from here."""

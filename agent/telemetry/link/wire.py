@@ -18,6 +18,7 @@ _MAGIC: Final = b"CB3\0"
 _HEADER: Final = struct.Struct("<4sI16sQQQQQI")  # magic end seal run source first written missed crc
 _SEAL_BYTES: Final = 16
 BATCH_BYTES_MAX: Final = 60_000  # a Zenoh batch is 64 KiB: larger payloads are cut and, when one piece is dropped, lost
+LOCKSTEP_BATCH_BYTES_MAX: Final = 240_000  # where nothing is dropped on its way to the recorder pieces do no harm
 RANGES_MAX: Final = 16
 
 

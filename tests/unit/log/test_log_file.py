@@ -13,10 +13,13 @@ from io import BytesIO
 from pathlib import Path
 
 import pytest
+from mcap.reader import make_reader
 
 from agent.log.file import LogFile, LogFileError
 from agent.log.read import read_log
 from agent.log.scan import LogScan
+from agent.log.writer import CHUNK_BYTES
+from agent.telemetry.row.topics import PLANT
 from tests.support.telemetry.log_maker import RUN_JSON, LogMaker, make_log
 from tests.support.telemetry.telemetry_cell import make_rows
 
@@ -148,3 +151,35 @@ def test_no_descriptor_and_no_thread_is_left(tmp_path: Path) -> None:
     for i in range(3):
         assert create(tmp_path / f"{i}.mcap").finish({})
     assert (set(Path("/proc/self/fd").iterdir()), threading.active_count()) == before
+
+
+def test_of_rows_that_come_two_chunks_at_most_are_not_on_the_disk(tmp_path: Path) -> None:
+    rows, maker = make_rows("left", 900), LogMaker(tmp_path / "run.mcap", has_plant=False)
+    for i in range(0, 900, 20):
+        maker.write("left", rows[i : i + 20])
+    kept = read_log(tmp_path / "run.mcap").agents["left"]
+    assert (900 - len(kept)) * rows.itemsize <= 2 * CHUNK_BYTES
+    assert maker.finish()
+
+
+def test_a_log_says_the_same_however_many_rows_come_at_a_time(tmp_path: Path) -> None:
+    said = []
+    for batch in (1, 7, 400):
+        maker = LogMaker(tmp_path / f"{batch}.mcap")
+        for i in range(0, 400, batch):
+            for member in ("left", "right", PLANT):
+                maker.write(member, make_rows(member, 400)[i : i + batch])
+        assert maker.finish()
+        with (tmp_path / f"{batch}.mcap").open("rb") as file:
+            found = make_reader(file, validate_crcs=True).iter_messages()
+            said.append(sorted((c.topic, m.log_time, m.sequence, m.data) for _, c, m in found))
+    assert said[0] == said[1] == said[2]
+    assert len({topic for topic, *_ in said[0]}) > 8
+
+
+def test_rows_that_wait_for_a_disk_that_is_full_are_counted(tmp_path: Path) -> None:
+    maker = LogMaker(tmp_path / "run.mcap", has_plant=False)
+    with largest_file((tmp_path / "run.mcap").stat().st_size):
+        maker.write("left", make_rows("left", 50))
+        assert not maker.finish()
+    assert maker.channels.rows_lost() == {"left": 50, "right": 0}
