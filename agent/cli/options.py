@@ -87,13 +87,18 @@ def note(text: str) -> None:
 
 @contextmanager
 def uncollected() -> Iterator[None]:
-    """Without looking for garbage: what a command loads and computes in a second makes hardly any."""
+    """Without looking for garbage: what a command loads and computes in a second makes hardly any.
+
+    Nor is it looked for at once afterwards: what has been made by then counts as old.
+    """
     enabled = gc.isenabled()
     gc.disable()
     try:
         yield
     finally:
         if enabled:
+            gc.freeze()
+            gc.unfreeze()  # into the oldest generation
             gc.enable()
 
 
