@@ -10,8 +10,8 @@ import numpy as np
 
 from agent.config import trajectory as motion
 from agent.config.cell import Cell, ConfigError
-from agent.config.schema.cell import DriverKind
 from agent.config.schema.controller import ControllerKind
+from agent.config.schema.driver import DriverKind
 from agent.control.errors import attitude_error
 from agent.control.models import ArmModel, ModelError
 from agent.verify.adaptive import examine_adaptation

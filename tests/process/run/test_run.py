@@ -34,7 +34,7 @@ def ours(token: str) -> list[psutil.Process]:
     found = []
     for process in psutil.process_iter(["cmdline"]):
         line = " ".join(process.info["cmdline"] or [])
-        if "agent.cli" in line and token in line and process.pid != os.getpid():
+        if ("agent.cli" in line or "agent.process" in line) and token in line and process.pid != os.getpid():
             found.append(process)
     return found
 
