@@ -150,7 +150,7 @@ _KINDS: dict[str, type[ChildCommand]] = {
 
 
 def read(words: Sequence[str]) -> ChildCommand:
-    """The command whose `argv` these words are.  Raises LookupError, ValueError, TypeError for words that are of none."""
+    """The command whose `argv` these words are.  Raises LookupError, ValueError or TypeError for words of none."""
     verb, cell, *options = words
     kind = _KINDS[verb]
     types, given = get_type_hints(kind), {"cell": Path(cell)} | _unsaid(kind)
