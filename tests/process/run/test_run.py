@@ -179,7 +179,9 @@ def test_the_agents_of_a_lockstep_run_keep_to_distinct_cores_and_nothing_else_do
 def test_only_what_no_network_reaches_gives_up_its_random_layout(stopped: Stopped) -> None:
     with one_memory_layout():
         permitted = has_fixed_layout(os.getpid())
-    expected = {"process plant": permitted, "process record": False, "process telemetry": False} | dict.fromkeys(ARMS, permitted)
+    expected = {"process plant": permitted, "process record": False, "process telemetry": False} | dict.fromkeys(
+        ARMS, permitted
+    )
     assert stopped.fixed_layout == expected
 
 
