@@ -42,7 +42,7 @@ def check(cell: CellPath, overrides: Overrides = [], as_json: AsJson = False) ->
 
 def _check(cell: Path, overrides: list[str], as_json: bool) -> None:
     from agent.config.cell import load_cell
-    from agent.config.schema.cell import DriverKind
+    from agent.config.schema.driver import DriverKind
     from agent.verify.check import examine
 
     loaded = load_cell(cell, overrides)

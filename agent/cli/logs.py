@@ -21,9 +21,9 @@ from agent.cli.options import (
     console,
     note,
     print_json,
-    ready,
 )
 from agent.cli.progress import Steps
+from agent.host.starting import ready
 
 if TYPE_CHECKING:
     from agent.log.read import AnyLog

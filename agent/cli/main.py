@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import os
 import sys
 from collections.abc import Callable, Sequence
 from functools import cache
@@ -33,15 +32,10 @@ from agent.cli import (
 )
 from agent.cli.help import Commands
 from agent.cli.where import where
+from agent.host.starting import of_host, settle
 
 PROGRAM = "coop"
 USAGE = 2  # exit code of a command line that says nothing `coop` understands
-GARBAGE_AFTER = 50_000  # new objects, of which the interpreter looks for cycles; a start makes hundreds of thousands
-SETTINGS = {  # of libraries, read when they are loaded, where a person has not said otherwise
-    "OPENBLAS_NUM_THREADS": "1",  # our matrices are small
-    "OMP_NUM_THREADS": "1",
-    "PYDANTIC_DISABLE_PLUGINS": "__all__",  # or the first model looks through all that is installed for some
-}
 
 GROUPS: dict[str, tuple[Callable[..., None], ...]] = {
     "Simulate and examine": (make.new, run.run, cells.check, cells.tune, cells.schema, study.study),
@@ -123,9 +117,7 @@ def _command(first: str) -> Callable[..., object]:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Entry point: ends the process; a Refusal is one line for a person and an exit code for a script."""
-    for setting, value in SETTINGS.items():
-        os.environ.setdefault(setting, value)
-    gc.set_threshold(GARBAGE_AFTER)
+    settle()
     code = dispatch(arguments)
     gc.freeze()  # or the interpreter looks for garbage in all that is there before it ends: a tenth of a short command
     sys.exit(code)
@@ -142,10 +134,7 @@ def dispatch(arguments: Sequence[str] | None = None) -> int:
     except typer.TyperException as error:
         return _usage(error)
     except OSError as error:
-        found = f"found {error.strerror or error}"
-        if error.filename is None:
-            return _refuse(f"this host: {found}, expected it to do what was asked; see what it is short of", USAGE)
-        return _refuse(f"{error.filename}: {found}, expected a path that can be used; name another", USAGE)
+        return _refuse(of_host(error), USAGE)
     except Exception as error:
         from drivers.interface import Refusal  # numpy with it, which `coop --help` has no need of
 

@@ -8,7 +8,6 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -52,27 +51,11 @@ Force = Annotated[bool, typer.Option("--force", help="Replace what is there.")]
 WIDTH_ELSEWHERE = 240  # columns where there is no terminal, so that no word of a table is cut
 
 
-class DriverName(StrEnum):
-    """What moves the arm."""
-
-    SIM = "sim"
-    DYNAMIXEL = "dynamixel"
-
-
 def begin(with_parent: bool) -> StopFlag:
     """Catch requests to stop before anything is opened."""
-    from agent.host.signals import StopFlag, die_with_parent
+    from agent.host import signals
 
-    requested = StopFlag()
-    if with_parent:
-        die_with_parent()
-    return requested
-
-
-def ready(what: str) -> None:
-    """Tell the parent that this process is ready, and what it needs to know."""
-    sys.stdout.write(f"READY {what}\n")
-    sys.stdout.flush()
+    return signals.begin(with_parent)
 
 
 def asked_yes(question: str) -> bool:
@@ -87,13 +70,18 @@ def note(text: str) -> None:
 
 @contextmanager
 def uncollected() -> Iterator[None]:
-    """Without looking for garbage: what a command loads and computes in a second makes hardly any."""
+    """Without looking for garbage: what a command loads and computes in a second makes hardly any.
+
+    Nor is it looked for at once afterwards: what has been made by then counts as old.
+    """
     enabled = gc.isenabled()
     gc.disable()
     try:
         yield
     finally:
         if enabled:
+            gc.freeze()
+            gc.unfreeze()  # into the oldest generation
             gc.enable()
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -13,19 +12,14 @@ from agent.cli.options import (
     DEFAULT_ENDPOINT,
     ROS_ROUTER,
     CellPath,
-    DriverName,
     NetworkConfig,
     WithParent,
     begin,
-    ready,
+    note,
 )
-
-
-class AfterLoss(StrEnum):
-    """What the simulated cell does when the agent of an arm is gone."""
-
-    END = "end"
-    LIMP = "limp"
+from agent.config.schema.driver import DriverKind
+from agent.host.starting import ready
+from agent.process.commands import AfterLoss
 
 
 def plant(
@@ -39,21 +33,16 @@ def plant(
     with_parent: WithParent = False,
 ) -> None:
     """Run the simulated cell that the agents' simulated drivers connect to."""
-    from agent.config.cell import load_cell
-    from agent.host.paths import make_runtime_dir, plant_socket_path, ring_path
-    from agent.process.plant import run_plant
-    from agent.telemetry.row.topics import PLANT
-    from sim_backend.served.options import LostArm
+    from agent.process.commands import PlantCommand
+    from agent.process.started import Person
+    from agent.process.started import plant as run
 
-    requested = begin(with_parent)
-    loaded = load_cell(cell)
-    name = loaded.file.name
-    if ring is None or socket is None:
-        make_runtime_dir(name)
-    where = socket or plant_socket_path(name), ring or ring_path(name, PLANT)
-    loss = LostArm.GO_LIMP if lost_arm is AfterLoss.LIMP else LostArm.END_RUN
-    line = run_plant(loaded, *where, lockstep=not real_time, lost_arm=loss, stop=requested, ready=ready)
-    typer.echo(line, err=True)
+    run(
+        PlantCommand(
+            cell=cell, socket=socket, ring=ring, real_time=real_time, lost_arm=lost_arm, with_parent=with_parent
+        ),
+        Person(note),
+    )
 
 
 def emulate(
@@ -68,30 +57,17 @@ def emulate(
     with_parent: WithParent = False,
 ) -> None:
     """Emulated Dynamixel servos of the cell's arms on pseudo terminals, for any Dynamixel client."""
-    from agent.atomic import make_folder
-    from agent.config.cell import load_cell
-    from agent.host.paths import make_runtime_dir, ring_path
-    from agent.process.emulate import about_the_object, gripping, run_emulate, run_emulate_alone
-    from agent.process.whole import at_rest
-    from agent.telemetry.row.topics import PLANT
-    from sim_backend.wire.serve import ServeOptions
+    from agent.process.commands import EmulateCommand
+    from agent.process.started import Person
+    from agent.process.started import emulate as run
 
-    requested = begin(with_parent)
-    loaded = load_cell(cell)
-    make_folder(ports)
-    name = loaded.file.name
-    floating = loaded.file.floating
-    alone = loaded.file.hil is not None or (floating is not None and not floating.holding)
-    if ring is None and not alone:
-        make_runtime_dir(name)
-    options = ServeOptions({arm.name: ports / arm.name for arm in loaded.arms}, faults, control, seed)
-    if alone:
-        typer.echo(run_emulate_alone(loaded, options, timing=not no_timing, stop=requested, ready=ready), err=True)
-        return
-    where = ring or ring_path(name, PLANT)
-    begins = at_rest if whole else gripping if floating is None else about_the_object
-    run = run_emulate(loaded, options, where, timing=not no_timing, stop=requested, ready=ready, begin=begins)
-    typer.echo(run, err=True)
+    run(
+        EmulateCommand(
+            cell=cell, ports=ports, ring=ring, faults=faults, control=control, seed=seed, no_timing=no_timing,
+            whole=whole, with_parent=with_parent,
+        ),
+        Person(note),
+    )  # fmt: skip
 
 
 def telemetry(
@@ -111,32 +87,22 @@ def telemetry(
     network_config: NetworkConfig = None,
     lockstep: Annotated[bool, typer.Option("--lockstep", help="Simulated time waits for this process.")] = False,
     follow: Annotated[bool, typer.Option("--follow", help="Go on with the next run of the arm (service).")] = False,
+    cell_name: Annotated[str | None, typer.Option(hidden=True, help="Of a cell whose files are known.")] = None,
+    fingerprint: Annotated[str | None, typer.Option(hidden=True, help="Of the same.")] = None,
     with_parent: WithParent = False,
 ) -> None:
     """Publish one ring over Zenoh."""
-    from agent.config.files import load_files
-    from agent.host.paths import ring_path
-    from agent.process.telemetry import run_telemetry
-    from agent.telemetry.link.session import Network
+    from agent.process.commands import TelemetryCommand
+    from agent.process.started import Person
+    from agent.process.started import telemetry as run
 
-    requested = begin(with_parent)
-    files = load_files(cell)
-    report = run_telemetry(
-        files,
-        member,
-        ring or ring_path(files.file.name, member),
-        Network(config_file=network_config) if network_config else Network(connect=(connect,)),
-        lockstep=lockstep,
-        follow=follow,
-        stop=requested,
-        ready=ready,
-        say=lambda text: typer.echo(f"{member}: {text}", err=True),
-    )
-    typer.echo(
-        f"{member}: {report.rows_written} rows, {report.rows_lost} lost in the ring, "
-        f"{report.rows_unrecorded} not confirmed by the recorder",
-        err=True,
-    )
+    run(
+        TelemetryCommand(
+            cell=cell, member=member, ring=ring, connect=connect, network_config=network_config, lockstep=lockstep,
+            follow=follow, cell_name=cell_name, fingerprint=fingerprint, with_parent=with_parent,
+        ),
+        Person(note),
+    )  # fmt: skip
 
 
 def record(
@@ -145,7 +111,7 @@ def record(
     out_dir: Annotated[Path, typer.Option(help="Folder for logs when --out is not given.")] = Path("runs"),
     listen: Annotated[str, typer.Option(help="Endpoint to listen on; port 0 takes a free one.")] = DEFAULT_ENDPOINT,
     network_config: NetworkConfig = None,
-    driver: Annotated[DriverName | None, typer.Option(help="What moves the arms, for the log.")] = None,
+    driver: Annotated[DriverKind | None, typer.Option(help="What moves the arms, for the log.")] = None,
     truth: Annotated[bool, typer.Option(help="Expect the truth of a simulated plant.")] = False,
     seed: Annotated[int, typer.Option(help="Seed of the run, for the log.")] = 0,
     split_mb: Annotated[int | None, typer.Option(min=1, help="Go on in another log when one has so many MB.")] = None,
@@ -157,37 +123,20 @@ def record(
     with_parent: WithParent = False,
 ) -> None:
     """Write everything the cell publishes into one MCAP log."""
-    from agent.config.files import load_files
-    from agent.config.schema.cell import DriverKind
-    from agent.host.paths import log_path
-    from agent.log.parts import Limits
-    from agent.process.recorder import described, run_recorder
-    from agent.telemetry.link.session import Network
+    from agent.process.commands import RecordCommand
+    from agent.process.started import Person
+    from agent.process.started import record as run
 
-    requested = begin(with_parent)
-    files = load_files(cell)
-    kind = DriverKind(driver.value) if driver is not None else files.file.driver
-    report = run_recorder(
-        files,
-        out if out is not None else log_path(out_dir, files.file.name),
-        Network(config_file=network_config) if network_config else Network(listen=listen),
-        run_info.read_bytes() if run_info is not None else described(cell, kind, seed),
-        has_plant=truth or kind is DriverKind.SIM,
-        limits=Limits(split_mb and split_mb << 20, split_s, keep_mb and keep_mb << 20),
-        alone=run_info is None,
-        stop=requested,
-        ready=ready,
-    )
-    for path in report.repaired:
-        typer.echo(f"repaired {path}", err=True)
-    for path in report.logs[1:]:
-        typer.echo(f"went on in {path}", err=True)
-    for key, count in report.completeness.items():
-        if key.startswith("rejected."):
-            typer.echo(f"left out {count} messages: {key.removeprefix('rejected.').replace('_', ' ')}", err=True)
-    typer.echo(f"{report.path}: {'complete' if report.complete else 'INCOMPLETE'} {report.failure or ''}", err=True)
-    if report.failure:
-        raise typer.Exit(4)
+    code = run(
+        RecordCommand(
+            cell=cell, out=out, out_dir=out_dir, listen=listen, network_config=network_config, driver=driver,
+            truth=truth, seed=seed, split_mb=split_mb, split_s=split_s, keep_mb=keep_mb, run_info=run_info,
+            with_parent=with_parent,
+        ),
+        Person(note),
+    )  # fmt: skip
+    if code:
+        raise typer.Exit(code)
 
 
 def ros2(
@@ -196,7 +145,7 @@ def ros2(
     telemetry: Annotated[str, typer.Option(help="Endpoint of the recorder.")] = DEFAULT_ENDPOINT,
     network_config: NetworkConfig = None,
     domain: Annotated[int, typer.Option(envvar="ROS_DOMAIN_ID", min=0, max=232, help="ROS domain.")] = 0,
-    driver: Annotated[DriverName | None, typer.Option(help="What moves the arms.")] = None,
+    driver: Annotated[DriverKind | None, typer.Option(help="What moves the arms.")] = None,
     truth: Annotated[bool, typer.Option(help="Expect the truth of a simulated plant.")] = False,
     clock: Annotated[
         bool | None, typer.Option("--clock/--no-clock", help="Publish /clock; as a rule when the cell is simulated.")
@@ -205,7 +154,6 @@ def ros2(
 ) -> None:
     """Show the cell to ROS 2 viewers, live: standard topics as rmw_zenoh has them, read only."""
     from agent.config.files import load_files
-    from agent.config.schema.cell import DriverKind
     from agent.process.ros import run_ros
     from agent.telemetry.link.session import Network, Role
 

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from agent.cli import complete
-from agent.cli.options import DEFAULT_ENDPOINT, Force, NetworkConfig, Overrides, begin, note, ready
+from agent.cli.options import DEFAULT_ENDPOINT, Force, NetworkConfig, Overrides, begin, note
 from agent.cli.progress import Steps
+from agent.host.starting import ready
 
 if TYPE_CHECKING:
     from agent.log.read import AnyLog

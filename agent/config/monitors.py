@@ -11,7 +11,8 @@ those of the start.
 
 from __future__ import annotations
 
-from typing import Final
+from collections.abc import Mapping
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from agent.config.schema.session import Session
 from agent.config.session import rest_joints
 from agent.config.statics import carried_Nm
 from agent.control import ik
+from agent.control.inverse import pseudo_inverse
 from agent.control.models import ArmModel, Kinematics, Matrix
 from agent.monitors.bounds import Bounds, Name
 from drivers.interface import Vector
@@ -36,25 +38,55 @@ SAMPLES: Final = 100  # of the motion
 AHEAD_MAX_RAD: Final = 0.1  # from which the next of them is looked for
 
 
+class _Start(NamedTuple):
+    """An arm with the object at its start."""
+
+    model: ArmModel
+    k: Kinematics
+
+
+class _Shared(NamedTuple):
+    """What the bounds of all arms of a cell are made from."""
+
+    starts: Mapping[str, _Start]  # by arm
+    workspace_m: tuple[tuple[float, float], ...]
+    gravity: Vector  # (6,) N, N·m
+
+
 def bounds(cell: Cell, arm: Arm) -> Bounds:
     """Of one arm.  Raises ConfigError where an arm of the cell cannot reach the object at its start."""
+    return _bounds(cell, arm, _shared(cell))
+
+
+def bounds_of_all(cell: Cell) -> list[Bounds]:
+    """Of every arm, in order.  Raises ConfigError as `bounds` does."""
+    shared = _shared(cell)
+    return [_bounds(cell, arm, shared) for arm in cell.arms]
+
+
+def _shared(cell: Cell) -> _Shared:
+    spec, starts = cell.file.safety.monitors, {arm.name: _start(cell, arm) for arm in cell.arms}
+    workspace_m = spec.workspace_m or _around_motion(cell, spec.workspace_margin_m)
+    return _Shared(starts, workspace_m, spec.gravity_times * _gravity(cell, starts))
+
+
+def _bounds(cell: Cell, arm: Arm, shared: _Shared) -> Bounds:
     spec, file = cell.file.safety.monitors, cell.file
     no_load = np.array([m.no_load_rad_per_s for m in arm.servo_models])
-    model = cell.model(arm).model
-    low = model.lowerPositionLimit + spec.position_margin_rad
-    high = model.upperPositionLimit - spec.position_margin_rad
-    k = _start(cell, arm, cell.model(arm))
+    model, k = shared.starts[arm.name]
+    low = model.model.lowerPositionLimit + spec.position_margin_rad
+    high = model.model.upperPositionLimit - spec.position_margin_rad
     x, y, z = (-file.object.mass_kg * cell.gravity).tolist()
     return Bounds(
         joints=tuple(arm.entry.controlled),
         period_s=1.0 / file.rate_hz,
         watched=frozenset(Name) - frozenset(spec.off),
-        speed_rad_per_s=tuple(_speeds(cell, arm, no_load).tolist()),
+        speed_rad_per_s=tuple(_speeds(cell, arm, model, no_load).tolist()),
         speed_alone_rad_per_s=tuple(_speeds_alone(cell, no_load).tolist()),
         power_W=tuple((spec.power_share * 0.25 * arm.tau_stall_Nm * no_load).tolist()),
         position_rad=tuple(zip(low.tolist(), high.tolist(), strict=True)),
         position_alone_rad=_alone(cell, arm, low, high),
-        workspace_m=spec.workspace_m or _around_motion(cell, spec.workspace_margin_m),
+        workspace_m=shared.workspace_m,
         limited_share=spec.limited_share,
         frozen_rad=spec.frozen_rad,
         frozen_Nm=tuple((FRICTION_TIMES * _friction(arm, k.g + carried_Nm(cell, arm, k))).tolist()),
@@ -63,7 +95,7 @@ def bounds(cell: Cell, arm: Arm) -> Bounds:
         load_time_s=spec.load_time_s,
         load_share_of_weight=arm.entry.load_share,
         object_weight_N=(x, y, z),
-        gravity=tuple((spec.gravity_times * _gravity(cell)).tolist()),
+        gravity=tuple(shared.gravity.tolist()),
         temperature_margin_C=spec.temperature_margin_C,
         voltage_margin_V=spec.voltage_margin_V,
     )
@@ -85,10 +117,10 @@ def _around_motion(cell: Cell, margin_m: float) -> tuple[tuple[float, float], ..
     return tuple(zip(low.tolist(), high.tolist(), strict=True))
 
 
-def _speeds(cell: Cell, arm: Arm, no_load: Vector) -> Vector:
+def _speeds(cell: Cell, arm: Arm, model: ArmModel, no_load: Vector) -> Vector:
     """(n,) rad/s: a share of what the servos can, and what the motion asks for twice over."""
     spec = cell.file.safety.monitors
-    asked = SPEED_TIMES * speeds_of_motion(cell, arm)
+    asked = SPEED_TIMES * speeds_of_motion(cell, arm, model)
     found: Vector = np.minimum(spec.speed_share * no_load + asked, max(FASTEST, spec.speed_share) * no_load)
     return found
 
@@ -100,9 +132,9 @@ def _speeds_alone(cell: Cell, no_load: Vector) -> Vector:
     return found
 
 
-def speeds_of_motion(cell: Cell, arm: Arm) -> Vector:
+def speeds_of_motion(cell: Cell, arm: Arm, model: ArmModel) -> Vector:
     """(n,) rad/s: the largest along the desired motion; as far as the arm can follow it."""
-    model, trajectory, P = cell.model(arm), cell.trajectory(), cell.model(arm).task_basis
+    trajectory, P = cell.trajectory(), model.task_basis
     q, ahead, fastest = np.array(arm.entry.q_near_rad), np.zeros(model.n), np.zeros(model.n)
     times = np.linspace(0.0, min(trajectory.period_s, cell.file.duration_s), SAMPLES)
     for t in times.tolist():
@@ -111,7 +143,7 @@ def speeds_of_motion(cell: Cell, arm: Arm) -> Vector:
             q = ik.solve(model, placement(desired.p, desired.quat), q + ahead)
         except ik.Unreachable:  # `coop check` refuses the cell for it
             break
-        dq = np.linalg.pinv(model.jacobian(q)) @ (P @ np.array(desired.v))
+        dq = pseudo_inverse(model.jacobian(q)) @ (P @ np.array(desired.v))
         fastest = np.maximum(fastest, np.abs(dq))
         ahead = dq * times[1]
         if np.abs(ahead).max() > AHEAD_MAX_RAD:  # beside a singular pose it leads to other solutions
@@ -119,18 +151,17 @@ def speeds_of_motion(cell: Cell, arm: Arm) -> Vector:
     return fastest
 
 
-def _gravity(cell: Cell) -> Vector:
+def _gravity(cell: Cell, starts: Mapping[str, _Start]) -> Vector:
     """(6,) N, N·m, before `gravity_times`: the same for every arm of the cell."""
-    sizes = [np.linalg.norm(_errors_at_rest(cell, arm), axis=1) for arm in cell.arms]
+    sizes = [np.linalg.norm(_errors_at_rest(cell, arm, starts[arm.name]), axis=1) for arm in cell.arms]
     adaptive = cell.file.controller.kind is ControllerKind.ADAPTIVE
     found: Vector = np.maximum(FLOORS, MARGIN * (ADAPTIVE_TIMES if adaptive else 1.0) * np.max(sizes, axis=0))
     return found
 
 
-def _errors_at_rest(cell: Cell, arm: Arm) -> Matrix:
+def _errors_at_rest(cell: Cell, arm: Arm, start: _Start) -> Matrix:
     """(6, s) what errors within the tolerance make of W at the start: a column each."""
-    model, stated = cell.model(arm), cell.tolerance
-    k = _start(cell, arm, model)
+    (model, k), stated = start, cell.tolerance
     carried = carried_Nm(cell, arm, k)
     torques = [
         (stated.masses * k.g)[:, None],
@@ -147,7 +178,8 @@ def _friction(arm: Arm, held_Nm: Vector) -> Vector:
     return np.array([lifting_Nm(servo, tau) for servo, tau in zip(arm.servos, held_Nm.tolist(), strict=True)])
 
 
-def _start(cell: Cell, arm: Arm, model: ArmModel) -> Kinematics:
+def _start(cell: Cell, arm: Arm) -> _Start:
+    model = cell.model(arm)
     try:
         q = ik.solve(model, cell.T_world_object_start, np.array(arm.entry.q_near_rad))
     except ik.Unreachable as error:
@@ -156,4 +188,4 @@ def _start(cell: Cell, arm: Arm, model: ArmModel) -> Kinematics:
             found=f"a start pose out of reach ({error})", expected="a pose that the arm holds",
             remedy="see `coop check`",
         ) from error  # fmt: skip
-    return model.evaluate(q, np.zeros(model.n))
+    return _Start(model, model.evaluate(q, np.zeros(model.n)))

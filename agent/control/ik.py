@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pinocchio as pin
 
+from agent.control.lapack import dgesv
 from agent.control.models import ArmModel
 from drivers.interface import Vector
 
@@ -28,21 +29,22 @@ def solve(model: ArmModel, T_world_object: pin.SE3, q_near: Vector, tolerance: f
     not reached.
     """
     q = np.array(q_near, dtype=np.float64)
-    P = model.task_basis
+    P, error = model.task_basis, np.zeros(6)
     one, p_wanted, R_wanted = np.eye(len(P)), T_world_object.translation, T_world_object.rotation
     for _ in range(200):
         T, J = model.pose_and_jacobian(q)
-        error = np.concatenate([p_wanted - T.translation, pin.log3(R_wanted @ T.rotation.T)])
-        task_error = P @ error
-        size = math.sqrt(task_error @ task_error)
+        error[:3] = p_wanted - T.translation
+        error[3:] = pin.log3(R_wanted.dot(T.rotation.T))
+        task_error = P.dot(error)
+        size = math.sqrt(task_error.dot(task_error))
         if size < tolerance:
             break
         damping = min(1e-4, size * size) * one
-        try:
-            dq = J.T @ np.linalg.solve(J @ J.T + damping, task_error)
-        except np.linalg.LinAlgError:  # a singular pose near the goal, where the damping is below rounding
+        _, _, x, singular = dgesv(J.dot(J.T) + damping, task_error)
+        if singular:  # a pose near the goal, where the damping is below rounding
             break
-        q += dq * min(1.0, 0.3 / max(float(np.abs(dq).max()), 1e-12))
+        dq = J.T.dot(x)
+        q += dq * min(1.0, 0.3 / max(*map(abs, dq.tolist()), 1e-12))
     distance, angle = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
     if max(distance, angle) > 1e-8:
         raise Unreachable(distance, angle, out_of_task=size < 1e-8)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Final
 
 import numpy as np
 
@@ -10,6 +11,8 @@ from agent.control import lapack
 from agent.control.models import Matrix
 
 _IDENTITY = tuple(np.eye(n, order="F") for n in range(7))  # by the rows of a task space, at most six
+
+SINGULAR: Final = 1e-15  # of the largest singular value: what is no more than rounding
 
 
 class SingularJacobian(ArithmeticError):
@@ -39,3 +42,12 @@ def _invert(A: Matrix) -> Matrix:
     if info != 0 or not math.isfinite(inverse[0, 0]):
         raise SingularJacobian
     return inverse
+
+
+def pseudo_inverse(J: Matrix) -> Matrix:
+    """Pseudo-inverse (n, m) of a Jacobian (m, n), m ≤ n: numpy's to the bit, for half of what its wrappers cost."""
+    U, sigma, Vt = np.linalg.svd(J, full_matrices=False)
+    if not sigma[-1] > SINGULAR * sigma[0]:
+        return np.asarray(np.linalg.pinv(J, rcond=SINGULAR))
+    found: Matrix = Vt.T @ ((1.0 / sigma)[:, None] * U.T)
+    return found

@@ -10,6 +10,7 @@ and the rotation about its normal, by an orthonormal basis P (3, 6); with six jo
 
 from __future__ import annotations
 
+import functools
 import struct
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -170,8 +171,12 @@ class ArmModel:
         return B
 
 
+@functools.lru_cache(maxsize=8)  # arms of one kind, and one arm again and again
 def _parsed(urdf_xml: str) -> pin.Model:
-    """Model of the whole URDF.  Raises ModelError for a text that is none, or with joints of more than one angle."""
+    """Model of the whole URDF, which nobody changes.
+
+    Raises ModelError for a text that is none, or with joints of more than one angle.
+    """
     try:
         full = pin.buildModelFromXML(urdf_xml)
     except (ValueError, RuntimeError) as error:

@@ -17,7 +17,7 @@ from agent.around import LoopLog, RunSummary, Surroundings
 from agent.config import monitors
 from agent.config.cell import Arm, Cell
 from agent.config.reality import reality_of
-from agent.config.schema.cell import DriverKind
+from agent.config.schema.driver import DriverKind
 from agent.config.schema.reality import ArmReality, Reality
 from agent.config.servo_map import arm_map
 from agent.faults.plan import FaultPlanError, Injection, Kind, Target, on_the_wire

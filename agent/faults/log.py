@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.config.schema.cell import DriverKind
+from agent.config.schema.driver import DriverKind
 from agent.faults.bench import ArmRun, Rehearsal
 from agent.host.info import attachments
 from agent.log.channels import LogChannels

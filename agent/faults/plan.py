@@ -12,7 +12,7 @@ from typing import Annotated, Any, Final
 from pydantic import AfterValidator, Field, ValidationError
 
 from agent.config.files import CellFiles
-from agent.config.schema.cell import DriverKind
+from agent.config.schema.driver import DriverKind
 from agent.config.schema.types import Name, Strict, wrong
 from drivers.interface import Refusal
 from sim_backend.wire import faults as wire

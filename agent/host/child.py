@@ -31,7 +31,7 @@ class Child:
         self._received = b""
         with self.log.open("wb") as log:
             self.process = subprocess.Popen(
-                [sys.executable, "-m", "agent.cli", *arguments],
+                [sys.executable, "-m", "agent.process", *arguments],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=log,

@@ -35,6 +35,14 @@ class StopFlag:
         return self.stopped
 
 
+def begin(with_parent: bool) -> StopFlag:
+    """Catch requests to stop before anything is opened."""
+    requested = StopFlag()
+    if with_parent:
+        die_with_parent()
+    return requested
+
+
 def die_with_parent() -> None:
     """Ask the kernel for SIGTERM when the parent dies, so that `coop run` never leaves a process behind."""
     if os.getppid() == 1:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from agent.config.files import CellFiles
-from agent.config.schema.cell import DriverKind
+from agent.config.schema.driver import DriverKind
 from agent.pki.certificates import Leaf, PkiError, expiry, hosts, make_authority, sign
 from agent.pki.zenoh import Paths, common_name, member_config, recorder_config
 from agent.telemetry.row.topics import PLANT, RECORDER

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from agent.around import RunSummary, Surroundings
 from agent.config import monitors
 from agent.config.cell import Cell
-from agent.config.schema.cell import DriverKind
+from agent.config.schema.driver import DriverKind
 from agent.config.session import rest_joints
 from agent.guard.guarded import UNGUARDED, Guarded
 from agent.guard.line import GuardError

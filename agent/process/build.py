@@ -9,7 +9,7 @@ from typing import Any
 
 from agent.config.agent import HOLD_RATE_MAX_RAD_PER_S, build_agent
 from agent.config.cell import Arm, Cell
-from agent.config.schema.cell import DriverKind
+from agent.config.schema.driver import DriverKind
 from agent.config.servo_map import arm_map
 from agent.guard.guarded import Guarded
 from agent.process.rehearse import bridge, in_the_loop

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from agent.config.cell import Cell
-from agent.config.schema.cell import DriverKind
+from agent.config.schema.driver import DriverKind
 from agent.host.child import Child
 from agent.host.share import cores_of_arms, keep_to, one_memory_layout
 from agent.operator.words import start_patiently
@@ -157,7 +157,7 @@ class Children:
             control=self._control(arm),
             driver=DriverKind.DYNAMIXEL if wire else DriverKind.SIM,
             plant_socket=None if self._kind is RunKind.WIRE else self._socket,
-            port=self._runtime / arm if wire else None,
+            port=str(self._runtime / arm) if wire else None,
             emulated=wire or self._kind is RunKind.HIL,
             real_time=self._kind in (RunKind.REAL_TIME, RunKind.HIL),
             whole=self._whole,
@@ -165,8 +165,9 @@ class Children:
 
     def _telemetry_command(self, member: str, endpoint: str) -> TelemetryCommand:
         return TelemetryCommand(
-            cell=self._cell_path, member=member, ring=self._ring(member), connect=endpoint, lockstep=self._lockstep
-        )
+            cell=self._cell_path, member=member, ring=self._ring(member), connect=endpoint, lockstep=self._lockstep,
+            cell_name=self._cell.file.name, fingerprint=self._cell.fingerprint,
+        )  # fmt: skip
 
     def watch(self, stop: Callable[[], bool], progress: Progress) -> bool:
         """Watch until every agent has ended; True when a stop was requested.  Raises ChildFailed."""

@@ -1,4 +1,4 @@
-"""The processes that `coop run` starts, as typed commands; each renders its own command line.
+"""The processes of a cell as typed commands; each renders its own command line, and is read from it again.
 
 A field has the name of the command's parameter in `agent.cli.arms` or `agent.cli.processes`; a test parses every one
 with that parser.
@@ -6,20 +6,30 @@ with that parser.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import MISSING, dataclass, fields
+from enum import StrEnum
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar, get_args, get_type_hints
 
-from agent.config.schema.cell import DriverKind
+from agent.config.schema.driver import DriverKind
+
+
+class AfterLoss(StrEnum):
+    """What the simulated cell does when the agent of an arm is gone."""
+
+    END = "end"
+    LIMP = "limp"
 
 
 @dataclass(frozen=True, kw_only=True)
 class ChildCommand:
-    """What every process of a run is given.  None and False leave an option out."""
+    """What every process of a cell is given.  None, False and a default leave an option out."""
 
     verb: ClassVar[str]
     cell: Path
-    with_parent: bool = True  # it ends when `coop run` does
+    with_parent: bool = True  # it ends when the process that started it does
 
     def argv(self) -> list[str]:
         """The words behind `coop`."""
@@ -28,23 +38,29 @@ class ChildCommand:
             value = getattr(self, field.name)
             if field.name == "cell" or value is None or value is False:
                 continue
-            words.append("--" + field.name.replace("_", "-"))
-            if value is not True:
-                words.append(str(value))
+            if value is True:
+                words.append(_option(field.name))
+            elif value != field.default:
+                words += [_option(field.name), str(value)]
         return words
 
 
 @dataclass(frozen=True, kw_only=True)
 class RecordCommand(ChildCommand):
-    """`coop record`: the log of the run."""
+    """`coop record`: the log of a cell."""
 
     verb: ClassVar[str] = "record"
-    out: Path
+    out: Path | None = None
+    out_dir: Path = Path("runs")
     listen: str
-    driver: DriverKind
+    network_config: Path | None = None
+    driver: DriverKind | None
     truth: bool
     seed: int
-    run_info: Path
+    split_mb: int | None = None
+    split_s: float | None = None
+    keep_mb: int | None = None
+    run_info: Path | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,9 +68,10 @@ class PlantCommand(ChildCommand):
     """`coop plant`: the simulated cell behind simulated drivers."""
 
     verb: ClassVar[str] = "plant"
-    socket: Path
-    ring: Path
+    socket: Path | None
+    ring: Path | None
     real_time: bool
+    lost_arm: AfterLoss = AfterLoss.END
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,29 +82,33 @@ class EmulateCommand(ChildCommand):
     ports: Path
     ring: Path | None
     faults: Path | None
+    control: Path | None = None
     seed: int
+    no_timing: bool = False
     whole: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
 class AgentCommand(ChildCommand):
-    """`coop agent`: one arm, on the plant or on a port of emulated servos."""
+    """`coop agent`: one arm, on the plant or on a port of servos."""
 
     verb: ClassVar[str] = "agent"
     arm: str
-    ring: Path
-    control: Path
-    driver: DriverKind
+    ring: Path | None
+    control: Path | None
+    driver: DriverKind | None
     plant_socket: Path | None = None
-    port: Path | None = None
+    port: str | None = None
     emulated: bool = False
     real_time: bool = False
     whole: bool = False
-    hold: bool = False
+    hold: bool | None = None  # at a stop and at the end; None: by what the arm is
     guard: Path | None = None
     gripper_empty: bool = False
+    gripper_word: Path | None = None
     priority: int | None = None
     allow_no_realtime: bool = False
+    wait: float = 0.0  # s, for guard and plant
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,12 +117,12 @@ class GuardCommand(ChildCommand):
 
     verb: ClassVar[str] = "guard"
     arm: str
-    socket: Path
-    control: Path
+    socket: Path | None
+    control: Path | None
     post_mortem: Path
     driver: DriverKind | None = None  # None: the cell's
-    port: Path | None = None
-    hold: bool = False
+    port: str | None = None
+    hold: bool | None = None
     emulated: bool = False
     priority: int | None = None
 
@@ -112,6 +133,52 @@ class TelemetryCommand(ChildCommand):
 
     verb: ClassVar[str] = "telemetry"
     member: str
-    ring: Path
+    ring: Path | None
     connect: str
+    network_config: Path | None = None
     lockstep: bool
+    follow: bool = False
+    # of the cell, from a process that has read its files; this one need not then, and starts in a third of the time
+    cell_name: str | None = None
+    fingerprint: str | None = None
+
+
+_KINDS: dict[str, type[ChildCommand]] = {
+    kind.verb: kind
+    for kind in (RecordCommand, PlantCommand, EmulateCommand, AgentCommand, GuardCommand, TelemetryCommand)
+}
+
+
+def read(words: Sequence[str]) -> ChildCommand:
+    """The command whose `argv` these words are.  Raises LookupError, ValueError or TypeError for words of none."""
+    verb, cell, *options = words
+    kind = _KINDS[verb]
+    types, given = get_type_hints(kind), {"cell": Path(cell)} | _unsaid(kind)
+    rest = deque(options)
+    while rest:
+        name = rest.popleft().removeprefix("--").replace("-", "_")
+        told = _without_none(types[name])
+        given[name] = True if told is bool else told(rest.popleft())
+    return kind(**given)
+
+
+def _unsaid(kind: type[ChildCommand]) -> dict[str, Any]:
+    """What a line means that leaves everything out."""
+    types = get_type_hints(kind)
+    found: dict[str, Any] = {}
+    for field in fields(kind):
+        if types[field.name] is bool:
+            found[field.name] = False
+        elif field.default is MISSING and type(None) in get_args(types[field.name]):
+            found[field.name] = None
+    return found
+
+
+def _without_none(told: Any) -> Any:
+    """Of what may be left out, what it is where it is said."""
+    (found,) = [option for option in get_args(told) or (told,) if option is not type(None)]
+    return found
+
+
+def _option(name: str) -> str:
+    return "--" + name.replace("_", "-")

@@ -14,7 +14,7 @@ from typing import Any
 from agent.config.cell import Arm, Cell, load_cell
 from agent.config.noticing import against, thresholds, touch
 from agent.config.reality import reality_of
-from agent.config.schema.cell import DriverKind
+from agent.config.schema.driver import DriverKind
 from agent.host.info import versions
 from drivers.interface import Refusal
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Protocol
 
 from agent.config.cell import Cell
-from agent.config.schema.cell import DriverKind
+from agent.config.schema.driver import DriverKind
 from agent.host.child import Child
 from agent.modes import Mode
 from agent.operator.words import start_patiently
@@ -220,13 +220,14 @@ class FloatingArms:
             port=self._port(name), emulated=self._options.emulate, priority=self._options.priority,
         )  # fmt: skip
 
-    def _port(self, name: str) -> Path:
-        return self._runtime / name if self._options.emulate else Path(port_for(self._cell, self._options, name))
+    def _port(self, name: str) -> str:
+        return str(self._runtime / name) if self._options.emulate else port_for(self._cell, self._options, name)
 
     def _telemetry_command(self, name: str, endpoint: str) -> TelemetryCommand:
         return TelemetryCommand(
-            cell=self._cell_path, member=name, ring=self._ring(name), connect=endpoint, lockstep=False
-        )
+            cell=self._cell_path, member=name, ring=self._ring(name), connect=endpoint, lockstep=False,
+            cell_name=self._cell.file.name, fingerprint=self._cell.fingerprint,
+        )  # fmt: skip
 
     def _child(self, name: str, command: ChildCommand) -> Child:
         return Child(name, command.argv(), self._words)

@@ -87,7 +87,7 @@ def require_motion(cell: Cell, options: FloatOptions) -> None:
         )  # fmt: skip
     examine(cell, wired=True).require()
     for arm in movers:
-        fastest = float(speeds_of_motion(cell, arm).max())
+        fastest = float(speeds_of_motion(cell, arm, cell.model(arm)).max())
         if fastest > spec.speed_max_rad_per_s:
             raise FloatError(
                 f"motion of arm {arm.name}", found=f"a joint at {fastest:.2f} rad/s",

@@ -13,7 +13,7 @@ from functools import partial
 from agent.around import RunSummary
 from agent.config import floating
 from agent.config.cell import Cell
-from agent.config.schema.cell import DriverKind
+from agent.config.schema.driver import DriverKind
 from agent.guard.guarded import UNGUARDED, Guarded
 from agent.host.notify import Notifier
 from agent.host.realtime import become_realtime, quiet_memory

@@ -19,7 +19,7 @@ import numpy as np
 from agent.around import RunSummary
 from agent.config.cell import Arm, Cell
 from agent.config.floating import spec_of
-from agent.config.schema.cell import DriverKind
+from agent.config.schema.driver import DriverKind
 from agent.guard.guard_end import GuardEnd
 from agent.guard.line import GuardError, Said, Word, close_all
 from agent.guard.resume import beginning

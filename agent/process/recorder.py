@@ -15,7 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from agent.config.files import CellFiles
-from agent.config.schema.cell import DriverKind
+from agent.config.schema.driver import DriverKind
 from agent.host.info import attachments
 from agent.log.file import Attachment
 from agent.log.parts import Limits, only_recorder

@@ -11,7 +11,7 @@ import numpy as np
 from agent.around import LoopLog
 from agent.config.cell import Arm, Cell, ConfigError
 from agent.config.files import CellFiles
-from agent.config.schema.cell import DriverKind
+from agent.config.schema.driver import DriverKind
 from agent.control.models import ArmModel
 from agent.telemetry.row.fill import AgentRow
 from drivers.dynamixel.arm_map import WATCHDOG_S

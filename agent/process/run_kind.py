@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from enum import Enum
 
-from agent.config.schema.cell import DriverKind
+from agent.config.schema.driver import DriverKind
 
 
 class RunKind(Enum):

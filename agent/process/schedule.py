@@ -7,7 +7,7 @@ from pathlib import Path
 
 from agent.around import Schedule
 from agent.config.cell import Cell
-from agent.config.schema.cell import DriverKind
+from agent.config.schema.driver import DriverKind
 from agent.cycles import Patience
 from agent.process.build import EMULATED_PATIENCE_S, Connection
 from drivers.dynamixel.arm_map import WATCHDOG_S

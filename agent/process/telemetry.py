@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from agent.config.files import CellFiles
 from agent.telemetry.link import publish
 from agent.telemetry.link.session import Network
 from agent.telemetry.row import topics
@@ -13,7 +12,8 @@ from agent.telemetry.row.sample import AGENT_STATE, PLANT_STATE
 
 
 def run_telemetry(
-    cell: CellFiles,
+    cell: str,
+    fingerprint: str,
     member: str,
     ring: Path,
     network: Network,
@@ -24,22 +24,20 @@ def run_telemetry(
     ready: Callable[[str], None],
     say: Callable[[str], None],
 ) -> publish.PublishReport:
-    """Publish the ring of an arm or of topics.PLANT until the recorder has it, or a stop.  Raises Refusal.
+    """Publish the ring of an arm, or of topics.PLANT, until the recorder has it, or a stop.  Raises Refusal.
 
-    follow: go on with the ring of the next agent; say: is told in words what is waited for.
+    cell, fingerprint: its name and that of its files, which the recorder must have, too.  follow: go on with the ring
+    of the next agent; say: is told in words what is waited for.
     """
-    is_plant = member == topics.PLANT
-    if not is_plant:
-        cell.index(member)  # refuses a member that the cell does not have
     options = publish.PublishOptions(
-        cell=cell.file.name,
+        cell=cell,
         member=member,
         ring=ring,
-        layout=PLANT_STATE if is_plant else AGENT_STATE,
-        fingerprint=cell.fingerprint,
+        layout=PLANT_STATE if member == topics.PLANT else AGENT_STATE,
+        fingerprint=fingerprint,
         network=network,
         pace=publish.Pace.LOCKSTEP if lockstep else publish.Pace.REAL_TIME,
         follow=follow,
-        info={"cell": cell.file.name, "fingerprint": cell.fingerprint, "member": member},
+        info={"cell": cell, "fingerprint": fingerprint, "member": member},
     )
     return publish.run(options, stop, lambda name: ready(f"member={name}"), say)

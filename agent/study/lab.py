@@ -44,7 +44,7 @@ class Laboratory:
         self.cell = cell
         self.q_start = start_configurations(cell, [cell.model(arm) for arm in cell.arms])
         self.agents: tuple[Agent, ...] = tuple(build_agent(cell, arm) for arm in cell.arms)
-        self.bounds = tuple(monitors.bounds(cell, arm) for arm in cell.arms)
+        self.bounds = tuple(monitors.bounds_of_all(cell))
         self.stall_Nm = np.concatenate([arm.tau_stall_Nm for arm in cell.arms])
 
 

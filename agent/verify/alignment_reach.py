@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from agent.config.cell import Cell
-from agent.config.schema.cell import DriverKind
+from agent.config.schema.driver import DriverKind
 from agent.control import ik
 from agent.control.models import ArmModel
 from agent.verify.finding import Finding, Verdict, judged

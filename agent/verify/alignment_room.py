@@ -13,7 +13,7 @@ from typing import Final
 import pinocchio as pin
 
 from agent.config.cell import Cell, placement
-from agent.config.schema.cell import DriverKind
+from agent.config.schema.driver import DriverKind
 from agent.control import ik
 from agent.control.models import ArmModel
 from agent.verify.alignment_reach import shifts

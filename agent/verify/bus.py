@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from agent.config.cell import Cell, ConfigError
-from agent.config.schema.cell import DriverKind
+from agent.config.schema.driver import DriverKind
 from agent.config.servo_map import arm_map
 from agent.verify.finding import Finding, Verdict, judged
 from drivers.dynamixel.arm_map import MapError

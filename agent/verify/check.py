@@ -5,21 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from agent.config import trajectory as motion
 from agent.config.cell import Cell, ConfigError
-from agent.config.schema.cell import DriverKind
 from agent.config.schema.controller import ControllerKind
+from agent.config.schema.driver import DriverKind
 from agent.control.errors import attitude_error
 from agent.control.models import ArmModel, ModelError
 from agent.verify.adaptive import examine_adaptation
-from agent.verify.alignment_room import alignment_room
 from agent.verify.box import largest_internal_wrench
 from agent.verify.bus import buses
-from agent.verify.collision.findings import collisions
-from agent.verify.collision.scene import Scene
 from agent.verify.finding import Finding, Verdict, judged
 from agent.verify.force import internal_force
 from agent.verify.margin import Damping, damping, places, sampled_loop
@@ -28,11 +26,11 @@ from agent.verify.noticing import noticed, rested, unlearnt
 from agent.verify.path import Path, along_trajectory, arm_findings, reach, start_configurations
 from agent.verify.plausible import plausibility
 from agent.verify.rehearsal import examine_rehearsal
-from agent.verify.robustness import Robustness, Walk, robustness
 from agent.verify.session import lives, session
-from agent.verify.watched import watched
-from agent.verify.ways import ways
 from drivers.interface import Vector
+
+if TYPE_CHECKING:
+    from agent.verify.robustness import Robustness
 
 SAMPLES = 48  # points along the trajectory, beside those that the trajectory names itself
 STABILITY_SAMPLES = 12
@@ -94,14 +92,10 @@ def examine(cell: Cell, *, wired: bool | None = None, thorough: bool | None = No
         findings += [*_adaptation(cell, models, paths, instants.times), *unlearnt(cell, models, q_start)]
     if not (servos if thorough is None else thorough):
         return CheckReport(tuple(findings), q_start)
-    along = list(zip(*(p.q for p in paths), strict=True))
-    scene = Scene(cell, models)
-    findings += watched(cell)
-    findings += collisions(cell, models, [p.q for p in paths], instants.times, scene)
-    findings += ways(cell, models, scene, of_arms, [p.q for p in paths], instants.times)
-    found = robustness(Walk(cell, models, along, instants.times))
-    findings += [*found.findings(), *alignment_room(cell, models, along, instants.times, scene)]
-    return CheckReport(tuple(findings), q_start, found)
+    from agent.verify.thorough import examine_thoroughly  # noqa: PLC0415 - what agents in simulation never need
+
+    more, found = examine_thoroughly(cell, models, paths, instants.times, of_arms)
+    return CheckReport((*findings, *more), q_start, found)
 
 
 def _same_task_space(cell: Cell, models: Sequence[ArmModel]) -> None:

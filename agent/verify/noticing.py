@@ -15,8 +15,8 @@ import numpy as np
 
 from agent.config import noticing
 from agent.config.cell import Cell, ConfigError
-from agent.config.schema.cell import DriverKind
 from agent.config.schema.controller import ControllerKind
+from agent.config.schema.driver import DriverKind
 from agent.control.adaptation_bound import ReferenceTwist, estimated_wrench
 from agent.control.models import ArmModel
 from agent.control.residual import Channels

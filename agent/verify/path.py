@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from agent.config.cell import Arm, Cell, ConfigError, placement
 from agent.control import ik, known
-from agent.control.inverse import SingularJacobian
+from agent.control.inverse import SingularJacobian, pseudo_inverse
 from agent.control.models import ArmModel
 from agent.verify.finding import Finding, Verdict, judged
 from drivers.dynamixel.servo.models import CONTINUOUS_SHARE
@@ -75,7 +75,7 @@ def along_trajectory(cell: Cell, arm: Arm, model: ArmModel, q_start: Vector, ins
         s = float(np.linalg.svd(J, compute_uv=False)[-1])
         if s < sigma:
             sigma, sigma_t = s, t
-        dq = np.linalg.pinv(J) @ (model.task_basis @ np.array(desired.v))
+        dq = pseudo_inverse(J) @ (model.task_basis @ np.array(desired.v))
         try:
             tau = known.torque(model, offline, q, dq, desired).tau_cmd
             tau_peak = np.maximum(tau_peak, np.abs(tau))

@@ -8,7 +8,7 @@ from collections import defaultdict
 import numpy as np
 
 from agent.config.cell import Cell
-from agent.config.schema.cell import DriverKind
+from agent.config.schema.driver import DriverKind
 from agent.verify.finding import Finding, Verdict, judged
 
 UPRIGHT_RAD = math.radians(5.0)

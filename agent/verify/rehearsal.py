@@ -9,7 +9,7 @@ import numpy as np
 from agent.config.cell import Arm, Cell
 from agent.config.schema.hil import Hil
 from agent.control import known
-from agent.control.inverse import SingularJacobian
+from agent.control.inverse import SingularJacobian, pseudo_inverse
 from agent.control.models import ArmModel
 from agent.control.stability import coupled_inertia, spectral_radius
 from agent.control.terms import INTERNAL, OBJECT
@@ -85,7 +85,7 @@ def _clamp(
     most = 0.0
     for q, t in zip(path, instants, strict=True):
         desired = trajectory.at(t)
-        dq = np.linalg.pinv(model.jacobian(q)) @ (model.task_basis @ np.array(desired.v))
+        dq = pseudo_inverse(model.jacobian(q)) @ (model.task_basis @ np.array(desired.v))
         try:
             joints = known.torque(model, offline, q, dq, desired).joints
         except SingularJacobian:

@@ -11,7 +11,7 @@ import numpy as np
 
 from agent.config import observer
 from agent.config.cell import Cell
-from agent.config.schema.cell import DriverKind
+from agent.config.schema.driver import DriverKind
 from agent.control.models import ArmModel
 from agent.verify.alignment_reach import alignment_reach
 from agent.verify.criterion import bodies

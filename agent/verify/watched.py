@@ -16,7 +16,7 @@ def watched(cell: Cell) -> list[Finding]:
 
     Raises ConfigError where an arm cannot reach the object at its start.
     """
-    what, each = "a monitor holds an arm", [monitors.bounds(cell, arm) for arm in cell.arms]
+    what, each = "a monitor holds an arm", monitors.bounds_of_all(cell)
     found = [
         Finding(f"{what}: {name.value}", arm.name, text, "")
         for arm, bounds in zip(cell.arms, each, strict=True)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from agent.config.cell import load_cell
-from agent.config.schema.cell import DriverKind
+from agent.config.schema.driver import DriverKind
 from agent.process.build import Connection, build_driver
 from agent.verify.check import examine
 from drivers.clock import MonotonicClock

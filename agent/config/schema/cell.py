@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import enum
 import math
 from collections import Counter
 from typing import Annotated
@@ -11,6 +10,7 @@ from pydantic import Field, model_validator
 
 from agent.config.schema.controller import Controller
 from agent.config.schema.coordination import NoticingSpec
+from agent.config.schema.driver import DriverKind
 from agent.config.schema.floating import Floating
 from agent.config.schema.hil import Hil
 from agent.config.schema.member import Arm
@@ -32,13 +32,6 @@ from agent.config.schema.world import Object, Table, World
 from agent.telemetry.row.topics import RESERVED
 
 PERIODS_TOLERANCE = 1e-6
-
-
-class DriverKind(enum.StrEnum):
-    """What moves the arms of this cell."""
-
-    SIM = "sim"
-    DYNAMIXEL = "dynamixel"
 
 
 class Safety(Strict):

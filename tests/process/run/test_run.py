@@ -34,7 +34,7 @@ def ours(token: str) -> list[psutil.Process]:
     found = []
     for process in psutil.process_iter(["cmdline"]):
         line = " ".join(process.info["cmdline"] or [])
-        if "agent.cli" in line and token in line and process.pid != os.getpid():
+        if ("agent.cli" in line or "agent.process" in line) and token in line and process.pid != os.getpid():
             found.append(process)
     return found
 
@@ -147,7 +147,7 @@ def stopped(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stopped]:
         wait_for_rows(folder / "out", run)
         agent = child("--arm left", run)
         inet, mapped = agent.net_connections(kind="inet"), [m.path for m in agent.memory_maps()]
-        members = {word: child(word, run) for word in (*ARMS, "cli plant", "cli record", "cli telemetry")}
+        members = {word: child(word, run) for word in (*ARMS, "process plant", "process record", "process telemetry")}
         cores = {word: process.cpu_affinity() for word, process in members.items()}
         fixed_layout = {word: has_fixed_layout(process.pid) for word, process in members.items()}
         run.send_signal(signal.SIGINT)
@@ -179,7 +179,9 @@ def test_the_agents_of_a_lockstep_run_keep_to_distinct_cores_and_nothing_else_do
 def test_only_what_no_network_reaches_gives_up_its_random_layout(stopped: Stopped) -> None:
     with one_memory_layout():
         permitted = has_fixed_layout(os.getpid())
-    expected = {"cli plant": permitted, "cli record": False, "cli telemetry": False} | dict.fromkeys(ARMS, permitted)
+    expected = {"process plant": permitted, "process record": False, "process telemetry": False} | dict.fromkeys(
+        ARMS, permitted
+    )
     assert stopped.fixed_layout == expected
 
 

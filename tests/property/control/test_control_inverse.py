@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.control import known
-from agent.control.inverse import SingularJacobian, invert_jacobian
+from agent.control.inverse import SingularJacobian, invert_jacobian, pseudo_inverse
 from agent.control.models import ArmModel
 from tests.support.control import oracle
 from tests.support.control.strategies import RandomCell, cells, examples, urdf_on_rail
@@ -86,3 +86,13 @@ def test_a_redundant_jacobian_without_full_rank_is_refused() -> None:
     J[5, 5] = 0.0
     with pytest.raises(SingularJacobian):
         invert_jacobian(J, np.eye(7))
+
+
+@examples(60)
+@given(st.integers(0, 2**32 - 1), st.sampled_from(((3, 3), (6, 6), (3, 4), (6, 7))), st.booleans())
+def test_the_pseudo_inverse_is_that_of_numpy_to_the_bit(seed: int, shape: tuple[int, int], singular: bool) -> None:
+    J = np.random.default_rng(seed).normal(size=shape)
+    if singular:
+        J[-1] = 0.0  # a direction in which the arm cannot move at all
+    assert pseudo_inverse(J).tobytes() == np.ascontiguousarray(np.linalg.pinv(J)).tobytes()
+    assert np.isfinite(pseudo_inverse(J)).all()

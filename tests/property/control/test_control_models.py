@@ -95,3 +95,17 @@ def test_kinematics_are_copies_of_the_scratch_memory() -> None:
     kept = [a.copy() for a in (k.J, k.dJ, k.B, k.C, k.g)]
     model.evaluate(np.array([-0.5, 0.9, 0.1]), -np.ones(3))
     assert all(np.array_equal(a, b) for a, b in zip((k.J, k.dJ, k.B, k.C, k.g), kept, strict=True))
+
+
+@pytest.mark.parametrize("locked", [REST, {}])
+def test_arms_of_one_description_share_nothing_that_changes(locked: dict[str, float]) -> None:
+    controlled = PLANE_JOINTS if locked else SIX_JOINTS
+    name = "wx200" if locked else "wx250s"
+    moved = build(controlled, locked, T_world_base=pin.SE3(np.eye(3), np.array([1.0, 0.0, 0.0])), name=name)
+    moved.model.armature = np.zeros(moved.n)
+    moved.model.lowerPositionLimit = np.zeros(moved.n)
+    here, q = build(controlled, locked, name=name), np.zeros(moved.n)
+    assert (here.model.armature > 0.0).all()
+    assert (here.model.lowerPositionLimit < 0.0).all()
+    away = moved.object_pose(q).translation - here.object_pose(q).translation
+    np.testing.assert_allclose(away, [1.0, 0.0, 0.0], atol=1e-12)

@@ -17,7 +17,7 @@ import numpy as np
 
 from agent.around import Surroundings
 from agent.config.cell import Arm, Cell
-from agent.config.schema.cell import DriverKind
+from agent.config.schema.driver import DriverKind
 from agent.config.servo_map import arm_map
 from agent.faults.looped import GIVE_UP_NS, PHASE_NS, Physics, VirtualPlant, VirtualSim, VirtualTwin
 from agent.faults.virtual import Line, SharedClock

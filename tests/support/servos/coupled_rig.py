@@ -15,7 +15,7 @@ import numpy as np
 from agent.around import RunSummary, Surroundings
 from agent.config.cell import Arm, Cell
 from agent.config.monitors import bounds
-from agent.config.schema.cell import DriverKind
+from agent.config.schema.driver import DriverKind
 from agent.config.servo_map import arm_map
 from agent.faults.virtual import Line, SharedClock
 from agent.modes import Event

@@ -15,7 +15,7 @@ import pinocchio as pin
 from agent.around import RunSummary
 from agent.config.cell import Arm, Cell
 from agent.config.floating import taking_part
-from agent.config.schema.cell import DriverKind
+from agent.config.schema.driver import DriverKind
 from agent.config.servo_map import arm_map
 from agent.faults.virtual import Line, SharedClock
 from agent.guard.takeover import go_on

@@ -12,7 +12,7 @@ import pinocchio as pin
 from agent.around import RunSummary, Schedule, Surroundings
 from agent.config import monitors
 from agent.config.cell import Arm, Cell
-from agent.config.schema.cell import DriverKind
+from agent.config.schema.driver import DriverKind
 from agent.config.servo_map import arm_map
 from agent.config.session import rest_joints
 from agent.faults.virtual import Line, SharedClock

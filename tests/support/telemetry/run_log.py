@@ -11,7 +11,7 @@ import numpy as np
 from mcap.writer import Writer
 
 from agent.config.cell import Cell
-from agent.config.schema.cell import DriverKind
+from agent.config.schema.driver import DriverKind
 from agent.host.info import attachments
 from agent.log.channels import LogChannels
 from agent.log.file import Attachment, LogFile

@@ -177,6 +177,21 @@ def test_a_run_loads_no_figures_before_its_report() -> None:
     assert not {"matplotlib", "PIL"} & set(loaded.split())
 
 
+@pytest.mark.parametrize(
+    ("module", "never"),
+    [
+        ("started", {"typer", "numpy", "pydantic", "pinocchio", "zenoh"}),
+        ("telemetry", {"typer", "pydantic", "pinocchio", "scipy", "agent.config.files"}),
+        ("recorder", {"typer", "pinocchio", "scipy"}),
+        ("agent", {"typer", "rich", "zenoh", "mcap", "agent.verify.thorough"}),
+        ("plant", {"typer", "rich", "zenoh", "mcap", "agent.verify.thorough"}),
+    ],
+)
+def test_a_process_of_a_run_loads_nothing_that_it_does_not_use(module: str, never: set[str]) -> None:
+    code = f"import sys, agent.process.commands, agent.process.{module}; print('LOADED', *sys.modules)"
+    assert not never & set(python(code).rpartition("LOADED")[2].split())
+
+
 def test_a_line_is_read_by_the_command_that_it_names_or_by_all() -> None:
     for name in ("run", "latency-test", "motors"):
         assert list(main._command(name).commands) == [name]  # type: ignore[attr-defined]

@@ -11,7 +11,7 @@ import tomli_w
 import configs
 from agent.config.cell import Cell, load_cell
 from agent.config.reality import draw, reality_of
-from agent.config.schema.cell import DriverKind
+from agent.config.schema.driver import DriverKind
 from agent.config.schema.reality import Reality
 from agent.process.describe import run_info
 from agent.process.simulated import plant_spec

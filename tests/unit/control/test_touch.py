@@ -13,7 +13,7 @@ import pytest
 
 from agent.config import noticing
 from agent.config.cell import Cell, load_cell
-from agent.config.schema.cell import DriverKind
+from agent.config.schema.driver import DriverKind
 from agent.control import known
 from agent.control.memory import restore
 from agent.control.residual import Channels, Residual, nothing_sensed

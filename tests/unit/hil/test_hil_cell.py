@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 import configs
 from agent.cli.main import app
 from agent.config.cell import Cell, ConfigError, load_cell
-from agent.config.schema.cell import DriverKind
+from agent.config.schema.driver import DriverKind
 from agent.process.build import Connection, build_driver
 from agent.process.rehearse import bridge, driver_of, holds, require_wall_clock, taken
 from agent.process.run import RunOptions, run_cell

@@ -48,6 +48,11 @@ def test_they_follow_from_servos_and_urdf() -> None:
     assert (b.load_share_of_weight, b.period_s, b.watched) == (0.5, 0.005, frozenset(Name))
 
 
+def test_those_of_all_arms_are_those_of_each() -> None:
+    cell = load("two_models")
+    assert monitors.bounds_of_all(cell) == [bounds(cell, arm) for arm in cell.arms]
+
+
 def test_a_motion_may_be_twice_as_fast_and_no_faster_than_servos_are() -> None:
     slow, once = np.array(of_left(*STILL).speed_rad_per_s), np.array(of_left().speed_rad_per_s)
     twice = np.array(of_left("trajectory.period_s=7.5").speed_rad_per_s)
@@ -74,7 +79,8 @@ class Sought:
             return self.found[-1]
 
         monkeypatch.setattr(ik, "solve", seen)
-        self.fastest = monitors.speeds_of_motion(self.cell, self.cell.arms[0])
+        arm = self.cell.arms[0]
+        self.fastest = monitors.speeds_of_motion(self.cell, arm, self.cell.model(arm))
 
     def speeds(self, times: Vector) -> Vector:
         """(k, n) rad/s at the joints found."""

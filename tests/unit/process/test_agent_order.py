@@ -13,7 +13,7 @@ import configs
 from agent.around import RunSummary
 from agent.config.agent import build_agent
 from agent.config.cell import load_cell
-from agent.config.schema.cell import DriverKind
+from agent.config.schema.driver import DriverKind
 from agent.config.servo_map import arm_map
 from agent.faults.virtual import Line
 from agent.host.signals import StopFlag

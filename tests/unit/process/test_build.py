@@ -12,7 +12,7 @@ import pytest
 import configs
 from agent.around import RunSummary
 from agent.config.cell import load_cell
-from agent.config.schema.cell import DriverKind
+from agent.config.schema.driver import DriverKind
 from agent.config.servo_map import arm_map
 from agent.faults.virtual import Line
 from agent.modes import Mode

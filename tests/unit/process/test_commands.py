@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, fields
+from dataclasses import MISSING, asdict, fields
 from pathlib import Path
 
 import pytest
 
 from agent.cli.main import whole
-from agent.config.schema.cell import DriverKind
+from agent.config.schema.driver import DriverKind
 from agent.process.commands import (
+    AfterLoss,
     AgentCommand,
     ChildCommand,
     EmulateCommand,
@@ -17,6 +18,7 @@ from agent.process.commands import (
     PlantCommand,
     RecordCommand,
     TelemetryCommand,
+    read,
 )
 
 CELL = Path("/dev/shm/coop-x/cell.toml")
@@ -24,15 +26,29 @@ FULL = (
     RecordCommand(
         cell=CELL,
         out=Path("out/run.mcap"),
+        out_dir=Path("out"),
         listen="tcp/127.0.0.1:0",
+        network_config=Path("recorder.json5"),
         driver=DriverKind.SIM,
         truth=True,
         seed=7,
+        split_mb=10,
+        split_s=60.5,
+        keep_mb=100,
         run_info=Path("run.json"),
     ),
-    PlantCommand(cell=CELL, socket=Path("plant.sock"), ring=Path("plant.ring"), real_time=True),
+    PlantCommand(
+        cell=CELL, socket=Path("plant.sock"), ring=Path("plant.ring"), real_time=True, lost_arm=AfterLoss.LIMP
+    ),
     EmulateCommand(
-        cell=CELL, ports=Path("ports"), ring=Path("plant.ring"), faults=Path("faults.jsonl"), seed=3, whole=True
+        cell=CELL,
+        ports=Path("ports"),
+        ring=Path("plant.ring"),
+        faults=Path("faults.jsonl"),
+        control=Path("faults.sock"),
+        seed=3,
+        no_timing=True,
+        whole=True,
     ),
     AgentCommand(
         cell=CELL,
@@ -41,29 +57,41 @@ FULL = (
         control=Path("left.control"),
         driver=DriverKind.DYNAMIXEL,
         plant_socket=Path("plant.sock"),
-        port=Path("port"),
+        port="port",
         emulated=True,
         real_time=True,
         whole=True,
         hold=True,
         guard=Path("left.guard"),
         gripper_empty=True,
+        gripper_word=Path("empty"),
         priority=80,
         allow_no_realtime=True,
+        wait=2.5,
     ),
     GuardCommand(
         cell=CELL,
         arm="left",
         socket=Path("left.guard"),
         driver=DriverKind.DYNAMIXEL,
-        port=Path("/dev/coop/left"),
+        port="/dev/coop/left",
         control=Path("left.control"),
         post_mortem=Path("out"),
         hold=True,
         emulated=True,
         priority=81,
     ),
-    TelemetryCommand(cell=CELL, member="plant", ring=Path("plant.ring"), connect="tcp/127.0.0.1:1", lockstep=True),
+    TelemetryCommand(
+        cell=CELL,
+        member="plant",
+        ring=Path("plant.ring"),
+        connect="tcp/127.0.0.1:1",
+        network_config=Path("member.json5"),
+        lockstep=True,
+        follow=True,
+        cell_name="paper",
+        fingerprint="ab12",
+    ),
 )
 
 
@@ -91,15 +119,31 @@ def test_every_field_of_a_command_arrives_under_its_name(command: ChildCommand) 
 
 @pytest.mark.parametrize("kind", [type(command) for command in FULL], ids=lambda k: k.verb)
 def test_what_a_command_leaves_out_keeps_the_parsers_default(kind: type[ChildCommand]) -> None:
-    full = next(command for command in FULL if type(command) is kind)
-    needed = {
-        f.name: getattr(full, f.name) for f in fields(kind) if f.type not in ("bool", "Path | None", "int | None")
-    }
-    left_out = {f.name: False if f.type == "bool" else None for f in fields(kind) if f.name not in needed}
-    command = kind(**needed, **left_out)
+    command = bare(kind)
     understood = parsed(command)
-    assert {name: understood[name] or value for name, value in left_out.items()} == left_out
-    assert {name: plain(understood[name]) for name in needed} == {name: plain(value) for name, value in needed.items()}
+    for name, value in asdict(command).items():
+        assert plain(understood[name]) == plain(value) or (understood[name], value) == (None, False), name
+
+
+def bare(kind: type[ChildCommand]) -> ChildCommand:
+    """A command that leaves out whatever it can."""
+    full = next(command for command in FULL if type(command) is kind)
+    needed = {f.name: getattr(full, f.name) for f in fields(kind) if f.default is MISSING}
+    for f in fields(kind):
+        if f.name in needed and ("None" in str(f.type) or f.type == "bool"):
+            needed[f.name] = None if "None" in str(f.type) else False
+    return kind(**needed, with_parent=False)
+
+
+@pytest.mark.parametrize("command", [*FULL, *(bare(type(command)) for command in FULL)], ids=lambda c: c.verb)
+def test_a_command_is_read_from_its_own_words(command: ChildCommand) -> None:
+    assert read(command.argv()) == command
+
+
+@pytest.mark.parametrize("words", ["dance c", "plant", "plant c --dance", "plant c --ring", "telemetry c"])
+def test_words_of_no_command_are_not_read(words: str) -> None:
+    with pytest.raises((LookupError, ValueError, TypeError)):
+        read(words.split())
 
 
 def test_the_order_of_words_is_verb_cell_options() -> None:

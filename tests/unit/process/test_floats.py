@@ -13,7 +13,7 @@ import pytest
 import configs
 from agent.calibrate.run import calibrate, write
 from agent.config.cell import Cell, load_cell
-from agent.config.schema.cell import DriverKind
+from agent.config.schema.driver import DriverKind
 from agent.control.floating import Floating
 from agent.modes import Event, Mode
 from agent.process import float_loop, floats

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from agent.config.schema.cell import DriverKind
+from agent.config.schema.driver import DriverKind
 from agent.guard.line import Said, Word
 from agent.guard.vigil import Vigil
 from agent.guard.watched import Watched

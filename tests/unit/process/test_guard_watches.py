@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from agent.config.cell import load_cell
-from agent.config.schema.cell import DriverKind
+from agent.config.schema.driver import DriverKind
 from agent.guard.agent_end import AgentEnd
 from agent.guard.line import Word
 from agent.host.signals import StopFlag

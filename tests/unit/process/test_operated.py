@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from agent.config.schema.cell import DriverKind
+from agent.config.schema.driver import DriverKind
 from agent.host.clock import UNKNOWN
 from agent.host.realtime import RealTime
 from agent.modes import Event, Mode

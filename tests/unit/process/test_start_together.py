@@ -12,7 +12,7 @@ import pytest
 
 import configs
 from agent.config.cell import load_cell
-from agent.config.schema.cell import DriverKind
+from agent.config.schema.driver import DriverKind
 from agent.guard.guard_end import GuardEnd
 from agent.guard.line import GuardError
 from agent.host.signals import StopFlag

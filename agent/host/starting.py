@@ -1,0 +1,36 @@
+"""How a process of ours begins, whatever it is: settings of libraries, set before they are loaded; its ready line."""
+
+from __future__ import annotations
+
+import gc
+import os
+import sys
+from typing import Final
+
+GARBAGE_AFTER: Final = 50_000  # new objects, of which the interpreter looks for cycles; a start makes many more
+SETTINGS: Final = {  # of libraries, read when they are loaded, where a person has not said otherwise
+    "OPENBLAS_NUM_THREADS": "1",  # our matrices are small
+    "OMP_NUM_THREADS": "1",
+    "PYDANTIC_DISABLE_PLUGINS": "__all__",  # or the first model looks through all that is installed for some
+}
+
+
+def settle() -> None:
+    """Settings of libraries and of the interpreter, for the whole process."""
+    for setting, value in SETTINGS.items():
+        os.environ.setdefault(setting, value)
+    gc.set_threshold(GARBAGE_AFTER)
+
+
+def ready(what: str) -> None:
+    """Tell the parent that this process is ready, and what it needs to know."""
+    sys.stdout.write(f"READY {what}\n")
+    sys.stdout.flush()
+
+
+def of_host(error: OSError) -> str:
+    """What the host did not do, in one line for a person."""
+    found = f"found {error.strerror or error}"
+    if error.filename is None:
+        return f"this host: {found}, expected it to do what was asked; see what it is short of"
+    return f"{error.filename}: {found}, expected a path that can be used; name another"

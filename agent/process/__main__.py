@@ -1,0 +1,44 @@
+"""`python -m agent.process VERB CELL ...`: a process of a run, from the words of its typed command.
+
+What `coop VERB CELL ...` does, without what reads the lines of persons, which costs as long as a numpy.
+"""
+
+from __future__ import annotations
+
+import gc
+import sys
+
+from agent.host.starting import of_host, settle
+from agent.process.commands import read
+from agent.process.started import Person, run
+
+USAGE = 2
+
+
+def main() -> int:
+    """Exit code of the process; a Refusal is told in its lines."""
+    settle()
+    try:
+        return run(read(sys.argv[1:]), Person(_say))
+    except OSError as error:
+        _say(f"coop: {of_host(error)}")
+        return USAGE
+    except Exception as error:
+        from drivers.interface import Refusal  # noqa: PLC0415 - numpy with it, which not every process loads at once
+
+        if not isinstance(error, Refusal):
+            raise
+        for line in error.lines:
+            _say(f"coop: {line}")
+        return error.exit_code
+
+
+def _say(text: str) -> None:
+    sys.stderr.write(text + "\n")
+    sys.stderr.flush()
+
+
+if __name__ == "__main__":
+    code = main()
+    gc.freeze()  # as in agent.cli.main
+    sys.exit(code)

@@ -1,0 +1,273 @@
+"""What each process of a cell does with its typed command, whoever started it; each loads what it needs and no more."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass
+
+from agent.host.signals import begin
+from agent.host.starting import ready
+from agent.process.commands import (
+    AfterLoss,
+    AgentCommand,
+    ChildCommand,
+    EmulateCommand,
+    GuardCommand,
+    PlantCommand,
+    RecordCommand,
+    TelemetryCommand,
+)
+
+
+@dataclass(frozen=True)
+class Person:
+    """Who reads a process's words and answers its questions."""
+
+    say: Callable[[str], None]
+    agrees: Callable[[str], bool] = lambda _: False
+
+
+def run(command: ChildCommand, person: Person) -> int:
+    """Be that process until its end; the exit code.  Raises Refusal, OSError."""
+    match command:
+        case AgentCommand():
+            return agent(command, person)
+        case GuardCommand():
+            return guard(command, person)
+        case PlantCommand():
+            return plant(command, person)
+        case EmulateCommand():
+            return emulate(command, person)
+        case TelemetryCommand():
+            return telemetry(command, person)
+        case RecordCommand():
+            return record(command, person)
+    raise TypeError(type(command))
+
+
+def agent(command: AgentCommand, person: Person) -> int:
+    """One arm: read, step, limit, write."""
+    from agent.config.cell import ConfigError, load_cell
+    from agent.config.floating import spec_of
+    from agent.config.schema.driver import DriverKind
+    from agent.host.paths import control_path, make_runtime_dir, plant_socket_path, ring_path
+    from agent.process.agent import run_agent
+    from agent.process.build import Connection, port_of
+    from agent.process.floats import run_float
+    from agent.process.rehearse import (
+        driver_of,
+        holds,
+        in_the_loop,
+        require_empty_gripper,
+        require_one_host,
+        require_wall_clock,
+        taken,
+    )
+    from agent.process.schedule import AgentOptions
+
+    requested = begin(command.with_parent)
+    loaded, arm, port, emulated = load_cell(command.cell), command.arm, command.port, command.emulated
+    kind = driver_of(loaded, arm, command.driver)
+    name = loaded.file.name
+    if not emulated:
+        require_one_host(loaded)
+    if in_the_loop(loaded, arm):
+        port_of(loaded.arm(arm), Connection(port=port))
+    if in_the_loop(loaded, arm) and not emulated:
+        said = command.gripper_empty or taken(command.gripper_word)
+        require_empty_gripper(arm, said or person.agrees(f"Is the gripper of arm {arm} EMPTY?"))
+    require_wall_clock(loaded, real_time=command.real_time or kind is DriverKind.DYNAMIXEL)
+    lockstep = kind is DriverKind.SIM and not command.real_time
+    if command.guard is not None and lockstep:
+        raise ConfigError(
+            f"guard of arm {arm}", found="an agent in lockstep, for which time waits",
+            expected="one at the wall clock's pace", remedy="give --real-time",
+        )  # fmt: skip
+    if command.ring is None or (command.control is None and not lockstep):
+        make_runtime_dir(name)
+    options = AgentOptions(
+        arm=arm,
+        driver=kind,
+        connection=Connection(command.plant_socket or plant_socket_path(name), port, emulated),
+        ring=command.ring or ring_path(name, arm),
+        control=None if lockstep else command.control or control_path(name, arm),
+        lockstep=lockstep,
+        hold=command.whole or holds(loaded, kind, emulated=emulated, asked=command.hold),
+        whole=command.whole,
+        priority=command.priority,
+        guard=command.guard,
+        no_realtime=command.allow_no_realtime,
+        wait_s=command.wait,
+    )
+    floats = spec_of(loaded, loaded.arm(arm)) is not None
+    summary = (run_float if floats else run_agent)(loaded, options, requested, ready)
+    person.say(
+        f"arm {arm}: {summary.ticks} cycles, {summary.late_cycles} late, {summary.stale_cycles} without a state, "
+        f"mode {summary.mode.name} {summary.reason}"
+    )
+    return 0
+
+
+def guard(command: GuardCommand, person: Person) -> int:
+    """One arm's guard: lends its agent the port, and goes on in HOLD when that dies or hangs."""
+    from agent.host.notify import Notifier
+
+    with closing(Notifier()) as notifier:
+        notifier.loading("loads")  # for a second from here on; its agent loads meanwhile, and waits for the socket
+    from agent.config.cell import load_cell
+    from agent.host.paths import control_path, guard_path, make_runtime_dir, ring_path
+    from agent.process.build import Connection
+    from agent.process.guard import run_guard
+    from agent.process.rehearse import driver_of, holds
+    from agent.process.schedule import AgentOptions
+    from agent.process.successor import GuardOptions
+
+    requested = begin(command.with_parent)
+    loaded, arm = load_cell(command.cell), command.arm
+    kind = driver_of(loaded, arm, command.driver)
+    name = loaded.file.name
+    if command.socket is None or command.control is None:
+        make_runtime_dir(name)
+    options = AgentOptions(
+        arm=arm,
+        driver=kind,
+        connection=Connection(port=command.port, emulated=command.emulated),
+        ring=ring_path(name, arm),
+        control=command.control or control_path(name, arm),
+        lockstep=False,
+        hold=holds(loaded, kind, emulated=command.emulated, asked=command.hold),
+        priority=command.priority,
+    )
+    socket = command.socket or guard_path(name, arm)
+    summary = run_guard(loaded, GuardOptions(options, command.cell, socket, command.post_mortem), requested, ready)
+    if summary is not None:
+        person.say(f"arm {arm}: held for {summary.ticks} cycles, mode {summary.mode.name} {summary.reason}")
+    return 0
+
+
+def plant(command: PlantCommand, person: Person) -> int:
+    """The simulated cell that the agents' simulated drivers connect to."""
+    from agent.config.cell import load_cell
+    from agent.host.paths import make_runtime_dir, plant_socket_path, ring_path
+    from agent.process.plant import run_plant
+    from agent.telemetry.row.topics import PLANT
+    from sim_backend.served.options import LostArm
+
+    requested = begin(command.with_parent)
+    loaded = load_cell(command.cell)
+    name = loaded.file.name
+    if command.ring is None or command.socket is None:
+        make_runtime_dir(name)
+    where = command.socket or plant_socket_path(name), command.ring or ring_path(name, PLANT)
+    loss = LostArm.GO_LIMP if command.lost_arm is AfterLoss.LIMP else LostArm.END_RUN
+    person.say(run_plant(loaded, *where, lockstep=not command.real_time, lost_arm=loss, stop=requested, ready=ready))
+    return 0
+
+
+def emulate(command: EmulateCommand, person: Person) -> int:
+    """Emulated servos of the cell's arms on pseudo terminals."""
+    from agent.atomic import make_folder
+    from agent.config.cell import load_cell
+    from agent.host.paths import make_runtime_dir, ring_path
+    from agent.process.emulate import about_the_object, gripping, run_emulate, run_emulate_alone
+    from agent.process.whole import at_rest
+    from agent.telemetry.row.topics import PLANT
+    from sim_backend.wire.serve import ServeOptions
+
+    requested, timing = begin(command.with_parent), not command.no_timing
+    loaded = load_cell(command.cell)
+    make_folder(command.ports)
+    name = loaded.file.name
+    floating = loaded.file.floating
+    alone = loaded.file.hil is not None or (floating is not None and not floating.holding)
+    if command.ring is None and not alone:
+        make_runtime_dir(name)
+    places = {arm.name: command.ports / arm.name for arm in loaded.arms}
+    options = ServeOptions(places, command.faults, command.control, command.seed)
+    if alone:
+        person.say(run_emulate_alone(loaded, options, timing=timing, stop=requested, ready=ready))
+        return 0
+    where = command.ring or ring_path(name, PLANT)
+    begins = at_rest if command.whole else gripping if floating is None else about_the_object
+    person.say(run_emulate(loaded, options, where, timing=timing, stop=requested, ready=ready, begin=begins))
+    return 0
+
+
+def telemetry(command: TelemetryCommand, person: Person) -> int:
+    """One ring over Zenoh."""
+    from agent.host.paths import ring_path
+    from agent.process.telemetry import run_telemetry
+    from agent.telemetry.link.session import Network
+
+    requested, member, config = begin(command.with_parent), command.member, command.network_config
+    cell, fingerprint = _of_cell(command)
+    report = run_telemetry(
+        cell,
+        fingerprint,
+        member,
+        command.ring or ring_path(cell, member),
+        Network(config_file=config) if config else Network(connect=(command.connect,)),
+        lockstep=command.lockstep,
+        follow=command.follow,
+        stop=requested,
+        ready=ready,
+        say=lambda text: person.say(f"{member}: {text}"),
+    )
+    person.say(
+        f"{member}: {report.rows_written} rows, {report.rows_lost} lost in the ring, "
+        f"{report.rows_unrecorded} not confirmed by the recorder"
+    )
+    return 0
+
+
+def _of_cell(command: TelemetryCommand) -> tuple[str, str]:
+    """Name and fingerprint of the cell, which has this member."""
+    if command.cell_name is not None and command.fingerprint is not None:
+        return command.cell_name, command.fingerprint
+    from agent.config.files import load_files
+    from agent.telemetry.row.topics import PLANT
+
+    files = load_files(command.cell)
+    if command.member != PLANT:
+        files.index(command.member)  # refuses a member that the cell does not have
+    return files.file.name, files.fingerprint
+
+
+def record(command: RecordCommand, person: Person) -> int:
+    """Everything that the cell publishes into one log, or one after the other."""
+    from agent.config.files import load_files
+    from agent.config.schema.driver import DriverKind
+    from agent.host.paths import log_path
+    from agent.log.parts import Limits
+    from agent.process.recorder import described, run_recorder
+    from agent.telemetry.link.session import Network
+
+    requested, config = begin(command.with_parent), command.network_config
+    files = load_files(command.cell)
+    kind = command.driver if command.driver is not None else files.file.driver
+    known = None if command.run_info is None else command.run_info.read_bytes()
+    report = run_recorder(
+        files,
+        command.out if command.out is not None else log_path(command.out_dir, files.file.name),
+        Network(config_file=config) if config else Network(listen=command.listen),
+        known if known is not None else described(command.cell, kind, command.seed),
+        has_plant=command.truth or kind is DriverKind.SIM,
+        limits=Limits(_bytes(command.split_mb), command.split_s, _bytes(command.keep_mb)),
+        alone=known is None,
+        stop=requested,
+        ready=ready,
+    )
+    for path in report.repaired:
+        person.say(f"repaired {path}")
+    for path in report.logs[1:]:
+        person.say(f"went on in {path}")
+    for key, count in report.completeness.items():
+        if key.startswith("rejected."):
+            person.say(f"left out {count} messages: {key.removeprefix('rejected.').replace('_', ' ')}")
+    person.say(f"{report.path}: {'complete' if report.complete else 'INCOMPLETE'} {report.failure or ''}")
+    return 4 if report.failure else 0
+
+
+def _bytes(megabytes: int | None) -> int | None:
+    return None if megabytes is None else megabytes << 20
