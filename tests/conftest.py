@@ -9,6 +9,8 @@ from collections.abc import Generator
 import pytest
 from hypothesis import Phase, settings
 
+from tests.support.shares import dealt
+
 for _library in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):  # as `coop` has it; read when numpy is loaded
     os.environ.setdefault(_library, "1")
 
@@ -36,8 +38,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--fresh", action="store_true", help="build Debian trees and run in them (make test-fresh)")
 
 
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out what needs an arm, and what takes minutes and downloads, unless it is asked for."""
+@pytest.hookimpl(wrapper=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> Generator[None, None, None]:
+    """Leave out what needs an arm, and what takes minutes and downloads, unless it is asked for; deal out the rest."""
     arm = config.getoption("--hardware") and config.getoption("--arm")
     for item in items:
         if item.get_closest_marker("realtime") and "tests/process/" not in item.nodeid:
@@ -46,6 +49,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             item.add_marker(pytest.mark.skip(reason="two minutes and 300 MB per Debian release: make test-fresh"))
         if item.get_closest_marker("hardware") and not arm:
             item.add_marker(pytest.mark.skip(reason="needs a real arm: --hardware CELL --arm NAME"))
+    yield  # what `-m` and `-k` leave out is out
+    workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+    items[:] = dealt(items, workers, lambda item: "tests/process/" in item.nodeid, lambda item: item.path)
 
 
 @pytest.hookimpl(wrapper=True)
