@@ -19,7 +19,7 @@ from agent.cli.options import (
 )
 from agent.config.schema.driver import DriverKind
 from agent.host.starting import ready
-from agent.process.commands import AfterLoss
+from agent.process.loss import AfterLoss
 
 
 def plant(

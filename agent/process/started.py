@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from agent.host.signals import begin
 from agent.host.starting import ready
 from agent.process.commands import (
-    AfterLoss,
     AgentCommand,
     ChildCommand,
     EmulateCommand,
@@ -18,6 +17,7 @@ from agent.process.commands import (
     RecordCommand,
     TelemetryCommand,
 )
+from agent.process.loss import AfterLoss
 
 
 @dataclass(frozen=True)
