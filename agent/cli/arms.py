@@ -43,7 +43,7 @@ def agent(
 ) -> None:
     """Run one arm: the process that reads, steps, limits and writes."""
     from agent.process.commands import AgentCommand
-    from agent.process.started import Person
+    from agent.process.started import Listener
     from agent.process.started import agent as run
 
     run(
@@ -53,7 +53,7 @@ def agent(
             whole=whole, guard=guard, wait=wait, gripper_empty=gripper_empty, gripper_word=gripper_word,
             with_parent=with_parent,
         ),
-        Person(note, asked_yes),
+        Listener(note, asked_yes),
     )  # fmt: skip
 
 
@@ -72,7 +72,7 @@ def guard(
 ) -> None:
     """Guard one arm: lend its agent the port, and go on in HOLD when that dies or hangs."""
     from agent.process.commands import GuardCommand
-    from agent.process.started import Person
+    from agent.process.started import Listener
     from agent.process.started import guard as run
 
     run(
@@ -80,5 +80,5 @@ def guard(
             cell=cell, arm=arm, socket=socket, control=control, driver=driver, port=port,
             post_mortem=post_mortem, hold=hold, priority=priority, emulated=emulated, with_parent=with_parent,
         ),
-        Person(note),
+        Listener(note),
     )  # fmt: skip

@@ -19,7 +19,7 @@ from agent.cli.options import (
 )
 from agent.config.schema.driver import DriverKind
 from agent.host.starting import ready
-from agent.process.commands import AfterLoss
+from agent.process.loss import AfterLoss
 
 
 def plant(
@@ -34,14 +34,14 @@ def plant(
 ) -> None:
     """Run the simulated cell that the agents' simulated drivers connect to."""
     from agent.process.commands import PlantCommand
-    from agent.process.started import Person
+    from agent.process.started import Listener
     from agent.process.started import plant as run
 
     run(
         PlantCommand(
             cell=cell, socket=socket, ring=ring, real_time=real_time, lost_arm=lost_arm, with_parent=with_parent
         ),
-        Person(note),
+        Listener(note),
     )
 
 
@@ -58,7 +58,7 @@ def emulate(
 ) -> None:
     """Emulated Dynamixel servos of the cell's arms on pseudo terminals, for any Dynamixel client."""
     from agent.process.commands import EmulateCommand
-    from agent.process.started import Person
+    from agent.process.started import Listener
     from agent.process.started import emulate as run
 
     run(
@@ -66,7 +66,7 @@ def emulate(
             cell=cell, ports=ports, ring=ring, faults=faults, control=control, seed=seed, no_timing=no_timing,
             whole=whole, with_parent=with_parent,
         ),
-        Person(note),
+        Listener(note),
     )  # fmt: skip
 
 
@@ -93,7 +93,7 @@ def telemetry(
 ) -> None:
     """Publish one ring over Zenoh."""
     from agent.process.commands import TelemetryCommand
-    from agent.process.started import Person
+    from agent.process.started import Listener
     from agent.process.started import telemetry as run
 
     run(
@@ -101,7 +101,7 @@ def telemetry(
             cell=cell, member=member, ring=ring, connect=connect, network_config=network_config, lockstep=lockstep,
             follow=follow, cell_name=cell_name, fingerprint=fingerprint, with_parent=with_parent,
         ),
-        Person(note),
+        Listener(note),
     )  # fmt: skip
 
 
@@ -124,7 +124,7 @@ def record(
 ) -> None:
     """Write everything the cell publishes into one MCAP log."""
     from agent.process.commands import RecordCommand
-    from agent.process.started import Person
+    from agent.process.started import Listener
     from agent.process.started import record as run
 
     code = run(
@@ -133,7 +133,7 @@ def record(
             truth=truth, seed=seed, split_mb=split_mb, split_s=split_s, keep_mb=keep_mb, run_info=run_info,
             with_parent=with_parent,
         ),
-        Person(note),
+        Listener(note),
     )  # fmt: skip
     if code:
         raise typer.Exit(code)

@@ -10,7 +10,7 @@ import sys
 
 from agent.host.starting import of_host, settle
 from agent.process.commands import read
-from agent.process.started import Person, run
+from agent.process.started import Listener, run
 
 USAGE = 2
 
@@ -19,9 +19,9 @@ def main() -> int:
     """Exit code of the process; a Refusal is told in its lines."""
     settle()
     try:
-        return run(read(sys.argv[1:]), Person(_say))
+        return run(read(sys.argv[1:]), Listener(_told))
     except OSError as error:
-        _say(f"coop: {of_host(error)}")
+        _told(f"coop: {of_host(error)}")
         return USAGE
     except Exception as error:
         from drivers.interface import Refusal  # noqa: PLC0415 - numpy with it, which not every process loads at once
@@ -29,11 +29,11 @@ def main() -> int:
         if not isinstance(error, Refusal):
             raise
         for line in error.lines:
-            _say(f"coop: {line}")
+            _told(f"coop: {line}")
         return error.exit_code
 
 
-def _say(text: str) -> None:
+def _told(text: str) -> None:
     sys.stderr.write(text + "\n")
     sys.stderr.flush()
 

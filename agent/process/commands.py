@@ -9,18 +9,11 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import MISSING, dataclass, fields
-from enum import StrEnum
 from pathlib import Path
 from typing import Any, ClassVar, get_args, get_type_hints
 
 from agent.config.schema.driver import DriverKind
-
-
-class AfterLoss(StrEnum):
-    """What the simulated cell does when the agent of an arm is gone."""
-
-    END = "end"
-    LIMP = "limp"
+from agent.process.loss import AfterLoss
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from agent.host.signals import begin
 from agent.host.starting import ready
 from agent.process.commands import (
-    AfterLoss,
     AgentCommand,
     ChildCommand,
     EmulateCommand,
@@ -18,35 +17,36 @@ from agent.process.commands import (
     RecordCommand,
     TelemetryCommand,
 )
+from agent.process.loss import AfterLoss
 
 
 @dataclass(frozen=True)
-class Person:
-    """Who reads a process's words and answers its questions."""
+class Listener:
+    """Who reads what a process says and answers its questions."""
 
     say: Callable[[str], None]
     agrees: Callable[[str], bool] = lambda _: False
 
 
-def run(command: ChildCommand, person: Person) -> int:
+def run(command: ChildCommand, listener: Listener) -> int:
     """Be that process until its end; the exit code.  Raises Refusal, OSError."""
     match command:
         case AgentCommand():
-            return agent(command, person)
+            return agent(command, listener)
         case GuardCommand():
-            return guard(command, person)
+            return guard(command, listener)
         case PlantCommand():
-            return plant(command, person)
+            return plant(command, listener)
         case EmulateCommand():
-            return emulate(command, person)
+            return emulate(command, listener)
         case TelemetryCommand():
-            return telemetry(command, person)
+            return telemetry(command, listener)
         case RecordCommand():
-            return record(command, person)
+            return record(command, listener)
     raise TypeError(type(command))
 
 
-def agent(command: AgentCommand, person: Person) -> int:
+def agent(command: AgentCommand, listener: Listener) -> int:
     """One arm: read, step, limit, write."""
     from agent.config.cell import ConfigError, load_cell
     from agent.config.floating import spec_of
@@ -76,7 +76,7 @@ def agent(command: AgentCommand, person: Person) -> int:
         port_of(loaded.arm(arm), Connection(port=port))
     if in_the_loop(loaded, arm) and not emulated:
         said = command.gripper_empty or taken(command.gripper_word)
-        require_empty_gripper(arm, said or person.agrees(f"Is the gripper of arm {arm} EMPTY?"))
+        require_empty_gripper(arm, said or listener.agrees(f"Is the gripper of arm {arm} EMPTY?"))
     require_wall_clock(loaded, real_time=command.real_time or kind is DriverKind.DYNAMIXEL)
     lockstep = kind is DriverKind.SIM and not command.real_time
     if command.guard is not None and lockstep:
@@ -102,14 +102,14 @@ def agent(command: AgentCommand, person: Person) -> int:
     )
     floats = spec_of(loaded, loaded.arm(arm)) is not None
     summary = (run_float if floats else run_agent)(loaded, options, requested, ready)
-    person.say(
+    listener.say(
         f"arm {arm}: {summary.ticks} cycles, {summary.late_cycles} late, {summary.stale_cycles} without a state, "
         f"mode {summary.mode.name} {summary.reason}"
     )
     return 0
 
 
-def guard(command: GuardCommand, person: Person) -> int:
+def guard(command: GuardCommand, listener: Listener) -> int:
     """One arm's guard: lends its agent the port, and goes on in HOLD when that dies or hangs."""
     from agent.host.notify import Notifier
 
@@ -142,11 +142,11 @@ def guard(command: GuardCommand, person: Person) -> int:
     socket = command.socket or guard_path(name, arm)
     summary = run_guard(loaded, GuardOptions(options, command.cell, socket, command.post_mortem), requested, ready)
     if summary is not None:
-        person.say(f"arm {arm}: held for {summary.ticks} cycles, mode {summary.mode.name} {summary.reason}")
+        listener.say(f"arm {arm}: held for {summary.ticks} cycles, mode {summary.mode.name} {summary.reason}")
     return 0
 
 
-def plant(command: PlantCommand, person: Person) -> int:
+def plant(command: PlantCommand, listener: Listener) -> int:
     """The simulated cell that the agents' simulated drivers connect to."""
     from agent.config.cell import load_cell
     from agent.host.paths import make_runtime_dir, plant_socket_path, ring_path
@@ -161,11 +161,11 @@ def plant(command: PlantCommand, person: Person) -> int:
         make_runtime_dir(name)
     where = command.socket or plant_socket_path(name), command.ring or ring_path(name, PLANT)
     loss = LostArm.GO_LIMP if command.lost_arm is AfterLoss.LIMP else LostArm.END_RUN
-    person.say(run_plant(loaded, *where, lockstep=not command.real_time, lost_arm=loss, stop=requested, ready=ready))
+    listener.say(run_plant(loaded, *where, lockstep=not command.real_time, lost_arm=loss, stop=requested, ready=ready))
     return 0
 
 
-def emulate(command: EmulateCommand, person: Person) -> int:
+def emulate(command: EmulateCommand, listener: Listener) -> int:
     """Emulated servos of the cell's arms on pseudo terminals."""
     from agent.atomic import make_folder
     from agent.config.cell import load_cell
@@ -186,15 +186,15 @@ def emulate(command: EmulateCommand, person: Person) -> int:
     places = {arm.name: command.ports / arm.name for arm in loaded.arms}
     options = ServeOptions(places, command.faults, command.control, command.seed)
     if alone:
-        person.say(run_emulate_alone(loaded, options, timing=timing, stop=requested, ready=ready))
+        listener.say(run_emulate_alone(loaded, options, timing=timing, stop=requested, ready=ready))
         return 0
     where = command.ring or ring_path(name, PLANT)
     begins = at_rest if command.whole else gripping if floating is None else about_the_object
-    person.say(run_emulate(loaded, options, where, timing=timing, stop=requested, ready=ready, begin=begins))
+    listener.say(run_emulate(loaded, options, where, timing=timing, stop=requested, ready=ready, begin=begins))
     return 0
 
 
-def telemetry(command: TelemetryCommand, person: Person) -> int:
+def telemetry(command: TelemetryCommand, listener: Listener) -> int:
     """One ring over Zenoh."""
     from agent.host.paths import ring_path
     from agent.process.telemetry import run_telemetry
@@ -212,9 +212,9 @@ def telemetry(command: TelemetryCommand, person: Person) -> int:
         follow=command.follow,
         stop=requested,
         ready=ready,
-        say=lambda text: person.say(f"{member}: {text}"),
+        say=lambda text: listener.say(f"{member}: {text}"),
     )
-    person.say(
+    listener.say(
         f"{member}: {report.rows_written} rows, {report.rows_lost} lost in the ring, "
         f"{report.rows_unrecorded} not confirmed by the recorder"
     )
@@ -234,7 +234,7 @@ def _of_cell(command: TelemetryCommand) -> tuple[str, str]:
     return files.file.name, files.fingerprint
 
 
-def record(command: RecordCommand, person: Person) -> int:
+def record(command: RecordCommand, listener: Listener) -> int:
     """Everything that the cell publishes into one log, or one after the other."""
     from agent.config.files import load_files
     from agent.config.schema.driver import DriverKind
@@ -259,13 +259,13 @@ def record(command: RecordCommand, person: Person) -> int:
         ready=ready,
     )
     for path in report.repaired:
-        person.say(f"repaired {path}")
+        listener.say(f"repaired {path}")
     for path in report.logs[1:]:
-        person.say(f"went on in {path}")
+        listener.say(f"went on in {path}")
     for key, count in report.completeness.items():
         if key.startswith("rejected."):
-            person.say(f"left out {count} messages: {key.removeprefix('rejected.').replace('_', ' ')}")
-    person.say(f"{report.path}: {'complete' if report.complete else 'INCOMPLETE'} {report.failure or ''}")
+            listener.say(f"left out {count} messages: {key.removeprefix('rejected.').replace('_', ' ')}")
+    listener.say(f"{report.path}: {'complete' if report.complete else 'INCOMPLETE'} {report.failure or ''}")
     return 4 if report.failure else 0
 
 

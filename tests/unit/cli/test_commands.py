@@ -158,7 +158,20 @@ def test_libraries_start_as_a_command_needs_them_unless_the_user_says_otherwise(
 @pytest.mark.parametrize(
     ("line", "never"),
     [
-        (["--help"], {"numpy", "pydantic", "rich", "pinocchio", "scipy", "zenoh", "matplotlib", "mcap"}),
+        (
+            ["--help"],
+            {
+                "agent.process.commands",
+                "numpy",
+                "pydantic",
+                "rich",
+                "pinocchio",
+                "scipy",
+                "zenoh",
+                "matplotlib",
+                "mcap",
+            },
+        ),
         (["run", "--help"], {"numpy", "pinocchio", "scipy", "zenoh", "matplotlib", "mcap"}),
         (["check", str(PAPER)], {"scipy.linalg", "scipy.interpolate", "zenoh", "matplotlib", "mcap", "dynamixel_sdk"}),
     ],

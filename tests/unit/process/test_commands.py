@@ -10,7 +10,6 @@ import pytest
 from agent.cli.main import whole
 from agent.config.schema.driver import DriverKind
 from agent.process.commands import (
-    AfterLoss,
     AgentCommand,
     ChildCommand,
     EmulateCommand,
@@ -20,6 +19,7 @@ from agent.process.commands import (
     TelemetryCommand,
     read,
 )
+from agent.process.loss import AfterLoss
 
 CELL = Path("/dev/shm/coop-x/cell.toml")
 FULL = (
