@@ -49,7 +49,7 @@ def test_a_run_of_the_real_driver_from_rest_to_rest_is_verified(whole_run: tuple
 
 
 def require_verified(run: Path) -> None:
-    for begin in ((), ("--row", "71"), ("--from", "0.5")):
+    for begin in ((), ("--row", "71", "--arm", "left"), ("--from", "0.5", "--arm", "right")):
         verified = coop("replay", "--verify", run / "run.mcap", *begin)
         assert verified.code == 0, verified.out + verified.err
         assert "differ" not in verified.out

@@ -60,8 +60,8 @@ class Lab:
             ready(process)
         self.agents = [self._agent("left", "--port", "left"), self._agent("right", "--real-time")]
         try:
-            for agent in self.agents:
-                ready(agent)  # torque is on
+            for agent in self.agents * 2:
+                ready(agent)  # loaded, then with torque
         except AssertionError as error:
             if "the bus is not reliable" in str(error):
                 raise Stalled("emulated servos were too late at the start") from error
@@ -74,9 +74,7 @@ class Lab:
 
     def _agent(self, arm: str, *more: str) -> subprocess.Popen[str]:
         own = ("--ring", f"{arm}.ring", "--control", f"{arm}.control", "--plant-socket", "plant.sock")
-        process = self._begin("agent", "--arm", arm, "--emulated", "--hold", *own, *more)
-        ready(process)
-        return process
+        return self._begin("agent", "--arm", arm, "--emulated", "--hold", *own, *more)
 
     @property
     def controls(self) -> dict[str, list[Path]]:

@@ -53,7 +53,7 @@ def test_alignment_takes_the_force_out_of_a_disagreement() -> None:
 
 
 def adaptive_force(leak: float) -> float:
-    """Mean force between two adaptive arms that align, over the last 4 s of 16; one base believed 1 mm off."""
+    """Mean force between two adaptive arms that align, over the last 2 s of 8; one base believed 1 mm off."""
     forces: list[float] = []
     path = configs.CELLS_DIR / "paper_adaptive.toml"
     overrides = (f"controller.adaptive.leak_per_s={leak}", "controller.alignment.track_per_s=0.3")
@@ -63,10 +63,10 @@ def adaptive_force(leak: float) -> float:
     )
 
     def see(t: float, seen: Observation) -> None:
-        if t > 12.0:
+        if t > 6.0:
             forces.append(between(seen))
 
-    simulate(true, 16.0, agents_cell=believed, see=see)
+    simulate(true, 8.0, agents_cell=believed, see=see)
     return float(np.mean(forces))
 
 

@@ -130,7 +130,7 @@ def test_the_margin_is_the_grip_less_the_largest_force(tmp_path: Path) -> None:
     assert document["arms"]["left"]["margin_N"] == pytest.approx(5.0 - force)
     assert document["arms"]["right"]["margin_N"] is None
     done = coop("grasps", log)
-    assert "against the mean of the arms" in done.out
+    assert "against the mean of the arms" in " ".join(done.out.split())  # a long path wraps the line
     assert "two arms that disagree do not tell which one is off" in done.out
 
 
