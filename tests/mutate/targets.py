@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 UNIT = "tests/unit"
+_PROPERTY = "tests/property/control"
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,7 @@ _STEP = tuple(
     )
 )  # fmt: skip
 _LAW = tuple(
-    f"tests/property/control/test_{name}.py"
+    f"{_PROPERTY}/test_{name}.py"
     for name in (
         "control_law", "control_derivatives", "control_internal_force", "control_inverse", "control_posture",
         "adaptive_law",
@@ -57,6 +58,7 @@ _RING = (
     "tests/property/telemetry/test_ring_model.py",
 )
 _DRIVER = (f"{UNIT}/drivers/test_driver.py", f"{UNIT}/drivers/test_driver_cycle.py")
+_BRING_UP = tuple(f"{UNIT}/drivers/{name}.py" for name in ("test_dxl_bringup", "test_swapped_arms", "test_standby"))
 _VIEW = tuple(f"{UNIT}/view/{name}.py" for name in ("test_scene", "test_pictures"))
 _PAGE = (f"{UNIT}/view/test_page.py",)
 _VERIFY = tuple(f"{UNIT}/replay/{name}.py" for name in ("test_verify", "test_verify_trouble", "test_replay_command"))
@@ -77,7 +79,7 @@ TARGETS = (
         "agent.control.adaptation",
         (
             *(f"{UNIT}/control/{name}.py" for name in ("test_adaptation", "test_adaptive")),
-            "tests/property/control/test_adaptive_projection.py",
+            f"{_PROPERTY}/test_adaptive_projection.py",
         ),
     ),
     Target("agent.control.against", (f"{UNIT}/control/test_against.py",)),
@@ -146,6 +148,10 @@ TARGETS = (
     Target("drivers.dynamixel.cycle", (f"{UNIT}/drivers/test_cycle.py", f"{UNIT}/drivers/test_cycle_again.py")),
     Target("drivers.dynamixel.driver", (*_DRIVER, f"{UNIT}/drivers/test_recover.py", f"{UNIT}/drivers/test_grip.py")),
     Target("drivers.dynamixel.interpret", (f"{UNIT}/drivers/test_interpret.py",)),
+    Target(
+        "drivers.dynamixel.line.codec",
+        tuple(f"{UNIT}/drivers/{name}.py" for name in ("test_dxl_codec", "test_dxl_scanner")),
+    ),
     Target("drivers.dynamixel.line.group", (f"{UNIT}/drivers/test_group.py",)),
     Target("drivers.dynamixel.monitor", (f"{UNIT}/drivers/test_monitor.py",)),
     Target("drivers.dynamixel.pace", tuple(f"{UNIT}/drivers/{name}.py" for name in ("test_pace", "test_driver"))),

@@ -53,6 +53,16 @@ _NO_MORE = "adds nothing where no more than one period has passed"
 _PAIRS = "_pairs: tuple[tuple[float, float], ...] = field(init=False, repr=False)"
 _NO_INTERNAL = "return _NO_WRENCH if wanted is None else shift_to_ee(k, internal)"
 
+_TASK = "e_v_task = e_v if len(P) == 6 else P.T.dot(P.dot(e_v)).tolist()"
+_IDENTITY = "saves a product with the identity"
+_NO_NUMBER = "if info != 0 or not math.isfinite(inverse[0, 0]):"
+_SPREADS = "what is no number spreads to every entry of the inverse"
+_ROWS = "_IDENTITY = tuple((np.eye(n, order='F') for n in range(7)))"
+_TWISTS = "twists = np.zeros((2, 6))"
+_PARALLEL = "parallel = np.abs(np.abs(axes.dot(normal)) - 1.0) < 1e-06"
+_ALMOST_ZERO = "normal = np.where(np.abs(normal) < 1e-09, 0.0, normal) + 0.0"
+_LARGEST = "if normal[np.argmax(np.abs(normal))] < 0.0:"
+
 CONTROL: Entries = {
     "agent.safety": {
         ("", _TABLE, _TABLE.replace("+ 1", "+ 2")): "one flag more than the three that are looked up can make",
