@@ -159,7 +159,9 @@ TARGETS = (
         "drivers.dynamixel.recovery", tuple(f"{UNIT}/drivers/{name}.py" for name in ("test_driver", "test_recover"))
     ),
     Target("drivers.dynamixel.running", tuple(f"{UNIT}/drivers/{name}.py" for name in ("test_running", "test_grip"))),
+    Target("drivers.dynamixel.servo.counts", (f"{UNIT}/drivers/test_dxl_units.py",)),
     Target("drivers.dynamixel.servo.torque", (f"{UNIT}/drivers/test_dxl_torque.py",)),
+    Target("drivers.dynamixel.servo.units", (f"{UNIT}/drivers/test_dxl_units.py",)),
     Target("drivers.dynamixel.stale", _DRIVER),
     Target("sim_backend.hil.touch", (f"{UNIT}/hil/test_touch.py",)),
     Target("sim_backend.physics.calendar", _SOFT),

@@ -135,6 +135,9 @@ DRIVER: Entries = {
         ("unstuff", "return body", "pass"): _NOTHING_TO_UNSTUFF,
         ("StatusScanner.feed", "if excess > 0:", "if excess >= 0:"): "drops nothing where nothing is too much",
     },
+    "drivers.dynamixel.servo.units": {
+        ("", "if TYPE_CHECKING:", "if False:"): "said for the type checker",
+    },
     "drivers.dynamixel.running": {
         ("Running.again", _TAKES_ON, _TAKES_ON.replace("made.grip is not None", "True")): _SAME_GRIPPER,
         ("Running.again", _TAKES_ON, _TAKES_ON.replace("self.grip is not None", "True")): _SAME_GRIPPER,
