@@ -160,6 +160,10 @@ TARGETS = (
     ),
     Target("drivers.dynamixel.running", tuple(f"{UNIT}/drivers/{name}.py" for name in ("test_running", "test_grip"))),
     Target("drivers.dynamixel.servo.counts", (f"{UNIT}/drivers/test_dxl_units.py",)),
+    Target(
+        "drivers.dynamixel.servo.models",
+        tuple(f"{UNIT}/drivers/{name}.py" for name in ("test_servo_figures", "test_servo_table")),
+    ),
     Target("drivers.dynamixel.servo.torque", (f"{UNIT}/drivers/test_dxl_torque.py",)),
     Target("drivers.dynamixel.servo.units", (f"{UNIT}/drivers/test_dxl_units.py",)),
     Target("drivers.dynamixel.stale", _DRIVER),

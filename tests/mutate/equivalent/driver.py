@@ -135,6 +135,9 @@ DRIVER: Entries = {
         ("unstuff", "return body", "pass"): _NOTHING_TO_UNSTUFF,
         ("StatusScanner.feed", "if excess > 0:", "if excess >= 0:"): "drops nothing where nothing is too much",
     },
+    "drivers.dynamixel.servo.models": {
+        ("ServoModel", _REGISTERS, _REGISTERS.replace("repr=False", "repr=True")): "how it is printed",
+    },
     "drivers.dynamixel.servo.units": {
         ("", "if TYPE_CHECKING:", "if False:"): "said for the type checker",
     },
