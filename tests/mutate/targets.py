@@ -166,6 +166,10 @@ TARGETS = (
     ),
     Target("drivers.dynamixel.servo.torque", (f"{UNIT}/drivers/test_dxl_torque.py",)),
     Target("drivers.dynamixel.servo.units", (f"{UNIT}/drivers/test_dxl_units.py",)),
+    Target(
+        "drivers.dynamixel.standby",
+        tuple(f"{UNIT}/drivers/{name}.py" for name in ("test_standby", "test_standby_line")),
+    ),
     Target("drivers.dynamixel.stale", _DRIVER),
     Target("sim_backend.hil.touch", (f"{UNIT}/hil/test_touch.py",)),
     Target("sim_backend.physics.calendar", _SOFT),
