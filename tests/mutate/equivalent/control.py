@@ -60,7 +60,7 @@ _SPREADS = "what is no number spreads to every entry of the inverse"
 _ROWS = "_IDENTITY = tuple((np.eye(n, order='F') for n in range(7)))"
 _TWISTS = "twists = np.zeros((2, 6))"
 _PARALLEL = "parallel = np.abs(np.abs(axes.dot(normal)) - 1.0) < 1e-06"
-_ALMOST_ZERO = "normal = np.where(np.abs(normal) < 1e-09, 0.0, normal) + 0.0"
+_ALMOST_ZERO = "normal = np.where(np.abs(normal) < 1e-09, 0.0, normal)"
 _LARGEST = "if normal[np.argmax(np.abs(normal))] < 0.0:"
 
 CONTROL: Entries = {
