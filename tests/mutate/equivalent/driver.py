@@ -141,6 +141,9 @@ DRIVER: Entries = {
     "drivers.dynamixel.servo.units": {
         ("", "if TYPE_CHECKING:", "if False:"): "said for the type checker",
     },
+    "drivers.dynamixel.identify": {
+        ("_at_another_speed", "return None", "pass"): _NONE,
+    },
     "drivers.dynamixel.running": {
         ("Running.again", _TAKES_ON, _TAKES_ON.replace("made.grip is not None", "True")): _SAME_GRIPPER,
         ("Running.again", _TAKES_ON, _TAKES_ON.replace("self.grip is not None", "True")): _SAME_GRIPPER,
