@@ -64,6 +64,16 @@ _ALMOST_ZERO = "normal = np.where(np.abs(normal) < 1e-09, 0.0, normal)"
 _LARGEST = "if normal[np.argmax(np.abs(normal))] < 0.0:"
 
 CONTROL: Entries = {
+    "agent.control.adaptive": {
+        ("torque", _TASK, _TASK.replace("len(P) == 6", "False")): _IDENTITY,
+        ("torque", _TASK, _TASK.replace("6", "7")): _IDENTITY,
+        ("torque", _TASK, _TASK.replace("6", "5")): _IDENTITY,
+    },
+    "agent.control.inverse": {
+        ("_invert", _NO_NUMBER, _NO_NUMBER.replace("0, 0]", "1, 0]")): _SPREADS,
+        ("_invert", _NO_NUMBER, _NO_NUMBER.replace("0, 0]", "0, 1]")): _SPREADS,
+        ("", _ROWS, _ROWS.replace("7", "8")): "one identity more than a task space has rows",
+    },
     "agent.safety": {
         ("", _TABLE, _TABLE.replace("+ 1", "+ 2")): "one flag more than the three that are looked up can make",
     },
