@@ -105,6 +105,10 @@ TARGETS = (
         "agent.control.memory",
         tuple(f"{UNIT}/{name}.py" for name in ("control/test_estimator", "test_hold", "telemetry/test_row")),
     ),
+    Target(
+        "agent.control.models",
+        (f"{_PROPERTY}/test_control_models.py", f"{_PROPERTY}/test_control_models_by_definition.py"),
+    ),
     Target("agent.control.posture", (f"{_PROPERTY}/test_control_posture.py",)),
     Target("agent.control.residual", tuple(f"{UNIT}/control/{name}.py" for name in ("test_residual", "test_touch"))),
     Target("agent.control.touch", (f"{UNIT}/control/test_touch.py",)),

@@ -74,6 +74,14 @@ CONTROL: Entries = {
         ("_invert", _NO_NUMBER, _NO_NUMBER.replace("0, 0]", "0, 1]")): _SPREADS,
         ("", _ROWS, _ROWS.replace("7", "8")): "one identity more than a task space has rows",
     },
+    "agent.control.models": {
+        ("Scratch.__init__", _TWISTS, _TWISTS.replace("2, 6", "3, 6")): "room for one row more, which nobody is given",
+        ("ArmModel.evaluate", "if self.task_is_identity:", "if False:"): _IDENTITY,
+        ("_task_space", _PARALLEL, _PARALLEL.replace("<", "<=")): "no angle between two axes gives just that number",
+        ("_task_space", _ALMOST_ZERO, _ALMOST_ZERO.replace("<", "<=")): "no rounding gives just that number",
+        ("_task_space", _ALMOST_ZERO, _ALMOST_ZERO.replace("1e-09", "2e-09")): "so small a part changes no row",
+        ("_task_space", _LARGEST, _LARGEST.replace("<", "<=")): "the largest part of a direction is not zero",
+    },
     "agent.safety": {
         ("", _TABLE, _TABLE.replace("+ 1", "+ 2")): "one flag more than the three that are looked up can make",
     },
