@@ -69,6 +69,7 @@ _SOFT = tuple(f"{UNIT}/sim_backend/{name}.py" for name in ("test_soft", "test_pa
 TARGETS = (
     Target("agent.safety", (f"{UNIT}/test_safety.py",)),
     Target("agent.calibrate.poses", (f"{UNIT}/calibrate/test_poses.py",)),
+    Target("agent.config.floating", (f"{UNIT}/config/test_floating_config.py",)),
     Target("agent.config.monitors", (f"{UNIT}/monitors/test_bounds.py",)),
     Target(
         "agent.config.noticing",
