@@ -113,6 +113,7 @@ TARGETS = (
     Target("agent.control.posture", (f"{_PROPERTY}/test_control_posture.py",)),
     Target("agent.control.residual", tuple(f"{UNIT}/control/{name}.py" for name in ("test_residual", "test_touch"))),
     Target("agent.control.touch", (f"{UNIT}/control/test_touch.py",)),
+    Target("agent.guard.guarded", (f"{UNIT}/guard/test_guarded.py",)),
     Target("agent.guard.resume", (f"{UNIT}/guard/test_resume.py",)),
     Target(
         "agent.guard.takeover",

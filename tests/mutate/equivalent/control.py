@@ -127,6 +127,9 @@ CONTROL: Entries = {
         ("reference", "if model.task_is_identity:", "if False:"): "saves a product with the identity",
         ("add_wrenches", _NO_INTERNAL, _NO_INTERNAL.replace("wanted is None", "False")): "saves a shift of nothing",
     },
+    "agent.guard.guarded": {
+        ("Guarded.poll", "self._cycles += 1", "self._cycles -= 1"): _EVERY,
+    },
     "agent.monitors.body": {
         ("Limited.check", "if now != ticks[place]:", "if True:"): "saves a write of what is there",
         ("Load.check", "self._tick += 1", "self._tick -= 1"): _EVERY,
