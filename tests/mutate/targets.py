@@ -120,6 +120,7 @@ TARGETS = (
         (f"{UNIT}/guard/test_vigil.py", f"{UNIT}/guard/test_go_on.py", f"{UNIT}/process/test_guard_watches.py"),
     ),
     Target("agent.guard.vigil", (f"{UNIT}/guard/test_vigil.py",)),
+    Target("agent.guard.watched", (f"{UNIT}/guard/test_watched.py",)),
     Target("agent.host.notify", (f"{UNIT}/host/test_notify.py",)),
     Target("agent.modes", (f"{UNIT}/test_modes.py",)),
     Target("agent.loop", _STEP),

@@ -53,6 +53,9 @@ _NO_MORE = "adds nothing where no more than one period has passed"
 _PAIRS = "_pairs: tuple[tuple[float, float], ...] = field(init=False, repr=False)"
 _NO_INTERNAL = "return _NO_WRENCH if wanted is None else shift_to_ee(k, internal)"
 
+_HOW_OFTEN = "how often somebody is told meanwhile; no test measures time"
+_COUNTS = "self._seen_s = self._slow_s = 0.0"
+_AT_LAST = "return Event.ARRIVED if lies or seconds >= SINK_MAX_S else Event.NONE"
 _TASK = "e_v_task = e_v if len(P) == 6 else P.T.dot(P.dot(e_v)).tolist()"
 _IDENTITY = "saves a product with the identity"
 _NO_NUMBER = "if info != 0 or not math.isfinite(inverse[0, 0]):"
@@ -129,6 +132,11 @@ CONTROL: Entries = {
     },
     "agent.guard.guarded": {
         ("Guarded.poll", "self._cycles += 1", "self._cycles -= 1"): _EVERY,
+    },
+    "agent.guard.watched": {
+        ("", "KILL_LOOK_MS = 20", "KILL_LOOK_MS = 40"): _HOW_OFTEN,
+        ("", "KILL_LOOK_MS = 20", "KILL_LOOK_MS = 10"): _HOW_OFTEN,
+        ("Watched.gone", "return _ended(self.pidfd, 0)", "return _ended(self.pidfd, 1)"): "finds the same, a bit later",
     },
     "agent.monitors.body": {
         ("Limited.check", "if now != ticks[place]:", "if True:"): "saves a write of what is there",
