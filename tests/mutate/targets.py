@@ -133,6 +133,10 @@ TARGETS = (
     Target("agent.telling", (f"{UNIT}/test_telling.py",)),
     Target("agent.ticks", _RUNNER, warm=_WARM),
     Target("agent.transition", (f"{UNIT}/test_transition.py",)),
+    Target(
+        "agent.process.float_loop",
+        tuple(f"{UNIT}/process/{name}.py" for name in ("test_float_loop", "test_float_ending")),
+    ),
     Target("agent.operator.socket", (f"{UNIT}/operator/test_control_socket.py",)),
     Target("agent.monitors.body", _MONITORS),
     Target("agent.monitors.gravity", (f"{UNIT}/monitors/test_gravity.py",)),

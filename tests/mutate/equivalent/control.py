@@ -138,6 +138,10 @@ CONTROL: Entries = {
         ("", "KILL_LOOK_MS = 20", "KILL_LOOK_MS = 10"): _HOW_OFTEN,
         ("Watched.gone", "return _ended(self.pidfd, 0)", "return _ended(self.pidfd, 1)"): "finds the same, a bit later",
     },
+    "agent.process.float_loop": {
+        ("Ending.__init__", _COUNTS, _COUNTS.replace("0.0", "1.0")): "read in SINK, and each mode begins them anew",
+        ("Ending.events", _AT_LAST, _AT_LAST.replace(">=", ">")): "no whole nanoseconds times 1e-9 are just 30.0",
+    },
     "agent.monitors.body": {
         ("Limited.check", "if now != ticks[place]:", "if True:"): "saves a write of what is there",
         ("Load.check", "self._tick += 1", "self._tick -= 1"): _EVERY,
