@@ -199,7 +199,7 @@ def _parsed(urdf_xml: str) -> pin.Model:
 def _refuse_unphysical(model: pin.Model, data: pin.Data) -> None:
     """Raise ModelError for an arm that some joint accelerations would cost no torque."""
     q = pin.neutral(model)
-    finite = all(np.isfinite(link.toDynamicParameters()).all() for link in model.inertias) and np.isfinite(q).all()
+    finite = all(np.isfinite(link.toDynamicParameters()).all() for link in model.inertias)
     smallest = float(np.linalg.eigvalsh(pin.crba(model, data, q))[0]) if finite else np.nan
     if not SMALLEST_INERTIA_KG_M2 < smallest < np.inf:
         raise ModelError(
@@ -265,8 +265,7 @@ def _task_space(model: pin.Model, data: pin.Data) -> tuple[Vector | None, Matrix
             expected="three joints with parallel axes (planar) or at least six",
             remedy="choose the controlled joints so that the task rows are square and full rank",
         )
-    # Adding zero turns -0.0 into 0.0, so equal cells print equal.
-    normal = np.where(np.abs(normal) < 1e-9, 0.0, normal) + 0.0
+    normal = np.where(np.abs(normal) < 1e-9, 0.0, normal)
     if normal[np.argmax(np.abs(normal))] < 0.0:
         normal = 0.0 - normal
     first = np.eye(3)[int(np.argmin(np.abs(normal)))]
@@ -277,4 +276,4 @@ def _task_space(model: pin.Model, data: pin.Data) -> tuple[Vector | None, Matrix
     )
     basis = np.zeros((3, 6))
     basis[0, :3], basis[1, :3], basis[2, 3:] = u, w, normal
-    return normal, basis + 0.0
+    return normal, basis + 0.0  # which turns -0.0 into 0.0, so that equal cells print equal

@@ -32,7 +32,7 @@ class Guarded:
         self._end: AgentEnd | None = AgentEnd(path, fingerprint)
         self._watch: tuple[tuple[int, ...], dict[str, Any]] | None = None
         self._tell: Tell = lambda *_: None
-        self._borrowed = 0
+        self._lent = False
         self._cycles = 0
         self._asked_back = False
         self._ending = 0
@@ -54,8 +54,8 @@ class Guarded:
                 f"port from the guard at {self._path}", found="no guard any more", expected="one that lends it",
                 remedy="start the guard again",
             )  # fmt: skip
-        (fd,) = self._end.ask(Word.PORT, again=self._borrowed > 0)
-        self._borrowed += 1
+        (fd,) = self._end.ask(Word.PORT, again=self._lent)
+        self._lent = True
         return fd
 
     def watch(self, fds: Sequence[int], tell: Tell, **content: Any) -> None:
@@ -88,10 +88,11 @@ class Guarded:
             return False
         heard = self._end.heard()
         if heard is None:
+            self._end.close()
             return self._lost()
         if heard and self._asked_back:
-            self._asked_back = False
             if heard.get("ok"):
+                self._asked_back = False
                 self._tell(Level.INFO, "the guard is back and watches")
             else:
                 self._tell(Level.ERROR, f"the guard is back and does not watch: found {heard.get('found')}")
@@ -141,9 +142,7 @@ class Guarded:
         return self._end is not None
 
     def _lost(self) -> bool:
-        if self._end is not None:
-            self._end.close()
-        self._end, self._asked_back = None, False
+        self._end = None
         self._tell(Level.ERROR, "the guard is gone: the arm holds, and falls limp should this process end")
         return True
 
@@ -154,4 +153,4 @@ class Guarded:
                 end.say(Word.WATCH, self._watch[0], **self._watch[1])
         except GuardError:
             return
-        self._end, self._asked_back = end, True
+        self._end, self._asked_back = end, self._watch is not None

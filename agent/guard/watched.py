@@ -48,14 +48,14 @@ class Watched:
                 remedy="start agent and guard from one release",
             )  # fmt: skip
         pidfd, ring, texts = said.fds[:DESCRIPTORS]
-        with contextlib.ExitStack() as undo:
+        with contextlib.ExitStack() as always, contextlib.ExitStack() as undo:
+            always.callback(os.close, ring)
+            always.callback(os.close, texts)
             undo.callback(os.close, pidfd)
-            undo.callback(os.close, texts)
             reader = undo.enter_context(RingReader(Path(f"/proc/self/fd/{ring}"), AGENT_STATE))
-            writer = undo.enter_context(RingWriter.go_on(ring, AGENT_STATE))
+            writer = undo.enter_context(RingWriter.go_on(os.dup(ring), AGENT_STATE))
             text_writer = TextWriter.go_on(os.dup(texts))
             undo.pop_all()
-        os.close(texts)
         return cls(pidfd, Path(str(said.content.get("ring"))), reader, writer, text_writer, vigil)
 
     @property
@@ -77,7 +77,7 @@ class Watched:
     def last_rows(self) -> Rows:
         """Its last rows, at most `ROWS`."""
         written = self.reader.written
-        block = self.reader.read_at(max(0, written - ROWS), min(written, ROWS))
+        block = self.reader.read_at(max(0, written - ROWS), ROWS)
         return np.frombuffer(block.payload, AGENT_STATE.dtype)
 
     def inherit(self) -> None:

@@ -6,6 +6,7 @@ to answer less than everything is set to answer, once no other servo says that t
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -198,10 +199,8 @@ def _at_another_speed(bus: Bus, arm: ArmMap) -> tuple[int, int] | None:
         except PortError:
             continue  # what the adapter cannot make cannot be what the servos were set to with it
         for slot in arm.slots:
-            try:
+            with contextlib.suppress(NoReplyError):
                 return bus.ping(slot.servo_id, attempts=1).servo_id, baud
-            except NoReplyError:
-                continue
     return None
 
 

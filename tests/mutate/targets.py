@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 UNIT = "tests/unit"
+_PROPERTY = "tests/property/control"
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,7 @@ _STEP = tuple(
     )
 )  # fmt: skip
 _LAW = tuple(
-    f"tests/property/control/test_{name}.py"
+    f"{_PROPERTY}/test_{name}.py"
     for name in (
         "control_law", "control_derivatives", "control_internal_force", "control_inverse", "control_posture",
         "adaptive_law",
@@ -57,6 +58,7 @@ _RING = (
     "tests/property/telemetry/test_ring_model.py",
 )
 _DRIVER = (f"{UNIT}/drivers/test_driver.py", f"{UNIT}/drivers/test_driver_cycle.py")
+_BRING_UP = tuple(f"{UNIT}/drivers/{name}.py" for name in ("test_dxl_bringup", "test_swapped_arms", "test_standby"))
 _VIEW = tuple(f"{UNIT}/view/{name}.py" for name in ("test_scene", "test_pictures"))
 _PAGE = (f"{UNIT}/view/test_page.py",)
 _VERIFY = tuple(f"{UNIT}/replay/{name}.py" for name in ("test_verify", "test_verify_trouble", "test_replay_command"))
@@ -67,6 +69,7 @@ _SOFT = tuple(f"{UNIT}/sim_backend/{name}.py" for name in ("test_soft", "test_pa
 TARGETS = (
     Target("agent.safety", (f"{UNIT}/test_safety.py",)),
     Target("agent.calibrate.poses", (f"{UNIT}/calibrate/test_poses.py",)),
+    Target("agent.config.floating", (f"{UNIT}/config/test_floating_config.py",)),
     Target("agent.config.monitors", (f"{UNIT}/monitors/test_bounds.py",)),
     Target(
         "agent.config.noticing",
@@ -77,14 +80,24 @@ TARGETS = (
         "agent.control.adaptation",
         (
             *(f"{UNIT}/control/{name}.py" for name in ("test_adaptation", "test_adaptive")),
-            "tests/property/control/test_adaptive_projection.py",
+            f"{_PROPERTY}/test_adaptive_projection.py",
+        ),
+    ),
+    Target(
+        "agent.control.adaptive",
+        (
+            *(f"{_PROPERTY}/test_{name}.py" for name in ("adaptive_law", "control_posture")),
+            f"{UNIT}/control/test_adaptive.py",
         ),
     ),
     Target("agent.control.against", (f"{UNIT}/control/test_against.py",)),
     Target("agent.control.alignment", (f"{UNIT}/control/test_alignment.py",)),
     Target("agent.control.errors", _LAW),
+    Target("agent.control.estimator", (f"{UNIT}/control/test_estimator.py",)),
     Target("agent.control.floating", (f"{UNIT}/control/test_floating.py",)),
     Target("agent.control.friction", (f"{UNIT}/control/test_friction.py",)),
+    Target("agent.control.internal_force", (f"{_PROPERTY}/test_control_internal_force.py",)),
+    Target("agent.control.inverse", (f"{_PROPERTY}/test_control_inverse.py",)),
     Target("agent.control.joint_hold", tuple(f"{UNIT}/{name}.py" for name in ("test_singular", "test_hold"))),
     Target("agent.control.joint_track", (f"{UNIT}/test_phase_torques.py",)),
     Target("agent.control.known", _LAW),
@@ -93,14 +106,21 @@ TARGETS = (
         "agent.control.memory",
         tuple(f"{UNIT}/{name}.py" for name in ("control/test_estimator", "test_hold", "telemetry/test_row")),
     ),
+    Target(
+        "agent.control.models",
+        (f"{_PROPERTY}/test_control_models.py", f"{_PROPERTY}/test_control_models_by_definition.py"),
+    ),
+    Target("agent.control.posture", (f"{_PROPERTY}/test_control_posture.py",)),
     Target("agent.control.residual", tuple(f"{UNIT}/control/{name}.py" for name in ("test_residual", "test_touch"))),
     Target("agent.control.touch", (f"{UNIT}/control/test_touch.py",)),
+    Target("agent.guard.guarded", (f"{UNIT}/guard/test_guarded.py",)),
     Target("agent.guard.resume", (f"{UNIT}/guard/test_resume.py",)),
     Target(
         "agent.guard.takeover",
         (f"{UNIT}/guard/test_vigil.py", f"{UNIT}/guard/test_go_on.py", f"{UNIT}/process/test_guard_watches.py"),
     ),
     Target("agent.guard.vigil", (f"{UNIT}/guard/test_vigil.py",)),
+    Target("agent.guard.watched", (f"{UNIT}/guard/test_watched.py",)),
     Target("agent.host.notify", (f"{UNIT}/host/test_notify.py",)),
     Target("agent.modes", (f"{UNIT}/test_modes.py",)),
     Target("agent.loop", _STEP),
@@ -113,6 +133,10 @@ TARGETS = (
     Target("agent.telling", (f"{UNIT}/test_telling.py",)),
     Target("agent.ticks", _RUNNER, warm=_WARM),
     Target("agent.transition", (f"{UNIT}/test_transition.py",)),
+    Target(
+        "agent.process.float_loop",
+        tuple(f"{UNIT}/process/{name}.py" for name in ("test_float_loop", "test_float_ending")),
+    ),
     Target("agent.operator.socket", (f"{UNIT}/operator/test_control_socket.py",)),
     Target("agent.monitors.body", _MONITORS),
     Target("agent.monitors.gravity", (f"{UNIT}/monitors/test_gravity.py",)),
@@ -141,11 +165,17 @@ TARGETS = (
     Target("agent.verify.criterion.exponential", (f"{_CRITERION}/test_exponential.py",)),
     Target("agent.verify.criterion.power", (f"{_CRITERION}/test_power.py",)),
     Target("agent.verify.disagreement", (f"{UNIT}/verify/test_disagreement.py",)),
+    Target("drivers.dynamixel.bringup", (*_BRING_UP, f"{UNIT}/drivers/test_bringup_writes.py")),
     Target("drivers.dynamixel.checks", (f"{UNIT}/drivers/test_checks.py",)),
     Target("drivers.dynamixel.connected", (f"{UNIT}/drivers/test_driver.py",)),
     Target("drivers.dynamixel.cycle", (f"{UNIT}/drivers/test_cycle.py", f"{UNIT}/drivers/test_cycle_again.py")),
     Target("drivers.dynamixel.driver", (*_DRIVER, f"{UNIT}/drivers/test_recover.py", f"{UNIT}/drivers/test_grip.py")),
+    Target("drivers.dynamixel.identify", (*_BRING_UP, f"{UNIT}/drivers/test_identify.py")),
     Target("drivers.dynamixel.interpret", (f"{UNIT}/drivers/test_interpret.py",)),
+    Target(
+        "drivers.dynamixel.line.codec",
+        tuple(f"{UNIT}/drivers/{name}.py" for name in ("test_dxl_codec", "test_dxl_scanner")),
+    ),
     Target("drivers.dynamixel.line.group", (f"{UNIT}/drivers/test_group.py",)),
     Target("drivers.dynamixel.monitor", (f"{UNIT}/drivers/test_monitor.py",)),
     Target("drivers.dynamixel.pace", tuple(f"{UNIT}/drivers/{name}.py" for name in ("test_pace", "test_driver"))),
@@ -153,7 +183,17 @@ TARGETS = (
         "drivers.dynamixel.recovery", tuple(f"{UNIT}/drivers/{name}.py" for name in ("test_driver", "test_recover"))
     ),
     Target("drivers.dynamixel.running", tuple(f"{UNIT}/drivers/{name}.py" for name in ("test_running", "test_grip"))),
+    Target("drivers.dynamixel.servo.counts", (f"{UNIT}/drivers/test_dxl_units.py",)),
+    Target(
+        "drivers.dynamixel.servo.models",
+        tuple(f"{UNIT}/drivers/{name}.py" for name in ("test_servo_figures", "test_servo_table")),
+    ),
     Target("drivers.dynamixel.servo.torque", (f"{UNIT}/drivers/test_dxl_torque.py",)),
+    Target("drivers.dynamixel.servo.units", (f"{UNIT}/drivers/test_dxl_units.py",)),
+    Target(
+        "drivers.dynamixel.standby",
+        tuple(f"{UNIT}/drivers/{name}.py" for name in ("test_standby", "test_standby_line")),
+    ),
     Target("drivers.dynamixel.stale", _DRIVER),
     Target("sim_backend.hil.touch", (f"{UNIT}/hil/test_touch.py",)),
     Target("sim_backend.physics.calendar", _SOFT),

@@ -168,12 +168,12 @@ def bulk_write(items: Iterable[tuple[int, int, bytes]]) -> bytes:
 
 def decode_status(packet: bytes) -> Status:
     """Read one complete status packet.  Raises PacketError; `fault` says why."""
-    if len(packet) < 4 or packet[:4] != HEADER:
+    if packet[:4] != HEADER:
         raise PacketError(PacketFault.HEADER, packet)
     if len(packet) < _OVERHEAD + 4:
         raise PacketError(PacketFault.SHORT, packet)
     _, servo_id, length, code = _HEAD.unpack_from(packet)
-    if length < 4 or length > MAX_PACKET - _OVERHEAD:
+    if length > MAX_PACKET - _OVERHEAD:
         raise PacketError(PacketFault.LENGTH, packet)
     if len(packet) < _OVERHEAD + length:
         raise PacketError(PacketFault.SHORT, packet)
@@ -186,8 +186,6 @@ def decode_status(packet: bytes) -> Status:
     if servo_id > MAX_ID:
         raise PacketError(PacketFault.ID, packet)
     body = unstuff(packet[8:-2])
-    if not body:
-        raise PacketError(PacketFault.SHORT, packet)
     return Status(servo_id, body[0] & ~ALERT_BIT, bool(body[0] & ALERT_BIT), body[1:])
 
 
@@ -227,8 +225,6 @@ class StatusScanner:
                 self._drop(len(buffer) - keep)
                 return None
             self._drop(start)
-            if len(buffer) < _OVERHEAD and not final:
-                return None
             length = buffer[5] | buffer[6] << 8 if len(buffer) >= _OVERHEAD else MAX_PACKET - _OVERHEAD
             if length < 3 or length > MAX_PACKET - _OVERHEAD:
                 self._damage()
@@ -257,9 +253,8 @@ class StatusScanner:
         return found
 
     def _drop(self, count: int) -> None:
-        if count > 0:
-            del self._buffer[:count]
-            self.garbage += count
+        del self._buffer[:count]
+        self.garbage += count
 
     def _damage(self) -> None:
         """Give up this header only: a packet hidden behind a wrong length is still found."""

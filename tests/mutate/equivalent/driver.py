@@ -15,6 +15,8 @@ _ENDS = "if final or None not in found.values() or (again.finished if again is n
 _NOTHING_TO_COUNT = "if None not in rows and (not damaged) and (not late):"
 _BY_WORDS = "bytes do for every length; words are quicker where it is even"
 _ENDS_OF_BLOCKS = "for end in range(self._block, blocks * self._block + 1, self._block):"
+_NOTHING_TO_UNSTUFF = "saves counting and replacing what is not there"
+_REGISTERS = "registers: Mapping[str, Register] = field(repr=False, compare=False)"
 _OPPOSED = "opposed = followed[1] * shadow[1] < 0 and min(abs(followed[1]), abs(shadow[1])) >= self._fight"
 
 DRIVER: Entries = {
@@ -127,6 +129,20 @@ DRIVER: Entries = {
             "if self._port.is_open:",
             "if True:",
         ): "a closed port refuses what is written to it, and that is suppressed",
+    },
+    "drivers.dynamixel.line.codec": {
+        ("unstuff", "if _UNSTUFFED not in body:", "if False:"): _NOTHING_TO_UNSTUFF,
+        ("unstuff", "return body", "pass"): _NOTHING_TO_UNSTUFF,
+        ("StatusScanner.feed", "if excess > 0:", "if excess >= 0:"): "drops nothing where nothing is too much",
+    },
+    "drivers.dynamixel.servo.models": {
+        ("ServoModel", _REGISTERS, _REGISTERS.replace("repr=False", "repr=True")): "how it is printed",
+    },
+    "drivers.dynamixel.servo.units": {
+        ("", "if TYPE_CHECKING:", "if False:"): "said for the type checker",
+    },
+    "drivers.dynamixel.identify": {
+        ("_at_another_speed", "return None", "pass"): _NONE,
     },
     "drivers.dynamixel.running": {
         ("Running.again", _TAKES_ON, _TAKES_ON.replace("made.grip is not None", "True")): _SAME_GRIPPER,

@@ -72,6 +72,19 @@ def test_with_the_true_parameters_it_is_the_non_adaptive_law(cell: RandomCell, s
 
 
 @given(cells(), SEEDS)
+@examples(30)
+def test_the_lyapunov_share_grows_by_what_the_estimate_is_off(cell: RandomCell, seed: int) -> None:
+    arm = cell.arms[0]
+    truth = nominal_of(arm)
+    data, off = adaptation(truth), random_estimate(np.random.default_rng(seed), truth)
+    args = (arm.q, arm.dq, cell.desired)
+    (at_truth, _), (found, _) = (adaptive.torque(arm.model, arm.offline, data, e, *args) for e in (truth, off))
+    error = data.parameter_error(off)
+    assert error > 0.0 == data.parameter_error(truth)
+    assert found.lyapunov == pytest.approx(at_truth.lyapunov + error, rel=1e-12)
+
+
+@given(cells(), SEEDS)
 @examples(40)
 def test_gradients_are_those_of_the_printed_adaptation_laws(cell: RandomCell, seed: int) -> None:
     """Y_iᵀ e_v and c_i Y_Oᵀ e_v: a change of the estimates does as much work on e_v as it has along the gradient.

@@ -76,9 +76,18 @@ def test_a_singular_jacobian_is_refused(n: int) -> None:
         invert_jacobian(J, np.eye(n))
 
 
-def test_a_jacobian_that_is_no_number_is_refused() -> None:
-    with pytest.raises(SingularJacobian):
-        invert_jacobian(np.full((6, 6), np.nan), np.eye(6))
+@pytest.mark.parametrize("n", [3, 6])
+def test_a_jacobian_with_one_entry_that_is_no_number_is_refused(n: int) -> None:
+    for place in range(n * n):
+        J = np.random.default_rng(place).normal(size=(n, n))
+        J.flat[place] = np.nan
+        with pytest.raises(SingularJacobian):
+            invert_jacobian(J, np.eye(n))
+
+
+def test_the_inverse_of_a_square_jacobian_is_no_matter_of_inertia() -> None:
+    J = np.random.default_rng(1).normal(size=(3, 3))
+    assert np.allclose(invert_jacobian(J, np.full((3, 3), np.nan))[0] @ J, np.eye(3), atol=1e-12)
 
 
 def test_a_redundant_jacobian_without_full_rank_is_refused() -> None:

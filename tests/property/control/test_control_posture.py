@@ -10,7 +10,7 @@ import pinocchio as pin
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.control import known
+from agent.control import adaptive, known
 from agent.control.errors import Gains
 from agent.control.law import Offline
 from agent.control.models import ArmModel
@@ -18,6 +18,7 @@ from agent.control.posture import Posture
 from agent.control.quaternion import angle_between
 from agent.control.trajectory import Desired
 from drivers.interface import Vector
+from tests.support.control.adaptive_cells import adaptation, nominal_of
 from tests.support.control.strategies import RandomCell, cells, examples, urdf_on_rail
 
 POSTURE = Posture((0.25, *(0.1,) * 6), 4.0, 3.0)
@@ -51,6 +52,19 @@ def test_posture_neither_pushes_nor_moves_the_object(cell: RandomCell, seed: int
     leak = k.J @ np.linalg.solve(k.B, tau)
     assert np.abs(leak).max() < 1e-9 * max(1.0, np.abs(np.linalg.solve(k.B, tau)).max())
     np.testing.assert_allclose(with_posture.tau_cmd, without.tau_cmd + tau, atol=1e-12)
+
+
+@given(cells(planar=False), st.integers(0, 2**32 - 1))
+@examples(30)
+def test_the_adaptive_law_keeps_the_same_posture(cell: RandomCell, seed: int) -> None:
+    model, offline, q = on_a_rail(cell)
+    dq = np.random.default_rng(seed).normal(scale=0.5, size=7)
+    truth = nominal_of(replace(cell.arms[0], model=model, offline=offline))
+    by_law = known.torque(model, offline, q, dq, cell.desired)
+    found, _ = adaptive.torque(model, offline, adaptation(truth), truth, q, dq, cell.desired)
+    assert found.tau_posture is not None
+    np.testing.assert_allclose(found.tau_posture, by_law.tau_posture, atol=1e-12)
+    np.testing.assert_allclose(found.tau_cmd, by_law.tau_cmd, rtol=1e-9, atol=1e-9)
 
 
 def test_seven_joints_hold_the_object_while_the_posture_settles() -> None:

@@ -189,8 +189,8 @@ def test_ax_12a_offers_nothing_to_control() -> None:
 
 
 def test_tables_are_read_only() -> None:
-    with pytest.raises(dataclasses.FrozenInstanceError, match="gear_ratio"):
-        SERVOS["MX-64"].gear_ratio = 1.0  # type: ignore[misc]
+    with pytest.raises(dataclasses.FrozenInstanceError, match="mass_kg"):
+        SERVOS["MX-64"].mass_kg = 1.0  # type: ignore[misc]
     with pytest.raises(TypeError, match="item assignment"):
         SERVOS["MX-64"] = SERVOS["MX-28"]  # type: ignore[index]
     with pytest.raises(TypeError, match="item assignment"):

@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from drivers.dynamixel.errors import NotEnabledError
 from drivers.dynamixel.servo.codes import Instruction
 from drivers.dynamixel.servo.table import BUS_WATCHDOG, GOAL_CURRENT, GOAL_PWM, LED, TORQUE_ENABLE
 from drivers.dynamixel.standby import AdoptError, Handover, StandbyDriver
 from sim_backend.wire.faults import FaultKind
-from tests.support.servos.dxl_rig import WX200, Rig, enabled
+from tests.support.servos.dxl_rig import WX200, Rig, build, enabled
 
 TAU = np.array([0.4, 0.3, 0.2, 0.05])
 MS = 1_000_000
@@ -45,6 +46,7 @@ def test_it_takes_the_arm_as_it_is_and_commands_it() -> None:
     assert rig.port.writes == [], "prepared without a byte on the bus"
     begin_ns = rig.clock.now_ns()
     held = driver.adopt(state.dq)
+    assert not driver.resumed
     assert rig.clock.now_ns() - begin_ns < 8 * MS
     np.testing.assert_allclose(held, TAU, atol=0.01)
     assert {packet[7] for packet in rig.port.writes} == {Instruction.SYNC_READ}, "nothing was written"
@@ -55,6 +57,27 @@ def test_it_takes_the_arm_as_it_is_and_commands_it() -> None:
         driver.read()
         driver.write(TAU)
     assert driver.faults == []
+
+
+def test_what_is_prepared_commands_nothing_until_it_has_the_arm() -> None:
+    rig = enabled()
+    driver = standby(rig)
+    rig.port.writes.clear()
+    with pytest.raises(NotEnabledError, match="found a connection, expected torque on"):
+        driver.write(TAU)
+    assert rig.port.writes == []
+
+
+def test_one_servo_that_cannot_answer_fast_keeps_all_of_them_from_being_asked_so() -> None:
+    rig = build()
+    rig.servo(5).firmware.version = 44
+    rig.driver.connect()
+    rig.driver.enable()
+    driver = standby(rig)
+    driver.adopt(np.zeros(4))
+    rig.port.writes.clear()
+    driver.read()
+    assert [packet[7] for packet in rig.port.writes] == [Instruction.SYNC_READ]
 
 
 def test_a_handover_survives_the_way_between_two_processes() -> None:
@@ -118,6 +141,7 @@ def test_servos_whose_watchdog_has_fired_are_armed_again_without_effort() -> Non
     rig.clock.sleep_until(rig.clock.now_ns() + 300 * MS)
     assert rig.get(2, BUS_WATCHDOG) == -1
     assert driver.adopt(np.zeros(4)).tolist() == [0.0] * 4
+    assert driver.resumed
     assert rig.get(2, BUS_WATCHDOG) == 10
     driver.write(TAU)
     assert goals(rig)[0] > 0

@@ -1,0 +1,176 @@
+"""What bring-up writes to which servo, register by register, and what it believes of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drivers.dynamixel.bringup import efforts_at_rest, goal_limits
+from drivers.dynamixel.errors import DxlServoFault, FaultCause
+from drivers.dynamixel.events import EventKind
+from drivers.dynamixel.line import codec
+from drivers.dynamixel.servo import table
+from drivers.dynamixel.servo.codes import Instruction
+from drivers.dynamixel.servo.table import Register
+from tests.support.servos.dxl_rig import WX200, Rig, at, build, enabled
+
+MODE, TORQUE, LED, WATCHDOG, PWM, CURRENT, POSITION, MAPPED = 11, 64, 65, 98, 100, 102, 116, 168
+SHADOW = 3
+COMMANDED = (1, 2, 4, 5, 6, 7)
+ARMED = 10  # of 20 ms
+HELD_mA, GRIPPER_PWM = round(0.4 * 1193), round(0.4 * 885)
+Write = tuple[int, dict[int, int]]  # address, and what is written there by servo
+
+
+def written(rig: Rig) -> list[Write]:
+    """In order, and what has been asked of here is forgotten."""
+    found = []
+    for packet in b"".join(rig.port.writes).split(codec.HEADER)[1:]:
+        servo_id, code, body = packet[0], packet[3], packet[4:-2]
+        if code == Instruction.WRITE:
+            values = {servo_id: body[2:]}
+        elif code == Instruction.SYNC_WRITE:
+            size = 1 + int.from_bytes(body[2:4], "little")
+            values = {body[k]: body[k + 1 : k + size] for k in range(4, len(body), size)}
+        else:
+            continue
+        found.append((int.from_bytes(body[:2], "little"), {i: _number(data) for i, data in values.items()}))
+    rig.port.writes.clear()
+    return found
+
+
+def _number(data: bytes) -> int:
+    return int.from_bytes(data, "little", signed=True)
+
+
+def to_all(value: int) -> dict[int, int]:
+    return dict.fromkeys(COMMANDED, value)
+
+
+def goals(*, blind: bool = False) -> list[Write]:
+    """Of an arm at rest: zero of what is controlled, a limited effort and the present place of what is held."""
+    here = [(POSITION, {1: 2048}), (POSITION, {7: 2178})]
+    if blind:
+        return [(CURRENT, {1: HELD_mA, 2: 0, 4: 0, 5: 0}), (PWM, {6: 0, 7: GRIPPER_PWM}), *here]
+    return [
+        (CURRENT, {1: HELD_mA}), here[0], (CURRENT, {2: 0}), (CURRENT, {4: 0}), (CURRENT, {5: 0}), (PWM, {6: 0}),
+        (PWM, {7: GRIPPER_PWM}), here[1],
+    ]  # fmt: skip
+
+
+def mapped(servo_id: int) -> list[Write]:
+    """What is read of a servo in one piece: torque, LED, hardware error, watchdog and both bytes of its effort."""
+    effort = PWM if servo_id in (6, 7) else CURRENT
+    sources = (TORQUE, LED, 70, WATCHDOG, effort, effort + 1)
+    return [(MAPPED + 2 * place, {servo_id: source}) for place, source in enumerate(sources)]
+
+
+def test_modes_then_marks_then_goals_then_watchdogs_then_torque() -> None:
+    modes = {1: 5, 2: 0, 3: 0, 4: 0, 5: 0, 6: 16}  # the gripper has its own from the factory
+    assert written(enabled()) == [
+        *((MODE, {i: mode}) for i, mode in modes.items()),
+        *(write for i in range(1, 8) for write in ((WATCHDOG, {i: 0}), *mapped(i), (LED, {i: 1}))),
+        *goals(),
+        *((WATCHDOG, {i: ARMED}) for i in COMMANDED),
+        (TORQUE, to_all(1)),
+    ]
+
+
+def test_arming_again_clears_the_watchdogs_for_no_longer_than_the_goals_take() -> None:
+    rig = enabled()
+    written(rig)
+    rig.driver.rearm()
+    assert written(rig) == [(WATCHDOG, to_all(0)), *goals(blind=True), (WATCHDOG, to_all(ARMED))]
+
+
+def test_arming_again_writes_no_register_that_carries_no_torque_of_this_arm() -> None:
+    rig = enabled(at(WX200, joints=WX200.joints[:-2]))
+    written(rig)
+    rig.driver.rearm()
+    assert [address for address, _ in written(rig)] == [WATCHDOG, CURRENT, POSITION, WATCHDOG]
+
+
+def test_torque_goes_off_twice_with_silence_between() -> None:
+    rig = enabled()
+    written(rig)
+    begin_ns = rig.clock.now_ns()
+    rig.driver.disable()
+    assert rig.clock.now_ns() - begin_ns > 25_000_000
+    assert written(rig) == [(TORQUE, to_all(0)), (TORQUE, to_all(0)), (WATCHDOG, to_all(0)), (LED, to_all(0))]
+
+
+def test_what_was_written_to_eeprom_is_told_once_and_not_written_again() -> None:
+    rig = enabled()
+    assert rig.events[0].kind is EventKind.EEPROM_WRITTEN
+    assert (rig.events[0].servo_id, rig.events[0].joint) == (1, "waist")
+    rig.driver.disable()
+    rig.events.clear()
+    written(rig)
+    rig.driver.enable()
+    assert min(address for address, _ in written(rig)) == TORQUE
+    assert rig.events == []
+
+
+def test_the_goals_of_a_pair_are_bounded_by_its_weaker_servo() -> None:
+    rig = build()
+    rig.driver.connect()
+    limits = {2: 900, 3: 800, 1: 700}
+    found = [
+        replace(servo, values={**servo.values, "Current Limit": limits.get(servo.slot.servo_id, 1193)})
+        for servo in rig.driver.found
+    ]
+    assert goal_limits(found) == {1: 700, 2: 800, 3: 800, 4: 1193, 5: 1193, 6: 885, 7: 885}
+    assert efforts_at_rest(found) == {1: 280, **dict.fromkeys(range(2, 7), 0), 7: 354}
+
+
+@pytest.mark.parametrize(("low", "high", "goal"), [(0, 4095, 2178), (0, 2100, 2100), (2200, 4095, 2200)])
+def test_a_servo_in_position_mode_is_sent_to_no_place_beyond_its_limits(low: int, high: int, goal: int) -> None:
+    """It would refuse it.  One held by current takes any place, and gets the one where it is."""
+    rig = build()
+    for servo_id in (1, 7):
+        rig.put(servo_id, table.MIN_POSITION_LIMIT, low)
+        rig.put(servo_id, table.MAX_POSITION_LIMIT, high)
+    rig.driver.connect()
+    rig.driver.enable()
+    assert [values for address, values in written(rig) if address == POSITION] == [{1: 2048}, {7: goal}]
+
+
+def deaf_to(rig: Rig, servo_id: int, register: Register, value: int) -> None:
+    """Its register keeps what it has when this value is written, and the servo says that all is well."""
+    memory = rig.servo(servo_id).firmware.memory
+    really = memory.put
+
+    def put(generic: Register, new: int) -> None:
+        if generic.name != register.name or new != value:
+            really(generic, new)
+
+    memory.put = put  # type: ignore[method-assign]
+
+
+@pytest.mark.parametrize(
+    ("servo_id", "register", "value", "cause", "again"),
+    [
+        (SHADOW, table.GOAL_CURRENT, 0, FaultCause.GOAL_IGNORED, False),
+        (6, table.GOAL_PWM, 0, FaultCause.GOAL_IGNORED, False),
+        (SHADOW, table.BUS_WATCHDOG, ARMED, FaultCause.NOT_KEPT, False),
+        (SHADOW, table.GOAL_CURRENT, 0, FaultCause.GOAL_IGNORED, True),
+        (5, table.BUS_WATCHDOG, ARMED, FaultCause.NOT_KEPT, True),
+    ],
+)
+def test_a_servo_that_does_not_take_its_goal_or_watchdog_is_named(
+    servo_id: int, register: Register, value: int, cause: FaultCause, again: bool
+) -> None:
+    """At first no torque stays on; armed again, it is the loop that decides."""
+    rig = enabled() if again else build()
+    if again:
+        rig.driver.write(np.array([1.0, 0.0, 0.0, 0.0]))
+    else:
+        rig.driver.connect()
+    deaf_to(rig, servo_id, register, value)
+    with pytest.raises(DxlServoFault, match=rf"found {register.name} \d+, expected {value}") as caught:
+        rig.driver.rearm() if again else rig.driver.enable()
+    assert (caught.value.cause, caught.value.servo_id) == (cause, servo_id)
+    torque_on = [rig.get(i, table.TORQUE_ENABLE) for i in range(1, 8)]
+    assert torque_on == [int(again)] * 7

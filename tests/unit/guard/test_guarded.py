@@ -1,0 +1,275 @@
+"""An agent's view of its guard: when it counts on one, what it says and when, and what it does once it is gone."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from agent.guard import guarded
+from agent.guard.guarded import Guarded
+from agent.guard.line import GuardError, Word
+from agent.telemetry.row.event import Level
+from drivers.interface import StaleStateError
+
+PATH, CELL = Path("left.guard"), "ab" * 32
+AGAIN_AFTER, HAND_OVER_AFTER = 50, 100  # cycles
+NOBODY = GuardError("guard", found="nobody", expected="one", remedy="start it")
+
+
+class Ended(BaseException):
+    """Instead of the end of this process."""
+
+
+class Line:
+    """The agent's end of a line to a guard that the test plays."""
+
+    def __init__(self, bench: Bench) -> None:
+        self._bench = bench
+        self.open = True
+
+    def ask(self, word: Word, fds: Sequence[int] = (), **content: Any) -> tuple[int, ...]:
+        self.say(word, fds, **content)
+        return (7,)
+
+    def say(self, word: Word, fds: Sequence[int] = (), **content: Any) -> None:
+        if self._bench.silent:
+            raise NOBODY
+        self._bench.said.append((word, tuple(fds), content))
+
+    def heard(self) -> Mapping[str, Any] | None:
+        return self._bench.answers.pop(0) if self._bench.answers else {}
+
+    def close(self) -> None:
+        self.open = False
+
+
+class Bench:
+    """An agent whose guard is there, and what was said and told."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.said: list[tuple[Word, tuple[int, ...], dict[str, Any]]] = []
+        self.told: list[tuple[Level, str]] = []
+        self.answers: list[Mapping[str, Any] | None] = []
+        self.ended: list[int] = []
+        self.lines: list[tuple[Line, tuple[Any, ...], dict[str, Any]]] = []
+        self.silent = self.absent = False
+        monkeypatch.setattr(guarded, "AgentEnd", self._connect)
+        self.flushed: list[str] = []
+        out, err = (SimpleNamespace(flush=partial(self.flushed.append, name)) for name in ("out", "err"))
+        monkeypatch.setattr(guarded, "sys", SimpleNamespace(stdout=out, stderr=err))
+        monkeypatch.setattr(guarded, "os", SimpleNamespace(**{**vars(os), "_exit": self._exit}))
+        self.agent = Guarded(PATH, CELL)
+        self.fds = (os.dup(0), os.dup(0))
+
+    def _connect(self, *given: Any, **more: Any) -> Line:
+        if self.absent:
+            raise NOBODY
+        self.lines.append((Line(self), given, more))
+        return self.lines[-1][0]
+
+    def _exit(self, code: int) -> None:
+        self.ended.append(code)
+        raise Ended
+
+    def tell(self, level: Level, text: str) -> None:
+        self.told.append((level, text))
+
+    def watch(self) -> int:
+        """Its process handle, once it is watched; what was said of it is forgotten."""
+        self.agent.watch(self.fds, self.tell, ring="r")
+        ((word, fds, content),) = self.said
+        assert (word, fds[1:], content) == (Word.WATCH, self.fds, {"ring": "r"})
+        self.said.clear()
+        return fds[0]
+
+    def loses(self) -> None:
+        """The guard is gone, as the next cycle finds."""
+        self.answers = [None]
+        assert self.agent.poll()
+
+
+@pytest.fixture
+def bench(monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
+    made = Bench(monkeypatch)
+    yield made
+    for fd in made.fds:
+        os.close(fd)
+
+
+def test_somebody_goes_on_only_behind_an_agent_that_is_watched(bench: Bench) -> None:
+    assert (bench.agent.there, bench.agent.state) == (False, "gone")
+    bench.watch()
+    assert (bench.agent.there, bench.agent.state) == (True, "watches")
+    bench.loses()
+    assert (bench.agent.there, bench.agent.state) == (False, "gone")
+    bench.agent.leave()
+
+
+def test_a_second_port_is_asked_for_as_one_that_was_lost(bench: Bench) -> None:
+    assert [bench.agent.borrow() for _ in range(3)] == [7, 7, 7]
+    assert bench.said == [(Word.PORT, (), {"again": again}) for again in (False, True, True)]
+    bench.loses()
+    with pytest.raises(GuardError, match=r"port from the guard at left\.guard: found no guard any more"):
+        bench.agent.borrow()
+
+
+def test_a_busy_agent_says_for_how_long_and_nothing_once_nobody_hears(bench: Bench) -> None:
+    bench.agent.busy()
+    assert bench.said == [(Word.BUSY, (), {"for_s": 0.6})]
+    bench.silent = True
+    bench.agent.busy()
+    bench.loses()
+    bench.silent = False
+    bench.agent.busy()
+    assert len(bench.said) == 1
+
+
+@pytest.mark.fault("P7")
+def test_a_guard_that_is_gone_is_told_once_and_looked_for_every_fifty_cycles(bench: Bench) -> None:
+    handle = bench.watch()
+    bench.loses()
+    assert not bench.lines[0][0].open
+    assert bench.told == [(Level.ERROR, "the guard is gone: the arm holds, and falls limp should this process end")]
+    bench.absent = True
+    assert not any(bench.agent.poll() for _ in range(AGAIN_AFTER))
+    assert bench.said == []
+    bench.absent, bench.silent = False, True
+    assert not any(bench.agent.poll() for _ in range(AGAIN_AFTER))
+    assert (bench.said, bench.agent.there) == ([], False)
+    bench.silent = False
+    assert not any(bench.agent.poll() for _ in range(AGAIN_AFTER - 1))
+    assert len(bench.lines) == 2
+    assert not bench.agent.poll()
+    assert bench.lines[2][1:] == ((PATH, CELL), {"patience_s": 0.0})
+    assert bench.said == [(Word.WATCH, (handle, *bench.fds), {"ring": "r"})]
+    assert not bench.agent.there
+    bench.answers = [{}, {"ok": True}]
+    assert not bench.agent.poll()
+    assert not bench.agent.there, "it has not said yes yet"
+    assert not bench.agent.poll()
+    assert bench.agent.there
+    assert bench.told[1:] == [(Level.INFO, "the guard is back and watches")]
+    bench.loses()
+    assert len(bench.told) == 3
+    bench.agent.leave()
+
+
+def test_a_guard_that_is_back_and_refuses_goes_on_behind_nobody(bench: Bench) -> None:
+    bench.watch()
+    bench.loses()
+    bench.answers = [{"ok": False, "found": "another cell"}]
+    assert not any(bench.agent.poll() for _ in range(AGAIN_AFTER + 1))
+    assert bench.told[1:] == [(Level.ERROR, "the guard is back and does not watch: found another cell")]
+    assert not bench.agent.there
+    bench.agent.give_up(RuntimeError("a defect"))
+    assert bench.ended == [], "an orderly end follows"
+    bench.agent.leave()
+
+
+def test_a_guard_that_came_back_before_the_torque_watches_as_any_other(bench: Bench) -> None:
+    bench.loses()
+    assert not any(bench.agent.poll() for _ in range(AGAIN_AFTER))
+    assert bench.said == []
+    bench.watch()
+    assert bench.agent.there
+    bench.agent.leave()
+
+
+def test_torque_without_a_guard_is_watched_by_the_next_one(bench: Bench) -> None:
+    bench.loses()
+    bench.agent.watch(bench.fds, bench.tell, ring="r")
+    assert not bench.agent.there
+    assert not any(bench.agent.poll() for _ in range(AGAIN_AFTER))
+    assert [word for word, *_ in bench.said] == [Word.WATCH]
+    bench.agent.leave()
+
+
+def test_answers_that_nobody_waits_for_change_nothing(bench: Bench) -> None:
+    bench.watch()
+    bench.answers = [{"ok": True}, {"ok": False, "found": "x"}]
+    assert [bench.agent.poll(), bench.agent.poll()] == [False, False]
+    assert (bench.told, bench.agent.there) == ([], True)
+    bench.agent.leave()
+
+
+def test_an_agent_that_was_asked_to_end_hands_over_after_a_hundred_cycles_of_its_hold(
+    bench: Bench, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bench.watch()
+    for _ in range(7):
+        bench.agent.poll()
+    for _ in range(HAND_OVER_AFTER - 1):
+        assert not bench.agent.poll(ending=True)
+    assert bench.said == []
+    with pytest.raises(Ended):
+        bench.agent.poll(ending=True)
+    assert bench.said == [(Word.TAKE, (), {})]
+    assert bench.told == [(Level.INFO, "hands the arm to the guard, as it was asked to end")]
+    assert (bench.ended, bench.flushed) == ([0], ["out", "err"])
+
+
+@pytest.mark.parametrize("why", ["gone", "silent", "back and not heard yet"])
+def test_an_agent_that_nobody_relieves_stays(bench: Bench, why: str) -> None:
+    bench.watch()
+    bench.silent = why == "silent"
+    if not bench.silent:
+        bench.loses()
+        bench.absent = why == "gone"
+    assert not any(bench.agent.poll(ending=True) for _ in range(2 * HAND_OVER_AFTER))
+    assert bench.ended == []
+    assert Word.TAKE not in [word for word, *_ in bench.said]
+    bench.agent.leave()
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [(RuntimeError("a defect"), 1), (StaleStateError("state", found="none", expected="one", remedy="look"), 3)],
+)
+def test_a_loop_that_failed_ends_at_once_with_the_code_of_its_error(
+    bench: Bench, capsys: pytest.CaptureFixture[str], error: Exception, code: int
+) -> None:
+    bench.watch()
+    with pytest.raises(Ended):
+        bench.agent.give_up(error)
+    assert bench.told == [(Level.ERROR, f"{type(error).__name__}: {error}; the guard goes on")]
+    assert bench.ended == [code]
+    assert type(error).__name__ in capsys.readouterr().err
+
+
+def is_open(fd: int) -> bool:
+    try:
+        os.fstat(fd)
+    except OSError:
+        return False
+    return True
+
+
+@pytest.mark.parametrize("silent", [False, True])
+def test_who_leaves_says_so_and_gives_everything_back_once(bench: Bench, silent: bool) -> None:
+    handle = bench.watch()
+    bench.silent = silent
+    bench.agent.leave()
+    assert bench.said == ([] if silent else [(Word.LEAVE, (), {})])
+    assert bench.told == ([(Level.WARN, str(NOBODY))] if silent else [])
+    assert not bench.lines[0][0].open
+    assert not is_open(handle)
+    assert all(map(is_open, bench.fds)), "they are the ring's and its texts'"
+    bench.silent = False
+    bench.agent.busy()
+    other = os.dup(0)  # gets the number that is free again
+    bench.agent.leave()
+    assert is_open(other)
+    os.close(other)
+    assert len(bench.said) == (0 if silent else 1)
+
+
+def test_who_was_never_watched_leaves_without_a_word(bench: Bench) -> None:
+    bench.agent.leave()
+    assert bench.said == []
+    assert not bench.lines[0][0].open

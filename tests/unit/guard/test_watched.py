@@ -1,0 +1,184 @@
+"""An agent that is watched: a real process, ring and texts; what the guard sees, ends, reads and goes on with."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from agent.guard.line import GuardError, Said, Word
+from agent.guard.vigil import Vigil
+from agent.guard.watched import Watched
+from agent.telemetry.ring.file import RingError
+from agent.telemetry.ring.texts import TextReader, TextWriter
+from agent.telemetry.ring.writer import RingWriter
+from agent.telemetry.row.event import Event, Level
+from agent.telemetry.row.sample import AGENT_STATE
+
+MS = 1_000_000
+SLOTS = 128
+
+
+def descriptors() -> int:
+    return len(list(Path("/proc/self/fd").iterdir()))
+
+
+@dataclass
+class Agent:
+    """A process that does nothing, with the ring and texts of one that commands an arm."""
+
+    pid: int
+    ring: RingWriter
+    texts: TextWriter
+    path: Path
+
+    def said(self, count: int = 3) -> Said:
+        """Its word, with descriptors of its own process, ring and texts, and one that nobody asked for."""
+        fds = (os.pidfd_open(self.pid), os.dup(self.ring.fileno()), os.dup(self.texts.fileno()))
+        return Said(Word.WATCH, {"ring": str(self.path)}, fds[:count])
+
+    def rows(self, count: int) -> None:
+        for _ in range(count):
+            self.ring.row["sequence"] = self.ring.written
+            self.ring.commit()
+
+
+@pytest.fixture
+def agent(tmp_path: Path) -> Iterator[Agent]:
+    path = tmp_path / "left.ring"
+    texts, ring = TextWriter(path, "left"), RingWriter(path, AGENT_STATE, "left", slots=SLOTS)
+    process = subprocess.Popen(["sleep", "600"])
+    yield Agent(process.pid, ring, texts, path)
+    process.kill()
+    process.wait()
+    ring.close()
+    texts.close()
+
+
+def watched(agent: Agent, **vigil: int) -> Watched:
+    return Watched.of(agent.said(), Vigil(**{"stale_ns": 20 * MS, "look_ns": 2 * MS, **vigil}))
+
+
+def ended(agent: Agent) -> int:
+    """By which signal; waits until it has."""
+    found = os.waitid(os.P_PID, agent.pid, os.WEXITED | os.WNOWAIT)
+    assert found is not None
+    return int(found.si_status)
+
+
+class Patience:
+    """Is told meanwhile, and gives up in the end."""
+
+    def __init__(self) -> None:
+        self.strokes = 0
+
+    def __call__(self) -> None:
+        self.strokes += 1
+        assert self.strokes < 200, "it has not ended for four seconds"
+
+
+def test_an_agent_is_gone_once_its_process_has_ended_and_not_before(agent: Agent) -> None:
+    seen = watched(agent)
+    assert (seen.gone, seen.handed_over, seen.rehearsed, seen.ring) == (False, False, False, agent.path)
+    os.kill(agent.pid, signal.SIGKILL)
+    ended(agent)
+    assert seen.gone
+    seen.close()
+
+
+def test_one_that_is_ended_has_ended_and_somebody_is_told_meanwhile(
+    agent: Agent, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen, really = watched(agent), signal.pidfd_send_signal
+
+    class Late(Patience):
+        """The signal takes its time."""
+
+        def __call__(self) -> None:
+            super().__call__()
+            if self.strokes == 3:
+                really(seen.pidfd, signal.SIGKILL)
+
+    monkeypatch.setattr(signal, "pidfd_send_signal", lambda *_: None)
+    late = Late()
+    seen.kill(late)
+    assert seen.gone
+    assert late.strokes >= 3
+    seen.close()
+
+
+def test_one_that_hangs_is_killed_and_one_that_was_already_is_no_error(agent: Agent) -> None:
+    seen = watched(agent)
+    os.kill(agent.pid, signal.SIGSTOP)
+    seen.kill(Patience())
+    assert ended(agent) == signal.SIGKILL
+    seen.kill(Patience())
+    seen.close()
+
+
+def test_one_without_a_new_row_hangs_after_a_while(agent: Agent) -> None:
+    seen = watched(agent)
+    agent.rows(1)
+    looks = [seen.hangs(2 * MS * n) for n in range(1, 12)]
+    assert looks == [False] * 10 + [True]
+    agent.rows(1)
+    assert not seen.hangs(24 * MS)
+    seen.close()
+
+
+@pytest.mark.parametrize(("written", "first", "count"), [(0, 0, 0), (1, 0, 1), (64, 0, 64), (70, 6, 64)])
+def test_the_last_rows_are_at_most_sixty_four(agent: Agent, written: int, first: int, count: int) -> None:
+    seen = watched(agent)
+    agent.rows(written)
+    assert seen.last_rows()["sequence"].tolist() == list(range(first, first + count))
+    seen.close()
+
+
+def test_what_is_inherited_goes_on_behind_the_last_row_and_text(agent: Agent) -> None:
+    seen, heard = watched(agent), TextReader(agent.path)
+    agent.rows(3)
+    agent.texts.event(Event(1, "left", Level.INFO, "its own"))
+    seen.inherit()
+    assert seen.writer.written == 3
+    seen.writer.row["sequence"] = 3
+    seen.writer.commit()
+    seen.texts.event(Event(2, "left", Level.INFO, "the guard's"))
+    assert seen.last_rows()["sequence"].tolist() == [0, 1, 2, 3]
+    assert [b"its own" in text for _, text in heard.read_new()] == [True, False]
+    seen.close()
+    heard.close()
+
+
+def test_everything_of_an_agent_is_let_go(agent: Agent) -> None:
+    before = descriptors()
+    seen = watched(agent)
+    assert descriptors() > before
+    seen.close()
+    assert descriptors() == before
+
+
+@pytest.mark.parametrize("count", [0, 2])
+def test_a_word_without_all_descriptors_is_refused_and_they_are_closed(agent: Agent, count: int) -> None:
+    said = agent.said()
+    for fd in said.fds[count:]:
+        os.close(fd)
+    before = descriptors() - count
+    with pytest.raises(GuardError, match=f"word 'watch': found {count} descriptors, expected process, ring and texts"):
+        Watched.of(Said(Word.WATCH, {}, said.fds[:count]), Vigil(1, 1))
+    assert descriptors() == before
+
+
+@pytest.mark.parametrize("wrong", [1, 2])
+def test_a_ring_or_texts_that_are_none_are_refused_and_everything_is_closed(agent: Agent, wrong: int) -> None:
+    before = descriptors()
+    fds = list(agent.said().fds)
+    os.close(fds[wrong])
+    fds[wrong] = os.open("/proc/self/exe", os.O_RDONLY)
+    with pytest.raises(RingError):
+        Watched.of(Said(Word.WATCH, {}, tuple(fds)), Vigil(1, 1))
+    assert descriptors() == before
