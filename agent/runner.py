@@ -141,10 +141,10 @@ class Runner:
             happened |= Event.STOP
         if self._mode is Mode.READY and self._may_start() and self._started(deadline_ns):
             happened |= Event.STARTED
-        self._late_cycles += late_ns > period_ns
+        self._late_cycles += (late := late_ns > period_ns)
         self._ticks.deadline_ns += period_ns
         if not schedule.lockstep:
-            happened |= self._skip(deadline_ns, good=state is not None and late_ns <= period_ns)
+            happened |= self._skip(deadline_ns, good=state is not None and not late)
         if self._session is not None:
             seen = cycles.without_state(deadline_ns) <= schedule.patience.hold
             happened = self._judged(self._session, happened, seen=seen)

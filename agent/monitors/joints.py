@@ -85,7 +85,6 @@ class Frozen:
         if at.mode is not Mode.TRACK or terms is None or terms.J_inv_P is None:
             return ""
         wanted = terms.J_inv_P.dot(terms.desired.v).tolist()
-        pushed = terms.tau_feedback.tolist()
         last, same, asked, period_s = self._last, self._same, self._asked_rad, self._period_s
         for j, (q, dq_des) in enumerate(zip(at.q, wanted, strict=True)):
             if q != last[j]:
@@ -93,8 +92,10 @@ class Frozen:
                 continue
             same[j] += 1
             asked[j] += dq_des * period_s
-            if same[j] >= self._least and abs(asked[j]) > self._rad and abs(pushed[j]) > self._Nm[j]:
-                return self._said(j, pushed[j])
+            if same[j] >= self._least and abs(asked[j]) > self._rad:
+                pushed = float(terms.tau_feedback[j])
+                if abs(pushed) > self._Nm[j]:
+                    return self._said(j, pushed)
         return ""
 
     def _said(self, j: int, pushed_Nm: float) -> str:

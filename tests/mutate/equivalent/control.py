@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from tests.mutate.equivalent.entries import Entries
 
+_JOINED = "happened = happened | found if found else happened"
 _SAVES_A_CALL = "saves a call: joining no flag changes nothing"
 _BRAKES = "brake = brake_per_s(agent.period_s) if damped else 0.0"
 _WHILE_IT_BRAKES = "read only while the arm brakes"
@@ -212,6 +213,7 @@ CONTROL: Entries = {
         ): "saves the making of a text that is not told",
         ("Runner._act", "if self._marks:", "if True:"): _SAVES_A_CALL,
         ("Runner._go_blind", "if self._marks:", "if True:"): _SAVES_A_CALL,
+        ("Runner._cycle", _JOINED, _JOINED.replace("if found", "if True")): _SAVES_A_CALL,
         ("Runner._cycle", "if happened:", "if True:"): "saves a call: nothing changes without an event (test_runner)",
         (
             "Runner._started",
@@ -234,5 +236,7 @@ CONTROL: Entries = {
         ): "differs when somebody removes the socket between the question and the removal",
         ("ControlSocket._no_start", "return None", "pass"): _NONE,
         ("ControlSocket.poll", "if self._clients:", "if True:"): "saves the making of empty lists",
+        ("ControlSocket.poll", "if self._asked.poll(0):", "if True:"): "saves a system call that finds nobody",
+        ("ControlSocket.poll", "if self._asked.poll(0):", "if self._asked.poll(1):"): "waits a millisecond",
     },
 }
