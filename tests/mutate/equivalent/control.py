@@ -237,6 +237,5 @@ CONTROL: Entries = {
         ("ControlSocket._no_start", "return None", "pass"): _NONE,
         ("ControlSocket.poll", "if self._clients:", "if True:"): "saves the making of empty lists",
         ("ControlSocket.poll", "if self._asked.poll(0):", "if True:"): "saves a system call that finds nobody",
-        ("ControlSocket.poll", "if self._asked.poll(0):", "if self._asked.poll(1):"): "waits a millisecond",
     },
 }

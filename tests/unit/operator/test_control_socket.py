@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import json
 import os
+import select
 import socket
 import stat
 import struct
@@ -321,6 +322,23 @@ def test_another_user_is_refused_and_changes_nothing(
     (answer,) = stranger.sent
     assert (answer["ok"], answer["found"], answer["expected"]) == (False, f"user {uid}", f"user {AGENT} or root")
     assert asked_for(control) == NOTHING
+
+
+def test_a_cycle_waits_for_nobody(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    waited_ms: list[float] = []
+    asked = select.poll()
+
+    class Asked:
+        register = asked.register
+
+        def poll(self, timeout_ms: float) -> list[tuple[int, int]]:
+            waited_ms.append(timeout_ms)
+            return asked.poll(timeout_ms)
+
+    monkeypatch.setattr(control_socket.select, "poll", Asked)
+    with closing(listening(path)) as control:
+        control.poll()
+    assert waited_ms == [0]
 
 
 @pytest.mark.parametrize("uid", [0, AGENT])
