@@ -160,7 +160,7 @@ def test_on_emulated_servos_a_partner_is_at_the_wall_clocks_pace_and_nobody_hold
     assert (left.driver.value, right.driver.value) == ("dynamixel", "sim")
     assert (left.emulated, right.emulated, right.real_time) == (True, True, True)
     assert left.plant_socket == right.plant_socket is not None
-    assert (left.port, right.port) == (tmp_path / "left", None)
+    assert (left.port, right.port) == (str(tmp_path / "left"), None)
 
 
 # --- who lets go ----------------------------------------------------------------------------------------------------
