@@ -1,8 +1,9 @@
 """One conversation at a time on one servo bus: requests, bounded waits, counters.
 
 Two kinds of exchange.  `read`, `write`, `ping` are for setting up: they wait generously, retry, and after a missed
-reply listen until the line is quiet, so that a late reply is never taken for the next one's.  `exchange` is for the
-cycle: one request and one bounded wait.
+reply listen until the line is quiet, so that a late reply is not taken for the next one's; one that comes later than
+that (`REPLY_WAIT_NS` and `QUIET_NS`, a host that stood still) could be.  `exchange` is for the cycle: one request and
+one bounded wait.
 """
 
 from __future__ import annotations
