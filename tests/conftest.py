@@ -9,12 +9,11 @@ from collections.abc import Generator
 import pytest
 from hypothesis import Phase, settings
 
+from agent.host.starting import GARBAGE_AFTER, SETTINGS
 from tests.support.shares import dealt
 
-for _library in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):  # as `coop` has it; read when numpy is loaded
-    os.environ.setdefault(_library, "1")
-
-GARBAGE_AFTER = 50_000  # as `coop` has it
+for _library in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):  # read when numpy is loaded
+    os.environ.setdefault(_library, SETTINGS[_library])
 
 pytest.register_assert_rewrite("tests.support.driver_contract")
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Self
 
 import typer
 
-from agent.cli.options import CellPath, Overrides, SomeArms, begin, note
+from agent.cli.options import CellPath, Overrides, SomeArms, note
 from agent.cli.progress import Steps
 
 if TYPE_CHECKING:
@@ -54,6 +54,7 @@ def float_arms(
 
     A stop lets them stand, then sink; so does the guard of one whose process dies.  Keep a hand on them all the same.
     """
+    from agent.host.signals import StopFlag
     from agent.process.floating_arms import float_arms
     from agent.process.floating_cell import (
         FloatOptions,
@@ -64,7 +65,7 @@ def float_arms(
         require_ports,
     )
 
-    requested = begin(with_parent=False)
+    requested = StopFlag()
     options = FloatOptions(
         cell, tuple(arm), tuple(overrides), holding, ports, emulate, out, priority, others_move, allow_no_realtime
     )

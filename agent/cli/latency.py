@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from agent.cli.options import AsJson, begin, note, print_json
+from agent.cli.options import AsJson, note, print_json
 
 
 def latency_test(
@@ -25,9 +25,10 @@ def latency_test(
     from agent.atomic import make_folder
     from agent.host import latency
     from agent.host.realtime import become_realtime, granted, quiet_memory
+    from agent.host.signals import StopFlag
     from drivers.clock import MonotonicClock
 
-    stop, clock = begin(False), MonotonicClock()
+    stop, clock = StopFlag(), MonotonicClock()
     path = out or latency.own_file(os.environ, os.getuid())
     make_folder(path.parent)  # before somebody has waited for minutes
     cores = len(os.sched_getaffinity(0))

@@ -17,7 +17,6 @@ from agent.cli.options import (
     LogPath,
     NetworkConfig,
     Overrides,
-    begin,
     console,
     note,
     print_json,
@@ -238,11 +237,12 @@ def play(
 ) -> None:
     """Publish a log again, byte for byte, under the prefix replay/; on a terminal keys pause, step and seek."""
     from agent.cli.keys import HELP, Keyboard
+    from agent.host.signals import StopFlag
     from agent.telemetry.link.play import PlayOptions
     from agent.telemetry.link.play import run as play_log
     from agent.telemetry.link.session import Network
 
-    requested = begin(False)
+    requested = StopFlag()
     network = Network(config_file=network_config) if network_config else Network(listen=listen)
     with Keyboard() as keyboard:
         if keyboard.present:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import sys
 from collections.abc import Callable, Sequence
 from functools import cache
@@ -32,10 +31,9 @@ from agent.cli import (
 )
 from agent.cli.help import Commands
 from agent.cli.where import where
-from agent.host.starting import of_host, settle
+from agent.host.starting import USAGE, end, of_host, settle
 
 PROGRAM = "coop"
-USAGE = 2  # exit code of a command line that says nothing `coop` understands
 
 GROUPS: dict[str, tuple[Callable[..., None], ...]] = {
     "Simulate and examine": (make.new, run.run, cells.check, cells.tune, cells.schema, study.study),
@@ -118,9 +116,7 @@ def _command(first: str) -> Callable[..., object]:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Entry point: ends the process; a Refusal is one line for a person and an exit code for a script."""
     settle()
-    code = dispatch(arguments)
-    gc.freeze()  # or the interpreter looks for garbage in all that is there before it ends: a tenth of a short command
-    sys.exit(code)
+    end(dispatch(arguments))
 
 
 def dispatch(arguments: Sequence[str] | None = None) -> int:

@@ -18,7 +18,6 @@ from agent.cli import complete
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from agent.host.signals import StopFlag
 
 CellPath = Annotated[
     Path,
@@ -49,13 +48,6 @@ AsJson = Annotated[bool, typer.Option("--json", help="For scripts: one JSON docu
 Force = Annotated[bool, typer.Option("--force", help="Replace what is there.")]
 
 WIDTH_ELSEWHERE = 240  # columns where there is no terminal, so that no word of a table is cut
-
-
-def begin(with_parent: bool) -> StopFlag:
-    """Catch requests to stop before anything is opened."""
-    from agent.host import signals
-
-    return signals.begin(with_parent)
 
 
 def asked_yes(question: str) -> bool:

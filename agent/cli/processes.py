@@ -14,7 +14,6 @@ from agent.cli.options import (
     CellPath,
     NetworkConfig,
     WithParent,
-    begin,
     note,
 )
 from agent.config.schema.driver import DriverKind
@@ -154,6 +153,7 @@ def ros2(
 ) -> None:
     """Show the cell to ROS 2 viewers, live: standard topics as rmw_zenoh has them, read only."""
     from agent.config.files import load_files
+    from agent.host.signals import begin
     from agent.process.ros import run_ros
     from agent.telemetry.link.session import Network, Role
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from agent.cli import complete
-from agent.cli.options import DEFAULT_ENDPOINT, Force, NetworkConfig, Overrides, begin, note
+from agent.cli.options import DEFAULT_ENDPOINT, Force, NetworkConfig, Overrides, note
 from agent.cli.progress import Steps
 from agent.host.starting import ready
 
@@ -104,7 +104,9 @@ def _tell(log: AnyLog) -> None:
 def _serve(
     what: Path, live: bool, port: int, browser: bool, connect: str, network_config: Path | None, overrides: list[str]
 ) -> None:
-    requested = begin(False)
+    from agent.host.signals import StopFlag
+
+    requested = StopFlag()
     if live:
         _serve_live(what, port, browser, requested, connect, network_config, overrides)
     else:

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from agent.cli.options import AsJson, CellPath, ControlSockets, SomeArms, begin, note
+from agent.cli.options import AsJson, CellPath, ControlSockets, SomeArms, note
 
 HostName = Annotated[str | None, typer.Option("--host", help="This host's name in the cell file, if not its own.")]
 
@@ -108,6 +108,7 @@ def guide(
 ) -> None:
     """Walk through a session: what is seen at this host's arms, and what to say next, whenever it changes."""
     from agent.config.cell import load_cell
+    from agent.host.signals import StopFlag
     from agent.operator.ask import ask_arms
     from agent.operator.guide import lines
     from agent.operator.local import places
@@ -115,7 +116,7 @@ def guide(
     from agent.operator.table import Verb
 
     arms = places(load_cell(cell), [], control, host)
-    requested, before = begin(False), [""]
+    requested, before = StopFlag(), [""]
     while not requested():
         now = lines(ask_arms(arms, Request(Verb.STATUS)), str(cell))
         if now != before:
@@ -145,12 +146,13 @@ def status(
     """Show how the arms of this host are: exit code 1 when one does not answer."""
     from agent.config.cell import load_cell
     from agent.host.clock import read_clock
+    from agent.host.signals import StopFlag
     from agent.operator.show import lines
     from agent.operator.status import LOG_FOLDERS
     from agent.operator.status import status as look
 
     loaded = load_cell(cell)
-    stop = begin(False) if watch else None
+    stop = StopFlag() if watch else None
     while True:
         document = look(loaded, read_clock(clock), host, logs or LOG_FOLDERS)
         if as_json:

@@ -112,7 +112,7 @@ def choose(columns: Matrix, tau: Matrix, used: NDArray[np.bool_], friction: Colu
         shape, scores = _soonest(tried)
         gain, error = _difference(best_scores, scores)
         share = gain / float(best_scores.mean())
-        better = share > BETTER and gain > ERRORS * error
+        better = share > BETTER and _clearly_larger(best_scores, scores)
         said.append(
             f"{name}: {'better' if better else 'no better'} than {best.name} "
             f"({share:+.0%} ± {error / float(best_scores.mean()):.0%} of the mean squared residual)"
@@ -125,17 +125,19 @@ def choose(columns: Matrix, tau: Matrix, used: NDArray[np.bool_], friction: Colu
 def _soonest(tried: Sequence[tuple[Shape | None, Vector]]) -> tuple[Shape | None, Vector]:
     """The first shape, with its scores, that is not worse than the best by more than chance."""
     best = min((scores for _, scores in tried), key=lambda scores: float(scores.mean()))
-    for shape, scores in tried:
-        worse, error = _difference(scores, best)
-        if worse <= ERRORS * error:
-            return shape, scores
-    raise AssertionError("the best is not worse than itself")
+    return next((shape, scores) for shape, scores in tried if not _clearly_larger(scores, best))
 
 
 def _difference(scores: Vector, others: Vector) -> tuple[float, float]:
     """By how much these scores (FOLDS,) are larger, block by block, and the standard error of that."""
     by_block = scores - others
     return float(by_block.mean()), float(by_block.std(ddof=1)) / FOLDS**0.5
+
+
+def _clearly_larger(scores: Vector, others: Vector) -> bool:
+    """Whether they are, by more than chance."""
+    difference, error = _difference(scores, others)
+    return difference > ERRORS * error
 
 
 def _weights(columns: Matrix, tau: Matrix, used: NDArray[np.bool_]) -> Vector:

@@ -5,14 +5,11 @@ What `coop VERB CELL ...` does, without what reads the lines of persons, which c
 
 from __future__ import annotations
 
-import gc
 import sys
 
-from agent.host.starting import of_host, settle
+from agent.host.starting import USAGE, end, of_host, settle
 from agent.process.commands import read
 from agent.process.started import Listener, run
-
-USAGE = 2
 
 
 def main() -> int:
@@ -39,6 +36,4 @@ def _told(text: str) -> None:
 
 
 if __name__ == "__main__":
-    code = main()
-    gc.freeze()  # as in agent.cli.main
-    sys.exit(code)
+    end(main())

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
 
+from agent.config.schema.driver import DriverKind
 from agent.host.signals import begin
 from agent.host.starting import ready
 from agent.process.commands import (
@@ -50,7 +51,6 @@ def agent(command: AgentCommand, listener: Listener) -> int:
     """One arm: read, step, limit, write."""
     from agent.config.cell import ConfigError, load_cell
     from agent.config.floating import spec_of
-    from agent.config.schema.driver import DriverKind
     from agent.host.paths import control_path, make_runtime_dir, plant_socket_path, ring_path
     from agent.process.agent import run_agent
     from agent.process.build import Connection, port_of
@@ -237,7 +237,6 @@ def _of_cell(command: TelemetryCommand) -> tuple[str, str]:
 def record(command: RecordCommand, listener: Listener) -> int:
     """Everything that the cell publishes into one log, or one after the other."""
     from agent.config.files import load_files
-    from agent.config.schema.driver import DriverKind
     from agent.host.paths import log_path
     from agent.log.parts import Limits
     from agent.process.recorder import described, run_recorder

@@ -26,8 +26,8 @@ class Inbox:
 
     def __init__(self, keys: frozenset[str]) -> None:
         self._keys = keys
-        # Not SimpleQueue: a signal that comes as its timeout ends makes it wait for ever (CPython 3.11, measured here).
         self._messages: deque[Message] = deque()
+        # SimpleQueue waits for ever when a signal comes as its timeout ends (CPython 3.11, measured here).
         self._lock = threading.Condition(threading.Lock())
         self._bytes = 0
         self._pressing = False  # there is much, or the end of something

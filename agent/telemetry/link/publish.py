@@ -43,9 +43,7 @@ _BURST: Final = {False: 2, True: 64}  # by lockstep: batches between two looks a
 _STATUS_S: Final = {False: 0.25, True: 0.0}  # in lockstep in every cycle
 _LINGER_S: Final = 10.0  # for a recorder that is there and says nothing
 _WINDOW_ROWS: Final = 4096  # lockstep: rows on their way at most
-_CACHE_S: Final = 20.0  # at 30 batches/s; "cache depth ≥ 10 s"
-_CACHE_BATCHES: Final = {False: round(_CACHE_S * 30), True: 4}  # in lockstep the ring keeps what is not acknowledged
-_BATCH_BYTES: Final = {False: BATCH_BYTES_MAX, True: LOCKSTEP_BATCH_BYTES_MAX}
+_CACHE_BATCHES: Final = {False: 600, True: 4}  # 20 s in real time; in lockstep the ring keeps what is not acknowledged
 
 
 class Pace(Enum):
@@ -131,10 +129,9 @@ class _Telemetry:
         self._texts: TextReader | None = None
         text_id = int.from_bytes(os.urandom(8), "little") | 1
         self._outbox = {Kind.EVENT: TextSource(text_id), Kind.HEALTH: TextSource(text_id, HEALTH_KEPT)}
+        batch_bytes = LOCKSTEP_BATCH_BYTES_MAX if self._lockstep else BATCH_BYTES_MAX
         self._senders = {
-            Kind.STATE: Sender(
-                RowSource(reader, _BATCH_BYTES[self._lockstep]), window=_WINDOW_ROWS if self._lockstep else None
-            ),
+            Kind.STATE: Sender(RowSource(reader, batch_bytes), window=_WINDOW_ROWS if self._lockstep else None),
             Kind.EVENT: Sender(self._outbox[Kind.EVENT], window=None),
             Kind.HEALTH: Sender(self._outbox[Kind.HEALTH], window=None),
         }
