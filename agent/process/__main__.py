@@ -15,8 +15,16 @@ from agent.process.started import Listener, run
 def main() -> int:
     """Exit code of the process; a Refusal is told in its lines."""
     settle()
+    words = sys.argv[1:]
     try:
-        return run(read(sys.argv[1:]), Listener(_told))
+        command = read(words)
+    except (LookupError, ValueError, TypeError):
+        _told(
+            f"coop: process: found {' '.join(words) or 'no words'}, expected those of a typed command; use `coop VERB`"
+        )
+        return USAGE
+    try:
+        return run(command, Listener(_told))
     except OSError as error:
         _told(f"coop: {of_host(error)}")
         return USAGE

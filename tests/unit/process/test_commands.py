@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import MISSING, asdict, fields
 from pathlib import Path
 
@@ -9,6 +10,8 @@ import pytest
 
 from agent.cli.main import whole
 from agent.config.schema.driver import DriverKind
+from agent.host.starting import USAGE
+from agent.process.__main__ import main
 from agent.process.commands import (
     AgentCommand,
     ChildCommand,
@@ -149,3 +152,15 @@ def test_words_of_no_command_are_not_read(words: str) -> None:
 def test_the_order_of_words_is_verb_cell_options() -> None:
     command = PlantCommand(cell=CELL, socket=Path("a b"), ring=Path("r"), real_time=False, with_parent=False)
     assert command.argv() == ["plant", str(CELL), "--socket", "a b", "--ring", "r"]
+
+
+@pytest.mark.parametrize("words", [(), ("agent",), ("dance", "paper"), ("agent", "paper"), ("agent", "paper", "--arm")])
+def test_words_of_no_command_are_refused_in_one_line(
+    words: tuple[str, ...], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["process", *words])
+    assert main() == USAGE
+    found = " ".join(words) or "no words"
+    assert capsys.readouterr().err == (
+        f"coop: process: found {found}, expected those of a typed command; use `coop VERB`\n"
+    )
