@@ -97,6 +97,13 @@ def test_signals_say_the_same(rig: Rig) -> None:
     assert rig.hear() == rig.hear() == Event.STOP
 
 
+@pytest.mark.parametrize(("after_ns", "events"), [(-1, Event.LOWER), (0, Event.LOWER), (1, Event.NONE)])
+def test_the_way_down_begins_at_its_instant_and_once(rig: Rig, after_ns: int, events: Event) -> None:
+    rig.control.requests.lower = Request(Verb.LOWER, start_utc_ns=OFFSET_NS + NOW_NS + after_ns)
+    assert (rig.hear(), rig.hear()) == (events, Event.NONE)
+    assert (rig.control.requests.lower is None) is (events is Event.LOWER)
+
+
 def test_in_a_session_every_stop_is_said_once_for_the_arm_goes_on_from_it(tmp_path: Path) -> None:
     rig = Rig(tmp_path / "c", session=True)
     with closing(rig.control):
