@@ -158,6 +158,29 @@ def test_a_guard_that_is_gone_is_noticed_once_and_a_new_one_is_asked_to_watch(tm
     agent.leave()
 
 
+def test_a_guard_of_another_cell_in_the_place_of_one_that_is_gone_is_told_of_and_not_counted_on(tmp_path: Path) -> None:
+    told: list[tuple[Level, str]] = []
+    first = GuardEnd(path(tmp_path), CELL)
+    agent = Guarded(path(tmp_path), CELL)
+    watching = threading.Thread(target=lambda: agent.watch((0,), lambda *event: told.append(event), ring="r"))
+    watching.start()
+    said = heard(first)
+    first.answer()
+    watching.join()
+    said.drop()
+    first.close()
+    assert agent.poll()
+    second = GuardEnd(path(tmp_path), OTHER)
+    for _ in range(3 * AGAIN_AFTER):
+        agent.poll()
+        assert second.hear() is None
+        assert not agent.there
+    assert [level for level, _ in told] == [Level.ERROR, Level.ERROR]
+    assert "the guard is back and does not watch: found cell abababababab" in told[1][1]
+    second.close()
+    agent.leave()
+
+
 @pytest.mark.parametrize(("guarded", "code", "words"), [(True, 3, "the guard goes on"), (False, 0, "")])
 def test_a_loop_that_fails_ends_its_process_at_once_where_somebody_goes_on(
     guarded: bool, code: int, words: str
