@@ -42,17 +42,14 @@ def study(
     """Run a cell in many realities within its tolerance: what share holds its bounds, and which error matters."""
     from agent.host.signals import StopFlag
     from agent.study.plan import load_plan
-    from agent.study.study import OURS, run_study
+    from agent.study.study import run_study
 
     requested = StopFlag()
     plan = load_plan(cell, runs=runs, seed=seed, duration_s=duration, overrides=overrides)
     name = plan.cells[0].file.name if len(plan.cells) == 1 else cell.stem
     out = out or Path("studies") / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{name}"
-    if force:
-        for ours in OURS:
-            (out / ours).unlink(missing_ok=True)
     with StudyProgress() as progress:
-        outcome = run_study(plan, out, _work(workers, scheduler), requested, progress)
+        outcome = run_study(plan, out, _work(workers, scheduler), requested, progress, anew=force)
     if as_json:
         print_json(dict(outcome.document))
     else:

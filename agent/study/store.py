@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 from collections.abc import Mapping
@@ -28,11 +29,15 @@ class StudyError(Refusal):
 class Store:
     """The file of finished runs: a line that says what study they are of, then one line for each.
 
-    A line that was cut off when the machine went down counts as none.  Use as a context.
+    A line that was cut off when the machine went down counts as none.  One study at a time has the file.  Use as a
+    context.
     """
 
-    def __init__(self, folder: Path, identity: Mapping[str, Any]) -> None:
-        """Make the folder where it is not there.  Raises WriteError, and StudyError where it holds another study."""
+    def __init__(self, folder: Path, identity: Mapping[str, Any], *, anew: bool = False) -> None:
+        """Make the folder where it is not there; `anew` forgets the runs in it.
+
+        Raises WriteError, and StudyError where it holds another study or one that goes on.
+        """
         make_folder(folder)
         self.path = folder / RUNS_FILE
         self._identity = json.loads(json.dumps(identity))
@@ -42,6 +47,9 @@ class Store:
         except OSError as error:
             raise self._unwritable(error) from error
         try:
+            self._lock()
+            if anew:
+                self._file.truncate(0)
             self._read()
         except OSError as error:
             self._file.close()
@@ -49,6 +57,17 @@ class Store:
         except StudyError:
             self._file.close()
             raise
+
+    def _lock(self) -> None:
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise StudyError(
+                f"study in {self.path.parent}",
+                found="another `coop study` that writes there",
+                expected="one at a time",
+                remedy="wait for it, or name another --out",
+            ) from error
 
     def _unwritable(self, error: OSError) -> WriteError:
         return WriteError(

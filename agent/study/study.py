@@ -21,13 +21,13 @@ from agent.config.reality import draw
 from agent.study.measure import RunResult
 from agent.study.page import render
 from agent.study.plan import Plan, Task
-from agent.study.store import RUNS_FILE, Store
+from agent.study.store import Store
 from agent.study.summary import errors_of, influences, judged, summary, worst
 from agent.verify.check import examine
 
 SCHEMA: Final = 1  # of study.json; grows when a key changes its meaning
 STUDY, TABLE, PARQUET, PAGE, WORST = "study.json", "runs.csv", "runs.parquet", "report.html", "worst.toml"
-OURS: Final = (RUNS_FILE, STUDY, TABLE, PARQUET, PAGE, WORST)
+RESULTS: Final = (STUDY, TABLE, PARQUET, PAGE, WORST)
 
 Work = Callable[[Sequence[Task]], Iterator[tuple[Task, RunResult]]]
 
@@ -53,15 +53,23 @@ class StudyOutcome:
     interrupted: bool
 
 
-def run_study(plan: Plan, out: Path, work: Work, stop: Callable[[], bool], progress: Progress) -> StudyOutcome:
+def run_study(
+    plan: Plan, out: Path, work: Work, stop: Callable[[], bool], progress: Progress, *, anew: bool = False
+) -> StudyOutcome:
     """Do the runs of the plan that `out` does not hold yet, and write its results; a stop keeps what is finished.
 
-    Raises Refusal: a cell that must not run, a folder that cannot be written, a run that cannot be done.
+    `anew` gives up what `out` holds, once it is known that the cells may run.
+
+    Raises Refusal: a cell that must not run, a folder that cannot be written or that another study writes, a run that
+    cannot be done.
     """
     for cell in plan.cells:
         examine(cell).require()
     tasks = plan.tasks()
-    with Store(out, plan.identity()) as store:
+    with Store(out, plan.identity(), anew=anew) as store:
+        if anew:
+            for name in RESULTS:
+                (out / name).unlink(missing_ok=True)
         todo = [task for task in tasks if task.key not in store.results]
         progress.begin(len(tasks) - len(todo), len(tasks))
         for task, result in work(todo) if todo else ():
@@ -71,7 +79,7 @@ def run_study(plan: Plan, out: Path, work: Work, stop: Callable[[], bool], progr
                 break
         results = [[store.results[t.key] for t in tasks if t.cell == i and t.key in store.results]
                    for i in range(len(plan.cells))]  # fmt: skip
-    document = _write(plan, out, results)
+        document = _write(plan, out, results)
     return StudyOutcome(out, document, interrupted=sum(map(len, results)) < len(tasks))
 
 

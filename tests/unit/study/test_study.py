@@ -18,10 +18,11 @@ from agent.study import work
 from agent.study.lab import Laboratory
 from agent.study.measure import RunResult, bounds_of, measure
 from agent.study.plan import Plan, Task, load_plan
-from agent.study.store import StudyError
-from agent.study.study import OURS, run_study
+from agent.study.store import RUNS_FILE, Store, StudyError
+from agent.study.study import RESULTS, run_study
 from agent.study.summary import _spearman, errors_of, influences, judged, summary, verdict, worst
 from agent.study.work import ATTEMPTS, here, in_processes
+from drivers.interface import Refusal
 from tests.support.command import coop
 from tests.support.study import PAPER, SHORT, cell, cell_file
 
@@ -76,7 +77,7 @@ def test_a_study_leaves_its_figures_its_table_a_page_and_its_worst_run(
     assert told.begun == [(0, 4)]
     assert told.done == results
     assert not outcome.interrupted
-    assert sorted(p.name for p in tmp_path.iterdir()) == sorted(OURS)
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted((RUNS_FILE, *RESULTS))
     document = json.loads((tmp_path / "study.json").read_text())
     assert (document["runs"], document["lost"], document["tripped"]) == (4, 0, 0)
     assert document["within_bounds"] == sum(r.within_bounds for r in results)
@@ -123,6 +124,50 @@ def test_a_study_that_was_stopped_goes_on_where_it_was(tmp_path: Path, plan: Pla
     run_study(replace(plan, runs=5), tmp_path, here, lambda: False, more)
     assert more.begun == [(4, 5)]
     assert [r.index for r in more.done] == [4]
+
+
+def test_a_folder_that_a_study_writes_is_nobody_elses_until_its_results_are_there(
+    tmp_path: Path, plan: Plan, results: list[RunResult], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    refused: list[str] = []
+
+    def another(*_: object) -> bytes:
+        for anew in (False, True):
+            with pytest.raises(StudyError) as caught:
+                run_study(plan, tmp_path, here, lambda: False, Told(), anew=anew)
+            refused.append(str(caught.value))
+        return b""
+
+    def known(tasks: Sequence[Task]) -> Iterator[tuple[Task, RunResult]]:
+        for task, result in zip(tasks, results, strict=True):
+            another()
+            yield task, result
+
+    monkeypatch.setattr("agent.study.study.worst_cell", another)
+    assert run_study(plan, tmp_path, known, lambda: False, Told()).document["runs"] == 4
+    assert len(refused) == 2 * 5
+    assert all(words.startswith(f"study in {tmp_path}: found another `coop study`") for words in refused)
+    with Store(tmp_path, plan.identity()) as store:
+        assert sorted(store.results) == [task.key for task in plan.tasks()]
+
+
+def test_anew_gives_up_what_is_there_only_for_cells_that_may_run(
+    tmp_path: Path, plan: Plan, results: list[RunResult]
+) -> None:
+    def known(tasks: Sequence[Task]) -> Iterator[tuple[Task, RunResult]]:
+        yield from ((task, results[task.index]) for task in tasks)
+
+    run_study(plan, tmp_path, known, lambda: False, Told())
+    before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
+    unfit = load_plan(PAPER, runs=4, seed=5, overrides=[*SHORT, "controller.k_p_per_s=1e5"])
+    with pytest.raises(Refusal):
+        run_study(unfit, tmp_path, known, lambda: False, Told(), anew=True)
+    assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
+    told = Told()
+    outcome = run_study(replace(plan, seed=5), tmp_path, lambda _: iter(()), lambda: False, told, anew=True)
+    assert told.begun == [(0, 4)]
+    assert outcome.interrupted
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["runs.jsonl", "study.json"]
 
 
 def test_several_processes_find_the_same_to_the_bit(plan: Plan, results: list[RunResult]) -> None:
