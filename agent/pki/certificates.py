@@ -95,6 +95,11 @@ def _openssl(folder: Path, *words: str) -> str:
         raise PkiError(
             "command openssl", found=error.strerror, expected="OpenSSL 3", remedy="sudo apt install openssl"
         ) from error
+    except subprocess.TimeoutExpired as error:
+        raise PkiError(
+            f"openssl {words[0]} in {folder}", found=f"no end within {_TIMEOUT_S:g} s", expected="a certificate",
+            remedy="look at the host's load, then try again",
+        ) from error  # fmt: skip
     if done.returncode:
         raise PkiError(
             f"openssl {words[0]} in {folder}",

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import datetime
+import ipaddress
+import re
 import shutil
 import tempfile
 from collections.abc import Sequence
@@ -17,6 +19,8 @@ from agent.pki.zenoh import Paths, common_name, member_config, recorder_config
 from agent.telemetry.row.topics import PLANT, RECORDER
 
 ETC: Final = Path("/etc/coop")
+_LABEL: Final = re.compile(r"(?!-)[A-Za-z0-9-]{1,63}(?<!-)")  # of a host's name
+_NAME_MAX: Final = 253
 _UNIT: Final = {True: "coop-recorder.service", False: "coop-telemetry@{}.service"}  # by: is the recorder
 
 
@@ -42,6 +46,8 @@ class Wish:
 def make(wish: Wish) -> dict[str, datetime.datetime]:
     """Everything, into a folder that is not there yet; the end of each certificate by member.  Raises PkiError."""
     folder = wish.folder.absolute()
+    dialled = _endpoint("--recorder", wish.recorder, wish.port)
+    listening = _endpoint("--listen", wish.listen, wish.port)
     if folder.exists():
         raise PkiError(
             f"folder {folder}", found="something of that name", expected="none, so that no key is replaced unasked",
@@ -58,7 +64,7 @@ def make(wish: Wish) -> dict[str, datetime.datetime]:
         authority.mkdir(mode=0o700)
         make_authority(authority, wish.cell.file.name)
         for member in (RECORDER, *wish.members):
-            _member(wish, scratch, member)
+            _member(wish, scratch, member, listening if member == RECORDER else dialled)
         scratch.rename(folder)
     except BaseException:
         shutil.rmtree(scratch, ignore_errors=True)
@@ -97,8 +103,23 @@ def ends(folder: Path) -> dict[str, datetime.datetime]:
     return {"authority": expiry(folder / "authority/ca.pem"), **found}
 
 
-def _member(wish: Wish, folder: Path, member: str) -> None:
-    """The files of one member as they lie below /etc/coop on its host."""
+def _endpoint(option: str, host: str, port: int) -> str:
+    """Where the recorder is, for Zenoh.  Raises PkiError for what is neither a name nor an address."""
+    try:
+        address = ipaddress.ip_address(host)
+    except ValueError:
+        labels = host.split(".")
+        if len(host) > _NAME_MAX or not all(map(_LABEL.fullmatch, labels)) or labels[-1].isdigit():
+            raise PkiError(
+                f"option {option}", found=repr(host),
+                expected="a host's name or address, such as recorder.cell or 10.0.0.1", remedy="correct it",
+            ) from None  # fmt: skip
+        return f"tls/{host}:{port}"
+    return f"tls/{f'[{address}]' if address.version == 6 else address}:{port}"
+
+
+def _member(wish: Wish, folder: Path, member: str, endpoint: str) -> None:
+    """The files of one member as they lie below /etc/coop on its host; endpoint: the recorder's, as seen there."""
     public, secret = folder / member / "zenoh", folder / member / "keys"
     public.mkdir(parents=True)
     secret.mkdir(mode=0o700)
@@ -106,11 +127,9 @@ def _member(wish: Wish, folder: Path, member: str) -> None:
     (public / f"{member}.key").rename(secret / f"{member}.pem")
     shutil.copyfile(folder / "authority/ca.pem", public / "ca.pem")
     if member == RECORDER:
-        config = recorder_config(
-            _paths(wish, member), f"tls/{wish.listen}:{wish.port}", wish.cell.file.name, wish.members
-        )
+        config = recorder_config(_paths(wish, member), endpoint, wish.cell.file.name, wish.members)
     else:
-        config = member_config(_paths(wish, member), f"tls/{wish.recorder}:{wish.port}")
+        config = member_config(_paths(wish, member), endpoint)
     (public / f"{member}.json5").write_bytes(config)
     for path in public.iterdir():
         path.chmod(0o644)

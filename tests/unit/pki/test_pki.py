@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import datetime
+import ipaddress
 import json
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import zenoh
 
 from agent.config.files import load_files
+from agent.pki import certificates
 from agent.pki.certificates import PkiError, hosts
 from agent.pki.make import Wish, ends, make, renew
 from agent.pki.zenoh import Paths, recorder_config
@@ -112,6 +115,40 @@ def test_what_fails_in_the_middle_leaves_no_folder(tmp_path: Path, monkeypatch: 
     with pytest.raises(PkiError, match="command openssl"):
         make(Wish(CELL, tmp_path / "cell"))
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("option", ["recorder", "listen"])
+@pytest.mark.parametrize(
+    "host",
+    ["", "two words", "a/../b", "recorder..cell", "-a.cell", "a-.cell", "10.0.0.300", "x" * 64, "a." * 126 + "aa"],
+)
+def test_what_is_neither_a_name_nor_an_address_is_refused_before_anything_is_made(
+    tmp_path: Path, option: str, host: str
+) -> None:
+    with pytest.raises(PkiError, match=f"option --{option}: found .* expected a host's name or address"):
+        make(replace(Wish(CELL, tmp_path / "cell"), **{option: host}))
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_address_of_six_parts_is_one_that_zenoh_reads_and_the_certificate_names(tmp_path: Path) -> None:
+    make(Wish(CELL, tmp_path / "cell", recorder="fd00::1", listen="::"))
+    recorder, left = (tmp_path / "cell" / name / "zenoh" for name in ("recorder", "left"))
+    assert json.loads((recorder / "recorder.json5").read_text())["listen"]["endpoints"] == ["tls/[::]:7447"]
+    assert json.loads((left / "left.json5").read_text())["connect"]["endpoints"] == ["tls/[fd00::1]:7447"]
+    assert [ipaddress.ip_address(host) for host in hosts(recorder / "recorder.pem")] == [
+        ipaddress.ip_address("fd00::1")
+    ]
+
+
+def test_an_openssl_that_does_not_end_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fake = tmp_path / "openssl"
+    fake.write_text("#!/bin/sh\nexec sleep 60\n")
+    fake.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
+    monkeypatch.setattr(certificates, "_TIMEOUT_S", 0.1)
+    with pytest.raises(PkiError, match=r"openssl req .* no end within 0\.1 s"):
+        make(Wish(CELL, tmp_path / "cell"))
+    assert [path.name for path in tmp_path.iterdir()] == ["openssl"]
 
 
 def test_a_renewed_member_has_another_key_for_the_same_host_and_the_others_theirs(tmp_path: Path) -> None:
