@@ -6,6 +6,7 @@ import os
 import sys
 import traceback
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -117,7 +118,8 @@ class Guarded:
         if not self.there:
             return
         self._tell(Level.ERROR, f"{type(error).__name__}: {error}; the guard goes on")
-        traceback.print_exception(error)
+        with suppress(OSError):  # nobody may listen any more, to this as to what is flushed
+            traceback.print_exception(error)
         self._end_process(error.exit_code if isinstance(error, Refusal) else CRASHED)
 
     def _hand_over(self) -> None:
@@ -129,8 +131,9 @@ class Guarded:
     @staticmethod
     def _end_process(code: int) -> NoReturn:
         """Nothing that an orderly end does: it would switch the torque off."""
-        sys.stdout.flush()
-        sys.stderr.flush()
+        for stream in (sys.stdout, sys.stderr):
+            with suppress(OSError):
+                stream.flush()
         os._exit(code)
 
     def _say(self, word: Word, **content: Any) -> bool:

@@ -11,7 +11,10 @@ PR_SET_PDEATHSIG = 1
 
 
 class StopFlag:
-    """Remembers a stop (SIGTERM, SIGINT) and a release (SIGUSR1); install it before anything is opened."""
+    """Remembers a stop (SIGTERM, SIGINT, SIGHUP) and a release (SIGUSR1); install it before anything is opened.
+
+    SIGHUP, which comes when a terminal or its connection is gone, counts unless it is ignored, as under `nohup`.
+    """
 
     def __init__(self) -> None:
         self.stopped = False
@@ -19,6 +22,8 @@ class StopFlag:
         self.released = False
         signal.signal(signal.SIGTERM, self._stop)
         signal.signal(signal.SIGINT, self._stop)
+        if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+            signal.signal(signal.SIGHUP, self._stop)
         signal.signal(signal.SIGUSR1, self._release)
 
     def _stop(self, number: int, frame: FrameType | None) -> None:

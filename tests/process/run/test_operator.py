@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import socket
 import subprocess
 import sys
@@ -70,7 +71,8 @@ def cell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Cell]:
     finally:
         for process in (*found.agents.values(), plant):
             process.kill()
-            process.communicate()
+            with process:  # waits for it and closes its pipe
+                pass
 
 
 def clock_file(path: Path, max_error_s: float) -> str:
@@ -133,3 +135,20 @@ def test_words_reach_the_living_and_say_who_is_dead(cell: Cell, tmp_path: Path) 
     code, told = cell.coop("release", cell.file, "--host", "one")
     assert (code, "left switches its torque off" in told) == (0, True), told
     assert cell.agents["left"].wait(timeout=30) == 0
+
+
+@pytest.mark.realtime
+def test_an_agent_whose_terminal_is_gone_holds_and_obeys(cell: Cell) -> None:
+    agent = cell.agents["left"]
+    assert agent.stdout is not None
+    agent.stdout.close()  # nobody reads what it says any more
+    agent.send_signal(signal.SIGHUP)
+    for _ in range(100):
+        code, arm = status_of(cell, "one")
+        if arm["mode"] != "READY":
+            break
+        time.sleep(0.1)
+    assert (code, arm["mode"], agent.poll()) == (0, "HOLD", None)
+    code, told = cell.coop("release", cell.file, "--host", "one")
+    assert (code, "left switches its torque off" in told) == (0, True), told
+    agent.wait(timeout=30)

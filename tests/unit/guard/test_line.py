@@ -15,7 +15,7 @@ import pytest
 
 from agent.guard.agent_end import AgentEnd
 from agent.guard.guard_end import GuardEnd
-from agent.guard.guarded import AGAIN_AFTER, Guarded
+from agent.guard.guarded import AGAIN_AFTER, CRASHED, Guarded
 from agent.guard.line import GuardError, Said, Word
 from agent.telemetry.row.event import Level
 
@@ -201,3 +201,30 @@ except Exception as error:
     assert done.returncode == code
     assert words in done.stdout
     assert ("Traceback" in done.stderr) is guarded
+
+
+@pytest.mark.parametrize("deaf", [1, 2])
+def test_a_loop_that_fails_ends_its_process_at_once_though_nobody_reads_what_it_says(deaf: int) -> None:
+    program = f"""
+import os
+from agent.guard.guarded import Guarded
+agent = Guarded.__new__(Guarded)
+agent._end, agent._watch, agent._asked_back = object(), ((), {{}}), False
+agent._tell = lambda level, text: None  # into the ring
+print("not flushed yet")
+try:
+    raise RuntimeError("a defect")
+except RuntimeError as error:
+    reader, writer = os.pipe()
+    os.close(reader)
+    os.dup2(writer, {deaf})
+    try:
+        agent.give_up(error)
+    finally:
+        os._exit(77)  # an orderly end, which would switch the torque off
+"""
+    buffered = {key: value for key, value in os.environ.items() if key != "PYTHONUNBUFFERED"}
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=buffered)
+    assert done.returncode == CRASHED
+    assert ("not flushed yet" in done.stdout) is (deaf == 2)
+    assert ("RuntimeError: a defect" in done.stderr) is (deaf == 1)

@@ -1,0 +1,45 @@
+"""Which signals ask a process to stop."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
+
+import pytest
+
+from agent.host.signals import StopFlag
+
+CAUGHT = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGUSR1)
+
+
+@pytest.fixture
+def handlers() -> Iterator[None]:
+    before = {number: signal.getsignal(number) for number in CAUGHT}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.usefixtures("handlers")
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+def test_each_request_to_stop_is_counted(number: signal.Signals) -> None:
+    flag = StopFlag()
+    assert (flag(), flag.stops, flag.released) == (False, 0, False)
+    signal.raise_signal(number)
+    signal.raise_signal(number)
+    assert (flag(), flag.stops, flag.released) == (True, 2, False)
+
+
+@pytest.mark.usefixtures("handlers")
+def test_a_release_is_no_stop() -> None:
+    flag = StopFlag()
+    signal.raise_signal(signal.SIGUSR1)
+    assert (flag(), flag.released) == (False, True)
+
+
+@pytest.mark.usefixtures("handlers")
+def test_a_process_that_is_to_outlive_its_terminal_does() -> None:
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as `nohup` starts it
+    flag = StopFlag()
+    signal.raise_signal(signal.SIGHUP)
+    assert not flag()
