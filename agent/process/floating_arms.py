@@ -7,8 +7,6 @@ Each arm has a guard: where its process is killed or hangs, that lets it stand a
 
 from __future__ import annotations
 
-import shutil
-import tempfile
 import time
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -32,6 +30,7 @@ from agent.process.float_loop import SINK_MAX_S, STAND_S
 from agent.process.floating_cell import FloatOptions, moving, names_of, port_for
 from agent.process.folder import LOG_NAME, output_folder
 from agent.process.glance import Glance, Window
+from agent.process.run_folder import run_folder
 from agent.telemetry.link.session import FREE_PORT
 
 READY_TIMEOUT_S = 30.0
@@ -60,8 +59,7 @@ def float_arms(cell: Cell, options: FloatOptions, stop: Callable[[], bool], scre
     Raises Refusal; every torque is off and the log is closed by then.
     """
     out = output_folder(options.out, f"{cell.file.name}-float")
-    runtime = Path(tempfile.mkdtemp(prefix="coop-", dir="/dev/shm" if Path("/dev/shm").is_dir() else None))
-    try:
+    with run_folder() as runtime:
         arms = FloatingArms(cell, options, out, runtime)
         try:
             arms.start(screen)
@@ -69,8 +67,6 @@ def float_arms(cell: Cell, options: FloatOptions, stop: Callable[[], bool], scre
             arms.end(screen)
         finally:
             arms.abandon()
-    finally:
-        shutil.rmtree(runtime, ignore_errors=True)
     return out / LOG_NAME
 
 

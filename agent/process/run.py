@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +13,7 @@ from agent.process.folder import LOG_NAME, RunError, output_folder
 from agent.process.progress import Progress
 from agent.process.real_arms import RealArms, RealChildren
 from agent.process.rehearse import require_wall_clock
+from agent.process.run_folder import run_folder
 from agent.process.run_kind import RunKind
 from agent.report.results import Results
 from agent.report.results_file import write_results
@@ -68,8 +67,7 @@ def run_cell(options: RunOptions, stop: Callable[[], bool], progress: Progress) 
     examine(cell, wired=options.kind.has_servos).require()
     out = output_folder(options.out, cell.file.name, replace=options.replace)
     log = out / LOG_NAME
-    runtime = Path(tempfile.mkdtemp(prefix="coop-", dir="/dev/shm" if Path("/dev/shm").is_dir() else None))
-    try:
+    with run_folder() as runtime:
         children = _children(options, cell, log, runtime)
         try:
             children.start(progress)
@@ -77,8 +75,6 @@ def run_cell(options: RunOptions, stop: Callable[[], bool], progress: Progress) 
             children.end(progress)
         finally:
             children.abandon()
-    finally:
-        shutil.rmtree(runtime, ignore_errors=True)
     progress.phase("report")
     page, results = _reported(log, out, drawn=options.report)
     progress.phase("done")

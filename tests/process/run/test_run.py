@@ -19,6 +19,7 @@ import pytest
 
 from agent.host.share import one_memory_layout
 from agent.log.read import RunLog, read_log
+from agent.process.run_folder import run_folder
 from agent.telemetry.row.sample import AGENT_STATE
 from tests.process.conftest import PAPER_RUN_S
 from tests.support.command import coop as line
@@ -202,14 +203,14 @@ def test_a_killed_run_takes_its_processes_with_it(nothing_left: Path) -> None:
     run = start("run", PAPER, "--duration", "1000", "--out", str(nothing_left / "out"), cwd=nothing_left)
     wait_for_rows(nothing_left / "out", run)
     children = psutil.Process(run.pid).children()
+    (left,) = {Path(word).parent for child in children for word in child.cmdline() if word.endswith("cell.toml")}
     run.kill()
     run.communicate(timeout=10)
     _, alive = psutil.wait_procs(children, timeout=20)
     assert alive == []
-    for left in Path("/dev/shm").glob("coop-*"):  # nobody was left to remove them
-        for file in left.iterdir():
-            file.unlink()
-        left.rmdir()
+    assert left.is_dir(), "nobody was left to remove it"
+    with run_folder():
+        assert not left.exists(), "the next run does"
 
 
 @pytest.mark.parametrize(
