@@ -112,6 +112,9 @@ def test_what_cannot_be_met_is_named(which: Wish, match: str) -> None:
         (["wx200 pose=0.1,0,0,0,0,0,0"], "a quaternion of norm 0"),
         (["wx200 share=nan"], "share of arm wx200"),
         (["wx200 face=-x", "wx200 face=-x"], "names that differ"),
+        (["wx200 face=-x face=+x"], "found face= twice, expected one face="),
+        (['wx200 name=a"b'], "name of arm wx200: found 'a\"b', expected a to z, then"),
+        (["wx200 name=1"], "name of arm wx200: found '1'"),
     ],
 )
 def test_words_that_say_nothing_are_refused(texts: list[str], match: str) -> None:
@@ -190,6 +193,9 @@ def test_nothing_is_written_where_something_cannot_be_met(tmp_path: Path, capsys
         assert ": found " in capsys.readouterr().err
     assert dispatch(["new", str(tmp_path / "c.toml"), "--arm", "wx200"]) == 2
     assert "--mass KG and --size X,Y,Z" in capsys.readouterr().err
+    for name in ('a"b', "my cell", "7", "lärm", "c\udcff"):
+        assert dispatch(["new", str(tmp_path / f"{name}.toml"), *ASK]) == 2
+        assert ", expected a to z, then a to z, 0 to 9 and _, 32 at most; give the file" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 
