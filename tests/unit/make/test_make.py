@@ -6,6 +6,7 @@ import functools
 import json
 import math
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +32,7 @@ from agent.make.wish import (
 from agent.verify import stiffest
 from agent.verify.check import examine
 from agent.verify.finding import Verdict
+from agent.verify.tune import Tuner
 from tests.support.plant.inprocess import simulate
 
 CARRY = MotionWish(MotionKind.CARRY, (0.03, 0.02, 0.03), 2.0)
@@ -75,6 +77,23 @@ def test_gains_are_searched_by_the_robust_criterion(monkeypatch: pytest.MonkeyPa
     assert tuned.report.robustness.criterion.radius < 0.9999 < usual.report.robustness.criterion.radius
     assert "# stiffer is more exact" in tuned.text, "comments stay"
     assert usual.text.splitlines()[0] == tuned.text.splitlines()[0]
+
+
+def test_usual_gains_that_a_slow_loop_cannot_take_do_not_keep_others_from_being_found(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(stiffest, "TRIES", 60)
+    slow = replace(CELLS["mixed"], rate_hz=80.0)
+    with pytest.raises(WishError, match=r"spectral radius at 80 Hz.*; leave out --no-tune, or give a higher --rate"):
+        Maker(slow).make(tune=False)
+    assert Maker(slow).make().report.ok
+
+
+def test_what_gains_cannot_mend_is_said_before_they_are_searched(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Tuner, "propose", lambda *_: pytest.fail("searched"))
+    fast = replace(CELLS["mixed"], rate_hz=1500.0)
+    with pytest.raises(WishError, match=r"rate on the servo bus .*lower rate_hz"):
+        Maker(fast).make()
 
 
 @pytest.mark.parametrize(
