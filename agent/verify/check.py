@@ -149,7 +149,8 @@ class _Instants:
 def _instants(cell: Cell) -> _Instants:
     end = min(cell.trajectory().period_s, cell.file.duration_s)
     named, count = motion.waypoint_times(cell.file, end, NAMED_MAX // len(cell.arms))
-    return _Instants(sorted({*named, *np.linspace(0.0, end, SAMPLES).tolist()}), count, len(named))
+    hidden = motion.hidden_times(cell.file, end / (SAMPLES - 1))
+    return _Instants(sorted({*named, *hidden, *np.linspace(0.0, end, SAMPLES).tolist()}), count, len(named))
 
 
 def _thinned(instants: _Instants) -> list[Finding]:
