@@ -230,7 +230,7 @@ def load_arm_file(model: str, what: str, arms_dir: Path = configs.ARMS_DIR) -> t
         raise ConfigError(
             what,
             found=repr(model),
-            expected=" or ".join(sorted(p.stem for p in arms_dir.glob("*.toml"))),
+            expected=" or ".join(sorted(p.stem for p in arms_dir.glob("*.toml"))) or f"an arm file in {arms_dir}",
             remedy="name a described arm; a file of your own goes by `arm_file`, --arm-file",
         )
     raw = read_file(path)
