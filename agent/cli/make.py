@@ -133,8 +133,9 @@ def _wish(
     height: float | None,
     rate: float,
 ) -> Wish:
-    from agent.make.wish import ObjectWish, ShapeKind, Wish, WishError, arm_wishes, vector
+    from agent.make.wish import ObjectWish, ShapeKind, Wish, WishError, arm_wishes, name, vector
 
+    called = name(cell.stem, f"name of the cell {cell}", "give the file such a name")
     mass, size, shape, inertia = what
     if mass is None or size is None:
         raise WishError(
@@ -143,7 +144,7 @@ def _wish(
         )  # fmt: skip
     moments = None if inertia is None else vector(inertia, "--inertia")
     thing = ObjectWish(mass, vector(size, "--size"), ShapeKind(shape.value), moments)
-    return Wish(cell.stem, arm_wishes(arms), thing, motion, height, rate)
+    return Wish(called, arm_wishes(arms), thing, motion, height, rate)
 
 
 def _document(made: Made, path: Path) -> dict[str, object]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -149,6 +150,8 @@ def cell_path(cell: Path) -> Path:
     shipped = shipped_cells()
     if name in shipped:
         return configs.CELLS_DIR / f"{name}.toml"
+    if os.path.lexists(cell):
+        return cell  # a folder, a pipe: whoever reads it says so
     raise ConfigError(
         f"cell {shown(name)}",
         found="no such file, and no cell of that name that ships",
@@ -227,7 +230,7 @@ def load_arm_file(model: str, what: str, arms_dir: Path = configs.ARMS_DIR) -> t
         raise ConfigError(
             what,
             found=repr(model),
-            expected=" or ".join(sorted(p.stem for p in arms_dir.glob("*.toml"))),
+            expected=" or ".join(sorted(p.stem for p in arms_dir.glob("*.toml"))) or f"an arm file in {arms_dir}",
             remedy="name a described arm; a file of your own goes by `arm_file`, --arm-file",
         )
     raw = read_file(path)

@@ -5,6 +5,7 @@ What is read is a file of at most 16 MB; a device, a pipe or a folder is refused
 
 from __future__ import annotations
 
+import codecs
 import difflib
 import re
 import stat
@@ -87,6 +88,11 @@ def shipped_cells() -> list[str]:
 
 def parse(raw: bytes, path: Path) -> dict[str, Any]:
     """The tables of a TOML text.  Raises ConfigError with the line."""
+    if raw.startswith(codecs.BOM_UTF8):
+        raise ConfigError(
+            path.name, found="a byte order mark before the first line", expected="TOML in UTF-8",
+            remedy="save it as UTF-8 without BOM",
+        )  # fmt: skip
     try:
         return tomllib.loads(raw.decode())
     except (ValueError, RecursionError) as error:  # not TOML, not UTF-8, a number of thousands of digits, too deep

@@ -20,6 +20,8 @@ from agent.control.trajectory_rest import RestToRest
 from agent.control.trajectory_spline import PoseSpline, TrajectoryError
 
 SAMPLES_PER_SHORTEST_PERIOD: Final = 8
+SAMPLES_PER_MOVE: Final = 8
+SAMPLES_HIDDEN: Final = 25
 
 
 def build(file: CellFile) -> Trajectory:
@@ -63,6 +65,19 @@ def waypoint_times(file: CellFile, end_s: float, at_most: int) -> tuple[list[flo
         count = math.ceil(SAMPLES_PER_SHORTEST_PERIOD * highest * end_s / t.base_period_s) + 1
         return np.linspace(later_s, later_s + end_s, min(count, at_most)).tolist(), count
     return [], 0
+
+
+def hidden_times(file: CellFile, step_s: float) -> list[float]:
+    """Instants, s, of what even steps of step_s through the motion's period would miss or hardly see."""
+    t = file.trajectory
+    later_s = 0.0 if file.session is None else file.session.lift_s
+    begins, length_s = [], 0.0
+    if isinstance(t, RestToRestSpec) and t.move_s < SAMPLES_PER_MOVE * step_s:
+        begins, length_s = [t.wait_s, 2.0 * t.wait_s + t.move_s][: 1 + t.and_back], t.move_s
+    elif isinstance(t, SinusoidSpec) and t.ramp_s > t.period_s:  # its full speed comes late
+        begins, length_s = [t.ramp_s], t.period_s
+    parts = [np.linspace(later_s + begin_s, later_s + begin_s + length_s, SAMPLES_HIDDEN) for begin_s in begins]
+    return [time for part in parts for time in part.tolist() if time <= file.duration_s]
 
 
 def text_of_file(name: str, cell_path: Path) -> str:

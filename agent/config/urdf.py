@@ -9,9 +9,11 @@ import posixpath
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
+from typing import Final
 
 from agent.config.reading import ConfigError, shown
 
+LARGEST: Final = 100.0  # kg, kg·m², m and rad, as in a cell file
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?")
 _TRIPLES = (("origin", "xyz"), ("origin", "rpy"), ("axis", "xyz"))
 _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
@@ -33,13 +35,16 @@ def text_of_urdf(raw: bytes, name: str) -> str:
         ) from error
     for where, attribute, written, a_weight in _numbers(robot):
         words = written.split() if written is not None else []
-        count = 3 if attribute in {"xyz", "rpy"} else 1
-        if len(words) != count or not all(map(_NUMBER.fullmatch, words)) or (a_weight and float(words[0]) < 0.0):
+        count, least = 3 if attribute in {"xyz", "rpy"} else 1, 0.0 if a_weight else -LARGEST
+        if len(words) != count or not all(
+            _NUMBER.fullmatch(word) and least <= float(word) <= LARGEST for word in words
+        ):
             raise ConfigError(
                 f"{attribute} of {shown(where)} in {name}",
                 found="nothing" if written is None else shown(repr(written)),
-                expected="a number, not below 0" if a_weight else "a number" if count == 1 else f"{count} numbers",
-                remedy="correct it: what cannot be read would be left out",
+                expected=(f"{count} numbers" if count > 1 else "a number")
+                + (f", not below 0 and at most {LARGEST:g}" if a_weight else f" within ±{LARGEST:g}"),
+                remedy="correct it and its unit: what cannot be read would be left out",
             )
     return text
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import enum
 import math
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import configs
 from agent.config.reading import ConfigError, shown
-from agent.config.schema.types import nearest
+from agent.config.schema.types import NAME_PATTERN, nearest
 
 Vec3 = tuple[float, float, float]
 FACES: Final[dict[str, Vec3]] = {  # outward normals, object axes; the names of arms that hold there
@@ -133,6 +134,10 @@ def _words(text: str) -> tuple[str, dict[str, str]]:
                 f"arm {shown(text)}", found=repr(word), expected=", ".join(f"{w}=..." for w in WORDS),
                 remedy=nearest(key, WORDS) or "see `coop new -h`",
             )  # fmt: skip
+        if key in words:
+            raise WishError(
+                f"arm {shown(text)}", found=f"{key}= twice", expected=f"one {key}=", remedy="leave one of them out"
+            )
         words[key] = value
     return model, words
 
@@ -154,8 +159,9 @@ def _arm(model: str, words: dict[str, str], face: str) -> ArmWish:
             f"pose of {what}", found=f"a quaternion of norm {math.hypot(*p[3:]):g}", expected="norm 1, w x y z",
             remedy="correct it; 1,0,0,0 is not turned",
         )  # fmt: skip
+    called = name(words.get("name", NAMES[face]), f"name of {what}", "give name=... in such letters")
     return ArmWish(
-        words.get("name", NAMES[face]), model, face, down, INSET_M if inset is None else inset,
+        called, model, face, down, INSET_M if inset is None else inset,
         None if x is None else (x[0], x[1], x[2], x[3]), p, share,
     )  # fmt: skip
 
@@ -167,6 +173,15 @@ def _one(words: dict[str, str], key: str, what: str, low: float, high: float) ->
     if not low <= value <= high:
         raise WishError(f"{key} of {what}", found=f"{value:g}", expected=f"{low:g} to {high:g}", remedy="correct it")
     return value
+
+
+def name(text: str, what: str, remedy: str) -> str:
+    """A name as cell files have it.  Raises WishError."""
+    if not re.fullmatch(NAME_PATTERN, text):
+        raise WishError(
+            what, found=shown(repr(text)), expected="a to z, then a to z, 0 to 9 and _, 32 at most", remedy=remedy
+        )
+    return text
 
 
 def vector(text: str, what: str) -> Vec3:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -149,7 +149,8 @@ class _Instants:
 def _instants(cell: Cell) -> _Instants:
     end = min(cell.trajectory().period_s, cell.file.duration_s)
     named, count = motion.waypoint_times(cell.file, end, NAMED_MAX // len(cell.arms))
-    return _Instants(sorted({*named, *np.linspace(0.0, end, SAMPLES).tolist()}), count, len(named))
+    hidden = motion.hidden_times(cell.file, end / (SAMPLES - 1))
+    return _Instants(sorted({*named, *hidden, *np.linspace(0.0, end, SAMPLES).tolist()}), count, len(named))
 
 
 def _thinned(instants: _Instants) -> list[Finding]:
@@ -182,11 +183,12 @@ def _stability(cell: Cell, models: Sequence[ArmModel], paths: Sequence[Path]) ->
 
 def _radius(cell: Cell, what: str, found: Damping, *, gate: bool) -> Finding:
     limit = cell.file.safety.spectral_radius_max
-    return judged(
+    finding = judged(
         what, "cell", f"{found.radius:.4f}", f"≤ {limit:g}", holds=found.radius <= limit,
         remedy="raise rate_hz, or take the gains that `coop tune` proposes",
         otherwise=Verdict.REFUSED if gate else Verdict.WARNING,
     )  # fmt: skip
+    return replace(finding, by_gains=True)
 
 
 def _adaptation(

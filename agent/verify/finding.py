@@ -30,6 +30,7 @@ class Finding:
     wanted: str
     verdict: Verdict = Verdict.OK
     remedy: str = ""
+    by_gains: bool = False  # other gains may mend it
 
     @property
     def line(self) -> str:

@@ -182,7 +182,8 @@ class Statics:
                     wanted, steep = arm.law(x)  # which believes in the weights of the files
                     given = np.clip(wanted, -bound * arm.stall, bound * arm.stall)
                     tau = given - reality.arm * arm.g
-                    steep = (given / np.where(wanted == 0.0, 1.0, wanted))[..., None] * steep
+                    still = wanted == 0.0  # far from its bound: the whole slope
+                    steep = np.where(still, 1.0, given / np.where(still, 1.0, wanted))[..., None] * steep
                 stuck, resists = arm.rubs(x, reality.friction)
                 missing -= arm.wrench(tau + stuck)
                 slope += np.swapaxes(arm.J_inv, -1, -2) @ (steep + resists)

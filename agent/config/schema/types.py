@@ -71,7 +71,8 @@ Gain = Annotated[float, Field(gt=0.0, le=1e5)]
 Effort = Annotated[float, Field(ge=-1e4, le=1e4)]  # N, N·m
 Smoothing = Annotated[float, Field(ge=1e-4, le=10.0)]  # rad/s, in which a friction changes its sign
 Factor = Annotated[float, Field(ge=0.0, le=1e6)]
-Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,31}$")]
+NAME_PATTERN: Final = r"^[a-z][a-z0-9_]{0,31}$"
+Name = Annotated[str, Field(pattern=NAME_PATTERN)]
 FileStem = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
 Vec3 = Annotated[tuple[Coordinate, Coordinate, Coordinate], AS_LIST]
 Wrench = Annotated[tuple[Effort, Effort, Effort, Effort, Effort, Effort], AS_LIST]

@@ -10,6 +10,7 @@ import pytest
 
 import configs
 from agent.config.cell import Cell, ConfigError, cell_from_toml
+from agent.config.files import load_arm_file
 from agent.control.models import ModelError
 from agent.verify.check import examine
 
@@ -96,6 +97,9 @@ def first_number(of: str, instead: str) -> str:
         (first_number("mass value", "0,5"), r"mass of link base_link in wx200.urdf: found '0,5', expected a number"),
         (first_number("mass value", "nan"), "mass of link base_link in wx200.urdf: found 'nan'"),
         (first_number("mass value", "-0.1"), "mass of link base_link in .*not below 0"),
+        (first_number("mass value", "101"), "mass of link base_link in .*not below 0 and at most 100"),
+        (first_number("ixy", "-1e30"), "ixy of link base_link in .*expected a number within ±100"),
+        (first_number("origin xyz", "0 1e9 0"), "xyz of link base_link in .*expected 3 numbers within ±100"),
         (first_number("ixx", "-1e-5"), "ixx of link base_link in .*not below 0"),
         (first_number("ixx", ""), "ixx of link base_link in wx200.urdf: found ''"),
         (URDF.replace(" izz=", " ixz2=", 1), "izz of link base_link in wx200.urdf: found nothing"),
@@ -132,3 +136,8 @@ def test_an_arm_that_some_motion_costs_no_torque_is_refused(tmp_path: Path) -> N
     cell = loaded(tmp_path / "without", no_rotors, weightless)
     with pytest.raises(ModelError, match=r"inertia of the controlled joints, arm left .*smallest eigenvalue of"):
         cell.model(cell.arms[0])
+
+
+def test_a_folder_without_arm_files_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=f"found 'wx200', expected an arm file in {tmp_path}; name a described arm"):
+        load_arm_file("wx200", "model of arm left", tmp_path)

@@ -74,6 +74,7 @@ def test_overrides_of_what_is_no_value_are_refused(text: str) -> None:
     ("raw", "expected"),
     [
         (b"\xff\xfe", "UTF-8"),
+        (b"\xef\xbb\xbf" + PAPER.read_bytes(), "byte order mark .*; save it as UTF-8 without BOM"),
         (b"a = " + b"[" * 5000, "expected TOML"),
         (b"a = " + b"9" * 5000, "expected TOML"),
         (b'"\\u0000\\n" = 1\n' + PAPER.read_bytes(), "an unknown key"),
@@ -124,6 +125,17 @@ def test_shipped_cells_go_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert load_cell(Path("paper")).fingerprint == load_cell(PAPER).fingerprint
     (tmp_path / "paper").mkdir()
     assert load_cell(Path("paper")).file.name == "paper"
+
+
+@pytest.mark.parametrize("name", ["mine", "mine.toml", "."])
+def test_a_folder_of_the_name_of_no_cell_is_told_as_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    if name != ".":
+        (tmp_path / name).mkdir()
+    with pytest.raises(ConfigError, match="found no regular file, expected a file"):
+        load_cell(Path(name))
 
 
 def test_a_file_of_that_name_wins_over_a_shipped_cell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from scipy.interpolate import make_interp_spline
 
 import configs
-from agent.config.cell import ConfigError, cell_from_toml, load_cell
-from agent.config.trajectory import waypoint_times
+from agent.config.cell import Cell, ConfigError, cell_from_toml, load_cell
+from agent.config.trajectory import hidden_times, waypoint_times
 from agent.control.quaternion import Quat, angle_between, conjugate, from_axis_angle, multiply
 from agent.control.trajectory import Desired, Trajectory
 from agent.control.trajectory_file import COLUMNS, SpeedLimits, read
@@ -336,6 +336,37 @@ def test_a_way_point_out_of_reach_is_refused_with_arm_and_time(tmp_path: Path) -
     path = cell_with(tmp_path, f'[trajectory]\nkind = "waypoints"\npoints = [{listed}]\n\n')
     with pytest.raises(ConfigError, match=r"grasp of arm left at t = .*unreachable by"):
         examine(load_cell(path))
+
+
+def test_a_move_between_long_waits_is_examined(tmp_path: Path) -> None:
+    """There and back within a tenth of a second each, between samples that lie two seconds apart."""
+    poses = "p_from_m = [0.301, 0.123, 0.0]\np_to_m = [0.33, 0.13, 0.0]\nmove_s = 0.1\nwait_s = {}\nand_back = true\n\n"
+    for wait_s in (0.05, 50.0):
+        path = cell_with(tmp_path, '[trajectory]\nkind = "rest_to_rest"\n' + poses.format(wait_s))
+        cell = load_cell(path, ["duration_s=120.0"])
+        assert peak_torque_fraction(cell) == pytest.approx(0.56, abs=0.02), f"whatever the arms wait: {wait_s} s"
+        assert not examine(cell).ok
+    assert hidden_times(load_cell(path, ["duration_s=50.05"]).file, 2.0)[-1] <= 50.05
+    assert hidden_times(cell.file, 2.0)[-1] == pytest.approx(100.2), "the way back too"
+    assert not hidden_times(cell.file, 0.01)
+
+
+def test_a_motion_that_is_eased_in_for_long_is_examined_at_its_full_speed(tmp_path: Path) -> None:
+    motion = (
+        '[trajectory]\nkind = "sinusoid"\np_centre_m = [0.301, 0.123, 0.0]\np_amplitude_m = [0.0, 0.005, 0.0]\n'
+        "axis = [0.0, 0.0, 1.0]\nangle_rad = 0.0\nperiod_s = 0.5\nramp_s = {}\n\n"
+    )
+    at_once, late = (
+        peak_torque_fraction(load_cell(cell_with(tmp_path, motion.format(ramp_s)), ["duration_s=100.0"]))
+        for ramp_s in (0.0, 40.0)
+    )
+    assert late == pytest.approx(at_once, rel=0.02)
+
+
+def peak_torque_fraction(cell: Cell) -> float:
+    """Largest torque that the check finds along the trajectory, of stall."""
+    found = [f.found for f in examine(cell).findings if f.what.startswith("torque along")]
+    return max(float(text.split()[2].rstrip("%")) for text in found) / 100.0
 
 
 def test_a_row_out_of_reach_is_refused_with_arm_and_time(tmp_path: Path) -> None:

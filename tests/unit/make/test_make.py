@@ -6,6 +6,7 @@ import functools
 import json
 import math
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +32,7 @@ from agent.make.wish import (
 from agent.verify import stiffest
 from agent.verify.check import examine
 from agent.verify.finding import Verdict
+from agent.verify.tune import Tuner
 from tests.support.plant.inprocess import simulate
 
 CARRY = MotionWish(MotionKind.CARRY, (0.03, 0.02, 0.03), 2.0)
@@ -77,6 +79,23 @@ def test_gains_are_searched_by_the_robust_criterion(monkeypatch: pytest.MonkeyPa
     assert usual.text.splitlines()[0] == tuned.text.splitlines()[0]
 
 
+def test_usual_gains_that_a_slow_loop_cannot_take_do_not_keep_others_from_being_found(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(stiffest, "TRIES", 60)
+    slow = replace(CELLS["mixed"], rate_hz=80.0)
+    with pytest.raises(WishError, match=r"spectral radius at 80 Hz.*; leave out --no-tune, or give a higher --rate"):
+        Maker(slow).make(tune=False)
+    assert Maker(slow).make().report.ok
+
+
+def test_what_gains_cannot_mend_is_said_before_they_are_searched(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Tuner, "propose", lambda *_: pytest.fail("searched"))
+    fast = replace(CELLS["mixed"], rate_hz=1500.0)
+    with pytest.raises(WishError, match=r"rate on the servo bus .*lower rate_hz"):
+        Maker(fast).make()
+
+
 @pytest.mark.parametrize(
     ("which", "match"),
     [
@@ -112,6 +131,9 @@ def test_what_cannot_be_met_is_named(which: Wish, match: str) -> None:
         (["wx200 pose=0.1,0,0,0,0,0,0"], "a quaternion of norm 0"),
         (["wx200 share=nan"], "share of arm wx200"),
         (["wx200 face=-x", "wx200 face=-x"], "names that differ"),
+        (["wx200 face=-x face=+x"], "found face= twice, expected one face="),
+        (['wx200 name=a"b'], "name of arm wx200: found 'a\"b', expected a to z, then"),
+        (["wx200 name=1"], "name of arm wx200: found '1'"),
     ],
 )
 def test_words_that_say_nothing_are_refused(texts: list[str], match: str) -> None:
@@ -190,6 +212,9 @@ def test_nothing_is_written_where_something_cannot_be_met(tmp_path: Path, capsys
         assert ": found " in capsys.readouterr().err
     assert dispatch(["new", str(tmp_path / "c.toml"), "--arm", "wx200"]) == 2
     assert "--mass KG and --size X,Y,Z" in capsys.readouterr().err
+    for name in ('a"b', "my cell", "7", "lärm", "c\udcff"):
+        assert dispatch(["new", str(tmp_path / f"{name}.toml"), *ASK]) == 2
+        assert ", expected a to z, then a to z, 0 to 9 and _, 32 at most; give the file" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+import tomllib
 
 import numpy as np
 import pytest
+import tomli_w
 
-from agent.config.cell import Cell, placement
+import configs
+from agent.config.cell import Cell, cell_from_toml, placement
 from agent.verify.check import reach, start_configurations
 from agent.verify.support import HELD_SAG_M, Fate, Statics, Support
 from tests.support.control.criterion_cells import gentle
@@ -26,6 +29,13 @@ def without(cell: Cell, arm: int, *instants: float) -> Support:
         q = [reach(a, m, T, q_i, "") for a, m, q_i in zip(cell.arms, models, q, strict=True)]
         along.append(q)
     return Statics(cell, models, along, instants).without(arm)
+
+
+def two_of_three() -> Cell:
+    """Two arms with six joints, which share the load equally."""
+    document = tomllib.loads((configs.CELLS_DIR / "three_wx250s.toml").read_text())
+    document["arms"] = [arm | {"load_share": 0.5} for arm in document["arms"][:2]]
+    return cell_from_toml(tomli_w.dumps(document).encode(), "two.toml")
 
 
 @pytest.mark.parametrize(
@@ -71,6 +81,20 @@ def test_one_survivor_carries_both_weights() -> None:
     share = np.abs(expected) / cell.arms[0].tau_stall_Nm
     assert found.limp.share == pytest.approx(share.max(), abs=1e-3)
     assert (found.limp.arm, found.limp.joint, found.limp.place) == (0, int(share.argmax()), 0)
+
+
+def test_a_joint_that_needs_no_torque_takes_part_in_the_balance() -> None:
+    """Arms whose waists bear nothing at all, as of many a symmetric cell: they stiffen the object all the same."""
+    cell, q = two_of_three(), np.array([0.0, 0.3, -0.3, 0.0, 0.5, 0.0])
+    models = [cell.model(a) for a in cell.arms]
+    weight = np.array([*(-cell.file.object.mass_kg * cell.gravity), 0.0, 0.0, 0.0])
+    J, g = [model.jacobian(q) for model in models], [model.evaluate(q, np.zeros(6)).g for model in models]
+    believed = g[0] + J[0].T @ (0.5 * weight)
+    assert believed[0] == 0.0
+    expected = np.abs(g[0] + J[0].T @ (weight + np.linalg.solve(J[1].T, g[1]))) / cell.arms[0].tau_stall_Nm
+    found = Statics(cell, models, [[q, q]], [0.0]).without(1)
+    assert found.limp.share == pytest.approx(expected.max(), abs=1e-3)
+    assert found.limp.joint == int(expected.argmax())
 
 
 def test_held_is_only_what_holds_at_every_stated_error() -> None:
