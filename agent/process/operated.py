@@ -43,7 +43,7 @@ class Operator:
         tell: Tell,
         *,
         drops_on_stop: bool,
-        watch: Callable[[], bool] = lambda: False,
+        watch: Callable[[], str] = lambda: "",
         session: bool = False,
     ) -> None:
         """session: a stop is said once, whoever asks for it, for the arm may go on from it."""
@@ -52,7 +52,8 @@ class Operator:
         self._clock = clock
         self._tell = tell
         self._drops_on_stop = drops_on_stop
-        self._watch = watch  # something else of this host because of which the arm must hold now
+        self._watch = watch  # what else of this host is wrong, because of which the arm must hold now
+        self.watched = ""  # what that said in the last cycle
         self._session = session
         self._stopped = False
         self._stops_said = 0  # in a session: signals, and holds of this host
@@ -72,7 +73,7 @@ class Operator:
         released = self._signals.released
         self._signals.released = False
         happened = Event.NONE if self._control is None else self._said(self._control)
-        watched = self._watch()
+        watched = self.watched = self._watch()
         if not (happened or released or watched or self._stopped or self._signals.stopped):
             return happened  # of nearly every cycle; what follows takes 5 µs
         asked = Event.STOP in happened and not self._session

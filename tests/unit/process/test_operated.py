@@ -161,11 +161,13 @@ def test_a_start_tells_the_watch_over_the_clock_what_its_giver_knew(rig: Rig) ->
 
 
 def test_what_else_watches_over_the_arm_is_trouble(rig: Rig) -> None:
-    gone = [False]
+    gone = [""]
     operator = Operator(rig.signals, None, Clock(), rig._tell, drops_on_stop=True, watch=lambda: gone[0])
-    assert operator.events() == Event.NONE
-    gone[0] = True
-    assert operator.events() == Event.TROUBLE
+    assert (operator.events(), operator.watched) == (Event.NONE, "")
+    gone[0] = "the guard is gone"
+    assert (operator.events(), operator.watched) == (Event.TROUBLE, "the guard is gone")
+    gone[0] = ""
+    assert (operator.events(), operator.watched) == (Event.NONE, "")
     assert operator.start_ns() is None
 
 
