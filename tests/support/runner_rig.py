@@ -236,8 +236,8 @@ def run(
 
     operator: requests by the number of reads; agent: changed fields of the agent; start_ns: the common start as the
     loop is told, from the number of reads and an instant START_AFTER cycles and a third from the beginning; returning:
-    fields of an arm that can come back; told: whether anybody hears of troubles and refusals; of_host: what is wrong with it; schedule: its
-    changed fields.
+    fields of an arm that can come back; told: whether anybody hears of troubles and refusals; of_host: what is wrong
+    with it; schedule: changed fields of the schedule.
     """
     clock, of = MovedClock(oversleeps_ns or {}), cell or paper()
     given = (clock, q, failures or {}, pauses_ns or {}, refused)
