@@ -47,6 +47,7 @@ class Surroundings:
     mode_changed: Callable[[Mode], None]
     trouble: Callable[[str], None] | None = None  # is told why the arm holds when nobody asked it to
     refused: Callable[[str], None] | None = None  # is told why a session goes no further: a word too early, no object
+    of_host: Callable[[], str] = lambda: ""  # what is wrong with this host when the operator says TROUBLE
 
 
 @dataclass(frozen=True)

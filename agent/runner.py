@@ -35,10 +35,7 @@ _COMMANDING = frozenset(mode for mode, entry in TABLE.items() if entry.commands)
 
 
 class Runner:
-    """The loop of one arm on an enabled driver.
-
-    beginning: None for a loop that is the arm's first.
-    """
+    """The loop of one arm on an enabled driver."""
 
     def __init__(
         self,
@@ -53,7 +50,7 @@ class Runner:
         beginning: Beginning | None = None,
         session: SessionLoop | None = None,
     ) -> None:
-        """session: of an arm that begins at its rest, and whose agent has one too."""
+        """beginning: None for a loop that is the arm's first; session: of one that begins at its rest, as its agent."""
         self._session = session
         self._agent = agent
         self._driver = driver
@@ -67,7 +64,7 @@ class Runner:
         self._memory: Memory = initial_memory(agent)
         self._outcome: Outcome | None = None  # of the last tick with a fresh state
         self._mode = Mode.OFF
-        self._reason = ""
+        self._reason, self._untaken = "", ""  # of a hold or a fault; of a torque that the bus did not take
         self._rows = 0
         self._late_cycles, self._stale_cycles = 0, 0
         self._marks = Flag.NONE  # of the next row
@@ -105,7 +102,7 @@ class Runner:
             late_cycles=self._late_cycles,
             stale_cycles=self._stale_cycles,
             mode=self._mode,
-            reason=self._reason,
+            reason=self._reason or self._untaken,
             tracked_s=self._tracked_s,
         )
 
@@ -237,7 +234,7 @@ class Runner:
         except DriverError as error:
             if self._schedule.lockstep:
                 raise
-            self._reason = self._reason or str(error)
+            self._untaken = self._untaken or str(error)
             return np.full_like(tau, np.nan)
 
     def _go_blind(self, deadline_ns: int, bus: Bus) -> Event:
@@ -282,6 +279,8 @@ class Runner:
         mode = self._next(happened)
         if Event.SERVO_LOST in happened:
             self._reason = self._sight.unseen or self._reason
+        elif Event.TROUBLE in happened:
+            self._reason = self._reason or self._around.of_host()
         if mode is before:
             if mode is Mode.REST and Event.TROUBLE in happened:
                 self._telling.at_rest(self._reason)
@@ -295,6 +294,6 @@ class Runner:
         self._mode = mode
         self._around.mode_changed(mode)
         if self._session is not None and mode not in KEEPS and mode in _COMMANDING:
-            self._reason = ""  # of a hold that is over
+            self._reason = self._untaken = ""  # of a hold that is over
         if mode in KEEPS and Event.TROUBLE in happened:
             self._telling.stands(mode, self._reason, seen=state is not None)

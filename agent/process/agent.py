@@ -219,8 +219,9 @@ def _runner(
         operator.trouble(reason)
 
     around = Surroundings(
-        time.perf_counter_ns, operator.events, operator.start_ns, beat, mode_changed, trouble, refused
-    )
+        time.perf_counter_ns, operator.events, operator.start_ns, beat, mode_changed, trouble, refused,
+        lambda: operator.watched,
+    )  # fmt: skip
     row = AgentRow(ring.row, arm.n, cell.config_id)
     if law.session is not None:
         standing.session = law.session.not_yet
@@ -229,9 +230,14 @@ def _runner(
     return Runner(law.agent, driver, clock, schedule, row, sink, around, law.watch, session=law.session)
 
 
-def _watching(guard: Guarded | None, stop: StopFlag, options: AgentOptions) -> Callable[[], bool]:
+def _watching(guard: Guarded | None, stop: StopFlag, options: AgentOptions) -> Callable[[], str]:
     """Whether the guard is gone, in every cycle; does not return once it has the hold of an agent told to end."""
-    return lambda: guard is not None and guard.poll(ending=stop.stopped and options.hold)
+
+    def look() -> str:
+        gone = guard is not None and guard.poll(ending=stop.stopped and options.hold)
+        return "the guard is gone" if gone else ""
+
+    return look
 
 
 def _stand(

@@ -43,7 +43,7 @@ class Operator:
         tell: Tell,
         *,
         drops_on_stop: bool,
-        watch: Callable[[], bool] = lambda: False,
+        watch: Callable[[], str] = lambda: "",
         session: bool = False,
     ) -> None:
         """session: a stop is said once, whoever asks for it, for the arm may go on from it."""
@@ -52,11 +52,12 @@ class Operator:
         self._clock = clock
         self._tell = tell
         self._drops_on_stop = drops_on_stop
-        self._watch = watch  # something else of this host because of which the arm must hold now
+        self._watch = watch  # what else of this host is wrong, because of which the arm must hold now
+        self.watched = ""  # what that said in the last cycle
         self._session = session
         self._stopped = False
         self._stops_said = 0  # in a session: signals, and holds of this host
-        self._trouble = ""
+        self._trouble, self._holds = "", 0  # of this host: why the arm holds since the last start, and how often it did
         self._start: Request | None = None
         self._start_ns: int | None = None
         self.clock: ClockWatch | None = None  # where arms of the cell are on other hosts
@@ -72,7 +73,7 @@ class Operator:
         released = self._signals.released
         self._signals.released = False
         happened = Event.NONE if self._control is None else self._said(self._control)
-        watched = self._watch()
+        watched = self.watched = self._watch()
         if not (happened or released or watched or self._stopped or self._signals.stopped):
             return happened  # of nearly every cycle; what follows takes 5 µs
         asked = Event.STOP in happened and not self._session
@@ -88,8 +89,8 @@ class Operator:
         return happened
 
     def _says_stop(self) -> bool:
-        """Always, but in a session once for each signal and each reason of this host."""
-        stops = self._signals.stops + bool(self._trouble)
+        """Always, but in a session once for each signal and each hold of this host."""
+        stops = self._signals.stops + self._holds
         said, self._stops_said = self._stops_said, stops
         return stops != said or not self._session or self._drops_on_stop
 
@@ -119,7 +120,7 @@ class Operator:
                 self._start_ns = self._clock.now_ns() + NOT_YET_NS
                 self._tell(Level.WARN, "the start has been taken back")
             else:
-                self._start_ns = given.start_utc_ns - utc_offset_ns()
+                self._start_ns, self._trouble = given.start_utc_ns - utc_offset_ns(), ""
                 self._say_start(given)
         return self._start_ns
 
@@ -133,9 +134,9 @@ class Operator:
         self._tell(Level.INFO, f"start given: {instant:%H:%M:%S.%f} UTC, clock {clock}", **data)
 
     def hold(self, reason: str) -> None:
-        """Let the arm hold for a reason of this host."""
+        """Let the arm hold for a reason of this host; in a session once for each start."""
         if not self._stopped or (self._session and not self._trouble):
-            self._stopped, self._trouble = True, reason
+            self._stopped, self._trouble, self._holds = True, reason, self._holds + 1
             self._tell(Level.WARN, f"holds: {reason}")
 
     def mode(self, mode: Mode) -> None:

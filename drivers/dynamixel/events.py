@@ -21,6 +21,7 @@ class EventKind(enum.Enum):
     SLOW_CHECKS = "servo checks take longer than they should"
     PORT_REOPENED = "port came back"
     REARMED = "bus watchdogs had fired and are armed again"
+    FAULT = "servo does not do its part"
     EXPLAINED = "what is wrong with a servo has a cause"
 
 

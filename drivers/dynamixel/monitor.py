@@ -194,7 +194,8 @@ class GapMonitor:
             if record.goal_doubts > 1:
                 self._find(FaultCause.GOAL_IGNORED, record, f"{record.goal.name} {goal}", str(record.sent))
         if hardware or self._tell.is_active(EventKind.HARDWARE_WARNING, record.slot.servo_id):
-            self._say(EventKind.HARDWARE_WARNING, record, hardware_names(record.hardware), active=hardware != 0)
+            bits = HardwareError(hardware & ~int(record.shutdown))  # those that do are a fault
+            self._say(EventKind.HARDWARE_WARNING, record, hardware_names(bits), active=bits != 0)
 
     def _judge_slow(self, record: ServoRecord, row: Row, now_ns: int) -> None:
         record.voltage_V = volts(row[1])

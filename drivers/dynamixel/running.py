@@ -163,7 +163,10 @@ class Running:
         return self._interpreter.read(cycle, self._goals)
 
     def faults(self, reading: Reading, known: list[DxlServoFault]) -> list[DxlServoFault]:
-        """Known faults and this cycle's new ones; one that explains another of its servo takes that one's place."""
+        """Known faults and this cycle's new ones; one that explains another of its servo takes that one's place.
+
+        Each is told when it is new: `read` raises the first alone, and a loop that holds already asks no more of it.
+        """
         seen = self.monitor.faults
         if not seen and not reading.faults:
             return known
@@ -176,6 +179,9 @@ class Running:
             if explained:
                 text = f"{fault.cause.value}; it looked like: {', '.join(other.cause.value for other in explained)}"
                 self._on_event(DriverEvent(EventKind.EXPLAINED, text, fault.servo_id, fault.joint))
+            elif fault.cause is not FaultCause.WATCHDOG_TRIPPED:  # of which is told that it is armed again
+                text = f"{fault.cause.value}: found {fault.found}, expected {fault.expected}"
+                self._on_event(DriverEvent(EventKind.FAULT, text, fault.servo_id, fault.joint))
         seen.clear()
         return merged
 

@@ -228,6 +228,7 @@ def run(
     happened: Event | None = None,
     returning: Mapping[str, Any] | None = None,
     told: bool = True,
+    of_host: str = "",
     start_ns: Callable[[int, int], int | None] = lambda reads, zero_ns: zero_ns if reads > 2 else None,
     **schedule: Any,
 ) -> Done:
@@ -235,8 +236,8 @@ def run(
 
     operator: requests by the number of reads; agent: changed fields of the agent; start_ns: the common start as the
     loop is told, from the number of reads and an instant START_AFTER cycles and a third from the beginning; returning:
-    fields of an arm that can come back; told: whether anybody hears of troubles and refusals; schedule: changed fields
-    of the schedule.
+    fields of an arm that can come back; told: whether anybody hears of troubles and refusals; of_host: what is wrong
+    with it; schedule: changed fields of the schedule.
     """
     clock, of = MovedClock(oversleeps_ns or {}), cell or paper()
     given = (clock, q, failures or {}, pauses_ns or {}, refused)
@@ -256,6 +257,7 @@ def run(
         mode_changed=modes.append,
         trouble=troubles.append if told else None,
         refused=refusals.append if told else None,
+        of_host=lambda: of_host,
     )
     row = AgentRow(log.message, 3, of.config_id)
     made: Agent = replace(build_agent(of, of.arms[0]), **(agent or {}))

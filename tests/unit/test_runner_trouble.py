@@ -193,6 +193,24 @@ def test_the_reason_of_a_refused_torque_is_the_first_one_too() -> None:
     assert done.summary.reason == str(fault(True))
 
 
+def test_a_torque_that_was_not_taken_once_is_not_why_the_arm_holds_later() -> None:
+    done = run(refused=frozenset({12}), failures={16: fault(True)})
+    assert (done.modes, done.troubles) == ([Mode.TRACK, Mode.HOLD], [str(fault(True))])
+    assert done.summary.reason == str(fault(True))
+
+
+@pytest.mark.fault("P7")
+def test_an_arm_that_holds_for_its_host_says_why() -> None:
+    def gone(reads: int) -> Event:
+        return Event.TROUBLE if reads == 14 else Event.NONE
+
+    done = run(gone, of_host="the guard is gone")
+    assert (done.modes, done.troubles) == ([Mode.TRACK, Mode.HOLD], ["the guard is gone"])
+    assert done.summary.reason == "the guard is gone"
+    assert run(gone, {14: fault(True)}, of_host="the guard is gone").troubles == [str(fault(True))]
+    assert run(failures={15: fault(True)}, of_host="").troubles == [str(fault(True))]
+
+
 def test_simulated_time_stops_at_a_torque_that_was_not_taken() -> None:
     with pytest.raises(DriverError, match="0 bytes taken"):
         run(refused=frozenset({5}), lockstep=True)

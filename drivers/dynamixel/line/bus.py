@@ -1,8 +1,9 @@
 """One conversation at a time on one servo bus: requests, bounded waits, counters.
 
-Two kinds of exchange.  `read`, `write`, `ping` are for setting up: they wait generously, retry, and after a missed
-reply listen until the line is quiet, so that a late reply is not taken for the next one's; one that comes later than
-that (`REPLY_WAIT_NS` and `QUIET_NS`, a host that stood still) could be.  `exchange` is for the cycle: one request and
+Two kinds of exchange.  `read`, `write`, `ping` are for setting up: they wait generously and retry.  A servo answers in
+the order in which it is asked; so after a missed reply it is first asked what no other question is answered alike, and
+once that answer is there, no older one can come and be taken for the next one's.  (The marks of these questions repeat:
+an answer that is a third of a second late, with none after it, could be.)  `exchange` is for the cycle: one request and
 one bounded wait.
 """
 
@@ -10,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import cycle
 from typing import NamedTuple
 
 from drivers.dynamixel.errors import Heard, NoReplyError, RejectedError
@@ -25,6 +27,8 @@ ATTEMPTS = 3
 REPLY_WAIT_NS = 60_000_000  # beyond the wire time: the slowest latency timer (16 ms) and a stalled host
 QUIET_NS = 25_000_000
 QUIET_LIMIT_NS = 150_000_000
+PING_BYTES = 3  # of the answer: model and firmware
+MARKS = (5, 7, 8, 9)  # bytes from 0 on, which every servo has; no register, page or cycle is answered with so many
 BABBLE_BYTES = 768  # more than any exchange of a cycle with its retry and a late reply: stop listening
 
 
@@ -59,12 +63,14 @@ class Bus:
         self.port = port
         self.counters = counters
         self._clock = clock
+        self._owing: set[int] = set()  # servos whose answer to an earlier question may still come
+        self._marks = cycle(MARKS)
 
     # --- setting up -----------------------------------------------------------------------------------------------
 
     def ping(self, servo_id: int, attempts: int = ATTEMPTS) -> Ping:
         """Model and firmware.  Raises NoReplyError."""
-        reply = self._ask(codec.ping(servo_id), servo_id, 3, "ping", attempts)
+        reply = self._ask(codec.ping(servo_id), servo_id, PING_BYTES, "ping", attempts)
         return Ping(servo_id, int.from_bytes(reply.params[:2], "little"), reply.params[2])
 
     def ping_all(self, wait_s: float) -> list[Ping]:
@@ -77,7 +83,7 @@ class Bus:
         while self._clock.now_ns() < deadline_ns:
             scanner.feed(self.port.read_until(deadline_ns))
             while (reply := scanner.take()) is not None:
-                if len(reply.params) == 3:
+                if len(reply.params) == PING_BYTES:
                     model = int.from_bytes(reply.params[:2], "little")
                     found.append(Ping(reply.servo_id, model, reply.params[2]))
         self.counters.corrupt += scanner.damaged
@@ -118,28 +124,48 @@ class Bus:
         self.port.write(packet, self._clock.now_ns() + wire_ns + REPLY_WAIT_NS)
 
     def _ask(self, packet: bytes, servo_id: int, length: int, what: str, attempts: int) -> Status:
-        """Send until an intact reply of that servo with that many parameters comes."""
+        """Send until an intact reply of that servo with that many parameters comes, which is no older question's."""
         heard = Heard.NOTHING
         for attempt in range(attempts):
             if attempt:
                 self.counters.retries += 1
                 self.settle()
-            self.port.discard_input()
-            self._send(packet)
-            scanner = StatusScanner()
-            wire_ns = (len(packet) + length + 11) * 10_000_000_000 // self.port.baud
-            deadline_ns = self._clock.now_ns() + wire_ns + REPLY_WAIT_NS
-            reply, others = self._await(scanner, deadline_ns, servo_id, length)
-            self.counters.corrupt += scanner.damaged
+            reply, came = self._attempt(packet, servo_id, length)
             if reply is None:
-                self.counters.timeouts += 1
-                heard = max(heard, _heard(scanner, others), key=lambda h: h.rank)
+                heard = max(heard, came, key=lambda h: h.rank)
                 continue
             self.counters.alerts += reply.alert
             if reply.error:
                 raise RejectedError(servo_id, what, reply.error)
             return reply
         raise NoReplyError(servo_id, what, attempts=attempts, heard=heard)
+
+    def _attempt(self, packet: bytes, servo_id: int, length: int) -> tuple[Status | None, Heard]:
+        """One question, once no answer to an older one can come any more; pings are all answered alike."""
+        if length != PING_BYTES and servo_id in self._owing:
+            mark = next(self._marks)
+            passed, heard = self._once(codec.read(servo_id, 0, mark), servo_id, mark)
+            if passed is None:
+                return None, heard
+        return self._once(packet, servo_id, length)
+
+    def _once(self, packet: bytes, servo_id: int, length: int) -> tuple[Status | None, Heard]:
+        """Send, and wait for the reply; what came instead of one."""
+        if length != PING_BYTES:
+            self._owing.add(servo_id)
+        self.port.discard_input()
+        self._send(packet)
+        scanner = StatusScanner()
+        wire_ns = (len(packet) + length + 11) * 10_000_000_000 // self.port.baud
+        deadline_ns = self._clock.now_ns() + wire_ns + REPLY_WAIT_NS
+        reply, others = self._await(scanner, deadline_ns, servo_id, length)
+        self.counters.corrupt += scanner.damaged
+        if reply is None:
+            self.counters.timeouts += 1
+            return None, _heard(scanner, others)
+        if length != PING_BYTES:
+            self._owing.discard(servo_id)
+        return reply, Heard.NOTHING
 
     def _await(self, scanner: StatusScanner, deadline_ns: int, servo_id: int, length: int) -> tuple[Status | None, int]:
         """The first reply of that servo that says no, or has that many parameters; and how many others came."""

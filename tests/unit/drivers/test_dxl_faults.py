@@ -355,6 +355,19 @@ def test_servos_of_one_joint_that_fight_are_an_event():
     assert "PAIR_FIGHTING" in rig.kinds()
 
 
+def test_a_servo_that_fails_behind_another_is_told_though_the_first_alone_is_raised():
+    rig = warm()
+    rig.fault(FaultKind.OVERLOAD, 4)
+    first = cycles(rig, 60)[-1].error
+    rig.servo(5).write(table.TORQUE_ENABLE.address, b"\0")
+    last = cycles(rig, 60)[-1].error
+    assert str(last) == str(first)
+    told = [(event.servo_id, event.text) for event in rig.events if event.kind.name == "FAULT"]
+    assert told[0] == (4, "hardware error: found OVERLOAD, expected no error")
+    assert told.count((5, "torque is off: found Torque Enable 0, expected 1")) == 1
+    assert "HARDWARE_WARNING" not in rig.kinds()
+
+
 def test_heat_is_told_before_the_servo_stops():
     rig = warm()
     rig.fault(FaultKind.OVERHEAT, 4, temperature_C=77.0, ramp_s=1.0)

@@ -249,6 +249,17 @@ def test_an_error_bit_that_does_not_stop_the_servo_is_told_once_until_it_is_gone
     assert told == [("HARDWARE_WARNING", 5, "wrist_angle", "OVERHEATING")] * 2
 
 
+def test_an_error_bit_that_stops_the_servo_is_a_fault_and_not_told_as_one_that_does_not() -> None:
+    bench = Bench()
+    bench.tell(5, 0, 1, int(OVERLOAD), WATCHDOG, 0)
+    assert [fault.hardware for fault in bench.monitor.faults] == [OVERLOAD]
+    assert bench.events == []
+    bench.tell(5, 0, 1, int(OVERLOAD | HOT_BIT), WATCHDOG, 0)
+    bench.tell(5, 0, 1, int(OVERLOAD), WATCHDOG, 0)
+    bench.tell(5, 0, 1, int(OVERLOAD | HOT_BIT), WATCHDOG, 0)
+    assert [(event.kind.name, event.text) for event in bench.events] == [("HARDWARE_WARNING", "OVERHEATING")] * 2
+
+
 def test_a_goal_is_the_last_one_sent_or_the_one_before() -> None:
     bench = Bench()
     record = bench.records[3]

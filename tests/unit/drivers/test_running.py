@@ -132,7 +132,7 @@ def bench() -> Bench:
 
 
 def fault(cause: FaultCause, servo_id: int) -> DxlServoFault:
-    return DxlServoFault(cause, servo_id=servo_id, joint=f"joint {servo_id}", found="", expected="")
+    return DxlServoFault(cause, servo_id=servo_id, joint=f"joint {servo_id}", found="nothing", expected="more")
 
 
 def reading(*faults: DxlServoFault) -> Reading:
@@ -292,7 +292,6 @@ def test_faults_of_the_monitor_and_of_the_cycle_are_both_taken_and_the_known_kep
     assert bench.monitor.faults == []
     assert running.faults(reading(read), known) == [old, seen, read]
     assert known == [old, seen], "what the driver holds is not changed behind its back"
-    assert bench.events == []
 
 
 def test_a_fault_is_new_once_for_each_cause_and_servo(bench: Bench) -> None:
@@ -303,6 +302,19 @@ def test_a_fault_is_new_once_for_each_cause_and_servo(bench: Bench) -> None:
     bench.monitor.faults = [fault(FaultCause.SILENT, 1)]
     new = fault(FaultCause.SILENT, 3)
     assert running.faults(reading(new), []) == [new], "one that is known does not hide those after it"
+
+
+def test_every_new_fault_is_told_once_also_behind_another(bench: Bench) -> None:
+    running, known = bench.alone(), list[Any]()
+    for _ in range(3):
+        known = running.faults(reading(fault(FaultCause.SILENT, 1)), known)
+    for _ in range(3):
+        known = running.faults(reading(fault(FaultCause.SILENT, 1), fault(FaultCause.TORQUE_LOST, 2)), known)
+    known = running.faults(reading(fault(FaultCause.WATCHDOG_TRIPPED, 3)), known)
+    assert [(event.kind.name, event.servo_id, event.joint, event.text) for event in bench.events] == [
+        ("FAULT", 1, "joint 1", "does not answer: found nothing, expected more"),
+        ("FAULT", 2, "joint 2", "torque is off: found nothing, expected more"),
+    ]
 
 
 def test_a_fault_that_explains_others_takes_their_place_and_says_so(bench: Bench) -> None:

@@ -117,6 +117,21 @@ def test_in_a_session_every_stop_is_said_once_for_the_arm_goes_on_from_it(tmp_pa
         assert [text for _, text, _ in rig.told] == ["holds: the clock may be off by 5.1 ms"]
 
 
+def test_in_a_session_the_clock_holds_the_next_carry_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(operated, "utc_offset_ns", lambda: OFFSET_NS)
+    rig, bound = Rig(tmp_path / "c", session=True), "the clock may be off by 5.1 ms"
+    with closing(rig.control):
+        for carry in range(1, 4):
+            rig.control.requests.start = Request(Verb.START, "", OFFSET_NS + carry)
+            rig.operator.start_ns()
+            assert rig.hear() == Event.NONE, "a new start is no stop"
+            for _ in range(2):
+                rig.operator.hold(bound)
+                rig.operator.start_ns()
+            assert (rig.hear(), rig.hear()) == (Event.STOP, Event.NONE)
+        assert [text for _, text, _ in rig.told if "holds" in text] == [f"holds: {bound}"] * 3
+
+
 def test_a_simulated_session_is_over_with_a_stop(tmp_path: Path) -> None:
     rig = Rig(tmp_path / "c", session=True, drops_on_stop=True)
     with closing(rig.control):
@@ -161,11 +176,13 @@ def test_a_start_tells_the_watch_over_the_clock_what_its_giver_knew(rig: Rig) ->
 
 
 def test_what_else_watches_over_the_arm_is_trouble(rig: Rig) -> None:
-    gone = [False]
+    gone = [""]
     operator = Operator(rig.signals, None, Clock(), rig._tell, drops_on_stop=True, watch=lambda: gone[0])
-    assert operator.events() == Event.NONE
-    gone[0] = True
-    assert operator.events() == Event.TROUBLE
+    assert (operator.events(), operator.watched) == (Event.NONE, "")
+    gone[0] = "the guard is gone"
+    assert (operator.events(), operator.watched) == (Event.TROUBLE, "the guard is gone")
+    gone[0] = ""
+    assert (operator.events(), operator.watched) == (Event.NONE, "")
     assert operator.start_ns() is None
 
 
