@@ -136,11 +136,13 @@ class Latency:
         try:
             if document["schema"] != SCHEMA or len(document["counts"]) != len(EDGES_US) + 1:
                 raise ValueError("not a latency test of this version")
-            plain = {name: document[name] for name in ("utc_ns", "kernel", "cores", "seconds", "rate_hz", "loaded")}
             counts = [int(count) for count in document["counts"]]
             found = Histogram(counts, sum(counts), int(document["missed"]), float(document["late_s"]["max"]))
-            return cls(**plain, real_time=RealTime(**document["real_time"]), histogram=found)
-        except (KeyError, TypeError) as error:
+            return cls(
+                int(document["utc_ns"]), str(document["kernel"]), int(document["cores"]), float(document["seconds"]),
+                float(document["rate_hz"]), document["loaded"] is True, RealTime(**document["real_time"]), found,
+            )  # fmt: skip
+        except (KeyError, TypeError, OverflowError) as error:
             raise ValueError(f"not a latency test: {error!r}") from error
 
 
@@ -203,7 +205,7 @@ def newest(paths: Sequence[Path]) -> Latency | None:
     for path in paths:
         try:
             found.append(Latency.of(json.loads(path.read_bytes())))
-        except (OSError, ValueError):
+        except (OSError, ValueError, RecursionError):
             continue
     return max(found, key=lambda latency: latency.utc_ns, default=None)
 
