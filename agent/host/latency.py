@@ -20,7 +20,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
-from agent.atomic import make_folder, write_atomically
+from agent.atomic import WriteError, make_folder, write_atomically
 from agent.host.realtime import RealTime
 from drivers.interface import Clock
 
@@ -191,6 +191,15 @@ def files(environment: Mapping[str, str]) -> tuple[Path, ...]:
 def own_file(environment: Mapping[str, str], uid: int) -> Path:
     """Where this user keeps a result: root for the host."""
     return SYSTEM_FILE if uid == 0 else files(environment)[0]
+
+
+def require_own(path: Path) -> None:
+    """Refuse a place where something else than an earlier result lies.  Raises WriteError."""
+    if os.path.lexists(path) and newest([path]) is None:
+        raise WriteError(
+            f"file {path}", found="what is no latency test", expected="none, or an earlier one, which is replaced",
+            remedy="name another",
+        )  # fmt: skip
 
 
 def keep(path: Path, latency: Latency) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import os
 import shutil
 import tempfile
 from collections.abc import Sequence
@@ -42,7 +43,7 @@ class Wish:
 def make(wish: Wish) -> dict[str, datetime.datetime]:
     """Everything, into a folder that is not there yet; the end of each certificate by member.  Raises PkiError."""
     folder = wish.folder.absolute()
-    if folder.exists():
+    if os.path.lexists(folder):
         raise PkiError(
             f"folder {folder}", found="something of that name", expected="none, so that no key is replaced unasked",
             remedy="name another, or renew single certificates with --renew NAME",
