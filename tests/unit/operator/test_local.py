@@ -13,6 +13,7 @@ from agent.host.clock import ClockState
 from agent.modes import Mode
 from agent.operator import local, words
 from agent.operator.error import ControlError
+from agent.operator.message import Request
 from agent.operator.table import Verb
 from agent.operator.words import Here, on_its_day, start_arms, tell_arms
 from tests.support.operated_arms import DEAD, Arm, serving
@@ -121,6 +122,16 @@ def test_an_instant_that_makes_no_sense_is_one_line(
     """C5."""
     with pytest.raises(ControlError, match=complaint):
         start_arms(load_cell(PAPER), at, in_s, [], Here(GOOD), print)
+
+
+@pytest.mark.parametrize(("clock", "told"), [(GOOD, 2e-4), (ClockState(synchronised=False, max_error_s=16.0), None)])
+def test_arms_are_told_how_far_the_clock_may_be_off_where_that_is_known(
+    home: Path, monkeypatch: pytest.MonkeyPatch, clock: ClockState, told: float | None
+) -> None:
+    given = list[Request]()
+    monkeypatch.setattr(words, "start_together", lambda _, request: given.append(request))
+    start_arms(load_cell(PAPER), None, 60.0, [], Here(clock), print)
+    assert [request.clock_bound_s for request in given] == [told]
 
 
 @pytest.mark.parametrize(
