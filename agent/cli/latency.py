@@ -30,6 +30,8 @@ def latency_test(
 
     stop, clock = StopFlag(), MonotonicClock()
     path = out or latency.own_file(os.environ, os.getuid())
+    if out is not None:
+        latency.require_own(out)
     make_folder(path.parent)  # before somebody has waited for minutes
     cores = len(os.sched_getaffinity(0))
     with latency.load(cores) if load else contextlib.nullcontext():

@@ -62,12 +62,6 @@ def _require_some(logs: list[Path], most: int) -> None:
         raise CompareError("coop compare", found=f"{len(logs)} logs", expected=f"2 to {most}", remedy="name so many")
 
 
-def _refuse_to_replace(file: Path) -> None:
-    from agent.report.compare import CompareError
-
-    raise CompareError(f"{file} is there", found="a file", expected="none", remedy="name another one, or give --force")
-
-
 def _write_view(log: AnyLog, folder: Path) -> None:
     from agent.report.prepared import prepare
     from agent.view.need import need_viser
@@ -85,6 +79,7 @@ def compare(
     as_json: AsJson = False,
 ) -> None:
     """Say which figures and settings of logs differ, and which log has the better ones, each against the first."""
+    from agent.atomic import keep_existing
     from agent.log.read import open_log
     from agent.report.compare import compare as differences
     from agent.report.compare import comparison_table
@@ -94,8 +89,8 @@ def compare(
     from agent.report.shown import LETTERS, ComparedRun, error_series
 
     _require_some(logs, len(LETTERS))
-    if html is not None and html.exists() and not force:
-        _refuse_to_replace(html)
+    if html is not None and not force:
+        keep_existing(html)
     runs, problems = [], list[str]()
     with Steps() as step:
         for log in logs:

@@ -40,13 +40,14 @@ def view(
     force: Force = False,
 ) -> None:
     """Show a run in 3D: arms, object, desired pose, forces, events; in a browser, or as a file."""
+    from agent.atomic import keep_existing
     from agent.view.error import ViewError
     from agent.view.need import need_viser
 
     if sum((live, html is not None, film is not None)) > 1:
         raise ViewError("coop view", found="several of --live, --html, --film", expected="one", remedy="call it twice")
-    for file in filter(None, (html, film)):
-        _keep(file, force)
+    if not force:
+        keep_existing(*filter(None, (html, film)))
     if film is not None:
         _film(what, film, start, end, speed)
     elif html is not None:
@@ -55,13 +56,6 @@ def view(
     else:
         need_viser()
         _serve(what, live, port, browser, connect, network_config, overrides)
-
-
-def _keep(file: Path, force: bool) -> None:
-    from agent.view.error import ViewError
-
-    if file.exists() and not force:
-        raise ViewError(f"{file} is there", found="a file", expected="none", remedy="name another one, or give --force")
 
 
 def _film(log: Path, film: Path, start: float, end: float | None, speed: float) -> None:

@@ -71,7 +71,7 @@ def read_file(file: Path) -> ClockState:
         age_s = (time.time_ns() - int(content["utc_ns"])) * 1e-9
         error_s = float(content["max_error_s"])
         synchronised = content["synchronised"] is True
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
         return UNKNOWN
     if abs(age_s) > STALE_S or not error_s >= 0.0:
         return UNKNOWN

@@ -20,7 +20,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
-from agent.atomic import make_folder, write_atomically
+from agent.atomic import WriteError, make_folder, write_atomically
 from agent.host.realtime import RealTime
 from drivers.interface import Clock
 
@@ -136,11 +136,13 @@ class Latency:
         try:
             if document["schema"] != SCHEMA or len(document["counts"]) != len(EDGES_US) + 1:
                 raise ValueError("not a latency test of this version")
-            plain = {name: document[name] for name in ("utc_ns", "kernel", "cores", "seconds", "rate_hz", "loaded")}
             counts = [int(count) for count in document["counts"]]
             found = Histogram(counts, sum(counts), int(document["missed"]), float(document["late_s"]["max"]))
-            return cls(**plain, real_time=RealTime(**document["real_time"]), histogram=found)
-        except (KeyError, TypeError) as error:
+            return cls(
+                int(document["utc_ns"]), str(document["kernel"]), int(document["cores"]), float(document["seconds"]),
+                float(document["rate_hz"]), document["loaded"] is True, RealTime(**document["real_time"]), found,
+            )  # fmt: skip
+        except (KeyError, TypeError, OverflowError) as error:
             raise ValueError(f"not a latency test: {error!r}") from error
 
 
@@ -191,6 +193,15 @@ def own_file(environment: Mapping[str, str], uid: int) -> Path:
     return SYSTEM_FILE if uid == 0 else files(environment)[0]
 
 
+def require_own(path: Path) -> None:
+    """Refuse a place where something else than an earlier result lies.  Raises WriteError."""
+    if os.path.lexists(path) and newest([path]) is None:
+        raise WriteError(
+            f"file {path}", found="what is no latency test", expected="none, or an earlier one, which is replaced",
+            remedy="name another",
+        )  # fmt: skip
+
+
 def keep(path: Path, latency: Latency) -> None:
     """Keep the result.  Raises Refusal."""
     make_folder(path.parent)
@@ -203,7 +214,7 @@ def newest(paths: Sequence[Path]) -> Latency | None:
     for path in paths:
         try:
             found.append(Latency.of(json.loads(path.read_bytes())))
-        except (OSError, ValueError):
+        except (OSError, ValueError, RecursionError):
             continue
     return max(found, key=lambda latency: latency.utc_ns, default=None)
 

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
+from datetime import time as time_of_day
 from pathlib import Path
 from types import MappingProxyType
 
@@ -23,6 +24,7 @@ from agent.operator.session_table import SESSION
 from agent.operator.table import TABLE, Verb
 
 SOONEST_S = 0.05
+DAY, MIDNIGHT = timedelta(days=1), timedelta(hours=1)
 
 Places = Mapping[str, Iterable[Path]]
 _SEE = "see `coop status` and their logs; stop reaches all who answer"
@@ -227,4 +229,14 @@ def _instant(verb: Verb, at: str | None, in_s: float | None) -> datetime:
         raise ControlError(
             verb.value, found=repr(at), expected="HH:MM:SS (UTC)", remedy="e.g. --at 14:30:00"
         ) from error
-    return datetime.combine(now.date(), clock, UTC)
+    return on_its_day(clock, now)
+
+
+def on_its_day(clock: time_of_day, now: datetime) -> datetime:
+    """That time of today, UTC; around midnight that of the day next to it, where that is less than MIDNIGHT from now.
+
+    Hosts that are told the same time on either side of midnight so mean the same instant.
+    """
+    today = datetime.combine(now.date(), clock, UTC)
+    near = (day for day in (today - DAY, today + DAY) if abs(day - now) < MIDNIGHT)
+    return next(near, today)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import ipaddress
+import os
 import re
 import shutil
 import tempfile
@@ -48,7 +49,7 @@ def make(wish: Wish) -> dict[str, datetime.datetime]:
     folder = wish.folder.absolute()
     dialled = _endpoint("--recorder", wish.recorder, wish.port)
     listening = _endpoint("--listen", wish.listen, wish.port)
-    if folder.exists():
+    if os.path.lexists(folder):
         raise PkiError(
             f"folder {folder}", found="something of that name", expected="none, so that no key is replaced unasked",
             remedy="name another, or renew single certificates with --renew NAME",

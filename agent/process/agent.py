@@ -33,13 +33,14 @@ from agent.process.operated import Operator, no_real_time, tick_of
 from agent.process.rehearse import BridgedRows, in_the_loop
 from agent.process.schedule import AgentOptions, schedule_of
 from agent.process.session import session_loop
-from agent.process.tellers import Heart, ServoTeller, Teller, opened
+from agent.process.tellers import Heart, ServoTeller, SetClock, Teller, opened
 from agent.runner import Runner
 from agent.session import SessionLoop
 from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.event import Level
 from agent.telemetry.row.fill import AgentRow
 from agent.verify.check import examine
+from drivers.clock import utc_offset_ns
 from drivers.interface import Clock, Driver, DriverError, Refusal
 from sim_backend.hil.driver import BridgeDriver
 
@@ -199,10 +200,15 @@ def _runner(
     """The loop of the arm on its enabled driver."""
     arm = cell.arm(options.arm)
     heart = Heart(notifier, cell.file.rate_hz)
+    wall = None  # a simulated clock is its own
+    if options.driver is DriverKind.DYNAMIXEL:
+        wall = SetClock(tell, clock, cell.file.rate_hz, utc_offset_ns)
 
     def beat() -> None:
         heart.beat()
         servos.beat()
+        if wall is not None:
+            wall.beat()
         if operator.clock is not None:
             operator.clock.beat()
 

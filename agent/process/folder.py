@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 from datetime import UTC, datetime
 from pathlib import Path
@@ -42,7 +43,7 @@ def output_folder(wanted: Path | None, cell: str, *, replace: bool = False) -> P
 def _refuse_contents(out: Path) -> None:
     """Raise RunError where something is in the folder that a run would write over."""
     for name in OURS:
-        if (out / name).exists():
+        if os.path.lexists(out / name):
             raise RunError(
                 f"output folder {out}", found=f"{name} from an earlier run", expected="a folder without results",
                 remedy="name another with --out, or give --force",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from contextlib import ExitStack, closing
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from drivers.interface import Clock, Driver, Gripper
 
 HEARTBEAT_S = 0.02
 HEALTH_S = 1.0
+SET_S = 1e-3  # a clock that is read between two of a stalled process' instructions is off by far less
 
 
 def opened(stack: ExitStack, path: Path, arm: Arm) -> tuple[TextWriter, RingWriter]:
@@ -95,6 +97,29 @@ class ServoTeller:
         if health.servo_ids:
             values = {**health_values(health), **grip_values(self._gripper.grip_state() if self._gripper else None)}
             self._texts.health(self._utc_offset_ns + health.stamp_ns, values)
+
+
+class SetClock:
+    """Tells when somebody sets the wall clock, looking once a second; rows and motion keep the time of before."""
+
+    def __init__(self, tell: Teller, clock: Clock, rate_hz: float, offset_ns: Callable[[], int]) -> None:
+        """offset_ns: UTC minus `clock`, now."""
+        self._tell = tell
+        self._offset_ns = offset_ns
+        self._known_ns = clock.utc_offset_ns
+        self._cycles = max(1, round(HEALTH_S * rate_hz))
+        self._count = 0
+
+    def beat(self) -> None:
+        """A cycle has passed, with a state or without."""
+        self._count += 1
+        if self._count % self._cycles:
+            return
+        found_ns = self._offset_ns()
+        step_s = (found_ns - self._known_ns) * 1e-9
+        if abs(step_s) > SET_S:  # what corrects the clock slowly moves CLOCK_MONOTONIC with it
+            self._known_ns = found_ns
+            self._tell.event(Level.WARN, f"the wall clock was set by {step_s:+.3g} s", step_s=step_s)
 
 
 class Heart:

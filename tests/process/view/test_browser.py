@@ -106,7 +106,7 @@ def test_a_report_has_the_run_beside_it_and_a_film_is_made(paper_runs: tuple[Pat
     assert done.out == f"film     {film}, 5 pictures\n"
     again = coop("view", log, "--film", film)
     assert again.code == 2
-    assert "is there" in again.err
+    assert "found one of that name" in again.err
 
 
 def free_port() -> int:

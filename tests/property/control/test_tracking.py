@@ -40,6 +40,28 @@ def test_errors_after_the_transient(cell: str, overrides: tuple[str, ...], bound
     assert attitude_rad <= bound_rad
 
 
+@pytest.mark.parametrize(
+    ("cell", "bound_m", "bound_rad", "chatter_Nm"),
+    [
+        ("paper_real", 0.5e-3, 2e-3, 0.022),
+        pytest.param("two_wx200", 0.5e-3, 2e-3, 0.030, marks=pytest.mark.long),
+        pytest.param("two_models", 0.5e-3, 2e-3, 0.037, marks=pytest.mark.long),
+        pytest.param("paper_adaptive", 0.5e-3, 2e-3, 0.022, marks=pytest.mark.long),
+        pytest.param("three_wx250s", 1e-3, 6e-3, 0.013, marks=pytest.mark.long),
+        pytest.param("four_wx250s", 1e-3, 6e-3, 0.013, marks=pytest.mark.long),
+    ],
+)
+def test_cells_for_real_arms_cost_little_accuracy_and_are_calm(
+    cell: str, bound_m: float, bound_rad: float, chatter_Nm: float
+) -> None:
+    """Gains that live with pads and errors of calibration; calm: half of what the printed gains change per tick."""
+    history = run(cell)
+    position_m, attitude_rad = history.after(5.0)
+    assert position_m <= bound_m
+    assert attitude_rad <= bound_rad
+    assert history.chatter(5.0) <= chatter_Nm
+
+
 @pytest.mark.parametrize("cell", ["paper_ideal", "paper"])
 def test_the_start_error_decays(cell: str) -> None:
     history = run(cell)

@@ -222,7 +222,7 @@ def test_a_comparison_is_a_page_that_is_not_written_over(two_logs: None, tmp_pat
     assert "2 runs of paper" in page.read_text()
     again = coop("compare", "a.mcap", "b.mcap", "--html", page)
     assert again.code == 2
-    assert "compare.html is there" in again.err
+    assert "compare.html: found one of that name, expected none; name another, or give --force" in again.err
     assert coop("compare", "a.mcap", "b.mcap", "--html", page, "--force").code == 0
 
 

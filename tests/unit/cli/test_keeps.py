@@ -11,6 +11,7 @@ import pytest
 
 import configs
 from agent.config.cell import load_cell
+from agent.host.latency import newest
 from agent.identify.fit import Options, fit
 from agent.identify.result import Identified, identified
 from agent.log.file import LogFileError
@@ -53,12 +54,44 @@ def test_tune_does_not_write_over_its_own_input(tmp_path: Path) -> None:
     assert cell.read_bytes() == PAPER.read_bytes()
 
 
-def test_a_link_that_leads_nowhere_is_something_too(tmp_path: Path) -> None:
-    link = tmp_path / "new.toml"
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("tune", PAPER, "--write", "link"),
+        ("new", "link", "--arm", "wx200", "--arm", "wx200", "--mass", "0.06", "--size", "0.2,0.05,0.05"),
+        ("replay", "run.mcap", "--set", "controller.k_p_per_s=1.0", "--picture", "link"),
+        ("compare", "a.mcap", "b.mcap", "--html", "link"),
+        ("view", "run.mcap", "--html", "link"),
+        ("view", "run.mcap", "--film", "link"),
+        ("motors", "dump", "--port", "port", "--out", "link"),
+        ("pki", PAPER, "link"),
+        ("latency-test", "--seconds", "1", "--priority", "0", "--no-load", "--out", "link"),
+    ],
+    ids=lambda words: words[0],
+)
+def test_a_link_that_leads_nowhere_is_something_too(tmp_path: Path, words: tuple[str | Path, ...]) -> None:
+    link = tmp_path / "link"
     link.symlink_to("elsewhere.toml")
-    assert coop("tune", PAPER, "--write", link).code == 2
+    done = coop(*words, cwd=tmp_path)
+    assert done.code == 2
+    assert " link: found " in done.err.replace(str(tmp_path) + "/", "")
     assert link.readlink() == Path("elsewhere.toml")
     assert list(tmp_path.iterdir()) == [link]
+
+
+# latency-test
+
+
+def test_a_latency_test_replaces_an_earlier_one_and_nothing_else(tmp_path: Path) -> None:
+    path = write_mine(tmp_path / "latency.json")
+    test = ("latency-test", "--seconds", "1", "--priority", "0", "--no-load", "--out", path)
+    done = coop(*test)
+    assert (done.code, path.read_bytes()) == (2, MINE)
+    assert "found what is no latency test, expected" in done.err
+    path.unlink()
+    for _ in range(2):
+        assert coop(*test).code == 1, "without real time and load a host is doubtful at best"
+    assert newest([path]) is not None
 
 
 # identify
@@ -150,6 +183,10 @@ def test_the_folder_of_a_run_is_empty_or_may_be_used_again(tmp_path: Path) -> No
     new = tmp_path / "a" / "b"
     assert output_folder(new, "paper") == new
     assert output_folder(new, "paper") == new, "empty"
+    (new / "results.json").symlink_to("elsewhere")
+    with pytest.raises(RunError, match=r"found results\.json from an earlier run"):
+        output_folder(new, "paper")
+    (new / "results.json").unlink()
     log, page = write_mine(new / LOG_NAME), write_mine(new / "report.html")
     with pytest.raises(RunError, match=r"found run\.mcap from an earlier run") as refused:
         output_folder(new, "paper")

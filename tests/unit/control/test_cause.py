@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from agent.config.cell import load_cell
-from agent.control.cause import Cause, causes, described, force
+from agent.control.cause import Cause, behind, causes, described, force
 from agent.control.residual import Channels, Residual, nothing_sensed
 from agent.modes import Mode
 from agent.safety import Flag
@@ -67,6 +67,36 @@ def test_the_force_is_that_of_the_channel_farthest_above_its_limit() -> None:
     slower, limit_N = force(residual, sense._replace(slow=np.array([1.9, 0, 0, 0, 0, 0])), wrench)
     assert slower.tolist() == pytest.approx([1.5, 0.0, 0.0])
     assert limit_N == 1.0
+
+
+@pytest.mark.parametrize(
+    ("wrench", "slow", "size_N", "limit_N"),
+    [
+        ((0.0, 1.0, 0.0, 0.0, 0.0, 0.5), (1.1, 0.0, 0.0, 0.0, 0.0, 0.0), 1.0, 2.0),  # a sudden moment, 1.25 times
+        ((0.0, 2.4, 0.0, 0.0, 0.0, 0.0), (1.1, 0.0, 0.0, 0.0, 0.0, 0.3), 1.1, 1.0),  # one that stays, 1.5 times
+    ],
+)
+def test_a_moment_counts_as_a_force_does(
+    wrench: tuple[float, ...], slow: tuple[float, ...], size_N: float, limit_N: float
+) -> None:
+    sense = nothing_sensed(3)._replace(slow=np.array(slow))
+    f, limit = force(Residual(5e-3, 1.0, LIMITS), sense, np.array(wrench))
+    assert (np.linalg.norm(f), limit) == (size_N, limit_N)
+
+
+def test_what_pulls_down_is_a_weight_first_and_what_pulls_back_a_neighbour_that_holds() -> None:
+    """The sense of arms of three and more says which; the direction of the force says what else it may be."""
+
+    def found(*f: float, weighs: bool) -> tuple[Cause, ...]:
+        return behind(np.array(f), FORWARD, GRAVITY, weighs=weighs)
+
+    assert found(0.0, 0.0, -0.1, weighs=True) == (Cause.WEIGHT,)
+    assert found(-0.1, 0.0, -0.05, weighs=True) == (Cause.WEIGHT, Cause.BACK)
+    assert found(0.1, 0.0, 0.0, weighs=True) == (Cause.WEIGHT,), "a push is none"
+    assert found(-0.1, 0.0, 0.0, weighs=False) == (Cause.BACK,)
+    assert found(0.0, 0.0, -0.1, weighs=False) == (Cause.WEIGHT, Cause.BACK)
+    assert found(0.0, 0.0, 0.1, weighs=False) == (Cause.LIFT, Cause.BACK)
+    assert found(0.1, 0.0, 0.0, weighs=False) == (Cause.BACK,)
 
 
 def test_the_words_have_all_that_fits_and_the_sizes() -> None:

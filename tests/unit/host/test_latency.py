@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -121,6 +122,18 @@ def test_what_is_kept_is_read_back_and_the_newest_counts(tmp_path: Path) -> None
     assert document["late_s"] == pytest.approx({"p50": 1e-5, "p99": 1e-5, "p99_9": 1e-5, "max": 1e-3})
     assert (document["cycles"], sum(document["counts"]), document["fitness"]) == (100_000, 100_000, "fit")
     assert len(document["counts"]) == len(EDGES_US) + 1
+
+
+@pytest.mark.parametrize("odd", [None, {}, [], "x", math.inf, 10**400, [None], True], ids=range(8))
+def test_a_file_of_anything_is_a_test_that_can_be_told_or_none(tmp_path: Path, odd: object) -> None:
+    path = tmp_path / "latency.json"
+    for key in result(1e-3).document():
+        path.write_text(json.dumps(result(1e-3).document() | {key: odd}))
+        found = newest([path])
+        assert found is None or (found.text and found.fitness(200.0))
+    for text in ("", "[" * 100_000, json.dumps(odd)):
+        path.write_text(text)
+        assert newest([path]) is None
 
 
 def test_a_user_keeps_it_at_home_and_root_for_the_host() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import UTC, date, datetime, time, tzinfo
 from pathlib import Path
 
 import pytest
@@ -10,10 +11,11 @@ import configs
 from agent.config.cell import load_cell
 from agent.host.clock import ClockState
 from agent.modes import Mode
-from agent.operator import local
+from agent.operator import local, words
 from agent.operator.error import ControlError
+from agent.operator.message import Request
 from agent.operator.table import Verb
-from agent.operator.words import Here, start_arms, tell_arms
+from agent.operator.words import Here, on_its_day, start_arms, tell_arms
 from tests.support.operated_arms import DEAD, Arm, serving
 
 PAPER = configs.CELLS_DIR / "paper.toml"
@@ -120,3 +122,46 @@ def test_an_instant_that_makes_no_sense_is_one_line(
     """C5."""
     with pytest.raises(ControlError, match=complaint):
         start_arms(load_cell(PAPER), at, in_s, [], Here(GOOD), print)
+
+
+@pytest.mark.parametrize(("clock", "told"), [(GOOD, 2e-4), (ClockState(synchronised=False, max_error_s=16.0), None)])
+def test_arms_are_told_how_far_the_clock_may_be_off_where_that_is_known(
+    home: Path, monkeypatch: pytest.MonkeyPatch, clock: ClockState, told: float | None
+) -> None:
+    given = list[Request]()
+    monkeypatch.setattr(words, "start_together", lambda _, request: given.append(request))
+    start_arms(load_cell(PAPER), None, 60.0, [], Here(clock), print)
+    assert [request.clock_bound_s for request in given] == [told]
+
+
+@pytest.mark.parametrize(
+    ("now", "at", "ahead_s"),
+    [
+        ("23:59:50", "00:00:10", 20.0),  # or of two hosts the one that is told a moment later would start alone
+        ("00:00:05", "23:59:58", -7.0),  # has passed, and is no start in a day
+        ("23:59:50", "23:59:55", 5.0),
+        ("00:00:05", "00:00:20", 15.0),
+        ("23:00:01", "00:00:00", 3599.0),
+        ("23:00:00", "00:00:00", -82800.0),
+        ("14:00:00", "01:00:00", -46800.0),
+        ("01:00:00", "23:00:00", 79200.0),
+    ],
+)
+def test_a_time_around_midnight_is_of_the_day_that_is_near(now: str, at: str, ahead_s: float) -> None:
+    there = datetime.combine(date(2026, 11, 30), time.fromisoformat(now), UTC)
+    assert (on_its_day(time.fromisoformat(at), there) - there).total_seconds() == ahead_s
+
+
+def test_a_start_on_the_other_side_of_midnight_is_given(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Late(datetime):
+        @classmethod
+        def now(cls, tz: tzinfo | None = None) -> Late:
+            return cls(2199, 12, 31, 23, 59, 50, tzinfo=tz)
+
+    monkeypatch.setattr(words, "datetime", Late)
+    cell = load_cell(PAPER)
+    arms = [Arm(home / f"{name}.control", Mode.READY, cell.fingerprint) for name in ("left", "right")]
+    with serving(arms):
+        said = start_arms(cell, "00:00:10", None, [], Here(GOOD), print)
+    assert said == "2 arms start at 00:00:10.000000 UTC"
+    assert [arm.heard for arm in arms] == [(True, [])] * 2

@@ -21,6 +21,9 @@ from agent.modes import TABLE, Mode
 from agent.process import agent as process
 from agent.process.build import Connection
 from agent.process.schedule import AgentOptions
+from agent.telemetry.ring.texts import TextReader
+from agent.telemetry.row.event import Event, Level
+from agent.telemetry.row.topics import Kind
 from drivers.dynamixel.driver import DynamixelDriver
 from drivers.dynamixel.line.codec import HEADER
 from drivers.interface import ConnectError
@@ -105,6 +108,27 @@ def test_a_host_that_builds_the_law_slowly_trips_no_watchdog(tmp_path: Path, mon
     assert said[-1] == "torque=on"
     assert summary.ticks >= 1
     assert emulated.arms[0].bus.counters.watchdog_trips == 0
+
+
+@pytest.mark.fault("C3")
+def test_an_agent_tells_that_the_wall_clock_was_set_and_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, clock, driver = rig()
+    stop, looks = StopFlag(), list[int]()
+
+    def offset_ns() -> int:
+        looks.append(clock.now_ns())
+        stop.stopped = len(looks) == 2
+        return clock.utc_offset_ns + 2_000_000_000
+
+    monkeypatch.setattr(process, "utc_offset_ns", offset_ns)
+    monkeypatch.setattr(process, "build_driver", lambda *_: (driver, clock))
+    process.run_agent(CELL, options(tmp_path), stop, lambda _: None)
+    assert looks[1] - looks[0] == pytest.approx(1e9, rel=1e-3), "once a second"
+    texts = [text for kind, text in TextReader(tmp_path / "left.ring").read_new() if kind is Kind.EVENT]
+    told = [event for text in texts if "wall clock" in (event := Event.from_json(text)).text]
+    assert [(event.level, event.text) for event in told] == [(Level.WARN, "the wall clock was set by +2 s")]
 
 
 class Notified:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pytest
 
-from agent.process.tellers import ServoTeller, Teller
+from agent.process.tellers import ServoTeller, SetClock, Teller
 from agent.telemetry.ring.texts import TextReader, TextWriter
 from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.event import Event, Level
@@ -102,3 +104,28 @@ def test_an_agents_event_has_the_time_of_its_rows_once_there_is_one(tmp_path: Pa
     assert begin_ns <= before.utc_ns <= time.time_ns()
     assert before.data == {}
     assert (on.utc_ns, on.data) == (OFFSET_NS + 250, {"stamp_ns": 250, "priority": 3})
+
+
+@pytest.mark.fault("C3")
+def test_a_wall_clock_that_is_set_is_told_once_and_a_slow_correction_is_not(tmp_path: Path) -> None:
+    texts, offset_ns = TextWriter(tmp_path / "ring", "left"), [OFFSET_NS]
+    with RingWriter(tmp_path / "ring", AGENT_STATE, "left", ("waist",)):
+        clock = SimpleNamespace(utc_offset_ns=OFFSET_NS, now_ns=lambda: 7)
+        tell = Teller("left", texts)
+        tell.clock = clock  # type: ignore[assignment]
+        wall = SetClock(tell, clock, 200.0, lambda: offset_ns[0])  # type: ignore[arg-type]
+        for step_ns in (0, 900_000, -900_000, 1_100_000, 0, -3_600 * 10**9):
+            offset_ns[0] += step_ns
+            for _ in range(200):
+                wall.beat()
+        offset_ns[0] += 10**9
+        for _ in range(199):
+            wall.beat()
+        found = [Event.from_json(text) for _, text in TextReader(tmp_path / "ring").read_new()]
+    texts.close()
+    assert [event.text for event in found] == [
+        "the wall clock was set by +0.0011 s",
+        "the wall clock was set by -3.6e+03 s",
+    ]
+    assert [event.data["step_s"] for event in found] == pytest.approx([1.1e-3, -3600.0])
+    assert {event.utc_ns for event in found} == {OFFSET_NS + 7}, "in the time of the rows"

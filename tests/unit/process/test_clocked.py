@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
-from dataclasses import dataclass, field
+import struct
+import time
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -85,12 +89,59 @@ def test_a_file_tells_while_it_is_fresh(tmp_path: Path, monkeypatch: pytest.Monk
     for odd in (good.encode(now_ns - 5 * SECOND_NS - 1), good.encode(now_ns + 6 * SECOND_NS), UNKNOWN.encode(now_ns)):
         file.write_bytes(odd)
         assert read_file(file) == UNKNOWN
-    for odd in (b"", b"{}", b"[]", good.encode(now_ns).replace(b"0.0003", b"-1"), b"\xff"):
+    negative, huge = (good.encode(now_ns).replace(b"0.0003", text) for text in (b"-1", b"1" + 400 * b"0"))
+    endless = good.encode(now_ns).replace(str(now_ns).encode(), b"Infinity")
+    for odd in (b"", b"{}", b"[]", negative, huge, endless, 100_000 * b"[", b"\xff"):
         file.write_bytes(odd)
         assert read_file(file) == UNKNOWN
     assert read_file(tmp_path / "none") == UNKNOWN
-    monkeypatch.setattr(clocked, "STATE_FILE", tmp_path / "none")
-    assert read_here() == read_kernel() or not read_here().synchronised
+
+
+def test_an_agent_asks_the_file_and_where_that_does_not_know_the_kernel(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told, kernel = ClockState(synchronised=True, max_error_s=3e-4), ClockState(synchronised=True, max_error_s=2e-3)
+    monkeypatch.setattr(clocked, "read_kernel", lambda: kernel)
+    monkeypatch.setattr(clocked, "STATE_FILE", tmp_path / "clock.json")
+    assert read_here() == kernel, "there is no file"
+    for state, found in ((told, told), (replace(told, synchronised=False), kernel)):
+        clocked.STATE_FILE.write_bytes(state.encode(time.time_ns()))
+        assert read_here() == found
+
+
+class Kernel:
+    """Answers adjtimex as Linux does: the state is the result, the structure filled in."""
+
+    def __init__(self, result: int, status: int, maxerror_us: int) -> None:
+        self._result, self._filled = result, (status, maxerror_us)
+
+    def adjtimex(self, reference: Any) -> int:
+        asked = bytearray(reference._obj)
+        assert not any(asked), "it sets nothing"
+        # modes (and 4 bytes for nothing), offset, freq, maxerror, esterror, status: adjtimex(2), of 64 bits
+        status, maxerror_us = self._filled
+        struct.pack_into("=i4xqqqqi", asked, 0, 0, -7, 3, maxerror_us, 9, status)
+        ctypes.memmove(reference, bytes(asked), len(asked))
+        return self._result
+
+
+@pytest.mark.parametrize(
+    ("result", "status", "maxerror_us", "expected"),
+    [
+        (0, 0x2001, 1500, ClockState(synchronised=True, max_error_s=1.5e-3)),
+        (4, 0x2001, 0, ClockState(synchronised=True, max_error_s=0.0)),
+        (5, 0x0040, 16_000_000, ClockState(synchronised=False, max_error_s=16.0)),
+        (5, 0x2041, 700, ClockState(synchronised=False, max_error_s=7e-4)),
+        (-1, 0x2001, 1500, UNKNOWN),
+    ],
+)
+def test_the_kernels_bound_is_its_largest_error_in_microseconds_unless_it_says_unsynchronised(
+    monkeypatch: pytest.MonkeyPatch, result: int, status: int, maxerror_us: int, expected: ClockState
+) -> None:
+    monkeypatch.setattr(host_clock.ctypes, "CDLL", lambda *_, **__: Kernel(result, status, maxerror_us))
+    found = read_kernel()
+    assert found.synchronised is expected.synchronised
+    assert found.max_error_s == pytest.approx(expected.max_error_s)
 
 
 TRACKING = "C0A80001,192.168.0.1,3,1700000000.1,-0.000100,0.00002,0.0001,-9.9,0.001,0.05,0.000600,0.000200,64.2,"
@@ -121,5 +172,9 @@ def test_chrony_is_asked_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     program.chmod(0o755)
     monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
     assert read_clock().max_error_s == pytest.approx(6e-4)
-    program.write_text("#!/bin/sh\necho '506 Cannot talk to daemon'; exit 1\n")
-    assert read_clock().synchronised is read_kernel().synchronised
+    kernel = ClockState(synchronised=True, max_error_s=2e-3)
+    monkeypatch.setattr(host_clock, "read_kernel", lambda: kernel)
+    program.write_text(f"#!/bin/sh\necho '{TRACKING}Normal'; exit 1\n")
+    assert read_clock() == kernel
+    monkeypatch.setenv("PATH", str(tmp_path / "without"))
+    assert read_clock() == kernel

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from agent.config.cell import load_cell
 from agent.config.schema.reality import ArmReality, Reality
 from agent.modes import Mode
 from agent.monitors.bounds import Name
@@ -187,6 +189,27 @@ def test_each_fault_strikes_its_arm_at_its_time(kind: FaultKind) -> None:
     else:
         assert np.isnan(seen.contact_error_m[1])
         assert not np.isnan(seen.contact_error_m[0])
+
+
+TWO, MORE = ("paper_real", "two_wx200", "two_models", "paper_adaptive"), ("three_wx250s", "four_wx250s")
+IN_ANY_CASE = {("paper_real", "right")}
+GRIPPERS = [(name, arm.name) for name in (*TWO, *MORE) for arm in load_cell(Path(name)).arms]
+
+
+@pytest.mark.parametrize(
+    ("name", "arm"), [pytest.param(*g, marks=() if g in IN_ANY_CASE else pytest.mark.long) for g in GRIPPERS]
+)
+@pytest.mark.fault("F3")
+def test_an_object_that_one_gripper_loses_stays_with_the_others(name: str, arm: str) -> None:
+    lab, at_s = Laboratory(load_cell(Path(name), ["simulation.ready_s=2.0"])), 6.0
+    run, off = Run(lab, None, [Fault(kind=FaultKind.OPEN, arm=arm, at_s=at_s)]), list[np.ndarray]()
+    while run.t < at_s + 1.0:
+        if run.t >= at_s:
+            desired = lab.cell.trajectory().at(min([run.t, *(trip.t for trip in run.trips)]))
+            off.append(run.observe().p_object - np.array(desired.p))
+        run.advance()
+    moved_m = np.linalg.norm(np.array(off) - off[0], axis=1)
+    assert 1e-4 < moved_m.max() <= (5e-3 if name in TWO else 3e-3)
 
 
 def test_reaction_is_from_the_fault_to_the_first_other_arm_that_trips() -> None:

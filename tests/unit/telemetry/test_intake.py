@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 
 import pytest
 from hypothesis import given
@@ -90,6 +91,7 @@ GOOD = make_rows("left", 4).tobytes()
         (KEY, make_rows(PLANT, 45).tobytes(), header(0, 45), Rejection.WRONG_LENGTH),
         ("coop/paper/left/event", b"{}", header(0, 1), Rejection.NOT_A_TEXT),
         ("coop/paper/left/health", b"[1]", header(0, 1), Rejection.NOT_A_TEXT),
+        ("coop/paper/left/event", b"", header(0, 1), Rejection.WRONG_LENGTH),
     ],
 )
 def test_what_does_not_belong_is_counted_and_left_out(
@@ -252,6 +254,65 @@ def test_texts_of_another_run_than_the_one_being_recorded_are_left_out() -> None
     door.take(KEY, b"", header(4, 4, end=End.DIED))
     later = Event(6, "left", Level.INFO, "started").to_json()
     assert door.take(key, later, header(0, 1, source=7, by=sent(run=99))), "before the first row of the next run"
+
+
+def test_texts_have_an_end_too_and_those_of_a_run_before_are_left_out() -> None:
+    door, key = intake(), Address(CELL, "left", Kind.EVENT).key
+    texts = [Event(n, "left", Level.INFO, "mode").to_json() for n in range(4)]
+    assert door.take(key, texts[0], header(0, 2, source=5))
+    assert door.take(key, b"", header(2, 2, end=End.FINISHED, source=5)) == []
+    assert (door.streams[key].end, door.streams[key].written) == (End.FINISHED, 2)
+    assert door.take(key, texts[1], header(1, 2, source=5)), "what was lost on the way comes after the end"
+    assert door.take(key, texts[2], header(0, 1, source=6))
+    assert door.streams[key].end is End.OPEN
+    assert door.take(key, texts[3], header(0, 1, source=5)) == []
+    assert door.take(key, b"", header(2, 2, end=End.DIED, source=5)) == []
+    assert (door.streams[key].source, door.streams[key].end) == (6, End.OPEN)
+    assert not door.rejected
+
+
+def test_a_text_that_comes_twice_is_counted_as_that() -> None:
+    door, key = intake(), Address(CELL, "left", Kind.EVENT).key
+    text = Event(5, "left", Level.WARN, "HOLD").to_json()
+    assert door.take(key, text, header(0, 3, source=5))
+    assert door.take(key, text, header(0, 3, source=5)) == []
+    assert door.streams[key].duplicates == 1
+    assert door.take(key, text, header(1, 3, source=5)) == [], "told again under another number"
+    assert door.streams[key].duplicates == 2
+    assert door.streams[key].have.count == 2, "or its telemetry would send it again for ever"
+
+
+def test_a_flood_of_texts_ends_with_a_count_and_the_next_log_has_room_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("agent.telemetry.link.intake.TEXTS_MAX", 3)
+    door, key = intake(), Address(CELL, "left", Kind.HEALTH).key
+    taken = [len(door.take(key, json.dumps({"utc_ns": n}).encode(), header(n, 9))) for n in range(5)]
+    assert taken == [1, 1, 1, 0, 0]
+    assert dict(door.rejected) == {Rejection.TOO_MANY_TEXTS: 2}
+    assert door.completeness({})["left.refused"] == "2"
+    door.begin_log()
+    assert not door.rejected
+    assert door.take(key, b'{"utc_ns": 5}', header(5, 9))
+    assert door.completeness({})["left.refused"] == "0"
+
+
+def test_what_was_refused_at_the_gate_is_counted_with_the_rest() -> None:
+    door = intake()
+    door.take(KEY, GOOD, b"")
+    door.also_refused(Counter({Rejection.NO_HEADER: 2, Rejection.UNKNOWN_KEY: 4}), Counter({KEY: 2}))
+    assert dict(door.rejected) == {Rejection.NO_HEADER: 3, Rejection.UNKNOWN_KEY: 4}
+    told = door.completeness({})
+    assert (told["left.refused"], told["right.refused"]) == ("3", "0")
+    assert told[f"rejected.{Rejection.NO_HEADER.value}"] == "3"
+
+
+def test_a_row_that_the_disk_lost_makes_a_log_incomplete() -> None:
+    door = intake()
+    for member in ("left", "right", PLANT):
+        key = Address(CELL, member, Kind.STATE).key
+        door.take(key, make_rows(member, 6).tobytes(), header(0, 6, by=sent(member)))
+        door.take(key, b"", header(6, 6, end=End.FINISHED, by=sent(member)))
+    assert door.completeness({"left": 0})["complete"] == "true"
+    assert door.completeness({"right": 1})["complete"] == "false"
 
 
 @pytest.mark.parametrize("absent", ["nothing", "a row", "the end", "an arm"])
