@@ -80,6 +80,24 @@ def disagreement(run: Prepared) -> float:
     return worst
 
 
+def left_apart(run: Prepared) -> float:
+    """How far two arms are at most apart at the end in what they pull to, m: what their shifts leave of that distance.
+
+    NaN where no arm has shifted what it follows.
+    """
+    shifts = {name: column(rows, "shift", slice(0, 3)) for name, rows in run.seen.items()}
+    if not any(shift.any() for shift in shifts.values()):
+        return NAN
+    worst = NAN
+    for one, other in combinations(run.seen, 2):
+        a, b = run.seen[one], run.seen[other]
+        here, there = same_ticks(a, b, 1.0 / run.info.rate_hz)
+        if len(here):
+            seen = column(a, "p_object")[here[-1]] - column(b, "p_object")[there[-1]]
+            worst = float(np.fmax(worst, np.linalg.norm(seen - shifts[one][here[-1]] + shifts[other][there[-1]])))
+    return worst
+
+
 def apart_by_pair(run: Prepared) -> Iterator[tuple[str, str, Array, Array]]:
     """Names, times (k,) and distances (k,) m of every pair of arms, on the ticks that both have."""
     for one, other in combinations(run.seen, 2):

@@ -9,7 +9,7 @@ import numpy as np
 from agent.log.runinfo import RunArm, RunInfo
 from agent.modes import Mode
 from agent.report.arithmetic import NAN, mean, most, rms
-from agent.report.errors import complaints, disagreement, pose_errors
+from agent.report.errors import complaints, disagreement, left_apart, pose_errors
 from agent.report.grip import grip_results
 from agent.report.phases import session_of
 from agent.report.prepared import Prepared, prepare
@@ -66,6 +66,7 @@ def summarise_prepared(run: Prepared) -> Results:
         arms={arm.name: _arm(arm, run) for arm in run.arms},
         rows=rows,
         arm_disagreement_m=disagreement(run),
+        arm_disagreement_left_m=left_apart(run),
         real_time_factor=factor,
         events=len(run.log.events),
         missing=tuple(missing),

@@ -166,6 +166,7 @@ class Results:
     arms: Mapping[str, ArmResults]
     rows: Mapping[str, Completeness]
     arm_disagreement_m: Metres  # largest distance between two arms' views of the object
+    arm_disagreement_left_m: Metres  # of what their shifts leave of it at the end; NaN where no arm has shifted
     real_time_factor: Annotated[float, Unit("", Better.HIGHER)]
     events: Count
     missing: tuple[str, ...]
@@ -271,6 +272,7 @@ class Results:
             "real_time_factor": self.real_time_factor,
             "late_cycles": self.late_cycles,
             "arm_disagreement_m": self.arm_disagreement_m,
+            "arm_disagreement_left_m": self.arm_disagreement_left_m,
             "events": self.events,
             "by_plant": self.by_plant,
             "by_arm": self.by_arm,

@@ -51,7 +51,7 @@ def lines(results: Results) -> list[Line]:
     found += [
         Line("peak torque" + (f" ({arm} {joint.replace('_', ' ')})" if arm else ""), peak),
         _completeness(results),
-        Line("arms disagree on the object by", millimetres(results.arm_disagreement_m)),
+        Line("arms disagree on the object by", _disagreement(results)),
         Line("real-time factor", number(results.real_time_factor)),
         Line("late cycles", str(results.late_cycles)),
         Line("events", str(results.events)),
@@ -63,6 +63,11 @@ def lines(results: Results) -> list[Line]:
         off = f"{millimetres(results.set_down_error_m)}, {milliradians(results.set_down_error_rad)}"
         found.append(Line("object set down beside its place by", off))
     return found
+
+
+def _disagreement(results: Results) -> str:
+    apart, left_m = millimetres(results.arm_disagreement_m), results.arm_disagreement_left_m
+    return apart if math.isnan(left_m) else f"{apart}, and have found together to {millimetres(left_m)}"
 
 
 def _held(results: Results) -> list[tuple[str, float]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from agent.report.labels import LINE_IN, end_labels, mark_moments, room_in
 from agent.report.metrics import summarise
 from agent.report.plotting import DASHES, PANEL_IN, line, panels, time_axis
 from agent.report.prepared import prepare
+from agent.report.tables import lines
 from agent.report.together import Thresholds, thresholds
 from agent.telemetry.row.event import Event, Level
 from tests.support.telemetry.synthetic_run import paper_run
@@ -94,6 +96,20 @@ def test_disagreement_is_the_distance_of_two_beliefs_and_the_shift_has_its_limit
     assert len(figures_together.disagreement(prepare(view_log())).axes) == 1
     right = summarise(log).arms["right"]
     assert (right.shift_max_m, right.shift_max_rad) == (pytest.approx(3e-3), 0.0)
+
+
+def test_what_the_shifts_leave_of_a_disagreement_is_said_beside_it() -> None:
+    log = view_log()
+    assert math.isnan(summarise(log).arm_disagreement_left_m), "nobody has shifted"
+    apart, left = log.agents["right"]["p_object"], log.agents["right"]["shift"]
+    apart[:, 1] += 2e-3
+    left[:, 1] = np.linspace(0.0, 1.5e-3, len(left))
+    log.agents["left"]["shift"][:, 2] = 1.2e-3
+    found = summarise(log)
+    assert found.arm_disagreement_left_m == pytest.approx(math.hypot(0.5e-3, 1.2e-3))
+    assert found.to_json()["arm_disagreement_left_m"] == found.arm_disagreement_left_m
+    said = {line.what: line.figure for line in lines(found)}
+    assert said["arms disagree on the object by"].endswith(", and have found together to 1.30\xa0mm")
 
 
 def test_thresholds_are_the_cells_and_none_without_a_table() -> None:
