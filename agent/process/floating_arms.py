@@ -59,18 +59,18 @@ def float_arms(cell: Cell, options: FloatOptions, stop: Callable[[], bool], scre
 
     Raises Refusal; every torque is off and the log is closed by then.
     """
-    out = output_folder(options.out, f"{cell.file.name}-float")
-    runtime = Path(tempfile.mkdtemp(prefix="coop-", dir="/dev/shm" if Path("/dev/shm").is_dir() else None))
-    try:
-        arms = FloatingArms(cell, options, out, runtime)
+    with output_folder(options.out, f"{cell.file.name}-float") as out:
+        runtime = Path(tempfile.mkdtemp(prefix="coop-", dir="/dev/shm" if Path("/dev/shm").is_dir() else None))
         try:
-            arms.start(screen)
-            arms.watch(stop, screen)
-            arms.end(screen)
+            arms = FloatingArms(cell, options, out, runtime)
+            try:
+                arms.start(screen)
+                arms.watch(stop, screen)
+                arms.end(screen)
+            finally:
+                arms.abandon()
         finally:
-            arms.abandon()
-    finally:
-        shutil.rmtree(runtime, ignore_errors=True)
+            shutil.rmtree(runtime, ignore_errors=True)
     return out / LOG_NAME
 
 
