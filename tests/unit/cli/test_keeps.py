@@ -224,6 +224,23 @@ def test_a_recorder_keeps_a_log_that_is_there(tmp_path: Path, monkeypatch: pytes
     assert path.read_bytes() == MINE
 
 
+@pytest.mark.parametrize("kind", ["a pipe", "a link to nothing", "a folder"])
+def test_a_recorder_does_not_write_into_what_is_no_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "run.mcap"
+    if kind == "a pipe":
+        os.mkfifo(path)
+    elif kind == "a link to nothing":
+        path.symlink_to("nothing")
+    else:
+        path.mkdir()
+    done = coop("record", PAPER, "--out", path, "--listen", "tcp/127.0.0.1:0")
+    assert (done.code, "a log is never overwritten" in done.err) == (4, True)
+    assert [file.name for file in tmp_path.iterdir() if file.suffix == ".mcap"] == ["run.mcap"]
+
+
 def test_recover_replaces_only_a_log_that_was_not_finished(tmp_path: Path) -> None:
     whole, broken = tmp_path / "whole.mcap", tmp_path / "broken.mcap"
     make_log(whole)
