@@ -134,6 +134,14 @@ def test_the_margin_is_the_grip_less_the_largest_force(tmp_path: Path) -> None:
     assert "two arms that disagree do not tell which one is off" in done.out
 
 
+def test_a_log_may_be_called_what_a_table_would_take_for_a_style(tmp_path: Path) -> None:
+    folder = tmp_path / "a [" / "] [bold]"
+    folder.mkdir(parents=True)
+    done = coop("grasps", write_run(folder / "r.mcap", PAPER, {"left": rows_of(-1.0), "right": rows_of(1.0)}))
+    assert done.code == 0, done.err
+    assert "a [/] [bold]/r.mcap: against" in "".join(done.out.splitlines())
+
+
 def test_a_run_without_a_common_tick_is_refused(tmp_path: Path) -> None:
     left, right = rows_of(-1.0), rows_of(1.0)
     right["mode"] = 3
