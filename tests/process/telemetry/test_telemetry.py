@@ -195,7 +195,7 @@ class At:
 def test_play_can_be_paused(run: RunLog) -> None:
     seen: list[tuple[float, bool]] = []
     options = PlayOptions(
-        run.path, speed=100.0, stop_s=10.0, orders=At({2: [Order.PAUSE], 12: [Order.PAUSE]}),
+        run.path, speed=10.0, stop_s=10.0, orders=At({2: [Order.PAUSE], 12: [Order.PAUSE]}),
         show=lambda head: seen.append((head.at_s, head.paused)),
     )  # fmt: skip
     report = play.run(options, stop=lambda: False)
