@@ -82,10 +82,11 @@ def grasps(log: LogPath, as_json: AsJson = False) -> None:
         print_json({"schema": SCHEMA, "log": str(log), "truth": found.truth, "arms": arms})
         return
     from rich import box
+    from rich.markup import escape
     from rich.table import Table
 
     against = "the true object" if found.truth else "the mean of the arms"
-    table = Table(title=f"{log}: against {against}", title_justify="left", box=box.SIMPLE_HEAD)
+    table = Table(title=f"{escape(str(log))}: against {against}", title_justify="left", box=box.SIMPLE_HEAD)
     for heading in ("arm", "sees it off by", "turned by", "largest force", "grip", "margin"):
         table.add_column(heading, justify="left" if heading == "arm" else "right", no_wrap=True)
     for g in found.arms:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import io
 import os
 import sys
 from typing import Final, NoReturn
@@ -14,6 +15,7 @@ SETTINGS: Final = {  # of libraries, read when they are loaded, where a person h
     "OMP_NUM_THREADS": "1",
     "PYDANTIC_DISABLE_PLUGINS": "__all__",  # or the first model looks through all that is installed for some
 }
+_ANY_BYTE: Final = ("surrogateescape", "utf-8")  # every letter, and every name of a file as it is
 
 
 def settle() -> None:
@@ -21,6 +23,18 @@ def settle() -> None:
     for setting, value in SETTINGS.items():
         os.environ.setdefault(setting, value)
     gc.set_threshold(GARBAGE_AFTER)
+    _open_closed_streams()
+    if isinstance(sys.stdout, io.TextIOWrapper) and (sys.stdout.errors, sys.stdout.encoding) != _ANY_BYTE:
+        sys.stdout.reconfigure(errors="backslashreplace")  # a letter that it has not is written by its number
+
+
+def _open_closed_streams() -> None:
+    """Have standard streams that were closed lead nowhere, or the next file that is opened takes their place."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            nowhere = os.open(os.devnull, os.O_RDWR)
+            os.set_inheritable(nowhere, True)
+            setattr(sys, name, os.fdopen(nowhere, mode, encoding="utf-8"))
 
 
 def ready(what: str) -> None:

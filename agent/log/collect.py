@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from agent.log.cdr import text_of
 from agent.log.chunk import LIBRARY
 from agent.log.layout import OURS, differences, parse
-from agent.log.scan import LogScan, Messages, Run, library_of
+from agent.log.scan import LogScan, Messages, Run, library_of, open_file
 from agent.telemetry.row.event import Event
 from agent.telemetry.row.health import Health
 from agent.telemetry.row.sample import Layout
@@ -170,7 +170,7 @@ def require_log(path: Path) -> None:
 @contextmanager
 def _opened(path: Path) -> Iterator[BinaryIO]:
     try:
-        with path.open("rb") as file:
+        with open_file(path) as file:
             yield file
     except OSError as error:
         raise LogError(

@@ -241,7 +241,10 @@ def _create(path: Path, min_free_bytes: int) -> int:
 
 
 def _is_free(path: Path) -> bool:
-    fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        fd = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # a pipe is not waited for
+    except FileNotFoundError:
+        return True  # a link to nothing, or gone by now
     try:
         return lock(fd)
     finally:

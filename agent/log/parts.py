@@ -12,7 +12,7 @@ from pathlib import Path
 
 from agent.log.chunk import LIBRARY
 from agent.log.file import LogFileError, lock
-from agent.log.scan import library_of
+from agent.log.scan import library_of, open_file
 
 _HEAD_BYTES = 4096
 
@@ -35,7 +35,7 @@ class Limits:
 def next_path(first: Path) -> Path:
     """A free name for the log behind those that began with `first`: run.mcap, run_2.mcap, run_3.mcap …"""
     number = 2
-    while (path := first.with_name(f"{first.stem}_{number}{first.suffix}")).exists():
+    while os.path.lexists(path := first.with_name(f"{first.stem}_{number}{first.suffix}")):
         number += 1
     return path
 
@@ -94,7 +94,7 @@ def _note(fd: int, note: bytes) -> None:
 
 def _is_ours(path: Path) -> bool:
     try:
-        with path.open("rb") as file:
+        with open_file(path) as file:
             return library_of(BytesIO(file.read(_HEAD_BYTES))) == LIBRARY
     except OSError:
         return False

@@ -19,7 +19,7 @@ from mcap.records import Attachment, Channel, Metadata, Schema
 from agent.log.chunk import LIBRARY
 from agent.log.file import PROFILE, LogFileError, lock
 from agent.log.read import RECOVERY, LogError
-from agent.log.scan import LogScan, Messages, library_of
+from agent.log.scan import LogScan, Messages, library_of, open_file
 from agent.log.writer import BatchWriter
 
 SUFFIX: Final = ".repairing"
@@ -41,7 +41,7 @@ def recover(path: Path, stop: Callable[[], bool] = lambda: False) -> RecoverRepo
     Raises LogError when it is no log, LogFileError when it is being written or the disk has no room.
     """
     try:
-        file = path.open("rb")
+        file = open_file(path)
     except OSError as error:
         raise _unreadable(path, error) from error
     with file:
@@ -68,10 +68,10 @@ def repair_leftovers(
     """Repair our own unfinished logs in a folder, but not `but`; return those repaired, and what could not be."""
     repaired, failed = [], []
     for path in sorted(folder.glob("*.mcap")):
-        if path == but or stop() or not _is_unfinished(path):
+        if path == but or stop() or not path.is_file():
             continue
         try:
-            if recover(path, stop).repaired:
+            if _is_unfinished(path) and recover(path, stop).repaired:
                 repaired.append(path)
         except (LogError, LogFileError) as error:
             failed.append(str(error))
@@ -79,12 +79,15 @@ def repair_leftovers(
 
 
 def _is_unfinished(path: Path) -> bool:
-    """Cheaply: ours by its head, and without the closing magic."""
-    with path.open("rb") as file:
-        head = file.read(4096)
-        file.seek(0, os.SEEK_END)
-        file.seek(max(0, file.tell() - 8))
-        return library_of(BytesIO(head)) == LIBRARY and file.read() != head[:8]
+    """Cheaply: ours by its head, and without the closing magic.  Raises LogError."""
+    try:
+        with open_file(path) as file:
+            head = file.read(4096)
+            file.seek(0, os.SEEK_END)
+            file.seek(max(0, file.tell() - 8))
+            return library_of(BytesIO(head)) == LIBRARY and file.read() != head[:8]
+    except OSError as error:
+        raise _unreadable(path, error) from error
 
 
 def _recover(path: Path, file: BinaryIO, stop: Callable[[], bool]) -> RecoverReport:
@@ -101,13 +104,14 @@ def _recover(path: Path, file: BinaryIO, stop: Callable[[], bool]) -> RecoverRep
     problems = tuple(scan.problems)
     if not problems:
         return RecoverReport(path, False, seen.count, ())
-    temporary = path.with_name(path.name + SUFFIX)
+    log = path.resolve()  # a link stays one: what it leads to is mended
+    temporary = log.with_name(log.name + SUFFIX)
     try:
         _rewrite(file, temporary, scan)
-        temporary.chmod(path.stat().st_mode & 0o777)
+        temporary.chmod(log.stat().st_mode & 0o777)
         _check(path, temporary, seen)
-        temporary.replace(path)
-        _sync(path.parent, os.O_DIRECTORY)
+        temporary.replace(log)
+        _sync(log.parent, os.O_DIRECTORY)
     except OSError as error:
         raise LogFileError(
             f"cannot repair {path}", found=error.strerror, expected="room for a copy of it", remedy="make room"

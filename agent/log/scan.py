@@ -5,11 +5,15 @@ A file cut at any byte gives everything before the cut; a damaged chunk is left 
 
 from __future__ import annotations
 
+import errno
+import os
+import stat
 import struct
 import zlib
 from collections.abc import Container, Iterator
 from dataclasses import dataclass
 from io import BytesIO
+from pathlib import Path
 from typing import BinaryIO, Final, NamedTuple
 
 import numpy as np
@@ -152,6 +156,17 @@ class LogScan:
         while length > 0 and (piece := self._file.read(min(length, _PIECE))):
             crc, length = zlib.crc32(piece, crc), length - len(piece)
         return crc
+
+
+def open_file(path: Path) -> BinaryIO:
+    """A file to be read, as often as wanted.  Raises OSError, for a pipe or a device too, and waits for neither."""
+    fd = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    mode = os.fstat(fd).st_mode
+    if not stat.S_ISREG(mode):
+        os.close(fd)
+        found = os.strerror(errno.EISDIR) if stat.S_ISDIR(mode) else "no regular file"
+        raise OSError(errno.EINVAL, found, str(path))
+    return os.fdopen(fd, "rb")
 
 
 def library_of(file: BinaryIO) -> str | None:

@@ -13,12 +13,13 @@ _STARTED_S = -43_200.0  # rows of an arm that nobody has started count towards a
 def trajectory_time(event: Event, table: Table | None) -> float:
     """Time `t` of an event, s; NaN where it has no tie to the trajectory, or the trajectory never began.
 
-    An event made from a row has the row's `t`.  One that an agent tells itself has `stamp_ns`, on the clock of the
-    stamps in its rows (`table`); the last of these says where on that clock the trajectory's zero was.
+    An event made from a row has the row's `t`, which says nothing until a start was given.  One that an agent tells
+    itself has `stamp_ns`, on the clock of the stamps in its rows (`table`); the last of these says where on that clock
+    the trajectory's zero was.
     """
     told, stamp_ns = event.data.get("t"), event.data.get("stamp_ns")
     if isinstance(told, int | float) and not isinstance(told, bool):
-        return float(told)
+        return float(told) if told > _STARTED_S else math.nan
     if table is None or not len(table) or type(stamp_ns) is not int:
         return math.nan
     last = table[len(table) - 1 : len(table)]

@@ -58,8 +58,7 @@ def float_arms(cell: Cell, options: FloatOptions, stop: Callable[[], bool], scre
 
     Raises Refusal; every torque is off and the log is closed by then.
     """
-    out = output_folder(options.out, f"{cell.file.name}-float")
-    with run_folder() as runtime:
+    with output_folder(options.out, f"{cell.file.name}-float") as out, run_folder() as runtime:
         arms = FloatingArms(cell, options, out, runtime)
         try:
             arms.start(screen)

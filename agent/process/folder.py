@@ -1,13 +1,16 @@
-"""The folder of a run: made, tried, and without the results of an earlier one unless they may go."""
+"""The folder of a run: made, tried, its own while it lasts, without an earlier one's results unless they may go."""
 
 from __future__ import annotations
 
 import os
 import tempfile
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from datetime import UTC, datetime
+from itertools import count
 from pathlib import Path
 
-from agent.log.file import remove_log
+from agent.log.file import lock, remove_log
 from drivers.interface import Refusal
 
 LOG_NAME = "run.mcap"
@@ -18,26 +21,61 @@ class RunError(Refusal):
     """The run could not be started or did not come to its end."""
 
 
-def output_folder(wanted: Path | None, cell: str, *, replace: bool = False) -> Path:
-    """The folder `wanted`, by default runs/<UTC>-<cell>; it is there, can be written and holds no results.
+@contextmanager
+def output_folder(wanted: Path | None, cell: str, *, replace: bool = False) -> Iterator[Path]:
+    """The folder `wanted`, by default runs/<UTC>-<cell>, for the time of the block.
 
+    It is there, can be written, holds no results, and no other run is given it before the block ends.
     replace: what is in it may stay and be written over, and the log of an earlier run is removed.
     Raises RunError, and LogFileError where a recorder writes that log.
     """
-    out = wanted or Path("runs") / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{cell}"
-    try:
-        if not replace:
-            _refuse_contents(out)
-        out.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=out):
-            pass
-    except OSError as error:
-        raise RunError(
-            f"output folder {out}", found=error.strerror, expected="a folder that can be written",
-            remedy="name another folder with --out, or change its permissions",
-        ) from error  # fmt: skip
-    remove_log(out / LOG_NAME)
+    out = wanted or Path("runs")
+    with ExitStack() as held:
+        try:
+            out.mkdir(parents=True, exist_ok=True)
+            if wanted is None:
+                out = _named_by_time(out, cell)
+            held.enter_context(_claimed(out))
+            if not replace:
+                _refuse_contents(out)
+            with tempfile.TemporaryFile(dir=out):
+                pass
+        except OSError as error:
+            raise RunError(
+                f"output folder {out}", found=error.strerror, expected="a folder that can be written",
+                remedy="name another folder with --out, or change its permissions",
+            ) from error  # fmt: skip
+        remove_log(out / LOG_NAME)
+        yield out
+
+
+def _named_by_time(runs: Path, cell: str) -> Path:
+    """A new folder in `runs`; with a number behind its name where another run has begun in this second."""
+    name = f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{cell}"
+    out = runs / name
+    for number in count(2):
+        with suppress(FileExistsError):
+            out.mkdir()
+            break
+        out = runs / f"{name}_{number}"
     return out
+
+
+@contextmanager
+def _claimed(out: Path) -> Iterator[None]:
+    """Keep other runs out of the folder for the time of the block.  Raises RunError where one is in it."""
+    folder, free = os.open(out, os.O_RDONLY | os.O_CLOEXEC), True
+    try:
+        with suppress(OSError):  # of a file system that locks no folders
+            free = lock(folder)
+        if not free:
+            raise RunError(
+                f"output folder {out}", found="another run that writes into it", expected="a folder for this one",
+                remedy="name another with --out, or wait for its end",
+            )  # fmt: skip
+        yield
+    finally:
+        os.close(folder)
 
 
 def _refuse_contents(out: Path) -> None:

@@ -65,8 +65,19 @@ def run_cell(options: RunOptions, stop: Callable[[], bool], progress: Progress) 
         options.real.require(cell, options.faults)
     progress.phase("checking")
     examine(cell, wired=options.kind.has_servos).require()
-    out = output_folder(options.out, cell.file.name, replace=options.replace)
-    log = out / LOG_NAME
+    with output_folder(options.out, cell.file.name, replace=options.replace) as out:
+        log = out / LOG_NAME
+        interrupted, gave_up = _carry_out(options, cell, log, stop, progress)
+        progress.phase("report")
+        page, results = _reported(log, out, drawn=options.report)
+    progress.phase("done")
+    return RunOutcome(log, page, results, interrupted, results.within_bounds, gave_up)
+
+
+def _carry_out(
+    options: RunOptions, cell: Cell, log: Path, stop: Callable[[], bool], progress: Progress
+) -> tuple[bool, str]:
+    """Run all processes to their end; whether that was asked for, and why a session went no further."""
     with run_folder() as runtime:
         children = _children(options, cell, log, runtime)
         try:
@@ -75,11 +86,7 @@ def run_cell(options: RunOptions, stop: Callable[[], bool], progress: Progress) 
             children.end(progress)
         finally:
             children.abandon()
-    progress.phase("report")
-    page, results = _reported(log, out, drawn=options.report)
-    progress.phase("done")
-    gave_up = "" if children.person is None else children.person.trouble
-    return RunOutcome(log, page, results, interrupted, results.within_bounds, gave_up)
+    return interrupted, "" if children.person is None else children.person.trouble
 
 
 def _cell_of(options: RunOptions) -> Cell:

@@ -29,7 +29,7 @@ CAPTION: Final = (
 def write_comparison(runs: Sequence[ComparedRun], path: Path) -> None:
     """Write the page.  Raises ReportError where it cannot be written; an earlier file is then as it was."""
     page = render(runs)
-    write_atomically(path, page.encode(), ReportError)
+    write_atomically(path, page.encode(errors="backslashreplace"), ReportError)
 
 
 def render(runs: Sequence[ComparedRun]) -> str:

@@ -19,7 +19,8 @@ def pose_errors(series: PoseSeries, info: RunInfo) -> PoseErrors:
     position, attitude = series.position_error, series.attitude_error
     usable = np.isfinite(position) & np.isfinite(attitude)
     window = (series.t >= info.transient_s) & (series.t <= info.duration_s)
-    settled = usable & window & series.tracking
+    followed = usable & series.tracking
+    settled = followed & window
     t = series.t[settled]
     in_plane = out_of_plane = NAN
     if info.plane is not None:
@@ -38,8 +39,8 @@ def pose_errors(series: PoseSeries, info: RunInfo) -> PoseErrors:
         t_max_attitude_s=instant_of_most(t, attitude[settled]),
         max_in_plane_error_m=in_plane,
         max_out_of_plane_error_m=out_of_plane,
-        position=_decay(series.t[usable], position[usable]),
-        attitude=_decay(series.t[usable], attitude[usable]),
+        position=_decay(series.t[followed], position[followed]),
+        attitude=_decay(series.t[followed], attitude[followed]),
     )
 
 

@@ -100,8 +100,8 @@ def _arm(arm: RunArm, run: Prepared) -> ArmResults:
         internal_realised=_internal_realised(arm, run),
         load_share_cmd=arm.load_share,
         load_share_realised=_load_share(arm, run),
-        rms_velocity_error_m_per_s=_rms_velocity_error(rows, slice(0, 3), info),
-        rms_angular_velocity_error_rad_per_s=_rms_velocity_error(rows, slice(3, 6), info),
+        rms_velocity_error_m_per_s=_rms_velocity_error(run.seen[arm.name], slice(0, 3), info),
+        rms_angular_velocity_error_rad_per_s=_rms_velocity_error(run.seen[arm.name], slice(3, 6), info),
         e_eta_start=float(e_eta[0]),
         e_eta_end=float(e_eta[-1]),
         e_eta_sign_changes=int(np.sum(signs[1:] != signs[:-1])),
@@ -122,9 +122,10 @@ def _unexpected(rows: Table) -> dict[str, float]:
     return {f"unexpected_{name}": most(component(rows, "unexpected", i)) for i, name in enumerate(names)}
 
 
-def _rms_velocity_error(rows: Table, part: slice, info: RunInfo) -> float:
-    error = column(rows, "v_object", part) - column(rows, "v_object_des", part)
-    return rms(np.linalg.norm(error[column(rows, "t") >= info.transient_s], axis=1))
+def _rms_velocity_error(seen: Table, part: slice, info: RunInfo) -> float:
+    error = column(seen, "v_object", part) - column(seen, "v_object_des", part)
+    settled = (column(seen, "t") >= info.transient_s) & (seen["mode"] == Mode.TRACK)
+    return rms(np.linalg.norm(error[settled], axis=1))
 
 
 def _joint(arm: RunArm, j: int, rows: Table, period_s: float) -> JointResults:

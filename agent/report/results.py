@@ -57,7 +57,7 @@ class Spread:
 
 @dataclass(frozen=True, slots=True)
 class Decay:
-    """How an error at the start goes away: times since the first row, NaN when it has not."""
+    """How an error at the start goes away: times since the first row that follows the trajectory, NaN if it has not."""
 
     initial: Annotated[float, Unit("m or rad", Better.NEITHER)]
     half_s: Seconds  # first time at half the initial error or below

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from rich import box
+from rich.markup import escape
 from rich.table import Table as RichTable
 
 from drivers.interface import Refusal
@@ -60,7 +61,7 @@ def settings_table(settings: Sequence[Mapping[str, str]]) -> RichTable:
     for heading in ("setting", *(chr(ord("A") + number) for number in range(len(settings)))):
         table.add_column(heading, overflow="fold")
     for row in different(settings) or [Setting("none", ())]:
-        table.add_row(row.key, *row.values)
+        table.add_row(*map(escape, (row.key, *row.values)))
     return table
 
 

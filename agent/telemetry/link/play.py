@@ -157,9 +157,10 @@ def _tracks(options: PlayOptions, log: ColumnLog) -> list[_Track]:
     utc = [rows["utc_ns"] for rows in members.values()]
     times = np.concatenate(utc)
     length_s = float(times.max() - times.min()) / 1e9 if len(times) else 0.0
-    stop_s = length_s if options.stop_s is None else options.stop_s
-    empty = options.start_s > stop_s or (options.loop and options.start_s >= min(stop_s, length_s))  # loops need time
-    if options.speed <= 0 or not len(times) or not 0 <= options.start_s <= length_s or empty:
+    stop_s = length_s if options.stop_s in (None, math.inf) else options.stop_s
+    last_s = min(stop_s, length_s)
+    some = options.start_s < last_s if options.loop else options.start_s <= stop_s  # loops need time
+    if not (0 < options.speed < math.inf and len(times) and 0 <= options.start_s <= length_s and some):
         raise LogError(
             f"nothing to play of {options.path}",
             found=f"speed {options.speed:g}, from {options.start_s:g} s to {stop_s:g} s of {length_s:g} s",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import signal
 import time
 from collections.abc import Iterator
@@ -237,7 +238,12 @@ def test_a_seek_goes_on_elsewhere_with_the_same_bytes_as_a_run_of_its_own(run: R
     "wrong",
     [
         {"speed": 0.0},
+        {"speed": math.inf},
+        {"speed": math.nan},
         {"start_s": 99.0},
+        {"start_s": math.inf},
+        {"start_s": math.nan},
+        {"stop_s": math.nan},
         {"start_s": 3.0, "stop_s": 2.0},
         {"start_s": -1.0},
         {"start_s": 3.0, "stop_s": 3.0, "loop": True},
@@ -246,6 +252,10 @@ def test_a_seek_goes_on_elsewhere_with_the_same_bytes_as_a_run_of_its_own(run: R
 def test_play_refuses_what_cannot_be_played(run: RunLog, wrong: dict[str, Any]) -> None:
     with pytest.raises(LogError, match="nothing to play"):
         play.run(PlayOptions(run.path, **wrong), stop=lambda: False)
+
+
+def test_play_to_no_end_is_to_that_of_the_log(run: RunLog) -> None:
+    assert play.run(PlayOptions(run.path, speed=1e6, stop_s=math.inf), stop=lambda: False).loops == 1
 
 
 def test_info_is_answered_and_telemetry_opens_no_port(tmp_path: Path) -> None:

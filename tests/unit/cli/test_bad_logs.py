@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -229,6 +230,18 @@ def test_what_is_no_log_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         assert [line for line in done.err.splitlines() if line.startswith("coop: ")] == done.err.splitlines(), what
         assert "run.mcap" in done.err, what
         assert [path.name for path in Path().iterdir()] == (["run.mcap"] if data is not None else []), what
+
+
+@pytest.mark.parametrize("reader", [*READERS, "recover"])
+def test_a_pipe_in_the_place_of_a_log_is_not_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reader: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    os.mkfifo("run.mcap")
+    done = coop(*(word.replace(LOG, "run.mcap") for word in READERS.get(reader, REPAIR)))
+    assert done.code == 2
+    assert "run.mcap: found no regular file" in done.err
+    assert len(done.err.splitlines()) == 1
 
 
 @pytest.mark.parametrize("damage", DAMAGED)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from contextlib import nullcontext
+from datetime import datetime, tzinfo
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ from agent.host.latency import newest
 from agent.identify.fit import Options, fit
 from agent.identify.result import Identified, identified
 from agent.log.file import LogFileError
+from agent.process import folder
 from agent.process.folder import LOG_NAME, RunError, output_folder
 from tests.support.command import coop
 from tests.support.identify_rig import exact
@@ -181,31 +183,70 @@ def test_a_run_keeps_the_results_in_its_folder(tmp_path: Path) -> None:
 
 def test_the_folder_of_a_run_is_empty_or_may_be_used_again(tmp_path: Path) -> None:
     new = tmp_path / "a" / "b"
-    assert output_folder(new, "paper") == new
-    assert output_folder(new, "paper") == new, "empty"
+    for _ in range(2):  # the second time it is there, and empty
+        with output_folder(new, "paper") as out:
+            assert out == new
     (new / "results.json").symlink_to("elsewhere")
-    with pytest.raises(RunError, match=r"found results\.json from an earlier run"):
-        output_folder(new, "paper")
+    with pytest.raises(RunError, match=r"found results\.json from an earlier run"), output_folder(new, "paper"):
+        pass
     (new / "results.json").unlink()
     log, page = write_mine(new / LOG_NAME), write_mine(new / "report.html")
-    with pytest.raises(RunError, match=r"found run\.mcap from an earlier run") as refused:
-        output_folder(new, "paper")
+    with pytest.raises(RunError, match=r"found run\.mcap from an earlier run") as refused, output_folder(new, "paper"):
+        pass
     assert refused.value.exit_code == 2
     assert log.read_bytes() == MINE
-    assert output_folder(new, "paper", replace=True) == new
-    assert not log.exists(), "the recorder makes a new one"
+    with output_folder(new, "paper", replace=True):
+        assert not log.exists(), "the recorder makes a new one"
     assert page.read_bytes() == MINE
 
 
 def test_force_does_not_take_the_log_of_a_living_recorder(tmp_path: Path) -> None:
     log = tmp_path / LOG_NAME
     maker = LogMaker(log)
-    with pytest.raises(LogFileError, match="being written"):
-        output_folder(tmp_path, "paper", replace=True)
+    with pytest.raises(LogFileError, match="being written"), output_folder(tmp_path, "paper", replace=True):
+        pass
     assert log.exists()
     maker.finish()
-    output_folder(tmp_path, "paper", replace=True)
-    assert not log.exists()
+    with output_folder(tmp_path, "paper", replace=True):
+        assert not log.exists()
+
+
+@pytest.mark.parametrize("replace", [False, True])
+def test_a_folder_belongs_to_one_run_until_that_has_ended(tmp_path: Path, replace: bool) -> None:
+    """Two at once would each write over what the other's processes have to say, whoever has the log."""
+    with output_folder(tmp_path, "paper"):
+        with (
+            pytest.raises(RunError, match="found another run that writes into it") as refused,
+            output_folder(tmp_path, "paper", replace=replace),
+        ):
+            pass
+        assert refused.value.exit_code == 2
+    with output_folder(tmp_path, "paper", replace=replace):
+        assert list(tmp_path.iterdir()) == [], "nothing is left of the claim"
+
+
+def test_runs_that_begin_in_one_second_have_a_folder_each(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class StandingClock(datetime):
+        @classmethod
+        def now(cls, tz: tzinfo | None = None) -> StandingClock:
+            return cls(2026, 11, 23, 4, 6, tzinfo=tz)
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(folder, "datetime", StandingClock)
+    with output_folder(None, "paper") as one, output_folder(None, "paper") as two:
+        found = one, two
+    with output_folder(None, "paper") as three:  # what the first ones left is theirs
+        names = [path.name for path in (*found, three)]
+    assert names == [f"20261123T040600Z-paper{number}" for number in ("", "_2", "_3")]
+
+
+def test_a_link_to_nothing_in_the_folder_of_a_run_is_no_free_name(tmp_path: Path) -> None:
+    (tmp_path / "results.json").symlink_to(tmp_path / "nowhere")
+    with pytest.raises(RunError, match=r"found results\.json"), output_folder(tmp_path, "paper"):
+        pass
+    (tmp_path / LOG_NAME).symlink_to(tmp_path / "nowhere")
+    with output_folder(tmp_path, "paper", replace=True):
+        assert not (tmp_path / LOG_NAME).is_symlink(), "or the recorder finds it in its way"
 
 
 # record, recover
@@ -218,6 +259,23 @@ def test_a_recorder_keeps_a_log_that_is_there(tmp_path: Path, monkeypatch: pytes
     assert done.code == 4
     assert "a log is never overwritten" in done.err
     assert path.read_bytes() == MINE
+
+
+@pytest.mark.parametrize("kind", ["a pipe", "a link to nothing", "a folder"])
+def test_a_recorder_does_not_write_into_what_is_no_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "run.mcap"
+    if kind == "a pipe":
+        os.mkfifo(path)
+    elif kind == "a link to nothing":
+        path.symlink_to("nothing")
+    else:
+        path.mkdir()
+    done = coop("record", PAPER, "--out", path, "--listen", "tcp/127.0.0.1:0")
+    assert (done.code, "a log is never overwritten" in done.err) == (4, True)
+    assert [file.name for file in tmp_path.iterdir() if file.suffix == ".mcap"] == ["run.mcap"]
 
 
 def test_recover_replaces_only_a_log_that_was_not_finished(tmp_path: Path) -> None:

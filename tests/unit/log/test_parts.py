@@ -31,3 +31,5 @@ def test_the_next_log_has_the_next_free_name(tmp_path: Path) -> None:
     assert next_path(first).name == "run_2.mcap"
     (tmp_path / "run_2.mcap").touch()
     assert next_path(first) == tmp_path / "run_3.mcap"
+    (tmp_path / "run_3.mcap").symlink_to("nothing")
+    assert next_path(first) == tmp_path / "run_4.mcap"

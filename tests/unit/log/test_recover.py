@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from pathlib import Path
+from typing import BinaryIO
 
 import pytest
 from mcap.reader import make_reader
 
+from agent.log import scan
 from agent.log.chunk import LIBRARY
 from agent.log.file import LogFileError
 from agent.log.read import LogError, read_log
@@ -87,6 +91,39 @@ def test_a_repair_that_is_stopped_leaves_the_log_as_it_was(tmp_path: Path) -> No
     assert not recover(path, stop=lambda: True).repaired
     assert path.read_bytes() == before
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_of_a_log_behind_a_link_the_log_itself_is_mended(tmp_path: Path) -> None:
+    path, link = tmp_path / "disk" / "run.mcap", tmp_path / "latest.mcap"
+    path.parent.mkdir()
+    rows = make_log(path, finish=False)
+    link.symlink_to(path)
+    assert recover(link).repaired
+    assert link.is_symlink()
+    assert list(path.parent.iterdir()) == [path]
+    log = read_log(path)
+    assert (log.agents["left"].tobytes(), log.problems) == (rows["left"].tobytes(), ())
+
+
+def test_leftovers_beside_what_is_no_file_or_cannot_be_read_are_repaired(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "a.mcap").mkdir()
+    (tmp_path / "b.mcap").symlink_to("nothing")
+    os.mkfifo(tmp_path / "c.mcap")
+    (tmp_path / "theirs.mcap").touch()
+    make_log(tmp_path / "z.mcap", finish=False)
+
+    def open_file(path: Path) -> BinaryIO:
+        if path.name == "theirs.mcap":
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+        return scan.open_file(path)
+
+    monkeypatch.setattr("agent.log.recover.open_file", open_file)
+    repaired, failed = repair_leftovers(tmp_path, but=tmp_path / "mine.mcap")
+    assert repaired == (tmp_path / "z.mcap",)
+    assert len(failed) == 1
+    assert "theirs.mcap: found Permission denied" in failed[0]
 
 
 def test_leftovers_of_ours_are_repaired_and_nothing_else_is_touched(tmp_path: Path) -> None:

@@ -66,9 +66,10 @@ def test_what_an_agent_tells_itself_stands_at_the_time_of_its_rows(tmp_path: Pat
     for source in ("left", "right"):
         maker.event(Event(UTC_0_NS, source, Level.INFO, "torque on", {"stamp_ns": 50_000_000}))
     maker.event(Event(UTC_0_NS + 1, "left", Level.INFO, "run ended", {"stamp_ns": 1_200_000_000, "ticks": 7}))
+    maker.event(Event(UTC_0_NS + 2, "right", Level.WARN, "safety: stale", {"sequence": 0, "t": -86_400.0}))
     maker.finish()
     document = json.loads(coop("events", tmp_path / "run.mcap", "--json").out)
-    assert [e["t_s"] for e in document["events"]] == [pytest.approx(-0.15), None, pytest.approx(1.0)]
+    assert [e["t_s"] for e in document["events"]] == [pytest.approx(-0.15), None, pytest.approx(1.0), None]
 
 
 def test_events_are_chosen_by_arm_and_time(tmp_path: Path) -> None:
@@ -132,6 +133,14 @@ def test_the_margin_is_the_grip_less_the_largest_force(tmp_path: Path) -> None:
     done = coop("grasps", log)
     assert "against the mean of the arms" in " ".join(done.out.split())  # a long path wraps the line
     assert "two arms that disagree do not tell which one is off" in done.out
+
+
+def test_a_log_may_be_called_what_a_table_would_take_for_a_style(tmp_path: Path) -> None:
+    folder = tmp_path / "a [" / "] [bold]"
+    folder.mkdir(parents=True)
+    done = coop("grasps", write_run(folder / "r.mcap", PAPER, {"left": rows_of(-1.0), "right": rows_of(1.0)}))
+    assert done.code == 0, done.err
+    assert "a [/] [bold]/r.mcap: against" in "".join(done.out.splitlines())
 
 
 def test_a_run_without_a_common_tick_is_refused(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from agent.log.read import RunLog
 from agent.report.compare import Change, Difference
@@ -94,6 +95,20 @@ def test_the_figure_has_a_line_of_each_run_and_scales_of_its_own(runs: list[Comp
     assert len({line.get_linestyle() for line in start.lines}) == 3
     assert start.lines[0].get_ydata()[0] == pytest.approx(1e3 * np.hypot(0.001, 0.003))
     assert rest.lines[0].get_xdata().size == 0  # two seconds end before the transient does
+
+
+def test_settings_are_shown_as_they_are_and_not_as_styles() -> None:
+    shown = settings_table([{"file [/].csv": "[red]"}, {}])
+    console = Console(width=80)
+    with console.capture() as captured:
+        console.print(shown)
+    assert "file [/].csv   [red]" in captured.get()
+
+
+def test_a_log_whose_name_is_no_text_has_a_page(tmp_path: Path) -> None:
+    path = tmp_path / "page.html"
+    write_comparison([compared(view_log(), "\udcff.mcap") for _ in "AB"], path)
+    assert "\\udcff.mcap" in path.read_text()
 
 
 def test_a_page_that_cannot_be_written_leaves_what_was_there(runs: list[ComparedRun], tmp_path: Path) -> None:

@@ -22,6 +22,7 @@ from agent.report.rehearsal import HilResults
 from agent.report.results import Judgement, Results
 from agent.report.series import attitude_error, rotation_angle, rotation_vector
 from agent.report.tables import lines
+from agent.safety import Flag
 from tests.support.telemetry.small_run import RATE_HZ, TICKS, keep, small_run
 from tests.support.telemetry.synthetic_run import (
     agent_rows,
@@ -161,6 +162,31 @@ def test_decay_of_the_initial_error_is_that_of_the_closed_form() -> None:
     assert decay.initial == pytest.approx(4e-3)
     assert decay.half_s == pytest.approx(0.25 * math.log(2), abs=1 / RATE_HZ)
     assert decay.tenth_s == pytest.approx(0.25 * math.log(10), abs=1 / RATE_HZ)
+
+
+def test_a_start_error_that_a_hold_cut_short_has_not_decayed() -> None:
+    """An arm that holds wants the object where it is: there is no error, and nothing that went away."""
+    log = small_run()
+    log.plant["p_object"][:100, 1] = 1e-3
+    log.agents["left"]["mode"][100:] = Mode.HOLD
+    decay = summarise(log).by_plant.position
+    assert decay.initial == pytest.approx(1e-3, rel=1e-12)
+    assert math.isnan(decay.half_s)
+    assert math.isnan(decay.tenth_s)
+
+
+@pytest.mark.parametrize("part", [0, 3])
+def test_the_velocity_error_is_of_fresh_rows_that_follow_the_trajectory(part: int) -> None:
+    log = small_run()
+    rows = log.agents["left"]
+    rows["v_object"][:, part] = np.where(rows["sequence"] < 300, 2e-3, 0.0)
+    rows["mode"][300:] = Mode.HOLD
+    rows["v_object"][250, part], rows["flags"][250] = 1.0, Flag.STALE.value
+    arms = summarise(log).arms
+    found = {0: "rms_velocity_error_m_per_s", 3: "rms_angular_velocity_error_rad_per_s"}[part]
+    assert getattr(arms["left"], found) == pytest.approx(2e-3, rel=1e-12)
+    rows["mode"][:] = Mode.HOLD
+    assert math.isnan(getattr(summarise(log).arms["left"], found))
 
 
 def test_an_error_that_stays_has_not_decayed() -> None:

@@ -1,0 +1,43 @@
+"""A process of ours says what it has to say, whatever it was given to say it on."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+SETTLED = "import sys\nfrom agent.host.starting import settle\nsettle()\n"
+
+
+def test_closed_streams_lead_nowhere_and_no_file_takes_their_place(tmp_path: Path) -> None:
+    told = tmp_path / "told"
+    code = f"""{SETTLED}
+print("said")
+print("said", file=sys.stderr)
+with open({str(told)!r}, "w") as file:
+    file.write(f"{{file.fileno() > 2}} {{sys.stdin.read()!r}} {{sys.stderr.isatty()}}")
+"""
+    closed = ["sh", "-c", 'exec "$0" -c "$1" <&- >&- 2>&-', sys.executable, code]
+    subprocess.run(closed, check=True, timeout=60)
+    assert told.read_text() == "True '' False"
+
+
+@pytest.mark.parametrize(
+    ("encoding", "written"),
+    [
+        ("utf-8", "READY → x\\udcff".encode()),
+        ("utf-8:surrogateescape", "READY → x".encode() + b"\xff"),
+        ("latin-1", b"READY \\u2192 x\\udcff"),
+        ("ascii:surrogateescape", b"READY \\u2192 x\\udcff"),
+    ],
+)
+def test_a_letter_that_the_terminal_lacks_is_written_by_its_number(encoding: str, written: bytes) -> None:
+    code = SETTLED + 'print("READY \\u2192 x\\udcff")'
+    surroundings = os.environ | {"PYTHONIOENCODING": encoding}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=surroundings, stdout=subprocess.PIPE, check=True, timeout=60
+    )
+    assert done.stdout == written + b"\n"
