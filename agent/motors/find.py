@@ -112,19 +112,28 @@ def shared_ids(bus: Bus, answers: Answers) -> list[int]:
     if not answers.damaged:
         return sorted(shared)
     bus.port.set_baud(answers.baud)
-    destroyed = 0
+    destroyed, before = set[int](), 0
     for servo_id in (*range(1, MAX_ID + 1), 0):
         if servo_id in heard:
             continue
-        try:
-            bus.ping(servo_id, attempts=1)
-        except NoReplyError as error:
-            if error.damaged:
-                shared.add(servo_id)
-                destroyed += 1
-        if destroyed >= answers.damaged:
+        if _destroyed(bus, servo_id):  # or the reply to the ID before it, which came late
+            for asked in (before, servo_id):
+                bus.settle()
+                if _destroyed(bus, asked):
+                    destroyed.add(asked)
+        before = servo_id
+        if len(destroyed) >= answers.damaged:
             break
-    return sorted(shared)
+    return sorted(shared | destroyed)
+
+
+def _destroyed(bus: Bus, servo_id: int) -> bool:
+    """Whether a reply in pieces comes while this ID is asked."""
+    try:
+        bus.ping(servo_id, attempts=1)
+    except NoReplyError as error:
+        return error.damaged
+    return False
 
 
 def look(bus: Bus, port: str, ping: Ping) -> ServoSeen:

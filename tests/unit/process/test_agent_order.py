@@ -51,6 +51,12 @@ def swapped() -> tuple[EmulatedCell, VirtualPort, VirtualClock, DynamixelDriver]
     return emulated, port, clock, DynamixelDriver(left, clock, scan_s=0.05, port=port)
 
 
+@pytest.fixture(autouse=True)
+def memory_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An agent looks for garbage no more, in a process of its own."""
+    monkeypatch.setattr(process, "quiet_memory", lambda: None)
+
+
 @pytest.mark.fault("G3")
 def test_an_agent_at_another_arms_port_ends_in_one_line_and_has_written_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
