@@ -182,7 +182,10 @@ TARGETS = (
     Target(
         "drivers.dynamixel.recovery", tuple(f"{UNIT}/drivers/{name}.py" for name in ("test_driver", "test_recover"))
     ),
-    Target("drivers.dynamixel.running", tuple(f"{UNIT}/drivers/{name}.py" for name in ("test_running", "test_grip"))),
+    Target(
+        "drivers.dynamixel.running",
+        tuple(f"{UNIT}/drivers/{name}.py" for name in ("test_running", "test_grip", "test_swapped_arms")),
+    ),
     Target("drivers.dynamixel.servo.counts", (f"{UNIT}/drivers/test_dxl_units.py",)),
     Target(
         "drivers.dynamixel.servo.models",

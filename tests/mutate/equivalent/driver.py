@@ -148,6 +148,11 @@ DRIVER: Entries = {
         ("Running.again", _TAKES_ON, _TAKES_ON.replace("made.grip is not None", "True")): _SAME_GRIPPER,
         ("Running.again", _TAKES_ON, _TAKES_ON.replace("self.grip is not None", "True")): _SAME_GRIPPER,
         ("Running.again", _TAKES_ON, _TAKES_ON.replace(" and ", " or ")): _SAME_GRIPPER,
+        (
+            "Running.recognise",
+            "first = self._found[0]",
+            "first = self._found[1]",
+        ): "every servo of an arm has its mark",
         ("Running.__init__", "self._wire_free_ns = 0", "pass"): _SET_BY_A_QUESTION,
         ("Running.__init__", "self._wire_free_ns = 0", "self._wire_free_ns = 1"): _SET_BY_A_QUESTION,
         (
