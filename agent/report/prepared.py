@@ -68,7 +68,7 @@ class Prepared:
 def prepare(log: AnyLog) -> Prepared:
     """Find the rows of the run, match the plant's with the arms'.  A poor log is prepared too: `missing` says why."""
     info = read_info(log)
-    missing = [*info.notes, *log.problems, *_losses(log), *_strangers(log)]
+    missing = [*info.notes, *log.problems, *_parted(log), *_losses(log), *_strangers(log)]
     described = [arm.name for arm in info.arms]
     found = {name: in_run(Table.of(log.agents[name]), info) for name in described if name in log.agents}
     rows = {name: own for name, own in found.items() if len(own)}
@@ -86,6 +86,15 @@ def prepare(log: AnyLog) -> Prepared:
         missing += [note] if note else []
         grasps = _grasp_forces(plant, info, missing)
     return Prepared(log, info, rows, seen, true, grasps, tuple(missing))
+
+
+def _parted(log: AnyLog) -> list[str]:
+    """Whether the run goes on in another log, so that this one has not all of it, though nothing is lost."""
+    told = log.metadata.get("completeness", {})
+    parted = any(key.endswith(".end") and end == "continued" for key, end in told.items())
+    return (
+        ["the run goes on in the next log, which the recorder began by itself: here is a part of it"] if parted else []
+    )
 
 
 def _losses(log: AnyLog) -> list[str]:

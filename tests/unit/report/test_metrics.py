@@ -327,6 +327,12 @@ def test_a_recorder_that_lost_something_makes_the_log_incomplete() -> None:
     assert not any("disk" in text for text in results.missing)
 
 
+@pytest.mark.parametrize(("end", "said"), [("continued", True), ("finished", False)])
+def test_a_part_of_a_run_says_that_it_goes_on_elsewhere(end: str, said: bool) -> None:
+    log = replace(small_run(), metadata={"completeness": {"left.end": "finished", "right.end": end}})
+    assert any("goes on in the next log" in text for text in summarise(log).missing) is said
+
+
 # ----------------------------------------------------------------------------------------------------- arithmetic, form
 
 unit_quaternions = arrays(float, 4, elements=st.floats(-1, 1)).filter(lambda q: np.linalg.norm(q) > 0.1)
