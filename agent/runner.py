@@ -234,7 +234,7 @@ class Runner:
         except DriverError as error:
             if self._schedule.lockstep:
                 raise
-            self._untaken = self._untaken or str(error)
+            self._untaken = str(error)
             return np.full_like(tau, np.nan)
 
     def _go_blind(self, deadline_ns: int, bus: Bus) -> Event:

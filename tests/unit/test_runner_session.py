@@ -93,6 +93,7 @@ def test_what_is_wrong_with_an_arm_at_rest_is_told_once() -> None:
     assert done.modes == [Mode.FAULT]
     assert done.troubles == [f"{faulty()}; way back: `coop release`"]
     assert run_of(Script({4: Event.GRASP}), last=6, refused=frozenset({3})).troubles == [], "a word is no trouble"
+    assert run_of(Script({4: Event.STOP}, {4: "not now"}), last=6).troubles == [], "nor is a stop"
 
 
 @pytest.mark.parametrize(("later", "ends"), [("servo 2", Mode.PARK), ("servo 3", Mode.HALT)])
