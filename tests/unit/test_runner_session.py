@@ -111,6 +111,12 @@ def test_a_fault_that_lasts_stops_an_arm_that_goes_on_and_not_back() -> None:
     assert done.modes == [Mode.APPROACH, Mode.HALT, Mode.APPROACH, Mode.HALT, Mode.FAULT]
 
 
+def test_what_the_bus_did_not_take_before_a_stop_is_forgotten_on_the_way_back() -> None:
+    words = {2: Event.APPROACH, 6: Event.STOP, 8: Event.PARK}
+    assert "bytes taken" in run_of(Script(words), last=7, refused=frozenset({4})).summary.reason
+    assert run_of(Script(words), last=10, refused=frozenset({4})).summary.reason == ""
+
+
 def test_a_session_that_nobody_listens_to_goes_on() -> None:
     done = run_of(Script({2: Event.APPROACH, 5: Event.TROUBLE}, {3: "not now", 5: "no object"}), last=8, told=False)
     assert (done.modes[:2], done.summary.reason) == ([Mode.APPROACH, Mode.HALT], "no object")
