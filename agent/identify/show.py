@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 from matplotlib.figure import Figure
 from rich.table import Table
 
 from agent.identify.result import Identified, Outcome, gravity_rows
 from agent.report.plotting import BLUE, GREY, HEADER_IN, RED, header_line, panels, styled
+
+SURE: Final = 3.0  # standard errors beyond which the loop's delay is another one than believed
 
 
 def estimates_table(result: Identified) -> Table:
@@ -47,7 +51,10 @@ def delay_line(result: Identified) -> str:
     if delay is None:
         return "loop delay: not to be seen in this motion"
     value, sigma, believed = delay
-    return f"loop delay: {value:.4f} s ± {sigma:.1g} (loop_delay_s, or one period: {believed:g})"
+    found = f"loop delay: {value:.4f} s ± {sigma:.1g} (loop_delay_s, or one period: {believed:g})"
+    if abs(value - believed) <= SURE * sigma:
+        return found
+    return f"{found}; too far from it: viscous friction above all is off by that, set loop_delay_s and record again"
 
 
 @styled
