@@ -192,7 +192,7 @@ class LogFile:
 
 
 def lock(fd: int) -> bool:
-    """Take a log's lock; False when the recorder that writes it is alive."""
+    """Take the lock of an open file or folder; False while another process has it, as a log's recorder does."""
     try:
         fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:

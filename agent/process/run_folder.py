@@ -6,7 +6,6 @@ is released by what lies there.
 
 from __future__ import annotations
 
-import fcntl
 import os
 import shutil
 import tempfile
@@ -15,6 +14,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
+from agent.log.file import lock
 from agent.telemetry.ring.file import is_locked
 
 MEMORY: Final = Path("/dev/shm")
@@ -30,27 +30,26 @@ def run_folder() -> Iterator[Path]:
         with suppress(OSError):  # another run took it away, or it is none of ours
             _remove_dead(left)
     folder = Path(tempfile.mkdtemp(prefix=PREFIX, dir=root))
-    lock = os.open(folder / "lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    held = os.open(folder / "lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     try:
-        fcntl.flock(lock, fcntl.LOCK_EX)
+        lock(held)
         (folder / "lock").rename(folder / LOCK)  # only now does another run ask for it
         yield folder
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-        os.close(lock)
+        os.close(held)
 
 
 def _remove_dead(folder: Path) -> None:
     """Remove the folder of a run of this user whose processes are gone.  Raises OSError."""
     if folder.lstat().st_uid != os.geteuid():
         return
-    lock = os.open(folder / LOCK, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
+    held = os.open(folder / LOCK, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
     try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        if not any(map(_is_written, folder.glob("*.ring"))):
+        if lock(held) and not any(map(_is_written, folder.glob("*.ring"))):
             shutil.rmtree(folder)  # which follows no link
     finally:
-        os.close(lock)
+        os.close(held)
 
 
 def _is_written(ring: Path) -> bool:

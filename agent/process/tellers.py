@@ -74,6 +74,19 @@ class Teller:
         )
 
 
+class Every:
+    """Asked once a cycle, says yes in every so many: once in `seconds`, of cycles at rate_hz."""
+
+    def __init__(self, seconds: float, rate_hz: float) -> None:
+        self._cycles = max(1, round(seconds * rate_hz))
+        self._count = 0
+
+    def __call__(self) -> bool:
+        """Whether it is time."""
+        self._count += 1
+        return self._count % self._cycles == 0
+
+
 class ServoTeller:
     """Tells the servos' slow quantities once a second, after the cycle's torque has gone out.
 
@@ -85,13 +98,11 @@ class ServoTeller:
         self._gripper = driver if isinstance(driver, Gripper) else None
         self._texts = texts
         self._utc_offset_ns = utc_offset_ns
-        self._cycles = max(1, round(HEALTH_S * rate_hz))
-        self._count = 0
+        self._due = Every(HEALTH_S, rate_hz)
 
     def beat(self) -> None:
         """A cycle has passed, with a state or without."""
-        self._count += 1
-        if self._count % self._cycles:
+        if not self._due():
             return
         health = self._driver.health()
         if health.servo_ids:
@@ -107,13 +118,11 @@ class SetClock:
         self._tell = tell
         self._offset_ns = offset_ns
         self._known_ns = clock.utc_offset_ns
-        self._cycles = max(1, round(HEALTH_S * rate_hz))
-        self._count = 0
+        self._due = Every(HEALTH_S, rate_hz)
 
     def beat(self) -> None:
         """A cycle has passed, with a state or without."""
-        self._count += 1
-        if self._count % self._cycles:
+        if not self._due():
             return
         found_ns = self._offset_ns()
         step_s = (found_ns - self._known_ns) * 1e-9
@@ -127,8 +136,7 @@ class Heart:
 
     def __init__(self, notifier: Notifier, rate_hz: float) -> None:
         self._notifier = notifier
-        self._cycles = max(1, round(HEARTBEAT_S * rate_hz))
-        self._count = 0
+        self._due = Every(HEARTBEAT_S, rate_hz)
 
     def mode(self, mode: Mode) -> None:
         """Tell what the arm is doing."""
@@ -136,6 +144,5 @@ class Heart:
 
     def beat(self) -> None:
         """A cycle has passed, with a state or without."""
-        self._count += 1
-        if self._count % self._cycles == 0:
+        if self._due():
             self._notifier.alive()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 from collections.abc import Mapping
@@ -12,6 +11,7 @@ from types import TracebackType
 from typing import Any, BinaryIO, Final, Self
 
 from agent.atomic import WriteError, make_folder
+from agent.log.file import lock
 from agent.study.measure import RunResult
 from agent.study.plan import Task
 from drivers.interface import Refusal
@@ -59,15 +59,13 @@ class Store:
             raise
 
     def _lock(self) -> None:
-        try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
+        if not lock(self._file.fileno()):
             raise StudyError(
                 f"study in {self.path.parent}",
                 found="another `coop study` that writes there",
                 expected="one at a time",
                 remedy="wait for it, or name another --out",
-            ) from error
+            )
 
     def _unwritable(self, error: OSError) -> WriteError:
         return WriteError(

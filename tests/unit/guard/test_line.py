@@ -125,16 +125,22 @@ def test_an_agent_without_its_guard_is_refused(tmp_path: Path) -> None:
         Guarded(path(tmp_path), CELL)
 
 
+def watched(folder: Path, told: list[tuple[Level, str]]) -> tuple[GuardEnd, Guarded, Said]:
+    """A guard, the agent that it watches, and what that asked of it."""
+    guard = GuardEnd(path(folder), CELL)
+    agent = Guarded(path(folder), CELL)
+    watching = threading.Thread(target=lambda: agent.watch((0,), lambda *event: told.append(event), ring="r"))
+    watching.start()
+    said = heard(guard)
+    guard.answer()
+    watching.join()
+    return guard, agent, said
+
+
 @pytest.mark.fault("P7")
 def test_a_guard_that_is_gone_is_noticed_once_and_a_new_one_is_asked_to_watch(tmp_path: Path) -> None:
     told: list[tuple[Level, str]] = []
-    first = GuardEnd(path(tmp_path), CELL)
-    agent = Guarded(path(tmp_path), CELL)
-    watching = threading.Thread(target=lambda: agent.watch((0,), lambda *event: told.append(event), ring="r"))
-    watching.start()
-    said = heard(first)
-    first.answer()
-    watching.join()
+    first, agent, said = watched(tmp_path, told)
     assert agent.there
     assert not agent.poll()
     said.drop()
@@ -160,13 +166,7 @@ def test_a_guard_that_is_gone_is_noticed_once_and_a_new_one_is_asked_to_watch(tm
 
 def test_a_guard_of_another_cell_in_the_place_of_one_that_is_gone_is_told_of_and_not_counted_on(tmp_path: Path) -> None:
     told: list[tuple[Level, str]] = []
-    first = GuardEnd(path(tmp_path), CELL)
-    agent = Guarded(path(tmp_path), CELL)
-    watching = threading.Thread(target=lambda: agent.watch((0,), lambda *event: told.append(event), ring="r"))
-    watching.start()
-    said = heard(first)
-    first.answer()
-    watching.join()
+    first, agent, said = watched(tmp_path, told)
     said.drop()
     first.close()
     assert agent.poll()
