@@ -5,7 +5,7 @@ Order of events, support at the start, clocks and delays are those of a lockstep
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -28,9 +28,10 @@ from agent.transition import entered
 from agent.verify.check import start_configurations
 from drivers.interface import JointState, ServoHealth, Vector
 from sim_backend.physics.actuator import TorqueCommand
-from sim_backend.physics.build import build_plant
+from sim_backend.physics.build import AnyPlant, build_plant
 from sim_backend.physics.delay import DelayLine, stretches
 from sim_backend.physics.plant import Observation
+from sim_backend.physics.spec import PlantSpec
 
 _TROUBLE: Final = int(TROUBLE)  # asking a flag for another one takes 0.5 µs
 NS: Final = 1e-9
@@ -38,10 +39,13 @@ SEIZED_Nms_RAD: Final = 200.0  # viscous friction of a seized joint: it creeps b
 
 
 class Laboratory:
-    """A cell made ready for many runs.  Raises Refusal as the cell's models and start poses do."""
+    """A cell made ready for many runs, whose plants `build` makes.
 
-    def __init__(self, cell: Cell) -> None:
-        self.cell = cell
+    Raises Refusal as the cell's models and start poses do.
+    """
+
+    def __init__(self, cell: Cell, build: Callable[[PlantSpec], AnyPlant] = build_plant) -> None:
+        self.cell, self.build = cell, build
         self.q_start = start_configurations(cell, [cell.model(arm) for arm in cell.arms])
         self.agents: tuple[Agent, ...] = tuple(build_agent(cell, arm) for arm in cell.arms)
         self.bounds = tuple(monitors.bounds_of_all(cell))
@@ -121,7 +125,7 @@ class Run:
     def __init__(self, lab: Laboratory, reality: Reality | None, faults: Sequence[Fault] = ()) -> None:
         """reality None: as the cell file says.  Raises PlantError, ConfigError."""
         file = lab.cell.file
-        self.plant = build_plant(plant_spec(lab.cell, lab.q_start, reality))
+        self.plant = lab.build(plant_spec(lab.cell, lab.q_start, reality))
         self.period_ns = lab.cell.period_ns
         self.ready_ticks = round(file.simulation.ready_s * file.rate_hz)
         self.tick = 0

@@ -19,6 +19,8 @@ from agent.study.fault import Fault, FaultKind
 from agent.study.lab import Laboratory, Run
 from agent.study.measure import measure, run_once
 from drivers.interface import Refusal
+from sim_backend.physics.build import AnyPlant, build_plant
+from sim_backend.physics.spec import PlantSpec
 from tests.support.plant.inprocess import simulate
 from tests.support.study import cell
 
@@ -62,6 +64,17 @@ def test_arms_wait_as_long_as_the_cell_says_and_then_follow() -> None:
         run.advance()
     assert {place.mode for place in run.places} == {Mode.TRACK}
     assert all(place.memory.hold is None for place in run.places)
+
+
+def test_every_run_has_a_plant_of_its_own_from_the_builder_that_is_given(lab: Laboratory) -> None:
+    made: list[AnyPlant] = []
+
+    def build(spec: PlantSpec) -> AnyPlant:
+        made.append(build_plant(spec))
+        return made[-1]
+
+    other = Laboratory(lab.cell, build)
+    assert [Run(other, None).plant, Run(other, None).plant] == made
 
 
 def test_a_skewed_arm_is_ahead_by_its_skew(lab: Laboratory) -> None:
