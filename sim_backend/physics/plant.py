@@ -37,6 +37,8 @@ from sim_backend.physics.joints import dry_friction
 from sim_backend.physics.meter import ChainGrasps
 from sim_backend.physics.spec import PlantSpec, diverged
 
+_SCALAR_FIRST = np.array([-1, -4, -3, -2])  # of the object's quaternion at the end of q
+
 
 @dataclass(frozen=True, eq=False)
 class Observation:
@@ -198,18 +200,21 @@ class Plant:
         servos.command(tau_cmd_Nm)
         tau_motor = servos.motor_torque(dq).copy()
         tau_friction = -servos.friction_coefficient(dq) * dq if self._dry is None else self._tau_dry.copy()
-        tau = np.zeros_like(v)
+        tau = np.zeros(len(v))
         np.add(tau_motor, tau_friction, tau[:J])
         if self._pushed:
             tau[J:] = self._push_in_object_axes(q)
         chain.acceleration(q, v, tau)
         R_world_object = self.T_world_object.rotation
         wrench, gap_m, gap_rad = self._grasp_state(R_world_object)
+        v_object = np.empty(6)
+        R_world_object.dot(v[-6:-3], v_object[:3])
+        R_world_object.dot(v[-3:], v_object[3:])
         return Observation(
             t=self.t,
             p_object=q[-7:-4].copy(),
-            quat_object=q[[-1, -4, -3, -2]],
-            v_object=np.concatenate([R_world_object.dot(v[-6:-3]), R_world_object.dot(v[-3:])]),
+            quat_object=q[_SCALAR_FIRST],
+            v_object=v_object,
             grasp_wrench=wrench,
             contact_error_m=gap_m,
             contact_error_rad=gap_rad,
@@ -228,8 +233,8 @@ class Plant:
         gap_rad += np.nan
         for i, wrench_grasp, T_grasp_ee in self._observer.grasp_forces():
             R_world_grasp = R_world_object.dot(self._R_object_ee[i])
-            wrench[i, :3] = R_world_grasp.dot(wrench_grasp.linear)
-            wrench[i, 3:] = R_world_grasp.dot(wrench_grasp.angular)
+            R_world_grasp.dot(wrench_grasp.linear, wrench[i, :3])
+            R_world_grasp.dot(wrench_grasp.angular, wrench[i, 3:])
             translation, rotation = T_grasp_ee.translation, pin.log3(T_grasp_ee.rotation)
             gap_m[i] = math.sqrt(translation.dot(translation))
             gap_rad[i] = math.sqrt(rotation.dot(rotation))
