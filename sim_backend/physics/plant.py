@@ -175,14 +175,10 @@ class Plant:
         """Let time pass while the cell rests on a support."""
         self._substeps += substeps
 
-    def reported(self) -> tuple[Vector, Vector, Vector]:
-        """What the servos say: positions (J,) rad, velocities (J,) rad/s, torques (J,) N·m estimated from current."""
-        servos, J = self.servos, self.joint_count
-        return (
-            servos.reported_position(self._q[:J]),
-            servos.reported_velocity(self._v[:J]),
-            servos.reported_torque(self._tau_motor),
-        )
+    def reported(self) -> Vector:
+        """What the servos say, (3, J): positions rad, velocities rad/s, torques N·m estimated from current."""
+        J = self.joint_count
+        return self.servos.reported(self._q[:J], self._v[:J], self._tau_motor)
 
     def meter_grasps(self) -> None:
         """Sum up the torques of the grasps from now on, which takes some time."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import socket
 import struct
-from collections.abc import Sequence
 from enum import Enum, auto
 
 import numpy as np
@@ -134,13 +133,13 @@ class Seat:
         with contextlib.suppress(BlockingIOError):
             self.say(refusal_words(MessageKind.NOTICE, refusal), socket.MSG_DONTWAIT)
 
-    def send_state(self, kind: MessageKind, number: int, stamp_ns: int, state: Sequence[Vector], flags: int) -> None:
-        """Send this arm's part of (J,) positions, velocities, torques, and of a guest grasp torques.
+    def send_state(self, kind: MessageKind, number: int, stamp_ns: int, state: Vector, flags: int) -> None:
+        """Send this arm's part of `state`, whose rows (J,) are positions, velocities, torques, a guest's grasp torques.
 
         Stamped by this arm's clock.
         """
-        parts = [values[self.joints].tobytes() for values in state]
-        self._state.pack_into(self._out, 0, kind, number, stamp_ns + self._skew_ns, *parts)
+        part = state[:, self.joints].tobytes()
+        self._state.pack_into(self._out, 0, kind, number, stamp_ns + self._skew_ns, part)
         try:
             self.say(self._out, flags)
         except BlockingIOError:
