@@ -84,6 +84,7 @@ class Plant:
         self._rotor_inertia = np.array(self._chain.composition.rotor_inertia[:J])
         self._armature = self._chain.model.armature[:J]  # a view: what is written here reaches the next evaluation
         self._R_object_ee = [np.array(arm.T_object_ee.rotation) for arm in spec.arms]
+        self._no_gaps = np.full((2, len(spec.arms)), np.nan)  # of grasps that are open
         self._push = np.zeros(6)
         self._pushed = False
         self._tau_motor = np.zeros(J)
@@ -224,16 +225,14 @@ class Plant:
 
     def _grasp_state(self, R_world_object: Vector) -> tuple[Vector, Vector, Vector]:
         """Wrenches (N, 6) on the object, world axes, and gaps (N,) m, (N,) rad, of the observer's last evaluation."""
-        wrench, gap_m, gap_rad = np.zeros((N := len(self.spec.arms), 6)), np.zeros(N), np.zeros(N)
-        gap_m += np.nan
-        gap_rad += np.nan
-        for i, wrench_grasp, T_grasp_ee in self._observer.grasp_forces():
+        wrench, (gap_m, gap_rad) = np.zeros((len(self.spec.arms), 6)), self._no_gaps.copy()
+        for i, _, force, moment, p_ee, R_ee in self._observer.grasp_states:
             R_world_grasp = R_world_object.dot(self._R_object_ee[i])
-            R_world_grasp.dot(wrench_grasp.linear, wrench[i, :3])
-            R_world_grasp.dot(wrench_grasp.angular, wrench[i, 3:])
-            translation, rotation = T_grasp_ee.translation, pin.log3(T_grasp_ee.rotation)
-            gap_m[i] = math.sqrt(translation.dot(translation))
-            gap_rad[i] = math.sqrt(rotation.dot(rotation))
+            R_world_grasp.dot(-force, wrench[i, :3])
+            R_world_grasp.dot(-moment, wrench[i, 3:])
+            turned = pin.log3(R_ee)
+            gap_m[i] = math.sqrt(p_ee.dot(p_ee))
+            gap_rad[i] = math.sqrt(turned.dot(turned))
         return wrench, gap_m, gap_rad
 
     def push(self, wrench_world: Vector) -> None:
