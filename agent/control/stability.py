@@ -49,7 +49,7 @@ class SampledLoop:
         n, M_inv = len(torques) - 1, np.asarray(np.linalg.inv(M), dtype=np.float64)
         first, rest = torques[-1], torques[max(n - 1, 0)]
         share = self.delay_periods - (n - 1) if n else 0.0
-        return held(self.period_s, share, M_inv @ first, M_inv @ rest)
+        return held(self.period_s, 0.5 * self.period_s * self.period_s, share, M_inv @ first, M_inv @ rest)
 
 
 class TaskGains(NamedTuple):

@@ -19,7 +19,6 @@ from agent.telemetry.row.sample import MAX_JOINTS, PLANT_STATE
 from agent.telemetry.row.topics import PLANT
 from agent.verify.check import examine
 from drivers.clock import utc_offset_ns
-from drivers.interface import Vector
 from sim_backend.physics.build import AnyPlant, build_plant
 from sim_backend.physics.plant import Observation
 from sim_backend.served.options import LostArm, ServerOptions
@@ -96,36 +95,38 @@ class Truth:
         self._ring = ring
         self._lockstep = lockstep
         self._utc_offset_ns = utc_offset_ns
-        self._slices = plant.slices
-        row: Any = np.asarray(ring.row).reshape(())
+        row: Any = np.asarray(ring.row).reshape(1)
         row["config_id"] = cell.config_id
-        row["arm_count"] = len(cell.arms)
-        self._row = row
+        row["arm_count"] = n = len(cell.arms)
+        # views are taken once: by its name, a field takes longer to find than to fill
+        self._sequence, self._stamp_ns, self._utc_ns = row["sequence"], row["stamp_ns"], row["utc_ns"]
+        self._t, self._energy = row["t"], row["energy"]
+        self._views = {
+            "p_object": row["p_object"][0],
+            "quat_object": row["quat_object"][0],
+            "v_object": row["v_object"][0],
+            "grasp_wrench": row["grasp_wrench"].reshape(-1, 6)[:n],
+            "contact_error_m": row["contact_error_m"][0, :n],
+            "contact_error_rad": row["contact_error_rad"][0, :n],
+        }
         self._joint_views = {
-            name: row[name].reshape(-1, MAX_JOINTS) for name in ("q", "dq", "tau_applied", "tau_friction")
+            name: [
+                (own[: part.stop - part.start], part)
+                for own, part in zip(row[name].reshape(-1, MAX_JOINTS), plant.slices, strict=False)
+            ]
+            for name in ("q", "dq", "tau_applied", "tau_friction")
         }
 
     def write(self, sequence: int, stamp_ns: int, seen: Observation) -> None:
         """Append one row; in lockstep waits for its reader."""
-        row, n = self._row, len(seen.contact_error_m)
-        row["sequence"] = sequence
-        row["stamp_ns"] = stamp_ns
-        row["utc_ns"] = self._utc_offset_ns + stamp_ns
-        row["t"] = seen.t
-        row["p_object"], row["quat_object"], row["v_object"] = seen.p_object, seen.quat_object, seen.v_object
-        row["grasp_wrench"][: 6 * n] = seen.grasp_wrench.ravel()
-        row["contact_error_m"][:n] = seen.contact_error_m
-        row["contact_error_rad"][:n] = seen.contact_error_rad
-        row["energy"] = seen.energy
-        self._put("q", seen.q)
-        self._put("dq", seen.dq)
-        self._put("tau_applied", seen.tau_applied)
-        self._put("tau_friction", seen.tau_friction)
+        self._sequence[0], self._stamp_ns[0], self._utc_ns[0] = sequence, stamp_ns, self._utc_offset_ns + stamp_ns
+        self._t[0], self._energy[0] = seen.t, seen.energy
+        for name, view in self._views.items():
+            view[:] = getattr(seen, name)
+        for name, parts in self._joint_views.items():
+            values = getattr(seen, name)
+            for view, part in parts:
+                view[:] = values[part]
         if self._lockstep:
             self._ring.wait_for_space()
         self._ring.commit()
-
-    def _put(self, name: str, values: Vector) -> None:
-        view = self._joint_views[name]
-        for i, part in enumerate(self._slices):
-            view[i, : part.stop - part.start] = values[part]

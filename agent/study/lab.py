@@ -91,8 +91,8 @@ class Place:
         self._command = command
         self._skew_ns = skew_ns
 
-    def cycle(self, stamp_ns: int, zero_ns: int, reported: tuple[Vector, Vector, Vector], happened: Event) -> Vector:
-        """One cycle as `agent.runner` does it; the torque that its servos are told.  reported: of all joints (J,)."""
+    def cycle(self, stamp_ns: int, zero_ns: int, reported: Vector, happened: Event) -> Vector:
+        """One cycle as `agent.runner` does it; the torque that its servos are told.  reported: (3, J)."""
         if self.limp:
             return np.zeros(self.agent.model.n)
         q, dq, tau = (values[self.joints] for values in reported)

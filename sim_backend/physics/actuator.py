@@ -18,6 +18,7 @@ POSITION_LSB_RAD: Final = 2 * math.pi / 4096  # encoder of the MX (Protocol 2.0)
 VELOCITY_LSB_RAD_S: Final = 0.229 * 2 * math.pi / 60  # their present velocity counts in 0.229 rpm
 COULOMB_SPEED_RAD_S: Final = 0.01
 FINEST_LSB: Final = 2.0**-60  # stands for "no grid": below the spacing of doubles above 0.004
+NO_LSB: Final = 2.0**-900  # the same for a whole row: below the spacing of doubles above 1e-255
 
 Numbers = float | Sequence[float] | Vector
 
@@ -137,13 +138,14 @@ class ActuatorSpec:
 
 
 class Grid:
-    """Rounds (k,) values to whole multiples of their resolution (k,); 0 leaves a value as it is."""
+    """Rounds values (k,), or rows (m, k), to whole multiples of their resolution; 0 leaves a value as it is."""
 
     def __init__(self, lsb: Vector) -> None:
-        self._lsb = np.maximum(lsb, FINEST_LSB) if np.any(lsb) else None
+        finest = np.where(lsb.any(axis=-1, keepdims=True), FINEST_LSB, NO_LSB)
+        self._lsb = np.maximum(lsb, finest) if np.any(lsb) else None
 
     def __call__(self, values: Vector) -> Vector:
-        """Return a new array (k,)."""
+        """Return a new array of the same shape."""
         if self._lsb is None:
             return values.copy()
         counted = np.divide(values, self._lsb)
@@ -198,10 +200,8 @@ class Servos:
         self._viscous = join("viscous_Nms_rad")
         self._coulomb_speed = join("coulomb_speed_rad_s")
         self.has_friction = bool(np.any(self._coulomb) or np.any(self._viscous))
-        self._position_grid = Grid(join("position_lsb_rad"))
         self._zero_error = join("zero_error_rad")
-        self.reported_velocity = Grid(join("velocity_lsb_rad_s"))
-        self._current_grid = Grid(join("torque_lsb_Nm"))
+        self._reported = Grid(np.stack([join("position_lsb_rad"), join("velocity_lsb_rad_s"), join("torque_lsb_Nm")]))
         self._zeros, self._low, self._high, self._signed_stall, self._motor, self._friction = np.zeros(
             (6, len(self._scale))
         )
@@ -240,10 +240,14 @@ class Servos:
         self._viscous[joints] = viscous_Nms_rad
         self.has_friction = bool(np.any(self._coulomb) or np.any(self._viscous))
 
-    def reported_position(self, q: Vector) -> Vector:
-        """Angles (J,) as the encoders count them: from where they believe zero to be."""
-        return self._position_grid(q + self._zero_error)
+    def reported(self, q: Vector, dq: Vector, tau_motor_Nm: Vector) -> Vector:
+        """What the servos say of true angles, velocities and torques, (J,) each: a new array (3, J).
 
-    def reported_torque(self, tau_motor_Nm: Vector) -> Vector:
-        """Torques (J,) as estimated from current: with the believed torque constant, not the true one."""
-        return self._current_grid(tau_motor_Nm / self._scale)
+        Angles are counted from where the encoders believe zero to be; torques are estimated from current, with the
+        believed torque constant and not the true one.
+        """
+        said = np.empty((3, len(self._scale)))
+        np.add(q, self._zero_error, said[0])
+        said[1] = dq
+        np.divide(tau_motor_Nm, self._scale, said[2])
+        return self._reported(said)

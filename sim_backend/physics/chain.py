@@ -8,11 +8,32 @@ pinocchio 4.1 are dealt with here (docs/decisions/0008-closed-chain-solver.md): 
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import pinocchio as pin
 
 from drivers.interface import Vector
 from sim_backend.physics.composition import Composition, compose
 from sim_backend.physics.spec import PlantSpec
+
+
+class GraspState(NamedTuple):
+    """A closed grasp at the last evaluation, in the axes of the grasp on the object, at its origin.
+
+    Its arrays are views of pinocchio's memory, taken once: asking for them takes longer than what they are for.
+    """
+
+    arm: int
+    state: pin.RigidConstraintData  # whose memory that is
+    force: Vector  # (3,) N of the object on the arm, as `lcaba` counts
+    moment: Vector  # (3,) N·m
+    p_ee: Vector  # (3,) m, of the end effector: the gap
+    R_ee: Vector  # (3, 3)
+
+    @property
+    def wrench(self) -> pin.Force:
+        """Of the arm on the object."""
+        return pin.Force(-self.force, -self.moment)
 
 
 class Chain:
@@ -42,7 +63,7 @@ class Chain:
             self.states.append(self.composition.grasps[i].createData())
         self.data = self.model.createData()
         pin.computeJointMinimalOrdering(self.model, self.data, self.grasps)
-        self.state_by_arm = [(arm, self.states[i]) for i, arm in enumerate(arms)]
+        self.grasp_states = [_views(arm, self.states[i]) for i, arm in enumerate(arms)]
 
     def acceleration(self, q: Vector, v: Vector, tau: Vector) -> Vector:
         """View (nv,) of pinocchio's buffer; the next call overwrites it."""
@@ -50,9 +71,7 @@ class Chain:
         a: Vector = pin.lcaba(self.model, self.data, q, v, tau, self.grasps, self.states, self.proximal)
         return a
 
-    def grasp_forces(self) -> list[tuple[int, pin.Force, pin.SE3]]:
-        """Of each closed grasp at the last evaluation: the arm, its wrench on the object, and the gap.
 
-        The wrench is in the axes of the grasp on the object, at its origin; the gap is the end effector's pose there.
-        """
-        return [(arm, -state.contact_force, state.c1Mc2) for arm, state in self.state_by_arm]
+def _views(arm: int, state: pin.RigidConstraintData) -> GraspState:
+    wrench, T_grasp_ee = state.contact_force, state.c1Mc2
+    return GraspState(arm, state, wrench.linear, wrench.angular, T_grasp_ee.translation, T_grasp_ee.rotation)

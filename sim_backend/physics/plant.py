@@ -37,6 +37,8 @@ from sim_backend.physics.joints import dry_friction
 from sim_backend.physics.meter import ChainGrasps
 from sim_backend.physics.spec import PlantSpec, diverged
 
+_SCALAR_FIRST = np.array([-1, -4, -3, -2])  # of the object's quaternion at the end of q
+
 
 @dataclass(frozen=True, eq=False)
 class Observation:
@@ -82,6 +84,7 @@ class Plant:
         self._rotor_inertia = np.array(self._chain.composition.rotor_inertia[:J])
         self._armature = self._chain.model.armature[:J]  # a view: what is written here reaches the next evaluation
         self._R_object_ee = [np.array(arm.T_object_ee.rotation) for arm in spec.arms]
+        self._no_gaps = np.full((2, len(spec.arms)), np.nan)  # of grasps that are open
         self._push = np.zeros(6)
         self._pushed = False
         self._tau_motor = np.zeros(J)
@@ -173,14 +176,10 @@ class Plant:
         """Let time pass while the cell rests on a support."""
         self._substeps += substeps
 
-    def reported(self) -> tuple[Vector, Vector, Vector]:
-        """What the servos say: positions (J,) rad, velocities (J,) rad/s, torques (J,) N·m estimated from current."""
-        servos, J = self.servos, self.joint_count
-        return (
-            servos.reported_position(self._q[:J]),
-            servos.reported_velocity(self._v[:J]),
-            servos.reported_torque(self._tau_motor),
-        )
+    def reported(self) -> Vector:
+        """What the servos say, (3, J): positions rad, velocities rad/s, torques N·m estimated from current."""
+        J = self.joint_count
+        return self.servos.reported(self._q[:J], self._v[:J], self._tau_motor)
 
     def meter_grasps(self) -> None:
         """Sum up the torques of the grasps from now on, which takes some time."""
@@ -198,18 +197,21 @@ class Plant:
         servos.command(tau_cmd_Nm)
         tau_motor = servos.motor_torque(dq).copy()
         tau_friction = -servos.friction_coefficient(dq) * dq if self._dry is None else self._tau_dry.copy()
-        tau = np.zeros_like(v)
+        tau = np.zeros(len(v))
         np.add(tau_motor, tau_friction, tau[:J])
         if self._pushed:
             tau[J:] = self._push_in_object_axes(q)
         chain.acceleration(q, v, tau)
         R_world_object = self.T_world_object.rotation
         wrench, gap_m, gap_rad = self._grasp_state(R_world_object)
+        v_object = np.empty(6)
+        R_world_object.dot(v[-6:-3], v_object[:3])
+        R_world_object.dot(v[-3:], v_object[3:])
         return Observation(
             t=self.t,
             p_object=q[-7:-4].copy(),
-            quat_object=q[[-1, -4, -3, -2]],
-            v_object=np.concatenate([R_world_object.dot(v[-6:-3]), R_world_object.dot(v[-3:])]),
+            quat_object=q[_SCALAR_FIRST],
+            v_object=v_object,
             grasp_wrench=wrench,
             contact_error_m=gap_m,
             contact_error_rad=gap_rad,
@@ -223,16 +225,14 @@ class Plant:
 
     def _grasp_state(self, R_world_object: Vector) -> tuple[Vector, Vector, Vector]:
         """Wrenches (N, 6) on the object, world axes, and gaps (N,) m, (N,) rad, of the observer's last evaluation."""
-        wrench, gap_m, gap_rad = np.zeros((N := len(self.spec.arms), 6)), np.zeros(N), np.zeros(N)
-        gap_m += np.nan
-        gap_rad += np.nan
-        for i, wrench_grasp, T_grasp_ee in self._observer.grasp_forces():
+        wrench, (gap_m, gap_rad) = np.zeros((len(self.spec.arms), 6)), self._no_gaps.copy()
+        for i, _, force, moment, p_ee, R_ee in self._observer.grasp_states:
             R_world_grasp = R_world_object.dot(self._R_object_ee[i])
-            wrench[i, :3] = R_world_grasp.dot(wrench_grasp.linear)
-            wrench[i, 3:] = R_world_grasp.dot(wrench_grasp.angular)
-            translation, rotation = T_grasp_ee.translation, pin.log3(T_grasp_ee.rotation)
-            gap_m[i] = math.sqrt(translation.dot(translation))
-            gap_rad[i] = math.sqrt(rotation.dot(rotation))
+            R_world_grasp.dot(-force, wrench[i, :3])
+            R_world_grasp.dot(-moment, wrench[i, 3:])
+            turned = pin.log3(R_ee)
+            gap_m[i] = math.sqrt(p_ee.dot(p_ee))
+            gap_rad[i] = math.sqrt(turned.dot(turned))
         return wrench, gap_m, gap_rad
 
     def push(self, wrench_world: Vector) -> None:

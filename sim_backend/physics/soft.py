@@ -213,11 +213,10 @@ class SoftPlant:
         """Let time pass while the cell rests on a support."""
         self._substeps += substeps
 
-    def reported(self) -> tuple[Vector, Vector, Vector]:
-        """What the servos say: positions (J,) rad, velocities (J,) rad/s, torques (J,) N·m estimated from current."""
+    def reported(self) -> Vector:
+        """What the servos say, (3, J): positions rad, velocities rad/s, torques N·m estimated from current."""
         self._arrive()
-        s = self.servos
-        return s.reported_position(self._q), s.reported_velocity(self._dq), s.reported_torque(self._tau_motor)
+        return self.servos.reported(self._q, self._dq, self._tau_motor)
 
     def meter_grasps(self) -> None:
         """Sum up the torques of the grasps from now on, which takes some time."""

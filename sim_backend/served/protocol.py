@@ -53,8 +53,8 @@ class FixedMessage:
 
 
 def state_layout(arrays: int, joint_count: int) -> struct.Struct:
-    """Packs header and so many arrays (n,) of doubles, each as its bytes."""
-    return struct.Struct(HEADER.format + arrays * f"{8 * joint_count}s")
+    """Packs header and the bytes of so many arrays (n,) of doubles."""
+    return struct.Struct(f"{HEADER.format}{8 * arrays * joint_count}s")
 
 
 def words(kind: MessageKind, **content: object) -> bytes:

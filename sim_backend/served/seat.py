@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import socket
 import struct
-from collections.abc import Sequence
 from enum import Enum, auto
 
 import numpy as np
@@ -81,6 +80,7 @@ class Seat:
     def _use_layout(self, arrays: int) -> None:
         self._state = state_layout(arrays, len(self.arm.controlled))
         self._out = bytearray(self._state.size)
+        self._command_bytes = HEADER.size + 8 * len(self.arm.controlled) * (2 if self.guest else 1)
 
     def seat(self, connection: socket.socket, watchdog_s: float | None = None) -> None:
         """Take over a connection that has introduced itself; watchdog_s: of a guest."""
@@ -133,13 +133,13 @@ class Seat:
         with contextlib.suppress(BlockingIOError):
             self.say(refusal_words(MessageKind.NOTICE, refusal), socket.MSG_DONTWAIT)
 
-    def send_state(self, kind: MessageKind, number: int, stamp_ns: int, state: Sequence[Vector], flags: int) -> None:
-        """Send this arm's part of (J,) positions, velocities, torques, and of a guest grasp torques.
+    def send_state(self, kind: MessageKind, number: int, stamp_ns: int, state: Vector, flags: int) -> None:
+        """Send this arm's part of `state`, whose rows (J,) are positions, velocities, torques, a guest's grasp torques.
 
         Stamped by this arm's clock.
         """
-        parts = [values[self.joints].tobytes() for values in state]
-        self._state.pack_into(self._out, 0, kind, number, stamp_ns + self._skew_ns, *parts)
+        part = state[:, self.joints].tobytes()
+        self._state.pack_into(self._out, 0, kind, number, stamp_ns + self._skew_ns, part)
         try:
             self.say(self._out, flags)
         except BlockingIOError:
@@ -160,18 +160,16 @@ class Seat:
         if size < HEADER.size:
             raise Vanished(f"it sent {size} bytes that mean nothing")
         kind, self.number, _ = HEADER.unpack_from(self._in)
-        if kind == MessageKind.COMMAND:
-            self._take_command(size)
-            return MessageKind.COMMAND
         known = KINDS.get(kind)
         if known is None:
             raise Vanished(f"it sent an unknown message, kind {kind}")
+        if known is MessageKind.COMMAND:
+            self._take_command(size)
         return known
 
     def _take_command(self, size: int) -> None:
-        expected = HEADER.size + 8 * len(self.tau) * (2 if self.guest else 1)
-        if size != expected:
-            raise Vanished(f"it sent a command of {size} bytes instead of {expected}")
+        if size != self._command_bytes:
+            raise Vanished(f"it sent a command of {size} bytes instead of {self._command_bytes}")
         try:
             self.tau = self._command(self._in_tau[0])
             if self.guest:

@@ -170,17 +170,17 @@ class _Server:
             seat.told = tick
             seat.send_state(MessageKind.STATE, tick, stamp_ns, true if seat.guest else reported, flags)
 
-    def _true(self, reported: Sequence[Vector]) -> tuple[Vector, ...]:
+    def _true(self, reported: Vector) -> Vector:
         """What a real arm's twin tells, which has no servos: true motion, and the grasps' torques of the last tick."""
         plant = self._plant
-        return plant.q, plant.dq, reported[2], plant.grasp_torque()
+        return np.stack([plant.q, plant.dq, reported[2], plant.grasp_torque()])
 
     def _reply(self, seat: Seat) -> None:
         """Answer a POLL: the state now, under the number of the question."""
         stamp_ns = round(self._plant.t * 1e9) if self._options.lockstep else time.monotonic_ns()
-        state: tuple[Vector, ...] = self._plant.reported()
+        state = self._plant.reported()
         if seat.guest:
-            state = self._plant.q, self._plant.dq, state[2], np.zeros(self._plant.joint_count)
+            state = np.stack([self._plant.q, self._plant.dq, state[2], np.zeros(self._plant.joint_count)])
         seat.send_state(MessageKind.REPLY, seat.number, stamp_ns, state, socket.MSG_DONTWAIT)
 
     def _integrate(self, parts: Sequence[tuple[int, int]]) -> None:

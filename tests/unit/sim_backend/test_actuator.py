@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from drivers.interface import DriverError
 from sim_backend.physics.actuator import (
+    NO_LSB,
     POSITION_LSB_RAD,
     VELOCITY_LSB_RAD_S,
     ActuatorError,
@@ -37,8 +38,7 @@ def test_ideal_servos_give_exactly_what_is_commanded(tau: list[float]) -> None:
     servos.command(sent)
     assert sent.tolist() == tau
     assert servos.motor_torque(row(1, -2, 3)).tolist() == tau
-    assert servos.reported_torque(sent).tolist() == tau
-    assert servos.reported_position(row(*tau)).tolist() == tau
+    assert servos.reported(row(*tau), row(*tau), sent).tolist() == [tau, tau, tau]
 
 
 @given(torques, st.floats(0.001, 0.5), st.floats(0.5, 5))
@@ -99,7 +99,7 @@ def test_torque_constant_error_scales_the_torque_but_not_what_current_tells() ->
     servos.command(row(1.0))
     applied = servos.motor_torque(row(0.0)).copy()
     assert applied[0] == pytest.approx(0.9)
-    assert servos.reported_torque(applied)[0] == pytest.approx(1.0)
+    assert servos.reported(row(0.0), row(0.0), applied)[2, 0] == pytest.approx(1.0)
 
 
 @given(speeds, st.floats(0, 1), st.floats(0, 1), st.floats(1e-4, 1))
@@ -119,10 +119,9 @@ def test_friction_far_from_rest_is_coulomb_plus_viscous() -> None:
 def test_reported_motion_is_on_the_servos_grid(value: float) -> None:
     spec = ActuatorSpec.of(1, position_lsb_rad=POSITION_LSB_RAD, velocity_lsb_rad_s=VELOCITY_LSB_RAD_S)
     servos = Servos([spec])
-    for reported, lsb in (
-        (servos.reported_position(row(value))[0], POSITION_LSB_RAD),
-        (servos.reported_velocity(row(value))[0], VELOCITY_LSB_RAD_S),
-    ):
+    said = servos.reported(row(value), row(value), row(value))[:, 0]
+    assert abs(said[2] - value) < NO_LSB  # which has no resolution
+    for reported, lsb in zip(said[:2], (POSITION_LSB_RAD, VELOCITY_LSB_RAD_S), strict=True):
         assert abs(reported - value) <= lsb / 2 + 1e-12
         assert abs(reported / lsb - round(reported / lsb)) < 1e-6
 

@@ -61,7 +61,7 @@ class Reference:
 def assert_same(chain: Chain, reference: Reference, state: State) -> None:
     a, wrenches = reference.solve(*state)
     np.testing.assert_allclose(chain.acceleration(*state), a, atol=1e-9 * max(1.0, np.abs(a).max()))
-    found = [wrench.vector for _, wrench, _ in chain.grasp_forces()]
+    found = [grasp.wrench.vector for grasp in chain.grasp_states]
     np.testing.assert_allclose(found, wrenches, atol=1e-9 * max(1.0, np.abs(wrenches).max()))
 
 
@@ -77,8 +77,8 @@ def test_result_is_the_same_bit_for_bit_whatever_was_solved_before(spec: PlantSp
     for state in states(spec):
         fresh = Chain(spec)
         assert used.acceleration(*state).tobytes() == fresh.acceleration(*state).tobytes()
-        for (_, wrench, _), (_, expected, _) in zip(used.grasp_forces(), fresh.grasp_forces(), strict=True):
-            assert wrench.vector.tobytes() == expected.vector.tobytes()
+        for grasp, expected in zip(used.grasp_states, fresh.grasp_states, strict=True):
+            assert grasp.wrench.vector.tobytes() == expected.wrench.vector.tobytes()
 
 
 def test_arms_that_let_go_are_solved_as_free_ones() -> None:
@@ -88,9 +88,9 @@ def test_arms_that_let_go_are_solved_as_free_ones() -> None:
     chain.acceleration(*state)
     chain.close((0, 2))
     assert_same(chain, Reference(chain), state)
-    assert [arm for arm, _, _ in chain.grasp_forces()] == [0, 2]
+    assert [grasp.arm for grasp in chain.grasp_states] == [0, 2]
     chain.close(())
-    assert chain.grasp_forces() == []
+    assert chain.grasp_states == []
     np.testing.assert_allclose(
         chain.acceleration(*state), pin.aba(chain.model, chain.model.createData(), *state), atol=1e-9
     )
@@ -106,7 +106,5 @@ def test_wrench_is_that_on_the_object_in_the_axes_of_the_grasp() -> None:
         body = pin.Inertia(spec.object.mass_kg, np.zeros(3), np.array(spec.object.inertia))
         gravity = pin.Motion(T.rotation.T @ spec.gravity, np.zeros(3))
         needed = body * (a - gravity) + twist.cross(body * twist)
-        total = sum(
-            (spec.arms[arm].T_object_ee.act(wrench) for arm, wrench, _ in chain.grasp_forces()), pin.Force.Zero()
-        )
+        total = sum((spec.arms[g.arm].T_object_ee.act(g.wrench) for g in chain.grasp_states), pin.Force.Zero())
         np.testing.assert_allclose(total.vector, needed.vector, atol=1e-7)

@@ -244,13 +244,20 @@ def test_what_is_handed_out_belongs_to_the_receiver() -> None:
     plant = Plant(planar_cell())
     plant.advance(np.full(6, 0.1), 10)
     seen, q, reported = plant.observe(nothing(plant)), plant.q, plant.reported()
-    kept = [a.copy() for a in (seen.p_object, seen.grasp_wrench, seen.tau_applied, seen.q, q, *reported)]
+    gaps = seen.contact_error_m, seen.contact_error_rad
+    handed_out = (seen.p_object, seen.quat_object, seen.grasp_wrench, *gaps, seen.tau_applied, seen.q, q, *reported)
+    kept = [a.copy() for a in handed_out]
     plant.advance(np.full(6, -0.4), 50)
     plant.observe(np.ones(6))
-    for array, copy in zip(
-        (seen.p_object, seen.grasp_wrench, seen.tau_applied, seen.q, q, *reported), kept, strict=True
-    ):
+    for array, copy in zip(handed_out, kept, strict=True):
         assert array.tolist() == copy.tolist()
+
+
+def test_attitude_is_told_scalar_first() -> None:
+    plant = Plant(planar_cell())
+    plant.advance(np.full(6, 0.1), 50)
+    told = pin.Quaternion(*plant.observe(nothing(plant)).quat_object.tolist())
+    np.testing.assert_allclose(told.matrix(), plant.T_world_object.rotation, atol=1e-12)
 
 
 def test_released_arm_no_longer_acts_on_the_object() -> None:

@@ -62,6 +62,8 @@ def test_a_guest_is_told_true_motion_and_its_grasps_torque_and_waits_for_nothing
         assert max(float(np.abs(s.grasp).max()) for s in states) > 0.01, "the object pulls"
         lsb = served.spec.arms[0].actuator.position_lsb_rad
         assert np.abs(np.rint(states[-1].q / lsb) * lsb - states[-1].q).max() > 1e-9, "not as an encoder counts"
+        told = [s.grasp / served.spec.arms[0].actuator.torque_lsb_Nm for s in states]
+        assert max(float(np.abs(np.rint(t) - t).max()) for t in told) > 1e-3, "not as a current is counted"
         twin.close()
         assert twin.newest() is None
 
