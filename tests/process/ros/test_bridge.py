@@ -21,6 +21,7 @@ from agent.ros.wire import Topic
 from agent.telemetry.link.publish import Pace
 from agent.telemetry.link.session import Network, NetworkError, Role
 from agent.telemetry.row.topics import PLANT
+from tests.support.ports import free_port
 from tests.support.ros import foreign, router
 from tests.support.ros.plain import plain
 from tests.support.telemetry.one_arm import written
@@ -91,7 +92,7 @@ def stamp(message: object) -> object:
 
 
 def test_a_foreign_client_hears_the_cell_as_the_log_has_it(tmp_path: Path) -> None:
-    port = router.free_port()
+    port = free_port()
     with (
         router.router(port) as ros_at,
         recorder(tmp_path / "run.mcap", has_plant=True) as rec,
@@ -143,7 +144,7 @@ def test_a_foreign_client_hears_the_cell_as_the_log_has_it(tmp_path: Path) -> No
 
 def test_a_bridge_that_is_stopped_holds_up_no_lockstep_run(tmp_path: Path) -> None:
     """It is told more than all buffers on the way hold, and whoever waited for it would close its link after 5 s."""
-    port = router.free_port()
+    port = free_port()
     with router.router(port) as ros_at, recorder(tmp_path / "run.mcap", {"left": ARMS["left"]}) as rec:
         endpoint = rec.ready()
         patient = tmp_path / "bridge.json5"  # its silence alone is no reason to close the link
@@ -191,7 +192,7 @@ def linked(pid: int | None, port: int) -> bool:
 
 
 def test_without_a_router_it_says_so_at_once() -> None:
-    nowhere = Network(connect=(f"tcp/127.0.0.1:{router.free_port()}",), role=Role.VIEWER, timestamps=True)
+    nowhere = Network(connect=(f"tcp/127.0.0.1:{free_port()}",), role=Role.VIEWER, timestamps=True)
     options = bridge.BridgeOptions(scene(CELL, ARMS), CONFIG_ID, False, nowhere, nowhere)
     with pytest.raises(NetworkError, match="cannot open the network"):
         bridge.run(options, lambda: True, lambda _: None)

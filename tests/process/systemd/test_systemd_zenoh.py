@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import shutil
-import socket
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -15,6 +14,7 @@ import zenoh
 import zenoh.ext
 
 from agent.telemetry.row.topics import Address, Kind, cell_keys, status_key
+from tests.support.ports import free_port
 from tests.support.systemd.unit_files import SYSTEMD
 from tests.support.telemetry.cell_certificates import fill_in, make_certificates
 
@@ -32,9 +32,7 @@ class Recorder:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            self.port = probe.getsockname()[1]
+        self.port = free_port()
         self.heard: list[tuple[str, bytes]] = []
         self.session = zenoh.open(self._configured("recorder.json5", "recorder"))
         self._status = self.session.declare_queryable(STATUS, lambda query: query.reply(STATUS, b"fine"))
