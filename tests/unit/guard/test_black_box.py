@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
+from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from types import SimpleNamespace
@@ -23,7 +25,7 @@ CELL = load_cell(configs.CELLS_DIR / "two_wx200.toml")
 
 
 @pytest.fixture
-def gate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def gate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """In place of the writer: a program that notes its arguments and ends once somebody has opened this pipe."""
     gate = tmp_path / "gate"
     os.mkfifo(gate)
@@ -32,7 +34,9 @@ def gate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     )
     monkeypatch.setattr(black_box, "WRITER", "waits")
     monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
-    return gate
+    yield gate
+    with contextlib.suppress(OSError):  # nobody reads: it has ended
+        os.close(os.open(gate, os.O_WRONLY | os.O_NONBLOCK))
 
 
 @pytest.mark.parametrize("beats", [1, 3])
