@@ -95,7 +95,7 @@ def _main(path: Path) -> dict[str, object]:
 
 
 if __name__ == "__main__":
-    # on a disk, for what lies in memory is never paged out of it; where git and a source package being built do not look
+    # on a disk, for what lies in memory is never paged out of it, and where neither git nor a package being built looks
     place = ROOT / ".pytest_cache" / f"pressure-{os.getpid()}"
     place.parent.mkdir(exist_ok=True)
     try:
