@@ -12,7 +12,7 @@ import pytest
 from agent.log.read import RunLog, read_log
 from tests.support.coop import coop
 from tests.support.once import once
-from tests.support.stalls import ATTEMPTS, stalled
+from tests.support.stalls import ATTEMPTS, Kernel, stalled_in
 
 PAPER_RUN_S = 3
 TRANSIENT_S = 1.0
@@ -45,10 +45,11 @@ def run_of(tmp_path_factory: pytest.TempPathFactory) -> RunOf:
             attempts = ATTEMPTS if {"--wire", "--real-time"} & set(words) else 1
             stalls: list[str] = []
             for attempt in range(attempts):  # a machine that stalls may end a run in real time; a defect ends all
+                kernel = Kernel()
                 done = coop("run", *words, "--out", "out", *(("--force",) if attempt else ()), cwd=folder)
                 if done.returncode == 0:
                     return
-                stalls.append(stalled(read_log(folder / "out" / "run.mcap")) if attempts > 1 else "")
+                stalls.append((stalled_in(folder / "out" / "run.mcap") or kernel.accuses()) if attempts > 1 else "")
             if all(stalls):
                 pytest.skip(f"this machine stalled in each of {attempts} runs, which ended for it: {', '.join(stalls)}")
             pytest.fail(done.stderr)

@@ -32,7 +32,7 @@ from agent.telemetry.row.sample import AGENT_STATE
 from agent.telemetry.row.topics import Kind
 from tests.support.command import coop
 from tests.support.coop import COOP
-from tests.support.stalls import Kernel, Stalled, despite_stalls
+from tests.support.stalls import Kernel, despite_stalls
 
 PATIENCE_S = 30.0
 SOME_ROWS = 40
@@ -71,7 +71,6 @@ class Host:
         self.manager.bind(str(folder / "notify"))
         self.kept: int | None = None
         self.cell = folder / "cell.toml"
-        self.kernel = Kernel()
 
     def start(
         self, *arguments: str | Path, prefix: tuple[str, ...] = (), program: tuple[str, ...] = COOP, **more: str
@@ -160,16 +159,12 @@ def in_real_time(*more: str, settings: str = "") -> Callable[[Callable[[Host], N
         @pytest.mark.timeout(400)
         @despite_stalls
         def on_host(tmp_path: Path) -> None:
-            host = Host(tmp_path)
+            host, kernel = Host(tmp_path), Kernel()
             host.cell.write_text((configs.CELLS_DIR / "two_wx200.toml").read_text() + settings)
             try:
                 emulator = host.start("emulate", host.cell, *more, "--ports", tmp_path / "ports")
-                try:
+                with kernel.heard(emulator.pid):
                     test(host)
-                except (AssertionError, subprocess.TimeoutExpired) as error:
-                    if why := host.kernel.accuses(emulator.pid):
-                        raise Stalled(f"the emulated servos were late: {why}") from error
-                    raise
             finally:
                 host.close()
 

@@ -23,7 +23,7 @@ pytestmark = pytest.mark.skipif(shutil.which("openssl") is None, reason="needs o
 CELL = "paper"
 LEFT, RIGHT = (Address(CELL, arm, Kind.STATE).key for arm in ("left", "right"))
 STATUS = status_key(CELL)
-LINK_S = 10.0
+LINK_S = 60.0  # a machine that stalls takes its time
 QUIET_S = 1.0  # long enough for a message that is let through: those take milliseconds
 
 
@@ -109,8 +109,11 @@ def test_an_arm_is_heard_under_its_own_name_alone(recorder: Recorder) -> None:
 def test_an_arm_may_ask_what_the_recorder_has(recorder: Recorder) -> None:
     with recorder.dialled("left") as left:
         assert linked(left, LINK_S)
-        time.sleep(QUIET_S / 4)  # for the declaration of the recorder's queryable
-        (reply,) = left.get(STATUS, timeout=LINK_S)
+        deadline = time.monotonic() + LINK_S
+        while not (replies := list(left.get(STATUS, timeout=LINK_S))):  # the recorder's queryable is not declared yet
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+        (reply,) = replies
         assert reply.ok is not None
         assert reply.ok.payload.to_bytes() == b"fine"
 
