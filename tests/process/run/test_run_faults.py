@@ -43,7 +43,7 @@ def run(folder: Path, fault_s: float) -> RunLog:
 
 
 @pytest.mark.realtime
-@pytest.mark.timeout(200)
+@pytest.mark.timeout(400)
 def test_a_lost_servo_is_named_and_both_arms_hold(tmp_path: Path) -> None:
     """A run that the machine stalled before the fault is repeated: the object is off its track without any.
 

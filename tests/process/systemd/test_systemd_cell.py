@@ -18,7 +18,6 @@ from tests.support.telemetry.cell_certificates import fill_in, make_certificates
 pytestmark = [
     pytest.mark.skipif(bool(missing()), reason=missing()),
     pytest.mark.skipif(shutil.which("openssl") is None, reason="needs openssl to make certificates"),
-    pytest.mark.timeout(240),
 ]
 
 CELL = SYSTEMD.parent / "configs/cells/paper.toml"
