@@ -24,6 +24,9 @@ IDS = tuple(range(1, 8))
 OK = sdk.COMM_SUCCESS
 
 
+pytestmark = pytest.mark.paced
+
+
 @pytest.fixture(autouse=True)
 def patient(monkeypatch: pytest.MonkeyPatch) -> None:
     be_patient(monkeypatch)
