@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import os
 import subprocess
 import time
 from collections.abc import Callable, Iterator
@@ -18,6 +19,7 @@ ATTEMPTS = 3  # a run that the machine stalled is repeated
 # Beyond these shares a process that others must hear in time is not to blame: of the time in which it could have run it
 # waited for a core; of all time somebody waited for one; of all time the host of a virtual machine took it away.
 WAITED, SOMEBODY_WAITED, STOLEN = 0.25, 0.9, 0.02
+CROWD = 4.0  # processes for each core; `make test` by itself has about two
 
 
 class Stalled(Exception):
@@ -75,6 +77,12 @@ def _somebody_waited_s() -> float:
 def _stolen_s() -> float:
     """Of all cores, since the machine began."""
     return int(Path("/proc/stat").read_text().split()[8]) / 100.0
+
+
+def crowded() -> str:
+    """Whether so many processes want each core that none beside them keeps the pace of a clock; empty where not."""
+    each = os.getloadavg()[0] / (os.cpu_count() or 1)
+    return f"{each:.1f} processes want each core" if each > CROWD else ""
 
 
 def despite_stalls(test: Callable[[Path], None]) -> Callable[[Path], None]:

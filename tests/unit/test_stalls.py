@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.stalls import ATTEMPTS, Kernel, Stalled, _ran_and_waited_ns, despite_stalls
+from tests.support.stalls import ATTEMPTS, Kernel, Stalled, _ran_and_waited_ns, crowded, despite_stalls
 
 
 @pytest.mark.parametrize("stalls", [0, 1, ATTEMPTS])
@@ -76,6 +76,15 @@ def test_a_process_is_excused_when_it_had_no_core(
         assert bool(said) == bool(wanted)
     with pytest.raises(Stalled if own else AssertionError), kernel.heard(1):
         raise AssertionError
+
+
+@pytest.mark.parametrize(("load", "said"), [(7.9, ""), (8.2, "4.1 processes want each core")])
+def test_a_machine_is_crowded_by_the_processes_for_each_core(
+    monkeypatch: pytest.MonkeyPatch, load: float, said: str
+) -> None:
+    monkeypatch.setattr("os.getloadavg", lambda: (load, 0.0, 0.0))
+    monkeypatch.setattr("os.cpu_count", lambda: 2)
+    assert crowded() == said
 
 
 @pytest.mark.skipif(not Path("/proc/self/schedstat").exists(), reason="this kernel does not say who waits for a core")
