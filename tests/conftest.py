@@ -8,6 +8,7 @@ from collections.abc import Generator
 
 import pytest
 from hypothesis import Phase, settings
+from hypothesis.internal.conjecture import providers
 
 from agent.host.starting import GARBAGE_AFTER, SETTINGS
 from tests.support.shares import dealt
@@ -18,6 +19,8 @@ for _library in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):  # read when numpy 
 pytest.register_assert_rewrite("tests.support.driver_contract")
 
 # The same examples in every run, so that a red run means a change; HYPOTHESIS_PROFILE=explore looks for new ones.
+# Hypothesis would also draw numbers and texts out of the modules that are loaded: by what has run before in a worker.
+providers._get_local_constants = lambda: providers._local_constants
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.register_profile("explore", derandomize=False, deadline=None)
 # `make mutate` asks whether a test fails, not for the smallest example of it

@@ -6,9 +6,11 @@ import contextlib
 import os
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Final
 
-WRITER = "agent.process.post_mortem"
+WRITER: Final = "agent.process.post_mortem"
+LOOK_S: Final = 0.02
 
 
 class BlackBox:
@@ -27,13 +29,21 @@ class BlackBox:
             if not self._left:
                 self._start()
 
-    def finish(self) -> None:
-        """The hold is over: start the writer if that was not its turn yet, and wait for it."""
+    def finish(self, meanwhile: Callable[[], None]) -> None:
+        """The hold is over: start the writer if that was not its turn yet, and wait for it.
+
+        meanwhile is called again and again.
+        """
         if self._left:
             self._left = 0
             self._start()
-        if self._process is not None:
-            self._process.wait()
+        while self._process is not None:
+            try:
+                self._process.wait(LOOK_S)
+            except subprocess.TimeoutExpired:
+                meanwhile()
+            else:
+                self._process = None
 
     def _start(self) -> None:
         surroundings = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}

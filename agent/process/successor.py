@@ -87,10 +87,10 @@ class Successor:
             except Refusal as error:
                 tell.event(Level.ERROR, str(error))
                 raise
+            black_box = self._black_box(watched.ring, reason)
+            stack.callback(black_box.finish, self._notifier.alive)  # it takes seconds: the arm is let go of first
             stack.callback(driver.close)
             stack.callback(driver.disable)
-            black_box = self._black_box(watched.ring, reason)
-            stack.callback(black_box.finish)
             led = led_back(self._cell, arm, self._agent, driver, begun, standing) if session else None
             around = self._around(control, driver, watched, clock, tell, black_box, begun.mode)
             schedule = replace(schedule_of(self._cell, options), hold_at_end=True)

@@ -10,7 +10,7 @@ import configs
 
 COOP = (sys.executable, "-m", "agent.cli")
 PAPER = configs.CELLS_DIR / "paper.toml"
-TIMEOUT_S = 110.0  # less than a test's own
+TIMEOUT_S = 240.0  # less than a test's own
 
 
 def coop(*arguments: str | Path | float, cwd: Path | None = None, stdin: str = "") -> subprocess.CompletedProcess[str]:

@@ -9,12 +9,15 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+import pytest
+
 from agent.modes import Mode
+from agent.operator import ask
 from agent.operator.socket import ControlSocket, Standing
 from agent.operator.table import MODES, Verb
 
 OWN, OTHER = "ab" * 32, "cd" * 32
-QUICK_S = 0.04  # how long an agent that hangs is waited for
+QUICK_S = 0.04  # how long an agent that hangs is waited for, by the clock of `Turns`
 PATIENT_S = 20.0  # nobody hangs: never waited for
 ABSENT, DEAD, HUNG, FOREIGN = "absent", "dead", "hung", "of another cell"
 SILENT = (ABSENT, DEAD, HUNG)
@@ -62,10 +65,33 @@ class Arm:
         return self.control.requests.start is not None, self.control.requests.words
 
 
+class Turns:
+    """The clock of who asks: it goes on once all who live have polled, so that no machine makes them too late."""
+
+    def __init__(self) -> None:
+        self._turned = threading.Condition()
+        self._turns, self._now_s = 0, 0.0
+
+    def turned(self) -> None:
+        with self._turned:
+            self._turns += 1
+            self._turned.notify_all()
+
+    def monotonic(self) -> float:
+        with self._turned:
+            whole = self._turns + 2  # the one that is under way may have passed an arm before it was asked
+            assert self._turned.wait_for(lambda: self._turns >= whole, PATIENT_S)
+            self._now_s += 0.5 * QUICK_S
+            return self._now_s
+
+
 @contextmanager
-def serving(arms: Sequence[Arm]) -> Iterator[None]:
-    """Poll those who live, as their loops would."""
-    over = threading.Event()
+def serving(arms: Sequence[Arm], *, in_turns: bool = False) -> Iterator[None]:
+    """Poll those who live, as their loops would.
+
+    in_turns: the time of who asks goes with their polls, as it does where somebody hangs.
+    """
+    over, turns = threading.Event(), Turns()
 
     def loop() -> None:
         while not over.is_set():
@@ -74,9 +100,12 @@ def serving(arms: Sequence[Arm]) -> Iterator[None]:
                     arm.wakes(arm.control)
                 if arm.control is not None:
                     arm.control.poll()
+            turns.turned()
             over.wait(0.0005)
 
     with ExitStack() as stack:
+        if in_turns or any(arm.condition == HUNG for arm in arms):
+            stack.enter_context(pytest.MonkeyPatch.context()).setattr(ask, "time", turns)
         for arm in arms:
             arm.open()
             stack.callback(arm.close)

@@ -11,13 +11,14 @@ import pytest
 
 import configs
 from tests.support.command import coop as line
+from tests.support.coop import TIMEOUT_S
 
 COOP = [sys.executable, "-m", "agent.cli"]
 SHORT = ("run", str(configs.CELLS_DIR / "paper.toml"), "--duration", "1")  # ends within the transient
 
 
 def coop(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([*COOP, *arguments], cwd=cwd, capture_output=True, text=True, timeout=110)
+    return subprocess.run([*COOP, *arguments], cwd=cwd, capture_output=True, text=True, timeout=TIMEOUT_S)
 
 
 def test_a_run_gives_one_document_with_results_and_paths(first_run: Path) -> None:

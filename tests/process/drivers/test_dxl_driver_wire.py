@@ -33,6 +33,9 @@ CYCLES = 50
 PATIENCE = 500  # cycles: what must happen happens long before
 
 
+pytestmark = pytest.mark.paced
+
+
 @pytest.fixture(autouse=True)
 def patient(monkeypatch: pytest.MonkeyPatch) -> None:
     be_patient(monkeypatch)

@@ -19,6 +19,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.coop import TIMEOUT_S
 from tests.support.packages import SOURCE, build, unpacked
 
 
@@ -45,7 +46,7 @@ class Packages:
             env={key: value for key, value in os.environ.items() if key != "PYTHONPATH"},
             capture_output=True,
             text=True,
-            timeout=100,
+            timeout=TIMEOUT_S,
         )
 
 
@@ -59,7 +60,7 @@ def packages(tmp_path_factory: pytest.TempPathFactory) -> Packages:
     venv.create(prefix, symlinks=True)
     python = prefix / "bin/python"
     install = [sys.executable, "-m", "pip", "--python", python, "install", "--quiet", "--no-deps", "--no-index", wheel]
-    done = subprocess.run(install, capture_output=True, text=True, timeout=100)
+    done = subprocess.run(install, capture_output=True, text=True, timeout=TIMEOUT_S)
     assert done.returncode == 0, done.stderr
     (site,) = prefix.glob("lib/python*/site-packages")
     dependencies = metadata.distribution("pin").locate_file("")

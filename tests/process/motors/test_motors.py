@@ -67,6 +67,9 @@ class Witness:
         assert self._packets.write1ByteTxRx(self._handler, servo_id, address, value) == (0, 0)
 
 
+pytestmark = pytest.mark.paced
+
+
 @pytest.fixture(autouse=True)
 def patient(monkeypatch: pytest.MonkeyPatch) -> None:
     be_patient(monkeypatch)

@@ -21,8 +21,10 @@ from agent.ros.wire import Topic
 from agent.telemetry.link.publish import Pace
 from agent.telemetry.link.session import Network, NetworkError, Role
 from agent.telemetry.row.topics import PLANT
+from tests.support.ports import free_port
 from tests.support.ros import foreign, router
 from tests.support.ros.plain import plain
+from tests.support.stalls import Kernel, Stalled, despite_stalls
 from tests.support.telemetry.one_arm import written
 from tests.support.telemetry.scenes import scene
 from tests.support.telemetry.telemetry_cell import ARMS, CELL, CONFIG_ID, Process, recorder, telemetry, writer
@@ -90,8 +92,9 @@ def stamp(message: object) -> object:
     return header["stamp"]
 
 
+@despite_stalls
 def test_a_foreign_client_hears_the_cell_as_the_log_has_it(tmp_path: Path) -> None:
-    port = router.free_port()
+    port, kernel = free_port(), Kernel()
     with (
         router.router(port) as ros_at,
         recorder(tmp_path / "run.mcap", has_plant=True) as rec,
@@ -108,6 +111,7 @@ def test_a_foreign_client_hears_the_cell_as_the_log_has_it(tmp_path: Path) -> No
         with router.node(ros_at) as viewer:
             (frames,) = late(viewer, Topic("/tf_static", "tf2_msgs/TFMessage"))
             (robot,) = late(viewer, Topic("/left/robot_description", "std_msgs/String"))
+        busy = kernel.accuses(client.process.pid)
         heard = client.stop()
         report = bridging.end()
         assert rec.stop().complete
@@ -125,13 +129,18 @@ def test_a_foreign_client_hears_the_cell_as_the_log_has_it(tmp_path: Path) -> No
         by_topic[topic].append(message)
     clock = [(m["clock"]["sec"], m["clock"]["nanosec"]) for m in by_topic.pop("/clock")]
     assert clock == sorted(set(clock))
-    assert 50 <= len(clock) <= 101  # a busy machine loses some on the way to a client that asks for no history
+    assert len(clock) <= 101
+    if busy and len(clock) < 50:  # on the way to a client that asks for no history
+        raise Stalled(f"it lost {101 - len(clock)} of 101: {busy}")
+    assert len(clock) >= 50
     for topic in set(by_topic) - {"/rosout"}:  # of each slot the first row heard, which need not be the first recorded
         stamps = [stamp(message) for message in logged[topic]]
         by_topic[topic] = [message for message in by_topic[topic] if stamp(message) in stamps]
     for topic, messages in by_topic.items():
         assert all(message in logged[topic] for message in messages), topic
         if topic != "/rosout":  # the first events may be older than the telemetry's way to the bridge
+            if busy and len(messages) < 0.5 * len(logged[topic]):
+                raise Stalled(f"{topic} had {len(messages)} of {len(logged[topic])}: {busy}")
             assert len(messages) >= 0.5 * len(logged[topic]), topic
     assert set(by_topic) == set(found) - {"/clock", "/tf_static", "/left/robot_description", "/right/robot_description"}
     assert robot == logged["/left/robot_description"][0]
@@ -143,7 +152,7 @@ def test_a_foreign_client_hears_the_cell_as_the_log_has_it(tmp_path: Path) -> No
 
 def test_a_bridge_that_is_stopped_holds_up_no_lockstep_run(tmp_path: Path) -> None:
     """It is told more than all buffers on the way hold, and whoever waited for it would close its link after 5 s."""
-    port = router.free_port()
+    port = free_port()
     with router.router(port) as ros_at, recorder(tmp_path / "run.mcap", {"left": ARMS["left"]}) as rec:
         endpoint = rec.ready()
         patient = tmp_path / "bridge.json5"  # its silence alone is no reason to close the link
@@ -191,7 +200,7 @@ def linked(pid: int | None, port: int) -> bool:
 
 
 def test_without_a_router_it_says_so_at_once() -> None:
-    nowhere = Network(connect=(f"tcp/127.0.0.1:{router.free_port()}",), role=Role.VIEWER, timestamps=True)
+    nowhere = Network(connect=(f"tcp/127.0.0.1:{free_port()}",), role=Role.VIEWER, timestamps=True)
     options = bridge.BridgeOptions(scene(CELL, ARMS), CONFIG_ID, False, nowhere, nowhere)
     with pytest.raises(NetworkError, match="cannot open the network"):
         bridge.run(options, lambda: True, lambda _: None)

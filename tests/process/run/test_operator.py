@@ -8,7 +8,8 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ import pytest
 import configs
 from agent.host.clock import ClockState, read_kernel
 from tests.support.command import coop
+from tests.support.stalls import Kernel, despite_stalls
 
 PAPER = configs.CELLS_DIR / "paper.toml"
 COOP = (sys.executable, "-m", "agent.cli")
@@ -50,11 +52,30 @@ def agent_of(file: str, arm: str) -> tuple[str, ...]:
     return "agent", file, "--arm", arm, "--real-time", "--hold"
 
 
-@pytest.fixture
-def cell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Cell]:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
-    file = tmp_path / "cell.toml"
+def in_real_time(test: Callable[[Cell, Path], None]) -> Callable[[Path], None]:
+    """A test of a cell and its folder, and again on another where its agents had no core when it was their turn."""
+
+    @pytest.mark.realtime
+    @pytest.mark.timeout(400)
+    @despite_stalls
+    def on_cell(tmp_path: Path) -> None:
+        kernel = Kernel()
+        with (
+            pytest.MonkeyPatch.context() as patch,
+            cell_in(tmp_path, patch) as cell,
+            kernel.heard(cell.agents["left"].pid),
+            kernel.heard(cell.agents["right"].pid),
+        ):
+            test(cell, tmp_path)
+
+    return on_cell
+
+
+@contextmanager
+def cell_in(folder: Path, patch: pytest.MonkeyPatch) -> Iterator[Cell]:
+    patch.setenv("XDG_RUNTIME_DIR", str(folder))
+    patch.delenv("RUNTIME_DIRECTORY", raising=False)
+    file = folder / "cell.toml"
     text = PAPER.read_text()
     for arm, host in (("left", "one"), ("right", "two")):
         text = text.replace(f'name = "{arm}"', f'name = "{arm}"\nhost = "{host}"')
@@ -100,7 +121,7 @@ def wait_until_held(cell: Cell, clock: Path) -> None:
     assert (code, "left: refuses in HOLD" in told) == (7, True), told
 
 
-@pytest.mark.realtime
+@in_real_time
 def test_words_reach_the_living_and_say_who_is_dead(cell: Cell, tmp_path: Path) -> None:
     clock = clock_file(tmp_path / "clock.json", 5.1e-3)
     code, told = cell.coop("start", cell.file, "--in", "1000", "--host", "two", "--clock", clock)
@@ -137,8 +158,8 @@ def test_words_reach_the_living_and_say_who_is_dead(cell: Cell, tmp_path: Path) 
     assert cell.agents["left"].wait(timeout=30) == 0
 
 
-@pytest.mark.realtime
-def test_an_agent_whose_terminal_is_gone_holds_and_obeys(cell: Cell) -> None:
+@in_real_time
+def test_an_agent_whose_terminal_is_gone_holds_and_obeys(cell: Cell, folder: Path) -> None:
     agent = cell.agents["left"]
     assert agent.stdout is not None
     agent.stdout.close()  # nobody reads what it says any more

@@ -16,7 +16,7 @@ from agent.log.read import RunLog, read_log
 from agent.modes import Mode
 from tests.support.command import coop as line
 from tests.support.coop import coop
-from tests.support.stalls import stalled
+from tests.support.stalls import Kernel, Stalled, stalled
 
 CELL = configs.CELLS_DIR / "two_wx200.toml"
 # of the emulator's time, which begins some four seconds before the trajectory: later where the arms took longer
@@ -27,20 +27,23 @@ BEFORE_HOLD_S = 0.1  # the silence of the servo itself is within
 
 
 def run(folder: Path, fault_s: float) -> RunLog:
-    """Until the neighbour must have noticed, however soon the trajectory began."""
+    """Until the neighbour must have noticed, however soon the trajectory began.  Raises Stalled."""
     folder.mkdir()
+    kernel = Kernel()
     fault = {"arm": "left", "start_s": fault_s, "kind": "power_loss", "servo": 4}
     (folder / "faults.jsonl").write_text(json.dumps(fault))
     done = coop(
         "run", CELL, "--wire", "--duration", fault_s - BEGIN_S + SEEN_S, "--out", "out", "--faults", "faults.jsonl",
         "--no-report", "--set", "report.transient_s=1", "--set", "safety.tracking_error_max_m=0.02", cwd=folder,
     )  # fmt: skip
+    if done.returncode not in (0, 5) and (why := kernel.accuses()):
+        raise Stalled(f"{why}: {done.stderr}")
     assert done.returncode in (0, 5), done.stderr  # 5: the arm was given up before the run was over
     return read_log(folder / "out" / "run.mcap")
 
 
 @pytest.mark.realtime
-@pytest.mark.timeout(200)
+@pytest.mark.timeout(400)
 def test_a_lost_servo_is_named_and_both_arms_hold(tmp_path: Path) -> None:
     """A run that the machine stalled before the fault is repeated: the object is off its track without any.
 
@@ -48,7 +51,11 @@ def test_a_lost_servo_is_named_and_both_arms_hold(tmp_path: Path) -> None:
     """
     why = ""
     for attempt, fault_s in enumerate(FAULT_S):
-        log = run(tmp_path / str(attempt), fault_s)
+        try:
+            log = run(tmp_path / str(attempt), fault_s)
+        except Stalled as stall:
+            why = str(stall)
+            continue
         left = log.agents["left"]
         held_s = left["t"][left["mode"] == Mode.HOLD]
         why = stalled(log, held_s[0] - BEFORE_HOLD_S) if len(held_s) else stalled(log)

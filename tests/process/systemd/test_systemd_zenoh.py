@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import shutil
-import socket
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -15,6 +14,7 @@ import zenoh
 import zenoh.ext
 
 from agent.telemetry.row.topics import Address, Kind, cell_keys, status_key
+from tests.support.ports import free_port
 from tests.support.systemd.unit_files import SYSTEMD
 from tests.support.telemetry.cell_certificates import fill_in, make_certificates
 
@@ -23,7 +23,7 @@ pytestmark = pytest.mark.skipif(shutil.which("openssl") is None, reason="needs o
 CELL = "paper"
 LEFT, RIGHT = (Address(CELL, arm, Kind.STATE).key for arm in ("left", "right"))
 STATUS = status_key(CELL)
-LINK_S = 10.0
+LINK_S = 60.0  # a machine that stalls takes its time
 QUIET_S = 1.0  # long enough for a message that is let through: those take milliseconds
 
 
@@ -32,9 +32,7 @@ class Recorder:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            self.port = probe.getsockname()[1]
+        self.port = free_port()
         self.heard: list[tuple[str, bytes]] = []
         self.session = zenoh.open(self._configured("recorder.json5", "recorder"))
         self._status = self.session.declare_queryable(STATUS, lambda query: query.reply(STATUS, b"fine"))
@@ -111,8 +109,11 @@ def test_an_arm_is_heard_under_its_own_name_alone(recorder: Recorder) -> None:
 def test_an_arm_may_ask_what_the_recorder_has(recorder: Recorder) -> None:
     with recorder.dialled("left") as left:
         assert linked(left, LINK_S)
-        time.sleep(QUIET_S / 4)  # for the declaration of the recorder's queryable
-        (reply,) = left.get(STATUS, timeout=LINK_S)
+        deadline = time.monotonic() + LINK_S
+        while not (replies := list(left.get(STATUS, timeout=LINK_S))):  # the recorder's queryable is not declared yet
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+        (reply,) = replies
         assert reply.ok is not None
         assert reply.ok.payload.to_bytes() == b"fine"
 

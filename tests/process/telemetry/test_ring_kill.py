@@ -15,6 +15,7 @@ from agent.telemetry.ring.reader import RingReader
 from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.sample import AGENT_STATE
 from tests.support.forked import FORKED
+from tests.support.telemetry.one_arm import wait_for
 
 FLOATS = [f.name for f in AGENT_STATE.fields if f.ros_type == "float64"]
 
@@ -46,6 +47,7 @@ def test_no_reader_ever_sees_a_torn_row_and_a_killed_writer_leaves_none(tmp_path
         try:
             assert ready.wait(60)
             with RingReader(path, AGENT_STATE) as reader:
+                wait_for(lambda reader=reader: reader.written > 0)
                 end = time.monotonic() + chance.uniform(0.05, 0.4)
                 got = 0
                 while time.monotonic() < end:

@@ -182,12 +182,17 @@ def test_play_keeps_the_pace_and_its_factor(run: RunLog) -> None:
 
 
 class At:
-    """Orders by the number of the question; a class, because another process may play."""
+    """Orders by the number of the question; a class, because another process may play.
 
-    def __init__(self, orders: dict[int, list[Order]]) -> None:
-        self._orders, self._asked = orders, 0
+    once: a file, from which on the questions count.
+    """
+
+    def __init__(self, orders: dict[int, list[Order]], once: Path | None = None) -> None:
+        self._orders, self._once, self._asked = orders, once, 0
 
     def __call__(self) -> list[Order]:
+        if self._once is not None and not self._once.exists():
+            return []
         self._asked += 1
         return self._orders.get(self._asked, [])
 
@@ -215,14 +220,21 @@ def test_a_step_plays_the_messages_of_one_instant(run: RunLog) -> None:
     assert seen[-1] == pytest.approx(0.015)
 
 
-def test_a_seek_goes_on_elsewhere_with_the_same_bytes_as_a_run_of_its_own(run: RunLog) -> None:
+def test_a_seek_goes_on_elsewhere_with_the_same_bytes_as_a_run_of_its_own(run: RunLog, tmp_path: Path) -> None:
     heard: list[tuple[str, bytes, BatchHeader]]
     key, ahead = "replay/coop/paper/left/state", [Order.AHEAD]
     with Process(
         play.run,
-        PlayOptions(run.path, stop_s=20.0, orders=At({30: ahead, 33: ahead, 36: ahead, 60: [Order.FASTER] * 4})),
+        PlayOptions(
+            run.path,
+            speed=0.05,  # so that it is hardly elsewhere before, however long the machine stalls
+            stop_s=20.0,
+            orders=At({3: ahead, 6: ahead, 9: ahead, 12: [Order.FASTER] * 9}, tmp_path / "heard"),
+        ),
     ) as player:
         with listening(player.ready(), "**") as heard:
+            until(lambda: any(key == k for k, *_ in heard))
+            (tmp_path / "heard").touch()
             until(lambda: any(not payload and key == k for k, payload, _ in heard))
         player.result()
     *_, last = sources(heard, key)

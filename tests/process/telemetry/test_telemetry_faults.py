@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import random
@@ -29,7 +30,18 @@ from agent.telemetry.link.record import RecordOptions, RecordReport
 from agent.telemetry.link.session import Network, NetworkError, open_session
 from agent.telemetry.link.wire import BatchHeader, End
 from agent.telemetry.row.topics import BadName
-from tests.support.telemetry.one_arm import LEFT, RATE_HZ, one_arm, prefix, rows_in, wait_for, written
+from tests.support.telemetry.one_arm import (
+    LEFT,
+    RATE_HZ,
+    one_arm,
+    prefix,
+    recorded,
+    rows_in,
+    somewhere,
+    wait_for,
+    wait_for_the_end,
+    written,
+)
 from tests.support.telemetry.scenes import scene
 from tests.support.telemetry.telemetry_cell import (
     CELL,
@@ -48,28 +60,20 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def recorded(path: Path) -> int:
-    """Rows that a reader finds by now."""
-    try:
-        return len(read_log(path).agents["left"])
-    except LogError:
-        return 0
-
-
 @pytest.mark.fault("D4")
 def test_a_killed_recorder_leaves_a_readable_log_and_the_next_one_gets_everything(folder: Path) -> None:
     """The agent has ended before the next one is there, as on a slow host: telemetry waits with all of it."""
-    total = 1000
-    with one_arm(folder, total) as (rec, tel, agent, endpoint):
-        wait_for(lambda: written(folder / "left.ring") > 300 and recorded(folder / "run.mcap") > 0)
+    network = somewhere()
+    with one_arm(folder, 100_000, network=network) as (rec, tel, agent, _):
+        wait_for(lambda: recorded(folder / "run.mcap") > 0)
         time.sleep(random.uniform(0.0, 0.7))
-        before = written(folder / "left.ring")
         rec.kill()
+        before = written(folder / "left.ring")
         kept = len(read_log(folder / "run.mcap").agents["left"])
-        assert rows_in(folder / "run.mcap") == prefix(kept, total)
+        assert rows_in(folder / "run.mcap") == prefix(kept, kept)
         assert kept > 0
-        network = Network(listen=endpoint)
-        assert agent.result() == total
+        wait_for(lambda: written(folder / "left.ring") > before + 200)
+        total = agent.stop()
         with recorder(folder / "next.mcap", arms=LEFT, network=network) as second:
             second.ready()
             assert tel.result().complete
@@ -102,15 +106,15 @@ def test_a_recorder_that_stands_still_costs_no_row(folder: Path) -> None:
 
 @pytest.mark.fault("N1")
 def test_a_recorder_that_comes_late_gets_everything_the_ring_holds(folder: Path) -> None:
-    ring = folder / "left.ring"
-    with recorder(folder / "first.mcap", arms=LEFT) as first:
+    ring, network = folder / "left.ring", somewhere()
+    with recorder(folder / "first.mcap", arms=LEFT, network=network) as first:
         endpoint = first.ready()
     with (
         telemetry(ring, "left", endpoint, Pace.REAL_TIME) as tel,
         writer(ring, "left", 400, RATE_HZ) as agent,
     ):
         assert agent.result() == 400
-        with recorder(folder / "run.mcap", arms=LEFT, network=Network(listen=endpoint)) as late:
+        with recorder(folder / "run.mcap", arms=LEFT, network=network) as late:
             late.ready()
             assert tel.result().complete
             assert late.stop().complete
@@ -119,18 +123,19 @@ def test_a_recorder_that_comes_late_gets_everything_the_ring_holds(folder: Path)
 
 @pytest.mark.fault("P10")
 def test_telemetry_that_is_killed_and_started_again_leaves_no_gap(folder: Path) -> None:
-    with one_arm(folder, 1500) as (rec, tel, agent, endpoint):
-        wait_for(lambda: written(folder / "left.ring") > 300)
+    with one_arm(folder, 100_000) as (rec, tel, agent, endpoint):
+        wait_for(lambda: recorded(folder / "run.mcap") > 0)
         tel.kill()
-        time.sleep(0.3)
+        gone = written(folder / "left.ring")
+        wait_for(lambda: written(folder / "left.ring") > gone + 150)
         with telemetry(folder / "left.ring", "left", endpoint, Pace.REAL_TIME) as again:
-            agent.result()
+            total = agent.stop()
             assert again.result().complete
         report = rec.stop()
     assert report.complete
     assert int(report.completeness["left.duplicates"]) > 0
     log = read_log(folder / "run.mcap")
-    assert log.agents["left"].tobytes() == prefix(1500, 1500)
+    assert log.agents["left"].tobytes() == prefix(total, total)
     assert [e.text for e in log.events] == ["mode READY → TRACK"]
 
 
@@ -144,39 +149,31 @@ def test_a_killed_agent_leaves_its_last_rows_in_the_log(folder: Path) -> None:
         told = rec.stop().completeness
     assert told["left.end"] == "died"
     assert told["left.rows_recorded"] == str(count)
-    assert rows_in(folder / "run.mcap") == prefix(count, 100_000)
+    assert rows_in(folder / "run.mcap") == prefix(count, count)
 
 
 def test_a_service_follows_the_agents_one_ring_after_the_other_and_passes_over_dead_ones(folder: Path) -> None:
-    ring = folder / "left.ring"
+    ring, network = folder / "left.ring", somewhere()
     with writer(ring, "left", 30, RATE_HZ) as gone:
         assert gone.result() == 30
-    with recorder(folder / "first.mcap", arms=LEFT) as first:
+    with recorder(folder / "first.mcap", arms=LEFT, network=network) as first:
         endpoint = first.ready()
         with telemetry(ring, "left", endpoint, Pace.REAL_TIME, follow=True) as service:
             service.ready()
             with writer(ring, "left", 200, RATE_HZ) as agent:
                 assert agent.result() == 200
-            time.sleep(0.5)
+            wait_for_the_end(endpoint)
             assert first.stop().complete
-            with recorder(folder / "second.mcap", arms=LEFT, network=Network(listen=endpoint)) as second:
+            with recorder(folder / "second.mcap", arms=LEFT, network=network) as second:
                 second.ready()
                 with writer(ring, "left", 300, RATE_HZ) as agent:
                     assert agent.result() == 300
-                wait_for(lambda: len(read_if_any(folder / "second.mcap")) == len(prefix(300, 300)))
-                time.sleep(0.5)
+                wait_for_the_end(endpoint)
                 report = second.stop()
                 assert report.complete, report
             service.stop()
     assert rows_in(folder / "first.mcap") == prefix(200, 200)
     assert rows_in(folder / "second.mcap") == prefix(300, 300)
-
-
-def read_if_any(path: Path) -> bytes:
-    try:
-        return rows_in(path)
-    except LogError:
-        return b""
 
 
 def test_rows_overwritten_before_anybody_read_them_are_counted_and_named(folder: Path) -> None:
@@ -207,7 +204,7 @@ def test_a_stop_in_the_middle_finishes_the_file_and_says_that_it_is_not_whole(fo
     assert log.problems == ()
     assert not log.complete
     assert log.metadata["completeness"]["left.end"] == "open"
-    assert log.agents["left"].tobytes() == prefix(len(log.agents["left"]), 100_000)
+    assert log.agents["left"].tobytes() == prefix(len(log.agents["left"]), len(log.agents["left"]))
 
 
 def test_an_arm_that_never_published_makes_the_log_incomplete(folder: Path) -> None:
@@ -248,6 +245,7 @@ def test_a_flood_of_wrong_messages_neither_breaks_nor_pollutes_the_log(folder: P
     with one_arm(folder, 1000) as (rec, tel, agent, endpoint):
         wait_for(lambda: written(folder / "left.ring") > 100)
         with open_session(Network(connect=(endpoint,))) as stranger:
+            wait_for(lambda: bool(stranger.session.info.links()))
             messages = wrong_messages(make_rows("left", 8).tobytes())
             for _ in range(100):
                 for key, payload, attachment in messages:
@@ -299,14 +297,15 @@ def test_an_arm_of_which_a_stranger_alone_spoke_is_missing_in_the_log(folder: Pa
 
 
 def test_telemetry_of_another_cell_file_is_not_recorded_and_says_that_nobody_took_it(folder: Path) -> None:
-    with recorder(folder / "run.mcap", arms=LEFT, fingerprint="ours") as rec:
+    note = folder / "left_out.json"
+    with recorder(folder / "run.mcap", arms=LEFT, fingerprint="ours", left_out=partial(noted, note)) as rec:
         endpoint = rec.ready()
         changes = {"pace": Pace.REAL_TIME, "fingerprint": "theirs", "follow": True}
         with telemetry(folder / "left.ring", "left", endpoint, **changes) as tel:
             tel.ready()
             with writer(folder / "left.ring", "left", 50, RATE_HZ) as agent:
                 agent.result()
-            time.sleep(0.5)
+            wait_for(note.exists)  # it has come to the recorder and was left out
             report = tel.stop()
         kept = rec.stop()
     assert report.rows_unrecorded == 50
@@ -409,9 +408,12 @@ def test_a_signal_at_any_instant_does_not_hold_the_recorder_up() -> None:
 
 
 def test_nothing_is_left_after_a_refusal_or_an_end(folder: Path) -> None:
-    def sockets() -> int:
-        links = [str(fd.readlink()) for fd in Path("/proc/self/fd").iterdir() if fd.exists() or fd.is_symlink()]
-        return sum(link.startswith("socket:") for link in links)
+    def sockets() -> set[str]:
+        links = set()
+        for fd in Path("/proc/self/fd").iterdir():
+            with contextlib.suppress(FileNotFoundError):  # threads of Zenoh's close theirs meanwhile
+                links.add(str(fd.readlink()))
+        return {link for link in links if link.startswith("socket:")}
 
     def attempt(name: str, **changes: Any) -> None:
         record.run(RecordOptions(folder / name, scene(CELL, LEFT), CONFIG_ID, **changes), stop=lambda: True)
@@ -423,7 +425,7 @@ def test_nothing_is_left_after_a_refusal_or_an_end(folder: Path) -> None:
         attempt("a.mcap")
     with pytest.raises(LogFileError, match="no room"):
         attempt("b.mcap", min_free_bytes=1 << 60)
-    wait_for(lambda: sockets() == before)
+    wait_for(lambda: sockets() <= before)  # fewer: what an earlier test had still to close
 
 
 def test_a_log_that_was_never_written_to_is_a_finished_file_without_rows(folder: Path) -> None:

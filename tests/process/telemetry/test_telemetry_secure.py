@@ -16,18 +16,13 @@ from agent.pki.make import Wish, make, renew
 from agent.telemetry.link.publish import Pace
 from agent.telemetry.link.session import Network, NetworkError, has_link, open_session
 from agent.telemetry.link.wire import BatchHeader
+from tests.support.ports import free_port
 from tests.support.telemetry.telemetry_cell import ARMS, CELL, make_rows, recorder, sent_by, telemetry, writer
 
 pytestmark = pytest.mark.skipif(shutil.which("openssl") is None, reason="makes its certificates with openssl")
 
 LEFT = {"left": ARMS["left"]}
 FILES = load_files(Path(CELL))
-
-
-def free_port() -> int:
-    with open_session(Network(listen="tcp/127.0.0.1:0")) as opened:
-        assert opened.endpoint is not None
-        return int(opened.endpoint.rpartition(":")[2])
 
 
 def of(folder: Path, member: str) -> Network:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import signal
-import socket
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
@@ -24,6 +23,7 @@ from agent.view.staged import Staged, stage
 from tests.support.chromium import Page, Pixels, chromium
 from tests.support.command import coop
 from tests.support.coop import PAPER, ready, start
+from tests.support.ports import free_port
 
 pytest.importorskip("viser", reason="the extra `view` is not installed")
 
@@ -107,12 +107,6 @@ def test_a_report_has_the_run_beside_it_and_a_film_is_made(paper_runs: tuple[Pat
     again = coop("view", log, "--film", film)
     assert again.code == 2
     assert "found one of that name" in again.err
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 @contextlib.contextmanager

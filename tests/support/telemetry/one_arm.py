@@ -8,11 +8,16 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from agent.log.read import read_log
+from agent.log.read import LogError, read_log
 from agent.telemetry.link.publish import Pace
+from agent.telemetry.link.session import Network, Role, open_session
+from agent.telemetry.link.status import StatusQuery
+from agent.telemetry.link.wire import seal_of
 from agent.telemetry.ring.reader import RingReader
 from agent.telemetry.row.sample import AGENT_STATE
-from tests.support.telemetry.telemetry_cell import ARMS, Process, make_rows, recorder, telemetry, writer
+from agent.telemetry.row.topics import RECORDER, Address, Kind
+from tests.support.ports import free_port
+from tests.support.telemetry.telemetry_cell import ARMS, CELL, Process, make_rows, recorder, telemetry, writer
 
 LEFT = {"left": ARMS["left"]}
 RATE_HZ = 500.0
@@ -34,6 +39,33 @@ def written(ring: Path) -> int:
 
 def rows_in(path: Path) -> bytes:
     return read_log(path).agents["left"].tobytes()
+
+
+def recorded(path: Path) -> int:
+    """Rows that a reader finds by now."""
+    try:
+        return len(read_log(path).agents["left"])
+    except LogError:
+        return 0
+
+
+def somewhere() -> Network:
+    """Where a recorder can listen again after another one has."""
+    return Network(listen=f"tcp/127.0.0.1:{free_port()}")
+
+
+def wait_for_the_end(endpoint: str) -> None:
+    """Return when the recorder there says that it has the end of the left arm's run, and all before it."""
+    key = Address(CELL, "left", Kind.STATE).key
+    with open_session(Network(connect=(endpoint,), role=Role.VIEWER)) as opened:
+        query = StatusQuery(opened.session, CELL, seal_of(CELL, "", RECORDER), 0.0)
+
+        def told() -> bool:
+            status = query.poll(time.monotonic())
+            left = None if status is None else status.get(key)
+            return left is not None and left.ended and len(left.have) == 1
+
+        wait_for(told)
 
 
 def prefix(count: int, total: int) -> bytes:

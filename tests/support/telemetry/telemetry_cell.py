@@ -35,6 +35,7 @@ ARMS = {"left": ("waist", "shoulder", "elbow"), "right": ("waist", "shoulder", "
 UTC_0_NS = 1_800_000_000_000_000_000
 PERIOD_NS = 5_000_000
 TIMEOUT_S = 60.0
+AT_ONCE = 1000  # rows that a writer makes
 SERVOS = {
     "servo_id": [1, 2, 3], "joint": ["waist", "shoulder", "shoulder"], "temperature_C": [30.0, 31.0, float("nan")],
     "voltage_V": [12.1, 12.0, 11.9], "error_bits": [0, 32, 0], "current_A": [0.25, -1.5, float("nan")],
@@ -53,7 +54,7 @@ def sent_by(member: str, run: int = 0) -> Sent:
 
 @cache
 def _same_rows(member: str, count: int) -> np.ndarray:
-    rows = _new_rows(member, count)
+    rows = _new_rows(member, range(count))
     rows.flags.writeable = False
     return rows
 
@@ -63,10 +64,10 @@ def make_rows(member: str, count: int) -> np.ndarray:
     return _same_rows(member, count).copy()
 
 
-def _new_rows(member: str, count: int) -> np.ndarray:
-    layout = layout_of(member)
+def _new_rows(member: str, numbers: range) -> np.ndarray:
+    layout, count = layout_of(member), len(numbers)
     rows = np.zeros(count, layout.dtype)
-    sequence = np.arange(count)
+    sequence = np.arange(numbers.start, numbers.stop)
     for k, f in enumerate(layout.fields):
         if f.ros_type == "float64":
             shape = (count,) + (1,) * (rows[f.name].ndim - 1)
@@ -100,8 +101,6 @@ class Writer:
 
 
 def write_ring(options: Writer, stop: Callable[[], bool], ready: Callable[[Any], None]) -> int:
-    rows = make_rows(options.member, options.rows)
-    rows["sequence"] += options.start_sequence
     texts = TextWriter(options.ring, options.member) if options.texts else None
     with RingWriter(
         options.ring, layout_of(options.member), options.member, ARMS.get(options.member, ()), slots=options.slots
@@ -111,13 +110,17 @@ def write_ring(options: Writer, stop: Callable[[], bool], ready: Callable[[Any],
         for i in range(options.rows):
             if stop():
                 break
-            ring.row[()] = rows[i]
+            if i % AT_ONCE == 0:  # a run without end would take half a GB
+                rows = _new_rows(options.member, range(i, min(i + AT_ONCE, options.rows)))
+                rows["sequence"] += options.start_sequence
+            row = rows[i % AT_ONCE]
+            ring.row[()] = row
             if options.rate_hz is None:
                 ring.wait_for_space(TIMEOUT_S)
             ring.commit()
             if texts is not None and i % 100 == 0:
-                texts.event(Event(int(rows[i]["utc_ns"]), options.member, Level.INFO, f"row {i}", {"i": i}))
-                texts.health(int(rows[i]["utc_ns"]), SERVOS)
+                texts.event(Event(int(row["utc_ns"]), options.member, Level.INFO, f"row {i}", {"i": i}))
+                texts.health(int(row["utc_ns"]), SERVOS)
             if options.rate_hz is not None:
                 time.sleep(max(0.0, begin + (i + 1) / options.rate_hz - time.monotonic()))
         ring.finish()

@@ -95,7 +95,9 @@ def _main(path: Path) -> dict[str, object]:
 
 
 if __name__ == "__main__":
-    place = ROOT / f".pressure-{os.getpid()}"  # on a disk: what lies in memory is never paged out of it
+    # on a disk, for what lies in memory is never paged out of it, and where neither git nor a package being built looks
+    place = ROOT / ".pytest_cache" / f"pressure-{os.getpid()}"
+    place.parent.mkdir(exist_ok=True)
     try:
         sys.stdout.write(json.dumps(_main(place)))
     finally:

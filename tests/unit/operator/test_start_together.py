@@ -74,7 +74,6 @@ def test_an_arm_that_has_started_by_then_is_stopped(tmp_path: Path) -> None:
 def test_an_agent_that_hangs_at_the_instant_finds_the_start_taken_back_when_it_wakes(tmp_path: Path) -> None:
     arms = cell_of(tmp_path / "cell", (Mode.READY, Mode.READY))
     asleep = threading.Event()
-    awake = threading.Event()
 
     def answered() -> dict[str, Any]:
         asleep.set()
@@ -84,17 +83,16 @@ def test_an_agent_that_hangs_at_the_instant_finds_the_start_taken_back_when_it_w
         control.standing.details = answered
         if asleep.is_set():
             arms[1].control, sleeping[0] = None, control
-            awake.set()
 
     sleeping: list[ControlSocket] = [None]  # type: ignore[list-item]
     arms[1].wakes = sleeps
     request = Request(Verb.START, OWN, time.time_ns() + 10**12)
-    with serving(arms):
+    with serving(arms, in_turns=True):
         with pytest.raises(ControlError) as raised:
-            start_together({arm.path.stem: [arm.path] for arm in arms}, request, 0.2)
+            start_together({arm.path.stem: [arm.path] for arm in arms}, request, QUICK_S)
         sleeping[0].poll()
         sleeping[0].close()
-    assert "b: does not answer (no answer within 0.2 s)" in str(raised.value)
+    assert "b: does not answer (no answer within 0.04 s)" in str(raised.value)
     assert "a: does not begin; b: NOT KNOWN, it does not answer" in str(raised.value)
     assert sleeping[0].requests.start is None
     assert arms[0].heard == (False, [])

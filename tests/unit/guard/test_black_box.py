@@ -1,0 +1,110 @@
+"""The writer of the post-mortem is waited for once the arm is let go of, and the watchdog is stroked until it ends."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+import configs
+from agent.config.cell import load_cell
+from agent.guard import black_box
+from agent.guard.black_box import BlackBox
+from agent.modes import Mode
+from agent.process import successor
+from agent.process.successor import Successor
+
+CELL = load_cell(configs.CELLS_DIR / "two_wx200.toml")
+
+
+@pytest.fixture
+def gate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """In place of the writer: a program that notes its arguments and ends once somebody has opened this pipe."""
+    gate = tmp_path / "gate"
+    os.mkfifo(gate)
+    (tmp_path / "waits.py").write_text(
+        f"import sys; open({str(tmp_path / 'told')!r}, 'a').write(' '.join(sys.argv[1:])); open({str(gate)!r}).read()"
+    )
+    monkeypatch.setattr(black_box, "WRITER", "waits")
+    monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
+    yield gate
+    with contextlib.suppress(OSError):  # nobody reads: it has ended
+        os.close(os.open(gate, os.O_WRONLY | os.O_NONBLOCK))
+
+
+@pytest.mark.parametrize("beats", [1, 3])
+def test_whoever_waits_for_the_writer_is_called_again_and_again_until_it_has_ended(gate: Path, beats: int) -> None:
+    box = BlackBox(["once"], 2, wanted=True)
+    for _ in range(beats):
+        box.beat()
+    looks: list[int] = []
+
+    def meanwhile() -> None:
+        looks.append(1)
+        if len(looks) == 3:
+            gate.write_text("go")  # returns when the writer reads
+
+    box.finish(meanwhile)
+    assert len(looks) >= 3
+    assert (gate.parent / "told").read_text() == "once"
+    box.finish(lambda: pytest.fail("it has ended"))
+
+
+def test_a_hold_that_was_asked_for_has_no_post_mortem(gate: Path) -> None:
+    box = BlackBox(["never"], 2, wanted=False)
+    box.beat()
+    box.finish(lambda: pytest.fail("there is nobody to wait for"))
+    assert not (gate.parent / "told").exists()
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_an_arm_is_let_go_of_before_its_post_mortem_is_waited_for_and_the_watchdog_is_stroked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fails: bool
+) -> None:
+    done: list[str] = []
+
+    def did(what: str) -> Any:
+        return lambda *_, **__: done.append(what)
+
+    def run() -> Any:
+        done.append("held")
+        return 1 / 0 if fails else SimpleNamespace(mode=Mode.OFF)
+
+    begun = SimpleNamespace(mode=Mode.HOLD)
+    written = SimpleNamespace(finish=did("ring finished"), row=None)
+    watched: Any = SimpleNamespace(
+        inherit=did("inherited"), last_rows=list, writer=written, ring=tmp_path / "ring",
+        texts=SimpleNamespace(finish=did("texts finished"), event=lambda _: None),
+    )  # fmt: skip
+    driver: Any = SimpleNamespace(disable=did("torque off"), close=did("closed"))
+    notifier: Any = SimpleNamespace(alive=did("stroke"), stopping=did("stopping"))
+    agent = SimpleNamespace(arm="left", control=None, hold=True, driver=SimpleNamespace(value="dynamixel"))
+    options: Any = SimpleNamespace(agent=agent, cell=tmp_path / "cell.toml", post_mortem=tmp_path)
+    box = SimpleNamespace(finish=lambda meanwhile: (done.append("waited"), meanwhile()))
+    with ExitStack() as stack:
+        for name, fake in {
+            "clock_of": lambda _: SimpleNamespace(utc_offset_ns=0), "go_on": lambda *_, **__: begun,
+            "BlackBox": lambda *_, **__: box, "schedule_of": lambda *_: None, "replace": lambda *_, **__: None,
+            "AgentRow": lambda *_: None, "Watch": lambda *_: None, "Runner": lambda *_: SimpleNamespace(run=run),
+            "Teller": lambda *_: SimpleNamespace(event=lambda *_, **__: None, end=did("told"), warn=None, trouble=None),
+            "Heart": lambda *_: SimpleNamespace(mode=lambda _: None, beat=None), "Operator": lambda *_, **__: box,
+            "ServoTeller": lambda *_: None,
+        }.items():  # fmt: skip
+            stack.enter_context(pytest.MonkeyPatch.context()).setattr(successor, name, fake)
+        box.events = box.mode = None
+        stack.enter_context(pytest.MonkeyPatch.context()).setattr(successor.ArmLost, "check", lambda *_, **__: None)
+        held = Successor(CELL, CELL.arm("left"), None, options, None, notifier)  # type: ignore[arg-type]
+        if fails:
+            with pytest.raises(ZeroDivisionError):
+                held.hold(watched, driver, "the agent has died", session=False)
+        else:
+            held.hold(watched, driver, "the agent has died", session=False)
+    end = ["torque off", "closed", "waited", "stroke", "ring finished", "texts finished"]
+    assert done == ["inherited", "held", *([] if fails else ["told"]), *end, *([] if fails else ["stopping"])]
