@@ -61,7 +61,9 @@ def study(
         console().print(_table(outcome))
         for name, found in outcome.document["cells"].items():
             typer.echo(f"{name} {verdict(found)}")
-        typer.echo(f"results  {out / 'study.json'}\nreport   {out / 'report.html'}\nworst    {out / 'worst.toml'}")
+        typer.echo(f"results  {out / 'study.json'}")
+        if outcome.document["runs"]:
+            typer.echo(f"report   {out / 'report.html'}\nworst    {out / 'worst.toml'}")
     if outcome.interrupted:
         typer.echo(f"stopped by request; the same command with --out {out} goes on", err=as_json)
         raise typer.Exit(130)

@@ -101,6 +101,8 @@ def until(stop: StopFlag, work: Callable[[Sequence[Task]], Iterator[Done]], task
     """The runs that `work` has done until a stop comes, which waits for none.  Raises what it raises."""
     runs = work(tasks)
     for _ in tasks:
+        if stop():
+            return
         try:
             with stop.interrupting():
                 done = next(runs)

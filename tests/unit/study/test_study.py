@@ -423,7 +423,8 @@ def test_a_stop_waits_for_no_run(tmp_path: Path, plan: Plan, results: list[RunRe
     work = _Waited(results)
     with stop_flag() as stop:
         outcome = run_study(plan, tmp_path, partial(until, stop, work), stop, Told())
-    assert (work.ended, outcome.interrupted, outcome.document["runs"]) == (True, True, 2)
+        assert (work.ended, outcome.interrupted, outcome.document["runs"]) == (True, True, 2)
+        assert not list(until(stop, work, plan.tasks())), "it was asked for before"
 
 
 def test_a_study_that_nobody_stops_has_all_its_runs_and_what_they_raise(plan: Plan, results: list[RunResult]) -> None:
