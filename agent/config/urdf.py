@@ -63,7 +63,7 @@ def _refuse_impossible(link: ET.Element, name: str) -> None:
     for inertia in link.iterfind("inertial/inertia"):
         xx, xy, xz, yy, yz, zz = (float(inertia.get(moment, "")) for moment in _MOMENTS)
         least, middle, most = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]).tolist()
-        if least < -ROUNDED * most or most > (1.0 + ROUNDED) * (least + middle):
+        if most > (1.0 + ROUNDED) * (least + middle):  # nor is one of them negative then
             raise ConfigError(
                 f"inertia of {where} in {name}",
                 found=f"principal moments {least:.3g}, {middle:.3g}, {most:.3g} kg·m²",
