@@ -133,7 +133,7 @@ def identify(
 ) -> None:
     """Identify friction, rotor inertia and gravity parameters of an arm, and write its new arm file."""
     import configs
-    from agent.identify.fit import Options
+    from agent.identify.equations import Options
     from agent.identify.run import identify as identify_log
     from agent.identify.run import write
     from agent.identify.show import delay_line, estimates_table, friction_lines, residual_lines

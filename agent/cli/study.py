@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from agent.cli import complete
-from agent.cli.options import AsJson, Force, Overrides, console, print_json
+from agent.cli.options import AsJson, Force, Overrides, console, note, print_json
 from agent.cli.progress import StudyProgress
 
 if TYPE_CHECKING:
@@ -43,13 +44,15 @@ def study(
     from agent.host.signals import StopFlag
     from agent.study.plan import load_plan
     from agent.study.study import run_study
+    from agent.study.work import until
 
     requested = StopFlag()
     plan = load_plan(cell, runs=runs, seed=seed, duration_s=duration, overrides=overrides)
     name = plan.cells[0].file.name if len(plan.cells) == 1 else cell.stem
     out = out or Path("studies") / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{name}"
+    work = partial(until, requested, _work(workers, scheduler))
     with StudyProgress() as progress:
-        outcome = run_study(plan, out, _work(workers, scheduler), requested, progress, anew=force)
+        outcome = run_study(plan, out, work, requested, progress, anew=force)
     if as_json:
         print_json(dict(outcome.document))
     else:
@@ -58,7 +61,9 @@ def study(
         console().print(_table(outcome))
         for name, found in outcome.document["cells"].items():
             typer.echo(f"{name} {verdict(found)}")
-        typer.echo(f"results  {out / 'study.json'}\nreport   {out / 'report.html'}\nworst    {out / 'worst.toml'}")
+        typer.echo(f"results  {out / 'study.json'}")
+        if outcome.document["runs"]:
+            typer.echo(f"report   {out / 'report.html'}\nworst    {out / 'worst.toml'}")
     if outcome.interrupted:
         typer.echo(f"stopped by request; the same command with --out {out} goes on", err=as_json)
         raise typer.Exit(130)
@@ -69,7 +74,7 @@ def _work(workers: int | None, scheduler: str | None) -> Work:
     if scheduler is not None:
         from agent.study.cluster import on_cluster
 
-        return lambda tasks: on_cluster(tasks, scheduler)
+        return lambda tasks: on_cluster(tasks, scheduler, note)
     from agent.study.work import cores, here, in_processes
 
     count = workers or cores()

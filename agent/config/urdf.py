@@ -11,9 +11,12 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from typing import Final
 
+import numpy as np
+
 from agent.config.reading import ConfigError, shown
 
 LARGEST: Final = 100.0  # kg, kg·m², m and rad, as in a cell file
+ROUNDED: Final = 0.01  # by which moments of few digits may be off those of a body
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?")
 _TRIPLES = (("origin", "xyz"), ("origin", "rpy"), ("axis", "xyz"))
 _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
@@ -25,7 +28,10 @@ def urdf_beside(arm_file: str, urdf: str) -> str:
 
 
 def text_of_urdf(raw: bytes, name: str) -> str:
-    """The text of a URDF whose numbers can all be read.  Raises ConfigError naming file and element."""
+    """The text of a URDF whose numbers can all be read, and whose links are bodies.
+
+    Raises ConfigError naming file and element.
+    """
     try:
         text = raw.decode()
         robot = ET.fromstring(text)
@@ -46,7 +52,24 @@ def text_of_urdf(raw: bytes, name: str) -> str:
                 + (f", not below 0 and at most {LARGEST:g}" if a_weight else f" within ±{LARGEST:g}"),
                 remedy="correct it and its unit: what cannot be read would be left out",
             )
+    for link in robot.iter("link"):
+        _refuse_impossible(link, name)
     return text
+
+
+def _refuse_impossible(link: ET.Element, name: str) -> None:
+    """Raise ConfigError for moments of inertia, all of which can be read, that no body has."""
+    where = shown(f"link {link.get('name')}")
+    for inertia in link.iterfind("inertial/inertia"):
+        xx, xy, xz, yy, yz, zz = (float(inertia.get(moment, "")) for moment in _MOMENTS)
+        least, middle, most = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]).tolist()
+        if most > (1.0 + ROUNDED) * (least + middle):  # nor is one of them negative then
+            raise ConfigError(
+                f"inertia of {where} in {name}",
+                found=f"principal moments {least:.3g}, {middle:.3g}, {most:.3g} kg·m²",
+                expected="those of a body: none negative, the largest not above the sum of the others",
+                remedy="correct its entries: about the centre of mass, ixy, ixz, iyz with the tensor's sign, in kg·m²",
+            )
 
 
 def _numbers(robot: ET.Element) -> Iterator[tuple[str, str, str | None, bool]]:

@@ -10,6 +10,7 @@ from agent.control.quaternion import Quat, Vec3, angle_between
 from agent.control.trajectory_spline import PoseSpline, TrajectoryError
 
 COLUMNS = ("t_s", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
+BYTE_ORDER_MARK = "\ufeff"
 LATEST_S, FARTHEST_M = 1e6, 100.0
 UNIT_TOLERANCE = 1e-3  # files round; the quaternion is normalised within this
 _SAMPLES_PER_ROW = 4  # of the spline between the rows
@@ -30,6 +31,11 @@ def read(text: str, source: str, limits: SpeedLimits) -> PoseSpline:
     First line: the column names t_s,x_m,y_m,z_m,qw,qx,qy,qz.  Empty lines and lines that begin with # are
     skipped.  The motion begins and ends at rest.  Raises TrajectoryError naming the line.
     """
+    if text.startswith(BYTE_ORDER_MARK):
+        raise TrajectoryError(
+            source, found="a byte order mark before the first line", expected="CSV in UTF-8",
+            remedy="save it as UTF-8 without BOM",
+        )  # fmt: skip
     lines = [(i, line.strip()) for i, line in enumerate(text.splitlines(), start=1)]
     lines = [(i, line) for i, line in lines if line and not line.startswith("#")]
     header = tuple(c.strip() for c in lines[0][1].split(",")) if lines else ()

@@ -5,6 +5,8 @@ from __future__ import annotations
 import ctypes
 import os
 import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import FrameType
 
 PR_SET_PDEATHSIG = 1
@@ -20,6 +22,7 @@ class StopFlag:
         self.stopped = False
         self.stops = 0  # how often it was asked for
         self.released = False
+        self._interrupts = False
         signal.signal(signal.SIGTERM, self._stop)
         signal.signal(signal.SIGINT, self._stop)
         if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
@@ -30,6 +33,9 @@ class StopFlag:
         del number, frame
         self.stopped = True
         self.stops += 1
+        if self._interrupts:
+            self._interrupts = False  # one is enough, and what it ends may tidy up
+            raise KeyboardInterrupt
 
     def _release(self, number: int, frame: FrameType | None) -> None:
         del number, frame
@@ -38,6 +44,15 @@ class StopFlag:
     def __call__(self) -> bool:
         """Whether a stop was asked for."""
         return self.stopped
+
+    @contextmanager
+    def interrupting(self) -> Iterator[None]:
+        """For work that asks nobody: a stop that comes within the block ends it, as KeyboardInterrupt."""
+        self._interrupts = True
+        try:
+            yield
+        finally:
+            self._interrupts = False
 
 
 def begin(with_parent: bool) -> StopFlag:

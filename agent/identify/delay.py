@@ -20,6 +20,7 @@ Matrix = NDArray[np.float64]
 ROUNDS: Final = 5
 CLOSE_S: Final = 1e-5
 LONGEST_PERIODS: Final = 20.0
+SURE: Final = 3.0  # standard errors beyond which a delay is another one
 
 
 class Delay(NamedTuple):
@@ -27,7 +28,13 @@ class Delay(NamedTuple):
 
     value_s: float
     sigma_s: float
-    believed_s: float
+    believed_s: float  # by the cell file
+    taken_s: float  # for the other figures
+
+    @property
+    def is_taken(self) -> bool:
+        """Whether the other figures were found with a delay that may be this one."""
+        return abs(self.value_s - self.taken_s) <= SURE * self.sigma_s
 
 
 def measured(
@@ -39,8 +46,8 @@ def measured(
     parameters and standard errors of the equations whose torque is shifted by the first argument and whose last column
     is the second, both (k, n).
     """
-    T, believed = recording.period_s, recording.delay_s
-    before, delay = filtered(recording.tau), believed
+    T, taken = recording.period_s, recording.delay_s
+    before, delay = filtered(recording.tau), taken
     for _ in range(ROUNDS):
         tau = acted(recording.sent, delay / T)
         value, sigma = solve(filtered(tau) - before, filtered(np.gradient(tau, T, axis=0)))
@@ -48,5 +55,5 @@ def measured(
         if not 0.0 <= delay <= LONGEST_PERIODS * T:
             break
         if abs(float(value[-1])) < CLOSE_S:
-            return Delay(delay, float(sigma[-1]), believed)
+            return Delay(delay, float(sigma[-1]), taken, taken)
     return None

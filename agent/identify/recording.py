@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import datetime
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -45,12 +45,16 @@ class Recording:
     tau: Matrix  # (k, n) N·m that acted
     day: str  # of the run, UTC
     sent: Matrix  # (k, n) N·m
-    delay_s: float  # from a sample to its torque, as believed
+    delay_s: float  # from a sample to its torque, of which `tau` is made
 
     @property
     def source(self) -> str:
         """Where a figure comes from, for the arm file."""
         return f"coop identify, run of {self.day}, cell {self.cell.file.name} {self.cell.fingerprint[:12]}"
+
+    def delayed(self, delay_s: float) -> Recording:
+        """The same, with the torque as it acted if this was the loop's delay."""
+        return replace(self, tau=acted(self.sent, delay_s / self.period_s), delay_s=delay_s)
 
 
 def from_log(log: AnyLog, arm: str | None = None, arms_dir: Path = configs.ARMS_DIR) -> Recording:

@@ -15,7 +15,8 @@ from agent.config.edit import Change, apply
 from agent.config.schema.arm import ArmFile, Provenance
 from agent.control.regressor import BODY_PARAMETERS
 from agent.identify.columns import described_parameters
-from agent.identify.fit import Fit, Options
+from agent.identify.equations import Options
+from agent.identify.fit import Fit
 from agent.identify.friction import BREAKAWAY, BREAKAWAY_LOAD, CERTAIN, LOAD
 from agent.identify.recording import Recording
 

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import configs
 from agent.atomic import keep_existing, make_folder, write_atomically
-from agent.identify.fit import Options, fit
+from agent.identify.equations import Options
+from agent.identify.fit import fit
 from agent.identify.recording import from_log
 from agent.identify.result import Identified, identified
 from agent.identify.show import validation_figure

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Final
-
 import numpy as np
 from matplotlib.figure import Figure
 from rich.table import Table
 
 from agent.identify.result import Identified, Outcome, gravity_rows
 from agent.report.plotting import BLUE, GREY, HEADER_IN, RED, header_line, panels, styled
-
-SURE: Final = 3.0  # standard errors beyond which the loop's delay is another one than believed
 
 
 def estimates_table(result: Identified) -> Table:
@@ -50,11 +46,14 @@ def delay_line(result: Identified) -> str:
     delay = result.fit.delay
     if delay is None:
         return "loop delay: not to be seen in this motion"
-    value, sigma, believed = delay
-    found = f"loop delay: {value:.4f} s ± {sigma:.1g} (loop_delay_s, or one period: {believed:g})"
-    if abs(value - believed) <= SURE * sigma:
-        return found
-    return f"{found}; too far from it: viscous friction above all is off by that, set loop_delay_s and record again"
+    found = (
+        f"loop delay: {delay.value_s:.4f} s ± {delay.sigma_s:.1g} (loop_delay_s, or one period: {delay.believed_s:g})"
+    )
+    if not delay.is_taken:
+        return f"{found}; the figures are those of {delay.taken_s:.4g} s: viscous friction above all is off by that"
+    if delay.taken_s != delay.believed_s:
+        return f"{found}; the figures are those of {delay.taken_s:.4g} s: set loop_delay_s to it"
+    return found
 
 
 @styled

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 from agent.config.cell import Cell, load_cell
+from agent.host.signals import StopFlag
 from agent.log.read import open_log
 from agent.process.children import Children
 from agent.process.folder import LOG_NAME, RunError, output_folder
@@ -53,30 +53,42 @@ class RunOutcome:
     gave_up: str = ""  # why a session went no further; its arms came back as far as they could
 
 
-def run_cell(options: RunOptions, stop: Callable[[], bool], progress: Progress) -> RunOutcome:
+class ReportStopped(RunError):
+    """A person did not wait for the report; the log is complete."""
+
+    exit_code = 130
+
+
+def run_cell(options: RunOptions, stop: StopFlag, progress: Progress) -> RunOutcome:
     """Run a simulated cell to its end, or to a requested stop.
 
     Raises Refusal: ConfigError before anything starts, ChildFailed when a process ends early (everything else
-    is then stopped and the log is closed and readable).
+    is then stopped and the log is closed and readable), ReportStopped when a stop comes while the report is made.
+    A stop before anything starts is a KeyboardInterrupt.
     """
+    with stop.interrupting():
+        cell = _examined(options, progress)
+    with output_folder(options.out, cell.file.name, replace=options.replace) as out:
+        log = out / LOG_NAME
+        interrupted, gave_up = _carry_out(options, cell, log, stop, progress)
+        progress.phase("report")
+        page, results = _reported(log, out, stop, drawn=options.report)
+    progress.phase("done")
+    return RunOutcome(log, page, results, interrupted, results.within_bounds, gave_up)
+
+
+def _examined(options: RunOptions, progress: Progress) -> Cell:
+    """The cell, which may run.  Raises Refusal."""
     cell = _cell_of(options)
     require_wall_clock(cell, real_time=options.kind is RunKind.HIL, found=f"a run in {options.kind.value}")
     if options.real is not None:
         options.real.require(cell, options.faults)
     progress.phase("checking")
     examine(cell, wired=options.kind.has_servos).require()
-    with output_folder(options.out, cell.file.name, replace=options.replace) as out:
-        log = out / LOG_NAME
-        interrupted, gave_up = _carry_out(options, cell, log, stop, progress)
-        progress.phase("report")
-        page, results = _reported(log, out, drawn=options.report)
-    progress.phase("done")
-    return RunOutcome(log, page, results, interrupted, results.within_bounds, gave_up)
+    return cell
 
 
-def _carry_out(
-    options: RunOptions, cell: Cell, log: Path, stop: Callable[[], bool], progress: Progress
-) -> tuple[bool, str]:
+def _carry_out(options: RunOptions, cell: Cell, log: Path, stop: StopFlag, progress: Progress) -> tuple[bool, str]:
     """Run all processes to their end; whether that was asked for, and why a session went no further."""
     with run_folder() as runtime:
         children = _children(options, cell, log, runtime)
@@ -121,13 +133,19 @@ def _children(options: RunOptions, cell: Cell, log: Path, runtime: Path) -> Chil
     return Children(*given, whole=options.whole)
 
 
-def _reported(log: Path, out: Path, *, drawn: bool) -> tuple[Path | None, Results]:
-    """Write the results beside a log, with the page of the report if it is to be drawn."""
-    with open_log(log) as opened:
-        if not drawn:
-            return None, write_results(opened, out)
-        from agent.report.report import write_report  # noqa: PLC0415 - figures cost 0.3 s, and not every run has any
-        from agent.view.film import still  # noqa: PLC0415 - figures, too
+def _reported(log: Path, out: Path, stop: StopFlag, *, drawn: bool) -> tuple[Path | None, Results]:
+    """Write the results beside a log, with the page of the report if it is to be drawn.  Raises ReportStopped."""
+    try:
+        with stop.interrupting(), open_log(log) as opened:
+            if not drawn:
+                return None, write_results(opened, out)
+            from agent.report.report import write_report  # noqa: PLC0415 - figures cost 0.3 s, and not every run has any
+            from agent.view.film import still  # noqa: PLC0415 - figures, too
 
-        written = write_report(opened, out, still)
-        return written.html, written.results
+            written = write_report(opened, out, still)
+            return written.html, written.results
+    except KeyboardInterrupt:
+        raise ReportStopped(
+            f"report of {log}", found="a stop while it was made", expected="time to make it; the log is complete",
+            remedy="`coop report` makes it",
+        ) from None  # fmt: skip

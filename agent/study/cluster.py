@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError
 from importlib import import_module
 from typing import Any, Final
 
@@ -14,15 +15,20 @@ from agent.study.work import ATTEMPTS, Done, perform, result_of
 CONNECT_S: Final = 10.0
 
 
-def on_cluster(tasks: Sequence[Task], address: str) -> Iterator[Done]:
-    """On the cluster whose scheduler is at `address`, as they are done.  Raises Refusal, StudyError."""
+def on_cluster(tasks: Sequence[Task], address: str, tell: Callable[[str], None] = lambda _: None) -> Iterator[Done]:
+    """On the cluster whose scheduler is at `address`, as they are done.  Raises StudyError.
+
+    tell: that nobody is there to do them, until somebody comes.
+    """
     distributed = _distributed()
     client = _client(distributed, address)
     try:
+        if not client.scheduler_info()["workers"]:
+            tell(f"scheduler {address} has no workers yet: start some with `dask worker {address}`")
         futures = {client.submit(perform, task, pure=False, retries=ATTEMPTS - 1): task for task in tasks}
         for future in distributed.as_completed(futures, loop=client.loop):
             task = futures.pop(future)
-            yield task, _result(distributed, future, task)
+            yield task, _result(distributed, future, task, address)
     finally:
         client.close()
 
@@ -51,7 +57,7 @@ def _client(distributed: Any, address: str) -> Any:
         ) from error
 
 
-def _result(distributed: Any, future: Any, task: Task) -> RunResult:
+def _result(distributed: Any, future: Any, task: Task, address: str) -> RunResult:
     try:
         result = future.result()
     except distributed.KilledWorker as error:
@@ -60,5 +66,12 @@ def _result(distributed: Any, future: Any, task: Task) -> RunResult:
             found="several workers that died during it",
             expected="workers that live",
             remedy="see the workers' logs",
+        ) from error
+    except CancelledError as error:
+        raise StudyError(
+            f"scheduler {address}",
+            found="it is gone, or was told to give up the runs",
+            expected="one that stays until they are done",
+            remedy="start it again, and the study with the same --out: finished runs are kept",
         ) from error
     return result_of(result)

@@ -13,12 +13,13 @@ import queue
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
 
 from agent.config.cell import cell_from_toml
+from agent.host.signals import StopFlag
 from agent.study.lab import Laboratory
 from agent.study.measure import RunResult, run_once
 from agent.study.plan import Task
@@ -94,6 +95,20 @@ def in_processes(tasks: Sequence[Task], workers: int) -> Iterator[Done]:
             worker.stop()
         for worker in crew:
             worker.join()
+
+
+def until(stop: StopFlag, work: Callable[[Sequence[Task]], Iterator[Done]], tasks: Sequence[Task]) -> Iterator[Done]:
+    """The runs that `work` has done until a stop comes, which waits for none.  Raises what it raises."""
+    runs = work(tasks)
+    for _ in tasks:
+        if stop():
+            return
+        try:
+            with stop.interrupting():
+                done = next(runs)
+        except KeyboardInterrupt:
+            return
+        yield done
 
 
 class _Worker(threading.Thread):

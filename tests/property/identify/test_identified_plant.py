@@ -12,7 +12,8 @@ import pytest
 import configs
 from agent.config.cell import load_cell
 from agent.config.schema.arm import Provenance
-from agent.identify.fit import Fit, Options, fit
+from agent.identify.equations import Options
+from agent.identify.fit import Fit, fit
 from agent.identify.recording import Recording
 from agent.identify.result import Outcome, identified
 from agent.identify.show import estimates_table, residual_lines, validation_figure
@@ -77,6 +78,13 @@ def test_standard_errors_cover_the_truth(known: Known) -> None:
     z = np.abs(known.fit.value - known.truth)[judged] / known.fit.sigma[judged]
     assert z.max() < 3.0
     assert (z < 2.0).mean() >= 0.9
+
+
+def test_the_loops_delay_is_found_whatever_rubs_and_turns(known: Known) -> None:
+    delay = known.fit.delay
+    assert delay is not None
+    assert delay.taken_s == delay.believed_s, "the loop has the believed one"
+    assert abs(delay.value_s - known.recording.cell.file.delay_s) < min(3.0 * delay.sigma_s, 1e-3)
 
 
 def test_standard_errors_of_friction_are_small_enough_to_be_of_use(known: Known) -> None:

@@ -13,7 +13,8 @@ import pytest
 import configs
 from agent.config.cell import load_cell
 from agent.host.latency import newest
-from agent.identify.fit import Options, fit
+from agent.identify.equations import Options
+from agent.identify.fit import fit
 from agent.identify.result import Identified, identified
 from agent.log.file import LogFileError
 from agent.process import folder

@@ -112,6 +112,37 @@ def test_a_urdf_with_a_number_that_cannot_be_read_is_refused(tmp_path: Path, urd
         loaded(tmp_path, urdf=urdf)
 
 
+def with_inertia(xx: float, yy: float, zz: float, xy: float = 0.0, xz: float = 0.0, yz: float = 0.0) -> str:
+    """The URDF with this inertia of its first link, kg·m²."""
+    tensor = f'<inertia ixx="{xx}" ixy="{xy}" ixz="{xz}" iyy="{yy}" iyz="{yz}" izz="{zz}"/>'
+    return re.sub(r"<inertia [^>]*/>", tensor, URDF, count=1)
+
+
+@pytest.mark.parametrize(
+    ("urdf", "moments"),
+    [
+        (with_inertia(1e-3, 1e-3, 2.1e-3), "0.001, 0.001, 0.0021"),
+        (with_inertia(2.1e-3, 1e-3, 1e-3), "0.001, 0.001, 0.0021"),
+        (with_inertia(1e-3, 1e-3, 1e-3, xy=1.1e-3), "-0.0001, 0.001, 0.0021"),
+        (with_inertia(1e-3, 1e-3, 1e-3, xz=0.4e-3, yz=0.4e-3), "0.000434, 0.001, 0.00157"),
+        (with_inertia(0.0, 0.0, 0.0, yz=1e-3), "-0.001, 0, 0.001"),
+    ],
+)
+def test_a_link_that_no_body_can_be_is_refused(tmp_path: Path, urdf: str, moments: str) -> None:
+    message = rf"inertia of link base_link in wx200.urdf: found principal moments {moments} kg·m², expected .*not above"
+    with pytest.raises(ConfigError, match=message):
+        loaded(tmp_path, urdf=urdf)
+
+
+@pytest.mark.parametrize(
+    "urdf",
+    [with_inertia(1e-3, 1e-3, 2.01e-3), with_inertia(0.0, 1e-3, 1e-3), with_inertia(0.0, 0.0, 0.0)],
+    ids=["rounded", "a rod", "none"],
+)
+def test_a_thin_or_rounded_link_is_a_body(tmp_path: Path, urdf: str) -> None:
+    assert loaded(tmp_path, urdf=urdf).arms
+
+
 @pytest.mark.parametrize(
     ("urdf", "message"),
     [

@@ -244,6 +244,10 @@ def test_a_file_of_poses_is_the_spline_through_them() -> None:
     [
         ("", "columns of way.csv: found nothing, expected t_s,x_m"),
         (csv(GOOD, "t,x,y,z,qx,qy,qz,qw"), "columns of way.csv: found t,x,y,z"),
+        (
+            "\ufeff" + csv(GOOD),  # as some spreadsheets write it
+            "way.csv: found a byte order mark before the first line, .*save it as UTF-8 without BOM",
+        ),
         (csv([*GOOD[:2], "2,0.12,0,0,1,0,0", GOOD[3]]), "line 4 of way.csv: found 7 values, expected 8"),
         (csv([*GOOD[:2], "2,0.12,0,zero,1,0,0,0"]), "line 4 of way.csv: .*could not convert"),
         (csv([GOOD[0], "nan,0,0,0,1,0,0,0"]), "line 3 of way.csv: .*finite"),

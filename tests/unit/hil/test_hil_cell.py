@@ -23,6 +23,7 @@ from agent.verify.finding import Verdict
 from agent.verify.rehearsal import examine_rehearsal
 from drivers.interface import ConnectError
 from sim_backend.hil.touch import Borne
+from tests.support.stops import stop_flag
 
 LOOP = 'hil.arms=["left"]'
 SQUEEZE = (("left", 3.0), ("right", -3.0))
@@ -102,8 +103,9 @@ def test_a_rehearsal_in_lockstep_is_refused_before_anything_starts(tmp_path: Pat
     require_wall_clock(cell(), real_time=False)
     for kind in set(RunKind) - {RunKind.HIL}:
         options = RunOptions(Path("two_wx200"), (LOOP,), 1.0, tmp_path / "out", 0, kind)
-        with pytest.raises(ConfigError, match=f"found a run in {kind.value}, .*coop run CELL --hil"):
-            run_cell(options, lambda: False, _Quiet())
+        refused = pytest.raises(ConfigError, match=f"found a run in {kind.value}, .*coop run CELL --hil")
+        with stop_flag() as stop, refused:
+            run_cell(options, stop, _Quiet())
     assert not (tmp_path / "out").exists()
 
 

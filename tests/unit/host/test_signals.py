@@ -43,3 +43,30 @@ def test_a_process_that_is_to_outlive_its_terminal_does() -> None:
     flag = StopFlag()
     signal.raise_signal(signal.SIGHUP)
     assert not flag()
+
+
+@pytest.mark.usefixtures("handlers")
+def test_a_stop_interrupts_work_that_asks_nobody_but_not_what_tidies_up_after_it() -> None:
+    flag = StopFlag()
+
+    def work() -> None:
+        try:
+            signal.raise_signal(signal.SIGTERM)
+        finally:
+            signal.raise_signal(signal.SIGTERM)
+            flag.released = True  # as a draft that is removed
+
+    with pytest.raises(KeyboardInterrupt), flag.interrupting():
+        work()
+    assert flag.released
+    assert (flag(), flag.stops) == (True, 2)
+
+
+@pytest.mark.usefixtures("handlers")
+def test_a_stop_before_or_after_such_work_interrupts_nothing() -> None:
+    flag = StopFlag()
+    signal.raise_signal(signal.SIGINT)
+    with flag.interrupting():
+        pass
+    signal.raise_signal(signal.SIGINT)
+    assert flag.stops == 2

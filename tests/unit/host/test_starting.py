@@ -41,3 +41,25 @@ def test_a_letter_that_the_terminal_lacks_is_written_by_its_number(encoding: str
         [sys.executable, "-c", code], env=surroundings, stdout=subprocess.PIPE, check=True, timeout=60
     )
     assert done.stdout == written + b"\n"
+
+
+@pytest.mark.parametrize(
+    ("number", "ignored", "ended"), [("SIGTERM", False, True), ("SIGHUP", False, True), ("SIGHUP", True, False)]
+)
+def test_a_command_that_is_told_to_end_tidies_up(number: str, ignored: bool, ended: bool) -> None:
+    """As at Ctrl-C: `coop report` left its draft behind.  Under `nohup` it goes on."""
+    code = f"""
+import signal
+from agent.cli.main import main
+signal.signal(signal.{number}, signal.{"SIG_IGN" if ignored else "SIG_DFL"})
+try:
+    main(["where", "cells"])
+except SystemExit:
+    pass
+try:
+    signal.raise_signal(signal.{number})
+except KeyboardInterrupt:
+    print("tidied")
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.endswith("tidied\n") is ended

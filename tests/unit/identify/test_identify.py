@@ -12,7 +12,8 @@ import configs
 from agent.config.cell import Cell, load_cell
 from agent.control.models import ArmModel
 from agent.identify.columns import all_columns, base_of, described_parameters, object_torque
-from agent.identify.fit import Options, fit, low_pass
+from agent.identify.equations import Options, low_pass
+from agent.identify.fit import fit
 from agent.identify.recording import IdentifyError
 from agent.identify.solve import Part, least_squares
 from drivers.interface import Vector
@@ -193,9 +194,9 @@ def test_a_cut_off_above_the_sampling_is_refused() -> None:
 
 def test_a_recording_is_the_same_equations_however_it_is_cut_into_stretches(monkeypatch: pytest.MonkeyPatch) -> None:
     recording = exact(cell_of("identify_wx200"), 0.6, (0.3, 0.7), 60.0)
-    monkeypatch.setattr("agent.identify.fit.STRETCH_S", 1e6)
+    monkeypatch.setattr("agent.identify.equations.STRETCH_S", 1e6)
     whole = fit(recording, Options())
-    monkeypatch.setattr("agent.identify.fit.STRETCH_S", 3.0)
+    monkeypatch.setattr("agent.identify.equations.STRETCH_S", 3.0)
     monkeypatch.setattr("agent.identify.solve.BLOCK_ROWS", 37)
     cut = fit(recording, Options())
     np.testing.assert_allclose(cut.held_out.columns, whole.held_out.columns, rtol=0, atol=1e-10)

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import csv
 import json
+import signal
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,9 +23,10 @@ from agent.study.plan import Plan, Task, load_plan
 from agent.study.store import RUNS_FILE, Store, StudyError
 from agent.study.study import RESULTS, run_study
 from agent.study.summary import _spearman, errors_of, influences, judged, summary, verdict, worst
-from agent.study.work import ATTEMPTS, here, in_processes
+from agent.study.work import ATTEMPTS, here, in_processes, until
 from drivers.interface import Refusal
 from tests.support.command import coop
+from tests.support.stops import stop_flag
 from tests.support.study import PAPER, SHORT, cell, cell_file
 
 KEYS = (
@@ -380,3 +383,57 @@ def test_a_dask_cluster_finds_the_same_to_the_bit(plan: Plan, results: list[RunR
 
     with LocalCluster(n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
         assert results_of(list(on_cluster(plan.tasks(), cluster.scheduler_address))) == results
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_scheduler_that_goes_away_is_one_line_and_one_without_workers_is_told(plan: Plan) -> None:
+    from distributed import LocalCluster
+
+    from agent.study.cluster import on_cluster
+
+    told: list[str] = []
+    with LocalCluster(n_workers=0, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
+        address = cluster.scheduler_address
+        runs = on_cluster(plan.tasks() * 50, address, lambda text: (told.append(text), cluster.scale(1)))
+        next(runs)
+        cluster.close()
+        with pytest.raises(
+            StudyError, match=rf"scheduler {address}: found it is gone, .*same --out: finished runs are kept"
+        ):
+            list(runs)
+    assert told == [f"scheduler {address} has no workers yet: start some with `dask worker {address}`"]
+
+
+class _Waited:
+    """Work of which the third run never comes; a person who has waited presses Ctrl-C."""
+
+    def __init__(self, results: Sequence[RunResult]) -> None:
+        self._results, self.ended = results, False
+
+    def __call__(self, tasks: Sequence[Task]) -> Iterator[tuple[Task, RunResult]]:
+        try:
+            yield from zip(tasks[:2], self._results, strict=False)
+            signal.raise_signal(signal.SIGINT)
+            pytest.fail("not heard")
+        finally:
+            self.ended = True
+
+
+def test_a_stop_waits_for_no_run(tmp_path: Path, plan: Plan, results: list[RunResult]) -> None:
+    work = _Waited(results)
+    with stop_flag() as stop:
+        outcome = run_study(plan, tmp_path, partial(until, stop, work), stop, Told())
+        assert (work.ended, outcome.interrupted, outcome.document["runs"]) == (True, True, 2)
+        assert not list(until(stop, work, plan.tasks())), "it was asked for before"
+
+
+def test_a_study_that_nobody_stops_has_all_its_runs_and_what_they_raise(plan: Plan, results: list[RunResult]) -> None:
+    def failing(tasks: Sequence[Task]) -> Iterator[tuple[Task, RunResult]]:
+        yield tasks[0], results[0]
+        raise StudyError("a run", found="a defect", expected="none", remedy="mend it")
+
+    with stop_flag() as stop:
+        known = list(zip(plan.tasks(), results, strict=True))
+        assert list(until(stop, lambda _: iter(known), plan.tasks())) == known
+        with pytest.raises(StudyError, match="a defect"):
+            list(until(stop, failing, plan.tasks()))
