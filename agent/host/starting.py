@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import gc
 import io
 import os
 import sys
-from typing import Final, NoReturn
+from typing import Any, Final, NoReturn
 
 USAGE: Final = 2  # exit code where a line, or the host, does not do
 GARBAGE_AFTER: Final = 50_000  # new objects, of which the interpreter looks for cycles; a start makes many more
@@ -24,6 +25,7 @@ def settle() -> None:
         os.environ.setdefault(setting, value)
     gc.set_threshold(GARBAGE_AFTER)
     _open_closed_streams()
+    _outlive_terminals()
     if isinstance(sys.stdout, io.TextIOWrapper) and (sys.stdout.errors, sys.stdout.encoding) != _ANY_BYTE:
         sys.stdout.reconfigure(errors="backslashreplace")  # a letter that it has not is written by its number
 
@@ -35,6 +37,28 @@ def _open_closed_streams() -> None:
             nowhere = os.open(os.devnull, os.O_RDWR)
             os.set_inheritable(nowhere, True)
             setattr(sys, name, os.fdopen(nowhere, mode, encoding="utf-8"))
+
+
+class _Terminal(io.FileIO):
+    """A terminal, which may be closed while something is still written to it: that leads nowhere."""
+
+    def write(self, data: Any, /) -> int:
+        try:
+            return super().write(data)
+        except OSError as error:
+            if error.errno != errno.EIO:
+                raise
+            return memoryview(data).nbytes
+
+
+def _outlive_terminals() -> None:
+    """Have nothing fail for a terminal that is gone: a stop follows (SIGHUP), whose end is as orderly as any."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if isinstance(stream, io.TextIOWrapper) and stream.isatty():
+            terminal = io.BufferedWriter(_Terminal(stream.fileno(), "w", closefd=False))
+            lasting = io.TextIOWrapper(terminal, stream.encoding, stream.errors, line_buffering=True)
+            setattr(sys, name, lasting)
 
 
 def ready(what: str) -> None:
