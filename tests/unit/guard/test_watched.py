@@ -179,6 +179,18 @@ def test_what_is_inherited_goes_on_behind_the_last_row_and_text(agent: Agent) ->
     heard.close()
 
 
+def test_while_a_guard_goes_on_another_agent_is_refused_and_told_what_ends_it(agent: Agent) -> None:
+    """With everything of the first one gone: what the guard has keeps its rows and texts."""
+    seen = watched(agent)
+    agent.ring.close()
+    agent.texts.close()
+    seen.inherit()
+    with pytest.raises(RingError, match=r"has a writer already.*a guard that holds the arm .* `coop release`"):
+        TextWriter(agent.path, "left")
+    seen.close()
+    TextWriter(agent.path, "left").close()
+
+
 def test_everything_of_an_agent_is_let_go(agent: Agent) -> None:
     before = descriptors()
     seen = watched(agent)
