@@ -12,6 +12,7 @@ those of the start.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -22,6 +23,7 @@ from agent.config.schema.controller import ControllerKind
 from agent.config.schema.session import Session
 from agent.config.session import rest_joints
 from agent.config.statics import carried_Nm
+from agent.config.trajectory import sample_times, waypoint_times
 from agent.control import ik
 from agent.control.inverse import pseudo_inverse
 from agent.control.models import ArmModel, Kinematics, Matrix
@@ -34,7 +36,8 @@ FASTEST: Final = 0.85  # of no-load speed, whatever the motion asks for
 ADAPTIVE_TIMES: Final = 1.9  # arms that learn at rest share the weight as it happens
 FLOORS: Final = (0.3, 0.3, 0.3, 0.03, 0.03, 0.03)
 FRICTION_TIMES: Final = 3.0  # of the file's friction at rest: feedback beyond it moves any joint that is free
-SAMPLES: Final = 100  # of the motion
+STEPS: Final = 99  # along the motion
+NAMED_MAX: Final = 1000  # of the motion's own instants, for a box that takes no joints
 AHEAD_MAX_RAD: Final = 0.1  # from which the next of them is looked for
 
 
@@ -111,7 +114,8 @@ def _alone(cell: Cell, arm: Arm, low: Vector, high: Vector) -> tuple[tuple[float
 
 def _around_motion(cell: Cell, margin_m: float) -> tuple[tuple[float, float], ...]:
     trajectory = cell.trajectory()
-    times = np.linspace(0.0, min(trajectory.period_s, cell.file.duration_s), SAMPLES).tolist()
+    named, _ = waypoint_times(cell.file, min(trajectory.period_s, cell.file.duration_s), NAMED_MAX)
+    times = [*sample_times(cell.file, trajectory, STEPS), *named]
     places = np.array([cell.file.object.p_start_m, *(trajectory.at(t).p for t in times)])
     low, high = places.min(axis=0) - margin_m, places.max(axis=0) + margin_m
     return tuple(zip(low.tolist(), high.tolist(), strict=True))
@@ -136,8 +140,8 @@ def speeds_of_motion(cell: Cell, arm: Arm, model: ArmModel) -> Vector:
     """(n,) rad/s: the largest along the desired motion; as far as the arm can follow it."""
     trajectory, P = cell.trajectory(), model.task_basis
     q, ahead, fastest = np.array(arm.entry.q_near_rad), np.zeros(model.n), np.zeros(model.n)
-    times = np.linspace(0.0, min(trajectory.period_s, cell.file.duration_s), SAMPLES)
-    for t in times.tolist():
+    times = sample_times(cell.file, trajectory, STEPS)
+    for t, following in pairwise([*times, times[-1]]):
         desired = trajectory.at(t)
         try:
             q = ik.solve(model, placement(desired.p, desired.quat), q + ahead)
@@ -145,7 +149,7 @@ def speeds_of_motion(cell: Cell, arm: Arm, model: ArmModel) -> Vector:
             break
         dq = pseudo_inverse(model.jacobian(q)) @ (P @ np.array(desired.v))
         fastest = np.maximum(fastest, np.abs(dq))
-        ahead = dq * times[1]
+        ahead = dq * (following - t)
         if np.abs(ahead).max() > AHEAD_MAX_RAD:  # beside a singular pose it leads to other solutions
             ahead = np.zeros(model.n)
     return fastest

@@ -29,6 +29,7 @@ from agent.config import observer
 from agent.config.cell import Arm, Cell, ConfigError, placement
 from agent.config.friction import at_rest_Nm
 from agent.config.statics import carried_Nm
+from agent.config.trajectory import sample_times
 from agent.control import ik
 from agent.control.against import Against
 from agent.control.inverse import SingularJacobian, invert_jacobian
@@ -39,7 +40,7 @@ from agent.control.touch import Touch
 from drivers.dynamixel.servo.counts import TICKS_PER_TURN
 from drivers.interface import Vector
 
-PLACES: Final = 12  # along the motion
+PLACES: Final = 12  # along the motion, and more where these hide a part of it
 MARGIN: Final = 1.4
 BLOW: Final = 1.5  # margin of the fast channel, in which a touch comes on top of what is usual
 REVERSAL: Final = (0.3, 0.6)  # force, moment: of the friction, the sudden part
@@ -181,8 +182,8 @@ def _known(cell: Cell, arm: Arm) -> _Arm:
 def _places(known: _Arm) -> list[_Place]:
     cell, arm, model = known.cell, known.arm, known.model
     trajectory, q, P = cell.trajectory(), np.array(arm.entry.q_near_rad), model.task_basis
-    end, places = min(trajectory.period_s, cell.file.duration_s), []
-    for t in np.linspace(0.0, end, PLACES, endpoint=False).tolist():
+    places = []
+    for t in sample_times(cell.file, trajectory, PLACES)[:-1]:
         desired = trajectory.at(t)
         try:
             q = ik.solve(model, placement(desired.p, desired.quat), q)

@@ -22,6 +22,7 @@ from agent.control.trajectory_spline import PoseSpline, TrajectoryError
 SAMPLES_PER_SHORTEST_PERIOD: Final = 8
 SAMPLES_PER_MOVE: Final = 8
 SAMPLES_HIDDEN: Final = 25
+QUICKEST: Final = 3  # parts of a spline, in translation and in rotation
 
 
 def build(file: CellFile) -> Trajectory:
@@ -67,17 +68,36 @@ def waypoint_times(file: CellFile, end_s: float, at_most: int) -> tuple[list[flo
     return [], 0
 
 
-def hidden_times(file: CellFile, step_s: float) -> list[float]:
-    """Instants, s, of what even steps of step_s through the motion's period would miss or hardly see."""
-    t = file.trajectory
-    later_s = 0.0 if file.session is None else file.session.lift_s
-    begins, length_s = [], 0.0
-    if isinstance(t, RestToRestSpec) and t.move_s < SAMPLES_PER_MOVE * step_s:
-        begins, length_s = [t.wait_s, 2.0 * t.wait_s + t.move_s][: 1 + t.and_back], t.move_s
-    elif isinstance(t, SinusoidSpec) and t.ramp_s > t.period_s:  # its full speed comes late
-        begins, length_s = [t.ramp_s], t.period_s
-    parts = [np.linspace(later_s + begin_s, later_s + begin_s + length_s, SAMPLES_HIDDEN) for begin_s in begins]
-    return [time for part in parts for time in part.tolist() if time <= file.duration_s]
+def sample_times(file: CellFile, motion: Trajectory, steps: int) -> list[float]:
+    """Instants, s, ascending, at which to look at the motion of this file as far as a run goes.
+
+    They are even steps, and samples of what these would miss or hardly see.
+    """
+    end_s = min(motion.period_s, file.duration_s)
+    parts = [
+        np.linspace(begin_s, begin_s + length_s, SAMPLES_HIDDEN).tolist()
+        for begin_s, length_s in _hidden(motion, end_s, end_s / steps)
+    ]
+    hidden = [time for part in parts for time in part if time <= file.duration_s]
+    return sorted({*np.linspace(0.0, end_s, steps + 1).tolist(), *hidden})
+
+
+def _hidden(motion: Trajectory, end_s: float, step_s: float) -> list[tuple[float, float]]:
+    """Begin and length, s, of the parts of a motion up to end_s that steps of step_s hide."""
+    shortest_s = SAMPLES_PER_MOVE * step_s
+    if isinstance(motion, Lifted):
+        lift_s = motion.lift_s
+        carried = _hidden(motion.inner, end_s - lift_s, step_s)
+        lift = [(0.0, lift_s)] if lift_s < shortest_s else []
+        return lift + [(lift_s + begin_s, length_s) for begin_s, length_s in carried]
+    if isinstance(motion, RestToRest) and motion.move_s < shortest_s:
+        begins = [motion.wait_s, 2.0 * motion.wait_s + motion.move_s][: 1 + motion.and_back]
+        return [(begin_s, motion.move_s) for begin_s in begins]
+    if isinstance(motion, Eased) and motion.ramp_s > motion.inner.period_s:  # its full speed comes late
+        return [(motion.ramp_s, motion.inner.period_s)]
+    if isinstance(motion, PoseSpline):
+        return motion.quickest(QUICKEST, end_s, step_s)
+    return []
 
 
 def text_of_file(name: str, cell_path: Path) -> str:

@@ -48,6 +48,7 @@ class PoseSpline:
         _refuse_far_attitudes(times_s, quats)
         self._times = [float(t) for t in times_s]
         values = np.hstack([np.array(positions), same_hemisphere(np.array(quats))])
+        self._last = values[-1]
         # (segment, power of time since its start; value of p and s, then their rates, then their second rates)
         coefficients = quintic(self._times, values)
         power = np.arange(6.0)[None, :, None]
@@ -66,6 +67,19 @@ class PoseSpline:
     def period_s(self) -> float:
         """Time of the last pose."""
         return self._times[-1]
+
+    def quickest(self, count: int, end_s: float, shorter_s: float) -> list[tuple[float, float]]:
+        """Begin and length, s, of segments shorter than shorter_s that begin before end_s.
+
+        At most `count` of the largest mean speed, and as many of the largest mean rate of the quaternion.
+        """
+        lengths = np.diff(np.array(self._times))
+        ends = np.array([segment[0, :7] for segment in self._segments] + [self._last])
+        rates = np.diff(ends, axis=0) / lengths[:, None]
+        short = np.flatnonzero((lengths < shorter_s) & (np.array(self._times[:-1]) < end_s))
+        sizes = np.linalg.norm(rates[short, :3], axis=1), np.linalg.norm(rates[short, 3:], axis=1)
+        chosen = sorted({int(short[k]) for size in sizes for k in np.argsort(size)[-count:]})
+        return [(self._times[k], float(lengths[k])) for k in chosen]
 
     def at(self, t: float) -> Desired:
         """Desired motion at time t (s)."""

@@ -75,10 +75,8 @@ class Watched:
             meanwhile()
 
     def last_rows(self) -> Rows:
-        """Its last rows, at most `ROWS`."""
-        written = self.reader.written
-        block = self.reader.read_at(max(0, written - ROWS), ROWS)
-        return np.frombuffer(block.payload, AGENT_STATE.dtype)
+        """Its last rows, at most `ROWS`, and none from before a damaged one."""
+        return np.frombuffer(self.reader.read_last(ROWS).payload, AGENT_STATE.dtype)
 
     def inherit(self) -> None:
         """It is dead: what is written from now on goes behind its last row and its last text."""

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import gc
 import io
 import os
 import signal
 import sys
-from typing import Final, NoReturn
+from typing import Any, Final, NoReturn
 
 USAGE: Final = 2  # exit code where a line, or the host, does not do
 GARBAGE_AFTER: Final = 50_000  # new objects, of which the interpreter looks for cycles; a start makes many more
@@ -25,6 +26,7 @@ def settle() -> None:
         os.environ.setdefault(setting, value)
     gc.set_threshold(GARBAGE_AFTER)
     _open_closed_streams()
+    _outlive_terminals()
     if isinstance(sys.stdout, io.TextIOWrapper) and (sys.stdout.errors, sys.stdout.encoding) != _ANY_BYTE:
         sys.stdout.reconfigure(errors="backslashreplace")  # a letter that it has not is written by its number
 
@@ -43,6 +45,28 @@ def hear_stops() -> None:
     for number in (signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is signal.SIG_DFL:
             signal.signal(number, signal.default_int_handler)
+
+
+class _Terminal(io.FileIO):
+    """A terminal, which may be closed while something is still written to it: that leads nowhere."""
+
+    def write(self, data: Any, /) -> int:
+        try:
+            return super().write(data)
+        except OSError as error:
+            if error.errno != errno.EIO:
+                raise
+            return memoryview(data).nbytes
+
+
+def _outlive_terminals() -> None:
+    """Have nothing fail for a terminal that is gone: a stop follows (SIGHUP), whose end is as orderly as any."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if isinstance(stream, io.TextIOWrapper) and stream.isatty():
+            terminal = io.BufferedWriter(_Terminal(stream.fileno(), "w", closefd=False))
+            lasting = io.TextIOWrapper(terminal, stream.encoding, stream.errors, line_buffering=True)
+            setattr(sys, name, lasting)
 
 
 def ready(what: str) -> None:

@@ -119,8 +119,7 @@ def look(rings: Sequence[Path], rate_hz: float) -> Past | None:
 def _look(ring: Path, rate_hz: float) -> Past | None:
     try:
         with RingReader(ring, AGENT_STATE) as reader:
-            wanted = min(reader.written, ROWS_MAX, max(2, round(OVER_S * rate_hz)))
-            block = reader.read_at(reader.written - wanted, wanted)
+            block = reader.read_last(min(ROWS_MAX, max(2, round(OVER_S * rate_hz))))
             alive = reader.writer_alive
     except RingError:
         return None

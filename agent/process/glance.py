@@ -92,9 +92,8 @@ class Window:
     def look(self) -> Glance:
         """How it is now."""
         self._listen()
-        last = min(self._rows.written, LAST)
-        block = self._rows.read_at(self._rows.written - last, last) if last else None
-        if block is None or not block.count:
+        block = self._rows.read_last(LAST)
+        if not block.count:
             return Glance(self._arm.name, Mode.OFF, said=tuple(self._said))
         rows = AGENT_STATE.decode(block.payload)
         seen = np.flatnonzero(np.isfinite(rows["q"]).all(axis=1))

@@ -25,8 +25,8 @@ class Progress(Protocol):
 
 def show(rows: RingReader, progress: Progress, *, began_s: float, duration_s: float) -> None:
     """Tell of the newest row; began_s: monotonic time at which the run began."""
-    block = rows.read_at(rows.written - 1, 1) if rows.written else None
-    if block is None or not block.count:
+    block = rows.read_last(1)
+    if not block.count:
         return
     row = AGENT_STATE.decode(block.payload)[0]
     t = float(row["t"])

@@ -147,10 +147,11 @@ class _Instants:
 
 
 def _instants(cell: Cell) -> _Instants:
-    end = min(cell.trajectory().period_s, cell.file.duration_s)
+    trajectory = cell.trajectory()
+    end = min(trajectory.period_s, cell.file.duration_s)
     named, count = motion.waypoint_times(cell.file, end, NAMED_MAX // len(cell.arms))
-    hidden = motion.hidden_times(cell.file, end / (SAMPLES - 1))
-    return _Instants(sorted({*named, *hidden, *np.linspace(0.0, end, SAMPLES).tolist()}), count, len(named))
+    times = motion.sample_times(cell.file, trajectory, SAMPLES - 1)
+    return _Instants(sorted({*named, *times}), count, len(named))
 
 
 def _thinned(instants: _Instants) -> list[Finding]:

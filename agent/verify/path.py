@@ -64,7 +64,7 @@ def along_trajectory(cell: Cell, arm: Arm, model: ArmModel, q_start: Vector, ins
     trajectory, offline = cell.trajectory(), cell.offline(arm)
     q, qs = q_start, []
     sigma, sigma_t = math.inf, 0.0
-    tau_peak, tau_squares = np.zeros(arm.n), []
+    tau_peak, tau_squares, seconds = np.zeros(arm.n), [], []
     lower, upper = model.model.lowerPositionLimit, model.model.upperPositionLimit
     margin = np.minimum(q_start - lower, upper - q_start)
     for t in instants:
@@ -80,11 +80,19 @@ def along_trajectory(cell: Cell, arm: Arm, model: ArmModel, q_start: Vector, ins
             tau = known.torque(model, offline, q, dq, desired).tau_cmd
             tau_peak = np.maximum(tau_peak, np.abs(tau))
             tau_squares.append(tau * tau)
+            seconds.append(t)
         except SingularJacobian:
             sigma, sigma_t = 0.0, t
         margin = np.minimum(margin, np.minimum(q - lower, upper - q))
-    tau_rms = np.sqrt(np.mean(tau_squares, axis=0)) if tau_squares else np.zeros(arm.n)
-    return Path(qs, sigma, sigma_t, tau_peak, tau_rms, margin)
+    return Path(qs, sigma, sigma_t, tau_peak, _rms(tau_squares, seconds, arm.n), margin)
+
+
+def _rms(squares: Sequence[Vector], seconds: Sequence[float], n: int) -> Vector:
+    """Over time, (n,), however close the instants lie; zero of fewer than two."""
+    if len(seconds) < 2:
+        return np.zeros(n)
+    found: Vector = np.sqrt(np.trapezoid(np.array(squares), seconds, axis=0) / (seconds[-1] - seconds[0]))
+    return found
 
 
 def arm_findings(cell: Cell, arm: Arm, path: Path) -> list[Finding]:

@@ -189,8 +189,8 @@ def claim(path: Path, header: RingHeader) -> int:
                 raise RingError(
                     f"{path} has a writer already",
                     found="its lock held by another process",
-                    expected="one agent per arm",
-                    remedy="stop that agent first",
+                    expected="one writer",
+                    remedy="stop it first; a guard that holds the arm after its agent ends with `coop release`",
                 )
             if not _is_file(path, old):
                 continue  # replaced between open and lock: look again at what is there now

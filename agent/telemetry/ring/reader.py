@@ -142,6 +142,18 @@ class RingReader:
         messages = copy[begin:end, MESSAGE_IN_SLOT : MESSAGE_IN_SLOT + self.header.row_bytes]
         return RowBlock(first + begin, end - begin, messages.tobytes())
 
+    def read_last(self, count: int) -> RowBlock:
+        """Return the newest run of intact rows among the last `count` that were written; empty where there is none.
+
+        What a writer did last is behind a damaged row, not before it.
+        """
+        end = self.written
+        newest = following = self.read_at(max(0, end - count), min(count, end))
+        while following.count:
+            newest, behind = following, following.first + following.count
+            following = self.read_at(behind, end - behind)
+        return newest
+
     def acknowledge(self, index: int) -> None:
         """Tell a writer in lockstep that the rows before `index` are safe and may be overwritten."""
         self._words[ACKNOWLEDGED_WORD] = index

@@ -7,6 +7,7 @@ import pty
 import re
 import signal
 import subprocess
+import sys
 import termios
 import time
 from collections.abc import Iterator
@@ -15,6 +16,7 @@ from pathlib import Path
 
 import pytest
 
+from agent.cli.keys import Keyboard
 from tests.support.coop import COOP
 from tests.support.telemetry.log_maker import make_log
 
@@ -94,3 +96,21 @@ def test_ctrl_c_ends_it_as_ever(player: Played) -> None:
     player.process.send_signal(signal.SIGINT)
     player.until("rows and 0 events played")
     assert player.process.wait(30.0) == 0
+
+
+def test_a_terminal_that_is_gone_is_left_without_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    ours, theirs = pty.openpty()
+    with os.fdopen(theirs) as terminal:
+        monkeypatch.setattr(sys, "stdin", terminal)
+        with Keyboard() as keyboard:
+            assert keyboard.present
+            os.close(ours)
+            assert keyboard.orders() == []
+            assert not keyboard.present
+        with pytest.raises(termios.error):
+            termios.tcgetattr(theirs)
+    ours, theirs = pty.openpty()
+    with os.fdopen(theirs) as terminal:
+        monkeypatch.setattr(sys, "stdin", terminal)
+        with Keyboard():
+            os.close(ours)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import configs
 from agent.config import coordination, noticing
 from agent.config.cell import Cell, ConfigError, load_cell
 from agent.config.friction import at_rest_Nm, joint_friction, lifting_Nm
@@ -136,6 +138,19 @@ def test_sizes_are_those_of_twelve_places_of_the_run_against_the_first() -> None
         )
     ]
     np.testing.assert_allclose(noticing._sizes(short, arm), wanted)
+
+
+def test_of_a_move_behind_a_long_wait_errors_count_all_the_same(tmp_path: Path) -> None:
+    """Where the twelve places were those before it alone, nothing changed along the motion."""
+    motion = (
+        '[trajectory]\nkind = "rest_to_rest"\np_from_m = [0.27, 0.0, 0.25]\np_to_m = [0.32, 0.0, 0.27]\nmove_s = 2.0\n'
+    )
+    text, found = (configs.CELLS_DIR / "two_wx200.toml").read_text(), []
+    for wait_s in (0.5, 60.0):
+        (tmp_path / "cell.toml").write_text(re.sub(r"\[trajectory\]\n(.+\n)+", f"{motion}wait_s = {wait_s}\n", text))
+        found.append(derived(load_cell(tmp_path / "cell.toml", ["duration_s=100.0"])))
+    assert found[0] == pytest.approx(found[1], rel=0.02)
+    assert found[1].slow_N > 1.05 * derived(load_cell(tmp_path / "cell.toml", ["duration_s=50.0"])).slow_N
 
 
 def test_without_an_observer_all_of_an_encoders_step_comes_through() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,7 @@ from scipy.interpolate import make_interp_spline
 
 import configs
 from agent.config.cell import Cell, ConfigError, cell_from_toml, load_cell
-from agent.config.trajectory import hidden_times, waypoint_times
+from agent.config.trajectory import sample_times, waypoint_times
 from agent.control.quaternion import Quat, angle_between, conjugate, from_axis_angle, multiply
 from agent.control.trajectory import Desired, Trajectory
 from agent.control.trajectory_file import COLUMNS, SpeedLimits, read
@@ -350,9 +350,86 @@ def test_a_move_between_long_waits_is_examined(tmp_path: Path) -> None:
         cell = load_cell(path, ["duration_s=120.0"])
         assert peak_torque_fraction(cell) == pytest.approx(0.56, abs=0.02), f"whatever the arms wait: {wait_s} s"
         assert not examine(cell).ok
-    assert hidden_times(load_cell(path, ["duration_s=50.05"]).file, 2.0)[-1] <= 50.05
-    assert hidden_times(cell.file, 2.0)[-1] == pytest.approx(100.2), "the way back too"
-    assert not hidden_times(cell.file, 0.01)
+
+
+def sampled(cell: Cell, steps: int) -> list[float]:
+    """To the nanosecond, so that instants which only rounding tells apart are one."""
+    times = sample_times(cell.file, cell.trajectory(), steps)
+    assert times == sorted(times)
+    return instants(times)
+
+
+def instants(*times: Iterable[float]) -> list[float]:
+    return sorted({round(t, 9) for some in times for t in some})
+
+
+def even(end_s: float, steps: int) -> Iterable[float]:
+    return np.linspace(0.0, end_s, steps + 1)
+
+
+def move(begin_s: float, length_s: float = 0.1) -> Iterable[float]:
+    return np.linspace(begin_s, begin_s + length_s, 25)
+
+
+REST = (
+    '[trajectory]\nkind = "rest_to_rest"\np_from_m = [0.301, 0.123, 0.0]\np_to_m = [0.33, 0.13, 0.0]\n'
+    "move_s = 0.1\nwait_s = 50.0\nand_back = true\n\n"
+)
+
+
+def test_a_motion_is_sampled_evenly_and_where_that_would_hide_a_move(tmp_path: Path) -> None:
+    """A move is hidden that takes less than eight of the even steps."""
+    path = cell_with(tmp_path, REST)
+    whole, half = (load_cell(path, [f"duration_s={duration_s}"]) for duration_s in (120.0, 50.05))
+    assert sampled(whole, 50) == instants(even(100.2, 50), move(50.0), move(100.1))
+    assert sampled(whole, 8_000) == instants(even(100.2, 8_000), move(50.0), move(100.1))
+    assert sampled(whole, 8_032) == instants(even(100.2, 8_032))
+    assert sampled(half, 50) == instants(even(50.05, 50), (t for t in move(50.0) if t <= 50.05))
+    one_way = load_cell(path, ["duration_s=120.0", "trajectory.and_back=false"])
+    assert sampled(one_way, 50) == instants(even(50.1, 50), move(50.0))
+
+
+def test_a_lift_before_a_long_motion_is_a_move_and_those_of_the_motion_come_later_by_it(tmp_path: Path) -> None:
+    lifted = load_cell(cell_with(tmp_path, REST), ["duration_s=200.0", "session.lift_s=2.0"])
+    assert sampled(lifted, 50) == instants(even(102.2, 50), move(0.0, 2.0), move(52.0), move(102.1))
+    assert sampled(lifted, 408) == instants(even(102.2, 408), move(0.0, 2.0), move(52.0), move(102.1))
+    assert sampled(lifted, 409) == instants(even(102.2, 409), move(52.0), move(102.1))
+
+
+def test_of_a_spline_the_quickest_short_segments_are_sampled(tmp_path: Path) -> None:
+    """Of those that a run gets to; later than in its file where the object is lifted first."""
+    steps = [(20.0, 0.302), (40.0, 0.305), (60.0, 0.309), (80.0, 0.314)]
+    points, x = [(0.0, 0.301)], 0.301
+    for t, following in steps:
+        points += [(t, x), (t + 0.1, following)]
+        x = following
+    listed = ",".join(f"{{ t_s = {t}, p_m = [{x}, 0.12, 0.0] }}" for t, x in [*points, (100.0, x)])
+    path = cell_with(tmp_path, f'[trajectory]\nkind = "waypoints"\npoints = [{listed}]\n\n')
+
+    def cell(*overrides: str) -> Cell:
+        return load_cell(path, list(overrides))
+
+    quickest = [move(t) for t in (40.0, 60.0, 80.0)]
+    assert sampled(cell("duration_s=100.0"), 50) == instants(even(100.0, 50), *quickest)
+    assert sampled(cell("duration_s=100.0"), 990) == instants(even(100.0, 990), *quickest)
+    assert sampled(cell("duration_s=100.0"), 1_010) == instants(even(100.0, 1_010))
+    assert sampled(cell("duration_s=70.0"), 50) == instants(even(70.0, 50), *(move(t) for t in (20.0, 40.0, 60.0)))
+    lifted = sampled(cell("duration_s=81.5", "session.lift_s=2.0"), 50)
+    assert lifted == instants(even(81.5, 50), move(0.0, 2.0), *(move(t) for t in (22.0, 42.0, 62.0)))
+
+
+def test_a_spline_knows_its_quickest_segments_in_translation_and_in_rotation() -> None:
+    def about_z(angle: float) -> Quat:
+        return from_axis_angle((0.0, 0.0, 1.0), angle)
+
+    places = [(0.0, 0.0, x) for x in (0.0, 0.1, 0.3, 0.3, 0.3, 0.9)]
+    spline = PoseSpline([0.0, 1.0, 2.0, 3.0, 4.0, 9.0], places, [about_z(a) for a in (0.0, 0.1, 0.1, 0.1, 0.4, 0.4)])
+    assert spline.quickest(1, 9.0, 2.0) == [(1.0, 1.0), (3.0, 1.0)]
+    assert spline.quickest(2, 9.0, 2.0) == [(0.0, 1.0), (1.0, 1.0), (3.0, 1.0)]
+    assert spline.quickest(1, 9.0, 5.1) == [(1.0, 1.0), (3.0, 1.0)], "0.12 m/s of the last one are less than 0.2"
+    assert spline.quickest(2, 9.0, 5.1) == [(0.0, 1.0), (1.0, 1.0), (3.0, 1.0), (4.0, 5.0)]
+    assert spline.quickest(1, 1.0, 2.0) == [(0.0, 1.0)]
+    assert spline.quickest(3, 9.0, 1.0) == []
 
 
 def test_a_motion_that_is_eased_in_for_long_is_examined_at_its_full_speed(tmp_path: Path) -> None:
@@ -377,8 +454,10 @@ def test_a_row_out_of_reach_is_refused_with_arm_and_time(tmp_path: Path) -> None
     """A file's rows are visited for an instant only, too."""
     rows = [f"{0.2 * k},{0.6 if k == 108 else 0.301},0.12,0,1,0,0,0" for k in range(226)]
     quick = FILE.replace("\n\n", "\nspeed_max_m_per_s = 2.0\n\n")
-    with pytest.raises(ConfigError, match=r"grasp of arm left at t = 21\.60 s.*unreachable by"):
+    with pytest.raises(ConfigError, match=r"grasp of arm left at t = 21\.(49|60) s.*unreachable by"):
         examine(load_cell(cell_with(tmp_path, quick, csv(rows))))
+    examined = check._instants(load_cell(tmp_path / "cell.toml")).times
+    assert {round(0.2 * k, 9) for k in range(226)} <= {round(t, 9) for t in examined}
 
 
 def test_of_many_way_points_some_are_examined_evenly_and_the_check_says_so(

@@ -9,19 +9,25 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from agent.guard.line import GuardError, Said, Word
+from agent.guard.resume import beginning
 from agent.guard.vigil import Vigil
 from agent.guard.watched import Watched
-from agent.telemetry.ring.file import RingError
+from agent.modes import Mode
+from agent.process.build import build_agent
+from agent.telemetry.ring.file import SLOTS_OFFSET, RingError
 from agent.telemetry.ring.texts import TextReader, TextWriter
 from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.event import Event, Level
 from agent.telemetry.row.sample import AGENT_STATE
+from tests.support.runner_rig import paper, q_start, run
 
 MS = 1_000_000
 SLOTS = 128
+LEFT = build_agent(paper(), paper().arms[0])
 
 
 def descriptors() -> int:
@@ -139,6 +145,25 @@ def test_the_last_rows_are_at_most_sixty_four(agent: Agent, written: int, first:
     seen.close()
 
 
+@pytest.mark.parametrize(("bad", "left"), [(5, range(6, 25)), (22, range(23, 25)), (24, range(24))])
+def test_behind_a_damaged_row_the_hold_begins_as_the_newest_rows_say(agent: Agent, bad: int, left: range) -> None:
+    rows = run(q=lambda reads: q_start() + 2e-3 * reads).rows[:25]  # READY, then TRACK
+    for row in rows:
+        agent.ring.row[...] = row
+        agent.ring.commit()
+    slot = SLOTS_OFFSET + bad * agent.ring.header.stride
+    with agent.path.open("r+b", buffering=0) as file:
+        os.pwrite(file.fileno(), bytes(64), slot + 1000)  # as when memory fails
+    seen = watched(agent)
+    found = seen.last_rows()
+    assert found["sequence"].tolist() == list(left)
+    begun = beginning(LEFT, found, "")
+    untouched = beginning(LEFT, rows[: left.stop], "")
+    np.testing.assert_array_equal(begun.memory.flatten(), untouched.memory.flatten())
+    assert (begun.mode, begun.zero_ns, begun.rows) == (Mode.HOLD, untouched.zero_ns, left.stop)
+    seen.close()
+
+
 def test_what_is_inherited_goes_on_behind_the_last_row_and_text(agent: Agent) -> None:
     seen, heard = watched(agent), TextReader(agent.path)
     agent.rows(3)
@@ -152,6 +177,18 @@ def test_what_is_inherited_goes_on_behind_the_last_row_and_text(agent: Agent) ->
     assert [b"its own" in text for _, text in heard.read_new()] == [True, False]
     seen.close()
     heard.close()
+
+
+def test_while_a_guard_goes_on_another_agent_is_refused_and_told_what_ends_it(agent: Agent) -> None:
+    """With everything of the first one gone: what the guard has keeps its rows and texts."""
+    seen = watched(agent)
+    agent.ring.close()
+    agent.texts.close()
+    seen.inherit()
+    with pytest.raises(RingError, match=r"has a writer already.*a guard that holds the arm .* `coop release`"):
+        TextWriter(agent.path, "left")
+    seen.close()
+    TextWriter(agent.path, "left").close()
 
 
 def test_everything_of_an_agent_is_let_go(agent: Agent) -> None:

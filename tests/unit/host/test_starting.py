@@ -25,6 +25,51 @@ with open({str(told)!r}, "w") as file:
     assert told.read_text() == "True '' False"
 
 
+def test_what_is_written_to_a_terminal_that_is_gone_fails_nothing() -> None:
+    """On both streams, in the middle and at the end; whoever ignores SIGHUP goes on."""
+    code = f"""{SETTLED}
+import signal
+signal.signal(signal.SIGHUP, signal.SIG_IGN)
+print("→", sys.stdout.isatty(), sys.stdout.fileno(), file=sys.stderr)
+sys.stdin.read()
+for stream in (sys.stdout, sys.stderr):
+    print("x" * 100_000, file=stream)
+    stream.flush()
+print("not flushed", end="")
+sys.exit(7)
+"""
+    ours, theirs = os.openpty()
+    process = subprocess.Popen(
+        [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=theirs, stderr=theirs, start_new_session=True
+    )
+    os.close(theirs)
+    told = b""
+    while not told.endswith(b"\n"):
+        told += os.read(ours, 100)
+    assert told.decode() == "→ True 1\r\n"
+    os.close(ours)
+    process.communicate(timeout=60)
+    assert process.returncode == 7
+
+
+def test_a_full_device_is_no_terminal_that_is_gone() -> None:
+    """Whatever else cannot be written fails."""
+    code = (
+        SETTLED
+        + """
+import errno, io
+from agent.host.starting import _Terminal
+full = _Terminal(os.open("/dev/full", os.O_WRONLY), "w")
+try:
+    full.write(b"x")
+except OSError as error:
+    sys.exit(0 if error.errno == errno.ENOSPC else 1)
+sys.exit(2)
+"""
+    )
+    assert subprocess.run([sys.executable, "-c", "import os\n" + code], timeout=60).returncode == 0
+
+
 @pytest.mark.parametrize(
     ("encoding", "written"),
     [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from agent.config.friction import lifting_Nm
 from agent.config.monitors import bounds
 from agent.config.reading import ConfigError
 from agent.control import ik
+from agent.control.trajectory_rest import minimum_jerk
 from agent.monitors.bounds import Bounds, Name
 from drivers.dynamixel.servo.models import SERVOS
 from drivers.interface import Vector
@@ -89,26 +91,71 @@ class Sought:
         return np.array([np.linalg.solve(model.jacobian(q), v) for q, v in zip(self.found, twists, strict=True)])
 
 
-@pytest.mark.parametrize(("samples", "period_s", "leads"), [(100, 15.0, 99), (12, 3.0, 7)])
+@pytest.mark.parametrize(
+    ("steps", "period_s", "ramp_s", "leads"), [(99, 15.0, 3.0, 99), (11, 3.0, 3.0, 7), (99, 1.4, 1.45, 121)]
+)
 def test_speeds_are_those_at_the_joints_of_the_motion_each_looked_for_ahead_of_the_last(
-    monkeypatch: pytest.MonkeyPatch, samples: int, period_s: float, leads: int
+    monkeypatch: pytest.MonkeyPatch, steps: int, period_s: float, ramp_s: float, leads: int
 ) -> None:
-    """Ahead by what the last speed makes of the time between, unless that is far: some of 12 steps are."""
-    if samples != 100:
-        monkeypatch.setattr(monitors, "SAMPLES", samples)
-    sought = Sought(monkeypatch, "duration_s=3.0", f"trajectory.period_s={period_s}")
-    times = np.linspace(0.0, 3.0, samples)
+    """Ahead by what the last speed makes of the time between, unless that is far: some of 11 steps are.
+
+    The last motion has instants beside the even ones.
+    """
+    assert monitors.STEPS == 99
+    monkeypatch.setattr(monitors, "STEPS", steps)
+    sought = Sought(
+        monkeypatch, "duration_s=3.0", f"trajectory.period_s={period_s}", f"trajectory.ramp_s={ramp_s}"
+    )  # fmt: skip
+    times = np.linspace(0.0, min(3.0, period_s + 0.5 * ramp_s), steps + 1)
+    if ramp_s > period_s:
+        times = np.unique([*times, *np.linspace(ramp_s, ramp_s + period_s, 25)])
+        times = times[times <= 3.0]
     np.testing.assert_allclose(sought.places, [sought.cell.trajectory().at(t).p for t in times], atol=1e-12)
     speeds = sought.speeds(times)
     np.testing.assert_allclose(sought.fastest, np.abs(speeds).max(axis=0), rtol=1e-9)
-    steps = speeds[:-1] * times[1]
-    far = np.abs(steps).max(axis=1) > 0.1
+    ways = speeds[:-1] * np.diff(times)[:, None]
+    far = np.abs(ways).max(axis=1) > 0.1
     led = np.array(sought.near[1:]) - np.array(sought.found[:-1])
-    np.testing.assert_allclose(led, np.where(far[:, None], 0.0, steps), atol=1e-12)
+    np.testing.assert_allclose(led, np.where(far[:, None], 0.0, ways), atol=1e-12)
     assert (~far).sum() == leads
-    if samples == 100:
+    if period_s == 15.0:
         usual = 0.2 * SERVOS["XM430-W350"].no_load_rad_per_s
         assert of_left("duration_s=3.0").speed_rad_per_s == pytest.approx(usual + 2.0 * sought.fastest)
+
+
+def with_motion(tmp_path: Path, motion: str, poses: str = "") -> Cell:
+    text = (configs.CELLS_DIR / "two_wx200.toml").read_text()
+    (tmp_path / "cell.toml").write_text(re.sub(r"\[trajectory\]\n(.+\n)+", f"[trajectory]\n{motion}\n", text))
+    (tmp_path / "way.csv").write_text(poses)
+    return load_cell(tmp_path / "cell.toml", ["duration_s=130.0"])
+
+
+def quick_file(begins_s: float) -> str:
+    """Rows ten times a second through minutes of rest, and more often through a way out and back of 0.3 s each."""
+    times = sorted({*np.arange(0.0, 120.05, 0.1).round(3), *(begins_s + np.arange(0.0, 0.605, 0.01)).round(3)})
+    ways = [0.05 * (minimum_jerk(t - begins_s, 0.3)[0] - minimum_jerk(t - begins_s - 0.3, 0.3)[0]) for t in times]
+    rows = [f"{t},{0.27 + way:.9f},0,0.25,1,0,0,0" for t, way in zip(times, ways, strict=True)]
+    return "\n".join(["t_s,x_m,y_m,z_m,qw,qx,qy,qz", *rows]) + "\n"
+
+
+def test_a_quick_move_is_as_fast_however_long_the_arms_wait(tmp_path: Path) -> None:
+    """Between instants more than a second apart; an arm would hold for the speed of its own motion."""
+    move = (
+        'kind="rest_to_rest"\np_from_m=[0.27, 0.0, 0.25]\np_to_m=[0.32, 0.0, 0.27]\n'
+        "move_s=0.5\nwait_s={}\nand_back=true"
+    )
+    found = [bounds(c, c.arms[0]) for c in (with_motion(tmp_path, move.format(wait_s)) for wait_s in (0.5, 30.0, 60.0))]
+    for longer in found[1:]:
+        assert longer.speed_rad_per_s == pytest.approx(found[0].speed_rad_per_s, rel=0.01)
+        assert longer.workspace_m == found[0].workspace_m
+    of_files = [
+        with_motion(tmp_path, 'kind="file"\npath="way.csv"', quick_file(begins_s)) for begins_s in (60.45, 60.9)
+    ]  # at one of the even instants, and between two
+    seen, hidden = (monitors.speeds_of_motion(c, c.arms[0], c.model(c.arms[0])) for c in of_files)
+    assert hidden.max() > 1.5
+    np.testing.assert_allclose(hidden, seen, rtol=0.02)
+    for one in of_files:
+        assert bounds(one, one.arms[0]).workspace_m[0] == pytest.approx((0.17, 0.42), abs=1e-3)
 
 
 def test_an_arm_alone_may_be_as_fast_as_its_session_says_and_lie_as_it_rests() -> None:

@@ -184,6 +184,33 @@ def test_a_row_that_is_only_damaged_is_not_called_missed(path: Path, writer: Rin
     assert (reader.missed, reader.damaged) == (5, 1)
 
 
+@pytest.mark.parametrize(
+    ("bad", "first", "count"),
+    [
+        ((), 8, 5), ((10,), 11, 2), ((9, 11), 12, 1), ((12,), 8, 4), ((8, 11, 12), 9, 2), ((7,), 8, 5),
+        (range(8, 13), 13, 0),
+    ],
+)  # fmt: skip
+def test_the_last_rows_are_those_behind_a_damaged_one(
+    path: Path, writer: RingWriter, reader: RingReader, bad: tuple[int, ...], first: int, count: int
+) -> None:
+    write(writer, SLOTS + 5)
+    for index in bad:
+        spoil(path, writer, index)
+    block = reader.read_last(5)
+    assert (block.first, block.count) == (first, count)
+    assert block.payload == b"".join(row_of(i) for i in range(first, first + count))
+    assert reader.next_index == 0
+
+
+def test_the_last_rows_of_a_ring_are_no_more_than_it_has(writer: RingWriter, reader: RingReader) -> None:
+    assert (reader.read_last(5).first, reader.read_last(5).count) == (0, 0)
+    write(writer, 2)
+    assert (reader.read_last(5).first, reader.read_last(5).count) == (0, 2)
+    write(writer, SLOTS)
+    assert (reader.read_last(3 * SLOTS).first, reader.read_last(3 * SLOTS).count) == (2, SLOTS)
+
+
 @pytest.mark.parametrize(("place", "missed", "damaged"), [(0, 6, 0), (1, 6, 1), (2, 5, 1)])
 def test_of_a_full_ring_only_its_oldest_row_may_be_about_to_be_overwritten(
     path: Path, writer: RingWriter, reader: RingReader, place: int, missed: int, damaged: int

@@ -1,0 +1,39 @@
+"""`coop run` on a real terminal that goes away in the middle, as a connection does that is lost."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from agent.log.read import read_log
+from tests.process.run.test_run import left_clean
+from tests.support.coop import COOP, PAPER
+
+# its own session, and the terminal on standard input is that session's
+TAKE = "import fcntl, os, sys, termios; fcntl.ioctl(0, termios.TIOCSCTTY, 0); os.execv(sys.argv[1], sys.argv[1:])"
+
+
+def test_a_run_whose_terminal_is_gone_ends_as_by_ctrl_c(tmp_path: Path) -> None:
+    """Log and results are written, nothing is left behind, and what is told to nobody fails nothing."""
+    with left_clean(tmp_path) as folder:
+        ours, theirs = os.openpty()
+        line = [*COOP, "run", str(PAPER), "--duration", "1000", "--no-report", "--out", str(folder / "out")]
+        run = subprocess.Popen(
+            [sys.executable, "-c", TAKE, *line], cwd=folder, stdin=theirs, stdout=theirs, stderr=theirs,
+            start_new_session=True,
+        )  # fmt: skip
+        os.close(theirs)
+        shown = b""
+        try:
+            while b"x real time" not in shown:
+                shown += os.read(ours, 65536)
+        finally:
+            os.close(ours)
+        assert run.wait(60.0) == 130
+    results = json.loads((folder / "out" / "results.json").read_text())
+    assert results["complete"] is True
+    log = read_log(folder / "out" / "run.mcap")
+    assert [len(log.agents[arm]) for arm in ("left", "right")] == [log.agents["left"]["sequence"][-1] + 1] * 2
