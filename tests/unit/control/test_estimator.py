@@ -202,3 +202,9 @@ def test_step_from_a_restored_memory_gives_the_same_bits(source: str, mode: Mode
         assert one.tau.tobytes() == two.tau.tobytes()
         assert one.memory.flatten() == two.memory.flatten()
         memory = one.memory
+
+
+def test_each_gain_corrects_what_it_is_named_after() -> None:
+    still, read = np.zeros(1), np.ones(1)
+    q, dq = Observer(PERIOD, 0.3, 7.0, 0.1, 1.0).follow(still, still, still, still, read, 2.0 * read)
+    assert (q.tolist(), dq.tolist()) == ([0.3], [7.0 + 0.1 * 2.0])
