@@ -83,6 +83,11 @@ class RunProgress:
         else:
             self._bar.update(self._bar.task_ids[0], description=what)
 
+    def note(self, text: str) -> None:
+        """Write a line that stays."""
+        self._steps.clear()
+        note(text)
+
     def advance(self, t_s: float, duration_s: float, speed: float, error_mm: float | None) -> None:
         """Show how far the run is."""
         error = "-" if error_mm is None else f"{error_mm:.2f} mm"

@@ -18,6 +18,10 @@ class Progress(Protocol):
         """What is being done."""
         ...
 
+    def note(self, text: str) -> None:
+        """Something that stays to be read."""
+        ...
+
     def advance(self, t_s: float, duration_s: float, speed: float, error_mm: float | None) -> None:
         """How far the run is."""
         ...

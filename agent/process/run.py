@@ -13,7 +13,7 @@ from agent.process.folder import LOG_NAME, RunError, output_folder
 from agent.process.progress import Progress
 from agent.process.real_arms import RealArms, RealChildren
 from agent.process.rehearse import require_wall_clock
-from agent.process.run_folder import run_folder
+from agent.process.run_folder import rings_bytes, run_folder
 from agent.process.run_kind import RunKind
 from agent.report.results import Results
 from agent.report.results_file import write_results
@@ -90,7 +90,8 @@ def _examined(options: RunOptions, progress: Progress) -> Cell:
 
 def _carry_out(options: RunOptions, cell: Cell, log: Path, stop: StopFlag, progress: Progress) -> tuple[bool, str]:
     """Run all processes to their end; whether that was asked for, and why a session went no further."""
-    with run_folder() as runtime:
+    room = rings_bytes(len(cell.arms)) if options.real is None else None
+    with run_folder(room, progress.note) as runtime:
         children = _children(options, cell, log, runtime)
         try:
             children.start(progress)

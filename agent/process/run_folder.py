@@ -9,26 +9,44 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
 from agent.log.file import lock
 from agent.telemetry.ring.file import is_locked
+from agent.telemetry.ring.texts import TEXT_FORMAT, TEXT_SLOTS
+from agent.telemetry.ring.writer import file_bytes
+from agent.telemetry.row.sample import AGENT_STATE, PLANT_STATE
 
 MEMORY: Final = Path("/dev/shm")
 PREFIX: Final = "coop-run-"
 LOCK: Final = ".running"  # locked as long as the run lives, whatever ends it
 
 
+def rings_bytes(arms: int) -> int:
+    """What the rings of a run of so many arms take, their texts and the plant's rows."""
+    each = file_bytes(AGENT_STATE) + file_bytes(TEXT_FORMAT, TEXT_SLOTS)
+    return arms * each + file_bytes(PLANT_STATE)
+
+
 @contextmanager
-def run_folder() -> Iterator[Path]:
-    """A new folder for the time of the block; those of runs that are dead are removed first.  Raises OSError."""
-    root = MEMORY if MEMORY.is_dir() else Path(tempfile.gettempdir())
-    for left in root.glob(f"{PREFIX}*"):
-        with suppress(OSError):  # another run took it away, or it is none of ours
-            _remove_dead(left)
+def run_folder(elsewhere_above: int | None = None, tell: Callable[[str], None] = lambda _: None) -> Iterator[Path]:
+    """A new folder for the time of the block; those of runs that are dead are removed first.  Raises OSError.
+
+    elsewhere_above: bytes that are to go in; where memory has less free, as in a container, the folder is among the
+    temporary files, and `tell` is told.  None: for arms whose pace must not wait for a disk.
+    """
+    temporary = Path(tempfile.gettempdir())
+    for root in (MEMORY, temporary):
+        for left in root.glob(f"{PREFIX}*"):
+            with suppress(OSError):  # another run took it away, or it is none of ours
+                _remove_dead(left)
+    root = MEMORY if MEMORY.is_dir() else temporary
+    if elsewhere_above is not None and root is MEMORY and (free := shutil.disk_usage(root).free) < elsewhere_above:
+        wanted_MB, root = (elsewhere_above >> 20) + 1, temporary
+        tell(f"{MEMORY} has {free >> 20} MB free, this run wants {wanted_MB}: it uses {temporary} instead")
     folder = Path(tempfile.mkdtemp(prefix=PREFIX, dir=root))
     held = os.open(folder / "lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     try:

@@ -34,6 +34,11 @@ LOCKSTEP_TIMEOUT_S: Final = 30.0
 _POLL_S: Final = 0.0002
 
 
+def file_bytes(row_format: RowFormat, slots: int = DEFAULT_SLOTS) -> int:
+    """Size of a ring's file."""
+    return ring_file.make_header(row_format, slots=slots, name="", joints=(), created_ns=0).file_bytes
+
+
 class RingWriter:
     """The writing end, for the control thread: fill `row` in place, call `commit`.
 
@@ -56,7 +61,7 @@ class RingWriter:
                 f"cannot create the telemetry ring {path}",
                 found=error.strerror,
                 expected=f"a writable directory with {header.file_bytes >> 20} MB free",
-                remedy="create the directory, free space, or take fewer slots",
+                remedy="create the directory, or free space",
             ) from error
         self._begin(fd, header, row_format)
 

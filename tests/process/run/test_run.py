@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
+import shutil
 import signal
 import subprocess
 import time
@@ -23,7 +25,7 @@ from agent.process.run_folder import run_folder
 from agent.telemetry.row.sample import AGENT_STATE
 from tests.process.conftest import PAPER_RUN_S
 from tests.support.command import coop as line
-from tests.support.coop import PAPER, ready, start
+from tests.support.coop import COOP, PAPER, TIMEOUT_S, ready, start
 
 ROWS = 200 * PAPER_RUN_S
 ADDR_NO_RANDOMIZE = 0x0040000
@@ -215,6 +217,23 @@ def test_a_killed_run_takes_its_processes_with_it(nothing_left: Path) -> None:
     assert left.is_dir(), "nobody was left to remove it"
     with run_folder():
         assert not left.exists(), "the next run does"
+
+
+def test_a_run_goes_well_where_memory_is_that_of_a_container(nothing_left: Path) -> None:
+    def with_little(*command: str) -> subprocess.CompletedProcess[str]:
+        script = 'mount -t tmpfs -o size=64m none /dev/shm && "$@" && ls -A /dev/shm'
+        return subprocess.run(
+            ["unshare", "--mount", "sh", "-c", script, "sh", *command],
+            cwd=nothing_left, capture_output=True, text=True, timeout=TIMEOUT_S,
+        )  # fmt: skip
+
+    if shutil.which("unshare") is None or with_little("true").returncode:
+        pytest.skip("needs unshare and the right to mount a small /dev/shm")
+    done = with_little(*COOP, "run", str(PAPER), "--duration", "1", "--no-report", "--out", "out")
+    assert done.returncode == 0, done.stderr
+    assert re.search(r"^/dev/shm has 64 MB free, this run wants \d+: it uses .+ instead$", done.stderr, re.MULTILINE)
+    assert done.stdout.strip().splitlines()[-1].startswith("log "), "nothing is left in memory"
+    assert read_log(nothing_left / "out" / "run.mcap").complete
 
 
 @pytest.mark.parametrize(

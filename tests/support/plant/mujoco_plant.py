@@ -97,11 +97,9 @@ class MujocoPlant:
         if not np.isfinite(data.qvel).all():
             raise diverged("the motion in MuJoCo", self._substeps * self.spec.substep_s)
 
-    def reported(self) -> tuple[Vector, Vector, Vector]:
-        """What the servos say: positions, velocities, torques (J,)."""
-        q, dq = self._data.qpos[self._q], self._data.qvel[self._v]
-        servos = self.servos
-        return servos.reported_position(q), servos.reported_velocity(dq), servos.reported_torque(self._motor)
+    def reported(self) -> Vector:
+        """What the servos say, (3, J): positions, velocities, torques."""
+        return self.servos.reported(self._data.qpos[self._q], self._data.qvel[self._v], self._motor)
 
     def observe(self, _: Vector) -> Observation:
         """What is true at the end of the last step, whatever is commanded now."""

@@ -82,6 +82,14 @@ def test_a_run_has_a_bar_from_its_first_row_on(terminal: Terminal) -> None:
     assert last.count(BAR) > 10
 
 
+def test_a_note_stays_above_what_a_run_does_next(terminal: Terminal) -> None:
+    with redirect_stderr(terminal), RunProgress() as progress:
+        progress.phase("checking")
+        progress.note("it uses another folder")
+        progress.phase("starting")
+    assert "it uses another folder" in lines(terminal)
+
+
 @pytest.mark.parametrize(("t_s", "least", "most"), [(10.0, 0.05, 0.2), (90.0, 0.8, 0.95)])
 def test_the_bar_is_as_full_as_the_run_is_far(terminal: Terminal, t_s: float, least: float, most: float) -> None:
     with redirect_stderr(terminal), RunProgress() as progress:

@@ -19,6 +19,9 @@ class Watching:
     def phase(self, what: str) -> None:
         raise AssertionError(what)
 
+    def note(self, text: str) -> None:
+        raise AssertionError(text)
+
     def advance(self, t_s: float, duration_s: float, speed: float, error_mm: float | None) -> None:
         self.told.append((t_s, duration_s, speed, error_mm))
 

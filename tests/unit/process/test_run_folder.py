@@ -5,13 +5,19 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from agent.process import run_folder as module
-from agent.process.run_folder import LOCK, run_folder
+from agent.process.run_folder import LOCK, rings_bytes, run_folder
 from agent.telemetry.ring.file import lock
+from agent.telemetry.ring.texts import TextWriter
+from agent.telemetry.ring.writer import RingWriter
+from agent.telemetry.row.sample import AGENT_STATE, PLANT_STATE
+from agent.telemetry.row.topics import PLANT
 
 
 @pytest.fixture(autouse=True)
@@ -50,7 +56,40 @@ def test_it_is_there_for_the_run_alone_and_goes_with_all_that_is_in_it(memory: P
     assert list(memory.iterdir()) == []
 
 
-def test_what_a_killed_run_left_goes_when_the_next_begins(memory: Path) -> None:
+def test_where_memory_has_no_room_the_folder_is_among_temporary_files_and_somebody_is_told(
+    memory: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    temporary, told = tmp_path_factory.mktemp("temporary"), list[str]()
+    monkeypatch.setattr(tempfile, "gettempdir", lambda: str(temporary))
+    monkeypatch.setattr(module.shutil, "disk_usage", lambda _: SimpleNamespace(free=64 << 20))
+    with run_folder(64 << 20, told.append) as enough, run_folder(None, told.append) as paced:
+        assert (enough.parent, paced.parent, told) == (memory, memory, [])
+    with run_folder((64 << 20) + 1, told.append) as elsewhere:
+        assert elsewhere.parent == temporary
+    assert told == [f"{memory} has 64 MB free, this run wants 65: it uses {temporary} instead"]
+    assert list(temporary.iterdir()) == []
+
+
+def test_what_a_killed_run_left_among_temporary_files_goes_too(
+    memory: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    left = killed(tmp_path_factory.mktemp("temporary"), "left.ring")
+    monkeypatch.setattr(tempfile, "gettempdir", lambda: str(left.parent))
+    with run_folder():
+        assert not left.exists()
+
+
+def test_the_rings_of_a_run_take_as_much_as_is_asked_for(tmp_path: Path) -> None:
+    with RingWriter(tmp_path / "plant.ring", PLANT_STATE, PLANT):
+        for arm in ("left", "right"):
+            TextWriter(tmp_path / f"{arm}.ring", arm).close()
+            with RingWriter(tmp_path / f"{arm}.ring", AGENT_STATE, arm):
+                pass
+    rings = sum(path.stat().st_size for path in tmp_path.iterdir())
+    assert rings_bytes(2) == rings > 64 << 20, "more than a container has"
+
+
+def test_what_a_killed_run_left_goes_goes_when_the_next_begins(memory: Path) -> None:
     left = killed(memory, "left.ring", "cell.toml")
     assert {path.name for path in left.iterdir()} == {LOCK, "left.ring", "cell.toml"}
     with run_folder() as folder:
