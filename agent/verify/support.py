@@ -66,7 +66,7 @@ class Load:
 class Support:
     """What the others bear when one arm fails, over all places."""
 
-    limp: Load  # without friction and bounds
+    limp: Load  # what motors give, feed-forward and all, where joints have no friction and torques no bounds
     sag_m: float  # as the files say, with both; infinite where it falls
     fate: Fate  # whatever of the stated tolerance is true
     locked: Load
