@@ -37,7 +37,7 @@ THEIRS = {
     ("name", "radius", "demand", "arm"),
     [
         ("paper", 1.533, Demand.BARE, 0),
-        pytest.param("two_wx200", 1.238, Demand.BARE, None, marks=LONG),  # of two equal arms rounding chooses,
+        pytest.param("two_wx200", 1.238, Demand.BARE, None, marks=LONG),  # of two equal arms rounding chooses
         pytest.param("two_models", 1.238, Demand.BARE, 0, marks=LONG),
         ("three_wx250s", 1.104, Demand.BARE, 0),
     ],
