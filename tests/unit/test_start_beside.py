@@ -26,7 +26,7 @@ def cell_of(*more: str) -> Cell:
 
 @cache
 def run(beside: float) -> CoupledRun:
-    p = np.array([0.27, 0.0, 0.25]) + beside * OFF_M
+    p = np.array(cell_of().file.object.p_start_m) + beside * OFF_M
     half = 0.5 * beside * OFF_RAD
     quat = [math.cos(half), 0.0, math.sin(half), 0.0]
     real = cell_of(f"object.p_start_m={p.tolist()}", f"object.quat_start={quat}", "safety.start_error_max_m=0.05")
