@@ -40,7 +40,7 @@ def test_a_start_from_15_mm_and_60_mrad_beside_is_as_gentle_as_an_exact_one() ->
         there = exact.arms[name].rows
         there = there[(there["mode"] == Mode.TRACK) & (there["t"] < BLEND_S)]
         peak, bound = (np.abs(r["tau_sent"][:, :3]).max(axis=0) for r in (rows, there))
-        assert (peak <= 1.35 * bound).all()  # 15 mm further out a shoulder that bears 0.78 N·m bears a fifth more at rest
+        assert (peak <= 1.35 * bound).all()  # a shoulder bears 0.78 N·m, and 15 mm further out more
         assert np.abs(rows["dq"][:, :3]).max() <= 0.3
 
 
