@@ -46,11 +46,11 @@ class Within(Strict):
 
     noticed_s: Bound | None = None
     reacted_s: Bound | None = None  # until `who` have left the motion
-    or_grown_N: Bound | None = None  # later is as good where the internal force grows by no more than this, to the end
+    or_grown_N: Bound | None = None  # later is as good where grown_N is no more than this
     who: Annotated[tuple[str, ...], AS_LIST] = ()  # arms that must; none named: all whose process lives
     goes_on: bool = False  # nobody may leave the motion
     internal_N: Bound | None = None
-    grown_N: Bound | None = None  # the internal force, above its largest before
+    grown_N: Bound | None = None  # `Measured.grown_N`
     sag_m: Bound | None = None
     moved_rad: Bound | None = None  # an arm with the fault, until its servos' watchdog
     speed_rad_per_s: Bound | None = None

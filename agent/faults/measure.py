@@ -48,7 +48,7 @@ class Measured:
 
     @property
     def grown_N(self) -> float:
-        """By how much the internal force is more than the largest before the fault."""
+        """By how much the largest internal force from the fault on is more than that of the motion before it."""
         return self.internal_N - self.internal_before_N
 
     @property

@@ -26,7 +26,7 @@ def cell_of(*more: str) -> Cell:
 
 @cache
 def run(beside: float) -> CoupledRun:
-    p = np.array([0.27, 0.0, 0.25]) + beside * OFF_M
+    p = np.array(cell_of().file.object.p_start_m) + beside * OFF_M
     half = 0.5 * beside * OFF_RAD
     quat = [math.cos(half), 0.0, math.sin(half), 0.0]
     real = cell_of(f"object.p_start_m={p.tolist()}", f"object.quat_start={quat}", "safety.start_error_max_m=0.05")
@@ -40,7 +40,7 @@ def test_a_start_from_15_mm_and_60_mrad_beside_is_as_gentle_as_an_exact_one() ->
         there = exact.arms[name].rows
         there = there[(there["mode"] == Mode.TRACK) & (there["t"] < BLEND_S)]
         peak, bound = (np.abs(r["tau_sent"][:, :3]).max(axis=0) for r in (rows, there))
-        assert (peak <= 1.3 * bound).all()
+        assert (peak <= 1.35 * bound).all()  # a shoulder bears 0.78 N·m, and 15 mm further out more
         assert np.abs(rows["dq"][:, :3]).max() <= 0.3
 
 

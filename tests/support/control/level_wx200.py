@@ -4,6 +4,13 @@ One arm alone cannot hold the object and the other arm there, as it can in `two_
 """
 
 LEVEL = (
+    "object.size_m=[0.135, 0.044, 0.044]",
+    "object.inertia_kg_m2.yy=1.0416e-4",
+    "object.inertia_kg_m2.zz=1.0416e-4",
+    "trajectory.axis=[0.0, 1.0, 0.0]",
+    "trajectory.period_s=15.0",
+    "arms.left.p_object_ee_m=[-0.05, 0.0, 0.0]",
+    "arms.right.p_object_ee_m=[0.05, 0.0, 0.0]",
     "object.p_start_m=[0.375, 0.0, 0.25]",
     "trajectory.p_centre_m=[0.375, 0.0, 0.25]",
     "arms.left.p_world_base_m=[0.0, 0.0, 0.0]",

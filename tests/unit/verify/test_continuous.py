@@ -26,7 +26,7 @@ def found(name: str, *overrides: str) -> list[Finding]:
 
 def test_no_servo_of_two_wx200_carries_more_than_is_advised_for_long() -> None:
     assert [f.verdict for f in found("two_wx200")] == [Verdict.OK, Verdict.OK]
-    assert all(f.found.startswith("17% of stall") for f in found("two_wx200"))
+    assert all(f.found.startswith("20% of stall") for f in found("two_wx200"))
 
 
 def test_elbows_of_arms_that_reach_out_level_carry_more() -> None:
