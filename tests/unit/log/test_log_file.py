@@ -95,6 +95,23 @@ def test_a_full_disk_ends_the_file_at_its_last_good_chunk_and_raises_nothing(tmp
     assert log.problems == ("the file ends without its index",)
 
 
+@pytest.mark.fault("D1")
+def test_a_disk_that_is_full_of_what_waited_for_the_flush_ends_the_file_and_nothing_else(tmp_path: Path) -> None:
+    """A recorder hands over what it has just before; its descriptor was used again once it was closed."""
+    rows = make_rows("left", 900)
+    maker = LogMaker(tmp_path / "run.mcap", has_plant=False)
+    maker.write("left", rows[:10])
+    maker.flush()
+    maker.file.before_flush = lambda: maker.write("left", rows[10:])
+    with largest_file((tmp_path / "run.mcap").stat().st_size + 1):
+        maker.flush()
+    assert maker.file.failure == "File too large"
+    maker.file.before_flush = lambda: None
+    assert not maker.finish()
+    assert read_log(tmp_path / "run.mcap").agents["left"].tobytes() == rows[:10].tobytes()
+    assert maker.channels.rows_lost()["left"] == 890
+
+
 def test_a_disk_that_fills_up_is_told_of_while_there_is_room_to_finish(tmp_path: Path) -> None:
     maker = LogMaker(tmp_path / "run.mcap")
     maker.write("left", make_rows("left", 10))
