@@ -36,4 +36,5 @@ def test_a_run_whose_terminal_is_gone_ends_as_by_ctrl_c(tmp_path: Path) -> None:
     results = json.loads((folder / "out" / "results.json").read_text())
     assert results["complete"] is True
     log = read_log(folder / "out" / "run.mcap")
-    assert [len(log.agents[arm]) for arm in ("left", "right")] == [log.agents["left"]["sequence"][-1] + 1] * 2
+    for rows in log.agents.values():  # one of them may be a tick ahead
+        assert len(rows) == rows["sequence"][-1] + 1
