@@ -28,7 +28,7 @@ from tests.support.hil.rehearsal import Rehearsal
 from tests.support.telemetry.run_log import write_run
 from tests.support.telemetry.synthetic_run import as_log, run_file
 
-FROM_S = 0.8
+FROM_S = 0.5
 FAULT_S = 0.4
 OFF = "simulation.reality.arms.left={friction=1.5,masses=1.1,torque_constant=[0.9,0.9,0.9]}"
 
@@ -177,8 +177,8 @@ def test_rows_of_a_touched_arm_say_how_far_it_was_from_its_twin_and_replay_bit_f
 
 @pytest.mark.fault("H7")
 def test_an_arm_with_the_object_in_its_gripper_is_held_before_anything_is_coupled() -> None:
-    heavy = cell("duration_s=0.1", "object.mass_kg=0.2")
-    weight = np.array([0.0, 0.0, -0.2 * 9.81, 0.0, 0.0, 0.0])
+    heavy = cell("duration_s=0.1", "object.mass_kg=0.25")
+    weight = np.array([0.0, 0.0, -0.25 * 9.81, 0.0, 0.0, 0.0])
     made = Rehearsal(heavy, begin=lambda run: run.lone("left").touch(weight))
     assert made.plant.tick < 0, "the plant has not started"
     run = made.arms["left"]

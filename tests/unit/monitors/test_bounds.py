@@ -57,7 +57,7 @@ def test_those_of_all_arms_are_those_of_each() -> None:
 
 def test_a_motion_may_be_twice_as_fast_and_no_faster_than_servos_are() -> None:
     slow, once = np.array(of_left(*STILL).speed_rad_per_s), np.array(of_left().speed_rad_per_s)
-    twice = np.array(of_left("trajectory.period_s=7.5").speed_rad_per_s)
+    twice = np.array(of_left("trajectory.period_s=4.5").speed_rad_per_s)
     assert (once > slow + 0.05).all()
     np.testing.assert_allclose(twice - slow, 2.0 * (once - slow), rtol=0.02)
     top = 0.85 * SERVOS["XM430-W350"].no_load_rad_per_s
@@ -92,7 +92,7 @@ class Sought:
 
 
 @pytest.mark.parametrize(
-    ("steps", "period_s", "ramp_s", "leads"), [(99, 15.0, 3.0, 99), (11, 3.0, 3.0, 7), (99, 1.4, 1.45, 121)]
+    ("steps", "period_s", "ramp_s", "leads"), [(99, 9.0, 3.0, 99), (11, 2.0, 2.0, 8), (99, 1.4, 1.45, 124)]
 )
 def test_speeds_are_those_at_the_joints_of_the_motion_each_looked_for_ahead_of_the_last(
     monkeypatch: pytest.MonkeyPatch, steps: int, period_s: float, ramp_s: float, leads: int
@@ -118,7 +118,7 @@ def test_speeds_are_those_at_the_joints_of_the_motion_each_looked_for_ahead_of_t
     led = np.array(sought.near[1:]) - np.array(sought.found[:-1])
     np.testing.assert_allclose(led, np.where(far[:, None], 0.0, ways), atol=1e-12)
     assert (~far).sum() == leads
-    if period_s == 15.0:
+    if period_s == 9.0:
         usual = 0.2 * SERVOS["XM430-W350"].no_load_rad_per_s
         assert of_left("duration_s=3.0").speed_rad_per_s == pytest.approx(usual + 2.0 * sought.fastest)
 
@@ -134,14 +134,14 @@ def quick_file(begins_s: float) -> str:
     """Rows ten times a second through minutes of rest, and more often through a way out and back of 0.3 s each."""
     times = sorted({*np.arange(0.0, 120.05, 0.1).round(3), *(begins_s + np.arange(0.0, 0.605, 0.01)).round(3)})
     ways = [0.05 * (minimum_jerk(t - begins_s, 0.3)[0] - minimum_jerk(t - begins_s - 0.3, 0.3)[0]) for t in times]
-    rows = [f"{t},{0.27 + way:.9f},0,0.25,1,0,0,0" for t, way in zip(times, ways, strict=True)]
+    rows = [f"{t},{0.225 + way:.9f},0,0.25,1,0,0,0" for t, way in zip(times, ways, strict=True)]
     return "\n".join(["t_s,x_m,y_m,z_m,qw,qx,qy,qz", *rows]) + "\n"
 
 
 def test_a_quick_move_is_as_fast_however_long_the_arms_wait(tmp_path: Path) -> None:
     """Between instants more than a second apart; an arm would hold for the speed of its own motion."""
     move = (
-        'kind="rest_to_rest"\np_from_m=[0.27, 0.0, 0.25]\np_to_m=[0.32, 0.0, 0.27]\n'
+        'kind="rest_to_rest"\np_from_m=[0.225, 0.0, 0.25]\np_to_m=[0.275, 0.0, 0.27]\n'
         "move_s=0.5\nwait_s={}\nand_back=true"
     )
     found = [bounds(c, c.arms[0]) for c in (with_motion(tmp_path, move.format(wait_s)) for wait_s in (0.5, 30.0, 60.0))]
@@ -155,7 +155,7 @@ def test_a_quick_move_is_as_fast_however_long_the_arms_wait(tmp_path: Path) -> N
     assert hidden.max() > 1.5
     np.testing.assert_allclose(hidden, seen, rtol=0.02)
     for one in of_files:
-        assert bounds(one, one.arms[0]).workspace_m[0] == pytest.approx((0.17, 0.42), abs=1e-3)
+        assert bounds(one, one.arms[0]).workspace_m[0] == pytest.approx((0.125, 0.375), abs=1e-3)
 
 
 def test_an_arm_alone_may_be_as_fast_as_its_session_says_and_lie_as_it_rests() -> None:
@@ -183,12 +183,12 @@ def test_a_motion_out_of_reach_is_for_the_check_to_refuse(monkeypatch: pytest.Mo
 
 def test_the_box_is_around_motion_and_start_or_as_given() -> None:
     (x0, x1), (y0, y1), (z0, z1) = of_left().workspace_m
-    assert (x0, x1) == pytest.approx((0.12, 0.42), abs=1e-3)
+    assert (x0, x1) == pytest.approx((0.075, 0.375), abs=1e-3)
     assert (y0, y1, z0, z1) == pytest.approx((-0.1, 0.1, 0.15, 0.35))
-    assert of_left(*STILL, "object.p_start_m=[0.255, 0.0, 0.25]").workspace_m[0] == pytest.approx((0.155, 0.37))
+    assert of_left(*STILL, "object.p_start_m=[0.21, 0.0, 0.25]").workspace_m[0] == pytest.approx((0.11, 0.325))
     short = ("trajectory.period_s=1.2", "duration_s=0.9")
     at = load("two_wx200", *short).trajectory().at
-    along = [0.27, *(at(t).p[0] for t in np.linspace(0.0, 0.9, 100))]
+    along = [0.225, *(at(t).p[0] for t in np.linspace(0.0, 0.9, 100))]
     assert of_left(*short).workspace_m[0] == pytest.approx((min(along) - 0.1, max(along) + 0.1), abs=1e-12)
     given = "safety.monitors.workspace_m=[[0.1, 0.7], [-0.2, 0.2], [0.0, 0.5]]"
     assert of_left(given).workspace_m == ((0.1, 0.7), (-0.2, 0.2), (0.0, 0.5))

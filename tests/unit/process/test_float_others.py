@@ -23,7 +23,7 @@ from tests.support.telemetry.run_log import write_run
 
 TWO = Path("two_wx200")
 MOTION = ("trajectory.period_s=5.0", "trajectory.ramp_s=1.0")
-SLOWER = (*MOTION, "floating.speed_max_rad_per_s=0.3")  # than the motion
+SLOWER = (*MOTION, "floating.speed_max_rad_per_s=0.2")  # than the motion
 
 
 @pytest.fixture(autouse=True)
@@ -96,9 +96,9 @@ def stands_and_sinks(run: FloatRun) -> None:
     ("options", "refused"),
     [
         (FloatOptions(TWO, ("left",), others_move=True), "a normal priority, expected SCHED_FIFO"),
-        (FloatOptions(TWO, ("left",), SLOWER, emulate=True, others_move=True), "a joint at 0.5"),
+        (FloatOptions(TWO, ("left",), SLOWER, emulate=True, others_move=True), "a joint at 0.2"),
         (
-            FloatOptions(TWO, ("left",), ("object.p_start_m=[0.2,0.0,0.25]",), emulate=True, others_move=True),
+            FloatOptions(TWO, ("left",), ("object.p_start_m=[0.155,0.0,0.25]",), emulate=True, others_move=True),
             "70.00 mm",
         ),
         (

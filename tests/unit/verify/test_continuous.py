@@ -48,14 +48,14 @@ def test_a_quick_move_between_long_waits_adds_no_more_than_its_time(tmp_path: Pa
     """Many of the instants that are examined are of it; of the time it is a hundredth."""
     text = (configs.CELLS_DIR / "two_wx200.toml").read_text()
     rest = (
-        'kind = "rest_to_rest"\np_from_m = [0.27, 0.0, 0.25]\np_to_m = [{}, 0.0, 0.25]\n'
+        'kind = "rest_to_rest"\np_from_m = [0.225, 0.0, 0.25]\np_to_m = [{}, 0.0, 0.25]\n'
         "move_s = 0.05\nwait_s = 60.0\nand_back = true"
     )
-    for place in (0.27, 0.28):
+    for place in (0.225, 0.235):
         moved = re.sub(r"\[trajectory\]\n(.+\n)+", f"[trajectory]\n{rest.format(place)}\n", text)
         (tmp_path / f"{place}.toml").write_text(moved)
-    still, quick = (found(str(tmp_path / f"{place}.toml"), "duration_s=121.0") for place in (0.27, 0.28))
-    assert [f.found.split()[0] for f in still] == [f.found.split()[0] for f in quick] == ["17%", "17%"]
+    still, quick = (found(str(tmp_path / f"{place}.toml"), "duration_s=121.0") for place in (0.225, 0.235))
+    assert [f.found.split()[0] for f in still] == [f.found.split()[0] for f in quick] == ["20%", "20%"]
 
 
 def test_a_root_mean_square_is_over_time_and_none_of_no_time() -> None:
