@@ -148,7 +148,7 @@ class LogFile:
         self._flushed_s = now_s
         try:
             self.before_flush()
-            if not self._open:  # what waited did not go to the disk
+            if self.failure is not None:  # what waited did not go to the disk
                 return
             if self._unsafe:
                 self._flush()
