@@ -16,6 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, cast
 
+import numpy as np
+
 from agent.config.cell import Cell, load_cell
 from agent.config.reality import draw
 from agent.config.schema.reality import Reality
@@ -28,7 +30,7 @@ from tests.soak.watch import say
 from tests.support.plant.mujoco_plant import MujocoPlant
 
 CELLS: Final = ("paper_real", "two_wx200", "two_models", "paper_adaptive", "three_wx250s", "four_wx250s")
-FAULT_S: Final = 8.0  # in mid-motion of the sinusoids
+FAULTS_S: Final = (5.0, 10.0)  # an arm fails where the motion is quickest between these
 KINDS: Final = (FaultKind.LIMP, FaultKind.HOLD, FaultKind.LOCKED)
 APART: Final = {
     "position_error_m": 0.5e-3,
@@ -57,8 +59,15 @@ def cases(duration_s: float, seeds: int) -> Iterator[Case]:
         for seed in range(1, seeds + 1):
             yield Case(cell, draw(cell.file.tolerance, seed, cell), (), f"reality {seed}")
         for kind in KINDS:
-            fault = Fault(kind=kind, arm=cell.arms[0].name, at_s=FAULT_S)
+            fault = Fault(kind=kind, arm=cell.arms[0].name, at_s=quickest_s(cell))
             yield Case(cell, None, (fault,), f"{fault.arm} {kind}")
+
+
+def quickest_s(cell: Cell) -> float:
+    """When an arm of this cell fails."""
+    motion = cell.trajectory()
+    times: list[float] = np.linspace(*FAULTS_S, 41).tolist()
+    return max(times, key=lambda t: float(np.linalg.norm(motion.at(t).v)))
 
 
 def mujoco_plant(spec: PlantSpec) -> AnyPlant:

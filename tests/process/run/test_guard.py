@@ -34,7 +34,7 @@ from tests.support.command import coop
 from tests.support.coop import COOP
 from tests.support.stalls import Kernel, despite_stalls
 
-PATIENCE_S = 30.0
+PATIENCE_S = 90.0
 SOME_ROWS = 40
 # hands over a kept descriptor: argument 1 is its number, the rest is the command
 AS_A_MANAGER_DOES = """
