@@ -37,9 +37,7 @@ Matrix = NDArray[np.float64]
 OTHER_CUTOFF: Final = 0.6  # the second low-pass, relative to the first
 DELAY_CUTOFF: Final = 0.4  # that of the delay
 DELAY_OTHER: Final = 0.5  # the second one of the delay
-DELAY_MOTION: Final = (
-    2.0  # of the motion beside it: a joint's turns must be where they were, or friction passes for delay
-)
+DELAY_MOTION: Final = 2.0  # of the motion beside it: joints must turn when they did, or friction passes for delay
 DELAY_ROUNDS: Final = 3
 NYQUIST: Final = 0.45  # of the rate, above which no motion is looked at
 USED_MIN: Final = 0.1  # share of the time that each joint moves fast enough, in each direction
