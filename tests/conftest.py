@@ -13,6 +13,8 @@ from hypothesis.internal.conjecture import providers
 from agent.host.starting import GARBAGE_AFTER, SETTINGS
 from tests.support.shares import dealt
 
+MADE_AGAIN = "made again"  # the property of a report that says why
+
 for _library in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):  # read when numpy is loaded
     os.environ.setdefault(_library, SETTINGS[_library])
 
@@ -77,3 +79,12 @@ def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> 
         if nextitem is not None and nextitem.path != item.path:
             gc.collect()
             gc.freeze()
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Name each test that failed at first: one that is seen here often has a race, not a slow machine."""
+    for reports in list(terminalreporter.stats.values()):
+        for report in reports:
+            for name, why in getattr(report, "user_properties", ()):
+                if name == MADE_AGAIN and report.when == "call":
+                    terminalreporter.write_line(f"MADE AGAIN {report.nodeid}: {why}")

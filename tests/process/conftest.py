@@ -11,6 +11,7 @@ import pytest
 from _pytest.runner import runtestprotocol
 
 from agent.log.read import RunLog, read_log
+from tests.conftest import MADE_AGAIN
 from tests.support.coop import coop
 from tests.support.once import once
 from tests.support.stalls import ATTEMPTS, Kernel, crowded, stalled_in
@@ -39,27 +40,38 @@ RunOf = Callable[..., Path]
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> bool | None:
-    """What is `paced` is made again when it fails on a machine without cores; what fails each time, fails.
+    """A test beside others is made again when it fails on a machine without cores; what fails each time, fails.
 
-    Only on a machine where far more processes want each core than this test run has it is skipped then.
+    What was made again is told at the end (tests/conftest.py).  One that is `paced` is skipped in the end, but only on
+    a machine where far more processes want each core than this test run has.  Those in real time judge for themselves.
     """
-    if item.get_closest_marker("paced") is None:
+    if item.get_closest_marker("realtime") is not None:
         return None
     item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
     for left in reversed(range(ATTEMPTS)):
         kernel = Kernel()
         reports = runtestprotocol(item, log=False, nextitem=nextitem)
-        failed = [report for report in reports if report.failed and report.when == "call"]
-        if not left and failed and (why := crowded()):
+        failed = [report for report in reports if report.failed and report.when != "teardown"]
+        if not left and failed and item.get_closest_marker("paced") is not None and (why := crowded()):
             failed[0].outcome = "skipped"
             failed[0].longrepr = (str(item.path), 0, f"this machine stalled in each of {ATTEMPTS} runs: {why}")
-        if not (left and failed and kernel.accuses()):
+        if not (left and failed and (why := kernel.accuses())):
             break
-        item._initrequest()  # type: ignore[attr-defined]  # its fixtures, once more
+        item.user_properties.append((MADE_AGAIN, f"{failed[0].longreprtext.splitlines()[-1]}; {why}"))
+        _forget_fixtures(item)
     for report in reports:
         item.ihook.pytest_runtest_logreport(report=report)
     item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
     return True
+
+
+def _forget_fixtures(item: pytest.Item) -> None:
+    """Those of the test itself, and of others that failed, are made once more."""
+    item._initrequest()  # type: ignore[attr-defined]
+    for of_name in item._fixtureinfo.name2fixturedefs.values():  # type: ignore[attr-defined]
+        for fixture in of_name:
+            if fixture.cached_result is not None and fixture.cached_result[2] is not None:
+                fixture.cached_result = None
 
 
 @pytest.fixture(scope="session")
