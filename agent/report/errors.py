@@ -70,8 +70,8 @@ def complaints(errors: PoseErrors, info: RunInfo) -> list[str]:
 def _longest_gap(t: Array, info: RunInfo) -> tuple[float, float]:
     """Longest time without one of the instants t (k,) between the end of the transient and that of the run.
 
-    Instants stand for as long as there is mostly between two; one alone that is missing is no gap.  With when it begins,
-    s; NaN without an instant.
+    Instants stand for as long as there is mostly between two; one alone that is missing is no gap.  With when it
+    begins, s; NaN without an instant.
     """
     if not len(t):
         return NAN, NAN
