@@ -68,8 +68,11 @@ class Child:
         )
 
     def last_words(self) -> str:
-        """Last line that the child wrote to its log, without the program's own prefix."""
-        lines = self.log.read_text(errors="replace").strip().splitlines()
+        """Last line that the child wrote to its log, without the program's own prefix; none where the log is gone."""
+        try:
+            lines = self.log.read_text(errors="replace").strip().splitlines()
+        except OSError:
+            return ""
         return lines[-1].removeprefix("coop: ") if lines else ""
 
     def terminate(self) -> None:
