@@ -71,7 +71,7 @@ def _longest_gap(t: Array, info: RunInfo) -> tuple[float, float]:
     """Longest time without one of the instants t (k,) between the end of the transient and that of the run.
 
     Instants stand for as long as there is mostly between two; one alone that is missing is no gap.  With when it
-    begins, s; NaN without an instant.
+    begins, s, NaN where there is none; both NaN without an instant.
     """
     if not len(t):
         return NAN, NAN
@@ -79,7 +79,7 @@ def _longest_gap(t: Array, info: RunInfo) -> tuple[float, float]:
     begins = np.concatenate([[info.transient_s], t + lasts_s])
     gaps = np.concatenate([t, [info.duration_s]]) - begins
     longest = int(gaps.argmax())
-    return float(gaps[longest]) if gaps[longest] > 1.5 * lasts_s else 0.0, float(begins[longest])
+    return (float(gaps[longest]), float(begins[longest])) if gaps[longest] > 1.5 * lasts_s else (0.0, NAN)
 
 
 def _decay(t: Array, error: Array) -> Decay:

@@ -73,7 +73,7 @@ class PoseErrors:
     unusable_rows: int  # of the whole run: pose is not a number
     not_tracking_rows: int  # after the transient: an arm held or was off, so there was no trajectory to follow
     longest_gap_s: Seconds  # after the transient: without a pose, at the end too; NaN where there is none at all
-    t_gap_s: Annotated[float, Unit("s", Better.NEITHER)]  # when it begins
+    t_gap_s: Annotated[float, Unit("s", Better.NEITHER)]  # when it begins; NaN without one
     whole: bool  # all of the run after the transient can be judged
     max_position_error_m: Metres
     max_attitude_error_rad: Radians

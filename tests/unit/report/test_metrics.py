@@ -38,6 +38,8 @@ def test_a_run_without_error_has_none() -> None:
     results = summarise(small_run())
     assert results.headline("max_position_error_m") == 0.0
     assert results.headline("max_attitude_error_rad") == 0.0
+    assert results.by_plant.longest_gap_s == 0.0
+    assert math.isnan(results.by_plant.t_gap_s)
     assert results.missing == ()
     assert results.complete
 
