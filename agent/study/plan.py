@@ -16,6 +16,7 @@ from agent.config.cell import Cell, ConfigError, load_cell
 from agent.config.files import cell_path
 from agent.config.reading import parse, read_file, validate
 from agent.config.schema.types import Format, Strict
+from agent.host.info import computing
 from agent.study.fault import Fault
 
 RUNS = 200
@@ -77,6 +78,7 @@ class Plan:
             "cells": [cell.fingerprint for cell in self.cells],
             "seed": self.seed,
             "faults": [fault.model_dump(mode="json") for fault in self.faults],
+            "versions": computing(),
         }
 
 

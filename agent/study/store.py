@@ -105,7 +105,7 @@ class Store:
         if found != self._identity:
             raise StudyError(
                 f"study in {self.path.parent}",
-                found="runs of another cell, seed, duration or fault",
+                found="runs of another cell, seed, duration, fault or version",
                 expected="none, or those of this study, which then goes on",
                 remedy="name another --out, or give --force",
             )

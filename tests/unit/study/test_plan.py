@@ -7,6 +7,7 @@ import resource
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import configs
@@ -135,6 +136,17 @@ def test_runs_of_another_study_are_not_mixed_in(tmp_path: Path, plan: Plan, othe
         Store(tmp_path, changed.identity())
     with Store(tmp_path, replace(plan, runs=50).identity()) as more:
         assert more.results == {}
+
+
+def test_runs_of_another_version_are_not_mixed_in(tmp_path: Path, plan: Plan) -> None:
+    with Store(tmp_path, plan.identity()):
+        pass
+    path = tmp_path / RUNS_FILE
+    ours = f'"numpy": "{np.__version__}"'
+    assert ours in path.read_text()
+    path.write_text(path.read_text().replace(ours, '"numpy": "1.0"'))
+    with pytest.raises(StudyError, match="fault or version"):
+        Store(tmp_path, plan.identity())
 
 
 def test_a_file_of_runs_that_is_none_is_refused(tmp_path: Path, plan: Plan) -> None:

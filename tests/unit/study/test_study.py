@@ -87,6 +87,8 @@ def test_a_study_leaves_its_figures_its_table_a_page_and_its_worst_run(
     assert (document["runs"], document["lost"], document["tripped"]) == (4, 0, 0)
     assert document["within_bounds"] == sum(r.within_bounds for r in results)
     assert document["tripped_by"] == {}
+    assert document["versions"] == plan.identity()["versions"]
+    assert document["versions"]["numpy"] == np.__version__
     assert document["holds"] is document["cells"]["paper"]["holds"]
     assert document["cells"]["paper"]["bounds"]["peak_torque_fraction"] == 0.5
     for key in KEYS:
