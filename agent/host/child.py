@@ -68,8 +68,14 @@ class Child:
         )
 
     def last_words(self) -> str:
-        """Last line that the child wrote to its log, without the program's own prefix."""
-        lines = self.log.read_text(errors="replace").strip().splitlines()
+        """Last line that the child wrote to its log, without the program's own prefix; none where the log is gone."""
+        try:
+            lines = self.log.read_text(errors="replace").strip().splitlines()
+            full = not lines and os.statvfs(self.log.parent).f_bavail == 0
+        except OSError:
+            return ""
+        if full:
+            return "no room is left on the disk, not for its words either"
         return lines[-1].removeprefix("coop: ") if lines else ""
 
     def terminate(self) -> None:

@@ -8,6 +8,12 @@ from importlib import metadata
 from agent.config.files import CellFiles
 
 PACKAGES = ("widowx-coop", "pin", "numpy", "scipy", "eclipse-zenoh", "mcap", "dynamixel-sdk")
+COMPUTING = ("widowx-coop", "pin", "numpy", "scipy")  # what laws and simulation are made of
+
+
+def computing() -> dict[str, str]:
+    """Versions of what computes the motion of a simulated cell in one process."""
+    return {name: metadata.version(name) for name in COMPUTING}
 
 
 def versions() -> dict[str, str]:

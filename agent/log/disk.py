@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import threading
 from pathlib import Path
@@ -53,10 +54,16 @@ class Syncer:
                 return
 
 
-def free_bytes(path: Path) -> int:
-    """Left for a file of that name."""
-    found = os.statvfs(path.parent)
+def free_bytes(where: Path | int) -> int:
+    """Left on the disk of a folder or an open file."""
+    found = os.statvfs(where)
     return found.f_bavail * found.f_frsize
+
+
+def require_a_name(fd: int, path: Path) -> None:
+    """Raise FileNotFoundError where the open file that was at `path` has been removed; one that was moved is there."""
+    if os.fstat(fd).st_nlink == 0 and not os.path.lexists(path):  # some file systems count no names
+        raise FileNotFoundError(errno.ENOENT, "somebody has removed it")
 
 
 def sync_directory(directory: Path) -> None:

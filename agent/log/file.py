@@ -1,7 +1,7 @@
 """An MCAP file that is being written: on the disk chunk by chunk; a disk that fails ends it and raises nothing.
 
 The name must be free, and a lock keeps others away.  A write that fails (full disk, lost mount) ends the file at its
-last complete chunk; the caller goes on without it.
+last complete chunk; the caller goes on without it.  A folder that is moved meanwhile takes the whole file with it.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
 from agent.log.chunk import LIBRARY, Group
-from agent.log.disk import Sink, Syncer, free_bytes, sync_directory
+from agent.log.disk import Sink, Syncer, free_bytes, require_a_name, sync_directory
 from agent.log.writer import BatchWriter, Records
 from drivers.interface import Refusal
 
@@ -154,7 +154,8 @@ class LogFile:
                 self._flush()
             if self._syncer.error is not None:
                 raise self._syncer.error
-            self.nearly_full = free_bytes(self.path) < self._min_free
+            require_a_name(self._fd, self.path)
+            self.nearly_full = free_bytes(self._fd) < self._min_free
         except OSError as error:
             self._fail(error)
 
@@ -219,7 +220,7 @@ def remove_log(path: Path) -> None:
 
 def _create(path: Path, min_free_bytes: int) -> int:
     try:
-        free = free_bytes(path)
+        free = free_bytes(path.parent)
         if free < min_free_bytes:
             raise LogFileError(
                 f"no room for a log in {path.parent}",

@@ -7,7 +7,7 @@ import math
 from agent.log.columns import Table
 from agent.telemetry.row.event import Event
 
-_STARTED_S = -43_200.0  # rows of an arm that nobody has started count towards a start a day ahead
+STARTED_S = -43_200.0  # rows of an arm that nobody has started count towards a start a day ahead
 
 
 def trajectory_time(event: Event, table: Table | None) -> float:
@@ -19,9 +19,9 @@ def trajectory_time(event: Event, table: Table | None) -> float:
     """
     told, stamp_ns = event.data.get("t"), event.data.get("stamp_ns")
     if isinstance(told, int | float) and not isinstance(told, bool):
-        return float(told) if told > _STARTED_S else math.nan
+        return float(told) if told > STARTED_S else math.nan
     if table is None or not len(table) or type(stamp_ns) is not int:
         return math.nan
     last = table[len(table) - 1 : len(table)]
     t, last_ns = float(last["t"][0]), int(last["stamp_ns"][0])
-    return t + (stamp_ns - last_ns) * 1e-9 if t > _STARTED_S else math.nan
+    return t + (stamp_ns - last_ns) * 1e-9 if t > STARTED_S else math.nan

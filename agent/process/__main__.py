@@ -5,6 +5,7 @@ What `coop VERB CELL ...` does, without what reads the lines of persons, which c
 
 from __future__ import annotations
 
+import contextlib
 import sys
 
 from agent.host.starting import USAGE, end, of_host, settle
@@ -39,8 +40,9 @@ def main() -> int:
 
 
 def _told(text: str) -> None:
-    sys.stderr.write(text + "\n")
-    sys.stderr.flush()
+    with contextlib.suppress(OSError):  # a full disk under its words is no failure of what it has done
+        sys.stderr.write(text + "\n")
+        sys.stderr.flush()
 
 
 if __name__ == "__main__":

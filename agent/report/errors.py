@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import combinations
+from typing import Final
 
 import numpy as np
 
@@ -12,6 +13,8 @@ from agent.report.arithmetic import NAN, instant_of_most, most, rms
 from agent.report.prepared import Prepared
 from agent.report.results import Decay, PoseErrors
 from agent.report.series import Array, PoseSeries, column, same_ticks
+
+GAP_S: Final = 0.1  # without a pose: what happened meanwhile cannot be judged
 
 
 def pose_errors(series: PoseSeries, info: RunInfo) -> PoseErrors:
@@ -22,6 +25,8 @@ def pose_errors(series: PoseSeries, info: RunInfo) -> PoseErrors:
     followed = usable & series.tracking
     settled = followed & window
     t = series.t[settled]
+    gap_s, t_gap_s = _longest_gap(series.t[usable & window], info)
+    unusable, not_tracking = int((~usable).sum()), int((window & ~series.tracking).sum())
     in_plane = out_of_plane = NAN
     if info.plane is not None:
         in_plane = most(np.linalg.norm(series.e_p[settled][:, list(info.plane.in_plane)], axis=1))
@@ -29,8 +34,11 @@ def pose_errors(series: PoseSeries, info: RunInfo) -> PoseErrors:
     return PoseErrors(
         source=series.source,
         rows=int(settled.sum()),
-        unusable_rows=int((~usable).sum()),
-        not_tracking_rows=int((window & ~series.tracking).sum()),
+        unusable_rows=unusable,
+        not_tracking_rows=not_tracking,
+        longest_gap_s=gap_s,
+        t_gap_s=t_gap_s,
+        whole=not unusable and not not_tracking and gap_s <= GAP_S,
         max_position_error_m=most(position[settled]),
         max_attitude_error_rad=most(attitude[settled]),
         rms_position_error_m=rms(position[settled]),
@@ -54,7 +62,24 @@ def complaints(errors: PoseErrors, info: RunInfo) -> list[str]:
     if errors.not_tracking_rows:
         ticks = f"{errors.not_tracking_rows} ticks of {errors.source} after the transient"
         found.append(f"{ticks} did not follow the trajectory and count in no error")
+    if errors.longest_gap_s > GAP_S:
+        found.append(f"no pose of {errors.source} for {errors.longest_gap_s:.3g} s from {errors.t_gap_s:.2f} s on")
     return found
+
+
+def _longest_gap(t: Array, info: RunInfo) -> tuple[float, float]:
+    """Longest time without one of the instants t (k,) between the end of the transient and that of the run.
+
+    Instants stand for as long as there is mostly between two; one alone that is missing is no gap.  With when it
+    begins, s, NaN where there is none; both NaN without an instant.
+    """
+    if not len(t):
+        return NAN, NAN
+    lasts_s = float(np.median(np.diff(t))) if len(t) > 1 else 1.0 / info.rate_hz
+    begins = np.concatenate([[info.transient_s], t + lasts_s])
+    gaps = np.concatenate([t, [info.duration_s]]) - begins
+    longest = int(gaps.argmax())
+    return (float(gaps[longest]), float(begins[longest])) if gaps[longest] > 1.5 * lasts_s else (0.0, NAN)
 
 
 def _decay(t: Array, error: Array) -> Decay:

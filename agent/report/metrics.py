@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from agent.log.runinfo import RunArm, RunInfo
+from agent.log.when import STARTED_S
 from agent.modes import Mode
 from agent.report.arithmetic import NAN, mean, most, rms
 from agent.report.errors import complaints, disagreement, left_apart, pose_errors
@@ -173,10 +174,14 @@ def _load_share(arm: RunArm, run: Prepared) -> float:
 
 def _completeness(run: Prepared, name: str) -> Completeness:
     """Rows of one arm against those it says it wrote; an arm that did not live to say so should have run to the end."""
-    agents = run.log.agents
-    sequence = agents[name]["sequence"] if name in agents else np.empty(0, dtype=np.uint64)
+    rows, info = run.log.agents.get(name), run.info
+    sequence = np.empty(0, dtype=np.uint64) if rows is None else rows["sequence"]
+    to_its_end = info.ticks
+    # an arm that waited for the start with its torque on has rows of that time, too
+    if rows is not None and len(rows) and float(rows["t"][-1]) > STARTED_S:
+        to_its_end = int(sequence[-1]) + round((info.duration_s - float(rows["t"][-1])) * info.rate_hz)
     told = [event.data.get("ticks") for event in run.log.events if event.source == name]
-    written = next((n for n in reversed(told) if isinstance(n, int)), run.info.ticks)
+    written = next((n for n in reversed(told) if isinstance(n, int)), to_its_end)
     recorded = int(np.searchsorted(sequence, written))
     return Completeness(written, recorded, len(sequence) - recorded, tuple(missing_ranges(sequence, written)))
 

@@ -72,6 +72,9 @@ class PoseErrors:
     rows: int
     unusable_rows: int  # of the whole run: pose is not a number
     not_tracking_rows: int  # after the transient: an arm held or was off, so there was no trajectory to follow
+    longest_gap_s: Seconds  # after the transient: without a pose, at the end too; NaN where there is none at all
+    t_gap_s: Annotated[float, Unit("s", Better.NEITHER)]  # when it begins; NaN without one
+    whole: bool  # all of the run after the transient can be judged
     max_position_error_m: Metres
     max_attitude_error_rad: Radians
     rms_position_error_m: Metres
@@ -192,9 +195,9 @@ class Results:
         value = self.headline(bounded.value)
         if value > self.info.bounds[bounded]:
             return Judgement.NOT_MET
-        sources = [self.by_plant] if self.by_plant else list(self.by_arm.values())
-        partial = any(e.unusable_rows or e.not_tracking_rows or not e.rows for e in sources)
-        return Judgement.NOT_SHOWN if partial or math.isnan(value) else Judgement.MET
+        sources = [self.by_plant] if self.by_plant else [self.by_arm.get(arm.name) for arm in self.info.arms]
+        whole = all(e is not None and e.whole for e in sources)
+        return Judgement.MET if whole and not math.isnan(value) else Judgement.NOT_SHOWN
 
     @property
     def within_bounds(self) -> bool:

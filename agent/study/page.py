@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import math
 import tempfile
 from collections.abc import Sequence
 from html import escape
@@ -38,7 +39,7 @@ def render(title: str, parts: Sequence[tuple[Cell, Sequence[RunResult], dict[str
             _counts(found),
             _quantiles(found),
             _picture(cell.file.name, _distribution(results)),
-            _influences(influences),
+            _influences(influences, len(results)),
         ]
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
@@ -79,14 +80,15 @@ def _number(value: float | None) -> str:
     return "–" if value is None else f"{value:.4g}"
 
 
-def _influences(found: Sequence[Influence]) -> str:
+def _influences(found: Sequence[Influence], runs: int) -> str:
     if not found:
         return "<p>Too few runs to tell which error of reality matters most.</p>"
     body = "".join(
         f"<tr><td>{i.error}</td><td>{i.figure}</td><td>{i.correlation:+.2f}</td></tr>" for i in found[:SHOWN]
     )
     head = "<tr><th>error of reality</th><th>goes with</th><th>rank correlation</th></tr>"
-    return f'<table class="words"><thead>{head}</thead>{body}</table>'
+    chance = f"By chance alone one in twenty is beyond ±{2.0 / math.sqrt(runs - 1):.2f} in {runs} runs."
+    return f'<table class="words"><thead>{head}</thead>{body}</table>\n<p class="dim">{chance}</p>'
 
 
 @styled

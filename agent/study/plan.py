@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,7 @@ from agent.config.cell import Cell, ConfigError, load_cell
 from agent.config.files import cell_path
 from agent.config.reading import parse, read_file, validate
 from agent.config.schema.types import Format, Strict
+from agent.host.info import computing
 from agent.study.fault import Fault
 
 RUNS = 200
@@ -76,6 +78,7 @@ class Plan:
             "cells": [cell.fingerprint for cell in self.cells],
             "seed": self.seed,
             "faults": [fault.model_dump(mode="json") for fault in self.faults],
+            "versions": computing(),
         }
 
 
@@ -133,8 +136,16 @@ def _beside(study: Path, name: str) -> Path:
 
 def _require_fit(plan: Plan) -> None:
     """Raise ConfigError where a run could not be judged, or a fault could not happen."""
+    names = Counter(cell.file.name for cell in plan.cells)
     for cell in plan.cells:
         file = cell.file
+        if names[file.name] > 1:
+            raise ConfigError(
+                f"cells of name {file.name}",
+                found=f"{names[file.name]} in one study",
+                expected="a name for each, which tells their results apart",
+                remedy="give each its own `name`, or its own study",
+            )
         for fault in plan.faults:
             cell.index(fault.arm)
         if file.duration_s <= file.report.transient_s:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 from collections.abc import Mapping
@@ -52,10 +53,10 @@ class Store:
                 self._file.truncate(0)
             self._read()
         except OSError as error:
-            self._file.close()
+            self._close()
             raise self._unwritable(error) from error
         except StudyError:
-            self._file.close()
+            self._close()
             raise
 
     def _lock(self) -> None:
@@ -104,7 +105,7 @@ class Store:
         if found != self._identity:
             raise StudyError(
                 f"study in {self.path.parent}",
-                found="runs of another cell, seed, duration or fault",
+                found="runs of another cell, seed, duration, fault or version",
                 expected="none, or those of this study, which then goes on",
                 remedy="name another --out, or give --force",
             )
@@ -128,4 +129,8 @@ class Store:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._file.close()
+        self._close()
+
+    def _close(self) -> None:
+        with contextlib.suppress(OSError):  # of a line that the disk did not take: its writer was told
+            self._file.close()

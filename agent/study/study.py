@@ -93,6 +93,7 @@ def _write(plan: Plan, out: Path, results: Sequence[Sequence[RunResult]]) -> dic
     ]
     document = {
         "schema": SCHEMA,
+        "versions": plan.identity()["versions"],
         "seed": plan.seed,
         "wanted": plan.runs * len(plan.cells),
         **summary(together),

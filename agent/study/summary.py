@@ -85,24 +85,32 @@ def _quantiles(values: Sequence[float | None]) -> dict[str, float | None]:
 
 
 def errors_of(real: Reality, cell: Cell) -> dict[str, float]:
-    """Sizes of a reality's errors, one number each: of poses how far two arms disagree, of scales how far from 1."""
+    """Sizes of a reality's errors, one number each: of poses how far two arms disagree, of scales what they are.
+
+    Those are the mean of the arms, and as `..._off` how far they are from 1, whichever way.
+    """
     arms = list(real.arms.values())
     believed_s = cell.file.simulated_delay_s
+    delay = 1.0 if real.delay_s is None or not believed_s else real.delay_s / believed_s
+    scales = {
+        "masses": [a.masses for a in arms],
+        "object": [real.object],
+        "friction": [a.friction for a in arms],
+        "delay": [delay],
+    }
     return {
         "base_m": _disagreement([a.base_m for a in arms]),
         "base_rad": _disagreement([a.base_rad for a in arms]),
         "grasp_m": _disagreement([a.grasp_m for a in arms]),
         "grasp_rad": _disagreement([a.grasp_rad for a in arms]),
         "zeros_rad": float(np.linalg.norm([z for a in arms for z in a.zeros_rad])),
-        "masses": float(np.mean([a.masses for a in arms])),
-        "object": real.object,
         "object_centre_m": float(np.linalg.norm(real.object_centre_m)),
-        "friction": float(np.mean([a.friction for a in arms])),
         "torque_constant": float(np.linalg.norm([k - 1.0 for a in arms for k in a.torque_constant])),
         "pads_N_per_m": real.pads_N_per_m or 0.0,
         "pads_Nm_per_rad": real.pads_Nm_per_rad or 0.0,
-        "delay": 1.0 if real.delay_s is None or not believed_s else real.delay_s / believed_s,
         "skew_s": max(a.skew_s for a in arms) - min(a.skew_s for a in arms),
+        **{name: float(np.mean(values)) for name, values in scales.items()},
+        **{f"{name}_off": float(np.mean([abs(x - 1.0) for x in values])) for name, values in scales.items()},
     }
 
 

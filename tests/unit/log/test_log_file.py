@@ -126,6 +126,29 @@ def test_a_disk_that_fills_up_is_told_of_while_there_is_room_to_finish(tmp_path:
     assert len(read_log(tmp_path / "run.mcap").agents["left"]) == 10
 
 
+def test_a_folder_that_is_moved_takes_the_whole_log_with_it(tmp_path: Path) -> None:
+    (tmp_path / "here").mkdir()
+    rows = make_rows("left", 20)
+    maker = LogMaker(tmp_path / "here" / "run.mcap", has_plant=False)
+    maker.write("left", rows[:10])
+    maker.flush()
+    (tmp_path / "here").rename(tmp_path / "there")
+    maker.write("left", rows[10:])
+    maker.flush()
+    assert maker.finish()
+    log = read_log(tmp_path / "there" / "run.mcap")
+    assert log.complete
+    assert log.agents["left"].tobytes() == rows.tobytes()
+
+
+def test_a_log_that_is_removed_while_it_is_written_has_failed(tmp_path: Path) -> None:
+    maker = LogMaker(tmp_path / "run.mcap")
+    (tmp_path / "run.mcap").unlink()
+    maker.flush()
+    assert maker.file.failure == "somebody has removed it"
+    assert not maker.finish()
+
+
 @pytest.mark.fault("D2")
 def test_a_disk_that_takes_its_time_to_sync_stops_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     entered, release = threading.Event(), threading.Event()

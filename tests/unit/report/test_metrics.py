@@ -38,6 +38,8 @@ def test_a_run_without_error_has_none() -> None:
     results = summarise(small_run())
     assert results.headline("max_position_error_m") == 0.0
     assert results.headline("max_attitude_error_rad") == 0.0
+    assert results.by_plant.longest_gap_s == 0.0
+    assert math.isnan(results.by_plant.t_gap_s)
     assert results.missing == ()
     assert results.complete
 
@@ -228,6 +230,42 @@ def test_an_exceeded_bound_stays_exceeded_though_rows_are_missing() -> None:
     assert summarise(log).verdict(Bounded.POSITION) is Judgement.NOT_MET
 
 
+@pytest.mark.parametrize(
+    ("absent", "said"),
+    [
+        (slice(300, None), "for 0.5 s from 1.50 s on"),  # the run was stopped, or an arm has failed
+        (slice(200, 225), "for 0.125 s from 1.00 s on"),
+        (slice(100, 130), "for 0.15 s from 0.50 s on"),  # right behind the transient
+        (slice(90, 119), None),  # of it 0.095 s count
+        (slice(200, 219), None),
+        (slice(399, None), None),
+    ],
+)
+def test_a_stretch_without_a_pose_leaves_the_bound_open(absent: slice, said: str | None) -> None:
+    log = small_run()
+    log = replace(log, plant=np.delete(log.plant, absent))
+    results = summarise(log)
+    assert results.verdict(Bounded.POSITION) is (Judgement.NOT_SHOWN if said else Judgement.MET)
+    assert results.missing == ((f"no pose of plant {said}",) if said else ())
+    assert results.by_plant.whole == (said is None)
+
+
+def test_a_pose_that_is_seldom_observed_is_not_missing_in_between() -> None:
+    log = small_run(transient_s=0.6)
+    results = summarise(replace(log, plant=log.plant[::100]))
+    assert results.by_plant.rows == 2
+    assert results.verdict(Bounded.POSITION) is Judgement.MET
+
+
+@pytest.mark.parametrize(("plant", "verdict"), [(True, Judgement.MET), (False, Judgement.NOT_SHOWN)])
+def test_an_arm_without_rows_leaves_the_bound_open_where_nothing_else_sees_the_object(
+    plant: bool, verdict: Judgement
+) -> None:
+    log = small_run(plant=plant)
+    del log.agents["right"]
+    assert summarise(log).verdict(Bounded.POSITION) is verdict
+
+
 def held(results: Results) -> list[str]:
     """What the table of results says of arms that held."""
     return [line.figure for line in lines(results) if line.what == "HELD before its end"]
@@ -306,6 +344,16 @@ def test_missing_rows_are_counted_and_named() -> None:
     assert (rows.recorded, rows.expected) == (TICKS - 13, TICKS)
     assert results.rows_recorded == 2 * TICKS - 13
     assert not results.complete  # whatever the recorder says
+
+
+@pytest.mark.parametrize(("begins_s", "expected"), [(-1.0, TICKS + 200), (-86_400.0, TICKS)])
+def test_an_arm_that_dies_should_have_run_to_its_end_after_its_wait(begins_s: float, expected: int) -> None:
+    log = small_run()
+    log.agents["left"] = agent_rows(550, RATE_HZ)  # of an arm that nobody starts a day is left
+    log.agents["left"]["t"] += begins_s
+    rows = summarise(log).rows["left"]
+    assert (rows.expected, rows.recorded) == (expected, min(550, expected))
+    assert rows.gaps == (((550, 599),) if expected > 550 else ())
 
 
 def test_rows_after_the_end_are_counted_apart() -> None:

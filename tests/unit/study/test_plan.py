@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+import resource
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import configs
+from agent.atomic import WriteError
 from agent.config.cell import ConfigError
 from agent.study.fault import FaultKind
 from agent.study.measure import RunResult, run_once
@@ -76,6 +79,10 @@ def test_seeds_are_of_study_and_run_and_shared_by_the_cells() -> None:
         ('format = 1\ncells = ["paper"]\n[[faults]]\nkind = "limb"\narm = "left"\nat_s = 1.0\n', "limp"),
         ('format = 1\ncells = ["paper"]\nduration_s = 5.0\n', "transient of 20 s"),
         ('format = 1\ncells = ["paper"]\nset = ["simulation.reality.seed=1"]\n', "draws one for each run"),
+        (
+            'format = 1\ncells = ["two_models", "paper", "two_models"]\n',
+            "cells of name two_models: found 2 in one study",
+        ),
     ],
 )
 def test_a_study_that_cannot_be_meant_is_refused(tmp_path: Path, text: str, message: str) -> None:
@@ -131,6 +138,17 @@ def test_runs_of_another_study_are_not_mixed_in(tmp_path: Path, plan: Plan, othe
         assert more.results == {}
 
 
+def test_runs_of_another_version_are_not_mixed_in(tmp_path: Path, plan: Plan) -> None:
+    with Store(tmp_path, plan.identity()):
+        pass
+    path = tmp_path / RUNS_FILE
+    ours = f'"numpy": "{np.__version__}"'
+    assert ours in path.read_text()
+    path.write_text(path.read_text().replace(ours, '"numpy": "1.0"'))
+    with pytest.raises(StudyError, match="fault or version"):
+        Store(tmp_path, plan.identity())
+
+
 def test_a_file_of_runs_that_is_none_is_refused(tmp_path: Path, plan: Plan) -> None:
     (tmp_path / RUNS_FILE).write_bytes(b"not json\n")
     with pytest.raises(StudyError, match=r"runs\.jsonl"):
@@ -144,6 +162,23 @@ def test_no_place_to_write_is_refused_before_a_run(tmp_path: Path, plan: Plan) -
     (tmp_path / "out" / RUNS_FILE).mkdir(parents=True)
     with pytest.raises(Refusal, match="name another --out"):
         Store(tmp_path / "out", plan.identity())
+
+
+@pytest.mark.parametrize("room", [100, 500])  # bytes: for half of what the study is of, or half of a run
+def test_a_disk_that_is_full_is_told_with_the_file_and_what_is_kept(
+    tmp_path: Path, plan: Plan, results: list[RunResult], room: int
+) -> None:
+    whole = resource.getrlimit(resource.RLIMIT_FSIZE)
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (room, whole[1]))
+        with pytest.raises(WriteError, match=r"runs\.jsonl.*finished runs are kept"):  # noqa: SIM117
+            with Store(tmp_path, plan.identity()) as store:
+                store.add(plan.tasks()[0], results[0])
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, whole)
+    assert (tmp_path / RUNS_FILE).stat().st_size == room
+    with Store(tmp_path, plan.identity()) as store:
+        assert store.results == {}
 
 
 def test_a_task_is_its_run_wherever_it_is_done(plan: Plan, results: list[RunResult]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 import signal
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -19,6 +20,7 @@ from agent.config.reality import draw, reality_of
 from agent.study import work
 from agent.study.lab import Laboratory
 from agent.study.measure import RunResult, bounds_of, measure
+from agent.study.page import _influences
 from agent.study.plan import Plan, Task, load_plan
 from agent.study.store import RUNS_FILE, Store, StudyError
 from agent.study.study import RESULTS, run_study
@@ -85,6 +87,8 @@ def test_a_study_leaves_its_figures_its_table_a_page_and_its_worst_run(
     assert (document["runs"], document["lost"], document["tripped"]) == (4, 0, 0)
     assert document["within_bounds"] == sum(r.within_bounds for r in results)
     assert document["tripped_by"] == {}
+    assert document["versions"] == plan.identity()["versions"]
+    assert document["versions"]["numpy"] == np.__version__
     assert document["holds"] is document["cells"]["paper"]["holds"]
     assert document["cells"]["paper"]["bounds"]["peak_torque_fraction"] == 0.5
     for key in KEYS:
@@ -325,6 +329,21 @@ def test_errors_are_measured_as_disagreement_and_distance_from_one() -> None:
     assert found["delay"] == pytest.approx((real.delay_s or 0.0) / c.file.simulated_delay_s)
     assert found["skew_s"] == pytest.approx(abs(left.skew_s - right.skew_s))
     assert found["zeros_rad"] == pytest.approx(float(np.linalg.norm([*left.zeros_rad, *right.zeros_rad])))
+    assert found["friction"] == pytest.approx((left.friction + right.friction) / 2)
+    assert found["friction_off"] == pytest.approx((abs(left.friction - 1) + abs(right.friction - 1)) / 2)
+    assert found["object_off"] == pytest.approx(abs(real.object - 1))
+
+
+def test_an_error_that_strains_whichever_way_it_goes_is_found() -> None:
+    c = cell()
+    results = []
+    for seed in range(60):
+        arms = draw(c.file.tolerance, seed, c).arms.values()
+        results.append(a_result(0, seed=seed, internal_force_mean_N=sum(abs(a.masses - 1) for a in arms)))
+    found = {i.error: i.correlation for i in influences(c, results) if i.figure == "internal_force_mean_N"}
+    assert found["masses_off"] == pytest.approx(1.0)
+    assert abs(found["masses"]) < 2.0 / math.sqrt(59)
+    assert "By chance alone one in twenty is beyond ±0.26 in 60 runs." in _influences(influences(c, results), 60)
 
 
 def test_the_command_runs_a_cell_and_says_where_its_results_are(tmp_path: Path) -> None:
