@@ -75,7 +75,7 @@ def inject(
     from agent.config.cell import load_cell
     from agent.faults.log import require_new, write_log
     from agent.faults.measure import measured
-    from agent.faults.plan import require_simulated
+    from agent.faults.plan import require_happens, require_simulated
     from agent.faults.rehearse import rehearse
 
     faults, made_so = _faults(fault, arm=arm, servo=servo, at_s=at, for_s=for_s, size=size)
@@ -84,6 +84,7 @@ def inject(
         cell, [*made_so, *overrides, f"duration_s={max(ends) + MORE_S if duration is None else duration}"]
     )
     require_simulated(loaded)
+    require_happens(faults, loaded.file.duration_s)
     if out is not None:
         require_new(out)
     run = rehearse(loaded, faults, seed)

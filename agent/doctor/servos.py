@@ -138,7 +138,8 @@ SECTIONS = (
         "EEPROM",
         (
             rules.DIRECTION, rules.DRIVE_BITS, rules.SECONDARY, rules.HOMING, rules.STARTUP, rules.CURRENT_LIMIT,
-            rules.MODE, rules.RETURN_DELAY, rules.PWM_LIMIT, rules.LOW_LIMIT, rules.HIGH_LIMIT, rules.SHUTDOWN,
+            rules.PWM_NEEDED, rules.MODE, rules.RETURN_DELAY, rules.PWM_LIMIT, rules.LOW_LIMIT, rules.HIGH_LIMIT,
+            rules.SHUTDOWN,
         ),
         _eeprom, _text("the arm file's directions, shadows and limits"),
     ),

@@ -209,6 +209,16 @@ def require_fit(faults: Sequence[Injection], looped: Sequence[str] | None) -> No
             )  # fmt: skip
 
 
+def require_happens(faults: Sequence[Injection], duration_s: float) -> None:
+    """Refuse a fault that would begin when the run is over: nobody would notice it.  Raises FaultPlanError."""
+    for fault in faults:
+        if fault.at_s >= duration_s:
+            raise FaultPlanError(
+                f"fault {fault.fault} at {fault.at_s:g} s", found=f"a run of {duration_s:g} s",
+                expected="an instant before its end", remedy="give a longer --duration, or an earlier --at",
+            )  # fmt: skip
+
+
 _WIRE: Final[Mapping[tuple[Target, Kind], wire.FaultKind]] = MappingProxyType(
     {
         (Target.SERVO, Kind.OFF): wire.FaultKind.POWER_LOSS,

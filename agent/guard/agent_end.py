@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from agent.guard.line import MAX_BYTES, GuardError, Word, close_all, received
+from agent.host.unix_socket import said_of
 
 REPLY_S = 2.0
 
@@ -29,7 +30,7 @@ class AgentEnd:
         except OSError as error:
             self._socket.close()
             raise GuardError(
-                f"guard at {path}", found=error.strerror, expected="the guard of this arm",
+                f"guard at {path}", found=said_of(error), expected="the guard of this arm",
                 remedy="start it first (`coop guard`), or leave out --guard",
             ) from error  # fmt: skip
 

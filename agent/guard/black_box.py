@@ -1,8 +1,9 @@
-"""Has the post-mortem written while the arm is held, by a process of its own that nobody waits for."""
+"""Has the post-mortem written beside the hold, by a process that is waited for only afterwards, and not for ever."""
 
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import subprocess
 import sys
@@ -11,6 +12,9 @@ from typing import Final
 
 WRITER: Final = "agent.process.post_mortem"
 LOOK_S: Final = 0.02
+PATIENCE_S: Final = 60.0  # with a writer once nothing is held any more; it takes seconds, on a busy host too
+KILL_S: Final = 5.0  # until it is gone; a disk that does not answer may keep it longer
+UNFINISHED: Final = ".part"  # behind the name of a file that is not whole
 
 
 class BlackBox:
@@ -21,6 +25,7 @@ class BlackBox:
         self._command = [sys.executable, "-m", WRITER, *arguments]
         self._left = cycles if wanted else 0
         self._process: subprocess.Popen[bytes] | None = None
+        self._refused = ""
 
     def beat(self) -> None:
         """One cycle of the hold."""
@@ -29,23 +34,41 @@ class BlackBox:
             if not self._left:
                 self._start()
 
-    def finish(self, meanwhile: Callable[[], None]) -> None:
-        """The hold is over: start the writer if that was not its turn yet, and wait for it.
+    def finish(self, meanwhile: Callable[[], None], missing: Callable[[str], None]) -> None:
+        """The hold is over: start the writer if that was not its turn yet, and wait for it, at most `PATIENCE_S`.
 
-        meanwhile is called again and again.
+        meanwhile is called again and again; missing is told why there is no whole file.
         """
         if self._left:
             self._left = 0
             self._start()
-        while self._process is not None:
-            try:
-                self._process.wait(LOOK_S)
-            except subprocess.TimeoutExpired:
-                meanwhile()
-            else:
-                self._process = None
+        process, self._process = self._process, None
+        if self._refused:
+            missing(f"its writer could not be started ({self._refused})")
+        if process is None:
+            return
+        if not _ended(process, PATIENCE_S, meanwhile):
+            process.kill()
+            _ended(process, KILL_S, meanwhile)
+            missing(
+                f"its writer had not ended after {PATIENCE_S:g} s and was killed; what it began ends in {UNFINISHED}"
+            )
+        elif code := process.returncode:
+            missing(f"its writer ended with {code}, see the guard's journal; what it began ends in {UNFINISHED}")
 
     def _start(self) -> None:
         surroundings = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-        with contextlib.suppress(OSError):  # the arm is held without a file too
+        try:
             self._process = subprocess.Popen(self._command, stdin=subprocess.DEVNULL, env=surroundings)
+        except OSError as error:  # the arm is held without a file too
+            self._refused = error.strerror or str(error)
+
+
+def _ended(process: subprocess.Popen[bytes], within_s: float, meanwhile: Callable[[], None]) -> bool:
+    """Whether it ends by then."""
+    for _ in range(math.ceil(within_s / LOOK_S)):
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(LOOK_S)
+            return True
+        meanwhile()
+    return False

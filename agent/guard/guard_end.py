@@ -12,9 +12,11 @@ from pathlib import Path
 from typing import Any, Self
 
 from agent.guard.line import MAX_BYTES, GuardError, Said, close_all, received, understood
+from agent.host.unix_socket import listen_alone, remove, said_of
 from drivers.interface import Refusal
 
 REFUSED_MAX = 4
+BACKLOG = 2
 _CREDENTIALS = struct.Struct("3i")  # pid, uid, gid
 
 
@@ -27,25 +29,18 @@ class GuardEnd:
         self._fingerprint = fingerprint
         self._agent: socket.socket | None = None
         self._refused: list[socket.socket] = []
-        self._listening = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_CLOEXEC)
-        self._listening.setblocking(False)
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            if path.is_socket():
-                _refuse_served(path)
-                path.unlink(missing_ok=True)
-            self._listening.bind(str(path))
-            path.chmod(0o600)
-            self._listening.listen(2)
-        except GuardError:
-            self._listening.close()
-            raise
+            taken = listen_alone(path, BACKLOG)
         except OSError as error:
-            self._listening.close()
             raise GuardError(
-                f"guard socket {path}", found=error.strerror, expected="a free name in a folder that can be written",
-                remedy="name another with --guard",
+                f"guard socket {path}", found=said_of(error), expected="a free name in a folder that can be written",
+                remedy="name another with --socket",
             ) from error  # fmt: skip
+        if taken is None:
+            raise GuardError(
+                f"guard socket {path}", found="another guard", expected="one per arm", remedy="stop it first"
+            )
+        self._listening, self._made = taken
 
     def __enter__(self) -> Self:
         return self
@@ -105,9 +100,8 @@ class GuardEnd:
         self.hang_up()
         for caller in self._refused:
             caller.close()
-        if self._listening.fileno() >= 0:
-            self._listening.close()
-            self._path.unlink(missing_ok=True)
+        self._listening.close()
+        remove(self._path, self._made)
 
     def _accept(self) -> None:
         try:
@@ -146,13 +140,3 @@ class GuardEnd:
             socket.send_fds(self._agent, [json.dumps(answer).encode()], list(fds), socket.MSG_DONTWAIT)
         except OSError:  # it does not listen: its process or its rows will tell
             return
-
-
-def _refuse_served(path: Path) -> None:
-    """Raise GuardError when somebody listens there."""
-    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_CLOEXEC) as probe:
-        try:
-            probe.connect(str(path))
-        except OSError:
-            return
-    raise GuardError(f"guard socket {path}", found="another guard", expected="one per arm", remedy="stop it first")

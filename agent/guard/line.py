@@ -73,7 +73,7 @@ def understood(data: bytes, fds: tuple[int, ...], fingerprint: str) -> Said | di
     try:
         content = json.loads(data)
         word, theirs = Word(content["word"]), str(content["fingerprint"])
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, RecursionError):
         return {
             "ok": False, "found": repr(data[:80]), "expected": f"one of {', '.join(Word)}",
             "remedy": "start agent and guard from one release",

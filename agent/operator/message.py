@@ -11,6 +11,7 @@ from agent.modes import Mode
 from agent.operator.table import Verb
 
 MAX_BYTES = 4096
+UTC_MAX_NS = (1 << 63) - 1
 _REFUSAL = ("found", "expected", "remedy")
 
 
@@ -42,11 +43,14 @@ class Request:
             content = json.loads(data)
             verb = Verb(content["verb"])
             prepare = content.get("prepare", False) is True
+            utc_ns = int(content["start_utc_ns"] if verb is Verb.START else content.get("start_utc_ns", 0))
+            if not 0 <= utc_ns <= UTC_MAX_NS:
+                raise ValueError(f"not a request: {utc_ns} ns")
             if verb is not Verb.START:
-                return cls(verb, start_utc_ns=int(content.get("start_utc_ns", 0)), prepare=prepare)
+                return cls(verb, start_utc_ns=utc_ns, prepare=prepare)
             bound_s = content.get("clock_bound_s")
             return cls(
-                verb, str(content.get("fingerprint", "")), int(content["start_utc_ns"]),
+                verb, str(content.get("fingerprint", "")), utc_ns,
                 prepare=prepare, clock_bound_s=None if bound_s is None else float(bound_s),
             )  # fmt: skip
         except (KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:

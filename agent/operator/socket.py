@@ -7,17 +7,17 @@ network carries none of them.  A socket that somebody serves is left alone, whoe
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import os
 import select
 import socket
 import struct
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from agent.host.unix_socket import listen_alone, remove, said_of
 from agent.modes import Event, Mode
 from agent.operator.error import ControlError
 from agent.operator.message import MAX_BYTES, Reply, Request
@@ -26,7 +26,6 @@ from agent.operator.table import EVENT_OF, Verb, effect
 
 _CREDENTIALS = struct.Struct("3i")  # pid, uid, gid
 _CLIENTS_MAX = 8
-_NO_SERVER = ConnectionRefusedError, FileNotFoundError
 
 
 @dataclass
@@ -73,26 +72,19 @@ class ControlSocket:
         self._path = path
         self._fingerprint = fingerprint
         self._clients: list[socket.socket] = []
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_CLOEXEC)
-        self._socket.setblocking(False)
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with _alone_in(path.parent):
-                _remove_unserved(path)
-                self._socket.bind(str(path))
-                self._made = _identity(path)
-                path.chmod(0o600)
-                self._socket.listen(_CLIENTS_MAX)
+            taken = listen_alone(path, _CLIENTS_MAX)
         except OSError as error:
-            self._socket.close()
             raise ControlError(
-                f"control socket {path}", found=error.strerror or str(error),
-                expected="a free name in a folder that can be written",
+                f"control socket {path}", found=said_of(error), expected="a free name in a folder that can be written",
                 remedy="name another with --control",
             ) from error  # fmt: skip
-        except ControlError:
-            self._socket.close()
-            raise
+        if taken is None:
+            raise ControlError(
+                f"control socket {path}", found="an agent that listens there", expected="none",
+                remedy="end that agent first, or name another with --control",
+            )  # fmt: skip
+        self._socket, self._made = taken
         self._asked = select.poll()  # twenty times as quick as an `accept` that finds nobody
         self._asked.register(self._socket, select.POLLIN)
 
@@ -201,42 +193,4 @@ class ControlSocket:
         for client in self._clients:
             client.close()
         self._socket.close()
-        with contextlib.suppress(OSError):  # gone already
-            if _identity(self._path) == self._made:
-                self._path.unlink()
-
-
-def _identity(path: Path) -> tuple[int, int]:
-    """Which file has this name."""
-    status = path.lstat()
-    return status.st_dev, status.st_ino
-
-
-@contextlib.contextmanager
-def _alone_in(folder: Path) -> Iterator[None]:
-    """Two agents that begin at once take this folder one after the other."""
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(descriptor)
-
-
-def _remove_unserved(path: Path) -> None:
-    """Remove what an agent that has ended has left.  Raises ControlError when one serves it, OSError."""
-    if not path.is_socket():
-        return
-    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_CLOEXEC) as probe:
-        probe.setblocking(False)  # with a full queue of clients it is served as well
-        try:
-            probe.connect(str(path))
-        except _NO_SERVER:
-            path.unlink(missing_ok=True)
-            return
-        except BlockingIOError:
-            pass
-    raise ControlError(
-        f"control socket {path}", found="an agent that listens there", expected="none",
-        remedy="end that agent first, or name another with --control",
-    )  # fmt: skip
+        remove(self._path, self._made)

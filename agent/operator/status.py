@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import os
@@ -98,11 +99,14 @@ def _left_out(lock: Path) -> dict[str, int]:
 
 
 def _newest(folder: Path) -> dict[str, Any]:
-    logs = [(path.stat(), path) for path in folder.glob("*.mcap")]
+    logs = dict[Path, os.stat_result]()
+    for path in folder.glob("*.mcap"):
+        with contextlib.suppress(OSError):  # the recorder has removed it meanwhile, or a link leads nowhere
+            logs[path] = path.stat()
     if not logs:
         return {"log": None, "log_bytes": None}
-    status, path = max(logs, key=lambda pair: pair[0].st_mtime_ns)
-    return {"log": path.name, "log_bytes": status.st_size}
+    newest = max(logs, key=lambda path: logs[path].st_mtime_ns)
+    return {"log": newest.name, "log_bytes": logs[newest].st_size}
 
 
 def _flocked() -> set[tuple[int, int, int]]:

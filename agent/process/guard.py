@@ -174,7 +174,7 @@ class _Guard:
                 self._watched.handed_over = True
         except Refusal as error:
             self._line.refuse(error)
-        except (KeyError, IndexError, TypeError, ValueError) as error:  # it came from another process
+        except (KeyError, IndexError, TypeError, ValueError, OverflowError) as error:  # it came from another process
             found, remedy = f"{type(error).__name__} {error}", "start agent and guard from one release"
             self._line.refuse(GuardError(said.word, found=found, expected="what an agent says", remedy=remedy))
 

@@ -1,6 +1,7 @@
 """The post-mortem of an arm: what its ring still holds of the time before its agent was gone, as a log.
 
-`python -m agent.process.post_mortem CELL ARM RING OUT CAUSE` writes it; a guard starts this beside the hold.
+`python -m agent.process.post_mortem CELL ARM RING OUT CAUSE` writes it; a guard starts this beside the hold.  The file
+has its name once it is whole.
 """
 
 from __future__ import annotations
@@ -11,10 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
+from agent.atomic import make_folder
 from agent.config.cell import load_cell
+from agent.guard.black_box import UNFINISHED
 from agent.host.info import attachments, versions
 from agent.log.channels import LogChannels
-from agent.log.file import Attachment, LogFile
+from agent.log.file import Attachment, LogFile, LogFileError
 from agent.process.describe import run_info
 from agent.process.scene import scene_of
 from agent.telemetry.ring.file import RingError
@@ -31,9 +34,9 @@ NAME = "post_mortem"  # of the metadata record
 
 
 def write_post_mortem(cell_path: Path, arm: str, ring: Path, out: Path, cause: str) -> int:
-    """Write the log; how many rows it has.  Raises Refusal."""
+    """Write the log; how many rows it has.  Raises Refusal, and leaves what was written as OUT.part."""
     cell = load_cell(cell_path)
-    out.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(out.parent)
     info = run_info(cell, cell.file.driver, seed=0)
     files = [Attachment(name, "text/plain", content) for name, content in attachments(cell, info).items()]
     about = {
@@ -41,11 +44,18 @@ def write_post_mortem(cell_path: Path, arm: str, ring: Path, out: Path, cause: s
         "cell": {"name": cell.file.name, "fingerprint": cell.fingerprint},
         NAME: {"arm": arm, "cause": cause},
     }
-    file = LogFile(out, files, about, created_ns=time.time_ns(), min_free_bytes=MIN_FREE_BYTES)
+    part = out.with_name(out.name + UNFINISHED)
+    file = LogFile(part, files, about, created_ns=time.time_ns(), min_free_bytes=MIN_FREE_BYTES)
     channels = LogChannels(file, scene_of(cell), has_plant=False)
     rows = _write_rows(channels, Address(cell.file.name, arm, Kind.STATE), ring)
     _write_texts(channels, cell.file.name, arm, ring)
-    file.finish({"completeness": {"complete": "false", f"{arm}.end": "died", f"{arm}.rows_recorded": str(rows)}})
+    ended = {"complete": "false", f"{arm}.end": "died", f"{arm}.rows_recorded": str(rows)}
+    if not file.finish({"completeness": ended}):
+        raise LogFileError(
+            f"cannot finish {part}", found=file.failure, expected="a disk that takes the whole log",
+            remedy=f"make room; `coop recover {part}` mends what is there",
+        )  # fmt: skip
+    part.rename(out)
     return rows
 
 

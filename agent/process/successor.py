@@ -88,7 +88,8 @@ class Successor:
                 tell.event(Level.ERROR, str(error))
                 raise
             black_box = self._black_box(watched.ring, reason)
-            stack.callback(black_box.finish, self._notifier.alive)  # it takes seconds: the arm is let go of first
+            # it takes seconds: the arm is let go of first
+            stack.callback(black_box.finish, self._notifier.alive, lambda why: tell.warn(f"no post-mortem: {why}"))
             stack.callback(driver.close)
             stack.callback(driver.disable)
             led = led_back(self._cell, arm, self._agent, driver, begun, standing) if session else None

@@ -53,7 +53,7 @@ class PlantLink:
         except OSError as e:
             raise ConnectError(
                 f"plant at {self._path}",
-                found="no answer" if isinstance(e, BlockingIOError) else e.strerror,
+                found="no answer" if isinstance(e, BlockingIOError) else e.strerror or str(e),
                 expected=f"an answer within {timeout_s:g} s",
                 remedy="start the plant of this cell first",
             ) from e

@@ -137,6 +137,7 @@ TARGETS = (
         "agent.process.float_loop",
         tuple(f"{UNIT}/process/{name}.py" for name in ("test_float_loop", "test_float_ending")),
     ),
+    Target("agent.host.unix_socket", (f"{UNIT}/operator/test_control_socket.py", f"{UNIT}/guard/test_line.py")),
     Target("agent.operator.socket", (f"{UNIT}/operator/test_control_socket.py",)),
     Target("agent.monitors.body", _MONITORS),
     Target("agent.monitors.gravity", (f"{UNIT}/monitors/test_gravity.py",)),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import socket
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum
@@ -41,6 +41,18 @@ _PASSES_ON: Final[dict[str, Any]] = {
         {"messages": ["put"], "key_exprs": ["**"], "flows": ["egress"], "overwrite": {"congestion_control": "drop"}}
     ],
     "transport/link/tx/queue/size/data": 16,
+}
+_FREE: Final = {
+    "expected": "an endpoint that is free, and files that can be read",
+    "remedy": "see `ss -tlnp` for who listens where; port 0 takes a free one",
+}
+_SERVED: Final = {
+    "expected": "somebody who listens there",
+    "remedy": "start them first (`coop run` or `coop record`; of ROS its router), or correct the endpoint",
+}
+_FREE_OR_SERVED: Final = {
+    "expected": "endpoints to listen on that are free, somebody at those to connect to, and files that can be read",
+    "remedy": "see `ss -tlnp` for who listens where, and correct the file",
 }
 
 
@@ -94,29 +106,31 @@ def has_link(session: zenoh.Session) -> bool:
 
 def _open(network: Network) -> OpenSession:
     if network.config_file is not None:
-        return OpenSession(_try_open(_from_file(network.config_file), f"configuration {network.config_file}"), None)
+        file = network.config_file
+        return OpenSession(_try_open(_from_file(file), f"configuration {file}", _FREE_OR_SERVED), None)
     if network.listen is None or not network.listen.endswith(":0"):
         where = network.listen or " ".join(network.connect) or "no endpoint"
-        return OpenSession(_try_open(_from_table(network, network.listen), where), network.listen)
+        wanted = _SERVED if network.role is Role.VIEWER else _FREE
+        return OpenSession(_try_open(_from_table(network, network.listen), where, wanted), network.listen)
     for attempt in range(_PORT_ATTEMPTS):
         endpoint = f"{network.listen[:-2]}:{_free_port()}"
         try:
-            return OpenSession(_try_open(_from_table(network, endpoint), endpoint), endpoint)
+            return OpenSession(_try_open(_from_table(network, endpoint), endpoint, _FREE), endpoint)
         except NetworkError:  # somebody took the port between the question and the answer
             if attempt == _PORT_ATTEMPTS - 1:
                 raise
     raise AssertionError("the last attempt returns or raises")
 
 
-def _try_open(config: zenoh.Config, what: str) -> zenoh.Session:
+def _try_open(config: zenoh.Config, what: str, wanted: Mapping[str, str]) -> zenoh.Session:
+    """wanted: expected and remedy, for who cannot open it."""
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
         raise NetworkError(
             f"cannot open the network at {what}",
             found=str(error).split(" at ")[0],
-            expected="an endpoint that is free, and files that can be read",
-            remedy="see `ss -tlnp` for who listens where; port 0 takes a free one",
+            **wanted,
         ) from error
 
 

@@ -6,6 +6,7 @@ CRC32, so a torn row is never returned, whatever the order in which another core
 
 from __future__ import annotations
 
+import contextlib
 import os
 import zlib
 from dataclasses import dataclass
@@ -44,22 +45,22 @@ class RingReader:
 
     def __init__(self, path: Path, row_format: RowFormat, *, acknowledges: bool = False) -> None:
         """Open the ring at `path`, at its oldest row.  Raises RingError when it is missing or not such a ring."""
-        try:
-            fd = os.open(path, (os.O_RDWR if acknowledges else os.O_RDONLY) | os.O_CLOEXEC)
-        except OSError as error:
-            raise RingError(
-                f"cannot open the telemetry ring {path}",
-                found=error.strerror,
-                expected="the file an agent made",
-                remedy="start the agent first, or correct the path",
-            ) from error
-        try:
-            self.header = RingHeader.unpack(path, os.pread(fd, SLOTS_OFFSET, 0))
-            ring_file.check_format(path, self.header, row_format, os.fstat(fd).st_size)
-            self._map = ring_file.map_file(fd, self.header.file_bytes, writable=acknowledges)
-        except BaseException:
-            os.close(fd)
-            raise
+        with contextlib.ExitStack() as undo:
+            try:
+                access = os.O_RDWR if acknowledges else os.O_RDONLY
+                fd = os.open(path, access | os.O_NONBLOCK | os.O_CLOEXEC)  # a pipe is not waited for
+                undo.callback(os.close, fd)
+                self.header = RingHeader.unpack(path, os.pread(fd, SLOTS_OFFSET, 0))
+                ring_file.check_format(path, self.header, row_format, os.fstat(fd).st_size)
+                self._map = ring_file.map_file(fd, self.header.file_bytes, writable=acknowledges)
+            except OSError as error:
+                raise RingError(
+                    f"cannot open the telemetry ring {path}",
+                    found=error.strerror,
+                    expected="the file an agent made",
+                    remedy="start the agent first, or correct the path",
+                ) from error
+            undo.pop_all()
         self.missed = 0  # rows overwritten before they were read
         self.damaged = 0  # rows whose checksum stays wrong
         self._path = path

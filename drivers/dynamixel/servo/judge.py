@@ -15,7 +15,7 @@ from drivers.dynamixel.servo.found import Check, Consequence, Misfit, Rule, Said
 from drivers.dynamixel.servo.models import RATED_VOLTAGE_V, SERVOS_BY_NUMBER, ServoModel
 from drivers.dynamixel.servo.table import Register
 from drivers.dynamixel.servo.thermal import MARGIN_C
-from drivers.dynamixel.servo.torque import CurrentDrive
+from drivers.dynamixel.servo.torque import CurrentDrive, needed_pwm_count
 from drivers.dynamixel.servo.units import AngleScale, volts
 from drivers.dynamixel.servo.wanted import setup_values
 
@@ -194,6 +194,18 @@ def _current_limit(servo: ServoFound) -> Said | None:
     return None if limit >= needed else Said(str(limit), f"at least {needed}", remedy)
 
 
+def _pwm_needed(servo: ServoFound) -> Said | None:
+    """It bounds the voltage in every mode: with too little of it a servo that has torque on is limp."""
+    joint, limit = servo.slot.joint, servo.value(table.PWM_LIMIT)
+    needed = needed_pwm_count(joint) if joint.role is JointRole.CONTROLLED else 1
+    remedy = f"{_SETUP}, or lower safety.tau_max_fraction_of_stall"
+    return None if limit >= needed else Said(str(limit), f"at least {needed}", remedy)
+
+
+def _pwm_limit(servo: ServoFound) -> Said | None:
+    return None if _pwm_needed(servo) is not None else _as_set_up(table.PWM_LIMIT)(servo)
+
+
 def _mode(servo: ServoFound) -> Said | None:
     found, wanted = servo.value(table.OPERATING_MODE), servo.slot.joint.mode
     return None if found == wanted else Said(str(found), str(int(wanted)), "the agent sets it before torque comes on")
@@ -240,13 +252,14 @@ STARTUP = Rule("Startup Configuration", (table.STARTUP_CONFIGURATION,), Conseque
 CURRENT_LIMIT = Rule("Current Limit", (table.CURRENT_LIMIT,), Consequence.NO_CONNECTION, _current_limit)
 MODE = Rule("Operating Mode", (table.OPERATING_MODE,), Consequence.ROUTINE, _mode)
 RETURN_DELAY = _plain(table.RETURN_DELAY_TIME, Consequence.MENDED, _BY_AGENT)
-PWM_LIMIT = _plain(table.PWM_LIMIT, Consequence.TOLERATED)
+PWM_NEEDED = Rule("PWM Limit", (table.PWM_LIMIT,), Consequence.NO_CONNECTION, _pwm_needed)
+PWM_LIMIT = Rule("PWM Limit", (table.PWM_LIMIT,), Consequence.TOLERATED, _pwm_limit)
 LOW_LIMIT = _plain(table.MIN_POSITION_LIMIT, Consequence.TOLERATED)
 HIGH_LIMIT = _plain(table.MAX_POSITION_LIMIT, Consequence.TOLERATED)
 SHUTDOWN = _plain(table.SHUTDOWN, Consequence.TOLERATED)
 
 RULES = (
     MODEL, MARK, FIRMWARE, FAST_READ, SUPPLY, RATED_SUPPLY, HEAT, WARMTH, HARDWARE, WATCHDOG, RETURN_LEVEL, TORQUE,
-    POSE, DIRECTION, DRIVE_BITS, SECONDARY, HOMING, STARTUP, CURRENT_LIMIT, MODE, RETURN_DELAY, PWM_LIMIT, LOW_LIMIT,
-    HIGH_LIMIT, SHUTDOWN,
+    POSE, DIRECTION, DRIVE_BITS, SECONDARY, HOMING, STARTUP, CURRENT_LIMIT, PWM_NEEDED, MODE, RETURN_DELAY, PWM_LIMIT,
+    LOW_LIMIT, HIGH_LIMIT, SHUTDOWN,
 )  # fmt: skip

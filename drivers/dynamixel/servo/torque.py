@@ -14,6 +14,7 @@ import math
 from typing import Protocol
 
 from drivers.dynamixel.arm_map import JointMap
+from drivers.dynamixel.servo.models import RATED_VOLTAGE_V
 from drivers.dynamixel.servo.table import GOAL_CURRENT, GOAL_PWM, Register
 from drivers.dynamixel.servo.units import current_unit_A, pwm_count_V
 
@@ -39,6 +40,12 @@ class TorqueDrive(Protocol):
     def measured_Nm(self, present: list[int], dq: float) -> float:
         """Joint torque from register 126 of the joint's servos; NaN where it says nothing about torque."""
         ...
+
+
+def needed_pwm_count(joint: JointMap) -> int:
+    """Share of the rated supply, in counts of PWM, that the joint's largest torque takes at rest, in every mode."""
+    volts = joint.tau_max_Nm / (len(joint.ids) * joint.model.stall_torque_Nm_per_V)
+    return math.ceil(volts / pwm_count_V(RATED_VOLTAGE_V))
 
 
 class CurrentDrive:

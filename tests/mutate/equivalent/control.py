@@ -228,12 +228,14 @@ CONTROL: Entries = {
             "if bus is not Bus.RECOVER or False:",
         ): "nobody is brought back by a driver that cannot; said for the type checker",
     },
-    "agent.operator.socket": {
+    "agent.host.unix_socket": {
         (
             "_remove_unserved",
             "path.unlink(missing_ok=True)",
             "path.unlink(missing_ok=False)",
         ): "differs when somebody removes the socket between the question and the removal",
+    },
+    "agent.operator.socket": {
         ("ControlSocket._no_start", "return None", "pass"): _NONE,
         ("ControlSocket.poll", "if self._clients:", "if True:"): "saves the making of empty lists",
         ("ControlSocket.poll", "if self._asked.poll(0):", "if True:"): "saves a system call that finds nobody",

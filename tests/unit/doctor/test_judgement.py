@@ -99,6 +99,7 @@ BREAKS: dict[Rule, Break] = {
     judge.HOMING: put(2, table.HOMING_OFFSET, 12),
     judge.STARTUP: put(1, table.STARTUP_CONFIGURATION, 2),
     judge.CURRENT_LIMIT: put(3, table.CURRENT_LIMIT, 50),  # of a shadow: it would ignore its leader's goals
+    judge.PWM_NEEDED: put(4, table.PWM_LIMIT, 40),  # current mode too: it would be limp with its torque on
     judge.MODE: put(4, table.OPERATING_MODE, 4),
     judge.RETURN_DELAY: put(4, table.RETURN_DELAY_TIME, 1),
     judge.PWM_LIMIT: put(6, table.PWM_LIMIT, 400),
@@ -109,7 +110,7 @@ BREAKS: dict[Rule, Break] = {
 EXPECTED = {
     Consequence.NO_CONNECTION: {
         judge.MODEL, judge.MARK, judge.FIRMWARE, judge.HARDWARE, judge.SUPPLY, judge.HEAT, judge.DIRECTION,
-        judge.SECONDARY, judge.HOMING, judge.STARTUP, judge.CURRENT_LIMIT,
+        judge.SECONDARY, judge.HOMING, judge.STARTUP, judge.CURRENT_LIMIT, judge.PWM_NEEDED,
     },
     Consequence.NO_TORQUE: {judge.TORQUE},
     Consequence.MOVE_FIRST: {judge.POSE},

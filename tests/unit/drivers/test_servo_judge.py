@@ -120,6 +120,15 @@ def test_current_limit_of_every_servo_that_takes_torque(slot) -> None:
         assert broken(servo(slot, Current_Limit=needed - 1)) == [judge.CURRENT_LIMIT]
 
 
+@pytest.mark.parametrize(
+    ("slot", "needed"), [(SHOULDER, 432), (SHADOW, 432), (ELBOW, 432), (ROTATE, 295), (WAIST, 1), (GRIPPER, 1)]
+)  # of 885 counts: 4 N·m of two servos with 4.1 N·m each, 0.5 N·m of one with 1.5
+def test_pwm_limit_of_every_servo_which_bounds_its_voltage_in_every_mode(slot, needed: int) -> None:
+    assert broken(servo(slot, PWM_Limit=885)) == []
+    assert broken(servo(slot, PWM_Limit=needed)) == [judge.PWM_LIMIT]
+    assert broken(servo(slot, PWM_Limit=needed - 1)) == [judge.PWM_NEEDED]
+
+
 def test_direction_and_the_other_bits_of_drive_mode_are_two_rules() -> None:
     assert broken(servo(Drive_Mode=0)) == [judge.DIRECTION]
     assert broken(servo(Drive_Mode=5)) == [judge.DRIVE_BITS]

@@ -16,6 +16,7 @@ from agent.faults.plan import (
     injection,
     on_the_wire,
     placed,
+    require_happens,
     require_simulated,
 )
 from sim_backend.wire.faults import FaultKind
@@ -38,6 +39,12 @@ def test_what_cannot_be_is_refused_in_words() -> None:
         placed([Injection(fault="bus-off", arm="middle")], ["left", "right"])
     assert placed([Injection(fault="bus-off")], ["left", "right"])[0].arm == "left"
     assert injection("bus-off", size=None, for_s=None).for_s == math.inf
+
+
+def test_a_fault_that_would_begin_after_the_run_is_refused() -> None:
+    require_happens([Injection(fault="bus-off", at_s=1.9)], 2.0)
+    with pytest.raises(FaultPlanError, match=r"fault bus-off at 2 s: found a run of 2 s.*longer --duration"):
+        require_happens([Injection(fault="bus-off", at_s=1.0), Injection(fault="bus-off", at_s=2.0)], 2.0)
 
 
 def test_a_cell_of_real_arms_is_not_rehearsed_as_one() -> None:

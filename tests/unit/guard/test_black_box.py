@@ -1,9 +1,11 @@
-"""The writer of the post-mortem is waited for once the arm is let go of, and the watchdog is stroked until it ends."""
+"""The writer of the post-mortem is waited for once the arm is let go of, not for ever, and the watchdog is stroked."""
 
 from __future__ import annotations
 
 import contextlib
 import os
+import signal
+import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -51,16 +53,50 @@ def test_whoever_waits_for_the_writer_is_called_again_and_again_until_it_has_end
         if len(looks) == 3:
             gate.write_text("go")  # returns when the writer reads
 
-    box.finish(meanwhile)
+    box.finish(meanwhile, pytest.fail)
     assert len(looks) >= 3
     assert (gate.parent / "told").read_text() == "once"
-    box.finish(lambda: pytest.fail("it has ended"))
+    box.finish(lambda: pytest.fail("it has ended"), pytest.fail)
+
+
+@pytest.mark.parametrize("beats", [0, 2])
+def test_a_writer_that_hangs_is_ended_after_a_while_and_told(
+    gate: Path, monkeypatch: pytest.MonkeyPatch, beats: int
+) -> None:
+    started: list[subprocess.Popen[bytes]] = []
+
+    class Noted(subprocess.Popen[bytes]):
+        def __init__(self, *arguments: Any, **more: Any) -> None:
+            super().__init__(*arguments, **more)
+            started.append(self)
+
+    monkeypatch.setattr(subprocess, "Popen", Noted)
+    monkeypatch.setattr(black_box, "PATIENCE_S", 3 * black_box.LOOK_S)
+    box = BlackBox(["once"], 2, wanted=True)
+    for _ in range(beats):
+        box.beat()
+    looks, told = list[int](), list[str]()
+    box.finish(lambda: looks.append(1), told.append)
+    assert len(looks) >= 3
+    assert told == ["its writer had not ended after 0.06 s and was killed; what it began ends in .part"]
+    assert [writer.returncode for writer in started] == [-signal.SIGKILL]
+    box.finish(lambda: pytest.fail("nobody is there"), pytest.fail)
+
+
+def test_a_writer_that_fails_or_cannot_be_started_is_told(gate: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (gate.parent / "waits.py").write_text("raise SystemExit(4)")
+    told: list[str] = []
+    BlackBox([], 2, wanted=True).finish(lambda: None, told.append)
+    assert told == ["its writer ended with 4, see the guard's journal; what it began ends in .part"]
+    monkeypatch.setattr(sys, "executable", str(gate.parent / "none"))
+    BlackBox([], 2, wanted=True).finish(lambda: pytest.fail("nobody is there"), told.append)
+    assert told[1:] == ["its writer could not be started (No such file or directory)"]
 
 
 def test_a_hold_that_was_asked_for_has_no_post_mortem(gate: Path) -> None:
     box = BlackBox(["never"], 2, wanted=False)
     box.beat()
-    box.finish(lambda: pytest.fail("there is nobody to wait for"))
+    box.finish(lambda: pytest.fail("there is nobody to wait for"), pytest.fail)
     assert not (gate.parent / "told").exists()
 
 
@@ -87,13 +123,17 @@ def test_an_arm_is_let_go_of_before_its_post_mortem_is_waited_for_and_the_watchd
     notifier: Any = SimpleNamespace(alive=did("stroke"), stopping=did("stopping"))
     agent = SimpleNamespace(arm="left", control=None, hold=True, driver=SimpleNamespace(value="dynamixel"))
     options: Any = SimpleNamespace(agent=agent, cell=tmp_path / "cell.toml", post_mortem=tmp_path)
-    box = SimpleNamespace(finish=lambda meanwhile: (done.append("waited"), meanwhile()))
+    box = SimpleNamespace(
+        finish=lambda meanwhile, missing: (done.append("waited"), meanwhile(), missing("it hung")),
+    )  # fmt: skip
     with ExitStack() as stack:
         for name, fake in {
             "clock_of": lambda _: SimpleNamespace(utc_offset_ns=0), "go_on": lambda *_, **__: begun,
             "BlackBox": lambda *_, **__: box, "schedule_of": lambda *_: None, "replace": lambda *_, **__: None,
             "AgentRow": lambda *_: None, "Watch": lambda *_: None, "Runner": lambda *_: SimpleNamespace(run=run),
-            "Teller": lambda *_: SimpleNamespace(event=lambda *_, **__: None, end=did("told"), warn=None, trouble=None),
+            "Teller": lambda *_: SimpleNamespace(
+                event=lambda *_, **__: None, end=did("told"), warn=done.append, trouble=None,
+            ),
             "Heart": lambda *_: SimpleNamespace(mode=lambda _: None, beat=None), "Operator": lambda *_, **__: box,
             "ServoTeller": lambda *_: None,
         }.items():  # fmt: skip
@@ -106,5 +146,6 @@ def test_an_arm_is_let_go_of_before_its_post_mortem_is_waited_for_and_the_watchd
                 held.hold(watched, driver, "the agent has died", session=False)
         else:
             held.hold(watched, driver, "the agent has died", session=False)
-    end = ["torque off", "closed", "waited", "stroke", "ring finished", "texts finished"]
+    late = ["waited", "stroke", "no post-mortem: it hung"]
+    end = ["torque off", "closed", *late, "ring finished", "texts finished"]
     assert done == ["inherited", "held", *([] if fails else ["told"]), *end, *([] if fails else ["stopping"])]

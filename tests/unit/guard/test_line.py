@@ -9,12 +9,13 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 
 from agent.guard.agent_end import AgentEnd
-from agent.guard.guard_end import GuardEnd
+from agent.guard.guard_end import BACKLOG, GuardEnd
 from agent.guard.guarded import AGAIN_AFTER, CRASHED, Guarded
 from agent.guard.line import GuardError, Said, Word
 from agent.telemetry.row.event import Level
@@ -86,10 +87,11 @@ def test_a_word_of_another_cell_is_refused_and_what_it_brought_is_closed(guard: 
     assert "found cell cdcdcdcdcdcd, expected cell abababababab; give both the same file" in str(asking.error)
 
 
-def test_nonsense_is_refused(guard: GuardEnd, tmp_path: Path) -> None:
+@pytest.mark.parametrize("nonsense", [b'{"word": "dance"}', b"\0" * 4096, b"[" * 60_000, b'{"word": {}}', b"1"])
+def test_nonsense_is_refused(guard: GuardEnd, tmp_path: Path, nonsense: bytes) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as stranger:
         stranger.connect(str(path(tmp_path)))
-        stranger.send(b'{"word": "dance"}')
+        stranger.send(nonsense)
         assert guard.hear() is None
         assert b"one of port, watch, busy, leave, take" in stranger.recv(1000)
 
@@ -118,6 +120,33 @@ def test_the_socket_of_a_dead_guard_is_taken_over(tmp_path: Path) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as dead:
         dead.bind(str(path(tmp_path)))
     GuardEnd(path(tmp_path), CELL).close()
+
+
+def test_the_socket_of_a_guard_that_hangs_is_left_alone(guard: GuardEnd, tmp_path: Path) -> None:
+    """Its queue of agents is full, and nobody takes them in."""
+    with ExitStack() as stack:
+        for _ in range(BACKLOG + 1):
+            stack.callback(AgentEnd(path(tmp_path), CELL).close)
+        with pytest.raises(GuardError, match="found another guard, expected one per arm"):
+            GuardEnd(path(tmp_path), CELL)
+
+
+def test_closing_leaves_the_socket_of_a_guard_that_has_taken_the_name(tmp_path: Path) -> None:
+    first = GuardEnd(path(tmp_path), CELL)
+    path(tmp_path).unlink()
+    with GuardEnd(path(tmp_path), CELL):
+        first.close()
+        AgentEnd(path(tmp_path), CELL).close()
+
+
+def test_a_path_that_no_socket_can_have_is_told_by_both_ends(tmp_path: Path) -> None:
+    long = tmp_path / ("x" * 150)
+    with pytest.raises(
+        GuardError, match=r"found AF_UNIX path too long, expected a free name.* name another with --socket"
+    ):
+        GuardEnd(long, CELL)
+    with pytest.raises(GuardError, match="found AF_UNIX path too long, expected the guard of this arm"):
+        AgentEnd(long, CELL)
 
 
 def test_an_agent_without_its_guard_is_refused(tmp_path: Path) -> None:

@@ -21,6 +21,7 @@ from typing import Any
 
 import pytest
 
+from agent.host import unix_socket
 from agent.modes import Event, Mode
 from agent.operator import socket as control_socket
 from agent.operator.ask import Silence, ask_sockets
@@ -175,6 +176,10 @@ def test_an_instant_that_is_not_ahead_is_refused(control: ControlSocket, path: P
     assert asked_for(control) == NOTHING
 
 
+def test_the_last_instant_that_can_be_counted_is_one(control: ControlSocket, path: Path) -> None:
+    assert answer_to(control, path, start(start_utc_ns=2**63 - 1))["ok"] is True
+
+
 @pytest.mark.parametrize(
     "nonsense",
     [
@@ -185,6 +190,9 @@ def test_an_instant_that_is_not_ahead_is_refused(control: ControlSocket, path: P
         b'{"verb": "start"}',
         b'{"verb": "start", "start_utc_ns": []}',
         b'{"verb": "start", "start_utc_ns": 1e999}',
+        b'{"verb": "start", "start_utc_ns": 9223372036854775808, "fingerprint": "%s"}' % FINGERPRINT.encode(),
+        b'{"verb": "start", "start_utc_ns": -1}',
+        b'{"verb": "lower", "start_utc_ns": 9223372036854775808}',
         b'{"verb": "start", "start_utc_ns": 1, "clock_bound_s": []}',
         b"[1]",
     ],
@@ -192,7 +200,7 @@ def test_an_instant_that_is_not_ahead_is_refused(control: ControlSocket, path: P
 def test_nonsense_is_refused_and_changes_nothing(control: ControlSocket, path: Path, nonsense: bytes) -> None:
     answer = answer_to(control, path, nonsense)
     assert answer["ok"] is False
-    assert answer["found"] == repr(nonsense)
+    assert answer["found"] == repr(nonsense[:80])
     assert answer["expected"] == f"one of {', '.join(Verb)}"
     assert asked_for(control) == NOTHING
 
@@ -467,7 +475,7 @@ def test_two_agents_that_begin_at_once_take_a_folder_one_after_the_other(
 ) -> None:
     tried: list[str] = []
 
-    def another_tries(_: Path) -> None:
+    def another_tries(_: Path) -> bool:
         other = os.open(path.parent, os.O_RDONLY)
         try:
             fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -475,8 +483,9 @@ def test_two_agents_that_begin_at_once_take_a_folder_one_after_the_other(
             tried.append("waits")
         finally:
             os.close(other)
+        return True
 
-    monkeypatch.setattr(control_socket, "_remove_unserved", another_tries)
+    monkeypatch.setattr(unix_socket, "_remove_unserved", another_tries)
     with closing(listening(path)):
         assert tried == ["waits"]
 
@@ -549,7 +558,7 @@ def one_answer(path: Path, request: Request, timeout_s: float = 5.0) -> Reply | 
 
 def test_asking_sends_the_word_and_what_belongs_to_it(path: Path) -> None:
     heard: list[Reply | Silence] = []
-    request = Request(Verb.START, FINGERPRINT, 10**19, clock_bound_s=1e-3)
+    request = Request(Verb.START, FINGERPRINT, 9 * 10**18, clock_bound_s=1e-3)
     with closing(listening(path)) as control:
         asking = threading.Thread(target=lambda: heard.append(one_answer(path, request)))
         asking.start()

@@ -176,6 +176,7 @@ def test_an_agent_with_another_cell_file_is_called_that(home: Path) -> None:
 
 def test_a_recorder_at_work_is_found_by_its_lock_which_nobody_takes(tmp_path: Path) -> None:
     (tmp_path / "one.mcap").write_bytes(b"x" * 10)
+    (tmp_path / "removed.mcap").symlink_to("nowhere")  # as one that is gone by the time it is looked at
     nothing = {"alive": False, "folder": None, "log": None, "log_bytes": None, "left_out": {}}
     with only_recorder(tmp_path, "paper") as note:
         found = recorder("paper", [tmp_path / "none", tmp_path])

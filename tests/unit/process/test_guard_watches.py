@@ -42,6 +42,17 @@ class Clock:
 
 
 @pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    """Of a guard whose arm and driver are stood for."""
+    clock = Clock()
+    monkeypatch.setattr(guard, "time", clock)
+    monkeypatch.setattr(guard, "quiet_memory", lambda: None)
+    monkeypatch.setattr(guard, "_q_start", lambda *_: np.zeros(3))
+    monkeypatch.setattr(guard, "build_standby", lambda *_: SimpleNamespace(drop=lambda: None))
+    return clock
+
+
+@pytest.fixture
 def port() -> Iterator[str]:
     master, slave = os.openpty()
     yield os.ttyname(slave)
@@ -58,8 +69,8 @@ def agent() -> Iterator[subprocess.Popen[bytes]]:
 
 def watching(
     stack: ExitStack, folder: Path, port: str, more: list[str], emulated: bool, pid: int
-) -> tuple[guard._Guard, RingWriter]:
-    """A guard that has just been told to watch that process, and the ring that it reads."""
+) -> tuple[guard._Guard, RingWriter, AgentEnd]:
+    """A guard that has just been told to watch that process, the ring that it reads, and the line to it."""
     cell = load_cell(Path("two_wx200"), more)
     texts, ring = opened(stack, folder / "left.ring", cell.arm("left"))
     options = AgentOptions(
@@ -74,7 +85,7 @@ def watching(
     os.close(pidfd)
     assert made._look() == ""
     assert end.heard() == {"ok": True}
-    return made, ring
+    return made, ring, end
 
 
 @pytest.mark.fault("P2")
@@ -84,16 +95,11 @@ def watching(
 )
 @pytest.mark.parametrize("rows", [0, 1])
 def test_a_guard_waits_longer_for_the_first_row_than_for_the_next(
-    tmp_path: Path, port: str, agent: subprocess.Popen[bytes], monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path, port: str, agent: subprocess.Popen[bytes], clock: Clock,
     more: list[str], emulated: bool, first_ms: int, then_ms: int, rows: int,
 ) -> None:  # fmt: skip
-    clock = Clock()
-    monkeypatch.setattr(guard, "time", clock)
-    monkeypatch.setattr(guard, "quiet_memory", lambda: None)
-    monkeypatch.setattr(guard, "_q_start", lambda *_: np.zeros(3))
-    monkeypatch.setattr(guard, "build_standby", lambda *_: SimpleNamespace(drop=lambda: None))
     with ExitStack() as stack:
-        made, ring = watching(stack, tmp_path, port, more, emulated, agent.pid)
+        made, ring, _ = watching(stack, tmp_path, port, more, emulated, agent.pid)
         for _ in range(rows):
             ring.commit()
             assert made._look() == ""
@@ -106,3 +112,16 @@ def test_a_guard_waits_longer_for_the_first_row_than_for_the_next(
     assert reason == f"the agent hung (no row for {expected_ms} ms) and was ended"
     assert agent.wait() == -signal.SIGKILL
     assert waited_ms == expected_ms
+
+
+@pytest.mark.parametrize("for_s", ["soon", None, [], float("inf"), float("nan"), 10**400])
+def test_a_moment_that_is_none_is_refused_and_ends_no_guard(
+    tmp_path: Path, port: str, agent: subprocess.Popen[bytes], clock: Clock, for_s: object
+) -> None:
+    with ExitStack() as stack:
+        made, _, end = watching(stack, tmp_path, port, WORKS, emulated=False, pid=agent.pid)
+        end.say(Word.BUSY, for_s=for_s)
+        assert made._look() == ""
+        answer = end.heard()
+    assert answer is not None
+    assert (answer["ok"], answer["remedy"]) == (False, "start agent and guard from one release")

@@ -44,7 +44,10 @@ def test_a_guest_of_another_cell_is_refused_and_so_is_a_plant_that_is_not_there(
         pytest.raises(ConnectError, match="cell of arm left: found 00000001"),
     ):
         guest(served, config_id=1).connect()
-    with pytest.raises(ConnectError, match="start the plant of this cell first"):
+    with pytest.raises(ConnectError, match=r"found No such file.*start the plant of this cell first"):
+        guest(served).connect()
+    served.path = tmp_path / ("x" * 150)
+    with pytest.raises(ConnectError, match="found AF_UNIX path too long"):
         guest(served).connect()
 
 

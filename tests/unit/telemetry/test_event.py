@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from agent.log.standard import log_message
 from agent.modes import Mode
 from agent.safety import Flag
 from agent.telemetry.ring.texts import TextReader, TextWriter
@@ -41,6 +43,13 @@ def test_an_event_that_is_too_long_loses_its_data_first_then_its_end() -> None:
     cut = Event.from_json(Event(0, "\N{GRINNING FACE}" * 99, Level.INFO, "\N{GRINNING FACE}" * 999).to_json())
     assert cut.text == "\N{GRINNING FACE}" * (len(cut.text))
     assert cut.data == {"truncated": True}
+
+
+def test_an_event_of_a_path_that_is_no_utf_8_is_one_that_a_log_takes() -> None:
+    port = os.fsdecode(b"/dev/\xfe")
+    event = Event.from_json(Event(1, port, Level.INFO, f"torque on: {port}", {port: 1}).to_json())
+    assert (event.source, event.text) == (r"/dev/\udcfe", r"torque on: /dev/\udcfe")
+    assert rb"torque on: /dev/\udcfe" in log_message(event)
 
 
 @pytest.mark.parametrize(

@@ -245,6 +245,8 @@ def change(path: Path, offset: int, data: bytes) -> None:
     ("damage", "message"),
     [
         (lambda p: p.unlink(), "cannot open the telemetry ring"),
+        (lambda p: (p.unlink(), p.mkdir()), "found Is a directory, expected the file an agent made"),
+        (lambda p: (p.unlink(), os.mkfifo(p)), "found Illegal seek, expected the file an agent made"),
         (lambda p: p.write_bytes(b""), "is not a telemetry ring"),
         (lambda p: change(p, 0, b"NOTARING"), "is not a telemetry ring"),
         (lambda p: change(p, 8, b"\x63"), "has another version"),
@@ -255,9 +257,11 @@ def change(path: Path, offset: int, data: bytes) -> None:
 def test_what_is_not_a_ring_is_refused(path: Path, writer: RingWriter, damage, message: str) -> None:
     writer.close()
     damage(path)
+    before = len(list(Path("/proc/self/fd").iterdir()))
     with pytest.raises(RingError, match=message) as refusal:
         RingReader(path, AGENT_STATE)
     assert refusal.value.remedy
+    assert len(list(Path("/proc/self/fd").iterdir())) == before
 
 
 def test_another_layout_is_refused(path: Path, writer: RingWriter) -> None:

@@ -1,0 +1,59 @@
+"""A post-mortem has its name once it is whole; what a full disk leaves of it has another, and can be mended."""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import configs
+from agent.log import file as log_file
+from agent.log.file import LogFileError
+from agent.log.read import read_log
+from agent.log.recover import recover
+from agent.process.post_mortem import write_post_mortem
+from agent.telemetry.ring.writer import RingWriter
+from agent.telemetry.row.sample import AGENT_STATE
+from tests.support.telemetry.telemetry_cell import make_rows
+
+CELL, ROWS = configs.CELLS_DIR / "paper.toml", 40
+
+
+@pytest.fixture
+def ring(tmp_path: Path) -> Iterator[Path]:
+    path = tmp_path / "left.ring"
+    with RingWriter(path, AGENT_STATE, "left", ("shoulder", "elbow"), slots=64) as writer:
+        for row in make_rows("left", ROWS):
+            writer.row[...] = row
+            writer.commit()
+        yield path
+
+
+def test_it_has_its_name_once_it_is_whole(tmp_path: Path, ring: Path) -> None:
+    out = tmp_path / "folder" / "left-post-mortem.mcap"
+    assert write_post_mortem(CELL, "left", ring, out, "the agent has died") == ROWS
+    assert list(out.parent.iterdir()) == [out]
+    log = read_log(out)
+    assert not log.problems
+    assert log.agents["left"].tobytes() == make_rows("left", ROWS).tobytes()
+    assert log.metadata["post_mortem"] == {"arm": "left", "cause": "the agent has died"}
+
+
+def test_a_full_disk_is_told_and_leaves_what_can_be_mended(
+    tmp_path: Path, ring: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class FullAtTheEnd(log_file.BatchWriter):
+        def finish(self) -> None:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(log_file, "BatchWriter", FullAtTheEnd)
+    out = tmp_path / "folder" / "left-post-mortem.mcap"
+    part = out.with_name(f"{out.name}.part")
+    with pytest.raises(LogFileError, match=f"found No space left on device.*`coop recover {part}` mends"):
+        write_post_mortem(CELL, "left", ring, out, "the agent has died")
+    assert list(out.parent.iterdir()) == [part]
+    assert recover(part).repaired
+    assert len(read_log(part).agents["left"]) == ROWS
