@@ -12,7 +12,6 @@ those of the start.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from itertools import pairwise
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -139,19 +138,19 @@ def _speeds_alone(cell: Cell, no_load: Vector) -> Vector:
 def speeds_of_motion(cell: Cell, arm: Arm, model: ArmModel) -> Vector:
     """(n,) rad/s: the largest along the desired motion; as far as the arm can follow it."""
     trajectory, P = cell.trajectory(), model.task_basis
-    q, ahead, fastest = np.array(arm.entry.q_near_rad), np.zeros(model.n), np.zeros(model.n)
+    q, dq, fastest = np.array(arm.entry.q_near_rad), np.zeros(model.n), np.zeros(model.n)
     times = sample_times(cell.file, trajectory, STEPS)
-    for t, following in pairwise([*times, times[-1]]):
-        desired = trajectory.at(t)
+    before = times[0]
+    for t in times:
+        desired, ahead = trajectory.at(t), dq * (t - before)
+        if np.abs(ahead).max() > AHEAD_MAX_RAD:  # beside a singular pose it leads to other solutions
+            ahead = np.zeros(model.n)
         try:
             q = ik.solve(model, placement(desired.p, desired.quat), q + ahead)
         except ik.Unreachable:  # `coop check` refuses the cell for it
             break
-        dq = pseudo_inverse(model.jacobian(q)) @ (P @ np.array(desired.v))
+        dq, before = pseudo_inverse(model.jacobian(q)) @ (P @ np.array(desired.v)), t
         fastest = np.maximum(fastest, np.abs(dq))
-        ahead = dq * (following - t)
-        if np.abs(ahead).max() > AHEAD_MAX_RAD:  # beside a singular pose it leads to other solutions
-            ahead = np.zeros(model.n)
     return fastest
 
 
