@@ -15,7 +15,7 @@ from agent.config.cell import Cell, load_cell
 from agent.modes import Mode
 from tests.support.servos.coupled_rig import CoupledRun
 
-BLEND_S, DURATION_S = 4.0, 4.6
+BLEND_S, DURATION_S = 2.5, 3.05
 OFF_M, OFF_RAD = np.array([0.015, 0.0, 0.0]), 0.06
 
 

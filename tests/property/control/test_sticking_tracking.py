@@ -30,7 +30,7 @@ def run(name: str, *overrides: str, sticks: bool = True, duration_s: float = DUR
     ("cell", "bound_m", "bound_rad"),
     [
         ("paper", 0.5e-3, 2e-3),
-        ("three_wx250s", 1e-3, 6e-3),
+        pytest.param("three_wx250s", 1e-3, 6e-3, marks=pytest.mark.long),
         pytest.param("two_wx200", 0.5e-3, 2e-3, marks=pytest.mark.long),
         pytest.param("two_models", 0.5e-3, 2e-3, marks=pytest.mark.long),
     ],
