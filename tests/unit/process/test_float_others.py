@@ -35,7 +35,7 @@ def _soon(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_the_log_of_an_arm_that_floats_while_the_other_moves_the_object_calibrates_their_cell(tmp_path: Path) -> None:
     cell = moved(*OFF)
-    run = FloatRun(cell, starts_s=0.6, until_s=4.6)
+    run = FloatRun(cell, starts_s=0.3, until_s=4.1)
     left, right = run.arms["left"], run.arms["right"]
     assert left.error is right.error is None
     assert modes_of(left.rows) == ["FLOAT"]

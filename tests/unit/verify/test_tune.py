@@ -21,7 +21,7 @@ from agent.config import observer
 from agent.config.cell import Cell, cell_from_toml, load_cell, placement
 from agent.control import ik, known
 from agent.control.estimator import Observer
-from agent.verify import stiffest
+from agent.verify import stiffest, tune
 from agent.verify.chatter import Shaking, forgetting
 from agent.verify.check import Verdict, examine
 from agent.verify.proposed import OBSERVER_KEYS
@@ -206,7 +206,8 @@ def test_a_k_v_that_no_gain_can_make_up_for_is_lowered_for_rotation_alone() -> N
     assert changed == {("left", "k_v_Nm_s_per_rad"), ("right", "k_v_Nm_s_per_rad")}
 
 
-def test_no_gains_are_refused_with_the_rate() -> None:
+def test_no_gains_are_refused_with_the_rate(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tune, "K_V_FACTORS", (1.0, 0.1))  # the ends of what is tried
     tuner = Tuner(ideal("rate_hz=20.0"))
     with pytest.raises(NoGains, match=r"at 20 Hz: found none.*damping of at least 0\.4; raise rate_hz"):
         tuner.proposals(Margin(damping=0.4))
