@@ -140,7 +140,8 @@ def test_with_a_leak_towards_something_else_the_mean_dissipation_is_what_the_doc
     [
         (True, 2, -1.0, 2.0), pytest.param(False, 2, 1.0, 0.5, marks=LONG), pytest.param(True, 2, 1.0, 0.0, marks=LONG),
         pytest.param(True, 2, 1.0, 0.5, marks=LONG), pytest.param(True, 2, 1.0, 2.0, marks=LONG),
-        pytest.param(True, 3, -1.0, 0.0, marks=LONG), pytest.param(True, 3, -1.0, 2.0, marks=LONG), pytest.param(True, 3, -1.0, 0.5, marks=LONG),
+        pytest.param(True, 3, -1.0, 0.0, marks=LONG), pytest.param(True, 3, -1.0, 2.0, marks=LONG),
+        pytest.param(True, 3, -1.0, 0.5, marks=LONG),
         pytest.param(False, 2, 1.0, 0.0, marks=LONG), pytest.param(False, 2, 1.0, 2.0, marks=LONG),
     ],
 )  # fmt: skip

@@ -293,9 +293,9 @@ def test_the_proposal_settles_where_the_configured_gains_diverge(
 ) -> None:
     """The plant's arms 30 % lighter than the agents believe, in every mass, inertia and rotor."""
     better = proposed(form).after.cell
-    assert not settles(simulate(with_true_arms(tuner.cell, tmp_path, inertia=0.7), 2.0, agents_cell=tuner.cell))
+    assert not settles(simulate(with_true_arms(tuner.cell, tmp_path, inertia=0.7), 1.4, agents_cell=tuner.cell))
     for inertia in (0.7, 1.0, 1.3):
-        assert settles(simulate(with_true_arms(better, tmp_path, inertia=inertia), 2.0, agents_cell=better))
+        assert settles(simulate(with_true_arms(better, tmp_path, inertia=inertia), 1.4, agents_cell=better))
 
 
 FEW = Margin(worst=0.98)
@@ -347,7 +347,7 @@ def test_without_an_observer_nothing_of_it_is_proposed() -> None:
 
 
 def test_the_same_cell_is_searched_in_the_same_way(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stiffest, "TRIES", 15)
+    monkeypatch.setattr(stiffest, "TRIES", 8)
     monkeypatch.setattr(stiffest, "ROUNDS", 1)
     cell = load_cell(PAPER)
     loop, ranges, wanted = loop_of(cell), ranges_of(cell), Wanted(1.2, lambda _: 0.0)
