@@ -18,9 +18,13 @@ SERVOS = ('controller.velocity="servo"',)
 WITHOUT = ("controller.friction_feedforward=false",)
 
 
-@cache
 def run(name: str, *overrides: str, duration_s: float = DURATION_S) -> History:
     """The same for all tests that ask: nobody changes it."""
+    return _run(name, overrides, duration_s)
+
+
+@cache
+def _run(name: str, overrides: tuple[str, ...], duration_s: float) -> History:
     return simulate(load_cell(configs.CELLS_DIR / f"{name}.toml", overrides), duration_s)
 
 

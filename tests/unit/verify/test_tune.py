@@ -347,7 +347,7 @@ def test_without_an_observer_nothing_of_it_is_proposed() -> None:
 
 
 def test_the_same_cell_is_searched_in_the_same_way(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stiffest, "TRIES", 8)
+    monkeypatch.setattr(stiffest, "TRIES", 15)
     monkeypatch.setattr(stiffest, "ROUNDS", 1)
     cell = load_cell(PAPER)
     loop, ranges, wanted = loop_of(cell), ranges_of(cell), Wanted(1.2, lambda _: 0.0)
