@@ -63,6 +63,8 @@ def test_the_object_is_carried_as_the_cell_asks_and_set_down_where_it_stood() ->
         assert 2.0 * np.linalg.norm(tracked["e_eps"], axis=1).max() < 2.0 * (bounds.max_attitude_error_rad or 0.0)
         lifted = tracked["p_object"][:, 2].max() - CELL.file.p_place_m[2]
         assert lifted == pytest.approx(0.015, abs=2e-3)
+        lowered = arm.rows[arm.rows["mode"] == Mode.LOWER]["p_object"][-1, 2] - CELL.file.p_place_m[2]
+        assert lowered == pytest.approx(0.0, abs=3e-3)
     assert run.place is not None
     assert run.place[0] < 3e-3
     assert run.place[1] < 20e-3
