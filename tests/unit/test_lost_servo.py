@@ -14,7 +14,7 @@ from agent.modes import Mode
 from sim_backend.wire.faults import Fault, FaultKind
 from tests.support.servos.coupled_rig import CoupledRun
 
-FAULT_S, DURATION_S, GIVEN_UP_S = 1.0, 2.4, 4.0
+FAULT_S, DURATION_S, GIVEN_UP_S = 0.4, 1.8, 3.4
 
 
 def cell(duration_s: float = DURATION_S) -> Cell:
@@ -24,14 +24,14 @@ def cell(duration_s: float = DURATION_S) -> Cell:
 
 
 def test_without_a_fault_both_arms_follow_to_the_end() -> None:
-    arms = CoupledRun(cell()).arms
+    arms = CoupledRun(cell(1.0)).arms
     for run in arms.values():
         assert run.summary is not None
         assert (run.summary.mode, run.summary.reason) == (Mode.TRACK, "")
         assert (run.summary.late_cycles, run.summary.stale_cycles) == (0, 0)
         tracked = run.rows[run.rows["mode"] == Mode.TRACK]
         assert np.abs(np.diff(tracked["t"]) - cell().period_ns * 1e-9).max() < 1e-4
-        assert tracked["t"][-1] == pytest.approx(DURATION_S, abs=0.01)
+        assert tracked["t"][-1] == pytest.approx(1.0, abs=0.01)
 
 
 @pytest.mark.parametrize(

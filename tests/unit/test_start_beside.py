@@ -15,22 +15,29 @@ from agent.config.cell import Cell, load_cell
 from agent.modes import Mode
 from tests.support.servos.coupled_rig import CoupledRun
 
-BLEND_S, DURATION_S = 4.0, 4.6
+BLEND_S, DURATION_S = 2.5, 3.05
 OFF_M, OFF_RAD = np.array([0.015, 0.0, 0.0]), 0.06
 
 
-def cell_of(*more: str) -> Cell:
+def cell_of(*more: str, duration_s: float = DURATION_S) -> Cell:
     session = [f"session.start_blend_s={BLEND_S}", "session.lift_m=0.0", "session.lift_s=0.5", "session.take_up_s=0.3"]
-    return load_cell(configs.CELLS_DIR / "two_wx200.toml", [f"duration_s={DURATION_S}", *session, *more])
+    return load_cell(configs.CELLS_DIR / "two_wx200.toml", [f"duration_s={duration_s}", *session, *more])
 
 
 @cache
 def run(beside: float) -> CoupledRun:
+    """Of an exact start nothing is asked behind the blend."""
+    lasts_s = DURATION_S if beside else BLEND_S
     p = np.array(cell_of().file.object.p_start_m) + beside * OFF_M
     half = 0.5 * beside * OFF_RAD
     quat = [math.cos(half), 0.0, math.sin(half), 0.0]
-    real = cell_of(f"object.p_start_m={p.tolist()}", f"object.quat_start={quat}", "safety.start_error_max_m=0.05")
-    return CoupledRun(real, believed=cell_of())
+    real = cell_of(
+        f"object.p_start_m={p.tolist()}",
+        f"object.quat_start={quat}",
+        "safety.start_error_max_m=0.05",
+        duration_s=lasts_s,
+    )
+    return CoupledRun(real, believed=cell_of(duration_s=lasts_s))
 
 
 def test_a_start_from_15_mm_and_60_mrad_beside_is_as_gentle_as_an_exact_one() -> None:

@@ -25,8 +25,8 @@ from tests.unit.docs.test_first_carry import WORDS as SAID
 from tests.unit.replay.test_verify import verified
 
 QUICK = [
-    "session.speed_max_rad_per_s=2.0", "session.back_off_m=0.04", "session.lift_m=0.015", "session.lift_s=1.0",
-    "session.lower_s=1.2", "session.take_up_s=0.6", "session.ease_s=0.5", "duration_s=2.0",
+    "session.speed_max_rad_per_s=2.0", "session.back_off_m=0.03", "session.lift_m=0.015", "session.lift_s=0.8",
+    "session.lower_s=0.5", "session.take_up_s=0.3", "session.ease_s=0.3", "duration_s=1.0",
 ]  # fmt: skip
 CELL = load_cell(configs.CELLS_DIR / "two_wx200.toml", QUICK)
 STALL_CURRENT_SHARE = 0.4  # above it servos are reported to trip
@@ -63,6 +63,8 @@ def test_the_object_is_carried_as_the_cell_asks_and_set_down_where_it_stood() ->
         assert 2.0 * np.linalg.norm(tracked["e_eps"], axis=1).max() < 2.0 * (bounds.max_attitude_error_rad or 0.0)
         lifted = tracked["p_object"][:, 2].max() - CELL.file.p_place_m[2]
         assert lifted == pytest.approx(0.015, abs=2e-3)
+        lowered = arm.rows[arm.rows["mode"] == Mode.LOWER]["p_object"][-1, 2] - CELL.file.p_place_m[2]
+        assert lowered == pytest.approx(0.0, abs=3e-3)
     assert run.place is not None
     assert run.place[0] < 3e-3
     assert run.place[1] < 20e-3

@@ -27,14 +27,14 @@ def paper(*overrides: str) -> Cell:
 
 
 def squeeze(aligned: bool) -> tuple[float, float]:
-    """Force between the arms at the end of 12 s (N), and how far the second arm shifted (m)."""
+    """Force between the arms at the end of 6 s (N), and how far the second arm shifted (m)."""
     extra = ALIGNED if aligned else ()
     shifts: list[float] = [0.0]
 
     def watch(_tick: int, outcomes: list[Outcome]) -> None:
         shifts[0] = float(np.linalg.norm(outcomes[1].memory.shift[:3]))
 
-    end = simulate(paper(), 12.0, agents_cell=paper(*extra, *ARMS), watch=watch).end
+    end = simulate(paper(), 6.0, agents_cell=paper(*extra, *ARMS), watch=watch).end
     assert end is not None
     return between(end), shifts[0]
 
@@ -53,7 +53,7 @@ def test_alignment_takes_the_force_out_of_a_disagreement() -> None:
 
 
 def adaptive_force(leak: float) -> float:
-    """Mean force between two adaptive arms that align, over the last 2 s of 8; one base believed 1 mm off."""
+    """Mean force between two adaptive arms that align, over the last second of 4; one base believed 1 mm off."""
     forces: list[float] = []
     path = configs.CELLS_DIR / "paper_adaptive.toml"
     overrides = (f"controller.adaptive.leak_per_s={leak}", "controller.alignment.track_per_s=0.3")
@@ -63,10 +63,10 @@ def adaptive_force(leak: float) -> float:
     )
 
     def see(t: float, seen: Observation) -> None:
-        if t > 6.0:
+        if t > 3.0:
             forces.append(between(seen))
 
-    simulate(true, 8.0, agents_cell=believed, see=see)
+    simulate(true, 4.0, agents_cell=believed, see=see)
     return float(np.mean(forces))
 
 

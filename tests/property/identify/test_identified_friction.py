@@ -22,6 +22,7 @@ from tests.support.arm_files import with_figures
 from tests.support.identify_rig import recorded
 
 PERIOD = 0.005
+SHORTER = ("duration_s=40.0", "trajectory.motion_s=40.0")  # two of the three periods
 TRUE = {"stribeck_rad_per_s": 0.3, "stribeck_exponent": 1.0}
 
 
@@ -61,7 +62,7 @@ def known(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
         return own | (TRUE if own.keys() - {"load_friction"} else {})
 
     path = configs.CELLS_DIR / "identify_wx200.toml"
-    cell, late = load_cell(path), load_cell(path, (f"simulation.effects.delay_s={case.delay_s}",))
+    cell, late = (load_cell(path, (*SHORTER, *more)) for more in ((), (f"simulation.effects.delay_s={case.delay_s}",)))
     true = with_figures(late, tmp_path_factory.mktemp(request.param), figures)
     recording = recorded(true, cell)
     return Known(case, true, recording, fit(recording, Options()))
@@ -95,7 +96,7 @@ def test_the_loops_delay_is_found_to_a_part_of_a_cycle(known: Known) -> None:
     assert abs(delay.value_s - known.case.delay_s) < 3.0 * delay.sigma_s
 
 
-@pytest.mark.parametrize("believed_s", [0.001, 0.005, 0.008])
+@pytest.mark.parametrize("believed_s", [pytest.param(0.001, marks=pytest.mark.long), 0.005, 0.008])
 def test_another_delay_in_the_cell_file_costs_viscous_friction_no_more_than_its_standard_errors(
     known: Known, believed_s: float
 ) -> None:

@@ -43,10 +43,10 @@ class Known:
 
 
 RUNS = [
-    ("identify_wx250s", 4),
+    ("identify_wx200", 1),
     *(
         pytest.param(run, marks=pytest.mark.long)
-        for run in (("identify_wx200", 1), ("identify_wx200", 2), ("identify_mk2", 3))
+        for run in (("identify_wx250s", 4), ("identify_wx200", 2), ("identify_mk2", 3))
     ),
 ]
 

@@ -50,7 +50,14 @@ def target(into: tuple[float, float, float, str]) -> Cell:
     return towards(x_m, z_m, move_s, cell=cell)
 
 
-@pytest.fixture(scope="module", params=INTO, ids=lambda into: f"{into[3]} to {into[0]} {into[1]} in {into[2]} s")
+LONG = {INTO[1], INTO[2], INTO[4]}  # `make long` runs these
+
+
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(into, marks=[pytest.mark.long] * (into in LONG)) for into in INTO],
+    ids=lambda into: f"{into[3]} to {into[0]} {into[1]} in {into[2]} s",
+)
 def run(request: pytest.FixtureRequest) -> ArmRun:
     return run_one(target(request.param), request.param[2] + REST_S)
 

@@ -37,17 +37,19 @@ def test_jacobian_is_the_derivative_of_what_each_arm_sees(cell: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("cell", "noise_rad", "bound_m", "bound_rad"),
+    ("cell", "noise_rad", "bound_m", "bound_rad", "seeds"),
     [
-        (SPATIAL, 2e-3, 1.2e-3, 3e-3), (PLANAR, 0.0, 0.5e-3, 1e-3),
-        pytest.param(SPATIAL, 0.0, 0.5e-3, 1e-3, marks=pytest.mark.long),
-        pytest.param(PLANAR, 2e-3, 1.2e-3, 3e-3, marks=pytest.mark.long),
+        (SPATIAL, 2e-3, 1.2e-3, 3e-3, SEEDS[:3]), (PLANAR, 0.0, 0.5e-3, 1e-3, SEEDS[:3]),
+        pytest.param(SPATIAL, 2e-3, 1.2e-3, 3e-3, SEEDS[3:], marks=pytest.mark.long),
+        pytest.param(PLANAR, 0.0, 0.5e-3, 1e-3, SEEDS[3:], marks=pytest.mark.long),
+        pytest.param(SPATIAL, 0.0, 0.5e-3, 1e-3, SEEDS, marks=pytest.mark.long),
+        pytest.param(PLANAR, 2e-3, 1.2e-3, 3e-3, SEEDS, marks=pytest.mark.long),
     ],
 )  # fmt: skip
 def test_disagreement_of_held_out_poses_falls_below_the_bounds(
-    cell: str, noise_rad: float, bound_m: float, bound_rad: float
+    cell: str, noise_rad: float, bound_m: float, bound_rad: float, seeds: range
 ) -> None:
-    for seed in SEEDS:
+    for seed in seeds:
         before_m, after_m, _, after_rad = judged(rig(cell, seed, noise_rad))
         assert before_m > 1e-3
         assert after_m <= bound_m

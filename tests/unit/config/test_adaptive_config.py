@@ -113,7 +113,7 @@ def test_the_bound_grows_with_the_rate_and_shrinks_with_the_start_error() -> Non
 
 def largest_error(cell: Cell) -> float:
     try:
-        return simulate(cell, 4.0).after(2.0)[0]
+        return simulate(cell, 2.5).after(2.0)[0]
     except PlantError:
         return np.inf
 

@@ -44,7 +44,7 @@ def plain() -> Rehearsal:
 
 
 def test_an_arm_in_the_loop_carries_as_the_simulated_cell_does() -> None:
-    error_mm, force_N = Rehearsal(cell(real=False)).figures(FROM_S)
+    error_mm, force_N = Rehearsal(cell("duration_s=1.0", real=False)).figures(FROM_S)
     error, force = plain().figures(FROM_S)
     assert error <= 1.5 * error_mm
     assert force <= 1.5 * max(force_N, 0.1)

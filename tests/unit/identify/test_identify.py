@@ -193,7 +193,7 @@ def test_a_cut_off_above_the_sampling_is_refused() -> None:
 
 
 def test_a_recording_is_the_same_equations_however_it_is_cut_into_stretches(monkeypatch: pytest.MonkeyPatch) -> None:
-    recording = exact(cell_of("identify_wx200"), 0.6, (0.3, 0.7), 60.0)
+    recording = exact(cell_of("identify_wx200"), 0.6, (0.3, 0.7), 25.0)
     monkeypatch.setattr("agent.identify.equations.STRETCH_S", 1e6)
     whole = fit(recording, Options())
     monkeypatch.setattr("agent.identify.equations.STRETCH_S", 3.0)

@@ -95,7 +95,7 @@ def test_a_hold_of_a_monitor_is_replayed_from_the_rows_alone() -> None:
 
 
 def test_a_dead_encoder_is_found_while_the_motion_asks_for_a_turn() -> None:
-    quick = cell("trajectory.period_s=2.5", "trajectory.ramp_s=0.2", "safety.noticing.enabled=false")
+    quick = cell("duration_s=1.1", "trajectory.period_s=2.5", "trajectory.ramp_s=0.2", "safety.noticing.enabled=false")
     fault = Fault(kind=FaultKind.ENCODER_STUCK, arm="left", servo=2, start_s=0.5)
     left = CoupledRun(quick, [fault]).arms["left"]
     assert left.summary is not None

@@ -18,7 +18,7 @@ from agent.pki import certificates
 from agent.pki.certificates import PkiError, hosts
 from agent.pki.make import Wish, ends, make, renew
 from agent.pki.zenoh import Paths, recorder_config
-from tests.support.coop import COOP
+from tests.support.command import coop
 from tests.support.systemd.unit_files import SYSTEMD
 
 pytestmark = pytest.mark.skipif(shutil.which("openssl") is None, reason="needs openssl to make certificates")
@@ -164,8 +164,9 @@ def test_a_renewed_member_has_another_key_for_the_same_host_and_the_others_their
 
 
 def test_the_command_says_how_long_everything_lasts(tmp_path: Path) -> None:
-    command = [*COOP, "pki", "paper", str(tmp_path / "cell"), "--json"]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert json.loads(done.stdout)["ends"].keys() == {"authority", "recorder", "left", "right", "plant"}
-    again = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert (again.returncode, again.stdout) == (PkiError.exit_code, "")
+    command = ("pki", "paper", tmp_path / "cell", "--json")
+    done = coop(*command)
+    assert done.code == 0
+    assert json.loads(done.out)["ends"].keys() == {"authority", "recorder", "left", "right", "plant"}
+    again = coop(*command)
+    assert (again.code, again.out) == (PkiError.exit_code, "")

@@ -35,7 +35,7 @@ def _soon(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_the_log_of_an_arm_that_floats_while_the_other_moves_the_object_calibrates_their_cell(tmp_path: Path) -> None:
     cell = moved(*OFF)
-    run = FloatRun(cell, starts_s=0.6, until_s=4.6)
+    run = FloatRun(cell, starts_s=0.3, until_s=4.1)
     left, right = run.arms["left"], run.arms["right"]
     assert left.error is right.error is None
     assert modes_of(left.rows) == ["FLOAT"]
@@ -55,7 +55,11 @@ def test_the_log_of_an_arm_that_floats_while_the_other_moves_the_object_calibrat
 
 @pytest.mark.parametrize(
     ("change", "stop_s"),
-    [("duration_s=100.0", 0.6), ("duration_s=0.3", 0.8), ("safety.tracking_error_max_m=5e-5", 0.8)],
+    [
+        ("duration_s=100.0", 0.6),
+        pytest.param("duration_s=0.3", 0.8, marks=pytest.mark.long),
+        ("safety.tracking_error_max_m=5e-5", 0.8),
+    ],
 )
 def test_an_arm_that_moves_while_others_float_stands_and_sinks_where_it_is_stopped_ends_or_is_off_its_track(
     change: str, stop_s: float

@@ -15,9 +15,9 @@ from agent.study.measure import RunResult, measure
 def ahead(ms: float) -> RunResult:
     """A short run of a cell whose right arm is ahead by so much."""
     settings = [
-        "duration_s=5.0",
-        "report.transient_s=3.0",
-        "simulation.ready_s=2.5",
+        "duration_s=3.5",
+        "report.transient_s=2.0",
+        "simulation.ready_s=1.0",
         f"simulation.reality.arms.right.skew_s={ms * 1e-3}",
     ]
     cell = load_cell(Path("two_wx200"), settings)

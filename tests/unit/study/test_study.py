@@ -23,7 +23,7 @@ from agent.study.measure import RunResult, bounds_of, measure
 from agent.study.page import _influences
 from agent.study.plan import Plan, Task, load_plan
 from agent.study.store import RUNS_FILE, Store, StudyError
-from agent.study.study import RESULTS, run_study
+from agent.study.study import RESULTS, Work, run_study
 from agent.study.summary import _spearman, errors_of, influences, judged, summary, verdict, worst
 from agent.study.work import ATTEMPTS, here, in_processes, until
 from drivers.interface import Refusal
@@ -64,6 +64,11 @@ def results(plan: Plan) -> list[RunResult]:
     return [result for _, result in here(plan.tasks())]
 
 
+def known(results: Sequence[RunResult]) -> Work:
+    """Runs that are done already."""
+    return lambda tasks: ((task, results[task.index]) for task in tasks)
+
+
 def a_result(index: int, **changes: object) -> RunResult:
     good = RunResult(
         "c", index, index, lost=False, tripped=False, within_bounds=True, tracked_s=60.0, position_error_m=1e-3,
@@ -78,7 +83,7 @@ def test_a_study_leaves_its_figures_its_table_a_page_and_its_worst_run(
     tmp_path: Path, plan: Plan, results: list[RunResult]
 ) -> None:
     told = Told()
-    outcome = run_study(plan, tmp_path, here, lambda: False, told)
+    outcome = run_study(plan, tmp_path, known(results), lambda: False, told)
     assert told.begun == [(0, 4)]
     assert told.done == results
     assert not outcome.interrupted
@@ -109,7 +114,7 @@ def test_a_study_leaves_its_figures_its_table_a_page_and_its_worst_run(
 
 
 def test_the_worst_run_is_a_cell_that_repeats_it(tmp_path: Path, plan: Plan, results: list[RunResult]) -> None:
-    run_study(plan, tmp_path, here, lambda: False, Told())
+    run_study(plan, tmp_path, known(results), lambda: False, Told())
     bad = worst(results)
     again = load_cell(tmp_path / "worst.toml")
     assert reality_of(again) == draw(plan.cells[0].file.tolerance, bad.seed, plan.cells[0])
@@ -125,7 +130,7 @@ def test_a_study_that_was_stopped_goes_on_where_it_was(tmp_path: Path, plan: Pla
     outcome = run_study(plan, tmp_path, here, lambda: False, second)
     assert second.begun == [(2, 4)]
     assert second.done == results[2:]
-    assert outcome.document == run_study(plan, tmp_path / "whole", here, lambda: False, Told()).document
+    assert outcome.document == run_study(plan, tmp_path / "whole", known(results), lambda: False, Told()).document
     assert (tmp_path / "runs.csv").read_bytes() == (tmp_path / "whole" / "runs.csv").read_bytes()
     more = Told()
     run_study(replace(plan, runs=5), tmp_path, here, lambda: False, more)
@@ -145,13 +150,13 @@ def test_a_folder_that_a_study_writes_is_nobody_elses_until_its_results_are_ther
             refused.append(str(caught.value))
         return b""
 
-    def known(tasks: Sequence[Task]) -> Iterator[tuple[Task, RunResult]]:
-        for task, result in zip(tasks, results, strict=True):
+    def beside(tasks: Sequence[Task]) -> Iterator[tuple[Task, RunResult]]:
+        for task, result in known(results)(tasks):
             another()
             yield task, result
 
     monkeypatch.setattr("agent.study.study.worst_cell", another)
-    assert run_study(plan, tmp_path, known, lambda: False, Told()).document["runs"] == 4
+    assert run_study(plan, tmp_path, beside, lambda: False, Told()).document["runs"] == 4
     assert len(refused) == 2 * 5
     assert all(words.startswith(f"study in {tmp_path}: found another `coop study`") for words in refused)
     with Store(tmp_path, plan.identity()) as store:
@@ -161,14 +166,11 @@ def test_a_folder_that_a_study_writes_is_nobody_elses_until_its_results_are_ther
 def test_anew_gives_up_what_is_there_only_for_cells_that_may_run(
     tmp_path: Path, plan: Plan, results: list[RunResult]
 ) -> None:
-    def known(tasks: Sequence[Task]) -> Iterator[tuple[Task, RunResult]]:
-        yield from ((task, results[task.index]) for task in tasks)
-
-    run_study(plan, tmp_path, known, lambda: False, Told())
+    run_study(plan, tmp_path, known(results), lambda: False, Told())
     before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
     unfit = load_plan(PAPER, runs=4, seed=5, overrides=[*SHORT, "controller.k_p_per_s=1e5"])
     with pytest.raises(Refusal):
-        run_study(unfit, tmp_path, known, lambda: False, Told(), anew=True)
+        run_study(unfit, tmp_path, known(results), lambda: False, Told(), anew=True)
     assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
     told = Told()
     outcome = run_study(replace(plan, seed=5), tmp_path, lambda _: iter(()), lambda: False, told, anew=True)

@@ -56,7 +56,8 @@ def test_in_simulation_it_warns_and_where_servos_move_the_arms_it_refuses() -> N
 
 
 @pytest.mark.parametrize(
-    "cell", [("paper", *SERVOS), ("two_wx200",), pytest.param(("three_wx250s",), marks=pytest.mark.long)]
+    "cell",
+    [("paper", *SERVOS), *(pytest.param((name,), marks=pytest.mark.long) for name in ("two_wx200", "three_wx250s"))],
 )
 def test_gains_that_survive_are_neither_warned_of_nor_refused(cell: tuple[str, ...]) -> None:
     report = examine(gentle(*cell), thorough=True)

@@ -21,7 +21,7 @@ from agent.config import observer
 from agent.config.cell import Cell, cell_from_toml, load_cell, placement
 from agent.control import ik, known
 from agent.control.estimator import Observer
-from agent.verify import stiffest
+from agent.verify import stiffest, tune
 from agent.verify.chatter import Shaking, forgetting
 from agent.verify.check import Verdict, examine
 from agent.verify.proposed import OBSERVER_KEYS
@@ -206,7 +206,8 @@ def test_a_k_v_that_no_gain_can_make_up_for_is_lowered_for_rotation_alone() -> N
     assert changed == {("left", "k_v_Nm_s_per_rad"), ("right", "k_v_Nm_s_per_rad")}
 
 
-def test_no_gains_are_refused_with_the_rate() -> None:
+def test_no_gains_are_refused_with_the_rate(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tune, "K_V_FACTORS", (1.0, 0.1))  # the ends of what is tried
     tuner = Tuner(ideal("rate_hz=20.0"))
     with pytest.raises(NoGains, match=r"at 20 Hz: found none.*damping of at least 0\.4; raise rate_hz"):
         tuner.proposals(Margin(damping=0.4))
@@ -292,9 +293,9 @@ def test_the_proposal_settles_where_the_configured_gains_diverge(
 ) -> None:
     """The plant's arms 30 % lighter than the agents believe, in every mass, inertia and rotor."""
     better = proposed(form).after.cell
-    assert not settles(simulate(with_true_arms(tuner.cell, tmp_path, inertia=0.7), 2.0, agents_cell=tuner.cell))
+    assert not settles(simulate(with_true_arms(tuner.cell, tmp_path, inertia=0.7), 1.4, agents_cell=tuner.cell))
     for inertia in (0.7, 1.0, 1.3):
-        assert settles(simulate(with_true_arms(better, tmp_path, inertia=inertia), 2.0, agents_cell=better))
+        assert settles(simulate(with_true_arms(better, tmp_path, inertia=inertia), 1.4, agents_cell=better))
 
 
 FEW = Margin(worst=0.98)
