@@ -170,7 +170,6 @@ def test_a_guard_of_an_arm_that_holds_nothing_stands_without_the_object_s_weight
     assert left.refused == ["approach: the guard holds the arm in its agent's place and leads it back alone"]
 
 
-@pytest.mark.long  # a lost arm and its neighbour are in test_lost_servo.py; `make phases` cuts the power in every phase
 def test_power_lost_by_one_arm_leaves_the_other_holding_and_all_come_back_with_it() -> None:
     rig = PhaseRun(
         CELL,
