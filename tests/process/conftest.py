@@ -71,7 +71,7 @@ def _forget_fixtures(item: pytest.Item) -> None:
     for of_name in item._fixtureinfo.name2fixturedefs.values():  # type: ignore[attr-defined]
         for fixture in of_name:
             if fixture.cached_result is not None and fixture.cached_result[2] is not None:
-                fixture.cached_result = None
+                fixture.finish(item._request)  # type: ignore[attr-defined]
 
 
 @pytest.fixture(scope="session")

@@ -15,6 +15,7 @@ from tests.process import conftest
 from tests.support import stalls
 
 FOLDERS: list[Path] = []
+SOMEBODY_WAITED = stalls.SOMEBODY_WAITED
 MACHINES: list[str] = []
 
 
@@ -27,7 +28,7 @@ def test_what_fails_on_a_machine_without_cores_is_made_again_and_told(
     folder: Path, request: pytest.FixtureRequest
 ) -> None:
     FOLDERS.append(folder)
-    stalls.SOMEBODY_WAITED = -inf if len(FOLDERS) == 1 else 0.9
+    stalls.SOMEBODY_WAITED = -inf if len(FOLDERS) == 1 else SOMEBODY_WAITED
     assert len(FOLDERS) > 1, "the first time"
     assert len(set(FOLDERS)) == 2
     ((name, why),) = request.node.user_properties
@@ -40,7 +41,7 @@ def test_what_fails_on_a_machine_without_cores_is_made_again_and_told(
 @pytest.fixture(scope="module")
 def machine() -> str:
     MACHINES.append("booted")
-    stalls.SOMEBODY_WAITED = -inf if len(MACHINES) == 1 else 0.9
+    stalls.SOMEBODY_WAITED = -inf if len(MACHINES) == 1 else SOMEBODY_WAITED
     assert len(MACHINES) > 1, "the first time it does not boot"
     return MACHINES[-1]
 
