@@ -186,10 +186,11 @@ def _startup(servo: ServoFound) -> Said | None:
 
 
 def _current_limit(servo: ServoFound) -> Said | None:
-    joint = servo.slot.joint
-    if joint.role is not JointRole.CONTROLLED or joint.mode is not OperatingMode.CURRENT:
+    """It bounds the current in the modes that command one: a servo that only holds must have some."""
+    joint, limit = servo.slot.joint, servo.value(table.CURRENT_LIMIT)
+    if joint.mode not in (OperatingMode.CURRENT, OperatingMode.CURRENT_BASED_POSITION):
         return None
-    needed, limit = CurrentDrive(joint).needed_count, servo.value(table.CURRENT_LIMIT)
+    needed = CurrentDrive(joint).needed_count if joint.role is JointRole.CONTROLLED else 1
     remedy = f"{_SETUP}, or lower safety.tau_max_fraction_of_stall"
     return None if limit >= needed else Said(str(limit), f"at least {needed}", remedy)
 

@@ -113,11 +113,10 @@ def test_start_pose_is_bounded_by_the_joint_s_own_limits_too() -> None:
 
 
 @pytest.mark.parametrize("slot", [SHOULDER, SHADOW, ELBOW, WAIST], ids=lambda slot: slot.title)
-def test_current_limit_of_every_servo_that_takes_torque(slot) -> None:
-    needed = 0 if slot is WAIST else CurrentDrive(slot.joint).needed_count
+def test_current_limit_of_every_servo_that_takes_torque_or_holds_by_it(slot) -> None:
+    needed = 1 if slot is WAIST else CurrentDrive(slot.joint).needed_count
     assert broken(servo(slot, Current_Limit=needed)) == []
-    if needed:
-        assert broken(servo(slot, Current_Limit=needed - 1)) == [judge.CURRENT_LIMIT]
+    assert broken(servo(slot, Current_Limit=needed - 1)) == [judge.CURRENT_LIMIT]
 
 
 @pytest.mark.parametrize(
