@@ -6,7 +6,9 @@ a servo does not have is not judged; who reads a servo sees to it that only regi
 
 from __future__ import annotations
 
-from drivers.dynamixel.arm_map import JointRole
+from collections.abc import Callable
+
+from drivers.dynamixel.arm_map import JointMap, JointRole
 from drivers.dynamixel.errors import hardware_names
 from drivers.dynamixel.servo import table
 from drivers.dynamixel.servo.codes import WATCHDOG_TRIPPED, DriveMode, HardwareError, OperatingMode
@@ -185,22 +187,25 @@ def _startup(servo: ServoFound) -> Said | None:
     return Said(f"{value}: {text} when power comes", "0", remedy) if value else None
 
 
+def _leaves_enough(servo: ServoFound, register: Register, needed: Callable[[JointMap], int]) -> Said | None:
+    """A limit must leave a joint that takes torque its largest, and one that is only held some."""
+    joint, limit = servo.slot.joint, servo.value(register)
+    least, remedy = 1, _SETUP
+    if joint.role is JointRole.CONTROLLED:
+        least, remedy = needed(joint), f"{_SETUP}, or lower safety.tau_max_fraction_of_stall"
+    return None if limit >= least else Said(str(limit), f"at least {least}", remedy)
+
+
 def _current_limit(servo: ServoFound) -> Said | None:
-    """It bounds the current in the modes that command one: a servo that only holds must have some."""
-    joint, limit = servo.slot.joint, servo.value(table.CURRENT_LIMIT)
-    if joint.mode not in (OperatingMode.CURRENT, OperatingMode.CURRENT_BASED_POSITION):
+    """It bounds the current in the modes that command one."""
+    if servo.slot.joint.mode not in (OperatingMode.CURRENT, OperatingMode.CURRENT_BASED_POSITION):
         return None
-    needed = CurrentDrive(joint).needed_count if joint.role is JointRole.CONTROLLED else 1
-    remedy = f"{_SETUP}, or lower safety.tau_max_fraction_of_stall"
-    return None if limit >= needed else Said(str(limit), f"at least {needed}", remedy)
+    return _leaves_enough(servo, table.CURRENT_LIMIT, lambda joint: CurrentDrive(joint).needed_count)
 
 
 def _pwm_needed(servo: ServoFound) -> Said | None:
     """It bounds the voltage in every mode: with too little of it a servo that has torque on is limp."""
-    joint, limit = servo.slot.joint, servo.value(table.PWM_LIMIT)
-    needed = needed_pwm_count(joint) if joint.role is JointRole.CONTROLLED else 1
-    remedy = f"{_SETUP}, or lower safety.tau_max_fraction_of_stall"
-    return None if limit >= needed else Said(str(limit), f"at least {needed}", remedy)
+    return _leaves_enough(servo, table.PWM_LIMIT, needed_pwm_count)
 
 
 def _pwm_limit(servo: ServoFound) -> Said | None:

@@ -128,6 +128,13 @@ def test_pwm_limit_of_every_servo_which_bounds_its_voltage_in_every_mode(slot, n
     assert broken(servo(slot, PWM_Limit=needed - 1)) == [judge.PWM_NEEDED]
 
 
+@pytest.mark.parametrize(("slot", "takes_torque"), [(ELBOW, True), (WAIST, False)])
+@pytest.mark.parametrize("limit", ["Current_Limit", "PWM_Limit"])
+def test_a_lower_torque_is_a_remedy_for_who_takes_torque(slot, takes_torque: bool, limit: str) -> None:
+    (misfit,) = judge.judge(servo(slot, **{limit: 0}))
+    assert ("or lower safety.tau_max_fraction_of_stall" in misfit.said.remedy) == takes_torque
+
+
 def test_direction_and_the_other_bits_of_drive_mode_are_two_rules() -> None:
     assert broken(servo(Drive_Mode=0)) == [judge.DIRECTION]
     assert broken(servo(Drive_Mode=5)) == [judge.DRIVE_BITS]
