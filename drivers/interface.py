@@ -56,7 +56,8 @@ class StaleStateError(DriverError):
 class ServoFault(DriverError):
     """A servo reported an error, lost torque or rebooted.
 
-    `state` is the fresh state that the other servos still gave, for a loop that holds the object with them.
+    `state` is the fresh state that the other servos still gave, for a loop that holds the object with them; None where
+    none of them can hold anything.
     """
 
     state: JointState | None = None

@@ -30,7 +30,7 @@ from drivers.dynamixel.identify import IdentityError, identify
 from drivers.dynamixel.line.bus import Bus, DxlCounters
 from drivers.dynamixel.line.port import Port, SerialPort
 from drivers.dynamixel.pace import SHARE, check_latency_timer, check_rate, check_read
-from drivers.dynamixel.recovery import make_sure, only_tripped, open_again, without_trips
+from drivers.dynamixel.recovery import limp, make_sure, only_tripped, open_again, without_trips
 from drivers.dynamixel.running import Running
 from drivers.dynamixel.servo.found import ServoFound
 from drivers.dynamixel.stale import stale, unasked
@@ -60,7 +60,7 @@ class DynamixelDriver:
     port: None for the serial port that the map names.  scan_s: how long `connect` waits for servos not in the map.
     read_share: part of the period that the read may take; a slower bus is refused.
     problems: everything `connect` found wrong, the first of which it raised.
-    faults: servo faults since `enable`; while there is one, `read` raises it, with the fresh state in `state`.
+    faults: servo faults since `enable`; while there is one, `read` raises it.
     """
 
     def __init__(
@@ -225,7 +225,8 @@ class DynamixelDriver:
 
         Raises:
             StaleJointsError: a controlled joint has no fresh value; `partial` has the others.
-            DxlServoFault: a servo does not do its part; raised every cycle from then on, with the state in `state`.
+            DxlServoFault: a servo does not do its part; raised every cycle from then on, with the state in `state`, or
+                without one once no servo of the arm has torque any more.
             PortLostError: the adapter is gone, a StaleStateError too; see `reopen`.
 
         """
@@ -252,7 +253,7 @@ class DynamixelDriver:
         self.counters.health_misses = running.monitor.misses
         self.times.interpret = clock.now_ns() - answered_ns
         if self.faults:
-            raise self.faults[0].with_state(reading.state)
+            raise limp(self.arm, self.faults) or self.faults[0].with_state(reading.state)
         if reading.stale:
             raise stale(self.arm, cycle, reading)
         return reading.state

@@ -219,6 +219,14 @@ class DxlServoFault(ServoFault):
         """True when `other` is what this fault looked like before its cause was seen."""
         return self.servo_id == other.servo_id and other.cause in _EXPLAINS.get(self.cause, frozenset())
 
+    def that_is_of_all(self) -> DxlServoFault:
+        """Return the same of an arm whose other servos have no torque either, without a state to hold anything with."""
+        found = f"{self.found}, and no other servo of the arm has torque"
+        return DxlServoFault(
+            self.cause, servo_id=self.servo_id, joint=self.joint, found=found, expected=str(self.expected),
+            hardware=self.hardware,
+        )  # fmt: skip
+
     def with_state(self, state: JointState) -> DxlServoFault:
         """Return the same fault with another cycle's state."""
         return DxlServoFault(

@@ -23,6 +23,14 @@ def only_tripped(faults: Sequence[DxlServoFault]) -> bool:
     return FaultCause.WATCHDOG_TRIPPED in causes and not causes & TORQUE_GONE
 
 
+def limp(arm: ArmMap, faults: Sequence[DxlServoFault]) -> DxlServoFault | None:
+    """What to say of an arm of which no servo has torque any more, None while one has: nothing can be held with it."""
+    off = [fault for fault in faults if fault.cause in TORQUE_GONE]
+    if not {slot.servo_id for slot in arm.slots} <= {fault.servo_id for fault in off}:
+        return None
+    return off[0].that_is_of_all()
+
+
 def without_trips(faults: Sequence[DxlServoFault]) -> list[DxlServoFault]:
     """What is wrong besides watchdogs that had fired."""
     return [fault for fault in faults if fault.cause is not FaultCause.WATCHDOG_TRIPPED]

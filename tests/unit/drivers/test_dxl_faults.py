@@ -200,6 +200,26 @@ def test_a_rebooted_servo_is_a_fault_within_fifty_milliseconds(servo_id):
     assert fault.state is not None
 
 
+@pytest.mark.fault("S4")
+@pytest.mark.parametrize("dark", [set(range(1, 8)), set(range(1, 7)), {1, 2, 4, 5, 6, 7}])
+def test_a_dip_of_the_whole_supply_leaves_no_state_to_hold_with_and_of_fewer_servos_one(dark):
+    rig = warm(servo_options=ServoOptions(boot_ns=1_000_000))
+    for servo_id in dark:
+        rig.fault(FaultKind.REBOOT, servo_id)
+    *_, last = cycles(rig, 10, 0.0 * TAU)
+    assert (last.error.state is None) == (dark == set(range(1, 8)))
+    assert ("no other servo of the arm has torque" in str(last.error)) == (last.error.state is None)
+    assert last.error.cause is FaultCause.REBOOTED
+
+
+def test_watchdogs_that_all_fired_leave_a_state_for_the_arm_comes_back():
+    rig = warm()
+    rig.clock.sleep_until(rig.clock.now_ns() + 250_000_000)
+    *_, last = cycles(rig, 12, 0.0 * TAU)
+    assert {fault.servo_id for fault in rig.driver.faults} == set(range(1, 8))
+    assert last.error.state is not None
+
+
 @pytest.mark.parametrize("servo_id", [1, 2, 3, 6])
 def test_lost_torque_is_a_fault_within_fifty_milliseconds(servo_id):
     rig = warm()
