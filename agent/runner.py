@@ -98,13 +98,9 @@ class Runner:
             self._clock.sleep_until(deadline_ns)
             self._cycle(deadline_ns)
         return RunSummary(
-            ticks=self._rows,
-            late_cycles=self._late_cycles,
-            stale_cycles=self._stale_cycles,
-            mode=self._mode,
-            reason=self._reason or self._untaken,
-            tracked_s=self._tracked_s,
-        )
+            ticks=self._rows, late_cycles=self._late_cycles, stale_cycles=self._stale_cycles,
+            mode=self._mode, reason=self._reason or self._untaken, tracked_s=self._tracked_s,
+        )  # fmt: skip
 
     def _cycle(self, deadline_ns: int) -> None:
         schedule, period_ns, cycles = self._schedule, self._schedule.period_ns, self._cycles
@@ -124,7 +120,7 @@ class Runner:
             state, trouble = self._sight.read(self._mode)
             if trouble:
                 happened |= trouble
-                self._reason = self._reason or self._sight.unseen
+                self._learn(trouble, seen=state is not None)
         if state is not None:
             cycles.fresh(deadline_ns)
             if self._outcome is None:
@@ -147,6 +143,12 @@ class Runner:
             happened = self._judged(self._session, happened, seen=seen)
         if happened:
             self._change_mode(happened, state)
+
+    def _learn(self, trouble: Event, *, seen: bool) -> None:
+        """A servo says what is wrong; an arm that stands because of it already tells the cause."""
+        before, self._reason = self._reason, self._sight.why(self._reason)
+        if self._reason != before and self._mode in KEEPS and Event.SERVO_LOST not in trouble:
+            self._telling.stands(self._mode, self._reason, seen=seen)
 
     def _may_start(self) -> bool:
         return self._session is None or self._session.taken_up(self._mode, self._memory)
@@ -205,12 +207,9 @@ class Runner:
             outcome, self._marks = outcome._replace(flags=outcome.flags | self._marks), Flag.NONE
         row.fill(self._rows, t, utc_ns, mode, state, self._memory, outcome, tau_sent)
         row.fill_timing(
-            late_ns * 1e-9,
-            (after_read_ns - begin_ns) * 1e-9,
-            (after_step_ns - after_read_ns) * 1e-9,
-            (after_write_ns - after_step_ns) * 1e-9,
-            self._driver.counters,
-        )
+            late_ns * 1e-9, (after_read_ns - begin_ns) * 1e-9, (after_step_ns - after_read_ns) * 1e-9,
+            (after_write_ns - after_step_ns) * 1e-9, self._driver.counters,
+        )  # fmt: skip
         self._sink.commit()
         self._memory = outcome.memory
         self._outcome = outcome
@@ -262,7 +261,7 @@ class Runner:
             return Event.SERVO_LOST
         if lost <= patience.hold:
             return Event.NONE
-        self._reason = self._reason or self._sight.unseen
+        self._reason = self._reason or self._sight.blamed()
         return Event.TROUBLE
 
     def _started(self, deadline_ns: int) -> bool:

@@ -26,6 +26,7 @@ class Sight:
         self._lockstep = lockstep
         self._recovering = driver if isinstance(driver, Recovering) else None
         self._fault = ""  # of the servos, as last read
+        self._blamed = ""  # why the arm stands, where that is something unseen
 
     def plan(self, deadline_ns: int, mode: Mode) -> Bus:
         """What this cycle does on the bus; an arm that lapsed is brought back in HOLD, and by its driver."""
@@ -57,6 +58,19 @@ class Sight:
                 return None, Event.SERVO_LOST
             seen = bool(np.isfinite(state.q).all() and np.isfinite(state.dq).all())
             return state if seen else None, self._trouble_of(self.unseen, mode)
+
+    def blamed(self) -> str:
+        """What is unseen, for which the arm is to stand."""
+        self._blamed = self.unseen
+        return self.unseen
+
+    def why(self, reason: str) -> str:
+        """Why the arm is to stand, now that a servo has said what is wrong: `reason` where that is something else.
+
+        A servo that was silent first, or seemed to be, tells more once it answers; but not that its watchdog has fired.
+        """
+        lapsed = self._recovering is not None and self._recovering.lapsed
+        return self.blamed() if not reason or (reason == self._blamed and not lapsed) else reason
 
     def _trouble_of(self, fault: str, mode: Mode) -> Event:
         """What a servo's fault, which lasts, asks for: on the way back of a session the one of before asks no more."""

@@ -107,6 +107,22 @@ def test_a_servo_fault_without_a_state_ends_in_fault() -> None:
     assert done.arm.reads == 15
 
 
+@pytest.mark.fault("S4")
+def test_an_arm_that_holds_for_a_silence_tells_what_its_servo_says_once_it_answers() -> None:
+    silent = lost_at(*reads(HOLD_AFTER_STALE + 1))
+    back = FIRST + len(silent)
+    done = run(failures=silent | {back: fault(True), back + 1: fault(True)})
+    assert done.troubles == [str(lost()), str(fault(True))]
+    assert done.summary.reason == str(fault(True))
+    assert run(failures=silent | {back: fault(False)}).troubles == [str(lost())], "it does not hold any more"
+
+
+def test_an_arm_that_was_asked_to_hold_tells_of_a_servo_that_fails_then() -> None:
+    done = run(lambda n: Event.STOP if n == 14 else Event.NONE, {17: fault(True), 18: fault(True)})
+    assert done.modes == [Mode.TRACK, Mode.HOLD]
+    assert done.troubles == [str(fault(True))]
+
+
 def test_an_arm_that_is_lost_in_the_cycle_of_a_release_is_a_fault() -> None:
     words = {15: Event.STOP, 29: Event.STOP | Event.RELEASED}  # before read 30
     done = run(lambda n: words.get(n, Event.NONE), failures={30: fault(False)}, hold_at_end=True)

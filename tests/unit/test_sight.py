@@ -136,6 +136,20 @@ def test_of_a_fault_the_state_counts_where_all_joints_are_seen(
     assert seen.unseen.startswith("servo 2: found nothing")
 
 
+@pytest.mark.parametrize("lapsed", [False, True])
+def test_what_a_servo_says_of_itself_is_why_where_it_only_seemed_silent(lapsed: bool) -> None:
+    driver = Returns(lapsed=lapsed)
+    driver.brings = [error(StaleStateError, "no reply"), fault(STATE, "servo 2: rebooted")]
+    seen, _ = sight(driver)
+    seen.read(Mode.TRACK)
+    silent = seen.blamed()
+    assert silent.startswith("no reply")
+    seen.read(Mode.HOLD)
+    assert seen.why(silent).startswith("no reply" if lapsed else "servo 2: rebooted")
+    assert seen.why("a monitor") == "a monitor"
+    assert seen.why("").startswith("servo 2: rebooted")
+
+
 @pytest.mark.parametrize("mode", list(Mode))
 def test_a_fault_that_lasts_is_borne_on_the_way_back_of_a_session(mode: Mode) -> None:
     seen, _ = sight(Reads(fault(STATE), fault(STATE), fault(STATE, "servo 3")))
