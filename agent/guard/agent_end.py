@@ -27,6 +27,9 @@ class AgentEnd:
         try:
             self._socket.connect(str(path))
             self._socket.setblocking(False)
+        except BlockingIOError as error:
+            self._socket.close()
+            raise self._busy("others who wait for its answer") from error
         except OSError as error:
             self._socket.close()
             raise GuardError(
@@ -42,6 +45,8 @@ class AgentEnd:
         try:
             data, got = received(self._socket)
             answer = json.loads(data)
+        except TimeoutError as error:
+            raise self._busy(f"no answer to {word.value!r} within {REPLY_S:g} s") from error
         except (OSError, ValueError) as error:
             raise self._silent(word) from error
         finally:
@@ -78,6 +83,13 @@ class AgentEnd:
     def close(self) -> None:
         """Hang up.  Safe twice."""
         self._socket.close()
+
+    def _busy(self, found: str) -> GuardError:
+        return GuardError(
+            f"guard at {self._path}", found=found, expected="a guard that waits for its agent",
+            remedy="if it holds the arm in an agent's place (`coop status`), support the object and `coop release`; "
+            "else its log says why it hangs",
+        )  # fmt: skip
 
     def _silent(self, word: Word) -> GuardError:
         return GuardError(

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from agent.guard import agent_end
 from agent.guard.agent_end import AgentEnd
 from agent.guard.guard_end import BACKLOG, GuardEnd
 from agent.guard.guarded import AGAIN_AFTER, CRASHED, Guarded
@@ -129,6 +130,32 @@ def test_the_socket_of_a_guard_that_hangs_is_left_alone(guard: GuardEnd, tmp_pat
             stack.callback(AgentEnd(path(tmp_path), CELL).close)
         with pytest.raises(GuardError, match="found another guard, expected one per arm"):
             GuardEnd(path(tmp_path), CELL)
+
+
+def test_a_guard_that_answers_nobody_may_hold_the_arm_and_who_asks_is_told_what_ends_that(
+    guard: GuardEnd, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """While it holds it takes no agent in: one is left without an answer, and more find its queue full."""
+    monkeypatch.setattr(agent_end, "REPLY_S", 0.01)
+    with ExitStack() as stack:
+        asking = AgentEnd(path(tmp_path), CELL)
+        stack.callback(asking.close)
+        told = r"expected a guard that waits for its agent; if it holds the arm .*`coop release`; else its log"
+        with pytest.raises(GuardError, match=rf"found no answer to 'port' within 0.01 s, {told}"):
+            asking.ask(Word.PORT)
+        for _ in range(BACKLOG):
+            stack.callback(AgentEnd(path(tmp_path), CELL).close)
+        with pytest.raises(GuardError, match=f"found others who wait for its answer, {told}"):
+            AgentEnd(path(tmp_path), CELL)
+
+
+def test_a_guard_that_ends_before_it_answers_is_not_one_that_holds(tmp_path: Path) -> None:
+    guard = GuardEnd(path(tmp_path), CELL)
+    agent = AgentEnd(path(tmp_path), CELL)
+    guard.close()
+    with pytest.raises(GuardError, match="found no answer to 'port', expected an answer; see the guard's log"):
+        agent.ask(Word.PORT)
+    agent.close()
 
 
 def test_closing_leaves_the_socket_of_a_guard_that_has_taken_the_name(tmp_path: Path) -> None:
