@@ -57,10 +57,15 @@ def goal_limits(servos: Sequence[ServoFound]) -> dict[int, int]:
 
 
 def efforts_at_rest(servos: Sequence[ServoFound]) -> dict[int, int]:
-    """Goal count of each servo by ID before torque comes on: none if controlled, the holding limit if held."""
-    limits, joints = goal_limits(servos), {servo.slot.servo_id: servo.slot.joint for servo in servos}
-    controlled = JointRole.CONTROLLED
-    return {i: 0 if j.role is controlled else round(j.hold_effort * limits[i]) for i, j in joints.items()}
+    """Goal count of each servo by ID before torque comes on: none if controlled, what it holds with if held."""
+    limits = goal_limits(servos)
+    return {servo.slot.servo_id: _effort_at_rest(servo.slot, limits[servo.slot.servo_id]) for servo in servos}
+
+
+def _effort_at_rest(slot: ServoSlot, limit: int) -> int:
+    if slot.joint.role is JointRole.CONTROLLED:
+        return 0
+    return min(limit, slot.model.share_count(effort_register(slot), slot.joint.hold_effort))
 
 
 class BringUp:

@@ -22,22 +22,22 @@ class GripControl:
     """Goals of one gripper, and the one last sent."""
 
     def __init__(self, joint: JointMap, fingers: Fingers, effort_limit: int) -> None:
-        """effort_limit: the largest count of its effort register."""
+        """effort_limit: the largest count that the servo takes in its effort register."""
+        register = GOAL_CURRENT if joint.model.has_current_mode else GOAL_PWM
         self.servo_id = joint.ids[0]
-        self.effort = round(joint.grip_effort * effort_limit)
+        self.effort = min(effort_limit, joint.model.share_count(register, joint.grip_effort))
         self._joint = joint
         self._fingers = fingers
-        self._limit = effort_limit
+        self._full = joint.model.share_count(register, 1.0)
         self._scale = AngleScale(joint)
         self._goal: int | None = None
         self._waiting = False
-        register = GOAL_CURRENT if joint.model.has_current_mode else GOAL_PWM
         self._efforts = GroupWrite(register.address, "h", [self.servo_id])
         self._goals = GroupWrite(GOAL_POSITION.address, "i", [self.servo_id])
 
     @classmethod
     def of(cls, arm: ArmMap, limits: Mapping[int, int]) -> GripControl | None:
-        """Of an arm whose gripper can be closed on an object; limits: largest count of each servo's effort."""
+        """Of an arm whose gripper can be closed on an object; limits: largest count that each servo takes."""
         joint = arm.gripper
         if joint is None or joint.fingers is None:
             return None
@@ -66,7 +66,7 @@ class GripControl:
         _, present, velocity, position = row
         angle, fingers = self._scale.angle_rad(position), self._fingers
         model, lever = self._joint.model, fingers.lever(angle)
-        share = present / self._limit if model.has_current_mode else current_or_load(model, present)[1]
+        share = present / self._full if model.has_current_mode else current_or_load(model, present)[1]
         effort = -share if fingers.open_rad > fingers.closed_rad else share
         return GripState(
             stamp_ns,
@@ -75,7 +75,7 @@ class GripControl:
             effort=effort,
             force_N=effort * model.stall_torque_Nm / abs(lever),
             width_cmd_m=math.nan if self._goal is None else fingers.width(self._scale.angle_rad(self._goal)),
-            force_max_N=abs(self.effort) / self._limit * model.stall_torque_Nm / abs(lever),
+            force_max_N=abs(self.effort) / self._full * model.stall_torque_Nm / abs(lever),
         )
 
 

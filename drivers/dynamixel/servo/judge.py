@@ -188,9 +188,9 @@ def _startup(servo: ServoFound) -> Said | None:
 
 
 def _leaves_enough(servo: ServoFound, register: Register, needed: Callable[[JointMap], int]) -> Said | None:
-    """A limit must leave a joint that takes torque its largest, and one that is only held some."""
+    """A limit must leave a joint that takes torque its largest, and one that is held the share with which it is."""
     joint, limit = servo.slot.joint, servo.value(register)
-    least, remedy = 1, _SETUP
+    least, remedy = joint.model.share_count(register, max(joint.hold_effort, joint.grip_effort)), _SETUP
     if joint.role is JointRole.CONTROLLED:
         least, remedy = needed(joint), f"{_SETUP}, or lower safety.tau_max_fraction_of_stall"
     return None if limit >= least else Said(str(limit), f"at least {least}", remedy)

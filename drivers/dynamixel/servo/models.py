@@ -71,6 +71,10 @@ class ServoModel:
         register = self.registers.get(generic.name)
         return None if register is None else register.default
 
+    def share_count(self, generic: Register, share: float) -> int:
+        """Return this share of the largest count that a register of current or voltage can have, whatever its limit."""
+        return round(share * (self.register(generic).maximum or 0))
+
     def answers_fast(self, firmware: int) -> bool:
         """Return whether this model with this firmware answers fast sync and fast bulk reads."""
         return self.fast_sync_min_firmware is not None and firmware >= self.fast_sync_min_firmware

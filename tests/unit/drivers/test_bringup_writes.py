@@ -122,7 +122,9 @@ def test_the_goals_of_a_pair_are_bounded_by_its_weaker_servo() -> None:
         for servo in rig.driver.found
     ]
     assert goal_limits(found) == {1: 700, 2: 800, 3: 800, 4: 1193, 5: 1193, 6: 885, 7: 885}
-    assert efforts_at_rest(found) == {1: 280, **dict.fromkeys(range(2, 7), 0), 7: 354}
+    assert efforts_at_rest(found) == {1: 477, **dict.fromkeys(range(2, 7), 0), 7: 354}, "shares of all there is"
+    weak = [replace(servo, values={**servo.values, "Current Limit": 300, "PWM Limit": 200}) for servo in found]
+    assert efforts_at_rest(weak) == {1: 300, **dict.fromkeys(range(2, 7), 0), 7: 200}, "and no more than a servo takes"
 
 
 @pytest.mark.parametrize(("low", "high", "goal"), [(0, 4095, 2178), (0, 2100, 2100), (2200, 4095, 2200)])

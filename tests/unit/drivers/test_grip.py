@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from drivers.dynamixel.arm_map import MapError
 from drivers.dynamixel.driver import DynamixelDriver
 from drivers.dynamixel.errors import NoGripperError, NotEnabledError
+from drivers.dynamixel.grip import GripControl
 from drivers.dynamixel.servo.models import SERVOS
 from drivers.dynamixel.servo.table import BUS_WATCHDOG, GOAL_POSITION, GOAL_PWM, TORQUE_ENABLE
 from drivers.interface import Gripper
@@ -54,6 +57,29 @@ def test_fingers_that_close_say_a_positive_effort_and_a_force() -> None:
     assert state.force_N == pytest.approx(state.effort * stall_Nm / lever)
     assert state.force_max_N == pytest.approx(EFFORT / 885 * stall_Nm / lever)
     assert state.width_cmd_m == pytest.approx(0.03, abs=1e-4)
+
+
+@pytest.mark.parametrize("limit", [500, 885])
+def test_a_lower_limit_of_its_servo_takes_nothing_from_a_grip(limit: int) -> None:
+    """`coop check` counts on the share of full voltage that the arm file names."""
+    rig = enabled(with_gripper(), eeprom={"PWM_Limit": limit})
+    rig.driver.grip(0.03)
+    cycles(rig, 3)
+    assert rig.get(GRIPPER, GOAL_PWM) == EFFORT
+    state = rig.driver.grip_state()
+    assert state is not None
+    lever = FINGERS.lever(FINGERS.angle(state.width_m))
+    assert state.force_max_N == pytest.approx(EFFORT / 885 * SERVOS["XL430-W250"].stall_torque_Nm / lever)
+
+
+@pytest.mark.parametrize("limit", [400, 1193])
+def test_a_grip_by_current_is_a_share_of_full_current(limit: int) -> None:
+    joint = replace(with_gripper().joints[-1], servo="XM430-W350")
+    grip = GripControl(joint, FINGERS, limit)
+    assert grip.effort == round(0.25 * 1193)
+    state = grip.state((0, 298, 0, 2048), 0)
+    assert abs(state.effort) == pytest.approx(298 / 1193)
+    assert GripControl(joint, FINGERS, 100).effort == 100, "more than its limit a servo refuses"
 
 
 def test_the_grip_is_taken_up_again_after_the_watchdogs_have_fired() -> None:

@@ -114,18 +114,25 @@ def test_start_pose_is_bounded_by_the_joint_s_own_limits_too() -> None:
 
 @pytest.mark.parametrize("slot", [SHOULDER, SHADOW, ELBOW, WAIST], ids=lambda slot: slot.title)
 def test_current_limit_of_every_servo_that_takes_torque_or_holds_by_it(slot) -> None:
-    needed = 1 if slot is WAIST else CurrentDrive(slot.joint).needed_count
+    needed = 477 if slot is WAIST else CurrentDrive(slot.joint).needed_count  # 0.4 of 1193 hold the waist
     assert broken(servo(slot, Current_Limit=needed)) == []
     assert broken(servo(slot, Current_Limit=needed - 1)) == [judge.CURRENT_LIMIT]
 
 
 @pytest.mark.parametrize(
-    ("slot", "needed"), [(SHOULDER, 432), (SHADOW, 432), (ELBOW, 432), (ROTATE, 295), (WAIST, 1), (GRIPPER, 1)]
-)  # of 885 counts: 4 N·m of two servos with 4.1 N·m each, 0.5 N·m of one with 1.5
+    ("slot", "needed"), [(SHOULDER, 432), (SHADOW, 432), (ELBOW, 432), (ROTATE, 295), (WAIST, 354), (GRIPPER, 354)]
+)  # of 885 counts: 4 N·m of two servos with 4.1 N·m each, 0.5 N·m of one with 1.5; 0.4 of them hold
 def test_pwm_limit_of_every_servo_which_bounds_its_voltage_in_every_mode(slot, needed: int) -> None:
     assert broken(servo(slot, PWM_Limit=885)) == []
     assert broken(servo(slot, PWM_Limit=needed)) == [judge.PWM_LIMIT]
     assert broken(servo(slot, PWM_Limit=needed - 1)) == [judge.PWM_NEEDED]
+
+
+@pytest.mark.parametrize(("hold", "grip", "needed"), [(0.4, 0.25, 354), (0.2, 0.5, 442), (1.0, 0.0, 885)])
+def test_of_holding_and_gripping_the_harder_says_what_a_limit_must_leave(hold: float, grip: float, needed: int) -> None:
+    slot = replace(GRIPPER, joint=replace(GRIPPER.joint, hold_effort=hold, grip_effort=grip))
+    assert judge.PWM_NEEDED not in broken(servo(slot, PWM_Limit=needed))
+    assert judge.PWM_NEEDED in broken(servo(slot, PWM_Limit=needed - 1))
 
 
 @pytest.mark.parametrize(("slot", "takes_torque"), [(ELBOW, True), (WAIST, False)])
