@@ -246,10 +246,14 @@ def test_a_register_that_a_servo_denies_is_a_refusal_unless_its_firmware_is_too_
         assert refusal is None or "refused with ACCESS" in str(refusal.found)
 
 
-def test_servos_of_a_held_pair_with_different_limits_share_the_smaller_goal() -> None:
+def test_servos_of_a_held_pair_with_different_limits_hold_alike_and_one_that_cannot_is_refused() -> None:
     held = tuple(replace(j, role=WX200.joints[0].role) if j.name == "shoulder" else j for j in WX200.joints)
     rig = build(at(WX200, joints=held))
     rig.put(3, table.CURRENT_LIMIT, 500)
     rig.driver.connect()
     rig.driver.enable()
-    assert rig.get(2, table.GOAL_CURRENT) == rig.get(3, table.GOAL_CURRENT) == round(0.4 * 500)
+    assert rig.get(2, table.GOAL_CURRENT) == rig.get(3, table.GOAL_CURRENT) == round(0.4 * 1193)
+    rig = build(at(WX200, joints=held))
+    rig.put(3, table.CURRENT_LIMIT, 476)
+    with pytest.raises(IdentityError, match=r"servo 3 .*Current Limit: found 476, expected at least 477"):
+        rig.driver.connect()
