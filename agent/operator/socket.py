@@ -23,6 +23,7 @@ from agent.operator.error import ControlError
 from agent.operator.message import MAX_BYTES, Reply, Request
 from agent.operator.session_table import SESSION
 from agent.operator.table import EVENT_OF, Verb, effect
+from drivers.clock import utc_offset_ns
 
 _CREDENTIALS = struct.Struct("3i")  # pid, uid, gid
 _CLIENTS_MAX = 8
@@ -51,14 +52,14 @@ class Standing:
     reason: str = ""  # of a hold or a fault
     no_start: Mapping[str, str] | None = None  # found, expected, remedy: why this agent starts nothing in any mode
     rest_s: float = 0.0  # of READY before a start, in which the torque at rest is looked at
-    ready_utc_ns: int = 0  # since when it is READY
+    ready_ns: int = 0  # since when it is READY, on CLOCK_MONOTONIC: nobody sets that
     session: Callable[[Event], str] | None = None  # why such an event counts for nothing now; None: there is no session
     details: Callable[[], Mapping[str, Any]] = dict  # asked for with each answer
 
     def enter(self, mode: Mode) -> None:
         """It is in that mode from now on."""
         if mode is Mode.READY:
-            self.ready_utc_ns = time.time_ns()
+            self.ready_ns = time.monotonic_ns()
         self.mode = mode
 
 
@@ -154,11 +155,12 @@ class ControlSocket:
             return self._refused(
                 f"cell {request.fingerprint[:12]}", f"cell {self._fingerprint[:12]}", "give both the same file"
             )
-        if request.start_utc_ns <= time.time_ns():
+        start_ns = request.start_utc_ns - utc_offset_ns()
+        if start_ns <= time.monotonic_ns():
             return self._refused("a start that has passed", "a start in the future", "start all arms again, later")
         if self.standing.no_start is not None:
             return self._refused(**self.standing.no_start)
-        rest_s, least_s = 1e-9 * (request.start_utc_ns - self.standing.ready_utc_ns), self.standing.rest_s
+        rest_s, least_s = 1e-9 * (start_ns - self.standing.ready_ns), self.standing.rest_s
         if rest_s < least_s:
             return self._refused(
                 f"a start {rest_s:.1f} s after READY", f"{least_s:g} s, in which the torque at rest is seen",

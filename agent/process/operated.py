@@ -60,6 +60,8 @@ class Operator:
         self._trouble, self._holds = "", 0  # of this host: why the arm holds since the last start, and how often it did
         self._start: Request | None = None
         self._start_ns: int | None = None
+        self._lower: Request | None = None
+        self._lower_ns = 0
         self.clock: ClockWatch | None = None  # where arms of the cell are on other hosts
         self._standing = control.standing if control is not None else Standing("")
 
@@ -102,7 +104,9 @@ class Operator:
             for verb in requests.take():
                 said |= EVENT_OF[verb]
         lower = requests.lower
-        if lower is not None and self._clock.now_ns() >= lower.start_utc_ns - utc_offset_ns():
+        if lower is not self._lower:  # mapped once, as a start is
+            self._lower, self._lower_ns = lower, 0 if lower is None else lower.start_utc_ns - utc_offset_ns()
+        if lower is not None and self._clock.now_ns() >= self._lower_ns:
             requests.lower = None
             said |= Event.LOWER
         return said

@@ -12,7 +12,6 @@ import struct
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
@@ -32,6 +31,8 @@ from agent.operator.table import Verb
 
 FINGERPRINT = "ab" * 32
 NOW_NS = 1_000_000_000_000
+HERE_NS = 400_000_000_000  # CLOCK_MONOTONIC
+OFFSET_NS = NOW_NS - HERE_NS
 LATER_NS = NOW_NS + 1
 
 
@@ -43,7 +44,8 @@ def path(tmp_path: Path) -> Path:
 @pytest.fixture
 def control(path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ControlSocket]:
     """A control socket in a world whose time stands still."""
-    monkeypatch.setattr(control_socket.time, "time_ns", lambda: NOW_NS)
+    monkeypatch.setattr(control_socket.time, "monotonic_ns", lambda: HERE_NS)
+    monkeypatch.setattr(control_socket, "utc_offset_ns", lambda: OFFSET_NS)
     with closing(listening(path)) as made:
         yield made
     assert not path.exists()
@@ -128,16 +130,31 @@ def test_an_agent_that_starts_nothing_says_why(control: ControlSocket, path: Pat
 @pytest.mark.fault("G6")
 def test_a_start_waits_until_the_torque_at_rest_has_been_looked_at(control: ControlSocket, path: Path) -> None:
     control.standing.enter(Mode.HOLD)
-    assert (control.standing.mode, control.standing.ready_utc_ns) == (Mode.HOLD, 0)
+    assert (control.standing.mode, control.standing.ready_ns) == (Mode.HOLD, 0)
     control.standing.rest_s = 1.1
     control.standing.enter(Mode.READY)
-    assert abs(control.standing.ready_utc_ns - time.time_ns()) < 10**9
-    control.standing.ready_utc_ns = LATER_NS - 1_050_000_000
+    assert control.standing.ready_ns == HERE_NS
+    control.standing.ready_ns = LATER_NS - OFFSET_NS - 1_050_000_000
     answer = answer_to(control, path, start(prepare=True))
     assert (answer["ok"], answer["found"]) == (False, "a start 1.1 s after READY")
     assert answer["expected"] == "1.1 s, in which the torque at rest is seen"
-    control.standing.ready_utc_ns -= 50_000_000
+    control.standing.ready_ns -= 50_000_000
     assert answer_to(control, path, start())["ok"] is True
+
+
+@pytest.mark.parametrize("minutes", [-10, 10])
+def test_a_clock_that_was_set_since_ready_is_no_rest_and_takes_none_away(
+    control: ControlSocket, path: Path, monkeypatch: pytest.MonkeyPatch, minutes: int
+) -> None:
+    """The wall clock of a small computer is often set once chrony has found its servers."""
+    control.standing.rest_s = 20.0
+    control.standing.enter(Mode.READY)
+    set_ns = minutes * 60 * 10**9
+    monkeypatch.setattr(control_socket, "utc_offset_ns", lambda: OFFSET_NS + set_ns)
+    soon = {**start(), "start_utc_ns": NOW_NS + set_ns + 15 * 10**9}
+    assert answer_to(control, path, soon)["expected"] == "20 s, in which the torque at rest is seen"
+    control.standing.ready_ns -= 10 * 10**9
+    assert answer_to(control, path, soon)["ok"] is True
 
 
 @pytest.mark.parametrize("verb", ["stop", "release"])

@@ -6,6 +6,7 @@ import json
 import os
 from collections.abc import Iterator
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -102,6 +103,19 @@ def test_the_way_down_begins_at_its_instant_and_once(rig: Rig, after_ns: int, ev
     rig.control.requests.lower = Request(Verb.LOWER, start_utc_ns=OFFSET_NS + NOW_NS + after_ns)
     assert (rig.hear(), rig.hear()) == (events, Event.NONE)
     assert (rig.control.requests.lower is None) is (events is Event.LOWER)
+
+
+def test_a_clock_that_is_set_moves_no_way_down_that_was_given(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    first, second = (Request(Verb.LOWER, start_utc_ns=OFFSET_NS + NOW_NS + after_ns) for after_ns in (10**9, 0))
+    rig.control.requests.lower = first
+    assert rig.hear() == Event.NONE
+    monkeypatch.setattr(operated, "utc_offset_ns", lambda: OFFSET_NS + 3600 * 10**9)
+    assert rig.hear() == Event.NONE, "the hour that was put on has not passed"
+    monkeypatch.setattr(operated, "utc_offset_ns", lambda: OFFSET_NS)
+    rig.control.requests.lower = second
+    assert rig.hear() == Event.LOWER, "a new instant is mapped anew"
+    rig.control.requests.lower = replace(first, start_utc_ns=second.start_utc_ns)
+    assert rig.hear() == Event.LOWER, "so is the next"
 
 
 def test_in_a_session_every_stop_is_said_once_for_the_arm_goes_on_from_it(tmp_path: Path) -> None:
@@ -233,7 +247,7 @@ def test_only_a_real_arm_without_real_time_refuses_a_start_unless_that_is_allowe
         assert standing.mode is Mode.READY
         assert (standing.no_start is None) is starts
         assert standing.rest_s == (1.1 if kind is DriverKind.DYNAMIXEL and not emulated else 0.0)
-        assert standing.ready_utc_ns > 0
+        assert standing.ready_ns > 0
         assert standing.details()["tick"]["cycles"] == 0
     assert standing.no_start is None or "--allow-no-realtime" in standing.no_start["remedy"]
     ((text, data),) = told
