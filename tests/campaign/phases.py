@@ -1,7 +1,8 @@
 """Every phase of a session met by a stop, by dead agents and by lost power: what the arms do, and how they come back.
 
-`python -m tests.campaign.phases [stop,kill-one,kill-all,power-one,power-all]`: a line per phase and event, exit 1
-where an arm that obeys is not back at its rest, or the object is not where it stood.  About two minutes of CPU.
+`python -m tests.campaign.phases [stop,kill-one,kill-all,power-one,power-all,dip-one]`: a line per phase and event, exit
+1 where an arm that obeys is not back at its rest, one without power is not given up, or the object is not where it
+stood.  About three minutes of CPU.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ QUICK = [
     "session.lower_s=0.7", "session.take_up_s=0.3", "session.ease_s=0.3", "duration_s=2.0",
 ]  # fmt: skip
 LIMIT_S, SET_DOWN_M, LOOK_S = 9.0, 3e-3, 0.3
+GIVEN_UP_S = 4.0
 CARRY = [Step(Mode.READY, Verb.START, Mode.TRACK, 0.35)]
 HELD = [*CARRY, Step(Mode.TRACK, Verb.STOP, Mode.HOLD, 0.5)]
 LET_GO = [Step(Mode.READY, Verb.STOP, Mode.HOLD, 0.35), Step(Mode.HOLD, Verb.RELEASE, Mode.RELEASE)]
@@ -57,8 +59,9 @@ EVENTS: dict[str, Callable[[PhaseRun], None]] = {
     "kill-all": PhaseRun.kill,
     "power-one": lambda rig: rig.power("left", on=False),
     "power-all": lambda rig: rig.power("left", "right", on=False),
+    "dip-one": lambda rig: rig.dip("left"),
 }
-LOST = {"power-one": {"left"}, "power-all": {"left", "right"}}
+LOST = {"power-one": {"left"}, "power-all": {"left", "right"}, "dip-one": {"left"}}
 
 
 def _met(rig: PhaseRun, lost: set[str]) -> str:
@@ -66,6 +69,8 @@ def _met(rig: PhaseRun, lost: set[str]) -> str:
     away = [name for name in rig.arms if name not in lost and rig.way(name)[-2] is not Mode.REST]
     if away:
         return f"not back: {', '.join(away)}"
+    if kept := [name for name in lost if rig.arms[name].modes[-1][0] > rig.step_ns[-1] * 1e-9 + GIVEN_UP_S]:
+        return f"not given up: {', '.join(kept)}"
     if not lost and rig.world.set_down_error()[0] > SET_DOWN_M:
         return f"set down {rig.world.set_down_error()[0] * 1e3:.1f} mm off"
     return ""

@@ -50,6 +50,7 @@ from tests.support.servos.guarded_rig import HOST_NS, Died, MortalClock
 from tests.support.servos.whole_rig import AGAIN_NS, SessionRun, session_schedule
 
 START_AFTER_NS = 20_000_000
+DIP_S = 0.02
 BOOT_NS = 400_000_000  # from power on to a servo that answers, at the most
 LOOK_NS = 350_000_000  # that a person looks before he says what leads back
 _HOMEWARD = {
@@ -169,6 +170,12 @@ class PhaseRun:
                 self.injectors[name].clear(self.now_ns)
             else:
                 self.injectors[name].add([Fault(kind=FaultKind.POWER_LOSS, arm=name)], self.now_ns)
+
+    def dip(self, *arms: str) -> None:
+        """The supply of these arms' servos is away for a moment."""
+        for name in arms:
+            gone = Fault(kind=FaultKind.POWER_LOSS, arm=name, duration_s=DIP_S)
+            self.injectors[name].add([gone], self.now_ns)
 
     def again(self, steps: Sequence[Step]) -> None:
         """With power: a person folds the limp arms into their rest, puts the object back and starts the agents."""
