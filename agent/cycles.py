@@ -49,6 +49,7 @@ class Cycles:
         self._failed = 0  # one bit for each of the last WINDOW cycles
         self._waited = False  # in this cycle, for the first state
         self._trusted = True  # the last cycles were as they should be
+        self._recovers = False
 
     def gap_s(self, now_ns: int) -> float:
         """A cycle begins; seconds since the last one did, 0 where no time was lost."""
@@ -62,7 +63,7 @@ class Cycles:
 
     def plan(self, deadline_ns: int, *, lapsed: bool, recovers: bool) -> Bus:
         """What to do in this cycle; lapsed: the arm does nothing until it is brought back, recovers: which can be."""
-        patience, lost = self._patience, self.without_state(deadline_ns)
+        patience, lost, self._recovers = self._patience, self.without_state(deadline_ns), recovers
         due = recovers and deadline_ns - self._tried_ns >= patience.retry * self._period_ns
         if lost <= patience.blind:
             return Bus.RECOVER if lapsed and due else Bus.READ
@@ -92,6 +93,8 @@ class Cycles:
         if self._waited:
             self._waited = False
             return None
+        if skipped >= self._patience.gap and not self._recovers:  # nobody looked, and no watchdog has stopped this arm
+            self._fresh_ns += skipped * self._period_ns
         missed = min(skipped, WINDOW)
         self._failed = ((self._failed << 1 | (not good)) << missed | (1 << missed) - 1) & _MASK
         share = 1.0 - self._failed.bit_count() / WINDOW

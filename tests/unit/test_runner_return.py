@@ -48,6 +48,33 @@ def test_a_cycle_after_lost_time_holds_where_it_finds_the_arm_before_any_torque_
     assert done.troubles == [done.summary.reason]
 
 
+@pytest.mark.parametrize("periods", [41, 600])
+def test_however_long_nobody_looked_an_arm_without_watchdogs_is_held_where_it_is_seen_then(periods: int) -> None:
+    plan = {"ticks": periods + 80, "patience": Patience()}
+    for done in (run(oversleeps_ns=late(periods), **plan), run(pauses_ns={16: periods * period_ns()}, **plan)):
+        assert done.modes == [Mode.TRACK, Mode.HOLD]
+        assert done.summary.stale_cycles == 0
+    gone = lost_at(*range(17, 80))
+    assert run(oversleeps_ns=late(periods), failures=gone, **plan).summary.mode is Mode.FAULT, "but not for ever"
+
+
+def test_reads_that_are_waited_for_are_no_time_in_which_nobody_looked() -> None:
+    silent = range(17, 80)
+    done = run(
+        failures=lost_at(*silent), pauses_ns=dict.fromkeys(silent, 5 * period_ns()), ticks=600, patience=Patience()
+    )
+    assert done.summary.mode is Mode.FAULT
+    assert done.arm.reads < silent[10]
+
+
+@pytest.mark.parametrize(("periods", "ends"), [(480, Mode.HOLD), (500, Mode.FAULT)])
+def test_an_arm_that_was_limp_for_longer_than_it_may_come_back_is_given_up(periods: int, ends: Mode) -> None:
+    """Somebody may have a hand on it by then."""
+    done = run(oversleeps_ns=late(periods), returning={}, ticks=periods + 80, patience=Patience())
+    assert done.summary.mode is ends
+    assert flagged(done.rows, Flag.RESUMED) == ([] if ends is Mode.FAULT else [16])
+
+
 def test_ten_periods_are_no_lost_time() -> None:
     done = run(oversleeps_ns=late(9.0), ticks=60, patience=Patience(success_min=0.0))
     assert (done.modes, flagged(done.rows, Flag.GAP)) == ([Mode.TRACK], [])
