@@ -35,6 +35,7 @@ WHOLE_RUN = (
     *(word for setting in QUICK for word in ("--set", setting)),
 )  # fmt: skip
 
+HERE = Path(__file__).parent
 RunOf = Callable[..., Path]
 
 
@@ -43,9 +44,10 @@ def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> 
     """A test beside others is made again when it fails on a machine without cores; what fails each time, fails.
 
     What was made again is told at the end (tests/conftest.py).  One that is `paced` is skipped in the end, but only on
-    a machine where far more processes want each core than this test run has.  Those in real time judge for themselves.
+    a machine where far more processes want each core than this test run has.  Those in real time judge for themselves;
+    those without processes, of which pytest asks here too, know no machine.
     """
-    if item.get_closest_marker("realtime") is not None:
+    if item.get_closest_marker("realtime") is not None or HERE not in item.path.parents:
         return None
     item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
     for left in reversed(range(ATTEMPTS)):

@@ -57,13 +57,20 @@ def test_what_fails_each_time_or_with_cores_fails(monkeypatch: pytest.MonkeyPatc
     made: list[Any] = []
     monkeypatch.setattr(conftest, "runtestprotocol", lambda item, **_: made.append(item) or [report])
     monkeypatch.setattr(stalls.Kernel, "accuses", lambda _: accused)
-    item = MagicMock(user_properties=[])
+    item = MagicMock(user_properties=[], path=Path(__file__))
     item.get_closest_marker.return_value = None
     assert conftest.pytest_runtest_protocol(item, None)
     assert len(made) == times
     assert item.user_properties == [(MADE_AGAIN, "E  what; no core")] * (times - 1)
     item.ihook.pytest_runtest_logreport.assert_called_once_with(report=report)
     assert report.outcome == "failed"
+
+
+@pytest.mark.parametrize("path", [Path("tests/unit/test_whole.py").resolve(), Path(__file__).parent])
+def test_what_is_in_no_process_is_made_once(path: Path) -> None:
+    item = MagicMock(path=path)
+    item.get_closest_marker.return_value = None
+    assert conftest.pytest_runtest_protocol(item, None) is None
 
 
 def test_what_was_made_again_is_named_at_the_end() -> None:

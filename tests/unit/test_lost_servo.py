@@ -35,16 +35,19 @@ def test_without_a_fault_both_arms_follow_to_the_end() -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "servo", "named", "ends"),
+    ("kind", "servo", "named", "ends", "noticed_s"),
     [
-        (FaultKind.POWER_LOSS, 4, "servo 4 (joint elbow)", Mode.FAULT),  # nobody sees this joint any more
-        pytest.param(FaultKind.OVERLOAD, 2, "servo 2 (shoulder)", Mode.HOLD, marks=pytest.mark.long),
-        pytest.param(FaultKind.REBOOT, 5, "servo 5 (wrist_angle)", Mode.HOLD, marks=pytest.mark.long),
+        (FaultKind.POWER_LOSS, 4, "servo 4 (joint elbow)", Mode.FAULT, 0.15),  # nobody sees this joint any more
+        # an arm that holds is in the way of a motion that has just begun: 1.6 N, of which half a second says nothing
+        pytest.param(FaultKind.OVERLOAD, 2, "servo 2 (shoulder)", Mode.HOLD, 1.2, marks=pytest.mark.long),
+        pytest.param(FaultKind.REBOOT, 5, "servo 5 (wrist_angle)", Mode.HOLD, 1.2, marks=pytest.mark.long),
     ],
     ids=["power", "overload", "reboot"],
 )
 @pytest.mark.fault("S1")
-def test_a_lost_servo_is_named_and_both_arms_hold(kind: FaultKind, servo: int, named: str, ends: Mode) -> None:
+def test_a_lost_servo_is_named_and_both_arms_hold(
+    kind: FaultKind, servo: int, named: str, ends: Mode, noticed_s: float
+) -> None:
     seen_s = GIVEN_UP_S if ends is Mode.FAULT else DURATION_S
     arms = CoupledRun(cell(seen_s), [Fault(kind=kind, arm="left", servo=servo, start_s=FAULT_S)]).arms
     left, right = arms["left"], arms["right"]
@@ -64,4 +67,4 @@ def test_a_lost_servo_is_named_and_both_arms_hold(kind: FaultKind, servo: int, n
         assert (rows["mode"][held[0] :] == Mode.HOLD).all(), "HOLD is left by nobody but an operator"
         begins[name] = rows["t"][held[0]]
     assert FAULT_S < begins["left"] <= FAULT_S + 0.05
-    assert begins["left"] < begins["right"] < FAULT_S + 1.05, "4 mm/s; 2 N for half a second must not be noticed"
+    assert begins["left"] < begins["right"] < FAULT_S + noticed_s

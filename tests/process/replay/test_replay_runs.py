@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.log.read import RunLog
+from agent.log.read import RunLog, read_log
 from tests.process.conftest import PAPER_RUN_S, SHORT, WAITING, RunOf
 from tests.support.command import coop
 
@@ -49,7 +49,8 @@ def test_a_run_of_the_real_driver_from_rest_to_rest_is_verified(whole_run: tuple
 
 
 def require_verified(run: Path) -> None:
-    for begin in ((), ("--row", "71", "--arm", "left"), ("--from", "0.5", "--arm", "right")):
+    first, *_, last = read_log(run / "run.mcap").agents
+    for begin in ((), ("--row", "71", "--arm", first), ("--from", "0.5", "--arm", last)):
         verified = coop("replay", "--verify", run / "run.mcap", *begin)
         assert verified.code == 0, verified.out + verified.err
         assert "differ" not in verified.out
