@@ -26,14 +26,19 @@ Runs = Annotated[int, Field(ge=1, le=MAX_RUNS)]
 Seed = Annotated[int, Field(ge=0, lt=2**63)]
 
 
-class StudyFile(Strict):
+class Extent(Strict):
+    """How much a study runs: in its file, or given with the command, which goes before."""
+
+    runs: Runs = RUNS  # of each cell
+    seed: Seed = 0
+    duration_s: Annotated[float, Field(gt=0.0, le=1e6)] | None = None  # of a run; None: the cell's
+
+
+class StudyFile(Extent):
     """A study of one or several cells."""
 
     format: Format
     cells: Annotated[list[str], Field(min_length=1, max_length=100)]  # files beside this one, or names of shipped cells
-    runs: Runs = RUNS  # of each cell
-    seed: Seed = 0
-    duration_s: Annotated[float, Field(gt=0.0, le=1e6)] | None = None  # of a run; None: the cell's
     set: list[str] = Field(default_factory=list)  # "key.path=value", as of --set, for every cell
     faults: list[Fault] = Field(default_factory=list)  # of every run
 
@@ -105,14 +110,12 @@ def load_plan(
     else:
         file = found
         cells = [_beside(path, name) for name in file.cells]
-    duration_s = file.duration_s if duration_s is None else duration_s
-    changes = [*file.set, *([] if duration_s is None else [f"duration_s={duration_s!r}"]), *overrides]
-    plan = Plan(
-        tuple(load_cell(cell, changes) for cell in cells),
-        file.runs if runs is None else runs,
-        file.seed if seed is None else seed,
-        tuple(file.faults),
-    )
+    given = {"runs": runs, "seed": seed, "duration_s": duration_s}
+    filed = file.model_dump(include=set(given))
+    extent = validate(Extent, filed | {key: x for key, x in given.items() if x is not None}, "the command")
+    lasting = [] if extent.duration_s is None else [f"duration_s={extent.duration_s!r}"]
+    changes = [*file.set, *lasting, *overrides]
+    plan = Plan(tuple(load_cell(cell, changes) for cell in cells), extent.runs, extent.seed, tuple(file.faults))
     _require_fit(plan)
     return plan
 
