@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -123,13 +122,8 @@ def load_plan(
 def _study_file(path: Path) -> StudyFile | None:
     """The study in this file; None where it is a cell."""
     path = cell_path(path)
-    raw = read_file(path)
-    try:
-        if "cells" not in tomllib.loads(raw.decode()):
-            return None
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError):
-        return None  # the reader of cells says what is wrong with it
-    return validate(StudyFile, parse(raw, path), path.name)
+    document = parse(read_file(path), path)
+    return validate(StudyFile, document, path.name) if "cells" in document else None
 
 
 def _beside(study: Path, name: str) -> Path:

@@ -113,9 +113,10 @@ def test_what_a_command_gives_keeps_the_bounds_of_a_study_file(
 
 def test_a_file_that_is_neither_is_refused_as_a_cell(tmp_path: Path) -> None:
     path = tmp_path / "torn.toml"
-    path.write_text("cells = [")
-    with pytest.raises(ConfigError, match=r"torn\.toml"):
-        load_plan(path)
+    for text in ("cells = [", "a = " + "9" * 5000, "a = " + "[" * 5000):
+        path.write_text(text)
+        with pytest.raises(ConfigError, match=r"torn\.toml: found .*, expected TOML"):
+            load_plan(path)
     with pytest.raises(ConfigError, match="nowhere"):
         load_plan(Path("nowhere"))
 
