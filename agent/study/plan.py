@@ -14,6 +14,7 @@ from pydantic import Field
 from agent.config.cell import Cell, ConfigError, load_cell
 from agent.config.files import cell_path
 from agent.config.reading import parse, read_file, validate
+from agent.config.schema.cell import CellFile
 from agent.config.schema.types import Format, Strict
 from agent.host.info import computing
 from agent.study.fault import Fault
@@ -119,6 +120,13 @@ def load_plan(
     return plan
 
 
+def last_seen_s(file: CellFile) -> float:
+    """When a run sees its object for the last time, s of the trajectory; negative: before the start only."""
+    ready = round(file.simulation.ready_s * file.rate_hz)
+    last = ready + round(file.duration_s * file.rate_hz) - 1
+    return (last - last % file.observe_every - ready) / file.rate_hz
+
+
 def _study_file(path: Path) -> StudyFile | None:
     """The study in this file; None where it is a cell."""
     path = cell_path(path)
@@ -151,6 +159,14 @@ def _require_fit(plan: Plan) -> None:
                 found=f"{file.duration_s:g} s with a transient of {file.report.transient_s:g} s",
                 expected="a run that is longer than its transient, which counts in no error",
                 remedy="lengthen the runs, or set report.transient_s lower",
+            )
+        seen_s = last_seen_s(file)
+        if seen_s < file.report.transient_s:
+            raise ConfigError(
+                f"simulation.observe_rate_hz of cell {file.name}",
+                found=f"{file.simulation.observe_rate_hz:g} Hz: the object is last seen at {seen_s:g} s",
+                expected=f"to see it after the transient of {file.report.transient_s:g} s",
+                remedy="lengthen the runs, or observe more often",
             )
         if file.simulation.reality is not None:
             raise ConfigError(

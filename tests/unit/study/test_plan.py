@@ -78,6 +78,10 @@ def test_seeds_are_of_study_and_run_and_shared_by_the_cells() -> None:
         ('format = 1\ncells = ["paper"]\n[[faults]]\nkind = "limp"\narm = "middle"\nat_s = 1.0\n', "middle"),
         ('format = 1\ncells = ["paper"]\n[[faults]]\nkind = "limb"\narm = "left"\nat_s = 1.0\n', "limp"),
         ('format = 1\ncells = ["paper"]\nduration_s = 5.0\n', "transient of 20 s"),
+        (
+            'format = 1\ncells = ["paper"]\nduration_s = 21.0\nset = ["simulation.observe_rate_hz=0.15"]\n',
+            "0.15 Hz: the object is last seen at 19.995 s, expected to see it after the transient of 20 s;",
+        ),
         ('format = 1\ncells = ["paper"]\nset = ["simulation.reality.seed=1"]\n', "draws one for each run"),
         (
             'format = 1\ncells = ["two_models", "paper", "two_models"]\n',
