@@ -126,6 +126,11 @@ class Shown:
         self._end()
         self._steps(what)
 
+    def note(self, text: str) -> None:
+        """Write a line that stays."""
+        self._steps.clear()
+        note(text)
+
     def show(self, glances: Sequence[Glance]) -> None:
         """How the arms are."""
         if self._as_json:

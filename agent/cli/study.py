@@ -28,9 +28,9 @@ STUDY_PATH = typer.Argument(
 
 def study(
     cell: Annotated[Path, STUDY_PATH],
-    runs: Annotated[int | None, typer.Option(min=1, help="Runs of each cell (200, or what the study says).")] = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="Seed of all realities (0, or what the study says).")] = None,
-    duration: Annotated[float | None, typer.Option(min=0.0, help="Seconds of a run, instead of the cell's.")] = None,
+    runs: Annotated[int | None, typer.Option(help="Runs of each cell (200, or what the study says).")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of all realities (0, or what the study says).")] = None,
+    duration: Annotated[float | None, typer.Option(help="Seconds of a run, instead of the cell's.")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder of the results; a study there goes on.")] = None,
     workers: Annotated[int | None, typer.Option(min=1, help="Processes, instead of one per core.")] = None,
     scheduler: Annotated[

@@ -24,6 +24,15 @@ M = TypeVar("M", bound=BaseModel)
 LARGEST_BYTES: Final = 16_000_000
 SCREENFUL: Final = 40  # lines of refusal
 NO_SUCH_KIND, WITHOUT_KIND = "union_tag_invalid", "union_tag_not_found"  # as pydantic says it
+_UTF_16 = "text in UTF-16", "save it as UTF-8"
+NO_TEXT: Final = {  # how files begin that are often named for another: what they are, what to do
+    b"\x89MCAP": ("a log (MCAP)", "name the cell's own file; `coop report` and others take logs"),
+    b"\x1f\x8b": ("a file packed with gzip", "unpack it (`gunzip`)"),
+    b"\x28\xb5\x2f\xfd": ("a file packed with zstd", "unpack it (`unzstd`)"),
+    b"PK\x03\x04": ("a zip archive", "unpack it (`unzip`)"),
+    b"\xff\xfe": _UTF_16,
+    b"\xfe\xff": _UTF_16,
+}
 SHOWN: Final = 120  # characters of a value in a refusal
 _IS = re.compile(r"^(Value error, |Input should be )")
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
@@ -63,9 +72,11 @@ def refuse_all(problems: Sequence[ConfigError]) -> None:
 
 
 def read_file(path: Path) -> bytes:
-    """Bytes of a file.  Raises ConfigError."""
+    """Bytes of a file of text.  Raises ConfigError."""
     try:
         found = path.stat()
+        if stat.S_ISREG(found.st_mode):
+            _refuse_no_text(path)
         if not stat.S_ISREG(found.st_mode) or found.st_size > LARGEST_BYTES:
             what = "no regular file" if not stat.S_ISREG(found.st_mode) else f"{found.st_size / 1e6:.0f} MB"
             raise ConfigError(
@@ -79,6 +90,14 @@ def read_file(path: Path) -> bytes:
             f"file {shown(str(path))}", found=reason, expected="a readable file",
             remedy="cells that ship go by name: " + ", ".join(shipped_cells()),
         ) from error  # fmt: skip
+
+
+def _refuse_no_text(path: Path) -> None:
+    with path.open("rb") as file:
+        head = file.read(max(map(len, NO_TEXT)))
+    for begin, (found, remedy) in NO_TEXT.items():
+        if head.startswith(begin):
+            raise ConfigError(f"file {shown(str(path))}", found=found, expected="text in UTF-8", remedy=remedy)
 
 
 def shipped_cells() -> list[str]:
@@ -95,7 +114,13 @@ def parse(raw: bytes, path: Path) -> dict[str, Any]:
         )  # fmt: skip
     try:
         return tomllib.loads(raw.decode())
-    except (ValueError, RecursionError) as error:  # not TOML, not UTF-8, a number of thousands of digits, too deep
+    except UnicodeDecodeError as error:
+        line = raw.count(b"\n", 0, error.start) + 1
+        raise ConfigError(
+            path.name, found=f"a byte in line {line} that is no UTF-8 (0x{raw[error.start]:02x})",
+            expected="TOML in UTF-8", remedy="save it as UTF-8, or name another file",
+        ) from error  # fmt: skip
+    except (ValueError, RecursionError) as error:  # not TOML, a number of thousands of digits, too deep
         raise ConfigError(
             path.name, found=shown(str(error)), expected="TOML in UTF-8", remedy="correct that line"
         ) from error

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 from agent.verify.finding import Finding, Verdict, from_refusal, judged, refused, warning
-from drivers.dynamixel.line.ports import CANDIDATES, busy_error, holders, open_error
+from drivers.dynamixel.errors import PortError
+from drivers.dynamixel.line.ports import CANDIDATES, require_usable
 from drivers.dynamixel.pace import MAX_LATENCY_TIMER_MS
 
 _SHIFTING = ("/dev/ttyUSB", "/dev/ttyACM")
@@ -16,11 +16,9 @@ UDEV = "install the udev rule shipped in systemd/udev, then unplug and plug the 
 def before_opening(path: str, where: str) -> list[Finding]:
     """Is it there, may it be opened, does anyone have it?  A problem among them: it must not be opened."""
     try:
-        os.close(os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC))
-    except OSError as error:
-        return [from_refusal(open_error(path, error), where)]
-    if holders(path):
-        return [from_refusal(busy_error(path), where)]
+        require_usable(path)
+    except PortError as error:
+        return [from_refusal(error, where)]
     found = [Finding(f"port {path}", where, _device(path), "readable and writable, used by nobody")]
     if path.startswith(_SHIFTING):
         remedy = f"use a lasting name: /dev/{CANDIDATES[0]}, or {UDEV}"

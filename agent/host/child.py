@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import select
 import selectors
 import signal
 import subprocess
@@ -13,7 +14,7 @@ from pathlib import Path
 
 from drivers.interface import Refusal
 
-READY = "READY "
+READY, TELLS = "READY ", "TELLS "
 
 
 class ChildFailed(Refusal):
@@ -56,6 +57,16 @@ class Child:
         head, _, self._received = self._received.partition(b"\n")
         line = head.decode()
         return dict(pair.split("=", 1) for pair in line.removeprefix(READY).split())
+
+    def told(self) -> list[str]:
+        """What the child has told for a person since the last look; nothing is waited for."""
+        out = self.process.stdout
+        assert out is not None
+        if select.select([out], [], [], 0.0)[0]:
+            self._received += os.read(out.fileno(), 4096)
+        *lines, self._received = self._received.split(b"\n")
+        texts = (line.decode(errors="replace") for line in lines)
+        return [text.removeprefix(TELLS) for text in texts if text.startswith(TELLS)]
 
     def failed(self, what: str) -> ChildFailed:
         """The error that tells of this child's end, with its last words."""

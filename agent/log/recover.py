@@ -104,6 +104,12 @@ def _recover(path: Path, file: BinaryIO, stop: Callable[[], bool]) -> RecoverRep
     problems = tuple(scan.problems)
     if not problems:
         return RecoverReport(path, False, seen.count, ())
+    if scan.another_at is not None:
+        at = scan.another_at
+        raise LogError(
+            f"{path} is two logs one behind the other", found=f"a second one from byte {at} on", expected="one log",
+            remedy=f"take them apart: `head -c {at}`, `tail -c +{at + 1}`",
+        )  # fmt: skip
     log = path.resolve()  # a link stays one: what it leads to is mended
     temporary = log.with_name(log.name + SUFFIX)
     try:

@@ -85,6 +85,7 @@ class LogScan:
         self.problems: list[str] = []
         self.damaged = 0  # records left out because a checksum or their structure is wrong
         self.finished = False  # index and closing magic are there
+        self.another_at: int | None = None  # where another log begins behind the end of a finished one
         self.intact_bytes = len(MAGIC)  # up to the end of the last whole record
 
     def __iter__(self) -> Iterator[Record | Messages]:
@@ -104,10 +105,15 @@ class LogScan:
             self.intact_bytes = position = end
             self._file.seek(end)
             if opcode == Opcode.FOOTER:
-                self.finished = self._file.read() == MAGIC
+                self.finished = self._file.read(len(MAGIC)) == MAGIC
                 break
         if self.finished and not self._data_ended:
             self._damage("the end of the data is not where it should be")
+        ends, another = self._file.tell(), self.finished and self._file.read(len(MAGIC)) == MAGIC
+        if self.finished and ends < self._size:
+            self.another_at = ends if another else None
+            what = "another log, which is not read" if another else "no part of it"
+            self.problems.append(f"{self._size - ends} bytes behind its end are {what}")
         if not self.finished:
             rest = self._size - self.intact_bytes
             self.problems.append(f"the file ends without its index{f', {rest} bytes of a record cut' if rest else ''}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +10,8 @@ from typing import Annotated, Literal
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from agent.config import reading
+from agent.config.reading import ConfigError
 from agent.motors import eeprom
 from agent.motors.find import ServoSeen
 from drivers.dynamixel.errors import NoReplyError
@@ -94,9 +95,9 @@ class Dump(BaseModel):
 def parse(content: bytes, source: str) -> Dump:
     """Read a dump file's content.  Raises DumpFileError naming what is wrong in it."""
     try:
-        return Dump.model_validate(tomllib.loads(content.decode()))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise DumpFileError(source, found=str(error), expected="TOML", remedy="dump it again") from error
+        return Dump.model_validate(reading.parse(content, Path(source)))
+    except ConfigError as error:
+        raise DumpFileError(source, found=error.found, expected="TOML", remedy="dump it again") from error
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"]) or "the whole file"
@@ -111,10 +112,10 @@ def parse(content: bytes, source: str) -> Dump:
 def load(path: Path) -> Dump:
     """Read a dump file.  Raises DumpFileError."""
     try:
-        content = path.read_bytes()
-    except OSError as error:
+        content = reading.read_file(path)
+    except ConfigError as error:
         raise DumpFileError(
-            f"file {path}", found=error.strerror, expected="a dump", remedy="make one with `coop motors dump`"
+            f"file {path}", found=error.found, expected="a dump", remedy="make one with `coop motors dump`"
         ) from error
     return parse(content, path.name)
 

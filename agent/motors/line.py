@@ -24,7 +24,7 @@ from drivers.clock import MonotonicClock
 from drivers.dynamixel.errors import PortError
 from drivers.dynamixel.line.bus import QUIET_NS, Bus, DxlCounters
 from drivers.dynamixel.line.port import Now, SerialPort
-from drivers.dynamixel.line.ports import busy_error, candidates, holders
+from drivers.dynamixel.line.ports import candidates, require_usable
 
 DEFAULT_BAUD = 1_000_000
 
@@ -41,9 +41,9 @@ def ports() -> list[str]:
 def open_line(path: str, baud: int = DEFAULT_BAUD) -> Iterator[Bus]:
     """The bus on a serial port, closed again at the end.
 
-    Raises PortError: not there, no permission, in use (also by a program that locked nothing), not silent.
+    Raises PortError: not there, no permission, no serial port, in use (also without a lock), not silent.
     """
-    refuse_used(path)
+    require_usable(path)
     clock = MonotonicClock()
     port = SerialPort(path, baud, clock)
     port.open()
@@ -53,12 +53,6 @@ def open_line(path: str, baud: int = DEFAULT_BAUD) -> Iterator[Bus]:
         yield bus
     finally:
         port.close()
-
-
-def refuse_used(path: str) -> None:
-    """Raise PortError naming the programs that have the port open, whether they locked it or not."""
-    if holders(path):
-        raise busy_error(path)
 
 
 def refuse_noise(bus: Bus, path: str, clock: Now) -> None:

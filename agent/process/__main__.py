@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import sys
 
-from agent.host.starting import USAGE, end, of_host, settle
+from agent.host.starting import USAGE, end, of_host, settle, tell
 from agent.process.commands import read
 from agent.process.started import Listener, run
 
@@ -25,7 +25,7 @@ def main() -> int:
         )
         return USAGE
     try:
-        return run(command, Listener(_told))
+        return run(command, Listener(_told, parent=_told_parent))
     except OSError as error:
         _told(f"coop: {of_host(error)}")
         return USAGE
@@ -43,6 +43,11 @@ def _told(text: str) -> None:
     with contextlib.suppress(OSError):  # a full disk under its words is no failure of what it has done
         sys.stderr.write(text + "\n")
         sys.stderr.flush()
+
+
+def _told_parent(text: str) -> None:
+    with contextlib.suppress(OSError):  # it may have gone
+        tell(text)
 
 
 if __name__ == "__main__":

@@ -176,6 +176,7 @@ class Children:
         with RingReader(self._ring(first), AGENT_STATE) as rows:
             while any(child.process.poll() is None for child in self._agents.values()):
                 self._require_alive()
+                self._pass_on(progress)
                 if self.person is not None:
                     self.person.look()
                 if stop() and not self._interrupted:
@@ -187,6 +188,11 @@ class Children:
             show(rows, progress, began_s=self._began_s, duration_s=duration_s)
         self._require_alive()
         return self._interrupted
+
+    def _pass_on(self, progress: Progress) -> None:
+        assert self._recorder is not None
+        for text in self._recorder.told():  # that the log has ended, which ends nothing else
+            progress.note(text)
 
     def _stop_agents(self) -> bool:
         """Ask for the end of the run; whether nobody watches it any more."""
@@ -208,7 +214,9 @@ class Children:
             self._plant.terminate()
         _wait_all(self._telemetry.values(), STOP_TIMEOUT_S)  # each ends when the recorder has its last row
         self._recorder.terminate()
-        if self._recorder.wait(STOP_TIMEOUT_S) != 0:
+        code = self._recorder.wait(STOP_TIMEOUT_S)
+        self._pass_on(progress)
+        if code != 0:
             raise self._recorder.failed("did not close the log")
 
     def abandon(self) -> None:

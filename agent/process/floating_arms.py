@@ -48,6 +48,10 @@ class Screen(Protocol):
         """What is being done."""
         ...
 
+    def note(self, text: str) -> None:
+        """Something that stays to be read."""
+        ...
+
     def show(self, glances: Sequence[Glance]) -> None:
         """How the arms are."""
         ...
@@ -114,12 +118,15 @@ class FloatingArms:
 
     def watch(self, stop: Callable[[], bool], screen: Screen) -> None:
         """Show the arms until every one of them has ended.  Raises ChildFailed for one that failed."""
+        assert self._recorder is not None
         windows = [Window(self._cell, self._cell.arm(name), self._ring(name)) for name in self._agents]
         try:
             told = False
             while self._alive():
                 glances = [window.look() for window in windows]
                 screen.show(glances)
+                for text in self._recorder.told():
+                    screen.note(text)
                 if not told and (stop() or self._one_stopped(glances)):
                     told = True
                     self._stop_all()

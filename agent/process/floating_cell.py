@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +13,7 @@ from agent.process.build import Connection, port_of
 from agent.process.float_loop import FloatError
 from agent.process.operated import NO_REAL_TIME_REMEDY
 from agent.verify.check import examine
-from drivers.dynamixel.line.ports import busy_error, holders, open_error
+from drivers.dynamixel.line.ports import require_usable
 
 
 @dataclass(frozen=True)
@@ -61,15 +60,9 @@ def _with_table(cell: Cell, changes: Sequence[str], source: str) -> Cell:
 
 
 def require_ports(cell: Cell, options: FloatOptions) -> None:
-    """Refuse ports that are not there, may not be used or are in use.  Raises ConnectError."""
+    """Refuse ports that are not there, may not be used, are none or are in use.  Raises ConnectError."""
     for name in names_of(cell):
-        path = port_for(cell, options, name)
-        try:
-            os.close(os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC))
-        except OSError as error:
-            raise open_error(path, error) from error
-        if holders(path):
-            raise busy_error(path)
+        require_usable(port_for(cell, options, name))
 
 
 def require_motion(cell: Cell, options: FloatOptions) -> None:

@@ -47,7 +47,7 @@ def run_plant(
         lockstep=lockstep,
         lost_arm=lost_arm,
         utc_offset_ns=_utc_at_zero_ns() if lockstep else utc_offset_ns(),
-        observe_every=max(1, round(cell.file.rate_hz / cell.file.simulation.observe_rate_hz)),
+        observe_every=cell.file.observe_every,
         stop=stop,
     )
     with RingWriter(ring, PLANT_STATE, PLANT) as rows:

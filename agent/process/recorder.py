@@ -44,8 +44,9 @@ def run_recorder(
     alone: bool,
     stop: Callable[[], bool],
     ready: Callable[[str], None],
+    ended: Callable[[Path, str], None],
 ) -> record.RecordReport:
-    """Record the cell until a stop; ready is told the endpoint.  Raises Refusal.
+    """Record the cell until a stop; ready is told the endpoint, ended why a log ends before its time.  Raises Refusal.
 
     run_info: content of run.json; alone: refuse when another recorder of the cell is at work in the log's folder.
     """
@@ -67,6 +68,7 @@ def run_recorder(
         network=network,
         attachments=tuple(Attachment(name, _media_type(name), content) for name, content in files.items()),
         limits=limits,
+        ended=ended,
         metadata={"versions": info["versions"], "cell": {"name": cell.file.name, "fingerprint": cell.fingerprint}},
     )
     with only_recorder(log.parent, cell.file.name) if alone else nullcontext() as note:

@@ -27,6 +27,12 @@ class Listener:
 
     say: Callable[[str], None]
     agrees: Callable[[str], bool] = lambda _: False
+    parent: Callable[[str], None] = lambda _: None  # shows a person what cannot wait for the end of the process
+
+    def warn(self, text: str) -> None:
+        """Say what somebody should know at once."""
+        self.say(text)
+        self.parent(text)
 
 
 def run(command: ChildCommand, listener: Listener) -> int:
@@ -256,6 +262,7 @@ def record(command: RecordCommand, listener: Listener) -> int:
         alone=known is None,
         stop=requested,
         ready=ready,
+        ended=lambda log, why: listener.warn(f"{log}: the log ENDS HERE: {why}; the arms go on without it"),
     )
     for path in report.repaired:
         listener.say(f"repaired {path}")

@@ -80,14 +80,13 @@ def measure(
     """
     run, seen = Run(lab, reality, faults), _Seen(lab)
     file = lab.cell.file
-    every = max(1, round(file.rate_hz / file.simulation.observe_rate_hz))
     ticks = run.ready_ticks + round(file.duration_s * file.rate_hz)
     lost = ""
     while run.tick < ticks and not lost:
         if run.trips and run.t > run.trips[0].t + AFTER_TRIP_S:
             break
         try:
-            looking = run.tick % every == 0
+            looking = run.tick % file.observe_every == 0
             truth = run.observe() if looking else None
             t = run.t
             run.advance()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ from pydantic import Field
 from agent.config.cell import Cell, ConfigError, load_cell
 from agent.config.files import cell_path
 from agent.config.reading import parse, read_file, validate
+from agent.config.schema.cell import CellFile
 from agent.config.schema.types import Format, Strict
 from agent.host.info import computing
 from agent.study.fault import Fault
@@ -26,14 +26,19 @@ Runs = Annotated[int, Field(ge=1, le=MAX_RUNS)]
 Seed = Annotated[int, Field(ge=0, lt=2**63)]
 
 
-class StudyFile(Strict):
+class Extent(Strict):
+    """How much a study runs: in its file, or given with the command, which goes before."""
+
+    runs: Runs = RUNS  # of each cell
+    seed: Seed = 0
+    duration_s: Annotated[float, Field(gt=0.0, le=1e6)] | None = None  # of a run; None: the cell's
+
+
+class StudyFile(Extent):
     """A study of one or several cells."""
 
     format: Format
     cells: Annotated[list[str], Field(min_length=1, max_length=100)]  # files beside this one, or names of shipped cells
-    runs: Runs = RUNS  # of each cell
-    seed: Seed = 0
-    duration_s: Annotated[float, Field(gt=0.0, le=1e6)] | None = None  # of a run; None: the cell's
     set: list[str] = Field(default_factory=list)  # "key.path=value", as of --set, for every cell
     faults: list[Fault] = Field(default_factory=list)  # of every run
 
@@ -105,28 +110,28 @@ def load_plan(
     else:
         file = found
         cells = [_beside(path, name) for name in file.cells]
-    duration_s = file.duration_s if duration_s is None else duration_s
-    changes = [*file.set, *([] if duration_s is None else [f"duration_s={duration_s!r}"]), *overrides]
-    plan = Plan(
-        tuple(load_cell(cell, changes) for cell in cells),
-        file.runs if runs is None else runs,
-        file.seed if seed is None else seed,
-        tuple(file.faults),
-    )
+    given = {"runs": runs, "seed": seed, "duration_s": duration_s}
+    filed = file.model_dump(include=set(given))
+    extent = validate(Extent, filed | {key: x for key, x in given.items() if x is not None}, "the command")
+    lasting = [] if extent.duration_s is None else [f"duration_s={extent.duration_s!r}"]
+    changes = [*file.set, *lasting, *overrides]
+    plan = Plan(tuple(load_cell(cell, changes) for cell in cells), extent.runs, extent.seed, tuple(file.faults))
     _require_fit(plan)
     return plan
+
+
+def last_seen_s(file: CellFile) -> float:
+    """When a run sees its object for the last time, s of the trajectory; negative: before the start only."""
+    ready = round(file.simulation.ready_s * file.rate_hz)
+    last = ready + round(file.duration_s * file.rate_hz) - 1
+    return (last - last % file.observe_every - ready) / file.rate_hz
 
 
 def _study_file(path: Path) -> StudyFile | None:
     """The study in this file; None where it is a cell."""
     path = cell_path(path)
-    raw = read_file(path)
-    try:
-        if "cells" not in tomllib.loads(raw.decode()):
-            return None
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError):
-        return None  # the reader of cells says what is wrong with it
-    return validate(StudyFile, parse(raw, path), path.name)
+    document = parse(read_file(path), path)
+    return validate(StudyFile, document, path.name) if "cells" in document else None
 
 
 def _beside(study: Path, name: str) -> Path:
@@ -154,6 +159,14 @@ def _require_fit(plan: Plan) -> None:
                 found=f"{file.duration_s:g} s with a transient of {file.report.transient_s:g} s",
                 expected="a run that is longer than its transient, which counts in no error",
                 remedy="lengthen the runs, or set report.transient_s lower",
+            )
+        seen_s = last_seen_s(file)
+        if seen_s < file.report.transient_s:
+            raise ConfigError(
+                f"simulation.observe_rate_hz of cell {file.name}",
+                found=f"{file.simulation.observe_rate_hz:g} Hz: the object is last seen at {seen_s:g} s",
+                expected=f"to see it after the transient of {file.report.transient_s:g} s",
+                remedy="lengthen the runs, or observe more often",
             )
         if file.simulation.reality is not None:
             raise ConfigError(

@@ -152,6 +152,11 @@ class CellFile(Strict):
         return whole if abs(periods - whole) <= PERIODS_TOLERANCE else periods
 
     @property
+    def observe_every(self) -> int:
+        """Cycles from one observation of the simulated truth to the next."""
+        return max(1, round(self.rate_hz / self.simulation.observe_rate_hz))
+
+    @property
     def simulated_delay_s(self) -> float:
         """Time from a sample to its torque in the simulated cell."""
         own = self.simulation.effects.delay_s

@@ -166,7 +166,7 @@ class _Telemetry:
 
     def _without_recorder(self) -> str:
         network = self._options.network
-        where = " ".join(network.connect) or f"the endpoints of {network.config_file}"
+        where = " ".join(network.connect) or f"the endpoints of {network.config_file} (do certificates last?)"
         kept = "simulated time waits too" if self._lockstep else "the ring keeps the newest rows meanwhile"
         return f"no recorder at {where} has answered; waits for one until it is stopped (`coop record`); {kept}"
 

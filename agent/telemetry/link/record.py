@@ -36,7 +36,7 @@ _BUDGET_S: Final = 10.0  # between two looks at what the folder's logs take
 LOGS_MAX: Final = 10_000  # in one recording
 
 
-def _tell_nobody(_: Mapping[str, int]) -> None:
+def _tell_nobody(*_: object) -> None:
     """Where nobody asks."""
 
 
@@ -56,6 +56,7 @@ class RecordOptions:
     limits: Limits = field(default_factory=Limits)
     repair: bool = True  # first mend what an earlier recorder left unfinished in the same folder
     left_out: Callable[[Mapping[str, int]], None] = _tell_nobody  # is told what did not belong here, by reason
+    ended: Callable[[Path, str], None] = _tell_nobody  # is told of a log that ends before its time, at once, and why
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,6 +132,7 @@ class _Recorder:
         self._status_s = 0.0
         self._taken = False  # anything since the status was made
         self._cause = ""
+        self._ended_told = False
         self._refresh_status()
 
     def listen(self, session: zenoh.Session) -> Listening:
@@ -150,6 +152,9 @@ class _Recorder:
             self._say(Level.ERROR, "disk nearly full: the log ends here", {})
             self.finish()
         cause = self.failure or self._log.failure or ("disk nearly full" if self._log.nearly_full else "")
+        if cause and not self._ended_told:
+            self._ended_told = True
+            self._options.ended(self.logs[-1], cause)
         if (self._taken or cause != self._cause) and now_s - self._status_s >= _STATUS_S:
             self._status_s, self._cause, self._taken = now_s, cause, False
             self._refresh_status()

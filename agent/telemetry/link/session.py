@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 import socket
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -136,13 +137,41 @@ def _try_open(config: zenoh.Config, what: str, wanted: Mapping[str, str]) -> zen
 
 def _from_file(path: Path) -> zenoh.Config:
     try:
-        return zenoh.Config.from_file(path)
+        config = zenoh.Config.from_file(path)
     except zenoh.ZError as error:
         raise NetworkError(
             f"Zenoh configuration {path}",
             found=str(error).split(" at ")[0],
             expected="a file in Zenoh's JSON5 with known keys only",
             remedy="correct it; the shipped examples show the keys that work",
+        ) from error
+    _require_own_files(json.loads(config.get_json("transport/link/tls")) or {}, path)
+    return config
+
+
+def _require_own_files(tls: Mapping[str, Any], path: Path) -> None:
+    """Raise NetworkError for keys and certificates that cannot be used: who dials with them only has no link."""
+    import ssl  # noqa: PLC0415 - for whom a file names some
+
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    for end in ("listen", "connect"):
+        certificate, key = tls.get(f"{end}_certificate"), tls.get(f"{end}_private_key")
+        if certificate and key:
+            _usable(path, f"{certificate} and {key}", partial(context.load_cert_chain, certificate, key, password=""))
+    authority = tls.get("root_ca_certificate")
+    if authority:
+        _usable(path, authority, partial(context.load_verify_locations, authority))
+
+
+def _usable(path: Path, files: str, load: Callable[[], None]) -> None:
+    try:
+        load()
+    except OSError as error:  # of the host, or what OpenSSL found
+        raise NetworkError(
+            f"Zenoh configuration {path}",
+            found=f"{files}: {error.strerror}",
+            expected="files that can be read, and a key of its certificate",
+            remedy="copy them again from the folder that `coop pki` made (docs/security.md)",
         ) from error
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Protocol
 
 from drivers.dynamixel.errors import PortError, PortLostError, WriteTimeoutError
-from drivers.dynamixel.line.ports import busy_error, candidates, open_error
+from drivers.dynamixel.line.ports import busy_error, open_error, require_serial
 
 CHUNK = 256  # largest single read, bytes
 DISCARD_LIMIT = 4096
@@ -217,13 +217,7 @@ class SerialPort:
         )
 
     def _claim(self, fd: int) -> None:
-        if not os.isatty(fd):
-            raise PortError(
-                f"port {self.path}",
-                found="not a terminal device",
-                expected="a serial port",
-                remedy=f"ports here: {', '.join(candidates()) or 'none'}",
-            )
+        require_serial(fd, self.path)
         if fd >= 1024:
             raise PortError(
                 f"port {self.path}",

@@ -21,6 +21,34 @@ def candidates() -> list[str]:
     return [str(path) for pattern in CANDIDATES for path in sorted(Path("/dev").glob(pattern))]
 
 
+def require_usable(path: str) -> None:
+    """Refuse what a tool cannot use: not there, closed to the user, no serial port, or open elsewhere, locked or not.
+
+    Raises PortError.
+    """
+    try:
+        fd = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
+    except OSError as error:
+        raise open_error(path, error) from error
+    try:
+        require_serial(fd, path)  # before its users: everybody has /dev/null
+    finally:
+        os.close(fd)
+    if holders(path):
+        raise busy_error(path)
+
+
+def require_serial(fd: int, path: str) -> None:
+    """Raise PortError where the open file is no terminal device."""
+    if not os.isatty(fd):
+        raise PortError(
+            f"port {path}",
+            found="not a terminal device",
+            expected="a serial port",
+            remedy=f"ports here: {', '.join(candidates()) or 'none'}",
+        )
+
+
 def open_error(path: str, error: OSError) -> PortError:
     """What to say when a port cannot be opened."""
     if error.errno in (errno.EACCES, errno.EPERM):

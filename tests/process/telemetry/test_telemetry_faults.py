@@ -10,6 +10,7 @@ import resource
 import signal
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from io import BytesIO
 from pathlib import Path
@@ -19,6 +20,7 @@ import pytest
 import zenoh
 
 from agent.atomic import write_atomically
+from agent.log import file as log_file
 from agent.log.file import LogFileError
 from agent.log.read import LogError, read_log
 from agent.log.scan import library_of
@@ -340,7 +342,15 @@ def record_on_a_small_disk(
     """The kernel refuses to let any file grow beyond 1 MB, with an error as a full disk gives."""
     signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, resource.RLIM_INFINITY))
-    return record.run(options, stop, ready)
+    return record.run(replace(options, ended=lambda log, why: ready(f"{log.name}: {why}")), stop, ready)
+
+
+def record_on_a_disk_nearly_full(
+    options: RecordOptions, stop: Callable[[], bool], ready: Callable[[str], None]
+) -> RecordReport:
+    """There is room when the log begins, and none from then on."""
+    log_file.free_bytes = lambda where: options.min_free_bytes if isinstance(where, Path) else 0
+    return record.run(replace(options, ended=lambda log, why: ready(f"{log.name}: {why}")), stop, ready)
 
 
 @pytest.mark.fault("D1")
@@ -352,7 +362,10 @@ def test_a_disk_that_is_full_stops_the_log_and_nothing_else(folder: Path) -> Non
         with telemetry(ring, "left", endpoint, Pace.LOCKSTEP) as tel, writer(ring, "left", total, None) as agent:
             assert agent.result() == total
             tel.result()
+        assert rec.ready() == "run.mcap: File too large", "told while it runs"
         report = rec.stop()
+        with pytest.raises(EOFError):
+            rec.ready()  # and once
     assert report.failure == "File too large"
     assert not report.complete
     log = read_log(folder / "run.mcap")
@@ -361,6 +374,20 @@ def test_a_disk_that_is_full_stops_the_log_and_nothing_else(folder: Path) -> Non
     assert log.agents["left"].tobytes() == prefix(kept, total)
     assert report.completeness["left.rows_recorded"] == str(kept)
     assert report.completeness["left.lost_on_disk"] == str(total - kept)
+
+
+@pytest.mark.fault("D1")
+def test_a_disk_that_is_nearly_full_ends_the_log_with_its_reason(folder: Path) -> None:
+    ring, total = folder / "left.ring", 100
+    options = RecordOptions(folder / "run.mcap", scene(CELL, LEFT), CONFIG_ID)
+    with Process(record_on_a_disk_nearly_full, options) as rec:
+        endpoint = rec.ready()
+        with telemetry(ring, "left", endpoint, Pace.LOCKSTEP) as tel, writer(ring, "left", total, None) as agent:
+            assert agent.result() == total
+            tel.result()
+        assert rec.ready() == "run.mcap: disk nearly full", "told while it runs"
+        assert not rec.stop().complete
+    assert "disk nearly full: the log ends here" in [event.text for event in read_log(folder / "run.mcap").events]
 
 
 def test_a_second_recorder_is_refused_before_anything_starts(folder: Path) -> None:

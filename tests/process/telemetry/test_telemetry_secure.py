@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import shutil
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -57,19 +58,30 @@ def with_key_of_right(cell: Path, folder: Path) -> Path:
     return folder
 
 
+@contextlib.contextmanager
+def anybodys(network: Network) -> Iterator[zenoh.Session]:
+    """The session of one who looks at no file of theirs first."""
+    if network.config_file is None:
+        with open_session(network) as opened:
+            yield opened.session
+        return
+    with zenoh.open(zenoh.Config.from_file(network.config_file)) as session:
+        yield session
+
+
 def forge(network: Network, *, may_connect: bool) -> None:
     """Publish rows as the left arm would, from somewhere else."""
     rows = make_rows("left", 8)
     rows["sequence"] += 10_000
-    with contextlib.suppress(NetworkError), open_session(network) as opened:
+    with anybodys(network) as session:
         deadline = time.monotonic() + (10.0 if may_connect else 0.7)
-        while not has_link(opened.session) and time.monotonic() < deadline:
+        while not has_link(session) and time.monotonic() < deadline:
             time.sleep(0.02)
         for i in range(8):
             header = BatchHeader(4711, 8 * i, 8 * i + 8, 0).pack(sent_by("left", 4711))
-            opened.session.put("coop/paper/left/state", rows.tobytes(), attachment=header,
+            session.put("coop/paper/left/state", rows.tobytes(), attachment=header,
                                congestion_control=zenoh.CongestionControl.BLOCK)  # fmt: skip
-        assert has_link(opened.session) == may_connect
+        assert has_link(session) == may_connect
 
 
 @pytest.mark.fault("N3")
@@ -111,6 +123,63 @@ def test_an_expired_certificate_costs_no_row_once_it_is_renewed(tmp_path: Path) 
             assert again.result().complete
         assert rec.stop().complete
     assert read_log(tmp_path / "run.mcap").agents["left"].tobytes() == make_rows("left", count).tobytes()
+
+
+@pytest.mark.fault("N4")
+def test_a_recorder_comes_back_with_its_certificate_renewed_and_no_arms_telemetry_is_touched(tmp_path: Path) -> None:
+    cell = cell_of(tmp_path / "cell", free_port())
+    ring, count = tmp_path / "left.ring", 400
+    renew(Wish(FILES, cell, days=0), ["recorder"])
+    time.sleep(1.1)  # the end is given in whole seconds
+    with telemetry(ring, "left", "", Pace.REAL_TIME, network=of(cell, "left")) as tel:
+        with recorder(tmp_path / "old.mcap", arms=LEFT, network=of(cell, "recorder")) as rec:
+            rec.ready()
+            with writer(ring, "left", count, 500.0) as agent:
+                assert agent.result() == count
+            assert rec.stop().completeness["left.rows_recorded"] == "0", "its certificate has ended"
+        renew(Wish(FILES, cell), ["recorder"])
+        with recorder(tmp_path / "run.mcap", arms=LEFT, network=of(cell, "recorder")) as rec:
+            rec.ready()
+            assert tel.result().complete
+            assert rec.stop().complete
+    assert read_log(tmp_path / "run.mcap").agents["left"].tobytes() == make_rows("left", count).tobytes()
+
+
+def no_key(cell: Path) -> None:
+    (cell / "left/keys/left.pem").unlink()
+
+
+def key_of_right(cell: Path) -> None:
+    shutil.copyfile(cell / "right/keys/right.pem", cell / "left/keys/left.pem")
+
+
+def half_a_certificate(cell: Path) -> None:
+    certificate = cell / "left/zenoh/left.pem"
+    certificate.write_bytes(certificate.read_bytes()[:300])
+
+
+def no_authority(cell: Path) -> None:
+    (cell / "left/zenoh/ca.pem").write_bytes(b"")
+
+
+@pytest.mark.parametrize(
+    ("spoil", "found"),
+    [
+        (no_key, "keys/left.pem: No such file or directory"),
+        (key_of_right, "keys/left.pem: .*KEY_VALUES_MISMATCH"),
+        (half_a_certificate, "zenoh/left.pem and "),
+        (no_authority, "ca.pem: "),
+    ],
+)
+def test_an_arms_files_that_cannot_be_used_are_named_before_it_dials(
+    tmp_path: Path, spoil: Callable[[Path], None], found: str
+) -> None:
+    cell = cell_of(tmp_path / "cell", free_port())
+    with open_session(of(cell, "left")):
+        pass
+    spoil(cell)
+    with pytest.raises(NetworkError, match=f"left.json5: found .*{found}"), open_session(of(cell, "left")):
+        pass
 
 
 @pytest.mark.parametrize(

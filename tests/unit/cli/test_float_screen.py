@@ -46,7 +46,8 @@ def test_what_an_arm_says_is_told_once_and_nothing_before_its_first_row(capsys: 
     with Shown(as_json=False) as shown:
         shown.show([Glance("left", Mode.OFF)])
         shown.show([SEEN])
+        shown.note("the log ends here")
         shown.show([SEEN])
     told = capsys.readouterr()
-    assert told.err == "left: a servo is warm\n"
+    assert told.err == "left: a servo is warm\nthe log ends here\n"
     assert told.out == f"{line(SEEN)}\n"

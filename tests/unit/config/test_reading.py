@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import gzip
 import os
+import re
 from pathlib import Path
 
 import pytest
+import zstandard
 
 import configs
 from agent.config.cell import ConfigError, cell_from_toml, load_cell
 from agent.config.reading import WrongKeys
 from agent.control.trajectory_spline import TrajectoryError
+from agent.log.scan import MAGIC
 from agent.verify import check
 from agent.verify.check import examine
 from agent.verify.finding import Verdict
@@ -88,6 +92,36 @@ def test_odd_texts_are_refused_in_one_line(tmp_path: Path, raw: bytes, expected:
         load_cell(path)
     assert str(caught.value).isprintable()
     assert len(str(caught.value)) < 1000
+
+
+@pytest.mark.parametrize("larger", [False, True])
+@pytest.mark.parametrize(
+    ("begin", "found", "remedy"),
+    [
+        (MAGIC, "a log (MCAP)", "name the cell's own file"),
+        (gzip.compress(b""), "a file packed with gzip", "gunzip"),
+        (zstandard.compress(b""), "a file packed with zstd", "unzstd"),
+        (b"PK\x03\x04", "a zip archive", "unzip"),
+        ("\ufeffformat".encode("utf-16-le"), "text in UTF-16", "save it as UTF-8"),
+        ("\ufeffformat".encode("utf-16-be"), "text in UTF-16", "save it as UTF-8"),
+    ],
+)
+def test_a_file_of_another_kind_is_told_by_its_kind(
+    tmp_path: Path, begin: bytes, found: str, remedy: str, *, larger: bool
+) -> None:
+    path = tmp_path / "cell.toml"
+    path.write_bytes(begin)
+    if larger:
+        os.truncate(path, 20_000_000)
+    with pytest.raises(ConfigError, match=re.escape(f": found {found}, expected text in UTF-8; ") + f".*{remedy}"):
+        load_cell(path)
+
+
+def test_a_letter_of_another_encoding_is_told_by_its_line(tmp_path: Path) -> None:
+    path = tmp_path / "cell.toml"
+    path.write_bytes(b"a = 1\nb = 'f\xfcnf'\n")
+    with pytest.raises(ConfigError, match=r"a byte in line 2 that is no UTF-8 \(0xfc\)"):
+        load_cell(path)
 
 
 @pytest.mark.parametrize("name", ["/dev/zero", "/", "/dev/null"])

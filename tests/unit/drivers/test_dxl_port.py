@@ -17,8 +17,9 @@ import pytest
 
 from drivers.clock import MonotonicClock
 from drivers.dynamixel.errors import PortError, PortLostError, WriteTimeoutError
+from drivers.dynamixel.line import ports
 from drivers.dynamixel.line.port import SerialPort
-from drivers.dynamixel.line.ports import holders, open_error, way_in
+from drivers.dynamixel.line.ports import holders, open_error, require_usable, way_in
 from drivers.interface import DriverError
 
 CLOCK = MonotonicClock()
@@ -75,6 +76,31 @@ def test_old_input_can_be_thrown_away(pty):
     assert count == 10
     assert port.read_now() == b""
     port.close()
+
+
+@pytest.mark.parametrize("path", ["/dev/null", "/dev/zero", "a file"])
+def test_what_is_no_serial_port_is_told_so_whoever_has_it_open(
+    path: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if path == "a file":
+        path = str(tmp_path / "file")
+        Path(path).touch()
+    monkeypatch.setattr(ports, "holders", lambda _: ["bash (1)"])
+    for opens in (require_usable, opened):
+        with pytest.raises(PortError, match=f"^port {path}: found not a terminal device, expected a serial port; "):
+            opens(path)
+
+
+def test_a_serial_port_that_others_have_is_told_so_and_one_that_nobody_has_is_left_closed(
+    pty, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, path, _ = pty
+    before = sorted(Path("/proc/self/fd").iterdir())
+    require_usable(path)
+    assert sorted(Path("/proc/self/fd").iterdir()) == before
+    monkeypatch.setattr(ports, "holders", lambda _: ["bash (1)"])
+    with pytest.raises(PortError, match=r"in use by bash \(1\)"):
+        require_usable(path)
 
 
 def test_a_stuck_port_is_an_error_at_the_deadline(pty):

@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import pytest
 
 from agent.host.child import Child
-from agent.process.__main__ import _told
+from agent.process.__main__ import _told, _told_parent
 
 
 def test_a_child_that_fails_is_told_of_though_its_words_are_gone(
@@ -39,3 +39,32 @@ def test_a_full_disk_under_its_words_is_no_failure_of_a_process(monkeypatch: pyt
         _told("arm left: 12800 cycles")
         told = True
     assert told
+
+
+def test_what_a_child_tells_a_person_comes_before_its_end_and_nothing_is_waited_for(tmp_path: Path) -> None:
+    child = Child("recorder", ["nothing"], tmp_path)
+    assert child.wait(60.0)
+    assert child.process.stdout is not None
+    child.process.stdout.close()
+    out, into = os.pipe()
+    child.process.stdout = os.fdopen(out, "rb", buffering=0)
+    assert child.told() == [], "it says nothing, and nothing is waited for"
+    for written, told in (
+        (b"READY endpoint=x\nTELLS the log ends he", []),
+        (b"re\nTELLS once\n", ["the log ends here", "once"]),
+    ):
+        os.write(into, written)
+        assert child.told() == told
+    os.close(into)
+    assert child.told() == [], "it has ended"
+    child.kill()
+
+
+def test_a_parent_that_is_gone_is_no_failure_of_a_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    out, into = os.pipe()
+    with os.fdopen(out, "rb") as parent, contextlib.suppress(OSError), os.fdopen(into, "w") as stdout:
+        monkeypatch.setattr(sys, "stdout", stdout)
+        _told_parent("the log ends here")
+        assert parent.readline() == b"TELLS the log ends here\n"
+        parent.close()
+        _told_parent("and nobody reads it")

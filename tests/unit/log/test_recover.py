@@ -47,6 +47,35 @@ def test_a_finished_log_is_left_alone(tmp_path: Path) -> None:
     assert path.read_bytes() == before
 
 
+def test_two_logs_one_behind_the_other_are_not_mended_into_the_first(tmp_path: Path) -> None:
+    path, second = tmp_path / "run.mcap", tmp_path / "second.mcap"
+    rows = make_log(path)
+    make_log(second, 7)
+    at, more = path.stat().st_size, second.read_bytes()
+    with path.open("ab") as file:
+        file.write(more)
+    both = path.read_bytes()
+    log = read_log(path)
+    assert log.agents["left"].tobytes() == rows["left"].tobytes()
+    assert (log.complete, log.problems) == (
+        False, (f"{len(more)} bytes behind its end are another log, which is not read",)
+    )  # fmt: skip
+    with pytest.raises(LogError, match=rf"two logs .*`head -c {at}`, `tail -c \+{at + 1}`"):
+        recover(path)
+    assert path.read_bytes() == both
+    assert both[at:] == more, "`tail` counts from 1"
+
+
+def test_what_is_no_log_behind_the_end_is_told_and_taken_away(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    rows = make_log(path)
+    with path.open("ab") as file:
+        file.write(b"hello")
+    assert read_log(path).problems == ("5 bytes behind its end are no part of it",)
+    assert recover(path).repaired
+    assert read_log(path).agents["left"].tobytes() == rows["left"].tobytes()
+
+
 @pytest.mark.parametrize(("name", "found"), [("none", "No such file"), ("folder", "Is a directory")])
 def test_what_cannot_be_read_is_no_log(tmp_path: Path, name: str, found: str) -> None:
     (tmp_path / "folder").mkdir()

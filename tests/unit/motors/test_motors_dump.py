@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -182,12 +185,20 @@ SAMPLE = saved(servo_rig(fresh(XM, 4))).toml().decode()
         ('"Return Delay Time" = 250', '"Return Delay Time" = 256', r"Return Delay Time from 0 to 255"),
         ("firmware = 46", "firmware = 46\nextra = 1", r"servos.0.extra in dump.toml"),
         ("format = 1", "format = ", r"expected TOML"),
+        ("format = 1", "format = " + "9" * 5000, r"expected TOML"),
+        ("format = 1", "format = " + "[" * 5000, r"expected TOML"),
     ],
 )
 def test_a_file_that_no_servo_can_hold_is_refused_naming_the_place(old: str, new: str, match: str) -> None:
     assert SAMPLE.count(old) == 1
     with pytest.raises(dump.DumpFileError, match=match):
         dump.parse(SAMPLE.replace(old, new).encode(), "dump.toml")
+
+
+def test_a_pipe_in_the_place_of_a_dump_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(dump.DumpFileError, match="found no regular file, expected a dump; "):
+        dump.load(tmp_path / "pipe")
 
 
 def test_a_value_that_only_the_servo_would_refuse_is_refused_before_anything_is_written() -> None:

@@ -23,6 +23,7 @@ class Child:
 
     code: int | None = None
     done: list[str] = field(default_factory=list)
+    told: Callable[[], list[str]] = list
 
     @property
     def process(self) -> Any:
@@ -128,6 +129,7 @@ class Watched:
         self.left, self.right = self.arms._agents.values()
         self.modes = {"left": Mode.FLOAT, "right": Mode.FLOAT}
         self.asked, self.shown, self.closed = False, 0, 0
+        self.noted: list[str] = []
         self.at = at
         self.clock = Clock(slept=lambda nap: at.get(nap + 1, lambda _: None)(self))
         monkeypatch.setattr(floating_arms, "time", self.clock)
@@ -145,7 +147,7 @@ class Watched:
         assert self.shown < 20, "it does not end"
 
     def watch(self) -> Watched:
-        self.arms.watch(lambda: self.asked, SimpleNamespace(show=self._show))
+        self.arms.watch(lambda: self.asked, SimpleNamespace(show=self._show, note=self.noted.append))
         return self
 
 
@@ -179,6 +181,13 @@ def test_all_are_told_once_to_stop_and_shown_until_they_have_ended(
 def test_arms_that_nobody_stops_float_on(monkeypatch: pytest.MonkeyPatch) -> None:
     run = Watched(monkeypatch, {8: ended}).watch()
     assert (run.left.done, run.shown) == ([], 7)
+
+
+def test_what_the_recorder_tells_is_passed_on_while_the_arms_float(monkeypatch: pytest.MonkeyPatch) -> None:
+    run = Watched(monkeypatch, {8: ended})
+    told = iter([[], ["run.mcap: the log ENDS HERE"]])
+    run.arms._recorder.told = lambda: next(told, [])
+    assert run.watch().noted == ["run.mcap: the log ENDS HERE"]
 
 
 def test_a_process_that_was_killed_fails_the_run_once_its_guard_has_let_the_arm_down(

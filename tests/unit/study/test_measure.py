@@ -18,6 +18,7 @@ from agent.study import measure as module
 from agent.study.fault import Fault, FaultKind
 from agent.study.lab import Trip
 from agent.study.measure import RunResult, bounds_of, measure, run_once
+from agent.study.plan import last_seen_s
 from sim_backend.physics.spec import PlantError
 
 STALL_NM = np.array([2.0, 2.0, 4.0, 4.0])
@@ -29,7 +30,8 @@ GRASP[0, :3], GRASP[1, :3] = (0.24, 0.0, 0.32), (-0.24, 0.0, -0.32)  # N, agains
 @cache
 def cell() -> Cell:
     changes = ("duration_s=8.0", "rate_hz=100.0", "trajectory.angle_rad=0.0")
-    return load_cell(Path("paper"), [*changes, "report.transient_s=1.0", "simulation.observe_rate_hz=10.0"])
+    seen = ("report.transient_s=1.0", "simulation.observe_rate_hz=10.0", "simulation.ready_s=0.5")
+    return load_cell(Path("paper"), [*changes, *seen])
 
 
 Seen = tuple[float, float, float, float]  # errors of the object and of what the anchor sees of it: m, rad, m, rad
@@ -125,6 +127,7 @@ def test_figures_are_the_largest_and_beyond_what_the_anchor_sees_wrongly(monkeyp
     assert (found.reaction_s, found.tripped_by, found.why) == (None, "", "")
     np.testing.assert_allclose(np.diff(run.observed), 0.1)
     assert (run.observed[0], run.tick) == (-0.5, 850)
+    assert run.observed[-1] == pytest.approx(last_seen_s(cell().file)), "as a plan looks for it"
 
 
 @pytest.mark.parametrize(

@@ -78,6 +78,10 @@ def test_seeds_are_of_study_and_run_and_shared_by_the_cells() -> None:
         ('format = 1\ncells = ["paper"]\n[[faults]]\nkind = "limp"\narm = "middle"\nat_s = 1.0\n', "middle"),
         ('format = 1\ncells = ["paper"]\n[[faults]]\nkind = "limb"\narm = "left"\nat_s = 1.0\n', "limp"),
         ('format = 1\ncells = ["paper"]\nduration_s = 5.0\n', "transient of 20 s"),
+        (
+            'format = 1\ncells = ["paper"]\nduration_s = 21.0\nset = ["simulation.observe_rate_hz=0.15"]\n',
+            "0.15 Hz: the object is last seen at 19.995 s, expected to see it after the transient of 20 s;",
+        ),
         ('format = 1\ncells = ["paper"]\nset = ["simulation.reality.seed=1"]\n', "draws one for each run"),
         (
             'format = 1\ncells = ["two_models", "paper", "two_models"]\n',
@@ -94,11 +98,29 @@ def test_a_study_that_cannot_be_meant_is_refused(tmp_path: Path, text: str, mess
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("in_file", [False, True], ids=["of a cell", "of a study"])
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("runs", 0), ("runs", 100_001), ("seed", -1), ("seed", 2**63), ("duration_s", 0.0), ("duration_s", 1.1e6)],
+)
+def test_what_a_command_gives_keeps_the_bounds_of_a_study_file(
+    tmp_path: Path, key: str, value: float, in_file: bool
+) -> None:
+    study = tmp_path / "study.toml"
+    study.write_text(f'format = 1\ncells = ["paper"]\n{key} = {value}\n')
+    with pytest.raises(ConfigError, match=f"^{key} in study.toml: found {value}"):
+        load_plan(study)
+    study.write_text('format = 1\ncells = ["paper"]\nruns = 3\nseed = 4\nduration_s = 30.0\n')
+    with pytest.raises(ConfigError, match=f"^{key} in the command: found {value}"):
+        load_plan(study if in_file else PAPER, **{key: value})  # type: ignore[arg-type]
+
+
 def test_a_file_that_is_neither_is_refused_as_a_cell(tmp_path: Path) -> None:
     path = tmp_path / "torn.toml"
-    path.write_text("cells = [")
-    with pytest.raises(ConfigError, match=r"torn\.toml"):
-        load_plan(path)
+    for text in ("cells = [", "a = " + "9" * 5000, "a = " + "[" * 5000):
+        path.write_text(text)
+        with pytest.raises(ConfigError, match=r"torn\.toml: found .*, expected TOML"):
+            load_plan(path)
     with pytest.raises(ConfigError, match="nowhere"):
         load_plan(Path("nowhere"))
 
