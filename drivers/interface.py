@@ -102,12 +102,16 @@ class ServoHealth:
     voltage_min_V: Vector  # between which its supply is to be
     voltage_max_V: Vector
     stall_current_A: Vector  # at the rated voltage
+    slow_ns: NDArray[np.int64]  # when temperature and voltage were last read; twice the same: nothing new is known
 
     @classmethod
     def none(cls, stamp_ns: int) -> ServoHealth:
         """Of a driver that has no servos to ask."""
         nothing = np.zeros(0)
-        return cls(stamp_ns, (), (), nothing, nothing, np.zeros(0, np.uint8), *[nothing] * 6)
+        return cls(
+            stamp_ns, (), (), nothing, nothing, np.zeros(0, np.uint8), nothing, nothing, nothing, nothing, nothing,
+            nothing, np.zeros(0, np.int64),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,6 +15,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from agent.control.models import Matrix
+from agent.control.terms import Terms
 from agent.modes import Mode
 from agent.monitors.bounds import Bounds
 from agent.monitors.tick import Tick, sentence
@@ -22,7 +24,7 @@ from drivers.interface import Vector
 
 WINDOW_S = 0.5
 WINDOWS = 2  # in a row: a hand that lets go, or an arm that sinks into its hold, is over by then
-REST_S = WINDOW_S * WINDOWS + 0.1  # after so long at rest it has judged
+REST_S = WINDOW_S * WINDOWS + 0.1  # after so long at rest, with its load, an arm has been judged
 _FORCES = 3
 _COMPONENTS = ("along x", "along y", "along z", "about x", "about y", "about z")
 STILL_RAD_PER_S = 0.05  # in the mean over a window
@@ -45,7 +47,8 @@ class Gravity:
 
     def check(self, at: Tick) -> str:
         """See `agent.monitors.tick.Monitor`."""
-        if at.mode is not Mode.READY or at.outcome.terms is None:
+        terms = at.outcome.terms
+        if at.mode is not Mode.READY or terms is None or terms.J_inv_P is None:  # None: it takes its load up, say
             if self._count or self._bad:
                 self._bad = 0
                 self._begin()
@@ -60,16 +63,13 @@ class Gravity:
         mean = self._sum / self._count
         turned = float(np.max(np.abs(at.state.q - self._first)))
         self._begin()
-        said = self._compared(at, mean) if turned <= STILL_RAD_PER_S * WINDOW_S else ""
+        said = self._compared(terms, terms.J_inv_P, mean) if turned <= STILL_RAD_PER_S * WINDOW_S else ""
         self._bad = self._bad + 1 if said else 0
         return said if self._bad >= WINDOWS else ""
 
-    def _compared(self, at: Tick, mean: Vector) -> str:
-        terms = at.outcome.terms
-        if terms is None or terms.J_inv_P is None:
-            return ""
+    def _compared(self, terms: Terms, J_inv_P: Matrix, mean: Vector) -> str:
         k = terms.kinematics
-        W = terms.J_inv_P.T.dot(mean - k.g - k.Jt.dot(self._wrench) - terms.tau_internal)
+        W = J_inv_P.T.dot(mean - k.g - k.Jt.dot(self._wrench) - terms.tau_internal)
         shares = np.abs(W) / self._limits
         worst = int(np.argmax(shares))
         if shares[worst] <= 1.0:

@@ -1,6 +1,7 @@
 """Monitors of what the servos say of themselves: temperature, supply, and load of each.
 
-What a servo does not tell (NaN) is not judged.  A bound that is passed in one reading alone may be a slip of the bus.
+What a servo does not tell (NaN) is not judged.  A bound that is passed in one reading alone may be a slip of the bus;
+where a slow bus has brought nothing new since the last look, it is still that one.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ class Servos:
         self._in_a_row: dict[tuple[Name, int], int] = {}
         self._heat: dict[int, float] = {}  # mean square of each servo's share of stall
         self._stamp_ns: int | None = None
+        self._slow_ns: dict[int, int] = {}  # when each servo was last read, as of the last look
 
     def judge(self, health: ServoHealth) -> list[tuple[Name, str]]:
         """What is wrong by now, with the monitor that says so."""
@@ -35,7 +37,13 @@ class Servos:
         for name, place, said in (*self._temperature(health), *self._voltage(health), *self._load(health)):
             if name in watched:
                 bad[name, health.servo_ids[place]] = said
-        self._in_a_row = {key: self._in_a_row.get(key, 0) + 1 for key in bad}
+        read_ns = dict(zip(health.servo_ids, health.slow_ns.tolist(), strict=True))
+        known, self._slow_ns = self._slow_ns, read_ns
+        self._in_a_row = {
+            (name, servo): self._in_a_row.get((name, servo), 0)
+            + (name is Name.SERVO_LOAD or read_ns[servo] != known.get(servo))
+            for name, servo in bad
+        }
         return [(key[0], said) for key, said in bad.items() if self._in_a_row[key] >= READINGS]
 
     def _temperature(self, health: ServoHealth) -> Iterator[tuple[Name, int, str]]:

@@ -110,7 +110,7 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             if shares_time(cell, arm):
                 operator.clock = ClockWatch(clock.now_ns, operator.hold, max(1, round(CLOCK_S * cell.file.rate_hz)))
             if control is not None:
-                _stand(standing, options, operator, ring, tell, cell.file.rate_hz, guard)
+                _stand(standing, options, operator, ring, tell, cell, guard)
                 standing.enter(begins)
             ready("torque=on")
             if guard is not None:
@@ -247,13 +247,13 @@ def _watching(guard: Guarded | None, stop: StopFlag, options: AgentOptions) -> C
 
 
 def _stand(
-    standing: Standing, options: AgentOptions, operator: Operator, ring: RingWriter, tell: Teller, rate_hz: float,
+    standing: Standing, options: AgentOptions, operator: Operator, ring: RingWriter, tell: Teller, cell: Cell,
     guard: Guarded | None,
 ) -> None:  # fmt: skip
     """What the agent answers from here on: it is READY, with what the host has given it."""
     real = granted()
     tested = newest(files(os.environ))
-    fitness = f"{tested.fitness(rate_hz)}, {tested.text}" if tested else "not tested"
+    fitness = f"{tested.fitness(cell.file.rate_hz)}, {tested.text}" if tested else "not tested"
     tell.event(
         Level.INFO, f"real time: {real.text}; latency: {fitness}", policy=real.policy, priority=real.priority,
         locked_bytes=real.locked_bytes, **({"latency_max_s": tested.histogram.max_s} if tested else {}),
@@ -275,5 +275,6 @@ def _stand(
 
     standing.details = details
     if options.driver is DriverKind.DYNAMIXEL and not options.connection.emulated:
-        standing.rest_s = REST_S
+        session = cell.file.session
+        standing.rest_s = REST_S + (0.0 if session is None else session.take_up_s)
     standing.enter(Mode.READY)

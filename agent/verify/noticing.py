@@ -32,6 +32,8 @@ def rested(cell: Cell) -> list[Finding]:
     if Name.GRAVITY in file.safety.monitors.off:
         return []
     what, ready_s, least_s = "torque at rest before the motion", file.simulation.ready_s, WINDOW_S * WINDOWS
+    if file.session is not None:
+        least_s += file.session.take_up_s
     if file.driver is DriverKind.SIM and ready_s < least_s:
         return [
             Finding(what, "cell", f"not looked at: simulated arms are READY for {ready_s:g} s alone", f"{least_s:g} s")

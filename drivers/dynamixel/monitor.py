@@ -68,6 +68,7 @@ class ServoRecord:
     sent_before: int = 0
     goal_doubts: int = 0
     seen_ns: int = 0  # when its torque flag was last read
+    slow_ns: int = 0  # when voltage and temperature were last read; 0: at bring-up
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,6 +199,7 @@ class GapMonitor:
             self._say(EventKind.HARDWARE_WARNING, record, hardware_names(bits), active=bits != 0)
 
     def _judge_slow(self, record: ServoRecord, row: Row, now_ns: int) -> None:
+        record.slow_ns = now_ns
         record.voltage_V = volts(row[1])
         record.temperature_C = float(row[2])
         record.thermal.add(now_ns * 1e-9, record.temperature_C)

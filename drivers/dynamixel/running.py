@@ -248,6 +248,7 @@ class Running:
             voltage_min_V=np.array([record.voltage_limits_V[0] for record in records]),
             voltage_max_V=np.array([record.voltage_limits_V[1] for record in records]),
             stall_current_A=np.array([record.slot.model.stall_current_A for record in records]),
+            slow_ns=np.array([record.slow_ns for record in records], dtype=np.int64),
         )
 
     def recognise(self) -> None:

@@ -30,6 +30,10 @@ PROCEDURE: Final = Path(__file__).with_name("page_procedure.md")
 MEANINGS: Final = Path(__file__).with_name("meanings.toml")
 TELLERS: Final = ("event", "_say", "warn", "Event", "TextEvent")  # who tells an event, its text among the arguments
 
+PASSED_ON: Final = {  # modules that are given a teller, and what it is called there
+    "agent/monitors/watch.py": "_tell", "agent/process/rehearse.py": "_tell",
+}  # fmt: skip
+
 Meaning = Mapping[str, str]
 
 
@@ -64,14 +68,17 @@ def names() -> Mapping[str, set[str]]:
 
 
 def told() -> set[str]:
-    """How the texts of events begin that our processes tell: all of a text, or what stands before the first value."""
+    """How the texts of events begin that our processes tell: all of a text, or what stands before the first value.
+
+    A text that begins with a value: how it ends, behind "…".
+    """
     found: set[str] = set()
     for path in sorted((ROOT / "agent").rglob("*.py")):
         tree = ast.parse(path.read_text())
+        passed_on = PASSED_ON.get(str(path.relative_to(ROOT)))
         for node in ast.walk(tree):
-            if isinstance(node, ast.Call) and (_name(node.func) in TELLERS or _has_level(node)):
-                given = [value for each in node.args for value in (_assigned(tree, each) or [each])]
-                found |= {text for each in given if (text := _begin(each))}
+            if isinstance(node, ast.Call) and (_name(node.func) in (*TELLERS, passed_on) or _has_level(node)):
+                found |= {text for each in node.args for text in _texts(tree, each, frozenset()) if text}
     return found
 
 
@@ -80,24 +87,36 @@ def _has_level(call: ast.Call) -> bool:
     return any(ast.unparse(each).startswith("Level.") for each in call.args)
 
 
-def _assigned(tree: ast.Module, node: ast.expr) -> list[ast.expr]:
-    """What a module gives to the variable, if it is one."""
-    if not isinstance(node, ast.Name):
-        return []
-    given = (each for each in ast.walk(tree) if isinstance(each, ast.Assign))
-    return [each.value for each in given if any(isinstance(t, ast.Name) and t.id == node.id for t in each.targets)]
+def _texts(tree: ast.Module, node: ast.expr, names: frozenset[str]) -> Iterator[str]:
+    """What may be told by an argument of this module; names: variables that are looked up already."""
+    if isinstance(node, ast.Name) and node.id not in names:
+        for where, value in _assigned(tree, node.id):
+            yield from _texts(where, value, names | {node.id})
+    elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):  # "...".strip(), {...}.get(mode)
+        yield from _texts(tree, node.func.value, names)
+    elif isinstance(node, ast.Dict):
+        for value in node.values:
+            yield from _texts(tree, value, names)
+    elif isinstance(node, ast.JoinedStr):
+        parts = [str(each.value) if isinstance(each, ast.Constant) else "" for each in node.values]
+        yield parts[0] or (f"…{parts[-1]}" if parts[-1] else "")
+    elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+        yield node.value
+
+
+def _assigned(tree: ast.Module, name: str) -> Iterator[tuple[ast.Module, ast.expr]]:
+    """What a module gives to the variable, or the module of ours that it has the name from, and which of them."""
+    for each in ast.walk(tree):
+        if isinstance(each, ast.Assign) and any(isinstance(t, ast.Name) and t.id == name for t in each.targets):
+            yield tree, each.value
+        elif isinstance(each, ast.ImportFrom) and any(alias.name == name for alias in each.names):
+            source = ROOT / f"{(each.module or '').replace('.', '/')}.py"
+            if source.is_file():
+                yield from _assigned(ast.parse(source.read_text()), name)
 
 
 def _name(function: ast.expr) -> str:
     return function.attr if isinstance(function, ast.Attribute) else getattr(function, "id", "")
-
-
-def _begin(node: ast.expr) -> str:
-    if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):  # "...".strip()
-        node = node.func.value
-    if isinstance(node, ast.JoinedStr) and node.values:
-        node = node.values[0]
-    return node.value if isinstance(node, ast.Constant) and isinstance(node.value, str) else ""
 
 
 def page() -> str:
@@ -141,7 +160,7 @@ def _reference() -> Iterator[str]:
         ("exit_code", "Exit codes"),
         ("mode", "Modes"),
         ("flag", "Flags of a cycle (`safety: ...`)"),
-        ("event", "Events, by how their text begins"),
+        ("event", "Events, by how their text begins, or behind … ends"),
         ("driver_event", "Events of the servo bus"),
         ("servo_fault", "Servo faults"),
     ):

@@ -133,6 +133,7 @@ def test_a_silent_bus_gives_the_weights_torque_then_silence_then_the_watchdogs(k
     assert "no reply" in left.summary.reason
     assert right.summary is not None
     assert right.summary.mode is Mode.OFF, "held until it was released"
+    assert ("UNEXPECTED" in right.summary.reason) is (mode is Mode.TRACK), "by itself, once the other arm is limp"
     assert right.tripped_ns is None
     assert_replays(rows)
 

@@ -227,6 +227,11 @@ def test_check_says_them() -> None:
         (("simulation.ready_s=0.99",), "not looked at: simulated arms are READY for 0.99 s alone"),
         (("simulation.ready_s=1.0",), "looked at while READY"),
         (('driver="dynamixel"', "simulation.ready_s=0.0"), "looked at while READY"),
+        (
+            ("simulation.ready_s=1.24", "session.take_up_s=0.25"),
+            "not looked at: simulated arms are READY for 1.24 s alone",
+        ),
+        (("simulation.ready_s=1.25", "session.take_up_s=0.25"), "looked at while READY"),
         (('safety.monitors.off=["gravity"]',), None),
     ],
 )

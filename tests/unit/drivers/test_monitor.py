@@ -303,6 +303,7 @@ def test_temperature_and_voltage_are_remembered_in_their_units() -> None:
     bench = Bench()
     bench.tell(3, 113, 41, page=Page.SLOW)
     assert (bench.records[2].voltage_V, bench.records[2].temperature_C) == (pytest.approx(11.3), 41.0)
+    assert (bench.records[2].slow_ns, bench.records[6].slow_ns) == (bench.now_ns, 0), "the last has not been asked yet"
     assert bench.events == []
 
 

@@ -448,7 +448,7 @@ def test_health_is_that_of_each_servo(bench: Bench) -> None:
     rows[2] = None
     bench.running.interpret(CycleRows(5, rows, b"", False, False), 7)
     for place, record in enumerate(records):
-        record.temperature_C, record.voltage_V = 30.0 + place, 12.0 - 0.1 * place
+        record.temperature_C, record.voltage_V, record.slow_ns = 30.0 + place, 12.0 - 0.1 * place, 10 * place
     records[1].hardware, records[2].hardware = OVERLOAD, HOT
     health = bench.running.health(77)
     assert health.stamp_ns == 77
@@ -456,6 +456,7 @@ def test_health_is_that_of_each_servo(bench: Bench) -> None:
     assert health.joints[:4] == ("waist", "shoulder", "shoulder", "elbow")
     np.testing.assert_allclose(health.temperature_C, 30.0 + np.arange(7))
     np.testing.assert_allclose(health.voltage_V, 12.0 - 0.1 * np.arange(7))
+    assert health.slow_ns.tolist() == [0, 10, 20, 30, 40, 50, 60]
     assert health.error_bits.tolist() == [0, int(OVERLOAD), int(HOT), 0, 0, 0, 0]
     assert health.error_bits.dtype == np.uint8
     amperes = 2.69e-3 * 100 * np.arange(7)

@@ -79,6 +79,8 @@ def test_a_late_reaction_is_as_good_where_the_force_has_not_grown(before_N: floa
 
 def test_a_motion_that_must_go_on_is_left_by_nobody() -> None:
     assert list(misses(GOOD, Within(goes_on=True))) == ["left and right left the motion: left: STALE"]
+    one = replace(GOOD, stopped_s={"left": None, "right": 0.05})
+    assert list(misses(one, Within(goes_on=True))) == ["right left the motion: left: STALE"]
     still = replace(GOOD, stopped_s={"left": None, "right": None})
     assert list(misses(still, Within(goes_on=True))) == []
 

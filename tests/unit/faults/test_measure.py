@@ -68,17 +68,22 @@ def seen(t: float, **given: Any) -> Observation:
 
 
 def figures(
-    left: ArmRun | None = None, right: ArmRun | None = None, truth: dict[float, Any] | None = None, struck: str = "left"
-) -> Measured:
-    """Of a run with a fault of one arm at AT_S; truth: what is seen at a time and from then on."""
-    taken: list[tuple[float, Observation]] = []
+    left: ArmRun | None = None, right: ArmRun | None = None, truth: dict[float, Any] | None = None,
+    struck: str = "left", ready: dict[str, Any] | None = None, again_s: float | None = None,
+) -> Measured:  # fmt: skip
+    """Of a run with a fault of one arm at AT_S; truth: what is seen at a time and from then on.
+
+    ready: what is seen before the start; again_s: when there is a second fault.
+    """
+    taken = [] if ready is None else [(-0.5, seen(-0.5, **ready))]
     given: dict[str, Any] = {}
     for t in TIMES:
         given = {**given, **next((v for at, v in (truth or {}).items() if abs(at - t) < 1e-9), {})}
         taken.append((float(t), seen(float(t), **given)))
-    fault = Injection(fault="bus-off", arm=struck, at_s=AT_S)
+    at = [again_s, AT_S] if again_s is not None else [AT_S]
+    faults = tuple(Injection(fault="bus-off", arm=struck, at_s=at_s) for at_s in at)
     arms = {"left": left or arm(), "right": right or arm()}
-    return measured(Rehearsal(CELL, (fault,), arms, ZERO_NS, tuple(taken), None))  # type: ignore[arg-type]
+    return measured(Rehearsal(CELL, faults, arms, ZERO_NS, tuple(taken), None))  # type: ignore[arg-type]
 
 
 def test_a_quiet_run_has_no_figure_but_zeros() -> None:
@@ -116,8 +121,9 @@ def test_the_first_that_says_anything_after_the_fault_noticed_it(one: dict[str, 
         {"flags": {1.1: Flag.SATURATED | Flag.RATE_LIMITED}},
         {"modes": [(0.0, Mode.TRACK), (1.1, Mode.READY)]},
         {"events": [(0.9, DriverEvent(EventKind.HOT, "x"))]},
+        {"modes": [(0.9, Mode.HOLD)]},
     ],
-    ids=["flag before", "limits", "no stop", "event before"],
+    ids=["flag before", "limits", "no stop", "event before", "stop before"],
 )
 def test_what_was_before_or_says_nothing_is_no_notice(one: dict[str, Any]) -> None:
     assert figures(arm(**one)).noticed_s is None
@@ -131,13 +137,26 @@ def test_an_arm_has_stopped_when_its_mode_says_so_or_it_gave_up() -> None:
     assert dict(found.ended) == {"left": "FAULT", "right": "FAULT"}
 
 
+def test_an_arm_that_held_before_the_fault_has_not_stopped_for_it() -> None:
+    found = figures(arm(modes=[(0.5, Mode.HOLD)], mode=Mode.HOLD), arm(modes=[(1.1, Mode.HOLD)]))
+    assert found.stopped_s["left"] == pytest.approx(0.95), "or a trip without a fault would be a quick reaction"
+    assert found.reacted_s == pytest.approx(0.95)
+
+
+def test_of_two_faults_the_first_counts() -> None:
+    for again_s, seconds in ((1.4, 0.5), (0.9, 0.6)):
+        found = figures(arm(modes=[(1.5, Mode.HOLD)]), again_s=again_s)
+        assert (found.noticed_s, found.stopped_s["left"]) == (pytest.approx(seconds), pytest.approx(seconds))
+
+
 def test_the_internal_force_is_the_arm_s_with_the_most_before_and_after() -> None:
     def pull(size: float) -> dict[str, Any]:
         wrench = np.zeros((2, 6))
         wrench[0, 0], wrench[1, 0] = size, -size + 1.0  # a pull, and 1 N that moves the object
         return {"grasp_wrench": wrench}
 
-    found = figures(truth={0.3: pull(3.0), 0.4: pull(0.5), 1.2: pull(7.0), 1.3: pull(0.5)})
+    way = {0.0: pull(0.5), 0.3: pull(3.0), 0.4: pull(0.5), 1.2: pull(7.0), 1.3: pull(0.5)}
+    found = figures(truth=way, ready=pull(5.0))
     assert found.internal_before_N == pytest.approx(2.5)
     assert found.internal_N == pytest.approx(6.5)
 
@@ -154,6 +173,7 @@ def test_sag_is_below_the_motion_while_it_is_followed_and_below_the_hold_after_i
 
     assert figures(truth={1.2: at(-0.03), 1.3: at(0.02)}).sag_m == pytest.approx(0.03)
     assert figures(truth={1.2: at(0.03)}).sag_m == pytest.approx(0.0)
+    assert figures(truth={1.0: at(-0.03), 1.1: at(0.0)}).sag_m == pytest.approx(0.03), "from the fault on"
     held = figures(arm(modes=[(1.2, Mode.HOLD)]), truth={1.2: at(-0.03), 1.5: at(-0.05)})
     assert held.sag_m == pytest.approx(0.02)
     assert figures(truth={0.5: at(-0.03), 0.6: at(0.0)}).sag_m == pytest.approx(0.0), "before the fault"

@@ -11,10 +11,11 @@ import threading
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
-from agent.guard import agent_end
+from agent.guard import agent_end, guard_end
 from agent.guard.agent_end import AgentEnd
 from agent.guard.guard_end import BACKLOG, GuardEnd
 from agent.guard.guarded import AGAIN_AFTER, CRASHED, Guarded
@@ -108,6 +109,46 @@ def test_a_second_agent_is_refused_and_the_first_stays(guard: GuardEnd, tmp_path
     first.say(Word.BUSY)
     assert heard(guard).word is Word.BUSY
     first.close()
+
+
+@pytest.mark.parametrize(("uid", "heard_of"), [(0, True), (4710, True), (4711, False)])
+def test_an_agent_of_another_user_is_refused(
+    guard: GuardEnd, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, uid: int, heard_of: bool
+) -> None:
+    """As the kernel says who asks; of a guard of user 4710."""
+    monkeypatch.setattr(guard_end, "_CREDENTIALS", SimpleNamespace(size=12, unpack=lambda _: (1, uid, 1)))
+    monkeypatch.setattr(os, "getuid", lambda: 4710)
+    agent = AgentEnd(path(tmp_path), CELL)
+    guard.hear()
+    assert guard.connected is heard_of
+    if not heard_of:
+        assert agent.heard() == {
+            "ok": False, "found": "user 4711", "expected": "one agent, of user 4710", "remedy": "stop one",
+        }  # fmt: skip
+    agent.close()
+
+
+def test_after_an_agent_that_has_hung_up_the_next_one_is_heard(guard: GuardEnd, tmp_path: Path) -> None:
+    AgentEnd(path(tmp_path), CELL).close()
+    assert guard.hear() is None
+    assert not guard.connected
+    agent = AgentEnd(path(tmp_path), CELL)
+    agent.say(Word.LEAVE)
+    said = guard.hear()
+    assert said is not None
+    assert said.word is Word.LEAVE
+    agent.close()
+
+
+def test_of_those_who_are_refused_and_stay_only_some_are_kept(guard: GuardEnd, tmp_path: Path) -> None:
+    agents = [AgentEnd(path(tmp_path), CELL)]
+    for _ in range(guard_end.REFUSED_MAX + 3):
+        guard.hear()
+        agents.append(AgentEnd(path(tmp_path), CELL))
+    guard.hear()
+    assert len(guard._refused) == guard_end.REFUSED_MAX
+    for agent in agents:
+        agent.close()
 
 
 def test_the_socket_is_its_users_own_and_a_second_guard_is_refused(guard: GuardEnd, tmp_path: Path) -> None:

@@ -152,7 +152,7 @@ def test_nine_servos_of_a_driver_fit_and_come_back_rounded() -> None:
     health = ServoHealth(
         5, tuple(range(244, 253)), ("forearm_rotation",) * 9, 60.0 + nine, 11.123 + 0.001 * nine,
         np.full(9, 0x2D, np.uint8), np.where(nine < 6, -1.23456, NAN), np.where(nine < 6, NAN, -0.1234),
-        80.0 + nine, np.full(9, 9.5), np.full(9, 16.0), np.full(9, 2.3),
+        80.0 + nine, np.full(9, 9.5), np.full(9, 16.0), np.full(9, 2.3), np.zeros(9, np.int64),
     )  # fmt: skip
     grip = GripState(0, -0.12345, 0.0, 1.0, -123.45, 0.12345, 123.45)
     encoded = encode({"utc_ns": UTC_0_NS, **health_values(health), **grip_values(grip)})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import replace
 from functools import partial
@@ -121,22 +122,36 @@ def test_load_is_judged_ten_times_a_second() -> None:
 
 
 def reading(seconds: float, **more: Any) -> ServoHealth:
-    return replace(health(), stamp_ns=round(seconds * 1e9), **more)
+    """At an instant, at which temperature and voltage have been read."""
+    now_ns = round(seconds * 1e9)
+    return replace(health(), **{"stamp_ns": now_ns, "slow_ns": np.array([now_ns, now_ns]), **more})
 
 
 def test_a_supply_at_the_end_of_its_range_is_within() -> None:
     high = float(health().voltage_max_V[0]) - usual().voltage_margin_V
     for volts, said in ((high, 0), (math.nextafter(high, 99.0), 1)):
-        servos, shown = Servos(usual()), reading(0.0, voltage_V=np.array([volts, 12.0]))
-        servos.judge(shown)
-        assert len(servos.judge(shown)) == said
+        servos, supply = Servos(usual()), np.array([volts, 12.0])
+        servos.judge(reading(0.0, voltage_V=supply))
+        assert len(servos.judge(reading(0.25, voltage_V=supply))) == said
+
+
+@pytest.mark.fault("S3")
+def test_one_reading_of_a_servo_that_is_looked_at_twice_is_one() -> None:
+    """Nine servos that answer one by one are asked every 0.36 s."""
+    servos, hot, low = Servos(usual()), np.array([79.0, 40.0]), np.array([12.0, 5.0])
+    read_ns = ((1, 1), (1, 1), (1, 2), (1, 2), (2, 2))
+    looks = [reading(0.25 * k, slow_ns=np.array(ns), temperature_C=hot, voltage_V=low) for k, ns in enumerate(read_ns)]
+    said = [[name for name, _ in servos.judge(look)] for look in looks]
+    assert said == [[], [], ["voltage"], ["voltage"], ["temperature", "voltage"]]
+    assert servos.judge(reading(1.25, slow_ns=np.array([3, 3]))) == []
+    assert servos.judge(looks[0]) == [], "in a row"
 
 
 def test_a_reading_of_no_servo_says_nothing_of_the_others() -> None:
-    servos, hot = Servos(usual()), reading(0.0, temperature_C=np.array([79.0, 40.0]))
-    assert servos.judge(hot) == []
+    servos, hot = Servos(usual()), np.array([79.0, 40.0])
+    assert servos.judge(reading(0.0, temperature_C=hot)) == []
     assert servos.judge(ServoHealth.none(0)) == []
-    assert [name for name, _ in servos.judge(hot)] == ["temperature"]
+    assert [name for name, _ in servos.judge(reading(0.25, temperature_C=hot))] == ["temperature"]
 
 
 def test_load_of_a_servo_counts_from_its_first_reading() -> None:
@@ -183,10 +198,13 @@ def test_servos_are_asked_four_times_a_second() -> None:
     assert asked(0.5, 3) == [0, 1, 2], "a slow loop at every tick"
 
 
+SECONDS = itertools.count(0.0, 0.25)
+
+
 def judged(watch: Watch, mode: Mode, speed: float = 0.0) -> str:
     """Of servos that are hot and have too little voltage, asked at every tick."""
     state, outcome = at_rest()
-    wrong = reading(0.0, temperature_C=np.array([79.0, 40.0]), voltage_V=np.array([9.0, 12.0]))
+    wrong = reading(next(SECONDS), temperature_C=np.array([79.0, 40.0]), voltage_V=np.array([9.0, 12.0]))
     return watch.after(state, outcome._replace(dq=np.array([speed, 0.0, 0.0])), mode, lambda: wrong)
 
 

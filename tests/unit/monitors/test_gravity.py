@@ -66,6 +66,13 @@ def test_what_was_seen_before_a_motion_counts_no_more(between: Any) -> None:
     assert said(gravity(), (100, HEAVY), (1, between), (200, HEAVY)) == [301], "also between two windows"
 
 
+def test_windows_begin_once_the_arm_has_taken_its_load_up() -> None:
+    taking_up = tick(HEAVIER, to_wrench=None)
+    for ticks in (1, 99, 100, 101, 250):
+        assert said(gravity(), (ticks, taking_up), (200, HEAVY)) == [ticks + 200]
+    assert said(gravity(), (100, HEAVY), (1, taking_up), (200, HEAVY)) == [301]
+
+
 def test_the_share_of_the_object_is_taken_off_and_the_limit_itself_is_none() -> None:
     for off, wrong in ((1.0, False), (1.01, True), (-1.0, False), (-1.01, True)):
         assert bool(said(gravity(), (200, tick((0.0, 0.0, 1.0 + off))))) is wrong

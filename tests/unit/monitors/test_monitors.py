@@ -61,7 +61,7 @@ def health() -> ServoHealth:
     return ServoHealth(
         0, (4, 8), ("elbow", "wrist_rotate"), np.array([40.0, 40.0]), np.array([12.0, 12.0]), np.zeros(2, np.uint8),
         np.array([0.1, nan]), np.array([nan, 0.1]), np.array([80.0, 72.0]), np.array([9.5, 6.0]),
-        np.array([16.0, 14.0]), np.array([2.3, 1.4]),
+        np.array([16.0, 14.0]), np.array([2.3, 1.4]), np.zeros(2, np.int64),
     )  # fmt: skip
 
 
@@ -109,12 +109,17 @@ class Fed:
         return ""
 
 
+def read_at(tick: int) -> ServoHealth:
+    now_ns = tick * 5_000_000
+    return replace(health(), stamp_ns=now_ns, slow_ns=np.array([now_ns, now_ns]))
+
+
 def hot(tick: int, temperature_C: float = 78.0) -> ServoHealth:
-    return replace(health(), temperature_C=np.array([temperature_C, 40.0]), stamp_ns=tick * 5_000_000)
+    return replace(read_at(tick), temperature_C=np.array([temperature_C, 40.0]))
 
 
 def low(tick: int, voltage_V: float = 9.6) -> ServoHealth:
-    return replace(health(), voltage_V=np.array([voltage_V, 12.0]), stamp_ns=tick * 5_000_000)
+    return replace(read_at(tick), voltage_V=np.array([voltage_V, 12.0]))
 
 
 def loaded(tick: int, current_A: float = 2.0, load: float = 0.1) -> ServoHealth:

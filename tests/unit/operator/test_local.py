@@ -107,6 +107,13 @@ def test_a_start_on_several_hosts_needs_their_time(
     assert [arm.heard for arm in arms] == [(outcome is not None, [])] * len(arms)
 
 
+@pytest.mark.fault("C1")
+def test_a_start_by_sockets_from_a_host_that_the_cell_does_not_name_needs_the_time_too(tmp_path: Path) -> None:
+    bad = Here(ClockState(True, 5.1e-3), "three")
+    with pytest.raises(ControlError, match="clock of this host: found "):
+        start_arms(load_cell(PAPER, TWO_HOSTS), None, 60.0, [tmp_path / "left.control"], bad, print)
+
+
 @pytest.mark.parametrize(
     ("at", "in_s", "complaint"),
     [

@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -115,6 +116,29 @@ def test_answers_that_come_too_late_for_the_instant_start_nobody(tmp_path: Path)
         with pytest.raises(ControlError, match=r"start: found .* UTC, expected at least 0.05 s from now; choose"):
             start_together({arm.path.stem: [arm.path] for arm in arms}, request, PATIENT_S)
     assert [arm.heard for arm in arms] == [(False, [])] * 2
+
+
+@pytest.mark.parametrize(("left_s", "waits_s"), [((0.3, 0.3, 0.16), 0.16), ((0.3, 0.3, -0.1), 0.05)])
+@pytest.mark.fault("C5")
+def test_half_of_the_time_until_the_instant_is_kept_for_taking_the_start_back(
+    monkeypatch: pytest.MonkeyPatch, left_s: tuple[float, ...], waits_s: float
+) -> None:
+    """left_s: until the instant, each time that somebody looks; waits_s: for those who are told to forget it."""
+    start_ns, asked, left = 10**18, list[tuple[Verb, bool, float]](), iter(left_s)
+
+    def ask_arms(arms: Any, request: Request, timeout_s: float) -> dict[str, ask.Heard]:
+        asked.append((request.verb, request.prepare, timeout_s))
+        hangs = request.verb is Verb.START and not request.prepare
+        willing = Reply(True, "", "READY", "", OWN)
+        return {"a": willing, "b": ask.Silence("no answer", hung=True) if hangs else willing}
+
+    monkeypatch.setattr(words, "ask_arms", ask_arms)
+    monkeypatch.setattr(words, "time", SimpleNamespace(time_ns=lambda: start_ns - round(next(left) * 1e9)))
+    with pytest.raises(ControlError, match="b: does not answer"):
+        start_together({"a": [], "b": []}, Request(Verb.START, OWN, start_ns), 2.0)
+    assert asked == [
+        (Verb.START, True, 2.0), (Verb.START, False, pytest.approx(0.15)), (Verb.CANCEL, False, pytest.approx(waits_s)),
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -16,6 +17,7 @@ from agent.config.cell import load_cell
 from agent.config.schema.driver import DriverKind
 from agent.config.servo_map import arm_map
 from agent.faults.virtual import Line
+from agent.guard.guarded import UNGUARDED
 from agent.host.signals import StopFlag
 from agent.modes import TABLE, Mode
 from agent.process import agent as process
@@ -135,6 +137,22 @@ def test_an_agent_tells_that_the_wall_clock_was_set_and_goes_on(
     texts = [text for kind, text in TextReader(tmp_path / "left.ring").read_new() if kind is Kind.EVENT]
     told = [event for text in texts if "wall clock" in (event := Event.from_json(text)).text]
     assert [(event.level, event.text) for event in told] == [(Level.WARN, "the wall clock was set by +2 s")]
+
+
+@pytest.mark.parametrize(("lockstep", "times"), [(False, 1), (True, 0)])
+def test_an_agent_that_nobody_guards_says_so_where_it_runs_by_itself(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lockstep: bool, times: int
+) -> None:
+    _, clock, servos = rig()
+    released = RunSummary(1, 0, 0, Mode.OFF, "", 0.0)
+    monkeypatch.setattr(process, "build_driver", lambda *_: (servos, clock))
+    monkeypatch.setattr(process, "_law", lambda *_: None)
+    monkeypatch.setattr(process, "_runner", lambda *_: SimpleNamespace(run=lambda _: released))
+    given = dataclasses.replace(options(tmp_path), lockstep=lockstep)
+    process.run_agent(CELL, given, StopFlag(), lambda _: None)
+    texts = [text for kind, text in TextReader(tmp_path / "left.ring").read_new() if kind is Kind.EVENT]
+    told = [event for text in texts if (event := Event.from_json(text)).text == UNGUARDED]
+    assert [event.level for event in told] == [Level.WARN] * times
 
 
 class Notified:

@@ -58,7 +58,9 @@ class Gripping:
 
     def health(self) -> ServoHealth:
         one = np.ones(1)
-        return ServoHealth(5, (7,), ("gripper",), one, one, np.zeros(1, np.uint8), *[one] * 6)
+        return ServoHealth(
+            5, (7,), ("gripper",), one, one, np.zeros(1, np.uint8), *[one] * 6, slow_ns=np.zeros(1, np.int64)
+        )
 
     def grip(self, width_m: float) -> None: ...
 

@@ -53,6 +53,16 @@ def test_without_correction_the_bound_grows_by_100_ppm_and_the_arm_holds_above_5
     assert rig.held == ["the clock may be off by 5.1 ms, 5 ms are allowed"]
 
 
+def test_a_start_by_somebody_who_knows_the_time_less_well_takes_nothing_away() -> None:
+    rig = Rig()
+    rig.watch.given(1e-3)
+    rig.run(10)
+    rig.watch.given(3e-3)
+    assert rig.watch.bound_s == pytest.approx(2e-3)
+    rig.watch.given(5e-4)
+    assert rig.watch.bound_s == pytest.approx(5e-4)
+
+
 def test_a_clock_that_is_corrected_stays_known() -> None:
     rig = Rig(ClockState(synchronised=True, max_error_s=8e-4))
     rig.watch.given(1e-3)

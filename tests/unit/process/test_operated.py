@@ -12,6 +12,8 @@ from typing import Any
 
 import pytest
 
+import configs
+from agent.config.cell import load_cell
 from agent.config.schema.driver import DriverKind
 from agent.host.clock import UNKNOWN
 from agent.host.realtime import RealTime
@@ -221,32 +223,35 @@ def test_a_reason_of_this_host_holds_the_arm_and_is_told_once(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "emulated", "priority", "allowed", "starts"),
+    ("kind", "emulated", "priority", "allowed", "starts", "taken_up_s"),
     [
-        (DriverKind.DYNAMIXEL, False, None, False, False),
-        (DriverKind.DYNAMIXEL, False, None, True, True),
-        (DriverKind.DYNAMIXEL, False, "SCHED_FIFO", False, True),
-        (DriverKind.DYNAMIXEL, True, None, False, True),
-        (DriverKind.SIM, False, None, False, True),
+        (DriverKind.DYNAMIXEL, False, None, False, False, 0.0),
+        (DriverKind.DYNAMIXEL, False, None, True, True, 0.0),
+        (DriverKind.DYNAMIXEL, False, "SCHED_FIFO", False, True, 0.0),
+        (DriverKind.DYNAMIXEL, False, "SCHED_FIFO", False, True, 2.5),
+        (DriverKind.DYNAMIXEL, True, None, False, True, 2.5),
+        (DriverKind.SIM, False, None, False, True, 0.0),
     ],
 )
 def test_only_a_real_arm_without_real_time_refuses_a_start_unless_that_is_allowed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: DriverKind, emulated: bool, priority: str | None,
-    allowed: bool, starts: bool,
+    allowed: bool, starts: bool, taken_up_s: float,
 ) -> None:  # fmt: skip
+    """taken_up_s: in which an arm with a session takes its load up, before its torque at rest tells anything."""
     monkeypatch.setattr(agent, "granted", lambda: RealTime(priority or "SCHED_OTHER", 0, 0))
     monkeypatch.setattr(agent, "newest", lambda _: None)
     told: list[tuple[str, dict[str, Any]]] = []
     teller: Any = type("Teller", (), {"event": staticmethod(lambda _, text, **data: told.append((text, data)))})
     connection = Connection(emulated=emulated)
     options = AgentOptions("left", kind, connection, tmp_path, None, False, True, no_realtime=allowed)
+    cell = load_cell(configs.CELLS_DIR / "two_wx200.toml", [f"session.take_up_s={taken_up_s}"] if taken_up_s else [])
     rig = Rig(tmp_path / "left.control")
     standing = rig.control.standing
     with closing(rig.control), RingWriter(tmp_path / "ring", AGENT_STATE, "left", ("waist",)) as ring:
-        agent._stand(standing, options, rig.operator, ring, teller, 200.0, None)
+        agent._stand(standing, options, rig.operator, ring, teller, cell, None)
         assert standing.mode is Mode.READY
         assert (standing.no_start is None) is starts
-        assert standing.rest_s == (1.1 if kind is DriverKind.DYNAMIXEL and not emulated else 0.0)
+        assert standing.rest_s == (1.1 + taken_up_s if kind is DriverKind.DYNAMIXEL and not emulated else 0.0)
         assert standing.ready_ns > 0
         assert standing.details()["tick"]["cycles"] == 0
     assert standing.no_start is None or "--allow-no-realtime" in standing.no_start["remedy"]
