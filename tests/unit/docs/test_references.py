@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -73,6 +74,23 @@ def test_the_readme_lists_every_command() -> None:
     group: Any = whole()
     # these two stand in the table without the word `coop`, after `coop start`
     assert set(group.commands) - {"stop", "release"} <= listed
+
+
+def test_the_page_of_documents_for_scripts_names_every_command_that_prints_one() -> None:
+    text = (ROOT / "docs/commands.md").read_text().partition("## `--json`\n")[2]
+    for name, command in _commands(whole()):
+        if any("--json" in parameter.opts for parameter in command.params):
+            assert re.search(rf"`{name}( --json)?`", text), name
+
+
+def _commands(group: Any) -> Iterator[tuple[str, Any]]:
+    """Every command by its words; those of `faults` print documents of one name."""
+    for name, command in group.commands.items():
+        if not hasattr(command, "commands"):
+            yield name, command
+            continue
+        for below, of_group in command.commands.items():
+            yield "faults" if name == "faults" else f"{name} {below}", of_group
 
 
 def test_the_readme_lists_every_cell_that_ships() -> None:
