@@ -121,6 +121,22 @@ def test_the_architecture_page_names_every_import_contract() -> None:
     assert {contract["name"] for contract in contracts} <= rows
 
 
+def test_no_room_below_the_processes_may_name_a_concrete_driver() -> None:
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
+    layers = next(contract["layers"] for contract in contracts if contract["type"] == "layers")
+    (held,) = (
+        c["source_modules"] for c in contracts if c.get("forbidden_modules", [""])[0] == "drivers.dynamixel.driver"
+    )
+    below = [room for layer in layers[layers.index("agent.process") + 1 :] for room in layer.split(" | ")]
+    assert {".".join(room.split(".")[:2]) for room in below if room.startswith("agent.")} == set(held)
+
+
+@pytest.mark.parametrize("package", ["agent", "drivers", "sim_backend", "configs"])
+def test_no_source_file_is_longer_than_the_house_has_it(package: str) -> None:
+    lengths = {path: len(path.read_text().splitlines()) for path in (ROOT / package).rglob("*.py")}
+    assert [str(path) for path, length in lengths.items() if length > 300] == []
+
+
 def test_every_decision_is_in_the_list_of_decisions() -> None:
     folder = ROOT / "docs/decisions"
     records = {path.name for path in folder.glob("0*.md")}
