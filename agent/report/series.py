@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.log.unshifted import unshifted
 from agent.modes import Mode
 from agent.safety import Flag
 
@@ -189,25 +190,13 @@ def _true_pose(arms: Mapping[str, Table], at: list[NDArray[np.intp]], true: Tabl
     for number, ((name, rows), i) in enumerate(zip(arms.items(), at, strict=True)):
         seen, own = pose_by_arm(name, rows), first == number
         from_row = i[own]
-        p_des[own], quat_des[own] = _of_all(seen, column(rows, "shift"), from_row)
+        shift = column(rows, "shift")[from_row]
+        p_des[own], quat_des[own] = unshifted(seen.p_des[from_row], seen.quat_des[from_row], shift)
         e_eta[own], t[own] = seen.e_xi[from_row, 0], seen.t[from_row]
         tracking[i >= 0] &= seen.tracking[i[i >= 0]]
     p, quat = column(true, "p_object"), column(true, "quat_object")
     e_xi = _with_sign_of(e_eta, attitude_error(quat_des, quat))
     return PoseSeries("plant", true["sequence"].copy(), t, p_des, quat_des, p, quat, p - p_des, e_xi, tracking)
-
-
-def _of_all(seen: PoseSeries, shift: Array, at: NDArray[np.intp]) -> tuple[Array, Array]:
-    """The motion that all follow, (k, 3) and (k, 4): what an arm follows less its shift (agent.control.alignment).
-
-    The shift is how the arm sees the object beside where the cell has it, which the true pose knows nothing of.
-    """
-    moved, rho = shift[at, :3], shift[at, 3:]
-    angle = np.linalg.norm(rho, axis=1, keepdims=True)
-    w, u = np.cos(0.5 * angle), -0.5 * np.sinc(angle / (2.0 * np.pi)) * rho  # the rotation back
-    eta, eps = seen.quat_des[at, :1], seen.quat_des[at, 1:]
-    back = np.hstack([w * eta - np.sum(u * eps, axis=1, keepdims=True), w * eps + eta * u + np.cross(u, eps)])
-    return np.asarray(seen.p_des[at] - moved), back
 
 
 def nearest(keys: NDArray[np.generic], wanted: NDArray[np.generic], tolerance: int) -> NDArray[np.intp]:
