@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from agent.log.cdr import CdrTemplate, stamp_of, text_message
 from agent.log.scene import WORLD, Joint, Pose, Quat, Scene, SceneArm, Transform, product
+from agent.log.unshifted import unshifted
 from agent.telemetry.row.event import Event
 
 RATE_HZ: Final = 50.0
@@ -28,6 +29,7 @@ _AXES: Final = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 Rows = NDArray[np.void]
 Stamp = NDArray[np.uint32]  # (k, 2): seconds and nanoseconds of each row's UTC
+Placed = tuple[NDArray[Any], NDArray[Any]]  # (k, 3), (k, 4) scalar first, in the world
 Fill = Callable[[Rows, Rows, Stamp], None]  # (messages to fill, rows to fill them from, their stamps), equally long
 
 
@@ -61,24 +63,26 @@ class Latched:
 def arm_topics(arm: SceneArm, *, is_first: bool, has_plant: bool) -> list[StandardTopic]:
     """Standard topics of an arm's rows.
 
-    The first arm also gives the desired object pose and, without a plant that knows the truth, the actual one.
+    The first arm also gives the desired object pose and, without a plant that knows the truth, the actual one: where it
+    sees the object, and what it makes that follow; with a plant, the motion that all follow.
     """
-    frames = [(arm.frame("object"), "p_object", "quat_object")]
+    frames = [(arm.frame("object"), _seen)]
     topics = [_joint_state(arm), _wrench(arm)]
     if is_first:
-        frames.append(("object_des", "p_object_des", "quat_object_des"))
-        topics.append(_pose(POSE_DES_TOPIC, "p_object_des", "quat_object_des"))
+        desired = _of_all if has_plant else _followed
+        frames.append(("object_des", desired))
+        topics.append(_pose(POSE_DES_TOPIC, desired))
         if not has_plant:
-            frames.append(("object", "p_object", "quat_object"))
-            topics.append(_pose(POSE_TOPIC, "p_object", "quat_object"))
+            frames.append(("object", _seen))
+            topics.append(_pose(POSE_TOPIC, _seen))
     return [*topics, _transforms(arm, frames)]
 
 
 def plant_topics() -> list[StandardTopic]:
     """Standard topics of the plant's rows: where the object really is."""
     return [
-        _pose(POSE_TOPIC, "p_object", "quat_object"),
-        _transforms(None, [("object", "p_object", "quat_object")]),
+        _pose(POSE_TOPIC, _seen),
+        _transforms(None, [("object", _seen)]),
     ]
 
 
@@ -194,20 +198,32 @@ def rotation_form(after: Quat) -> NDArray[np.float64]:
     return form.reshape(16, 9)
 
 
-def _pose(topic: str, p: str, quat: str) -> StandardTopic:
+def _seen(rows: Rows) -> Placed:
+    return rows["p_object"], rows["quat_object"]
+
+
+def _followed(rows: Rows) -> Placed:
+    return rows["p_object_des"], rows["quat_object_des"]
+
+
+def _of_all(rows: Rows) -> Placed:
+    return unshifted(*_followed(rows), rows["shift"]) if rows["shift"].any() else _followed(rows)
+
+
+def _pose(topic: str, of: Callable[[Rows], Placed]) -> StandardTopic:
     def fill(out: Rows, rows: Rows, stamp: Stamp) -> None:
         out["stamp"] = stamp
-        _put_pose(out["pose"], rows[p], rows[quat])
+        _put_pose(out["pose"], *of(rows))
 
     template = CdrTemplate().header("", WORLD).number("pose", "<f8", 7)
     return _topic(topic, "geometry_msgs/PoseStamped", template, fill)
 
 
-def _transforms(arm: SceneArm | None, frames: Sequence[tuple[str, str, str]]) -> StandardTopic:
+def _transforms(arm: SceneArm | None, frames: Sequence[tuple[str, Callable[[Rows], Placed]]]) -> StandardTopic:
     """The frames behind the moving joints of an arm, and frames in the world that rows have as they are."""
     moving = () if arm is None else arm.moving
     links = [] if arm is None else [(arm.frame(j.parent), arm.frame(j.child)) for _, j in moving]
-    pairs = [*links, *((WORLD, child) for child, _, _ in frames)]
+    pairs = [*links, *((WORLD, child) for child, _ in frames)]
     template = CdrTemplate().length(len(pairs))
     for i, (parent, child) in enumerate(pairs):
         template.header(f"{i}.", parent).string(child).number(f"{i}.pose", "<f8", 7)
@@ -224,8 +240,8 @@ def _transforms(arm: SceneArm | None, frames: Sequence[tuple[str, str, str]]) ->
             poses = joints.poses(rows["q_measured"][:, take])
             for name, part in zip(posed, at, strict=False):
                 out[name] = poses[:, part]
-        for name, (_, p, quat) in zip(posed[len(moving) :], frames, strict=True):
-            _put_pose(out[name], rows[p], rows[quat])
+        for name, (_, of) in zip(posed[len(moving) :], frames, strict=True):
+            _put_pose(out[name], *of(rows))
 
     return _topic(TF_TOPIC, "tf2_msgs/TFMessage", template, fill)
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.log.unshifted import unshifted
 from agent.modes import Mode
 from agent.safety import Flag
 
@@ -189,7 +190,8 @@ def _true_pose(arms: Mapping[str, Table], at: list[NDArray[np.intp]], true: Tabl
     for number, ((name, rows), i) in enumerate(zip(arms.items(), at, strict=True)):
         seen, own = pose_by_arm(name, rows), first == number
         from_row = i[own]
-        p_des[own], quat_des[own] = seen.p_des[from_row], seen.quat_des[from_row]
+        shift = column(rows, "shift")[from_row]
+        p_des[own], quat_des[own] = unshifted(seen.p_des[from_row], seen.quat_des[from_row], shift)
         e_eta[own], t[own] = seen.e_xi[from_row, 0], seen.t[from_row]
         tracking[i >= 0] &= seen.tracking[i[i >= 0]]
     p, quat = column(true, "p_object"), column(true, "quat_object")

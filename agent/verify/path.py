@@ -131,7 +131,7 @@ def _for_long(arm: Arm, path: Path) -> Finding:
     worst = int(np.argmax(shares))
     return judged(
         f"current for long, {arm.entry.controlled[worst]}", arm.name,
-        f"{shares[worst]:.0%} of stall, root mean square along the trajectory",
+        f"{shares[worst]:.1%} of stall, root mean square along the trajectory",
         f"≤ {CONTINUOUS_SHARE:.0%}, which ROBOTIS advise", holds=bool(shares[worst] <= CONTINUOUS_SHARE),
         otherwise=Verdict.WARNING, remedy="rest between runs and watch its temperature, or a pose with less load",
     )  # fmt: skip

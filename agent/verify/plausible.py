@@ -78,7 +78,8 @@ def _guards(cell: Cell) -> list[Finding]:
     return [
         judged(
             key, "cell", f"{value:g}", f"≤ {wide:g}", holds=False, otherwise=Verdict.WARNING,
-            remedy="a neighbour that fails is noticed by this error only; the default suits most cells",
+            remedy="what [safety.noticing] does not feel of a neighbour that fails is noticed by this error only; the "
+            "default suits most cells",
         )
         for key, value, wide in guards
         if value > wide

@@ -15,6 +15,11 @@ def fences(page: str, language: str) -> list[str]:
     return [block for said, block in found if said == language]
 
 
+def told(page: str) -> set[str]:
+    """The names that a page under docs/ gives in back quotes, such as the keys of a document."""
+    return set(re.findall(r"`(\w+)`", (ROOT / "docs" / page).read_text()))
+
+
 def commands(page: str, language: str = "") -> list[list[str]]:
     """The command lines of `coop` in its blocks, by words, without comments."""
     lines = (line.partition("  #")[0].strip() for block in fences(page, language) for line in block.splitlines())

@@ -12,6 +12,7 @@ from agent.faults.plan import NAMES
 from agent.log.read import read_log
 from agent.modes import Mode
 from tests.support.command import coop
+from tests.support.pages import told
 
 SHORT = ("--at", "0.1", "--duration", "0.5")
 
@@ -23,8 +24,8 @@ def test_the_list_has_every_row_and_every_fault() -> None:
     assert [kind["name"] for kind in document["kinds"]] == list(NAMES)
     assert all(row["bound"] for row in document["rows"])
     assert {"bound", "fails", "group", "id", "must", "never", "runs", "tests", "untested"} == set(document["rows"][0])
-    told = coop("faults", "list").out
-    assert all(f" {row.id} " in told for row in rows())
+    table = coop("faults", "list").out
+    assert all(f" {row.id} " in table for row in rows())
     kinds = coop("faults", "list", "--kinds").out
     assert all(f" {name} " in kinds for name in NAMES)
 
@@ -34,6 +35,7 @@ def test_a_rehearsal_says_who_noticed_who_stopped_and_what_it_cost(tmp_path: Pat
     done = coop("faults", "inject", "paper_real", "bus-off", "--arm", "right", *SHORT, "--out", log, "--json")
     assert done.code == 0
     document = json.loads(done.out)
+    assert set(document) <= told("commands.md")
     assert document["cell"] == "paper_real"
     assert document["faults"] == [{"fault": "bus-off", "arm": "right", "at_s": 0.1, "for_s": None}]
     assert document["noticed"].startswith("right: ")
@@ -44,9 +46,9 @@ def test_a_rehearsal_says_who_noticed_who_stopped_and_what_it_cost(tmp_path: Pat
     assert read.complete
     assert len(read.plant) > 50  # type: ignore[arg-type]
     assert Mode.HOLD in np.asarray(read.agents["right"]["mode"])
-    told = [event.text for event in read.events]
-    assert any(text.startswith("fault: bus-off") for text in told)
-    assert any(text.startswith("holds: ") for text in told)
+    events = [event.text for event in read.events]
+    assert any(text.startswith("fault: bus-off") for text in events)
+    assert any(text.startswith("holds: ") for text in events)
     again = coop("faults", "inject", "paper_real", "bus-off", "--out", log)
     assert again.code == 4
     assert "name another with --out" in again.err

@@ -18,6 +18,7 @@ from agent.process.run import RunOutcome
 from agent.report.compare import Change
 from agent.report.metrics import summarise
 from tests.support.command import Done, coop
+from tests.support.pages import told
 from tests.support.telemetry.synthetic_run import paper_run
 
 PAPER = configs.CELLS_DIR / "paper.toml"
@@ -33,6 +34,7 @@ def document(done: Done) -> dict[str, Any]:
     found = json.loads(done.out, parse_constant=refuse)
     assert isinstance(found, dict)
     assert found["schema"] == 1
+    assert set(found) <= told("commands.md")
     return found
 
 
@@ -144,10 +146,13 @@ def test_tune_gives_the_gains_there_are_and_those_proposed(tmp_path: Path) -> No
 def test_a_run_says_how_it_ended(interrupted: bool) -> None:
     results = summarise(paper_run(Path("run.mcap"), duration_s=22.0))
     outcome = RunOutcome(Path("out/run.mcap"), Path("out/report.html"), results, interrupted, not interrupted)
-    assert run_document(outcome) == {
+    document = run_document(outcome)
+    assert document == {
         "schema": 1, "log": "out/run.mcap", "report": "out/report.html", "interrupted": interrupted,
         "gave_up": None, "within_bounds": not interrupted, "results": results.to_json(),
     }  # fmt: skip
+    assert set(document) <= told("commands.md")
+    assert set(results.to_json()) <= told("report.md")
 
 
 def test_a_session_that_was_given_up_says_why_and_is_no_success(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -75,6 +76,23 @@ def test_the_readme_lists_every_command() -> None:
     assert set(group.commands) - {"stop", "release"} <= listed
 
 
+def test_the_page_of_documents_for_scripts_names_every_command_that_prints_one() -> None:
+    text = (ROOT / "docs/commands.md").read_text().partition("## `--json`\n")[2]
+    for name, command in _commands(whole()):
+        if any("--json" in parameter.opts for parameter in command.params):
+            assert re.search(rf"`{name}( --json)?`", text), name
+
+
+def _commands(group: Any) -> Iterator[tuple[str, Any]]:
+    """Every command by its words; those of `faults` print documents of one name."""
+    for name, command in group.commands.items():
+        if not hasattr(command, "commands"):
+            yield name, command
+            continue
+        for below, of_group in command.commands.items():
+            yield "faults" if name == "faults" else f"{name} {below}", of_group
+
+
 def test_the_readme_lists_every_cell_that_ships() -> None:
     text = (ROOT / "README.md").read_text()
     cells = {path.name for path in (ROOT / "configs/cells").glob("*.toml")}
@@ -101,6 +119,22 @@ def test_the_architecture_page_names_every_import_contract() -> None:
     text = (ROOT / "docs/architecture.md").read_text()
     rows = {line.split("|")[1].strip() for line in text.splitlines() if line.startswith("| ")}
     assert {contract["name"] for contract in contracts} <= rows
+
+
+def test_no_room_below_the_processes_may_name_a_concrete_driver() -> None:
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
+    layers = next(contract["layers"] for contract in contracts if contract["type"] == "layers")
+    (held,) = (
+        c["source_modules"] for c in contracts if c.get("forbidden_modules", [""])[0] == "drivers.dynamixel.driver"
+    )
+    below = [room for layer in layers[layers.index("agent.process") + 1 :] for room in layer.split(" | ")]
+    assert {".".join(room.split(".")[:2]) for room in below if room.startswith("agent.")} == set(held)
+
+
+@pytest.mark.parametrize("package", ["agent", "drivers", "sim_backend", "configs"])
+def test_no_source_file_is_longer_than_the_house_has_it(package: str) -> None:
+    lengths = {path: len(path.read_text().splitlines()) for path in (ROOT / package).rglob("*.py")}
+    assert [str(path) for path, length in lengths.items() if length > 300] == []
 
 
 def test_every_decision_is_in_the_list_of_decisions() -> None:

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from agent.control.alignment import shifted
+from agent.control.trajectory import Desired
 from agent.log import ros_definitions, standard
 from agent.log.cdr import text_message, text_of
 from agent.telemetry.row.event import Event, Level
@@ -69,9 +71,26 @@ def test_joint_states_have_measured_joints_and_locked_ones_in_the_order_of_the_u
             assert np.array_equal(found, expected, equal_nan=True), name
 
 
+def test_beside_a_true_pose_the_desired_one_is_that_of_all_arms() -> None:
+    """What the first arm follows has the shift by which it sees the object elsewhere."""
+    data, shift = rows(AGENT_STATE, 1), (5e-3, -1e-3, 2e-3, 0.02, -0.01, 0.03)
+    there = Desired((0.3, 0.1, 0.2), (0.8, 0.0, 0.6, 0.0), (0.0,) * 6, (0.0,) * 6)
+    data["p_object_des"], data["quat_object_des"], data["shift"] = *shifted(there, shift)[:2], shift
+    for name in ("/object/pose_des", standard.TF_TOPIC):
+        topic = arm(plant=True)[name]
+        message = decode(topic, messages(topic, data)[0])
+        if name == standard.TF_TOPIC:
+            pose = next(t for t in message.transforms if t.child_frame_id == "object_des").transform
+            p, o = pose.translation, pose.rotation
+        else:
+            p, o = message.pose.position, message.pose.orientation
+        assert [p.x, p.y, p.z] == pytest.approx(there.p)
+        assert [o.w, o.x, o.y, o.z] == pytest.approx(there.quat)
+
+
 def test_poses_keep_their_order_and_the_scalar_goes_last() -> None:
     data = rows(AGENT_STATE, 2)
-    topic = arm()["/object/pose_des"]
+    topic = arm(plant=False)["/object/pose_des"]
     pose = decode(topic, messages(topic, data)[1]).pose
     assert [pose.position.x, pose.position.y, pose.position.z] == data["p_object_des"][1].tolist()
     o = pose.orientation
@@ -89,6 +108,7 @@ def test_poses_keep_their_order_and_the_scalar_goes_last() -> None:
 def test_each_frame_has_one_source(first: bool, plant: bool, frames: list[str]) -> None:
     topic = arm(first=first, plant=plant)[standard.TF_TOPIC]
     data = rows(AGENT_STATE, 1)
+    data["shift"] = 0.0
     transforms = decode(topic, messages(topic, data)[0]).transforms
     links = ["left/shoulder_link", "left/upper_arm_link", "left/forearm_link"]
     assert [t.child_frame_id for t in transforms] == [*links, *frames]

@@ -12,6 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from agent.control.alignment import shifted
+from agent.control.trajectory import Desired
 from agent.log.runinfo import Bounded
 from agent.modes import Mode
 from agent.report.compare import label
@@ -30,6 +32,8 @@ from tests.support.telemetry.synthetic_run import (
     product,
     turn,
 )
+
+STILL = (0.0,) * 6
 
 # ------------------------------------------------------------------------------------------------------------- errors
 
@@ -90,6 +94,26 @@ def test_headline_is_the_true_pose_though_the_arms_see_another() -> None:
     assert results.headline("max_position_error_m") == 0.0
     assert results.by_arm["left"].max_position_error_m == pytest.approx(1e-3)
     assert results.arm_disagreement_m == pytest.approx(1e-3)
+
+
+@pytest.mark.parametrize("rho", [(0.0, 0.0, 0.0), (0.02, -0.01, 0.03), (0.0, 0.0, 1e-9)])
+def test_a_shift_by_which_an_arm_sees_the_object_beside_is_no_error_of_the_object(rho: tuple[float, ...]) -> None:
+    """The object is where the cell wants it; the arm follows what it sees of that."""
+    log, shift = small_run(), (5e-3, -1e-3, 2e-3, *rho)
+    for arm, rows in log.agents.items():
+        rows["p_object_des"], rows["quat_object_des"] = (0.3, 0.1, 0.2), turn(1, np.full(1, 0.4))
+        log.plant["p_object"], log.plant["quat_object"] = rows["p_object_des"][:1], rows["quat_object_des"][:1]
+        if arm == "left":
+            there = Desired((0.3, 0.1, 0.2), tuple(rows["quat_object_des"][0].tolist()), STILL, STILL)
+            followed = shifted(there, shift)
+            rows["p_object_des"], rows["quat_object_des"], rows["shift"] = followed.p, followed.quat, shift
+            rows["p_object"], rows["quat_object"] = followed.p, followed.quat
+    results = summarise(log)
+    assert results.headline("max_position_error_m") == pytest.approx(0.0, abs=1e-12)
+    assert results.headline("max_attitude_error_rad") == pytest.approx(0.0, abs=1e-12)
+    assert results.by_arm["left"].max_position_error_m == 0.0
+    log.plant["p_object"][:, 0] += 1e-3
+    assert summarise(log).headline("max_position_error_m") == pytest.approx(1e-3)
 
 
 def test_headline_without_a_plant_is_the_worst_arm() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from agent.config.cell import Cell, ConfigError
+from agent.verify.alignment_reach import alignment_reach
 from agent.verify.check import examine
 from agent.verify.finding import Finding, Verdict
 from tests.support.control.criterion_cells import cell_of, gentle
@@ -29,7 +30,8 @@ def test_the_default_limits_are_within_reach_of_every_follower(name: str) -> Non
 def test_the_anchor_follows_nothing_and_without_alignment_nobody_does() -> None:
     assert [f.where for f in limits(gentle("paper", 'controller.alignment.anchor="right"'))] == ["left"]
     assert limits(gentle("paper", 'controller.alignment.anchor="left"', "controller.alignment.max_m=0.001"))
-    assert not [f for f in examine(gentle("paper")).findings if f.what == "limits of the alignment"]
+    assert alignment_reach(cell_of("paper_real", "controller.alignment.enabled=false"), (), (), ()) == []
+    assert alignment_reach(cell_of("identify_mk2", "controller.alignment.enabled=true"), (), (), ()) == []
 
 
 def test_limits_beyond_reach_are_refused_where_servos_move_the_arms_with_those_that_are_not() -> None:
