@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 
 def unshifted(p: NDArray[Any], quat: NDArray[Any], shift: NDArray[Any]) -> tuple[Array, Array]:
-    """Desired pose (k, 3) and (k, 4), scalar first, without this shift (k, 6): place and rotation vector, world axes."""
+    """Desired pose (k, 3) and (k, 4), scalar first, without a shift (k, 6): place and rotation vector, world axes."""
     rho = shift[:, 3:]
     angle = np.linalg.norm(rho, axis=1, keepdims=True)
     w, u = np.cos(0.5 * angle), -0.5 * np.sinc(angle / (2.0 * np.pi)) * rho  # the rotation back
