@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.log.columns import Table
+from agent.log.unshifted import unshifted
 from agent.report.prepared import Prepared
 from agent.report.series import column, grasp_wrenches, internal_wrenches, joint_columns
 from agent.view.pose import Array, poses
@@ -27,7 +28,7 @@ class ArmMotion:
 
     q: Array  # (k, n) rad, of the controlled joints
     belief: Array  # (k, 7) pose of the object by this arm's own kinematics
-    desired: Array  # (k, 7) the pose that this arm steers to
+    desired: Array  # (k, 7) beside a true object the pose that all steer to, else the one that this arm does
     force_cmd: Array  # (k, 3) N, of the commanded wrench at its end effector, world axes
     internal: Array  # (k, 3) N, of the internal wrench there: realised where a simulation tells it, else commanded
     mode: NDArray[np.int64]  # (k,)
@@ -69,7 +70,8 @@ def motion_of(run: Prepared, pictures_hz: float = PICTURES_HZ, begin_s: float = 
     count = min(PICTURES_MAX, 1 + max(0, int((last - first) * pictures_hz + 1e-9)))
     t = first + np.arange(count) / pictures_hz if count < PICTURES_MAX else np.linspace(first, last, count)
     half_s = 0.75 / run.info.rate_hz
-    arms = {arm.name: _arm(run.rows[arm.name], t, half_s, len(arm.joints)) for arm in run.arms}
+    seen = run.true is not None and run.grasps is not None
+    arms = {arm.name: _arm(run.rows[arm.name], t, half_s, len(arm.joints), beside_truth=seen) for arm in run.arms}
     if run.true is None or run.grasps is None:
         return Motion(t, arms, None)
     at = _latest(run.true.t, t)
@@ -85,7 +87,11 @@ def motion_now(arms: Mapping[str, NDArray[np.void]], plant: NDArray[np.void] | N
     if not arms:
         return None
     t = np.array([max(float(rows["t"][0]) for rows in arms.values())])
-    own = {name: _arm(Table.of(rows), t, np.inf, int(rows["joint_count"][0])) for name, rows in arms.items()}
+    seen = plant is not None
+    own = {
+        name: _arm(Table.of(rows), t, np.inf, int(rows["joint_count"][0]), beside_truth=seen)
+        for name, rows in arms.items()
+    }
     if plant is None:
         return Motion(t, own, None)
     some = Table.of(plant)
@@ -106,14 +112,17 @@ def joined(motions: Sequence[Motion]) -> Motion:
     return Motion(np.concatenate([m.t for m in motions]), arms, None if true is None else np.concatenate(true))
 
 
-def _arm(rows: Table, t: Array, half_s: float, joints: int) -> ArmMotion:
+def _arm(rows: Table, t: Array, half_s: float, joints: int, *, beside_truth: bool) -> ArmMotion:
     own = column(rows, "t")
     at = _latest(own, t, half_s)
     some = rows[at]
+    desired = column(some, "p_object_des"), column(some, "quat_object_des")
+    if beside_truth:
+        desired = unshifted(*desired, column(some, "shift"))
     return ArmMotion(
         q=joint_columns(some, "q", joints),
         belief=poses(column(some, "p_object"), column(some, "quat_object")),
-        desired=poses(column(some, "p_object_des"), column(some, "quat_object_des")),
+        desired=poses(*desired),
         force_cmd=column(some, "wrench_cmd", slice(0, 3)),
         internal=column(some, "wrench_internal", slice(0, 3)),
         mode=some["mode"].astype(np.int64),

@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from agent.control.alignment import shifted
+from agent.control.trajectory import Desired
 from agent.report.prepared import Prepared, prepare
 from agent.view.motion import ArmMotion, Motion, joined, motion_now, motion_of
 from tests.support.telemetry.synthetic_run import SQUEEZE_N, agent_rows, as_log, run_file, true_rows
@@ -112,6 +114,23 @@ def test_without_a_true_pose_or_without_the_grasps_forces_are_as_commanded() -> 
         own = motion_of(less)
         assert own.true is None
         assert own.arms["left"].internal.tolist() == np.zeros((2, 3)).tolist()
+
+
+@pytest.mark.parametrize("seen", [True, False], ids=["beside a true object", "alone"])
+def test_what_is_desired_beside_a_true_object_is_what_all_steer_to(seen: bool) -> None:
+    """An arm steers to a pose that is shifted by how it sees the object elsewhere."""
+    shift = (5e-3, -1e-3, 2e-3, 0.02, -0.01, 0.03)
+    there = Desired((0.3, 0.1, 0.2), (0.8, 0.0, 0.6, 0.0), (0.0,) * 6, (0.0,) * 6)
+    own = shifted(there, shift)
+    rows = rows_at([0.0, 0.05])
+    rows["p_object_des"], rows["quat_object_des"], rows["shift"] = own.p, own.quat, shift
+    plant = true_rows(rows) if seen else None
+    recorded = motion_of(prepare(as_log(Path("run"), {"left": rows, "right": rows}, plant, run_file(1000.0, 200.0))))
+    live = motion_now({"left": rows[1:]}, None if plant is None else plant[1:])
+    assert live is not None
+    wanted = there if seen else own
+    for at in (recorded.arms["right"].desired[1], live.arms["left"].desired[0]):
+        assert at.tolist() == pytest.approx([*wanted.p, *wanted.quat])
 
 
 def test_now_is_the_newest_row_of_any_arm() -> None:
