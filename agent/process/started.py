@@ -29,7 +29,7 @@ class Listener:
     agrees: Callable[[str], bool] = lambda _: False
     parent: Callable[[str], None] = lambda _: None  # shows a person what cannot wait for the end of the process
 
-    def warn(self, text: str) -> None:
+    def alert(self, text: str) -> None:
         """Say what somebody should know at once."""
         self.say(text)
         self.parent(text)
@@ -262,7 +262,7 @@ def record(command: RecordCommand, listener: Listener) -> int:
         alone=known is None,
         stop=requested,
         ready=ready,
-        ended=lambda log, why: listener.warn(f"{log}: the log ENDS HERE: {why}; the arms go on without it"),
+        ended=lambda log, why: listener.alert(f"{log}: the log ENDS HERE: {why}; the arms go on without it"),
     )
     for path in report.repaired:
         listener.say(f"repaired {path}")

@@ -92,7 +92,8 @@ def first_number(of: str, instead: str) -> str:
 @pytest.mark.parametrize(
     ("urdf", "message"),
     [
-        (b"\xff\xfe", "wx200.urdf: .*expected XML in UTF-8"),
+        (b"\xff\xfe", "wx200.urdf: found text in UTF-16"),
+        (b"<robot>\xff</robot>", "wx200.urdf: .*expected XML in UTF-8"),
         ("<robot><link", "wx200.urdf: found unclosed token: line 1"),
         (first_number("mass value", "0,5"), r"mass of link base_link in wx200.urdf: found '0,5', expected a number"),
         (first_number("mass value", "nan"), "mass of link base_link in wx200.urdf: found 'nan'"),

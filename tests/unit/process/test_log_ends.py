@@ -116,7 +116,7 @@ def test_a_process_of_a_run_warns_in_its_words_and_by_its_parent(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def warn(_: object, listener: Listener) -> int:
-        listener.warn("the log ENDS HERE")
+        listener.alert("the log ENDS HERE")
         return 0
 
     monkeypatch.setattr(process_main, "settle", lambda: None)
