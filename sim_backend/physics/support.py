@@ -26,34 +26,45 @@ class Support:
     def __init__(self, T_world_object: pin.SE3, size_m: Vector, mass_kg: float, gravity: Vector) -> None:
         """T_world_object: as it stands; gravity (3,) m/s², not zero."""
         g = math.sqrt(float(gravity @ gravity))
-        self._up = -np.asarray(gravity) / g
-        self._corners = np.array(list(itertools.product(*((-0.5 * s, 0.5 * s) for s in size_m))))
-        heights = (self._corners @ T_world_object.rotation.T + T_world_object.translation) @ self._up
+        up = -np.asarray(gravity) / g
+        corners = np.array(list(itertools.product(*((-0.5 * s, 0.5 * s) for s in size_m))))
+        heights = (corners @ T_world_object.rotation.T + T_world_object.translation) @ up
         self.height_m = float(heights.min()) + g / OMEGA_RAD_PER_S**2
         standing = max(1, int((heights < heights.min() + 1e-3).sum()))
         self._k = mass_kg * OMEGA_RAD_PER_S**2 / standing
         self._c = 2.0 * DAMPING_RATIO * OMEGA_RAD_PER_S * mass_kg / standing
         self._drag = GRIP_PER_S * mass_kg
-        self._reach_m = float(np.linalg.norm(self._corners[0]))
+        self._up: tuple[float, ...] = tuple(up.tolist())
+        self._corners: list[tuple[float, ...]] = [tuple(corner) for corner in corners.tolist()]
+        self._half_m = self._corners[-1]
 
     def wrench(self, T_world_object: pin.SE3, v: Vector) -> Vector | None:
-        """(6,) N, N·m about the object's origin, world axes, at its pose and twist v (6,); None while it is above."""
-        up = self._up
-        if float(T_world_object.translation @ up) > self.height_m + self._reach_m:
+        """(6,) N, N·m about the object's origin, world axes, at its pose and twist v (6,); None while it is above.
+
+        In plain numbers, because a call of numpy costs more than a corner.
+        """
+        ux, uy, uz = self._up
+        (r0, r1, r2), (r3, r4, r5), (r6, r7, r8) = T_world_object.rotation.tolist()
+        px, py, pz = T_world_object.translation.tolist()
+        a, b, c = r0 * ux + r3 * uy + r6 * uz, r1 * ux + r4 * uy + r7 * uz, r2 * ux + r5 * uy + r8 * uz  # Rᵀ up
+        centre_m = self.height_m - (px * ux + py * uy + pz * uz)  # its depth
+        hx, hy, hz = self._half_m
+        if centre_m + abs(a) * hx + abs(b) * hy + abs(c) * hz <= 0.0:
             return None
-        arms = self._corners @ T_world_object.rotation.T
-        depth = self.height_m - (arms + T_world_object.translation) @ up
-        touching = depth > 0.0
-        if not touching.any():
-            return None
-        arms, depth = arms[touching], depth[touching]
-        a, b, c = v[3:].tolist()
-        speed = v[:3] + arms.dot(np.array([[0.0, c, -b], [-c, 0.0, a], [b, -a, 0.0]]))  # ω × r
-        rising = speed @ up
-        normal = np.maximum(0.0, self._k * depth - self._c * rising)
-        sliding = speed - np.outer(rising, up)
-        size = np.sqrt(np.einsum("ij,ij->i", sliding, sliding))
-        drag = np.minimum(self._drag, FRICTION * normal / np.maximum(size, 1e-9))
-        force = np.outer(normal, up) - drag[:, None] * sliding
-        x, y, z = arms.T.dot(force)  # of which the moment Σ r × f is the skew part
-        return np.array([*force.sum(axis=0), y[2] - z[1], z[0] - x[2], x[1] - y[0]])
+        vx, vy, vz, wx, wy, wz = v.tolist()
+        fx = fy = fz = mx = my = mz = 0.0
+        for x, y, z in self._corners:
+            depth = centre_m - (a * x + b * y + c * z)
+            if depth <= 0.0:
+                continue
+            ax, ay, az = r0 * x + r1 * y + r2 * z, r3 * x + r4 * y + r5 * z, r6 * x + r7 * y + r8 * z
+            sx, sy, sz = vx + wy * az - wz * ay, vy + wz * ax - wx * az, vz + wx * ay - wy * ax
+            rising = sx * ux + sy * uy + sz * uz
+            normal = max(0.0, self._k * depth - self._c * rising)
+            sx, sy, sz = sx - rising * ux, sy - rising * uy, sz - rising * uz  # it slides so fast
+            speed = math.sqrt(sx * sx + sy * sy + sz * sz)
+            drag = min(self._drag, FRICTION * normal / max(speed, 1e-9))
+            gx, gy, gz = normal * ux - drag * sx, normal * uy - drag * sy, normal * uz - drag * sz
+            fx, fy, fz = fx + gx, fy + gy, fz + gz
+            mx, my, mz = mx + ay * gz - az * gy, my + az * gx - ax * gz, mz + ax * gy - ay * gx
+        return np.array([fx, fy, fz, mx, my, mz])
