@@ -164,3 +164,19 @@ def test_what_the_first_state_was_waited_for_is_no_lost_time() -> None:
     assert mine.end(9, good=False) is None
     assert mine.end(0, good=False) == pytest.approx(0.89)
     assert mine.gap_s(222 * T) == pytest.approx(21 * T * 1e-9)
+
+
+@pytest.mark.parametrize(
+    ("recovers", "skipped", "without"),
+    [(False, 9, 10), (False, 10, 1), (False, 30, 1), (None, 30, 1), (True, 30, 31)],
+)
+def test_time_in_which_nobody_looked_is_none_without_a_state_where_no_watchdog_stops_the_arm(
+    recovers: bool | None, skipped: int, without: int
+) -> None:
+    """recovers: None for a loop that has not asked the bus yet."""
+    mine = cycles()
+    if recovers is not None:
+        mine.plan(at(1), lapsed=False, recovers=recovers)
+    mine.fresh(at(1))
+    mine.end(skipped, good=True)
+    assert mine.without_state(at(2 + skipped)) == without

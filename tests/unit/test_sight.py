@@ -150,6 +150,15 @@ def test_what_a_servo_says_of_itself_is_why_where_it_only_seemed_silent(lapsed: 
     assert seen.why("").startswith("servo 2: rebooted")
 
 
+def test_an_arm_that_nobody_brings_back_says_why_too() -> None:
+    seen, _ = sight(Reads(error(StaleStateError, "no reply"), fault(STATE, "servo 2: rebooted")))
+    assert seen.why("a monitor") == "a monitor", "before anything was unseen"
+    seen.read(Mode.TRACK)
+    silent = seen.blamed()
+    seen.read(Mode.HOLD)
+    assert seen.why(silent).startswith("servo 2: rebooted")
+
+
 @pytest.mark.parametrize("mode", list(Mode))
 def test_a_fault_that_lasts_is_borne_on_the_way_back_of_a_session(mode: Mode) -> None:
     seen, _ = sight(Reads(fault(STATE), fault(STATE), fault(STATE, "servo 3")))

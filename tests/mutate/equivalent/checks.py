@@ -30,7 +30,6 @@ _FIRST_LOOK = "the first look sets it"
 _FIRST = "first = _last_fresh(rows) or 0"
 _GIVES = "gives_back = mode is Mode.RELEASE and agent.session is not None and (memory is not None)"
 _KNOWN = "known = np.isfinite(tau_held) & ~(np.abs(tau_held - sent) <= SAME_NM)"
-_NO_LAW = "if terms is None or terms.J_inv_P is None:"
 _CURRENT = "limit = model.register(GOAL_CURRENT).maximum or 0"
 _PWM = "limit = model.register(GOAL_PWM).maximum or 0"
 _GEARS = "no_load = self._no_load_count * math.tanh(dq / NO_LOAD_SMOOTH_RAD_PER_S) if self._no_load_count else 0.0"
@@ -62,7 +61,6 @@ CHECKS: Entries = {
     },
     "agent.monitors.gravity": {
         ("Gravity.check", "if self._count or self._bad:", "if True:"): "to begin again what has not begun",
-        ("Gravity._compared", _NO_LAW, _NO_LAW.replace("terms is None", "False")): "asked for, for the type checker",
     },
     "drivers.dynamixel.servo.torque": {
         ("CurrentDrive.__init__", _CURRENT, _CURRENT.replace("0", "1")): _HAS_MOST,

@@ -133,6 +133,15 @@ def test_what_is_desired_beside_a_true_object_is_what_all_steer_to(seen: bool) -
         assert at.tolist() == pytest.approx([*wanted.p, *wanted.quat])
 
 
+@pytest.mark.parametrize("less", [{"true": None}, {"grasps": None}])
+def test_where_the_truth_is_not_whole_what_is_desired_is_what_each_arm_steers_to(less: dict[str, None]) -> None:
+    left = rows_at([0.0, 0.05])
+    left["shift"] = 5e-3
+    run = prepare(as_log(Path("run"), {"left": left, "right": left}, true_rows(left), run_file(1000.0, 200.0)))
+    shown = motion_of(replace(run, **less)).arms["left"].desired  # type: ignore[arg-type]
+    assert shown[1, :3].tolist() == left["p_object_des"][1].tolist()
+
+
 def test_now_is_the_newest_row_of_any_arm() -> None:
     for left, right in ((1.0, 2.0), (2.0, 1.0)):
         own = motion_now({"left": rows_at([left]), "right": rows_at([right])}, None)
