@@ -166,7 +166,10 @@ TARGETS = (
     Target("agent.verify.criterion.exponential", (f"{_CRITERION}/test_exponential.py",)),
     Target("agent.verify.criterion.power", (f"{_CRITERION}/test_power.py",)),
     Target("agent.verify.disagreement", (f"{UNIT}/verify/test_disagreement.py",)),
-    Target("drivers.dynamixel.bringup", (*_BRING_UP, f"{UNIT}/drivers/test_bringup_writes.py")),
+    Target(
+        "drivers.dynamixel.bringup",
+        (*_BRING_UP, f"{UNIT}/drivers/test_bringup_writes.py", f"{UNIT}/drivers/test_recover.py"),
+    ),
     Target("drivers.dynamixel.checks", (f"{UNIT}/drivers/test_checks.py",)),
     Target("drivers.dynamixel.connected", (f"{UNIT}/drivers/test_driver.py",)),
     Target("drivers.dynamixel.cycle", (f"{UNIT}/drivers/test_cycle.py", f"{UNIT}/drivers/test_cycle_again.py")),

@@ -229,6 +229,7 @@ CONTROL: Entries = {
         ): "nobody is brought back by a driver that cannot; said for the type checker",
     },
     "agent.host.unix_socket": {
+        ("_remove_unserved", "return False", "pass"): "None is not removed either",
         (
             "_remove_unserved",
             "path.unlink(missing_ok=True)",
