@@ -173,7 +173,15 @@ TARGETS = (
     Target("drivers.dynamixel.checks", (f"{UNIT}/drivers/test_checks.py",)),
     Target("drivers.dynamixel.connected", (f"{UNIT}/drivers/test_driver.py",)),
     Target("drivers.dynamixel.cycle", (f"{UNIT}/drivers/test_cycle.py", f"{UNIT}/drivers/test_cycle_again.py")),
-    Target("drivers.dynamixel.driver", (*_DRIVER, f"{UNIT}/drivers/test_recover.py", f"{UNIT}/drivers/test_grip.py")),
+    Target(
+        "drivers.dynamixel.driver",
+        (
+            *_DRIVER,
+            f"{UNIT}/drivers/test_recover.py",
+            f"{UNIT}/drivers/test_grip.py",
+            f"{UNIT}/drivers/test_dxl_faults.py",
+        ),
+    ),
     Target("drivers.dynamixel.identify", (*_BRING_UP, f"{UNIT}/drivers/test_identify.py")),
     Target("drivers.dynamixel.interpret", (f"{UNIT}/drivers/test_interpret.py",)),
     Target(

@@ -12,6 +12,7 @@ from agent.control.residual import Channels, Residual
 from agent.cycles import Patience
 from agent.modes import Event, Mode
 from agent.safety import Flag, Limits
+from agent.telling import Telling
 from drivers.interface import DriverError, Vector
 from tests.support.runner_rig import (
     FAULT_AFTER_STALE,
@@ -121,6 +122,19 @@ def test_an_arm_that_was_asked_to_hold_tells_of_a_servo_that_fails_then() -> Non
     done = run(lambda n: Event.STOP if n == 14 else Event.NONE, {17: fault(True), 18: fault(True)})
     assert done.modes == [Mode.TRACK, Mode.HOLD]
     assert done.troubles == [str(fault(True))]
+
+
+@pytest.mark.parametrize("seen", [True, False])
+def test_whether_the_arm_answers_is_told_with_a_servo_that_fails_in_a_hold(
+    monkeypatch: pytest.MonkeyPatch, seen: bool
+) -> None:
+    told: list[tuple[Mode, bool]] = []
+    monkeypatch.setattr(Telling, "stands", lambda _, mode, __, *, seen: told.append((mode, seen)))
+    failing = fault(True)
+    if not seen:
+        failing.state.q[1] = np.nan
+    run(lambda n: Event.STOP if n == 14 else Event.NONE, {17: failing, 18: failing})
+    assert told == [(Mode.HOLD, seen)]
 
 
 def test_an_arm_that_is_lost_in_the_cycle_of_a_release_is_a_fault() -> None:
