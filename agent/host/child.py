@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import select
 import selectors
 import signal
 import subprocess
@@ -44,16 +43,14 @@ class Child:
         out = self.process.stdout
         assert out is not None
         deadline = time.monotonic() + timeout_s
-        with selectors.DefaultSelector() as selector:
-            selector.register(out, selectors.EVENT_READ)
-            while b"\n" not in self._received:
-                if not selector.select(max(0.0, deadline - time.monotonic())):
-                    raise self.failed(f"not ready after {timeout_s:g} s")
-                chunk = os.read(out.fileno(), 4096)
-                if not chunk:
-                    self.process.wait()
-                    raise self.failed("ended before it was ready")
-                self._received += chunk
+        while b"\n" not in self._received:
+            if not self._says_more(max(0.0, deadline - time.monotonic())):
+                raise self.failed(f"not ready after {timeout_s:g} s")
+            chunk = os.read(out.fileno(), 4096)
+            if not chunk:
+                self.process.wait()
+                raise self.failed("ended before it was ready")
+            self._received += chunk
         head, _, self._received = self._received.partition(b"\n")
         line = head.decode()
         return dict(pair.split("=", 1) for pair in line.removeprefix(READY).split())
@@ -62,11 +59,17 @@ class Child:
         """What the child has told for a person since the last look; nothing is waited for."""
         out = self.process.stdout
         assert out is not None
-        if select.select([out], [], [], 0.0)[0]:
+        if self._says_more(0.0):
             self._received += os.read(out.fileno(), 4096)
         *lines, self._received = self._received.split(b"\n")
         texts = (line.decode(errors="replace") for line in lines)
         return [text.removeprefix(TELLS) for text in texts if text.startswith(TELLS)]
+
+    def _says_more(self, within_s: float) -> bool:
+        assert self.process.stdout is not None
+        with selectors.DefaultSelector() as selector:
+            selector.register(self.process.stdout, selectors.EVENT_READ)
+            return bool(selector.select(within_s))
 
     def failed(self, what: str) -> ChildFailed:
         """The error that tells of this child's end, with its last words."""

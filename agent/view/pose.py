@@ -7,6 +7,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from agent.log.quaternions import product
+
 Array = NDArray[np.float64]
 
 _STILL: Final = 1e-12  # half angles below it have no axis
@@ -26,12 +28,6 @@ def matrices(quat: Array) -> Array:
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
     return np.moveaxis(np.array(rows), 2, 0)
-
-
-def product(a: Array, b: Array) -> Array:
-    """a ⊗ b of quaternions (k, 4) each."""
-    w = a[:, :1] * b[:, :1] - np.sum(a[:, 1:] * b[:, 1:], axis=1, keepdims=True)
-    return np.hstack([w, a[:, :1] * b[:, 1:] + b[:, :1] * a[:, 1:] + np.cross(a[:, 1:], b[:, 1:])])
 
 
 def sizes(vectors: Array) -> Array:

@@ -221,19 +221,18 @@ class DxlServoFault(ServoFault):
 
     def that_is_of_all(self) -> DxlServoFault:
         """Return the same of an arm whose other servos have no torque either, without a state to hold anything with."""
-        found = f"{self.found}, and no other servo of the arm has torque"
-        return DxlServoFault(
-            self.cause, servo_id=self.servo_id, joint=self.joint, found=found, expected=str(self.expected),
-            hardware=self.hardware,
-        )  # fmt: skip
+        return self._again(f"{self.found}, and no other servo of the arm has torque", None)
 
     def with_state(self, state: JointState) -> DxlServoFault:
         """Return the same fault with another cycle's state."""
+        return self._again(str(self.found), state)
+
+    def _again(self, found: str, state: JointState | None) -> DxlServoFault:
         return DxlServoFault(
             self.cause,
             servo_id=self.servo_id,
             joint=self.joint,
-            found=str(self.found),
+            found=found,
             expected=str(self.expected),
             state=state,
             hardware=self.hardware,

@@ -353,15 +353,19 @@ def record_on_a_disk_nearly_full(
     return record.run(replace(options, ended=lambda log, why: ready(f"{log.name}: {why}")), stop, ready)
 
 
+def send_all(ring: Path, total: int, endpoint: str) -> None:
+    """So many rows of the left arm, in lockstep with a recorder."""
+    with telemetry(ring, "left", endpoint, Pace.LOCKSTEP) as tel, writer(ring, "left", total, None) as agent:
+        assert agent.result() == total
+        tel.result()
+
+
 @pytest.mark.fault("D1")
 def test_a_disk_that_is_full_stops_the_log_and_nothing_else(folder: Path) -> None:
-    ring, total = folder / "left.ring", 20_000
+    total = 20_000
     options = RecordOptions(folder / "run.mcap", scene(CELL, LEFT), CONFIG_ID, min_free_bytes=1 << 20)
     with Process(record_on_a_small_disk, options) as rec:
-        endpoint = rec.ready()
-        with telemetry(ring, "left", endpoint, Pace.LOCKSTEP) as tel, writer(ring, "left", total, None) as agent:
-            assert agent.result() == total
-            tel.result()
+        send_all(folder / "left.ring", total, rec.ready())
         assert rec.ready() == "run.mcap: File too large", "told while it runs"
         report = rec.stop()
         with pytest.raises(EOFError):
@@ -378,13 +382,9 @@ def test_a_disk_that_is_full_stops_the_log_and_nothing_else(folder: Path) -> Non
 
 @pytest.mark.fault("D1")
 def test_a_disk_that_is_nearly_full_ends_the_log_with_its_reason(folder: Path) -> None:
-    ring, total = folder / "left.ring", 100
     options = RecordOptions(folder / "run.mcap", scene(CELL, LEFT), CONFIG_ID)
     with Process(record_on_a_disk_nearly_full, options) as rec:
-        endpoint = rec.ready()
-        with telemetry(ring, "left", endpoint, Pace.LOCKSTEP) as tel, writer(ring, "left", total, None) as agent:
-            assert agent.result() == total
-            tel.result()
+        send_all(folder / "left.ring", 100, rec.ready())
         assert rec.ready() == "run.mcap: disk nearly full", "told while it runs"
         rec.stop()
     assert "disk nearly full: the log ends here" in [event.text for event in read_log(folder / "run.mcap").events]

@@ -12,13 +12,14 @@ import pytest
 
 from agent.config.cell import load_cell
 from agent.config.reading import ConfigError
+from agent.log.quaternions import product
 from agent.log.read import RunLog
 from agent.report.prepared import prepare
 from agent.view.arm import ArmBody
 from agent.view.drawing import drawing_of_cell, drawing_of_log
 from agent.view.error import ViewError
 from agent.view.motion import Motion, joined, motion_now, motion_of
-from agent.view.pose import exaggerated, matrices, moved, poses, product, sizes
+from agent.view.pose import exaggerated, matrices, moved, poses, sizes
 from agent.view.scene import ARROW_M, ARROW_MAX_M, DESIRED, OBJECT, Scene
 from agent.view.shapes import Mesh, ball, box, box_edges, cylinder
 from tests.support.telemetry.synthetic_run import OFFSETS, SQUEEZE_N
