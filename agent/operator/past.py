@@ -23,6 +23,7 @@ from agent.telemetry.row.sample import AGENT_STATE
 from agent.telemetry.row.topics import Kind
 
 OVER_S = 2.0
+SECOND_NS = 1_000_000_000
 ROWS_MAX = 2000
 COUNTERS = ("bus_timeouts", "bus_corrupt", "bus_alerts", "bus_retries")
 _STALE = int(Flag.STALE)
@@ -49,6 +50,19 @@ class Past:
     def utc_ns(self) -> int | None:
         """Of the last row."""
         return int(self.rows["utc_ns"][-1]) if len(self.rows) else None
+
+    def age_s(self, monotonic_ns: int, utc_ns: int) -> float | None:
+        """How long ago the last row was, s, by these readings of CLOCK_MONOTONIC and UTC; None without a row.
+
+        Stamps of somebody who lives are CLOCK_MONOTONIC's, so that a step of the wall clock is no age.  UTC tells of
+        one who is dead, whose ring a restart of the host may have left, and of lockstep, whose zero is a whole second.
+        """
+        if not len(self.rows):
+            return None
+        stamp_ns, row_utc_ns = (int(self.rows[name][-1]) for name in ("stamp_ns", "utc_ns"))
+        in_lockstep = (row_utc_ns - stamp_ns) % SECOND_NS == 0
+        age_ns = monotonic_ns - stamp_ns if self.written_by_the_living and not in_lockstep else utc_ns - row_utc_ns
+        return max(0.0, 1e-9 * age_ns)
 
     def timing(self) -> dict[str, float | int | None]:
         """The loop over these rows, s: how late it began, how long it took; cycles that had no fresh state."""

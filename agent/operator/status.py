@@ -33,8 +33,9 @@ def status(
     """All that `coop status --json` shows.  Raises ControlError when no arm of the cell is on this host."""
     names = [arm.name for arm in local_arms(cell, host)]
     heard = ask_arms(places(cell, names, (), host), Request(Verb.STATUS), timeout_s)
-    utc_ns = time.time_ns()
     pasts = {name: look(ring_paths(cell.file.name, name), cell.file.rate_hz) for name in names}
+    utc_ns, monotonic_ns = time.time_ns(), time.monotonic_ns()
+    ages_s = {name: past.age_s(monotonic_ns, utc_ns) if past else None for name, past in pasts.items()}
     return {
         "schema": SCHEMA,
         "cell": cell.file.name,
@@ -43,17 +44,16 @@ def status(
         "utc_ns": utc_ns,
         "clock": {"synchronised": clock.synchronised, "max_error_s": _finite(clock.max_error_s)},
         "recorder": recorder(cell.file.name, logs),
-        "arms": [_arm(cell, name, heard[name], pasts[name], utc_ns) for name in names],
+        "arms": [_arm(cell, name, heard[name], pasts[name], ages_s[name]) for name in names],
     }
 
 
-def _arm(cell: Cell, name: str, heard: Heard, past: Past | None, utc_ns: int) -> dict[str, Any]:
+def _arm(cell: Cell, name: str, heard: Heard, past: Past | None, age_s: float | None) -> dict[str, Any]:
     """One arm; of a dead one the mode is that of its last row."""
     details: dict[str, Any] = {}
     silence = heard.found if isinstance(heard, Silence) else None
     if not isinstance(heard, Silence):
         details = dict(heard.details)
-    row_utc_ns = past.utc_ns if past else None
     return {
         "arm": name,
         "answers": silence is None,
@@ -68,7 +68,7 @@ def _arm(cell: Cell, name: str, heard: Heard, past: Past | None, utc_ns: int) ->
         "guard": details.get("guard"),
         "clock_bound_s": details.get("clock_bound_s"),
         "start_utc_ns": details.get("start_utc_ns"),
-        "last_row_age_s": None if row_utc_ns is None else max(0.0, 1e-9 * (utc_ns - row_utc_ns)),
+        "last_row_age_s": age_s,
         "timing": past.timing() if past else None,
         "errors": past.errors() if past else None,
         "servos": past.temperatures() if past else None,

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from contextlib import ExitStack, closing
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -33,6 +35,7 @@ PAPER = configs.CELLS_DIR / "paper.toml"
 CELL = load_cell(PAPER)
 CLOCK = ClockState(synchronised=True, max_error_s=2.5e-4)
 NOW_NS = 1_700_000_000_000_000_000
+UP_NS = 36_000_123_456_789  # CLOCK_MONOTONIC then
 PERIOD_NS = 5_000_000
 ROWS = 500
 
@@ -43,7 +46,8 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     monkeypatch.setattr("agent.host.paths.SERVICES_DIR", tmp_path / "services")
-    monkeypatch.setattr(status_module.time, "time_ns", lambda: NOW_NS)
+    stands = SimpleNamespace(time_ns=lambda: NOW_NS, monotonic_ns=lambda: UP_NS)
+    monkeypatch.setattr(status_module, "time", stands)
     folder = tmp_path / "coop" / "paper"
     folder.mkdir(parents=True)
     return folder
@@ -67,7 +71,8 @@ def write_ring(stack: ExitStack, arm: str, *, mode: Mode, age_ns: int, flags: in
     for k in range(ROWS):
         row: Any = ring.row
         row["mode"], row["flags"], row["bus_timeouts"] = mode, flags, k // 250
-        row["stamp_ns"], row["utc_ns"] = k * PERIOD_NS, NOW_NS - age_ns - (ROWS - 1 - k) * PERIOD_NS
+        row_age_ns = age_ns + (ROWS - 1 - k) * PERIOD_NS
+        row["stamp_ns"], row["utc_ns"] = UP_NS - row_age_ns, NOW_NS - row_age_ns
         row["late_s"] = {20: 1e-3, 450: 2e-4}.get(k, 1e-5)
         row["read_s"], row["step_s"], row["write_s"] = 1e-3, 5e-4, 1e-4
         if k == 499 and flags & Flag.STALE:
@@ -135,6 +140,24 @@ def test_a_dead_arm_is_said_to_be_dead_with_what_its_ring_has(living: Arm, home:
     )
     assert shown[1].rest.startswith("Connection refused; last TRACK, 3.2 s ago; 200 Hz")
     assert shown[2].rest == "clock synchronised, error ≤ 0.25 ms; no recorder here"
+
+
+@pytest.mark.parametrize("step_s", [3600, -3600])
+def test_a_step_of_the_wall_clock_is_no_age_of_a_living_arm_s_last_row(living: Arm, step_s: int) -> None:
+    past = look([ring_path("paper", "left")], 200.0)
+    assert past is not None
+    assert past.age_s(UP_NS, NOW_NS + step_s * 10**9) == pytest.approx(0.002)
+
+
+def test_utc_tells_how_old_a_row_is_that_a_restart_of_the_host_or_lockstep_left(living: Arm) -> None:
+    past = look([ring_path("paper", "left")], 200.0)
+    assert past is not None
+    restarted = replace(past, written_by_the_living=False)
+    assert restarted.age_s(5_000_000_000, NOW_NS) == pytest.approx(0.002)
+    rows = past.rows.copy()
+    rows["stamp_ns"] += (rows["utc_ns"] - rows["stamp_ns"]) % 10**9
+    assert replace(past, rows=rows).age_s(UP_NS + 10**15, NOW_NS) == pytest.approx(0.002)
+    assert replace(past, rows=past.rows[:0]).age_s(UP_NS, NOW_NS) is None
 
 
 def test_an_arm_that_hangs_is_not_dead_and_one_without_a_trace_is_neither(home: Path) -> None:
