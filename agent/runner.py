@@ -223,7 +223,7 @@ class Runner:
             found = self._reason or f"{outcome.flags.name} {explained(self._agent, outcome)}".rstrip()
         if not found:
             return Event.NONE
-        self._reason = self._reason or f"t = {t:.3f} s: {found}"
+        self._reason = self._reason or self._ticks.told(t) + found
         return Event.TROUBLE
 
     def _send(self, tau: Vector) -> Vector:
@@ -268,8 +268,9 @@ class Runner:
         """Whether the next tick belongs to the trajectory; takes over the common start once it is known (READY)."""
         zero_ns = self._around.start_ns()
         session, ticks = self._session, self._ticks
-        counts = zero_ns != ticks.zero_ns and (session is None or session.counts(zero_ns, deadline_ns))
-        if zero_ns is not None and counts:
+        if zero_ns is None:
+            ticks.take_back(deadline_ns)
+        elif zero_ns != ticks.zero_ns and (session is None or session.counts(zero_ns, deadline_ns)):
             ticks.start(zero_ns)
         return ticks.starts_next()
 

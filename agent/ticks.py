@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from agent.around import Schedule
 
-NOT_YET_NS = 86_400_000_000_000  # the trajectory's zero while nobody has set it: a day ahead
+NOT_YET_NS = 86_400_000_000_000  # the time in rows while nobody has given a start: it counts towards a day ahead
 
 
 class Ticks:
@@ -16,6 +16,7 @@ class Ticks:
         self._period_ns = schedule.period_ns
         self._length_ns = schedule.ticks * schedule.period_ns
         self._endless = schedule.hold_at_end
+        self._begins = self._lockstep = schedule.lockstep  # whether it does at its zero, which else nobody has given
 
     def over(self) -> bool:
         """Whether there is no tick any more."""
@@ -28,12 +29,21 @@ class Ticks:
     def start(self, zero_ns: int) -> None:
         """The trajectory begins at this instant: this tick's deadline moves to a whole number of periods before it."""
         self.deadline_ns = zero_ns - (zero_ns - self.deadline_ns) // self._period_ns * self._period_ns
-        self.zero_ns = zero_ns
+        self.zero_ns, self._begins = zero_ns, True
 
     def await_start(self, now_ns: int) -> None:
-        """What was started is over; nobody has set another zero."""
-        self.zero_ns = now_ns + NOT_YET_NS
+        """What was started is over, or taken back; nobody has set another zero."""
+        self.zero_ns, self._begins = now_ns + NOT_YET_NS, False
+
+    def take_back(self, now_ns: int) -> None:
+        """No start is given any more; without effect where none was."""
+        if self._begins and not self._lockstep:
+            self.await_start(now_ns)
 
     def starts_next(self) -> bool:
-        """Whether the next tick belongs to the trajectory."""
-        return self.deadline_ns + self._period_ns >= self.zero_ns
+        """Whether the next tick belongs to the trajectory: never, as long as nobody has given a start."""
+        return self._begins and self.deadline_ns + self._period_ns >= self.zero_ns
+
+    def told(self, t: float) -> str:
+        """An instant (s) of the trajectory in front of what happened then; in words where it has no zero yet."""
+        return f"t = {t:.3f} s: " if t > -0.5e-9 * NOT_YET_NS else "before a start: "

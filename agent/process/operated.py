@@ -17,7 +17,6 @@ from agent.operator.table import EVENT_OF
 from agent.process.clocked import ClockWatch
 from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.event import Level
-from agent.ticks import NOT_YET_NS
 from drivers.clock import utc_offset_ns
 from drivers.interface import Clock
 
@@ -115,13 +114,13 @@ class Operator:
         """The common start on CLOCK_MONOTONIC, which is the clock of every arm that can be given one.
 
         Mapped once, when it is given: later steps of the wall clock cannot move it.  A later start replaces an
-        earlier one, and one that is taken back is a day away.
+        earlier one; None while there is none, or none any more.
         """
         given = self._control.requests.start if self._control is not None else None
         if given is not self._start:
             self._start = given
             if given is None:
-                self._start_ns = self._clock.now_ns() + NOT_YET_NS
+                self._start_ns = None
                 self._tell(Level.WARN, "the start has been taken back")
             else:
                 self._start_ns, self._trouble = given.start_utc_ns - utc_offset_ns(), ""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -50,6 +52,27 @@ def test_without_a_start_the_arm_goes_on_holding_its_start_pose() -> None:
     assert done.modes == [Mode.HOLD, Mode.OFF]
     assert (done.rows["mode"][:40] == Mode.READY).all()
     assert done.rows["t"][0] == pytest.approx(-86_400.0), "the trajectory is a day ahead until somebody says when"
+
+
+def no_start(_: int, __: int) -> None:
+    """Nobody gives one."""
+
+
+def taken_back(reads: int, zero_ns: int) -> int | None:
+    """A start until the fifth read, and none behind it."""
+    return zero_ns if reads <= 5 else None
+
+
+@pytest.mark.parametrize("start_ns", [no_start, taken_back])
+def test_an_arm_that_nobody_starts_stays_where_it_is_longer_than_a_day(
+    start_ns: Callable[[int, int], int | None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("agent.ticks.NOT_YET_NS", 30 * period_ns())
+    done = run(lambda n: Event.STOP | Event.RELEASED if n > 80 else Event.NONE, start_ns=start_ns, hold_at_end=True)
+    assert done.modes == [Mode.HOLD, Mode.OFF]
+    assert len(done.of(Mode.READY)) == 82
+    assert done.of(Mode.READY)["t"][-1] > 40 * period_ns() * 1e-9, "its day is over"
+    assert done.of(Mode.READY)["e_p"] == pytest.approx(0.0, abs=1e-9)
 
 
 def test_the_common_start_moves_the_phase_once_and_makes_no_cycle_late() -> None:
