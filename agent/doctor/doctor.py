@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import numpy as np
 from agent.config.cell import Arm, Cell
 from agent.config.servo_map import arm_map
 from agent.doctor import cycle, host, servos
+from agent.doctor.certificates import FOLDER, certificates
 from agent.doctor.cycle import CycleFigures
 from agent.doctor.move import first_motion, map_of
 from agent.doctor.port import before_opening, latency_timer
@@ -79,6 +81,7 @@ def diagnose(cell: Cell, options: DoctorOptions, tell: Tell) -> Diagnosis:
     tell("looking at the host and the cell file")
     facts = host.read_facts(options.logs, ", ".join(f"{name} {v}" for name, v in versions().items()))
     out.findings += host.judge(facts, len(arms), _log_bytes(cell), cell.file.rate_hz)
+    out.findings += certificates(FOLDER, datetime.now(UTC))
     starts = _examine_cell(cell, out)
     for arm in arms:
         tell(f"looking at arm {arm.name}")

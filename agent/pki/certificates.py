@@ -1,24 +1,17 @@
-"""Certificates by the openssl command: an authority, leaves that it signs, how long they last.  Keys are made 0600."""
+"""Certificates by the openssl command: an authority, and leaves that it signs.  Keys are made 0600."""
 
 from __future__ import annotations
 
-import datetime
 import ipaddress
 import secrets
-import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from drivers.interface import Refusal
+from agent.host.openssl import openssl
 
 AUTHORITY_DAYS: Final = 3650
 _CURVE: Final = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes")
-_TIMEOUT_S: Final = 30.0
-
-
-class PkiError(Refusal):
-    """A certificate cannot be made or read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +24,7 @@ class Leaf:
 
 def make_authority(folder: Path, cell: str) -> None:
     """`ca.pem` and `ca.key` in the folder; it signs leaves and no further authority.  Raises PkiError."""
-    _openssl(
+    openssl(
         folder, "req", "-x509", *_CURVE, "-keyout", "ca.key", "-out", "ca.pem", "-subj", f"/CN=coop cell {cell}",
         "-days", str(AUTHORITY_DAYS), "-addext", "keyUsage=critical,keyCertSign",
         "-addext", "basicConstraints=critical,CA:TRUE,pathlen:0",
@@ -49,9 +42,9 @@ def sign(authority: Path, folder: Path, name: str, leaf: Leaf, days: int) -> Non
     scratch = folder / f"{name}.ext", folder / f"{name}.csr"
     scratch[0].write_text("\n".join(extensions) + "\n")
     try:
-        _openssl(folder, "req", *_CURVE, "-keyout", f"{name}.key", "-out", f"{name}.csr", "-subj",
+        openssl(folder, "req", *_CURVE, "-keyout", f"{name}.key", "-out", f"{name}.csr", "-subj",
                  f"/CN={leaf.common_name}")  # fmt: skip
-        _openssl(
+        openssl(
             folder, "x509", "-req", "-in", f"{name}.csr", "-CA", str(authority / "ca.pem"), "-CAkey",
             str(authority / "ca.key"), "-set_serial", f"0x{secrets.token_hex(16)}", "-out", f"{name}.pem",
             "-days", str(days), "-extfile", f"{name}.ext",
@@ -61,19 +54,9 @@ def sign(authority: Path, folder: Path, name: str, leaf: Leaf, days: int) -> Non
             path.unlink(missing_ok=True)
 
 
-def expiry(certificate: Path) -> datetime.datetime:
-    """When it ends, UTC.  Raises PkiError."""
-    line = _openssl(certificate.parent, "x509", "-in", certificate.name, "-noout", "-enddate").strip()
-    text = line.removeprefix("notAfter=")
-    try:
-        return datetime.datetime.strptime(text, "%b %d %H:%M:%S %Y GMT").replace(tzinfo=datetime.UTC)
-    except ValueError as error:
-        raise PkiError(f"certificate {certificate}", found=line, expected="its end", remedy="renew it") from error
-
-
 def hosts(certificate: Path) -> tuple[str, ...]:
     """Names and addresses by which its owner is dialled.  Raises PkiError."""
-    lines = _openssl(certificate.parent, "x509", "-in", certificate.name, "-noout", "-ext", "subjectAltName")
+    lines = openssl(certificate.parent, "x509", "-in", certificate.name, "-noout", "-ext", "subjectAltName")
     names = lines.strip().splitlines()[-1].split(",")
     return tuple(name.strip().removeprefix("DNS:").removeprefix("IP Address:") for name in names)
 
@@ -83,28 +66,3 @@ def _alternative(host: str) -> str:
         return f"IP:{ipaddress.ip_address(host)}"
     except ValueError:
         return f"DNS:{host}"
-
-
-def _openssl(folder: Path, *words: str) -> str:
-    try:
-        done = subprocess.run(
-            ["openssl", *words], cwd=folder, capture_output=True, text=True, stdin=subprocess.DEVNULL,
-            timeout=_TIMEOUT_S, umask=0o077, check=False,
-        )  # fmt: skip
-    except OSError as error:
-        raise PkiError(
-            "command openssl", found=error.strerror, expected="OpenSSL 3", remedy="sudo apt install openssl"
-        ) from error
-    except subprocess.TimeoutExpired as error:
-        raise PkiError(
-            f"openssl {words[0]} in {folder}", found=f"no end within {_TIMEOUT_S:g} s", expected="a certificate",
-            remedy="look at the host's load, then try again",
-        ) from error  # fmt: skip
-    if done.returncode:
-        raise PkiError(
-            f"openssl {words[0]} in {folder}",
-            found=(done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1],
-            expected="a certificate",
-            remedy="see whether ca.pem and ca.key are there, and belong together",
-        )
-    return done.stdout

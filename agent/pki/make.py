@@ -15,7 +15,8 @@ from typing import Final
 
 from agent.config.files import CellFiles
 from agent.config.schema.driver import DriverKind
-from agent.pki.certificates import Leaf, PkiError, expiry, hosts, make_authority, sign
+from agent.host.openssl import PkiError, validity
+from agent.pki.certificates import Leaf, hosts, make_authority, sign
 from agent.pki.zenoh import Paths, common_name, member_config, recorder_config
 from agent.telemetry.row.topics import PLANT, RECORDER
 
@@ -99,9 +100,11 @@ def renew(wish: Wish, names: Sequence[str]) -> dict[str, datetime.datetime]:
 def ends(folder: Path) -> dict[str, datetime.datetime]:
     """When each certificate of a folder ends, the authority's first.  Raises PkiError."""
     found = {
-        path.parents[1].name: expiry(path) for path in sorted(folder.glob("*/zenoh/*.pem")) if path.name != "ca.pem"
+        path.parents[1].name: validity(path).ends
+        for path in sorted(folder.glob("*/zenoh/*.pem"))
+        if path.name != "ca.pem"
     }
-    return {"authority": expiry(folder / "authority/ca.pem"), **found}
+    return {"authority": validity(folder / "authority/ca.pem").ends, **found}
 
 
 def _endpoint(option: str, host: str, port: int) -> str:

@@ -14,8 +14,8 @@ import pytest
 import zenoh
 
 from agent.config.files import load_files
-from agent.pki import certificates
-from agent.pki.certificates import PkiError, hosts
+from agent.host.openssl import PkiError
+from agent.pki.certificates import hosts
 from agent.pki.make import Wish, ends, make, renew
 from agent.pki.zenoh import Paths, recorder_config
 from tests.support.command import coop
@@ -145,7 +145,7 @@ def test_an_openssl_that_does_not_end_is_said(tmp_path: Path, monkeypatch: pytes
     fake.write_text("#!/bin/sh\nexec sleep 60\n")
     fake.chmod(0o755)
     monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
-    monkeypatch.setattr(certificates, "_TIMEOUT_S", 0.1)
+    monkeypatch.setattr("agent.host.openssl._TIMEOUT_S", 0.1)
     with pytest.raises(PkiError, match=r"openssl req .* no end within 0\.1 s"):
         make(Wish(CELL, tmp_path / "cell"))
     assert [path.name for path in tmp_path.iterdir()] == ["openssl"]
