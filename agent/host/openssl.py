@@ -10,7 +10,6 @@ from typing import Final, NamedTuple
 from drivers.interface import Refusal
 
 _TIMEOUT_S: Final = 30.0
-_FORM: Final = "%b %d %H:%M:%S %Y GMT"
 
 
 class PkiError(Refusal):
@@ -29,13 +28,15 @@ def validity(certificate: Path) -> Validity:
     text = openssl(certificate.parent, "x509", "-in", certificate.name, "-noout", "-startdate", "-enddate")
     said = dict(line.split("=", 1) for line in text.splitlines() if "=" in line)
     try:
-        return Validity(*(
-            datetime.datetime.strptime(said[key], _FORM).replace(tzinfo=datetime.UTC) for key in ("notBefore", "notAfter")
-        ))  # fmt: skip
+        return Validity(_instant(said["notBefore"]), _instant(said["notAfter"]))
     except (KeyError, ValueError) as error:
         raise PkiError(
             f"certificate {certificate}", found=text.strip(), expected="its beginning and end", remedy="renew it"
         ) from error
+
+
+def _instant(text: str) -> datetime.datetime:
+    return datetime.datetime.strptime(text, "%b %d %H:%M:%S %Y GMT").replace(tzinfo=datetime.UTC)
 
 
 def openssl(folder: Path, *words: str) -> str:

@@ -36,6 +36,7 @@ _CHANNEL_AT: Final = RECORD_HEAD_BYTES + 2  # a message record begins with opcod
 _FOOTER_CRC_AT: Final = RECORD_HEAD_BYTES + 16
 _BAD_RECORD: Final = (ValueError, RuntimeError, OverflowError, McapError, struct.error, zstandard.ZstdError)
 _PIECE: Final = 1 << 20
+_BEGINNING: Final = MAGIC + bytes([Opcode.HEADER])  # of a log; what ends one is not followed by a header
 
 Record = Header | Schema | Channel | Attachment | Metadata
 
@@ -85,7 +86,7 @@ class LogScan:
         self.problems: list[str] = []
         self.damaged = 0  # records left out because a checksum or their structure is wrong
         self.finished = False  # index and closing magic are there
-        self.another_at: int | None = None  # where another log begins behind the end of a finished one
+        self.another_at: int | None = None  # where another log begins behind the end of this one, or where it is cut
         self.intact_bytes = len(MAGIC)  # up to the end of the last whole record
 
     def __iter__(self) -> Iterator[Record | Messages]:
@@ -101,6 +102,8 @@ class LogScan:
             try:
                 yield from self._record(opcode, length, head, position)
             except _BAD_RECORD as error:
+                if self._another_within(position, end + len(_BEGINNING) - 1):
+                    break
                 self._damage(f"damaged at byte {position}: {error or type(error).__name__}")
             self.intact_bytes = position = end
             self._file.seek(end)
@@ -115,8 +118,24 @@ class LogScan:
             what = "another log, which is not read" if another else "no part of it"
             self.problems.append(f"{self._size - ends} bytes behind its end are {what}")
         if not self.finished:
-            rest = self._size - self.intact_bytes
-            self.problems.append(f"the file ends without its index{f', {rest} bytes of a record cut' if rest else ''}")
+            self._tell_cut()
+
+    def _tell_cut(self) -> None:
+        rest, what = self._size - self.intact_bytes, "of a record cut"
+        if self._another_within(self.intact_bytes, self._size):
+            what = "are a record cut and another log, which is not read"
+        self.problems.append(f"the file ends without its index{f', {rest} bytes {what}' if rest else ''}")
+
+    def _another_within(self, begin: int, end: int) -> bool:
+        """Whether another log begins in these bytes, which are no record; `another_at` says where."""
+        self._file.seek(begin)
+        kept, at = b"", begin
+        while self.another_at is None and (piece := self._file.read(min(end - begin, _PIECE))):
+            found = (kept + piece).find(_BEGINNING)
+            if found >= 0:
+                self.another_at = at - len(kept) + found
+            kept, at, begin = (kept + piece)[1 - len(_BEGINNING) :], at + len(piece), begin + len(piece)
+        return self.another_at is not None
 
     def _damage(self, what: str) -> None:
         self.damaged += 1

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from agent.report.results import Judgement, Results
 from drivers.interface import Refusal
 
@@ -23,7 +25,11 @@ def require_bounds(results: Results) -> None:
         remedy = f"errors count from {info.transient_s:g} s on, while all arms follow the trajectory: let it run longer"
     raise BoundsMissed(
         f"bounds of cell {info.cell}",
-        found=", ".join(f"{b.value} {results.headline(b.value):.3g} {v.value}" for b, v in missed.items() if v),
+        found=", ".join(_said(b.value, results.headline(b.value), v) for b, v in missed.items() if v),
         expected=", ".join(f"{b.value} ≤ {info.bounds[b]:g}" for b in missed),
         remedy=remedy,
     )
+
+
+def _said(figure: str, value: float, verdict: Judgement) -> str:
+    return f"{figure} not measured" if math.isnan(value) else f"{figure} {value:.3g} {verdict.value}"

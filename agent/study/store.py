@@ -39,8 +39,9 @@ class Store:
 
         Raises WriteError, and StudyError where it holds another study or one that goes on.
         """
-        make_folder(folder)
         self.path = folder / RUNS_FILE
+        self._made = [path for path in (self.path, folder, *folder.parents) if not path.exists()]
+        make_folder(folder)
         self._identity = json.loads(json.dumps(identity))
         self.results: dict[Key, RunResult] = {}
         try:
@@ -129,7 +130,15 @@ class Store:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        if kind is not None and not self.results:
+            self._remove()
         self._close()
+
+    def _remove(self) -> None:
+        """What was made for a study that failed before its first run, while nobody else can have it."""
+        with contextlib.suppress(OSError):  # somebody has put something in a folder
+            for path in self._made:
+                path.unlink() if path == self.path else path.rmdir()
 
     def _close(self) -> None:
         with contextlib.suppress(OSError):  # of a line that the disk did not take: its writer was told

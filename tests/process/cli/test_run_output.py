@@ -39,7 +39,7 @@ def test_a_bound_that_was_not_shown_is_said_in_one_line(tmp_path: Path) -> None:
     assert json.loads(done.stdout)["within_bounds"] is False
     assert done.returncode == 6
     assert done.stderr.count("\n") == 1
-    assert done.stderr.startswith("coop: bounds of cell paper: found max_position_error_m nan not shown")
+    assert done.stderr.startswith("coop: bounds of cell paper: found max_position_error_m not measured")
     assert "let it run longer" in done.stderr
 
 

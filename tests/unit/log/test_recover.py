@@ -66,6 +66,30 @@ def test_two_logs_one_behind_the_other_are_not_mended_into_the_first(tmp_path: P
     assert both[at:] == more, "`tail` counts from 1"
 
 
+@pytest.mark.parametrize(("cut", "piece"), [(0, 1 << 20), (1, 1 << 20), (8, 1 << 20), (300, 7), (5000, 1 << 20)])
+def test_a_log_behind_an_unfinished_one_is_not_mended_into_it(
+    tmp_path: Path, cut: int, piece: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """cut: bytes that the first one lacks of its last whole chunk, or 0; piece: that are read at a time."""
+    monkeypatch.setattr(scan, "_PIECE", piece)
+    first, second, path = (tmp_path / f"{name}.mcap" for name in ("first", "second", "run"))
+    make_log(first)
+    make_log(second, 7)
+    with first.open("rb") as file:
+        chunk_ends = 0
+        for record in scan.LogScan(file):
+            chunk_ends = file.tell() if isinstance(record, scan.Messages) else chunk_ends
+    begun, more = first.read_bytes()[: chunk_ends - cut], second.read_bytes()
+    first.write_bytes(begun)
+    path.write_bytes(begun + more)
+    problems = read_log(path).problems
+    assert problems[-1].endswith("another log, which is not read")
+    assert read_log(path).agents["left"].tobytes() == read_log(first).agents["left"].tobytes()
+    with pytest.raises(LogError, match=rf"two logs .*`head -c {len(begun)}`, `tail -c \+{len(begun) + 1}`"):
+        recover(path)
+    assert path.read_bytes() == begun + more
+
+
 def test_what_is_no_log_behind_the_end_is_told_and_taken_away(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     rows = make_log(path)

@@ -17,7 +17,7 @@ def test_a_run_that_ends_in_the_transient_has_shown_no_bound() -> None:
     assert log.plant is not None
     require_bounds(summarise(log))
     cut = replace(log, agents={name: rows[:1000] for name, rows in log.agents.items()}, plant=log.plant[:1000])
-    with pytest.raises(BoundsMissed, match=r"found max_position_error_m nan not shown.*let it run longer") as caught:
+    with pytest.raises(BoundsMissed, match=r"found max_position_error_m not measured.*let it run longer") as caught:
         require_bounds(summarise(cut))
     assert caught.value.exit_code == 6
     assert "\n" not in str(caught.value)

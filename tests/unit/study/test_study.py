@@ -121,6 +121,34 @@ def test_the_worst_run_is_a_cell_that_repeats_it(tmp_path: Path, plan: Plan, res
     assert measure(Laboratory(again), None, bad.index, bad.seed) == bad
 
 
+def no_worker(_: Sequence[Task]) -> Iterator[tuple[Task, RunResult]]:
+    raise StudyError("scheduler", found="no answer", expected="one", remedy="start it")
+    yield
+
+
+def test_a_study_that_fails_before_its_first_run_leaves_what_was_there(tmp_path: Path, plan: Plan) -> None:
+    out, kept = tmp_path / "studies" / "one", tmp_path / "kept"
+    kept.mkdir()
+    (kept / "notes").write_text("mine")
+    for folder in (out, kept):
+        with pytest.raises(StudyError, match="no answer"):
+            run_study(plan, folder, no_worker, lambda: False, Told())
+    assert sorted(tmp_path.rglob("*")) == [kept, kept / "notes"]
+
+
+def test_a_study_that_fails_behind_its_first_run_keeps_it(tmp_path: Path, plan: Plan, results: list[RunResult]) -> None:
+    def fails(tasks: Sequence[Task]) -> Iterator[tuple[Task, RunResult]]:
+        yield tasks[0], results[0]
+        yield from no_worker(tasks)
+
+    with pytest.raises(StudyError, match="no answer"):
+        run_study(plan, tmp_path, fails, lambda: False, Told())
+    with pytest.raises(StudyError, match="no answer"):
+        run_study(plan, tmp_path, no_worker, lambda: False, Told())
+    with Store(tmp_path, plan.identity()) as store:
+        assert list(store.results) == [plan.tasks()[0].key]
+
+
 def test_a_study_that_was_stopped_goes_on_where_it_was(tmp_path: Path, plan: Plan, results: list[RunResult]) -> None:
     first = Told()
     outcome = run_study(plan, tmp_path, here, lambda: len(first.done) >= 2, first)
