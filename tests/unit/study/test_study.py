@@ -127,13 +127,17 @@ def no_worker(_: Sequence[Task]) -> Iterator[tuple[Task, RunResult]]:
 
 
 def test_a_study_that_fails_before_its_first_run_leaves_what_was_there(tmp_path: Path, plan: Plan) -> None:
-    out, kept = tmp_path / "studies" / "one", tmp_path / "kept"
+    out, kept, empty = tmp_path / "studies" / "one", tmp_path / "kept", tmp_path / "empty"
     kept.mkdir()
+    empty.mkdir()
     (kept / "notes").write_text("mine")
-    for folder in (out, kept):
+    for folder in (out, kept, empty):
         with pytest.raises(StudyError, match="no answer"):
             run_study(plan, folder, no_worker, lambda: False, Told())
-    assert sorted(tmp_path.rglob("*")) == [kept, kept / "notes"]
+    assert sorted(tmp_path.rglob("*")) == [empty, kept, kept / "notes"]
+    with Store(empty, plan.identity()):
+        pass
+    assert (empty / RUNS_FILE).is_file(), "of one that was stopped before its first run"
 
 
 def test_a_study_that_fails_behind_its_first_run_keeps_it(tmp_path: Path, plan: Plan, results: list[RunResult]) -> None:
