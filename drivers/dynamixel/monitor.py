@@ -80,7 +80,10 @@ class _Question:
 
 
 class GapMonitor:
-    """Round robin over pages and groups of servos, one question per gap; a doubt is asked about again at once."""
+    """Round robin over pages and groups of servos, one question per gap; a doubt is asked about again at once.
+
+    A servo whose error stands raises a doubt in every cycle: every other gap is the round's all the same.
+    """
 
     def __init__(
         self,
@@ -99,6 +102,7 @@ class GapMonitor:
         self._pending: _Question | None = None
         self._urgent: deque[_Question] = deque()
         self._turn = 0
+        self._owed = False  # to the round: the last gap went to a doubt
         self._rest = False
 
         def ask(page: Page, some: Sequence[ServoRecord]) -> list[_Question]:
@@ -131,7 +135,8 @@ class GapMonitor:
         if self._rest:  # a missed answer may still come, and would be taken for the next one's
             self._rest = False
             return b"", 0
-        if self._urgent:
+        doubted = bool(self._urgent) and not self._owed
+        if doubted:
             question = self._urgent[0]
         elif self._turn % SLOW_EVERY == SLOW_EVERY - 1:
             question = self._seldom[self._turn // SLOW_EVERY % len(self._seldom)]
@@ -139,7 +144,8 @@ class GapMonitor:
             question = self._often[(self._turn - self._turn // SLOW_EVERY) % len(self._often)]
         if question.wire_ns > gap_ns:
             return b"", 0
-        if self._urgent:
+        self._owed = doubted
+        if doubted:
             self._urgent.popleft()
         else:
             self._turn += 1

@@ -406,6 +406,22 @@ def test_supply_near_its_limit_is_told():
     assert np.allclose(rig.driver.health().voltage_V, 9.8)
 
 
+@pytest.mark.fault("S3")
+def test_an_error_bit_that_a_dip_of_the_supply_has_left_hides_no_heat_no_supply_and_no_lost_torque():
+    rig = warm()
+    rig.fault(FaultKind.VOLTAGE, voltage_V=8.5, duration_s=0.05)
+    cycles(rig, 30, 0.0 * TAU)
+    assert "HARDWARE_WARNING" in rig.kinds(), "which stands until each servo restarts"
+    rig.fault(FaultKind.OVERHEAT, 4, temperature_C=77.0)
+    rig.fault(FaultKind.VOLTAGE, 7, voltage_V=9.8)
+    cycles(rig, 150, 0.0 * TAU)
+    assert [event.servo_id for event in rig.events if event.kind.name == "HOT"] == [4]
+    assert rig.driver.health().voltage_V[6] == pytest.approx(9.8)
+    rig.put(3, table.TORQUE_ENABLE, 0)
+    done = cycles(rig, 20, 0.0 * TAU, until=DxlServoFault)
+    assert (done[-1].error.cause, done[-1].error.servo_id) == (FaultCause.TORQUE_LOST, 3)
+
+
 def test_old_firmware_falls_back_to_plain_sync_read_and_says_so_once():
     rig = enabled(timing=WIRE, firmware=44)
     assert rig.kinds().count("SLOW_SYNC_READ") == 1

@@ -164,10 +164,21 @@ def test_an_answer_that_nobody_asked_for_is_nothing() -> None:
 
 def test_an_alert_is_asked_about_at_once_and_once() -> None:
     bench = Bench()
+    assert answered(bench, 1) == [("STATUS", (1, 2))]
     bench.monitor.alert(6)
     bench.monitor.alert(5)
     bench.monitor.alert(3)
-    assert [ids for _, ids in answered(bench, 4)] == [(5, 6), (3, 4), (1, 2), (3, 4)]
+    assert [ids for _, ids in answered(bench, 4)] == [(5, 6), (3, 4), (3, 4), (5, 6)], "every other gap is the round's"
+
+
+def test_a_servo_whose_error_stands_takes_no_more_than_every_other_gap_from_the_round() -> None:
+    undisturbed, bench, asked = answered(Bench(), 64), Bench(), []
+    for _ in range(128):
+        for servo_id in (2, 7):  # as every answer of theirs says
+            bench.monitor.alert(servo_id)
+        asked += answered(bench, 1)
+    assert asked[::2] == [("STATUS", (1, 2)), ("STATUS", (7,))] * 32
+    assert asked[1::2] == undisturbed
 
 
 def test_an_alert_waits_for_a_gap_that_is_long_enough() -> None:
