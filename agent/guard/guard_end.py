@@ -48,11 +48,6 @@ class GuardEnd:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    @property
-    def connected(self) -> bool:
-        """Whether an agent is there."""
-        return self._agent is not None
-
     def filenos(self) -> list[int]:
         """Descriptors to wait on."""
         return [end.fileno() for end in (self._listening, self._agent) if end is not None]

@@ -57,18 +57,6 @@ class JointEntry(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class JointData:
-    """A JointEntry by itself, e.g. the gripper, which arm files keep apart from the joints."""
-
-    name: str
-    servo: str
-    ids: Sequence[int]
-    reverse: Sequence[bool]
-    zero_tick: int = TICK_CENTRE
-    position_limit_ticks: tuple[int, int] = (0, 4095)
-
-
-@dataclass(frozen=True, slots=True)
 class ServoWiring:
     """One servo as it was set up: what its EEPROM holds beyond the factory values."""
 

@@ -95,10 +95,9 @@ def test_the_cell_file_gives_the_motion_and_the_instants_to_examine(tmp_path: Pa
     t = 7.0
     x = 0.03 * math.sin(0.2 * math.pi * t) + 0.01 * math.sin(0.8 * math.pi * t + 0.3)
     assert motion.at(t).p == pytest.approx((0.3 + x, 0.12, 0.0), abs=1e-12)
-    assert motion.frequency_hz == pytest.approx(0.4)
     instants, count = waypoint_times(cell.file, 100.0, 6000)
     assert (instants[0], instants[-1], len(instants)) == (0.0, 20.0, count)
-    assert max(np.diff(instants)) <= 1.0 / (SAMPLES_PER_SHORTEST_PERIOD * motion.frequency_hz) + 1e-12
+    assert max(np.diff(instants)) <= 1.0 / (SAMPLES_PER_SHORTEST_PERIOD * 0.4) + 1e-12
     assert waypoint_times(cell.file, 100.0, 3) == ([0.0, 10.0, 20.0], count)
     assert max(waypoint_times(cell.file, 5.0, 6000)[0]) == 5.0
 
