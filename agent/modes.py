@@ -59,6 +59,8 @@ class Event(enum.IntFlag):
 
 _BY_NUMBER = {int(mode): mode for mode in Mode}
 FLOATING = frozenset({Mode.FLOAT, Mode.STAND, Mode.SINK})
+# of a session, from a stop to rest: what was wrong before the word is borne there, for it is the reason to go back
+WAY_BACK = frozenset({Mode.LOWER, Mode.RELEASE, Mode.PARK})
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,6 +32,7 @@ from agent.config.statics import carried_Nm
 from agent.config.trajectory import sample_times
 from agent.control import ik
 from agent.control.against import Against
+from agent.control.errors import HALF_ANGLE
 from agent.control.inverse import SingularJacobian, invert_jacobian
 from agent.control.law import Offline
 from agent.control.models import ArmModel, Kinematics, Matrix
@@ -61,7 +62,6 @@ TOUCH_ALONG: Final = (1.05, 0.15)  # times an arm's share of a touch
 ALONE: Final = 2  # arms that feel a touch as they feel the other one
 FLOORS: Final = Channels(0.5, 0.05, 0.3, 0.03)
 POSITION_LSB_RAD: Final = 2.0 * math.pi / TICKS_PER_TURN
-HALF_ANGLE: Final = (1.0, 1.0, 1.0, 0.5, 0.5, 0.5)  # H: e is half the angle
 
 
 def thresholds(cell: Cell) -> Channels:

@@ -14,6 +14,8 @@ from typing import NamedTuple
 from agent.control.quaternion import Quat, Vec3
 from agent.control.trajectory import Desired, Vec6
 
+HALF_ANGLE: Vec6 = (1.0, 1.0, 1.0, 0.5, 0.5, 0.5)  # H: near zero, `Errors.e` of a small displacement and turn
+
 
 @dataclass(frozen=True, slots=True)
 class Gains:

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from agent.loop import Outcome
-from agent.modes import Mode
+from agent.modes import WAY_BACK, Mode
 from agent.monitors.body import Limited, Load, Workspace
 from agent.monitors.bounds import Bounds, Name
 from agent.monitors.gravity import Gravity
@@ -23,8 +23,7 @@ from drivers.interface import JointState, ServoHealth
 
 HEALTH_S = 0.25
 _STOPS = frozenset({Mode.READY, Mode.TRACK, Mode.APPROACH, Mode.GRASP, Mode.FLOAT})  # everything is a reason to stop
-_BACK = frozenset({Mode.LOWER, Mode.RELEASE, Mode.PARK})  # and in these the motion alone
-_OF_MOTION = frozenset({Name.SPEED, Name.POWER})
+_OF_MOTION = frozenset({Name.SPEED, Name.POWER})  # for which an arm stops on its way back, too
 
 
 class Watch:
@@ -68,7 +67,7 @@ class Watch:
 
     def _found(self, name: Name, said: str, mode: Mode) -> str:
         text = f"monitor {name}: {said}"
-        if mode in _STOPS or (mode in _BACK and name in _OF_MOTION):
+        if mode in _STOPS or (mode in WAY_BACK and name in _OF_MOTION):
             self._told.add(name)
             return text
         if name not in self._told:

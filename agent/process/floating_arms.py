@@ -17,6 +17,7 @@ from agent.config.schema.driver import DriverKind
 from agent.host.child import Child
 from agent.modes import Mode
 from agent.operator.words import start_patiently
+from agent.process.children import READY_TIMEOUT_S, STOP_TIMEOUT_S
 from agent.process.commands import (
     AgentCommand,
     ChildCommand,
@@ -33,9 +34,7 @@ from agent.process.glance import Glance, Window
 from agent.process.run_folder import run_folder
 from agent.telemetry.link.session import FREE_PORT
 
-READY_TIMEOUT_S = 30.0
 END_TIMEOUT_S = STAND_S + SINK_MAX_S + 10.0
-STOP_TIMEOUT_S = 20.0
 START_IN_NS = 3_000_000_000  # grippers have closed by then, and the torque at rest has been looked at
 LOOK_EVERY_S = 0.1
 _STOPPED = frozenset({Mode.STAND, Mode.SINK, Mode.FAULT})

@@ -10,13 +10,13 @@ import numpy as np
 
 from agent.log.columns import Table
 from agent.modes import FLOATING, Mode, mode_of
+from agent.report.arithmetic import NAN
 from agent.report.quantity import Unit
 from agent.report.series import attitude_error, rotation_angle
 
 if TYPE_CHECKING:
     from agent.log.read import AnyLog
 
-NAN: Final = float("nan")
 _OF_SESSION: Final = frozenset(mode for mode in Mode if mode > Mode.FAULT) - FLOATING
 _OUTCOME: Final[Mapping[tuple[Mode, Mode], str]] = {
     (Mode.REST, Mode.APPROACH): "left",

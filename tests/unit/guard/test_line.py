@@ -11,7 +11,6 @@ import threading
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
@@ -116,7 +115,7 @@ def test_an_agent_of_another_user_is_refused(
     guard: GuardEnd, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, uid: int, heard_of: bool
 ) -> None:
     """As the kernel says who asks; of a guard of user 4710."""
-    monkeypatch.setattr(guard_end, "_CREDENTIALS", SimpleNamespace(size=12, unpack=lambda _: (1, uid, 1)))
+    monkeypatch.setattr(guard_end, "peer_uid", lambda _: uid)
     monkeypatch.setattr(os, "getuid", lambda: 4710)
     agent = AgentEnd(path(tmp_path), CELL)
     guard.hear()
