@@ -1,9 +1,9 @@
 """All monitors of one arm, asked once after every tick with a fresh state.
 
-They compute no torque: what they find is a HOLD, or a HALT of an arm that holds nothing, which the rows of the log show
-as their mode, and from which a replay learns of it.  Where nothing more can be done, in HOLD, HALT and REST, each tells
-once what it finds; on the way back of a session (LOWER, RELEASE, PARK) so do all but those of the joints' motion, for
-whoever is too hot is to be set down and brought home.
+They compute no torque: what they find is a HOLD, a HALT of an arm that holds nothing, or a STAND of one that floats,
+which the rows of the log show as their mode, and from which a replay learns of it.  Where nothing more can be done, in
+HOLD, HALT, REST, STAND and SINK, each tells once what it finds; on the way back of a session (LOWER, RELEASE, PARK) so
+do all but those of the joints' motion, for whoever is too hot is to be set down and brought home.
 """
 
 from __future__ import annotations
