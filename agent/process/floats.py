@@ -62,9 +62,10 @@ def run_float(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             loop = FloatLoop(floats, options, driver, clock, ring, stops, tell, texts, notifier, told=words)
             driver.enable()
             notifier.ready(TABLE[Mode.FLOAT if words is None else Mode.READY].says)
-            on = "torque on, floating" if words is None else "torque on"
-            tell.event(Level.INFO, f"{on}: {info.description}", priority=options.priority or 0)
-            if words is not None:
+            if words is None:
+                tell.event(Level.INFO, f"torque on, floating: {info.description}", priority=options.priority or 0)
+            else:
+                tell.event(Level.INFO, f"torque on: {info.description}", priority=options.priority or 0)
                 words.ready()
             if guard is not None:
                 fds, told = passed_on(driver)
