@@ -16,7 +16,7 @@ from agent.calm import BRAKE, JOINTS, LAW, brake_per_s, braking, felt, kept, slo
 from agent.control import adaptive, cause, joint_hold, known
 from agent.control.adaptation import Estimate
 from agent.control.alignment import Alignment, shifted
-from agent.control.errors import Errors
+from agent.control.errors import Errors, attitude_angle
 from agent.control.estimator import Observer
 from agent.control.floating import Floating
 from agent.control.inverse import SingularJacobian
@@ -235,7 +235,7 @@ def explained(agent: Agent, outcome: Outcome) -> str:
 
 def _off_track(agent: Agent, errors: Errors) -> bool:
     """Whether the object is so far off that a neighbour, a grasp or somebody in the way must be the reason."""
-    angle = 2.0 * math.atan2(math.hypot(*errors.e_eps), abs(errors.e_eta))
+    angle = attitude_angle(errors.e_eta, errors.e_eps)
     return math.hypot(*errors.e_p) > agent.error_max_m or angle > agent.error_max_rad
 
 

@@ -57,7 +57,10 @@ class Event(enum.IntFlag):
     FLOATED = 8192  # the agent has switched torque on, of an arm that a hand is to guide
 
 
+_BY_NUMBER = {int(mode): mode for mode in Mode}
 FLOATING = frozenset({Mode.FLOAT, Mode.STAND, Mode.SINK})
+# of a session, from a stop to rest: what was wrong before the word is borne there, for it is the reason to go back
+WAY_BACK = frozenset({Mode.LOWER, Mode.RELEASE, Mode.PARK})
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +102,17 @@ TABLE: Mapping[Mode, Entry] = MappingProxyType({
     Mode.STAND: Entry("STOPPED while it floated; put a hand under it", True, (_LOST, (Event.RELEASED, Mode.SINK))),
     Mode.SINK: Entry("sinking slowly, then its torque goes off", True, (_LOST, (Event.ARRIVED, Mode.OFF))),
 })  # fmt: skip
+
+
+def mode_of(number: int) -> Mode | None:
+    """The mode that a row names by its number; None where this version has none of that number."""
+    return _BY_NUMBER.get(number)
+
+
+def mode_name(number: int) -> str:
+    """Its name, or the number where there is none."""
+    mode = mode_of(number)
+    return str(number) if mode is None else mode.name
 
 
 def next_mode(mode: Mode, events: Event) -> Mode:

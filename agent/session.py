@@ -29,8 +29,6 @@ WORDS: dict[Mode, Event] = {
     Mode.PARK: Event.APPROACH,
     Mode.HALT: Event.APPROACH | Event.PARK | Event.RELEASED,
 }
-# modes that lead back: what was wrong before the word is borne there, for it is the reason to go back
-WAY_BACK = frozenset({Mode.LOWER, Mode.RELEASE, Mode.PARK})
 _BACK: dict[Mode, str] = {
     Mode.HOLD: "`coop lower`, `coop release`, `coop park`",
     Mode.HALT: "`coop park`",

@@ -7,8 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from agent.cycles import Bus, Cycles
-from agent.modes import Event, Mode
-from agent.session import WAY_BACK
+from agent.modes import WAY_BACK, Event, Mode
 from drivers.interface import Driver, DriverError, JointState, Recovering, ServoFault, StaleStateError
 
 KEEPS = frozenset({Mode.HOLD, Mode.HALT, Mode.STAND})  # in which an arm stays until somebody says a word

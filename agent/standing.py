@@ -11,7 +11,7 @@ import numpy as np
 
 from agent.calm import JOINTS
 from agent.control.alignment import between
-from agent.control.errors import Errors
+from agent.control.errors import Errors, attitude_angle
 from agent.control.memory import Memory
 from agent.loop import GENTLE_TICKS, Agent, Outcome
 from agent.modes import Mode
@@ -44,7 +44,7 @@ def hold_after(agent: Agent, outcome: Outcome) -> Memory:
 
 
 def _far(errors: Errors) -> bool:
-    angle = 2.0 * math.atan2(math.hypot(*errors.e_eps), abs(errors.e_eta))
+    angle = attitude_angle(errors.e_eta, errors.e_eps)
     return not (math.hypot(*errors.e_p) <= HOLD_DESIRED_MAX_M and angle <= HOLD_DESIRED_MAX_RAD)
 
 

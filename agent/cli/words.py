@@ -1,4 +1,4 @@
-"""An operator's words to the agents of this host: start, stop, release, and how they are."""
+"""An operator's words to the agents of this host, each a command: from start and stop to park; and how they are."""
 
 from __future__ import annotations
 

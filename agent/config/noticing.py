@@ -32,12 +32,13 @@ from agent.config.statics import carried_Nm
 from agent.config.trajectory import sample_times
 from agent.control import ik
 from agent.control.against import Against
+from agent.control.errors import HALF_ANGLE
 from agent.control.inverse import SingularJacobian, invert_jacobian
 from agent.control.law import Offline
 from agent.control.models import ArmModel, Kinematics, Matrix
 from agent.control.residual import Channels
 from agent.control.touch import Touch
-from drivers.dynamixel.servo.counts import TICKS_PER_TURN
+from drivers.dynamixel.servo.counts import TICK_RAD
 from drivers.interface import Vector
 
 PLACES: Final = 12  # along the motion, and more where these hide a part of it
@@ -60,8 +61,6 @@ ALONG: Final = (0.35, 0.079)  # level, climb: of friction and noise
 TOUCH_ALONG: Final = (1.05, 0.15)  # times an arm's share of a touch
 ALONE: Final = 2  # arms that feel a touch as they feel the other one
 FLOORS: Final = Channels(0.5, 0.05, 0.3, 0.03)
-POSITION_LSB_RAD: Final = 2.0 * math.pi / TICKS_PER_TURN
-HALF_ANGLE: Final = (1.0, 1.0, 1.0, 0.5, 0.5, 0.5)  # H: e is half the angle
 
 
 def thresholds(cell: Cell) -> Channels:
@@ -214,7 +213,7 @@ def _noise(known: _Arm, at: _Place) -> Matrix:
     seen, L = observer.build(known.cell.file), known.cell.file.safety.noticing.rate_per_s
     share = 1.0 if seen is None else max(CALIBRATED_SHARE, seen.position_gain)
     jump = at.J_inv @ known.KH @ at.k.J  # of dq_r, per angle
-    found: Matrix = at.to_wrench @ (L * at.k.B @ jump) * (share * 0.5 * POSITION_LSB_RAD)
+    found: Matrix = at.to_wrench @ (L * at.k.B @ jump) * (share * 0.5 * TICK_RAD)
     return found
 
 

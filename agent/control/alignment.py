@@ -46,10 +46,6 @@ class Alignment:
         rho = _towards(shift[3:], turned, gain, self.dead_zone_rad, self.max_rad)
         return (*d, *rho)
 
-    def at_limit(self, shift: Shift) -> bool:
-        """Whether the shift cannot grow any more."""
-        return _size(shift[:3]) >= 0.999 * self.max_m or _size(shift[3:]) >= 0.999 * self.max_rad
-
 
 def shifted(desired: Desired, shift: Shift) -> Desired:
     """The motion that an arm with this shift follows; twist and acceleration are those of all."""

@@ -7,11 +7,14 @@ v_d − K e, so the attitude part is ω_d + k_ε e_η e_ε) and the Lyapunov fun
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
 from agent.control.quaternion import Quat, Vec3
 from agent.control.trajectory import Desired, Vec6
+
+HALF_ANGLE: Vec6 = (1.0, 1.0, 1.0, 0.5, 0.5, 0.5)  # H: near zero, `Errors.e` of a small displacement and turn
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +51,11 @@ def attitude_error(quat: Quat, quat_des: Quat) -> tuple[float, Vec3]:
         n * zd - nd * z + x * yd - y * xd,
     )
     return e_eta, e_eps
+
+
+def attitude_angle(e_eta: float, e_eps: Vec3) -> float:
+    """Angle of that error, rad in [0, π]."""
+    return 2.0 * math.atan2(math.hypot(*e_eps), abs(e_eta))
 
 
 def evaluate(p: Vec3, quat: Quat, v: Vec6, des: Desired, gains: Gains) -> Errors:

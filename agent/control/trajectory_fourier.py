@@ -41,11 +41,6 @@ class Fourier:
         """Time at which the motion is over."""
         return self.motion_s
 
-    @property
-    def frequency_hz(self) -> float:
-        """Highest frequency of all terms."""
-        return max((term.harmonic for terms in self.axes for term in terms), default=0) / self.base_period_s
-
     def at(self, t: float) -> Desired:
         """Desired motion at time t (s)."""
         window = self._window(t)

@@ -49,7 +49,7 @@ class CycleFigures:
 
 
 def measure(
-    bus: Bus, arm: ArmMap, servos: Sequence[ServoFound], clock: Clock, latency_timer_ms: int | None, reads: int = READS
+    bus: Bus, arm: ArmMap, servos: Sequence[ServoFound], clock: Clock, latency_timer_ms: int | None
 ) -> CycleFigures:
     """Read as the control loop does, at its rate.  All servos must be there.
 
@@ -67,7 +67,7 @@ def measure(
     alone, together = _Stopwatch(bus, clock), _Stopwatch(bus, clock)
     period_ns = max(arm.period_ns, round(1.5e9 * budget.read_worst_s))
     start_ns = clock.now_ns()
-    for number in range(2 * reads):  # in turn, so that a host that gets busy slows both
+    for number in range(2 * READS):  # in turn, so that a host that gets busy slows both
         phase_ns = round(number // 2 * _GOLDEN % 1.0 * link.usb_latency_s * 1e9)
         clock.sleep_until(start_ns + number * period_ns + phase_ns)
         if number % 2:
@@ -83,7 +83,7 @@ def measure(
         together.share_s(0.5),
         together.share_s(0.99),
         together.missed,
-        reads,
+        READS,
     )
 
 

@@ -31,6 +31,7 @@ from agent.process.emulate import wiring
 from agent.process.schedule import AgentOptions, schedule_of
 from agent.process.simulated import plant_spec
 from agent.runner import Runner
+from agent.study.fault import SEIZED_Nms_RAD
 from agent.telemetry.row.fill import AgentRow
 from agent.telemetry.row.sample import AGENT_STATE
 from agent.verify.check import examine
@@ -45,7 +46,6 @@ from sim_backend.wire.timing import BusTiming
 
 START_AFTER_NS: Final = 200_000_000  # from the moment at which the last arm is ready
 OBSERVE_NS: Final = 5_000_000
-SEIZED_Nms_RAD: Final = 200.0  # viscous friction of a seized joint: it creeps by 5 mrad/s per N·m
 NS: Final = 1e-9
 
 

@@ -15,13 +15,14 @@ import numpy as np
 from agent.around import LoopLog
 from agent.config.cell import Arm
 from agent.config.schema.reality import Reality
-from agent.faults.bench import ArmRun, Bench, Rows, SEIZED_Nms_RAD
+from agent.faults.bench import ArmRun, Bench, Rows
 from agent.faults.looped import PHASE_NS, Physics, VirtualPlant, VirtualSim, VirtualTwin
 from agent.faults.plan import Injection, Kind, Target
 from agent.faults.tampered import AgentClock
 from agent.process.emulate import wiring
 from agent.process.rehearse import BridgedRows, bridge
 from agent.process.simulated import lone_spec
+from agent.study.fault import SEIZED_Nms_RAD
 from agent.telemetry.row.fill import AgentRow
 from drivers.dynamixel.arm_map import WATCHDOG_S
 from drivers.interface import Driver

@@ -14,6 +14,7 @@ from pydantic import AfterValidator, Field, ValidationError
 from agent.config.files import CellFiles
 from agent.config.schema.driver import DriverKind
 from agent.config.schema.types import Name, Strict, wrong
+from drivers.dynamixel.servo.counts import TICKS_PER_TURN
 from drivers.interface import Refusal
 from sim_backend.wire import faults as wire
 
@@ -238,7 +239,7 @@ _WIRE: Final[Mapping[tuple[Target, Kind], wire.FaultKind]] = MappingProxyType(
         (Target.ARM, Kind.OFF): wire.FaultKind.POWER_LOSS,
     }
 )
-TICKS_PER_DEG: Final = 4096 / 360.0
+TICKS_PER_DEG: Final = TICKS_PER_TURN / 360.0
 
 
 def on_the_wire(fault: Injection) -> wire.Fault | None:

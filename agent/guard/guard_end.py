@@ -6,18 +6,16 @@ import contextlib
 import json
 import os
 import socket
-import struct
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
 
 from agent.guard.line import MAX_BYTES, GuardError, Said, close_all, received, understood
-from agent.host.unix_socket import listen_alone, remove, said_of
+from agent.host.unix_socket import listen_alone, peer_uid, remove, said_of
 from drivers.interface import Refusal
 
 REFUSED_MAX = 4
 BACKLOG = 2
-_CREDENTIALS = struct.Struct("3i")  # pid, uid, gid
 
 
 class GuardEnd:
@@ -47,11 +45,6 @@ class GuardEnd:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-    @property
-    def connected(self) -> bool:
-        """Whether an agent is there."""
-        return self._agent is not None
 
     def filenos(self) -> list[int]:
         """Descriptors to wait on."""
@@ -108,7 +101,7 @@ class GuardEnd:
             caller, _ = self._listening.accept()
         except OSError:
             return
-        uid = _CREDENTIALS.unpack(caller.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size))[1]
+        uid = peer_uid(caller)
         if self._agent is None and uid in (0, os.getuid()):
             caller.setblocking(False)
             self._agent = caller

@@ -13,10 +13,10 @@ import numpy as np
 from agent.around import Beginning
 from agent.control.memory import Memory
 from agent.loop import Agent, initial_memory
-from agent.modes import TABLE, Event, Mode
+from agent.modes import TABLE, Event, Mode, mode_of
 from agent.phases import arrived
 from agent.replay.chain import Chain
-from agent.replay.tick import Rows, is_fresh, mode_of, state_at
+from agent.replay.tick import Rows, is_fresh, state_at
 from agent.safety import Flag
 from agent.session_modes import next_in_session
 from drivers.interface import Vector

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import platform
 from importlib import metadata
+from typing import TYPE_CHECKING, Final
 
-from agent.config.files import CellFiles
+if TYPE_CHECKING:
+    from agent.config.files import CellFiles
 
+RUN_FILE: Final = "run.json"  # attachments of every log: how it was run, and the cell file
+CELL_FILE: Final = "cell.toml"
 PACKAGES = ("widowx-coop", "pin", "numpy", "scipy", "eclipse-zenoh", "mcap", "dynamixel-sdk")
 COMPUTING = ("widowx-coop", "pin", "numpy", "scipy")  # what laws and simulation are made of
 
@@ -28,7 +32,7 @@ def attachments(cell: CellFiles, run_info: bytes) -> dict[str, bytes]:
 
     Those that are not of this installation are in the cell file itself (agent.config.embed).
     """
-    files = {"run.json": run_info, "cell.toml": cell.toml}
+    files = {RUN_FILE: run_info, CELL_FILE: cell.toml}
     for arm in cell.arms:
         if arm.entry.arm_file is None:
             files[f"{arm.entry.model}.toml"] = arm.toml

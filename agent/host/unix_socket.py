@@ -6,9 +6,11 @@ import contextlib
 import fcntl
 import os
 import socket
+import struct
 from collections.abc import Iterator
 from pathlib import Path
 
+_CREDENTIALS = struct.Struct("3i")  # pid, uid, gid
 _NO_SERVER = ConnectionRefusedError, FileNotFoundError
 
 Identity = tuple[int, int]
@@ -29,6 +31,13 @@ def listen_alone(path: Path, backlog: int) -> tuple[socket.socket, Identity] | N
         own.listen(backlog)
         undo.pop_all()
         return own, _identity(path)
+
+
+def peer_uid(connected: socket.socket) -> int:
+    """The user of the process at the other end, as the kernel says.  Raises OSError."""
+    credentials = connected.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
+    uid: int = _CREDENTIALS.unpack(credentials)[1]
+    return uid
 
 
 def remove(path: Path, made: Identity) -> None:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 import configs
 from agent.config.cell import Arm, Cell, cell_from_toml
+from agent.host.info import CELL_FILE
 from agent.log.columns import Table
 from agent.log.read import AnyLog
 from agent.modes import Mode
@@ -24,7 +25,6 @@ from drivers.interface import Refusal
 
 Matrix = NDArray[np.float64]
 
-CELL_FILE: Final = "cell.toml"
 MISSING_MAX: Final = 0.02  # share of the cycles without a fresh state
 GAP_MAX: Final = 3  # such cycles in a row
 SHORTEST_S: Final = 15.0

@@ -17,6 +17,7 @@ from typing import Any, Final, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.host.info import RUN_FILE
 from agent.log.collect import Collected, LogError, Needs
 from agent.log.columns import ColumnFile, StoredRows, Table
 from agent.log.servos import ServoTable, servo_table
@@ -26,7 +27,6 @@ from agent.telemetry.row.topics import PLANT
 
 __all__ = ["AnyLog", "ColumnLog", "Event", "Level", "LogError", "RunLog", "open_log", "read_log"]
 
-RUN_FILE: Final = "run.json"
 COMPLETENESS: Final = "completeness"
 RECOVERY: Final = "recovery"  # what `coop recover` says of a log it repaired
 

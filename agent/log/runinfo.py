@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from agent.host.info import RUN_FILE
 from drivers.interface import Refusal
 
 if TYPE_CHECKING:
     from agent.log.read import AnyLog
 
-RUN_FILE: Final = "run.json"
 _WORLD_AXES: Final = ("x", "y", "z")
 
 

@@ -14,13 +14,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.control.quaternion import Quat, multiply
+
 MAP: Final = "map"
 WORLD: Final = "world"
 _TURNING: Final = frozenset({"revolute", "continuous"})
 _MOVABLE: Final = _TURNING | {"prismatic"}
 
 Array = NDArray[np.float64]
-Quat = tuple[float, float, float, float]  # scalar first
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,7 @@ class Joint:
         if self.turns:
             half = 0.5 * value
             x, y, z = np.sin(half) * np.array(self.axis)
-            return Pose(self.origin.p, product(self.origin.quat, (float(np.cos(half)), float(x), float(y), float(z))))
+            return Pose(self.origin.p, multiply(self.origin.quat, (float(np.cos(half)), float(x), float(y), float(z))))
         moved = np.array(self.origin.p) + value * (rotation(self.origin.quat) @ np.array(self.axis))
         return Pose((float(moved[0]), float(moved[1]), float(moved[2])), self.origin.quat)
 
@@ -152,18 +153,6 @@ def upright(gravity: tuple[float, float, float]) -> Quat:
     return (w, x, y, z)
 
 
-def product(a: Quat, b: Quat) -> Quat:
-    """a ∘ b, scalar first."""
-    aw, ax, ay, az = a
-    bw, bx, by, bz = b
-    return (
-        aw * bw - ax * bx - ay * by - az * bz,
-        aw * bx + ax * bw + ay * bz - az * by,
-        aw * by - ax * bz + ay * bw + az * bx,
-        aw * bz + ax * by - ay * bx + az * bw,
-    )
-
-
 def rotation(quat: Quat) -> Array:
     """(3, 3) rotation matrix of a unit quaternion."""
     w, x, y, z = quat
@@ -206,4 +195,4 @@ def _of_rpy(roll: float, pitch: float, yaw: float) -> Quat:
     """Quaternion of turns about the fixed axes x, y, z, in that order."""
     cx, cy, cz = np.cos(0.5 * np.array([roll, pitch, yaw])).tolist()
     sx, sy, sz = np.sin(0.5 * np.array([roll, pitch, yaw])).tolist()
-    return product((cz, 0.0, 0.0, sz), product((cy, 0.0, sy, 0.0), (cx, sx, 0.0, 0.0)))
+    return multiply((cz, 0.0, 0.0, sz), multiply((cy, 0.0, sy, 0.0), (cx, sx, 0.0, 0.0)))

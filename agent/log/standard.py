@@ -12,8 +12,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.control.quaternion import Quat, multiply
 from agent.log.cdr import CdrTemplate, stamp_of, text_message
-from agent.log.scene import WORLD, Joint, Pose, Quat, Scene, SceneArm, Transform, product
+from agent.log.scene import WORLD, Joint, Pose, Scene, SceneArm, Transform
 from agent.log.unshifted import unshifted
 from agent.telemetry.row.event import Event
 
@@ -187,7 +188,7 @@ def rotation_form(after: Quat) -> NDArray[np.float64]:
 
     def R(quat: NDArray[np.float64]) -> NDArray[np.float64]:  # homogeneous of degree two in its argument
         w, x, y, z = quat.tolist()
-        columns = [product(product((w, x, y, z), (0.0, *e)), (w, -x, -y, -z))[1:] for e in _AXES]
+        columns = [multiply(multiply((w, x, y, z), (0.0, *e)), (w, -x, -y, -z))[1:] for e in _AXES]
         return np.array(columns).T
 
     R_after = R(np.array(after))

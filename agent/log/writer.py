@@ -52,15 +52,13 @@ Numbers = NDArray[np.integer[Any]]
 class BatchWriter:
     """One file.  `write` takes bytes in their order; what it raises leaves the writer unusable."""
 
-    def __init__(
-        self, write: Callable[[bytes | bytearray], object], *, chunk_bytes: int = CHUNK_BYTES, level: int = LEVEL
-    ) -> None:
+    def __init__(self, write: Callable[[bytes | bytearray], object], *, chunk_bytes: int = CHUNK_BYTES) -> None:
         self._sink = write
         self._position = 0
         self._crc = 0
         self._chunk_bytes = chunk_bytes
         self._chunk = Chunk(chunk_bytes)
-        parameters = zstandard.ZstdCompressionParameters.from_level(level, hash_log=HASH_LOG)
+        parameters = zstandard.ZstdCompressionParameters.from_level(LEVEL, hash_log=HASH_LOG)
         self._compressor = zstandard.ZstdCompressor(compression_params=parameters)
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}

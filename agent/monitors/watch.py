@@ -1,9 +1,9 @@
 """All monitors of one arm, asked once after every tick with a fresh state.
 
-They compute no torque: what they find is a HOLD, or a HALT of an arm that holds nothing, which the rows of the log show
-as their mode, and from which a replay learns of it.  Where nothing more can be done, in HOLD, HALT and REST, each tells
-once what it finds; on the way back of a session (LOWER, RELEASE, PARK) so do all but those of the joints' motion, for
-whoever is too hot is to be set down and brought home.
+They compute no torque: what they find is a HOLD, a HALT of an arm that holds nothing, or a STAND of one that floats,
+which the rows of the log show as their mode, and from which a replay learns of it.  Where nothing more can be done, in
+HOLD, HALT, REST, STAND and SINK, each tells once what it finds; on the way back of a session (LOWER, RELEASE, PARK) so
+do all but those of the joints' motion, for whoever is too hot is to be set down and brought home.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from agent.loop import Outcome
-from agent.modes import Mode
+from agent.modes import WAY_BACK, Mode
 from agent.monitors.body import Limited, Load, Workspace
 from agent.monitors.bounds import Bounds, Name
 from agent.monitors.gravity import Gravity
@@ -23,8 +23,7 @@ from drivers.interface import JointState, ServoHealth
 
 HEALTH_S = 0.25
 _STOPS = frozenset({Mode.READY, Mode.TRACK, Mode.APPROACH, Mode.GRASP, Mode.FLOAT})  # everything is a reason to stop
-_BACK = frozenset({Mode.LOWER, Mode.RELEASE, Mode.PARK})  # and in these the motion alone
-_OF_MOTION = frozenset({Name.SPEED, Name.POWER})
+_OF_MOTION = frozenset({Name.SPEED, Name.POWER})  # for which an arm stops on its way back, too
 
 
 class Watch:
@@ -68,7 +67,7 @@ class Watch:
 
     def _found(self, name: Name, said: str, mode: Mode) -> str:
         text = f"monitor {name}: {said}"
-        if mode in _STOPS or (mode in _BACK and name in _OF_MOTION):
+        if mode in _STOPS or (mode in WAY_BACK and name in _OF_MOTION):
             self._told.add(name)
             return text
         if name not in self._told:

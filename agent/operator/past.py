@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.modes import Mode
+from agent.modes import mode_name
 from agent.safety import Flag
 from agent.telemetry.ring.file import RingError
 from agent.telemetry.ring.reader import RingReader
@@ -43,8 +43,7 @@ class Past:
         """Mode of the last row."""
         if not len(self.rows):
             return None
-        number = int(self.rows["mode"][-1])
-        return Mode(number).name if number in set(Mode) else str(number)
+        return mode_name(int(self.rows["mode"][-1]))
 
     @property
     def utc_ns(self) -> int | None:

@@ -10,14 +10,13 @@ import contextlib
 import os
 import select
 import socket
-import struct
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from agent.host.unix_socket import listen_alone, remove, said_of
+from agent.host.unix_socket import listen_alone, peer_uid, remove, said_of
 from agent.modes import Event, Mode
 from agent.operator.error import ControlError
 from agent.operator.message import MAX_BYTES, Reply, Request
@@ -25,7 +24,6 @@ from agent.operator.session_table import SESSION
 from agent.operator.table import EVENT_OF, Verb, effect
 from drivers.clock import utc_offset_ns
 
-_CREDENTIALS = struct.Struct("3i")  # pid, uid, gid
 _CLIENTS_MAX = 8
 
 
@@ -117,8 +115,7 @@ class ControlSocket:
             data = b""
         with contextlib.suppress(OSError):  # who asked is gone
             if data:
-                credentials = client.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
-                client.send(self._answer(data, _CREDENTIALS.unpack(credentials)[1]).encode())
+                client.send(self._answer(data, peer_uid(client)).encode())
         client.close()
         return True
 

@@ -24,6 +24,7 @@ from agent.operator.session_table import SESSION
 from agent.operator.table import TABLE, Verb
 
 SOONEST_S = 0.05
+ATTEMPTS = 3  # of a patient start
 DAY, MIDNIGHT = timedelta(days=1), timedelta(hours=1)
 
 Places = Mapping[str, Iterable[Path]]
@@ -85,16 +86,16 @@ def start_together(arms: Places, request: Request, timeout_s: float = REPLY_TIME
         )  # fmt: skip
 
 
-def start_patiently(arms: Places, fingerprint: str, in_ns: int, attempts: int = 3) -> None:
+def start_patiently(arms: Places, fingerprint: str, in_ns: int) -> None:
     """The same, so many ns from now, and again where that fails: a machine that stalls answers late.
 
     Raises ControlError of the last attempt; a start that failed has been taken back.
     """
-    for attempt in range(attempts):
+    for attempt in range(ATTEMPTS):
         try:
             start_together(arms, Request(Verb.START, fingerprint, time.time_ns() + in_ns))
         except ControlError:
-            if attempt + 1 == attempts:
+            if attempt + 1 == ATTEMPTS:
                 raise
         else:
             return
@@ -149,20 +150,13 @@ def _outcome(heard: Mapping[str, Heard]) -> str:
     return named(said)
 
 
-def tell_arms(
-    cell: Cell,
-    verb: Verb,
-    arms: Sequence[str],
-    sockets: Sequence[Path],
-    host: str | None = None,
-    timeout_s: float = REPLY_TIMEOUT_S,
-) -> str:
+def tell_arms(cell: Cell, verb: Verb, arms: Sequence[str], sockets: Sequence[Path], host: str | None = None) -> str:
     """Say a word that needs no instant to this host's agents; what each does.
 
     Raises ControlError: of stop and release when one did not answer, after all others were told; of any other word
     before an arm moves, unless one refuses what it had agreed to.
     """
-    return _tell_all(places(cell, arms, sockets, host), verb, timeout_s)
+    return _tell_all(places(cell, arms, sockets, host), verb, REPLY_TIMEOUT_S)
 
 
 def lower_arms(

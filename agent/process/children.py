@@ -203,7 +203,7 @@ class Children:
     def end(self, progress: Progress) -> None:
         """End everything in the order in which nothing is lost."""
         progress.phase("closing the log")
-        _wait_all(self._agents.values(), STOP_TIMEOUT_S)
+        wait_all(self._agents.values(), STOP_TIMEOUT_S)
         assert self._plant is not None
         assert self._recorder is not None
         if self._kind is RunKind.WIRE:  # emulated servos serve until they are told to stop
@@ -212,7 +212,7 @@ class Children:
             self._servos.terminate()
         if self._plant.wait(STOP_TIMEOUT_S) is None:
             self._plant.terminate()
-        _wait_all(self._telemetry.values(), STOP_TIMEOUT_S)  # each ends when the recorder has its last row
+        wait_all(self._telemetry.values(), STOP_TIMEOUT_S)  # each ends when the recorder has its last row
         self._recorder.terminate()
         code = self._recorder.wait(STOP_TIMEOUT_S)
         self._pass_on(progress)
@@ -225,7 +225,7 @@ class Children:
         children = [child for child in every if child]
         for child in children:
             child.terminate()
-        _wait_all(children, ABANDON_TIMEOUT_S)
+        wait_all(children, ABANDON_TIMEOUT_S)
         for child in children:
             child.kill()
 
@@ -263,7 +263,8 @@ class Children:
         raise (killed[0] if killed else child).failed("ended during the run")
 
 
-def _wait_all(children: Iterable[Child], timeout_s: float) -> None:
+def wait_all(children: Iterable[Child], timeout_s: float) -> None:
+    """Wait for all of them until one common time-out."""
     deadline = time.monotonic() + timeout_s
     for child in children:
         child.wait(max(0.0, deadline - time.monotonic()))

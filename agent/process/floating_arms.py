@@ -8,7 +8,7 @@ Each arm has a guard: where its process is killed or hangs, that lets it stand a
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Protocol
 
@@ -17,6 +17,7 @@ from agent.config.schema.driver import DriverKind
 from agent.host.child import Child
 from agent.modes import Mode
 from agent.operator.words import start_patiently
+from agent.process.children import READY_TIMEOUT_S, STOP_TIMEOUT_S, wait_all
 from agent.process.commands import (
     AgentCommand,
     ChildCommand,
@@ -33,9 +34,7 @@ from agent.process.glance import Glance, Window
 from agent.process.run_folder import run_folder
 from agent.telemetry.link.session import FREE_PORT
 
-READY_TIMEOUT_S = 30.0
 END_TIMEOUT_S = STAND_S + SINK_MAX_S + 10.0
-STOP_TIMEOUT_S = 20.0
 START_IN_NS = 3_000_000_000  # grippers have closed by then, and the torque at rest has been looked at
 LOOK_EVERY_S = 0.1
 _STOPPED = frozenset({Mode.STAND, Mode.SINK, Mode.FAULT})
@@ -142,7 +141,7 @@ class FloatingArms:
         """End the rest in the order in which nothing is lost.  Raises ChildFailed."""
         screen.phase("closing the log")
         assert self._recorder is not None
-        _wait_all(self._telemetry.values(), STOP_TIMEOUT_S)
+        wait_all(self._telemetry.values(), STOP_TIMEOUT_S)
         self._recorder.terminate()
         if self._recorder.wait(STOP_TIMEOUT_S) != 0:
             raise self._recorder.failed("did not close the log")
@@ -150,17 +149,17 @@ class FloatingArms:
     def abandon(self) -> None:
         """Make sure that everything has ended: arms first, which take their time to sink, then the rest."""
         self._stop_all()
-        _wait_all(self._agents.values(), END_TIMEOUT_S)
+        wait_all(self._agents.values(), END_TIMEOUT_S)
         self._note_deaths()
-        _wait_all([guard for name, guard in self._guards.items() if self._in_its_place(name)], END_TIMEOUT_S)
+        wait_all([guard for name, guard in self._guards.items() if self._in_its_place(name)], END_TIMEOUT_S)
         for guard in self._guards.values():
             guard.terminate()
-        _wait_all(self._guards.values(), STOP_TIMEOUT_S)
+        wait_all(self._guards.values(), STOP_TIMEOUT_S)
         others = [c for c in (*self._telemetry.values(), self._servos, self._recorder) if c is not None]
-        _wait_all(self._telemetry.values(), STOP_TIMEOUT_S if self._agents else 0.0)
+        wait_all(self._telemetry.values(), STOP_TIMEOUT_S if self._agents else 0.0)
         for child in others:
             child.terminate()
-        _wait_all(others, STOP_TIMEOUT_S)
+        wait_all(others, STOP_TIMEOUT_S)
         for child in (*self._agents.values(), *self._guards.values(), *others):
             child.kill()
 
@@ -239,9 +238,3 @@ class FloatingArms:
 
     def _ring(self, name: str) -> Path:
         return self._runtime / f"{name}.ring"
-
-
-def _wait_all(children: Iterable[Child], timeout_s: float) -> None:
-    deadline = time.monotonic() + timeout_s
-    for child in children:
-        child.wait(max(0.0, deadline - time.monotonic()))

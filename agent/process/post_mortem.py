@@ -29,7 +29,6 @@ from agent.telemetry.row.sample import AGENT_STATE
 from agent.telemetry.row.topics import Address, Kind
 from drivers.interface import Refusal
 
-MIN_FREE_BYTES = 64 << 20
 NAME = "post_mortem"  # of the metadata record
 
 
@@ -45,7 +44,7 @@ def write_post_mortem(cell_path: Path, arm: str, ring: Path, out: Path, cause: s
         NAME: {"arm": arm, "cause": cause},
     }
     part = out.with_name(out.name + UNFINISHED)
-    file = LogFile(part, files, about, created_ns=time.time_ns(), min_free_bytes=MIN_FREE_BYTES)
+    file = LogFile(part, files, about, created_ns=time.time_ns())
     channels = LogChannels(file, scene_of(cell), has_plant=False)
     rows = _write_rows(channels, Address(cell.file.name, arm, Kind.STATE), ring)
     _write_texts(channels, cell.file.name, arm, ring)

@@ -23,11 +23,11 @@ from agent.process.children import READY_TIMEOUT_S, START_LOOP_IN_NS, STOP_TIMEO
 from agent.process.commands import AgentCommand, GuardCommand
 from agent.process.folder import RunError
 from agent.process.operated import NO_REAL_TIME_REMEDY
+from agent.process.person import SILENT_S
 from agent.process.progress import Progress
 from agent.process.rehearse import require_empty_gripper, require_one_host
 
 ASK_EVERY_S: Final = 0.1
-SILENT_S: Final = 0.5
 GONE_AFTER: Final = 10  # times that no real arm answers: a guard that takes over needs less
 
 

@@ -266,6 +266,8 @@ def record(command: RecordCommand, listener: Listener) -> int:
     )
     for path in report.repaired:
         listener.say(f"repaired {path}")
+    for error in report.not_repaired:
+        listener.say(f"not repaired: {error}")
     for path in report.logs[1:]:
         listener.say(f"went on in {path}")
     for key, count in report.completeness.items():

@@ -14,10 +14,10 @@ import configs
 from agent.atomic import write_atomically
 from agent.config.cell import Cell, cell_from_toml
 from agent.config.reading import override, parse
+from agent.host.info import CELL_FILE
 from agent.log.read import AnyLog
 from drivers.interface import Refusal
 
-CELL_FILE: Final = "cell.toml"
 _NAME: Final = re.compile(r"[\w-][\w.-]*\.(toml|urdf)")
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.modes import Mode
 from agent.safety import Flag
 from drivers.interface import JointState
 
@@ -26,8 +25,3 @@ def state_at(rows: Rows, i: int, n: int) -> JointState:
 def is_fresh(flags: int) -> bool:
     """Whether the row's cycle had a fresh state."""
     return not flags & Flag.STALE
-
-
-def mode_of(number: int) -> Mode | None:
-    """The mode of that number; None where there is none."""
-    return Mode(number) if number in Mode._value2member_map_ else None

@@ -20,11 +20,11 @@ from agent.config.cell import Cell
 from agent.log.columns import Table
 from agent.log.read import ColumnLog
 from agent.loop import Agent, Outcome
-from agent.modes import Mode
+from agent.modes import Mode, mode_of
 from agent.replay.chain import Chain
 from agent.replay.rows import Readable, Window, arms_of, blocks
 from agent.replay.source import ReplayError
-from agent.replay.tick import Rows, is_fresh, mode_of
+from agent.replay.tick import Rows, is_fresh
 from agent.telemetry.row.fill import AgentRow
 from agent.telemetry.row.sample import AGENT_FIELDS, AGENT_STATE
 from drivers.interface import JointState, Vector

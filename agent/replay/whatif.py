@@ -19,10 +19,11 @@ from agent.config.cell import Arm, Cell
 from agent.log.columns import Table
 from agent.log.read import ColumnLog
 from agent.loop import Agent
+from agent.modes import mode_of
 from agent.replay.chain import Chain
 from agent.replay.rows import Readable, Window, arms_of, blocks
 from agent.replay.source import ReplayError
-from agent.replay.tick import Rows, is_fresh, mode_of, state_at
+from agent.replay.tick import Rows, is_fresh, state_at
 from agent.safety import Flag
 from agent.telemetry.row.sample import Layout
 

@@ -17,6 +17,7 @@ from agent.report.results import HEADLINE, Results
 from drivers.interface import Refusal
 
 MANY: Final = 1000.0
+TOLERANCE: Final = 0.01  # relative, within which two figures are the same
 
 
 class CompareError(Refusal):
@@ -62,11 +63,11 @@ class Difference:
         return f"{100 * self.relative:+.1f} %" if abs(self.relative) < MANY else f"over {MANY:.0f} times"
 
 
-def compare(a: Results, b: Results, *, tolerance: float = 0.01) -> list[Difference]:
-    """Every figure of either run, headline first; figures closer than `tolerance` (relative) count as the same."""
+def compare(a: Results, b: Results) -> list[Difference]:
+    """Every figure of either run, headline first; figures closer than TOLERANCE (relative) count as the same."""
     first, second = a.flat(), b.flat()
     names = [*HEADLINE, *(n for n in first if n not in HEADLINE), *(n for n in second if n not in first)]
-    return [_difference(name, first.get(name), second.get(name), tolerance) for name in names]
+    return [_difference(name, first.get(name), second.get(name)) for name in names]
 
 
 def comparison_table(
@@ -86,17 +87,17 @@ def comparison_table(
     return table
 
 
-def _difference(name: str, a: Quantity | None, b: Quantity | None, tolerance: float) -> Difference:
+def _difference(name: str, a: Quantity | None, b: Quantity | None) -> Difference:
     known = a or b
     assert known is not None  # the name came from one of the two
     left, right = (q.value if q else float("nan") for q in (a, b))
-    return Difference(name, known.unit, left, right, _change(left, right, known.better, tolerance))
+    return Difference(name, known.unit, left, right, _change(left, right, known.better))
 
 
-def _change(a: float, b: float, better: Better, tolerance: float) -> Change:
+def _change(a: float, b: float, better: Better) -> Change:
     if math.isnan(a) or math.isnan(b):
         return Change.SAME if math.isnan(a) and math.isnan(b) else Change.APPEARED if math.isnan(a) else Change.GONE
-    if math.isclose(a, b, rel_tol=tolerance, abs_tol=0.0):
+    if math.isclose(a, b, rel_tol=TOLERANCE, abs_tol=0.0):
         return Change.SAME
     if better is Better.NEITHER:
         return Change.DIFFERENT

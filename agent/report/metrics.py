@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from agent.log.columns import Table
     from agent.log.read import AnyLog
 
-LATE_PERIODS: Final = 1.0  # a cycle that begins later than this many periods is late, as agent.loop counts them
+LATE_PERIODS: Final = 1.0  # a cycle that begins later than this many periods is late, as agent.runner counts them
 LIMITED_Nm: Final = 1e-9  # safety changed a torque when it differs from the command by more than rounding
 AT_LIMIT_FRACTION: Final = 0.999  # of tau_max: a torque above it is at its limit
 

@@ -18,6 +18,8 @@ from agent.log.when import trajectory_time
 from agent.report.prepared import Prepared
 from agent.telemetry.row.event import Event, Level
 
+BEFORE_S: Final = 3.0  # for so long what happened is shown beside a picture
+MARKS_MAX: Final = 6  # on one axis
 _APART: Final = 0.14  # of the axis
 _SAME_PACE: Final = 0.02  # relative: a run that took as long by the wall as by its own time kept the wall's pace
 
@@ -52,9 +54,9 @@ def moments_of(run: Prepared) -> list[Moment]:
     return sorted(found, key=lambda moment: moment.t)
 
 
-def around(moments: Sequence[Moment], t: float, before_s: float = 3.0) -> list[Moment]:
-    """What happened in the last moments before `t`, newest first."""
-    return [m for m in reversed(moments) if t - before_s <= m.t <= t + 1e-9]
+def around(moments: Sequence[Moment], t: float) -> list[Moment]:
+    """What happened in the last BEFORE_S before `t`, newest first."""
+    return [m for m in reversed(moments) if t - BEFORE_S <= m.t <= t + 1e-9]
 
 
 def _rows(run: Prepared, event: Event) -> Table:
@@ -81,12 +83,12 @@ def _by_the_wall(run: Prepared) -> bool:
     return run.info.driver != "sim"
 
 
-def marks(moments: Sequence[Moment], first: float, last: float, most: int = 6) -> tuple[tuple[float, str], ...]:
+def marks(moments: Sequence[Moment], first: float, last: float) -> tuple[tuple[float, str], ...]:
     """What stands on a time axis, each once, nothing over its neighbour: changes of mode first, then what is grave."""
     found: dict[str, float] = {}
     for moment in sorted(moments, key=lambda m: ("→" not in m.text, not m.grave, m.t)):
         label = moment.text.rpartition("→")[2].removeprefix("safety:").strip()
         clear = all(abs(moment.t - t) > _APART * (last - first) for t in found.values())
-        if moment.weighty and clear and label not in found and first <= moment.t <= last and len(found) < most:
+        if moment.weighty and clear and label not in found and first <= moment.t <= last and len(found) < MARKS_MAX:
             found[label] = moment.t
     return tuple(sorted((t, label) for label, t in found.items()))

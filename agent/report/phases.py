@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Final
 import numpy as np
 
 from agent.log.columns import Table
-from agent.modes import FLOATING, Mode
+from agent.modes import FLOATING, Mode, mode_of
+from agent.report.arithmetic import NAN
 from agent.report.quantity import Unit
-from agent.report.series import attitude_error
+from agent.report.series import attitude_error, rotation_angle
 
 if TYPE_CHECKING:
     from agent.log.read import AnyLog
 
-NAN: Final = float("nan")
 _OF_SESSION: Final = frozenset(mode for mode in Mode if mode > Mode.FAULT) - FLOATING
 _OUTCOME: Final[Mapping[tuple[Mode, Mode], str]] = {
     (Mode.REST, Mode.APPROACH): "left",
@@ -71,16 +71,14 @@ def set_down_error(plant: Table | None, found: Sequence[Phase]) -> tuple[float, 
     if plant is None or not len(plant) or not any(phase.outcome == "back at rest" for phase in found):
         return NAN, NAN
     p, quat = plant["p_object"], plant["quat_object"]
-    error = attitude_error(quat[:1], quat[-1:])
-    angle = 2.0 * np.arctan2(np.linalg.norm(error[:, 1:], axis=1), np.abs(error[:, 0]))
+    angle = rotation_angle(attitude_error(quat[:1], quat[-1:]))
     return float(np.linalg.norm(p[-1] - p[0])), float(angle[0])
 
 
 def _of_arm(name: str, rows: Table, zero_ns: int) -> list[Phase]:
     numbers, utc_ns = rows["mode"], rows["utc_ns"]
     begins = np.flatnonzero(np.diff(numbers, prepend=numbers[:1] + 1))
-    known = Mode._value2member_map_
-    modes = [Mode(int(numbers[k])) if int(numbers[k]) in known else None for k in begins]
+    modes = [mode_of(int(numbers[k])) for k in begins]
     ends = [*begins[1:].tolist(), len(numbers) - 1]
     after: list[Mode | None] = [*modes[1:], None]
     return [

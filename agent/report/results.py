@@ -11,6 +11,7 @@ from typing import Annotated, Any, Final
 import numpy as np
 
 from agent.log.runinfo import Bounded, RunInfo
+from agent.report.arithmetic import NAN
 from agent.report.grip import GripResults
 from agent.report.phases import Phase
 from agent.report.quantity import Better, Quantity, Unit, flatten, json_ready, units_of
@@ -18,7 +19,6 @@ from agent.report.rehearsal import HilResults
 from agent.report.series import Array
 
 SCHEMA: Final = 1  # of results.json; grows when a key changes its meaning
-NAN: Final = float("nan")
 
 
 class Judgement(Enum):

@@ -12,6 +12,7 @@ from rich import box
 from rich.markup import escape
 from rich.table import Table as RichTable
 
+from agent.host.info import CELL_FILE, RUN_FILE
 from drivers.interface import Refusal
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
 ABSENT: Final = "–"
 _OF_RUN: Final = ("driver", "seed", "versions", "host")  # of run.json; the rest of it follows from the cell file
-_OWN_WORDS: Final = ("run.json", "cell.toml")
+_OWN_WORDS: Final = (RUN_FILE, CELL_FILE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,14 +35,14 @@ def settings_of(log: AnyLog) -> dict[str, str]:
     """Every key of a log's cell file, arms by their names, and how it was run; what cannot be read is left out."""
     found: dict[str, str] = {}
     try:
-        found |= _flat(tomllib.loads(log.attachments["cell.toml"].decode()))
+        found |= _flat(tomllib.loads(log.attachments[CELL_FILE].decode()))
     except (KeyError, ValueError):
         found["cell file"] = "not in the log, or not readable"
     try:
         run = log.run_info()
         found |= _flat({key: run[key] for key in _OF_RUN if key in run}, "run.")
     except Refusal:
-        found["run.json"] = "not in the log, or not readable"
+        found[RUN_FILE] = "not in the log, or not readable"
     for name, content in log.attachments.items():
         if name not in _OWN_WORDS:
             found[f"file {name}"] = f"sha256 {hashlib.sha256(content).hexdigest()[:12]}"

@@ -11,7 +11,9 @@ from pydantic import ValidationError
 
 from agent.config.schema.coordination import AlignmentSpec, NoticingSpec
 from agent.config.schema.monitors import MonitorsSpec
+from agent.host.info import CELL_FILE
 from agent.monitors.bounds import Name
+from agent.report.arithmetic import NAN
 from agent.report.series import column
 from drivers.interface import Refusal
 
@@ -22,7 +24,6 @@ if TYPE_CHECKING:
 BUS: Final = ("bus_timeouts", "bus_corrupt", "bus_alerts", "bus_retries")
 CHANNELS: Final = ("fast_N", "fast_Nm", "slow_N", "slow_Nm")
 ALONG: Final = ("level_N", "weight_N")
-NAN: Final = float("nan")
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +46,7 @@ def thresholds(log: AnyLog) -> Thresholds:
     Those of noticing are in run.json, because a cell file need not say them.
     """
     try:
-        cell = tomllib.loads(log.attachments["cell.toml"].decode())
+        cell = tomllib.loads(log.attachments[CELL_FILE].decode())
         alignment, noticing = _table(cell, "controller", "alignment"), _table(cell, "safety", "noticing")
         aligned, told = AlignmentSpec.model_validate(alignment), NoticingSpec.model_validate(noticing)
         shift_m = aligned.max_m if aligned.enabled else NAN
@@ -61,7 +62,7 @@ def thresholds(log: AnyLog) -> Thresholds:
 def load_limit(log: AnyLog) -> float:
     """Share of stall that a servo's load may be in the mean square; NaN for what is off or unreadable."""
     try:
-        cell = tomllib.loads(log.attachments["cell.toml"].decode())
+        cell = tomllib.loads(log.attachments[CELL_FILE].decode())
         monitors = MonitorsSpec.model_validate(_table(cell, "safety", "monitors"))
     except (KeyError, ValueError, TypeError, AttributeError, ValidationError):
         return NAN

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import enum
-from typing import Annotated
+from typing import Annotated, Final
 
 from pydantic import Field
 
 from agent.config.schema.types import AS_LIST, Name, Strict
+
+SEIZED_Nms_RAD: Final = 200.0  # viscous friction of a seized joint: it creeps by 5 mrad/s per N·m
 
 
 class FaultKind(enum.StrEnum):

@@ -23,7 +23,7 @@ from agent.process.simulated import plant_spec
 from agent.runner import TROUBLE
 from agent.safety import Flag
 from agent.standing import wait_here
-from agent.study.fault import Fault, FaultKind
+from agent.study.fault import Fault, FaultKind, SEIZED_Nms_RAD
 from agent.transition import entered
 from agent.verify.check import start_configurations
 from drivers.interface import JointState, ServoHealth, Vector
@@ -35,7 +35,6 @@ from sim_backend.physics.spec import PlantSpec
 
 _TROUBLE: Final = int(TROUBLE)  # asking a flag for another one takes 0.5 µs
 NS: Final = 1e-9
-SEIZED_Nms_RAD: Final = 200.0  # viscous friction of a seized joint: it creeps by 5 mrad/s per N·m
 
 
 class Laboratory:

@@ -13,7 +13,7 @@ from agent.config import trajectory as motion
 from agent.config.cell import Cell, ConfigError
 from agent.config.schema.controller import ControllerKind
 from agent.config.schema.driver import DriverKind
-from agent.control.errors import attitude_error
+from agent.control.errors import attitude_angle, attitude_error
 from agent.control.models import ArmModel, ModelError
 from agent.verify.adaptive import examine_adaptation
 from agent.verify.box import largest_internal_wrench
@@ -118,7 +118,7 @@ def _start(cell: Cell) -> list[Finding]:
     obj = cell.file.object
     distance = math.dist(cell.file.p_place_m, desired.p)
     e_eta, e_eps = attitude_error(obj.quat_start, desired.quat)
-    angle = 2.0 * math.atan2(math.hypot(*e_eps), abs(e_eta))
+    angle = attitude_angle(e_eta, e_eps)
     axis = np.round(np.array(e_eps) / max(math.hypot(*e_eps), 1e-12), 3).tolist()
     return [
         judged(

@@ -66,9 +66,9 @@ def judged(
     return Finding(what, where, found, wanted, otherwise, remedy)
 
 
-def from_refusal(error: Refusal, where: str, verdict: Verdict = Verdict.REFUSED) -> Finding:
+def from_refusal(error: Refusal, where: str) -> Finding:
     """What a driver or a file refused, as a finding."""
-    return Finding(error.what, where, str(error.found), str(error.expected), verdict, error.remedy)
+    return Finding(error.what, where, str(error.found), str(error.expected), Verdict.REFUSED, error.remedy)
 
 
 def worst(findings: Iterable[Finding]) -> Verdict:

@@ -28,9 +28,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.config.cell import Arm, Cell
+from agent.control.errors import HALF_ANGLE
 from agent.control.friction import Friction
 from agent.control.models import ArmModel, Matrix
-from agent.verify.criterion.loop import HALF_ANGLE
 from drivers.interface import Vector
 
 HELD_SAG_M = 0.02

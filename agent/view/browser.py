@@ -13,6 +13,7 @@ from agent.view.pose import Array
 from agent.view.scene import OBJECT, Placed, Scene
 from agent.view.shapes import GRID, box_edges
 
+PAGE_PX: Final = (880, 720)  # a picture on a page with controls
 SHAFT_M, HEAD_M, HEAD_LENGTH_M = 0.003, 0.008, 0.02
 WIRE_PX: Final = 2.0
 LABEL_AT: Final = 0.92  # of the way from the middle of the picture to its upper edge

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from agent.config.urdf import urdf_beside
+from agent.host.info import CELL_FILE
 from agent.view.arm import ArmDrawing
 from agent.view.error import ViewError
 from agent.view.shapes import Colour
@@ -41,7 +42,7 @@ def drawing_of_log(log: AnyLog) -> CellDrawing:
     """From the files attached to a log.  Raises ViewError when they are not there or lack a key."""
     files = log.attachments
     try:
-        cell = _toml(files, "cell.toml")
+        cell = _toml(files, CELL_FILE)
         return _drawing(cell, [_shape(files, cell, arm) for arm in cell["arms"]])
     except (KeyError, TypeError, ValueError) as error:
         raise ViewError(

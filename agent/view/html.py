@@ -18,9 +18,9 @@ VIEW_PX: Final = (1280, 680)  # above the controls
 _ANY_PORT: Final = 18080  # viser takes the next free one
 
 
-def write_html(run: Prepared, path: Path, pictures_hz: float = PICTURES_HZ) -> int:
+def write_html(run: Prepared, path: Path) -> int:
     """Write the whole run; returns how many pictures it has.  Raises Refusal, and leaves an earlier file as it was."""
-    found = stage(run, pictures_hz)
+    found = stage(run, PICTURES_HZ)
     server = Server(_ANY_PORT, f"Run of {run.info.cell}")
     moments = moments_of(run)
     try:
@@ -28,7 +28,7 @@ def write_html(run: Prepared, path: Path, pictures_hz: float = PICTURES_HZ) -> i
         record = server.get_scene_serializer()
         for row, t in enumerate(found.motion.t.tolist()):
             nodes.show(found.placed, row, status_text(found.motion, row, around(moments, t)))
-            record.insert_sleep(1.0 / pictures_hz)
+            record.insert_sleep(1.0 / PICTURES_HZ)
         page = record.as_html()
     finally:
         server.stop()

@@ -22,7 +22,7 @@ from agent.telemetry.row import topics
 from agent.telemetry.row.event import Event
 from agent.telemetry.row.sample import AGENT_STATE, CDR_LITTLE_ENDIAN, PLANT_STATE
 from agent.telemetry.row.topics import PLANT, Address, Kind
-from agent.view.browser import Nodes
+from agent.view.browser import PAGE_PX, Nodes
 from agent.view.camera import camera_for
 from agent.view.curves import curves_of
 from agent.view.drawing import CellDrawing, drawing_of_cell
@@ -33,7 +33,6 @@ from agent.view.server import Server
 from agent.view.staged import legend, status_text
 
 PICTURES_HZ: Final = 30.0
-LIVE_PX: Final = (880, 720)  # beside the controls
 FORCE_N: Final = 6.0  # an arrow of this force has full length
 CURVES_S: Final = 20.0  # how far back the curves go
 CURVES_HZ: Final = 10.0  # instants of the curves; they are sent twice a second
@@ -114,7 +113,7 @@ class LivePage:
     def __init__(self, server: viser.ViserServer, drawing: CellDrawing, start: Motion) -> None:
         self.scene = Scene(drawing, force_N=FORCE_N, internal_N=FORCE_N)
         points = self.scene.points(self.scene.place(start), 0)
-        self._nodes = Nodes(server, self.scene, camera_for(self.scene, points, LIVE_PX[0] / LIVE_PX[1]))
+        self._nodes = Nodes(server, self.scene, camera_for(self.scene, points, PAGE_PX[0] / PAGE_PX[1]))
         self._words = server.gui.add_markdown("Waiting for the first row of an arm.")
         self._server, self._plots = server, list[Plot]()
         server.gui.add_markdown(legend(self.scene))

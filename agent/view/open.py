@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Final
 
 from agent.log.read import open_log
 from agent.report.moments import moments_of
 from agent.report.prepared import prepare
-from agent.view.browser import Nodes
+from agent.view.browser import PAGE_PX, Nodes
 from agent.view.motion import PICTURES_HZ
 from agent.view.player import Player
 from agent.view.server import Server
 from agent.view.staged import NEEDS, stage
-
-VIEW_PX: Final = (880, 720)  # beside the controls
 
 
 def serve(
@@ -32,7 +29,7 @@ def serve(
         moments = moments_of(run)
     for problem in run.log.problems:
         say(f"{log}: {problem}")
-    player = Player(server, Nodes(server, staged.scene, staged.camera(VIEW_PX), titled=False), staged, moments)
+    player = Player(server, Nodes(server, staged.scene, staged.camera(PAGE_PX), titled=False), staged, moments)
     player.step()
     ready()
     while not stop():

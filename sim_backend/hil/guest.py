@@ -10,7 +10,7 @@ import numpy as np
 
 from drivers.interface import BusCounters, DriverError, Refusal, StaleStateError, Vector
 from sim_backend.hil.coupling import TwinState
-from sim_backend.served.link import PlantLink
+from sim_backend.served.link import CONNECT_TIMEOUT_S, PlantLink
 from sim_backend.served.protocol import VERSION, FixedMessage, MessageKind, header_only, words
 
 
@@ -57,8 +57,6 @@ class ServedTwin:
         joints: tuple[str, ...],
         config_id: int,
         watchdog_s: float,
-        *,
-        connect_timeout_s: float = 5.0,
     ) -> None:
         """watchdog_s: after which the real arm's servos let go of it when nobody asks them."""
         self.utc_offset_ns = 0
@@ -68,7 +66,6 @@ class ServedTwin:
             MessageKind.HELLO, version=VERSION, arm=arm, config_id=config_id, joints=list(joints),
             watchdog_s=float(watchdog_s),
         )  # fmt: skip
-        self._connect_timeout_s = connect_timeout_s
         self._out = FixedMessage(2 * self._n)
         self._out.head(MessageKind.COMMAND, 0, 0)
         self._link: PlantLink | None = None
@@ -79,7 +76,7 @@ class ServedTwin:
         self.close()
         link = PlantLink(self._path, self._arm, self._n, BusCounters(), arrays=4)
         try:
-            info = link.introduce(self._hello, self._connect_timeout_s)
+            info = link.introduce(self._hello, CONNECT_TIMEOUT_S)
         except BaseException:
             link.close()
             raise

@@ -14,8 +14,6 @@ import numpy as np
 
 from drivers.interface import DriverError, Refusal, Vector
 
-POSITION_LSB_RAD: Final = 2 * math.pi / 4096  # encoder of the MX (Protocol 2.0) and X series
-VELOCITY_LSB_RAD_S: Final = 0.229 * 2 * math.pi / 60  # their present velocity counts in 0.229 rpm
 COULOMB_SPEED_RAD_S: Final = 0.01
 FINEST_LSB: Final = 2.0**-60  # stands for "no grid": below the spacing of doubles above 0.004
 NO_LSB: Final = 2.0**-900  # the same for a whole row: below the spacing of doubles above 1e-255

@@ -68,9 +68,9 @@ def pose(p: Sequence[float] | Vector, quat_wxyz: Sequence[float] | Vector) -> pi
     return pin.SE3(pin.Quaternion(w, x, y, z).matrix(), np.array(p, dtype=np.float64))
 
 
-def substep_of(period_s: float, at_most_s: float = 1e-3) -> float:
-    """Longest substep, not above `at_most_s`, of which a control period holds a whole number."""
-    return period_s / math.ceil(period_s / at_most_s - WHOLE_SUBSTEPS_TOLERANCE)
+def substep_of(period_s: float) -> float:
+    """Longest substep, not above a millisecond, of which a control period holds a whole number."""
+    return period_s / math.ceil(period_s / 1e-3 - WHOLE_SUBSTEPS_TOLERANCE)
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,7 @@ from drivers.interface import (
     Vector,
 )
 from sim_backend.physics.actuator import TorqueCommand
-from sim_backend.served.link import PlantLink
+from sim_backend.served.link import CONNECT_TIMEOUT_S, PlantLink
 from sim_backend.served.protocol import VERSION, FixedMessage, MessageKind, header_only, words
 
 LOCKSTEP_READ_TIMEOUT_S: Final = 30.0
@@ -70,7 +70,7 @@ class SimDriver:
         joints: tuple[str, ...],
         config_id: int,
         *,
-        connect_timeout_s: float = 5.0,
+        connect_timeout_s: float = CONNECT_TIMEOUT_S,
         start_timeout_s: float = 60.0,  # for the first state: the other arms may still be starting
         read_timeout_s: float | None = None,  # None: 30 s in lockstep, five periods in real time
     ) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 from drivers.interface import BusCounters, ConnectError, DriverError, StaleStateError
 from sim_backend.served.protocol import HEADER, KINDS, MAX_MESSAGE_BYTES, MessageKind, read_words, refusal_parts
 
+CONNECT_TIMEOUT_S = 5.0
 INFO_KEYS = {"lockstep", "rate_hz", "utc_offset_ns", "tau_largest_Nm", "torque_lsb_Nm", "description"}
 _STATES = (MessageKind.STATE, MessageKind.REPLY)
 

@@ -51,7 +51,6 @@ class FaultKind(Enum):
 
 
 REPLY_FAULTS = frozenset({FaultKind.DROP, FaultKind.CORRUPT, FaultKind.DELAY, FaultKind.DUPLICATE})
-LINE_FAULTS = frozenset({FaultKind.BABBLE, FaultKind.STALL, FaultKind.PORT_LOSS})
 
 
 class Fault(BaseModel):

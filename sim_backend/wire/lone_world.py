@@ -9,11 +9,8 @@ import numpy as np
 from sim_backend.physics.lone import LoneArm
 from sim_backend.physics.spec import PlantSpec
 from sim_backend.wire.arm import EmulatedArm
-from sim_backend.wire.bus import DEFAULTS
 from sim_backend.wire.cell import EmulatedCell
-from sim_backend.wire.options import BusOptions, ServoOptions
 from sim_backend.wire.plant_world import without_servo_electronics
-from sim_backend.wire.servo import FACTORY
 from sim_backend.wire.timing import BusTiming
 from sim_backend.wire.wiring import ArmWiring
 
@@ -49,12 +46,7 @@ class LoneWorld:
 
 
 def emulate_alone(
-    spec: PlantSpec,
-    arms: Sequence[tuple[int, ArmWiring]],
-    *,
-    timing: BusTiming | None,
-    servo_options: ServoOptions = FACTORY,
-    bus_options: BusOptions = DEFAULTS,
+    spec: PlantSpec, arms: Sequence[tuple[int, ArmWiring]], *, timing: BusTiming | None
 ) -> tuple[EmulatedCell, LoneWorld]:
     """Build emulated servos on lone arms: each by its place in `spec.arms`, its wiring with its place in this list.
 
@@ -63,7 +55,5 @@ def emulate_alone(
     bare = without_servo_electronics(spec)
     zeros = [bare.arms[i].actuator.zero_error_rad for i, _ in arms]
     world = LoneWorld([LoneArm(bare, i) for i, _ in arms], zeros)
-    emulated = [
-        EmulatedArm(wiring, timing=timing, servo_options=servo_options, bus_options=bus_options) for _, wiring in arms
-    ]
+    emulated = [EmulatedArm(wiring, timing=timing) for _, wiring in arms]
     return EmulatedCell(emulated, world), world

@@ -124,16 +124,15 @@ class ParserCounters:
 class InstructionParser:
     """Incremental receiver of one bus; keeps at most one unfinished packet."""
 
-    def __init__(self, unstuffed: UnstuffedHeader = UnstuffedHeader.RESTARTS, gap_ns: int = GAP_NS) -> None:
+    def __init__(self, unstuffed: UnstuffedHeader = UnstuffedHeader.RESTARTS) -> None:
         self.counters = ParserCounters()
         self._buffer = bytearray()
         self._unstuffed = unstuffed
-        self._gap_ns = gap_ns
         self._last_ns = 0
 
     def feed(self, data: bytes, now_ns: int) -> list[Command | Damaged]:
         """Take bytes that arrived at `now_ns`; return the packets they completed, in order.  Never raises."""
-        if self._buffer and now_ns - self._last_ns > self._gap_ns:
+        if self._buffer and now_ns - self._last_ns > GAP_NS:
             self.reset()
         self._last_ns = now_ns
         self._buffer += data

@@ -10,11 +10,8 @@ from sim_backend.physics.build import AnyPlant, build_plant
 from sim_backend.physics.soft import SoftPlant
 from sim_backend.physics.spec import PlantError, PlantSpec
 from sim_backend.wire.arm import EmulatedArm
-from sim_backend.wire.bus import DEFAULTS
 from sim_backend.wire.cell import EmulatedCell
 from sim_backend.wire.coupled_world import CoupledWorld
-from sim_backend.wire.options import BusOptions, ServoOptions
-from sim_backend.wire.servo import FACTORY
 from sim_backend.wire.timing import BusTiming
 from sim_backend.wire.whole_world import WholeSpec, WholeWorld
 from sim_backend.wire.wiring import ArmWiring
@@ -77,8 +74,6 @@ def emulate(
     arms: Sequence[ArmWiring],
     *,
     timing: BusTiming | None,
-    servo_options: ServoOptions = FACTORY,
-    bus_options: BusOptions = DEFAULTS,
     supported: bool = True,
 ) -> tuple[EmulatedCell, PlantWorld]:
     """Build emulated servos on the plant of a cell; `arms` in the order of `spec.arms`.
@@ -88,9 +83,7 @@ def emulate(
     Raises PlantError (GraspError) when the plant cannot be built.
     """
     world = PlantWorld(build_plant(without_servo_electronics(spec)), supported=supported)
-    emulated = [
-        EmulatedArm(wiring, timing=timing, servo_options=servo_options, bus_options=bus_options) for wiring in arms
-    ]
+    emulated = [EmulatedArm(wiring, timing=timing) for wiring in arms]
     return EmulatedCell(emulated, world), world
 
 

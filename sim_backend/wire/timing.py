@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 BITS_PER_BYTE = 10  # start, eight, stop
 FT232H_PAYLOAD = 510  # bytes of a full high-speed USB packet (U2D2); two of 512 are status
-FT232R_PAYLOAD = 62  # the same for a full-speed adapter
 
 
 @dataclass(frozen=True, slots=True)

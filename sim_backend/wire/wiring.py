@@ -57,18 +57,6 @@ class JointEntry(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class JointData:
-    """A JointEntry by itself, e.g. the gripper, which arm files keep apart from the joints."""
-
-    name: str
-    servo: str
-    ids: Sequence[int]
-    reverse: Sequence[bool]
-    zero_tick: int = TICK_CENTRE
-    position_limit_ticks: tuple[int, int] = (0, 4095)
-
-
-@dataclass(frozen=True, slots=True)
 class ServoWiring:
     """One servo as it was set up: what its EEPROM holds beyond the factory values."""
 
@@ -131,7 +119,6 @@ def servo_eeprom(
     reverse: bool = False,
     secondary_id: int = NO_SECONDARY_ID,
     position_limit_ticks: tuple[int, int] = (0, 4095),
-    return_delay: int = 0,
     mark: int | None = None,
 ) -> Mapping[str, int]:
     """EEPROM of a servo as Interbotix ships it: return delay 0, its direction, shadow and limits set; and its mark."""
@@ -141,7 +128,7 @@ def servo_eeprom(
         {
             **marked,
             table.BAUD_RATE.name: baud_code(baud),
-            table.RETURN_DELAY_TIME.name: return_delay,
+            table.RETURN_DELAY_TIME.name: 0,
             table.DRIVE_MODE.name: int(reverse),
             table.SECONDARY_ID.name: secondary_id,
             table.MIN_POSITION_LIMIT.name: low,

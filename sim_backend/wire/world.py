@@ -1,4 +1,4 @@
-"""The physics that emulated servos move, seen through four calls; and a small one for tests and joints of no plant.
+"""The physics that emulated servos move, as a Protocol; and that of a joint of no plant.
 
 Servos, buses and clocks are outside.
 """
@@ -49,27 +49,3 @@ class FreeJoint:
         momentum = self.inertia_kg_m2 * self.dq_rad_per_s + dt_s * (tau_Nm - self.gravity_Nm * math.sin(self.q_rad))
         self.dq_rad_per_s = momentum / (self.inertia_kg_m2 + dt_s * drag)
         self.q_rad += dt_s * self.dq_rad_per_s
-
-
-class FreeWorld:
-    """Arms of independent joints."""
-
-    def __init__(self, arms: Sequence[Sequence[FreeJoint]], substep_s: float = 1e-3) -> None:
-        self.substep_s = substep_s
-        self.joints = [list(joints) for joints in arms]
-        self._tau = [[0.0] * len(joints) for joints in arms]
-
-    def state(self, arm: int) -> tuple[Sequence[float], Sequence[float]]:
-        """Positions and velocities of an arm's joints."""
-        joints = self.joints[arm]
-        return [joint.q_rad for joint in joints], [joint.dq_rad_per_s for joint in joints]
-
-    def apply(self, arm: int, tau_Nm: Sequence[float]) -> None:
-        """Set the torques of an arm's servos."""
-        self._tau[arm] = list(tau_Nm)
-
-    def advance(self) -> None:
-        """Let one substep pass."""
-        for joints, torques in zip(self.joints, self._tau, strict=True):
-            for joint, tau_Nm in zip(joints, torques, strict=True):
-                joint.step(tau_Nm, self.substep_s)

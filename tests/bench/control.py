@@ -132,7 +132,7 @@ def paired(value: Callable[[], object], baseline: Callable[[], object], baseline
 
 
 def tick_of(agent: Agent) -> Callable[[], None]:
-    """From the joint state to the limited torque and the filled log row, as `agent.loop.run` does it."""
+    """From the joint state to the limited torque and the filled log row, as `agent.runner` has them."""
     n = agent.model.n
     row = AgentRow(np.zeros(1, dtype=AGENT_STATE.dtype), n, 0)
     state = JointState(200_000_000, joints(n), 0.1 * joints(n), np.zeros(n))

@@ -10,13 +10,8 @@ BY_HAND: Mapping[str, tuple[Change, ...]] = {
     "agent.safety": (
         ("flags |= _NOT_FINITE", "flags ^= _NOT_FINITE"),  # lost when two joints have no number
     ),
-    "agent.loop": (
-        (  # OFF_TRACK's angle halved
-            "2.0 * math.atan2(math.hypot(*errors.e_eps), abs(errors.e_eta))\n    return math",
-            "math.atan2(math.hypot(*errors.e_eps), abs(errors.e_eta))\n    return math",
-        ),
-        ("SINGULAR_MARGIN = 1.5", "SINGULAR_MARGIN = 1.0"),
-    ),
+    "agent.loop": (("SINGULAR_MARGIN = 1.5", "SINGULAR_MARGIN = 1.0"),),
+    "agent.control.errors": (("return 2.0 * math.atan2", "return math.atan2"),),  # OFF_TRACK's angle halved
     "agent.runner": (
         (" | Flag.OFF_TRACK", ""),
         ("if lost <= patience.hold:", "if lost < patience.hold:"),

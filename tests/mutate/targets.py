@@ -50,7 +50,6 @@ _WARM = (
     "tests.support.runner_rig:period_ns",
     "tests.support.session_script:made",
 )
-_CYCLE = (f"{UNIT}/drivers/test_dxl_faults.py", f"{UNIT}/drivers/test_dxl_hostile.py")
 _RING = (
     f"{UNIT}/telemetry/test_ring.py",
     f"{UNIT}/telemetry/test_ring_file.py",

@@ -61,6 +61,11 @@ def q_start() -> Vector:
     return _start().copy()
 
 
+def wandering(read: int) -> Vector:
+    """A little beside it, and elsewhere with every read."""
+    return q_start() + 1e-3 * np.sin(0.7 * read + np.arange(3))
+
+
 @cache
 def _start() -> Vector:
     return examine(paper()).q_start[0]

@@ -17,10 +17,10 @@ import configs
 from agent.config.cell import Cell, load_cell
 from agent.config.monitors import FASTEST
 from agent.control.joint_hold import weight
-from agent.modes import Event, Mode
+from agent.modes import Event, Mode, mode_of
 from agent.process.build import build_agent
 from agent.replay.chain import Chain
-from agent.replay.tick import mode_of, state_at
+from agent.replay.tick import state_at
 from agent.safety import Flag
 from drivers.dynamixel.servo import table
 from sim_backend.wire.faults import Fault, FaultKind

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from agent.cycles import Bus, Cycles, Patience
-from agent.modes import Event, Mode
-from agent.session import WAY_BACK
+from agent.modes import WAY_BACK, Event, Mode
 from agent.sight import Sight
 from drivers.interface import DriverError, JointState, ServoFault, StaleStateError
 

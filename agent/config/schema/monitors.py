@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import AfterValidator, Field
 
-from agent.config.schema.types import AS_LIST, Strict
+from agent.config.schema.types import AS_LIST, Coordinate, Strict
 from agent.monitors.bounds import Name
 
 
@@ -16,7 +16,6 @@ def _ascending(value: tuple[float, float]) -> tuple[float, float]:
     return value
 
 
-Coordinate = Annotated[float, Field(ge=-100.0, le=100.0)]
 Range = Annotated[tuple[Coordinate, Coordinate], AS_LIST, AfterValidator(_ascending)]
 Part = Annotated[float, Field(gt=0.0, le=1.0)]
 Watched = Annotated[Name, AS_LIST]

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.modes import Mode
+from agent.modes import Mode, mode_name
 from agent.safety import Flag
 from agent.telemetry.row.event import Event, Level
 
@@ -40,7 +40,7 @@ class RowEvents:
         return events
 
     def _mode_event(self, row: np.void, before: int) -> Event:
-        old, new = _mode_name(before), _mode_name(int(row["mode"]))
+        old, new = mode_name(before), mode_name(int(row["mode"]))
         level = _LEVEL_OF_MODE.get(Mode[new], Level.INFO) if new in Mode.__members__ else Level.WARN
         data = {"sequence": int(row["sequence"]), "t": float(row["t"]), "from": old, "to": new}
         return Event(int(row["utc_ns"]), self._source, level, f"mode {old} → {new}", data)
@@ -57,7 +57,3 @@ class RowEvents:
             text = f"safety: {str(flag.name).lower().replace('_', ' ')}"
             events.append(Event(utc_ns, self._source, level, text, data))
         return events
-
-
-def _mode_name(mode: int) -> str:
-    return Mode(mode).name if mode in Mode._value2member_map_ else str(mode)

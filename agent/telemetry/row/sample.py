@@ -174,11 +174,6 @@ class Layout:
             lines.append(f"{kind} {f.name}  # {f.doc}{unit}")
         return "\n".join(lines) + "\n"
 
-    @property
-    def timing_fields(self) -> tuple[str, ...]:
-        """Fields that may differ between two runs of the same cell."""
-        return tuple(f.name for f in self.fields if f.timing)
-
     def decode(self, payload: bytes) -> NDArray[np.void]:
         """Rows (k,) of `k` consecutive messages, as a read-only view of the bytes.
 

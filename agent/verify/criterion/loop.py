@@ -18,13 +18,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent.control.errors import Gains
+from agent.control.errors import HALF_ANGLE, Gains
 from agent.control.estimator import Observer
 from agent.control.models import Matrix
 from agent.verify.criterion.bodies import Grip, Motion, Pose
 from drivers.interface import Vector
-
-HALF_ANGLE = (1.0, 1.0, 1.0, 0.5, 0.5, 0.5)  # H
 
 # without an observer the law takes what is measured, which is an observer that corrects everything
 _MEASURED = Observer(1.0, position_gain=1.0, velocity_from_position_per_s=0.0, velocity_gain=1.0, delay_periods=0.0)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import enum
 from array import array
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from struct import Struct
 from struct import unpack as struct_unpack
 from typing import NamedTuple
@@ -152,18 +152,6 @@ def sync_write(address: int, length: int, values: Mapping[int, bytes]) -> bytes:
         raise ValueError(f"sync write: every servo's data must be {length} bytes")
     params = b"".join(bytes((servo_id,)) + data for servo_id, data in values.items())
     return instruction(BROADCAST_ID, Instruction.SYNC_WRITE, Struct("<HH").pack(address, length) + params)
-
-
-def bulk_read(items: Iterable[tuple[int, int, int]], *, fast: bool = False) -> bytes:
-    """Ask servos for different registers: (ID, address, length) each."""
-    code = Instruction.FAST_BULK_READ if fast else Instruction.BULK_READ
-    return instruction(BROADCAST_ID, code, b"".join(Struct("<BHH").pack(*item) for item in items))
-
-
-def bulk_write(items: Iterable[tuple[int, int, bytes]]) -> bytes:
-    """Write different registers of several servos: (ID, address, data) each."""
-    params = b"".join(Struct("<BHH").pack(i, address, len(data)) + data for i, address, data in items)
-    return instruction(BROADCAST_ID, Instruction.BULK_WRITE, params)
 
 
 def decode_status(packet: bytes) -> Status:

@@ -85,11 +85,6 @@ class ServoModel:
         return OperatingMode.CURRENT in self.modes
 
     @property
-    def current_limit_lsb(self) -> int | None:
-        """Factory Current Limit, also the largest that can be set; above the stall current on every model here."""
-        return self.default(CURRENT_LIMIT)
-
-    @property
     def no_load_rad_per_s(self) -> float:
         """No-load speed, rad/s."""
         return self.no_load_rpm * 2.0 * math.pi / 60.0
@@ -98,11 +93,6 @@ class ServoModel:
     def resistance_ohm(self) -> float:
         """Terminal resistance from the stall point: V / I_stall."""
         return RATED_VOLTAGE_V / self.stall_current_A
-
-    @property
-    def continuous_current_A(self) -> float:
-        """What it bears for long, root mean square: an estimate, see CONTINUOUS_SHARE."""
-        return CONTINUOUS_SHARE * self.stall_current_A
 
     @property
     def torque_constant_Nm_per_A(self) -> float:

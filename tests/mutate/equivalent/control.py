@@ -44,7 +44,6 @@ _HELD_POSE = "p, quat = (memory.hold[:3], memory.hold[3:])"
 _AT_Q = "k = model.evaluate(q, 0.0 * q)"
 _AT_HOLD = "held = model.evaluate(q_hold, 0.0 * q_hold)"
 _NO_SPEED = "nothing that depends on a speed is read of it"
-_LIMIT = "return _size(shift[:3]) >= 0.999 * self.max_m or _size(shift[3:]) >= 0.999 * self.max_rad"
 _NO_SHIFT = "if shift is NO_SHIFT or shift == NO_SHIFT:"
 _HALF = "k = 2.0 if size < _SMALL_ANGLE else 2.0 * math.atan2(size, w) / size"
 _SMALL = "if angle < _SMALL_ANGLE:"
@@ -105,7 +104,6 @@ CONTROL: Entries = {
         ("step", _BRAKES, _BRAKES.replace("0.0", "1.0")): _WHILE_IT_BRAKES,
     },
     "agent.control.alignment": {
-        ("Alignment.at_limit", _LIMIT, _LIMIT.replace("[:3]", "[:4]")): "of a place three numbers are read",
         ("shifted", _NO_SHIFT, _NO_SHIFT.replace("shift is NO_SHIFT", "False")): "saves a comparison",
         ("between", "if w < 0.0:", "if w <= 0.0:"): "half a turn to either side is one attitude",
         ("between", _HALF, _HALF.replace("<", "<=")): _ALMOST_NONE,

@@ -25,6 +25,7 @@ from agent.telemetry.link.publish import Pace
 from agent.telemetry.link.session import Network, Role, open_session
 from agent.telemetry.link.wire import BatchHeader
 from agent.telemetry.row.topics import PLANT
+from tests.support.telemetry.one_arm import wait_for
 from tests.support.telemetry.scenes import LOCKED_RAD
 from tests.support.telemetry.telemetry_cell import (
     ARMS,
@@ -147,7 +148,7 @@ def test_play_gives_the_recorded_bytes_back_under_a_prefix_of_its_own(run: RunLo
     heard: list[tuple[str, bytes, BatchHeader]]
     with Process(play.run, PlayOptions(run.path, speed=1.0, start_s=1.0, stop_s=3.0, loop=True)) as player:
         with listening(player.ready(), "**") as heard:
-            until(lambda: sum(not payload and "state" in key for key, payload, _ in heard) >= 6)
+            wait_for(lambda: sum(not payload and "state" in key for key, payload, _ in heard) >= 6)
         player.stop()
     assert all(key.startswith("replay/coop/paper/") for key, _, _ in heard)
     assert not [key for key, _, _ in heard if not key.endswith(("state", "event"))]
@@ -165,13 +166,6 @@ def sources(heard: list[tuple[str, bytes, BatchHeader]], key: str) -> list[int]:
 def is_whole(heard: list[tuple[str, bytes, BatchHeader]], key: str, source: int) -> bool:
     parts = [(p, h) for k, p, h in heard if k == key and h.source == source]
     return parts[0][1].first == 0 and not parts[-1][0]
-
-
-def until(condition: Any, timeout_s: float = 60.0) -> None:
-    end = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < end, "did not happen in time"
-        time.sleep(0.01)
 
 
 def test_play_keeps_the_pace_and_its_factor(run: RunLog) -> None:
@@ -233,9 +227,9 @@ def test_a_seek_goes_on_elsewhere_with_the_same_bytes_as_a_run_of_its_own(run: R
         ),
     ) as player:
         with listening(player.ready(), "**") as heard:
-            until(lambda: any(key == k for k, *_ in heard))
+            wait_for(lambda: any(key == k for k, *_ in heard))
             (tmp_path / "heard").touch()
-            until(lambda: any(not payload and key == k for k, payload, _ in heard))
+            wait_for(lambda: any(not payload and key == k for k, payload, _ in heard))
         player.result()
     *_, last = sources(heard, key)
     parts = [(p, h) for k, p, h in heard if k == key and h.source == last]
@@ -282,7 +276,7 @@ def test_info_is_answered_and_telemetry_opens_no_port(tmp_path: Path) -> None:
             publisher.ready()
             with open_session(Network(connect=(endpoint,), role=Role.VIEWER)) as opened:
                 answers: list[bytes] = []
-                until(lambda: any(b'"sequence"' in answer for answer in ask(opened.session, answers)))
+                wait_for(lambda: any(b'"sequence"' in answer for answer in ask(opened.session, answers)))
             assert b'"fingerprint": "5f"' in answers[-1]
             assert listening_ports(publisher.process.pid) == set()
             assert len(listening_ports(rec.process.pid)) == 1

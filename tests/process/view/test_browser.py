@@ -27,7 +27,8 @@ from tests.support.ports import free_port
 
 pytest.importorskip("viser", reason="the extra `view` is not installed")
 
-from agent.view.live import FORCE_N, LIVE_PX, _start
+from agent.view.browser import PAGE_PX
+from agent.view.live import FORCE_N, _start
 
 SIZE = (1280, 720)
 BAR_PX = 40  # the controls of a file take so much of the height
@@ -186,4 +187,4 @@ def live_camera(shown: Staged) -> Camera:
     from agent.view.camera import camera_for
 
     before = shown.scene.place(_start(load_files(PAPER)))
-    return camera_for(shown.scene, shown.scene.points(before, 0), LIVE_PX[0] / LIVE_PX[1])
+    return camera_for(shown.scene, shown.scene.points(before, 0), PAGE_PX[0] / PAGE_PX[1])

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pinocchio as pin
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -29,6 +32,14 @@ def errors_after(cell: RandomCell, gains: Gains, v: np.ndarray, h: float) -> err
     p = cell.T_world_object.translation + h * v[:3]
     quat = quaternion_step(quaternion_of(cell.T_world_object), h * v[3:])
     return errors.evaluate(tuple(p.tolist()), quat, tuple(v.tolist()), desired_after(cell.desired, h), gains)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 0.3, 2.0, math.pi])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_angle_of_an_attitude_error_is_that_of_either_quaternion_of_the_rotation(angle: float, sign: float) -> None:
+    sine = sign * math.sin(0.5 * angle)
+    found = errors.attitude_angle(sign * math.cos(0.5 * angle), (0.0, 0.6 * sine, -0.8 * sine))
+    assert found == pytest.approx(angle, rel=1e-12, abs=0.0)
 
 
 @given(cells(), SEEDS)

@@ -25,6 +25,11 @@ def rate_of(f: Callable[[float], Vector], h: float = 2e-4) -> Vector:
     return (8.0 * (f(h) - f(-h)) - (f(2.0 * h) - f(-2.0 * h))) / (12.0 * h)
 
 
+def rate_at(f: Callable[[float], Vector], t: float, h: float = 1e-4) -> Vector:
+    """The same at t."""
+    return rate_of(lambda s: f(t + s), h)
+
+
 def skew(a: Vector) -> Vector:
     """S(a) (3, 3)."""
     x, y, z = a

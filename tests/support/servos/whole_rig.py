@@ -95,10 +95,6 @@ class WholeRun:
         self.arms = {arm.name: SessionRun() for arm in cell.arms}
         self.clock.live([partial(self._run, arm, i) for i, arm in enumerate(cell.arms)])
 
-    def ended_in(self) -> dict[str, Mode]:
-        """Mode of each arm at the end."""
-        return {name: run.summary.mode for name, run in self.arms.items() if run.summary is not None}
-
     def _run(self, arm: Arm, index: int) -> None:
         run = self.arms[arm.name]
         run.summary = self._loop(run, arm, index)

@@ -24,6 +24,7 @@ from agent.control.trajectory_spline import PoseSpline, TrajectoryError, quintic
 from agent.verify import check
 from agent.verify.check import Verdict, examine
 from drivers.interface import Refusal
+from tests.support.control.oracle import rate_at
 from tests.support.control.strategies import examples, random_pose, random_unit
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -60,10 +61,6 @@ def rest_of(seed: int) -> RestToRest:
 MOTIONS: list[Callable[[int], Trajectory]] = [spline_of, rest_of]
 
 
-def rate(f: Callable[[float], np.ndarray], t: float, h: float = 1e-4) -> np.ndarray:
-    return (8.0 * (f(t + h) - f(t - h)) - (f(t + 2 * h) - f(t - 2 * h))) / (12.0 * h)
-
-
 def state(d: Desired) -> np.ndarray:
     """(19,) all that must be continuous."""
     return np.array([*d.p, *d.quat, *d.v, *d.a])
@@ -83,8 +80,8 @@ def test_twist_and_acceleration_are_the_derivatives_of_the_pose(
         d = trajectory.at(s)
         return np.array([*d.p, *(2.0 * x for x in multiply(d.quat, conjugate(now.quat))[1:])])
 
-    assert rate(pose, t) == pytest.approx(now.v, abs=1e-6)
-    assert rate(lambda s: np.array(trajectory.at(s).v), t) == pytest.approx(now.a, abs=2e-3)  # the jerk may jump
+    assert rate_at(pose, t) == pytest.approx(now.v, abs=1e-6)
+    assert rate_at(lambda s: np.array(trajectory.at(s).v), t) == pytest.approx(now.a, abs=2e-3)  # the jerk may jump
     assert math.hypot(*now.quat) == pytest.approx(1.0, abs=1e-12)
 
 

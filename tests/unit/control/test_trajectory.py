@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -11,6 +10,7 @@ import pytest
 from agent.control.quaternion import angle_between, conjugate, multiply
 from agent.control.trajectory import Sinusoid, Trajectory
 from agent.control.trajectory_ease import Eased
+from tests.support.control.oracle import rate_at
 
 IDENTITY = (1.0, 0.0, 0.0, 0.0)
 PAPER = Sinusoid((0.3, 0.12, 0.0), (0.05, 0.0, 0.0), IDENTITY, (0.0, 0.0, 1.0), -math.pi / 30, 15.0)
@@ -18,10 +18,6 @@ TILTED = Sinusoid((0.1, -0.2, 0.3), (0.02, 0.05, -0.03), (0.5, 0.5, -0.5, 0.5), 
 EASED = Eased(TILTED, 1.6)
 MOVING = (PAPER, TILTED, EASED)
 TIMES = (0.0, 0.3, 1.7, 3.75, 7.9, 14.999, 40.0, 99.5)
-
-
-def rate(f: Callable[[float], np.ndarray], t: float, h: float = 1e-4) -> np.ndarray:
-    return (8.0 * (f(t + h) - f(t - h)) - (f(t + 2 * h) - f(t - 2 * h))) / (12.0 * h)
 
 
 @pytest.mark.parametrize("t", TIMES)
@@ -37,19 +33,19 @@ def test_paper_motion_is_the_printed_one(t: float) -> None:
 @pytest.mark.parametrize("t", TIMES)
 def test_twist_is_the_derivative_of_the_pose(trajectory: Trajectory, t: float) -> None:
     desired = trajectory.at(t)
-    assert rate(lambda s: np.array(trajectory.at(s).p), t) == pytest.approx(desired.v[:3], abs=1e-9)
+    assert rate_at(lambda s: np.array(trajectory.at(s).p), t) == pytest.approx(desired.v[:3], abs=1e-9)
 
     def small_rotation(s: float) -> np.ndarray:
         """Twice the vector part of the rotation from time t to time s: its rate at t is ω, world axes."""
         return 2.0 * np.array(multiply(trajectory.at(s).quat, conjugate(desired.quat))[1:])
 
-    assert rate(small_rotation, t) == pytest.approx(desired.v[3:], abs=1e-9)
+    assert rate_at(small_rotation, t) == pytest.approx(desired.v[3:], abs=1e-9)
 
 
 @pytest.mark.parametrize("trajectory", MOVING)
 @pytest.mark.parametrize("t", TIMES)
 def test_acceleration_is_the_derivative_of_the_twist(trajectory: Trajectory, t: float) -> None:
-    assert rate(lambda s: np.array(trajectory.at(s).v), t) == pytest.approx(trajectory.at(t).a, abs=1e-9)
+    assert rate_at(lambda s: np.array(trajectory.at(s).v), t) == pytest.approx(trajectory.at(t).a, abs=1e-9)
 
 
 @pytest.mark.parametrize("trajectory", [PAPER, TILTED])

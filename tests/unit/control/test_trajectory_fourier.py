@@ -15,6 +15,7 @@ from agent.config.cell import Cell, ConfigError, load_cell
 from agent.config.trajectory import SAMPLES_PER_SHORTEST_PERIOD, waypoint_times
 from agent.control.quaternion import conjugate, multiply
 from agent.control.trajectory_fourier import Fourier, Term
+from tests.support.control.oracle import rate_at
 
 CENTRE, UPRIGHT = (0.1, -0.2, 0.3), (0.5, 0.5, -0.5, 0.5)
 BASE_S, FADE_S, MOTION_S = 4.0, 1.5, 10.0
@@ -28,20 +29,16 @@ motions = st.builds(
 times = st.floats(0.01, MOTION_S - 0.01)
 
 
-def rate(f, t: float, h: float = 2e-4) -> np.ndarray:
-    return (8.0 * (f(t + h) - f(t - h)) - (f(t + 2 * h) - f(t - 2 * h))) / (12.0 * h)
-
-
 @given(motions, times)
 def test_twist_is_the_derivative_of_the_pose(motion: Fourier, t: float) -> None:
     now = motion.at(t)
-    assert rate(lambda s: np.array(motion.at(s).p), t) == pytest.approx(now.v[:3], abs=1e-7)
+    assert rate_at(lambda s: np.array(motion.at(s).p), t) == pytest.approx(now.v[:3], abs=1e-7)
 
     def small_rotation(s: float) -> np.ndarray:
         """Twice the vector part of the rotation from time t to time s: its rate at t is ω, world axes."""
         return 2.0 * np.array(multiply(motion.at(s).quat, conjugate(now.quat))[1:])
 
-    assert rate(small_rotation, t) == pytest.approx(now.v[3:], abs=1e-7)
+    assert rate_at(small_rotation, t) == pytest.approx(now.v[3:], abs=1e-7)
 
 
 # where the window begins or ends to move, its third derivative jumps and a difference quotient is no derivative
@@ -50,7 +47,7 @@ SMOOTH = times.filter(lambda t: min(abs(t - x) for x in (0.0, FADE_S, MOTION_S -
 
 @given(motions, SMOOTH)
 def test_acceleration_is_the_derivative_of_the_twist(motion: Fourier, t: float) -> None:
-    assert rate(lambda s: np.array(motion.at(s).v), t) == pytest.approx(motion.at(t).a, abs=1e-6)
+    assert rate_at(lambda s: np.array(motion.at(s).v), t) == pytest.approx(motion.at(t).a, abs=1e-6)
 
 
 @given(motions, st.sampled_from([0.0, MOTION_S, MOTION_S + 3.0]))
@@ -95,10 +92,9 @@ def test_the_cell_file_gives_the_motion_and_the_instants_to_examine(tmp_path: Pa
     t = 7.0
     x = 0.03 * math.sin(0.2 * math.pi * t) + 0.01 * math.sin(0.8 * math.pi * t + 0.3)
     assert motion.at(t).p == pytest.approx((0.3 + x, 0.12, 0.0), abs=1e-12)
-    assert motion.frequency_hz == pytest.approx(0.4)
     instants, count = waypoint_times(cell.file, 100.0, 6000)
     assert (instants[0], instants[-1], len(instants)) == (0.0, 20.0, count)
-    assert max(np.diff(instants)) <= 1.0 / (SAMPLES_PER_SHORTEST_PERIOD * motion.frequency_hz) + 1e-12
+    assert max(np.diff(instants)) <= 1.0 / (SAMPLES_PER_SHORTEST_PERIOD * 0.4) + 1e-12
     assert waypoint_times(cell.file, 100.0, 3) == ([0.0, 10.0, 20.0], count)
     assert max(waypoint_times(cell.file, 5.0, 6000)[0]) == 5.0
 

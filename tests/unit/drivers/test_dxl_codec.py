@@ -58,21 +58,6 @@ BUILT = [
         "FF FF FD 00 FE 0A 00 8A 84 00 04 00 03 07 04 20 F2",
     ),
     (
-        "bulk read",
-        lambda: codec.bulk_read([(1, 144, 2), (2, 146, 1)]),
-        "FF FF FD 00 FE 0D 00 92 01 90 00 02 00 02 92 00 01 00 1A 05",
-    ),
-    (
-        "bulk write",
-        lambda: codec.bulk_write([(1, 32, bytes((160, 0))), (2, 31, bytes((80,)))]),
-        "FF FF FD 00 FE 10 00 93 01 20 00 02 00 A0 00 02 1F 00 01 00 50 B7 68",
-    ),
-    (
-        "fast bulk read",
-        lambda: codec.bulk_read([(3, 132, 4), (7, 124, 2), (4, 146, 1)], fast=True),
-        "FF FF FD 00 FE 12 00 9A 03 84 00 04 00 07 7C 00 02 00 04 92 00 01 00 DA 2D",
-    ),
-    (
         "stuffed write",
         lambda: codec.write(1, 116, bytes.fromhex("FFFFFDFF")),
         "FF FF FD 00 01 0A 00 03 74 00 FF FF FD FD FF 23 E5",

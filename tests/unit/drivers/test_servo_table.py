@@ -131,13 +131,14 @@ def test_current_registers_exist_exactly_where_current_is_sensed(servo: ServoMod
 
 @pytest.mark.parametrize("servo", PROTOCOL_2, ids=lambda s: s.name)
 def test_current_limit_does_not_protect_from_stall(servo: ServoModel) -> None:
-    if servo.current_unit_mA is None or servo.current_limit_lsb is None:
+    factory_limit = servo.default(table.CURRENT_LIMIT)
+    if servo.current_unit_mA is None or factory_limit is None:
         assert not servo.has_current_mode
         with pytest.raises(KeyError, match="Goal Current"):
             servo.register(table.GOAL_CURRENT)
     else:
-        assert servo.current_limit_lsb * servo.current_unit_mA / 1000.0 > servo.stall_current_A
-        assert servo.register(table.GOAL_CURRENT).maximum == servo.current_limit_lsb
+        assert factory_limit * servo.current_unit_mA / 1000.0 > servo.stall_current_A
+        assert servo.register(table.GOAL_CURRENT).maximum == factory_limit
 
 
 @pytest.mark.parametrize("servo", SERVOS.values(), ids=lambda s: s.name)

@@ -11,7 +11,6 @@ import threading
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
@@ -116,11 +115,11 @@ def test_an_agent_of_another_user_is_refused(
     guard: GuardEnd, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, uid: int, heard_of: bool
 ) -> None:
     """As the kernel says who asks; of a guard of user 4710."""
-    monkeypatch.setattr(guard_end, "_CREDENTIALS", SimpleNamespace(size=12, unpack=lambda _: (1, uid, 1)))
+    monkeypatch.setattr(guard_end, "peer_uid", lambda _: uid)
     monkeypatch.setattr(os, "getuid", lambda: 4710)
     agent = AgentEnd(path(tmp_path), CELL)
     guard.hear()
-    assert guard.connected is heard_of
+    assert (len(guard.filenos()) == 2) is heard_of
     if not heard_of:
         assert agent.heard() == {
             "ok": False, "found": "user 4711", "expected": "one agent, of user 4710", "remedy": "stop one",
@@ -131,7 +130,7 @@ def test_an_agent_of_another_user_is_refused(
 def test_after_an_agent_that_has_hung_up_the_next_one_is_heard(guard: GuardEnd, tmp_path: Path) -> None:
     AgentEnd(path(tmp_path), CELL).close()
     assert guard.hear() is None
-    assert not guard.connected
+    assert len(guard.filenos()) == 1
     agent = AgentEnd(path(tmp_path), CELL)
     agent.say(Word.LEAVE)
     said = guard.hear()

@@ -309,11 +309,11 @@ def test_a_law_that_gave_nothing_is_watched_too() -> None:
             assert watch.after(state, outcome._replace(terms=None), mode, health) == ""
 
 
-# --- of a session ----------------------------------------------------------------------------------------------------
+# --- of a session, and afloat -----------------------------------------------------------------------------------------
 
 CARRIES, WAITS, BACK = (
-    [Mode.APPROACH, Mode.GRASP],
-    [Mode.REST, Mode.HALT, Mode.HOLD],
+    [Mode.APPROACH, Mode.GRASP, Mode.FLOAT],
+    [Mode.REST, Mode.HALT, Mode.HOLD, Mode.STAND, Mode.SINK],
     [Mode.LOWER, Mode.RELEASE, Mode.PARK],
 )
 IN_EVERY_MODE = [Name.SPEED, Name.POWER, Name.POSITION, Name.SATURATED, Name.LOAD, Name.TEMPERATURE, Name.VOLTAGE]
@@ -329,7 +329,9 @@ def met(name: Name, mode: Mode) -> tuple[str, list[str]]:
 
 @pytest.mark.parametrize("name", IN_EVERY_MODE)
 @pytest.mark.parametrize("mode", [*CARRIES, *WAITS, *BACK])
-def test_an_arm_of_a_session_is_watched_in_every_mode_and_brought_home_in_spite_of_heat(name: Name, mode: Mode) -> None:
+def test_an_arm_of_a_session_or_afloat_is_watched_in_every_mode_and_brought_home_in_spite_of_heat(
+    name: Name, mode: Mode
+) -> None:
     said, told = met(name, mode)
     stops = mode in CARRIES or (mode in BACK and name in (Name.SPEED, Name.POWER))
     assert said.startswith(f"monitor {name}") == stops

@@ -112,6 +112,23 @@ def test_the_recorders_process_says_so_and_tells_who_started_it(
     assert told == [line]
 
 
+def test_who_records_is_told_of_what_was_left_unfinished_whether_it_could_be_mended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log, mended = tmp_path / "run_2.mcap", tmp_path / "run.mcap"
+    report = RecordReport(log, True, None, {}, (mended,), ("cannot repair old.mcap: found No space left",), (log,))
+    monkeypatch.setattr(recorder, "run_recorder", lambda *_, **__: report)
+    (tmp_path / "run.json").write_bytes(b"{}")
+    said: list[str] = []
+    command = RecordCommand(
+        cell=PAPER, out=log, listen=FREE_PORT, driver=DriverKind.SIM, truth=True, seed=0, run_info=tmp_path / "run.json"
+    )
+    assert started(command, Listener(said.append)) == 0
+    assert said == [
+        f"repaired {mended}", "not repaired: cannot repair old.mcap: found No space left", f"{log}: complete ",
+    ]  # fmt: skip
+
+
 def test_a_process_of_a_run_warns_in_its_words_and_by_its_parent(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -18,7 +18,7 @@ from agent.replay.verify import ArmVerdict, Difference, Verdict, verify
 from agent.safety import Flag
 from agent.telemetry.row.sample import AGENT_FIELDS
 from tests.support.plant.plant_arm import run_one
-from tests.support.runner_rig import fault, lost_at, paper, q_start, run
+from tests.support.runner_rig import fault, lost_at, paper, q_start, run, wandering
 from tests.support.telemetry.run_log import flipped, write_other_release, write_run
 
 WX200 = configs.CELLS_DIR / "identify_wx200.toml"
@@ -36,10 +36,6 @@ def replayed(folder: Path, rows: np.ndarray, cell: Cell | None = None, window: W
 
 def stopped(reads: int) -> Event:
     return {25: Event.STOP, 62: Event.RELEASED}.get(reads, Event.NONE)
-
-
-def wandering(read: int) -> np.ndarray:
-    return q_start() + 1e-3 * np.sin(0.7 * read + np.arange(3))
 
 
 @cache

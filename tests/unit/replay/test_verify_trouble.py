@@ -19,7 +19,7 @@ from agent.replay.source import recorded_cell
 from agent.replay.verify import Verdict, verify
 from agent.safety import Flag
 from drivers.interface import JointState, Vector
-from tests.support.runner_rig import fault, lost_at, paper, period_ns, q_start, run
+from tests.support.runner_rig import fault, lost_at, paper, period_ns, q_start, run, wandering
 from tests.support.session_script import TO_READY, Script, cell, floating, guided, q_grasp, run_of
 from tests.support.telemetry.run_log import write_run
 
@@ -28,10 +28,6 @@ def replayed(folder: Path, of: Cell, rows: np.ndarray, begin: int) -> Verdict:
     path = write_run(folder / f"{begin}.mcap", of, {of.arms[0].name: rows})
     with open_log(path) as log:
         return verify(log, recorded_cell(log), Window(from_row=begin))
-
-
-def moving(read: int) -> Vector:
-    return q_start() + 1e-3 * np.sin(0.7 * read + np.arange(3))
 
 
 def held(n: int) -> Event:
@@ -48,7 +44,7 @@ TROUBLES: dict[str, tuple[dict[str, Any], Flag]] = {
 
 @pytest.mark.parametrize(("of", "flag"), TROUBLES.values(), ids=TROUBLES)
 def test_trouble_replays(tmp_path: Path, of: dict[str, Any], flag: Flag) -> None:
-    rows = run(q=moving, **of).rows
+    rows = run(q=wandering, **of).rows
     marked = np.flatnonzero(rows["flags"] & flag.value)
     assert len(marked) or not flag
     for begin in (0, *marked[:1].tolist()):

@@ -9,11 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from drivers.dynamixel.servo.counts import TICK_RAD, VELOCITY_UNIT_RAD_PER_S
 from drivers.interface import DriverError
 from sim_backend.physics.actuator import (
     NO_LSB,
-    POSITION_LSB_RAD,
-    VELOCITY_LSB_RAD_S,
     ActuatorError,
     ActuatorSpec,
     Grid,
@@ -117,11 +116,11 @@ def test_friction_far_from_rest_is_coulomb_plus_viscous() -> None:
 
 @given(st.floats(-10, 10))
 def test_reported_motion_is_on_the_servos_grid(value: float) -> None:
-    spec = ActuatorSpec.of(1, position_lsb_rad=POSITION_LSB_RAD, velocity_lsb_rad_s=VELOCITY_LSB_RAD_S)
+    spec = ActuatorSpec.of(1, position_lsb_rad=TICK_RAD, velocity_lsb_rad_s=VELOCITY_UNIT_RAD_PER_S)
     servos = Servos([spec])
     said = servos.reported(row(value), row(value), row(value))[:, 0]
     assert abs(said[2] - value) < NO_LSB  # which has no resolution
-    for reported, lsb in zip(said[:2], (POSITION_LSB_RAD, VELOCITY_LSB_RAD_S), strict=True):
+    for reported, lsb in zip(said[:2], (TICK_RAD, VELOCITY_UNIT_RAD_PER_S), strict=True):
         assert abs(reported - value) <= lsb / 2 + 1e-12
         assert abs(reported / lsb - round(reported / lsb)) < 1e-6
 

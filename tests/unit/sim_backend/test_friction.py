@@ -7,8 +7,9 @@ from itertools import product
 import numpy as np
 import pytest
 
+from drivers.dynamixel.servo.counts import VELOCITY_UNIT_RAD_PER_S
 from drivers.interface import Vector
-from sim_backend.physics.actuator import VELOCITY_LSB_RAD_S, ActuatorError
+from sim_backend.physics.actuator import ActuatorError
 from sim_backend.physics.friction import PRESLIDING_RAD, DryFriction, FrictionSpec
 
 H = 1e-3
@@ -113,7 +114,7 @@ def test_jitter_below_breakaway_moves_nothing_a_servo_could_read() -> None:
         seen.append((rotor.q, float(rotor.dq[0])))
     q, dq = np.abs(np.array(seen)).max(axis=0)
     assert q < PRESLIDING_RAD
-    assert dq < VELOCITY_LSB_RAD_S / 2
+    assert dq < VELOCITY_UNIT_RAD_PER_S / 2
     assert not rotor.friction.sliding.any()
 
 

@@ -12,7 +12,7 @@ from agent.config.cell import Cell, load_cell
 from agent.config.schema.arm import Figure, PositiveFigure, Provenance, ServoJoint
 from agent.process.simulated import plant_spec
 from agent.verify.check import examine
-from sim_backend.physics.actuator import VELOCITY_LSB_RAD_S
+from drivers.dynamixel.servo.counts import VELOCITY_UNIT_RAD_PER_S
 from sim_backend.physics.build import build_plant
 from sim_backend.physics.friction import PRESLIDING_RAD, FrictionSpec
 from sim_backend.physics.spec import GraspSpec, PlantError, PlantSpec
@@ -37,7 +37,7 @@ def test_joints_stand_under_jitter_below_breakaway_and_move_above(grasp: GraspSp
     for _ in range(100):
         plant.advance(tau + rng.uniform(-0.04, 0.04, 6), 5)
     assert float(np.abs(plant.q - start).max()) < 3 * PRESLIDING_RAD
-    assert float(np.abs(plant.dq).max()) < VELOCITY_LSB_RAD_S
+    assert float(np.abs(plant.dq).max()) < VELOCITY_UNIT_RAD_PER_S
     plant.advance(tau + 0.05, 200)
     seen = plant.observe(tau + 0.05)
     assert float(np.abs(seen.tau_friction).max()) < 0.12

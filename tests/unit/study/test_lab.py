@@ -12,7 +12,6 @@ import pytest
 from agent.config.cell import load_cell
 from agent.config.schema.reality import ArmReality, Reality
 from agent.modes import Mode
-from agent.monitors.bounds import Name
 from agent.safety import Flag
 from agent.study import measure as measuring
 from agent.study.fault import Fault, FaultKind
@@ -31,9 +30,6 @@ IDEAL = (
     "report.transient_s=1.0",
     "duration_s=1.5",
 )
-
-
-UNWATCHED = f"safety.monitors.off={[name.value for name in Name]}"
 
 
 @pytest.fixture(scope="module")

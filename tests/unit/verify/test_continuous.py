@@ -15,7 +15,7 @@ from agent.config.cell import load_cell
 from agent.verify.check import examine
 from agent.verify.finding import Finding, Verdict
 from agent.verify.path import _rms
-from drivers.dynamixel.servo.models import SERVOS
+from drivers.dynamixel.servo.models import CONTINUOUS_SHARE
 from tests.support.control.level_wx200 import LEVEL
 
 
@@ -71,4 +71,4 @@ def test_a_root_mean_square_is_over_time_and_none_of_no_time() -> None:
 
 
 def test_a_servo_bears_a_fifth_of_its_stall_current_for_long() -> None:
-    assert SERVOS["XM430-W350"].continuous_current_A == pytest.approx(0.2 * 2.3)
+    assert CONTINUOUS_SHARE == 0.2

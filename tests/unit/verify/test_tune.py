@@ -39,7 +39,6 @@ PAPER = configs.CELLS_DIR / "paper.toml"
 LONG = pytest.mark.long
 EFFECTS = ("friction", "position_quantisation", "velocity_quantisation", "torque_quantisation")
 IDEAL = (*(f"simulation.effects.{effect}=false" for effect in EFFECTS), "controller.friction_feedforward=false")
-WORST = Margin(worst=0.98)
 # a wrong inertia is then nothing but a wrong inertia
 WEIGHTLESS = ("world.gravity_m_per_s2=[0.0, 0.0, 0.0]",)
 

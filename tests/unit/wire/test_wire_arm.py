@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import pytest
 
@@ -11,15 +12,46 @@ from agent.config.cell import load_arm_file
 from agent.config.servo_map import resting_joints
 from drivers.dynamixel.servo import table
 from drivers.dynamixel.servo.codes import Instruction, OperatingMode
-from drivers.dynamixel.servo.counts import TICK_RAD
+from drivers.dynamixel.servo.counts import TICK_CENTRE, TICK_RAD
 from drivers.dynamixel.servo.models import SERVOS
 from sim_backend.wire.arm import EmulatedArm
 from sim_backend.wire.cell import CATCH_UP_NS, EmulatedCell
-from sim_backend.wire.wiring import ArmWiring, JointData, JointWiring, ServoWiring, baud_code, servo_eeprom, wire_arm
-from sim_backend.wire.world import FreeJoint, FreeWorld
+from sim_backend.wire.wiring import ArmWiring, JointWiring, ServoWiring, baud_code, servo_eeprom, wire_arm
+from sim_backend.wire.world import FreeJoint
 from tests.support.servos.wire_bench import MS, Bench, build, word
 
 KT = SERVOS["XM430-W350"].torque_constant_Nm_per_A
+
+
+@dataclass(frozen=True, slots=True)
+class JointData:
+    name: str
+    servo: str
+    ids: Sequence[int]
+    reverse: Sequence[bool]
+    zero_tick: int = TICK_CENTRE
+    position_limit_ticks: tuple[int, int] = (0, 4095)
+
+
+class FreeWorld:
+    """Arms of independent joints."""
+
+    def __init__(self, arms: Sequence[Sequence[FreeJoint]]) -> None:
+        self.substep_s = 1e-3
+        self.joints = [list(joints) for joints in arms]
+        self._tau = [[0.0] * len(joints) for joints in arms]
+
+    def state(self, arm: int) -> tuple[Sequence[float], Sequence[float]]:
+        joints = self.joints[arm]
+        return [joint.q_rad for joint in joints], [joint.dq_rad_per_s for joint in joints]
+
+    def apply(self, arm: int, tau_Nm: Sequence[float]) -> None:
+        self._tau[arm] = list(tau_Nm)
+
+    def advance(self) -> None:
+        for joints, torques in zip(self.joints, self._tau, strict=True):
+            for joint, tau_Nm in zip(joints, torques, strict=True):
+                joint.step(tau_Nm, self.substep_s)
 
 
 SHOULDER = JointData("shoulder", "XM430-W350", (2, 3), (False, True))
