@@ -226,9 +226,9 @@ def explained(agent: Agent, outcome: Outcome) -> str:
         return ""
     sense, wrench, found, v = outcome.memory.sense, np.array(sensed[:6]), Channels(*sensed[6:]), terms.desired.v
     if not residual.tripped(found, sense, wrench):
-        pull, f = sense.pull, (wrench - sense.base)[:3]
-        behind = cause.behind(f, v, agent.offline.gravity, weighs=residual.weighed(sense))
-        return f"{cause.described(behind, found)}, {pull.level_N:.2g} N against the motion, {pull.weight_N:.2g} N down"
+        f, weighs, drags = (wrench - sense.base)[:3], residual.weighed(sense), residual.dragged(sense)
+        behind = cause.behind(f, v, agent.offline.gravity, weighs=weighs, drags=drags)
+        return f"{cause.described(behind, found)}, {cause.felt(sense)}"
     f, limit_N = cause.force(residual, sense, wrench)
     return cause.described(cause.causes(f, limit_N, v, agent.offline.gravity), found)
 

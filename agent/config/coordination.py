@@ -30,14 +30,15 @@ def residual(cell: Cell) -> Residual | None:
     spec = cell.file.safety.noticing
     if not spec.enabled:
         return None
-    limits = noticing.thresholds(cell)
+    limits, along = noticing.thresholds(cell), noticing.against(cell)
     return Residual(
         period_s=1.0 / cell.file.rate_hz,
         delay_periods=cell.file.delay_periods,
         limits=limits,
         rate_per_s=spec.rate_per_s,
         slow_per_s=noticing.slow_rate(cell),
-        against=noticing.against(cell),
+        against=along,
+        knock=noticing.knock(along),
         touch=noticing.touch(cell, limits),
     )
 

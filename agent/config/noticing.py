@@ -34,6 +34,7 @@ from agent.control import ik
 from agent.control.against import Against
 from agent.control.errors import HALF_ANGLE
 from agent.control.inverse import SingularJacobian, invert_jacobian
+from agent.control.knock import Knock
 from agent.control.law import Offline
 from agent.control.models import ArmModel, Kinematics, Matrix
 from agent.control.residual import Channels
@@ -59,6 +60,7 @@ TOUCH_PLAIN: Final = 1.0  # times that share, of the plain force (0.91 seen)
 TOUCH_LEVER_M: Final = 0.2  # moment that the arms' inertia makes of that force
 ALONG: Final = (0.35, 0.079)  # level, climb: of friction and noise
 TOUCH_ALONG: Final = (1.05, 0.15)  # times an arm's share of a touch
+KNOCK: Final = 1.05  # of the level's limit, for what strikes the object
 ALONE: Final = 2  # arms that feel a touch as they feel the other one
 FLOORS: Final = Channels(0.5, 0.05, 0.3, 0.03)
 
@@ -113,6 +115,11 @@ def against(cell: Cell) -> Against | None:
     share, usual = TOUCH_N / len(cell.arms), MARGIN * (friction_N + noise_N)
     level, climb = (float(f"{max(t * share, a * usual):.3g}") for t, a in zip(TOUCH_ALONG, ALONG, strict=True))
     return Against(period_s, spec.against_N or level, spec.climb_N or climb, _down(cell))
+
+
+def knock(along: Against | None) -> Knock | None:
+    """Sense of what strikes the object, with a limit that follows from `against` of the cell (`along`)."""
+    return None if along is None else Knock(along.period_s, float(f"{KNOCK * along.level_N:.3g}"))
 
 
 def touch(cell: Cell, limits: Channels) -> Touch | None:

@@ -11,8 +11,9 @@ other, of means over 0.05 s.  A push rises once and not three times, so that one
 neighbour left behind at 10 mm/s reaches within half a second.
 
 The others of a limp arm feel its weight, which nothing but gravity points at: F along gravity, without its own slow
-part and low-passed as the level, is the `weight`, with a part of the same limit: a touch that presses down is felt less
-than one against the motion, which friction does not hold.  The state is part of `Memory`.
+part, is the `weight`.  Down and up it has limits of its own, shares of that of the level, for it is not low-passed.
+Where the joints are quick they and that of the level grow with the slip (agent.control.knock); that of a level which
+climbs does not.  The state is part of `Memory`.
 """
 
 from __future__ import annotations
@@ -26,12 +27,13 @@ BLOCK_S: Final = 0.05
 STEP: Final = 3  # blocks of an increment
 MEANS: Final = 3 * STEP + 1  # kept, newest first
 FLAT: Final = MEANS + 4  # numbers in the log field `memory`
-LEVEL_AT, WEIGHT_AT = 106, 106 + FLAT - 1  # there
+LEVEL_AT, WEIGHT_AT = 106, 106 + FLAT - 1  # places there
 MOMENT_M: Final = 0.2  # a
 TURN_M: Final = 0.1  # b
 STILL_M_PER_S: Final = 2e-3
 WITH_CLIMB: Final = 0.6  # of the limit of the level, where p climbs
-HANGS: Final = 0.92  # of that limit, for the weight
+HANGS: Final = 1.05  # of that limit, for the weight
+LIFTED: Final = 1.25  # and for a force upwards
 
 
 class Pull(NamedTuple):
@@ -41,7 +43,7 @@ class Pull(NamedTuple):
     sum_N: float = 0.0  # of p in the block that is not finished
     ticks: float = 0.0  # in it
     means_N: tuple[float, ...] = (0.0,) * MEANS  # of the blocks before, the newest first
-    weight_N: float = 0.0  # along gravity
+    weight_N: float = 0.0  # of the last tick, along gravity; below zero upwards
 
     @property
     def flat(self) -> tuple[float, ...]:
@@ -89,22 +91,34 @@ class Against:
         gain, (down_x, down_y, down_z) = self.period_s * self.level_per_s, self.down
         level = pull.level_N + gain * (q - pull.level_N)
         sunk = down_x * (fx - gx) + down_y * (fy - gy) + down_z * (fz - gz)
-        weight_N = pull.weight_N + gain * (sunk - pull.weight_N)
         total, ticks = pull.sum_N + p, pull.ticks + 1.0
         if ticks + 0.5 < BLOCK_S / self.period_s:
-            return Pull(level, total, ticks, pull.means_N, weight_N)
-        return Pull(level, 0.0, 0.0, (total / ticks, *pull.means_N[:-1]), weight_N)
+            return Pull(level, total, ticks, pull.means_N, sunk)
+        return Pull(level, 0.0, 0.0, (total / ticks, *pull.means_N[:-1]), sunk)
 
     @property
     def hangs_N(self) -> float:
-        """Limit of the weight."""
+        """Limit of the weight where joints hardly move."""
         return HANGS * self.level_N
 
-    def weighs(self, pull: Pull) -> bool:
-        """Whether something hangs on the object; what is no number does."""
-        return not pull.weight_N <= self.hangs_N
+    @property
+    def lifted_N(self) -> float:
+        """Limit of a force upwards there."""
+        return LIFTED * self.level_N
 
-    def tripped(self, pull: Pull) -> bool:
-        """Whether the level or the weight is above its limit, or a part of the level that climbs; no number is."""
+    def drags(self, pull: Pull, slip: float) -> bool:
+        """Whether the level is above its limit, or a part of that where it climbs; what is no number is."""
         climbs = not pull.climb_N <= self.climb_N
-        return not pull.level_N <= (WITH_CLIMB * self.level_N if climbs else self.level_N) or self.weighs(pull)
+        return not pull.level_N <= self.level_N * (WITH_CLIMB if climbs else slip)
+
+    def weighs(self, pull: Pull, slip: float) -> bool:
+        """Whether something hangs on the object; what is no number does."""
+        return not pull.weight_N <= self.hangs_N * slip
+
+    def lifts(self, pull: Pull, slip: float) -> bool:
+        """Whether something lifts the object."""
+        return pull.weight_N < -self.lifted_N * slip
+
+    def tripped(self, pull: Pull, slip: float) -> bool:
+        """Whether any of the three is so."""
+        return self.drags(pull, slip) or self.weighs(pull, slip) or self.lifts(pull, slip)

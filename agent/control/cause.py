@@ -55,15 +55,17 @@ def causes(f: Vector, limit_N: float, v: Sequence[float], gravity: Sequence[floa
     return tuple(found) or (Cause.PUSH,)
 
 
-def behind(f: Vector, v: Sequence[float], gravity: Sequence[float], *, weighs: bool) -> tuple[Cause, ...]:
-    """What fits where something pulls down (`weighs`) or against the motion.
+def behind(f: Vector, v: Sequence[float], gravity: Sequence[float], *, weighs: bool, drags: bool) -> tuple[Cause, ...]:
+    """What fits where something pulls down (`weighs`), against the motion (`drags`), up, or strikes the object.
 
     The unexpected force f (3,) tells what else it may be.
     """
     found = tuple(c for c in causes(f, 0.0, v, gravity) if c is not Cause.PUSH)
     if weighs:
-        return (Cause.WEIGHT, *(c for c in found if c is not Cause.WEIGHT))
-    return found if Cause.BACK in found else (*found, Cause.BACK)
+        found = (Cause.WEIGHT, *(c for c in found if c is not Cause.WEIGHT))
+    if drags and Cause.BACK not in found:
+        found = (*found, Cause.BACK)
+    return found or (Cause.PUSH,)
 
 
 def _cosine(f: Vector, direction: Sequence[float], least: float) -> float:
@@ -76,3 +78,9 @@ def described(found: Sequence[Cause], x: Channels) -> str:
     """For the log and the operator."""
     sizes = f"{x.fast_N:.2g} N, {x.fast_Nm:.2g} N·m at once; {x.slow_N:.2g} N, {x.slow_Nm:.2g} N·m that stay"
     return f"{'; or '.join(found)} ({sizes})"
+
+
+def felt(sense: Sense) -> str:
+    """What arms of three and more feel beside it, for the same."""
+    pull, knock_N = sense.pull, sense.struck.knock_N
+    return f"{pull.level_N:.2g} N against the motion, {pull.weight_N:.2g} N down, {knock_N:.2g} N of a blow"

@@ -9,8 +9,9 @@ import numpy as np
 from agent.control.adaptation import Estimate
 from agent.control.against import FLAT, pull_of
 from agent.control.alignment import NO_SHIFT, Shift
+from agent.control.knock import struck_of
 from agent.control.residual import Sense, nothing_sensed
-from agent.control.touch import plain_of
+from agent.control.touch import PLAIN, plain_of
 from drivers.interface import Vector
 
 MEMORY_JOINTS = 7  # room per joint array in the flattened form
@@ -51,8 +52,8 @@ class Memory(NamedTuple):
         """The numbers of the log field `memory`.
 
         Joint arrays padded to seven, None as zeros; pose to hold (7), primed, time, shift (6), calm and MISSED times
-        `missed`, age; of `sense` the wrenches (6), `ticks`, the pull against the motion and down (14), and what is
-        plain (8).
+        `missed`, age; of `sense` the wrenches (6), `ticks`, the pull against the motion and down (14), what is plain
+        (8) and what strikes (5).
         """
         own, sense, n = self[:6], self.sense, len(self.q)
         joints = np.zeros((JOINT_ARRAYS, MEMORY_JOINTS))
@@ -82,7 +83,8 @@ def restore(flat: Vector, n: int, estimate: Estimate | None = None) -> Memory:
     q, dq, ddq, ddq_before, tau, tau_before, q_hold, momentum, expected, residual = (row.copy() for row in joints)
     missed, calm = divmod(int(tail[15]), MISSED)
     base, slow, rest = (np.array(tail[k : k + 6]) for k in (17, 23, 29))
-    pull, plain = pull_of(tail[36 : 36 + FLAT]), plain_of(tail[36 + FLAT :], n)
+    plain_at, struck_at = 36 + FLAT, 36 + FLAT + PLAIN
+    found = pull_of(tail[36:plain_at]), plain_of(tail[plain_at:struck_at], n), struck_of(tail[struck_at:])
     return Memory(
         q,
         dq,
@@ -91,7 +93,7 @@ def restore(flat: Vector, n: int, estimate: Estimate | None = None) -> Memory:
         tau,
         tau_before,
         primed=bool(tail[7]),
-        sense=Sense(momentum, expected, residual, base, slow, rest, tail[35], pull, plain),
+        sense=Sense(momentum, expected, residual, base, slow, rest, tail[35], *found),
         shift=(tail[9], tail[10], tail[11], tail[12], tail[13], tail[14]),
         calm=calm,
         hold=hold,

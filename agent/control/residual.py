@@ -22,6 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from agent.control.against import NO_PULL, Against, Pull
+from agent.control.knock import NOT_STRUCK, Knock, Struck
 from agent.control.models import Matrix
 from agent.control.terms import Terms
 from agent.control.touch import Plain, Touch
@@ -42,18 +43,19 @@ class Sense(NamedTuple):
     ticks: float  # in that mean, and one; 0: the residual has not begun
     pull: Pull  # against the motion
     plain: Plain  # of what may be a touch
+    struck: Struck
 
     @property
     def wrenches(self) -> tuple[float, ...]:
-        """The end of the log field `memory`: three wrenches (6), `ticks`, the pull against the motion, and `plain`."""
+        """The end of the log field `memory`: three wrenches (6), `ticks`, `pull`, `plain` and `struck`."""
         base, slow, rest = self.base.tolist(), self.slow.tolist(), self.rest.tolist()
-        return (*base, *slow, *rest, self.ticks, *self.pull.flat, *self.plain.flat)
+        return (*base, *slow, *rest, self.ticks, *self.pull.flat, *self.plain.flat, *self.struck)
 
 
 def nothing_sensed(n: int) -> Sense:
     """Before the first tick of an arm with n joints."""
     joints, wrench = np.zeros(n), np.zeros(6)
-    return Sense(joints, joints, joints, wrench, wrench, wrench, 0.0, NO_PULL, Plain(joints))
+    return Sense(joints, joints, joints, wrench, wrench, wrench, 0.0, NO_PULL, Plain(joints), NOT_STRUCK)
 
 
 class Channels(NamedTuple):
@@ -76,6 +78,7 @@ class Residual:
     base_per_s: float = 0.5
     slow_per_s: float = 2.0
     against: Against | None = None  # None: nobody asks what pulls against the motion
+    knock: Knock | None = None  # None: nor what strikes the object; where that is asked, so is this
     touch: Touch | None = None  # None: no touch is above the limit of the sudden force
 
     def advance(
@@ -107,9 +110,12 @@ class Residual:
         pull, plain = sense.pull, sense.plain
         if self.touch is not None:
             plain = self.touch.advance(plain, terms, J_inv_P, dq, acting, base)
+        struck = sense.struck
         if self.against is not None and not ready:
             pull = self.against.advance(pull, W.tolist(), base.tolist(), terms.desired.v)
-        return Sense(estimate, expected, r, base, slow, rest, ticks, pull, plain)
+        if self.knock is not None:
+            struck = self.knock.advance(struck, (W - base)[:3].tolist(), J_inv_P.dot(terms.desired.v).tolist())
+        return Sense(estimate, expected, r, base, slow, rest, ticks, pull, plain, struck)
 
     def over_a_gap(self, sense: Sense, terms: Terms, dq: Vector) -> Sense:
         """The same where more than a period has passed since the last tick: what has been found stands.
@@ -127,12 +133,17 @@ class Residual:
         return Channels(math.hypot(*fast[:3]), math.hypot(*fast[3:]), math.hypot(*slow[:3]), math.hypot(*slow[3:]))
 
     def pulled(self, sense: Sense) -> bool:
-        """Whether something pulls this arm back against the motion, or down."""
-        return self.against is not None and self.against.tripped(sense.pull)
+        """Whether something pulls this arm back against the motion, down or up, or strikes the object."""
+        pulled = self.against is not None and self.against.tripped(sense.pull, sense.struck.slip)
+        return pulled or (self.knock is not None and self.knock.tripped(sense.struck))
+
+    def dragged(self, sense: Sense) -> bool:
+        """Whether something pulls this arm back against the motion."""
+        return self.against is not None and self.against.drags(sense.pull, sense.struck.slip)
 
     def weighed(self, sense: Sense) -> bool:
         """Whether something pulls this arm down."""
-        return self.against is not None and self.against.weighs(sense.pull)
+        return self.against is not None and self.against.weighs(sense.pull, sense.struck.slip)
 
     def tripped(self, found: Channels, sense: Sense, wrench: Vector) -> bool:
         """Whether any channel is above its limit, beside a sudden force that may be a touch; one that is no number is.

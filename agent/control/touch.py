@@ -25,6 +25,7 @@ from agent.control.terms import Terms
 from drivers.interface import Vector
 
 PLAIN_JOINTS = 7  # room for the momentum in the log field `memory`
+PLAIN = PLAIN_JOINTS + 1  # numbers there
 
 
 class Plain(NamedTuple):

@@ -11,6 +11,7 @@ import numpy as np
 
 from agent.config.cell import Cell
 from agent.faults.bench import ArmRun, Rehearsal
+from agent.faults.plan import Kind, Target
 from agent.modes import Mode
 from agent.report.series import internal_wrenches
 from agent.safety import Flag
@@ -87,7 +88,8 @@ def measured(run: Rehearsal) -> Measured:
     after = t >= onset
     found = sorted((at, text) for name, arm in run.arms.items() for at, text in _noticed(name, arm, run, onset))
     stopped = {name: _stopped(arm, run, onset) for name, arm in run.arms.items()}
-    first_stop = min((at for at in stopped.values() if at is not None), default=math.inf)
+    lost = {str(fault.arm) for fault in run.faults if (fault.target, fault.kind) == (Target.GRASP, Kind.OFF)}
+    first_stop = min((at for name, at in stopped.items() if at is not None and name not in lost), default=math.inf)
     force = _internal(run)
     return Measured(
         noticed_s=found[0][0] - onset if found else None,
@@ -179,7 +181,10 @@ def _sag(run: Rehearsal, t: Vector, onset: float, stop: float) -> float:
 
 
 def _strayed(run: Rehearsal, t: Vector, onset: float, stop: float) -> float:
-    """Farthest from its desired position, counted from how it was off at onset; from the first stop on that stands."""
+    """Farthest from its desired position, counted from how it was off at onset.
+
+    That stands from the first stop of an arm that has the object on: whoever lost it stops without it.
+    """
     desired = run.cell.trajectory()
     wanted = np.array([desired.at(max(min(at, stop), 0.0)).p for at in t])
     off = np.array([seen.p_object for _, seen in run.truth]) - wanted

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from agent.config.cell import Arm, Cell, load_cell
-from agent.config.noticing import against, thresholds, touch
+from agent.config.noticing import against, knock, thresholds, touch
 from agent.config.reality import reality_of
 from agent.config.schema.driver import DriverKind
 from agent.host.info import versions
@@ -57,9 +57,13 @@ def run_info(cell: Cell, driver: DriverKind, seed: int) -> bytes:
 
 
 def _against(cell: Cell) -> dict[str, float] | None:
-    """Limits of a pull against the motion, and down."""
-    found = against(cell) if cell.file.safety.noticing.enabled else None
-    return None if found is None else {"level_N": found.level_N, "climb_N": found.climb_N, "weight_N": found.hangs_N}
+    """Limits of a pull against the motion, down and up, and of a blow, where joints hardly move."""
+    along = against(cell) if cell.file.safety.noticing.enabled else None
+    struck = knock(along)
+    if along is None or struck is None:
+        return None
+    limits = {"level_N": along.level_N, "climb_N": along.climb_N, "weight_N": along.hangs_N}
+    return limits | {"lifted_N": along.lifted_N, "knock_N": struck.limit_N}
 
 
 def _touch(cell: Cell) -> dict[str, float] | None:

@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from agent.control.against import LEVEL_AT, WEIGHT_AT
+from agent.control.knock import KNOCK_AT, SLIP_AT
 from agent.report.errors import apart_by_pair
 from agent.report.labels import end_labels, room_in
 from agent.report.plotting import CYCLE, STYLES, line, panels, styled, time_axis
@@ -17,6 +18,7 @@ from agent.report.series import Array, column, component, grasp_force, joint_col
 from agent.report.together import BUS, thresholds
 
 HOLDS_ABOVE: Final = "holds above"
+HOLDS_BELOW: Final = "holds below"
 A_TOUCH: Final = "a touch below"
 SHARE_S: Final = 1.0  # a load share is that of so long a stretch
 
@@ -112,17 +114,22 @@ def noticed(run: Prepared) -> Figure:
 
 @styled
 def pulled(run: Prepared) -> Figure:
-    """What pulls each arm back against the motion, and down, as the arm itself finds it."""
-    figure, axes = panels(2, height_in=1.7, names_in=_room(run, HOLDS_ABOVE))
+    """What pulls each arm back against the motion, down and up, or strikes it, as the arm itself finds it."""
     limits = thresholds(run.log)
-    told = ((LEVEL_AT, "against the motion", limits.level_N), (WEIGHT_AT, "down", limits.weight_N))
+    told = [(LEVEL_AT, "against the motion", limits.level_N), (WEIGHT_AT, "down", limits.weight_N)]
+    grows = np.isfinite(limits.knock_N)  # limits with the slip; in older logs they do not, and nobody finds a blow
+    if grows:
+        told.append((KNOCK_AT, "of a blow", limits.knock_N))
+    figure, axes = panels(len(told), height_in=1.7, names_in=_room(run, HOLDS_ABOVE))
     for ax, (place, where, limit) in zip(axes, told, strict=True):
         for number, arm in enumerate(run.arms):
             rows = run.rows[arm.name]
-            found = component(rows, "memory", place)
-            line(ax, column(rows, "t"), found, label=arm.name, **_look(number))
+            slip = component(rows, "memory", SLIP_AT) if grows else 1.0
+            line(ax, column(rows, "t"), component(rows, "memory", place) / slip, label=arm.name, **_look(number))
         _threshold(ax, limit, HOLDS_ABOVE)
-        ax.set(title=f"Unexpected force {where}", ylabel="[N]")
+        if place == WEIGHT_AT:
+            _threshold(ax, -limits.lifted_N, HOLDS_BELOW)
+        ax.set(title=f"Unexpected force {where}{' over the slip' if grows else ''}", ylabel="[N]")
         end_labels(ax)
     time_axis(axes, run.info.duration_s)
     return figure
@@ -130,7 +137,7 @@ def pulled(run: Prepared) -> Figure:
 
 def _threshold(ax: Axes, value: float, label: str) -> None:
     """A dotted line where it does not dwarf the curves."""
-    if np.isfinite(value) and value < 3.0 * max(ax.get_ylim()[1], 1e-12):
+    if np.isfinite(value) and abs(value) < 3.0 * max(*np.abs(ax.get_ylim()), 1e-12):
         ax.axhline(value, color="black", linestyle=(0, (1, 1.5)), linewidth=1.1, label=label)
 
 

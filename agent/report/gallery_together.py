@@ -27,8 +27,9 @@ NOTICED: Final = (
     "above the upper one, and between them for what 2 N on the object do not make."
 )
 PULLED: Final = (
-    "The force on each arm beside its load share, without its slow part: above what points against the motion, as of a "
-    "neighbour that holds or is locked, below what points down, as of one that is limp. Dotted: above it the arm holds."
+    "The force on each arm beside its load share, without its slow part: what points against the motion, as of a "
+    "neighbour that holds or is locked, what points down, as of one that is limp, and what comes at once. "
+    "Friction hides less of each where the joints are quick: divided by that slip. Dotted: beyond it the arm holds."
 )
 MARGINS: Final = (
     "Above: the smallest singular value of the object Jacobian; at zero the arm cannot act in some direction. "

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 BUS: Final = ("bus_timeouts", "bus_corrupt", "bus_alerts", "bus_retries")
 CHANNELS: Final = ("fast_N", "fast_Nm", "slow_N", "slow_Nm")
-ALONG: Final = ("level_N", "weight_N")
+ALONG: Final = ("level_N", "weight_N", "lifted_N", "knock_N")
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +36,9 @@ class Thresholds:
     slow_N: float = NAN
     slow_Nm: float = NAN
     level_N: float = NAN  # against the motion
-    weight_N: float = NAN
+    weight_N: float = NAN  # down
+    lifted_N: float = NAN  # up
+    knock_N: float = NAN  # what strikes
     touch_N: float = NAN  # sudden, up to which it may be a touch
 
 

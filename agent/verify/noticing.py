@@ -54,10 +54,12 @@ def noticed(cell: Cell) -> list[Finding]:
     given = [spec.fast_N, spec.fast_Nm, spec.slow_N, spec.slow_Nm]
     source = "derived from the cell" if given == [None] * 4 else "given" if None not in given else "partly given"
     pulled = noticing.against(cell)
+    struck = noticing.knock(pulled)
     along = ""
-    if pulled is not None:
+    if pulled is not None and struck is not None:
         along = (
-            f"; {pulled.level_N:g} N, or thrice {pulled.climb_N:g} N, against the motion; {pulled.hangs_N:.2g} N down"
+            f"; {pulled.level_N:g} N, or thrice {pulled.climb_N:g} N, against the motion; {pulled.hangs_N:.2g} N down, "
+            f"{pulled.lifted_N:.2g} N up; {struck.limit_N:.2g} N of a blow"
         )
     may_be = noticing.touch(cell, x)
     touched = "" if may_be is None else f" ({may_be.most_N:g} N where it may be a touch)"

@@ -90,6 +90,7 @@ TARGETS = (
         ),
     ),
     Target("agent.control.against", (f"{UNIT}/control/test_against.py",)),
+    Target("agent.control.knock", (f"{UNIT}/control/test_knock.py",)),
     Target("agent.control.alignment", (f"{UNIT}/control/test_alignment.py",)),
     Target("agent.control.errors", _LAW),
     Target("agent.control.estimator", (f"{UNIT}/control/test_estimator.py",)),

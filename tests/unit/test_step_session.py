@@ -222,7 +222,7 @@ def test_a_pull_below_every_threshold_is_told_by_its_sizes() -> None:
     pull = sense.pull._replace(level_N=0.0123, weight_N=4.56)
     outcome = outcome._replace(memory=outcome.memory._replace(sense=sense._replace(pull=pull)))
     told = explained(agent, outcome)
-    assert told.endswith(", 0.012 N against the motion, 4.6 N down")
+    assert told.endswith(", 0.012 N against the motion, 4.6 N down, 0 N of a blow")
     based = sense._replace(pull=pull, base=np.array([0.0, 0.0, 5.0, 0.0, 0.0, 0.0]))
     other = explained(agent, outcome._replace(memory=outcome.memory._replace(sense=based)))
     assert Cause.LIFT in told

@@ -16,7 +16,6 @@ _NONE = "a function without a result returns None"
 _TABLE = "_FLAGS = tuple(map(Flag, range((_NOT_FINITE | _SATURATED | _RATE_LIMITED) + 1)))"
 
 _HOLD = "hold = tuple(tail[:7]) if any(tail[3:7]) else None"
-_PULL = "pull, plain = (pull_of(tail[36:36 + FLAT]), plain_of(tail[36 + FLAT:], n))"
 _LOAD = "load = self.upper.arm.reshape(-1, len(self.upper.arm) // ARM_PARAMETERS_PER_JOINT)[-2:].sum(axis=0)"
 _START = "object.__setattr__(self, 'start', Estimate(*divided(_together(self.start))))"
 _LEAKS = "if self.leak_per_s > 0.0:"
@@ -187,7 +186,6 @@ CONTROL: Entries = {
     },
     "agent.control.memory": {
         ("restore", _HOLD, _HOLD.replace("[3:7]", "[2:7]")): "no pose without a quaternion has a height",
-        ("restore", _PULL, _PULL.replace("[36:36 + FLAT]", "[36:72 + FLAT]")): "it takes no more than is its own",
     },
     "agent.standing": {
         (

@@ -89,7 +89,7 @@ def test_what_pulls_down_is_a_weight_first_and_what_pulls_back_a_neighbour_that_
     """The sense of arms of three and more says which; the direction of the force says what else it may be."""
 
     def found(*f: float, weighs: bool) -> tuple[Cause, ...]:
-        return behind(np.array(f), FORWARD, GRAVITY, weighs=weighs)
+        return behind(np.array(f), FORWARD, GRAVITY, weighs=weighs, drags=not weighs)
 
     assert found(0.0, 0.0, -0.1, weighs=True) == (Cause.WEIGHT,)
     assert found(-0.1, 0.0, -0.05, weighs=True) == (Cause.WEIGHT, Cause.BACK)

@@ -12,6 +12,7 @@ import configs
 from agent.config.cell import load_cell
 from agent.control import known
 from agent.control.against import NO_PULL, Against
+from agent.control.knock import Knock, Struck
 from agent.control.residual import Channels, Residual, Sense, nothing_sensed
 from agent.control.terms import Terms
 from agent.control.touch import Touch
@@ -136,7 +137,8 @@ def test_a_tick_does_what_the_equations_say(periods: int, ready: bool) -> None:
     assert terms.J_inv_P is not None
     moving = terms._replace(desired=terms.desired._replace(v=(0.02, -0.01, 0.0, 0.0, 0.0, 0.1)))
     against = Against(PERIOD, 0.7, 0.14, (0.0, 0.0, -1.0))
-    residual = Residual(PERIOD, 0.4, LIMITS, against=against)
+    knock = Knock(PERIOD, 0.8)
+    residual = Residual(PERIOD, 0.4, LIMITS, against=against, knock=knock)
     dq, last, before = np.array([[0.1, -0.2, 0.3], [0.5, 0.3, -0.1], [-0.2, 0.4, 0.6]])
     found = residual.advance(sense, moving, terms.J_inv_P, dq, (last, before), ready=ready, periods=periods)
     acting = (0.6 * last + 0.4 * before) + (periods - 1) * last
@@ -149,6 +151,9 @@ def test_a_tick_does_what_the_equations_say(periods: int, ready: bool) -> None:
     assert found.base == pytest.approx(sense.base + PERIOD * 0.5 * (W - sense.base))
     assert found.slow == pytest.approx(sense.slow + PERIOD * 2.0 * (W - sense.slow))
     assert found.ticks == sense.ticks + ready
+    speeds = (terms.J_inv_P @ np.array(moving.desired.v)).tolist()
+    assert found.struck == pytest.approx(knock.advance(sense.struck, (W - found.base)[:3].tolist(), speeds))
+    assert found.struck.knock_N
     if ready:
         assert found.pull is sense.pull
         return
@@ -179,15 +184,26 @@ def test_sizes_are_of_force_and_moment_without_what_is_slow_and_what_is_usual() 
     assert found == pytest.approx(sizes)
 
 
-def test_who_asks_for_it_is_told_of_a_pull_back_and_of_a_weight() -> None:
-    against = Against(PERIOD, 0.7, 0.14)
-    asked, nobody = Residual(PERIOD, 0.0, LIMITS, against=against), Residual(PERIOD, 0.0, LIMITS)
-    for level, weight in ((0.0, 0.0), (0.8, 0.0), (0.0, 0.8)):
-        sense = nothing_sensed(3)._replace(pull=NO_PULL._replace(level_N=level, weight_N=weight))
-        assert asked.pulled(sense) is (level + weight > 0.0)
-        assert asked.weighed(sense) is (weight > 0.0)
-        assert not nobody.pulled(sense)
-        assert not nobody.weighed(sense)
+@pytest.mark.parametrize(
+    ("level_N", "weight_N", "knock_N", "told"),
+    [
+        (0.69, 0.73, 0.79, (False, False, False)),
+        (0.71, 0.0, 0.0, (True, True, False)),
+        (0.0, 0.74, 0.0, (True, False, True)),
+        (0.0, -0.88, 0.0, (True, False, False)),
+        (0.0, 0.0, 0.81, (True, False, False)),
+    ],
+)
+def test_who_asks_for_it_is_told_of_a_pull_back_a_weight_a_lift_and_a_blow(
+    level_N: float, weight_N: float, knock_N: float, told: tuple[bool, ...]
+) -> None:
+    asked = Residual(PERIOD, 0.0, LIMITS, against=Against(PERIOD, 0.7, 0.14), knock=Knock(PERIOD, 0.8))
+    nobody = Residual(PERIOD, 0.0, LIMITS)
+    for slip in (1.0, 3.0):
+        pull = NO_PULL._replace(level_N=slip * level_N, weight_N=slip * weight_N)
+        sense = nothing_sensed(3)._replace(pull=pull, struck=Struck(knock_N=slip * knock_N, slip=slip))
+        assert (asked.pulled(sense), asked.dragged(sense), asked.weighed(sense)) == told
+        assert (nobody.pulled(sense), nobody.dragged(sense), nobody.weighed(sense)) == (False, False, False)
 
 
 @pytest.mark.parametrize("channel", range(4))

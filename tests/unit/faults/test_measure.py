@@ -69,7 +69,7 @@ def seen(t: float, **given: Any) -> Observation:
 
 def figures(
     left: ArmRun | None = None, right: ArmRun | None = None, truth: dict[float, Any] | None = None,
-    struck: str = "left", ready: dict[str, Any] | None = None, again_s: float | None = None,
+    struck: str = "left", ready: dict[str, Any] | None = None, again_s: float | None = None, fault: str = "bus-off",
 ) -> Measured:  # fmt: skip
     """Of a run with a fault of one arm at AT_S; truth: what is seen at a time and from then on.
 
@@ -81,7 +81,7 @@ def figures(
         given = {**given, **next((v for at, v in (truth or {}).items() if abs(at - t) < 1e-9), {})}
         taken.append((float(t), seen(float(t), **given)))
     at = [again_s, AT_S] if again_s is not None else [AT_S]
-    faults = tuple(Injection(fault="bus-off", arm=struck, at_s=at_s) for at_s in at)
+    faults = tuple(Injection(fault=fault, arm=struck, at_s=at_s) for at_s in at)
     arms = {"left": left or arm(), "right": right or arm()}
     return measured(Rehearsal(CELL, faults, arms, ZERO_NS, tuple(taken), None))  # type: ignore[arg-type]
 
@@ -192,6 +192,9 @@ def test_the_object_strays_from_its_way_and_from_where_it_was_first_stopped() ->
     stands = {t: beside(1.1, (0.0, 0.004, 0.003)) for t in TIMES if t > 1.1}
     assert figures(arm(modes=[(1.1, Mode.HOLD)]), truth=way | stands).strayed_m == pytest.approx(0.005)
     assert figures(truth=way | stands).strayed_m > 0.006, "the motion goes on without it"
+    stopped = arm(modes=[(1.1, Mode.HOLD)])
+    assert figures(stopped, truth=way, fault="grasp-off").strayed_m == pytest.approx(0.0), "who lost it stops alone"
+    assert figures(None, stopped, truth=way, fault="grasp-off").strayed_m > 0.006
 
 
 def test_a_joint_is_taken_to_be_elsewhere_while_its_arm_follows_and_has_a_state() -> None:

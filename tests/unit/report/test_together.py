@@ -14,6 +14,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.lines import Line2D
 
 from agent.control.against import NO_PULL
+from agent.control.knock import Struck
 from agent.control.memory import initial
 from agent.control.residual import nothing_sensed
 from agent.log.read import RunLog
@@ -175,6 +176,24 @@ def test_what_pulls_back_and_down_is_shown_where_the_run_has_limits_for_it() -> 
     back, down = figures_together.pulled(prepare(log)).axes
     assert (labelled(back)["left"][5], labelled(down)["left"][5]) == (0.5, 0.4)
     assert (labelled(back)["holds above"][0], labelled(down)["holds above"][0]) == (0.7, 0.6)
+    assert back.get_title(loc="left") == "Unexpected force against the motion", "a log whose limits do not grow"
+
+
+def test_what_limits_that_grow_are_for_is_shown_over_the_slip() -> None:
+    log = view_log()
+    run = json.loads(log.attachments.get("run.json", b"{}"))
+    limits = {"level_N": 0.7, "climb_N": 0.1, "weight_N": 0.6, "lifted_N": 0.8, "knock_N": 0.9}
+    log.attachments["run.json"] = json.dumps(run | {"noticing_against": limits}).encode()
+    pull, struck = NO_PULL._replace(level_N=1.0, weight_N=-0.8), Struck(knock_N=1.2, slip=2.0)
+    sense = nothing_sensed(3)._replace(pull=pull, struck=struck)
+    for rows in log.agents.values():
+        rows["memory"][:] = initial(3)._replace(sense=sense).flatten()
+    back, down, blow = figures_together.pulled(prepare(log)).axes
+    assert [labelled(ax)["left"][5] for ax in (back, down, blow)] == [0.5, -0.4, 0.6]
+    assert [labelled(ax)["holds above"][0] for ax in (back, down, blow)] == [0.7, 0.6, 0.9]
+    assert labelled(down)["holds below"][0] == -0.8
+    assert not any("holds below" in labelled(ax) for ax in (back, blow))
+    assert blow.get_title(loc="left") == "Unexpected force of a blow over the slip"
 
 
 def test_margins_are_sigma_and_the_torque_of_the_most_loaded_joint() -> None:

@@ -13,6 +13,7 @@ from agent.config.cell import load_cell
 from agent.control.adaptation import Estimate
 from agent.control.against import pull_of
 from agent.control.errors import Errors
+from agent.control.knock import Struck
 from agent.control.memory import Memory, initial, restore
 from agent.control.models import Kinematics
 from agent.control.residual import Sense
@@ -68,7 +69,8 @@ def all_different(n: int) -> tuple[JointState, Memory, Outcome]:
     arrays = [array_of(n) for _ in range(6)]
     pull, plain = pull_of(tuple_of(14)), Plain(array_of(n), next(numbers))
     wrenches = array_of(6), array_of(6), array_of(6)
-    sense = Sense(array_of(n), array_of(n), array_of(n), *wrenches, next(numbers), pull, plain)
+    struck = Struck(*tuple_of(5))
+    sense = Sense(array_of(n), array_of(n), array_of(n), *wrenches, next(numbers), pull, plain, struck)
     memory = Memory(
         *arrays, True, sense, tuple_of(6), 103, tuple_of(7), next(numbers), estimate, array_of(n), next(numbers), 19
     )  # fmt: skip
