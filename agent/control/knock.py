@@ -40,7 +40,7 @@ NOT_STRUCK: Final = Struck()
 
 def struck_of(flat: Sequence[float]) -> Struck:
     """From the log field `memory`; nothing from a row of a log that is older than this sense."""
-    return Struck(*flat[:STRUCK]) if flat else NOT_STRUCK
+    return Struck(*flat[:STRUCK])
 
 
 def slip(speeds: Sequence[float]) -> float:

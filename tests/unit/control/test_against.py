@@ -162,8 +162,8 @@ def test_what_pulls_down_is_a_weight_whatever_the_motion_is() -> None:
 def test_a_weight_and_a_lift_have_limits_of_their_own_that_grow_with_the_slip(slip: float) -> None:
     assert (HANGS, LIFTED) == (1.05, 1.25)
     for share, weight in ((1.05, True), (-1.25, False)):
-        at = NO_PULL._replace(weight_N=share * 0.7 * slip * (1.0 - 1e-9))
-        beyond = NO_PULL._replace(weight_N=share * 0.7 * slip * (1.0 + 1e-9))
+        at = NO_PULL._replace(weight_N=share * 0.7 * slip)
+        beyond = NO_PULL._replace(weight_N=np.nextafter(share * 0.7 * slip, 99.0 * share))
         assert not LAW.tripped(at, slip)
         assert LAW.tripped(beyond, slip)
         assert (LAW.weighs(beyond, slip), LAW.lifts(beyond, slip)) == (weight, not weight)

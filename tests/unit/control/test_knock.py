@@ -48,7 +48,7 @@ def test_the_slip_is_the_speed_of_the_joints_over_one_at_which_they_hide_a_force
 
 def test_an_arm_that_begins_is_asked_only_for_much() -> None:
     """The residual's first step is a jump of a newton."""
-    assert NOT_STRUCK.slip == 4.0
+    assert NOT_STRUCK == (0.0, 0.0, 0.0, 0.0, 4.0)
     assert after(PERIOD, STILL).slip == pytest.approx(4.0 - 3.0 * 20.0 * PERIOD)
     assert after(0.2, STILL).slip < 1.06
 
