@@ -77,6 +77,7 @@ def inject(
     from agent.faults.measure import measured
     from agent.faults.plan import require_happens, require_simulated
     from agent.faults.rehearse import rehearse
+    from agent.verify.check import examine
 
     faults, made_so = _faults(fault, arm=arm, servo=servo, at_s=at, for_s=for_s, size=size)
     ends = [f.at_s + (f.for_s if math.isfinite(f.for_s) else 0.0) for f in faults]
@@ -87,6 +88,7 @@ def inject(
     require_happens(faults, loaded.file.duration_s)
     if out is not None:
         require_new(out)
+    examine(loaded)
     run = rehearse(loaded, faults, seed)
     found = measured(run)
     if out is not None:

@@ -6,6 +6,7 @@ import hashlib
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -214,7 +215,7 @@ def _own_arm_file(entry: ArmEntry, name: str, embedded: Mapping[str, str], sourc
             remedy="load the cell from its file, beside which the arm file stands",
         )  # fmt: skip
     raw = embedded[name].encode()
-    file = validate(ArmFile, parse(raw, Path(name)), name)
+    file = _arm_file(raw, name)
     if file.model != entry.model:
         raise ConfigError(
             what, found=f"{shown(name)}, a file of a {file.model}", expected=f"one of a {entry.model}, as `model` says",
@@ -234,12 +235,18 @@ def load_arm_file(model: str, what: str, arms_dir: Path = configs.ARMS_DIR) -> t
             remedy="name a described arm; a file of your own goes by `arm_file`, --arm-file",
         )
     raw = read_file(path)
-    return validate(ArmFile, parse(raw, path), path.name), raw
+    return _arm_file(raw, path.name), raw
 
 
 def load_own_arm_file(path: Path) -> ArmFile:
     """An arm file of one's own.  Raises ConfigError."""
-    return validate(ArmFile, parse(read_file(path), path), path.name)
+    return _arm_file(read_file(path), path.name)
+
+
+@lru_cache(maxsize=8)  # arms of one kind
+def _arm_file(raw: bytes, name: str) -> ArmFile:
+    """The arm file of these bytes.  Raises ConfigError."""
+    return validate(ArmFile, parse(raw, Path(name)), name)
 
 
 def _refuse_weak_servos(entry: ArmEntry, servos: Sequence[ServoJoint], source: str) -> None:

@@ -28,6 +28,7 @@ import numpy as np
 from agent.config import observer
 from agent.config.cell import Arm, Cell, ConfigError, placement
 from agent.config.friction import at_rest_Nm
+from agent.config.once import once_per_cell
 from agent.config.statics import carried_Nm
 from agent.config.trajectory import sample_times
 from agent.control import ik
@@ -84,8 +85,7 @@ def slow_rate(cell: Cell) -> float:
 
 def derived(cell: Cell) -> Channels:
     """What follows from the cell file: N, N·m, to three digits.  Raises ConfigError where an arm cannot be placed."""
-    sizes = np.max([_sizes(cell, arm) for arm in cell.arms], axis=0)
-    (friction_N, friction_Nm), (noise_N, noise_Nm), (errors_N, errors_Nm) = sizes.tolist()
+    (friction_N, friction_Nm), (noise_N, noise_Nm), (errors_N, errors_Nm) = _largest(cell)
     touch = TOUCH * TOUCH_N / len(cell.arms)
     floors = FLOORS._replace(fast_N=max(FLOORS.fast_N, touch), fast_Nm=max(FLOORS.fast_Nm, TOUCH_LEVER_M * touch))
     hum = HUM * math.sqrt(slow_rate(cell) / cell.file.safety.noticing.rate_per_s)
@@ -111,7 +111,7 @@ def against(cell: Cell) -> Against | None:
         if spec.against_N is None and spec.climb_N is None:
             return None
         return Against(period_s, spec.against_N or math.inf, spec.climb_N or math.inf, _down(cell))
-    (friction_N, _), (noise_N, _), _ = np.max([_sizes(cell, arm) for arm in cell.arms], axis=0).tolist()
+    (friction_N, _), (noise_N, _), _ = _largest(cell)
     share, usual = TOUCH_N / len(cell.arms), MARGIN * (friction_N + noise_N)
     level, climb = (float(f"{max(t * share, a * usual):.3g}") for t, a in zip(TOUCH_ALONG, ALONG, strict=True))
     return Against(period_s, spec.against_N or level, spec.climb_N or climb, _down(cell))
@@ -159,6 +159,12 @@ class _Place(NamedTuple):
     k: Kinematics
     J_inv: Matrix  # (n, m)
     to_wrench: Matrix  # (6, n) J⁻ᵀ of joint torques
+
+
+@once_per_cell
+def _largest(cell: Cell) -> tuple[tuple[float, float], ...]:
+    """Force and moment of friction, noise and errors, largest over arms and places."""
+    return tuple((force, moment) for force, moment in np.max([_sizes(cell, arm) for arm in cell.arms], axis=0).tolist())
 
 
 def _sizes(cell: Cell, arm: Arm) -> Matrix:

@@ -9,6 +9,7 @@ import posixpath
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -27,6 +28,7 @@ def urdf_beside(arm_file: str, urdf: str) -> str:
     return posixpath.join(posixpath.dirname(arm_file), urdf)
 
 
+@lru_cache(maxsize=8)  # arms of one kind
 def text_of_urdf(raw: bytes, name: str) -> str:
     """The text of a URDF whose numbers can all be read, and whose links are bodies.
 

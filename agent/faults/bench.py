@@ -34,7 +34,7 @@ from agent.runner import Runner
 from agent.study.fault import SEIZED_Nms_RAD
 from agent.telemetry.row.fill import AgentRow
 from agent.telemetry.row.sample import AGENT_STATE
-from agent.verify.check import examine
+from agent.verify.path import start_configurations
 from drivers.dynamixel.events import DriverEvent
 from drivers.interface import Driver, Refusal, Vector
 from sim_backend.physics.build import AnyPlant
@@ -106,7 +106,7 @@ class Bench:
 
     def __init__(self, cell: Cell, faults: tuple[Injection, ...], seed: int) -> None:
         self.cell, self.faults = cell, faults
-        self._q_start = examine(cell).q_start
+        self._q_start = start_configurations(cell, [cell.model(arm) for arm in cell.arms])
         self._emulated = self._build(_reality(cell, faults))
         self._plugs = [Plug() for _ in self._emulated.arms]
         self._injectors = [

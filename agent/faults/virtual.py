@@ -50,8 +50,9 @@ class SharedClock:
         self._injectors = injectors
         self._missing = members
         self._passed = passed
-        self._turn = threading.Condition()
+        self._joining = threading.Lock()  # afterwards who goes is alone
         self._due: dict[int, int] = {}  # by thread
+        self._turns: dict[int, threading.Lock] = {}  # by thread; each is held until it is that one's turn
         self._goes = NOBODY
 
     def now_ns(self) -> int:
@@ -62,12 +63,9 @@ class SharedClock:
     def sleep_until(self, deadline_ns: int) -> None:
         """Let the others go on until it is time."""
         me = threading.get_ident()
-        with self._turn:
-            self._due[me] = deadline_ns
-            if self._goes == me:
-                self._next()
-            if self._goes != me:
-                self._turn.wait_for(lambda: self._goes == me)
+        self._due[me] = deadline_ns
+        if self._next() != me:
+            self._turns[me].acquire()
 
     def live(self, lives: Sequence[Callable[[], None]]) -> None:
         """Carry these out, each in a thread of its own, to the end of all; as many as there are members.
@@ -96,27 +94,32 @@ class SharedClock:
     def _join(self) -> None:
         """Called by each thread before it does anything; returns when all have, one after the other."""
         me = threading.get_ident()
-        with self._turn:
+        turn = self._turns[me] = threading.Lock()
+        turn.acquire()
+        with self._joining:
             self._due[me] = self._ns + self._missing  # they begin in the order in which they came
             self._missing -= 1
             if not self._missing:
                 self._next()
-            self._turn.wait_for(lambda: self._goes == me)
+        turn.acquire()
 
     def _leave(self) -> None:
         """The calling thread waits for nothing any more."""
-        with self._turn:
-            self._due.pop(threading.get_ident(), None)
-            self._next()
+        self._due.pop(threading.get_ident(), None)
+        self._next()
 
-    def _next(self) -> None:
-        """Let time pass until somebody is due, and wake the threads where that is another than before."""
+    def _next(self) -> int:
+        """Let time pass until somebody is due, wake that thread where it is another than before; return which.
+
+        Who has woken another looks at nothing here any more until its own turn comes.
+        """
         before = self._goes
-        self._goes = min(self._due, key=self._due.__getitem__, default=NOBODY)
-        if self._goes != NOBODY:
-            self._pass_until(self._due[self._goes])
-        if self._goes != before:
-            self._turn.notify_all()
+        goes = self._goes = min(self._due, key=self._due.__getitem__, default=NOBODY)
+        if goes != NOBODY:
+            self._pass_until(self._due[goes])
+            if goes != before:
+                self._turns[goes].release()
+        return goes
 
     def _pass_until(self, deadline_ns: int) -> None:
         while self._ns < deadline_ns:

@@ -13,9 +13,9 @@ import pinocchio as pin
 from agent.calibrate.chain import Chain, Link, Matrix, chain_of
 from agent.calibrate.poses import Poses, held_out
 from agent.config.cell import Cell, load_cell
-from agent.verify.check import examine
 from drivers.dynamixel.servo.counts import TICK_RAD
 from drivers.interface import Vector
+from tests.support.starts import start_joints
 
 UNSURE = (  # ± 10 mm, ± 20 mrad of bases, ± 3 mm of grasps, ± 1° of zeros
     "tolerance.base_m=0.01",
@@ -41,7 +41,7 @@ class Rig:
 @cache
 def believed(name: str) -> tuple[Cell, Chain, tuple[Vector, ...]]:
     cell = load_cell(Path(name), UNSURE)
-    return cell, chain_of(cell), tuple(examine(cell).q_start)
+    return cell, chain_of(cell), tuple(start_joints(cell))
 
 
 @cache

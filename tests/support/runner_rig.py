@@ -21,7 +21,6 @@ from agent.process.build import build_agent
 from agent.runner import Runner
 from agent.telemetry.row.fill import AgentRow
 from agent.telemetry.row.sample import AGENT_STATE
-from agent.verify.check import examine
 from drivers.interface import (
     ArmInfo,
     BusCounters,
@@ -32,6 +31,7 @@ from drivers.interface import (
     StaleStateError,
     Vector,
 )
+from tests.support.starts import start_joints
 
 START_AFTER = 10  # cycles of READY
 HOLD_AFTER_STALE, FAULT_AFTER_STALE = 3, 8
@@ -68,7 +68,7 @@ def wandering(read: int) -> Vector:
 
 @cache
 def _start() -> Vector:
-    return examine(paper()).q_start[0]
+    return start_joints(paper())[0]
 
 
 class MovedClock:

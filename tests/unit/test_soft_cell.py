@@ -7,7 +7,6 @@ import pytest
 import configs
 from agent.config.cell import Cell, load_cell
 from agent.process.simulated import plant_spec
-from agent.verify.check import examine
 from drivers.interface import Refusal
 from sim_backend.physics.build import build_plant
 from sim_backend.physics.plant import Plant
@@ -15,6 +14,7 @@ from sim_backend.physics.soft import SoftPlant
 from sim_backend.physics.spec import GraspSpec, PlantError
 from sim_backend.wire.plant_world import emulate
 from tests.support.plant.inprocess import simulate
+from tests.support.starts import start_joints
 
 PADS = ("simulation.grasp.stiffness_N_per_m=1e4", "simulation.grasp.stiffness_Nm_per_rad=50.0")
 SOFTER = (
@@ -41,7 +41,7 @@ def test_grasp_keys_reach_the_plant_of_lockstep_and_of_emulated_servos() -> None
         "simulation.grasp.slip_Nm=0.5",
         "simulation.grasp.open_m=0.01",
     )
-    spec = plant_spec(cell, examine(cell).q_start)
+    spec = plant_spec(cell, start_joints(cell))
     assert spec.grasp == GraspSpec(1e4, 50.0, 0.4, 9.0, 0.5, 0.01)
     assert isinstance(build_plant(spec), SoftPlant)
     _, world = emulate(spec, [], timing=None)
@@ -52,7 +52,7 @@ def test_grasps_of_shipped_cells_are_welded() -> None:
     for path in sorted(configs.CELLS_DIR.glob("*.toml")):
         assert load_cell(path).file.simulation.grasp is None
     cell = paper()
-    assert isinstance(build_plant(plant_spec(cell, examine(cell).q_start)), Plant)
+    assert isinstance(build_plant(plant_spec(cell, start_joints(cell))), Plant)
 
 
 @pytest.mark.parametrize(

@@ -22,8 +22,8 @@ from agent.modes import Mode
 from agent.process.build import build_agent
 from agent.safety import Flag, Limits
 from agent.standing import hold_here
-from agent.verify.check import examine
 from drivers.interface import JointState, Vector
+from tests.support.starts import start_joints
 
 ALL_BUT_TRACK = [mode for mode in Mode if mode is not Mode.TRACK]
 FREE = Limits((1e3,) * 3, (1e3,) * 3)  # nothing is limited
@@ -33,7 +33,7 @@ FREE = Limits((1e3,) * 3, (1e3,) * 3)  # nothing is limited
 def paper_arm() -> tuple[Agent, tuple[float, ...]]:
     """An arm of the paper's cell without observer and limits, and where it starts."""
     cell = load_cell(configs.CELLS_DIR / "paper.toml", ['controller.velocity="servo"'])
-    return replace(build_agent(cell, cell.arms[0]), limits=FREE), tuple(examine(cell).q_start[0].tolist())
+    return replace(build_agent(cell, cell.arms[0]), limits=FREE), tuple(start_joints(cell)[0].tolist())
 
 
 def arm(**changes: Any) -> Agent:

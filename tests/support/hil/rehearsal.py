@@ -30,7 +30,6 @@ from agent.process.simulated import lone_spec
 from agent.report.series import internal_wrenches
 from agent.runner import Runner
 from agent.telemetry.row.fill import AgentRow
-from agent.verify.check import examine
 from drivers.dynamixel.arm_map import WATCHDOG_S
 from drivers.dynamixel.driver import DynamixelDriver
 from drivers.interface import (
@@ -44,6 +43,7 @@ from sim_backend.wire.lone_world import LoneWorld, emulate_alone
 from sim_backend.wire.timing import BusTiming
 from tests.support.servos.coupled_rig import ArmRun
 from tests.support.servos.dxl_rig import VirtualPort
+from tests.support.starts import start_joints
 
 READY_NS = 1_500_000_000  # from the last arm's first cycle to the common start
 
@@ -89,7 +89,7 @@ class Rehearsal:
         lost: float = 0.0,
         begin: Happening | None = None,
     ) -> None:
-        q_start = examine(cell).q_start
+        q_start = start_joints(cell)
         hil = cell.file.hil
         self.real = tuple(hil.arms) if hil is not None else ()
         self.plant = VirtualPlant(cell, q_start, phase_ns)

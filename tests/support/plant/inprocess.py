@@ -18,12 +18,12 @@ from agent.loop import Agent, Outcome, initial_memory, step
 from agent.modes import Mode
 from agent.process.build import build_agent
 from agent.process.simulated import plant_spec
-from agent.verify.check import examine
 from drivers.interface import JointState, Vector
 from sim_backend.physics.actuator import Grid, TorqueCommand
 from sim_backend.physics.build import build_plant
 from sim_backend.physics.delay import DelayLine, stretches
 from sim_backend.physics.plant import Observation
+from tests.support.starts import start_joints
 
 
 @dataclass
@@ -64,7 +64,7 @@ def simulate(
     agents_cell: what the agents believe, when it differs from the plant's; push_world: by tick, the wrench (6,) on the
     object from then on; see: is told time and truth at the end of every tick.
     """
-    q_start = examine(cell).q_start
+    q_start = start_joints(cell)
     plant = build_plant(plant_spec(cell, q_start))
     believed = agents_cell or cell
     agents: list[Agent] = [build_agent(believed, arm) for arm in believed.arms]

@@ -10,9 +10,9 @@ from agent.modes import Mode
 from agent.process.build import build_agent
 from agent.process.simulated import plant_spec
 from agent.standing import hold_after
-from agent.verify.check import examine
 from drivers.interface import JointState, Vector
 from sim_backend.physics.build import build_plant
+from tests.support.starts import start_joints
 
 
 def sag_of_limp(cell: Cell, limp: int, at_s: float, *, noticed_s: float = 0.1, for_s: float = 1.5) -> float:
@@ -20,7 +20,7 @@ def sag_of_limp(cell: Cell, limp: int, at_s: float, *, noticed_s: float = 0.1, f
 
     The servos' own effects but delay are left out; commands act one cycle late.
     """
-    plant = build_plant(plant_spec(cell, examine(cell).q_start))
+    plant = build_plant(plant_spec(cell, start_joints(cell)))
     agents = [build_agent(cell, arm) for arm in cell.arms]
     memories, acting = [initial_memory(a) for a in agents], np.zeros(plant.joint_count)
     holding, away, place = False, 0.0, np.zeros(3)

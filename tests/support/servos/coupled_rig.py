@@ -26,7 +26,6 @@ from agent.process.schedule import AgentOptions, schedule_of
 from agent.process.simulated import plant_spec
 from agent.runner import Runner
 from agent.telemetry.row.fill import AgentRow
-from agent.verify.check import examine
 from drivers.dynamixel.driver import DynamixelDriver
 from drivers.dynamixel.events import DriverEvent
 from drivers.interface import JointState, StaleStateError, Vector
@@ -36,6 +35,7 @@ from sim_backend.wire.plant_world import emulate
 from sim_backend.wire.timing import BusTiming
 from tests.support.runner_rig import Log
 from tests.support.servos.dxl_rig import VirtualPort
+from tests.support.starts import start_joints
 
 READY_S = 0.2  # from the moment at which the last arm is ready to the common start
 
@@ -104,7 +104,7 @@ class CoupledRun:
         believed: Cell | None = None,
         ready_s: float = READY_S,
     ) -> None:
-        q_start = examine(cell).q_start
+        q_start = start_joints(cell)
         wired = [wiring(arm, i, arm.baud) for i, arm in enumerate(cell.arms)]
         self._emulated, self.world = emulate(plant_spec(cell, q_start), wired, timing=BusTiming())
         self._injectors = [Injector(arm, None, seed=1) for arm in self._emulated.arms]

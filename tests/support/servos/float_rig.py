@@ -31,7 +31,6 @@ from agent.process.tellers import Teller
 from agent.replay.chain import Chain
 from agent.telemetry.row.event import Event as TextEvent
 from agent.telemetry.row.sample import AGENT_STATE
-from agent.verify.check import examine
 from drivers.dynamixel.driver import DynamixelDriver
 from drivers.dynamixel.standby import Handover, StandbyDriver
 from drivers.interface import JointState, Vector
@@ -41,6 +40,7 @@ from sim_backend.wire.lone_world import emulate_alone
 from sim_backend.wire.timing import BusTiming
 from tests.support.servos.dxl_rig import VirtualPort
 from tests.support.servos.guarded_rig import HOST_NS, Died, MortalClock
+from tests.support.starts import start_joints
 
 
 class Rows:
@@ -144,7 +144,7 @@ class FloatRun:
         assert spec is not None
         self.cell, self._hand, self._stop_s, self._at, self._until_s = cell, hand, stop_s, list(at), until_s
         self._dies_s, self._guarded = dies_s, guarded
-        starts = list(examine(cell).q_start)
+        starts = list(start_joints(cell))
         names = [arm.name for arm in cell.arms]
         if q_start is not None:
             starts[names.index(spec.arms[0])] = q_start

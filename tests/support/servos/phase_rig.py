@@ -37,7 +37,6 @@ from agent.runner import Runner
 from agent.telemetry.row.fill import AgentRow
 from agent.telemetry.row.sample import AGENT_STATE
 from agent.ticks import NOT_YET_NS
-from agent.verify.check import examine
 from drivers.dynamixel.driver import DynamixelDriver
 from drivers.dynamixel.standby import Handover, StandbyDriver
 from sim_backend.wire.faults import Fault, FaultKind
@@ -48,6 +47,7 @@ from tests.support.servos.coupled_rig import Line
 from tests.support.servos.dxl_rig import VirtualPort
 from tests.support.servos.guarded_rig import HOST_NS, Died, MortalClock
 from tests.support.servos.whole_rig import AGAIN_NS, SessionRun, session_schedule
+from tests.support.starts import start_joints
 
 START_AFTER_NS = 20_000_000
 DIP_S = 0.02
@@ -112,7 +112,7 @@ class PhaseRun:
     ) -> None:
         """back: behind the steps all arms that obey are led back to their rest, word by word."""
         self.cell, self.at = cell, at
-        q_grasp = examine(cell).q_start
+        q_grasp = start_joints(cell)
         spec, whole, wired = whole_cell(cell, q_grasp, object_off)
         self.lives = {arm.name: build_agent(cell, arm).session for arm in cell.arms}
         self._begins = [self._joints(arm) for arm in cell.arms]

@@ -24,7 +24,6 @@ from agent.process.session import session_loop
 from agent.process.whole import WHERE_IT_SHOULD, whole_cell
 from agent.runner import Runner
 from agent.telemetry.row.fill import AgentRow
-from agent.verify.check import examine
 from drivers.dynamixel.driver import DynamixelDriver
 from sim_backend.wire.faults import Fault
 from sim_backend.wire.injector import Injector
@@ -32,6 +31,7 @@ from sim_backend.wire.plant_world import emulate_whole
 from sim_backend.wire.timing import BusTiming
 from tests.support.servos.coupled_rig import ArmRun
 from tests.support.servos.dxl_rig import VirtualPort
+from tests.support.starts import start_joints
 
 START_AFTER_NS = 200_000_000
 AGAIN_NS = 50_000_000  # a word that was refused is said again after it
@@ -79,7 +79,7 @@ class WholeRun:
         at_tick: Callable[[WholeRun], None] | None = None,
         limit_s: float = 90.0,
     ) -> None:
-        q_grasp = examine(cell).q_start
+        q_grasp = start_joints(cell)
         spec, whole, wired = whole_cell(cell, q_grasp, object_off)
         self.cell = cell
         self.emulated, self.world = emulate_whole(spec, whole, wired, timing=BusTiming())

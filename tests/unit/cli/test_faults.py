@@ -73,3 +73,10 @@ def test_a_row_of_a_rehearsal_brings_its_arm_in_the_loop_along(tmp_path: Path) -
     rows = read_log(log).agents["left"]
     assert np.abs(rows["tau_bridge"]).max() > 0.01
     assert not rows["tau_bridge"][-1].any()
+
+
+def test_a_motion_that_leaves_the_arms_reach_is_refused_before_anything_runs() -> None:
+    far = ("--set", "trajectory.p_amplitude_m=[0.9, 0.0, 0.0]", "--set", "trajectory.ramp_s=0.1")
+    done = coop("faults", "inject", "paper_real", "bus-off", "--at", "1", "--duration", "4", *far)
+    assert done.code == 2
+    assert "unreachable by" in done.err

@@ -27,6 +27,7 @@ from drivers.interface import Refusal
 from sim_backend.physics.spec import PlantError
 from tests.support.arm_files import sticking, with_figures
 from tests.support.plant.inprocess import simulate
+from tests.support.starts import start_joints
 
 KIND = 'controller.kind="adaptive"'
 ZERO = 'controller.adaptive.start="zero"'
@@ -151,7 +152,7 @@ def test_the_inertia_of_the_configured_estimate_is_the_coupled_inertia() -> None
     for name in ("paper", "three_wx250s"):
         cell = cell_of(name, KIND)
         models, agents = [cell.model(a) for a in cell.arms], [cell.offline(a) for a in cell.arms]
-        q = examine(cell).q_start
+        q = start_joints(cell)
         inertia = np.array(cell.file.object.inertia_kg_m2.matrix())
         R = models[0].object_pose(q[0]).rotation
         expected = coupled_inertia(models, q, cell.file.object.mass_kg, R @ inertia @ R.T)
@@ -163,7 +164,7 @@ def test_without_gain_the_loop_with_adaptation_is_the_loop_without(delay: float)
     cell = cell_of("paper_ideal", KIND)
     models = [cell.model(a) for a in cell.arms]
     loop = SampledLoop(0.005, delay, [cell.offline(a).gains for a in cell.arms])
-    M = coupled_inertia(models, examine(cell).q_start, 0.062, 1e-4 * np.eye(3))
+    M = coupled_inertia(models, start_joints(cell), 0.062, 1e-4 * np.eye(3))
     P = models[0].task_basis
     still = radius_with_adaptation(M, np.zeros((3, 3)), P, loop)
     assert still == pytest.approx(max(1.0, spectral_radius(M, M, P, loop)), abs=1e-9)
@@ -173,7 +174,7 @@ def test_a_late_torque_lowers_what_one_tick_may_adapt_by() -> None:
     """At a start so far off that the transient decides: (1 + d) T² λ_max(M⁻¹ G) ≤ 1."""
     cell = cell_of("paper_adaptive")
     models, agents = [cell.model(a) for a in cell.arms], [cell.offline(a) for a in cell.arms]
-    q = examine(cell).q_start
+    q = start_joints(cell)
     still = ReferenceTwist(np.zeros(6), np.zeros(6))
     point = Point(q, coupled_inertia(models, q, 0.062, 1e-4 * np.eye(3)), still)
     loops = [SampledLoop(0.004, delay, [a.gains for a in agents]) for delay in (0.0, 0.5, 1.0)]

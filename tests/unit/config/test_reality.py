@@ -15,8 +15,8 @@ from agent.config.schema.driver import DriverKind
 from agent.config.schema.reality import Reality
 from agent.process.describe import run_info
 from agent.process.simulated import plant_spec
-from agent.verify.check import examine
 from drivers.interface import Refusal
+from tests.support.starts import start_joints
 
 
 def cell(name: str, *overrides: str) -> Cell:
@@ -80,7 +80,7 @@ def test_a_drawn_reality_and_its_values_written_down_are_one_plant() -> None:
     given = real.model_dump(mode="json", exclude_none=True)
     written = cell("paper", *(f"simulation.reality.{k}={_toml(v)}" for k, v in given.items()))
     assert reality_of(written) == real
-    one, other = (plant_spec(c, examine(c).q_start) for c in (drawn, written))
+    one, other = (plant_spec(c, start_joints(c)) for c in (drawn, written))
     for a, b in zip(one.arms, other.arms, strict=True):
         assert np.array_equal(a.q_start, b.q_start)
         assert np.array_equal(a.T_object_ee.homogeneous, b.T_object_ee.homogeneous)

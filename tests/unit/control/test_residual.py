@@ -17,7 +17,7 @@ from agent.control.residual import Channels, Residual, Sense, nothing_sensed
 from agent.control.terms import Terms
 from agent.control.touch import Touch
 from agent.control.trajectory import Desired
-from agent.verify.check import examine
+from tests.support.starts import start_joints
 
 PERIOD = 1e-3
 LIMITS = Channels(2.0, 0.35, 1.2, 0.15)
@@ -36,7 +36,7 @@ def alone(
     cell = load_cell(configs.CELLS_DIR / "paper.toml")
     arm = cell.arms[0]
     model, offline = cell.model(arm), replace(cell.offline(arm), load_share=0.0, friction=None)
-    q, dq = np.array(examine(cell).q_start[0]), np.zeros(3) if dq is None else dq
+    q, dq = np.array(start_joints(cell)[0]), np.zeros(3) if dq is None else dq
     data = model.model.createData()
     pose = model.evaluate(q, dq)
     desired = Desired((pose.p_object[0] + 0.002, *pose.p_object[1:]), pose.quat_object, STILL, STILL)

@@ -23,6 +23,7 @@ from agent.verify.finding import Verdict
 from agent.verify.rehearsal import examine_rehearsal
 from drivers.interface import ConnectError
 from sim_backend.hil.touch import Borne
+from tests.support.starts import start_joints
 from tests.support.stops import stop_flag
 
 LOOP = 'hil.arms=["left"]'
@@ -66,7 +67,7 @@ def test_an_arm_in_the_loop_needs_a_port_and_a_plant() -> None:
     looped = cell(LOOP)
     bare = looped.arms[0].entry.model_copy(update={"dynamixel": None})
     arm = type(looped.arms[0])(bare, *(getattr(looped.arms[0], k) for k in ("file", "toml", "urdf_xml", "servos")))
-    q = examine(looped).q_start[0]
+    q = start_joints(looped)[0]
     with pytest.raises(ConnectError, match="port of arm left: found none"):
         build_driver(looped, arm, DriverKind.DYNAMIXEL, Connection(Path("plant.sock")), q, print)
     with pytest.raises(ConnectError, match="twin of arm left: found no plant socket"):
@@ -141,7 +142,7 @@ def test_a_word_counts_once(tmp_path: Path) -> None:
 def test_what_is_otherwise_about_an_arm_is_so_about_the_real_one_and_not_its_twin() -> None:
     off = "simulation.reality.arms={left={masses=1.2},right={masses=1.3}}"
     for looped, twin_mass in ((cell(off), 1.2), (cell(off, LOOP), 1.0)):
-        q = examine(looped).q_start
+        q = start_joints(looped)
         assert [arm.masses for arm in plant_spec(looped, q).arms] == [twin_mass, 1.3]
         assert lone_spec(looped, q).arms[0].masses == 1.2
 
@@ -182,7 +183,7 @@ def test_what_the_object_asks_of_a_joint_is_its_weight_and_the_internal_force() 
 def test_an_arm_stands_against_the_touch_that_no_joint_must_give_more_for_than_it_may() -> None:
     """Found by trying all directions."""
     looped = cell(LOOP)
-    arm, q = looped.arms[0], examine(looped).q_start
+    arm, q = looped.arms[0], start_joints(looped)
     models = [looped.model(a) for a in looped.arms]
     findings = examine_rehearsal(looped, models, [[of_arm] for of_arm in q], [0.0])
     (found,) = [f.found for f in findings if "touch" in f.what]
@@ -214,7 +215,7 @@ def test_the_bridge_is_as_the_cell_says() -> None:
         "touch_max_s=0.4",
     )
     looped = cell(LOOP, *(f"hil.{key}" for key in said), "hil.gripper_share_max=0.25", "hil.extra_cycles=1.0")
-    arm, q = looped.arms[0], examine(looped).q_start[0]
+    arm, q = looped.arms[0], start_joints(looped)[0]
     nothing: Any = object()  # no driver is called
     made, emulated = (bridge(looped, arm, nothing, nothing, _Clock(), emulated=how) for how in (False, True))
     settings = made.coupling.settings

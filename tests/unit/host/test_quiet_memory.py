@@ -24,8 +24,8 @@ from agent.host.realtime import RealtimeError, become_realtime, quiet_memory
 from agent.loop import Agent, initial_memory, step
 from agent.modes import Mode
 from agent.process.build import build_agent
-from agent.verify.check import examine
 from drivers.interface import JointState, Vector
+from tests.support.starts import start_joints
 
 ROOT = Path(__file__).parents[3]
 PAGEOUT = 21
@@ -79,7 +79,7 @@ def _run(agent: Agent, q: Vector, file: mmap.mmap) -> dict[str, int]:
 
 def _main(path: Path) -> dict[str, object]:
     cell = load_cell(configs.CELLS_DIR / "paper.toml")
-    agent, q = build_agent(cell, cell.arms[0]), examine(cell).q_start[0]
+    agent, q = build_agent(cell, cell.arms[0]), start_joints(cell)[0]
     path.write_bytes(os.urandom(1 << 20))
     with path.open("r+b") as written:
         os.fsync(written.fileno())

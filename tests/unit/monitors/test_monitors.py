@@ -20,8 +20,8 @@ from agent.monitors.watch import Watch
 from agent.process.build import build_agent
 from agent.safety import Flag
 from agent.standing import wait_here
-from agent.verify.check import examine
 from drivers.interface import JointState, ServoHealth
+from tests.support.starts import start_joints
 
 SHAPE = (3,)
 JUST = 1e-6
@@ -45,7 +45,7 @@ def usual() -> Bounds:
 @cache
 def at_rest() -> tuple[JointState, Outcome]:
     """A tick in READY at the start, in which the servos measure what the files say."""
-    q = examine(cell()).q_start[0]
+    q = start_joints(cell())[0]
     state = JointState(0, q, np.zeros(SHAPE), np.zeros(SHAPE))
     memory = wait_here(agent(), q, initial_memory(agent()))
     outcome = step(agent(), state, -1.0, Mode.READY, memory)
@@ -130,7 +130,7 @@ def loaded(tick: int, current_A: float = 2.0, load: float = 0.1) -> ServoHealth:
 
 
 SPEED = usual().speed_rad_per_s[1]
-HIGHEST = usual().position_rad[0][1] - float(examine(cell()).q_start[0][0])
+HIGHEST = usual().position_rad[0][1] - float(start_joints(cell())[0][0])
 ROOM_UP = usual().workspace_m[2][1] - cell().file.object.p_start_m[2]
 POWER = usual().power_W[2]
 WINDOWS_TICKS = round(WINDOWS * WINDOW_S * cell().file.rate_hz)
@@ -359,7 +359,7 @@ def test_an_arm_that_holds_nothing_may_go_as_fast_as_the_session_and_lie_as_near
     (low, _), (low_carried, _) = b.position_alone_rad[0], b.position_rad[0]
     assert low == pytest.approx(min(low_carried, rest - 0.1))
     assert low < low_carried
-    here = float(examine(cell()).q_start[0][0])
+    here = float(start_joints(cell())[0][0])
     assert Fed(q=low - here, mode=Mode.APPROACH).run(b) == ""
     assert "position of shoulder" in Fed(q=low - here - JUST, mode=Mode.APPROACH).run(b)
     assert "position of shoulder" in Fed(q=low - here, mode=Mode.TRACK).run(b)

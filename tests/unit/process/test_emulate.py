@@ -13,9 +13,9 @@ from agent.config.cell import load_cell
 from agent.config.servo_map import GRIPPER, fingers_of
 from agent.config.session import fingers, grip_width
 from agent.process.emulate import EmulateError, about_the_object, run_emulate, wiring, with_fingers
-from agent.verify.check import examine
 from sim_backend.wire.faults import FaultError
 from sim_backend.wire.serve import ServeOptions
+from tests.support.starts import start_joints
 
 CELL = load_cell(configs.CELLS_DIR / "paper.toml")
 
@@ -66,7 +66,7 @@ def test_a_gripper_that_can_close_is_given_to_that_joint_alone_and_stands_where_
 
 def test_grippers_about_the_object_stand_open_and_meet_it_where_it_is_wide() -> None:
     cell = load_cell(configs.CELLS_DIR / "two_wx200.toml")
-    emulated, _ = about_the_object(cell, examine(cell).q_start, None)
+    emulated, _ = about_the_object(cell, start_joints(cell), None)
     for arm, made in zip(cell.arms, emulated.arms, strict=True):
         hand = made.gripper
         assert hand is not None
@@ -75,5 +75,5 @@ def test_grippers_about_the_object_stand_open_and_meet_it_where_it_is_wide() -> 
         assert hand.width_m() > grip_width(cell, arm) + 1e-3
         assert hand.blocked_rad is not None
         assert fingers(arm).width(hand.blocked_rad) == pytest.approx(grip_width(cell, arm), abs=1e-6)
-    without, _ = about_the_object(CELL, examine(CELL).q_start, None)
+    without, _ = about_the_object(CELL, start_joints(CELL), None)
     assert [made.gripper for made in without.arms] == [None, None], "arms whose files say nothing of one"

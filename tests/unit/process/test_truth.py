@@ -12,9 +12,9 @@ from agent.config.cell import load_cell
 from agent.process.plant import Truth
 from agent.process.simulated import plant_spec
 from agent.telemetry.row.sample import MAX_JOINTS, PLANT_STATE
-from agent.verify.check import examine
 from sim_backend.physics.build import build_plant
 from sim_backend.physics.plant import Observation
+from tests.support.starts import start_joints
 
 UTC_NS = 10**18
 SHAPES = {
@@ -47,7 +47,7 @@ class Kept:
 @pytest.mark.parametrize("lockstep", [False, True])
 def test_a_row_has_every_value_of_its_observation_and_nothing_of_the_one_before(lockstep: bool) -> None:
     cell = load_cell(configs.CELLS_DIR / "paper.toml")
-    plant = build_plant(plant_spec(cell, examine(cell).q_start))
+    plant = build_plant(plant_spec(cell, start_joints(cell)))
     ring, rng = Kept(), np.random.default_rng(1)
     truth = Truth(ring, plant, cell, UTC_NS, lockstep=lockstep)
     for sequence in (4, 8):

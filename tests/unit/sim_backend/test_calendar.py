@@ -10,12 +10,12 @@ import pytest
 import configs
 from agent.config.cell import ConfigError, load_cell
 from agent.process.simulated import plant_spec
-from agent.verify.check import examine
 from drivers.interface import Vector
 from sim_backend.physics.build import build_plant
 from sim_backend.physics.calendar import Calendar, Opening, Push
 from sim_backend.physics.spec import GraspSpec, PlantError, PlantSpec
 from tests.support.plant.plant_cells import planar_cell
+from tests.support.starts import start_joints
 
 FORCE = (0.3, -0.2, 0.0, 0.0, 0.0, 1e-4)
 
@@ -87,7 +87,7 @@ def test_how_a_motion_is_divided_changes_no_bit_of_it(spec: PlantSpec) -> None:
 
 def paper(*overrides: str) -> PlantSpec:
     cell = load_cell(configs.CELLS_DIR / "paper.toml", list(overrides))
-    return plant_spec(cell, examine(cell).q_start)
+    return plant_spec(cell, start_joints(cell))
 
 
 def test_times_of_a_cell_count_from_the_common_start() -> None:

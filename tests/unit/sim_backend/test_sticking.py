@@ -11,12 +11,12 @@ import configs
 from agent.config.cell import Cell, load_cell
 from agent.config.schema.arm import Figure, PositiveFigure, Provenance, ServoJoint
 from agent.process.simulated import plant_spec
-from agent.verify.check import examine
 from drivers.dynamixel.servo.counts import VELOCITY_UNIT_RAD_PER_S
 from sim_backend.physics.build import build_plant
 from sim_backend.physics.friction import PRESLIDING_RAD, FrictionSpec
 from sim_backend.physics.spec import GraspSpec, PlantError, PlantSpec
 from tests.support.plant.plant_cells import planar_cell
+from tests.support.starts import start_joints
 from tests.unit.sim_backend.test_plant import holding_torque
 
 ONE = np.ones(3)
@@ -77,7 +77,7 @@ def keyed(cell: Cell) -> Cell:
 
 def test_keys_of_the_arm_file_reach_the_plant() -> None:
     shipped = load_cell(configs.CELLS_DIR / "paper.toml")
-    q_start = examine(shipped).q_start
+    q_start = start_joints(shipped)
     assert all(arm.friction is None for arm in plant_spec(shipped, q_start).arms)
     left, right = plant_spec(keyed(shipped), q_start).arms
     assert right.friction is None

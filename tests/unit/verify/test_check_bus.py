@@ -16,13 +16,14 @@ from agent.verify.bus import bus_rates
 from agent.verify.check import Verdict, examine
 from drivers.dynamixel.errors import DriverError
 from drivers.dynamixel.pace import PaceError, check_rate
+from tests.support.starts import start_joints
 
 WX200 = configs.CELLS_DIR / "two_wx200.toml"
 WHAT = "rate on the servo bus"
 
 
 def highest(cell: Cell) -> float:
-    return min(bus.rate_max_hz for bus in bus_rates(cell, examine(cell).q_start))
+    return min(bus.rate_max_hz for bus in bus_rates(cell, start_joints(cell)))
 
 
 def test_the_highest_rate_that_fits_is_accepted_and_the_next_is_refused_naming_it() -> None:
@@ -37,7 +38,7 @@ def test_the_highest_rate_that_fits_is_accepted_and_the_next_is_refused_naming_i
 def test_the_check_refuses_exactly_what_the_driver_would_refuse() -> None:
     for path in sorted(configs.CELLS_DIR.glob("*.toml")):
         cell = load_cell(path)
-        q_start = examine(cell).q_start
+        q_start = start_joints(cell)
         for bus, arm, q in zip(bus_rates(cell, q_start), cell.arms, q_start, strict=True):
             for rate_hz, refused in ((bus.rate_max_hz, False), (bus.rate_max_hz + 1.0, True)):
                 servos = arm_map(load_cell(path, [f"rate_hz={rate_hz}"]), arm, "port", q)
@@ -50,7 +51,7 @@ def test_the_check_refuses_exactly_what_the_driver_would_refuse() -> None:
 
 
 def test_a_delay_that_no_bus_has_is_refused_for_servos_and_warned_of_in_simulation() -> None:
-    delay_s = max(bus.delay_s for bus in bus_rates(load_cell(WX200), examine(load_cell(WX200)).q_start))
+    delay_s = max(bus.delay_s for bus in bus_rates(load_cell(WX200), start_joints(load_cell(WX200))))
     assert 0.002 < delay_s < 0.005
     for share, driver, verdict in (
         (0.91, "dynamixel", Verdict.OK),
@@ -91,4 +92,4 @@ def test_a_servo_map_that_contradicts_itself_is_refused_with_its_reason() -> Non
     clash = arm.file.model_copy(update={"joints": [first, first.model_copy(), *arm.file.joints[1:]]})
     broken = replace(cell, arms=(replace(arm, file=clash), *cell.arms[1:]))
     with pytest.raises(ConfigError, match=r"servo IDs: found .* give every servo its own ID"):
-        bus_rates(broken, examine(cell).q_start)
+        bus_rates(broken, start_joints(cell))
