@@ -40,8 +40,8 @@ def test_a_finding_holds_from_the_next_cycle_on_and_no_start_leads_out(first: in
     assert done.modes == [*before, Mode.HOLD, Mode.OFF]
     assert done.rows["mode"][first - 1] == (before or [Mode.READY])[0]
     assert done.rows["mode"][first] == Mode.HOLD
-    t = done.rows["t"][first - 1]
-    assert done.summary.reason.startswith(f"t = {t:.3f} s: monitor position: position of wrist_angle: found 1.5")
+    at = f"t = {done.rows['t'][first - 1]:.3f} s" if before else "before a start"
+    assert done.summary.reason.startswith(f"{at}: monitor position: position of wrist_angle: found 1.5")
     assert done.troubles == [done.summary.reason]
 
 
