@@ -102,7 +102,7 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
     else:
         q, dq = agent.observer.correct(memory, state.q, state.dq)
     if not math.isfinite(q.dot(dq)):  # also where one of two factors is zero
-        return _without(agent, q, dq, Flag.NOT_FINITE, memory)
+        return _without(agent, mode, q, dq, Flag.NOT_FINITE, memory)
     calm = LAW
     if mode is _HOLD:
         calm = kept(dq, state.dq, memory, agent.limits, agent.damp_above_rad_per_s)
@@ -117,7 +117,7 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
     try:
         terms, estimate, held = _law(agent, t, mode, memory, q, dq, calm)
     except SingularJacobian:
-        return _without(agent, q, dq, Flag.SINGULAR, memory)
+        return _without(agent, mode, q, dq, Flag.SINGULAR, memory)
     brake = brake_per_s(agent.period_s) if damped else 0.0
     wanted = braking(terms, speed, brake) if damped else terms.joints[CMD]
     session = agent.session
@@ -176,27 +176,27 @@ def _periods(agent: Agent, t: float, memory: Memory) -> int:
     return MANY if passed > STARVED_PERIODS * T else 1 + (passed > 1.5 * T) + (passed > 2.5 * T)
 
 
-def _without(agent: Agent, q: Vector, dq: Vector, flag: Flag, memory: Memory) -> Outcome:
+def _without(agent: Agent, mode: Mode, q: Vector, dq: Vector, flag: Flag, memory: Memory) -> Outcome:
     """A tick of which the law made nothing: once the last torque, from then on the weight's."""
     if memory.primed:
         return Outcome(q, dq, None, memory.tau, flag, memory._replace(primed=False))
-    tau, flags = _weight(agent, memory)
+    tau, flags = _weight(agent, mode, memory)
     return Outcome(q, dq, None, tau, flag | flags, memory._replace(tau=tau, tau_before=memory.tau))
 
 
-def blind(agent: Agent, memory: Memory) -> Outcome:
-    """A tick that has had no state for too long: weight and load share at the last pose, within the step limit."""
+def blind(agent: Agent, mode: Mode, memory: Memory) -> Outcome:
+    """A tick without a state for too long: weight, and load share where it has one, at the last pose, step by step."""
     nothing = np.full(agent.model.n, np.nan)
-    tau, flags = _weight(agent, memory)
+    tau, flags = _weight(agent, mode, memory)
     carried = memory._replace(tau=tau, tau_before=memory.tau, primed=False)
     return Outcome(nothing, nothing, None, tau, Flag.STALE | Flag.BLIND | flags, carried)
 
 
-def _weight(agent: Agent, memory: Memory) -> tuple[Vector, Flag]:
+def _weight(agent: Agent, mode: Mode, memory: Memory) -> tuple[Vector, Flag]:
     """What holds the arm at the last pose it was seen in; one that was never seen has had no torque and gets none."""
     if not memory.q.any() and not memory.tau.any():
         return memory.tau, Flag.NONE
-    wanted = joint_hold.weight(agent.model, agent.offline, memory.q)
+    wanted = joint_hold.weight(agent.model, agent.offline, memory.q, carries=mode not in phases.ALONE)
     tau, flags = limit(wanted.tolist(), memory.tau.tolist(), agent.limits)
     return np.array(tau), flags
 

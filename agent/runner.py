@@ -243,7 +243,7 @@ class Runner:
         nothing = np.full(n, np.nan)
         outcome = Outcome(nothing, nothing, None, memory.tau, Flag.STALE, memory)
         if lost > patience.repeat and not self._schedule.lockstep:
-            outcome = blind(self._agent, memory)
+            outcome = blind(self._agent, self._mode, memory)
         tau_sent = nothing
         self._stale_cycles += 1
         if bus is Bus.READ and not self._schedule.lockstep:

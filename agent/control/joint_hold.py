@@ -31,9 +31,14 @@ def sigma_min(model: ArmModel, q: Vector) -> float:
         return 0.0
 
 
-def weight(model: ArmModel, offline: Offline, q: Vector) -> Vector:
-    """(n,) g + c_i Jᵀ g_O at q (n,): what keeps an arm there that nobody sees, as far as the model is right."""
+def weight(model: ArmModel, offline: Offline, q: Vector, *, carries: bool) -> Vector:
+    """(n,) g + c_i Jᵀ g_O at q (n,): what keeps an arm there that nobody sees, as far as the model is right.
+
+    carries: whether it has its part of the object; else g alone.
+    """
     k = model.evaluate(q, 0.0 * q)
+    if not carries:
+        return k.g
     carried, (gx, gy, gz) = -offline.load_share * offline.object_mass_kg, offline.gravity
     tau: Vector = k.g + k.Jt.dot([carried * gx, carried * gy, carried * gz, 0.0, 0.0, 0.0])
     return tau

@@ -51,7 +51,7 @@ class Chain:
         if not stale:
             outcome = step(self._agent, state, t, mode, memory)
         elif flags & Flag.BLIND:
-            outcome = blind(self._agent, memory)
+            outcome = blind(self._agent, mode, memory)
         else:
             outcome = Outcome(self._nothing, self._nothing, None, memory.tau, Flag.STALE, memory)
         if marks:

@@ -170,18 +170,20 @@ def test_brakes_are_weaker_in_slow_loops() -> None:
 def test_the_weight_is_what_holds_the_arm_still() -> None:
     agent, q = arm(), start()
     wanted = torque(agent.model, agent.offline, q, np.zeros(3), q, 7.0).tau_cmd
-    np.testing.assert_allclose(weight(agent.model, agent.offline, q), wanted, rtol=1e-12)
+    np.testing.assert_allclose(weight(agent.model, agent.offline, q, carries=True), wanted, rtol=1e-12)
     offline: Offline = agent.offline
     assert offline.load_share > 0.0
-    assert np.abs(weight(agent.model, offline, q) - agent.model.evaluate(q, 0.0 * q).g).max() > 1e-3
+    g = agent.model.evaluate(q, 0.0 * q).g
+    assert np.abs(wanted - g).max() > 1e-3
+    np.testing.assert_array_equal(weight(agent.model, offline, q, carries=False), g)
 
 
 def test_a_blind_tick_goes_to_the_weights_torque_within_the_step_limit() -> None:
     agent = arm(limits=Limits((1e3,) * 3, (0.1, 0.2, 0.3)))
     before = np.array([3.0, -2.0, 0.5])
     memory = holding(agent, tau=before)
-    wanted = weight(agent.model, agent.offline, memory.q)
-    outcome = blind(agent, memory)
+    wanted = weight(agent.model, agent.offline, memory.q, carries=True)
+    outcome = blind(agent, Mode.TRACK, memory)
     np.testing.assert_allclose(outcome.tau, before + np.clip(wanted - before, [-0.1, -0.2, -0.3], [0.1, 0.2, 0.3]))
     assert outcome.flags == Flag.STALE | Flag.BLIND | Flag.RATE_LIMITED
     assert np.isnan(outcome.q).all()
@@ -189,21 +191,22 @@ def test_a_blind_tick_goes_to_the_weights_torque_within_the_step_limit() -> None
     np.testing.assert_array_equal(outcome.memory.tau_before, before)
     assert (outcome.memory.primed, outcome.memory.calm) == (False, LAW)
     for _ in range(60):
-        outcome = blind(agent, outcome.memory)
+        outcome = blind(agent, Mode.TRACK, outcome.memory)
     np.testing.assert_array_equal(outcome.tau, wanted)
     assert outcome.flags == Flag.STALE | Flag.BLIND
 
 
 def test_an_arm_that_was_never_seen_gets_no_torque() -> None:
     agent = arm()
-    outcome = blind(agent, initial_memory(agent))
+    outcome = blind(agent, Mode.TRACK, initial_memory(agent))
     np.testing.assert_array_equal(outcome.tau, 0.0)
 
 
 def test_an_arm_that_was_seen_gets_its_weights_torque_though_it_had_none() -> None:
     agent = arm()
     np.testing.assert_array_equal(
-        blind(agent, holding(agent)).tau, limit_of(agent, weight(agent.model, agent.offline, start()))
+        blind(agent, Mode.TRACK, holding(agent)).tau,
+        limit_of(agent, weight(agent.model, agent.offline, start(), carries=True)),
     )
 
 

@@ -74,7 +74,7 @@ def test_six_joints_are_held_by_their_weight_and_share_whatever_the_pose() -> No
     k = agent.model.evaluate(q, np.zeros(6))
     share = cell.arms[0].entry.load_share * cell.file.object.mass_kg * 9.81
     weight = k.g + k.Jt @ [0.0, 0.0, share, 0.0, 0.0, 0.0]
-    np.testing.assert_allclose(joint_hold.weight(agent.model, agent.offline, q), weight, atol=1e-9)
+    np.testing.assert_allclose(joint_hold.weight(agent.model, agent.offline, q, carries=True), weight, atol=1e-9)
     terms = joint_hold.torque(agent.model, agent.offline, q, np.zeros(6), q, 10.0)
     np.testing.assert_allclose(terms.tau_cmd, weight, atol=1e-9)
     assert (*terms.desired.v, *terms.desired.a) == (0.0,) * 12

@@ -19,7 +19,7 @@ from agent.control.memory import Memory
 from agent.control.residual import Channels
 from agent.control.terms import CMD
 from agent.control.trajectory import Desired
-from agent.loop import Agent, Outcome, explained, initial_memory, step
+from agent.loop import Agent, Outcome, blind, explained, initial_memory, step
 from agent.modes import Mode
 from agent.process.build import build_agent
 from agent.safety import Flag, Limits
@@ -121,6 +121,15 @@ def test_torque_goes_over_between_the_joints_and_the_law(mode: Mode) -> None:
         assert (outcome.terms.J_inv_P is not None) is senses
     assert alone.terms is not None
     assert math.isnan(alone.terms.sigma_min), "no law of the object yet"
+
+
+@pytest.mark.parametrize("mode", [*CARRIES, *phases.ALONE])
+def test_an_arm_that_sees_nothing_carries_the_object_only_where_it_has_it(mode: Mode) -> None:
+    agent = arm()
+    of = memory(agent, q=q_grasp(), primed=False)
+    g = agent.model.evaluate(q_grasp(), np.zeros(3)).g
+    for found in (blind(agent, mode, of), tick(agent, mode, of, math.nan)):
+        assert np.array_equal(found.tau, g) is (mode in phases.ALONE)
 
 
 @pytest.mark.parametrize("mode", [Mode.HOLD, Mode.TRACK])

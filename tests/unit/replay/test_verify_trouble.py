@@ -79,6 +79,19 @@ def test_a_session_that_starts_and_one_that_is_stopped_unseen_replay(tmp_path: P
     assert replayed(tmp_path, cell(), unseen, 1).equal
 
 
+def test_an_arm_that_sees_nothing_on_its_way_to_the_object_carries_itself_alone_and_replays(tmp_path: Path) -> None:
+    patience = Patience(repeat=3, blind=20)
+    rows = run_of(
+        Script({2: Event.APPROACH}), last=16, q=swaying, failures=lost_at(*range(6, 14)), patience=patience
+    ).rows
+    blind = rows[(rows["flags"] & Flag.BLIND.value) > 0]
+    assert set(blind["mode"].tolist()) == {Mode.APPROACH, Mode.HALT}
+    agent = build_agent(cell(), cell().arms[0])
+    seen = rows["memory"][np.flatnonzero(rows["flags"] & Flag.BLIND.value)[0]][: len(q_grasp())]
+    np.testing.assert_array_equal(blind["tau_limited"][-1][: len(seen)], agent.model.evaluate(seen, 0.0 * seen).g)
+    assert replayed(tmp_path, cell(), rows, 0).equal
+
+
 @pytest.mark.parametrize("lost", [(), (6,)], ids=["seen", "unseen"])
 def test_an_arm_that_a_hand_guides_replays(tmp_path: Path, lost: tuple[int, ...]) -> None:
     rows = guided(lost_at(*lost), observer=True).rows
