@@ -31,7 +31,7 @@ LEVEL_AT, WEIGHT_AT = 106, 106 + FLAT - 1  # places there
 MOMENT_M: Final = 0.2  # a
 TURN_M: Final = 0.1  # b
 STILL_M_PER_S: Final = 2e-3
-WITH_CLIMB: Final = 0.6  # of the limit of the level, where p climbs
+WITH_CLIMB: Final = 0.7  # of the limit of the level, where p climbs
 HANGS: Final = 1.05  # of that limit, for the weight
 LIFTED: Final = 1.25  # and for a force upwards
 

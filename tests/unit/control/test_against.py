@@ -124,16 +124,16 @@ def test_at_its_limits_a_pull_trips_nothing_and_only_that_of_the_level_grows_wit
     assert not law.tripped(climbing._replace(level_N=0.75 * slip), slip)
     assert law.tripped(climbing._replace(level_N=np.nextafter(0.75 * slip, 9.0)), slip)
     steeper = climbing._replace(means_N=tuple(1.01 * mean for mean in climbing.means_N))
-    assert not law.tripped(steeper._replace(level_N=0.44), slip)
-    assert law.drags(steeper._replace(level_N=0.46), slip)
-    assert law.tripped(steeper._replace(level_N=0.46), slip)
+    assert not law.tripped(steeper._replace(level_N=0.52), slip)
+    assert law.drags(steeper._replace(level_N=0.53), slip)
+    assert law.tripped(steeper._replace(level_N=0.53), slip)
 
 
 def test_a_pull_that_grows_climbs_and_one_that_came_at_once_does_not() -> None:
     growing = after(0.7, lambda t: -1.2 * t)
-    climbs = [LAW.drags(p._replace(level_N=0.43), 1.0) for p in growing]
-    assert not any(LAW.drags(p._replace(level_N=0.41), 1.0) for p in growing), "a part of the limit is asked, too"
-    assert WITH_CLIMB == 0.6
+    climbs = [LAW.drags(p._replace(level_N=0.5), 1.0) for p in growing]
+    assert not any(LAW.drags(p._replace(level_N=0.48), 1.0) for p in growing), "a part of the limit is asked, too"
+    assert WITH_CLIMB == 0.7
     assert growing[-1].climb_N == pytest.approx(1.2 * 0.15, rel=0.05)
     assert 0.4 < PERIOD * climbs.index(True) < 0.55
     assert all(p.climb_N < 0.01 for p in after(2.0, lambda t: -9.0 if t > 0.7 else 0.0))
@@ -142,7 +142,7 @@ def test_a_pull_that_grows_climbs_and_one_that_came_at_once_does_not() -> None:
 
 def test_what_is_no_number_trips() -> None:
     assert LAW.tripped(NO_PULL._replace(level_N=math.nan), 1.0)
-    assert LAW.tripped(NO_PULL._replace(level_N=0.43, means_N=(math.nan,) * MEANS), 1.0)
+    assert LAW.tripped(NO_PULL._replace(level_N=0.5, means_N=(math.nan,) * MEANS), 1.0)
     assert LAW.tripped(NO_PULL._replace(weight_N=math.nan), 1.0)
     assert not LAW.tripped(NO_PULL, 1.0)
 
@@ -214,12 +214,12 @@ def test_down_is_where_gravity_points() -> None:
 
 
 def test_limits_are_above_what_24_realities_showed() -> None:
-    """Largest over 24 realities and 20 s of either cell: level, level where it climbs; others are test_knock's."""
-    for name, seen in (("three_wx250s", (0.29, 0.24)), ("four_wx250s", (0.32, 0.26))):
+    """Largest level over 24 realities and 20 s of either cell, and where it climbs, of one in some two hundred."""
+    for name, seen in (("three_wx250s", (0.29, 0.24)), ("four_wx250s", (0.32, 0.361))):
         found = against(load_cell(Path(name)))
         assert found is not None
         assert found.level_N >= 1.6 * seen[0]
-        assert WITH_CLIMB * found.level_N >= 1.2 * seen[1], "where the climb is half its limit"
+        assert WITH_CLIMB * found.level_N >= seen[1], "where it climbs by as much as is asked"
         assert found.climb_N >= 1.13 * 0.09
 
 
