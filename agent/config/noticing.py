@@ -60,6 +60,7 @@ TOUCH_DOWN: Final = 1.95  # and down (1.81 seen)
 TOUCH_PLAIN: Final = 1.0  # times that share, of the plain force (0.91 seen)
 TOUCH_LEVER_M: Final = 0.2  # moment that the arms' inertia makes of that force
 ALONG: Final = (0.35, 0.079)  # level, climb: of friction and noise
+CLIMBING: Final = 0.285  # of the same: the level at which a climb counts
 TOUCH_ALONG: Final = (1.05, 0.15)  # times an arm's share of a touch
 KNOCK: Final = 1.05  # of the level's limit, for what strikes the object
 ALONE: Final = 2  # arms that feel a touch as they feel the other one
@@ -114,7 +115,8 @@ def against(cell: Cell) -> Against | None:
     (friction_N, _), (noise_N, _), _ = _largest(cell)
     share, usual = TOUCH_N / len(cell.arms), MARGIN * (friction_N + noise_N)
     level, climb = (float(f"{max(t * share, a * usual):.3g}") for t, a in zip(TOUCH_ALONG, ALONG, strict=True))
-    return Against(period_s, spec.against_N or level, spec.climb_N or climb, _down(cell))
+    climbing = 0.0 if spec.against_N else float(f"{CLIMBING * usual:.3g}")
+    return Against(period_s, spec.against_N or level, spec.climb_N or climb, _down(cell), climbing_N=climbing)
 
 
 def knock(along: Against | None) -> Knock | None:

@@ -31,7 +31,7 @@ LEVEL_AT, WEIGHT_AT = 106, 106 + FLAT - 1  # places there
 MOMENT_M: Final = 0.2  # a
 TURN_M: Final = 0.1  # b
 STILL_M_PER_S: Final = 2e-3
-WITH_CLIMB: Final = 0.7  # of the limit of the level, where p climbs
+WITH_CLIMB: Final = 0.6  # of the limit of the level, where p climbs, or more
 HANGS: Final = 1.05  # of that limit, for the weight
 LIFTED: Final = 1.25  # and for a force upwards
 
@@ -76,6 +76,7 @@ class Against:
     climb_N: float
     down: tuple[float, float, float] = (0.0, 0.0, 0.0)  # gravity's direction, world axes; zero where there is none
     level_per_s: float = 15.0
+    climbing_N: float = 0.0  # no less than this, where p climbs
 
     def advance(self, pull: Pull, wrench: Sequence[float], base: Sequence[float], v: Sequence[float]) -> Pull:
         """State after a tick; wrench: the unexpected one (6,), base: its slow part (6,), v: desired twist (6,)."""
@@ -109,7 +110,8 @@ class Against:
     def drags(self, pull: Pull, slip: float) -> bool:
         """Whether the level is above its limit, or a part of that where it climbs; what is no number is."""
         climbs = not pull.climb_N <= self.climb_N
-        return not pull.level_N <= self.level_N * (WITH_CLIMB if climbs else slip)
+        part_N = max(WITH_CLIMB * self.level_N, self.climbing_N)
+        return not pull.level_N <= self.level_N * slip or (climbs and pull.level_N > part_N)
 
     def weighs(self, pull: Pull, slip: float) -> bool:
         """Whether something hangs on the object; what is no number does."""

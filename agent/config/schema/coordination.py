@@ -50,7 +50,7 @@ class NoticingSpec(Strict):
     against_N: Force | None = None
     """Pull against the motion from which it does, 1.05 of it down or at once, 1.25 up; none: derived, of three arms."""
     climb_N: Force | None = None
-    """Climb against the motion, thrice in 0.45 s, with which 0.7 of it does; none: derived, of three arms and more."""
+    """Climb against the motion, thrice in 0.45 s, with which 0.6 of it does; none: derived, of three arms and more."""
     rate_per_s: Annotated[float, Field(gt=0.0, le=200.0)] = 30.0
     """Bandwidth of the residual."""
     slow_per_s: Annotated[float, Field(gt=0.0, le=50.0)] | None = None
