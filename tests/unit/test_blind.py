@@ -114,7 +114,7 @@ def test_a_silent_bus_gives_the_weights_torque_then_silence_then_the_watchdogs(k
         stale["tau_limited"][:3, :N], np.tile(law, (3, 1)), "three cycles of the law's torque"
     )
     agent = build_agent(CELL, CELL.arms[0])
-    wanted = weight(agent.model, agent.offline, rows["q"][first - 1][:N])
+    wanted = weight(agent.model, agent.offline, rows["q"][first - 1][:N], carries=True)
     np.testing.assert_allclose(stale["tau_limited"][4:, :N], np.tile(wanted, (len(stale) - 4, 1)), rtol=0, atol=1e-12)
     assert (np.abs(stale["tau_limited"][3, :N] - law) <= np.array(agent.limits.tau_step_max_Nm) + 1e-12).all()
     assert flagged(stale, Flag.BLIND).tolist() == list(range(3, len(stale)))

@@ -208,7 +208,7 @@ def test_a_tick_without_numbers_ends_what_the_observer_knew(primed: bool) -> Non
     outcome = tick(agent, np.array([0.1, math.nan, 0.2]), memory=memory)
     assert Flag.NOT_FINITE in outcome.flags
     assert outcome.memory.primed is False
-    kept = memory.tau if primed else weight(agent.model, agent.offline, memory.q)
+    kept = memory.tau if primed else weight(agent.model, agent.offline, memory.q, carries=True)
     np.testing.assert_array_equal(outcome.tau, kept, "once the last torque, then the weight's")
     np.testing.assert_array_equal(outcome.memory.tau, outcome.tau)
 
