@@ -106,11 +106,17 @@ def at_rest(driver: DynamixelDriver) -> Vector:
 
 
 def answered(read: Callable[..., tuple[int, int, int]], *of: object) -> int:
-    """What the SDK reads; it gives up after 34 ms, in which a busy machine may not have run the servos."""
-    for _ in range(20):
+    """What the SDK reads twice in a row.
+
+    It gives up after 34 ms, in which a busy machine may not have run the servos, and takes an answer that comes after
+    that for the next one's.
+    """
+    before: int | None = None
+    for _ in range(40):
         value, result, _ = read(*of)
-        if result == sdk.COMM_SUCCESS:
+        if result == sdk.COMM_SUCCESS and value == before:
             return value
+        before = value if result == sdk.COMM_SUCCESS else None
     raise AssertionError("no answer")
 
 

@@ -35,11 +35,13 @@ def machine(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Machine]:
         drop_in.parent.mkdir()
         environment = "Environment=PYTHONHOME=/opt/python LD_LIBRARY_PATH=/opt/python/lib"
         drop_in.write_text(f"[Service]\n{environment}\nExecStart=\nExecStart={python} {what} {PLACES}\n")
-    # they stroke their watchdogs, and this machine may stop for longer than the 100 ms of an agent's
-    for what in ("kernel", "hold"):
+    # they stroke their watchdogs, and this machine may stop for longer than the 100 ms of an agent's, and than the
+    # second in which one that hangs says where
+    waits = f"WatchdogSec={WATCHDOG_S}"
+    for what, wait in (("kernel", waits), ("hold", waits), ("hang", "TimeoutAbortSec=20")):
         patient = files / f"etc/systemd/system/coop-agent@{what}.service.d/patient.conf"
         patient.parent.mkdir()
-        patient.write_text(f"[Service]\nWatchdogSec={WATCHDOG_S}\n")
+        patient.write_text(f"[Service]\n{wait}\n")
     (files / "etc/systemd/system/ssh.service").write_text("[Service]\nExecStart=/usr/bin/sleep infinity\n")
     off = "[Unit]\nDefaultDependencies=no\nRequires=shutdown.target\nAfter=shutdown.target\n"
     (files / "etc/systemd/system/off.target").write_text(off)
