@@ -13,9 +13,10 @@ Each is a quadratic sum over independent errors at their bounds in `[tolerance]`
 
 and fast is no less than a touch needs, with L and l the rates of the residual and of the slow channel.  Where nothing
 but a touch sets the limit of the sudden force, agent.control.touch tells one that is above it.  What pulls
-against the motion or down (agent.control.against) has limits in cells of three and more arms: what a touch needs, or
-what friction and noise make of it.  REVERSAL, PEAK, CREEP, HUM and ALONG are calibrated on the largest values that
-studies of the shipped cells showed (a test has them); a planar moment has a CREEP of its own.
+against the motion, down or up (agent.control.against) or strikes (agent.control.knock) has limits in cells of three
+and more arms: what a touch needs, or what friction and noise make of it.  REVERSAL, PEAK, CREEP, HUM, ALONG and
+CLIMBING are calibrated on the largest values that studies of the shipped cells showed (a test has them); a planar
+moment has a CREEP of its own.
 """
 
 from __future__ import annotations

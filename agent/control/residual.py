@@ -78,8 +78,12 @@ class Residual:
     base_per_s: float = 0.5
     slow_per_s: float = 2.0
     against: Against | None = None  # None: nobody asks what pulls against the motion
-    knock: Knock | None = None  # None: nor what strikes the object; where that is asked, so is this
+    knock: Knock | None = None  # what strikes the object, and the slip that limits of `against` grow with
     touch: Touch | None = None  # None: no touch is above the limit of the sudden force
+
+    def __post_init__(self) -> None:
+        if (self.against is None) is not (self.knock is None):
+            raise ValueError("against and knock go together: without the slip of one the other's limits stay high")
 
     def advance(
         self, sense: Sense, terms: Terms, J_inv_P: Matrix, dq: Vector, tau: tuple[Vector, Vector], *, ready: bool,

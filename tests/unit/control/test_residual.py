@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -204,6 +205,12 @@ def test_who_asks_for_it_is_told_of_a_pull_back_a_weight_a_lift_and_a_blow(
         sense = nothing_sensed(3)._replace(pull=pull, struck=Struck(knock_N=slip * knock_N, slip=slip))
         assert (asked.pulled(sense), asked.dragged(sense), asked.weighed(sense)) == told
         assert (nobody.pulled(sense), nobody.dragged(sense), nobody.weighed(sense)) == (False, False, False)
+
+
+@pytest.mark.parametrize("half", [{"against": Against(PERIOD, 0.7, 0.14)}, {"knock": Knock(PERIOD, 0.8)}])
+def test_nobody_has_a_pull_without_the_slip_that_its_limits_grow_with(half: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match="go together"):
+        Residual(PERIOD, 0.0, LIMITS, **half)
 
 
 @pytest.mark.parametrize("channel", range(4))
