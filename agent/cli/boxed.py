@@ -8,14 +8,12 @@ from typing import Final
 _NARROW: Final = (("\x00", "\u0300"), ("\u0370", "\u0483"), ("\u2010", "\u2500"))  # one column each, if printable
 
 
-def boxed(title: str, header: Sequence[str], rows: Sequence[Sequence[str]], width: int) -> str | None:
-    """The table; None where it is wider than this, or where a character may take other than one column."""
+def boxed(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> str | None:
+    """The table, as wide as its cells; None where a character may take other than one column."""
     columns = [*zip(header, *rows, strict=True)]
     if not all(_narrow(text) for column in (*columns, [title]) for text in column):
         return None
     widths = [max(map(len, column)) for column in columns]
-    if max(sum(widths) + 3 * len(widths) + 1, len(title)) > width:
-        return None
     head, *body = ([text.ljust(n) for text, n in zip(row, widths, strict=True)] for row in (header, *rows))
     bars = [n + 2 for n in widths]
     above = [title, _ruled("┏━┳┓", bars), _joined("┃", head), _ruled("┡━╇┩", bars)]
