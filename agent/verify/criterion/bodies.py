@@ -165,25 +165,26 @@ class Bodies:
         n, rows = self.frequency.shape[-1], self.arms.shape[-2]
         # displacements in units of a speed: both blocks of A are then alike, and few squarings are needed
         unit = np.maximum(self.frequency, 1.0 / period_s)
-        A = np.zeros((*self.frequency.shape[:-1], 2 * n + rows, 2 * n + rows))
+        A = np.zeros((*self.frequency.shape[:-1], 2 * n, 2 * n))
         k = np.arange(n)
         A[..., k, n + k] = unit
         A[..., n + k, k] = -(self.frequency**2) / unit
-        A[..., n : 2 * n, n : 2 * n] = -self.damping
-        A[..., n : 2 * n, 2 * n :] = np.swapaxes(self.arms, -1, -2)
-        (F1, G1), (F2, G2) = _held(A, (share * period_s, (1.0 - share) * period_s), 2 * n)
+        A[..., n:, n:] = -self.damping
+        B = np.zeros((*A.shape[:-1], rows))
+        B[..., n:, :] = np.swapaxes(self.arms, -1, -2)
+        (F1, G1), (F2, G2) = _held(A, B, (share * period_s, (1.0 - share) * period_s))
         zero = np.zeros_like(self.arms)
         sees_x = np.concatenate([self.arms / unit[..., None, :], zero], axis=-1)
         sees_w = np.concatenate([zero, self.arms], axis=-1)
         return Motion(F2 @ F1, F2 @ G1, G2, sees_x, sees_w, late)
 
 
-def _held(A: Matrix, durations_s: tuple[float, float], states: int) -> list[tuple[Matrix, Matrix]]:
-    """Transition and input matrix of ẏ = A y with inputs held, for each of two durations."""
-    E = iter(exponential(np.stack([duration * A for duration in durations_s if duration != 0.0])))
-    still = np.broadcast_to(np.eye(A.shape[-1]), A.shape)
-    each = [next(E) if duration != 0.0 else still for duration in durations_s]
-    return [(e[..., :states, :states], e[..., :states, states:]) for e in each]
+def _held(A: Matrix, B: Matrix, durations_s: tuple[float, float]) -> list[tuple[Matrix, Matrix]]:
+    """Transition and input matrix of ẏ = A y + B u with u held, for each of two durations."""
+    taken = [duration for duration in durations_s if duration != 0.0]
+    moved = zip(*exponential(*(np.stack([duration * M for duration in taken]) for M in (A, B))), strict=True)
+    still = np.broadcast_to(np.eye(A.shape[-1]), A.shape), np.zeros_like(B)
+    return [next(moved) if duration != 0.0 else still for duration in durations_s]
 
 
 def bare(at: Pose, i: int, truth: Truth) -> Bodies:

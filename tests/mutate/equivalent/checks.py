@@ -5,7 +5,7 @@ from __future__ import annotations
 from tests.mutate.equivalent.entries import Entries
 
 _NORM = "norm = np.abs(A).sum(axis=-2).max(axis=-1, initial=1.0)"
-_ONE = "powers[0] = np.eye(A.shape[-1])"
+_ONE = "A, B, one = (A / parts, B / parts, np.eye(A.shape[-1]))"
 _FLAT = "flat = A.reshape(len(A), -1)"
 _ON = "on = ~small & (off < 1.0)"
 _LEFT = "w = np.concatenate([w, _internal(S, [-S_i @ (beyond * e.off) for S_i, e in zip(S, errors, strict=True)])], -1)"
@@ -98,13 +98,14 @@ CHECKS: Entries = {
             "exponential",
             _NORM,
             _NORM.replace("1.0", "2.0"),
-        ): "squared once more than it needs, the same but for rounding",
+        ): "doubled once more than it needs, the same but for rounding",
         ("exponential", _ONE, _ONE.replace("-1", "-2")): "matrices are square",
+        ("exponential", "for k in range(2, TERMS):", "for k in range(1, TERMS):"): "the first power is worked out too",
         (
             "exponential",
-            "for k in range(int(squarings.max(initial=0))):",
-            "for k in range(int(squarings.max(initial=1))):",
-        ): "nothing is squared that has been squared as often as it needs",
+            "for k in range(int(doublings.max(initial=0))):",
+            "for k in range(int(doublings.max(initial=1))):",
+        ): "nothing is doubled that has been doubled as often as it needs",
     },
     "agent.verify.criterion.power": {
         ("below", _ON, _ON.replace("<", "<=")): _NOTHING_MORE,
