@@ -17,10 +17,9 @@ from dataclasses import dataclass, replace
 
 from agent.verify.criterion.bodies import Pose
 from agent.verify.criterion.cases import Case, Demand, Loop, Ranges, alone, near, rigid, soft
-from agent.verify.criterion.judge import Block, Judge, blocks
+from agent.verify.criterion.judge import SPATIAL_ROWS, Block, Judge, blocks
 
 PER_DECADE_PLANAR, PER_DECADE_SPATIAL = 3, 1
-SPATIAL_ROWS = 6
 FINER = ((4, 10.0**0.5), (2, 10.0**0.25))  # how many soft cases have their neighbours looked at, and how far these are
 SUSPECTS = 8  # soft cases that are looked at elsewhere too
 MARGIN_SUSPECTS = 4  # of all cases, with which the longest delay is looked for

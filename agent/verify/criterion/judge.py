@@ -18,7 +18,9 @@ from agent.verify.criterion.loop import Laws, Shifting, laws, one_period, radii
 from agent.verify.criterion.power import below
 from drivers.interface import Vector
 
-STACK = 16  # cases at a time: more of them do not fit into the cache
+SPATIAL_ROWS = 6
+STACK_PLANAR = 16  # cases at a time: more of them do not fit into the cache
+STACK_SPATIAL = 8  # what is found of some spares others their eigenvalues, which take 10 ms each
 STACK_OF_ONE = 64  # of an arm alone or a rigid cell, whose maps are a seventh of the others
 
 
@@ -41,6 +43,7 @@ def blocks(
 
     mixed: with several arms and places in a stack, which takes less time; else they differ in inertia and stiffness.
     """
+    stack_soft = STACK_PLANAR if len(poses[0].P) < SPATIAL_ROWS else STACK_SPATIAL
     groups: dict[tuple[object, ...], list[Case]] = {}
     for case in dict.fromkeys(cases):
         where = () if mixed else (case.place, case.arm)
@@ -48,7 +51,7 @@ def blocks(
     return [
         Block(tuple(stack), _bodies(poses, ranges, stack).motion(loop.period_s, stack[0].delay_periods))
         for group in groups.values()
-        for stack in _stacks(group, STACK_OF_ONE if mixed and group[0].k_t == 0.0 else STACK)
+        for stack in _stacks(group, STACK_OF_ONE if mixed and group[0].k_t == 0.0 else stack_soft)
     ]
 
 
