@@ -126,21 +126,18 @@ def identify(
     ],
     arm: Annotated[str | None, typer.Option(help="Name of the arm.")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder of the new arm file (default: beside the log).")] = None,
-    arms: Annotated[Path | None, typer.Option(help="Folder of the arm files the run used.")] = None,
     cutoff_hz: Annotated[float, typer.Option(min=0.1, help="Low-pass of torque and motion.")] = 5.0,
     slow_rad_per_s: Annotated[float, typer.Option(min=0.01, help="Slower motion says nothing of friction.")] = 0.2,
     force: Force = False,
 ) -> None:
     """Identify friction, rotor inertia and gravity parameters of an arm, and write its new arm file."""
-    import configs
     from agent.identify.equations import Options
     from agent.identify.run import identify as identify_log
     from agent.identify.run import write
     from agent.identify.show import delay_line, estimates_table, friction_lines, residual_lines
 
-    arms_dir = arms or configs.ARMS_DIR
     with Steps() as step:
-        result = identify_log(log, arm, Options(cutoff_hz, slow_rad_per_s), arms_dir, tell=step)
+        result = identify_log(log, arm, Options(cutoff_hz, slow_rad_per_s), tell=step)
         step("writing")
         files = write(result, out or log.parent, replace=force)
     console().print(estimates_table(result))

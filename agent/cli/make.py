@@ -41,8 +41,9 @@ def new(
     arm: Annotated[
         list[str],
         typer.Option(
-            help="MODEL, with face=-x|+x|+y|-y, down=DEG below the level, inset=M over the face, base=X,Y,Z,YAW_DEG, "
-            "pose=X,Y,Z,QW,QX,QY,QZ of the hand in object axes, share=PART, name=NAME as wanted. One per arm.",
+            help='Words apart by spaces, as "wx250s face=-x": MODEL, face=-x|+x|+y|-y, down=DEG below the level, '
+            "inset=M over the face, base=X,Y,Z,YAW_DEG, pose=X,Y,Z,QW,QX,QY,QZ of the hand in object axes, share=PART, "
+            "name=NAME as wanted. One option per arm.",
             show_default=False,
         ),
     ] = [],

@@ -9,18 +9,16 @@ from __future__ import annotations
 import datetime
 import math
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-import configs
-from agent.config.cell import Arm, Cell, cell_from_toml
-from agent.host.info import CELL_FILE
+from agent.config.cell import Arm, Cell
 from agent.log.columns import Table
 from agent.log.read import AnyLog
 from agent.modes import Mode
+from agent.replay.source import recorded_cell
 from drivers.interface import Refusal
 
 Matrix = NDArray[np.float64]
@@ -57,17 +55,12 @@ class Recording:
         return replace(self, tau=acted(self.sent, delay_s / self.period_s), delay_s=delay_s)
 
 
-def from_log(log: AnyLog, arm: str | None = None, arms_dir: Path = configs.ARMS_DIR) -> Recording:
-    """Recording of the one arm of a log.  arms_dir: the arm files the run used.
+def from_log(log: AnyLog, arm: str | None = None) -> Recording:
+    """Recording of the one arm of a log, with the arm file that the run used.
 
-    Raises IdentifyError for a log that is incomplete, of several arms, of other arm files, or too short.
+    Raises IdentifyError for a log that is incomplete, of several arms, or too short, and what `recorded_cell` raises.
     """
-    if CELL_FILE not in log.attachments:
-        raise IdentifyError(
-            f"log {log.path.name}", found="no cell file in it", expected=f"an attachment {CELL_FILE}",
-            remedy="take a log that `coop record` made",
-        )  # fmt: skip
-    cell = cell_from_toml(log.attachments[CELL_FILE], f"{CELL_FILE} of {log.path.name}", arms_dir)
+    cell = recorded_cell(log)
     if len(cell.arms) > 1:
         raise IdentifyError(
             f"log {log.path.name}",
@@ -77,14 +70,6 @@ def from_log(log: AnyLog, arm: str | None = None, arms_dir: Path = configs.ARMS_
         )
     described = cell.arms[0] if arm is None else cell.arm(arm)
     _refuse_incomplete(log, described.name)
-    written = str(log.run_info().get("fingerprint", ""))
-    if written != cell.fingerprint:
-        raise IdentifyError(
-            f"arm files in {arms_dir.name}",
-            found=f"fingerprint {cell.fingerprint[:12]}",
-            expected=f"{written[:12]}, that of the run",
-            remedy="name the folder with the arm files of the run (--arms)",
-        )
     return from_rows(cell, described, Table.of(log.agents[described.name]))
 
 

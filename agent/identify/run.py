@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import configs
 from agent.atomic import keep_existing, make_folder, write_atomically
 from agent.identify.equations import Options
 from agent.identify.fit import fit
@@ -31,14 +30,16 @@ def identify(
     log: Path,
     arm: str | None = None,
     options: Options | None = None,
-    arms_dir: Path = configs.ARMS_DIR,
     tell: Callable[[str], None] = lambda _: None,
 ) -> Identified:
-    """Identify the one arm of a log; tell: what is being done.  Raises LogError, ConfigError or IdentifyError."""
+    """Identify the one arm of a log; tell: what is being done.
+
+    Raises LogError, ReplayError, ConfigError or IdentifyError.
+    """
     options = options or Options()
     tell("reading the log")
     with open_log(log) as opened:
-        recording = from_log(opened, arm, arms_dir)
+        recording = from_log(opened, arm)
     tell("fitting")
     return identified(recording, options, fit(recording, options))
 

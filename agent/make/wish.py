@@ -122,9 +122,10 @@ def _words(text: str) -> tuple[str, dict[str, str]]:
     model, *rest = text.split() or [""]
     described = sorted(path.stem for path in configs.ARMS_DIR.glob("*.toml"))
     if model not in described:
+        first = 'name a described arm first, and put words apart by spaces: --arm "wx250s face=-x"'
         raise WishError(
             f"arm {shown(text)}", found=f"a model {model!r}", expected=" or ".join(described),
-            remedy=nearest(model, described) or "name a described arm first, then face=, base= and so on",
+            remedy=first if "=" in model else nearest(model, described) or first,
         )  # fmt: skip
     words: dict[str, str] = {}
     for word in rest:

@@ -51,8 +51,9 @@ def _of_member(name: str, a: Table, b: Table, layout: Layout) -> ArmVerdict:
         apart = _bytes_differ(one, other, fields)
         different += int(np.count_nonzero(apart))
         if "tau_limited" in fields:
+            mine, theirs = one["tau_limited"], other["tau_limited"]
             with np.errstate(invalid="ignore", over="ignore"):  # of runs that went astray
-                gap = np.abs(one["tau_limited"] - other["tau_limited"])
+                gap = np.abs(mine - theirs)
             largest = max(largest, float(np.nanmax(gap, initial=0.0)))
         if first is None and apart.any():
             first = _difference(name, one[apart][0], other[apart][0], fields)

@@ -22,7 +22,7 @@ _NAME: Final = re.compile(r"[\w-][\w.-]*\.(toml|urdf)")
 
 
 class ReplayError(Refusal):
-    """This log cannot be replayed, or not in this way."""
+    """A log lacks files of its cell, or cannot be replayed in this way."""
 
 
 def recorded_cell(log: AnyLog) -> Cell:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,13 +14,16 @@ from hypothesis.extra.numpy import arrays
 
 import configs
 from agent.config.cell import Cell, ConfigError, load_cell
+from agent.host.info import attachments
 from agent.identify.recording import IdentifyError, acted, from_log, from_rows
 from agent.log.read import RunLog
 from agent.modes import Mode
+from agent.replay.source import ReplayError
 from agent.telemetry.row.sample import AGENT_STATE
 
 CELL = load_cell(configs.CELLS_DIR / "identify_wx200.toml")
 PERIOD_NS = CELL.period_ns
+FILES = attachments(CELL, b"{}")
 UTC_NS = 1_773_446_400_000_000_000  # 2026-03-14
 
 
@@ -39,14 +40,13 @@ def rows_of(seconds: float = 20.0) -> np.ndarray:
 
 
 def log_of(cell: Cell, rows: np.ndarray, **changes: Any) -> RunLog:
-    run = json.dumps({"fingerprint": cell.fingerprint}).encode()
     log = RunLog(
         path=Path("run.mcap"),
         cell=cell.file.name,
         agents={arm.name: rows for arm in cell.arms},
         plant=None,
         events=[],
-        attachments={"cell.toml": cell.toml, "run.json": run},
+        attachments=attachments(cell, b"{}"),
         metadata={},
         complete=True,
         gaps={},
@@ -125,28 +125,32 @@ def test_several_arms_are_refused_because_their_forces_are_unknown() -> None:
         ({"complete": False, "problems": ("the file ends in the middle of a chunk",)}, "middle of a chunk"),
         ({"gaps": {"arm": ((10, 19), (30, 30))}}, "found 11 rows missing"),
         ({"agents": {"other": rows_of()}}, "expected a complete log"),
-        ({"attachments": {}}, "found no cell file in it"),
     ],
 )
 def test_incomplete_logs_are_refused(changes: dict[str, Any], expected: str) -> None:
     assert expected in refusal(log_of(CELL, rows_of(), **changes))
 
 
-def test_other_arm_files_than_those_of_the_run_are_refused_until_they_are_named(tmp_path: Path) -> None:
+def test_the_arm_file_is_that_of_the_log_and_not_the_one_that_is_installed() -> None:
     """Someone installed a new arm file after the run: the figures before would be wrong, and so the source."""
-    newer = tmp_path / "arms"
-    shutil.copytree(configs.ARMS_DIR, newer)
-    path = newer / "wx200.toml"
-    path.write_text(path.read_text().replace("value = 0.012", "value = 0.013"))
-    text = refusal(log_of(CELL, rows_of()), arms_dir=newer)
-    assert f"expected {CELL.fingerprint[:12]}" in text
-    assert "--arms" in text
-    assert from_log(log_of(CELL, rows_of()), arms_dir=configs.ARMS_DIR).cell.fingerprint == CELL.fingerprint
+    other = FILES["wx200.toml"].replace(b"value = 0.012", b"value = 0.013")
+    arm = from_log(log_of(CELL, rows_of(), attachments=FILES | {"wx200.toml": other})).arm
+    assert arm.toml == other != CELL.arms[0].toml
+    assert arm.servos != CELL.arms[0].servos
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"), [("cell.toml", "does not hold its cell"), ("wx200.toml", "no wx200.toml")]
+)
+def test_a_log_without_the_files_of_its_cell_is_refused(name: str, expected: str) -> None:
+    rest = {key: content for key, content in FILES.items() if key != name}
+    with pytest.raises(ReplayError, match=expected):
+        from_log(log_of(CELL, rows_of(), attachments=rest))
 
 
 def test_a_log_of_a_version_with_another_key_for_the_delay_says_so() -> None:
     old = CELL.toml.replace(b"saturation = true", b"saturation = true\ndelay_cycles = 1")
-    log = log_of(CELL, rows_of(), attachments={"cell.toml": old, "run.json": b"{}"})
+    log = log_of(CELL, rows_of(), attachments=FILES | {"cell.toml": old})
     with pytest.raises(ConfigError, match=r"delay_cycles in cell\.toml of run\.mcap: .*write loop_delay_s"):
         from_log(log)
 

@@ -123,6 +123,8 @@ def test_what_cannot_be_met_is_named(which: Wish, match: str) -> None:
         ([], "arms: found 0"),
         (["wx200"] * 5, "arms: found 5"),
         (["wx2000"], "did you mean wx200"),
+        (["face=-x wx200"], "a model 'face=-x'.* name a described arm first"),
+        (["wx250s,face=-x"], 'by spaces: --arm "wx250s face=-x"'),
         (["wx200 fac=-x"], "did you mean face"),
         (["wx200 face=up"], "face of arm wx200: found up"),
         (["wx200 down=200"], "down of arm wx200: found 200"),
