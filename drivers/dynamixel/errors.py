@@ -91,6 +91,16 @@ class RejectedError(DriverError):
         self.code = code
 
 
+class RearmError(DriverError):
+    """Watchdogs that had fired could not be armed again, as where a packet got lost; it may be tried again."""
+
+    @classmethod
+    def of(cls, fault: ServoFault) -> RearmError:
+        """What a servo did not take."""
+        remedy = "it is tried again; if it persists check cable and supply, and run `coop doctor`"
+        return cls(fault.what, found=fault.found, expected=fault.expected, remedy=remedy)
+
+
 class NotEnabledError(DriverError):
     """A call that needs another state of the driver."""
 

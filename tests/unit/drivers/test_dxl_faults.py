@@ -220,6 +220,22 @@ def test_watchdogs_that_all_fired_leave_a_state_for_the_arm_comes_back():
     assert last.error.state is not None
 
 
+@pytest.mark.fault("S4")
+@pytest.mark.parametrize("others_stopped", [True, False])
+def test_an_arm_whose_watchdogs_fire_behind_a_servo_that_restarted_has_nothing_left_to_hold_with(
+    others_stopped: bool,
+) -> None:
+    rig = warm(servo_options=ServoOptions(boot_ns=1_000_000))
+    rig.fault(FaultKind.REBOOT, 3)
+    *_, held = cycles(rig, 20, 0.0 * TAU)
+    assert held.error.state is not None
+    if others_stopped:
+        rig.clock.sleep_until(rig.clock.now_ns() + 250_000_000)
+    *_, last = cycles(rig, 20, 0.0 * TAU)
+    assert (last.error.state is None) == others_stopped
+    assert (last.error.cause, last.error.servo_id) == (FaultCause.REBOOTED, 3)
+
+
 @pytest.mark.parametrize("servo_id", [1, 2, 3, 6])
 def test_lost_torque_is_a_fault_within_fifty_milliseconds(servo_id):
     rig = warm()
