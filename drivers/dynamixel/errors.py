@@ -195,12 +195,15 @@ class DxlServoFault(ServoFault):
         expected: str,
         state: JointState | None = None,
         hardware: HardwareError = NO_ERROR,
+        of_all: bool = False,
     ) -> None:
+        """of_all: no servo of the arm has torque any more."""
+        first = "support the object, for the arm holds nothing" if of_all else "hold or lower the arm"
         super().__init__(
             f"servo {servo_id} ({joint}): {cause.value}",
             found=found,
             expected=expected,
-            remedy="hold or lower the arm; " + _AFTER_FAULT.get(cause, "then read the servo with `coop doctor`"),
+            remedy=f"{first}; " + _AFTER_FAULT.get(cause, "then read the servo with `coop doctor`"),
         )
         self.cause = cause
         self.servo_id = servo_id
@@ -231,13 +234,13 @@ class DxlServoFault(ServoFault):
 
     def that_is_of_all(self) -> DxlServoFault:
         """Return the same of an arm whose other servos have no torque either, without a state to hold anything with."""
-        return self._again(f"{self.found}, and no other servo of the arm has torque", None)
+        return self._again(f"{self.found}, and no other servo of the arm has torque", None, of_all=True)
 
     def with_state(self, state: JointState) -> DxlServoFault:
         """Return the same fault with another cycle's state."""
         return self._again(str(self.found), state)
 
-    def _again(self, found: str, state: JointState | None) -> DxlServoFault:
+    def _again(self, found: str, state: JointState | None, *, of_all: bool = False) -> DxlServoFault:
         return DxlServoFault(
             self.cause,
             servo_id=self.servo_id,
@@ -246,4 +249,5 @@ class DxlServoFault(ServoFault):
             expected=str(self.expected),
             state=state,
             hardware=self.hardware,
+            of_all=of_all,
         )

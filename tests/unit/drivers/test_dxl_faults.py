@@ -209,6 +209,8 @@ def test_a_dip_of_the_whole_supply_leaves_no_state_to_hold_with_and_of_fewer_ser
     *_, last = cycles(rig, 10, 0.0 * TAU)
     assert (last.error.state is None) == (dark == set(range(1, 8)))
     assert ("no other servo of the arm has torque" in str(last.error)) == (last.error.state is None)
+    assert ("; support the object, " in str(last.error)) == (last.error.state is None)
+    assert ("; hold or lower the arm; " in str(last.error)) == (last.error.state is not None)
     assert last.error.cause is FaultCause.REBOOTED
 
 
