@@ -36,6 +36,9 @@ class Sight:
             return bus
         try:
             resumed, back = arm.recover(), True
+        except ServoFault as error:
+            self.unseen = str(error)
+            return Bus.GIVE_UP
         except DriverError as error:
             self.unseen, resumed, back = str(error), False, False
         self._cycles.tried(deadline_ns, back=back)

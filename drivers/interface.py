@@ -228,7 +228,8 @@ class Recovering(Protocol):
         """Open the port again where it is gone, make sure of the arm, and let it obey again; for a loop that holds.
 
         Nothing is written before every servo has answered as the one it was, with its torque on.  True when the arm
-        obeys anew: its torque is then zero, and must be commanded at once.  False when it never stopped.
-        Raises DriverError, quickly where nobody answers; may be tried again.
+        obeys anew: its torque is then zero, and must be commanded at once.  False when it never stopped, as a whole or
+        in part.  Raises ServoFault when the arm is lost: it has no torque, and gets none by itself.  Raises another
+        DriverError, quickly where nobody answers, when it may be tried again.
         """
         ...

@@ -105,12 +105,18 @@ def inject(
 def _faults(name: str, **given: Any) -> tuple[tuple[Injection, ...], tuple[str, ...]]:
     """The fault of that name, or those of a row's first run and what that makes of its cell.  Raises FaultPlanError."""
     from agent.faults.catalogue import row
-    from agent.faults.plan import injection
+    from agent.faults.plan import FaultPlanError, injection
 
     found = row(name)
-    if found is not None and found.runs:
-        return found.runs[0].faults, found.runs[0].set
-    return (injection(name, **given),), ()
+    if found is None:
+        return (injection(name, **given),), ()
+    if not found.runs:
+        held = f"its tests show it, such as `pytest {found.tests[0]}`" if found.tests else found.untested
+        raise FaultPlanError(
+            f"row {found.id}, {found.fails}", found="nothing of it in virtual time",
+            expected="a row with faults, or a fault of `coop faults list --kinds`", remedy=held,
+        )  # fmt: skip
+    return found.runs[0].faults, found.runs[0].set
 
 
 def _finite(value: float) -> float | None:

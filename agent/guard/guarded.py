@@ -48,6 +48,11 @@ class Guarded:
         """The same in a word."""
         return "watches" if self.there else "gone"
 
+    @property
+    def has_lent(self) -> bool:
+        """Whether it has lent the port before."""
+        return self._lent
+
     def borrow(self) -> int:
         """Descriptor of the arm's port; a second one is another, for the first was lost.  Raises GuardError."""
         if self._end is None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +13,12 @@ from agent.config.cell import Arm, Cell
 from agent.config.schema.driver import DriverKind
 from agent.config.servo_map import arm_map
 from agent.guard.guarded import Guarded
+from agent.guard.line import GuardError
 from agent.process.rehearse import bridge, in_the_loop
 from drivers.clock import MonotonicClock
 from drivers.dynamixel.arm_map import WATCHDOG_S, ArmMap
 from drivers.dynamixel.driver import DynamixelDriver
+from drivers.dynamixel.errors import PortError
 from drivers.dynamixel.events import DriverEvent, EventSink
 from drivers.dynamixel.line.port import SerialPort
 from drivers.dynamixel.pace import SHARE as READ_SHARE
@@ -95,13 +98,24 @@ def servo_driver(
 ) -> DynamixelDriver:
     """Driver of these servos, real or emulated; arguments as of `build_driver`."""
     servos = patient(servos, connection)
-    port = SerialPort(servos.port, servos.baud, clock, guard.borrow if guard else None)
+    port = SerialPort(servos.port, servos.baud, clock, partial(_borrowed, guard) if guard else None)
     # emulated servos share the processor with everything else: a slow read there says nothing of a bus
     share = EMULATED_READ_SHARE if connection.emulated else READ_SHARE
     driver = DynamixelDriver(servos, clock, on_event=in_words(warn), read_share=share, port=port)
     if guard is not None:
         driver.before_recovery = guard.busy
     return driver
+
+
+def _borrowed(guard: Guarded) -> int:
+    """Descriptor of the guard's port.  Raises GuardError; PortError for one that was lost: it may yet come back."""
+    lost = guard.has_lent
+    try:
+        return guard.borrow()
+    except GuardError as error:
+        if not lost:
+            raise
+        raise PortError(error.what, found=error.found, expected=error.expected, remedy=error.remedy) from error
 
 
 def patient(servos: ArmMap, connection: Connection) -> ArmMap:

@@ -144,13 +144,23 @@ class BringUp:
             torque_off(self._bus, self._arm)
             raise
 
-    def has_tripped(self) -> bool:
-        """Whether any bus watchdog has fired; writes nothing.  Raises DxlServoFault for a servo without torque."""
-        for servo in self._servos:
-            if not self._bus.read(servo.slot.servo_id, TORQUE_ENABLE):
-                raise DxlServoFault.of(FaultCause.TORQUE_LOST, servo.slot, found="Torque Enable 0", expected="1")
-        watchdogs = [self._bus.read(servo.slot.servo_id, BUS_WATCHDOG) for servo in self._servos]
-        return WATCHDOG_TRIPPED in watchdogs
+    def has_stopped(self, *, half_armed: bool = False) -> bool:
+        """Whether the arm needs `rearm`: a bus watchdog has fired and every servo has its torque; writes nothing.
+
+        half_armed: a `rearm` failed, so a watchdog that is off counts as one that has fired.  An arm with a servo
+        without torque is never armed again: it holds with those that still obey.  Raises DxlServoFault where none does.
+        """
+        stopped = (WATCHDOG_TRIPPED, 0) if half_armed else (WATCHDOG_TRIPPED,)
+        on = [bool(self._bus.read(servo.slot.servo_id, TORQUE_ENABLE)) for servo in self._servos]
+        ids = [servo.slot.servo_id for servo, has in zip(self._servos, on, strict=True) if has]
+        fired = [self._bus.read(servo_id, BUS_WATCHDOG) in stopped for servo_id in ids]
+        if all(on):
+            return any(fired)
+        if all(fired):
+            first = self._servos[on.index(False)].slot
+            fault = DxlServoFault.of(FaultCause.TORQUE_LOST, first, found="Torque Enable 0", expected="1")
+            raise fault.that_is_of_all()
+        return False
 
     def rearm(self) -> None:
         """After bus watchdogs have fired: no effort, the present place, armed again.  Torque stays on.

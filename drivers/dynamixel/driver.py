@@ -21,6 +21,7 @@ from drivers.dynamixel.errors import (
     DxlServoFault,
     NotEnabledError,
     PortLostError,
+    RearmError,
     TorqueError,
     WriteTimeoutError,
 )
@@ -173,6 +174,7 @@ class DynamixelDriver:
         Raises NotEnabledError, DxlServoFault, NoReplyError.
         """
         running = self._need(Phase.ENABLED)
+        running.half_armed = True
         self._bus.settle()
         BringUp(self._bus, self.arm, self._found, self._on_event).rearm()
         self._running = running.again()
@@ -186,8 +188,9 @@ class DynamixelDriver:
     def recover(self) -> bool:
         """`drivers.interface.Recovering.recover`.
 
-        Raises PortError, IdentityError, StaleStateError, NoReplyError, DxlServoFault; a bus on which a servo is silent
-        costs one period, one that cuts a servo off in between a few tenths of a second.
+        Raises DxlServoFault for an arm without torque, of which a servo has lost its own; where it may be tried again
+        PortError, IdentityError, StaleStateError, NoReplyError, RearmError.  A bus on which a servo is silent costs one
+        period, one that cuts a servo off in between a few tenths of a second.
         """
         running = self._need(Phase.ENABLED)
         self.before_recovery()
@@ -195,12 +198,16 @@ class DynamixelDriver:
             self.reopen()
         else:
             make_sure(running, self.arm, self._clock)
-        tripped = BringUp(self._bus, self.arm, self._found, self._on_event).has_tripped()
-        if tripped:
-            self.rearm()
+        arm = BringUp(self._bus, self.arm, self._found, self._on_event)
+        stopped = arm.has_stopped(half_armed=running.half_armed)
+        if stopped:
+            try:
+                self.rearm()
+            except DxlServoFault as fault:
+                raise RearmError.of(fault) from fault
             self._on_event(DriverEvent(EventKind.REARMED, "torque begins at zero"))
         self.faults = without_trips(self.faults)
-        return tripped
+        return stopped
 
     def _need(self, phase: Phase) -> Running:
         running = self._running

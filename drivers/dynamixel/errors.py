@@ -91,6 +91,16 @@ class RejectedError(DriverError):
         self.code = code
 
 
+class RearmError(DriverError):
+    """Watchdogs that had fired could not be armed again, as where a packet got lost; it may be tried again."""
+
+    @classmethod
+    def of(cls, fault: ServoFault) -> RearmError:
+        """What a servo did not take."""
+        remedy = "it is tried again; if it persists check cable and supply, and run `coop doctor`"
+        return cls(fault.what, found=fault.found, expected=fault.expected, remedy=remedy)
+
+
 class NotEnabledError(DriverError):
     """A call that needs another state of the driver."""
 
@@ -185,12 +195,15 @@ class DxlServoFault(ServoFault):
         expected: str,
         state: JointState | None = None,
         hardware: HardwareError = NO_ERROR,
+        of_all: bool = False,
     ) -> None:
+        """of_all: no servo of the arm has torque any more."""
+        first = "support the object, for the arm holds nothing" if of_all else "hold or lower the arm"
         super().__init__(
             f"servo {servo_id} ({joint}): {cause.value}",
             found=found,
             expected=expected,
-            remedy="hold or lower the arm; " + _AFTER_FAULT.get(cause, "then read the servo with `coop doctor`"),
+            remedy=f"{first}; " + _AFTER_FAULT.get(cause, "then read the servo with `coop doctor`"),
         )
         self.cause = cause
         self.servo_id = servo_id
@@ -221,13 +234,13 @@ class DxlServoFault(ServoFault):
 
     def that_is_of_all(self) -> DxlServoFault:
         """Return the same of an arm whose other servos have no torque either, without a state to hold anything with."""
-        return self._again(f"{self.found}, and no other servo of the arm has torque", None)
+        return self._again(f"{self.found}, and no other servo of the arm has torque", None, of_all=True)
 
     def with_state(self, state: JointState) -> DxlServoFault:
         """Return the same fault with another cycle's state."""
         return self._again(str(self.found), state)
 
-    def _again(self, found: str, state: JointState | None) -> DxlServoFault:
+    def _again(self, found: str, state: JointState | None, *, of_all: bool = False) -> DxlServoFault:
         return DxlServoFault(
             self.cause,
             servo_id=self.servo_id,
@@ -236,4 +249,5 @@ class DxlServoFault(ServoFault):
             expected=str(self.expected),
             state=state,
             hardware=self.hardware,
+            of_all=of_all,
         )

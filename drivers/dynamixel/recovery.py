@@ -24,9 +24,13 @@ def only_tripped(faults: Sequence[DxlServoFault]) -> bool:
 
 
 def limp(arm: ArmMap, faults: Sequence[DxlServoFault]) -> DxlServoFault | None:
-    """What to say of an arm of which no servo has torque any more, None while one has: nothing can be held with it."""
+    """What to say of an arm of which no servo has torque any more, None while one has: nothing can be held with it.
+
+    Watchdogs that have fired count where a servo has lost its torque otherwise, for then the arm does not come back.
+    """
     off = [fault for fault in faults if fault.cause in TORQUE_GONE]
-    if not {slot.servo_id for slot in arm.slots} <= {fault.servo_id for fault in off}:
+    idle = {fault.servo_id for fault in faults if fault.cause is FaultCause.WATCHDOG_TRIPPED or fault in off}
+    if not off or not {slot.servo_id for slot in arm.slots} <= idle:
         return None
     return off[0].that_is_of_all()
 

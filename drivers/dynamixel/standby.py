@@ -89,8 +89,9 @@ class StandbyDriver(DynamixelDriver):
         """Take the arm over with torque on; the joint torques (n,) its servos hold, NaN where one did not say.
 
         dq: joint speeds as last known, (n,) rad/s.  Servos whose watchdog has fired meanwhile are armed again, without
-        effort: the caller must command at once.  Servos that do not answer, and a port that is gone, are the loop's
-        affair, as in any cycle.  Raises AdoptError when those that answer are not as `enable` left them.
+        effort: the caller must command at once.  Servos that do not answer, a port that is gone, and one servo without
+        torque, with which they are not armed again, are the loop's affair, as in any cycle.  Raises AdoptError when
+        those that answer are not as `enable` left them.
         """
         running = self._need(Phase.CONNECTED)
         try:
@@ -101,7 +102,7 @@ class StandbyDriver(DynamixelDriver):
         goals = {i: row[-1] for i, row in rows.items()}
         torques = running.resume(goals, dq.tolist())
         self._phase = Phase.ENABLED
-        if any(row[4] == WATCHDOG_TRIPPED for row in rows.values()):
+        if any(row[4] == WATCHDOG_TRIPPED for row in rows.values()) and all(row[1] for row in rows.values()):
             self.rearm()
             self.resumed = True
             return np.zeros(len(torques))

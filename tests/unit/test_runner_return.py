@@ -178,6 +178,20 @@ def test_a_blind_arm_falls_silent_and_is_tried_until_the_patience_is_over() -> N
     assert done.summary.reason == str(gone), "the last word is that of the last attempt"
 
 
+@pytest.mark.fault("S4")
+def test_a_blind_arm_that_has_lost_its_torque_is_given_up_with_the_attempt_that_finds_it_so() -> None:
+    done = run(
+        failures=lost_at(*range(STOP_AT, 99)),
+        returning={"answers": (fault(False),)},
+        patience=Patience(hold=3, repeat=3, blind=8, quiet=5, recover=60, retry=4),
+        ticks=90,
+    )
+    assert done.modes == [Mode.TRACK, Mode.HOLD, Mode.FAULT]
+    assert len(done.arm.tried) == 1  # type: ignore[attr-defined]
+    assert len(done.rows) == STOP_AT - 1 + 8 + 5 + 1
+    assert done.summary.reason == str(fault(False))
+
+
 def test_a_blind_arm_that_comes_back_is_asked_again_and_holds() -> None:
     done = run(
         lambda n: Event.RELEASED if n == 60 else Event.NONE,

@@ -106,6 +106,13 @@ def test_an_attempt_that_fails_says_why_and_nothing_is_asked_in_that_cycle() -> 
     assert resumed == ["yes"]
 
 
+def test_an_arm_that_says_it_cannot_come_back_is_given_up_at_once() -> None:
+    seen, resumed = sight(Returns(fault(None), True))
+    assert seen.plan(0, Mode.HOLD) is Bus.GIVE_UP
+    assert seen.unseen.startswith("servo 2: found nothing")
+    assert resumed == []
+
+
 @pytest.mark.parametrize("lockstep", [False, True])
 def test_a_state_is_passed_on_and_a_cycle_without_one_ends_simulated_time_alone(lockstep: bool) -> None:
     seen, _ = sight(Reads(STATE, error(StaleStateError, "state")), lockstep=lockstep)

@@ -54,6 +54,15 @@ def test_a_rehearsal_says_who_noticed_who_stopped_and_what_it_cost(tmp_path: Pat
     assert "name another with --out" in again.err
 
 
+def test_a_row_that_processes_alone_can_show_names_its_tests() -> None:
+    done = coop("faults", "inject", "paper_real", "p10")
+    assert done.code == 2
+    found = next(row for row in rows() if row.id == "P10")
+    assert done.err.startswith(f"coop: row P10, {found.fails}: found nothing of it in virtual time")
+    assert done.err.rstrip().endswith(f"its tests show it, such as `pytest {found.tests[0]}`")
+    assert all(row.runs or row.tests or row.untested for row in rows())
+
+
 def test_a_row_of_the_list_can_be_let_happen_by_its_id() -> None:
     done = coop("faults", "inject", "paper_real", "m1", "--duration", "3.2")
     assert done.code == 0

@@ -209,6 +209,8 @@ def test_a_dip_of_the_whole_supply_leaves_no_state_to_hold_with_and_of_fewer_ser
     *_, last = cycles(rig, 10, 0.0 * TAU)
     assert (last.error.state is None) == (dark == set(range(1, 8)))
     assert ("no other servo of the arm has torque" in str(last.error)) == (last.error.state is None)
+    assert ("; support the object, " in str(last.error)) == (last.error.state is None)
+    assert ("; hold or lower the arm; " in str(last.error)) == (last.error.state is not None)
     assert last.error.cause is FaultCause.REBOOTED
 
 
@@ -218,6 +220,22 @@ def test_watchdogs_that_all_fired_leave_a_state_for_the_arm_comes_back():
     *_, last = cycles(rig, 12, 0.0 * TAU)
     assert {fault.servo_id for fault in rig.driver.faults} == set(range(1, 8))
     assert last.error.state is not None
+
+
+@pytest.mark.fault("S4")
+@pytest.mark.parametrize("others_stopped", [True, False])
+def test_an_arm_whose_watchdogs_fire_behind_a_servo_that_restarted_has_nothing_left_to_hold_with(
+    others_stopped: bool,
+) -> None:
+    rig = warm(servo_options=ServoOptions(boot_ns=1_000_000))
+    rig.fault(FaultKind.REBOOT, 3)
+    *_, held = cycles(rig, 20, 0.0 * TAU)
+    assert held.error.state is not None
+    if others_stopped:
+        rig.clock.sleep_until(rig.clock.now_ns() + 250_000_000)
+    *_, last = cycles(rig, 20, 0.0 * TAU)
+    assert (last.error.state is None) == others_stopped
+    assert (last.error.cause, last.error.servo_id) == (FaultCause.REBOOTED, 3)
 
 
 @pytest.mark.parametrize("servo_id", [1, 2, 3, 6])

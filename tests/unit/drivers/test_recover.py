@@ -8,15 +8,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.dynamixel.errors import DxlServoFault, FaultCause, NotEnabledError, PortError, PortLostError
+from drivers.dynamixel.errors import DxlServoFault, FaultCause, NotEnabledError, PortError, PortLostError, RearmError
 from drivers.dynamixel.identify import IdentityError
 from drivers.dynamixel.servo import table
-from drivers.interface import DriverError, Recovering, StaleStateError
+from drivers.interface import DriverError, Recovering, ServoFault, StaleStateError
 from sim_backend.wire.faults import FaultKind
 from tests.support.servos.dxl_rig import WX200, build, enabled
 
-PING, READ, SYNC_READ, FAST_SYNC_READ = 0x01, 0x02, 0x82, 0x8A
+PING, READ, SYNC_READ, FAST_SYNC_READ, SYNC_WRITE = 0x01, 0x02, 0x82, 0x8A, 0x83
 ASKING = {PING, READ, SYNC_READ, FAST_SYNC_READ}
+ARMED = 10  # of the register, for 0.2 s
 IDS = [slot.servo_id for slot in WX200.slots]
 TAU = np.array([0.3, -0.2, 0.1, 0.05])
 
@@ -81,7 +82,7 @@ def test_watchdogs_that_fired_are_armed_again_with_zero_torque() -> None:
     assert rig.driver.recover() is True
     assert rig.kinds() == ["REARMED"]
     assert rig.driver.lapsed is False
-    assert [rig.get(i, table.BUS_WATCHDOG) for i in IDS] == [10] * len(IDS)
+    assert [rig.get(i, table.BUS_WATCHDOG) for i in IDS] == [ARMED] * len(IDS)
     assert [rig.get(i, table.TORQUE_ENABLE) for i in IDS] == [1] * len(IDS)
     assert rig.get(4, table.GOAL_CURRENT) == 0
     rig.driver.read()
@@ -123,6 +124,56 @@ def test_an_arm_without_torque_is_never_armed_again(servo: int) -> None:
         rig.driver.recover()
     assert asked(rig) <= ASKING
     assert rig.get(servo, table.TORQUE_ENABLE) == 0
+
+
+@pytest.mark.parametrize("servo", [3, 4])
+def test_an_arm_of_which_some_servos_still_obey_goes_on_with_those_though_one_has_no_torque(servo: int) -> None:
+    rig = working()
+    rig.put(servo, table.TORQUE_ENABLE, 0)
+    rig.put(7, table.BUS_WATCHDOG, 255)
+    assert rig.driver.recover() is False
+    assert asked(rig) <= ASKING
+
+
+def arming_lost(rig: Any, *heard: int) -> None:
+    """The next packet that arms watchdogs gets lost on its way, but to these servos."""
+    really = rig.port.write
+
+    def write(data: bytes, deadline_ns: int) -> None:
+        if data[7] == SYNC_WRITE and data[8] == table.BUS_WATCHDOG.address and data[13] != 0:
+            rig.port.write = really
+            for servo in heard:
+                rig.put(servo, table.BUS_WATCHDOG, ARMED)
+        else:
+            really(data, deadline_ns)
+
+    rig.port.write = write
+
+
+@pytest.mark.parametrize("heard", [(), (1, 2, 4, 5)])
+def test_an_arm_that_is_armed_in_part_has_stopped_until_a_later_attempt_arms_the_rest(heard: tuple[int, ...]) -> None:
+    rig = tripped()
+    arming_lost(rig, *heard)
+    with pytest.raises(RearmError, match="Bus Watchdog 0, expected 10; it is tried again") as caught:
+        rig.driver.recover()
+    assert not isinstance(caught.value, ServoFault), "which would be a lost arm"
+    assert rig.kinds() == []
+    rest(rig, 0.1)
+    assert rig.driver.recover() is True
+    assert [rig.get(i, table.BUS_WATCHDOG) for i in IDS] == [ARMED] * len(IDS)
+    rest(rig, 0.1)
+    rig.put(5, table.BUS_WATCHDOG, 0)
+    assert rig.driver.recover() is False, "a servo that restarted and has torque is for the checks to find"
+
+
+def test_an_arm_that_is_armed_in_part_when_a_servo_loses_its_torque_is_lost() -> None:
+    rig = tripped()
+    arming_lost(rig)
+    with pytest.raises(RearmError):
+        rig.driver.recover()
+    rig.put(4, table.TORQUE_ENABLE, 0)
+    with pytest.raises(DxlServoFault, match=r"servo 4 .*torque is off.*no other servo of the arm has torque"):
+        rig.driver.recover()
 
 
 @pytest.mark.parametrize("cause", [FaultCause.TORQUE_LOST, FaultCause.HARDWARE_ERROR, FaultCause.REBOOTED])

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from drivers.dynamixel.errors import NotEnabledError
+from drivers.dynamixel.errors import DxlServoFault, NotEnabledError
 from drivers.dynamixel.servo.codes import Instruction
 from drivers.dynamixel.servo.table import BUS_WATCHDOG, GOAL_CURRENT, GOAL_PWM, LED, TORQUE_ENABLE
 from drivers.dynamixel.standby import AdoptError, Handover, StandbyDriver
@@ -145,3 +146,23 @@ def test_servos_whose_watchdog_has_fired_are_armed_again_without_effort() -> Non
     assert rig.get(2, BUS_WATCHDOG) == 10
     driver.write(TAU)
     assert goals(rig)[0] > 0
+
+
+def test_watchdogs_that_fired_beside_a_servo_without_torque_are_left_and_the_arm_is_lost() -> None:
+    rig = enabled()
+    commanded(rig)
+    driver = standby(rig)
+    rig.clock.sleep_until(rig.clock.now_ns() + 300 * MS)
+    rig.put(4, TORQUE_ENABLE, 0)
+    rig.port.writes.clear()
+    driver.adopt(np.zeros(4))
+    assert not driver.resumed
+    assert {packet[7] for packet in rig.port.writes} == {Instruction.SYNC_READ}, "nothing was written"
+    for _ in range(20):
+        rig.clock.sleep_until(rig.clock.now_ns() + rig.arm.period_ns)
+        with contextlib.suppress(DxlServoFault):
+            driver.read()
+        driver.write(TAU)
+    with pytest.raises(DxlServoFault, match="no other servo of the arm has torque") as lost:
+        driver.read()
+    assert lost.value.state is None

@@ -112,7 +112,9 @@ def test_somebody_goes_on_only_behind_an_agent_that_is_watched(bench: Bench) -> 
 
 
 def test_a_second_port_is_asked_for_as_one_that_was_lost(bench: Bench) -> None:
+    assert not bench.agent.has_lent
     assert [bench.agent.borrow() for _ in range(3)] == [7, 7, 7]
+    assert bench.agent.has_lent
     assert bench.said == [(Word.PORT, (), {"again": again}) for again in (False, True, True)]
     bench.loses()
     with pytest.raises(GuardError, match=r"port from the guard at left\.guard: found no guard any more"):

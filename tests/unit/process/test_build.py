@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -15,13 +16,16 @@ from agent.config.cell import load_cell
 from agent.config.schema.driver import DriverKind
 from agent.config.servo_map import arm_map
 from agent.faults.virtual import Line
+from agent.guard.line import GuardError
 from agent.modes import Mode
 from agent.process.agent import LOST_REMEDY, ArmLost
 from agent.process.build import Connection, build_standby, passed_on, servo_driver
 from agent.process.schedule import AgentOptions, schedule_of
 from drivers.dynamixel.driver import DynamixelDriver
+from drivers.dynamixel.errors import PortError
 from drivers.dynamixel.pace import SHARE
 from drivers.dynamixel.standby import StandbyDriver
+from drivers.interface import Refusal
 from sim_backend.wire.arm import EmulatedArm
 from sim_backend.wire.cell import EmulatedCell
 from sim_backend.wire.injector import Injector
@@ -49,11 +53,28 @@ def test_only_emulated_servos_may_stall_with_their_host_and_answer_slowly(
     assert driver.arm.port == "/dev/null"
     driver.before_recovery()  # there is nobody to tell
     told: list[str] = []
-    guard: Any = SimpleNamespace(borrow=lambda: 3, busy=lambda: told.append("busy"))
+    guard: Any = SimpleNamespace(has_lent=False, borrow=lambda: 3, busy=lambda: told.append("busy"))
     guarded: Any = servo_driver(servos, Connection(emulated=emulated), clock, ignore, guard)
-    assert guarded._port._borrow is guard.borrow
+    assert guarded._port._borrow() == 3
     guarded.before_recovery()
     assert told == ["busy"]
+
+
+@pytest.mark.fault("B4")
+@pytest.mark.parametrize(("has_lent", "raised"), [(False, GuardError), (True, PortError)])
+def test_a_port_that_the_guard_cannot_open_again_is_one_to_try_again(has_lent: bool, raised: type[Refusal]) -> None:
+    """The loop tries again for what a driver raises, and for nothing else."""
+    refused = GuardError(
+        "the guard refuses 'port'", found="nothing of that name", expected="a port", remedy="plug it in"
+    )
+    guard: Any = SimpleNamespace(has_lent=has_lent, borrow=Mock(side_effect=refused), busy=lambda: None)
+    clock: Any = SimpleNamespace(now_ns=lambda: 0)
+    driver = servo_driver(arm_map(CELL, ARM, "/dev/null", Q_START), Connection(), clock, ignore, guard)
+    with pytest.raises(Refusal) as caught:
+        driver._port.open()
+    assert type(caught.value) is raised
+    assert str(caught.value) == str(refused)
+    assert not driver._port.is_open
 
 
 def test_the_driver_of_a_guard_is_as_patient_as_that_of_its_agent() -> None:
