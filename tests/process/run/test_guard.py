@@ -5,6 +5,7 @@ How soon, in virtual time: `tests/unit/guard/test_takeover.py`.
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import socket
@@ -36,6 +37,7 @@ from tests.support.stalls import Kernel, despite_stalls
 
 PATIENCE_S = 90.0
 SOME_ROWS = 40
+AWAY_S = 1.5  # longer than until the port is first tried again, shorter than it is waited for
 # hands over a kept descriptor: argument 1 is its number, the rest is the command
 AS_A_MANAGER_DOES = """
 import os, sys
@@ -256,6 +258,26 @@ def test_a_killed_guard_is_noticed_comes_back_with_the_port_and_holds_for_a_kill
     host.wait(lambda: "the guard is back and watches" in host.told())
     agent.kill()
     check_taken_over(host, guard, agent, "the agent has died")
+
+
+@pytest.mark.fault("B4")
+@in_real_time("--control", "faults")
+def test_an_arm_whose_adapter_is_unplugged_for_a_while_comes_back_in_hold_through_its_guard(host: Host) -> None:
+    host.guard()
+    agent = host.agent()
+    host.wait(lambda: len(host.rows()) > SOME_ROWS)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as emulator:
+        fault = {"kind": "port_loss", "arm": "left", "duration_s": AWAY_S}
+        emulator.sendto(json.dumps(fault).encode(), str(host.folder / "faults"))
+    host.wait(lambda: bool((host.rows()["flags"] & Flag.RESUMED.value).any()))
+    before = len(host.rows())
+    host.wait(lambda: bool(commanded(host.rows()[before:]).any()))
+    assert agent.poll() is None
+    assert (host.rows()["mode"][before:] == Mode.HOLD).all()
+    released = coop("release", host.cell, "--control", host.folder / "left.control", cwd=host.folder)
+    assert released.code == 0, released.err
+    assert agent.wait(PATIENCE_S) == 0
+    assert not (host.folder / "post_mortem").exists(), "the agent never was gone"
 
 
 @in_real_time()
