@@ -151,7 +151,9 @@ class Guarded:
 
     def _lost(self) -> bool:
         self._end = None
-        self._tell(Level.ERROR, "the guard is gone: the arm holds, and falls limp should this process end")
+        self._tell(
+            Level.ERROR, "the guard is gone: nobody takes over should this process end, and the arm falls limp then"
+        )
         return True
 
     def _look_for_another(self) -> None:

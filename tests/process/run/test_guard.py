@@ -251,7 +251,7 @@ def test_a_killed_guard_is_noticed_comes_back_with_the_port_and_holds_for_a_kill
     guard.kill()
     guard.wait()
     host.wait(lambda: len(of_hold(host.rows())) > SOME_ROWS)
-    assert any("the guard is gone: the arm holds" in text for text in host.told())
+    assert any("the guard is gone: nobody takes over" in text for text in host.told())
     assert "holds: the guard is gone" in host.told()
     assert agent.poll() is None, "the agent itself holds"
     guard = host.guard(prefix=(sys.executable, "-Sc", AS_A_MANAGER_DOES, str(host.kept)))

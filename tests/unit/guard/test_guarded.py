@@ -137,7 +137,9 @@ def test_a_guard_that_is_gone_is_told_once_and_looked_for_every_fifty_cycles(ben
     handle = bench.watch()
     bench.loses()
     assert not bench.lines[0][0].open
-    assert bench.told == [(Level.ERROR, "the guard is gone: the arm holds, and falls limp should this process end")]
+    assert bench.told == [
+        (Level.ERROR, "the guard is gone: nobody takes over should this process end, and the arm falls limp then")
+    ]
     bench.absent = True
     assert not any(bench.agent.poll() for _ in range(AGAIN_AFTER))
     assert bench.said == []

@@ -253,7 +253,7 @@ def test_a_guard_that_is_gone_is_noticed_once_and_a_new_one_is_asked_to_watch(tm
     assert not agent.poll()
     assert agent.there
     assert [level for level, _ in told] == [Level.ERROR, Level.INFO]
-    assert "the guard is gone: the arm holds" in told[0][1]
+    assert "the guard is gone: nobody takes over" in told[0][1]
     said.drop()
     second.close()
     agent.leave()
