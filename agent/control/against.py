@@ -1,11 +1,13 @@
 """What pulls an arm back against the motion, or down: the unexpected wrench along two directions, a number of each.
 
 A neighbour that holds or is locked pulls against the motion and ever harder, whatever else it does, while friction,
-encoders and calibration errors push to all sides.  So with W the unexpected wrench and v the desired twist
+encoders and calibration errors push to all sides.  So the power that the unexpected wrench takes from the desired
+twist, over its speed,
 
-    p = −(F·v + (M/a)·(b ω)) / √(v² + (b ω)²),   a = 0.2 m, b = 0.1 m; zero where the arms hardly move,
+    p = −(F·v + M·ω) / √(v² + (b ω)²),   b = 0.1 m; zero where the arms hardly move,
 
-one number has a lower limit than four sizes.  Two conditions tell: the `level` of p without its own slow part,
+has a lower limit than four sizes.  It is also −r·J⁻¹v over that speed: a joint that hardly moves, whose friction is
+known least, counts least.  Two conditions tell: the `level` of p without its own slow part,
 low-passed; or a part of that level with a `climb`, the least of three increments of p over 0.15 s each, one after the
 other, of means over 0.05 s.  A push rises once and not three times, so that one of 2 N stays below a limit that a
 neighbour left behind at 10 mm/s reaches within half a second.
@@ -28,7 +30,6 @@ STEP: Final = 3  # blocks of an increment
 MEANS: Final = 3 * STEP + 1  # kept, newest first
 FLAT: Final = MEANS + 4  # numbers in the log field `memory`
 LEVEL_AT, WEIGHT_AT = 106, 106 + FLAT - 1  # places there
-MOMENT_M: Final = 0.2  # a
 TURN_M: Final = 0.1  # b
 STILL_M_PER_S: Final = 2e-3
 WITH_CLIMB: Final = 0.6  # of the limit of the level, where p climbs, or more
@@ -83,12 +84,11 @@ class Against:
         fx, fy, fz, mx, my, mz = wrench
         gx, gy, gz, kx, ky, kz = base
         x, y, z, a, b, c = v
-        turn, weight = TURN_M, TURN_M / MOMENT_M
-        size = math.hypot(x, y, z, turn * a, turn * b, turn * c)
+        size = math.hypot(x, y, z, TURN_M * a, TURN_M * b, TURN_M * c)
         p = q = 0.0
         if size > STILL_M_PER_S:
-            p = -(fx * x + fy * y + fz * z + weight * (mx * a + my * b + mz * c)) / size
-            q = p + (gx * x + gy * y + gz * z + weight * (kx * a + ky * b + kz * c)) / size
+            p = -(fx * x + fy * y + fz * z + mx * a + my * b + mz * c) / size
+            q = p + (gx * x + gy * y + gz * z + kx * a + ky * b + kz * c) / size
         gain, (down_x, down_y, down_z) = self.period_s * self.level_per_s, self.down
         level = pull.level_N + gain * (q - pull.level_N)
         sunk = down_x * (fx - gx) + down_y * (fy - gy) + down_z * (fz - gz)

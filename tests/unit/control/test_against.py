@@ -68,8 +68,8 @@ def test_the_part_that_is_usual_for_a_while_is_not_in_the_level_but_in_the_climb
     [
         ((0.0, -2.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.02, 0.0, 0.0, 0.0, 0.0), 2.0),
         ((2.0, 0.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.02, 0.0, 0.0, 0.0, 0.0), 0.0),
-        ((0.0, 0.0, 0.0, 0.0, 0.0, -0.2), (0.0, 0.0, 0.0, 0.0, 0.0, 0.1), 1.0),  # 0.2 N·m at 0.2 m
-        ((-1.0, 0.0, 0.0, 0.0, 0.0, -0.2), (0.01, 0.0, 0.0, 0.0, 0.0, 0.1), math.sqrt(2.0)),  # 0.1 rad/s is 10 mm/s
+        ((0.0, 0.0, 0.0, 0.0, 0.0, -0.2), (0.0, 0.0, 0.0, 0.0, 0.0, 0.1), 2.0),  # 0.2 N·m at 0.1 m
+        ((-1.0, 0.0, 0.0, 0.0, 0.0, -0.1), (0.01, 0.0, 0.0, 0.0, 0.0, 0.1), math.sqrt(2.0)),  # 0.1 rad/s is 10 mm/s
         ((-9.0, 0.0, 0.0, 0.0, 0.0, 0.0), (0.0019, 0.0, 0.0, 0.0, 0.0, 0.0), 0.0),  # hardly a direction
     ],
 )
@@ -81,14 +81,12 @@ def test_the_pull_is_the_part_of_the_wrench_against_the_twist(
 
 @pytest.mark.parametrize("seed", range(4))
 def test_every_part_of_the_wrench_and_of_its_slow_part_counts_along_the_twist(seed: int) -> None:
-    """p = −(F·v + (M/a)·(b ω)) / √(v² + (b ω)²) with a = 0.2 m, b = 0.1 m."""
+    """p = −(F·v + M·ω) / √(v² + (b ω)²) with b = 0.1 m."""
     W, base, v = np.random.default_rng(seed).normal(size=(3, 6))
-    turn = np.array([1.0] * 3 + [0.1] * 3)
-    lever = np.array([1.0] * 3 + [1.0 / 0.2] * 3)
-    direction = turn * v / np.linalg.norm(turn * v)
+    speed = np.linalg.norm(v * np.array([1.0] * 3 + [0.1] * 3))
     pull = LAW.advance(NO_PULL, W.tolist(), base.tolist(), v.tolist())
-    assert pull.sum_N == pytest.approx(-(lever * W) @ direction, rel=1e-12)
-    assert pull.level_N == pytest.approx(15.0 * PERIOD * -(lever * (W - base)) @ direction, rel=1e-12)
+    assert pull.sum_N == pytest.approx(-W @ v / speed, rel=1e-12)
+    assert pull.level_N == pytest.approx(15.0 * PERIOD * -(W - base) @ v / speed, rel=1e-12)
 
 
 def test_a_twist_has_a_direction_above_two_millimetres_a_second() -> None:
@@ -199,7 +197,7 @@ def test_two_arms_have_it_only_where_it_is_asked_for_and_more_arms_derive_it() -
     assert three is not None
     assert four is not None
     assert (three.level_N, four.level_N) == (0.7, 0.525), "1.05 of an arm's share of 2 N"
-    assert (three.climb_N, four.climb_N) == (0.102, 0.102), "of friction and noise"
+    assert (three.climb_N, four.climb_N) == (0.126, 0.126), "of friction and noise"
     rough = against(load_cell(Path("three_wx250s"), ["tolerance.friction=[0.6, 3.0]"]))
     assert rough is not None
     assert rough.level_N > three.level_N
@@ -207,7 +205,7 @@ def test_two_arms_have_it_only_where_it_is_asked_for_and_more_arms_derive_it() -
     typed = against(load_cell(Path("three_wx250s"), ["safety.noticing.climb_N=0.3"]))
     assert typed == Against(PERIOD, 0.7, 0.3, DOWN, climbing_N=0.369)
     typed = against(load_cell(Path("three_wx250s"), ["safety.noticing.against_N=0.9"]))
-    assert typed == Against(PERIOD, 0.9, 0.102, DOWN)
+    assert typed == Against(PERIOD, 0.9, 0.126, DOWN)
 
 
 def test_down_is_where_gravity_points() -> None:
@@ -218,15 +216,16 @@ def test_down_is_where_gravity_points() -> None:
         assert found.down == down
 
 
-def test_limits_are_above_what_24_realities_showed() -> None:
-    """Largest level over 24 realities and 20 s of either cell, and where it climbs, of one in some two hundred."""
-    for name, seen in (("three_wx250s", (0.29, 0.24)), ("four_wx250s", (0.32, 0.361))):
+def test_limits_are_above_what_realities_showed() -> None:
+    """Largest level and climb of six realities and 37 s of either cell; of three arms with one that once tripped."""
+    for name, level_N, climb_N in (("three_wx250s", 0.56, 0.102), ("four_wx250s", 0.30, 0.103)):
         found = against(load_cell(Path(name)))
         assert found is not None
-        assert found.level_N >= 1.6 * seen[0]
-        part_N = max(WITH_CLIMB * found.level_N, found.climbing_N)
-        assert part_N >= 1.02 * seen[1], "where it climbs by as much as is asked"
-        assert found.climb_N >= 1.13 * 0.09
+        assert found.level_N >= 1.2 * level_N
+        assert found.climb_N >= 1.2 * climb_N
+        assert found.climbing_N >= 1.02 * 0.361, (
+            "of four arms where the climb was what it may be, of moments counted half"
+        )
 
 
 def test_what_pulls_back_or_down_is_always_named_as_that() -> None:
