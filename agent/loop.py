@@ -26,7 +26,7 @@ from agent.control.models import ArmModel
 from agent.control.quaternion import Quat, Vec3
 from agent.control.residual import Channels, Residual, Sense, nothing_sensed
 from agent.control.terms import CMD, DDQ_REF, Terms
-from agent.control.trajectory import Desired, Trajectory
+from agent.control.trajectory import Desired, Trajectory, at_rest
 from agent.modes import FLOATING, Mode
 from agent.safety import Flag, Limits, limit
 from drivers.interface import JointState, Vector
@@ -41,7 +41,6 @@ FORGIVEN_TICKS = 20  # with a state in time, until that is forgotten; a hold tha
 _TRACK, _HOLD, _READY = Mode.TRACK, Mode.HOLD, Mode.READY  # looking them up in their class takes 0.1 µs each
 _NOT_FINITE = int(Flag.NOT_FINITE)  # asking a flag for another one takes 0.5 µs
 _ALIGNING = (_READY, _TRACK)  # the shift changes while the arm waits for the motion or follows it
-_STILL = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -290,11 +289,10 @@ def initial_memory(agent: Agent) -> Memory:
 
 def _desired(agent: Agent, t: float, mode: Mode, memory: Memory) -> Desired:
     if mode is _READY and agent.alignment is not None and agent.start is not None:
-        return shifted(Desired(*agent.start, _STILL, _STILL), memory.shift)
+        return shifted(at_rest(*agent.start), memory.shift)
     if mode is Mode.LOWER and agent.session is not None:
         life = agent.session.life
-        return phases.lowering(life, memory, shifted(Desired(*life.place, _STILL, _STILL), memory.shift))
+        return phases.lowering(life, memory, shifted(at_rest(*life.place), memory.shift))
     if mode is _TRACK or memory.hold is None:
         return shifted(agent.trajectory.at(t), memory.shift)
-    p, quat = memory.hold[:3], memory.hold[3:]
-    return Desired(p, quat, _STILL, _STILL)  # type: ignore[arg-type]
+    return at_rest(memory.hold[:3], memory.hold[3:])  # type: ignore[arg-type]

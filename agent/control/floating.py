@@ -20,11 +20,10 @@ from agent.control import errors as error_terms
 from agent.control.law import Offline, add_friction, add_sums, object_wrench
 from agent.control.models import ArmModel, Kinematics, Matrix
 from agent.control.terms import FEEDBACK, GRAVITY, OBJECT, Terms, no_terms
-from agent.control.trajectory import Desired
+from agent.control.trajectory import STILL, at_rest
 from agent.control.trajectory_rest import minimum_jerk
 from drivers.interface import Vector
 
-_STILL = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 _UNKNOWN = (math.nan,) * 6
 BEGIN_RAD_PER_S = 0.15  # below it no friction is compensated: what an error of the weight drives stays slow
 FULL_RAD_PER_S = 0.4  # from here on all of the share is
@@ -117,9 +116,9 @@ def _terms(
     push: Vector, along: Vector,
 ) -> Terms:  # fmt: skip
     """The sum: `carried` of the weight, damping with `rate`, a push that is no damping, and `along` the motion."""
-    desired = Desired(k.p_object, k.quat_object, _STILL, _STILL)  # wherever it is, it is right
+    desired = at_rest(k.p_object, k.quat_object)  # wherever it is, it is right
     e = error_terms.evaluate(k.p_object, k.quat_object, k.v_object, desired, offline.gains)
-    load = object_wrench(offline, k, e._replace(v_ref=_STILL, dv_ref=_STILL))
+    load = object_wrench(offline, k, e._replace(v_ref=STILL, dv_ref=STILL))
     joints = no_terms(model.n)
     joints[GRAVITY] = carried * k.g
     joints[OBJECT] = k.Jt.dot([carried * offline.load_share * f for f in load])

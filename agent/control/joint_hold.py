@@ -16,10 +16,9 @@ from agent.control.inverse import SingularJacobian, invert_jacobian
 from agent.control.law import Offline, add_sums, object_wrench
 from agent.control.models import ArmModel
 from agent.control.terms import CORIOLIS, DDQ_REF, GRAVITY, INERTIA, OBJECT, Terms, no_terms
-from agent.control.trajectory import Desired
+from agent.control.trajectory import STILL, at_rest
 from drivers.interface import Vector
 
-_STILL = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 _UNKNOWN = (math.nan,) * 6
 
 
@@ -60,9 +59,9 @@ def torque(
     """
     held = model.evaluate(q_hold, 0.0 * q_hold)
     k = model.evaluate(q, dq)
-    desired = Desired(held.p_object, held.quat_object, _STILL, _STILL)
+    desired = at_rest(held.p_object, held.quat_object)
     e = error_terms.evaluate(k.p_object, k.quat_object, k.v_object, desired, offline.gains)
-    still = e._replace(v_ref=_STILL, dv_ref=_STILL)
+    still = e._replace(v_ref=STILL, dv_ref=STILL)
     joints = no_terms(model.n)
     joints[DDQ_REF] = -2.0 * rate_rad_per_s * dq - rate_rad_per_s**2 * (q - q_hold).clip(-reach_rad, reach_rad)
     joints[INERTIA] = k.B.dot(joints[DDQ_REF])

@@ -18,10 +18,9 @@ from agent.control.joint_path import JointDesired
 from agent.control.law import Offline, add_friction, add_sums
 from agent.control.models import ArmModel
 from agent.control.terms import CORIOLIS, DDQ_REF, DQ_REF, FRICTION, GRAVITY, INERTIA, Terms, no_terms
-from agent.control.trajectory import Desired
+from agent.control.trajectory import at_rest
 from drivers.interface import Vector
 
-_STILL = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 _UNKNOWN = (math.nan,) * 6
 
 
@@ -40,7 +39,7 @@ def torque(
     """
     x, y, z, qx, qy, qz, qw = pin.SE3ToXYZQUATtuple(model.object_pose(wanted.q))
     k = model.evaluate(q, dq)
-    desired = Desired((x, y, z), (qw, qx, qy, qz), _STILL, _STILL)
+    desired = at_rest((x, y, z), (qw, qx, qy, qz))
     e = error_terms.evaluate(k.p_object, k.quat_object, k.v_object, desired, offline.gains)
     off = np.clip(q - wanted.q, -soft_rad, soft_rad)
     joints = no_terms(model.n)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol
 
 from agent.control.quaternion import Quat, Vec3, multiply
 
 Vec6 = tuple[float, float, float, float, float, float]
+
+STILL: Final[Vec6] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # twist or acceleration of what does not move
 
 
 class Desired(NamedTuple):
@@ -18,6 +20,11 @@ class Desired(NamedTuple):
     quat: Quat
     v: Vec6  # m/s, rad/s
     a: Vec6  # m/s², rad/s²
+
+
+def at_rest(p: Vec3, quat: Quat) -> Desired:
+    """That pose, to be kept."""
+    return Desired(p, quat, STILL, STILL)
 
 
 class Trajectory(Protocol):

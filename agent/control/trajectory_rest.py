@@ -6,9 +6,7 @@ import math
 from dataclasses import dataclass, field
 
 from agent.control.quaternion import Quat, Vec3, conjugate, from_axis_angle, multiply
-from agent.control.trajectory import Desired, Vec6
-
-_STILL: Vec6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+from agent.control.trajectory import STILL, Desired
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,8 +54,8 @@ class RestToRest:
         return Desired(
             p=(p[0] + s * d[0], p[1] + s * d[1], p[2] + s * d[2]),
             quat=multiply(from_axis_angle(n, s * angle), self.quat_from),
-            v=(ds * d[0], ds * d[1], ds * d[2], ds * w[0], ds * w[1], ds * w[2]) if ds else _STILL,
-            a=(dds * d[0], dds * d[1], dds * d[2], dds * w[0], dds * w[1], dds * w[2]) if dds else _STILL,
+            v=(ds * d[0], ds * d[1], ds * d[2], ds * w[0], ds * w[1], ds * w[2]) if ds else STILL,
+            a=(dds * d[0], dds * d[1], dds * d[2], dds * w[0], dds * w[1], dds * w[2]) if dds else STILL,
         )
 
 
