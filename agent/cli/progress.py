@@ -94,7 +94,7 @@ class RunProgress:
         if not _on_terminal():
             if self._clock_s() >= self._next_line_s:
                 self._next_line_s = self._clock_s() + LINE_EVERY_S
-                so_far = f"{t_s:.1f} s of {duration_s:g} s, {speed:.1f}x real time, error {error}"
+                so_far = f"{t_s:.1f} s of {duration_s:g} s, {speed:.1f}x real time, seen error {error}"
                 note(so_far if t_s >= 0.0 else "before the start of the trajectory")
             return
         if self._bar is None:
@@ -184,6 +184,6 @@ def _bar() -> Progress:
         BarColumn(),
         TextColumn("{task.fields[t]:6.1f} s of {task.fields[duration]:g} s"),
         TextColumn("{task.fields[speed]:5.1f}x real time"),
-        TextColumn("error {task.fields[error]}"),
+        TextColumn("seen error {task.fields[error]}"),
         console=Console(stderr=True),
     )

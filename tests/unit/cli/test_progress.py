@@ -78,7 +78,7 @@ def test_a_run_has_a_bar_from_its_first_row_on(terminal: Terminal) -> None:
         progress.advance(25.0, 100.0, 4.5, 0.123)
         progress.phase("report")
     last = next(line for line in reversed(lines(terminal)) if BAR in line)
-    assert re.match(r"report +━+.* +25\.0 s of 100 s +4\.5x real time error 0\.12 mm", last)
+    assert re.match(r"report +━+.* +25\.0 s of 100 s +4\.5x real time seen error 0\.12 mm", last)
     assert last.count(BAR) > 10
 
 
@@ -120,8 +120,8 @@ def test_a_run_without_a_terminal_says_now_and_then_where_it_is() -> None:
             now[0] = 0.25 * tick
             progress.advance(float(tick), 100.0, 4.0, None if tick < 60 else 0.2)
     assert shown.getvalue().splitlines() == [
-        "40.0 s of 100 s, 4.0x real time, error -",
-        "80.0 s of 100 s, 4.0x real time, error 0.20 mm",
+        "40.0 s of 100 s, 4.0x real time, seen error -",
+        "80.0 s of 100 s, 4.0x real time, seen error 0.20 mm",
     ]
     assert LINE_EVERY_S == 10.0
 
