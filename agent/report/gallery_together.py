@@ -27,8 +27,8 @@ NOTICED: Final = (
     "above the upper one, and between them for what 2 N on the object do not make."
 )
 PULLED: Final = (
-    "The force on each arm beside its load share, without its slow part: what points against the motion, as of a "
-    "neighbour that holds or is locked, what points down, as of one that is limp, and what comes at once. "
+    "The force on each arm beside its load share, without its slow part: what works against the motion, moments "
+    "too, as of a neighbour that holds or is locked, what points down, as of one that is limp, and what comes at once. "
     "Friction hides less of each where the joints are quick: divided by that slip. Dotted: beyond it the arm holds."
 )
 MARGINS: Final = (
