@@ -116,13 +116,15 @@ class _Guard:
     # --- while there is an agent ----------------------------------------------------------------------------------
 
     def run(self) -> RunSummary | None:
-        """Until a stop, or the end of a hold."""
-        while not self._stop.stopped:
+        """Until a stop, or the end of a hold; an agent that was gone before the stop came has handed its arm over."""
+        while True:
+            stopped = self._stop.stopped
             reason = self._look()
             if reason and self._watched is not None and self._driver is not None:
                 return self._successor.hold(self._watched, self._driver, reason, session=self._session)
+            if stopped:
+                return None
             self._wait()
-        return None
 
     def _wait(self) -> None:
         poller = select.poll()

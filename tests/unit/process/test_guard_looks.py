@@ -129,6 +129,20 @@ def test_an_agent_that_died_is_told_from_one_that_handed_over(monkeypatch: pytes
     assert bench.look() == HANDED_OVER
 
 
+@pytest.mark.fault("P1")
+@pytest.mark.parametrize("gone", [True, False])
+def test_a_guard_that_is_asked_to_end_goes_on_with_an_arm_that_was_left_to_it_before(
+    monkeypatch: pytest.MonkeyPatch, gone: bool
+) -> None:
+    bench, held = Bench(monkeypatch), list[str]()
+    bench.guard._stop = SimpleNamespace(stopped=True)
+    bench.guard._successor = SimpleNamespace(hold=lambda _watched, _driver, reason, **_: held.append(reason))
+    bench.guard._wait = lambda: 1 / 0
+    bench.agent.dead = gone
+    bench.guard.run()
+    assert held == (["the agent has died"] if gone else [])
+
+
 def test_an_agent_that_hangs_is_ended_before_anything_else_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(monkeypatch)
     assert [bench.look() for _ in range(10)] == [""] * 10
