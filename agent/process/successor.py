@@ -82,8 +82,9 @@ class Successor:
             control = ControlSocket(options.control, self._cell.fingerprint, standing) if options.control else None
             if control is not None:
                 stack.callback(control.close)
+            schedule = replace(schedule_of(self._cell, options), hold_at_end=True)
             try:
-                begun = go_on(self._agent, driver, clock, rows, self._cell.period_ns, reason, session=session)
+                begun = go_on(self._agent, driver, clock, rows, schedule, reason, session=session)
             except Refusal as error:
                 tell.event(Level.ERROR, str(error))
                 raise
@@ -92,9 +93,9 @@ class Successor:
             stack.callback(black_box.finish, self._notifier.alive, lambda why: tell.warn(f"no post-mortem: {why}"))
             stack.callback(driver.close)
             stack.callback(driver.disable)
-            led = led_back(self._cell, arm, self._agent, driver, begun, standing) if session else None
+            leads = session and begun.mode is not Mode.FAULT
+            led = led_back(self._cell, arm, self._agent, driver, begun, standing) if leads else None
             around = self._around(control, driver, watched, clock, tell, black_box, begun.mode)
-            schedule = replace(schedule_of(self._cell, options), hold_at_end=True)
             row = AgentRow(watched.writer.row, arm.n, self._cell.config_id)
             watch = Watch(monitors.bounds(self._cell, arm), tell.warn)
             cpu_s = time.process_time()

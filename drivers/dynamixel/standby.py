@@ -71,9 +71,11 @@ class StandbyDriver(DynamixelDriver):
     """A driver that never connects and never enables: `prepare` while another process commands, then `adopt`.
 
     resumed: `adopt` found watchdogs that had fired, and armed them again; the arm has no torque then.
+    limp: it found them, or nobody, and was not to arm them.
     """
 
     resumed = False
+    limp = False
 
     def prepare(self, handover: Handover) -> None:
         """Make ready for `adopt`, without a byte on the bus; the port must be open.  Raises AdoptError."""
@@ -85,13 +87,13 @@ class StandbyDriver(DynamixelDriver):
     def drop(self) -> None:
         """Nothing is this driver's alone: the port goes on to the next one."""
 
-    def adopt(self, dq: Vector) -> Vector:
+    def adopt(self, dq: Vector, *, brings_back: bool = True) -> Vector:
         """Take the arm over with torque on; the joint torques (n,) its servos hold, NaN where one did not say.
 
         dq: joint speeds as last known, (n,) rad/s.  Servos whose watchdog has fired meanwhile are armed again, without
-        effort: the caller must command at once.  Servos that do not answer, a port that is gone, and one servo without
-        torque, with which they are not armed again, are the loop's affair, as in any cycle.  Raises AdoptError when
-        those that answer are not as `enable` left them.
+        effort, if it `brings_back`: the caller must command at once.  Servos that do not answer, a port that is gone,
+        and one servo without torque, with which they are not armed again, are the loop's affair, as in any cycle.
+        Raises AdoptError when those that answer are not as `enable` left them.
         """
         running = self._need(Phase.CONNECTED)
         try:
@@ -102,7 +104,10 @@ class StandbyDriver(DynamixelDriver):
         goals = {i: row[-1] for i, row in rows.items()}
         torques = running.resume(goals, dq.tolist())
         self._phase = Phase.ENABLED
-        if any(row[4] == WATCHDOG_TRIPPED for row in rows.values()) and all(row[1] for row in rows.values()):
+        tripped = any(row[4] == WATCHDOG_TRIPPED for row in rows.values())
+        if not brings_back and (tripped or not rows):
+            self.limp = True
+        elif tripped and all(row[1] for row in rows.values()):
             self.rearm()
             self.resumed = True
             return np.zeros(len(torques))

@@ -37,6 +37,7 @@ from tests.support.stalls import Kernel, despite_stalls
 
 PATIENCE_S = 90.0
 SOME_ROWS = 40
+GIVEN_UP_S = 4.0  # longer than an arm that is limp is brought back after, with emulated servos
 AWAY_S = 1.5  # longer than until the port is first tried again, shorter than it is waited for
 # hands over a kept descriptor: argument 1 is its number, the rest is the command
 AS_A_MANAGER_DOES = """
@@ -285,11 +286,12 @@ def test_an_agent_that_is_asked_to_end_leaves_the_hold_to_its_guard(host: Host) 
     guard = host.guard("--hold")
     agent = host.agent("--hold")
     host.wait(lambda: len(host.rows()) > SOME_ROWS)
+    guard.send_signal(signal.SIGSTOP)  # it looks only after both have been asked to end
     agent.terminate()
     assert agent.wait(PATIENCE_S) == 0
     before = len(host.rows())
-    host.wait(lambda: len(host.rows()) > before + SOME_ROWS)
     guard.terminate()
+    guard.send_signal(signal.SIGCONT)
     host.wait(lambda: len(host.rows()) > before + 3 * SOME_ROWS)
     assert guard.poll() is None, "asked to end, it holds until a release"
     assert "the agent was asked to end: the guard holds the arm" in host.told()
@@ -297,6 +299,24 @@ def test_an_agent_that_is_asked_to_end_leaves_the_hold_to_its_guard(host: Host) 
     assert released.code == 0, released.err
     assert guard.wait(PATIENCE_S) == 0
     assert not (host.folder / "post_mortem").exists(), "nothing has failed"
+
+
+@pytest.mark.fault("P12")
+@in_real_time()
+def test_a_guard_that_stood_still_itself_does_not_bring_a_limp_arm_back(host: Host) -> None:
+    guard = host.guard("--hold")
+    agent = host.agent()
+    host.wait(lambda: len(host.rows()) > SOME_ROWS)
+    guard.send_signal(signal.SIGSTOP)
+    agent.kill()
+    agent.wait()
+    before = len(host.rows())
+    time.sleep(GIVEN_UP_S)
+    guard.send_signal(signal.SIGCONT)
+    assert guard.wait(PATIENCE_S) == 5
+    assert len(host.rows()) == before, "nothing was commanded"
+    assert any(text.startswith("run ended in FAULT the agent has died, and nobody") for text in host.told())
+    assert len(list((host.folder / "post_mortem").glob("*-left-post-mortem.mcap"))) == 1
 
 
 @in_real_time("--whole", settings="\n[session]\nspeed_max_rad_per_s = 1.0\nease_s = 0.5\n")

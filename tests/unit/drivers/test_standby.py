@@ -148,6 +148,30 @@ def test_servos_whose_watchdog_has_fired_are_armed_again_without_effort() -> Non
     assert goals(rig)[0] > 0
 
 
+def test_servos_whose_watchdog_has_fired_are_left_limp_where_it_is_too_late_to_bring_them_back() -> None:
+    rig = enabled()
+    commanded(rig)
+    driver = standby(rig)
+    rig.clock.sleep_until(rig.clock.now_ns() + 300 * MS)
+    rig.port.writes.clear()
+    assert not driver.limp
+    driver.adopt(np.zeros(4), brings_back=False)
+    assert (driver.limp, driver.resumed) == (True, False)
+    assert {packet[7] for packet in rig.port.writes} == {Instruction.SYNC_READ}, "nothing was written"
+    driver.disable()
+    assert rig.get(2, TORQUE_ENABLE) == 0, "whose torque can be switched off"
+
+
+def test_too_late_is_limp_for_an_arm_that_does_not_answer_and_not_for_one_that_obeys() -> None:
+    rig = enabled()
+    commanded(rig)
+    obeys, gone = standby(rig), standby(rig)
+    obeys.adopt(np.zeros(4), brings_back=False)
+    rig.port.lost = True
+    gone.adopt(np.zeros(4), brings_back=False)
+    assert (obeys.limp, gone.limp) == (False, True)
+
+
 def test_watchdogs_that_fired_beside_a_servo_without_torque_are_left_and_the_arm_is_lost() -> None:
     rig = enabled()
     commanded(rig)
