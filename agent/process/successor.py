@@ -20,6 +20,7 @@ from agent.host.signals import StopFlag
 from agent.loop import Agent
 from agent.modes import Mode
 from agent.monitors.watch import Watch
+from agent.operator.error import ControlError
 from agent.operator.socket import ControlSocket, Standing
 from agent.process.agent import ArmLost
 from agent.process.build import Standby
@@ -79,9 +80,7 @@ class Successor:
             level = Level.INFO if reason == HANDED_OVER else Level.ERROR
             tell.event(level, f"{reason}: the guard holds the arm", **since)
             standing = Standing(arm.name, Mode.HOLD, reason)
-            control = ControlSocket(options.control, self._cell.fingerprint, standing) if options.control else None
-            if control is not None:
-                stack.callback(control.close)
+            control = self._listening(standing, tell, stack)
             schedule = replace(schedule_of(self._cell, options), hold_at_end=True)
             try:
                 begun = go_on(self._agent, driver, clock, rows, schedule, reason, session=session)
@@ -104,6 +103,19 @@ class Successor:
             tell.end(summary, time.process_time() - cpu_s)
         self._notifier.stopping("torque off")
         return ArmLost.check(arm.name, summary, session=session)
+
+    def _listening(self, standing: Standing, tell: Teller, stack: ExitStack) -> ControlSocket | None:
+        """Where words are heard; an arm is held without it too, as where its folder is gone."""
+        path = self._options.agent.control
+        if path is None:
+            return None
+        try:
+            control = ControlSocket(path, self._cell.fingerprint, standing)
+        except ControlError as error:
+            tell.event(Level.ERROR, f"no word reaches this hold, SIGUSR1 to process {os.getpid()} releases it: {error}")
+            return None
+        stack.callback(control.close)
+        return control
 
     def _around(
         self, control: ControlSocket | None, driver: Standby, watched: Watched, clock: MonotonicClock,

@@ -301,6 +301,23 @@ def test_an_agent_that_is_asked_to_end_leaves_the_hold_to_its_guard(host: Host) 
     assert not (host.folder / "post_mortem").exists(), "nothing has failed"
 
 
+@pytest.mark.fault("P1")
+@in_real_time()
+def test_an_arm_is_held_where_no_word_can_be_heard_and_a_signal_releases_it(host: Host) -> None:
+    guard = host.guard("--hold")
+    agent = host.agent()
+    host.wait(lambda: len(host.rows()) > SOME_ROWS)
+    (host.folder / "left.control").unlink()
+    (host.folder / "left.control").write_text("somebody's")
+    agent.kill()
+    host.wait(lambda: len(of_hold(host.rows())) > SOME_ROWS)
+    assert guard.poll() is None
+    (told,) = [text for text in host.told() if text.startswith("no word reaches")]
+    assert told.startswith(f"no word reaches this hold, SIGUSR1 to process {guard.pid} releases it: control socket")
+    guard.send_signal(signal.SIGUSR1)
+    assert guard.wait(PATIENCE_S) == 0
+
+
 @pytest.mark.fault("P12")
 @in_real_time()
 def test_a_guard_that_stood_still_itself_does_not_bring_a_limp_arm_back(host: Host) -> None:
