@@ -122,9 +122,13 @@ class _Guard:
             reason = self._look()
             if reason and self._watched is not None and self._driver is not None:
                 return self._successor.hold(self._watched, self._driver, reason, session=self._session)
-            if stopped:
+            if stopped and not self._has_said_yes():
                 return None
             self._wait()
+
+    def _has_said_yes(self) -> bool:
+        """Whether an agent ends because this guard goes on."""
+        return self._watched is not None and self._watched.handed_over
 
     def _wait(self) -> None:
         poller = select.poll()
@@ -174,6 +178,7 @@ class _Guard:
                 self._watched.vigil.excuse(now_ns + min(BUSY_MAX_NS, round(float(said.content["for_s"]) * 1e9)))
             elif self._watched is not None and said.word is Word.TAKE:
                 self._watched.handed_over = True
+                self._line.answer()
         except Refusal as error:
             self._line.refuse(error)
         except (KeyError, IndexError, TypeError, ValueError, OverflowError) as error:  # it came from another process

@@ -21,6 +21,7 @@ import pytest
 import configs
 from agent.config.cell import load_cell
 from agent.guard.agent_end import AgentEnd
+from agent.guard.guarded import HAND_OVER_AFTER
 from agent.guard.line import GuardError, Word
 from agent.guard.takeover import EMULATED_STALE_NS
 from agent.log.read import read_log
@@ -286,12 +287,14 @@ def test_an_agent_that_is_asked_to_end_leaves_the_hold_to_its_guard(host: Host) 
     guard = host.guard("--hold")
     agent = host.agent("--hold")
     host.wait(lambda: len(host.rows()) > SOME_ROWS)
-    guard.send_signal(signal.SIGSTOP)  # it looks only after both have been asked to end
+    guard.send_signal(signal.SIGSTOP)
     agent.terminate()
+    host.wait(lambda: len(of_hold(host.rows())) > HAND_OVER_AFTER + SOME_ROWS)
+    assert agent.poll() is None, "a guard that stands still has not said yes"
+    guard.terminate()  # and it wakes as one that was asked to end itself
+    guard.send_signal(signal.SIGCONT)
     assert agent.wait(PATIENCE_S) == 0
     before = len(host.rows())
-    guard.terminate()
-    guard.send_signal(signal.SIGCONT)
     host.wait(lambda: len(host.rows()) > before + 3 * SOME_ROWS)
     assert guard.poll() is None, "asked to end, it holds until a release"
     assert "the agent was asked to end: the guard holds the arm" in host.told()

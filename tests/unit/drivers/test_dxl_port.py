@@ -111,7 +111,7 @@ def test_a_port_that_goes_while_it_is_opened_is_a_refusal_and_left_closed(
 ) -> None:
     """A plug that makes and breaks contact: whoever opens it tries again."""
     master, path, ends = pty
-    before = len(os.listdir("/proc/self/fd"))
+    before = len(list(Path("/proc/self/fd").iterdir()))
     of: Any = termios if step == "tcsetattr" else fcntl
     then = getattr(of, step)
 
@@ -126,7 +126,7 @@ def test_a_port_that_goes_while_it_is_opened_is_a_refusal_and_left_closed(
     with pytest.raises(PortError, match=f"^port {path}.*: found Input/output error, expected "):
         port.open()
     assert not port.is_open
-    assert len(os.listdir("/proc/self/fd")) == before - 1, "the master's"
+    assert len(list(Path("/proc/self/fd").iterdir())) == before - 1, "the master's"
 
 
 def test_a_stuck_port_is_an_error_at_the_deadline(pty):
