@@ -178,6 +178,8 @@ class ControlSocket:
         elif request.verb is Verb.LOWER and request.start_utc_ns:
             self.requests.lower = request
         elif request.verb is not Verb.STATUS:
+            if request.verb in (Verb.STOP, Verb.RELEASE):  # who says so wants nothing to move at an instant of before
+                self.requests.lower = None
             self.requests.words.append(request.verb)
 
     def _reply(self, *, ok: bool, refusal: Mapping[str, str] | None = None) -> Reply:

@@ -287,6 +287,20 @@ def test_a_lowering_at_an_instant_is_kept_until_it_is_taken_back(
     assert asked == [Event.LOWER, Event.LOWER, Event.PARK]
 
 
+@pytest.mark.parametrize(("word", "kept"), [("stop", False), ("release", False), ("status", True), ("cancel", False)])
+def test_an_arm_that_is_told_to_stop_is_not_lowered_at_an_instant_that_was_given_before(
+    control: ControlSocket, path: Path, word: str, kept: bool
+) -> None:
+    control.standing.mode, control.standing.session = Mode.HOLD, lambda _: ""
+    answer_to(control, path, {"verb": "lower", "start_utc_ns": LATER_NS})
+    answer_to(control, path, {"verb": word, "prepare": True})
+    assert control.requests.lower is not None, "what is only asked changes nothing"
+    assert answer_to(control, path, {"verb": word})["ok"] is True
+    assert (control.requests.lower is not None) is kept
+    answer_to(control, path, {"verb": "lower", "start_utc_ns": LATER_NS})
+    assert control.requests.lower is not None, "but at one that is given afterwards"
+
+
 def test_a_cancel_that_comes_when_the_arm_is_on_its_way_down_is_a_stop(
     control: ControlSocket, path: Path, asked: list[Event]
 ) -> None:
