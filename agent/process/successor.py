@@ -68,6 +68,7 @@ class Successor:
         """Go on in HOLD, or as a session stands there, until a release.  Raises AdoptError, ArmLost."""
         options, arm = self._options.agent, self._arm
         self._session = session
+        self._stop.released = False  # said while there was nothing here to release
         watched.inherit()
         rows = watched.last_rows()
         clock = clock_of(rows)

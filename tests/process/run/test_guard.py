@@ -312,6 +312,9 @@ def test_an_arm_is_held_where_no_word_can_be_heard_and_a_signal_releases_it(host
     host.wait(lambda: len(host.rows()) > SOME_ROWS)
     (host.folder / "left.control").unlink()
     (host.folder / "left.control").write_text("somebody's")
+    guard.send_signal(signal.SIGUSR1)  # while it holds nothing, as one that was meant for all guards of a host
+    before = len(host.rows())
+    host.wait(lambda: len(host.rows()) > before + SOME_ROWS)
     agent.kill()
     host.wait(lambda: len(of_hold(host.rows())) > SOME_ROWS)
     assert guard.poll() is None
