@@ -14,13 +14,14 @@ import numpy as np
 
 from drivers.dynamixel.arm_map import ArmMap
 from drivers.dynamixel.driver import DynamixelDriver, Phase
-from drivers.dynamixel.errors import PortLostError, WriteTimeoutError
+from drivers.dynamixel.errors import DxlServoFault, FaultCause, PortLostError, WriteTimeoutError
 from drivers.dynamixel.line.group import GroupRead, Row
 from drivers.dynamixel.monitor import Page
 from drivers.dynamixel.running import Running
 from drivers.dynamixel.servo.codes import WATCHDOG_TRIPPED
 from drivers.dynamixel.servo.found import ServoFound
-from drivers.interface import ConnectError, Vector
+from drivers.dynamixel.servo.units import watchdog_count
+from drivers.interface import ConnectError, DriverError, Vector
 
 ATTEMPTS = 3
 ATTEMPT_NS = 12_000_000  # a reply that is not there by then was lost
@@ -104,14 +105,25 @@ class StandbyDriver(DynamixelDriver):
         goals = {i: row[-1] for i, row in rows.items()}
         torques = running.resume(goals, dq.tolist())
         self._phase = Phase.ENABLED
-        tripped = any(row[4] == WATCHDOG_TRIPPED for row in rows.values())
+        tripped = [i for i, row in rows.items() if row[4] == WATCHDOG_TRIPPED]
         if not brings_back and (tripped or not rows):
             self.limp = True
         elif tripped and all(row[1] for row in rows.values()):
-            self.rearm()
-            self.resumed = True
-            return np.zeros(len(torques))
+            return self._brought_back(tripped[0], len(torques))
         return np.array(torques)
+
+    def _brought_back(self, servo_id: int, n: int) -> Vector:
+        """Arm the watchdogs again, one of which is this servo's; where a packet gets lost the loop tries again."""
+        try:
+            self.rearm()
+        except DriverError:
+            slot = next(slot for slot in self.arm.slots if slot.servo_id == servo_id)
+            armed = str(watchdog_count(self.arm.watchdog_s))
+            found = f"Bus Watchdog {WATCHDOG_TRIPPED}"
+            self.faults = [DxlServoFault.of(FaultCause.WATCHDOG_TRIPPED, slot, found=found, expected=armed)]
+            return np.full(n, np.nan)
+        self.resumed = True
+        return np.zeros(n)
 
     def _ask(self) -> dict[int, Row]:
         """The status page of every servo that answers, by ID, asked again while one is missing."""
