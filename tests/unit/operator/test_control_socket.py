@@ -309,6 +309,22 @@ def test_a_cancel_that_comes_when_the_arm_is_on_its_way_down_is_a_stop(
     assert (asked, control.requests.words) == ([], [Verb.STOP])
 
 
+@pytest.mark.fault("P11")
+@pytest.mark.parametrize("gone", [True, False])
+@pytest.mark.parametrize(("verb", "late"), [("release", False), ("lower", False), ("stop", True), ("cancel", True)])
+def test_of_those_who_gave_up_waiting_only_a_stop_is_obeyed(
+    control: ControlSocket, path: Path, verb: str, late: bool, gone: bool
+) -> None:
+    """They were told that this arm does not answer, as one that stood still when they asked."""
+    control.standing.mode, control.standing.session = Mode.LOWER if verb == "cancel" else Mode.HOLD, lambda _: ""
+    with person(path) as own:
+        own.send(json.dumps({"verb": verb}).encode())
+        if gone:
+            own.close()
+        control.poll()
+    assert control.requests.take() == ([Verb.STOP if verb == "cancel" else Verb(verb)] if late or not gone else [])
+
+
 def test_an_agent_that_has_said_nothing_yet_is_off_and_looks_at_no_torque() -> None:
     own = Standing("left")
     assert (own.mode, own.rest_s) == (Mode.OFF, 0.0)
@@ -329,7 +345,9 @@ class Client:
     reads: int = 0
     closed: bool = False
 
-    def recv(self, _: int) -> bytes:
+    def recv(self, _: int, flags: int = 0) -> bytes:
+        if flags:
+            raise BlockingIOError  # it waits
         self.reads += 1
         if isinstance(self.data, OSError):
             raise self.data
