@@ -36,6 +36,11 @@ class Patience:
     gap: int = 10  # cycles from one to the next, above which time was lost
     success_min: float = 0.9  # share of the last WINDOW cycles, as above; 0: any
 
+    @property
+    def lost(self) -> int:
+        """After so many the arm is given up: it has been limp for long, and somebody may have a hand on it."""
+        return self.blind + self.quiet + self.recover
+
 
 class Cycles:
     """Counts of one loop; instants are deadlines on the driver's clock."""
@@ -67,7 +72,7 @@ class Cycles:
         due = recovers and deadline_ns - self._tried_ns >= patience.retry * self._period_ns
         if lost <= patience.blind:
             return Bus.RECOVER if lapsed and due else Bus.READ
-        if not recovers or lost > patience.blind + patience.quiet + patience.recover:
+        if not recovers or lost > patience.lost:
             return Bus.GIVE_UP
         return Bus.RECOVER if due and lost > patience.blind + patience.quiet else Bus.QUIET
 

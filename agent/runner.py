@@ -182,7 +182,8 @@ class Runner:
     def _pass_gap(self, gap_s: float) -> None:
         """Time was lost before this cycle: hold before any torque goes out, at the pose that this cycle finds."""
         before = self._mode
-        self._reason = self._reason or f"no cycle for {gap_s:.3f} s"
+        self._sight.unseen = f"no cycle for {gap_s:.3f} s"  # the cause, where the arm is found lost after it
+        self._reason = self._reason or self._sight.unseen
         self._change_mode(Event.TROUBLE, None)
         if self._mode is not before:
             self._begin_afresh(Flag.GAP)

@@ -37,6 +37,7 @@ class Guarded:
         self._cycles = 0
         self._asked_back = False
         self._ending = 0
+        self._hands_over = False  # the guard has been told to go on, and has not said yes yet
 
     @property
     def there(self) -> bool:
@@ -81,12 +82,13 @@ class Guarded:
     def poll(self, *, ending: bool = False) -> bool:
         """Whether the guard has been found gone in this cycle; looks for a new one later.
 
-        ending: this process was asked to end, and holds: some cycles later the guard goes on, and this does not return.
+        ending: this process was asked to end, and holds: some cycles later it asks the guard to go on, and does not
+        return once that has said yes.
         """
         if ending:
             self._ending += 1
-            if self._ending >= HAND_OVER_AFTER:
-                self._hand_over()
+            if self._ending >= HAND_OVER_AFTER and not self._hands_over:
+                self._hands_over = self.there and self._say(Word.TAKE)
         if self._end is None:
             self._cycles += 1
             if self._cycles % AGAIN_AFTER == 0:
@@ -102,6 +104,9 @@ class Guarded:
                 self._tell(Level.INFO, "the guard is back and watches")
             else:
                 self._tell(Level.ERROR, f"the guard is back and does not watch: found {heard.get('found')}")
+        elif heard and self._hands_over and heard.get("ok"):
+            self._tell(Level.INFO, "hands the arm to the guard, as it was asked to end")
+            self._end_process(0)
         return False
 
     def leave(self) -> None:
@@ -127,12 +132,6 @@ class Guarded:
             traceback.print_exception(error)
         self._end_process(error.exit_code if isinstance(error, Refusal) else CRASHED)
 
-    def _hand_over(self) -> None:
-        """The object is held, and this process was asked to end: the guard goes on.  Returns where there is none."""
-        if self.there and self._say(Word.TAKE):
-            self._tell(Level.INFO, "hands the arm to the guard, as it was asked to end")
-            self._end_process(0)
-
     @staticmethod
     def _end_process(code: int) -> NoReturn:
         """Nothing that an orderly end does: it would switch the torque off."""
@@ -150,7 +149,7 @@ class Guarded:
         return self._end is not None
 
     def _lost(self) -> bool:
-        self._end = None
+        self._end, self._hands_over = None, False
         self._tell(
             Level.ERROR, "the guard is gone: nobody takes over should this process end, and the arm falls limp then"
         )

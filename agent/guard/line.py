@@ -1,7 +1,7 @@
 """The line between an agent and its guard: a Unix socket that carries words and descriptors, on one host.
 
-The agent says: give me the port; watch me; I am busy for a moment; I leave; go on without me.  `busy` and
-`take` have no answer, every other word has one.
+The agent says: give me the port; watch me; I am busy for a moment; I leave; go on without me.  `busy` has no answer,
+every other word has one; an agent waits for that of `take` while it holds.
 """
 
 from __future__ import annotations

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Protocol
 
-from agent.around import Beginning
+from agent.around import Beginning, Schedule
 from agent.cycles import Patience
 from agent.guard.resume import beginning, from_torque, last_speed
 from agent.guard.vigil import Vigil
 from agent.loop import Agent
+from agent.modes import Mode
 from agent.replay.tick import Rows
 from agent.safety import Flag
 from drivers.clock import MonotonicClock
@@ -45,9 +47,13 @@ class Adopts(Protocol):
     """What a guard needs of its driver before the loop: `drivers.dynamixel.standby.StandbyDriver` is one."""
 
     resumed: bool  # the arm had stopped by itself, and has obeyed again since `adopt`: its torque is zero
+    limp: bool  # it had stopped by itself, or does not answer, and `adopt` was not to bring it back
 
-    def adopt(self, dq: Vector) -> Vector:
-        """Take the arm over as it is; the joint torques (n,) that it holds."""
+    def adopt(self, dq: Vector, *, brings_back: bool) -> Vector:
+        """Take the arm over as it is; the joint torques (n,) that it holds.
+
+        brings_back: an arm that has stopped by itself shall obey again.
+        """
         ...
 
 
@@ -57,14 +63,28 @@ def clock_of(rows: Rows) -> MonotonicClock:
 
 
 def go_on(
-    agent: Agent, driver: Adopts, clock: Clock, rows: Rows, period_ns: int, reason: str, *, session: bool = False
+    agent: Agent,
+    driver: Adopts,
+    clock: Clock,
+    rows: Rows,
+    schedule: Schedule,
+    reason: str,
+    *,
+    session: bool = False,
 ) -> Beginning:
     """Where the loop begins; rows: the last ones of the agent, which is dead.  Raises what `adopt` does.
 
-    session: the agent had one.
+    session: the agent had one.  A guard that comes too late, as one that was stopped itself, finds an arm that was limp
+    for as long as a loop does not bring one back after: it begins in FAULT.
     """
-    held = driver.adopt(last_speed(rows, agent.model.n))
+    away_ns, period_ns = clock.now_ns() - int(rows[-1]["stamp_ns"]) if len(rows) else 0, schedule.period_ns
+    in_time = away_ns <= schedule.patience.lost * period_ns
+    held = driver.adopt(last_speed(rows, agent.model.n), brings_back=in_time)
     marks = Flag.RESUMED if driver.resumed else Flag.NONE
-    if len(rows) and clock.now_ns() - int(rows[-1]["stamp_ns"]) > GAP_PERIODS * period_ns:
+    if away_ns > GAP_PERIODS * period_ns:
         marks |= Flag.GAP
-    return from_torque(beginning(agent, rows, reason, marks, session=session), rows, held)
+    begun = from_torque(beginning(agent, rows, reason, marks, session=session), rows, held)
+    if not driver.limp:
+        return begun
+    limp = f"{reason}, and nobody commanded the arm for {away_ns * 1e-9:.1f} s: its servos have let go"
+    return replace(begun, mode=Mode.FAULT, reason=limp)

@@ -25,6 +25,7 @@ from agent.operator.table import EVENT_OF, Verb, effect
 from drivers.clock import utc_offset_ns
 
 _CLIENTS_MAX = 8
+_SAFE_LATE = (Verb.STOP, Verb.CANCEL)  # an arm that stood still obeys them afterwards too
 
 
 @dataclass
@@ -115,11 +116,12 @@ class ControlSocket:
             data = b""
         with contextlib.suppress(OSError):  # who asked is gone
             if data:
-                client.send(self._answer(data, peer_uid(client)).encode())
+                client.send(self._answer(data, peer_uid(client), waits=_waits(client)).encode())
         client.close()
         return True
 
-    def _answer(self, data: bytes, uid: int) -> Reply:
+    def _answer(self, data: bytes, uid: int, *, waits: bool = True) -> Reply:
+        """Take a word, or not; waits: for the answer.  Who has given up was told that this arm did not hear it."""
         if uid not in (0, os.getuid()):
             return self._refused(f"user {uid}", f"user {os.getuid()} or root", "ask as the agent's user or root")
         try:
@@ -128,6 +130,8 @@ class ControlSocket:
             return self._refused(
                 repr(data[:80]), f"one of {', '.join(Verb)}", "use the `coop` command of the same version"
             )
+        if not waits and request.verb not in _SAFE_LATE:
+            return self._refused("nobody who waits for an answer", "somebody who does", "say it again")
         mode = self.standing.mode
         ask = self.standing.session
         does = effect(request.verb, mode) if ask is None else SESSION[request.verb][mode]
@@ -178,6 +182,8 @@ class ControlSocket:
         elif request.verb is Verb.LOWER and request.start_utc_ns:
             self.requests.lower = request
         elif request.verb is not Verb.STATUS:
+            if request.verb in (Verb.STOP, Verb.RELEASE):  # who says so wants nothing to move at an instant of before
+                self.requests.lower = None
             self.requests.words.append(request.verb)
 
     def _reply(self, *, ok: bool, refusal: Mapping[str, str] | None = None) -> Reply:
@@ -193,3 +199,13 @@ class ControlSocket:
             client.close()
         self._socket.close()
         remove(self._path, self._made)
+
+
+def _waits(client: socket.socket) -> bool:
+    """Whether who has asked has not hung up."""
+    try:
+        return bool(client.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT))
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False

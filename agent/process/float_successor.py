@@ -13,7 +13,7 @@ from agent.loop import Agent
 from agent.process.agent import ArmLost
 from agent.process.build import Standby
 from agent.process.float_loop import FloatLoop, Floats
-from agent.process.schedule import AgentOptions
+from agent.process.schedule import AgentOptions, schedule_of
 from agent.process.tellers import Teller
 from agent.telemetry.row.event import Level
 from drivers.dynamixel.standby import StandbyDriver
@@ -51,7 +51,7 @@ class FloatSuccessor:
             stack.callback(watched.writer.finish)
             tell.event(Level.ERROR, f"{reason}: the guard lets the arm down")
             try:
-                begun = go_on(self._agent, driver, clock, rows, cell.period_ns, reason)
+                begun = go_on(self._agent, driver, clock, rows, schedule_of(cell, self._options), reason)
             except Refusal as error:
                 tell.event(Level.ERROR, str(error))
                 raise

@@ -116,13 +116,19 @@ class _Guard:
     # --- while there is an agent ----------------------------------------------------------------------------------
 
     def run(self) -> RunSummary | None:
-        """Until a stop, or the end of a hold."""
-        while not self._stop.stopped:
+        """Until a stop, or the end of a hold; an agent that was gone before the stop came has handed its arm over."""
+        while True:
+            stopped = self._stop.stopped
             reason = self._look()
             if reason and self._watched is not None and self._driver is not None:
                 return self._successor.hold(self._watched, self._driver, reason, session=self._session)
+            if stopped and not self._has_said_yes():
+                return None
             self._wait()
-        return None
+
+    def _has_said_yes(self) -> bool:
+        """Whether an agent ends because this guard goes on."""
+        return self._watched is not None and self._watched.handed_over
 
     def _wait(self) -> None:
         poller = select.poll()
@@ -172,6 +178,7 @@ class _Guard:
                 self._watched.vigil.excuse(now_ns + min(BUSY_MAX_NS, round(float(said.content["for_s"]) * 1e9)))
             elif self._watched is not None and said.word is Word.TAKE:
                 self._watched.handed_over = True
+                self._line.answer()
         except Refusal as error:
             self._line.refuse(error)
         except (KeyError, IndexError, TypeError, ValueError, OverflowError) as error:  # it came from another process

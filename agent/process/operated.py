@@ -84,7 +84,9 @@ class Operator:
         if watched:
             happened |= Event.TROUBLE
         if self._stopped and self._says_stop():
-            happened |= Event.STOP
+            happened = happened & ~Event.LOWER | Event.STOP
+            if self._control is not None:
+                self._control.requests.lower = None
         if released or (self._stopped and self._drops_on_stop):
             happened |= Event.RELEASED
         return happened
@@ -104,9 +106,11 @@ class Operator:
                 said |= EVENT_OF[verb]
         lower = requests.lower
         if lower is not self._lower:  # mapped once, as a start is
+            if lower is None:
+                self._tell(Level.WARN, "the lowering has been taken back")
             self._lower, self._lower_ns = lower, 0 if lower is None else lower.start_utc_ns - utc_offset_ns()
         if lower is not None and self._clock.now_ns() >= self._lower_ns:
-            requests.lower = None
+            requests.lower = self._lower = None
             said |= Event.LOWER
         return said
 

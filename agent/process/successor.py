@@ -20,6 +20,7 @@ from agent.host.signals import StopFlag
 from agent.loop import Agent
 from agent.modes import Mode
 from agent.monitors.watch import Watch
+from agent.operator.error import ControlError
 from agent.operator.socket import ControlSocket, Standing
 from agent.process.agent import ArmLost
 from agent.process.build import Standby
@@ -67,6 +68,7 @@ class Successor:
         """Go on in HOLD, or as a session stands there, until a release.  Raises AdoptError, ArmLost."""
         options, arm = self._options.agent, self._arm
         self._session = session
+        self._stop.released = False  # said while there was nothing here to release
         watched.inherit()
         rows = watched.last_rows()
         clock = clock_of(rows)
@@ -79,11 +81,10 @@ class Successor:
             level = Level.INFO if reason == HANDED_OVER else Level.ERROR
             tell.event(level, f"{reason}: the guard holds the arm", **since)
             standing = Standing(arm.name, Mode.HOLD, reason)
-            control = ControlSocket(options.control, self._cell.fingerprint, standing) if options.control else None
-            if control is not None:
-                stack.callback(control.close)
+            control = self._listening(standing, tell, stack)
+            schedule = replace(schedule_of(self._cell, options), hold_at_end=True)
             try:
-                begun = go_on(self._agent, driver, clock, rows, self._cell.period_ns, reason, session=session)
+                begun = go_on(self._agent, driver, clock, rows, schedule, reason, session=session)
             except Refusal as error:
                 tell.event(Level.ERROR, str(error))
                 raise
@@ -92,9 +93,9 @@ class Successor:
             stack.callback(black_box.finish, self._notifier.alive, lambda why: tell.warn(f"no post-mortem: {why}"))
             stack.callback(driver.close)
             stack.callback(driver.disable)
-            led = led_back(self._cell, arm, self._agent, driver, begun, standing) if session else None
+            leads = session and begun.mode is not Mode.FAULT
+            led = led_back(self._cell, arm, self._agent, driver, begun, standing) if leads else None
             around = self._around(control, driver, watched, clock, tell, black_box, begun.mode)
-            schedule = replace(schedule_of(self._cell, options), hold_at_end=True)
             row = AgentRow(watched.writer.row, arm.n, self._cell.config_id)
             watch = Watch(monitors.bounds(self._cell, arm), tell.warn)
             cpu_s = time.process_time()
@@ -103,6 +104,19 @@ class Successor:
             tell.end(summary, time.process_time() - cpu_s)
         self._notifier.stopping("torque off")
         return ArmLost.check(arm.name, summary, session=session)
+
+    def _listening(self, standing: Standing, tell: Teller, stack: ExitStack) -> ControlSocket | None:
+        """Where words are heard; an arm is held without it too, as where its folder is gone."""
+        path = self._options.agent.control
+        if path is None:
+            return None
+        try:
+            control = ControlSocket(path, self._cell.fingerprint, standing)
+        except ControlError as error:
+            tell.event(Level.ERROR, f"no word reaches this hold, SIGUSR1 to process {os.getpid()} releases it: {error}")
+            return None
+        stack.callback(control.close)
+        return control
 
     def _around(
         self, control: ControlSocket | None, driver: Standby, watched: Watched, clock: MonotonicClock,

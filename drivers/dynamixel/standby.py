@@ -14,13 +14,14 @@ import numpy as np
 
 from drivers.dynamixel.arm_map import ArmMap
 from drivers.dynamixel.driver import DynamixelDriver, Phase
-from drivers.dynamixel.errors import PortLostError, WriteTimeoutError
+from drivers.dynamixel.errors import DxlServoFault, FaultCause, PortLostError, WriteTimeoutError
 from drivers.dynamixel.line.group import GroupRead, Row
 from drivers.dynamixel.monitor import Page
 from drivers.dynamixel.running import Running
 from drivers.dynamixel.servo.codes import WATCHDOG_TRIPPED
 from drivers.dynamixel.servo.found import ServoFound
-from drivers.interface import ConnectError, Vector
+from drivers.dynamixel.servo.units import watchdog_count
+from drivers.interface import ConnectError, DriverError, Vector
 
 ATTEMPTS = 3
 ATTEMPT_NS = 12_000_000  # a reply that is not there by then was lost
@@ -71,9 +72,11 @@ class StandbyDriver(DynamixelDriver):
     """A driver that never connects and never enables: `prepare` while another process commands, then `adopt`.
 
     resumed: `adopt` found watchdogs that had fired, and armed them again; the arm has no torque then.
+    limp: it found them, or nobody, and was not to arm them.
     """
 
     resumed = False
+    limp = False
 
     def prepare(self, handover: Handover) -> None:
         """Make ready for `adopt`, without a byte on the bus; the port must be open.  Raises AdoptError."""
@@ -85,13 +88,13 @@ class StandbyDriver(DynamixelDriver):
     def drop(self) -> None:
         """Nothing is this driver's alone: the port goes on to the next one."""
 
-    def adopt(self, dq: Vector) -> Vector:
+    def adopt(self, dq: Vector, *, brings_back: bool = True) -> Vector:
         """Take the arm over with torque on; the joint torques (n,) its servos hold, NaN where one did not say.
 
         dq: joint speeds as last known, (n,) rad/s.  Servos whose watchdog has fired meanwhile are armed again, without
-        effort: the caller must command at once.  Servos that do not answer, a port that is gone, and one servo without
-        torque, with which they are not armed again, are the loop's affair, as in any cycle.  Raises AdoptError when
-        those that answer are not as `enable` left them.
+        effort, if it `brings_back`: the caller must command at once.  Servos that do not answer, a port that is gone,
+        and one servo without torque, with which they are not armed again, are the loop's affair, as in any cycle.
+        Raises AdoptError when those that answer are not as `enable` left them.
         """
         running = self._need(Phase.CONNECTED)
         try:
@@ -102,11 +105,25 @@ class StandbyDriver(DynamixelDriver):
         goals = {i: row[-1] for i, row in rows.items()}
         torques = running.resume(goals, dq.tolist())
         self._phase = Phase.ENABLED
-        if any(row[4] == WATCHDOG_TRIPPED for row in rows.values()) and all(row[1] for row in rows.values()):
-            self.rearm()
-            self.resumed = True
-            return np.zeros(len(torques))
+        tripped = [i for i, row in rows.items() if row[4] == WATCHDOG_TRIPPED]
+        if not brings_back and (tripped or not rows):
+            self.limp = True
+        elif tripped and all(row[1] for row in rows.values()):
+            return self._brought_back(tripped[0], len(torques))
         return np.array(torques)
+
+    def _brought_back(self, servo_id: int, n: int) -> Vector:
+        """Arm the watchdogs again, one of which is this servo's; where a packet gets lost the loop tries again."""
+        try:
+            self.rearm()
+        except DriverError:
+            slot = next(slot for slot in self.arm.slots if slot.servo_id == servo_id)
+            armed = str(watchdog_count(self.arm.watchdog_s))
+            found = f"Bus Watchdog {WATCHDOG_TRIPPED}"
+            self.faults = [DxlServoFault.of(FaultCause.WATCHDOG_TRIPPED, slot, found=found, expected=armed)]
+            return np.full(n, np.nan)
+        self.resumed = True
+        return np.zeros(n)
 
     def _ask(self) -> dict[int, Row]:
         """The status page of every servo that answers, by ID, asked again while one is missing."""

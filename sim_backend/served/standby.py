@@ -17,15 +17,16 @@ from sim_backend.served.driver import SimDriver
 class SimStandby(SimDriver):
     """A driver that never connects: `prepare` while another process commands, then `adopt`.  In real time only."""
 
-    resumed = False  # a plant has no watchdog
+    resumed = limp = False  # a plant has no watchdog
 
     def prepare(self, told: Mapping[str, Any], fd: int) -> None:
         """told: what the plant said to the process that connected; fd: its connection, which is then this driver's."""
         self.drop()
         self._introduced(dict(told), self._new_link(os.dup(fd)))
 
-    def adopt(self, dq: Vector) -> Vector:
+    def adopt(self, dq: Vector, *, brings_back: bool = True) -> Vector:
         """Take the arm over; NaN (n,), for a plant does not say which torque it was told last."""
+        del brings_back  # it has not gone
         link = self._open_link()
         with contextlib.suppress(StaleStateError):  # a plant that has ended: the next read says so
             while link.receive(socket.MSG_DONTWAIT) is not None:

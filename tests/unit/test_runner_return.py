@@ -70,8 +70,9 @@ def test_reads_that_are_waited_for_are_no_time_in_which_nobody_looked() -> None:
 @pytest.mark.parametrize(("periods", "ends"), [(480, Mode.HOLD), (500, Mode.FAULT)])
 def test_an_arm_that_was_limp_for_longer_than_it_may_come_back_is_given_up(periods: int, ends: Mode) -> None:
     """Somebody may have a hand on it by then."""
-    done = run(oversleeps_ns=late(periods), returning={}, ticks=periods + 80, patience=Patience())
+    done = run(oversleeps_ns=late(periods), returning={}, failures=lost_at(5), ticks=periods + 80, patience=Patience())
     assert done.summary.mode is ends
+    assert done.summary.reason.startswith("no cycle for"), "not what was lost long before"
     assert flagged(done.rows, Flag.RESUMED) == ([] if ends is Mode.FAULT else [16])
 
 

@@ -123,8 +123,11 @@ class SerialPort:
         fd = self._open_path() if self._borrow is None else self._borrow()
         with contextlib.ExitStack() as undo:
             undo.callback(os.close, fd)
-            self._claim(fd)
-            self._configure(fd)
+            try:
+                self._claim(fd)
+                self._configure(fd)
+            except (OSError, termios.error) as error:  # of a plug that makes and breaks contact
+                raise open_error(self.path, OSError(*error.args)) from error
             undo.pop_all()
         self._fd = fd
 

@@ -21,6 +21,7 @@ import pytest
 import configs
 from agent.config.cell import load_cell
 from agent.guard.agent_end import AgentEnd
+from agent.guard.guarded import HAND_OVER_AFTER
 from agent.guard.line import GuardError, Word
 from agent.guard.takeover import EMULATED_STALE_NS
 from agent.log.read import read_log
@@ -37,6 +38,7 @@ from tests.support.stalls import Kernel, despite_stalls
 
 PATIENCE_S = 90.0
 SOME_ROWS = 40
+GIVEN_UP_S = 4.0  # longer than an arm that is limp is brought back after, with emulated servos
 AWAY_S = 1.5  # longer than until the port is first tried again, shorter than it is waited for
 # hands over a kept descriptor: argument 1 is its number, the rest is the command
 AS_A_MANAGER_DOES = """
@@ -285,11 +287,14 @@ def test_an_agent_that_is_asked_to_end_leaves_the_hold_to_its_guard(host: Host) 
     guard = host.guard("--hold")
     agent = host.agent("--hold")
     host.wait(lambda: len(host.rows()) > SOME_ROWS)
+    guard.send_signal(signal.SIGSTOP)
     agent.terminate()
+    host.wait(lambda: len(of_hold(host.rows())) > HAND_OVER_AFTER + SOME_ROWS)
+    assert agent.poll() is None, "a guard that stands still has not said yes"
+    guard.terminate()  # and it wakes as one that was asked to end itself
+    guard.send_signal(signal.SIGCONT)
     assert agent.wait(PATIENCE_S) == 0
     before = len(host.rows())
-    host.wait(lambda: len(host.rows()) > before + SOME_ROWS)
-    guard.terminate()
     host.wait(lambda: len(host.rows()) > before + 3 * SOME_ROWS)
     assert guard.poll() is None, "asked to end, it holds until a release"
     assert "the agent was asked to end: the guard holds the arm" in host.told()
@@ -297,6 +302,44 @@ def test_an_agent_that_is_asked_to_end_leaves_the_hold_to_its_guard(host: Host) 
     assert released.code == 0, released.err
     assert guard.wait(PATIENCE_S) == 0
     assert not (host.folder / "post_mortem").exists(), "nothing has failed"
+
+
+@pytest.mark.fault("P1")
+@in_real_time()
+def test_an_arm_is_held_where_no_word_can_be_heard_and_a_signal_releases_it(host: Host) -> None:
+    guard = host.guard("--hold")
+    agent = host.agent()
+    host.wait(lambda: len(host.rows()) > SOME_ROWS)
+    (host.folder / "left.control").unlink()
+    (host.folder / "left.control").write_text("somebody's")
+    guard.send_signal(signal.SIGUSR1)  # while it holds nothing, as one that was meant for all guards of a host
+    before = len(host.rows())
+    host.wait(lambda: len(host.rows()) > before + SOME_ROWS)
+    agent.kill()
+    host.wait(lambda: len(of_hold(host.rows())) > SOME_ROWS)
+    assert guard.poll() is None
+    (told,) = [text for text in host.told() if text.startswith("no word reaches")]
+    assert told.startswith(f"no word reaches this hold, SIGUSR1 to process {guard.pid} releases it: control socket")
+    guard.send_signal(signal.SIGUSR1)
+    assert guard.wait(PATIENCE_S) == 0
+
+
+@pytest.mark.fault("P12")
+@in_real_time()
+def test_a_guard_that_stood_still_itself_does_not_bring_a_limp_arm_back(host: Host) -> None:
+    guard = host.guard("--hold")
+    agent = host.agent()
+    host.wait(lambda: len(host.rows()) > SOME_ROWS)
+    guard.send_signal(signal.SIGSTOP)
+    agent.kill()
+    agent.wait()
+    before = len(host.rows())
+    time.sleep(GIVEN_UP_S)
+    guard.send_signal(signal.SIGCONT)
+    assert guard.wait(PATIENCE_S) == 5
+    assert len(host.rows()) == before, "nothing was commanded"
+    assert any(text.startswith("run ended in FAULT the agent has died, and nobody") for text in host.told())
+    assert len(list((host.folder / "post_mortem").glob("*-left-post-mortem.mcap"))) == 1
 
 
 @in_real_time("--whole", settings="\n[session]\nspeed_max_rad_per_s = 1.0\nease_s = 0.5\n")

@@ -282,8 +282,8 @@ class FloatRun:
         tell = Teller(arm.name, texts)
         tell.clock = clock
         agent = build_agent(self.cell, arm)
-        begun = go_on(agent, driver, clock, run.rows[-64:], self.cell.period_ns, "the agent has died")
         run.loop = self._float_loop(run, floats, clock, tell, agent)
+        begun = go_on(agent, driver, clock, run.rows[-64:], run.loop.schedule, "the agent has died")
         return run.loop.run(begun)
 
 

@@ -153,13 +153,13 @@ class GuardedRun(CoupledRun):
         rows = np.array(run.log.rows[-64:])
 
         class Asked:
-            resumed = False
+            resumed = limp = False
 
-            def adopt(self, dq: Vector) -> Vector:
-                run.held = driver.adopt(dq)
+            def adopt(self, dq: Vector, *, brings_back: bool) -> Vector:
+                run.held = driver.adopt(dq, brings_back=brings_back)
                 return run.held
 
-        begun = go_on(agent, Asked(), clock, rows, period_ns, "the agent has died")
+        begun = go_on(agent, Asked(), clock, rows, self._schedule(arm), "the agent has died")
         until_ns = (self._zero_ns or 0) + self._until_ns
         around = self._around(run, lambda: None, lambda: clock.now_ns() > until_ns)
         schedule = replace(self._schedule(arm), hold_at_end=True)

@@ -265,7 +265,8 @@ class PhaseRun:
         rows = np.array(run.log.rows[-64:], dtype=AGENT_STATE.dtype)
         run.signals = SimpleNamespace(stopped=False, stops=0, released=False)
         run.standing = Standing(arm.name)
-        begun = go_on(agent, driver, self.clock, rows, self.cell.period_ns, "the agent has died", session=True)
+        schedule = session_schedule(self.cell, arm)
+        begun = go_on(agent, driver, self.clock, rows, schedule, "the agent has died", session=True)
         session = led_back(self.cell, arm, agent, driver, begun, run.standing)
         run.reasons.append(run.standing.reason)
         run.guarded = True
@@ -273,7 +274,6 @@ class PhaseRun:
         self.mode[arm.name] = begun.mode
         run.modes.append((self.now_ns * 1e-9, begun.mode))
         watch = Watch(monitors.bounds(self.cell, arm), run.told.append)
-        schedule = session_schedule(self.cell, arm)
         summary = Runner(agent, driver, self.clock, schedule, row, run.log, around, watch, begun, session).run()
         driver.disable()
         return summary

@@ -12,6 +12,7 @@ import sys
 import termios
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -101,6 +102,31 @@ def test_a_serial_port_that_others_have_is_told_so_and_one_that_nobody_has_is_le
     monkeypatch.setattr(ports, "holders", lambda _: ["bash (1)"])
     with pytest.raises(PortError, match=r"in use by bash \(1\)"):
         require_usable(path)
+
+
+@pytest.mark.fault("B4")
+@pytest.mark.parametrize("step", ["flock", "tcsetattr", "ioctl"])
+def test_a_port_that_goes_while_it_is_opened_is_a_refusal_and_left_closed(
+    pty, monkeypatch: pytest.MonkeyPatch, step: str
+) -> None:
+    """A plug that makes and breaks contact: whoever opens it tries again."""
+    master, path, ends = pty
+    before = len(list(Path("/proc/self/fd").iterdir()))
+    of: Any = termios if step == "tcsetattr" else fcntl
+    then = getattr(of, step)
+
+    def unplugged(*arguments: Any) -> Any:
+        if master in ends:
+            ends.remove(master)
+            os.close(master)
+        return then(*arguments)
+
+    monkeypatch.setattr(of, step, unplugged)
+    port = SerialPort(path, 1_000_000, CLOCK)
+    with pytest.raises(PortError, match=f"^port {path}.*: found Input/output error, expected "):
+        port.open()
+    assert not port.is_open
+    assert len(list(Path("/proc/self/fd").iterdir())) == before - 1, "the master's"
 
 
 def test_a_stuck_port_is_an_error_at_the_deadline(pty):

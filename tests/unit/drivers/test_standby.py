@@ -148,6 +148,58 @@ def test_servos_whose_watchdog_has_fired_are_armed_again_without_effort() -> Non
     assert goals(rig)[0] > 0
 
 
+@pytest.mark.fault("B1")
+@pytest.mark.parametrize("zero", [False, True], ids=["the arming packet", "the zeroes"])
+def test_a_packet_lost_while_watchdogs_are_armed_again_is_the_loops_affair_which_tries_again(zero: bool) -> None:
+    rig = enabled()
+    commanded(rig)
+    driver = standby(rig)
+    rig.clock.sleep_until(rig.clock.now_ns() + 300 * MS)
+    really = rig.port.write
+
+    def loses_one(data: bytes, deadline_ns: int) -> None:
+        arming = data[8] == (GOAL_CURRENT if zero else BUS_WATCHDOG).address and (zero or data[13] != 0)
+        if data[7] == Instruction.SYNC_WRITE and arming:
+            rig.port.write = really  # type: ignore[method-assign]
+        else:
+            really(data, deadline_ns)
+
+    rig.port.write = loses_one  # type: ignore[method-assign]
+    assert np.isnan(driver.adopt(np.zeros(4))).all()
+    assert (driver.resumed, driver.lapsed) == (False, True)
+    with pytest.raises(DxlServoFault, match=r"servo 1 .*its bus watchdog has fired"):
+        driver.read()
+    assert driver.recover() is not zero, "with the old goals an armed servo obeys again"
+    assert [rig.get(i, BUS_WATCHDOG) for i in CONTROLLED] == [10] * len(CONTROLLED)
+    driver.read()
+    driver.write(TAU)
+    assert goals(rig)[0] > 0
+
+
+def test_servos_whose_watchdog_has_fired_are_left_limp_where_it_is_too_late_to_bring_them_back() -> None:
+    rig = enabled()
+    commanded(rig)
+    driver = standby(rig)
+    rig.clock.sleep_until(rig.clock.now_ns() + 300 * MS)
+    rig.port.writes.clear()
+    assert not driver.limp
+    driver.adopt(np.zeros(4), brings_back=False)
+    assert (driver.limp, driver.resumed) == (True, False)
+    assert {packet[7] for packet in rig.port.writes} == {Instruction.SYNC_READ}, "nothing was written"
+    driver.disable()
+    assert rig.get(2, TORQUE_ENABLE) == 0, "whose torque can be switched off"
+
+
+def test_too_late_is_limp_for_an_arm_that_does_not_answer_and_not_for_one_that_obeys() -> None:
+    rig = enabled()
+    commanded(rig)
+    obeys, gone = standby(rig), standby(rig)
+    obeys.adopt(np.zeros(4), brings_back=False)
+    rig.port.lost = True
+    gone.adopt(np.zeros(4), brings_back=False)
+    assert (obeys.limp, gone.limp) == (False, True)
+
+
 def test_watchdogs_that_fired_beside_a_servo_without_torque_are_left_and_the_arm_is_lost() -> None:
     rig = enabled()
     commanded(rig)

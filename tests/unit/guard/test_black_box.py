@@ -140,12 +140,14 @@ def test_an_arm_is_let_go_of_before_its_post_mortem_is_waited_for_and_the_watchd
             stack.enter_context(pytest.MonkeyPatch.context()).setattr(successor, name, fake)
         box.events = box.mode = None
         stack.enter_context(pytest.MonkeyPatch.context()).setattr(successor.ArmLost, "check", lambda *_, **__: None)
-        held = Successor(CELL, CELL.arm("left"), None, options, None, notifier)  # type: ignore[arg-type]
+        stop = SimpleNamespace(released=True)
+        held = Successor(CELL, CELL.arm("left"), None, options, stop, notifier)  # type: ignore[arg-type]
         if fails:
             with pytest.raises(ZeroDivisionError):
                 held.hold(watched, driver, "the agent has died", session=False)
         else:
             held.hold(watched, driver, "the agent has died", session=False)
+    assert not stop.released, "said before there was a hold to be released"
     late = ["waited", "stroke", "no post-mortem: it hung"]
     end = ["torque off", "closed", *late, "ring finished", "texts finished"]
     assert done == ["inherited", "held", *([] if fails else ["told"]), *end, *([] if fails else ["stopping"])]

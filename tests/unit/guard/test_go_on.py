@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agent.around import Beginning
+from agent.around import Beginning, Schedule
+from agent.cycles import Patience
 from agent.guard.takeover import (
     EMULATED_FLOATING_STALE_NS,
     FLOATING_FIRST_NS,
@@ -29,6 +30,8 @@ from tests.support.runner_rig import paper, period_ns, run
 
 AGENT = build_agent(paper(), paper().arms[0])
 GAP_NS = 10 * period_ns()
+SCHEDULE = Schedule(period_ns(), 1, lockstep=False, hold_at_end=True, patience=Patience(blind=4, quiet=5, recover=40))
+LOST_NS = (4 + 5 + 40) * period_ns()
 NANOSECOND = 1
 
 
@@ -54,10 +57,12 @@ class Servos:
 
     held: Vector
     resumed: bool = False
+    tripped: bool = False
+    limp: bool = False
     dq: Vector | None = None
 
-    def adopt(self, dq: Vector) -> Vector:
-        self.dq = dq
+    def adopt(self, dq: Vector, *, brings_back: bool) -> Vector:
+        self.dq, self.limp = dq, self.tripped and not brings_back
         return self.held
 
 
@@ -71,11 +76,13 @@ class Now:
     def sleep_until(self, deadline_ns: int) -> None: ...
 
 
-def begun(late_ns: int = 0, of: Any = None, *, session: bool = False, resumed: bool = False) -> Beginning:
+def begun(
+    late_ns: int = 0, of: Any = None, *, session: bool = False, resumed: bool = False, tripped: bool = False
+) -> Beginning:
     """So long after the last row, on servos that hold a torque of their own."""
     of = rows() if of is None else of
     now: Any = Now(int(rows()[-1]["stamp_ns"]) + late_ns)
-    return go_on(AGENT, Servos(np.full(3, 0.7), resumed), now, of, period_ns(), "x", session=session)
+    return go_on(AGENT, Servos(np.full(3, 0.7), resumed, tripped), now, of, SCHEDULE, "x", session=session)
 
 
 def test_a_guard_tells_the_time_of_the_run_and_without_rows_of_its_host() -> None:
@@ -97,7 +104,7 @@ def test_without_rows_no_time_is_known_to_be_lost() -> None:
     assert (found.marks, found.mode, found.rows) == (Flag.NONE, Mode.HOLD, 0)
     assert begun(0, rows()[:0], session=True).mode is Mode.REST
     now: Any = Now(0)
-    assert go_on(AGENT, Servos(np.zeros(3)), now, rows()[:0], period_ns(), "x").mode is Mode.HOLD
+    assert go_on(AGENT, Servos(np.zeros(3)), now, rows()[:0], SCHEDULE, "x").mode is Mode.HOLD
 
 
 def test_an_arm_that_had_stopped_by_itself_is_marked_and_a_gap_beside_it() -> None:
@@ -105,11 +112,21 @@ def test_an_arm_that_had_stopped_by_itself_is_marked_and_a_gap_beside_it() -> No
     assert begun(GAP_NS + NANOSECOND, resumed=True).marks is Flag.RESUMED | Flag.GAP
 
 
+@pytest.mark.fault("P12")
+@pytest.mark.parametrize("session", [False, True])
+def test_a_guard_that_comes_as_late_as_a_loop_gives_up_does_not_bring_a_limp_arm_back(session: bool) -> None:
+    in_time, late = (begun(LOST_NS + more, tripped=True, session=session) for more in (0, NANOSECOND))
+    assert (in_time.mode, late.mode) == (Mode.HOLD, Mode.FAULT)
+    assert in_time.reason == "x"
+    assert late.reason == f"x, and nobody commanded the arm for {LOST_NS * 1e-9:.1f} s: its servos have let go"
+    assert begun(LOST_NS + NANOSECOND).mode is Mode.HOLD, "somebody has fed its watchdogs, and it stands as it was left"
+
+
 def test_the_first_step_counts_from_what_the_servos_hold_and_they_are_told_how_fast_the_arm_was() -> None:
     of, servos = rows(), Servos(np.full(3, 0.7))
     of["dq_measured"][-1, :3] = [0.1, -0.2, 0.3]
     now: Any = Now(int(of[-1]["stamp_ns"]))
-    found = go_on(AGENT, servos, now, of, period_ns(), "the agent has died")
+    found = go_on(AGENT, servos, now, of, SCHEDULE, "the agent has died")
     assert found.memory.tau.tolist() == [0.7] * 3
     assert (found.reason, found.rows) == ("the agent has died", int(of[-1]["sequence"]) + 1)
     assert servos.dq is not None

@@ -211,11 +211,29 @@ def test_an_agent_that_was_asked_to_end_hands_over_after_a_hundred_cycles_of_its
     for _ in range(HAND_OVER_AFTER - 1):
         assert not bench.agent.poll(ending=True)
     assert bench.said == []
+    assert not any(bench.agent.poll(ending=True) for _ in range(HAND_OVER_AFTER)), "a guard that hangs holds nothing"
+    assert bench.said == [(Word.TAKE, (), {})], "once"
+    assert bench.told == []
+    bench.answers = [{"ok": False}, {"ok": True}]
+    assert not bench.agent.poll(ending=True)
     with pytest.raises(Ended):
         bench.agent.poll(ending=True)
-    assert bench.said == [(Word.TAKE, (), {})]
     assert bench.told == [(Level.INFO, "hands the arm to the guard, as it was asked to end")]
     assert (bench.ended, bench.flushed) == ([0], ["out", "err"])
+
+
+def test_a_guard_that_goes_while_it_is_handed_an_arm_is_asked_again_once_it_is_back(bench: Bench) -> None:
+    bench.watch()
+    assert not any(bench.agent.poll(ending=True) for _ in range(HAND_OVER_AFTER))
+    bench.loses()
+    bench.said.clear()
+    bench.answers = [{"ok": True}]
+    assert not any(bench.agent.poll(ending=True) for _ in range(AGAIN_AFTER + 1)), "it says that it watches"
+    assert bench.agent.there
+    assert not bench.agent.poll(ending=True)
+    assert [word for word, *_ in bench.said] == [Word.WATCH, Word.TAKE]
+    assert bench.ended == []
+    bench.agent.leave()
 
 
 @pytest.mark.parametrize("why", ["gone", "silent", "back and not heard yet"])

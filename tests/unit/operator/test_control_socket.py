@@ -287,12 +287,42 @@ def test_a_lowering_at_an_instant_is_kept_until_it_is_taken_back(
     assert asked == [Event.LOWER, Event.LOWER, Event.PARK]
 
 
+@pytest.mark.parametrize(("word", "kept"), [("stop", False), ("release", False), ("status", True), ("cancel", False)])
+def test_an_arm_that_is_told_to_stop_is_not_lowered_at_an_instant_that_was_given_before(
+    control: ControlSocket, path: Path, word: str, kept: bool
+) -> None:
+    control.standing.mode, control.standing.session = Mode.HOLD, lambda _: ""
+    answer_to(control, path, {"verb": "lower", "start_utc_ns": LATER_NS})
+    answer_to(control, path, {"verb": word, "prepare": True})
+    assert control.requests.lower is not None, "what is only asked changes nothing"
+    assert answer_to(control, path, {"verb": word})["ok"] is True
+    assert (control.requests.lower is not None) is kept
+    answer_to(control, path, {"verb": "lower", "start_utc_ns": LATER_NS})
+    assert control.requests.lower is not None, "but at one that is given afterwards"
+
+
 def test_a_cancel_that_comes_when_the_arm_is_on_its_way_down_is_a_stop(
     control: ControlSocket, path: Path, asked: list[Event]
 ) -> None:
     control.standing.mode = Mode.LOWER
     assert answer_to(control, path, {"verb": "cancel"})["ok"] is True
     assert (asked, control.requests.words) == ([], [Verb.STOP])
+
+
+@pytest.mark.fault("P11")
+@pytest.mark.parametrize("gone", [True, False])
+@pytest.mark.parametrize(("verb", "late"), [("release", False), ("lower", False), ("stop", True), ("cancel", True)])
+def test_of_those_who_gave_up_waiting_only_a_stop_is_obeyed(
+    control: ControlSocket, path: Path, verb: str, late: bool, gone: bool
+) -> None:
+    """They were told that this arm does not answer, as one that stood still when they asked."""
+    control.standing.mode, control.standing.session = Mode.LOWER if verb == "cancel" else Mode.HOLD, lambda _: ""
+    with person(path) as own:
+        own.send(json.dumps({"verb": verb}).encode())
+        if gone:
+            own.close()
+        control.poll()
+    assert control.requests.take() == ([Verb.STOP if verb == "cancel" else Verb(verb)] if late or not gone else [])
 
 
 def test_an_agent_that_has_said_nothing_yet_is_off_and_looks_at_no_torque() -> None:
@@ -315,7 +345,9 @@ class Client:
     reads: int = 0
     closed: bool = False
 
-    def recv(self, _: int) -> bytes:
+    def recv(self, _: int, flags: int = 0) -> bytes:
+        if flags:
+            raise BlockingIOError  # it waits
         self.reads += 1
         if isinstance(self.data, OSError):
             raise self.data

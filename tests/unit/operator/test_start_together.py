@@ -152,7 +152,7 @@ def test_an_agent_of_another_version_that_says_yes_to_everything_starts_nobody(
     tmp_path: Path, reply: Reply, told: str
 ) -> None:
     arms = cell_of(tmp_path / "cell", (Mode.READY, Mode.READY))
-    arms[0].wakes = lambda control: setattr(control, "_answer", lambda *_: reply)
+    arms[0].wakes = lambda control: setattr(control, "_answer", lambda *_, **__: reply)
     request = Request(Verb.START, OWN, time.time_ns() + 10**12)
     with serving(arms), pytest.raises(ControlError) as raised:
         start_together({arm.path.stem: [arm.path] for arm in arms}, request, PATIENT_S)

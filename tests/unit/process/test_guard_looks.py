@@ -125,8 +125,35 @@ def test_an_agent_that_died_is_told_from_one_that_handed_over(monkeypatch: pytes
     assert bench.look() == "the agent has died"
     bench = Bench(monkeypatch)
     assert bench.says(Word.TAKE) == ""
+    assert bench.line.answers == [()], "which its agent waits for"
     bench.agent.dead = True
     assert bench.look() == HANDED_OVER
+
+
+@pytest.mark.fault("P1")
+@pytest.mark.parametrize("gone", [True, False])
+def test_a_guard_that_is_asked_to_end_goes_on_with_an_arm_that_was_left_to_it_before(
+    monkeypatch: pytest.MonkeyPatch, gone: bool
+) -> None:
+    bench, held = Bench(monkeypatch), list[str]()
+    bench.guard._stop = SimpleNamespace(stopped=True)
+    bench.guard._successor = SimpleNamespace(hold=lambda _watched, _driver, reason, **_: held.append(reason))
+    bench.guard._wait = lambda: 1 / 0
+    bench.agent.dead = gone
+    bench.guard.run()
+    assert held == (["the agent has died"] if gone else [])
+
+
+def test_a_guard_that_is_asked_to_end_waits_for_an_agent_that_it_has_said_yes_to(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    bench, held = Bench(monkeypatch), list[str]()
+    bench.guard._stop = SimpleNamespace(stopped=True)
+    bench.guard._successor = SimpleNamespace(hold=lambda _watched, _driver, reason, **_: held.append(reason))
+    bench.line.words.append(Said(Word.TAKE, {}, ()))
+    bench.guard._wait = lambda: setattr(bench.agent, "dead", True)
+    bench.guard.run()
+    assert (held, bench.line.answers) == ([HANDED_OVER], [()])
 
 
 def test_an_agent_that_hangs_is_ended_before_anything_else_is_done(monkeypatch: pytest.MonkeyPatch) -> None:

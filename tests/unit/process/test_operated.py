@@ -106,6 +106,30 @@ def test_the_way_down_begins_at_its_instant_and_once(rig: Rig, after_ns: int, ev
     assert (rig.control.requests.lower is None) is (events is Event.LOWER)
 
 
+@pytest.mark.parametrize("due", [False, True])
+@pytest.mark.parametrize("by", ["signal", "host"])
+def test_a_stop_by_a_signal_or_by_the_host_takes_a_way_down_back_and_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, by: str, due: bool
+) -> None:
+    monkeypatch.setattr(operated, "utc_offset_ns", lambda: OFFSET_NS)
+    rig = Rig(tmp_path / "c", session=True)
+    with closing(rig.control):
+        rig.control.requests.lower = Request(Verb.LOWER, start_utc_ns=OFFSET_NS + NOW_NS + 10**9)
+        assert rig.hear() == Event.NONE
+        if due:
+            rig.operator._lower_ns = NOW_NS
+        if by == "host":
+            rig.operator.hold("the clock may be off by 5.1 ms")
+        else:
+            rig.signals.stopped, rig.signals.stops = True, 1
+        assert (rig.hear(), rig.hear()) == (Event.STOP, Event.NONE)
+        assert rig.control.requests.lower is None
+        assert ((Level.WARN, "the lowering has been taken back", {}) in rig.told) is not due
+        rig.control.requests.lower = Request(Verb.LOWER, start_utc_ns=OFFSET_NS + NOW_NS)
+        assert (rig.hear(), rig.hear()) == (Event.LOWER, Event.NONE), "one that is given afterwards counts"
+        assert sum("lowering" in text for _, text, _ in rig.told) == (not due), "what has begun is not taken back"
+
+
 def test_a_clock_that_is_set_moves_no_way_down_that_was_given(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     first, second = (Request(Verb.LOWER, start_utc_ns=OFFSET_NS + NOW_NS + after_ns) for after_ns in (10**9, 0))
     rig.control.requests.lower = first
