@@ -57,7 +57,10 @@ def list_faults(
 def inject(
     cell: CellPath,
     fault: Annotated[str, typer.Argument(help="Name of a fault (`coop faults list --kinds`), or a row's id.")],
-    arm: Annotated[str | None, typer.Option(help="Arm (the cell's first).", autocompletion=complete.arms)] = None,
+    arm: Annotated[
+        str | None,
+        typer.Option(help="Arm (the cell's first); plant: telemetry of the truth.", autocompletion=complete.arms),
+    ] = None,
     servo: Annotated[int | None, typer.Option(help="ID of one servo, instead of all of the arm.")] = None,
     at: Annotated[float, typer.Option(min=0.0, help="When, s of the trajectory.")] = 3.0,
     for_s: Annotated[float | None, typer.Option("--for", help="How long, s; for good without it.")] = None,
@@ -70,13 +73,15 @@ def inject(
 ) -> None:
     """Let something fail in a simulated cell of real drivers on emulated servos: who noticed, who held, what it cost.
 
-    Nothing is sent to an arm: time is virtual.
+    Nothing is sent to an arm: time is virtual.  What fails of telemetry or recorder does so in a lockstep run of real
+    processes, and each torque is held against the undisturbed run, bit by bit: exit code 1 where one differs.
     """
     from agent.config.cell import load_cell
     from agent.faults.log import require_new, write_log
     from agent.faults.measure import measured
     from agent.faults.plan import require_happens, require_simulated
     from agent.faults.rehearse import rehearse
+    from agent.faults.strikes import is_of_listeners
     from agent.verify.check import examine
 
     faults, made_so = _faults(fault, arm=arm, servo=servo, at_s=at, for_s=for_s, size=size)
@@ -88,14 +93,18 @@ def inject(
     require_happens(faults, loaded.file.duration_s)
     if out is not None:
         require_new(out)
+    if is_of_listeners(faults):
+        from agent.cli.listeners import inject as inject_listeners
+
+        inject_listeners(loaded, faults, seed, out, as_json=as_json)
+        return
     examine(loaded)
     run = rehearse(loaded, faults, seed)
     found = measured(run)
     if out is not None:
         write_log(out, run)
     if as_json:
-        given = [f.model_dump(mode="json", exclude_none=True) | {"for_s": _finite(f.for_s)} for f in run.faults]
-        print_json({"schema": SCHEMA, "cell": loaded.file.name, "faults": given, **found.document()})
+        print_json({"schema": SCHEMA, "cell": loaded.file.name, "faults": given(run.faults), **found.document()})
     else:
         _say(run.faults, found)
         if out is not None:
@@ -110,6 +119,8 @@ def _faults(name: str, **given: Any) -> tuple[tuple[Injection, ...], tuple[str, 
     found = row(name)
     if found is None:
         return (injection(name, **given),), ()
+    if found.faults:
+        return found.faults, ()
     if not found.runs:
         held = f"its tests show it, such as `pytest {found.tests[0]}`" if found.tests else found.untested
         raise FaultPlanError(
@@ -117,6 +128,11 @@ def _faults(name: str, **given: Any) -> tuple[tuple[Injection, ...], tuple[str, 
             expected="a row with faults, or a fault of `coop faults list --kinds`", remedy=held,
         )  # fmt: skip
     return found.runs[0].faults, found.runs[0].set
+
+
+def given(faults: tuple[Injection, ...]) -> list[dict[str, Any]]:
+    """Faults as JSON has them."""
+    return [f.model_dump(mode="json", exclude_none=True) | {"for_s": _finite(f.for_s)} for f in faults]
 
 
 def _finite(value: float) -> float | None:
@@ -134,6 +150,7 @@ def _row(row: Row) -> dict[str, Any]:
         "runs": [
             {"cell": r.cell, "faults": [f.fault for f in r.faults], "bound": r.within.described()} for r in row.runs
         ],
+        "faults": [fault.fault for fault in row.faults],
         "tests": list(row.tests),
         "untested": row.untested or None,
     }
@@ -141,8 +158,7 @@ def _row(row: Row) -> dict[str, Any]:
 
 def _say(faults: tuple[Injection, ...], found: Measured) -> None:
     for f in faults:
-        amount = f" ({f.amount:g} {f.possible.unit})" if f.possible.unit else ""
-        typer.echo(f"fault             {f.fault}, arm {f.arm}, at {f.onset_s:g} s: {f.possible.text}{amount}")
+        tell(f, f", arm {f.arm}")
     typer.echo(f"noticed           {_after(found.noticed_s)}{f' ({found.noticed})' if found.noticed else ''}")
     for arm, at in found.stopped_s.items():
         ended = found.ended[arm]
@@ -155,6 +171,12 @@ def _say(faults: tuple[Injection, ...], found: Measured) -> None:
     typer.echo(f"largest torque    {found.torque_share:.0%} of the limit")
     if found.apart_rad > 0.0:
         typer.echo(f"arm from twin     {found.apart_rad:.3f} rad at most")
+
+
+def tell(fault: Injection, whose: str) -> None:
+    """One line of a fault."""
+    amount = f" ({fault.amount:g} {fault.possible.unit})" if fault.possible.unit else ""
+    typer.echo(f"fault             {fault.fault}{whose}, at {fault.onset_s:g} s: {fault.possible.text}{amount}")
 
 
 def _after(at: float | None) -> str:

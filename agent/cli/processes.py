@@ -11,6 +11,7 @@ from agent.cli import complete
 from agent.cli.options import (
     DEFAULT_ENDPOINT,
     ROS_ROUTER,
+    AtOnce,
     CellPath,
     NetworkConfig,
     WithParent,
@@ -29,6 +30,7 @@ def plant(
     lost_arm: Annotated[AfterLoss, typer.Option(help="When an agent dies: end the run, or let its arm go.")] = (
         AfterLoss.END
     ),
+    pauses: Annotated[str | None, typer.Option(hidden=True, help="Instants to wait at for SIGUSR1.")] = None,
     with_parent: WithParent = False,
 ) -> None:
     """Run the simulated cell that the agents' simulated drivers connect to."""
@@ -38,10 +40,11 @@ def plant(
 
     run(
         PlantCommand(
-            cell=cell, socket=socket, ring=ring, real_time=real_time, lost_arm=lost_arm, with_parent=with_parent
+            cell=cell, socket=socket, ring=ring, real_time=real_time, lost_arm=lost_arm, pauses=pauses,
+            with_parent=with_parent,
         ),
         Listener(note),
-    )
+    )  # fmt: skip
 
 
 def emulate(
@@ -88,6 +91,7 @@ def telemetry(
     follow: Annotated[bool, typer.Option("--follow", help="Go on with the next run of the arm (service).")] = False,
     cell_name: Annotated[str | None, typer.Option(hidden=True, help="Of a cell whose files are known.")] = None,
     fingerprint: Annotated[str | None, typer.Option(hidden=True, help="Of the same.")] = None,
+    at_once: AtOnce = False,
     with_parent: WithParent = False,
 ) -> None:
     """Publish one ring over Zenoh."""
@@ -98,7 +102,8 @@ def telemetry(
     run(
         TelemetryCommand(
             cell=cell, member=member, ring=ring, connect=connect, network_config=network_config, lockstep=lockstep,
-            follow=follow, cell_name=cell_name, fingerprint=fingerprint, with_parent=with_parent,
+            follow=follow, cell_name=cell_name, fingerprint=fingerprint, at_once=at_once,
+            with_parent=with_parent,
         ),
         Listener(note),
     )  # fmt: skip
@@ -119,6 +124,7 @@ def record(
         int | None, typer.Option(min=1, help="Remove the folder's OLDEST LOGS when all take more than this.")
     ] = None,
     run_info: Annotated[Path | None, typer.Option(hidden=True, help="run.json of this run, if it is made.")] = None,
+    at_once: AtOnce = False,
     with_parent: WithParent = False,
 ) -> None:
     """Write everything the cell publishes into one MCAP log."""
@@ -130,7 +136,7 @@ def record(
         RecordCommand(
             cell=cell, out=out, out_dir=out_dir, listen=listen, network_config=network_config, driver=driver,
             truth=truth, seed=seed, split_mb=split_mb, split_s=split_s, keep_mb=keep_mb, run_info=run_info,
-            with_parent=with_parent,
+            at_once=at_once, with_parent=with_parent,
         ),
         Listener(note),
     )  # fmt: skip

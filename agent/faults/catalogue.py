@@ -102,6 +102,7 @@ class Row(Strict):
     never: str = ""  # what must not happen, or must not be lost
     bound: str = ""  # of tests, where no run says it
     runs: Annotated[tuple[Shown, ...], AS_LIST] = ()
+    faults: Annotated[tuple[Injection, ...], AS_LIST] = ()  # of processes alone: what `coop faults inject CELL ID` does
     untested: str = ""  # why nothing here shows it
 
     @model_validator(mode="after")

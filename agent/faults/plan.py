@@ -1,4 +1,7 @@
-"""Faults by name: what fails, how, from when, for how long; carried out by `agent.faults.bench` and nowhere else."""
+"""Faults by name: what fails, how, from when, for how long.
+
+`agent.faults.bench` carries them out in virtual time; those of telemetry and recorder `agent.faults.listeners`.
+"""
 
 from __future__ import annotations
 
@@ -49,6 +52,8 @@ class Target(enum.StrEnum):
     OPERATOR = "operator"
     PLANT = "plant"
     HAND = "hand"
+    TELEMETRY = "telemetry"
+    RECORDER = "recorder"
 
 
 @dataclass(frozen=True)
@@ -96,10 +101,23 @@ POSSIBLE: Final[Mapping[tuple[Target, Kind], Possible]] = MappingProxyType(
         (Target.HAND, Kind.STUCK): Possible(
             "of a rehearsal: somebody pushes the real arm against the motion, so hard", "N", 5.0
         ),
+        (Target.TELEMETRY, Kind.OFF): Possible("its process is killed; it is started anew when the fault ends"),
+        (Target.TELEMETRY, Kind.STUCK): Possible("its process stands still until the fault ends"),
+        (Target.TELEMETRY, Kind.GARBAGE): Possible("a stranger sends one burst of random messages under its keys"),
+        (Target.TELEMETRY, Kind.WRONG): Possible("a stranger sends its rows, altered, from other files of the cell"),
+        (Target.TELEMETRY, Kind.INTERMITTENT): Possible(
+            "its process stands still for so much of every half second", "share", 0.5
+        ),
+        (Target.RECORDER, Kind.OFF): Possible("its process is killed; another one is started when the fault ends"),
+        (Target.RECORDER, Kind.STUCK): Possible("its process stands still until the fault ends"),
+        (Target.RECORDER, Kind.INTERMITTENT): Possible(
+            "its process stands still for so much of every half second", "share", 0.5
+        ),
     }
 )
 
 OF_REHEARSALS: Final = (Target.PLANT, Target.HAND)
+OF_LISTENERS: Final = (Target.TELEMETRY, Target.RECORDER)
 _OF_SIMULATED_ARMS: Final = frozenset({
     (Target.AGENT, Kind.OFF), (Target.GRASP, Kind.OFF), (Target.GRASP, Kind.WRONG), (Target.OPERATOR, Kind.OFF),
     (Target.CLOCK, Kind.WRONG),
@@ -197,6 +215,12 @@ def require_fit(faults: Sequence[Injection], looped: Sequence[str] | None) -> No
     faults: `placed`; looped: arms that [hil] names, None without the table.
     """
     for fault in faults:
+        if fault.target in OF_LISTENERS:
+            raise FaultPlanError(
+                f"fault {fault.fault}", found="arms in virtual time, whom nobody listens to",
+                expected="processes: it happens without faults of arms and without [hil]",
+                remedy="let it happen by itself: `coop faults inject CELL FAULT`",
+            )  # fmt: skip
         if looped is None and fault.target in OF_REHEARSALS:
             raise FaultPlanError(
                 f"fault {fault.fault}", found="a cell without [hil]", expected="a rehearsal: an arm in the loop",

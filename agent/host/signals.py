@@ -55,19 +55,22 @@ class StopFlag:
             self._interrupts = False
 
 
-def begin(with_parent: bool) -> StopFlag:
-    """Catch requests to stop before anything is opened."""
+def begin(with_parent: bool, *, at_once: bool = False) -> StopFlag:
+    """Catch requests to stop before anything is opened; at_once: as of `die_with_parent`."""
     requested = StopFlag()
     if with_parent:
-        die_with_parent()
+        die_with_parent(at_once=at_once)
     return requested
 
 
-def die_with_parent() -> None:
-    """Ask the kernel for SIGTERM when the parent dies, so that `coop run` never leaves a process behind."""
+def die_with_parent(*, at_once: bool = False) -> None:
+    """Ask the kernel for SIGTERM when the parent dies, so that `coop run` never leaves a process behind.
+
+    at_once: for SIGKILL, which a process that somebody has stopped (SIGSTOP) obeys, too.
+    """
     if os.getppid() == 1:
         raise SystemExit("the process that started this one is gone")
-    _ask_for_end()
+    _ask_for_end(signal.SIGKILL if at_once else signal.SIGTERM)
 
 
 def end_with(parent: int) -> None:
@@ -77,5 +80,5 @@ def end_with(parent: int) -> None:
         raise SystemExit("the process that started this one is gone")
 
 
-def _ask_for_end() -> None:
-    ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
+def _ask_for_end(by: signal.Signals = signal.SIGTERM) -> None:
+    ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, by, 0, 0, 0)

@@ -75,6 +75,7 @@ class Children:
         self._servos: Child | None = None  # of arms in the loop
         self._agents: dict[str, Child] = {}
         self._telemetry: dict[str, Child] = {}
+        self._endpoint = ""  # of the recorder, once it is ready
         self._began_s = 0.0
         self._interrupted = False
 
@@ -88,9 +89,9 @@ class Children:
             if self._kind is RunKind.HIL:
                 self._start_servos()
             self._start_agents()
-        endpoint = self._recorder.wait_ready(READY_TIMEOUT_S)["endpoint"]
+        self._endpoint = self._recorder.wait_ready(READY_TIMEOUT_S)["endpoint"]
         for name in (PLANT, *self._agents):
-            self._telemetry[name] = self._child(f"telemetry-{name}", self._telemetry_command(name, endpoint))
+            self._telemetry[name] = self._child(f"telemetry-{name}", self._telemetry_command(name, self._endpoint))
         for child in (*self._agents.values(), *self._telemetry.values()):
             child.wait_ready(READY_TIMEOUT_S)
         if self._whole:
@@ -213,11 +214,15 @@ class Children:
         if self._plant.wait(STOP_TIMEOUT_S) is None:
             self._plant.terminate()
         wait_all(self._telemetry.values(), STOP_TIMEOUT_S)  # each ends when the recorder has its last row
-        self._recorder.terminate()
-        code = self._recorder.wait(STOP_TIMEOUT_S)
+        self._close_log(self._recorder, progress)
+
+    def _close_log(self, recorder: Child, progress: Progress) -> None:
+        """Have the recorder write what it has.  Raises ChildFailed."""
+        recorder.terminate()
+        code = recorder.wait(STOP_TIMEOUT_S)
         self._pass_on(progress)
         if code != 0:
-            raise self._recorder.failed("did not close the log")
+            raise recorder.failed("did not close the log")
 
     def abandon(self) -> None:
         """Make sure that everything has ended: ask all, give the recorder time to close the log, then kill."""
@@ -248,13 +253,16 @@ class Children:
 
     def _require_alive(self) -> None:
         """Raise ChildFailed when a process that should run has ended, or one that has ended did so with an error."""
-        lasting = {"recorder": self._recorder, **self._telemetry}
-        for child in lasting.values():
-            if child is not None and child.process.poll() not in (None, 0):
-                raise child.failed("ended during the run")
+        for listening in self._listening():
+            if listening.process.poll() not in (None, 0):
+                raise listening.failed("ended during the run")
         for child in (*self._agents.values(), self._plant, self._servos):
             if child is not None and child.process.poll() not in (None, 0):
                 self._blame(child)
+
+    def _listening(self) -> list[Child]:
+        """Recorder and telemetry, as far as they must live."""
+        return [child for child in (self._recorder, *self._telemetry.values()) if child is not None]
 
     def _blame(self, child: Child) -> None:
         """Name the arm that failed first: the others fail because of it."""

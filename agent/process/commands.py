@@ -54,6 +54,7 @@ class RecordCommand(ChildCommand):
     split_s: float | None = None
     keep_mb: int | None = None
     run_info: Path | None
+    at_once: bool = False  # with its parent it ends by SIGKILL, which one that is stopped obeys, too
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,6 +66,7 @@ class PlantCommand(ChildCommand):
     ring: Path | None
     real_time: bool
     lost_arm: AfterLoss = AfterLoss.END
+    pauses: str | None = None  # s of the trajectory, with commas: in lockstep it waits there until SIGUSR1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,6 +136,7 @@ class TelemetryCommand(ChildCommand):
     # of the cell, from a process that has read its files; this one need not then, and starts in a third of the time
     cell_name: str | None = None
     fingerprint: str | None = None
+    at_once: bool = False  # as of RecordCommand
 
 
 _KINDS: dict[str, type[ChildCommand]] = {

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from agent.config.cell import Cell
 from agent.host.signals import StopFlag
+from agent.process.pauses import Pauses
 from agent.process.rehearse import require_wall_clock
 from agent.process.simulated import plant_spec
 from agent.telemetry.ring.writer import RingWriter
@@ -29,12 +30,12 @@ SECOND_NS = 1_000_000_000
 
 def run_plant(
     cell: Cell, socket: Path, ring: Path, *, lockstep: bool, lost_arm: LostArm, stop: StopFlag,
-    ready: Callable[[str], None],
+    ready: Callable[[str], None], pauses: Pauses | None = None,
 ) -> str:  # fmt: skip
     """Serve the simulated cell at `socket` until its arms have left; returns one line about the run.
 
     lost_arm: what becomes of the run when an agent dies without a word; ready is called
-    once the arms can connect.  Raises Refusal.
+    once the arms can connect; pauses: instants to wait at, in lockstep.  Raises Refusal.
     """
     require_wall_clock(cell, real_time=not lockstep)
     report = examine(cell)
@@ -52,10 +53,15 @@ def run_plant(
     )
     with RingWriter(ring, PLANT_STATE, PLANT) as rows:
         truth = Truth(rows, plant, cell, options.utc_offset_ns, lockstep=lockstep)
+        zero_ns = round(cell.file.simulation.ready_s * cell.file.rate_hz) * cell.period_ns
+
+        def on_tick(tick: int, stamp_ns: int, seen: Observation) -> None:
+            truth.write(tick, stamp_ns, seen)
+            if pauses is not None:
+                pauses.reached(stamp_ns - zero_ns)
+
         try:
-            summary = serve(
-                plant, options, on_tick=truth.write, on_listening=lambda: ready(f"socket={socket} ring={ring}")
-            )
+            summary = serve(plant, options, on_tick=on_tick, on_listening=lambda: ready(f"socket={socket} ring={ring}"))
         finally:
             rows.finish()
     return (

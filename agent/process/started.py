@@ -156,6 +156,7 @@ def plant(command: PlantCommand, listener: Listener) -> int:
     """The simulated cell that the agents' simulated drivers connect to."""
     from agent.config.cell import load_cell
     from agent.host.paths import make_runtime_dir, plant_socket_path, ring_path
+    from agent.process.pauses import Pauses, instants_of
     from agent.process.plant import run_plant
     from agent.telemetry.row.topics import PLANT
     from sim_backend.served.options import LostArm
@@ -167,7 +168,14 @@ def plant(command: PlantCommand, listener: Listener) -> int:
         make_runtime_dir(name)
     where = command.socket or plant_socket_path(name), command.ring or ring_path(name, PLANT)
     loss = LostArm.GO_LIMP if command.lost_arm is AfterLoss.LIMP else LostArm.END_RUN
-    listener.say(run_plant(loaded, *where, lockstep=not command.real_time, lost_arm=loss, stop=requested, ready=ready))
+    pauses = None
+    if command.pauses is not None:
+        pauses = Pauses(instants_of(command.pauses, lockstep=not command.real_time), listener.parent, requested)
+    listener.say(
+        run_plant(
+            loaded, *where, lockstep=not command.real_time, lost_arm=loss, stop=requested, ready=ready, pauses=pauses
+        )
+    )
     return 0
 
 
@@ -206,7 +214,8 @@ def telemetry(command: TelemetryCommand, listener: Listener) -> int:
     from agent.process.telemetry import run_telemetry
     from agent.telemetry.link.session import Network
 
-    requested, member, config = begin(command.with_parent), command.member, command.network_config
+    requested = begin(command.with_parent, at_once=command.at_once)
+    member, config = command.member, command.network_config
     cell, fingerprint = _of_cell(command)
     report = run_telemetry(
         cell,
@@ -248,7 +257,7 @@ def record(command: RecordCommand, listener: Listener) -> int:
     from agent.process.recorder import described, run_recorder
     from agent.telemetry.link.session import Network
 
-    requested, config = begin(command.with_parent), command.network_config
+    requested, config = begin(command.with_parent, at_once=command.at_once), command.network_config
     files = load_files(command.cell)
     kind = command.driver if command.driver is not None else files.file.driver
     known = None if command.run_info is None else command.run_info.read_bytes()

@@ -129,21 +129,22 @@ def _faults() -> Iterator[str]:
     yield (
         "Bounds are on virtual time, real drivers and loops on emulated servos; `make faults` measures all of them\n"
         "and says which are missed. *Shown by*: the faults of its runs, the first of which `coop faults inject CELL\n"
-        "ID` repeats; or tests.\n"
+        "ID` repeats; or tests. Faults of telemetry and recorder it carries out on processes.\n"
     )
     for group in Group:
         yield f"### {group.value.capitalize()}\n"
         own = [row for row in rows() if row.group is group]
         yield _table(("id", "what fails", "what must happen", "bound", "shown by"), map(_row, own))
     yield "### What can be made to fail\n"
-    yield "`coop faults inject CELL FAULT --arm NAME --at T` knows:\n"
+    yield "`coop faults inject CELL FAULT --arm NAME --at T` knows (telemetry has `--arm plant`, too):\n"
     known = zip(NAMES, POSSIBLE.values(), strict=True)
     lines = ((f"`{name}`", p.text, f"{p.size:g} {p.unit}" if p.unit else "") for name, p in known)
     yield _table(("fault", "what happens", "size"), lines)
 
 
 def _row(row: Row) -> tuple[str, ...]:
-    faults = dict.fromkeys(f"`{fault.fault}`" for run in row.runs for fault in run.faults)
+    each = [*(fault for run in row.runs for fault in run.faults), *row.faults]
+    faults = dict.fromkeys(f"`{fault.fault}`" for fault in each)
     shown = [
         *faults,
         *(["settings"] if any(not run.faults for run in row.runs) else []),

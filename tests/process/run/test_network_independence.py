@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -14,11 +13,18 @@ import pytest
 import zenoh
 from numpy.typing import NDArray
 
+from agent.config.cell import load_cell
+from agent.faults.heard import heard
+from agent.faults.judge import Verdict
+from agent.faults.listeners import rehearse_listeners
+from agent.faults.plan import Injection
 from agent.log.read import read_log
+from agent.telemetry.link.session import has_link
 from agent.telemetry.ring.reader import RingReader
 from agent.telemetry.row.sample import AGENT_STATE
 from tests.support.coop import PAPER, ready, start
-from tests.support.telemetry.one_arm import wait_for, written
+from tests.support.nobody import Nobody
+from tests.support.ports import free_port
 
 RUN_S = 1.5
 COMPARED = [f.name for f in AGENT_STATE.fields if not f.timing and f.name != "config_id"]
@@ -62,7 +68,7 @@ def in_ring(path: Path) -> NDArray[np.void]:
 
 @contextlib.contextmanager
 def flood(endpoint: str) -> Iterator[list[int]]:
-    """A stranger floods the keys of both arms with wrong messages; yields how many it has sent."""
+    """A stranger floods the keys of both arms with wrong messages; yields how many a recorder was sent."""
     stop, sent = threading.Event(), [0]
 
     def pour() -> None:
@@ -71,10 +77,11 @@ def flood(endpoint: str) -> Iterator[list[int]]:
         config.insert_json5("scouting/multicast/enabled", "false")
         with zenoh.open(config) as session:
             while not stop.is_set():
+                linked = has_link(session)  # there is no recorder before a run, nor behind its end
                 for arm in ("left", "right"):
                     for kind in ("state", "event", "health", "info", "command"):
                         session.put(f"coop/paper/{arm}/{kind}", bytes(range(256)) * (1 + sent[0] % 20))
-                        sent[0] += 1
+                        sent[0] += linked
                 time.sleep(0.001)
 
     stranger = threading.Thread(target=pour)
@@ -87,43 +94,30 @@ def flood(endpoint: str) -> Iterator[list[int]]:
 
 
 def bereft(folder: Path) -> dict[str, NDArray[np.void]]:
-    """Under a flood; early in the run one arm's telemetry and the recorder are killed, the others' telemetry stands."""
-    cell, socket = short_cell(folder), folder / "plant.sock"
-    rings = {member: folder / f"{member}.ring" for member in ("left", "right", "plant")}
-    log = ["--out", str(folder / "run.mcap"), "--listen", "tcp/127.0.0.1:0", "--driver", "sim"]
-    recorder = start("record", cell, *log, cwd=folder)
-    endpoint = ready(recorder).split("endpoint=")[1].strip()
-    options = ["--connect", endpoint, "--lockstep"]
-    told = {
-        m: start("telemetry", cell, "--member", m, "--ring", str(r), *options, cwd=folder) for m, r in rings.items()
-    }
-    started, place = [recorder, *told.values()], ["--plant-socket", str(socket), "--ring"]
-    try:
-        for process in told.values():
-            ready(process)
-        with flood(endpoint) as sent:
-            plant = start("plant", cell, "--socket", str(socket), "--ring", str(rings["plant"]), cwd=folder)
-            started.append(plant)
-            ready(plant)
-            agents = [start("agent", cell, "--arm", a, *place, str(rings[a]), cwd=folder) for a in ("left", "right")]
-            started += agents
-            wait_for(lambda: written(rings["left"]) > 20)
-            plant.send_signal(signal.SIGSTOP)  # simulated time waits
-            assert written(rings["left"]) < RUN_S * 200 - 50, "the run was over too soon"
-            wait_for(lambda: sent[0] > 1000)
-        for process in (told["left"], recorder):
-            process.kill()
-        for member in ("right", "plant"):
-            told[member].send_signal(signal.SIGSTOP)
-        plant.send_signal(signal.SIGCONT)
-        for process in (*agents, plant):
-            _, err = process.communicate(timeout=60)
-            assert process.returncode == 0, err
-    finally:
-        for process in started:
-            process.kill()
-            process.communicate()
-    return {arm: in_ring(rings[arm]) for arm in ("left", "right")}
+    """Under a flood; early in the run one arm's telemetry and the recorder are killed, the others' telemetry stands.
+
+    Before that the one stood and went on, the other was killed and started anew, and strangers sent to both.
+    """
+    deeds = (
+        ("telemetry-garbage", {"arm": "plant", "at_s": 0.06}),
+        ("telemetry-wrong", {"arm": "right", "at_s": 0.06}),
+        ("telemetry-stuck", {"arm": "right", "at_s": 0.08, "for_s": 0.04}),
+        ("telemetry-off", {"arm": "left", "at_s": 0.08, "for_s": 0.04}),
+        ("recorder-stuck", {"at_s": 0.14, "for_s": 0.04}),
+        *(("telemetry-stuck", {"arm": member, "at_s": 0.2}) for member in ("right", "plant")),
+        ("telemetry-off", {"arm": "left", "at_s": 0.2}),
+        ("recorder-off", {"at_s": 0.2}),
+    )
+    faults = [Injection(fault=fault, **given) for fault, given in deeds]
+    cell, endpoint = load_cell(Path(short_cell(folder))), f"tcp/127.0.0.1:{free_port()}"
+    with flood(endpoint) as sent:
+        run = rehearse_listeners(cell, faults, 1, folder / "run.mcap", Nobody(), listen=endpoint)
+    assert sent[0] > 1000
+    found = heard(run)
+    assert found.verdict is Verdict.MET
+    assert not found.complete
+    assert all(found.kept[arm].logged <= 60 for arm in ("left", "right"))  # of 300: what came before 0.2 s at most
+    return {arm: run.rows[arm] for arm in ("left", "right")}
 
 
 def flooded(folder: Path) -> dict[str, NDArray[np.void]]:

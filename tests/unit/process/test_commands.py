@@ -39,9 +39,15 @@ FULL = (
         split_s=60.5,
         keep_mb=100,
         run_info=Path("run.json"),
+        at_once=True,
     ),
     PlantCommand(
-        cell=CELL, socket=Path("plant.sock"), ring=Path("plant.ring"), real_time=True, lost_arm=AfterLoss.LIMP
+        cell=CELL,
+        socket=Path("plant.sock"),
+        ring=Path("plant.ring"),
+        real_time=True,
+        lost_arm=AfterLoss.LIMP,
+        pauses="1.0,2.5",
     ),
     EmulateCommand(
         cell=CELL,
@@ -94,6 +100,7 @@ FULL = (
         follow=True,
         cell_name="paper",
         fingerprint="ab12",
+        at_once=True,
     ),
 )
 

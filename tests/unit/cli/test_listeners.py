@@ -1,0 +1,135 @@
+"""`coop faults inject` of telemetry and recorder: what it refuses, what it says, and its exit code.
+
+With real processes: tests/process/run/test_listeners.py.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from agent.config.cell import Cell
+from agent.faults.heard import undisturbed
+from agent.faults.listeners import Rehearsed
+from agent.faults.plan import Injection
+from agent.host.child import ChildFailed
+from agent.telemetry.row.sample import AGENT_STATE
+from tests.support.command import coop
+from tests.support.pages import told
+
+SHORT = ("--at", "0.05", "--duration", "0.1")
+
+
+def rows(tau: NDArray[np.float64]) -> NDArray[np.void]:
+    found = np.zeros(len(tau), AGENT_STATE.dtype)
+    found["tau_limited"][:, : tau.shape[1]] = tau
+    found["sequence"], found["t"] = np.arange(len(tau)), 0.005 * np.arange(len(tau))
+    return found
+
+
+class Processes:
+    """In the place of processes: rows of the undisturbed run, one of which may be altered, and one log."""
+
+    def __init__(self) -> None:
+        self.altered: int | None = None
+        self.faults: tuple[Injection, ...] = ()
+        self.seed = 0
+        self.folder = Path()
+        self.fails = False
+
+    def __call__(self, cell: Cell, faults: Sequence[Injection], seed: int, log: Path, progress: Any) -> Rehearsed:
+        progress.phase("running")
+        self.faults, self.seed, self.folder = tuple(faults), seed, log.parent
+        log.write_bytes(b"of the recorder")
+        if self.fails:
+            raise ChildFailed("recorder", found="nothing", expected="more", remedy=f"its log is {log}")
+        own = {arm: rows(tau) for arm, tau in undisturbed(cell).items()}
+        if self.altered is not None:
+            own["right"]["tau_limited"][self.altered, 0] += 0.5
+        named = tuple(fault.model_copy(update={"arm": fault.arm or "left"}) for fault in faults)
+        return Rehearsed(cell, named, own, (log,), 7)
+
+
+@pytest.fixture
+def processes(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> Processes:
+    found = Processes()
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path_factory.mktemp("temporary")))
+    monkeypatch.setattr("agent.faults.listeners.rehearse_listeners", found)
+    return found
+
+
+def test_it_says_each_fault_each_torque_and_what_the_log_lacks(processes: Processes, tmp_path: Path) -> None:
+    log = tmp_path / "log.mcap"
+    done = coop("faults", "inject", "paper", "telemetry-wrong", "--arm", "right", *SHORT, "--seed", 3, "--out", log)
+    assert done.code == 0, done.err
+    lines = done.out.splitlines()
+    assert lines[0].startswith("fault             telemetry-wrong, arm right, at 0.05 s: a stranger sends")
+    assert lines[1] == "torque left       the same to the bit of 20 rows, against the undisturbed run"
+    assert "rows left         0 of 20 in the log, 20 missing" in lines
+    assert "log says          incomplete" in lines
+    assert "strange messages  7 sent" in lines
+    assert lines[-1] == f"log               {log}"
+    assert log.read_bytes() == b"of the recorder"
+    assert processes.seed == 3
+    assert not processes.folder.exists()
+    again = coop("faults", "inject", "paper", "telemetry-wrong", *SHORT, "--out", log)
+    assert again.code == 4
+    assert "name another with --out" in again.err
+
+
+def test_a_torque_that_differs_is_said_with_its_place_and_ends_with_1(processes: Processes) -> None:
+    processes.altered = 13
+    done = coop("faults", "inject", "paper", "recorder-off", *SHORT)
+    assert done.code == 1
+    assert done.out.splitlines()[0].startswith("fault             recorder-off, at 0.05 s: its process is killed")
+    assert "torque left       the same to the bit" in done.out
+    assert "torque right      DIFFERS from row 13, t = 0.065 s on of 20 rows" in done.out
+    done = coop("faults", "inject", "paper", "recorder-off", *SHORT, "--json")
+    assert done.code == 1
+    document = json.loads(done.out)
+    assert document["verdict"] == "missed"
+    assert document["torque"]["right"] == {
+        "rows": 20, "same": False, "differs_at_row": 13, "differs_at_s": pytest.approx(0.065),
+    }  # fmt: skip
+    assert document["faults"][0]["fault"] == "recorder-off"
+    assert set(document) <= told("commands.md")
+    for part in ("torque", "rows"):
+        assert set(document[part]["left"]) <= told("commands.md")
+
+
+def test_a_process_that_fails_leaves_the_words_that_its_error_names(processes: Processes) -> None:
+    processes.fails = True
+    done = coop("faults", "inject", "paper", "recorder-off", *SHORT)
+    assert done.code == ChildFailed.exit_code
+    assert str(processes.folder) in done.err
+    assert (processes.folder / "run.mcap").is_file()
+
+
+@pytest.mark.parametrize("row", ["p10", "N1", "n2"])
+def test_a_row_of_processes_is_carried_out_by_its_id(row: str, processes: Processes) -> None:
+    done = coop("faults", "inject", "paper", row, "--duration", "3.2")
+    assert done.code == 0, done.err
+    (fault,) = processes.faults
+    assert fault.fault == {"p10": "telemetry-off", "N1": "recorder-off", "n2": "recorder-stuck"}[row]
+
+
+def test_what_makes_no_sense_is_refused_before_anything_starts(tmp_path: Path) -> None:
+    for words, said in (
+        (("telemetry-garbage", "--for", "1"), "one burst"),
+        (("recorder-off", "--arm", "left"), "leave --arm out"),
+        (("telemetry-off", "--servo", "4"), "leave --servo out"),
+        (("telemetry-off", "--at", "3", "--duration", "3.01"), "an earlier --at"),
+        (("telemetry-off", "--set", 'hil.arms=["left"]'), "remove the table"),
+        (("telemetry-off", "--set", 'driver="dynamixel"'), "driver=sim"),
+    ):
+        done = coop("faults", "inject", "paper", *words, cwd=tmp_path)
+        assert done.code == 2, words
+        assert len(done.err.splitlines()) == 1
+        assert said in done.err
+        assert not list(tmp_path.iterdir())
