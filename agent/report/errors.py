@@ -10,8 +10,9 @@ import numpy as np
 
 from agent.log.runinfo import RunInfo
 from agent.report.arithmetic import NAN, instant_of_most, most, rms
+from agent.report.decay import AttitudeDecay, PositionDecay
 from agent.report.prepared import Prepared
-from agent.report.results import Decay, PoseErrors
+from agent.report.results import PoseErrors
 from agent.report.series import Array, PoseSeries, column, same_ticks
 
 GAP_S: Final = 0.1  # without a pose: what happened meanwhile cannot be judged
@@ -47,8 +48,8 @@ def pose_errors(series: PoseSeries, info: RunInfo) -> PoseErrors:
         t_max_attitude_s=instant_of_most(t, attitude[settled]),
         max_in_plane_error_m=in_plane,
         max_out_of_plane_error_m=out_of_plane,
-        position=_decay(series.t[followed], position[followed]),
-        attitude=_decay(series.t[followed], attitude[followed]),
+        position=PositionDecay.of(series.t[followed], position[followed]),
+        attitude=AttitudeDecay.of(series.t[followed], attitude[followed]),
     )
 
 
@@ -80,22 +81,6 @@ def _longest_gap(t: Array, info: RunInfo) -> tuple[float, float]:
     gaps = np.concatenate([t, [info.duration_s]]) - begins
     longest = int(gaps.argmax())
     return (float(gaps[longest]), float(begins[longest])) if gaps[longest] > 1.5 * lasts_s else (0.0, NAN)
-
-
-def _decay(t: Array, error: Array) -> Decay:
-    if not len(error):
-        return Decay(NAN, NAN, NAN)
-    start = float(error[0])
-    if start == 0.0:
-        return Decay(0.0, NAN, NAN)
-    below_half = np.flatnonzero(error <= 0.5 * start)
-    above_tenth = np.flatnonzero(error > 0.1 * start)
-    last = int(above_tenth[-1])
-    return Decay(
-        initial=start,
-        half_s=float(t[below_half[0]] - t[0]) if len(below_half) else NAN,
-        tenth_s=float(t[last + 1] - t[0]) if last + 1 < len(t) else NAN,
-    )
 
 
 def disagreement(run: Prepared) -> float:

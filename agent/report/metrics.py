@@ -183,7 +183,8 @@ def _completeness(run: Prepared, name: str) -> Completeness:
     told = [event.data.get("ticks") for event in run.log.events if event.source == name]
     written = next((n for n in reversed(told) if isinstance(n, int)), to_its_end)
     recorded = int(np.searchsorted(sequence, written))
-    return Completeness(written, recorded, len(sequence) - recorded, tuple(missing_ranges(sequence, written)))
+    gaps = tuple(missing_ranges(sequence, written))
+    return Completeness(written, recorded, written - recorded, len(sequence) - recorded, gaps)
 
 
 def _modes(rows: Table) -> tuple[tuple[float, str], ...]:

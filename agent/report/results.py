@@ -12,6 +12,7 @@ import numpy as np
 
 from agent.log.runinfo import Bounded, RunInfo
 from agent.report.arithmetic import NAN
+from agent.report.decay import AttitudeDecay, PositionDecay
 from agent.report.grip import GripResults
 from agent.report.phases import Phase
 from agent.report.quantity import Better, Quantity, Unit, flatten, json_ready, units_of
@@ -56,15 +57,6 @@ class Spread:
 
 
 @dataclass(frozen=True, slots=True)
-class Decay:
-    """How an error at the start goes away: times since the first row that follows the trajectory, NaN if it has not."""
-
-    initial: Annotated[float, Unit("m or rad", Better.NEITHER)]
-    half_s: Seconds  # first time at half the initial error or below
-    tenth_s: Seconds  # from here to the end never above a tenth of it
-
-
-@dataclass(frozen=True, slots=True)
 class PoseErrors:
     """Object pose against the desired one, from the end of the transient to the end of the run."""
 
@@ -83,8 +75,8 @@ class PoseErrors:
     t_max_attitude_s: Annotated[float, Unit("s", Better.NEITHER)]
     max_in_plane_error_m: Metres  # NaN when the run has no plane
     max_out_of_plane_error_m: Metres
-    position: Decay
-    attitude: Decay
+    position: PositionDecay
+    attitude: AttitudeDecay
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +145,8 @@ class Completeness:
     """Rows of one arm: the cycles it ran, numbered from 0."""
 
     expected: Annotated[int, Unit("", Better.NEITHER)]
-    recorded: Annotated[int, Unit("", Better.HIGHER)]
+    recorded: Annotated[int, Unit("", Better.NEITHER)]  # of these
+    lost: Count  # of these, the others
     after_end: Annotated[int, Unit("", Better.NEITHER)]  # numbered beyond them
     gaps: tuple[tuple[int, int], ...]  # first and last sequence number of every missing stretch
 
@@ -171,7 +164,7 @@ class Results:
     arm_disagreement_m: Metres  # largest distance between two arms' views of the object
     arm_disagreement_left_m: Metres  # of what their shifts leave of it at the end; NaN where no arm has shifted
     real_time_factor: Annotated[float, Unit("", Better.HIGHER)]
-    events: Count
+    events: Annotated[int, Unit("", Better.NEITHER)]
     missing: tuple[str, ...]
     phases: tuple[Phase, ...] = ()  # of a session from rest to rest
     set_down_error_m: Metres = NAN  # between where the object stands after a session and where it stood before
@@ -227,7 +220,7 @@ class Results:
 
     @property
     def rows_recorded(self) -> int:
-        """Rows of the run that the log has, all arms together."""
+        """Those of them that the log has."""
         return sum(c.recorded for c in self.rows.values())
 
     @property

@@ -32,7 +32,30 @@ def test_a_smaller_error_is_better_and_fewer_rows_are_worse() -> None:
     changes = {d.name: d for d in compare(results(offset_m=1e-3), results(keep=4900))}
     assert changes["max_position_error_m"].change is Change.BETTER
     assert changes["max_position_error_m"].relative == pytest.approx(-0.8, abs=0.01)
-    assert changes["rows.left.recorded"].change is Change.WORSE
+    assert changes["rows.left.lost"].change is Change.WORSE
+    assert (changes["rows.left.lost"].a, changes["rows.left.lost"].b) == (0, 100)
+
+
+def test_a_longer_run_is_not_a_better_one() -> None:
+    def of(duration_s: float) -> Results:
+        return summarise(paper_run(Path("run.mcap"), duration_s=duration_s))
+
+    changes = {d.name: d for d in compare(of(25.0), of(26.0))}
+    for name in ("expected", "recorded"):
+        assert changes[f"rows.left.{name}"].change is Change.DIFFERENT
+    assert changes["rows.left.lost"].change is Change.SAME
+
+
+def test_what_happened_in_a_run_is_neither_better_nor_worse() -> None:
+    a = results()
+    assert {d.name: d for d in compare(a, replace(a, events=a.events + 3))}["events"].change is Change.DIFFERENT
+
+
+def test_a_figure_has_the_unit_of_its_name() -> None:
+    units = {d.name: d.unit for d in compare(results(), results())}
+    assert (units["by_plant.position.initial"], units["by_plant.attitude.initial"]) == ("m", "rad")
+    assert (units["by_arm.left.position.initial"], units["by_arm.left.attitude.initial"]) == ("m", "rad")
+    assert set(units.values()) <= {"", "m", "rad", "s", "N", "N·m", "m/s", "rad/s", "J"}
 
 
 def test_swapping_the_runs_swaps_the_judgement() -> None:
