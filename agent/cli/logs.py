@@ -22,6 +22,7 @@ from agent.cli.options import (
     print_json,
 )
 from agent.cli.progress import Steps
+from agent.cli.results import show_results
 from agent.host.starting import ready
 
 if TYPE_CHECKING:
@@ -37,7 +38,6 @@ def report(
     """Make the figures, the page and results.json from a log alone; its own earlier report is replaced."""
     from agent.log.read import open_log
     from agent.report.report import keep_other_reports, write_report
-    from agent.report.results_file import terminal_table
     from agent.view.film import still
 
     folder = out or log.parent
@@ -51,7 +51,7 @@ def report(
             if view:
                 step("drawing in 3D")
                 _write_view(opened, folder)
-    console().print(terminal_table(files.results))
+    show_results(files.results, log)
     typer.echo(f"report   {files.html}")
 
 
@@ -91,21 +91,22 @@ def compare(
     _require_some(logs, len(LETTERS))
     if html is not None and not force:
         keep_existing(html)
-    runs, problems = [], list[str]()
+    runs, untold = [], list[str]()
     with Steps() as step:
         for log in logs:
             step(f"reading {log}")
             with open_log(log) as opened:
                 run = prepare(opened)
-                problems += [f"{log}: {problem}" for problem in opened.problems]
-                runs.append(ComparedRun(log, summarise_prepared(run), settings_of(opened), error_series(run)))
+                results = summarise_prepared(run)
+                untold += [f"{log}: {line}" for line in (opened.problems if as_json else results.missing)]
+                runs.append(ComparedRun(log, results, settings_of(opened), error_series(run)))
         if html is not None:
             from agent.report.compare_page import write_comparison
 
             step("drawing")
             write_comparison(runs, html)
-    for problem in problems:
-        note(problem)
+    for line in untold:
+        note(line)
     if as_json:
         from agent.cli.documents import compare_document
 

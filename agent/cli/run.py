@@ -9,7 +9,8 @@ from typing import Annotated
 
 import typer
 
-from agent.cli.options import AsJson, CellPath, Force, Overrides, asked_yes, console, note, print_json
+from agent.cli.options import AsJson, CellPath, Force, Overrides, asked_yes, note, print_json
+from agent.cli.results import show_results
 
 
 class _Terminal:
@@ -81,7 +82,6 @@ def run(
     from agent.process.run import RunOptions, run_cell
     from agent.process.run_kind import RunKind
     from agent.report.bounds import require_bounds
-    from agent.report.results_file import terminal_table
     from agent.telemetry.link.session import FREE_PORT
 
     requested = StopFlag()
@@ -102,7 +102,7 @@ def run(
 
         print_json(run_document(outcome))
     else:
-        console().print(terminal_table(outcome.results))
+        show_results(outcome.results, outcome.log)
         typer.echo(f"log      {outcome.log}")
         if outcome.report is not None:
             typer.echo(f"report   {outcome.report}")

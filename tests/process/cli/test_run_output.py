@@ -41,6 +41,8 @@ def test_a_bound_that_was_not_shown_is_said_in_one_line(tmp_path: Path) -> None:
     assert done.stderr.count("\n") == 1
     assert done.stderr.startswith("coop: bounds of cell paper: found max_position_error_m not measured")
     assert "let it run longer" in done.stderr
+    told = coop(*SHORT, "--out", "again", cwd=tmp_path)
+    assert f"{Path('again/run.mcap')}: no usable row of plant after the transient of 20 s" in told.stderr
 
 
 def test_a_folder_is_used_again_only_when_asked(first_run: Path) -> None:

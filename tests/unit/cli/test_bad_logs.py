@@ -191,6 +191,22 @@ def test_a_log_of_another_release_says_what_can_still_be_read(
         assert "`coop export`, `coop replay` and `coop events` read it as it is" in done.err
 
 
+@pytest.mark.parametrize("command", ["report", "compare"])
+def test_what_a_log_cannot_tell_is_said_beside_the_table(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str
+) -> None:
+    """The figure itself is a dash."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("agent.report.report.pictures", lambda _: [])
+    write_run(tmp_path / "run.mcap", CELL, {ARM: rows()[:8]})
+    done = coop(*(word.replace(LOG, "run.mcap") for word in READERS[command]))
+    assert done.code == 0
+    said = done.err.splitlines()
+    assert f"run.mcap: no usable row of {ARM} after the transient of 0.05 s" in said
+    assert any(line.startswith("run.mcap: no simulation in the log") for line in said)
+    assert not any(line.startswith("coop: ") for line in said), "that is no error"
+
+
 # --------------------------------------------------------------------------------------- files that are damaged or none
 
 
