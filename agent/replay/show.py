@@ -23,12 +23,11 @@ def verdict_lines(verdict: Verdict) -> list[str]:
     """What was compared, what differs, and where it begins."""
     lines = []
     for arm in verdict.arms:
-        told = f"{arm.arm:<12} {arm.rows} rows replayed, " + (
-            f"{arm.different} differ, torque by up to {arm.torque_difference_Nm:.3g} N·m"
-            if arm.different
-            else "all equal"
+        differ = f"{arm.different} differ, torque by up to {arm.torque_difference_Nm:.3g} N·m"
+        told = (
+            f"{arm.rows} rows replayed, {differ if arm.different else 'all equal'}" if arm.rows else "no row replayed"
         )
-        lines.append(told + (f"; {arm.left_out} left out" if arm.left_out else ""))
+        lines.append(f"{arm.arm:<12} {told}" + (f"; {arm.left_out} left out" if arm.left_out else ""))
     first = verdict.first
     if first is not None:
         lines.append(f"first difference: {_said(first)}")
@@ -41,9 +40,10 @@ def same_lines(verdict: Verdict) -> list[str]:
     """What two logs have in common."""
     lines = []
     for arm in verdict.arms:
-        told = f"{arm.different} differ" if arm.different else "all equal but for timing"
+        differ = f"{arm.different} differ" if arm.different else "all equal but for timing"
+        told = f"{arm.rows} rows in both, {differ}" if arm.rows else "no row in both"
         more = f"; {arm.left_out} only in one of the logs" if arm.left_out else ""
-        lines.append(f"{arm.arm:<12} {arm.rows} rows in both, {told}{more}")
+        lines.append(f"{arm.arm:<12} {told}{more}")
     first = verdict.first
     return lines if first is None else [*lines, f"first difference: {_said(first, ('here', 'there'))}"]
 

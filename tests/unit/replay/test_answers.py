@@ -192,6 +192,16 @@ def test_rows_that_only_one_has_make_them_differ(tmp_path: Path) -> None:
         assert "left         390 rows in both, all equal but for timing; 10 only in one of the logs" in done.out
 
 
+def test_of_an_arm_without_a_row_nothing_is_said_to_be_equal(tmp_path: Path) -> None:
+    rows = rows_of(-1.0)
+    log, other = write_run(tmp_path / "a.mcap", PAPER, {"left": rows, "right": rows[:0]}), tmp_path / "b.mcap"
+    write_run(other, PAPER, {"left": rows, "right": rows})
+    done = coop("replay", log, "--same-as", other)
+    assert done.code == 1
+    assert "right        no row in both; 400 only in one of the logs\n" in done.out
+    assert "right        no row replayed\n" in coop("replay", log).out
+
+
 def test_logs_without_anything_in_common_are_refused(tmp_path: Path) -> None:
     a = rows_of(-1.0)
     paths = two(tmp_path, a[:100], a[200:])
