@@ -22,7 +22,7 @@ WHOLE_S = 5.0
 PAPER_RUN = ("paper", "--duration", PAPER_RUN_S, "--set", f"report.transient_s={TRANSIENT_S}")
 SHORT = ("--duration", 1.5, "--set", "report.transient_s=0.5", "--no-report")  # of a run whose length says nothing
 WAITING = (
-    "paper", "--duration", 2, "--set", "simulation.ready_s=0.5", "--set", "controller.alignment.max_m=0.02",
+    "paper", "--duration", 2, "--set", "simulation.ready_s=0.5", "--set", "controller.alignment.enabled=true",
     "--set", "report.transient_s=1", "--no-report",
 )  # fmt: skip
 # as quick as the emulated servos' motions are in tests/unit/test_whole.py; two seconds of the whole motion count

@@ -42,6 +42,12 @@ def test_every_kind_of_run_is_verified_from_its_first_row_and_from_its_middle(
     require_verified(run_of(*words))
 
 
+def test_the_run_that_waits_is_one_of_arms_that_align(run_of: RunOf) -> None:
+    for rows in read_log(run_of(*WAITING) / "run.mcap").agents.values():
+        assert rows["t"][0] < 0.0
+        assert rows["shift"][-1, :3].any(), "the verdicts on this run are of alignment, too"
+
+
 @pytest.mark.realtime
 @pytest.mark.timeout(400)
 def test_a_run_of_the_real_driver_from_rest_to_rest_is_verified(whole_run: tuple[Path, RunLog]) -> None:
