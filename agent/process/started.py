@@ -251,6 +251,7 @@ def _of_cell(command: TelemetryCommand) -> tuple[str, str]:
 
 def record(command: RecordCommand, listener: Listener) -> int:
     """Everything that the cell publishes into one log, or one after the other."""
+    from agent.atomic import make_folder
     from agent.config.files import load_files
     from agent.host.paths import log_path
     from agent.log.parts import Limits
@@ -261,6 +262,8 @@ def record(command: RecordCommand, listener: Listener) -> int:
     files = load_files(command.cell)
     kind = command.driver if command.driver is not None else files.file.driver
     known = None if command.run_info is None else command.run_info.read_bytes()
+    if command.out is None:
+        make_folder(command.out_dir)
     report = run_recorder(
         files,
         command.out if command.out is not None else log_path(command.out_dir, files.file.name),

@@ -83,7 +83,7 @@ def ended(process: subprocess.Popen[str]) -> str:
 
 def test_a_run_by_hand_needs_no_path_and_loads_no_solver_where_none_is_used(session: Host) -> None:
     cell = cell_named("paper", session.folder)
-    recorder = session.start("record", cell, "--out", "run.mcap", "--listen", "tcp/127.0.0.1:0", "--truth")
+    recorder = session.start("record", cell, "--listen", "tcp/127.0.0.1:0")
     plant = session.start("plant", cell)
     endpoint = ready(recorder).split("endpoint=")[1].strip()
     ready(plant)
@@ -97,7 +97,8 @@ def test_a_run_by_hand_needs_no_path_and_loads_no_solver_where_none_is_used(sess
     light = [ended(process) for process in telemetry]
     recorder.terminate()
     light.append(ended(recorder))
-    log = read_log(session.folder / "run.mcap")
+    (path,) = (session.folder / "runs").glob("*.mcap")
+    log = read_log(path)
     assert log.complete
     assert {arm: len(rows) for arm, rows in log.agents.items()} == {"left": SECONDS * 200, "right": SECONDS * 200}
     assert log.run_info()["plane_normal"] == pytest.approx([0, 0, 1]), (
