@@ -14,14 +14,14 @@ from typing import Any, Final, Protocol
 
 import tomli_w
 
-from agent.atomic import write_atomically
+from agent.atomic import keep_existing, write_atomically
 from agent.config.cell import Cell
 from agent.config.reading import parse
 from agent.config.reality import draw
 from agent.study.measure import RunResult
 from agent.study.page import render
 from agent.study.plan import Plan, Task
-from agent.study.store import Store
+from agent.study.store import RUNS_FILE, Store
 from agent.study.summary import errors_of, influences, judged, summary, worst
 from agent.verify.check import examine
 
@@ -66,6 +66,8 @@ def run_study(
     for cell in plan.cells:
         examine(cell).require()
     tasks = plan.tasks()
+    if not anew and not (out / RUNS_FILE).exists():  # then what lies there is no study's
+        keep_existing(*(out / name for name in RESULTS), remedy="name another --out, or give --force")
     with Store(out, plan.identity(), anew=anew) as store:
         if anew:
             for name in RESULTS:

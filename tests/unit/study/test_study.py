@@ -15,6 +15,7 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 
+from agent.atomic import WriteError
 from agent.config.cell import load_cell
 from agent.config.reality import draw, reality_of
 from agent.study import work
@@ -151,6 +152,19 @@ def test_a_study_that_fails_behind_its_first_run_keeps_it(tmp_path: Path, plan: 
         run_study(plan, tmp_path, no_worker, lambda: False, Told())
     with Store(tmp_path, plan.identity()) as store:
         assert list(store.results) == [plan.tasks()[0].key]
+
+
+@pytest.mark.parametrize("name", RESULTS)
+def test_a_file_that_no_study_has_written_is_kept_unless_asked(
+    tmp_path: Path, plan: Plan, results: list[RunResult], name: str
+) -> None:
+    (tmp_path / name).write_text("mine")
+    with pytest.raises(WriteError, match=f"{name}: found one of that name, expected none; .*--out, or give --force"):
+        run_study(plan, tmp_path, known(results), lambda: False, Told())
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+    assert (tmp_path / name).read_text() == "mine"
+    run_study(plan, tmp_path, known(results), lambda: False, Told(), anew=True)
+    assert not (tmp_path / name).read_bytes().startswith(b"mine")
 
 
 def test_a_study_that_was_stopped_goes_on_where_it_was(tmp_path: Path, plan: Plan, results: list[RunResult]) -> None:
