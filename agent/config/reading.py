@@ -35,6 +35,12 @@ NO_TEXT: Final = {  # how files begin that are often named for another: what the
 }
 SHOWN: Final = 120  # characters of a value in a refusal
 _IS = re.compile(r"^(Value error, |Input should be )")
+_IN_TOML: Final = {  # what pydantic misses, in words of TOML
+    "bool_type": "true or false", "float_type": "a number", "int_type": "a whole number",
+    "string_type": "text in quotes",
+    "list_type": "a list", "tuple_type": "a list", "model_type": "a table", "model_attributes_type": "a table",
+    "dict_type": "a table", "too_long": "at most {max_length} of them", "too_short": "at least {min_length} of them",
+}  # fmt: skip
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
@@ -227,6 +233,8 @@ def _explain(model: type[BaseModel], problem: dict[str, Any]) -> dict[str, str]:
         return {"found": shown(repr(tag)), "expected": " or ".join(kinds), "remedy": remedy}
     if kind == WITHOUT_KIND:
         return {"found": "nothing", "expected": "which kind of table it is", "remedy": "add the key"}
+    if kind == "missing" and isinstance(problem["loc"][-1], int):
+        return {"found": "nothing", "expected": "a value", "remedy": "add it to the list (its places count from 0)"}
     if kind == "missing":
         reasons = getattr(_model_at(model, problem["loc"][:-1]), "absent", {})
         return {
@@ -235,8 +243,12 @@ def _explain(model: type[BaseModel], problem: dict[str, Any]) -> dict[str, str]:
     if kind == "extra_forbidden":
         return _explain_unknown(model, problem["loc"])
     message = _IS.sub("", problem["msg"]).replace(" should have ", " of ").replace(" should match ", " that matches ")
+    if kind in _IN_TOML:
+        message = _IN_TOML[kind].format(**problem.get("ctx", {}))
     if isinstance(problem["input"], dict):
         found = "not that"
+    elif isinstance(problem["input"], bool):
+        found = found.lower()
     return {
         "found": found,
         "expected": shown(message, 4 * SHOWN),

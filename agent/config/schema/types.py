@@ -47,6 +47,8 @@ def _unit_axis(value: tuple[float, ...]) -> tuple[float, ...]:
 
 
 def _three(value: Any) -> Any:
+    if not isinstance(value, (int, float, list, tuple)):
+        raise ValueError("a number, or a list of three: x, y, z")
     return [value] * 3 if isinstance(value, (int, float)) else value
 
 

@@ -240,6 +240,33 @@ def test_all_missing_and_wrong_keys_are_named_at_once() -> None:
     assert str(caught.value).startswith("object.mas_kg in mine.toml (and 3 more: ")
 
 
+@pytest.mark.parametrize(
+    ("change", "found", "expected"),
+    [
+        ("controller=3", "3", "a table"),
+        ("trajectory=3", "3", "a table"),
+        ("simulation.push=[3]", "3", "a table"),
+        ("simulation.push=3", "3", "a list"),
+        ("object.p_start_m=1", "1", "a list"),
+        ("object.p_start_m=[1, 2, 3, 4]", "[1, 2, 3, 4]", "at most 3 of them"),
+        ("object.p_start_m=[1, 2]", "nothing", "a value; add it to the list"),
+        ("arms=[]", "[]", "at least 1 of them"),
+        ('controller.k_p_per_s="fast"', "'fast'", "a number, or a list of three: x, y, z"),
+        ("rate_hz=true", "true", "a number"),
+        ("simulation.substeps_per_cycle=1.5", "1.5", "a whole number"),
+        ("controller.friction_feedforward=1", "1", "true or false"),
+        ("name=5", "5", "text in quotes"),
+    ],
+)
+def test_a_value_of_another_kind_is_told_in_words_of_the_file(change: str, found: str, expected: str) -> None:
+    """Not in those of a programming language."""
+    with pytest.raises(ConfigError) as refused:
+        load_cell(Path("paper"), [change])
+    line = str(refused.value)
+    assert f": found {found}, expected {expected}" in line
+    assert not re.search("tuple|dictionary|instance|boolean|string|validation", line, re.IGNORECASE)
+
+
 def test_every_arm_that_cannot_be_is_named_at_once() -> None:
     text = PAPER.read_text().replace('model = "widowx_mk2"', 'model = "nothing"')
     with pytest.raises(WrongKeys, match="model of arm left") as caught:
