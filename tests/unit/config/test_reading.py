@@ -251,6 +251,7 @@ def test_all_missing_and_wrong_keys_are_named_at_once() -> None:
         ("object.p_start_m=[1, 2, 3, 4]", "[1, 2, 3, 4]", "at most 3 of them"),
         ("object.p_start_m=[1, 2]", "nothing", "a value; add it to the list"),
         ("arms=[]", "[]", "at least 1 of them"),
+        ("arms.left.locked_rad=3", "3", "a table"),
         ('controller.k_p_per_s="fast"', "'fast'", "a number, or a list of three: x, y, z"),
         ("rate_hz=true", "true", "a number"),
         ("simulation.substeps_per_cycle=1.5", "1.5", "a whole number"),
