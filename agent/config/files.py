@@ -15,7 +15,17 @@ import tomli_w
 import configs
 from agent.config import trajectory
 from agent.config.embed import embed
-from agent.config.reading import ConfigError, override, parse, read_file, refuse_all, shipped_cells, shown, validate
+from agent.config.reading import (
+    CHANGED,
+    ConfigError,
+    override,
+    parse,
+    read_file,
+    refuse_all,
+    shipped_cells,
+    shown,
+    validate,
+)
 from agent.config.schema.arm import ArmFile, ServoJoint
 from agent.config.schema.cell import CellFile
 from agent.config.schema.member import Arm as ArmEntry
@@ -134,13 +144,14 @@ def load_files(cell: Path, overrides: Sequence[str] = ()) -> CellFiles:
     allowed and what to do.
     """
     path = cell_path(cell)
-    raw = read_file(path)
+    raw, source = read_file(path), path.name
     document = parse(raw, path)
     if overrides:
+        source += CHANGED
         for text in overrides:
             override(document, text)
         raw = tomli_w.dumps(document).encode()
-    return files_from_toml(embed(raw, document, path), path.name)
+    return files_from_toml(embed(raw, document, path), source)
 
 
 def cell_path(cell: Path) -> Path:

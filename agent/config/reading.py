@@ -33,6 +33,7 @@ NO_TEXT: Final = {  # how files begin that are often named for another: what the
     b"\xff\xfe": _UTF_16,
     b"\xfe\xff": _UTF_16,
 }
+CHANGED: Final = " with the changes asked for"  # behind a file's name: what is wrong may not stand in it
 SHOWN: Final = 120  # characters of a value in a refusal
 _IS = re.compile(r"^(Value error, |Input should be )")
 _IN_TOML: Final = {  # what pydantic misses, in words of TOML

@@ -13,7 +13,7 @@ import tomli_w
 import configs
 from agent.atomic import write_atomically
 from agent.config.cell import Cell, cell_from_toml
-from agent.config.reading import override, parse
+from agent.config.reading import CHANGED, override, parse
 from agent.host.info import CELL_FILE
 from agent.log.read import AnyLog
 from drivers.interface import Refusal
@@ -51,7 +51,7 @@ def changed_cell(log: AnyLog, changes: Sequence[str]) -> Cell:
         for shipped in configs.ARMS_DIR.iterdir():
             if _NAME.fullmatch(shipped.name) and not (folder / shipped.name).exists():
                 write_atomically(folder / shipped.name, shipped.read_bytes())
-        return cell_from_toml(raw, f"{CELL_FILE} of {log.path.name}", folder)
+        return cell_from_toml(raw, f"{CELL_FILE} of {log.path.name}{CHANGED}", folder)
 
 
 def _unpacked(log: AnyLog, folder: Path) -> Path:

@@ -66,8 +66,9 @@ def lines(results: Results) -> list[Line]:
 
 
 def _disagreement(results: Results) -> str:
-    apart, left_m = millimetres(results.arm_disagreement_m), results.arm_disagreement_left_m
-    return apart if math.isnan(left_m) else f"{apart}, and have found together to {millimetres(left_m)}"
+    apart_m, left_m = results.arm_disagreement_m, results.arm_disagreement_left_m
+    together = "" if math.isnan(apart_m + left_m) else f", and have found together to {millimetres(left_m)}"
+    return millimetres(apart_m) + together
 
 
 def _held(results: Results) -> list[tuple[str, float]]:

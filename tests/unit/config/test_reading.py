@@ -268,6 +268,14 @@ def test_a_value_of_another_kind_is_told_in_words_of_the_file(change: str, found
     assert not re.search("tuple|dictionary|instance|boolean|string|validation", line, re.IGNORECASE)
 
 
+def test_what_a_command_changes_is_not_said_to_stand_in_the_file() -> None:
+    for change in ("duration_s=0", "duration=3", 'arms.left.model="nothing"'):
+        with pytest.raises(ConfigError, match=r"in paper\.toml with the changes asked for(:| )"):
+            load_cell(Path("paper"), [change])
+    with pytest.raises(ConfigError, match=r"in mine\.toml: "):
+        cell_from_toml(PAPER.read_bytes() + b"[moon]", "mine.toml")
+
+
 def test_every_arm_that_cannot_be_is_named_at_once() -> None:
     text = PAPER.read_text().replace('model = "widowx_mk2"', 'model = "nothing"')
     with pytest.raises(WrongKeys, match="model of arm left") as caught:

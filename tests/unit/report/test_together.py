@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -102,15 +103,20 @@ def test_disagreement_is_the_distance_of_two_beliefs_and_the_shift_has_its_limit
 def test_what_the_shifts_leave_of_a_disagreement_is_said_beside_it() -> None:
     log = view_log()
     assert math.isnan(summarise(log).arm_disagreement_left_m), "nobody has shifted"
-    apart, left = log.agents["right"]["p_object"], log.agents["right"]["shift"]
+    apart, shift = log.agents["right"]["p_object"], log.agents["right"]["shift"]
     apart[:, 1] += 2e-3
-    left[:, 1] = np.linspace(0.0, 1.5e-3, len(left))
+    shift[:, 1] = np.linspace(0.0, 1.5e-3, len(shift))
     log.agents["left"]["shift"][:, 2] = 1.2e-3
     found = summarise(log)
     assert found.arm_disagreement_left_m == pytest.approx(math.hypot(0.5e-3, 1.2e-3))
     assert found.to_json()["arm_disagreement_left_m"] == found.arm_disagreement_left_m
-    said = {line.what: line.figure for line in lines(found)}
-    assert said["arms disagree on the object by"].endswith(", and have found together to 1.30\xa0mm")
+    together = ", and have found together to 1.30\xa0mm"
+    left_m = found.arm_disagreement_left_m
+    for apart_m, left, figure in (
+        (2e-3, left_m, f"2.00\xa0mm{together}"), (2e-3, math.nan, "2.00\xa0mm"), (math.nan, left_m, "–"),
+    ):  # fmt: skip
+        figures = replace(found, arm_disagreement_m=apart_m, arm_disagreement_left_m=left)
+        assert {line.what: line.figure for line in lines(figures)}["arms disagree on the object by"] == figure
 
 
 def test_thresholds_are_the_cells_and_none_without_a_table() -> None:
