@@ -141,7 +141,7 @@ def test_an_object_may_stand_on_its_table_but_not_in_it() -> None:
 
 
 def test_a_table_wants_a_world_whose_z_points_up() -> None:
-    with pytest.raises(ConfigError, match=r"table in paper\.toml: found gravity"):
+    with pytest.raises(ConfigError, match=r"table in paper\.toml with the changes asked for: found gravity"):
         load_cell(Path("paper"), ["table.z_m=0.0"])
 
 
