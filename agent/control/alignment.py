@@ -6,7 +6,8 @@ they see, slowly and beyond a dead zone only, so that a lasting disagreement end
 
     ḋ = α dz(e_p, d_0),   ρ̇ = α dz(−2 e_η e_ε, ρ_0),   |d| ≤ d_max, |ρ| ≤ ρ_max
 
-with the errors (`eq:quat_error`) to the shifted pose.  The shift is part of `Memory`, and frozen while an arm holds.
+with the errors (`eq:quat_error`) to the shifted pose; a shift beyond them at the start does not grow.  The shift is a
+part of `Memory`, and frozen while an arm holds.
 """
 
 from __future__ import annotations
@@ -70,6 +71,7 @@ def _towards(now: Vec3, error: Vec3, gain: float, dead_zone: float, bound: float
     size = _size(error)
     if not size > dead_zone:  # also when the error is no number
         return now
+    bound = max(bound, _size(now))  # a start from beyond goes no further, and is not torn back
     k = gain * (size - dead_zone) / size
     moved = (now[0] + k * error[0], now[1] + k * error[1], now[2] + k * error[2])
     length = _size(moved)

@@ -103,6 +103,16 @@ def test_the_shift_has_limits() -> None:
     assert math.hypot(*shift[3:]) == pytest.approx(FOLLOWER.max_rad)
 
 
+def test_a_shift_that_began_beyond_its_limit_goes_no_further_and_is_not_torn_back() -> None:
+    common, beyond = Desired((0.0,) * 3, ONE, STILL, STILL), (0.0, 0.03, 0.0, 0.15, 0.0, 0.0)
+    out = errors_at((0.0, 0.01, 0.0), from_axis_angle((1.0, 0.0, 0.0), 0.05), common)
+    assert FOLLOWER.advance(beyond, out, 0.005, ready=False) == pytest.approx(beyond, rel=1e-12)
+    back = errors_at((0.0, -0.01, 0.0), from_axis_angle((1.0, 0.0, 0.0), -0.05), common)
+    found = FOLLOWER.advance(beyond, back, 0.005, ready=False)
+    assert found[1] == pytest.approx(0.03 - 0.3 * 0.005 * 0.0085)
+    assert 0.1499 < found[3] < 0.15
+
+
 def test_an_error_that_is_no_number_shifts_nothing() -> None:
     e = errors_at((math.nan, 0.0, 0.0), (math.nan,) * 4, Desired((0.0,) * 3, ONE, STILL, STILL))
     assert FOLLOWER.advance((0.001,) * 6, e, 0.005, ready=True) == (0.001,) * 6
