@@ -89,6 +89,8 @@ def _bounds(cell: Cell, arm: Arm, shared: _Shared) -> Bounds:
         position_rad=tuple(zip(low.tolist(), high.tolist(), strict=True)),
         position_alone_rad=_alone(cell, arm, low, high),
         workspace_m=shared.workspace_m,
+        start_m=file.safety.start_error_max_m,
+        start_rad=file.safety.start_error_max_rad,
         limited_share=spec.limited_share,
         frozen_rad=spec.frozen_rad,
         frozen_Nm=tuple((FRICTION_TIMES * _friction(arm, k.g + carried_Nm(cell, arm, k))).tolist()),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from agent.modes import Mode
 from agent.monitors.bounds import Bounds
 from agent.monitors.tick import Tick, sentence
 from agent.phases import ALONE
@@ -11,7 +12,33 @@ from agent.safety import Flag
 
 LIMITED_TICKS = 100
 LOAD_EVERY_S = 0.1
+AT_LIMIT = 1.0 + 1e-9  # a shift that has stopped at its limit is rounded
 _AXES = "xyz"
+
+
+class Start:
+    """Before the motion the object, as this arm sees it, is near its stated start; asked of arms that align themselves.
+
+    Their motion begins where the object is.
+    """
+
+    def __init__(self, bounds: Bounds) -> None:
+        self._start_m, self._start_rad = bounds.start_m, bounds.start_rad
+
+    def check(self, at: Tick) -> str:
+        """See `agent.monitors.tick.Monitor`."""
+        if at.mode is not Mode.READY:
+            return ""
+        shift = at.outcome.memory.shift
+        off_m, off_rad = math.hypot(*shift[:3]), math.hypot(*shift[3:])
+        if off_m <= AT_LIMIT * self._start_m and off_rad <= AT_LIMIT * self._start_rad:
+            return ""
+        return sentence(
+            "start of the object", f"{off_m * 1e3:.1f} mm and {off_rad * 1e3:.0f} mrad from where the cell states it",
+            f"at most {self._start_m * 1e3:g} mm and {self._start_rad * 1e3:g} mrad",
+            "put it there; or look for another arm on this port, or a base, a grasp, a joint's zero that is not the "
+            "file's; safety.start_error_max_m and start_error_max_rad bound it",
+        )  # fmt: skip
 
 
 class Workspace:

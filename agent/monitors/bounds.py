@@ -12,6 +12,7 @@ class Name(enum.StrEnum):
     SPEED = "speed"
     POWER = "power"
     POSITION = "position"
+    START = "start"
     WORKSPACE = "workspace"
     SATURATED = "saturated"
     RATE_LIMITED = "rate_limited"
@@ -36,6 +37,8 @@ class Bounds:
     position_rad: tuple[tuple[float, float], ...]
     position_alone_rad: tuple[tuple[float, float], ...]  # of an arm of a session that holds nothing
     workspace_m: tuple[tuple[float, float], ...]  # of the object's origin, world axes: x, y, z
+    start_m: float  # how far from its stated start the object may be seen before the motion
+    start_rad: float
     limited_share: float  # of the last LIMITED_TICKS
     frozen_rad: float  # that the motion asks of a joint whose reading stays the same
     frozen_Nm: tuple[float, ...]  # of the feedback beyond which no friction keeps a joint

@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 from agent.loop import Outcome
 from agent.modes import WAY_BACK, Mode
-from agent.monitors.body import Limited, Load, Workspace
+from agent.monitors.body import Limited, Load, Start, Workspace
 from agent.monitors.bounds import Bounds, Name
 from agent.monitors.gravity import Gravity
 from agent.monitors.joints import Frozen, Position, Power, Speed
@@ -34,6 +34,7 @@ class Watch:
             Name.SPEED: Speed(bounds),
             Name.POWER: Power(bounds),
             Name.POSITION: Position(bounds),
+            Name.START: Start(bounds),
             Name.WORKSPACE: Workspace(bounds),
             Name.SATURATED: Limited(bounds, Flag.SATURATED, "torque at its limit"),
             Name.RATE_LIMITED: Limited(bounds, Flag.RATE_LIMITED, "torque step at its limit"),

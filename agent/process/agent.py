@@ -7,7 +7,7 @@ import os
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, closing
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,6 +24,7 @@ from agent.host.realtime import become_realtime, granted, quiet_memory
 from agent.host.signals import StopFlag
 from agent.loop import Agent
 from agent.modes import TABLE, Event, Mode
+from agent.monitors.bounds import Name
 from agent.monitors.gravity import REST_S
 from agent.monitors.watch import Watch
 from agent.operator.socket import ControlSocket, Standing
@@ -181,7 +182,10 @@ def _law(cell: Cell, options: AgentOptions, driver: Driver, tell: Teller) -> _La
     arm = cell.arm(options.arm)
     agent = build_agent(cell, arm)
     session = session_loop(cell, arm, agent, driver) if options.whole else None
-    return _Law(agent, session, Watch(monitors.bounds(cell, arm), tell.warn))
+    bounds = monitors.bounds(cell, arm)
+    if session is not None:  # which refuses the word, and leads back
+        bounds = replace(bounds, watched=bounds.watched - {Name.START})
+    return _Law(agent, session, Watch(bounds, tell.warn))
 
 
 def _runner(

@@ -50,6 +50,7 @@ def _shared(b: Bounds) -> list[tuple[Name, str]]:
     load = f"above {b.load_share:.0%} of stall in the mean of {b.load_time_s:g} s"
     fx, fy, fz, mx, my, mz = (f"{x:.2g}" for x in b.gravity)
     every = [
+        (Name.START, f"before the motion, object more than {b.start_m * 1e3:g} mm or {b.start_rad * 1e3:g} mrad off"),
         (Name.WORKSPACE, f"object outside {box} m"),
         (Name.SATURATED, f"torque at its limit {limited}"),
         (Name.RATE_LIMITED, f"torque step at its limit {limited}"),

@@ -67,7 +67,7 @@ def test_what_stops_a_floating_arm_is_too_hard_a_push_an_end_stop_or_its_servos(
     arm, spec = cell.arms[0], cell.file.floating
     assert spec is not None
     found, usual, model = floating.bounds(cell, arm, spec), monitors.bounds(cell, arm), cell.model(arm).model
-    of_motion = {Name.POWER, Name.WORKSPACE, Name.FROZEN, Name.LOAD, Name.GRAVITY}
+    of_motion = {Name.POWER, Name.START, Name.WORKSPACE, Name.FROZEN, Name.LOAD, Name.GRAVITY}
     assert found.speed_rad_per_s == (1.0,) * 3, "2.5 times the largest"
     assert np.allclose(np.array(found.position_rad).T[0], model.lowerPositionLimit - 0.03, rtol=1e-15)
     assert np.allclose(np.array(found.position_rad).T[1], model.upperPositionLimit + 0.03, rtol=1e-15)

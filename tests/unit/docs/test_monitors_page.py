@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 from agent.config import monitors as derived
+from agent.config.schema.cell import Safety
 from agent.config.schema.monitors import MonitorsSpec
 from agent.monitors import body, gravity, joints, servos, watch
 from agent.monitors.bounds import Name
@@ -38,6 +39,7 @@ def test_defaults_are_those_of_the_code() -> None:
         "rate_limited": (spec.limited_share * body.LIMITED_TICKS, body.LIMITED_TICKS),
         "frozen": (spec.frozen_rad,), "load": (spec.load_share,), "temperature": (spec.temperature_margin_C,),
         "voltage": (spec.voltage_margin_V,), "servo_load": (spec.load_share,),
+        "start": (1e3 * Safety().start_error_max_m, 1e3 * Safety().start_error_max_rad),
     }  # fmt: skip
     for name, numbers in told.items():
         for number in numbers:

@@ -98,6 +98,27 @@ def test_g6_a_missing_object_is_refused_where_the_arms_are_known_well_enough() -
     assert watched(light, 0.0, reality=gone, changed=without(Name.GRAVITY)).first == {}
 
 
+def test_an_arm_that_sees_the_object_far_from_its_start_holds_before_it_and_one_that_is_near_does_not() -> None:
+    cell = load("two_wx200", "simulation.ready_s=0.5")
+    off = {beside_m: Reality(arms={"right": ArmReality(base_m=(beside_m, 0.0, 0.0))}) for beside_m in (0.018, 0.03)}
+    assert watched(cell, 0.2, reality=off[0.018]).first == {}
+    seen = watched(cell, 0.2, reality=off[0.03])
+    t, said = seen.first["right"]
+    assert t < -0.45
+    assert said.startswith("monitor start: start of the object: found 30.1 mm and 1 mrad from where the cell states it")
+    assert (seen.places[1].mode, set(seen.first)) == (Mode.HOLD, {"right"}), "no start out of a hold"
+
+
+def test_a_start_from_beside_its_place_that_is_let_through_moves_without_a_jolt() -> None:
+    """Errors that grow along the way reach beyond the dead zone: the shift was cut by a third in one tick then."""
+    cell = load("two_models", "simulation.ready_s=0.5", "controller.alignment.dead_zone_m=0.0002")
+    beside = Reality(arms={"right": ArmReality(base_m=(-0.03, 0.0, 0.0), base_rad=(0.0, 0.02, 0.0))})
+    steps: list[float] = []
+    seen = watched(cell, 2.0, reality=beside, changed=without(Name.START), see=lambda _, dq: steps.append(max(abs(dq))))
+    assert (seen.first, [place.mode for place in seen.places]) == ({}, [Mode.TRACK, Mode.TRACK])
+    assert max(steps) < 0.5
+
+
 @pytest.mark.parametrize(
     ("name", "pose", "wild_rad_per_s"),
     [("two_wx200", (*LEVEL, *STIFF), 0.15), pytest.param("three_wx250s", (), 0.156, marks=LONG)],

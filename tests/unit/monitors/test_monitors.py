@@ -78,6 +78,7 @@ class Fed:
     measured: float = 0.0  # beside the files, of the first joint
     flags: Flag = Flag.NONE
     up_m: float = 0.0  # the object, beside where it is
+    shift: tuple[float, ...] = (0.0,) * 6  # of this arm's motion
     feedback: float = 0.0  # of the second joint
     up_m_per_s: float = 0.2  # what the motion asks for
     still_from: int = 0  # tick from which on, pushed by feedback, the second joint reads the same
@@ -102,7 +103,8 @@ class Fed:
             q = state.q + np.array([self.q, reads, 0.0])
             dq = np.array([0.0, self.dq, self.turn])
             seen = replace(state, q=q, tau=state.tau + np.array([self.measured, 0.0, 0.0]), stamp_ns=tick * 5_000_000)
-            shown = outcome._replace(terms=terms, tau=tau, dq=dq, flags=self.flags)
+            memory = outcome.memory._replace(shift=self.shift)  # type: ignore[arg-type]
+            shown = outcome._replace(terms=terms, tau=tau, dq=dq, flags=self.flags, memory=memory)
             said = watch.after(seen, shown, self.mode, partial(self.told, tick))
             if said:
                 return said
@@ -133,11 +135,13 @@ SPEED = usual().speed_rad_per_s[1]
 HIGHEST = usual().position_rad[0][1] - float(start_joints(cell())[0][0])
 ROOM_UP = usual().workspace_m[2][1] - cell().file.object.p_start_m[2]
 POWER = usual().power_W[2]
+TWENTY_MM = (0.012, -0.016, 2e-5)  # and ten billionths of a metre
 WINDOWS_TICKS = round(WINDOWS * WINDOW_S * cell().file.rate_hz)
 FAULTS: dict[Name, tuple[Fed, str]] = {
     Name.SPEED: (Fed(dq=-SPEED - JUST), "speed of elbow"),
     Name.POWER: (Fed(turn=0.9, tau=-POWER / 0.9 - JUST), "power of wrist_angle"),
     Name.POSITION: (Fed(q=HIGHEST + JUST, mode=Mode.READY), "position of shoulder"),
+    Name.START: (Fed(mode=Mode.READY, shift=(*TWENTY_MM, 0.0, 0.0, 1e-3)), "start of the object"),
     Name.WORKSPACE: (Fed(up_m=ROOM_UP + 1e-4), "z of the object"),
     Name.SATURATED: (Fed(flags=Flag.SATURATED, ticks=51), "torque at its limit"),
     Name.RATE_LIMITED: (Fed(flags=Flag.RATE_LIMITED, ticks=51), "torque step at its limit"),
@@ -174,6 +178,8 @@ WITHIN = {
     "speed": Fed(dq=SPEED),
     "power": Fed(turn=0.9, tau=POWER / 0.9 - JUST),
     "position": Fed(q=HIGHEST),
+    "start": Fed(mode=Mode.READY, shift=(0.012, -0.016, 0.0, 0.06, 0.0, -0.08)),
+    "start, once it moves": Fed(shift=(0.03, 0.0, 0.0, 0.0, 0.0, 0.0)),
     "workspace": Fed(up_m=ROOM_UP - 1e-4),
     "saturated": Fed(flags=Flag.SATURATED, ticks=50),
     "rate_limited": Fed(flags=Flag.RATE_LIMITED, ticks=50),
@@ -192,6 +198,11 @@ WITHIN = {
     "servo load": Fed(told=lambda tick: loaded(tick, 0.44 * 2.3), ticks=12_000),
     "no servos": Fed(told=ServoHealth.none, ticks=200),
 }
+
+
+def test_a_turn_at_the_start_counts_as_a_displacement_does() -> None:
+    said = Fed(mode=Mode.READY, shift=(0.0, 0.0, 0.0, 0.06, 1e-6, -0.081)).run(usual())
+    assert said.startswith("monitor start: start of the object: found 0.0 mm and 101 mrad from where")
 
 
 @pytest.mark.parametrize("case", WITHIN)

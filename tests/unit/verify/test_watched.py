@@ -30,6 +30,7 @@ def test_every_monitor_is_there_with_the_bounds_that_the_agents_keep() -> None:
     assert found_in(findings, Name.POWER, "left") == f"above {powers} W"
     assert found_in(findings, Name.POSITION, "left").startswith("beyond shoulder -1.86 to 1.95, elbow ")
     assert "0.02 rad of motion, at shoulder 0.6" in found_in(findings, Name.FROZEN, "left")
+    assert found_in(findings, Name.START) == "before the motion, object more than 20 mm or 100 mrad off"
     assert found_in(findings, Name.WORKSPACE) == "object outside x 0.075 to 0.375, y -0.1 to 0.1, z 0.15 to 0.35 m"
     assert found_in(findings, Name.SATURATED) == "torque at its limit in more than 50 of 100 cycles"
     assert found_in(findings, Name.RATE_LIMITED).startswith("torque step at its limit in more than 50")
