@@ -62,6 +62,15 @@ def disagreement(
     return tuple(max(of_arm, key=lambda d: d.force_N) for of_arm in zip(*each, strict=True))
 
 
+def start_off(cell: Cell, models: Sequence[ArmModel], at: Pose, q: Sequence[Vector]) -> list[tuple[float, float]]:
+    """How far from its place each arm may see the object at the start, joint angles q[i] (n,): m, rad."""
+    still, found = np.zeros(len(at.P)), []
+    for arm, model, q_i in zip(cell.arms, models, q, strict=True):
+        off, linear = _errors(cell, arm, model, q_i, at.P, still).off, _linear(at.P)
+        found.append((float(np.linalg.norm(off[linear])), float(np.linalg.norm(off[~linear]))))
+    return found
+
+
 def _at(
     cell: Cell, models: Sequence[ArmModel], at: Pose, q: Sequence[Vector], twist: Sequence[float]
 ) -> list[Disagreement]:
