@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import os
+import shutil
 import tempfile
 from pathlib import Path
+from typing import BinaryIO
 
 import configs
 from drivers.interface import Refusal
@@ -37,6 +40,16 @@ def write_atomically(path: Path, content: bytes, refusal: type[Refusal] = WriteE
 
     Raises `refusal`, for a place in an installed package too: what is there belongs to its next version.
     """
+    _put(path, io.BytesIO(content), refusal)
+
+
+def copy_atomically(source: Path, path: Path, refusal: type[Refusal] = WriteError) -> None:
+    """Replace `path` by a copy of `source`, which may lie on another disk, as `write_atomically` does."""
+    with source.open("rb") as file:
+        _put(path, file, refusal)
+
+
+def _put(path: Path, content: BinaryIO, refusal: type[Refusal]) -> None:
     if _installed(path):
         raise refusal(
             f"file {path}", found="a place in the installed package", expected="a folder of yours",
@@ -48,7 +61,7 @@ def write_atomically(path: Path, content: bytes, refusal: type[Refusal] = WriteE
         raise _refused(refusal, path, error) from error
     try:
         with os.fdopen(handle, "wb") as file:
-            file.write(content)
+            shutil.copyfileobj(content, file)
             file.flush()
             os.fsync(file.fileno())
         Path(name).chmod(0o644)

@@ -35,7 +35,7 @@ def inject(cell: Cell, faults: Sequence[Injection], seed: int, out: Path | None,
                 run = rehearse_listeners(cell, faults, seed, folder / "run.mcap", progress)
                 progress.phase("comparing")
                 found = heard(run)
-            left = [] if out is None else [_moved(log, out, i) for i, log in enumerate(run.logs)]
+            left = [] if out is None else [_kept(log, out, i) for i, log in enumerate(run.logs)]
     except ChildFailed:
         folder = Path()  # it stays, with the words of whom the error names
         raise
@@ -53,13 +53,15 @@ def inject(cell: Cell, faults: Sequence[Injection], seed: int, out: Path | None,
         raise typer.Exit(1)
 
 
-def _moved(log: Path, out: Path, number: int) -> Path:
-    """The log under the name that was asked for; further ones with a number behind it.  Raises LogFileError."""
+def _kept(log: Path, out: Path, number: int) -> Path:
+    """A copy of the log under the name asked for; further ones with a number behind it.  Raises LogFileError."""
+    from agent.atomic import copy_atomically
     from agent.faults.log import require_new
+    from agent.log.file import LogFileError
 
     target = out if not number else out.with_name(f"{out.stem}_{number + 1}{out.suffix}")
     require_new(target)
-    shutil.move(log, target)
+    copy_atomically(log, target, LogFileError)
     return target
 
 

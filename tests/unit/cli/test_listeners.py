@@ -6,6 +6,8 @@ With real processes: tests/process/run/test_listeners.py.
 from __future__ import annotations
 
 import json
+import resource
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -42,6 +44,7 @@ class Processes:
         self.seed = 0
         self.folder = Path()
         self.fails = False
+        self.size_max: int | None = None  # of files written from the log's end on
 
     def __call__(self, cell: Cell, faults: Sequence[Injection], seed: int, log: Path, progress: Any) -> Rehearsed:
         progress.phase("running")
@@ -49,6 +52,8 @@ class Processes:
         log.write_bytes(b"of the recorder")
         if self.fails:
             raise ChildFailed("recorder", found="nothing", expected="more", remedy=f"its log is {log}")
+        if self.size_max is not None:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (self.size_max, resource.getrlimit(resource.RLIMIT_FSIZE)[1]))
         own = {arm: rows(tau) for arm, tau in undisturbed(cell).items()}
         if self.altered is not None:
             own["right"]["tau_limited"][self.altered, 0] += 0.5
@@ -133,3 +138,22 @@ def test_what_makes_no_sense_is_refused_before_anything_starts(tmp_path: Path) -
         assert len(done.err.splitlines()) == 1
         assert said in done.err
         assert not list(tmp_path.iterdir())
+
+
+def test_a_disk_without_room_is_left_no_part_of_a_log(
+    processes: Processes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    with tempfile.TemporaryDirectory(dir="/dev/shm") as elsewhere:  # another file system: a rename cannot do it
+        monkeypatch.setattr("tempfile.tempdir", elsewhere)
+        processes.size_max = len(b"of the rec")
+        try:
+            done = coop("faults", "inject", "paper", "recorder-off", *SHORT, "--out", out / "log.mcap")
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        assert not list(Path(elsewhere).iterdir())
+    assert done.code == 4
+    assert f"{out / 'log.mcap'}: found File too large" in done.err
+    assert not list(out.iterdir())
