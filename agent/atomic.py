@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import io
 import os
 import shutil
@@ -79,6 +80,8 @@ def _installed(path: Path) -> bool:
 
 
 def _refused(refusal: type[Refusal], path: Path, error: OSError) -> Refusal:
+    full = error.errno in (errno.ENOSPC, errno.EDQUOT)
     return refusal(
-        f"file {path}", found=error.strerror, expected="a folder to write it into", remedy="name another path"
-    )
+        f"file {path}", found=error.strerror, expected="room for it" if full else "a folder to write it into",
+        remedy="make room there, or name another path" if full else "name another path",
+    )  # fmt: skip

@@ -1,0 +1,38 @@
+"""Files that are whole or not there: what a person is told of a place that takes none."""
+
+from __future__ import annotations
+
+import errno
+import os
+from pathlib import Path
+
+import pytest
+
+from agent.atomic import WriteError, copy_atomically, write_atomically
+
+
+@pytest.mark.parametrize(
+    ("number", "said"),
+    [
+        (errno.ENOSPC, "expected room for it; make room there, or name another path"),
+        (errno.EDQUOT, "expected room for it; make room there, or name another path"),
+        (errno.EROFS, "expected a folder to write it into; name another path"),
+    ],
+)
+def test_a_disk_that_is_full_wants_room_and_another_one_a_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int, said: str
+) -> None:
+    def full(_: int) -> None:
+        raise OSError(number, os.strerror(number))
+
+    (tmp_path / "log").write_text("before")
+    (tmp_path / "source").write_text("after")
+    with monkeypatch.context() as patch:
+        patch.setattr("os.fsync", full)
+        for write in (lambda p: write_atomically(p, b"after"), lambda p: copy_atomically(tmp_path / "source", p)):
+            with pytest.raises(WriteError, match=f"file {tmp_path}/log: found {os.strerror(number)}, {said}"):
+                write(tmp_path / "log")
+            assert (tmp_path / "log").read_text() == "before"
+            assert sorted(path.name for path in tmp_path.iterdir()) == ["log", "source"]
+    copy_atomically(tmp_path / "source", tmp_path / "log")
+    assert (tmp_path / "log").read_text() == (tmp_path / "source").read_text() == "after"
