@@ -37,6 +37,7 @@ class Past:
     rows: NDArray[np.void]  # (k,) of the last OVER_S, oldest first; k may be 0
     health: Health | None
     trouble: Event | None  # the last event that warns or is worse
+    ended: bool = False  # in order, by whoever wrote it: the servos were told to let go before
 
     @property
     def mode(self) -> str | None:
@@ -133,12 +134,12 @@ def _look(ring: Path, rate_hz: float) -> Past | None:
     try:
         with RingReader(ring, AGENT_STATE) as reader:
             block = reader.read_last(min(ROWS_MAX, max(2, round(OVER_S * rate_hz))))
-            alive = reader.writer_alive
+            alive, finished = reader.writer_alive, reader.finished
     except RingError:
         return None
     rows = AGENT_STATE.decode(block.payload)
     health, trouble = _texts(ring)
-    return Past(alive, rows, health, trouble)
+    return Past(alive, rows, health, trouble, ended=finished and not alive)
 
 
 def _texts(ring: Path) -> tuple[Health | None, Event | None]:

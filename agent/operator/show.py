@@ -55,6 +55,9 @@ def _arm(arm: Mapping[str, Any], widest: int) -> Line:
     elif arm["alive"] and arm["mode"] in _DEAF and arm["last_row_age_s"] < HANGS_S:
         head, tone = arm["mode"], Tone.HELD
         parts.insert(0, "listens to nobody")
+    elif arm["ended"] and arm["mode"]:
+        head, tone = "ENDED", Tone.BAD if arm["mode"] == "FAULT" else Tone.HELD
+        parts.insert(0, f"last {arm['mode']}, {arm['last_row_age_s']:.1f} s ago")
     else:
         head, tone = ("HUNG" if arm["alive"] else "DEAD" if arm["mode"] else "NONE"), Tone.BAD
         last = f"last {arm['mode']}, {arm['last_row_age_s']:.1f} s ago" if arm["mode"] else ""

@@ -156,6 +156,12 @@ def test_words_reach_the_living_and_say_who_is_dead(cell: Cell, tmp_path: Path) 
     code, told = cell.coop("release", cell.file, "--host", "one")
     assert (code, "left switches its torque off" in told) == (0, True), told
     assert cell.agents["left"].wait(timeout=30) == 0
+    code, arm = status_of(cell, "one")
+    assert (code, arm["answers"], arm["alive"], arm["ended"]) == (1, False, False, True), "it ended in order"
+    cell.agents["right"].kill()
+    cell.agents["right"].wait()
+    arm = status_of(cell, "two")[1]
+    assert (arm["alive"], arm["ended"]) == (False, False), "it was killed"
 
 
 @in_real_time

@@ -53,7 +53,9 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-def write_ring(stack: ExitStack, arm: str, *, mode: Mode, age_ns: int, flags: int = 0) -> None:
+def write_ring(
+    stack: ExitStack, arm: str, *, mode: Mode, age_ns: int, flags: int = 0, finished: bool = False
+) -> None:  # fmt: skip
     """500 rows of a loop that was 1 ms late once, long ago, and 0.2 ms once; closed with the stack."""
     path = ring_path("paper", arm)
     texts = stack.enter_context(closing(TextWriter(path, arm)))
@@ -78,6 +80,8 @@ def write_ring(stack: ExitStack, arm: str, *, mode: Mode, age_ns: int, flags: in
         if k == 499 and flags & Flag.STALE:
             row["flags"], row["late_s"] = flags, np.nan
         ring.commit()
+    if finished:
+        ring.finish()
 
 
 @pytest.fixture
@@ -102,8 +106,9 @@ def of(document: dict[str, Any], name: str) -> dict[str, Any]:
 def test_a_living_arm_is_shown_with_all_it_has(living: Arm) -> None:
     found = of(status(CELL, CLOCK, logs=()), "left")
     assert found == {
-        "arm": "left", "answers": True, "silence": None, "alive": True, "mode": "HOLD", "reason": "t = 3 s: OFF_TRACK",
-        "same_cell": True, "pid": 7, "driver": "dynamixel", "real_time": None, "guard": None, "clock_bound_s": None,
+        "arm": "left", "answers": True, "silence": None, "alive": True, "ended": False, "mode": "HOLD",
+        "reason": "t = 3 s: OFF_TRACK", "same_cell": True, "pid": 7, "driver": "dynamixel",
+        "real_time": None, "guard": None, "clock_bound_s": None,
         "start_utc_ns": 5, "last_row_age_s": pytest.approx(0.002),
         "timing": {
             "rows": 400, "without_state": 0, "rate_hz": pytest.approx(200.0), "late_p99_s": 1e-5, "late_max_s": 2e-4,
@@ -140,6 +145,19 @@ def test_a_dead_arm_is_said_to_be_dead_with_what_its_ring_has(living: Arm, home:
     )
     assert shown[1].rest.startswith("Connection refused; last TRACK, 3.2 s ago; 200 Hz")
     assert shown[2].rest == "clock synchronised, error ≤ 0.25 ms; no recorder here"
+
+
+@pytest.mark.parametrize(("mode", "tone"), [(Mode.HOLD, Tone.HELD), (Mode.FAULT, Tone.BAD)])
+def test_an_arm_whose_agent_has_ended_in_order_is_not_said_to_be_dead(home: Path, mode: Mode, tone: Tone) -> None:
+    with ExitStack() as stack:
+        write_ring(stack, "right", mode=mode, age_ns=3_200_000_000, finished=True)
+        assert not of(status(CELL, CLOCK, logs=()), "right")["ended"], "its process lives"
+    document = status(CELL, CLOCK, logs=())
+    found = of(document, "right")
+    assert (found["answers"], found["alive"], found["ended"], found["mode"]) == (False, False, True, mode.name)
+    line = lines(document)[1]
+    assert (line.head, line.tone) == ("right  ENDED", tone)
+    assert line.rest.startswith(f"last {mode.name}, 3.2 s ago; 200 Hz")
 
 
 @pytest.mark.parametrize("step_s", [3600, -3600])
