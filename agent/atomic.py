@@ -26,6 +26,18 @@ def keep_existing(*paths: Path, remedy: str = "name another, or give --force") -
             raise WriteError(f"file {path}", found="one of that name", expected="none", remedy=remedy)
 
 
+def require_place(*paths: Path, force: bool, refusal: type[Refusal] = WriteError) -> None:
+    """Raise `refusal` before the work for files that would replace others unasked (force) or have no folder."""
+    if not force:
+        keep_existing(*paths)
+    for path in paths:
+        if not os.path.isdir(path.parent):  # noqa: PTH112 - no error where the folder above may not be read
+            raise refusal(
+                f"file {path}", found=f"no folder {path.parent}", expected="a folder to write it into",
+                remedy="make it, or name another path",
+            )  # fmt: skip
+
+
 def make_folder(path: Path) -> None:
     """Make the folder, and those above it, where it is not there.  Raises WriteError."""
     try:

@@ -89,14 +89,14 @@ def tune(
     as_json: AsJson = False,
 ) -> None:
     """Propose the stiffest gains that survive what reality may make of the cell, as `coop check` sees it."""
-    from agent.atomic import keep_existing, write_atomically
+    from agent.atomic import require_place, write_atomically
     from agent.cli.progress import Steps
     from agent.config.cell import load_cell
     from agent.verify.tune import RIGID, Form, Margin, Tuner
     from agent.verify.tune_table import toml_lines, tune_table
 
-    if write is not None and not force:
-        keep_existing(write)
+    if write is not None:
+        require_place(write, force=force)
     with Steps() as step:
         step("looking for gains")
         tuner, margin = Tuner(load_cell(cell, overrides)), Margin(radius, damping, worst)

@@ -79,7 +79,7 @@ def compare(
     as_json: AsJson = False,
 ) -> None:
     """Say which figures and settings of logs differ, and which log has the better ones, each against the first."""
-    from agent.atomic import keep_existing
+    from agent.atomic import require_place
     from agent.log.read import open_log
     from agent.report.compare import compare as differences
     from agent.report.compare import comparison_table
@@ -89,8 +89,8 @@ def compare(
     from agent.report.shown import LETTERS, ComparedRun, error_series
 
     _require_some(logs, len(LETTERS))
-    if html is not None and not force:
-        keep_existing(html)
+    if html is not None:
+        require_place(html, force=force)
     runs, untold = [], list[str]()
     with Steps() as step:
         for log in logs:

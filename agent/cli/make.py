@@ -62,11 +62,10 @@ def new(
     as_json: AsJson = False,
 ) -> None:
     """Make a cell file that `coop check` accepts, or say what cannot be met; without --arm it asks on a terminal."""
-    from agent.atomic import keep_existing, write_atomically
+    from agent.atomic import require_place, write_atomically
     from agent.cli.progress import Steps
 
-    if not force:
-        keep_existing(cell)
+    require_place(cell, force=force)
     if not arm and _asks():
         arm, mass, size, motion, by = _asked(mass, size, motion, by)
     moves = _motion(motion, by, time, point)

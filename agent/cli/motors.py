@@ -126,14 +126,13 @@ def dump(
     """Save all EEPROM registers of all servos on a line."""
     from datetime import UTC, datetime
 
-    from agent.atomic import keep_existing, write_atomically
+    from agent.atomic import require_place, write_atomically
     from agent.motors.dump import take
     from agent.motors.find import survey
     from agent.motors.line import open_line
 
     bauds, now = _bauds(baud), datetime.now(UTC).isoformat(timespec="seconds")
-    if not force:
-        keep_existing(out)
+    require_place(out, force=force)
     with Steps(lines=True) as step, open_line(port) as bus:
         seen = survey(bus, port, bauds, step)
         step("reading registers")

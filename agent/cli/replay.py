@@ -39,7 +39,7 @@ def replay(
     as_json: AsJson = False,
 ) -> None:
     """Run every recorded input through the same step: equal bit for bit, or where it begins to differ (exit code 1)."""
-    from agent.atomic import keep_existing
+    from agent.atomic import require_place
     from agent.log.read import open_log
     from agent.replay.rows import Window
     from agent.replay.source import recorded_cell
@@ -50,8 +50,8 @@ def replay(
         raise typer.BadParameter("either --from or --row")
     if picture is not None and not changes:
         raise typer.BadParameter("--picture goes with --set")
-    if picture is not None and not force:
-        keep_existing(picture)
+    if picture is not None:
+        require_place(picture, force=force)
     if same_as is not None:
         if changes or verify or arm is not None or from_s is not None or row is not None:
             raise typer.BadParameter("--same-as compares all rows of two logs and goes with --json alone")

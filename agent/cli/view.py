@@ -40,14 +40,13 @@ def view(
     force: Force = False,
 ) -> None:
     """Show a run in 3D: arms, object, desired pose, forces, events; in a browser, or as a file."""
-    from agent.atomic import keep_existing
+    from agent.atomic import require_place
     from agent.view.error import ViewError
     from agent.view.need import need_viser
 
     if sum((live, html is not None, film is not None)) > 1:
         raise ViewError("coop view", found="several of --live, --html, --film", expected="one", remedy="call it twice")
-    if not force:
-        keep_existing(*filter(None, (html, film)))
+    require_place(*filter(None, (html, film)), force=force)
     if film is not None:
         _film(what, film, start, end, speed)
     elif html is not None:

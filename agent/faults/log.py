@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.atomic import require_place
 from agent.config.schema.driver import DriverKind
 from agent.faults.bench import ArmRun, Rehearsal
 from agent.host.info import attachments
@@ -30,6 +31,7 @@ def require_new(path: Path) -> None:
     """Refuse the name of a log that is there, before anything runs.  Raises LogFileError."""
     if path.exists() or path.is_symlink():
         raise LogFileError(f"log {path}", found="one of that name", expected="none", remedy="name another with --out")
+    require_place(path, force=True, refusal=LogFileError)
 
 
 def write_log(path: Path, run: Rehearsal) -> None:

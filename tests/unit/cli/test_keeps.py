@@ -57,6 +57,41 @@ def test_tune_does_not_write_over_its_own_input(tmp_path: Path) -> None:
     assert cell.read_bytes() == PAPER.read_bytes()
 
 
+@pytest.mark.parametrize("force", [(), ("--force",)], ids=["", "force"])
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("tune", "nothing.toml", "--write", "no/file"),
+        ("new", "no/file", "--arm", "no arm at all"),
+        ("replay", "nothing.mcap", "--set", "controller.k_p_per_s=1.0", "--picture", "no/file"),
+        ("compare", "nothing.mcap", "b.mcap", "--html", "no/file"),
+        ("view", "nothing.mcap", "--html", "no/file"),
+        ("view", "nothing.mcap", "--film", "no/file"),
+        ("motors", "dump", "--port", "nothing", "--out", "no/file"),
+    ],
+    ids=lambda words: words[0],
+)
+def test_a_folder_that_is_not_there_is_told_before_the_work(
+    tmp_path: Path, words: tuple[str, ...], force: tuple[str, ...]
+) -> None:
+    """And before what else is wrong, which only the work would find."""
+    done = coop(*words, *force, cwd=tmp_path)
+    expected = "file no/file: found no folder no, expected a folder to write it into; make it, or name another path"
+    assert (done.code, done.err.replace(str(tmp_path) + "/", "")) == (2, f"coop: {expected}\n")
+
+
+def test_a_rehearsal_without_a_folder_for_its_log_does_not_begin(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("agent.faults.rehearse.rehearse", None)
+    done = coop("faults", "inject", "paper", "servo-off", "--out", "no/log.mcap", cwd=tmp_path)
+    assert done.code == 4
+    assert done.err.startswith(
+        "coop: file no/log.mcap: found no folder no, expected a folder to write it into; make it"
+    )
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize(
     "words",
     [
