@@ -16,6 +16,7 @@ import tempfile
 from dataclasses import asdict
 from pathlib import Path
 
+import pytest
 from rich import box
 from rich.console import Console
 from rich.table import Table
@@ -71,7 +72,11 @@ def run_module(name: str, only: list[str] | None) -> dict[str, Figure]:
     names = getattr(module, "NAMES", None)
     if only and name not in only and names is not None and not set(names) & set(only):
         return {}
-    figures: dict[str, Figure] = module.bench()
+    try:
+        figures: dict[str, Figure] = module.bench()
+    except pytest.skip.Exception as skipped:
+        Console(stderr=True).print(f"not measured: {name}: {skipped.msg}", style="yellow")
+        return {}
     return {k: f for k, f in figures.items() if not only or name in only or k in only}
 
 
