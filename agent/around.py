@@ -71,4 +71,4 @@ class RunSummary:
     stale_cycles: int
     mode: Mode  # in which it ended
     reason: str  # of a hold or a fault, empty without one
-    tracked_s: float  # of the wall clock, from the first to the last tick of the trajectory
+    tracked_s: float  # of the wall clock, from the trajectory's first state to its last torque

@@ -217,7 +217,7 @@ class Runner:
         self._rows += 1
         if mode is Mode.TRACK:
             if self._tracking_since_ns is None:
-                self._tracking_since_ns = begin_ns
+                self._tracking_since_ns = after_read_ns  # in lockstep the first read waits for the other arms
             self._tracked_s = (after_write_ns - self._tracking_since_ns) * 1e-9
         found = "" if self._watch is None else self._watch.after(state, outcome, mode, self._driver.health)
         if int(outcome.flags) & _TROUBLE:

@@ -1,4 +1,5 @@
-"""How the processes of a lockstep run share the processor: arms on distinct cores, all code in one memory layout.
+"""How the processes of a lockstep run share the processor: who has which core, all code in one memory
+layout.
 
 Neither changes a result, and both only ask: where the host refuses, a run is slower.
 """
@@ -9,17 +10,35 @@ import contextlib
 import ctypes
 import os
 from collections.abc import Collection, Iterator
+from typing import NamedTuple
 
 _ADDR_NO_RANDOMIZE = 0x0040000
 _ASK = 0xFFFFFFFF
 
 
-def cores_of_arms(arms: int, allowed: Collection[int]) -> list[frozenset[int]]:
-    """Cores for each of so many agents out of those allowed: one each, in turn; on a single core there is no choice."""
+class Cores(NamedTuple):
+    """On which cores the processes of a lockstep run may run."""
+
+    arms: tuple[frozenset[int], ...]
+    plant: frozenset[int]
+    listeners: frozenset[int]  # telemetry and recorder
+
+
+def share_out(arms: int, allowed: Collection[int]) -> Cores:
+    """Share out the allowed cores: one for each arm, in turn; without one to spare, also for plant and listeners.
+
+    The plant goes to the core with the fewest arms, and the listeners to the others: it takes turns with the arm beside
+    it, so that this core has no time left, while an arm on another core waits for both.
+    """
     cores = sorted(allowed)
+    every = frozenset(cores)
     if len(cores) < 2:
-        return [frozenset(cores)] * arms
-    return [frozenset({cores[i % len(cores)]}) for i in range(arms)]
+        return Cores((every,) * arms, every, every)
+    kept = tuple(cores[i % len(cores)] for i in range(arms))
+    if len(cores) > arms:
+        return Cores(tuple(frozenset({core}) for core in kept), every, every)
+    plant = frozenset({min(cores, key=kept.count)})
+    return Cores(tuple(frozenset({core}) for core in kept), plant, every - plant)
 
 
 def keep_to(pid: int, cores: frozenset[int]) -> None:

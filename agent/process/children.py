@@ -11,7 +11,7 @@ from pathlib import Path
 from agent.config.cell import Cell
 from agent.config.schema.driver import DriverKind
 from agent.host.child import Child
-from agent.host.share import cores_of_arms, keep_to, one_memory_layout
+from agent.host.share import keep_to, one_memory_layout, share_out
 from agent.operator.words import start_patiently
 from agent.process.commands import (
     AgentCommand,
@@ -75,6 +75,7 @@ class Children:
         self._servos: Child | None = None  # of arms in the loop
         self._agents: dict[str, Child] = {}
         self._telemetry: dict[str, Child] = {}
+        self._cores = share_out(len(cell.arms), os.sched_getaffinity(0))
         self._endpoint = ""  # of the recorder, once it is ready
         self._began_s = 0.0
         self._interrupted = False
@@ -82,16 +83,17 @@ class Children:
     def start(self, progress: Progress) -> None:
         """Start everything, recorder first, so that no row is before its time."""
         progress.phase("starting")
-        self._recorder = self._child("recorder", self._record_command())
+        self._recorder = self._kept("recorder", self._record_command(), self._cores.listeners)
         with self._together():
-            self._plant = self._child("plant", self._plant_command())
+            self._plant = self._kept("plant", self._plant_command(), self._cores.plant)
             self._plant.wait_ready(READY_TIMEOUT_S)
             if self._kind is RunKind.HIL:
                 self._start_servos()
             self._start_agents()
         self._endpoint = self._recorder.wait_ready(READY_TIMEOUT_S)["endpoint"]
         for name in (PLANT, *self._agents):
-            self._telemetry[name] = self._child(f"telemetry-{name}", self._telemetry_command(name, self._endpoint))
+            command = self._telemetry_command(name, self._endpoint)
+            self._telemetry[name] = self._kept(f"telemetry-{name}", command, self._cores.listeners)
         for child in (*self._agents.values(), *self._telemetry.values()):
             child.wait_ready(READY_TIMEOUT_S)
         if self._whole:
@@ -106,11 +108,15 @@ class Children:
         self._servos.wait_ready(READY_TIMEOUT_S)
 
     def _start_agents(self) -> None:
-        cores = cores_of_arms(len(self._cell.arms), os.sched_getaffinity(0))
-        for arm, own in zip(self._cell.arms, cores, strict=True):
-            child = self._agents[arm.name] = self._child(f"arm-{arm.name}", self._agent_command(arm.name))
-            if self._lockstep:
-                keep_to(child.process.pid, own)
+        for arm, own in zip(self._cell.arms, self._cores.arms, strict=True):
+            self._agents[arm.name] = self._kept(f"arm-{arm.name}", self._agent_command(arm.name), own)
+
+    def _kept(self, name: str, command: ChildCommand, cores: frozenset[int]) -> Child:
+        """Start a process; in lockstep, where all wait for each other, it keeps to these cores."""
+        child = self._child(name, command)
+        if self._lockstep:
+            keep_to(child.process.pid, cores)
+        return child
 
     def _together(self) -> contextlib.AbstractContextManager[None]:
         """For processes that wait for each other all the time, and that no network reaches."""

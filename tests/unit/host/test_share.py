@@ -1,4 +1,4 @@
-"""Which cores the agents of a run keep to, and what one memory layout leaves behind."""
+"""Which cores the processes of a run keep to, and what one memory layout leaves behind."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.host.share import cores_of_arms, one_memory_layout
+from agent.host.share import one_memory_layout, share_out
 
 ADDR_NO_RANDOMIZE = 0x0040000
 
@@ -28,7 +28,32 @@ ADDR_NO_RANDOMIZE = 0x0040000
 def test_arms_keep_to_distinct_cores_as_long_as_there_are_any(
     arms: int, allowed: set[int], expected: list[set[int]]
 ) -> None:
-    assert cores_of_arms(arms, allowed) == expected
+    assert list(share_out(arms, allowed).arms) == expected
+
+
+@pytest.mark.parametrize(
+    ("arms", "allowed", "plant", "listeners"),
+    [
+        (2, {0}, {0}, {0}),
+        (2, {0, 1}, {0}, {1}),
+        (2, {3, 5}, {3}, {5}),
+        (3, {0, 1}, {1}, {0}),
+        (4, {0, 1}, {0}, {1}),
+        (4, {0, 2, 4, 6}, {0}, {2, 4, 6}),
+        (5, {0, 1, 2}, {2}, {0, 1}),
+    ],
+)
+def test_without_a_core_to_spare_listeners_keep_away_from_that_of_the_plant_which_has_the_fewest_arms(
+    arms: int, allowed: set[int], plant: set[int], listeners: set[int]
+) -> None:
+    cores = share_out(arms, allowed)
+    assert (cores.plant, cores.listeners) == (plant, listeners)
+
+
+@pytest.mark.parametrize(("arms", "allowed"), [(1, {4, 6}), (2, {3, 5, 7}), (4, {0, 1, 2, 3, 4})])
+def test_where_a_core_is_to_spare_plant_and_listeners_are_free(arms: int, allowed: set[int]) -> None:
+    cores = share_out(arms, allowed)
+    assert cores.plant == cores.listeners == allowed
 
 
 def personality() -> int:
