@@ -34,7 +34,7 @@ def folder(what: Shipped) -> Path:
         Shipped.ARMS: configs.ARMS_DIR,
         Shipped.UNITS: _root() / "systemd",
         Shipped.DOCS: _root() / "docs",
-        Shipped.LAYOUTS: _root() / "layouts",
+        Shipped.LAYOUTS: configs.LAYOUTS_DIR,
     }
     place = places[what]
     if not place.is_dir():

@@ -94,7 +94,7 @@ def test_the_wheel_brings_types_licence_units_and_documents(packages: Packages) 
     assert any(name.endswith("licenses/LICENSE") for name in names)
     assert not any(name.startswith("tests") for name in names)
     share = packages.prefix / "share/widowx-coop"
-    for folder in ("systemd", "docs", "layouts"):
+    for folder in ("systemd", "docs"):
         wanted = {path.relative_to(packages.source) for path in (packages.source / folder).rglob("*") if path.is_file()}
         assert {path.relative_to(share) for path in (share / folder).rglob("*") if path.is_file()} == wanted
     assert {"README.md", "CHANGELOG.md"} <= {path.name for path in share.iterdir()}
@@ -106,6 +106,7 @@ def test_coop_where_finds_what_ships(packages: Packages, tmp_path: Path) -> None
     assert all(Path(place).is_relative_to(packages.prefix) for place in places.values())
     assert (Path(places["cells"]) / "paper.toml").is_file()
     assert (Path(places["arms"]) / "wx250s.urdf").is_file()
+    assert (Path(places["layouts"]) / "foxglove.json").is_file()
     assert (Path(places["docs"]) / "install.md").is_file()
     install = Path(packages.coop("where", "units").strip()) / "install.sh"
     done = subprocess.run([install, "simulated"], env={**os.environ, "DESTDIR": str(tmp_path)}, timeout=20)
