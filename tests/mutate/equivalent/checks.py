@@ -15,6 +15,8 @@ _LINEAR = "found: NDArray[np.bool_] = np.linalg.norm(P[:, _FORCE], axis=1) > 0.5
 _PARTS = "_FORCE, _MOMENT = (slice(0, 3), slice(3, 6))"
 _HELD = "block: NDArray[np.bool_] = np.arange(count) * BLOCKS // max(count, 1) % 4 == 2"
 _AHEAD = "if np.abs(ahead).max() > AHEAD_MAX_RAD:"
+_MOST = "NAMED_MAX: Final = 1000"
+_BEFORE = "before = times[0]"
 _FLOORS = "FLOORS: Final = Channels(0.5, 0.05, 0.3, 0.03)"
 _BALLS = "bound, found = (self._balls(pairs) - slack, Nearest(math.inf, pairs[0], 0))"
 _AT_PLACES = "bound, found = (self._balls(pairs), Nearest(math.inf, pairs[0], 0))"
@@ -49,6 +51,8 @@ CHECKS: Entries = {
             _AHEAD,
             _AHEAD.replace(">", ">="),
         ): "joints found are the same, from wherever they are sought",
+        ("speeds_of_motion", _BEFORE, _BEFORE.replace("0", "1")): "at the first instant it goes times no speed",
+        ("", _MOST, _MOST.replace("1000", "2000")): "a box that looks at more of them is as right",
     },
     "agent.config.noticing": {
         ("", _FLOORS, _FLOORS.replace("0.05", "0.1")): "what seven arms or fewer feel of a touch is more",

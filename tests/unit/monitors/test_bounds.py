@@ -196,6 +196,19 @@ def test_the_box_is_around_motion_and_start_or_as_given() -> None:
         of_left("safety.monitors.workspace_m=[[0.7, 0.1], [-0.2, 0.2], [0.0, 0.5]]")
 
 
+def test_the_box_is_around_way_points_between_its_samples_and_none_behind_the_run() -> None:
+    # every 40 ms a way-point, quick to and fro in y but for two slower ways out in x; a sample every 0.3 s
+    out = [max(0.0, 0.02 - abs(k - 364) / 150, 0.04 - abs(k - 780) / 150) for k in range(801)]
+    points = ", ".join(
+        f"{{t_s = {0.04 * k:.2f}, p_m = [{0.225 + x:.6f}, {0.02 * (k % 2 and not x):.2f}, 0.25]}}"
+        for k, x in enumerate(out)
+    )
+    motion = (f'trajectory={{kind = "waypoints", points = [{points}]}}', "object.p_start_m=[0.225, 0.0, 0.25]")
+    low, high = of_left(*motion, "duration_s=40.0").workspace_m[0]
+    assert (low, high) == pytest.approx((0.125, 0.365), abs=2e-3)
+    assert of_left(*motion, "duration_s=31.0").workspace_m[0][1] == pytest.approx(0.345, abs=2e-3)
+
+
 def test_monitors_are_switched_off_by_name() -> None:
     b = of_left('safety.monitors.off=["speed", "gravity"]')
     assert frozenset(Name) - b.watched == {Name.SPEED, Name.GRAVITY}
