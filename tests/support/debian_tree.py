@@ -10,6 +10,7 @@ import os
 import shutil
 import subprocess
 from collections.abc import Iterator
+from configparser import ConfigParser
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -25,7 +26,7 @@ mount -t tmpfs tmpfs "$0/tmp"
 exec chroot "$0" "$@"
 """
 
-# pip must reach the index as it does on this host: what it reads there, it finds in the tree.
+# pip must reach the index as it does on this host: what it reads there, and what that names, it finds in the tree.
 PIP_FILES = ("/etc/pip.conf", "/etc/xdg/pip/pip.conf", "~/.pip/pip.conf", "~/.config/pip/pip.conf")
 CERTIFICATES = ("PIP_CERT", "SSL_CERT_FILE", "REQUESTS_CA_BUNDLE")
 PROXIES = ("http_proxy", "https_proxy", "no_proxy")
@@ -88,7 +89,8 @@ def built(release: str, packages: tuple[str, ...], root: Path) -> Iterator[Tree]
 
 def _give_network(root: Path) -> None:
     """Let names resolve, and apt and pip use what they use on this host."""
-    copied = [Path(name).expanduser() for name in PIP_FILES]
+    settings = [Path(name).expanduser() for name in PIP_FILES]
+    copied = [*settings, *(named for file in settings for named in _files_named(file))]
     copied += [Path(os.environ[name]) for name in CERTIFICATES if name in os.environ]
     for source in (Path("/etc/resolv.conf"), Path("/etc/hosts"), *copied):
         if source.is_file():
@@ -100,6 +102,14 @@ def _give_network(root: Path) -> None:
     (root / "etc/apt/apt.conf.d/90host").write_text(
         "".join(f"{line}\n" for line in dump.splitlines() if line.startswith(wanted))
     )
+
+
+def _files_named(settings: Path) -> list[Path]:
+    """Files that a file of pip's settings names, as one of constraints."""
+    parser = ConfigParser(interpolation=None)
+    parser.read(settings)
+    words = [word for section in parser.values() for value in section.values() for word in value.split()]
+    return [Path(word) for word in words if word.startswith("/") and Path(word).is_file()]
 
 
 def _at_home(source: Path) -> Path:

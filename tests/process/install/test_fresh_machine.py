@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -17,13 +18,13 @@ from tests.support.packages import SOURCE, build, unpacked
 pytestmark = [pytest.mark.fresh, pytest.mark.timeout(1500)]
 
 
-@pytest.fixture(scope="module", params=["bookworm", "trixie"])
-def tree(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Tree]:
+@pytest.fixture(params=["bookworm", "trixie"])
+def tree(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Tree]:
+    """One for each try: the packages of the one before would be there."""
     if reason := missing():
         pytest.skip(reason)
-    base = tmp_path_factory.mktemp(request.param)
-    with built(request.param, ("python3", "make", "git"), base / "tree") as tree:
-        unpacked(build("sdist", SOURCE, base), base / "source").rename(tree.root / "coop")
+    with built(request.param, ("python3", "make", "git"), tmp_path / "tree") as tree:
+        unpacked(build("sdist", SOURCE, tmp_path), tmp_path / "source").rename(tree.root / "coop")
         yield tree
 
 
