@@ -120,10 +120,7 @@ def test_a_link_that_leads_nowhere_is_something_too(tmp_path: Path, words: tuple
 # latency-test
 
 
-def test_a_latency_test_replaces_an_earlier_one_and_nothing_else(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("agent.host.realtime.quiet_memory", lambda: None)  # for good, of the process that asks
+def test_a_latency_test_replaces_an_earlier_one_and_nothing_else(tmp_path: Path) -> None:
     path = write_mine(tmp_path / "latency.json")
     test = ("latency-test", "--seconds", "1", "--priority", "0", "--no-load", "--out", path)
     done = coop(*test)
