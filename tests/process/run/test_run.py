@@ -219,6 +219,7 @@ def test_a_killed_run_takes_its_processes_with_it(nothing_left: Path) -> None:
         assert not left.exists(), "the next run does"
 
 
+@pytest.mark.long  # which folder is taken: tests/unit/process/test_run_folder.py
 def test_a_run_goes_well_where_memory_is_that_of_a_container(nothing_left: Path) -> None:
     def with_little(*command: str) -> subprocess.CompletedProcess[str]:
         script = 'mount -t tmpfs -o size=64m none /dev/shm && "$@" && ls -A /dev/shm'
