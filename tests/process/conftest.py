@@ -18,7 +18,7 @@ from tests.support.stalls import ATTEMPTS, Kernel, crowded, stalled_in
 
 PAPER_RUN_S = 3
 TRANSIENT_S = 1.0
-WHOLE_S = 5.0
+WHOLE_S = 4.0
 PAPER_RUN = ("paper", "--duration", PAPER_RUN_S, "--set", f"report.transient_s={TRANSIENT_S}")
 SHORT = ("--duration", 1.5, "--set", "report.transient_s=0.5", "--no-report")  # of a run whose length says nothing
 WAITING = (
@@ -27,8 +27,8 @@ WAITING = (
 )  # fmt: skip
 # as quick as the emulated servos' motions are in tests/unit/test_whole.py; two seconds of the whole motion count
 QUICK = (
-    "session.speed_max_rad_per_s=2.0", "session.back_off_m=0.04", "session.lift_m=0.015", "session.lift_s=1.0",
-    "session.lower_s=1.2", "session.take_up_s=0.6", "session.ease_s=0.5", "report.transient_s=3",
+    "session.speed_max_rad_per_s=2.0", "session.back_off_m=0.03", "session.lift_m=0.015", "session.lift_s=0.8",
+    "session.lower_s=0.8", "session.take_up_s=0.4", "session.ease_s=0.3", "report.transient_s=2",
 )  # fmt: skip
 WHOLE_RUN = (
     "two_wx200", "--wire", "--whole", "--duration", WHOLE_S, "--no-report",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import io
 import signal
 import sys
@@ -25,12 +26,13 @@ class Done:
 def coop(
     *arguments: str | Path | float, err: io.StringIO | None = None, cwd: Path | None = None, stdin: str | None = None
 ) -> Done:
-    """Run one command line as `coop` does, but for the end of the process.
+    """Run one command line as `coop` does, but for the end of the process; garbage is looked for again after it.
 
     err: where standard error goes; cwd: the folder it runs in; stdin: what a person types.
     """
     out, err = io.StringIO(), err or io.StringIO()
     before = {number: signal.getsignal(number) for number in _TAKEN}
+    collects = gc.isenabled()
     try:
         with contextlib.ExitStack() as around:
             around.enter_context(contextlib.redirect_stdout(out))
@@ -46,6 +48,8 @@ def coop(
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+        if collects:
+            gc.enable()  # an agent and a measurement of the host switch it off for good
     return Done(code, out.getvalue(), err.getvalue())
 
 

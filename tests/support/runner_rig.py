@@ -268,5 +268,5 @@ def run(
     made: Agent = replace(build_agent(of, of.arms[0]), **(agent or {}))
     runner = Runner(made, arm, clock, replace(plan, **schedule), row, log, around, watch, beginning, session)
     summary = runner.run() if happened is None else runner.run(happened)
-    rows = np.array(log.rows)
+    rows = np.array(log.rows, AGENT_STATE.dtype)
     return Done(summary, arm, rows, modes, len(beats), log.waits, troubles, refusals, runner.memory)

@@ -23,6 +23,7 @@ def cell(duration_s: float = DURATION_S) -> Cell:
     )
 
 
+@pytest.mark.long  # tests/unit/faults/test_bench.py has two arms without a fault
 def test_without_a_fault_both_arms_follow_to_the_end() -> None:
     arms = CoupledRun(cell(1.0)).arms
     for run in arms.values():

@@ -170,6 +170,7 @@ def test_a_guard_of_an_arm_that_holds_nothing_stands_without_the_object_s_weight
     assert left.refused == ["approach: the guard holds the arm in its agent's place and leads it back alone"]
 
 
+@pytest.mark.long  # `make phases` does it in every phase; that the other holds: tests/unit/faults/test_bench.py
 def test_power_lost_by_one_arm_leaves_the_other_holding_and_all_come_back_with_it() -> None:
     rig = PhaseRun(
         CELL,

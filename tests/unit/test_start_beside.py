@@ -9,6 +9,7 @@ import math
 from functools import cache
 
 import numpy as np
+import pytest
 
 import configs
 from agent.config.cell import Cell, load_cell
@@ -40,6 +41,7 @@ def run(beside: float) -> CoupledRun:
     return CoupledRun(real, believed=cell_of(duration_s=lasts_s))
 
 
+@pytest.mark.long  # tests/unit/monitors/test_cells_watched.py has such a start without servos
 def test_a_start_from_15_mm_and_60_mrad_beside_is_as_gentle_as_an_exact_one() -> None:
     exact, beside = run(0.0), run(1.0)
     for name, arm in beside.arms.items():
@@ -51,6 +53,7 @@ def test_a_start_from_15_mm_and_60_mrad_beside_is_as_gentle_as_an_exact_one() ->
         assert np.abs(rows["dq"][:, :3]).max() <= 0.3
 
 
+@pytest.mark.long  # of the same run
 def test_the_blend_ends_on_the_motion_of_the_cell() -> None:
     motion = cell_of().trajectory()
     for arm in run(1.0).arms.values():

@@ -12,7 +12,7 @@ import pytest
 
 import configs
 from agent.config.cell import cell_from_toml, load_cell
-from tests.support.command import coop
+from tests.support.command import Done, coop
 from tests.support.coop import PAPER
 from tests.support.once import once
 from tests.support.plant.plant_arm import run_one
@@ -33,12 +33,18 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return once(tmp_path_factory, "identify-run", make)
 
 
-def test_a_log_becomes_a_table_a_figure_and_an_arm_file_that_a_cell_can_use(run: Path, tmp_path: Path) -> None:
-    done = coop("identify", run / "run.mcap", "--out", tmp_path / "new", cwd=tmp_path)
+@pytest.fixture(scope="module")
+def found(run: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Done, Path]:
+    """What `coop identify` says of it, and the folder that it has made."""
+    new = tmp_path_factory.mktemp("identified") / "new"
+    return coop("identify", run / "run.mcap", "--out", new, cwd=new.parent), new
+
+
+def test_a_log_becomes_a_table_a_figure_and_an_arm_file_that_a_cell_can_use(found: tuple[Done, Path]) -> None:
+    done, new = found
     assert done.code == 0, done.err
     assert "coulomb_Nm" in done.out
     assert done.out.count("replaced") == 9
-    new = tmp_path / "new"
     assert {path.name for path in new.iterdir()} == {"wx200.toml", "identify_wx200.png", "identify_wx200.json"}
     assert (new / "identify_wx200.png").read_bytes().startswith(b"\x89PNG")
     (new / "wx200.urdf").write_bytes((configs.ARMS_DIR / "wx200.urdf").read_bytes())
@@ -51,9 +57,8 @@ def test_a_log_becomes_a_table_a_figure_and_an_arm_file_that_a_cell_can_use(run:
         assert found.viscous_Nm_s_per_rad.value == pytest.approx(old.viscous_Nm_s_per_rad.value, rel=0.05)
 
 
-def test_the_summary_is_complete(run: Path, tmp_path: Path) -> None:
-    assert coop("identify", run / "run.mcap", "--out", tmp_path, cwd=tmp_path).code == 0
-    summary = json.loads((tmp_path / "identify_wx200.json").read_text())
+def test_the_summary_is_complete(found: tuple[Done, Path]) -> None:
+    summary = json.loads((found[1] / "identify_wx200.json").read_text())
     assert summary["fingerprint"] == load_cell(CELL).fingerprint
     assert len(summary["base_parameters"]) == 17
     assert len(summary["figures"]) == 9

@@ -24,7 +24,7 @@ from tests.support.telemetry.telemetry_cell import ARMS, Process, make_rows
 
 BATCH = 10  # rows of each arm; 20 batches a second at 200 Hz
 SECOND = 20
-KILLS, QUICK = 20, 2
+KILLS, QUICK = 20, 1
 ROWS = 20_000
 
 

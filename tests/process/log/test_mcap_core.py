@@ -10,6 +10,8 @@ from agent.log.recover import recover
 from tests.support.mcap_core import install, node, read_by_node, read_by_python
 from tests.support.telemetry.log_maker import make_log
 
+ROWS = 400
+
 
 @pytest.fixture(scope="module")
 def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -23,14 +25,14 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("killed", [False, True], ids=["whole", "recovered"])
 def test_every_message_is_read_byte_for_byte(library: Path, tmp_path: Path, killed: bool) -> None:
     log = tmp_path / "run.mcap"
-    make_log(log, 1000, batches=20, finish=not killed)
+    make_log(log, ROWS, batches=20, finish=not killed)
     if killed:
         with log.open("ab") as file:
             file.write(b"\x05half a record")  # what a kill leaves behind
         assert recover(log).repaired
     found = read_by_node(library, log)
     assert found["topics"] == read_by_python(log)
-    assert found["topics"]["/coop/paper/left/state"]["count"] == 1000
+    assert found["topics"]["/coop/paper/left/state"]["count"] == ROWS
     assert found["told"] == sum(own["count"] for own in found["topics"].values())
     assert "run.json" in found["attachments"]
     assert "tf2_msgs/msg/TFMessage" in found["schemas"]

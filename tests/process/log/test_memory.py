@@ -27,10 +27,12 @@ def test_a_report_never_holds_the_rows(log: Path, tmp_path: Path) -> None:
     assert measured("report", log, "--out", tmp_path).peak_MB < 225
 
 
+@pytest.mark.long  # a report takes more than it
 def test_a_comparison_never_holds_the_rows(log: Path) -> None:
     assert measured("compare", log, log).peak_MB < 120
 
 
+@pytest.mark.long  # a report takes more than it
 def test_a_repair_never_holds_the_file(log: Path, tmp_path: Path) -> None:
     path = tmp_path / "cut.mcap"
     path.write_bytes(log.read_bytes()[:-BYTES_CUT])

@@ -58,6 +58,19 @@ runner.step = step
 from agent.cli.main import main
 main()
 """
+# the command with what it loads loaded, while the servos start; its words come on standard input
+LOADING = """
+import json, os, sys
+from agent.host.starting import settle
+settle()
+import agent.process.agent, agent.process.guard
+from agent.cli.main import main
+words, more = json.loads(sys.stdin.readline())
+os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+os.environ.update(more)
+sys.argv[1:] = words
+main()
+"""
 
 
 class Host:
@@ -75,17 +88,28 @@ class Host:
         self.manager.bind(str(folder / "notify"))
         self.kept: int | None = None
         self.cell = folder / "cell.toml"
+        self.loading = [self._begun((sys.executable, "-c", LOADING), subprocess.PIPE) for _ in range(2)]
 
     def start(
         self, *arguments: str | Path, prefix: tuple[str, ...] = (), program: tuple[str, ...] = COOP, **more: str
     ) -> subprocess.Popen[str]:
+        words = [*map(str, arguments)]
+        if words[0] in ("guard", "agent") and program is COOP and not prefix and self.loading:
+            process = self.loading.pop()
+            assert process.stdin is not None
+            process.stdin.write(json.dumps([words, more]) + "\n")
+            process.stdin.close()
+        else:
+            process = self._begun((*prefix, *program, *words), subprocess.DEVNULL, **more)
+        self.said(process)
+        return process
+
+    def _begun(self, command: tuple[str, ...], stdin: int, **more: str) -> subprocess.Popen[str]:
         process = subprocess.Popen(
-            [*prefix, *program, *map(str, arguments)], cwd=self.folder, env=self.environment | more, text=True,
-            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=self.words,
-            pass_fds=() if self.kept is None else (self.kept,),
+            command, cwd=self.folder, env=self.environment | more, text=True, stdin=stdin, stdout=subprocess.PIPE,
+            stderr=self.words, pass_fds=() if self.kept is None else (self.kept,),
         )  # fmt: skip
         self.processes.append(process)
-        self.said(process)
         return process
 
     def said(self, process: subprocess.Popen[str]) -> None:
@@ -144,8 +168,9 @@ class Host:
             if process.poll() is None:
                 process.kill()
             process.wait()
-            assert process.stdout is not None
-            process.stdout.close()
+            for stream in (process.stdin, process.stdout):
+                if stream is not None:
+                    stream.close()
         self.manager.close()
         self.words.close()
         if self.kept is not None:
@@ -325,6 +350,7 @@ def test_an_arm_is_held_where_no_word_can_be_heard_and_a_signal_releases_it(host
 
 
 @pytest.mark.fault("P12")
+@pytest.mark.long  # in virtual time: tests/unit/guard/test_go_on.py
 @in_real_time()
 def test_a_guard_that_stood_still_itself_does_not_bring_a_limp_arm_back(host: Host) -> None:
     guard = host.guard("--hold")
@@ -342,6 +368,7 @@ def test_a_guard_that_stood_still_itself_does_not_bring_a_limp_arm_back(host: Ho
     assert len(list((host.folder / "post_mortem").glob("*-left-post-mortem.mcap"))) == 1
 
 
+@pytest.mark.long  # in virtual time: tests/unit/test_phases.py
 @in_real_time("--whole", settings="\n[session]\nspeed_max_rad_per_s = 1.0\nease_s = 0.5\n")
 def test_an_agent_of_a_session_that_dies_on_its_way_is_parked_by_its_guard(host: Host) -> None:
     guard = host.guard("--hold")

@@ -57,6 +57,7 @@ class Seen(Struck):
         super()._carry_out(strike)
 
 
+@pytest.mark.long  # test_network_independence.py has every kind, tests/process/telemetry the rows
 @pytest.mark.fault("P10", "N1", "N2")
 def test_who_goes_on_or_is_started_anew_has_every_row_and_the_torques_are_the_same(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

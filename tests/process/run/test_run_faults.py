@@ -42,6 +42,7 @@ def run(folder: Path, fault_s: float) -> RunLog:
     return read_log(folder / "out" / "run.mcap")
 
 
+@pytest.mark.long  # in virtual time: tests/unit/test_lost_servo.py
 @pytest.mark.realtime
 @pytest.mark.timeout(400)
 def test_a_lost_servo_is_named_and_both_arms_hold(tmp_path: Path) -> None:

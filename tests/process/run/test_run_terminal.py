@@ -8,6 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from agent.log.read import read_log
 from tests.process.run.test_run import left_clean
 from tests.support.coop import COOP, PAPER
@@ -16,6 +18,7 @@ from tests.support.coop import COOP, PAPER
 TAKE = "import fcntl, os, sys, termios; fcntl.ioctl(0, termios.TIOCSCTTY, 0); os.execv(sys.argv[1], sys.argv[1:])"
 
 
+@pytest.mark.long  # Ctrl-C is in test_run.py
 def test_a_run_whose_terminal_is_gone_ends_as_by_ctrl_c(tmp_path: Path) -> None:
     """Log and results are written, nothing is left behind, and what is told to nobody fails nothing."""
     with left_clean(tmp_path) as folder:

@@ -81,6 +81,7 @@ def cell(tmp_path: Path) -> Iterator[Cell]:
     made.close()
 
 
+@pytest.mark.long  # whole runs are the same in tests/process/run/test_run.py
 def test_two_runs_of_the_same_cell_are_the_same_bit_for_bit(cell: Cell) -> None:
     runs = []
     for _ in range(2):
@@ -150,6 +151,7 @@ def test_frozen_agent_stops_time_and_nothing_else(cell: Cell) -> None:
     assert end(plant)[0] == 5
 
 
+@pytest.mark.long  # `coop plant` in tests/process/run/test_run.py
 def test_second_plant_at_the_same_place_is_refused(cell: Cell) -> None:
     first = cell.plant()
     code, words = end(cell.start("plant", cell.socket))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from agent.config.cell import load_cell
 from agent.log.read import read_log
@@ -16,6 +17,7 @@ from tests.support.coop import coop
 from tests.support.study import cell
 
 
+@pytest.mark.long  # test_network_independence.py compares processes with the laboratory, too
 def test_the_worst_run_of_a_study_is_repeated_by_coop_run(tmp_path: Path) -> None:
     studied = Laboratory(cell("simulation.ready_s=0.1", "controller.alignment.ready_per_s=2.0"))
     path = tmp_path / "worst.toml"

@@ -123,7 +123,7 @@ def test_two_recorders_of_a_cell_do_not_share_a_folder(folder: Path) -> None:
         pass
 
 
-@pytest.mark.parametrize("slots", [8192, 500])
+@pytest.mark.parametrize("slots", [pytest.param(8192, marks=pytest.mark.long), 500])
 @pytest.mark.fault("N2")
 def test_a_network_that_is_cut_for_five_seconds_costs_no_row_or_names_those_it_costs(folder: Path, slots: int) -> None:
     ring, total = folder / "left.ring", 4000

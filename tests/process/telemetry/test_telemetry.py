@@ -146,7 +146,7 @@ def listening(endpoint: str, keys: str) -> Iterator[list[tuple[str, bytes, Batch
 
 def test_play_gives_the_recorded_bytes_back_under_a_prefix_of_its_own(run: RunLog) -> None:
     heard: list[tuple[str, bytes, BatchHeader]]
-    with Process(play.run, PlayOptions(run.path, speed=1.0, start_s=1.0, stop_s=3.0, loop=True)) as player:
+    with Process(play.run, PlayOptions(run.path, speed=4.0, start_s=1.0, stop_s=3.0, loop=True)) as player:
         with listening(player.ready(), "**") as heard:
             wait_for(lambda: sum(not payload and "state" in key for key, payload, _ in heard) >= 6)
         player.stop()

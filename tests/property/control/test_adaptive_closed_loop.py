@@ -95,7 +95,7 @@ def agents_of(cell: RandomCell, scale: float, gamma: float = 0.03, gamma_object:
 @pytest.mark.parametrize(
     ("planar", "arm_count", "scale"),
     [
-        (True, 2, 0.0), (False, 3, 0.5),
+        (True, 2, 0.0), pytest.param(False, 3, 0.5, marks=LONG),
         pytest.param(True, 2, 2.0, marks=LONG), pytest.param(True, 2, 0.5, marks=LONG),
         pytest.param(False, 3, 0.0, marks=LONG), pytest.param(False, 3, 2.0, marks=LONG),
     ],

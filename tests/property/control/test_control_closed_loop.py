@@ -70,7 +70,7 @@ def share_error(record: Record) -> float:
     return float(np.abs(record.shares - record.V).max() / record.V[0])
 
 
-@pytest.mark.parametrize(("planar", "arm_count"), [(True, 3), (False, 2), *LONG])
+@pytest.mark.parametrize(("planar", "arm_count"), [(False, 2), pytest.param(True, 3, marks=pytest.mark.long), *LONG])
 def test_lyapunov_function_falls_by_exactly_what_the_theorem_says(planar: bool, arm_count: int) -> None:
     """V(t) + ∫ (eᵀKe + Σ k_v ‖e_v‖²) is constant, and the agents' shares sum to V, up to an integration error.
 
@@ -89,7 +89,7 @@ def test_lyapunov_function_falls_by_exactly_what_the_theorem_says(planar: bool, 
 @pytest.mark.parametrize(
     ("planar", "arm_count", "sign"),
     [
-        (True, 4, 1.0), (False, 3, -1.0),
+        pytest.param(True, 4, 1.0, marks=pytest.mark.long), (False, 3, -1.0),
         pytest.param(True, 4, -1.0, marks=pytest.mark.long), pytest.param(False, 3, 1.0, marks=pytest.mark.long),
     ],
 )  # fmt: skip

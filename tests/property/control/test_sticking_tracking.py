@@ -41,6 +41,7 @@ def test_joints_that_stick_cost_no_more_than_the_bound(cell: str, bound_m: float
     assert attitude_rad <= bound_rad
 
 
+@pytest.mark.long  # what its model does: below
 def test_without_feed_forward_they_cost_ten_times_as_much() -> None:
     without = run("paper", "controller.friction_feedforward=false", duration_s=HALF_S)
     assert without.after(TRANSIENT_S)[0] > 10.0 * run("paper").after(TRANSIENT_S)[0]

@@ -96,7 +96,7 @@ def test_the_loops_delay_is_found_to_a_part_of_a_cycle(known: Known) -> None:
     assert abs(delay.value_s - known.case.delay_s) < 3.0 * delay.sigma_s
 
 
-@pytest.mark.parametrize("believed_s", [pytest.param(0.001, marks=pytest.mark.long), 0.005, 0.008])
+@pytest.mark.parametrize("believed_s", [*(pytest.param(s, marks=pytest.mark.long) for s in (0.001, 0.005)), 0.008])
 def test_another_delay_in_the_cell_file_costs_viscous_friction_no_more_than_its_standard_errors(
     known: Known, believed_s: float
 ) -> None:

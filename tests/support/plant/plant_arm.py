@@ -133,4 +133,4 @@ def run_loop(
     )
     row = AgentRow(log.message, agent.model.n, cell.config_id)
     summary = Runner(agent, driver, clock, schedule, row, log, around).run()
-    return ArmRun(agent, summary, np.array(log.rows), modes)
+    return ArmRun(agent, summary, np.array(log.rows, AGENT_STATE.dtype), modes)

@@ -26,6 +26,7 @@ from agent.process.schedule import AgentOptions, schedule_of
 from agent.process.simulated import plant_spec
 from agent.runner import Runner
 from agent.telemetry.row.fill import AgentRow
+from agent.telemetry.row.sample import AGENT_STATE
 from drivers.dynamixel.driver import DynamixelDriver
 from drivers.dynamixel.events import DriverEvent
 from drivers.interface import JointState, StaleStateError, Vector
@@ -56,7 +57,7 @@ class ArmRun:
     @property
     def rows(self) -> Any:
         """Its rows, as telemetry would find them."""
-        return np.array(self.log.rows)
+        return np.array(self.log.rows, AGENT_STATE.dtype)
 
 
 @dataclass(frozen=True)

@@ -102,7 +102,7 @@ class FloatArm:
     @property
     def rows(self) -> Any:
         """Its rows."""
-        return np.array(self.ring.kept)
+        return np.array(self.ring.kept, AGENT_STATE.dtype)
 
 
 Hand = Callable[["FloatRun", float], Vector]  # wrench (6,) N, N·m, world axes, at an instant after torque came on

@@ -24,6 +24,7 @@ from agent.process.build import Connection, build_agent
 from agent.process.schedule import AgentOptions, schedule_of
 from agent.runner import Runner
 from agent.telemetry.row.fill import AgentRow
+from agent.telemetry.row.sample import AGENT_STATE
 from drivers.dynamixel.driver import DynamixelDriver
 from drivers.dynamixel.servo.codes import Instruction
 from drivers.dynamixel.servo.table import GOAL_CURRENT, GOAL_PWM
@@ -150,7 +151,7 @@ class GuardedRun(CoupledRun):
                 clock.sleep_until(clock.now_ns() + WATCH_NS)
         clock.sleep_until(clock.now_ns() + HOST_NS)
         agent = build_agent(self._cell, arm)
-        rows = np.array(run.log.rows[-64:])
+        rows = np.array(run.log.rows[-64:], AGENT_STATE.dtype)
 
         class Asked:
             resumed = limp = False

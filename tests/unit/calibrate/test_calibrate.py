@@ -59,7 +59,7 @@ def test_disagreement_of_held_out_poses_falls_below_the_bounds(
 @pytest.mark.parametrize(
     ("cell", "noise_rad"),
     [
-        (SPATIAL, 2e-3), (PLANAR, 0.0),
+        (SPATIAL, 2e-3), pytest.param(PLANAR, 0.0, marks=pytest.mark.long),
         pytest.param(SPATIAL, 0.0, marks=pytest.mark.long), pytest.param(PLANAR, 2e-3, marks=pytest.mark.long),
     ],
 )  # fmt: skip

@@ -6,8 +6,10 @@ import json
 import os
 from collections.abc import Callable
 from functools import cache
+from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,6 +23,7 @@ from agent.log.scan import MAGIC
 from agent.telemetry.row.sample import AGENT_STATE
 from agent.view.staged import NEEDS
 from tests.support.command import coop
+from tests.support.few import few
 from tests.support.plant.plant_arm import run_one
 from tests.support.telemetry.run_log import write_other_release, write_run
 from tests.support.telemetry.telemetry_cell import make_rows
@@ -144,8 +147,14 @@ BAD = {
 }
 
 
-@pytest.mark.parametrize("bad", BAD)
-@pytest.mark.parametrize("reader", READERS)
+def cases() -> list[Any]:
+    """Each reader with two logs, each log with two readers; `make long` has every pair."""
+    names = list(BAD)
+    two = {(reader, names[(k + d) % len(names)]) for k, reader in enumerate(READERS) for d in (0, 5)}
+    return few(product(READERS, BAD), two.__contains__)
+
+
+@pytest.mark.parametrize(("reader", "bad"), cases())
 def test_a_log_that_is_no_good_is_one_line_or_read_as_far_as_it_goes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bad: str, reader: str
 ) -> None:
@@ -260,8 +269,10 @@ def test_a_pipe_in_the_place_of_a_log_is_not_waited_for(
     assert len(done.err.splitlines()) == 1
 
 
-@pytest.mark.parametrize("damage", DAMAGED)
-@pytest.mark.parametrize("reader", [*(name for name in READERS if name not in TOO_SHORT), "recover"])
+LEFT = [*product((name for name in (*READERS, "recover") if name not in TOO_SHORT), DAMAGED)]
+
+
+@pytest.mark.parametrize(("reader", "damage"), few(LEFT, [*LEFT[::4], *LEFT[3::4]].__contains__))
 def test_what_is_left_of_a_damaged_log_is_read_and_the_damage_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, damage: str, reader: str
 ) -> None:

@@ -215,7 +215,6 @@ def test_a_line_is_read_by_the_command_that_it_names_or_by_all() -> None:
 
 @pytest.mark.parametrize("found", [True, False])
 def test_garbage_is_looked_for_again_after_a_check_and_after_one_that_refuses(found: bool) -> None:
-    gc.enable()  # whatever an earlier test of this process has left
     done = coop("check", str(PAPER) if found else "nowhere.toml")
     assert (done.code == 0) is found
     assert gc.isenabled()

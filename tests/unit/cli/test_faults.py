@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from agent.faults.catalogue import rows
 from agent.faults.plan import NAMES
@@ -76,6 +77,7 @@ def test_a_row_of_the_list_can_be_let_happen_by_its_id() -> None:
     assert any(line.startswith("sag  ") and line.endswith(" mm") for line in lines)
 
 
+@pytest.mark.long  # the row above is let happen by its id, too
 def test_a_row_of_a_rehearsal_brings_its_arm_in_the_loop_along(tmp_path: Path) -> None:
     log = tmp_path / "log.mcap"
     done = coop("faults", "inject", "paper_real", "h5", "--duration", "2.13", "--out", log)

@@ -23,6 +23,7 @@ from agent.faults.plan import Injection
 from agent.host.child import ChildFailed
 from agent.telemetry.row.sample import AGENT_STATE
 from tests.support.command import coop
+from tests.support.few import few
 from tests.support.pages import told
 
 SHORT = ("--at", "0.05", "--duration", "0.1")
@@ -116,7 +117,7 @@ def test_a_process_that_fails_leaves_the_words_that_its_error_names(processes: P
     assert (processes.folder / "run.mcap").is_file()
 
 
-@pytest.mark.parametrize("row", ["p10", "N1", "n2"])
+@pytest.mark.parametrize("row", few(("p10", "N1", "n2"), "p10".__eq__))
 def test_a_row_of_processes_is_carried_out_by_its_id(row: str, processes: Processes) -> None:
     done = coop("faults", "inject", "paper", row, "--duration", "3.2")
     assert done.code == 0, done.err

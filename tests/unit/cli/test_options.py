@@ -11,6 +11,7 @@ from agent.cli.options import uncollected
 
 @pytest.mark.parametrize("enabled", [True, False])
 def test_no_garbage_is_looked_for_in_a_command_nor_at_once_after_it(enabled: bool) -> None:
+    gc.unfreeze()  # what the tests before have loaded
     looked: list[str] = []
     gc.callbacks.append(lambda phase, _: looked.append(phase))
     try:

@@ -110,7 +110,7 @@ def lab() -> Laboratory:
     return Laboratory(load_cell(Path("two_wx200"), ["simulation.ready_s=2.0", "trajectory.ramp_s=0.5"]))
 
 
-@pytest.mark.parametrize("at_s", [0.7, 1.1])
+@pytest.mark.parametrize("at_s", [0.7, pytest.param(1.1, marks=pytest.mark.long)])
 @pytest.mark.parametrize(
     ("kind", "cause", "within_s"),
     [

@@ -97,7 +97,7 @@ def lab() -> Laboratory:
     return Laboratory(load_cell(Path("four_wx250s"), ["simulation.ready_s=1.0"]))
 
 
-@pytest.mark.parametrize("push_N", [(0.0, -10.0, 0.0), (0.0, 0.0, 10.0)])
+@pytest.mark.parametrize("push_N", [pytest.param((0.0, -10.0, 0.0), marks=pytest.mark.long), (0.0, 0.0, 10.0)])
 def test_four_arms_notice_a_push_of_ten_newtons_within_50_ms(lab: Laboratory, push_N: tuple[float, ...]) -> None:
     """No other channel sees either so soon."""
     run = Run(lab, None)

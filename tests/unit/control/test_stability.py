@@ -23,6 +23,7 @@ from drivers.interface import JointState, Vector
 from tests.support.control import coupled_motion
 from tests.support.control.coupled_motion import Motion
 from tests.support.control.strategies import Holder, RandomCell, quaternion_of
+from tests.support.few import few
 
 PAPER = configs.CELLS_DIR / "paper.toml"
 # loop rate, periods of delay, whether the paper's gains are stable there (docs/controller.md)
@@ -198,9 +199,7 @@ def jacobian(f, n: int, h: float = 1e-5) -> Vector:
     return np.stack(columns, axis=1)
 
 
-@pytest.mark.parametrize(
-    ("rate_hz", "delay", "stable"), [*TABLE[1::2], *(pytest.param(*row, marks=LONG) for row in TABLE[::2])]
-)
+@pytest.mark.parametrize(("rate_hz", "delay", "stable"), few(TABLE, TABLE[1::4].__contains__))
 def test_linearised_step_on_a_coupled_body_agrees(rate_hz: float, delay: float, stable: bool) -> None:
     cell = paper_cell(f"rate_hz={rate_hz}")
     numeric = SampledBody(cell, 2.0).radius(delay)

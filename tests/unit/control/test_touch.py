@@ -27,6 +27,7 @@ from agent.study.fault import Fault, FaultKind
 from agent.study.lab import Laboratory, Run
 from agent.verify.noticing import noticed
 from drivers.interface import JointState
+from tests.support.few import long
 from tests.unit.control import test_residual as bench
 
 LIMITS = Channels(1.75, 0.35, 1.2, 0.2)
@@ -201,7 +202,11 @@ def test_two_newtons_against_the_motion_for_half_a_second_are_no_trip_any_more()
 
 
 @pytest.mark.parametrize(
-    ("fault", "within_s"), [(FaultKind.LIMP, 0.110), (FaultKind.HOLD, 0.100), (FaultKind.LOCKED, 0.090)]
+    ("fault", "within_s"),
+    [
+        (FaultKind.LIMP, 0.110),
+        *map(long, ((FaultKind.HOLD, 0.100), (FaultKind.LOCKED, 0.090))),  # as long as in test_cause.py
+    ],
 )
 def test_a_neighbour_that_fails_is_noticed_as_soon_as_it_must_be(fault: FaultKind, within_s: float) -> None:
     noticed_at = next(trip.t for trip in run(fault=fault).trips if trip.arm == "right")

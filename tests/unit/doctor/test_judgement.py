@@ -124,6 +124,12 @@ EXPECTED = {
 NAMES = {rule: f"{rule.name}, {rule.consequence.name.lower()}".replace(" ", "_") for rule in RULES}
 
 
+@pytest.fixture(autouse=True)
+def _few_reads(monkeypatch: pytest.MonkeyPatch) -> None:
+    """How the bus keeps its time is asked in tests/unit/doctor/test_doctor.py."""
+    monkeypatch.setattr("agent.doctor.cycle.READS", 10)
+
+
 @pytest.fixture(params=RULES, ids=NAMES.get)
 def rule(request: pytest.FixtureRequest) -> Rule:
     return request.param

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from drivers.clock import MonotonicClock
+from drivers.dynamixel.line import bus
 from sim_backend.wire.faults import FaultKind
 from tests.support.driver_contract import DriverContract, Rig
 from tests.support.plant.served_plant import ServedPlant
@@ -52,7 +53,11 @@ def dynamixel_on_emulated_servos(directory: Path) -> Iterator[Rig]:
     with dxl_rig.ServedArm(directory) as served:
         driver = served.driver()
         joints = tuple(joint.name for joint in served.arm.controlled)
-        go_dark = functools.partial(served.fault, '{"kind": "silent", "arm": "left"}')
+
+        def go_dark() -> None:
+            served.fault('{"kind": "silent", "arm": "left"}')
+            bus.REPLY_WAIT_NS = 2_000_000  # until the end of the test: nothing comes however long one waits
+
         yield Rig(driver, MonotonicClock, joints, np.full(3, 0.1), served.driver, go_dark)
         driver.close()
 

@@ -125,6 +125,7 @@ def test_after_an_emergency_stop_torque_stays_off_when_the_supply_is_back() -> N
         assert "torque is off" in arm.summary.reason, "its servos have answered again, and none was switched on"
 
 
+@pytest.mark.long  # without servos: tests/unit/control/test_cause.py
 @pytest.mark.fault("F2")
 def test_a_seized_arm_stands_still_and_the_others_hold() -> None:
     run = struck("arm-stuck", until_s=1.5)
@@ -153,6 +154,7 @@ def test_an_arm_that_pulls_by_itself_is_held_by_all_within_its_bounds() -> None:
         assert (np.abs(np.diff(tau, axis=0)) <= step + 1e-9).all()
 
 
+@pytest.mark.long  # without servos: tests/unit/control/test_cause.py
 @pytest.mark.fault("F5")
 def test_a_hard_push_is_held_and_a_touch_is_not() -> None:
     pushed = struck("object-stuck", size=15.0)
@@ -225,6 +227,7 @@ def test_a_clock_that_is_ahead_puts_its_arm_ahead_on_the_motion() -> None:
     assert shown(run).ended == {"left": "TRACK", "right": "TRACK"}
 
 
+@pytest.mark.long  # a hold of such gains: tests/unit/test_blind.py
 @pytest.mark.fault("M5")
 def test_gains_ten_times_as_large_turn_nothing_faster_than_a_hold_may() -> None:
     level = load_cell(Path("two_wx200"), [*LEVEL, *STIFF, "duration_s=1.0"])

@@ -47,6 +47,7 @@ def test_what_a_simulated_partner_has_too_may_fail(fault: str) -> None:
     require_fit(placed([Injection(fault=fault, arm="right")], ARMS), ("left",))
 
 
+@pytest.mark.long  # with the figures of the same: tests/unit/hil/test_rehearsal.py
 @pytest.mark.fault("H5")
 def test_a_plant_that_is_gone_holds_the_real_arm_and_its_motion_is_what_is_measured() -> None:
     run = struck("plant-off", until_s=0.3)
@@ -74,6 +75,7 @@ def test_the_twin_of_an_arm_whose_agent_is_gone_goes_limp_with_its_servos() -> N
     assert found.ended["left"] == "gone"
 
 
+@pytest.mark.long  # a touch, and that nobody holds: tests/unit/hil/test_rehearsal.py
 @pytest.mark.fault("H4")
 def test_a_push_at_the_real_arm_parts_it_from_its_twin() -> None:
     run = struck("hand-stuck", until_s=0.3, size=15.0)

@@ -89,6 +89,7 @@ def test_a_guard_is_handed_the_real_arm_and_nothing_of_its_twin() -> None:
     assert len(told["servos"]) == 7
 
 
+@pytest.mark.long  # tests/unit/hil/test_bridge.py says what is added
 def test_cycles_without_a_state_also_say_what_was_sent() -> None:
     faults = [Fault(kind=FaultKind.DROP, arm="left", probability=0.02, start_s=0.1)]
     made = Rehearsal(cell("duration_s=0.6"), faults=faults)

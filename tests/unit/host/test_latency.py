@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import math
 from dataclasses import replace
@@ -174,3 +175,4 @@ def test_the_command_measures_judges_and_keeps(tmp_path: Path) -> None:
     assert kept is not None
     assert kept.histogram.cycles + kept.histogram.missed >= 200
     assert (kept.loaded, kept.real_time.policy) == (False, "SCHED_OTHER")
+    assert gc.isenabled(), "for the tests behind this one"

@@ -79,14 +79,20 @@ def test_gains_are_searched_by_the_robust_criterion(monkeypatch: pytest.MonkeyPa
     assert usual.text.splitlines()[0] == tuned.text.splitlines()[0]
 
 
+SLOW = replace(CELLS["mixed"], rate_hz=80.0)
+
+
+def test_usual_gains_that_a_slow_loop_cannot_take_are_refused() -> None:
+    with pytest.raises(WishError, match=r"spectral radius at 80 Hz.*; leave out --no-tune, or give a higher --rate"):
+        Maker(SLOW).make(tune=False)
+
+
+@pytest.mark.long  # a search for others is above
 def test_usual_gains_that_a_slow_loop_cannot_take_do_not_keep_others_from_being_found(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(stiffest, "TRIES", 60)
-    slow = replace(CELLS["mixed"], rate_hz=80.0)
-    with pytest.raises(WishError, match=r"spectral radius at 80 Hz.*; leave out --no-tune, or give a higher --rate"):
-        Maker(slow).make(tune=False)
-    assert Maker(slow).make().report.ok
+    assert Maker(SLOW).make().report.ok
 
 
 def test_what_gains_cannot_mend_is_said_before_they_are_searched(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -102,6 +102,7 @@ def test_a_dead_encoder_is_found_while_the_motion_asks_for_a_turn() -> None:
     assert "monitor frozen: reading of shoulder" in left.summary.reason
 
 
+@pytest.mark.long  # without servos: test_cells_watched.py
 @pytest.mark.parametrize(
     ("gravity", "held"),
     [pytest.param("[0.0, 0.0, -9.81]", False, marks=pytest.mark.long), ("[0.0, 0.0, 9.81]", True)],

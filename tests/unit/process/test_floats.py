@@ -86,7 +86,9 @@ def test_a_stop_lets_the_arm_stand_then_sink_and_says_so_before_its_torque_goes_
     replayed(run.one)
 
 
-@pytest.mark.parametrize(("masses", "fastest"), [(1.1, 0.4), (0.9, 0.4), (1.0, 0.02)])
+@pytest.mark.parametrize(
+    ("masses", "fastest"), [(1.1, 0.4), pytest.param(0.9, 0.4, marks=pytest.mark.long), (1.0, 0.02)]
+)
 def test_an_arm_that_is_let_go_rests_or_drifts_slowly_where_its_weight_is_not_what_the_files_say(
     masses: float, fastest: float
 ) -> None:
@@ -204,6 +206,7 @@ def test_an_error_of_the_loop_itself_lets_the_arm_sink_and_is_raised() -> None:
     assert np.abs(np.diff(rows["tau_limited"][:, :3], axis=0)).max() < 0.7, "no fall in between"
 
 
+@pytest.mark.long  # tests/unit/process/test_float_others.py calibrates from the log of one that floats, too
 def test_the_log_of_arms_that_floated_with_the_object_calibrates_their_cell(tmp_path: Path) -> None:
     off = (*LEVEL, *OFF)
     cell = floating_cell(FloatOptions(Path("two_wx200"), ("left", "right"), off, holding=True))

@@ -40,6 +40,9 @@ BODY = ("mass", *("first moment",) * 3, *("inertia",) * 6)
 OF_JOINTS = ("rotor inertia", "viscous friction", "Coulomb friction", "breakaway", "load friction", "breakaway load")
 
 
+OFTEN = ("paper", "six joints")  # drawn by tests/unit/report/test_report.py, too
+
+
 @dataclass(frozen=True)
 class Drawn:
     """Every figure of a run, and the settings of matplotlib before and after they were drawn."""
@@ -51,7 +54,7 @@ class Drawn:
 
 @pytest.fixture(
     scope="module",
-    params=[pytest.param(run, id=name, marks=[pytest.mark.long] * (name == "paper")) for name, run in RUNS.items()],
+    params=[pytest.param(run, id=name, marks=[pytest.mark.long] * (name in OFTEN)) for name, run in RUNS.items()],
 )
 def drawn(request: pytest.FixtureRequest) -> Drawn:
     run, before = prepare(request.param()), dict(mpl.rcParams)

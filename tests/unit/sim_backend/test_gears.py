@@ -105,7 +105,9 @@ def test_backlash_that_cannot_be_is_refused() -> None:
         realised(planar_cell(SERVOS), Reality(arms={"left": ArmReality(backlash_rad=(0.01,))}))
 
 
-@pytest.mark.parametrize(("name", "seed"), [("paper_real", None), ("three_wx250s", 3)])
+@pytest.mark.parametrize(
+    ("name", "seed"), [("paper_real", None), pytest.param("three_wx250s", 3, marks=pytest.mark.long)]
+)
 def test_a_cell_lives_with_a_tenth_of_a_degree_in_every_joint(name: str, seed: int | None) -> None:
     cell = load_cell(Path(name), ["duration_s=1.0", "simulation.ready_s=0.2", "report.transient_s=0.4"])
     drawn = Given() if seed is None else draw(cell.file.tolerance, seed, cell)

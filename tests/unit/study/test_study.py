@@ -29,6 +29,7 @@ from agent.study.summary import _spearman, errors_of, influences, judged, summar
 from agent.study.work import ATTEMPTS, here, in_processes, until
 from drivers.interface import Refusal
 from tests.support.command import coop
+from tests.support.few import few
 from tests.support.stops import stop_flag
 from tests.support.study import PAPER, SHORT, cell, cell_file
 
@@ -154,7 +155,7 @@ def test_a_study_that_fails_behind_its_first_run_keeps_it(tmp_path: Path, plan: 
         assert list(store.results) == [plan.tasks()[0].key]
 
 
-@pytest.mark.parametrize("name", RESULTS)
+@pytest.mark.parametrize("name", few(RESULTS, RESULTS[:1].__contains__))
 def test_a_file_that_no_study_has_written_is_kept_unless_asked(
     tmp_path: Path, plan: Plan, results: list[RunResult], name: str
 ) -> None:
@@ -441,8 +442,9 @@ def results_of(pairs: Sequence[tuple[Task, RunResult]]) -> list[RunResult]:
     return [result for _, result in sorted(pairs, key=lambda pair: pair[0].key)]
 
 
+@pytest.mark.long  # the first run of one is that of this process in the test below
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.long)])
+@pytest.mark.parametrize("workers", [1, 2])
 def test_a_dask_cluster_finds_the_same_to_the_bit(plan: Plan, results: list[RunResult], workers: int) -> None:
     from distributed import LocalCluster
 
@@ -453,7 +455,9 @@ def test_a_dask_cluster_finds_the_same_to_the_bit(plan: Plan, results: list[RunR
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_a_scheduler_that_goes_away_is_one_line_and_one_without_workers_is_told(plan: Plan) -> None:
+def test_a_scheduler_that_goes_away_is_one_line_and_one_without_workers_is_told(
+    plan: Plan, results: list[RunResult]
+) -> None:
     from distributed import LocalCluster
 
     from agent.study.cluster import on_cluster
@@ -462,7 +466,8 @@ def test_a_scheduler_that_goes_away_is_one_line_and_one_without_workers_is_told(
     with LocalCluster(n_workers=0, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
         address = cluster.scheduler_address
         runs = on_cluster(plan.tasks() * 50, address, lambda text: (told.append(text), cluster.scale(1)))
-        next(runs)
+        task, result = next(runs)
+        assert result == results[task.index]
         cluster.close()
         with pytest.raises(
             StudyError, match=rf"scheduler {address}: found it is gone, .*same --out: finished runs are kept"

@@ -73,7 +73,7 @@ def _place(way: Way, k: int) -> Way:
     return Way(way.shapes, way.R[k : k + 1], way.p[k : k + 1])
 
 
-@pytest.mark.parametrize("lift_rad", [0.25, 0.6])
+@pytest.mark.parametrize("lift_rad", [0.25, pytest.param(0.6, marks=pytest.mark.long)])
 def test_what_is_reported_is_below_the_truth_and_not_far_below(lift_rad: float) -> None:
     cell = cell_of("two_wx200")
     scene = scene_of(cell)

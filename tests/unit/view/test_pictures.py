@@ -21,6 +21,7 @@ from agent.view.raster import AMBIENT, Raster
 from agent.view.scene import OBJECT, OBJECT_COLOUR
 from agent.view.shapes import box
 from agent.view.staged import Staged, modes_at, stage, status_text
+from tests.support.few import few
 from tests.support.view_run import view_log, view_run
 
 SIZE = (320, 240)
@@ -122,7 +123,7 @@ def test_a_still_is_the_first_moment_and_the_same_every_time() -> None:
     assert len(np.unique(pixels(picture).reshape(-1, 3), axis=0)) > 50
 
 
-@pytest.mark.parametrize("name", ["film.gif", "film.webp", "film.png"])
+@pytest.mark.parametrize("name", few(("film.gif", "film.webp", "film.png"), "film.gif".__eq__))
 def test_a_film_has_its_pictures_and_pace(tmp_path: Path, name: str) -> None:
     path = tmp_path / name
     count = write_film(the_run(), FilmOptions(path, 0.5, 1.5, speed=5.0))

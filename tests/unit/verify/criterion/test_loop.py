@@ -26,6 +26,7 @@ from drivers import pads
 from drivers.interface import Vector
 from sim_backend.physics.free_arm import FreeArms
 from tests.support.control.criterion_cells import cell_of, first, gentle, loop_of, ranges_of, start_pose
+from tests.support.few import long
 
 CELLS = ("paper", "two_models", "three_wx250s")
 REST = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -200,8 +201,10 @@ STEPPED = [
 
 
 @pytest.mark.parametrize(("name", "case"), STEPPED)
-@pytest.mark.parametrize("velocity", ["servo", "observer"])
-@pytest.mark.parametrize("soft_gains", [False, True])
+@pytest.mark.parametrize(
+    ("soft_gains", "velocity"),
+    [(False, "observer"), (True, "servo"), long((False, "servo")), long((True, "observer"))],
+)
 def test_a_disturbance_grows_or_dies_by_the_radius(name: str, case: Case, velocity: str, soft_gains: bool) -> None:
     cell = (gentle if soft_gains else first)(name, f'controller.velocity="{velocity}"')
     at, loop = start_pose(cell), loop_of(cell)
