@@ -11,7 +11,6 @@ from agent.modes import Mode
 from agent.operator.table import Verb
 
 MAX_BYTES = 4096
-TOKEN_MAX = 32
 UTC_MAX_NS = (1 << 63) - 1
 _REFUSAL = ("found", "expected", "remedy")
 
@@ -47,7 +46,7 @@ class Request:
         try:
             content = json.loads(data)
             verb = Verb(content["verb"])
-            prepare, token = content.get("prepare", False) is True, str(content.get("token", ""))[:TOKEN_MAX]
+            prepare, token = content.get("prepare", False) is True, str(content.get("token", ""))
             asked_ns = int(content.get("asked_ns", 0))
             utc_ns = int(content["start_utc_ns"] if verb is Verb.START else content.get("start_utc_ns", 0))
             if not 0 <= utc_ns <= UTC_MAX_NS:

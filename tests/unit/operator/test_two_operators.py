@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +14,7 @@ import pytest
 from agent.modes import Mode
 from agent.operator import socket as control_socket
 from agent.operator import words
+from agent.operator.ask import Heard, Silence
 from agent.operator.error import ControlError
 from agent.operator.message import Reply, Request
 from agent.operator.promise import HELD_NS, Promise
@@ -203,7 +204,9 @@ def test_a_promise_is_kept_for_twice_the_time_of_an_answer_from_when_it_was_aske
     assert promise.covers("b", 9)
     promise.forget("b")
     assert not promise.covers("b", 9)
-    assert not Promise().covers("", 0)
+    promise.agree("d", 9, 9)
+    promise.give()
+    assert not promise.covers("", 10), "nobody has none"
 
 
 def test_nobody_is_agreed_with_for_longer_by_a_clock_that_is_ahead() -> None:
@@ -221,3 +224,35 @@ def test_what_is_taken_back_was_given_last_or_asked_for_since() -> None:
     promise.agree("b", 5 * 10**9, 5 * 10**9)
     promise.give()
     assert [promise.concerns(token) for token in ("a", "b", "c", "")] == [False, True, False, True]
+
+
+def test_an_instant_that_was_taken_back_is_not_taken_again(tmp_path: Path, clock: Clock) -> None:
+    with closing(ControlSocket(tmp_path / "a", OWN, Standing("a", Mode.READY))) as arm:
+        request = Request(Verb.START, OWN, LATER_NS, token="mine", asked_ns=clock.now_ns)
+        assert arm._answer(replace(request, prepare=True).encode(), 0).ok
+        assert arm._answer(Request(Verb.CANCEL, token="mine").encode(), 0).ok
+        assert not arm._answer(request.encode(), 0).ok
+
+
+@pytest.mark.parametrize("refuses", ["when it is asked", "when it is given"])
+def test_all_that_is_said_of_one_start_has_one_token_and_no_other_start_has_it(
+    monkeypatch: pytest.MonkeyPatch, refuses: str
+) -> None:
+    said: list[Request] = []
+
+    def ask_arms(arms: Mapping[str, object], request: Request, timeout_s: float) -> dict[str, Heard]:
+        said.append(request)
+        willing = Reply(True, "a", Mode.READY.name, fingerprint=OWN)
+        fails = request.verb is Verb.START and request.prepare is (refuses == "when it is asked")
+        return {arm: Silence("hangs") if fails and arm == "b" else willing for arm in arms}
+
+    monkeypatch.setattr(words, "ask_arms", ask_arms)
+    for _ in range(2):
+        with pytest.raises(ControlError, match="b: does not answer"):
+            start_together({"a": [], "b": []}, Request(Verb.START, OWN, 9 * 10**18), PATIENT_S)
+    each = len(said) // 2
+    tokens = [{request.token for request in half} for half in (said[:each], said[each:])]
+    assert [len(one) for one in tokens] == [1, 1]
+    assert tokens[0] != tokens[1]
+    assert said[each - 1].verb is Verb.CANCEL
+    assert said[each - 1].prepare is (refuses == "when it is asked"), "nothing was given: an earlier start stays"
