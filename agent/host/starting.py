@@ -122,6 +122,10 @@ def end(code: int) -> NoReturn:
 def of_host(error: OSError) -> str:
     """What the host did not do, in one line for a person."""
     found = f"found {error.strerror or error}"
+    if error.errno == errno.EMFILE:
+        from agent.host import open_files  # noqa: PLC0415 - seldom needed, and this module starts every process
+
+        return f"this host: {found}, with {open_files.found()}, expected more; {open_files.REMEDY}"
     if error.filename is None:
         return f"this host: {found}, expected it to do what was asked; see what it is short of"
     return f"{error.filename}: {found}, expected a path that can be used; name another"
