@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from agent.faults.catalogue import rows
 from agent.faults.plan import NAMES
@@ -74,6 +75,25 @@ def test_a_row_of_the_list_can_be_let_happen_by_its_id() -> None:
     assert lines[1].startswith("noticed           after 0 ms (left: ")
     assert any(line.startswith("arm left          stopped after ") for line in lines)
     assert any(line.startswith("sag  ") and line.endswith(" mm") for line in lines)
+
+
+@pytest.mark.parametrize(
+    ("row", "words", "found", "named"),
+    [
+        ("B2", ("--arm", "left", "--at", "3", "--for", "1"), "--arm, --at, --for", "bus-off"),
+        ("P10", ("--at", "0"), "--at", "telemetry-off"),
+        ("M1", ("--servo", "4", "--size", "2"), "--servo, --size", "agent-garbage"),
+    ],
+)
+def test_a_row_that_says_itself_when_and_whom_takes_no_other_word_of_it(
+    row: str, words: tuple[str, ...], found: str, named: str
+) -> None:
+    done = coop("faults", "inject", "paper_real", row, *words)
+    assert (done.code, done.out) == (2, "")
+    assert done.err == (
+        f"coop: row {row}: found {found}, expected none of these: a row says when and whom itself; "
+        f"name the fault in its place: {named}\n"
+    )
 
 
 def test_a_row_of_a_rehearsal_brings_its_arm_in_the_loop_along(tmp_path: Path) -> None:
