@@ -60,9 +60,14 @@ class Guarded:
     @property
     def state(self) -> str:
         """The same in a word."""
-        if self._has_agreed:
-            return "hangs" if self._hangs else "watches"
-        return "gone"
+        return {"": "watches", HANGS: "hangs", GONE: "gone"}[self.missing]
+
+    @property
+    def missing(self) -> str:
+        """Why nobody goes on when this process cannot; empty while somebody does."""
+        if self.there:
+            return ""
+        return HANGS if self._has_agreed else GONE
 
     @property
     def has_lent(self) -> bool:

@@ -26,6 +26,7 @@ from agent.operator.table import EVENT_OF, Verb, effect
 from drivers.clock import utc_offset_ns
 
 _CLIENTS_MAX = 8
+_FORWARD = (Verb.START, Verb.APPROACH, Verb.GRASP)  # not on the way back
 _SAFE_LATE = (Verb.STOP, Verb.CANCEL)  # an arm that stood still obeys them afterwards too
 
 
@@ -54,6 +55,9 @@ class Standing:
     rest_s: float = 0.0  # of READY before a start, in which the torque at rest is looked at
     ready_ns: int = 0  # since when it is READY, on CLOCK_MONOTONIC: nobody sets that
     session: Callable[[Event], str] | None = None  # why such an event counts for nothing now; None: there is no session
+    alone: Callable[[], str] = (
+        str  # why nobody goes on when this agent cannot; empty: somebody does, or none was wanted
+    )
     details: Callable[[], Mapping[str, Any]] = dict  # asked for with each answer
 
     def enter(self, mode: Mode) -> None:
@@ -139,6 +143,12 @@ class ControlSocket:
         does = effect(request.verb, mode) if ask is None else SESSION[request.verb][mode]
         if not does.accepted:
             return self._refused(f"arm {self.standing.arm} in {mode.name}: {does.does}", "another mode", does.remedy)
+        alone = self.standing.alone() if request.verb in _FORWARD else ""
+        if alone:
+            return self._refused(
+                f"arm {self.standing.arm} in {mode.name}: {alone}", "a guard that watches it",
+                "see the guard's log and have it watch again, or `coop release` and start both anew",
+            )  # fmt: skip
         event = Event.STARTED if request.verb is Verb.START else EVENT_OF.get(request.verb)
         not_yet = ask(event) if ask is not None and event is not None else ""
         if not_yet:

@@ -277,6 +277,8 @@ def _stand(
         }
 
     standing.details = details
+    if guard is not None:
+        standing.alone = lambda: guard.missing
     if options.driver is DriverKind.DYNAMIXEL and not options.connection.emulated:
         session = cell.file.session
         standing.rest_s = REST_S + (0.0 if session is None else session.take_up_s)

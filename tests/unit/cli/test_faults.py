@@ -61,6 +61,7 @@ def test_a_rehearsal_says_who_noticed_who_stopped_and_what_it_cost(tmp_path: Pat
 def test_a_row_that_processes_alone_can_show_names_its_tests() -> None:
     done = coop("faults", "inject", "paper_real", "p9")
     assert done.code == 2
+    assert coop("faults", "inject", "paper_real", "p9", "--at", "1").err == done.err
     found = next(row for row in rows() if row.id == "P9")
     assert done.err.startswith(f"coop: row P9, {found.fails}: found nothing of it in virtual time")
     assert done.err.rstrip().endswith(f"its tests show it, such as `pytest {found.tests[0]}`")

@@ -128,9 +128,9 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
 def test_somebody_goes_on_only_behind_an_agent_that_is_watched(bench: Bench) -> None:
     assert (bench.agent.there, bench.agent.state) == (False, "gone")
     bench.watch()
-    assert (bench.agent.there, bench.agent.state) == (True, "watches")
+    assert (bench.agent.there, bench.agent.state, bench.agent.missing) == (True, "watches", "")
     bench.loses()
-    assert (bench.agent.there, bench.agent.state) == (False, "gone")
+    assert (bench.agent.there, bench.agent.state, bench.agent.missing) == (False, "gone", "the guard is gone")
     bench.agent.leave()
 
 
@@ -162,7 +162,7 @@ def test_a_guard_that_hangs_is_told_once_and_nobody_goes_on_until_it_works_again
     assert bench.cycles(39, looks=False) == [""] * 39
     assert (bench.agent.state, bench.told) == ("watches", [])
     assert bench.cycles(30, looks=False) == ["the guard hangs", *[""] * 29]
-    assert (bench.agent.there, bench.agent.state) == (False, "hangs")
+    assert (bench.agent.there, bench.agent.state, bench.agent.missing) == (False, "hangs", "the guard hangs")
     assert bench.told == [(Level.ERROR, TOLD)]
     with pytest.raises(
         GuardError, match=r"port from the guard at left\.guard: found the guard hangs, .*one that lends"

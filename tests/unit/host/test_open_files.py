@@ -55,6 +55,9 @@ def test_a_network_that_could_take_in_nobody_is_refused(monkeypatch: pytest.Monk
     told = r"found a limit of 127 open files \(`ulimit -n`\), expected 128 or more; raise it with `ulimit -n 1024`"
     with pytest.raises(NetworkError, match=told), open_session(Network(listen=FREE_PORT)):
         pass
+    monkeypatch.setattr(open_files, "resource", Limits(20, 128))
+    with open_session(Network(listen=FREE_PORT)) as opened:
+        assert opened.endpoint
 
 
 def test_a_command_that_has_no_room_for_another_file_names_the_limit(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -338,6 +338,32 @@ def test_an_agent_that_has_said_nothing_yet_is_off_and_looks_at_no_torque() -> N
     assert (own.mode, own.rest_s) == (Mode.OFF, 0.0)
 
 
+@pytest.mark.fault("P7")
+@pytest.mark.parametrize(
+    ("mode", "verb", "taken"),
+    [
+        (Mode.REST, "approach", False), (Mode.HALT, "approach", False), (Mode.APPROACH, "grasp", False),
+        (Mode.READY, "start", False), (Mode.HALT, "park", True), (Mode.HOLD, "lower", True),
+        (Mode.HOLD, "release", True), (Mode.TRACK, "stop", True), (Mode.REST, "status", True),
+    ],
+)  # fmt: skip
+def test_an_arm_that_nobody_goes_on_for_goes_back_and_not_forward(
+    control: ControlSocket, path: Path, asked: list[Event], mode: Mode, verb: str, taken: bool
+) -> None:
+    control.standing.mode, control.standing.session = mode, lambda _: ""
+    request = start(token="mine", asked_ns=HERE_NS, prepare=True) if verb == "start" else {"verb": verb}
+    control.standing.alone = lambda: "the guard hangs"
+    answer = answer_to(control, path, request)
+    assert answer["ok"] is taken
+    if not taken:
+        assert (answer["found"], answer["expected"]) == (
+            f"arm left in {mode.name}: the guard hangs",
+            "a guard that watches it",
+        )
+        control.standing.alone = str
+        assert answer_to(control, path, request)["ok"]
+
+
 # --- from whom -------------------------------------------------------------------------------------------------------
 
 
