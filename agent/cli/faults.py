@@ -18,7 +18,10 @@ if TYPE_CHECKING:
     from agent.faults.plan import Injection
 
 SCHEMA = 1
+AT_S = 3.0  # when a fault happens of which nothing is said
 MORE_S = 2.0  # of a rehearsal after its fault
+
+_OPTIONS = {"arm": "--arm", "servo": "--servo", "at_s": "--at", "for_s": "--for", "size": "--size"}
 
 app = typer.Typer(
     cls=Commands, no_args_is_help=True, rich_markup_mode=None, help="What can fail, and what the cell then does."
@@ -62,7 +65,7 @@ def inject(
         typer.Option(help="Arm (the cell's first); plant: telemetry of the truth.", autocompletion=complete.arms),
     ] = None,
     servo: Annotated[int | None, typer.Option(help="ID of one servo, instead of all of the arm.")] = None,
-    at: Annotated[float, typer.Option(min=0.0, help="When, s of the trajectory.")] = 3.0,
+    at: Annotated[float | None, typer.Option(min=0.0, help="When, s of the trajectory (3).")] = None,
     for_s: Annotated[float | None, typer.Option("--for", help="How long, s; for good without it.")] = None,
     size: Annotated[float | None, typer.Option(help="How much, in the unit of `list --kinds`.")] = None,
     duration: Annotated[float | None, typer.Option(help="Seconds of the trajectory.")] = None,
@@ -112,13 +115,25 @@ def inject(
 
 
 def _faults(name: str, **given: Any) -> tuple[tuple[Injection, ...], tuple[str, ...]]:
-    """The fault of that name, or those of a row's first run and what that makes of its cell.  Raises FaultPlanError."""
+    """The fault of that name, or those of a row's first run and what that makes of its cell.  Raises FaultPlanError.
+
+    given: what is said of the fault, None where nothing is; a row says it itself.
+    """
     from agent.faults.catalogue import row
     from agent.faults.plan import FaultPlanError, injection
 
     found = row(name)
     if found is None:
-        return (injection(name, **given),), ()
+        at_s = AT_S if given["at_s"] is None else given["at_s"]
+        return (injection(name, **given | {"at_s": at_s}),), ()
+    said = [_OPTIONS[key] for key, value in given.items() if value is not None]
+    shown = found.faults or (found.runs[0].faults if found.runs else ())
+    if said and shown:
+        each = " and ".join(dict.fromkeys(fault.fault for fault in shown))
+        raise FaultPlanError(
+            f"row {found.id}", found=", ".join(said), expected="none of these: a row says when and whom itself",
+            remedy=f"name the fault in its place: {each}",
+        )  # fmt: skip
     if found.faults:
         return found.faults, ()
     if not found.runs:

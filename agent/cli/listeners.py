@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,29 +17,33 @@ if TYPE_CHECKING:
     from agent.faults.plan import Injection
 
 
+PREFIX = "coop-faults-"  # of what a run leaves among the temporary files while it lasts
+
+
 def inject(cell: Cell, faults: Sequence[Injection], seed: int, out: Path | None, *, as_json: bool) -> None:
     """Carry these out on the processes of a lockstep run.  Raises Refusal; typer.Exit with 1 where a torque differs."""
     from agent.cli.progress import RunProgress
     from agent.faults.heard import heard
     from agent.faults.judge import Verdict
-    from agent.faults.listeners import rehearse_listeners
+    from agent.faults.listeners import logs_left, rehearse_listeners
+    from agent.faults.log import require_new
     from agent.host.child import ChildFailed
     from agent.host.signals import StopFlag
+    from agent.process.run_folder import keep, temporary_folder
 
-    folder = Path(tempfile.mkdtemp(prefix="coop-faults-"))
-    try:
-        with StopFlag().interrupting():
+    if out is not None:
+        for number in range(logs_left(cell, faults)):
+            require_new(_name(out, number))
+    with temporary_folder(PREFIX) as folder, StopFlag().interrupting():
+        try:
             with RunProgress() as progress:
                 run = rehearse_listeners(cell, faults, seed, folder / "run.mcap", progress)
                 progress.phase("comparing")
                 found = heard(run)
-            left = [] if out is None else [_kept(log, out, i) for i, log in enumerate(run.logs)]
-    except ChildFailed:
-        folder = Path()  # it stays, with the words of whom the error names
-        raise
-    finally:
-        if folder != Path():
-            shutil.rmtree(folder, ignore_errors=True)
+        except ChildFailed:
+            keep(folder)  # with the words of whom the error names
+            raise
+        left = [] if out is None else [_kept(log, _name(out, i)) for i, log in enumerate(run.logs)]
     if as_json:
         about = {"schema": SCHEMA, "cell": cell.file.name, "faults": given(run.faults)}
         print_json({**about, **found.document(), "logs": [str(log) for log in left]})
@@ -53,13 +55,17 @@ def inject(cell: Cell, faults: Sequence[Injection], seed: int, out: Path | None,
         raise typer.Exit(1)
 
 
-def _kept(log: Path, out: Path, number: int) -> Path:
-    """A copy of the log under the name asked for; further ones with a number behind it.  Raises LogFileError."""
+def _name(out: Path, number: int) -> Path:
+    """Of the log that is left: the one asked for; of further ones with a number behind it."""
+    return out if not number else out.with_name(f"{out.stem}_{number + 1}{out.suffix}")
+
+
+def _kept(log: Path, target: Path) -> Path:
+    """A copy of the log under the name asked for.  Raises LogFileError."""
     from agent.atomic import copy_atomically
     from agent.faults.log import require_new
     from agent.log.file import LogFileError
 
-    target = out if not number else out.with_name(f"{out.stem}_{number + 1}{out.suffix}")
     require_new(target)
     copy_atomically(log, target, LogFileError)
     return target

@@ -28,6 +28,8 @@ from agent.host.starting import ready
 if TYPE_CHECKING:
     from agent.log.read import AnyLog
 
+VIEW = "view.html"  # beside a report that was asked for it
+
 
 def report(
     log: LogPath,
@@ -47,7 +49,7 @@ def report(
         step("reading the log")
         with open_log(log) as opened:
             step("drawing")
-            files = write_report(opened, folder, still)
+            files = write_report(opened, folder, still, keeps=not force, beside=[VIEW] if view else [])
             if view:
                 step("drawing in 3D")
                 _write_view(opened, folder)
@@ -69,7 +71,7 @@ def _write_view(log: AnyLog, folder: Path) -> None:
     need_viser()
     from agent.view.html import write_html
 
-    write_html(prepare(log), folder / "view.html")
+    write_html(prepare(log), folder / VIEW)
 
 
 def compare(

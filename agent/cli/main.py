@@ -31,7 +31,7 @@ from agent.cli import (
 )
 from agent.cli.help import Commands
 from agent.cli.where import where
-from agent.host.starting import USAGE, end, hear_stops, of_host, settle
+from agent.host.starting import USAGE, end, hear_stops, of_host, outlive_readers, settle
 
 PROGRAM = "coop"
 
@@ -116,6 +116,7 @@ def _command(first: str) -> Callable[..., object]:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Entry point: ends the process; a Refusal is one line for a person and an exit code for a script."""
     settle()
+    outlive_readers()
     hear_stops()
     end(dispatch(arguments))
 

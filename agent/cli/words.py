@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 
 from agent.cli.options import AsJson, CellPath, ControlSockets, SomeArms, note
+from agent.host.starting import is_unread
 
 HostName = Annotated[str | None, typer.Option("--host", help="This host's name in the cell file, if not its own.")]
 
@@ -122,7 +123,7 @@ def guide(
         if now != before:
             typer.echo("\n".join([*now, ""]))
             before = now
-        if once:
+        if once or is_unread():
             return
         time.sleep(WATCH_STEP_S)
 
@@ -164,6 +165,8 @@ def status(
                 typer.echo(f"{typer.style(line.head, fg=line.tone.value)}  {line.rest}")
         if stop is None:
             raise typer.Exit(0 if all(arm["answers"] for arm in document["arms"]) else 1)
+        if is_unread():
+            return
         for _ in range(WATCH_EVERY_STEPS):
             if stop():
                 raise typer.Exit(130)

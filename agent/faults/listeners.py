@@ -69,6 +69,12 @@ def rehearse_listeners(
             children.abandon()
 
 
+def logs_left(cell: Cell, faults: Sequence[Injection]) -> int:
+    """How many logs such a run leaves: one, and one of each recorder that is started anew.  Raises FaultPlanError."""
+    deeds = [strike for group in strikes(cell, placed_at(cell, faults)) for strike in group]
+    return 1 + sum(strike.deed is Deed.BEGIN and strike.whom == RECORDER for strike in deeds)
+
+
 class Struck(Children):
     """The processes of one lockstep run, and what is done to those that listen."""
 

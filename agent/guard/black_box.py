@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import math
-import os
 import subprocess
-import sys
 from collections.abc import Callable, Sequence
 from typing import Final
+
+from agent.host import python
 
 WRITER: Final = "agent.process.post_mortem"
 LOOK_S: Final = 0.02
@@ -22,7 +22,7 @@ class BlackBox:
 
     def __init__(self, arguments: Sequence[str], cycles: int, *, wanted: bool) -> None:
         """arguments: of `agent.process.post_mortem`."""
-        self._command = [sys.executable, "-m", WRITER, *arguments]
+        self._command = python.command(WRITER, *arguments)
         self._left = cycles if wanted else 0
         self._process: subprocess.Popen[bytes] | None = None
         self._refused = ""
@@ -57,9 +57,8 @@ class BlackBox:
             missing(f"its writer ended with {code}, see the guard's journal; what it began ends in {UNFINISHED}")
 
     def _start(self) -> None:
-        surroundings = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
         try:
-            self._process = subprocess.Popen(self._command, stdin=subprocess.DEVNULL, env=surroundings)
+            self._process = subprocess.Popen(self._command, stdin=subprocess.DEVNULL, env=python.surroundings())
         except OSError as error:  # the arm is held without a file too
             self._refused = error.strerror or str(error)
 

@@ -1,9 +1,10 @@
-"""An agent's side of its guard: it borrows the port, is watched, and notices within a cycle that the guard is gone."""
+"""An agent's side of its guard: it borrows the port, is watched, and notices that the guard is gone, or hangs."""
 
 from __future__ import annotations
 
 import os
 import sys
+import time
 import traceback
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -12,6 +13,8 @@ from typing import Any, NoReturn
 
 from agent.guard.agent_end import AgentEnd
 from agent.guard.line import GuardError, Word
+from agent.guard.pulse import Pulse
+from agent.guard.vigil import Vigil
 from agent.telemetry.row.event import Level
 from drivers.interface import Refusal
 
@@ -20,6 +23,8 @@ HAND_OVER_AFTER = 100  # cycles of a hold, so that the object is at rest
 AGAIN_AFTER = 50  # cycles between two attempts to reach a guard that is gone
 CRASHED = 1  # exit code of a process that ends by an error that is no Refusal
 UNGUARDED = "no guard: when this process dies, the arm falls limp as soon as its servos' watchdog fires"
+GONE, HANGS = "the guard is gone", "the guard hangs"
+NOBODY = "nobody takes over should this process end, and the arm falls limp then"
 Tell = Callable[[Level, str], None]
 
 
@@ -36,18 +41,33 @@ class Guarded:
         self._lent = False
         self._cycles = 0
         self._asked_back = False
+        self._pulse: Pulse | None = None
+        self._vigil: Vigil | None = None  # over the guard that watches; none over one that has not said yes
+        self._new_vigil: Callable[[], Vigil] | None = None
+        self._hangs = False
         self._ending = 0
         self._hands_over = False  # the guard has been told to go on, and has not said yes yet
 
     @property
     def there(self) -> bool:
         """Whether somebody goes on when this process cannot."""
+        return self._has_agreed and not self._hangs
+
+    @property
+    def _has_agreed(self) -> bool:
         return self._end is not None and self._watch is not None and not self._asked_back
 
     @property
     def state(self) -> str:
         """The same in a word."""
-        return "watches" if self.there else "gone"
+        return {"": "watches", HANGS: "hangs", GONE: "gone"}[self.missing]
+
+    @property
+    def missing(self) -> str:
+        """Why nobody goes on when this process cannot; empty while somebody does."""
+        if self.there:
+            return ""
+        return HANGS if self._has_agreed else GONE
 
     @property
     def has_lent(self) -> bool:
@@ -56,31 +76,34 @@ class Guarded:
 
     def borrow(self) -> int:
         """Descriptor of the arm's port; a second one is another, for the first was lost.  Raises GuardError."""
-        if self._end is None:
+        if self._end is None or self._hangs:  # who hangs would have the loop wait for its answer
             raise GuardError(
-                f"port from the guard at {self._path}", found="no guard any more", expected="one that lends it",
-                remedy="start the guard again",
+                f"port from the guard at {self._path}", found="no guard any more" if self._end is None else HANGS,
+                expected="one that lends it", remedy="start the guard again",
             )  # fmt: skip
         (fd,) = self._end.ask(Word.PORT, again=self._lent)
         self._lent = True
         return fd
 
-    def watch(self, fds: Sequence[int], tell: Tell, **content: Any) -> None:
+    def watch(self, fds: Sequence[int], tell: Tell, vigil: Callable[[], Vigil], **content: Any) -> None:
         """Torque is on: from now on the guard goes on when this process cannot.  Raises GuardError.
 
-        fds: of the ring and of its texts; content: what the guard must know; tell: is told what becomes of the guard.
+        fds: of the ring, of its texts, and of the driver; content: what the guard must know; tell: is told what becomes
+        of the guard; vigil: a new one over its pulse.
         """
-        self._tell = tell
-        self._watch = ((os.pidfd_open(os.getpid()), *fds), content)
+        self._tell, self._new_vigil = tell, vigil
+        self._pulse = Pulse.made()
+        self._watch = ((os.pidfd_open(os.getpid()), self._pulse.fileno(), *fds), content)
         if self._end is not None:
             self._end.ask(Word.WATCH, self._watch[0], **content)
+            self._vigil = vigil()
 
     def busy(self) -> None:
         """No row will come for a moment, and that is all right."""
         self._say(Word.BUSY, for_s=BUSY_S)
 
-    def poll(self, *, ending: bool = False) -> bool:
-        """Whether the guard has been found gone in this cycle; looks for a new one later.
+    def poll(self, *, ending: bool = False) -> str:
+        """What has been found wrong with the guard in this cycle; in the place of a dead one it looks for another.
 
         ending: this process was asked to end, and holds: some cycles later it asks the guard to go on, and does not
         return once that has said yes.
@@ -88,12 +111,12 @@ class Guarded:
         if ending:
             self._ending += 1
             if self._ending >= HAND_OVER_AFTER and not self._hands_over:
-                self._hands_over = self.there and self._say(Word.TAKE)
+                self._hands_over = self._has_agreed and self._say(Word.TAKE)
         if self._end is None:
             self._cycles += 1
             if self._cycles % AGAIN_AFTER == 0:
                 self._look_for_another()
-            return False
+            return ""
         heard = self._end.heard()
         if heard is None:
             self._end.close()
@@ -101,13 +124,29 @@ class Guarded:
         if heard and self._asked_back:
             if heard.get("ok"):
                 self._asked_back = False
+                self._vigil = None if self._new_vigil is None else self._new_vigil()
                 self._tell(Level.INFO, "the guard is back and watches")
             else:
                 self._tell(Level.ERROR, f"the guard is back and does not watch: found {heard.get('found')}")
         elif heard and self._hands_over and heard.get("ok"):
             self._tell(Level.INFO, "hands the arm to the guard, as it was asked to end")
             self._end_process(0)
-        return False
+        return self._found_hanging()
+
+    def _found_hanging(self) -> str:
+        """Looks at the guard's pulse: a guard that hangs is told of once, and one that works again, too."""
+        vigil, pulse = self._vigil, self._pulse
+        if vigil is None or pulse is None:
+            return ""
+        hangs = vigil.is_stale(time.monotonic_ns(), pulse.count)
+        if hangs is self._hangs:
+            return ""
+        self._hangs = hangs
+        if not hangs:
+            self._tell(Level.INFO, "the guard works again and watches")
+            return ""
+        self._tell(Level.ERROR, f"the guard hangs (no look for {vigil.still_ns * 1e-6:.0f} ms): {NOBODY}")
+        return HANGS
 
     def leave(self) -> None:
         """Torque is off: the guard lets go of the ring.  Safe twice, and without a guard."""
@@ -121,7 +160,10 @@ class Guarded:
             self._end = None
         if self._watch is not None:
             os.close(self._watch[0][0])
-            self._watch = None
+            self._watch = self._vigil = None
+        if self._pulse is not None:
+            self._pulse.close()
+            self._pulse = None
 
     def give_up(self, error: BaseException) -> None:
         """The loop has failed: end this process at once, torque on, for the guard.  Returns where there is none."""
@@ -148,12 +190,10 @@ class Guarded:
             return False
         return self._end is not None
 
-    def _lost(self) -> bool:
-        self._end, self._hands_over = None, False
-        self._tell(
-            Level.ERROR, "the guard is gone: nobody takes over should this process end, and the arm falls limp then"
-        )
-        return True
+    def _lost(self) -> str:
+        self._end, self._vigil, self._hangs, self._hands_over = None, None, False, False
+        self._tell(Level.ERROR, f"the guard is gone: {NOBODY}")
+        return GONE
 
     def _look_for_another(self) -> None:
         try:

@@ -19,7 +19,7 @@ from typing import Any
 from drivers.interface import Refusal
 
 MAX_BYTES = 1 << 16
-MAX_FDS = 4
+MAX_FDS = 5
 
 
 class GuardError(Refusal):

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from agent.guard.line import GuardError, Said
+from agent.guard.pulse import Pulse
 from agent.guard.resume import ROWS
 from agent.guard.vigil import Vigil
 from agent.replay.tick import Rows
@@ -21,7 +22,7 @@ from agent.telemetry.ring.texts import TextWriter
 from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.sample import AGENT_STATE
 
-DESCRIPTORS = 3  # of the process, the ring, its texts
+DESCRIPTORS = 4  # of the process, its guard's pulse, the ring, its texts
 KILL_LOOK_MS = 20
 
 
@@ -34,6 +35,7 @@ class Watched:
     reader: RingReader
     writer: RingWriter
     texts: TextWriter
+    pulse: Pulse
     vigil: Vigil
     handed_over: bool = False  # it has said that it ends, and that the object is held
     rehearsed: bool = False
@@ -44,19 +46,21 @@ class Watched:
         if len(said.fds) < DESCRIPTORS:
             said.drop()
             raise GuardError(
-                "word 'watch'", found=f"{len(said.fds)} descriptors", expected="process, ring and texts",
+                "word 'watch'", found=f"{len(said.fds)} descriptors", expected="process, pulse, ring and texts",
                 remedy="start agent and guard from one release",
             )  # fmt: skip
-        pidfd, ring, texts = said.fds[:DESCRIPTORS]
+        pidfd, pulse_fd, ring, texts = said.fds[:DESCRIPTORS]
         with contextlib.ExitStack() as always, contextlib.ExitStack() as undo:
             always.callback(os.close, ring)
             always.callback(os.close, texts)
             undo.callback(os.close, pidfd)
+            pulse = Pulse(pulse_fd)
+            undo.callback(pulse.close)
             reader = undo.enter_context(RingReader(Path(f"/proc/self/fd/{ring}"), AGENT_STATE))
             writer = undo.enter_context(RingWriter.go_on(os.dup(ring), AGENT_STATE))
             text_writer = TextWriter.go_on(os.dup(texts))
             undo.pop_all()
-        return cls(pidfd, Path(str(said.content.get("ring"))), reader, writer, text_writer, vigil)
+        return cls(pidfd, Path(str(said.content.get("ring"))), reader, writer, text_writer, pulse, vigil)
 
     @property
     def gone(self) -> bool:
@@ -64,7 +68,8 @@ class Watched:
         return _ended(self.pidfd, 0)
 
     def hangs(self, now_ns: int) -> bool:
-        """One look at its rows: whether none has come for too long."""
+        """One look at its rows: whether none has come for too long.  The agent sees that there was a look."""
+        self.pulse.beat()
         return self.vigil.is_stale(now_ns, self.reader.written)
 
     def kill(self, meanwhile: Callable[[], None]) -> None:
@@ -85,7 +90,7 @@ class Watched:
 
     def close(self) -> None:
         """Let go of everything that is the agent's."""
-        for one in (self.reader, self.writer, self.texts):
+        for one in (self.reader, self.writer, self.texts, self.pulse):
             one.close()
         os.close(self.pidfd)
 

@@ -6,11 +6,11 @@ import os
 import selectors
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
 
+from agent.host import python
 from drivers.interface import Refusal
 
 READY, TELLS = "READY ", "TELLS "
@@ -31,7 +31,8 @@ class Child:
         self._received = b""
         with self.log.open("wb") as log:
             self.process = subprocess.Popen(
-                [sys.executable, "-m", "agent.process", *arguments],
+                python.command("agent.process", *arguments),
+                env=python.surroundings(),
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=log,

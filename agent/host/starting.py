@@ -6,7 +6,9 @@ import errno
 import gc
 import io
 import os
+import select
 import signal
+import stat
 import sys
 from typing import Any, Final, NoReturn
 
@@ -47,14 +49,14 @@ def hear_stops() -> None:
             signal.signal(number, signal.default_int_handler)
 
 
-class _Terminal(io.FileIO):
-    """A terminal, which may be closed while something is still written to it: that leads nowhere."""
+class _Lasting(io.FileIO):
+    """A terminal or pipe, which may be closed while something is still written to it: that leads nowhere."""
 
     def write(self, data: Any, /) -> int:
         try:
             return super().write(data)
         except OSError as error:
-            if error.errno != errno.EIO:
+            if error.errno not in (errno.EIO, errno.EPIPE):
                 raise
             return memoryview(data).nbytes
 
@@ -64,9 +66,39 @@ def _outlive_terminals() -> None:
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         if isinstance(stream, io.TextIOWrapper) and stream.isatty():
-            terminal = io.BufferedWriter(_Terminal(stream.fileno(), "w", closefd=False))
-            lasting = io.TextIOWrapper(terminal, stream.encoding, stream.errors, line_buffering=True)
-            setattr(sys, name, lasting)
+            setattr(sys, name, _lasting(stream))
+
+
+def outlive_readers() -> None:
+    """Have no command fail for a pipe that nobody reads any more, as with `| head -1`: it does what it was asked to."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if isinstance(stream, io.TextIOWrapper) and _is_pipe(stream):
+            setattr(sys, name, _lasting(stream))
+
+
+def is_unread() -> bool:
+    """Whether standard output is a pipe that nobody reads any more: what is said again and again need not be."""
+    poller = select.poll()
+    try:
+        poller.register(sys.stdout.fileno(), 0)
+    except OSError:  # it has none
+        return False
+    return any(events & select.POLLERR for _, events in poller.poll(0))
+
+
+def _lasting(stream: io.TextIOWrapper) -> io.TextIOWrapper:
+    stream.flush()
+    raw = io.BufferedWriter(_Lasting(stream.fileno(), "w", closefd=False))
+    by_lines = stream.isatty() or stream.line_buffering or stream.write_through
+    return io.TextIOWrapper(raw, stream.encoding, stream.errors, line_buffering=by_lines)
+
+
+def _is_pipe(stream: io.TextIOWrapper) -> bool:
+    try:
+        return stat.S_ISFIFO(os.fstat(stream.fileno()).st_mode)
+    except OSError:
+        return False
 
 
 def ready(what: str) -> None:
@@ -90,6 +122,10 @@ def end(code: int) -> NoReturn:
 def of_host(error: OSError) -> str:
     """What the host did not do, in one line for a person."""
     found = f"found {error.strerror or error}"
+    if error.errno == errno.EMFILE:
+        from agent.host import open_files  # noqa: PLC0415 - seldom needed, and this module starts every process
+
+        return f"this host: {found}, with {open_files.found()}, expected more; {open_files.REMEDY}"
     if error.filename is None:
         return f"this host: {found}, expected it to do what was asked; see what it is short of"
     return f"{error.filename}: {found}, expected a path that can be used; name another"

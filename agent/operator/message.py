@@ -22,12 +22,16 @@ class Request:
     verb: Verb
     fingerprint: str = ""  # start: of the cell that the operator means
     start_utc_ns: int = 0  # start, lower
-    prepare: bool = False  # only say whether it would be accepted
+    prepare: bool = False  # only say whether it would be accepted; of a cancel: only forget that it was asked
     clock_bound_s: float | None = None  # start: by how much this host's clock may be off; None: not known
+    token: str = ""  # of what has an instant: the same when it is prepared, given and taken back, and of nobody else
+    asked_ns: int = 0  # of what has an instant: when the first arm was asked, on CLOCK_MONOTONIC
 
     def encode(self) -> bytes:
         """As it is sent."""
         content: dict[str, Any] = {"verb": self.verb.value, "prepare": self.prepare}
+        if self.token:
+            content |= {"token": self.token, "asked_ns": self.asked_ns}
         if self.verb is Verb.START:
             content |= {
                 "fingerprint": self.fingerprint, "start_utc_ns": self.start_utc_ns, "clock_bound_s": self.clock_bound_s,
@@ -42,16 +46,18 @@ class Request:
         try:
             content = json.loads(data)
             verb = Verb(content["verb"])
-            prepare = content.get("prepare", False) is True
+            prepare, token = content.get("prepare", False) is True, str(content.get("token", ""))
+            asked_ns = int(content.get("asked_ns", 0))
             utc_ns = int(content["start_utc_ns"] if verb is Verb.START else content.get("start_utc_ns", 0))
             if not 0 <= utc_ns <= UTC_MAX_NS:
                 raise ValueError(f"not a request: {utc_ns} ns")
             if verb is not Verb.START:
-                return cls(verb, start_utc_ns=utc_ns, prepare=prepare)
+                return cls(verb, start_utc_ns=utc_ns, prepare=prepare, token=token, asked_ns=asked_ns)
             bound_s = content.get("clock_bound_s")
             return cls(
                 verb, str(content.get("fingerprint", "")), utc_ns,
-                prepare=prepare, clock_bound_s=None if bound_s is None else float(bound_s),
+                prepare=prepare, clock_bound_s=None if bound_s is None else float(bound_s), token=token,
+                asked_ns=asked_ns,
             )  # fmt: skip
         except (KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
             raise ValueError(f"not a request: {error!r}") from error

@@ -20,11 +20,13 @@ from agent.host.unix_socket import listen_alone, peer_uid, remove, said_of
 from agent.modes import Event, Mode
 from agent.operator.error import ControlError
 from agent.operator.message import MAX_BYTES, Reply, Request
+from agent.operator.promise import Promise
 from agent.operator.session_table import SESSION
 from agent.operator.table import EVENT_OF, Verb, effect
 from drivers.clock import utc_offset_ns
 
 _CLIENTS_MAX = 8
+_FORWARD = (Verb.START, Verb.APPROACH, Verb.GRASP)  # not on the way back
 _SAFE_LATE = (Verb.STOP, Verb.CANCEL)  # an arm that stood still obeys them afterwards too
 
 
@@ -53,6 +55,9 @@ class Standing:
     rest_s: float = 0.0  # of READY before a start, in which the torque at rest is looked at
     ready_ns: int = 0  # since when it is READY, on CLOCK_MONOTONIC: nobody sets that
     session: Callable[[Event], str] | None = None  # why such an event counts for nothing now; None: there is no session
+    alone: Callable[[], str] = (
+        str  # why nobody goes on when this agent cannot; empty: somebody does, or none was wanted
+    )
     details: Callable[[], Mapping[str, Any]] = dict  # asked for with each answer
 
     def enter(self, mode: Mode) -> None:
@@ -72,6 +77,7 @@ class ControlSocket:
         self._path = path
         self._fingerprint = fingerprint
         self._clients: list[socket.socket] = []
+        self._promise = Promise()
         try:
             taken = listen_alone(path, _CLIENTS_MAX)
         except OSError as error:
@@ -137,6 +143,12 @@ class ControlSocket:
         does = effect(request.verb, mode) if ask is None else SESSION[request.verb][mode]
         if not does.accepted:
             return self._refused(f"arm {self.standing.arm} in {mode.name}: {does.does}", "another mode", does.remedy)
+        alone = self.standing.alone() if request.verb in _FORWARD else ""
+        if alone:
+            return self._refused(
+                f"arm {self.standing.arm} in {mode.name}: {alone}", "a guard that watches it",
+                "see the guard's log and have it watch again, or `coop release` and start both anew",
+            )  # fmt: skip
         event = Event.STARTED if request.verb is Verb.START else EVENT_OF.get(request.verb)
         not_yet = ask(event) if ask is not None and event is not None else ""
         if not_yet:
@@ -145,6 +157,10 @@ class ControlSocket:
             )
         if request.verb is Verb.START:
             refused = self._no_start(request)
+            if refused is not None:
+                return refused
+        if _has_instant(request):
+            refused = self._not_agreed(request)
             if refused is not None:
                 return refused
         self._take(request)
@@ -169,13 +185,29 @@ class ControlSocket:
             )  # fmt: skip
         return None
 
+    def _not_agreed(self, request: Request) -> Reply | None:
+        """Why an instant is not taken, or not agreed to, beside another operator's; of a free arm it is agreed to."""
+        now_ns = time.monotonic_ns()
+        if request.prepare and not self._promise.agree(request.token, request.asked_ns, now_ns):
+            return self._refused("another instant that is just being given", "one operator at a time", "say it again")
+        if not request.prepare and not self._promise.covers(request.token, now_ns):
+            return self._refused("an instant that it was not asked for", "the one it agreed to last", "say it again")
+        return None
+
     def _take(self, request: Request) -> None:
         """Keep what was accepted for whoever acts on it; of what is only prepared nothing is kept."""
         if request.prepare:
+            if request.verb is Verb.CANCEL:
+                self._promise.forget(request.token)
             return
+        if _has_instant(request):
+            self._promise.give()
         if request.verb is Verb.START:
             self.requests.start = request
         elif request.verb is Verb.CANCEL:
+            if not self._promise.concerns(request.token):  # what counts here is another operator's
+                return
+            self._promise.forget(request.token)
             self.requests.start = self.requests.lower = None
             if self.standing.mode in (Mode.TRACK, Mode.LOWER):  # it has come true: what is left is to stop it
                 self.requests.words.append(Verb.STOP)
@@ -184,6 +216,7 @@ class ControlSocket:
         elif request.verb is not Verb.STATUS:
             if request.verb in (Verb.STOP, Verb.RELEASE):  # who says so wants nothing to move at an instant of before
                 self.requests.lower = None
+                self._promise.forget()
             self.requests.words.append(request.verb)
 
     def _reply(self, *, ok: bool, refusal: Mapping[str, str] | None = None) -> Reply:
@@ -199,6 +232,11 @@ class ControlSocket:
             client.close()
         self._socket.close()
         remove(self._path, self._made)
+
+
+def _has_instant(request: Request) -> bool:
+    """Whether it is for all arms at one instant."""
+    return request.verb is Verb.START or (request.verb is Verb.LOWER and request.start_utc_ns > 0)
 
 
 def _waits(client: socket.socket) -> bool:

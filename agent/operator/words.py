@@ -5,6 +5,7 @@ Stop and release are not asked about: they reach everybody who is alive, and say
 
 from __future__ import annotations
 
+import secrets
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -73,13 +74,14 @@ def start_together(arms: Places, request: Request, timeout_s: float = REPLY_TIME
     Then no arm begins that can be reached.
     """
     verb, needed = request.verb, _NEEDED[request.verb]
+    request = replace(request, token=secrets.token_hex(8), asked_ns=time.monotonic_ns())
     _ask_first(arms, request, timeout_s)
     _require_time(request)
     left_s = 1e-9 * (request.start_utc_ns - time.time_ns())
     refused = _unwilling(ask_arms(arms, request, min(timeout_s, 0.5 * left_s)))  # half is left for taking it back
     if refused:
         left_s = max(SOONEST_S, 1e-9 * (request.start_utc_ns - time.time_ns()))
-        taken_back = ask_arms(arms, Request(Verb.CANCEL), min(timeout_s, left_s))
+        taken_back = ask_arms(arms, Request(Verb.CANCEL, token=request.token), min(timeout_s, left_s))
         raise ControlError(
             verb.value, found=named(refused), expected=f"{needed} still, when it was given the instant",
             remedy=f"the {verb.value} was taken back ({_outcome(taken_back)}); {_SEE}",
@@ -108,6 +110,9 @@ def _ask_first(arms: Places, request: Request, timeout_s: float) -> None:
     if request.verb is Verb.START:
         refused |= _others(heard, request.fingerprint)
     if refused:
+        agreed = {arm: arms[arm] for arm, one in heard.items() if isinstance(one, Reply) and one.ok}
+        if agreed and request.token:  # the next operator need not wait until they have forgotten it
+            ask_arms(agreed, Request(Verb.CANCEL, prepare=True, token=request.token), timeout_s)
         raise ControlError(
             request.verb.value, found=named(refused), expected=_NEEDED[request.verb],
             remedy=f"no arm has been told; {'' if request.verb is Verb.START else _SOME}{_SEE}",

@@ -32,7 +32,7 @@ from agent.process.build import build_agent, build_driver, passed_on
 from agent.process.clocked import ClockWatch, shares_time
 from agent.process.operated import Operator, no_real_time, tick_of
 from agent.process.rehearse import BridgedRows, in_the_loop
-from agent.process.schedule import AgentOptions, schedule_of
+from agent.process.schedule import AgentOptions, guard_vigil, schedule_of
 from agent.process.session import session_loop
 from agent.process.tellers import Heart, ServoTeller, SetClock, Teller, opened
 from agent.runner import Runner
@@ -117,8 +117,8 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             if guard is not None:
                 fds, told = passed_on(driver)
                 guard.watch(
-                    (ring.fileno(), texts.fileno(), *fds), tell.event, ring=str(options.ring), driver=told,
-                    session=options.whole,
+                    (ring.fileno(), texts.fileno(), *fds), tell.event, guard_vigil(cell, options),
+                    ring=str(options.ring), driver=told, session=options.whole,
                 )  # fmt: skip
             servos = ServoTeller(driver, texts, clock.utc_offset_ns, cell.file.rate_hz)
             runner = _runner(cell, options, law, driver, clock, ring, operator, notifier, servos, tell, standing)
@@ -241,11 +241,10 @@ def _runner(
 
 
 def _watching(guard: Guarded | None, stop: StopFlag, options: AgentOptions) -> Callable[[], str]:
-    """Whether the guard is gone, in every cycle; does not return once it has the hold of an agent told to end."""
+    """What is wrong with the guard, in every cycle; does not return once it has the hold of an agent told to end."""
 
     def look() -> str:
-        gone = guard is not None and guard.poll(ending=stop.stopped and options.hold)
-        return "the guard is gone" if gone else ""
+        return "" if guard is None else guard.poll(ending=stop.stopped and options.hold)
 
     return look
 
@@ -278,6 +277,8 @@ def _stand(
         }
 
     standing.details = details
+    if guard is not None:
+        standing.alone = lambda: guard.missing
     if options.driver is DriverKind.DYNAMIXEL and not options.connection.emulated:
         session = cell.file.session
         standing.rest_s = REST_S + (0.0 if session is None else session.take_up_s)

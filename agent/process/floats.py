@@ -1,7 +1,7 @@
 """The process of one arm that a hand guides, or that moves while others float, until it is told to stop.
 
-A stop (SIGTERM, SIGINT, a monitor, lost states, an error of its own, a guard that is gone) brakes the arm and lets it
-stand; then it sinks slowly, and its torque goes off once it lies.
+A stop (SIGTERM, SIGINT, a monitor, lost states, an error of its own, a guard that is gone or hangs) brakes the arm and
+lets it stand; then it sinks slowly, and its torque goes off once it lies.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from agent.process.agent import ArmLost
 from agent.process.build import passed_on, port_of, servo_driver
 from agent.process.float_loop import FloatError, FloatLoop, Floats
 from agent.process.float_words import Words
-from agent.process.schedule import AgentOptions
+from agent.process.schedule import AgentOptions, guard_vigil
 from agent.process.tellers import Teller, opened
 from agent.telemetry.row.event import Level
 from drivers.clock import MonotonicClock
@@ -70,7 +70,7 @@ def run_float(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             if guard is not None:
                 fds, told = passed_on(driver)
                 watched = ring.fileno(), texts.fileno(), *fds
-                guard.watch(watched, tell.event, ring=str(options.ring), driver=told)
+                guard.watch(watched, tell.event, guard_vigil(cell, options), ring=str(options.ring), driver=told)
             ready("torque=on")
             summary = loop.run()
         except Refusal as error:
@@ -120,7 +120,7 @@ def _words(
 
 def _stops(stop: Callable[[], bool], guard: Guarded | None) -> bool:
     """Whether the arm is to stop; it does so, too, once nobody would go on for this process."""
-    return (guard is not None and guard.poll()) or stop()
+    return (guard is not None and bool(guard.poll())) or stop()
 
 
 def require_within(floats: Floats, driver: Driver) -> None:

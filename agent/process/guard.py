@@ -144,8 +144,7 @@ class _Guard:
         if now_ns - self._stroked_ns >= HEARTBEAT_S * 1e9:
             self._stroked_ns = now_ns
             self._notifier.alive()
-        said = self._line.hear()
-        if said is not None:
+        while (said := self._line.hear()) is not None:  # all of them: an agent that has left is gone, and not dead
             self._answer(said, now_ns)
         watched = self._watched
         if watched is None:

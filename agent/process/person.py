@@ -5,14 +5,17 @@ What `coop guide` asks a person to do is done here by the same words over the sa
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from agent.modes import Mode
 from agent.operator.ask import ask_arms
+from agent.operator.error import ControlError
 from agent.operator.message import Reply, Request
 from agent.operator.table import Verb
+from agent.operator.words import start_together
 
 AGAIN_S = 0.1
 IN_NS = 500_000_000  # from a word about an instant to that instant
@@ -96,9 +99,13 @@ class Person:
         if verb is not self._said:
             self._tell(verb.value)
             self._said = verb
-        instant = time.time_ns() + IN_NS if verb in (Verb.START, Verb.LOWER) else 0
-        ask_arms({arm: self._arms[arm] for arm in arms}, Request(verb, self._fingerprint, instant), SILENT_S)
-        if instant:
+        meant = {arm: self._arms[arm] for arm in arms}
+        if verb not in (Verb.START, Verb.LOWER):
+            ask_arms(meant, Request(verb), SILENT_S)
+            return
+        request = Request(verb, self._fingerprint, time.time_ns() + IN_NS)
+        with contextlib.suppress(ControlError):  # no arm moves then, and it is said again
+            start_together(meant, request, SILENT_S)
             self._next_s = time.monotonic() + 2e-9 * IN_NS
 
     def _give_up(self, stopped: Mapping[str, str], modes: Mapping[str, Mode]) -> None:

@@ -6,9 +6,7 @@ It computes no dynamics and loads nothing that does; what run.json holds of the 
 from __future__ import annotations
 
 import json
-import os
 import subprocess
-import sys
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
@@ -16,6 +14,7 @@ from pathlib import Path
 
 from agent.config.files import CellFiles
 from agent.config.schema.driver import DriverKind
+from agent.host import python
 from agent.host.info import attachments
 from agent.log.file import Attachment
 from agent.log.parts import Limits, only_recorder
@@ -79,9 +78,10 @@ def run_recorder(
 
 def described(cell: Path, driver: DriverKind, seed: int) -> bytes:
     """run.json of the cell at that path, from a process that ends when it is made.  Raises DescriptionError."""
-    command = [sys.executable, "-m", "agent.process.describe", str(cell), driver.value, str(seed)]
-    surroundings = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}  # it finds what this one found
-    done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, check=False, env=surroundings)
+    command = python.command("agent.process.describe", str(cell), driver.value, str(seed))
+    done = subprocess.run(
+        command, stdin=subprocess.DEVNULL, capture_output=True, check=False, env=python.surroundings()
+    )
     if done.returncode:
         last = (done.stderr.decode(errors="replace").strip().splitlines() or [f"exit code {done.returncode}"])[-1]
         raise DescriptionError(

@@ -40,22 +40,50 @@ def run_folder(elsewhere_above: int | None = None, tell: Callable[[str], None] =
     """
     temporary = Path(tempfile.gettempdir())
     for root in (MEMORY, temporary):
-        for left in root.glob(f"{PREFIX}*"):
-            with suppress(OSError):  # another run took it away, or it is none of ours
-                _remove_dead(left)
+        _remove_all_dead(root, PREFIX)
     root = MEMORY if MEMORY.is_dir() else temporary
     if elsewhere_above is not None and root is MEMORY and (free := shutil.disk_usage(root).free) < elsewhere_above:
         wanted_MB, root = (elsewhere_above >> 20) + 1, temporary
         tell(f"{MEMORY} has {free >> 20} MB free, this run wants {wanted_MB}: it uses {temporary} instead")
-    folder = Path(tempfile.mkdtemp(prefix=PREFIX, dir=root))
+    with _held(root, PREFIX) as folder:
+        yield folder
+
+
+@contextmanager
+def temporary_folder(prefix: str) -> Iterator[Path]:
+    """A new one among the temporary files for the time of the block, or for good once it is `kept`.  Raises OSError.
+
+    Those of the prefix whose processes are dead are removed first.
+    """
+    temporary = Path(tempfile.gettempdir())
+    _remove_all_dead(temporary, prefix)
+    with _held(temporary, prefix) as folder:
+        yield folder
+
+
+def keep(folder: Path) -> None:
+    """Leave a folder that a block has, for a person to look into."""
+    (folder / LOCK).unlink()
+
+
+@contextmanager
+def _held(root: Path, prefix: str) -> Iterator[Path]:
+    folder = Path(tempfile.mkdtemp(prefix=prefix, dir=root))
     held = os.open(folder / "lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     try:
         lock(held)
         (folder / "lock").rename(folder / LOCK)  # only now does another run ask for it
         yield folder
     finally:
-        shutil.rmtree(folder, ignore_errors=True)
+        if (folder / LOCK).exists():
+            shutil.rmtree(folder, ignore_errors=True)
         os.close(held)
+
+
+def _remove_all_dead(root: Path, prefix: str) -> None:
+    for left in root.glob(f"{prefix}*"):
+        with suppress(OSError):  # another process took it away, or it is none of ours
+            _remove_dead(left)
 
 
 def _remove_dead(folder: Path) -> None:

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from agent.around import Schedule
 from agent.config.cell import Cell
 from agent.config.schema.driver import DriverKind
 from agent.cycles import Patience
+from agent.guard.pulse import pulse_vigil
+from agent.guard.vigil import Vigil
 from agent.process.build import EMULATED_PATIENCE_S, Connection
 from drivers.dynamixel.arm_map import WATCHDOG_S
 
@@ -45,6 +49,12 @@ def schedule_of(cell: Cell, options: AgentOptions) -> Schedule:
         ready_ns=round(cell.file.simulation.ready_s * rate_hz) * cell.period_ns,
         patience=patience_of(cell, emulated=options.driver is DriverKind.SIM or options.connection.emulated),
     )
+
+
+def guard_vigil(cell: Cell, options: AgentOptions) -> Callable[[], Vigil]:
+    """Makes what this agent watches its guard's pulse with."""
+    shared = options.driver is DriverKind.SIM or options.connection.emulated
+    return partial(pulse_vigil, cell.period_ns, shared=shared)
 
 
 def patience_of(cell: Cell, *, emulated: bool) -> Patience:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from matplotlib.figure import Figure
 
+from agent.atomic import keep_existing
 from agent.report.gallery import pictures
 from agent.report.metrics import summarise_prepared
 from agent.report.page import render
@@ -45,19 +46,27 @@ class ReportFiles:
 Still = Callable[[Prepared], bytes]  # a PNG of the first moment; raises Refusal where the log cannot show it
 
 
-def write_report(log: AnyLog, out_dir: Path, still: Still | None = None) -> ReportFiles:
+def write_report(
+    log: AnyLog, out_dir: Path, still: Still | None = None, *, keeps: bool = False, beside: Sequence[str] = ()
+) -> ReportFiles:
     """Write every figure as PNG, report.html and results.json into `out_dir`, made if it is absent.
 
     All files are written beside their place first and moved there when the last one is whole, so a report
     that fails leaves what was there before.  A poor log gives a poor report: the page says what is missing.
-    `still` draws the picture that the page opens with.
-    Raises ReportError when `out_dir` cannot be written.
+    `still` draws the picture that the page opens with.  keeps: pictures, and files that are made `beside` the report,
+    which lie in a folder without a page are no report's, and refused before the work.
+    Raises ReportError when `out_dir` cannot be written, WriteError for what is kept.
     """
     run = prepare(log)
+    shown = pictures(run)
+    if keeps and not (out_dir / PAGE).exists():
+        stems = [START.stem, *(p.stem for p in shown)]
+        own = (*(f"{stem}.png" for stem in stems), *beside)
+        keep_existing(*(out_dir / name for name in own), remedy="name another folder with --out, or give --force")
     results = summarise_prepared(run)
     with folder_of(out_dir) as draft:
         images = _opening(run, still, draft)
-        images += [(p, save_png(p.draw(), draft / f"{p.stem}.png")) for p in pictures(run)]
+        images += [(p, save_png(p.draw(), draft / f"{p.stem}.png")) for p in shown]
         page = render(results, images, log.events)
         (draft / PAGE).write_text(page, encoding="utf-8")
         put_results(results, draft)

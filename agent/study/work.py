@@ -11,7 +11,6 @@ import os
 import pickle
 import queue
 import subprocess
-import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ from functools import lru_cache
 from typing import Final
 
 from agent.config.cell import cell_from_toml
+from agent.host import python
 from agent.host.signals import StopFlag
 from agent.study.lab import Laboratory
 from agent.study.measure import RunResult, run_once
@@ -181,13 +181,12 @@ class _Worker(threading.Thread):
 
 
 def _start() -> subprocess.Popen[bytes]:
-    surroundings = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"} | os.environ  # our matrices are small
-    surroundings["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))  # it finds what this one found
+    one = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}  # our matrices are small
     return subprocess.Popen(
-        [sys.executable, "-m", "agent.study.worker", str(os.getpid())],
+        python.command("agent.study.worker", str(os.getpid())),
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
-        env=surroundings,
+        env=one | python.surroundings(),
         start_new_session=True,  # Ctrl-C is for the process that started it
     )
 

@@ -14,6 +14,7 @@ from typing import Any, Final
 
 import zenoh
 
+from agent.host import open_files
 from drivers.interface import Refusal
 
 LOOPBACK: Final = "tcp/127.0.0.1"
@@ -106,6 +107,11 @@ def has_link(session: zenoh.Session) -> bool:
 
 
 def _open(network: Network) -> OpenSession:
+    if open_files.raised() < open_files.NEEDED:  # Zenoh would open all the same, and take in nobody
+        raise NetworkError(
+            "network of this process", found=open_files.found(), expected=f"{open_files.NEEDED} or more",
+            remedy=open_files.REMEDY,
+        )  # fmt: skip
     if network.config_file is not None:
         file = network.config_file
         return OpenSession(_try_open(_from_file(file), f"configuration {file}", _FREE_OR_SERVED), None)

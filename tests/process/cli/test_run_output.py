@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -11,7 +12,7 @@ import pytest
 
 import configs
 from tests.support.command import coop as line
-from tests.support.coop import TIMEOUT_S
+from tests.support.coop import PAPER, TIMEOUT_S
 
 COOP = [sys.executable, "-m", "agent.cli"]
 SHORT = ("run", str(configs.CELLS_DIR / "paper.toml"), "--duration", "1")  # ends within the transient
@@ -55,3 +56,19 @@ def test_a_folder_is_used_again_only_when_asked(first_run: Path) -> None:
     assert "--force" in refused.err
     assert log.read_bytes() == before
     assert (first_run / "out" / "notes.txt").read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    ("words", "code"), [(("check",), 0), (("status",), 1), (("status", "--watch"), 0), (("guide",), 0)]
+)
+def test_a_command_whose_output_nobody_reads_ends_with_its_own_code(words: tuple[str, ...], code: int) -> None:
+    """As behind `| head -1`; what would go on for ever ends."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    try:
+        done = subprocess.run(
+            [*COOP, words[0], PAPER, *words[1:]], stdout=writer, stderr=subprocess.PIPE, text=True, timeout=TIMEOUT_S
+        )
+    finally:
+        os.close(writer)
+    assert (done.returncode, done.stderr) == (code, "")

@@ -287,6 +287,29 @@ def test_a_killed_guard_is_noticed_comes_back_with_the_port_and_holds_for_a_kill
     check_taken_over(host, guard, agent, "the agent has died")
 
 
+@pytest.mark.fault("P7")
+@in_real_time()
+def test_a_stopped_guard_is_noticed_takes_nothing_over_when_it_goes_on_and_holds_for_an_agent_that_dies_then(
+    host: Host,
+) -> None:
+    guard = host.guard()
+    agent = host.agent()
+    host.wait(lambda: len(host.rows()) > SOME_ROWS)
+    guard.send_signal(signal.SIGSTOP)
+    host.wait(lambda: len(of_hold(host.rows())) > SOME_ROWS)
+    assert "holds: the guard hangs" in host.told()
+    (told,) = [text for text in host.told() if text.startswith("the guard hangs (no look for ")]
+    assert told.endswith("nobody takes over should this process end, and the arm falls limp then")
+    guard.send_signal(signal.SIGCONT)
+    host.wait(lambda: "the guard works again and watches" in host.told())
+    before = len(host.rows())
+    host.wait(lambda: len(host.rows()) > before + 2 * SOME_ROWS)
+    assert (agent.poll(), guard.poll()) == (None, None)
+    assert (host.rows()["mode"][before:] == Mode.HOLD).all(), "nothing leads back"
+    agent.kill()
+    check_taken_over(host, guard, agent, "the agent has died")
+
+
 @pytest.mark.fault("B4")
 @in_real_time("--control", "faults")
 def test_an_arm_whose_adapter_is_unplugged_for_a_while_comes_back_in_hold_through_its_guard(host: Host) -> None:

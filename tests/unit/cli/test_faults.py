@@ -61,6 +61,7 @@ def test_a_rehearsal_says_who_noticed_who_stopped_and_what_it_cost(tmp_path: Pat
 def test_a_row_that_processes_alone_can_show_names_its_tests() -> None:
     done = coop("faults", "inject", "paper_real", "p9")
     assert done.code == 2
+    assert coop("faults", "inject", "paper_real", "p9", "--at", "1").err == done.err
     found = next(row for row in rows() if row.id == "P9")
     assert done.err.startswith(f"coop: row P9, {found.fails}: found nothing of it in virtual time")
     assert done.err.rstrip().endswith(f"its tests show it, such as `pytest {found.tests[0]}`")
@@ -75,6 +76,25 @@ def test_a_row_of_the_list_can_be_let_happen_by_its_id() -> None:
     assert lines[1].startswith("noticed           after 0 ms (left: ")
     assert any(line.startswith("arm left          stopped after ") for line in lines)
     assert any(line.startswith("sag  ") and line.endswith(" mm") for line in lines)
+
+
+@pytest.mark.parametrize(
+    ("row", "words", "found", "named"),
+    [
+        ("B2", ("--arm", "left", "--at", "3", "--for", "1"), "--arm, --at, --for", "bus-off"),
+        ("P10", ("--at", "0"), "--at", "telemetry-off"),
+        ("M1", ("--servo", "4", "--size", "2"), "--servo, --size", "agent-garbage"),
+    ],
+)
+def test_a_row_that_says_itself_when_and_whom_takes_no_other_word_of_it(
+    row: str, words: tuple[str, ...], found: str, named: str
+) -> None:
+    done = coop("faults", "inject", "paper_real", row, *words)
+    assert (done.code, done.out) == (2, "")
+    assert done.err == (
+        f"coop: row {row}: found {found}, expected none of these: a row says when and whom itself; "
+        f"name the fault in its place: {named}\n"
+    )
 
 
 @pytest.mark.long  # the row above is let happen by its id, too

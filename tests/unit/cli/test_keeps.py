@@ -9,6 +9,7 @@ from datetime import datetime, tzinfo
 from pathlib import Path
 
 import pytest
+from matplotlib.figure import Figure
 
 import configs
 from agent.config.cell import load_cell
@@ -19,6 +20,7 @@ from agent.identify.result import Identified, identified
 from agent.log.file import LogFileError
 from agent.process import folder
 from agent.process.folder import LOG_NAME, RunError, output_folder
+from agent.report.picture import Picture
 from tests.support.command import coop
 from tests.support.few import few
 from tests.support.identify_rig import exact
@@ -194,6 +196,26 @@ def test_a_report_of_another_log_is_kept(tmp_path: Path, a_report: Callable[...,
     assert "--force" in error
     assert a_report(log, "--out", other.parent, "--force") == (0, "")
     assert other.read_bytes() != MINE
+
+
+@pytest.mark.parametrize("name", ["errors.png", "start.png", "view.html"])
+def test_pictures_that_no_report_made_are_kept(
+    tmp_path: Path, a_report: Callable[..., tuple[int, str]], monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    drawn = Picture("errors", "Errors", "", lambda: Figure((1.0, 1.0)))
+    monkeypatch.setattr("agent.report.report.pictures", lambda _: [drawn])
+    monkeypatch.setattr("agent.view.film.still", lambda _: b"drawn")
+    monkeypatch.setattr("agent.cli.logs._write_view", lambda _, folder: (folder / "view.html").write_text("3D"))
+    log, other = write_mine(tmp_path / "run.mcap"), write_mine(tmp_path / name)
+    code, error = a_report(log, "--view")
+    assert (code, sorted(path.name for path in tmp_path.iterdir())) == (2, sorted(["run.mcap", name]))
+    assert f"{name}: found one of that name, expected none; name another folder with --out, or give --force" in error
+    if name == "view.html":
+        assert a_report(log) == (0, ""), "which is not made here"
+        assert other.read_bytes() == MINE
+    assert a_report(log, "--view", "--force") == (0, "")
+    assert other.read_bytes() != MINE
+    assert a_report(log, "--view") == (0, ""), "its own"
 
 
 def test_of_two_logs_in_one_folder_none_takes_the_others_report(

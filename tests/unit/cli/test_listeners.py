@@ -21,6 +21,7 @@ from agent.faults.heard import undisturbed
 from agent.faults.listeners import Rehearsed
 from agent.faults.plan import Injection
 from agent.host.child import ChildFailed
+from agent.process.run_folder import LOCK
 from agent.telemetry.row.sample import AGENT_STATE
 from tests.support.command import coop
 from tests.support.few import few
@@ -139,6 +140,32 @@ def test_what_makes_no_sense_is_refused_before_anything_starts(tmp_path: Path) -
         assert len(done.err.splitlines()) == 1
         assert said in done.err
         assert not list(tmp_path.iterdir())
+
+
+def test_the_log_of_a_recorder_that_is_started_anew_is_refused_a_name_that_is_taken_before_the_run(
+    processes: Processes, tmp_path: Path
+) -> None:
+    (tmp_path / "log_2.mcap").write_text("mine")
+    words = ("faults", "inject", "paper", "recorder-off", "--at", "0.02", "--duration", "0.1", "--out")
+    done = coop(*words, tmp_path / "log.mcap", "--for", "0.02")
+    assert (done.code, processes.folder) == (4, Path())
+    assert f"log {tmp_path / 'log_2.mcap'}: found one of that name" in done.err
+    assert [path.name for path in tmp_path.iterdir()] == ["log_2.mcap"]
+    done = coop(*words, tmp_path / "log.mcap")
+    assert done.code == 0, "nobody is started anew: one log"
+
+
+def test_what_a_killed_one_left_among_the_temporary_files_goes_with_the_next(processes: Processes) -> None:
+    """What a process that failed has left stays."""
+    processes.fails = True
+    coop("faults", "inject", "paper", "recorder-off", *SHORT)
+    told = processes.folder
+    left = told.with_name("coop-faults-dead")
+    left.mkdir()
+    (left / LOCK).touch()
+    processes.fails = False
+    assert coop("faults", "inject", "paper", "recorder-off", *SHORT).code == 0
+    assert (left.exists(), told.exists(), processes.folder.exists()) == (False, True, False)
 
 
 def test_a_disk_without_room_is_left_no_part_of_a_log(

@@ -14,12 +14,18 @@ import pytest
 from agent.guard import guarded
 from agent.guard.guarded import Guarded
 from agent.guard.line import GuardError, Word
+from agent.guard.pulse import Pulse, pulse_vigil
 from agent.telemetry.row.event import Level
 from drivers.interface import StaleStateError
 
 PATH, CELL = Path("left.guard"), "ab" * 32
 AGAIN_AFTER, HAND_OVER_AFTER = 50, 100  # cycles
+MS = 1_000_000
+TOLD = "the guard hangs (no look for 200 ms): nobody takes over should this process end, and the arm falls limp then"
 NOBODY = GuardError("guard", found="nobody", expected="one", remedy="start it")
+
+
+vigil = partial(pulse_vigil, 5 * MS, shared=False)
 
 
 class Ended(BaseException):
@@ -58,11 +64,14 @@ class Bench:
         self.answers: list[Mapping[str, Any] | None] = []
         self.ended: list[int] = []
         self.lines: list[tuple[Line, tuple[Any, ...], dict[str, Any]]] = []
+        self.pulse: Any = None  # as the guard has it
         self.silent = self.absent = False
         monkeypatch.setattr(guarded, "AgentEnd", self._connect)
         self.flushed: list[str] = []
         out, err = (SimpleNamespace(flush=partial(self.flushed.append, name)) for name in ("out", "err"))
         monkeypatch.setattr(guarded, "sys", SimpleNamespace(stdout=out, stderr=err))
+        self.now_ns = 7_000 * MS
+        monkeypatch.setattr(guarded, "time", SimpleNamespace(monotonic_ns=lambda: self.now_ns))
         monkeypatch.setattr(guarded, "os", SimpleNamespace(**{**vars(os), "_exit": self._exit}))
         self.agent = Guarded(PATH, CELL)
         self.fds = (os.dup(0), os.dup(0))
@@ -82,22 +91,36 @@ class Bench:
 
     def watch(self) -> int:
         """Its process handle, once it is watched; what was said of it is forgotten."""
-        self.agent.watch(self.fds, self.tell, ring="r")
+        self.agent.watch(self.fds, self.tell, vigil, ring="r")
         ((word, fds, content),) = self.said
-        assert (word, fds[1:], content) == (Word.WATCH, self.fds, {"ring": "r"})
+        assert (word, fds[2:], content) == (Word.WATCH, self.fds, {"ring": "r"})
         self.said.clear()
+        self.handles = fds[:2]
+        self.pulse = Pulse(os.dup(fds[1]))
         return fds[0]
+
+    def cycles(self, count: int, *, looks: bool) -> list[str]:
+        """What so many cycles of 5 ms find; looks: whether the guard does so meanwhile."""
+        found = []
+        for _ in range(count):
+            self.now_ns += 5 * MS
+            if looks:
+                self.pulse.beat()
+            found.append(self.agent.poll())
+        return found
 
     def loses(self) -> None:
         """The guard is gone, as the next cycle finds."""
         self.answers = [None]
-        assert self.agent.poll()
+        assert self.agent.poll() == "the guard is gone"
 
 
 @pytest.fixture
 def bench(monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
     made = Bench(monkeypatch)
     yield made
+    if made.pulse is not None:
+        made.pulse.close()
     for fd in made.fds:
         os.close(fd)
 
@@ -105,9 +128,9 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
 def test_somebody_goes_on_only_behind_an_agent_that_is_watched(bench: Bench) -> None:
     assert (bench.agent.there, bench.agent.state) == (False, "gone")
     bench.watch()
-    assert (bench.agent.there, bench.agent.state) == (True, "watches")
+    assert (bench.agent.there, bench.agent.state, bench.agent.missing) == (True, "watches", "")
     bench.loses()
-    assert (bench.agent.there, bench.agent.state) == (False, "gone")
+    assert (bench.agent.there, bench.agent.state, bench.agent.missing) == (False, "gone", "the guard is gone")
     bench.agent.leave()
 
 
@@ -133,8 +156,65 @@ def test_a_busy_agent_says_for_how_long_and_nothing_once_nobody_hears(bench: Ben
 
 
 @pytest.mark.fault("P7")
+def test_a_guard_that_hangs_is_told_once_and_nobody_goes_on_until_it_works_again(bench: Bench) -> None:
+    bench.watch()
+    assert bench.cycles(100, looks=True) == [""] * 100
+    assert bench.cycles(39, looks=False) == [""] * 39
+    assert (bench.agent.state, bench.told) == ("watches", [])
+    assert bench.cycles(30, looks=False) == ["the guard hangs", *[""] * 29]
+    assert (bench.agent.there, bench.agent.state, bench.agent.missing) == (False, "hangs", "the guard hangs")
+    assert bench.told == [(Level.ERROR, TOLD)]
+    with pytest.raises(
+        GuardError, match=r"port from the guard at left\.guard: found the guard hangs, .*one that lends"
+    ):
+        bench.agent.borrow()
+    bench.agent.give_up(RuntimeError("a defect"))
+    assert bench.ended == [], "an orderly end follows"
+    assert bench.cycles(1, looks=True) == [""]
+    assert (bench.agent.there, bench.agent.state) == (True, "watches")
+    assert bench.told[1:] == [(Level.INFO, "the guard works again and watches")]
+    assert bench.cycles(40, looks=False)[-1] == "the guard hangs"
+    assert bench.told[2:] == [(Level.ERROR, TOLD)]
+    bench.agent.leave()
+
+
+@pytest.mark.fault("P7")
+def test_time_in_which_the_agent_itself_stood_still_is_not_held_against_its_guard(bench: Bench) -> None:
+    bench.watch()
+    bench.cycles(1, looks=True)
+    bench.now_ns += 10_000 * MS
+    assert bench.cycles(37, looks=False) == [""] * 37, "ten seconds in which nobody looked count as two cycles"
+    bench.agent.leave()
+
+
+@pytest.mark.fault("P7")
+def test_a_guard_that_hung_and_died_is_gone_and_the_next_one_is_not_blamed(bench: Bench) -> None:
+    bench.watch()
+    assert bench.cycles(41, looks=False)[-1] == "the guard hangs"
+    bench.loses()
+    assert bench.agent.state == "gone"
+    bench.answers = [{}, {}, {"ok": True}]
+    assert bench.cycles(AGAIN_AFTER + 3, looks=False) == [""] * (AGAIN_AFTER + 3)
+    assert (bench.agent.there, bench.agent.state) == (True, "watches")
+    assert bench.cycles(38, looks=False) == [""] * 38
+    assert bench.cycles(3, looks=False) == ["", "the guard hangs", ""], "nor trusted"
+    bench.agent.leave()
+
+
+def test_an_agent_that_is_asked_to_end_asks_a_guard_that_hangs_too(bench: Bench) -> None:
+    """Which goes on once it works again; until then the agent holds."""
+    bench.watch()
+    bench.cycles(41, looks=False)
+    assert not any(bench.agent.poll(ending=True) for _ in range(HAND_OVER_AFTER))
+    assert bench.said == [(Word.TAKE, (), {})]
+    bench.answers = [{"ok": True}]
+    with pytest.raises(Ended):
+        bench.agent.poll(ending=True)
+
+
+@pytest.mark.fault("P7")
 def test_a_guard_that_is_gone_is_told_once_and_looked_for_every_fifty_cycles(bench: Bench) -> None:
-    handle = bench.watch()
+    bench.watch()
     bench.loses()
     assert not bench.lines[0][0].open
     assert bench.told == [
@@ -151,7 +231,7 @@ def test_a_guard_that_is_gone_is_told_once_and_looked_for_every_fifty_cycles(ben
     assert len(bench.lines) == 2
     assert not bench.agent.poll()
     assert bench.lines[2][1:] == ((PATH, CELL), {"patience_s": 0.0})
-    assert bench.said == [(Word.WATCH, (handle, *bench.fds), {"ring": "r"})]
+    assert bench.said == [(Word.WATCH, (*bench.handles, *bench.fds), {"ring": "r"})]
     assert not bench.agent.there
     bench.answers = [{}, {"ok": True}]
     assert not bench.agent.poll()
@@ -187,7 +267,7 @@ def test_a_guard_that_came_back_before_the_torque_watches_as_any_other(bench: Be
 
 def test_torque_without_a_guard_is_watched_by_the_next_one(bench: Bench) -> None:
     bench.loses()
-    bench.agent.watch(bench.fds, bench.tell, ring="r")
+    bench.agent.watch(bench.fds, bench.tell, vigil, ring="r")
     assert not bench.agent.there
     assert not any(bench.agent.poll() for _ in range(AGAIN_AFTER))
     assert [word for word, *_ in bench.said] == [Word.WATCH]
@@ -197,7 +277,7 @@ def test_torque_without_a_guard_is_watched_by_the_next_one(bench: Bench) -> None
 def test_answers_that_nobody_waits_for_change_nothing(bench: Bench) -> None:
     bench.watch()
     bench.answers = [{"ok": True}, {"ok": False, "found": "x"}]
-    assert [bench.agent.poll(), bench.agent.poll()] == [False, False]
+    assert [bench.agent.poll(), bench.agent.poll()] == ["", ""]
     assert (bench.told, bench.agent.there) == ([], True)
     bench.agent.leave()
 

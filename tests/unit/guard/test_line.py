@@ -10,6 +10,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -19,9 +20,11 @@ from agent.guard.agent_end import AgentEnd
 from agent.guard.guard_end import BACKLOG, GuardEnd
 from agent.guard.guarded import AGAIN_AFTER, CRASHED, Guarded
 from agent.guard.line import GuardError, Said, Word
+from agent.guard.pulse import pulse_vigil
 from agent.telemetry.row.event import Level
 
 CELL, OTHER = "ab" * 32, "cd" * 32
+vigil = partial(pulse_vigil, 5_000_000, shared=False)
 
 
 @pytest.fixture
@@ -225,7 +228,7 @@ def watched(folder: Path, told: list[tuple[Level, str]]) -> tuple[GuardEnd, Guar
     """A guard, the agent that it watches, and what that asked of it."""
     guard = GuardEnd(path(folder), CELL)
     agent = Guarded(path(folder), CELL)
-    watching = threading.Thread(target=lambda: agent.watch((0,), lambda *event: told.append(event), ring="r"))
+    watching = threading.Thread(target=lambda: agent.watch((0,), lambda *event: told.append(event), vigil, ring="r"))
     watching.start()
     said = heard(guard)
     guard.answer()
@@ -241,13 +244,13 @@ def test_a_guard_that_is_gone_is_noticed_once_and_a_new_one_is_asked_to_watch(tm
     assert not agent.poll()
     said.drop()
     first.close()
-    assert [agent.poll() for _ in range(3)] == [True, False, False]
+    assert [agent.poll() for _ in range(3)] == ["the guard is gone", "", ""]
     assert not agent.there
     second = GuardEnd(path(tmp_path), CELL)
     for _ in range(AGAIN_AFTER):
         assert not agent.poll()
     said = heard(second)
-    assert (said.word, said.content["ring"], len(said.fds)) == (Word.WATCH, "r", 2)
+    assert (said.word, said.content["ring"], len(said.fds)) == (Word.WATCH, "r", 3)
     assert not agent.there, "it has not said yes yet"
     second.answer()
     assert not agent.poll()
@@ -287,6 +290,7 @@ from agent.guard.guarded import Guarded
 from drivers.interface import StaleStateError
 agent = Guarded.__new__(Guarded)
 agent._end, agent._watch, agent._asked_back = (object(), ((), {{}}), False) if {guarded} else (None, None, False)
+agent._hangs = False
 agent._tell = lambda level, text: print(level.name, text)
 try:
     raise StaleStateError("state", found="no reply", expected="a reply", remedy="look")
@@ -306,6 +310,7 @@ import os
 from agent.guard.guarded import Guarded
 agent = Guarded.__new__(Guarded)
 agent._end, agent._watch, agent._asked_back = object(), ((), {{}}), False
+agent._hangs = False
 agent._tell = lambda level, text: None  # into the ring
 print("not flushed yet")
 try:

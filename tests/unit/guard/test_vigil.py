@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import os
+
+import pytest
+
+from agent.guard.pulse import Pulse, pulse_vigil
 from agent.guard.takeover import stale_ns
 from agent.guard.vigil import Vigil
 
@@ -59,3 +64,24 @@ def test_a_slow_loop_is_given_three_cycles_and_a_simulated_one_more() -> None:
     assert stale_ns(5 * MS, emulated=True, simulated=False) == 150 * MS
     assert stale_ns(5 * MS, emulated=True, simulated=False, floating=True) == 500 * MS
     assert stale_ns(5 * MS, emulated=False, simulated=True) == 500 * MS
+
+
+def test_a_guard_is_given_more_time_where_it_shares_its_processor_with_what_is_emulated() -> None:
+    assert pulse_vigil(5 * MS, shared=False) == Vigil(200 * MS, 5 * MS)
+    assert pulse_vigil(5 * MS, shared=True) == Vigil(500 * MS, 5 * MS)
+    assert pulse_vigil(100 * MS, shared=False) == Vigil(300 * MS, 100 * MS), "three cycles of a slow loop"
+
+
+def test_a_pulse_is_one_count_whoever_has_it_and_nobody_changes_its_size() -> None:
+    ours = Pulse.made()
+    theirs = Pulse(os.dup(ours.fileno()))
+    for _ in range(2):
+        theirs.beat()
+    assert (ours.count, theirs.count) == (2, 2)
+    for size in (0, 4096):
+        with pytest.raises(PermissionError):
+            os.ftruncate(ours.fileno(), size)
+    theirs.close()
+    theirs.close()
+    assert ours.count == 2
+    ours.close()

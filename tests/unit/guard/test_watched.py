@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 
 from agent.guard.line import GuardError, Said, Word
+from agent.guard.pulse import Pulse
 from agent.guard.resume import beginning
 from agent.guard.vigil import Vigil
 from agent.guard.watched import Watched
@@ -43,9 +45,11 @@ class Agent:
     texts: TextWriter
     path: Path
 
-    def said(self, count: int = 3) -> Said:
-        """Its word, with descriptors of its own process, ring and texts, and one that nobody asked for."""
-        fds = (os.pidfd_open(self.pid), os.dup(self.ring.fileno()), os.dup(self.texts.fileno()))
+    def said(self, count: int = 4) -> Said:
+        """Its word, with descriptors of its own process, pulse, ring and texts, and one that nobody asked for."""
+        with closing(Pulse.made()) as pulse:
+            own = (pulse.fileno(), self.ring.fileno(), self.texts.fileno())
+            fds = (os.pidfd_open(self.pid), *map(os.dup, own))
         return Said(Word.WATCH, {"ring": str(self.path)}, fds[:count])
 
     def rows(self, count: int) -> None:
@@ -199,18 +203,40 @@ def test_everything_of_an_agent_is_let_go(agent: Agent) -> None:
     assert descriptors() == before
 
 
-@pytest.mark.parametrize("count", [0, 2])
+@pytest.mark.parametrize("count", [0, 3])
 def test_a_word_without_all_descriptors_is_refused_and_they_are_closed(agent: Agent, count: int) -> None:
     said = agent.said()
     for fd in said.fds[count:]:
         os.close(fd)
     before = descriptors() - count
-    with pytest.raises(GuardError, match=f"word 'watch': found {count} descriptors, expected process, ring and texts"):
+    with pytest.raises(
+        GuardError, match=f"word 'watch': found {count} descriptors, expected process, pulse, ring and texts"
+    ):
         Watched.of(Said(Word.WATCH, {}, said.fds[:count]), Vigil(1, 1))
     assert descriptors() == before
 
 
-@pytest.mark.parametrize("wrong", [1, 2])
+@pytest.mark.fault("P7")
+def test_each_look_at_its_rows_raises_the_pulse_that_the_agent_sees(agent: Agent) -> None:
+    said = agent.said()
+    with closing(Pulse(os.dup(said.fds[1]))) as pulse, closing(Watched.of(said, Vigil(20 * MS, 2 * MS))) as seen:
+        assert pulse.count == 0
+        for _ in range(3):
+            seen.hangs(5000 * MS)
+        assert pulse.count == 3
+
+
+def test_a_pulse_that_is_none_is_refused_and_everything_is_closed(agent: Agent) -> None:
+    before = descriptors()
+    fds = list(agent.said().fds)
+    os.close(fds[1])
+    fds[1] = os.memfd_create("short")
+    with pytest.raises(ValueError, match="length"):
+        Watched.of(Said(Word.WATCH, {}, tuple(fds)), Vigil(1, 1))
+    assert descriptors() == before
+
+
+@pytest.mark.parametrize("wrong", [2, 3])
 def test_a_ring_or_texts_that_are_none_are_refused_and_everything_is_closed(agent: Agent, wrong: int) -> None:
     before = descriptors()
     fds = list(agent.said().fds)

@@ -52,14 +52,68 @@ sys.exit(7)
     assert process.returncode == 7
 
 
+def unread(code: str, stream: str) -> subprocess.CompletedProcess[str]:
+    """What a command says of itself whose stream nobody reads."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    streams: dict[str, int] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, stream: writer}
+    done = subprocess.run([sys.executable, "-c", SETTLED + code], text=True, timeout=60, **streams)
+    os.close(writer)
+    return done
+
+
+@pytest.mark.parametrize(("stream", "other"), [("stdout", "stderr"), ("stderr", "stdout")])
+def test_what_is_written_to_a_pipe_that_nobody_reads_fails_no_command(stream: str, other: str) -> None:
+    done = unread(
+        f"""
+from agent.host.starting import is_unread, outlive_readers
+outlive_readers()
+print("x" * 100_000, file=sys.{stream}, flush=True)
+print("not flushed", end="", file=sys.{stream})
+print(is_unread(), file=sys.{other})
+sys.exit(7)
+""",
+        stream,
+    )
+    assert (done.returncode, getattr(done, other)) == (7, f"{stream == 'stdout'}\n")
+
+
+def test_a_process_of_a_run_fails_where_nobody_reads_it() -> None:
+    done = unread("""print("READY", flush=True)""", "stdout")
+    assert done.returncode == 1
+    assert "BrokenPipeError" in done.stderr
+
+
+def test_what_is_said_through_a_pipe_comes_at_once_by_lines_on_standard_error() -> None:
+    code = (
+        SETTLED
+        + """
+from agent.host.starting import is_unread, outlive_readers
+outlive_readers()
+print("said", file=sys.stderr)
+print(is_unread(), flush=True)
+sys.stdin.read()
+"""
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", code],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert process.stdout is not None
+    assert process.stderr is not None
+    assert (process.stderr.readline(), process.stdout.readline()) == ("said\n", "False\n")
+    process.communicate(timeout=60)
+    assert process.returncode == 0
+
+
 def test_a_full_device_is_no_terminal_that_is_gone() -> None:
     """Whatever else cannot be written fails."""
     code = (
         SETTLED
         + """
 import errno, io
-from agent.host.starting import _Terminal
-full = _Terminal(os.open("/dev/full", os.O_WRONLY), "w")
+from agent.host.starting import _Lasting
+full = _Lasting(os.open("/dev/full", os.O_WRONLY), "w")
 try:
     full.write(b"x")
 except OSError as error:

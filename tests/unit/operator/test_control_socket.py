@@ -12,9 +12,10 @@ import struct
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -69,6 +70,13 @@ def answer_to(control: ControlSocket, path: Path, request: Any) -> dict[str, Any
         return answer
 
 
+def given(control: ControlSocket, path: Path, request: dict[str, Any]) -> dict[str, Any]:
+    """What an instant gets that the arm has been asked about, as an operator does."""
+    shown = {"token": "mine", "asked_ns": HERE_NS} | request
+    answer_to(control, path, shown | {"prepare": True})
+    return answer_to(control, path, shown)
+
+
 def listening(path: Path, mode: Mode = Mode.READY) -> ControlSocket:
     """An agent's socket in a mode."""
     return ControlSocket(path, FINGERPRINT, Standing("left", mode, "because", details=lambda: {"pid": 7}))
@@ -94,20 +102,20 @@ def start(**changes: Any) -> dict[str, Any]:
 
 
 def test_start_is_taken_over(control: ControlSocket, path: Path) -> None:
-    assert answer_to(control, path, start(clock_bound_s=2e-4)) == ACCEPTED
+    assert given(control, path, start(clock_bound_s=2e-4)) == ACCEPTED
     assert asked_for(control) == (LATER_NS, [])
     assert control.requests.start is not None
     assert control.requests.start.clock_bound_s == 2e-4
 
 
 def test_a_start_that_is_only_prepared_changes_nothing(control: ControlSocket, path: Path) -> None:
-    assert answer_to(control, path, start(prepare=True)) == ACCEPTED
+    assert answer_to(control, path, start(prepare=True, token="mine", asked_ns=HERE_NS)) == ACCEPTED
     assert asked_for(control) == NOTHING
 
 
 def test_a_second_start_replaces_the_first_and_a_cancel_takes_it_back(control: ControlSocket, path: Path) -> None:
-    answer_to(control, path, start())
-    answer_to(control, path, start(start_utc_ns=LATER_NS + 5))
+    given(control, path, start())
+    given(control, path, start(start_utc_ns=LATER_NS + 5))
     assert asked_for(control) == (LATER_NS + 5, [])
     assert answer_to(control, path, {"verb": "cancel"}) == ACCEPTED
     assert asked_for(control) == NOTHING
@@ -139,7 +147,7 @@ def test_a_start_waits_until_the_torque_at_rest_has_been_looked_at(control: Cont
     assert (answer["ok"], answer["found"]) == (False, "a start 1.1 s after READY")
     assert answer["expected"] == "1.1 s, in which the torque at rest is seen"
     control.standing.ready_ns -= 50_000_000
-    assert answer_to(control, path, start())["ok"] is True
+    assert given(control, path, start())["ok"] is True
 
 
 @pytest.mark.parametrize("minutes", [-10, 10])
@@ -154,7 +162,7 @@ def test_a_clock_that_was_set_since_ready_is_no_rest_and_takes_none_away(
     soon = {**start(), "start_utc_ns": NOW_NS + set_ns + 15 * 10**9}
     assert answer_to(control, path, soon)["expected"] == "20 s, in which the torque at rest is seen"
     control.standing.ready_ns -= 10 * 10**9
-    assert answer_to(control, path, soon)["ok"] is True
+    assert given(control, path, soon)["ok"] is True
 
 
 @pytest.mark.parametrize("verb", ["stop", "release"])
@@ -194,7 +202,7 @@ def test_an_instant_that_is_not_ahead_is_refused(control: ControlSocket, path: P
 
 
 def test_the_last_instant_that_can_be_counted_is_one(control: ControlSocket, path: Path) -> None:
-    assert answer_to(control, path, start(start_utc_ns=2**63 - 1))["ok"] is True
+    assert given(control, path, start(start_utc_ns=2**63 - 1))["ok"] is True
 
 
 @pytest.mark.parametrize(
@@ -275,8 +283,8 @@ def test_a_lowering_at_an_instant_is_kept_until_it_is_taken_back(
     control: ControlSocket, path: Path, asked: list[Event]
 ) -> None:
     control.standing.mode = Mode.HOLD
-    assert answer_to(control, path, {"verb": "lower", "start_utc_ns": LATER_NS})["ok"] is True
-    assert control.requests.lower == Request(Verb.LOWER, start_utc_ns=LATER_NS)
+    assert given(control, path, {"verb": "lower", "start_utc_ns": LATER_NS})["ok"] is True
+    assert control.requests.lower == Request(Verb.LOWER, start_utc_ns=LATER_NS, token="mine", asked_ns=HERE_NS)
     assert answer_to(control, path, {"verb": "cancel"})["ok"] is True
     assert (control.requests.lower, control.requests.words) == (None, [])
     answer_to(control, path, {"verb": "lower"})
@@ -284,7 +292,7 @@ def test_a_lowering_at_an_instant_is_kept_until_it_is_taken_back(
     control.standing.mode = Mode.HALT
     answer_to(control, path, {"verb": "park", "start_utc_ns": LATER_NS})
     assert (control.requests.lower, control.requests.take()) == (None, [Verb.PARK])
-    assert asked == [Event.LOWER, Event.LOWER, Event.PARK]
+    assert asked == [Event.LOWER, Event.LOWER, Event.LOWER, Event.PARK], "an instant twice: before it is given, too"
 
 
 @pytest.mark.parametrize(("word", "kept"), [("stop", False), ("release", False), ("status", True), ("cancel", False)])
@@ -292,12 +300,12 @@ def test_an_arm_that_is_told_to_stop_is_not_lowered_at_an_instant_that_was_given
     control: ControlSocket, path: Path, word: str, kept: bool
 ) -> None:
     control.standing.mode, control.standing.session = Mode.HOLD, lambda _: ""
-    answer_to(control, path, {"verb": "lower", "start_utc_ns": LATER_NS})
+    given(control, path, {"verb": "lower", "start_utc_ns": LATER_NS})
     answer_to(control, path, {"verb": word, "prepare": True})
     assert control.requests.lower is not None, "what is only asked changes nothing"
     assert answer_to(control, path, {"verb": word})["ok"] is True
     assert (control.requests.lower is not None) is kept
-    answer_to(control, path, {"verb": "lower", "start_utc_ns": LATER_NS})
+    given(control, path, {"verb": "lower", "start_utc_ns": LATER_NS})
     assert control.requests.lower is not None, "but at one that is given afterwards"
 
 
@@ -328,6 +336,32 @@ def test_of_those_who_gave_up_waiting_only_a_stop_is_obeyed(
 def test_an_agent_that_has_said_nothing_yet_is_off_and_looks_at_no_torque() -> None:
     own = Standing("left")
     assert (own.mode, own.rest_s) == (Mode.OFF, 0.0)
+
+
+@pytest.mark.fault("P7")
+@pytest.mark.parametrize(
+    ("mode", "verb", "taken"),
+    [
+        (Mode.REST, "approach", False), (Mode.HALT, "approach", False), (Mode.APPROACH, "grasp", False),
+        (Mode.READY, "start", False), (Mode.HALT, "park", True), (Mode.HOLD, "lower", True),
+        (Mode.HOLD, "release", True), (Mode.TRACK, "stop", True), (Mode.REST, "status", True),
+    ],
+)  # fmt: skip
+def test_an_arm_that_nobody_goes_on_for_goes_back_and_not_forward(
+    control: ControlSocket, path: Path, asked: list[Event], mode: Mode, verb: str, taken: bool
+) -> None:
+    control.standing.mode, control.standing.session = mode, lambda _: ""
+    request = start(token="mine", asked_ns=HERE_NS, prepare=True) if verb == "start" else {"verb": verb}
+    control.standing.alone = lambda: "the guard hangs"
+    answer = answer_to(control, path, request)
+    assert answer["ok"] is taken
+    if not taken:
+        assert (answer["found"], answer["expected"]) == (
+            f"arm left in {mode.name}: the guard hangs",
+            "a guard that watches it",
+        )
+        control.standing.alone = str
+        assert answer_to(control, path, request)["ok"]
 
 
 # --- from whom -------------------------------------------------------------------------------------------------------
@@ -607,8 +641,11 @@ def one_answer(path: Path, request: Request, timeout_s: float = 5.0) -> Reply | 
 
 def test_asking_sends_the_word_and_what_belongs_to_it(path: Path) -> None:
     heard: list[Reply | Silence] = []
-    request = Request(Verb.START, FINGERPRINT, 9 * 10**18, clock_bound_s=1e-3)
+    request = Request(
+        Verb.START, FINGERPRINT, 9 * 10**18, clock_bound_s=1e-3, token="mine", asked_ns=time.monotonic_ns()
+    )
     with closing(listening(path)) as control:
+        control._answer(replace(request, prepare=True).encode(), os.getuid())
         asking = threading.Thread(target=lambda: heard.append(one_answer(path, request)))
         asking.start()
         while asking.is_alive():

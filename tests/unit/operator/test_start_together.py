@@ -111,6 +111,8 @@ def test_answers_that_come_too_late_for_the_instant_start_nobody(tmp_path: Path)
         def time_ns() -> int:
             return request.start_utc_ns - 49_999_999
 
+        monotonic_ns = time.monotonic_ns
+
     with serving(arms), pytest.MonkeyPatch.context() as patch:
         patch.setattr(words, "time", Late)
         with pytest.raises(ControlError, match=r"start: found .* UTC, expected at least 0.05 s from now; choose"):
@@ -133,7 +135,8 @@ def test_half_of_the_time_until_the_instant_is_kept_for_taking_the_start_back(
         return {"a": willing, "b": ask.Silence("no answer", hung=True) if hangs else willing}
 
     monkeypatch.setattr(words, "ask_arms", ask_arms)
-    monkeypatch.setattr(words, "time", SimpleNamespace(time_ns=lambda: start_ns - round(next(left) * 1e9)))
+    clock = SimpleNamespace(time_ns=lambda: start_ns - round(next(left) * 1e9), monotonic_ns=lambda: 7)
+    monkeypatch.setattr(words, "time", clock)
     with pytest.raises(ControlError, match="b: does not answer"):
         start_together({"a": [], "b": []}, Request(Verb.START, OWN, start_ns), 2.0)
     assert asked == [

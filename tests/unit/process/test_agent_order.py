@@ -20,6 +20,7 @@ from agent.faults.virtual import Line
 from agent.guard.guarded import UNGUARDED
 from agent.host.signals import StopFlag
 from agent.modes import TABLE, Mode
+from agent.operator.socket import Standing
 from agent.process import agent as process
 from agent.process.build import Connection
 from agent.process.schedule import AgentOptions
@@ -153,6 +154,25 @@ def test_an_agent_that_nobody_guards_says_so_where_it_runs_by_itself(
     texts = [text for kind, text in TextReader(tmp_path / "left.ring").read_new() if kind is Kind.EVENT]
     told = [event for text in texts if (event := Event.from_json(text)).text == UNGUARDED]
     assert [event.level for event in told] == [Level.WARN] * times
+
+
+@pytest.mark.fault("P7")
+@pytest.mark.parametrize("guarded", [True, False])
+def test_an_agent_says_why_nobody_goes_on_for_it_where_somebody_was_to(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, guarded: bool
+) -> None:
+    _, clock, servos = rig()
+    released = RunSummary(1, 0, 0, Mode.OFF, "", 0.0)
+    guard = SimpleNamespace(missing="the guard hangs", watch=lambda *_, **__: None, leave=lambda: None)
+    stood: list[Standing] = []
+    monkeypatch.setattr(process, "_reached", lambda *_: guard if guarded else None)
+    monkeypatch.setattr(process, "passed_on", lambda _: ((), {}))
+    monkeypatch.setattr(process, "build_driver", lambda *_: (servos, clock))
+    monkeypatch.setattr(process, "_law", lambda *_: None)
+    runner = SimpleNamespace(run=lambda _: released)
+    monkeypatch.setattr(process, "_runner", lambda *given: stood.append(given[-1]) or runner)
+    process.run_agent(CELL, dataclasses.replace(options(tmp_path), control=tmp_path / "c"), StopFlag(), lambda _: None)
+    assert [standing.alone() for standing in stood] == ["the guard hangs" if guarded else ""]
 
 
 class Notified:

@@ -37,7 +37,15 @@ class Arm:
         self.words = Words(path, CELL, options, self.signals, MonotonicClock(), tell)
 
     def told(self, verb: Verb, **more: Any) -> tuple[bool, bool, str]:
-        """Whether it takes the word, whether it is to stop then, and why it refuses."""
+        """Whether it takes the word, whether it is to stop then, and why it refuses; of a start it is asked first."""
+        if verb is Verb.START:
+            more |= {"token": "mine", "asked_ns": time.monotonic_ns()}
+            asked = self._told(verb, prepare=True, **more)
+            if not asked[0]:
+                return asked
+        return self._told(verb, **more)
+
+    def _told(self, verb: Verb, **more: Any) -> tuple[bool, bool, str]:
         with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as person:
             person.settimeout(5.0)
             person.connect(str(self.path))

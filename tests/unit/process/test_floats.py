@@ -282,8 +282,8 @@ def test_what_ends_follows_from_time_and_speed() -> None:
 
 @pytest.mark.fault("P7")
 def test_an_arm_that_floats_stops_when_its_guard_is_gone() -> None:
-    gone: Any = SimpleNamespace(poll=lambda: True)
-    there: Any = SimpleNamespace(poll=lambda: False)
+    gone: Any = SimpleNamespace(poll=lambda: "the guard hangs")
+    there: Any = SimpleNamespace(poll=lambda: "")
     assert floats._stops(lambda: False, gone)
     assert not floats._stops(lambda: False, there)
     assert floats._stops(lambda: True, there)

@@ -11,6 +11,7 @@ import pytest
 
 from agent.config.schema.driver import DriverKind
 from agent.guard.line import Said, Word
+from agent.guard.pulse import Pulse
 from agent.guard.vigil import Vigil
 from agent.guard.watched import Watched
 from agent.process import guard as process
@@ -91,7 +92,7 @@ class Bench:
         vigil = Vigil(stale_ns=20 * MS, look_ns=2 * MS)
         unused: Any = None
         reader: Any = self.reader
-        self.agent = Seen(-1, Path("ring"), reader, unused, unused, vigil)
+        self.agent = Seen(-1, Path("ring"), reader, unused, unused, Pulse.made(), vigil)
         self.guard._watched = self.agent
 
     def _alive(self) -> None:
@@ -209,6 +210,18 @@ def test_an_agent_that_leaves_is_let_go_and_answered(monkeypatch: pytest.MonkeyP
     bench.says(Word.LEAVE)
     assert (bench.guard._watched, bench.guard._driver, bench.dropped) == (None, None, 1)
     assert (bench.agent.dead, bench.line.answers) == (True, [()])
+
+
+@pytest.mark.fault("P7")
+def test_a_guard_that_stood_still_hears_that_its_agent_has_left_before_it_finds_it_gone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Its torque is off: nobody may hold the arm in its place."""
+    bench = Bench(monkeypatch)
+    bench.agent.dead = True
+    bench.line.words += [Said(Word.BUSY, {"for_s": 0.6}, ()), Said(Word.LEAVE, {}, ())]
+    assert bench.look() == ""
+    assert bench.guard._watched is None
 
 
 def test_an_agent_is_watched_once_it_says_so(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,7 +6,7 @@ import os
 import signal
 import subprocess
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -17,10 +17,11 @@ from agent.config.cell import load_cell
 from agent.config.schema.driver import DriverKind
 from agent.guard.agent_end import AgentEnd
 from agent.guard.line import Word
+from agent.guard.pulse import Pulse
 from agent.host.signals import StopFlag
 from agent.process import guard
 from agent.process.build import Connection
-from agent.process.schedule import AgentOptions
+from agent.process.schedule import AgentOptions, guard_vigil
 from agent.process.successor import GuardOptions
 from agent.process.tellers import opened
 from agent.telemetry.ring.writer import RingWriter
@@ -81,7 +82,8 @@ def watching(
     end = AgentEnd(folder / "socket", cell.fingerprint)
     stack.callback(end.close)
     pidfd = os.pidfd_open(pid)
-    end.say(Word.WATCH, (pidfd, ring.fileno(), texts.fileno()), ring="left.ring", driver={})
+    with closing(Pulse.made()) as pulse:
+        end.say(Word.WATCH, (pidfd, pulse.fileno(), ring.fileno(), texts.fileno()), ring="left.ring", driver={})
     os.close(pidfd)
     assert made._look() == ""
     assert end.heard() == {"ok": True}
@@ -125,3 +127,18 @@ def test_a_moment_that_is_none_is_refused_and_ends_no_guard(
         answer = end.heard()
     assert answer is not None
     assert (answer["ok"], answer["remedy"]) == (False, "start agent and guard from one release")
+
+
+@pytest.mark.fault("P7")
+@pytest.mark.parametrize(
+    ("driver", "emulated", "stale_ms"),
+    [(DriverKind.DYNAMIXEL, False, 200), (DriverKind.DYNAMIXEL, True, 500), (DriverKind.SIM, False, 500)],
+)
+def test_an_agent_bears_more_of_its_guard_where_its_arm_is_none(
+    tmp_path: Path, driver: DriverKind, emulated: bool, stale_ms: int
+) -> None:
+    options = AgentOptions(
+        "left", driver, Connection(emulated=emulated), tmp_path / "left.ring", None, lockstep=False, hold=True
+    )
+    made = guard_vigil(load_cell(Path("two_wx200")), options)()
+    assert (made.stale_ns, made.look_ns) == (stale_ms * MS, 5 * MS)
