@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -62,11 +63,21 @@ def logs(machine: Machine) -> list[Path]:
 
 
 def start(machine: Machine) -> None:
-    """Start the cell and let it move."""
+    """Start the cell and let it move, once its log has begun."""
+    before = len(logs(machine))
     machine.run("systemctl", "start", "coop.target")
     for unit in set(SIMULATED) - set(OPTIONAL):
         assert machine.show(unit, "ActiveState") == "active", machine.journal(unit)
+    wait_for_logs(machine, before + 1)
     machine.run("sleep", "1")
+
+
+def wait_for_logs(machine: Machine, count: int) -> None:
+    """Wait until the recorder has begun so many logs."""
+    deadline = time.monotonic() + 30.0
+    while len(logs(machine)) < count:
+        assert time.monotonic() < deadline, machine.journal("coop-recorder.service")
+        time.sleep(0.05)
 
 
 def stop(machine: Machine) -> None:
@@ -93,6 +104,9 @@ def test_every_start_is_one_complete_log_also_over_tls(tmp_path: Path) -> None:
             for unit in AGENTS:
                 assert machine.show(unit, "Result") == "success", machine.journal(unit)
                 assert machine.show(unit, "NRestarts") == "0"
+        machine.run("systemctl", "start", "coop-recorder.service")
+        machine.run("systemctl", "stop", "coop-recorder.service")
+        assert machine.show("coop-recorder.service", "Result") == "success", "it was asked to end while it began"
 
 
 def test_a_killed_recorder_comes_back_and_a_killed_agent_does_not(tmp_path: Path) -> None:
@@ -101,8 +115,8 @@ def test_a_killed_recorder_comes_back_and_a_killed_agent_does_not(tmp_path: Path
         agents = [machine.show(unit, "MainPID") for unit in AGENTS]
         machine.run("systemctl", "kill", "--signal=SIGKILL", "coop-recorder.service")
         machine.wait_for("coop-recorder.service", "NRestarts", "1")
-        machine.wait_for("coop-recorder.service", "ActiveState", "active")
-        machine.run("sleep", "3")
+        wait_for_logs(machine, 2)
+        machine.run("sleep", "2")
         assert [machine.show(unit, "MainPID") for unit in AGENTS] == agents, "the arms do not notice"
 
         machine.run("systemctl", "kill", "--signal=SIGKILL", GUARDS[1])

@@ -162,6 +162,11 @@ def test_every_unit_stops_with_the_cell(host: Path, name: str) -> None:
     assert "coop.target" in words(read_unit(host, name), "PartOf")
 
 
+@pytest.mark.parametrize("name", sorted({*SERVICES, "coop-plant"} - {"coop-rings"}))
+def test_a_unit_that_is_asked_to_end_before_it_has_begun_has_not_failed(simulated_host: Path, name: str) -> None:
+    assert one(read_unit(simulated_host, name), "SuccessExitStatus") == "130"
+
+
 # Two units, one file
 
 
