@@ -80,7 +80,7 @@ sys.exit(7)
 
 def test_a_process_of_a_run_fails_where_nobody_reads_it() -> None:
     done = unread("""print("READY", flush=True)""", "stdout")
-    assert done.returncode == 1
+    assert done.returncode in (1, 120), "120 where the interpreter has something left to write at its end"
     assert "BrokenPipeError" in done.stderr
 
 
