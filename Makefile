@@ -2,7 +2,7 @@
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
-JOBS   ?= $(shell echo $$(( $$(nproc) + 1 )))  # some tests wait
+JOBS   ?= $(shell echo $$(( $$(nproc) + 2 )))  # some tests wait
 CELL   ?= configs/cells/paper.toml
 
 .DEFAULT_GOAL := help

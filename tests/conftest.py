@@ -59,7 +59,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             item.add_marker(pytest.mark.skip(reason="needs a real arm: --hardware CELL --arm NAME"))
     yield  # what `-m` and `-k` leave out is out
     workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
-    items[:] = dealt(items, workers, lambda item: "tests/process/" in item.nodeid, lambda item: item.path)
+    waits, builds = (lambda item, room=room: room in item.nodeid for room in ("tests/process/", "tests/property/"))
+    items[:] = dealt(items, workers, waits, builds, lambda item: item.path)
 
 
 @pytest.hookimpl(wrapper=True)

@@ -14,7 +14,7 @@ from mcap.reader import make_reader
 
 PACKAGES = ("@mcap/core@2.2.2", "fzstd@0.1.1")  # the latter unpacks chunks; node does so itself from 22.15 on
 SCRIPT = Path(__file__).with_name("read_mcap.mjs")
-TIMEOUT_S = 60.0
+INSTALL_S, TIMEOUT_S = 20.0, 60.0
 
 
 def install(folder: Path) -> str:
@@ -23,9 +23,9 @@ def install(folder: Path) -> str:
         return "node and npm are not installed"
     command = ["npm", "install", "--no-audit", "--no-fund", "--ignore-scripts", "--prefix", str(folder), *PACKAGES]
     try:
-        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=INSTALL_S, check=False)
     except subprocess.TimeoutExpired:
-        return f"npm did not get {' '.join(PACKAGES)} within {TIMEOUT_S:g} s"
+        return f"npm did not get {' '.join(PACKAGES)} within {INSTALL_S:g} s"
     if done.returncode:
         return f"npm cannot get {' '.join(PACKAGES)}: {done.stderr.strip()[-200:]}"
     shutil.copy(SCRIPT, folder)
