@@ -359,6 +359,7 @@ def test_an_arm_that_was_given_a_mark_is_refused_at_the_port_of_another(cell: Pa
             driver.connect()
 
 
+@pytest.mark.long  # tests/unit/verify/test_check_bus.py
 def test_check_refuses_a_rate_that_the_bus_cannot_carry() -> None:
     done = coop("check", TWO_WX200, "--set", "rate_hz=500")
     assert done.code == 2

@@ -13,6 +13,7 @@ import pytest
 
 from tests.support.command import coop
 from tests.support.coop import start
+from tests.support.few import few
 from tests.support.study import cell_file
 
 
@@ -30,9 +31,7 @@ def under_way(folder: Path, runs: int) -> tuple[subprocess.Popen[str], Path]:
     return study, out
 
 
-@pytest.mark.parametrize(
-    "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long), signal.SIGKILL]
-)
+@pytest.mark.parametrize("number", few((signal.SIGINT, signal.SIGTERM, signal.SIGKILL), signal.SIGKILL.__eq__))
 def test_a_study_that_is_stopped_leaves_no_process_and_goes_on(tmp_path: Path, number: signal.Signals) -> None:
     study, out = under_way(tmp_path, 1000)
     workers = psutil.Process(study.pid).children()

@@ -96,6 +96,7 @@ def test_a_file_opens_from_the_disk_without_a_request(
     assert {request.partition(":")[0] for request in page.requests} <= {"file", "data", "blob"}
 
 
+@pytest.mark.long  # page and pictures by themselves: tests/unit/view
 def test_a_report_has_the_run_beside_it_and_a_film_is_made(paper_runs: tuple[Path, Path], tmp_path: Path) -> None:
     log = paper_runs[0] / "run.mcap"
     done = coop("report", log, "--out", tmp_path / "report", "--view")

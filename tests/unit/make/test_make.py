@@ -69,6 +69,7 @@ def test_a_made_cell_runs_within_a_millimetre_at_the_first_try(name: str) -> Non
     assert angle < 3e-3
 
 
+@pytest.mark.long  # tests/unit/verify/test_tune.py
 def test_gains_are_searched_by_the_robust_criterion(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stiffest, "TRIES", 30)  # enough to find some
     usual, tuned = made(CELLS["mixed"]), Maker(CELLS["mixed"]).make()

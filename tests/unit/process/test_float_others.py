@@ -70,6 +70,7 @@ def test_an_arm_that_moves_while_others_float_stands_and_sinks_where_it_is_stopp
 
 
 @pytest.mark.fault("P1")
+@pytest.mark.long  # one that floats alone: test_floats.py
 def test_a_guard_lets_an_arm_down_whose_process_is_killed_while_it_moves_and_others_float() -> None:
     stands_and_sinks(FloatRun(moved(), starts_s=0.3, dies_s=0.6, guarded=True))
 

@@ -82,6 +82,7 @@ def test_the_smallest_limit_of_each_kind_counts(lacking: tuple[float, float], ov
         assert forgotten_s(lacking, limits, 0.5) == pytest.approx(math.log(over) / 0.5)
 
 
+@pytest.mark.long  # with more of it: tests/property/control/test_together.py
 def test_arms_that_learn_live_with_two_millimetres_of_disagreement() -> None:
     """The beginning of what `make campaign` runs for 100 s, and what becomes of it by the law as printed."""
     short = ("simulation.ready_s=1.0", "trajectory.ramp_s=1.0", "safety.noticing.enabled=false")
