@@ -43,7 +43,7 @@ class Guarded:
         self._asked_back = False
         self._pulse: Pulse | None = None
         self._vigil: Vigil | None = None  # over the guard that watches; none over one that has not said yes
-        self._new_vigil: Callable[[], Vigil] | None = None
+        self._new_vigil: Callable[[], Vigil | None] = lambda: None
         self._hangs = False
         self._ending = 0
         self._hands_over = False  # the guard has been told to go on, and has not said yes yet
@@ -124,11 +124,11 @@ class Guarded:
         if heard and self._asked_back:
             if heard.get("ok"):
                 self._asked_back = False
-                self._vigil = None if self._new_vigil is None else self._new_vigil()
+                self._vigil = self._new_vigil()
                 self._tell(Level.INFO, "the guard is back and watches")
             else:
                 self._tell(Level.ERROR, f"the guard is back and does not watch: found {heard.get('found')}")
-        elif heard and self._hands_over and heard.get("ok"):
+        elif self._hands_over and heard.get("ok"):
             self._tell(Level.INFO, "hands the arm to the guard, as it was asked to end")
             self._end_process(0)
         return self._found_hanging()
@@ -136,8 +136,9 @@ class Guarded:
     def _found_hanging(self) -> str:
         """Looks at the guard's pulse: a guard that hangs is told of once, and one that works again, too."""
         vigil, pulse = self._vigil, self._pulse
-        if vigil is None or pulse is None:
+        if vigil is None:
             return ""
+        assert pulse is not None
         hangs = vigil.is_stale(time.monotonic_ns(), pulse.count)
         if hangs is self._hangs:
             return ""
@@ -163,7 +164,6 @@ class Guarded:
             self._watch = self._vigil = None
         if self._pulse is not None:
             self._pulse.close()
-            self._pulse = None
 
     def give_up(self, error: BaseException) -> None:
         """The loop has failed: end this process at once, torque on, for the guard.  Returns where there is none."""
@@ -183,12 +183,13 @@ class Guarded:
         os._exit(code)
 
     def _say(self, word: Word, **content: Any) -> bool:
+        """Tell the guard, if there is one; False where it could not be told."""
         try:
             if self._end is not None:
                 self._end.say(word, **content)
         except GuardError:
             return False
-        return self._end is not None
+        return True
 
     def _lost(self) -> str:
         self._end, self._vigil, self._hangs, self._hands_over = None, None, False, False

@@ -56,8 +56,7 @@ class Pulse:
 
     def close(self) -> None:
         """Give it back; twice is fine."""
-        if self._fd >= 0:
+        if not self._map.closed:
             self._count.release()
             self._map.close()
             os.close(self._fd)
-            self._fd = -1

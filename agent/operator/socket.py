@@ -188,9 +188,12 @@ class ControlSocket:
     def _not_agreed(self, request: Request) -> Reply | None:
         """Why an instant is not taken, or not agreed to, beside another operator's; of a free arm it is agreed to."""
         now_ns = time.monotonic_ns()
-        if request.prepare and not self._promise.agree(request.token, request.asked_ns, now_ns):
-            return self._refused("another instant that is just being given", "one operator at a time", "say it again")
-        if not request.prepare and not self._promise.covers(request.token, now_ns):
+        if request.prepare:
+            if not self._promise.agree(request.token, request.asked_ns, now_ns):
+                return self._refused(
+                    "another instant that is just being given", "one operator at a time", "say it again"
+                )
+        elif not self._promise.covers(request.token, now_ns):
             return self._refused("an instant that it was not asked for", "the one it agreed to last", "say it again")
         return None
 

@@ -114,6 +114,7 @@ TARGETS = (
     Target("agent.control.residual", tuple(f"{UNIT}/control/{name}.py" for name in ("test_residual", "test_touch"))),
     Target("agent.control.touch", (f"{UNIT}/control/test_touch.py",)),
     Target("agent.guard.guarded", (f"{UNIT}/guard/test_guarded.py",)),
+    Target("agent.guard.pulse", (f"{UNIT}/guard/test_pulse.py",)),
     Target("agent.guard.resume", (f"{UNIT}/guard/test_resume.py",)),
     Target(
         "agent.guard.takeover",
@@ -138,7 +139,10 @@ TARGETS = (
         tuple(f"{UNIT}/process/{name}.py" for name in ("test_float_loop", "test_float_ending")),
     ),
     Target("agent.host.unix_socket", (f"{UNIT}/operator/test_control_socket.py", f"{UNIT}/guard/test_line.py")),
-    Target("agent.operator.socket", (f"{UNIT}/operator/test_control_socket.py",)),
+    Target("agent.operator.promise", (f"{UNIT}/operator/test_two_operators.py",)),
+    Target(
+        "agent.operator.socket", (f"{UNIT}/operator/test_control_socket.py", f"{UNIT}/operator/test_two_operators.py")
+    ),
     Target("agent.monitors.body", _MONITORS),
     Target("agent.monitors.gravity", (f"{UNIT}/monitors/test_gravity.py",)),
     Target("agent.monitors.joints", _MONITORS),

@@ -13,6 +13,9 @@ _PART = "part = 1.0 if life is None else phases.handing_over(life, mode, memory)
 _LEARNS = "if adaptation is None or estimate is None:"
 _BOTH = "who learns has an estimate; said for the type checker"
 _NONE = "a function without a result returns None"
+_PEEK = "return bool(client.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT))"
+_NOBODY_YET = "it is not asked for before somebody has been agreed with"
+_INSTANT = "return request.verb is Verb.START or (request.verb is Verb.LOWER and request.start_utc_ns > 0)"
 _TABLE = "_FLAGS = tuple(map(Flag, range((_NOT_FINITE | _SATURATED | _RATE_LIMITED) + 1)))"
 
 _HOLD = "hold = tuple(tail[:7]) if any(tail[3:7]) else None"
@@ -232,8 +235,20 @@ CONTROL: Entries = {
             "path.unlink(missing_ok=False)",
         ): "differs when somebody removes the socket between the question and the removal",
     },
+    "agent.operator.promise": {
+        ("Promise.__init__", "self._until_ns = 0", "self._until_ns = 1"): _NOBODY_YET,
+        ("Promise.__init__", "self._until_ns = 0", "pass"): _NOBODY_YET,
+    },
     "agent.operator.socket": {
         ("ControlSocket._no_start", "return None", "pass"): _NONE,
+        ("ControlSocket._not_agreed", "return None", "pass"): _NONE,
+        ("_has_instant", _INSTANT, _INSTANT.replace("> 0", "> 1")): "no instant is one nanosecond after 1970",
+        (
+            "_waits",
+            _PEEK,
+            _PEEK.replace("1", "2"),
+        ): "of what waits two bytes are looked at instead of one, and none is taken",
+        ("_waits", "return False", "pass"): "None is as good as False to who asks whether",
         ("ControlSocket.poll", "if self._clients:", "if True:"): "saves the making of empty lists",
         ("ControlSocket.poll", "if self._asked.poll(0):", "if True:"): "saves a system call that finds nobody",
     },

@@ -375,3 +375,28 @@ def test_who_was_never_watched_leaves_without_a_word(bench: Bench) -> None:
     bench.agent.leave()
     assert bench.said == []
     assert not bench.lines[0][0].open
+
+
+def test_a_guard_that_did_not_hear_that_it_is_to_go_on_is_told_again(bench: Bench) -> None:
+    bench.watch()
+    bench.silent = True
+    for _ in range(HAND_OVER_AFTER + 3):
+        bench.answers = [{"ok": True}]  # of another word
+        bench.agent.poll(ending=True)
+    bench.silent = False
+    assert (bench.agent.poll(ending=True), bench.said, bench.ended) == ("", [(Word.TAKE, (), {})], [])
+    bench.answers = [{"ok": True}]
+    with pytest.raises(Ended):
+        bench.agent.poll(ending=True)
+
+
+def test_an_agent_that_leaves_gives_its_pulse_back_once(bench: Bench) -> None:
+    process, pulse = bench.watch(), bench.handles[1]
+    bench.agent.leave()
+    for fd in (process, pulse):
+        with pytest.raises(OSError, match="Bad file descriptor"):
+            os.fstat(fd)
+    others = [os.dup(0) for _ in range(4)]  # which have those numbers now
+    bench.agent.leave()
+    for fd in others:
+        os.close(fd)

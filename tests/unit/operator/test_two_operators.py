@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import socket
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing
@@ -256,3 +257,20 @@ def test_all_that_is_said_of_one_start_has_one_token_and_no_other_start_has_it(
     assert tokens[0] != tokens[1]
     assert said[each - 1].verb is Verb.CANCEL
     assert said[each - 1].prepare is (refuses == "when it is asked"), "nothing was given: an earlier start stays"
+
+
+def test_a_word_for_at_once_leaves_an_instant_that_was_agreed_to(tmp_path: Path, clock: Clock) -> None:
+    with closing(ControlSocket(tmp_path / "a", OWN, Standing("a", Mode.HOLD, session=lambda _: ""))) as arm:
+        later = Request(Verb.LOWER, OWN, LATER_NS, token="one", asked_ns=clock.now_ns)
+        said = [replace(later, prepare=True), Request(Verb.LOWER, OWN), later]
+        assert [arm._answer(request.encode(), 0).ok for request in said] == [True, True, True]
+
+
+def test_who_has_hung_up_waits_no_more() -> None:
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with ours, theirs:
+        assert control_socket._waits(ours), "it says nothing, and is there"
+        ours.send(b"unread")
+        theirs.close()
+        assert control_socket._waits(ours) is False, "it went without having read what it was told"
+        assert control_socket._waits(ours) is False
