@@ -63,6 +63,7 @@ _PAGE = (f"{UNIT}/view/test_page.py",)
 _VERIFY = tuple(f"{UNIT}/replay/{name}.py" for name in ("test_verify", "test_verify_trouble", "test_replay_command"))
 _CRITERION = f"{UNIT}/verify/criterion"
 _RECORDED = (*_WARM, "tests.unit.replay.test_verify:eventful")
+_SENSES = ("test_against", "test_knock", "test_touch")
 _SOFT = tuple(f"{UNIT}/sim_backend/{name}.py" for name in ("test_soft", "test_pads", "test_reality", "test_calendar"))
 
 TARGETS = (
@@ -72,7 +73,7 @@ TARGETS = (
     Target("agent.config.monitors", (f"{UNIT}/monitors/test_bounds.py",)),
     Target(
         "agent.config.noticing",
-        (f"{UNIT}/config/test_noticing.py", f"{UNIT}/control/test_against.py", f"{UNIT}/control/test_touch.py"),
+        (f"{UNIT}/config/test_noticing.py", *(f"{UNIT}/control/{name}.py" for name in _SENSES)),
     ),
     Target("agent.config.statics", (f"{UNIT}/monitors/test_bounds.py",)),
     Target(

@@ -30,6 +30,7 @@ _FIRST_STAYS = "of two that are as near the first one stays"
 _IN_ORDER = "how many are put in order first changes the time it takes"
 _FIRST_LOOK = "the first look sets it"
 _FIRST = "first = _last_fresh(rows) or 0"
+_AWAY = "away_ns, period_ns = (clock.now_ns() - int(rows[-1]['stamp_ns']) if len(rows) else 0, schedule.period_ns)"
 _GIVES = "gives_back = mode is Mode.RELEASE and agent.session is not None and (memory is not None)"
 _KNOWN = "known = np.isfinite(tau_held) & ~(np.abs(tau_held - sent) <= SAME_NM)"
 _CURRENT = "limit = model.register(GOAL_CURRENT).maximum or 0"
@@ -56,6 +57,9 @@ CHECKS: Entries = {
     },
     "agent.config.noticing": {
         ("", _FLOORS, _FLOORS.replace("0.05", "0.1")): "what seven arms or fewer feel of a touch is more",
+    },
+    "agent.guard.takeover": {
+        ("go_on", _AWAY, _AWAY.replace("else 0,", "else 1,")): "a nanosecond is no time",
     },
     "agent.guard.resume": {
         ("", "ROWS = 64", "ROWS = 128"): "more rows behind a fresh one change nothing",

@@ -13,6 +13,8 @@ _PART = "part = 1.0 if life is None else phases.handing_over(life, mode, memory)
 _LEARNS = "if adaptation is None or estimate is None:"
 _BOTH = "who learns has an estimate; said for the type checker"
 _NONE = "a function without a result returns None"
+_OFF = "if off_m <= AT_LIMIT * self._start_m and off_rad <= AT_LIMIT * self._start_rad:"
+_JUST = "of exactly so much, a rounding beyond the limit, either is right"
 _PEEK = "return bool(client.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT))"
 _NOBODY_YET = "it is not asked for before somebody has been agreed with"
 _INSTANT = "return request.verb is Verb.START or (request.verb is Verb.LOWER and request.start_utc_ns > 0)"
@@ -144,6 +146,9 @@ CONTROL: Entries = {
         ("Ending.events", _AT_LAST, _AT_LAST.replace(">=", ">")): "no whole nanoseconds times 1e-9 are just 30.0",
     },
     "agent.monitors.body": {
+        ("", "AT_LIMIT = 1.0 + 1e-09", "AT_LIMIT = 1.0 + 2e-09"): "of a rounding more",
+        ("Start.check", _OFF, _OFF.replace("off_m <=", "off_m <")): _JUST,
+        ("Start.check", _OFF, _OFF.replace("off_rad <=", "off_rad <")): _JUST,
         ("Limited.check", "if now != ticks[place]:", "if True:"): "saves a write of what is there",
         ("Load.check", "self._tick += 1", "self._tick -= 1"): _EVERY,
     },
@@ -216,8 +221,8 @@ CONTROL: Entries = {
         ("Runner._cycle", "if happened:", "if True:"): "saves a call: nothing changes without an event (test_runner)",
         (
             "Runner._started",
-            "counts = zero_ns != ticks.zero_ns and (session is None or session.counts(zero_ns, deadline_ns))",
-            "counts = True and (session is None or session.counts(zero_ns, deadline_ns))",
+            "if zero_ns != ticks.zero_ns and (session is None or session.counts(zero_ns, deadline_ns)):",
+            "if True and (session is None or session.counts(zero_ns, deadline_ns)):",
         ): "the same start gives the same phase",
     },
     "agent.sight": {

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from drivers.dynamixel.errors import DxlServoFault, NotEnabledError
-from drivers.dynamixel.servo.codes import Instruction
+from drivers.dynamixel.servo.codes import WATCHDOG_TRIPPED, Instruction
 from drivers.dynamixel.servo.table import BUS_WATCHDOG, GOAL_CURRENT, GOAL_PWM, LED, TORQUE_ENABLE
 from drivers.dynamixel.standby import AdoptError, Handover, StandbyDriver
+from drivers.interface import DriverError
 from sim_backend.wire.faults import FaultKind
 from tests.support.servos.dxl_rig import WX200, Rig, build, enabled
 
@@ -218,3 +219,18 @@ def test_watchdogs_that_fired_beside_a_servo_without_torque_are_left_and_the_arm
     with pytest.raises(DxlServoFault, match="no other servo of the arm has torque") as lost:
         driver.read()
     assert lost.value.state is None
+
+
+def test_the_servo_that_is_blamed_for_a_watchdog_is_the_one_whose_has_fired(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = enabled()
+    commanded(rig)
+    driver = standby(rig)
+    rig.put(CONTROLLED[-1], BUS_WATCHDOG, WATCHDOG_TRIPPED)
+
+    def lost() -> None:
+        raise DriverError("bus", found="a lost packet", expected="an answer", remedy="again")
+
+    monkeypatch.setattr(driver, "rearm", lost)
+    assert np.isnan(driver.adopt(np.zeros(4))).all()
+    with pytest.raises(DxlServoFault, match=rf"servo {CONTROLLED[-1]} .*its bus watchdog has fired"):
+        driver.read()

@@ -179,6 +179,7 @@ WITHIN = {
     "power": Fed(turn=0.9, tau=POWER / 0.9 - JUST),
     "position": Fed(q=HIGHEST),
     "start": Fed(mode=Mode.READY, shift=(0.012, -0.016, 0.0, 0.06, 0.0, -0.08)),
+    "start, up and turned": Fed(mode=Mode.READY, shift=(0.0, 0.0, 0.02, 0.06, 0.0, -0.08)),
     "start, once it moves": Fed(shift=(0.03, 0.0, 0.0, 0.0, 0.0, 0.0)),
     "workspace": Fed(up_m=ROOM_UP - 1e-4),
     "saturated": Fed(flags=Flag.SATURATED, ticks=50),
