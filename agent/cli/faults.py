@@ -65,7 +65,7 @@ def inject(
         typer.Option(help="Arm (the cell's first); plant: telemetry of the truth.", autocompletion=complete.arms),
     ] = None,
     servo: Annotated[int | None, typer.Option(help="ID of one servo, instead of all of the arm.")] = None,
-    at: Annotated[float | None, typer.Option(min=0.0, help="When, s of the trajectory (3).")] = None,
+    at: Annotated[float | None, typer.Option(min=0.0, help=f"When, s of the trajectory ({AT_S:g}).")] = None,
     for_s: Annotated[float | None, typer.Option("--for", help="How long, s; for good without it.")] = None,
     size: Annotated[float | None, typer.Option(help="How much, in the unit of `list --kinds`.")] = None,
     duration: Annotated[float | None, typer.Option(help="Seconds of the trajectory.")] = None,

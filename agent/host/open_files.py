@@ -10,13 +10,14 @@ REMEDY: Final = "raise it with `ulimit -n 1024`, or LimitNOFILE= of a unit"
 
 
 def raised() -> int:
-    """The limit, raised to `NEEDED` where this user may."""
+    """The limit, raised to `NEEDED` where this user may; that much where there is none."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if soft == resource.RLIM_INFINITY:
+        return NEEDED
     least = NEEDED if hard == resource.RLIM_INFINITY else min(NEEDED, hard)
-    if soft == resource.RLIM_INFINITY or soft >= least:
-        return NEEDED if soft == resource.RLIM_INFINITY else soft
-    resource.setrlimit(resource.RLIMIT_NOFILE, (least, hard))
-    return least
+    if soft < least:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (least, hard))
+    return max(soft, least)
 
 
 def found() -> str:

@@ -1,5 +1,4 @@
-"""How the processes of a lockstep run share the processor: who has which core, all code in one memory
-layout.
+"""How the processes of a lockstep run share the processor: who has which core, and all code in one memory layout.
 
 Neither changes a result, and both only ask: where the host refuses, a run is slower.
 """

@@ -55,9 +55,7 @@ class Standing:
     rest_s: float = 0.0  # of READY before a start, in which the torque at rest is looked at
     ready_ns: int = 0  # since when it is READY, on CLOCK_MONOTONIC: nobody sets that
     session: Callable[[Event], str] | None = None  # why such an event counts for nothing now; None: there is no session
-    alone: Callable[[], str] = (
-        str  # why nobody goes on when this agent cannot; empty: somebody does, or none was wanted
-    )
+    alone: Callable[[], str] = str  # why nobody goes on when this agent cannot; empty: somebody does, or none is to
     details: Callable[[], Mapping[str, Any]] = dict  # asked for with each answer
 
     def enter(self, mode: Mode) -> None:
