@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from agent.cli.faults import _faults
 from agent.faults.catalogue import rows
 from agent.faults.plan import NAMES
 from agent.log.read import read_log
@@ -114,3 +115,9 @@ def test_a_motion_that_leaves_the_arms_reach_is_refused_before_anything_runs() -
     done = coop("faults", "inject", "paper_real", "bus-off", "--at", "1", "--duration", "4", *far)
     assert done.code == 2
     assert "unreachable by" in done.err
+
+
+@pytest.mark.parametrize(("said_s", "at_s"), [(None, 3.0), (0.0, 0.0), (1.5, 1.5)])
+def test_a_fault_of_which_no_instant_is_said_happens_at_three_seconds(said_s: float | None, at_s: float) -> None:
+    (fault,), _ = _faults("bus-off", arm="left", servo=None, at_s=said_s, for_s=None, size=None)
+    assert fault.at_s == at_s
