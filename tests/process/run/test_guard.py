@@ -411,6 +411,23 @@ def test_an_agent_of_a_session_that_dies_on_its_way_is_parked_by_its_guard(host:
     assert guard.wait(PATIENCE_S) == 0
 
 
+@pytest.mark.fault("P7")
+@pytest.mark.long  # without processes: tests/unit/operator/test_control_socket.py, tests/unit/process/test_agent_order.py
+@in_real_time("--whole", settings="\n[session]\nspeed_max_rad_per_s = 1.0\nease_s = 0.5\n")
+def test_an_agent_whose_guard_died_at_its_rest_fetches_no_object(host: Host) -> None:
+    guard = host.guard("--hold")
+    agent = host.agent("--whole")
+    host.wait(lambda: len(host.rows()) > SOME_ROWS)
+    guard.kill()
+    host.wait(lambda: any(text.startswith("the guard is gone") for text in host.told()))
+    refused = say(host, "approach")
+    assert "arm left in REST: the guard is gone" in refused
+    assert "a guard that watches it" in refused
+    assert set(host.rows()["mode"].tolist()) == {Mode.REST}
+    assert say(host, "release") == ""
+    assert agent.wait(PATIENCE_S) == 0
+
+
 def say(host: Host, word: str) -> str:
     """What is answered to a word that is refused; it is said again while the arm is not done."""
     for _ in range(40):
