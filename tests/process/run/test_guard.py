@@ -412,7 +412,7 @@ def test_an_agent_of_a_session_that_dies_on_its_way_is_parked_by_its_guard(host:
 
 
 @pytest.mark.fault("P7")
-@pytest.mark.long  # without processes: tests/unit/operator/test_control_socket.py, tests/unit/process/test_agent_order.py
+@pytest.mark.long  # without processes: test_control_socket.py and test_agent_order.py of unit/
 @in_real_time("--whole", settings="\n[session]\nspeed_max_rad_per_s = 1.0\nease_s = 0.5\n")
 def test_an_agent_whose_guard_died_at_its_rest_fetches_no_object(host: Host) -> None:
     guard = host.guard("--hold")
