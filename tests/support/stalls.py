@@ -7,10 +7,12 @@ import functools
 import os
 import subprocess
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from agent.log.read import LogError, RunLog, read_log
 from agent.safety import Flag
@@ -105,7 +107,12 @@ def despite_stalls(test: Callable[[Path], None]) -> Callable[[Path], None]:
 
 def stalled(log: RunLog, before_s: float = float("inf")) -> str:
     """What the machine, not the software, did until then: two periods late, or the emulator silent for as long."""
-    for arm, rows in log.agents.items():
+    return stalled_rows(log.agents, before_s)
+
+
+def stalled_rows(agents: Mapping[str, NDArray[np.void]], before_s: float = float("inf")) -> str:
+    """The same of the rows of each arm."""
+    for arm, rows in agents.items():
         early = rows[rows["t"] < before_s]
         lost = early["flags"] & Flag.STALE.value != 0
         if (lost[:-2] & lost[1:-1] & lost[2:]).any():
