@@ -6,6 +6,7 @@ import contextlib
 import math
 import subprocess
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Final
 
 from agent.host import python
@@ -20,9 +21,10 @@ UNFINISHED: Final = ".part"  # behind the name of a file that is not whole
 class BlackBox:
     """Starts the writer once, some cycles after the hold began, so that the hold's first cycles are in the file."""
 
-    def __init__(self, arguments: Sequence[str], cycles: int, *, wanted: bool) -> None:
-        """arguments: of `agent.process.post_mortem`."""
+    def __init__(self, arguments: Sequence[str], out: Path, cycles: int, *, wanted: bool) -> None:
+        """arguments: of `agent.process.post_mortem`; out: the file that they name."""
         self._command = python.command(WRITER, *arguments)
+        self._part = out.with_name(out.name + UNFINISHED)
         self._left = cycles if wanted else 0
         self._process: subprocess.Popen[bytes] | None = None
         self._refused = ""
@@ -50,11 +52,13 @@ class BlackBox:
         if not _ended(process, PATIENCE_S, meanwhile):
             process.kill()
             _ended(process, KILL_S, meanwhile)
-            missing(
-                f"its writer had not ended after {PATIENCE_S:g} s and was killed; what it began ends in {UNFINISHED}"
-            )
+            missing(f"its writer had not ended after {PATIENCE_S:g} s and was killed{self._begun()}")
         elif code := process.returncode:
-            missing(f"its writer ended with {code}, see the guard's journal; what it began ends in {UNFINISHED}")
+            missing(f"its writer ended with {code}, see the guard's journal{self._begun()}")
+
+    def _begun(self) -> str:
+        """Where what the writer began is, if it began."""
+        return f"; what it began is in {self._part}" if self._part.exists() else ""
 
     def _start(self) -> None:
         try:

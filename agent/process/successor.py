@@ -149,4 +149,4 @@ class Successor:
         file = options.post_mortem / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{arm}-post-mortem.mcap"
         arguments = (options.cell, arm, ring, file, reason)
         cycles = round(POST_MORTEM_AFTER_S * self._cell.file.rate_hz)
-        return BlackBox(list(map(str, arguments)), cycles, wanted=reason != HANDED_OVER)
+        return BlackBox(list(map(str, arguments)), file, cycles, wanted=reason != HANDED_OVER)

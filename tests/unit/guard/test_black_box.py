@@ -43,7 +43,7 @@ def gate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 @pytest.mark.parametrize("beats", [1, 3])
 def test_whoever_waits_for_the_writer_is_called_again_and_again_until_it_has_ended(gate: Path, beats: int) -> None:
-    box = BlackBox(["once"], 2, wanted=True)
+    box = BlackBox(["once"], gate.parent / "log", 2, wanted=True)
     for _ in range(beats):
         box.beat()
     looks: list[int] = []
@@ -72,29 +72,30 @@ def test_a_writer_that_hangs_is_ended_after_a_while_and_told(
 
     monkeypatch.setattr(subprocess, "Popen", Noted)
     monkeypatch.setattr(black_box, "PATIENCE_S", 3 * black_box.LOOK_S)
-    box = BlackBox(["once"], 2, wanted=True)
+    box = BlackBox(["once"], gate.parent / "log", 2, wanted=True)
     for _ in range(beats):
         box.beat()
     looks, told = list[int](), list[str]()
     box.finish(lambda: looks.append(1), told.append)
     assert len(looks) >= 3
-    assert told == ["its writer had not ended after 0.06 s and was killed; what it began ends in .part"]
+    assert told == ["its writer had not ended after 0.06 s and was killed"], "it began nothing"
     assert [writer.returncode for writer in started] == [-signal.SIGKILL]
     box.finish(lambda: pytest.fail("nobody is there"), pytest.fail)
 
 
 def test_a_writer_that_fails_or_cannot_be_started_is_told(gate: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (gate.parent / "waits.py").write_text("raise SystemExit(4)")
+    part = gate.parent / "log.part"
+    (gate.parent / "waits.py").write_text(f"open({str(part)!r}, 'x'); raise SystemExit(4)")
     told: list[str] = []
-    BlackBox([], 2, wanted=True).finish(lambda: None, told.append)
-    assert told == ["its writer ended with 4, see the guard's journal; what it began ends in .part"]
+    BlackBox([], gate.parent / "log", 2, wanted=True).finish(lambda: None, told.append)
+    assert told == [f"its writer ended with 4, see the guard's journal; what it began is in {part}"]
     monkeypatch.setattr(sys, "executable", str(gate.parent / "none"))
-    BlackBox([], 2, wanted=True).finish(lambda: pytest.fail("nobody is there"), told.append)
+    BlackBox([], gate.parent / "log", 2, wanted=True).finish(lambda: pytest.fail("nobody is there"), told.append)
     assert told[1:] == ["its writer could not be started (No such file or directory)"]
 
 
 def test_a_hold_that_was_asked_for_has_no_post_mortem(gate: Path) -> None:
-    box = BlackBox(["never"], 2, wanted=False)
+    box = BlackBox(["never"], gate.parent / "log", 2, wanted=False)
     box.beat()
     box.finish(lambda: pytest.fail("there is nobody to wait for"), pytest.fail)
     assert not (gate.parent / "told").exists()

@@ -48,10 +48,10 @@ def test_who_describes_a_run_is_ours(elsewhere: Path) -> None:
 
 
 def test_who_writes_a_post_mortem_and_who_carries_out_a_study_are_ours(elsewhere: Path) -> None:
-    box = black_box.BlackBox([*"12345"], 1, wanted=True)
+    box = black_box.BlackBox([*"12345"], Path("4"), 1, wanted=True)
     told: list[str] = []
     box.finish(lambda: None, told.append)
-    assert told == ["its writer ended with 2, see the guard's journal; what it began ends in .part"]
+    assert told == ["its writer ended with 2, see the guard's journal"]
     worker = work._start()
     assert worker.stdin is not None
     worker.stdin.close()
