@@ -52,6 +52,17 @@ def test_reference_acceleration_is_the_derivative_of_the_reference_velocity(cell
     assert np.abs(found - rate).max() < 1e-9 * max(1.0, np.abs(rate).max())
 
 
+def test_near_the_desired_pose_a_displacement_counts_whole_in_the_errors_and_a_turn_half() -> None:
+    still, unit = (0.0,) * 6, (1.0, 1.0, 1.0)
+    p, quat = (0.1, -0.2, 0.3), (0.5, 0.5, -0.5, 0.5)
+    gains, small = Gains(unit, unit, unit, unit, (1.0,) * 6), 1e-6
+    for axis, part in enumerate(errors.HALF_ANGLE):
+        moved = small * np.eye(6)[axis]
+        away = tuple((np.array(p) + moved[:3]).tolist())
+        found = errors.evaluate(away, quaternion_step(quat, moved[3:]), still, Desired(p, quat, still, still), gains).e
+        np.testing.assert_allclose(found, part * moved, atol=1e-6 * small)
+
+
 @given(cells(), SEEDS)
 @examples(60)
 def test_error_rates_are_those_of_the_error_dynamics(cell: RandomCell, seed: int) -> None:
