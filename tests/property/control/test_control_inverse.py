@@ -105,3 +105,12 @@ def test_the_pseudo_inverse_is_that_of_numpy_to_the_bit(seed: int, shape: tuple[
         J[-1] = 0.0  # a direction in which the arm cannot move at all
     assert pseudo_inverse(J).tobytes() == np.ascontiguousarray(np.linalg.pinv(J)).tobytes()
     assert np.isfinite(pseudo_inverse(J)).all()
+
+
+@pytest.mark.parametrize(
+    "sizes", [(1.0, 1.5e-15), (1e3, 1.5e-12), (1e3, 1e-14), (1.0, 1e-10, 1e-20), (1.0, 1e-15), (0.0, 0.0)], ids=str
+)
+def test_the_pseudo_inverse_takes_for_rounding_what_numpy_does(sizes: tuple[float, ...]) -> None:
+    J = np.zeros((len(sizes), len(sizes) + 1))
+    np.fill_diagonal(J, sizes)
+    assert pseudo_inverse(J).tobytes() == np.ascontiguousarray(np.linalg.pinv(J)).tobytes()

@@ -107,7 +107,9 @@ def test_whole_delays_use_one_acceleration_and_no_bit_of_the_other(delay: float)
 def test_gains_and_delay_are_keys_of_the_cell() -> None:
     keys = ("position_gain=0.3", "velocity_gain=0.1", "velocity_from_position_per_s=7.0")
     cell = load_cell(PAPER, ["loop_delay_s=0.002", *(f"controller.observer.{key}" for key in keys)])
-    assert build_agent(cell, cell.arms[1]).observer == Observer(PERIOD, 0.3, 7.0, 0.1, 0.4)
+    found = build_agent(cell, cell.arms[1]).observer
+    assert found == Observer(PERIOD, 0.3, 7.0, 0.1, 0.4)
+    assert "array" not in repr(found), "its gains, each once"
     shipped = load_cell(PAPER)
     assert build_agent(shipped, shipped.arms[0]).observer == Observer(PERIOD, 0.2, 5.0, 0.2, 1.0)
 
