@@ -6,7 +6,8 @@ from itertools import product
 
 import pytest
 
-from agent.modes import FLOATING, TABLE, Event, Mode, next_mode
+from agent.modes import FLOATING, TABLE, WAY_BACK, Event, Mode, mode_name, mode_of, next_mode
+from agent.session_modes import next_in_session
 
 OF_OBJECT = [mode for mode in Mode if mode <= Mode.FAULT]  # the others are of a session: test_session_modes.py
 ALL_EVENTS = [Event(bits) for bits in range(2 * Event.RELEASED)]
@@ -151,3 +152,19 @@ def test_float_is_entered_from_off_alone() -> None:
     assert next_mode(Mode.OFF, Event.FLOATED) is Mode.FLOAT
     assert {Mode.FLOAT, Mode.STAND, Mode.SINK} == FLOATING
     assert {m for m in Mode if next_mode(m, Event.FLOATED) in FLOATING} == {Mode.OFF, *FLOATING}
+
+
+def test_the_way_back_is_what_a_session_passes_from_its_hold_to_its_rest() -> None:
+    mode, passed = Mode.HOLD, []
+    for event in (Event.LOWER, Event.RELEASED, Event.PARK):
+        mode = next_in_session(mode, event)
+        passed.append(mode)
+    assert next_in_session(mode, Event.ARRIVED) is Mode.REST
+    assert frozenset(passed) == WAY_BACK
+
+
+def test_a_number_of_a_row_names_its_mode_and_one_of_another_version_itself() -> None:
+    assert [mode_of(mode.value) for mode in Mode] == list(Mode)
+    assert [mode_name(mode.value) for mode in Mode] == [mode.name for mode in Mode]
+    later = max(Mode) + 1
+    assert (mode_of(later), mode_name(later)) == (None, str(later))
