@@ -17,6 +17,8 @@ from drivers.dynamixel.servo.units import AngleScale, current_unit_A, ticks_rad,
 
 FAULT_WITHIN_S = 0.05
 SILENT_LIMIT_CYCLES = 8
+NOISE_LIMIT_CYCLES = 5
+NOISE_BYTES = 128  # beyond all that was asked for; an answer that came late is there once
 NO_EFFECT_AFTER_S = 0.04
 GOAL_WORTH_A = 0.15  # smaller goals may drown in what the servo does not resolve
 ANSWER_WORTH_A = 0.01  # three counts: less is no current at all
@@ -65,6 +67,27 @@ class SilenceCheck:
             cause, instead = FaultCause.OUTDATED, ", old answers in each"
         text = f"{missed} cycles without an answer{instead}"
         return DxlServoFault.of(cause, slot, found=text, expected="an answer every cycle")
+
+
+class NoiseCheck:
+    """Counts cycles in which the line carried far more than was asked for, though answers may still be read.
+
+    Whoever babbles also speaks while goals are sent: they may get lost.
+    """
+
+    def __init__(self, first: ServoSlot, asked_bytes: int) -> None:
+        """first: of the chain, for the line is no servo; asked_bytes: most that a healthy cycle brings."""
+        self._first = first
+        self._most = asked_bytes + NOISE_BYTES
+        self._in_a_row = 0
+
+    def check(self, heard_bytes: int) -> list[DxlServoFault]:
+        """The line's fault, once enough cycles in a row have brought too much."""
+        self._in_a_row = self._in_a_row + 1 if heard_bytes > self._most else 0
+        if self._in_a_row < NOISE_LIMIT_CYCLES:
+            return []
+        text = f"{heard_bytes} bytes, as many in each of {self._in_a_row} cycles"
+        return [DxlServoFault.of(FaultCause.NOISE, self._first, found=text, expected=f"at most {self._most} a cycle")]
 
 
 class JumpCheck:

@@ -70,6 +70,11 @@ class CycleReader:
         self._number = 0
         self._outdated = b""  # what the last cycle heard, if answers to earlier requests were in it
 
+    @property
+    def answer_bytes(self) -> int:
+        """Most that the answers of a healthy cycle have."""
+        return max(group.reply_bytes for group in (*self._fast_groups, *self._each_groups))
+
     def read(self) -> CycleRows:
         """One cycle.  The caller has thrown away older input.  Raises PortLostError, WriteTimeoutError."""
         careful = self._careful_left > 0 or not self.fast

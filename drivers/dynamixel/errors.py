@@ -159,6 +159,7 @@ class FaultCause(enum.Enum):
     SILENT = "does not answer"
     GARBLED = "no intact answer comes from it"
     OUTDATED = "no answer of this cycle comes from it"
+    NOISE = "the line carries far more than was asked for"
     REFUSED_TORQUE = "torque could not be switched on"
     NOT_KEPT = "a register does not hold what was written"
 
@@ -169,6 +170,7 @@ _AFTER_FAULT = {
     FaultCause.NOT_KEPT: "try again; if it persists its EEPROM is worn, or its firmware does not know the value",
     FaultCause.SILENT: "check its cable and those before it in the chain, and the 12 V supply",
     FaultCause.GARBLED: "answers are spoiled on the way: check the plugs and cables of the chain, and the adapter",
+    FaultCause.NOISE: "check the adapter, the cable and its shield, and that nobody else talks on this bus",
     FaultCause.OUTDATED: "the adapter holds answers back or repeats them: unplug and plug it, or take another",
 }
 # what a cause makes plain that looked like something else before

@@ -124,6 +124,11 @@ class GapMonitor:
         return -(-len(self._often) * SLOW_EVERY // (SLOW_EVERY - 1))
 
     @property
+    def answer_bytes(self) -> int:
+        """Most that the answer to a question has."""
+        return max(question.read.reply_bytes for question in (*self._often, *self._seldom))
+
+    @property
     def awaited(self) -> bool:
         """True while a question has no answer."""
         return self._pending is not None

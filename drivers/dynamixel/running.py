@@ -11,7 +11,7 @@ import numpy as np
 from drivers.dynamixel.arm_map import ArmMap
 from drivers.dynamixel.bringup import effort_register, efforts_at_rest, goal_limits
 from drivers.dynamixel.budget import LinkTiming, cycle_budget, health_servos_per_gap
-from drivers.dynamixel.checks import FAULT_WITHIN_S
+from drivers.dynamixel.checks import FAULT_WITHIN_S, NoiseCheck
 from drivers.dynamixel.cycle import CycleReader, CycleRows
 from drivers.dynamixel.errors import DxlServoFault, FaultCause
 from drivers.dynamixel.events import DriverEvent, EventKind, EventSink, OncePerServo
@@ -91,6 +91,7 @@ class Running:
         budget = cycle_budget(arm, fast=fast, link=link)
         per_gap = health_servos_per_gap(arm, budget, fast=fast, link=link)
         self.monitor = GapMonitor(self._records, per_gap, arm.baud, link, tell, fast=fast)
+        self._noise = NoiseCheck(arm.slots[0], self.reader.answer_bytes + self.monitor.answer_bytes)
         self._write_ns = round(1e9 * budget.write_s)
         self._writers = self._make_writers()
         self.grip = GripControl.of(arm, limits)
@@ -161,7 +162,10 @@ class Running:
             if row is not None and row[0] & ALERT_BIT:
                 self._bus.counters.alerts += 1
                 self.monitor.alert(record.slot.servo_id)
-        return self._interpreter.read(cycle, self._goals)
+        reading = self._interpreter.read(cycle, self._goals)
+        heard = len(self._health_heard) + len(cycle.heard)
+        reading.faults += self._noise.check(0 if cycle.late else heard)  # old answers are no noise
+        return reading
 
     def faults(self, reading: Reading, known: list[DxlServoFault]) -> list[DxlServoFault]:
         """Known faults and this cycle's new ones; one that explains another of its servo takes that one's place.

@@ -345,6 +345,32 @@ def test_babble_ends_by_its_deadline():
     assert max(c.read_ns for c in done) < PERIOD_NS
 
 
+@pytest.mark.fault("B5")
+@pytest.mark.parametrize("joints", [len(WX200.joints), 3])
+def test_babble_is_a_fault_within_ten_cycles_also_where_answers_are_read_amid_it(joints: int) -> None:
+    rig = enabled(at(WX200, joints=WX200.joints[:joints]), timing=WIRE)
+    rest = np.zeros(len(rig.arm.controlled))
+    cycles(rig, 20, rest)
+    rig.fault(FaultKind.BABBLE)
+    done = cycles(rig, 10, rest)
+    fresh_is_fresh(done)
+    told = [error for c in done if isinstance(error := c.error, DxlServoFault) and error.cause is FaultCause.NOISE]
+    assert told
+    assert (told[0].servo_id, told[0].joint) == (1, "waist")
+    assert done[-1].error is not None
+    assert joints > 3 or all(c.state is not None or isinstance(c.error, DxlServoFault) for c in done)
+
+
+@pytest.mark.fault("B5")
+def test_all_that_is_asked_for_is_no_noise_however_often_it_comes() -> None:
+    rig = warm()
+    for kind in (FaultKind.DELAY, FaultKind.DROP):  # answers that come late, or are asked for again
+        rig.fault(kind, 4)
+        errors = [c.error for c in cycles(rig, 40) if c.error is not None]
+        assert errors
+        assert not any(isinstance(error, DxlServoFault) and error.cause is FaultCause.NOISE for error in errors)
+
+
 @pytest.mark.fault("B6")
 def test_a_port_that_is_stuck_ends_within_a_cycle():
     rig = warm()
