@@ -14,7 +14,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
-from scipy.signal import butter, sosfiltfilt
 
 from agent.control.models import ArmModel
 from agent.identify.columns import Base, all_columns, object_torque
@@ -95,6 +94,8 @@ def low_pass(values: Matrix, cutoff_hz: float, period_s: float) -> Matrix:
             "cut-off of the low-pass", found=f"{cutoff_hz:g} Hz", expected=f"below {0.5 / period_s:g} Hz",
             remedy="take a few times the highest frequency of the trajectory",
         )  # fmt: skip
+    from scipy.signal import butter, sosfiltfilt  # noqa: PLC0415 - half a second, which who names a fit does not need
+
     sections = butter(FILTER_ORDER, cutoff_hz, fs=1.0 / period_s, output="sos")
     filtered: Matrix = sosfiltfilt(sections, values, axis=0)
     return filtered

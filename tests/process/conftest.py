@@ -28,7 +28,7 @@ WAITING = (
 # as quick as the emulated servos' motions are in tests/unit/test_whole.py; two seconds of the whole motion count
 QUICK = (
     "session.speed_max_rad_per_s=2.0", "session.back_off_m=0.03", "session.lift_m=0.015", "session.lift_s=0.8",
-    "session.lower_s=0.8", "session.take_up_s=0.4", "session.ease_s=0.3", "report.transient_s=2",
+    "session.lower_s=0.5", "session.take_up_s=0.3", "session.ease_s=0.3", "report.transient_s=2",
 )  # fmt: skip
 WHOLE_RUN = (
     "two_wx200", "--wire", "--whole", "--duration", WHOLE_S, "--no-report",

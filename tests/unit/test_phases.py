@@ -203,6 +203,7 @@ def test_power_lost_by_one_arm_leaves_the_other_holding_and_all_come_back_with_i
     assert {name: rig.way(name)[:2] for name in rig.arms} == {name: [REST, APPROACH] for name in rig.arms}
 
 
+@pytest.mark.long  # closed on nothing: tests/unit/test_session.py; refused, it opens again: test_session_modes.py
 @pytest.mark.fault("F9")
 def test_an_object_ten_millimetres_off_is_refused_and_the_gripper_opens_again() -> None:
     rig = PhaseRun(

@@ -18,7 +18,9 @@ from tests.support.once import once
 from tests.support.plant.plant_arm import run_one
 from tests.support.telemetry.run_log import write_run
 
-CELL = configs.CELLS_DIR / "identify_wx200.toml"
+CELL = load_cell(  # two of the three periods of its motion
+    configs.CELLS_DIR / "identify_wx200.toml", ("duration_s=40.0", "trajectory.motion_s=40.0")
+)
 
 
 @pytest.fixture(scope="module")
@@ -26,9 +28,8 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of a whole run of the cell."""
 
     def make(folder: Path) -> None:
-        cell = load_cell(CELL)
-        rows = run_one(cell, cell.file.duration_s).rows
-        write_run(folder / "run.mcap", cell, {cell.arms[0].name: rows})
+        rows = run_one(CELL, CELL.file.duration_s).rows
+        write_run(folder / "run.mcap", CELL, {CELL.arms[0].name: rows})
 
     return once(tmp_path_factory, "identify-run", make)
 
@@ -48,10 +49,9 @@ def test_a_log_becomes_a_table_a_figure_and_an_arm_file_that_a_cell_can_use(foun
     assert {path.name for path in new.iterdir()} == {"wx200.toml", "identify_wx200.png", "identify_wx200.json"}
     assert (new / "identify_wx200.png").read_bytes().startswith(b"\x89PNG")
     (new / "wx200.urdf").write_bytes((configs.ARMS_DIR / "wx200.urdf").read_bytes())
-    before = load_cell(CELL)
-    after = cell_from_toml(before.toml, "the cell", new)
-    assert after.fingerprint != before.fingerprint
-    for old, found in zip(before.arms[0].servos, after.arms[0].servos, strict=True):
+    after = cell_from_toml(CELL.toml, "the cell", new)
+    assert after.fingerprint != CELL.fingerprint
+    for old, found in zip(CELL.arms[0].servos, after.arms[0].servos, strict=True):
         assert found.coulomb_Nm.status == "measured"
         assert found.coulomb_Nm.value == pytest.approx(old.coulomb_Nm.value, rel=0.02)
         assert found.viscous_Nm_s_per_rad.value == pytest.approx(old.viscous_Nm_s_per_rad.value, rel=0.05)
@@ -59,7 +59,7 @@ def test_a_log_becomes_a_table_a_figure_and_an_arm_file_that_a_cell_can_use(foun
 
 def test_the_summary_is_complete(found: tuple[Done, Path]) -> None:
     summary = json.loads((found[1] / "identify_wx200.json").read_text())
-    assert summary["fingerprint"] == load_cell(CELL).fingerprint
+    assert summary["fingerprint"] == CELL.fingerprint
     assert len(summary["base_parameters"]) == 17
     assert len(summary["figures"]) == 9
     for joint in summary["joints"]:

@@ -330,6 +330,7 @@ def test_an_arm_whose_adapter_is_unplugged_for_a_while_comes_back_in_hold_throug
     assert not (host.folder / "post_mortem").exists(), "the agent never was gone"
 
 
+@pytest.mark.long  # tests/unit/guard/test_guarded.py has the agent, tests/unit/process/test_guard_looks.py the guard
 @in_real_time()
 def test_an_agent_that_is_asked_to_end_leaves_the_hold_to_its_guard(host: Host) -> None:
     guard = host.guard("--hold")

@@ -123,6 +123,7 @@ def wait_until_held(cell: Cell, clock: Path) -> None:
 
 @in_real_time
 def test_words_reach_the_living_and_say_who_is_dead(cell: Cell, tmp_path: Path) -> None:
+    second = cell.process(*agent_of(cell.file, "left"), "--ring", str(tmp_path / "other.ring"))  # loads meanwhile
     clock = clock_file(tmp_path / "clock.json", 5.1e-3)
     code, told = cell.coop("start", cell.file, "--in", "1000", "--host", "two", "--clock", clock)
     assert (code, "clock of this host: found synchronised, error at most 5.1 ms" in told) == (7, True), told
@@ -135,8 +136,6 @@ def test_words_reach_the_living_and_say_who_is_dead(cell: Cell, tmp_path: Path) 
     assert (arm["mode"], arm["start_utc_ns"]) == ("READY", None)
     code, told = cell.coop("release", cell.file, "--arm", "right")
     assert (code, "right: refuses in READY" in told) == (7, True), told
-
-    second = cell.process(*agent_of(cell.file, "left"), "--ring", str(tmp_path / "other.ring"))
     told = second.communicate(timeout=60)[0]
     assert (second.returncode, "found an agent that listens there" in told) == (7, True), told
 

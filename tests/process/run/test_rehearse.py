@@ -31,7 +31,7 @@ from tests.support.stalls import Kernel, Stalled, despite_stalls
 
 pytestmark = [pytest.mark.realtime, pytest.mark.fault("H5")]
 ARMS = ("left", "right")
-START_NS = 2_500_000_000
+START_NS = 1_000_000_000
 TRACK_S = 0.5  # before the plant is killed
 HOLD_CYCLES = 30  # after it
 PATIENCE_S = 60.0

@@ -39,7 +39,7 @@ from tests.support.telemetry.telemetry_cell import (
 )
 
 MEMBERS = (*ARMS, PLANT)
-ROWS, SLOTS = 4500, 1024  # of each member's run, and of its ring
+ROWS, SLOTS = 2500, 512  # of each member's run, and of its ring
 
 
 def record_cell(folder: Path, rows: int, rate_hz: float | None, **changes: Any) -> RunLog:

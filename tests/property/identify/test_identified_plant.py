@@ -42,10 +42,11 @@ class Known:
         return [self.fit.base.rotor(j) for j in range(self.recording.arm.n)]
 
 
+SHORTER = ("duration_s=40.0", "trajectory.motion_s=40.0")  # two of the three periods
 RUNS = [
-    ("identify_wx200", 1),
+    ("identify_wx200", 1, SHORTER),
     *(
-        pytest.param(run, marks=pytest.mark.long)
+        pytest.param((*run, ()), marks=pytest.mark.long)
         for run in (("identify_wx250s", 4), ("identify_wx200", 2), ("identify_mk2", 3))
     ),
 ]
@@ -53,8 +54,8 @@ RUNS = [
 
 @pytest.fixture(scope="module", params=RUNS, ids=lambda run: f"{run[0]}-{run[1]}")
 def known(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Known:
-    name, seed = request.param
-    cell, random = load_cell(configs.CELLS_DIR / f"{name}.toml"), np.random.default_rng(seed)
+    name, seed, settings = request.param
+    cell, random = load_cell(configs.CELLS_DIR / f"{name}.toml", settings), np.random.default_rng(seed)
     factors = {j: {key: float(random.uniform(0.5, 1.6)) for key in KEYS} for j in cell.arms[0].entry.controlled}
     recording, truth = from_plant(cell, tmp_path_factory.mktemp(name), factors)
     return Known(recording, factors, truth, fit(recording, Options()))
