@@ -7,7 +7,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from agent.around import Schedule
 from agent.modes import Event, Mode, next_mode
+from agent.ticks import NOT_YET_NS, Ticks
 from drivers.interface import Vector
 from tests.support.runner_rig import START_AFTER, Done, lost, lost_at, period_ns, q_start, run
 
@@ -73,6 +75,13 @@ def test_an_arm_that_nobody_starts_stays_where_it_is_longer_than_a_day(
     assert len(done.of(Mode.READY)) == 82
     assert done.of(Mode.READY)["t"][-1] > 40 * period_ns() * 1e-9, "its day is over"
     assert done.of(Mode.READY)["e_p"] == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("t", "told"), [(1.5, "t = 1.500 s: "), (-2.0, "t = -2.000 s: "), (-0.5e-9 * NOT_YET_NS, "before a start: ")]
+)
+def test_what_happens_is_told_with_its_instant_once_there_is_a_start(t: float, told: str) -> None:
+    assert Ticks(Schedule(period_ns(), 10, lockstep=False, hold_at_end=True), 0).told(t) == told
 
 
 def test_the_common_start_moves_the_phase_once_and_makes_no_cycle_late() -> None:

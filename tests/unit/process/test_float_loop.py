@@ -117,7 +117,7 @@ class Bench:
         told = SimpleNamespace(start_ns=lambda: 77, entered=lambda mode: self.told.append(("entered", mode)))
         given: Any = (floats, options, self.gripper, now, self.ring, lambda: self.stops, tell, None, None)
         more: Any = {"agent": None if builds else self.agent, "told": told if floats.moves else None}
-        monkeypatch.setattr(float_loop, "build_agent", lambda *_: self.agent)
+        monkeypatch.setattr(float_loop, "build_agent", lambda *_: self.agent if builds else pytest.fail("it has one"))
         self.loop = FloatLoop(*given, **more)
 
     def _runner(self, *given: Any) -> Any:
