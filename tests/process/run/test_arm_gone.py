@@ -22,7 +22,7 @@ from agent.config.cell import Cell, load_cell
 from agent.faults.catalogue import Shown, row
 from agent.log.columns import Table
 from agent.log.read import RunLog, read_log
-from agent.modes import Mode
+from agent.modes import Mode, mode_name
 from agent.report.series import grasp_wrenches, internal_wrenches
 from agent.telemetry.ring.reader import RingReader
 from agent.telemetry.row.sample import AGENT_STATE
@@ -97,8 +97,9 @@ class Host:
             return np.frombuffer(reader.read_at(reader.written - count, count).payload, AGENT_STATE.dtype)
 
     def motion_s(self, arm: str) -> float:
-        """Since the common start; negative before it."""
+        """Since the common start; negative before it.  An arm that holds by itself fails the test."""
         last = self.rows(arm, last=1)[-1]
+        assert last["mode"] in (Mode.READY, Mode.TRACK), f"{arm} is in {mode_name(last['mode'])} before anybody died"
         return float(last["t"]) if last["mode"] == Mode.TRACK else -1.0
 
     def stalled(self) -> str:
