@@ -42,6 +42,11 @@ LOGS: Entries = {
         ("map_file", _MAPPED, _MAPPED.replace("else 0", "else 1")): "MAP_SHARED is 1",
     },
     "agent.telemetry.ring.reader": {
+        (
+            "RingReader.read_last",
+            "following = self.read_at(behind, end - behind)",
+            "following = self.read_at(behind, end + behind)",
+        ): "rows that nobody has written yet are not intact",
         ("RingReader.close", "if self._fd < 0:", "if self._fd <= 0:"): _STANDARD_INPUT,
         ("RingReader.close", "if self._fd < 0:", "if self._fd < 1:"): _STANDARD_INPUT,
         ("RingReader.close", "self._fd = -1", "self._fd = -2"): "both are no descriptor",
