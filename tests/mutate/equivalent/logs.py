@@ -27,6 +27,7 @@ _TIMES = (
 )
 
 _ALIGNED = "aligned = [quat * np.sign(np.sum(quat * first, axis=1, keepdims=True)) for _, quat in poses.values()]"
+_SIZE = "return ring_file.make_header(row_format, slots=slots, name='', joints=(), created_ns=0).file_bytes"
 
 LOGS: Entries = {
     "agent.telemetry.ring.file": {
@@ -57,6 +58,7 @@ LOGS: Entries = {
         ): "saves checksums: the index is in them, so a copy of another row fails there",
     },
     "agent.telemetry.ring.writer": {
+        ("file_bytes", _SIZE, _SIZE.replace("created_ns=0", "created_ns=1")): "a size has no date",
         ("RingWriter.wait_for_space", _HAS_SPACE, "if False:"): _NO_CLOCK,
         ("RingWriter.wait_for_space", _HAS_SPACE, _HAS_SPACE.replace(" - ", " + ")): _NO_CLOCK,
         ("RingWriter.wait_for_space", "return", "pass"): _NO_CLOCK,

@@ -12,7 +12,7 @@ import pytest
 
 from agent.telemetry.ring.file import ACKNOWLEDGED_WORD, MESSAGE_IN_SLOT, SLOTS_OFFSET, RingError
 from agent.telemetry.ring.reader import RingReader
-from agent.telemetry.ring.writer import RingWriter
+from agent.telemetry.ring.writer import RingWriter, file_bytes
 from agent.telemetry.row.sample import AGENT_STATE, PLANT_STATE
 
 SLOTS = 16
@@ -51,6 +51,10 @@ def test_rows_come_back_byte_for_byte_and_in_order(path: Path, writer: RingWrite
 def test_a_ring_holds_forty_seconds_at_200_Hz(tmp_path: Path) -> None:
     with RingWriter(tmp_path / "plant.ring", PLANT_STATE, "plant") as ring:
         assert ring.header.slots == 8192
+
+
+def test_how_large_a_ring_is_is_known_before_there_is_one(path: Path, writer: RingWriter) -> None:
+    assert file_bytes(AGENT_STATE, SLOTS) == path.stat().st_size
 
 
 def test_row_stays_the_same_memory_so_views_can_be_kept(path: Path, writer: RingWriter) -> None:
