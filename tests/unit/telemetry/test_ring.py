@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from agent.telemetry.ring import writer as writer_of_rings
 from agent.telemetry.ring.file import ACKNOWLEDGED_WORD, MESSAGE_IN_SLOT, SLOTS_OFFSET, RingError
 from agent.telemetry.ring.reader import RingReader
 from agent.telemetry.ring.writer import RingWriter, file_bytes
@@ -64,6 +65,12 @@ def test_row_stays_the_same_memory_so_views_can_be_kept(path: Path, writer: Ring
     writer.commit()
     with RingReader(path, AGENT_STATE) as reader:
         assert AGENT_STATE.decode(reader.read_new(8).payload)["t"].tolist() == [0.0, 2.5]
+
+
+def test_rows_are_aligned_wherever_their_memory_is() -> None:
+    rows = [writer_of_rings._aligned_row(AGENT_STATE.dtype)[0] for _ in range(40)]
+    assert len({row.ctypes.data % 144 for row in rows}) > 1
+    assert {(row.ctypes.data + 4) % 8 for row in rows} == {0}
 
 
 def test_payloads_are_aligned_to_eight_bytes_in_memory_and_in_the_file(writer: RingWriter) -> None:
