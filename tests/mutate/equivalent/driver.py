@@ -19,6 +19,9 @@ _NOTHING_TO_UNSTUFF = "saves counting and replacing what is not there"
 _REGISTERS = "registers: Mapping[str, Register] = field(repr=False, compare=False)"
 _OPPOSED = "opposed = followed[1] * shadow[1] < 0 and min(abs(followed[1]), abs(shadow[1])) >= self._fight"
 
+_LARGEST_COUNT = "return round(share * (self.register(generic).maximum or 0))"
+_NOISE = "reading.faults += self._noise.check(0 if cycle.late else heard)"
+
 DRIVER: Entries = {
     "drivers.dynamixel.checks": {
         ("SilenceCheck.check", "if None not in rows:", "if False:"): "the short way for a cycle with all answers",
@@ -136,6 +139,7 @@ DRIVER: Entries = {
         ("StatusScanner.feed", "if excess > 0:", "if excess >= 0:"): "drops nothing where nothing is too much",
     },
     "drivers.dynamixel.servo.models": {
+        ("ServoModel.share_count", _LARGEST_COUNT, _LARGEST_COUNT.replace("or 0", "or False")): "False is zero",
         ("ServoModel", _REGISTERS, _REGISTERS.replace("repr=False", "repr=True")): "how it is printed",
     },
     "drivers.dynamixel.servo.units": {
@@ -145,6 +149,7 @@ DRIVER: Entries = {
         ("_at_another_speed", "return None", "pass"): _NONE,
     },
     "drivers.dynamixel.running": {
+        ("Running.interpret", _NOISE, _NOISE.replace("0 if", "1 if")): "one byte is no noise either",
         ("Running.again", _TAKES_ON, _TAKES_ON.replace("made.grip is not None", "True")): _SAME_GRIPPER,
         ("Running.again", _TAKES_ON, _TAKES_ON.replace("self.grip is not None", "True")): _SAME_GRIPPER,
         ("Running.again", _TAKES_ON, _TAKES_ON.replace(" and ", " or ")): _SAME_GRIPPER,

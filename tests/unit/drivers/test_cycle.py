@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from drivers.dynamixel.budget import LinkTiming
-from drivers.dynamixel.cycle import MARKS, marked_groups
+from drivers.dynamixel.cycle import MARKS, PLAIN_BYTES_MAX, marked_groups
 from drivers.dynamixel.line.bus import DxlCounters
 from tests.support.servos.dxl_rig import WX200, at
 from tests.support.servos.scripted_line import (
@@ -44,6 +44,11 @@ def test_rows_come_in_the_order_of_the_arm_whatever_the_order_asked_for(fast: bo
         orders.add(asked(request))
     assert len(orders) == (14 if fast else MARKS)
     assert bench.counters == DxlCounters()
+
+
+@pytest.mark.parametrize("fast", [True, False])
+def test_the_longest_answer_is_that_of_each_servo_with_the_longest_mark(fast: bool) -> None:
+    assert Bench(whole(), fast=fast).reader.answer_bytes == 7 * (PLAIN_BYTES_MAX + 11)
 
 
 def test_a_request_must_be_taken_before_the_read_is_over() -> None:

@@ -17,7 +17,7 @@ from drivers.dynamixel.pace import PaceError, check_rate
 from drivers.dynamixel.servo.counts import TICK_RAD
 from drivers.dynamixel.servo.models import SERVOS
 from drivers.dynamixel.servo.thermal import ThermalWatch
-from drivers.dynamixel.servo.torque import CurrentDrive, PwmDrive, torque_drive
+from drivers.dynamixel.servo.torque import CurrentDrive, PwmDrive, needed_pwm_count, torque_drive
 from drivers.dynamixel.servo.units import AngleScale, current_unit_A
 from tests.support.servos.dxl_rig import WX200, XL, XM, at
 
@@ -27,6 +27,17 @@ WRIST = JointMap("wrist_rotate", XL, (6,), (False,), tau_max_Nm=0.8)
 
 TORQUE = st.floats(-10.0, 10.0)
 SPEED = st.floats(-4.0, 4.0)
+
+
+@pytest.mark.parametrize(
+    ("joint", "stall_Nm", "count"),
+    [(ONE, 4.1, 432), (TWO, 8.2, 432), (WRIST, 1.5, 472)],
+    ids=lambda value: str(value)[:20],
+)
+def test_the_part_of_the_supply_that_a_torque_takes_at_rest_is_its_part_of_stall(
+    joint: JointMap, stall_Nm: float, count: int
+) -> None:
+    assert needed_pwm_count(joint) == count == math.ceil(joint.tau_max_Nm / stall_Nm * 100.0 / 0.113)
 
 
 @given(TORQUE)

@@ -132,6 +132,11 @@ def test_a_gap_that_is_too_short_by_a_nanosecond_is_left_alone(fast: bool) -> No
     assert request == bench.monitor._often[0].read.request, "nothing was passed over"
 
 
+@pytest.mark.parametrize("per_gap", [1, 3, 7])
+def test_the_longest_answer_is_the_status_of_as_many_servos_as_a_gap_takes(per_gap: int) -> None:
+    assert Bench(per_gap).monitor.answer_bytes == len(codec.status(1, 0, bytes(6))) * per_gap
+
+
 def test_nothing_is_asked_while_an_answer_is_awaited() -> None:
     bench = Bench()
     assert not bench.monitor.awaited

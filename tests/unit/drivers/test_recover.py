@@ -8,9 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from drivers.dynamixel.bringup import BringUp
 from drivers.dynamixel.errors import DxlServoFault, FaultCause, NotEnabledError, PortError, PortLostError, RearmError
 from drivers.dynamixel.identify import IdentityError
+from drivers.dynamixel.recovery import limp
 from drivers.dynamixel.servo import table
+from drivers.dynamixel.servo.codes import WATCHDOG_TRIPPED
 from drivers.interface import DriverError, Recovering, ServoFault, StaleStateError
 from sim_backend.wire.faults import FaultKind
 from tests.support.servos.dxl_rig import WX200, build, enabled
@@ -181,6 +184,60 @@ def test_an_arm_whose_torque_is_gone_for_another_reason_has_not_lapsed(cause: Fa
     rig = tripped()
     rig.driver.faults.append(DxlServoFault(cause, servo_id=4, joint="elbow", found="", expected=""))
     assert rig.driver.lapsed is False
+
+
+def faults_of(**causes: FaultCause) -> list[DxlServoFault]:
+    """Of servos by ID (as `_1`), in that order."""
+    return [
+        DxlServoFault(cause, servo_id=int(key[1:]), joint="j", found="", expected="") for key, cause in causes.items()
+    ]
+
+
+TRIPPED, OFF, LED_OFF = FaultCause.WATCHDOG_TRIPPED, FaultCause.TORQUE_LOST, FaultCause.REBOOTED
+OTHERS = {f"_{i}": TRIPPED for i in IDS if i not in (2, 5)}
+
+
+@pytest.mark.parametrize(
+    ("causes", "lost"),
+    [
+        ({f"_{i}": OFF for i in IDS}, 1),
+        ({**OTHERS, "_5": LED_OFF, "_2": OFF}, 5),
+        ({"_2": OFF, **OTHERS, "_5": TRIPPED}, 2),
+        ({**OTHERS, "_2": TRIPPED, "_5": TRIPPED}, None),
+        ({**OTHERS, "_2": OFF}, None),
+        ({"_2": OFF}, None),
+        ({**OTHERS, "_2": OFF, "_5": FaultCause.GOAL_IGNORED}, None),
+        ({}, None),
+    ],
+    ids=str,
+)
+def test_an_arm_is_lost_where_no_servo_has_torque_and_one_has_lost_it_for_good(
+    causes: dict[str, FaultCause], lost: int | None
+) -> None:
+    found = limp(WX200, faults_of(**causes))
+    assert (found and found.servo_id) == lost
+    assert found is None or "no other servo of the arm has torque" in str(found)
+
+
+def test_a_watchdog_of_a_servo_without_torque_says_nothing_of_those_that_have_some() -> None:
+    rig = working()
+    for servo in IDS:
+        rig.put(servo, table.BUS_WATCHDOG, ARMED if servo == 4 else WATCHDOG_TRIPPED)
+    rig.put(4, table.TORQUE_ENABLE, 0)
+    with pytest.raises(DxlServoFault, match=r"servo 4 .*no other servo of the arm has torque"):
+        steps(rig).has_stopped()
+
+
+def test_a_watchdog_that_is_off_has_fired_where_arming_it_failed_and_nowhere_else() -> None:
+    rig = working()
+    assert steps(rig).has_stopped(half_armed=True) is False
+    rig.put(5, table.BUS_WATCHDOG, 0)
+    assert steps(rig).has_stopped() is False
+    assert steps(rig).has_stopped(half_armed=True) is True
+
+
+def steps(rig: Any) -> BringUp:
+    return BringUp(rig.driver._bus, rig.arm, rig.driver._found, rig.events.append)
 
 
 def test_a_silent_servo_costs_one_period_and_nothing_is_written() -> None:

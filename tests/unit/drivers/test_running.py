@@ -25,6 +25,7 @@ from drivers.dynamixel.servo.codes import HardwareError
 from drivers.interface import JointState
 from tests.support.servos.dxl_rig import WX200, XL, at, build, with_gripper
 
+STILL: tuple[Row, ...] = ((0, 0, 0, 2048),) * 7
 NOTHING = JointState(0, np.zeros(4), np.zeros(4), np.zeros(4))
 OVERLOAD, HOT = HardwareError.OVERLOAD, HardwareError.OVERHEATING
 
@@ -276,6 +277,30 @@ def test_the_goals_that_were_sent_are_what_answers_are_held_against(bench: Bench
     running.write([0.0, 2.0, 0.0, 0.0], bench.clock.ns)
     found = [running.interpret(CycleRows(5 * k, still, b"", False, False), 7).faults for k in range(8)]
     assert [(f.cause, f.servo_id) for f in found[-1]] == [(FaultCause.NO_EFFECT, 4)]
+
+
+@pytest.mark.parametrize("between", [0, 300, 10_000])
+def test_what_the_line_carries_in_a_cycle_and_between_two_counts_and_old_answers_are_no_noise(
+    bench: Bench, between: int
+) -> None:
+    reader, monitor = bench.running.reader, bench.running.monitor
+    most = reader.answer_bytes + monitor.answer_bytes + 128
+    running = bench.alone()
+    for bytes_more, late, told in ((0, False, False), (1, True, False), (1, False, True)):
+        between = min(between, most)
+        faults: list[DxlServoFault] = []
+        for _ in range(5):
+            bench.line.at_once = [bytes(between)] if between else []
+            running.hear_health()
+            heard = bytes(most - between + bytes_more)
+            faults = running.interpret(CycleRows(5, list(STILL), heard, late, False), 7).faults
+        assert [(f.cause, f.servo_id, f.expected) for f in faults] == told * [
+            (FaultCause.NOISE, 1, f"at most {most} a cycle")
+        ]
+
+
+def test_nothing_of_an_arm_that_was_connected_is_armed_in_part(bench: Bench) -> None:
+    assert bench.running.half_armed is False
 
 
 # --- faults ----------------------------------------------------------------------------------------------------------

@@ -87,6 +87,13 @@ def test_what_a_model_has_no_register_for_has_no_factory_value() -> None:
     assert SERVOS["MX-64"].default(table.PRESENT_POSITION) is None
 
 
+def test_a_share_is_of_the_largest_count_and_of_none_where_any_count_is_taken() -> None:
+    assert SERVOS["XM430-W350"].share_count(table.GOAL_CURRENT, 0.4) == round(0.4 * 1193) == 477
+    assert SERVOS["XL430-W250"].share_count(table.GOAL_PWM, 1.0) == 885
+    assert SERVOS["MX-64"].share_count(table.PRESENT_POSITION, 1.0) == 0
+    assert models.CONTINUOUS_SHARE == 0.2
+
+
 def test_a_model_can_be_a_key() -> None:
     assert len({*SERVOS.values()}) == len(SERVOS)
 
