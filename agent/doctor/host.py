@@ -44,7 +44,7 @@ def read_facts(log_folder: Path, versions: str) -> HostFacts:
     while not folder.exists():
         folder = folder.parent
     return HostFacts(
-        fifo=_fifo_granted(),
+        fifo=fifo_granted(),
         rtprio_limit=resource.getrlimit(resource.RLIMIT_RTPRIO)[1],
         memlock_bytes=_memlock_bytes(),
         governors=_governors(),
@@ -135,8 +135,8 @@ def _rest(facts: HostFacts, log_bytes: float) -> Sequence[Finding]:
     )  # fmt: skip
 
 
-def _fifo_granted() -> bool:
-    """Take SCHED_FIFO for a moment."""
+def fifo_granted() -> bool:
+    """Whether this host gives this process SCHED_FIFO; takes it for a moment."""
     policy, parameter = os.sched_getscheduler(0), os.sched_getparam(0)
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))

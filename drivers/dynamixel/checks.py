@@ -1,4 +1,4 @@
-"""What one cycle's rows say about the servos: silent, jumping, without effect, at odds.
+"""What one cycle brings says about the servos (silent, jumping, without effect, at odds) and about a noisy line.
 
 Thresholds are set so that no healthy arm reaches them: a false alarm lets N arms hold a load in mid-air.
 """

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 import configs
 from agent.config.cell import Cell, load_cell
+from agent.doctor.host import fifo_granted
 from agent.faults.catalogue import Shown, row
 from agent.log.columns import Table
 from agent.log.read import RunLog, read_log
@@ -40,17 +41,6 @@ SERVOS = 90  # emulated ones need a core when real ones do not
 NS = 1e-9
 
 
-def real_time() -> bool:
-    """Whether this host gives real-time priorities."""
-    before, param = os.sched_getscheduler(0), os.sched_getparam(0)
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(SERVOS))
-    except PermissionError:
-        return False
-    os.sched_setscheduler(0, before, param)
-    return True
-
-
 class Host:
     """Processes of one cell on this host; all of them end with the test."""
 
@@ -60,7 +50,7 @@ class Host:
         self.words = (folder / "words").open("a")
         self.log = folder / "run.mcap"
         self.processes: list[subprocess.Popen[str]] = []
-        self.real_time = real_time()
+        self.real_time = fifo_granted()
 
     def start(self, command: str, *arguments: str | Path) -> subprocess.Popen[str]:
         process = subprocess.Popen(

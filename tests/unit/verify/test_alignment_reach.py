@@ -6,11 +6,12 @@ import pytest
 
 from agent.config.cell import Cell, ConfigError
 from agent.verify.alignment_reach import alignment_reach
-from agent.verify.check import _instants, examine, start_configurations
+from agent.verify.check import _instants, examine
 from agent.verify.finding import Finding, Verdict
 from agent.verify.path import along_trajectory
 from agent.verify.robustness import REACH_PLACES, Walk
 from tests.support.control.criterion_cells import cell_of, gentle
+from tests.support.starts import start_joints
 
 SERVOS = ('driver="dynamixel"', 'arms.left.dynamixel={port="/dev/a"}', 'arms.right.dynamixel={port="/dev/b"}')
 
@@ -18,7 +19,7 @@ SERVOS = ('driver="dynamixel"', 'arms.left.dynamixel={port="/dev/a"}', 'arms.rig
 def limits(cell: Cell) -> list[Finding]:
     """Of the cell's own motion, as a check finds them beside much else that takes longer."""
     models, instants = [cell.model(arm) for arm in cell.arms], _instants(cell).times
-    starts = zip(cell.arms, models, start_configurations(cell, models), strict=True)
+    starts = zip(cell.arms, models, start_joints(cell), strict=True)
     paths = [along_trajectory(cell, arm, model, q, instants).q for arm, model, q in starts]
     few = Walk(cell, models, list(zip(*paths, strict=True)), instants).some(REACH_PLACES)
     return alignment_reach(cell, models, few.along, few.instants)
