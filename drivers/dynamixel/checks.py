@@ -86,7 +86,7 @@ class NoiseCheck:
         self._in_a_row = self._in_a_row + 1 if heard_bytes > self._most else 0
         if self._in_a_row < NOISE_LIMIT_CYCLES:
             return []
-        text = f"{heard_bytes} bytes, as many in each of {self._in_a_row} cycles"
+        text = f"{heard_bytes} bytes, too many in each of {self._in_a_row} cycles"
         return [DxlServoFault.of(FaultCause.NOISE, self._first, found=text, expected=f"at most {self._most} a cycle")]
 
 

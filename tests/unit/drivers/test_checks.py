@@ -117,8 +117,8 @@ def test_a_line_that_carries_too_much_in_each_of_five_cycles_is_told_of_its_firs
     assert [cycle for cycle, faults in enumerate(found) if faults] == [9, 10]
     (fault,), (again,) = found[9:11]
     assert (fault.cause, fault.servo_id, fault.joint) == (FaultCause.NOISE, 1, "waist")
-    assert (fault.found, fault.expected) == ("300 bytes, as many in each of 5 cycles", "at most 228 a cycle")
-    assert again.found == "400 bytes, as many in each of 6 cycles"
+    assert (fault.found, fault.expected) == ("300 bytes, too many in each of 5 cycles", "at most 228 a cycle")
+    assert again.found == "400 bytes, too many in each of 6 cycles"
     assert (NOISE_BYTES, NOISE_LIMIT_CYCLES) == (128, 5)
 
 
