@@ -118,6 +118,7 @@ def test_a_line_that_carries_too_much_in_each_of_five_cycles_is_told_of_its_firs
     (fault,), (again,) = found[9:11]
     assert (fault.cause, fault.servo_id, fault.joint) == (FaultCause.NOISE, 1, "waist")
     assert (fault.found, fault.expected) == ("300 bytes, too many in each of 5 cycles", "at most 228 a cycle")
+    assert "that nobody else talks on this bus" in str(fault)
     assert again.found == "400 bytes, too many in each of 6 cycles"
     assert (NOISE_BYTES, NOISE_LIMIT_CYCLES) == (128, 5)
 

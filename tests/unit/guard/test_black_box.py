@@ -101,6 +101,17 @@ def test_a_hold_that_was_asked_for_has_no_post_mortem(gate: Path) -> None:
     assert not (gate.parent / "told").exists()
 
 
+def test_a_guard_names_the_file_that_its_writer_was_given(gate: Path) -> None:
+    (gate.parent / "waits.py").write_text("import sys; open(sys.argv[4] + '.part', 'x'); raise SystemExit(4)")
+    agent = SimpleNamespace(arm="left", control=None)
+    options: Any = SimpleNamespace(agent=agent, cell=gate.parent / "cell.toml", post_mortem=gate.parent)
+    guard: Any = Successor(CELL, CELL.arm("left"), None, options, None, None)  # type: ignore[arg-type]
+    told: list[str] = []
+    guard._black_box(gate.parent / "left.ring", "the agent has died").finish(lambda: None, told.append)
+    (part,) = gate.parent.glob("*-left-post-mortem.mcap.part")
+    assert told == [f"its writer ended with 4, see the guard's journal; what it began is in {part}"]
+
+
 @pytest.mark.parametrize("fails", [False, True])
 def test_an_arm_is_let_go_of_before_its_post_mortem_is_waited_for_and_the_watchdog_is_stroked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fails: bool
