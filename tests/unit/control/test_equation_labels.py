@@ -7,6 +7,7 @@ import io
 import re
 import tokenize
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -112,16 +113,19 @@ def _statement(functions: list[ast.FunctionDef], line: int) -> tuple[str, str]:
     return function.name, ", ".join(ast.unparse(t).strip("()") for t in targets)
 
 
-FOUND = sorted(place for path in sorted(CONTROL.glob("*.py")) for place in labels_beside_code(path))
+@cache
+def found() -> list[tuple[tuple[str, str, str], str]]:
+    """All of them: looked for when the first test asks, not when tests are gathered, which each worker does."""
+    return sorted(place for path in sorted(CONTROL.glob("*.py")) for place in labels_beside_code(path))
 
 
 @pytest.mark.parametrize(("place", "label"), PLACES.items(), ids=[" ".join(p) for p in PLACES])
 def test_label_stands_beside_the_line_that_implements_it(place: tuple[str, str, str], label: str) -> None:
-    assert (place, label) in FOUND
+    assert (place, label) in found()
 
 
 def test_every_label_beside_code_is_listed_here() -> None:
-    assert {place for place, _ in FOUND} == set(PLACES)
+    assert {place for place, _ in found()} == set(PLACES)
 
 
 def test_every_equation_of_the_paper_has_its_line_or_a_reason_to_have_none() -> None:
