@@ -16,6 +16,7 @@ from agent.calm import BRAKE, JOINTS, LAW, brake_per_s, braking, felt, kept, slo
 from agent.control import adaptive, cause, joint_hold, known
 from agent.control.adaptation import Estimate
 from agent.control.alignment import Alignment, shifted
+from agent.control.brace import NOT_BRACED, Brace, braced_with
 from agent.control.errors import Errors, attitude_angle
 from agent.control.estimator import Observer
 from agent.control.floating import Floating
@@ -24,7 +25,7 @@ from agent.control.law import Offline
 from agent.control.memory import Memory, initial
 from agent.control.models import ArmModel
 from agent.control.quaternion import Quat, Vec3
-from agent.control.residual import Channels, Residual, Sense, nothing_sensed
+from agent.control.residual import Residual, Sense, nothing_sensed
 from agent.control.terms import CMD, DDQ_REF, Terms
 from agent.control.trajectory import Desired, Trajectory, at_rest
 from agent.modes import FLOATING, Mode
@@ -64,6 +65,7 @@ class Agent:
     start: tuple[Vec3, Quat] | None = None  # where the cell says that the object is before the start
     alignment: Alignment | None = None  # None: READY holds what this arm sees, TRACK follows the common motion
     residual: Residual | None = None  # None: nothing is sensed through the object
+    brace: Brace | None = None  # None: a hold that is carried on does not pull back
     damp_above_rad_per_s: float = math.inf  # a joint faster than this in HOLD is braked
     session: phases.Session | None = None  # None: the arm begins with the object in its gripper
     floating: Floating | None = None  # None: nobody is to guide it by hand
@@ -145,12 +147,15 @@ def step(agent: Agent, state: JointState, t: float, mode: Mode, memory: Memory) 
         shift = agent.alignment.advance(shift, terms.errors, agent.period_s, ready=mode is _READY)
     if session is not None and mode is _TRACK:
         shift = phases.blended(shift, t, agent.period_s, session.start_blend_s)
+    braced = NOT_BRACED
+    if agent.brace is not None and mode is _HOLD and calm == LAW and terms.J_inv_P is not None:
+        braced = agent.brace.advance(memory.braced, terms.errors.e_p)
     # what the torque asks for, as the observer must know
     ddq = slowed(speed, brake, wanted, limited) if damped else terms.joints[DDQ_REF]
     carried = Memory(
         q, dq, ddq, memory.ddq, limited, memory.tau, True, sense, shift, calm,
         memory.hold, t, estimate, memory.q_hold, memory.age + agent.period_s,
-        memory.missed if mode is _HOLD else 0,
+        memory.missed if mode is _HOLD else 0, braced,
     )  # fmt: skip
     return Outcome(q, dq, terms, limited, flags, carried, sensed)
 
@@ -223,13 +228,7 @@ def explained(agent: Agent, outcome: Outcome) -> str:
     residual, sensed, terms = agent.residual, outcome.sensed, outcome.terms
     if residual is None or sensed is None or terms is None or Flag.UNEXPECTED not in outcome.flags:
         return ""
-    sense, wrench, found, v = outcome.memory.sense, np.array(sensed[:6]), Channels(*sensed[6:]), terms.desired.v
-    if not residual.tripped(found, sense, wrench):
-        f, weighs, drags = (wrench - sense.base)[:3], residual.weighed(sense), residual.dragged(sense)
-        behind = cause.behind(f, v, agent.offline.gravity, weighs=weighs, drags=drags)
-        return f"{cause.described(behind, found)}, {cause.felt(sense)}"
-    f, limit_N = cause.force(residual, sense, wrench)
-    return cause.described(cause.causes(f, limit_N, v, agent.offline.gravity), found)
+    return cause.told(residual, outcome.memory.sense, sensed, terms.desired.v, agent.offline.gravity)
 
 
 def _off_track(agent: Agent, errors: Errors) -> bool:
@@ -261,12 +260,14 @@ def _law(
     if life is not None and part < 1.0:
         law = _of_object(agent, memory, q, dq, _desired(agent, t, mode, memory)) if part > 0.0 else None
         return phases.handed_over(agent.model, agent.offline, life, memory, part, law, q, dq), estimate, False
-    desired = _desired(agent, t, mode, memory)
+    desired, offline = _desired(agent, t, mode, memory), agent.offline
+    if mode is _HOLD and memory.braced.force_N:
+        offline = braced_with(offline, memory.braced, desired.quat)
     if adaptation is None:
-        return known.torque(agent.model, agent.offline, q, dq, desired), None, False
+        return known.torque(agent.model, offline, q, dq, desired), None, False
     if estimate is None:
         raise TypeError("the adaptive law needs the estimate that its memory began with (initial_memory)")
-    terms, gradient = adaptive.torque(agent.model, agent.offline, adaptation, estimate, q, dq, desired)
+    terms, gradient = adaptive.torque(agent.model, offline, adaptation, estimate, q, dq, desired)
     if not memory.primed or (mode is not _TRACK and mode is not _READY):
         return terms, estimate, False
     advanced, held = adaptation.advance(estimate, gradient, t - memory.t)

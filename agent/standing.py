@@ -11,6 +11,7 @@ import numpy as np
 
 from agent.calm import JOINTS
 from agent.control.alignment import between
+from agent.control.brace import NOT_BRACED, begun
 from agent.control.errors import Errors, attitude_angle
 from agent.control.memory import Memory
 from agent.loop import GENTLE_TICKS, Agent, Outcome
@@ -33,14 +34,16 @@ def hold_here(agent: Agent, q: Vector, memory: Memory) -> Memory:
 def hold_after(agent: Agent, outcome: Outcome) -> Memory:
     """Memory after `outcome` with what to hold from then on.
 
-    An arm that aligns itself with the others holds the pose that it was following, and goes on pulling as it did.  Any
+    An arm that aligns itself with the others holds the pose that it was following, and goes on pulling as it did; it
+    braces itself against being carried on along the motion, if its cell says so (agent.control.brace).  Any
     other holds the object where it is, and so does every arm where the object is far from that pose, where the arm
     nears a singular one, and where the law gave nothing.
     """
     terms = outcome.terms
     if agent.alignment is None or terms is None or Flag.SINGULAR in outcome.flags or _far(terms.errors):
         return hold_here(agent, outcome.q, outcome.memory)
-    return outcome.memory._replace(hold=(*terms.desired.p, *terms.desired.quat), q_hold=outcome.q)
+    pose, braced = (*terms.desired.p, *terms.desired.quat), begun(terms.desired.v, terms.errors.e_p)
+    return outcome.memory._replace(hold=pose, q_hold=outcome.q, braced=braced)
 
 
 def _far(errors: Errors) -> bool:
@@ -62,4 +65,4 @@ def afresh(memory: Memory, marks: Flag) -> Memory:
     if Flag.RESUMED in marks:
         zero = 0.0 * memory.tau
         memory = memory._replace(tau=zero, tau_before=zero, calm=JOINTS + GENTLE_TICKS + 1)
-    return memory._replace(primed=False, hold=None, q_hold=None) if marks else memory
+    return memory._replace(primed=False, hold=None, q_hold=None, braced=NOT_BRACED) if marks else memory

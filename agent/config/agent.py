@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from agent.config import coordination, floating, observer, session
+from agent.config import coordination, floating, noticing, observer, session
 from agent.config.cell import Arm, Cell
 from agent.loop import Agent
 from agent.phases import Session
@@ -26,7 +26,7 @@ def build_agent(cell: Cell, arm: Arm) -> Agent:
         return _working(cell, arm)
     agent = _working(cell, arm, alone=True)
     if spec.moves(arm.name):  # a hand, and an arm that gives way, are what it would notice
-        return replace(agent, floating=floating.build(cell, arm, spec), residual=None)
+        return replace(agent, floating=floating.build(cell, arm, spec), residual=None, brace=None)
     return replace(
         agent,
         offline=floating.carried(agent.offline, spec),
@@ -34,6 +34,7 @@ def build_agent(cell: Cell, arm: Arm) -> Agent:
         sigma_min=0.0,
         alignment=None,
         residual=None,
+        brace=None,
     )
 
 
@@ -56,6 +57,7 @@ def _working(cell: Cell, arm: Arm, *, alone: bool = False) -> Agent:
         start=coordination.start_pose(cell),
         alignment=coordination.alignment(cell, arm),
         residual=coordination.residual(cell),
+        brace=noticing.brace(cell),
         damp_above_rad_per_s=math.inf if safety.hold_speed_max_rad_per_s is None else safety.hold_speed_max_rad_per_s,
         session=None if alone else _session(cell, arm, tau_max),
     )

@@ -34,6 +34,7 @@ from agent.config.statics import carried_Nm
 from agent.config.trajectory import sample_times
 from agent.control import ik
 from agent.control.against import Against
+from agent.control.brace import Brace
 from agent.control.errors import HALF_ANGLE
 from agent.control.inverse import SingularJacobian, invert_jacobian
 from agent.control.knock import Knock
@@ -65,6 +66,7 @@ CLIMBING: Final = 0.285  # of the same: the level at which a climb counts
 TOUCH_ALONG: Final = (1.05, 0.15)  # times an arm's share of a touch
 KNOCK: Final = 1.05  # of the level's limit, for what strikes the object
 ALONE: Final = 2  # arms that feel a touch as they feel the other one
+BRACE_N: Final = 2.0  # of a hold that three and more arms carry on
 FLOORS: Final = Channels(0.5, 0.05, 0.3, 0.03)
 
 
@@ -123,6 +125,14 @@ def against(cell: Cell) -> Against | None:
 def knock(along: Against | None) -> Knock | None:
     """Sense of what strikes the object, with a limit that follows from `against` of the cell (`along`)."""
     return None if along is None else Knock(along.period_s, float(f"{KNOCK * along.level_N:.3g}"))
+
+
+def brace(cell: Cell) -> Brace | None:
+    """How an arm that holds pulls back where it is carried on; None where it does not."""
+    spec = cell.file.safety.noticing
+    derived_N = 0.0 if len(cell.arms) <= ALONE else BRACE_N
+    limit_N = derived_N if spec.brace_N is None else spec.brace_N
+    return Brace(1.0 / cell.file.rate_hz, limit_N) if spec.enabled and limit_N else None
 
 
 def touch(cell: Cell, limits: Channels) -> Touch | None:

@@ -32,6 +32,22 @@ class Cause(enum.StrEnum):
     PUSH = "the object is pushed or pulled"
 
 
+def told(
+    residual: Residual, sense: Sense, sensed: Sequence[float], v: Sequence[float], gravity: Sequence[float]
+) -> str:
+    """What may be behind what made an arm hold, for a person.
+
+    sensed: the unexpected wrench (6), N and N·m, sizes of its channels (4); v, gravity: as for `causes`.
+    """
+    wrench, found = np.array(sensed[:6]), Channels(*sensed[6:])
+    if not residual.tripped(found, sense, wrench):
+        weighs, drags = residual.weighed(sense), residual.dragged(sense)
+        fits = behind((wrench - sense.base)[:3], v, gravity, weighs=weighs, drags=drags)
+        return f"{described(fits, found)}, {felt(sense)}"
+    f, limit_N = force(residual, sense, wrench)
+    return described(causes(f, limit_N, v, gravity), found)
+
+
 def force(residual: Residual, sense: Sense, wrench: Vector) -> tuple[Vector, float]:
     """Force (3,) of the channel that is farthest above its limit, world axes, N, and that channel's limit of force."""
     found, limits = residual.channels(sense, wrench), residual.limits

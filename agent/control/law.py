@@ -21,7 +21,7 @@ from agent.control.terms import BY_WRENCHES, CMD, DDQ_REF, DQ_REF, FRICTION, JOI
 from agent.control.trajectory import Desired, Vec6
 from drivers.interface import Vector
 
-_NO_WRENCH: Vec6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+NO_WRENCH: Vec6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 _SUMS = np.array([[True, k != FRICTION] for k in range(len(JOINT_TERMS))[SUMMANDS]], dtype=np.float64).T.copy()
 
 
@@ -122,9 +122,9 @@ def add_wrenches(model: ArmModel, offline: Offline, k: Kinematics, e: Errors, lo
         -k_v[4] * e_v[4] - c * x[4],
         -k_v[5] * e_v[5] - c * x[5],
     )
-    internal = _NO_WRENCH if wanted is None else rotate_wrench(k.R_world_object, wanted)
+    internal = NO_WRENCH if wanted is None else rotate_wrench(k.R_world_object, wanted)
     model.scratch.three(feedback, load, internal).dot(k.Jt.T, joints[BY_WRENCHES])
-    return _NO_WRENCH if wanted is None else shift_to_ee(k, internal)
+    return NO_WRENCH if wanted is None else shift_to_ee(k, internal)
 
 
 def add_sums(joints: Matrix) -> Vector:

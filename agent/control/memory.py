@@ -9,7 +9,8 @@ import numpy as np
 from agent.control.adaptation import Estimate
 from agent.control.against import FLAT, pull_of
 from agent.control.alignment import NO_SHIFT, Shift
-from agent.control.knock import struck_of
+from agent.control.brace import NOT_BRACED, Braced, braced_of
+from agent.control.knock import STRUCK, struck_of
 from agent.control.residual import Sense, nothing_sensed
 from agent.control.touch import PLAIN, plain_of
 from drivers.interface import Vector
@@ -42,6 +43,7 @@ class Memory(NamedTuple):
     q_hold: Vector | None = None  # joint angles at that pose, for a hold that needs no inverse of the Jacobian
     age: float = 0.0  # s of the ticks in this mode; what goes by it is not hurried by ticks that were missed
     missed: int = 0  # ticks until a hold forgets that it had no state for some (agent.loop)
+    braced: Braced = NOT_BRACED  # of a hold that is carried on (agent.control.brace)
 
     @property
     def calm_and_missed(self) -> int:
@@ -53,14 +55,14 @@ class Memory(NamedTuple):
 
         Joint arrays padded to seven, None as zeros; pose to hold (7), primed, time, shift (6), calm and MISSED times
         `missed`, age; of `sense` the wrenches (6), `ticks`, the pull against the motion and down (14), what is plain
-        (8) and what strikes (5).
+        (8) and what strikes (5); how it is braced (5).
         """
         own, sense, n = self[:6], self.sense, len(self.q)
         joints = np.zeros((JOINT_ARRAYS, MEMORY_JOINTS))
         for row, array in zip(joints, (*own, self.q_hold, *sense[:3]), strict=True):
             if array is not None:
                 row[:n] = array
-        behind = self.calm_and_missed, self.age, *sense.wrenches
+        behind = self.calm_and_missed, self.age, *sense.wrenches, *self.braced
         rest = *(self.hold or NO_POSE), self.primed, self.t, *self.shift, *behind
         return [*joints.ravel().tolist(), *map(float, rest)]
 
@@ -84,7 +86,8 @@ def restore(flat: Vector, n: int, estimate: Estimate | None = None) -> Memory:
     missed, calm = divmod(int(tail[15]), MISSED)
     base, slow, rest = (np.array(tail[k : k + 6]) for k in (17, 23, 29))
     plain_at, struck_at = 36 + FLAT, 36 + FLAT + PLAIN
-    found = pull_of(tail[36:plain_at]), plain_of(tail[plain_at:struck_at], n), struck_of(tail[struck_at:])
+    braced_at = struck_at + STRUCK
+    found = pull_of(tail[36:plain_at]), plain_of(tail[plain_at:struck_at], n), struck_of(tail[struck_at:braced_at])
     return Memory(
         q,
         dq,
@@ -102,4 +105,5 @@ def restore(flat: Vector, n: int, estimate: Estimate | None = None) -> Memory:
         q_hold=None if hold is None else q_hold,
         age=tail[16],
         missed=missed,
+        braced=braced_of(tail[braced_at:]),
     )

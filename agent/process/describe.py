@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from agent.config.cell import Arm, Cell, load_cell
-from agent.config.noticing import against, knock, thresholds, touch
+from agent.config.noticing import against, brace, knock, thresholds, touch
 from agent.config.reality import reality_of
 from agent.config.schema.driver import DriverKind
 from agent.host.info import versions
@@ -45,6 +45,7 @@ def run_info(cell: Cell, driver: DriverKind, seed: int) -> bytes:
         "noticing": thresholds(cell)._asdict() if cell.file.safety.noticing.enabled else None,
         "noticing_against": _against(cell),
         "noticing_touch": _touch(cell),
+        "noticing_brace_N": None if (braced := brace(cell)) is None else braced.limit_N,
         "driver": driver.value,
         "hil": cell.file.hil.arms if cell.file.hil is not None else [],
         "seed": seed,

@@ -65,7 +65,11 @@ def noticed(cell: Cell) -> list[Finding]:
     touched = "" if may_be is None else f" ({may_be.most_N:g} N where it may be a touch)"
     at_once, staying = f"{x.fast_N:g} N{touched}, {x.fast_Nm:g} N·m", f"{x.slow_N:g} N, {x.slow_Nm:g} N·m"
     found = f"{at_once} at once; {staying} that stay{along} ({source})"
-    return [Finding(what, "cell", found, "")]
+    brace = noticing.brace(cell)
+    if brace is None:
+        return [Finding(what, "cell", found, "")]
+    pulls = Finding("an arm that holds pulls back", "cell", f"up to {brace.limit_N:g} N where it is carried on", "")
+    return [Finding(what, "cell", found, ""), pulls]
 
 
 def unlearnt(cell: Cell, models: Sequence[ArmModel], q_start: Sequence[Vector]) -> list[Finding]:

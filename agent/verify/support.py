@@ -15,7 +15,8 @@ its least, as `[tolerance]` states them; NOT_HELD is what sags by more the other
 more than moving ones; in between either may happen.
 
 A locked arm carries itself; the others pull at it by what the desired pose moves on until they notice.  An arm that
-holds gives way by its own stiffness.
+holds gives way by its own stiffness, and where it braces itself (agent.control.brace) by so much less as its pull back
+is worth, but no less than a locked one.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from agent.config import noticing
 from agent.config.cell import Arm, Cell
 from agent.control.errors import HALF_ANGLE
 from agent.control.friction import Friction
@@ -133,7 +135,11 @@ class Statics:
         each = enumerate(zip(cell.arms, models, strict=True))
         self._arms = [_arm(cell, arm, model, [q[i] for q in along], P, self._weight) for i, (arm, model) in each]
         motion = cell.trajectory()
-        self._speed = np.array([P @ np.array(motion.at(t).v) for t in instants])
+        twists = np.array([motion.at(t).v for t in instants])
+        self._speed = twists @ P.T
+        self._along = _units(twists[:, :3]) @ P[:, :3].T
+        brace = noticing.brace(cell)
+        self._brace_N = 0.0 if brace is None else brace.limit_N
         # an arm's weight against its torque: masses and torque constants are independent
         off = math.hypot(tolerance.masses, tolerance.torque_constant)
         low, high = tolerance.friction
@@ -153,8 +159,10 @@ class Statics:
             fate = Fate.NOT_HELD
         gone = (NOTICED_S if len(others) == 1 else NOTICED_MORE_S) * self._speed
         S, S_others = self._arms[failed].S, np.sum([self._arms[i].S for i in others], axis=0)
-        # the holding arm stays where S x = S_others (gone − x)
-        given = gone @ np.linalg.solve(S + S_others, S_others).T
+        # the holding arm stays where S x + pull = S_others (gone − x)
+        drawn = gone @ S_others.T
+        pull_N = np.clip(np.sum(drawn * self._along, axis=1), 0.0, self._brace_N)
+        given = np.linalg.solve(S + S_others, (drawn - pull_N[:, None] * self._along).T).T
         return Support(
             limp=self._largest(others, x),
             sag_m=expected,
@@ -230,6 +238,13 @@ def _arm(cell: Cell, arm: Arm, model: ArmModel, along: Sequence[Vector], P: Matr
         coulomb=np.array([s.coulomb_Nm.value for s in arm.servos]),
         fed=offline.friction,
     )
+
+
+def _units(v: Matrix) -> Matrix:
+    """Rows (T, 3) of length one, or zero where there is no motion."""
+    length = np.linalg.norm(v, axis=1, keepdims=True)
+    units: Matrix = np.divide(v, length, out=np.zeros_like(v), where=length > 0.0)
+    return units
 
 
 def _apply(matrix: Matrix, vectors: Matrix) -> Matrix:

@@ -51,6 +51,8 @@ class NoticingSpec(Strict):
     """Pull against the motion from which it does, 1.05 of it down or at once, 1.25 up; none: derived, of three arms."""
     climb_N: Force | None = None
     """Climb against the motion, thrice in 0.45 s, with which 0.6 of it does; none: derived, of three arms and more."""
+    brace_N: Annotated[float, Field(ge=0.0, le=20.0)] | None = None
+    """Pull back, at the most, of an arm that holds and is carried on; none: 2 of three arms and more, 0 of two."""
     rate_per_s: Annotated[float, Field(gt=0.0, le=200.0)] = 30.0
     """Bandwidth of the residual."""
     slow_per_s: Annotated[float, Field(gt=0.0, le=50.0)] | None = None

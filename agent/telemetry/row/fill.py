@@ -10,6 +10,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.control.brace import BRACED
 from agent.control.memory import NO_POSE, Memory
 from agent.control.residual import Sense
 from agent.control.terms import JOINT_TERMS, Terms
@@ -126,7 +127,7 @@ class AgentRow:
             memory.tau.tobytes(), memory.tau_before.tobytes(),
             _ABSENT if memory.q_hold is None else memory.q_hold.tobytes(), of_sense,
             *(memory.hold or NO_POSE), memory.primed, memory.t, *memory.shift, memory.calm_and_missed, memory.age,
-            behind,
+            behind, *memory.braced,
         )  # fmt: skip
         if memory.estimate is not None:
             self._theta_arm[: len(memory.estimate.arm)] = memory.estimate.arm
@@ -190,8 +191,8 @@ def _packer(first: str, last: str, joint_count: int) -> struct.Struct:
 
 def _code(f: Field, joints: str) -> str:
     if f.name == "memory":
-        sense = 8 * SENSE_ARRAYS * MAX_JOINTS, 8 * SENSE_REST
-        return f"{(MEMORY_ARRAYS - SENSE_ARRAYS) * joints}{sense[0]}s{MEMORY_REST - SENSE_REST}d{sense[1]}s"
+        sense, own = (8 * SENSE_ARRAYS * MAX_JOINTS, 8 * SENSE_REST), MEMORY_REST - SENSE_REST - BRACED
+        return f"{(MEMORY_ARRAYS - SENSE_ARRAYS) * joints}{sense[0]}s{own}d{sense[1]}s{BRACED}d"
     return joints if _is_of_joints(f) else f"{max(f.length, 1)}{f.struct_code}"
 
 

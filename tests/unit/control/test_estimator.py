@@ -11,6 +11,7 @@ import pytest
 import configs
 from agent.config.cell import load_cell
 from agent.control.against import pull_of
+from agent.control.brace import Braced
 from agent.control.estimator import Observer
 from agent.control.knock import NOT_STRUCK, Struck
 from agent.control.memory import MEMORY_JOINTS, Memory, initial, restore
@@ -151,7 +152,8 @@ def random_memory(seed: int, n: int, hold: bool) -> Memory:
     )
     shift = tuple(rng.normal(size=6).tolist())
     calm, missed = 102 - 100 * seed, 20 * seed
-    more = {"sense": sense, "shift": shift, "calm": calm, "missed": missed, "hold": pose}
+    braced = Braced(*rng.normal(size=5).tolist())
+    more = {"sense": sense, "shift": shift, "calm": calm, "missed": missed, "hold": pose, "braced": braced}
     return Memory(*rng.normal(size=(6, n)), primed=bool(seed % 2), **more)
 
 
@@ -171,12 +173,12 @@ def test_memory_survives_the_log(seed: int, n: int, hold: bool) -> None:
         (*found.sense[:-3], *found.sense.plain), (*memory.sense[:-3], *memory.sense.plain), strict=True
     ):
         assert np.array_equal(one, two)
-    older = restore(flat[:-5], n).sense
+    older = restore(flat[:-10], n).sense
     assert (older.plain.force_N, older.struck) == (memory.sense.plain.force_N, NOT_STRUCK), "older than a blow"
-    older = restore(flat[:-13], n).sense
+    older = restore(flat[:-18], n).sense
     assert (older.pull, older.plain.force_N) == (memory.sense.pull, 0.0), "a row that is older than what is plain"
     assert older.plain.momentum.tolist() == [0.0] * n
-    for name in ("primed", "hold", "shift", "calm", "missed"):
+    for name in ("primed", "hold", "shift", "calm", "missed", "braced"):
         assert getattr(found, name) == getattr(memory, name)
     assert np.array_equal(restore(np.array(found.flatten()), n).flatten(), flat)
 

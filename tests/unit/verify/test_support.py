@@ -144,8 +144,34 @@ def test_the_pull_at_a_locked_arm_is_the_law_on_the_way_until_it_is_noticed() ->
 
 @pytest.mark.parametrize(("name", "count"), [("paper", 2), ("three_wx250s", 3)])
 def test_a_holding_arm_gives_way_by_its_part_of_the_stiffness(name: str, count: int) -> None:
-    found = without(gentle(name, *WEIGHTLESS), 0, 3.0)
+    found = without(gentle(name, *WEIGHTLESS, "safety.noticing.brace_N=0.0"), 0, 3.0)
     assert found.holding.share == pytest.approx(found.locked.share / count, rel=0.01)
+
+
+@pytest.mark.parametrize("brace_N", [0.0, 0.15, 0.3])
+def test_one_that_braces_itself_asks_each_of_the_others_for_its_part_of_that_pull_along_the_motion(
+    brace_N: float,
+) -> None:
+    cell, t = gentle("three_wx250s", *WEIGHTLESS, f"safety.noticing.brace_N={brace_N}"), 3.0
+    desired = cell.trajectory().at(t)
+    v, T, H = np.array(desired.v), placement(desired.p, desired.quat), np.array([1.0, 1.0, 1.0, 0.5, 0.5, 0.5])
+    shares = []
+    for arm in cell.arms[1:]:
+        gains, q = cell.offline(arm).gains, reach(arm, cell.model(arm), T, np.array(arm.entry.q_near_rad), "")
+        pull = (np.array(gains.k_v) * [*gains.k_p, *gains.k_eps] + cell.offline(arm).load_share) * H * 0.5 * v
+        pull[:3] += brace_N * v[:3] / np.linalg.norm(v[:3])
+        shares.append(np.abs(cell.model(arm).jacobian(q).T @ pull / 3.0) / arm.tau_stall_Nm)
+    found = without(cell, 0, t)
+    assert found.holding.share == pytest.approx(np.max(shares), rel=0.01)
+    assert found.holding.share < found.locked.share
+
+
+def test_however_it_braces_itself_it_asks_for_no_more_than_a_locked_one() -> None:
+    straight = "trajectory.points=[{t_s=0.0, p_m=[0.0, 0.0, 0.2]}, {t_s=6.0, p_m=[0.03, 0.02, 0.22]}]"
+    found = without(gentle("three_wx250s", *WEIGHTLESS, straight, "safety.noticing.brace_N=20.0"), 0, 3.0)
+    assert found.holding.share == pytest.approx(found.locked.share, rel=0.01)
+    still = without(gentle("three_wx250s", *WEIGHTLESS, "safety.noticing.brace_N=20.0"), 0, 0.0)
+    assert still.holding.share == pytest.approx(0.0, abs=1e-9), "at rest nobody carries it on"
 
 
 @pytest.mark.parametrize(
