@@ -83,6 +83,11 @@ def test_it_begins_with_the_direction_of_the_motion_and_the_error_of_that_moment
     assert begun((math.nan,) * 6, NOWHERE) is NOT_BRACED
 
 
+def test_the_pull_is_against_that_direction() -> None:
+    assert Braced(0.6, 0.0, -0.8, force_N=1.5).pull == pytest.approx((-0.9, 0.0, 1.2))
+    assert Braced(0.0, 0.6, 0.8, force_N=0.5).pull == pytest.approx((0.0, -0.3, -0.4))
+
+
 def test_its_state_goes_through_a_row() -> None:
     braced = Braced(0.6, 0.0, -0.8, 1e-4, 1.5)
     memory = initial_memory(arm())._replace(braced=braced)
