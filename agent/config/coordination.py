@@ -25,8 +25,8 @@ def alignment(cell: Cell, arm: Arm) -> Alignment | None:
     )
 
 
-def residual(cell: Cell) -> Residual | None:
-    """What every arm of the cell senses; None where the cell has it switched off.  Raises ConfigError."""
+def residual(cell: Cell, arm: Arm) -> Residual | None:
+    """What this arm senses; None where the cell has it switched off.  Raises ConfigError."""
     spec = cell.file.safety.noticing
     if not spec.enabled:
         return None
@@ -40,6 +40,7 @@ def residual(cell: Cell) -> Residual | None:
         against=along,
         knock=noticing.knock(along),
         touch=noticing.touch(cell, limits),
+        bearing=noticing.bearing(cell, arm),
     )
 
 

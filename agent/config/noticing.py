@@ -34,6 +34,7 @@ from agent.config.statics import carried_Nm
 from agent.config.trajectory import sample_times
 from agent.control import ik
 from agent.control.against import Against
+from agent.control.borne import Bearing
 from agent.control.brace import Brace
 from agent.control.errors import HALF_ANGLE
 from agent.control.inverse import SingularJacobian, invert_jacobian
@@ -64,6 +65,7 @@ TOUCH_LEVER_M: Final = 0.2  # moment that the arms' inertia makes of that force
 ALONG: Final = (0.35, 0.097)  # level, climb: of friction and noise
 CLIMBING: Final = 0.285  # of the same: the level at which a climb counts
 TOUCH_ALONG: Final = (1.05, 0.15)  # times an arm's share of a touch
+BORNE: Final = 0.82  # of friction and noise, beside that share, of what hangs on the object with what friction bears
 KNOCK: Final = 1.05  # of the level's limit, for what strikes the object
 ALONE: Final = 2  # arms that feel a touch as they feel the other one
 BRACE_N: Final = 2.0  # of a hold that three and more arms carry on
@@ -115,11 +117,33 @@ def against(cell: Cell) -> Against | None:
         if spec.against_N is None and spec.climb_N is None:
             return None
         return Against(period_s, spec.against_N or math.inf, spec.climb_N or math.inf, _down(cell))
-    (friction_N, _), (noise_N, _), _ = _largest(cell)
-    share, usual = TOUCH_N / len(cell.arms), MARGIN * (friction_N + noise_N)
+    share, usual = TOUCH_N / len(cell.arms), _usual_N(cell)
     level, climb = (float(f"{max(t * share, a * usual):.3g}") for t, a in zip(TOUCH_ALONG, ALONG, strict=True))
     climbing = 0.0 if spec.against_N else float(f"{CLIMBING * usual:.3g}")
     return Against(period_s, spec.against_N or level, spec.climb_N or climb, _down(cell), climbing_N=climbing)
+
+
+def bearing(cell: Cell, arm: Arm) -> Bearing | None:
+    """Sense of what hangs on the object with what the friction feed-forward of this arm bears.
+
+    None of two arms, without gravity, and where nothing is fed forward, or friction that sticks.  Raises ConfigError.
+    """
+    friction = cell.offline(arm).friction
+    if friction is None or friction.sticks or len(cell.arms) <= ALONE or not any(_down(cell)):
+        return None
+    limit_N = TOUCH_ALONG[0] * TOUCH_N / len(cell.arms) + BORNE * _usual_N(cell)
+    return Bearing(1.0 / cell.file.rate_hz, float(f"{limit_N:.3g}"), friction, _down(cell))
+
+
+def load_N(cell: Cell) -> float | None:
+    """Its limit; None where no arm has that sense.  Raises ConfigError."""
+    return next((found.limit_N for arm in cell.arms if (found := bearing(cell, arm)) is not None), None)
+
+
+def _usual_N(cell: Cell) -> float:
+    """Force of friction and noise that no limit of a sense of three and more arms is to be below."""
+    (friction_N, _), (noise_N, _), _ = _largest(cell)
+    return MARGIN * (friction_N + noise_N)
 
 
 def knock(along: Against | None) -> Knock | None:

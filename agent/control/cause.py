@@ -14,6 +14,7 @@ from typing import Final
 
 import numpy as np
 
+from agent.control.borne import NOT_BORNE
 from agent.control.residual import Channels, Residual, Sense
 from drivers.interface import Vector
 
@@ -99,4 +100,6 @@ def described(found: Sequence[Cause], x: Channels) -> str:
 def felt(sense: Sense) -> str:
     """What arms of three and more feel beside it, for the same."""
     pull, knock_N = sense.pull, sense.struck.knock_N
-    return f"{pull.level_N:.2g} N against the motion, {pull.weight_N:.2g} N down, {knock_N:.2g} N of a blow"
+    bears = f" ({sense.borne.load_N:.2g} N with what friction bears)" if sense.borne != NOT_BORNE else ""
+    down = f"{pull.weight_N:.2g} N down{bears}"
+    return f"{pull.level_N:.2g} N against the motion, {down}, {knock_N:.2g} N of a blow"

@@ -22,6 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from agent.control.against import NO_PULL, Against, Pull
+from agent.control.borne import NOT_BORNE, Bearing, Borne
 from agent.control.knock import NOT_STRUCK, Knock, Struck
 from agent.control.models import Matrix
 from agent.control.terms import Terms
@@ -44,12 +45,13 @@ class Sense(NamedTuple):
     pull: Pull  # against the motion
     plain: Plain  # of what may be a touch
     struck: Struck
+    borne: Borne = NOT_BORNE
 
     @property
     def wrenches(self) -> tuple[float, ...]:
-        """The end of the log field `memory`: three wrenches (6), `ticks`, `pull`, `plain` and `struck`."""
+        """In the log field `memory`: three wrenches (6), `ticks`, `pull`, `plain`, `struck` and `borne`."""
         base, slow, rest = self.base.tolist(), self.slow.tolist(), self.rest.tolist()
-        return (*base, *slow, *rest, self.ticks, *self.pull.flat, *self.plain.flat, *self.struck)
+        return (*base, *slow, *rest, self.ticks, *self.pull.flat, *self.plain.flat, *self.struck, *self.borne)
 
 
 def nothing_sensed(n: int) -> Sense:
@@ -80,6 +82,7 @@ class Residual:
     against: Against | None = None  # None: nobody asks what pulls against the motion
     knock: Knock | None = None  # what strikes the object, and the slip that limits of `against` grow with
     touch: Touch | None = None  # None: no touch is above the limit of the sudden force
+    bearing: Bearing | None = None  # beside `against`: what the friction feed-forward bears
 
     def __post_init__(self) -> None:
         if (self.against is None) is not (self.knock is None):
@@ -119,7 +122,10 @@ class Residual:
             pull = self.against.advance(pull, W.tolist(), base.tolist(), terms.desired.v)
         if self.knock is not None:
             struck = self.knock.advance(struck, (W - base)[:3].tolist(), J_inv_P.dot(terms.desired.v).tolist())
-        return Sense(estimate, expected, r, base, slow, rest, ticks, pull, plain, struck)
+        borne = sense.borne
+        if self.bearing is not None:
+            borne = self.bearing.advance(borne, pull.weight_N, J_inv_P, terms.tau_friction, dq, ready=ready)
+        return Sense(estimate, expected, r, base, slow, rest, ticks, pull, plain, struck, borne)
 
     def over_a_gap(self, sense: Sense, terms: Terms, dq: Vector) -> Sense:
         """The same where more than a period has passed since the last tick: what has been found stands.
@@ -139,7 +145,7 @@ class Residual:
     def pulled(self, sense: Sense) -> bool:
         """Whether something pulls this arm back against the motion, down or up, or strikes the object."""
         pulled = self.against is not None and self.against.tripped(sense.pull, sense.struck.slip)
-        return pulled or (self.knock is not None and self.knock.tripped(sense.struck))
+        return pulled or self._hangs(sense) or (self.knock is not None and self.knock.tripped(sense.struck))
 
     def dragged(self, sense: Sense) -> bool:
         """Whether something pulls this arm back against the motion."""
@@ -147,7 +153,11 @@ class Residual:
 
     def weighed(self, sense: Sense) -> bool:
         """Whether something pulls this arm down."""
-        return self.against is not None and self.against.weighs(sense.pull, sense.struck.slip)
+        return self._hangs(sense) or (self.against is not None and self.against.weighs(sense.pull, sense.struck.slip))
+
+    def _hangs(self, sense: Sense) -> bool:
+        """Whether something does with what the friction feed-forward bears."""
+        return self.bearing is not None and self.bearing.tripped(sense.borne)
 
     def tripped(self, found: Channels, sense: Sense, wrench: Vector) -> bool:
         """Whether any channel is above its limit, beside a sudden force that may be a touch; one that is no number is.

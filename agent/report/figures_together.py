@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from agent.control.against import LEVEL_AT, WEIGHT_AT
+from agent.control.borne import LOAD_AT
 from agent.control.knock import KNOCK_AT, SLIP_AT
 from agent.report.errors import apart_by_pair
 from agent.report.labels import end_labels, room_in
@@ -120,16 +121,18 @@ def pulled(run: Prepared) -> Figure:
     grows = np.isfinite(limits.knock_N)  # limits with the slip; in older logs they do not, and nobody finds a blow
     if grows:
         told.append((KNOCK_AT, "of a blow", limits.knock_N))
+    if np.isfinite(limits.load_N):
+        told.append((LOAD_AT, "down, with what friction bears", limits.load_N))
     figure, axes = panels(len(told), height_in=1.7, names_in=_room(run, HOLDS_ABOVE))
     for ax, (place, where, limit) in zip(axes, told, strict=True):
         for number, arm in enumerate(run.arms):
             rows = run.rows[arm.name]
-            slip = component(rows, "memory", SLIP_AT) if grows else 1.0
+            slip = component(rows, "memory", SLIP_AT) if grows and place != LOAD_AT else 1.0
             line(ax, column(rows, "t"), component(rows, "memory", place) / slip, label=arm.name, **_look(number))
         _threshold(ax, limit, HOLDS_ABOVE)
         if place == WEIGHT_AT:
             _threshold(ax, -limits.lifted_N, HOLDS_BELOW)
-        ax.set(title=f"Unexpected force {where}{' over the slip' if grows else ''}", ylabel="[N]")
+        ax.set(title=f"Unexpected force {where}{' over the slip' if grows and place != LOAD_AT else ''}", ylabel="[N]")
         end_labels(ax)
     time_axis(axes, run.info.duration_s)
     return figure

@@ -57,9 +57,11 @@ def noticed(cell: Cell) -> list[Finding]:
     struck = noticing.knock(pulled)
     along = ""
     if pulled is not None and struck is not None:
+        load_N = noticing.load_N(cell)
+        borne = "" if load_N is None else f" ({load_N:g} N with what friction bears)"
         along = (
-            f"; {pulled.level_N:g} N, or thrice {pulled.climb_N:g} N, against the motion; {pulled.hangs_N:.2g} N down, "
-            f"{pulled.lifted_N:.2g} N up; {struck.limit_N:.2g} N of a blow"
+            f"; {pulled.level_N:g} N, or thrice {pulled.climb_N:g} N, against the motion; {pulled.hangs_N:.2g} N down"
+            f"{borne}, {pulled.lifted_N:.2g} N up; {struck.limit_N:.2g} N of a blow"
         )
     may_be = noticing.touch(cell, x)
     touched = "" if may_be is None else f" ({may_be.most_N:g} N where it may be a touch)"

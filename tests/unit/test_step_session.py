@@ -14,6 +14,7 @@ from agent import phases
 from agent.config.cell import load_cell
 from agent.control import adaptive, known
 from agent.control.alignment import shifted
+from agent.control.borne import Borne
 from agent.control.cause import Cause
 from agent.control.memory import Memory
 from agent.control.residual import Channels
@@ -232,6 +233,9 @@ def test_a_pull_below_every_threshold_is_told_by_its_sizes() -> None:
     outcome = outcome._replace(memory=outcome.memory._replace(sense=sense._replace(pull=pull)))
     told = explained(agent, outcome)
     assert told.endswith(", 0.012 N against the motion, 4.6 N down, 0 N of a blow")
+    borne = outcome.memory.sense._replace(borne=Borne(0.1, 1.83))
+    bears = explained(agent, outcome._replace(memory=outcome.memory._replace(sense=borne)))
+    assert bears.endswith(", 4.6 N down (1.8 N with what friction bears), 0 N of a blow")
     based = sense._replace(pull=pull, base=np.array([0.0, 0.0, 5.0, 0.0, 0.0, 0.0]))
     other = explained(agent, outcome._replace(memory=outcome.memory._replace(sense=based)))
     assert Cause.LIFT in told

@@ -13,7 +13,7 @@ from agent.config import coordination, noticing
 from agent.config.cell import Cell, ConfigError, load_cell
 from agent.config.friction import at_rest_Nm, joint_friction, lifting_Nm
 from agent.config.noticing import derived, thresholds
-from agent.control.residual import Channels
+from agent.control.residual import Channels, Residual
 from agent.verify.noticing import noticed, rested
 from tests.support.arm_files import pressed_on, with_figures
 
@@ -189,16 +189,20 @@ def test_what_the_file_gives_counts_and_the_rest_is_derived() -> None:
     assert thresholds(cell("paper_real", *(f"safety.noticing.{x}" for x in TYPED))) == Channels(3.0, 0.5, 2.0, 0.3)
 
 
+def sensed_by(found: Cell) -> Residual | None:
+    return coordination.residual(found, found.arms[1])
+
+
 def test_the_agents_sense_with_them() -> None:
-    planar, spatial = coordination.residual(cell()), coordination.residual(cell("three_wx250s"))
+    planar, spatial = sensed_by(cell()), sensed_by(cell("three_wx250s"))
     assert planar is not None
     assert spatial is not None
     assert planar.limits == derived(cell())
     assert (planar.slow_per_s, spatial.slow_per_s) == (2.0, 4.0)
-    given = coordination.residual(cell("paper_real", "safety.noticing.slow_per_s=3.0"))
+    given = sensed_by(cell("paper_real", "safety.noticing.slow_per_s=3.0"))
     assert given is not None
     assert given.slow_per_s == 3.0
-    assert coordination.residual(cell("paper")) is None
+    assert sensed_by(cell("paper")) is None
 
 
 def test_a_pose_out_of_reach_names_the_arm_and_the_way_out() -> None:

@@ -11,6 +11,7 @@ import pytest
 import configs
 from agent.config.cell import load_cell
 from agent.control.against import pull_of
+from agent.control.borne import Borne
 from agent.control.brace import Braced
 from agent.control.estimator import Observer
 from agent.control.knock import NOT_STRUCK, Struck
@@ -149,6 +150,7 @@ def random_memory(seed: int, n: int, hold: bool) -> Memory:
         pull=pull_of(rng.normal(size=14).tolist()),
         plain=Plain(rng.normal(size=n), float(rng.normal())),
         struck=Struck(*rng.normal(size=5).tolist()),
+        borne=Borne(*rng.normal(size=2).tolist()),
     )
     shift = tuple(rng.normal(size=6).tolist())
     calm, missed = 102 - 100 * seed, 20 * seed
@@ -168,14 +170,14 @@ def test_memory_survives_the_log(seed: int, n: int, hold: bool) -> None:
     for name in ("q", "dq", "ddq", "ddq_before", "tau", "tau_before"):
         assert np.array_equal(getattr(found, name), getattr(memory, name))
     assert found.sense.pull == memory.sense.pull
-    assert found.sense.struck == memory.sense.struck
+    assert (found.sense.struck, found.sense.borne) == (memory.sense.struck, memory.sense.borne)
     for one, two in zip(
-        (*found.sense[:-3], *found.sense.plain), (*memory.sense[:-3], *memory.sense.plain), strict=True
+        (*found.sense[:-4], *found.sense.plain), (*memory.sense[:-4], *memory.sense.plain), strict=True
     ):
         assert np.array_equal(one, two)
-    older = restore(flat[:-10], n).sense
+    older = restore(flat[:-12], n).sense
     assert (older.plain.force_N, older.struck) == (memory.sense.plain.force_N, NOT_STRUCK), "older than a blow"
-    older = restore(flat[:-18], n).sense
+    older = restore(flat[:-20], n).sense
     assert (older.pull, older.plain.force_N) == (memory.sense.pull, 0.0), "a row that is older than what is plain"
     assert older.plain.momentum.tolist() == [0.0] * n
     for name in ("primed", "hold", "shift", "calm", "missed", "braced"):

@@ -11,6 +11,7 @@ import pytest
 from agent.config.cell import load_cell
 from agent.config.noticing import KNOCK, against, knock
 from agent.control.against import HANGS, LIFTED
+from agent.control.borne import BORNE
 from agent.control.brace import BRACED
 from agent.control.knock import KNOCK_AT, NOT_STRUCK, SLIP_AT, STRUCK, Knock, Struck, slip, struck_of
 from agent.control.memory import initial
@@ -70,7 +71,7 @@ def test_its_state_goes_through_a_row() -> None:
     assert struck_of([]) == NOT_STRUCK, "a row of a log that is older than this sense"
     memory = initial(3)
     flat = memory._replace(sense=memory.sense._replace(struck=struck)).flatten()
-    assert (flat[KNOCK_AT], flat[SLIP_AT], len(flat)) == (0.4, 1.5, SLIP_AT + 1 + BRACED)
+    assert (flat[KNOCK_AT], flat[SLIP_AT], len(flat)) == (0.4, 1.5, SLIP_AT + 1 + BORNE + BRACED)
 
 
 def test_its_limit_follows_from_that_of_the_pull_and_who_has_none_has_no_knock() -> None:

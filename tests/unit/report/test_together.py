@@ -15,6 +15,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.lines import Line2D
 
 from agent.control.against import NO_PULL
+from agent.control.borne import Borne
 from agent.control.knock import Struck
 from agent.control.memory import initial
 from agent.control.residual import nothing_sensed
@@ -188,17 +189,18 @@ def test_what_pulls_back_and_down_is_shown_where_the_run_has_limits_for_it() -> 
 def test_what_limits_that_grow_are_for_is_shown_over_the_slip() -> None:
     log = view_log()
     run = json.loads(log.attachments.get("run.json", b"{}"))
-    limits = {"level_N": 0.7, "climb_N": 0.1, "weight_N": 0.6, "lifted_N": 0.8, "knock_N": 0.9}
+    limits = {"level_N": 0.7, "climb_N": 0.1, "weight_N": 0.6, "lifted_N": 0.8, "knock_N": 0.9, "load_N": 1.1}
     log.attachments["run.json"] = json.dumps(run | {"noticing_against": limits}).encode()
     pull, struck = NO_PULL._replace(level_N=1.0, weight_N=-0.8), Struck(knock_N=1.2, slip=2.0)
-    sense = nothing_sensed(3)._replace(pull=pull, struck=struck)
+    sense = nothing_sensed(3)._replace(pull=pull, struck=struck, borne=Borne(0.1, 0.5))
     for rows in log.agents.values():
         rows["memory"][:] = initial(3)._replace(sense=sense).flatten()
-    back, down, blow = figures_together.pulled(prepare(log)).axes
-    assert [labelled(ax)["left"][5] for ax in (back, down, blow)] == [0.5, -0.4, 0.6]
-    assert [labelled(ax)["holds above"][0] for ax in (back, down, blow)] == [0.7, 0.6, 0.9]
+    back, down, blow, load = figures_together.pulled(prepare(log)).axes
+    assert [labelled(ax)["left"][5] for ax in (back, down, blow, load)] == [0.5, -0.4, 0.6, 0.5]
+    assert [labelled(ax)["holds above"][0] for ax in (back, down, blow, load)] == [0.7, 0.6, 0.9, 1.1]
     assert labelled(down)["holds below"][0] == -0.8
-    assert not any("holds below" in labelled(ax) for ax in (back, blow))
+    assert not any("holds below" in labelled(ax) for ax in (back, blow, load))
+    assert load.get_title(loc="left") == "Unexpected force down, with what friction bears", "whose limit does not grow"
     assert blow.get_title(loc="left") == "Unexpected force of a blow over the slip"
 
 

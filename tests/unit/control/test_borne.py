@@ -1,0 +1,157 @@
+"""What hangs on an arm with what its friction feed-forward bears: its sign and size, who has it, what it is for."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agent.config.cell import load_cell
+from agent.config.noticing import bearing, load_N
+from agent.config.schema.driver import DriverKind
+from agent.control.borne import BORNE, LOAD_AT, NOT_BORNE, Bearing, Borne, borne_of
+from agent.control.cause import Cause
+from agent.control.friction import Friction, JointFriction
+from agent.control.memory import initial, restore
+from agent.process.describe import run_info
+from agent.safety import Flag
+from agent.study.fault import Fault, FaultKind
+from agent.study.lab import Laboratory, Run
+from agent.verify.noticing import noticed
+from tests.support.arm_files import pressed_on, with_figures
+
+PERIOD = 5e-3
+FRICTION = Friction((JointFriction(0.2, 0.1), JointFriction(0.4, 0.0)), 0.05)
+LAW = Bearing(PERIOD, limit_N=1.5, friction=FRICTION, down=(0.0, 0.0, -1.0))
+J_INV_P = np.array([[0.0, 0.0, 2.0, 0.0, 0.0, 0.0], [1.0, 0.5, 3.0, 0.0, 0.0, 0.0]])
+STILL = np.zeros(2)
+
+
+def of(speeds: tuple[float, float]) -> np.ndarray:
+    return np.array(FRICTION.gliding(speeds))
+
+
+def test_a_load_that_turns_the_feed_forward_round_is_twice_the_friction_of_joints_that_go_down() -> None:
+    """Joints that sink at 1 rad/s are pushed up as if they rose: 2 J⁻ᵀ of friction beside the force that is felt."""
+    up, sinks = of((1.0, 1.0)), np.array([-1.0, -1.0])
+    hidden = 2.0 * (2.0 * (0.2 + 0.1) + 3.0 * 0.4)
+    found = LAW.advance(NOT_BORNE, 0.25, J_INV_P, up, sinks, ready=False)
+    assert found.load_N == pytest.approx(15.0 * PERIOD * (hidden + 0.25), rel=1e-6)
+    assert found.usual_N == pytest.approx(0.5 * PERIOD * hidden, rel=1e-6)
+    assert LAW.advance(NOT_BORNE, 0.0, J_INV_P, -up, -sinks, ready=False).load_N == pytest.approx(
+        -found.load_N, rel=0.1
+    )
+
+
+def test_a_feed_forward_that_is_spent_on_the_friction_that_there_is_bears_nothing() -> None:
+    speeds = np.array([0.03, -0.7])
+    found = LAW.advance(NOT_BORNE, 0.0, J_INV_P, of((0.03, -0.7)), speeds, ready=False)
+    assert found == pytest.approx((0.0, 0.0), abs=1e-15)
+
+
+def test_only_what_is_beside_the_usual_counts_and_before_the_start_nothing_but_the_usual() -> None:
+    bears = of((1.0, 0.0))  # 0.3 N·m of the first joint at rest: 0.6 N
+    usual = LAW.advance(Borne(0.6), 0.0, J_INV_P, bears, STILL, ready=False)
+    assert usual == pytest.approx((0.6, 0.0))
+    waiting = LAW.advance(Borne(0.2, 0.9), 5.0, J_INV_P, bears, STILL, ready=True)
+    assert waiting == pytest.approx((0.2 + 0.5 * PERIOD * 0.4, 0.0))
+
+
+def test_a_load_is_low_passed() -> None:
+    borne = Borne(load_N=1.0)
+    assert LAW.advance(borne, 1.0, J_INV_P, STILL, STILL, ready=False).load_N == pytest.approx(1.0)
+    assert LAW.advance(borne, 2.0, J_INV_P, STILL, STILL, ready=False).load_N == pytest.approx(1.0 + 15.0 * PERIOD)
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_down_is_where_gravity_points(axis: int, sign: float) -> None:
+    down = np.zeros(3)
+    down[axis] = sign
+    J_inv_P = np.array([[0.3, 0.5, 0.7, 9.0, 9.0, 9.0], [0.0] * 6])
+    law = replace(LAW, down=tuple(down.tolist()))
+    found = law.advance(NOT_BORNE, 0.0, J_inv_P, np.array([1.0, 0.0]), STILL, ready=False)
+    assert found.load_N == pytest.approx(-15.0 * PERIOD * sign * (0.3, 0.5, 0.7)[axis])
+
+
+def test_at_its_limit_nothing_trips_and_what_is_no_number_does() -> None:
+    assert not LAW.tripped(Borne(load_N=1.5))
+    assert LAW.tripped(Borne(load_N=np.nextafter(1.5, 9.0)))
+    assert LAW.tripped(Borne(load_N=math.nan))
+    assert not LAW.tripped(Borne(load_N=-9.0)), "a lift has a limit of its own"
+
+
+def test_its_state_goes_through_a_row() -> None:
+    memory = initial(3)
+    memory = memory._replace(sense=memory.sense._replace(borne=Borne(0.3, 0.7)))
+    flat = np.array(memory.flatten())
+    assert (flat[LOAD_AT - 1], flat[LOAD_AT]) == (0.3, 0.7)
+    assert restore(flat, 3).sense.borne == (0.3, 0.7)
+    older = restore(flat[: LOAD_AT - 1], 3)
+    assert (older.sense.borne, len(NOT_BORNE)) == (NOT_BORNE, BORNE), "a row of a log that is older than this sense"
+    assert borne_of([]) == NOT_BORNE
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "limit_N"),
+    [
+        ("two_wx200", [], None),
+        ("three_wx250s", [], 1.76),
+        ("four_wx250s", [], 1.59),
+        ("four_wx250s", ["controller.friction_feedforward=false"], None),
+        ("four_wx250s", ["world.gravity_m_per_s2=[0.0, 0.0, 0.0]"], None),
+    ],
+)
+def test_three_and_more_arms_that_feed_friction_forward_have_it(
+    name: str, changes: list[str], limit_N: float | None
+) -> None:
+    cell = load_cell(Path(name), changes)
+    assert load_N(cell) == limit_N
+    for arm in cell.arms:
+        found, friction = bearing(cell, arm), cell.offline(arm).friction
+        if limit_N is None or friction is None:
+            assert found is None
+        else:
+            assert found == Bearing(PERIOD, limit_N, friction, (0.0, 0.0, -1.0))
+    along = json.loads(run_info(cell, DriverKind.SIM, 0))["noticing_against"] or {}
+    assert along.get("load_N") == limit_N
+    told = [finding.found for finding in noticed(cell)]
+    assert any("what friction bears" in words for words in told) is (limit_N is not None)
+    assert limit_N is None or any(f"N down ({limit_N:g} N with what friction bears), " in words for words in told)
+
+
+def test_friction_that_sticks_is_not_taken_for_a_load(tmp_path: Path) -> None:
+    assert load_N(with_figures(load_cell(Path("three_wx250s")), tmp_path, pressed_on)) is None
+
+
+def test_the_limit_is_above_what_realities_and_touches_showed() -> None:
+    """Largest of 2 N for half a second to seven sides at eleven instants of six realities and five; without: 1.32."""
+    for name, touch_N in (("three_wx250s", 1.41), ("four_wx250s", 1.43)):
+        found = load_N(load_cell(Path(name)))
+        assert found is not None
+        assert found >= 1.1 * touch_N
+
+
+def until(lab: Laboratory, end_s: float, *faults: Fault) -> Run:
+    run = Run(lab, None, faults)
+    while run.t < end_s:
+        run.advance()
+    return run
+
+
+@pytest.mark.long
+def test_an_arm_that_goes_limp_while_the_box_goes_down_is_noticed_by_it_alone() -> None:
+    """The others push up against their own friction; at 11 mm/s, without it nobody holds within 0.8 s."""
+    lab = Laboratory(load_cell(Path("four_wx250s"), ["simulation.ready_s=1.0"]))
+    fault = Fault(kind=FaultKind.LIMP, arm="right", at_s=32.0)
+    run = until(lab, 32.5, fault)
+    assert (len(run.trips), run.trips[0].t < 32.15) == (3, True)
+    assert Flag.UNEXPECTED in run.trips[0].flags
+    assert str(Cause.WEIGHT) in run.trips[0].why
+    deaf = Laboratory(lab.cell)
+    deaf.agents = tuple(replace(a, residual=replace(a.residual, bearing=None)) for a in lab.agents if a.residual)
+    assert until(deaf, 32.8, fault).trips == []
