@@ -63,7 +63,7 @@ _PAGE = (f"{UNIT}/view/test_page.py",)
 _VERIFY = tuple(f"{UNIT}/replay/{name}.py" for name in ("test_verify", "test_verify_trouble", "test_replay_command"))
 _CRITERION = f"{UNIT}/verify/criterion"
 _RECORDED = (*_WARM, "tests.unit.replay.test_verify:eventful")
-_SENSES = ("test_against", "test_brace", "test_knock", "test_touch")
+_SENSES = ("test_against", "test_borne", "test_brace", "test_knock", "test_touch")
 _SOFT = tuple(f"{UNIT}/sim_backend/{name}.py" for name in ("test_soft", "test_pads", "test_reality", "test_calendar"))
 
 TARGETS = (
@@ -91,6 +91,7 @@ TARGETS = (
         ),
     ),
     Target("agent.control.against", (f"{UNIT}/control/test_against.py",)),
+    Target("agent.control.borne", (f"{UNIT}/control/test_borne.py",)),
     Target("agent.control.brace", (f"{UNIT}/control/test_brace.py",)),
     Target("agent.control.knock", (f"{UNIT}/control/test_knock.py",)),
     Target("agent.control.alignment", (f"{UNIT}/control/test_alignment.py",)),

@@ -10,6 +10,7 @@ _BRAKES = "brake = brake_per_s(agent.period_s) if damped else 0.0"
 _WHILE_IT_BRAKES = "read only while the arm brakes"
 _WITH_A_SESSION = "asked for twice, for the type checker: whoever is alone has a session"
 _PART = "part = 1.0 if life is None else phases.handing_over(life, mode, memory)"
+_PULLS = "if mode is _HOLD and memory.braced.force_N:"
 _LEARNS = "if adaptation is None or estimate is None:"
 _BOTH = "who learns has an estimate; said for the type checker"
 _NONE = "a function without a result returns None"
@@ -107,6 +108,7 @@ CONTROL: Entries = {
         ): _WHILE_IT_BRAKES,
         ("_law", _PART, _PART.replace("1.0", "2.0")): "all of it is the law's, as with one",
         ("_law", "if life is not None and part < 1.0:", "if True and part < 1.0:"): _WITH_A_SESSION,
+        ("_law", _PULLS, _PULLS.replace("memory.braced.force_N", "True")): "saves adding a pull of nothing",
         ("_of_object", _LEARNS, _LEARNS.replace(" or ", " and ")): _BOTH,
         ("_of_object", _LEARNS, _LEARNS.replace("adaptation is None", "False")): _BOTH,
         ("_of_object", _LEARNS, _LEARNS.replace("estimate is None", "False")): _BOTH,

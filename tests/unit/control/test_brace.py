@@ -188,6 +188,8 @@ def test_a_hold_goes_on_with_it_by_the_law_alone() -> None:
     for calm in (BRAKE, JOINTS, JOINTS + 5):
         assert hold(agent, holding(agent, calm=calm)).memory.braced == NOT_BRACED
     assert hold(arm(), holding(arm())).memory.braced == NOT_BRACED, "a cell that does not ask for it"
+    singular = arm(brace=LAW_2N, sigma_min=10.0)
+    assert hold(singular, holding(singular)).memory.braced == NOT_BRACED, "by its joints"
 
 
 # --- what it is for --------------------------------------------------------------------------------------------------
