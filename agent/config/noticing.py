@@ -14,9 +14,9 @@ Each is a quadratic sum over independent errors at their bounds in `[tolerance]`
 and fast is no less than a touch needs, with L and l the rates of the residual and of the slow channel.  Where nothing
 but a touch sets the limit of the sudden force, agent.control.touch tells one that is above it.  What pulls
 against the motion, down or up (agent.control.against) or strikes (agent.control.knock) has limits in cells of three
-and more arms: what a touch needs, or what friction and noise make of it.  REVERSAL, PEAK, CREEP, HUM, ALONG and
-CLIMBING are calibrated on the largest values that studies of the shipped cells showed (a test has them); a planar
-moment has a CREEP of its own.
+and more arms: what a touch needs, or what friction and noise make of it; what hangs on the object with what friction
+bears (agent.control.borne) has both together.  REVERSAL, PEAK, CREEP, HUM, ALONG, CLIMBING and LOAD are calibrated on
+the largest values that studies of the shipped cells showed (a test has them); a planar moment has a CREEP of its own.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ TOUCH_LEVER_M: Final = 0.2  # moment that the arms' inertia makes of that force
 ALONG: Final = (0.35, 0.097)  # level, climb: of friction and noise
 CLIMBING: Final = 0.285  # of the same: the level at which a climb counts
 TOUCH_ALONG: Final = (1.05, 0.15)  # times an arm's share of a touch
-BORNE: Final = 0.82  # of friction and noise, beside that share, of what hangs on the object with what friction bears
+LOAD: Final = 0.82  # of friction and noise, beside that share: what hangs on the object with what friction bears
 KNOCK: Final = 1.05  # of the level's limit, for what strikes the object
 ALONE: Final = 2  # arms that feel a touch as they feel the other one
 BRACE_N: Final = 2.0  # of a hold that three and more arms carry on
@@ -131,7 +131,7 @@ def bearing(cell: Cell, arm: Arm) -> Bearing | None:
     friction = cell.offline(arm).friction
     if friction is None or friction.sticks or len(cell.arms) <= ALONE or not any(_down(cell)):
         return None
-    limit_N = TOUCH_ALONG[0] * TOUCH_N / len(cell.arms) + BORNE * _usual_N(cell)
+    limit_N = TOUCH_ALONG[0] * TOUCH_N / len(cell.arms) + LOAD * _usual_N(cell)
     return Bearing(1.0 / cell.file.rate_hz, float(f"{limit_N:.3g}"), friction, _down(cell))
 
 
@@ -141,7 +141,7 @@ def load_N(cell: Cell) -> float | None:
 
 
 def _usual_N(cell: Cell) -> float:
-    """Force of friction and noise that no limit of a sense of three and more arms is to be below."""
+    """Force that friction and noise make, with a margin; limits of three and more arms are so many times as high."""
     (friction_N, _), (noise_N, _), _ = _largest(cell)
     return MARGIN * (friction_N + noise_N)
 
