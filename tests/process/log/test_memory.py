@@ -22,17 +22,17 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.long  # `make bench` has the report of 100 s and of 2000 s
 def test_a_report_never_holds_the_rows(log: Path, tmp_path: Path) -> None:
     """A report of 100 s may take 250 MB; with the rows in memory it takes 300, 50 of them to draw the cell."""
     assert measured("report", log, "--out", tmp_path).peak_MB < 225
 
 
-@pytest.mark.long  # a report takes more than it
+@pytest.mark.long
 def test_a_comparison_never_holds_the_rows(log: Path) -> None:
     assert measured("compare", log, log).peak_MB < 120
 
 
-@pytest.mark.long  # a report takes more than it
 def test_a_repair_never_holds_the_file(log: Path, tmp_path: Path) -> None:
     path = tmp_path / "cut.mcap"
     path.write_bytes(log.read_bytes()[:-BYTES_CUT])

@@ -221,11 +221,11 @@ def test_neighbours_notice_a_hold_in_a_slow_motion_which_they_do_not_without_it(
 
 
 def test_arms_that_hold_together_hardly_pull_and_keep_the_object() -> None:
-    """At 10 mm/s; what friction lets go comes to rest, and the pull fades."""
-    lab = laboratory("four_wx250s")
+    """At 9 mm/s; what friction lets go comes to rest, and the pull fades."""
+    lab = laboratory("three_wx250s")
     run = until(lab, 4.5, *(Fault(kind=FaultKind.HOLD, arm=a.name, at_s=4.5) for a in lab.cell.arms))
     before, most = run.observe().p_object, 0.0
-    while run.t < 7.5:
+    while run.t < 6.5:
         run.advance()
         most = max(most, *(place.memory.braced.force_N for place in run.places))
     assert np.linalg.norm(run.observe().p_object - before) < 1e-3
