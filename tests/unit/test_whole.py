@@ -41,6 +41,7 @@ def modes(run: WholeRun, arm: str) -> list[Mode]:
     return [mode for _, mode in run.arms[arm].modes]
 
 
+@pytest.mark.long  # by real processes in real time: tests/process/run/test_run_whole.py
 def test_both_arms_go_from_rest_to_the_object_carry_it_and_come_back() -> None:
     run = whole()
     way = [

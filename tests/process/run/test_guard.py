@@ -288,6 +288,7 @@ def test_a_killed_guard_is_noticed_comes_back_with_the_port_and_holds_for_a_kill
 
 
 @pytest.mark.fault("P7")
+@pytest.mark.long  # a killed guard is above, one that hangs in virtual time (tests/unit/guard/test_guarded.py)
 @in_real_time()
 def test_a_stopped_guard_is_noticed_takes_nothing_over_when_it_goes_on_and_holds_for_an_agent_that_dies_then(
     host: Host,
@@ -311,6 +312,7 @@ def test_a_stopped_guard_is_noticed_takes_nothing_over_when_it_goes_on_and_holds
 
 
 @pytest.mark.fault("B4")
+@pytest.mark.long  # without a guard: test_dxl_driver_wire.py; through one in virtual time: tests/unit/guard
 @in_real_time("--control", "faults")
 def test_an_arm_whose_adapter_is_unplugged_for_a_while_comes_back_in_hold_through_its_guard(host: Host) -> None:
     host.guard()
