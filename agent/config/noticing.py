@@ -92,7 +92,7 @@ def slow_rate(cell: Cell) -> float:
 def derived(cell: Cell) -> Channels:
     """What follows from the cell file: N, N·m, to three digits.  Raises ConfigError where an arm cannot be placed."""
     (friction_N, friction_Nm), (noise_N, noise_Nm), (errors_N, errors_Nm) = _largest(cell)
-    touch = TOUCH * TOUCH_N / len(cell.arms)
+    touch = TOUCH * _share_N(cell)
     floors = FLOORS._replace(fast_N=max(FLOORS.fast_N, touch), fast_Nm=max(FLOORS.fast_Nm, TOUCH_LEVER_M * touch))
     hum = HUM * math.sqrt(slow_rate(cell) / cell.file.safety.noticing.rate_per_s)
     twist = CREEP_TWIST_PLANAR if cell.planar else CREEP
@@ -117,7 +117,7 @@ def against(cell: Cell) -> Against | None:
         if spec.against_N is None and spec.climb_N is None:
             return None
         return Against(period_s, spec.against_N or math.inf, spec.climb_N or math.inf, _down(cell))
-    share, usual = TOUCH_N / len(cell.arms), _usual_N(cell)
+    share, usual = _share_N(cell), _usual_N(cell)
     level, climb = (float(f"{max(t * share, a * usual):.3g}") for t, a in zip(TOUCH_ALONG, ALONG, strict=True))
     climbing = 0.0 if spec.against_N else float(f"{CLIMBING * usual:.3g}")
     return Against(period_s, spec.against_N or level, spec.climb_N or climb, _down(cell), climbing_N=climbing)
@@ -131,19 +131,13 @@ def bearing(cell: Cell, arm: Arm) -> Bearing | None:
     friction = cell.offline(arm).friction
     if friction is None or friction.sticks or len(cell.arms) <= ALONE or not any(_down(cell)):
         return None
-    limit_N = TOUCH_ALONG[0] * TOUCH_N / len(cell.arms) + LOAD * _usual_N(cell)
+    limit_N = TOUCH_ALONG[0] * _share_N(cell) + LOAD * _usual_N(cell)
     return Bearing(1.0 / cell.file.rate_hz, float(f"{limit_N:.3g}"), friction, _down(cell))
 
 
 def load_N(cell: Cell) -> float | None:
-    """Its limit; None where no arm has that sense.  Raises ConfigError."""
+    """Limit of `bearing`; None where no arm has that sense.  Raises ConfigError."""
     return next((found.limit_N for arm in cell.arms if (found := bearing(cell, arm)) is not None), None)
-
-
-def _usual_N(cell: Cell) -> float:
-    """Force that friction and noise make, with a margin; limits of three and more arms are so many times as high."""
-    (friction_N, _), (noise_N, _), _ = _largest(cell)
-    return MARGIN * (friction_N + noise_N)
 
 
 def knock(along: Against | None) -> Knock | None:
@@ -164,11 +158,22 @@ def touch(cell: Cell, limits: Channels) -> Touch | None:
 
     limits: `thresholds` of the cell.
     """
-    spec, share = cell.file.safety.noticing, TOUCH_N / len(cell.arms)
+    spec, share = cell.file.safety.noticing, _share_N(cell)
     needed, most_N, down_N, plain_N = (float(f"{t * share:.3g}") for t in (TOUCH, TOUCH_MOST, TOUCH_DOWN, TOUCH_PLAIN))
     if spec.fast_N is not None or limits.fast_N > needed:
         return None
     return Touch(1.0 / cell.file.rate_hz, spec.rate_per_s, most_N, down_N, plain_N, _down(cell))
+
+
+def _share_N(cell: Cell) -> float:
+    """What an arm feels of a touch."""
+    return TOUCH_N / len(cell.arms)
+
+
+def _usual_N(cell: Cell) -> float:
+    """Force of friction and noise, with a margin, of which limits of three and more arms are a part."""
+    (friction_N, _), (noise_N, _), _ = _largest(cell)
+    return MARGIN * (friction_N + noise_N)
 
 
 def _down(cell: Cell) -> tuple[float, float, float]:

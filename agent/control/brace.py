@@ -8,9 +8,9 @@ With e_p its position error, d the direction of the motion when the hold began, 
     Ḟ = min(RATE, GROWTH max(0, e_pᵀ d − u − SLACK)) − FADES F,   0 ≤ F ≤ limit,   u̇ = USUAL (e_pᵀ d − u),
 
 is a force −F d on the object about its centre, beside what the law gives at the frozen pose.  Where all hold nothing is
-carried on and nobody pulls; once the others have noticed, u follows and F fades within a second or two, so that arms
-that disagree do not wind up.  F cannot swing: it grows to one side alone and fades slowly.  The state is part of
-`Memory`.
+carried on; what they come to rest by may make them pull for a moment.  Once the others have noticed, u follows and F
+fades within a second or two, so that arms that disagree do not wind up: F grows to one side alone and fades slowly, and
+so does not swing.  The state is part of `Memory`.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ GROWTH_N_PER_S_M: Final = 6e4
 RATE_N_PER_S: Final = 20.0
 FADES_PER_S: Final = 2.0
 USUAL_PER_S: Final = 2.0
-BRACED = 5  # numbers in the log field `memory`
+BRACED: Final = 5  # numbers in the log field `memory`
 
 
 class Braced(NamedTuple):

@@ -45,7 +45,7 @@ def run_info(cell: Cell, driver: DriverKind, seed: int) -> bytes:
         "noticing": thresholds(cell)._asdict() if cell.file.safety.noticing.enabled else None,
         "noticing_against": _against(cell),
         "noticing_touch": _touch(cell),
-        "noticing_brace_N": None if (braced := brace(cell)) is None else braced.limit_N,
+        "noticing_brace_N": None if (pull_back := brace(cell)) is None else pull_back.limit_N,
         "driver": driver.value,
         "hil": cell.file.hil.arms if cell.file.hil is not None else [],
         "seed": seed,
@@ -64,8 +64,8 @@ def _against(cell: Cell) -> dict[str, float] | None:
     if along is None or struck is None:
         return None
     limits = {"level_N": along.level_N, "climb_N": along.climb_N, "weight_N": along.hangs_N}
-    if (borne_N := load_N(cell)) is not None:
-        limits["load_N"] = borne_N
+    if (load := load_N(cell)) is not None:
+        limits["load_N"] = load
     return limits | {"lifted_N": along.lifted_N, "knock_N": struck.limit_N}
 
 

@@ -312,7 +312,7 @@ def test_a_stopped_guard_is_noticed_takes_nothing_over_when_it_goes_on_and_holds
 
 
 @pytest.mark.fault("B4")
-@pytest.mark.long  # without a guard: test_dxl_driver_wire.py; through one in virtual time: tests/unit/guard
+@pytest.mark.long  # the same without a guard: tests/process/drivers/test_dxl_driver_wire.py
 @in_real_time("--control", "faults")
 def test_an_arm_whose_adapter_is_unplugged_for_a_while_comes_back_in_hold_through_its_guard(host: Host) -> None:
     host.guard()
