@@ -17,6 +17,9 @@ from agent.control.borne import BORNE, LOAD_AT, NOT_BORNE, Bearing, Borne, borne
 from agent.control.cause import Cause
 from agent.control.friction import Friction, JointFriction
 from agent.control.memory import initial, restore
+from agent.faults.plan import Injection
+from agent.faults.rehearse import rehearse
+from agent.modes import Mode
 from agent.process.describe import run_info
 from agent.safety import Flag
 from agent.study.fault import Fault, FaultKind
@@ -155,3 +158,16 @@ def test_an_arm_that_goes_limp_while_the_box_goes_down_is_noticed_by_it_alone() 
     deaf = Laboratory(lab.cell)
     deaf.agents = tuple(replace(a, residual=replace(a.residual, bearing=None)) for a in lab.agents if a.residual)
     assert until(deaf, 32.8, fault).trips == []
+
+
+@pytest.mark.long
+def test_so_it_is_with_the_real_driver_and_loop_on_emulated_servos(monkeypatch: pytest.MonkeyPatch) -> None:
+    cell, lost = load_cell(Path("three_wx250s"), ["duration_s=17.5"]), Injection(fault="arm-off", arm="left", at_s=17.0)
+
+    def held_s() -> list[float]:
+        arms = rehearse(cell, [lost]).arms
+        return [t for name in ("back", "front") for t, mode in arms[name].modes if mode is Mode.HOLD]
+
+    assert [17.0 < t < 17.2 for t in held_s()] == [True, True]
+    monkeypatch.setattr("agent.config.noticing.bearing", lambda _cell, _arm: None)
+    assert held_s() == []

@@ -18,7 +18,10 @@ from agent.config.noticing import brace
 from agent.config.schema.driver import DriverKind
 from agent.control.alignment import Alignment
 from agent.control.brace import NOT_BRACED, Brace, Braced, begun, braced_of
+from agent.control.errors import attitude_angle
 from agent.control.memory import Memory, restore
+from agent.faults.plan import Injection
+from agent.faults.rehearse import rehearse
 from agent.loop import Agent, Outcome, initial_memory, step
 from agent.modes import Mode
 from agent.process.describe import run_info
@@ -144,24 +147,28 @@ def test_a_hold_that_began_in_the_motion_is_braced_and_one_that_begins_anew_is_n
 PULLS = Braced(0.6, 0.0, -0.8, 0.0, 1.5)
 
 
-def holding(agent: Agent, **more: Any) -> Memory:
-    return hold_here(agent, start(), initial_memory(agent))._replace(braced=PULLS, **more)
+def holding(agent: Agent, *aside: float, **more: Any) -> Memory:
+    return hold_here(agent, start(*aside), initial_memory(agent))._replace(braced=PULLS, **more)
 
 
 def hold(agent: Agent, memory: Memory, mode: Mode = Mode.HOLD, dq: float = 0.0) -> Outcome:
-    return step(agent, JointState(0, start(), np.array([0.0, dq, 0.0]), np.zeros(3)), 0.7, mode, memory)
+    q = start() if memory.q_hold is None else memory.q_hold
+    return step(agent, JointState(0, q, np.array([0.0, dq, 0.0]), np.zeros(3)), 0.7, mode, memory)
 
 
 def test_a_hold_pulls_the_object_back_with_that_force() -> None:
     """−F d about the object's centre, whatever its attitude, beside the internal wrench that the cell asks for."""
-    for agent in (arm(brace=LAW_2N), with_internal(arm(brace=LAW_2N))):
-        with_it = hold(agent, holding(agent)).terms
-        without = hold(agent, holding(agent)._replace(braced=NOT_BRACED)).terms
+    plain = arm(brace=LAW_2N)
+    for agent, aside in ((plain, ()), (with_internal(plain), ()), (plain, (0.1, -0.1, 0.3))):
+        with_it = hold(agent, holding(agent, *aside)).terms
+        without = hold(agent, holding(agent, *aside)._replace(braced=NOT_BRACED)).terms
         assert with_it is not None
         assert without is not None
+        turned_rad = attitude_angle(*with_it.kinematics.quat_object[:1], with_it.kinematics.quat_object[1:])
+        assert (turned_rad > 0.1) is bool(aside)
         pull = np.array([-0.9, 0.0, 1.2, 0.0, 0.0, 0.0])
         expected = (agent.model.task_basis.T @ with_it.kinematics.J).T @ pull
-        assert np.abs(expected).max() > 0.1
+        assert np.abs(expected).max() > 0.05
         np.testing.assert_allclose(with_it.tau_internal - without.tau_internal, expected, rtol=0.0, atol=1e-9)
         np.testing.assert_allclose(with_it.tau_cmd - without.tau_cmd, expected, rtol=0.0, atol=1e-9)
 
@@ -218,6 +225,19 @@ def test_neighbours_notice_a_hold_in_a_slow_motion_which_they_do_not_without_it(
     assert [trip.arm for trip in run.trips].count(arm_name) == 0
     assert len(run.trips) == len(run.places) - 1, "all of the others"
     assert until(laboratory(name, "safety.noticing.brace_N=0.0"), at_s + 0.5, fault).trips == []
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("name", "arm_name", "at_s"), [("four_wx250s", "back", 2.2), ("three_wx250s", "left", 6.2)])
+def test_so_they_do_with_the_real_driver_and_loop_on_emulated_servos(name: str, arm_name: str, at_s: float) -> None:
+    def held_s(*changes: str) -> list[float]:
+        cell = load_cell(Path(name), [f"duration_s={at_s + 0.6}", *changes])
+        found = rehearse(cell, [Injection(fault="operator-off", arm=arm_name, at_s=at_s)])
+        others = [arm_run for other, arm_run in found.arms.items() if other != arm_name]
+        return [t for other in others for t, mode in other.modes if mode is Mode.HOLD]
+
+    assert [at_s < t < at_s + 0.5 for t in held_s()] == [True] * (2 if name == "three_wx250s" else 3)
+    assert held_s("safety.noticing.brace_N=0.0") == []
 
 
 def test_arms_that_hold_together_hardly_pull_and_keep_the_object() -> None:

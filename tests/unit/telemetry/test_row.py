@@ -12,6 +12,8 @@ import configs
 from agent.config.cell import load_cell
 from agent.control.adaptation import Estimate
 from agent.control.against import pull_of
+from agent.control.borne import Borne
+from agent.control.brace import Braced
 from agent.control.errors import Errors
 from agent.control.knock import Struck
 from agent.control.memory import Memory, initial, restore
@@ -69,10 +71,11 @@ def all_different(n: int) -> tuple[JointState, Memory, Outcome]:
     arrays = [array_of(n) for _ in range(6)]
     pull, plain = pull_of(tuple_of(14)), Plain(array_of(n), next(numbers))
     wrenches = array_of(6), array_of(6), array_of(6)
-    struck = Struck(*tuple_of(5))
-    sense = Sense(array_of(n), array_of(n), array_of(n), *wrenches, next(numbers), pull, plain, struck)
+    struck, borne, braced = Struck(*tuple_of(5)), Borne(*tuple_of(2)), Braced(*tuple_of(5))
+    sense = Sense(array_of(n), array_of(n), array_of(n), *wrenches, next(numbers), pull, plain, struck, borne)
     memory = Memory(
-        *arrays, True, sense, tuple_of(6), 103, tuple_of(7), next(numbers), estimate, array_of(n), next(numbers), 19
+        *arrays, True, sense, tuple_of(6), 103, tuple_of(7), next(numbers), estimate, array_of(n), next(numbers), 19,
+        braced,
     )  # fmt: skip
     state = JointState(5_000_000, array_of(n), array_of(n), array_of(n))
     flags = Flag.SATURATED | Flag.STALE
