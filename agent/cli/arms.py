@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from agent.cli.options import ArmName, CellPath, WithParent, asked_yes, note
+from agent.cli.options import ArmName, CellPath, UtcOffset, WithParent, asked_yes, note
 from agent.config.schema.driver import DriverKind
 
 Driver = Annotated[DriverKind | None, typer.Option(help="Instead of the cell's driver.")]
@@ -39,6 +39,7 @@ def agent(
     gripper_word: Annotated[
         Path | None, typer.Option(help="The same, said by a file that a person makes; it is taken away.")
     ] = None,
+    utc_offset_ns: UtcOffset = None,
     with_parent: WithParent = False,
 ) -> None:
     """Run one arm: the process that reads, steps, limits and writes."""
@@ -51,7 +52,7 @@ def agent(
             cell=cell, arm=arm, driver=driver, ring=ring, control=control, plant_socket=plant_socket, port=port,
             hold=hold, priority=priority, allow_no_realtime=allow_no_realtime, emulated=emulated, real_time=real_time,
             whole=whole, guard=guard, wait=wait, gripper_empty=gripper_empty, gripper_word=gripper_word,
-            with_parent=with_parent,
+            utc_offset_ns=utc_offset_ns, with_parent=with_parent,
         ),
         Listener(note, asked_yes),
     )  # fmt: skip

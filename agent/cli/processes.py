@@ -14,6 +14,7 @@ from agent.cli.options import (
     AtOnce,
     CellPath,
     NetworkConfig,
+    UtcOffset,
     WithParent,
     note,
 )
@@ -31,6 +32,7 @@ def plant(
         AfterLoss.END
     ),
     pauses: Annotated[str | None, typer.Option(hidden=True, help="Instants to wait at for SIGUSR1.")] = None,
+    utc_offset_ns: UtcOffset = None,
     with_parent: WithParent = False,
 ) -> None:
     """Run the simulated cell that the agents' simulated drivers connect to."""
@@ -41,7 +43,7 @@ def plant(
     run(
         PlantCommand(
             cell=cell, socket=socket, ring=ring, real_time=real_time, lost_arm=lost_arm, pauses=pauses,
-            with_parent=with_parent,
+            utc_offset_ns=utc_offset_ns, with_parent=with_parent,
         ),
         Listener(note),
     )  # fmt: skip
@@ -56,6 +58,7 @@ def emulate(
     seed: Annotated[int, typer.Option(help="Seed of the faults.")] = 0,
     no_timing: Annotated[bool, typer.Option("--no-timing", help="Answer at once, not at the bus's pace.")] = False,
     whole: Annotated[bool, typer.Option("--whole", help="Arms begin at rest, the object on a table.")] = False,
+    utc_offset_ns: UtcOffset = None,
     with_parent: WithParent = False,
 ) -> None:
     """Emulated Dynamixel servos of the cell's arms on pseudo terminals, for any Dynamixel client."""
@@ -66,7 +69,7 @@ def emulate(
     run(
         EmulateCommand(
             cell=cell, ports=ports, ring=ring, faults=faults, control=control, seed=seed, no_timing=no_timing,
-            whole=whole, with_parent=with_parent,
+            whole=whole, utc_offset_ns=utc_offset_ns, with_parent=with_parent,
         ),
         Listener(note),
     )  # fmt: skip

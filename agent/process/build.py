@@ -55,6 +55,7 @@ class Connection:
     plant_socket: Path | None = None  # simulated driver, and the twin of an arm in the loop
     port: str | None = None  # Dynamixel driver; None: the port of the cell file
     emulated: bool = False  # the servos on that port are emulated: nothing can fall
+    utc_offset_ns: int | None = None  # UTC minus CLOCK_MONOTONIC, of all processes of a run; None: as it is now
 
 
 def build_driver(
@@ -84,7 +85,7 @@ def build_driver(
             f"twin of arm {arm.name}", found="no plant socket", expected="the socket of the cell's plant",
             remedy="give --plant-socket",
         )  # fmt: skip
-    clock = MonotonicClock()
+    clock = MonotonicClock(connection.utc_offset_ns)
     driver = servo_driver(arm_map(cell, arm, port_of(arm, connection), q_start), connection, clock, warn, guard)
     if not rehearses or connection.plant_socket is None:
         return driver, clock

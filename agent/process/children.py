@@ -30,6 +30,7 @@ from agent.telemetry.link.session import FREE_PORT
 from agent.telemetry.ring.reader import RingReader
 from agent.telemetry.row.sample import AGENT_STATE
 from agent.telemetry.row.topics import PLANT
+from drivers.clock import utc_offset_ns
 
 READY_TIMEOUT_S = 30.0
 STOP_TIMEOUT_S = 20.0
@@ -77,6 +78,8 @@ class Children:
         self._telemetry: dict[str, Child] = {}
         self._cores = share_out(len(cell.arms), os.sched_getaffinity(0))
         self._endpoint = ""  # of the recorder, once it is ready
+        # one for all processes: the wall clock may be set between their starts
+        self._utc_offset_ns = None if self._lockstep else utc_offset_ns()
         self._began_s = 0.0
         self._interrupted = False
 
@@ -146,12 +149,15 @@ class Children:
         ring = self._ring(PLANT)
         if self._kind is RunKind.WIRE:
             return self._emulate_command(ring)
-        return PlantCommand(cell=self._cell_path, socket=self._socket, ring=ring, real_time=not self._lockstep)
+        return PlantCommand(
+            cell=self._cell_path, socket=self._socket, ring=ring, real_time=not self._lockstep,
+            utc_offset_ns=self._utc_offset_ns,
+        )  # fmt: skip
 
     def _emulate_command(self, ring: Path | None) -> EmulateCommand:
         return EmulateCommand(
             cell=self._cell_path, ports=self._runtime, ring=ring, faults=self._faults, seed=self._seed,
-            whole=self._whole,
+            whole=self._whole, utc_offset_ns=self._utc_offset_ns,
         )  # fmt: skip
 
     def _agent_command(self, arm: str) -> AgentCommand:
@@ -168,6 +174,7 @@ class Children:
             emulated=wire or self._kind is RunKind.HIL,
             real_time=self._kind in (RunKind.REAL_TIME, RunKind.HIL),
             whole=self._whole,
+            utc_offset_ns=self._utc_offset_ns,
         )
 
     def _telemetry_command(self, member: str, endpoint: str) -> TelemetryCommand:

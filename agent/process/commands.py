@@ -67,6 +67,7 @@ class PlantCommand(ChildCommand):
     real_time: bool
     lost_arm: AfterLoss = AfterLoss.END
     pauses: str | None = None  # s of the trajectory, with commas: in lockstep it waits there until SIGUSR1
+    utc_offset_ns: int | None = None  # UTC minus CLOCK_MONOTONIC as the run has found it; None: as it is now
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,6 +82,7 @@ class EmulateCommand(ChildCommand):
     seed: int
     no_timing: bool = False
     whole: bool = False
+    utc_offset_ns: int | None = None  # as of PlantCommand
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,6 +106,7 @@ class AgentCommand(ChildCommand):
     priority: int | None = None
     allow_no_realtime: bool = False
     wait: float = 0.0  # s, for guard and plant
+    utc_offset_ns: int | None = None  # as of PlantCommand
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -33,6 +33,7 @@ from agent.process.folder import LOG_NAME, output_folder
 from agent.process.glance import Glance, Window
 from agent.process.run_folder import run_folder
 from agent.telemetry.link.session import FREE_PORT
+from drivers.clock import utc_offset_ns
 
 END_TIMEOUT_S = STAND_S + SINK_MAX_S + 10.0
 START_IN_NS = 3_000_000_000  # grippers have closed by then, and the torque at rest has been looked at
@@ -82,6 +83,7 @@ class FloatingArms:
         self._cell_path, self._run_info_path = runtime / "cell.toml", runtime / "run.json"
         self._cell_path.write_bytes(cell.toml)
         self._run_info_path.write_bytes(run_info(cell, DriverKind.DYNAMIXEL, seed=0))
+        self._utc_offset_ns = utc_offset_ns()  # one for all processes: the wall clock may be set between their starts
         self._recorder: Child | None = None
         self._servos: Child | None = None
         self._agents: dict[str, Child] = {}
@@ -203,15 +205,16 @@ class FloatingArms:
 
     def _emulate_command(self) -> EmulateCommand:
         return EmulateCommand(
-            cell=self._cell_path, ports=self._runtime, ring=self._runtime / "plant.ring", faults=None, seed=0
-        )
+            cell=self._cell_path, ports=self._runtime, ring=self._runtime / "plant.ring", faults=None, seed=0,
+            utc_offset_ns=self._utc_offset_ns,
+        )  # fmt: skip
 
     def _agent_command(self, name: str) -> AgentCommand:
         return AgentCommand(
             cell=self._cell_path, arm=name, ring=self._ring(name), control=self._control(name),
             driver=DriverKind.DYNAMIXEL, port=self._port(name), emulated=self._options.emulate,
             priority=self._options.priority, guard=self._runtime / f"{name}.guard",
-            allow_no_realtime=self._options.no_realtime,
+            allow_no_realtime=self._options.no_realtime, utc_offset_ns=self._utc_offset_ns,
         )  # fmt: skip
 
     def _guard_command(self, name: str) -> GuardCommand:

@@ -47,7 +47,8 @@ def run_float(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
         guard = Guarded(options.guard, cell.fingerprint) if options.guard else None
         if guard is None:
             tell.event(Level.WARN, UNGUARDED)
-        clock, servos = MonotonicClock(), floats.servos(port_of(arm, options.connection))
+        clock = MonotonicClock(options.connection.utc_offset_ns)
+        servos = floats.servos(port_of(arm, options.connection))
         words = _words(floats, options, stop, clock, tell, stack)
         driver = servo_driver(servos, options.connection, clock, tell.warn, guard)
         try:

@@ -95,7 +95,7 @@ def agent(command: AgentCommand, listener: Listener) -> int:
     options = AgentOptions(
         arm=arm,
         driver=kind,
-        connection=Connection(command.plant_socket or plant_socket_path(name), port, emulated),
+        connection=Connection(command.plant_socket or plant_socket_path(name), port, emulated, command.utc_offset_ns),
         ring=command.ring or ring_path(name, arm),
         control=None if lockstep else command.control or control_path(name, arm),
         lockstep=lockstep,
@@ -171,11 +171,11 @@ def plant(command: PlantCommand, listener: Listener) -> int:
     pauses = None
     if command.pauses is not None:
         pauses = Pauses(instants_of(command.pauses, lockstep=not command.real_time), listener.parent, requested)
-    listener.say(
-        run_plant(
-            loaded, *where, lockstep=not command.real_time, lost_arm=loss, stop=requested, ready=ready, pauses=pauses
-        )
-    )
+    summary = run_plant(
+        loaded, *where, lockstep=not command.real_time, lost_arm=loss, stop=requested, ready=ready, pauses=pauses,
+        of_run_ns=command.utc_offset_ns,
+    )  # fmt: skip
+    listener.say(summary)
     return 0
 
 
@@ -204,7 +204,11 @@ def emulate(command: EmulateCommand, listener: Listener) -> int:
         return 0
     where = command.ring or ring_path(name, PLANT)
     begins = at_rest if command.whole else gripping if floating is None else about_the_object
-    listener.say(run_emulate(loaded, options, where, timing=timing, stop=requested, ready=ready, begin=begins))
+    summary = run_emulate(
+        loaded, options, where, timing=timing, stop=requested, ready=ready, begin=begins,
+        of_run_ns=command.utc_offset_ns,
+    )  # fmt: skip
+    listener.say(summary)
     return 0
 
 

@@ -26,6 +26,7 @@ from agent.operator.words import start_together
 from agent.process.simulated import actuator_spec
 from agent.telemetry.ring.reader import RingReader
 from agent.telemetry.row.sample import AGENT_STATE
+from drivers.clock import utc_offset_ns
 from tests.support.coop import ready, start
 from tests.support.stalls import Kernel, Stalled, despite_stalls
 
@@ -51,7 +52,11 @@ class Lab:
 
     def begin(self) -> None:
         """All processes, torque on.  Raises Stalled."""
-        self.plant = self._begin("plant", "--socket", "plant.sock", "--ring", "plant.ring", "--real-time")
+        # as if the wall clock had been set before the first process of the run asked for it
+        self.utc_offset_ns = utc_offset_ns() - 7_000_003
+        self.plant = self._begin(
+            "plant", "--socket", "plant.sock", "--ring", "plant.ring", "--real-time", *self._origin
+        )
         self.emulator = self._begin("emulate", "--ports", ".")
         for process in (self.plant, self.emulator):
             ready(process)
@@ -71,7 +76,11 @@ class Lab:
 
     def _agent(self, arm: str, *more: str) -> subprocess.Popen[str]:
         own = ("--ring", f"{arm}.ring", "--control", f"{arm}.control", "--plant-socket", "plant.sock")
-        return self._begin("agent", "--arm", arm, "--emulated", "--hold", *own, *more)
+        return self._begin("agent", "--arm", arm, "--emulated", "--hold", *own, *self._origin, *more)
+
+    @property
+    def _origin(self) -> tuple[str, ...]:
+        return "--utc-offset-ns", str(self.utc_offset_ns)
 
     @property
     def controls(self) -> dict[str, list[Path]]:
@@ -150,6 +159,8 @@ def test_an_arm_in_the_loop_says_what_was_added_and_holds_when_the_plant_is_kill
         left, right, killed_ns = rehearsed(made)
         with made.kernel.heard(made.emulator.pid):
             check_rows(made.cell, left, right)
+    for rows in (left, right):
+        assert set((rows["utc_ns"] - rows["stamp_ns"]).tolist()) == {made.utc_offset_ns}, "one run, one origin"
     held = np.flatnonzero(left["mode"] == Mode.HOLD)
     between = left[(left["stamp_ns"] > killed_ns - IN_A_CYCLE_NS) & (left["mode"] == Mode.TRACK)]
     if between["late_s"].max(initial=0.0) > LATE_S or np.isnan(between["q_measured"][:, 0]).any():

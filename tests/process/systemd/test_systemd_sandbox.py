@@ -16,7 +16,7 @@ from tests.support.systemd.unit_files import install
 pytestmark = pytest.mark.skipif(bool(missing()), reason=missing())
 
 PLACES = "/etc/coop /etc/coop/keys /var/lib/coop/runs /home /run /run/coop/hang/hang.ring /run/coop/kernel"
-WATCHDOG_S = 1.0
+WATCHDOG_S = 2.0  # an own process strokes it, and this machine may stand still for a second
 
 
 @pytest.fixture(scope="module")
@@ -133,8 +133,8 @@ def test_a_stopped_agent_holds_until_a_person_releases_it(machine: Machine) -> N
     machine.run("systemctl", "start", unit)
     machine.run("systemctl", "stop", "--no-block", unit)
     machine.wait_for(unit, "StatusText", "HOLD")
-    time.sleep(2 * WATCHDOG_S)
-    assert machine.show(unit, "ActiveState") == "deactivating"
+    time.sleep(1.5 * WATCHDOG_S)
+    assert machine.show(unit, "ActiveState") == "deactivating", machine.show(unit, "Result")
     machine.run("systemctl", "kill", "--signal=SIGUSR1", unit)
     machine.wait_for(unit, "ActiveState", "inactive")
     assert machine.show(unit, "Result") == "success"
@@ -145,8 +145,8 @@ def test_a_shutdown_waits_for_a_hold_and_leaves_a_way_in(machine: Machine) -> No
     machine.run("systemctl", "start", "ssh.service", unit)
     machine.run("systemctl", "start", "--no-block", "--job-mode=replace-irreversibly", "off.target")
     machine.wait_for(unit, "StatusText", "HOLD")
-    time.sleep(2 * WATCHDOG_S)
-    assert machine.show(unit, "ActiveState") == "deactivating"
+    time.sleep(1.5 * WATCHDOG_S)
+    assert machine.show(unit, "ActiveState") == "deactivating", machine.show(unit, "Result")
     assert machine.show("ssh.service", "ActiveState") == "active"
     machine.run("systemctl", "kill", "--signal=SIGUSR1", unit)
     machine.wait_for("ssh.service", "ActiveState", "inactive")

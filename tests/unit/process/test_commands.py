@@ -48,6 +48,7 @@ FULL = (
         real_time=True,
         lost_arm=AfterLoss.LIMP,
         pauses="1.0,2.5",
+        utc_offset_ns=1_700_000_000_000_000_003,
     ),
     EmulateCommand(
         cell=CELL,
@@ -58,6 +59,7 @@ FULL = (
         seed=3,
         no_timing=True,
         whole=True,
+        utc_offset_ns=-5,
     ),
     AgentCommand(
         cell=CELL,
@@ -77,6 +79,7 @@ FULL = (
         priority=80,
         allow_no_realtime=True,
         wait=2.5,
+        utc_offset_ns=1_700_000_000_000_000_003,
     ),
     GuardCommand(
         cell=CELL,
