@@ -15,6 +15,7 @@ CAUGHT = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGUSR1)
 @pytest.fixture
 def handlers() -> Iterator[None]:
     before = {number: signal.getsignal(number) for number in CAUGHT}
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)  # these tests may themselves run under `nohup`
     yield
     for number, handler in before.items():
         signal.signal(number, handler)
