@@ -6,9 +6,12 @@ another one, and afterwards no arm takes it.  So no arms of a cell take the inst
 
 from __future__ import annotations
 
+from collections import deque
+
 from agent.operator.ask import REPLY_TIMEOUT_S
 
 HELD_NS = round(2 * REPLY_TIMEOUT_S * 1e9)  # from when the first arm was asked, in which all are asked and told
+ASKED_MAX = 64  # tokens that are remembered: nobody takes back what so many others have asked for since
 
 
 class Promise:
@@ -17,7 +20,7 @@ class Promise:
     def __init__(self) -> None:
         self._token = ""
         self._until_ns = 0
-        self._asked: set[str] = set()  # since the last instant that was given
+        self._asked: deque[str] = deque(maxlen=ASKED_MAX)  # since the last instant that was given
         self._given = ""
 
     def agree(self, token: str, asked_ns: int, now_ns: int) -> bool:
@@ -29,7 +32,8 @@ class Promise:
         if now_ns >= until_ns or (token != self._token and self._token and now_ns < self._until_ns):
             return False
         self._token, self._until_ns = token, until_ns
-        self._asked.add(token)
+        if token not in self._asked:
+            self._asked.append(token)
         return True
 
     def covers(self, token: str, now_ns: int) -> bool:
