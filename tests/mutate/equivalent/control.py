@@ -56,7 +56,7 @@ _ALMOST_NONE = "so small an angle is its sine, and its cosine is one"
 _DEAD = "if not size > dead_zone:"
 _NO_MORE = "adds nothing where no more than one period has passed"
 _PAIRS = "_pairs: tuple[tuple[float, float], ...] = field(init=False, repr=False)"
-_NO_INTERNAL = "return _NO_WRENCH if wanted is None else shift_to_ee(k, internal)"
+_NO_INTERNAL = "return NO_WRENCH if wanted is None else shift_to_ee(k, internal)"
 
 _HOW_OFTEN = "how often somebody is told meanwhile; no test measures time"
 _COUNTS = "self._seen_s = self._slow_s = 0.0"
