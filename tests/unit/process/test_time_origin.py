@@ -1,0 +1,43 @@
+"""One run has one origin of time: whoever starts its processes asks the host once and tells all of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from agent.config.cell import load_cell
+from agent.process import children, floating_arms
+from agent.process.children import Children
+from agent.process.floating_arms import FloatingArms
+from agent.process.floating_cell import FloatOptions
+from agent.process.run_kind import RunKind
+from tests.support.coop import PAPER
+
+OFFSETS_NS = 1_700_000_000_000_000_003, 1_700_000_000_006_000_003  # the wall clock is set between the looks
+
+
+@pytest.fixture
+def host(monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in (children, floating_arms):
+        looks = iter(OFFSETS_NS)
+        monkeypatch.setattr(module, "utc_offset_ns", lambda looks=looks: next(looks))
+
+
+@pytest.mark.usefixtures("host")
+@pytest.mark.parametrize("kind", RunKind)
+def test_all_processes_of_a_run_are_told_the_same_and_none_in_lockstep(tmp_path: Path, kind: RunKind) -> None:
+    made = Children(load_cell(Path(PAPER)), kind, 0, None, tmp_path / "run.mcap", tmp_path)
+    told = [
+        made._plant_command(),
+        made._emulate_command(None),
+        *(made._agent_command(arm) for arm in ("left", "right")),
+    ]
+    assert {command.utc_offset_ns for command in told} == {None if kind is RunKind.LOCKSTEP else OFFSETS_NS[0]}
+
+
+@pytest.mark.usefixtures("host")
+def test_so_are_those_of_arms_that_float(tmp_path: Path) -> None:
+    made = FloatingArms(load_cell(Path(PAPER)), FloatOptions(Path(PAPER), ("left",), emulate=True), tmp_path, tmp_path)
+    told = [made._emulate_command(), made._agent_command("left")]
+    assert {command.utc_offset_ns for command in told} == {OFFSETS_NS[0]}
