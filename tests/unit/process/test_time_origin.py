@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from agent.config.cell import load_cell
-from agent.process import children, floating_arms
+from agent.config.schema.driver import DriverKind
+from agent.process import children, floating_arms, floats
+from agent.process.build import Connection
 from agent.process.children import Children
 from agent.process.floating_arms import FloatingArms
 from agent.process.floating_cell import FloatOptions
 from agent.process.run_kind import RunKind
+from agent.process.schedule import AgentOptions
+from drivers.interface import Clock, Refusal
 from tests.support.coop import PAPER
 
 OFFSETS_NS = 1_700_000_000_000_000_003, 1_700_000_000_006_000_003  # the wall clock is set between the looks
@@ -41,3 +46,23 @@ def test_so_are_those_of_arms_that_float(tmp_path: Path) -> None:
     made = FloatingArms(load_cell(Path(PAPER)), FloatOptions(Path(PAPER), ("left",), emulate=True), tmp_path, tmp_path)
     told = [made._emulate_command(), made._agent_command("left")]
     assert {command.utc_offset_ns for command in told} == {OFFSETS_NS[0]}
+
+
+def test_an_arm_that_floats_keeps_to_what_it_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    clocks: list[Clock] = []
+
+    def no_arm() -> None:
+        raise Refusal("arm left", found="none", expected="one", remedy="connect it")
+
+    def servo_driver(_: object, __: object, clock: Clock, *___: object) -> SimpleNamespace:
+        clocks.append(clock)
+        return SimpleNamespace(connect=no_arm, disable=lambda: None, close=lambda: None)
+
+    monkeypatch.setattr(floats, "servo_driver", servo_driver)
+    connection = Connection(port="nowhere", utc_offset_ns=OFFSETS_NS[0])
+    ring = tmp_path / "left.ring"
+    options = AgentOptions("left", DriverKind.DYNAMIXEL, connection, ring, None, lockstep=False, hold=True)
+    cell = load_cell(Path(PAPER), ['floating.arms=["left"]'])
+    with pytest.raises(Refusal, match="connect it"):
+        floats.run_float(cell, options, lambda: True, lambda _: None)  # type: ignore[arg-type]
+    assert [clock.utc_offset_ns for clock in clocks] == [OFFSETS_NS[0]]
