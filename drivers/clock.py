@@ -11,9 +11,9 @@ READINGS = 20
 def utc_offset_ns(utc_ns: Callable[[], int] = time.time_ns, monotonic_ns: Callable[[], int] = time.monotonic_ns) -> int:
     """UTC minus CLOCK_MONOTONIC, ns, to within the time of a clock reading (below 1 µs).
 
-    The kernel slews both clocks alike, so every process of a host finds the same until the wall clock is set, as some
-    virtual machines do every few minutes.
-    Of several readings the one that took least counts: nothing came between the clocks.
+    The kernel slews both clocks alike, so every process of a host finds the same until the wall clock is set: by
+    somebody, or in steps by what corrects it.  Of several readings the one that took least counts: nothing came
+    between the clocks.
     """
     shortest_ns, offset_ns = -1, 0
     for _ in range(READINGS):

@@ -44,7 +44,9 @@ NetworkConfig = Annotated[Path | None, typer.Option(help="Zenoh configuration (T
 ControlSockets = Annotated[list[Path], typer.Option("--control", help="Control sockets instead of the usual ones.")]
 SomeArms = Annotated[list[str], typer.Option("--arm", help="Only these arms.", autocompletion=complete.arms)]
 WithParent = Annotated[bool, typer.Option("--with-parent", hidden=True)]
-UtcOffset = Annotated[int | None, typer.Option(hidden=True, help="UTC minus CLOCK_MONOTONIC, ns, of the whole run.")]
+UtcOffset = Annotated[
+    int | None, typer.Option(hidden=True, help="UTC minus CLOCK_MONOTONIC, ns, as the run has found it.")
+]
 AtOnce = Annotated[bool, typer.Option("--at-once", hidden=True)]
 AsJson = Annotated[bool, typer.Option("--json", help="For scripts: one JSON document on standard output.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace what is there.")]

@@ -50,12 +50,12 @@ EMULATED_PATIENCE_S = 0.5
 
 @dataclass(frozen=True)
 class Connection:
-    """How an agent reaches its arm."""
+    """How an agent reaches its arm, and how its clock stands to UTC."""
 
     plant_socket: Path | None = None  # simulated driver, and the twin of an arm in the loop
     port: str | None = None  # Dynamixel driver; None: the port of the cell file
     emulated: bool = False  # the servos on that port are emulated: nothing can fall
-    utc_offset_ns: int | None = None  # UTC minus CLOCK_MONOTONIC, of all processes of a run; None: as it is now
+    utc_offset_ns: int | None = None  # UTC minus CLOCK_MONOTONIC as the run has found it; None: as it is now
 
 
 def build_driver(

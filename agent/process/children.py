@@ -78,7 +78,7 @@ class Children:
         self._telemetry: dict[str, Child] = {}
         self._cores = share_out(len(cell.arms), os.sched_getaffinity(0))
         self._endpoint = ""  # of the recorder, once it is ready
-        # one for all processes: the wall clock may be set between their starts
+        # one for plant, servos and agents: the wall clock may be set between their starts
         self._utc_offset_ns = None if self._lockstep else utc_offset_ns()
         self._began_s = 0.0
         self._interrupted = False

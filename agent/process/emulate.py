@@ -105,19 +105,19 @@ def run_emulate(
     stop: StopFlag,
     ready: Callable[[str], None],
     begin: Begin = gripping,
-    of_run_ns: int | None = None,
+    utc_offset_ns: int | None = None,
 ) -> str:
     """Serve the emulated arms until a stop; returns one line about the run.
 
     options: ports, faults and control socket; what becomes of a tick is added.  timing: False answers at once, not at
-    the pace of the bus.  begin: how the arms begin.  of_run_ns: UTC minus CLOCK_MONOTONIC, as every process of the run
-    has it (None: as it is now).  Raises Refusal.
+    the pace of the bus.  begin: how the arms begin.  utc_offset_ns: UTC minus CLOCK_MONOTONIC as the run has found it;
+    None: as it is now.  Raises Refusal.
     """
     report = examine(cell)
     report.require()
     emulated, world = begin(cell, report.q_start, BusTiming() if timing else None)
     with RingWriter(ring, PLANT_STATE, PLANT) as rows:
-        truth = Truth(rows, world.plant, cell, MonotonicClock(of_run_ns).utc_offset_ns, lockstep=False)
+        truth = Truth(rows, world.plant, cell, MonotonicClock(utc_offset_ns).utc_offset_ns, lockstep=False)
 
         def on_tick(now_ns: int) -> None:
             truth.write(rows.written, now_ns, world.observe())

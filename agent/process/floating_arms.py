@@ -83,7 +83,7 @@ class FloatingArms:
         self._cell_path, self._run_info_path = runtime / "cell.toml", runtime / "run.json"
         self._cell_path.write_bytes(cell.toml)
         self._run_info_path.write_bytes(run_info(cell, DriverKind.DYNAMIXEL, seed=0))
-        self._utc_offset_ns = utc_offset_ns()  # one for all processes: the wall clock may be set between their starts
+        self._utc_offset_ns = utc_offset_ns()  # one for all arms: the wall clock may be set between starts
         self._recorder: Child | None = None
         self._servos: Child | None = None
         self._agents: dict[str, Child] = {}

@@ -30,13 +30,13 @@ SECOND_NS = 1_000_000_000
 
 def run_plant(
     cell: Cell, socket: Path, ring: Path, *, lockstep: bool, lost_arm: LostArm, stop: StopFlag,
-    ready: Callable[[str], None], pauses: Pauses | None = None, of_run_ns: int | None = None,
+    ready: Callable[[str], None], pauses: Pauses | None = None, utc_offset_ns: int | None = None,
 ) -> str:  # fmt: skip
     """Serve the simulated cell at `socket` until its arms have left; returns one line about the run.
 
     lost_arm: what becomes of the run when an agent dies without a word; ready is called
-    once the arms can connect; pauses: instants to wait at, in lockstep; of_run_ns: UTC minus CLOCK_MONOTONIC, as
-    every process of the run has it (None: as it is now).  Raises Refusal.
+    once the arms can connect; pauses: instants to wait at, in lockstep; utc_offset_ns: UTC minus CLOCK_MONOTONIC as
+    the run has found it; None: as it is now.  Raises Refusal.
     """
     require_wall_clock(cell, real_time=not lockstep)
     report = examine(cell)
@@ -48,7 +48,7 @@ def run_plant(
         config_id=cell.config_id,
         lockstep=lockstep,
         lost_arm=lost_arm,
-        utc_offset_ns=_utc_at_zero_ns() if lockstep else MonotonicClock(of_run_ns).utc_offset_ns,
+        utc_offset_ns=_utc_at_zero_ns() if lockstep else MonotonicClock(utc_offset_ns).utc_offset_ns,
         observe_every=cell.file.observe_every,
         stop=stop,
     )

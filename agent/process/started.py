@@ -173,7 +173,7 @@ def plant(command: PlantCommand, listener: Listener) -> int:
         pauses = Pauses(instants_of(command.pauses, lockstep=not command.real_time), listener.parent, requested)
     summary = run_plant(
         loaded, *where, lockstep=not command.real_time, lost_arm=loss, stop=requested, ready=ready, pauses=pauses,
-        of_run_ns=command.utc_offset_ns,
+        utc_offset_ns=command.utc_offset_ns,
     )  # fmt: skip
     listener.say(summary)
     return 0
@@ -206,7 +206,7 @@ def emulate(command: EmulateCommand, listener: Listener) -> int:
     begins = at_rest if command.whole else gripping if floating is None else about_the_object
     summary = run_emulate(
         loaded, options, where, timing=timing, stop=requested, ready=ready, begin=begins,
-        of_run_ns=command.utc_offset_ns,
+        utc_offset_ns=command.utc_offset_ns,
     )  # fmt: skip
     listener.say(summary)
     return 0

@@ -4,19 +4,25 @@ from __future__ import annotations
 
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
 
+from agent.cli.main import dispatch
 from agent.config.cell import load_cell
 from agent.config.schema.driver import DriverKind
-from agent.process import children, floating_arms, floats
+from agent.process import children, emulate, floating_arms, floats, plant
 from agent.process.build import Connection
 from agent.process.children import Children
 from agent.process.floating_arms import FloatingArms
 from agent.process.floating_cell import FloatOptions
 from agent.process.run_kind import RunKind
 from agent.process.schedule import AgentOptions
+from agent.telemetry.ring.reader import RingReader
+from agent.telemetry.row.sample import PLANT_STATE
 from drivers.interface import Clock, Refusal
+from sim_backend.wire.serve import ServeOptions
 from tests.support.coop import PAPER
 
 OFFSETS_NS = 1_700_000_000_000_000_003, 1_700_000_000_006_000_003  # the wall clock is set between the looks
@@ -66,3 +72,39 @@ def test_an_arm_that_floats_keeps_to_what_it_is_told(tmp_path: Path, monkeypatch
     with pytest.raises(Refusal, match="connect it"):
         floats.run_float(cell, options, lambda: True, lambda _: None)  # type: ignore[arg-type]
     assert [clock.utc_offset_ns for clock in clocks] == [OFFSETS_NS[0]]
+
+
+@pytest.mark.parametrize(("module", "verb"), [(plant, "plant"), (emulate, "emulate")])
+def test_what_the_command_says_reaches_plant_and_servos(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: Any, verb: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    got: dict[str, Any] = {}
+    monkeypatch.setattr(module, f"run_{verb}", lambda *_, **options: got.update(options) or "done")
+    words = {"plant": ["--socket", "socket", "--ring", "ring"], "emulate": ["--ports", "ports", "--ring", "ring"]}
+    assert dispatch([verb, "paper", *words[verb], "--utc-offset-ns", str(OFFSETS_NS[0])]) == 0
+    assert got["utc_offset_ns"] == OFFSETS_NS[0]
+
+
+def test_the_truth_behind_emulated_servos_has_it_in_its_rows(tmp_path: Path) -> None:
+    cell, ring = load_cell(Path(PAPER)), tmp_path / "ring"
+    ports = {arm.name: tmp_path / arm.name for arm in cell.arms}
+    found: list[int] = []
+
+    def seen() -> bool:
+        with RingReader(ring, PLANT_STATE) as reader:
+            rows = np.frombuffer(reader.read_last(10).payload, PLANT_STATE.dtype)
+        found.extend((rows["utc_ns"] - rows["stamp_ns"]).tolist())
+        return bool(found)
+
+    served = ServeOptions(ports)
+    emulate.run_emulate(
+        cell,
+        served,
+        ring,
+        timing=False,
+        stop=seen,
+        ready=lambda _: None,
+        utc_offset_ns=OFFSETS_NS[0],  # type: ignore[arg-type]
+    )
+    assert set(found) == {OFFSETS_NS[0]}
