@@ -2,7 +2,8 @@
 
 Without a fault, what the channels of the residual (agent.control.residual) carry comes from
 
-- friction that is not that of the feed-forward, ‖F‖ with columns J⁻ᵀ e_j Δf_j: at a reversal a part of it is sudden;
+- friction that is not that of the feed-forward, ‖F‖ with columns J⁻ᵀ e_j Δf_j, a fifth of it however well it is known:
+  at a reversal a part of it is sudden;
 - steps of the encoders through observer and law, columns J⁻ᵀ L B (J⁻¹ K H J) e_j α ½ lsb;
 - what errors of masses, torque constants, zeros, base, grasp and start make of W along the motion beyond what they make
   of it at its begin, which the slow channel subtracts: J⁻ᵀ Δτ and S δ (agent.verify.disagreement has their forms).
@@ -66,6 +67,8 @@ ALONG: Final = (0.35, 0.097)  # level, climb: of friction and noise
 CLIMBING: Final = 0.285  # of the same: the level at which a climb counts
 TOUCH_ALONG: Final = (1.05, 0.15)  # times an arm's share of a touch
 LOAD: Final = 0.82  # of friction and noise, beside that share: what hangs on the object with what friction bears
+UNKNOWN_LEAST: Final = 0.2  # of friction: where it sticks or turns round no figure of it helps
+RUBS: Final = 0.5  # of friction, no less in that: the feed-forward turns round however well it is known
 KNOCK: Final = 1.05  # of the level's limit, for what strikes the object
 ALONE: Final = 2  # arms that feel a touch as they feel the other one
 BRACE_N: Final = 2.0  # of a hold that three and more arms carry on
@@ -91,7 +94,7 @@ def slow_rate(cell: Cell) -> float:
 
 def derived(cell: Cell) -> Channels:
     """What follows from the cell file: N, N·m, to three digits.  Raises ConfigError where an arm cannot be placed."""
-    (friction_N, friction_Nm), (noise_N, noise_Nm), (errors_N, errors_Nm) = _largest(cell)
+    (friction_N, friction_Nm), (noise_N, noise_Nm), (errors_N, errors_Nm), _ = _largest(cell)
     touch = TOUCH * _share_N(cell)
     floors = FLOORS._replace(fast_N=max(FLOORS.fast_N, touch), fast_Nm=max(FLOORS.fast_Nm, TOUCH_LEVER_M * touch))
     hum = HUM * math.sqrt(slow_rate(cell) / cell.file.safety.noticing.rate_per_s)
@@ -131,7 +134,9 @@ def bearing(cell: Cell, arm: Arm) -> Bearing | None:
     friction = cell.offline(arm).friction
     if friction is None or friction.sticks or len(cell.arms) <= ALONE or not any(_down(cell)):
         return None
-    limit_N = TOUCH_ALONG[0] * _share_N(cell) + LOAD * _usual_N(cell)
+    (unknown_N, _), (noise_N, _), _, (rubbing_N, _) = _largest(cell)
+    usual_N = MARGIN * (max(unknown_N, RUBS * rubbing_N) + noise_N)
+    limit_N = TOUCH_ALONG[0] * _share_N(cell) + LOAD * usual_N
     return Bearing(1.0 / cell.file.rate_hz, float(f"{limit_N:.3g}"), friction, _down(cell))
 
 
@@ -172,7 +177,7 @@ def _share_N(cell: Cell) -> float:
 
 def _usual_N(cell: Cell) -> float:
     """Force of friction and noise, with a margin, of which limits of three and more arms are a part."""
-    (friction_N, _), (noise_N, _), _ = _largest(cell)
+    (friction_N, _), (noise_N, _), *_ = _largest(cell)
     return MARGIN * (friction_N + noise_N)
 
 
@@ -205,18 +210,20 @@ class _Place(NamedTuple):
 
 @once_per_cell
 def _largest(cell: Cell) -> tuple[tuple[float, float], ...]:
-    """Force and moment of friction, noise and errors, largest over arms and places."""
+    """Force and moment of unknown friction, noise, errors and all friction, largest over arms and places."""
     return tuple((force, moment) for force, moment in np.max([_sizes(cell, arm) for arm in cell.arms], axis=0).tolist())
 
 
 def _sizes(cell: Cell, arm: Arm) -> Matrix:
-    """(3, 2) force and moment of friction, noise and errors, largest over the places."""
+    """(4, 2) force and moment of unknown friction, noise, errors and all friction, largest over the places."""
     known = _known(cell, arm)
     places = _places(known)
     errors = [_errors(known, at) for at in places]
     late = [known.S @ (cell.tolerance.skew_s * at.v) for at in places]
     changes = [np.column_stack([e - errors[0], x]) for e, x in zip(errors, late, strict=True)]
-    of_each = [[_friction(known, at) for at in places], [_noise(known, at) for at in places], changes]
+    rubbing = [_rubbing(known, at) for at in places]
+    unknown = [_unknown(known) * columns for columns in rubbing]
+    of_each = [unknown, [_noise(known, at) for at in places], changes, rubbing]
     return np.array([np.max([_size(columns) for columns in one], axis=0) for one in of_each])
 
 
@@ -254,13 +261,18 @@ def _places(known: _Arm) -> list[_Place]:
     return places
 
 
-def _friction(known: _Arm, at: _Place) -> Matrix:
-    """(6, n) J⁻ᵀ of what friction may be beside the feed-forward, breakaway and load in it."""
+def _unknown(known: _Arm) -> float:
+    """Share of an arm's friction that its feed-forward may lack."""
     low, high = known.cell.tolerance.friction
-    unknown = high if known.offline.friction is None else max(high - 1.0, 1.0 - low)
+    return high if known.offline.friction is None else max(high - 1.0, 1.0 - low, UNKNOWN_LEAST)
+
+
+def _rubbing(known: _Arm, at: _Place) -> Matrix:
+    """(6, n) J⁻ᵀ of the friction of each joint, breakaway and load in it."""
     held = at.k.g + carried_Nm(known.cell, known.arm, at.k)
     friction = np.array([at_rest_Nm(s, tau) for s, tau in zip(known.arm.servos, held.tolist(), strict=True)])
-    return at.to_wrench * (unknown * friction)
+    found: Matrix = at.to_wrench * friction
+    return found
 
 
 def _noise(known: _Arm, at: _Place) -> Matrix:

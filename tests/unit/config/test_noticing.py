@@ -32,6 +32,15 @@ PUSHED = {
     "three_wx250s": (1.37, 0.24),
     "four_wx250s": (0.98, 0.18),
 }
+# slow ones over 40 s of a few realities whose friction is the file's to a fifth or better
+KNOWN = {
+    "paper_real": (0.255, 0.065),
+    "two_wx200": (0.228, 0.054),
+    "two_models": (0.37, 0.104),
+    "paper_adaptive": (0.145, 0.056),
+    "three_wx250s": (0.369, 0.068),
+    "four_wx250s": (0.45, 0.076),
+}
 TYPED = ("fast_N=3.0", "fast_Nm=0.5", "slow_N=2.0", "slow_Nm=0.3")
 
 
@@ -50,10 +59,20 @@ def test_thresholds_are_above_what_is_usual_and_no_higher_than_a_push(name: str)
     assert found.slow_Nm <= 0.3
 
 
+@pytest.mark.parametrize("name", KNOWN)
+def test_friction_counts_with_a_fifth_however_well_it_is_known(name: str) -> None:
+    """It sticks and turns round all the same: limits without it were below what came in cells without any error."""
+    exact, fifth, quarter = (derived(cell(name, f"tolerance.friction={x}")) for x in ([1, 1], [0.8, 1.2], [0.75, 1.2]))
+    assert exact == fifth
+    assert (np.array(exact[2:]) < np.array(quarter[2:])).all()
+    assert (np.array(exact[2:]) >= 1.19 * np.array(KNOWN[name])).all(), exact
+
+
 @pytest.mark.parametrize(
     ("override", "larger"),
     [
         ("tolerance.friction=[0.6, 2.5]", (True, True, True, True)),
+        ("tolerance.friction=[0.1, 1.5]", (True, True, True, True)),
         ("controller.friction_feedforward=false", (True, True, True, True)),
         ("controller.observer.position_gain=0.5", (True, True, True, True)),
         ("safety.noticing.rate_per_s=60.0", (True, True, True, True)),
@@ -69,6 +88,12 @@ def test_thresholds_are_above_what_is_usual_and_no_higher_than_a_push(name: str)
 def test_each_tolerance_counts_where_it_acts(override: str, larger: tuple[bool, ...]) -> None:
     before, after = derived(cell()), derived(cell("paper_real", override))
     assert tuple(bool(x) for x in np.array(after) > np.array(before)) == larger
+
+
+def test_without_feed_forward_all_friction_counts_at_its_most() -> None:
+    off = "controller.friction_feedforward=false"
+    most, usual = (derived(cell("paper_real", off, f"tolerance.friction=[0.6, {x}]")) for x in (1.5, 1.2))
+    assert (np.array(most) > np.array(usual)).all()
 
 
 def test_friction_that_sticks_and_grows_with_the_load_counts_as_it_is_at_rest(tmp_path: Path) -> None:
@@ -91,9 +116,8 @@ def test_friction_that_grows_with_the_load_is_that_of_arm_and_object_together(tm
     at = noticing._places(known)[4]
     held = at.k.g + at.k.Jt[:, :3] @ np.array([0.0, 0.0, 0.5 * 0.4 * 9.81])
     friction = [at_rest_Nm(s, tau) for s, tau in zip(known.arm.servos, held.tolist(), strict=True)]
-    low, high = heavy.tolerance.friction
-    wanted = np.linalg.inv(at.k.J).T * (max(high - 1.0, 1.0 - low) * np.array(friction))
-    np.testing.assert_allclose(noticing._friction(known, at), known.model.task_basis.T @ wanted, atol=1e-12)
+    wanted = np.linalg.inv(at.k.J).T * np.array(friction)
+    np.testing.assert_allclose(noticing._rubbing(known, at), known.model.task_basis.T @ wanted, atol=1e-12)
 
 
 def test_errors_of_base_and_grasp_shift_the_object_as_a_turn_and_a_slip_do() -> None:
@@ -132,9 +156,10 @@ def test_sizes_are_those_of_twelve_places_of_the_run_against_the_first() -> None
     wanted = [
         [max(np.linalg.norm(columns[rows]) for columns in of) for rows in (slice(3), slice(3, 6))]
         for of in (
-            [noticing._friction(known, at) for at in places],
+            [0.5 * noticing._rubbing(known, at) for at in places],
             [noticing._noise(known, at) for at in places],
             changes,
+            [noticing._rubbing(known, at) for at in places],
         )
     ]
     np.testing.assert_allclose(noticing._sizes(short, arm), wanted)
@@ -176,11 +201,12 @@ def test_an_observer_slower_than_those_of_the_studies_lowers_nothing() -> None:
 
 
 @pytest.mark.parametrize(("name", "fast"), [("paper_real", (1.75, 0.35)), ("four_wx250s", (0.875, 0.175))])
-def test_the_floors_hold_where_nothing_is_uncertain(name: str, fast: tuple[float, float]) -> None:
-    exact = ("friction=[1.0, 1.0]", "masses=0.0", "torque_constant=0.0", "zeros_rad=0.0", "base_rad=0.0", "grasp_m=0.0")
+def test_the_floors_hold_where_nothing_is_uncertain(name: str, fast: tuple[float, float], tmp_path: Path) -> None:
+    exact = ("masses=0.0", "torque_constant=0.0", "zeros_rad=0.0", "base_rad=0.0", "grasp_m=0.0")
     no_noise = ("safety.noticing.rate_per_s=0.01", "safety.noticing.slow_per_s=0.001")
     quiet = (*no_noise, "tolerance.skew_s=0.0", *(f"tolerance.{x}" for x in exact))
-    assert derived(cell(name, *quiet)) == Channels(*fast, 0.3, 0.03)
+    without_friction = with_figures(cell(name, *quiet), tmp_path, lambda _: {"coulomb_Nm": 0.0})
+    assert derived(without_friction) == Channels(*fast, 0.3, 0.03)
 
 
 def test_what_the_file_gives_counts_and_the_rest_is_derived() -> None:

@@ -105,6 +105,9 @@ def test_its_state_goes_through_a_row() -> None:
         ("two_wx200", [], None),
         ("three_wx250s", [], 1.76),
         ("four_wx250s", [], 1.59),
+        ("four_wx250s", ["tolerance.friction=[0.9, 1.1]"], 1.59),
+        ("four_wx250s", ["tolerance.friction=[1.0, 1.0]"], 1.59),
+        ("four_wx250s", ["tolerance.friction=[0.25, 1.1]"], 2.04),
         ("four_wx250s", ["controller.friction_feedforward=false"], None),
         ("four_wx250s", ["world.gravity_m_per_s2=[0.0, 0.0, 0.0]"], None),
     ],
@@ -144,6 +147,17 @@ def until(lab: Laboratory, end_s: float, *faults: Fault) -> Run:
     while run.t < end_s:
         run.advance()
     return run
+
+
+def test_friction_that_is_known_exactly_is_no_load() -> None:
+    """It turns round at the start of the motion all the same: 0.83 N, above the limit that noise alone would set."""
+    exact = load_cell(Path("four_wx250s"), ["tolerance.friction=[1.0, 1.0]", "simulation.ready_s=1.0"])
+    run, most_N = Run(Laboratory(exact), None), 0.0
+    while run.t < 1.25:
+        run.advance()
+        most_N = max(most_N, *(place.memory.sense.borne.load_N for place in run.places))
+    assert run.trips == []
+    assert most_N == pytest.approx(0.83, abs=0.02)
 
 
 @pytest.mark.long
