@@ -9,10 +9,10 @@ import numpy as np
 
 from agent.config.cell import Cell
 from agent.control.adaptation_bound import GainLimits, Point, ReferenceTwist, believed_inertia, gain_limits
-from agent.control.errors import attitude_error
 from agent.control.models import ArmModel
 from agent.control.stability import coupled_inertia, spectral_radius
 from agent.verify.margin import sampled_loop
+from agent.verify.path import start_error
 from drivers.interface import Vector
 
 MARGIN = 2.0  # between the largest gain that is computed to be stable and the one that is recommended
@@ -41,14 +41,7 @@ def examine_adaptation(
         R = models[0].object_pose(q[0]).rotation
         M = coupled_inertia(models, q, obj.mass_kg, R @ inertia_object @ R.T)
         points.append(Point(q, M, ReferenceTwist(np.array(desired.v), np.array(desired.a))))
-    limits: GainLimits = gain_limits(models, agents, points, _start_error(cell), loop)
+    limits: GainLimits = gain_limits(models, agents, points, start_error(cell), loop)
     radius = max(spectral_radius(p.M, believed_inertia(models, agents, p.q), P, loop) for p in points)
     spec = cell.file.controller.adaptive
     return AdaptiveFindings(spec.gamma * limits.arm / MARGIN, spec.gamma_object * limits.object / MARGIN, radius)
-
-
-def _start_error(cell: Cell) -> Vector:
-    """e (6,) of the object's first pose."""
-    obj, desired = cell.file.object, cell.trajectory().at(0.0)
-    e_eta, e_eps = attitude_error(obj.quat_start, desired.quat)
-    return np.array([*(np.array(cell.file.p_place_m) - desired.p), *(-e_eta * np.array(e_eps))])

@@ -4,26 +4,34 @@ The residual takes the adaptive law's estimates for what is expected, so what th
 In READY the leak σ forgets that, W(t) = J⁻ᵀ Y (θ̂(0) − θ_nominal) e^{−σ t}; what the estimates do after it answers the
 feedback and makes less of the residual, not more.  A start before W is below every limit holds an arm by its own
 ignorance.
+
+A motion that does not begin at rest where the object stands looks like a blow: the residual takes the step of the
+reference, J⁻¹ (v_d − K e) in joint velocities, for somebody's doing, and shows L J⁻ᵀ B of it within a tick.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 
 from agent.config import noticing
-from agent.config.cell import Cell, ConfigError
+from agent.config.cell import Arm, Cell, ConfigError
 from agent.config.schema.controller import ControllerKind
 from agent.config.schema.driver import DriverKind
 from agent.control.adaptation_bound import ReferenceTwist, estimated_wrench
+from agent.control.inverse import SingularJacobian, invert_jacobian
 from agent.control.models import ArmModel
 from agent.control.residual import Channels
 from agent.monitors.bounds import Name
 from agent.monitors.gravity import WINDOW_S, WINDOWS
 from agent.verify.finding import Finding, Verdict, judged
+from agent.verify.path import start_error
 from drivers.interface import Vector
+
+AT_REST: Final = 1e-9  # m, m/s, rad/s: a motion that begins there
 
 
 def rested(cell: Cell) -> list[Finding]:
@@ -103,6 +111,47 @@ def forgotten_s(lacking: tuple[float, float], limits: Channels, leak_per_s: floa
     if over <= 1.0:
         return 0.0
     return math.log(over) / leak_per_s if leak_per_s > 0.0 else math.inf
+
+
+def begun(cell: Cell, models: Sequence[ArmModel], q_start: Sequence[Vector]) -> list[Finding]:
+    """Whether the arms hold for the begin of the motion; nothing where it begins at rest where the object stands.
+
+    models, q_start (n,): one for each arm.  Nothing, too, where other findings refuse the poses.
+    """
+    error, v = start_error(cell), np.array(cell.trajectory().at(0.0).v)
+    if not cell.file.safety.noticing.enabled or float(np.abs([error, v]).max()) < AT_REST:
+        return []
+    each = zip(cell.arms, models, q_start, strict=True)
+    try:
+        force, moment = np.max([_blow(cell, arm, model, q, v, error) for arm, model, q in each], axis=0).tolist()
+        limits, struck = noticing.thresholds(cell), noticing.knock(noticing.against(cell))
+    except (SingularJacobian, ConfigError):
+        return []
+    most_N = limits.fast_N if struck is None else min(limits.fast_N, struck.limit_N)
+    may_be = noticing.touch(cell, limits) if struck is None else None
+    surely_N = most_N if may_be is None else may_be.most_N
+    holds, perhaps = (force <= x and moment <= limits.fast_Nm for x in (most_N, surely_N))
+    return [
+        judged(
+            "what the begin of the motion looks like to an arm", "cell", f"{force:.2g} N, {moment:.2g} N·m at once",
+            f"≤ {most_N:g} N, {limits.fast_Nm:g} N·m",
+            holds=holds, otherwise=Verdict.WARNING if perhaps else Verdict.REFUSED,
+            remedy="let the motion begin at rest (ramp_s) where the object stands (object.p_start_m, quat_start), "
+            "else all arms hold as it begins; or switch off what they hold for (safety.noticing.enabled)",
+        )
+    ]  # fmt: skip
+
+
+def _blow(cell: Cell, arm: Arm, model: ArmModel, q: Vector, v: Vector, error: Vector) -> tuple[float, float]:
+    """Force (N) and moment (N·m) that the residual makes of the first step of the reference.
+
+    v (6,): twist of the motion as it begins; error (6,): of the object there.  Raises SingularJacobian.
+    """
+    gains, P, k = cell.offline(arm).gains, model.task_basis, model.evaluate(q, np.zeros(model.n))
+    J_inv, _ = invert_jacobian(k.J, k.B)
+    jump = J_inv @ P @ (v - np.array([*gains.k_p, *gains.k_eps]) * error)
+    wrench = P.T @ J_inv.T @ (cell.file.safety.noticing.rate_per_s * k.B @ jump)
+    return float(np.linalg.norm(wrench[:3])), float(np.linalg.norm(wrench[3:]))
 
 
 def _lacking(cell: Cell, i: int, model: ArmModel, q: Vector) -> tuple[float, float]:

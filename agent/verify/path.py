@@ -11,6 +11,7 @@ import pinocchio as pin
 
 from agent.config.cell import Arm, Cell, ConfigError, placement
 from agent.control import ik, known
+from agent.control.errors import attitude_error
 from agent.control.inverse import SingularJacobian, pseudo_inverse
 from agent.control.models import ArmModel
 from agent.verify.finding import Finding, Verdict, judged
@@ -39,6 +40,13 @@ def start_configurations(cell: Cell, models: Sequence[ArmModel]) -> tuple[Vector
         reach(arm, model, cell.T_world_object_start, np.array(arm.entry.q_near_rad), "at the start")
         for arm, model in zip(cell.arms, models, strict=True)
     )
+
+
+def start_error(cell: Cell) -> Vector:
+    """e (6,) of the object where it stands against the begin of the motion: m, and −e_η e_ε."""
+    desired = cell.trajectory().at(0.0)
+    e_eta, e_eps = attitude_error(cell.file.object.quat_start, desired.quat)
+    return np.array([*(np.array(cell.file.p_place_m) - desired.p), *(-e_eta * np.array(e_eps))])
 
 
 def reach(arm: Arm, model: ArmModel, T: pin.SE3, q_near: Vector, when: str) -> Vector:
