@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from sim_backend.physics.actuator import ActuatorSpec, TorqueCommand
 from sim_backend.physics.delay import DelayLine, stretches
 from sim_backend.physics.plant import Observation, Plant
 from sim_backend.physics.spec import PlantError
+from sim_backend.served.driver import SimDriver
 from tests.support.plant.plant_cells import planar_cell
 from tests.support.plant.served_plant import SERVOS, TAU, ServedPlant, cycle
 
@@ -75,6 +77,14 @@ def test_the_plant_goes_on_as_far_as_the_torques_are_known(tmp_path: Path) -> No
         assert left.read().stamp_ns == 20_000_000
 
 
+def stamps_ns(arm: SimDriver, cycles: int) -> list[int]:
+    stamps = []
+    for _ in range(cycles):
+        stamps.append(arm.read().stamp_ns)
+        arm.write(TAU)
+    return stamps
+
+
 def test_an_arm_that_comes_back_gets_the_present_state_and_nobody_gets_one_twice(tmp_path: Path) -> None:
     with ServedPlant(tmp_path) as served:
         left, right = served.enabled()
@@ -82,13 +92,10 @@ def test_an_arm_that_comes_back_gets_the_present_state_and_nobody_gets_one_twice
         right.disable()
         cycle([left], 4)
         right.enable()
-        stamps = []
-        for _ in range(4):
-            states = left.read(), right.read()
-            stamps.append([s.stamp_ns for s in states])
-            left.write(TAU)
-            right.write(TAU)
-        lefts, rights = zip(*stamps, strict=True)
+        with (
+            ThreadPoolExecutor() as both
+        ):  # an arm waits for nobody: it may be enabled while the plant waits for the left
+            lefts, rights = both.map(lambda arm: stamps_ns(arm, 4), (left, right))
         assert np.diff(lefts).tolist() == np.diff(rights).tolist() == [5_000_000] * 3
         assert abs(rights[0] - lefts[0]) <= 5_000_000
 
