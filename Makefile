@@ -6,7 +6,7 @@ JOBS   ?= $(shell echo $$(( $$(nproc) + 2 )))  # some tests wait
 CELL   ?= configs/cells/paper.toml
 
 .DEFAULT_GOAL := help
-.PHONY: help run test test-fresh long fuzz mutate soak kills engine faults false-trips hil campaign failing phases by-hand bench format clean
+.PHONY: help run test test-fresh long fuzz mutate soak kills engine faults false-trips hil campaign failing varied phases by-hand bench format clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## */\1\t/' | expand -t 12
@@ -63,6 +63,9 @@ campaign: $(VENV)/.installed  ## random gains, pads, delays: what the criterion 
 
 failing: $(VENV)/.installed  ## an arm of a random cell goes limp, holds or locks: what check says of the object comes true (5 min); FAILING_N, FAILING_SEED
 	$(BIN)/python -m tests.campaign.failing
+
+varied: $(VENV)/.installed  ## cells as users might write them, motion, object, tolerance: nothing holds while nothing fails (15 min); VARIED_N, VARIED_SEED
+	$(BIN)/python -m tests.campaign.varied
 
 engine: $(VENV)/.installed  ## the shipped cells in MuJoCo beside our plant, and how far the two are apart (20 min); installs MuJoCo; ENGINE_S, ENGINE_SEEDS, ENGINE_ONLY
 	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[engine]'
