@@ -50,6 +50,7 @@ from drivers.interface import Vector
 PLACES: Final = 12  # along the motion, and more where these hide a part of it
 MARGIN: Final = 1.4
 BLOW: Final = 1.5  # margin of the fast channel, in which a touch comes on top of what is usual
+UNKNOWN_LEAST: Final = 0.2  # of friction: where it sticks or turns round no figure of it helps
 REVERSAL: Final = (0.3, 0.6)  # force, moment: of the friction, the sudden part
 PEAK: Final = 6.7  # of noise, beyond the quadratic sum of half steps
 CALIBRATED_SHARE: Final = 0.2  # position gain of the observer in those studies; a slower one doubles friction's jumps
@@ -67,7 +68,6 @@ ALONG: Final = (0.35, 0.097)  # level, climb: of friction and noise
 CLIMBING: Final = 0.285  # of the same: the level at which a climb counts
 TOUCH_ALONG: Final = (1.05, 0.15)  # times an arm's share of a touch
 LOAD: Final = 0.82  # of friction and noise, beside that share: what hangs on the object with what friction bears
-UNKNOWN_LEAST: Final = 0.2  # of friction: where it sticks or turns round no figure of it helps
 RUBS: Final = 0.5  # of friction, no less in that: the feed-forward turns round however well it is known
 KNOCK: Final = 1.05  # of the level's limit, for what strikes the object
 ALONE: Final = 2  # arms that feel a touch as they feel the other one
@@ -134,9 +134,7 @@ def bearing(cell: Cell, arm: Arm) -> Bearing | None:
     friction = cell.offline(arm).friction
     if friction is None or friction.sticks or len(cell.arms) <= ALONE or not any(_down(cell)):
         return None
-    (unknown_N, _), (noise_N, _), _, (rubbing_N, _) = _largest(cell)
-    usual_N = MARGIN * (max(unknown_N, RUBS * rubbing_N) + noise_N)
-    limit_N = TOUCH_ALONG[0] * _share_N(cell) + LOAD * usual_N
+    limit_N = TOUCH_ALONG[0] * _share_N(cell) + LOAD * _usual_N(cell, least=RUBS)
     return Bearing(1.0 / cell.file.rate_hz, float(f"{limit_N:.3g}"), friction, _down(cell))
 
 
@@ -175,10 +173,13 @@ def _share_N(cell: Cell) -> float:
     return TOUCH_N / len(cell.arms)
 
 
-def _usual_N(cell: Cell) -> float:
-    """Force of friction and noise, with a margin, of which limits of three and more arms are a part."""
-    (friction_N, _), (noise_N, _), *_ = _largest(cell)
-    return MARGIN * (friction_N + noise_N)
+def _usual_N(cell: Cell, least: float = 0.0) -> float:
+    """Force of friction and noise, with a margin, of which limits of three and more arms are a part.
+
+    least: of all friction, which counts where less of it is unknown.
+    """
+    (unknown_N, _), (noise_N, _), _, (rubbing_N, _) = _largest(cell)
+    return MARGIN * (max(unknown_N, least * rubbing_N) + noise_N)
 
 
 def _down(cell: Cell) -> tuple[float, float, float]:

@@ -23,7 +23,7 @@ from agent.config.cell import Cell, cell_from_toml
 from agent.config.reality import draw
 from agent.study.lab import Laboratory, Run
 from agent.verify.check import examine
-from drivers.interface import Refusal
+from drivers.interface import DriverError, Refusal
 from sim_backend.physics.spec import PlantError
 from tests.soak.watch import say
 
@@ -93,7 +93,7 @@ def wrong(cell: Cell, seed: int) -> Iterator[str]:
         try:
             while run.t < END_S and not run.trips:
                 run.advance()
-        except PlantError as error:
+        except (PlantError, DriverError) as error:
             yield f"{where}: {error}"
         if run.trips:
             yield f"{where}: {run.trips[0].told}"

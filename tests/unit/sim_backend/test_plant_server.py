@@ -92,9 +92,8 @@ def test_an_arm_that_comes_back_gets_the_present_state_and_nobody_gets_one_twice
         right.disable()
         cycle([left], 4)
         right.enable()
-        with (
-            ThreadPoolExecutor() as both
-        ):  # an arm waits for nobody: it may be enabled while the plant waits for the left
+        # an arm waits for nobody: it may be enabled while the plant waits for the left one's answer
+        with ThreadPoolExecutor() as both:
             lefts, rights = both.map(lambda arm: stamps_ns(arm, 4), (left, right))
         assert np.diff(lefts).tolist() == np.diff(rights).tolist() == [5_000_000] * 3
         assert abs(rights[0] - lefts[0]) <= 5_000_000

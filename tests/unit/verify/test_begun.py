@@ -16,6 +16,7 @@ from agent.verify.noticing import begun
 
 READY = "simulation.ready_s=1.5"  # until what the support and friction gave has gone
 TURNED = "object.quat_start=[0.999996875, 0.0, 0.0025, 0.0]"  # 5 mrad about y
+OUT_OF_REACH = "trajectory.p_amplitude_m=[0.5, 0.0, 0.0]"
 
 
 def found_of(c: Cell) -> list[Finding]:
@@ -72,10 +73,7 @@ def test_check_refuses_what_the_arms_hold_for_as_it_begins(name: str, changes: S
         ("paper_adaptive", []),
         ("four_wx250s", []),
         ("two_wx200", [off("two_wx200", 2, 5.0), "safety.noticing.enabled=false"]),
-        (
-            "two_wx200",
-            [off("two_wx200", 2, 5.0), "trajectory.p_amplitude_m=[0.5, 0.0, 0.0]"],
-        ),  # refused as out of reach
+        ("two_wx200", [off("two_wx200", 2, 5.0), OUT_OF_REACH]),
     ],
 )
 def test_nothing_is_said_of_a_begin_at_rest_nor_where_nobody_notices_or_other_findings_refuse(
