@@ -17,6 +17,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
+from textwrap import indent
 from typing import Any, Final
 
 from agent.atomic import write_atomically
@@ -25,7 +26,7 @@ from agent.faults.judge import Judged, Verdict, show
 from agent.study.work import cores
 from drivers.interface import Refusal
 from tests.faults.false_trips import false_trips
-from tests.faults.outside import of_row, outcomes
+from tests.faults.outside import Outcome, of_row, outcomes
 from tests.faults.together import Pair, pair
 
 TOGETHER: Final = "X1"
@@ -58,7 +59,7 @@ def main() -> int:
 
 def run_rows(chosen: Sequence[Row]) -> list[dict[str, Any]]:
     """Each row by its runs and by its tests; told as they are done."""
-    tested: Mapping[str, str] = {}
+    tested: Mapping[str, Outcome] = {}
     if os.environ.get("FAULTS_TESTS", "") != "no":
         tested = outcomes(node for row in chosen for node in row.tests)
     documents = []
@@ -70,10 +71,10 @@ def run_rows(chosen: Sequence[Row]) -> list[dict[str, Any]]:
     return documents
 
 
-def judged(row: Row, shown: Sequence[Judged], tested: Mapping[str, str]) -> dict[str, Any]:
+def judged(row: Row, shown: Sequence[Judged], tested: Mapping[str, Outcome]) -> dict[str, Any]:
     """One row as JSON has it: worst of its runs, and its tests."""
     failed, ran = of_row(row.tests, tested)
-    missed = [f"{each.shown.cell}: {text}" for each in shown for text in each.missed] + [f"{n} fails" for n in failed]
+    missed = [f"{each.shown.cell}: {text}" for each in shown for text in each.missed] + failed
     verdict = Verdict.MISSED if missed else Verdict.MET if shown or ran else Verdict.NOT_TESTED
     return {
         "id": row.id,
@@ -85,7 +86,7 @@ def judged(row: Row, shown: Sequence[Judged], tested: Mapping[str, str]) -> dict
         "sag_m": worst([each.measured.sag_m for each in shown]),
         "missed": missed,
         "why_not": row.untested or "its tests were left out or skipped" if verdict is Verdict.NOT_TESTED else None,
-        "tests": {node: tested.get(node, "left out") for node in row.tests},
+        "tests": {node: tested[node].kind if node in tested else "left out" for node in row.tests},
         "runs": [each.document() for each in shown],
     }
 
@@ -135,7 +136,7 @@ def tell(document: Mapping[str, Any]) -> None:
         f"{_shown(force, 1.0, 'N'):>10}{_shown(sag, 1e3, 'mm'):>9}  {document['bound']}"
     )
     for text in document["missed"] or ([document["why_not"]] if document.get("why_not") else []):
-        say(f"      {text}")
+        say(indent(text, " " * 6))
 
 
 def _shown(value: float | None, times: float, unit: str) -> str:

@@ -6,7 +6,8 @@ import subprocess
 import sys
 import tempfile
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -16,12 +17,20 @@ ROOT = Path(__file__).parents[2]
 PASSED, FAILED, SKIPPED = "passed", "failed", "skipped"
 
 
-def outcomes(nodes: Iterable[str]) -> dict[str, str]:
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a test, and in whose words it failed, with each parameter that did."""
+
+    kind: str
+    words: str = ""
+
+
+def outcomes(nodes: Iterable[str]) -> dict[str, Outcome]:
     """What became of each test, all of its parameters together; those with a clock of their own run by themselves."""
     wanted = sorted(set(nodes))
     if not wanted:
         return {}
-    found: dict[str, set[str]] = defaultdict(set)
+    found: dict[str, list[Outcome]] = defaultdict(list)
     with tempfile.TemporaryDirectory() as folder:
         for mark, more in (("not realtime", ["-n", str(cores())]), ("realtime", [])):
             report = Path(folder) / f"{len(found)}.xml"
@@ -29,25 +38,33 @@ def outcomes(nodes: Iterable[str]) -> dict[str, str]:
             subprocess.run(command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=False)
             if report.exists():
                 read_report(report, found)
-    return {node: _together(found.get(node, set())) for node in wanted}
+    return {node: merged(found.get(node, ())) for node in wanted}
 
 
-def read_report(report: Path, found: dict[str, set[str]]) -> None:
+def read_report(report: Path, found: dict[str, list[Outcome]]) -> None:
     """Add what a report of pytest says of each test."""
     for case in ElementTree.parse(report).iter("testcase"):
-        name = case.get("name", "").partition("[")[0]
+        full = case.get("name", "")
+        name, _, parameter = full.partition("[")
         node = f"{case.get('classname', '').replace('.', '/')}.py::{name}"
-        kinds = {child.tag for child in case}
-        found[node].add(FAILED if kinds & {"failure", "error"} else SKIPPED if "skipped" in kinds else PASSED)
+        failures = [child for child in case if child.tag in ("failure", "error")]
+        if failures:
+            said = "\n".join(child.text or child.get("message") or "" for child in failures)
+            found[node].append(Outcome(FAILED, f"[{parameter}\n{said}" if parameter else said))
+        else:
+            found[node].append(Outcome(PASSED if case.find("skipped") is None else SKIPPED))
 
 
-def _together(kinds: set[str]) -> str:
+def merged(every: Sequence[Outcome]) -> Outcome:
+    """What became of a test with all its parameters."""
+    kinds = {one.kind for one in every}
     if FAILED in kinds:
-        return FAILED
-    return PASSED if PASSED in kinds else SKIPPED
+        return Outcome(FAILED, "\n".join(one.words for one in every if one.kind == FAILED))
+    return Outcome(PASSED if PASSED in kinds else SKIPPED)
 
 
-def of_row(nodes: Iterable[str], found: Mapping[str, str]) -> tuple[list[str], bool]:
-    """Failed tests of a row, and whether any of them ran."""
-    kinds = {node: found.get(node, SKIPPED) for node in nodes}
-    return [node for node, kind in kinds.items() if kind == FAILED], any(kind != SKIPPED for kind in kinds.values())
+def of_row(nodes: Iterable[str], found: Mapping[str, Outcome]) -> tuple[list[str], bool]:
+    """Failed tests of a row with their words, and whether any of them ran."""
+    all_of_it = {node: found.get(node, Outcome(SKIPPED)) for node in nodes}
+    failed = [f"{node} fails\n{one.words}".rstrip() for node, one in all_of_it.items() if one.kind == FAILED]
+    return failed, any(one.kind != SKIPPED for one in all_of_it.values())

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections import Counter
+import os
+import subprocess
+import sys
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +19,7 @@ from agent.study.lab import Laboratory
 from agent.study.measure import measure
 from tests.faults.__main__ import judged, worst
 from tests.faults.false_trips import Done, FalseTrips, Job, false_trips, jobs
-from tests.faults.outside import of_row, read_report
+from tests.faults.outside import Outcome, merged, of_row, read_report
 from tests.faults.together import STOPPING, drawn
 from tests.unit.faults.test_judge import GOOD
 
@@ -32,19 +35,20 @@ def test_a_row_is_met_when_its_runs_and_tests_are() -> None:
     document = judged(ROW, [run, Judged(SHOWN, replace(GOOD, noticed_s=0.02, sag_m=0.01), ())], {})
     assert (document["id"], document["verdict"], document["missed"]) == ("B2", "met", [])
     assert (document["detected_s"], document["reacted_s"], document["sag_m"]) == (0.02, 0.05, 0.01)
-    assert judged(ROW, [], dict.fromkeys(ROW.tests, "passed"))["verdict"] == "met"
+    assert judged(ROW, [], dict.fromkeys(ROW.tests, Outcome("passed")))["verdict"] == "met"
 
 
 def test_one_miss_or_one_failed_test_misses_the_row() -> None:
     late = Judged(SHOWN, GOOD, ("noticed after 1 s, not ≤ 0.02",))
     assert judged(ROW, [late], {})["missed"] == ["two_wx200: noticed after 1 s, not ≤ 0.02"]
-    failed = judged(ROW, [Judged(SHOWN, GOOD, ())], {ROW.tests[0]: "failed"})
+    failed = judged(ROW, [Judged(SHOWN, GOOD, ())], {ROW.tests[0]: Outcome("failed", "3 N")})
     assert failed["verdict"] == "missed"
-    assert failed["missed"] == [f"{ROW.tests[0]} fails"]
+    assert failed["missed"] == [f"{ROW.tests[0]} fails\n3 N"]
+    assert failed["tests"][ROW.tests[0]] == "failed"
 
 
 def test_what_did_not_run_is_not_called_met() -> None:
-    document = judged(ROW, [], dict.fromkeys(ROW.tests, "skipped"))
+    document = judged(ROW, [], dict.fromkeys(ROW.tests, Outcome("skipped")))
     assert document["verdict"] == "not tested"
     assert document["why_not"]
     assert judged(BARE, [], {})["why_not"] == "no host for it"
@@ -56,20 +60,45 @@ def test_what_never_came_is_no_figure() -> None:
     assert worst([0.1, 0.3]) == 0.3
 
 
-def test_a_test_with_one_failed_parameter_has_failed(tmp_path: Path) -> None:
-    report = tmp_path / "report.xml"
-    report.write_text(
-        '<testsuites><testsuite><testcase classname="tests.unit.test_a" name="test_x[1]"/>'
-        '<testcase classname="tests.unit.test_a" name="test_x[2]"><failure/></testcase>'
-        '<testcase classname="tests.unit.test_a" name="test_y"><skipped/></testcase></testsuite></testsuites>'
+def test_a_test_with_one_failed_parameter_has_failed_and_its_words_are_kept(tmp_path: Path) -> None:
+    (tmp_path / "test_some.py").write_text(
+        "import pytest\n\n"
+        "@pytest.mark.parametrize('n', [1, 2, 3])\n"
+        "def test_x(n):\n    assert n == 1, f'{n} N found'\n\n"
+        "def test_y():\n    pytest.skip('no arm')\n\n"
+        "def test_z():\n    pass\n"
     )
-    from collections import defaultdict
-
-    found: dict[str, set[str]] = defaultdict(set)
-    read_report(report, found)
-    assert found == {"tests/unit/test_a.py::test_x": {"passed", "failed"}, "tests/unit/test_a.py::test_y": {"skipped"}}
-    assert of_row(["a", "b"], {"a": "failed", "b": "passed"}) == (["a"], True)
-    assert of_row(["a"], {}) == ([], False)
+    report = tmp_path / "report.xml"
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-q",
+        "-c",
+        os.devnull,
+        "--rootdir",
+        str(tmp_path),
+        f"--junitxml={report}",
+        ".",
+    ]
+    assert subprocess.run(command, cwd=tmp_path, capture_output=True, check=False).returncode == 1
+    every: dict[str, list[Outcome]] = defaultdict(list)
+    read_report(report, every)
+    found = {node.removeprefix("test_some.py::"): merged(some) for node, some in every.items()}
+    assert {node: one.kind for node, one in found.items()} == {
+        "test_x": "failed",
+        "test_y": "skipped",
+        "test_z": "passed",
+    }
+    (told,), ran = of_row(["test_x", "test_z"], found)
+    assert ran
+    assert told.startswith("test_x fails\n[2]\n")
+    assert "2 N found" in told
+    assert "[3]" in told
+    assert "3 N found" in told
+    assert "[1]" not in told
+    assert of_row(["test_y"], found) == ([], False)
+    assert of_row(["unknown"], found) == ([], False)
 
 
 def test_the_rate_of_false_trips_is_an_hours() -> None:
