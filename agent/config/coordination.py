@@ -38,7 +38,7 @@ def residual(cell: Cell, arm: Arm) -> Residual | None:
         rate_per_s=spec.rate_per_s,
         slow_per_s=noticing.slow_rate(cell),
         against=along,
-        knock=noticing.knock(along),
+        knock=noticing.knock(cell, along),
         touch=noticing.touch(cell, limits),
         bearing=noticing.bearing(cell, arm),
     )

@@ -60,7 +60,7 @@ def run_info(cell: Cell, driver: DriverKind, seed: int) -> bytes:
 def _against(cell: Cell) -> dict[str, float] | None:
     """Limits of a pull against the motion, down and up, and of a blow, where joints hardly move."""
     along = against(cell) if cell.file.safety.noticing.enabled else None
-    struck = knock(along)
+    struck = knock(cell, along)
     if along is None or struck is None:
         return None
     limits = {"level_N": along.level_N, "climb_N": along.climb_N, "weight_N": along.hangs_N}

@@ -62,7 +62,7 @@ def noticed(cell: Cell) -> list[Finding]:
     given = [spec.fast_N, spec.fast_Nm, spec.slow_N, spec.slow_Nm]
     source = "derived from the cell" if given == [None] * 4 else "given" if None not in given else "partly given"
     pulled = noticing.against(cell)
-    struck = noticing.knock(pulled)
+    struck = noticing.knock(cell, pulled)
     along = ""
     if pulled is not None and struck is not None:
         load_N = noticing.load_N(cell)
@@ -124,7 +124,7 @@ def begun(cell: Cell, models: Sequence[ArmModel], q_start: Sequence[Vector]) -> 
     each = zip(cell.arms, models, q_start, strict=True)
     try:
         force, moment = np.max([_blow(cell, arm, model, q, v, error) for arm, model, q in each], axis=0).tolist()
-        limits, struck = noticing.thresholds(cell), noticing.knock(noticing.against(cell))
+        limits, struck = noticing.thresholds(cell), noticing.knock(cell, noticing.against(cell))
     except (SingularJacobian, ConfigError):
         return []
     most_N = limits.fast_N if struck is None else min(limits.fast_N, struck.limit_N)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import configs
-from agent.config import coordination, noticing
+from agent.config import coordination, usual
 from agent.config.cell import Cell, ConfigError, load_cell
 from agent.config.friction import at_rest_Nm, joint_friction, lifting_Nm
 from agent.config.noticing import derived, thresholds
@@ -112,43 +112,43 @@ def test_friction_that_sticks_and_grows_with_the_load_counts_as_it_is_at_rest(tm
 
 def test_friction_that_grows_with_the_load_is_that_of_arm_and_object_together(tmp_path: Path) -> None:
     heavy = with_figures(cell("two_wx200", "object.mass_kg=0.4"), tmp_path, pressed_on)
-    known = noticing._known(heavy, heavy.arms[1])
-    at = noticing._places(known)[4]
+    known = usual._known(heavy, heavy.arms[1])
+    at = usual._places(known)[4]
     held = at.k.g + at.k.Jt[:, :3] @ np.array([0.0, 0.0, 0.5 * 0.4 * 9.81])
     friction = [at_rest_Nm(s, tau) for s, tau in zip(known.arm.servos, held.tolist(), strict=True)]
     wanted = np.linalg.inv(at.k.J).T * np.array(friction)
-    np.testing.assert_allclose(noticing._rubbing(known, at), known.model.task_basis.T @ wanted, atol=1e-12)
+    np.testing.assert_allclose(usual._rubbing(known, at), known.model.task_basis.T @ wanted, atol=1e-12)
 
 
 def test_errors_of_base_and_grasp_shift_the_object_as_a_turn_and_a_slip_do() -> None:
     """Columns of the three turns about the base's origin, and of slips along the object's axes."""
     three = cell("three_wx250s")
     arm = three.arms[1]
-    known = noticing._known(three, arm)
-    at = noticing._places(known)[4]
+    known = usual._known(three, arm)
+    at = usual._places(known)[4]
     R = np.reshape(at.k.R_world_object, (3, 3))
     reach = np.array(at.k.p_object) - arm.T_world_base.translation
     turns = [three.tolerance.base_rad * np.cross(axis, reach) for axis in np.eye(3)]
     slips = [three.tolerance.grasp_m * R[:, axis] for axis in range(3)]
     wanted = [known.S @ known.model.task_basis[:, :3] @ shift / np.sqrt(3.0) for shift in (*turns, *slips)]
     torques = 1 + arm.n
-    np.testing.assert_allclose(noticing._errors(known, at)[:, torques : torques + 6].T, wanted, atol=1e-12)
+    np.testing.assert_allclose(usual._errors(known, at)[:, torques : torques + 6].T, wanted, atol=1e-12)
     assert np.abs(reach).min() > 0.01
 
 
 def test_sizes_are_those_of_twelve_places_of_the_run_against_the_first() -> None:
     short = cell("three_wx250s", "duration_s=3.0")
     arm = short.arms[0]
-    known = noticing._known(short, arm)
+    known = usual._known(short, arm)
     gains, half = known.offline.gains, np.array([1.0, 1.0, 1.0, 0.5, 0.5, 0.5])
     feedback = np.array([*gains.k_p, *gains.k_eps]) * half
     np.testing.assert_allclose(known.S, np.diag(np.array(gains.k_v) * feedback + known.offline.load_share * half))
     np.testing.assert_allclose(known.KH, np.diag(feedback))
-    places = noticing._places(known)
+    places = usual._places(known)
     desired = [short.trajectory().at(t) for t in np.arange(12) * 0.25]
     np.testing.assert_allclose([at.k.p_object for at in places], [d.p for d in desired], atol=1e-7)
     np.testing.assert_allclose([at.v for at in places], [d.v for d in desired], atol=1e-12)
-    errors = [noticing._errors(known, at) for at in places]
+    errors = [usual._errors(known, at) for at in places]
     changes = [
         np.column_stack([e - errors[0], known.S @ (short.tolerance.skew_s * at.v)])
         for e, at in zip(errors, places, strict=True)
@@ -156,13 +156,29 @@ def test_sizes_are_those_of_twelve_places_of_the_run_against_the_first() -> None
     wanted = [
         [max(np.linalg.norm(columns[rows]) for columns in of) for rows in (slice(3), slice(3, 6))]
         for of in (
-            [0.5 * noticing._rubbing(known, at) for at in places],
-            [noticing._noise(known, at) for at in places],
+            [0.5 * usual._rubbing(known, at) for at in places],
+            [usual._noise(known, at) for at in places],
             changes,
-            [noticing._rubbing(known, at) for at in places],
         )
     ]
-    np.testing.assert_allclose(noticing._sizes(short, arm), wanted)
+    steps = [[*map(norms, (usual._noise(known, at), usual._speeds(known, at)))] for at in places]
+    wanted.append(np.max([np.add(*both) for both in steps], axis=0))
+    np.testing.assert_allclose(usual._sizes(short, arm), wanted)
+    largest = np.max([usual._sizes(short, one) for one in short.arms], axis=0)
+    np.testing.assert_allclose(usual.usual(short), largest)
+
+
+def norms(columns: np.ndarray) -> list[float]:
+    return [float(np.linalg.norm(columns[rows])) for rows in (slice(3), slice(3, 6))]
+
+
+def test_half_a_step_of_a_measured_speed_is_that_much_momentum_times_the_rate() -> None:
+    one = cell("three_wx250s", "safety.noticing.rate_per_s=20.0", "controller.observer.velocity_gain=0.5")
+    known = usual._known(one, one.arms[1])
+    at = usual._places(known)[3]
+    half = 0.5 * 0.229 * 2.0 * np.pi / 60.0
+    wanted = np.linalg.inv(at.k.J).T @ (20.0 * at.k.B * 0.5 * half)
+    np.testing.assert_allclose(usual._speeds(known, at), known.model.task_basis.T @ wanted, atol=1e-12)
 
 
 def test_of_a_move_behind_a_long_wait_errors_count_all_the_same(tmp_path: Path) -> None:
@@ -179,13 +195,16 @@ def test_of_a_move_behind_a_long_wait_errors_count_all_the_same(tmp_path: Path) 
 
 
 def test_without_an_observer_all_of_an_encoders_step_comes_through() -> None:
-    direct, usual = cell("paper_real", 'controller.velocity="servo"'), cell("paper_real")
-    noise = []
-    for one in (direct, usual):
-        known = noticing._known(one, one.arms[0])
-        noise.append(noticing._noise(known, noticing._places(known)[0]))
-    gain = usual.file.controller.observer.position_gain
-    np.testing.assert_allclose(noise[0] * max(0.2, gain), noise[1])
+    direct, observed = cell("paper_real", 'controller.velocity="servo"'), cell("paper_real")
+    noise, speeds = [], []
+    for one in (direct, observed):
+        known = usual._known(one, one.arms[0])
+        at = usual._places(known)[0]
+        noise.append(usual._noise(known, at))
+        speeds.append(usual._speeds(known, at))
+    gains = observed.file.controller.observer
+    np.testing.assert_allclose(noise[0] * max(0.2, gains.position_gain), noise[1])
+    np.testing.assert_allclose(speeds[0] * gains.velocity_gain, speeds[1])
 
 
 def test_what_does_not_change_along_the_motion_is_usual() -> None:

@@ -57,11 +57,22 @@ def test_a_feed_forward_that_is_spent_on_the_friction_that_there_is_bears_nothin
 
 
 def test_only_what_is_beside_the_usual_counts_and_before_the_start_nothing_but_the_usual() -> None:
-    bears = of((1.0, 0.0))  # 0.3 N·m of the first joint at rest: 0.6 N
-    usual = LAW.advance(Borne(0.6), 0.0, J_INV_P, bears, STILL, ready=False)
-    assert usual == pytest.approx((0.6, 0.0))
-    waiting = LAW.advance(Borne(0.2, 0.9), 5.0, J_INV_P, bears, STILL, ready=True)
-    assert waiting == pytest.approx((0.2 + 0.5 * PERIOD * 0.4, 0.0))
+    bears, sinks = of((1.0, 0.0)), np.array([-1.0, 0.0])  # 0.3 N·m of the first joint twice: 1.2 N
+    usual = LAW.advance(Borne(1.2), 0.0, J_INV_P, bears, sinks, ready=False)
+    assert usual == pytest.approx((1.2, 0.0))
+    waiting = LAW.advance(Borne(0.8, 0.9), 5.0, J_INV_P, bears, sinks, ready=True)
+    assert waiting == pytest.approx((0.8 + 0.5 * PERIOD * 0.4, 0.0))
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_what_a_joint_that_sticks_bears_is_not_known_and_of_a_slow_one_no_more_than_it_rubs(sign: float) -> None:
+    fed = sign * of((1.0, 1.0))
+    assert LAW.advance(NOT_BORNE, 0.0, J_INV_P, fed, STILL, ready=False) == pytest.approx((0.0, 0.0), abs=1e-15)
+    slowly = sign * np.array([0.01, 0.02])
+    assert LAW.advance(NOT_BORNE, 0.0, J_INV_P, fed, slowly, ready=False) == pytest.approx((0.0, 0.0), abs=1e-15)
+    back = LAW.advance(NOT_BORNE, 0.0, J_INV_P, fed, -slowly, ready=False)
+    rubs = of((0.01, 0.02))
+    assert back.load_N == pytest.approx(sign * 15.0 * PERIOD * 2.0 * (2.0 * rubs[0] + 3.0 * rubs[1]))
 
 
 def test_a_load_is_low_passed() -> None:
@@ -77,8 +88,8 @@ def test_down_is_where_gravity_points(axis: int, sign: float) -> None:
     down[axis] = sign
     J_inv_P = np.array([[0.3, 0.5, 0.7, 9.0, 9.0, 9.0], [0.0] * 6])
     law = replace(LAW, down=tuple(down.tolist()))
-    found = law.advance(NOT_BORNE, 0.0, J_inv_P, np.array([1.0, 0.0]), STILL, ready=False)
-    assert found.load_N == pytest.approx(-15.0 * PERIOD * sign * (0.3, 0.5, 0.7)[axis])
+    found = law.advance(NOT_BORNE, 0.0, J_inv_P, of((1.0, 0.0)), np.array([-1.0, 0.0]), ready=False)
+    assert found.load_N == pytest.approx(-15.0 * PERIOD * sign * 0.6 * (0.3, 0.5, 0.7)[axis])
 
 
 def test_at_its_limit_nothing_trips_and_what_is_no_number_does() -> None:
@@ -103,11 +114,11 @@ def test_its_state_goes_through_a_row() -> None:
     ("name", "changes", "limit_N"),
     [
         ("two_wx200", [], None),
-        ("three_wx250s", [], 1.76),
-        ("four_wx250s", [], 1.59),
-        ("four_wx250s", ["tolerance.friction=[0.9, 1.1]"], 1.59),
-        ("four_wx250s", ["tolerance.friction=[1.0, 1.0]"], 1.59),
-        ("four_wx250s", ["tolerance.friction=[0.25, 1.1]"], 2.04),
+        ("three_wx250s", [], 1.1),
+        ("four_wx250s", [], 1.1),
+        ("four_wx250s", ["tolerance.friction=[0.9, 1.1]"], 0.7),
+        ("four_wx250s", ["tolerance.friction=[1.0, 1.0]"], 0.7),
+        ("four_wx250s", ["tolerance.friction=[0.25, 1.1]"], 1.57),
         ("four_wx250s", ["controller.friction_feedforward=false"], None),
         ("four_wx250s", ["world.gravity_m_per_s2=[0.0, 0.0, 0.0]"], None),
     ],
@@ -135,11 +146,18 @@ def test_friction_that_sticks_is_not_taken_for_a_load(tmp_path: Path) -> None:
 
 
 def test_the_limit_is_above_what_realities_and_touches_showed() -> None:
-    """Largest of 2 N for half a second to seven sides at eleven instants of six realities and five; without: 1.32."""
-    for name, touch_N in (("three_wx250s", 1.41), ("four_wx250s", 1.43)):
+    """Largest of 2 N for half a second, 28 times in 37 s, and of 20 s of three realities without any.
+
+    In twelve realities touches made more than 1.1 N in 2 of 336 of four arms (1.26 N) and in none of three.
+    """
+    for name, touch_N, nobody_N in (("three_wx250s", 0.62, 0.26), ("four_wx250s", 0.42, 0.41)):
         found = load_N(load_cell(Path(name)))
         assert found is not None
-        assert found >= 1.1 * touch_N
+        assert found >= 1.4 * touch_N
+        assert found >= 2.0 * nobody_N
+    exactly = load_N(load_cell(Path("three_wx250s"), ["tolerance.friction=[1.0, 1.0]"]))
+    assert exactly is not None
+    assert exactly >= 1.4 * 0.62
 
 
 def until(lab: Laboratory, end_s: float, *faults: Fault) -> Run:
@@ -150,14 +168,14 @@ def until(lab: Laboratory, end_s: float, *faults: Fault) -> Run:
 
 
 def test_friction_that_is_known_exactly_is_no_load() -> None:
-    """It turns round at the start of the motion all the same: 0.83 N, above the limit that noise alone would set."""
+    """It turns round at the start of the motion all the same; joints that stick counted, it was 0.83 N."""
     exact = load_cell(Path("four_wx250s"), ["tolerance.friction=[1.0, 1.0]", "simulation.ready_s=1.0"])
     run, most_N = Run(Laboratory(exact), None), 0.0
     while run.t < 1.25:
         run.advance()
         most_N = max(most_N, *(place.memory.sense.borne.load_N for place in run.places))
     assert run.trips == []
-    assert most_N == pytest.approx(0.83, abs=0.02)
+    assert most_N == pytest.approx(0.12, abs=0.03)
 
 
 @pytest.mark.long
@@ -176,12 +194,14 @@ def test_an_arm_that_goes_limp_while_the_box_goes_down_is_noticed_by_it_alone() 
 
 @pytest.mark.long
 def test_so_it_is_with_the_real_driver_and_loop_on_emulated_servos(monkeypatch: pytest.MonkeyPatch) -> None:
-    cell, lost = load_cell(Path("three_wx250s"), ["duration_s=17.5"]), Injection(fault="arm-off", arm="left", at_s=17.0)
+    cell, lost = load_cell(Path("three_wx250s"), ["duration_s=17.6"]), Injection(fault="arm-off", arm="left", at_s=17.0)
 
     def held_s() -> list[float]:
         arms = rehearse(cell, [lost]).arms
         return [t for name in ("back", "front") for t, mode in arms[name].modes if mode is Mode.HOLD]
 
-    assert [17.0 < t < 17.2 for t in held_s()] == [True, True]
+    first, last = sorted(held_s())
+    assert 17.0 < first < 17.2
+    assert last < 17.5
     monkeypatch.setattr("agent.config.noticing.bearing", lambda _cell, _arm: None)
     assert held_s() == []

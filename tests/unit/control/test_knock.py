@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from agent.config.cell import load_cell
-from agent.config.noticing import KNOCK, against, knock
+from agent.config.noticing import KNOCK, STEPS, against, knock
+from agent.config.usual import usual
 from agent.control.against import HANGS, LIFTED
 from agent.control.borne import BORNE
 from agent.control.brace import BRACED
@@ -76,22 +77,38 @@ def test_its_state_goes_through_a_row() -> None:
 
 def test_its_limit_follows_from_that_of_the_pull_and_who_has_none_has_no_knock() -> None:
     for name, limit_N in (("three_wx250s", 0.735), ("four_wx250s", 0.551)):
-        along = against(load_cell(Path(name)))
+        cell = load_cell(Path(name))
+        along = against(cell)
         assert along is not None
-        assert knock(along) == Knock(PERIOD, limit_N)
+        assert knock(cell, along) == Knock(PERIOD, limit_N)
         assert limit_N == pytest.approx(KNOCK * along.level_N, rel=1e-3)
-    assert knock(None) is None
+    assert knock(cell, None) is None
+
+
+def test_coarse_readings_raise_its_limit_unless_that_of_the_pull_is_given() -> None:
+    """A joint that stuck and breaks away shows several steps of its encoder at once."""
+    limits = []
+    for changes in ([], ["safety.noticing.against_N=0.6"]):
+        cell = load_cell(Path("four_wx250s"), ["controller.observer.velocity_gain=1.0", *changes])
+        found = knock(cell, against(cell))
+        assert found is not None
+        limits.append(found.limit_N)
+    assert limits == [pytest.approx(STEPS * usual(cell).steps.force_N, rel=2e-3), 0.63]
+    assert limits[0] == pytest.approx(0.97, abs=0.02)
 
 
 def test_limits_are_above_what_24_realities_showed_over_the_slip() -> None:
     """Largest of knock and of the force along gravity, 25 s of sixteen realities of four arms and eight of three."""
     for name, (struck_N, sunk_N) in (("three_wx250s", (0.41, 0.35)), ("four_wx250s", (0.45, 0.37))):
-        along = against(load_cell(Path(name)))
-        found = knock(along)
+        cell = load_cell(Path(name))
+        along = against(cell)
+        found = knock(cell, along)
         assert along is not None
         assert found is not None
         assert found.limit_N >= 1.2 * struck_N
+        assert STEPS * usual(cell).steps.force_N >= 1.2 * struck_N
         assert min(HANGS, LIFTED) * along.level_N >= 1.4 * sunk_N
+        assert along.shaken_N >= 1.4 * sunk_N
 
 
 @pytest.fixture(scope="module")
