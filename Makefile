@@ -64,7 +64,7 @@ campaign: $(VENV)/.installed  ## random gains, pads, delays: what the criterion 
 failing: $(VENV)/.installed  ## an arm of a random cell goes limp, holds or locks: what check says of the object comes true (5 min); FAILING_N, FAILING_SEED
 	$(BIN)/python -m tests.campaign.failing
 
-varied: $(VENV)/.installed  ## cells as users might write them, motion, object, tolerance: nothing holds while nothing fails (15 min); VARIED_N, VARIED_SEED
+varied: $(VENV)/.installed  ## cells as users might write or make them: nothing holds while nothing fails (30 min); VARIED_N, VARIED_MADE, VARIED_SEED
 	$(BIN)/python -m tests.campaign.varied
 
 engine: $(VENV)/.installed  ## the shipped cells in MuJoCo beside our plant, and how far the two are apart (20 min); installs MuJoCo; ENGINE_S, ENGINE_SEEDS, ENGINE_ONLY

@@ -1,10 +1,12 @@
 """`make varied`: cells that users might write, of which nothing may hold while nothing fails.
 
-VARIED_N: cells (default 60).  VARIED_SEED: of the first one (0).  About a quarter of an hour of CPU.
-Each is a shipped cell with another motion (larger, quicker, turned further, along both axes of its plane, from rest to
-rest), an object 0.5 to 2 times as heavy, and `[tolerance]` as shipped or smaller; it runs for 20 s as its file says and
-in two realities within its tolerance.  What `coop check` refuses is told and not run.  Wrong is an arm that holds, and
-a run that is not finite.
+VARIED_N: shipped cells with changes (default 60).  VARIED_MADE: cells as `coop new` makes them (12).  VARIED_SEED: of
+the first one of either (0).  Half an hour of CPU, half of it the search for gains.
+A shipped cell gets another motion (larger, quicker, turned further, along both axes of its plane, from rest to rest),
+an object 0.5 to 2 times as heavy, and `[tolerance]` as shipped or smaller; one that is made has two to four arms of any
+model, an object and a motion of its own.  Each runs for 20 s as its file says and in two realities within its
+tolerance.  What `coop check` or `coop new` refuses is told and not run.  Wrong is an arm that holds, and a run that is
+not finite.
 """
 
 from __future__ import annotations
@@ -21,6 +23,8 @@ import tomli_w
 import configs
 from agent.config.cell import Cell, cell_from_toml
 from agent.config.reality import draw
+from agent.make.make import Maker
+from agent.make.wish import MotionKind, MotionWish, ObjectWish, Wish, arm_wishes
 from agent.study.lab import Laboratory, Run
 from agent.verify.check import examine
 from drivers.interface import DriverError, Refusal
@@ -28,6 +32,11 @@ from sim_backend.physics.spec import PlantError
 from tests.soak.watch import say
 
 CELLS: Final = ("paper_real", "two_wx200", "two_models", "three_wx250s", "four_wx250s", "paper_adaptive")
+SPATIAL: Final = "wx250s"
+IN_SPACE: Final = (SPATIAL, "awx250s")
+PAIR: Final = 2
+PAIRED: Final = (SPATIAL, SPATIAL, "wx200", "wx250", "awx250s", "widowx_mk2")
+FACES: Final = ("-x", "+x", "+y", "-y")
 FRICTION: Final = ([0.6, 1.5], [0.8, 1.25], [0.9, 1.1])
 CALIBRATED: Final = ("base_m", "base_rad", "grasp_m", "masses", "object", "torque_constant")
 END_S: Final = 20.0
@@ -84,6 +93,24 @@ def _moved(file: File, rng: np.random.Generator) -> str:
     return f"± {size:.0f} mm and {motion['angle_rad']:.2f} rad in {motion['period_s']:g} s, ramp {motion['ramp_s']:g} s"
 
 
+def made(seed: int) -> tuple[Cell, str]:
+    """A cell that `coop new` makes of a wish drawn from this seed, and words for it.  Raises Refusal."""
+    rng = np.random.default_rng(seed)
+    count = int(rng.choice([2, 2, 3, 4]))
+    models = [str(model) for model in rng.choice(PAIRED, 2)] if count == PAIR else [SPATIAL] * count
+    spatial = all(model in IN_SPACE for model in models)
+    arms = arm_wishes([f"{model} face={face}" for model, face in zip(models, FACES, strict=False)])
+    x, y, z = (float(rng.uniform(*span)) for span in ((0.15, 0.35), (0.03, 0.15), (0.02, 0.08)))
+    body = ObjectWish(float(rng.uniform(0.025, 0.175)) * count, (x, y if count == PAIR else y + 0.06, z))
+    kind = MotionKind(str(rng.choice(["lift", "carry", "sinusoid"])))
+    dx, dy, dz = rng.uniform(-0.05, 0.05, 3).tolist()
+    by = (0.0, 0.0, abs(dz)) if kind is MotionKind.LIFT else (dx, dy if spatial else 0.0, abs(dz))
+    time_s = float(rng.uniform(6.0, 20.0) if kind is MotionKind.SINUSOID else rng.uniform(3.0, 10.0))
+    wish = Wish(f"made{seed}", arms, body, MotionWish(kind, by, time_s))
+    words = f"{', '.join(models)}, {body.mass_kg:.2f} kg, {kind} by {np.round(by, 3).tolist()} in {time_s:.1f} s"
+    return Maker(wish).make().cell, words
+
+
 def wrong(cell: Cell, seed: int) -> Iterator[str]:
     """Every run in which an arm holds, or nothing is finite any more."""
     lab = Laboratory(cell)
@@ -101,11 +128,12 @@ def wrong(cell: Cell, seed: int) -> Iterator[str]:
 
 def main() -> int:
     """All cells; 0 when no arm held."""
-    count, first = int(os.environ.get("VARIED_N", "60")), int(os.environ.get("VARIED_SEED", "0"))
+    first = int(os.environ.get("VARIED_SEED", "0"))
+    counts = ((varied, int(os.environ.get("VARIED_N", "60"))), (made, int(os.environ.get("VARIED_MADE", "12"))))
     bad, ran = 0, 0
-    for seed in range(first, first + count):
+    for seed, drawn in ((first + k, draws) for draws, count in counts for k in range(count)):
         try:
-            cell, words = varied(seed)
+            cell, words = drawn(seed)
             examine(cell).require()
         except Refusal as refusal:
             say(f"{seed} refused: {refusal}")
