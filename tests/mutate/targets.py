@@ -75,6 +75,10 @@ TARGETS = (
         "agent.config.noticing",
         (f"{UNIT}/config/test_noticing.py", *(f"{UNIT}/control/{name}.py" for name in _SENSES)),
     ),
+    Target(
+        "agent.config.usual",
+        (f"{UNIT}/config/test_noticing.py", *(f"{UNIT}/control/{name}.py" for name in _SENSES)),
+    ),
     Target("agent.config.statics", (f"{UNIT}/monitors/test_bounds.py",)),
     Target(
         "agent.control.adaptation",
