@@ -52,11 +52,11 @@ TOUCH_PLAIN: Final = 1.0  # times that share, of the plain force (0.91 seen)
 TOUCH_LEVER_M: Final = 0.2  # moment that the arms' inertia makes of that force
 ALONG: Final = (0.35, 0.097)  # level, climb: of friction and noise
 CLIMBING: Final = 0.285  # of the same: the level at which a climb counts
-SHAKEN: Final = (0.1, 1.7)  # of friction, and of steps of encoders and speeds: down and up
-SHAKEN_LEVEL: Final = 0.75  # of both, for the level
+SHAKEN: Final = (0.1, 1.7)  # of friction, and of steps of encoders and speeds: up
 TOUCH_ALONG: Final = (1.05, 0.15)  # times an arm's share of a touch
 TOUCH_LOAD: Final = 1.4  # times that share, of what hangs on the object with what friction bears (0.93 seen)
 LOAD: Final = 0.85  # of friction and noise, for the same (0.52 N seen where nobody fails, of 1.1)
+STUCK: Final = 0.82  # of them, or all friction along gravity, beside that share: the same with joints that stick
 KNOCK: Final = 1.05  # of the level's limit, for what strikes the object
 STEPS: Final = 3.15  # of steps of encoders and speeds, when a joint that stuck breaks away, for the same (2.6 seen)
 ALONE: Final = 2  # arms that feel a touch as they feel the other one
@@ -115,9 +115,7 @@ def against(cell: Cell) -> Against | None:
     if spec.against_N:
         return Against(period_s, spec.against_N, climb_N, _down(cell))
     shaken = MARGIN * (SHAKEN[0] * of.friction.force_N + SHAKEN[1] * of.steps.force_N)
-    level_N, climbing_N, shaken_N = (
-        float(f"{x:.3g}") for x in (max(level, SHAKEN_LEVEL * shaken), CLIMBING * usual_N, shaken)
-    )
+    level_N, climbing_N, shaken_N = (float(f"{x:.3g}") for x in (level, CLIMBING * usual_N, shaken))
     return Against(period_s, level_N, climb_N, _down(cell), climbing_N=climbing_N, shaken_N=shaken_N)
 
 
@@ -129,13 +127,22 @@ def bearing(cell: Cell, arm: Arm) -> Bearing | None:
     friction = cell.offline(arm).friction
     if friction is None or friction.sticks or len(cell.arms) <= ALONE or not any(_down(cell)):
         return None
-    limit_N = max(TOUCH_LOAD * _share_N(cell), LOAD * _usual_N(cell))
-    return Bearing(1.0 / cell.file.rate_hz, float(f"{limit_N:.3g}"), friction, _down(cell))
+    share, usual_N = _share_N(cell), _usual_N(cell)
+    limits = (
+        max(TOUCH_LOAD * share, LOAD * usual_N),
+        TOUCH_ALONG[0] * share + max(usual(cell).turned_N, STUCK * usual_N),
+    )
+    load_N, stuck_N = (float(f"{limit:.3g}") for limit in limits)
+    return Bearing(1.0 / cell.file.rate_hz, load_N, stuck_N, friction, _down(cell))
 
 
-def load_N(cell: Cell) -> float | None:
-    """Limit of `bearing`; None where no arm has that sense.  Raises ConfigError."""
-    return next((found.limit_N for arm in cell.arms if (found := bearing(cell, arm)) is not None), None)
+def loads_N(cell: Cell) -> tuple[float, float] | None:
+    """Limits of `bearing`, of joints that move and with those that stick; None where no arm has it.
+
+    Raises ConfigError.
+    """
+    each = (bearing(cell, arm) for arm in cell.arms)
+    return next(((found.limit_N, found.stuck_limit_N) for found in each if found is not None), None)
 
 
 def knock(cell: Cell, along: Against | None) -> Knock | None:

@@ -6,6 +6,7 @@ Which limit is made of which part, and how, is for `agent.config.noticing`.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -43,6 +44,7 @@ class Usual(NamedTuple):
     noise: Size  # steps of the encoders
     errors: Size  # change along the motion
     steps: Size  # of encoders and measured speeds, both at once
+    turned_N: float  # all friction of all joints along gravity: so much a feed-forward that has turned round may bear
 
 
 class _Arm(NamedTuple):
@@ -68,17 +70,17 @@ class _Place(NamedTuple):
 @once_per_cell
 def usual(cell: Cell) -> Usual:
     """Of this cell.  Raises ConfigError where an arm cannot be placed."""
-    sizes = np.max([_sizes(cell, arm) for arm in cell.arms], axis=0).tolist()
+    along = [(known, _places(known)) for known in (_known(cell, arm) for arm in cell.arms)]
+    sizes = np.max([_sizes(known, places) for known, places in along], axis=0).tolist()
     friction, noise, errors, steps = (Size(*one) for one in sizes)
-    return Usual(friction, noise, errors, steps)
+    turned_N = max(_turned_N(known, at) for known, places in along for at in places)
+    return Usual(friction, noise, errors, steps, turned_N)
 
 
-def _sizes(cell: Cell, arm: Arm) -> Matrix:
-    """(4, 2) force and moment of each part of `Usual`, largest over the places."""
-    known = _known(cell, arm)
-    places = _places(known)
+def _sizes(known: _Arm, places: Sequence[_Place]) -> Matrix:
+    """(4, 2) force and moment of each `Size` of `Usual`, largest over the places."""
     errors = [_errors(known, at) for at in places]
-    late = [known.S @ (cell.tolerance.skew_s * at.v) for at in places]
+    late = [known.S @ (known.cell.tolerance.skew_s * at.v) for at in places]
     changes = [np.column_stack([e - errors[0], x]) for e, x in zip(errors, late, strict=True)]
     unknown = [_unknown(known) * _rubbing(known, at) for at in places]
     noise = [_noise(known, at) for at in places]
@@ -133,6 +135,11 @@ def _rubbing(known: _Arm, at: _Place) -> Matrix:
     friction = np.array([at_rest_Nm(s, tau) for s, tau in zip(known.arm.servos, held.tolist(), strict=True)])
     found: Matrix = at.to_wrench * friction
     return found
+
+
+def _turned_N(known: _Arm, at: _Place) -> float:
+    gravity = known.cell.gravity
+    return float(np.abs(gravity @ _rubbing(known, at)[:3]).sum()) / (float(np.linalg.norm(gravity)) or 1.0)
 
 
 def _noise(known: _Arm, at: _Place) -> Matrix:

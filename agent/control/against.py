@@ -13,8 +13,8 @@ other, of means over 0.05 s.  A push rises once and not three times, so that one
 neighbour left behind at 10 mm/s reaches within half a second.
 
 The others of a limp arm feel its weight, which nothing but gravity points at: F along gravity, without its own slow
-part, is the `weight`.  Down and up it has limits of its own, shares of that of the level and no less than what coarse
-readings shake it by, for it is not low-passed.
+part, is the `weight`.  Down and up it has limits of its own, shares of that of the level, for it is not low-passed; up
+no less than what coarse readings shake it by.  (Down a limp neighbour in a slow motion shows little more than that.)
 Where the joints are quick they and that of the level grow with the slip (agent.control.knock); that of a level which
 climbs does not.  The state is part of `Memory`.
 """
@@ -79,7 +79,7 @@ class Against:
     down: tuple[float, float, float] = (0.0, 0.0, 0.0)  # gravity's direction, world axes; zero where there is none
     level_per_s: float = 15.0
     climbing_N: float = 0.0  # no less than this, where p climbs
-    shaken_N: float = 0.0  # no less than this, down and up
+    shaken_N: float = 0.0  # no less than this, up
 
     def advance(self, pull: Pull, wrench: Sequence[float], base: Sequence[float], v: Sequence[float]) -> Pull:
         """State after a tick; wrench: the unexpected one (6,), base: its slow part (6,), v: desired twist (6,)."""
@@ -102,7 +102,7 @@ class Against:
     @property
     def hangs_N(self) -> float:
         """Limit of the weight where joints hardly move."""
-        return max(HANGS * self.level_N, self.shaken_N)
+        return HANGS * self.level_N
 
     @property
     def lifted_N(self) -> float:

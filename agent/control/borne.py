@@ -7,11 +7,12 @@ their joints' friction is hidden from it.  What is spent beside the friction of 
 
     h = −ĝᵀ J⁻ᵀ (clip(τ_friction(dq_r), ±|τ_friction(dq)|) − τ_friction(dq)),   ĝ gravity's direction,
 
-without its own slow part and together with the force down (agent.control.against), low-passed, is the whole load.  Of
-a joint that sticks nobody knows what it bears, up to all of its friction: it counts as nothing, and so does what the
-feed-forward has beyond the friction of a slow joint.  (Counted, it made loads of 2 N in slow motions where nobody had
-failed.)  The load is not as exact as the force alone, for friction is what is known least: its limit is twice as high,
-and it finds what that misses.  The state is part of `Memory`.
+without its own slow part and together with the force down (agent.control.against), low-passed, is the load.  Of a
+joint that sticks nobody knows what it bears, up to all of its friction: it counts as nothing, and so does what the
+feed-forward has beyond the friction of a slow joint.  Without the clip h has that, too: the load with joints that
+stick, whose limit is what all joints' friction makes along gravity, beside a touch.  It alone finds a limp neighbour in
+slow motions.  Neither is as exact as the force alone, for friction is what is known least; they find what that misses.
+The state is part of `Memory`.
 """
 
 from __future__ import annotations
@@ -28,15 +29,18 @@ from drivers.interface import Vector
 
 USUAL_PER_S: Final = 0.5
 LOAD_PER_S: Final = 15.0
-BORNE: Final = 2  # numbers in the log field `memory`
-LOAD_AT: Final = 134  # of `load_N` there
+BORNE: Final = 4  # numbers in the log field `memory`
+BORNE_OF_OLD: Final = 2  # in logs from before joints that stick had a count of their own
+LOAD_AT, STUCK_AT = 134, 136  # places of `load_N` and `stuck_N` there
 
 
 class Borne(NamedTuple):
     """State between two ticks."""
 
     usual_N: float = 0.0  # of h, its slow part
-    load_N: float = 0.0  # what hangs on this arm, friction and all, low-passed
+    load_N: float = 0.0  # what hangs on this arm with friction of joints that move, low-passed
+    usual_stuck_N: float = 0.0  # of h with joints that stick, its slow part
+    stuck_N: float = 0.0  # what hangs on this arm with them, low-passed
 
 
 NOT_BORNE: Final = Borne()
@@ -52,7 +56,8 @@ class Bearing:
     """Friction and limit of this sense for one arm of a cell."""
 
     period_s: float
-    limit_N: float
+    limit_N: float  # of the load
+    stuck_limit_N: float  # of that with joints that stick
     friction: Friction  # of the feed-forward, of joints that do not stick
     down: tuple[float, float, float]  # gravity's direction, world axes
 
@@ -66,15 +71,18 @@ class Bearing:
         """
         rubs = self.friction.gliding(dq.tolist())
         most = np.abs(rubs)
-        spent = np.minimum(np.maximum(tau_friction, -most), most) - rubs
-        x, y, z, _, _, _ = J_inv_P.T.dot(spent).tolist()
-        down_x, down_y, down_z = self.down
-        beside = -(down_x * x + down_y * y + down_z * z) - borne.usual_N
-        usual_N = borne.usual_N + self.period_s * USUAL_PER_S * beside
+        moving = np.minimum(np.maximum(tau_friction, -most), most)
+        per_joint = -J_inv_P[:, :3].dot(self.down)  # (n,) N of a force up, of a torque
+        beside = per_joint.dot(moving - rubs) - borne.usual_N
+        beside_stuck = per_joint.dot(tau_friction - rubs) - borne.usual_stuck_N
+        slow, gain = self.period_s * USUAL_PER_S, self.period_s * LOAD_PER_S
+        usual_N, usual_stuck_N = borne.usual_N + slow * beside, borne.usual_stuck_N + slow * beside_stuck
         if ready:
-            return Borne(usual_N, 0.0)
-        return Borne(usual_N, borne.load_N + self.period_s * LOAD_PER_S * (weight_N + beside - borne.load_N))
+            return Borne(float(usual_N), 0.0, float(usual_stuck_N), 0.0)
+        load_N = borne.load_N + gain * (weight_N + beside - borne.load_N)
+        stuck_N = borne.stuck_N + gain * (weight_N + beside_stuck - borne.stuck_N)
+        return Borne(float(usual_N), float(load_N), float(usual_stuck_N), float(stuck_N))
 
     def tripped(self, borne: Borne) -> bool:
         """Whether so much hangs on the object; what is no number does."""
-        return not borne.load_N <= self.limit_N
+        return not borne.load_N <= self.limit_N or not borne.stuck_N <= self.stuck_limit_N

@@ -100,6 +100,10 @@ def described(found: Sequence[Cause], x: Channels) -> str:
 def felt(sense: Sense) -> str:
     """What arms of three and more feel beside it, for the same."""
     pull, knock_N = sense.pull, sense.struck.knock_N
-    bears = f" ({sense.borne.load_N:.2g} N with what friction bears)" if sense.borne != NOT_BORNE else ""
+    bears = ""
+    if sense.borne != NOT_BORNE:
+        bears = (
+            f" ({sense.borne.load_N:.2g} N with what friction bears, {sense.borne.stuck_N:.2g} N of joints that stick)"
+        )
     down = f"{pull.weight_N:.2g} N down{bears}"
     return f"{pull.level_N:.2g} N against the motion, {down}, {knock_N:.2g} N of a blow"

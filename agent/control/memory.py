@@ -9,8 +9,8 @@ import numpy as np
 from agent.control.adaptation import Estimate
 from agent.control.against import FLAT, pull_of
 from agent.control.alignment import NO_SHIFT, Shift
-from agent.control.borne import BORNE, borne_of
-from agent.control.brace import NOT_BRACED, Braced, braced_of
+from agent.control.borne import BORNE, BORNE_OF_OLD, borne_of
+from agent.control.brace import BRACED, NOT_BRACED, Braced, braced_of
 from agent.control.knock import STRUCK, struck_of
 from agent.control.residual import Sense, nothing_sensed
 from agent.control.touch import PLAIN, plain_of
@@ -56,7 +56,7 @@ class Memory(NamedTuple):
 
         Joint arrays padded to seven, None as zeros; pose to hold (7), primed, time, shift (6), calm and MISSED times
         `missed`, age; of `sense` the wrenches (6), `ticks`, the pull against the motion and down (14), what is plain
-        (8), what strikes (5) and what friction bears (2); how a hold is braced (5).
+        (8), what strikes (5) and what friction bears (4); how a hold is braced (5).
         """
         own, sense, n = self[:6], self.sense, len(self.q)
         joints = np.zeros((JOINT_ARRAYS, MEMORY_JOINTS))
@@ -88,7 +88,7 @@ def restore(flat: Vector, n: int, estimate: Estimate | None = None) -> Memory:
     base, slow, rest = (np.array(tail[k : k + 6]) for k in (17, 23, 29))
     plain_at, struck_at = 36 + FLAT, 36 + FLAT + PLAIN
     borne_at = struck_at + STRUCK
-    braced_at = borne_at + BORNE
+    braced_at = borne_at + (BORNE if len(tail) >= borne_at + BORNE + BRACED else BORNE_OF_OLD)
     plain, struck = plain_of(tail[plain_at:struck_at], n), struck_of(tail[struck_at:borne_at])
     found = pull_of(tail[36:plain_at]), plain, struck, borne_of(tail[borne_at:braced_at])
     return Memory(

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from agent.config.cell import Arm, Cell, load_cell
-from agent.config.noticing import against, brace, knock, load_N, thresholds, touch
+from agent.config.noticing import against, brace, knock, loads_N, thresholds, touch
 from agent.config.reality import reality_of
 from agent.config.schema.driver import DriverKind
 from agent.host.info import versions
@@ -64,8 +64,8 @@ def _against(cell: Cell) -> dict[str, float] | None:
     if along is None or struck is None:
         return None
     limits = {"level_N": along.level_N, "climb_N": along.climb_N, "weight_N": along.hangs_N}
-    if (load := load_N(cell)) is not None:
-        limits["load_N"] = load
+    if (loads := loads_N(cell)) is not None:
+        limits["load_N"], limits["stuck_N"] = loads
     return limits | {"lifted_N": along.lifted_N, "knock_N": struck.limit_N}
 
 

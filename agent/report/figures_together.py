@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from agent.control.against import LEVEL_AT, WEIGHT_AT
-from agent.control.borne import LOAD_AT
+from agent.control.borne import LOAD_AT, STUCK_AT
 from agent.control.knock import KNOCK_AT, SLIP_AT
 from agent.report.errors import apart_by_pair
 from agent.report.labels import end_labels, room_in
@@ -19,6 +19,7 @@ from agent.report.series import Array, column, component, grasp_force, joint_col
 from agent.report.together import BUS, thresholds
 
 HOLDS_ABOVE: Final = "holds above"
+LOADS: Final = (LOAD_AT, STUCK_AT)  # whose limits do not grow with the slip
 HOLDS_BELOW: Final = "holds below"
 A_TOUCH: Final = "a touch below"
 SHARE_S: Final = 1.0  # a load share is that of so long a stretch
@@ -123,16 +124,20 @@ def pulled(run: Prepared) -> Figure:
         told.append((KNOCK_AT, "of a blow", limits.knock_N))
     if np.isfinite(limits.load_N):
         told.append((LOAD_AT, "down, with what friction bears", limits.load_N))
+    if np.isfinite(limits.stuck_N):
+        told.append((STUCK_AT, "down, with joints that stick", limits.stuck_N))
     figure, axes = panels(len(told), height_in=1.7, names_in=_room(run, HOLDS_ABOVE))
     for ax, (place, where, limit) in zip(axes, told, strict=True):
         for number, arm in enumerate(run.arms):
             rows = run.rows[arm.name]
-            slip = component(rows, "memory", SLIP_AT) if grows and place != LOAD_AT else 1.0
+            slip = component(rows, "memory", SLIP_AT) if grows and place not in LOADS else 1.0
             line(ax, column(rows, "t"), component(rows, "memory", place) / slip, label=arm.name, **_look(number))
         _threshold(ax, limit, HOLDS_ABOVE)
         if place == WEIGHT_AT:
             _threshold(ax, -limits.lifted_N, HOLDS_BELOW)
-        ax.set(title=f"Unexpected force {where}{' over the slip' if grows and place != LOAD_AT else ''}", ylabel="[N]")
+        ax.set(
+            title=f"Unexpected force {where}{' over the slip' if grows and place not in LOADS else ''}", ylabel="[N]"
+        )
         end_labels(ax)
     time_axis(axes, run.info.duration_s)
     return figure

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 BUS: Final = ("bus_timeouts", "bus_corrupt", "bus_alerts", "bus_retries")
 CHANNELS: Final = ("fast_N", "fast_Nm", "slow_N", "slow_Nm")
-ALONG: Final = ("level_N", "weight_N", "lifted_N", "knock_N", "load_N")
+ALONG: Final = ("level_N", "weight_N", "lifted_N", "knock_N", "load_N", "stuck_N")
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +40,7 @@ class Thresholds:
     lifted_N: float = NAN  # up
     knock_N: float = NAN  # what strikes
     load_N: float = NAN  # down, with what friction bears
+    stuck_N: float = NAN  # and with joints that stick
     touch_N: float = NAN  # sudden, up to which it may be a touch
 
 

@@ -65,8 +65,10 @@ def noticed(cell: Cell) -> list[Finding]:
     struck = noticing.knock(cell, pulled)
     along = ""
     if pulled is not None and struck is not None:
-        load_N = noticing.load_N(cell)
-        borne = "" if load_N is None else f" ({load_N:g} N with what friction bears)"
+        loads = noticing.loads_N(cell)
+        borne = (
+            "" if loads is None else " ({:g} N with what friction bears, {:g} N of joints that stick)".format(*loads)
+        )
         along = (
             f"; {pulled.level_N:g} N, or thrice {pulled.climb_N:g} N, against the motion; {pulled.hangs_N:.2g} N down"
             f"{borne}, {pulled.lifted_N:.2g} N up; {struck.limit_N:.2g} N of a blow"

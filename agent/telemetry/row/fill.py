@@ -31,7 +31,7 @@ _NO_MOTION: Final = (math.nan,) * 57  # p_object_des to dv_object_ref
 _NO_WRENCHES: Final = (math.nan,) * 14  # wrench_cmd, wrench_internal, lyapunov, sigma_min
 _NO_SENSE: Final = (math.nan,) * 10  # unexpected_wrench, unexpected
 SENSE_ARRAYS: Final = 3  # of the field `memory`: of agent.control.residual.Sense
-SENSE_REST: Final = 48
+SENSE_REST: Final = 50
 _WRENCHES: Final = struct.Struct(f"<{SENSE_REST}d")
 
 Row = NDArray[np.void]

@@ -163,9 +163,23 @@ def test_sizes_are_those_of_twelve_places_of_the_run_against_the_first() -> None
     ]
     steps = [[*map(norms, (usual._noise(known, at), usual._speeds(known, at)))] for at in places]
     wanted.append(np.max([np.add(*both) for both in steps], axis=0))
-    np.testing.assert_allclose(usual._sizes(short, arm), wanted)
-    largest = np.max([usual._sizes(short, one) for one in short.arms], axis=0)
-    np.testing.assert_allclose(usual.usual(short), largest)
+    np.testing.assert_allclose(usual._sizes(known, places), wanted)
+    each = [usual._known(short, one) for one in short.arms]
+    found = usual.usual(short)
+    largest = np.max([usual._sizes(one, usual._places(one)) for one in each], axis=0)
+    np.testing.assert_allclose(found[:4], largest)
+    turned = [np.abs(usual._rubbing(one, at)[2]).sum() for one in each for at in usual._places(one)]
+    assert found.turned_N == pytest.approx(max(turned))
+
+
+def test_what_a_feed_forward_that_turned_round_may_bear_is_along_gravity_alone() -> None:
+    up, tilted, nowhere = (
+        usual.usual(cell("three_wx250s", f"world.gravity_m_per_s2={g}"))
+        for g in ("[0.0, 0.0, -9.81]", "[0.0, 6.0, 0.0]", "[0.0, 0.0, 0.0]")
+    )
+    assert up.turned_N == pytest.approx(1.37, abs=0.01)
+    assert tilted.turned_N != pytest.approx(up.turned_N, rel=0.05)
+    assert nowhere.turned_N == 0.0
 
 
 def norms(columns: np.ndarray) -> list[float]:

@@ -208,15 +208,16 @@ def test_two_arms_have_it_only_where_it_is_asked_for_and_more_arms_derive_it() -
     assert typed == Against(PERIOD, 0.9, 0.126, DOWN)
 
 
-def test_coarse_readings_raise_the_limits_of_level_weight_and_lift() -> None:
-    shaken = replace(LAW, shaken_N=0.8)
-    assert (shaken.hangs_N, shaken.lifted_N) == (0.8, pytest.approx(1.25 * 0.7))
-    assert (replace(LAW, shaken_N=1.0).hangs_N, replace(LAW, shaken_N=1.0).lifted_N) == (1.0, 1.0)
+def test_coarse_readings_raise_the_limit_of_a_lift_and_no_other() -> None:
+    """Down a limp neighbour in a slow motion shows little more than they do."""
+    for shaken_N, lifted_N in ((0.8, 1.25 * 0.7), (1.0, 1.0)):
+        shaken = replace(LAW, shaken_N=shaken_N)
+        assert (shaken.hangs_N, shaken.lifted_N) == pytest.approx((1.05 * 0.7, lifted_N))
     usual = against(load_cell(Path("four_wx250s")))
     coarse = against(load_cell(Path("four_wx250s"), ["controller.observer.velocity_gain=1.0"]))
     assert usual is not None
     assert (usual.shaken_N, usual.hangs_N, usual.lifted_N) == (0.526, *(k * 0.525 for k in (1.05, 1.25)))
-    assert coarse == replace(usual, level_N=0.63, shaken_N=0.84)
+    assert coarse == replace(usual, shaken_N=0.84)
 
 
 def test_down_is_where_gravity_points() -> None:

@@ -141,7 +141,7 @@ def test_a_tick_does_what_the_equations_say(periods: int, ready: bool) -> None:
     moving = terms._replace(desired=terms.desired._replace(v=(0.02, -0.01, 0.0, 0.0, 0.0, 0.1)))
     against = Against(PERIOD, 0.7, 0.14, (0.0, 0.0, -1.0))
     knock = Knock(PERIOD, 0.8)
-    bearing = Bearing(PERIOD, 1.5, Friction((JointFriction(0.2, 0.1),) * 3, 0.05), (0.48, 0.6, -0.64))
+    bearing = Bearing(PERIOD, 1.5, 2.0, Friction((JointFriction(0.2, 0.1),) * 3, 0.05), (0.48, 0.6, -0.64))
     residual = Residual(PERIOD, 0.4, LIMITS, against=against, knock=knock, bearing=bearing)
     dq, last, before = np.array([[0.1, -0.2, 0.3], [0.5, 0.3, -0.1], [-0.2, 0.4, 0.6]])
     found = residual.advance(sense, moving, terms.J_inv_P, dq, (last, before), ready=ready, periods=periods)
@@ -201,19 +201,22 @@ def test_sizes_are_of_force_and_moment_without_what_is_slow_and_what_is_usual() 
         (0.0, -0.88, 0.0, 0.0, (True, False, False)),
         (0.0, 0.0, 0.81, 0.0, (True, False, False)),
         (0.0, 0.0, 0.0, 1.51, (True, False, True)),
+        (0.0, 0.0, 0.0, -2.01, (True, False, True)),  # with joints that stick
     ],
 )
 def test_who_asks_for_it_is_told_of_a_pull_back_a_weight_a_lift_and_a_blow(
     level_N: float, weight_N: float, knock_N: float, load_N: float, told: tuple[bool, ...]
 ) -> None:
-    bearing = Bearing(PERIOD, 1.5, Friction((), 0.05), (0.0, 0.0, -1.0))
+    bearing = Bearing(PERIOD, 1.5, 2.0, Friction((), 0.05), (0.0, 0.0, -1.0))
     along = {"against": Against(PERIOD, 0.7, 0.14), "knock": Knock(PERIOD, 0.8)}
     asked = Residual(PERIOD, 0.0, LIMITS, **along, bearing=bearing)  # type: ignore[arg-type]
     nobody = Residual(PERIOD, 0.0, LIMITS)
     for slip in (1.0, 3.0):
         pull = NO_PULL._replace(level_N=slip * level_N, weight_N=slip * weight_N)
         struck = Struck(knock_N=slip * knock_N, slip=slip)
-        sense = nothing_sensed(3)._replace(pull=pull, struck=struck, borne=Borne(0.0, load_N))
+        sense = nothing_sensed(3)._replace(
+            pull=pull, struck=struck, borne=Borne(load_N=max(load_N, 0.0), stuck_N=abs(load_N))
+        )
         assert (asked.pulled(sense), asked.dragged(sense), asked.weighed(sense)) == told
         assert (nobody.pulled(sense), nobody.dragged(sense), nobody.weighed(sense)) == (False, False, False)
 

@@ -189,18 +189,27 @@ def test_what_pulls_back_and_down_is_shown_where_the_run_has_limits_for_it() -> 
 def test_what_limits_that_grow_are_for_is_shown_over_the_slip() -> None:
     log = view_log()
     run = json.loads(log.attachments.get("run.json", b"{}"))
-    limits = {"level_N": 0.7, "climb_N": 0.1, "weight_N": 0.6, "lifted_N": 0.8, "knock_N": 0.9, "load_N": 1.1}
+    limits = {
+        "level_N": 0.7,
+        "climb_N": 0.1,
+        "weight_N": 0.6,
+        "lifted_N": 0.8,
+        "knock_N": 0.9,
+        "load_N": 1.1,
+        "stuck_N": 1.7,
+    }
     log.attachments["run.json"] = json.dumps(run | {"noticing_against": limits}).encode()
     pull, struck = NO_PULL._replace(level_N=1.0, weight_N=-0.8), Struck(knock_N=1.2, slip=2.0)
-    sense = nothing_sensed(3)._replace(pull=pull, struck=struck, borne=Borne(0.1, 0.5))
+    sense = nothing_sensed(3)._replace(pull=pull, struck=struck, borne=Borne(0.1, 0.5, 0.2, 1.3))
     for rows in log.agents.values():
         rows["memory"][:] = initial(3)._replace(sense=sense).flatten()
-    back, down, blow, load = figures_together.pulled(prepare(log)).axes
-    assert [labelled(ax)["left"][5] for ax in (back, down, blow, load)] == [0.5, -0.4, 0.6, 0.5]
-    assert [labelled(ax)["holds above"][0] for ax in (back, down, blow, load)] == [0.7, 0.6, 0.9, 1.1]
+    back, down, blow, load, stuck = figures_together.pulled(prepare(log)).axes
+    assert [labelled(ax)["left"][5] for ax in (back, down, blow, load, stuck)] == [0.5, -0.4, 0.6, 0.5, 1.3]
+    assert [labelled(ax)["holds above"][0] for ax in (back, down, blow, load, stuck)] == [0.7, 0.6, 0.9, 1.1, 1.7]
     assert labelled(down)["holds below"][0] == -0.8
-    assert not any("holds below" in labelled(ax) for ax in (back, blow, load))
+    assert not any("holds below" in labelled(ax) for ax in (back, blow, load, stuck))
     assert load.get_title(loc="left") == "Unexpected force down, with what friction bears", "whose limit does not grow"
+    assert stuck.get_title(loc="left") == "Unexpected force down, with joints that stick"
     assert blow.get_title(loc="left") == "Unexpected force of a blow over the slip"
 
 

@@ -71,7 +71,7 @@ def all_different(n: int) -> tuple[JointState, Memory, Outcome]:
     arrays = [array_of(n) for _ in range(6)]
     pull, plain = pull_of(tuple_of(14)), Plain(array_of(n), next(numbers))
     wrenches = array_of(6), array_of(6), array_of(6)
-    struck, borne, braced = Struck(*tuple_of(5)), Borne(*tuple_of(2)), Braced(*tuple_of(5))
+    struck, borne, braced = Struck(*tuple_of(5)), Borne(*tuple_of(4)), Braced(*tuple_of(5))
     sense = Sense(array_of(n), array_of(n), array_of(n), *wrenches, next(numbers), pull, plain, struck, borne)
     memory = Memory(
         *arrays, True, sense, tuple_of(6), 103, tuple_of(7), next(numbers), estimate, array_of(n), next(numbers), 19,
