@@ -233,9 +233,9 @@ def test_a_pull_below_every_threshold_is_told_by_its_sizes() -> None:
     outcome = outcome._replace(memory=outcome.memory._replace(sense=sense._replace(pull=pull)))
     told = explained(agent, outcome)
     assert told.endswith(", 0.012 N against the motion, 4.6 N down, 0 N of a blow")
-    borne = outcome.memory.sense._replace(borne=Borne(0.1, 1.83))
+    borne = outcome.memory.sense._replace(borne=Borne(0.1, 1.83, 0.2, 2.04))
     bears = explained(agent, outcome._replace(memory=outcome.memory._replace(sense=borne)))
-    assert bears.endswith(", 4.6 N down (1.8 N with what friction bears), 0 N of a blow")
+    assert bears.endswith(", 4.6 N down (1.8 N with what friction bears, 2 N of joints that stick), 0 N of a blow")
     based = sense._replace(pull=pull, base=np.array([0.0, 0.0, 5.0, 0.0, 0.0, 0.0]))
     other = explained(agent, outcome._replace(memory=outcome.memory._replace(sense=based)))
     assert Cause.LIFT in told

@@ -175,9 +175,9 @@ def test_memory_survives_the_log(seed: int, n: int, hold: bool) -> None:
         (*found.sense[:-4], *found.sense.plain), (*memory.sense[:-4], *memory.sense.plain), strict=True
     ):
         assert np.array_equal(one, two)
-    older = restore(flat[:-12], n).sense
+    older = restore(flat[:-14], n).sense
     assert (older.plain.force_N, older.struck) == (memory.sense.plain.force_N, NOT_STRUCK), "older than a blow"
-    older = restore(flat[:-20], n).sense
+    older = restore(flat[:-22], n).sense
     assert (older.pull, older.plain.force_N) == (memory.sense.pull, 0.0), "a row that is older than what is plain"
     assert older.plain.momentum.tolist() == [0.0] * n
     for name in ("primed", "hold", "shift", "calm", "missed", "braced"):
