@@ -5,7 +5,7 @@ Without a fault, what the channels of the residual (agent.control.residual) carr
 - friction that is not that of the feed-forward, ‖F‖ with columns J⁻ᵀ e_j Δf_j, a fifth of it however well it is known:
   at a reversal a part of it is sudden;
 - steps of the encoders through observer and law, columns J⁻ᵀ L B (J⁻¹ K H J) e_j α ½ lsb;
-- steps of the measured speeds through the observer, columns J⁻ᵀ L B e_j β ½ lsb, which only a blow has to count with;
+- steps of the measured speeds through the observer, columns J⁻ᵀ L B e_j β ½ lsb: a blow and a lift count with them;
 - what errors of masses, torque constants, zeros, base, grasp and start make of W along the motion beyond what they make
   of it at its begin, which the slow channel subtracts: J⁻ᵀ Δτ and S δ (agent.verify.disagreement has their forms).
 
@@ -16,10 +16,11 @@ Each is a quadratic sum over independent errors at their bounds in `[tolerance]`
 and fast is no less than a touch needs, with L and l the rates of the residual and of the slow channel.  Where nothing
 but a touch sets the limit of the sudden force, agent.control.touch tells one that is above it.  What pulls
 against the motion, down or up (agent.control.against) or strikes (agent.control.knock) has limits in cells of three
-and more arms: what a touch needs, or what friction and noise make of it; what hangs on the object with what friction
-bears (agent.control.borne) has both together.  REVERSAL, PEAK, CREEP, HUM, ALONG, CLIMBING and LOAD are calibrated on
-the largest values that studies of the shipped cells showed (a test has them), STEPS on those of cells that `coop new`
-made; a planar moment has a CREEP of its own.  agent.config.usual works the sizes out.
+and more arms: what a touch needs, or what friction and noise make of it; so has what hangs on the object with what
+friction bears (agent.control.borne), but with joints that stick both together.  REVERSAL, PEAK, CREEP, HUM, ALONG and
+CLIMBING are calibrated on the largest values that studies of the shipped cells showed (a test has them), LOAD, STEPS
+and SHAKEN on those of cells that `coop new` made, too; a planar moment has a CREEP of its own.  agent.config.usual
+works the sizes out.
 """
 
 from __future__ import annotations
