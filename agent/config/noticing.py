@@ -29,7 +29,7 @@ import math
 from typing import Final
 
 from agent.config.cell import Arm, Cell
-from agent.config.usual import usual
+from agent.config.usual import down, usual
 from agent.control.against import Against
 from agent.control.borne import Bearing
 from agent.control.brace import Brace
@@ -109,15 +109,15 @@ def against(cell: Cell) -> Against | None:
     if len(cell.arms) <= ALONE:
         if spec.against_N is None and spec.climb_N is None:
             return None
-        return Against(period_s, spec.against_N or math.inf, spec.climb_N or math.inf, _down(cell))
+        return Against(period_s, spec.against_N or math.inf, spec.climb_N or math.inf, down(cell))
     share, usual_N, of = _share_N(cell), _usual_N(cell), usual(cell)
     level, climb = (max(t * share, a * usual_N) for t, a in zip(TOUCH_ALONG, ALONG, strict=True))
     climb_N = spec.climb_N or float(f"{climb:.3g}")
     if spec.against_N:
-        return Against(period_s, spec.against_N, climb_N, _down(cell))
+        return Against(period_s, spec.against_N, climb_N, down(cell))
     shaken = MARGIN * (SHAKEN[0] * of.friction.force_N + SHAKEN[1] * of.steps.force_N)
     level_N, climbing_N, shaken_N = (float(f"{x:.3g}") for x in (level, CLIMBING * usual_N, shaken))
-    return Against(period_s, level_N, climb_N, _down(cell), climbing_N=climbing_N, shaken_N=shaken_N)
+    return Against(period_s, level_N, climb_N, down(cell), climbing_N=climbing_N, shaken_N=shaken_N)
 
 
 def bearing(cell: Cell, arm: Arm) -> Bearing | None:
@@ -126,7 +126,7 @@ def bearing(cell: Cell, arm: Arm) -> Bearing | None:
     None of two arms, without gravity, and where nothing is fed forward, or friction that sticks.  Raises ConfigError.
     """
     friction = cell.offline(arm).friction
-    if friction is None or friction.sticks or len(cell.arms) <= ALONE or not any(_down(cell)):
+    if friction is None or friction.sticks or len(cell.arms) <= ALONE or not any(down(cell)):
         return None
     share, usual_N = _share_N(cell), _usual_N(cell)
     limits = (
@@ -134,7 +134,7 @@ def bearing(cell: Cell, arm: Arm) -> Bearing | None:
         TOUCH_ALONG[0] * share + max(usual(cell).turned_N, STUCK * usual_N),
     )
     load_N, stuck_N = (float(f"{limit:.3g}") for limit in limits)
-    return Bearing(1.0 / cell.file.rate_hz, load_N, stuck_N, friction, _down(cell))
+    return Bearing(1.0 / cell.file.rate_hz, load_N, stuck_N, friction, down(cell))
 
 
 def loads_N(cell: Cell) -> tuple[float, float] | None:
@@ -174,7 +174,7 @@ def touch(cell: Cell, limits: Channels) -> Touch | None:
     needed, most_N, down_N, plain_N = (float(f"{t * share:.3g}") for t in (TOUCH, TOUCH_MOST, TOUCH_DOWN, TOUCH_PLAIN))
     if spec.fast_N is not None or limits.fast_N > needed:
         return None
-    return Touch(1.0 / cell.file.rate_hz, spec.rate_per_s, most_N, down_N, plain_N, _down(cell))
+    return Touch(1.0 / cell.file.rate_hz, spec.rate_per_s, most_N, down_N, plain_N, down(cell))
 
 
 def _share_N(cell: Cell) -> float:
@@ -186,10 +186,3 @@ def _usual_N(cell: Cell) -> float:
     """Force of friction and noise, with a margin, of which limits of three and more arms are a part."""
     of = usual(cell)
     return MARGIN * (of.friction.force_N + of.noise.force_N)
-
-
-def _down(cell: Cell) -> tuple[float, float, float]:
-    """Direction of gravity, world axes; zero where there is none."""
-    x, y, z = cell.gravity.tolist()
-    size = math.hypot(x, y, z) or math.inf
-    return (x / size, y / size, z / size)

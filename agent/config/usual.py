@@ -67,6 +67,13 @@ class _Place(NamedTuple):
     to_wrench: Matrix  # (6, n) J⁻ᵀ of joint torques
 
 
+def down(cell: Cell) -> tuple[float, float, float]:
+    """Direction of gravity, world axes; zero where there is none."""
+    x, y, z = cell.gravity.tolist()
+    size = math.hypot(x, y, z) or math.inf
+    return (x / size, y / size, z / size)
+
+
 @once_per_cell
 def usual(cell: Cell) -> Usual:
     """Of this cell.  Raises ConfigError where an arm cannot be placed."""
@@ -138,8 +145,7 @@ def _rubbing(known: _Arm, at: _Place) -> Matrix:
 
 
 def _turned_N(known: _Arm, at: _Place) -> float:
-    gravity = known.cell.gravity
-    return float(np.abs(gravity @ _rubbing(known, at)[:3]).sum()) / (float(np.linalg.norm(gravity)) or 1.0)
+    return float(np.abs(np.array(down(known.cell)) @ _rubbing(known, at)[:3]).sum())
 
 
 def _noise(known: _Arm, at: _Place) -> Matrix:

@@ -193,19 +193,19 @@ def test_sizes_are_of_force_and_moment_without_what_is_slow_and_what_is_usual() 
 
 
 @pytest.mark.parametrize(
-    ("level_N", "weight_N", "knock_N", "load_N", "told"),
+    ("level_N", "weight_N", "knock_N", "load_N", "stuck_N", "told"),
     [
-        (0.69, 0.73, 0.79, 1.49, (False, False, False)),
-        (0.71, 0.0, 0.0, 0.0, (True, True, False)),
-        (0.0, 0.74, 0.0, 0.0, (True, False, True)),
-        (0.0, -0.88, 0.0, 0.0, (True, False, False)),
-        (0.0, 0.0, 0.81, 0.0, (True, False, False)),
-        (0.0, 0.0, 0.0, 1.51, (True, False, True)),
-        (0.0, 0.0, 0.0, -2.01, (True, False, True)),  # with joints that stick
+        (0.69, 0.73, 0.79, 1.49, 1.99, (False, False, False)),
+        (0.71, 0.0, 0.0, 0.0, 0.0, (True, True, False)),
+        (0.0, 0.74, 0.0, 0.0, 0.0, (True, False, True)),
+        (0.0, -0.88, 0.0, 0.0, 0.0, (True, False, False)),
+        (0.0, 0.0, 0.81, 0.0, 0.0, (True, False, False)),
+        (0.0, 0.0, 0.0, 1.51, 0.0, (True, False, True)),
+        (0.0, 0.0, 0.0, 0.0, 2.01, (True, False, True)),
     ],
 )
 def test_who_asks_for_it_is_told_of_a_pull_back_a_weight_a_lift_and_a_blow(
-    level_N: float, weight_N: float, knock_N: float, load_N: float, told: tuple[bool, ...]
+    level_N: float, weight_N: float, knock_N: float, load_N: float, stuck_N: float, told: tuple[bool, ...]
 ) -> None:
     bearing = Bearing(PERIOD, 1.5, 2.0, Friction((), 0.05), (0.0, 0.0, -1.0))
     along = {"against": Against(PERIOD, 0.7, 0.14), "knock": Knock(PERIOD, 0.8)}
@@ -214,9 +214,8 @@ def test_who_asks_for_it_is_told_of_a_pull_back_a_weight_a_lift_and_a_blow(
     for slip in (1.0, 3.0):
         pull = NO_PULL._replace(level_N=slip * level_N, weight_N=slip * weight_N)
         struck = Struck(knock_N=slip * knock_N, slip=slip)
-        sense = nothing_sensed(3)._replace(
-            pull=pull, struck=struck, borne=Borne(load_N=max(load_N, 0.0), stuck_N=abs(load_N))
-        )
+        borne = Borne(load_N=load_N, stuck_N=stuck_N)
+        sense = nothing_sensed(3)._replace(pull=pull, struck=struck, borne=borne)
         assert (asked.pulled(sense), asked.dragged(sense), asked.weighed(sense)) == told
         assert (nobody.pulled(sense), nobody.dragged(sense), nobody.weighed(sense)) == (False, False, False)
 
