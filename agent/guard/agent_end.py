@@ -48,7 +48,7 @@ class AgentEnd:
         except TimeoutError as error:
             raise self._busy(f"no answer to {word.value!r} within {REPLY_S:g} s") from error
         except (OSError, ValueError) as error:
-            raise self._silent(word) from error
+            raise self._gone(word) from error
         finally:
             self._socket.setblocking(False)
         if not answer.pop("ok", False):
@@ -62,7 +62,7 @@ class AgentEnd:
         try:
             socket.send_fds(self._socket, [message], list(fds))
         except OSError as error:
-            raise self._silent(word) from error
+            raise self._gone(word) from error
 
     def heard(self) -> Mapping[str, Any] | None:
         """An answer that has come, {} when none has; None when the guard is gone.  Never blocks."""
@@ -91,8 +91,8 @@ class AgentEnd:
             "else its log says why it hangs",
         )  # fmt: skip
 
-    def _silent(self, word: Word) -> GuardError:
+    def _gone(self, word: Word) -> GuardError:
         return GuardError(
-            f"guard at {self._path}", found=f"no answer to {word.value!r}", expected="an answer",
-            remedy="see the guard's log",
+            f"guard at {self._path}", found=f"that it went before it answered {word.value!r}", expected="an answer",
+            remedy="its log says why; start it again, and then this arm",
         )  # fmt: skip
