@@ -48,6 +48,7 @@ class Surroundings:
     trouble: Callable[[str], None] | None = None  # is told why the arm holds when nobody asked it to
     refused: Callable[[str], None] | None = None  # is told why a session goes no further: a word too early, no object
     of_host: Callable[[], str] = lambda: ""  # what is wrong with this host when the operator says TROUBLE
+    busy: Callable[[], None] = lambda: None  # is called before the one thing that takes longer than a cycle
 
 
 @dataclass(frozen=True)

@@ -72,7 +72,7 @@ class Runner:
         self._ticks = Ticks(schedule, begin_ns)
         self._cycles = Cycles(schedule.patience, schedule.period_ns, begin_ns)
         resumed = partial(self._begin_afresh, Flag.RESUMED)
-        self._sight = Sight(driver, self._cycles, resumed, lockstep=schedule.lockstep)
+        self._sight = Sight(driver, self._cycles, resumed, around.busy, lockstep=schedule.lockstep)
         self._utc_offset_ns = clock.utc_offset_ns
         self._tracking_since_ns: int | None = None
         self._tracked_s = 0.0

@@ -16,12 +16,15 @@ KEEPS = frozenset({Mode.HOLD, Mode.HALT, Mode.STAND})  # in which an arm stays u
 class Sight:
     """One arm as its loop sees it.  unseen: what the last read, or attempt to bring the arm back, failed by."""
 
-    def __init__(self, driver: Driver, cycles: Cycles, resumed: Callable[[], None], *, lockstep: bool) -> None:
-        """resumed: is called when the arm was brought back and its torque begins at zero."""
+    def __init__(
+        self, driver: Driver, cycles: Cycles, resumed: Callable[[], None], busy: Callable[[], None], *, lockstep: bool
+    ) -> None:
+        """busy: is called before the arm is brought back; resumed: once it was, and its torque begins at zero."""
         self.unseen = ""
         self._driver = driver
         self._cycles = cycles
         self._resumed = resumed
+        self._busy = busy
         self._lockstep = lockstep
         self._recovering = driver if isinstance(driver, Recovering) else None
         self._fault = ""  # of the servos, as last read
@@ -35,6 +38,7 @@ class Sight:
         if bus is not Bus.RECOVER or arm is None:
             return bus
         try:
+            self._busy()
             resumed, back = arm.recover(), True
         except ServoFault as error:
             self.unseen = str(error)

@@ -10,6 +10,7 @@ from collections.abc import MutableMapping
 
 FIRST_FD = 3  # of those that a service manager hands over
 LOADING_US = 60_000_000  # in place of the watchdog's interval, while a process that is `loading` strokes nothing
+BUSY_US = 1_000_000  # likewise while it is `busy`
 
 
 def stored_fds(environment: MutableMapping[str, str] = os.environ) -> dict[str, int]:
@@ -30,7 +31,7 @@ class Notifier:
 
     def __init__(self, address: str | None = None) -> None:
         path = address if address is not None else os.environ.get("NOTIFY_SOCKET", "")
-        self._loading = False
+        self._is_longer = False  # the watchdog's interval than the unit's
         self._watchdog_us = os.environ.get("WATCHDOG_USEC", "")  # the unit's interval; empty without one
         self._socket: socket.socket | None = None
         if path:
@@ -55,17 +56,22 @@ class Notifier:
     def loading(self, status: str) -> None:
         """Tell that units ordered behind this one may start; `ready`, or the first stroke, begins the watchdog."""
         self.send(f"READY=1\nSTATUS={status}{self._watched_every(str(LOADING_US))}")
-        self._loading = True
+        self._is_longer = True
 
     def ready(self, status: str) -> None:
         """Tell that start-up is over, with a line for `systemctl status`."""
         self.send(f"READY=1\nSTATUS={status}{self._watched_every(self._watchdog_us)}")
-        self._loading = False
+        self._is_longer = False
 
     def alive(self) -> None:
         """Stroke the watchdog."""
-        self.send("WATCHDOG=1" + (self._watched_every(self._watchdog_us) if self._loading else ""))
-        self._loading = False
+        self.send("WATCHDOG=1" + (self._watched_every(self._watchdog_us) if self._is_longer else ""))
+        self._is_longer = False
+
+    def busy(self) -> None:
+        """Stroke the watchdog before what may take some tenths of a second; the next stroke comes after it."""
+        self.send("WATCHDOG=1" + self._watched_every(str(BUSY_US)))
+        self._is_longer = True
 
     def _watched_every(self, microseconds: str) -> str:
         """The line that sets the watchdog's interval, where the unit has one."""

@@ -121,7 +121,7 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
                     ring=str(options.ring), driver=told, session=options.whole,
                 )  # fmt: skip
             servos = ServoTeller(driver, texts, clock.utc_offset_ns, cell.file.rate_hz)
-            runner = _runner(cell, options, law, driver, clock, ring, operator, notifier, servos, tell, standing)
+            runner = _runner(cell, options, law, driver, clock, ring, operator, notifier, guard, servos, tell, standing)
             cpu_s = time.process_time()
             try:
                 summary = runner.run(Event.ENABLED)
@@ -197,6 +197,7 @@ def _runner(
     ring: RingWriter,
     operator: Operator,
     notifier: Notifier,
+    guard: Guarded | None,
     servos: ServoTeller,
     tell: Teller,
     standing: Standing,
@@ -228,9 +229,14 @@ def _runner(
         tell.event(Level.WARN, reason)
         operator.trouble(reason)
 
+    def busy() -> None:
+        heart.busy()
+        if guard is not None:
+            guard.busy()
+
     around = Surroundings(
         time.perf_counter_ns, operator.events, operator.start_ns, beat, mode_changed, trouble, refused,
-        lambda: operator.watched,
+        lambda: operator.watched, busy,
     )  # fmt: skip
     row = AgentRow(ring.row, arm.n, cell.config_id)
     if law.session is not None:

@@ -102,10 +102,7 @@ def servo_driver(
     port = SerialPort(servos.port, servos.baud, clock, partial(_borrowed, guard) if guard else None)
     # emulated servos share the processor with everything else: a slow read there says nothing of a bus
     share = EMULATED_READ_SHARE if connection.emulated else READ_SHARE
-    driver = DynamixelDriver(servos, clock, on_event=in_words(warn), read_share=share, port=port)
-    if guard is not None:
-        driver.before_recovery = guard.busy
-    return driver
+    return DynamixelDriver(servos, clock, on_event=in_words(warn), read_share=share, port=port)
 
 
 def _borrowed(guard: Guarded) -> int:

@@ -141,7 +141,9 @@ class Successor:
             servos.beat()
             black_box.beat()
 
-        return Surroundings(time.perf_counter_ns, operator.events, lambda: None, beat, mode_changed, tell.trouble)
+        return Surroundings(
+            time.perf_counter_ns, operator.events, lambda: None, beat, mode_changed, tell.trouble, busy=heart.busy
+        )
 
     def _black_box(self, ring: Path, reason: str) -> BlackBox:
         """The post-mortem of what happened before this hold; none of a hand-over that was asked for."""

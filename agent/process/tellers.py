@@ -146,3 +146,7 @@ class Heart:
         """A cycle has passed, with a state or without."""
         if self._due():
             self._notifier.alive()
+
+    def busy(self) -> None:
+        """The next beat will be late."""
+        self._notifier.busy()

@@ -14,7 +14,7 @@ from drivers.dynamixel.errors import DxlServoFault, FaultCause
 from drivers.dynamixel.events import DriverEvent, EventKind, EventSink
 from drivers.dynamixel.identify import IdentityError
 from drivers.dynamixel.line.bus import Bus
-from drivers.dynamixel.monitor import status_bytes
+from drivers.dynamixel.monitor import Page, status_bytes
 from drivers.dynamixel.servo.codes import WATCHDOG_TRIPPED, OperatingMode
 from drivers.dynamixel.servo.found import ServoFound
 from drivers.dynamixel.servo.judge import POSE, TORQUE, broken
@@ -106,7 +106,7 @@ class BringUp:
         for servo in self._commanded:
             self._bus.write(servo.slot.servo_id, effort_register(servo.slot), self._rest[servo.slot.servo_id])
             if servo.slot.joint.role is not JointRole.CONTROLLED:
-                self._goal_here(servo)
+                self._bus.write(servo.slot.servo_id, GOAL_POSITION, self._here(servo))
         for servo in self._servos:
             self._verify(servo, effort_register(servo.slot), self._rest[servo.slot.servo_id])
 
@@ -115,13 +115,14 @@ class BringUp:
         value = self._bus.read(servo.slot.servo_id, register)
         return replace(servo, values={**servo.values, register.name: value})
 
-    def _goal_here(self, servo: ServoFound) -> None:
+    def _here(self, servo: ServoFound) -> int:
+        """Position goal at which a servo that is held stays where it is."""
         servo_id = servo.slot.servo_id
         here = self._bus.read(servo_id, PRESENT_POSITION)
         if servo.slot.joint.mode is OperatingMode.POSITION:  # this mode refuses goals outside the servo's limits
             low, high = (self._bus.read(servo_id, r) for r in (MIN_POSITION_LIMIT, MAX_POSITION_LIMIT))
             here = max(low, min(high, here))
-        self._bus.write(servo_id, GOAL_POSITION, here)
+        return here
 
     def check_pose(self) -> None:
         """Every joint within its limits and near its start.  Raises PoseError."""
@@ -147,15 +148,16 @@ class BringUp:
     def has_stopped(self, *, half_armed: bool = False) -> bool:
         """Whether the arm needs `rearm`: a bus watchdog has fired and every servo has its torque; writes nothing.
 
-        half_armed: a `rearm` failed, so a watchdog that is off counts as one that has fired.  An arm with a servo
-        without torque is never armed again: it holds with those that still obey.  Raises DxlServoFault where none does.
+        half_armed: a `rearm` failed, so that the arm needs another whatever its watchdogs say: some goals may be those
+        of before.  An arm with a servo without torque is never armed again: it holds with those that still obey.
+        Raises DxlServoFault where none does.
         """
         stopped = (WATCHDOG_TRIPPED, 0) if half_armed else (WATCHDOG_TRIPPED,)
         on = [bool(self._bus.read(servo.slot.servo_id, TORQUE_ENABLE)) for servo in self._servos]
         ids = [servo.slot.servo_id for servo, has in zip(self._servos, on, strict=True) if has]
         fired = [self._bus.read(servo_id, BUS_WATCHDOG) in stopped for servo_id in ids]
         if all(on):
-            return any(fired)
+            return half_armed or any(fired)
         if all(fired):
             first = self._servos[on.index(False)].slot
             fault = DxlServoFault.of(FaultCause.TORQUE_LOST, first, found="Torque Enable 0", expected="1")
@@ -166,9 +168,12 @@ class BringUp:
         """After bus watchdogs have fired: no effort, the present place, armed again.  Torque stays on.
 
         Goals cannot be written while a watchdog is tripped, and the old ones count again once it is cleared; so the
-        zeros follow in the next packet.  Raises DxlServoFault when a servo does not obey.
+        zeros follow in the next packet.  No answer is waited for until all are armed: without watchdogs nobody would
+        stop servos whose process dies in between.  Raises DxlServoFault when a servo does not obey.
         """
         ids = [servo.slot.servo_id for servo in self._commanded]
+        held = [servo for servo in self._commanded if servo.slot.joint.role is not JointRole.CONTROLLED]
+        here = {servo.slot.servo_id: self._here(servo) for servo in held}
         self._bus.write_blind(BUS_WATCHDOG, dict.fromkeys(ids, 0))
         for register in (GOAL_CURRENT, GOAL_PWM):
             resting = {
@@ -178,14 +183,15 @@ class BringUp:
             }
             if resting:
                 self._bus.write_blind(register, resting)
-        for servo in self._commanded:
-            if servo.slot.joint.role is not JointRole.CONTROLLED:
-                self._goal_here(servo)
+        if here:
+            self._bus.write_blind(GOAL_POSITION, here)
         watchdog = watchdog_count(self._arm.watchdog_s)
         self._bus.write_blind(BUS_WATCHDOG, dict.fromkeys(ids, watchdog))
         for servo in self._servos:
             self._verify(servo, BUS_WATCHDOG, watchdog)
             self._verify(servo, effort_register(servo.slot), self._rest[servo.slot.servo_id])
+        for servo in held:
+            self._verify(servo, GOAL_POSITION, here[servo.slot.servo_id])
 
     def _verify(self, servo: ServoFound, register: Register, wanted: int) -> None:
         value = self._bus.read(servo.slot.servo_id, register)
@@ -200,10 +206,17 @@ class BringUp:
 
 
 def torque_off(bus: Bus, arm: ArmMap) -> None:
-    """Torque off everywhere, blind and twice.  Raises DriverError when the port is gone."""
+    """Torque off everywhere, blind and twice; then the watchdogs of those that say so, and the rest once more.
+
+    A servo that has not said so keeps its watchdog, which stops it.  Raises DriverError when the port is gone.
+    """
     ids = [slot.servo_id for slot in arm.slots if not slot.shadow]
     bus.write_blind(TORQUE_ENABLE, dict.fromkeys(ids, 0))
     bus.settle()  # the first may have met an answer on the wire, and nobody answers a sync write
     bus.write_blind(TORQUE_ENABLE, dict.fromkeys(ids, 0))
-    bus.write_blind(BUS_WATCHDOG, dict.fromkeys(ids, 0))
-    bus.write_blind(LED, dict.fromkeys(ids, 0))
+    rows = bus.read_all(*Page.STATUS.value, ids)
+    if off := [servo_id for servo_id, (torque, *_) in rows.items() if torque == 0]:
+        bus.write_blind(BUS_WATCHDOG, dict.fromkeys(off, 0))
+        bus.write_blind(LED, dict.fromkeys(off, 0))
+    if rest := [servo_id for servo_id in ids if servo_id not in off]:
+        bus.write_blind(TORQUE_ENABLE, dict.fromkeys(rest, 0))

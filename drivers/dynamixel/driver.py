@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import enum
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,6 +36,8 @@ from drivers.dynamixel.running import Running
 from drivers.dynamixel.servo.found import ServoFound
 from drivers.dynamixel.stale import stale, unasked
 from drivers.interface import ArmInfo, Clock, DriverError, GripState, JointState, ServoHealth, Vector
+
+RECOVERY_S = 0.25  # of bringing an arm back, after which nothing is asked twice: it ends within 0.6 s
 
 
 class Phase(enum.Enum):
@@ -87,7 +89,7 @@ class DynamixelDriver:
         self._read_share = read_share
         self._phase = Phase.CLOSED
         self._port_lost = False
-        self.before_recovery: Callable[[], None] = lambda: None  # is called before what takes longer than a cycle
+        self._has_commanded = False
         self._port = port or SerialPort(arm.port, arm.baud, clock)
         self._bus = Bus(self._port, clock, self.counters)
         self._found: list[ServoFound] = []
@@ -128,7 +130,7 @@ class DynamixelDriver:
         """Configure, zero the goals, check the pose, arm the watchdog, torque on; in this order.
 
         The watchdog runs from here on: a gap of `watchdog_s` without `read` or `write` stops the servos.
-        Raises IdentityError (torque is on already, wrong pose), PaceError, DxlServoFault; torque is then off.
+        Raises IdentityError (torque is on, and stays; wrong pose), PaceError, DxlServoFault; otherwise it is off then.
         """
         running = self._need(Phase.CONNECTED)
         if self._phase is Phase.ENABLED:
@@ -136,6 +138,7 @@ class DynamixelDriver:
         self.faults.clear()
         steps = BringUp(self._bus, self.arm, self._found, self._on_event)
         steps.configure()
+        self._has_commanded = True
         steps.zero_goals()
         check_read(self._bus, self.arm, self._clock, fast=running.fast, link=self._link, share=self._read_share)
         steps.check_pose()
@@ -144,8 +147,8 @@ class DynamixelDriver:
         self._phase = Phase.ENABLED
 
     def disable(self) -> None:
-        """Torque off.  Safe in any state, twice, and on a dead bus."""
-        if self._port.is_open:
+        """Torque off, where this driver switched it on.  Safe in any state, twice, and on a dead bus."""
+        if self._port.is_open and self._has_commanded:
             with contextlib.suppress(DriverError):  # a dead bus has no torque to switch off from here
                 torque_off(self._bus, self.arm)
         if self._phase is Phase.ENABLED:
@@ -193,19 +196,16 @@ class DynamixelDriver:
         period, one that cuts a servo off in between a few tenths of a second.
         """
         running = self._need(Phase.ENABLED)
-        self.before_recovery()
-        if self._port_lost:
-            self.reopen()
-        else:
-            make_sure(running, self.arm, self._clock)
-        arm = BringUp(self._bus, self.arm, self._found, self._on_event)
-        stopped = arm.has_stopped(half_armed=running.half_armed)
-        if stopped:
-            try:
-                self.rearm()
-            except DxlServoFault as fault:
-                raise RearmError.of(fault) from fault
-            self._on_event(DriverEvent(EventKind.REARMED, "torque begins at zero"))
+        with self._bus.patient(RECOVERY_S):
+            self.reopen() if self._port_lost else make_sure(running, self.arm, self._clock)
+            arm = BringUp(self._bus, self.arm, self._found, self._on_event)
+            if stopped := arm.has_stopped(half_armed=running.half_armed):
+                try:
+                    self.rearm()
+                except DxlServoFault as fault:
+                    raise RearmError.of(fault) from fault
+                self._on_event(DriverEvent(EventKind.REARMED, "torque begins at zero"))
+        running.forget_trips()
         self.faults = without_trips(self.faults)
         return stopped
 

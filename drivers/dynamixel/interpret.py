@@ -18,6 +18,8 @@ from drivers.dynamixel.servo.torque import TorqueDrive
 from drivers.dynamixel.servo.units import AngleScale, velocity_rad_per_s
 from drivers.interface import JointState
 
+SPEED_LASTS_CYCLES = 3  # a lost answer or two change no speed by much; then a motor's own back-EMF may slow it down
+
 
 @dataclass(slots=True)
 class _Joint:
@@ -44,7 +46,8 @@ class Interpreter:
     def __init__(self, arm: ArmMap, drives: Sequence[TorqueDrive], tell: OncePerServo) -> None:
         slots = arm.slots
         place_of = {slot.servo_id: place for place, slot in enumerate(slots)}
-        self.dq = [0.0] * len(drives)  # last fresh speed of each joint, for back-EMF
+        self.dq = [0.0] * len(drives)  # speed of each joint for its back-EMF: see `SPEED_LASTS_CYCLES`
+        self._unseen_cycles = [0] * len(drives)
         self._joints = []
         for joint, drive in zip(arm.controlled, drives, strict=True):
             places = tuple(place_of[servo_id] for servo_id in joint.ids)
@@ -69,15 +72,18 @@ class Interpreter:
             row = rows[entry.places[0]]
             if row is None:
                 stale.append(entry.joint.name)
+                self._unseen(index)
                 continue
             angle = entry.scale.angle_rad(row[3])
             if entry.jump.is_jump(cycle.stamp_ns, angle):
                 jumped = True
                 stale.append(entry.joint.name)
+                self._unseen(index)
                 if entry.jump.in_a_row > 1:
                     faults.append(entry.jump.fault(angle))
                 continue
             q[index] = angle
+            self._unseen_cycles[index] = 0
             dq[index] = self.dq[index] = velocity_rad_per_s(row[2])
             present = self._currents(entry, rows)
             if present is not None:
@@ -92,6 +98,12 @@ class Interpreter:
                 pair.check(followed, shadow, self._tell)
         state = JointState(cycle.stamp_ns, np.array(q), np.array(dq), np.array(tau))
         return Reading(state, stale, jumped, faults)
+
+    def _unseen(self, index: int) -> None:
+        """No speed of a joint in this cycle: a motor whose voltage is made up for an old one would push with it."""
+        self._unseen_cycles[index] += 1
+        if self._unseen_cycles[index] > SPEED_LASTS_CYCLES:
+            self.dq[index] = 0.0
 
     @staticmethod
     def _currents(entry: _Joint, rows: Sequence[Row | None]) -> list[int] | None:

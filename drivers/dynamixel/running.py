@@ -112,6 +112,10 @@ class Running:
             made.grip.go_on(self.grip)
         return made
 
+    def forget_trips(self) -> None:
+        """Watchdogs that have fired, and no longer have: when they do again, that is new."""
+        self._known = {(cause, i) for cause, i in self._known if cause is not FaultCause.WATCHDOG_TRIPPED}
+
     def _make_writers(self) -> list[tuple[GroupWrite, list[int]]]:
         """One packet per goal register, with the places of its joints; shadows follow by themselves."""
         writers = []

@@ -105,7 +105,9 @@ class StandbyDriver(DynamixelDriver):
         goals = {i: row[-1] for i, row in rows.items()}
         torques = running.resume(goals, dq.tolist())
         self._phase = Phase.ENABLED
-        tripped = [i for i, row in rows.items() if row[4] == WATCHDOG_TRIPPED]
+        self._has_commanded = True
+        # one that is off was being armed again: nothing would stop that servo
+        tripped = [i for i, row in rows.items() if row[4] == WATCHDOG_TRIPPED or (row[1] and row[4] == 0)]
         if not brings_back and (tripped or not rows):
             self.limp = True
         elif tripped and all(row[1] for row in rows.values()):

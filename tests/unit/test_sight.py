@@ -58,10 +58,10 @@ def fault(state: JointState | None, what: str = "servo 2") -> ServoFault:
     return found
 
 
-def sight(driver: Any, *, lockstep: bool = False) -> tuple[Sight, list[str]]:
+def sight(driver: Any, *, lockstep: bool = False, busy: Callable[[], None] = lambda: None) -> tuple[Sight, list[str]]:
     resumed: list[str] = []
     cycles = Cycles(PATIENCE, PERIOD_NS, 0)
-    return Sight(driver, cycles, lambda: resumed.append("yes"), lockstep=lockstep), resumed
+    return Sight(driver, cycles, lambda: resumed.append("yes"), busy, lockstep=lockstep), resumed
 
 
 def plans(seen: Sight, cycles: Sequence[int], mode: Mode) -> list[Bus]:
@@ -81,6 +81,14 @@ def test_an_arm_that_lapsed_is_brought_back_where_it_keeps_its_place_alone(mode:
     assert seen.plan(0, mode) is Bus.READ
     assert resumed == (["yes"] if mode in KEEPS else [])
     assert driver.recovers == ([] if mode in KEEPS else [True])
+
+
+def test_whoever_watches_the_loop_is_told_before_an_arm_is_brought_back() -> None:
+    driver, told = Returns(True), []
+    seen, _ = sight(driver, busy=lambda: told.append(len(driver.recovers)))
+    seen.plan(0, Mode.HOLD)
+    seen.plan(PERIOD_NS, Mode.TRACK)
+    assert told == [1]
 
 
 def test_an_arm_that_has_not_lapsed_is_left_alone() -> None:

@@ -9,7 +9,8 @@ one bounded wait.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import cycle
 from typing import NamedTuple
@@ -17,9 +18,9 @@ from typing import NamedTuple
 from drivers.dynamixel.errors import Heard, NoReplyError, RejectedError
 from drivers.dynamixel.line import codec
 from drivers.dynamixel.line.codec import Status, StatusScanner
-from drivers.dynamixel.line.group import GroupRead, GroupReply
+from drivers.dynamixel.line.group import GroupRead, GroupReply, Row
 from drivers.dynamixel.line.port import Now, Port
-from drivers.dynamixel.servo.codes import BROADCAST_ID
+from drivers.dynamixel.servo.codes import ALERT_BIT, BROADCAST_ID
 from drivers.dynamixel.servo.table import Register
 from drivers.interface import BusCounters
 
@@ -65,6 +66,16 @@ class Bus:
         self._clock = clock
         self._owing: set[int] = set()  # servos whose answer to an earlier question may still come
         self._marks = cycle(MARKS)
+        self._patient_until_ns: int | None = None  # None: always
+
+    @contextmanager
+    def patient(self, seconds: float) -> Generator[None]:
+        """Meanwhile no question is asked again later than that: its NoReplyError comes sooner."""
+        self._patient_until_ns = self._clock.now_ns() + round(seconds * 1e9)
+        try:
+            yield
+        finally:
+            self._patient_until_ns = None
 
     # --- setting up -----------------------------------------------------------------------------------------------
 
@@ -99,6 +110,14 @@ class Bus:
         what = f"read of {length} bytes at {address}"
         return self._ask(codec.read(servo_id, address, length), servo_id, length, what, ATTEMPTS).params
 
+    def read_all(self, address: int, fields: str, servo_ids: Sequence[int]) -> dict[int, Row]:
+        """Fields as of `GroupRead`, by ID, of the servos that answer one question to all, asked once."""
+        group = GroupRead(address, fields, servo_ids, fast=False)
+        self.port.discard_input()
+        rows = self.exchange(group, self._clock.now_ns() + REPLY_WAIT_NS).reply.rows
+        found = zip(servo_ids, rows, strict=True)
+        return {servo_id: row[1:] for servo_id, row in found if row is not None and not row[0] & ~ALERT_BIT}
+
     def write(self, servo_id: int, register: Register, value: int) -> None:
         """Write one register and wait for the servo's word that it did.  Raises NoReplyError, RejectedError."""
         data = value.to_bytes(register.length, "little", signed=value < 0)
@@ -128,6 +147,9 @@ class Bus:
         heard = Heard.NOTHING
         for attempt in range(attempts):
             if attempt:
+                if self._patient_until_ns is not None and self._clock.now_ns() > self._patient_until_ns:
+                    attempts = attempt
+                    break
                 self.counters.retries += 1
                 self.settle()
             reply, came = self._attempt(packet, servo_id, length)

@@ -18,6 +18,7 @@ from drivers.dynamixel.servo.models import RATED_VOLTAGE_V
 from drivers.dynamixel.servo.table import GOAL_CURRENT, GOAL_PWM, Register
 from drivers.dynamixel.servo.units import current_unit_A, pwm_count_V
 
+LEAST_SUPPLY_V = 6.0  # no servo here works below: what one reports of less is no measurement to divide by
 NO_LOAD_SMOOTH_RAD_PER_S = 0.1  # well above the 0.024 rad/s the servo resolves, or I₀ would chatter at rest
 
 
@@ -107,14 +108,14 @@ class PwmDrive:
         tau = max(-self._tau_max_Nm, min(self._tau_max_Nm, tau_Nm))
         per_volt = self._servos * self._per_volt_Nm
         wanted_V = tau / per_volt + self._back_emf_V_s_per_rad * dq
-        count_V = pwm_count_V(supply_V)
+        count_V = pwm_count_V(max(supply_V, LEAST_SUPPLY_V))
         count = max(-self._limit_count, min(self._limit_count, round(wanted_V / count_V)))
         return count, (count * count_V - self._back_emf_V_s_per_rad * dq) * per_volt
 
     def goal_Nm(self, count: int, dq: float, supply_V: float) -> float:
         """See `TorqueDrive`."""
         back_emf_V = self._back_emf_V_s_per_rad * dq
-        return (count * pwm_count_V(supply_V) - back_emf_V) * self._servos * self._per_volt_Nm
+        return (count * pwm_count_V(max(supply_V, LEAST_SUPPLY_V)) - back_emf_V) * self._servos * self._per_volt_Nm
 
     def measured_Nm(self, present: list[int], dq: float) -> float:  # noqa: ARG002 the seam's
         """NaN: Present Load is the servo's own guess, not a torque."""

@@ -53,7 +53,8 @@ def goals(*, blind: bool = False) -> list[Write]:
     """Of an arm at rest: zero of what is controlled, a limited effort and the present place of what is held."""
     here = [(POSITION, {1: 2048}), (POSITION, {7: 2178})]
     if blind:
-        return [(CURRENT, {1: HELD_mA, 2: 0, 4: 0, 5: 0}), (PWM, {6: 0, 7: GRIPPER_PWM}), *here]
+        efforts = [(CURRENT, {1: HELD_mA, 2: 0, 4: 0, 5: 0}), (PWM, {6: 0, 7: GRIPPER_PWM})]
+        return [*efforts, (POSITION, here[0][1] | here[1][1])]
     return [
         (CURRENT, {1: HELD_mA}), here[0], (CURRENT, {2: 0}), (CURRENT, {4: 0}), (CURRENT, {5: 0}), (PWM, {6: 0}),
         (PWM, {7: GRIPPER_PWM}), here[1],
@@ -82,6 +83,9 @@ def test_arming_again_clears_the_watchdogs_for_no_longer_than_the_goals_take() -
     rig = enabled()
     written(rig)
     rig.driver.rearm()
+    asked = [packet[7] for packet in rig.port.writes]
+    first, last = (pick(k for k, code in enumerate(asked) if code == Instruction.SYNC_WRITE) for pick in (min, max))
+    assert set(asked[first:last]) == {Instruction.SYNC_WRITE}, "nothing would stop a servo meanwhile"
     assert written(rig) == [(WATCHDOG, to_all(0)), *goals(blind=True), (WATCHDOG, to_all(ARMED))]
 
 
@@ -99,6 +103,30 @@ def test_torque_goes_off_twice_with_silence_between() -> None:
     rig.driver.disable()
     assert rig.clock.now_ns() - begin_ns > 25_000_000
     assert written(rig) == [(TORQUE, to_all(0)), (TORQUE, to_all(0)), (WATCHDOG, to_all(0)), (LED, to_all(0))]
+
+
+@pytest.mark.parametrize(("lost", "torque", "watchdog"), [(2, 0, ARMED), (3, 1, -1)])
+def test_a_servo_that_has_not_heard_that_its_torque_is_off_keeps_its_watchdog(
+    lost: int, torque: int, watchdog: int
+) -> None:
+    """Two packets lost: the third one reaches it; all of them: it stops by itself."""
+    rig = enabled()
+    really, dropped = rig.port.write, []
+
+    def write(data: bytes, deadline_ns: int) -> None:
+        if data[7] == Instruction.SYNC_WRITE and data[8] == TORQUE and len(dropped) < lost:
+            dropped.append(data)
+        else:
+            really(data, deadline_ns)
+
+    rig.port.write = write  # type: ignore[method-assign]
+    rig.driver.disable()
+    assert [rig.get(i, table.BUS_WATCHDOG) for i in COMMANDED] == [ARMED] * len(COMMANDED)
+    rig.driver.close()
+    rig.clock.sleep_until(rig.clock.now_ns() + 150_000_000)
+    assert [rig.get(i, table.TORQUE_ENABLE) for i in COMMANDED] == [torque] * len(COMMANDED)
+    rig.clock.sleep_until(rig.clock.now_ns() + 150_000_000)
+    assert torque == 0 or [rig.get(i, table.BUS_WATCHDOG) for i in COMMANDED] == [watchdog] * len(COMMANDED)
 
 
 def test_what_was_written_to_eeprom_is_told_once_and_not_written_again() -> None:

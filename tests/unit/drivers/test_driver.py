@@ -278,9 +278,23 @@ def test_after_disable_it_is_connected_and_after_close_it_is_not() -> None:
             rig.driver.health()
 
 
-def test_disable_of_a_connected_arm_switches_torque_off_and_keeps_it_connected() -> None:
+@pytest.mark.fault("P9")
+def test_torque_that_another_program_has_on_stays_on_when_a_start_is_refused_for_it() -> None:
+    """What it holds would fall."""
     rig = build()
     rig.driver.connect()
+    rig.put(4, table.TORQUE_ENABLE, 1)
+    with pytest.raises(IdentityError, match="on already"):
+        rig.driver.enable()
+    rig.driver.disable()
+    assert rig.get(4, table.TORQUE_ENABLE) == 1
+    rig.driver.read()
+
+
+def test_disable_switches_off_whatever_this_driver_may_have_on_and_keeps_the_arm_connected() -> None:
+    """Also where `enable` failed halfway, or the phase says that there is no torque."""
+    rig = enabled()
+    rig.driver.disable()
     rig.put(4, table.TORQUE_ENABLE, 1)
     rig.driver.disable()
     assert rig.get(4, table.TORQUE_ENABLE) == 0

@@ -149,6 +149,18 @@ def test_servos_whose_watchdog_has_fired_are_armed_again_without_effort() -> Non
     assert goals(rig)[0] > 0
 
 
+def test_servos_without_watchdogs_are_those_of_a_process_that_died_while_it_armed_them() -> None:
+    rig = enabled()
+    commanded(rig)
+    driver = standby(rig)
+    for servo in CONTROLLED:
+        rig.put(servo, BUS_WATCHDOG, 0)
+    assert driver.adopt(np.zeros(4)).tolist() == [0.0] * 4
+    assert driver.resumed
+    assert [rig.get(i, BUS_WATCHDOG) for i in CONTROLLED] == [10] * len(CONTROLLED)
+    assert goals(rig)[0] == 0
+
+
 @pytest.mark.fault("B1")
 @pytest.mark.parametrize("zero", [False, True], ids=["the arming packet", "the zeroes"])
 def test_a_packet_lost_while_watchdogs_are_armed_again_is_the_loops_affair_which_tries_again(zero: bool) -> None:
@@ -170,7 +182,7 @@ def test_a_packet_lost_while_watchdogs_are_armed_again_is_the_loops_affair_which
     assert (driver.resumed, driver.lapsed) == (False, True)
     with pytest.raises(DxlServoFault, match=r"servo 1 .*its bus watchdog has fired"):
         driver.read()
-    assert driver.recover() is not zero, "with the old goals an armed servo obeys again"
+    assert driver.recover() is True, "torque begins at zero, though all may be armed: some goals may be old ones"
     assert [rig.get(i, BUS_WATCHDOG) for i in CONTROLLED] == [10] * len(CONTROLLED)
     driver.read()
     driver.write(TAU)

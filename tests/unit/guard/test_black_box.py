@@ -146,7 +146,8 @@ def test_an_arm_is_let_go_of_before_its_post_mortem_is_waited_for_and_the_watchd
             "Teller": lambda *_: SimpleNamespace(
                 event=lambda *_, **__: None, end=did("told"), warn=done.append, trouble=None,
             ),
-            "Heart": lambda *_: SimpleNamespace(mode=lambda _: None, beat=None), "Operator": lambda *_, **__: box,
+            "Heart": lambda *_: SimpleNamespace(mode=lambda _: None, beat=None, busy=None),
+            "Operator": lambda *_, **__: box,
             "ServoTeller": lambda *_: None,
         }.items():  # fmt: skip
             stack.enter_context(pytest.MonkeyPatch.context()).setattr(successor, name, fake)

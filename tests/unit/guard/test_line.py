@@ -196,7 +196,7 @@ def test_a_guard_that_ends_before_it_answers_is_not_one_that_holds(tmp_path: Pat
     guard = GuardEnd(path(tmp_path), CELL)
     agent = AgentEnd(path(tmp_path), CELL)
     guard.close()
-    told = "found that it went before it answered 'port', expected an answer; its log says why; start it again, and then"
+    told = "found that it went before it answered 'port', expected an answer; its log says why; start it again"
     with pytest.raises(GuardError, match=told):
         agent.ask(Word.PORT)
     agent.close()

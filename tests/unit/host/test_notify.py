@@ -12,7 +12,8 @@ from typing import Any
 
 import pytest
 
-from agent.host.notify import FIRST_FD, LOADING_US, Notifier, stored_fds
+from agent.guard.guarded import BUSY_S
+from agent.host.notify import BUSY_US, FIRST_FD, LOADING_US, Notifier, stored_fds
 
 
 @pytest.fixture
@@ -68,6 +69,20 @@ def test_a_process_that_loads_is_watched_from_its_first_stroke_on(
     assert heard() == ["READY=1", "STATUS=waits", *every(interval)]
     notifier.alive()
     assert heard() == ["WATCHDOG=1"]
+    notifier.close()
+
+
+def test_a_process_that_is_busy_is_watched_less_closely_until_its_next_stroke(
+    manager: socket.socket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("WATCHDOG_USEC", "100000")
+    notifier = Notifier(str(tmp_path / "notify"))
+    notifier.busy()
+    notifier.alive()
+    notifier.alive()
+    heard = [manager.recv(1000).decode() for _ in range(3)]
+    assert heard == [f"WATCHDOG=1\nWATCHDOG_USEC={BUSY_US}", "WATCHDOG=1\nWATCHDOG_USEC=100000", "WATCHDOG=1"]
+    assert BUSY_US * 1e-6 > BUSY_S, "of which bringing an arm back takes all at worst"
     notifier.close()
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import configs
-from agent.around import RunSummary
+from agent.around import RunSummary, Surroundings
 from agent.config.agent import build_agent
 from agent.config.cell import load_cell
 from agent.config.schema.driver import DriverKind
@@ -175,6 +175,34 @@ def test_an_agent_says_why_nobody_goes_on_for_it_where_somebody_was_to(
     assert [standing.alone() for standing in stood] == ["the guard hangs" if guarded else ""]
 
 
+@pytest.mark.fault("P7")
+@pytest.mark.parametrize("guarded", [True, False])
+def test_an_agent_tells_its_guard_and_the_service_manager_before_it_brings_its_arm_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, guarded: bool
+) -> None:
+    _, clock, servos = rig()
+    told = list[str]()
+    guard = SimpleNamespace(
+        missing="", watch=lambda *_, **__: None, leave=lambda: None, busy=lambda: told.append("guard")
+    )
+    notified = Notified()
+    released = RunSummary(1, 0, 0, Mode.OFF, "", 0.0)
+
+    def runner(*given: Any, **_: Any) -> SimpleNamespace:
+        (around,) = (one for one in given if isinstance(one, Surroundings))
+        around.busy()
+        return SimpleNamespace(run=lambda _: released)
+
+    monkeypatch.setattr(process, "Notifier", lambda: notified)
+    monkeypatch.setattr(process, "_reached", lambda *_: guard if guarded else None)
+    monkeypatch.setattr(process, "passed_on", lambda _: ((), {}))
+    monkeypatch.setattr(process, "build_driver", lambda *_: (servos, clock))
+    monkeypatch.setattr(process, "Runner", runner)
+    process.run_agent(CELL, options(tmp_path), StopFlag(), lambda _: None)
+    assert told == ["guard"] * guarded
+    assert "busy" in notified.told
+
+
 class Notified:
     """What a service manager is told."""
 
@@ -191,6 +219,9 @@ class Notified:
         self.told.append(f"stopping: {status}")
 
     def alive(self) -> None: ...
+
+    def busy(self) -> None:
+        self.told.append("busy")
 
     def close(self) -> None: ...
 

@@ -51,13 +51,9 @@ def test_only_emulated_servos_may_stall_with_their_host_and_answer_slowly(
     driver = servo_driver(servos, Connection(emulated=emulated), clock, ignore, None)
     assert (driver.arm.line_patience_cycles, driver._read_share) == (patience, share)
     assert driver.arm.port == "/dev/null"
-    driver.before_recovery()  # there is nobody to tell
-    told: list[str] = []
-    guard: Any = SimpleNamespace(has_lent=False, borrow=lambda: 3, busy=lambda: told.append("busy"))
+    guard: Any = SimpleNamespace(has_lent=False, borrow=lambda: 3)
     guarded: Any = servo_driver(servos, Connection(emulated=emulated), clock, ignore, guard)
     assert guarded._port._borrow() == 3
-    guarded.before_recovery()
-    assert told == ["busy"]
 
 
 @pytest.mark.fault("B4")
@@ -67,7 +63,7 @@ def test_a_port_that_the_guard_cannot_open_again_is_one_to_try_again(has_lent: b
     refused = GuardError(
         "the guard refuses 'port'", found="nothing of that name", expected="a port", remedy="plug it in"
     )
-    guard: Any = SimpleNamespace(has_lent=has_lent, borrow=Mock(side_effect=refused), busy=lambda: None)
+    guard: Any = SimpleNamespace(has_lent=has_lent, borrow=Mock(side_effect=refused))
     clock: Any = SimpleNamespace(now_ns=lambda: 0)
     driver = servo_driver(arm_map(CELL, ARM, "/dev/null", Q_START), Connection(), clock, ignore, guard)
     with pytest.raises(Refusal) as caught:
