@@ -195,6 +195,37 @@ def test_an_arm_whose_watchdogs_fired_is_armed_again_and_holds_where_it_is() -> 
     assert_replays(rows)
 
 
+@pytest.mark.fault("S6")
+def test_an_arm_of_which_one_servo_missed_its_zero_begins_at_zero_with_the_next_attempt() -> None:
+    """All watchdogs are armed by then: with old goals it would go back, stiff, to the pose that it has sunk from."""
+
+    def loses_a_zero(run: CoupledRun) -> None:
+        bus = run.arms["left"].driver._bus
+        really = bus.write_blind
+
+        def write_blind(register: table.Register, values: dict[int, int]) -> None:
+            if register is table.GOAL_CURRENT:
+                bus.write_blind = really  # type: ignore[method-assign]
+                values = {i: value for i, value in values.items() if i != 4}
+            really(register, values)
+
+        bus.write_blind = write_blind  # type: ignore[method-assign, assignment]
+
+    silent_s, back_s = 1.2, FAULT_S + 1.2
+    fault = Fault(kind=FaultKind.MUTE, arm="left", start_s=FAULT_S, duration_s=silent_s)
+    run = CoupledRun(BACK, [fault], real=True, operator=until(back_s + 0.7), actions=[(0.2, loses_a_zero)])
+    left = run.arms["left"]
+    rows = left.rows
+    assert [e.kind.name for e in left.events][-1:] == ["REARMED"]
+    (resumed,) = flagged(rows, Flag.RESUMED)
+    assert rows["t"][resumed] > back_s + 0.05, "by the second attempt"
+    np.testing.assert_array_equal(rows["memory"][resumed][28 : 28 + N], 0.0, "torque begins at zero")
+    assert np.abs(rows["e_p"][resumed]).max() < 1e-9, "held is where it is"
+    assert (rows["flags"][resumed : resumed + 90] & Flag.GENTLE.value).all()
+    after = run.between(float(rows["t"][resumed]), back_s + 0.7)
+    assert fastest(after) <= 0.4, "rad/s; 0.8 with the goals of before"
+
+
 @pytest.mark.fault("B4")
 def test_nothing_is_written_to_an_arm_that_is_another_one() -> None:
     """A servo of another model answers from the same port: the arm is not commanded any more."""

@@ -454,6 +454,17 @@ def test_supply_near_its_limit_is_told():
 
 
 @pytest.mark.fault("S3")
+@pytest.mark.parametrize("servo", [4, 6], ids=["by current", "by voltage"])
+def test_a_servo_that_reports_no_supply_at_all_is_told_of_and_nothing_is_divided_by_it(servo: int):
+    rig = warm()
+    rig.fault(FaultKind.VOLTAGE, servo, voltage_V=0.0)
+    cycles(rig, 150, 0.2 * TAU)
+    assert rig.driver.health().voltage_V[servo - 1] == 0.0
+    assert "VOLTAGE" in rig.kinds()
+    assert np.isfinite(rig.driver.write(0.2 * TAU)).all()
+
+
+@pytest.mark.fault("S3")
 def test_an_error_bit_that_a_dip_of_the_supply_has_left_hides_no_heat_no_supply_and_no_lost_torque():
     rig = warm()
     rig.fault(FaultKind.VOLTAGE, voltage_V=8.5, duration_s=0.05)

@@ -17,7 +17,7 @@ from drivers.dynamixel.pace import PaceError, check_rate
 from drivers.dynamixel.servo.counts import TICK_RAD
 from drivers.dynamixel.servo.models import SERVOS
 from drivers.dynamixel.servo.thermal import ThermalWatch
-from drivers.dynamixel.servo.torque import CurrentDrive, PwmDrive, needed_pwm_count, torque_drive
+from drivers.dynamixel.servo.torque import LEAST_SUPPLY_V, CurrentDrive, PwmDrive, needed_pwm_count, torque_drive
 from drivers.dynamixel.servo.units import AngleScale, current_unit_A
 from tests.support.servos.dxl_rig import WX200, XL, XM, at
 
@@ -27,6 +27,14 @@ WRIST = JointMap("wrist_rotate", XL, (6,), (False,), tau_max_Nm=0.8)
 
 TORQUE = st.floats(-10.0, 10.0)
 SPEED = st.floats(-4.0, 4.0)
+
+
+def test_a_supply_below_what_any_servo_works_with_counts_as_that() -> None:
+    drive = PwmDrive(WRIST)
+    assert LEAST_SUPPLY_V == 6.0
+    assert drive.command(0.2, 0.0, 0.0) == drive.command(0.2, 0.0, 5.9) == drive.command(0.2, 0.0, 6.0)
+    assert drive.command(0.2, 0.0, 6.0)[0] > drive.command(0.2, 0.0, 6.5)[0]
+    assert drive.goal_Nm(100, 0.0, 0.0) == drive.goal_Nm(100, 0.0, 6.0) < drive.goal_Nm(100, 0.0, 6.5)
 
 
 @pytest.mark.parametrize(

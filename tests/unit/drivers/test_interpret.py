@@ -11,7 +11,7 @@ from drivers.dynamixel.arm_map import ArmMap
 from drivers.dynamixel.cycle import CycleRows
 from drivers.dynamixel.errors import FaultCause
 from drivers.dynamixel.events import DriverEvent, OncePerServo
-from drivers.dynamixel.interpret import Interpreter, Reading, servo_names
+from drivers.dynamixel.interpret import SPEED_LASTS_CYCLES, Interpreter, Reading, servo_names
 from drivers.dynamixel.line.group import Row
 from drivers.dynamixel.servo.torque import torque_drive
 from tests.support.servos.dxl_rig import WX200, at
@@ -44,6 +44,27 @@ class Bench:
     ) -> Reading:
         self.stamp_ns += 5_000_000
         return self.interpreter.read(CycleRows(self.stamp_ns, cycle, b"", late, damaged), goals or ZEROS)
+
+
+def test_the_speed_of_a_joint_that_nobody_sees_lasts_for_three_cycles() -> None:
+    """For its back-EMF: with an older one a motor would go on pushing a joint that has stopped."""
+    bench = Bench()
+    assert SPEED_LASTS_CYCLES == 3
+    for _ in range(2):  # counted anew each time
+        speeds = bench.read(rows()).state.dq
+        seen = [list(bench.interpreter.dq)] + [
+            (bench.read(rows(s4=None)), list(bench.interpreter.dq))[1] for _ in range(SPEED_LASTS_CYCLES + 1)
+        ]
+        assert [dq[1] for dq in seen] == [speeds[1]] * (SPEED_LASTS_CYCLES + 1) + [0.0]
+        assert [dq[2] for dq in seen] == [speeds[2]] * (SPEED_LASTS_CYCLES + 2), "the others are seen"
+
+
+def test_a_joint_whose_encoder_jumps_is_not_seen_either() -> None:
+    bench = Bench()
+    bench.read(rows())
+    for _ in range(SPEED_LASTS_CYCLES + 1):
+        bench.read(rows(s4=(0, 40, 4, 4000)))
+    assert bench.interpreter.dq[1] == 0.0
 
 
 def test_each_joint_is_read_from_the_servo_that_is_followed() -> None:
