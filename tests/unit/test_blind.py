@@ -219,6 +219,7 @@ def test_an_arm_of_which_one_servo_missed_its_zero_begins_at_zero_with_the_next_
     assert [e.kind.name for e in left.events][-1:] == ["REARMED"]
     (resumed,) = flagged(rows, Flag.RESUMED)
     assert rows["t"][resumed] > back_s + 0.05, "by the second attempt"
+    assert left.busy_s[-1] - left.busy_s[0] > 0.5, "before each of which whoever watches the loop is told"
     np.testing.assert_array_equal(rows["memory"][resumed][28 : 28 + N], 0.0, "torque begins at zero")
     assert np.abs(rows["e_p"][resumed]).max() < 1e-9, "held is where it is"
     assert (rows["flags"][resumed : resumed + 90] & Flag.GENTLE.value).all()

@@ -53,6 +53,7 @@ class ArmRun:
     runner: Runner | None = None
     driver: Blinking | None = None
     tripped_ns: int | None = None  # when a servo's watchdog fired first
+    busy_s: list[float] = field(default_factory=list)  # when the loop said that it brings the arm back
 
     @property
     def rows(self) -> Any:
@@ -171,6 +172,7 @@ class CoupledRun:
             start_ns=lambda: self._start(arm.name),
             heartbeat=lambda: self._heartbeat(arm.name),
             mode_changed=lambda _: None,
+            busy=lambda: run.busy_s.append(self.since_s()),
         )
         options: Any = AgentOptions(
             arm.name, DriverKind.DYNAMIXEL, Connection(emulated=not self._real), None, None, lockstep=False, hold=False

@@ -18,6 +18,9 @@ from drivers.dynamixel.errors import (
     PortLostError,
 )
 from drivers.dynamixel.identify import IdentityError
+from drivers.dynamixel.line import codec
+from drivers.dynamixel.line.bus import Exchange
+from drivers.dynamixel.monitor import Page
 from drivers.dynamixel.pace import PaceError
 from drivers.dynamixel.servo import table
 from sim_backend.wire.faults import FaultKind
@@ -299,6 +302,18 @@ def test_disable_switches_off_whatever_this_driver_may_have_on_and_keeps_the_arm
     rig.driver.disable()
     assert rig.get(4, table.TORQUE_ENABLE) == 0
     rig.driver.read()
+
+
+def test_what_a_servo_says_beside_an_error_is_not_believed() -> None:
+    """Torque off, for one: its watchdog would be taken from it."""
+    rig = enabled()
+    bus = rig.driver._bus
+    address, fields = Page.STATUS.value
+    rows = bus.read_all(address, fields, [1, 2])
+    assert {i: row[0] for i, row in rows.items()} == {1: 1, 2: 1}
+    answer = codec.status(1, 0x07, bytes(6)) + codec.status(2, 0x80, bytes(6))
+    bus.exchange = lambda group, _: Exchange(group.parse(answer, final=True), answer)  # type: ignore[method-assign]
+    assert bus.read_all(address, fields, [1, 2]) == {2: (0, 0, 0, 0, 0)}, "an alert is no error"
 
 
 def test_disable_on_a_dead_port_is_safe_and_on_a_closed_one_says_nothing() -> None:

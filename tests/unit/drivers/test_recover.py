@@ -133,6 +133,17 @@ def test_a_servo_that_missed_its_zero_does_not_pull_with_its_old_goal_after_the_
     assert rig.kinds() == ["REARMED"]
 
 
+def test_a_held_servo_that_missed_its_place_is_found() -> None:
+    """It would pull its joint to where it was before."""
+    rig = tripped()
+    bus = rig.driver._bus
+    really = bus.write_blind
+    bus.write_blind = lambda register, values: None if register is table.GOAL_POSITION else really(register, values)
+    rig.put(1, table.GOAL_POSITION, 1900)
+    with pytest.raises(RearmError, match=r"servo 1 .*Goal Position 1900"):
+        rig.driver.recover()
+
+
 @pytest.mark.parametrize("every", [2, 3, 5, 11])
 def test_an_arm_is_brought_back_or_not_within_what_its_guard_waits_for(every: int) -> None:
     """However many answers get lost."""

@@ -161,6 +161,16 @@ def test_servos_without_watchdogs_are_those_of_a_process_that_died_while_it_arme
     assert goals(rig)[0] == 0
 
 
+def test_a_servo_that_has_restarted_has_no_watchdog_either_and_is_the_loops_affair() -> None:
+    rig = enabled()
+    commanded(rig)
+    driver = standby(rig)
+    rig.put(4, BUS_WATCHDOG, 0)
+    rig.put(4, TORQUE_ENABLE, 0)
+    driver.adopt(np.zeros(4), brings_back=False)
+    assert not driver.limp
+
+
 @pytest.mark.fault("B1")
 @pytest.mark.parametrize("zero", [False, True], ids=["the arming packet", "the zeroes"])
 def test_a_packet_lost_while_watchdogs_are_armed_again_is_the_loops_affair_which_tries_again(zero: bool) -> None:

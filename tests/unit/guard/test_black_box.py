@@ -142,11 +142,12 @@ def test_an_arm_is_let_go_of_before_its_post_mortem_is_waited_for_and_the_watchd
         for name, fake in {
             "clock_of": lambda _: SimpleNamespace(utc_offset_ns=0), "go_on": lambda *_, **__: begun,
             "BlackBox": lambda *_, **__: box, "schedule_of": lambda *_: None, "replace": lambda *_, **__: None,
-            "AgentRow": lambda *_: None, "Watch": lambda *_: None, "Runner": lambda *_: SimpleNamespace(run=run),
+            "AgentRow": lambda *_: None, "Watch": lambda *_: None,
+            "Runner": lambda *given: (given[6].busy(), SimpleNamespace(run=run))[1],
             "Teller": lambda *_: SimpleNamespace(
                 event=lambda *_, **__: None, end=did("told"), warn=done.append, trouble=None,
             ),
-            "Heart": lambda *_: SimpleNamespace(mode=lambda _: None, beat=None, busy=None),
+            "Heart": lambda *_: SimpleNamespace(mode=lambda _: None, beat=None, busy=did("busy")),
             "Operator": lambda *_, **__: box,
             "ServoTeller": lambda *_: None,
         }.items():  # fmt: skip
@@ -163,4 +164,4 @@ def test_an_arm_is_let_go_of_before_its_post_mortem_is_waited_for_and_the_watchd
     assert not stop.released, "said before there was a hold to be released"
     late = ["waited", "stroke", "no post-mortem: it hung"]
     end = ["torque off", "closed", *late, "ring finished", "texts finished"]
-    assert done == ["inherited", "held", *([] if fails else ["told"]), *end, *([] if fails else ["stopping"])]
+    assert done == ["inherited", "busy", "held", *([] if fails else ["told"]), *end, *([] if fails else ["stopping"])]
