@@ -24,7 +24,7 @@ from agent.verify.finding import Finding, judged, warning
 from drivers.interface import Vector
 
 STANDS_M: Final = 1e-3  # by which an object that stands on the table may be in it
-PLACES_MAX: Final = 150
+PLACES_MAX: Final = 800
 
 
 def collisions(

@@ -13,7 +13,7 @@ import configs
 from agent.config.cell import Cell, ConfigError, load_cell, placement
 from agent.config.solids import body_of
 from agent.verify.check import examine, start_configurations
-from agent.verify.collision.findings import _places, collisions
+from agent.verify.collision.findings import PLACES_MAX, _places, collisions
 from agent.verify.collision.scene import Scene
 from agent.verify.collision.way import Way
 from agent.verify.finding import Finding, Verdict
@@ -200,7 +200,15 @@ def test_between_two_places_a_third_is_looked_at_and_many_are_thinned() -> None:
     assert times == [0.0, 0.5, 1.0, 2.0, 3.0]
     assert along[1][0].tolist() == [1.0, 3.0]
     assert along[4][0].tolist() == [4.0, 5.0]
-    times, along = _places([[np.zeros(2)] * 1001], [float(k) for k in range(1001)])
-    assert len(times) == len(along) < 200
+    times, along = _places([[np.zeros(2)] * 5001], [float(k) for k in range(5001)])
+    assert len(times) == len(along) <= PLACES_MAX + 1
     assert times[0] == 0.0
-    assert times[-1] == 1000.0
+    assert times[-1] == 5000.0
+
+
+def test_a_quick_motion_is_looked_at_as_finely_as_it_asks() -> None:
+    """The object of this cell keeps 65 mm from the wrist that turns it; steps of 0.8 s made an overlap of that."""
+    cell = load_cell(Path("identify_wx250s"))
+    distances = {f.what: size_mm(f) for f in examine(cell, thorough=True).findings if f.found.endswith(" s)")}
+    assert 50.0 < distances["distance to the object"] < 65.6
+    assert 25.0 < distances["distance of the arm to itself"] < 32.0
