@@ -140,10 +140,12 @@ def delay_margin(judge: Judge, ranges: Ranges, ranked: Sequence[Case]) -> float 
     """Longest delay, in periods, at which everything is stable; None: not even at the shortest stated.
 
     ranked: cases, the worst first.  Bisection over the worst cases; where it ends, grasps of every stiffness are looked
-    at again, and what is unstable there joins them.
+    at again, and what is unstable there joins them.  It ends below the true one by at most a step, but not below the
+    longest stated delay where all is stable there.
     """
     suspects = _suspects(ranked)
     low, high = ranges.delay_periods[0], DELAY_MAX_PERIODS
+    stated = ranges.delay_periods[-1]
 
     def stable(delay: float) -> bool:
         for k, case in enumerate(suspects):
@@ -156,6 +158,8 @@ def delay_margin(judge: Judge, ranges: Ranges, ranked: Sequence[Case]) -> float 
         return None
     while True:
         high = high if stable(high) else _bisect(stable, low, high)
+        if high < stated < high + DELAY_STEP and stable(stated):
+            high = stated
         worst = _soft_like(judge, ranges, suspects, high)
         if worst is None:
             return high

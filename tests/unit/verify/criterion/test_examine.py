@@ -80,6 +80,22 @@ def test_at_the_longest_delay_all_is_stable_and_a_little_later_something_is_not(
     assert worst(margin - DELAY_STEP) < 1.0 < worst(margin + 2.0 * DELAY_STEP)
 
 
+@pytest.mark.parametrize(("beyond", "found"), [(1e-3, 1e-3), (0.05, 0.0)], ids=["stable", "unstable"])
+def test_bisection_ends_at_the_stated_delay_where_all_is_stable_there(beyond: float, found: float) -> None:
+    """The other end of its last interval is 0.034 periods farther, and unstable."""
+    cell = cell_of("identify_wx200")
+    poses, loop, ranges = [start_pose(cell)], loop_of(cell), ranges_of(cell)
+
+    def margin(longest: float) -> float:
+        margin_s = examine(poses, loop, replace(ranges, delay_periods=(0.8, 1.0, longest))).delay_margin_s
+        assert margin_s is not None
+        return margin_s / loop.period_s
+
+    bisected = margin(1.0)
+    assert 1.0 < bisected < 3.0
+    assert margin(bisected + beyond) == pytest.approx(bisected + found, abs=1e-9)
+
+
 @pytest.mark.parametrize(
     "wider",
     [
