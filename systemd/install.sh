@@ -53,7 +53,7 @@ remove() { # units and drop-ins of ours; refuses while an arm is held
     for path in etc/coop etc/udev/rules.d/60-coop.rules var/lib/coop var/lib/coop-host; do
         [ ! -e "$root/$path" ] || echo "kept $root/$path"
     done
-    [ -n "$root" ] || echo "kept the users coop-ctl, coop-tel, coop-rec and their groups (deluser, delgroup), and the program"
+    [ -n "$root" ] || echo "kept the users coop-ctl, coop-tel, coop-rec, coop-ros and their groups (deluser, delgroup), and the program"
 }
 case " $* " in *" remove "*) remove; exit 0 ;; esac
 
