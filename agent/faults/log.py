@@ -14,7 +14,7 @@ from agent.config.schema.driver import DriverKind
 from agent.faults.bench import ArmRun, Rehearsal
 from agent.host.info import attachments
 from agent.log.channels import LogChannels
-from agent.log.file import Attachment, LogFile, LogFileError
+from agent.log.file import Attachment, LogFile, LogFileError, LogInTheWay
 from agent.process.describe import run_info
 from agent.process.plant import Truth
 from agent.process.scene import scene_of
@@ -28,9 +28,12 @@ BATCH: Final = 200
 
 
 def require_new(path: Path) -> None:
-    """Refuse the name of a log that is there, before anything runs.  Raises LogFileError."""
+    """Refuse the name of a log that is there, before anything runs.
+
+    Raises LogInTheWay, and LogFileError where it has no folder.
+    """
     if path.exists() or path.is_symlink():
-        raise LogFileError(f"log {path}", found="one of that name", expected="none", remedy="name another with --out")
+        raise LogInTheWay(f"log {path}", found="one of that name", expected="none", remedy="name another with --out")
     require_place(path, force=True, refusal=LogFileError)
 
 

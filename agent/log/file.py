@@ -40,6 +40,12 @@ class LogFileError(Refusal):
     exit_code = 4
 
 
+class LogInTheWay(LogFileError):
+    """A log is there already, or another recorder is at work: nothing is begun."""
+
+    exit_code = 2
+
+
 @dataclass(frozen=True, slots=True)
 class Attachment:
     """A file inside the log."""
@@ -63,7 +69,7 @@ class LogFile:
     ) -> None:
         """Create the file, lock it, and have attachments and metadata on the disk before returning.
 
-        Raises LogFileError when it exists, cannot be written, or the disk is nearly full.
+        Raises LogInTheWay when it exists, LogFileError when it cannot be written or the disk is nearly full.
         """
         self.path = path
         self.failure: str | None = None
@@ -204,10 +210,10 @@ def lock(fd: int) -> bool:
 
 
 def remove_log(path: Path) -> None:
-    """Remove a log that may be there.  Raises LogFileError when it cannot be removed, or a recorder writes it."""
+    """Remove a log that may be there.  Raises LogFileError, LogInTheWay where a recorder writes it."""
     try:
         if not _is_free(path):
-            raise LogFileError(
+            raise LogInTheWay(
                 f"{path} is being written", found="a recorder's lock", expected="a log whose recorder has ended",
                 remedy="stop that recorder, or name another folder",
             )  # fmt: skip
@@ -230,7 +236,7 @@ def _create(path: Path, min_free_bytes: int) -> int:
             )
         fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
     except FileExistsError as error:
-        raise LogFileError(
+        raise LogInTheWay(
             f"{path} exists already",
             found="a file" if _is_free(path) else "a log that another recorder is writing",
             expected="no file",

@@ -11,7 +11,7 @@ from io import BytesIO
 from pathlib import Path
 
 from agent.log.chunk import LIBRARY
-from agent.log.file import LogFileError, lock
+from agent.log.file import LogFileError, LogInTheWay, lock
 from agent.log.scan import library_of, open_file
 
 _HEAD_BYTES = 4096
@@ -60,7 +60,7 @@ def make_room(folder: Path, limit_bytes: int) -> tuple[Path, ...]:
 
 @contextmanager
 def only_recorder(folder: Path, cell: str) -> Iterator[Callable[[bytes], None]]:
-    """Keep other recorders of this cell out of the folder for the time of the block.  Raises LogFileError.
+    """Keep other recorders of this cell out of the folder for the time of the block.  Raises LogFileError, LogInTheWay.
 
     Gives a function that writes a note into the lock file, in the place of the one before.
     """
@@ -75,7 +75,7 @@ def only_recorder(folder: Path, cell: str) -> Iterator[Callable[[bytes], None]]:
         try:
             fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
-            raise LogFileError(
+            raise LogInTheWay(
                 f"cell {cell} is being recorded into {folder}", found="another recorder of it",
                 expected="one recorder per cell", remedy="stop that one first; a cell tells one recorder what it has",
             ) from error  # fmt: skip

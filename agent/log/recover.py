@@ -17,7 +17,7 @@ from typing import Any, BinaryIO, Final
 from mcap.records import Attachment, Channel, Metadata, Schema
 
 from agent.log.chunk import LIBRARY
-from agent.log.file import PROFILE, LogFileError, lock
+from agent.log.file import PROFILE, LogFileError, LogInTheWay, lock
 from agent.log.read import RECOVERY, LogError
 from agent.log.scan import LogScan, Messages, library_of, open_file
 from agent.log.writer import BatchWriter
@@ -38,7 +38,7 @@ class RecoverReport:
 def recover(path: Path, stop: Callable[[], bool] = lambda: False) -> RecoverReport:
     """Repair a log in place; a finished one is left alone.  An unfinished repair leaves the log as it was.
 
-    Raises LogError when it is no log, LogFileError when it is being written or the disk has no room.
+    Raises LogError when it is no log, LogInTheWay when it is being written, LogFileError when the disk has no room.
     """
     try:
         file = open_file(path)
@@ -46,7 +46,7 @@ def recover(path: Path, stop: Callable[[], bool] = lambda: False) -> RecoverRepo
         raise _unreadable(path, error) from error
     with file:
         if not lock(file.fileno()):
-            raise LogFileError(
+            raise LogInTheWay(
                 f"{path} is being written",
                 found="a recorder's lock",
                 expected="a log whose recorder has ended",

@@ -27,7 +27,7 @@ def output_folder(wanted: Path | None, cell: str, *, replace: bool = False) -> I
 
     It is there, can be written, holds no results, and no other run is given it before the block ends.
     replace: what is in it may stay and be written over, and the log of an earlier run is removed.
-    Raises RunError, and LogFileError where a recorder writes that log.
+    Raises RunError, and LogInTheWay where a recorder writes that log.
     """
     out = wanted or Path("runs")
     with ExitStack() as held:

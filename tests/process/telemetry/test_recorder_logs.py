@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from agent.log.collect import LogError
-from agent.log.file import LogFileError
+from agent.log.file import LogInTheWay
 from agent.log.parts import Limits, make_room, only_recorder
 from agent.log.read import read_log
 from agent.telemetry.link.publish import Pace
@@ -115,7 +115,7 @@ def test_a_log_that_is_being_written_is_never_removed(folder: Path) -> None:
 def test_two_recorders_of_a_cell_do_not_share_a_folder(folder: Path) -> None:
     with (
         only_recorder(folder, CELL),
-        pytest.raises(LogFileError, match="is being recorded into"),
+        pytest.raises(LogInTheWay, match="is being recorded into"),
         only_recorder(folder, CELL),
     ):
         pass

@@ -55,7 +55,7 @@ def test_a_rehearsal_says_who_noticed_who_stopped_and_what_it_cost(tmp_path: Pat
     assert any(text.startswith("fault: bus-off") for text in events)
     assert any(text.startswith("holds: ") for text in events)
     again = coop("faults", "inject", "paper_real", "bus-off", "--out", log)
-    assert again.code == 4
+    assert again.code == 2
     assert "name another with --out" in again.err
 
 

@@ -17,7 +17,7 @@ from agent.host.latency import newest
 from agent.identify.equations import Options
 from agent.identify.fit import fit
 from agent.identify.result import Identified, identified
-from agent.log.file import LogFileError
+from agent.log.file import LogInTheWay
 from agent.process import folder
 from agent.process.folder import LOG_NAME, RunError, output_folder
 from agent.report.picture import Picture
@@ -262,7 +262,7 @@ def test_the_folder_of_a_run_is_empty_or_may_be_used_again(tmp_path: Path) -> No
 def test_force_does_not_take_the_log_of_a_living_recorder(tmp_path: Path) -> None:
     log = tmp_path / LOG_NAME
     maker = LogMaker(log)
-    with pytest.raises(LogFileError, match="being written"), output_folder(tmp_path, "paper", replace=True):
+    with pytest.raises(LogInTheWay, match="being written"), output_folder(tmp_path, "paper", replace=True):
         pass
     assert log.exists()
     maker.finish()
@@ -315,7 +315,7 @@ def test_a_recorder_keeps_a_log_that_is_there(tmp_path: Path, monkeypatch: pytes
     monkeypatch.chdir(tmp_path)
     path = write_mine(tmp_path / "run.mcap")
     done = coop("record", PAPER, "--out", path, "--listen", "tcp/127.0.0.1:0")
-    assert done.code == 4
+    assert done.code == 2
     assert "a log is never overwritten" in done.err
     assert path.read_bytes() == MINE
 
@@ -333,7 +333,7 @@ def test_a_recorder_does_not_write_into_what_is_no_file(
     else:
         path.mkdir()
     done = coop("record", PAPER, "--out", path, "--listen", "tcp/127.0.0.1:0")
-    assert (done.code, "a log is never overwritten" in done.err) == (4, True)
+    assert (done.code, "a log is never overwritten" in done.err) == (2, True)
     assert [file.name for file in tmp_path.iterdir() if file.suffix == ".mcap"] == ["run.mcap"]
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
-from agent.log.file import LogFile, LogFileError
+from agent.log.file import LogFile, LogFileError, LogInTheWay
 from agent.log.read import read_log
 from agent.log.scan import LogScan
 from agent.log.writer import CHUNK_BYTES
@@ -38,14 +38,14 @@ def test_attachments_and_metadata_are_in_the_file_before_the_first_message(tmp_p
 
 def test_a_log_is_never_overwritten(tmp_path: Path) -> None:
     rows = make_log(tmp_path / "run.mcap")
-    with pytest.raises(LogFileError, match="exists already: found a file"):
+    with pytest.raises(LogInTheWay, match="exists already: found a file"):
         create(tmp_path / "run.mcap")
     assert read_log(tmp_path / "run.mcap").agents["left"].tobytes() == rows["left"].tobytes()
 
 
 def test_a_second_recorder_on_the_same_file_is_refused(tmp_path: Path) -> None:
     first = create(tmp_path / "run.mcap")
-    with pytest.raises(LogFileError, match="another recorder is writing"):
+    with pytest.raises(LogInTheWay, match="another recorder is writing"):
         create(tmp_path / "run.mcap")
     assert first.finish({})
 

@@ -12,7 +12,7 @@ from mcap.reader import make_reader
 
 from agent.log import scan
 from agent.log.chunk import LIBRARY
-from agent.log.file import LogFileError
+from agent.log.file import LogInTheWay
 from agent.log.read import LogError, read_log
 from agent.log.recover import recover, repair_leftovers
 from tests.support.telemetry.log_maker import LogMaker, make_log
@@ -122,7 +122,7 @@ def test_a_damaged_log_stays_marked_after_its_repair(tmp_path: Path) -> None:
 
 def test_a_log_that_is_being_written_is_refused(tmp_path: Path) -> None:
     maker = LogMaker(tmp_path / "run.mcap")
-    with pytest.raises(LogFileError, match="is being written"):
+    with pytest.raises(LogInTheWay, match="is being written"):
         recover(tmp_path / "run.mcap")
     maker.finish()
 
