@@ -62,7 +62,10 @@ def float_arms(cell: Cell, options: FloatOptions, stop: Callable[[], bool], scre
 
     Raises Refusal; every torque is off and the log is closed by then.
     """
-    with output_folder(options.out, f"{cell.file.name}-float") as out, run_folder() as runtime:
+    with (
+        output_folder(options.out, f"{cell.file.name}-float", has_force=False) as out,
+        run_folder() as runtime,
+    ):
         arms = FloatingArms(cell, options, out, runtime)
         try:
             arms.start(screen)

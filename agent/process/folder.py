@@ -22,11 +22,12 @@ class RunError(Refusal):
 
 
 @contextmanager
-def output_folder(wanted: Path | None, cell: str, *, replace: bool = False) -> Iterator[Path]:
+def output_folder(wanted: Path | None, cell: str, *, replace: bool = False, has_force: bool = True) -> Iterator[Path]:
     """The folder `wanted`, by default runs/<UTC>-<cell>, for the time of the block.
 
     It is there, can be written, holds no results, and no other run is given it before the block ends.
     replace: what is in it may stay and be written over, and the log of an earlier run is removed.
+    has_force: the command has `--force`, which asks for that.
     Raises RunError, and LogInTheWay where a recorder writes that log.
     """
     out = wanted or Path("runs")
@@ -37,7 +38,7 @@ def output_folder(wanted: Path | None, cell: str, *, replace: bool = False) -> I
                 out = _named_by_time(out, cell)
             held.enter_context(_claimed(out))
             if not replace:
-                _refuse_contents(out)
+                _refuse_contents(out, "name another with --out" + ", or give --force" * has_force)
             with tempfile.TemporaryFile(dir=out):
                 pass
         except OSError as error:
@@ -78,11 +79,11 @@ def _claimed(out: Path) -> Iterator[None]:
         os.close(folder)
 
 
-def _refuse_contents(out: Path) -> None:
+def _refuse_contents(out: Path, remedy: str) -> None:
     """Raise RunError where something is in the folder that a run would write over."""
     for name in OURS:
         if os.path.lexists(out / name):
             raise RunError(
                 f"output folder {out}", found=f"{name} from an earlier run", expected="a folder without results",
-                remedy="name another with --out, or give --force",
+                remedy=remedy,
             )  # fmt: skip

@@ -259,6 +259,18 @@ def test_the_folder_of_a_run_is_empty_or_may_be_used_again(tmp_path: Path) -> No
     assert page.read_bytes() == MINE
 
 
+@pytest.mark.parametrize(
+    ("words", "force"), [(("float", "--emulate", "--arm", "left"), False), (("run",), True)], ids=["float", "run"]
+)
+def test_a_command_offers_force_only_where_it_has_it(tmp_path: Path, words: tuple[str, ...], force: bool) -> None:
+    write_mine(tmp_path / LOG_NAME)
+    done = coop(words[0], "paper_real", *words[1:], "--out", tmp_path)
+    assert done.code == 2
+    remedy = "name another with --out" + (", or give --force" if force else "")
+    assert done.err.endswith(f"found run.mcap from an earlier run, expected a folder without results; {remedy}\n")
+    assert ("--force" in coop(words[0], "--help").out) is force
+
+
 def test_force_does_not_take_the_log_of_a_living_recorder(tmp_path: Path) -> None:
     log = tmp_path / LOG_NAME
     maker = LogMaker(log)
