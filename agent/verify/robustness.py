@@ -181,9 +181,8 @@ class Robustness:
     def _margin(self, otherwise: Verdict) -> Finding:
         cell, found = self.walk.cell, self.criterion
         margin_s = found.delay_margin_s
-        wanted_s = (
-            cell.tolerance.delay[1] * cell.file.delay_periods * (1.0 / cell.file.rate_hz)
-        )  # to the bit as margin_s
+        period_s = 1.0 / cell.file.rate_hz
+        wanted_s = cell.tolerance.delay[1] * cell.file.delay_periods * period_s  # to the bit as margin_s
         text = "none" if margin_s is None else f"{margin_s * 1e3:.3g} ms"
         if margin_s is not None and margin_s >= found.delay_looked_at_s:
             text += " or more"
