@@ -20,6 +20,7 @@ from agent.telemetry.row.event import Level
 from drivers.clock import utc_offset_ns
 from drivers.interface import Clock
 
+MOTIONS = Event.APPROACH | Event.GRASP | Event.LOWER | Event.PARK  # words that begin one
 NO_REAL_TIME_REMEDY = "give --priority 80 (the shipped unit does), or --allow-no-realtime to accept late torques"
 
 
@@ -84,9 +85,11 @@ class Operator:
         if watched:
             happened |= Event.TROUBLE
         if self._stopped and self._says_stop():
-            happened = happened & ~Event.LOWER | Event.STOP
+            happened |= Event.STOP
             if self._control is not None:
                 self._control.requests.lower = None
+        if Event.STOP in happened:  # it wins over what was said in the same cycle, whichever was said first
+            happened &= ~MOTIONS
         if released or (self._stopped and self._drops_on_stop):
             happened |= Event.RELEASED
         return happened

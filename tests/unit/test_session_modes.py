@@ -60,12 +60,24 @@ def test_a_lost_servo_is_a_fault_from_everywhere(mode: Mode) -> None:
 @pytest.mark.parametrize("bad", [Event.STOP, Event.TROUBLE])
 def test_a_stop_holds_what_is_gripped_and_halts_what_is_free_whatever_else_is_said(mode: Mode, bad: Event) -> None:
     after = {next_in_session(mode, events | bad) for events in ALL_EVENTS if Event.SERVO_LOST not in events}
-    if mode is Mode.HOLD:  # it holds already, and a person who is at it may go on
-        assert after == {Mode.HOLD, Mode.LOWER, Mode.RELEASE}
+    if mode is Mode.HOLD:  # it holds already, and a person who is at it may let go; what is wrong lets them go on
+        assert after == {Mode.HOLD, Mode.RELEASE, *([] if bad is Event.STOP else [Mode.LOWER])}
     elif mode is Mode.RELEASE:  # it holds until its gripper opens
         assert after == {Mode.HOLD, Mode.HALT}
     else:
         assert after == ({Mode.HOLD} if mode in GRIPPED else {Mode.HALT})
+
+
+@pytest.mark.parametrize("mode", SESSION)
+def test_no_word_of_motion_counts_beside_a_stop_and_a_release_counts_where_a_stop_changes_nothing(mode: Mode) -> None:
+    words = Event.APPROACH | Event.GRASP | Event.LOWER | Event.PARK | Event.STARTED
+    for events in ALL_EVENTS:
+        assert next_in_session(mode, events | words | Event.STOP) is next_in_session(mode, events & ~words | Event.STOP)
+    if mode in (Mode.REST, Mode.HOLD, Mode.HALT):
+        assert next_in_session(mode, Event.STOP) is mode
+        released = next_in_session(mode, Event.RELEASED)
+        assert released is not mode
+        assert next_in_session(mode, Event.STOP | Event.RELEASED | words) is released
 
 
 @pytest.mark.parametrize("mode", sorted(GRIPPED))

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+import socket
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import ExitStack, closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,14 +19,17 @@ from agent.config.schema.driver import DriverKind
 from agent.host.clock import UNKNOWN
 from agent.host.realtime import RealTime
 from agent.modes import Event, Mode
-from agent.operator.message import Request
+from agent.operator.message import Reply, Request
+from agent.operator.session_table import MODES as SESSION_MODES
+from agent.operator.session_table import SESSION
 from agent.operator.socket import ControlSocket, Standing
-from agent.operator.table import Verb
+from agent.operator.table import EVENT_OF, Verb
 from agent.process import agent, operated
 from agent.process.build import Connection
 from agent.process.clocked import ClockWatch
 from agent.process.operated import Operator
 from agent.process.schedule import AgentOptions
+from agent.session_modes import next_in_session
 from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.event import Level
 from agent.telemetry.row.sample import AGENT_STATE
@@ -141,6 +145,69 @@ def test_a_clock_that_is_set_moves_no_way_down_that_was_given(rig: Rig, monkeypa
     assert rig.hear() == Event.LOWER, "a new instant is mapped anew"
     rig.control.requests.lower = replace(first, start_utc_ns=second.start_utc_ns)
     assert rig.hear() == Event.LOWER, "so is the next"
+
+
+MOTIONS = (Verb.APPROACH, Verb.GRASP, Verb.LOWER, Verb.PARK)
+
+
+def said_in_one_cycle(rig: Rig, path: Path, *words: Verb) -> Event:
+    """What the loop hears when these words have come since it looked last; all of them are answered `ok`."""
+    with ExitStack() as stack:
+        people = [stack.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)) for _ in words]
+        for person, word in zip(people, words, strict=True):
+            person.connect(str(path))
+            person.send(Request(word).encode())
+        happened = rig.operator.events()
+        assert all(Reply.decode(person.recv(4096)).ok for person in people)
+    return happened
+
+
+@pytest.mark.parametrize("stop_first", [True, False])
+@pytest.mark.parametrize(
+    ("mode", "word"), [(mode, word) for word in MOTIONS for mode in SESSION_MODES if SESSION[word][mode].accepted]
+)
+def test_a_stop_beside_a_word_of_motion_stops_the_arm_whichever_was_said_first(
+    tmp_path: Path, mode: Mode, word: Verb, stop_first: bool
+) -> None:
+    rig = Rig(tmp_path / "c", session=True)
+    standing = rig.control.standing
+    standing.mode, standing.session = mode, lambda _: ""
+    words = (Verb.STOP, word) if stop_first else (word, Verb.STOP)
+    with closing(rig.control):
+        happened = said_in_one_cycle(rig, tmp_path / "c", *words)
+        assert happened == Event.STOP
+        assert next_in_session(mode, happened) is SESSION[Verb.STOP][mode].becomes
+        assert rig.operator.events() == Event.NONE, "the next cycle begins no motion either"
+        assert said_in_one_cycle(rig, tmp_path / "c", word) == EVENT_OF[word], "said afterwards it counts"
+
+
+@pytest.mark.parametrize("mode", [Mode.REST, Mode.HOLD, Mode.HALT])
+@pytest.mark.parametrize("stop_first", [True, False])
+def test_a_release_beside_a_stop_counts_where_the_arm_stands_already(
+    tmp_path: Path, mode: Mode, stop_first: bool
+) -> None:
+    rig = Rig(tmp_path / "c", session=True)
+    standing = rig.control.standing
+    standing.mode, standing.session = mode, lambda _: ""
+    words = (Verb.STOP, Verb.RELEASE) if stop_first else (Verb.RELEASE, Verb.STOP)
+    with closing(rig.control):
+        happened = said_in_one_cycle(rig, tmp_path / "c", *words)
+        assert happened == Event.STOP | Event.RELEASED
+        assert next_in_session(mode, happened) is SESSION[Verb.RELEASE][mode].becomes
+
+
+@pytest.mark.parametrize("word", MOTIONS)
+@pytest.mark.parametrize("by", ["signal", "host"])
+def test_a_stop_by_a_signal_or_by_the_host_wins_over_a_word_of_the_same_cycle(
+    tmp_path: Path, word: Verb, by: str
+) -> None:
+    rig = Rig(tmp_path / "c", session=True)
+    with closing(rig.control):
+        if by == "host":
+            rig.operator.hold("the clock may be off by 5.1 ms")
+        else:
+            rig.signals.stopped, rig.signals.stops = True, 1
+        assert (rig.hear(word), rig.hear(word)) == (Event.STOP, EVENT_OF[word])
 
 
 def test_in_a_session_every_stop_is_said_once_for_the_arm_goes_on_from_it(tmp_path: Path) -> None:
