@@ -40,7 +40,7 @@ def agent(
         Path | None, typer.Option(help="The same, said by a file that a person makes; it is taken away.")
     ] = None,
     utc_offset_ns: UtcOffset = None,
-    with_parent: WithParent = False,
+    with_parent: WithParent = None,
 ) -> None:
     """Run one arm: the process that reads, steps, limits and writes."""
     from agent.process.commands import AgentCommand
@@ -69,7 +69,7 @@ def guard(
     hold: Annotated[bool | None, typer.Option(help="At a stop go on holding until released.")] = None,
     priority: Priority = None,
     emulated: Annotated[bool, typer.Option("--emulated", help="The servos on that port are emulated.")] = False,
-    with_parent: WithParent = False,
+    with_parent: WithParent = None,
 ) -> None:
     """Guard one arm: lend its agent the port, and go on in HOLD when that dies or hangs."""
     from agent.process.commands import GuardCommand

@@ -43,7 +43,7 @@ ROS_ROUTER = "tcp/127.0.0.1:7447"  # where `rmw_zenohd` listens
 NetworkConfig = Annotated[Path | None, typer.Option(help="Zenoh configuration (TLS, access control) instead.")]
 ControlSockets = Annotated[list[Path], typer.Option("--control", help="Control sockets instead of the usual ones.")]
 SomeArms = Annotated[list[str], typer.Option("--arm", help="Only these arms.", autocompletion=complete.arms)]
-WithParent = Annotated[bool, typer.Option("--with-parent", hidden=True)]
+WithParent = Annotated[int | None, typer.Option(hidden=True, help="Process that starts this one, with which it ends.")]
 UtcOffset = Annotated[
     int | None, typer.Option(hidden=True, help="UTC minus CLOCK_MONOTONIC, ns, as the run has found it.")
 ]

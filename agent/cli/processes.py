@@ -33,7 +33,7 @@ def plant(
     ),
     pauses: Annotated[str | None, typer.Option(hidden=True, help="Instants to wait at for SIGUSR1.")] = None,
     utc_offset_ns: UtcOffset = None,
-    with_parent: WithParent = False,
+    with_parent: WithParent = None,
 ) -> None:
     """Run the simulated cell that the agents' simulated drivers connect to."""
     from agent.process.commands import PlantCommand
@@ -59,7 +59,7 @@ def emulate(
     no_timing: Annotated[bool, typer.Option("--no-timing", help="Answer at once, not at the bus's pace.")] = False,
     whole: Annotated[bool, typer.Option("--whole", help="Arms begin at rest, the object on a table.")] = False,
     utc_offset_ns: UtcOffset = None,
-    with_parent: WithParent = False,
+    with_parent: WithParent = None,
 ) -> None:
     """Emulated Dynamixel servos of the cell's arms on pseudo terminals, for any Dynamixel client."""
     from agent.process.commands import EmulateCommand
@@ -95,7 +95,7 @@ def telemetry(
     cell_name: Annotated[str | None, typer.Option(hidden=True, help="Of a cell whose files are known.")] = None,
     fingerprint: Annotated[str | None, typer.Option(hidden=True, help="Of the same.")] = None,
     at_once: AtOnce = False,
-    with_parent: WithParent = False,
+    with_parent: WithParent = None,
 ) -> None:
     """Publish one ring over Zenoh."""
     from agent.process.commands import TelemetryCommand
@@ -128,7 +128,7 @@ def record(
     ] = None,
     run_info: Annotated[Path | None, typer.Option(hidden=True, help="run.json of this run, if it is made.")] = None,
     at_once: AtOnce = False,
-    with_parent: WithParent = False,
+    with_parent: WithParent = None,
 ) -> None:
     """Write everything the cell publishes into one MCAP log."""
     from agent.process.commands import RecordCommand
@@ -158,7 +158,7 @@ def ros2(
     clock: Annotated[
         bool | None, typer.Option("--clock/--no-clock", help="Publish /clock; as a rule when the cell is simulated.")
     ] = None,
-    with_parent: WithParent = False,
+    with_parent: WithParent = None,
 ) -> None:
     """Show the cell to ROS 2 viewers, live: standard topics as rmw_zenoh has them, read only."""
     from agent.config.files import load_files

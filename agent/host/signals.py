@@ -55,30 +55,21 @@ class StopFlag:
             self._interrupts = False
 
 
-def begin(with_parent: bool, *, at_once: bool = False) -> StopFlag:
-    """Catch requests to stop before anything is opened; at_once: as of `die_with_parent`."""
+def begin(parent: int | None, *, at_once: bool = False) -> StopFlag:
+    """Catch requests to stop before anything is opened; parent, at_once: as of `end_with`, None ends with nobody."""
     requested = StopFlag()
-    if with_parent:
-        die_with_parent(at_once=at_once)
+    if parent is not None:
+        end_with(parent, at_once=at_once)
     return requested
 
 
-def die_with_parent(*, at_once: bool = False) -> None:
-    """Ask the kernel for SIGTERM when the parent dies, so that `coop run` never leaves a process behind.
+def end_with(parent: int, *, at_once: bool = False) -> None:
+    """Ask the kernel for SIGTERM when the parent, of that number, dies, so that `coop run` leaves no process behind.
 
-    at_once: for SIGKILL, which a process that somebody has stopped (SIGSTOP) obeys, too.
+    at_once: for SIGKILL, which a process that somebody has stopped (SIGSTOP) obeys, too.  Raises SystemExit when it is
+    gone already: the kernel tells that to nobody, and who adopts its children need not be process 1.
     """
-    if os.getppid() == 1:
-        raise SystemExit("the process that started this one is gone")
-    _ask_for_end(signal.SIGKILL if at_once else signal.SIGTERM)
-
-
-def end_with(parent: int) -> None:
-    """The same for a process that knows its parent's number, which may be 1.  Raises SystemExit when it is gone."""
-    _ask_for_end()
+    by = signal.SIGKILL if at_once else signal.SIGTERM
+    ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, by, 0, 0, 0)
     if os.getppid() != parent:
         raise SystemExit("the process that started this one is gone")
-
-
-def _ask_for_end(by: signal.Signals = signal.SIGTERM) -> None:
-    ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, by, 0, 0, 0)

@@ -6,9 +6,10 @@ with that parser.
 
 from __future__ import annotations
 
+import os
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import MISSING, dataclass, field, fields
 from pathlib import Path
 from typing import Any, ClassVar, get_args, get_type_hints
 
@@ -22,19 +23,19 @@ class ChildCommand:
 
     verb: ClassVar[str]
     cell: Path
-    with_parent: bool = True  # it ends when the process that started it does
+    with_parent: int | None = field(default_factory=os.getpid)  # process that starts it, with which it ends
 
     def argv(self) -> list[str]:
         """The words behind `coop`."""
         words = [self.verb, str(self.cell)]
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if field.name == "cell" or value is None or value is False:
+        for one in fields(self):
+            value = getattr(self, one.name)
+            if one.name == "cell" or value is None or value is False:
                 continue
             if value is True:
-                words.append(_option(field.name))
-            elif value != field.default:
-                words += [_option(field.name), str(value)]
+                words.append(_option(one.name))
+            elif value != one.default:
+                words += [_option(one.name), str(value)]
         return words
 
 
@@ -165,11 +166,11 @@ def _unsaid(kind: type[ChildCommand]) -> dict[str, Any]:
     """What a line means that leaves everything out."""
     types = get_type_hints(kind)
     found: dict[str, Any] = {}
-    for field in fields(kind):
-        if types[field.name] is bool:
-            found[field.name] = False
-        elif field.default is MISSING and type(None) in get_args(types[field.name]):
-            found[field.name] = None
+    for one in fields(kind):
+        if types[one.name] is bool:
+            found[one.name] = False
+        elif one.default is MISSING and type(None) in get_args(types[one.name]):
+            found[one.name] = None
     return found
 
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, Pipe, wait
 from typing import Any
 
-from agent.host.signals import die_with_parent
+from agent.host.signals import end_with
 
 Tell = Callable[[Any], None]
 Work = Callable[[Tell], None]
@@ -90,6 +90,7 @@ def run_all(jobs: Iterable[Job], at_once: int) -> None:
 def _started(job: Job) -> _Child:
     folder = tempfile.mkdtemp(prefix="mu-")
     receives, sends = Pipe(duplex=False)
+    parent = os.getpid()
     pid = os.fork()
     if pid:
         with contextlib.suppress(OSError):  # whichever comes first, this or the child's own
@@ -99,7 +100,7 @@ def _started(job: Job) -> _Child:
     try:
         os.setpgid(0, 0)
         signal.signal(signal.SIGINT, signal.SIG_DFL)
-        die_with_parent()
+        end_with(parent)
         nothing = os.open(os.devnull, os.O_RDWR)
         for fd in (0, 1, 2):
             os.dup2(nothing, fd)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import re
 import subprocess
 import sys
@@ -269,7 +270,7 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """`coop emulate` of the wx200 cell, which the doctor only looks at; yields the folder of its ports."""
     folder = tmp_path_factory.mktemp("emulated")
     place = ["--ports", folder / "ports", "--ring", folder / "plant.ring"]
-    command = [*COOP, "emulate", TWO_WX200, *place, "--with-parent"]
+    command = [*COOP, "emulate", TWO_WX200, *place, "--with-parent", str(os.getpid())]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as emulator:
         try:
             assert emulator.stdout is not None

@@ -1,8 +1,10 @@
-"""Which signals ask a process to stop."""
+"""Which signals ask a process to stop, and that it ends with the one that started it."""
 
 from __future__ import annotations
 
 import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 
 import pytest
@@ -71,3 +73,42 @@ def test_a_stop_before_or_after_such_work_interrupts_nothing() -> None:
         pass
     signal.raise_signal(signal.SIGINT)
     assert flag.stops == 2
+
+
+# a process whose parent has gone before it says that it ends with it; argument 1 says who adopts it
+ORPHAN = """
+import ctypes, os, sys, time
+from agent.host.signals import begin
+if sys.argv[1] == "subreaper":  # as a session's `systemd --user` is
+    ctypes.CDLL(None).prctl(36, 1, 0, 0, 0)
+ours, theirs = os.pipe()
+if not (parent := os.fork()):
+    if os.fork():
+        os._exit(0)
+    starter = int(os.read(ours, 20))
+    while os.getppid() == starter:
+        time.sleep(0.001)
+    try:
+        begin(starter, at_once=sys.argv[2] == "at once")
+        print("goes on", flush=True)
+    except SystemExit as end:
+        print(end, flush=True)
+    os._exit(0)
+os.write(theirs, str(parent).encode())
+try:
+    while True:
+        os.wait()
+except ChildProcessError:
+    pass
+"""
+
+
+@pytest.mark.parametrize("how", ["by SIGTERM", "at once"])
+@pytest.mark.parametrize("adopted_by", ["subreaper", "whoever is there"])
+def test_a_process_whose_parent_is_gone_already_does_not_begin_whoever_has_adopted_it(
+    adopted_by: str, how: str
+) -> None:
+    said = subprocess.run(
+        [sys.executable, "-c", ORPHAN, adopted_by, how], capture_output=True, text=True, check=True, timeout=60.0
+    )
+    assert said.stdout == "the process that started this one is gone\n", said.stderr

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from dataclasses import MISSING, asdict, fields
 from pathlib import Path
@@ -124,7 +125,7 @@ def plain(value: object) -> object:
 @pytest.mark.parametrize("command", FULL, ids=lambda c: c.verb)
 def test_every_field_of_a_command_arrives_under_its_name(command: ChildCommand) -> None:
     understood = parsed(command)
-    assert command.with_parent
+    assert command.with_parent == os.getpid()
     for name, value in asdict(command).items():
         assert value not in (None, False), f"{name}: this test gives every field a value"
         assert plain(understood[name]) == plain(value), name
@@ -145,7 +146,7 @@ def bare(kind: type[ChildCommand]) -> ChildCommand:
     for f in fields(kind):
         if f.name in needed and ("None" in str(f.type) or f.type == "bool"):
             needed[f.name] = None if "None" in str(f.type) else False
-    return kind(**needed, with_parent=False)
+    return kind(**needed)
 
 
 @pytest.mark.parametrize("command", [*FULL, *(bare(type(command)) for command in FULL)], ids=lambda c: c.verb)
@@ -160,7 +161,7 @@ def test_words_of_no_command_are_not_read(words: str) -> None:
 
 
 def test_the_order_of_words_is_verb_cell_options() -> None:
-    command = PlantCommand(cell=CELL, socket=Path("a b"), ring=Path("r"), real_time=False, with_parent=False)
+    command = PlantCommand(cell=CELL, socket=Path("a b"), ring=Path("r"), real_time=False, with_parent=None)
     assert command.argv() == ["plant", str(CELL), "--socket", "a b", "--ring", "r"]
 
 

@@ -104,8 +104,9 @@ def test_the_recorders_process_says_so_and_tells_who_started_it(
     said: list[str] = []
     told: list[str] = []
     command = RecordCommand(
-        cell=PAPER, out=log, listen=FREE_PORT, driver=DriverKind.SIM, truth=True, seed=0, run_info=tmp_path / "run.json"
-    )
+        cell=PAPER, out=log, listen=FREE_PORT, driver=DriverKind.SIM, truth=True, seed=0,
+        run_info=tmp_path / "run.json", with_parent=None,
+    )  # fmt: skip
     assert started(command, Listener(said.append, parent=told.append)) == 4
     line = f"{log}: the log ENDS HERE: No space left on device; the arms go on without it"
     assert said == [line, f"{log}: INCOMPLETE No space left on device"]
@@ -121,8 +122,9 @@ def test_who_records_is_told_of_what_was_left_unfinished_whether_it_could_be_men
     (tmp_path / "run.json").write_bytes(b"{}")
     said: list[str] = []
     command = RecordCommand(
-        cell=PAPER, out=log, listen=FREE_PORT, driver=DriverKind.SIM, truth=True, seed=0, run_info=tmp_path / "run.json"
-    )
+        cell=PAPER, out=log, listen=FREE_PORT, driver=DriverKind.SIM, truth=True, seed=0,
+        run_info=tmp_path / "run.json", with_parent=None,
+    )  # fmt: skip
     assert started(command, Listener(said.append)) == 0
     assert said == [
         f"repaired {mended}", "not repaired: cannot repair old.mcap: found No space left", f"{log}: complete ",
