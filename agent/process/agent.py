@@ -35,6 +35,7 @@ from agent.process.rehearse import BridgedRows, in_the_loop
 from agent.process.schedule import AgentOptions, guard_vigil, schedule_of
 from agent.process.session import session_loop
 from agent.process.tellers import Heart, ServoTeller, SetClock, Teller, opened
+from agent.process.unbegun import Unbegun
 from agent.runner import Runner
 from agent.session import SessionLoop
 from agent.telemetry.ring.writer import RingWriter
@@ -99,6 +100,8 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             if options.priority is not None:
                 become_realtime(options.priority)
             law = _law(cell, options, driver, tell)  # takes longer than the servos' watchdog waits on a busy host
+            if options.driver is not DriverKind.SIM:  # for a simulated arm, which cannot fall, the others would wait
+                Unbegun.check(arm.name, stop)
             driver.enable()
             begins = Mode.REST if options.whole else Mode.READY
             # the first state of a simulated arm needs all the others

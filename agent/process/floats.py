@@ -25,6 +25,7 @@ from agent.process.float_loop import FloatError, FloatLoop, Floats
 from agent.process.float_words import Words
 from agent.process.schedule import AgentOptions, guard_vigil
 from agent.process.tellers import Teller, opened
+from agent.process.unbegun import Unbegun
 from agent.telemetry.row.event import Level
 from drivers.clock import MonotonicClock
 from drivers.interface import Clock, Driver, Refusal, StaleStateError
@@ -61,6 +62,7 @@ def run_float(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             # before the torque: from then on the servos' watchdogs run
             stops = partial(_stops, stop if words is None else words.stops, guard)
             loop = FloatLoop(floats, options, driver, clock, ring, stops, tell, texts, notifier, told=words)
+            Unbegun.check(arm.name, stop)
             driver.enable()
             notifier.ready(TABLE[Mode.FLOAT if words is None else Mode.READY].says)
             if words is None:

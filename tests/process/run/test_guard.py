@@ -58,6 +58,18 @@ runner.step = step
 from agent.cli.main import main
 main()
 """
+# an agent that is told to end when its law is ready, the last thing before its torque
+STOPPED = """
+import os, signal
+from agent.process import agent
+builds = agent._law
+def law(*arguments):
+    os.kill(os.getpid(), signal.SIGTERM)
+    return builds(*arguments)
+agent._law = law
+from agent.cli.main import main
+main()
+"""
 # the command with what it loads loaded, while the servos start; its words come on standard input
 LOADING = """
 import json, os, sys
@@ -124,13 +136,14 @@ class Host:
             prefix=prefix, NOTIFY_SOCKET=str(self.folder / "notify"),
         )  # fmt: skip
 
-    def agent(self, *more: str, program: tuple[str, ...] = COOP) -> subprocess.Popen[str]:
+    def agent(self, *more: str, program: tuple[str, ...] = COOP, begins: bool = True) -> subprocess.Popen[str]:
         process = self.start(
             "agent", self.cell, "--arm", "left", "--port", self.folder / "ports/left", "--emulated", "--driver",
             "dynamixel", "--guard", self.folder / "left.guard", "--control", self.folder / "left.control",
             "--ring", self.ring, *more, program=program,
         )  # fmt: skip
-        self.said(process)
+        if begins:  # has torque
+            self.said(process)
         return process
 
     def kept_port(self) -> int:
@@ -266,6 +279,25 @@ def test_an_agent_that_fails_by_an_error_is_held_for_and_says_why(host: Host) ->
     check_taken_over(host, guard, agent, "the agent has died", code=1)
     assert "ZeroDivisionError: division by zero; the guard goes on" in host.told()
     assert "Traceback" in (host.folder / "words").read_text()
+
+
+def test_an_agent_that_is_told_to_end_before_it_has_torque_ends_without_and_its_guard_has_nothing_to_hold(
+    tmp_path: Path,
+) -> None:
+    host = Host(tmp_path)
+    host.cell.write_text((configs.CELLS_DIR / "two_wx200.toml").read_text())
+    try:
+        host.start("emulate", host.cell, "--ports", tmp_path / "ports")
+        host.wait((tmp_path / "ports/left").exists)
+        guard = host.guard()
+        agent = host.agent("--hold", program=(sys.executable, "-c", STOPPED), begins=False)
+        assert agent.wait(PATIENCE_S) == 130
+        assert "found a stop before its torque came on" in (tmp_path / "words").read_text()
+        assert len(host.rows()) == 0
+        guard.terminate()
+        assert guard.wait(PATIENCE_S) == 0
+    finally:
+        host.close()
 
 
 @pytest.mark.fault("P7")

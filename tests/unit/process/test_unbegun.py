@@ -1,0 +1,127 @@
+"""A stop that comes before an arm has torque keeps its torque off: the real driver on emulated servos, virtual time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import configs
+from agent.config.cell import Cell, load_cell
+from agent.config.schema.driver import DriverKind
+from agent.config.servo_map import arm_map
+from agent.faults.virtual import Line
+from agent.host.signals import StopFlag
+from agent.modes import Mode
+from agent.process import agent, float_loop, floats
+from agent.process.build import Connection
+from agent.process.schedule import AgentOptions
+from agent.process.unbegun import Unbegun
+from drivers.dynamixel.driver import DynamixelDriver
+from drivers.dynamixel.line.codec import HEADER
+from drivers.dynamixel.servo.codes import Instruction
+from drivers.dynamixel.servo.table import TORQUE_ENABLE
+from sim_backend.wire.arm import EmulatedArm
+from sim_backend.wire.cell import EmulatedCell
+from sim_backend.wire.injector import Injector
+from tests.support.servos.dxl_rig import START, VirtualClock, VirtualPort, wiring
+from tests.support.stops import stop_flag
+
+NAME = "two_wx200.toml"
+
+
+class Bench:
+    """The left arm, whose process is asked to end when it says or does something."""
+
+    def __init__(self, cell: Cell, folder: Path, stop: StopFlag, stops_at: str) -> None:
+        self.cell, self.stop, self._stops_at = cell, stop, stops_at
+        self.said: list[str] = []
+        arm = cell.arm("left")
+        servos = arm_map(cell, arm, "virtual", np.array([START[name] for name in arm.entry.controlled]))
+        emulated = EmulatedCell([EmulatedArm(wiring(servos))], None, start_ns=10_000_000_000)
+        injector = Injector(emulated.arms[0], None, seed=1)
+        self.clock = VirtualClock(emulated, injector)
+        self.port = VirtualPort(Line(emulated, 0, injector, self.clock), arm.baud)
+        self.driver = DynamixelDriver(servos, self.clock, scan_s=0.05, port=self.port)
+        self.options = AgentOptions(
+            arm="left", driver=DriverKind.DYNAMIXEL, connection=Connection(emulated=True), ring=folder / "left.ring",
+            control=None, lockstep=False, hold=False,
+        )  # fmt: skip
+
+    def happens(self, what: str) -> None:
+        self.said.append(what.partition("=")[0])
+        self.stop.stopped = self.stop.stopped or what.startswith(self._stops_at)
+
+    def when_called(self, what: str, works: Any) -> Any:
+        def called(*given: Any, **more: Any) -> Any:
+            self.happens(what)
+            return works(*given, **more)
+
+        return called
+
+    @property
+    def had_torque(self) -> bool:
+        """Whether any servo was told to switch its torque on."""
+        packets = [data[len(HEADER) :] for data in self.port.writes]
+        written = [p[4:-2] for p in packets if p[3] == Instruction.SYNC_WRITE]
+        return any(p[0] | p[1] << 8 == TORQUE_ENABLE.address and any(p[5::2]) for p in written)
+
+
+@pytest.fixture
+def stop() -> Iterator[StopFlag]:
+    with stop_flag() as flag:
+        yield flag
+
+
+@pytest.mark.parametrize(("stops_at", "torque"), [("ring", False), ("law", False), ("torque", True)])
+def test_an_agent_that_is_asked_to_end_before_its_torque_has_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stop: StopFlag, stops_at: str, torque: bool
+) -> None:
+    bench = Bench(load_cell(configs.CELLS_DIR / NAME), tmp_path, stop, stops_at)
+    monkeypatch.setattr(agent, "quiet_memory", lambda: None)
+    monkeypatch.setattr(agent, "build_driver", lambda *_: (bench.driver, bench.clock))
+    monkeypatch.setattr(agent, "build_agent", bench.when_called("law", agent.build_agent))
+    if torque:
+        assert agent.run_agent(bench.cell, bench.options, stop, bench.happens).mode is Mode.OFF
+    else:
+        with pytest.raises(Unbegun, match="arm left: found a stop before its torque came on") as told:
+            agent.run_agent(bench.cell, bench.options, stop, bench.happens)
+        assert told.value.exit_code == 130
+    assert bench.said == ["ring", "law", "torque"][: 3 if torque else 2]
+    assert bench.had_torque is torque
+    assert not bench.port.is_open
+
+
+def test_a_simulated_arm_that_is_asked_to_end_begins_all_the_same_for_the_others_wait_for_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stop: StopFlag
+) -> None:
+    bench = Bench(load_cell(configs.CELLS_DIR / NAME), tmp_path, stop, "ring")
+    monkeypatch.setattr(agent, "quiet_memory", lambda: None)
+    monkeypatch.setattr(agent, "build_driver", lambda *_: (bench.driver, bench.clock))
+    options = replace(bench.options, driver=DriverKind.SIM)
+    assert agent.run_agent(bench.cell, options, stop, bench.happens).mode is Mode.OFF
+    assert bench.said == ["ring", "torque"]
+
+
+@pytest.mark.parametrize(("stops_at", "torque"), [("ring", False), ("law", False), ("torque", True)])
+def test_nor_has_an_arm_that_floats(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stop: StopFlag, stops_at: str, torque: bool
+) -> None:
+    bench = Bench(load_cell(configs.CELLS_DIR / NAME, ['floating.arms=["left"]']), tmp_path, stop, stops_at)
+    monkeypatch.setattr(float_loop, "STAND_S", 0.2)
+    monkeypatch.setattr(floats, "quiet_memory", lambda: None)
+    monkeypatch.setattr(floats, "MonotonicClock", lambda _: bench.clock)
+    monkeypatch.setattr(floats, "servo_driver", lambda *_: bench.driver)
+    monkeypatch.setattr(float_loop, "build_agent", bench.when_called("law", float_loop.build_agent))
+    if torque:
+        assert floats.run_float(bench.cell, bench.options, stop, bench.happens).mode is Mode.OFF
+    else:
+        with pytest.raises(Unbegun, match="arm left: found a stop before its torque came on"):
+            floats.run_float(bench.cell, bench.options, stop, bench.happens)
+    assert bench.said == ["ring", "law", "torque"][: 3 if torque else 2]
+    assert bench.had_torque is torque
+    assert not bench.port.is_open
