@@ -146,11 +146,15 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
 
 
 def _reached(cell: Cell, options: AgentOptions, stop: StopFlag) -> Guarded | None:
-    """The guard, with a plant that has its socket behind it.  Raises GuardError where nobody listens in time."""
+    """The guard, with a plant that has its socket behind it.
+
+    Raises GuardError where nobody listens in time, Unbegun where the agent was to end meanwhile.
+    """
     deadline_s = time.monotonic() + options.wait_s
 
     def waits() -> bool:
-        if stop.stopped or time.monotonic() >= deadline_s:
+        Unbegun.check(options.arm, stop)
+        if time.monotonic() >= deadline_s:
             return False
         time.sleep(LOOK_S)
         return True

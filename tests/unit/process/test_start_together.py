@@ -20,6 +20,7 @@ from agent.process import agent as process
 from agent.process import guard
 from agent.process.build import Connection
 from agent.process.schedule import AgentOptions
+from agent.process.unbegun import Unbegun
 
 CELL = load_cell(configs.CELLS_DIR / "paper.toml")
 
@@ -31,14 +32,14 @@ def options(folder: Path, wait_s: float, driver: DriverKind = DriverKind.DYNAMIX
     )  # fmt: skip
 
 
-def test_a_guard_that_is_not_there_is_refused_once_the_wait_is_over_or_a_person_says_stop(tmp_path: Path) -> None:
+def test_a_guard_that_is_not_there_is_refused_once_the_wait_is_over_and_a_stop_ends_it_in_order(tmp_path: Path) -> None:
     stop = StopFlag()
     with pytest.raises(GuardError, match="No such file"):
         process._reached(CELL, options(tmp_path, 0.0), stop)
     with pytest.raises(GuardError, match="No such file"):
         process._reached(CELL, options(tmp_path, 0.05), stop)
     stop.stopped = True
-    with pytest.raises(GuardError, match="No such file"):
+    with pytest.raises(Unbegun, match="a stop before its torque came on"):
         process._reached(CELL, options(tmp_path, 1e3), stop)
 
 
