@@ -110,9 +110,14 @@ def calibrated(cell: Cell, chain: Chain, poses: Poses) -> Calibrated:
     return Calibrated(cell, chain, poses, solution, written, before, after, proposals)
 
 
-def arm_toml(arm: Arm, zeros_rad: Vector) -> str:
-    """The arm's own file with its zeros moved.  Raises CalibrateError for a zero beyond the scale, and EditError."""
+def arm_toml(arm: Arm, zeros_rad: Vector, urdf: str | None = None) -> str:
+    """The arm's own file with its zeros moved, and with the name that its URDF has from now on, if given.
+
+    Raises CalibrateError for a zero beyond the scale, and EditError.
+    """
     changes: list[Change] = []
+    if urdf is not None and urdf != arm.file.urdf:
+        changes.append(Change("", "urdf", f'"{urdf}"  # was {arm.file.urdf}, the name of another arm\'s'))
     for servo, zero in zip(arm.servos, zeros_rad.tolist(), strict=True):
         tick = servo.zero_tick + round(zero / TICK_RAD)
         if not 0 <= tick <= LAST_TICK:

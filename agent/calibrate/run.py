@@ -13,7 +13,7 @@ from agent.calibrate.chain import CalibrateError, chain_of
 from agent.calibrate.poses import poses_of
 from agent.calibrate.result import Calibrated, arm_toml, calibrated, cell_toml, summary
 from agent.calibrate.show import figure
-from agent.config.cell import Cell
+from agent.config.cell import Arm, Cell
 from agent.log.read import open_log
 from agent.replay.source import changed_cell, recorded_cell
 from agent.report.plotting import save_png
@@ -113,11 +113,27 @@ def write(result: Calibrated, logs: Sequence[Path], out: Path) -> Files:
 def _texts(result: Calibrated, source: str, name: str, arms: Sequence[str]) -> dict[str, str]:
     """Text of each file by its name; the cell's last, as it names the others."""
     texts = {}
-    parts = result.chain.parts(result.written)
-    for link, x, file in zip(result.chain.links, parts, arms, strict=True):
-        texts[file] = arm_toml(link.arm, x[link.zeros])
+    links, parts = result.chain.links, result.chain.parts(result.written)
+    urdfs = urdf_names([link.arm for link in links])
+    for link, x, file, urdf in zip(links, parts, arms, urdfs, strict=True):
+        texts[file] = arm_toml(link.arm, x[link.zeros], urdf)
         if link.arm.own_urdf:
-            texts[PurePosixPath(link.arm.file.urdf).name] = link.arm.urdf_xml
+            texts[urdf] = link.arm.urdf_xml
     texts[f"{name}.json"] = json.dumps(summary(result), indent=2, allow_nan=False) + "\n"
     texts[f"{name}.toml"] = cell_toml(result, source, arms)
     return texts
+
+
+def urdf_names(arms: Sequence[Arm]) -> list[str]:
+    """Name of each arm's URDF where all of them lie in one folder: a name that another text has gets the arm's to it.
+
+    One that ships keeps its name: it is not written, but one of that name beside the arm file would be read instead.
+    """
+    taken = {arm.file.urdf: arm.urdf_xml for arm in arms if not arm.own_urdf}
+    names = []
+    for arm in arms:
+        name = PurePosixPath(arm.file.urdf)
+        while taken.setdefault(str(name), arm.urdf_xml) != arm.urdf_xml:
+            name = name.with_stem(f"{name.stem}_{arm.name}")
+        names.append(str(name))
+    return names

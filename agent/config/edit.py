@@ -21,7 +21,7 @@ class EditError(Refusal):
 class Change:
     """A new value for one key of a table, or of the one table of an array whose `name` is given."""
 
-    table: str  # "controller", or "arms" with a name
+    table: str  # "controller", or "arms" with a name; "" for what stands before the first header
     key: str
     toml: str  # the value as it stands in the file
     name: str | None = None
@@ -64,6 +64,8 @@ def _make_room(lines: list[str], change: Change) -> None:
 def _section(lines: Sequence[str], change: Change) -> tuple[int, int]:
     """Lines of the table: those after its header, up to the next header."""
     headers = [i for i, line in enumerate(lines) if _HEADER.match(line)]
+    if not change.table:
+        return 0, headers[0] if headers else len(lines)
     for i, header in enumerate(headers):
         match = _HEADER.match(lines[header])
         if match is None or match["name"] != change.table:
@@ -105,7 +107,7 @@ def _complete(text: str) -> bool:
 
 def _table(document: dict[str, Any], change: Change) -> dict[str, Any]:
     found: Any = document
-    for part in change.table.split("."):
+    for part in change.table.split(".") if change.table else ():
         found = found.setdefault(part, {})
     if change.name is not None:
         found = next((entry for entry in found if entry.get("name") == change.name), {})
@@ -117,8 +119,8 @@ def _table(document: dict[str, Any], change: Change) -> dict[str, Any]:
 def _refusal(change: Change, found: str) -> EditError:
     where = f"[{change.table}]" if change.name is None else f"[[{change.table}]] with name = {change.name!r}"
     return EditError(
-        f"{change.key} under {where}",
+        f"{change.key} under {where}" if change.table else f"{change.key} before the first header",
         found=found,
-        expected="the table under a header of its own",
+        expected="the table under a header of its own" if change.table else f"{change.key} = and its value",
         remedy="write it like the files that ship, or change the value by hand",
     )

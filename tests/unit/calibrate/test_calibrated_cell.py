@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import configs
 from agent.atomic import WriteError
-from agent.calibrate.chain import CalibrateError
+from agent.calibrate.chain import CalibrateError, chain_of
 from agent.calibrate.result import Calibrated, arm_toml, calibrated, cell_toml
-from agent.calibrate.run import calibrate, write
+from agent.calibrate.run import calibrate, urdf_names, write
 from agent.config.cell import Cell, load_cell
 from agent.config.reality import reality_of
 from agent.config.schema.reality import ArmReality, Reality
@@ -158,3 +159,57 @@ def test_comments_of_the_cell_stay_and_say_what_moved(tmp_path: Path) -> None:
     assert "# calibrated, was 2048" in files.arms[0].read_text()
     assert load_cell(files.cell).arms[0].entry.arm_file == files.arms[0].name
     assert "simulation.reality" not in text
+
+
+def with_urdfs(folder: Path, named: str, urdfs: dict[str, str]) -> Calibrated:
+    """The calibration of arms that have a file of their own in a folder of their own, with a URDF of this name there.
+
+    urdfs: text by arm; an arm without one has the file that ships.
+    """
+    made = rig("two_wx200", SEED)
+    arm = (configs.ARMS_DIR / "wx200.toml").read_text().replace('urdf = "wx200.urdf"', f'urdf = "{named}"')
+    text = (configs.CELLS_DIR / "two_wx200.toml").read_text()
+    for name, urdf in urdfs.items():
+        own = folder / "source" / name
+        own.mkdir(parents=True)
+        (own / "arm.toml").write_text(arm)
+        (own / named).write_text(urdf)
+        text = text.replace(f'name = "{name}"\n', f'name = "{name}"\narm_file = "{name}/arm.toml"\n')
+    (folder / "source" / "cell.toml").write_text(text)
+    cell = load_cell(folder / "source" / "cell.toml", UNSURE)
+    return calibrated(cell, chain_of(cell), made.poses)
+
+
+URDF = (configs.ARMS_DIR / "wx200.urdf").read_text()
+LIGHTER = URDF.replace('<mass value="0.540142"/>', '<mass value="0.5"/>')
+
+
+@pytest.mark.parametrize(
+    ("named", "urdfs", "written"),
+    [
+        ("my.urdf", {"left": URDF, "right": LIGHTER}, {"my.urdf": URDF, "my_right.urdf": LIGHTER}),
+        ("my.urdf", {"left": LIGHTER, "right": LIGHTER}, {"my.urdf": LIGHTER}),
+        ("wx200.urdf", {"left": LIGHTER}, {"wx200_left.urdf": LIGHTER}),
+    ],
+    ids=["two of one name", "one for both", "one named as that which ships"],
+)
+def test_each_arm_keeps_its_own_urdf(
+    tmp_path: Path, named: str, urdfs: dict[str, str], written: dict[str, str]
+) -> None:
+    result = with_urdfs(tmp_path, named, urdfs)
+    files = write(result, [LOG], tmp_path / "out")
+    assert {path.name: path.read_text() for path in (tmp_path / "out").glob("*.urdf")} == written
+    before, after = result.cell.arms, load_cell(files.cell).arms
+    assert [arm.urdf_xml for arm in after] == [arm.urdf_xml for arm in before]
+    for arm, path in zip(after, files.arms, strict=True):
+        renamed = arm.own_urdf and arm.file.urdf != named
+        assert (f"# was {named}, the name of another arm's" in path.read_text()) is renamed
+
+
+def test_a_name_that_a_third_arm_has_is_not_taken_either() -> None:
+    arms = load_cell(Path("three_wx250s")).arms
+    own = [
+        replace(arm, file=arm.file.model_copy(update={"urdf": name}), urdf_xml=text, own_urdf=True)
+        for arm, name, text in zip(arms, ("my.urdf", f"my_{arms[2].name}.urdf", "my.urdf"), "abc", strict=True)
+    ]
+    assert urdf_names(own) == ["my.urdf", f"my_{arms[2].name}.urdf", f"my_{arms[2].name}_{arms[2].name}.urdf"]

@@ -37,6 +37,16 @@ def test_only_the_named_value_changes() -> None:
     assert edited == TEXT.replace("name = 'right'\nk_v = 2.5", "name = 'right'\nk_v = [1.0, 2.0, 3.0]")
 
 
+def test_a_value_before_the_first_header_is_changed_there() -> None:
+    assert apply(TEXT, [Change("", "top", '"new"  # was 1')]) == TEXT.replace("top = 1", 'top = "new"  # was 1')
+    added = apply(TEXT, [Change("", "k", "2")])
+    assert added == TEXT.replace("top = 1\n", "top = 1\nk = 2\n")
+    with pytest.raises(
+        EditError, match="top before the first header: found an unusual way of writing it, expected top ="
+    ):
+        apply(TEXT.replace("top =", '"top" ='), [Change("", "top", "2")])
+
+
 def test_a_value_over_several_lines_is_replaced_as_a_whole() -> None:
     edited = apply(TEXT, [Change("controller", "list", "[]")])
     assert tomllib.loads(edited)["controller"] == {"k": 150.0, "list": []}
