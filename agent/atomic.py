@@ -8,6 +8,7 @@ import io
 import os
 import shutil
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import BinaryIO
 
@@ -54,6 +55,25 @@ def write_atomically(path: Path, content: bytes, refusal: type[Refusal] = WriteE
     Raises `refusal`, for a place in an installed package too: what is there belongs to its next version.
     """
     _put(path, io.BytesIO(content), refusal)
+
+
+def write_together(contents: Mapping[Path, bytes]) -> None:
+    """Write each of these files as `write_atomically` does, in this order; where one fails, none stays that is new.
+
+    Raises WriteError.  One that was there before is there afterwards, as it was or replaced.
+    """
+    with contextlib.ExitStack() as undone:
+        for path, content in contents.items():
+            new = not os.path.lexists(path)
+            write_atomically(path, content)
+            if new:
+                undone.callback(_remove, path)
+        undone.pop_all()
+
+
+def _remove(path: Path) -> None:
+    with contextlib.suppress(OSError):  # why the other one failed is what is told
+        path.unlink()
 
 
 def copy_atomically(source: Path, path: Path, refusal: type[Refusal] = WriteError) -> None:

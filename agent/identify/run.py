@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from agent.atomic import keep_existing, make_folder, write_atomically
+from agent.atomic import keep_existing, make_folder, write_together
 from agent.identify.equations import Options
 from agent.identify.fit import fit
 from agent.identify.recording import from_log
@@ -47,7 +47,8 @@ def identify(
 def write(result: Identified, out: Path, *, replace: bool = False) -> Files:
     """Write arm file, figure and summary into the folder `out`, which may be new.
 
-    Raises WriteError, with nothing written, where one of them is there already and not to be replaced.
+    Raises WriteError, with no new file written, where one of them is there already and not to be replaced, or cannot
+    be written.
     """
     arm = result.recording.arm
     model, own = arm.entry.model, arm.entry.arm_file
@@ -60,7 +61,7 @@ def write(result: Identified, out: Path, *, replace: bool = False) -> Files:
         keep_existing(files.arm, files.figure, files.summary, remedy="name another folder, or give --force")
     make_folder(out)
     text = result.arm_toml(arm.toml.decode())
-    save_png(validation_figure(result), files.figure)
-    write_atomically(files.summary, (json.dumps(result.summary(), indent=2) + "\n").encode())
-    write_atomically(files.arm, text.encode())
+    summary = json.dumps(result.summary(), indent=2) + "\n"
+    png = save_png(validation_figure(result))
+    write_together({files.figure: png, files.summary: summary.encode(), files.arm: text.encode()})
     return files

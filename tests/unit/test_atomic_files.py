@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from agent.atomic import WriteError, copy_atomically, write_atomically
+from agent.atomic import WriteError, copy_atomically, write_atomically, write_together
+from tests.support.full_disk import full_for
 
 
 @pytest.mark.parametrize(
@@ -36,3 +37,17 @@ def test_a_disk_that_is_full_wants_room_and_another_one_a_folder(
             assert sorted(path.name for path in tmp_path.iterdir()) == ["log", "source"]
     copy_atomically(tmp_path / "source", tmp_path / "log")
     assert (tmp_path / "log").read_text() == (tmp_path / "source").read_text() == "after"
+
+
+def test_of_files_that_are_written_together_none_stays_that_is_new_where_one_fails(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "old").write_text("before")
+    files = {tmp_path / name: name.encode() for name in ("one", "old", "two", "three")}
+    with monkeypatch.context() as patch:
+        full_for(patch, "two")
+        with pytest.raises(WriteError, match="two: found No space left"):
+            write_together(files)
+    assert [path.name for path in tmp_path.iterdir()] == ["old"]
+    write_together(files)
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == files

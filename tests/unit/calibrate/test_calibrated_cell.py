@@ -21,6 +21,7 @@ from agent.telemetry.row.sample import AGENT_STATE
 from drivers.dynamixel.servo.counts import TICK_RAD
 from sim_backend.physics.plant import Observation
 from tests.support.calibrate_rig import UNSURE, rig
+from tests.support.full_disk import full_for
 from tests.support.plant.inprocess import simulate
 from tests.support.telemetry.run_log import write_run
 
@@ -98,6 +99,19 @@ def test_nothing_is_overwritten_and_nothing_written_beside_it(tmp_path: Path) ->
         write(result, [LOG], tmp_path)
     assert list(tmp_path.iterdir()) == [there]
     assert there.read_text() == "mine"
+
+
+@pytest.mark.parametrize("name", [".png", "_left.toml", "_right.toml", ".json", "_calibrated.toml"])
+def test_a_disk_that_is_full_is_told_with_the_file_and_the_next_attempt_works(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    result, _ = in_error()
+    with monkeypatch.context() as patch:
+        full_for(patch, name)
+        with pytest.raises(WriteError, match=f"{name}: found No space left on device, expected room for it"):
+            write(result, [LOG], tmp_path)
+    assert not list(tmp_path.iterdir())
+    assert load_cell(write(result, [LOG], tmp_path).cell).file.name == "two_wx200"
 
 
 def test_what_does_not_agree_better_is_not_written(tmp_path: Path) -> None:

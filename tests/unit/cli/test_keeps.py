@@ -23,6 +23,7 @@ from agent.process.folder import LOG_NAME, RunError, output_folder
 from agent.report.picture import Picture
 from tests.support.command import coop
 from tests.support.few import few
+from tests.support.full_disk import full_for
 from tests.support.identify_rig import exact
 from tests.support.servos.motor_emulator import loose_servos
 from tests.support.telemetry.log_maker import LogMaker, make_log
@@ -161,6 +162,27 @@ def test_identify_keeps_each_of_its_files(
     assert coop("identify", "run.mcap", "--out", out, "--force").code == 0
     assert path.read_bytes() != MINE
     assert len(list(out.iterdir())) == 3
+
+
+@pytest.mark.parametrize("name", few(("wx200.toml", "identify_wx200.png", "identify_wx200.json"), "wx200.toml".__eq__))
+def test_identify_leaves_nothing_new_on_a_disk_that_is_full_and_can_be_repeated(
+    found: Identified, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    monkeypatch.setattr("agent.identify.run.identify", lambda *_, **__: found)
+    out = tmp_path / "out"
+    with monkeypatch.context() as patch:
+        full_for(patch, name)
+        done = coop("identify", "run.mcap", "--out", out)
+    assert done.code == 2
+    assert f"file {out / name}: found No space left on device, expected room for it" in done.err
+    assert not list(out.iterdir())
+    assert coop("identify", "run.mcap", "--out", out).code == 0
+    path = write_mine(out / "identify_wx200.png")
+    with monkeypatch.context() as patch:
+        full_for(patch, "wx200.toml")
+        assert coop("identify", "run.mcap", "--out", out, "--force").code == 2
+    assert len(list(out.iterdir())) == 3, "what was there is there"
+    assert path.read_bytes() != MINE
 
 
 # report
