@@ -18,7 +18,10 @@ def latency_test(
     out: Annotated[Path | None, typer.Option(help="Keep the result here instead of in the usual place.")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Measure how late this host wakes a control loop; exit code 0 fit, 1 not.  The doctor and the agents show it."""
+    """Measure how late this host wakes a control loop; exit code 0 fit, 1 not.  The doctor and the agents show it.
+
+    A test that is stopped is not kept.
+    """
     import contextlib
     import os
 
@@ -42,12 +45,17 @@ def latency_test(
         note(f"{seconds:g} s at {rate:g} Hz, {real_time.text}, {f'load on {cores} cores' if load else 'no load'}")
         begin_ns = clock.now_ns()
         found = latency.measure(seconds, rate, clock, stop)
-        took_s = 1e-9 * (clock.now_ns() - begin_ns)
+        took_s, stopped = 1e-9 * (clock.now_ns() - begin_ns), stop()
     result = latency.finished(took_s, rate, loaded=load, real_time=real_time, histogram=found)
-    latency.keep(path, result)
+    if not stopped:
+        latency.keep(path, result)
     if as_json:
         print_json(result.document())
     else:
         typer.echo(f"{result.fitness(rate)}: {result.text}, {found.missed} cycles missed; wanted ≤ {500.0 / rate:g} ms")
-        note(f"kept in {path}")
+        if not stopped:
+            note(f"kept in {path}")
+    if stopped:
+        typer.echo(f"stopped by request; this result is not kept, and {path} is as it was", err=as_json)
+        raise typer.Exit(130)
     raise typer.Exit(0 if result.fitness(rate) is latency.Fitness.FIT else 1)

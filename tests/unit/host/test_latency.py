@@ -5,6 +5,9 @@ from __future__ import annotations
 import gc
 import json
 import math
+import os
+import signal
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,6 +27,7 @@ from agent.host.latency import (
     own_file,
 )
 from agent.host.realtime import RealTime, granted
+from drivers.interface import Clock as AnyClock
 from tests.support.command import coop
 
 RATE_HZ, PERIOD_NS = 200.0, 5_000_000
@@ -176,3 +180,32 @@ def test_the_command_measures_judges_and_keeps(tmp_path: Path) -> None:
     assert kept.histogram.cycles + kept.histogram.missed >= 200
     assert (kept.loaded, kept.real_time.policy) == (False, "SCHED_OTHER")
     assert gc.isenabled(), "for the tests behind this one"
+
+
+@pytest.mark.parametrize("as_json", [False, True])
+def test_one_that_is_stopped_is_told_and_not_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, as_json: bool
+) -> None:
+    def stopped(seconds: float, rate_hz: float, clock: AnyClock, stop: Callable[[], bool]) -> Histogram:
+        asked = iter(range(100))
+
+        def asks() -> bool:
+            if next(asked) == 3:
+                os.kill(os.getpid(), signal.SIGINT)
+            return stop()
+
+        return measure(seconds, rate_hz, clock, asks)
+
+    path = tmp_path / "latency.json"
+    keep(path, result(1e-3))
+    monkeypatch.setattr(latency, "measure", stopped)
+    words = ("latency-test", "--seconds", 600, "--priority", 0, "--no-load", "--out", path)
+    done = coop(*words, *(["--json"] if as_json else []))
+    assert done.code == 130
+    assert f"stopped by request; this result is not kept, and {path} is as it was\n" in (
+        done.err if as_json else done.out
+    )
+    assert "kept in" not in done.out + done.err
+    assert newest([path]) == result(1e-3)
+    if as_json:
+        assert json.loads(done.out)["cycles"] == 3
