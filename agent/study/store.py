@@ -30,8 +30,8 @@ class StudyError(Refusal):
 class Store:
     """The file of finished runs: a line that says what study they are of, then one line for each.
 
-    A line that was cut off when the machine went down counts as none.  One study at a time has the file.  Use as a
-    context.
+    A line that was cut off when the machine went down counts as none; the first one only where it is the begin of this
+    study's.  One study at a time has the file.  Use as a context.
     """
 
     def __init__(self, folder: Path, identity: Mapping[str, Any], *, anew: bool = False) -> None:
@@ -82,6 +82,8 @@ class Store:
         whole = 0
         for number, line in enumerate(self._file):
             if not line.endswith(b"\n"):
+                if number == 0 and not _line(self._identity).startswith(line):
+                    raise self._foreign(number)
                 break
             try:
                 content = json.loads(line)
@@ -91,16 +93,19 @@ class Store:
                     cell, result = content["cell_place"], {k: v for k, v in content.items() if k in _FIELDS}
                     self.results[cell, content["index"]] = RunResult(**result)
             except (ValueError, KeyError, TypeError) as error:
-                raise StudyError(
-                    f"line {number + 1} of {self.path}",
-                    found="no run of a study",
-                    expected="what `coop study` wrote",
-                    remedy="name another --out, or give --force",
-                ) from error
+                raise self._foreign(number) from error
             whole += len(line)
         self._file.truncate(whole)
         if not whole:
             self._append(self._identity)
+
+    def _foreign(self, number: int) -> StudyError:
+        return StudyError(
+            f"line {number + 1} of {self.path}",
+            found="no run of a study",
+            expected="what `coop study` wrote",
+            remedy="name another --out, or give --force",
+        )
 
     def _require_same(self, found: Any) -> None:
         if found != self._identity:
@@ -120,7 +125,7 @@ class Store:
             raise self._unwritable(error) from error
 
     def _append(self, content: Mapping[str, Any]) -> None:
-        self._file.write(json.dumps(content, allow_nan=False).encode() + b"\n")
+        self._file.write(_line(content))
         self._file.flush()
         os.fsync(self._file.fileno())
 
@@ -143,3 +148,7 @@ class Store:
     def _close(self) -> None:
         with contextlib.suppress(OSError):  # of a line that the disk did not take: its writer was told
             self._file.close()
+
+
+def _line(content: Mapping[str, Any]) -> bytes:
+    return json.dumps(content, allow_nan=False).encode() + b"\n"

@@ -171,10 +171,27 @@ def test_runs_of_another_version_are_not_mixed_in(tmp_path: Path, plan: Plan) ->
         Store(tmp_path, plan.identity())
 
 
-def test_a_file_of_runs_that_is_none_is_refused(tmp_path: Path, plan: Plan) -> None:
-    (tmp_path / RUNS_FILE).write_bytes(b"not json\n")
-    with pytest.raises(StudyError, match=r"runs\.jsonl"):
+@pytest.mark.parametrize("mine", [b"not json\n", b"not json", b'{"cells": ["mine"]}', b"\0"])
+def test_a_file_of_runs_that_is_none_is_refused_and_kept(tmp_path: Path, plan: Plan, mine: bytes) -> None:
+    path = tmp_path / RUNS_FILE
+    path.write_bytes(mine)
+    with pytest.raises(StudyError, match=r"line 1 of .*runs\.jsonl: found no run of a study.*--out, or give --force"):
         Store(tmp_path, plan.identity())
+    assert path.read_bytes() == mine
+    with Store(tmp_path, plan.identity(), anew=True):
+        assert not path.read_bytes().startswith(mine)
+
+
+@pytest.mark.parametrize("left", [0, 1, 40, -1])
+def test_a_study_whose_first_line_was_cut_off_begins_again(tmp_path: Path, plan: Plan, left: int) -> None:
+    with Store(tmp_path, plan.identity()):
+        pass
+    path = tmp_path / RUNS_FILE
+    whole = path.read_bytes()
+    path.write_bytes(whole[:left])
+    with Store(tmp_path, plan.identity()) as store:
+        assert store.results == {}
+    assert path.read_bytes() == whole
 
 
 def test_no_place_to_write_is_refused_before_a_run(tmp_path: Path, plan: Plan) -> None:
