@@ -45,7 +45,7 @@ def identify(
 
 
 def write(result: Identified, out: Path, *, replace: bool = False) -> Files:
-    """Write arm file, figure and summary into the folder `out`, which may be new.
+    """Write arm file, its own URDF if it has one, figure and summary into the folder `out`, which may be new.
 
     Raises WriteError, with no new file written, where one of them is there already and not to be replaced, or cannot
     be written.
@@ -57,11 +57,12 @@ def write(result: Identified, out: Path, *, replace: bool = False) -> Files:
         out / f"identify_{model}.png",
         out / f"identify_{model}.json",
     )
+    urdf = {out / arm.file.urdf: arm.urdf_xml.encode()} if arm.own_urdf else {}  # else one that ships is read
     if not replace:
-        keep_existing(files.arm, files.figure, files.summary, remedy="name another folder, or give --force")
+        keep_existing(*urdf, files.arm, files.figure, files.summary, remedy="name another folder, or give --force")
     make_folder(out)
     text = result.arm_toml(arm.toml.decode())
     summary = json.dumps(result.summary(), indent=2) + "\n"
     png = save_png(validation_figure(result))
-    write_together({files.figure: png, files.summary: summary.encode(), files.arm: text.encode()})
+    write_together(urdf | {files.figure: png, files.summary: summary.encode(), files.arm: text.encode()})
     return files

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from contextlib import nullcontext
+from dataclasses import replace
 from datetime import datetime, tzinfo
 from pathlib import Path
 
@@ -12,11 +13,13 @@ import pytest
 from matplotlib.figure import Figure
 
 import configs
+from agent.atomic import WriteError
 from agent.config.cell import load_cell
 from agent.host.latency import newest
 from agent.identify.equations import Options
 from agent.identify.fit import fit
 from agent.identify.result import Identified, identified
+from agent.identify.run import write
 from agent.log.file import LogInTheWay
 from agent.process import folder
 from agent.process.folder import LOG_NAME, RunError, output_folder
@@ -183,6 +186,25 @@ def test_identify_leaves_nothing_new_on_a_disk_that_is_full_and_can_be_repeated(
         assert coop("identify", "run.mcap", "--out", out, "--force").code == 2
     assert len(list(out.iterdir())) == 3, "what was there is there"
     assert path.read_bytes() != MINE
+
+
+def test_identify_writes_the_urdf_that_the_arm_file_had_beside_it(found: Identified, tmp_path: Path) -> None:
+    arm, out = found.recording.arm, tmp_path / "out"
+    own = replace(arm, urdf_xml=arm.urdf_xml.replace('<mass value="0.540142"/>', '<mass value="0.5"/>'), own_urdf=True)
+    lighter = replace(found, recording=replace(found.recording, arm=own))
+    write(found, tmp_path / "shipped")
+    assert not list((tmp_path / "shipped").glob("*.urdf"))
+    path = write_mine(out / "wx200.urdf")
+    with pytest.raises(WriteError, match=r"wx200\.urdf: found one of that name"):
+        write(lighter, out)
+    assert path.read_bytes() == MINE
+    path.unlink()
+    write(lighter, out)
+    text = (configs.CELLS_DIR / "identify_wx200.toml").read_text()
+    (tmp_path / "cell.toml").write_text(
+        text.replace('model = "wx200"\n', 'model = "wx200"\narm_file = "out/wx200.toml"\n')
+    )
+    assert load_cell(tmp_path / "cell.toml").arms[0].urdf_xml == own.urdf_xml != arm.urdf_xml
 
 
 # report
