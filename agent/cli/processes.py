@@ -87,7 +87,7 @@ def telemetry(
             autocompletion=complete.members,
         ),
     ],
-    ring: Annotated[Path | None, typer.Option(help="Ring file in shared memory.")] = None,
+    ring: Annotated[Path | None, typer.Option(help="Ring file in shared memory; also of a run that is over.")] = None,
     connect: Annotated[str, typer.Option(help="Endpoint of the recorder.")] = DEFAULT_ENDPOINT,
     network_config: NetworkConfig = None,
     lockstep: Annotated[bool, typer.Option("--lockstep", help="Simulated time waits for this process.")] = False,

@@ -229,6 +229,7 @@ def telemetry(command: TelemetryCommand, listener: Listener) -> int:
         Network(config_file=config) if config else Network(connect=(command.connect,)),
         lockstep=command.lockstep,
         follow=command.follow,
+        fresh=command.ring is None,  # where every run of the cell has its ring
         stop=requested,
         ready=ready,
         say=lambda text: listener.say(f"{member}: {text}"),

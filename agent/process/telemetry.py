@@ -20,6 +20,7 @@ def run_telemetry(
     *,
     lockstep: bool,
     follow: bool,
+    fresh: bool,
     stop: Callable[[], bool],
     ready: Callable[[str], None],
     say: Callable[[str], None],
@@ -27,7 +28,7 @@ def run_telemetry(
     """Publish the ring of an arm, or of topics.PLANT, until the recorder has it, or a stop.  Raises Refusal.
 
     cell, fingerprint: its name and that of its files, which the recorder must have, too.  follow: go on with the ring
-    of the next agent; say: is told in words what is waited for.
+    of the next agent; fresh: take none that an earlier run has left; say: is told in words what is waited for.
     """
     options = publish.PublishOptions(
         cell=cell,
@@ -38,6 +39,7 @@ def run_telemetry(
         network=network,
         pace=publish.Pace.LOCKSTEP if lockstep else publish.Pace.REAL_TIME,
         follow=follow,
+        fresh=fresh,
         info={"cell": cell, "fingerprint": fingerprint, "member": member},
     )
     return publish.run(options, stop, lambda name: ready(f"member={name}"), say)

@@ -29,7 +29,7 @@ from agent.telemetry.link.session import Network, has_link, open_session
 from agent.telemetry.link.source import HEALTH_KEPT, RowSource, TextSource
 from agent.telemetry.link.status import StatusQuery
 from agent.telemetry.link.wire import BATCH_BYTES_MAX, LOCKSTEP_BATCH_BYTES_MAX, End, Sent, seal_of
-from agent.telemetry.ring.file import RingError
+from agent.telemetry.ring.file import exists
 from agent.telemetry.ring.reader import RingReader
 from agent.telemetry.ring.texts import TextReader, texts_path
 from agent.telemetry.row.derive import RowEvents
@@ -64,10 +64,9 @@ class PublishOptions:
     fingerprint: str = ""  # of the cell's files, which the recorder must have, too
     network: Network = field(default_factory=Network)
     pace: Pace = Pace.REAL_TIME
-    # A service follows: it takes rings whose agent lives or that are younger than itself, since an older one whose
-    # agent is gone belongs to another log, and goes on with the ring of the next agent.  Otherwise the one ring is
-    # published, and that is it.
-    follow: bool = False
+    follow: bool = False  # a service: goes on with the ring of the next agent; fresh, too
+    # only a ring whose agent lives or that is younger than the wait for it: another one belongs to another log
+    fresh: bool = False
     info: Mapping[str, Any] = field(default_factory=dict)  # answer of the `info` queryable, JSON
 
 
@@ -251,29 +250,28 @@ class _Telemetry:
 def _wait_for_ring(
     options: PublishOptions, since_ns: int, stop: Callable[[], bool], say: Callable[[str], None]
 ) -> RingReader | None:
-    maker = "coop plant` or `coop emulate" if options.member == PLANT else f"coop agent --arm {options.member}"
-    where = f"the ring {options.ring}, which `{maker}` makes there or where its --ring says"
-    patience = Patience(lambda: say(f"waits for {where}, until it is stopped"))
+    past = False  # a ring is there, and belongs to another log
+    patience = Patience(lambda: say(_without_ring(options, past=past)))
     while not stop():
         patience.waiting(True)
-        if _exists(options.ring):
+        if exists(options.ring):
             reader = RingReader(options.ring, options.layout, acknowledges=options.pace is Pace.LOCKSTEP)
-            if reader.writer_alive or reader.header.created_ns >= since_ns or not options.follow:
+            any_age = not (options.fresh or options.follow)
+            if any_age or reader.writer_alive or reader.header.created_ns >= since_ns:
                 return reader
             reader.close()
+            past = True
         time.sleep(_CYCLE_S)
     return None
 
 
-def _exists(ring: Path) -> bool:
-    """Whether the ring is there.  Raises RingError when that cannot be seen."""
-    try:
-        return ring.exists()
-    except OSError as error:
-        raise RingError(
-            f"telemetry ring {ring}", found=error.strerror, expected="a folder that can be searched",
-            remedy="start telemetry as a user of the agent's group",
-        ) from error  # fmt: skip
+def _without_ring(options: PublishOptions, *, past: bool) -> str:
+    maker = "coop plant` or `coop emulate" if options.member == PLANT else f"coop agent --arm {options.member}"
+    where = f"the ring {options.ring}, which `{maker}` makes there or where its --ring says"
+    waits = f"waits for {where}, until it is stopped"
+    if past and not options.follow:
+        return f"{waits}; the one there is an earlier run's, which --ring with that path sends"
+    return waits
 
 
 def _open_texts(ring: Path, pid: int, stack: ExitStack) -> TextReader | None:

@@ -174,6 +174,17 @@ def check_format(path: Path, header: RingHeader, row_format: RowFormat, file_byt
         )
 
 
+def exists(path: Path) -> bool:
+    """Whether the ring is there.  Raises RingError when that cannot be seen."""
+    try:
+        return path.exists()
+    except OSError as error:
+        raise RingError(
+            f"telemetry ring {path}", found=error.strerror, expected="a folder that can be searched",
+            remedy="start telemetry as a user of the agent's group",
+        ) from error  # fmt: skip
+
+
 def claim(path: Path, header: RingHeader) -> int:
     """Descriptor of a new, locked, ready ring that already has its name.  Raises RingError, OSError."""
     while True:

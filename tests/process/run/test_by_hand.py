@@ -13,6 +13,8 @@ import pytest
 
 import configs
 from agent.log.read import read_log
+from agent.telemetry.ring.writer import RingWriter
+from agent.telemetry.row.sample import AGENT_STATE
 
 PAPER = configs.CELLS_DIR / "paper.toml"
 HEAVY = ("pinocchio", "scipy", "matplotlib")
@@ -87,11 +89,13 @@ def test_a_run_by_hand_needs_no_path_and_loads_no_solver_where_none_is_used(sess
     plant = session.start("plant", cell)
     endpoint = ready(recorder).split("endpoint=")[1].strip()
     ready(plant)
-    agents = [session.start("agent", cell, "--arm", arm) for arm in ("left", "right")]
     telemetry = [
         session.start("telemetry", cell, "--member", member, "--connect", endpoint, "--lockstep")
         for member in ("plant", "left", "right")
     ]
+    for process in telemetry:
+        ready(process)
+    agents = [session.start("agent", cell, "--arm", arm) for arm in ("left", "right")]
     for process in (*agents, plant):
         ended(process)
     light = [ended(process) for process in telemetry]
@@ -153,6 +157,28 @@ def test_telemetry_says_what_it_waits_for(session: Host) -> None:
     line = telemetry.stderr.readline()
     assert line.startswith(f"left: waits for the ring {ring}, which `coop agent --arm left` makes"), line
     assert "until it is stopped" in line
+    telemetry.terminate()
+    ended(telemetry)
+
+
+@pytest.mark.parametrize("named", [False, True])
+def test_telemetry_takes_a_ring_of_an_earlier_run_only_where_it_is_named(session: Host, named: bool) -> None:
+    ring = session.folder / "session" / "coop" / "paper" / "left.ring"
+    ring.parent.mkdir(mode=0o700, parents=True)
+    with RingWriter(ring, AGENT_STATE, "left", ("waist",), slots=2) as agent:
+        agent.finish()
+    place = ("--ring", str(ring)) if named else ()
+    telemetry = session.start(
+        "telemetry", str(PAPER), "--arm", "left", "--connect", "tcp/127.0.0.1:9", "--lockstep", *place
+    )
+    ready(telemetry)
+    assert telemetry.stderr is not None
+    line = telemetry.stderr.readline()
+    if named:
+        assert line.startswith("left: no recorder at tcp/127.0.0.1:9 has answered"), line
+    else:
+        assert line.startswith(f"left: waits for the ring {ring}, which"), line
+        assert "the one there is an earlier run's, which --ring with that path sends" in line
     telemetry.terminate()
     ended(telemetry)
 

@@ -178,6 +178,22 @@ def test_a_service_follows_the_agents_one_ring_after_the_other_and_passes_over_d
     assert rows_in(folder / "second.mcap") == prefix(300, 300)
 
 
+@pytest.mark.parametrize("pace", Pace)
+def test_a_second_run_in_the_same_place_gets_no_row_of_the_first(folder: Path, pace: Pace) -> None:
+    ring, rate_hz = folder / "left.ring", None if pace is Pace.LOCKSTEP else RATE_HZ
+    with writer(ring, "left", 30, rate_hz) as gone:
+        assert gone.result() == 30
+    with recorder(folder / "run.mcap", arms=LEFT) as rec:
+        with telemetry(ring, "left", rec.ready(), pace, fresh=True) as tel:
+            tel.ready()
+            time.sleep(0.2)  # the agent takes a while before it has its own ring
+            with writer(ring, "left", 200, rate_hz) as agent:
+                assert agent.result() == 200
+            assert tel.result().complete
+        assert rec.stop().complete
+    assert rows_in(folder / "run.mcap") == prefix(200, 200)
+
+
 def test_rows_overwritten_before_anybody_read_them_are_counted_and_named(folder: Path) -> None:
     ring = folder / "left.ring"
     with recorder(folder / "run.mcap", arms=LEFT) as rec:
