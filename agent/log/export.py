@@ -81,7 +81,7 @@ def export(log: ColumnLog, folder: Path, kind: Format, choice: Choice, *, replac
     with _Draft(folder) as draft:
         rows = {}
         for name, table in tables.items():
-            file = f"{name}.{kind.value}"
+            file = _file_of(name, kind)
             _WRITERS[kind](draft.path / file, table, columns[name])
             rows[file] = len(table)
         _write_csv(draft.path / EVENTS_FILE, _EVENT_COLUMNS, map(_event, log.events))
@@ -90,6 +90,12 @@ def export(log: ColumnLog, folder: Path, kind: Format, choice: Choice, *, replac
         _write_csv(draft.path / COLUMNS_FILE, ("table", "column", "unit", "field", "meaning"), lines)
         draft.keep()
     return Exported(folder, rows)
+
+
+def _file_of(member: str, kind: Format) -> str:
+    """The name of its table; an arm's that is called as a file beside it has a hyphen, which no name of an arm has."""
+    name = f"{member}.{kind.value}"
+    return f"{member}-arm.{kind.value}" if name in (EVENTS_FILE, COLUMNS_FILE) else name
 
 
 def _chosen(log: ColumnLog, choice: Choice) -> dict[str, Table]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -22,11 +22,18 @@ RUN_JSON = b'{"cell": "paper", "rate_hz": 200.0}'
 class LogMaker:
     """A log that is being written batch by batch."""
 
-    def __init__(self, path: Path, *, has_plant: bool = True, min_free_bytes: int = 1 << 20) -> None:
+    def __init__(
+        self,
+        path: Path,
+        *,
+        has_plant: bool = True,
+        min_free_bytes: int = 1 << 20,
+        arms: Mapping[str, tuple[str, ...]] = ARMS,
+    ) -> None:
         attachments = [Attachment("run.json", "application/json", RUN_JSON)]
         about = {"recorder": {"host": "bench"}}
         self.file = LogFile(path, attachments, about, created_ns=1, min_free_bytes=min_free_bytes)
-        self.channels = LogChannels(self.file, scene(CELL, ARMS), has_plant=has_plant)
+        self.channels = LogChannels(self.file, scene(CELL, arms), has_plant=has_plant)
         self._now_s = 1e9
 
     def write(self, member: str, rows: np.ndarray) -> None:

@@ -92,6 +92,24 @@ def test_events_and_the_meaning_of_columns_lie_beside_them(log: Path, tmp_path: 
     assert columns["meaning"][at] == "joint velocities the law used"
 
 
+@pytest.mark.parametrize("kind", Format)
+def test_an_arm_that_is_called_as_a_file_beside_it_keeps_its_rows(tmp_path: Path, kind: Format) -> None:
+    arms = dict.fromkeys(("events", "columns"), ("waist", "shoulder", "elbow"))
+    maker = LogMaker(tmp_path / "run.mcap", has_plant=False, arms=arms)
+    for name in arms:
+        maker.write(name, make_rows(name, 4))
+    maker.finish()
+    done = exported(tmp_path / "run.mcap", tmp_path / "out", kind)
+    own = "-arm.csv" if kind is Format.CSV else ".parquet"
+    assert done.rows == {f"events{own}": 4, f"columns{own}": 4, "events.csv": 0}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {*done.rows, "columns.csv"}
+    if kind is Format.CSV:
+        for name in arms:
+            assert len(read_csv(tmp_path / "out" / f"{name}-arm.csv")["t_s"]) == 4
+        tables = read_csv(tmp_path / "out" / "columns.csv")["table"]
+        assert set(tables) == set(arms), "by the names of the arms"
+
+
 def test_arms_fields_and_times_can_be_chosen(log: Path, tmp_path: Path) -> None:
     done = exported(log, tmp_path / "out", choice=Choice(("right",), ("t", "memory"), 0.1, 0.2))
     assert done.rows == {"right.csv": 20, "events.csv": 1}
