@@ -13,8 +13,8 @@ from pathlib import Path
 from agent.log.file import lock, remove_log
 from drivers.interface import Refusal
 
-LOG_NAME = "run.mcap"
-OURS = (LOG_NAME, "results.json", "report.html")
+LOG_NAME, RESULTS, PAGE = "run.mcap", "results.json", "report.html"
+OURS = (LOG_NAME, RESULTS, PAGE)
 
 
 class RunError(Refusal):
@@ -26,7 +26,7 @@ def output_folder(wanted: Path | None, cell: str, *, replace: bool = False, has_
     """The folder `wanted`, by default runs/<UTC>-<cell>, for the time of the block.
 
     It is there, can be written, holds no results, and no other run is given it before the block ends.
-    replace: what is in it may stay and be written over, and the log of an earlier run is removed.
+    replace: an earlier run may be in it, whose log, results, page and pictures are removed; what else is there stays.
     has_force: the command has `--force`, which asks for that.
     Raises RunError, and LogInTheWay where a recorder writes that log.
     """
@@ -47,7 +47,29 @@ def output_folder(wanted: Path | None, cell: str, *, replace: bool = False, has_
                 remedy="name another folder with --out, or change its permissions",
             ) from error  # fmt: skip
         remove_log(out / LOG_NAME)
+        if replace:
+            _remove_report(out)
         yield out
+
+
+def _remove_report(out: Path) -> None:
+    """Remove what was told of an earlier run, which would lie beside the log of another.  Raises RunError."""
+    page = out / PAGE
+    try:
+        pictures = _pictures_in(page) if page.exists() else []
+        for name in (*pictures, RESULTS, PAGE):  # the page last: it names the others
+            (out / name).unlink(missing_ok=True)
+    except OSError as error:
+        raise RunError(
+            f"report of an earlier run in {out}", found=error.strerror, expected="files that can be removed",
+            remedy="remove them, or name another folder with --out",
+        ) from error  # fmt: skip
+
+
+def _pictures_in(page: Path) -> list[str]:
+    from agent.report.page import pictures_in  # noqa: PLC0415 - figures cost 0.3 s, and not every folder has a page
+
+    return pictures_in(page.read_bytes())
 
 
 def _named_by_time(runs: Path, cell: str) -> Path:

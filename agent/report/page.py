@@ -126,6 +126,12 @@ def figure_html(picture: Picture, png: bytes) -> str:
     )
 
 
+def pictures_in(page: bytes) -> list[str]:
+    """The names of the files that `write_report` has put beside this page of its own, one per picture in it."""
+    found = re.findall(rb'<figure id="(\w+)"><img src="data:image/png;base64,', page)
+    return [f"{stem.decode()}.png" for stem in found]
+
+
 def _symbols(text: str) -> str:
     return re.sub(r"\b([eu])_(\w)\b", r"<i>\1</i><sub>\2</sub>", escape(text))
 

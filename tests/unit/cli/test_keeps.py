@@ -23,6 +23,7 @@ from agent.identify.run import write
 from agent.log.file import LogInTheWay
 from agent.process import folder
 from agent.process.folder import LOG_NAME, RunError, output_folder
+from agent.report.page import figure_html
 from agent.report.picture import Picture
 from tests.support.command import coop
 from tests.support.few import few
@@ -293,14 +294,39 @@ def test_the_folder_of_a_run_is_empty_or_may_be_used_again(tmp_path: Path) -> No
     with pytest.raises(RunError, match=r"found results\.json from an earlier run"), output_folder(new, "paper"):
         pass
     (new / "results.json").unlink()
-    log, page = write_mine(new / LOG_NAME), write_mine(new / "report.html")
+    log = write_mine(new / LOG_NAME)
     with pytest.raises(RunError, match=r"found run\.mcap from an earlier run") as refused, output_folder(new, "paper"):
         pass
     assert refused.value.exit_code == 2
     assert log.read_bytes() == MINE
     with output_folder(new, "paper", replace=True):
         assert not log.exists(), "the recorder makes a new one"
-    assert page.read_bytes() == MINE
+
+
+@pytest.mark.parametrize("gone", ["", "results.json", "errors.png", "report.html"])
+def test_force_takes_what_was_told_of_the_earlier_run_and_no_file_of_somebody(tmp_path: Path, gone: str) -> None:
+    """Or a run that fails, or draws no report, leaves its log beside figures of another."""
+    pictures = [Picture(stem, "Errors", "", Figure) for stem in ("errors", "torque_terms_left")]
+    page = "".join(figure_html(picture, MINE) for picture in pictures)
+    (tmp_path / "report.html").write_text(f'{page}<figure id="holiday"><img src="holiday.png"></figure>')
+    told = [write_mine(tmp_path / name) for name in ("run.mcap", "results.json", "errors.png", "torque_terms_left.png")]
+    (tmp_path / gone if gone else tmp_path / "none").unlink(missing_ok=True)
+    mine = [write_mine(tmp_path / name) for name in ("holiday.png", "noticed.png", "notes.txt", "logs/plant.txt")]
+    with output_folder(tmp_path, "paper", replace=True):
+        left = {path for path in tmp_path.rglob("*") if path.is_file()}
+    if gone == "report.html":  # which is what says whose pictures they are
+        assert left == {*mine, *told[2:]}
+    else:
+        assert left == set(mine)
+
+
+def test_a_report_that_cannot_be_removed_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "results.json").mkdir()
+    with (
+        pytest.raises(RunError, match="found Is a directory, expected files that can be removed; remove them, or name"),
+        output_folder(tmp_path, "paper", replace=True),
+    ):
+        pass
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ import pytest
 from rich.console import Console
 
 from agent.report.gallery import pictures
+from agent.report.page import pictures_in
 from agent.report.prepared import prepare
 from agent.report.report import ReportFiles, write_report
 from agent.report.results_file import ReportError, terminal_table
@@ -78,6 +79,10 @@ def test_every_figure_is_a_png_of_some_size(written: ReportFiles) -> None:
         content = path.read_bytes()
         assert content.startswith(PNG)
         assert len(content) > 10_000
+
+
+def test_a_page_tells_the_names_of_its_pictures(written: ReportFiles) -> None:
+    assert pictures_in(written.html.read_bytes()) == [path.name for path in written.figures.values()]
 
 
 def test_the_page_is_well_formed_and_needs_nothing_else(written: ReportFiles) -> None:
