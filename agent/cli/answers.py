@@ -12,6 +12,7 @@ from agent.cli.options import AsJson, LogPath, console, note, print_json
 from agent.cli.progress import Steps
 
 if TYPE_CHECKING:
+    from agent.log.read import ColumnLog
     from agent.telemetry.row.event import Event
 
 SCHEMA = 1
@@ -33,6 +34,7 @@ def events(
     with Steps() as step:
         step("reading the log")
         with open_log(log, any_layout=True) as opened:
+            _refuse_strangers(opened, arm)
             asked = [event for event in opened.events if not arm or event.source in arm]
             timed = [(trajectory_time(event, opened.agents.get(event.source)), event) for event in asked]
     chosen = [(t, event) for t, event in timed if from_s <= t < to_s or math.isnan(t)]
@@ -45,7 +47,22 @@ def events(
         when = _day_time(event) if math.isnan(t) else f"{t:.3f} s"
         typer.echo(f"{when:>12}  {event.source:<10} {event.level.name:<6} {event.text}")
     if not chosen:
-        note(f"{log}: no event {'of these' if asked else 'at all'}")
+        note(f"{log}: no event {'of these' if opened.events else 'at all'}")
+
+
+def _refuse_strangers(log: ColumnLog, names: list[str]) -> None:
+    """Raise NoSuchField for a name that nobody has who could have told something in this log."""
+    from agent.config.schema.types import nearest
+    from agent.log.run import NoSuchField
+    from agent.telemetry.row.topics import PLANT, RECORDER
+
+    known = list(dict.fromkeys((*log.agents, PLANT, RECORDER, *(event.source for event in log.events))))
+    for name in names:
+        if name not in known:
+            raise NoSuchField(
+                f"log {log.path}", found=repr(name), expected=f"one of {', '.join(known)}",
+                remedy=nearest(name, known) or "name one of them",
+            )  # fmt: skip
 
 
 def _day_time(event: Event) -> str:

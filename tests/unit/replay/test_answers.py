@@ -82,14 +82,38 @@ def test_events_are_chosen_by_arm_and_time(tmp_path: Path) -> None:
     document = json.loads(coop("events", log, "--json").out)
     assert [e["t_s"] for e in document["events"]] == [31.005, 31.01, None]
     assert document["events"][0]["data"]["flag"] == "OFF_TRACK"
-    done = coop("events", log, "--arm", "nobody")
-    assert (done.code, done.out, done.err) == (0, "", f"{log}: no event at all\n")
-    assert coop("events", log, "--arm", "left", "--from", "99").err == f"{log}: no event of these\n"
+    for silent in (("--arm", "plant"), ("--arm", "recorder"), ("--arm", "left", "--from", "99")):
+        done = coop("events", log, *silent)
+        assert (done.code, done.out, done.err) == (0, "", f"{log}: no event of these\n")
     done = coop("events", log, "--from", "9", "--to", "3")
     assert (done.code, done.err) == (
         2,
         "coop: Invalid value: no time between --from 9 and --to 3 (see `coop events -h`)\n",
     )
+
+
+def test_a_log_without_events_says_so_whoever_is_asked_for(tmp_path: Path) -> None:
+    make_log(log := tmp_path / "run.mcap")
+    for arm in ((), ("--arm", "left")):
+        assert coop("events", log, *arm).err == f"{log}: no event at all\n"
+
+
+@pytest.mark.parametrize(("name", "remedy"), [("lefft", "did you mean left?"), ("qqq", "name one of them")])
+@pytest.mark.parametrize("form", [(), ("--json",)])
+def test_a_name_that_nobody_in_the_log_has_is_refused(
+    tmp_path: Path, name: str, remedy: str, form: tuple[str, ...]
+) -> None:
+    make_log(log := tmp_path / "run.mcap", events=[Event(7, "elsewhere", Level.INFO, "by another release")])
+    known = "left, right, plant, recorder, elsewhere"
+    done = coop("events", log, "--arm", "right", "--arm", name, *form)
+    assert (done.code, done.out) == (2, "")
+    assert done.err == f"coop: log {log}: found '{name}', expected one of {known}; {remedy}\n"
+    assert coop("events", log, "--arm", "elsewhere").out.endswith("by another release\n")
+
+
+def test_an_arm_of_the_cell_that_a_log_has_nothing_of_is_no_stranger(tmp_path: Path) -> None:
+    log = write_run(tmp_path / "run.mcap", PAPER, {"left": rows_of(-1.0)})
+    assert coop("events", log, "--arm", "right").code == 0
 
 
 # grasps
