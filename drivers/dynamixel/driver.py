@@ -148,8 +148,8 @@ class DynamixelDriver:
 
     def disable(self) -> None:
         """Torque off, where this driver switched it on.  Safe in any state, twice, and on a dead bus."""
-        if self._port.is_open and self._has_commanded:
-            with contextlib.suppress(DriverError):  # a dead bus has no torque to switch off from here
+        if self._has_commanded:
+            with contextlib.suppress(DriverError):  # a dead bus, or closed port, has no torque to switch off from here
                 torque_off(self._bus, self.arm)
         if self._phase is Phase.ENABLED:
             self._phase = Phase.CONNECTED

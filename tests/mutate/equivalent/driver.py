@@ -127,11 +127,6 @@ DRIVER: Entries = {
             "self._begin_ns = 0",
             "self._begin_ns = 1",
         ): "before the first read either is an instant long past",
-        (
-            "DynamixelDriver.disable",
-            "if self._port.is_open:",
-            "if True:",
-        ): "a closed port refuses what is written to it, and that is suppressed",
     },
     "drivers.dynamixel.line.codec": {
         ("unstuff", "if _UNSTUFFED not in body:", "if False:"): _NOTHING_TO_UNSTUFF,
