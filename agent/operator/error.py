@@ -1,4 +1,4 @@
-"""The refusal of an operator's word."""
+"""The refusals of an operator's word."""
 
 from __future__ import annotations
 
@@ -9,3 +9,9 @@ class ControlError(Refusal):
     """An operator's request was not accepted."""
 
     exit_code = 7
+
+
+class InstantError(ControlError):
+    """A command line that names no instant, two of them, or one that cannot be read; no arm has been asked."""
+
+    exit_code = 2

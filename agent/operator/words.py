@@ -18,7 +18,7 @@ from agent.config.cell import Cell
 from agent.host.clock import ClockState
 from agent.modes import Mode
 from agent.operator.ask import REPLY_TIMEOUT_S, Heard, ask_arms
-from agent.operator.error import ControlError
+from agent.operator.error import ControlError, InstantError
 from agent.operator.local import has_other_hosts, judge_clock, named, places
 from agent.operator.message import Reply, Request
 from agent.operator.session_table import SESSION
@@ -217,15 +217,16 @@ def _require_time(request: Request) -> None:
 
 
 def _instant(verb: Verb, at: str | None, in_s: float | None) -> datetime:
+    """The instant that a command line names.  Raises InstantError."""
     now = datetime.now(UTC)
     if (at is None) == (in_s is None):
-        raise ControlError(verb.value, found="no instant, or two", expected="--at or --in", remedy="e.g. --in 5")
+        raise InstantError(verb.value, found="no instant, or two", expected="--at or --in", remedy="e.g. --in 5")
     if in_s is not None:
         return now + timedelta(seconds=in_s)
     try:
         clock = datetime.strptime(at or "", "%H:%M:%S").time()  # noqa: DTZ007 - the date is today's, in UTC
     except ValueError as error:
-        raise ControlError(
+        raise InstantError(
             verb.value, found=repr(at), expected="HH:MM:SS (UTC)", remedy="e.g. --at 14:30:00"
         ) from error
     return on_its_day(clock, now)

@@ -115,20 +115,21 @@ def test_a_start_by_sockets_from_a_host_that_the_cell_does_not_name_needs_the_ti
 
 
 @pytest.mark.parametrize(
-    ("at", "in_s", "complaint"),
+    ("at", "in_s", "complaint", "code"),
     [
-        (None, None, "no instant, or two"),
-        ("10:00:00", 1.0, "no instant, or two"),
-        ("noon", None, "'noon'"),
-        (None, 0.01, "at least 0.05 s from now"),
+        (None, None, "no instant, or two", 2),  # of the command line, as a wrong option is
+        ("10:00:00", 1.0, "no instant, or two", 2),
+        ("noon", None, "'noon'", 2),
+        (None, 0.01, "at least 0.05 s from now", 7),
     ],
 )
 def test_an_instant_that_makes_no_sense_is_one_line(
-    home: Path, at: str | None, in_s: float | None, complaint: str
+    home: Path, at: str | None, in_s: float | None, complaint: str, code: int
 ) -> None:
     """C5."""
-    with pytest.raises(ControlError, match=complaint):
+    with pytest.raises(ControlError, match=complaint) as refused:
         start_arms(load_cell(PAPER), at, in_s, [], Here(GOOD), print)
+    assert refused.value.exit_code == code
 
 
 @pytest.mark.parametrize(("clock", "told"), [(GOOD, 2e-4), (ClockState(synchronised=False, max_error_s=16.0), None)])
