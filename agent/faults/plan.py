@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Annotated, Any, Final
 
-from pydantic import AfterValidator, Field, ValidationError
+from pydantic import AfterValidator, Field, ValidationError, ValidationInfo, field_validator
 
 from agent.config.files import CellFiles
 from agent.config.schema.driver import DriverKind
@@ -141,6 +141,14 @@ class Injection(Strict):
     at_s: Annotated[float, Field(ge=0.0, le=1e6)] = 1.0
     for_s: Annotated[float, Field(gt=0.0, allow_inf_nan=True)] = math.inf
     size: Annotated[float, Field(gt=0.0, le=1e6)] | None = None  # in the unit of POSSIBLE; None: as it says
+
+    @field_validator("size")
+    @classmethod
+    def _has_size(cls, size: float | None, info: ValidationInfo) -> float | None:
+        name = info.data.get("fault")
+        if size is not None and name is not None and not POSSIBLE[_NAMED[name]].unit:
+            raise wrong("", found=size, expected=f"no size: {name} has none", remedy="leave it out")
+        return size
 
     @property
     def target(self) -> Target:

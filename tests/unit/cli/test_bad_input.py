@@ -98,6 +98,7 @@ OTHERS = {
     "faults inject --at nan": ("faults", "inject", PAPER, "bus-off", "--at", "nan"),
     "faults inject --for 0": ("faults", "inject", PAPER, "bus-off", "--for", "0"),
     "faults inject --size -1": ("faults", "inject", PAPER, "bus-delayed", "--size", "-1"),
+    "faults inject --size of none": ("faults", "inject", PAPER, "servo-off", "--size", "5"),
     "faults inject after the end": ("faults", "inject", PAPER, "bus-off", "--at", "2", "--duration", "2"),
     "faults inject --duration nan": ("faults", "inject", PAPER, "bus-off", "--duration", "nan"),
     "faults inject --out a file": ("faults", "inject", PAPER, "bus-off", "--out", "a_file"),

@@ -41,6 +41,15 @@ def test_what_cannot_be_is_refused_in_words() -> None:
     assert injection("bus-off", size=None, for_s=None).for_s == math.inf
 
 
+def test_a_size_is_refused_where_a_fault_has_none() -> None:
+    for name, possible in zip(NAMES, POSSIBLE.values(), strict=True):
+        if possible.unit:
+            assert injection(name, size=0.5).amount == 0.5
+        else:
+            with pytest.raises(FaultPlanError, match=rf"fault {name}: size: found 5.*no size: {name} has none"):
+                injection(name, size=5.0)
+
+
 def test_a_fault_that_would_begin_after_the_run_is_refused() -> None:
     require_happens([Injection(fault="bus-off", at_s=1.9)], 2.0)
     with pytest.raises(FaultPlanError, match=r"fault bus-off at 2 s: found a run of 2 s.*longer --duration"):
