@@ -74,6 +74,7 @@ OTHERS = {
     "run --duration inf": ("run", PAPER, "--duration", "inf"),
     "run --duration -1": ("run", PAPER, "--duration", "-1"),
     "run --duration 0": ("run", PAPER, "--duration", "0"),
+    "run --duration of no cycle": ("run", PAPER, "--duration", "0.001"),
     "run --seed text": ("run", PAPER, "--seed", "x"),
     "run --faults without --wire": ("run", PAPER, "--faults", "x"),
     "run --out under a file": ("run", PAPER, "--out", "a_file/out"),
