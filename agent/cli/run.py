@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import select
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -33,6 +34,27 @@ class _Terminal:
 
     def tell(self, text: str) -> None:
         note(text)
+
+
+def _require_use(of_real_arms: Mapping[str, bool], ways: Mapping[str, bool], *, real_arms: bool) -> None:
+    """Raise RunError for an option that would change nothing; by option, whether it was given.
+
+    of_real_arms: those of real arms alone; ways: those that say what moves the arms, and how fast time passes.
+    """
+    from agent.process.folder import RunError
+
+    given = [option for option, was_given in of_real_arms.items() if was_given]
+    if given and not real_arms:
+        raise RunError(
+            ", ".join(given), found="a run without --real-arms", expected="real arms",
+            remedy="add --real-arms, or leave it out",
+        )  # fmt: skip
+    given = [option for option, was_given in ways.items() if was_given]
+    if len(given) > 1:
+        raise RunError(
+            " with ".join(given), found=f"{len(given)} ways to run the cell", expected="one of them",
+            remedy=f"leave out {' or '.join(given)}",
+        )  # fmt: skip
 
 
 def run(
@@ -84,6 +106,12 @@ def run(
     from agent.report.bounds import require_bounds
     from agent.telemetry.link.session import FREE_PORT
 
+    _require_use(
+        {"--gripper-empty": gripper_empty, "--priority": priority is not None,
+         "--allow-no-realtime": allow_no_realtime, "--emulated": emulated},
+        {"--real-time": real_time, "--wire": wire, "--hil": hil is not None, "--real-arms": real_arms and hil is None},
+        real_arms=real_arms,
+    )  # fmt: skip
     requested = StopFlag()
     kind = RunKind.WIRE if wire else RunKind.REAL_TIME if real_time else RunKind.LOCKSTEP
     if hil is not None:

@@ -254,6 +254,24 @@ def test_any_other_bad_word_is_one_line(folder: Path, case: str) -> None:
     assert list((folder / "a_folder").iterdir()) == []
 
 
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--priority", "5"], "--priority: found a run without --real-arms"),
+        (["--gripper-empty", "--emulated"], "--gripper-empty, --emulated: found a run without --real-arms"),
+        (["--hil", "left", "--allow-no-realtime"], "--allow-no-realtime: found a run without --real-arms"),
+        (["--real-time", "--wire"], "--real-time with --wire: found 2 ways to run the cell, expected one of them"),
+        (["--wire", "--hil", "left"], "--wire with --hil: found 2 ways"),
+        (["--real-time", "--real-arms"], "--real-time with --real-arms: found 2 ways"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_an_option_of_a_run_that_would_change_nothing_is_refused(folder: Path, options: list[str], told: str) -> None:
+    done = coop("run", PAPER, "--duration", "0.001", *options)  # which is refused later
+    assert (done.code, done.out) == (2, "")
+    assert done.err.startswith(f"coop: {told}")
+
+
 def test_no_command_is_forgotten() -> None:
     seen = {
         tuple(words[: 2 if words[0] in ("motors", "faults") else 1]) for words in (*READS.values(), *OTHERS.values())
