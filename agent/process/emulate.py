@@ -21,6 +21,7 @@ from drivers.clock import MonotonicClock
 from drivers.fingers import Fingers
 from drivers.interface import Refusal, Vector
 from sim_backend.wire.cell import EmulatedCell
+from sim_backend.wire.faults import read_lines
 from sim_backend.wire.lone_world import emulate_alone
 from sim_backend.wire.plant_world import PlantWorld, emulate
 from sim_backend.wire.serve import ServeOptions, Server, serve
@@ -46,6 +47,14 @@ def wiring(arm: Arm, index: int, baud: int) -> ArmWiring:
     )  # fmt: skip
 
 
+def require_faults(path: Path, arms: Sequence[Arm]) -> None:
+    """Raise FaultError unless the file can be read and is about servos of these arms."""
+    joints = {arm.name: wiring(arm, 0, arm.baud).joints for arm in arms}
+    read_lines(
+        path, {name: {wired.servo_id for joint in each for wired in joint.servos} for name, each in joints.items()}
+    )
+
+
 def run_emulate_alone(
     cell: Cell, options: ServeOptions, *, timing: bool, stop: StopFlag, ready: Callable[[str], None]
 ) -> str:
@@ -60,8 +69,8 @@ def run_emulate_alone(
     arms = [(i, wiring(arm, place, arm.baud)) for place, (i, arm) in enumerate(chosen)]
     emulated, _ = emulate_alone(lone_spec(cell, report.q_start), arms, timing=BusTiming() if timing else None)
     ports = {arm.name: options.ports[arm.name] for _, arm in chosen}
-    ready(f"arms={','.join(ports)}")
-    return f"emulator: {_served(emulated, replace(options, ports=ports), stop).laps} laps, arms on their own"
+    server = _served(emulated, replace(options, ports=ports), stop, lambda: ready(f"arms={','.join(ports)}"))
+    return f"emulator: {server.laps} laps, arms on their own"
 
 
 def gripping(cell: Cell, q_start: Sequence[Vector], timing: BusTiming | None) -> tuple[EmulatedCell, PlantWorld]:
@@ -111,7 +120,7 @@ def run_emulate(
 
     options: ports, faults and control socket; what becomes of a tick is added.  timing: False answers at once, not at
     the pace of the bus.  begin: how the arms begin.  utc_offset_ns: UTC minus CLOCK_MONOTONIC as the run has found it;
-    None: as it is now.  Raises Refusal.
+    None: as it is now.  ready: told once faults are read and ports are there.  Raises Refusal.
     """
     report = examine(cell)
     report.require()
@@ -124,17 +133,17 @@ def run_emulate(
 
         every_ns = round(1e9 / cell.file.simulation.observe_rate_hz)
         try:
-            ready(f"ring={ring}")
-            server = _served(emulated, replace(options, on_tick=on_tick, tick_ns=every_ns), stop)
+            ticking = replace(options, on_tick=on_tick, tick_ns=every_ns)
+            server = _served(emulated, ticking, stop, lambda: ready(f"ring={ring}"))
         finally:
             rows.finish()
         return f"emulator: {server.laps} laps, {rows.written} observations"
 
 
-def _served(emulated: EmulatedCell, options: ServeOptions, stop: StopFlag) -> Server:
-    """Serve until a stop.  Raises EmulateError."""
+def _served(emulated: EmulatedCell, options: ServeOptions, stop: StopFlag, ready: Callable[[], None]) -> Server:
+    """Serve until a stop.  Raises EmulateError, FaultError."""
     try:
-        return serve(emulated, options, stop)
+        return serve(emulated, options, stop, ready)
     except (OSError, UnicodeDecodeError) as error:
         raise EmulateError(
             "ports, faults file or control socket of the emulated servos",

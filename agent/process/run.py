@@ -12,7 +12,7 @@ from agent.process.children import Children
 from agent.process.folder import LOG_NAME, RunError, output_folder
 from agent.process.progress import Progress
 from agent.process.real_arms import RealArms, RealChildren
-from agent.process.rehearse import require_wall_clock
+from agent.process.rehearse import in_the_loop, require_wall_clock
 from agent.process.run_folder import rings_bytes, run_folder
 from agent.process.run_kind import RunKind
 from agent.report.results import Results
@@ -83,6 +83,8 @@ def _examined(options: RunOptions, progress: Progress) -> Cell:
     require_wall_clock(cell, real_time=options.kind is RunKind.HIL, found=f"a run in {options.kind.value}")
     if options.real is not None:
         options.real.require(cell, options.faults)
+    if options.faults is not None:
+        _require_faults(options.faults, cell, options.kind)
     progress.phase("checking")
     examine(cell, wired=options.kind.has_servos).require()
     return cell
@@ -130,6 +132,13 @@ def _cell_of(options: RunOptions) -> Cell:
             expected=f"one cycle at least, {1.0 / cell.file.rate_hz:g} s", remedy="lengthen the run",
         )  # fmt: skip
     return cell
+
+
+def _require_faults(path: Path, cell: Cell, kind: RunKind) -> None:
+    """Raise FaultError unless the file is about servos that this run emulates."""
+    from agent.process.emulate import require_faults  # noqa: PLC0415 - emulated servos, which few runs have fail
+
+    require_faults(path, [arm for arm in cell.arms if kind is RunKind.WIRE or in_the_loop(cell, arm.name)])
 
 
 def _children(options: RunOptions, cell: Cell, log: Path, runtime: Path) -> Children:

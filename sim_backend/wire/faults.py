@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
@@ -98,15 +98,39 @@ def parse_lines(text: str) -> list[Fault]:
     return [Fault.parse(line) for line in lines if line and not line.startswith("#")]
 
 
-def read_lines(path: Path) -> list[Fault]:
-    """Faults of the command file at `path`.  Raises FaultError."""
+def require_known(faults: Iterable[Fault], servos: Mapping[str, Collection[int]]) -> None:
+    """Raise FaultError for an arm or a servo that is not there; servos: IDs by arm."""
+    for fault in faults:
+        if fault.arm not in servos:
+            raise FaultError(
+                "fault command: arm", found=repr(fault.arm), expected=" or ".join(servos),
+                remedy="name an arm of this cell",
+            )  # fmt: skip
+        if fault.servo is not None and fault.servo not in servos[fault.arm]:
+            raise FaultError(
+                f"fault command: servo of arm {fault.arm}", found=fault.servo,
+                expected=f"one of {sorted(servos[fault.arm])}", remedy="name an ID of this arm",
+            )  # fmt: skip
+
+
+def read_lines(path: Path, servos: Mapping[str, Collection[int]]) -> list[Fault]:
+    """Faults of the command file at `path`, all of servos that are there; servos: IDs by arm.
+
+    Raises FaultError, which names the file.
+    """
     try:
-        return parse_lines(path.read_text(encoding="utf-8"))
+        faults = parse_lines(path.read_text(encoding="utf-8"))
+        require_known(faults, servos)
     except (OSError, UnicodeDecodeError) as error:
         raise FaultError(
             f"faults file {path}", found=error.strerror if isinstance(error, OSError) else "bytes that are no text",
             expected="a readable file, one JSON object per line", remedy="name another with --faults",
         ) from error  # fmt: skip
+    except FaultError as error:
+        raise FaultError(
+            f"faults file {path}, {error.what}", found=error.found, expected=error.expected, remedy=error.remedy
+        ) from error
+    return faults
 
 
 @dataclass(slots=True)

@@ -8,7 +8,15 @@ from typing import Protocol
 
 from drivers.dynamixel.servo.codes import HardwareError
 from sim_backend.wire.arm import EmulatedArm
-from sim_backend.wire.faults import REPLY_FAULTS, Fault, FaultError, FaultKind, FaultSchedule, ReplyTamper, Scheduled
+from sim_backend.wire.faults import (
+    REPLY_FAULTS,
+    Fault,
+    FaultKind,
+    FaultSchedule,
+    ReplyTamper,
+    Scheduled,
+    require_known,
+)
 from sim_backend.wire.servo import Servo
 
 log = logging.getLogger(__name__)
@@ -40,17 +48,14 @@ class Injector:
         self._babble_ns: int | None = None
         self._from: dict[int, list[float]] = {}  # ramps: value of each servo when the fault began
 
+    @property
+    def servo_ids(self) -> frozenset[int]:
+        """IDs of the arm's servos."""
+        return frozenset(servo.id for servo in self.arm.bus.servos)
+
     def add(self, faults: Sequence[Fault], now_ns: int) -> None:
-        """Plan faults.  Raises FaultError for a servo this arm does not have; then none is planned."""
-        known = {servo.id for servo in self.arm.bus.servos}
-        for fault in faults:
-            if fault.servo is not None and fault.servo not in known:
-                raise FaultError(
-                    f"fault command: servo of arm {self.arm.name}",
-                    found=fault.servo,
-                    expected=f"one of {sorted(known)}",
-                    remedy="name an ID of this arm",
-                )
+        """Plan faults of this arm.  Raises FaultError for a servo it does not have; then none is planned."""
+        require_known(faults, {self.arm.name: self.servo_ids})
         self._schedule.add(faults, now_ns)
 
     def clear(self, now_ns: int) -> None:
@@ -160,14 +165,7 @@ def _switch_servo(servo: Servo, fault: Fault, on: bool, now_ns: int) -> None:
 
 
 def by_arm(injectors: Mapping[str, Injector], faults: Sequence[Fault], now_ns: int) -> None:
-    """Hand faults to the arms they name.  Raises FaultError for an unknown arm; then none is planned."""
-    for fault in faults:
-        if fault.arm not in injectors:
-            raise FaultError(
-                "fault command: arm",
-                found=repr(fault.arm),
-                expected=" or ".join(injectors),
-                remedy="name an arm of this cell",
-            )
+    """Hand faults to the arms they name.  Raises FaultError for an unknown arm or servo; then none is planned."""
+    require_known(faults, {name: injector.servo_ids for name, injector in injectors.items()})
     for name, injector in injectors.items():
         injector.add([fault for fault in faults if fault.arm == name], now_ns)

@@ -87,7 +87,8 @@ class Server:
 
     def __enter__(self) -> Server:
         """Create the ports.  Raises OSError, FaultError."""
-        faults = read_lines(self.options.faults_file) if self.options.faults_file else []
+        servos = {name: injector.servo_ids for name, injector in self._injectors.items()}
+        faults = read_lines(self.options.faults_file, servos) if self.options.faults_file else []
         with contextlib.ExitStack() as undo:
             undo.callback(self.close)
             for endpoint in self._endpoints:
@@ -198,11 +199,17 @@ def _listen(path: Path) -> socket.socket:
     return made
 
 
-def serve(cell: EmulatedCell, options: ServeOptions, stop: Callable[[], bool]) -> Server:
-    """Serve until `stop()` is true; return the server for its counters.  Raises OSError, FaultError, PlantError."""
+def serve(
+    cell: EmulatedCell, options: ServeOptions, stop: Callable[[], bool], ready: Callable[[], None] = lambda: None
+) -> Server:
+    """Serve until `stop()` is true; return the server for its counters.  Raises OSError, FaultError, PlantError.
+
+    ready: called once faults are read and ports are there.
+    """
     clock_ns = time.monotonic_ns
     cell.time_ns = clock_ns()
     with _punctual(), Server(cell, options, clock_ns) as server:
+        ready()
         while not stop():
             server.lap()
     return server

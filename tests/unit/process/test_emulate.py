@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,14 @@ import configs
 from agent.config.cell import load_cell
 from agent.config.servo_map import GRIPPER, fingers_of
 from agent.config.session import fingers, grip_width
-from agent.process.emulate import EmulateError, about_the_object, run_emulate, wiring, with_fingers
+from agent.process.emulate import (
+    EmulateError,
+    about_the_object,
+    run_emulate,
+    run_emulate_alone,
+    wiring,
+    with_fingers,
+)
 from sim_backend.wire.faults import FaultError
 from sim_backend.wire.serve import ServeOptions
 from tests.support.starts import start_joints
@@ -25,9 +33,9 @@ def options(folder: Path) -> ServeOptions:
     return ServeOptions(ports, faults_file=None, control_socket=None, seed=0)
 
 
-def emulate(given: ServeOptions, folder: Path) -> str:
+def emulate(given: ServeOptions, folder: Path, ready: Callable[[str], None] = lambda _: None) -> str:
     ring = folder / "ring"
-    return run_emulate(CELL, given, ring, timing=False, stop=lambda: True, ready=lambda _: None)  # type: ignore[arg-type]
+    return run_emulate(CELL, given, ring, timing=False, stop=lambda: True, ready=ready)  # type: ignore[arg-type]
 
 
 def test_ports_appear_in_a_folder_that_was_not_there(tmp_path: Path) -> None:
@@ -48,9 +56,32 @@ def test_what_cannot_be_used_is_refused(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("FILE").write_bytes(b"\xff")
+    told = list[str]()
     with pytest.raises((EmulateError, FaultError), match=found):
-        emulate(replace(options(tmp_path), **changes), tmp_path)
+        emulate(replace(options(tmp_path), **changes), tmp_path, told.append)
+    assert told == [], "nobody is told that it is ready"
     assert not (tmp_path / "ports" / "left").exists()
+
+
+def test_who_hears_that_it_is_ready_finds_its_ports(tmp_path: Path) -> None:
+    given, seen = options(tmp_path), list[bool]()
+    emulate(given, tmp_path, lambda _: seen.append(all(port.exists() for port in given.ports.values())))
+    assert seen == [True]
+
+
+def test_arms_on_their_own_are_ready_with_their_ports(tmp_path: Path) -> None:
+    cell = load_cell(configs.CELLS_DIR / "paper_real.toml", ['hil.arms=["left"]'])
+    given, seen = options(tmp_path), list[bool]()
+
+    def ready(what: str) -> None:
+        seen.append(given.ports["left"].exists() and not given.ports["right"].exists() and what == "arms=left")
+
+    run_emulate_alone(cell, given, timing=False, stop=lambda: True, ready=ready)  # type: ignore[arg-type]
+    with pytest.raises(FaultError, match=r"faults file none\.jsonl: found No such file"):
+        run_emulate_alone(
+            cell, replace(given, faults_file=Path("none.jsonl")), timing=False, stop=lambda: True, ready=ready,  # type: ignore[arg-type]
+        )  # fmt: skip
+    assert seen == [True]
 
 
 def test_a_gripper_that_can_close_is_given_to_that_joint_alone_and_stands_where_it_is_told_to() -> None:

@@ -6,9 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from agent.process.folder import RunError
+from agent.config.cell import load_cell
+from agent.process.emulate import gripping, require_faults
+from agent.process.folder import LOG_NAME, RunError
 from agent.process.run import RunOptions, _cell_of
 from agent.process.run_kind import RunKind
+from sim_backend.wire.faults import FaultError
+from tests.support.command import coop
+from tests.support.starts import start_joints
 
 
 def options(duration_s: float) -> RunOptions:
@@ -23,3 +28,54 @@ def test_a_run_of_no_cycle_is_refused(duration_s: float) -> None:
 
 def test_a_run_of_one_cycle_is_none_too_short() -> None:
     assert _cell_of(options(0.003)).file.duration_s == 0.003
+
+
+@pytest.mark.parametrize(
+    ("content", "words", "told"),
+    [
+        (None, ["--wire"], "faults file faults.json: found No such file"),
+        (b"\xff\x00", ["--wire"], "faults file faults.json: found bytes that are no text"),
+        (b"nonsense", ["--wire"], "faults file faults.json, fault command: line: found 'nonsense'"),
+        (
+            b'{"kind": "drop", "arm": "middle"}', ["--wire"],
+            "faults file faults.json, fault command: arm: found 'middle', expected left or right",
+        ),
+        (
+            b'{"kind": "drop", "arm": "left", "servo": 99}', ["--wire"],
+            "faults file faults.json, fault command: servo of arm left: found 99, expected one of [1, 2, 3, ",
+        ),
+        (
+            b'{"kind": "drop", "arm": "right"}', ["--hil", "left"],
+            "faults file faults.json, fault command: arm: found 'right', expected left",
+        ),
+    ],
+    ids=["none", "no text", "no JSON", "arm", "servo", "arm that is not in the loop"],
+)  # fmt: skip
+def test_faults_that_cannot_be_are_refused_before_an_earlier_run_is_removed(
+    tmp_path: Path, content: bytes | None, words: list[str], told: str
+) -> None:
+    log = tmp_path / "out" / LOG_NAME
+    log.parent.mkdir()
+    log.write_bytes(b"of an earlier run")
+    if content is not None:
+        (tmp_path / "faults.json").write_bytes(content)
+    line = ["run", "paper_real", *words, "--faults", "faults.json", "--duration", "1", "--out", "out", "--force"]
+    done = coop(*line, cwd=tmp_path)
+    assert (done.code, done.out) == (2, "")
+    assert done.err.startswith(f"coop: {told}")
+    assert [path.name for path in log.parent.iterdir()] == [LOG_NAME]
+    assert log.read_bytes() == b"of an earlier run"
+
+
+@pytest.mark.parametrize("cell_name", ["paper_real", "two_wx200"])
+def test_faults_may_be_of_every_servo_that_a_run_emulates(tmp_path: Path, cell_name: str) -> None:
+    cell, path = load_cell(Path(cell_name)), tmp_path / "faults.json"
+    emulated, _ = gripping(cell, start_joints(cell), None)
+    for arm in emulated.arms:
+        for servo in range(20):
+            path.write_text(f'{{"kind": "mute", "arm": "{arm.name}", "servo": {servo}}}')
+            if servo in {each.id for each in arm.bus.servos}:
+                require_faults(path, cell.arms)
+            else:
+                with pytest.raises(FaultError, match=f"found {servo}, "):
+                    require_faults(path, cell.arms)
