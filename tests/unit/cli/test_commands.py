@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 import re
 import subprocess
 import sys
@@ -104,12 +105,43 @@ def test_a_wrong_command_line_is_one_line(words: list[str], line: str) -> None:
 
 
 def test_the_installed_command_and_the_module_are_the_same(tmp_path: Path) -> None:
-    assert PROJECT["scripts"] == {"coop": "agent.cli.main:main"}
+    assert PROJECT["scripts"] == {"coop": "agent.cli.__main__:main"}
     shown = [
         subprocess.run([sys.executable, *how, "--version"], capture_output=True, text=True, timeout=60).stdout
-        for how in (["-m", "agent.cli"], ["-c", "from agent.cli.main import main; main()"])
+        for how in (["-m", "agent.cli"], ["-c", "from agent.cli.__main__ import main; main()"])
     ]
     assert shown == [f"coop {PROJECT['version']}\n"] * 2
+
+
+@pytest.mark.parametrize(
+    ("before", "ended"),
+    [("", (130, "", "")), ("trap '' INT; ", (3, "goes on\n", ""))],  # as a script has what it runs in background
+    ids=["heard", "ignored"],
+)
+def test_ctrl_c_while_the_command_loads_ends_it_without_a_word(
+    tmp_path: Path, before: str, ended: tuple[int, str, str]
+) -> None:
+    loads = "import signal, sys\nsignal.raise_signal(signal.SIGINT)\nprint('goes on')\nsys.exit(3)\n"
+    (tmp_path / "typer.py").write_text(loads)  # in the place of the first thing that takes long to load
+    done = subprocess.run(
+        ["sh", "-c", f'{before}exec "$0" -m agent.cli', sys.executable], env=os.environ | {"PYTHONPATH": str(tmp_path)},
+        capture_output=True, text=True, timeout=60,
+    )  # fmt: skip
+    assert (done.returncode, done.stdout, done.stderr) == ended
+
+
+def test_ctrl_c_before_a_line_is_read_ends_the_command_without_a_word() -> None:
+    code = "import signal, agent.cli.main as m\nfrom agent.cli.__main__ import main\n"
+    code += "m.settle = lambda: print(signal.raise_signal(signal.SIGINT))\nmain()\n"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+
+
+def test_a_command_that_runs_hears_ctrl_c_as_python_does() -> None:
+    code = "import signal, agent.cli.main as m\nfrom agent.cli.__main__ import main\n"
+    code += "m.settle = lambda: print(signal.getsignal(signal.SIGINT) is signal.default_int_handler)\nmain()\n"
+    done = subprocess.run([sys.executable, "-c", code, "--version"], capture_output=True, text=True, timeout=60)
+    assert done.stdout.startswith("True\ncoop ")
 
 
 @pytest.mark.parametrize(
