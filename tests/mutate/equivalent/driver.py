@@ -128,6 +128,13 @@ DRIVER: Entries = {
             "self._begin_ns = 1",
         ): "before the first read either is an instant long past",
     },
+    "drivers.dynamixel.interpret": {
+        (
+            "Interpreter.__init__",
+            "self._unseen_cycles = [0] * len(drives)",
+            "self._unseen_cycles = [1] * len(drives)",
+        ): "until a joint is seen first its speed is zero, and then this is zero, too",
+    },
     "drivers.dynamixel.line.codec": {
         ("unstuff", "if _UNSTUFFED not in body:", "if False:"): _NOTHING_TO_UNSTUFF,
         ("unstuff", "return body", "pass"): _NOTHING_TO_UNSTUFF,

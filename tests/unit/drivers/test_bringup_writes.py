@@ -96,6 +96,13 @@ def test_arming_again_writes_no_register_that_carries_no_torque_of_this_arm() ->
     assert [address for address, _ in written(rig)] == [WATCHDOG, CURRENT, POSITION, WATCHDOG]
 
 
+def test_arming_an_arm_again_that_holds_no_joint_writes_no_place() -> None:
+    rig = enabled(at(WX200, joints=WX200.controlled))
+    written(rig)
+    rig.driver.rearm()
+    assert [address for address, _ in written(rig)] == [WATCHDOG, CURRENT, PWM, WATCHDOG]
+
+
 def test_torque_goes_off_twice_with_silence_between() -> None:
     rig = enabled()
     written(rig)

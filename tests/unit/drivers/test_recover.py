@@ -22,6 +22,7 @@ from tests.support.servos.dxl_rig import WX200, build, enabled
 PING, READ, SYNC_READ, FAST_SYNC_READ, SYNC_WRITE = 0x01, 0x02, 0x82, 0x8A, 0x83
 ASKING = {PING, READ, SYNC_READ, FAST_SYNC_READ}
 ARMED = 10  # of the register, for 0.2 s
+NOISE_S = 0.15  # that a babbling line takes of it beside
 HELD = 4  # questions: where the waist is; where the gripper is, and its limits
 IDS = [slot.servo_id for slot in WX200.slots]
 TAU = np.array([0.3, -0.2, 0.1, 0.05])
@@ -161,7 +162,7 @@ def test_an_arm_is_brought_back_or_not_within_what_its_guard_waits_for(every: in
         begin_ns = rig.clock.now_ns()
         with contextlib.suppress(DriverError):
             rig.driver.recover()
-        assert rig.clock.now_ns() - begin_ns < BUSY_S * 1e9
+        assert rig.clock.now_ns() - begin_ns < (BUSY_S - NOISE_S) * 1e9
 
 
 def test_a_watchdog_that_is_said_to_have_fired_and_has_not_is_forgotten() -> None:
@@ -298,6 +299,8 @@ def test_an_arm_whose_arming_failed_is_armed_again_whatever_its_watchdogs_say_an
     assert steps(rig).has_stopped(half_armed=True) is True, "some goals may be old ones"
     rig.put(5, table.BUS_WATCHDOG, 0)
     assert steps(rig).has_stopped() is False
+    rig.put(4, table.BUS_WATCHDOG, WATCHDOG_TRIPPED)
+    assert steps(rig).has_stopped() is True, "one is enough"
     assert steps(rig).has_stopped(half_armed=True) is True
 
 
