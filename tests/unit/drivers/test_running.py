@@ -306,6 +306,15 @@ def test_nothing_of_an_arm_that_was_connected_is_armed_in_part(bench: Bench) -> 
 # --- faults ----------------------------------------------------------------------------------------------------------
 
 
+def test_a_trip_that_is_forgotten_is_new_when_it_comes_again_and_nothing_else_is(bench: Bench) -> None:
+    running = bench.alone()
+    trip, other = fault(FaultCause.WATCHDOG_TRIPPED, 4), fault(FaultCause.SILENT, 5)
+    assert running.faults(reading(trip, other), []) == [trip, other]
+    assert running.faults(reading(trip, other), []) == []
+    running.forget_trips()
+    assert running.faults(reading(trip, other), []) == [trip]
+
+
 def test_faults_of_the_monitor_and_of_the_cycle_are_both_taken_and_the_known_kept(bench: Bench) -> None:
     running = bench.alone()
     old, seen, read = (fault(FaultCause.SILENT, i) for i in (1, 2, 3))
