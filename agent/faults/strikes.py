@@ -115,8 +115,6 @@ def _require_sense(fault: Injection) -> None:
             f"{what}: how long", found=f"{fault.for_s:g} s", expected="nothing: a stranger sends one burst, at once",
             remedy="leave --for out",
         )  # fmt: skip
-    if fault.size is not None and not fault.possible.unit:
-        raise FaultPlanError(f"{what}: size", found=fault.size, expected="none", remedy="leave --size out")
     if fault.kind is Kind.INTERMITTENT and fault.amount >= 1.0:
         raise FaultPlanError(
             f"{what}: size", found=f"{fault.amount:g} of the time", expected="a share below 1",

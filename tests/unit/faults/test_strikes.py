@@ -100,7 +100,6 @@ def test_deeds_of_one_instant_are_done_together_and_all_in_order_of_time() -> No
         (of("telemetry-garbage", for_s=1.0), r"telemetry-garbage: how long: found 1 s, .*one burst.*; leave --for out"),
         (of("telemetry-wrong", for_s=1.0), r"telemetry-wrong: how long: found 1 s, .*; leave --for out"),
         (of("telemetry-wrong", arm="plant"), r"telemetry-wrong: arm: found plant, .*; name an arm with --arm"),
-        (of("telemetry-off", size=2.0), r"telemetry-off: size: found 2.0, expected none; leave --size out"),
         (of("telemetry-intermittent", size=1.0), r"found 1 of the time, .* below 1; .*telemetry-stuck"),
         (of("recorder-intermittent", size=1.5), r"found 1.5 of the time, .* below 1; .*recorder-stuck"),
         (of("telemetry-off", arm="middle"), r"found middle, expected left or right or plant"),
