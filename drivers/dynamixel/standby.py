@@ -15,7 +15,7 @@ import numpy as np
 from drivers.dynamixel.arm_map import ArmMap
 from drivers.dynamixel.driver import DynamixelDriver, Phase
 from drivers.dynamixel.errors import DxlServoFault, FaultCause, PortLostError, WriteTimeoutError
-from drivers.dynamixel.line.group import GroupRead, Row
+from drivers.dynamixel.line.group import Row
 from drivers.dynamixel.monitor import Page
 from drivers.dynamixel.running import Running
 from drivers.dynamixel.servo.codes import WATCHDOG_TRIPPED
@@ -107,10 +107,10 @@ class StandbyDriver(DynamixelDriver):
         self._phase = Phase.ENABLED
         self._has_commanded = True
         # one that is off was being armed again: nothing would stop that servo
-        tripped = [i for i, row in rows.items() if row[4] == WATCHDOG_TRIPPED or (row[1] and row[4] == 0)]
+        tripped = [i for i, row in rows.items() if row[3] == WATCHDOG_TRIPPED or (row[0] and row[3] == 0)]
         if not brings_back and (tripped or not rows):
             self.limp = True
-        elif tripped and all(row[1] for row in rows.values()):
+        elif tripped and all(row[0] for row in rows.values()):
             return self._brought_back(tripped[0], len(torques))
         return np.array(torques)
 
@@ -133,9 +133,7 @@ class StandbyDriver(DynamixelDriver):
         rows: dict[int, Row] = {}
         for _ in range(ATTEMPTS):
             self._quiet()
-            group = GroupRead(*Page.STATUS.value, ids, fast=False)  # one that is silent does not hide the others
-            reply = self._bus.exchange(group, self._clock.now_ns() + ATTEMPT_NS).reply
-            rows |= {i: row for i, row in zip(ids, reply.rows, strict=True) if row is not None and not row[0] & 0x7F}
+            rows |= self._bus.read_all(*Page.STATUS.value, ids, ATTEMPT_NS)
             ids = [i for i in ids if i not in rows]
             if not ids:
                 break
@@ -152,7 +150,7 @@ class StandbyDriver(DynamixelDriver):
         controlled = {i for joint in self.arm.controlled for i in joint.ids}
         said = {i: row for i, row in rows.items() if i in controlled}
         if said and not any(_ours(row) for row in said.values()):
-            found = ", ".join(f"servo {i}: torque {row[1]}, LED {row[2]}" for i, row in sorted(said.items()))
+            found = ", ".join(f"servo {i}: torque {row[0]}, LED {row[1]}" for i, row in sorted(said.items()))
             raise AdoptError(
                 f"arm {self.arm.arm}", found=found, expected="servos with torque on, as this arm was left",
                 remedy="support the object: nothing holds it any more; start the arm again",
@@ -161,5 +159,5 @@ class StandbyDriver(DynamixelDriver):
 
 def _ours(row: Sequence[int]) -> bool:
     """Whether torque is on and the mark of bring-up (the LED) is there; see `monitor.status_bytes`."""
-    _, torque, led, *_ = row
+    torque, led, *_ = row
     return torque == 1 and led == 1

@@ -110,11 +110,12 @@ class Bus:
         what = f"read of {length} bytes at {address}"
         return self._ask(codec.read(servo_id, address, length), servo_id, length, what, ATTEMPTS).params
 
-    def read_all(self, address: int, fields: str, servo_ids: Sequence[int]) -> dict[int, Row]:
-        """Fields as of `GroupRead`, by ID, of the servos that answer one question to all, asked once."""
-        group = GroupRead(address, fields, servo_ids, fast=False)
-        self.port.discard_input()
-        rows = self.exchange(group, self._clock.now_ns() + REPLY_WAIT_NS).reply.rows
+    def read_all(
+        self, address: int, fields: str, servo_ids: Sequence[int], wait_ns: int = REPLY_WAIT_NS
+    ) -> dict[int, Row]:
+        """Fields as of `GroupRead`, by ID, of the servos that answer one question to all.  Once, on a quiet line."""
+        group = GroupRead(address, fields, servo_ids, fast=False)  # not fast: one that is silent hides no other
+        rows = self.exchange(group, self._clock.now_ns() + wait_ns).reply.rows
         found = zip(servo_ids, rows, strict=True)
         return {servo_id: row[1:] for servo_id, row in found if row is not None and not row[0] & ~ALERT_BIT}
 

@@ -143,6 +143,11 @@ def test_a_latency_test_replaces_an_earlier_one_and_nothing_else(tmp_path: Path)
 # identify
 
 
+each_of_its_files = pytest.mark.parametrize(
+    "name", few(("wx200.toml", "identify_wx200.png", "identify_wx200.json"), "wx200.toml".__eq__)
+)
+
+
 @pytest.fixture(scope="module")
 def found() -> Identified:
     cell = load_cell(configs.CELLS_DIR / "identify_wx200.toml")
@@ -150,7 +155,7 @@ def found() -> Identified:
     return identified(recording, Options(), fit(recording, Options()))
 
 
-@pytest.mark.parametrize("name", few(("wx200.toml", "identify_wx200.png", "identify_wx200.json"), "wx200.toml".__eq__))
+@each_of_its_files
 def test_identify_keeps_each_of_its_files(
     found: Identified, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
@@ -168,7 +173,7 @@ def test_identify_keeps_each_of_its_files(
     assert len(list(out.iterdir())) == 3
 
 
-@pytest.mark.parametrize("name", few(("wx200.toml", "identify_wx200.png", "identify_wx200.json"), "wx200.toml".__eq__))
+@each_of_its_files
 def test_identify_leaves_nothing_new_on_a_disk_that_is_full_and_can_be_repeated(
     found: Identified, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:

@@ -156,18 +156,23 @@ def test_an_agent_that_nobody_guards_says_so_where_it_runs_by_itself(
     assert [event.level for event in told] == [Level.WARN] * times
 
 
+def arm_with(guard: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Emulated servos for the agent, and that guard, which may be None."""
+    _, clock, servos = rig()
+    monkeypatch.setattr(process, "_reached", lambda *_: guard)
+    monkeypatch.setattr(process, "passed_on", lambda _: ((), {}))
+    monkeypatch.setattr(process, "build_driver", lambda *_: (servos, clock))
+
+
 @pytest.mark.fault("P7")
 @pytest.mark.parametrize("guarded", [True, False])
 def test_an_agent_says_why_nobody_goes_on_for_it_where_somebody_was_to(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, guarded: bool
 ) -> None:
-    _, clock, servos = rig()
     released = RunSummary(1, 0, 0, Mode.OFF, "", 0.0)
     guard = SimpleNamespace(missing="the guard hangs", watch=lambda *_, **__: None, leave=lambda: None)
     stood: list[Standing] = []
-    monkeypatch.setattr(process, "_reached", lambda *_: guard if guarded else None)
-    monkeypatch.setattr(process, "passed_on", lambda _: ((), {}))
-    monkeypatch.setattr(process, "build_driver", lambda *_: (servos, clock))
+    arm_with(guard if guarded else None, monkeypatch)
     monkeypatch.setattr(process, "_law", lambda *_: None)
     runner = SimpleNamespace(run=lambda _: released)
     monkeypatch.setattr(process, "_runner", lambda *given: stood.append(given[-1]) or runner)
@@ -180,7 +185,6 @@ def test_an_agent_says_why_nobody_goes_on_for_it_where_somebody_was_to(
 def test_an_agent_tells_its_guard_and_the_service_manager_before_it_brings_its_arm_back(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, guarded: bool
 ) -> None:
-    _, clock, servos = rig()
     told = list[str]()
     guard = SimpleNamespace(
         missing="", watch=lambda *_, **__: None, leave=lambda: None, busy=lambda: told.append("guard")
@@ -193,10 +197,8 @@ def test_an_agent_tells_its_guard_and_the_service_manager_before_it_brings_its_a
         around.busy()
         return SimpleNamespace(run=lambda _: released)
 
+    arm_with(guard if guarded else None, monkeypatch)
     monkeypatch.setattr(process, "Notifier", lambda: notified)
-    monkeypatch.setattr(process, "_reached", lambda *_: guard if guarded else None)
-    monkeypatch.setattr(process, "passed_on", lambda _: ((), {}))
-    monkeypatch.setattr(process, "build_driver", lambda *_: (servos, clock))
     monkeypatch.setattr(process, "Runner", runner)
     process.run_agent(CELL, options(tmp_path), StopFlag(), lambda _: None)
     assert told == ["guard"] * guarded
