@@ -52,6 +52,7 @@ MODES: Final = tuple(mode for mode in Mode if mode <= Mode.FAULT)  # of an agent
 _OF_SESSION = (Verb.APPROACH, Verb.GRASP, Verb.LOWER, Verb.PARK)
 _NO_SESSION = Effect(None, "it began with the object in its gripper", "start its agent with --whole, arms at rest")
 _AGAIN = "release it once the object is supported, and start its agent again"
+_UNBEGUN = "has no torque yet: it stays off, and its agent ends (a simulated arm begins all the same"
 _STOP_FIRST = "stop it first, support the object, then release it"
 
 
@@ -80,7 +81,7 @@ TABLE: Final[Mapping[Verb, Mapping[Mode, Effect]]] = MappingProxyType({
         Mode.FAULT: Effect(Mode.FAULT, "has nothing to take back"),
     }),
     Verb.STOP: _in_each({
-        Mode.OFF: Effect(Mode.OFF, "has nothing to stop"),
+        Mode.OFF: Effect(Mode.OFF, f"{_UNBEGUN}, and holds)"),
         Mode.READY: Effect(Mode.HOLD, "holds; a start that was given counts no more"),
         Mode.TRACK: Effect(Mode.HOLD, "holds the object where it is"),
         Mode.HOLD: Effect(Mode.HOLD, "goes on holding"),
@@ -88,7 +89,7 @@ TABLE: Final[Mapping[Verb, Mapping[Mode, Effect]]] = MappingProxyType({
         Mode.FAULT: Effect(Mode.FAULT, "cannot do more"),
     }),
     Verb.RELEASE: _in_each({
-        Mode.OFF: Effect(Mode.OFF, "has its torque off already"),
+        Mode.OFF: Effect(Mode.OFF, f"{_UNBEGUN})"),
         Mode.READY: Effect(None, "it waits for the start with torque on", _STOP_FIRST),
         Mode.TRACK: Effect(None, "it follows the trajectory", _STOP_FIRST),
         Mode.HOLD: Effect(Mode.OFF, "switches its torque off, and its agent ends"),

@@ -88,7 +88,7 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             stack.callback(control.close)
         ready(f"ring={options.ring}")
         tell = Teller(arm.name, texts)
-        guard = _reached(cell, options, stop)
+        guard = _reached(cell, options, stop, control)
         if guard is None and not options.lockstep:
             tell.event(Level.WARN, UNGUARDED)
         q_start = rest_joints(arm) if options.whole else report.q_start[cell.arms.index(arm)]
@@ -101,7 +101,7 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
                 become_realtime(options.priority)
             law = _law(cell, options, driver, tell)  # takes longer than the servos' watchdog waits on a busy host
             if options.driver is not DriverKind.SIM:  # for a simulated arm, which cannot fall, the others would wait
-                Unbegun.check(arm.name, stop)
+                Unbegun.check(arm.name, stop, control)
             driver.enable()
             begins = Mode.REST if options.whole else Mode.READY
             # the first state of a simulated arm needs all the others
@@ -145,7 +145,7 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
     return ArmLost.check(arm.name, summary, session=options.whole)
 
 
-def _reached(cell: Cell, options: AgentOptions, stop: StopFlag) -> Guarded | None:
+def _reached(cell: Cell, options: AgentOptions, stop: StopFlag, control: ControlSocket | None) -> Guarded | None:
     """The guard, with a plant that has its socket behind it.
 
     Raises GuardError where nobody listens in time, Unbegun where the agent was to end meanwhile.
@@ -153,7 +153,7 @@ def _reached(cell: Cell, options: AgentOptions, stop: StopFlag) -> Guarded | Non
     deadline_s = time.monotonic() + options.wait_s
 
     def waits() -> bool:
-        Unbegun.check(options.arm, stop)
+        Unbegun.check(options.arm, stop, control)
         if time.monotonic() >= deadline_s:
             return False
         time.sleep(LOOK_S)

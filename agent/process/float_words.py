@@ -27,8 +27,8 @@ class Words:
     ) -> None:
         """Listen at `path`; stop: the signals of this process.  Raises ControlError."""
         self._standing = Standing(options.arm)
-        self._control = ControlSocket(path, cell.fingerprint, self._standing)
-        self._operator = Operator(stop, self._control, clock, tell.event, drops_on_stop=False)
+        self.control = ControlSocket(path, cell.fingerprint, self._standing)
+        self._operator = Operator(stop, self.control, clock, tell.event, drops_on_stop=False)
         self._real = not options.connection.emulated
         self._accepts_late = options.no_realtime
 
@@ -57,4 +57,4 @@ class Words:
 
     def close(self) -> None:
         """Listen no more; twice is fine."""
-        self._control.close()
+        self.control.close()

@@ -62,7 +62,7 @@ def run_float(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
             # before the torque: from then on the servos' watchdogs run
             stops = partial(_stops, stop if words is None else words.stops, guard)
             loop = FloatLoop(floats, options, driver, clock, ring, stops, tell, texts, notifier, told=words)
-            Unbegun.check(arm.name, stop)
+            Unbegun.check(arm.name, stop, None if words is None else words.control)
             driver.enable()
             notifier.ready(TABLE[Mode.FLOAT if words is None else Mode.READY].says)
             if words is None:

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 from agent.host.signals import StopFlag
+from agent.operator.socket import ControlSocket
+from agent.operator.table import Verb
 from drivers.interface import Refusal
+
+_ENDING = {Verb.STOP, Verb.RELEASE}
 
 
 class Unbegun(Refusal):
@@ -12,9 +16,11 @@ class Unbegun(Refusal):
     exit_code = 130
 
     @classmethod
-    def check(cls, arm: str, stop: StopFlag) -> None:
-        """Asked right before the torque.  Raises Unbegun."""
-        if stop.stopped:
+    def check(cls, arm: str, stop: StopFlag, control: ControlSocket | None) -> None:
+        """Asked while the agent waits, and right before the torque: by signal or over its socket.  Raises Unbegun."""
+        if control is not None:
+            control.poll()
+        if stop.stopped or (control is not None and not _ENDING.isdisjoint(control.requests.words)):
             raise cls(
                 f"arm {arm}", found="a stop before its torque came on", expected="none; it stays off",
                 remedy="start its agent again",

@@ -35,12 +35,12 @@ def options(folder: Path, wait_s: float, driver: DriverKind = DriverKind.DYNAMIX
 def test_a_guard_that_is_not_there_is_refused_once_the_wait_is_over_and_a_stop_ends_it_in_order(tmp_path: Path) -> None:
     stop = StopFlag()
     with pytest.raises(GuardError, match="No such file"):
-        process._reached(CELL, options(tmp_path, 0.0), stop)
+        process._reached(CELL, options(tmp_path, 0.0), stop, None)
     with pytest.raises(GuardError, match="No such file"):
-        process._reached(CELL, options(tmp_path, 0.05), stop)
+        process._reached(CELL, options(tmp_path, 0.05), stop, None)
     stop.stopped = True
     with pytest.raises(Unbegun, match="a stop before its torque came on"):
-        process._reached(CELL, options(tmp_path, 1e3), stop)
+        process._reached(CELL, options(tmp_path, 1e3), stop, None)
 
 
 @pytest.mark.parametrize(
@@ -63,7 +63,7 @@ def test_a_guard_and_a_plant_that_come_later_are_waited_for(
             here[-1].bind(str(tmp_path / "plant.sock"))
 
     monkeypatch.setattr(process, "time", SimpleNamespace(sleep=comes, monotonic=lambda: 0.0))
-    reached = process._reached(cell, options(tmp_path, 1.0, driver), StopFlag())
+    reached = process._reached(cell, options(tmp_path, 1.0, driver), StopFlag(), None)
     assert reached is not None
     assert len(looks) == waited
     reached.leave()
@@ -92,7 +92,7 @@ def test_an_agent_looks_for_its_guard_and_hands_over_only_when_it_is_told_to_end
 
 def test_a_plant_that_does_not_come_is_left_to_who_connects(tmp_path: Path) -> None:
     with GuardEnd(tmp_path / "left.guard", CELL.fingerprint):
-        reached = process._reached(CELL, options(tmp_path, 0.05, DriverKind.SIM), StopFlag())
+        reached = process._reached(CELL, options(tmp_path, 0.05, DriverKind.SIM), StopFlag(), None)
     assert reached is not None
     reached.leave()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +18,8 @@ from agent.config.servo_map import arm_map
 from agent.faults.virtual import Line
 from agent.host.signals import StopFlag
 from agent.modes import Mode
+from agent.operator.message import Reply, Request
+from agent.operator.table import Verb
 from agent.process import agent, float_loop, floats
 from agent.process.build import Connection
 from agent.process.schedule import AgentOptions
@@ -25,6 +28,7 @@ from drivers.dynamixel.driver import DynamixelDriver
 from drivers.dynamixel.line.codec import HEADER
 from drivers.dynamixel.servo.codes import Instruction
 from drivers.dynamixel.servo.table import TORQUE_ENABLE
+from drivers.interface import ArmInfo
 from sim_backend.wire.arm import EmulatedArm
 from sim_backend.wire.cell import EmulatedCell
 from sim_backend.wire.injector import Injector
@@ -32,6 +36,7 @@ from tests.support.servos.dxl_rig import START, VirtualClock, VirtualPort, wirin
 from tests.support.stops import stop_flag
 
 NAME = "two_wx200.toml"
+MOVES = ['floating.arms=["right"]', "floating.holding=true", "floating.others_move=true"]
 
 
 class Bench:
@@ -92,6 +97,45 @@ def test_an_agent_that_is_asked_to_end_before_its_torque_has_none(
             agent.run_agent(bench.cell, bench.options, stop, bench.happens)
         assert told.value.exit_code == 130
     assert bench.said == ["ring", "law", "torque"][: 3 if torque else 2]
+    assert bench.had_torque is torque
+    assert not bench.port.is_open
+
+
+@pytest.mark.parametrize(
+    ("floating", "word", "torque"),  # floating: it moves while the other one floats
+    [
+        (False, Verb.STOP, False), (False, Verb.RELEASE, False), (False, Verb.CANCEL, True),
+        (True, Verb.STOP, False), (True, Verb.RELEASE, False), (True, Verb.STATUS, True),
+    ],
+)  # fmt: skip
+def test_a_stop_or_a_release_over_its_socket_counts_as_well(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stop: StopFlag, floating: bool, word: Verb, torque: bool
+) -> None:
+    cell = load_cell(configs.CELLS_DIR / NAME, MOVES if floating else [])
+    bench = Bench(cell, tmp_path, stop, "torque")
+    options = replace(bench.options, control=tmp_path / "left.control")
+    module: Any = floats if floating else agent
+    monkeypatch.setattr(module, "quiet_memory", lambda: None)
+    monkeypatch.setattr(agent, "build_driver", lambda *_: (bench.driver, bench.clock))
+    monkeypatch.setattr(floats, "MonotonicClock", lambda _: bench.clock)
+    monkeypatch.setattr(floats, "servo_driver", lambda *_: bench.driver)
+    monkeypatch.setattr(float_loop, "STAND_S", 0.2)
+    run: Any = floats.run_float if floating else agent.run_agent
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as person:
+        connect = bench.driver.connect
+
+        def connects() -> ArmInfo:
+            person.connect(str(options.control))
+            person.send(Request(word).encode())
+            return connect()
+
+        monkeypatch.setattr(bench.driver, "connect", connects)
+        if torque:
+            assert run(cell, options, stop, bench.happens).mode is Mode.OFF
+        else:
+            with pytest.raises(Unbegun, match="arm left: found a stop before its torque came on"):
+                run(cell, options, stop, bench.happens)
+        assert Reply.decode(person.recv(4096)).ok
     assert bench.had_torque is torque
     assert not bench.port.is_open
 
