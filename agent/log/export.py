@@ -9,8 +9,9 @@ import csv
 import json
 import math
 import os
+import re
 import tempfile
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -31,6 +32,8 @@ from agent.telemetry.row.sample import Field
 COLUMNS_FILE: Final = "columns.csv"
 EVENTS_FILE: Final = "events.csv"
 INTERNAL: Final = ("memory",)  # left out unless it is asked for: what an agent carries, a hundred numbers without names
+_LIST_COLUMNS: Final = ("table", "column", "unit", "field", "meaning")
+_MEMBER: Final = re.compile(r"[a-z][a-z0-9_]*")
 _EVENT_COLUMNS: Final = ("utc_ns", "source", "level", "text", "data")
 
 
@@ -69,8 +72,8 @@ class Choice:
 def export(log: ColumnLog, folder: Path, kind: Format, choice: Choice, *, replace: bool) -> Exported:
     """Write the log's tables into a folder.
 
-    replace: files of these names that are there.  Raises LogError, WriteError, and MissingPackage for Parquet without
-    pyarrow.
+    replace: files of these names that are there; tables of an earlier export go with it.
+    Raises LogError, WriteError, and MissingPackage for Parquet without pyarrow.
     """
     if kind is Format.PARQUET:
         _require_pyarrow()
@@ -87,8 +90,8 @@ def export(log: ColumnLog, folder: Path, kind: Format, choice: Choice, *, replac
         _write_csv(draft.path / EVENTS_FILE, _EVENT_COLUMNS, map(_event, log.events))
         rows[EVENTS_FILE] = len(log.events)
         lines = [(name, c.name, c.unit, c.field, c.doc) for name, own in columns.items() for c in own]
-        _write_csv(draft.path / COLUMNS_FILE, ("table", "column", "unit", "field", "meaning"), lines)
-        draft.keep()
+        _write_csv(draft.path / COLUMNS_FILE, _LIST_COLUMNS, lines)
+        draft.keep(_listed(folder))
     return Exported(folder, rows)
 
 
@@ -171,15 +174,32 @@ class _Draft:
         if isinstance(error, OSError):
             raise _refusal(self._folder, error) from error
 
-    def keep(self) -> None:
-        """Move every file to its place, whole."""
-        files = sorted(self.path.iterdir())
+    def keep(self, before: Collection[str]) -> None:
+        """Move every file to its place, whole, and remove those of before that are not written anew.
+
+        The list of tables comes last: where this is cut off, the earlier one still names what is to go.
+        """
+        files = sorted(self.path.iterdir(), key=lambda file: file.name == COLUMNS_FILE)
         for file in files:
             with file.open("rb") as written:
                 os.fsync(written.fileno())
         make_folder(self._folder)
+        for name in set(before) - {file.name for file in files}:
+            (self._folder / name).unlink(missing_ok=True)
         for file in files:
             file.replace(self._folder / file.name)
+
+
+def _listed(folder: Path) -> set[str]:
+    """The names that tables of an earlier export into this folder may have, by its list of columns."""
+    try:
+        with (folder / COLUMNS_FILE).open(newline="", encoding="utf-8") as file:
+            head, *rows = csv.reader(file)
+    except (OSError, ValueError, csv.Error):
+        return set()
+    if tuple(head) != _LIST_COLUMNS:
+        return set()
+    return {_file_of(row[0], kind) for row in rows for kind in Format if row and _MEMBER.fullmatch(row[0])}
 
 
 def _keep(folder: Path) -> None:

@@ -164,6 +164,46 @@ def test_a_folder_with_something_in_it_is_kept(log: Path, tmp_path: Path) -> Non
     assert file.read_text() == "mine\n"
 
 
+def test_no_table_of_an_earlier_export_stays_beside_new_ones(log: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    exported(log, out)
+    (out / "third.csv").write_text("mine\n")
+    exported(log, out, Format.PARQUET, Choice(members=("left",)), replace=True)
+    assert {path.name for path in out.iterdir()} == {"left.parquet", "events.csv", "columns.csv", "third.csv"}
+    assert set(read_csv(out / "columns.csv")["table"]) == {"left"}
+
+
+def test_an_export_that_was_cut_off_still_names_what_is_to_go(
+    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, replace = tmp_path / "out", Path.replace
+    exported(log, out)
+    listed = (out / "columns.csv").read_bytes()
+    (out / "left.csv").write_text("")
+
+    def cut_off(self: Path, target: Path) -> Path:
+        if target.name == "columns.csv":
+            raise OSError(5, "Input/output error")
+        return replace(self, target)
+
+    monkeypatch.setattr(Path, "replace", cut_off)
+    with pytest.raises(WriteError, match="Input/output error"):
+        exported(log, out, choice=Choice(members=("left",)), replace=True)
+    assert (out / "columns.csv").read_bytes() == listed
+    assert (out / "left.csv").read_text(), "all else is there by then"
+
+
+@pytest.mark.parametrize("text", ["table,column\nright,q\n", "\0", "table,column,unit,field,meaning\n../mine,q,,,\n\n"])
+def test_a_list_of_columns_that_is_another_s_removes_nothing(log: Path, tmp_path: Path, text: str) -> None:
+    out, kept = tmp_path / "out", [tmp_path / "mine.csv", tmp_path / "out" / "right.csv"]
+    out.mkdir()
+    (out / "columns.csv").write_text(text)
+    for path in kept:
+        path.write_text("mine\n")
+    exported(log, out, choice=Choice(members=("left",)), replace=True)
+    assert [path.read_text() for path in kept] == ["mine\n", "mine\n"]
+
+
 @pytest.mark.parametrize("kind", Format)
 def test_a_disk_that_fails_leaves_no_half_file(
     log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: Format
