@@ -14,6 +14,7 @@ from agent.cli.options import (
     AtOnce,
     CellPath,
     NetworkConfig,
+    Overrides,
     UtcOffset,
     WithParent,
     note,
@@ -149,6 +150,7 @@ def record(
 
 def ros2(
     cell: CellPath,
+    overrides: Overrides = [],
     connect: Annotated[str, typer.Option(help="Endpoint of the ROS 2 router (rmw_zenohd).")] = ROS_ROUTER,
     telemetry: Annotated[str, typer.Option(help="Endpoint of the recorder.")] = DEFAULT_ENDPOINT,
     network_config: NetworkConfig = None,
@@ -167,7 +169,7 @@ def ros2(
     from agent.telemetry.link.session import Network, Role
 
     requested = begin(with_parent)
-    files = load_files(cell)
+    files = load_files(cell, overrides)
     simulated = (driver.value if driver is not None else files.file.driver.value) == DriverKind.SIM.value
     report = run_ros(
         files,
@@ -178,6 +180,7 @@ def ros2(
         clock=simulated if clock is None else clock,
         stop=requested,
         ready=ready,
+        tell=note,
     )
     typer.echo(
         f"{report.published} ROS messages, {report.dropped} of telemetry dropped, {report.refused} refused", err=True

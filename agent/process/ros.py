@@ -20,9 +20,10 @@ def run_ros(
     clock: bool,
     stop: Callable[[], bool],
     ready: Callable[[str], None],
+    tell: Callable[[str], None],
 ) -> bridge.BridgeReport:
     """Show the cell until a stop.  Raises Refusal."""
     options = bridge.BridgeOptions(
         scene_of(cell), cell.config_id, has_plant, telemetry, ros, domain=domain, clock=clock
     )
-    return bridge.run(options, stop, lambda name: ready(f"node={name}"))
+    return bridge.run(options, stop, lambda name: ready(f"node={name}"), tell)

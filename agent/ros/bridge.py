@@ -48,12 +48,17 @@ class BridgeReport:
     refused: int  # messages of telemetry that are not of this cell
 
 
-def run(options: BridgeOptions, stop: Callable[[], bool], ready: Callable[[str], None]) -> BridgeReport:
-    """Bridge until `stop`; `ready` gets the node's name.  Raises NetworkError, BadName."""
+def run(
+    options: BridgeOptions, stop: Callable[[], bool], ready: Callable[[str], None], tell: Callable[[str], None]
+) -> BridgeReport:
+    """Bridge until `stop`; `ready` gets the node's name, `tell` once that rows are refused.
+
+    Raises NetworkError, BadName.
+    """
     name = f"coop_{topics.check_name(options.scene.cell, 'cell')}"
     translator = Translator(options.scene, options.config_id, has_plant=options.has_plant, clock=options.clock)
     heard = _Heard()
-    published = 0
+    published, told = 0, False
     with ExitStack() as stack:
         cell = stack.enter_context(open_session(options.telemetry)).session
         ros = stack.enter_context(open_session(options.ros)).session
@@ -69,7 +74,17 @@ def run(options: BridgeOptions, stop: Callable[[], bool], ready: Callable[[str],
                 for topic, encoded in translator.take(*sample):
                     node.put(topic, encoded)
                     published += 1
+                if translator.other_config and not told:
+                    tell(_of_another_file(options, translator.other_config))
+                    told = True
     return BridgeReport(published, heard.dropped, translator.refused)
+
+
+def _of_another_file(options: BridgeOptions, config_id: int) -> str:
+    return (
+        f"rows of cell {options.scene.cell}: found those of another cell file ({config_id:08x}), expected this one's "
+        f"({options.config_id:08x}); none goes to ROS: bridge the file that runs, with the same --set"
+    )
 
 
 class _Heard:

@@ -64,6 +64,7 @@ class Translator:
         self._addresses = {Address(scene.cell, *name).key: name for name in names}
         self._told: set[bytes] = set()
         self.refused = 0  # messages that are not of this cell
+        self.other_config = 0  # that rows of this cell's name came with; 0: none did
 
     @property
     def topics(self) -> list[Topic]:
@@ -109,8 +110,12 @@ class Translator:
 
     def _rows(self, member: _Member, payload: bytes) -> Iterator[Message]:
         rows: standard.Rows = np.frombuffer(payload, member.dtype)  # raises ValueError at a wrong length
-        if (rows["encapsulation"] != CDR_LITTLE_ENDIAN).any() or (rows["config_id"] != self._config_id).any():
-            raise ValueError("not rows of this cell")
+        if (rows["encapsulation"] != CDR_LITTLE_ENDIAN).any():
+            raise ValueError("no rows")
+        others = rows["config_id"][rows["config_id"] != self._config_id]
+        if len(others):
+            self.other_config = int(others[0])
+            raise ValueError("rows of another cell file")
         if member.joints is not None and (rows["joint_count"] != member.joints).any():
             raise ValueError("rows of another arm")
         newer = rows["utc_ns"] > member.utc_ns

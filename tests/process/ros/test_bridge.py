@@ -37,18 +37,19 @@ TIMEOUT_S = 30.0
 class Bridge:
     """The bridge in a thread."""
 
-    def __init__(self, telemetry_at: str, ros_at: str) -> None:
+    def __init__(self, telemetry_at: str, ros_at: str, config_id: int = CONFIG_ID) -> None:
+        self.told: list[str] = []
         self._ended, ready = threading.Event(), threading.Event()
         self.report: bridge.BridgeReport | None = None
         options = bridge.BridgeOptions(
-            scene(CELL, ARMS), CONFIG_ID, True,
+            scene(CELL, ARMS), config_id, True,
             Network(connect=(telemetry_at,), role=Role.VIEWER),
             Network(connect=(ros_at,), role=Role.VIEWER, timestamps=True),
             clock=True,
         )  # fmt: skip
 
         def work() -> None:
-            self.report = bridge.run(options, self._ended.is_set, lambda _: ready.set())
+            self.report = bridge.run(options, self._ended.is_set, lambda _: ready.set(), self.told.append)
 
         self._thread = threading.Thread(target=work)
         self._thread.start()
@@ -150,6 +151,22 @@ def test_a_foreign_client_hears_the_cell_as_the_log_has_it(tmp_path: Path) -> No
     ]
 
 
+def test_rows_of_another_cell_file_are_told_of_once_and_go_nowhere(tmp_path: Path) -> None:
+    with router.router(free_port()) as ros_at, recorder(tmp_path / "run.mcap", {"left": ARMS["left"]}) as rec:
+        endpoint = rec.ready()
+        bridging = Bridge(endpoint, ros_at, CONFIG_ID + 1)
+        ring = tmp_path / "left.ring"
+        publisher = telemetry(ring, "left", endpoint, Pace.REAL_TIME)
+        assert writer(ring, "left", 100, 100.0, texts=False).result() == 100
+        assert publisher.result().complete
+        wait_for(lambda: bool(bridging.told))
+        report = bridging.end()
+        assert rec.stop().complete
+    assert report.refused > 1
+    (told,) = bridging.told
+    assert f"found those of another cell file ({CONFIG_ID:08x}), expected this one's ({CONFIG_ID + 1:08x})" in told
+
+
 def test_a_bridge_that_is_stopped_holds_up_no_lockstep_run(tmp_path: Path) -> None:
     """It is told more than all buffers on the way hold, and whoever waited for it would close its link after 5 s."""
     port = free_port()
@@ -164,7 +181,7 @@ def test_a_bridge_that_is_stopped_holds_up_no_lockstep_run(tmp_path: Path) -> No
         ring = tmp_path / "left.ring"
         with (
             router.node(ros_at) as viewer,
-            Process(bridge.run, options) as bridging,
+            Process(_run, options) as bridging,
             telemetry(ring, "left", endpoint, Pace.LOCKSTEP) as publisher,
         ):
             heard = threading.Event()
@@ -187,6 +204,10 @@ def test_a_bridge_that_is_stopped_holds_up_no_lockstep_run(tmp_path: Path) -> No
         assert rec.stop().complete
 
 
+def _run(options: bridge.BridgeOptions, stop: Callable[[], bool], ready: Callable[[str], None]) -> bridge.BridgeReport:
+    return bridge.run(options, stop, ready, str)
+
+
 LEASE = {"transport": {"link": {"tx": {"lease": 300_000}}}, "scouting": {"multicast": {"enabled": False}}}
 
 
@@ -205,4 +226,4 @@ def test_without_a_router_it_says_so_at_once() -> None:
     with pytest.raises(
         NetworkError, match=r"expected somebody who listens there; start them first .*of ROS its router"
     ):
-        bridge.run(options, lambda: True, lambda _: None)
+        bridge.run(options, lambda: True, lambda _: None, str)

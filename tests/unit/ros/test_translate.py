@@ -80,8 +80,9 @@ def test_what_is_not_of_this_cell_is_counted_and_told_nobody() -> None:
     other["config_id"] += 1
     more_joints = rows.copy()
     more_joints["joint_count"] = 4
+    assert to.other_config == 0
     assert send(to, "left", other) == send(to, "left", more_joints) == send(to, "left", rows[:0]) == []
-    assert to.refused == 2
+    assert (to.refused, to.other_config) == (2, other["config_id"][0])
     key = Address(CELL, "left", Kind.STATE).key
     assert list(to.take(key, rows.tobytes()[:-1], BatchHeader(7, 0, 4, 0).pack())) == []
     assert list(to.take(key, rows.tobytes(), b"no header")) == []
