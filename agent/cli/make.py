@@ -66,6 +66,7 @@ def new(
     from agent.cli.progress import Steps
 
     require_place(cell, force=force)
+    _require_fit(motion, by, point)
     if not arm and _asks():
         arm, mass, size, motion, by = _asked(mass, size, motion, by)
     moves = _motion(motion, by, time, point)
@@ -90,12 +91,14 @@ def _asks() -> bool:
 
 def _asked(
     mass: float | None, size: str | None, motion: MotionName, by: str | None
-) -> tuple[list[str], float, str, MotionName, str]:
-    """Questions with defaults, in the order in which a cell is thought of."""
+) -> tuple[list[str], float, str, MotionName, str | None]:
+    """Questions with defaults, in the order in which a cell is thought of; way-points say the motion themselves."""
     count = typer.prompt("How many arms", "2", value_proc=_count)
     arms = [typer.prompt(f"Arm {i + 1} (MODEL face=... base=..., see -h)", "wx250s") for i in range(count)]
     kg = mass if mass is not None else typer.prompt("Mass of the object, kg", 0.2, type=float)
     sides = size if size is not None else typer.prompt("Its sides x,y,z, m", "0.2,0.1,0.04")
+    if motion is MotionName.WAYPOINTS:
+        return arms, kg, sides, motion, None
     kind = typer.prompt("Motion (lift, carry, sinusoid)", motion.value, value_proc=_moving)
     way = by if by is not None else typer.prompt("How far dx,dy,dz, m", BY[kind.value])
     return arms, kg, sides, kind, way
@@ -113,16 +116,26 @@ def _moving(text: str) -> MotionName:
     return MotionName(text)
 
 
-def _motion(motion: MotionName, by: str | None, time: float, points: list[str]) -> MotionWish:
-    from agent.make.wish import MotionKind, MotionWish, WishError, points_of, vector
+def _require_fit(motion: MotionName, by: str | None, points: list[str]) -> None:
+    """Raise WishError for words about the motion that do not go together."""
+    from agent.make.wish import WishError
 
-    kind, ways = MotionKind(motion.value), points_of(points)
-    if bool(ways) != (kind is MotionKind.WAYPOINTS):
+    if bool(points) != (motion is MotionName.WAYPOINTS):
         raise WishError(
-            f"motion {kind.value}", found=f"{len(ways)} way-points", remedy="give --point, or leave it out",
+            f"motion {motion.value}", found=f"{len(points)} way-points", remedy="give --point, or leave it out",
             expected="some with --motion waypoints, and none with any other",
         )  # fmt: skip
-    return MotionWish(kind, vector(BY[kind.value] if by is None else by, "--by"), time, ways)
+    if points and by is not None:
+        raise WishError(
+            f"motion {motion.value}", found="--by beside --point", expected="one of them", remedy="leave --by out"
+        )
+
+
+def _motion(motion: MotionName, by: str | None, time: float, points: list[str]) -> MotionWish:
+    from agent.make.wish import MotionKind, MotionWish, points_of, vector
+
+    way = vector(BY[motion.value] if by is None else by, "--by")
+    return MotionWish(MotionKind(motion.value), way, time, points_of(points))
 
 
 def _wish(

@@ -69,6 +69,8 @@ def _row(where: str, line: str) -> _Row:
         )
     try:
         t, x, y, z, *quat = (float(c) for c in cells)
+        if "_" in line:  # 0_5 is a number to Python, and 5
+            raise ValueError(line)
     except ValueError as error:
         raise TrajectoryError(where, found=str(error), expected="numbers", remedy="correct that line") from error
     if not 0.0 <= t <= LATEST_S or not all(abs(c) <= FARTHEST_M for c in (x, y, z)):  # NaN is refused as well

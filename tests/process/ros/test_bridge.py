@@ -151,7 +151,7 @@ def test_a_foreign_client_hears_the_cell_as_the_log_has_it(tmp_path: Path) -> No
     ]
 
 
-def test_rows_of_another_cell_file_are_told_of_once_and_go_nowhere(tmp_path: Path) -> None:
+def test_rows_of_another_cell_file_are_told_of_once(tmp_path: Path) -> None:
     with router.router(free_port()) as ros_at, recorder(tmp_path / "run.mcap", {"left": ARMS["left"]}) as rec:
         endpoint = rec.ready()
         bridging = Bridge(endpoint, ros_at, CONFIG_ID + 1)

@@ -247,6 +247,7 @@ def test_a_file_of_poses_is_the_spline_through_them() -> None:
         ),
         (csv([*GOOD[:2], "2,0.12,0,0,1,0,0", GOOD[3]]), "line 4 of way.csv: found 7 values, expected 8"),
         (csv([*GOOD[:2], "2,0.12,0,zero,1,0,0,0"]), "line 4 of way.csv: .*could not convert"),
+        (csv([*GOOD[:2], "2,0.1_2,0,0,1,0,0,0"]), "line 4 of way.csv: found 2,0.1_2,.* expected numbers"),
         (csv([GOOD[0], "nan,0,0,0,1,0,0,0"]), "line 3 of way.csv: .*finite"),
         (csv(["-1,0.1,0,0,1,0,0,0", *GOOD]), "line 2 of way.csv: .*t_s ≥ 0"),
         (csv([*GOOD, "1.1e6,0.1,0,0,1,0,0,0"]), "line 6 of way.csv: .*at most 1e.06"),

@@ -8,6 +8,7 @@ import math
 import tomllib
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -246,6 +247,31 @@ def test_it_asks_on_a_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     assert result.exit_code == 0, result.output
     assert load_cell(path).trajectory().at(6.0).p[2] == pytest.approx(0.28)
     assert [arm.file.model for arm in load_cell(path).arms] == ["wx200", "wx200"]
+
+
+def test_way_points_are_given_or_not_before_anything_is_asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from typer.testing import CliRunner
+
+    from agent.cli import make
+    from agent.cli.main import app
+
+    def asked(*words: str, said: str) -> Any:
+        return CliRunner().invoke(app, ["new", str(tmp_path / "a.toml"), "--no-tune", *words], input=said)
+
+    monkeypatch.setattr(make, "_asks", lambda: True)
+    ways = ["--point", "3,0,0,0.02", "--point", "6,0,0,0"]
+    made = asked("--motion", "waypoints", *ways, said="2\nwx200\nwx200\n0.1\n0.2,0.03,0.03\n")
+    assert made.exit_code == 0, made.output
+    assert "Motion" not in made.output
+    for words, why in (
+        (["--motion", "waypoints"], "found 0 way-points"),
+        (ways, "found 2 way-points"),
+        (["--motion", "waypoints", "--by", "0,0,1", *ways], "found --by beside --point"),
+    ):
+        refused = asked(*words, "--force", said="")
+        assert isinstance(refused.exception, WishError)
+        assert why in str(refused.exception)
+        assert "How many arms" not in refused.output
 
 
 def test_enter_takes_every_default_that_is_shown() -> None:
