@@ -206,16 +206,18 @@ class BringUp:
 
 
 def torque_off(bus: Bus, arm: ArmMap) -> None:
-    """Torque off everywhere, blind and twice; then the watchdogs of those that say so, and the rest once more.
+    """Torque off everywhere, blind and twice; then the watchdogs of joints that say so, and the rest once more.
 
-    A servo that has not said so keeps its watchdog, which stops it.  Raises DriverError when the port is gone.
+    A servo that has not said so keeps its watchdog, which stops it; so does one that it follows, or that follows it.
+    Raises DriverError when the port is gone.
     """
     ids = [slot.servo_id for slot in arm.slots if not slot.shadow]
     bus.write_blind(TORQUE_ENABLE, dict.fromkeys(ids, 0))
     bus.settle()  # the first may have met an answer on the wire, and nobody answers a sync write
     bus.write_blind(TORQUE_ENABLE, dict.fromkeys(ids, 0))
-    rows = bus.read_all(*Page.STATUS.value, ids)
-    if off := [servo_id for servo_id, (torque, *_) in rows.items() if torque == 0]:
+    rows = bus.read_all(*Page.STATUS.value, [slot.servo_id for slot in arm.slots])
+    said = {servo_id for servo_id, (torque, *_) in rows.items() if torque == 0}
+    if off := [joint.ids[0] for joint in arm.joints if said.issuperset(joint.ids)]:
         bus.write_blind(BUS_WATCHDOG, dict.fromkeys(off, 0))
         bus.write_blind(LED, dict.fromkeys(off, 0))
     if rest := [servo_id for servo_id in ids if servo_id not in off]:

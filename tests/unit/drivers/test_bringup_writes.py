@@ -12,7 +12,7 @@ from drivers.dynamixel.errors import DxlServoFault, FaultCause
 from drivers.dynamixel.events import EventKind
 from drivers.dynamixel.line import codec
 from drivers.dynamixel.servo import table
-from drivers.dynamixel.servo.codes import Instruction
+from drivers.dynamixel.servo.codes import Instruction, StatusError
 from drivers.dynamixel.servo.table import Register
 from tests.support.servos.dxl_rig import WX200, Rig, at, build, enabled
 
@@ -134,6 +134,26 @@ def test_a_servo_that_has_not_heard_that_its_torque_is_off_keeps_its_watchdog(
     assert [rig.get(i, table.TORQUE_ENABLE) for i in COMMANDED] == [torque] * len(COMMANDED)
     rig.clock.sleep_until(rig.clock.now_ns() + 150_000_000)
     assert torque == 0 or [rig.get(i, table.BUS_WATCHDOG) for i in COMMANDED] == [watchdog] * len(COMMANDED)
+
+
+def test_a_shadow_that_has_not_heard_that_its_torque_is_off_keeps_its_watchdog_too() -> None:
+    """It takes what is written to the servo that it follows, which has heard it: else it would go on for ever."""
+    rig = enabled()
+    rig.driver.write(np.array([1.0, 0.0, 0.0, 0.0]))
+    written(rig)
+    shadow = rig.servo(SHADOW)
+    really, missed = shadow.write, []
+
+    def write(address: int, data: bytes, *, secondary: bool = False) -> StatusError:
+        if address == TORQUE and len(missed) < 2:
+            missed.append(data)
+            return StatusError.NONE
+        return really(address, data, secondary=secondary)
+
+    shadow.write = write  # type: ignore[method-assign]
+    rig.driver.disable()
+    assert [rig.get(i, table.TORQUE_ENABLE) for i in range(1, 8)] == [0] * 7, "the third one reached it"
+    assert [rig.get(i, table.BUS_WATCHDOG) for i in (2, SHADOW, 4)] == [ARMED, ARMED, 0]
 
 
 def test_what_was_written_to_eeprom_is_told_once_and_not_written_again() -> None:
