@@ -168,25 +168,20 @@ class BringUp:
         """After bus watchdogs have fired: no effort, the present place, armed again.  Torque stays on.
 
         Goals cannot be written while a watchdog is tripped, and the old ones count again once it is cleared; so the
-        zeros follow in the next packet.  No answer is waited for until all are armed: without watchdogs nobody would
-        stop servos whose process dies in between.  Raises DxlServoFault when a servo does not obey.
+        zeros follow in the next packet.  All goes out in one piece: without watchdogs nobody would stop servos whose
+        process is killed in between.  Raises DxlServoFault when a servo does not obey.
         """
-        ids = [servo.slot.servo_id for servo in self._commanded]
         held = [servo for servo in self._commanded if servo.slot.joint.role is not JointRole.CONTROLLED]
         here = {servo.slot.servo_id: self._here(servo) for servo in held}
-        self._bus.write_blind(BUS_WATCHDOG, dict.fromkeys(ids, 0))
-        for register in (GOAL_CURRENT, GOAL_PWM):
-            resting = {
-                i: self._rest[i]
-                for i, s in zip(ids, self._commanded, strict=True)
-                if effort_register(s.slot) is register
-            }
-            if resting:
-                self._bus.write_blind(register, resting)
-        if here:
-            self._bus.write_blind(GOAL_POSITION, here)
+        slots = [servo.slot for servo in self._commanded]
+        efforts = [
+            {slot.servo_id: self._rest[slot.servo_id] for slot in slots if effort_register(slot) is register}
+            for register in (GOAL_CURRENT, GOAL_PWM)
+        ]
+        goals = zip((GOAL_CURRENT, GOAL_PWM, GOAL_POSITION), (*efforts, here), strict=True)
         watchdog = watchdog_count(self._arm.watchdog_s)
-        self._bus.write_blind(BUS_WATCHDOG, dict.fromkeys(ids, watchdog))
+        cleared, armed = ((BUS_WATCHDOG, dict.fromkeys((slot.servo_id for slot in slots), n)) for n in (0, watchdog))
+        self._bus.write_all_blind([cleared, *((register, values) for register, values in goals if values), armed])
         for servo in self._servos:
             self._verify(servo, BUS_WATCHDOG, watchdog)
             self._verify(servo, effort_register(servo.slot), self._rest[servo.slot.servo_id])

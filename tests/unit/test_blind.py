@@ -25,6 +25,7 @@ from agent.safety import Flag
 from drivers.dynamixel.servo import table
 from sim_backend.wire.faults import Fault, FaultKind
 from tests.support.servos.coupled_rig import CoupledRun, Truth
+from tests.support.servos.dxl_rig import loses
 
 FAULT_S = 0.3
 CELL = load_cell(configs.CELLS_DIR / "two_wx200.toml", ["duration_s=10.0", "safety.recover_s=0.1"])
@@ -200,16 +201,7 @@ def test_an_arm_of_which_one_servo_missed_its_zero_begins_at_zero_with_the_next_
     """All watchdogs are armed by then: with old goals it would go back, stiff, to the pose that it has sunk from."""
 
     def loses_a_zero(run: CoupledRun) -> None:
-        bus = run.arms["left"].driver._bus
-        really = bus.write_blind
-
-        def write_blind(register: table.Register, values: dict[int, int]) -> None:
-            if register is table.GOAL_CURRENT:
-                bus.write_blind = really  # type: ignore[method-assign]
-                values = {i: value for i, value in values.items() if i != 4}
-            really(register, values)
-
-        bus.write_blind = write_blind  # type: ignore[method-assign, assignment]
+        loses(run.arms["left"], table.GOAL_CURRENT, 1, 2, 5)
 
     silent_s, back_s = 1.2, FAULT_S + 1.2
     fault = Fault(kind=FaultKind.MUTE, arm="left", start_s=FAULT_S, duration_s=silent_s)

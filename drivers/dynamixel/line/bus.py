@@ -127,10 +127,15 @@ class Bus:
 
     def write_blind(self, register: Register, values: Mapping[int, int]) -> None:
         """Write one register of several servos without any answer."""
-        data = {
-            servo_id: value.to_bytes(register.length, "little", signed=value < 0) for servo_id, value in values.items()
-        }
-        self._send(codec.sync_write(register.address, register.length, data))
+        self.write_all_blind([(register, values)])
+
+    def write_all_blind(self, writes: Sequence[tuple[Register, Mapping[int, int]]]) -> None:
+        """The same for several registers, in this order and in one piece: who is killed has sent all or nothing."""
+        packets = b""
+        for register, values in writes:
+            data = {i: value.to_bytes(register.length, "little", signed=value < 0) for i, value in values.items()}
+            packets += codec.sync_write(register.address, register.length, data)
+        self._send(packets)
 
     def settle(self) -> None:
         """Throw away input until the line has been quiet for a while, bounded even on a babbling bus."""

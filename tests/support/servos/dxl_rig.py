@@ -13,6 +13,8 @@ from drivers.clock import MonotonicClock
 from drivers.dynamixel.arm_map import ArmMap, JointMap, JointRole
 from drivers.dynamixel.driver import DynamixelDriver
 from drivers.dynamixel.errors import PortError, PortLostError
+from drivers.dynamixel.line import codec
+from drivers.dynamixel.servo.codes import Instruction
 from drivers.dynamixel.servo.counts import TICK_RAD
 from drivers.dynamixel.servo.table import Register
 from drivers.fingers import Fingers
@@ -122,6 +124,39 @@ class VirtualPort(virtual.VirtualPort):
         if self.lost or self.gone:
             raise PortLostError("port virtual", found="closed", expected="open", remedy="none")
         super()._need()
+
+
+def packets_of(data: bytes) -> list[bytes]:
+    """The packets of one write."""
+    packets = []
+    while data:
+        size = 7 + int.from_bytes(data[5:7], "little")
+        packets.append(data[:size])
+        data = data[size:]
+    return packets
+
+
+def loses(rig: Rig, register: Register, *heard: int, value: int | None = None) -> None:
+    """The next sync write of this register, and value, to these and others gets lost on its way, but to these."""
+    really = rig.port.write
+    size = 1 + register.length
+
+    def fares(packet: bytes) -> bytes:
+        if packet[7:9] != bytes((Instruction.SYNC_WRITE, register.address)) or rig.port.write is really:
+            return packet
+        entries = {packet[k]: packet[k + 1 : k + size] for k in range(12, len(packet) - 2, size)}
+        first = int.from_bytes(packet[13 : 12 + size], "little", signed=register.signed)
+        if not set(heard) <= set(entries) or value not in (None, first):
+            return packet
+        rig.port.write = really  # type: ignore[method-assign]
+        kept = {i: entries[i] for i in heard}
+        return codec.sync_write(register.address, register.length, kept) if kept else b""
+
+    def write(data: bytes, deadline_ns: int) -> None:
+        if left := b"".join(map(fares, packets_of(data))):
+            really(left, deadline_ns)
+
+    rig.port.write = write  # type: ignore[method-assign]
 
 
 @dataclass

@@ -17,7 +17,7 @@ from drivers.dynamixel.servo import table
 from drivers.dynamixel.servo.codes import WATCHDOG_TRIPPED
 from drivers.interface import DriverError, Recovering, ServoFault, StaleStateError
 from sim_backend.wire.faults import FaultKind
-from tests.support.servos.dxl_rig import WX200, build, enabled
+from tests.support.servos.dxl_rig import WX200, build, enabled, loses
 
 PING, READ, SYNC_READ, FAST_SYNC_READ, SYNC_WRITE = 0x01, 0x02, 0x82, 0x8A, 0x83
 ASKING = {PING, READ, SYNC_READ, FAST_SYNC_READ}
@@ -115,16 +115,7 @@ def test_watchdogs_that_fire_again_after_they_were_not_armed_again_are_noticed_a
 def test_a_servo_that_missed_its_zero_does_not_pull_with_its_old_goal_after_the_next_attempt(servo: int) -> None:
     """All watchdogs are armed by then; but nobody was told that torque begins afresh."""
     rig = tripped()
-    bus = rig.driver._bus
-    really = bus.write_blind
-
-    def write_blind(register: Any, values: dict[int, int]) -> None:
-        if register is table.GOAL_CURRENT:
-            bus.write_blind = really
-            values = {i: value for i, value in values.items() if i != servo}
-        really(register, values)
-
-    bus.write_blind = write_blind
+    loses(rig, table.GOAL_CURRENT, *({1, 2, 4, 5} - {servo}))
     with pytest.raises(RearmError, match="Goal Current"):
         rig.driver.recover()
     assert [rig.get(i, table.BUS_WATCHDOG) for i in IDS] == [ARMED] * len(IDS)
@@ -137,9 +128,7 @@ def test_a_servo_that_missed_its_zero_does_not_pull_with_its_old_goal_after_the_
 def test_a_held_servo_that_missed_its_place_is_found() -> None:
     """It would pull its joint to where it was before."""
     rig = tripped()
-    bus = rig.driver._bus
-    really = bus.write_blind
-    bus.write_blind = lambda register, values: None if register is table.GOAL_POSITION else really(register, values)
+    loses(rig, table.GOAL_POSITION)
     rig.put(1, table.GOAL_POSITION, 1900)
     with pytest.raises(RearmError, match=r"servo 1 .*Goal Position 1900"):
         rig.driver.recover()
@@ -206,17 +195,7 @@ def test_an_arm_of_which_some_servos_still_obey_goes_on_with_those_though_one_ha
 
 def arming_lost(rig: Any, *heard: int) -> None:
     """The next packet that arms watchdogs gets lost on its way, but to these servos."""
-    really = rig.port.write
-
-    def write(data: bytes, deadline_ns: int) -> None:
-        if data[7] == SYNC_WRITE and data[8] == table.BUS_WATCHDOG.address and data[13] != 0:
-            rig.port.write = really
-            for servo in heard:
-                rig.put(servo, table.BUS_WATCHDOG, ARMED)
-        else:
-            really(data, deadline_ns)
-
-    rig.port.write = write
+    loses(rig, table.BUS_WATCHDOG, *heard, value=ARMED)
 
 
 @pytest.mark.parametrize("heard", [(), (1, 2, 4, 5)])

@@ -14,7 +14,7 @@ from drivers.dynamixel.servo.table import BUS_WATCHDOG, GOAL_CURRENT, GOAL_PWM, 
 from drivers.dynamixel.standby import AdoptError, Handover, StandbyDriver
 from drivers.interface import DriverError
 from sim_backend.wire.faults import FaultKind
-from tests.support.servos.dxl_rig import WX200, Rig, build, enabled
+from tests.support.servos.dxl_rig import WX200, Rig, build, enabled, loses
 
 TAU = np.array([0.4, 0.3, 0.2, 0.05])
 MS = 1_000_000
@@ -178,16 +178,10 @@ def test_a_packet_lost_while_watchdogs_are_armed_again_is_the_loops_affair_which
     commanded(rig)
     driver = standby(rig)
     rig.clock.sleep_until(rig.clock.now_ns() + 300 * MS)
-    really = rig.port.write
-
-    def loses_one(data: bytes, deadline_ns: int) -> None:
-        arming = data[8] == (GOAL_CURRENT if zero else BUS_WATCHDOG).address and (zero or data[13] != 0)
-        if data[7] == Instruction.SYNC_WRITE and arming:
-            rig.port.write = really  # type: ignore[method-assign]
-        else:
-            really(data, deadline_ns)
-
-    rig.port.write = loses_one  # type: ignore[method-assign]
+    if zero:
+        loses(rig, GOAL_CURRENT)
+    else:
+        loses(rig, BUS_WATCHDOG, value=10)
     assert np.isnan(driver.adopt(np.zeros(4))).all()
     assert (driver.resumed, driver.lapsed) == (False, True)
     with pytest.raises(DxlServoFault, match=r"servo 1 .*its bus watchdog has fired"):
