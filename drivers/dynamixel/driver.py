@@ -177,7 +177,7 @@ class DynamixelDriver:
         Raises NotEnabledError, DxlServoFault, NoReplyError.
         """
         running = self._need(Phase.ENABLED)
-        running.half_armed = True
+        running.monitor.half_armed = True
         self._bus.settle()
         BringUp(self._bus, self.arm, self._found, self._on_event).rearm()
         self._running = running.again()
@@ -199,7 +199,7 @@ class DynamixelDriver:
         with self._bus.patient(RECOVERY_S):
             self.reopen() if self._port_lost else make_sure(running, self.arm, self._clock)
             arm = BringUp(self._bus, self.arm, self._found, self._on_event)
-            if stopped := arm.has_stopped(half_armed=running.half_armed):
+            if stopped := arm.has_stopped(half_armed=running.monitor.half_armed):
                 try:
                     self.rearm()
                 except DxlServoFault as fault:

@@ -97,6 +97,7 @@ class GapMonitor:
     ) -> None:
         self.faults: list[DxlServoFault] = []
         self.misses = 0
+        self.half_armed = False  # watchdogs were to be armed again, and not all are
         self._records = tuple(records)
         self._tell = tell
         self._pending: _Question | None = None
@@ -194,8 +195,8 @@ class GapMonitor:
             self._find(FaultCause.REBOOTED, record, "Torque Enable 0, LED 0", "1, 1")
         elif torque == 0:
             self._find(FaultCause.TORQUE_LOST, record, "Torque Enable 0", "1")
-        elif watchdog == WATCHDOG_TRIPPED:
-            self._find(FaultCause.WATCHDOG_TRIPPED, record, "Bus Watchdog -1", str(record.watchdog))
+        elif watchdog == WATCHDOG_TRIPPED or (watchdog == 0 and self.half_armed):  # cleared, and not armed yet
+            self._find(FaultCause.WATCHDOG_TRIPPED, record, f"Bus Watchdog {watchdog}", str(record.watchdog))
         elif watchdog != record.watchdog:
             self._find(FaultCause.REBOOTED, record, f"Bus Watchdog {watchdog}", str(record.watchdog))
         elif goal in (record.sent, record.sent_before):

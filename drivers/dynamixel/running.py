@@ -72,7 +72,6 @@ class Running:
         fast: bool,
     ) -> None:
         self.fast = fast
-        self.half_armed = False  # watchdogs were to be armed again, and not all are
         self._on_event = on_event
         self._made_of = (bus, arm, found, clock, on_event, link)
         self._bus = bus

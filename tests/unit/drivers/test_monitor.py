@@ -218,6 +218,25 @@ def test_a_status_that_is_not_as_it_should_be_is_a_fault(
     assert fault.hardware == (OVERLOAD if cause is FaultCause.HARDWARE_ERROR else 0)
 
 
+@pytest.mark.parametrize(
+    ("half_armed", "watchdog", "cause"),
+    [
+        (True, 0, FaultCause.WATCHDOG_TRIPPED),
+        (False, 0, FaultCause.REBOOTED),
+        (True, 9, FaultCause.REBOOTED),
+        (True, -1, FaultCause.WATCHDOG_TRIPPED),
+    ],
+)
+def test_a_watchdog_that_was_cleared_to_be_armed_is_none_of_a_servo_that_restarted(
+    half_armed: bool, watchdog: int, cause: FaultCause
+) -> None:
+    bench = Bench()
+    bench.monitor.half_armed = half_armed
+    bench.tell(4, 1, 1, 0, watchdog, 0)
+    (fault,) = bench.monitor.faults
+    assert (fault.cause, fault.found, fault.expected) == (cause, f"Bus Watchdog {watchdog}", "10")
+
+
 def test_faults_of_different_servos_and_causes_are_all_kept() -> None:
     bench = Bench()
     bench.tell(1, 0, 1, 0, WATCHDOG, 0)

@@ -214,6 +214,27 @@ def test_an_arm_that_is_armed_in_part_has_stopped_until_a_later_attempt_arms_the
     assert rig.driver.recover() is False, "a servo that restarted and has torque is for the checks to find"
 
 
+@pytest.mark.fault("B1", "S6")
+@pytest.mark.parametrize("heard", [(), (1, 2, 4, 5)])
+def test_an_arm_that_is_armed_in_part_is_not_taken_for_one_that_restarted_while_a_loop_goes_on(
+    heard: tuple[int, ...],
+) -> None:
+    """It may be tried again: a servo that was cleared and not armed has a watchdog of 0, as after a restart."""
+    rig = tripped()
+    arming_lost(rig, *heard)
+    with pytest.raises(RearmError):
+        rig.driver.recover()
+    for _ in range(20):
+        with pytest.raises(DxlServoFault, match="its bus watchdog has fired"):
+            rig.driver.read()
+        rig.driver.write(TAU)
+        rest(rig, 0.004)
+    assert rig.driver.lapsed is True
+    assert rig.kinds() == []
+    assert rig.driver.recover() is True
+    assert rig.driver.faults == []
+
+
 def test_an_arm_that_is_armed_in_part_when_a_servo_loses_its_torque_is_lost() -> None:
     rig = tripped()
     arming_lost(rig)

@@ -300,7 +300,7 @@ def test_what_the_line_carries_in_a_cycle_and_between_two_counts_and_old_answers
 
 
 def test_nothing_of_an_arm_that_was_connected_is_armed_in_part(bench: Bench) -> None:
-    assert bench.running.half_armed is False
+    assert bench.running.monitor.half_armed is False
 
 
 # --- faults ----------------------------------------------------------------------------------------------------------
