@@ -196,7 +196,12 @@ class Running:
     # --- write ----------------------------------------------------------------------------------------------------
 
     def write(self, tau_Nm: Sequence[float], cycle_begin_ns: int) -> list[float]:
-        """Send goals for joint torques, and a health request if the gap has room; returns the torques sent."""
+        """Send goals for joint torques, and a health request if the gap has room; returns the torques sent.
+
+        No torque goes to an arm that is armed in part: a servo that is not armed would go on with its goal for ever.
+        """
+        if self.monitor.half_armed:
+            tau_Nm = [0.0] * len(tau_Nm)
         sent = [0.0] * len(tau_Nm)
         packets = b""
         for writer, joints in self._writers:

@@ -214,16 +214,33 @@ def test_an_arm_that_is_armed_in_part_has_stopped_until_a_later_attempt_arms_the
     assert rig.driver.recover() is False, "a servo that restarted and has torque is for the checks to find"
 
 
+def armed_in_part(*heard: int) -> Any:
+    """An arm of which an attempt to bring it back has armed these alone."""
+    rig = tripped()
+    arming_lost(rig, *heard)
+    with pytest.raises(RearmError):
+        rig.driver.recover()
+    return rig
+
+
+@pytest.mark.fault("B1", "S6")
+def test_an_arm_that_is_armed_in_part_gets_no_torque() -> None:
+    """A servo that is not armed would go on with it for ever, and the loop has not been told that it begins at zero."""
+    rig = armed_in_part(1, 2, 4)
+    assert rig.driver.write(TAU) == pytest.approx(np.zeros(4), abs=0.01)
+    assert [rig.get(i, table.GOAL_CURRENT) for i in (2, 3, 4, 5)] == [0] * 4
+    assert rig.driver.recover() is True
+    assert rig.driver.write(TAU) == pytest.approx(TAU, abs=0.01)
+    assert rig.get(5, table.GOAL_CURRENT) != 0
+
+
 @pytest.mark.fault("B1", "S6")
 @pytest.mark.parametrize("heard", [(), (1, 2, 4, 5)])
 def test_an_arm_that_is_armed_in_part_is_not_taken_for_one_that_restarted_while_a_loop_goes_on(
     heard: tuple[int, ...],
 ) -> None:
     """It may be tried again: a servo that was cleared and not armed has a watchdog of 0, as after a restart."""
-    rig = tripped()
-    arming_lost(rig, *heard)
-    with pytest.raises(RearmError):
-        rig.driver.recover()
+    rig = armed_in_part(*heard)
     for _ in range(20):
         with pytest.raises(DxlServoFault, match="its bus watchdog has fired"):
             rig.driver.read()

@@ -81,6 +81,7 @@ class Monitor:
     alerts: list[int] = field(default_factory=list)
     gaps: list[int] = field(default_factory=list)
     faults: list[DxlServoFault] = field(default_factory=list)
+    half_armed: bool = False
 
     @property
     def awaited(self) -> bool:
