@@ -17,6 +17,8 @@ from drivers.dynamixel.servo.units import AngleScale, angle_ticks, current_or_lo
 from drivers.fingers import Fingers
 from drivers.interface import GripState
 
+TIMES = 2  # that each goal is sent: nobody answers it, and it would not come again
+
 
 class GripControl:
     """Goals of one gripper, and the one last sent."""
@@ -31,7 +33,7 @@ class GripControl:
         self._full = joint.model.share_count(register, 1.0)
         self._scale = AngleScale(joint)
         self._goal: int | None = None
-        self._waiting = False
+        self._left = 0  # packets with it
         self._efforts = GroupWrite(register.address, "h", [self.servo_id])
         self._goals = GroupWrite(GOAL_POSITION.address, "i", [self.servo_id])
 
@@ -47,18 +49,18 @@ class GripControl:
         """Have the next packets send the fingers there."""
         angle = self._fingers.angle(width_m)
         self._goal = self._joint.zero_tick + angle_ticks(angle)
-        self._waiting = True
+        self._left = TIMES
 
     def go_on(self, other: GripControl) -> None:
         """Have the next packets send the fingers where another was sending them."""
         self._goal = other._goal
-        self._waiting = self._goal is not None
+        self._left = TIMES
 
     def packets(self) -> bytes:
         """What is to be sent now; nothing where the goal is that of before."""
-        if not self._waiting or self._goal is None:
+        if not self._left or self._goal is None:
             return b""
-        self._waiting = False
+        self._left -= 1
         return self._efforts.packet([self.effort]) + self._goals.packet([self._goal])
 
     def state(self, row: Row, stamp_ns: int) -> GripState:

@@ -12,9 +12,9 @@ from drivers.dynamixel.driver import DynamixelDriver
 from drivers.dynamixel.errors import NoGripperError, NotEnabledError
 from drivers.dynamixel.grip import GripControl
 from drivers.dynamixel.servo.models import SERVOS
-from drivers.dynamixel.servo.table import BUS_WATCHDOG, GOAL_POSITION, GOAL_PWM, TORQUE_ENABLE
+from drivers.dynamixel.servo.table import BUS_WATCHDOG, GOAL_POSITION, GOAL_PWM, TORQUE_ENABLE, Register
 from drivers.interface import Gripper
-from tests.support.servos.dxl_rig import FINGERS, Rig, build, enabled, with_gripper
+from tests.support.servos.dxl_rig import FINGERS, Rig, build, enabled, loses, with_gripper
 
 GRIPPER, EFFORT = 7, round(0.25 * 885)
 
@@ -43,6 +43,22 @@ def test_a_width_goes_out_with_the_next_torque_and_the_fingers_follow() -> None:
     assert abs(state.speed_m_per_s) < 1e-3
     assert state.width_cmd_m == pytest.approx(0.074, abs=1e-4)
     assert rig.driver.faults == [], "the goal that is checked in the gaps is the new one"
+
+
+@pytest.mark.parametrize("register", [GOAL_POSITION, GOAL_PWM], ids=lambda register: register.name)
+@pytest.mark.parametrize("after_watchdogs", [False, True])
+@pytest.mark.fault("B1", "F9")
+def test_a_width_of_which_a_packet_gets_lost_is_gone_to_all_the_same(register: Register, after_watchdogs: bool) -> None:
+    rig = enabled(with_gripper())
+    if after_watchdogs:
+        rig.driver.grip(0.03)
+        cycles(rig, 3)
+        rig.driver.rearm()
+    else:
+        rig.driver.grip(0.03)
+    loses(rig, register, value={GOAL_POSITION: 1802, GOAL_PWM: EFFORT}[register])
+    cycles(rig, 3)
+    assert (rig.get(GRIPPER, GOAL_POSITION), rig.get(GRIPPER, GOAL_PWM)) == (1802, EFFORT)
 
 
 def test_fingers_that_close_say_a_positive_effort_and_a_force() -> None:

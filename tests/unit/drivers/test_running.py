@@ -405,7 +405,8 @@ def test_the_gap_is_what_the_period_leaves_after_the_write(bench: Bench) -> None
     assert deadline_ns == bench.clock.ns + 5_000_000
 
 
-def test_a_width_goes_out_once_behind_the_torques_in_the_place_of_a_question() -> None:
+def test_a_width_goes_out_twice_behind_the_torques_in_the_place_of_a_question() -> None:
+    """Nobody answers it: one of the two may get lost."""
     bench = Bench(with_gripper())
     running = bench.alone()
     grip, gripper = running.grip, running._records[6]
@@ -416,13 +417,14 @@ def test_a_width_goes_out_once_behind_the_torques_in_the_place_of_a_question() -
     grip.go_to(0.074)
     running.write([0.0] * 4, bench.clock.ns)
     assert (gripper.sent_before, gripper.sent, running._goals[6]) == (rest, grip.effort, grip.effort)
-    running.write([0.0] * 4, bench.clock.ns)
-    assert gripper.sent_before == rest, "nothing more has been sent to it"
-    torques, width, after = (packets for packets, _ in bench.line.writes)
+    for _ in range(2):
+        running.write([0.0] * 4, bench.clock.ns)
+        assert gripper.sent_before == gripper.sent == grip.effort, "none of before is right any more"
+    torques, width, again, after = (packets for packets, _ in bench.line.writes)
     assert torques == after
     grip.go_on(grip)
-    assert width == torques + grip.packets()
-    assert [gap_ns == 0 for gap_ns in bench.monitor.gaps] == [False, True, False]
+    assert width == again == torques + grip.packets()
+    assert [gap_ns == 0 for gap_ns in bench.monitor.gaps] == [False, True, True, False]
 
 
 def test_a_gripper_says_what_its_servo_said_in_the_last_cycle() -> None:
