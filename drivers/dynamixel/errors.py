@@ -181,6 +181,7 @@ _EXPLAINS = {
     }),
     FaultCause.HARDWARE_ERROR: frozenset({FaultCause.TORQUE_LOST, FaultCause.NO_EFFECT}),
     FaultCause.TORQUE_LOST: frozenset({FaultCause.NO_EFFECT}),
+    FaultCause.WATCHDOG_TRIPPED: frozenset({FaultCause.NO_EFFECT}),
 }  # fmt: skip
 
 

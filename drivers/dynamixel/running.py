@@ -182,6 +182,8 @@ class Running:
         for fault in (*seen, *reading.faults):
             if (fault.cause, fault.servo_id) in self._known:
                 continue
+            if any(other.cause is FaultCause.WATCHDOG_TRIPPED and other.explains(fault) for other in merged):
+                continue  # told if it is still so once the servo is armed again
             self._known.add((fault.cause, fault.servo_id))
             merged, explained = fault.among(merged)
             if explained:

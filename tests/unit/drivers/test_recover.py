@@ -16,6 +16,7 @@ from drivers.dynamixel.recovery import limp
 from drivers.dynamixel.servo import table
 from drivers.dynamixel.servo.codes import WATCHDOG_TRIPPED
 from drivers.interface import DriverError, Recovering, ServoFault, StaleStateError
+from sim_backend.wire.drive import Stop
 from sim_backend.wire.faults import FaultKind
 from tests.support.servos.dxl_rig import WX200, build, enabled, loses
 
@@ -172,6 +173,26 @@ def test_servos_are_asked_who_they_are_before_anything_is_written() -> None:
     first_write = next(k for k, instruction in enumerate(instructions) if instruction not in ASKING)
     assert instructions[:first_write].count(PING) == len(IDS)
     assert instructions[:first_write].count(READ) == 2 * len(IDS) + HELD, "torque and watchdog of each"
+
+
+@pytest.mark.fault("S6")
+@pytest.mark.parametrize("seen_after", [0, 15])
+def test_a_servo_whose_watchdog_has_fired_is_not_told_of_as_one_without_effect_too(seen_after: int) -> None:
+    """A fault that would stay behind the recovery: its current does not follow goals that it ignores."""
+    rig = working()
+    rig.put(4, table.BUS_WATCHDOG, WATCHDOG_TRIPPED)
+    rig.servo(4).firmware.body.drive.stop = Stop.LIMP
+    checked, rig.driver._running.monitor.question = rig.driver._running.monitor.question, lambda _: (b"", 0)
+    for number in range(40):
+        if number == seen_after:
+            rig.driver._running.monitor.question = checked
+        with contextlib.suppress(DxlServoFault):
+            rig.driver.read()
+        rig.driver.write(4.0 * TAU)
+        rest(rig, 0.004)
+    assert [(fault.cause, fault.servo_id) for fault in rig.driver.faults] == [(FaultCause.WATCHDOG_TRIPPED, 4)]
+    assert rig.driver.recover() is True
+    assert rig.driver.faults == []
 
 
 @pytest.mark.parametrize("servo", [3, 4])
