@@ -199,7 +199,7 @@ class GapMonitor:
             self._find(FaultCause.WATCHDOG_TRIPPED, record, f"Bus Watchdog {watchdog}", str(record.watchdog))
         elif watchdog != record.watchdog:
             self._find(FaultCause.REBOOTED, record, f"Bus Watchdog {watchdog}", str(record.watchdog))
-        elif goal in (record.sent, record.sent_before):
+        elif self.half_armed or goal in (record.sent, record.sent_before):  # else it may be that of rest, or of before
             record.goal_doubts = 0
         else:
             record.goal_doubts += 1  # a lost write explains one, not two

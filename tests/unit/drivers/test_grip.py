@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 from drivers.dynamixel.arm_map import MapError
 from drivers.dynamixel.driver import DynamixelDriver
-from drivers.dynamixel.errors import NoGripperError, NotEnabledError
+from drivers.dynamixel.errors import DxlServoFault, FaultCause, NoGripperError, NotEnabledError
 from drivers.dynamixel.grip import GripControl
 from drivers.dynamixel.servo.models import SERVOS
 from drivers.dynamixel.servo.table import BUS_WATCHDOG, GOAL_POSITION, GOAL_PWM, TORQUE_ENABLE, Register
@@ -110,6 +111,25 @@ def test_the_grip_is_taken_up_again_after_the_watchdogs_have_fired() -> None:
     assert rig.get(GRIPPER, GOAL_PWM) == EFFORT
     assert rig.get(GRIPPER, TORQUE_ENABLE) == 1
     assert rig.get(GRIPPER, BUS_WATCHDOG) > 0
+
+
+@pytest.mark.fault("B1", "S6")
+def test_a_grip_is_no_ignored_goal_after_an_attempt_that_failed_and_is_taken_up_again_after_the_next() -> None:
+    rig = enabled(with_gripper())
+    rig.driver.grip(0.03)
+    cycles(rig, 10)
+    loses(rig, BUS_WATCHDOG, 1, 2, 4, 5, GRIPPER, value=10)
+    with pytest.raises(DxlServoFault, match="Bus Watchdog 0"):
+        rig.driver.rearm()
+    for _ in range(20):
+        with contextlib.suppress(DxlServoFault):
+            rig.driver.read()
+        rig.driver.write(np.zeros(4))
+        rig.clock.sleep_until(rig.clock.now_ns() + 3_000_000)
+    assert {fault.cause for fault in rig.driver.faults} == {FaultCause.WATCHDOG_TRIPPED}
+    assert rig.driver.recover() is True
+    cycles(rig, 2)
+    assert (rig.get(GRIPPER, GOAL_POSITION), rig.get(GRIPPER, GOAL_PWM)) == (1802, EFFORT)
 
 
 def test_the_driver_is_a_gripper_too_and_says_when_it_has_none() -> None:

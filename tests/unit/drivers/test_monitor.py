@@ -237,6 +237,19 @@ def test_a_watchdog_that_was_cleared_to_be_armed_is_none_of_a_servo_that_restart
     assert (fault.cause, fault.found, fault.expected) == (cause, f"Bus Watchdog {watchdog}", "10")
 
 
+def test_no_goal_is_doubted_while_watchdogs_are_armed_again_for_those_of_rest_went_out_past_the_loop() -> None:
+    bench = Bench()
+    bench.monitor.half_armed = True
+    for _ in range(3):
+        bench.tell(4, 1, 1, 0, WATCHDOG, 77)
+    assert bench.causes() == []
+    bench.monitor.half_armed = False
+    bench.tell(4, 1, 1, 0, WATCHDOG, 77)
+    assert bench.causes() == [], "one doubt is none yet"
+    bench.tell(4, 1, 1, 0, WATCHDOG, 77)
+    assert bench.causes() == [("GOAL_IGNORED", 4)]
+
+
 def test_faults_of_different_servos_and_causes_are_all_kept() -> None:
     bench = Bench()
     bench.tell(1, 0, 1, 0, WATCHDOG, 0)
