@@ -41,7 +41,7 @@ test: $(VENV)/.installed  ## format, lint, types, import contracts, tests
 test-fresh: $(VENV)/.installed  ## `make run` on minimal Debian 12 and 13, each in a tree of its own; root, 2 min each
 	$(BIN)/pytest --fresh tests/process/install/test_fresh_machine.py
 
-long: $(VENV)/.installed  ## simulations and repetitions of which `make test` runs some (7 min)
+long: $(VENV)/.installed  ## simulations and repetitions of which `make test` runs some (7 min, and 12 of one core for lost packets)
 	$(BIN)/pytest -m "long and not realtime" -n $(JOBS) --dist worksteal
 	$(BIN)/pytest -m "long and realtime" tests/process
 	HYPOTHESIS_PROFILE=whole $(BIN)/pytest -n $(JOBS) --dist worksteal tests/property/control tests/unit/control

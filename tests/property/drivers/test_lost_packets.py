@@ -1,0 +1,92 @@
+"""Each single packet of a phase of an arm's life is lost once, in every way, and the servos are looked at past the bus.
+
+Real driver, loop and guard's steps on emulated servos in virtual time (`tests/support/servos/lost_packets.py`).
+Phases, with their names there: a connection to an arm that somebody else moves ("connect"); bring-up of servos that
+have other modes ("new servos"), old goals and fired watchdogs ("used servos"), or torque ("servos with torque"); the
+loop's first cycles; the way back of an arm whose process stood still, whose servos, or shadow alone, heard nothing for
+a while, or whose adapter was away; torque off, also of an arm whose watchdogs have fired; and a guard that takes over
+at once, late, or where the agent died amid a recovery and the watchdogs are cleared.
+
+Packet k is lost on its way, for all its servos or for one of several; or its answer is lost, or has a wrong checksum,
+that of all or of one; or the process is killed once the write is out that k is the last of, and its guard goes on,
+where it watches by then, or nobody.  What must hold, whichever it is:
+
+1. Torque comes on in the mode of the map, with the goals of rest: no effort of what is controlled, the present place
+   of what is held.
+2. A servo has torque and a cleared watchdog for 30 ms at most in bring-up, 0.4 s in a recovery, and not at all once
+   the process is killed where nobody takes over: 0.25 s later all servos with torque have stopped by themselves.
+3. The goal by which a controlled servo moves changes, but to zero, by no more than two torque steps of the loop (one
+   write may be lost), and begins within that where torque comes on or back.
+4. A start that is refused leaves torque as it was, a connection every register; a start that is not leaves all servos
+   with torque, armed watchdogs, and a loop without faults.  Neither is refused for a packet that is answered, but where
+   one servo of several misses it: it is asked again.
+5. One packet lost in the first cycles is no reason to hold; a lapsed arm comes back in HOLD without faults but those of
+   the silence, with torque, armed watchdogs and goals that it follows.  The gripper goes where it was told before.
+6. Behind `disable` no servo has torque, and the arm can be started again.
+7. The guard's first torque comes within 20 ms of the death of an agent whose arm obeyed, 50 ms with a packet lost; the
+   guard has the arm as 5. says, or gives up one whose torque was being switched off.
+8. What is raised is a DriverError, the port is given back, and the phase takes at most 0.5 s longer than without loss.
+
+What is assumed: a kill does not cut one write; a servo whose watchdog has fired stays stopped until its next goal, as
+emulated ones do; a packet that one servo misses has fed its watchdog all the same.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from drivers.dynamixel.servo import table
+from drivers.dynamixel.servo.codes import Instruction
+from tests.support.servos.lossy_line import Loss, What
+from tests.support.servos.lost_packets import PHASES, healthy, losses, told
+
+TORQUE, WATCHDOG, CURRENT, POSITION = (
+    register.address for register in (table.TORQUE_ENABLE, table.BUS_WATCHDOG, table.GOAL_CURRENT, table.GOAL_POSITION)
+)
+
+
+def writes_of(phase: str, address: int) -> list[int]:
+    """Numbers of the packets that write that register."""
+    return [
+        number
+        for number, packet in enumerate(healthy(phase).packets)
+        if packet.data[7] in (Instruction.SYNC_WRITE, Instruction.WRITE) and packet.data[8] == address
+    ]
+
+
+def wrong(phase: str, loss: Loss) -> list[str]:
+    """What does not hold of one case."""
+    servo = "" if loss.servo is None else f", servo {loss.servo}"
+    return [f"packet {loss.number}{servo}: {text}" for text in told(phase, loss).wrong]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("what", What)
+@pytest.mark.parametrize("phase", PHASES)
+def test_no_single_packet_leaves_an_arm_as_it_must_not_be(phase: str, what: What) -> None:
+    assert healthy(phase).wrong == []
+    assert [text for loss in losses(phase) if loss.what is what for text in wrong(phase, loss)] == []
+
+
+SOME = [
+    ("used servos", What.MISSED, CURRENT, 1, 3),
+    ("used servos", What.LOST, TORQUE, 0, None),
+    ("used servos", What.ALONE, TORQUE, 0, None),
+    ("torque off", What.MISSED, TORQUE, 1, 3),
+    ("stuck host", What.ALONE, WATCHDOG, 0, None),
+    ("unplugged shadow", What.LOST, WATCHDOG, -1, None),
+    ("unplugged shadow", What.MISSED, WATCHDOG, -1, 5),
+    ("unplugged shadow", What.MISSED, CURRENT, -9, 4),
+    ("guard, amid arming", What.LOST, CURRENT, 0, None),
+    ("first cycles", What.LAST, CURRENT, 4, None),
+    ("first cycles", What.LOST, CURRENT, 4, None),
+    ("first cycles", What.LOST, POSITION, 0, None),
+]
+
+
+@pytest.mark.parametrize(("phase", "what", "address", "place", "servo"), SOME)
+@pytest.mark.fault("B1", "P1", "P8", "S6")
+def test_of_these_packets_none_does(phase: str, what: What, address: int, place: int, servo: int | None) -> None:
+    number = writes_of(phase, address)[place]
+    assert healthy(phase).wrong == []
+    assert wrong(phase, Loss(what, number, servo)) == []
