@@ -147,6 +147,7 @@ def restore(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="File made by `coop motors dump`.", show_default=False)],
     port: Port,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Show the differences and write nothing.")] = False,
+    mark: Annotated[bool, typer.Option("--mark", help="Write the mark, too: the file is of this very arm.")] = False,
 ) -> None:
     """Write back what differs from a saved file and read it back; exit code 1 when a servo is missing."""
     from agent.motors.dump import apply_restore, load, plan_restore
@@ -155,10 +156,12 @@ def restore(
 
     saved = load(file)
     with open_line(port, saved.servos[0].baud) as bus:
-        plans = plan_restore(bus, saved, ALL_BAUDS)
+        plans = plan_restore(bus, saved, ALL_BAUDS, mark=mark)
         for plan in plans:
             for change in plan.changes:
                 typer.echo(change.line)
+            for change in plan.left:
+                typer.echo(f"{change.line}; not written, for it may be an arm's mark: --mark")
             for name in plan.absent:
                 typer.echo(f"servo {plan.servo.id}: {name}: found no such register in its firmware; left out")
             if plan.baud is None:
@@ -169,7 +172,8 @@ def restore(
         if not dry_run:
             apply_restore(bus, plans)
     what = "would be written" if dry_run else "written and read back"
-    typer.echo(f"{changes} registers {what}" if changes else "no differences")
+    none = "no other differences" if any(plan.left for plan in plans) else "no differences"
+    typer.echo(f"{changes} registers {what}" if changes else none)
     if any(plan.baud is None for plan in plans):
         raise typer.Exit(1)
 
@@ -181,16 +185,19 @@ def mark(
     ports: Annotated[Path | None, typer.Option(help="Folder of ports named like the arms (`coop emulate`).")] = None,
     overrides: Overrides = [],
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask, and leave the LEDs dark.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace the mark of another arm, once you said yes.")] = False,
 ) -> None:
     """Give all servos of an arm the mark that the cell has for it, by which swapped cables are noticed."""
     from agent.config.cell import load_cell
     from agent.motors.line import open_line
     from agent.motors.mark import apply_mark, lit, marked, plan_mark
 
+    if force and yes:
+        raise typer.BadParameter("either --force or --yes: which arm has another's mark is seen by its LEDs alone")
     described = load_cell(cell, overrides)
     servos = marked(described, described.arm(arm), ports)
     with open_line(servos.port, servos.baud) as bus:
-        changes = plan_mark(bus, servos)
+        changes = plan_mark(bus, servos, replace=force)
         for change in changes:
             typer.echo(change.line)
         if not changes:

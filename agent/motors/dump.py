@@ -1,4 +1,7 @@
-"""All EEPROM registers of a line's servos as a TOML file, and back: what differs is written, while torque is off."""
+"""All EEPROM registers of a line's servos as a TOML file, and back: what differs is written, while torque is off.
+
+The register of the mark stays as it is unless asked for: another arm's file would make two arms of one mark.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ from drivers.dynamixel.line.bus import Bus, Ping
 from drivers.dynamixel.servo.codes import BAUD_RATES, MAX_ID
 from drivers.dynamixel.servo.found import RegisterChange
 from drivers.dynamixel.servo.models import SERVOS, SERVOS_BY_NUMBER, ServoModel
-from drivers.dynamixel.servo.table import BAUD_RATE, ID
+from drivers.dynamixel.servo.table import BAUD_RATE, ID, MOVING_THRESHOLD
 from drivers.interface import DriverError, Refusal
 
 
@@ -158,14 +161,16 @@ class ServoPlan:
     baud: int | None
     changes: tuple[RegisterChange, ...] = ()
     absent: tuple[str, ...] = ()  # registers of the file that its firmware does not have
+    left: tuple[RegisterChange, ...] = ()  # what differs and is not written: the mark
 
 
-def plan_restore(bus: Bus, dump: Dump, bauds: Sequence[int]) -> list[ServoPlan]:
+def plan_restore(bus: Bus, dump: Dump, bauds: Sequence[int], *, mark: bool = False) -> list[ServoPlan]:
     """Compare the line with the file.  Writes nothing; a servo that does not answer has `baud` None.
 
+    mark: whether the mark is to be written, too.
     Raises RestoreError (another model), EepromError (torque is on), NoReplyError, RejectedError.
     """
-    return [_plan(bus, servo, bauds) for servo in dump.servos]
+    return [_plan(bus, servo, bauds, mark=mark) for servo in dump.servos]
 
 
 def apply_restore(bus: Bus, plans: Sequence[ServoPlan]) -> None:
@@ -186,7 +191,7 @@ def at_baud(bus: Bus, baud: int) -> Bus:
     return bus
 
 
-def _plan(bus: Bus, servo: DumpedServo, bauds: Sequence[int]) -> ServoPlan:
+def _plan(bus: Bus, servo: DumpedServo, bauds: Sequence[int], *, mark: bool) -> ServoPlan:
     ping, baud = _find(bus, servo, bauds)
     if ping is None:
         return ServoPlan(servo, None)
@@ -202,7 +207,8 @@ def _plan(bus: Bus, servo: DumpedServo, bauds: Sequence[int]) -> ServoPlan:
     for change in changes:
         _refuse_impossible(change)
     absent = tuple(name for name in servo.registers if name not in found)
-    return ServoPlan(servo, baud, tuple(changes), absent)
+    left = tuple(change for change in changes if change.register.name == MOVING_THRESHOLD.name and not mark)
+    return ServoPlan(servo, baud, tuple(change for change in changes if change not in left), absent, left)
 
 
 def _refuse_impossible(change: RegisterChange) -> None:

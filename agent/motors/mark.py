@@ -48,9 +48,10 @@ def marked(cell: Cell, arm: Arm, ports: Path | None) -> ArmMap:
     return arm_map(cell, arm, port, np.array(arm.entry.q_near_rad))
 
 
-def plan_mark(bus: Bus, arm: ArmMap) -> list[RegisterChange]:
+def plan_mark(bus: Bus, arm: ArmMap, *, replace: bool = False) -> list[RegisterChange]:
     """What must be written so that all servos of a `marked` arm have its mark.  Writes nothing.
 
+    replace: also where all of them have that of another arm, which a person has seen not to be the one on this port.
     Raises IdentityError (not the servos of the arm); EepromError (torque is on); MarkError (all of them have the mark
     of another arm); NoReplyError.
     """
@@ -59,7 +60,8 @@ def plan_mark(bus: Bus, arm: ArmMap) -> list[RegisterChange]:
         raise line.problems[0]
     for servo in line.servos:
         eeprom.require_torque_off(bus, servo.slot.servo_id)
-    _refuse_another(arm, line.servos)
+    if not replace:
+        _refuse_another(arm, line.servos)
     changes = []
     for servo in line.servos:
         found = {MOVING_THRESHOLD.name: servo.value(MOVING_THRESHOLD)}
@@ -105,7 +107,8 @@ def _refuse_another(arm: ArmMap, servos: Sequence[ServoFound]) -> None:
         raise MarkError(
             f"mark on {arm.port}", found=f"{servos[0].value(MOVING_THRESHOLD)}, arm {owner}'s",
             expected=f"that of no other arm, or {arm.mark.own}",
-            remedy=f"the cables of {arm.arm} and {owner} are swapped; if not, exchange their marks in the cell",
+            remedy=f"the cables of {arm.arm} and {owner} are swapped; if not, --force replaces the mark, after asking "
+            "with the LEDs of the arm on this port lit",
         )  # fmt: skip
 
 

@@ -360,6 +360,28 @@ def test_an_arm_that_was_given_a_mark_is_refused_at_the_port_of_another(cell: Pa
             driver.connect()
 
 
+def test_the_file_of_one_arm_leaves_the_other_its_mark_and_a_wrong_mark_has_a_way_out(
+    cell: Path, tmp_path: Path
+) -> None:
+    mark, at = ("motors", "mark", TWO_WX200, "--arm"), ("--ports", cell, *MARKS)
+    file, port = tmp_path / "left.toml", cell / "right"
+    for arm in ("left", "right"):
+        assert coop(*mark, arm, "--yes", *at).code == 0
+    assert coop("motors", "dump", "--port", cell / "left", "--baud", "1000000", "--out", file).code == 0
+    left = coop("motors", "restore", file, "--port", port)
+    told = "servo 7: Moving Threshold: found 2, wanted 1; not written, for it may be an arm's mark: --mark\n"
+    assert (left.code, told in left.out, left.out.count("; not written, ")) == (0, True, 7)
+    assert coop("motors", "restore", file, "--port", port, "--mark").out.endswith("registers written and read back\n")
+    refused = coop(*mark, "right", "--yes", *at)
+    assert (refused.code, "found 1, arm left's" in refused.err, "--force replaces" in refused.err) == (3, True, True)
+    for words, answer, code in ((("--force", "--yes"), "y\n", 2), (("--force",), "n\n", 1), (("--force",), "y\n", 0)):
+        with Witness(port) as witness:
+            assert [witness.byte(i, 24) for i in range(1, 8)] == [1] * 7
+        assert coop(*mark, "right", *words, *at, stdin=answer).code == code
+    with Witness(port) as witness:
+        assert [witness.byte(i, 24) for i in range(1, 8)] == [2] * 7
+
+
 @pytest.mark.long  # tests/unit/verify/test_check_bus.py
 def test_check_refuses_a_rate_that_the_bus_cannot_carry() -> None:
     done = coop("check", TWO_WX200, "--set", "rate_hz=500")

@@ -141,6 +141,14 @@ def test_what_cannot_be_marked_is_refused_and_nothing_is_written(happens, error:
     assert settings(rig) == before
 
 
+def test_the_mark_of_another_arm_is_replaced_where_a_person_says_so() -> None:
+    rig = unmarked()
+    of_right(rig)
+    bus = bus_of(rig)
+    apply_mark(bus, ARM, plan_mark(bus, ARM, replace=True))
+    assert of(rig) == [1] * len(IDS)
+
+
 def test_a_servo_that_comes_from_the_other_arm_gets_the_mark_of_its_new_one() -> None:
     rig = build(ARM, timing=BusTiming())
     rig.put(1, table.MOVING_THRESHOLD, 2)

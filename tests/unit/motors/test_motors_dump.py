@@ -18,6 +18,7 @@ from drivers.dynamixel.servo.models import SERVOS
 from drivers.dynamixel.servo.table import (
     BAUD_RATE,
     ID,
+    MOVING_THRESHOLD,
     OPERATING_MODE,
     RETURN_DELAY_TIME,
     TORQUE_ENABLE,
@@ -65,9 +66,9 @@ def saved(rig: Rig) -> dump.Dump:
     return dump.take(bus, "left", survey(bus, "left", [57_600, 1_000_000], tell), "2026-01-01T00:00:00+00:00")
 
 
-def restore(rig: Rig, file: dump.Dump) -> list[dump.ServoPlan]:
+def restore(rig: Rig, file: dump.Dump, *, mark: bool = False) -> list[dump.ServoPlan]:
     bus = bus_of(rig)
-    plans = dump.plan_restore(bus, file, ALL_BAUDS)
+    plans = dump.plan_restore(bus, file, ALL_BAUDS, mark=mark)
     dump.apply_restore(bus, plans)
     return plans
 
@@ -86,11 +87,24 @@ def test_restoring_brings_back_every_register_and_writes_no_other(data: st.DataO
                 changed.add((servo_id, register.address))
                 rig.put(servo_id, register, value)
     rig.port.writes.clear()
-    restore(rig, file)
+    restore(rig, file, mark=True)
     assert eeprom_of(rig) == before
     assert torque_is_off(rig)
     written = [(packet[0], packet[4]) for packet in instructions(rig) if packet[3] not in LOOKING]
     assert sorted(written) == sorted(changed)
+
+
+def test_the_mark_of_an_arm_is_left_and_told_unless_it_is_asked_for() -> None:
+    rig = servo_rig(fresh(XM, 4))
+    file = saved(rig)
+    rig.put(4, MOVING_THRESHOLD, 2)
+    rig.put(4, RETURN_DELAY_TIME, 3)
+    (plan,) = restore(rig, file)
+    assert [c.line for c in plan.left] == ["servo 4: Moving Threshold: found 2, wanted 10"]
+    assert [rig.get(4, r) for r in (MOVING_THRESHOLD, RETURN_DELAY_TIME)] == [2, 250]
+    (plan,) = restore(rig, file, mark=True)
+    assert plan.left == ()
+    assert rig.get(4, MOVING_THRESHOLD) == 10
 
 
 def test_a_servo_set_to_another_speed_is_found_and_brought_back() -> None:
