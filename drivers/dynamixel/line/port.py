@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Protocol
 
 from drivers.dynamixel.errors import PortError, PortLostError, WriteTimeoutError
-from drivers.dynamixel.line.ports import busy_error, open_error, require_serial
+from drivers.dynamixel.line.ports import claim, open_error, require_serial
 
 CHUNK = 256  # largest single read, bytes
 DISCARD_LIMIT = 4096
@@ -24,7 +24,6 @@ DISCARD_LIMIT = 4096
 _TCGETS2, _TCSETS2, _BOTHER = 0x802C542A, 0x402C542B, 0o010000
 _TERMIOS2 = struct.Struct("<4IB19s2I")
 _SERIAL_FLAGS_AT, _ASYNC_LOW_LATENCY = 16, 0x2000
-_PTY_MAJORS = range(136, 144)
 _BAUD_TOLERANCE = 0.02  # an FTDI chip makes 4.571 Mbit/s of 4.5, which the servos accept
 
 
@@ -228,13 +227,7 @@ class SerialPort:
                 expected="below 1024, the limit of select()",
                 remedy="open the port before other files",
             )
-        try:
-            fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise busy_error(self.path) from None
-        # On a pty the flag would outlive a killed owner while the emulator keeps the other end open.
-        if os.major(os.fstat(fd).st_rdev) not in _PTY_MAJORS:
-            fcntl.ioctl(fd, termios.TIOCEXCL)
+        claim(fd, self.path)
 
     def _configure(self, fd: int) -> None:
         attributes = termios.tcgetattr(fd)

@@ -1,19 +1,21 @@
-"""Which serial ports this machine has, who uses one, and why one cannot be opened.  Linux only."""
+"""Which serial ports this machine has, who uses one, how one is kept, and why one cannot be opened.  Linux only."""
 
 from __future__ import annotations
 
 import contextlib
 import errno
+import fcntl
 import grp
 import os
 import stat
+import termios
 from pathlib import Path
 
 from drivers.dynamixel.errors import PortError
 
 CANDIDATES = ("coop/*", "serial/by-id/*", "ttyDXL*", "ttyUSB*", "ttyACM*")
 _GROUP_MAY = stat.S_IRGRP | stat.S_IWGRP
-_PTMX, _PTY_MAJOR = os.makedev(5, 2), 136
+_PTMX, _PTY_MAJORS = os.makedev(5, 2), range(136, 144)
 
 
 def candidates() -> list[str]:
@@ -47,6 +49,17 @@ def require_serial(fd: int, path: str) -> None:
             expected="a serial port",
             remedy=f"ports here: {', '.join(candidates()) or 'none'}",
         )
+
+
+def claim(fd: int, path: str) -> None:
+    """Keep an open port from other programs.  Raises PortError where one has it, OSError of a device that is gone."""
+    try:
+        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise busy_error(path) from None
+    # On a pty the flag would outlive a killed owner while the emulator keeps the other end open.
+    if os.major(os.fstat(fd).st_rdev) not in _PTY_MAJORS:
+        fcntl.ioctl(fd, termios.TIOCEXCL)
 
 
 def open_error(path: str, error: OSError) -> PortError:
@@ -130,5 +143,5 @@ def _pty_of(info: Path) -> int | None:
     for line in info.read_text().splitlines():
         if line.startswith("tty-index:"):
             index = int(line.split()[1])
-            return os.makedev(_PTY_MAJOR + (index >> 8), index & 0xFF)
+            return os.makedev(_PTY_MAJORS.start + (index >> 8), index & 0xFF)
     return None

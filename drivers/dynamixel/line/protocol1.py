@@ -1,7 +1,7 @@
 """Servos that still speak Protocol 1.0: found by ping, so that a person learns why they do not answer.
 
 Through the official SDK, for the rest of this stack does not know that protocol; only its wait is bounded here, which
-on a line that never falls silent has no end.
+on a line that never falls silent has no end, and its port is kept from others.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import NamedTuple
 import dynamixel_sdk as sdk
 
 from drivers.dynamixel.errors import PortError
+from drivers.dynamixel.line.ports import claim
 from drivers.dynamixel.servo.codes import MAX_ID
 
 BAUDS = (1_000_000, 57_600)  # as AX and MX servos leave the factory
@@ -38,9 +39,20 @@ class OldServo(NamedTuple):
 
 
 class _BoundedPort(sdk.PortHandler):  # type: ignore[misc]  # the SDK has no types
-    """The SDK's port, whose reads end."""
+    """The SDK's port, whose reads end; opened once for all speeds, and kept from others."""
 
     deadline_s = 0.0
+
+    def setupPort(self, cflag_baud: int) -> bool:
+        """Called by the SDK for each speed.  Raises PortError where another program has the port, OSError."""
+        if self.is_open:
+            self.ser.baudrate = cflag_baud
+            self.ser.reset_input_buffer()
+            self.tx_time_per_byte = 1e4 / cflag_baud  # ms
+        else:
+            super().setupPort(cflag_baud)
+            claim(self.ser.fileno(), self.port_name)
+        return True
 
     def readPort(self, length: int) -> bytes:
         """Called by the SDK until its packet is whole or its own time is over.  Raises PortError after PING_S."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import select
+import termios
 import threading
 import tty
 from collections.abc import Callable, Iterator
@@ -13,8 +14,10 @@ from contextlib import contextmanager
 import pytest
 
 from agent.motors.find import survey_old
+from drivers.clock import MonotonicClock
 from drivers.dynamixel.errors import PortError
 from drivers.dynamixel.line import protocol1
+from drivers.dynamixel.line.port import SerialPort
 
 AX_12A, MX_28, PING, READ = 12, 29, 1, 2
 
@@ -87,6 +90,49 @@ def test_they_are_listed_as_servos_with_a_note(monkeypatch: pytest.MonkeyPatch) 
         (servo,) = survey_old(path, [57_600], lambda _: None)
     assert (servo.servo_id, servo.baud, servo.model_number, servo.firmware) == (2, 57_600, MX_28, None)
     assert "Protocol 2.0 firmware" in servo.note
+
+
+def test_nobody_else_comes_to_the_port_until_all_speeds_were_asked() -> None:
+    refused: list[bool] = []
+
+    def come(_: str) -> None:
+        port = SerialPort(path, 1_000_000, MonotonicClock())
+        try:
+            port.open()
+        except PortError as error:
+            refused.append("in use by" in str(error))
+        else:
+            refused.append(False)
+            port.close()
+
+    with line(answers({2: MX_28})) as path:
+        found = protocol1.find(path, [1_000_000, 57_600], come, ids=[2])
+        come("it is over")
+    assert refused == [False, True, False]
+    assert [servo.baud for servo in found] == [1_000_000, 57_600]
+
+
+def test_each_speed_is_that_of_the_line_while_it_is_asked() -> None:
+    speeds: list[int] = []
+
+    def noted(request: bytes) -> bytes:
+        looking = os.open(path, os.O_RDWR | os.O_NOCTTY)
+        speeds.append(termios.tcgetattr(looking)[4])
+        os.close(looking)
+        return answers({})(request)
+
+    with line(noted) as path:
+        protocol1.find(path, [1_000_000, 57_600], lambda _: None, ids=[2])
+    assert speeds == [termios.B1000000, termios.B57600]
+
+
+def test_a_port_that_somebody_has_meanwhile_is_left_alone() -> None:
+    with line(answers({2: MX_28})) as path:
+        port = SerialPort(path, 1_000_000, MonotonicClock())
+        port.open()
+        with pytest.raises(PortError, match="in use by"):
+            protocol1.find(path, [1_000_000], lambda _: None, ids=[2])
+        port.close()
 
 
 def test_noise_without_end_is_refused_and_not_listened_to_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
