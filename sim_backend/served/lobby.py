@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import select
 import socket
@@ -98,7 +99,8 @@ class Lobby:
             seat, watchdog_s = self._seat_for(message)
             connection.send(words(MessageKind.INFO, **self._info, **_limits(seat)), socket.MSG_NOSIGNAL)
         except Refusal as refusal:
-            connection.send(refusal_words(MessageKind.REFUSED, refusal), socket.MSG_NOSIGNAL)
+            with contextlib.suppress(OSError):  # it left before it was told
+                connection.send(refusal_words(MessageKind.REFUSED, refusal), socket.MSG_NOSIGNAL)
             connection.close()
         except OSError:
             connection.close()  # it left before it said its name

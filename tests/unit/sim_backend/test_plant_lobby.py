@@ -57,6 +57,15 @@ def test_stranger_who_talks_nonsense_is_refused_and_does_no_harm(tmp_path: Path)
         cycle(served.enabled(), 2)
 
 
+def test_stranger_who_does_not_wait_for_the_refusal_does_no_harm(tmp_path: Path) -> None:
+    with ServedPlant(tmp_path) as served:
+        for _ in range(3):
+            with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as s:
+                s.connect(os.fspath(served.path))
+                s.send(words(MessageKind.HELLO, version=99, arm="left"))
+        cycle(served.enabled(), 2)
+
+
 def test_other_protocol_version_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sim_backend.served.driver.VERSION", 7)
     with ServedPlant(tmp_path) as served, pytest.raises(ConnectError, match="found version 7, expected 4"):
