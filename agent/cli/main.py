@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Sequence
 from functools import cache
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from typer.main import get_command_name
@@ -58,6 +58,25 @@ _FAMILIES: dict[str, tuple[str, typer.Typer]] = {
 }
 
 
+class _Unheard(Exception):
+    """Another process left in the middle of a command; what reads the line would take it for a reader who left."""
+
+    def __init__(self, error: OSError) -> None:
+        super().__init__(error)
+        self.error = error
+
+
+class _Whole(Commands):
+    """All commands."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command of the line.  Raises _Unheard."""
+        try:
+            return super().invoke(ctx)
+        except BrokenPipeError as error:
+            raise _Unheard(error) from error
+
+
 def _version(wanted: bool) -> None:
     if wanted:
         from importlib.metadata import PackageNotFoundError, version
@@ -80,7 +99,7 @@ def _coop(
 def _tree(only: str | None = None) -> typer.Typer:
     """All commands, or the one of this name; each that is there costs a millisecond when a line is read."""
     tree = typer.Typer(
-        cls=Commands,
+        cls=_Whole,
         pretty_exceptions_enable=False,
         rich_markup_mode=None,
         context_settings={"help_option_names": ["-h", "--help"]},
@@ -131,6 +150,8 @@ def dispatch(arguments: Sequence[str] | None = None) -> int:
         return _refuse("stopped at a question", 1)
     except typer.TyperException as error:
         return _usage(error)
+    except _Unheard as unheard:
+        return _refuse(of_host(unheard.error), USAGE)
     except OSError as error:
         return _refuse(of_host(error), USAGE)
     except Exception as error:

@@ -50,7 +50,7 @@ def hear_stops() -> None:
 
 
 class _Lasting(io.FileIO):
-    """A terminal or pipe, which may be closed while something is still written to it: that leads nowhere."""
+    """A terminal, pipe or socket, which may be closed while something is still written to it: that leads nowhere."""
 
     def write(self, data: Any, /) -> int:
         try:
@@ -70,21 +70,24 @@ def _outlive_terminals() -> None:
 
 
 def outlive_readers() -> None:
-    """Have no command fail for a pipe that nobody reads any more, as with `| head -1`: it does what it was asked to."""
+    """Have no command fail for a pipe that nobody reads any more, as with `| head -1`: it does what it was asked to.
+
+    A socket, as a service manager or a remote shell gives, is one, too.
+    """
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
-        if isinstance(stream, io.TextIOWrapper) and _is_pipe(stream):
+        if isinstance(stream, io.TextIOWrapper) and _has_reader(stream):
             setattr(sys, name, _lasting(stream))
 
 
 def is_unread() -> bool:
-    """Whether standard output is a pipe that nobody reads any more: what is said again and again need not be."""
+    """Whether standard output is a pipe or socket that nobody reads any more: what is said again and again may end."""
     poller = select.poll()
     try:
         poller.register(sys.stdout.fileno(), 0)
     except OSError:  # it has none
         return False
-    return any(events & select.POLLERR for _, events in poller.poll(0))
+    return any(events & (select.POLLERR | select.POLLHUP) for _, events in poller.poll(0))
 
 
 def _lasting(stream: io.TextIOWrapper) -> io.TextIOWrapper:
@@ -94,11 +97,12 @@ def _lasting(stream: io.TextIOWrapper) -> io.TextIOWrapper:
     return io.TextIOWrapper(raw, stream.encoding, stream.errors, line_buffering=by_lines)
 
 
-def _is_pipe(stream: io.TextIOWrapper) -> bool:
+def _has_reader(stream: io.TextIOWrapper) -> bool:
     try:
-        return stat.S_ISFIFO(os.fstat(stream.fileno()).st_mode)
+        mode = os.fstat(stream.fileno()).st_mode
     except OSError:
         return False
+    return stat.S_ISFIFO(mode) or stat.S_ISSOCK(mode)
 
 
 def ready(what: str) -> None:
@@ -126,6 +130,8 @@ def of_host(error: OSError) -> str:
         from agent.host import open_files  # noqa: PLC0415 - seldom needed, and this module starts every process
 
         return f"this host: {found}, with {open_files.found()}, expected more; {open_files.REMEDY}"
+    if error.errno == errno.EPIPE:
+        return f"another process: {found}, expected it to go on listening; see why it ended"
     if error.filename is None:
         return f"this host: {found}, expected it to do what was asked; see what it is short of"
     return f"{error.filename}: {found}, expected a path that can be used; name another"

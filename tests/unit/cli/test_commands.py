@@ -152,8 +152,9 @@ def test_a_command_that_runs_hears_ctrl_c_as_python_does() -> None:
             "this host: found No space left on device, expected it to do what was",
         ),
         (OSError(13, "Permission denied", "/x"), "/x: found Permission denied, expected a path that can be used; name"),
+        (OSError(32, "Broken pipe"), "another process: found Broken pipe, expected it to go on listening; see why it"),
     ],
-    ids=["host", "path"],
+    ids=["host", "path", "another process"],
 )
 def test_what_the_system_refuses_is_one_line(monkeypatch: pytest.MonkeyPatch, error: OSError, line: str) -> None:
     def fail(*_: object) -> None:

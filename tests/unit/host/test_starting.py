@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import socket
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -52,9 +54,14 @@ sys.exit(7)
     assert process.returncode == 7
 
 
-def unread(code: str, stream: str) -> subprocess.CompletedProcess[str]:
+def of_sockets() -> tuple[int, int]:
+    reader, writer = socket.socketpair()
+    return reader.detach(), writer.detach()
+
+
+def unread(code: str, stream: str, pipe: Callable[[], tuple[int, int]] = os.pipe) -> subprocess.CompletedProcess[str]:
     """What a command says of itself whose stream nobody reads."""
-    reader, writer = os.pipe()
+    reader, writer = pipe()
     os.close(reader)
     streams: dict[str, int] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, stream: writer}
     done = subprocess.run([sys.executable, "-c", SETTLED + code], text=True, timeout=60, **streams)
@@ -62,8 +69,11 @@ def unread(code: str, stream: str) -> subprocess.CompletedProcess[str]:
     return done
 
 
+@pytest.mark.parametrize("pipe", [os.pipe, of_sockets])
 @pytest.mark.parametrize(("stream", "other"), [("stdout", "stderr"), ("stderr", "stdout")])
-def test_what_is_written_to_a_pipe_that_nobody_reads_fails_no_command(stream: str, other: str) -> None:
+def test_what_is_written_to_a_pipe_that_nobody_reads_fails_no_command(
+    stream: str, other: str, pipe: Callable[[], tuple[int, int]]
+) -> None:
     done = unread(
         f"""
 from agent.host.starting import is_unread, outlive_readers
@@ -74,6 +84,7 @@ print(is_unread(), file=sys.{other})
 sys.exit(7)
 """,
         stream,
+        pipe,
     )
     assert (done.returncode, getattr(done, other)) == (7, f"{stream == 'stdout'}\n")
 
