@@ -2,7 +2,8 @@
 # Copies the units and what they need to where systemd looks; enables and starts nothing.
 #   systemd/install.sh [simulated | rehearsal] [several-hosts]     a choice that is not named is taken away again
 #   systemd/install.sh remove                          takes everything away but what is yours: cell, keys, rules, logs
-# DESTDIR=DIR installs below DIR and touches nothing else.  Files that are filled in on the host are never replaced.
+# DESTDIR=DIR installs below DIR and touches nothing else.  Files that are filled in on the host are never replaced; a
+# drop-in of this kind that is taken away is kept as *.conf.saved, and put back with its choice.
 set -eu
 here=$(dirname "$0")
 root=${DESTDIR:-}
@@ -27,6 +28,17 @@ if [ -z "$root" ] && [ "$(id -u)" != 0 ]; then
     exit 2
 fi
 
+take_addresses() { # drop-ins of several-hosts; what was filled in stays beside them, where systemd does not read it
+    for file in "$units"/coop*.service.d/50-several-hosts.conf; do
+        if [ ! -e "$file" ] || cmp -s "$file" "$here/several-hosts/${file#"$units/"}"; then
+            rm -f "$file"
+        else
+            mv -f "$file" "$file.saved"
+            echo "kept $file.saved: it was filled in on this host"
+        fi
+    done
+}
+
 remove() { # units and drop-ins of ours; refuses while an arm is held
     if [ -z "$root" ]; then
         held=$(systemctl list-units --plain --no-legend --state=active,activating,deactivating 'coop-agent@*' 'coop-guard@*')
@@ -44,7 +56,7 @@ remove() { # units and drop-ins of ours; refuses while an arm is held
         rm -f "$units/$(basename "$file")"
     done
     rm -f "$units"/coop*.service.d/50-simulated.conf "$units"/coop*.service.d/50-rehearsal.conf
-    rm -f "$units"/coop*.service.d/50-several-hosts.conf
+    take_addresses
     rm -f "$root/etc/sysusers.d/coop.conf" "$root/etc/tmpfiles.d/coop.conf"
     for folder in "$units"/coop*.service.d; do
         if [ -d "$folder" ]; then rmdir "$folder" 2> /dev/null || echo "kept $folder: it holds files of yours"; fi
@@ -58,6 +70,10 @@ remove() { # units and drop-ins of ours; refuses while an arm is held
 case " $* " in *" remove "*) remove; exit 0 ;; esac
 
 once() { # MODE SOURCE TARGET: a file that is filled in on this host
+    if [ ! -e "$3" ] && [ -e "$3.saved" ]; then
+        mv "$3.saved" "$3"
+        echo "put back $3: it was filled in on this host"
+    fi
     [ -e "$3" ] || install -D -m "$1" "$2" "$3"
 }
 
@@ -89,7 +105,7 @@ case " $* " in
     once 644 "$here/several-hosts/zenoh/recorder.json5" "$root/etc/coop/zenoh/recorder.json5"
     once 644 "$here/several-hosts/zenoh/arm.json5" "$root/etc/coop/zenoh/arm.json5"
     ;;
-*) rm -f "$units"/coop*.service.d/50-several-hosts.conf ;;
+*) take_addresses ;;
 esac
 
 [ -n "$root" ] && exit 0

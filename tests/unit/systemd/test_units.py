@@ -292,6 +292,22 @@ def test_what_was_filled_in_survives_an_update(tmp_path: Path, path: str) -> Non
     assert (tmp_path / path).read_text() == "filled in"
 
 
+@pytest.mark.parametrize("without", [(), ("remove",)], ids=["choice left out", "removed"])
+def test_addresses_that_were_filled_in_come_back_with_their_choice(tmp_path: Path, without: tuple[str, ...]) -> None:
+    units, own = tmp_path / "etc/systemd/system", "50-several-hosts.conf"
+    filled = units / "coop-telemetry@.service.d" / own
+    install(tmp_path, "several-hosts")
+    shipped = filled.read_text()
+    filled.write_text(shipped.replace("192.0.2.10", "10.9.9.9"))
+    for _ in range(2):
+        install(tmp_path, *without)
+        kept = {path.relative_to(units) for path in units.rglob(f"{own}*")}
+        assert kept == {Path("coop-telemetry@.service.d", f"{own}.saved")}
+    install(tmp_path, "several-hosts")
+    assert filled.read_text() == shipped.replace("192.0.2.10", "10.9.9.9")
+    assert list(units.rglob("*.saved")) == []
+
+
 @pytest.mark.parametrize("choices", CHOICES.values(), ids=CHOICES)
 def test_removing_takes_what_was_installed_and_keeps_what_was_filled_in(
     tmp_path: Path, choices: tuple[str, ...]
