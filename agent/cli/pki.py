@@ -28,6 +28,10 @@ def pki(
     from agent.pki import make
 
     wish = make.Wish(load_files(cell), folder, recorder, listen, port, days, in_place)
+    if renew and wish != make.Wish(wish.cell, folder, days=days):
+        raise typer.BadParameter(
+            "--renew goes with --days alone: the member's hosts and configuration stay as they are"
+        )
     ends = make.renew(wish, renew) if renew else make.make(wish)
     if as_json:
         print_json(

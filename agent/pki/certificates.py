@@ -11,6 +11,7 @@ from typing import Final
 from agent.host.openssl import openssl
 
 AUTHORITY_DAYS: Final = 3650
+_OF_CELL: Final = "coop cell "  # begins the name of its authority
 _CURVE: Final = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes")
 
 
@@ -25,10 +26,16 @@ class Leaf:
 def make_authority(folder: Path, cell: str) -> None:
     """`ca.pem` and `ca.key` in the folder; it signs leaves and no further authority.  Raises PkiError."""
     openssl(
-        folder, "req", "-x509", *_CURVE, "-keyout", "ca.key", "-out", "ca.pem", "-subj", f"/CN=coop cell {cell}",
+        folder, "req", "-x509", *_CURVE, "-keyout", "ca.key", "-out", "ca.pem", "-subj", f"/CN={_OF_CELL}{cell}",
         "-days", str(AUTHORITY_DAYS), "-addext", "keyUsage=critical,keyCertSign",
         "-addext", "basicConstraints=critical,CA:TRUE,pathlen:0",
     )  # fmt: skip
+
+
+def cell_of(authority: Path) -> str:
+    """The cell whose authority it is.  Raises PkiError."""
+    subject = openssl(authority, "x509", "-in", "ca.pem", "-noout", "-subject", "-nameopt", "RFC2253")
+    return subject.strip().removeprefix(f"subject=CN={_OF_CELL}")
 
 
 def sign(authority: Path, folder: Path, name: str, leaf: Leaf, days: int) -> None:

@@ -16,7 +16,7 @@ from typing import Final
 from agent.config.files import CellFiles
 from agent.config.schema.driver import DriverKind
 from agent.host.openssl import PkiError, validity
-from agent.pki.certificates import Leaf, hosts, make_authority, sign
+from agent.pki.certificates import Leaf, cell_of, hosts, make_authority, sign
 from agent.pki.zenoh import Paths, common_name, member_config, recorder_config
 from agent.telemetry.row.topics import PLANT, RECORDER
 
@@ -85,6 +85,11 @@ def renew(wish: Wish, names: Sequence[str]) -> dict[str, datetime.datetime]:
         raise PkiError(
             f"folder {folder}", found="no authority/ca.key", expected="a folder that `coop pki` has made",
             remedy="bring the key from where it is kept",
+        )  # fmt: skip
+    if (cell := cell_of(folder / "authority")) != wish.cell.file.name:
+        raise PkiError(
+            f"folder {folder}", found=f"the authority of cell {cell}", expected=f"that of {wish.cell.file.name}",
+            remedy="name the cell that it was made for, or make a folder for this one",
         )  # fmt: skip
     for name in names:
         with tempfile.TemporaryDirectory(dir=folder) as scratch:

@@ -163,6 +163,29 @@ def test_a_renewed_member_has_another_key_for_the_same_host_and_the_others_their
     assert renewed["recorder"] < renewed["left"]
 
 
+def test_a_certificate_is_renewed_for_its_own_cell_alone(made: Path) -> None:
+    with pytest.raises(PkiError, match="found the authority of cell paper_real, expected that of two_wx200; name the"):
+        renew(Wish(load_files(Path("two_wx200")), made), ["left"])
+
+
+@pytest.mark.parametrize(
+    "words", [("--in-place",), ("--recorder", "10.0.0.1"), ("--listen", "10.0.0.1"), ("--port", "7448")]
+)
+def test_what_a_renewal_would_not_heed_is_refused(made: Path, words: tuple[str, ...]) -> None:
+    before = (made / "left/zenoh/left.pem").read_bytes()
+    done = coop("pki", "paper_real", made, "--renew", "left", "--days", "30", *words)
+    assert (done.code, done.out) == (2, "")
+    assert "--renew goes with --days alone" in done.err
+    assert (made / "left/zenoh/left.pem").read_bytes() == before
+
+
+def test_the_command_renews_for_as_many_days_as_it_is_told(made: Path, tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(made, tmp_path / "cell"))
+    done = coop("pki", "paper_real", folder, "--renew", "left", "--days", "30")
+    assert (done.code, done.err) == (0, "")
+    assert ends(folder)["left"] < ends(folder)["right"]
+
+
 def test_the_command_says_how_long_everything_lasts(tmp_path: Path) -> None:
     command = ("pki", "paper", tmp_path / "cell", "--json")
     done = coop(*command)
