@@ -121,6 +121,7 @@ def guard(command: GuardCommand, listener: Listener) -> int:
 
     with closing(Notifier()) as notifier:
         notifier.loading("loads")  # for a second from here on; its agent loads meanwhile, and waits for the socket
+    from agent.atomic import make_folder
     from agent.config.cell import load_cell
     from agent.host.paths import control_path, guard_path, make_runtime_dir, ring_path
     from agent.process.build import Connection
@@ -145,6 +146,7 @@ def guard(command: GuardCommand, listener: Listener) -> int:
         hold=holds(loaded, kind, emulated=command.emulated, asked=command.hold),
         priority=command.priority,
     )
+    make_folder(command.post_mortem)  # while nothing is held yet
     socket = command.socket or guard_path(name, arm)
     summary = run_guard(loaded, GuardOptions(options, command.cell, socket, command.post_mortem), requested, ready)
     if summary is not None:

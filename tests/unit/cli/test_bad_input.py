@@ -135,6 +135,7 @@ OTHERS = {
     "agent in lockstep with a guard": ("agent", PAPER, *LEFT, "--guard", "x"),
     "guard of an unknown arm": ("guard", PAPER, "--arm", "middle"),
     "guard --port": ("guard", PAPER, "--arm", "left", "--driver", "dynamixel", "--port", "a_file"),
+    "guard --post-mortem": ("guard", PAPER, "--arm", "left", "--driver", "sim", "--post-mortem", "a_file/folder"),
     "guard --priority": ("guard", PAPER, "--arm", "left", "--priority", "0"),
     "plant --socket": ("plant", PAPER, "--socket", "a_file", "--ring", "ring"),
     "plant --socket nowhere": ("plant", PAPER, "--socket", "no/where", "--ring", "ring"),
