@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import gc
 import logging
+import os
 import select
 import socket
 import threading
@@ -186,12 +187,13 @@ class Server:
 
 
 def _listen(path: Path) -> socket.socket:
-    """The control socket at `path`, in the place of one that an emulator has left behind.  Raises OSError."""
+    """The control socket at `path` (mode 0600), in the place of one that an emulator has left.  Raises OSError."""
     if path.is_socket():
         path.unlink(missing_ok=True)
     made = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     try:
         made.setblocking(False)
+        os.fchmod(made.fileno(), 0o600)  # before bind: the path is never there with another mode
         made.bind(str(path))
     except OSError as error:
         made.close()
