@@ -27,6 +27,18 @@ def keep_existing(*paths: Path, remedy: str = "name another, or give --force") -
             raise WriteError(f"file {path}", found="one of that name", expected="none", remedy=remedy)
 
 
+def refuse_other(path: Path, content: bytes) -> None:
+    """Raise WriteError where a file at `path`, which is not written as one that ships is meant, would be read instead.
+
+    content: of the one that ships; another file with it does no harm.
+    """
+    if os.path.lexists(path) and not (path.is_file() and path.read_bytes() == content):
+        raise WriteError(
+            f"file {path}", found="another one than that of this name which ships",
+            expected="none, for it would be read in its place", remedy="name another folder",
+        )  # fmt: skip
+
+
 def require_place(*paths: Path, force: bool, refusal: type[Refusal] = WriteError) -> None:
     """Raise `refusal` before the work for files that would replace others unasked (force) or have no folder."""
     if not force:

@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
-from agent.atomic import keep_existing, make_folder, write_together
+from agent.atomic import keep_existing, make_folder, refuse_other, write_together
 from agent.calibrate.chain import CalibrateError, chain_of
 from agent.calibrate.poses import poses_of
 from agent.calibrate.result import Calibrated, arm_toml, calibrated, cell_toml, summary
@@ -86,7 +86,7 @@ def write(result: Calibrated, logs: Sequence[Path], out: Path) -> Files:
     """Write cell, arm files, figure and summary into the folder `out`, which may be new.
 
     Raises CalibrateError where the poses held out do not agree better than before, and WriteError, with nothing
-    written, where one of the files is there already or cannot be written.
+    written, where one of the files is there already or cannot be written, or another has the name of a URDF that ships.
     """
     if not result.better:
         before_m, after_m, before_rad, after_rad = result.judged
@@ -103,6 +103,9 @@ def write(result: Calibrated, logs: Sequence[Path], out: Path) -> Files:
     texts = _texts(result, f"calibrated from {source}", name, arms)
     drawn = out / f"{name}.png"
     keep_existing(*(out / file for file in texts), drawn, remedy="name another folder with --out")
+    for arm in result.cell.arms:
+        if not arm.own_urdf:
+            refuse_other(out / arm.file.urdf, arm.urdf_xml.encode())
     make_folder(out)
     write_together({drawn: save_png(figure(result))} | {out / file: text.encode() for file, text in texts.items()})
     return Files(out / f"{name}.toml", tuple(out / arm for arm in arms), drawn, out / f"{name}.json")

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from agent.atomic import keep_existing, make_folder, write_together
+from agent.atomic import keep_existing, make_folder, refuse_other, write_together
 from agent.identify.equations import Options
 from agent.identify.fit import fit
 from agent.identify.recording import from_log
@@ -48,7 +48,7 @@ def write(result: Identified, out: Path, *, replace: bool = False) -> Files:
     """Write arm file, its own URDF if it has one, figure and summary into the folder `out`, which may be new.
 
     Raises WriteError, with no new file written, where one of them is there already and not to be replaced, or cannot
-    be written.
+    be written, and where another file there has the name of a URDF that ships.
     """
     arm = result.recording.arm
     model, own = arm.entry.model, arm.entry.arm_file
@@ -57,7 +57,9 @@ def write(result: Identified, out: Path, *, replace: bool = False) -> Files:
         out / f"identify_{model}.png",
         out / f"identify_{model}.json",
     )
-    urdf = {out / arm.file.urdf: arm.urdf_xml.encode()} if arm.own_urdf else {}  # else one that ships is read
+    urdf = {out / arm.file.urdf: arm.urdf_xml.encode()} if arm.own_urdf else {}
+    if not arm.own_urdf:
+        refuse_other(out / arm.file.urdf, arm.urdf_xml.encode())
     if not replace:
         keep_existing(*urdf, files.arm, files.figure, files.summary, remedy="name another folder, or give --force")
     make_folder(out)

@@ -220,6 +220,18 @@ def test_each_arm_keeps_its_own_urdf(
         assert (f"# was {named}, the name of another arm's" in path.read_text()) is renamed
 
 
+def test_another_file_by_the_name_of_a_urdf_that_ships_is_refused_before_anything_is_written(tmp_path: Path) -> None:
+    result = with_urdfs(tmp_path, "my.urdf", {"left": URDF})
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "wx200.urdf").write_text(LIGHTER)
+    with pytest.raises(WriteError, match=r"wx200\.urdf: found another one than that of this name which ships"):
+        write(result, [LOG], out)
+    assert [path.name for path in out.iterdir()] == ["wx200.urdf"]
+    (out / "wx200.urdf").write_text(URDF)
+    write(result, [LOG], out)
+
+
 def test_a_name_that_a_third_arm_has_is_not_taken_either() -> None:
     arms = load_cell(Path("three_wx250s")).arms
     own = [

@@ -203,7 +203,9 @@ def test_identify_writes_the_urdf_that_the_arm_file_had_beside_it(found: Identif
     path = write_mine(out / "wx200.urdf")
     with pytest.raises(WriteError, match=r"wx200\.urdf: found one of that name"):
         write(lighter, out)
-    assert path.read_bytes() == MINE
+    with pytest.raises(WriteError, match=r"wx200\.urdf: found another one than that of this name which ships"):
+        write(found, out, replace=True)
+    assert [(file, file.read_bytes()) for file in out.iterdir()] == [(path, MINE)]
     path.unlink()
     write(lighter, out)
     text = (configs.CELLS_DIR / "identify_wx200.toml").read_text()
