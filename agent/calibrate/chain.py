@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -145,6 +145,24 @@ def chain_of(cell: Cell) -> Chain:
         )  # fmt: skip
         links.append(Link(arm, bare, basis.T, turned @ basis.T, _scale(cell.tolerance, basis, arm.n)))
     return Chain(tuple(links), basis)
+
+
+def as_loose_as_told(cell: Cell) -> Chain:
+    """The chain with all that the cell's own [tolerance] allows: pads, too, that give under the object's weight.
+
+    A pad that gives shifts and turns the grasp.  Raises as `chain_of`.
+    """
+    chain, pads = chain_of(cell), cell.file.tolerance
+    weight_N = cell.file.object.mass_kg * float(np.linalg.norm(cell.gravity))
+    links = []
+    for link in chain.links:
+        moment_Nm = weight_N * float(np.linalg.norm(link.arm.T_object_ee.translation))
+        linear = np.linalg.norm(link.grasp[:3], axis=0) > 0.5
+        give = np.where(linear, weight_N / pads.pads_N_per_m[0], moment_Nm / pads.pads_Nm_per_rad[0])
+        scale, grasp = link.scale.copy(), slice(link.m, 2 * link.m)
+        scale[grasp] = np.hypot(scale[grasp], give)
+        links.append(replace(link, scale=scale))
+    return replace(chain, links=tuple(links))
 
 
 def _scale(tolerance: Tolerance, basis: Matrix, n: int) -> Vector:

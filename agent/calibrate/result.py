@@ -16,10 +16,10 @@ import numpy as np
 import pinocchio as pin
 import tomli_w
 
-from agent.calibrate.chain import CalibrateError, Chain, Link, Matrix
+from agent.calibrate.chain import CalibrateError, Chain, Link, Matrix, as_loose_as_told
 from agent.calibrate.poses import Poses
 from agent.calibrate.propose import Proposal, propose
-from agent.calibrate.solve import Solution, disagreement, rms, solve
+from agent.calibrate.solve import Solution, disagreement, explained, rms, solve
 from agent.config.cell import Arm, Cell
 from agent.config.edit import Change, apply
 from agent.config.reality import reality_of
@@ -64,6 +64,7 @@ class Calibrated:
     before: tuple[Vector, Vector]  # disagreement of each pose, m and rad
     after: tuple[Vector, Vector]
     proposals: tuple[Proposal, ...]
+    explained: tuple[float, float]  # m and rad of disagreement that the cell's own [tolerance] has, poses held out
 
     @property
     def judged(self) -> tuple[float, float, float, float]:
@@ -77,6 +78,17 @@ class Calibrated:
         """Whether the poses held out agree better than before."""
         before_m, after_m, before_rad, after_rad = self.judged
         return after_m < before_m and after_rad <= max(before_rad, 1.1 * TICK_RAD)
+
+    @property
+    def left(self) -> tuple[float, float]:
+        """Disagreement after of most poses held out, m and rad: half have less, and a grasp may slip in some."""
+        held = self.poses.held_out
+        return float(np.median(self.after[0][held])), float(np.median(self.after[1][held]))
+
+    @property
+    def agrees(self) -> bool:
+        """Whether arms that are merely within the cell's own [tolerance] would disagree as much, or more."""
+        return all(left <= most for left, most in zip(self.left, self.explained, strict=True))
 
     @property
     def free(self) -> int:
@@ -107,7 +119,8 @@ def calibrated(cell: Cell, chain: Chain, poses: Poses) -> Calibrated:
     written = solve(chain, used, zeros).x
     before, after = (disagreement(chain, x, poses.q) for x in (np.zeros(chain.size), written))
     proposals = tuple(propose(chain, solution, used))
-    return Calibrated(cell, chain, poses, solution, written, before, after, proposals)
+    told = explained(as_loose_as_told(cell), np.zeros(chain.size), poses.some(poses.held_out))
+    return Calibrated(cell, chain, poses, solution, written, before, after, proposals, told)
 
 
 def arm_toml(arm: Arm, zeros_rad: Vector, urdf: str | None = None) -> str:
@@ -228,6 +241,7 @@ def summary(result: Calibrated) -> dict[str, Any]:
         "held_out": int(result.poses.held_out.sum()),
         "disagreement_before": {"rms_m": before_m, "rms_rad": before_rad},
         "disagreement_after": {"rms_m": after_m, "rms_rad": after_rad},
+        "disagreement_of_tolerance": {"rms_m": result.explained[0], "rms_rad": result.explained[1]},
         "parameters": result.free,
         "observed": result.solution.observed,
         "spread": result.solution.spread,

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
+from typing import Final
 
 from agent.atomic import keep_existing, make_folder, refuse_other, write_together
 from agent.calibrate.chain import CalibrateError, chain_of
@@ -17,6 +18,8 @@ from agent.config.cell import Arm, Cell
 from agent.log.read import open_log
 from agent.replay.source import changed_cell, recorded_cell
 from agent.report.plotting import save_png
+
+HOLD: Final = "see that every arm holds the object and none lets it slip"
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +45,9 @@ def calibrate(
     with ExitStack() as stack:
         opened = [stack.enter_context(open_log(log)) for log in logs]
         cells = [recorded_cell(log) for log in opened]
-        _refuse_rehearsal(cells[0], logs[0])
+        for log, cell in zip(logs, cells, strict=True):
+            _refuse_rehearsal(cell, log)
+            _refuse_apart(cell, log)
         for log, other in zip(logs[1:], cells[1:], strict=True):
             _require_same(cells[0], other, log)
         believed = changed_cell(opened[0], changes) if changes else cells[0]
@@ -58,6 +63,17 @@ def _refuse_rehearsal(cell: Cell, log: Path) -> None:
         raise CalibrateError(
             f"log {log.name}", found=f"a rehearsal: arms in the loop ({', '.join(hil.arms)}) follow their twins",
             expected="arms that hold the object", remedy="record a log without [hil], as `coop float` does",
+        )  # fmt: skip
+
+
+def _refuse_apart(cell: Cell, log: Path) -> None:
+    """Refuse arms that floated each on its own: nothing joins them, whatever they did."""
+    floating = cell.file.floating
+    if floating is not None and not floating.holding:
+        raise CalibrateError(
+            f"log {log.name}", found=f"arms that float without the object ({', '.join(floating.arms)})",
+            expected="arms that hold the object",
+            remedy="have grippers close on it: `coop float` with --holding (holding = true under [floating])",
         )  # fmt: skip
 
 
@@ -85,8 +101,9 @@ def _refuse_others(changes: Sequence[str]) -> None:
 def write(result: Calibrated, logs: Sequence[Path], out: Path) -> Files:
     """Write cell, arm files, figure and summary into the folder `out`, which may be new.
 
-    Raises CalibrateError where the poses held out do not agree better than before, and WriteError, with nothing
-    written, where one of the files is there already or cannot be written, or another has the name of a URDF that ships.
+    Raises CalibrateError where the poses held out do not agree better than before, or not even as well as the cell's
+    own [tolerance] has it, and WriteError, with nothing written, where one of the files is there already or cannot be
+    written, or another has the name of a URDF that ships.
     """
     if not result.better:
         before_m, after_m, before_rad, after_rad = result.judged
@@ -95,7 +112,17 @@ def write(result: Calibrated, logs: Sequence[Path], out: Path) -> Files:
             found=f"{1e3 * after_m:.2f} mm and {1e3 * after_rad:.2f} mrad after, "
             f"{1e3 * before_m:.2f} mm and {1e3 * before_rad:.2f} mrad before",
             expected="less after than before",
-            remedy="nothing is written; record more motion, or say with [tolerance] how far off the cell may be",
+            remedy=f"nothing is written; {HOLD}, record more motion, or say with [tolerance] how far off the cell "
+            "may be",
+        )
+    if not result.agrees:
+        (left_m, left_rad), (most_m, most_rad) = result.left, result.explained
+        raise CalibrateError(
+            "disagreement of most poses held out",
+            found=f"{1e3 * left_m:.2f} mm and {1e3 * left_rad:.2f} mrad after the fit",
+            expected=f"at most {1e3 * most_m:.2f} mm and {1e3 * most_rad:.2f} mrad, what arms within the log's own "
+            "[tolerance] have that hold one object",
+            remedy=f"nothing is written; {HOLD}, or say with --set tolerance.KEY=VALUE how far off the cell may be",
         )
     name = f"{result.cell.file.name}_calibrated"
     arms = [f"{name}_{arm.name}.toml" for arm in result.cell.arms]

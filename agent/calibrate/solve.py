@@ -81,6 +81,20 @@ def disagreement(chain: Chain, x: Vector, q: Sequence[Matrix]) -> tuple[Vector, 
     return _over_arms(away_m), _over_arms(away_rad)
 
 
+def explained(chain: Chain, x: Vector, q: Sequence[Matrix]) -> tuple[float, float]:
+    """Disagreement, rms over poses and arms (m, rad), of arms off by the chain's scale, read on the encoders' grid.
+
+    Errors of different arms are independent, so what is left beside their mean is (N − 1) / N² of the sum of squares.
+    """
+    squares, arms = np.zeros(2), len(chain.links)
+    for seen, scale in zip(chain.see(x, q), chain.parts(chain.scale), strict=True):
+        errors = np.concatenate([seen.by_parameters * scale, seen.by_joints * JOINT_NOISE_RAD], axis=2)
+        linear, angular = _parts(chain)
+        squares += [np.sum((part @ of) ** 2) for part, of in ((linear, errors[:, :3]), (angular, errors[:, 3:]))]
+    m, rad = np.sqrt((arms - 1) / arms**2 * squares / len(q[0]))
+    return float(m), float(rad)
+
+
 def _over_arms(away: Matrix) -> Vector:
     size: Vector = np.sqrt((away**2).sum(axis=2).mean(axis=0))
     return size

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from agent.calibrate.chain import CalibrateError, chain_of
+from agent.calibrate.chain import CalibrateError, as_loose_as_told, chain_of
 from agent.calibrate.result import Outcome, calibrated
-from agent.calibrate.solve import disagreement, rms, solve
+from agent.calibrate.solve import disagreement, explained, rms, solve
 from agent.config.cell import load_cell
 from drivers.dynamixel.servo.counts import TICK_RAD
-from tests.support.calibrate_rig import Rig, rig
+from tests.support.calibrate_rig import Rig, reach, rig
 
 SPATIAL, PLANAR = "three_wx250s", "two_wx200"
 SEEDS = range(8)
@@ -135,6 +136,40 @@ def test_the_best_motion_comes_first_and_only_what_the_arms_can_do_is_proposed()
     assert [p.what[-1] for p in proposals] == ["z", "y", "x"]
     assert all(p.factor > 1.05 for p in proposals)
     assert [p.factor for p in proposals] == sorted((p.factor for p in proposals), reverse=True)
+
+
+@pytest.mark.parametrize("name", [SPATIAL, PLANAR])
+def test_what_a_tolerance_explains_is_the_disagreement_of_arms_within_it(name: str) -> None:
+    made = rig(name, 0, count=4)
+    rng, nothing = np.random.default_rng(1), np.zeros(made.chain.size)
+    agreeing = [
+        np.array([reach(link, own, q, made.cell.T_world_object_start, made.chain.basis) for q in angles])
+        for link, own, angles in zip(made.chain.links, made.chain.parts(nothing), made.poses.q, strict=True)
+    ]
+    drawn = [
+        [rms(of) for of in disagreement(made.chain, made.chain.scale * rng.normal(size=made.chain.size), agreeing)]
+        for _ in range(400)
+    ]
+    np.testing.assert_allclose(
+        explained(made.chain, nothing, agreeing), [rms(of) for of in np.array(drawn).T], rtol=0.08
+    )
+
+
+def test_a_pad_that_gives_under_the_weight_of_the_object_is_explained_too() -> None:
+    cell = load_cell(Path(PLANAR), ["tolerance.pads_N_per_m=[100.0, 1e4]", "tolerance.pads_Nm_per_rad=[1.0, 10.0]"])
+    weight_N = 9.81 * 0.062
+    for link, told in zip(chain_of(cell).links, as_loose_as_told(cell).links, strict=True):
+        give = [weight_N / 100.0] * 2 + [weight_N * 0.073 / 1.0]
+        np.testing.assert_allclose(told.scale[3:6], np.hypot(link.scale[3:6], give))
+        np.testing.assert_array_equal(np.delete(told.scale, [3, 4, 5]), np.delete(link.scale, [3, 4, 5]))
+
+
+def test_where_every_tolerance_is_zero_the_encoders_grid_is_left() -> None:
+    made = rig(PLANAR, 0)
+    exact = replace(made.chain, links=tuple(replace(link, scale=0.0 * link.scale) for link in made.chain.links))
+    m, rad = explained(exact, made.truth, made.poses.q)
+    assert 0.5e-4 < m < 3e-4
+    assert rad == pytest.approx(TICK_RAD / math.sqrt(12.0) * math.sqrt(3.0 * 2.0 / 4.0))  # of three joints of two arms
 
 
 def test_one_arm_is_refused() -> None:

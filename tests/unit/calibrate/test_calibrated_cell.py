@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import configs
 from agent.atomic import WriteError
@@ -29,6 +30,7 @@ LOG = Path("run.mcap")
 SEED = 0
 LEFT_FLOATS = 'floating.arms=["left"]'
 LEFT_AND_RIGHT = Path("two_wx200")
+HOLDING = "floating.holding=true"
 SOFT = ("simulation.reality.pads_N_per_m=1e4", "simulation.reality.pads_Nm_per_rad=50.0")
 
 
@@ -117,11 +119,59 @@ def test_a_disk_that_is_full_is_told_with_the_file_and_the_next_attempt_works(
 def test_what_does_not_agree_better_is_not_written(tmp_path: Path) -> None:
     result, _ = in_error()
     worse = Calibrated(
-        result.cell, result.chain, result.poses, result.solution, result.written, result.after, result.before, ()
-    )
+        result.cell, result.chain, result.poses, result.solution, result.written, result.after, result.before, (),
+        result.explained,
+    )  # fmt: skip
     with pytest.raises(CalibrateError, match="nothing is written"):
         write(worse, [LOG], tmp_path)
     assert not list(tmp_path.iterdir())
+
+
+def alone() -> Calibrated:
+    """What comes of arms that move each by itself and stand far apart, with a wide tolerance for the fit."""
+    made = rig("two_wx200", SEED)
+    left, right = made.poses.q
+    chain = replace(
+        made.chain, links=tuple(replace(li, scale=np.where(li.scale > 0.0, 0.05, 0.0)) for li in made.chain.links)
+    )
+    return calibrated(load_cell(LEFT_AND_RIGHT), chain, replace(made.poses, q=(left, right[::-1] + 0.3)))
+
+
+def test_arms_that_move_each_by_itself_calibrate_nothing_however_wide_the_tolerance_of_the_fit(tmp_path: Path) -> None:
+    found = alone()
+    assert found.better, "as is nearly every fit of arms that stood far apart"
+    assert found.left[0] > found.explained[0]
+    with pytest.raises(CalibrateError, match="see that every arm holds the object") as refused:
+        write(found, [LOG], tmp_path)
+    assert "disagreement of most poses held out: found" in str(refused.value)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("what", [0, 1], ids=["m", "rad"])
+def test_a_place_that_disagrees_is_refused_as_a_turn_is(tmp_path: Path, what: int) -> None:
+    result, _ = in_error()
+    most = [2.0 * left for left in result.left]
+    assert replace(result, explained=(most[0], most[1])).agrees
+    most[what] = 0.5 * result.left[what]
+    with pytest.raises(CalibrateError, match="most poses held out"):
+        write(replace(result, explained=(most[0], most[1])), [LOG], tmp_path)
+
+
+@pytest.mark.parametrize("name", ["two_wx200", "three_wx250s"])
+def test_an_honest_calibration_is_far_within_what_the_shipped_tolerance_has(name: str) -> None:
+    made = rig(name, SEED, 2e-3)
+    found = calibrated(load_cell(Path(name)), made.chain, made.poses)
+    assert 5.0 * found.left[0] < found.explained[0] < 0.01
+    assert 5.0 * found.left[1] < found.explained[1] < 0.05
+
+
+def test_a_grasp_that_slips_in_a_few_poses_held_out_refuses_nothing() -> None:
+    made = rig("two_wx200", SEED)
+    q = [angles.copy() for angles in made.poses.q]
+    q[0][np.flatnonzero(made.poses.held_out)[:4]] += 0.05
+    found = calibrated(load_cell(LEFT_AND_RIGHT), made.chain, replace(made.poses, q=tuple(q)))
+    assert found.judged[1] > found.explained[0], "their mean square is more than the tolerance has"
+    assert found.agrees
 
 
 def test_a_zero_beyond_the_scale_is_refused() -> None:
@@ -135,13 +185,20 @@ def test_changes_other_than_of_the_tolerance_are_refused() -> None:
         calibrate([LOG], ["rate_hz=100.0"])
 
 
+def rows_at(second: int) -> NDArray[np.void]:
+    """Three rows of an arm in that second."""
+    rows = np.zeros(3, AGENT_STATE.dtype)
+    rows["utc_ns"] = 1_000_000_000 * second + np.arange(3)
+    return rows
+
+
 def test_logs_of_two_cells_are_refused(tmp_path: Path) -> None:
     logs = []
-    for number, changes in enumerate([[], ["arms.left.p_world_base_m=[0.001,0.0,0.23]"], [LEFT_FLOATS]]):
+    for number, changes in enumerate([[], ["arms.left.p_world_base_m=[0.001,0.0,0.23]"], [LEFT_FLOATS, HOLDING]]):
         cell = load_cell(LEFT_AND_RIGHT, changes)
         folder = tmp_path / str(number)
         folder.mkdir()
-        logs.append(write_run(folder / "run.mcap", cell, {"left": np.zeros(3, AGENT_STATE.dtype)}))
+        logs.append(write_run(folder / "run.mcap", cell, {"left": rows_at(number)}))
     with pytest.raises(CalibrateError, match="found another one: arms differ"):
         calibrate(logs[:2])
     with pytest.raises(CalibrateError, match="no rows of right"):
@@ -153,6 +210,17 @@ def test_a_rehearsal_is_refused_whose_arms_agree_by_construction(tmp_path: Path)
     log = write_run(tmp_path / "run.mcap", cell, {arm: np.zeros(3, AGENT_STATE.dtype) for arm in ("left", "right")})
     with pytest.raises(CalibrateError, match=r"run.mcap: found a rehearsal: arms in the loop \(left\) follow"):
         calibrate([log])
+
+
+@pytest.mark.parametrize("apart", [0, 1])
+def test_arms_that_floated_without_the_object_are_refused_in_whichever_log(tmp_path: Path, apart: int) -> None:
+    logs = []
+    for number in range(2):
+        cell = load_cell(LEFT_AND_RIGHT, [LEFT_FLOATS, *([] if number == apart else [HOLDING])])
+        logs.append(write_run(tmp_path / f"{number}.mcap", cell, {"left": rows_at(number)}))
+    told = rf"{apart}.mcap: found arms that float without the object \(left\), .*--holding"
+    with pytest.raises(CalibrateError, match=told):
+        calibrate(logs)
 
 
 def test_arms_that_floated_work_by_the_calibrated_cell() -> None:
