@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -9,13 +10,15 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Final
 
+import numpy as np
+
 from agent.atomic import keep_existing, make_folder, refuse_other, write_together
 from agent.calibrate.chain import CalibrateError, chain_of
 from agent.calibrate.poses import poses_of
 from agent.calibrate.result import Calibrated, arm_toml, calibrated, cell_toml, summary
 from agent.calibrate.show import figure
 from agent.config.cell import Arm, Cell
-from agent.log.read import open_log
+from agent.log.read import AnyLog, open_log
 from agent.replay.source import changed_cell, recorded_cell
 from agent.report.plotting import save_png
 
@@ -50,6 +53,7 @@ def calibrate(
             _refuse_apart(cell, log)
         for log, other in zip(logs[1:], cells[1:], strict=True):
             _require_same(cells[0], other, log)
+        _refuse_twice(opened)
         believed = changed_cell(opened[0], changes) if changes else cells[0]
         poses = poses_of([log.agents for log in opened], cells[0])
     tell("fitting")
@@ -87,6 +91,18 @@ def _require_same(cell: Cell, other: Cell, log: Path) -> None:
             f"cell of {log}", found=f"another one: {', '.join(differ)} differ", expected="that of the first log",
             remedy="give logs of arms that had one cell file",
         )  # fmt: skip
+
+
+def _refuse_twice(logs: Sequence[AnyLog]) -> None:
+    """Refuse one log under two names, or a copy: an arm has one row at a time."""
+    times = [{arm: np.asarray(rows["utc_ns"]) for arm, rows in log.agents.items()} for log in logs]
+    for (one, own), (other, its) in itertools.combinations(zip(logs, times, strict=True), 2):
+        for arm in own.keys() & its.keys():
+            if np.intersect1d(own[arm], its[arm]).size:
+                raise CalibrateError(
+                    f"logs {one.path} and {other.path}", found=f"rows of arm {arm} that stand in both",
+                    expected="each log once: of another host, or of another motion", remedy="leave one out",
+                )  # fmt: skip
 
 
 def _refuse_others(changes: Sequence[str]) -> None:

@@ -223,6 +223,18 @@ def test_arms_that_floated_without_the_object_are_refused_in_whichever_log(tmp_p
         calibrate(logs)
 
 
+@pytest.mark.parametrize("again", ["itself", "a copy", "a link"])
+def test_one_log_given_twice_is_refused(tmp_path: Path, again: str) -> None:
+    log = write_run(tmp_path / "run.mcap", load_cell(LEFT_AND_RIGHT), {"left": rows_at(1)})
+    other = log if again == "itself" else tmp_path / "other.mcap"
+    if again == "a copy":
+        other.write_bytes(log.read_bytes())
+    elif again == "a link":
+        other.symlink_to(log)
+    with pytest.raises(CalibrateError, match=f"{other.name}: found rows of arm left that stand in both"):
+        calibrate([log, other])
+
+
 def test_arms_that_floated_work_by_the_calibrated_cell() -> None:
     result, _ = in_error()
     floated = floating_cell(FloatOptions(LEFT_AND_RIGHT, ("left", "right"), holding=True))
