@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 import select
 import sys
 from collections.abc import Mapping
@@ -55,6 +57,20 @@ def _require_use(of_real_arms: Mapping[str, bool], ways: Mapping[str, bool], *, 
             " with ".join(given), found=f"{len(given)} ways to run the cell", expected="one of them",
             remedy=f"leave out {' or '.join(given)}",
         )  # fmt: skip
+
+
+def _arms_of(hil: str) -> list[str]:
+    """Names of the arms that rehearse.  Raises RunError."""
+    from agent.config.schema.types import NAME_PATTERN
+    from agent.process.folder import RunError
+
+    names = [name.strip() for name in hil.split(",")]
+    if not all(re.fullmatch(NAME_PATTERN, name) for name in names):
+        raise RunError(
+            "--hil", found=repr(hil), expected="names of arms with a comma between two, as left,right",
+            remedy="name arms of the cell",
+        )  # fmt: skip
+    return names
 
 
 def run(
@@ -115,8 +131,7 @@ def run(
     requested = StopFlag()
     kind = RunKind.WIRE if wire else RunKind.REAL_TIME if real_time else RunKind.LOCKSTEP
     if hil is not None:
-        names = ", ".join(f'"{name.strip()}"' for name in hil.split(","))
-        kind, overrides = RunKind.HIL, [*overrides, 'driver="sim"', f"hil.arms=[{names}]"]
+        kind, overrides = RunKind.HIL, [*overrides, 'driver="sim"', f"hil.arms={json.dumps(_arms_of(hil))}"]
     real = None
     if real_arms:
         kind = RunKind.HIL

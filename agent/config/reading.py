@@ -17,7 +17,7 @@ from typing import Any, Final, TypeVar
 from pydantic import BaseModel, ValidationError
 
 import configs
-from agent.config.schema.types import MISFIT, nearest
+from agent.config.schema.types import IN_WORDS, MISFIT, nearest
 from drivers.interface import Refusal, one_line
 
 M = TypeVar("M", bound=BaseModel)
@@ -243,7 +243,10 @@ def _explain(model: type[BaseModel], problem: dict[str, Any]) -> dict[str, str]:
         }  # fmt: skip
     if kind == "extra_forbidden":
         return _explain_unknown(model, problem["loc"])
-    message = _IS.sub("", problem["msg"]).replace(" should have ", " of ").replace(" should match ", " that matches ")
+    if kind == "string_pattern_mismatch":
+        pattern = problem["ctx"]["pattern"]
+        return {"found": found, "expected": IN_WORDS.get(pattern, f"a match of {pattern}"), "remedy": "correct it"}
+    message = _IS.sub("", problem["msg"]).replace(" should have ", " of ")
     if kind in _IN_TOML:
         message = _IN_TOML[kind].format(**problem.get("ctx", {}))
     if isinstance(problem["input"], dict):

@@ -11,7 +11,7 @@ from typing import Final
 
 import configs
 from agent.config.reading import ConfigError, shown
-from agent.config.schema.types import NAME_PATTERN, nearest
+from agent.config.schema.types import IN_WORDS, NAME_PATTERN, nearest
 
 Vec3 = tuple[float, float, float]
 FACES: Final[dict[str, Vec3]] = {  # outward normals, object axes; the names of arms that hold there
@@ -179,9 +179,7 @@ def _one(words: dict[str, str], key: str, what: str, low: float, high: float) ->
 def name(text: str, what: str, remedy: str) -> str:
     """A name as cell files have it.  Raises WishError."""
     if not re.fullmatch(NAME_PATTERN, text):
-        raise WishError(
-            what, found=shown(repr(text)), expected="a to z, then a to z, 0 to 9 and _, 32 at most", remedy=remedy
-        )
+        raise WishError(what, found=shown(repr(text)), expected=IN_WORDS[NAME_PATTERN], remedy=remedy)
     return text
 
 

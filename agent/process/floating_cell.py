@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+import tomli_w
 
 from agent.config.cell import Arm, Cell, cell_from_toml, load_cell
 from agent.config.floating import taking_part
 from agent.config.monitors import speeds_of_motion
+from agent.config.reading import override, shown
 from agent.process.build import Connection, port_of
 from agent.process.float_loop import FloatError
 from agent.process.operated import NO_REAL_TIME_REMEDY
@@ -34,29 +39,52 @@ class FloatOptions:
 
 def floating_cell(options: FloatOptions) -> Cell:
     """The cell, told which arms float.  Raises ConfigError, FloatError."""
-    own = [change for change in options.overrides if change.strip().startswith("floating.")]
-    others = [change for change in options.overrides if change not in own]
-    if options.arms:
-        names = ", ".join(f'"{name}"' for name in options.arms)
-        own.append(f"floating.arms=[{names}]")
-    if options.holding or options.others_move:
-        own.append("floating.holding=true")
-    if options.others_move:
-        own.append("floating.others_move=true")
+    changes = [change for change in options.overrides if _is_of_floating(change)]
+    others = [change for change in options.overrides if change not in changes]
     cell = load_cell(options.cell, others)
+    names = [arm.name for arm in cell.arms]
     if cell.file.floating is None and not options.arms:
-        names = " or ".join(arm.name for arm in cell.arms)
-        raise FloatError("arms that are to float", found="none", expected="--arm NAME", remedy=f"name {names}")
+        raise FloatError(
+            "arms that are to float", found="none", expected="--arm NAME", remedy=f"name {' or '.join(names)}"
+        )
+    for name in options.arms:
+        if name not in names:
+            raise FloatError(
+                "--arm", found=repr(name), expected=" or ".join(names), remedy="name arms of the cell"
+            )  # fmt: skip
+    own = [*changes, *_said(options, changes)]
     if cell.file.floating is not None:
         return load_cell(options.cell, [*others, *own])
     return _with_table(cell, own, options.cell.name)
 
 
+def _is_of_floating(change: str) -> bool:
+    return change.partition(".")[0].strip() == "floating"
+
+
+def _said(options: FloatOptions, changes: Sequence[str]) -> list[str]:
+    """What options say of the table, as changes of it.  Raises FloatError for a key that --set gives as well."""
+    carries = "--others-move" if options.others_move else "--holding"
+    said = {
+        "arms": ("--arm", json.dumps(options.arms) if options.arms else None),
+        "holding": (carries, "true" if options.holding or options.others_move else None),
+        "others_move": ("--others-move", "true" if options.others_move else None),
+    }
+    for change in changes:
+        option, value = said.get(change.partition("=")[0].partition(".")[2].strip(), ("", None))
+        if value is not None:
+            raise FloatError(
+                option, found=f"--set {shown(change)} beside it", expected="one of the two", remedy="leave one out"
+            )
+    return [f"floating.{key}={value}" for key, (_, value) in said.items() if value is not None]
+
+
 def _with_table(cell: Cell, changes: Sequence[str], source: str) -> Cell:
     """The cell with a table [floating] behind all else, so that the log keeps its comments.  Raises ConfigError."""
-    lines = [change.strip().removeprefix("floating.") for change in changes]
-    table = "\n".join(["", "[floating]", *lines, ""])
-    return cell_from_toml(cell.toml.rstrip() + b"\n" + table.encode(), source)
+    document: dict[str, Any] = {}
+    for change in changes:
+        override(document, change)
+    return cell_from_toml(cell.toml.rstrip() + b"\n\n" + tomli_w.dumps(document).encode(), source)
 
 
 def require_ports(cell: Cell, options: FloatOptions) -> None:

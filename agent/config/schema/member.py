@@ -10,6 +10,8 @@ from pydantic import AfterValidator, Field, model_validator
 
 from agent.config.schema.arm import Baud
 from agent.config.schema.types import (
+    HOST_PATTERN,
+    PORT_PATTERN,
     Angle,
     FileStem,
     Label,
@@ -43,7 +45,7 @@ def _telling(mark: int) -> int:
 class DynamixelPort(Strict):
     """How a host reaches the servos of this arm."""
 
-    port: Annotated[Label, Field(pattern=r"^\S+$")]
+    port: Annotated[Label, Field(pattern=PORT_PATTERN)]
     """Serial device of the arm's bus."""
     baud: Baud | None = None
     """Speed of the bus, bit/s; none: as the arm file says."""
@@ -74,7 +76,7 @@ class Arm(Strict):
 
     name: Name
     """Name of the arm in topics, logs and commands."""
-    host: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9.-]{0,252}$")] | None = None
+    host: Annotated[str, Field(pattern=HOST_PATTERN)] | None = None
     """Host whose agent this is; none: any host on which it is started."""
     model: FileStem
     """Arm model; where there is no `arm_file`, its figures are those that ship."""

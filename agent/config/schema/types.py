@@ -75,7 +75,16 @@ Smoothing = Annotated[float, Field(ge=1e-4, le=10.0)]  # rad/s, in which a frict
 Factor = Annotated[float, Field(ge=0.0, le=1e6)]
 NAME_PATTERN: Final = r"^[a-z][a-z0-9_]{0,31}$"
 Name = Annotated[str, Field(pattern=NAME_PATTERN)]
-FileStem = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
+STEM_PATTERN: Final = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$"
+FileStem = Annotated[str, Field(pattern=STEM_PATTERN)]
+HOST_PATTERN: Final = r"^[A-Za-z0-9][A-Za-z0-9.-]{0,252}$"
+PORT_PATTERN: Final = r"^\S+$"
+IN_WORDS: Final = {  # what a text of that pattern is, for a person
+    NAME_PATTERN: "a to z, then a to z, 0 to 9 and _, 32 at most",
+    STEM_PATTERN: "a letter or digit, then letters, digits, _ . and -, 64 at most",
+    HOST_PATTERN: "a letter or digit, then letters, digits, . and -, 253 at most",
+    PORT_PATTERN: "no blank in it",
+}
 Vec3 = Annotated[tuple[Coordinate, Coordinate, Coordinate], AS_LIST]
 Wrench = Annotated[tuple[Effort, Effort, Effort, Effort, Effort, Effort], AS_LIST]
 Quaternion = Annotated[tuple[float, float, float, float], AS_LIST, AfterValidator(_unit_quaternion)]

@@ -263,6 +263,8 @@ def test_any_other_bad_word_is_one_line(folder: Path, case: str) -> None:
         (["--hil", "left", "--allow-no-realtime"], "--allow-no-realtime: found a run without --real-arms"),
         (["--real-time", "--wire"], "--real-time with --wire: found 2 ways to run the cell, expected one of them"),
         (["--wire", "--hil", "left"], "--wire with --hil: found 2 ways"),
+        (["--hil", "left,"], "--hil: found 'left,', expected names of arms with a comma between two"),
+        (["--hil", 'left", "right'], "--hil: found 'left\", \"right', expected names of arms"),
         (["--real-time", "--real-arms"], "--real-time with --real-arms: found 2 ways"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",

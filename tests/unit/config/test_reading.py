@@ -268,6 +268,21 @@ def test_a_value_of_another_kind_is_told_in_words_of_the_file(change: str, found
     assert not re.search("tuple|dictionary|instance|boolean|string|validation", line, re.IGNORECASE)
 
 
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ("arms.left.name=Left", "a to z, then a to z, 0 to 9 and _, 32 at most"),
+        ("arms.left.model=../wx200", "a letter or digit, then letters, digits, _ . and -, 64 at most"),
+        ("arms.left.host=my_host", "a letter or digit, then letters, digits, . and -, 253 at most"),
+        ("arms.left.dynamixel.port=/dev/my arm", "no blank in it"),
+    ],
+)
+def test_a_name_that_is_none_is_told_in_words(change: str, expected: str) -> None:
+    with pytest.raises(ConfigError) as refused:
+        load_cell(Path("two_wx200"), [change])
+    assert f"expected {expected};" in str(refused.value)
+
+
 def test_what_a_command_changes_is_not_said_to_stand_in_the_file() -> None:
     for change in ("duration_s=0", "duration=3", 'arms.left.model="nothing"'):
         with pytest.raises(ConfigError, match=r"in paper\.toml with the changes asked for(:| )"):

@@ -110,7 +110,7 @@ def stands_and_sinks(run: FloatRun) -> None:
             FloatOptions(TWO, ("left", "right"), others_move=True),
             "every arm .left, right., expected one left that moves",
         ),
-        (FloatOptions(TWO, ("middle",), others_move=True), "found middle, expected left or right"),
+        (FloatOptions(TWO, ("middle",), others_move=True), "--arm: found 'middle', expected left or right"),
         (FloatOptions(TWO, ("left",), ("floating.others_move=true",)), "expected holding = true"),
     ],
 )

@@ -23,7 +23,7 @@ from agent.process.floating_cell import FloatOptions, floating_cell
 from agent.safety import Flag
 from agent.telemetry.row.event import Level
 from drivers.dynamixel.servo.table import TORQUE_ENABLE
-from drivers.interface import Vector
+from drivers.interface import Refusal, Vector
 from sim_backend.wire.faults import Fault, FaultKind
 from tests.support.control.level_wx200 import LEVEL
 from tests.support.servos.float_rig import OFF, FloatRun, modes_of, replayed
@@ -288,6 +288,38 @@ def test_an_arm_that_floats_stops_when_its_guard_is_gone() -> None:
     assert not floats._stops(lambda: False, there)
     assert floats._stops(lambda: True, there)
     assert not floats._stops(lambda: False, None)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said", "told"),
+    [
+        ((), {"arms": ('left"',)}, """--arm: found 'left"', expected left or right; name arms of the cell"""),
+        ((), {"arms": ("",)}, "--arm: found '', expected left or right"),
+        (("floating.holding = false",), {"holding": True}, "--holding: found --set floating.holding = false beside it"),
+        (("floating.holding=true",), {"others_move": True}, "--others-move: found --set floating.holding=true beside"),
+        (("floating . others_move=false",), {"others_move": True}, "--others-move: found --set floating . others_move"),
+        (('floating.arms=["right"]',), {}, "--arm: found --set floating.arms="),
+        (("floating.drag_per_s=5.0\n[session]",), {}, "floating.drag_per_s in "),
+        (("floating.drag_per_s",), {}, "override: found 'floating.drag_per_s', expected key.path=value"),
+    ],
+    ids=lambda value: "; ".join(value) if isinstance(value, tuple) else "",
+)
+def test_what_options_and_settings_say_of_floating_is_told_by_their_words(
+    tmp_path: Path, changes: tuple[str, ...], said: dict[str, Any], told: str
+) -> None:
+    kept = tmp_path / "kept.toml"  # a cell whose file has the table
+    kept.write_text((configs.CELLS_DIR / "two_wx200.toml").read_text() + '\n[floating]\narms = ["right"]\n')
+    for cell in (Path("two_wx200"), kept):
+        with pytest.raises(Refusal) as refused:
+            floating_cell(FloatOptions(**{"cell": cell, "arms": ("left",), "overrides": changes, **said}))
+        assert told in str(refused.value)
+
+
+def test_of_two_settings_the_later_counts_as_it_does_anywhere() -> None:
+    twice = ("floating.drag_per_s=7.0", "floating.drag_per_s=8.0")
+    spec = floating_cell(FloatOptions(Path("two_wx200"), ("left",), twice)).file.floating
+    assert spec is not None
+    assert spec.drag_per_s == 8.0
 
 
 def test_a_cell_floats_as_asked_and_an_arm_that_works_does_not() -> None:
