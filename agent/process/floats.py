@@ -138,5 +138,6 @@ def require_within(floats: Floats, driver: Driver) -> None:
     for name, angle, low, high in floating.outside(floats.cell, floats.arm, q):
         raise FloatError(
             f"arm {floats.arm.name}: joint {name}", found=f"{angle:.2f} rad", expected=f"{low:.2f} to {high:.2f} rad",
-            remedy="bring it back by hand; if it is there already, correct zero_tick of that joint in the arm file",
+            remedy="bring it back by hand (servos of `coop emulate`: start that anew); if it is there already, correct "
+            "zero_tick of that joint in the arm file",
         )  # fmt: skip

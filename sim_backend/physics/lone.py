@@ -1,6 +1,7 @@
 """One arm on its own, holding nothing: the dynamics that a real arm has while its object is simulated elsewhere.
 
-The integration of plant.py without its grasps: drift, kick, drift with friction as an implicit coefficient.
+The integration of plant.py without its grasps: drift, kick, drift with friction as an implicit coefficient.  Its joints
+have end stops, as what falls or is pushed must come to lie where a hand, or its servos, can lead it back from.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from sim_backend.physics.actuator import Servos
 from sim_backend.physics.free_arm import FreeArms
 from sim_backend.physics.joints import dry_friction
 from sim_backend.physics.spec import PlantSpec, diverged
+from sim_backend.physics.stops import EndStops
 
 
 class LoneArm:
@@ -33,6 +35,9 @@ class LoneArm:
         self._free, self._touched = FreeArms(alone), FreeArms(alone)
         self._rotor_inertia = np.array(self._free.model.armature)
         self.q: Vector = np.array(alone.arms[0].q_start)
+        inertia = np.diag(self._touched.terms(self.q, np.zeros_like(self.q))[0])
+        model = self._free.model
+        self._stops = EndStops(model.lowerPositionLimit, model.upperPositionLimit, inertia, spec.substep_s)
         self.dq: Vector = np.zeros_like(self.q)
         self._a: Vector = np.zeros_like(self.q)
         self._wrench: Vector | None = None
@@ -69,6 +74,9 @@ class LoneArm:
         else:
             self._dry.load(motor)
             friction, constant = self._dry.torque(dq)
+        stops = self._stops.torque(self.q)
+        if stops is not None:
+            friction, constant = friction + stops[0], constant + stops[1]
         model.armature = self._rotor_inertia + 0.5 * h * friction
         tau = motor + constant - friction * dq + self._touch(q_mid)
         self._a = np.array(pin.aba(model, self._free.data, q_mid, dq_mid, tau))

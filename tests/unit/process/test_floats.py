@@ -136,6 +136,7 @@ def test_an_arm_beyond_its_limits_gets_no_torque() -> None:
     run = FloatRun(CELL, q_start=np.array([-0.35, 1.7, -0.33]), until_s=0.2)
     assert isinstance(run.one.error, FloatError)
     assert "arm left: joint elbow: found 1.70 rad" in str(run.one.error)
+    assert "by hand (servos of `coop emulate`: start that anew)" in str(run.one.error), "where no hand reaches"
     assert not len(run.one.rows)
 
 
