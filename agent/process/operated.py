@@ -15,6 +15,7 @@ from agent.operator.message import Request
 from agent.operator.socket import ControlSocket, Standing
 from agent.operator.table import EVENT_OF
 from agent.process.clocked import ClockWatch
+from agent.session_modes import next_in_session
 from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.event import Level
 from drivers.clock import utc_offset_ns
@@ -90,9 +91,16 @@ class Operator:
                 self._control.requests.lower = None
         if Event.STOP in happened:  # it wins over what was said in the same cycle, whichever was said first
             happened &= ~MOTIONS
+        if released and self._outdoes(happened):
+            self._tell(Level.WARN, "a stop wins over the release that came with it: say it again")
         if released or (self._stopped and self._drops_on_stop):
             happened |= Event.RELEASED
         return happened
+
+    def _outdoes(self, others: Event) -> bool:
+        """Whether a session goes another way by these events than by a release alone, which has been answered `ok`."""
+        mode, released = self._standing.mode, Event.RELEASED
+        return self._session and next_in_session(mode, others | released) is not next_in_session(mode, released)
 
     def _says_stop(self) -> bool:
         """Always, but in a session once for each signal and each hold of this host."""

@@ -18,12 +18,12 @@ from agent.config.cell import load_cell
 from agent.config.schema.driver import DriverKind
 from agent.host.clock import UNKNOWN
 from agent.host.realtime import RealTime
-from agent.modes import Event, Mode
+from agent.modes import Event, Mode, next_mode
 from agent.operator.message import Reply, Request
 from agent.operator.session_table import MODES as SESSION_MODES
 from agent.operator.session_table import SESSION
 from agent.operator.socket import ControlSocket, Standing
-from agent.operator.table import EVENT_OF, Verb
+from agent.operator.table import EVENT_OF, TABLE, Verb
 from agent.process import agent, operated
 from agent.process.build import Connection
 from agent.process.clocked import ClockWatch
@@ -150,15 +150,21 @@ def test_a_clock_that_is_set_moves_no_way_down_that_was_given(rig: Rig, monkeypa
 MOTIONS = (Verb.APPROACH, Verb.GRASP, Verb.LOWER, Verb.PARK)
 
 
-def said_in_one_cycle(rig: Rig, path: Path, *words: Verb) -> Event:
-    """What the loop hears when these words have come since it looked last; all of them are answered `ok`."""
+def in_one_cycle(rig: Rig, path: Path, *words: Verb) -> tuple[Event, dict[Verb, Reply]]:
+    """What the loop hears when these words have come since it looked last, and what each was answered."""
     with ExitStack() as stack:
         people = [stack.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)) for _ in words]
         for person, word in zip(people, words, strict=True):
             person.connect(str(path))
             person.send(Request(word).encode())
         happened = rig.operator.events()
-        assert all(Reply.decode(person.recv(4096)).ok for person in people)
+        return happened, {word: Reply.decode(own.recv(4096)) for own, word in zip(people, words, strict=True)}
+
+
+def said_in_one_cycle(rig: Rig, path: Path, *words: Verb) -> Event:
+    """The same of words that are all answered `ok`."""
+    happened, replies = in_one_cycle(rig, path, *words)
+    assert all(reply.ok for reply in replies.values())
     return happened
 
 
@@ -194,6 +200,72 @@ def test_a_release_beside_a_stop_counts_where_the_arm_stands_already(
         happened = said_in_one_cycle(rig, tmp_path / "c", *words)
         assert happened == Event.STOP | Event.RELEASED
         assert next_in_session(mode, happened) is SESSION[Verb.RELEASE][mode].becomes
+
+
+@pytest.mark.parametrize("stop_first", [True, False])
+@pytest.mark.parametrize(
+    ("in_session", "mode"),
+    [
+        (table is SESSION, mode)
+        for table in (SESSION, TABLE)
+        for mode, release in table[Verb.RELEASE].items()
+        if release.accepted
+    ],
+)
+def test_a_release_that_comes_with_a_stop_lets_the_arm_go_or_somebody_is_told_that_it_does_not(
+    tmp_path: Path, mode: Mode, stop_first: bool, in_session: bool
+) -> None:
+    rig = Rig(tmp_path / "c", session=in_session)
+    standing, follows = rig.control.standing, next_in_session if in_session else next_mode
+    standing.mode, standing.session = mode, (lambda _: "") if in_session else None
+    words = [Verb.STOP, Verb.RELEASE] if stop_first else [Verb.RELEASE, Verb.STOP]
+    with closing(rig.control):
+        happened, replies = in_one_cycle(rig, tmp_path / "c", *words)
+        table = SESSION if in_session else TABLE
+        then = {word: effect.becomes for word in words if (effect := table[word][mode]).accepted}
+        after = follows(mode, happened)
+        if replies[Verb.RELEASE].ok and after is not then[Verb.RELEASE]:
+            assert (mode, after, stop_first) in [(Mode.READY, Mode.HOLD, False), (Mode.LOWER, Mode.HOLD, False)]
+            assert rig.told == [(Level.WARN, "a stop wins over the release that came with it: say it again", {})]
+            return
+        assert not rig.told
+        assert replies[Verb.STOP].ok
+        if not replies[Verb.RELEASE].ok:
+            assert after is then[Verb.STOP], "a release that was refused lets nothing go"
+
+
+@pytest.mark.parametrize("mode", [Mode.READY, Mode.LOWER])
+def test_a_release_behind_a_stop_is_refused_until_the_arm_holds(tmp_path: Path, mode: Mode) -> None:
+    rig = Rig(tmp_path / "c", session=True)
+    standing = rig.control.standing
+    standing.mode, standing.session = mode, lambda _: ""
+    with closing(rig.control):
+        happened, replies = in_one_cycle(rig, tmp_path / "c", Verb.STOP, Verb.RELEASE)
+        refusal = replies[Verb.RELEASE].refusal
+        assert refusal["found"] == f"arm left in {mode.name}: a stop that it has yet to act on"
+        assert refusal["remedy"] == "see that the object is supported, and say it again"
+        standing.mode = next_in_session(mode, happened)
+        assert standing.mode is Mode.HOLD
+        assert next_in_session(Mode.HOLD, said_in_one_cycle(rig, tmp_path / "c", Verb.RELEASE)) is Mode.RELEASE
+
+
+@pytest.mark.parametrize("by", ["signal", "host", "guard"])
+def test_a_release_in_the_cycle_of_another_stop_is_said_to_be_lost(tmp_path: Path, by: str) -> None:
+    rig = Rig(tmp_path / "c", session=True)
+    rig.control.standing.mode = Mode.READY
+    with closing(rig.control):
+        if by == "host":
+            rig.operator.hold("the clock may be off by 5.1 ms")
+        elif by == "guard":
+            rig.operator._watch = lambda: "the guard is gone"
+        else:
+            rig.signals.stopped, rig.signals.stops = True, 1
+        assert next_in_session(Mode.READY, rig.hear(Verb.RELEASE)) is Mode.HOLD
+        assert rig.told[-1][1] == "a stop wins over the release that came with it: say it again"
+        rig.control.standing.mode = Mode.HOLD
+        rig.told.clear()
+        assert next_in_session(Mode.HOLD, rig.hear(Verb.RELEASE)) is Mode.RELEASE
+        assert not rig.told
 
 
 @pytest.mark.parametrize("word", MOTIONS)
