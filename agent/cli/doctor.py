@@ -7,8 +7,9 @@ from typing import Annotated
 
 import typer
 
-from agent.cli.options import AsJson, CellPath, Overrides, SomeArms
+from agent.cli.options import AsJson, CellPath, Overrides, SomeArms, confirmed
 from agent.cli.progress import Steps
+from agent.host.starting import end_at_ctrl_z
 
 
 def doctor(
@@ -29,7 +30,8 @@ def doctor(
     with Steps(lines=True) as step:
         diagnosis = diagnose(described, options, step)
     if move:
-        move_arm(described, options, lambda question: typer.confirm(question, err=True), diagnosis)
+        end_at_ctrl_z()
+        move_arm(described, options, confirmed, diagnosis)
     if as_json:
         typer.echo(diagnosis.json())
     else:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Self
 
 import typer
 
-from agent.cli.options import CellPath, Overrides, SomeArms, note
+from agent.cli.options import CellPath, Overrides, SomeArms, asked_yes, note
 from agent.cli.progress import Steps
 
 if TYPE_CHECKING:
@@ -94,11 +94,7 @@ def _ask(arms: Sequence[str], moving: Sequence[str], *, holding: bool, yes: bool
     what = "and the grippers close on the object" if holding else "and the arm floats"
     if moving:
         what += f"; 3 s later it MOVES, carried by {' and '.join(moving)}"
-    if yes:
-        return
-    if sys.stdin is None or not sys.stdin.isatty() or not typer.confirm(
-        QUESTION.format(arms=" and ".join(arms), what=what), err=True
-    ):  # fmt: skip
+    if not yes and not asked_yes(QUESTION.format(arms=" and ".join(arms), what=what)):
         raise FloatError(
             "a person's yes", found="none", expected="that the arm is supported",
             remedy="support it and answer yes, or give --yes",

@@ -237,7 +237,7 @@ def play(
     from agent.telemetry.link.play import run as play_log
     from agent.telemetry.link.session import Network
 
-    requested = StopFlag()
+    requested = StopFlag(suspends=True)
     network = Network(config_file=network_config) if network_config else Network(listen=listen)
     with Keyboard() as keyboard:
         if keyboard.present:

@@ -6,6 +6,7 @@ import gc
 import json
 import os
 import sys
+import termios
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -54,9 +55,26 @@ Force = Annotated[bool, typer.Option("--force", help="Replace what is there.")]
 WIDTH_ELSEWHERE = 240  # columns where there is no terminal, so that no word of a table is cut
 
 
+def in_front() -> bool:
+    """Whether a person can type to this command: it has a terminal, and no other command is in front of that."""
+    if sys.stdin is None or not sys.stdin.isatty():
+        return False
+    try:
+        return os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
+    except OSError:  # a terminal that is not its session's knows no foreground
+        return True
+
+
 def asked_yes(question: str) -> bool:
     """Whether a person at the terminal says yes; no where there is none."""
-    return sys.stdin is not None and sys.stdin.isatty() and typer.confirm(question, err=True)
+    return in_front() and confirmed(question)
+
+
+def confirmed(question: str) -> bool:
+    """Whether standard input says yes; at a terminal, what was typed before the question is no answer to it."""
+    if sys.stdin is not None and sys.stdin.isatty():
+        termios.tcflush(sys.stdin, termios.TCIFLUSH)
+    return typer.confirm(question, err=True)
 
 
 def note(text: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import re
 import select
@@ -12,7 +13,7 @@ from typing import Annotated
 
 import typer
 
-from agent.cli.options import AsJson, CellPath, Force, Overrides, asked_yes, note, print_json
+from agent.cli.options import AsJson, CellPath, Force, Overrides, asked_yes, in_front, note, print_json
 from agent.cli.results import show_results
 
 
@@ -25,13 +26,16 @@ class _Terminal:
     def says_empty(self, arm: str) -> bool:
         return self._empty or asked_yes(f"Is the gripper of arm {arm} EMPTY?")
 
+    @property
+    def hears(self) -> bool:
+        return in_front()
+
     def lets_go(self) -> bool:
-        """Whether Enter was pressed; never where there is no terminal."""
+        """Whether Enter was pressed; never where there is no terminal, or another command is in front of it."""
         pressed = False
-        while sys.stdin is not None and sys.stdin.isatty() and select.select([sys.stdin], [], [], 0.0)[0]:
-            if not sys.stdin.readline():
-                break
-            pressed = True
+        with contextlib.suppress(OSError):  # it is another's meanwhile, or has gone
+            while in_front() and select.select([sys.stdin], [], [], 0.0)[0] and sys.stdin.readline():
+                pressed = True
         return pressed
 
     def tell(self, text: str) -> None:

@@ -46,7 +46,7 @@ def study(
     from agent.study.study import run_study
     from agent.study.work import until
 
-    requested = StopFlag()
+    requested = StopFlag(suspends=True)
     plan = load_plan(cell, runs=runs, seed=seed, duration_s=duration, overrides=overrides)
     name = plan.cells[0].file.name if len(plan.cells) == 1 else cell.stem
     out = out or Path("studies") / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{name}"

@@ -99,7 +99,7 @@ def _serve(
 ) -> None:
     from agent.host.signals import StopFlag
 
-    requested = StopFlag()
+    requested = StopFlag(suspends=True)
     if live:
         _serve_live(what, port, browser, requested, connect, network_config, overrides)
     else:

@@ -117,7 +117,7 @@ def guide(
     from agent.operator.table import Verb
 
     arms = places(load_cell(cell), [], control, host)
-    requested, before = StopFlag(), [""]
+    requested, before = StopFlag(suspends=True), [""]
     while not requested():
         now = lines(ask_arms(arms, Request(Verb.STATUS)), str(cell))
         if now != before:
@@ -153,7 +153,7 @@ def status(
     from agent.operator.status import status as look
 
     loaded = load_cell(cell)
-    stop = StopFlag() if watch else None
+    stop = StopFlag(suspends=True) if watch else None
     while True:
         document = look(loaded, read_clock(clock), host, logs or LOG_FOLDERS)
         if as_json:

@@ -62,7 +62,12 @@ class BlackBox:
 
     def _start(self) -> None:
         try:
-            self._process = subprocess.Popen(self._command, stdin=subprocess.DEVNULL, env=python.surroundings())
+            self._process = subprocess.Popen(
+                self._command,
+                stdin=subprocess.DEVNULL,
+                env=python.surroundings(),
+                start_new_session=True,  # Ctrl-C and Ctrl-Z are for the guard
+            )
         except OSError as error:  # the arm is held without a file too
             self._refused = error.strerror or str(error)
 

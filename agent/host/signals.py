@@ -10,23 +10,30 @@ from contextlib import contextmanager
 from types import FrameType
 
 PR_SET_PDEATHSIG = 1
+OF_BACKGROUND = (signal.SIGTTOU, signal.SIGTTIN)  # of who writes to, or reads, a terminal that is not his: suspend him
 
 
 class StopFlag:
-    """Remembers a stop (SIGTERM, SIGINT, SIGHUP) and a release (SIGUSR1); install it before anything is opened.
+    """Remembers a stop (SIGTERM, SIGINT, SIGHUP, SIGTSTP) and a release (SIGUSR1); made before anything is opened.
 
-    SIGHUP, which comes when a terminal or its connection is gone, counts unless it is ignored, as under `nohup`.
+    SIGHUP, which comes when a terminal or its connection is gone, counts unless it is ignored, as under `nohup`; so
+    does SIGTSTP (Ctrl-Z), for a suspended process watches over nothing, and servos that hear nothing let go.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, suspends: bool = False) -> None:
+        """suspends: Ctrl-Z and a terminal may suspend this process, as any that has no arm to watch over."""
         self.stopped = False
         self.stops = 0  # how often it was asked for
         self.released = False
         self._interrupts = False
         signal.signal(signal.SIGTERM, self._stop)
         signal.signal(signal.SIGINT, self._stop)
-        if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
-            signal.signal(signal.SIGHUP, self._stop)
+        for number in (signal.SIGHUP, *(() if suspends else (signal.SIGTSTP,))):
+            if signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, self._stop)
+        if not suspends:
+            for number in OF_BACKGROUND:
+                signal.signal(number, signal.SIG_IGN)
         signal.signal(signal.SIGUSR1, self._release)
 
     def _stop(self, number: int, frame: FrameType | None) -> None:

@@ -49,6 +49,12 @@ def hear_stops() -> None:
             signal.signal(number, signal.default_int_handler)
 
 
+def end_at_ctrl_z() -> None:
+    """Have Ctrl-Z end a command as Ctrl-C does: suspended, one that moves an arm would watch over it no more."""
+    if signal.getsignal(signal.SIGTSTP) is signal.SIG_DFL:
+        signal.signal(signal.SIGTSTP, signal.default_int_handler)
+
+
 class _Lasting(io.FileIO):
     """A terminal, pipe or socket, which may be closed while something is still written to it: that leads nowhere."""
 

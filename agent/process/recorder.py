@@ -80,8 +80,9 @@ def described(cell: Path, driver: DriverKind, seed: int) -> bytes:
     """run.json of the cell at that path, from a process that ends when it is made.  Raises DescriptionError."""
     command = python.command("agent.process.describe", str(cell), driver.value, str(seed))
     done = subprocess.run(
-        command, stdin=subprocess.DEVNULL, capture_output=True, check=False, env=python.surroundings()
-    )
+        command, stdin=subprocess.DEVNULL, capture_output=True, check=False, env=python.surroundings(),
+        start_new_session=True,  # Ctrl-C and Ctrl-Z are for the recorder
+    )  # fmt: skip
     if done.returncode:
         last = (done.stderr.decode(errors="replace").strip().splitlines() or [f"exit code {done.returncode}"])[-1]
         raise DescriptionError(

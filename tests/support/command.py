@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from agent.cli.main import dispatch, whole
-
-_TAKEN = (signal.SIGTERM, signal.SIGINT, signal.SIGUSR1)
+from tests.support.stops import CAUGHT
 
 
 @dataclass(frozen=True)
@@ -31,7 +30,7 @@ def coop(
     err: where standard error goes; cwd: the folder it runs in; stdin: what a person types.
     """
     out, err = io.StringIO(), err or io.StringIO()
-    before = {number: signal.getsignal(number) for number in _TAKEN}
+    before = {number: signal.getsignal(number) for number in CAUGHT}
     collects = gc.isenabled()
     try:
         with contextlib.ExitStack() as around:

@@ -8,7 +8,9 @@ from contextlib import contextmanager
 
 from agent.host.signals import StopFlag
 
-CAUGHT = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGUSR1)
+CAUGHT = (
+    signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGTSTP, signal.SIGTTIN, signal.SIGTTOU, signal.SIGUSR1
+)  # fmt: skip
 
 
 @contextmanager

@@ -22,12 +22,15 @@ ATTEMPTS = 3
 
 
 @pytest.mark.long  # a quarter of a minute until it lies; in virtual time `make test` has it
-def test_a_stop_by_signal_ends_in_off_with_a_complete_log_and_nothing_left(tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGTSTP])
+def test_a_stop_by_signal_ends_in_off_with_a_complete_log_and_nothing_left(
+    tmp_path: Path, number: signal.Signals
+) -> None:
     process, seen, log = floating(tmp_path)
     assert [joint["name"] for joint in seen["joints"]] == ["shoulder", "elbow", "wrist_angle"]
     assert all(0.3 < joint["room_rad"] < 2.0 for joint in seen["joints"])
     assert 0.1 < seen["p_m"][0] < 0.5
-    process.send_signal(signal.SIGTERM)
+    process.send_signal(number)
     out, err = process.communicate(timeout=TIMEOUT_S)
     assert process.returncode == 0, err
     told = [json.loads(line) for line in out.splitlines()]

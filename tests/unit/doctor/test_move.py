@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 from agent.config.cell import load_cell
+from agent.doctor import doctor
 from agent.doctor.doctor import Diagnosis, DoctorOptions, MoveError, move_arm
 from agent.doctor.move import (
     AT_REST,
@@ -26,6 +28,7 @@ from agent.doctor.move import (
 )
 from agent.verify.finding import Finding, Verdict
 from drivers.interface import Vector
+from tests.support.command import coop
 from tests.support.servos.dxl_rig import WX200, Rig, build
 
 MAP = replace(WX200, joints=tuple(replace(j, start_rad=None, tau_max_Nm=min(j.tau_max_Nm, 1.2)) for j in WX200.joints))
@@ -275,3 +278,16 @@ def test_implausible_friction_and_current_are_warnings(torque_Nm: float, measure
     warned = [f.line for f in found if f.verdict is not Verdict.OK]
     assert len(warned) == (told is not None)
     assert told is None or told in warned[0]
+
+
+@pytest.mark.parametrize("move", [True, False])
+def test_a_first_motion_is_not_suspended_by_ctrl_z(monkeypatch: pytest.MonkeyPatch, move: bool) -> None:
+    monkeypatch.setattr(doctor, "diagnose", lambda *_: Diagnosis("cell", ""))
+    heard = list[object]()
+    monkeypatch.setattr(doctor, "move_arm", lambda *_: heard.append(signal.getsignal(signal.SIGTSTP)))
+    before = signal.signal(signal.SIGTSTP, signal.SIG_DFL)
+    try:
+        coop("doctor", "two_wx200", "--arm", "left", *(["--move"] if move else []))
+    finally:
+        signal.signal(signal.SIGTSTP, before)
+    assert heard == [signal.default_int_handler] * move

@@ -83,6 +83,11 @@ def test_a_writer_that_hangs_is_ended_after_a_while_and_told(
     box.finish(lambda: pytest.fail("nobody is there"), pytest.fail)
 
 
+def test_no_key_of_the_guards_terminal_reaches_its_writer(gate: Path) -> None:
+    (gate.parent / "waits.py").write_text("import os, sys; sys.exit(os.getsid(0) != os.getpid())")
+    BlackBox([], gate.parent / "log", 2, wanted=True).finish(lambda: None, pytest.fail)
+
+
 def test_a_writer_that_fails_or_cannot_be_started_is_told(gate: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     part = gate.parent / "log.part"
     (gate.parent / "waits.py").write_text(f"open({str(part)!r}, 'x'); raise SystemExit(4)")

@@ -10,24 +10,27 @@ from collections.abc import Iterator
 import pytest
 
 from agent.host.signals import StopFlag
+from tests.support.stops import CAUGHT
 
-CAUGHT = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGUSR1)
+OF_JOB_CONTROL = (signal.SIGTSTP, signal.SIGTTIN, signal.SIGTTOU)
 
 
 @pytest.fixture
 def handlers() -> Iterator[None]:
     before = {number: signal.getsignal(number) for number in CAUGHT}
-    signal.signal(signal.SIGHUP, signal.SIG_DFL)  # these tests may themselves run under `nohup`
+    for number in (signal.SIGHUP, *OF_JOB_CONTROL):  # these tests may themselves run under `nohup`
+        signal.signal(number, signal.SIG_DFL)
     yield
     for number, handler in before.items():
         signal.signal(number, handler)
 
 
 @pytest.mark.usefixtures("handlers")
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGTSTP])
 def test_each_request_to_stop_is_counted(number: signal.Signals) -> None:
     flag = StopFlag()
     assert (flag(), flag.stops, flag.released) == (False, 0, False)
+    assert callable(signal.getsignal(number)), "or it suspends these tests"
     signal.raise_signal(number)
     signal.raise_signal(number)
     assert (flag(), flag.stops, flag.released) == (True, 2, False)
@@ -41,11 +44,24 @@ def test_a_release_is_no_stop() -> None:
 
 
 @pytest.mark.usefixtures("handlers")
-def test_a_process_that_is_to_outlive_its_terminal_does() -> None:
-    signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as `nohup` starts it
+@pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGTSTP])
+def test_a_process_that_is_to_outlive_its_terminal_does(number: signal.Signals) -> None:
+    signal.signal(number, signal.SIG_IGN)  # as `nohup` starts it
     flag = StopFlag()
-    signal.raise_signal(signal.SIGHUP)
+    signal.raise_signal(number)
     assert not flag()
+
+
+@pytest.mark.usefixtures("handlers")
+@pytest.mark.parametrize("suspends", [False, True])
+def test_a_terminal_in_front_of_which_another_is_suspends_only_who_watches_over_nothing(suspends: bool) -> None:
+    flag = StopFlag(suspends=suspends)
+    kept = [signal.getsignal(number) is signal.SIG_DFL for number in OF_JOB_CONTROL]
+    assert kept == [suspends] * len(OF_JOB_CONTROL)
+    if not suspends:
+        for number in (signal.SIGTTIN, signal.SIGTTOU):
+            signal.raise_signal(number)
+        assert not flag()
 
 
 @pytest.mark.usefixtures("handlers")

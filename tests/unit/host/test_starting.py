@@ -173,3 +173,22 @@ except KeyboardInterrupt:
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
     assert done.stdout.endswith("tidied\n") is ended
+
+
+@pytest.mark.parametrize("ignored", [False, True])
+def test_a_command_that_moves_an_arm_ends_at_ctrl_z_as_at_ctrl_c_unless_that_is_ignored(ignored: bool) -> None:
+    before = "signal.signal(signal.SIGTSTP, signal.SIG_IGN)" if ignored else ""
+    code = f"""import signal
+from agent.host.starting import end_at_ctrl_z
+{before}
+end_at_ctrl_z()
+try:
+    signal.raise_signal(signal.SIGTSTP)
+    print("goes on")
+except KeyboardInterrupt:
+    print("ends")
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True, start_new_session=True
+    )
+    assert done.stdout == ("goes on\n" if ignored else "ends\n")
