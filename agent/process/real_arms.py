@@ -28,6 +28,7 @@ from agent.process.progress import Progress
 from agent.process.rehearse import require_empty_gripper, require_one_host
 
 ASK_EVERY_S: Final = 0.1
+SUPPORTED_S: Final = 1.0  # sooner nobody has read that an arm holds, and has it in his hands
 GONE_AFTER: Final = 10  # times that no real arm answers: a guard that takes over needs less
 
 
@@ -38,8 +39,13 @@ class Bystander(Protocol):
         """Whether they have looked, and the gripper of this arm holds nothing."""
         ...
 
+    @property
+    def hears(self) -> bool:
+        """Whether they can press a key here."""
+        ...
+
     def lets_go(self) -> bool:
-        """Whether they have said since the last call that the arms are supported."""
+        """Whether they have pressed the key since the last call, by which they say that the arms are supported."""
         ...
 
     def tell(self, text: str) -> None:
@@ -86,6 +92,7 @@ class Holding:
         self._real = frozenset(real)
         self._cell, self._beside = cell, beside
         self._told: set[str] = set()
+        self._told_s = 0.0  # when that was said of the last one
         self._silent = 0  # looks in a row without an answer of a real arm
         self._next_s = 0.0
 
@@ -109,10 +116,12 @@ class Holding:
         real = {arm: one for arm, one in replies.items() if arm in self._real}
         self._silent = 0 if real else self._silent + 1
         holding = {arm: one.reason for arm, one in real.items() if Mode[one.mode] is Mode.HOLD}
+        pressed = self._beside.lets_go()  # in every look: a key from before an arm held says nothing of that arm
         for arm in sorted(set(holding) - self._told):
             self._tell(arm, holding[arm])
-        if (holding and self._beside.lets_go()) or (self.over and replies):
-            ask_arms({arm: self._arms[arm] for arm in replies}, Request(Verb.RELEASE), SILENT_S)
+        if (holding and pressed and self._is_meant()) or (self.over and replies):
+            told = [arm for arm in replies if arm in holding or arm not in self._real]  # not who holds since just now
+            ask_arms({arm: self._arms[arm] for arm in told}, Request(Verb.RELEASE), SILENT_S)
 
     def see_off(self) -> None:
         """Stop all arms, and return when no real one is held any more, however long that takes."""
@@ -121,13 +130,18 @@ class Holding:
             self.look()
             time.sleep(ASK_EVERY_S)
 
+    def _is_meant(self) -> bool:
+        """Whether a key that is pressed now can be about every arm that holds: nobody supports one at once."""
+        if time.monotonic() - self._told_s >= SUPPORTED_S:
+            return True
+        self._beside.tell("Enter came before that arm can have been supported: press it again once all of them are")
+        return False
+
     def _tell(self, arm: str, reason: str) -> None:
-        if not self._told:
-            self._beside.lets_go()  # what was said before there was anything to let go
         self._told.add(arm)
-        self._beside.tell(
-            f"arm {arm} HOLDS ({reason}): support it, then press Enter here, or say `coop release {self._cell}`"
-        )
+        self._told_s = time.monotonic()
+        key = "press Enter here, or " if self._beside.hears else ""
+        self._beside.tell(f"arm {arm} HOLDS ({reason}): support it, then {key}say `coop release {self._cell}`")
 
 
 class RealChildren(Children):

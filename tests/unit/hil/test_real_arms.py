@@ -15,7 +15,7 @@ import configs
 from agent.config.cell import Cell, load_cell
 from agent.modes import Mode
 from agent.operator.ask import ask_arms
-from agent.operator.message import Request
+from agent.operator.message import Reply, Request
 from agent.operator.socket import ControlSocket, Standing
 from agent.operator.table import Verb
 from agent.process import real_arms
@@ -34,6 +34,7 @@ class Person:
     """Says what it is told to say, and remembers what it was told."""
 
     empty: bool = True
+    hears: bool = True
     presses: list[bool] = field(default_factory=list)
     told: list[str] = field(default_factory=list)
 
@@ -194,14 +195,15 @@ class Arm:
 @pytest.fixture
 def arms(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, Arm]]:
     monkeypatch.setattr(real_arms, "ASK_EVERY_S", 0.01)
+    monkeypatch.setattr(real_arms, "SUPPORTED_S", 0.0)
     made = {name: Arm(tmp_path, name, Mode.TRACK) for name in ("left", "right")}
     yield made
     for arm in made.values():
         arm.end()
 
 
-def holding(arms: dict[str, Arm], person: Person) -> Holding:
-    return Holding({name: arm.path for name, arm in arms.items()}, ["left"], "mine.toml", person)
+def holding(arms: dict[str, Arm], person: Person, *real: str) -> Holding:
+    return Holding({name: arm.path for name, arm in arms.items()}, real or ["left"], "mine.toml", person)
 
 
 def look(beside: Holding, times: int = 1) -> None:
@@ -215,7 +217,6 @@ def test_a_person_is_told_once_that_the_arm_holds_and_lets_it_go_by_a_key(arms: 
     beside = holding(arms, person)
     look(beside, 2)
     assert not person.told, "it follows the motion"
-    assert person.presses, "a key says nothing yet"
     arms["left"].standing.mode = Mode.HOLD
     look(beside, 3)
     assert person.told == [
@@ -232,6 +233,89 @@ def test_a_person_is_told_once_that_the_arm_holds_and_lets_it_go_by_a_key(arms: 
     assert not beside.over
     look(beside)
     assert beside.over
+
+
+def settled(arm: Arm) -> Mode:
+    """Its mode once it has acted on what it has answered."""
+    heard = ask_arms({"it": [arm.path]}, Request(Verb.STATUS))["it"]
+    return Mode[heard.mode] if isinstance(heard, Reply) else Mode.OFF
+
+
+TOO_SOON = "Enter came before that arm can have been supported: press it again once all of them are"
+
+
+def test_a_key_lets_no_arm_go_that_the_person_was_not_told_of_before_it(arms: dict[str, Arm]) -> None:
+    person = Person()
+    beside = holding(arms, person, "left", "right")
+    left, right = arms["left"], arms["right"]
+    left.standing.mode = Mode.HOLD
+    look(beside)
+    person.presses = [True]
+    look(beside)
+    left.end()
+    assert left.words == [Verb.RELEASE]
+    person.presses = [True]
+    look(beside, 2)
+    assert not person.presses, "once more, while nothing holds: it is heard, and forgotten"
+    right.standing.mode = Mode.HOLD
+    look(beside, 2)
+    assert settled(right) is Mode.HOLD
+    assert [text.split(" (")[0] for text in person.told] == ["arm left HOLDS", "arm right HOLDS"]
+    person.presses = [True]
+    look(beside)
+    right.end()
+    assert right.words == [Verb.RELEASE]
+
+
+@pytest.mark.parametrize("in_that_look", [True, False])
+def test_a_key_that_comes_before_a_second_arm_can_be_supported_lets_none_go(
+    arms: dict[str, Arm], monkeypatch: pytest.MonkeyPatch, in_that_look: bool
+) -> None:
+    person = Person()
+    beside = holding(arms, person, "left", "right")
+    arms["left"].standing.mode = Mode.HOLD
+    look(beside)
+    monkeypatch.setattr(real_arms, "SUPPORTED_S", 1000.0)
+    arms["right"].standing.mode = Mode.HOLD
+    person.presses = [in_that_look, not in_that_look]
+    look(beside, 2)
+    assert [settled(arm) for arm in arms.values()] == [Mode.HOLD, Mode.HOLD]
+    assert [text.split(" (")[0] for text in person.told] == ["arm left HOLDS", "arm right HOLDS", TOO_SOON]
+    monkeypatch.setattr(real_arms, "SUPPORTED_S", 0.0)
+    person.presses = [True]
+    look(beside)
+    for arm in arms.values():
+        arm.end()
+        assert arm.words == [Verb.RELEASE]
+
+
+def test_an_arm_that_holds_since_the_look_of_a_key_is_not_let_go_by_it(
+    arms: dict[str, Arm], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It does so between the question and the word."""
+    person = Person()
+    beside = holding(arms, person, "left", "right")
+    arms["left"].standing.mode = Mode.HOLD
+    look(beside)
+
+    def asked(whom: Any, request: Request, timeout_s: float) -> Any:
+        heard = ask_arms(whom, request, timeout_s)
+        arms["right"].standing.mode = Mode.HOLD
+        return heard
+
+    monkeypatch.setattr(real_arms, "ask_arms", asked)
+    person.presses = [True]
+    look(beside)
+    assert [settled(arms[name]) for name in ("left", "right")] == [Mode.OFF, Mode.HOLD]
+    assert not arms["right"].words
+
+
+def test_where_no_key_can_be_heard_none_is_named(arms: dict[str, Arm]) -> None:
+    person = Person(hears=False)
+    beside = holding(arms, person)
+    arms["left"].standing.mode = Mode.HOLD
+    look(beside)
+    assert person.told == ["arm left HOLDS (the trajectory has ended): support it, then say `coop release mine.toml`"]
 
 
 def test_the_end_waits_for_a_release_from_elsewhere_and_lets_the_simulated_partner_go(arms: dict[str, Arm]) -> None:
