@@ -45,7 +45,7 @@ def _arm(arm: Mapping[str, Any], widest: int) -> Line:
     if arm["answers"]:
         head, tone = arm["mode"], _TONES.get(arm["mode"], Tone.HELD)
         if arm["same_cell"] is False:
-            parts.insert(0, "ANOTHER CELL FILE")
+            parts.insert(0, "RUNS OTHER SETTINGS THAN THIS FILE")
             tone = Tone.BAD
         if arm["reason"] and arm["mode"] not in ("READY", "TRACK"):
             parts.insert(0, arm["reason"][:WIDTH_REASON])

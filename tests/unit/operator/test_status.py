@@ -212,7 +212,7 @@ def test_an_agent_with_another_cell_file_is_called_that(home: Path) -> None:
     with serving([Arm(home / "left.control", Mode.READY, "cd" * 32)]):
         document = status(CELL, CLOCK, logs=())
     assert of(document, "left")["same_cell"] is False
-    assert (lines(document)[0].rest, lines(document)[0].tone) == ("ANOTHER CELL FILE", Tone.BAD)
+    assert (lines(document)[0].rest, lines(document)[0].tone) == ("RUNS OTHER SETTINGS THAN THIS FILE", Tone.BAD)
 
 
 def test_a_recorder_at_work_is_found_by_its_lock_which_nobody_takes(tmp_path: Path) -> None:
