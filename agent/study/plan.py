@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -16,8 +16,8 @@ from agent.config.files import cell_path
 from agent.config.reading import parse, read_file, validate
 from agent.config.schema.cell import CellFile
 from agent.config.schema.types import Format, Strict
-from agent.host.info import computing
 from agent.study.fault import Fault
+from agent.study.provenance import provenance
 
 RUNS = 200
 MAX_RUNS = 100_000
@@ -53,6 +53,8 @@ class Task:
     index: int  # of the run, in its cell
     seed: int  # of its reality
     faults: tuple[Fault, ...]
+    fingerprint: str  # of the cell with its arms' files, which a host has of its own
+    provenance: Mapping[str, str]  # of who asks for it: nobody else's runs are put together with theirs
 
     @property
     def key(self) -> tuple[int, int]:
@@ -71,11 +73,15 @@ class Plan:
 
     def tasks(self) -> list[Task]:
         """All runs, cell after cell."""
+        ours = provenance()
         return [
-            Task(cell.toml, f"{cell.file.name}.toml", place, index, seed_of(self.seed, index), self.faults)
+            Task(
+                cell.toml, f"{cell.file.name}.toml", place, index, seed_of(self.seed, index), self.faults,
+                cell.fingerprint, ours,
+            )
             for place, cell in enumerate(self.cells)
             for index in range(self.runs)
-        ]
+        ]  # fmt: skip
 
     def identity(self) -> dict[str, Any]:
         """What two studies share whose runs may be put together; the number of runs is not in it."""
@@ -83,7 +89,7 @@ class Plan:
             "cells": [cell.fingerprint for cell in self.cells],
             "seed": self.seed,
             "faults": [fault.model_dump(mode="json") for fault in self.faults],
-            "versions": computing(),
+            "versions": dict(provenance()),
         }
 
 

@@ -111,7 +111,7 @@ class Store:
         if found != self._identity:
             raise StudyError(
                 f"study in {self.path.parent}",
-                found="runs of another cell, seed, duration, fault or version",
+                found="runs of another cell, seed, duration, fault, version or source",
                 expected="none, or those of this study, which then goes on",
                 remedy="name another --out, or give --force",
             )

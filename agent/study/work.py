@@ -9,10 +9,11 @@ import contextlib
 import gc
 import os
 import pickle
+import platform
 import queue
 import subprocess
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
@@ -23,6 +24,7 @@ from agent.host.signals import StopFlag
 from agent.study.lab import Laboratory
 from agent.study.measure import RunResult, run_once
 from agent.study.plan import Task
+from agent.study.provenance import apart, provenance
 from agent.study.store import StudyError
 from drivers.interface import Refusal
 
@@ -52,16 +54,33 @@ def _laboratory(cell_toml: bytes, source: str) -> Laboratory:
 
 def perform(task: Task) -> RunResult | Refused:
     """Do one run; the cell that a process did before is ready."""
+    other = _otherwise(f"worker on {platform.node()}", provenance(), task.provenance)
+    if other is not None:
+        return other
     enabled = gc.isenabled()
     gc.disable()  # nothing in a tick makes cycles
     try:
-        return run_once(_laboratory(task.cell_toml, task.source), task.index, task.seed, task.faults)
+        lab = _laboratory(task.cell_toml, task.source)
+        of_files = {"fingerprint": lab.cell.fingerprint}
+        other = _otherwise(
+            f"arm files of {task.source} on {platform.node()}", of_files, {"fingerprint": task.fingerprint}
+        )
+        return other or run_once(lab, task.index, task.seed, task.faults)
     except Refusal as error:
         what = f"run {task.index} of {task.source}, reality {task.seed}: {error.what}"
         return Refused(what, str(error.found), str(error.expected), error.remedy)
     finally:
         if enabled:
             gc.enable()
+
+
+def _otherwise(who: str, found: Mapping[str, str], expected: Mapping[str, str]) -> Refused | None:
+    """Why a run is not done here, where it would be another one; None where it is the same."""
+    if found == expected:
+        return None
+    ours, theirs = apart(found, expected)
+    remedy = "install the same release there, start the worker again, and the study with the same --out"
+    return Refused(who, ours, f"{theirs}, as where the study was started", remedy)
 
 
 def result_of(answer: RunResult | Refused) -> RunResult:

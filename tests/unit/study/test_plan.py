@@ -7,7 +7,6 @@ import resource
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import configs
@@ -16,6 +15,7 @@ from agent.config.cell import ConfigError
 from agent.study.fault import FaultKind
 from agent.study.measure import RunResult, run_once
 from agent.study.plan import Plan, load_plan, seed_of
+from agent.study.provenance import provenance
 from agent.study.store import RUNS_FILE, Store, StudyError
 from agent.study.work import here, perform
 from drivers.interface import Refusal
@@ -160,14 +160,15 @@ def test_runs_of_another_study_are_not_mixed_in(tmp_path: Path, plan: Plan, othe
         assert more.results == {}
 
 
-def test_runs_of_another_version_are_not_mixed_in(tmp_path: Path, plan: Plan) -> None:
+@pytest.mark.parametrize("key", ["numpy", "sources"])
+def test_runs_of_another_version_or_source_are_not_mixed_in(tmp_path: Path, plan: Plan, key: str) -> None:
     with Store(tmp_path, plan.identity()):
         pass
     path = tmp_path / RUNS_FILE
-    ours = f'"numpy": "{np.__version__}"'
+    ours = f'"{key}": "{provenance()[key]}"'
     assert ours in path.read_text()
-    path.write_text(path.read_text().replace(ours, '"numpy": "1.0"'))
-    with pytest.raises(StudyError, match="fault or version"):
+    path.write_text(path.read_text().replace(ours, f'"{key}": "1.0"'))
+    with pytest.raises(StudyError, match="fault, version or source"):
         Store(tmp_path, plan.identity())
 
 

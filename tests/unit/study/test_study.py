@@ -7,6 +7,8 @@ import gc
 import json
 import logging
 import math
+import platform
+import re
 import signal
 import socket
 from collections.abc import Iterator, Sequence
@@ -18,6 +20,9 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 
+import agent
+import drivers
+import sim_backend
 from agent.atomic import WriteError
 from agent.config.cell import load_cell
 from agent.config.reality import draw, reality_of
@@ -26,6 +31,7 @@ from agent.study.lab import Laboratory
 from agent.study.measure import RunResult, bounds_of, measure
 from agent.study.page import _influences
 from agent.study.plan import Plan, Task, load_plan
+from agent.study.provenance import hash_of, provenance
 from agent.study.store import RUNS_FILE, Store, StudyError
 from agent.study.study import RESULTS, Work, run_study
 from agent.study.summary import _spearman, errors_of, influences, judged, summary, verdict, worst
@@ -273,10 +279,44 @@ def test_a_run_that_no_worker_survives_is_refused(plan: Plan, monkeypatch: pytes
 
 
 def test_a_run_that_cannot_be_done_is_refused_by_its_number() -> None:
-    broken = Task(cell().toml.replace(b"widowx_mk2", b"widowx_mk3"), "x.toml", 0, 7, 1, ())
+    broken = Task(cell().toml.replace(b"widowx_mk2", b"widowx_mk3"), "x.toml", 0, 7, 1, (), "", provenance())
     for way in (here, lambda tasks: in_processes(tasks, 1)):
         with pytest.raises(StudyError, match=r"run 7 of x\.toml, reality 1"):
             list(way([broken]))
+
+
+def test_a_worker_that_would_compute_another_run_does_none_and_says_what_differs(plan: Plan) -> None:
+    task = plan.tasks()[0]
+    ours, host = provenance()["widowx-coop"], re.escape(platform.node())
+    other = replace(task, provenance={**provenance(), "widowx-coop": "0.0.9"})
+    for way in (here, lambda tasks: in_processes(tasks, 1)):
+        with pytest.raises(
+            StudyError, match=rf"^worker on {host}: found widowx-coop {ours}, expected widowx-coop 0\.0\.9, "
+        ):
+            list(way([other]))
+    with pytest.raises(StudyError, match=rf"found sources {provenance()['sources']}, expected sources none, "):
+        list(here([replace(task, provenance={k: v for k, v in provenance().items() if k != "sources"})]))
+    fingerprint = plan.cells[0].fingerprint
+    with pytest.raises(
+        StudyError,
+        match=rf"^arm files of paper\.toml on {host}: found fingerprint {fingerprint}, expected fingerprint 0, ",
+    ):
+        list(here([replace(task, fingerprint="0")]))
+
+
+def test_the_hash_of_sources_is_of_their_names_and_content_wherever_they_lie(tmp_path: Path) -> None:
+    for place in ("here", "there"):
+        (tmp_path / place / "a" / "b").mkdir(parents=True)
+        (tmp_path / place / "a" / "b" / "law.py").write_text("k = 1\n")
+    here, there = tmp_path / "here" / "a", tmp_path / "there" / "a"
+    first = hash_of(here)
+    (there / "b" / "notes.txt").write_text("mine")
+    assert hash_of(there) == first
+    (there / "b" / "law.py").write_text("k = 2\n")
+    changed = hash_of(there)
+    (there / "b" / "law.py").rename(there / "b" / "laws.py")
+    assert len({first, changed, hash_of(there), hash_of(here, there)}) == 4
+    assert provenance()["sources"] == hash_of(*(Path(of.__path__[0]) for of in (agent, drivers, sim_backend)))
 
 
 def test_a_study_that_is_left_early_ends_its_processes(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
