@@ -56,6 +56,7 @@ def study(
     if as_json:
         print_json(dict(outcome.document))
     else:
+        from agent.study.fault import unrepeatable
         from agent.study.summary import verdict
 
         console().print(_table(outcome))
@@ -63,7 +64,9 @@ def study(
             typer.echo(f"{name} {verdict(found)}")
         typer.echo(f"results  {out / 'study.json'}")
         if outcome.document["runs"]:
-            typer.echo(f"report   {out / 'report.html'}\nworst    {out / 'worst.toml'}")
+            left_out = unrepeatable(plan.faults)
+            without = f" (without {left_out}: `coop run` does not know such faults)" if left_out else ""
+            typer.echo(f"report   {out / 'report.html'}\nworst    {out / 'worst.toml'}{without}")
     if outcome.interrupted:
         typer.echo(f"stopped by request; the same command with --out {out} goes on", err=as_json)
         raise typer.Exit(130)

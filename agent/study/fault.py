@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+from collections.abc import Iterable
 from typing import Annotated, Final
 
 from pydantic import Field
@@ -27,3 +28,13 @@ class Fault(Strict):
     kind: Annotated[FaultKind, AS_LIST]
     arm: Name
     at_s: Annotated[float, Field(ge=0.0, le=1e6)]  # on the trajectory's clock
+
+    @property
+    def told(self) -> str:
+        """For a person."""
+        return f"{self.kind} {self.arm} at {self.at_s:g} s"
+
+
+def unrepeatable(faults: Iterable[Fault]) -> str:
+    """Those that no cell file can say, in words: it has openings of grippers alone.  Empty without any."""
+    return ", ".join(fault.told for fault in faults if fault.kind is not FaultKind.OPEN)

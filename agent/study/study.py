@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from importlib import import_module
@@ -18,6 +19,8 @@ from agent.atomic import keep_existing, write_atomically
 from agent.config.cell import Cell
 from agent.config.reading import parse
 from agent.config.reality import draw
+from agent.study.fault import Fault, FaultKind, unrepeatable
+from agent.study.lab import NS
 from agent.study.measure import RunResult
 from agent.study.page import render
 from agent.study.plan import Plan, Task
@@ -121,7 +124,7 @@ def _write(plan: Plan, out: Path, results: Sequence[Sequence[RunResult]]) -> dic
         write_atomically(out / PAGE, render(f"Study of {names}", parts).encode())
         bad = worst(together)
         at = next(i for i, some in enumerate(results) if any(r is bad for r in some))
-        write_atomically(out / WORST, worst_cell(plan.cells[at], bad))
+        write_atomically(out / WORST, worst_cell(plan.cells[at], bad, plan.faults))
     return document
 
 
@@ -152,10 +155,26 @@ def _parquet(rows: Sequence[Mapping[str, Any]]) -> bytes:
     return content
 
 
-def worst_cell(cell: Cell, result: RunResult) -> bytes:
-    """A cell file that repeats one run of a study: the cell with that run's reality, value by value."""
+def worst_cell(cell: Cell, result: RunResult, faults: Sequence[Fault] = ()) -> bytes:
+    """A cell file that repeats one run of a study: the cell with that run's reality, value by value.
+
+    Grippers that lose the object do so in it as well; its head names the faults that `coop run` does not know.
+    """
     document = parse(cell.toml, Path(f"{cell.file.name}.toml"))
-    real = draw(cell.file.tolerance, result.seed, cell)
-    document.setdefault("simulation", {})["reality"] = real.model_dump(mode="json", exclude_none=True)
+    real, simulation = draw(cell.file.tolerance, result.seed, cell), document.setdefault("simulation", {})
+    simulation["reality"] = real.model_dump(mode="json", exclude_none=True)
+    opened = [{"at_s": _strikes_s(cell, f), "arm": f.arm} for f in faults if f.kind is FaultKind.OPEN]
+    if opened:
+        simulation["opening"] = [*simulation.get("opening", []), *opened]
     head = f"# Run {result.index} of a study: the reality of seed {result.seed}. {result.why}\n"
+    left_out = unrepeatable(faults)
+    if left_out:
+        head += f"# WITHOUT what befell that run, which `coop run` does not know: {left_out}\n"
     return head.encode() + tomli_w.dumps(document).encode()
+
+
+def _strikes_s(cell: Cell, fault: Fault) -> float:
+    """When a run of a study lets the fault happen, at the begin of a tick, for a plant that starts `ready_s` before."""
+    ready_s, rate_hz = cell.file.simulation.ready_s, cell.file.rate_hz
+    ticks = round(ready_s * rate_hz) + math.ceil(fault.at_s / (cell.period_ns * NS))
+    return max(0.0, ticks / rate_hz - ready_s)

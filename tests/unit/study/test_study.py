@@ -28,7 +28,7 @@ from agent.config.cell import load_cell
 from agent.config.reality import draw, reality_of
 from agent.study import work
 from agent.study.lab import Laboratory
-from agent.study.measure import RunResult, bounds_of, measure
+from agent.study.measure import RunResult, bounds_of, measure, run_once
 from agent.study.page import _influences
 from agent.study.plan import Plan, Task, load_plan
 from agent.study.provenance import hash_of, provenance
@@ -130,6 +130,41 @@ def test_the_worst_run_is_a_cell_that_repeats_it(tmp_path: Path, plan: Plan, res
     again = load_cell(tmp_path / "worst.toml")
     assert reality_of(again) == draw(plan.cells[0].file.tolerance, bad.seed, plan.cells[0])
     assert measure(Laboratory(again), None, bad.index, bad.seed) == bad
+
+
+def struck(folder: Path, *kinds: str) -> Path:
+    """A study of one run of the short cell, on soft pads, whose right arm has these faults."""
+    faults = "".join(f'[[faults]]\nkind = "{kind}"\narm = "right"\nat_s = 0.4\n' for kind in kinds)
+    cell_file(
+        folder, "simulation.ready_s=0.013", "simulation.grasp={stiffness_N_per_m=1e5, stiffness_Nm_per_rad=100.0}"
+    )
+    path = folder / "struck.toml"
+    path.write_text(f'format = 1\ncells = ["short.toml"]\nruns = 1\n{faults}')
+    return path
+
+
+def test_the_worst_run_loses_the_object_as_the_studys_did(tmp_path: Path) -> None:
+    plan = load_plan(struck(tmp_path, "open"))
+    outcome = run_study(plan, tmp_path / "out", here, lambda: False, Told())
+    assert outcome.document["runs"] == 1
+    task = plan.tasks()[0]
+    lab, again = Laboratory(plan.cells[0]), Laboratory(load_cell(tmp_path / "out" / "worst.toml"))
+    found = replace(measure(again, None, 0, task.seed), reaction_s=None)
+    assert found == replace(run_once(lab, 0, task.seed, plan.faults), reaction_s=None)
+    assert found != run_once(lab, 0, task.seed)
+    assert "WITHOUT" not in (tmp_path / "out" / "worst.toml").read_text()
+
+
+def test_what_the_worst_run_cannot_repeat_is_said_on_the_terminal_and_in_its_head(tmp_path: Path) -> None:
+    path, worst = struck(tmp_path, "limp", "open", "hold"), tmp_path / "out" / "worst.toml"
+    done = coop("study", path, "--workers", "1", "--out", tmp_path / "out")
+    assert done.code == 0, done.err
+    left_out = "limp right at 0.4 s, hold right at 0.4 s"
+    assert f"worst    {worst} (without {left_out}: `coop run` does not know such faults)\n" in done.out
+    assert worst.read_text().splitlines()[1] == (
+        f"# WITHOUT what befell that run, which `coop run` does not know: {left_out}"
+    )
+    assert [(o.arm, o.at_s) for o in load_cell(worst).file.simulation.opening] == [("right", pytest.approx(0.402))]
 
 
 def no_worker(_: Sequence[Task]) -> Iterator[tuple[Task, RunResult]]:
