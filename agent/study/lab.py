@@ -15,6 +15,7 @@ from agent.config import monitors
 from agent.config.cell import Cell
 from agent.config.schema.reality import Reality
 from agent.control.memory import Memory
+from agent.control.quaternion import Quat, Vec3
 from agent.loop import Agent, Outcome, explained, initial_memory, step
 from agent.modes import Event, Mode, next_mode
 from agent.monitors.watch import Watch
@@ -86,15 +87,17 @@ class Place:
         self.mode = Mode.TRACK
         self.memory: Memory = initial_memory(agent)
         self.outcome: Outcome | None = None  # of the last cycle
-        self.limp = False
+        self.limp = self.open = False  # by a fault: its servos, its gripper
+        self._q: Vector = np.zeros(agent.model.n)  # reported in the last cycle
         self._command = command
         self._skew_ns = skew_ns
 
     def cycle(self, stamp_ns: int, zero_ns: int, reported: Vector, happened: Event) -> Vector:
         """One cycle as `agent.runner` does it; the torque that its servos are told.  reported: (3, J)."""
+        q, dq, tau = (values[self.joints] for values in reported)
+        self._q = q
         if self.limp:
             return np.zeros(self.agent.model.n)
-        q, dq, tau = (values[self.joints] for values in reported)
         state = JointState(stamp_ns + self._skew_ns, q, dq, tau)
         if self.mode is not Mode.TRACK and self.memory.hold is None:
             self.memory = wait_here(self.agent, state.q, self.memory)
@@ -110,6 +113,18 @@ class Place:
         if happened:
             self._change_mode(happened, outcome)
         return self._command(outcome.tau)
+
+    def sees(self) -> tuple[Vec3, Quat] | None:
+        """Where the arm's joints say that the object is, as of its last cycle; None where they say nothing of it."""
+        if self.open:
+            return None
+        if self.limp:  # no law has worked with what its servos report
+            k = self.agent.model.evaluate(self._q, np.zeros_like(self._q))
+        elif self.outcome is None or self.outcome.terms is None:
+            return None
+        else:
+            k = self.outcome.terms.kinematics
+        return k.p_object, k.quat_object
 
     def _change_mode(self, happened: Event, outcome: Outcome) -> None:
         before, self.mode = self.mode, next_mode(self.mode, happened)
@@ -187,12 +202,14 @@ class Run:
         requests = {}
         while self._due and self._due[-1].at_s <= self.t:
             fault = self._due.pop()
+            struck = next(p for p in self.places if p.agent.name == fault.arm)
             if fault.kind is FaultKind.HOLD:
                 requests[fault.arm] = Event.STOP
             elif fault.kind is FaultKind.LIMP:
-                next(p for p in self.places if p.agent.name == fault.arm).limp = True
+                struck.limp = True
             elif fault.kind is FaultKind.LOCKED:
                 self.plant.brake(fault.arm, SEIZED_Nms_RAD)
             else:
+                struck.open = True
                 self.plant.release(fault.arm)
         return requests

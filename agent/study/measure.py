@@ -114,10 +114,9 @@ class _Seen:
         q = tuple(quat.tolist())
         off_m, off_rad = math.dist(p.tolist(), desired.p), angle_between(q, desired.quat)
         own_m = own_rad = 0.0
-        outcome = run.places[self._anchor].outcome
-        if outcome is not None and outcome.terms is not None:
-            k = outcome.terms.kinematics
-            own_m, own_rad = math.dist(p.tolist(), k.p_object), angle_between(q, k.quat_object)
+        seen = run.places[self._anchor].sees()
+        if seen is not None:
+            own_m, own_rad = math.dist(p.tolist(), seen[0]), angle_between(q, seen[1])
         self._errors.append((t, off_m, off_rad, own_m, own_rad))
         self._quat.append(quat)
         self._wrench.append(wrench)

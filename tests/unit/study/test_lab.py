@@ -11,6 +11,7 @@ import pytest
 
 from agent.config.cell import load_cell
 from agent.config.schema.reality import ArmReality, Reality
+from agent.control.quaternion import angle_between
 from agent.modes import Mode
 from agent.safety import Flag
 from agent.study import measure as measuring
@@ -198,6 +199,37 @@ def test_each_fault_strikes_its_arm_at_its_time(kind: FaultKind) -> None:
     else:
         assert np.isnan(seen.contact_error_m[1])
         assert not np.isnan(seen.contact_error_m[0])
+
+
+@pytest.mark.parametrize("kind", [None, *FaultKind])
+def test_an_arm_sees_the_object_by_its_joints_also_when_it_is_limp_and_not_once_it_has_lost_it(
+    kind: FaultKind | None,
+) -> None:
+    """Its bases and zeros are true here, so that a grasp that holds shows the object where it is."""
+    lab = Laboratory(cell(*FAULTY))
+    run = Run(lab, None, [] if kind is None else [Fault(kind=kind, arm="left", at_s=0.3)])
+    left = run.places[0]
+    assert left.sees() is None, "before its first cycle"
+    while run.t < 0.5:
+        truth = run.observe()
+        run.advance()
+    seen = left.sees()
+    if kind is FaultKind.OPEN:
+        assert seen is None
+        return
+    assert seen is not None
+    assert math.dist(truth.p_object, seen[0]) < 1e-3
+    assert angle_between(tuple(truth.quat_object.tolist()), seen[1]) < 5e-3
+
+
+def test_an_arm_whose_law_gives_nothing_sees_nothing(lab: Laboratory) -> None:
+    run = Run(lab, None)
+    run.advance()
+    place = run.places[0]
+    assert place.sees() is not None
+    assert place.outcome is not None
+    place.outcome = place.outcome._replace(terms=None)
+    assert place.sees() is None
 
 
 TWO, MORE = ("paper_real", "two_wx200", "two_models", "paper_adaptive"), ("three_wx250s", "four_wx250s")

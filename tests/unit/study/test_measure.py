@@ -46,9 +46,9 @@ class Scripted:
         self.peak_Nm, self.observed = np.array([0.2, 0.2, 0.2, 1.6]), list[float]()
         anchor = SimpleNamespace(skew_s=skew_s)
         self.plant = SimpleNamespace(spec=SimpleNamespace(arms=[anchor, anchor]))
-        self.places = [SimpleNamespace(outcome=None), SimpleNamespace(outcome=None)]
+        self.places = [SimpleNamespace(sees=lambda: None), SimpleNamespace(sees=lambda: None)]
         self._skew_s = skew_s
-        self.blind: Any = ...  # what the anchor gives instead of what it sees
+        self.blind = False  # whether the anchor sees nothing
 
     @property
     def t(self) -> float:
@@ -65,9 +65,8 @@ class Scripted:
         p = np.array(desired.p) + np.array([off_m, 0.0, 0.0])
         quat = about_z(off_rad)
         own = p + np.array([0.0, own_m, 0.0])
-        k = SimpleNamespace(p_object=tuple(own), quat_object=tuple(about_z(off_rad - own_rad)))
-        seen = SimpleNamespace(terms=SimpleNamespace(kinematics=k))
-        self.places[cell().anchor].outcome = seen if self.blind is ... else self.blind
+        seen = None if self.blind else (tuple(own), tuple(about_z(off_rad - own_rad)))
+        self.places[cell().anchor].sees = lambda: seen
         return SimpleNamespace(p_object=p, quat_object=quat, grasp_wrench=GRASP)
 
     def advance(self) -> None:
@@ -153,10 +152,9 @@ def test_half_of_stall_is_within_bounds(monkeypatch: pytest.MonkeyPatch, peak_Nm
     assert (again.index, again.seed) == (3, 11)
 
 
-@pytest.mark.parametrize("blind", [None, SimpleNamespace(terms=None)])
-def test_an_anchor_that_sees_nothing_excuses_nothing(monkeypatch: pytest.MonkeyPatch, blind: Any) -> None:
-    run = Scripted(lambda _: (0.8e-3, 2e-3, 0.0, 0.0), (), math.inf, 0.0)
-    run.blind = blind
+def test_an_anchor_that_sees_nothing_excuses_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    run = Scripted(lambda _: (0.8e-3, 2e-3, 0.4e-3, 1e-3), (), math.inf, 0.0)
+    run.blind = True
     monkeypatch.setattr(module, "Run", lambda *_: run)
     lab: Any = SimpleNamespace(cell=cell(), stall_Nm=STALL_NM)
     assert measure(lab, None).position_beyond_anchor_m == pytest.approx(0.8e-3)
