@@ -57,11 +57,14 @@ def study(
         print_json(dict(outcome.document))
     else:
         from agent.study.fault import unrepeatable
-        from agent.study.summary import verdict
+        from agent.study.summary import counting, verdict
 
         console().print(_table(outcome))
+        cells = {one.file.name: one for one in plan.cells}
         for name, found in outcome.document["cells"].items():
             typer.echo(f"{name} {verdict(found)}")
+            if found["unsettled"]:
+                typer.echo(counting(cells[name], found, plan.faults))
         typer.echo(f"results  {out / 'study.json'}")
         if outcome.document["runs"]:
             left_out = unrepeatable(plan.faults)

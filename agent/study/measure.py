@@ -41,9 +41,10 @@ def bounds_of(cell: Cell) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class RunResult:
-    """Figures of one run.  Errors and forces count from the transient's end while all arms follow the trajectory.
+    """Figures of one run.  Errors and forces count from the transient's end to the end, the loss or the first trip.
 
-    A run that is lost or trips before that end counts from the common start.
+    A fault ends nothing: what it does to the object is what they are for.  Of a run that is not `settled` everything
+    from the common start to its end counts, and what was seen before where that is all.
     """
 
     cell: str
@@ -52,7 +53,10 @@ class RunResult:
     lost: bool
     tripped: bool
     within_bounds: bool
-    tracked_s: float  # until the end, the loss or the first trip
+    settled: bool  # seen after the transient, before a loss or a trip
+    tracked_s: float  # how long all arms followed: until the end, the loss, the first trip or the first fault
+    tripped_s: float | None  # when the first arm gave up; negative before the start
+    lost_s: float | None  # when the object was lost
     position_error_m: float  # largest, of the true object
     attitude_error_rad: float
     position_beyond_anchor_m: float  # largest, less the error of what the anchor sees at the same instant
@@ -81,21 +85,21 @@ def measure(
     run, seen = Run(lab, reality, faults), _Seen(lab)
     file = lab.cell.file
     ticks = run.ready_ticks + round(file.duration_s * file.rate_hz)
-    lost = ""
+    lost, t = "", run.t
     while run.tick < ticks and not lost:
         if run.trips and run.t > run.trips[0].t + AFTER_TRIP_S:
             break
+        t = run.t
         try:
             looking = run.tick % file.observe_every == 0
             truth = run.observe() if looking else None
-            t = run.t
             run.advance()
         except (PlantError, DriverError) as error:
-            lost = f"t = {run.t:.3f} s: {error.what}"
+            lost = f"t = {t:.3f} s: {error.what}"
             break
         if truth is not None:
             lost = seen.note(t, truth.p_object, truth.quat_object, truth.grasp_wrench, run)
-    return seen.result(run, index, seed, lost, faults)
+    return seen.result(run, index, seed, (t, lost) if lost else None, faults)
 
 
 class _Seen:
@@ -128,19 +132,22 @@ class _Seen:
         """The motion is timed by the anchor's clock: nobody can tell when the others should have been anywhere."""
         return run.plant.spec.arms[self._anchor].skew_s
 
-    def result(self, run: Run, index: int, seed: int, lost: str, faults: Sequence[Fault]) -> RunResult:
-        """The figures of the whole run; lost: why it ended early, or nothing."""
+    def result(
+        self, run: Run, index: int, seed: int, lost: tuple[float, str] | None, faults: Sequence[Fault]
+    ) -> RunResult:
+        """The figures of the whole run; lost: when and why it ended early."""
         lab, file = self._lab, self._lab.cell.file
         trip = run.trips[0] if run.trips else None
         until_s = min(run.t, trip.t if trip is not None else math.inf)
         seen = np.array(self._errors).reshape(-1, 5)
-        settled = (seen[:, 0] >= file.report.transient_s) & (seen[:, 0] <= until_s)
-        if not settled.any():
-            settled = seen[:, 0] >= 0.0
-        if not settled.any():
-            settled = np.ones(len(seen), dtype=bool)
-        _, off_m, off_rad, own_m, own_rad = seen[settled].T
-        force = self._internal_force_N()[settled]
+        counted = (seen[:, 0] >= file.report.transient_s) & (seen[:, 0] <= until_s)
+        settled = bool(counted.any())
+        if not settled:
+            counted = seen[:, 0] >= 0.0
+        if not counted.any():
+            counted = np.ones(len(seen), dtype=bool)
+        _, off_m, off_rad, own_m, own_rad = seen[counted].T
+        force = self._internal_force_N()[counted]
         bounded = {
             "position_beyond_anchor_m": _largest(off_m - own_m),
             "attitude_beyond_anchor_rad": _largest(off_rad - own_rad),
@@ -152,16 +159,19 @@ class _Seen:
             cell=file.name,
             index=index,
             seed=seed,
-            lost=bool(lost),
+            lost=lost is not None,
             tripped=trip is not None,
-            within_bounds=kept and not lost and trip is None,
-            tracked_s=max(0.0, until_s),
+            within_bounds=kept and lost is None and trip is None,
+            settled=settled,
+            tracked_s=max(0.0, min([until_s, *(fault.at_s for fault in faults)])),
+            tripped_s=None if trip is None else trip.t,
+            lost_s=None if lost is None else lost[0],
             position_error_m=max(_largest(off_m), LOST_M if lost else 0.0),
             attitude_error_rad=_largest(off_rad),
             internal_force_max_N=_largest(force),
             reaction_s=_reaction_s(run, faults),
             tripped_by="" if trip is None else trip.by,
-            why=lost or ("" if trip is None else trip.told),
+            why=lost[1] if lost is not None else "" if trip is None else trip.told,
             **bounded,
         )
 

@@ -16,8 +16,9 @@ from matplotlib.figure import Figure
 from agent.config.cell import Cell
 from agent.report.page import STYLE
 from agent.report.plotting import BLUE, RED, panels, save_png, styled
+from agent.study.fault import Fault
 from agent.study.measure import RunResult
-from agent.study.summary import FIGURES, PROMISED, QUANTILES, Influence, verdict
+from agent.study.summary import FIGURES, PROMISED, QUANTILES, Influence, counting, verdict
 
 SHOWN: Final = 12  # influences in the table
 DRAWN: Final = (  # figure, its axis, factor
@@ -28,13 +29,17 @@ DRAWN: Final = (  # figure, its axis, factor
 )
 
 
-def render(title: str, parts: Sequence[tuple[Cell, Sequence[RunResult], dict[str, Any], Sequence[Influence]]]) -> str:
-    """The whole page; one part for each cell: its runs, their summary, and what matters."""
+def render(
+    title: str,
+    parts: Sequence[tuple[Cell, Sequence[RunResult], dict[str, Any], Sequence[Influence]]],
+    faults: Sequence[Fault],
+) -> str:
+    """The whole page; one part for each cell: its runs, their summary, and what matters.  faults: of every run."""
     body = [f"<h1>{escape(title)}</h1>"]
     for cell, results, found, influences in parts:
         body += [
             f"<h2>{escape(cell.file.name)}</h2>",
-            f'<p class="dim">{escape(_about(cell, found))}</p>',
+            f'<p class="dim">{escape(_about(cell, found, faults))}</p>',
             f"<p>{escape(verdict(found))}</p>",
             _counts(found),
             _quantiles(found),
@@ -50,11 +55,11 @@ def render(title: str, parts: Sequence[tuple[Cell, Sequence[RunResult], dict[str
     )
 
 
-def _about(cell: Cell, found: dict[str, Any]) -> str:
-    file = cell.file
+def _about(cell: Cell, found: dict[str, Any], faults: Sequence[Fault]) -> str:
+    duration_s = cell.file.duration_s
     return (
-        f"{found['runs']} runs of {file.duration_s:g} s, each in a reality of its own within the cell's tolerance. "
-        f"Errors and forces count from {file.report.transient_s:g} s on, errors beyond those of what the anchor sees."
+        f"{found['runs']} runs of {duration_s:g} s, each in a reality of its own within the cell's tolerance. "
+        f"{counting(cell, found, faults)} The pictures show errors beyond those of what the anchor sees."
     )
 
 

@@ -121,7 +121,7 @@ def _write(plan: Plan, out: Path, results: Sequence[Sequence[RunResult]]) -> dic
         if find_spec("pyarrow") is not None:
             write_atomically(out / PARQUET, _parquet(rows))
         names = ", ".join(cell.file.name for cell, *_ in parts)
-        write_atomically(out / PAGE, render(f"Study of {names}", parts).encode())
+        write_atomically(out / PAGE, render(f"Study of {names}", parts, plan.faults).encode())
         bad = worst(together)
         at = next(i for i, some in enumerate(results) if any(r is bad for r in some))
         write_atomically(out / WORST, worst_cell(plan.cells[at], bad, plan.faults))

@@ -13,6 +13,7 @@ import numpy as np
 from agent.config.cell import Cell
 from agent.config.reality import draw
 from agent.config.schema.reality import Reality
+from agent.study.fault import Fault
 from agent.study.measure import RunResult, bounds_of
 from drivers.interface import Vector
 
@@ -48,6 +49,7 @@ def summary(results: Sequence[RunResult]) -> dict[str, Any]:
         "tripped": sum(r.tripped for r in results),
         "tripped_by": dict(Counter(sorted(r.tripped_by for r in results if r.tripped))),
         "within_bounds": sum(r.within_bounds for r in results),
+        "unsettled": sum(not r.settled for r in results),
     } | {figure: _quantiles([getattr(r, figure) for r in results]) for figure in FIGURES}
 
 
@@ -70,6 +72,18 @@ def verdict(found: Mapping[str, Any]) -> str:
     words = {"lost": f"{found['lost']} lost", "tripped": f"{found['tripped']} tripped ({by})"}
     missed = [words.get(key, f"{PROMISED} % quantile of {key} above its bound") for key in found["missed"]]
     return f"does not hold: of {found['runs']} runs " + ", ".join(missed)
+
+
+def counting(cell: Cell, found: Mapping[str, Any], faults: Sequence[Fault]) -> str:
+    """From when to when errors and forces of the cell's runs count, in words; found: the summary of the runs."""
+    words = f"Errors and forces count from {cell.file.report.transient_s:g} s on, until the first arm trips."
+    if faults:
+        words += f" In every run: {', '.join(fault.told for fault in faults)}; they count on after it."
+    if found["unsettled"]:
+        words += (
+            f" Lost or tripped before that, and counted from the common start with its error: {found['unsettled']}."
+        )
+    return words
 
 
 def _kept(value: float | None, bound: float) -> bool:
@@ -157,8 +171,8 @@ def worst(results: Sequence[RunResult]) -> RunResult:
 
 
 def _badness(result: RunResult) -> tuple[int, float, int]:
-    if result.lost:
-        return 0, result.tracked_s, result.index
-    if result.tripped:
-        return 1, result.tracked_s, result.index
+    if result.lost_s is not None:
+        return 0, result.lost_s, result.index
+    if result.tripped_s is not None:
+        return 1, result.tripped_s, result.index
     return 2, -result.internal_force_mean_N, result.index

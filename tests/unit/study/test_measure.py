@@ -180,7 +180,7 @@ def test_what_comes_before_the_transient_ends_or_behind_a_trip_does_not_count(mo
     assert found.position_error_m == pytest.approx(0.2e-3)
     assert (found.tripped, found.within_bounds, found.tripped_by) == (True, False, "UNEXPECTED")
     assert found.why == "t = 3.000 s: arm left UNEXPECTED a blow"
-    assert found.tracked_s == 3.0
+    assert (found.tracked_s, found.tripped_s, found.lost_s, found.settled) == (3.0, 3.0, None, True)
     assert run.t == pytest.approx(6.01), "it goes on for three seconds"
 
 
@@ -189,8 +189,10 @@ def test_a_run_that_trips_within_the_transient_counts_from_its_start(monkeypatch
     for at in (0.0, 0.9):
         found, _ = result(monkeypatch, off_at({-0.1: 0.02, at: 5e-3}, 1e-3), trips=[early])
         assert found.position_error_m == pytest.approx(5e-3)
+        assert (found.settled, found.within_bounds) == (False, False)
     before = Trip(-0.2, "left", Flag.UNEXPECTED)
-    assert result(monkeypatch, trips=[before])[0].tracked_s == 0.0
+    found, _ = result(monkeypatch, trips=[before])
+    assert (found.tracked_s, found.tripped_s) == (0.0, -0.2)
 
 
 @pytest.mark.parametrize(
@@ -205,12 +207,26 @@ def test_an_object_a_tenth_of_a_metre_or_a_radian_off_is_lost(
     assert found.within_bounds is False
     assert ("the object is off by" in found.why) is lost
     assert run.t == pytest.approx(2.11 if lost else 8.0)
+    assert found.lost_s == (pytest.approx(2.1) if lost else None)
+
+
+def test_figures_count_on_after_a_fault_and_all_arms_follow_until_then(monkeypatch: pytest.MonkeyPatch) -> None:
+    limp = [Fault(kind=FaultKind.LIMP, arm="left", at_s=at) for at in (4.0, 2.5)]
+    found, _ = result(monkeypatch, off_at({5.0: 0.05}, 1e-4), faults=limp)
+    assert (found.position_error_m, found.tracked_s) == (pytest.approx(0.05), 2.5)
+    found, _ = result(monkeypatch, faults=limp, trips=[Trip(2.0, "right", Flag.UNEXPECTED)])
+    assert found.tracked_s == 2.0
+
+
+def test_a_run_that_trips_and_is_lost_later_says_when_for_both(monkeypatch: pytest.MonkeyPatch) -> None:
+    found, _ = result(monkeypatch, lambda t: (0.2 if t > 4.0 else 0.0, 0.0, 0.0, 0.0), trips=[TRIP])
+    assert (found.tracked_s, found.tripped_s, found.lost_s) == (3.0, 3.0, pytest.approx(4.1))
 
 
 def test_a_plant_that_fails_is_a_lost_run_however_near_its_object_was(monkeypatch: pytest.MonkeyPatch) -> None:
     found, _ = result(monkeypatch, ends_s=4.0)
     assert (found.lost, found.within_bounds, found.why) == (True, False, "t = 4.000 s: the plant")
-    assert found.position_error_m == 0.1
+    assert (found.position_error_m, found.lost_s) == (0.1, pytest.approx(4.0))
     assert found.position_beyond_anchor_m == pytest.approx(0.6e-3)
 
 

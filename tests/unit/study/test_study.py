@@ -27,6 +27,7 @@ from agent.atomic import WriteError
 from agent.config.cell import load_cell
 from agent.config.reality import draw, reality_of
 from agent.study import work
+from agent.study.fault import Fault, FaultKind
 from agent.study.lab import Laboratory
 from agent.study.measure import RunResult, bounds_of, measure, run_once
 from agent.study.page import _influences
@@ -34,7 +35,7 @@ from agent.study.plan import Plan, Task, load_plan
 from agent.study.provenance import hash_of, provenance
 from agent.study.store import RUNS_FILE, Store, StudyError
 from agent.study.study import RESULTS, Work, run_study
-from agent.study.summary import _spearman, errors_of, influences, judged, summary, verdict, worst
+from agent.study.summary import _spearman, counting, errors_of, influences, judged, summary, verdict, worst
 from agent.study.work import ATTEMPTS, here, in_processes, until
 from drivers.interface import Refusal
 from tests.support.command import coop
@@ -82,7 +83,8 @@ def known(results: Sequence[RunResult]) -> Work:
 
 def a_result(index: int, **changes: object) -> RunResult:
     good = RunResult(
-        "c", index, index, lost=False, tripped=False, within_bounds=True, tracked_s=60.0, position_error_m=1e-3,
+        "c", index, index, lost=False, tripped=False, within_bounds=True, settled=True, tracked_s=60.0,
+        tripped_s=None, lost_s=None, position_error_m=1e-3,
         attitude_error_rad=1e-3, position_beyond_anchor_m=1e-4, attitude_beyond_anchor_rad=1e-3,
         internal_force_mean_N=0.5, internal_force_max_N=1.0, peak_torque_fraction=0.2, reaction_s=None, tripped_by="",
         why="",
@@ -149,8 +151,8 @@ def test_the_worst_run_loses_the_object_as_the_studys_did(tmp_path: Path) -> Non
     assert outcome.document["runs"] == 1
     task = plan.tasks()[0]
     lab, again = Laboratory(plan.cells[0]), Laboratory(load_cell(tmp_path / "out" / "worst.toml"))
-    found = replace(measure(again, None, 0, task.seed), reaction_s=None)
-    assert found == replace(run_once(lab, 0, task.seed, plan.faults), reaction_s=None)
+    found = measure(again, None, 0, task.seed)
+    assert found == replace(run_once(lab, 0, task.seed, plan.faults), reaction_s=None, tracked_s=found.tracked_s)
     assert found != run_once(lab, 0, task.seed)
     assert "WITHOUT" not in (tmp_path / "out" / "worst.toml").read_text()
 
@@ -417,13 +419,34 @@ def test_the_verdict_says_how_many_runs_it_is_of_and_what_stopped_arms() -> None
         assert verdict(found | judged(c, found)) == words
 
 
-def test_the_worst_is_lost_before_tripped_before_strained() -> None:
+def test_the_worst_is_lost_before_tripped_before_strained_and_the_soonest_of_them() -> None:
     strained = a_result(3, internal_force_mean_N=9.0)
-    tripped = [a_result(2, tripped=True, tracked_s=t) for t in (9.0, 5.0)]
-    lost = [a_result(1, lost=True, tracked_s=t) for t in (30.0, 20.0)]
+    tripped = [a_result(2, tripped=True, tripped_s=t, tracked_s=9.0 - t) for t in (9.0, 5.0)]
+    lost = [a_result(1, lost=True, lost_s=t, tripped_s=25.0 - t, tracked_s=25.0 - t) for t in (22.0, 20.0)]
     assert worst([a_result(0), strained]) is strained
     assert worst([strained, *tripped]) is tripped[1]
     assert worst([strained, *tripped, *lost]) is lost[1]
+
+
+def test_from_when_to_when_figures_count_is_said_with_faults_and_with_runs_that_count_from_their_start() -> None:
+    c, limp = cell(), Fault(kind=FaultKind.LIMP, arm="left", at_s=0.3)
+    until = "Errors and forces count from 0.2 s on, until the first arm trips."
+    assert counting(c, summary([a_result(0)]), []) == until
+    early = summary([a_result(0), a_result(1, settled=False, tripped=True)])
+    assert early["unsettled"] == 1
+    assert counting(c, early, [limp]) == (
+        f"{until} In every run: limp left at 0.3 s; they count on after it."
+        " Lost or tripped before that, and counted from the common start with its error: 1."
+    )
+
+
+def test_runs_that_count_from_their_start_are_said_on_the_terminal_and_the_page(tmp_path: Path) -> None:
+    path, out = cell_file(tmp_path, "safety.tracking_error_max_m=1e-5"), tmp_path / "out"
+    done = coop("study", path, "--runs", "1", "--workers", "1", "--out", out)
+    said = "Lost or tripped before that, and counted from the common start with its error: 1."
+    assert said in done.out
+    assert said in (out / "report.html").read_text()
+    assert json.loads((out / "study.json").read_text())["unsettled"] == 1
 
 
 def test_what_matters_is_found_by_rank() -> None:
