@@ -4,21 +4,24 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, Final, Self
 
+from pydantic import TypeAdapter
+
 from agent.atomic import WriteError, make_folder
 from agent.log.file import lock
 from agent.study.measure import RunResult
-from agent.study.plan import Task
+from agent.study.plan import Plan, Task, seed_of
 from drivers.interface import Refusal
 
 RUNS_FILE: Final = "runs.jsonl"
-_FIELDS: Final = {f.name for f in fields(RunResult)}
+_LINE: Final = TypeAdapter(RunResult)
 
 Key = tuple[int, int]  # cell's place in the study, run's in the cell
 
@@ -34,7 +37,7 @@ class Store:
     study's.  One study at a time has the file.  Use as a context.
     """
 
-    def __init__(self, folder: Path, identity: Mapping[str, Any], *, anew: bool = False) -> None:
+    def __init__(self, folder: Path, plan: Plan, *, anew: bool = False) -> None:
         """Make the folder where it is not there; `anew` forgets the runs in it.
 
         Raises WriteError, and StudyError where it holds another study or one that goes on.
@@ -42,7 +45,7 @@ class Store:
         self.path = folder / RUNS_FILE
         self._made = [path for path in (self.path, folder, *folder.parents) if not path.exists()]
         make_folder(folder)
-        self._identity = json.loads(json.dumps(identity))
+        self._plan, self._identity = plan, json.loads(json.dumps(plan.identity()))
         self.results: dict[Key, RunResult] = {}
         try:
             self._file: BinaryIO = self.path.open("a+b")
@@ -90,8 +93,7 @@ class Store:
                 if number == 0:
                     self._require_same(content)
                 else:
-                    cell, result = content["cell_place"], {k: v for k, v in content.items() if k in _FIELDS}
-                    self.results[cell, content["index"]] = RunResult(**result)
+                    self._take(number, content["cell_place"], _LINE.validate_json(line, strict=True))
             except (ValueError, KeyError, TypeError) as error:
                 raise self._foreign(number) from error
             whole += len(line)
@@ -99,11 +101,22 @@ class Store:
         if not whole:
             self._append(self._identity)
 
-    def _foreign(self, number: int) -> StudyError:
+    def _take(self, number: int, place: int, result: RunResult) -> None:
+        """Believe a line that is a run of this study.  Raises StudyError, and ValueError or TypeError for no run."""
+        if not all(math.isfinite(value) for value in asdict(result).values() if isinstance(value, float)):
+            raise ValueError("a figure that is no number")
+        cells = dict(enumerate(cell.file.name for cell in self._plan.cells))
+        if (cells.get(place), seed_of(self._plan.seed, result.index)) != (result.cell, result.seed):
+            raise self._foreign(
+                number, f"run {result.index} of {result.cell} with seed {result.seed}, of another study"
+            )
+        self.results[place, result.index] = result
+
+    def _foreign(self, number: int, found: str = "no run of a study") -> StudyError:
         return StudyError(
             f"line {number + 1} of {self.path}",
-            found="no run of a study",
-            expected="what `coop study` wrote",
+            found=found,
+            expected="what `coop study` wrote of this one",
             remedy="name another --out, or give --force",
         )
 

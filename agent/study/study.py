@@ -71,7 +71,7 @@ def run_study(
     tasks = plan.tasks()
     if not anew and not (out / RUNS_FILE).exists():  # then what lies there is no study's
         keep_existing(*(out / name for name in RESULTS), remedy="name another --out, or give --force")
-    with Store(out, plan.identity(), anew=anew) as store:
+    with Store(out, plan, anew=anew) as store:
         if anew:
             for name in RESULTS:
                 (out / name).unlink(missing_ok=True)

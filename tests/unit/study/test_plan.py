@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import resource
 from dataclasses import replace
 from pathlib import Path
@@ -126,50 +127,50 @@ def test_a_file_that_is_neither_is_refused_as_a_cell(tmp_path: Path) -> None:
 
 
 def test_finished_runs_come_back_as_they_were(tmp_path: Path, plan: Plan, results: list[RunResult]) -> None:
-    with Store(tmp_path / "new" / "folder", plan.identity()) as store:
+    with Store(tmp_path / "new" / "folder", plan) as store:
         for task, result in zip(plan.tasks(), results, strict=True):
             store.add(task, result)
-    with Store(tmp_path / "new" / "folder", plan.identity()) as store:
+    with Store(tmp_path / "new" / "folder", plan) as store:
         assert store.results == {(0, i): result for i, result in enumerate(results)}
 
 
 def test_a_run_whose_line_was_cut_off_counts_as_none_and_the_file_goes_on(
     tmp_path: Path, plan: Plan, results: list[RunResult]
 ) -> None:
-    with Store(tmp_path, plan.identity()) as store:
+    with Store(tmp_path, plan) as store:
         store.add(plan.tasks()[0], results[0])
         store.add(plan.tasks()[1], results[1])
     path = tmp_path / RUNS_FILE
     path.write_bytes(path.read_bytes()[:-20])
-    with Store(tmp_path, plan.identity()) as store:
+    with Store(tmp_path, plan) as store:
         assert store.results == {(0, 0): results[0]}
         store.add(plan.tasks()[2], results[2])
-    with Store(tmp_path, plan.identity()) as store:
+    with Store(tmp_path, plan) as store:
         assert store.results == {(0, 0): results[0], (0, 2): results[2]}
     assert all(json.loads(line) for line in path.read_text().splitlines())
 
 
 @pytest.mark.parametrize("other", [{"seed": 5}, {"overrides": [*SHORT, "tolerance.base_m=0.002"]}])
 def test_runs_of_another_study_are_not_mixed_in(tmp_path: Path, plan: Plan, other: dict[str, object]) -> None:
-    with Store(tmp_path, plan.identity()):
+    with Store(tmp_path, plan):
         pass
     changed = load_plan(PAPER, **({"runs": 3, "seed": 4, "overrides": SHORT} | other))  # type: ignore[arg-type]
     with pytest.raises(StudyError, match="another cell, seed"):
-        Store(tmp_path, changed.identity())
-    with Store(tmp_path, replace(plan, runs=50).identity()) as more:
+        Store(tmp_path, changed)
+    with Store(tmp_path, replace(plan, runs=50)) as more:
         assert more.results == {}
 
 
 @pytest.mark.parametrize("key", ["numpy", "sources"])
 def test_runs_of_another_version_or_source_are_not_mixed_in(tmp_path: Path, plan: Plan, key: str) -> None:
-    with Store(tmp_path, plan.identity()):
+    with Store(tmp_path, plan):
         pass
     path = tmp_path / RUNS_FILE
     ours = f'"{key}": "{provenance()[key]}"'
     assert ours in path.read_text()
     path.write_text(path.read_text().replace(ours, f'"{key}": "1.0"'))
     with pytest.raises(StudyError, match="fault, version or source"):
-        Store(tmp_path, plan.identity())
+        Store(tmp_path, plan)
 
 
 @pytest.mark.parametrize("mine", [b"not json\n", b"not json", b'{"cells": ["mine"]}', b"\0"])
@@ -177,20 +178,51 @@ def test_a_file_of_runs_that_is_none_is_refused_and_kept(tmp_path: Path, plan: P
     path = tmp_path / RUNS_FILE
     path.write_bytes(mine)
     with pytest.raises(StudyError, match=r"line 1 of .*runs\.jsonl: found no run of a study.*--out, or give --force"):
-        Store(tmp_path, plan.identity())
+        Store(tmp_path, plan)
     assert path.read_bytes() == mine
-    with Store(tmp_path, plan.identity(), anew=True):
+    with Store(tmp_path, plan, anew=True):
         assert not path.read_bytes().startswith(mine)
+
+
+@pytest.mark.parametrize(
+    ("changes", "found"),
+    [
+        ({"seed": 5}, "run 0 of paper with seed 5, of another study"),
+        ({"index": 1}, "run 1 of paper with seed "),
+        ({"cell": "two_wx200"}, "run 0 of two_wx200 with seed "),
+        ({"cell_place": 1}, "run 0 of paper with seed "),
+        ({"cell_place": [0]}, "no run of a study"),
+        ({"index": -1}, "no run of a study"),
+        ({"position_error_m": "abc"}, "no run of a study"),
+        ({"position_error_m": None}, "no run of a study"),
+        ({"position_error_m": math.nan}, "no run of a study"),
+        ({"lost_s": math.inf}, "no run of a study"),
+        ({"lost": 0}, "no run of a study"),
+        ({"why": 3}, "no run of a study"),
+    ],
+)
+def test_a_line_that_is_no_run_of_this_study_is_refused_and_kept(
+    tmp_path: Path, plan: Plan, results: list[RunResult], changes: dict[str, object], found: str
+) -> None:
+    with Store(tmp_path, plan) as store:
+        store.add(plan.tasks()[0], results[0])
+    path = tmp_path / RUNS_FILE
+    first, run = path.read_text().splitlines()
+    path.write_text(f"{first}\n{json.dumps(json.loads(run) | changes)}\n")
+    before = path.read_bytes()
+    with pytest.raises(StudyError, match=rf"line 2 of .*runs\.jsonl: found {found}.*--out, or give --force"):
+        Store(tmp_path, plan)
+    assert path.read_bytes() == before
 
 
 @pytest.mark.parametrize("left", [0, 1, 40, -1])
 def test_a_study_whose_first_line_was_cut_off_begins_again(tmp_path: Path, plan: Plan, left: int) -> None:
-    with Store(tmp_path, plan.identity()):
+    with Store(tmp_path, plan):
         pass
     path = tmp_path / RUNS_FILE
     whole = path.read_bytes()
     path.write_bytes(whole[:left])
-    with Store(tmp_path, plan.identity()) as store:
+    with Store(tmp_path, plan) as store:
         assert store.results == {}
     assert path.read_bytes() == whole
 
@@ -198,10 +230,10 @@ def test_a_study_whose_first_line_was_cut_off_begins_again(tmp_path: Path, plan:
 def test_no_place_to_write_is_refused_before_a_run(tmp_path: Path, plan: Plan) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(Refusal, match="name another path"):
-        Store(tmp_path / "file" / "out", plan.identity())
+        Store(tmp_path / "file" / "out", plan)
     (tmp_path / "out" / RUNS_FILE).mkdir(parents=True)
     with pytest.raises(Refusal, match="name another --out"):
-        Store(tmp_path / "out", plan.identity())
+        Store(tmp_path / "out", plan)
 
 
 @pytest.mark.parametrize("room", [100, 500])  # bytes: for half of what the study is of, or half of a run
@@ -212,12 +244,12 @@ def test_a_disk_that_is_full_is_told_with_the_file_and_what_is_kept(
     try:
         resource.setrlimit(resource.RLIMIT_FSIZE, (room, whole[1]))
         with pytest.raises(WriteError, match=r"runs\.jsonl.*finished runs are kept"):  # noqa: SIM117
-            with Store(tmp_path, plan.identity()) as store:
+            with Store(tmp_path, plan) as store:
                 store.add(plan.tasks()[0], results[0])
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, whole)
     assert (tmp_path / RUNS_FILE).stat().st_size == room
-    with Store(tmp_path, plan.identity()) as store:
+    with Store(tmp_path, plan) as store:
         assert store.results == {}
 
 

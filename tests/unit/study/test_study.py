@@ -183,7 +183,7 @@ def test_a_study_that_fails_before_its_first_run_leaves_what_was_there(tmp_path:
         with pytest.raises(StudyError, match="no answer"):
             run_study(plan, folder, no_worker, lambda: False, Told())
     assert sorted(tmp_path.rglob("*")) == [empty, kept, kept / "notes"]
-    with Store(empty, plan.identity()):
+    with Store(empty, plan):
         pass
     assert (empty / RUNS_FILE).is_file(), "of one that was stopped before its first run"
 
@@ -197,7 +197,7 @@ def test_a_study_that_fails_behind_its_first_run_keeps_it(tmp_path: Path, plan: 
         run_study(plan, tmp_path, fails, lambda: False, Told())
     with pytest.raises(StudyError, match="no answer"):
         run_study(plan, tmp_path, no_worker, lambda: False, Told())
-    with Store(tmp_path, plan.identity()) as store:
+    with Store(tmp_path, plan) as store:
         assert list(store.results) == [plan.tasks()[0].key]
 
 
@@ -252,7 +252,7 @@ def test_a_folder_that_a_study_writes_is_nobody_elses_until_its_results_are_ther
     assert run_study(plan, tmp_path, beside, lambda: False, Told()).document["runs"] == 4
     assert len(refused) == 2 * 5
     assert all(words.startswith(f"study in {tmp_path}: found another `coop study`") for words in refused)
-    with Store(tmp_path, plan.identity()) as store:
+    with Store(tmp_path, plan) as store:
         assert sorted(store.results) == [task.key for task in plan.tasks()]
 
 
