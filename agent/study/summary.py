@@ -29,6 +29,7 @@ FIGURES: Final = (
     "reaction_s",
 )
 PROMISED: Final = "95"  # % of the runs in which a cell's figures are to be within bounds
+ENOUGH_RUNS: Final = 59  # of fewer, all may be within bounds by chance (1 in 20) where 5 % of all realities are not
 LEAST_RUNS: Final = 8  # a rank correlation of fewer says nothing
 
 
@@ -66,12 +67,16 @@ def judged(cell: Cell, found: Mapping[str, Any]) -> dict[str, Any]:
 
 def verdict(found: Mapping[str, Any]) -> str:
     """Whether a cell keeps its bounds, in words; found: its summary with what `judged` says."""
+    runs = "1 run" if found["runs"] == 1 else f"{found['runs']} runs"
     if found["holds"]:
-        return f"holds: {found['runs']} runs, none lost, none tripped, {PROMISED} % of them below every bound"
+        kept = f"holds: {runs}, none lost, none tripped, {PROMISED} % of them below every bound"
+        if found["runs"] < ENOUGH_RUNS:
+            kept += f"; too few to say it of {PROMISED} % of all realities, which takes {ENOUGH_RUNS} or more"
+        return kept
     by = ", ".join(f"{name} {count}" for name, count in found["tripped_by"].items())
     words = {"lost": f"{found['lost']} lost", "tripped": f"{found['tripped']} tripped ({by})"}
     missed = [words.get(key, f"{PROMISED} % quantile of {key} above its bound") for key in found["missed"]]
-    return f"does not hold: of {found['runs']} runs " + ", ".join(missed)
+    return f"does not hold: of {runs} " + ", ".join(missed)
 
 
 def counting(cell: Cell, found: Mapping[str, Any], faults: Sequence[Fault]) -> str:

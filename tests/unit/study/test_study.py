@@ -35,7 +35,7 @@ from agent.study.plan import Plan, Task, load_plan
 from agent.study.provenance import hash_of, provenance
 from agent.study.store import RUNS_FILE, Store, StudyError
 from agent.study.study import RESULTS, Work, run_study
-from agent.study.summary import _spearman, counting, errors_of, influences, judged, summary, verdict, worst
+from agent.study.summary import ENOUGH_RUNS, _spearman, counting, errors_of, influences, judged, summary, verdict, worst
 from agent.study.work import ATTEMPTS, here, in_processes, until
 from drivers.interface import Refusal
 from tests.support.command import coop
@@ -406,17 +406,24 @@ def test_a_cell_holds_when_nothing_is_lost_or_tripped_and_the_95_percent_quantil
 
 def test_the_verdict_says_how_many_runs_it_is_of_and_what_stopped_arms() -> None:
     c = cell()
+    kept = "none lost, none tripped, 95 % of them below every bound"
+    too_few = "too few to say it of 95 % of all realities, which takes 59 or more"
     stopped = [a_result(i, tripped=True, tripped_by=by) for i, by in enumerate(["monitor load", "UNEXPECTED"] * 2)]
     for results, words in (
-        ([a_result(0)], "holds: 1 runs, none lost, none tripped, 95 % of them below every bound"),
+        ([a_result(i) for i in range(59)], f"holds: 59 runs, {kept}"),
+        ([a_result(i) for i in range(58)], f"holds: 58 runs, {kept}; {too_few}"),
         (stopped, "does not hold: of 4 runs 4 tripped (UNEXPECTED 2, monitor load 2)"),
         (
             [a_result(0, lost=True, internal_force_mean_N=2.0)],
-            "does not hold: of 1 runs 1 lost, 95 % quantile of internal_force_mean_N above its bound",
+            "does not hold: of 1 run 1 lost, 95 % quantile of internal_force_mean_N above its bound",
         ),
     ):
         found = summary(results)
         assert verdict(found | judged(c, found)) == words
+
+
+def test_fewer_runs_than_enough_are_all_within_bounds_by_chance_more_than_one_time_in_twenty() -> None:
+    assert 0.95**ENOUGH_RUNS < 0.05 < 0.95 ** (ENOUGH_RUNS - 1)
 
 
 def test_the_worst_is_lost_before_tripped_before_strained_and_the_soonest_of_them() -> None:
