@@ -14,6 +14,7 @@ import configs
 from agent.atomic import WriteError
 from agent.config.cell import ConfigError
 from agent.study.fault import FaultKind
+from agent.study.lab import Laboratory, Run
 from agent.study.measure import RunResult, run_once
 from agent.study.plan import Plan, load_plan, seed_of
 from agent.study.provenance import provenance
@@ -78,6 +79,10 @@ def test_seeds_are_of_study_and_run_and_shared_by_the_cells() -> None:
         ('format = 1\ncells = ["nowhere"]\n', "nowhere"),
         ('format = 1\ncells = ["paper"]\n[[faults]]\nkind = "limp"\narm = "middle"\nat_s = 1.0\n', "middle"),
         ('format = 1\ncells = ["paper"]\n[[faults]]\nkind = "limb"\narm = "left"\nat_s = 1.0\n', "limp"),
+        (
+            'format = 1\ncells = ["paper"]\nduration_s = 25.0\n[[faults]]\nkind = "limp"\narm = "left"\nat_s = 25.0\n',
+            "faults: limp left at 25 s, in cell paper: found 25 s in runs of 25 s, whose last cycle is at 24.995 s",
+        ),
         ('format = 1\ncells = ["paper"]\nduration_s = 5.0\n', "transient of 20 s"),
         (
             'format = 1\ncells = ["paper"]\nduration_s = 21.0\nset = ["simulation.observe_rate_hz=0.15"]\n',
@@ -97,6 +102,17 @@ def test_a_study_that_cannot_be_meant_is_refused(tmp_path: Path, text: str, mess
         load_plan(path)
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_a_fault_in_the_last_cycle_happens(tmp_path: Path) -> None:
+    path = tmp_path / "study.toml"
+    fault = '[[faults]]\nkind = "limp"\narm = "left"\nat_s = 24.995\n'
+    path.write_text(f'format = 1\ncells = ["paper"]\nduration_s = 25.0\n{fault}')
+    plan = load_plan(path)
+    run = Run(Laboratory(plan.cells[0]), None, plan.faults)
+    run.tick = run.ready_ticks + 25 * 200 - 1
+    run.advance()
+    assert run.places[0].limp
 
 
 @pytest.mark.parametrize("in_file", [False, True], ids=["of a cell", "of a study"])
@@ -254,8 +270,6 @@ def test_a_disk_that_is_full_is_told_with_the_file_and_what_is_kept(
 
 
 def test_a_task_is_its_run_wherever_it_is_done(plan: Plan, results: list[RunResult]) -> None:
-    from agent.study.lab import Laboratory
-
     task = plan.tasks()[1]
     assert perform(task) == results[1] == run_once(Laboratory(plan.cells[0]), 1, seed_of(4, 1))
 
