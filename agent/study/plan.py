@@ -11,11 +11,12 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
+import configs
 from agent.config.cell import Cell, ConfigError, load_cell
 from agent.config.files import cell_path
-from agent.config.reading import parse, read_file, validate
+from agent.config.reading import parse, read_file, shipped_cells, shown, validate
 from agent.config.schema.cell import CellFile
-from agent.config.schema.types import Format, Strict
+from agent.config.schema.types import Format, Strict, nearest
 from agent.study.fault import Fault
 from agent.study.provenance import provenance
 
@@ -141,8 +142,21 @@ def _study_file(path: Path) -> StudyFile | None:
 
 
 def _beside(study: Path, name: str) -> Path:
-    here = study.parent / name
-    return here if here.is_file() else Path(name)
+    """The cell file beside the study, or the shipped cell of this name: nothing that only the current folder has.
+
+    Raises ConfigError.
+    """
+    here, shipped = study.parent / name, shipped_cells()
+    if here.is_file():
+        return here
+    if name in shipped:
+        return configs.CELLS_DIR / f"{name}.toml"
+    raise ConfigError(
+        f"cells in {study.name}",
+        found=f"{shown(name)}, no file in {study.parent}, and no cell of that name that ships",
+        expected="a cell file beside the study, or one of " + ", ".join(shipped),
+        remedy=nearest(name.removesuffix(".toml"), shipped) or "give its path from the study's folder",
+    )
 
 
 def _require_fit(plan: Plan) -> None:

@@ -115,6 +115,24 @@ def test_a_fault_in_the_last_cycle_happens(tmp_path: Path) -> None:
     assert run.places[0].limp
 
 
+def test_a_cell_of_the_current_folder_alone_is_none_of_the_study(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    cell_file(tmp_path / "elsewhere")
+    (tmp_path / "elsewhere" / "two_models").write_text("not what ships")
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    path = tmp_path / "study.toml"
+    path.write_text('format = 1\ncells = ["short.toml"]\n')
+    with pytest.raises(ConfigError, match=r"cells in study\.toml: found short\.toml, no file in .*beside the study"):
+        load_plan(path)
+    path.write_text('format = 1\ncells = ["two_models"]\n')
+    assert [c.file.name for c in load_plan(path).cells] == ["two_models"]
+    path.write_text(f'format = 1\ncells = ["elsewhere/short.toml", "{tmp_path}/elsewhere/short.toml"]\n')
+    with pytest.raises(ConfigError, match="cells of name paper: found 2"):
+        load_plan(path)
+
+
 @pytest.mark.parametrize("in_file", [False, True], ids=["of a cell", "of a study"])
 @pytest.mark.parametrize(
     ("key", "value"),
