@@ -6,12 +6,15 @@ import json
 import sys
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from agent.cli.options import AsJson, CellPath, ControlSockets, SomeArms, note
 from agent.host.starting import is_unread
+
+if TYPE_CHECKING:
+    from agent.config.cell import Cell
 
 HostName = Annotated[str | None, typer.Option("--host", help="This host's name in the cell file, if not its own.")]
 
@@ -29,11 +32,10 @@ def start(
     clock: ClockFile = None,
 ) -> None:
     """Give this host's agents the common instant at which they begin to follow the trajectory; all of them or none."""
-    from agent.config.cell import load_cell
     from agent.host.clock import read_clock
     from agent.operator.words import Here, start_arms
 
-    typer.echo(start_arms(load_cell(cell), at, in_s, control, Here(read_clock(clock), host), note))
+    typer.echo(start_arms(_loaded(cell, control), at, in_s, control, Here(read_clock(clock), host), note))
 
 
 def stop(
@@ -85,10 +87,10 @@ def lower(
     host: HostName = None,
 ) -> None:
     """Set the object down where it stood, all arms from one instant on (without one: in a second)."""
-    from agent.config.cell import load_cell
     from agent.operator.words import lower_arms
 
-    typer.echo(lower_arms(load_cell(cell), at, 1.0 if at is None and in_s is None else in_s, arm, control, host))
+    in_s = 1.0 if at is None and in_s is None else in_s
+    typer.echo(lower_arms(_loaded(cell, control), at, in_s, arm, control, host))
 
 
 def park(
@@ -108,7 +110,6 @@ def guide(
     host: HostName = None,
 ) -> None:
     """Walk through a session: what is seen at this host's arms, and what to say next, whenever it changes."""
-    from agent.config.cell import load_cell
     from agent.host.signals import StopFlag
     from agent.operator.ask import ask_arms
     from agent.operator.guide import lines
@@ -116,7 +117,7 @@ def guide(
     from agent.operator.message import Request
     from agent.operator.table import Verb
 
-    arms = places(load_cell(cell), [], control, host)
+    arms = places(_loaded(cell, control), [], control, host)
     requested, before = StopFlag(suspends=True), [""]
     while not requested():
         now = lines(ask_arms(arms, Request(Verb.STATUS)), str(cell))
@@ -128,12 +129,23 @@ def guide(
         time.sleep(WATCH_STEP_S)
 
 
-def _pass_on(word: str, cell: Path, arm: list[str], control: list[Path], host: str | None) -> None:
+def _loaded(cell: Path, control: list[Path]) -> Cell:
+    """The cell; whose the folder is in which its agents were looked for, where that is not this user's, is told."""
     from agent.config.cell import load_cell
+    from agent.host.paths import foreign_folder
+
+    loaded = load_cell(cell)
+    found = "" if control else foreign_folder(loaded.file.name)
+    if found:
+        note(f"{found}: nobody in it is asked; have it removed, or set XDG_RUNTIME_DIR")
+    return loaded
+
+
+def _pass_on(word: str, cell: Path, arm: list[str], control: list[Path], host: str | None) -> None:
     from agent.operator.table import Verb
     from agent.operator.words import tell_arms
 
-    typer.echo(tell_arms(load_cell(cell), Verb(word), arm, control, host))
+    typer.echo(tell_arms(_loaded(cell, control), Verb(word), arm, control, host))
 
 
 def status(
@@ -145,14 +157,13 @@ def status(
     as_json: AsJson = False,
 ) -> None:
     """Show how the arms of this host are: exit code 1 when one does not answer."""
-    from agent.config.cell import load_cell
     from agent.host.clock import read_clock
     from agent.host.signals import StopFlag
     from agent.operator.show import lines
     from agent.operator.status import LOG_FOLDERS
     from agent.operator.status import status as look
 
-    loaded = load_cell(cell)
+    loaded = _loaded(cell, [])
     stop = StopFlag(suspends=True) if watch else None
     while True:
         document = look(loaded, read_clock(clock), host, logs or LOG_FOLDERS)

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import stat
+from collections.abc import Collection
 from datetime import UTC, datetime
 from pathlib import Path
 
 from drivers.interface import Refusal
 
 SERVICES_DIR = Path("/run/coop")  # RuntimeDirectory of the shipped units
+SHARED_DIR = Path("/tmp")  # where there is no session folder: anybody can be first here
 
 
 class PlaceError(Refusal):
@@ -43,16 +46,54 @@ def make_runtime_dir(cell: str) -> Path:
 
 def _refuse_foreign(folder: Path, status: os.stat_result) -> None:
     """Raise PlaceError unless it is a folder of this user: in /tmp anybody can be there first."""
-    found = None
-    if not stat.S_ISDIR(status.st_mode):
-        found, expected = "a link or file", "a folder of your own"
-    elif status.st_uid != os.geteuid():
-        found, expected = f"one of uid {status.st_uid}", f"one of uid {os.geteuid()}"
-    if found is not None:
+    found = _foreign(status, {os.geteuid()})
+    if found:
+        own = stat.S_ISDIR(status.st_mode)
         raise PlaceError(
-            f"folder {folder}", found=found, expected=expected,
+            f"folder {folder}", found=found, expected=f"one of uid {os.geteuid()}" if own else "a folder of your own",
             remedy="have it removed, set XDG_RUNTIME_DIR, or give every path (--ring and others)",
         )  # fmt: skip
+
+
+def _foreign(status: os.stat_result, uids: Collection[int]) -> str:
+    """What it is when it is no folder of one of these users; empty when it is."""
+    if not stat.S_ISDIR(status.st_mode):
+        return "a link or file"
+    return "" if status.st_uid in uids else f"one of uid {status.st_uid}"
+
+
+def foreign_folder(cell: str) -> str:
+    """Of this user's folders down to that of the cell, the one that is somebody else's, in words; empty without one."""
+    with contextlib.suppress(OSError):  # missing: nobody's
+        return _foreign_of(cell)
+    return ""
+
+
+def barred(path: Path) -> str:
+    """Why nobody is asked and nothing is read at a place in this user's folder of a cell; empty of every other place.
+
+    No agent of this user's is in a folder of somebody else's.  One that is missing is not looked into again, so that
+    nobody can lay one there meanwhile; one of this user's stays that, for /tmp lets nobody take it away.
+    """
+    cell = path.parent.name
+    if path.parent != _own_dirs(cell)[-1]:
+        return ""
+    try:
+        return _foreign_of(cell)
+    except OSError as error:
+        return error.strerror or str(error)
+
+
+def _foreign_of(cell: str) -> str:
+    """Raises OSError where a folder is missing.  A session's may be its owner's: root keeps that of who became root."""
+    own, uids = _own_dirs(cell), {os.geteuid()}
+    if own[0].parent != SHARED_DIR:
+        uids.add(own[0].parent.stat().st_uid)
+    for folder in own:
+        found = _foreign(folder.lstat(), uids)
+        if found:
+            return f"folder {folder} is {found}, not of uid {os.geteuid()}"
+    return ""
 
 
 def _own_dirs(cell: str) -> tuple[Path, ...]:
@@ -60,7 +101,7 @@ def _own_dirs(cell: str) -> tuple[Path, ...]:
     session = os.environ.get("XDG_RUNTIME_DIR")
     if session and Path(session).is_dir():
         return Path(session, "coop"), Path(session, "coop", cell)
-    alone = Path(f"/tmp/coop-{os.getuid()}")
+    alone = SHARED_DIR / f"coop-{os.getuid()}"
     return alone, alone / "coop", alone / "coop" / cell
 
 

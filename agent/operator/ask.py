@@ -12,6 +12,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from agent.host.paths import barred
 from agent.operator.message import MAX_BYTES, Reply, Request
 
 REPLY_TIMEOUT_S = 2.0
@@ -34,7 +35,7 @@ def ask_arms(
 ) -> dict[str, Heard]:
     """Send one request to the agent of every arm, by each of the places where it may listen; what each arm answers.
 
-    Of several places the one that answers counts, then one that somebody has open.
+    Of several places the gravest of those counts where somebody is: who hangs before who refuses, then who says yes.
     """
     places = {arm: list(paths) for arm, paths in arms.items()}
     heard = ask_sockets([path for paths in places.values() for path in paths], request, timeout_s)
@@ -42,14 +43,16 @@ def ask_arms(
 
 
 def _telling(heard: list[Heard]) -> Heard:
-    """The most telling of what was heard of one arm."""
-    for one in heard:
-        if isinstance(one, Reply):
-            return one
-    silent = [one for one in heard if isinstance(one, Silence)]
-    open_ones = [one for one in silent if one.hung]
-    present = [one for one in silent if one.found != os.strerror(errno.ENOENT)]
-    return (open_ones or present or silent or [Silence("no socket")])[0]
+    """The gravest of what was heard of one arm where somebody is, or what was found where nobody is."""
+    return min(heard, key=_rank, default=Silence("no socket"))
+
+
+def _rank(heard: Heard) -> int:
+    if isinstance(heard, Reply):
+        return 2 if heard.ok else 1
+    if heard.hung:
+        return 0
+    return 4 if heard.found == os.strerror(errno.ENOENT) else 3
 
 
 def ask_sockets(paths: Iterable[Path], request: Request, timeout_s: float = REPLY_TIMEOUT_S) -> dict[Path, Heard]:
@@ -81,6 +84,9 @@ def _sent(
     heard: dict[Path, Heard],
 ) -> bool:
     """Connect and send without waiting; False when the agent's queue of clients is full."""
+    if why := barred(path):
+        heard[path] = Silence(why)
+        return True
     own = stack.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_CLOEXEC))
     own.setblocking(False)
     try:

@@ -13,7 +13,7 @@ from typing import Any
 
 from agent.config.cell import Cell
 from agent.host.clock import ClockState
-from agent.host.paths import ring_paths
+from agent.host.paths import barred, ring_paths
 from agent.operator.ask import Heard, Silence, ask_arms
 from agent.operator.local import host_name, local_arms, places
 from agent.operator.message import Request
@@ -33,7 +33,8 @@ def status(
     """All that `coop status --json` shows.  Raises ControlError when no arm of the cell is on this host."""
     names = [arm.name for arm in local_arms(cell, host)]
     heard = ask_arms(places(cell, names, (), host), Request(Verb.STATUS), timeout_s)
-    pasts = {name: look(ring_paths(cell.file.name, name), cell.file.rate_hz) for name in names}
+    rings = {name: [ring for ring in ring_paths(cell.file.name, name) if not barred(ring)] for name in names}
+    pasts = {name: look(rings[name], cell.file.rate_hz) for name in names}
     utc_ns, monotonic_ns = time.time_ns(), time.monotonic_ns()
     ages_s = {name: past.age_s(monotonic_ns, utc_ns) if past else None for name, past in pasts.items()}
     return {

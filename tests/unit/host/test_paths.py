@@ -9,7 +9,16 @@ from pathlib import Path
 import pytest
 
 from agent.host import paths
-from agent.host.paths import PlaceError, control_path, make_runtime_dir, plant_socket_path, ring_path, runtime_dir
+from agent.host.paths import (
+    PlaceError,
+    barred,
+    control_path,
+    foreign_folder,
+    make_runtime_dir,
+    plant_socket_path,
+    ring_path,
+    runtime_dir,
+)
 
 
 @pytest.fixture
@@ -77,3 +86,52 @@ def test_a_folder_that_cannot_be_made_says_what_to_do(session: Path) -> None:
     (session / "coop").write_text("")
     with pytest.raises(PlaceError, match="set XDG_RUNTIME_DIR to a folder that you can write, or give every path"):
         make_runtime_dir("paper")
+
+
+@pytest.fixture
+def shared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A host without session folders, on which this process is one of another user than all folders."""
+    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
+    monkeypatch.delenv("XDG_RUNTIME_DIR", raising=False)
+    monkeypatch.setattr(paths, "SHARED_DIR", tmp_path)
+    make_runtime_dir("paper").joinpath("left.ring").touch()
+    monkeypatch.setattr(paths.os, "geteuid", lambda: 12345)
+    return tmp_path / f"coop-{os.getuid()}"
+
+
+def test_a_place_in_another_users_folder_is_barred(shared: Path) -> None:
+    found = f"folder {shared} is one of uid {os.getuid()}, not of uid 12345"
+    assert barred(ring_path("paper", "left")) == barred(control_path("paper", "left")) == found
+    assert foreign_folder("paper") == found
+
+
+def test_a_place_in_ones_own_folder_and_one_that_is_named_are_free(
+    shared: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert barred(paths.SERVICES_DIR / "left" / "left.ring") == barred(shared / "left.ring") == ""
+    monkeypatch.setattr(paths.os, "geteuid", os.getuid)
+    assert barred(ring_path("paper", "left")) == barred(ring_path("paper", "none")) == foreign_folder("paper") == ""
+
+
+def test_a_folder_that_is_missing_is_not_looked_into_and_belongs_to_nobody(shared: Path) -> None:
+    (shared / "coop" / "paper").rename(shared / "coop" / "other")
+    (shared / "coop").rename(shared.with_name("coop"))
+    shared.rmdir()
+    assert barred(ring_path("paper", "left")) == "No such file or directory"
+    assert foreign_folder("paper") == ""
+
+
+@pytest.mark.parametrize("laid", ["coop", "coop/paper"])
+def test_a_link_to_a_folder_of_ones_own_bars_a_place(shared: Path, monkeypatch: pytest.MonkeyPatch, laid: str) -> None:
+    monkeypatch.setattr(paths.os, "geteuid", os.getuid)
+    (shared / laid).rename(shared.with_name("own"))
+    (shared / laid).symlink_to(shared.with_name("own"))
+    assert (
+        barred(control_path("paper", "left")) == f"folder {shared / laid} is a link or file, not of uid {os.getuid()}"
+    )
+
+
+def test_the_session_of_who_became_root_is_not_barred(session: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    make_runtime_dir("paper")
+    monkeypatch.setattr(paths.os, "geteuid", lambda: 12345)
+    assert barred(control_path("paper", "left")) == foreign_folder("paper") == ""
