@@ -30,7 +30,7 @@ from agent.monitors.watch import Watch
 from agent.operator.socket import ControlSocket, Standing
 from agent.process.build import build_agent, build_driver, passed_on
 from agent.process.clocked import ClockWatch, shares_time
-from agent.process.operated import Operator, no_real_time, tick_of
+from agent.process.operated import IN_LOCKSTEP, Operator, no_real_time, tick_of
 from agent.process.rehearse import BridgedRows, in_the_loop
 from agent.process.schedule import AgentOptions, guard_vigil, schedule_of
 from agent.process.session import session_loop
@@ -267,22 +267,24 @@ def _stand(
     guard: Guarded | None,
 ) -> None:  # fmt: skip
     """What the agent answers from here on: it is READY, with what the host has given it."""
-    real = granted()
-    tested = newest(files(os.environ))
+    real, tested = granted(), newest(files(os.environ))
     fitness = f"{tested.fitness(cell.file.rate_hz)}, {tested.text}" if tested else "not tested"
-    tell.event(
-        Level.INFO, f"real time: {real.text}; latency: {fitness}", policy=real.policy, priority=real.priority,
-        locked_bytes=real.locked_bytes, **({"latency_max_s": tested.histogram.max_s} if tested else {}),
-    )  # fmt: skip
-    if options.driver is DriverKind.DYNAMIXEL and not (options.connection.emulated or real.real or options.no_realtime):
+    if not options.lockstep:
+        tell.event(
+            Level.INFO, f"real time: {real.text}; latency: {fitness}", policy=real.policy, priority=real.priority,
+            locked_bytes=real.locked_bytes, **({"latency_max_s": tested.histogram.max_s} if tested else {}),
+        )  # fmt: skip
+    punctual = real.real or options.connection.emulated or options.no_realtime
+    if options.lockstep:
+        standing.no_start = IN_LOCKSTEP
+    elif options.driver is DriverKind.DYNAMIXEL and not punctual:
         standing.no_start = no_real_time(real.text)
-    of_host = {"pid": os.getpid(), "real_time": asdict(real)}
-    fixed = {**of_host, "driver": options.driver.value, "session": options.whole}
+    of_host = {"pid": os.getpid(), "real_time": asdict(real), "driver": options.driver.value, "session": options.whole}
 
     def details() -> dict[str, Any]:
         start, bound_s = operator.start, operator.clock.bound_s if operator.clock else math.inf
         return {
-            **fixed,
+            **of_host,
             "start_utc_ns": start.start_utc_ns if start else None,
             "clock_bound_s": bound_s if math.isfinite(bound_s) else None,
             "guard": None if guard is None else guard.state,

@@ -22,6 +22,10 @@ from drivers.clock import utc_offset_ns
 from drivers.interface import Clock
 
 MOTIONS = Event.APPROACH | Event.GRASP | Event.LOWER | Event.PARK  # words that begin one
+IN_LOCKSTEP = {
+    "found": "an agent in lockstep", "expected": "one at the wall clock's pace",
+    "remedy": "it starts by itself; for a start of your own give plant and agents --real-time",
+}  # fmt: skip
 NO_REAL_TIME_REMEDY = "give --priority 80 (the shipped unit does), or --allow-no-realtime to accept late torques"
 
 

@@ -28,7 +28,7 @@ class AgentOptions:
     driver: DriverKind
     connection: Connection
     ring: Path
-    control: Path | None  # socket for start, stop and release; None: lockstep simulation, which starts by itself
+    control: Path | None  # socket for start, stop and release; None: nobody says a word
     lockstep: bool
     hold: bool  # at a stop and at the end hold the object until it is released
     priority: int | None = None  # SCHED_FIFO; None: leave the scheduler alone

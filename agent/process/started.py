@@ -90,14 +90,14 @@ def agent(command: AgentCommand, listener: Listener) -> int:
             f"guard of arm {arm}", found="an agent in lockstep, for which time waits",
             expected="one at the wall clock's pace", remedy="give --real-time",
         )  # fmt: skip
-    if command.ring is None or (command.control is None and not lockstep):
+    if command.ring is None or command.control is None:
         make_runtime_dir(name)
     options = AgentOptions(
         arm=arm,
         driver=kind,
         connection=Connection(command.plant_socket or plant_socket_path(name), port, emulated, command.utc_offset_ns),
         ring=command.ring or ring_path(name, arm),
-        control=None if lockstep else command.control or control_path(name, arm),
+        control=command.control or control_path(name, arm),
         lockstep=lockstep,
         hold=command.whole or holds(loaded, kind, emulated=emulated, asked=command.hold),
         whole=command.whole,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
@@ -13,12 +14,15 @@ import pytest
 
 import configs
 from agent.log.read import read_log
+from agent.telemetry.ring.reader import RingReader
 from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.sample import AGENT_STATE
+from tests.support.command import coop
 
 PAPER = configs.CELLS_DIR / "paper.toml"
 HEAVY = ("pinocchio", "scipy", "matplotlib")
 SECONDS, ROWS = 0.5, 100
+LONG_S = 300.0  # of a run that is to be stopped before its end
 
 # the command itself, and at its end what it has loaded
 PROGRAM = f"""
@@ -110,6 +114,40 @@ def test_a_run_by_hand_needs_no_path_and_loads_no_solver_where_none_is_used(sess
     )
     for words in light:
         assert words.splitlines()[-1].split(":")[1].strip() == "", words
+
+
+def test_a_lockstep_cell_by_hand_tells_how_it_is_and_is_stopped_by_a_word(
+    session: Host, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(session.folder / "session"))
+    cell = cell_named("paper", session.folder, LONG_S)
+    plant = session.start("plant", cell)
+    ready(plant)
+    agents = {arm: session.start("agent", cell, "--arm", arm) for arm in ("left", "right")}
+    for arm, agent in agents.items():
+        ring = Path(ready(agent).split("ring=")[1].strip())
+        assert ring == session.folder / "session" / "coop" / "paper" / f"{arm}.ring"
+        with RingReader(ring, AGENT_STATE, acknowledges=True) as reader:
+            reader.acknowledge(1 << 40)  # in the place of telemetry, for good
+    for agent in agents.values():
+        assert "torque=on" in ready(agent)
+    refused = coop("start", cell, "--in", "5")
+    assert refused.code == 7
+    assert "left: refuses in " in refused.err
+    shown = coop("status", cell, "--json", "--logs", session.folder)
+    assert shown.code == 0, shown.out
+    assert [(arm["mode"], arm["same_cell"]) for arm in json.loads(shown.out)["arms"]] in (
+        [("READY", True)] * 2, [("TRACK", True)] * 2,
+    )  # fmt: skip
+    stopped = coop("stop", cell)
+    assert stopped.code == 0, stopped.err
+    for arm, agent in agents.items():
+        words = ended(agent)
+        assert f"arm {arm}: " in words
+        assert ", mode OFF" in words
+        assert int(words.split("arm ")[1].split()[1]) < 200 * LONG_S, "before its end"
+    ended(plant)
 
 
 def test_emulated_servos_by_hand_need_no_path(session: Host) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import socket
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack, closing
 from dataclasses import replace
@@ -420,6 +421,25 @@ def test_only_a_real_arm_without_real_time_refuses_a_start_unless_that_is_allowe
     ((text, data),) = told
     assert text == f"real time: {priority or 'SCHED_OTHER'} 0, 0 MB of memory locked; latency: not tested"
     assert data == {"policy": priority or "SCHED_OTHER", "priority": 0, "locked_bytes": 0}
+
+
+def test_an_agent_in_lockstep_starts_by_itself_and_says_nothing_of_its_host(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(agent, "newest", lambda _: None)
+    told: list[str] = []
+    teller: Any = type("Teller", (), {"event": staticmethod(lambda _, text, **__: told.append(text))})
+    options = AgentOptions("left", DriverKind.SIM, Connection(), tmp_path, None, lockstep=True, hold=False)
+    rig = Rig(tmp_path / "left.control")
+    with closing(rig.control), RingWriter(tmp_path / "ring", AGENT_STATE, "left", ("waist",)) as ring:
+        agent._stand(
+            rig.control.standing, options, rig.operator, ring, teller, load_cell(configs.CELLS_DIR / "paper.toml"), None
+        )
+        refused = rig.control._no_start(Request(Verb.START, rig.control._fingerprint, time.time_ns() + 10**12))
+    assert refused is not None
+    assert refused.refusal["found"] == "an agent in lockstep"
+    assert "it starts by itself" in refused.refusal["remedy"]
+    assert told == []
 
 
 def test_the_details_of_an_answer_fit_into_it(rig: Rig) -> None:
