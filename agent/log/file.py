@@ -6,7 +6,6 @@ last complete chunk; the caller goes on without it.  A folder that is moved mean
 
 from __future__ import annotations
 
-import fcntl
 import os
 import time
 from collections import Counter
@@ -22,6 +21,7 @@ from numpy.typing import NDArray
 
 from agent.log.chunk import LIBRARY, Group
 from agent.log.disk import Sink, Syncer, free_bytes, require_a_name, sync_directory
+from agent.log.locks import alone_with, create_written, is_written
 from agent.log.writer import BatchWriter, Records
 from drivers.interface import Refusal
 
@@ -200,24 +200,18 @@ class LogFile:
         os.close(self._fd)
 
 
-def lock(fd: int) -> bool:
-    """Take the lock of an open file or folder; False while another process has it, as a log's recorder does."""
-    try:
-        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    return True
-
-
 def remove_log(path: Path) -> None:
-    """Remove a log that may be there.  Raises LogFileError, LogInTheWay where a recorder writes it."""
+    """Remove a log that may be there.  Raises LogFileError, LogInTheWay where a recorder writes it or one mends it."""
+    if not os.path.lexists(path):
+        return
     try:
-        if not _is_free(path):
-            raise LogInTheWay(
-                f"{path} is being written", found="a recorder's lock", expected="a log whose recorder has ended",
-                remedy="stop that recorder, or name another folder",
-            )  # fmt: skip
-        path.unlink()
+        with alone_with(path) as alone:
+            if alone is None or not _is_free(path):
+                raise LogInTheWay(
+                    f"{path} is being written", found="its recorder, or who mends it",
+                    expected="a log whose recorder has ended", remedy="stop that one, or name another folder",
+                )  # fmt: skip
+            path.unlink()
     except FileNotFoundError:
         return
     except OSError as error:
@@ -234,7 +228,7 @@ def _create(path: Path, min_free_bytes: int) -> int:
                 expected=f"at least {min_free_bytes >> 20} MB",
                 remedy="remove old runs, or record elsewhere",
             )
-        fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+        return create_written(path)
     except FileExistsError as error:
         raise LogInTheWay(
             f"{path} exists already",
@@ -244,9 +238,6 @@ def _create(path: Path, min_free_bytes: int) -> int:
         ) from error
     except OSError as error:
         raise _cannot_write(path, error) from error
-    if not lock(fd):
-        raise AssertionError("nobody else knows this file")
-    return fd
 
 
 def _is_free(path: Path) -> bool:
@@ -255,7 +246,7 @@ def _is_free(path: Path) -> bool:
     except FileNotFoundError:
         return True  # a link to nothing, or gone by now
     try:
-        return lock(fd)
+        return not is_written(fd)
     finally:
         os.close(fd)
 

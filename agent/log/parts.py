@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 
 from agent.log.chunk import LIBRARY
-from agent.log.file import LogFileError, LogInTheWay, lock
+from agent.log.file import LogFileError, LogInTheWay
+from agent.log.locks import is_written, lock, lock_path, note_path, open_closed
 from agent.log.scan import library_of, open_file
 
 _HEAD_BYTES = 4096
@@ -62,27 +63,27 @@ def make_room(folder: Path, limit_bytes: int) -> tuple[Path, ...]:
 def only_recorder(folder: Path, cell: str) -> Iterator[Callable[[bytes], None]]:
     """Keep other recorders of this cell out of the folder for the time of the block.  Raises LogFileError, LogInTheWay.
 
-    Gives a function that writes a note into the lock file, in the place of the one before.
+    Gives a function that leaves a note for whoever reads the logs, in the place of the one before.
     """
-    try:
-        fd = os.open(folder / f".{cell}.recording", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-    except OSError as error:
-        raise LogFileError(
-            f"cannot record into {folder}", found=error.strerror, expected="an existing directory that can be written",
-            remedy=f"create it with `mkdir -p {folder}`, or record elsewhere",
-        ) from error  # fmt: skip
-    try:
+    with ExitStack() as stack:
         try:
-            fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
+            fd = open_closed(lock_path(folder, cell))
+            stack.callback(os.close, fd)
+            note = os.open(note_path(folder, cell), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+            stack.callback(os.close, note)
+        except OSError as error:
+            raise LogFileError(
+                f"cannot record into {folder}", found=error.strerror,
+                expected="an existing directory that can be written",
+                remedy=f"create it with `mkdir -p {folder}`, or record elsewhere",
+            ) from error  # fmt: skip
+        if not lock(fd):
             raise LogInTheWay(
                 f"cell {cell} is being recorded into {folder}", found="another recorder of it",
                 expected="one recorder per cell", remedy="stop that one first; a cell tells one recorder what it has",
-            ) from error  # fmt: skip
-        os.ftruncate(fd, 0)
-        yield lambda note: _note(fd, note)
-    finally:
-        os.close(fd)
+            )  # fmt: skip
+        os.ftruncate(note, 0)
+        yield partial(_note, note)
 
 
 def _note(fd: int, note: bytes) -> None:
@@ -103,7 +104,7 @@ def _is_ours(path: Path) -> bool:
 def _remove_unless_written(path: Path) -> bool:
     try:
         with path.open("rb") as file:
-            if not lock(file.fileno()):
+            if is_written(file.fileno()):
                 return False
             path.unlink()
     except OSError:

@@ -12,17 +12,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import Any, BinaryIO, Final
+from typing import Any, BinaryIO
 
 from mcap.records import Attachment, Channel, Metadata, Schema
 
 from agent.log.chunk import LIBRARY
-from agent.log.file import PROFILE, LogFileError, LogInTheWay, lock
+from agent.log.file import PROFILE, LogFileError, LogInTheWay
+from agent.log.locks import SUFFIX, alone_with, is_named, is_written
 from agent.log.read import RECOVERY, LogError
 from agent.log.scan import LogScan, Messages, library_of, open_file
 from agent.log.writer import BatchWriter
-
-SUFFIX: Final = ".repairing"
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,10 +44,10 @@ def recover(path: Path, stop: Callable[[], bool] = lambda: False) -> RecoverRepo
     except OSError as error:
         raise _unreadable(path, error) from error
     with file:
-        if not lock(file.fileno()):
+        if is_written(file.fileno()):
             raise LogInTheWay(
                 f"{path} is being written",
-                found="a recorder's lock",
+                found="its recorder",
                 expected="a log whose recorder has ended",
                 remedy="stop that recorder; it finishes the file",
             )
@@ -71,14 +70,14 @@ def repair_leftovers(
         if path == but or stop() or not path.is_file():
             continue
         try:
-            if _is_unfinished(path) and recover(path, stop).repaired:
+            if is_unfinished(path) and recover(path, stop).repaired:
                 repaired.append(path)
         except (LogError, LogFileError) as error:
             failed.append(str(error))
     return tuple(repaired), tuple(failed)
 
 
-def _is_unfinished(path: Path) -> bool:
+def is_unfinished(path: Path) -> bool:
     """Cheaply: ours by its head, and without the closing magic.  Raises LogError."""
     try:
         with open_file(path) as file:
@@ -111,26 +110,30 @@ def _recover(path: Path, file: BinaryIO, stop: Callable[[], bool]) -> RecoverRep
             remedy=f"take them apart: `head -c {at}`, `tail -c +{at + 1}`",
         )  # fmt: skip
     log = path.resolve()  # a link stays one: what it leads to is mended
-    temporary = log.with_name(log.name + SUFFIX)
     try:
-        _rewrite(file, temporary, scan)
-        temporary.chmod(log.stat().st_mode & 0o777)
-        _check(path, temporary, seen)
-        temporary.replace(log)
-        _sync(log.parent, os.O_DIRECTORY)
+        with alone_with(log) as copy:
+            if copy is None or not is_named(log, file.fileno()):
+                raise LogInTheWay(
+                    f"{path} is being mended", found="another one that mends or removes it", expected="nobody",
+                    remedy="wait for its end",
+                )  # fmt: skip
+            _rewrite(file, copy, scan)
+            os.fchmod(copy, log.stat().st_mode & 0o777)
+            _check(path, copy, seen)
+            log.with_name(log.name + SUFFIX).replace(log)
+            _sync(log.parent, os.O_DIRECTORY)
     except OSError as error:
         raise LogFileError(
             f"cannot repair {path}", found=error.strerror, expected="room for a copy of it", remedy="make room"
         ) from error
-    finally:
-        temporary.unlink(missing_ok=True)
     return RecoverReport(path, True, seen.count, problems)
 
 
-def _check(path: Path, copy: Path, seen: _Fingerprint) -> None:
+def _check(path: Path, copy: int, seen: _Fingerprint) -> None:
     """Raises LogError unless the copy can be read and holds what was seen."""
     found = _Fingerprint()
-    with copy.open("rb") as file:
+    with os.fdopen(os.dup(copy), "rb") as file:
+        file.seek(0)
         scan = LogScan(file)
         for record in scan:
             found.add(record)
@@ -176,8 +179,8 @@ class _Fingerprint:
     __hash__ = None  # type: ignore[assignment]
 
 
-def _rewrite(source: BinaryIO, target: Path, scan: LogScan) -> None:
-    with target.open("wb") as file:
+def _rewrite(source: BinaryIO, target: int, scan: LogScan) -> None:
+    with os.fdopen(os.dup(target), "wb") as file:
         writer = BatchWriter(file.write)
         writer.start(PROFILE, LIBRARY)
         copy = _Copy(writer)

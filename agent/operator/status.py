@@ -14,6 +14,7 @@ from typing import Any
 from agent.config.cell import Cell
 from agent.host.clock import ClockState
 from agent.host.paths import barred, ring_paths
+from agent.log.locks import lock_path, note_path
 from agent.operator.ask import Heard, Silence, ask_arms
 from agent.operator.local import host_name, local_arms, places
 from agent.operator.message import Request
@@ -81,20 +82,24 @@ def recorder(cell: str, folders: Sequence[Path]) -> dict[str, Any]:
     """Whether a recorder of the cell has one of these folders, and the newest log there."""
     locked = _flocked()
     for folder in folders:
-        lock = folder / f".{cell}.recording"
         try:
-            status = lock.stat()
+            status = lock_path(folder, cell).stat()
         except OSError:
             continue
         if (os.major(status.st_dev), os.minor(status.st_dev), status.st_ino) in locked:
-            return {"alive": True, "folder": str(folder), **_newest(folder), "left_out": _left_out(lock)}
+            return {
+                "alive": True,
+                "folder": str(folder),
+                **_newest(folder),
+                "left_out": _left_out(note_path(folder, cell)),
+            }
     return {"alive": False, "folder": None, "log": None, "log_bytes": None, "left_out": {}}
 
 
-def _left_out(lock: Path) -> dict[str, int]:
+def _left_out(note: Path) -> dict[str, int]:
     """Messages that the recorder did not take because they do not belong to the cell, by reason, as it has noted."""
     try:
-        noted = json.loads(lock.read_bytes()[:NOTE_BYTES_MAX] or b"{}").get("left_out", {})
+        noted = json.loads(note.read_bytes()[:NOTE_BYTES_MAX] or b"{}").get("left_out", {})
         return {str(why): int(count) for why, count in noted.items()}
     except (OSError, ValueError, AttributeError, TypeError):
         return {}
