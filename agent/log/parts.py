@@ -13,6 +13,8 @@ from pathlib import Path
 from agent.log.chunk import LIBRARY
 from agent.log.file import LogFileError, LogInTheWay
 from agent.log.locks import is_written, lock, lock_path, note_path, open_closed
+from agent.log.read import LogError
+from agent.log.recover import is_unfinished
 from agent.log.scan import library_of, open_file
 
 _HEAD_BYTES = 4096
@@ -42,21 +44,31 @@ def next_path(first: Path) -> Path:
 
 
 def make_room(folder: Path, limit_bytes: int) -> tuple[Path, ...]:
-    """Remove the oldest logs of a folder until the rest take at most `limit_bytes`; those removed.
+    """Remove the oldest finished logs of a folder until the rest take at most `limit_bytes`; those removed.
 
-    Files of other programs count for nothing and stay; so do logs that are being written, which count.
+    Files of other programs count for nothing and stay.  Logs that are being written, or that nobody has mended yet,
+    stay and count; one that somebody else removes meanwhile counts for nothing any more.
     """
-    logs = sorted((path.stat().st_mtime_ns, path) for path in folder.glob("*.mcap") if _is_ours(path))
-    total = sum(path.stat().st_size for _, path in logs)
+    logs = sorted(_logs(folder))
+    total = sum(size for _, _, size in logs)
     removed = []
-    for _, path in logs:
+    for _, path, size in logs:
         if total <= limit_bytes:
             break
-        size = path.stat().st_size
-        if _remove_unless_written(path):
+        if _remove_finished(path):
             removed.append(path)
+        if not path.exists():
             total -= size
     return tuple(removed)
+
+
+def _logs(folder: Path) -> Iterator[tuple[int, Path, int]]:
+    """When each of our logs was written last (ns), and its bytes."""
+    for path in folder.glob("*.mcap"):
+        with suppress(OSError):  # removed meanwhile
+            if _is_ours(path):
+                status = path.stat()
+                yield status.st_mtime_ns, path, status.st_size
 
 
 @contextmanager
@@ -94,19 +106,17 @@ def _note(fd: int, note: bytes) -> None:
 
 
 def _is_ours(path: Path) -> bool:
+    """Raises OSError."""
+    with open_file(path) as file:
+        return library_of(BytesIO(file.read(_HEAD_BYTES))) == LIBRARY
+
+
+def _remove_finished(path: Path) -> bool:
     try:
         with open_file(path) as file:
-            return library_of(BytesIO(file.read(_HEAD_BYTES))) == LIBRARY
-    except OSError:
-        return False
-
-
-def _remove_unless_written(path: Path) -> bool:
-    try:
-        with path.open("rb") as file:
-            if is_written(file.fileno()):
+            if is_written(file.fileno()) or is_unfinished(path):
                 return False
             path.unlink()
-    except OSError:
+    except (OSError, LogError):
         return False
     return True
