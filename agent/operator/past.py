@@ -38,6 +38,7 @@ class Past:
     health: Health | None
     trouble: Event | None  # the last event that warns or is worse
     ended: bool = False  # in order, by whoever wrote it: the servos were told to let go before
+    failed: str | None = None  # why whoever wrote it ended, where that was by an error
 
     @property
     def mode(self) -> str | None:
@@ -138,17 +139,23 @@ def _look(ring: Path, rate_hz: float) -> Past | None:
     except RingError:
         return None
     rows = AGENT_STATE.decode(block.payload)
-    health, trouble = _texts(ring)
-    return Past(alive, rows, health, trouble, ended=finished and not alive)
+    health, trouble, error = _texts(ring)
+    over = finished and not alive
+    failed = error.text if over and error is not None else None
+    return Past(alive, rows, health, trouble, ended=over and failed is None, failed=failed)
 
 
-def _texts(ring: Path) -> tuple[Health | None, Event | None]:
-    """The last health and the last warning; a text that makes no sense is left out."""
-    health, trouble = None, None
+def _texts(ring: Path) -> tuple[Health | None, Event | None, Event | None]:
+    """The last health, the last warning, and the last error that no end in order followed.
+
+    Who ends in order says so, after what went wrong before; a warning may follow either.  A text that makes no sense is
+    left out.
+    """
+    health, trouble, error = None, None, None
     try:
         reader = TextReader(ring)
     except RingError:
-        return None, None
+        return None, None, None
     with contextlib.closing(reader):
         for kind, text in reader.read_new():
             with contextlib.suppress(ValueError):
@@ -157,4 +164,6 @@ def _texts(ring: Path) -> tuple[Health | None, Event | None]:
                 else:
                     event = Event.from_json(text)
                     trouble = event if event.level >= Level.WARN else trouble
-    return health, trouble
+                    if event.level is not Level.WARN:
+                        error = event if event.level >= Level.ERROR else None
+    return health, trouble, error

@@ -61,7 +61,8 @@ def _arm(arm: Mapping[str, Any], widest: int) -> Line:
     else:
         head, tone = ("HUNG" if arm["alive"] else "DEAD" if arm["mode"] else "NONE"), Tone.BAD
         last = f"last {arm['mode']}, {arm['last_row_age_s']:.1f} s ago" if arm["mode"] else ""
-        parts = [arm["silence"], last, *parts] if arm["mode"] else [arm["silence"]]
+        why = arm["failed"] or arm["silence"]
+        parts = [why, last, *parts] if arm["mode"] else [why]
     return Line(f"{arm['arm']:<{widest}}  {head:<5}", "; ".join(part for part in parts if part), tone)
 
 

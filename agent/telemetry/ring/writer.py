@@ -39,6 +39,12 @@ def file_bytes(row_format: RowFormat, slots: int = DEFAULT_SLOTS) -> int:
     return ring_file.make_header(row_format, slots=slots, name="", joints=(), created_ns=0).file_bytes
 
 
+class RowsUntaken(RingError):
+    """In lockstep nobody has taken the rows of a run in time, which ends it."""
+
+    exit_code = 4
+
+
 class RingWriter:
     """The writing end, for the control thread: fill `row` in place, call `commit`.
 
@@ -125,7 +131,7 @@ class RingWriter:
     def wait_for_space(self, timeout_s: float = LOCKSTEP_TIMEOUT_S) -> None:
         """Lockstep simulation only: wait until less than half the ring is unacknowledged.
 
-        Raises RingError when that takes longer than `timeout_s`: telemetry is missing or stuck.
+        Raises RowsUntaken when that takes longer than `timeout_s`: telemetry is missing or stuck.
         """
         enough = self.header.slots // 2
         if self.written - self._words[ACKNOWLEDGED_WORD] < enough:
@@ -133,7 +139,7 @@ class RingWriter:
         deadline = time.monotonic() + timeout_s
         while (waiting := self.written - self._words[ACKNOWLEDGED_WORD]) >= enough:
             if time.monotonic() >= deadline:
-                raise RingError(
+                raise RowsUntaken(
                     f"the telemetry of {self.header.name} does not keep up",
                     found=f"{waiting} rows waiting for {timeout_s:g} s",
                     expected=f"fewer than {enough}",

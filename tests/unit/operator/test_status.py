@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import replace
 from pathlib import Path
@@ -54,13 +54,19 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def write_ring(
-    stack: ExitStack, arm: str, *, mode: Mode, age_ns: int, flags: int = 0, finished: bool = False
+    stack: ExitStack, arm: str, *, mode: Mode, age_ns: int, flags: int = 0, finished: bool = False,
+    told: Sequence[tuple[Level, str]] = (),
 ) -> None:  # fmt: skip
-    """500 rows of a loop that was 1 ms late once, long ago, and 0.2 ms once; closed with the stack."""
+    """500 rows of a loop that was 1 ms late once, long ago, and 0.2 ms once; closed with the stack.
+
+    told: at its end.
+    """
     path = ring_path("paper", arm)
     texts = stack.enter_context(closing(TextWriter(path, arm)))
     texts.event(Event(NOW_NS - 5, arm, Level.WARN, "a servo is warm"))
     texts.event(Event(NOW_NS - 4, arm, Level.INFO, "torque on"))
+    for level, text in told:
+        texts.event(Event(NOW_NS - 3, arm, level, text))
     texts.health(
         NOW_NS - age_ns,
         {
@@ -106,8 +112,8 @@ def of(document: dict[str, Any], name: str) -> dict[str, Any]:
 def test_a_living_arm_is_shown_with_all_it_has(living: Arm) -> None:
     found = of(status(CELL, CLOCK, logs=()), "left")
     assert found == {
-        "arm": "left", "answers": True, "silence": None, "alive": True, "ended": False, "mode": "HOLD",
-        "reason": "t = 3 s: OFF_TRACK", "same_cell": True, "pid": 7, "driver": "dynamixel",
+        "arm": "left", "answers": True, "silence": None, "alive": True, "ended": False, "failed": None,
+        "mode": "HOLD", "reason": "t = 3 s: OFF_TRACK", "same_cell": True, "pid": 7, "driver": "dynamixel",
         "real_time": None, "guard": None, "clock_bound_s": None,
         "start_utc_ns": 5, "last_row_age_s": pytest.approx(0.002),
         "timing": {
@@ -158,6 +164,31 @@ def test_an_arm_whose_agent_has_ended_in_order_is_not_said_to_be_dead(home: Path
     line = lines(document)[1]
     assert (line.head, line.tone) == ("right  ENDED", tone)
     assert line.rest.startswith(f"last {mode.name}, 3.2 s ago; 200 Hz")
+
+
+LOST = (Level.ERROR, "run ended in FAULT no cycle for 0.766 s")
+WARNED = (Level.WARN, "no post-mortem: the disk is full")
+OVER = (Level.INFO, "run ended in OFF it was asked to")
+
+
+@pytest.mark.parametrize(
+    ("told", "failed"), [([LOST], True), ([LOST, WARNED], True), ([LOST, OVER], False), ([OVER, WARNED], False)]
+)
+def test_an_arm_whose_agent_ended_by_an_error_has_not_ended_in_order_and_says_which(
+    home: Path, told: list[tuple[Level, str]], failed: bool
+) -> None:
+    """OVER behind LOST: a guard held the arm that its agent had lost, and was told to release it."""
+    with ExitStack() as stack:
+        write_ring(stack, "right", mode=Mode.TRACK, age_ns=3_200_000_000, finished=True, told=told)
+        alive = of(status(CELL, CLOCK, logs=()), "right")
+        assert (alive["failed"], alive["ended"]) == (None, False), "its process lives"
+    document = status(CELL, CLOCK, logs=())
+    found = of(document, "right")
+    assert (found["ended"], found["failed"]) == (not failed, LOST[1] if failed else None)
+    line = lines(document)[1]
+    assert line.head.split()[-1] == ("DEAD" if failed else "ENDED")
+    assert line.tone is (Tone.BAD if failed else Tone.HELD)
+    assert line.rest.startswith(f"{LOST[1]}; last TRACK, 3.2 s ago" if failed else "last TRACK, 3.2 s ago")
 
 
 @pytest.mark.parametrize("step_s", [3600, -3600])

@@ -13,7 +13,7 @@ import pytest
 from agent.telemetry.ring import writer as writer_of_rings
 from agent.telemetry.ring.file import ACKNOWLEDGED_WORD, MESSAGE_IN_SLOT, SLOTS_OFFSET, RingError
 from agent.telemetry.ring.reader import RingReader
-from agent.telemetry.ring.writer import RingWriter, file_bytes
+from agent.telemetry.ring.writer import RingWriter, RowsUntaken, file_bytes
 from agent.telemetry.row.sample import AGENT_STATE, PLANT_STATE
 
 SLOTS = 16
@@ -231,8 +231,9 @@ def test_lockstep_waits_for_the_reader_and_says_when_it_is_missing(path: Path, w
     write(writer, SLOTS // 2 - 1)
     writer.wait_for_space(0.0)
     write(writer, 1)
-    with pytest.raises(RingError, match="does not keep up"):
+    with pytest.raises(RowsUntaken, match="does not keep up") as untaken:
         writer.wait_for_space(0.01)
+    assert untaken.value.exit_code == 4, "a run has begun, and its log is what fails"
     with RingReader(path, AGENT_STATE, acknowledges=True) as reader:
         later = threading.Timer(0.05, reader.acknowledge, [1])
         later.start()
