@@ -93,9 +93,19 @@ def test_nobody_else_can_open_what_keeps_a_second_recorder_away_and_all_can_read
     assert modes[0] == 0o600
     assert modes[1] & 0o400
     assert note_path(tmp_path, "paper").read_bytes() == b"told"
-    lock_path(tmp_path, "paper").unlink()
-    os.close(open_closed(lock_path(tmp_path, "paper")))
-    assert stat.S_IMODE(lock_path(tmp_path, "paper").stat().st_mode) == 0o600
+
+
+def test_a_file_that_is_closed_to_others_is_so_from_the_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(*_: object) -> None:
+        raise PermissionError("a file system without modes")
+
+    monkeypatch.setattr(locks.os, "fchmod", refused)
+    before = os.umask(0o022)
+    try:
+        os.close(open_closed(tmp_path / "closed"))
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((tmp_path / "closed").stat().st_mode) == 0o600
 
 
 def test_one_at_a_time_mends_or_removes_a_log_and_leaves_nothing_beside_it(tmp_path: Path) -> None:
@@ -109,9 +119,12 @@ def test_one_at_a_time_mends_or_removes_a_log_and_leaves_nothing_beside_it(tmp_p
         with pytest.raises(LogInTheWay, match="is being written: found its recorder, or who mends it"):
             remove_log(path)
     assert list(tmp_path.iterdir()) == [path]
-    (tmp_path / f"run.mcap{locks.SUFFIX}").write_bytes(b"left by one that was killed")
+    (tmp_path / f"run.mcap{locks.SUFFIX}").write_bytes(b"left by one that was killed" * path.stat().st_size)
+    path.chmod(0o640)
     assert recover.recover(path).repaired
     assert list(tmp_path.iterdir()) == [path]
+    assert not recover.is_unfinished(path)
+    assert stat.S_IMODE(path.stat().st_mode) == 0o640, "as it was, and not closed as the copy"
 
 
 def test_who_opened_the_copy_before_it_became_the_log_gets_nothing_of_it(
