@@ -20,9 +20,9 @@ from agent.config.cell import Cell
 from agent.faults.plan import Injection
 from agent.faults.stranger import Message, forged_messages, last_rows, random_messages, send
 from agent.faults.strikes import Deed, Strike, placed_at, strikes
-from agent.host.child import Child
+from agent.host.child import Child, wait_all
 from agent.log.parts import next_path
-from agent.process.children import READY_TIMEOUT_S, STOP_TIMEOUT_S, Children, wait_all
+from agent.process.children import READY_TIMEOUT_S, STOP_TIMEOUT_S, Children
 from agent.process.commands import EmulateCommand, PlantCommand, RecordCommand, TelemetryCommand
 from agent.process.progress import Progress
 from agent.process.run_folder import rings_bytes, run_folder
@@ -61,7 +61,7 @@ def rehearse_listeners(
     with run_folder(rings_bytes(len(cell.arms)), progress.note) as runtime:
         children = Struck(cell, seed, log, runtime, strikes(cell, chosen), listen)
         try:
-            children.start(progress)
+            children.start(lambda: False, progress)
             children.watch(lambda: False, progress)
             children.end(progress)
             return Rehearsed(cell, chosen, children.rows(), tuple(children.logs), children.sent)

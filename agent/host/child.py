@@ -7,13 +7,15 @@ import selectors
 import signal
 import subprocess
 import time
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from agent.host import python
 from drivers.interface import Refusal
 
 READY, TELLS = "READY ", "TELLS "
+LOOK_EVERY_S = 0.05  # while a ready line is waited for
 
 
 class ChildFailed(Refusal):
@@ -29,6 +31,9 @@ class Child:
         self.name = name
         self.log = log_dir / f"{name}.log"
         self._received = b""
+        self._readies = deque[dict[str, str]]()
+        self._said = set[str]()
+        self._told: list[str] = []
         with self.log.open("wb") as log:
             self.process = subprocess.Popen(
                 python.command("agent.process", *arguments),
@@ -39,38 +44,50 @@ class Child:
                 start_new_session=True,
             )
 
-    def wait_ready(self, timeout_s: float) -> dict[str, str]:
-        """Key-value pairs of the child's next ready line.  Raises ChildFailed when it ends or stays silent."""
-        out = self.process.stdout
-        assert out is not None
+    def wait_ready(self, timeout_s: float, look: Callable[[], None] = lambda: None) -> dict[str, str]:
+        """Key-value pairs of the child's next ready line.  Raises ChildFailed when it ends or stays silent.
+
+        look: is called every LOOK_EVERY_S meanwhile; what it raises ends the wait.
+        """
         deadline = time.monotonic() + timeout_s
-        while b"\n" not in self._received:
-            if not self._says_more(max(0.0, deadline - time.monotonic())):
+        while not self._readies:
+            look()
+            left_s = deadline - time.monotonic()
+            if left_s <= 0.0:
                 raise self.failed(f"not ready after {timeout_s:g} s")
-            chunk = os.read(out.fileno(), 4096)
-            if not chunk:
+            if not self._listen(min(LOOK_EVERY_S, left_s)):
                 self.process.wait()
                 raise self.failed("ended before it was ready")
-            self._received += chunk
-        head, _, self._received = self._received.partition(b"\n")
-        line = head.decode()
-        return dict(pair.split("=", 1) for pair in line.removeprefix(READY).split())
+        return self._readies.popleft()
+
+    def has_said(self, key: str) -> bool:
+        """Whether this key has been in one of its ready lines, also one that has been taken."""
+        self._listen(0.0)
+        return key in self._said
 
     def told(self) -> list[str]:
         """What the child has told for a person since the last look; nothing is waited for."""
+        self._listen(0.0)
+        told, self._told = self._told, []
+        return told
+
+    def _listen(self, within_s: float) -> bool:
+        """Take in what it says within that time; whether it may say more."""
         out = self.process.stdout
         assert out is not None
-        if self._says_more(0.0):
-            self._received += os.read(out.fileno(), 4096)
-        *lines, self._received = self._received.split(b"\n")
-        texts = (line.decode(errors="replace") for line in lines)
-        return [text.removeprefix(TELLS) for text in texts if text.startswith(TELLS)]
-
-    def _says_more(self, within_s: float) -> bool:
-        assert self.process.stdout is not None
         with selectors.DefaultSelector() as selector:
-            selector.register(self.process.stdout, selectors.EVENT_READ)
-            return bool(selector.select(within_s))
+            selector.register(out, selectors.EVENT_READ)
+            if not selector.select(within_s):
+                return True
+        chunk = os.read(out.fileno(), 4096)
+        *lines, self._received = (self._received + chunk).split(b"\n")
+        for line in (line.decode(errors="replace") for line in lines):
+            if line.startswith(READY):
+                self._readies.append(dict(pair.split("=", 1) for pair in line.removeprefix(READY).split()))
+                self._said.update(self._readies[-1])
+            elif line.startswith(TELLS):
+                self._told.append(line.removeprefix(TELLS))
+        return bool(chunk)
 
     def failed(self, what: str) -> ChildFailed:
         """The error that tells of this child's end, with its last words."""
@@ -112,3 +129,10 @@ class Child:
         self.process.wait()
         if self.process.stdout is not None:
             self.process.stdout.close()
+
+
+def wait_all(children: Iterable[Child], timeout_s: float) -> None:
+    """Wait for all of them until one common time-out."""
+    deadline = time.monotonic() + timeout_s
+    for child in children:
+        child.wait(max(0.0, deadline - time.monotonic()))

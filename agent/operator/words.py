@@ -88,12 +88,14 @@ def start_together(arms: Places, request: Request, timeout_s: float = REPLY_TIME
         )  # fmt: skip
 
 
-def start_patiently(arms: Places, fingerprint: str, in_ns: int) -> None:
+def start_patiently(arms: Places, fingerprint: str, in_ns: int, look: Callable[[], None]) -> None:
     """The same, so many ns from now, and again where that fails: a machine that stalls answers late.
 
+    look: is called before each attempt; what it raises ends them.
     Raises ControlError of the last attempt; a start that failed has been taken back.
     """
     for attempt in range(ATTEMPTS):
+        look()
         try:
             start_together(arms, Request(Verb.START, fingerprint, time.time_ns() + in_ns))
         except ControlError:

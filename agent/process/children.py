@@ -5,12 +5,12 @@ from __future__ import annotations
 import contextlib
 import os
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
 
 from agent.config.cell import Cell
 from agent.config.schema.driver import DriverKind
-from agent.host.child import Child
+from agent.host.child import Child, wait_all
 from agent.host.share import keep_to, one_memory_layout, share_out
 from agent.operator.words import start_patiently
 from agent.process.commands import (
@@ -26,6 +26,7 @@ from agent.process.person import Person
 from agent.process.progress import Progress, show
 from agent.process.rehearse import in_the_loop
 from agent.process.run_kind import RunKind
+from agent.process.unbegun import StoppedEarly
 from agent.telemetry.link.session import FREE_PORT
 from agent.telemetry.ring.reader import RingReader
 from agent.telemetry.row.sample import AGENT_STATE
@@ -80,25 +81,27 @@ class Children:
         self._endpoint = ""  # of the recorder, once it is ready
         # one for plant, servos and agents: the wall clock may be set between their starts
         self._utc_offset_ns = None if self._lockstep else utc_offset_ns()
+        self._stop: Callable[[], bool] = lambda: False  # told to `start`
         self._began_s = 0.0
         self._interrupted = False
 
-    def start(self, progress: Progress) -> None:
-        """Start everything, recorder first, so that no row is before its time."""
+    def start(self, stop: Callable[[], bool], progress: Progress) -> None:
+        """Start all, recorder first.  Raises ChildFailed, ControlError, StoppedEarly; arms may have torque then."""
+        self._stop = stop
         progress.phase("starting")
         self._recorder = self._kept("recorder", self._record_command(), self._cores.listeners)
         with self._together():
             self._plant = self._kept("plant", self._plant_command(), self._cores.plant)
-            self._plant.wait_ready(READY_TIMEOUT_S)
+            self._wait_ready(self._plant)
             if self._kind is RunKind.HIL:
                 self._start_servos()
             self._start_agents()
-        self._endpoint = self._recorder.wait_ready(READY_TIMEOUT_S)["endpoint"]
+        self._endpoint = self._wait_ready(self._recorder)["endpoint"]
         for name in (PLANT, *self._agents):
             command = self._telemetry_command(name, self._endpoint)
             self._telemetry[name] = self._kept(f"telemetry-{name}", command, self._cores.listeners)
         for child in (*self._agents.values(), *self._telemetry.values()):
-            child.wait_ready(READY_TIMEOUT_S)
+            self._wait_ready(child)
         if self._whole:
             arms = {arm: [self._control(arm)] for arm in self._agents}
             self.person = Person(arms, self._cell.fingerprint, lambda word: progress.phase(f"coop {word}"))
@@ -108,9 +111,10 @@ class Children:
 
     def _start_servos(self) -> None:
         self._servos = self._child("servos", self._emulate_command(None))
-        self._servos.wait_ready(READY_TIMEOUT_S)
+        self._wait_ready(self._servos)
 
     def _start_agents(self) -> None:
+        self._heed()
         for arm, own in zip(self._cell.arms, self._cores.arms, strict=True):
             self._agents[arm.name] = self._kept(f"arm-{arm.name}", self._agent_command(arm.name), own)
 
@@ -129,10 +133,20 @@ class Children:
         """Give all arms one start instant once each of them holds its start pose."""
         progress.phase("torque on")
         for child in self._agents.values():
-            child.wait_ready(READY_TIMEOUT_S)
+            self._wait_ready(child)
+        self._heed()
         places = {arm: [self._control(arm)] for arm in self._agents}
         start_in_ns = START_LOOP_IN_NS if self._kind is RunKind.HIL else START_IN_NS
-        start_patiently(places, self._cell.fingerprint, start_in_ns)
+        start_patiently(places, self._cell.fingerprint, start_in_ns, self._heed)
+
+    def _wait_ready(self, child: Child) -> dict[str, str]:
+        """Key-value pairs of its next ready line.  Raises ChildFailed, StoppedEarly."""
+        return child.wait_ready(READY_TIMEOUT_S, self._heed)
+
+    def _heed(self) -> None:
+        """Raise StoppedEarly where somebody has asked for an end."""
+        if self._stop():
+            raise StoppedEarly.of(f"run of cell {self._cell.file.name}")
 
     def _record_command(self) -> RecordCommand:
         return RecordCommand(
@@ -282,10 +296,3 @@ class Children:
         time.sleep(0.3)
         killed = [c for c in self._agents.values() if (c.process.poll() or 0) < 0]
         raise (killed[0] if killed else child).failed("ended during the run")
-
-
-def wait_all(children: Iterable[Child], timeout_s: float) -> None:
-    """Wait for all of them until one common time-out."""
-    deadline = time.monotonic() + timeout_s
-    for child in children:
-        child.wait(max(0.0, deadline - time.monotonic()))

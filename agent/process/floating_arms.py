@@ -14,10 +14,10 @@ from typing import Protocol
 
 from agent.config.cell import Cell
 from agent.config.schema.driver import DriverKind
-from agent.host.child import Child
+from agent.host.child import Child, wait_all
 from agent.modes import Mode
 from agent.operator.words import start_patiently
-from agent.process.children import READY_TIMEOUT_S, STOP_TIMEOUT_S, wait_all
+from agent.process.children import READY_TIMEOUT_S, STOP_TIMEOUT_S
 from agent.process.commands import (
     AgentCommand,
     ChildCommand,
@@ -118,7 +118,7 @@ class FloatingArms:
             child.wait_ready(READY_TIMEOUT_S)
         moved = {arm.name: [self._control(arm.name)] for arm in moving(self._cell)}
         if moved:
-            start_patiently(moved, self._cell.fingerprint, START_IN_NS)
+            start_patiently(moved, self._cell.fingerprint, START_IN_NS, lambda: None)
 
     def watch(self, stop: Callable[[], bool], screen: Screen) -> None:
         """Show the arms until every one of them has ended.  Raises ChildFailed for one that failed."""

@@ -6,7 +6,7 @@ A real arm is not let go by the program: at the end, at a stop and when a proces
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Protocol
@@ -19,7 +19,7 @@ from agent.operator.ask import ask_arms
 from agent.operator.message import Reply, Request
 from agent.operator.table import Verb
 from agent.process.build import Connection, port_of
-from agent.process.children import READY_TIMEOUT_S, START_LOOP_IN_NS, STOP_TIMEOUT_S, Children
+from agent.process.children import START_LOOP_IN_NS, STOP_TIMEOUT_S, Children
 from agent.process.commands import AgentCommand, GuardCommand
 from agent.process.folder import RunError
 from agent.process.operated import NO_REAL_TIME_REMEDY
@@ -123,10 +123,17 @@ class Holding:
             told = [arm for arm in replies if arm in holding or arm not in self._real]  # not who holds since just now
             ask_arms({arm: self._arms[arm] for arm in told}, Request(Verb.RELEASE), SILENT_S)
 
-    def see_off(self) -> None:
-        """Stop all arms, and return when no real one is held any more, however long that takes."""
+    def see_off(self, may_begin: Callable[[], bool]) -> None:
+        """Stop all arms, and return when no real one is held any more, however long that takes.
+
+        may_begin: whether one that has no torque may still get some.
+        """
         self.stop()
-        while not self.over:
+        while True:
+            if may_begin():
+                self._silent = 0
+            elif self.over:
+                return
             self.look()
             time.sleep(ASK_EVERY_S)
 
@@ -170,7 +177,7 @@ class RealChildren(Children):
             )  # fmt: skip
             self._guards[name] = self._child(f"guard-{name}", command)
         for child in self._guards.values():
-            child.wait_ready(READY_TIMEOUT_S)
+            self._wait_ready(child)
 
     def _agent_command(self, arm: str) -> AgentCommand:
         common = replace(super()._agent_command(arm), emulated=self._real.emulated, hold=True)
@@ -206,9 +213,25 @@ class RealChildren(Children):
     def abandon(self) -> None:
         """Make sure that everything has ended, once no real arm is held any more."""
         if self._guards:
-            self._holding.see_off()
+            for child in self._unbegun():
+                child.terminate()  # it may not listen at its socket yet
+            due_s = time.monotonic() + STOP_TIMEOUT_S
+            self._holding.see_off(lambda: self._may_begin(due_s))
         self._end_guards()
         super().abandon()
+
+    def _unbegun(self) -> list[Child]:
+        """Agents of real arms that run and have no torque yet."""
+        agents = [self._agents[name] for name in self._names if name in self._agents]
+        return [child for child in agents if child.process.poll() is None and not child.has_said("torque")]
+
+    def _may_begin(self, due_s: float) -> bool:
+        """Whether one of them has not ended yet, as it was told to; from that instant on it is killed."""
+        unbegun = self._unbegun()
+        if time.monotonic() >= due_s:
+            for child in unbegun:
+                child.kill()
+        return bool(unbegun)
 
     def _end_guards(self) -> None:
         for child in self._guards.values():

@@ -63,8 +63,8 @@ def run_cell(options: RunOptions, stop: StopFlag, progress: Progress) -> RunOutc
     """Run a simulated cell to its end, or to a requested stop.
 
     Raises Refusal: ConfigError before anything starts, ChildFailed when a process ends early (everything else
-    is then stopped and the log is closed and readable), ReportStopped when a stop comes while the report is made.
-    A stop before anything starts is a KeyboardInterrupt.
+    is then stopped and the log is closed and readable), StoppedEarly when a stop comes while processes start,
+    ReportStopped when it comes while the report is made.  A stop before anything starts is a KeyboardInterrupt.
     """
     with stop.interrupting():
         cell = _examined(options, progress)
@@ -96,7 +96,7 @@ def _carry_out(options: RunOptions, cell: Cell, log: Path, stop: StopFlag, progr
     with run_folder(room, progress.note) as runtime:
         children = _children(options, cell, log, runtime)
         try:
-            children.start(progress)
+            children.start(stop, progress)
             interrupted = children.watch(stop, progress)
             children.end(progress)
         finally:

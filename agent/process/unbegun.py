@@ -1,4 +1,4 @@
-"""An arm that is asked to end before it has torque gets none."""
+"""An arm that is asked to end before it has torque gets none; a command that is, while its processes start, is over."""
 
 from __future__ import annotations
 
@@ -8,6 +8,18 @@ from agent.operator.table import Verb
 from drivers.interface import Refusal
 
 _ENDING = {Verb.STOP, Verb.RELEASE}
+
+
+class StoppedEarly(Refusal):
+    """A command was stopped while its processes started; no arm has torque any more."""
+
+    exit_code = 130
+
+    @classmethod
+    def of(cls, what: str) -> StoppedEarly:
+        """The error of a command: what it was to do."""
+        found, expected = "a stop while its processes started", "time for them to be ready"
+        return cls(what, found=found, expected=expected, remedy="start it again")
 
 
 class Unbegun(Refusal):

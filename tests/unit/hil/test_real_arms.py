@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -14,6 +16,7 @@ import pytest
 import configs
 from agent.config.cell import Cell, load_cell
 from agent.modes import Mode
+from agent.operator import words
 from agent.operator.ask import ask_arms
 from agent.operator.message import Reply, Request
 from agent.operator.socket import ControlSocket, Standing
@@ -23,6 +26,7 @@ from agent.process.children import Children
 from agent.process.commands import GuardCommand
 from agent.process.real_arms import GONE_AFTER, Holding, RealArms, RealChildren
 from agent.process.run_kind import RunKind
+from agent.process.unbegun import StoppedEarly
 from tests.support.command import coop
 
 NO_REALTIME, EMPTY = "--allow-no-realtime", "--gripper-empty"
@@ -115,8 +119,8 @@ class Recorded(RealChildren):
         self.commands[name] = command
         return self
 
-    def wait_ready(self, timeout_s: float) -> dict[str, str]:
-        del timeout_s
+    def wait_ready(self, timeout_s: float, look: Callable[[], None]) -> dict[str, str]:
+        del timeout_s, look
         return {}
 
 
@@ -162,6 +166,147 @@ def test_on_emulated_servos_a_partner_is_at_the_wall_clocks_pace_and_nobody_hold
     assert (left.emulated, right.emulated, right.real_time) == (True, True, True)
     assert left.plant_socket == right.plant_socket is not None
     assert (left.port, right.port) == (str(tmp_path / "left"), None)
+
+
+# --- a stop while it starts -----------------------------------------------------------------------------------------
+
+
+class Process:
+    """A process that has said so much; the next line is waited for in vain, until it is told to end."""
+
+    def __init__(self, name: str, *says: str) -> None:
+        self.name, self.says, self.done = name, list(says), list[str]()
+        self.heard: list[str] = []
+        self.obeys, self.code = True, None
+        self.process: Any = SimpleNamespace(poll=lambda: self.code, pid=os.getpid())
+
+    def wait_ready(self, _: float, look: Callable[[], None]) -> dict[str, str]:
+        look()
+        while not self.says:
+            look()
+        self.heard.append(self.says.pop(0))
+        return {self.heard[-1]: "there"}
+
+    def has_said(self, key: str) -> bool:
+        return key in self.says + self.heard
+
+    def terminate(self) -> None:
+        self.done.append("terminated")
+        if self.obeys and self.code is None:
+            self.code = 130
+
+    def wait(self, _: float) -> None:
+        """It takes no time."""
+
+    def kill(self) -> None:
+        self.done.append("killed")
+        self.code = -9 if self.code is None else self.code
+
+
+class Starting(RealChildren):
+    """Both arms are real; starts what says what the test has for it, and knows in which order."""
+
+    def __init__(self, folder: Path, says: dict[str, tuple[str, ...]]) -> None:
+        self.begun: dict[str, Process] = {}
+        self._says = says
+        both = load_cell(configs.CELLS_DIR / "two_wx200.toml", ['hil.arms=["left","right"]'])
+        given = both, RunKind.HIL, 0, None, folder / "run.mcap", folder, "tcp/127.0.0.1:0"
+        super().__init__(*given, real=RealArms(Person(), emulated=True), cell_path=Path("mine.toml"))
+
+    def _child(self, name: str, command: Any) -> Any:
+        del command
+        self.begun[name] = Process(name, *self._says.get(name, ("endpoint",)))
+        return self.begun[name]
+
+
+class Stop:
+    """Asked for at the so-manieth look."""
+
+    def __init__(self, at: int) -> None:
+        self.at, self.looks = at, 0
+
+    def __call__(self) -> bool:
+        self.looks += 1
+        return self.looks >= self.at
+
+
+READY_FOR_ALL = {"arm-left": ("ring", "torque"), "arm-right": ("ring", "torque")}
+
+
+@pytest.fixture
+def started(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[object]:
+    """Starts that were given; nobody answers at the sockets, where each silence is a look."""
+    given: list[object] = []
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setattr(real_arms, "ASK_EVERY_S", 1e-3)
+    monkeypatch.setattr(words, "start_together", lambda *what: given.append(what))
+    return given
+
+
+def begin(folder: Path, stop: Stop, says: dict[str, tuple[str, ...]]) -> Starting:
+    made = Starting(folder, says)
+    with pytest.raises(StoppedEarly, match="a stop while its processes started") as told:
+        made.start(stop, SimpleNamespace(phase=lambda _: None))  # type: ignore[arg-type]
+    assert told.value.exit_code == 130
+    return made
+
+
+@pytest.mark.parametrize(
+    ("at", "of_arms"), [(1, set()), (3, {"guard-left", "guard-right"}), (4, {"guard-left", "guard-right"})]
+)
+def test_a_stop_before_agents_are_started_starts_none(
+    at: int, of_arms: set[str], tmp_path: Path, started: list[object]
+) -> None:
+    made = begin(tmp_path, Stop(at), READY_FOR_ALL)
+    assert set(made.begun) == {"recorder", "plant"} | of_arms
+    made.abandon()
+    assert not started
+
+
+def test_a_stop_reaches_an_arm_with_torque_while_another_has_none_and_no_start_is_given(
+    tmp_path: Path, started: list[object], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[Verb] = []
+    monkeypatch.setattr(real_arms, "ask_arms", lambda _, request, __: told.append(request.verb) or {})
+    made = begin(tmp_path, Stop(40), {"arm-left": ("ring", "torque"), "arm-right": ("ring",)})
+    left, right = made.begun["arm-left"], made.begun["arm-right"]
+    assert not started
+    made.abandon()
+    assert told[0] is Verb.STOP
+    assert left.done == ["terminated", "killed"], "when it has been let go, and not before"
+    assert right.done == ["terminated", "terminated", "killed"]
+
+
+def test_all_ready_is_not_too_late_for_a_stop(tmp_path: Path, started: list[object]) -> None:
+    stop = Stop(10**9)
+    counting = Starting(tmp_path, READY_FOR_ALL)
+    counting.start(stop, SimpleNamespace(phase=lambda _: None))  # type: ignore[arg-type]
+    assert len(started) == 1
+    begin(tmp_path, Stop(stop.looks), READY_FOR_ALL).abandon()
+    assert len(started) == 1, "the last look is right before the start"
+
+
+def test_an_arm_that_may_still_get_torque_is_waited_for_and_killed_if_it_hangs(
+    tmp_path: Path, started: list[object], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert not started
+    runs: list[bool] = []  # whether the left one's process does, at each look
+    clock = SimpleNamespace(s=0.0)
+
+    def monotonic() -> float:
+        clock.s += 0.1
+        return clock.s
+
+    made = begin(tmp_path, Stop(40), {"arm-left": ("ring",), "arm-right": ("ring",)})
+    left, right = made.begun["arm-left"], made.begun["arm-right"]
+    monkeypatch.setattr(real_arms, "time", SimpleNamespace(monotonic=monotonic, sleep=lambda _: None))
+    monkeypatch.setattr(real_arms, "ask_arms", lambda *_: runs.append(left.code is None) or {})
+    left.obeys = False
+    made.abandon()
+    assert left.done[:2] == ["terminated", "killed"]
+    assert right.done[0] == "terminated"
+    assert sum(runs) > GONE_AFTER, "its silence does not say that it is gone"
+    assert len(runs) - sum(runs) >= GONE_AFTER - 1, "from then on it does"
 
 
 # --- who lets go ----------------------------------------------------------------------------------------------------
@@ -321,7 +466,7 @@ def test_where_no_key_can_be_heard_none_is_named(arms: dict[str, Arm]) -> None:
 def test_the_end_waits_for_a_release_from_elsewhere_and_lets_the_simulated_partner_go(arms: dict[str, Arm]) -> None:
     person = Person()
     beside = holding(arms, person)
-    seeing_off = threading.Thread(target=beside.see_off)
+    seeing_off = threading.Thread(target=beside.see_off, args=[lambda: False])
     seeing_off.start()
     deadline = time.monotonic() + 10.0
     while not person.told:

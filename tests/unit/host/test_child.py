@@ -6,12 +6,14 @@ import contextlib
 import os
 import shutil
 import sys
+from collections.abc import Iterator
+from itertools import count
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
-from agent.host.child import Child
+from agent.host.child import Child, ChildFailed
 from agent.process.__main__ import _told, _told_parent
 
 
@@ -41,13 +43,25 @@ def test_a_full_disk_under_its_words_is_no_failure_of_a_process(monkeypatch: pyt
     assert told
 
 
-def test_what_a_child_tells_a_person_comes_before_its_end_and_nothing_is_waited_for(tmp_path: Path) -> None:
-    child = Child("recorder", ["nothing"], tmp_path)
+@contextlib.contextmanager
+def speaking(folder: Path) -> Iterator[tuple[Child, int]]:
+    """A child, and where to write what it says."""
+    child = Child("recorder", ["nothing"], folder)
     assert child.wait(60.0)
     assert child.process.stdout is not None
     child.process.stdout.close()
     out, into = os.pipe()
     child.process.stdout = os.fdopen(out, "rb", buffering=0)
+    yield child, into
+    child.kill()
+
+
+def test_what_a_child_tells_a_person_comes_before_its_end_and_nothing_is_waited_for(tmp_path: Path) -> None:
+    with speaking(tmp_path) as (child, into):
+        tells_a_person(child, into)
+
+
+def tells_a_person(child: Child, into: int) -> None:
     assert child.told() == [], "it says nothing, and nothing is waited for"
     for written, told in (
         (b"READY endpoint=x\nTELLS the log ends he", []),
@@ -57,7 +71,36 @@ def test_what_a_child_tells_a_person_comes_before_its_end_and_nothing_is_waited_
         assert child.told() == told
     os.close(into)
     assert child.told() == [], "it has ended"
-    child.kill()
+
+
+def test_what_a_child_is_ready_for_and_what_it_tells_are_kept_apart_whoever_listens_first(tmp_path: Path) -> None:
+    with speaking(tmp_path) as (child, into):
+        assert not child.has_said("ring")
+        os.write(into, b"TELLS the log ends here\nREADY ring=a socket=b\nREADY torque=on\n")
+        assert child.has_said("torque")
+        assert child.wait_ready(60.0) == {"ring": "a", "socket": "b"}
+        assert child.told() == ["the log ends here"]
+        assert child.wait_ready(60.0) == {"torque": "on"}
+        assert child.has_said("ring"), "also what has been taken"
+        assert not child.has_said("guard")
+        os.close(into)
+
+
+def test_who_waits_for_a_child_looks_at_other_things_meanwhile_and_may_leave(tmp_path: Path) -> None:
+    looks = count(1)
+
+    def look() -> None:
+        if next(looks) == 3:
+            raise KeyboardInterrupt
+
+    with speaking(tmp_path) as (child, into):
+        with pytest.raises(KeyboardInterrupt):
+            child.wait_ready(1e3, look)
+        with pytest.raises(ChildFailed, match="not ready after 0"):
+            child.wait_ready(0.1)
+        os.close(into)
+        with pytest.raises(ChildFailed, match="ended before it was ready"):
+            child.wait_ready(1e3)
 
 
 def test_a_parent_that_is_gone_is_no_failure_of_a_process(monkeypatch: pytest.MonkeyPatch) -> None:
