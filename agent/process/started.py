@@ -81,8 +81,9 @@ def agent(command: AgentCommand, listener: Listener) -> int:
     if in_the_loop(loaded, arm):
         port_of(loaded.arm(arm), Connection(port=port))
     if in_the_loop(loaded, arm) and not emulated:
-        said = command.gripper_empty or taken(command.gripper_word)
-        require_empty_gripper(arm, said or listener.agrees(f"Is the gripper of arm {arm} EMPTY?"))
+        with requested.interrupting():  # or a stop at the question would be heard after the answer
+            said = command.gripper_empty or taken(command.gripper_word)
+            require_empty_gripper(arm, said or listener.agrees(f"Is the gripper of arm {arm} EMPTY?"))
     require_wall_clock(loaded, real_time=command.real_time or kind is DriverKind.DYNAMIXEL)
     lockstep = kind is DriverKind.SIM and not command.real_time
     if command.guard is not None and lockstep:

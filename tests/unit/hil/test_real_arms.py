@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -23,11 +24,14 @@ from agent.operator.socket import ControlSocket, Standing
 from agent.operator.table import Verb
 from agent.process import real_arms
 from agent.process.children import Children
-from agent.process.commands import GuardCommand
+from agent.process.commands import AgentCommand, GuardCommand
 from agent.process.real_arms import GONE_AFTER, Holding, RealArms, RealChildren
 from agent.process.run_kind import RunKind
+from agent.process.started import Listener
+from agent.process.started import agent as started_agent
 from agent.process.unbegun import StoppedEarly
 from tests.support.command import coop
+from tests.support.stops import stop_flag
 
 NO_REALTIME, EMPTY = "--allow-no-realtime", "--gripper-empty"
 LOOP = ("--hil", "left", "--real-arms")
@@ -103,6 +107,22 @@ def test_arms_of_several_hosts_are_refused_by_their_agents_too(tmp_path: Path) -
         done = coop("agent", path, "--arm", arm, "--real-time", "--gripper-empty")
         assert done.code == 2
         assert "expected one host: its plant is shared by all arms" in done.err
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_stop_at_the_question_for_the_gripper_ends_an_agent_that_is_started_by_hand(
+    number: signal.Signals, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def agrees(question: str) -> bool:
+        assert question == "Is the gripper of arm left EMPTY?"
+        signal.raise_signal(number)
+        return True
+
+    monkeypatch.setattr("agent.config.cell.load_cell", lambda _: cell())
+    monkeypatch.setattr("agent.process.agent.run_agent", lambda *_: pytest.fail("it runs"))
+    command = AgentCommand(cell=Path("mine.toml"), arm="left", ring=None, control=None, driver=None, with_parent=None)
+    with stop_flag(), pytest.raises(KeyboardInterrupt):
+        started_agent(command, Listener(lambda _: None, agrees))
 
 
 # --- what is started ------------------------------------------------------------------------------------------------
