@@ -69,13 +69,14 @@ def float_arms(
     options = FloatOptions(
         cell, tuple(arm), tuple(overrides), holding, ports, emulate, out, priority, others_move, allow_no_realtime
     )
-    loaded = floating_cell(options)
-    if not emulate:
-        require_ports(loaded, options)
-    require_motion(loaded, options)
-    spec = loaded.file.floating
-    if not emulate and spec is not None:
-        _ask(names_of(loaded), [one.name for one in moving(loaded)], holding=spec.holding, yes=yes)
+    with requested.interrupting():
+        loaded = floating_cell(options)
+        if not emulate:
+            require_ports(loaded, options)
+        require_motion(loaded, options)
+        spec = loaded.file.floating
+        if not emulate and spec is not None:
+            _ask(names_of(loaded), [one.name for one in moving(loaded)], holding=spec.holding, yes=yes)
     with Shown(as_json=as_json) as shown:
         log = float_arms(loaded, options, requested, shown)
     if as_json:

@@ -1,17 +1,23 @@
-"""What `coop float` shows of an arm: a table on a terminal, a line elsewhere, a document for scripts."""
+"""What `coop float` asks and shows of an arm: a table on a terminal, a line elsewhere, a document for scripts."""
 
 from __future__ import annotations
 
 import io
 import json
 import math
+import signal
+import sys
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+import typer
 from rich.console import Console
 
 from agent.cli.floats import STOPS, Shown, line, tables
 from agent.modes import Mode
 from agent.process.glance import Glance, JointGlance
+from tests.support.command import coop
 
 ELBOW = JointGlance("elbow", 0.5, -0.25, 0.04, 0.237, 41.0)
 WRIST = JointGlance("wrist_angle", -0.1, 0.0, 1.2, 0.05, math.nan)
@@ -51,3 +57,24 @@ def test_what_an_arm_says_is_told_once_and_nothing_before_its_first_row(capsys: 
     told = capsys.readouterr()
     assert told.err == "left: a servo is warm\nthe log ends here\n"
     assert told.out == f"{line(SEEN)}\n"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_stop_at_the_question_ends_the_command_and_no_arm_gets_torque(
+    number: signal.Signals, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    asked: list[str] = []
+
+    def confirm(question: str, *, err: bool) -> bool:
+        assert err
+        asked.append(question)
+        signal.raise_signal(number)
+        return True
+
+    monkeypatch.setattr(typer, "confirm", confirm)
+    monkeypatch.setattr("agent.process.floating_cell.require_usable", lambda _: None)
+    monkeypatch.setattr("agent.process.floating_arms.float_arms", lambda *_: pytest.fail("an arm floats"))
+    monkeypatch.setattr(sys, "stdin", SimpleNamespace(isatty=lambda: True))
+    done = coop("float", "two_wx200", "--arm", "left", "--out", tmp_path / "out")
+    assert (done.code, done.out, done.err) == (130, "", "")
+    assert [question[:22] for question in asked] == ["Is arm left supported "]
