@@ -107,6 +107,7 @@ class Shown:
 
     def __init__(self, *, as_json: bool) -> None:
         self._as_json = as_json
+        self._on_terminal = sys.stdout.isatty()  # what rich puts before it while a spinner is drawn denies that
         self._steps = Steps(lines=True)
         self._live: Live | None = None
         self._next_s = 0.0
@@ -134,7 +135,7 @@ class Shown:
             if self._due(JSON_EVERY_S):
                 typer.echo(json.dumps([glance.document() for glance in glances], allow_nan=False))
             return
-        if sys.stdout.isatty():
+        if self._on_terminal:
             self._table(glances)
             return
         self._tell(glances)

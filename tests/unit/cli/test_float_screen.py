@@ -5,6 +5,8 @@ from __future__ import annotations
 import io
 import json
 import math
+import os
+import select
 import signal
 import sys
 from pathlib import Path
@@ -19,6 +21,7 @@ from agent.modes import Mode
 from agent.process.glance import Glance, JointGlance
 from tests.support.command import coop
 
+PATIENCE_S = 30.0
 ELBOW = JointGlance("elbow", 0.5, -0.25, 0.04, 0.237, 41.0)
 WRIST = JointGlance("wrist_angle", -0.1, 0.0, 1.2, 0.05, math.nan)
 SEEN = Glance(
@@ -78,3 +81,23 @@ def test_a_stop_at_the_question_ends_the_command_and_no_arm_gets_torque(
     done = coop("float", "two_wx200", "--arm", "left", "--out", tmp_path / "out")
     assert (done.code, done.out, done.err) == (130, "", "")
     assert [question[:22] for question in asked] == ["Is arm left supported "]
+
+
+def test_on_a_terminal_the_table_takes_the_place_of_the_spinner(monkeypatch: pytest.MonkeyPatch) -> None:
+    """While rich draws a spinner, what it puts before standard output says that it is no terminal."""
+    ours, theirs = os.openpty()
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "120")
+    with os.fdopen(theirs, "w") as terminal, monkeypatch.context() as patched:
+        patched.setattr(sys, "stdout", terminal)
+        patched.setattr(sys, "stderr", terminal)
+        with Shown(as_json=False) as shown:
+            shown.phase("torque on")
+            shown.show([SEEN])
+            drawn = ""
+            while STOPS not in drawn and select.select([ours], [], [], PATIENCE_S)[0]:
+                drawn += os.read(ours, 1 << 16).decode()
+    os.close(ours)
+    assert "torque on" in drawn
+    assert "left  FLOAT  12.3 s" in drawn
+    assert "to its limit" in drawn
