@@ -39,6 +39,11 @@ class FloatOptions:
 
 def floating_cell(options: FloatOptions) -> Cell:
     """The cell, told which arms float.  Raises ConfigError, FloatError."""
+    if options.emulate and options.ports is not None:
+        raise FloatError(
+            "--ports with --emulate", found="two answers to which servos are meant", expected="one of them",
+            remedy="leave out --emulate for servos on those ports, or --ports for emulated ones",
+        )  # fmt: skip
     changes = [change for change in options.overrides if _is_of_floating(change)]
     others = [change for change in options.overrides if change not in changes]
     cell = load_cell(options.cell, others)

@@ -101,3 +101,10 @@ def test_on_a_terminal_the_table_takes_the_place_of_the_spinner(monkeypatch: pyt
     assert "torque on" in drawn
     assert "left  FLOAT  12.3 s" in drawn
     assert "to its limit" in drawn
+
+
+def test_ports_are_refused_for_emulated_servos(tmp_path: Path) -> None:
+    done = coop("float", "two_wx200", "--arm", "left", "--emulate", "--ports", tmp_path, "--out", tmp_path / "out")
+    assert done.code == 3
+    assert "coop: --ports with --emulate: found two answers to which servos are meant" in done.err
+    assert not (tmp_path / "out").exists()
