@@ -18,6 +18,7 @@ from agent.cli.progress import Steps
 if TYPE_CHECKING:
     from rich.console import Group
     from rich.live import Live
+    from rich.table import Table
 
     from agent.process.glance import Glance
 
@@ -185,25 +186,32 @@ def line(glance: Glance) -> str:
 
 
 def tables(glances: Sequence[Glance]) -> Group:
-    """All arms as tables, with what they say below."""
+    """All arms as tables, one without torque as a line, with what they say below."""
     from rich.console import Group
-    from rich.table import Table
     from rich.text import Text
 
     parts: list[Table | Text] = []
     for glance in glances:
-        x, y, z = glance.p_m
-        roll, pitch, yaw = map(math.degrees, glance.rpy_rad)
-        place = f"end effector {x:+.4f} {y:+.4f} {z:+.4f} m, roll {roll:+.1f}° pitch {pitch:+.1f}° yaw {yaw:+.1f}°"
-        table = Table(title=f"{glance.arm}  {glance.mode.name}  {glance.t:.1f} s", caption=place, title_justify="left")
-        for heading in ("joint", "rad", "°", "rad/s", "to its limit", "load", "°C"):
-            table.add_column(heading, justify="left" if heading == "joint" else "right")
-        for j in glance.joints:
-            near = "red" if j.room_rad < 0.1 else ""
-            table.add_row(
-                j.name, f"{j.q_rad:+.4f}", f"{math.degrees(j.q_rad):+.1f}", f"{j.dq_rad_per_s:+.2f}",
-                Text(f"{j.room_rad:.2f} rad", style=near), f"{j.load:.0%}",
-                "-" if math.isnan(j.temperature_C) else f"{j.temperature_C:.0f}",
-            )  # fmt: skip
-        parts += [table, *(Text(f"  {text}", style="yellow") for text in glance.said)]
+        parts.append(_table(glance) if glance.joints else Text(f"{glance.arm}  {glance.mode.name}", style="italic"))
+        parts += [Text(f"  {text}", style="yellow") for text in glance.said]
     return Group(*parts, Text(STOPS, style="dim"))
+
+
+def _table(glance: Glance) -> Table:
+    from rich.table import Table
+    from rich.text import Text
+
+    x, y, z = glance.p_m
+    roll, pitch, yaw = map(math.degrees, glance.rpy_rad)
+    place = f"end effector {x:+.4f} {y:+.4f} {z:+.4f} m, roll {roll:+.1f}° pitch {pitch:+.1f}° yaw {yaw:+.1f}°"
+    table = Table(title=f"{glance.arm}  {glance.mode.name}  {glance.t:.1f} s", caption=place, title_justify="left")
+    for heading in ("joint", "rad", "°", "rad/s", "to its limit", "load", "°C"):
+        table.add_column(heading, justify="left" if heading == "joint" else "right")
+    for j in glance.joints:
+        near = "red" if j.room_rad < 0.1 else ""
+        table.add_row(
+            j.name, f"{j.q_rad:+.4f}", f"{math.degrees(j.q_rad):+.1f}", f"{j.dq_rad_per_s:+.2f}",
+            Text(f"{j.room_rad:.2f} rad", style=near), f"{j.load:.0%}",
+            "-" if math.isnan(j.temperature_C) else f"{j.temperature_C:.0f}",
+        )  # fmt: skip
+    return table

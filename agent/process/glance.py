@@ -23,6 +23,7 @@ from agent.telemetry.row.topics import Kind
 from drivers.interface import Vector
 
 SAID = 4  # last warnings that are shown
+OFF = "torque off"
 LAST = 20  # rows, of which the newest with a state is shown
 
 
@@ -40,7 +41,7 @@ class JointGlance:
 
 @dataclass(frozen=True, slots=True)
 class Glance:
-    """One arm at one instant; before its first row there are no joints."""
+    """One arm at one instant; before its first row, and without torque, there are no joints."""
 
     arm: str
     mode: Mode
@@ -49,6 +50,10 @@ class Glance:
     p_m: tuple[float, float, float] = (math.nan,) * 3  # of the end effector, world
     rpy_rad: tuple[float, float, float] = (math.nan,) * 3  # roll, pitch, yaw of the same
     said: tuple[str, ...] = ()  # what the arm had to say, oldest first
+
+    def off(self) -> Glance:
+        """The same arm once it has no torque any more: nobody reads its joints."""
+        return Glance(self.arm, Mode.OFF, self.t, said=(*self.said, OFF))
 
     def document(self) -> dict[str, Any]:
         """For scripts; None where there is no number."""

@@ -60,6 +60,39 @@ def test_what_an_arm_says_is_told_once_and_nothing_before_its_first_row(capsys: 
     told = capsys.readouterr()
     assert told.err == "left: a servo is warm\nthe log ends here\n"
     assert told.out == f"{line(SEEN)}\n"
+    with Shown(as_json=False) as shown:
+        shown.show([SEEN.off()])
+        shown.show([SEEN.off()])
+    assert capsys.readouterr() == ("", "left: a servo is warm\nleft: torque off\n")
+
+
+def test_an_arm_without_torque_is_one_line_of_the_table_and_has_no_joints_in_a_document() -> None:
+    console = Console(file=io.StringIO(), width=120)
+    console.print(tables([SEEN.off(), Glance("right", Mode.OFF)]))
+    text = console.file.getvalue()  # type: ignore[attr-defined]
+    assert text.splitlines()[:4] == ["left  OFF", "  a servo is warm", "  torque off", "right  OFF"]
+    document = SEEN.off().document()
+    assert (document["mode"], document["joints"], document["said"][-1]) == ("OFF", [], "torque off")
+
+
+def test_on_a_terminal_the_table_takes_the_place_of_the_spinner(monkeypatch: pytest.MonkeyPatch) -> None:
+    """While rich draws a spinner, what it puts before standard output says that it is no terminal."""
+    ours, theirs = os.openpty()
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "120")
+    with os.fdopen(theirs, "w") as terminal, monkeypatch.context() as patched:
+        patched.setattr(sys, "stdout", terminal)
+        patched.setattr(sys, "stderr", terminal)
+        with Shown(as_json=False) as shown:
+            shown.phase("torque on")
+            shown.show([SEEN])
+            drawn = ""
+            while STOPS not in drawn and select.select([ours], [], [], PATIENCE_S)[0]:
+                drawn += os.read(ours, 1 << 16).decode()
+    os.close(ours)
+    assert "torque on" in drawn
+    assert "left  FLOAT  12.3 s" in drawn
+    assert "to its limit" in drawn
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -81,26 +114,6 @@ def test_a_stop_at_the_question_ends_the_command_and_no_arm_gets_torque(
     done = coop("float", "two_wx200", "--arm", "left", "--out", tmp_path / "out")
     assert (done.code, done.out, done.err) == (130, "", "")
     assert [question[:22] for question in asked] == ["Is arm left supported "]
-
-
-def test_on_a_terminal_the_table_takes_the_place_of_the_spinner(monkeypatch: pytest.MonkeyPatch) -> None:
-    """While rich draws a spinner, what it puts before standard output says that it is no terminal."""
-    ours, theirs = os.openpty()
-    monkeypatch.setenv("TERM", "xterm")
-    monkeypatch.setenv("COLUMNS", "120")
-    with os.fdopen(theirs, "w") as terminal, monkeypatch.context() as patched:
-        patched.setattr(sys, "stdout", terminal)
-        patched.setattr(sys, "stderr", terminal)
-        with Shown(as_json=False) as shown:
-            shown.phase("torque on")
-            shown.show([SEEN])
-            drawn = ""
-            while STOPS not in drawn and select.select([ours], [], [], PATIENCE_S)[0]:
-                drawn += os.read(ours, 1 << 16).decode()
-    os.close(ours)
-    assert "torque on" in drawn
-    assert "left  FLOAT  12.3 s" in drawn
-    assert "to its limit" in drawn
 
 
 def test_ports_are_refused_for_emulated_servos(tmp_path: Path) -> None:

@@ -12,11 +12,11 @@ import pytest
 from agent.cli.main import dispatch
 from agent.config.cell import load_cell
 from agent.config.schema.driver import DriverKind
-from agent.process import children, emulate, floating_arms, floats, plant
+from agent.process import children, emulate, floating_commands, floats, plant
 from agent.process.build import Connection
 from agent.process.children import Children
-from agent.process.floating_arms import FloatingArms
 from agent.process.floating_cell import FloatOptions
+from agent.process.floating_commands import FloatCommands
 from agent.process.run_kind import RunKind
 from agent.process.schedule import AgentOptions
 from agent.telemetry.ring.reader import RingReader
@@ -30,7 +30,7 @@ OFFSETS_NS = 1_700_000_000_000_000_003, 1_700_000_000_006_000_003  # the wall cl
 
 @pytest.fixture
 def host(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (children, floating_arms):
+    for module in (children, floating_commands):
         looks = iter(OFFSETS_NS)
         monkeypatch.setattr(module, "utc_offset_ns", lambda looks=looks: next(looks))
 
@@ -49,8 +49,9 @@ def test_all_processes_of_a_run_are_told_the_same_and_none_in_lockstep(tmp_path:
 
 @pytest.mark.usefixtures("host")
 def test_so_are_those_of_arms_that_float(tmp_path: Path) -> None:
-    made = FloatingArms(load_cell(Path(PAPER)), FloatOptions(Path(PAPER), ("left",), emulate=True), tmp_path, tmp_path)
-    told = [made._emulate_command(), made._agent_command("left")]
+    options = FloatOptions(Path(PAPER), ("left",), emulate=True)
+    made = FloatCommands(load_cell(Path(PAPER)), options, tmp_path, tmp_path)
+    told = [made.emulate(), made.agent("left")]
     assert {command.utc_offset_ns for command in told} == {OFFSETS_NS[0]}
 
 
