@@ -225,10 +225,13 @@ class FloatingArms:
         """End the rest in the order in which nothing is lost.  Raises ChildFailed."""
         screen.phase("closing the log")
         assert self._recorder is not None
-        wait_all(self._telemetry.values(), STOP_TIMEOUT_S)
+        self._hear_out()
         self._recorder.terminate()
         if self._recorder.wait(STOP_TIMEOUT_S) != 0:
             raise self._recorder.failed("did not close the log")
+        for child in self._telemetry.values():
+            if child.process.poll() not in (None, 0):
+                raise child.failed("ended early; the log lacks rows of its arm")
 
     def abandon(self) -> None:
         """Make sure that everything has ended: arms first, which take their time to sink, then the rest."""
@@ -240,12 +243,17 @@ class FloatingArms:
             guard.terminate()
         wait_all(self._guards.values(), STOP_TIMEOUT_S)
         others = [c for c in (*self._telemetry.values(), self._servos, self._recorder) if c is not None]
-        wait_all(self._telemetry.values(), STOP_TIMEOUT_S if self._agents else 0.0)
+        self._hear_out()
         for child in others:
             child.terminate()
         wait_all(others, STOP_TIMEOUT_S)
         for child in (*self._agents.values(), *self._guards.values(), *others):
             child.kill()
+
+    def _hear_out(self) -> None:
+        """Give telemetry the time until the recorder has its last row, where there is one."""
+        if self._recorder is not None and self._recorder.process.poll() is None:
+            wait_all(self._telemetry.values(), STOP_TIMEOUT_S)
 
     def _living(self) -> set[str]:
         """The arms that may have torque: their process runs, or their guard lets them down in its place."""
@@ -280,9 +288,8 @@ class FloatingArms:
 
     def _lost(self) -> list[Child]:
         """What has ended and should not before the arms do: what writes the log, what emulates them."""
-        return [
-            child for child in (self._recorder, self._servos) if child is not None and child.process.poll() is not None
-        ]
+        needed = (self._recorder, self._servos, *self._telemetry.values())
+        return [child for child in needed if child is not None and child.process.poll() is not None]
 
     def _stop_all(self) -> None:
         for child in self._agents.values():

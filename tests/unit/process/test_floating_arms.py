@@ -153,6 +153,9 @@ def test_all_arms_stop_with_the_first_that_stops_or_ends_and_with_log_or_servos(
         assert one._one_stopped(floats)
         setattr(one, name, Child())
         assert not one._one_stopped(floats)
+    one = arms(both, both)
+    one._telemetry["right"].code = KILLED
+    assert one._one_stopped(floats), "telemetry, too, without which the log ends"
 
 
 class Watched:
@@ -314,6 +317,20 @@ def test_a_stop_before_any_torque_says_so_and_shows_nothing(monkeypatch: pytest.
     assert run.clock.naps == 4, "a guard of a process that never had torque has nothing to let down"
 
 
+def test_what_was_lost_before_any_torque_is_named_and_not_the_stop_that_follows(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def telemetry_dies(run: Watched) -> None:
+        run.begun["telemetry-left"].code = KILLED
+
+    def obeyed(run: Watched) -> None:
+        run.left.code = run.right.code = StoppedEarly.exit_code
+
+    run = not_yet(Watched(monkeypatch, {3: telemetry_dies, 5: obeyed}), left={RING}, right=set())
+    with pytest.raises(ChildFailed, match="ended before an arm had torque"):
+        run.watch()
+
+
 def test_an_arm_that_ends_before_it_is_ready_stops_the_others_and_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     def right_refuses(run: Watched) -> None:
         run.right.code = FAILED
@@ -408,3 +425,43 @@ def test_a_stop_before_the_arms_processes_are_started_starts_none(at: int) -> No
     with pytest.raises(StoppedEarly):
         one.start(SimpleNamespace(phase=lambda _: None))
     assert begun == ["recorder", "servos", "guard-left"][: 2 if at == 1 else 3]
+
+
+# --- the end ------------------------------------------------------------------------------------------------------
+
+
+def test_telemetry_that_died_is_named_when_the_log_is_closed() -> None:
+    one = arms({"left": 0}, {"left": 0})
+    one._recorder.wait = lambda _: 0
+    one.end(SimpleNamespace(phase=lambda _: None))
+    one._telemetry["left"].code = 0
+    one.end(SimpleNamespace(phase=lambda _: None))
+    one._telemetry["left"].code = KILLED
+    with pytest.raises(ChildFailed, match="ended early; the log lacks rows of its arm"):
+        one.end(SimpleNamespace(phase=lambda _: None))
+
+
+def test_without_a_recorder_nobody_waits_for_telemetry_which_does_for_it() -> None:
+    one = arms({"left": 0}, {"left": 0})
+    one._recorder.code = KILLED
+    one._recorder.wait = lambda _: KILLED
+    with pytest.raises(ChildFailed, match="did not close the log"):
+        one.end(SimpleNamespace(phase=lambda _: None))
+    assert not one._telemetry["left"].done
+    one.abandon()
+    assert one._telemetry["left"].done[0] == "terminated"
+
+
+def test_what_is_left_ends_in_order_and_a_guard_that_lets_an_arm_down_has_its_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    run = Watched(monkeypatch, {})
+    left_killed(run)
+    run.right.code = 0
+    run.arms.abandon()
+    guards = run.arms._guards
+    assert guards["left"].done == ["waited 43", "terminated", "waited 20", "killed"]
+    assert guards["right"].done == ["terminated", "waited 20", "killed"]
+    assert run.left.done == ["terminated", "waited 43", "killed"]
+    assert run.arms._telemetry["left"].done == ["waited 20", "terminated", "waited 20", "killed"]
+    assert run.arms._recorder.done == ["terminated", "waited 20", "killed"]
