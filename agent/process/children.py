@@ -134,7 +134,6 @@ class Children:
         progress.phase("torque on")
         for child in self._agents.values():
             self._wait_ready(child)
-        self._heed()
         places = {arm: [self._control(arm)] for arm in self._agents}
         start_in_ns = START_LOOP_IN_NS if self._kind is RunKind.HIL else START_IN_NS
         start_patiently(places, self._cell.fingerprint, start_in_ns, self._heed)

@@ -47,6 +47,19 @@ def test_a_stop_by_signal_ends_in_off_with_a_complete_log_and_nothing_left(
     assert not users(runtime)
 
 
+def test_a_stop_while_processes_start_ends_the_command_at_once_and_no_arm_gets_torque(tmp_path: Path) -> None:
+    process = start("float", "two_wx200", "--arm", "left", "--emulate", "--out", "log", cwd=tmp_path)
+    assert process.stderr is not None
+    assert process.stderr.readline() == "starting\n"
+    started = children(process.pid)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=TIMEOUT_S)
+    assert (process.returncode, out) == (130, "")
+    assert err.startswith("coop: floating of cell two_wx200: found a stop while its processes started")
+    assert not [pid for pid in started if Path(f"/proc/{pid}").exists()]
+    assert not (tmp_path / "log" / "logs" / "arm-left.log").exists(), "its process was never started"
+
+
 @pytest.mark.long  # a quarter of a minute until it lies; in virtual time `make test` has it
 @pytest.mark.fault("P1")
 def test_an_arm_whose_process_is_killed_is_let_down_by_its_guard(tmp_path: Path) -> None:

@@ -180,3 +180,24 @@ def test_of_several_places_of_an_arm_the_most_telling_silence_is_told(
     with serving(arms):
         heard = ask.ask_arms({"left": [arm.path for arm in arms]}, Request(Verb.STOP), QUICK_S)
     assert heard == {"left": ask.Silence(found, hung=HUNG in places)}
+
+
+def test_a_patient_start_is_tried_thrice_and_looks_before_each_time_whether_it_is_still_wanted(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    given: list[str] = []
+
+    def start(_: object, request: Request) -> None:
+        given.append(request.fingerprint)
+        raise ControlError("start", found=f"attempt {len(given)}", expected="arms READY", remedy="see their logs")
+
+    def no_longer() -> None:
+        if len(given) == 5:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(words, "start_together", start)
+    with pytest.raises(ControlError, match="attempt 3"):
+        words.start_patiently({}, OWN, 10**9, no_longer)
+    with pytest.raises(KeyboardInterrupt):
+        words.start_patiently({}, OWN, 10**9, no_longer)
+    assert given == [OWN] * 5
