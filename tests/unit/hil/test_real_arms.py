@@ -20,6 +20,8 @@ from agent.modes import Mode
 from agent.operator import words
 from agent.operator.ask import ask_arms
 from agent.operator.message import Reply, Request
+from agent.operator.error import ControlError
+from agent.operator.message import Request
 from agent.operator.socket import ControlSocket, Standing
 from agent.operator.table import Verb
 from agent.process import real_arms
@@ -304,6 +306,21 @@ def test_all_ready_is_not_too_late_for_a_stop(tmp_path: Path, started: list[obje
     assert len(started) == 1
     begin(tmp_path, Stop(stop.looks), READY_FOR_ALL).abandon()
     assert len(started) == 1, "the last look is right before the start"
+
+
+def test_a_start_that_failed_is_not_tried_again_after_a_stop(
+    tmp_path: Path, started: list[object], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stop = Stop(10**9)
+
+    def refused(*what: object) -> None:
+        started.append(what)
+        stop.at = 0
+        raise ControlError("start", found="left answers late", expected="every arm READY", remedy="see their logs")
+
+    monkeypatch.setattr(words, "start_together", refused)
+    begin(tmp_path, stop, READY_FOR_ALL).abandon()
+    assert len(started) == 1
 
 
 def test_an_arm_that_may_still_get_torque_is_waited_for_and_killed_if_it_hangs(

@@ -309,6 +309,7 @@ def test_an_arm_is_shown_from_its_torque_on_and_a_stop_reaches_it_while_another_
 def test_a_stop_before_any_torque_says_so_and_shows_nothing(monkeypatch: pytest.MonkeyPatch, code: int) -> None:
     def obeyed(run: Watched) -> None:
         run.left.code = run.right.code = code
+        run.begun["telemetry-left"].code = 0
 
     run = not_yet(Watched(monkeypatch, {3: stop, 5: obeyed}), left={RING}, right=set())
     with pytest.raises(StoppedEarly, match="floating of cell two: found a stop while its processes started"):
@@ -365,6 +366,37 @@ def test_a_process_that_gets_not_ready_or_ends_not_when_told_is_killed_and_the_o
         run.watch()
     assert run.right.done[-2:] == (["terminated", "killed"] if asked else ["killed", "terminated"])[-2:]
     assert run.left.done == ["terminated"]
+
+
+def test_an_arm_has_its_time_from_its_ring_on_for_torque(monkeypatch: pytest.MonkeyPatch) -> None:
+    def right_has_a_ring(run: Watched) -> None:
+        run.clock.s += READY_TIMEOUT_S - 1.0
+        run.right.said = {RING}
+
+    def time_goes_on(run: Watched) -> None:
+        run.clock.s += READY_TIMEOUT_S - 1.0
+
+    def right_has_torque(run: Watched) -> None:
+        assert "killed" not in run.right.done
+        run.right.said.add(TORQUE)
+
+    run = not_yet(
+        Watched(monkeypatch, {3: right_has_a_ring, 5: time_goes_on, 7: right_has_torque, 9: ended}), right=set()
+    )
+    run.arms._due = {run.right: (TORQUE, run.clock.s + READY_TIMEOUT_S)}
+    run.watch()
+    assert not run.right.done
+
+
+def test_a_start_is_given_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    given: list[object] = []
+    run = Watched(monkeypatch, {6: ended})
+    run.arms._commands.control = run.arms._commands.ring
+    run.arms._cell.fingerprint = "of two"
+    monkeypatch.setattr(floating_arms, "moving", lambda _: [SimpleNamespace(name="left")])
+    monkeypatch.setattr(floating_arms, "start_patiently", lambda *what: given.append(what[:3]))
+    run.watch()
+    assert given == [({"left": ["left"]}, "of two", floating_arms.START_IN_NS)]
 
 
 def test_those_that_move_are_told_to_once_every_arm_has_torque_and_telemetry(monkeypatch: pytest.MonkeyPatch) -> None:
