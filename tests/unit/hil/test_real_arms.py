@@ -19,9 +19,8 @@ from agent.config.cell import Cell, load_cell
 from agent.modes import Mode
 from agent.operator import words
 from agent.operator.ask import ask_arms
-from agent.operator.message import Reply, Request
 from agent.operator.error import ControlError
-from agent.operator.message import Request
+from agent.operator.message import Reply, Request
 from agent.operator.socket import ControlSocket, Standing
 from agent.operator.table import Verb
 from agent.process import real_arms
