@@ -41,11 +41,11 @@ class FloatSuccessor:
         assert isinstance(driver, StandbyDriver), "an arm that floats has servos"
         assert not session, "it is told no words"
         cell, arm = self._floats.cell, self._floats.arm
-        watched.inherit()
         rows = watched.last_rows()
         clock = clock_of(rows)
         tell = self._tell = Teller(arm.name, watched.texts)
         tell.clock = clock
+        watched.inherit(tell.warn)
         with ExitStack() as stack:
             stack.callback(watched.texts.finish)
             stack.callback(watched.writer.finish)

@@ -57,6 +57,11 @@ def run_guard(cell: Cell, options: GuardOptions, stop: StopFlag, ready: Callable
         return guard.run()
 
 
+def _told(reason: str, watched: Watched) -> str:
+    """The reason, with what has become of the agent's files."""
+    return f"{reason}: {damage}" if (damage := watched.damage) else reason
+
+
 def _q_start(cell: Cell, arm: Arm) -> Vector:
     """Where the arm begins; one that floats does so anywhere, in a cell that need not be right.  Raises CheckError."""
     spec = spec_of(cell, arm)
@@ -150,18 +155,18 @@ class _Guard:
         if watched is None:
             return ""
         if watched.gone:
-            return HANDED_OVER if watched.handed_over else "the agent has died"
+            return HANDED_OVER if watched.handed_over else _told("the agent has died", watched)
         if watched.hangs(now_ns) and not self._waits_for_others(watched):
             watched.kill(self._notifier.alive)
-            return f"the agent hung (no row for {watched.vigil.still_ns * 1e-6:.0f} ms) and was ended"
-        if not watched.rehearsed and watched.reader.written >= REHEARSE_AT:
+            return _told(f"the agent hung (no row for {watched.vigil.still_ns * 1e-6:.0f} ms) and was ended", watched)
+        if not watched.rehearsed and watched.rows >= REHEARSE_AT:
             watched.rehearsed = True
             beginning(self._agent, watched.last_rows(), "", session=self._session)
         return ""
 
     def _waits_for_others(self, watched: Watched) -> bool:
         """Whether its arm is simulated and time has not begun there: that needs every arm, and holds nothing."""
-        return self._options.agent.driver is DriverKind.SIM and watched.reader.written == 0
+        return self._options.agent.driver is DriverKind.SIM and watched.rows == 0
 
     def _answer(self, said: Said, now_ns: int) -> None:
         """Do what the agent says.  What a stranger could send is refused, and its descriptors are closed."""

@@ -61,9 +61,12 @@ def write_post_mortem(cell_path: Path, arm: str, ring: Path, out: Path, cause: s
 def _write_rows(channels: LogChannels, address: Address, ring: Path) -> int:
     count = 0
     with RingReader(ring, AGENT_STATE) as reader:
-        while (block := reader.read_new(1024)).count:
-            channels.write_rows(Rows(address, np.frombuffer(block.payload, AGENT_STATE.dtype)))
-            count += block.count
+        end = reader.written
+        while reader.next_index < end:
+            block = reader.read_new(1024)  # none of it where a row is damaged, and then what is behind that
+            if block.count:
+                channels.write_rows(Rows(address, np.frombuffer(block.payload, AGENT_STATE.dtype)))
+                count += block.count
     return count
 
 

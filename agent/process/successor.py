@@ -69,11 +69,11 @@ class Successor:
         options, arm = self._options.agent, self._arm
         self._session = session
         self._stop.released = False  # said while there was nothing here to release
-        watched.inherit()
         rows = watched.last_rows()
         clock = clock_of(rows)
         tell = self._tell = Teller(arm.name, watched.texts)
         tell.clock = clock
+        watched.inherit(tell.warn)
         with ExitStack() as stack:
             stack.callback(watched.texts.finish)
             stack.callback(watched.writer.finish)

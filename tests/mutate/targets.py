@@ -53,6 +53,7 @@ _WARM = (
 _RING = (
     f"{UNIT}/telemetry/test_ring.py",
     f"{UNIT}/telemetry/test_ring_file.py",
+    f"{UNIT}/telemetry/test_ring_heir.py",
     f"{UNIT}/telemetry/test_ring_reader.py",
     "tests/property/telemetry/test_ring_model.py",
 )
@@ -165,8 +166,10 @@ TARGETS = (
     Target("agent.replay.same", (f"{UNIT}/replay/test_same.py", f"{UNIT}/replay/test_answers.py")),
     Target("agent.replay.verify", _VERIFY, warm=_RECORDED),
     Target("agent.telemetry.ring.file", _RING),
+    Target("agent.telemetry.ring.heir", _RING),
     Target("agent.telemetry.ring.reader", _RING),
     Target("agent.telemetry.ring.texts", (f"{UNIT}/telemetry/test_texts.py", f"{UNIT}/telemetry/test_event.py")),
+    Target("agent.telemetry.ring.words", _RING),
     Target("agent.telemetry.ring.writer", _RING),
     Target("agent.view.camera", (f"{UNIT}/view/test_camera.py", *_VIEW)),
     Target("agent.view.curves", _PAGE),

@@ -12,7 +12,6 @@ from __future__ import annotations
 import fcntl
 import hashlib
 import json
-import mmap
 import os
 import struct
 import zlib
@@ -33,6 +32,7 @@ FINISHED_WORD: Final = 1088 // 8
 ACKNOWLEDGED_WORD: Final = 1152 // 8
 MESSAGE_IN_SLOT: Final = 12  # index (8) + CRC (4); with a 4-byte encapsulation header the payload starts at 16
 MAX_FILE_BYTES: Final = 1 << 30
+WRITTEN_MAX: Final = (1 << 62) - 1  # as much as the network's header takes
 
 _STATIC: Final = struct.Struct("<8sIIII32sQqI")  # magic version row_bytes stride slots layout ring_id created_ns pid
 _LABEL_OFFSET: Final = _STATIC.size + 8  # CRC32 and label length lie between
@@ -229,12 +229,6 @@ def is_locked(fd: int) -> bool:
     """Whether a writer holds the lock.  Asks without taking it, so it cannot disturb a writer that starts."""
     answer: bytes = fcntl.fcntl(fd, fcntl.F_OFD_GETLK, _lock_request(fcntl.F_RDLCK, _WRITER))
     return int(struct.unpack_from("h", answer)[0]) != fcntl.F_UNLCK
-
-
-def map_file(fd: int, size: int, *, writable: bool, at_once: bool = False) -> mmap.mmap:
-    """Shared mapping of the first `size` bytes; at_once: with all its pages, so that none is missing in the loop."""
-    protection = mmap.PROT_READ | mmap.PROT_WRITE if writable else mmap.PROT_READ
-    return mmap.mmap(fd, size, mmap.MAP_SHARED | (mmap.MAP_POPULATE if at_once else 0), protection)
 
 
 def _lock_request(kind: int, byte: int) -> bytes:

@@ -1,7 +1,8 @@
 """The reading end of the ring between control thread and telemetry; there may be many.
 
 A reader copies first and believes nothing that does not carry the right index before and after the copy and the right
-CRC32, so a torn row is never returned, whatever the order in which another core sees the writer's stores.
+CRC32, so a torn row is never returned, whatever the order in which another core sees the writer's stores.  It maps
+nothing: of a file that is cut while it is read, rows are missing, and the process lives to tell.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.telemetry.ring import file as ring_file
+from agent.telemetry.ring import words
 from agent.telemetry.ring.file import (
     ACKNOWLEDGED_WORD,
     FINISHED_WORD,
@@ -41,7 +43,7 @@ class RowBlock:
 
 
 class RingReader:
-    """A reading end: reads a read-only map, unless it is opened with `acknowledges` and writes that one word."""
+    """A reading end: opens the file for reading, unless it is to acknowledge and writes that one word."""
 
     def __init__(self, path: Path, row_format: RowFormat, *, acknowledges: bool = False) -> None:
         """Open the ring at `path`, at its oldest row.  Raises RingError when it is missing or not such a ring."""
@@ -52,7 +54,8 @@ class RingReader:
                 undo.callback(os.close, fd)
                 self.header = RingHeader.unpack(path, os.pread(fd, SLOTS_OFFSET, 0))
                 ring_file.check_format(path, self.header, row_format, os.fstat(fd).st_size)
-                self._map = ring_file.map_file(fd, self.header.file_bytes, writable=acknowledges)
+                self._path, self._fd, self._written = path, fd, 0
+                self._look()
             except OSError as error:
                 raise RingError(
                     f"cannot open the telemetry ring {path}",
@@ -63,9 +66,6 @@ class RingReader:
             undo.pop_all()
         self.missed = 0  # rows overwritten before they were read
         self.damaged = 0  # rows whose checksum stays wrong
-        self._path = path
-        self._fd = fd
-        self._words = memoryview(self._map).cast("Q")
         self._next = 0
         self._bad_reads = 0
 
@@ -77,8 +77,14 @@ class RingReader:
 
     @property
     def written(self) -> int:
-        """Rows committed so far."""
-        return self._words[WRITTEN_WORD]
+        """Rows committed so far; as far as was seen, where the file has been cut."""
+        self._look()
+        return self._written
+
+    @property
+    def cut(self) -> str:
+        """What is left of the file, where it has been cut; empty otherwise."""
+        return words.cut(self._fd, self.header)
 
     @property
     def next_index(self) -> int:
@@ -93,7 +99,7 @@ class RingReader:
     @property
     def finished(self) -> bool:
         """Whether the writer said that no row will follow."""
-        return bool(self._words[FINISHED_WORD])
+        return bool(self._word(FINISHED_WORD))
 
     @property
     def writer_alive(self) -> bool:
@@ -157,36 +163,43 @@ class RingReader:
 
     def acknowledge(self, index: int) -> None:
         """Tell a writer in lockstep that the rows before `index` are safe and may be overwritten."""
-        self._words[ACKNOWLEDGED_WORD] = index
+        words.put_word(self._fd, ACKNOWLEDGED_WORD, index)
 
     def close(self) -> None:
-        """Unmap.  Safe twice."""
+        """Let go of the file.  Safe twice."""
         if self._fd < 0:
             return
-        self._words.release()
-        self._map.close()
         os.close(self._fd)
         self._fd = -1
 
+    def _look(self) -> None:
+        written = self._word(WRITTEN_WORD)
+        self._written = max(self._written, written)
+
+    def _word(self, word: int) -> int:
+        return words.word_at(self._fd, 8 * word)
+
     def _copy(self, first: int, count: int) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
         """Private copy (count, stride) of the slots, and which of them (count,) hold the row they should."""
-        header = self.header
-        slots: NDArray[np.uint8] = np.frombuffer(
-            self._map, np.uint8, header.slots * header.stride, SLOTS_OFFSET
-        ).reshape(header.slots, header.stride)
-        where = np.arange(first, first + count) % header.slots
-        live_index = slots.view(np.uint64)[:, 0]
-        expected = np.arange(first + 1, first + count + 1, dtype=np.uint64)
-        copy = slots[where]
-        intact = (copy.view(np.uint64)[:, 0] == expected) & (live_index[where] == expected)
-        end = MESSAGE_IN_SLOT + header.row_bytes
-        stride = header.stride
+        header, stride = self.header, self.header.stride
+        copy = np.zeros((count, stride), np.uint8)  # what the file has lost stays zero, which is no row's index
         memory = memoryview(copy.data).cast("B")
+        done = 0
+        while done < count:
+            place = (first + done) % header.slots
+            some = min(count - done, header.slots - place)
+            os.preadv(self._fd, [memory[done * stride : (done + some) * stride]], SLOTS_OFFSET + place * stride)
+            done += some
+        expected = np.arange(first + 1, first + count + 1, dtype=np.uint64)
+        intact = copy[:, :8].copy().view(np.uint64)[:, 0] == expected
+        end = MESSAGE_IN_SLOT + header.row_bytes
         stored = copy[:, 8:12].copy().view(np.uint32)[:, 0].tolist()
         for i in np.flatnonzero(intact).tolist():
-            if (
-                zlib.crc32(memory[i * stride + MESSAGE_IN_SLOT : i * stride + end], (first + i) & 0xFFFFFFFF)
-                != stored[i]
-            ):
+            row = memory[i * stride + MESSAGE_IN_SLOT : i * stride + end]
+            if zlib.crc32(row, (first + i) & 0xFFFFFFFF) != stored[i] or not self._still_holds(first + i):
                 intact[i] = False
         return copy, intact
+
+    def _still_holds(self, index: int) -> bool:
+        header = self.header
+        return words.word_at(self._fd, SLOTS_OFFSET + index % header.slots * header.stride) == index + 1

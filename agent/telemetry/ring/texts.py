@@ -54,22 +54,18 @@ class TextWriter:
 
     def __init__(self, ring: Path, name: str) -> None:
         """Create `texts_path(ring)`; do so before the ring itself, for which telemetry waits.  Raises RingError."""
-        self._ring = RingWriter(texts_path(ring), TEXT_FORMAT, name, slots=TEXT_SLOTS)
+        self._ring: RingWriter = RingWriter(texts_path(ring), TEXT_FORMAT, name, slots=TEXT_SLOTS)
 
     @classmethod
-    def go_on(cls, fd: int) -> Self:
-        """The texts of a writer that has died; see `RingWriter.go_on`.  Raises RingError."""
+    def of(cls, ring: RingWriter) -> Self:
+        """Into a ring that is there: the texts of a writer that has died."""
         self = cls.__new__(cls)
-        self._ring = RingWriter.go_on(fd, TEXT_FORMAT)
+        self._ring = ring
         return self
 
     def fileno(self) -> int:
         """Descriptor of the file, for a process that may have to go on with it."""
         return self._ring.fileno()
-
-    def catch_up(self) -> int:
-        """How many texts are in the file, whoever wrote them; the next one goes behind them."""
-        return self._ring.catch_up()
 
     def event(self, event: Event) -> None:
         """Write an event."""
@@ -113,7 +109,9 @@ class TextReader:
     def read_new(self) -> list[tuple[Kind, bytes]]:
         """Return the new texts with their kinds, oldest first; a text that makes no sense is left out."""
         texts = []
-        while (block := self._ring.read_new(64)).count:
+        end = self._ring.written
+        while self._ring.next_index < end:
+            block = self._ring.read_new(64)
             for row in np.frombuffer(block.payload, TEXT_FORMAT.dtype):
                 kind, length = _KIND_OF.get(int(row["kind"])), int(row["length"])
                 if kind is not None and length <= TEXT_MAX_BYTES:
@@ -121,5 +119,5 @@ class TextReader:
         return texts
 
     def close(self) -> None:
-        """Unmap.  Safe twice."""
+        """Let go of the file.  Safe twice."""
         self._ring.close()

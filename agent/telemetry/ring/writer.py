@@ -1,11 +1,13 @@
 """The writing end of the ring between control thread and telemetry: a commit waits for no reader.
 
 A row is committed when it lies in its slot with index and checksum and `written` counts it; a writer that is killed in
-between leaves a row that no reader believes (`reader.py`).  The file survives its writer: the black box.
+between leaves a row that no reader believes (`reader.py`).  The file survives its writer: the black box.  One that is
+cut under its writer ends that process (SIGBUS); what goes on then maps nothing (`heir.py`).
 """
 
 from __future__ import annotations
 
+import mmap
 import os
 import struct
 import time
@@ -24,7 +26,6 @@ from agent.telemetry.ring.file import (
     SLOTS_OFFSET,
     WRITTEN_WORD,
     RingError,
-    RingHeader,
     RowFormat,
 )
 from agent.telemetry.row.sample import CDR_LITTLE_ENDIAN
@@ -69,36 +70,16 @@ class RingWriter:
                 expected=f"a writable directory with {header.file_bytes >> 20} MB free",
                 remedy="create the directory, or free space",
             ) from error
-        self._begin(fd, header, row_format)
-
-    @classmethod
-    def go_on(cls, fd: int, row_format: RowFormat) -> Self:
-        """The ring of a writer that has died, behind its last row; fd: a descriptor of it that it has passed on.
-
-        The lock stays with whoever holds such a descriptor, so readers notice nothing.  As long as the other writer
-        lives nothing may be committed here.  Raises RingError for a file that is no such ring; fd is then closed.
-        """
-        path = Path(f"/proc/self/fd/{fd}")
-        try:
-            header = RingHeader.unpack(path, os.pread(fd, SLOTS_OFFSET, 0))
-            ring_file.check_format(path, header, row_format, os.fstat(fd).st_size)
-        except BaseException:
-            os.close(fd)
-            raise
-        self = cls.__new__(cls)
-        self._begin(fd, header, row_format)
-        return self
-
-    def _begin(self, fd: int, header: RingHeader, row_format: RowFormat) -> None:
         self._fd = fd
         self.header = header
-        self._map = ring_file.map_file(fd, header.file_bytes, writable=True, at_once=True)
+        at_once = mmap.MAP_SHARED | mmap.MAP_POPULATE  # all its pages, so that none is missing in the loop
+        self._map = mmap.mmap(fd, header.file_bytes, at_once)
         self._bytes = memoryview(self._map)
         self._words = self._bytes.cast("Q")
         self._pack_slot_head = struct.Struct("=QI").pack_into
-        self.row, self._staged = _aligned_row(row_format.dtype)
+        self.row, self._staged = aligned_row(row_format.dtype)
         self.row["encapsulation"] = CDR_LITTLE_ENDIAN
-        self.written = self.catch_up()
+        self.written = 0
 
     def __enter__(self) -> Self:
         return self
@@ -109,11 +90,6 @@ class RingWriter:
     def fileno(self) -> int:
         """Descriptor of the file, lock and all, for a process that may have to go on with it."""
         return self._fd
-
-    def catch_up(self) -> int:
-        """How many rows are in the file, whoever wrote them; the next commit goes behind them."""
-        self.written = self._words[WRITTEN_WORD]
-        return self.written
 
     def commit(self) -> None:
         """Make `row` visible as the next row.  One copy and one checksum; waits for nobody."""
@@ -162,7 +138,7 @@ class RingWriter:
         self._fd = -1
 
 
-def _aligned_row(dtype: np.dtype[np.void]) -> tuple[NDArray[np.void], memoryview]:
+def aligned_row(dtype: np.dtype[np.void]) -> tuple[NDArray[np.void], memoryview]:
     """One zeroed row whose payload, behind the 4-byte header, is 8-byte aligned, and its bytes."""
     memory = np.zeros(dtype.itemsize + 16, np.uint8)
     offset = (4 - memory.ctypes.data) % 8

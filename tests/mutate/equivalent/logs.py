@@ -8,11 +8,9 @@ _OPENS = "fd = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOE
 _FCHMOD = "the next line sets the mode, before anything is in the file"
 _HAS_SPACE = "if self.written - self._words[ACKNOWLEDGED_WORD] < enough:"
 _NO_CLOCK = "the short way, without asking the clock; the loop behind it ends as soon"
-_TEXTS = "while (block := self._ring.read_new(64)).count:"
-_INTACT = "intact = (copy.view(np.uint64)[:, 0] == expected) & (live_index[where] == expected)"
+_TEXTS = "block = self._ring.read_new(64)"
 _ROOM = "memory = np.zeros(dtype.itemsize + 16, np.uint8)"
 _STANDARD_INPUT = "descriptor 0 is a process's standard input"
-_MAPPED = "return mmap.mmap(fd, size, mmap.MAP_SHARED | (mmap.MAP_POPULATE if at_once else 0), protection)"
 _COMMON = "_, i, j = np.intersect1d(a['sequence'], b['sequence'], assume_unique=True, return_indices=True)"
 _ENCODED = "rows = [np.ascontiguousarray(part.messages()).reshape(-1).view(layout.dtype) for part in (one, other)]"
 _BYTES = "x, y = (np.ascontiguousarray(rows[name]).view(np.uint8).reshape(len(rows), -1) for rows in (a, b))"
@@ -40,7 +38,6 @@ LOGS: Entries = {
             "if len(head) < SLOTS_OFFSET or head[:8] != MAGIC:",
             "if len(head) < SLOTS_OFFSET or False:",
         ): "somebody's own file has been refused before",
-        ("map_file", _MAPPED, _MAPPED.replace("else 0", "else 1")): "MAP_SHARED is 1",
     },
     "agent.telemetry.ring.reader": {
         (
@@ -51,11 +48,6 @@ LOGS: Entries = {
         ("RingReader.close", "if self._fd < 0:", "if self._fd <= 0:"): _STANDARD_INPUT,
         ("RingReader.close", "if self._fd < 0:", "if self._fd < 1:"): _STANDARD_INPUT,
         ("RingReader.close", "self._fd = -1", "self._fd = -2"): "both are no descriptor",
-        (
-            "RingReader._copy",
-            _INTACT,
-            _INTACT.replace(" & ", " | "),
-        ): "saves checksums: the index is in them, so a copy of another row fails there",
     },
     "agent.telemetry.ring.writer": {
         ("file_bytes", _SIZE, _SIZE.replace("created_ns=0", "created_ns=1")): "a size has no date",
@@ -66,10 +58,10 @@ LOGS: Entries = {
         ("RingWriter.close", "if self._fd < 0:", "if self._fd <= 0:"): _STANDARD_INPUT,
         ("RingWriter.close", "if self._fd < 0:", "if self._fd < 1:"): _STANDARD_INPUT,
         ("RingWriter.close", "self._fd = -1", "self._fd = -2"): "both are no descriptor",
-        ("_aligned_row", _ROOM, _ROOM.replace("16", "17")): "seven bytes to spare are enough",
-        ("_aligned_row", _ROOM, _ROOM.replace("16", "15")): "seven bytes to spare are enough",
+        ("aligned_row", _ROOM, _ROOM.replace("16", "17")): "seven bytes to spare are enough",
+        ("aligned_row", _ROOM, _ROOM.replace("16", "15")): "seven bytes to spare are enough",
         (
-            "_aligned_row",
+            "aligned_row",
             "offset = (4 - memory.ctypes.data) % 8",
             "offset = (4 + memory.ctypes.data) % 8",
         ): "memory begins at a multiple of 16",

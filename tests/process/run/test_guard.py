@@ -300,6 +300,36 @@ def test_an_agent_that_is_told_to_end_before_it_has_torque_ends_without_and_its_
         host.close()
 
 
+@pytest.mark.fault("P14")
+@in_real_time()
+def test_an_arm_is_held_where_the_ring_that_agent_and_guard_share_is_cut(host: Host) -> None:
+    """The agent dies of it: it stores its rows into a map of the file."""
+    guard = host.guard()
+    agent = host.agent()
+    host.wait(lambda: len(host.rows()) > SOME_ROWS)
+    before, size = len(host.rows()), host.ring.stat().st_size
+    with RingReader(host.ring, AGENT_STATE) as listener:  # as telemetry does all along
+        host.ring.write_bytes(b"")
+        assert agent.wait(PATIENCE_S) == -signal.SIGBUS
+        host.wait(lambda: listener.written > before + 2 * SOME_ROWS)
+        assert guard.poll() is None
+        rows = np.frombuffer(listener.read_last(2 * SOME_ROWS).payload, AGENT_STATE.dtype)
+        host.wait(lambda: bool(commanded(np.frombuffer(listener.read_last(1).payload, AGENT_STATE.dtype)).all()))
+    assert (np.diff(rows["sequence"].astype(int)) == 1).all()
+    assert (rows["mode"][-SOME_ROWS:] == Mode.HOLD).all()
+    cause = f"the agent has died: its ring was cut to 0 of {size} bytes"
+    assert f"{cause}: the guard holds the arm" in host.told()
+    released = coop("release", host.cell, "--control", host.folder / "left.control", cwd=host.folder)
+    assert released.code == 0, released.err
+    assert guard.wait(PATIENCE_S) == 0
+    (file,) = (host.folder / "post_mortem").glob("*-left-post-mortem.mcap")
+    log = read_log(file)
+    assert cause in log.metadata["post_mortem"]["cause"]
+    kept = log.agents["left"]
+    assert (kept["mode"] != Mode.HOLD).any(), "the agent's last rows, which the guard had seen"
+    assert (kept["mode"] == Mode.HOLD).any()
+
+
 @pytest.mark.fault("P7")
 @in_real_time()
 def test_a_killed_guard_is_noticed_comes_back_with_the_port_and_holds_for_a_killed_agent(host: Host) -> None:

@@ -16,7 +16,7 @@ from drivers.interface import Refusal
 from tests.faults.nodes import marked, written
 
 MATRIX = (
-    *(f"P{i}" for i in range(1, 14)), *(f"B{i}" for i in range(1, 12)), *(f"S{i}" for i in range(1, 9)),
+    *(f"P{i}" for i in range(1, 15)), *(f"B{i}" for i in range(1, 12)), *(f"S{i}" for i in range(1, 9)),
     *(f"C{i}" for i in range(1, 6)), *(f"N{i}" for i in range(1, 7)), *(f"D{i}" for i in range(1, 7)),
     *(f"G{i}" for i in range(1, 7)), *(f"M{i}" for i in range(1, 7)), *(f"F{i}" for i in range(1, 10)),
     *(f"H{i}" for i in range(1, 8)), "X1",

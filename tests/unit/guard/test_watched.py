@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import subprocess
@@ -21,7 +22,8 @@ from agent.guard.watched import Watched
 from agent.modes import Mode
 from agent.process.build import build_agent
 from agent.telemetry.ring.file import SLOTS_OFFSET, RingError
-from agent.telemetry.ring.texts import TextReader, TextWriter
+from agent.telemetry.ring.reader import RingReader
+from agent.telemetry.ring.texts import TextReader, TextWriter, texts_path
 from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.event import Event, Level
 from agent.telemetry.row.sample import AGENT_STATE
@@ -79,6 +81,10 @@ def ended(agent: Agent) -> int:
     found = os.waitid(os.P_PID, agent.pid, os.WEXITED | os.WNOWAIT)
     assert found is not None
     return int(found.si_status)
+
+
+def no_word(text: str) -> None:
+    pytest.fail(text)
 
 
 class Patience:
@@ -172,8 +178,8 @@ def test_what_is_inherited_goes_on_behind_the_last_row_and_text(agent: Agent) ->
     seen, heard = watched(agent), TextReader(agent.path)
     agent.rows(3)
     agent.texts.event(Event(1, "left", Level.INFO, "its own"))
-    seen.inherit()
-    assert seen.writer.written == 3
+    seen.inherit(no_word)
+    assert (seen.writer.written, seen.damage) == (3, "")
     seen.writer.row["sequence"] = 3
     seen.writer.commit()
     seen.texts.event(Event(2, "left", Level.INFO, "the guard's"))
@@ -188,11 +194,72 @@ def test_while_a_guard_goes_on_another_agent_is_refused_and_told_what_ends_it(ag
     seen = watched(agent)
     agent.ring.close()
     agent.texts.close()
-    seen.inherit()
+    seen.inherit(no_word)
     with pytest.raises(RingError, match=r"has a writer already.*a guard that holds the arm .* `coop release`"):
         TextWriter(agent.path, "left")
     seen.close()
     TextWriter(agent.path, "left").close()
+
+
+@pytest.mark.fault("P14")
+@pytest.mark.parametrize("left", [0, SLOTS_OFFSET + 2000])
+def test_where_its_files_are_cut_the_hold_begins_with_the_rows_that_were_seen(agent: Agent, left: int) -> None:
+    """Those that came after the last look are lost; the files are rings again, and go on behind them."""
+    seen, heard = watched(agent), TextReader(agent.path)
+    agent.texts.event(Event(1, "left", Level.INFO, "its own"))
+    for look in range(1, 11):
+        agent.rows(9)
+        assert not seen.hangs(2 * MS * look)
+    agent.rows(1)
+    assert len(heard.read_new()) == 1
+    texts = texts_path(agent.path)
+    sizes = [file.stat().st_size for file in (agent.path, texts)]
+    for file in (agent.path, texts):
+        os.truncate(file, left)
+    assert seen.damage == (
+        f"its ring was cut to {left} of {sizes[0]} bytes, the ring of its texts was cut to {left} of {sizes[1]} bytes"
+    )
+    assert not seen.hangs(22 * MS), "it is not what is judged by it"
+    assert seen.last_rows()["sequence"].tolist() == list(range(26, 90))
+    seen.inherit(no_word)
+    assert (seen.damage, [file.stat().st_size for file in (agent.path, texts)]) == ("", sizes)
+    seen.writer.row["sequence"] = 90
+    seen.writer.commit()
+    seen.texts.event(Event(2, "left", Level.INFO, "the guard's"))
+    assert seen.last_rows()["sequence"].tolist() == list(range(27, 91))
+    assert [b"the guard's" in text for _, text in heard.read_new()] == [True]
+    with RingReader(agent.path, AGENT_STATE) as reader:
+        assert reader.read_last(SLOTS).first == 26
+    seen.close()
+    heard.close()
+
+
+@pytest.mark.fault("P14")
+def test_rows_of_a_hold_that_cannot_be_written_are_told_of_once(agent: Agent, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen, told = watched(agent), list[str]()
+
+    def full(*_: object) -> int:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "pwritev", full)
+    seen.inherit(told.append)
+    for _ in range(3):
+        seen.writer.commit()
+    assert told == ["rows of this hold are lost: No space left on device"]
+    seen.close()
+
+
+def test_a_damaged_row_is_not_kept_and_neither_is_what_was_before_it(agent: Agent) -> None:
+    seen = watched(agent)
+    agent.rows(5)
+    seen.hangs(2 * MS)
+    agent.rows(3)
+    with agent.path.open("r+b", buffering=0) as file:
+        os.pwrite(file.fileno(), b"x" * 64, SLOTS_OFFSET + 5 * agent.ring.header.stride + 1000)
+    seen.hangs(4 * MS)
+    os.truncate(agent.path, 0)
+    assert seen.last_rows()["sequence"].tolist() == [6, 7]
+    seen.close()
 
 
 def test_everything_of_an_agent_is_let_go(agent: Agent) -> None:

@@ -17,6 +17,7 @@ from agent.guard.watched import Watched
 from agent.process import guard as process
 from agent.process.guard import _Guard
 from agent.process.successor import HANDED_OVER
+from agent.telemetry.ring.reader import RowBlock
 from drivers.interface import Refusal
 
 MS = 1_000_000
@@ -73,6 +74,16 @@ class Port:
         return self.fd
 
 
+class Ring:
+    """Of an agent, as the guard goes on with it."""
+
+    def __init__(self) -> None:
+        self.written, self.damage = 7, ""
+
+    def catch_up(self) -> int:
+        return self.written
+
+
 class Bench:
     """A guard without processes, on a clock of the test."""
 
@@ -88,11 +99,12 @@ class Bench:
         self.guard._agent, self.guard._session, self.guard._stroked_ns = "law", True, 0
         self.guard._port, self.guard._drivers, self.guard._told = None, (), {}
         self.guard._driver = SimpleNamespace(drop=self._drop)
-        self.reader = SimpleNamespace(written=7)
+        self.ring = Ring()
         vigil = Vigil(stale_ns=20 * MS, look_ns=2 * MS)
-        unused: Any = None
-        reader: Any = self.reader
-        self.agent = Seen(-1, Path("ring"), reader, unused, unused, Pulse.made(), vigil)
+        reader: Any = SimpleNamespace(read_at=lambda first, _: RowBlock(first, 0, b""))
+        rows: Any = self.ring
+        texts: Any = Ring()
+        self.agent = Seen(-1, Path("ring"), reader, rows, texts, Pulse.made(), vigil)
         self.guard._watched = self.agent
 
     def _alive(self) -> None:
@@ -129,6 +141,18 @@ def test_an_agent_that_died_is_told_from_one_that_handed_over(monkeypatch: pytes
     assert bench.line.answers == [()], "which its agent waits for"
     bench.agent.dead = True
     assert bench.look() == HANDED_OVER
+
+
+@pytest.mark.fault("P14")
+def test_what_has_become_of_an_agents_files_is_told_with_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch)
+    bench.look()
+    bench.ring.damage = "cut to 0 of 9 bytes"
+    assert bench.look(30 * MS) == "", "it lives"
+    assert any((found := bench.look()) for _ in range(20))
+    assert found == "the agent hung (no row for 20 ms) and was ended: its ring was cut to 0 of 9 bytes"
+    bench.agent.dead = True
+    assert bench.look() == "the agent has died: its ring was cut to 0 of 9 bytes"
 
 
 @pytest.mark.fault("P1")
@@ -170,7 +194,7 @@ def test_a_simulated_agent_without_a_row_is_not_ended(
     monkeypatch: pytest.MonkeyPatch, written: int, waits: bool
 ) -> None:
     bench = Bench(monkeypatch, DriverKind.SIM)
-    bench.reader.written = written
+    bench.ring.written = written
     assert any(bench.look() for _ in range(40)) is not waits
     assert (bench.agent.killed is None) is waits
 
@@ -178,11 +202,11 @@ def test_a_simulated_agent_without_a_row_is_not_ended(
 def test_a_hold_is_rehearsed_once_there_are_twenty_rows(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(monkeypatch)
     for written in (18, 19):
-        bench.reader.written = written
+        bench.ring.written = written
         bench.look()
     assert bench.rehearsals == []
     for written in (20, 21):
-        bench.reader.written = written
+        bench.ring.written = written
         assert bench.look() == ""
         assert bench.rehearsals == [("law", "rows", "", {"session": True})]
 

@@ -15,6 +15,8 @@ from agent.log.file import LogFileError
 from agent.log.read import read_log
 from agent.log.recover import recover
 from agent.process.post_mortem import write_post_mortem
+from agent.telemetry.ring.file import SLOTS_OFFSET
+from agent.telemetry.ring.reader import RingReader
 from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.sample import AGENT_STATE
 from tests.support.telemetry.telemetry_cell import make_rows
@@ -40,6 +42,14 @@ def test_it_has_its_name_once_it_is_whole(tmp_path: Path, ring: Path) -> None:
     assert not log.problems
     assert log.agents["left"].tobytes() == make_rows("left", ROWS).tobytes()
     assert log.metadata["post_mortem"] == {"arm": "left", "cause": "the agent has died"}
+
+
+def test_rows_on_both_sides_of_a_damaged_one_are_in_it(tmp_path: Path, ring: Path) -> None:
+    with RingReader(ring, AGENT_STATE) as reader, ring.open("r+b", buffering=0) as file:
+        os.pwrite(file.fileno(), bytes(64), SLOTS_OFFSET + 7 * reader.header.stride + 100)
+    out = tmp_path / "left-post-mortem.mcap"
+    assert write_post_mortem(CELL, "left", ring, out, "the agent has died") == ROWS - 1
+    assert read_log(out).agents["left"]["sequence"].tolist() == [*range(7), *range(8, ROWS)]
 
 
 def test_a_full_disk_is_told_and_leaves_what_can_be_mended(

@@ -68,7 +68,7 @@ def test_row_stays_the_same_memory_so_views_can_be_kept(path: Path, writer: Ring
 
 
 def test_rows_are_aligned_wherever_their_memory_is() -> None:
-    rows = [writer_of_rings._aligned_row(AGENT_STATE.dtype)[0] for _ in range(40)]
+    rows = [writer_of_rings.aligned_row(AGENT_STATE.dtype)[0] for _ in range(40)]
     assert len({row.ctypes.data % 144 for row in rows}) > 1
     assert {(row.ctypes.data + 4) % 8 for row in rows} == {0}
 
@@ -103,10 +103,9 @@ def resident_bytes(path: Path) -> list[int]:
 
 
 def test_the_writer_has_all_pages_of_a_ring_before_its_first_row(path: Path, writer: RingWriter) -> None:
-    """A page that is missing costs the loop a microsecond and more; a reader takes pages as it comes to them."""
-    assert resident_bytes(path) == [pytest.approx(writer.header.file_bytes, abs=4096)]
+    """A page that is missing costs the loop a microsecond and more; a reader maps none."""
     with RingReader(path, AGENT_STATE):
-        assert min(resident_bytes(path)) < writer.header.file_bytes
+        assert resident_bytes(path) == [pytest.approx(writer.header.file_bytes, abs=4096)]
 
 
 def test_rows_can_be_read_again_while_they_are_there(path: Path, writer: RingWriter) -> None:
@@ -242,7 +241,7 @@ def test_lockstep_waits_for_the_reader_and_says_when_it_is_missing(path: Path, w
 
 
 def test_a_reader_that_does_not_acknowledge_cannot_write(path: Path, writer: RingWriter) -> None:
-    with RingReader(path, AGENT_STATE) as reader, pytest.raises(TypeError, match="read-only"):
+    with RingReader(path, AGENT_STATE) as reader, pytest.raises(OSError, match="Bad file descriptor"):
         reader.acknowledge(1)
     assert writer._words[ACKNOWLEDGED_WORD] == 0
 
@@ -289,45 +288,3 @@ def test_a_ring_that_cannot_be_made_is_refused_before_anything_moves(tmp_path: P
     with pytest.raises(RingError, match="label too long"):
         RingWriter(tmp_path / "left.ring", AGENT_STATE, "left", ("j" * 1000,), slots=SLOTS)
     assert not [p for p in tmp_path.iterdir() if p.name.endswith(".new")]
-
-
-def test_another_process_goes_on_with_the_ring_of_one_that_died(tmp_path: Path) -> None:
-    path = tmp_path / "ring"
-    first = RingWriter(path, AGENT_STATE, "left", ("waist",), slots=8)
-    for sequence in range(3):
-        first.row["sequence"] = sequence
-        first.commit()
-    passed_on = os.dup(first.fileno())
-    reader = RingReader(path, AGENT_STATE)
-    second = RingWriter.go_on(passed_on, AGENT_STATE)
-    first.row["sequence"] = 3
-    first.commit()  # between the passing on and the death
-    first.close()
-    assert reader.writer_alive, "the lock is the file's: readers notice nothing"
-    assert second.header == reader.header
-    assert second.catch_up() == 4
-    second.row["sequence"] = 4
-    second.commit()
-    rows = np.frombuffer(reader.read_new(8).payload, AGENT_STATE.dtype)
-    assert rows["sequence"].tolist() == [0, 1, 2, 3, 4]
-    second.close()
-    assert not reader.writer_alive
-    reader.close()
-
-
-def test_what_is_no_ring_is_not_gone_on_with(tmp_path: Path) -> None:
-    (tmp_path / "other").write_bytes(b"\0" * 8192)
-    fd = os.open(tmp_path / "other", os.O_RDWR)
-    with pytest.raises(RingError, match="is not a telemetry ring"):
-        RingWriter.go_on(fd, AGENT_STATE)
-    with pytest.raises(OSError, match="Bad file descriptor"):
-        os.fstat(fd)
-
-
-def test_a_ring_of_other_rows_and_one_cut_short_are_not_gone_on_with(path: Path, writer: RingWriter) -> None:
-    with pytest.raises(RingError, match="another layout"):
-        RingWriter.go_on(os.dup(writer.fileno()), PLANT_STATE)
-    short = path.with_name("short")
-    short.write_bytes(path.read_bytes()[:-1])
-    with pytest.raises(RingError, match="cut short"):
-        RingWriter.go_on(os.open(short, os.O_RDWR), AGENT_STATE)

@@ -224,6 +224,22 @@ def test_of_a_full_ring_only_its_oldest_row_may_be_about_to_be_overwritten(
     assert (reader.missed, reader.damaged) == (missed, damaged)
 
 
+@pytest.mark.fault("P14")
+@pytest.mark.parametrize("left", [0, 7, 1024, SLOTS_OFFSET + 3 * 4096])
+def test_rows_of_a_file_that_is_cut_are_damaged_and_the_process_lives(
+    path: Path, writer: RingWriter, reader: RingReader, left: int
+) -> None:
+    write(writer, SLOTS - 1)
+    assert (reader.written, reader.cut) == (SLOTS - 1, "")
+    os.truncate(path, left)
+    assert reader.cut == f"{left} of {writer.header.file_bytes} bytes"
+    while reader.next_index < reader.written:
+        read(reader, 1)
+    whole = max(0, left - SLOTS_OFFSET) // writer.header.stride
+    assert (reader.written, reader.missed + reader.damaged) == (SLOTS - 1, SLOTS - 1 - whole)
+    assert (reader.finished, reader.writer_alive) == (False, True)
+
+
 # --- opening and closing ---------------------------------------------------------------------------------------------
 
 

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from agent.telemetry.ring.file import SLOTS_OFFSET
+from agent.telemetry.ring.heir import RingHeir
 from agent.telemetry.ring.reader import RingReader
 from agent.telemetry.ring.texts import TEXT_FORMAT, TextReader, TextWriter, texts_path
 from agent.telemetry.ring.writer import RingWriter
@@ -113,12 +115,25 @@ def test_a_closed_reader_has_no_descriptor(ring: Path) -> None:
 def test_another_process_goes_on_with_the_texts_of_one_that_died(ring: Path) -> None:
     first = TextWriter(ring, "left")
     first.event(event("first"))
-    second = TextWriter.go_on(os.dup(first.fileno()))
+    heir = RingHeir(os.dup(first.fileno()), TEXT_FORMAT)
+    second = TextWriter.of(heir)
     first.event(event("last words"))
     first.close()
-    assert second.catch_up() == 2
+    assert heir.catch_up() == 2
     second.event(event("of the other"))
     reader = TextReader(ring)
     assert [Event.from_json(text).text for _, text in reader.read_new()] == ["first", "last words", "of the other"]
     for end in (reader, second):
+        end.close()
+
+
+def test_texts_behind_a_damaged_one_are_read_at_the_same_look(ring: Path) -> None:
+    writer = TextWriter(ring, "left")
+    for text in ("first", "second", "third"):
+        writer.event(event(text))
+    with texts_path(ring).open("r+b", buffering=0) as file, RingReader(texts_path(ring), TEXT_FORMAT) as geometry:
+        os.pwrite(file.fileno(), bytes(64), SLOTS_OFFSET + geometry.header.stride + 40)
+    reader = TextReader(ring)
+    assert [Event.from_json(text).text for _, text in reader.read_new()] == ["first", "third"]
+    for end in (reader, writer):
         end.close()
