@@ -139,12 +139,17 @@ class RingHeader:
         return cls(row_bytes, stride, slots, layout, ring_id, created_ns, pid, name, joints)
 
 
+def stride_of(row_bytes: int) -> int:
+    """Bytes from one slot to the next."""
+    return -(-(MESSAGE_IN_SLOT + row_bytes) // _CACHE_LINE) * _CACHE_LINE
+
+
 def make_header(
     row_format: RowFormat, *, slots: int, name: str, joints: tuple[str, ...], created_ns: int
 ) -> RingHeader:
     """Header for a new ring of `slots` rows.  Raises RingError when the size is out of bounds."""
     row_bytes = row_format.dtype.itemsize
-    stride = -(-(MESSAGE_IN_SLOT + row_bytes) // _CACHE_LINE) * _CACHE_LINE
+    stride = stride_of(row_bytes)
     if not 2 <= slots <= (MAX_FILE_BYTES - SLOTS_OFFSET) // stride:
         raise RingError(
             "ring size out of bounds",
@@ -165,7 +170,14 @@ def check_format(path: Path, header: RingHeader, row_format: RowFormat, file_byt
             expected=f"{layout_hash(row_format).hex()[:12]}, {row_format.dtype.itemsize} bytes ({row_format.ros_name})",
             remedy="run agent and telemetry from one release",
         )
-    if file_bytes < header.file_bytes or header.stride < MESSAGE_IN_SLOT + header.row_bytes or header.slots < 1:
+    if header.stride != stride_of(header.row_bytes) or header.slots < 1:
+        raise RingError(
+            f"{path} has another geometry",
+            found=f"{header.slots} slots of {header.stride} bytes",
+            expected=f"slots of {stride_of(header.row_bytes)} bytes",
+            remedy="run agent and telemetry from one release",
+        )
+    if file_bytes < header.file_bytes:
         raise RingError(
             f"{path} is cut short",
             found=f"{file_bytes} bytes",

@@ -24,6 +24,7 @@ from agent.telemetry.ring.file import (
     FINISHED_WORD,
     MESSAGE_IN_SLOT,
     SLOTS_OFFSET,
+    WRITTEN_MAX,
     WRITTEN_WORD,
     RingError,
     RingHeader,
@@ -77,7 +78,7 @@ class RingReader:
 
     @property
     def written(self) -> int:
-        """Rows committed so far; as far as was seen, where the file has been cut."""
+        """Rows committed so far; as far as was seen, where the file has been cut.  Raises RingError for no count."""
         self._look()
         return self._written
 
@@ -174,6 +175,13 @@ class RingReader:
 
     def _look(self) -> None:
         written = self._word(WRITTEN_WORD)
+        if written > WRITTEN_MAX:
+            raise RingError(
+                f"{self._path} has a damaged count of rows",
+                found=written,
+                expected=f"at most {WRITTEN_MAX}",
+                remedy="restart the agent",
+            )
         self._written = max(self._written, written)
 
     def _word(self, word: int) -> int:

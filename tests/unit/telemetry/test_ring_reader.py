@@ -240,6 +240,20 @@ def test_rows_of_a_file_that_is_cut_are_damaged_and_the_process_lives(
     assert (reader.finished, reader.writer_alive) == (False, True)
 
 
+def test_a_count_of_rows_that_cannot_be_is_refused_whenever_it_comes(
+    path: Path, writer: RingWriter, reader: RingReader
+) -> None:
+    write(writer, 2)
+    for count in ((1 << 62) - 1, 1 << 62, (1 << 63) + 5, (1 << 64) - 1):
+        os.pwrite(writer.fileno(), count.to_bytes(8, "little"), 1024)
+        if count < 1 << 62:
+            assert reader.written == count
+            continue
+        for looks in (lambda: reader.written, lambda: reader.read_new(3), lambda: RingReader(path, AGENT_STATE)):
+            with pytest.raises(RingError, match=f"has a damaged count of rows: found {count}, expected at most"):
+                looks()
+
+
 # --- opening and closing ---------------------------------------------------------------------------------------------
 
 
