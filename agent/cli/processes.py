@@ -100,8 +100,8 @@ def telemetry(
 ) -> None:
     """Publish one ring over Zenoh."""
     from agent.process.commands import TelemetryCommand
+    from agent.process.listening import telemetry as run
     from agent.process.started import Listener
-    from agent.process.started import telemetry as run
 
     run(
         TelemetryCommand(
@@ -133,8 +133,8 @@ def record(
 ) -> None:
     """Write everything the cell publishes into one MCAP log."""
     from agent.process.commands import RecordCommand
+    from agent.process.listening import record as run
     from agent.process.started import Listener
-    from agent.process.started import record as run
 
     code = run(
         RecordCommand(

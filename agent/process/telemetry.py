@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from agent.telemetry.link import publish
+from agent.telemetry.link.publication import Pace, PublishOptions, PublishReport
 from agent.telemetry.link.session import Network
 from agent.telemetry.row import topics
 from agent.telemetry.row.sample import AGENT_STATE, PLANT_STATE
@@ -18,26 +19,29 @@ def run_telemetry(
     ring: Path,
     network: Network,
     *,
+    joints: tuple[str, ...] | None,
     lockstep: bool,
     follow: bool,
     fresh: bool,
     stop: Callable[[], bool],
     ready: Callable[[str], None],
     say: Callable[[str], None],
-) -> publish.PublishReport:
+) -> PublishReport:
     """Publish the ring of an arm, or of topics.PLANT, until the recorder has it, or a stop.  Raises Refusal.
 
-    cell, fingerprint: its name and that of its files, which the recorder must have, too.  follow: go on with the ring
-    of the next agent; fresh: take none that an earlier run has left; say: is told in words what is waited for.
+    cell, fingerprint: its name and that of its files, which the recorder must have, too.  joints: the member's, in
+    order, where its ring may be another's.  follow: go on with the ring of the next agent; fresh: take none that an
+    earlier run has left; say: is told in words what is waited for.
     """
-    options = publish.PublishOptions(
+    options = PublishOptions(
         cell=cell,
         member=member,
         ring=ring,
         layout=PLANT_STATE if member == topics.PLANT else AGENT_STATE,
+        joints=joints,
         fingerprint=fingerprint,
         network=network,
-        pace=publish.Pace.LOCKSTEP if lockstep else publish.Pace.REAL_TIME,
+        pace=Pace.LOCKSTEP if lockstep else Pace.REAL_TIME,
         follow=follow,
         fresh=fresh,
         info={"cell": cell, "fingerprint": fingerprint, "member": member},

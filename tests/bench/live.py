@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.telemetry.link.publish import Pace
+from agent.telemetry.link.publication import Pace
 from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.sample import AGENT_STATE
 from drivers.clock import MonotonicClock

@@ -18,7 +18,7 @@ from agent.loop import initial_memory, step
 from agent.modes import Mode
 from agent.process.build import build_agent
 from agent.telemetry.link.intake import Intake
-from agent.telemetry.link.publish import Pace
+from agent.telemetry.link.publication import Pace
 from agent.telemetry.link.wire import BatchHeader
 from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.fill import AgentRow

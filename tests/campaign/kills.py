@@ -22,7 +22,7 @@ from rosbags.highlevel import AnyReader
 
 from agent.log.read import read_log
 from agent.log.recover import recover
-from agent.telemetry.link.publish import Pace
+from agent.telemetry.link.publication import Pace
 from tests.soak.watch import say
 from tests.support.mcap_core import install, read_by_node, read_by_python
 from tests.support.telemetry.one_arm import written

@@ -15,7 +15,7 @@ import psutil
 
 from agent.log.parts import Limits
 from agent.log.read import open_log
-from agent.telemetry.link.publish import Pace, PublishReport
+from agent.telemetry.link.publication import Pace, PublishReport
 from agent.telemetry.link.record import RecordReport
 from agent.telemetry.ring.texts import TextWriter
 from agent.telemetry.ring.writer import RingWriter

@@ -11,12 +11,9 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass, field
-from enum import Enum
-from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import zenoh
@@ -24,18 +21,19 @@ import zenoh.ext
 
 from agent.telemetry.link.cut import CutWatch
 from agent.telemetry.link.patience import Patience
+from agent.telemetry.link.publication import Pace, PublishOptions, PublishReport
+from agent.telemetry.link.rings import open_texts, wait_for_ring
 from agent.telemetry.link.sender import LockstepPauses, Sender
-from agent.telemetry.link.session import Network, has_link, open_session
+from agent.telemetry.link.session import has_link, open_session
 from agent.telemetry.link.source import HEALTH_KEPT, RowSource, TextSource
 from agent.telemetry.link.status import StatusQuery
 from agent.telemetry.link.wire import BATCH_BYTES_MAX, LOCKSTEP_BATCH_BYTES_MAX, End, Sent, seal_of
-from agent.telemetry.ring.file import exists
 from agent.telemetry.ring.reader import RingReader
-from agent.telemetry.ring.texts import TextReader, texts_path
+from agent.telemetry.ring.texts import TextReader
 from agent.telemetry.row.derive import RowEvents
 from agent.telemetry.row.event import Event, Level
-from agent.telemetry.row.sample import AGENT_STATE, Layout
-from agent.telemetry.row.topics import PLANT, RECORDER, Address, Kind
+from agent.telemetry.row.sample import AGENT_STATE
+from agent.telemetry.row.topics import RECORDER, Address, Kind
 
 _CYCLE_S: Final = 0.033  # 30 batches/s in real time; in lockstep see LockstepPauses
 _BURST_PAUSE_S: Final = 0.005  # in real time, between the bursts that catch up
@@ -44,45 +42,6 @@ _STATUS_S: Final = {False: 0.25, True: 0.0}  # in lockstep in every cycle
 _LINGER_S: Final = 10.0  # for a recorder that is there and says nothing
 _WINDOW_ROWS: Final = 4096  # lockstep: rows on their way at most
 _CACHE_BATCHES: Final = {False: 600, True: 4}  # 20 s in real time; in lockstep the ring keeps what is not acknowledged
-
-
-class Pace(Enum):
-    """Who waits for whom."""
-
-    REAL_TIME = "real time"  # the oldest rows are overwritten and counted
-    LOCKSTEP = "lockstep"  # simulated time waits until the recorder has the rows
-
-
-@dataclass(frozen=True)
-class PublishOptions:
-    """One ring and where it goes."""
-
-    cell: str
-    member: str  # arm, or topics.PLANT
-    ring: Path
-    layout: Layout = AGENT_STATE
-    fingerprint: str = ""  # of the cell's files, which the recorder must have, too
-    network: Network = field(default_factory=Network)
-    pace: Pace = Pace.REAL_TIME
-    follow: bool = False  # a service: goes on with the ring of the next agent; fresh, too
-    # only a ring whose agent lives or that is younger than the wait for it: another one belongs to another log
-    fresh: bool = False
-    info: Mapping[str, Any] = field(default_factory=dict)  # answer of the `info` queryable, JSON
-
-
-@dataclass(frozen=True, slots=True)
-class PublishReport:
-    """What became of a ring."""
-
-    rows_written: int
-    rows_lost: int  # overwritten or damaged in the ring before they were published
-    rows_unrecorded: int  # published, not with the recorder as far as it said
-    end: End
-
-    @property
-    def complete(self) -> bool:
-        """Whether the recorder has every row of a ring that has ended."""
-        return self.end is not End.OPEN and not self.rows_lost and not self.rows_unrecorded
 
 
 def run(
@@ -101,7 +60,7 @@ def run(
     with open_session(options.network) as opened:
         ready(options.member)
         report = PublishReport(0, 0, 0, End.OPEN)
-        while (reader := _wait_for_ring(options, since_ns, stop, say)) is not None:
+        while (reader := wait_for_ring(options, since_ns, stop, say)) is not None:
             with reader:
                 with ExitStack() as stack:  # closed with the ring: its cache must not reach the next run's recorder
                     report = _Telemetry(options, address, opened.session, reader, stack).run(stop, say)
@@ -212,7 +171,7 @@ class _Telemetry:
 
     def _collect_texts(self, *, ended: bool) -> None:
         if self._texts is None:
-            self._texts = _open_texts(self._options.ring, self._reader.header.pid, self._stack)
+            self._texts = open_texts(self._options.ring, self._reader.header.pid, self._stack)
         for kind, text in self._texts.read_new() if self._texts else ():
             self._outbox[kind].append(text)
         if ended:
@@ -245,45 +204,6 @@ class _Telemetry:
     def _report(self) -> PublishReport:
         rows = self._senders[Kind.STATE]
         return PublishReport(self._reader.written, rows.lost, rows.unrecorded(), RowSource(self._reader).end)
-
-
-def _wait_for_ring(
-    options: PublishOptions, since_ns: int, stop: Callable[[], bool], say: Callable[[str], None]
-) -> RingReader | None:
-    past = False  # a ring is there, and belongs to another log
-    patience = Patience(lambda: say(_without_ring(options, past=past)))
-    while not stop():
-        patience.waiting(True)
-        if exists(options.ring):
-            reader = RingReader(options.ring, options.layout, acknowledges=options.pace is Pace.LOCKSTEP)
-            any_age = not (options.fresh or options.follow)
-            if any_age or reader.writer_alive or reader.header.created_ns >= since_ns:
-                return reader
-            reader.close()
-            past = True
-        time.sleep(_CYCLE_S)
-    return None
-
-
-def _without_ring(options: PublishOptions, *, past: bool) -> str:
-    maker = "coop plant` or `coop emulate" if options.member == PLANT else f"coop agent --arm {options.member}"
-    where = f"the ring {options.ring}, which `{maker}` makes there or where its --ring says"
-    waits = f"waits for {where}, until it is stopped"
-    if past and not options.follow:
-        return f"{waits}; the one there is an earlier run's, which --ring with that path sends"
-    return waits
-
-
-def _open_texts(ring: Path, pid: int, stack: ExitStack) -> TextReader | None:
-    """Texts of the process that writes the ring, None when it writes none; those of an earlier one do not count."""
-    if not texts_path(ring).exists():
-        return None
-    reader = TextReader(ring)
-    if reader.pid != pid:
-        reader.close()
-        return None
-    stack.callback(reader.close)
-    return reader
 
 
 def _publisher(session: zenoh.Session, address: Address, lockstep: bool) -> zenoh.ext.AdvancedPublisher:

@@ -18,7 +18,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from agent.ros import bridge
 from agent.ros.wire import Topic
-from agent.telemetry.link.publish import Pace
+from agent.telemetry.link.publication import Pace
 from agent.telemetry.link.session import Network, NetworkError, Role
 from agent.telemetry.row.topics import PLANT
 from tests.support.ports import free_port

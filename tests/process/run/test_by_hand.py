@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 import configs
+from agent.config.files import load_files
 from agent.log.read import read_log
 from agent.telemetry.ring.reader import RingReader
 from agent.telemetry.ring.writer import RingWriter
@@ -31,6 +32,8 @@ atexit.register(lambda: sys.stderr.write("loaded: " + " ".join(m for m in {HEAVY
 from agent.cli.main import main
 main()
 """
+
+JOINTS = tuple(load_files(PAPER).arms[0].entry.controlled)
 
 
 class Host:
@@ -203,7 +206,7 @@ def test_telemetry_says_what_it_waits_for(session: Host) -> None:
 def test_telemetry_takes_a_ring_of_an_earlier_run_only_where_it_is_named(session: Host, named: bool) -> None:
     ring = session.folder / "session" / "coop" / "paper" / "left.ring"
     ring.parent.mkdir(mode=0o700, parents=True)
-    with RingWriter(ring, AGENT_STATE, "left", ("waist",), slots=2) as agent:
+    with RingWriter(ring, AGENT_STATE, "left", JOINTS, slots=2) as agent:
         agent.finish()
     place = ("--ring", str(ring)) if named else ()
     telemetry = session.start(
@@ -219,6 +222,21 @@ def test_telemetry_takes_a_ring_of_an_earlier_run_only_where_it_is_named(session
         assert "the one there is an earlier run's, which --ring with that path sends" in line
     telemetry.terminate()
     ended(telemetry)
+
+
+@pytest.mark.parametrize(
+    ("name", "joints", "found"),
+    [("right", JOINTS, "the ring of 'right', expected that of 'left'"), ("left", ("waist",), "joints waist, expected")],
+)
+def test_telemetry_refuses_the_ring_of_another_arm(
+    session: Host, name: str, joints: tuple[str, ...], found: str
+) -> None:
+    ring = session.folder / "some.ring"
+    with RingWriter(ring, AGENT_STATE, name, joints, slots=2):
+        telemetry = session.start("telemetry", str(PAPER), "--arm", "left", "--ring", str(ring))
+        _, words = telemetry.communicate(timeout=60)
+    assert telemetry.returncode == 2
+    assert f"telemetry ring {ring}: found {found}" in words
 
 
 def test_telemetry_without_a_recorder_says_so(session: Host) -> None:

@@ -17,7 +17,7 @@ from agent.config.files import load_files
 from agent.log.read import read_log
 from agent.pki.make import Wish, make
 from agent.telemetry.link import publish, record
-from agent.telemetry.link.publish import Pace, PublishOptions
+from agent.telemetry.link.publication import Pace, PublishOptions
 from agent.telemetry.link.record import RecordOptions
 from agent.telemetry.link.session import Network, has_link, open_session
 from agent.telemetry.link.wire import BatchHeader

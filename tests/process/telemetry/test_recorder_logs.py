@@ -15,7 +15,7 @@ from agent.log.collect import LogError
 from agent.log.file import LogInTheWay
 from agent.log.parts import Limits, make_room, only_recorder
 from agent.log.read import read_log
-from agent.telemetry.link.publish import Pace
+from agent.telemetry.link.publication import Pace
 from tests.support.telemetry.log_maker import LogMaker, make_log
 from tests.support.telemetry.one_arm import LEFT, RATE_HZ, one_arm, prefix, rows_in, wait_for, written
 from tests.support.telemetry.proxy import wire

@@ -21,7 +21,7 @@ from agent.log.read import LogError, RunLog, read_log
 from agent.telemetry.link import play
 from agent.telemetry.link.play import PlayOptions
 from agent.telemetry.link.playhead import Order
-from agent.telemetry.link.publish import Pace
+from agent.telemetry.link.publication import Pace
 from agent.telemetry.link.session import Network, Role, open_session
 from agent.telemetry.link.wire import BatchHeader
 from agent.telemetry.row.topics import PLANT

@@ -27,7 +27,7 @@ from agent.log.scan import library_of
 from agent.telemetry.link import record
 from agent.telemetry.link.inbox import Inbox
 from agent.telemetry.link.intake import Rejection
-from agent.telemetry.link.publish import Pace
+from agent.telemetry.link.publication import Pace
 from agent.telemetry.link.record import RecordOptions, RecordReport
 from agent.telemetry.link.session import Network, NetworkError, open_session
 from agent.telemetry.link.wire import BatchHeader, End

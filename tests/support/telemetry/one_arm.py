@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from agent.log.read import LogError, read_log
-from agent.telemetry.link.publish import Pace
+from agent.telemetry.link.publication import Pace
 from agent.telemetry.link.session import Network, Role, open_session
 from agent.telemetry.link.status import StatusQuery
 from agent.telemetry.link.wire import seal_of

@@ -15,9 +15,9 @@ from agent.process import __main__ as process_main
 from agent.process import children, recorder
 from agent.process.children import Children
 from agent.process.commands import RecordCommand
+from agent.process.listening import record as started
 from agent.process.run_kind import RunKind
 from agent.process.started import Listener
-from agent.process.started import record as started
 from agent.telemetry.link.record import RecordReport
 from agent.telemetry.link.session import FREE_PORT
 
