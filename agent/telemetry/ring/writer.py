@@ -30,7 +30,7 @@ from agent.telemetry.ring.file import (
 )
 from agent.telemetry.row.sample import CDR_LITTLE_ENDIAN
 
-DEFAULT_SLOTS: Final = 8192  # 22 MB of AgentState: 41 s at 200 Hz, 16 s at 500 Hz
+DEFAULT_SLOTS: Final = 8192  # 41 s at 200 Hz, 16 s at 500 Hz; how large files are: `file_bytes`, docs/install.md
 LOCKSTEP_TIMEOUT_S: Final = 30.0
 _POLL_S: Final = 0.0002
 
