@@ -60,9 +60,14 @@ def free_bytes(where: Path | int) -> int:
     return found.f_bavail * found.f_frsize
 
 
+def has_a_name(fd: int, path: Path) -> bool:
+    """Whether the open file that was at `path` is still somewhere, there or where it was moved."""
+    return os.fstat(fd).st_nlink > 0 or os.path.lexists(path)  # some file systems count no names
+
+
 def require_a_name(fd: int, path: Path) -> None:
     """Raise FileNotFoundError where the open file that was at `path` has been removed; one that was moved is there."""
-    if os.fstat(fd).st_nlink == 0 and not os.path.lexists(path):  # some file systems count no names
+    if not has_a_name(fd, path):
         raise FileNotFoundError(errno.ENOENT, "somebody has removed it")
 
 

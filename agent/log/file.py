@@ -20,7 +20,7 @@ from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
 from agent.log.chunk import LIBRARY, Group
-from agent.log.disk import Sink, Syncer, free_bytes, require_a_name, sync_directory
+from agent.log.disk import Sink, Syncer, free_bytes, has_a_name, require_a_name, sync_directory
 from agent.log.locks import alone_with, create_written, is_written
 from agent.log.writer import BatchWriter, Records
 from drivers.interface import Refusal
@@ -73,6 +73,7 @@ class LogFile:
         """
         self.path = path
         self.failure: str | None = None
+        self.removed = False  # nothing of it is left
         self.nearly_full = False  # there is just room enough to finish
         self.lost: Counter[int] = Counter()  # messages by channel that came and are not in the file
         self.before_flush: Callable[[], None] = _nothing  # writes what waits to be written
@@ -149,7 +150,12 @@ class LogFile:
 
     def tick(self, now_s: float) -> None:
         """Flush when it is time, and look how much room is left."""
-        if not self._open or now_s - self._flushed_s < FLUSH_S:
+        if now_s - self._flushed_s >= FLUSH_S:
+            self.flush(now_s)
+
+    def flush(self, now_s: float) -> None:
+        """Write what came, so that it is in the file or the file has failed, and look how much room is left."""
+        if not self._open:
             return
         self._flushed_s = now_s
         try:
@@ -196,6 +202,7 @@ class LogFile:
         self._open = False
         self.lost += self._unsafe
         self._syncer.stop()
+        self.removed = not has_a_name(self._fd, self.path)
         os.ftruncate(self._fd, self._sink.good)
         os.close(self._fd)
 

@@ -46,6 +46,8 @@ class PublishReport:
     rows_lost: int  # overwritten or damaged in the ring before they were published
     rows_unrecorded: int  # published, not with the recorder as far as it said
     end: End
+    unrecorded_why: str = ""  # what the recorder said of it
+    cut: str = ""  # what is left of the ring's file, where it has been cut
 
     @property
     def complete(self) -> bool:

@@ -27,7 +27,14 @@ from agent.telemetry.link.sender import LockstepPauses, Sender
 from agent.telemetry.link.session import has_link, open_session
 from agent.telemetry.link.source import HEALTH_KEPT, RowSource, TextSource
 from agent.telemetry.link.status import StatusQuery
-from agent.telemetry.link.wire import BATCH_BYTES_MAX, LOCKSTEP_BATCH_BYTES_MAX, End, Sent, seal_of
+from agent.telemetry.link.wire import (
+    BATCH_BYTES_MAX,
+    LOCKSTEP_BATCH_BYTES_MAX,
+    End,
+    RecorderStatus,
+    Sent,
+    seal_of,
+)
 from agent.telemetry.ring.reader import RingReader
 from agent.telemetry.ring.texts import TextReader
 from agent.telemetry.row.derive import RowEvents
@@ -108,14 +115,20 @@ class _Telemetry:
         self._ended_s = 0.0
         self._cut = CutWatch(lambda: has_link(session))
         self._heard = False  # a recorder has said what it has
+        self._unheard_why = ""  # why the recorder that is there records nothing
+        self._cut_told = False
+        self._say: Callable[[str], None] = lambda _: None
         self._pauses = LockstepPauses(_BURST[True])
 
     def run(self, stop: Callable[[], bool], say: Callable[[str], None]) -> PublishReport:
+        self._say = say
         lonely = Patience(lambda: say(self._without_recorder()))
         while True:
             sent = self._cycle(time.monotonic())
             lonely.waiting(not self._heard)
             if all(sender.complete for sender in self._senders.values()) or stop() or self._is_over():
+                return self._report()
+            if self._unheard_why and all(sender.ended for sender in self._senders.values()):
                 return self._report()
             if self._lockstep:
                 time.sleep(self._pauses.after(sent, self._senders[Kind.STATE]))
@@ -145,6 +158,7 @@ class _Telemetry:
             self._watch(payload)
             sent += 1
         self._tell_of_cuts(now_s)
+        self._tell_of_a_cut_ring()
         self._collect_texts(ended=rows.ended and not self._cut.away)
         for kind, sender in self._senders.items():
             if kind is not Kind.STATE:
@@ -169,6 +183,16 @@ class _Telemetry:
             event = Event(time.time_ns(), self._options.member, Level.WARN, text, {"cut_s": round(away_s, 1)})
             self._outbox[Kind.EVENT].append(event.to_json())
 
+    def _tell_of_a_cut_ring(self) -> None:
+        left = "" if self._cut_told else self._reader.cut
+        if left:
+            self._cut_told = True
+            text = f"the ring was cut to {left}: rows are lost"
+            self._say(text)
+            if self._outbox[Kind.EVENT].end is End.OPEN:
+                event = Event(time.time_ns(), self._options.member, Level.ERROR, text, {})
+                self._outbox[Kind.EVENT].append(event.to_json())
+
     def _collect_texts(self, *, ended: bool) -> None:
         if self._texts is None:
             self._texts = open_texts(self._options.ring, self._reader.header.pid, self._stack)
@@ -180,15 +204,26 @@ class _Telemetry:
 
     def _send_again(self, now_s: float) -> int:
         status, sent = self._status.poll(now_s), 0
-        self._heard |= status is not None
+        if status is not None:
+            self._hear(status, now_s)
         for kind, sender in self._senders.items():
-            if status is not None:
-                sender.on_status(status.get(self._address_of(kind).key), now_s)
-            if self._heard:
+            if self._heard and not self._unheard_why:
                 for header, payload in sender.again(_BURST[self._lockstep], now_s):
                     self._publishers[kind].put(payload, attachment=header.pack(self._sent, payload))
                     sent += 1
         return sent
+
+    def _hear(self, status: RecorderStatus, now_s: float) -> None:
+        """Take note of what the recorder has; one whose log has ended takes nothing more, and is not waited for."""
+        self._heard = True
+        why = "" if status.recording else status.cause or "no log"
+        if why and why != self._unheard_why:
+            self._say(f"the recorder's log has ended: {why}; another recorder gets what the ring still holds then")
+        self._unheard_why = why
+        for kind, sender in self._senders.items():
+            sender.on_status(status.streams.get(self._address_of(kind).key), now_s)
+            if why and self._lockstep:
+                sender.go_on_alone()
 
     def _address_of(self, kind: Kind) -> Address:
         return Address(self._options.cell, self._options.member, kind)
@@ -203,7 +238,14 @@ class _Telemetry:
 
     def _report(self) -> PublishReport:
         rows = self._senders[Kind.STATE]
-        return PublishReport(self._reader.written, rows.lost, rows.unrecorded(), RowSource(self._reader).end)
+        return PublishReport(
+            self._reader.written,
+            rows.lost,
+            rows.unrecorded(),
+            RowSource(self._reader).end,
+            self._unheard_why,
+            self._reader.cut,
+        )
 
 
 def _publisher(session: zenoh.Session, address: Address, lockstep: bool) -> zenoh.ext.AdvancedPublisher:

@@ -23,7 +23,8 @@ from agent.telemetry.link.inbox import Inbox, Listening
 from agent.telemetry.link.intake import STRANGE, Intake, Rejection
 from agent.telemetry.link.repair import Repair
 from agent.telemetry.link.session import FREE_PORT, Network, open_session
-from agent.telemetry.link.wire import pack_status, seal_of
+from agent.telemetry.link.stream import Stream
+from agent.telemetry.link.wire import End, StreamStatus, pack_status, seal_of
 from agent.telemetry.row import topics
 from agent.telemetry.row.event import Event, Level
 from agent.telemetry.row.received import Rows, Text
@@ -132,7 +133,8 @@ class _Recorder:
         self._status_s = 0.0
         self._taken = False  # anything since the status was made
         self._cause = ""
-        self._ended_told = False
+        self._kept: dict[str, StreamStatus] | None = None  # what is in the log, once it has ended before its time
+        self._to_write = False  # of a stream that has ended: its publisher goes once it is told that all is here
         self._refresh_status()
 
     def listen(self, session: zenoh.Session) -> Listening:
@@ -144,6 +146,9 @@ class _Recorder:
         for message in self._inbox.take(_DRAIN_MAX, timeout_s):
             self._take(*message)
         now_s = time.monotonic()
+        if self._to_write:
+            self._to_write = False
+            self._log.flush(now_s)
         self._log.tick(now_s)
         self._tell_of_strangers(now_s)
         if now_s - self._budget_s >= _BUDGET_S:
@@ -152,8 +157,9 @@ class _Recorder:
             self._say(Level.ERROR, "disk nearly full: the log ends here", {})
             self.finish()
         cause = self.failure or self._log.failure or ("disk nearly full" if self._log.nearly_full else "")
-        if cause and not self._ended_told:
-            self._ended_told = True
+        if cause and self._kept is None:
+            lost = None if self._log.removed else self._channels.rows_lost()
+            self._kept = {key: _kept(stream, lost) for key, stream in self._intake.streams.items()}
             self._options.ended(self.logs[-1], cause)
         if (self._taken or cause != self._cause) and now_s - self._status_s >= _STATUS_S:
             self._status_s, self._cause, self._taken = now_s, cause, False
@@ -227,6 +233,7 @@ class _Recorder:
 
     def _take(self, key: str, payload: bytes, attachment: bytes) -> None:
         self._taken = True
+        stream = self._intake.streams.get(key)
         age_s = time.monotonic() - self._opened_s
         if payload and self._options.limits.reached(self._log.size, age_s) and self._has_rows():
             self._next("it reached its limit")  # not before there is something to go on with
@@ -234,6 +241,7 @@ class _Recorder:
         if self._intake.another_run and len(self.logs) < LOGS_MAX:
             self._next(f"{key} started again")
             items = self._intake.take(key, payload, attachment, time.monotonic())  # nothing when there can be no other
+        self._to_write |= stream is not None and stream.end is not End.OPEN
         for item in items:
             if isinstance(item, Rows):
                 self._channels.write_rows(item)
@@ -263,8 +271,17 @@ class _Recorder:
         self._zenoh_missed += miss.nb
 
     def _refresh_status(self) -> None:
-        streams = {key: stream.status for key, stream in self._intake.streams.items()}
+        streams = self._kept
+        if streams is None:
+            streams = {key: stream.status for key, stream in self._intake.streams.items()}
         self._status = pack_status(not self._cause, self._cause, streams, self._seal)
+
+
+def _kept(stream: Stream, lost: Mapping[str, int] | None) -> StreamStatus:
+    """What of it is in a log that has ended before its time; lost: rows by member, None: all.  Texts are not told."""
+    if lost is not None and stream.address.kind is topics.Kind.STATE:
+        return stream.kept(lost.get(stream.address.member, 0))
+    return StreamStatus(stream.source, (), ended=False)
 
 
 def _about_recorder(options: RecordOptions, endpoint: str | None) -> dict[str, str]:

@@ -113,6 +113,10 @@ class Sender:
             self._credit = self._left = min(2 * self._credit, RESEND_BATCHES_MAX)
         self._had = had
 
+    def go_on_alone(self) -> None:
+        """Nobody records any more: wait for no answer about what was published, which stays unrecorded."""
+        self._note_gone(0, self._next - 1)
+
     def again(self, batches_max: int, now_s: float) -> Iterator[tuple[BatchHeader, bytes]]:
         """Return what the recorder misses, when it has missed the same for a while; waits longer each time.
 

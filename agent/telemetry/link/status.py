@@ -7,7 +7,7 @@ from typing import Final
 import zenoh
 
 from agent.telemetry.link.session import has_link
-from agent.telemetry.link.wire import StreamStatus, unpack_status
+from agent.telemetry.link.wire import RecorderStatus, unpack_status
 from agent.telemetry.row import topics
 
 _TIMEOUT_S: Final = 2.0
@@ -26,8 +26,8 @@ class StatusQuery:
         self._asked_s = 0.0
         self._replies: zenoh.Handler[zenoh.Reply] | None = None
 
-    def poll(self, now_s: float) -> dict[str, StreamStatus] | None:
-        """Status by key when an answer has come; ask again when it is time."""
+    def poll(self, now_s: float) -> RecorderStatus | None:
+        """Its status when an answer has come; ask again when it is time."""
         status = None
         if self._replies is not None:
             try:
@@ -40,7 +40,7 @@ class StatusQuery:
         return status
 
 
-def _status_in(reply: zenoh.Reply | None, seal: bytes) -> dict[str, StreamStatus] | None:
+def _status_in(reply: zenoh.Reply | None, seal: bytes) -> RecorderStatus | None:
     if reply is None or reply.ok is None or len(reply.ok.payload) > _STATUS_BYTES_MAX:
         return None
     try:

@@ -40,6 +40,17 @@ class Stream:
         """For the publisher."""
         return StreamStatus(self.source, tuple(self.have.ranges[-RANGES_MAX:]), self.end is not End.OPEN)
 
+    def kept(self, lost: int) -> StreamStatus:
+        """For the publisher, once the log has ended without the last `lost` messages that came."""
+        ranges = self.have.ranges
+        while lost and ranges:
+            first, last = ranges.pop()
+            some = min(lost, last - first + 1)
+            lost -= some
+            if last - some >= first:
+                ranges.append((first, last - some))
+        return StreamStatus(self.source, tuple(ranges[-RANGES_MAX:]), self.end is not End.OPEN)
+
     def note(self, header: BatchHeader, count: int) -> list[tuple[int, int]]:
         """Take over a batch; return the ranges of numbers that are new."""
         self._rival_s = None

@@ -94,6 +94,15 @@ class StreamStatus:
     ended: bool  # the end marker is there
 
 
+@dataclass(frozen=True, slots=True)
+class RecorderStatus:
+    """The recorder's answer."""
+
+    recording: bool  # what comes gets into a log
+    cause: str  # why not
+    streams: Mapping[str, StreamStatus]  # by key; once nothing is recorded any more, what is in the log
+
+
 def pack_status(recording: bool, cause: str, streams: Mapping[str, StreamStatus], seal: bytes) -> bytes:
     """The recorder's answer; `streams` by key, `seal` of the cell's recorder."""
     plain = {key: {"source": s.source, "have": s.have, "ended": s.ended} for key, s in streams.items()}
@@ -101,17 +110,18 @@ def pack_status(recording: bool, cause: str, streams: Mapping[str, StreamStatus]
     return json.dumps(told, separators=(",", ":")).encode()
 
 
-def unpack_status(payload: bytes, seal: bytes) -> dict[str, StreamStatus]:
-    """Status by key.  Raises ValueError when it is not one of the recorder with that seal."""
+def unpack_status(payload: bytes, seal: bytes) -> RecorderStatus:
+    """The answer.  Raises ValueError when it is not one of the recorder with that seal."""
     try:
         told = json.loads(payload)
         if told["seal"] != seal.hex():
             raise ValueError("the status of another recorder")
-        return {
+        streams = {
             str(key): StreamStatus(
                 int(s["source"]), tuple((int(a), int(b)) for a, b in s["have"][-RANGES_MAX:]), bool(s["ended"])
             )
             for key, s in told["streams"].items()
         }
+        return RecorderStatus(bool(told["recording"]), str(told["cause"]), streams)
     except (KeyError, TypeError, AttributeError, RecursionError) as error:
         raise ValueError(f"not a recorder's status: {error!r}") from error

@@ -7,6 +7,7 @@ import json
 import os
 import random
 import resource
+import shutil
 import signal
 import time
 from collections.abc import Callable, Mapping
@@ -27,7 +28,7 @@ from agent.log.scan import library_of
 from agent.telemetry.link import record
 from agent.telemetry.link.inbox import Inbox
 from agent.telemetry.link.intake import Rejection
-from agent.telemetry.link.publication import Pace
+from agent.telemetry.link.publication import Pace, PublishReport
 from agent.telemetry.link.record import RecordOptions, RecordReport
 from agent.telemetry.link.session import Network, NetworkError, open_session
 from agent.telemetry.link.wire import BatchHeader, End
@@ -369,11 +370,12 @@ def record_on_a_disk_nearly_full(
     return record.run(replace(options, ended=lambda log, why: ready(f"{log.name}: {why}")), stop, ready)
 
 
-def send_all(ring: Path, total: int, endpoint: str) -> None:
+def send_all(ring: Path, total: int, endpoint: str) -> PublishReport:
     """So many rows of the left arm, in lockstep with a recorder."""
     with telemetry(ring, "left", endpoint, Pace.LOCKSTEP) as tel, writer(ring, "left", total, None) as agent:
         assert agent.result() == total
-        tel.result()
+        report: PublishReport = tel.result()
+        return report
 
 
 @pytest.mark.fault("D1")
@@ -381,7 +383,7 @@ def test_a_disk_that_is_full_stops_the_log_and_nothing_else(folder: Path) -> Non
     total = 20_000
     options = RecordOptions(folder / "run.mcap", scene(CELL, LEFT), CONFIG_ID, min_free_bytes=1 << 20)
     with Process(record_on_a_small_disk, options) as rec:
-        send_all(folder / "left.ring", total, rec.ready())
+        sent = send_all(folder / "left.ring", total, rec.ready())
         assert rec.ready() == "run.mcap: File too large", "told while it runs"
         report = rec.stop()
         with pytest.raises(EOFError):
@@ -394,16 +396,63 @@ def test_a_disk_that_is_full_stops_the_log_and_nothing_else(folder: Path) -> Non
     assert log.agents["left"].tobytes() == prefix(kept, total)
     assert report.completeness["left.rows_recorded"] == str(kept)
     assert report.completeness["left.lost_on_disk"] == str(total - kept)
+    assert (sent.rows_unrecorded, sent.unrecorded_why, sent.complete) == (total - kept, "File too large", False)
 
 
 @pytest.mark.fault("D1")
 def test_a_disk_that_is_nearly_full_ends_the_log_with_its_reason(folder: Path) -> None:
     options = RecordOptions(folder / "run.mcap", scene(CELL, LEFT), CONFIG_ID)
     with Process(record_on_a_disk_nearly_full, options) as rec:
-        send_all(folder / "left.ring", 100, rec.ready())
+        sent = send_all(folder / "left.ring", 100, rec.ready())
         assert rec.ready() == "run.mcap: disk nearly full", "told while it runs"
         rec.stop()
+    assert sent.rows_unrecorded == 100 - len(read_log(folder / "run.mcap").agents["left"])
     assert "disk nearly full: the log ends here" in [event.text for event in read_log(folder / "run.mcap").events]
+
+
+def record_and_tell(options: RecordOptions, stop: Callable[[], bool], ready: Callable[[str], None]) -> RecordReport:
+    return record.run(replace(options, ended=lambda log, why: ready(f"{log.name}: {why}")), stop, ready)
+
+
+@pytest.mark.fault("D1")
+def test_rows_of_a_log_that_somebody_removed_are_unrecorded_and_the_next_recorder_gets_them(folder: Path) -> None:
+    total, where = 1500, somewhere()
+    (folder / "logs").mkdir()
+    options = RecordOptions(
+        folder / "logs/run.mcap", scene(CELL, LEFT), CONFIG_ID, min_free_bytes=1 << 20, network=where
+    )
+    ring, log = folder / "left.ring", folder / "logs/run.mcap"
+    with (
+        writer(ring, "left", total, RATE_HZ) as agent,
+        Process(record_and_tell, options) as rec,
+        telemetry(ring, "left", rec.ready(), Pace.REAL_TIME) as tel,
+    ):
+        wait_for(lambda: recorded(log) > 0)
+        shutil.rmtree(log.parent)
+        assert rec.ready() == "run.mcap: somebody has removed it"
+        rec.stop()
+        with recorder(folder / "again.mcap", arms=LEFT, network=where) as again:
+            again.ready()
+            assert agent.result() == total
+            assert tel.result().complete
+            assert again.stop().complete
+    assert rows_in(folder / "again.mcap") == prefix(total, total)
+
+
+@pytest.mark.fault("D1")
+def test_a_run_that_is_over_is_not_called_recorded_by_a_recorder_without_a_log(folder: Path) -> None:
+    (folder / "logs").mkdir()
+    options = RecordOptions(folder / "logs/run.mcap", scene(CELL, LEFT), CONFIG_ID, min_free_bytes=1 << 20)
+    with writer(folder / "left.ring", "left", 100, RATE_HZ) as agent:
+        agent.result()
+    with Process(record_and_tell, options) as rec:
+        endpoint = rec.ready()
+        shutil.rmtree(folder / "logs")
+        assert rec.ready() == "run.mcap: somebody has removed it"
+        with telemetry(folder / "left.ring", "left", endpoint, Pace.REAL_TIME) as tel:
+            sent = tel.result()
+        rec.stop()
+    assert (sent.rows_written, sent.rows_unrecorded, sent.unrecorded_why) == (100, 100, "somebody has removed it")
 
 
 def test_a_second_recorder_is_refused_before_anything_starts(folder: Path) -> None:

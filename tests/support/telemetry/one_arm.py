@@ -62,7 +62,7 @@ def wait_for_the_end(endpoint: str) -> None:
 
         def told() -> bool:
             status = query.poll(time.monotonic())
-            left = None if status is None else status.get(key)
+            left = None if status is None else status.streams.get(key)
             return left is not None and left.ended and len(left.have) == 1
 
         wait_for(told)

@@ -11,7 +11,16 @@ from hypothesis import strategies as st
 
 from agent.telemetry.link.intake import Intake, Rejection
 from agent.telemetry.link.stream import SILENT_S
-from agent.telemetry.link.wire import BatchHeader, End, Sent, StreamStatus, pack_status, seal_of, unpack_status
+from agent.telemetry.link.wire import (
+    BatchHeader,
+    End,
+    RecorderStatus,
+    Sent,
+    StreamStatus,
+    pack_status,
+    seal_of,
+    unpack_status,
+)
 from agent.telemetry.row.event import Event, Level
 from agent.telemetry.row.received import Rows, Text
 from agent.telemetry.row.topics import PLANT, Address, Kind
@@ -362,7 +371,9 @@ def test_of_very_many_events_the_newest_are_known_again(monkeypatch: pytest.Monk
     )
 )
 def test_a_status_comes_back_as_it_was(streams: dict[str, StreamStatus]) -> None:
-    assert unpack_status(pack_status(True, "", streams, b"ours"), b"ours") == streams
+    for recording, cause in ((True, ""), (False, "File too large")):
+        told = unpack_status(pack_status(recording, cause, streams, b"ours"), b"ours")
+        assert told == RecorderStatus(recording, cause, streams)
 
 
 @pytest.mark.parametrize(
