@@ -103,7 +103,7 @@ def telemetry(
     from agent.process.listening import telemetry as run
     from agent.process.started import Listener
 
-    run(
+    code = run(
         TelemetryCommand(
             cell=cell, member=member, ring=ring, connect=connect, network_config=network_config, lockstep=lockstep,
             follow=follow, cell_name=cell_name, fingerprint=fingerprint, at_once=at_once,
@@ -111,6 +111,8 @@ def telemetry(
         ),
         Listener(note),
     )  # fmt: skip
+    if code:
+        raise typer.Exit(code)
 
 
 def record(

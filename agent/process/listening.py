@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Final
+
 from agent.config.schema.driver import DriverKind
 from agent.host.signals import begin
 from agent.host.starting import ready
 from agent.process.commands import RecordCommand, TelemetryCommand
 from agent.process.started import Listener
+
+INCOMPLETE: Final = 1  # exit code: done, and rows are missing
+_WHERE: Final = {"lost_in_ring": "in the ring", "lost_on_the_way": "on the way", "lost_on_disk": "on the disk"}
 
 
 def telemetry(command: TelemetryCommand, listener: Listener) -> int:
@@ -33,10 +39,17 @@ def telemetry(command: TelemetryCommand, listener: Listener) -> int:
         say=lambda text: listener.say(f"{member}: {text}"),
     )
     listener.say(
-        f"{member}: {report.rows_written} rows, {report.rows_lost} lost in the ring, "
-        f"{report.rows_unrecorded} not confirmed by the recorder"
+        f"{member}: {report.rows_written} rows, {report.rows_lost} lost in the ring"
+        + (f", which was cut to {report.cut}" if report.cut else "")
+        + f", {report.rows_unrecorded} not confirmed by the recorder"
+        + (f", whose log has ended: {report.unrecorded_why}" if report.unrecorded_why else "")
     )
-    return 0
+    return _code(command, whole=not (report.rows_lost or report.rows_unrecorded))
+
+
+def _code(command: TelemetryCommand | RecordCommand, *, whole: bool) -> int:
+    """1 where rows are missing; 0 of a process of a run, whose report says so from the log."""
+    return 0 if whole or command.with_parent is not None else INCOMPLETE
 
 
 def _of_cell(command: TelemetryCommand) -> tuple[str, str, tuple[str, ...] | None]:
@@ -89,8 +102,30 @@ def record(command: RecordCommand, listener: Listener) -> int:
     for key, count in report.completeness.items():
         if key.startswith("rejected."):
             listener.say(f"left out {count} messages: {key.removeprefix('rejected.').replace('_', ' ')}")
-    listener.say(f"{report.path}: {'complete' if report.complete else 'INCOMPLETE'} {report.failure or ''}")
-    return 4 if report.failure else 0
+    if report.complete:
+        listener.say(f"{report.path}: complete")
+    else:
+        why = report.failure or "; ".join(missing(report.completeness)) or "an earlier one of its logs says what"
+        listener.say(f"{report.path}: INCOMPLETE: {why}")
+    return 4 if report.failure else _code(command, whole=report.complete)
+
+
+def missing(completeness: Mapping[str, str]) -> list[str]:
+    """What is not in a log and why, by member; from its last metadata record."""
+    found = []
+    for key, expected in completeness.items():
+        member, _, what = key.rpartition(".")
+        if what != "rows_expected":
+            continue
+        of = {name: completeness[f"{member}.{name}"] for name in ("rows_recorded", "end", *_WHERE)}
+        if expected == "0":
+            found.append(f"no row of {member} came")
+        elif of["rows_recorded"] != expected:
+            where = ", ".join(f"{of[name]} lost {words}" for name, words in _WHERE.items() if of[name] != "0")
+            found.append(f"{of['rows_recorded']} of {expected} rows of {member}" + (f", {where}" if where else ""))
+        elif of["end"] == "open":
+            found.append(f"{member} had not ended")
+    return found
 
 
 def _bytes(megabytes: int | None) -> int | None:

@@ -207,6 +207,7 @@ def test_telemetry_takes_a_ring_of_an_earlier_run_only_where_it_is_named(session
     ring = session.folder / "session" / "coop" / "paper" / "left.ring"
     ring.parent.mkdir(mode=0o700, parents=True)
     with RingWriter(ring, AGENT_STATE, "left", JOINTS, slots=2) as agent:
+        agent.commit()
         agent.finish()
     place = ("--ring", str(ring)) if named else ()
     telemetry = session.start(
@@ -221,7 +222,10 @@ def test_telemetry_takes_a_ring_of_an_earlier_run_only_where_it_is_named(session
         assert line.startswith(f"left: waits for the ring {ring}, which"), line
         assert "the one there is an earlier run's, which --ring with that path sends" in line
     telemetry.terminate()
-    ended(telemetry)
+    _, words = telemetry.communicate(timeout=90)
+    rows = 1 if named else 0
+    assert telemetry.returncode == rows, "1: done, and rows are missing"
+    assert f"left: {rows} rows, 0 lost in the ring, {rows} not confirmed by the recorder" in words
 
 
 @pytest.mark.parametrize(

@@ -109,7 +109,7 @@ def test_the_recorders_process_says_so_and_tells_who_started_it(
     )  # fmt: skip
     assert started(command, Listener(said.append, parent=told.append)) == 4
     line = f"{log}: the log ENDS HERE: No space left on device; the arms go on without it"
-    assert said == [line, f"{log}: INCOMPLETE No space left on device"]
+    assert said == [line, f"{log}: INCOMPLETE: No space left on device"]
     assert told == [line]
 
 
@@ -127,7 +127,7 @@ def test_who_records_is_told_of_what_was_left_unfinished_whether_it_could_be_men
     )  # fmt: skip
     assert started(command, Listener(said.append)) == 0
     assert said == [
-        f"repaired {mended}", "not repaired: cannot repair old.mcap: found No space left", f"{log}: complete ",
+        f"repaired {mended}", "not repaired: cannot repair old.mcap: found No space left", f"{log}: complete",
     ]  # fmt: skip
 
 
