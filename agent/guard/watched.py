@@ -136,7 +136,7 @@ class Watched:
 
     def _keep(self, end: int) -> None:
         """The rows before `end` that are new, as far as they are whole; what is there stays where none is."""
-        first = max(self.kept_end, end - ROWS, 0)
+        first = max(self.kept_end, end - ROWS)
         block = self.reader.read_at(first, end - first)
         if not block.count:
             return

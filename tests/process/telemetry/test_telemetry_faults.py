@@ -362,6 +362,20 @@ def record_on_a_small_disk(
     return record.run(replace(options, ended=lambda log, why: ready(f"{log.name}: {why}")), stop, ready)
 
 
+def record_on_a_disk_that_is_full_at_once(
+    options: RecordOptions, stop: Callable[[], bool], ready: Callable[[str], None]
+) -> RecordReport:
+    """Once the log has begun nothing more gets into it, which no look at the clock finds out."""
+    log_file.FLUSH_S = 3600.0
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+
+    def begun(endpoint: str) -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1, resource.RLIM_INFINITY))
+        ready(endpoint)
+
+    return record.run(options, stop, begun)
+
+
 def record_on_a_disk_nearly_full(
     options: RecordOptions, stop: Callable[[], bool], ready: Callable[[str], None]
 ) -> RecordReport:
@@ -397,6 +411,16 @@ def test_a_disk_that_is_full_stops_the_log_and_nothing_else(folder: Path) -> Non
     assert report.completeness["left.rows_recorded"] == str(kept)
     assert report.completeness["left.lost_on_disk"] == str(total - kept)
     assert (sent.rows_unrecorded, sent.unrecorded_why, sent.complete) == (total - kept, "File too large", False)
+
+
+@pytest.mark.fault("D1")
+def test_the_end_of_a_run_is_not_confirmed_before_it_is_written(folder: Path) -> None:
+    """Rows that wait for a chunk of them are lost with a disk that is full, and so few of them all wait."""
+    options = RecordOptions(folder / "run.mcap", scene(CELL, LEFT), CONFIG_ID, min_free_bytes=1 << 20)
+    with Process(record_on_a_disk_that_is_full_at_once, options) as rec:
+        sent = send_all(folder / "left.ring", 50, rec.ready())
+        rec.stop()
+    assert (sent.rows_unrecorded, sent.unrecorded_why) == (50, "File too large")
 
 
 @pytest.mark.fault("D1")
@@ -440,19 +464,23 @@ def test_rows_of_a_log_that_somebody_removed_are_unrecorded_and_the_next_recorde
 
 
 @pytest.mark.fault("D1")
-def test_a_run_that_is_over_is_not_called_recorded_by_a_recorder_without_a_log(folder: Path) -> None:
-    (folder / "logs").mkdir()
-    options = RecordOptions(folder / "logs/run.mcap", scene(CELL, LEFT), CONFIG_ID, min_free_bytes=1 << 20)
-    with writer(folder / "left.ring", "left", 100, RATE_HZ) as agent:
-        agent.result()
-    with Process(record_and_tell, options) as rec:
-        endpoint = rec.ready()
-        shutil.rmtree(folder / "logs")
+def test_no_row_of_a_log_that_somebody_removed_is_called_recorded(folder: Path) -> None:
+    """Not those either that were in it before."""
+    total, log = 700, folder / "logs/run.mcap"
+    log.parent.mkdir()
+    options = RecordOptions(log, scene(CELL, LEFT), CONFIG_ID, min_free_bytes=1 << 20)
+    with (
+        writer(folder / "left.ring", "left", total, RATE_HZ) as agent,
+        Process(record_and_tell, options) as rec,
+        telemetry(folder / "left.ring", "left", rec.ready(), Pace.REAL_TIME) as tel,
+    ):
+        wait_for(lambda: recorded(log) > 0)
+        shutil.rmtree(log.parent)
         assert rec.ready() == "run.mcap: somebody has removed it"
-        with telemetry(folder / "left.ring", "left", endpoint, Pace.REAL_TIME) as tel:
-            sent = tel.result()
+        agent.result()
+        sent = tel.result()
         rec.stop()
-    assert (sent.rows_written, sent.rows_unrecorded, sent.unrecorded_why) == (100, 100, "somebody has removed it")
+    assert (sent.rows_written, sent.rows_unrecorded, sent.unrecorded_why) == (total, total, "somebody has removed it")
 
 
 def test_a_second_recorder_is_refused_before_anything_starts(folder: Path) -> None:

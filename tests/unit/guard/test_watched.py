@@ -22,7 +22,7 @@ from agent.guard.watched import Watched
 from agent.modes import Mode
 from agent.process.build import build_agent
 from agent.telemetry.ring.file import SLOTS_OFFSET, RingError
-from agent.telemetry.ring.reader import RingReader
+from agent.telemetry.ring.reader import RingReader, RowBlock
 from agent.telemetry.ring.texts import TextReader, TextWriter, texts_path
 from agent.telemetry.ring.writer import RingWriter
 from agent.telemetry.row.event import Event, Level
@@ -246,6 +246,24 @@ def test_rows_of_a_hold_that_cannot_be_written_are_told_of_once(agent: Agent, mo
     for _ in range(3):
         seen.writer.commit()
     assert told == ["rows of this hold are lost: No space left on device"]
+    seen.close()
+
+
+def test_a_guard_that_comes_late_reads_no_more_than_it_keeps(agent: Agent, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A thousand rows at one look would cost a real-time process more than it may take."""
+    seen, asked = watched(agent), list[int]()
+    reads = seen.reader.read_at
+
+    def counted(first: int, count: int) -> RowBlock:
+        asked.append(count)
+        return reads(first, count)
+
+    monkeypatch.setattr(seen.reader, "read_at", counted)
+    agent.rows(100)
+    seen.hangs(2 * MS)
+    agent.rows(2)
+    seen.hangs(4 * MS)
+    assert asked == [64, 2]
     seen.close()
 
 

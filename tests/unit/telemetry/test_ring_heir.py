@@ -119,6 +119,8 @@ def test_a_file_that_is_none_any_more_is_mended_and_who_reads_it_goes_on(
         assert heir.catch_up() == 5, "as was seen before"
         heir.mend(rows_of(heir, range(3, 5)))
         assert (heir.damage, path.stat().st_size) == ("", max(size, 50_000 if damage == "written over" else 0))
+        with RingReader(path, AGENT_STATE) as another:
+            assert read(another)[-2:] == [3, 4], "before the next row, too"
         write(heir, 2)
         assert (read(reader), reader.missed, reader.damaged) == ([5, 6], 0, 0)
     assert path.read_bytes()[:1024] == before[:1024]

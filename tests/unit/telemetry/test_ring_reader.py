@@ -149,6 +149,24 @@ def test_rows_overwritten_while_they_are_read_are_missed_and_not_waited_for(
     assert (reader.missed, reader.damaged) == (3, 0)
 
 
+def test_rows_overwritten_just_after_they_were_copied_are_not_believed(
+    writer: RingWriter, reader: RingReader, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The copy is whole, by its checksums; it is the count of a slot that must not change under a reader."""
+    write(writer, SLOTS)
+    copies = os.preadv
+
+    def late(*given: Any) -> int:
+        monkeypatch.setattr(os, "preadv", copies)
+        done: int = copies(*given)
+        write(writer, 3)
+        return done
+
+    monkeypatch.setattr(os, "preadv", late)
+    block = reader.read_at(0, SLOTS)
+    assert (block.first, block.count) == (3, SLOTS - 3)
+
+
 def test_all_rows_may_be_overwritten_while_they_are_read(
     writer: RingWriter, reader: RingReader, monkeypatch: pytest.MonkeyPatch
 ) -> None:
