@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from importlib import import_module
@@ -176,5 +175,6 @@ def worst_cell(cell: Cell, result: RunResult, faults: Sequence[Fault] = ()) -> b
 def _strikes_s(cell: Cell, fault: Fault) -> float:
     """When a run of a study lets the fault happen, at the begin of a tick, for a plant that starts `ready_s` before."""
     ready_s, rate_hz = cell.file.simulation.ready_s, cell.file.rate_hz
-    ticks = round(ready_s * rate_hz) + math.ceil(fault.at_s / (cell.period_ns * NS))
-    return max(0.0, ticks / rate_hz - ready_s)
+    tick = round(fault.at_s * rate_hz)
+    tick += tick * cell.period_ns * NS < fault.at_s
+    return max(0.0, (round(ready_s * rate_hz) + tick) / rate_hz - ready_s)

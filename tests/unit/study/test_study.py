@@ -136,7 +136,7 @@ def test_the_worst_run_is_a_cell_that_repeats_it(tmp_path: Path, plan: Plan, res
 
 def struck(folder: Path, *kinds: str) -> Path:
     """A study of one run of the short cell, on soft pads, whose right arm has these faults."""
-    faults = "".join(f'[[faults]]\nkind = "{kind}"\narm = "right"\nat_s = 0.4\n' for kind in kinds)
+    faults = "".join(f'[[faults]]\nkind = "{kind}"\narm = "right"\nat_s = 0.396\n' for kind in kinds)
     cell_file(
         folder, "simulation.ready_s=0.013", "simulation.grasp={stiffness_N_per_m=1e5, stiffness_Nm_per_rad=100.0}"
     )
@@ -161,7 +161,7 @@ def test_what_the_worst_run_cannot_repeat_is_said_on_the_terminal_and_in_its_hea
     path, worst = struck(tmp_path, "limp", "open", "hold"), tmp_path / "out" / "worst.toml"
     done = coop("study", path, "--workers", "1", "--out", tmp_path / "out")
     assert done.code == 0, done.err
-    left_out = "limp right at 0.4 s, hold right at 0.4 s"
+    left_out = "limp right at 0.396 s, hold right at 0.396 s"
     assert f"worst    {worst} (without {left_out}: `coop run` does not know such faults)\n" in done.out
     assert worst.read_text().splitlines()[1] == (
         f"# WITHOUT what befell that run, which `coop run` does not know: {left_out}"
