@@ -138,7 +138,7 @@ class _Array:
 
 
 class ColumnFileError(Refusal):
-    """There is no room for the columns of a log."""
+    """There is no room for the columns of a log, or they are gone."""
 
 
 class ColumnFile:
@@ -172,7 +172,12 @@ class ColumnFile:
         return at
 
     def read(self, at: int, length: int) -> bytes:
-        """Bytes that were added before."""
+        """Bytes that were added before.  Raises ColumnFileError once the file is closed."""
+        if self._file.closed:
+            raise ColumnFileError(
+                "rows of a log", found="a run that has been closed", expected="one that is open",
+                remedy="use its rows within the `with` block, or load the log again",
+            )  # fmt: skip
         return os.pread(self._file.fileno(), length, at)
 
     def _refusal(self, error: OSError) -> ColumnFileError:

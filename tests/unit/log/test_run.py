@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from agent.log import Run, load
+from agent.log.columns import ColumnFileError
 from agent.log.flat import Members, flat_columns
 from agent.log.read import LogError
 from agent.log.run import MissingPackage, NoSuchField
@@ -93,7 +94,7 @@ def test_the_temporary_file_goes_with_the_run(tmp_path: Path) -> None:
     make_log(tmp_path / "run.mcap")
     with load(tmp_path / "run.mcap", folder=tmp_path) as run:
         q = run["left"]["q"]
-    with pytest.raises(ValueError, match="closed file"):
+    with pytest.raises(ColumnFileError, match="found a run that has been closed"):
         run["left"]["q"]
     assert q.shape == (100, 3)
     run.close()
