@@ -10,6 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 Vector = NDArray[np.float64]
+END_STOP_RAD = (
+    0.03  # beyond a joint's limit: zeros are off by less, and an arm at an end stop is still one to start with
+)
 
 
 def one_line(text: str) -> str:

@@ -13,9 +13,8 @@ from agent.config.schema.floating import Floating as Spec
 from agent.control.floating import Floating
 from agent.control.law import Offline
 from agent.monitors.bounds import Bounds, Name
-from drivers.interface import Vector
+from drivers.interface import END_STOP_RAD, Vector
 
-BEYOND_RAD = 0.03  # a limit: zeros are off by less, and an arm at an end stop is still one to start with
 TOO_FAST = 2.5  # times the largest speed: it is pushed harder than it can resist, and stops
 WATCHED = frozenset({
     Name.SPEED, Name.POSITION, Name.SATURATED, Name.RATE_LIMITED, Name.TEMPERATURE, Name.VOLTAGE, Name.SERVO_LOAD
@@ -62,7 +61,7 @@ def bounds(cell: Cell, arm: Arm, spec: Spec) -> Bounds:
     fastest = TOO_FAST * spec.speed_max_rad_per_s
     if spec.moves(arm.name):
         return replace(usual, speed_rad_per_s=tuple(min(own, fastest) for own in usual.speed_rad_per_s))
-    low, high = model.lowerPositionLimit - BEYOND_RAD, model.upperPositionLimit + BEYOND_RAD
+    low, high = model.lowerPositionLimit - END_STOP_RAD, model.upperPositionLimit + END_STOP_RAD
     return replace(
         usual,
         watched=usual.watched & WATCHED,
@@ -75,7 +74,7 @@ def outside(cell: Cell, arm: Arm, q: Vector) -> list[tuple[str, float, float, fl
     """Joints at q (n,) that are beyond their limits: name, angle, limits, rad."""
     model = cell.model(arm).model
     rows = zip(arm.entry.controlled, q.tolist(), model.lowerPositionLimit, model.upperPositionLimit, strict=True)
-    return [(n, x, float(a), float(b)) for n, x, a, b in rows if not a - BEYOND_RAD <= x <= b + BEYOND_RAD]
+    return [(n, x, float(a), float(b)) for n, x, a, b in rows if not a - END_STOP_RAD <= x <= b + END_STOP_RAD]
 
 
 def _fixed(values: Vector) -> Vector:

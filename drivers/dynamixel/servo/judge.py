@@ -20,6 +20,7 @@ from drivers.dynamixel.servo.thermal import MARGIN_C
 from drivers.dynamixel.servo.torque import CurrentDrive, needed_pwm_count
 from drivers.dynamixel.servo.units import AngleScale, volts
 from drivers.dynamixel.servo.wanted import setup_values
+from drivers.interface import END_STOP_RAD
 
 SUPPLY_TOLERANCE = 0.08  # of the 12 V that torque constants are rated at
 ANSWERS_ALL = 2  # Status Return Level
@@ -149,6 +150,8 @@ def _pose(servo: ServoFound) -> Said | None:
     if servo.slot.shadow or joint.role is JointRole.GRIPPER:
         return None
     angle, (low, high) = scale.angle_rad(servo.value(table.PRESENT_POSITION)), scale.limits_rad
+    if joint.role is JointRole.CONTROLLED:  # one that is held takes no goal beyond its limits
+        low, high = low - END_STOP_RAD, high + END_STOP_RAD
     if joint.start_rad is not None:
         low = max(low, joint.start_rad - joint.start_tolerance_rad)
         high = min(high, joint.start_rad + joint.start_tolerance_rad)

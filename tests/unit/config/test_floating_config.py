@@ -14,6 +14,7 @@ from agent.config import floating, monitors
 from agent.config.agent import build_agent
 from agent.config.cell import Cell, load_cell
 from agent.monitors.bounds import Name
+from drivers.interface import END_STOP_RAD
 
 ALONE = ('floating.arms=["left"]',)
 TOGETHER = (*ALONE, "floating.holding=true", "floating.others_move=true")
@@ -106,7 +107,7 @@ def test_joints_may_be_a_little_beyond_their_limits_at_the_start() -> None:
         found = floating.outside(cell, arm, end + sign * 0.0301)
         assert [name for name, *_ in found] == list(arm.entry.controlled)
         assert [row[1:] for row in found] == list(zip(end + sign * 0.0301, low, high, strict=True))
-    just = low[0] - floating.BEYOND_RAD
+    just = low[0] - END_STOP_RAD
     assert floating.outside(cell, arm, np.array([just, 0.0, 0.0])) == []
-    just = high[0] + floating.BEYOND_RAD
+    just = high[0] + END_STOP_RAD
     assert floating.outside(cell, arm, np.array([just, 0.0, 0.0])) == []

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 
+from drivers.dynamixel.arm_map import JointRole
 from drivers.dynamixel.servo import judge, table
 from drivers.dynamixel.servo.found import Rule, ServoFound
 from drivers.dynamixel.servo.table import Register
@@ -105,9 +106,12 @@ def test_a_gripper_may_stand_anywhere() -> None:
     assert broken(servo(narrow, Present_Position=1000)) == []
 
 
-def test_start_pose_is_bounded_by_the_joint_s_own_limits_too() -> None:
-    joint = replace(ELBOW.joint, start_rad=None)
-    low, high = joint.position_limit_ticks
+@pytest.mark.parametrize(("role", "beyond"), [(JointRole.CONTROLLED, 19), (JointRole.HELD, 0)])  # 0.03 rad: 19.6 ticks
+def test_start_pose_is_bounded_by_the_joint_s_own_limits_too_and_an_end_stop_may_be_beyond_them(
+    role: JointRole, beyond: int
+) -> None:
+    joint = replace(ELBOW.joint, start_rad=None, role=role)
+    low, high = (limit + sign * beyond for limit, sign in zip(joint.position_limit_ticks, (-1, 1), strict=True))
     for tick, fits in ((low - 1, False), (low, True), (high, True), (high + 1, False)):
         assert broken(servo(replace(ELBOW, joint=joint), Present_Position=tick)) == ([] if fits else [judge.POSE])
 

@@ -12,7 +12,7 @@ from agent.config import floating
 from agent.config.cell import load_cell
 from agent.process.simulated import lone_spec
 from drivers.dynamixel.servo.counts import TICK_RAD
-from drivers.interface import Vector
+from drivers.interface import END_STOP_RAD, Vector
 from sim_backend.physics.actuator import ActuatorSpec
 from sim_backend.physics.lone import LoneArm
 from sim_backend.physics.spec import PlantSpec
@@ -76,7 +76,7 @@ def test_an_arm_that_swings_into_its_stops_gains_nothing(spec: PlantSpec, seed: 
         beyond = float((arm.q - np.clip(arm.q, low, high)).__abs__().max())
         most, hits = max(most, beyond), hits + (beyond > 0.0)
     assert hits > 0
-    assert most < floating.BEYOND_RAD
+    assert most < END_STOP_RAD
     assert energy(arm) < before - 0.1
 
 
