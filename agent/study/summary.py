@@ -82,12 +82,12 @@ def verdict(found: Mapping[str, Any]) -> str:
 def counting(cell: Cell, found: Mapping[str, Any], faults: Sequence[Fault]) -> str:
     """From when to when errors and forces of the cell's runs count, in words; found: the summary of the runs."""
     words = f"Errors and forces count from {cell.file.report.transient_s:g} s on, until the first arm trips."
-    if faults:
-        words += f" In every run: {', '.join(fault.told for fault in faults)}; they count on after it."
     if found["unsettled"]:
         words += (
-            f" Lost or tripped before that, and counted from the common start with its error: {found['unsettled']}."
+            f" Lost or tripped too early for that, and counted from the start with its error: {found['unsettled']}."
         )
+    if faults:
+        words += f" In every run: {', '.join(fault.told for fault in faults)}; they count on after it."
     return words
 
 

@@ -443,15 +443,15 @@ def test_from_when_to_when_figures_count_is_said_with_faults_and_with_runs_that_
     early = summary([a_result(0), a_result(1, settled=False, tripped=True)])
     assert early["unsettled"] == 1
     assert counting(c, early, [limp]) == (
-        f"{until} In every run: limp left at 0.3 s; they count on after it."
-        " Lost or tripped before that, and counted from the common start with its error: 1."
+        f"{until} Lost or tripped too early for that, and counted from the start with its error: 1."
+        " In every run: limp left at 0.3 s; they count on after it."
     )
 
 
 def test_runs_that_count_from_their_start_are_said_on_the_terminal_and_the_page(tmp_path: Path) -> None:
     path, out = cell_file(tmp_path, "safety.tracking_error_max_m=1e-5"), tmp_path / "out"
     done = coop("study", path, "--runs", "1", "--workers", "1", "--out", out)
-    said = "Lost or tripped before that, and counted from the common start with its error: 1."
+    said = "Lost or tripped too early for that, and counted from the start with its error: 1."
     assert said in done.out
     assert said in (out / "report.html").read_text()
     assert json.loads((out / "study.json").read_text())["unsettled"] == 1
