@@ -154,11 +154,12 @@ class Shown:
                     note(f"{glance.arm}: {text}")
 
     def _table(self, glances: Sequence[Glance]) -> None:
+        from rich.console import Console
         from rich.live import Live
 
         if self._live is None:
             self._steps.clear()
-            self._live = Live(auto_refresh=False)
+            self._live = Live(console=Console(), auto_refresh=False)
             self._live.start()
         self._live.update(tables(glances), refresh=True)
 

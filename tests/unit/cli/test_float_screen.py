@@ -10,7 +10,6 @@ import select
 import signal
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 import typer
@@ -110,7 +109,7 @@ def test_a_stop_at_the_question_ends_the_command_and_no_arm_gets_torque(
     monkeypatch.setattr(typer, "confirm", confirm)
     monkeypatch.setattr("agent.process.floating_cell.require_usable", lambda _: None)
     monkeypatch.setattr("agent.process.floating_arms.float_arms", lambda *_: pytest.fail("an arm floats"))
-    monkeypatch.setattr(sys, "stdin", SimpleNamespace(isatty=lambda: True))
+    monkeypatch.setattr("agent.cli.options.in_front", lambda: True)
     done = coop("float", "two_wx200", "--arm", "left", "--out", tmp_path / "out")
     assert (done.code, done.out, done.err) == (130, "", "")
     assert [question[:22] for question in asked] == ["Is arm left supported "]

@@ -105,5 +105,5 @@ def test_a_simulated_arm_without_a_row_waits_for_the_others_and_does_not_hang(
     driver: DriverKind, rows: int, waits: bool
 ) -> None:
     own: Any = SimpleNamespace(_options=SimpleNamespace(agent=SimpleNamespace(driver=driver)))
-    watched: Any = SimpleNamespace(reader=SimpleNamespace(written=rows))
+    watched: Any = SimpleNamespace(rows=rows)
     assert guard._Guard._waits_for_others(own, watched) is waits
