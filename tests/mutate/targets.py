@@ -210,7 +210,9 @@ TARGETS = (
     ),
     Target(
         "drivers.dynamixel.running",
-        tuple(f"{UNIT}/drivers/{name}.py" for name in ("test_running", "test_grip", "test_swapped_arms")),
+        tuple(
+            f"{UNIT}/drivers/{name}.py" for name in ("test_running", "test_grip", "test_swapped_arms", "test_recover")
+        ),
     ),
     Target("drivers.dynamixel.servo.counts", (f"{UNIT}/drivers/test_dxl_units.py",)),
     Target(

@@ -27,7 +27,18 @@ _TIMES = (
 _ALIGNED = "aligned = [quat * np.sign(np.sum(quat * first, axis=1, keepdims=True)) for _, quat in poses.values()]"
 _SIZE = "return ring_file.make_header(row_format, slots=slots, name='', joints=(), created_ns=0).file_bytes"
 
+_HEIR_SLOT = "head = _SLOT_HEAD.pack(index + 1, zlib.crc32(row, index & 4294967295))"
+_WAITS = "def wait_for_space(self, timeout_s: float=0.0) -> None:"
+
 LOGS: Entries = {
+    "agent.telemetry.ring.heir": {
+        ("RingHeir.finish", "self._put_word(FINISHED_WORD, 1)", "self._put_word(FINISHED_WORD, 2)"): "any number says so",
+        ("RingHeir.close", "if self._fd < 0:", "if self._fd <= 0:"): _STANDARD_INPUT,
+        ("RingHeir.close", "if self._fd < 0:", "if self._fd < 1:"): _STANDARD_INPUT,
+        ("RingHeir.close", "self._fd = -1", "self._fd = -2"): "no descriptor either",
+        ("RingHeir._put", _HEIR_SLOT, _HEIR_SLOT.replace("4294967295", "2147483647")): "nobody writes 2^31 rows",
+        ("RingHeir.wait_for_space", _WAITS, _WAITS.replace("0.0", "1.0")): "nothing waits",
+    },
     "agent.telemetry.ring.file": {
         ("_create_as", _OPENS, _OPENS.replace("416", "832")): _FCHMOD,
         ("_create_as", _OPENS, _OPENS.replace("416", "208")): _FCHMOD,

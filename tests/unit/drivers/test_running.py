@@ -362,6 +362,17 @@ def test_a_fault_that_explains_others_takes_their_place_and_says_so(bench: Bench
     assert event.text == f"{cause.cause.value}; it looked like: does not answer, {FaultCause.NO_EFFECT.value}"
 
 
+def test_only_a_watchdog_keeps_what_it_explains_from_being_told_behind_it(bench: Bench) -> None:
+    """A servo that is armed again is asked anew; of one with another defect everything that comes is kept."""
+    running = bench.alone()
+    broken, off = fault(FaultCause.HARDWARE_ERROR, 4), fault(FaultCause.TORQUE_LOST, 4)
+    assert running.faults(reading(broken), []) == [broken]
+    assert running.faults(reading(off), [broken]) == [broken, off]
+    fired, still = fault(FaultCause.WATCHDOG_TRIPPED, 5), fault(FaultCause.NO_EFFECT, 5)
+    assert running.faults(reading(fired, still), []) == [fired]
+    assert running.faults(reading(still), []) == [still]
+
+
 # --- sending ---------------------------------------------------------------------------------------------------------
 
 

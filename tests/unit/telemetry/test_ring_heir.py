@@ -11,11 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from agent.telemetry.ring import words
 from agent.telemetry.ring.file import FINISHED_WORD, SLOTS_OFFSET, WRITTEN_WORD, RingError
 from agent.telemetry.ring.heir import RingHeir
 from agent.telemetry.ring.reader import RingReader
 from agent.telemetry.ring.writer import RingWriter
-from agent.telemetry.row.sample import AGENT_STATE, PLANT_STATE
+from agent.telemetry.row.sample import AGENT_STATE, CDR_LITTLE_ENDIAN, PLANT_STATE
 
 SLOTS = 8
 
@@ -59,7 +60,9 @@ def read(reader: RingReader) -> list[int]:
     return found
 
 
-def test_another_process_goes_on_with_the_ring_of_one_that_died(path: Path, writer: RingWriter) -> None:
+def test_another_process_goes_on_with_the_ring_of_one_that_died(
+    path: Path, writer: RingWriter, monkeypatch: pytest.MonkeyPatch
+) -> None:
     write(writer, 3)
     heir = RingHeir(os.dup(writer.fileno()), AGENT_STATE)
     with RingReader(path, AGENT_STATE) as reader:
@@ -67,15 +70,22 @@ def test_another_process_goes_on_with_the_ring_of_one_that_died(path: Path, writ
         writer.close()
         assert reader.writer_alive, "the lock is the file's: readers notice nothing"
         assert heir.header == reader.header
+        assert heir.written == 3
         assert (heir.catch_up(), heir.damage) == (4, "")
         heir.wait_for_space()
         write(heir, SLOTS)
-        assert read(reader) == list(range(4, 4 + SLOTS))
+        rows = np.frombuffer(reader.read_new(SLOTS).payload, AGENT_STATE.dtype)
+        assert rows["sequence"].tolist() == list(range(4, 4 + SLOTS))
+        assert set(rows["encapsulation"].tolist()) == {CDR_LITTLE_ENDIAN}
         assert not reader.finished
         heir.finish()
         assert reader.finished
         heir.close()
+        closed: list[int] = []
+        monkeypatch.setattr(os, "close", closed.append)
         heir.close()
+        assert closed == []
+        monkeypatch.undo()
         assert not reader.writer_alive
 
 
@@ -160,6 +170,36 @@ def test_rows_that_cannot_be_written_are_lost_told_once_and_end_nothing(
     heir.mend([])
     write(heir, 1)
     assert told == ["No space left on device"]
+
+
+@pytest.mark.parametrize(
+    ("call", "does"),
+    [
+        ("pwritev", lambda heir: heir.commit()),
+        ("pwrite", lambda heir: heir.finish()),
+        ("ftruncate", lambda heir: (os.truncate(f"/proc/self/fd/{heir.fileno()}", 0), heir.mend([]))),
+    ],
+)
+def test_each_call_that_fails_is_told_of(
+    heir: RingHeir, monkeypatch: pytest.MonkeyPatch, call: str, does: Callable[[RingHeir], object]
+) -> None:
+    told: list[str] = []
+    heir.failed = told.append
+
+    def fails(*_: object) -> int:
+        raise OSError("an odd one")
+
+    monkeypatch.setattr(os, call, fails)
+    does(heir)
+    assert told == ["an odd one"]
+
+
+def test_a_word_of_the_head_leaves_the_next_one(tmp_path: Path) -> None:
+    (tmp_path / "head").write_bytes(b"\xff" * 64)
+    with (tmp_path / "head").open("r+b") as file:
+        words.put_word(file.fileno(), 2, 1)
+        assert words.word_at(file.fileno(), 16) == 1
+    assert (tmp_path / "head").read_bytes()[24:] == b"\xff" * 40
 
 
 def test_both_give_back_what_they_opened(tmp_path: Path, writer: RingWriter) -> None:
