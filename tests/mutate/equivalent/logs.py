@@ -32,7 +32,11 @@ _WAITS = "def wait_for_space(self, timeout_s: float=0.0) -> None:"
 
 LOGS: Entries = {
     "agent.telemetry.ring.heir": {
-        ("RingHeir.finish", "self._put_word(FINISHED_WORD, 1)", "self._put_word(FINISHED_WORD, 2)"): "any number says so",
+        (
+            "RingHeir.finish",
+            "self._put_word(FINISHED_WORD, 1)",
+            "self._put_word(FINISHED_WORD, 2)",
+        ): "any number says so",
         ("RingHeir.close", "if self._fd < 0:", "if self._fd <= 0:"): _STANDARD_INPUT,
         ("RingHeir.close", "if self._fd < 0:", "if self._fd < 1:"): _STANDARD_INPUT,
         ("RingHeir.close", "self._fd = -1", "self._fd = -2"): "no descriptor either",
