@@ -15,11 +15,12 @@ from drivers.dynamixel.line import codec
 from drivers.dynamixel.pace import PaceError
 from drivers.dynamixel.servo import table
 from drivers.dynamixel.servo.codes import Instruction, OperatingMode, StatusError
+from drivers.dynamixel.servo.counts import TICK_RAD
 from drivers.interface import ConnectError, DriverError
 from sim_backend.wire.faults import FaultKind
 from sim_backend.wire.options import GoalAtTorqueOn, ServoOptions
 from sim_backend.wire.timing import BusTiming, UsbTiming
-from tests.support.servos.dxl_rig import WX200, XL, XM, at, build, enabled
+from tests.support.servos.dxl_rig import START, WX200, XL, XM, at, build, enabled
 
 IDS = [1, 2, 3, 4, 5, 6, 7]
 
@@ -245,6 +246,20 @@ def test_hardware_error_at_start():
 def test_arm_far_from_its_start_pose():
     rig = build(at(WX200, joints=tuple(replace(j, start_rad=1.0) if j.name == "elbow" else j for j in WX200.joints)))
     refused(rig, PoseError, r"servo 4 \(elbow\): start pose: found 0.699 rad, expected 0.850")
+
+
+@pytest.mark.parametrize(("beyond_ticks", "fits"), [(15, True), (25, False)])  # END_STOP_RAD is 19.6 of them
+def test_an_arm_that_lies_on_an_end_stop_starts(beyond_ticks: int, fits: bool):
+    elbow = next(joint for joint in WX200.joints if joint.name == "elbow")
+    limit = elbow.zero_tick + round(START["elbow"] / TICK_RAD) - beyond_ticks
+    narrow = replace(elbow, position_limit_ticks=(elbow.position_limit_ticks[0], limit))
+    rig = build(at(WX200, joints=tuple(narrow if joint is elbow else joint for joint in WX200.joints)))
+    if fits:
+        rig.driver.connect()
+        rig.driver.enable()
+        assert rig.get(4, table.TORQUE_ENABLE) == 1
+    else:
+        refused(rig, PoseError, r"servo 4 \(elbow\): start pose: found 0.6")
 
 
 @pytest.mark.fault("P9")

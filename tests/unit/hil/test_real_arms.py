@@ -422,6 +422,7 @@ def settled(arm: Arm) -> Mode:
     return Mode[heard.mode] if isinstance(heard, Reply) else Mode.OFF
 
 
+AS_SHIPPED_S = real_arms.SUPPORTED_S
 TOO_SOON = "Enter came before that arm can have been supported: press it again once all of them are"
 
 
@@ -446,6 +447,20 @@ def test_a_key_lets_no_arm_go_that_the_person_was_not_told_of_before_it(arms: di
     look(beside)
     right.end()
     assert right.words == [Verb.RELEASE]
+
+
+def test_a_key_counts_a_second_after_the_last_arm_was_told_of_and_no_sooner(
+    arms: dict[str, Arm], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = SimpleNamespace(s=100.0)
+    monkeypatch.setattr(real_arms, "SUPPORTED_S", AS_SHIPPED_S)
+    monkeypatch.setattr(real_arms, "time", SimpleNamespace(monotonic=lambda: clock.s))
+    person = Person(presses=[False, True, True])
+    beside = holding(arms, person)
+    arms["left"].standing.mode = Mode.HOLD
+    for clock.s, mode in ((100.0, Mode.HOLD), (100.95, Mode.HOLD), (101.05, Mode.OFF)):
+        beside.look()
+        assert settled(arms["left"]) is mode
 
 
 @pytest.mark.parametrize("in_that_look", [True, False])
