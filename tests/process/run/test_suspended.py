@@ -76,6 +76,32 @@ def test_an_agent_holds_its_arm(session: Path) -> None:
             process.communicate()
 
 
+@pytest.mark.realtime
+def test_nor_do_servos_miss_their_agent(session: Path) -> None:
+    """The real driver and loop on emulated servos, whose watchdogs a suspended agent would let fire."""
+    cell = configs.CELLS_DIR / "two_wx200.toml"
+    servos = start("emulate", cell, "--ports", "ports", cwd=session)
+    ready(servos)
+    control = {"left": [session / "coop" / "two_wx200" / "left.control"]}
+    words = ("--driver", "dynamixel", "--emulated", "--port", session / "ports" / "left", "--hold")
+    try:
+        with Terminal("agent", cell, "--arm", "left", *words, folder=session) as terminal:
+            terminal.until("torque=on")
+            terminal.type(CTRL_Z)
+            heard = ask_arms(control, Request(Verb.STATUS))["left"]
+            while isinstance(heard, Reply) and heard.mode == Mode.READY.name:
+                heard = ask_arms(control, Request(Verb.STATUS))["left"]
+            assert isinstance(heard, Reply), (heard, terminal.shown)
+            assert heard.mode == Mode.HOLD.name
+            ask_arms(control, Request(Verb.RELEASE))
+            assert terminal.end() == 0, terminal.shown
+            assert "SUSPENDED" not in terminal.shown
+    finally:
+        servos.terminate()
+        said = "".join(servos.communicate())
+    assert "fired" not in said
+
+
 @pytest.mark.long  # SIGTERM is in test_run_stopped.py
 def test_a_run_keeps_its_log(session: Path) -> None:
     with Terminal("run", PAPER, "--duration", "1000", "--no-report", "--out", "out", folder=session) as terminal:
