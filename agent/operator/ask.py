@@ -8,7 +8,7 @@ import os
 import selectors
 import socket
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,6 +17,7 @@ from agent.operator.message import MAX_BYTES, Reply, Request
 
 REPLY_TIMEOUT_S = 2.0
 _AGAIN_S = 0.005  # how soon an agent is tried again whose queue of clients is full
+_LOOK_EVERY_S = 0.05
 
 
 @dataclass(frozen=True)
@@ -31,14 +32,18 @@ Heard = Reply | Silence
 
 
 def ask_arms(
-    arms: Mapping[str, Iterable[Path]], request: Request, timeout_s: float = REPLY_TIMEOUT_S
+    arms: Mapping[str, Iterable[Path]],
+    request: Request,
+    timeout_s: float = REPLY_TIMEOUT_S,
+    look: Callable[[], None] | None = None,
 ) -> dict[str, Heard]:
     """Send one request to the agent of every arm, by each of the places where it may listen; what each arm answers.
 
     Of several places the gravest of those counts where somebody is: who hangs before who refuses, then who says yes.
+    look: as of `ask_sockets`.
     """
     places = {arm: list(paths) for arm, paths in arms.items()}
-    heard = ask_sockets([path for paths in places.values() for path in paths], request, timeout_s)
+    heard = ask_sockets([path for paths in places.values() for path in paths], request, timeout_s, look)
     return {arm: _telling([heard[path] for path in paths]) for arm, paths in places.items()}
 
 
@@ -55,19 +60,30 @@ def _rank(heard: Heard) -> int:
     return 4 if heard.found == os.strerror(errno.ENOENT) else 3
 
 
-def ask_sockets(paths: Iterable[Path], request: Request, timeout_s: float = REPLY_TIMEOUT_S) -> dict[Path, Heard]:
-    """Send one request to every socket; replies and silences, none of which delays another."""
+def ask_sockets(
+    paths: Iterable[Path],
+    request: Request,
+    timeout_s: float = REPLY_TIMEOUT_S,
+    look: Callable[[], None] | None = None,
+) -> dict[Path, Heard]:
+    """Send one request to every socket; replies and silences, none of which delays another.
+
+    look: is called before anything is sent, and while answers are waited for; what it raises ends the asking.
+    """
     deadline = time.monotonic() + timeout_s
     heard: dict[Path, Heard] = {}
     waiting: dict[Path, socket.socket] = {}
     todo = list(dict.fromkeys(paths))
     with contextlib.ExitStack() as stack, selectors.DefaultSelector() as selector:
         while True:
+            if look is not None:
+                look()
             todo = [path for path in todo if not _sent(path, request, stack, selector, waiting, heard)]
             left = deadline - time.monotonic()
             if left <= 0.0 or not (todo or waiting):
                 break
-            for key, _ in selector.select(min(left, _AGAIN_S) if todo else left):
+            within = _AGAIN_S if todo else left if look is None else _LOOK_EVERY_S
+            for key, _ in selector.select(min(left, within)):
                 heard[key.data] = _received(waiting.pop(key.data))
                 selector.unregister(key.fileobj)
         for path in (*todo, *waiting):

@@ -8,6 +8,7 @@ from __future__ import annotations
 import secrets
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from datetime import time as time_of_day
@@ -26,6 +27,7 @@ from agent.operator.table import TABLE, Verb
 
 SOONEST_S = 0.05
 ATTEMPTS = 3  # of a patient start
+FORGET_S = 0.25  # for answers to what takes an instant back that somebody has broken off; who is late obeys it too
 DAY, MIDNIGHT = timedelta(days=1), timedelta(hours=1)
 
 Places = Mapping[str, Iterable[Path]]
@@ -68,20 +70,23 @@ def start_arms(
     return f"{len(arms)} arms start at {instant:%H:%M:%S.%f} UTC"
 
 
-def start_together(arms: Places, request: Request, timeout_s: float = REPLY_TIMEOUT_S) -> None:
+def start_together(
+    arms: Places, request: Request, timeout_s: float = REPLY_TIMEOUT_S, look: Callable[[], None] | None = None
+) -> None:
     """Give a start or a lowering to all or none: prepare, then commit.  Raises ControlError when not every arm accepts.
 
-    Then no arm begins that can be reached.
+    Then no arm begins that can be reached; nor where it is broken off, by what `look`, which is called meanwhile,
+    raises, or by Ctrl-C.
     """
     verb, needed = request.verb, _NEEDED[request.verb]
     request = replace(request, token=secrets.token_hex(8), asked_ns=time.monotonic_ns())
-    _ask_first(arms, request, timeout_s)
+    _ask_first(arms, request, timeout_s, look)
     _require_time(request)
     left_s = 1e-9 * (request.start_utc_ns - time.time_ns())
-    refused = _unwilling(ask_arms(arms, request, min(timeout_s, 0.5 * left_s)))  # half is left for taking it back
+    refused = _unwilling(_asked(arms, request, min(timeout_s, 0.5 * left_s), look))  # half is left for taking it back
     if refused:
         left_s = max(SOONEST_S, 1e-9 * (request.start_utc_ns - time.time_ns()))
-        taken_back = ask_arms(arms, Request(Verb.CANCEL, token=request.token), min(timeout_s, left_s))
+        taken_back = _asked(arms, Request(Verb.CANCEL, token=request.token), min(timeout_s, left_s), look)
         raise ControlError(
             verb.value, found=named(refused), expected=f"{needed} still, when it was given the instant",
             remedy=f"the {verb.value} was taken back ({_outcome(taken_back)}); {_SEE}",
@@ -91,13 +96,13 @@ def start_together(arms: Places, request: Request, timeout_s: float = REPLY_TIME
 def start_patiently(arms: Places, fingerprint: str, in_ns: int, look: Callable[[], None]) -> None:
     """The same, so many ns from now, and again where that fails: a machine that stalls answers late.
 
-    look: is called before each attempt; what it raises ends them.
-    Raises ControlError of the last attempt; a start that failed has been taken back.
+    look: is called before each attempt and during it; what it raises ends them.
+    Raises ControlError of the last attempt; a start that failed, or was broken off, has been taken back.
     """
     for attempt in range(ATTEMPTS):
         look()
         try:
-            start_together(arms, Request(Verb.START, fingerprint, time.time_ns() + in_ns))
+            start_together(arms, Request(Verb.START, fingerprint, time.time_ns() + in_ns), look=look)
         except ControlError:
             if attempt + 1 == ATTEMPTS:
                 raise
@@ -105,16 +110,27 @@ def start_patiently(arms: Places, fingerprint: str, in_ns: int, look: Callable[[
             return
 
 
-def _ask_first(arms: Places, request: Request, timeout_s: float) -> None:
+def _asked(arms: Places, request: Request, timeout_s: float, look: Callable[[], None] | None) -> Mapping[str, Heard]:
+    """What each arm answers; where the asking is broken off every arm is told to forget it, however it ended."""
+    with ExitStack() as broken_off:
+        if request.token:
+            forget = Request(Verb.CANCEL, prepare=request.prepare, token=request.token)
+            broken_off.callback(ask_arms, arms, forget, FORGET_S)
+        heard = ask_arms(arms, request, timeout_s, look)
+        broken_off.pop_all()
+    return heard
+
+
+def _ask_first(arms: Places, request: Request, timeout_s: float, look: Callable[[], None] | None = None) -> None:
     """Raise ControlError, nothing having been done, unless all arms would take the word."""
-    heard = ask_arms(arms, replace(request, prepare=True), timeout_s)
+    heard = _asked(arms, replace(request, prepare=True), timeout_s, look)
     refused = _unwilling(heard)
     if request.verb is Verb.START:
         refused |= _others(heard, request.fingerprint)
     if refused:
         agreed = {arm: arms[arm] for arm, one in heard.items() if isinstance(one, Reply) and one.ok}
         if agreed and request.token:  # the next operator need not wait until they have forgotten it
-            ask_arms(agreed, Request(Verb.CANCEL, prepare=True, token=request.token), timeout_s)
+            _asked(agreed, Request(Verb.CANCEL, prepare=True, token=request.token), timeout_s, look)
         raise ControlError(
             request.verb.value, found=named(refused), expected=_NEEDED[request.verb],
             remedy=f"no arm has been told; {'' if request.verb is Verb.START else _SOME}{_SEE}",

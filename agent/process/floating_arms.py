@@ -11,7 +11,6 @@ import signal
 import time
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
-from typing import Protocol
 
 from agent.config.cell import Cell
 from agent.host.child import Child, wait_all
@@ -24,7 +23,7 @@ from agent.process.float_loop import SINK_MAX_S, STAND_S
 from agent.process.floating_cell import FloatOptions, moving, names_of
 from agent.process.floating_commands import FloatCommands
 from agent.process.folder import LOG_NAME, output_folder
-from agent.process.glance import Glance, Window
+from agent.process.glance import Glance, Screen, Window
 from agent.process.run_folder import run_folder
 from agent.process.unbegun import StoppedEarly
 from drivers.interface import Refusal
@@ -35,22 +34,6 @@ LOOK_EVERY_S = 0.1
 RING, TORQUE, MEMBER = "ring", "torque", "member"  # keys of ready lines: of an agent, twice, and of telemetry
 _TOLD_EARLY = (StoppedEarly.exit_code, -signal.SIGTERM)  # of an arm's process that was told to end before it had torque
 _STOPPED = frozenset({Mode.STAND, Mode.SINK, Mode.FAULT})
-
-
-class Screen(Protocol):
-    """Somebody who watches."""
-
-    def phase(self, what: str) -> None:
-        """What is being done."""
-        ...
-
-    def note(self, text: str) -> None:
-        """Something that stays to be read."""
-        ...
-
-    def show(self, glances: Sequence[Glance]) -> None:
-        """How the arms are."""
-        ...
 
 
 def float_arms(cell: Cell, options: FloatOptions, stop: Callable[[], bool], screen: Screen) -> Path:
@@ -128,7 +111,7 @@ class FloatingArms:
                 if not self._told and (self._stop() or self._failure is not None or self._one_stopped(glances)):
                     self._end_all()
                 elif not self._told and not self._begun and self._all_ready():
-                    self._begin()
+                    self._begin(screen)
                 time.sleep(LOOK_EVERY_S)
             self._show(living, screen)
         finally:
@@ -169,13 +152,18 @@ class FloatingArms:
         told = len(self._telemetry) == len(self._agents) and all(c.has_said(MEMBER) for c in self._telemetry.values())
         return told and all(child.has_said(TORQUE) for child in self._agents.values())
 
-    def _begin(self) -> None:
-        """Tell the arms that move when to."""
+    def _begin(self, screen: Screen) -> None:
+        """Tell the arms that move when to, unless somebody, or an arm that stops by itself, has an end come first."""
+
+        def look() -> None:
+            if self._stop() or self._one_stopped(self._show(self._living(), screen)):
+                raise self._stopped()
+
         self._begun = True
         moved = {arm.name: [self._commands.control(arm.name)] for arm in moving(self._cell)}
         try:
             if moved:
-                start_patiently(moved, self._cell.fingerprint, START_IN_NS, self._heed)
+                start_patiently(moved, self._cell.fingerprint, START_IN_NS, look)
         except StoppedEarly:
             pass  # the next look sees to it
         except ControlError as error:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import contextlib
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import pinocchio as pin
@@ -76,6 +77,22 @@ class Glance:
             ],
             "said": list(self.said),
         }  # fmt: skip
+
+
+class Screen(Protocol):
+    """Somebody who watches."""
+
+    def phase(self, what: str) -> None:
+        """What is being done."""
+        ...
+
+    def note(self, text: str) -> None:
+        """Something that stays to be read."""
+        ...
+
+    def show(self, glances: Sequence[Glance]) -> None:
+        """How the arms are."""
+        ...
 
 
 class Window:

@@ -100,6 +100,64 @@ def test_an_agent_that_hangs_at_the_instant_finds_the_start_taken_back_when_it_w
 
 
 @pytest.mark.fault("C5")
+@pytest.mark.parametrize("given", [False, True])
+def test_a_stop_that_comes_while_an_arm_says_nothing_counts_at_once_and_nobody_keeps_the_start(
+    given: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """given: the other arm has the instant by then, or else has only agreed to it."""
+    arms = cell_of(tmp_path / "cell", (Mode.READY, Mode.READY))
+    sleeping: list[ControlSocket] = []
+    monkeypatch.setattr(words, "FORGET_S", QUICK_S)
+
+    def sleeps(control: ControlSocket) -> None:
+        if not given or control._promise._token:
+            arms[1].control = None
+            sleeping.append(control)
+
+    def look() -> None:
+        control = arms[0].control
+        if control is not None and (control.requests.start if given else control._promise._token):
+            raise KeyboardInterrupt
+
+    arms[1].wakes = sleeps
+    request = Request(Verb.START, OWN, time.time_ns() + 10**12)
+    with serving(arms, in_turns=True):
+        with pytest.raises(KeyboardInterrupt):
+            start_together({arm.path.stem: [arm.path] for arm in arms}, request, 50 * QUICK_S, look)
+        sleeping[0].poll()
+        sleeping[0].close()
+        control = arms[0].control
+        assert control is not None
+        assert not control._promise._token, "the next operator need not wait"
+    assert arms[0].heard == (False, [])
+    assert sleeping[0].requests.start is None
+
+
+@pytest.mark.parametrize(("broken_off", "prepare"), [(1, True), (2, False), (3, False)])
+def test_what_is_broken_off_is_taken_back_as_far_as_it_went(
+    broken_off: int, prepare: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Asked for, given, or refused and being taken back: of what was only asked for, an earlier start stays."""
+    said: list[Request] = []
+
+    def look() -> None:
+        if len(said) == broken_off:
+            raise KeyboardInterrupt
+
+    def ask_arms(_: object, request: Request, __: float, heeds: Callable[[], None] | None = None) -> dict[str, Reply]:
+        said.append(request)
+        if heeds is not None:
+            heeds()
+        return {"a": Reply(request.prepare, "a", "READY", "", OWN, dict.fromkeys(("found", "expected", "remedy"), ""))}
+
+    monkeypatch.setattr(words, "ask_arms", ask_arms)
+    with pytest.raises(KeyboardInterrupt):
+        start_together({"a": []}, Request(Verb.START, OWN, 9 * 10**18), look=look)
+    assert said[-1] == Request(Verb.CANCEL, prepare=prepare, token=said[0].token)
+    assert len(said) == broken_off + 1
+
+
+@pytest.mark.fault("C5")
 def test_answers_that_come_too_late_for_the_instant_start_nobody(tmp_path: Path) -> None:
     arms = cell_of(tmp_path / "cell", (Mode.READY, Mode.READY))
     request = Request(Verb.START, OWN, time.time_ns() + 10**12)
@@ -128,7 +186,7 @@ def test_half_of_the_time_until_the_instant_is_kept_for_taking_the_start_back(
     """left_s: until the instant, each time that somebody looks; waits_s: for those who are told to forget it."""
     start_ns, asked, left = 10**18, list[tuple[Verb, bool, float]](), iter(left_s)
 
-    def ask_arms(arms: Any, request: Request, timeout_s: float) -> dict[str, ask.Heard]:
+    def ask_arms(arms: Any, request: Request, timeout_s: float, _: object) -> dict[str, ask.Heard]:
         asked.append((request.verb, request.prepare, timeout_s))
         hangs = request.verb is Verb.START and not request.prepare
         willing = Reply(True, "", "READY", "", OWN)
@@ -187,7 +245,8 @@ def test_a_patient_start_is_tried_thrice_and_looks_before_each_time_whether_it_i
 ) -> None:
     given: list[str] = []
 
-    def start(_: object, request: Request) -> None:
+    def start(_: object, request: Request, look: object) -> None:
+        assert look is no_longer
         given.append(request.fingerprint)
         raise ControlError("start", found=f"attempt {len(given)}", expected="arms READY", remedy="see their logs")
 

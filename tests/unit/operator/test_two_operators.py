@@ -251,7 +251,7 @@ def test_all_that_is_said_of_one_start_has_one_token_and_no_other_start_has_it(
 ) -> None:
     said: list[Request] = []
 
-    def ask_arms(arms: Mapping[str, object], request: Request, timeout_s: float) -> dict[str, Heard]:
+    def ask_arms(arms: Mapping[str, object], request: Request, timeout_s: float, _: object) -> dict[str, Heard]:
         said.append(request)
         willing = Reply(True, "a", Mode.READY.name, fingerprint=OWN)
         fails = request.verb is Verb.START and request.prepare is (refuses == "when it is asked")

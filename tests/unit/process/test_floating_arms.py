@@ -413,18 +413,20 @@ def test_those_that_move_are_told_to_once_every_arm_has_torque_and_telemetry(mon
 
     at = {2: telemetry_is_late, 3: right_has_torque, 5: telemetry_is_ready, 8: ended}
     run = not_yet(Watched(monkeypatch, at), left={RING, TORQUE}, right={RING})
-    monkeypatch.setattr(run.arms, "_begin", lambda: begun.append(run.clock.naps) or setattr(run.arms, "_begun", True))
+    monkeypatch.setattr(run.arms, "_begin", lambda _: begun.append(run.clock.naps) or setattr(run.arms, "_begun", True))
     run.watch()
     assert begun == [4]
 
 
-@pytest.mark.parametrize("asked", [False, True])
-def test_a_start_that_arms_do_not_take_ends_all_of_them_and_none_is_given_after_a_stop(
-    monkeypatch: pytest.MonkeyPatch, asked: bool
+@pytest.mark.parametrize("before", [None, stop, left_stands])
+def test_a_start_that_arms_do_not_take_ends_all_of_them_and_none_is_given_after_a_stop_or_beside_an_arm_that_stands(
+    monkeypatch: pytest.MonkeyPatch, before: Callable[[Watched], None] | None
 ) -> None:
     def start(_: object, __: str, ___: int, look: Callable[[], None]) -> None:
-        run.asked = asked
         look()
+        if before is not None:
+            before(run)
+            look()
         raise ControlError("start", found="left refuses", expected="every arm READY", remedy="see their logs")
 
     run = Watched(monkeypatch, {5: ended})
@@ -432,7 +434,7 @@ def test_a_start_that_arms_do_not_take_ends_all_of_them_and_none_is_given_after_
     run.arms._cell.fingerprint = "of two"
     monkeypatch.setattr(floating_arms, "moving", lambda _: [SimpleNamespace(name="left")])
     monkeypatch.setattr(floating_arms, "start_patiently", start)
-    with nullcontext() if asked else pytest.raises(ControlError, match="left refuses"):
+    with nullcontext() if before else pytest.raises(ControlError, match="left refuses"):
         run.watch()
     assert run.left.done == run.right.done == ["terminated"]
 
