@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Final, Protocol
 
 from agent.config.cell import Cell
-from agent.host.child import Child
+from agent.host.child import Child, ChildFailed
 from agent.host.paths import control_path, guard_path, make_runtime_dir
 from agent.modes import TABLE, Mode
 from agent.operator.ask import ask_arms
@@ -28,6 +28,7 @@ from agent.process.progress import Progress
 from agent.process.rehearse import require_empty_gripper, require_one_host
 
 ASK_EVERY_S: Final = 0.1
+HELD_WITHIN_S: Final = 0.1  # an agent that lives answers in a cycle; while others start it is asked again
 SUPPORTED_S: Final = 1.0  # sooner nobody has read that an arm holds, and has it in his hands
 GONE_AFTER: Final = 10  # times that no real arm answers: a guard that takes over needs less
 
@@ -105,6 +106,21 @@ class Holding:
         """Let all arms hold."""
         ask_arms(self._arms, Request(Verb.STOP), SILENT_S)
 
+    def held(self, arms: Collection[str], look: Callable[[], None]) -> dict[str, str]:
+        """Those of these arms that hold, and why, told of if they are real; at most every ASK_EVERY_S, else nobody.
+
+        For the time before the start: no key counts then, and a silence says nothing.  look: as of `ask_arms`.
+        """
+        now_s = time.monotonic()
+        if now_s < self._next_s:
+            return {}
+        self._next_s = now_s + ASK_EVERY_S
+        heard = ask_arms({arm: self._arms[arm] for arm in arms}, Request(Verb.STATUS), HELD_WITHIN_S, look)
+        replies = {arm: one for arm, one in heard.items() if isinstance(one, Reply)}
+        holding = {arm: one.reason for arm, one in replies.items() if Mode[one.mode] is Mode.HOLD}
+        self._tell_new({arm: reason for arm, reason in holding.items() if arm in self._real})
+        return holding
+
     def look(self) -> None:
         """Ask all arms how they are, tell who holds, and pass on a release; at most every ASK_EVERY_S."""
         now_s = time.monotonic()
@@ -117,8 +133,7 @@ class Holding:
         self._silent = 0 if real else self._silent + 1
         holding = {arm: one.reason for arm, one in real.items() if Mode[one.mode] is Mode.HOLD}
         pressed = self._beside.lets_go()  # in every look: a key from before an arm held says nothing of that arm
-        for arm in sorted(set(holding) - self._told):
-            self._tell(arm, holding[arm])
+        self._tell_new(holding)
         if (holding and pressed and self._is_meant()) or (self.over and replies):
             told = [arm for arm in replies if arm in holding or arm not in self._real]  # not who holds since just now
             ask_arms({arm: self._arms[arm] for arm in told}, Request(Verb.RELEASE), SILENT_S)
@@ -143,6 +158,10 @@ class Holding:
             return True
         self._beside.tell("Enter came before that arm can have been supported: press it again once all of them are")
         return False
+
+    def _tell_new(self, holding: Mapping[str, str]) -> None:
+        for arm in sorted(set(holding) - self._told):
+            self._tell(arm, holding[arm])
 
     def _tell(self, arm: str, reason: str) -> None:
         self._told.add(arm)
@@ -193,6 +212,19 @@ class RealChildren(Children):
             f"arms {', '.join(self._names)} MOVE {START_LOOP_IN_NS * 1e-9:g} s after torque comes on; Ctrl-C holds them"
         )
         super()._start_together(progress)
+
+    def _heed(self) -> None:
+        """Raise ChildFailed, too, where an arm that has torque holds by itself, or a process has ended: none starts."""
+        super()._heed()
+        for child in (*self._agents.values(), *self._guards.values()):
+            if child.process.poll() is not None:
+                raise child.failed("ended before all arms were started")
+        begun = [arm for arm, child in self._agents.items() if child.has_said("torque")]
+        for arm, reason in self._holding.held(begun, super()._heed).items():
+            raise ChildFailed(
+                f"arm {arm}", found=f"it holds ({reason}) before all arms were started", expected="every arm READY",
+                remedy=f"no arm is started; its log is {self._agents[arm].log}",
+            )  # fmt: skip
 
     def _stop_agents(self) -> bool:
         self._holding.stop()

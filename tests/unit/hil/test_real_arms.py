@@ -16,6 +16,7 @@ import pytest
 
 import configs
 from agent.config.cell import Cell, load_cell
+from agent.host.child import ChildFailed
 from agent.modes import Mode
 from agent.operator import words
 from agent.operator.ask import ask_arms
@@ -198,7 +199,7 @@ class Process:
     def __init__(self, name: str, *says: str) -> None:
         self.name, self.says, self.done = name, list(says), list[str]()
         self.heard: list[str] = []
-        self.obeys, self.code = True, None
+        self.obeys, self.code, self.log = True, None, Path(f"{name}.log")
         self.process: Any = SimpleNamespace(poll=lambda: self.code, pid=os.getpid())
 
     def wait_ready(self, _: float, look: Callable[[], None]) -> dict[str, str]:
@@ -210,6 +211,9 @@ class Process:
 
     def has_said(self, key: str) -> bool:
         return key in self.says + self.heard
+
+    def failed(self, what: str) -> ChildFailed:
+        return ChildFailed(self.name, found=what, expected="a process that runs to the end", remedy="see its log")
 
     def terminate(self) -> None:
         self.done.append("terminated")
@@ -260,8 +264,48 @@ def started(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[object]:
     given: list[object] = []
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     monkeypatch.setattr(real_arms, "ASK_EVERY_S", 1e-3)
-    monkeypatch.setattr(words, "start_together", lambda *what: given.append(what))
+    monkeypatch.setattr(words, "start_together", lambda *what, look: look() or given.append(what))
     return given
+
+
+ONE_READY = {"arm-left": ("ring", "torque"), "arm-right": ("ring",)}
+HOLDS = Reply(True, "left", Mode.HOLD.name, "servo 3 is hot")
+
+
+@pytest.mark.parametrize("says", [ONE_READY, READY_FOR_ALL])
+def test_an_arm_that_holds_before_all_are_started_is_told_of_at_once_and_none_is_started(
+    says: dict[str, tuple[str, ...]], tmp_path: Path, started: list[object], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def asked(whom: dict[str, object], request: Request, *_: object) -> dict[str, Reply]:
+        assert set(whom) <= {name.removeprefix("arm-") for name, said in says.items() if "torque" in said}
+        return {"left": HOLDS} if "left" in whom and request.verb is Verb.STATUS else {}
+
+    made = Starting(tmp_path, says)
+    monkeypatch.setattr(real_arms, "ask_arms", asked)
+    monkeypatch.setattr(real_arms, "ASK_EVERY_S", 0.0)
+    words = r"arm left: found it holds \(servo 3 is hot\) before all arms were started, .*its log is arm-left.log"
+    with pytest.raises(ChildFailed, match=words):
+        made.start(lambda: False, SimpleNamespace(phase=lambda _: None))  # type: ignore[arg-type]
+    assert made._real.beside.told[-1].startswith("arm left HOLDS (servo 3 is hot): support it, then press Enter")  # type: ignore[attr-defined]
+    assert not started
+
+
+@pytest.mark.parametrize("ended", ["arm-left", "guard-left"])
+def test_a_process_that_ends_before_all_arms_are_started_ends_the_start(
+    ended: str, tmp_path: Path, started: list[object]
+) -> None:
+    made = Starting(tmp_path, ONE_READY)
+    looks = Stop(40)
+
+    def look() -> bool:
+        if looks():
+            made.begun[ended].code = 3
+        assert looks.looks < 50, "it goes on waiting"
+        return False
+
+    with pytest.raises(ChildFailed, match=f"{ended}: found ended before all arms were started"):
+        made.start(look, SimpleNamespace(phase=lambda _: None))  # type: ignore[arg-type]
+    assert not started
 
 
 def begin(folder: Path, stop: Stop, says: dict[str, tuple[str, ...]]) -> Starting:
@@ -288,17 +332,20 @@ def test_a_stop_reaches_an_arm_with_torque_while_another_has_none_and_no_start_i
     tmp_path: Path, started: list[object], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     told: list[Verb] = []
-    monkeypatch.setattr(real_arms, "ask_arms", lambda _, request, __: told.append(request.verb) or {})
+    monkeypatch.setattr(real_arms, "ask_arms", lambda _, request, *__: told.append(request.verb) or {})
     made = begin(tmp_path, Stop(40), {"arm-left": ("ring", "torque"), "arm-right": ("ring",)})
     left, right = made.begun["arm-left"], made.begun["arm-right"]
     assert not started
     made.abandon()
-    assert told[0] is Verb.STOP
+    assert next(verb for verb in told if verb is not Verb.STATUS) is Verb.STOP
     assert left.done == ["terminated", "killed"], "when it has been let go, and not before"
     assert right.done == ["terminated", "terminated", "killed"]
 
 
-def test_all_ready_is_not_too_late_for_a_stop(tmp_path: Path, started: list[object]) -> None:
+def test_all_ready_is_not_too_late_for_a_stop(
+    tmp_path: Path, started: list[object], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(real_arms, "ask_arms", lambda *_: {})  # how often it looks does not depend on time
     stop = Stop(10**9)
     counting = Starting(tmp_path, READY_FOR_ALL)
     counting.start(stop, SimpleNamespace(phase=lambda _: None))  # type: ignore[arg-type]
@@ -312,7 +359,8 @@ def test_a_start_that_failed_is_not_tried_again_after_a_stop(
 ) -> None:
     stop = Stop(10**9)
 
-    def refused(*what: object) -> None:
+    def refused(*what: object, look: Callable[[], None]) -> None:
+        look()
         started.append(what)
         stop.at = 0
         raise ControlError("start", found="left answers late", expected="every arm READY", remedy="see their logs")
@@ -327,7 +375,7 @@ def test_an_arm_that_may_still_get_torque_is_waited_for_and_killed_if_it_hangs(
 ) -> None:
     assert not started
     runs: list[bool] = []  # whether the left one's process does, at each look
-    clock = SimpleNamespace(s=0.0)
+    clock = SimpleNamespace(s=time.monotonic())
 
     def monotonic() -> float:
         clock.s += 0.1
