@@ -1,9 +1,16 @@
-"""The runs of a study on a Dask cluster; dask.distributed is loaded when it is asked for."""
+"""The runs of a study on a Dask cluster; dask.distributed is loaded when it is asked for.
+
+A run travels as bytes that become a call on the worker: one without this package says so, where a task that its
+message cannot be read without it would end the worker, and the study would wait for ever.
+"""
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
+import pickle
+import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
@@ -13,15 +20,29 @@ from typing import Any, Final
 from agent.study.measure import RunResult
 from agent.study.plan import Task
 from agent.study.store import StudyError
-from agent.study.work import ATTEMPTS, Done, perform, result_of
+from agent.study.work import ATTEMPTS, Done, able, perform, result_of
 
 CONNECT_S: Final = 10.0
+LOOK_EVERY_S: Final = 0.05  # for runs that are done
+WORKERS_EVERY_S: Final = 5.0  # for workers, while none is
+
+_UNABLE: Final = (ImportError, AttributeError, SyntaxError, OSError)  # what is raised where our modules do not load
+
+
+class _Call:
+    """A run as bytes, which do it where they are read."""
+
+    def __init__(self, task: Task) -> None:
+        self._task = task
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return perform, (self._task,)
 
 
 def on_cluster(tasks: Sequence[Task], address: str, tell: Callable[[str], None] = lambda _: None) -> Iterator[Done]:
     """On the cluster whose scheduler is at `address`, as they are done.  Raises StudyError.
 
-    tell: that nobody is there to do them, until somebody comes.
+    tell: that nobody is there to do them, or nobody any more, until somebody comes.
     """
     distributed = _distributed()
     _require_answer(distributed, address)
@@ -36,12 +57,46 @@ def on_cluster(tasks: Sequence[Task], address: str, tell: Callable[[str], None] 
 def _done(
     distributed: Any, client: Any, tasks: Sequence[Task], address: str, tell: Callable[[str], None]
 ) -> Iterator[Done]:
-    if not client.scheduler_info()["workers"]:
-        tell(f"scheduler {address} has no workers yet: start some with `dask worker {address}`")
-    futures = {client.submit(perform, task, pure=False, retries=ATTEMPTS - 1): task for task in tasks}
-    for future in distributed.as_completed(futures, loop=client.loop):
-        task = futures.pop(future)
-        yield task, _result(distributed, future, task, address)
+    watch = _Watch(client, address, tell)
+    watch.look("yet")
+    futures = {client.submit(pickle.loads, pickle.dumps(_Call(task)), pure=False, retries=ATTEMPTS - 1): task
+               for task in tasks}  # fmt: skip
+    coming = distributed.as_completed(futures, loop=client.loop)
+    while futures:
+        for future in coming.next_batch(block=False):
+            task = futures.pop(future)
+            yield task, _result(distributed, client, future, task, address)
+            watch.seen()
+        watch.wait()
+
+
+class _Watch:
+    """Tells of a scheduler without workers, once each time that the last one has gone."""
+
+    def __init__(self, client: Any, address: str, tell: Callable[[str], None]) -> None:
+        self._client, self._address, self._tell = client, address, tell
+        self._manned = True
+        self.seen()
+
+    def seen(self) -> None:
+        """Somebody has done a run just now."""
+        self._due_s = time.monotonic() + WORKERS_EVERY_S
+
+    def wait(self) -> None:
+        """For a moment in which runs may be done."""
+        time.sleep(LOOK_EVERY_S)
+        if time.monotonic() >= self._due_s:
+            self.look("any more")
+            self.seen()
+
+    def look(self, when: str) -> None:
+        """Tell where there are no workers: yet, or any more."""
+        with contextlib.suppress(OSError):  # of a scheduler that has gone: its runs say so
+            manned = bool(self._client.scheduler_info()["workers"])
+            if self._manned and not manned:
+                address = self._address
+                self._tell(f"scheduler {address} has no workers {when}: start some with `dask worker {address}`")
+            self._manned = manned
 
 
 def _distributed() -> Any:
@@ -103,7 +158,7 @@ def _no_answer(address: str, error: Exception) -> StudyError:
     )
 
 
-def _result(distributed: Any, future: Any, task: Task, address: str) -> RunResult:
+def _result(distributed: Any, client: Any, future: Any, task: Task, address: str) -> RunResult:
     try:
         result = future.result()
     except distributed.KilledWorker as error:
@@ -120,4 +175,21 @@ def _result(distributed: Any, future: Any, task: Task, address: str) -> RunResul
             expected="one that stays until they are done",
             remedy="start it again, and the study with the same --out: finished runs are kept",
         ) from error
+    except _UNABLE as error:
+        if not (unable := _unable(client)):
+            raise
+        who, why = min(unable.items())
+        raise StudyError(
+            f"worker {who}",
+            found=f"it cannot load widowx-coop ({why})",
+            expected="this release on every worker",
+            remedy="install it there (pip install 'widowx-coop[study]'), start the worker again, and the study with "
+            "the same --out: finished runs are kept",
+        ) from error
     return result_of(result)
+
+
+def _unable(client: Any) -> dict[str, str]:
+    """The workers on which our modules do not load, by address, and why."""
+    answers = client.run(able, on_error="return")
+    return {address: str(answer) for address, answer in answers.items() if answer is not True}

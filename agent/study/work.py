@@ -74,6 +74,11 @@ def perform(task: Task) -> RunResult | Refused:
             gc.enable()
 
 
+def able() -> bool:
+    """Asked of a worker elsewhere: there it is answered only where what does a run can be loaded."""
+    return True
+
+
 def _otherwise(who: str, found: Mapping[str, str], expected: Mapping[str, str]) -> Refused | None:
     """Why a run is not done here, where it would be another one; None where it is the same."""
     if found == expected:

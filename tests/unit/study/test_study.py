@@ -11,11 +11,15 @@ import platform
 import re
 import signal
 import socket
+import subprocess
+import sys
 import threading
+import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow.parquet
@@ -583,8 +587,19 @@ def test_a_dask_cluster_finds_the_same_to_the_bit(plan: Plan, results: list[RunR
         assert results_of(list(on_cluster(plan.tasks(), cluster.scheduler_address))) == results
 
 
+WITHOUT_US = """
+import asyncio, sys
+from distributed import Worker
+sys.modules["agent"] = None
+async def work():
+    async with Worker(sys.argv[1], nthreads=1) as worker:
+        await worker.finished()
+asyncio.run(work())
+"""
+
+
 @pytest.mark.filterwarnings("ignore")
-def test_a_scheduler_that_goes_away_is_one_line_and_one_without_workers_is_told(
+def test_a_scheduler_that_goes_away_is_one_line_and_one_without_workers_is_told_and_a_worker_without_us_is_named(
     plan: Plan, results: list[RunResult]
 ) -> None:
     from distributed import LocalCluster
@@ -592,8 +607,20 @@ def test_a_scheduler_that_goes_away_is_one_line_and_one_without_workers_is_told(
     from agent.study.cluster import on_cluster
 
     told: list[str] = []
+    started: list[subprocess.Popen[bytes]] = []
     with LocalCluster(n_workers=0, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
         address = cluster.scheduler_address
+
+        def without_us(_: str) -> None:
+            started.append(subprocess.Popen([sys.executable, "-c", WITHOUT_US, address], stderr=subprocess.DEVNULL))
+
+        words = r"worker tcp://.*: found it cannot load widowx-coop \(.*agent.*\), .* install it there"
+        with pytest.raises(StudyError, match=words):
+            list(on_cluster(plan.tasks(), address, without_us))
+        started[0].kill()
+        started[0].wait()
+        while cluster.scheduler.workers:
+            time.sleep(0.01)
         runs = on_cluster(plan.tasks() * 50, address, lambda text: (told.append(text), cluster.scale(1)))
         task, result = next(runs)
         assert result == results[task.index]
@@ -605,6 +632,38 @@ def test_a_scheduler_that_goes_away_is_one_line_and_one_without_workers_is_told(
             list(runs)
     assert logging.getLogger("distributed.client").isEnabledFor(logging.ERROR)
     assert told == [f"scheduler {address} has no workers yet: start some with `dask worker {address}`"]
+
+
+def test_a_scheduler_whose_last_worker_goes_is_told_once_each_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    from agent.study import cluster
+
+    clock = SimpleNamespace(s=0.0)
+    monkeypatch.setattr(cluster, "time", SimpleNamespace(monotonic=lambda: clock.s, sleep=lambda _: None))
+    workers: list[str] = []
+    asked: list[float] = []
+    told: list[str] = []
+
+    def scheduler_info() -> dict[str, list[str]]:
+        asked.append(clock.s)
+        if clock.s == 15.0:
+            raise OSError("it is gone")
+        return {"workers": workers}
+
+    watch = cluster._Watch(SimpleNamespace(scheduler_info=scheduler_info), "tcp://here", told.append)
+    watch.look("yet")
+    watch.look("yet")
+    for clock.s in (4.0, 5.0, 6.0, 10.0):
+        workers[:] = ["one"] if clock.s < 10.0 else []
+        watch.wait()
+    clock.s = 14.0
+    watch.seen()
+    for clock.s in (15.0, 19.0):
+        watch.wait()
+    assert asked == [0.0, 0.0, 5.0, 10.0, 19.0]
+    clock.s = 15.0
+    watch.look("any more")
+    words = "start some with `dask worker tcp://here`"
+    assert told == [f"scheduler tcp://here has no workers {when}: {words}" for when in ("yet", "any more")]
 
 
 class _Waited:
