@@ -2,12 +2,14 @@
 # Copies the units and what they need to where systemd looks; enables and starts nothing.
 #   systemd/install.sh [simulated | rehearsal] [several-hosts]     a choice that is not named is taken away again
 #   systemd/install.sh remove                          takes everything away but what is yours: cell, keys, rules, logs
-# DESTDIR=DIR installs below DIR and touches nothing else.  Files that are filled in on the host are never replaced; a
-# drop-in of this kind that is taken away is kept as *.conf.saved, and put back with its choice.
+# DESTDIR=DIR installs below DIR and touches nothing else.  Files that were filled in on the host are never replaced (a
+# copy of each as it was installed, in /etc/coop/.as-installed, tells); a drop-in of this kind that is taken away is kept
+# as *.conf.saved, and put back with its choice.
 set -eu
 here=$(dirname "$0")
 root=${DESTDIR:-}
 units=$root/etc/systemd/system
+as_installed=$root/etc/coop/.as-installed
 
 for choice in "$@"; do
     case $choice in
@@ -30,8 +32,10 @@ fi
 
 take_addresses() { # drop-ins of several-hosts; what was filled in stays beside them, where systemd does not read it
     for file in "$units"/coop*.service.d/50-several-hosts.conf; do
-        if [ ! -e "$file" ] || cmp -s "$file" "$here/several-hosts/${file#"$units/"}"; then
-            rm -f "$file"
+        [ -e "$file" ] || continue
+        base=$as_installed/${file#"$root/"}
+        if cmp -s "$here/several-hosts/${file#"$units/"}" "$file" || cmp -s "$base" "$file"; then
+            rm -f "$file" "$base"
         else
             mv -f "$file" "$file.saved"
             echo "kept $file.saved: it was filled in on this host"
@@ -74,7 +78,18 @@ once() { # MODE SOURCE TARGET: a file that is filled in on this host
         mv "$3.saved" "$3"
         echo "put back $3: it was filled in on this host"
     fi
-    [ -e "$3" ] || install -D -m "$1" "$2" "$3"
+    base=$as_installed/${3#"$root/"}
+    if [ ! -e "$3" ]; then
+        install -D -m "$1" "$2" "$3"
+    elif cmp -s "$2" "$3"; then
+        :
+    elif cmp -s "$base" "$3"; then
+        install -m "$1" "$2" "$3"
+        echo "replaced $3: it was as an earlier release had installed it"
+    elif ! cmp -s "$2" "$base"; then # said once for each change of ours
+        echo "kept $3: filled in on this host, or of a release that kept no copy; this one's differs: diff $3 $2"
+    fi
+    install -D -m 644 "$2" "$base"
 }
 
 install -D -m 644 -t "$units" "$here"/coop*.service "$here"/coop.target

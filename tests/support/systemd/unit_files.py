@@ -29,15 +29,16 @@ CASES = [  # every unit under every choice of drop-ins
 Unit = dict[str, list[str]]
 
 
-def install(root: Path, *choices: str) -> None:
-    """What `systemd/install.sh` puts on a host, below root."""
+def install(root: Path, *choices: str, of: Path = SYSTEMD) -> str:
+    """What `systemd/install.sh` puts on a host, below root; what it says.  of: the units of a release."""
     done = subprocess.run(
-        ["sh", str(SYSTEMD / "install.sh"), *choices],
+        ["sh", str(of / "install.sh"), *choices],
         env=os.environ | {"DESTDIR": str(root)},
         capture_output=True,
         text=True,
     )
     assert (done.returncode, done.stderr) == (0, "")
+    return done.stdout
 
 
 def read_unit(root: Path, name: str) -> Unit:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import subprocess
 from pathlib import Path
 
@@ -26,6 +27,7 @@ from tests.support.systemd.unit_files import (
     words,
 )
 
+AGENT_DROP_IN = "coop-agent@.service.d/50-several-hosts.conf"
 NETWORKLESS = ("coop-agent@left", "coop-guard@left", "coop-rings", "coop-plant")
 
 
@@ -293,6 +295,64 @@ def test_what_was_filled_in_survives_an_update(tmp_path: Path, path: str) -> Non
     assert (tmp_path / path).read_text() == "filled in"
 
 
+ONCE = (
+    ("udev/60-coop.rules", "etc/udev/rules.d/60-coop.rules"),
+    ("several-hosts/zenoh/arm.json5", "etc/coop/zenoh/arm.json5"),
+    (f"several-hosts/{AGENT_DROP_IN}", f"etc/systemd/system/{AGENT_DROP_IN}"),
+)
+
+
+def release(folder: Path, changed: str, line: str) -> Path:
+    """Our units as another release has them, in which one file ends with this line."""
+    shutil.copytree(SYSTEMD, folder)
+    with (folder / changed).open("a") as file:
+        file.write(line)
+    return folder
+
+
+@pytest.mark.parametrize(("ours", "path"), ONCE)
+def test_what_an_earlier_release_installed_and_nobody_filled_in_is_replaced(
+    tmp_path: Path, ours: str, path: str
+) -> None:
+    earlier, root = release(tmp_path / "earlier", ours, "# of before\n"), tmp_path / "host"
+    install(root, "several-hosts", of=earlier)
+    assert (root / path).read_text().endswith("# of before\n")
+    assert f"replaced {root / path}: it was as an earlier release had installed it" in install(root, "several-hosts")
+    assert (root / path).read_bytes() == (SYSTEMD / ours).read_bytes()
+    assert install(root, "several-hosts") == ""
+
+
+@pytest.mark.parametrize(("ours", "path"), ONCE)
+@pytest.mark.parametrize("has_copy", [True, False])
+def test_what_was_filled_in_under_an_earlier_release_stays_and_is_named_once(
+    tmp_path: Path, ours: str, path: str, has_copy: bool
+) -> None:
+    """Also where that release kept no copy of what it installed, so that nobody knows whether it was filled in."""
+    root = tmp_path / "host"
+    install(root, "several-hosts", of=release(tmp_path / "earlier", ours, "# of before\n"))
+    if has_copy:
+        (root / path).write_text("filled in")
+    else:
+        shutil.rmtree(root / "etc/coop/.as-installed")
+    before = (root / path).read_bytes()
+    for _ in range(2):
+        told = install(root, "several-hosts")
+        assert (f"kept {root / path}: filled in on this host" in told) is (_ == 0)
+        assert (f"diff {root / path} {SYSTEMD / ours}" in told) is (_ == 0)
+        assert (root / path).read_bytes() == before
+
+
+@pytest.mark.parametrize("without", [(), ("remove",)], ids=["choice left out", "removed"])
+def test_a_drop_in_of_an_earlier_release_that_nobody_filled_in_goes_with_its_choice(
+    tmp_path: Path, without: tuple[str, ...]
+) -> None:
+    root = tmp_path / "host"
+    earlier = release(tmp_path / "earlier", f"several-hosts/{AGENT_DROP_IN}", "# of before\n")
+    install(root, "several-hosts", of=earlier)
+    assert "saved" not in install(root, *without)
+    assert not list(root.rglob("*50-several-hosts.conf*"))
+
+
 @pytest.mark.parametrize("without", [(), ("remove",)], ids=["choice left out", "removed"])
 def test_addresses_that_were_filled_in_come_back_with_their_choice(tmp_path: Path, without: tuple[str, ...]) -> None:
     units, own = tmp_path / "etc/systemd/system", "50-several-hosts.conf"
@@ -319,7 +379,7 @@ def test_removing_takes_what_was_installed_and_keeps_what_was_filled_in(
     for path in mine:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text("mine")
-    keys = {path for path in (tmp_path / "etc/coop").rglob("*") if path.is_file()}
+    keys = {path for path in (tmp_path / "etc/coop").rglob("*") if path.is_file() and path.suffix != ".conf"}
     install(tmp_path, "remove")
     left = {path for path in tmp_path.rglob("*") if path.is_file()}
     assert left == mine | keys | {tmp_path / "etc/udev/rules.d/60-coop.rules"}
