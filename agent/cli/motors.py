@@ -10,7 +10,7 @@ import typer
 
 from agent.cli import complete
 from agent.cli.help import Commands
-from agent.cli.options import ArmName, AsJson, CellPath, Force, Overrides, note
+from agent.cli.options import ArmName, AsJson, CellPath, Force, Overrides, note, require_yes
 from agent.cli.progress import Steps
 
 if TYPE_CHECKING:
@@ -101,7 +101,7 @@ def setup(
             typer.echo("  nothing to change")
             return
         if not yes:
-            typer.confirm("write this", abort=True)
+            require_yes("write this")
         apply_setup(bus, plan, file.baud)
     typer.echo(f"servo {slot.servo_id} is set up and was read back; torque was never on")
 
@@ -205,7 +205,7 @@ def mark(
             return
         if not yes:
             with lit(bus, servos):
-                typer.confirm(f"the LEDs of this arm are lit: is it {arm}, and is this to be written", abort=True)
+                require_yes(f"the LEDs of this arm are lit: is it {arm}, and is this to be written")
         apply_mark(bus, servos, changes)
     typer.echo(f"arm {arm}: mark {servos.mark.own} is in {len(changes)} servos, read back; torque was never on")
 

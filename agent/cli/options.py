@@ -77,6 +77,12 @@ def confirmed(question: str) -> bool:
     return typer.confirm(question, err=True)
 
 
+def require_yes(question: str) -> None:
+    """Go on where standard input says yes, as `confirmed` hears it; end the command where it does not."""
+    if not confirmed(question):
+        raise typer.Abort
+
+
 def note(text: str) -> None:
     """One line on standard error."""
     typer.echo(text, err=True)
