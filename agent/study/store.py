@@ -30,6 +30,21 @@ class StudyError(Refusal):
     """The study cannot be carried out as asked."""
 
 
+def has_begun(folder: Path) -> bool:
+    """Whether a study may have written results there: before them it writes what study its runs are of.
+
+    A file of runs that is empty, or whose first line was cut off, says of nobody's results that they may go.
+    """
+    path = folder / RUNS_FILE
+    try:
+        if not path.is_file():
+            return False
+        with path.open("rb") as file:
+            return file.readline().endswith(b"\n")
+    except OSError:
+        return False  # where it cannot be read at all, `Store` says so
+
+
 class Store:
     """The file of finished runs: a line that says what study they are of, then one line for each.
 
@@ -94,7 +109,7 @@ class Store:
                     self._require_same(content)
                 else:
                     self._take(number, content["cell_place"], _LINE.validate_json(line, strict=True))
-            except (ValueError, KeyError, TypeError) as error:
+            except (ValueError, KeyError, TypeError, RecursionError) as error:
                 raise self._foreign(number) from error
             whole += len(line)
         self._file.truncate(whole)

@@ -23,7 +23,7 @@ from agent.study.lab import NS
 from agent.study.measure import RunResult
 from agent.study.page import render
 from agent.study.plan import Plan, Task
-from agent.study.store import RUNS_FILE, Store
+from agent.study.store import Store, has_begun
 from agent.study.summary import errors_of, influences, judged, summary, worst
 from agent.verify.check import examine
 
@@ -68,7 +68,7 @@ def run_study(
     for cell in plan.cells:
         examine(cell).require()
     tasks = plan.tasks()
-    if not anew and not (out / RUNS_FILE).exists():  # then what lies there is no study's
+    if not anew and not has_begun(out):  # then what lies there is no study's
         keep_existing(*(out / name for name in RESULTS), remedy="name another --out, or give --force")
     with Store(out, plan, anew=anew) as store:
         if anew:

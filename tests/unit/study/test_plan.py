@@ -207,7 +207,10 @@ def test_runs_of_another_version_or_source_are_not_mixed_in(tmp_path: Path, plan
         Store(tmp_path, plan)
 
 
-@pytest.mark.parametrize("mine", [b"not json\n", b"not json", b'{"cells": ["mine"]}', b"\0"])
+@pytest.mark.parametrize(
+    "mine", [b"not json\n", b"not json", b'{"cells": ["mine"]}', b"\0", b"[" * 10**5 + b"\n"],
+    ids=["text", "cut text", "another's", "binary", "too deep"],
+)  # fmt: skip
 def test_a_file_of_runs_that_is_none_is_refused_and_kept(tmp_path: Path, plan: Plan, mine: bytes) -> None:
     path = tmp_path / RUNS_FILE
     path.write_bytes(mine)

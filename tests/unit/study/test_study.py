@@ -207,14 +207,18 @@ def test_a_study_that_fails_behind_its_first_run_keeps_it(tmp_path: Path, plan: 
 
 
 @pytest.mark.parametrize("name", few(RESULTS, RESULTS[:1].__contains__))
+@pytest.mark.parametrize("runs", [None, b"", b"{"], ids=["without runs", "beside empty runs", "beside a cut line"])
 def test_a_file_that_no_study_has_written_is_kept_unless_asked(
-    tmp_path: Path, plan: Plan, results: list[RunResult], name: str
+    tmp_path: Path, plan: Plan, results: list[RunResult], name: str, runs: bytes | None
 ) -> None:
+    """Runs without a whole first line have written no results, whosever they are."""
     (tmp_path / name).write_text("mine")
+    if runs is not None:
+        (tmp_path / RUNS_FILE).write_bytes(runs)
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     with pytest.raises(WriteError, match=f"{name}: found one of that name, expected none; .*--out, or give --force"):
         run_study(plan, tmp_path, known(results), lambda: False, Told())
-    assert [path.name for path in tmp_path.iterdir()] == [name]
-    assert (tmp_path / name).read_text() == "mine"
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
     run_study(plan, tmp_path, known(results), lambda: False, Told(), anew=True)
     assert not (tmp_path / name).read_bytes().startswith(b"mine")
 
