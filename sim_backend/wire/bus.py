@@ -42,7 +42,7 @@ class BusCounters:
     instructions: int = 0
     replies: int = 0
     damaged: int = 0
-    collisions: int = 0  # instructions sent while servos were still answering; nobody understood them
+    collisions: int = 0  # instructions sent while servos were talking; nobody understood them
     wrong_baud: int = 0
     watchdog_trips: int = 0
 
@@ -57,6 +57,7 @@ class Bus:
         self.counters = BusCounters()
         self.responder = Responder(options)
         self.tamper: Tamper | None = None
+        self.talked_over = False  # a servo never stops talking: it garbles whatever anybody else says
         self._parser = InstructionParser(options.unstuffed_header)
         self._line = Line(timing)
         self._usb = UsbBuffer(timing.usb if timing else None)
@@ -72,7 +73,7 @@ class Bus:
             return
         for place, packet in enumerate(self._parser.feed(data, now_ns)):
             listeners = [s for s in matching if s.hears(now_ns)]
-            if not self._line.request(now_ns, packet.size, baud, queued=place > 0):
+            if not self._line.request(now_ns, packet.size, baud, queued=place > 0) or self.talked_over:
                 self.counters.collisions += 1
             elif isinstance(packet, Damaged):
                 self.counters.damaged += 1

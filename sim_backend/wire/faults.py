@@ -45,7 +45,7 @@ class FaultKind(Enum):
     ENCODER_STUCK = "encoder_stuck"
     ENCODER_OFFSET = "encoder_offset"  # position wrong by offset_ticks
     # the line and the port
-    BABBLE = "babble"  # random bytes without end
+    BABBLE = "babble"  # random bytes without end, at the adapter; of a servo: on the line, where nobody hears the host
     STALL = "stall"  # the adapter takes no more bytes
     PORT_LOSS = "port_loss"
 

@@ -62,7 +62,7 @@ class Injector:
         """End all faults and forget those to come."""
         for entry in self._schedule.clear():
             self._switch(entry, on=False, now_ns=now_ns)
-        self._refresh_tamper()
+        self._refresh()
 
     def tick(self, now_ns: int) -> None:
         """Begin, end and continue what is due."""
@@ -72,7 +72,7 @@ class Injector:
         for entry in begin:
             self._switch(entry, on=True, now_ns=now_ns)
         if begin or end:
-            self._refresh_tamper()
+            self._refresh()
         for entry in self._schedule.running():
             if entry.fault.kind in (FaultKind.OVERHEAT, FaultKind.VOLTAGE):
                 self._ramp(entry, now_ns)
@@ -82,10 +82,12 @@ class Injector:
                 self._babble_ns = now_ns
                 self.arm.bus.inject(self.tamper.noise(min(count, 4096)), now_ns)
 
-    def _refresh_tamper(self) -> None:
-        active = [entry.fault for entry in self._schedule.running() if entry.fault.kind in REPLY_FAULTS]
-        self.tamper.active = active
-        self.arm.bus.tamper = self.tamper if active else None
+    def _refresh(self) -> None:
+        """What the line and the way to the host have of the faults that run now."""
+        running = [entry.fault for entry in self._schedule.running()]
+        self.tamper.active = [fault for fault in running if fault.kind in REPLY_FAULTS]
+        self.arm.bus.tamper = self.tamper if self.tamper.active else None
+        self.arm.bus.talked_over = any(f.kind is FaultKind.BABBLE and f.servo is not None for f in running)
 
     def _servos(self, fault: Fault) -> list[Servo]:
         return [servo for servo in self.arm.bus.servos if fault.servo in (None, servo.id)]

@@ -362,6 +362,25 @@ def test_babble_is_a_fault_within_ten_cycles_also_where_answers_are_read_amid_it
 
 
 @pytest.mark.fault("B5")
+def test_a_servo_that_talks_over_the_others_is_a_fault_within_ten_cycles_and_their_watchdogs_stop_the_arm() -> None:
+    """Nobody hears the host, whatever it does: two who talk at once garble each other."""
+    rig = warm()
+    rest = np.zeros(len(rig.arm.controlled))
+    heard = rig.bus.counters.instructions
+    rig.fault(FaultKind.BABBLE, 4)
+    done = cycles(rig, 12, rest)
+    fresh_is_fresh(done)
+    assert all(c.state is None for c in done)
+    assert max(c.read_ns for c in done) < PERIOD_NS
+    told = [c.error for c in done[:10] if isinstance(c.error, DxlServoFault)]
+    assert told
+    assert told[0].cause is FaultCause.NOISE
+    assert rig.bus.counters.instructions == heard
+    rig.clock.sleep_until(rig.clock.now_ns() + 10**9)
+    assert rig.bus.counters.watchdog_trips == len(rig.bus.servos)
+
+
+@pytest.mark.fault("B5")
 def test_all_that_is_asked_for_is_no_noise_however_often_it_comes() -> None:
     rig = warm()
     for kind in (FaultKind.DELAY, FaultKind.DROP):  # answers that come late, or are asked for again

@@ -215,6 +215,19 @@ class TestLineAndPort:
         assert amounts[:9] == [100] * 9
         assert amounts[-1] == 0
 
+    def test_a_servo_that_never_stops_talking_keeps_the_line_from_all_of_them(self) -> None:
+        rig = Rig()
+        rig.fault(kind="babble", duration_s=0.01)
+        rig.fault(kind="babble", servo=2, duration_s=0.02)
+        assert rig.bus.talked_over
+        collisions = rig.bus.counters.collisions
+        assert rig.heard() == []
+        assert rig.bus.counters.collisions > collisions
+        rig.tick(15)
+        assert rig.bus.talked_over, "another one has ended"
+        rig.tick(10)
+        assert rig.heard() == [1, 2, 3]
+
     def test_stall_is_seen_by_the_server(self) -> None:
         rig = Rig()
         rig.fault(kind="stall", duration_s=0.1)
