@@ -10,6 +10,7 @@ ROOT = Path(__file__).parents[2]
 DOCUMENTS = (*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md")))
 
 _FENCE = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
+_INDENTED = re.compile(r"^    (coop .+)$", re.MULTILINE)
 _SPAN = re.compile(r"`([^`\n]+)`")
 _LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
 _HEADING = re.compile(r"^#+ (.+)$", re.MULTILINE)
@@ -17,7 +18,7 @@ _HEADING = re.compile(r"^#+ (.+)$", re.MULTILINE)
 
 @dataclass(frozen=True)
 class Document:
-    """One page: its links, and the pieces of code in it, each a span or a line of a fence."""
+    """One page: its links, and the pieces of code in it, each a span, a line of a fence or an indented command."""
 
     path: Path
     links: tuple[str, ...]
@@ -33,7 +34,7 @@ def read(path: Path) -> Document:
     return Document(
         path,
         tuple(_LINK.findall(prose)),
-        (*_SPAN.findall(prose), *fenced),
+        (*_SPAN.findall(prose), *fenced, *_INDENTED.findall(prose)),
         frozenset(_anchor(heading) for heading in _HEADING.findall(prose)),
     )
 
