@@ -1,4 +1,7 @@
-"""The agent process of one arm: driver, clock, law, ring; it opens no network socket and loads nothing that could."""
+"""The agent process of one arm: driver, clock, law, ring; it opens no network socket and loads no network library.
+
+Its own sockets, of operator, guard and plant, have names on this host alone.
+"""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ class AlignmentSpec(Strict):
     enabled: bool = True
     """Whether every arm but the anchor shifts its target towards what it sees."""
     anchor: Name | None = None
-    """The arm that does not; none: the first."""
+    """The arm that does not, once it has taken up where the object is before the start; none: the first."""
     ready_per_s: Rate = 2.0
     """How quickly it shifts while waiting for the start."""
     track_per_s: Rate = 0.3
