@@ -1,7 +1,7 @@
 """From a limp arm to one that holds zero torque, and back, in an order that does not jerk.
 
 EEPROM only where it differs; then goals, because a mode change sets them to their limits; then the pose; then the
-watchdog; then torque.  Whatever fails on the way ends with torque off.
+watchdog, which is read back; then torque.  Whatever fails on the way ends with torque off.
 """
 
 from __future__ import annotations
@@ -132,10 +132,12 @@ class BringUp:
                 raise PoseError.of(misfit)
 
     def torque_on(self) -> None:
-        """Watchdog, then torque, then proof that every servo has both.  Raises DxlServoFault."""
+        """Watchdog and proof that every servo has it, then torque and proof of both.  Raises DxlServoFault."""
         watchdog = watchdog_count(self._arm.watchdog_s)
         for servo in self._commanded:
             self._bus.write(servo.slot.servo_id, BUS_WATCHDOG, watchdog)
+        for servo in self._servos:  # a shadow answers no write: that it has missed one is seen here alone
+            self._verify(servo, BUS_WATCHDOG, watchdog)
         try:
             self._bus.write_blind(TORQUE_ENABLE, {servo.slot.servo_id: 1 for servo in self._commanded})
             for servo in self._servos:
@@ -168,8 +170,9 @@ class BringUp:
         """After bus watchdogs have fired: no effort, the present place, armed again.  Torque stays on.
 
         Goals cannot be written while a watchdog is tripped, and the old ones count again once it is cleared; so the
-        zeros follow in the next packet.  All goes out in one piece: without watchdogs nobody would stop servos whose
-        process is killed in between.  Raises DxlServoFault when a servo does not obey.
+        zeros follow.  All goes out in one piece: without watchdogs nobody would stop servos whose process is killed in
+        between.  No servo answers a sync write; so that what arms them goes thrice, and reaches them with two lost.
+        Raises DxlServoFault when a servo does not obey.
         """
         held = [servo for servo in self._commanded if servo.slot.joint.role is not JointRole.CONTROLLED]
         here = {servo.slot.servo_id: self._here(servo) for servo in held}
@@ -181,7 +184,8 @@ class BringUp:
         goals = zip((GOAL_CURRENT, GOAL_PWM, GOAL_POSITION), (*efforts, here), strict=True)
         watchdog = watchdog_count(self._arm.watchdog_s)
         cleared, armed = ((BUS_WATCHDOG, dict.fromkeys((slot.servo_id for slot in slots), n)) for n in (0, watchdog))
-        self._bus.write_all_blind([cleared, *((register, values) for register, values in goals if values), armed])
+        goals_of_rest = [(register, values) for register, values in goals if values]
+        self._bus.write_all_blind([cleared, armed, *goals_of_rest, armed, armed])
         for servo in self._servos:
             self._verify(servo, BUS_WATCHDOG, watchdog)
             self._verify(servo, effort_register(servo.slot), self._rest[servo.slot.servo_id])

@@ -13,8 +13,8 @@ where it watches by then, or nobody.  What must hold, whichever it is:
 
 1. Torque comes on in the mode of the map, with the goals of rest: no effort of what is controlled, the present place
    of what is held.
-2. A servo has torque and a cleared watchdog for 30 ms at most in bring-up, 0.4 s in a recovery, and not at all once
-   the process is killed where nobody takes over: 0.25 s later all servos with torque have stopped by themselves.
+2. No servo has torque and a cleared watchdog, but where a guard finds it so: 0.4 s. Once the process is killed where
+   nobody takes over, all servos with torque have stopped by themselves 0.25 s later.
 3. The goal by which a controlled servo moves changes, but to zero, by no more than two torque steps of the loop (one
    write may be lost), and begins within that where torque comes on or back.
 4. A start that is refused leaves torque as it was, a connection every register; a start that is not leaves all servos
@@ -27,6 +27,9 @@ where it watches by then, or nobody.  What must hold, whichever it is:
    guard has the arm as 5. says, or gives up one whose torque was being switched off.
 8. What is raised is a DriverError, the port is given back, and the phase takes at most 0.5 s longer than without loss.
 
+Of what arms watchdogs, in bring-up and on the way back, two packets are lost as well: 1 to 3 hold then, too, and what
+4 and 5 say of an arm that is not refused.
+
 What is assumed: a kill does not cut one write; a servo whose watchdog has fired stays stopped until its next goal, as
 emulated ones do; a packet that one servo misses has fed its watchdog all the same.
 """
@@ -38,7 +41,7 @@ import pytest
 from drivers.dynamixel.servo import table
 from drivers.dynamixel.servo.codes import Instruction
 from tests.support.servos.lossy_line import Loss, What
-from tests.support.servos.lost_packets import PHASES, healthy, losses, told
+from tests.support.servos.lost_packets import PHASES, healthy, losses, losses_of_two, told, told_of_two
 
 TORQUE, WATCHDOG, CURRENT, POSITION = (
     register.address for register in (table.TORQUE_ENABLE, table.BUS_WATCHDOG, table.GOAL_CURRENT, table.GOAL_POSITION)
@@ -90,3 +93,28 @@ def test_of_these_packets_none_does(phase: str, what: What, address: int, place:
     number = writes_of(phase, address)[place]
     assert healthy(phase).wrong == []
     assert wrong(phase, Loss(what, number, servo)) == []
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("phase", ["used servos", "stuck host", "unplugged shadow"])
+def test_two_packets_of_those_that_arm_leave_no_torque_without_a_watchdog(phase: str) -> None:
+    assert [text for loss in losses_of_two(phase) for text in told_of_two(phase, loss)] == []
+
+
+@pytest.mark.fault("P8")
+def test_a_shadow_that_has_missed_its_watchdog_gets_no_torque_and_is_named() -> None:
+    armed = writes_of("used servos", WATCHDOG)[-5]
+    assert healthy("used servos").packets[armed].servos == (2, 3)
+    story = told("used servos", Loss(What.MISSED, armed, 3))
+    assert "servo 3" in str(story.error)
+    assert "Bus Watchdog 0" in str(story.error)
+    assert story.wrong == []
+
+
+@pytest.mark.parametrize(("first", "second"), [(-2, -1), (-3, -1), (-3, -2)])
+@pytest.mark.parametrize("servo", [None, 3])
+@pytest.mark.fault("P8", "S6")
+def test_watchdogs_are_armed_again_with_two_packets_of_that_lost(first: int, second: int, servo: int | None) -> None:
+    what = What.LOST if servo is None else What.MISSED
+    one, other = (writes_of("stuck host", WATCHDOG)[place] for place in (first, second))
+    assert told_of_two("stuck host", Loss(what, one, servo, Loss(what, other, servo))) == []

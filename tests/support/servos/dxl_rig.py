@@ -136,19 +136,22 @@ def packets_of(data: bytes) -> list[bytes]:
     return packets
 
 
-def loses(rig: Rig, register: Register, *heard: int, value: int | None = None) -> None:
-    """The next sync write of this register, and value, to these and others gets lost on its way, but to these."""
-    really = rig.port.write
+def loses(rig: Rig, register: Register, *heard: int, value: int | None = None, count: int = 1) -> None:
+    """The next sync writes of this register, and value, to these and others get lost on their way, but to these."""
+    really, left = rig.port.write, count
     size = 1 + register.length
 
     def fares(packet: bytes) -> bytes:
-        if packet[7:9] != bytes((Instruction.SYNC_WRITE, register.address)) or rig.port.write is really:
+        nonlocal left
+        if packet[7:9] != bytes((Instruction.SYNC_WRITE, register.address)) or not left:
             return packet
         entries = {packet[k]: packet[k + 1 : k + size] for k in range(12, len(packet) - 2, size)}
         first = int.from_bytes(packet[13 : 12 + size], "little", signed=register.signed)
         if not set(heard) <= set(entries) or value not in (None, first):
             return packet
-        rig.port.write = really  # type: ignore[method-assign]
+        left -= 1
+        if not left:
+            rig.port.write = really  # type: ignore[method-assign]
         kept = {i: entries[i] for i in heard}
         return codec.sync_write(register.address, register.length, kept) if kept else b""
 

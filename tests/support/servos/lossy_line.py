@@ -1,4 +1,4 @@
-"""A virtual port at which one packet of a phase gets lost, its answer does, or with which the process ends.
+"""A virtual port at which a packet of a phase, or two, get lost, their answers do, or with which the process ends.
 
 Packets are counted from `count` to `rest`.  A process that is killed has written the whole of what it began to write:
 the kernel sends that without it.
@@ -7,8 +7,10 @@ the kernel sends that without it.
 from __future__ import annotations
 
 import enum
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from agent.faults import virtual
@@ -36,11 +38,12 @@ class What(enum.Enum):
 
 @dataclass(frozen=True)
 class Loss:
-    """What happens to the packet of that number; servo: to which of several, None for all."""
+    """What happens to the packet of that number; servo: to which of several, None for all; then: to a later one."""
 
     what: What
     number: int
     servo: int | None = None
+    then: Loss | None = None
 
     @property
     def kills(self) -> bool:
@@ -85,17 +88,20 @@ class LossyPort(VirtualPort):
     def __init__(self, line: virtual.Line, baud: int, after: Callable[[], None] = lambda: None) -> None:
         super().__init__(line, baud)
         self.packets: list[Packet] = []  # of the phase
-        self.loss: Loss | None = None
         self.struck = False
         self.dead = False
         self.first_ns = 0  # when the first torque went out
         self._after = after
+        self._due: dict[int, Loss] = {}
         self._counts = False
         self._writes = 0
 
     def count(self, loss: Loss | None) -> None:
         """The phase begins."""
-        self.packets, self.loss, self._counts, self._writes = [], loss, True, 0
+        self.packets, self._counts, self._writes = [], True, 0
+        while loss is not None:
+            self._due[loss.number] = loss
+            loss = loss.then
 
     def rest(self) -> None:
         """It is over: nothing gets lost any more."""
@@ -109,24 +115,27 @@ class LossyPort(VirtualPort):
             super().write(data, deadline_ns)
             self._after()
             return
-        bus, loss, kept, struck = self._line.bus, self.loss, b"", None
+        bus, kept, spoiled, kills = self._line.bus, list[bytes](), dict[tuple[bytes, int], Loss](), False
         for packet in packets_of(data):
-            if loss is not None and loss.number == len(self.packets):
-                self.struck, struck = True, packet
-            if struck is not packet or loss is None or loss.what is not What.LOST:
-                kept += packet
+            loss = self._due.pop(len(self.packets), None)
+            if loss is not None:
+                self.struck, kills = True, kills or loss.kills
+                if loss.what is not What.LOST:
+                    spoiled[packet, kept.count(packet)] = loss
+            if loss is None or loss.what is not What.LOST:
+                kept.append(packet)
             self.packets.append(Packet(packet, self._writes, concerned(packet, bus.servos)))
         self._writes += 1
-        if struck is not None and loss is not None:
-            spoil(bus, struck, loss)
+        if spoiled:
+            spoil(bus, spoiled)
         try:
             if kept:
-                super().write(kept, deadline_ns)
+                super().write(b"".join(kept), deadline_ns)
         finally:
-            if struck is not None:
+            if spoiled:
                 heal(bus)
         self._after()
-        if struck is not None and loss is not None and loss.kills:
+        if kills:
             self.dead = True
             raise Died
 
@@ -136,32 +145,39 @@ class LossyPort(VirtualPort):
         super()._need()
 
 
-def spoil(bus: Bus, packet: bytes, loss: Loss) -> None:
-    """Until `heal` one packet, and what answers it, fares as told."""
+def spoil(bus: Bus, losses: Mapping[tuple[bytes, int], Loss]) -> None:
+    """Until `heal` these packets, and what answers them, fare as told; by bytes, and how many are equal before."""
     really = bus.responder.respond
-    spoiled = False
-    wanted = packet[4], packet[7], packet[8:-2].replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
+    wanted = {(_command(packet), place): loss for (packet, place), loss in losses.items()}
+    seen: Counter[tuple[int, int, bytes]] = Counter()
 
     def respond(command: Command, listeners: Sequence[Servo], now_ns: int) -> list[Turn]:
-        nonlocal spoiled
-        this = not spoiled and (command.servo_id, command.instruction, command.parameters) == wanted
-        spoiled = spoiled or this
-        bus.tamper = tamper if this else None
-        if this and loss.what is What.MISSED:
+        this = command.servo_id, command.instruction, command.parameters
+        loss = wanted.get((this, seen[this]))
+        seen[this] += 1
+        bus.tamper = None if loss is None else partial(_answer, loss)
+        if loss is not None and loss.what is What.MISSED:
             listeners = [servo for servo in listeners if servo.id != loss.servo]
         return really(command, listeners, now_ns)
 
-    def tamper(servo_id: int, data: bytes) -> list[Tampered]:
-        if loss.servo not in (None, servo_id):
-            return [Tampered(data, 0)]
-        if loss.what is What.UNANSWERED:
-            return []
-        if loss.what is What.UNREADABLE:
-            data = data[:-1] + bytes((data[-1] ^ 0x40,))
-        return [Tampered(data, 0)]
-
     responder: Any = bus.responder
     responder.respond = respond
+
+
+def _command(packet: bytes) -> tuple[int, int, bytes]:
+    """Servo, instruction and parameters, as a servo takes them from the packet."""
+    return packet[4], packet[7], packet[8:-2].replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
+
+
+def _answer(loss: Loss, servo_id: int, data: bytes) -> list[Tampered]:
+    """What becomes of a servo's answer."""
+    if loss.servo not in (None, servo_id):
+        return [Tampered(data, 0)]
+    if loss.what is What.UNANSWERED:
+        return []
+    if loss.what is What.UNREADABLE:
+        data = data[:-1] + bytes((data[-1] ^ 0x40,))
+    return [Tampered(data, 0)]
 
 
 def heal(bus: Bus) -> None:

@@ -97,12 +97,12 @@ class Witness:
     Rules that hold throughout:
 
     - torque comes on with the goals of rest alone: no effort of what is controlled, the present place of what is held;
-    - a servo has torque and no armed watchdog for at most `unarmed_max_ns`;
+    - a servo has torque and a cleared watchdog for less than `unarmed_max_ns`: 0 for not at all;
     - the goal by which a controlled servo moves changes by at most `steps` of the loop's torque steps from one write to
       the next, but to zero, and begins at zero where torque comes on or comes back.
     """
 
-    unarmed_max_ns = 400 * MS
+    unarmed_max_ns = 0
 
     def __init__(self, rig: OneArm) -> None:
         self.broken: list[str] = []
@@ -132,7 +132,7 @@ class Witness:
             if now.torque and now.watchdog == 0:
                 since = self._since.setdefault(i, now_ns)
                 self.unarmed_ns = max(self.unarmed_ns, now_ns - since)
-                if now_ns - since > self.unarmed_max_ns:
+                if now_ns - since >= self.unarmed_max_ns:
                     self.note("torque without a watchdog", f"servo {i} for {(now_ns - since) / MS:.0f} ms")
             else:
                 self._since.pop(i, None)

@@ -108,7 +108,6 @@ def started(story: Story) -> None:
     """Bring-up as the agent does it, some cycles of a loop, and its end."""
     rig = story.rig
     before = rig.torques()
-    rig.witness.unarmed_max_ns = 30 * MS
     try:
         rig.driver.connect()
         story.begin()
@@ -369,6 +368,7 @@ def taken_over(*, late_ns: int | None = None, amid_arming: bool = False) -> Play
         cycles(rig, BEFORE)
         if amid_arming:
             rig.pass_time(STUCK_S)
+            rig.witness.unarmed_max_ns = 400 * MS
             rig.driver._bus.write_blind(table.BUS_WATCHDOG, {joint.ids[0]: 0 for joint in rig.arm.joints})
             rig.rest_goals()
         story.began_ns = rig.clock._ns
@@ -417,6 +417,14 @@ def told(phase: str, loss: Loss | None) -> Story:
     return story
 
 
+def told_of_two(phase: str, loss: Loss) -> list[str]:
+    """What does not hold of one with a loss and a second one: it may take longer, and be refused."""
+    story = Story(OneArm(), loss)
+    PHASES[phase](story)
+    story.require(story.rig.port.struck, "nothing was lost")
+    return story.wrong + story.rig.witness.broken
+
+
 @cache
 def healthy(phase: str) -> Story:
     """The same without any loss."""
@@ -442,3 +450,27 @@ def losses(phase: str) -> Iterator[Loss]:
             if phase not in UNGUARDED:
                 yield Loss(What.LAST, number)
             yield Loss(What.ALONE, number)
+
+
+def arming(packet: Packet) -> bool:
+    """Whether it is one of those that arm watchdogs."""
+    writes = packet.data[7] in (Instruction.SYNC_WRITE, Instruction.WRITE)
+    return writes and packet.data[8] == table.BUS_WATCHDOG.address and packet.data[-3] == ARMED
+
+
+def losses_of_two(phase: str) -> Iterator[Loss]:
+    """Of what arms watchdogs, for all its servos or for one, and of a later packet for all or for the same one.
+
+    Behind what is not answered the later one is of the same write: each of these arms them by itself.
+    """
+    packets = healthy(phase).packets
+    for first, packet in enumerate(packets):
+        if not arming(packet):
+            continue
+        later = [n for n in range(first + 1, len(packets)) if packet.answered or packets[n].write == packet.write]
+        for servo in (None, *(packet.servos if len(packet.servos) > 1 else ())):
+            what = What.LOST if servo is None else What.MISSED
+            for second in later:
+                yield Loss(what, first, servo, Loss(What.LOST, second))
+                if servo in packets[second].servos and not packets[second].answered:
+                    yield Loss(what, first, servo, Loss(What.MISSED, second, servo))

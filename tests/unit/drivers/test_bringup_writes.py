@@ -80,27 +80,28 @@ def test_modes_then_marks_then_goals_then_watchdogs_then_torque() -> None:
 
 
 def test_arming_again_goes_out_in_one_piece_with_the_goals() -> None:
-    """A process that is killed in it leaves no servo without a watchdog."""
+    """A process that is killed in it leaves no servo without a watchdog; nor do two of its packets that are lost."""
     rig = enabled()
     written(rig)
     rig.driver.rearm()
     (piece,) = [data for data in rig.port.writes if data[7] == Instruction.SYNC_WRITE]
     rig.port.writes[:] = [piece]
-    assert written(rig) == [(WATCHDOG, to_all(0)), *goals(blind=True), (WATCHDOG, to_all(ARMED))]
+    armed = (WATCHDOG, to_all(ARMED))
+    assert written(rig) == [(WATCHDOG, to_all(0)), armed, *goals(blind=True), armed, armed]
 
 
 def test_arming_again_writes_no_register_that_carries_no_torque_of_this_arm() -> None:
     rig = enabled(at(WX200, joints=WX200.joints[:-2]))
     written(rig)
     rig.driver.rearm()
-    assert [address for address, _ in written(rig)] == [WATCHDOG, CURRENT, POSITION, WATCHDOG]
+    assert [address for address, _ in written(rig)] == [WATCHDOG, WATCHDOG, CURRENT, POSITION, WATCHDOG, WATCHDOG]
 
 
 def test_arming_an_arm_again_that_holds_no_joint_writes_no_place() -> None:
     rig = enabled(at(WX200, joints=WX200.controlled))
     written(rig)
     rig.driver.rearm()
-    assert [address for address, _ in written(rig)] == [WATCHDOG, CURRENT, PWM, WATCHDOG]
+    assert [address for address, _ in written(rig)] == [WATCHDOG, WATCHDOG, CURRENT, PWM, WATCHDOG, WATCHDOG]
 
 
 def test_torque_goes_off_twice_with_silence_between() -> None:

@@ -118,7 +118,7 @@ def test_a_grip_is_no_ignored_goal_after_an_attempt_that_failed_and_is_taken_up_
     rig = enabled(with_gripper())
     rig.driver.grip(0.03)
     cycles(rig, 10)
-    loses(rig, BUS_WATCHDOG, 1, 2, 4, 5, GRIPPER, value=10)
+    loses(rig, BUS_WATCHDOG, 1, 2, 4, 5, GRIPPER, value=10, count=3)
     with pytest.raises(DxlServoFault, match="Bus Watchdog 0"):
         rig.driver.rearm()
     for _ in range(20):

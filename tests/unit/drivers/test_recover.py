@@ -215,8 +215,8 @@ def test_an_arm_of_which_some_servos_still_obey_goes_on_with_those_though_one_ha
 
 
 def arming_lost(rig: Any, *heard: int) -> None:
-    """The next packet that arms watchdogs gets lost on its way, but to these servos."""
-    loses(rig, table.BUS_WATCHDOG, *heard, value=ARMED)
+    """The next packets that arm watchdogs, three of one write, get lost on their way, but to these servos."""
+    loses(rig, table.BUS_WATCHDOG, *heard, value=ARMED, count=3)
 
 
 @pytest.mark.parametrize("heard", [(), (1, 2, 4, 5)])

@@ -172,7 +172,7 @@ def test_a_servo_that_has_restarted_has_no_watchdog_either_and_is_the_loops_affa
 
 
 @pytest.mark.fault("B1")
-@pytest.mark.parametrize("zero", [False, True], ids=["the arming packet", "the zeroes"])
+@pytest.mark.parametrize("zero", [False, True], ids=["all that arms", "the zeroes"])
 def test_a_packet_lost_while_watchdogs_are_armed_again_is_the_loops_affair_which_tries_again(zero: bool) -> None:
     rig = enabled()
     commanded(rig)
@@ -181,7 +181,7 @@ def test_a_packet_lost_while_watchdogs_are_armed_again_is_the_loops_affair_which
     if zero:
         loses(rig, GOAL_CURRENT)
     else:
-        loses(rig, BUS_WATCHDOG, value=10)
+        loses(rig, BUS_WATCHDOG, value=10, count=3)
     assert np.isnan(driver.adopt(np.zeros(4))).all()
     assert (driver.resumed, driver.lapsed) == (False, True)
     with pytest.raises(DxlServoFault, match=r"servo 1 .*its bus watchdog has fired"):
