@@ -22,7 +22,7 @@ from agent.operator.error import ControlError
 from agent.operator.message import MAX_BYTES, Reply, Request
 from agent.operator.promise import Promise
 from agent.operator.session_table import SESSION
-from agent.operator.table import EVENT_OF, TABLE, Verb, effect
+from agent.operator.table import EVENT_OF, Verb, effect
 from drivers.clock import utc_offset_ns
 
 _CLIENTS_MAX = 8
@@ -141,9 +141,9 @@ class ControlSocket:
         does = effect(request.verb, mode) if ask is None else SESSION[request.verb][mode]
         if not does.accepted:
             return self._refused(f"arm {self.standing.arm} in {mode.name}: {does.does}", "another mode", does.remedy)
-        if request.verb is Verb.RELEASE and self._stops_first(mode):
+        if request.verb is Verb.RELEASE and Verb.STOP in self.requests.words:  # which wins, also where the arm stands
             return self._refused(
-                f"arm {self.standing.arm} in {mode.name}: a stop that it has yet to act on", "an arm that holds",
+                f"arm {self.standing.arm} in {mode.name}: a stop that it has yet to act on", "one that it has acted on",
                 "see that the object is supported, and say it again",
             )  # fmt: skip
         alone = self.standing.alone() if request.verb in _FORWARD else ""
@@ -168,11 +168,6 @@ class ControlSocket:
                 return refused
         self._take(request)
         return self._reply(ok=True)
-
-    def _stops_first(self, mode: Mode) -> bool:
-        """Whether the arm has been told to leave this mode by a stop, which wins over a release of the same cycle."""
-        row = TABLE[Verb.STOP] if self.standing.session is None else SESSION[Verb.STOP]
-        return Verb.STOP in self.requests.words and row[mode].becomes is not mode
 
     def _no_start(self, request: Request) -> Reply | None:
         """Why a start is refused in a mode that allows it."""

@@ -89,13 +89,15 @@ class Operator:
         happened &= ~Event.RELEASED
         if watched:
             happened |= Event.TROUBLE
+        new = Event.STOP in happened or self._signals.stops + self._holds != self._stops_said
         if self._stopped and self._says_stop():
             happened |= Event.STOP
             if self._control is not None:
                 self._control.requests.lower = None
         if Event.STOP in happened:  # it wins over what was said in the same cycle, whichever was said first
             happened &= ~MOTIONS
-        if released and self._outdoes(happened):
+        if released and ((new and not self._drops_on_stop) or self._outdoes(happened)):
+            released = False
             self._tell(Level.WARN, "a stop wins over the release that came with it: say it again")
         if released or (self._stopped and self._drops_on_stop):
             happened |= Event.RELEASED
