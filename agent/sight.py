@@ -8,7 +8,7 @@ import numpy as np
 
 from agent.cycles import Bus, Cycles
 from agent.modes import WAY_BACK, Event, Mode
-from drivers.interface import Driver, DriverError, JointState, Recovering, ServoFault, StaleStateError
+from drivers.interface import Driver, DriverError, JointState, Recovering, ServoFault, StaleStateError, WaitEnded
 
 KEEPS = frozenset({Mode.HOLD, Mode.HALT, Mode.STAND})  # in which an arm stays until somebody says a word
 
@@ -54,6 +54,9 @@ class Sight:
         """Fresh state or None, and whether anything is wrong with the arm, which `unseen` says then."""
         try:
             return self._driver.read(), Event.NONE
+        except WaitEnded as error:
+            self.unseen = str(error)
+            return None, Event.NONE
         except StaleStateError as error:
             self.unseen = str(error)
             return None, Event.SERVO_LOST if self._lockstep else Event.NONE

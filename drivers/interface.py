@@ -56,6 +56,10 @@ class StaleStateError(DriverError):
     """This cycle brought no fresh state; the caller must not reuse the last one as new."""
 
 
+class WaitEnded(StaleStateError):
+    """The driver waited for others, as in simulation, and somebody asked this arm for something: nothing is wrong."""
+
+
 class ServoFault(DriverError):
     """A servo reported an error, lost torque or rebooted.
 

@@ -31,7 +31,7 @@ from agent.monitors.bounds import Name
 from agent.monitors.gravity import REST_S
 from agent.monitors.watch import Watch
 from agent.operator.socket import ControlSocket, Standing
-from agent.process.build import build_agent, build_driver, passed_on
+from agent.process.build import build_agent, build_driver, passed_on, wait_no_longer
 from agent.process.clocked import ClockWatch, shares_time
 from agent.process.operated import IN_LOCKSTEP, Operator, no_real_time, tick_of
 from agent.process.rehearse import BridgedRows, in_the_loop
@@ -114,6 +114,7 @@ def run_agent(cell: Cell, options: AgentOptions, stop: StopFlag, ready: Callable
                 stop, control, clock, tell.event, drops_on_stop=not options.hold, session=options.whole,
                 watch=_watching(guard, stop, options),
             )  # fmt: skip
+            wait_no_longer(driver, ring, operator.is_pressed)
             if shares_time(cell, arm):
                 operator.clock = ClockWatch(clock.now_ns, operator.hold, max(1, round(CLOCK_S * cell.file.rate_hz)))
             if control is not None:
@@ -199,19 +200,9 @@ def _law(cell: Cell, options: AgentOptions, driver: Driver, tell: Teller) -> _La
 
 
 def _runner(
-    cell: Cell,
-    options: AgentOptions,
-    law: _Law,
-    driver: Driver,
-    clock: Clock,
-    ring: RingWriter,
-    operator: Operator,
-    notifier: Notifier,
-    guard: Guarded | None,
-    servos: ServoTeller,
-    tell: Teller,
-    standing: Standing,
-) -> Runner:
+    cell: Cell, options: AgentOptions, law: _Law, driver: Driver, clock: Clock, ring: RingWriter, operator: Operator,
+    notifier: Notifier, guard: Guarded | None, servos: ServoTeller, tell: Teller, standing: Standing,
+) -> Runner:  # fmt: skip
     """The loop of the arm on its enabled driver."""
     arm = cell.arm(options.arm)
     heart = Heart(notifier, cell.file.rate_hz)

@@ -15,6 +15,7 @@ from agent.config.servo_map import arm_map
 from agent.guard.guarded import Guarded
 from agent.guard.line import GuardError
 from agent.process.rehearse import bridge, in_the_loop
+from agent.telemetry.ring.writer import RingWriter
 from drivers.clock import MonotonicClock
 from drivers.dynamixel.arm_map import WATCHDOG_S, ArmMap
 from drivers.dynamixel.driver import DynamixelDriver
@@ -120,6 +121,17 @@ def patient(servos: ArmMap, connection: Connection) -> ArmMap:
     """The same; emulated servos share the processor with everything else, and stop with it for a while."""
     cycles = round(EMULATED_PATIENCE_S * servos.rate_hz) if connection.emulated else 0
     return replace(servos, line_patience_cycles=cycles)
+
+
+def wait_no_longer(driver: Driver, ring: RingWriter, asked: Callable[[], bool]) -> None:
+    """A simulated arm waits for the others and for whoever takes its rows: not where it is asked for something else.
+
+    Nor for its rows to be taken once its plant is gone.
+    """
+    if isinstance(driver, SimDriver):
+        sim = driver
+        sim.heed(asked)
+        ring.asked = lambda: asked() or sim.gone
 
 
 def passed_on(driver: Driver) -> tuple[tuple[int, ...], dict[str, Any]]:

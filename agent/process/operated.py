@@ -75,6 +75,15 @@ class Operator:
         """The start that counts now."""
         return self._start
 
+    def is_pressed(self) -> bool:
+        """Whether somebody asks for something that no cycle has acted on: then the loop waits for nobody else."""
+        signals, control = self._signals, self._control
+        if control is not None:
+            control.poll()
+        said = signals.released or signals.stops + self._holds != self._stops_said
+        said = said or (control is not None and bool(control.requests.words))
+        return said or (self._drops_on_stop and (self._stopped or signals.stopped))
+
     def events(self) -> Event:
         """What is asked for now.  A release counts once: one that came too early must not drop a later hold."""
         released = self._signals.released

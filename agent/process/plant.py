@@ -53,6 +53,7 @@ def run_plant(
         stop=stop,
     )
     with RingWriter(ring, PLANT_STATE, PLANT) as rows:
+        rows.asked = stop
         truth = Truth(rows, plant, cell, options.utc_offset_ns, lockstep=lockstep)
         zero_ns = round(cell.file.simulation.ready_s * cell.file.rate_hz) * cell.period_ns
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 import time
+from collections.abc import Callable
 from enum import Enum, auto
 from pathlib import Path
 from typing import Any, Final
@@ -132,6 +133,15 @@ class SimDriver:
     def passed_on(self) -> tuple[int, dict[str, Any]]:
         """The connection and what the plant said, for a process that may have to go on with this arm."""
         return self._open_link().fileno(), self._info
+
+    def heed(self, asked: Callable[[], bool]) -> None:
+        """Look meanwhile whether this arm is asked for something else: a `read` that waits raises WaitEnded then."""
+        self._open_link().asked = asked
+
+    @property
+    def gone(self) -> bool:
+        """Whether the plant has ended, or was never there."""
+        return self._link is None or self._link.gone
 
     def _goes_on(self) -> None:
         """Torque is on, and states come."""

@@ -1,18 +1,21 @@
-"""The agent's end of the connection to the plant; every wait has a bound."""
+"""The agent's end of the connection to the plant; every wait has a bound, and one for a state is over when asked."""
 
 from __future__ import annotations
 
 import os
+import select
 import socket
 import struct
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
-from drivers.interface import BusCounters, ConnectError, DriverError, StaleStateError
+from drivers.interface import BusCounters, ConnectError, DriverError, StaleStateError, WaitEnded
 from sim_backend.served.protocol import HEADER, KINDS, MAX_MESSAGE_BYTES, MessageKind, read_words, refusal_parts
 
 CONNECT_TIMEOUT_S = 5.0
+LOOK_S = 0.05  # while it waits for a state, from one look whether it is asked for something else to the next
 INFO_KEYS = {"lockstep", "rate_hz", "utc_offset_ns", "tau_largest_Nm", "torque_lsb_Nm", "description"}
 _STATES = (MessageKind.STATE, MessageKind.REPLY)
 
@@ -41,12 +44,13 @@ class PlantLink:
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET, fileno=fd)
         self._ended: tuple[str, dict[str, str]] | None = None  # why no state will come any more
         self._timeout_s = 0.0
+        self.asked: Callable[[], bool] = lambda: False  # for something else than to wait for a state
         self.number = 0
         self.stamp_ns = 0
 
     def introduce(self, hello: bytes, timeout_s: float) -> dict[str, object]:
         """Connect and say who this is; what the plant says of itself.  Raises ConnectError."""
-        self.wait_at_most(timeout_s)
+        self._bound(timeout_s, timeout_s)
         try:
             self._socket.connect(os.fspath(self._path))
             self._socket.send(hello, socket.MSG_NOSIGNAL)
@@ -79,9 +83,20 @@ class PlantLink:
     def wait_at_most(self, timeout_s: float) -> None:
         """Bound every send and receive from now on."""
         self._timeout_s = timeout_s
-        timeval = struct.pack("@ll", int(timeout_s), int(timeout_s % 1 * 1e6))
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, timeval)
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, timeval)
+        self._bound(timeout_s, min(timeout_s, LOOK_S))
+
+    def _bound(self, send_s: float, receive_s: float) -> None:
+        """Of one system call."""
+        for option, bound_s in ((socket.SO_SNDTIMEO, send_s), (socket.SO_RCVTIMEO, receive_s)):
+            timeval = struct.pack("@ll", int(bound_s), int(bound_s % 1 * 1e6))
+            self._socket.setsockopt(socket.SOL_SOCKET, option, timeval)
+
+    @property
+    def gone(self) -> bool:
+        """Whether the plant has closed its end; what it said before can still be received."""
+        asked = select.poll()
+        asked.register(self._socket, 0)
+        return bool(asked.poll(0))
 
     def send(self, message: bytes | bytearray) -> None:
         """Send one message.  Raises DriverError when the plant is not there any more."""
@@ -103,17 +118,24 @@ class PlantLink:
     def receive(self, flags: int = 0) -> MessageKind | None:
         """Next message; None only with MSG_DONTWAIT when there is none.
 
-        Raises StaleStateError when none came in time, or none will come any more, with the plant's own reason.
+        Raises StaleStateError when none came in time, or none will come any more, with the plant's own reason;
+        WaitEnded where this arm is `asked` for something before one comes.
         """
-        try:
-            size = self._recv(flags)
-        except BlockingIOError:
+        waited_s = 0.0
+        while (size := self._recv(flags)) is None:
             if flags & socket.MSG_DONTWAIT:
                 return None
-            self._counters.timeouts += 1
-            raise self._stale(
-                f"no state within {self._timeout_s:g} s", "see what the plant or another arm waits for"
-            ) from None
+            waited_s += min(self._timeout_s, LOOK_S)
+            if waited_s >= self._timeout_s:
+                self._counters.timeouts += 1
+                raise self._stale(
+                    f"no state within {self._timeout_s:g} s", "see what the plant or another arm waits for"
+                )
+            if self.asked():
+                raise WaitEnded(
+                    f"plant at {self._path}, arm {self._arm}", found="no state yet", expected="a fresh state",
+                    remedy="none: this arm was asked for something else while it waited",
+                )  # fmt: skip
         if size < HEADER.size:
             raise self._stale("its end", "see the log of the plant")
         kind, self.number, self.stamp_ns = HEADER.unpack_from(self._in)
@@ -128,9 +150,12 @@ class PlantLink:
             )
         return known
 
-    def _recv(self, flags: int) -> int:
+    def _recv(self, flags: int) -> int | None:
+        """Size of the next message; None where there is none yet."""
         try:
             return self._socket.recv_into(self._in, 0, flags)
+        except BlockingIOError:
+            return None
         except ConnectionResetError:  # it closed with a torque unread; what it said before is still there
             try:
                 return self._socket.recv_into(self._in, 0, flags)

@@ -11,7 +11,7 @@ import pytest
 from agent.cycles import Bus, Cycles, Patience
 from agent.modes import WAY_BACK, Event, Mode
 from agent.sight import Sight
-from drivers.interface import DriverError, JointState, ServoFault, StaleStateError
+from drivers.interface import DriverError, JointState, ServoFault, StaleStateError, WaitEnded
 
 PERIOD_NS = 5_000_000
 PATIENCE = Patience()
@@ -128,6 +128,13 @@ def test_a_state_is_passed_on_and_a_cycle_without_one_ends_simulated_time_alone(
     assert seen.unseen == ""
     assert seen.read(Mode.TRACK) == (None, Event.SERVO_LOST if lockstep else Event.NONE)
     assert seen.unseen.startswith("state: found nothing")
+
+
+@pytest.mark.parametrize("lockstep", [False, True])
+def test_an_arm_that_waited_and_was_asked_for_something_is_not_lost(lockstep: bool) -> None:
+    seen, _ = sight(Reads(error(WaitEnded, "plant")), lockstep=lockstep)
+    assert seen.read(Mode.TRACK) == (None, Event.NONE)
+    assert seen.unseen.startswith("plant: found nothing")
 
 
 @pytest.mark.parametrize(

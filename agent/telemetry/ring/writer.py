@@ -12,6 +12,7 @@ import os
 import struct
 import time
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final, Self
 
@@ -33,6 +34,7 @@ from agent.telemetry.row.sample import CDR_LITTLE_ENDIAN
 DEFAULT_SLOTS: Final = 8192  # 41 s at 200 Hz, 16 s at 500 Hz; how large files are: `file_bytes`, docs/install.md
 LOCKSTEP_TIMEOUT_S: Final = 30.0
 _POLL_S: Final = 0.0002
+_LOOK_S: Final = 0.02
 
 
 def file_bytes(row_format: RowFormat, slots: int = DEFAULT_SLOTS) -> int:
@@ -80,6 +82,7 @@ class RingWriter:
         self.row, self._staged = aligned_row(row_format.dtype)
         self.row["encapsulation"] = CDR_LITTLE_ENDIAN
         self.written = 0
+        self.asked: Callable[[], bool] = lambda: False  # for something else than to wait for space
 
     def __enter__(self) -> Self:
         return self
@@ -105,16 +108,22 @@ class RingWriter:
         self._words[WRITTEN_WORD] = index + 1
 
     def wait_for_space(self, timeout_s: float = LOCKSTEP_TIMEOUT_S) -> None:
-        """Lockstep simulation only: wait until less than half the ring is unacknowledged.
+        """Lockstep simulation only: wait until less than half the ring is unacknowledged, or this process is `asked`.
 
         Raises RowsUntaken when that takes longer than `timeout_s`: telemetry is missing or stuck.
         """
         enough = self.header.slots // 2
         if self.written - self._words[ACKNOWLEDGED_WORD] < enough:
             return
-        deadline = time.monotonic() + timeout_s
+        now = look = time.monotonic()
+        deadline = now + timeout_s
         while (waiting := self.written - self._words[ACKNOWLEDGED_WORD]) >= enough:
-            if time.monotonic() >= deadline:
+            now = time.monotonic()
+            if now >= look:
+                if self.asked():
+                    return
+                look = now + _LOOK_S
+            if now >= deadline:
                 raise RowsUntaken(
                     f"the telemetry of {self.header.name} does not keep up",
                     found=f"{waiting} rows waiting for {timeout_s:g} s",

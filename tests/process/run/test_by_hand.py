@@ -153,6 +153,35 @@ def test_a_lockstep_cell_by_hand_tells_how_it_is_and_is_stopped_by_a_word(
     ended(plant)
 
 
+def test_an_arm_that_waits_for_the_others_ends_in_order_by_a_signal_by_a_word_and_with_its_plant(
+    session: Host, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first state of a simulated arm needs all of them, and the others may take a minute to start."""
+    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(session.folder / "session"))
+    cell = cell_named("paper", session.folder, LONG_S)
+    plant = session.start("plant", cell)
+    ready(plant)
+
+    def waiting() -> subprocess.Popen[str]:
+        agent = session.start("agent", cell, "--arm", "left")
+        ready(agent)
+        assert "torque=on" in ready(agent)
+        return agent
+
+    agent = waiting()
+    agent.terminate()
+    assert ", mode OFF" in ended(agent)
+    agent = waiting()
+    stopped = coop("stop", cell)
+    assert "done: left holds" in stopped.err
+    assert ", mode OFF" in ended(agent)
+    agent = waiting()
+    plant.kill()
+    _, words = agent.communicate(timeout=90)
+    assert agent.returncode == 5, words
+
+
 def test_emulated_servos_by_hand_need_no_path(session: Host) -> None:
     emulator = session.start("emulate", str(configs.CELLS_DIR / "two_wx200.toml"), "--ports", "ports")
     folder = session.folder / "session" / "coop" / "two_wx200"

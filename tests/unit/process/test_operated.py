@@ -211,7 +211,7 @@ def test_a_release_that_comes_with_a_stop_lets_nothing_go_and_somebody_is_told(
         assert follows(mode, happened) is (SESSION if in_session else TABLE)[Verb.STOP][mode].becomes
         assert replies[Verb.STOP].ok
         assert replies[Verb.RELEASE].ok is not stop_first
-        lost = [(Level.WARN, "a stop wins over the release that came with it: say it again", {})]
+        lost: list[Any] = [(Level.WARN, "a stop wins over the release that came with it: say it again", {})]
         assert rig.told == ([] if stop_first else lost)
 
 
@@ -315,6 +315,34 @@ def test_a_simulated_session_is_over_with_a_stop(tmp_path: Path) -> None:
     with closing(rig.control):
         rig.signals.stopped, rig.signals.stops = True, 1
         assert rig.hear() == rig.hear() == Event.STOP | Event.RELEASED
+
+
+def test_an_operator_is_pressed_until_a_cycle_has_heard_what_was_said(rig: Rig) -> None:
+    """By which a simulated arm ends its waiting for others; a holding one waits for them again afterwards."""
+    pressed = rig.operator.is_pressed
+    assert not pressed()
+    rig.signals.stopped, rig.signals.stops = True, 1
+    assert pressed()
+    assert rig.hear() == Event.STOP
+    assert not pressed()
+    rig.signals.released = True
+    assert pressed()
+    rig.hear()
+    rig.control.requests.words.append(Verb.RELEASE)
+    assert pressed()
+    rig.hear()
+    assert not pressed()
+
+
+def test_the_process_of_a_simulated_arm_that_was_stopped_is_pressed_until_it_ends(tmp_path: Path) -> None:
+    rig = Rig(tmp_path / "c", drops_on_stop=True)
+    with closing(rig.control):
+        assert rig.hear(Verb.STOP) == Event.STOP | Event.RELEASED
+        assert rig.operator.is_pressed()
+        without = Operator(rig.signals, None, Clock(), rig._tell, drops_on_stop=True)
+        assert not without.is_pressed()
+        rig.signals.stopped = True
+        assert without.is_pressed()
 
 
 def test_where_nothing_can_fall_a_stop_releases(tmp_path: Path) -> None:

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from drivers.interface import ConnectError, DriverError, StaleStateError
+from agent.process.build import wait_no_longer
+from agent.telemetry.ring.writer import RingWriter, RowsUntaken
+from agent.telemetry.row.sample import AGENT_STATE
+from drivers.interface import ConnectError, DriverError, StaleStateError, WaitEnded
 from sim_backend.physics.spec import PlantError
 from sim_backend.served.driver import SimDriver
 from sim_backend.served.options import ArmVanished, LostArm
@@ -171,6 +175,45 @@ def test_silent_plant_is_a_timeout_that_names_it(tmp_path: Path) -> None:
         with pytest.raises(StaleStateError, match=r"plant at .*plant\.sock, arm left: found no state within 0\.05 s"):
             left.read()
         assert left.counters.timeouts == 1
+
+
+def test_an_arm_that_is_asked_for_something_waits_for_no_state_and_goes_on_with_the_next(tmp_path: Path) -> None:
+    with ServedPlant(tmp_path) as served:
+        left, right = served.driver("left"), served.driver("right")
+        for driver in (left, right):
+            driver.connect()
+        left.enable()
+        looks = iter((False, True))
+        left.heed(lambda: next(looks))
+        with pytest.raises(WaitEnded, match=r"arm left: found no state yet"):
+            left.read()
+        assert left.counters.timeouts == 0
+        left.heed(lambda: True)
+        right.enable()
+        while True:
+            with contextlib.suppress(WaitEnded):
+                left.read()
+                break
+        left.write(TAU)
+
+
+def test_rows_of_an_arm_wait_for_nobody_once_it_is_asked_for_something_or_its_plant_is_gone(tmp_path: Path) -> None:
+    pressed = [False]
+    with RingWriter(tmp_path / "left.ring", AGENT_STATE, "left", slots=64) as ring:
+        for _ in range(32):
+            ring.commit()
+        with ServedPlant(tmp_path) as served:
+            left = served.driver("left")
+            left.connect()
+            wait_no_longer(left, ring, lambda: pressed[0])
+            with pytest.raises(RowsUntaken):
+                ring.wait_for_space(0.1)
+            pressed[0] = True
+            ring.wait_for_space(60.0)
+            pressed[0] = False
+            assert not left.gone
+        assert left.gone
+        ring.wait_for_space(60.0)
 
 
 @pytest.mark.parametrize(

@@ -240,6 +240,16 @@ def test_lockstep_waits_for_the_reader_and_says_when_it_is_missing(path: Path, w
         later.join()
 
 
+def test_who_is_asked_for_something_else_waits_for_no_reader(writer: RingWriter) -> None:
+    write(writer, SLOTS // 2)
+    looks = iter((False, True))
+    writer.asked = lambda: next(looks)
+    writer.wait_for_space(60.0)
+    assert next(looks, None) is None
+    writer.commit()
+    assert writer.written == SLOTS // 2 + 1
+
+
 def test_a_reader_that_does_not_acknowledge_cannot_write(path: Path, writer: RingWriter) -> None:
     with RingReader(path, AGENT_STATE) as reader, pytest.raises(OSError, match="Bad file descriptor"):
         reader.acknowledge(1)
