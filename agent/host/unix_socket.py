@@ -7,11 +7,17 @@ import fcntl
 import os
 import socket
 import struct
+import time
 from collections.abc import Iterator
+from errno import ETIMEDOUT
 from pathlib import Path
+
+from agent.host.held import holder
 
 _CREDENTIALS = struct.Struct("3i")  # pid, uid, gid
 _NO_SERVER = ConnectionRefusedError, FileNotFoundError
+WAIT_S = 5.0  # for others that begin in the same folder, which takes each of them some milliseconds
+_LOOK_S = 0.01
 
 Identity = tuple[int, int]
 
@@ -19,7 +25,7 @@ Identity = tuple[int, int]
 def listen_alone(path: Path, backlog: int) -> tuple[socket.socket, Identity] | None:
     """A SOCK_SEQPACKET socket that listens at `path` (mode 0600) and never blocks, and which file that is.
 
-    None when somebody serves that name: it is left alone.  Raises OSError.
+    None when somebody serves that name: it is left alone.  Raises OSError, also where somebody keeps the folder locked.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     with contextlib.ExitStack() as undo, _alone_in(path.parent):
@@ -60,13 +66,25 @@ def _identity(path: Path) -> Identity:
 
 @contextlib.contextmanager
 def _alone_in(folder: Path) -> Iterator[None]:
-    """Two processes that begin at once take this folder one after the other."""
-    descriptor = os.open(folder, os.O_RDONLY)
+    """Two processes that begin at once take this folder one after the other; whoever may read it can keep it, too."""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        deadline = time.monotonic() + WAIT_S
+        while not _locked(descriptor):
+            if time.monotonic() >= deadline:
+                raise TimeoutError(ETIMEDOUT, f"for {WAIT_S:g} s a lock{holder(descriptor)} on its folder")
+            time.sleep(_LOOK_S)
         yield
     finally:
         os.close(descriptor)
+
+
+def _locked(descriptor: int) -> bool:
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
 
 
 def _unconnected() -> socket.socket:

@@ -13,6 +13,7 @@ from typing import Any
 
 from agent.config.cell import Cell
 from agent.host.clock import ClockState
+from agent.host.held import file_of, flocks
 from agent.host.paths import barred, ring_paths
 from agent.log.locks import lock_path, note_path
 from agent.operator.ask import Heard, Silence, ask_arms
@@ -81,13 +82,13 @@ def _arm(cell: Cell, name: str, heard: Heard, past: Past | None, age_s: float | 
 
 def recorder(cell: str, folders: Sequence[Path]) -> dict[str, Any]:
     """Whether a recorder of the cell has one of these folders, and the newest log there."""
-    locked = _flocked()
+    locked = flocks()
     for folder in folders:
         try:
             status = lock_path(folder, cell).stat()
         except OSError:
             continue
-        if (os.major(status.st_dev), os.minor(status.st_dev), status.st_ino) in locked:
+        if file_of(status) in locked:
             return {
                 "alive": True,
                 "folder": str(folder),
@@ -115,21 +116,6 @@ def _newest(folder: Path) -> dict[str, Any]:
         return {"log": None, "log_bytes": None}
     newest = max(logs, key=lambda path: logs[path].st_mtime_ns)
     return {"log": newest.name, "log_bytes": logs[newest].st_size}
-
-
-def _flocked() -> set[tuple[int, int, int]]:
-    """Device (major, minor) and inode of every file that somebody has locked; asks without taking a lock."""
-    found = set()
-    try:
-        lines = Path("/proc/locks").read_text().splitlines()
-    except OSError:
-        return set()
-    for line in lines:
-        words = line.split()
-        if "FLOCK" in words and len(words) > 5 and "->" not in words:
-            major, minor, inode = words[5].split(":")
-            found.add((int(major, 16), int(minor, 16), int(inode)))
-    return found
 
 
 def _finite(number: float) -> float | None:

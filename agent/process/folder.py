@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 from itertools import count
 from pathlib import Path
 
+from agent.host.held import holder
 from agent.log.file import remove_log
 from agent.log.locks import lock
 from drivers.interface import Refusal
@@ -94,7 +95,8 @@ def _claimed(out: Path) -> Iterator[None]:
             free = lock(folder)
         if not free:
             raise RunError(
-                f"output folder {out}", found="another run that writes into it", expected="a folder for this one",
+                f"output folder {out}", expected="a folder for this one",
+                found=f"another run that writes into it, or a reader's lock{holder(folder)}",
                 remedy="name another with --out, or wait for its end",
             )  # fmt: skip
         yield

@@ -15,6 +15,7 @@ from typing import Any, BinaryIO, Final, Self
 from pydantic import TypeAdapter
 
 from agent.atomic import WriteError, make_folder
+from agent.host.held import holder
 from agent.log.locks import lock
 from agent.study.measure import RunResult
 from agent.study.plan import Plan, Task, seed_of
@@ -82,7 +83,7 @@ class Store:
         if not lock(self._file.fileno()):
             raise StudyError(
                 f"study in {self.path.parent}",
-                found="another `coop study` that writes there",
+                found=f"another `coop study` that writes there, or a reader's lock{holder(self._file.fileno())}",
                 expected="one at a time",
                 remedy="wait for it, or name another --out",
             )

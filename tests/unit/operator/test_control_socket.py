@@ -573,6 +573,31 @@ def test_two_agents_that_begin_at_once_take_a_folder_one_after_the_other(
         assert tried == ["waits"]
 
 
+def test_a_folder_that_a_reader_keeps_locked_is_waited_for_not_for_ever_and_who_has_it_is_named(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(unix_socket, "WAIT_S", 0.05)
+    reader = os.open(path.parent, os.O_RDONLY)
+    try:
+        fcntl.flock(reader, fcntl.LOCK_SH)
+        with pytest.raises(
+            ControlError, match=rf"found for 0.05 s a lock of process {os.getpid()} \(.+\) on its folder"
+        ):
+            listening(path)
+    finally:
+        os.close(reader)
+    with closing(listening(path)):
+        assert path.is_socket()
+
+
+def test_a_folder_that_becomes_free_while_an_agent_waits_is_taken(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    reader = os.open(path.parent, os.O_RDONLY)
+    fcntl.flock(reader, fcntl.LOCK_SH)
+    monkeypatch.setattr(unix_socket.time, "sleep", lambda _: os.close(reader))
+    with closing(listening(path)):
+        assert path.is_socket()
+
+
 def test_closing_leaves_a_socket_that_has_taken_the_name(path: Path) -> None:
     first = listening(path)
     path.unlink()

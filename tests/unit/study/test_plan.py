@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import resource
 from dataclasses import replace
 from pathlib import Path
@@ -182,6 +183,12 @@ def test_a_run_whose_line_was_cut_off_counts_as_none_and_the_file_goes_on(
     with Store(tmp_path, plan) as store:
         assert store.results == {(0, 0): results[0], (0, 2): results[2]}
     assert all(json.loads(line) for line in path.read_text().splitlines())
+
+
+def test_who_keeps_a_study_locked_is_named(tmp_path: Path, plan: Plan) -> None:
+    held = rf"found another `coop study` .* lock of process {os.getpid()} \("
+    with Store(tmp_path, plan), pytest.raises(StudyError, match=held):
+        Store(tmp_path, plan)
 
 
 @pytest.mark.parametrize("other", [{"seed": 5}, {"overrides": [*SHORT, "tolerance.base_m=0.002"]}])
