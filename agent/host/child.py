@@ -15,6 +15,7 @@ from agent.host import python
 from drivers.interface import Refusal
 
 READY, TELLS = "READY ", "TELLS "
+CUT = "a file that it stored into was cut, as its ring"  # of SIGBUS, at which a process has no words of its own
 LOOK_EVERY_S = 0.05  # while a ready line is waited for
 
 
@@ -91,10 +92,11 @@ class Child:
 
     def failed(self, what: str) -> ChildFailed:
         """The error that tells of this child's end, with its last words."""
-        last = self.last_words()
+        last, code = self.last_words(), self.process.poll()
+        said = f"{code}: {CUT}" if code == -signal.SIGBUS else str(code)
         return ChildFailed(
             self.name,
-            found=f"{what} (exit code {self.process.poll()})" + (f": {last}" if last else ""),
+            found=f"{what} (exit code {said})" + (f": {last}" if last else ""),
             expected="a process that runs to the end",
             remedy=f"its log is {self.log}",
         )

@@ -48,7 +48,7 @@ class RingHeir(RingWriter):
         self._fd = fd
         self.row, self._staged = aligned_row(row_format.dtype)
         self.row["encapsulation"] = CDR_LITTLE_ENDIAN
-        self.failed: Callable[[str], None] = _tell_nobody  # is told why nothing could be written, the first time
+        self.failed: Callable[[str], None] = _tell_nobody  # is told why rows are lost, the first time
         self._has_failed = False
         self.written = 0
         self.catch_up()
@@ -81,7 +81,13 @@ class RingHeir(RingWriter):
         self._put_word(WRITTEN_WORD, self.written)
 
     def commit(self) -> None:
-        """Make `row` visible as the next row; one that cannot be written is lost."""
+        """Make `row` visible as the next row; one that cannot be written is lost.
+
+        A file that has been cut or written over meanwhile is made anew first, or nobody who comes later could read it.
+        """
+        if damage := self.damage:
+            self._say(f"the file was {damage}, and is made anew")
+            self.mend(())
         self._put(self.written, self._staged)
         self.written += 1
         self._put_word(WRITTEN_WORD, self.written)
@@ -116,6 +122,9 @@ class RingHeir(RingWriter):
             self._fail(error)
 
     def _fail(self, error: OSError) -> None:
+        self._say(error.strerror or str(error))
+
+    def _say(self, why: str) -> None:
         if not self._has_failed:
             self._has_failed = True
-            self.failed(error.strerror or str(error))
+            self.failed(why)

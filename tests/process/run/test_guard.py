@@ -26,6 +26,9 @@ from agent.guard.line import GuardError, Word
 from agent.guard.takeover import EMULATED_STALE_NS
 from agent.log.read import read_log
 from agent.modes import Mode
+from agent.operator.ask import ask_arms
+from agent.operator.message import Reply, Request
+from agent.operator.table import Verb
 from agent.safety import Flag
 from agent.telemetry.ring.reader import RingReader
 from agent.telemetry.ring.texts import TextReader
@@ -319,9 +322,14 @@ def test_an_arm_is_held_where_the_ring_that_agent_and_guard_share_is_cut(host: H
     assert (rows["mode"][-SOME_ROWS:] == Mode.HOLD).all()
     cause = f"the agent has died: its ring was cut to 0 of {size} bytes"
     assert f"{cause}: the guard holds the arm" in host.told()
+    arms = {"left": [host.folder / "left.control"]}
+    status = ask_arms(arms, Request(Verb.STATUS), PATIENCE_S)["left"]
+    assert isinstance(status, Reply)
+    assert status.reason == cause, "which `coop status` and the terminal of a run on real arms say"
     released = coop("release", host.cell, "--control", host.folder / "left.control", cwd=host.folder)
     assert released.code == 0, released.err
     assert guard.wait(PATIENCE_S) == 0
+    assert f"mode OFF {cause}" in (host.folder / "words").read_text(), "in its journal, as a service"
     (file,) = (host.folder / "post_mortem").glob("*-left-post-mortem.mcap")
     log = read_log(file)
     assert cause in log.metadata["post_mortem"]["cause"]

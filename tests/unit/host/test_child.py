@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
+import signal
 import sys
 from collections.abc import Iterator
 from itertools import count
@@ -31,6 +32,17 @@ def test_a_child_that_fails_is_told_of_though_its_words_are_gone(
     shutil.rmtree(words)
     error = child.failed("ended")
     assert (error.what, error.found) == ("recorder", f"ended (exit code {child.process.returncode})")
+    child.kill()
+
+
+@pytest.mark.fault("P14")
+def test_a_child_that_dies_of_a_file_that_was_cut_cannot_say_so_but_who_started_it_does(tmp_path: Path) -> None:
+    child = Child("arm-left", ["nothing"], tmp_path)
+    child.process.send_signal(signal.SIGBUS)
+    assert child.wait(60.0) == -signal.SIGBUS
+    child.log.write_text("")
+    cut = "a file that it stored into was cut, as its ring"
+    assert child.failed("ended during the run").found == f"ended during the run (exit code {-signal.SIGBUS}: {cut})"
     child.kill()
 
 

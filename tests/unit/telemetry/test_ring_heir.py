@@ -138,6 +138,35 @@ def test_a_file_that_is_none_any_more_is_mended_and_who_reads_it_goes_on(
         assert read(another)[-4:] == [3, 4, 5, 6]
 
 
+@pytest.mark.fault("P14")
+@pytest.mark.parametrize(
+    ("happens", "damage"),
+    [
+        (lambda path: os.truncate(path, 0), "cut to 0 of {} bytes"),
+        (lambda path: path.write_bytes(b"x" * 50_000), "written over"),
+    ],
+)
+def test_a_file_that_is_cut_again_while_rows_are_written_is_made_anew_with_the_next_one(
+    path: Path, writer: RingWriter, heir: RingHeir, happens: Callable[[Path], object], damage: str
+) -> None:
+    told: list[str] = []
+    heir.failed = told.append
+    write(writer, 2)
+    heir.catch_up()
+    write(heir, 2)
+    size = path.stat().st_size
+    with RingReader(path, AGENT_STATE) as reader:
+        assert read(reader) == [0, 1, 2, 3]
+        for _ in range(2):
+            happens(path)
+            first = heir.written
+            write(heir, 2)
+            assert read(reader) == [first, first + 1], "who has read it goes on"
+            with RingReader(path, AGENT_STATE) as another:
+                assert read(another)[-2:] == [first, first + 1], "and who comes later reads it"
+    assert told == [f"the file was {damage.format(size)}, and is made anew"]
+
+
 @pytest.mark.parametrize("word", [WRITTEN_WORD, FINISHED_WORD])
 def test_a_count_that_cannot_be_is_not_taken_over(path: Path, writer: RingWriter, heir: RingHeir, word: int) -> None:
     write(writer, 2)
