@@ -47,6 +47,12 @@ def steps_are_bounded(rig: PhaseRun) -> None:
         assert (steps <= np.array(arm.agent.limits.tau_step_max_Nm) + 1e-12).all()
 
 
+def pressing_N(rig: PhaseRun) -> float:
+    """With how much the two arms press against each other through the object now."""
+    left, right = rig.world.plant.observe(rig.world.tau_Nm).grasp_wrench[:, :3]
+    return float(np.linalg.norm(left - right)) / 2.0
+
+
 def replays(arm: PhaseArm) -> None:
     """Every row of the agent follows from the one before it, bit for bit."""
     chain, n = Chain(arm.agent), arm.agent.model.n
@@ -259,3 +265,34 @@ def test_a_fault_that_lasts_holds_once_and_does_not_stop_the_way_back() -> None:
     (said,) = rig.arms["left"].reasons
     assert "servo 1 (waist)" in said
     assert said.endswith("; way back: `coop lower`, `coop release`, `coop park`")
+
+
+def test_an_arm_that_lowers_while_the_other_was_stopped_presses_a_little_until_both_are_told_the_same() -> None:
+    """No arm is told what another was: docs/session.md has the figures."""
+    pressed: list[float] = []
+
+    def press(rig: PhaseRun) -> None:
+        pressed.append(pressing_N(rig))
+
+    rig = PhaseRun(
+        CELL,
+        At.GRIPPED,
+        [
+            Step(READY, Verb.START, TRACK, 0.35),
+            Step(TRACK, Verb.STOP, HOLD, 1.0),
+            Step(HOLD, Verb.LOWER, LOWER, 0.2),
+            Step(LOWER, lambda rig: rig.interrupt("left"), HOLD, 0.05, ("left",)),
+            Step(HOLD, press, None, 1.5, ("left",)),
+            Step(LOWER, Verb.STOP, HOLD, 0.0, ("right",)),
+            Step(HOLD, Verb.LOWER, LOWER),
+            Step(LOWER, press, None, 1.5),
+            Step(LOWER, Verb.RELEASE, RELEASE),
+        ],
+        limit_s=8.0,
+    )
+    assert rig.finished
+    assert rig.way("left")[:-1] == rig.way("right")[:-1] == [READY, TRACK, HOLD, LOWER, HOLD, LOWER, RELEASE]
+    assert 2.0 < pressed[0] < 6.0
+    assert pressed[1] < 1.0
+    assert rig.world.set_down_error()[0] < 3e-3
+    steps_are_bounded(rig)
